@@ -1,8 +1,8 @@
-//! Servers around the gripper: TCP, UDP, serial lines, Modbus/TCP, and the control interface (feature `std`).
+//! Servers around the gripper: TCP, UDP, serial lines, CAN, fieldbuses, and the control interface (feature `std`).
 //!
-//! One thread serves all of them on a current-thread runtime; a script runs in a second one. Every frame is one write,
-//! and TCP does not delay: a client that takes what one `recv` gives for one frame is right. [`Server`] is for programs
-//! that have such a runtime, [`ServerThread`] for all others.
+//! One thread serves all lines on a current-thread runtime; a script runs in a second thread. Each frame is sent in one
+//! write with `TCP_NODELAY`, which suits clients that expect one frame per `recv`. Programs with a current-thread
+//! runtime use [`Server`], all others [`ServerThread`].
 
 mod accept;
 mod can;
@@ -44,7 +44,7 @@ use tokio::net::{TcpListener, UdpSocket};
 use tokio::task::{JoinSet, LocalSet};
 use wsg_protocol::can::Identifiers;
 
-/// A gripper with all its lines open, ready to [`run`](Self::run).
+/// A gripper with all lines open, ready to [`run`](Self::run).
 ///
 /// ```
 /// # fn main() -> anyhow::Result<()> {
@@ -55,8 +55,8 @@ use wsg_protocol::can::Identifiers;
 /// runtime.block_on(async {
 ///     let lines = Lines { tcp: Some("127.0.0.1:0".parse()?), ..Lines::default() };
 ///     let server = Server::bind(Config::default(), &lines, None).await?;
-///     println!("tcp {}", server.tcp_address().expect("it was asked for"));
-///     // Any future ends it: here one that is ready at once.
+///     println!("tcp {}", server.tcp_address().expect("TCP is enabled"));
+///     // The server runs until this future is ready, here immediately.
 ///     server.run(std::future::ready(())).await
 /// })
 /// # }
@@ -81,10 +81,10 @@ pub struct Server {
 }
 
 impl Server {
-    /// Opens the lines and switches the gripper on.
+    /// Opens the lines and powers up the gripper.
     ///
     /// # Errors
-    /// One for the line that cannot be opened, naming it.
+    /// Returns an error that names the line that cannot be opened.
     pub async fn bind(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
         let tcp = listen(lines.tcp, "TCP").await?;
         let udp = match lines.udp {
@@ -109,7 +109,7 @@ impl Server {
         let control = control.map(|listener| (listener, lines.control_hosts.clone()));
         #[cfg(feature = "script")]
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
-        // Pages watch the log, too.
+        // Pages show the log even if it is written nowhere.
         let log = log.or_else(|| control.is_some().then(Log::to_nowhere));
         let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log));
         Ok(Self {
@@ -131,71 +131,73 @@ impl Server {
         })
     }
 
-    /// The address that TCP listens on.
+    /// Returns the TCP address.
+    ///
+    /// `None` without TCP; with port 0, it contains the port that the system chose.
     #[must_use]
     pub fn tcp_address(&self) -> Option<SocketAddr> {
         self.tcp.as_ref()?.local_addr().ok()
     }
 
-    /// The address that UDP listens on.
+    /// Returns the UDP address; `None` without UDP.
     #[must_use]
     pub fn udp_address(&self) -> Option<SocketAddr> {
         self.udp.as_ref()?.0.local_addr().ok()
     }
 
-    /// What a client opens to get at the serial line: the pseudo terminal, the Unix socket, or the device.
+    /// Returns the path that a client opens for the serial line: the pseudo terminal, the Unix socket, or the device.
     #[must_use]
     pub fn serial_path(&self) -> Option<&Path> {
         self.serial.as_ref().map(SerialPort::path)
     }
 
-    /// What leads to the CAN bus: the interface, or what a client opens to get at the SLCAN line.
+    /// Returns the CAN interface, or the path that a client opens for the SLCAN line.
     #[must_use]
     pub fn can_path(&self) -> Option<&Path> {
         self.can.as_ref().map(CanPort::path)
     }
 
-    /// The address that the text protocol (GCL) over TCP listens on.
+    /// Returns the address of the text protocol (GCL) over TCP.
     #[must_use]
     pub fn gcl_address(&self) -> Option<SocketAddr> {
         self.gcl.as_ref()?.local_addr().ok()
     }
 
-    /// The address that the text protocol (GCL) over UDP listens on.
+    /// Returns the address of the text protocol (GCL) over UDP.
     #[must_use]
     pub fn gcl_udp_address(&self) -> Option<SocketAddr> {
         self.gcl_udp.as_ref()?.local_addr().ok()
     }
 
-    /// The address that Modbus/TCP listens on.
+    /// Returns the address of Modbus/TCP.
     #[must_use]
     pub fn modbus_address(&self) -> Option<SocketAddr> {
         self.modbus.as_ref()?.local_addr().ok()
     }
 
-    /// What a PROFIBUS master opens.
+    /// Returns the path that a PROFIBUS master opens.
     #[must_use]
     pub fn profibus_path(&self) -> Option<&Path> {
         self.profibus.as_ref().map(SerialPort::path)
     }
 
-    /// The network interface that is a PROFINET device.
+    /// Returns the network interface of the PROFINET device.
     #[cfg(feature = "profinet")]
     #[must_use]
     pub fn profinet_path(&self) -> Option<&Path> {
         self.profinet.as_ref().map(profinet::Interface::path)
     }
 
-    /// The address that the control interface listens on.
+    /// Returns the address of the control interface.
     #[must_use]
     pub fn control_address(&self) -> Option<SocketAddr> {
         self.control.as_ref()?.0.local_addr().ok()
     }
 
-    /// Serves until `end` is ready, or a line fails for good.
+    /// Serves until `end` is ready, or a line fails permanently.
     ///
     /// # Errors
-    /// That of the line.
+    /// Returns the error of the failed line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
         let Self {
             hub, tcp, udp, serial, can, gcl, gcl_udp, udp_unanswered, modbus, profibus, control, ..
@@ -204,7 +206,7 @@ impl Server {
         let script = self.script;
         #[cfg(feature = "profinet")]
         let profinet = self.profinet;
-        // Declared first, so that it is dropped after the tasks of the lines.
+        // Declared before the tasks of the lines, so that it is dropped after them.
         let _powered = Powered(Arc::clone(&hub));
         let local = LocalSet::new();
         local
@@ -274,7 +276,7 @@ impl Server {
     }
 }
 
-/// Switches the gripper off when the servers end, however they end.
+/// Powers the gripper off when the servers end for any reason.
 struct Powered(Arc<Hub>);
 
 impl Drop for Powered {
@@ -283,7 +285,7 @@ impl Drop for Powered {
     }
 }
 
-/// What leads to a CAN bus, open.
+/// An open connection to a CAN bus.
 #[derive(Debug)]
 enum CanPort {
     Interface(can::Interface, Identifiers),

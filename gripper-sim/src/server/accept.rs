@@ -1,4 +1,4 @@
-//! Accepting connections, also while the system has no descriptor left for another one.
+//! Accepts connections even while the system has no file descriptor left.
 
 use std::future::poll_fn;
 use std::io;
@@ -8,24 +8,24 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::sleep;
 
-/// How long no connection is accepted after the system refused one, so that a lasting error costs no processor time.
+/// Pause after the system refused a connection, so that a lasting error does not use up processor time.
 const RECOVERY: Duration = Duration::from_millis(100);
 
-/// A connection, or one that there is no room for.
+/// An accepted connection, or one to be rejected.
 #[derive(Debug)]
 pub(super) enum Accepted {
-    /// To be served.
+    /// A client to serve.
     Client(TcpStream, SocketAddr),
-    /// To be refused at once: its descriptor is the last one.
+    /// A connection to reject immediately, because it uses the last descriptor.
     Refused(TcpStream),
 }
 
-/// A listener with a descriptor in reserve. Without one, connections that find no descriptor would wait in the system's queue, and
-/// their clients with them.
+/// A listener with a reserve descriptor. Without the reserve, connections would wait in the system's queue while no
+/// descriptor is available, and their clients with them.
 #[derive(Debug)]
 pub(super) struct Acceptor {
     listener: TcpListener,
-    /// The listener once more: a descriptor that takes nothing else.
+    /// A duplicate of the listener, which occupies a descriptor and accepts nothing.
     reserve: Option<socket2::Socket>,
 }
 
@@ -36,15 +36,15 @@ impl Acceptor {
         acceptor
     }
 
-    /// The next connection. Lasts through every error of the system.
+    /// Returns the next connection. Continues after every error of the system.
     pub(super) async fn accept(&mut self) -> Accepted {
         loop {
             self.keep_reserve();
             if let Ok((stream, peer)) = self.listener.accept().await {
                 return Accepted::Client(stream, peer);
             }
-            // For want of descriptors, probably: the system says so even if nobody waits to be accepted. The free descriptor is
-            // used at once, or kept again, before another port can take it.
+            // The probable cause is a lack of descriptors, which the system reports even without a pending connection.
+            // The freed descriptor is used or reserved again before another port can take it.
             let has_reserve = self.reserve.take().is_some();
             match self.accept_at_once().await {
                 Poll::Ready(Ok((stream, _))) => return Accepted::Refused(stream),
@@ -57,7 +57,7 @@ impl Acceptor {
         }
     }
 
-    /// A connection that waits already.
+    /// Returns a pending connection without waiting.
     async fn accept_at_once(&self) -> Poll<io::Result<(TcpStream, SocketAddr)>> {
         poll_fn(|context| Poll::Ready(self.listener.poll_accept(context))).await
     }
@@ -69,7 +69,7 @@ impl Acceptor {
     }
 }
 
-/// The next connection of a listener that has no reserve, such as one on a Unix socket: its clients wait while there is no descriptor.
+/// Returns the next connection of a listener without a reserve, such as a Unix socket. Clients wait while there is no descriptor.
 #[cfg(unix)]
 pub(super) async fn insist<T, F: Future<Output = io::Result<T>>>(mut accept: impl FnMut() -> F) -> T {
     loop {

@@ -1,4 +1,4 @@
-//! A gripper on a CAN bus: what of the bus is for it, and its messages cut into CAN frames; and Linux SocketCAN.
+//! A gripper on a CAN bus: filtering of received frames, segmentation of messages into CAN frames, and Linux SocketCAN.
 
 use super::hub::{Client, Hub};
 use crate::port::MAX_FRAME_LEN;
@@ -8,14 +8,14 @@ use std::path::Path;
 use std::sync::Arc;
 use wsg_protocol::can::{Identifiers, Segments};
 
-/// Gives the gripper the data of a frame of the bus, if it is for it: the bytes of messages, whose ends it finds itself.
+/// Passes the data of a CAN frame to the gripper if the identifier matches. The gripper finds the message boundaries.
 pub(super) fn receive<F: Frame>(client: &Client, identifiers: Identifiers, frame: &F) {
     if frame.id() == Id::Standard(identifiers.gripper().receive) && frame.is_data_frame() {
         client.receive(frame.data());
     }
 }
 
-/// The frames of the gripper's next message, as it goes over the bus; none when there is no message.
+/// Returns the CAN frames of the gripper's next message; none if there is no message.
 pub(super) fn transmit<F: Frame>(client: &Client, identifiers: Identifiers) -> Vec<F> {
     let mut buffer = [0; MAX_FRAME_LEN];
     let message = client.transmit(&mut buffer).unwrap_or(&[]);
@@ -34,10 +34,10 @@ mod interface {
     use std::io;
     use tokio::time::{Duration, sleep};
 
-    /// How long a frame waits that the interface has no room for: a few frames on the slowest bus.
+    /// Retry interval when the interface has no room: a few frames on the slowest bus.
     const RETRY: Duration = Duration::from_millis(2);
 
-    /// A CAN interface that is open.
+    /// An open CAN interface.
     #[derive(Debug)]
     pub(in crate::server) struct Interface {
         socket: CanSocket,
@@ -48,7 +48,7 @@ mod interface {
         pub(in crate::server) fn open(name: &str) -> Result<Self> {
             let open = || {
                 let socket = CanSocket::open(name)?;
-                // What the controller has to say about the bus is not for a gripper.
+                // A gripper does not evaluate error frames of the controller.
                 socket.set_error_filter_drop_all()?;
                 io::Result::Ok(socket)
             };
@@ -64,7 +64,7 @@ mod interface {
             let Self { socket, name } = self;
             let client = hub
                 .connect(PortKind::Can, &name)
-                .context("the gripper has no place for the CAN interface")?;
+                .context("all client places are taken; none is left for the CAN interface")?;
             exchange(&client, &socket, identifiers)
                 .await
                 .with_context(|| format!("the CAN interface {name} failed"))
@@ -98,7 +98,7 @@ mod interface {
         }
     }
 
-    /// Sends a frame as soon as the interface has room: its queue is short, and when it is full that is no error.
+    /// Sends a frame as soon as the interface has room. Its queue is short, so a full queue is not an error.
     async fn write(socket: &CanSocket, frame: CanFrame) -> io::Result<()> {
         const ENOBUFS: i32 = rustix::io::Errno::NOBUFS.raw_os_error();
         loop {
@@ -118,13 +118,13 @@ pub(super) use interface::Interface;
 mod no_interface {
     use super::*;
 
-    /// There is no SocketCAN here.
+    /// Stands in for SocketCAN, which this system does not have.
     #[derive(Debug)]
     pub(in crate::server) enum Interface {}
 
     impl Interface {
         pub(in crate::server) fn open(name: &str) -> Result<Self> {
-            anyhow::bail!("the CAN interface {name} cannot be opened: SocketCAN is Linux's alone")
+            anyhow::bail!("the CAN interface {name} cannot be opened: SocketCAN requires Linux")
         }
 
         pub(in crate::server) fn path(&self) -> &Path {

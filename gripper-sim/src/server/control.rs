@@ -1,8 +1,9 @@
-//! The control interface: a hand beside the gripper, by HTTP with JSON, and a page to watch it. `docs/simulator.md` describes
-//! it to users.
+//! The control interface: operation of the gripper over HTTP with JSON, and a page that shows it. `docs/simulator.md`
+//! is the user documentation.
 //!
-//! One request to a connection, and everything about one is bounded: its size, its time, and how many there are; the events of
-//! a page go on, and are bounded in their own way. Who may ask is decided by `Host` and `Origin`, which a browser sets and a web page cannot.
+//! Each connection serves one request. Size, time and number of requests are bounded. Event streams are unlimited in
+//! time, but bounded in number and backlog. `Host` and `Origin` decide who may send requests: the browser sets them,
+//! and a web page cannot.
 
 mod commands;
 mod events;
@@ -43,32 +44,33 @@ use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 use wsg_fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::{Status, SystemFlags};
 
-/// The longest body that is read, in bytes.
+/// The longest accepted body, in bytes.
 const MAX_BODY_LEN: usize = 4_096;
-/// Room for the head of a request, in bytes.
+/// Maximum length of the head of a request, in bytes.
 const MAX_HEAD_LEN: usize = 16_384;
-/// How many connections are served at a time; one more, and the oldest gives way.
+/// Maximum number of simultaneous connections. One more displaces the oldest.
 const MAX_CONNECTIONS: usize = 32;
-/// How long a connection may last.
+/// Maximum duration of a connection.
 const TIME_LIMIT: Duration = Duration::from_secs(5);
-/// How often pages are told what has changed.
+/// Interval at which changes are sent to pages.
 const PERIOD: Duration = Duration::from_millis(50);
-/// How often they are told that nothing has.
+/// Interval of the heartbeat to pages while nothing changes.
 const HEARTBEAT: Duration = Duration::from_millis(500);
-/// How long a connection that cannot be served may take to read why.
+/// How long a rejected connection may take to read the reason.
 const REFUSAL_TIME: Duration = Duration::from_millis(100);
-/// What it reads: there is no descriptor left to serve it with.
+/// The reason: the system has no file descriptor left to serve the connection.
 const NO_ROOM: &[u8] =
     b"HTTP/1.1 503 Service Unavailable\r\nContent-Type: application/json\r\nContent-Length: 65\r\n\
     Cache-Control: no-store\r\nConnection: close\r\nRetry-After: 1\r\n\r\n\
     {\"error\":\"the system has no descriptor left; close connections\"}\n";
 
-const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness may be left out), or null for no part"#;
+const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), or null for no part"#;
 const FAULT_EXPECTED: &str =
     r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
-const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and what is left out is 0, and "direction":"requests", "replies" or "both""#;
+const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and omitted values are 0, and "direction":"requests", "replies" or "both""#;
 
-/// `names`: the hosts that requests may be for, beside this machine's own address and `localhost`.
+/// Serves the listener. `names` are the hosts accepted in requests, in addition to this machine's own address and
+/// `localhost`.
 pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
     let names: Rc<[String]> = names.into();
     let watchers = Rc::new(Watchers::default());
@@ -83,24 +85,24 @@ pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<Strin
                     Site { hub: Arc::clone(&hub), names: Rc::clone(&names), watchers: Rc::clone(&watchers) };
                 connections.open(Rc::clone(&link), async move {
                     tokio::select! {
-                        // Whoever speaks something else is dropped.
+                        // Ends a connection that does not speak HTTP.
                         _ = serve_connection(site, Rc::clone(&link), stream) => {}
-                        // And whoever takes longer.
+                        // Ends a connection that exceeds its time limit.
                         () = run_out(&link) => {}
                     }
                 });
-                // A request that came with its connection is answered before others can push it out.
+                // Answers a request received with its connection before other connections can displace it.
                 yield_now().await;
             }
             Accepted::Refused(stream) => {
-                // Whoever does not read it is cut off.
+                // A client that does not read the answer is disconnected.
                 let _ = timeout(REFUSAL_TIME, refuse(stream)).await;
             }
         }
     }
 }
 
-/// Tells a client that it cannot be served. Its request is read, so that the answer is not taken back by the system.
+/// Rejects a client that cannot be served. Reads its request, because otherwise the system would discard the answer.
 async fn refuse(mut stream: TcpStream) -> io::Result<()> {
     stream.write_all(NO_ROOM).await?;
     stream.shutdown().await?;
@@ -109,7 +111,7 @@ async fn refuse(mut stream: TcpStream) -> io::Result<()> {
     Ok(())
 }
 
-/// What every request is about.
+/// The state shared by all requests.
 #[derive(Clone, Debug)]
 struct Site {
     hub: Arc<Hub>,
@@ -117,7 +119,7 @@ struct Site {
     watchers: Rc<Watchers>,
 }
 
-/// Ready when a connection has lasted too long: a request has a time limit, and events are to be taken.
+/// Ready when a connection has lasted too long: a request exceeds the time limit, or a stream is no longer read.
 async fn run_out(link: &Link) {
     sleep(TIME_LIMIT).await;
     if link.streams() {
@@ -125,7 +127,7 @@ async fn run_out(link: &Link) {
     }
 }
 
-/// Tells pages how things stand, as long as any watch.
+/// Sends changes of the state to pages while any are open.
 async fn publish(hub: Arc<Hub>, watchers: Rc<Watchers>) {
     loop {
         watchers.come().await;
@@ -137,7 +139,7 @@ async fn publish(hub: Arc<Hub>, watchers: Rc<Watchers>) {
             ticks.tick().await;
             let report = hub.report();
             let body = StateBody { time_s: None, ..StateBody::of(&hub, &report) };
-            // There is nothing in it that has no JSON.
+            // The body contains nothing that JSON cannot represent.
             let state = serde_json::to_string(&body).unwrap_or_default();
             if state != told.0 || told.1.elapsed() >= HEARTBEAT {
                 let time_s = report.now.as_micros() as f64 / 1e6;
@@ -154,17 +156,17 @@ async fn publish(hub: Arc<Hub>, watchers: Rc<Watchers>) {
     }
 }
 
-/// Those that are open, the oldest first.
+/// The open connections, oldest first.
 #[derive(Debug, Default)]
 struct Connections(VecDeque<(Rc<Link>, JoinHandle<()>)>);
 
 impl Connections {
-    /// Serves another one. Where there are too many, the oldest is dropped: it has had the longest time for its request,
-    /// and one that came whole is answered already.
+    /// Adds a connection. If there are too many, drops the oldest: it has had the most time for its request, and a
+    /// complete request has been answered already.
     fn open(&mut self, link: Rc<Link>, connection: impl Future<Output = ()> + 'static) {
         let Self(open) = self;
         open.retain(|(_, connection)| !connection.is_finished());
-        // Streams are bounded by themselves.
+        // Streams have their own limit.
         let asks = |(link, _): &(Rc<Link>, JoinHandle<()>)| !link.streams();
         if open.iter().filter(|connection| asks(connection)).count() >= MAX_CONNECTIONS
             && let Some((_, oldest)) = open.iter().position(asks).and_then(|at| open.remove(at))
@@ -212,7 +214,7 @@ async fn answer(
     Ok(response)
 }
 
-/// What goes with every answer: it is kept nowhere, taken for nothing else, and told to nobody.
+/// Headers of every answer: no caching, no content sniffing, no referrer.
 const PRIVATE: [(HeaderName, &str); 3] =
     [(CACHE_CONTROL, "no-store"), (X_CONTENT_TYPE_OPTIONS, "nosniff"), (REFERRER_POLICY, "no-referrer")];
 
@@ -226,7 +228,7 @@ fn whole(body: String, content_type: HeaderValue) -> Answer {
     response
 }
 
-/// How things stand.
+/// Returns the state of gripper and lines.
 fn state(hub: &Hub) -> Result<Answer, HttpError> {
     let report = hub.report();
     let body = serde_json::to_string(&StateBody::of(hub, &report));
@@ -234,7 +236,7 @@ fn state(hub: &Hub) -> Result<Answer, HttpError> {
     Ok(json(&body))
 }
 
-/// The page itself.
+/// Returns the page itself.
 fn show_page() -> Result<Answer, HttpError> {
     let (page, policy) = page::page();
     let mut response = whole(page, HeaderValue::from_static("text/html; charset=utf-8"));
@@ -244,12 +246,12 @@ fn show_page() -> Result<Answer, HttpError> {
     Ok(response)
 }
 
-/// The events of a page, from what it has to know first.
+/// Returns the event stream of a page, which begins with its static data.
 fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
     let hello = HelloBody::of(&site.hub);
     let hello = serde_json::to_string(&hello).unwrap_or_default();
     let events = site.watchers.open(event("hello", &hello), link).ok_or_else(|| {
-        let error = format!("{MAX_STREAMS} pages watch already; expected one of them to be closed first");
+        let error = format!("{MAX_STREAMS} pages are open already; close one of them first");
         HttpError::new(StatusCode::SERVICE_UNAVAILABLE, error)
     })?;
     let mut response = Response::new(Either::Right(events));
@@ -257,12 +259,12 @@ fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
     Ok(response)
 }
 
-/// Why a request is refused, in a sentence for whoever sent it.
+/// A rejected request, with a reason for its sender.
 #[derive(Debug)]
 struct HttpError {
     status: StatusCode,
     error: String,
-    /// The method that the path takes.
+    /// The method that the path supports, for the header `Allow`.
     allowed: Option<&'static str>,
 }
 
@@ -276,12 +278,12 @@ impl HttpError {
     }
 }
 
-/// Refuses a request for another host. To a browser a web page whose name leads to this machine (DNS rebinding) is of one
-/// origin with this server, so nothing but `Host` tells of it. The port is not looked at: it may be forwarded.
+/// Rejects a request for another host. With DNS rebinding, a browser treats the attacker's page as same-origin, and
+/// only `Host` reveals it. The port is not checked, because it may be forwarded.
 fn check_host(headers: &HeaderMap, here: IpAddr, names: &[String]) -> Result<(), HttpError> {
     let mut hosts = headers.get_all(HOST).iter();
     let (Some(host), None) = (hosts.next(), hosts.next()) else {
-        return Err(HttpError::wrong("expected one header Host".to_owned()));
+        return Err(HttpError::wrong("expected exactly one Host header".to_owned()));
     };
     let authority = Authority::try_from(host.as_bytes());
     let name = authority.as_ref().map_or("", Authority::host);
@@ -303,7 +305,7 @@ fn check_host(headers: &HeaderMap, here: IpAddr, names: &[String]) -> Result<(),
     Err(HttpError::new(StatusCode::MISDIRECTED_REQUEST, error))
 }
 
-/// Refuses a request of another web page than this server's own. A program sends no `Origin`.
+/// Rejects a request from a web page other than this server's own. Programs do not send `Origin`.
 fn check_origin(headers: &HeaderMap) -> Result<(), HttpError> {
     let mut origins = headers.get_all(ORIGIN).iter();
     let Some(origin) = origins.next() else { return Ok(()) };
@@ -315,8 +317,8 @@ fn check_origin(headers: &HeaderMap) -> Result<(), HttpError> {
     if is_own && origins.next().is_none() {
         return Ok(());
     }
-    // Otherwise any page in a browser on this machine could stop the gripper.
-    let error = "the request comes from another web page, by its header Origin; expected one from this server's own page, or \
+    // Without this check, any page in a browser on this machine could stop the gripper.
+    let error = "the Origin header names another web page; expected a request from this server's own page or \
                  from a program";
     Err(HttpError::new(StatusCode::FORBIDDEN, error.to_owned()))
 }
@@ -332,7 +334,7 @@ const PATHS: [(&str, Method); 7] = [
     ("/line", Method::POST),
 ];
 
-/// Does what the request asks for; but for the page and its events the answer is the state.
+/// Executes the request. The answer is the state, except for the page and its events.
 async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<Answer, HttpError> {
     let hub = &site.hub;
     let path = request.uri().path().to_owned();
@@ -342,7 +344,7 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
         return Err(HttpError::new(StatusCode::NOT_FOUND, error));
     };
     if request.method() != method {
-        let error = format!("{path} does not take {}; expected {method}", request.method());
+        let error = format!("{path} does not support {}; expected {method}", request.method());
         let allowed = Some(if *method == Method::GET { "GET" } else { "POST" });
         return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
     }
@@ -361,10 +363,10 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
     state(hub)
 }
 
-/// Carries out what a button asks for; the gripper may refuse it.
+/// Executes the command of a button. The gripper may reject it.
 fn command(hub: &Hub, body: &CommandBody) -> Result<(), HttpError> {
     let commands = body.commands(hub.config()).ok_or_else(|| {
-        HttpError::wrong(format!("the command has other numbers than it takes; expected {COMMAND_EXPECTED}"))
+        HttpError::wrong(format!("the command has missing or invalid numbers; expected {COMMAND_EXPECTED}"))
     })?;
     for command in &commands {
         let status = hub.command(command);
@@ -376,7 +378,7 @@ fn command(hub: &Hub, body: &CommandBody) -> Result<(), HttpError> {
     Ok(())
 }
 
-/// The body of a request.
+/// Reads and parses the body of a request.
 async fn read<T: for<'a> Deserialize<'a>>(
     request: Request<Incoming>,
     expected: &str,
@@ -388,11 +390,11 @@ async fn read<T: for<'a> Deserialize<'a>>(
             return Err(HttpError::new(StatusCode::PAYLOAD_TOO_LARGE, error));
         }
         Err(error) => {
-            return Err(HttpError::wrong(format!("the body did not come: {error}; expected {expected}")));
+            return Err(HttpError::wrong(format!("the body was not received: {error}; expected {expected}")));
         }
     };
     serde_json::from_slice(&body)
-        .map_err(|error| HttpError::wrong(format!("the body is wrong: {error}; expected {expected}")))
+        .map_err(|error| HttpError::wrong(format!("the body is invalid: {error}; expected {expected}")))
 }
 
 #[derive(Debug, Deserialize, Serialize)]
@@ -407,7 +409,7 @@ fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
     let stiffness = stiffness_n_per_mm.unwrap_or(Part::DEFAULT_STIFFNESS);
     Part::new(width_mm, stiffness).map(Some).ok_or_else(|| {
         HttpError::wrong(format!(
-            "a part {width_mm} mm wide with {stiffness} N/mm is none; expected {PART_EXPECTED}"
+            "a part {width_mm} mm wide with {stiffness} N/mm is invalid; expected {PART_EXPECTED}"
         ))
     })
 }
@@ -442,7 +444,7 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
             }
             None => {
                 return Err(HttpError::wrong(format!(
-                    "the fault does not say which finger; expected {FAULT_EXPECTED}"
+                    "the fault requires a finger; expected {FAULT_EXPECTED}"
                 )));
             }
         };
@@ -450,7 +452,7 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
             return Ok(fault(jaw));
         }
         let error =
-            format!("the finger is {:?}, which can not have this fault; expected {needs}", mounted.name());
+            format!("the finger is {:?}, which cannot have this fault; expected {needs}", mounted.name());
         Err(HttpError::new(StatusCode::CONFLICT, error))
     };
     let fault = match name {
@@ -469,9 +471,9 @@ fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, 
     };
     match finger {
         None => Ok(fault),
-        Some(_) => {
-            Err(HttpError::wrong("the fault is none of a finger; expected it without \"finger\"".to_owned()))
-        }
+        Some(_) => Err(HttpError::wrong(
+            "the fault does not concern a finger; expected it without \"finger\"".to_owned(),
+        )),
     }
 }
 
@@ -496,7 +498,7 @@ enum DirectionName {
     Both,
 }
 
-/// What is asked for, where a delay without a rate hits every frame.
+/// Returns the requested faults. A delay without a rate hits every frame.
 fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
     let LineBody { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
     if delay.is_some_and(|rate| rate > 0.0) && delay_ms.is_none() {
@@ -526,11 +528,11 @@ fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
     Ok(LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate })
 }
 
-/// The answer to every request that is granted.
+/// The answer to every accepted request.
 #[derive(Debug, Serialize)]
 struct StateBody<'a> {
     model: &'static str,
-    /// Not where it stands beside the rest.
+    /// Omitted when the enclosing event already contains it.
     #[serde(skip_serializing_if = "Option::is_none")]
     time_s: Option<f64>,
     width_mm: f32,
@@ -551,7 +553,7 @@ struct StateBody<'a> {
     clients: Vec<ClientBody<'a>>,
 }
 
-/// What a page has to know first.
+/// The static data that a page receives first.
 #[derive(Debug, Serialize)]
 struct HelloBody {
     model: &'static str,
@@ -569,7 +571,7 @@ struct LimitsBody {
     overdrive_force_n: f32,
 }
 
-/// The name of each bit, the lowest first; empty where there is none.
+/// The name of each bit, lowest first; empty if undefined.
 #[derive(Debug, Serialize)]
 struct NamesBody {
     command: Vec<&'static str>,

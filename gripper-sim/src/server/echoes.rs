@@ -1,7 +1,8 @@
-//! What comes back: a peer that answers answers, such as another virtual gripper, would have this one answer for ever.
+//! Detection of answer loops: a peer that answers answers, such as another virtual gripper, would otherwise keep this
+//! one answering forever.
 //!
-//! A datagram may name as its sender whoever its author likes, and what makes no sense is answered with an error, which
-//! makes no sense either. The form does not tell an answer from a request: `VERBOSE=1` is both.
+//! The sender of a datagram can be forged, and an invalid datagram is answered with an error, which is itself invalid.
+//! The format does not distinguish answers from requests: `VERBOSE=1` is both.
 
 use crate::script::SCRIPT_IDS;
 use std::collections::VecDeque;
@@ -10,26 +11,27 @@ use std::time::{Duration, Instant};
 use wsg_protocol::gcl::{Answer, Request};
 use wsg_protocol::{Command, CommandId, Frame, Reply};
 
-/// How many of the latest answers are compared. What can be a request as well as an answer circles in as many kinds at the most.
+/// How many of the latest answers are compared. A loop contains at most this many messages that are valid both as a
+/// request and as an answer.
 const REMEMBERED: usize = 64;
 
-/// How many datagrams in a row may be what was just sent: clients do repeat a setting that is answered by itself.
+/// How many consecutive datagrams may be echoes: clients may repeat a setting whose answer is identical to the request.
 const TOLERATED: u32 = 16;
 
-/// After so long without one it begins anew: what comes in a loop comes at once.
+/// Time without an echo after which the count restarts. Echoes in a loop follow immediately.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(1);
 
-/// Tells datagrams that only come back from those that ask.
+/// Distinguishes echoes from requests.
 #[derive(Debug, Default)]
 pub(super) struct Echoes {
     sent: VecDeque<Vec<u8>>,
     in_a_row: u32,
-    /// When the last one came, and from whom.
+    /// Time and sender of the last echo.
     last: Option<(Instant, SocketAddr)>,
 }
 
 impl Echoes {
-    /// Notes what is sent.
+    /// Records a sent datagram.
     pub(super) fn sent(&mut self, datagram: &[u8]) {
         if self.sent.len() == REMEMBERED {
             self.sent.pop_front();
@@ -37,8 +39,8 @@ impl Echoes {
         self.sent.push_back(datagram.to_owned());
     }
 
-    /// Whether what is received at `now` must not be answered: it only comes back, and not for the first time. What
-    /// others ask meanwhile does not keep a loop alive.
+    /// Returns whether the datagram received at `now` is a repeated echo and must not be answered. Requests of other
+    /// peers in between do not keep a loop alive.
     pub(super) fn must_end(&mut self, now: Instant, from: SocketAddr, datagram: &[u8]) -> bool {
         if !is_answer(datagram) && !self.sent.iter().any(|sent| is_echo(sent, datagram)) {
             if self.last.is_some_and(|(_, peer)| peer == from) {
@@ -55,7 +57,8 @@ impl Echoes {
     }
 }
 
-/// Whether a datagram came back: as it was sent, or, of a Loop (06h), behind the status of another one's answer to it.
+/// Returns whether a datagram is an echo: identical to the sent one or, for Loop (06h), the sent payload after the
+/// status of the peer's answer.
 fn is_echo(sent: &[u8], datagram: &[u8]) -> bool {
     let of_loop = |bytes| match whole_frame(bytes) {
         Some(Frame { id, payload }) if id == CommandId::Loop.code() => Some(payload),
@@ -64,7 +67,7 @@ fn is_echo(sent: &[u8], datagram: &[u8]) -> bool {
     sent == datagram || of_loop(sent).zip(of_loop(datagram)).is_some_and(|(sent, echo)| echo.ends_with(sent))
 }
 
-/// Whether a datagram is what grippers send and no request: a frame, or lines of text.
+/// Returns whether a datagram has the form of a gripper's answer and not of a request: a frame or lines of text.
 fn is_answer(datagram: &[u8]) -> bool {
     if let Some(frame) = whole_frame(datagram) {
         let is_request = match Command::decode(&frame) {
@@ -78,7 +81,7 @@ fn is_answer(datagram: &[u8]) -> bool {
     lines.peek().is_some() && lines.all(|line| Request::parse(line).is_err() && Answer::parse(line).is_ok())
 }
 
-/// The frame that a datagram is, whatever its checksum.
+/// Returns the frame in a datagram, regardless of its checksum.
 fn whole_frame(datagram: &[u8]) -> Option<Frame<'_>> {
     let [0xAA, 0xAA, 0xAA, id, l0, l1, payload @ .., _, _] = datagram else { return None };
     (payload.len() == usize::from(u16::from_le_bytes([*l0, *l1]))).then_some(Frame { id: *id, payload })
@@ -88,7 +91,7 @@ fn whole_frame(datagram: &[u8]) -> Option<Frame<'_>> {
 mod tests {
     use super::*;
 
-    /// What a gripper says to what it does not understand, and to what it has said.
+    /// The answer of a gripper to any line it does not understand, including this answer.
     const ANSWER: &[u8] = b"ERR ? 15\n";
 
     fn peer(port: u16) -> SocketAddr {
@@ -125,7 +128,7 @@ mod tests {
         assert!(answered <= 3 + TOLERATED as usize, "{answered}");
     }
 
-    /// What each of two peers answers to what the other one sends, until nothing is under way any more.
+    /// Returns the number of answers exchanged by two peers until none is in transit.
     fn exchanged(begin: impl Iterator<Item = Vec<u8>>, answer: impl Fn(&[u8]) -> Vec<u8>) -> usize {
         let now = Instant::now();
         let mut ends = [Echoes::default(), Echoes::default()];

@@ -1,25 +1,24 @@
-//! What a bad line does to frames: some are lost, come late, changed, cut short or twice.
+//! A faulty line loses, delays, corrupts, truncates or duplicates frames.
 //!
-//! Knows no sockets and no clock. What happens to a frame is decided by the seed, the connection, the frame's number on
-//! it, and the rates; by nothing else. So a run can be repeated, and a rate that changes does not change what the others
-//! hit.
+//! Independent of sockets and clocks. The fate of a frame depends only on the seed, the connection, the number of the
+//! frame on it, and the rates. Runs are therefore repeatable, and changing one rate does not affect the frames hit by the others.
 
 use crate::time::Time;
 use std::collections::VecDeque;
 
-/// The most frames that a line holds back of a client that can be made to wait.
+/// Capacity of the line for a client with flow control, in frames.
 const MAX_WAITING: usize = 64;
-/// The most that it holds at all: what one read brings comes on top.
+/// Absolute capacity of the line in frames: the frames of one read may exceed [`MAX_WAITING`].
 const MAX_HELD: usize = 512;
-/// The most that one frame of the gripper becomes.
+/// Maximum number of copies of one frame of the gripper.
 const MAX_COPIES: usize = 2;
 
-/// Which frames a bad line hits.
+/// The direction in which a line is faulty.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Direction {
-    /// Those to the gripper.
+    /// Only frames to the gripper.
     Requests,
-    /// Those from it.
+    /// Only frames from the gripper.
     Replies,
     #[default]
     Both,
@@ -31,21 +30,21 @@ pub(super) struct LineFaults {
     pub(super) direction: Direction,
     pub(super) drop: f64,
     pub(super) delay: f64,
-    /// How late a frame comes that is delayed.
+    /// Delay of a delayed frame, in ms.
     pub(super) delay_ms: u32,
-    /// One bit is wrong.
+    /// Rate of frames with one wrong bit.
     pub(super) corrupt: f64,
-    /// The end is missing.
+    /// Rate of frames without their end.
     pub(super) truncate: f64,
-    /// It comes twice.
+    /// Rate of frames sent twice.
     pub(super) duplicate: f64,
 }
 
 impl LineFaults {
-    /// The longest delay.
+    /// The longest delay in ms.
     pub(super) const MAX_DELAY_MS: u32 = 60_000;
 
-    /// A line that is whole.
+    /// A line without faults.
     pub(super) const NONE: Self = Self {
         direction: Direction::Both,
         drop: 0.0,
@@ -56,12 +55,12 @@ impl LineFaults {
         duplicate: 0.0,
     };
 
-    /// What hits the frames to the gripper.
+    /// Returns the faults of frames to the gripper.
     pub(super) fn of_requests(self) -> Self {
         if self.direction == Direction::Replies { Self::NONE } else { self }
     }
 
-    /// What hits the frames from it.
+    /// Returns the faults of frames from the gripper.
     pub(super) fn of_replies(self) -> Self {
         if self.direction == Direction::Requests { Self::NONE } else { self }
     }
@@ -84,29 +83,29 @@ impl std::fmt::Display for LineFaults {
     }
 }
 
-/// What happens to one frame.
+/// The effect of the line on one frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Fate {
     pub(super) dropped: bool,
-    /// For how many milliseconds.
+    /// The delay in ms.
     pub(super) delayed: Option<u32>,
-    /// Which byte is changed by exclusive or, and with what.
+    /// Index of the corrupted byte, and the value it is XORed with.
     pub(super) corrupted: Option<(usize, u8)>,
-    /// How many bytes are left.
+    /// The number of bytes left.
     pub(super) truncated: Option<usize>,
     pub(super) duplicated: bool,
 }
 
 impl Fate {
-    /// The fate of a frame of `len` bytes. Every chance is drawn whether it counts or not, so that each fault depends on
-    /// its own rate alone.
+    /// Draws the fate of a frame of `len` bytes. Every random number is drawn even if unused, so that each fault
+    /// depends on its own rate alone.
     fn draw(faults: &LineFaults, chance: &mut Chance, len: usize) -> Self {
         let dropped = chance.hits(faults.drop);
         let delayed = chance.hits(faults.delay);
         let corrupted = chance.hits(faults.corrupt);
         let corruption = (chance.below(len), 1 << chance.below(8));
         let truncated = chance.hits(faults.truncate);
-        // At least a byte comes, and at least one is missing.
+        // At least one byte arrives and at least one is missing.
         let left = 1 + chance.below(len.saturating_sub(1));
         let duplicated = chance.hits(faults.duplicate);
         if dropped {
@@ -121,12 +120,12 @@ impl Fate {
         }
     }
 
-    /// Whether the line does nothing to the frame.
+    /// Returns whether the line does not affect the frame.
     pub(super) fn is_harmless(&self) -> bool {
         *self == Self::default()
     }
 
-    /// What arrives of the frame.
+    /// Returns the bytes that arrive.
     fn apply(&self, frame: &[u8]) -> Vec<u8> {
         let mut bytes = frame.to_vec();
         if let Some((at, flipped)) = self.corrupted
@@ -140,7 +139,7 @@ impl Fate {
 }
 
 impl std::fmt::Display for Fate {
-    /// `delayed by 50 ms, byte 3 changed by 10h`
+    /// Formats the fate, such as `delayed by 50 ms, byte 3 changed by 10h`.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let parts = [
             self.dropped.then(|| "dropped".to_owned()),
@@ -153,7 +152,7 @@ impl std::fmt::Display for Fate {
     }
 }
 
-/// Frames that went over the lines, and those that faults have hit.
+/// Number of frames on the lines, and of frames hit by each fault.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct LineCounts {
     pub(super) frames: u64,
@@ -175,26 +174,26 @@ impl LineCounts {
     }
 }
 
-/// How a frame goes over the line.
+/// How a frame passes the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Passage {
-    /// As it is, at once.
+    /// Immediately and unchanged.
     Through,
-    /// What arrives of it, if anything, waits in the line.
+    /// Held in the line, as far as anything arrives.
     Held(Fate),
 }
 
-/// How soon frames arrive on a line that is whole.
+/// The latency of a line without faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Pace {
-    /// How late each comes, in ms.
+    /// Delay of each frame, in ms.
     pub(super) delay_ms: u16,
-    /// How far apart two are at least, in ms.
+    /// Minimum distance between two frames, in ms.
     pub(super) gap_ms: u16,
 }
 
 impl Pace {
-    /// At once.
+    /// Zero delay and distance.
     pub(super) const NONE: Self = Self { delay_ms: 0, gap_ms: 0 };
 }
 
@@ -202,16 +201,16 @@ impl Pace {
 #[derive(Debug)]
 pub(super) struct FaultyLine {
     pace: Pace,
-    /// Before which nothing more arrives.
+    /// Earliest time of the next arrival.
     next_at: Time,
     seed: u64,
-    /// Frames so far.
+    /// Number of frames so far.
     frames: u64,
     waiting: VecDeque<(Time, Vec<u8>)>,
 }
 
 impl FaultyLine {
-    /// The line of the connection with this number.
+    /// Returns the line of the connection with this number.
     pub(super) const fn new(seed: u64, connection: u64) -> Self {
         Self {
             pace: Pace::NONE,
@@ -222,22 +221,22 @@ impl FaultyLine {
         }
     }
 
-    /// The same with this pace.
+    /// Returns the line with this latency.
     pub(super) fn paced(self, pace: Pace) -> Self {
         Self { pace, ..self }
     }
 
-    /// Whether [`pass`](Self::pass) has room for what becomes of a frame.
+    /// Returns whether [`pass`](Self::pass) has room for all copies of a frame.
     pub(super) fn has_room(&self) -> bool {
         self.waiting.len() + MAX_COPIES <= MAX_WAITING
     }
 
-    /// Whether it holds as much as it may.
+    /// Returns whether the line has reached its absolute capacity.
     pub(super) fn is_full(&self) -> bool {
         self.waiting.len() >= MAX_HELD
     }
 
-    /// What happens to the next frame, which has `len` bytes.
+    /// Returns the fate of the next frame, which has `len` bytes.
     pub(super) fn fate(&mut self, faults: &LineFaults, len: usize) -> Fate {
         let mut chance = Chance(mixed(self.seed ^ self.frames));
         self.frames = self.frames.wrapping_add(1);
@@ -254,8 +253,7 @@ impl FaultyLine {
         Passage::Held(fate)
     }
 
-    /// Takes a frame, or other bytes, with this fate. Frames never overtake each other: behind one that is delayed the
-    /// others wait.
+    /// Holds a frame, or other bytes, with this fate. Frames never overtake each other: frames after a delayed one wait.
     pub(super) fn hold(&mut self, fate: &Fate, now: Time, frame: &[u8]) {
         if !fate.dropped {
             let Pace { delay_ms, gap_ms } = self.pace;
@@ -271,7 +269,7 @@ impl FaultyLine {
         }
     }
 
-    /// What arrives next, as far as it does by `now`.
+    /// Returns the next bytes that have arrived by `now`.
     pub(super) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
         let (due, _) = self.waiting.front()?;
         if *due > now {
@@ -280,13 +278,13 @@ impl FaultyLine {
         self.waiting.pop_front().map(|(_, bytes)| bytes)
     }
 
-    /// When something arrives next.
+    /// Returns the time of the next arrival.
     pub(super) fn next_arrival(&self) -> Option<Time> {
         self.waiting.front().map(|(due, _)| *due)
     }
 }
 
-/// Numbers that look random: SplitMix64, whose output is [`mixed`] of a counter.
+/// Pseudo-random numbers: SplitMix64, whose output is [`mixed`] of a counter.
 #[derive(Clone, Copy, Debug)]
 struct Chance(u64);
 
@@ -296,20 +294,20 @@ impl Chance {
         mixed(self.0)
     }
 
-    /// Whether something happens that does so at this rate.
+    /// Returns `true` at this rate.
     fn hits(&mut self, rate: f64) -> bool {
         const TWO_TO_53: f64 = (1u64 << 53) as f64;
         ((self.next() >> 11) as f64) < rate * TWO_TO_53
     }
 
-    /// A number from 0 to `bound` - 1; 0 for a bound of 0.
+    /// Returns a number from 0 to `bound` - 1; 0 for a bound of 0.
     fn below(&mut self, bound: usize) -> usize {
         let drawn = self.next();
         drawn.checked_rem(bound as u64).map_or(0, |value| value as usize)
     }
 }
 
-/// The step of SplitMix64's counter.
+/// The increment of SplitMix64's counter.
 const STEP: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// The output function of SplitMix64: every bit of the value reaches every bit of the result.
@@ -360,7 +358,7 @@ mod tests {
             assert!(matches!(line.pass(&LineFaults::NONE, Time::ZERO, &FRAME), Passage::Held(_)));
         }
         assert_eq!([21, 22, 26, 27].map(|ms| arrivals_at(&mut line, ms)), [0, 1, 0, 1]);
-        // 5 ms behind one that has arrived already.
+        // 5 ms after a frame that has already arrived.
         line.pass(&LineFaults::NONE, Time::from_millis(5), &FRAME);
         assert_eq!([31, 32].map(|ms| arrivals_at(&mut line, ms)), [0, 1]);
     }
@@ -379,7 +377,7 @@ mod tests {
         for fate in fates(SOME, 5, 0, 10_000) {
             counts.count(&fate);
         }
-        // Of the tenth that is lost nothing else is told.
+        // A lost frame reports no other fault.
         for (count, expected) in [
             (counts.dropped, 1_000),
             (counts.delayed, 1_800),
@@ -432,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn delayed_frame_holds_up_those_behind_it() {
+    fn delayed_frame_delays_the_following_frames() {
         let mut line = FaultyLine::new(1, 0);
         let late = LineFaults { delay: 1.0, delay_ms: 50, ..LineFaults::default() };
         assert!(matches!(line.pass(&late, Time::ZERO, &FRAME), Passage::Held(_)));

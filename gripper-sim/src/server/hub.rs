@@ -25,13 +25,13 @@ use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::SystemFlags;
 use wsg_protocol::{Command, Status};
 
-/// How many clients a server takes at a time.
+/// The maximum number of simultaneous clients of a server.
 const MAX_CLIENTS: usize = 128;
-/// How long a Modbus/TCP connection may be idle. A master that lost its power closes nothing.
+/// Idle time-out of a Modbus/TCP connection. A master that loses power does not close its connection.
 const IDLE_LIMIT: Duration = Duration::from_secs(300);
 
-/// What a real gripper's command interface takes: three requests in turn are answered 15 times a second, by field reports.
-/// How that is shared between the two figures is assumed.
+/// Latency of a real gripper's command interface. Field reports: three requests in turn are answered 15 times a second.
+/// The split between the two figures is assumed.
 const REAL_PACE: Pace = Pace { delay_ms: 22, gap_ms: 5 };
 
 /// The gripper, its clock, and the clients that wait for frames.
@@ -49,12 +49,12 @@ pub(super) struct Hub {
     script_waits: Condvar,
 }
 
-/// What one lock protects. The servers run in one thread and hardly ever wait for it; a script runs in another.
+/// The state protected by the lock. The servers run in one thread and rarely contend for it; a script runs in another thread.
 #[derive(Debug)]
 struct Shared {
     gripper: Box<VirtualGripper<MAX_CLIENTS>>,
     is_off: bool,
-    /// In order of connection.
+    /// The clients in order of connection.
     clients: BTreeMap<u64, Arc<Connected>>,
     connections: u64,
     log: Option<Log>,
@@ -69,21 +69,21 @@ struct Connected {
     id: PortId,
     number: u64,
     kind: PortKind,
-    /// Kind of line and peer, for the log.
+    /// Kind of line and peer, as shown in the log.
     name: Arc<str>,
     frames: Notify,
     heard_at: Mutex<Instant>,
-    /// Its place has gone to another client.
+    /// Signals that another client has taken the place of this one.
     displaced: Notify,
 }
 
-/// How things stand, for somebody who watches.
+/// The state of gripper and lines, for observers.
 #[derive(Debug)]
 pub(super) struct Report {
     pub(super) now: Time,
     pub(super) state: State,
     pub(super) images: (OutputImage, InputImage),
-    /// Those that have been injected.
+    /// The faults that have been injected.
     pub(super) faults: Vec<Fault>,
     pub(super) line_faults: LineFaults,
     pub(super) request_counts: LineCounts,
@@ -115,7 +115,7 @@ impl Hub {
         }
     }
 
-    /// Ends the script at its next call, and writes the rest of the log.
+    /// Powers the gripper off: ends the script at its next call and writes the rest of the log.
     pub(super) fn switch_off(&self) {
         let mut shared = self.lock();
         shared.is_off = true;
@@ -135,7 +135,7 @@ impl Hub {
         lock(&self.shared)
     }
 
-    /// Wakes the gripper whenever something is due.
+    /// Advances the gripper whenever an event is due.
     pub(super) async fn keep_time(self: Arc<Self>) -> Result<()> {
         loop {
             let wake = self.lock().gripper.next_wake();
@@ -153,7 +153,7 @@ impl Hub {
         }
     }
 
-    /// A client; `None` when there are too many, and none of them gives way.
+    /// Connects a client. Returns `None` if all places are taken and no client can be displaced.
     pub(super) fn connect(self: &Arc<Self>, kind: PortKind, peer: &str) -> Option<Client> {
         let connect = || {
             self.with_gripper(|gripper, now| {
@@ -191,8 +191,8 @@ impl Hub {
         Some(Client { hub: Arc::clone(self), connected, line, requests })
     }
 
-    /// Frees the place of the Modbus/TCP client that has been idle longest. Clients of the other protocols stay: the
-    /// end of their connections may be a FAST STOP.
+    /// Disconnects the Modbus/TCP client that has been idle longest to free its place. Clients of other protocols stay,
+    /// because the end of their connection may cause a FAST STOP.
     fn displace(&self) -> Option<()> {
         let shared = self.lock();
         let masters = shared.clients.values().filter(|client| client.kind == PortKind::ModbusTcp);
@@ -204,7 +204,7 @@ impl Hub {
         Some(())
     }
 
-    /// Forgets a client; harmless when that has been done.
+    /// Disconnects a client; does nothing if it is already disconnected.
     fn disconnect(&self, client: &Connected) {
         let mut shared = self.lock();
         shared.clients.remove(&client.number);
@@ -215,7 +215,7 @@ impl Hub {
         self.act(|gripper, now| gripper.disconnect(client.id, now));
     }
 
-    /// What the gripper was made with.
+    /// Returns the settings of the gripper.
     pub(super) const fn config(&self) -> &Config {
         &self.config
     }
@@ -260,39 +260,39 @@ impl Hub {
         self.act(|gripper, now| gripper.set_fault(fault, on, now));
     }
 
-    /// Carries out a command of a hand beside the gripper; its first status.
+    /// Executes a command of an operator and returns its first status.
     pub(super) fn command(&self, command: &Command<'_>) -> Status {
         let status = self.act(|gripper, now| gripper.command(command, now));
         self.note(format_args!("{command}: {status}"));
         status
     }
 
-    /// Begins or ends to keep lines of the log for pages.
+    /// Starts or stops keeping log lines for pages.
     pub(super) fn watch_log(&self, on: bool) {
         if let Some(log) = &mut self.lock().log {
             log.watch(on);
         }
     }
 
-    /// The lines that pages have not been shown.
+    /// Takes the log lines that pages have not received yet.
     pub(super) fn take_watched(&self) -> Watched {
         self.lock().log.as_mut().map(Log::take_watched).unwrap_or_default()
     }
 
-    /// What goes wrong on every line from the next frame on.
+    /// Sets the faults of every line from the next frame on.
     pub(super) fn set_line_faults(&self, faults: LineFaults) {
         self.note(format_args!("line faults: {faults}"));
         self.lock().line_faults = faults;
     }
 
-    /// Does something that may change when the gripper is to be woken next.
+    /// Calls `act` with the gripper. Use this if it may change the gripper's next wake-up.
     pub(super) fn act<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
         let result = self.with_gripper(act);
         self.rescheduled.notify_one();
         result
     }
 
-    /// What a master reads now, and the system state.
+    /// Returns the current inputs and the system state.
     #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn shown(&self) -> (InputImage, SystemFlags) {
         self.with_gripper(|gripper, now| {
@@ -301,7 +301,7 @@ impl Hub {
         })
     }
 
-    /// Does something that leaves the gripper's next wake as it is.
+    /// Calls `act` with the gripper. It must not change the gripper's next wake-up.
     #[cfg(feature = "script")]
     pub(super) fn look<T>(&self, look: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>) -> T) -> T {
         self.with_gripper(|gripper, now| {
@@ -310,7 +310,7 @@ impl Hub {
         })
     }
 
-    /// Blocks until there is a request for the script; `None` once the gripper is switched off.
+    /// Blocks until there is a request for the script; `None` once the gripper is powered off.
     #[cfg(feature = "script")]
     pub(super) fn script_request(&self) -> Option<ScriptRequest> {
         let mut shared = self.lock();
@@ -325,11 +325,11 @@ impl Hub {
         }
     }
 
-    /// Blocks for so long, or until the gripper is switched off.
+    /// Blocks for `duration`, or until the gripper is powered off.
     #[cfg(feature = "script")]
     pub(super) fn script_sleeps(&self, duration: Duration) {
         let is_on = |shared: &mut Shared| !shared.is_off;
-        // The guard and whether the time is over are of no use here.
+        // Neither the guard nor the time-out flag is needed.
         drop(self.script_waits.wait_timeout_while(self.lock(), duration, is_on));
     }
 
@@ -361,11 +361,11 @@ impl Hub {
         sleep_until(self.started + Duration::from_micros(at.as_micros())).await;
     }
 
-    /// Does something with the gripper at this time, and wakes the affected clients.
+    /// Calls `act` with the gripper at the current time and wakes the affected clients.
     fn with_gripper<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
         let mut shared = self.lock();
         let Shared { gripper, clients, log, .. } = &mut *shared;
-        // Under the lock, so that the gripper's time never runs backwards.
+        // Read under the lock, so that the gripper's time never runs backwards.
         let now = self.now();
         let result = act(gripper, now);
         for client in clients.values() {
@@ -380,12 +380,12 @@ impl Hub {
     }
 }
 
-/// A thread that panicked while it held the lock leaves the gripper as it is to the others.
+/// Ignores a poisoned lock: a panic in another thread leaves the gripper usable.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A client of the gripper; gone when dropped.
+/// A client of the gripper; dropping it disconnects the client.
 #[derive(Debug)]
 pub(super) struct Client {
     hub: Arc<Hub>,
@@ -420,25 +420,25 @@ impl Client {
         });
     }
 
-    /// Takes an image that a master wrote.
+    /// Takes an output image written by the master.
     #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn write_image(&self, image: &OutputImage, is_first: bool) {
         *lock(&self.connected.heard_at) = Instant::now();
         self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
     }
 
-    /// The master that writes images has stopped, or is silent.
+    /// Reports that the master that writes images has stopped or is silent.
     #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn end_images(&self) {
         self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
     }
 
-    /// Somebody else is at the other end of the line: what was subscribed to is not for them.
+    /// Ends the subscriptions, because another sender uses the line now.
     pub(super) fn end_updates(&self) {
         self.hub.with_gripper(|gripper, now| gripper.end_updates(self.connected.id, now));
     }
 
-    /// Ready when something may reach the gripper over a line that is bad.
+    /// Ready when a request may reach the gripper over a faulty line.
     pub(super) async fn request_waits(&self) {
         let arrival = self.requests.borrow().next_arrival();
         match arrival {
@@ -447,7 +447,7 @@ impl Client {
         }
     }
 
-    /// Gives the gripper the next request that reaches it over a line that is bad.
+    /// Passes the next request that arrives over a faulty line to the gripper.
     pub(super) fn arrive(&self) {
         let arrived = self.requests.borrow_mut().arrive(self.hub.now());
         if let Some(bytes) = arrived {
@@ -461,7 +461,7 @@ impl Client {
         self.hub.script_waits.notify_all();
     }
 
-    /// Whether nothing more can be understood of what comes from it, and all that there was for it is sent.
+    /// Returns whether the connection is over: synchronization is lost, and all frames for the client are sent.
     pub(super) fn is_over(&self) -> bool {
         let shared = self.hub.lock();
         shared.gripper.is_lost(self.connected.id)
@@ -469,8 +469,8 @@ impl Client {
             && self.line.borrow().next_arrival().is_none()
     }
 
-    /// Ready when the connection is to be closed for want of requests: its place is needed, or it has been idle for too
-    /// long. Only Modbus/TCP has that.
+    /// Ready when a Modbus/TCP connection must be closed, because it is idle for too long or its place is needed. Never
+    /// ready for other protocols.
     pub(super) async fn dismissed(&self) {
         let Connected { kind, name, heard_at, displaced, .. } = &*self.connected;
         if *kind != PortKind::ModbusTcp {
@@ -485,17 +485,17 @@ impl Client {
         }
     }
 
-    /// Whether there is room for answers: a line that is slow holds a bounded number of frames.
+    /// Returns whether there is room for answers: a slow line holds a bounded number of frames.
     pub(super) fn has_room(&self) -> bool {
         self.line.borrow().has_room()
     }
 
-    /// Whether there is room for requests, too.
+    /// Returns whether there is room for answers and requests.
     pub(super) fn takes_more(&self) -> bool {
         self.has_room() && self.requests.borrow().has_room()
     }
 
-    /// The next frame for this client, as it arrives.
+    /// Returns the next frame that arrives at this client.
     pub(super) fn transmit<'a>(&self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
         let len = self.next_frame(buffer)?;
         buffer.get(..len)
@@ -579,7 +579,7 @@ mod tests {
             masters.push(hub.connect(PortKind::ModbusTcp, "a master").unwrap());
         }
         advance(Duration::from_millis(1)).await;
-        // Half a request is one that is under way.
+        // A partial request counts as activity.
         masters[0].receive(&[0]);
 
         let newcomers =
@@ -590,7 +590,7 @@ mod tests {
         }
         assert!(!is_dismissed(&newcomers[0]).await);
         assert_eq!(hub.report().clients.len(), MAX_CLIENTS);
-        // The end of a connection whose place is taken changes nothing.
+        // Closing a displaced connection changes nothing.
         drop(masters.remove(1));
         assert_eq!(hub.report().clients.len(), MAX_CLIENTS);
     }

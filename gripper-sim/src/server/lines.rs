@@ -1,4 +1,4 @@
-//! Where a gripper is served: addresses, serial lines and CAN buses, as its user names them.
+//! The lines of a gripper: addresses, serial lines and CAN buses, as the user specifies them.
 
 #[cfg(feature = "profinet")]
 use bus_profinet::{IpParameters, Maintenance, Stored};
@@ -8,88 +8,88 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use wsg_protocol::can::Identifiers;
 
-/// Where a gripper is served.
+/// The lines on which a gripper is served. Each is optional.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Lines {
-    /// TCP: the address to listen on. Port 0 lets the system choose.
+    /// TCP: the address to listen on. With port 0, the system chooses the port.
     pub tcp: Option<SocketAddr>,
     /// UDP: the address to listen on.
     pub udp: Option<UdpLine>,
-    /// A serial line.
+    /// RS-232, on a real or emulated serial line.
     pub serial: Option<SerialLine>,
-    /// A CAN bus.
+    /// The CAN bus and the gripper's identifiers on it.
     pub can: Option<CanLine>,
     /// The text protocol (GCL) over TCP: the address to listen on.
     pub gcl: Option<SocketAddr>,
-    /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the port that asked.
+    /// The text protocol (GCL) over UDP: the address to listen on. Answers go to the source port of the request.
     pub gcl_udp: Option<SocketAddr>,
-    /// How many datagrams a UDP client is sent while it sends nothing; then its updates end. `None`: 1000 for clients on other
-    /// machines, since the sender of a datagram can be forged. 0: any number, as the manual has it.
+    /// How many datagrams are sent to a UDP client that sends nothing before its updates end. `None`: 1000 for clients
+    /// on other machines, because the sender of a datagram can be forged. 0: unlimited, as the manual specifies.
     pub udp_unanswered: Option<u32>,
-    /// Modbus/TCP: the address to listen on; port 502 on the real one.
+    /// Modbus/TCP: the address to listen on. The real gripper uses port 502.
     pub modbus: Option<SocketAddr>,
-    /// PROFIBUS DP over a serial line; a device is set to 115200 8N1, which no real bus has.
+    /// PROFIBUS DP over a serial line. A device is set to 115200 8N1, a rate that no real PROFIBUS uses.
     pub profibus: Option<SerialLine>,
-    /// PROFINET.
+    /// PROFINET IO on a network interface.
     #[cfg(feature = "profinet")]
     pub profinet: Option<ProfinetLine>,
-    /// The control interface, HTTP with JSON: the address to listen on. Whoever reaches it can do with the gripper
-    /// what a hand beside it can, so keep it on the loopback interface.
+    /// The control interface, HTTP with JSON: the address to listen on. A client has the same control as an operator
+    /// beside the gripper, so keep it on the loopback interface.
     pub control: Option<SocketAddr>,
-    /// Hosts that requests to the control interface may be for, by their header `Host`. `localhost` and the address that a
-    /// request came to need not be named. What else a browser is led here by is refused, against DNS rebinding.
+    /// Hosts accepted in the `Host` header of requests to the control interface, in addition to `localhost` and the
+    /// address that received the request. Other hosts are rejected as a protection against DNS rebinding.
     pub control_hosts: Vec<String>,
-    /// A Lua script that runs on the gripper from the start on.
+    /// A Lua script that runs on the gripper from power-up.
     #[cfg(feature = "script")]
     pub script: Option<PathBuf>,
-    /// How soon the command interface answers.
+    /// The latency of the command interface.
     pub profile: Profile,
-    /// Decides which frames the faults hit that the control interface lets loose on the lines.
+    /// Seed that selects the frames hit by line faults, which the control interface sets.
     pub seed: u64,
 }
 
-/// How soon the command interface (the binary protocol and GCL) answers.
+/// The latency of the command interface (the binary protocol and GCL).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Profile {
-    /// At once.
+    /// Answers are sent immediately.
     #[default]
     Instant,
-    /// As real grippers do by field reports: a client that asks for three values in turn, one request at a time, gets
-    /// them 15 times a second. Each frame comes 22 ms late and 5 ms behind the one before it at the soonest.
+    /// The latency of real grippers according to field reports: a client that requests three values in turn, one
+    /// request at a time, gets them 15 times a second. Each frame is sent 22 ms late and at least 5 ms after the previous one.
     Real,
 }
 
-/// A UDP address, and where answers go.
+/// A UDP address and the port for answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct UdpLine {
     /// The address to listen on; grippers in the field use port 1500.
     pub address: SocketAddr,
-    /// The port that answers go to, whatever port the request came from; 1501 in the field.
+    /// The port for answers, regardless of the source port of the request; 1501 in the field.
     pub remote_port: u16,
 }
 
-/// Where a gripper is on PROFINET.
+/// The network interface of a PROFINET device.
 #[cfg(feature = "profinet")]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ProfinetLine {
-    /// The network interface, such as `eth0`. Its Ethernet address is the gripper's; its IP address is not, and must differ.
+    /// The network interface, such as `eth0`. The gripper uses its Ethernet address but must have a different IP address.
     pub interface: String,
-    /// What it has from the start: name, IP parameters, I&M 1 to 3.
+    /// The initial data of the station: name, IP parameters, I&M 1 to 3.
     pub stored: Stored,
-    /// The configuration file that keeps these.
+    /// The configuration file in which changes are saved.
     pub keep: Option<PathBuf>,
 }
 
 #[cfg(feature = "profinet")]
 impl ProfinetLine {
-    /// What the name is called in the configuration file.
+    /// The key of the station name in the configuration file.
     pub const STATION: &str = "station";
-    /// What the IP parameters are called there.
+    /// The key of the IP parameters in the configuration file.
     pub const IP: &str = "profinet-ip";
-    /// What I&M 1 is called there (function, location), I&M 2 (date) and I&M 3 (descriptor).
+    /// The keys of I&M 1 (function, location), I&M 2 (date) and I&M 3 (descriptor) in the configuration file.
     pub const MAINTENANCE: [&str; 4] = ["im-function", "im-location", "im-date", "im-descriptor"];
 
-    /// All that is kept in the configuration file: its name there, and its text. Empty: it is as delivered.
+    /// Returns all entries saved in the configuration file: key and text. An empty text is the factory setting.
     #[must_use]
     pub fn kept(stored: &Stored) -> [(&'static str, String); 6] {
         let Stored { name, ip, maintenance: Maintenance { function, location, date, descriptor } } = stored;
@@ -104,13 +104,13 @@ impl ProfinetLine {
         ]
     }
 
-    /// A field of I&M as text, without the blanks that fill it up. Its bytes are Latin-1: a controller may write any.
+    /// Converts a field of I&M to text without its padding blanks. A controller may write any bytes; they are Latin-1.
     fn maintenance_text(field: &[u8]) -> String {
         let text: String = field.iter().copied().map(char::from).collect();
         text.trim_end_matches(' ').to_owned()
     }
 
-    /// The field of I&M that a text says, if it has room for it.
+    /// Converts a text to a field of I&M; `None` if it does not fit.
     #[must_use]
     pub fn maintenance_of_text<const N: usize>(text: &str) -> Option<[u8; N]> {
         let mut field = [b' '; N];
@@ -121,7 +121,7 @@ impl ProfinetLine {
         Some(field)
     }
 
-    /// IP parameters as text, such as `192.168.0.5/24` or `192.168.0.5/24,192.168.0.1` with a router.
+    /// Formats IP parameters, such as `192.168.0.5/24`, or `192.168.0.5/24,192.168.0.1` with a router.
     #[must_use]
     pub fn ip_text(ip: &IpParameters) -> String {
         let address = Ipv4Addr::from(ip.address);
@@ -134,7 +134,7 @@ impl ProfinetLine {
         }
     }
 
-    /// The IP parameters that a text says, if a station can have them.
+    /// Parses IP parameters; `None` if they are invalid for a station.
     #[must_use]
     pub fn ip_of_text(text: &str) -> Option<IpParameters> {
         let (own, router) = text.split_once(',').map_or((text, None), |(own, router)| (own, Some(router)));
@@ -151,32 +151,32 @@ impl ProfinetLine {
     }
 }
 
-/// A serial line that is to be served.
+/// A serial line to serve.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SerialLine {
-    /// A pseudo terminal, made for the purpose. Only on Unix: elsewhere opening it is an error.
+    /// A pseudo terminal created by the server. Unix only; opening it fails elsewhere.
     Pty,
-    /// A Unix socket at this path, to which clients connect. Only on Unix, likewise.
+    /// A Unix socket at this path, to which clients connect. Unix only; opening it fails elsewhere.
     Unix(PathBuf),
-    /// A serial port that exists, such as `/dev/ttyUSB0` or `COM3`; set to 115200 8N1.
+    /// An existing serial port, such as `/dev/ttyUSB0` or `COM3`; set to 115200 8N1.
     Device(PathBuf),
 }
 
-/// Where a gripper is on a CAN bus.
+/// The CAN bus of a gripper.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CanLine {
-    /// What leads to the bus.
+    /// The connection to the bus.
     pub bus: CanBus,
-    /// The gripper's two identifiers.
+    /// The gripper's receive and transmit identifiers.
     pub identifiers: Identifiers,
 }
 
-/// What leads to a CAN bus.
+/// The connection to a CAN bus.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CanBus {
     /// A network interface of Linux SocketCAN, such as `can0`.
     Interface(String),
-    /// A serial line that carries CAN frames by SLCAN. A pseudo terminal and a Unix socket are an adapter for whoever
-    /// opens them; behind a device an adapter is expected.
+    /// A serial line that carries CAN frames by SLCAN. A pseudo terminal or Unix socket acts as an adapter to its
+    /// client; a device must have an adapter connected.
     Slcan(SerialLine),
 }

@@ -1,4 +1,4 @@
-//! The log: a line for each frame, with time, direction, line, hex and meaning.
+//! The log: one line per frame with time, direction, line, hex and meaning.
 
 use super::log_writer::LogWriter;
 use crate::config::Config;
@@ -17,27 +17,27 @@ use std::sync::Arc;
 use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_protocol::{CommandId, Direction, Event, Frame, FrameEncoder, Meaning};
 
-/// Where the payload begins in a frame.
+/// Offset of the payload in a frame.
 const PAYLOAD_AT: usize = PREAMBLE_LEN + 3;
-/// The longest piece of a line of the text protocol that is shown in one line of the log.
+/// The longest piece of a text protocol line logged in one line, in bytes.
 const LINE_LEN: usize = 512;
-/// Bytes of the checksum.
+/// Length of the checksum in bytes.
 const CHECKSUM_LEN: usize = 2;
 
-/// Writes a line for each frame:
+/// Writes one line per frame:
 ///
 /// ```text
 /// 12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 D3 5A  22h Stop
 /// ```
 ///
-/// `->` goes to the gripper, `<-` comes from it. What is spoken in GCL is shown as it is, Modbus/TCP with its header, and
-/// PROFIBUS as bytes, as they come.
+/// `->` is sent to the gripper, `<-` is sent by it. GCL is logged as text, Modbus/TCP with its header, and PROFIBUS as
+/// the received bytes.
 pub struct Log {
     output: Output,
     clients: HashMap<PortId, Client>,
 }
 
-/// A client whose requests are logged: what it sends is cut into frames here once more.
+/// A client whose requests are logged. The log decodes its frames a second time.
 struct Client {
     name: Arc<str>,
     is_datagram: bool,
@@ -46,20 +46,20 @@ struct Client {
 
 enum Requests {
     Frames(Box<Frames>),
-    /// Of the text protocol: what came of a line that has no end yet.
+    /// Of the text protocol: the incomplete line.
     Lines(Vec<u8>),
-    /// Of Modbus/TCP.
+    /// Of Modbus/TCP: the frame decoder.
     Registers(Box<Receiver>),
-    /// Of PROFIBUS: bytes as they come.
+    /// Bytes of PROFIBUS, logged as received.
     Telegrams,
 }
 
-/// What finds frames once more, with the checksums that they came with.
+/// Decodes frames together with their received checksums.
 struct Frames {
     deframer: Deframer,
-    /// The last two bytes that were taken: the checksum of a frame that ends there.
+    /// The last two bytes taken: the checksum of a frame that ends there.
     last: [u8; CHECKSUM_LEN],
-    /// Whether a frame may have come with another checksum than its own.
+    /// Whether a frame may have a wrong checksum.
     is_unchecked: bool,
 }
 
@@ -73,39 +73,39 @@ impl Frames {
     }
 }
 
-/// The checksum of a frame, as it came.
+/// The received checksum of a frame.
 #[derive(Clone, Copy, Debug)]
 enum Checksum {
-    /// The right one.
+    /// The checksum was correct.
     Right,
-    /// These bytes.
+    /// The checksum was wrong and had these bytes.
     Sent([u8; CHECKSUM_LEN]),
-    /// It was inside another frame, which proved to be none.
+    /// Unknown: the frame was inside another one that proved invalid.
     Unknown,
 }
 
-/// Gives lines their form.
+/// Formats lines for the log and for pages.
 struct Output {
-    /// `None`: nobody asked for a log.
+    /// `None` if no log is written.
     writer: Option<LogWriter>,
-    /// For pages that watch, if any do.
+    /// Lines for the pages that show the log, if any.
     watched: Option<Watched>,
 }
 
-/// Lines that wait to be shown.
+/// Lines queued for pages.
 #[derive(Debug, Default)]
 pub(super) struct Watched {
     pub(super) lines: Vec<String>,
-    /// How many found no room.
+    /// Number of lines dropped because the queue was full.
     pub(super) lost: u64,
 }
 
-/// The most lines that wait to be shown: more than anybody reads.
+/// Capacity of the queue for pages, in lines: more than anyone can read.
 const MAX_WATCHED: usize = 200;
 
 impl Log {
-    /// A log that is written here, from a thread of its own: whoever takes the lines slowly does not hold up the
-    /// gripper. What finds no room is left out, and how much that was is said.
+    /// Creates a log with this output, written in a separate thread so that a slow reader does not delay the gripper.
+    /// Lines without room are dropped, and their number is logged.
     #[must_use]
     pub fn to(output: impl Write + Send + 'static) -> Self {
         Self {
@@ -114,31 +114,31 @@ impl Log {
         }
     }
 
-    /// A log that is written nowhere, for pages to watch.
+    /// Creates a log without output, for pages that show it.
     pub(super) fn to_nowhere() -> Self {
         Self { output: Output { writer: None, watched: None }, clients: HashMap::new() }
     }
 
-    /// Begins or ends to keep lines for pages.
+    /// Starts or stops keeping lines for pages.
     pub(super) fn watch(&mut self, on: bool) {
         self.output.watched = on.then(Watched::default);
     }
 
-    /// What pages have not been shown.
+    /// Takes the lines that pages have not received yet.
     pub(super) fn take_watched(&mut self) -> Watched {
         self.output.watched.as_mut().map(std::mem::take).unwrap_or_default()
     }
 
-    /// A log on standard output.
+    /// Creates a log on standard output.
     #[must_use]
     pub fn to_stdout() -> Self {
         Self::to(io::stdout())
     }
 
-    /// A log in this file, which is emptied.
+    /// Creates a log in this file and truncates it.
     ///
     /// # Errors
-    /// The file cannot be written.
+    /// Returns an error if the file cannot be created.
     pub fn to_file(path: &Path) -> Result<Self> {
         let file =
             File::create(path).with_context(|| format!("the log {} cannot be written", path.display()))?;
@@ -211,7 +211,7 @@ impl Log {
         }
     }
 
-    /// Ends the wait for half frames as the gripper does.
+    /// Expires incomplete frames as the gripper does.
     pub(super) fn expire(&mut self, now: Time) {
         let Self { output, clients } = self;
         for client in clients.values_mut() {
@@ -223,7 +223,7 @@ impl Log {
         }
     }
 
-    /// One frame with its meaning, or one line of the text protocol as it is.
+    /// Logs one frame with its meaning, or one line of the text protocol as text.
     pub(super) fn sent(&mut self, now: Time, id: PortId, line: &str, bytes: &[u8]) {
         if !self.output.is_wanted() {
             return;
@@ -238,7 +238,7 @@ impl Log {
         }
     }
 
-    /// Something that is no frame.
+    /// Logs a note that is not a frame.
     pub(super) fn note(&mut self, now: Time, line: &str, what: std::fmt::Arguments<'_>) {
         self.output.write(format_args!("{now} {line} {what}\n"));
     }
@@ -286,7 +286,7 @@ impl Output {
         match event {
             tcp::Event::Request(request) => {
                 let mut frame = [0; MAX_FRAME_LEN];
-                // As it came: its own PDU in a frame of its own.
+                // Restores the received frame: its own PDU in its own header.
                 let whole = request.answer(&mut frame, |pdu, place| {
                     for (slot, byte) in place.iter_mut().zip(pdu) {
                         *slot = *byte;
@@ -321,7 +321,7 @@ impl Output {
         self.write(format_args!("{now} {line} -> {why}: {id} with {size} bytes of payload\n"));
     }
 
-    /// One line, with its end.
+    /// Writes one line with its line end.
     fn write(&mut self, text: std::fmt::Arguments<'_>) {
         if !self.is_wanted() {
             return;
@@ -339,7 +339,7 @@ impl Output {
         }
     }
 
-    /// Whether anybody takes lines: otherwise they need no form.
+    /// Returns whether the line has a destination. Otherwise it need not be formatted.
     const fn is_wanted(&self) -> bool {
         self.writer.is_some() || self.watched.is_some()
     }
@@ -348,7 +348,7 @@ impl Output {
 fn hex(bytes: &[u8]) -> String {
     let mut hex = String::with_capacity(3 * bytes.len());
     for byte in bytes {
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         let _ = write!(hex, "{byte:02X} ");
     }
     hex

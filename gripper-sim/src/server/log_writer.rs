@@ -1,22 +1,22 @@
-//! Writes the log from a thread of its own. The gripper never waits for a disk, a terminal or a pipe that nobody reads.
+//! Writes the log in a separate thread. The gripper never waits for a disk, a terminal or a blocked pipe.
 
 use std::io::{BufWriter, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
 use std::thread;
 use std::time::Duration;
 
-/// How many lines may wait to be written.
+/// Capacity of the queue in lines.
 const MAX_WAITING: usize = 8_192;
-/// How long the end waits for what is still to be written.
+/// How long the shutdown waits for the remaining lines.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// The gripper's end.
+/// The gripper's end of the queue.
 pub(super) struct LogWriter {
-    /// `None` once nothing can be written any more.
+    /// `None` once writing has failed.
     lines: Option<SyncSender<String>>,
-    /// Lines that found no room since one did.
+    /// Lines dropped since the last one that was queued.
     lost: u64,
-    /// Disconnected when the thread has ended.
+    /// Disconnected when the writer thread has ended.
     end: Receiver<()>,
 }
 
@@ -38,12 +38,12 @@ impl LogWriter {
         Self { lines, lost: 0, end }
     }
 
-    /// Hands over a line with its end, without waiting.
+    /// Queues a line with its line end, without waiting.
     pub(super) fn write(&mut self, line: String) {
         let Some(lines) = &self.lines else { return };
         if self.lost > 0 {
             let told =
-                lines.try_send(format!("{} lines are lost here: the log is taken too slowly\n", self.lost));
+                lines.try_send(format!("{} lines are lost here: the log is read too slowly\n", self.lost));
             if told.is_ok() {
                 self.lost = 0;
             }
@@ -59,13 +59,13 @@ impl LogWriter {
 impl Drop for LogWriter {
     fn drop(&mut self) {
         self.lines = None;
-        // Nobody sends: it is the end, or it takes too long.
+        // Nothing is ever sent: the thread has ended, or the time-out has expired.
         let (Ok(()) | Err(RecvTimeoutError::Disconnected | RecvTimeoutError::Timeout)) =
             self.end.recv_timeout(PATIENCE);
     }
 }
 
-/// Writes lines until there are no more to come; each is there at once unless the next one waits already.
+/// Writes lines until the queue is closed. Flushes after each line unless the next one is already queued.
 fn write(mut output: impl Write, lines: &Receiver<String>) {
     let mut write_all = || -> std::io::Result<()> {
         while let Ok(line) = lines.recv() {
@@ -82,7 +82,7 @@ fn write(mut output: impl Write, lines: &Receiver<String>) {
     }
 }
 
-/// A log that cannot be written is given up with one message; the gripper goes on.
+/// Stops writing after the first error and reports it once; the gripper continues.
 fn give_up(error: &std::io::Error) {
-    eprintln!("wsg-sim: the log ends here: {error}");
+    eprintln!("wsg-sim: the log stops here: {error}");
 }

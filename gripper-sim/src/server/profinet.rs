@@ -1,4 +1,5 @@
-//! PROFINET: the device of `bus_profinet` on a network interface of Linux, with an IP stack of its own beside that of the system.
+//! PROFINET: the device of `bus_profinet` on a network interface of Linux, with its own IP stack in addition to that of
+//! the system.
 
 #[cfg(target_os = "linux")]
 mod ip;
@@ -11,7 +12,7 @@ use std::path::Path;
 #[cfg(target_os = "linux")]
 use std::{fs, io};
 
-/// Keeps name, address and I&M in the configuration file that they came from: their lines are replaced, and all others stay.
+/// Saves name, address and I&M in the configuration file that they came from. Replaces their lines and keeps all others.
 #[cfg(target_os = "linux")]
 fn keep(path: &Path, stored: &Stored) -> io::Result<()> {
     let text = fs::read_to_string(path)?;
@@ -23,14 +24,14 @@ fn keep(path: &Path, stored: &Stored) -> io::Result<()> {
     let mut kept: Vec<String> = text.lines().filter(is_other).map(str::to_owned).collect();
     let set = stored.iter().filter(|(_, text)| !text.is_empty());
     kept.extend(set.map(|(name, text)| format!("{name} = {}", quoted(text))));
-    // Beside it and then in its place, so that no failure leaves half of it.
+    // Written to a new file that then replaces the old one, so that no failure leaves half a file.
     let mut new = path.as_os_str().to_owned();
     new.push(".new");
     fs::write(&new, kept.join("\n") + "\n")?;
     fs::rename(&new, path)
 }
 
-/// A text as TOML has it.
+/// Quotes a text as a TOML string.
 #[cfg(target_os = "linux")]
 fn quoted(text: &str) -> String {
     let mut quoted = String::from("\"");
@@ -63,12 +64,12 @@ mod interface {
     use wsg_fieldbus::OutputImage;
     use wsg_fieldbus::profinet::{Device, PROFILE, faults};
 
-    /// How many frames are taken before it is somebody else's turn.
+    /// The maximum number of frames received per turn.
     const FRAMES_A_TURN: usize = 16;
-    /// Frames that are longer are cut, and so none of PROFINET's.
+    /// Size of the receive buffer in bytes. Longer frames are truncated; they are never PROFINET frames.
     const BUFFER_LEN: usize = 2_048;
 
-    /// A network interface that is open.
+    /// An open network interface.
     #[derive(Debug)]
     pub(in crate::server) struct Interface {
         socket: UnixDatagram,
@@ -85,18 +86,18 @@ mod interface {
                     "PROFINET on {name} needs the capability CAP_NET_RAW: start as root, \
                      or once `setcap cap_net_raw+ep` on this program"
                 ),
-                other => other.with_context(|| format!("PROFINET cannot have a socket for {name}"))?,
+                other => other.with_context(|| format!("PROFINET cannot open a socket on {name}"))?,
             };
             let addresses = getifaddrs().context("the network interfaces cannot be listed")?;
             let link = addresses
                 .filter(|found| found.interface_name == *name)
                 .find_map(|found| Some(*found.address.as_ref()?.as_link_addr()?))
-                .with_context(|| format!("PROFINET: there is no network interface {name}"))?;
+                .with_context(|| format!("PROFINET: unknown network interface {name}"))?;
             let mac = link.addr().filter(|mac| *mac != [0; 6]);
-            let mac = mac.with_context(|| format!("PROFINET: {name} is no Ethernet interface"))?;
-            // Its protocol is none, so that of the socket stays: all.
-            bind(socket.as_raw_fd(), &link).with_context(|| format!("PROFINET cannot have {name}"))?;
-            // What sends and receives whole datagrams, whatever these are.
+            let mac = mac.with_context(|| format!("PROFINET: {name} is not an Ethernet interface"))?;
+            // The link address has no protocol, so the socket keeps receiving all protocols.
+            bind(socket.as_raw_fd(), &link).with_context(|| format!("PROFINET cannot bind to {name}"))?;
+            // The type serves as a wrapper that sends and receives whole datagrams.
             let socket = UnixDatagram::from_std(std::os::unix::net::UnixDatagram::from(socket))?;
             Ok(Self { socket, mac: MacAddress(mac), line: line.clone() })
         }
@@ -109,7 +110,7 @@ mod interface {
             let Self { socket, mac, line } = self;
             let client = hub
                 .connect(PortKind::Profinet, &line.interface)
-                .context("the gripper has no place for PROFINET")?;
+                .context("all client places are taken; none is left for PROFINET")?;
             let now = hub.now().as_micros();
             let mut station = Station {
                 device: Box::new(Device::new(
@@ -134,7 +135,7 @@ mod interface {
                             match socket.try_recv(&mut buffer) {
                                 Ok(len) => station.receive(&hub, mac, buffer.get(..len).unwrap_or(&[])),
                                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
-                                // The cable is out, or a signal came; what follows shows.
+                                // The cable is unplugged, or a signal arrived; the next call shows which.
                                 Err(_) => {}
                             }
                         }
@@ -145,18 +146,18 @@ mod interface {
         }
     }
 
-    /// The device on its interface.
+    /// The device with its interface.
     struct Station {
         device: Box<Device>,
         ip: IpStack,
         client: Client,
         line: ProfinetLine,
-        /// Whether outputs have come since the controller has them: before, a flag that is set is no edge.
+        /// Whether outputs have been received since the controller enabled them. A flag set in the first outputs is not an edge.
         has_outputs: bool,
     }
 
     impl Station {
-        /// Does what is due; returns when something is due next.
+        /// Processes everything that is due and returns the next due time.
         fn exchange(&mut self, hub: &Hub, socket: &UnixDatagram) -> crate::time::Time {
             let now = hub.now().as_micros();
             while let Some(event) = self.device.poll(now) {
@@ -166,7 +167,7 @@ mod interface {
             self.device.show_inputs(&input.to_bytes());
             self.device.show_faults(faults(flags));
             self.ip.set_parameters(self.device.ip());
-            // What the faults lead to.
+            // Handles the events that the faults caused.
             while let Some(event) = self.device.poll(now) {
                 self.handle(hub, event);
             }
@@ -175,7 +176,7 @@ mod interface {
                 match transmit {
                     Transmit::Frame(len) => send_frame(socket, buffer.get(..len).unwrap_or(&[])),
                     Transmit::Datagram(len, to) => {
-                        // Without room it is lost, as datagrams are.
+                        // Without room, the datagram is lost, like any datagram.
                         let _ = self.ip.send(now, to, buffer.get(..len).unwrap_or(&[]));
                     }
                 }
@@ -188,7 +189,7 @@ mod interface {
         }
 
         fn receive(&mut self, hub: &Hub, mac: MacAddress, frame: &[u8]) {
-            // What this machine sends comes back to it.
+            // The socket also receives the frames that this machine sends.
             if frame.get(6..12) == Some(&mac.0[..]) {
                 return;
             }
@@ -216,14 +217,14 @@ mod interface {
                 }
                 Event::Connected => note(format_args!("a controller exchanges data")),
                 Event::Cleared => {
-                    note(format_args!("the controller has no outputs"));
+                    note(format_args!("the controller provides no valid outputs"));
                     self.end_outputs();
                 }
                 Event::Left(cause) => {
                     note(format_args!("the controller has left: {cause:?}"));
                     self.end_outputs();
                 }
-                Event::Signal => note(format_args!("signal: somebody looks for this device")),
+                Event::Signal => note(format_args!("signal: identification requested")),
                 Event::Stored => {
                     note(format_args!(
                         "name {:?}, {}",
@@ -246,17 +247,17 @@ mod interface {
     }
 
     fn send_frame(socket: &UnixDatagram, frame: &[u8]) {
-        // A cable that is out, a queue that is full: it is lost, as frames are.
+        // If the cable is unplugged or the queue is full, the frame is lost, like any frame.
         let _ = socket.try_send(frame);
     }
 
-    /// The profile with this gripper's serial number; there is one for as long as the program runs.
+    /// Returns the profile with this gripper's serial number, which lives as long as the program.
     fn profile(serial_number: u32) -> &'static Profile {
         let serial_number = Box::leak(serial_number.to_string().into_boxed_str());
         Box::leak(Box::new(Profile { serial_number, ..PROFILE }))
     }
 
-    /// A number that differs from start to start.
+    /// Returns a number that differs for each start of the program.
     fn session() -> u32 {
         let since = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         since.as_millis() as u32
@@ -272,13 +273,13 @@ mod no_interface {
     use crate::server::hub::Hub;
     use std::sync::Arc;
 
-    /// There are no packet sockets here.
+    /// Stands in for packet sockets, which this system does not have.
     #[derive(Debug)]
     pub(in crate::server) enum Interface {}
 
     impl Interface {
         pub(in crate::server) fn open(line: &ProfinetLine) -> Result<Self> {
-            anyhow::bail!("PROFINET on {}: packet sockets are Linux's alone", line.interface)
+            anyhow::bail!("PROFINET on {}: packet sockets require Linux", line.interface)
         }
 
         pub(in crate::server) fn path(&self) -> &Path {
@@ -300,7 +301,7 @@ mod tests {
     use bus_profinet::{Maintenance, StationName};
 
     #[test]
-    fn what_is_stored_replaces_its_lines_in_the_file_and_all_others_stay() {
+    fn stored_values_replace_their_lines_in_the_file_and_all_others_stay() {
         let path = std::env::temp_dir().join(format!("wsg-profinet-{}.toml", std::process::id()));
         let others = "# A cell\nmodel = \"wsg32\"\nprofinet = \"eth0\"\n";
         fs::write(

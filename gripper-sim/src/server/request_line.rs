@@ -1,7 +1,7 @@
-//! The line from one client to the gripper while it is bad: what comes is cut into frames, and each has its fate.
+//! A faulty line from one client to the gripper: received bytes are split into frames, and each frame gets a fate.
 //!
-//! Frames are cut by their lengths alone, so a request that is wrong by itself passes as wrong as it is. Knows no sockets
-//! and no clock.
+//! Frames are split by their lengths alone, so a request that is invalid in itself passes unchanged. Independent of
+//! sockets and clocks.
 
 use super::faulty_line::{Fate, FaultyLine, LineFaults};
 use crate::port::{PortKind, Protocol};
@@ -9,56 +9,56 @@ use crate::time::Time;
 use bus_modbus::tcp;
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 
-/// How long the rest of a frame is waited for while nothing else is on its way. Then what came of it passes as it is. Long,
-/// so that a busy machine does not decide what is a frame.
+/// Time-out for the rest of a frame while nothing else is in transit; afterwards its bytes pass unchanged. It is long,
+/// so that a busy machine does not affect the framing.
 const REST_WAIT_MS: u64 = 1_000;
-/// The longest line of the text protocol that is taken for one.
+/// The longest line of the text protocol that is recognized as one.
 const MAX_LINE_LEN: usize = 512;
 
 /// The line from one client.
 #[derive(Debug)]
 pub(super) struct RequestLine {
     kind: PortKind,
-    /// What came of a frame.
+    /// Bytes of the incomplete frame.
     held: Vec<u8>,
-    /// Until when its rest is waited for.
+    /// When the time-out of its rest expires.
     due: Option<Time>,
     line: FaultyLine,
 }
 
-/// What the bytes at hand begin with.
+/// The kind of data at the start of the received bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Cut {
-    /// A whole frame of this length.
+    /// A complete frame of this length.
     Frame(usize),
-    /// So many bytes that belong to none.
+    /// Number of bytes that belong to no frame.
     Other(usize),
-    /// A part of a frame.
+    /// The start of an incomplete frame.
     Part,
 }
 
 impl RequestLine {
-    /// The line of the connection with this number.
+    /// Returns the line of the connection with this number.
     pub(super) const fn new(kind: PortKind, seed: u64, connection: u64) -> Self {
-        // Other chances than those of the replies.
+        // Uses random numbers different from those of the replies.
         let line = FaultyLine::new(seed, !connection);
         Self { kind, held: Vec::new(), due: None, line }
     }
 
-    /// Whether nothing is on its way, so that the line may be left out.
+    /// Returns whether nothing is in transit, so that the line may be bypassed.
     pub(super) fn is_empty(&self) -> bool {
         self.held.is_empty() && self.line.next_arrival().is_none()
     }
 
-    /// Whether the line takes more of a client that can be made to wait.
+    /// Returns whether the line accepts more from a client with flow control.
     pub(super) fn has_room(&self) -> bool {
         self.line.has_room()
     }
 
-    /// Takes what the client sent; tells the fate of each frame. What finds no room is lost.
+    /// Takes bytes from the client and passes the fate of each frame to `tell`. Bytes without room are lost.
     pub(super) fn take(&mut self, faults: &LineFaults, now: Time, bytes: &[u8], mut tell: impl FnMut(&Fate)) {
         if self.kind.is_datagram() || self.kind == PortKind::Can {
-            // Datagrams, and CAN frames one by one, are what the line is bad for.
+            // Faults hit whole datagrams, or single CAN frames.
             return self.pass(faults, now, bytes, &mut tell);
         }
         let mut all = std::mem::take(&mut self.held);
@@ -76,7 +76,7 @@ impl RequestLine {
                     self.let_by(now, other);
                     rest = behind;
                 }
-                // A line that is whole again waits for nothing.
+                // A line without faults does not wait for the rest.
                 Cut::Part if faults.are_none() => {
                     self.let_by(now, rest);
                     rest = &[];
@@ -88,10 +88,10 @@ impl RequestLine {
         self.due = (!rest.is_empty()).then(|| now.plus_millis(REST_WAIT_MS));
     }
 
-    /// What reaches the gripper next, as far as it does by `now`.
+    /// Returns the next bytes that have reached the gripper by `now`.
     pub(super) fn arrive(&mut self, now: Time) -> Option<Vec<u8>> {
         if let Some(bytes) = self.line.arrive(now) {
-            // As long as the line was full, the rest could not come.
+            // The rest could not arrive while the line was full.
             self.due = self.due.map(|_| now.plus_millis(REST_WAIT_MS));
             return Some(bytes);
         }
@@ -102,12 +102,12 @@ impl RequestLine {
         Some(std::mem::take(&mut self.held))
     }
 
-    /// When something reaches the gripper next.
+    /// Returns when the next bytes reach the gripper.
     pub(super) fn next_arrival(&self) -> Option<Time> {
         self.line.next_arrival().or(self.due)
     }
 
-    /// Takes what is no frame, and has no fate.
+    /// Passes bytes that are not a frame and get no fate.
     fn let_by(&mut self, now: Time, bytes: &[u8]) {
         if !self.line.is_full() {
             self.line.hold(&Fate::default(), now, bytes);
@@ -122,7 +122,7 @@ impl RequestLine {
     }
 }
 
-/// What these bytes, of which there is one at least, begin with.
+/// Classifies the start of `bytes`, which must not be empty.
 fn cut(protocol: Protocol, bytes: &[u8]) -> Cut {
     let len = match protocol {
         Protocol::Binary => {
@@ -134,7 +134,7 @@ fn cut(protocol: Protocol, bytes: &[u8]) -> Cut {
                 _ => 0,
             };
             if !begun || len > MAX_MESSAGE_LEN {
-                // Up to where the next frame may begin.
+                // Up to the possible start of the next frame.
                 let behind = bytes.iter().skip(preamble.max(1));
                 let noise = behind.take_while(|byte| **byte != PREAMBLE_BYTE).count();
                 return Cut::Other(preamble.max(1) + noise);
@@ -182,7 +182,7 @@ mod tests {
         std::iter::from_fn(|| line.arrive(now)).collect()
     }
 
-    /// What arrives, in pieces, of bytes that are all delayed.
+    /// Returns the pieces in which bytes arrive that are all delayed.
     fn pieces(kind: PortKind, bytes: &[u8]) -> (Vec<Vec<u8>>, usize) {
         let mut line = RequestLine::new(kind, 1, 0);
         let mut frames = 0;
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_are_cut_by_their_lengths_and_what_is_none_passes() {
+    fn frames_are_split_by_length_and_other_bytes_pass() {
         let noisy = [&[0x01, 0xAA, 0x02][..], &STOP, &STOP, &[0xAA]].concat();
         let (arrived, frames) = pieces(PortKind::Tcp, &noisy);
         assert_eq!(frames, 2);
@@ -206,7 +206,11 @@ mod tests {
             pieces(PortKind::GclTcp, lines),
             (vec![b"POS?\r".to_vec(), b"\n".to_vec(), b"SPEED?\n".to_vec()], 2)
         );
-        assert_eq!(pieces(PortKind::Udp, &STOP.repeat(2)), (vec![STOP.repeat(2)], 1), "a datagram is one");
+        assert_eq!(
+            pieces(PortKind::Udp, &STOP.repeat(2)),
+            (vec![STOP.repeat(2)], 1),
+            "a datagram counts as one frame"
+        );
     }
 
     #[test]

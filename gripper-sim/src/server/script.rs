@@ -1,7 +1,7 @@
-//! A Lua script on the gripper: its thread, its bounds, and how it gets at the gripper.
+//! A Lua script on the gripper: its thread, its limits, and its access to the gripper.
 //!
-//! Lua runs in a thread of its own, because its calls wait. They use the gripper directly, under its lock, so a call takes
-//! no switch of threads, and a script that is busy, or waits, delays no line.
+//! Lua runs in a separate thread because its calls block. They use the gripper directly, under its lock, so a call
+//! needs no thread switch. A busy or waiting script does not delay any line.
 
 mod calls;
 
@@ -18,26 +18,26 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-/// What a script may hold, in bytes. Assumed.
+/// Memory limit of a script in bytes. Assumed.
 const MAX_MEMORY: usize = 16 << 20;
 
-/// The stack of a script's thread, in bytes. Lua nests C calls 200 deep, and a match recurses once for each item of its pattern,
-/// which is bounded in `sandbox.lua`. Only touched pages take memory.
+/// Stack size of a script's thread in bytes. Lua nests C calls up to 200 deep, and a match recurses once for each item
+/// of its pattern, whose length `sandbox.lua` limits. Only touched pages use memory.
 const STACK_SIZE: usize = 64 << 20;
 
-/// The longest text of a script in one line of the log, in characters. Assumed.
+/// The longest text of a script in one log line, in characters. Assumed.
 const MAX_LINE_LEN: usize = 1_024;
 
-/// How often a script is looked at that waits for nothing, in instructions.
+/// Interval between two checks of a running script, in instructions.
 const LOOK_EVERY: u32 = 1_000;
 
-/// After so many looks without a wait a script has to rest: some 10 ms of a PC.
+/// Number of checks without a wait after which a script must rest: about 10 ms on a PC.
 const LOOKS_WITHOUT_REST: u32 = 1_000;
 
-/// How long it rests then.
+/// Duration of the rest.
 const REST: Duration = Duration::from_millis(10);
 
-/// A script that has been read and waits for its start.
+/// A script that has been read and not started.
 #[derive(Debug)]
 pub(super) struct Script {
     path: PathBuf,
@@ -45,20 +45,20 @@ pub(super) struct Script {
 }
 
 impl Script {
-    /// Reads the file.
+    /// Reads the script from a file.
     ///
     /// # Errors
-    /// One that names it.
+    /// Returns an error that names the file.
     pub(super) fn read(path: &Path) -> Result<Self> {
         let source =
             std::fs::read(path).with_context(|| format!("the script {} cannot be read", path.display()))?;
         Ok(Self { path: path.to_owned(), source })
     }
 
-    /// Runs the script in a thread of its own, until its end or that of the server. Its end ends nothing else.
+    /// Runs the script in its own thread until it ends or the server ends. The end of the script affects nothing else.
     ///
     /// # Errors
-    /// The system has no thread left.
+    /// Returns an error if the system cannot create a thread.
     pub(super) fn start(self, hub: Arc<Hub>) -> Result<()> {
         set_state(&hub, ScriptState::Running);
         let thread = thread::Builder::new().name("wsg-sim script".to_owned()).stack_size(STACK_SIZE);
@@ -87,10 +87,11 @@ impl Script {
         let every = HookTriggers::new().every_nth_instruction(LOOK_EVERY);
         lua.set_global_hook(every, move |lua, _| {
             if hub.is_off() {
-                // At each instruction from here on: a script that catches this one gets no further than to the next.
+                // Interrupts every instruction from here on: a script that catches the error is interrupted again at
+                // the next one.
                 let always = HookTriggers::new().every_nth_instruction(1);
                 lua.set_global_hook(always, |_, _| Err(switched_off()))?;
-                // A coroutine that is running keeps its hook: what catches there goes on, but next to idle.
+                // A running coroutine keeps its own hook. If it catches the error, it continues, but almost idle.
                 thread::sleep(REST);
                 return Err(switched_off());
             }
@@ -114,7 +115,7 @@ fn end(hub: &Hub, error: Option<String>) {
         }
         Some(error) => {
             let error = clipped(&error);
-            // Whoever keeps no log would not know why nothing is answered any more.
+            // Without a log, this message is the only explanation for missing answers.
             eprintln!("wsg-sim: the script failed: {error}");
             hub.note_of("script", format_args!("failed: {error}"));
             set_state(hub, ScriptState::Failed);
@@ -126,7 +127,7 @@ fn set_state(hub: &Hub, state: ScriptState) {
     hub.act(|gripper, now| gripper.set_script_state(state, now));
 }
 
-/// What Lua says, without the trace behind it.
+/// Returns the message of a Lua error without its traceback.
 fn first_line(error: &mlua::Error) -> String {
     let text = match error {
         mlua::Error::RuntimeError(text) | mlua::Error::SyntaxError { message: text, .. } => text.clone(),
@@ -135,7 +136,7 @@ fn first_line(error: &mlua::Error) -> String {
     clipped(text.lines().next().unwrap_or_default())
 }
 
-/// A text of a script as one line of the log: bounded, and without control characters.
+/// Formats a text of a script as one log line: limited in length and without control characters.
 fn clipped(text: &str) -> String {
     let printable = |char: char| if char.is_control() && char != '\t' { '\u{FFFD}' } else { char };
     let mut line: String = text.chars().take(MAX_LINE_LEN).map(printable).collect();
@@ -145,7 +146,7 @@ fn clipped(text: &str) -> String {
     line
 }
 
-/// What ends a script whose gripper is gone.
+/// Returns the error that ends a script after power-off.
 fn switched_off() -> mlua::Error {
     mlua::Error::runtime("the gripper was switched off")
 }
@@ -157,7 +158,7 @@ mod tests {
     use crate::server::lines::Profile;
     use std::sync::mpsc::channel;
 
-    /// The longest that a script may go on after its gripper is switched off.
+    /// Maximum time that a script may continue after its gripper is powered off.
     const BOUND: Duration = Duration::from_secs(60);
 
     #[test]

@@ -1,4 +1,4 @@
-//! Serial lines: a real device, and where there is Unix, a pseudo terminal and a Unix socket.
+//! Serial lines: a real device and, on Unix, a pseudo terminal or a Unix socket.
 
 #[cfg(unix)]
 mod unix;
@@ -18,10 +18,10 @@ use std::sync::Arc;
 use tokio::io::{AsyncRead, AsyncWrite};
 use wsg_protocol::can::Identifiers;
 
-/// Bits per second of the RS-232 interface, 8 data bits, no parity, one stop bit.
+/// Bit rate of the RS-232 interface, with 8 data bits, no parity and one stop bit.
 const BIT_RATE: u32 = 115_200;
 
-/// A serial line that is open.
+/// An open serial line.
 #[derive(Debug)]
 pub(super) struct SerialPort {
     path: PathBuf,
@@ -53,11 +53,11 @@ impl SerialPort {
             }
             #[cfg(not(unix))]
             SerialLine::Pty => {
-                bail!("no pseudo terminal can be opened: only Unix has them; expected a device, such as COM3")
+                bail!("no pseudo terminal can be opened: this requires Unix; expected a device, such as COM3")
             }
             #[cfg(not(unix))]
             SerialLine::Unix(path) => bail!(
-                "the Unix socket {} cannot be opened: it is served on Unix alone; expected a device, such as COM3",
+                "the Unix socket {} cannot be opened: this requires Unix; expected a device, such as COM3",
                 path.display()
             ),
             SerialLine::Device(path) => {
@@ -68,12 +68,12 @@ impl SerialPort {
         }
     }
 
-    /// What a client opens.
+    /// Returns the path that a client opens.
     pub(super) fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Serves the line, which carries the frames' bytes themselves or, by SLCAN, those of CAN frames.
+    /// Serves the line, which carries the bytes of frames or telegrams, or CAN frames by SLCAN.
     pub(super) async fn serve(self, hub: Arc<Hub>, carried: Carried) -> Result<()> {
         let name = self.path.display().to_string();
         match self.line {
@@ -94,7 +94,7 @@ impl SerialPort {
     }
 }
 
-/// A line that has no end while all is well.
+/// Serves a line that has no end in normal operation.
 async fn serve_terminal(
     hub: &Arc<Hub>,
     reader: impl AsyncRead + Unpin,
@@ -102,7 +102,9 @@ async fn serve_terminal(
     name: &str,
     carried: Carried,
 ) -> Result<()> {
-    let client = hub.connect(carried.kind(), name).context("the gripper has no place for the serial line")?;
+    let client = hub
+        .connect(carried.kind(), name)
+        .context("all client places are taken; none is left for the serial line")?;
     carried.serve(&client, reader, writer).await.with_context(|| format!("the serial line {name} failed"))?;
     bail!("the serial line {name} was closed")
 }
@@ -111,16 +113,16 @@ async fn serve_terminal(
 async fn serve_client(hub: Arc<Hub>, mut stream: tokio::net::UnixStream, name: String, carried: Carried) {
     let Some(client) = hub.connect(carried.kind(), &name) else { return };
     let (reader, writer) = stream.split();
-    // However it ends, the client is gone; that is all there is to say about it.
+    // The client is gone, whatever the result.
     let _ = carried.serve(&client, reader, writer).await;
 }
 
-/// What goes over a serial line.
+/// The contents of a serial line.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Carried {
-    /// The frames, byte by byte.
+    /// The frames of the gripper, byte by byte.
     Bytes,
-    /// CAN frames by SLCAN.
+    /// CAN frames with SLCAN encoding.
     Slcan(Identifiers, slcan::Side),
     /// Telegrams of PROFIBUS DP.
     Profibus,
@@ -148,7 +150,7 @@ impl Carried {
     }
 }
 
-/// Opens a device and lets every byte pass as it is: no echo, no line editing, no signals.
+/// Opens a device in raw mode: no echo, no line editing, no signals.
 fn open_device(path: &Path) -> io::Result<Device> {
     Device::open(path, BIT_RATE)
 }

@@ -1,4 +1,4 @@
-//! A gripper on a CAN bus that is reached over a serial line, by SLCAN.
+//! A gripper on a CAN bus over a serial line with SLCAN.
 
 use super::can;
 use super::hub::Client;
@@ -9,25 +9,25 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::task::yield_now;
 use wsg_protocol::can::Identifiers;
 
-/// Which side of the serial line the gripper is on.
+/// The gripper's role on the serial line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Side {
-    /// The adapter's: whoever opens the line is the host, and sees the gripper on the adapter's bus.
+    /// The adapter: the client that opens the line is the host and sees the gripper on the adapter's bus.
     Adapter,
-    /// The host's: behind the line is an adapter with a bus.
+    /// The host: an adapter with a CAN bus is connected to the line.
     Host,
 }
 
-/// What a host says first: close the channel, whatever was; 500 kbit/s; open it.
+/// Initialization sent by the host: close the channel in any state, 500 kbit/s, open the channel.
 const OPENING: &[u8] = b"\rC\rS6\rO\r";
 
-/// Bytes read at a time.
+/// Number of bytes per read.
 const CHUNK_LEN: usize = 256;
 
-/// Bytes that wait for a host that does not read. What it has no room for is lost to it, as on a bus.
+/// Capacity of the queue to a host that does not read, in bytes. Excess frames are lost, as on a bus.
 const QUEUE_LEN: usize = 16 * 1024;
 
-/// Serves the client until the line is gone.
+/// Serves the client until the line closes.
 pub(super) async fn serve(
     client: &Client,
     mut reader: impl AsyncRead + Unpin,
@@ -40,7 +40,7 @@ pub(super) async fn serve(
     let mut waiting: Vec<u8> = if side == Side::Host { OPENING.to_vec() } else { Vec::new() };
     let mut chunk = [0; CHUNK_LEN];
     loop {
-        // Messages are taken from the gripper also while the channel is closed: nobody hears them.
+        // Messages are taken from the gripper while the channel is closed, too, and discarded.
         loop {
             let frames: Vec<ClassicFrame> = can::transmit(client, identifiers);
             if frames.is_empty() {
@@ -77,7 +77,7 @@ pub(super) async fn serve(
     }
 }
 
-/// A host takes its channel for open.
+/// Returns whether the channel is open. On the host side it always is.
 fn is_open(adapter: Option<Adapter>) -> bool {
     adapter.is_none_or(|adapter| adapter.is_open())
 }

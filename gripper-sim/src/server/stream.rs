@@ -1,4 +1,4 @@
-//! A client on a stream of bytes: TCP, a Unix socket, a terminal.
+//! A client on a byte stream: TCP, a Unix socket, or a terminal.
 
 use super::hub::Client;
 use crate::port::MAX_FRAME_LEN;
@@ -8,22 +8,22 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::task::yield_now;
 use tokio::time::timeout;
 
-/// Bytes read at a time: few enough that the answers to them always find room in the gripper's queue.
+/// Number of bytes per read, small enough that the gripper's queue always has room for the answers.
 const CHUNK_LEN: usize = 256;
 
-/// How long a connection that is closed by the gripper is read from for nothing.
+/// How long a connection closed by the gripper is drained.
 const LINGER: Duration = Duration::from_secs(1);
 
-/// When bytes are taken from a client that does not read its answers.
+/// Whether bytes are accepted from a client that does not read its answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pace {
-    /// Not before it has read them: a stream with flow control.
+    /// Only after it has read them: a stream with flow control.
     OfTheReader,
-    /// At all times: a serial line has no flow control, and its answers are lost.
+    /// Always: a serial line has no flow control, and unread answers are lost.
     OfTheLine,
 }
 
-/// Serves the client until it is gone, or can be understood no more.
+/// Serves the client until it disconnects or synchronization is lost for good.
 pub(super) async fn serve(
     client: &Client,
     mut reader: impl AsyncRead + Unpin,
@@ -33,7 +33,7 @@ pub(super) async fn serve(
     let at_all_times = pace == Pace::OfTheLine;
     let mut chunk = [0; CHUNK_LEN];
     let mut buffer = [0; MAX_FRAME_LEN];
-    // What is left of the frame being written: from where to where in `buffer`.
+    // Range in `buffer` of the frame being written that has not been sent.
     let mut left = 0..0;
     loop {
         if left.is_empty() {
@@ -54,19 +54,19 @@ pub(super) async fn serve(
             },
             () = client.frame_waits(), if is_idle => {}
             () = client.dismissed() => return Ok(()),
-            // One at a time, so that its answers find room.
+            // One request at a time, so that its answers have room.
             () = client.request_waits(), if (is_idle && client.has_room()) || at_all_times => client.arrive(),
         }
-        // One frame, or one run of bytes, is a turn: clients without end leave the others theirs.
+        // Yields after each frame or run of bytes, so that a busy client does not starve the others.
         yield_now().await;
     }
 }
 
-/// Closes a connection so that what was sent arrives: what comes in meanwhile would have the system take it back.
+/// Closes a connection so that sent data is delivered: unread input would make the system discard it.
 async fn close(mut reader: impl AsyncRead + Unpin, mut writer: impl AsyncWrite + Unpin) -> io::Result<()> {
     writer.shutdown().await?;
     let mut chunk = [0; CHUNK_LEN];
-    // Whoever goes on sending is cut off.
+    // A client that keeps sending is cut off.
     let drained = timeout(LINGER, async {
         while read(&mut reader, &mut chunk).await? > 0 {}
         Ok(())
@@ -74,7 +74,7 @@ async fn close(mut reader: impl AsyncRead + Unpin, mut writer: impl AsyncWrite +
     drained.await.unwrap_or(Ok(()))
 }
 
-/// One read, made again when a signal has interrupted it: a terminal says so even to who does not wait.
+/// Reads once, with a retry after a signal: a terminal reports the interruption even to a non-blocking caller.
 pub(super) async fn read(reader: &mut (impl AsyncRead + Unpin), buffer: &mut [u8]) -> io::Result<usize> {
     loop {
         match reader.read(buffer).await {
@@ -84,7 +84,7 @@ pub(super) async fn read(reader: &mut (impl AsyncRead + Unpin), buffer: &mut [u8
     }
 }
 
-/// One write, made again like a [`read`].
+/// Writes once, with the same retry as [`read`].
 pub(super) async fn write(writer: &mut (impl AsyncWrite + Unpin), bytes: &[u8]) -> io::Result<usize> {
     loop {
         match writer.write(bytes).await {
@@ -107,11 +107,11 @@ mod tests {
     use tokio::io::ReadBuf;
     use wsg_protocol::{Command, FrameEncoder, Reply, Status};
 
-    /// A line on which every other call is interrupted by a signal, and the others move one byte each.
+    /// A line on which every other call is interrupted by a signal and the others transfer one byte each.
     #[derive(Default)]
     struct Nervous {
         calls: usize,
-        /// What the client still says.
+        /// The remaining bytes of the client.
         says: Vec<u8>,
         hears: Vec<u8>,
     }
@@ -165,7 +165,7 @@ mod tests {
         let says = FrameEncoder::new(stop.id().code(), stop).collect();
         let (mut reader, mut writer) = (Nervous { says, ..Nervous::default() }, Nervous::default());
 
-        // Until the client says no more; it is not heard before it has its answer.
+        // Until the client has no more bytes; it is read only after it has received its answer.
         serve(&client, &mut reader, &mut writer, Pace::OfTheReader).await.unwrap();
 
         let answer = Reply::status_only(stop.id(), Status::Success);

@@ -1,4 +1,4 @@
-//! TCP: any number of clients, one after the other or at once.
+//! TCP: any number of clients, successively or simultaneously.
 
 use super::accept::{Accepted, Acceptor};
 use super::hub::Hub;
@@ -13,14 +13,14 @@ use std::time::Duration;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::spawn_local;
 
-/// How long a Modbus/TCP connection is silent before the system asks whether its master is still there.
+/// Idle time of a Modbus/TCP connection after which the system sends keep-alive probes.
 const KEEP_ALIVE_AFTER: Duration = Duration::from_secs(60);
-/// How long it waits for an answer.
+/// Interval between the probes.
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(10);
-/// How often it asks in vain before the connection ends.
+/// Number of unanswered probes after which the connection ends.
 const KEEP_ALIVE_RETRIES: u32 = 3;
 
-/// `kind` says which protocol is spoken.
+/// Serves the clients of a listener with the protocol of `kind`.
 pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, kind: PortKind) -> Result<()> {
     let mut acceptor = Acceptor::new(listener);
     loop {
@@ -28,26 +28,26 @@ pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, kind: PortKind) 
             Accepted::Client(stream, peer) => {
                 spawn_local(serve_client(Arc::clone(&hub), stream, peer, kind));
             }
-            // Closed at once.
+            // The connection closes immediately.
             Accepted::Refused(_) => {}
         }
     }
 }
 
 async fn serve_client(hub: Arc<Hub>, mut stream: TcpStream, peer: SocketAddr, kind: PortKind) {
-    // One too many: the connection is closed at once.
+    // No place is left: the connection closes immediately.
     let Some(client) = hub.connect(kind, &peer.to_string()) else { return };
-    // Where the system cannot do that, the end of a connection is noticed later.
+    // Without keep-alive, the end of a connection is noticed later.
     let _ = keep_alive(&stream);
     if stream.set_nodelay(true).is_ok() {
         let (reader, writer) = stream.split();
-        // However it ends, the client is gone; that is all there is to say about it.
+        // The client is gone, whatever the result.
         let _ = stream::serve(&client, reader, writer, Pace::OfTheReader).await;
     }
 }
 
-/// Has the system notice a client that lost its power or its network. The connection ends, with a FAST STOP (command set,
-/// 1.4.2), or with the end of a Modbus master's jog (guide, 4.3.2).
+/// Enables keep-alive, so that the system detects a client that lost its power or network. The connection then ends
+/// with a FAST STOP (command set, 1.4.2), or with the end of a Modbus master's jog (guide, 4.3.2).
 fn keep_alive(stream: &TcpStream) -> io::Result<()> {
     let keep_alive = TcpKeepalive::new()
         .with_time(KEEP_ALIVE_AFTER)
@@ -56,7 +56,7 @@ fn keep_alive(stream: &TcpStream) -> io::Result<()> {
     SockRef::from(stream).set_tcp_keepalive(&keep_alive)
 }
 
-// Windows takes these times and does not tell them.
+// Windows accepts these times but does not report them.
 #[cfg(all(test, unix))]
 mod tests {
     use super::*;

@@ -1,4 +1,4 @@
-//! A server in a thread of its own.
+//! A server that runs in its own thread.
 
 use super::{Lines, Log, Server};
 use crate::config::Config;
@@ -10,8 +10,7 @@ use std::thread::{self, JoinHandle};
 use tokio::runtime;
 use tokio::sync::oneshot;
 
-/// A gripper that is served from a thread of its own, for programs and tests that are not asynchronous. It is switched
-/// off when this is dropped.
+/// A gripper served by its own thread, for programs and tests that are not asynchronous. Dropping it powers the gripper off.
 ///
 /// ```
 /// # fn main() -> anyhow::Result<()> {
@@ -21,7 +20,7 @@ use tokio::sync::oneshot;
 ///
 /// let lines = Lines { tcp: Some("127.0.0.1:0".parse()?), ..Lines::default() };
 /// let server = ServerThread::start(Config::default(), &lines, None)?;
-/// let mut stream = std::net::TcpStream::connect(server.tcp_address().expect("it was asked for"))?;
+/// let mut stream = std::net::TcpStream::connect(server.tcp_address().expect("TCP is enabled"))?;
 /// // Acknowledge (24h) with its key.
 /// stream.write_all(&[0xAA, 0xAA, 0xAA, 0x24, 0x03, 0x00, 0x61, 0x63, 0x6B, 0xDC, 0xB9])?;
 /// let mut answer = [0; 10];
@@ -53,10 +52,10 @@ struct Addresses {
 }
 
 impl ServerThread {
-    /// Opens the lines and switches the gripper on. When this returns, clients can connect.
+    /// Opens the lines and powers up the gripper. Clients can connect as soon as this returns.
     ///
     /// # Errors
-    /// Those of [`Server::bind`].
+    /// The errors of [`Server::bind`].
     pub fn start(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
         let lines = lines.clone();
         let (opened, opening) = mpsc::channel();
@@ -65,7 +64,7 @@ impl ServerThread {
             let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
             runtime.block_on(async {
                 let server = Server::bind(config, &lines, log).await?;
-                // Whoever started this waits for it.
+                // The caller of `start` waits for it.
                 let _ = opened.send(Addresses {
                     tcp: server.tcp_address(),
                     udp: server.udp_address(),
@@ -89,82 +88,84 @@ impl ServerThread {
             Ok(addresses) => Ok(Self { addresses, end: Some(end), thread: Some(thread) }),
             Err(_) => {
                 join(thread)?;
-                Err(anyhow!("the server ended before it began"))
+                Err(anyhow!("the server thread ended before its lines were open"))
             }
         }
     }
 
-    /// The address that TCP listens on.
+    /// Returns the TCP address.
+    ///
+    /// `None` without TCP; with port 0, it contains the port that the system chose.
     #[must_use]
     pub const fn tcp_address(&self) -> Option<SocketAddr> {
         self.addresses.tcp
     }
 
-    /// The address that UDP listens on.
+    /// Returns the UDP address; `None` without UDP.
     #[must_use]
     pub const fn udp_address(&self) -> Option<SocketAddr> {
         self.addresses.udp
     }
 
-    /// What a client opens to get at the serial line.
+    /// Returns the path that a client opens for the serial line.
     #[must_use]
     pub fn serial_path(&self) -> Option<&Path> {
         self.addresses.serial.as_deref()
     }
 
-    /// What leads to the CAN bus.
+    /// Returns the CAN interface, or the path of the SLCAN line.
     #[must_use]
     pub fn can_path(&self) -> Option<&Path> {
         self.addresses.can.as_deref()
     }
 
-    /// The address that the text protocol (GCL) over TCP listens on.
+    /// Returns the address of the text protocol (GCL) over TCP.
     #[must_use]
     pub const fn gcl_address(&self) -> Option<SocketAddr> {
         self.addresses.gcl
     }
 
-    /// The address that the text protocol (GCL) over UDP listens on.
+    /// Returns the address of the text protocol (GCL) over UDP.
     #[must_use]
     pub const fn gcl_udp_address(&self) -> Option<SocketAddr> {
         self.addresses.gcl_udp
     }
 
-    /// The address that Modbus/TCP listens on.
+    /// Returns the address of Modbus/TCP.
     #[must_use]
     pub const fn modbus_address(&self) -> Option<SocketAddr> {
         self.addresses.modbus
     }
 
-    /// What a PROFIBUS master opens.
+    /// Returns the path that a PROFIBUS master opens.
     #[must_use]
     pub fn profibus_path(&self) -> Option<&Path> {
         self.addresses.profibus.as_deref()
     }
 
-    /// The network interface that is a PROFINET device.
+    /// Returns the network interface of the PROFINET device.
     #[cfg(feature = "profinet")]
     #[must_use]
     pub fn profinet_path(&self) -> Option<&Path> {
         self.addresses.profinet.as_deref()
     }
 
-    /// The address that the control interface listens on.
+    /// Returns the address of the control interface.
     #[must_use]
     pub const fn control_address(&self) -> Option<SocketAddr> {
         self.addresses.control
     }
 
-    /// Switches the gripper off and waits for the end of its thread.
+    /// Powers the gripper off and joins its thread.
     ///
     /// # Errors
-    /// What ended the server before, if anything did.
+    /// Returns the error that ended the server earlier, if any.
     pub fn stop(mut self) -> Result<()> {
         self.end()
     }
 
     fn end(&mut self) -> Result<()> {
-        // Dropping the sender is the sign.
+        // Dropping the sender signals the end.
         self.end = None;
         self.thread.take().map_or(Ok(()), join)
     }
@@ -172,11 +173,14 @@ impl ServerThread {
 
 impl Drop for ServerThread {
     fn drop(&mut self) {
-        // Nobody is left to be told; `stop` tells.
+        // A drop cannot report errors; use `stop` for that.
         let _ = self.end();
     }
 }
 
 fn join(thread: JoinHandle<Result<()>>) -> Result<()> {
-    thread.join().map_err(|_| anyhow!("a panic, shown on standard error")).context("the server failed")?
+    thread
+        .join()
+        .map_err(|_| anyhow!("the thread panicked; see standard error"))
+        .context("the server failed")?
 }

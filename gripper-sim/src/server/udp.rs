@@ -1,4 +1,4 @@
-//! UDP: one frame or line per datagram. Frames go to a fixed port of whoever sent last, lines to the port that asked.
+//! UDP: one frame or line per datagram. Frames go to a fixed port of the latest sender, lines to the source port of the request.
 
 use super::echoes::Echoes;
 use super::hub::{Client, Hub};
@@ -11,15 +11,15 @@ use std::time::Instant;
 use tokio::net::UdpSocket;
 use tokio::task::yield_now;
 
-/// The longest datagram there is.
+/// Maximum length of a datagram in bytes.
 const DATAGRAM_LEN: usize = 65_535;
 
-/// How many datagrams a client on another machine is sent while it sends nothing, unless
-/// [`Lines::udp_unanswered`](super::Lines::udp_unanswered) says otherwise. The sender of a datagram can be forged, and updates go
-/// on by themselves. No router passes on the loopback addresses, so a sender that has one is here.
+/// Default number of datagrams sent to a client on another machine that sends nothing; see
+/// [`Lines::udp_unanswered`](super::Lines::udp_unanswered). The limit is needed because the sender of a datagram can be
+/// forged and updates are unsolicited. Routers do not forward loopback addresses, so a sender with one is local.
 const UNANSWERED: u32 = 1_000;
 
-/// Returns how many datagrams this client is sent while it sends nothing; `None`: any number.
+/// Returns how many datagrams are sent to this client while it sends nothing; `None`: unlimited.
 fn most_unanswered(limit: Option<u32>, client: SocketAddr) -> Option<u32> {
     match limit {
         Some(0) => None,
@@ -29,22 +29,22 @@ fn most_unanswered(limit: Option<u32>, client: SocketAddr) -> Option<u32> {
     }
 }
 
-/// A signal, or what the system tells about an earlier datagram that found nobody.
+/// Returns whether the error is a signal, or reports that an earlier datagram was undeliverable.
 const fn is_of_the_past(error: ErrorKind) -> bool {
     matches!(error, ErrorKind::Interrupted | ErrorKind::ConnectionRefused | ErrorKind::ConnectionReset)
 }
 
-/// Who is at the other end.
+/// The latest sender, which receives the answers.
 #[derive(Default)]
 struct Remote {
     address: Option<SocketAddr>,
-    /// Datagrams sent to it since it sent something.
+    /// Datagrams sent to it since its last datagram.
     unanswered: u32,
     echoes: Echoes,
 }
 
-/// Serves clients of one protocol. Answers go to `remote_port`, or with `None` to the port that sent the request. `unanswered` is
-/// the number of datagrams that are sent to a client that sends nothing; 0 is any number.
+/// Serves the clients of one protocol. Answers go to `remote_port`, or with `None` to the source port of the request.
+/// `unanswered` limits the datagrams sent to a client that sends nothing; 0 disables the limit.
 pub(super) async fn serve(
     hub: Arc<Hub>,
     socket: UdpSocket,
@@ -52,8 +52,9 @@ pub(super) async fn serve(
     kind: PortKind,
     unanswered: Option<u32>,
 ) -> Result<()> {
-    let client =
-        hub.connect(kind, &socket.local_addr()?.to_string()).context("the gripper has no place for UDP")?;
+    let client = hub
+        .connect(kind, &socket.local_addr()?.to_string())
+        .context("all client places are taken; none is left for UDP")?;
     let mut datagram = vec![0; DATAGRAM_LEN];
     let mut remote = Remote::default();
     loop {
@@ -72,11 +73,11 @@ pub(super) async fn serve(
                         remote.unanswered = 0;
                         client.receive(received);
                     }
-                    // A client that sends without end gets no more than its turn.
+                    // A client that sends continuously must not starve the others.
                     yield_now().await;
                 }
                 Err(error) if is_of_the_past(error.kind()) => {}
-                Err(error) => return Err(error).context("UDP receives no more"),
+                Err(error) => return Err(error).context("UDP reception failed"),
             },
             () = client.frame_waits() => {}
             () = client.request_waits() => client.arrive(),
@@ -84,7 +85,7 @@ pub(super) async fn serve(
     }
 }
 
-/// Sends every frame that waits; none any more to a client that has sent nothing for too long, and its updates end.
+/// Sends all queued frames. Discards them and ends the updates once a silent client has reached its limit.
 async fn send_waiting(client: &Client, socket: &UdpSocket, remote: &mut Remote, limit: Option<u32>) {
     let mut buffer = [0; MAX_FRAME_LEN];
     while let Some(frame) = client.transmit(&mut buffer) {
@@ -95,7 +96,7 @@ async fn send_waiting(client: &Client, socket: &UdpSocket, remote: &mut Remote, 
         }
         remote.unanswered = remote.unanswered.saturating_add(1);
         remote.echoes.sent(frame);
-        // Nobody may listen there; a datagram is lost then, as datagrams are.
+        // The datagram is lost if the client does not listen, like any datagram.
         let _ = socket.send_to(frame, address).await;
     }
 }

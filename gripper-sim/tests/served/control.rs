@@ -1,5 +1,4 @@
-//! The control interface and the faults that it lets loose on the lines. Every wait is bounded by a time-out of the
-//! socket.
+//! The control interface and the line faults that it sets. Every wait is bounded by a socket time-out.
 
 use crate::common::{go_to, grip, parse};
 use crate::modbus::Master;
@@ -11,7 +10,7 @@ use wsg_protocol::{Command, FrameEncoder, HomingDirection, LoopData, Status};
 use wsg_sim::server::{Lines, Log, ServerThread, UdpLine};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN};
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
@@ -32,7 +31,7 @@ impl Rig {
     fn with_log(config: Config, seed: u64, log: Option<Log>) -> Self {
         let any = "127.0.0.1:0".parse().ok();
         let lines = Lines { tcp: any, control: any, modbus: any, seed, ..Lines::default() };
-        let server = ServerThread::start(config, &lines, log).expect("the server is up");
+        let server = ServerThread::start(config, &lines, log).expect("the server starts");
         let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
         client.set_read_timeout(Some(BOUND)).unwrap();
         client.set_nodelay(true).unwrap();
@@ -51,7 +50,7 @@ impl Rig {
         stream
     }
 
-    /// A request as it stands; the status, the head and the body of the answer.
+    /// Sends a raw request and returns the status, head and body of the answer.
     fn http(&self, request: &str) -> (u16, String, String) {
         let mut stream = self.control();
         stream.write_all(request.as_bytes()).unwrap();
@@ -70,7 +69,7 @@ impl Rig {
         (status, serde_json::from_str(&body).expect("every answer is JSON"))
     }
 
-    /// The status of an answer that may go on for ever.
+    /// Returns the status of an answer that may have no end.
     fn request_status(&self, path: &str) -> u16 {
         let mut stream = self.control();
         stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").as_bytes()).unwrap();
@@ -79,7 +78,7 @@ impl Rig {
         head.split(' ').nth(1).unwrap().parse().unwrap()
     }
 
-    /// What is asked for is done; the state.
+    /// Sends a request that must succeed and returns the state.
     fn post(&self, path: &str, body: &Value) -> Value {
         let (status, state) = self.request("POST", path, &body.to_string());
         assert_eq!(status, 200, "{path} {body}: {state}");
@@ -92,7 +91,7 @@ impl Rig {
         state
     }
 
-    /// Until so many frames went to clients, or would have.
+    /// Waits until this number of frames has been sent to clients or dropped on the way.
     fn await_frames(&self, count: u64) {
         let start = Instant::now();
         while self.state()["line_counts"]["replies"]["frames"] != json!(count) {
@@ -130,7 +129,7 @@ impl Rig {
         self.recv_status()
     }
 
-    /// All bytes up to the answer to a Loop that is sent when the line is whole again.
+    /// Clears all line faults and returns all bytes up to the answer to a Loop.
     fn bytes_until_mended(&mut self) -> Vec<u8> {
         let mark = Command::Loop { data: LoopData::new(b"the line is whole again").unwrap() };
         self.post("/line", &json!({}));
@@ -170,7 +169,7 @@ fn part_is_put_in_and_gripped_and_lost_when_it_is_taken_away() {
     assert_eq!(state["part"], json!({ "width_mm": 20.0, "stiffness_n_per_mm": 50.0 }));
     assert_eq!(rig.run(grip(20.0)), Status::Success);
     let state = rig.state();
-    // 40 N squeeze it by 0.8 mm.
+    // 40 N squeeze the part by 0.8 mm.
     assert_eq!((&state["gripper_state"], &state["width_mm"]), (&json!("HOLDING"), &json!(19.2)));
     let state = rig.post("/part", &Value::Null);
     assert_eq!((&state["part"], &state["gripper_state"]), (&Value::Null, &json!("PART LOST")));
@@ -232,7 +231,7 @@ fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
             "/fault",
             r#"{"fault":"motor_current","finger":1,"on":true}"#,
             400,
-            "none of a finger",
+            "does not concern a finger",
             "without",
         ),
         (
@@ -240,7 +239,7 @@ fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
             "/fault",
             r#"{"fault":"finger_short_circuit","on":true}"#,
             400,
-            "which finger",
+            "requires a finger",
             "\"finger\":2",
         ),
         ("POST", "/fault", r#"{"fault":"finger_short_circuit","finger":3,"on":true}"#, 400, "3", "1 or 2"),
@@ -264,9 +263,9 @@ fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
         ("DELETE", "/state", "", 405, "DELETE", "GET"),
         ("GET", "/nowhere", "", 404, "\"/nowhere\"", "GET /state"),
         ("POST", "/command", r#"{"command":"dance"}"#, 400, "dance", "fast_stop"),
-        ("POST", "/command", r#"{"command":"move"}"#, 400, "other numbers", "width_mm"),
-        ("POST", "/command", r#"{"command":"stop","width_mm":5}"#, 400, "other numbers", "width_mm"),
-        ("POST", "/command", r#"{"command":"move","width_mm":1e39}"#, 400, "other numbers", "width_mm"),
+        ("POST", "/command", r#"{"command":"move"}"#, 400, "missing or invalid", "width_mm"),
+        ("POST", "/command", r#"{"command":"stop","width_mm":5}"#, 400, "missing or invalid", "width_mm"),
+        ("POST", "/command", r#"{"command":"move","width_mm":1e39}"#, 400, "missing or invalid", "width_mm"),
         ("POST", "/command", r#"{"command":"move","width_mm":5}"#, 409, "E_NOT_INITIALIZED", "refuses"),
     ] {
         let (got, answer) = rig.request(method, path, body);
@@ -315,11 +314,11 @@ fn other_web_pages_are_refused_and_the_own_one_is_not() {
     assert!(rig.flags().is_empty());
 }
 
-/// The events of a page, one after the other.
+/// The events of a page in order.
 struct Watching(BufReader<TcpStream>);
 
 impl Watching {
-    /// A page that watches, once its answer has begun.
+    /// Opens a page and waits for the start of its answer.
     fn new(rig: &Rig) -> Self {
         let mut stream = rig.control();
         stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
@@ -331,7 +330,7 @@ impl Watching {
     fn line(&mut self) -> String {
         let mut line = String::new();
         self.0.read_line(&mut line).expect("a line in time");
-        assert!(!line.is_empty(), "the stream has ended");
+        assert!(!line.is_empty(), "the stream ended");
         line.trim_end().to_owned()
     }
 
@@ -339,13 +338,13 @@ impl Watching {
         loop {
             if let Some(kind) = self.line().strip_prefix("event: ") {
                 let data = self.line();
-                let json = data.strip_prefix("data: ").expect("data behind the kind");
+                let json = data.strip_prefix("data: ").expect("data after the kind");
                 return (kind.to_owned(), serde_json::from_str(json).expect("JSON"));
             }
         }
     }
 
-    /// Skips events up to one that is looked for.
+    /// Skips events until `is_it` returns `true`.
     fn until(&mut self, is_it: impl Fn(&str, &Value) -> bool) -> Value {
         let start = Instant::now();
         loop {
@@ -386,7 +385,7 @@ fn pages_home_and_grip_by_commands_and_all_see_the_fingers_move_and_the_part_go(
     }
     rig.post("/command", &json!({"command":"home"}));
     for page in &mut pages {
-        // Somewhere on the way, and there.
+        // On the way, and at the target.
         page.until(|_, data| data["state"]["speed_mm_per_s"].as_f64().is_some_and(|speed| speed > 0.0));
         let done = page.until(|_, data| data["state"]["system_state"][0] == "REFERENCED");
         assert_eq!(done["state"]["width_mm"], 110.0);
@@ -413,7 +412,7 @@ fn pages_home_and_grip_by_commands_and_all_see_the_fingers_move_and_the_part_go(
     assert_eq!(rig.state()["gripper_state"], "IDLE");
 }
 
-/// Fieldbus manual, 6.6: FASTSTOP is a level. A third party acknowledges while the PLC asserts it.
+/// Fieldbus manual, 6.6: FASTSTOP is level-sensitive. A third party acknowledges while the PLC asserts it.
 #[test]
 fn fast_stop_that_the_plc_asserts_outlasts_every_acknowledgement_on_the_page() {
     const FASTSTOP: u8 = 1 << 5;
@@ -427,16 +426,16 @@ fn fast_stop_that_the_plc_asserts_outlasts_every_acknowledgement_on_the_page() {
     let width = rig.state()["width_mm"].clone();
     for _ in 0..3 {
         rig.post("/command", &json!({"command":"acknowledge"}));
-        assert!(is_fast_stopped(&mut plc), "latched again before the PLC can see it gone");
+        assert!(is_fast_stopped(&mut plc), "latched again before the PLC can read the flag as cleared");
         let (status, refused) = rig.request("POST", "/command", r#"{"command":"move","width_mm":50}"#);
         assert_eq!(status, 409, "{refused}");
         plc.write(FASTSTOP | MOVE);
         plc.write(FASTSTOP);
     }
-    assert_eq!(rig.state()["width_mm"], width, "nothing has moved");
+    assert_eq!(rig.state()["width_mm"], width, "the fingers must not move");
 
     plc.write(0);
-    assert!(is_fast_stopped(&mut plc), "the PLC's release alone unlocks nothing");
+    assert!(is_fast_stopped(&mut plc), "the release by the PLC alone must not unlock motion");
     rig.post("/command", &json!({"command":"acknowledge"}));
     assert!(!is_fast_stopped(&mut plc));
     plc.run(MOVE);
@@ -463,14 +462,14 @@ fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
     let mut pages: Vec<Watching> = (0..64).map(|_| Watching::new(&rig)).collect();
     let (status, answer) = rig.request("GET", "/events", "");
     assert!(status == 503 && answer["error"].as_str().unwrap().contains("64 pages"), "{answer}");
-    // More requests than are served at a time, none of which a page has to make room for.
+    // More requests than are served at a time. No page has to close for any of them.
     for _ in 0..100 {
         rig.state();
     }
     for page in &mut pages {
         page.until(|kind, _| kind == "state");
     }
-    // Longer than a request may take.
+    // Longer than the time limit of a request.
     let start = Instant::now();
     let page = &mut pages[0];
     while start.elapsed() < Duration::from_secs(6) {
@@ -478,7 +477,7 @@ fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
     }
     drop(pages);
     let start = Instant::now();
-    // The place of a page that is gone is given again once the system says so.
+    // The place of a closed page is available again once the system reports its end.
     while rig.request_status("/events") != 200 {
         assert!(start.elapsed() < BOUND);
     }
@@ -496,7 +495,7 @@ fn requests_for_another_host_are_refused() {
     for host in ["localhost", &address, "BENCH:80"] {
         assert_eq!(state(&format!("Host: {host}\r\n")).0, 200, "{host}");
     }
-    // A page of that name, which leads here now: to its browser this is the page's own server.
+    // A page of that name, which now resolves to this server: to the browser this is the page's own server.
     let (status, _, body) = state("Host: rebound.example\r\n");
     assert_eq!(status, 421);
     let expected = r#"{"error":"the request is for the host \"rebound.example\"; expected localhost, 127.0.0.1 or one of --control-host"}"#;
@@ -506,7 +505,7 @@ fn requests_for_another_host_are_refused() {
     assert_eq!(rig.http(post).0, 421);
     assert!(rig.flags().is_empty());
     let (status, _, body) = state("");
-    assert!(status == 400 && body.contains("expected one header Host"), "{status} {body}");
+    assert!(status == 400 && body.contains("expected exactly one Host header"), "{status} {body}");
 }
 
 #[test]
@@ -516,9 +515,9 @@ fn endless_heads_are_refused() {
     stream.write_all(b"GET /state HTTP/1.1\r\n").unwrap();
     let line = format!("X: {}\r\n", "x".repeat(1_000));
     let start = Instant::now();
-    // It answers and closes; what is on its way then may break the connection.
+    // The server answers and closes; data in transit may then reset the connection.
     while stream.write_all(line.as_bytes()).is_ok() {
-        assert!(start.elapsed() < BOUND, "the head is read without end");
+        assert!(start.elapsed() < BOUND, "the head is not limited");
     }
     assert_eq!(rig.state()["model"], "wsg50-110");
 }
@@ -533,22 +532,22 @@ fn half_open_connections_do_not_delay_a_whole_request() {
         let _half_open: Vec<TcpStream> = (0..160)
             .map(|n| {
                 let mut stream = rig.control();
-                // The oldest of them are closed by now.
+                // The oldest connections are closed by now.
                 let _ = stream.write_all(&half[..n % half.len()]);
                 stream
             })
             .collect();
         assert_eq!(rig.state()["model"], "wsg50-110");
-        // They are closed after 5 s each: a round in which this machine was too busy for it shows nothing.
+        // They are closed after 5 s each. A round that took longer on a busy machine proves nothing.
         if start.elapsed() < Duration::from_secs(4) {
             break;
         }
-        assert!(begin.elapsed() < BOUND, "whole requests wait for half ones");
+        assert!(begin.elapsed() < BOUND, "complete requests are delayed by partial ones");
     }
 }
 
 #[test]
-fn connection_that_says_half_a_request_is_closed() {
+fn connection_with_a_partial_request_is_closed() {
     let rig = Rig::new(Config::default());
     let mut silent = rig.control();
     silent.write_all(b"POST /part HTTP/1.1\r\nHost: localhost\r\nContent-Length: 4000\r\n\r\n{").unwrap();
@@ -704,7 +703,7 @@ fn request_that_comes_twice_is_answered_twice_and_moves_once() {
 }
 
 #[test]
-fn requests_come_late_and_in_order_and_what_is_held_back_passes_when_the_line_is_mended() {
+fn delayed_requests_keep_their_order_and_pass_when_the_faults_end() {
     let mut rig = Rig::new(Config::default());
     rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
     let start = Instant::now();
@@ -715,7 +714,7 @@ fn requests_come_late_and_in_order_and_what_is_held_back_passes_when_the_line_is
     rig.client.read_exact(&mut arrived).expect("two answers in time");
     assert!(start.elapsed() >= Duration::from_millis(300), "{:?}", start.elapsed());
     assert_eq!(parse(&arrived).into_iter().map(|(id, _)| id).collect::<Vec<u8>>(), [0x33, 0x31]);
-    // Half a request on a line that is mended meanwhile is whole in the end.
+    // A partial request completes once the line has no faults.
     rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
     let stop = frame(Command::Stop);
     rig.client.write_all(&stop[..4]).unwrap();
@@ -795,7 +794,7 @@ fn datagrams_text_and_modbus_to_the_gripper_are_hit_as_well() {
 }
 
 #[test]
-fn log_tells_what_was_done_by_hand_and_what_the_line_did() {
+fn log_shows_operator_actions_and_line_faults() {
     let path = std::env::temp_dir().join(format!("wsg-sim-{}-control-log", std::process::id()));
     let mut rig = Rig::with_log(Config::default(), 0, Some(Log::to_file(&path).unwrap()));
     rig.post("/fault", &json!({ "fault": "motor_current", "on": true }));

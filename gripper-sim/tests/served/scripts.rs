@@ -1,4 +1,4 @@
-//! Lua scripts on the gripper. Every wait is bounded by a time-out of the socket.
+//! Lua scripts on the gripper. Every wait is bounded by a socket time-out.
 
 use crate::common::parse;
 use crate::common::program::Program;
@@ -11,12 +11,12 @@ use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, Status, S
 use wsg_sim::server::{Lines, Log, ServerThread};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
-/// So that homing takes no time to speak of.
+/// Time scale at which homing takes negligible time.
 const QUICK: f32 = 100.0;
 
-/// A script in a file, gone with this.
+/// A script in a file, which is deleted on drop.
 struct File(PathBuf);
 
 impl File {
@@ -44,7 +44,7 @@ fn lines(script: &Path) -> Lines {
 struct Client<S>(S, Vec<u8>);
 
 impl<S: Read + Write> Client<S> {
-    /// The id and payload of the next frame.
+    /// Returns the id and payload of the next frame.
     fn recv(&mut self) -> (u8, Vec<u8>) {
         loop {
             if let Some(size) = self.1.get(4..6) {
@@ -56,7 +56,7 @@ impl<S: Read + Write> Client<S> {
             }
             let mut chunk = [0; MAX_FRAME_LEN];
             let len = uninterrupted::read(&mut self.0, &mut chunk).expect("an answer in time");
-            assert_ne!(len, 0, "the line ended");
+            assert_ne!(len, 0, "the line closed");
             self.1.extend_from_slice(&chunk[..len]);
         }
     }
@@ -89,7 +89,7 @@ impl<S: Read + Write> Client<S> {
         SystemFlags::from_bits_retain(u32::from_le_bytes(payload[2..6].try_into().unwrap()))
     }
 
-    /// Calls until the script has claimed the command.
+    /// Repeats a call until the script has claimed the command.
     fn call_when_claimed(&mut self, id: u8, payload: &[u8]) -> (Status, Vec<u8>) {
         self.until(|client| {
             let answer = client.call(id, payload);
@@ -115,7 +115,7 @@ fn connect(served: &ServerThread) -> Client<TcpStream> {
     Client(stream, Vec::new())
 }
 
-/// Width, speed and force of an answer of `remote.lua`.
+/// Decodes width, speed and force from an answer of `remote.lua`.
 fn measured(values: &[u8]) -> [f32; 3] {
     assert_eq!(values.len(), 1 + 4 * 4, "a state byte and four numbers");
     [1, 5, 9].map(|at| f32::from_le_bytes(values[at..at + 4].try_into().unwrap()))
@@ -142,7 +142,7 @@ fn script_measures_moves_and_controls_position_and_force_over_tcp() {
     assert_eq!(client.call(0xB1, &floats(1, &[60.0, 100.0])).0, Status::Success);
     client.until(|client| (measured(&client.call(0xB0, &[]).1)[0] == 60.0).then_some(()));
 
-    // Onto the part, until its force is there; then the way is blocked.
+    // Closes on the part until the force is reached; the axis is blocked then.
     let [width, _, force] = client.until(|client| {
         let (_, values) = client.call(0xB1, &floats(1, &[15.0, 50.0, 5.0, 0.0, 30.0, 30.0]));
         let measured = measured(&values);
@@ -150,7 +150,7 @@ fn script_measures_moves_and_controls_position_and_force_over_tcp() {
     });
     assert!((19.6..20.0).contains(&width) && force <= 30.0, "{width} mm, {force} N");
     assert_eq!(client.call(0xB1, &[1, 2]).0, Status::CmdFormatError);
-    assert_eq!(client.call(0xB2, &[]).0, Status::CmdUnknown, "nobody has claimed it");
+    assert_eq!(client.call(0xB2, &[]).0, Status::CmdUnknown, "the command is not claimed");
     served.stop().unwrap();
 }
 
@@ -170,7 +170,7 @@ fn flags_tell_that_a_script_runs_and_that_it_failed_and_why_is_in_the_log() {
         assert_ne!(is_over, flags.contains(SystemFlags::SCRIPT_RUNNING));
         is_over.then_some(())
     });
-    assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "its commands are unknown again");
+    assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "the commands of the script are unknown again");
     served.stop().unwrap();
     let text = std::fs::read_to_string(&log).unwrap();
     let _ = std::fs::remove_file(&log);
@@ -218,7 +218,7 @@ fn script_that_claims_a_command_of_the_manual_is_told_so() {
     served.stop().unwrap();
     let text = std::fs::read_to_string(&log).unwrap();
     let _ = std::fs::remove_file(&log);
-    assert!(text.contains("20h is no id for scripts; expected A0h to BFh"), "{text}");
+    assert!(text.contains("20h is not an id for scripts; expected A0h to BFh"), "{text}");
 }
 
 #[test]
@@ -237,7 +237,7 @@ fn calls_that_are_not_there_and_motions_that_are_refused_are_named_once() {
         }
         assert!(start.elapsed() < BOUND, "{text}");
     };
-    assert_eq!(text.matches("line 2: mc.grip is not there").count(), 1, "{text}");
+    assert_eq!(text.matches("line 2: mc.grip does not exist").count(), 1, "{text}");
     assert_eq!(text.matches("line 3: mc.move: E_NOT_INITIALIZED").count(), 1, "{text}");
     served.stop().unwrap();
     let _ = std::fs::remove_file(&log);
@@ -271,7 +271,7 @@ fn values_cross_as_the_calls_say() {
     let (status, why) = client.call(0xA0, &[3]);
     assert_eq!(status, Status::InvalidParameter);
     let why = String::from_utf8(why).unwrap();
-    assert!(why.ends_with("values.lua:9: cmd.send: 256 is no byte; expected 0 to 255"), "{why}");
+    assert!(why.ends_with("values.lua:9: cmd.send: 256 is not a byte; expected 0 to 255"), "{why}");
     let fingers = [&b"genericfmf"[..], &0f32.to_le_bytes(), &[1, 1, 1]].concat();
     assert_eq!(client.call(0xA0, &[4]), (Status::Success, fingers));
     let longest: Vec<u8> = (0..=255).collect();
@@ -332,7 +332,7 @@ fn whatever_is_asked_of_the_example_it_answers_and_goes_on() {
     served.stop().unwrap();
 }
 
-/// Runs a script until its log has a line that ends with `last`; the log.
+/// Runs a script until its log has a line that ends with `last`; returns the log.
 fn log_of(name: &str, config: Config, script: &Path, last: &str) -> String {
     let log = std::env::temp_dir().join(format!("wsg-sim-{}-{name}-log", std::process::id()));
     let served = ServerThread::start(config, &lines(script), Some(Log::to_file(&log).unwrap())).unwrap();
@@ -350,14 +350,14 @@ fn log_of(name: &str, config: Config, script: &Path, last: &str) -> String {
     text
 }
 
-/// The log of a script that prints `end` at last.
+/// Returns the log of a script that prints `end` last.
 fn printed(name: &str, source: &str) -> String {
     log_of(name, Config { time_scale: QUICK, ..Config::default() }, &File::new(name, source).0, " script end")
 }
 
 #[test]
 fn no_call_however_deep_overflows_the_stack_of_a_script() {
-    // Each ends with an error of Lua, or without one; a stack that overflows ends this process.
+    // Each attempt ends with or without a Lua error; a stack overflow would abort this process.
     let attempts = [
         r#"string.find(("a"):rep(50000), ("a?"):rep(50000))"#,
         r#"string.match(("a"):rep(50000), ("a?"):rep(50000))"#,
@@ -366,7 +366,7 @@ fn no_call_however_deep_overflows_the_stack_of_a_script() {
         r#"string.gsub(("a"):rep(50000), ("a?"):rep(50000), "")"#,
         r#"("a"):rep(50000):find(("a-"):rep(50000) .. "b")"#,
         r#"string.find("a", ("("):rep(100000))"#,
-        // As deep as the bounds allow, at the bottom of as many calls as Lua allows.
+        // The deepest recursion within the limits, at the bottom of as many calls as Lua allows.
         r#"local p = ("a?"):rep(512)
            local function f() return (("a"):gsub("a", function() p:rep(1):gsub(p, f) f() end)) end f()"#,
         r#"local function f() coroutine.wrap(f)() end f()"#,
@@ -382,7 +382,7 @@ fn no_call_however_deep_overflows_the_stack_of_a_script() {
         r#"unpack({}, 1, 1e8) "#,
         r#"unpack({}, 0, 2^31 - 1)"#,
         r#"string.byte(("x"):rep(1e6), 1, -1)"#,
-        // A table that holds itself.
+        // A table that contains itself.
         r#"cmd.register(0xA0) local t = {} t[1] = t cmd.send(0xA0, t)"#,
         r#"getmetatable(newproxy(true)).__gc = function() error("x") end"#,
     ];
@@ -398,7 +398,7 @@ fn no_call_however_deep_overflows_the_stack_of_a_script() {
             .unwrap_or_else(|| panic!("{number}: {log}"))
     };
     for number in 0..7 {
-        assert!(outcome(number).contains("a pattern has 1024 bytes at the most"), "{}", outcome(number));
+        assert!(outcome(number).contains("a pattern may have at most 1024 bytes"), "{}", outcome(number));
     }
     for number in 0..attempts.len() {
         assert!(!outcome(number).is_empty());
@@ -460,11 +460,11 @@ fn script_that_prints_without_end_fills_no_disk() {
         "for _ = 1, 200000 do print('a line') end print(('long'):rep(100000))
         sleep(100) print('one\\ntwo\\27[2J\\n') printf('%s\\n', 'three') print('end')",
     );
-    // A thousand at once, then a hundred a second, each of which may follow a note of omitted lines.
+    // A burst of a thousand lines, then a hundred a second, each possibly followed by a note of omitted lines.
     let most = 1_000 + 200 * (start.elapsed().as_secs() as usize + 1);
     let lines = log.lines().filter(|line| line.contains(" script ")).count();
     assert!((1_000..=most).contains(&lines), "{lines} lines");
-    assert!(log.contains(" lines are left out here: a script may write 100 a second\n"), "{log}");
+    assert!(log.contains(" lines are omitted here: a script may write 100 a second\n"), "{log}");
     let longest = log.lines().map(str::len).max();
     assert!(longest.is_some_and(|len| len < 1_200), "{longest:?}");
     assert!(log.contains(" script one\n") && log.contains(" script two\u{FFFD}[2J\n"), "{log}");
@@ -498,7 +498,7 @@ fn module_beside_the_script_is_loaded_once_and_nothing_else_is() {
     });
     let log = printed("requires", &source);
     assert!(log.contains(&format!(" {module}\ttrue\t1\ttrue\n")), "{log}");
-    assert_eq!(log.matches("is no name; expected letters, digits, _ and -").count(), 7, "{log}");
+    assert_eq!(log.matches("is not a name; expected letters, digits, _ and -").count(), 7, "{log}");
     assert!(log.contains("there is no \"nowhere.lua\" beside the script"), "{log}");
     assert!(log.contains("-wrong.lua:1: unexpected symbol near '='"), "{log}");
     assert_eq!(log.matches("-raising.lua:1: own").count(), 2, "{log}");
@@ -545,7 +545,7 @@ fn calls_that_public_scripts_make_are_there() {
         let text = std::fs::read_to_string(&log).unwrap();
         text.contains(" script end\n").then_some(text)
     });
-    assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "it was given back");
+    assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "the command was released");
     served.stop().unwrap();
     let _ = std::fs::remove_file(&log);
     for line in [
@@ -555,18 +555,15 @@ fn calls_that_public_scripts_make_are_there() {
         "finger\tfmf\t0\t0\t0",
         "spi\t3\t1",
         "power\t0\t0",
-        // A WSG-FMF is supplied by the gripper alone (3.6.3).
+        // Only the gripper powers a WSG-FMF (3.6.3).
         "power\t18\t18",
     ] {
         assert!(text.contains(&format!(" script {line}\n")), "{line} in {text}");
     }
-    assert!(text.contains("finger.write: 256 is no byte; expected 0 to 255"), "{text}");
-    assert!(text.contains("finger.interface: \"i2c\" is none; expected \"uart\" or \"spi\""), "{text}");
-    assert!(
-        text.contains("nested\tfalse") && text.contains("tables are nested 5 deep at the most"),
-        "{text}"
-    );
-    assert!(!text.contains(" is not there"), "{text}");
+    assert!(text.contains("finger.write: 256 is not a byte; expected 0 to 255"), "{text}");
+    assert!(text.contains("finger.interface: \"i2c\" is unknown; expected \"uart\" or \"spi\""), "{text}");
+    assert!(text.contains("nested\tfalse") && text.contains("tables may be nested at most 5 deep"), "{text}");
+    assert!(!text.contains(" does not exist"), "{text}");
 }
 
 #[test]
@@ -604,7 +601,7 @@ fn grasping_waits_for_the_end_of_its_motions() {
     }
 }
 
-/// The loop of public force controllers: a speed that is repeated against a part (command set, appendix B, D2 and D3).
+/// The control loop of public force controllers, which repeats a speed against a part (command set, appendix B, D2 and D3).
 #[test]
 fn speed_that_a_script_repeats_against_a_part_leaves_the_fingers_blocked_and_not_busy() {
     let source = r#"
@@ -627,7 +624,7 @@ fn speed_that_a_script_repeats_against_a_part_leaves_the_fingers_blocked_and_not
     assert!(log.contains(" script cycles\t60\t0\n"), "{log}");
 }
 
-/// A script that answers each user flag of the PLC by the one on the other side, and sets OF8 by its number.
+/// A script that mirrors each user flag of the PLC to the flag on the opposite side, and sets OF8 by its number.
 pub(super) const MIRRORS_USER_FLAGS: &str = "
     while true do
       local flags = 0
@@ -637,14 +634,14 @@ pub(super) const MIRRORS_USER_FLAGS: &str = "
       sleep(1)
     end";
 
-/// The file of a script; gone with it.
+/// Creates a script file, which is deleted on drop.
 pub(super) fn script_file(name: &str, source: &str) -> (impl Sized, PathBuf) {
     let file = File::new(name, source);
     let path = file.0.clone();
     (file, path)
 }
 
-/// A Unix socket as a serial line.
+/// A Unix socket used as a serial line.
 #[cfg(unix)]
 mod unix {
     use super::*;
@@ -675,7 +672,7 @@ mod unix {
         let (len, _) = uninterrupted::recv_from(&answers, &mut datagram).unwrap();
         let (id, payload) = parse(&datagram[..len]).pop().unwrap();
         assert_eq!((id, payload.len()), (0xB0, 19));
-        assert_eq!(serial.call(0xB0, &[]).0, Status::Success, "each has its own answer");
+        assert_eq!(serial.call(0xB0, &[]).0, Status::Success, "each client gets its own answer");
         served.stop().unwrap();
     }
 }

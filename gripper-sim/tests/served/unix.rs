@@ -1,5 +1,5 @@
-//! What needs Unix: its sockets and pseudo terminals as serial lines, users without rights, signals. On Windows there is none of
-//! these, and `wsg-sim` says so.
+//! Features that require Unix: Unix sockets and pseudo terminals as serial lines, unprivileged users, signals. On
+//! Windows `wsg-sim` reports that they are missing.
 
 use super::binary::{BOUND, Client, HOMING, QUICK, READABLE, connect, frame, scratch, serve};
 use crate::common::parse;
@@ -28,14 +28,14 @@ fn random_bytes_on_every_port_leave_it_answering() {
             ..Lines::default()
         };
         let served = serve(Config { check_checksum, disconnect_error: false, ..Config::default() }, lines);
-        // A xorshift: any numbers do that are the same at every run.
+        // A xorshift: any numbers will do, if they are the same on every run.
         let mut random = 0x2545_F491u32;
         let mut noise = || -> Vec<u8> {
             let next = || {
                 random ^= random << 13;
                 random ^= random >> 17;
                 random ^= random << 5;
-                // Every other byte is one that frames are made of.
+                // Every other byte is taken from valid frames.
                 if random & 0x100 == 0 {
                     random as u8
                 } else {
@@ -46,7 +46,7 @@ fn random_bytes_on_every_port_leave_it_answering() {
         };
         let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
         for _ in 0..4 {
-            // Any of them may be closed for what it says.
+            // The server may close any of them because of the noise.
             let _ = connect(&served).0.write_all(&noise());
             let _ = TcpStream::connect(served.control_address().unwrap()).unwrap().write_all(&noise());
             let _ = UnixStream::connect(served.serial_path().unwrap()).unwrap().write_all(&noise());
@@ -80,7 +80,7 @@ fn unix_socket_is_a_serial_line() {
     assert_eq!(client.run(HOMING), Status::Success);
     assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::NotAvailable);
     drop(served);
-    assert!(!path.exists(), "the socket goes with its server");
+    assert!(!path.exists(), "the server deletes its socket");
 }
 
 #[test]
@@ -102,7 +102,7 @@ fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
         let path = served.serial_path().unwrap().to_owned();
         let mut terminal = std::fs::OpenOptions::new().read(true).write(true).open(path).unwrap();
         terminal.write_all(&frame(HOMING)).unwrap();
-        // A terminal has no read time-out, so another thread reads.
+        // A terminal has no read time-out, so a separate thread reads.
         let (done, result) = mpsc::channel();
         thread::spawn(move || {
             let mut answers = [0; 20];
@@ -119,10 +119,10 @@ fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
 fn port_1000_is_replaced_for_an_ordinary_user_and_a_low_port_that_is_asked_for_says_what_to_do() {
     let lowest = std::fs::read_to_string("/proc/sys/net/ipv4/ip_unprivileged_port_start");
     if lowest.is_ok_and(|port| port.trim().parse().is_ok_and(|port: u16| port <= 1_000)) {
-        // Here nobody needs rights.
+        // This user may listen on any port.
         return;
     }
-    // Where nobody may run it.
+    // A place where any user may execute the program.
     let program = scratch("ordinary");
     std::fs::copy(env!("CARGO_BIN_EXE_wsg-sim"), &program).unwrap();
     let ordinary = |arguments: &[&str]| {
@@ -136,17 +136,20 @@ fn port_1000_is_replaced_for_an_ordinary_user_and_a_low_port_that_is_asked_for_s
     let output = ordinary(&["--tcp", "127.0.0.1:999"]).wait_with_output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{said}");
-    assert!(said.contains("ports below 1024 need rights; try --tcp 127.0.0.1:11000"), "{said}");
+    assert!(said.contains("ports below 1024 require privileges; try --tcp 127.0.0.1:11000"), "{said}");
 
     let mut child = ordinary(&[]);
     let mut said = String::new();
     let mut errors = BufReader::new(child.stderr.take().unwrap());
     errors.read_line(&mut said).unwrap();
-    // It may have ended because that port is taken.
+    // The program may have ended because the port is taken.
     let _ = child.kill();
     child.wait().unwrap();
     std::fs::remove_file(&program).unwrap();
-    assert!(said.contains("port 1000 needs rights that you lack: serving 127.0.0.1:11000 instead"), "{said}");
+    assert!(
+        said.contains("port 1000 requires privileges that you lack: serving 127.0.0.1:11000 instead"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -160,12 +163,12 @@ fn binary_serves_until_it_is_interrupted() {
     assert!(program.interrupt().success());
 }
 
-/// Lowers how many descriptors the program may have to those that it has, and `more`.
+/// Sets the limit of descriptors of the program to the number in use plus `more`.
 #[cfg(target_os = "linux")]
 fn leave_descriptors(program: &Program, more: u64) {
     use rustix::process::{Resource, Rlimit, prlimit};
     let pid = program.pid();
-    // Its highest number counts, and they are given from below.
+    // The limit applies to the highest number, and numbers are assigned from below.
     let open = std::fs::read_dir(format!("/proc/{}/fd", pid.as_raw_nonzero())).unwrap().count() as u64;
     let limit = Rlimit { current: Some(open + more), maximum: Some(open + more) };
     prlimit(Some(pid), Resource::Nofile, limit).unwrap();
@@ -195,7 +198,7 @@ fn without_a_descriptor_left_the_control_port_answers_503_and_every_port_recover
     assert!(state().starts_with("HTTP/1.1 200 "));
 
     leave_descriptors(&program, 8);
-    // Those that are served have their answers, however many others are refused.
+    // Served connections get their answers, however many others are rejected.
     let served: Vec<TcpStream> = (0..40)
         .map(|_| TcpStream::connect(&tcp).unwrap())
         .filter_map(|mut stream| {
@@ -209,14 +212,17 @@ fn without_a_descriptor_left_the_control_port_answers_503_and_every_port_recover
     for port in [&gcl, &modbus] {
         let mut refused = TcpStream::connect(port).unwrap();
         refused.set_read_timeout(Some(BOUND)).unwrap();
-        // The end, or a reset.
-        assert!(!matches!(uninterrupted::read(&mut refused, &mut [0; 1]), Ok(1..)), "it is closed");
+        // End of stream or a reset.
+        assert!(
+            !matches!(uninterrupted::read(&mut refused, &mut [0; 1]), Ok(1..)),
+            "the connection is closed"
+        );
     }
     let answer = state();
     assert!(answer.starts_with("HTTP/1.1 503 ") && answer.ends_with("close connections\"}\n"), "{answer}");
     let (head, body) = answer.split_once("\r\n\r\n").unwrap();
     assert!(head.contains(&format!("Content-Length: {}\r\n", body.len())), "{answer}");
-    // It waits for a descriptor.
+    // This client waits for a descriptor.
     let serial = UnixStream::connect(&path).unwrap();
     serial.set_read_timeout(Some(BOUND)).unwrap();
     assert!(state().starts_with("HTTP/1.1 503 "));

@@ -150,18 +150,18 @@ fn what_windows_lacks_is_said_in_one_line() {
     for (arguments, expected) in [
         (
             ["--serial", "pty"],
-            "no pseudo terminal can be opened: only Unix has them; expected a device, such as COM3",
+            "no pseudo terminal can be opened: this requires Unix; expected a device, such as COM3",
         ),
         (
             ["--slcan", "pty"],
-            "no pseudo terminal can be opened: only Unix has them; expected a device, such as COM3",
+            "no pseudo terminal can be opened: this requires Unix; expected a device, such as COM3",
         ),
         (
             ["--profibus", "unix:x"],
-            "the Unix socket x cannot be opened: it is served on Unix alone; expected a device, such as COM3",
+            "the Unix socket x cannot be opened: this requires Unix; expected a device, such as COM3",
         ),
-        (["--can", "can0"], "the CAN interface can0 cannot be opened: SocketCAN is Linux's alone"),
-        (["--profinet", "eth0"], "PROFINET on eth0: packet sockets are Linux's alone"),
+        (["--can", "can0"], "the CAN interface can0 cannot be opened: SocketCAN requires Linux"),
+        (["--profinet", "eth0"], "PROFINET on eth0: packet sockets require Linux"),
     ] {
         let output = program(&arguments).output().unwrap();
         let said = String::from_utf8(output.stderr).unwrap();

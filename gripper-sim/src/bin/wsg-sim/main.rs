@@ -1,4 +1,4 @@
-//! The virtual gripper as a program: `wsg-sim --help` says how.
+//! The virtual gripper as a program; see `wsg-sim --help`.
 
 mod options;
 
@@ -11,9 +11,9 @@ use std::process::ExitCode;
 use tokio::net::TcpListener;
 use wsg_sim::server::{CanBus, CanLine, Log, Server};
 
-/// Exit status for options that are wrong.
+/// Exit status for invalid options.
 const WRONG_USE: u8 = 2;
-/// Takes the place of the gripper's own port where that needs rights.
+/// Replaces the gripper's own port where listening on that port requires privileges.
 const UNPRIVILEGED_TCP: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 11_000));
 
 fn main() -> ExitCode {
@@ -41,7 +41,7 @@ fn serve(options: Options) -> Result<()> {
     })
 }
 
-/// Ready when the user or the system wants the program to end.
+/// Returns a future that is ready when the program must end: SIGINT or SIGTERM.
 #[cfg(unix)]
 fn end() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
@@ -54,7 +54,7 @@ fn end() -> io::Result<impl Future<Output = ()>> {
     })
 }
 
-/// Ready when the user or the system wants the program to end: Ctrl-C, Ctrl-Break, a console that is closed.
+/// Returns a future that is ready when the program must end: Ctrl-C, Ctrl-Break, or a closed console.
 #[cfg(windows)]
 fn end() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::windows::{ctrl_break, ctrl_c, ctrl_close};
@@ -68,8 +68,7 @@ fn end() -> io::Result<impl Future<Output = ()>> {
     })
 }
 
-/// Opens the lines. The gripper's own port needs rights that an ordinary user lacks on many systems: where no line was asked
-/// for, another port takes its place.
+/// Opens the lines. On many systems, the gripper's own port requires privileges. If no line is given, another port replaces it.
 async fn bind(options: &Options, log: Option<Log>) -> Result<Server> {
     let mut lines = options.lines.clone();
     if options.is_default_line
@@ -78,7 +77,7 @@ async fn bind(options: &Options, log: Option<Log>) -> Result<Server> {
     {
         lines.tcp = Some(UNPRIVILEGED_TCP);
         eprintln!(
-            "wsg-sim: port {} needs rights that you lack: serving {UNPRIVILEGED_TCP} instead, \
+            "wsg-sim: port {} requires privileges that you lack: serving {UNPRIVILEGED_TCP} instead, \
              as --tcp {UNPRIVILEGED_TCP} does",
             address.port()
         );
@@ -89,14 +88,14 @@ async fn bind(options: &Options, log: Option<Log>) -> Result<Server> {
             .downcast_ref::<io::Error>()
             .is_some_and(|error| error.kind() == io::ErrorKind::PermissionDenied);
         if is_denied && is_low {
-            error.context(format!("ports below 1024 need rights; try --tcp {UNPRIVILEGED_TCP}"))
+            error.context(format!("ports below 1024 require privileges; try --tcp {UNPRIVILEGED_TCP}"))
         } else {
             error
         }
     })
 }
 
-/// Whether the system lets this program listen there. What else is wrong shows when it does.
+/// Returns whether the system permits listening on this address. The server reports any other error.
 async fn may_listen(address: SocketAddr) -> bool {
     match TcpListener::bind(address).await {
         Err(error) => error.kind() != io::ErrorKind::PermissionDenied,
@@ -104,7 +103,7 @@ async fn may_listen(address: SocketAddr) -> bool {
     }
 }
 
-/// Says what is served where, one line each, for people and for scripts that wait for it.
+/// Prints each served line, for people and for scripts that wait for it.
 fn announce(options: &Options, server: &Server) -> io::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(out, "model {}", options.config.model)?;
@@ -132,7 +131,7 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
     out.flush()
 }
 
-/// One line that says what was wrong.
+/// Prints the error in one line and returns the exit status.
 fn fail(error: &anyhow::Error, status: u8) -> ExitCode {
     eprintln!("wsg-sim: {error:#}");
     ExitCode::from(status)

@@ -19,18 +19,18 @@ use wsg_sim::server::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use wsg_sim::{Config, Direction, Finger, Model, Part, SilenceReaction, Tag};
 
 const LOOPBACK: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
-/// The TCP address when no line is given: the gripper's own port, on this machine only.
+/// The default TCP address if no line is given: the gripper's own port, on this machine only.
 const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
 const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
 
-/// All options in the form that the server takes.
+/// All options, in the form that the server takes.
 #[derive(Debug)]
 pub(crate) struct Options {
     pub(crate) config: Config,
     pub(crate) lines: Lines,
-    /// No line is given: the gripper's own is served.
+    /// Whether no line is given, so that the gripper's own is served.
     pub(crate) is_default_line: bool,
-    /// The log file; `-` is standard output.
+    /// The log file; `-` means standard output.
     pub(crate) log: Option<PathBuf>,
 }
 
@@ -40,7 +40,7 @@ const U16: &str = "a number from 0 to 65535";
 const LENGTH: &str = "a number from 0 to 1000";
 const POSITIVE: &str = "a number above 0";
 
-/// What lies between the fingers, as the value of an option that is always present.
+/// The part between the fingers, for an option that always has a value.
 type MaybePart = Option<Part>;
 
 /// A virtual gripper of the WSG series.
@@ -87,13 +87,13 @@ struct Arguments {
     /// Listens for Modbus/TCP; port 502 on the real gripper
     #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
     modbus: Option<SocketAddr>,
-    /// Sends the low byte first in the numbers of the registers; flags stay
+    /// Sends numbers in the registers low byte first; flags are unaffected
     #[arg(long)]
     modbus_swap_bytes: bool,
-    /// Limits the silence of a Modbus master that has written; 0: no limit
+    /// Sets the time-out of a Modbus master that has written; 0: none
     #[arg(long, value_name = "MS", default_value = "0", value_parser = expected(U16, parsed::<u16>))]
     bus_timeout: u16,
-    /// Reaction to that silence, and to the loss of the PROFIBUS or PROFINET master; a jog ends in any case [default: stop]
+    /// Reaction to that time-out, and to the loss of the PROFIBUS or PROFINET master; a jog ends in any case [default: stop]
     #[arg(long, value_name = "WHAT", value_parser = one_of(vec![
         ("hold", SilenceReaction::Hold),
         ("stop", SilenceReaction::Stop),
@@ -138,13 +138,13 @@ struct Arguments {
     #[arg(long, value_name = "TEXT")]
     #[arg(value_parser = expected("up to 64 printable ASCII characters", |text| Tag::new(text).ok()))]
     tag: Option<Tag>,
-    /// Finger 1
+    /// Kind of finger 1
     #[arg(long, value_name = "KIND", default_value = "none", value_parser = finger())]
     finger1: Finger,
-    /// Finger 2
+    /// Kind of finger 2
     #[arg(long, value_name = "KIND", default_value = "none", value_parser = finger())]
     finger2: Finger,
-    /// Direction of homing where the request leaves it open
+    /// Direction of homing if the request does not specify one
     #[arg(long, value_name = "DIR", default_value = "out")]
     #[arg(value_parser = one_of(vec![("out", Direction::Plus), ("in", Direction::Minus)]))]
     homing_default: Direction,
@@ -161,11 +161,11 @@ struct Arguments {
     /// Speed of homing, within the model's limits [default: the model's]
     #[arg(long, value_name = "MM_S", value_parser = expected(POSITIVE, positive))]
     homing_speed: Option<f32>,
-    /// Distance before the nominal width of a grip within which a part is the right one; a part met earlier is the wrong one
+    /// Distance before the nominal width of a grip within which a part is accepted; a part met earlier is the wrong one
     #[arg(long, value_name = "MM", default_value = "5", value_parser = expected(LENGTH, length))]
     part_width_tolerance: f32,
-    /// Distance beyond the nominal width in which a grip builds up its force; with the stroke or more any part is the right
-    /// one, so that a grip at 0 mm holds it
+    /// Distance beyond the nominal width in which a grip builds up its force; with the stroke or more, any part is
+    /// accepted, so a grip at 0 mm holds it
     #[arg(long, value_name = "MM", default_value = "5", value_parser = expected(LENGTH, length))]
     clamping_travel: f32,
     /// Force limit after power-up, within the model's limits [default: the model's]
@@ -174,20 +174,20 @@ struct Arguments {
     /// Acceleration after power-up, within the model's limits [default: the model's]
     #[arg(long, value_name = "MM_S2", value_parser = expected(POSITIVE, positive))]
     acceleration: Option<f32>,
-    /// Speed of MOVE and GRIP of the text protocol, and of the page, where none is given
+    /// Speed of MOVE and GRIP of the text protocol, and of the page, if none is given
     #[arg(long, value_name = "MM_S", default_value = "100", value_parser = expected(POSITIVE, positive))]
     speed: f32,
-    /// Distance of RELEASE of the text protocol where none is given
+    /// Distance of RELEASE of the text protocol if none is given
     #[arg(long, value_name = "MM", default_value = "10", value_parser = expected(LENGTH, length))]
     release_distance: f32,
-    /// Speed of RELEASE of the text protocol where none is given [default: the model's greatest]
+    /// Speed of RELEASE of the text protocol if none is given [default: the model's maximum]
     #[arg(long, value_name = "MM_S", value_parser = expected(POSITIVE, positive))]
     release_speed: Option<f32>,
     /// Part between the fingers, in mm and N/mm, or `none`
     #[arg(long, value_name = "WIDTH[:STIFFNESS]", default_value = "none")]
     #[arg(value_parser = expected("none, or WIDTH_MM[:STIFFNESS_N_PER_MM] with numbers above 0", part))]
     part: MaybePart,
-    /// Factor on the travel of the fingers, 0.01 to 1000; periods and time-outs stay
+    /// Factor on the speed of the fingers, 0.01 to 1000; periods and time-outs are unaffected
     #[arg(long, value_name = "X", default_value = "1")]
     #[arg(value_parser = expected("a number from 0.01 to 1000", time_scale))]
     time_scale: f32,
@@ -195,7 +195,7 @@ struct Arguments {
     #[cfg(feature = "script")]
     #[arg(long, value_name = "FILE")]
     script: Option<PathBuf>,
-    /// Serves the page and the control interface; a port alone is one of this machine
+    /// Serves the page and the control interface; a port without an address listens on this machine only
     #[arg(long, value_name = "ADDR")]
     #[arg(value_parser = expected("an address with a port, such as 127.0.0.1:8080, or a port", control))]
     control: Option<SocketAddr>,
@@ -214,49 +214,49 @@ struct Arguments {
     log: Option<PathBuf>,
 }
 
-/// The options of PROFINET.
+/// The options for PROFINET.
 #[cfg(feature = "profinet")]
 #[derive(Debug, clap::Args)]
 struct Profinet {
     /// Opens a PROFINET IO device on a network interface, Linux only ([profinet.md](profinet.md))
     #[arg(long, value_name = "IFACE", value_parser = expected("a network interface, such as eth0", not_empty))]
     profinet: Option<String>,
-    /// Station name; the file of `--config` keeps the one that a controller sets [default: none: a controller gives it]
+    /// Station name; a name set by a controller is saved in the file of `--config` [default: none: a controller assigns it]
     #[arg(long = ProfinetLine::STATION, value_name = "NAME")]
     #[arg(value_parser = expected("a name of a to z, 0 to 9, hyphens and dots", StationName::new))]
     station: Option<StationName>,
-    /// IP address, which must not be the interface's; kept likewise [default: none: a controller gives it]
+    /// IP address, which must not be the interface's; saved likewise [default: none: a controller assigns it]
     #[arg(long = ProfinetLine::IP, value_name = "IP/BITS[,ROUTER]", value_parser = expected(
         "an address such as 192.168.0.5/24, with a router 192.168.0.5/24,192.168.0.1",
         ProfinetLine::ip_of_text,
     ))]
     ip: Option<IpParameters>,
-    /// Function of the station, in its records (I&M 1); kept likewise
+    /// Function of the station, in its records (I&M 1); saved likewise
     #[arg(long = ProfinetLine::MAINTENANCE[0], value_name = "TEXT")]
     #[arg(value_parser = expected("up to 32 letters of Latin-1", ProfinetLine::maintenance_of_text::<32>))]
     function: Option<[u8; 32]>,
-    /// Location (I&M 1); kept likewise
+    /// Location (I&M 1); saved likewise
     #[arg(long = ProfinetLine::MAINTENANCE[1], value_name = "TEXT")]
     #[arg(value_parser = expected("up to 22 letters of Latin-1", ProfinetLine::maintenance_of_text::<22>))]
     location: Option<[u8; 22]>,
-    /// Date of installation (I&M 2); kept likewise
+    /// Date of installation (I&M 2); saved likewise
     #[arg(long = ProfinetLine::MAINTENANCE[2], value_name = "TEXT", value_parser = expected(
         "up to 16 letters of Latin-1, such as \"2026-11-23 16:00\"",
         ProfinetLine::maintenance_of_text::<16>,
     ))]
     date: Option<[u8; 16]>,
-    /// Any description (I&M 3); kept likewise
+    /// Any description (I&M 3); saved likewise
     #[arg(long = ProfinetLine::MAINTENANCE[3], value_name = "TEXT")]
     #[arg(value_parser = expected("up to 54 letters of Latin-1", ProfinetLine::maintenance_of_text::<54>))]
     descriptor: Option<[u8; 54]>,
 }
 
-/// The name of an option's value; a switch has none.
+/// Returns the name of an option's value; a switch has none.
 fn value_name(arg: &Arg) -> Option<&str> {
     arg.get_value_names().filter(|_| arg.get_action().takes_values()).map(|names| names[0].as_str())
 }
 
-/// The command line as clap knows it. Values may begin with a hyphen, as the designations of plants do: `-K1`.
+/// Returns the command line definition for clap. Values may begin with a hyphen, such as the plant designation `-K1`.
 fn command() -> Command {
     Arguments::command().mut_args(|arg| {
         let has_value = value_name(&arg).is_some();
@@ -264,7 +264,8 @@ fn command() -> Command {
     })
 }
 
-/// Reads the command line, without the program's name, and the file that it names. Help and version end the program.
+/// Parses the command line, without the program's name, and the configuration file that it names. Help and version end
+/// the program.
 pub(crate) fn parse(arguments: Vec<OsString>) -> Result<Options> {
     let mut matches = command().try_get_matches_from(&arguments).map_err(one_line)?;
     if let Some(path) = matches.get_one::<PathBuf>("config") {
@@ -274,7 +275,7 @@ pub(crate) fn parse(arguments: Vec<OsString>) -> Result<Options> {
     Arguments::from_arg_matches(&matches)?.options()
 }
 
-/// clap's message in one line, without the usage. Help and version are no errors: they end the program.
+/// Reduces clap's message to one line without the usage. Help and version are not errors: they end the program.
 fn one_line(error: clap::Error) -> anyhow::Error {
     if !error.use_stderr() {
         error.exit();
@@ -289,7 +290,7 @@ fn one_line(error: clap::Error) -> anyhow::Error {
     anyhow!("{}{hint}", lines.join("; ").trim_start_matches("error: "))
 }
 
-/// The options of a file as words of a command line, each checked so that an error names its line.
+/// Converts the options of a file to command line words. Each is checked, so that an error names its line.
 fn words_of_file(path: &Path) -> Result<Vec<OsString>> {
     let name = path.display();
     let text = std::fs::read_to_string(path).with_context(|| format!("--config {name} cannot be read"))?;
@@ -307,10 +308,10 @@ fn words_of_file(path: &Path) -> Result<Vec<OsString>> {
         let Some(arg) = command.get_arguments().find(|arg| arg.get_long() == Some(key)) else {
             bail!("{place}: {key} is unknown; expected options as --help lists them");
         };
-        ensure!(key != "config", "{place}: {key} is for the command line alone");
+        ensure!(key != "config", "{place}: {key} is only valid on the command line");
         for word in words_of(arg, key, value.get_ref()).with_context(|| {
             let expected = value_name(arg).unwrap_or("true or false");
-            format!("{place}: {key} is of another kind; expected {expected}, a text where it is no number")
+            format!("{place}: {key} has the wrong type; expected {expected}, as a text unless it is a number")
         })? {
             let checked = command.clone().try_get_matches_from([&word]);
             checked.map_err(one_line).with_context(|| place.clone())?;
@@ -320,7 +321,7 @@ fn words_of_file(path: &Path) -> Result<Vec<OsString>> {
     Ok(words)
 }
 
-/// The words for an option of a file; `None` if its value is of another kind.
+/// Returns the words for an option of a file; `None` if its value has the wrong type.
 fn words_of(arg: &Arg, key: &str, value: &DeValue<'_>) -> Option<Vec<OsString>> {
     let is_switch = value_name(arg).is_none();
     let text = match value {
@@ -346,7 +347,7 @@ fn check(option: &str, is_given: bool, has_effect: bool, others: &str) -> Result
 }
 
 impl Arguments {
-    /// Puts together what belongs together.
+    /// Combines related options and checks them against each other.
     fn options(self) -> Result<Options> {
         #[cfg(feature = "profinet")]
         let profinet = self.profinet.line(self.config)?;
@@ -369,7 +370,9 @@ impl Arguments {
         check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")?;
         let remote_port = self.udp_remote_port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
         if let Some(address) = self.udp.filter(|address| address.port() == remote_port) {
-            bail!("--udp {address} has the port of the answers; expected another, or --udp-remote-port");
+            bail!(
+                "--udp {address} uses the port of the answers; expected another port, or --udp-remote-port"
+            );
         }
         let addresses = [self.tcp, self.udp, self.gcl, self.gcl_udp, self.modbus];
         let has_bus = self.serial.is_some() || can_bus.is_some() || has_profibus || has_profinet;
@@ -429,7 +432,7 @@ impl Arguments {
 
 #[cfg(feature = "profinet")]
 impl Profinet {
-    /// The line on the interface, and the file that keeps its data.
+    /// Returns the line on the interface, and the file in which its data is saved.
     fn line(self, keep: Option<PathBuf>) -> Result<Option<ProfinetLine>> {
         let none = Stored::NONE;
         let maintenance = Maintenance {
@@ -447,7 +450,7 @@ impl Profinet {
     }
 }
 
-/// A parser of values that names the expected ones in its error.
+/// Returns a parser whose errors name the expected values.
 fn expected<T: Clone + Send + Sync + 'static>(
     what: &'static str,
     take: fn(&str) -> Option<T>,
@@ -455,7 +458,7 @@ fn expected<T: Clone + Send + Sync + 'static>(
     move |text: &str| take(text).ok_or_else(|| format!("expected {what}"))
 }
 
-/// A parser of names.
+/// Returns a parser of names.
 fn one_of<T: Copy + Send + Sync + 'static>(
     values: Vec<(&'static str, T)>,
 ) -> impl TypedValueParser<Value = T> {
@@ -477,7 +480,7 @@ fn not_empty(text: &str) -> Option<String> {
     (!text.is_empty()).then(|| text.to_owned())
 }
 
-/// The address of the control interface; a port alone never leads beyond this machine.
+/// Parses the address of the control interface. A port without an address listens on this machine only.
 fn control(text: &str) -> Option<SocketAddr> {
     parsed(text).or_else(|| Some(SocketAddr::new(LOOPBACK, parsed(text)?)))
 }
@@ -496,7 +499,7 @@ fn serial(text: &str) -> Option<SerialLine> {
     }
 }
 
-/// N, in decimal or, after 0x, in hexadecimal.
+/// Parses N in decimal or, after 0x, in hexadecimal.
 fn identifiers(text: &str) -> Option<Identifiers> {
     let n = match text.strip_prefix("0x") {
         Some(digits) => u16::from_str_radix(digits, 16).ok()?,
@@ -505,7 +508,7 @@ fn identifiers(text: &str) -> Option<Identifiers> {
     Identifiers::from_base(n)
 }
 
-/// `none` is a valid value: no part.
+/// Parses a part; `none` is a valid value.
 fn part(text: &str) -> Option<MaybePart> {
     if text == "none" {
         return Some(None);
@@ -521,17 +524,17 @@ fn time_scale(text: &str) -> Option<f32> {
     parsed(text).filter(|scale| (Config::MIN_TIME_SCALE..=Config::MAX_TIME_SCALE).contains(scale))
 }
 
-/// A finite number above 0.
+/// Parses a finite number above 0.
 fn positive(text: &str) -> Option<f32> {
     parsed(text).filter(|value: &f32| value.is_finite() && *value > 0.0)
 }
 
-/// A length in mm.
+/// Parses a length in mm.
 fn length(text: &str) -> Option<f32> {
     parsed(text).filter(|value| (0.0..=1_000.0).contains(value))
 }
 
-/// Soft limits in mm.
+/// Parses soft limits in mm.
 fn soft_limits(text: &str) -> Option<SoftLimits> {
     let (minus, plus) = text.split_once(':')?;
     let limits = SoftLimits { minus: length(minus)?, plus: length(plus)? };
@@ -702,7 +705,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_options_say_what_was_wrong_and_what_was_expected() {
+    fn errors_of_options_name_the_value_and_the_expected_ones() {
         for (arguments, wrong, expected) in [
             (&["--model", "wsg99"][..], "'wsg99' for '--model", "wsg50-110"),
             (&["--part", "-3"], "'-3' for '--part", "WIDTH_MM"),
@@ -743,7 +746,7 @@ mod tests {
         }
     }
 
-    /// The options of a file with this text, and others of the command line.
+    /// Parses the options of a file with this text, and others of the command line.
     fn options_of_file(name: &str, text: &str, arguments: &[&str]) -> Result<Options> {
         let path = std::env::temp_dir().join(format!("wsg-sim-{}-{name}.toml", std::process::id()));
         std::fs::write(&path, text).unwrap();
@@ -797,7 +800,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_in_a_file_is_one_line_with_its_place() {
+    fn errors_in_a_file_are_one_line_with_their_position() {
         for (text, expected) in [
             (
                 "\nclamping-travl = 5",
@@ -808,11 +811,11 @@ mod tests {
                 ", line 1: invalid value '-1' for '--clamping-travel <MM>': expected a number",
             ),
             ("force = nan", "'nan' for '--force <N>': expected a number above 0"),
-            ("no-checksum-check = 1", "no-checksum-check is of another kind; expected true or false"),
-            ("force = true", "force is of another kind"),
-            ("tcp = [\"127.0.0.1:1\"]", "tcp is of another kind"),
-            ("[tcp]\n", "tcp is of another kind"),
-            ("config = \"other\"", "config is for the command line alone"),
+            ("no-checksum-check = 1", "no-checksum-check has the wrong type; expected true or false"),
+            ("force = true", "force has the wrong type"),
+            ("tcp = [\"127.0.0.1:1\"]", "tcp has the wrong type"),
+            ("[tcp]\n", "tcp has the wrong type"),
+            ("config = \"other\"", "config is only valid on the command line"),
             ("model = \"wsg32\"\nmodel = \"wsg25\"", ", line 2: "),
             ("model wsg32", "expected TOML"),
             ("can-id = 1", "--can-id has no effect without"),
@@ -824,7 +827,7 @@ mod tests {
         assert!(error.contains("/no/such/file cannot be read"), "{error}");
     }
 
-    /// Every option with its default and its meaning, as the document has it.
+    /// Checks that the document lists every option with its default and meaning.
     #[test]
     fn options_in_the_document_are_those_of_the_program() {
         const BEGIN: &str = "<!-- generated: options -->\n";

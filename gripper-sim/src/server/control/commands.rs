@@ -1,11 +1,11 @@
-//! What the buttons of the page ask for, as commands of the binary protocol.
+//! Commands of the page's buttons, translated to the binary protocol.
 
 use crate::config::Config;
 use serde::Deserialize;
 use wsg_protocol::types::AckKey;
 use wsg_protocol::{Command, HomingDirection, PrePositionFlags};
 
-pub(super) const COMMAND_EXPECTED: &str = r#"{"command":"home"}, "stop", "fast_stop" or "acknowledge"; {"command":"move","width_mm":50.0,"speed_mm_per_s":100.0}, "grip" (and "force_n":40.0) or "release" (speed and force may be left out)"#;
+pub(super) const COMMAND_EXPECTED: &str = r#"{"command":"home"}, "stop", "fast_stop" or "acknowledge"; {"command":"move","width_mm":50.0,"speed_mm_per_s":100.0}, "grip" (and "force_n":40.0) or "release" (speed and force are optional)"#;
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -29,7 +29,7 @@ pub(super) struct CommandBody {
 }
 
 impl CommandBody {
-    /// The commands, in order; `None` if a number is missing, or there is one that the command does not take.
+    /// Returns the commands in order; `None` if a number is missing or not supported by the command.
     pub(super) fn commands(&self, config: &Config) -> Option<Vec<Command<'static>>> {
         let Self { command, width_mm, speed_mm_per_s, force_n } = self;
         let numbers = [width_mm, speed_mm_per_s, force_n];

@@ -1,4 +1,4 @@
-//! Streams of events for pages that watch (server-sent events): bounded in number, and in what waits for each.
+//! Event streams for open pages (server-sent events), bounded in number and backlog.
 
 use hyper::body::{Body, Bytes, Frame};
 use std::cell::{Cell, RefCell};
@@ -10,14 +10,14 @@ use tokio::sync::Notify;
 use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
 use tokio::time::{Duration, Instant};
 
-/// How many streams there are at a time.
+/// Maximum number of simultaneous streams.
 pub(super) const MAX_STREAMS: usize = 64;
-/// Events that wait for one reader. What it has no room for is lost to it; the next state says all that it missed.
+/// Maximum number of queued events per reader. Excess events are lost; the next state contains all changes.
 const MAX_WAITING: usize = 16;
-/// How long a reader may take nothing before its stream ends: something is sent far more often.
+/// Time-out of a reader that reads nothing. Events are sent far more often.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Those who watch.
+/// The event streams that are open.
 #[derive(Debug, Default)]
 pub(super) struct Watchers {
     open: RefCell<Vec<Sender<Bytes>>>,
@@ -25,7 +25,7 @@ pub(super) struct Watchers {
 }
 
 impl Watchers {
-    /// A stream that begins with `first`; `None` when there are too many.
+    /// Opens a stream that begins with `first`; `None` if there are too many.
     pub(super) fn open(&self, first: Bytes, link: Rc<Link>) -> Option<Events> {
         let mut open = self.open.borrow_mut();
         open.retain(|watcher| !watcher.is_closed());
@@ -33,7 +33,7 @@ impl Watchers {
             return None;
         }
         let (sender, waiting) = channel(MAX_WAITING);
-        // It is empty.
+        // The new queue has room.
         let _ = sender.try_send(first);
         open.push(sender);
         self.came.notify_one();
@@ -41,7 +41,7 @@ impl Watchers {
         Some(Events { waiting, link })
     }
 
-    /// Ready when somebody watches.
+    /// Ready when a page is open.
     pub(super) async fn come(&self) {
         while self.are_none() {
             self.came.notified().await;
@@ -52,19 +52,19 @@ impl Watchers {
         self.open.borrow().iter().all(Sender::is_closed)
     }
 
-    /// Gives everybody an event who has room for it.
+    /// Queues an event for each reader that has room.
     pub(super) fn send(&self, event: &Bytes) {
         let took = |watcher: &Sender<Bytes>| watcher.try_send(event.clone());
         self.open.borrow_mut().retain(|watcher| !matches!(took(watcher), Err(TrySendError::Closed(_))));
     }
 }
 
-/// An event of this kind, as it goes over the line; `json` has no line breaks.
+/// Encodes an event of this kind; `json` must not contain line breaks.
 pub(super) fn event(kind: &str, json: &str) -> Bytes {
     Bytes::from(format!("event: {kind}\ndata: {json}\n\n"))
 }
 
-/// What a connection and the stream in its answer have in common.
+/// State shared by a connection and the stream in its answer.
 #[derive(Debug)]
 pub(super) struct Link {
     streams: Cell<bool>,
@@ -81,12 +81,12 @@ impl Link {
         self.taken_at.set(Instant::now());
     }
 
-    /// Whether its answer is a stream, which has no end.
+    /// Returns whether the answer is a stream, which has no end.
     pub(super) fn streams(&self) -> bool {
         self.streams.get()
     }
 
-    /// Ready when the reader has taken nothing for too long.
+    /// Ready when the reader has read nothing for too long.
     pub(super) async fn is_given_up(&self) {
         while self.taken_at.get().elapsed() < PATIENCE {
             tokio::time::sleep_until(self.taken_at.get() + PATIENCE).await;
@@ -94,7 +94,7 @@ impl Link {
     }
 }
 
-/// The body of an answer that goes on for ever.
+/// The body of an answer without an end.
 #[derive(Debug)]
 pub(super) struct Events {
     waiting: Receiver<Bytes>,

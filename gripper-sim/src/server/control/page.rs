@@ -1,15 +1,15 @@
-//! The page: one file with its script, and what a browser may do with it.
+//! The page: one file with its script, and its content security policy.
 
 use std::hash::{BuildHasher, RandomState};
 
 const PAGE: &str = include_str!("page.html");
-/// Stands in the page where the nonce goes.
+/// Placeholder for the nonce in the page.
 const PLACE: &str = "{{nonce}}";
 
-/// The page, and the content security policy that goes with it: its own script and style, requests to where it came from,
-/// and nothing else; no other page frames it.
+/// Returns the page and its content security policy. The policy allows the page's own script and style and requests to
+/// its own origin; it forbids framing.
 pub(super) fn page() -> (String, String) {
-    // A new hasher has keys of the system's random numbers.
+    // A new hasher is seeded from the system's random numbers.
     let nonce = format!("{:016x}{:016x}", RandomState::new().hash_one(0), RandomState::new().hash_one(1));
     let policy = format!(
         "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; \
@@ -33,6 +33,6 @@ mod tests {
         }
         assert!(!page.contains(PLACE));
         let (_, other) = super::page();
-        assert_ne!(policy, other, "a nonce is used once");
+        assert_ne!(policy, other, "each nonce is used only once");
     }
 }

@@ -1,4 +1,4 @@
-//! ARP, IP and UDP of the device by `smoltcp`: Ethernet frames on one side, datagrams of port [`RPC_PORT`] on the other.
+//! ARP, IP and UDP of the device with `smoltcp`: Ethernet frames on one side, datagrams of port [`RPC_PORT`] on the other.
 
 use smoltcp::iface::{Config, Interface, SocketHandle, SocketSet};
 use smoltcp::phy::{self, Checksum, DeviceCapabilities, Medium};
@@ -11,13 +11,13 @@ use smoltcp::wire::{
 
 use bus_profinet::{Endpoint, IpParameters, MAX_FRAME_LEN, MacAddress, RPC_PORT};
 
-/// How many datagrams wait in each direction, and how many bytes of them.
+/// Number of datagrams queued in each direction, and of maximum datagrams that fit into the buffers.
 const DATAGRAMS: usize = 4;
 const DATAGRAM_BYTES: usize = 4_096;
-/// How many frames wait to be sent.
+/// Number of frames queued for transmission.
 const FRAMES: usize = 4;
 
-/// The IP side of a device: it answers ARP and ICMP echo requests, and carries datagrams from and to port [`RPC_PORT`].
+/// The IP stack of the device. It answers ARP and ICMP echo requests, and transfers datagrams of port [`RPC_PORT`].
 pub(super) struct IpStack {
     interface: Interface,
     sockets: SocketSet<'static>,
@@ -33,7 +33,7 @@ impl core::fmt::Debug for IpStack {
 }
 
 impl IpStack {
-    /// A stack without an address yet.
+    /// Creates a stack without an address.
     pub(super) fn new(mac: MacAddress, now_us: u64) -> Self {
         let mut wire = Wire { received: Frame::EMPTY, sent: [Frame::EMPTY; FRAMES], first: 0, count: 0 };
         let config = Config::new(HardwareAddress::Ethernet(EthernetAddress(mac.0)));
@@ -44,7 +44,7 @@ impl IpStack {
         Self { interface, sockets, socket, wire, ip: IpParameters::NONE }
     }
 
-    /// Takes the parameters that count from now on.
+    /// Applies new IP parameters.
     pub(super) fn set_parameters(&mut self, ip: &IpParameters) {
         if self.ip == *ip {
             return;
@@ -54,30 +54,30 @@ impl IpStack {
             addresses.clear();
             if ip.is_set() {
                 let address = IpAddress::Ipv4(Ipv4Address::from(ip.address));
-                // There is room for one.
+                // The list has room for one entry.
                 let _ = addresses.push(IpCidr::new(address, ip.prefix_len()));
             }
         });
         let routes = self.interface.routes_mut();
         routes.remove_default_ipv4_route();
         if ip.gateway != [0; 4] && ip.gateway != ip.address {
-            // There is room for one.
+            // The list has room for one entry.
             let _ = routes.add_default_ipv4_route(Ipv4Address::from(ip.gateway));
         }
     }
 
-    /// Takes an Ethernet frame; what is not IP or ARP is ignored.
+    /// Takes an Ethernet frame. Frames other than IP and ARP are ignored.
     pub(super) fn receive(&mut self, now_us: u64, frame: &[u8]) {
         if self.wire.received.set(frame) {
             self.poll(now_us);
         }
     }
 
-    /// Sends a datagram; whether there was room for it. One that still waits because nobody has its address is given up.
+    /// Sends a datagram and returns whether there was room. A datagram still waiting for ARP resolution is discarded.
     pub(super) fn send(&mut self, now_us: u64, to: Endpoint, datagram: &[u8]) -> bool {
         let to = IpEndpoint::new(IpAddress::Ipv4(Ipv4Address::from(to.address)), to.port);
         if self.sockets.get::<Socket<'_>>(self.socket).send_queue() > 0 {
-            // `smoltcp` asks for an address for ever, and nothing passes what waits: a stranger could make the device mute.
+            // `smoltcp` retries ARP indefinitely and blocks the queue meanwhile, so an unreachable peer could silence the device.
             let Handed::Udp(mut udp) = self.sockets.remove(self.socket);
             udp.close();
             self.socket = self.sockets.add(opened(udp));
@@ -87,20 +87,20 @@ impl IpStack {
         is_taken
     }
 
-    /// Gives the next datagram that came, to `take`.
+    /// Passes the next received datagram to `take`.
     pub(super) fn take_datagram<T>(&mut self, take: impl FnOnce(Endpoint, &[u8]) -> T) -> Option<T> {
         let (datagram, from) = self.sockets.get_mut::<Socket<'_>>(self.socket).recv().ok()?;
         let IpAddress::Ipv4(address) = from.endpoint.addr;
         Some(take(Endpoint { address: address.octets(), port: from.endpoint.port }, datagram))
     }
 
-    /// Writes the next frame that is to be sent, and gives its length.
+    /// Writes the next frame to send to `buffer` and returns its length.
     pub(super) fn poll_transmit(&mut self, now_us: u64, buffer: &mut [u8; MAX_FRAME_LEN]) -> Option<usize> {
         self.poll(now_us);
         self.wire.take(buffer)
     }
 
-    /// When [`poll_transmit`](Self::poll_transmit) has something to do by itself.
+    /// Returns when [`poll_transmit`](Self::poll_transmit) has work without further input.
     pub(super) fn poll_timeout(&mut self, now_us: u64) -> Option<u64> {
         let at = self.interface.poll_at(instant(now_us), &self.sockets)?;
         u64::try_from(at.total_micros()).ok()
@@ -111,9 +111,9 @@ impl IpStack {
     }
 }
 
-/// The socket, with nothing in it, at the port of RPC.
+/// Returns the emptied socket, bound to the RPC port.
 fn opened(mut udp: Socket<'static>) -> Socket<'static> {
-    // One that is not open takes any port but 0.
+    // Binding a closed socket fails only for port 0.
     let _ = udp.bind(IpListenEndpoint::from(RPC_PORT));
     udp
 }
@@ -122,7 +122,7 @@ fn instant(now_us: u64) -> Instant {
     Instant::from_micros(i64::try_from(now_us).unwrap_or(i64::MAX))
 }
 
-/// A frame, if its length is not 0.
+/// An Ethernet frame; empty if its length is 0.
 #[derive(Clone, Copy, Debug)]
 struct Frame {
     bytes: [u8; MAX_FRAME_LEN],
@@ -132,7 +132,7 @@ struct Frame {
 impl Frame {
     const EMPTY: Self = Self { bytes: [0; MAX_FRAME_LEN], len: 0 };
 
-    /// Takes a frame, if it is not too long.
+    /// Stores a frame unless it is too long. Returns whether it fits.
     fn set(&mut self, frame: &[u8]) -> bool {
         let Some(place) = self.bytes.get_mut(..frame.len()) else { return false };
         place.copy_from_slice(frame);
@@ -145,12 +145,12 @@ impl Frame {
     }
 }
 
-/// What `smoltcp` has for a line: one frame in, some out.
+/// The interface to `smoltcp`: one received frame, several frames to send.
 #[derive(Debug)]
 struct Wire {
     received: Frame,
     sent: [Frame; FRAMES],
-    /// The oldest of `sent`, and how many there are.
+    /// Index of the oldest frame in `sent`; `count` is their number.
     first: usize,
     count: usize,
 }
@@ -173,7 +173,7 @@ impl phy::Device for Wire {
         let mut capabilities = DeviceCapabilities::default();
         capabilities.medium = Medium::Ethernet;
         capabilities.max_transmission_unit = MAX_FRAME_LEN;
-        // Frames of a neighbour in the same machine have none yet; those of others were looked at below.
+        // Frames from the same machine do not have a checksum yet; those of other machines were verified by a lower layer.
         capabilities.checksum.udp = Checksum::Tx;
         capabilities
     }
@@ -209,7 +209,7 @@ struct TxToken<'a> {
 impl phy::TxToken for TxToken<'_> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, len: usize, fill: F) -> R {
         let Self { place, count } = self;
-        // `smoltcp` keeps to the longest frame that it was told.
+        // `smoltcp` observes the maximum frame length from the capabilities.
         let len = len.min(MAX_FRAME_LEN);
         let (frame, _) = place.bytes.split_at_mut(len);
         let result = fill(frame);

@@ -1,4 +1,4 @@
-//! What a script can call (`docs/scripts.md`).
+//! The functions that a script can call (`docs/scripts.md`).
 
 use super::{clipped, first_line, switched_off};
 use crate::finger::{Finger, Jaw};
@@ -18,55 +18,55 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{Command, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags};
 
-/// The longest answer.
+/// The longest answer, in bytes.
 const MAX_ANSWER_LEN: usize = MAX_FRAME_LEN - OVERHEAD;
 
-/// How many things a script is told of once.
+/// How many distinct messages to a script are logged once.
 const MAX_NOTED: usize = 100;
 
-/// How deep tables of an answer may be nested.
+/// Maximum nesting depth of tables in an answer.
 const MAX_NESTING: usize = 5;
 
-/// How many lines a script may write to the log at once, and how many a second in the long run. Assumed.
+/// Burst limit of log lines of a script, followed by the sustained limit per second. Assumed.
 const LINES_AT_ONCE: f64 = 1_000.0;
 const LINES_PER_SECOND: f64 = 100.0;
 
-/// The longest pattern of `string.find` and its like, in bytes. Assumed.
+/// The longest pattern of `string.find` and related functions, in bytes. Assumed.
 const MAX_PATTERN_LEN: usize = 1_024;
 
 /// The longest module, in bytes. Assumed.
 const MAX_MODULE_LEN: u64 = 1 << 20;
 
-/// The longest time for a motion that a script waits for.
+/// Time-out of a motion that a script waits for.
 const MAX_MOTION: Duration = Duration::from_secs(60);
-/// How often it is looked whether the motion has ended.
+/// Polling interval for the end of a motion.
 const LOOK_AT_MOTION: Duration = Duration::from_millis(5);
 
-/// What Lua has and a script must not have, and `require`.
+/// Removes unsafe functions from Lua and adds `require`.
 const SANDBOX: &str = include_str!("sandbox.lua");
 
-/// A script's side of the gripper.
+/// The access of a script to the gripper.
 struct Caller {
     hub: Arc<Hub>,
-    /// Looks at the script since it waited last.
+    /// Number of checks since the script last waited.
     looks: Rc<Cell<u32>>,
-    /// Who asked last, by command.
+    /// The latest client by command.
     clients: RefCell<BTreeMap<u8, PortId>>,
-    /// Who asked last at all.
+    /// The latest client of any command.
     client: Cell<Option<PortId>>,
     noted: RefCell<BTreeSet<String>>,
     printed: Cell<Printed>,
-    /// The gains of the speed controller. They change nothing here.
+    /// The gains of the speed controller, which have no effect here.
     gains: Cell<[f64; 3]>,
 }
 
-/// How much a script has written to the log.
+/// The rate limit of a script's log output.
 #[derive(Clone, Copy)]
 struct Printed {
-    /// Lines that it may still write, as of `at`.
+    /// Lines that may still be written, as of `at`.
     allowed: f64,
     at: Instant,
-    /// Lines left out since it wrote one.
+    /// Lines dropped since the last one written.
     lost: u64,
 }
 
@@ -75,7 +75,7 @@ impl Printed {
         Self { allowed: LINES_AT_ONCE, at: Instant::now(), lost: 0 }
     }
 
-    /// Whether another line may be written.
+    /// Takes one line from the limit and returns whether it may be written.
     fn takes_line(&mut self) -> bool {
         let earned = self.at.elapsed().as_secs_f64() * LINES_PER_SECOND;
         *self = Self { allowed: (self.allowed + earned).min(LINES_AT_ONCE), at: Instant::now(), ..*self };
@@ -88,9 +88,9 @@ impl Printed {
     }
 }
 
-/// Gives a script everything that it can call, and takes away what could harm the machine that it runs on.
+/// Installs all functions that a script can call, and removes those that could harm the host.
 ///
-/// `directory`: where the files are that it may `require`.
+/// `directory` contains the files that the script may `require`.
 pub(super) fn install(lua: &Lua, hub: &Arc<Hub>, looks: &Rc<Cell<u32>>, directory: &Path) -> Result<()> {
     let caller = Rc::new(Caller {
         hub: Arc::clone(hub),
@@ -128,10 +128,10 @@ pub(super) fn install(lua: &Lua, hub: &Arc<Hub>, looks: &Rc<Cell<u32>>, director
 }
 
 impl Caller {
-    /// Does something with the gripper.
+    /// Calls `act` with the gripper.
     ///
     /// # Errors
-    /// The gripper is switched off.
+    /// Returns an error if the gripper is powered off.
     fn ask<T>(&self, act: impl FnOnce(&Hub) -> T) -> Result<T> {
         if self.hub.is_off() {
             return Err(switched_off());
@@ -139,7 +139,7 @@ impl Caller {
         Ok(act(&self.hub))
     }
 
-    /// Does something that may take as long as it likes. A script that waits needs no rest.
+    /// Calls `wait`, which may block. A script that waits need not rest.
     fn wait<T>(&self, wait: impl FnOnce(&Hub) -> T) -> Result<T> {
         self.looks.set(0);
         self.ask(wait)
@@ -154,7 +154,7 @@ impl Caller {
         })
     }
 
-    /// Writes what a script prints to the log, as far as it may.
+    /// Logs a text printed by the script, within its limit.
     fn print(&self, text: &str) -> Result<()> {
         let mut printed = self.printed.get();
         let mut lines = Vec::new();
@@ -165,7 +165,7 @@ impl Caller {
             }
             if lost > 0 {
                 lines.push(format!(
-                    "{lost} lines are left out here: a script may write {LINES_PER_SECOND} a second"
+                    "{lost} lines are omitted here: a script may write {LINES_PER_SECOND} a second"
                 ));
                 printed.lost = 0;
             }
@@ -175,7 +175,7 @@ impl Caller {
         if lines.is_empty() { Ok(()) } else { self.log(lines) }
     }
 
-    /// Writes a line to the log, once, with the line of the script. `above`: how many functions above it this is.
+    /// Logs a message once, with the line of the script. `above` is the number of stack levels up to that line.
     fn note(&self, lua: &Lua, above: usize, what: impl Display) -> Result<()> {
         let line = lua.inspect_stack(above, |caller| caller.current_line()).flatten();
         let text = match line {
@@ -187,7 +187,7 @@ impl Caller {
         if is_new { self.log(vec![text]) } else { Ok(()) }
     }
 
-    /// Waits until the fingers are where `is_there` wants them to be; false when that takes too long.
+    /// Waits until `is_there` returns `true` for the state; returns `false` on a time-out.
     fn wait_until(&self, mut is_there: impl FnMut(&State) -> bool) -> Result<bool> {
         let start = Instant::now();
         while !is_there(&self.ask(state)?) {
@@ -199,7 +199,7 @@ impl Caller {
         Ok(true)
     }
 
-    /// Carries out a motion and waits for its end.
+    /// Executes a motion and waits for its end.
     fn motion(&self, lua: &Lua, call: &str, order: Command<'static>) -> Result<u16> {
         let status = self.command(lua, call, move |hub| command(hub, &order))?;
         if status != Status::Success.code() {
@@ -217,7 +217,7 @@ impl Caller {
         })
     }
 
-    /// Carries out a command; what refused it is in the log, once, and returned.
+    /// Executes a command and returns its status. An error status is logged once.
     fn command(&self, lua: &Lua, call: &str, act: impl FnOnce(&Hub) -> Status) -> Result<u16> {
         let status = self.ask(act)?;
         if matches!(status, Status::Success | Status::CmdPending) {
@@ -228,7 +228,7 @@ impl Caller {
     }
 }
 
-/// How things stand now.
+/// Returns the current state.
 fn state(hub: &Hub) -> State {
     hub.look(|gripper| gripper.state())
 }
@@ -237,7 +237,8 @@ fn command(hub: &Hub, command: &Command<'_>) -> Status {
     hub.act(|gripper, now| gripper.command(command, now))
 }
 
-/// Makes a function that raises what another one returns, as scripts know errors: a text, with the place in the script.
+/// Builds a function that raises the error returned by another one in the form scripts expect: a text with the position
+/// in the script.
 const RAISING: &str = "
     local function finish(ok, ...)
         if ok then return ... end
@@ -296,7 +297,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             }
             let (first, last) = (SCRIPT_IDS.start(), SCRIPT_IDS.end());
             Err(wrong(format_args!(
-                "cmd.register: {id:02X}h is no id for scripts; expected {first:02X}h to {last:02X}h"
+                "cmd.register: {id:02X}h is not an id for scripts; expected {first:02X}h to {last:02X}h"
             )))
         })?
         .function("unregister", |_, caller, id: u32| match u8::try_from(id) {
@@ -324,7 +325,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             }
             let Some(port) = caller.clients.borrow().get(&id).copied() else {
                 return Err(wrong(format_args!(
-                    "cmd.send: no command {id:02X}h was read; nobody waits for an answer"
+                    "cmd.send: no command {id:02X}h was read; no client waits for an answer"
                 )));
             };
             caller
@@ -334,7 +335,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// Puts a value behind what there is of an answer: numbers are bytes, booleans 0 or 1, texts their bytes; tables hold any of these.
+/// Appends a value to an answer: numbers as bytes, booleans as 0 or 1, strings as their bytes, and tables of any of these.
 fn append(payload: &mut Vec<u8>, value: &Value, depth: usize) -> Result<()> {
     match value {
         Value::Integer(number) => put(payload, &[byte("cmd.send", *number as f64)?]),
@@ -342,7 +343,7 @@ fn append(payload: &mut Vec<u8>, value: &Value, depth: usize) -> Result<()> {
         Value::Boolean(flag) => put(payload, &[u8::from(*flag)]),
         Value::String(text) => put(payload, &text.as_bytes()),
         Value::Table(_) if depth == MAX_NESTING => {
-            Err(wrong(format_args!("cmd.send: tables are nested {MAX_NESTING} deep at the most")))
+            Err(wrong(format_args!("cmd.send: tables may be nested at most {MAX_NESTING} deep")))
         }
         Value::Table(table) => {
             table.sequence_values::<Value>().try_for_each(|value| append(payload, &value?, depth + 1))
@@ -350,7 +351,7 @@ fn append(payload: &mut Vec<u8>, value: &Value, depth: usize) -> Result<()> {
         other => {
             let kind = other.type_name();
             Err(wrong(format_args!(
-                "cmd.send: a {kind} is no byte; expected numbers, booleans, strings, or tables of them"
+                "cmd.send: a {kind} is not a byte; expected numbers, booleans, strings, or tables of them"
             )))
         }
     }
@@ -358,19 +359,19 @@ fn append(payload: &mut Vec<u8>, value: &Value, depth: usize) -> Result<()> {
 
 fn put(payload: &mut Vec<u8>, bytes: &[u8]) -> Result<()> {
     if payload.len() + bytes.len() > MAX_ANSWER_LEN {
-        return Err(wrong(format_args!("cmd.send: an answer has {MAX_ANSWER_LEN} bytes at the most")));
+        return Err(wrong(format_args!("cmd.send: an answer may have at most {MAX_ANSWER_LEN} bytes")));
     }
     payload.extend_from_slice(bytes);
     Ok(())
 }
 
-/// A number as a byte; a fraction is cut off, as C does.
+/// Converts a number to a byte. Fractions are truncated, as in C.
 fn byte(call: &str, number: f64) -> Result<u8> {
     let byte = number.trunc();
     if (0.0..=255.0).contains(&byte) {
         Ok(byte as u8)
     } else {
-        Err(wrong(format_args!("{call}: {number} is no byte; expected 0 to 255")))
+        Err(wrong(format_args!("{call}: {number} is not a byte; expected 0 to 255")))
     }
 }
 
@@ -396,7 +397,7 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
         })?
         .function("move", |lua, caller, (width, speed, flags): (f32, f32, Option<u8>)| {
             let Some(flags) = PrePositionFlags::from_bits(flags.unwrap_or(0)) else {
-                return Err(wrong(format_args!("mc.move: flags are those of Pre-position (21h), 0 to 3")));
+                return Err(wrong(format_args!("mc.move: expected the flags of Pre-position (21h), 0 to 3")));
             };
             if !width.is_finite() || !speed.is_finite() {
                 return Err(wrong(format_args!("mc.move: expected a width in mm and a speed in mm/s")));
@@ -443,7 +444,7 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// Gripping, as the gripper does it by itself. Public scripts call these one after the other: each waits for its end.
+/// Grip functions that wait for the end of their motion. Public scripts call them in sequence.
 fn grasping(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Module::new(lua, caller, "grasping")?
         .function("state", |_, caller, ()| caller.ask(|hub| state(hub).gripper.code()))?
@@ -495,7 +496,7 @@ fn grasping(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// Sets the force limit, if there is one to be set; the status that refuses it.
+/// Sets the force limit, if given. Returns the status if it was rejected.
 fn refused_force(lua: &Lua, caller: &Caller, call: &str, force: Option<f32>) -> Result<Option<u16>> {
     let Some(force) = force else { return Ok(None) };
     let status = caller.command(lua, call, move |hub| command(hub, &Command::SetForceLimit { force }))?;
@@ -517,7 +518,7 @@ fn sensors(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
         .function("type", |_, caller, index: u8| {
             let jaw = jaw(index)?;
             let (finger, _) = caller.ask(|hub| hub.look(|gripper| gripper.finger(jaw)))?;
-            // An empty port shows like a generic finger.
+            // An empty port is reported as a generic finger.
             Ok(if finger == Finger::None { Finger::Generic.name() } else { finger.name() })
         })?
         .function("data", |_, caller, index: u8| {
@@ -536,7 +537,7 @@ fn sensors(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// The interface of a finger for electronics of one's own. Nothing is connected there: what is written is lost, and nothing comes.
+/// The interface of a finger with custom electronics. Nothing is connected here: writes are lost and reads return nothing.
 fn finger_interfaces(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     let module = Module { lua, caller, table: lua.globals().raw_get("finger")? };
     module
@@ -545,7 +546,7 @@ fn finger_interfaces(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             match kind.as_str() {
                 "uart" | "spi" => Ok(()),
                 _ => Err(wrong(format_args!(
-                    "finger.interface: {kind:?} is none; expected \"uart\" or \"spi\""
+                    "finger.interface: {kind:?} is unknown; expected \"uart\" or \"spi\""
                 ))),
             }
         })?
@@ -566,7 +567,7 @@ fn finger_interfaces(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// How many bytes a number, a text or a table of numbers is.
+/// Returns the length in bytes of a number, a string or a table of numbers.
 fn bytes(call: &str, data: &Value) -> Result<usize> {
     match data {
         Value::Integer(number) => byte(call, *number as f64).map(|_| 1),
@@ -578,13 +579,13 @@ fn bytes(call: &str, data: &Value) -> Result<usize> {
         other => {
             let kind = other.type_name();
             Err(wrong(format_args!(
-                "{call}: a {kind} is no data; expected a string, a byte or a table of bytes"
+                "{call}: a {kind} is not data; expected a string, a byte or a table of bytes"
             )))
         }
     }
 }
 
-/// The user flags of the register interface (fieldbus manual, 5.1.1): IF come from the PLC, OF go to it.
+/// The user flags of the register interface (fieldbus manual, 5.1.1): the PLC writes IF and reads OF.
 fn user_flags(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Module::new(lua, caller, "fieldbus")?
         .function("inputs", |_, caller, ()| caller.ask(inputs))?
@@ -610,17 +611,17 @@ fn user_flags(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// IF.
+/// Returns the IF flags.
 fn inputs(hub: &Hub) -> u8 {
     hub.look(|gripper| gripper.fieldbus_images().0.user)
 }
 
-/// OF.
+/// Returns the OF flags.
 fn outputs(hub: &Hub) -> u8 {
     hub.look(|gripper| gripper.fieldbus_images().1.user)
 }
 
-/// The bit of a user flag by its number.
+/// Returns the bit of a user flag with this number.
 fn flag(call: &str, number: u32) -> Result<u8> {
     match number {
         1..=8 => Ok(1 << (number - 1)),
@@ -632,11 +633,11 @@ fn jaw(index: u8) -> Result<Jaw> {
     match index {
         0 => Ok(Jaw::One),
         1 => Ok(Jaw::Two),
-        _ => Err(wrong(format_args!("finger: there is none of number {index}; expected 0 or 1"))),
+        _ => Err(wrong(format_args!("finger: there is no finger {index}; expected 0 or 1"))),
     }
 }
 
-/// Numbers to bytes and back, low byte first.
+/// Conversions between numbers and bytes, low byte first.
 fn numbers(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     let module = Module { lua, caller, table: lua.globals() };
     module
@@ -644,7 +645,10 @@ fn numbers(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
         .function("ntob", |_, _, number: f32| Ok(number.to_le_bytes()))?
         .function("bton", |_, _, bytes: Vec<u8>| match bytes.first_chunk() {
             Some(bytes) => Ok(f32::from_le_bytes(*bytes)),
-            None => Err(wrong(format_args!("bton: {} bytes are no number; expected 4", bytes.len()))),
+            None => Err(wrong(format_args!(
+                "bton: {} bytes cannot be converted to a number; expected 4",
+                bytes.len()
+            ))),
         })?;
     module.table.raw_get::<Table>("math")?.raw_set("nan", f64::NAN)
 }
@@ -659,7 +663,7 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     let module = Module { lua, caller, table: globals };
     module
         .function("sleep", |_, caller, milliseconds: f64| {
-            // A time that is over already is none.
+            // A negative time does not wait.
             let duration = Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0)
                 .map_err(|_| wrong(format_args!("sleep: expected a time in ms")))?;
             caller.wait(|hub| hub.script_sleeps(duration))
@@ -674,15 +678,16 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// Gives a module by its name, as a function; or nil, and why not. A module is a file of text beside the script: a name has no
-/// way out of its directory.
+/// Returns a module as a function, or nil and the reason. A module is a text file in the directory of the script, and
+/// its name cannot lead out of that directory.
 fn module_loader(lua: &Lua, directory: &Path) -> Result<Function> {
     let directory = directory.to_owned();
     lua.create_function(move |lua, name: Value| {
         let name = name.as_string().map(|name| name.to_string_lossy()).unwrap_or_default();
         let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'_' | b'-');
         if name.is_empty() || !name.bytes().all(is_name) {
-            let why = format!("require: {:?} is no name; expected letters, digits, _ and -", clipped(&name));
+            let why =
+                format!("require: {:?} is not a name; expected letters, digits, _ and -", clipped(&name));
             return Ok((None, Some(why)));
         }
         let file = format!("{name}.lua");
@@ -702,7 +707,7 @@ fn module_loader(lua: &Lua, directory: &Path) -> Result<Function> {
     })
 }
 
-/// Names in the log what a script asks for that there is not.
+/// Logs accesses to functions that do not exist.
 fn name_what_is_missing(lua: &Lua, caller: &Rc<Caller>, table: &Table, prefix: &str) -> Result<()> {
     let metatable = lua.create_table()?;
     let (caller, prefix) = (Rc::clone(caller), prefix.to_owned());
@@ -710,7 +715,7 @@ fn name_what_is_missing(lua: &Lua, caller: &Rc<Caller>, table: &Table, prefix: &
         "__index",
         lua.create_function(move |lua, (_, key): (Value, Value)| {
             let key = key.as_string().map(|key| key.to_string_lossy()).unwrap_or_default();
-            caller.note(lua, 1, format_args!("{prefix}{key} is not there"))?;
+            caller.note(lua, 1, format_args!("{prefix}{key} does not exist"))?;
             Ok(Value::Nil)
         })?,
     )?;

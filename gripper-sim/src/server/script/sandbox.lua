@@ -1,6 +1,6 @@
--- What Lua 5.1 offers and a script on the gripper must not have, and `require`. Runs once, before the script.
+-- Removes functions of Lua 5.1 that a script on the gripper must not have, and adds `require`. Runs once, before the script.
 --
--- Everything is kept in locals: a script may overwrite or hide (`setfenv`) any global.
+-- Everything is stored in locals, because a script may overwrite or hide (`setfenv`) any global.
 
 local MAX_PATTERN_LEN, load_module, socket = ...
 local error, loadstring, pcall, type, unpack = error, loadstring, pcall, type, unpack
@@ -8,7 +8,7 @@ local MAX_RESULTS = 7000
 local byte, concat, find, gmatch, gsub, match =
     string.byte, table.concat, string.find, string.gmatch, string.gsub, string.match
 
--- The check of Lua 5.1 for too many results overflows, compilers leave it out, and the stack is overrun.
+-- Lua 5.1's check for too many results overflows. Compilers optimize it away, and the stack is overrun.
 function _G.unpack(list, from, to)
     from, to = (from or 1) + 0, (to or #list) + 0
     if not (from >= -2 ^ 31 and to < 2 ^ 31 and to - from < MAX_RESULTS) then
@@ -17,19 +17,19 @@ function _G.unpack(list, from, to)
     return unpack(list, from, to)
 end
 
--- Files by any name, bytecode, and finalizers, which run in the midst of anything.
+-- Access to any file, bytecode, and finalizers, which may run at any point.
 dofile, loadfile, newproxy, string.dump = nil, nil, nil, nil
 
--- Raises an error where the script called.
+-- Raises an error at the position of the call in the script.
 local function finish(ok, ...)
     if ok then return ... end
     error((...), 3)
 end
 
--- A match of Lua 5.1 recurses for each item of a pattern, without a bound: a long one would overflow the stack of the thread.
+-- Lua 5.1's match recurses once per item of the pattern without a limit. A long pattern would overflow the stack of the thread.
 local function check(name, pattern)
     if type(pattern) == "string" and #pattern > MAX_PATTERN_LEN then
-        error("string." .. name .. ": a pattern has " .. MAX_PATTERN_LEN .. " bytes at the most", 3)
+        error("string." .. name .. ": a pattern may have at most " .. MAX_PATTERN_LEN .. " bytes", 3)
     end
 end
 
@@ -51,12 +51,12 @@ string.gfind = string.gmatch
 
 function string.gsub(text, pattern, by, times)
     check("gsub", pattern)
-    -- Errors of a function have their place already.
+    -- Errors of a function already contain their position.
     if type(by) == "function" then return gsub(text, pattern, by, times) end
     return finish(pcall(gsub, text, pattern, by, times))
 end
 
--- Bytecode is not checked by Lua: it may read and write any memory.
+-- Lua does not verify bytecode, which may read and write any memory.
 function _G.loadstring(text, name)
     if byte(text, 1) == 27 then return nil, "a script is text; expected no bytecode" end
     return loadstring(text, name)

@@ -1,4 +1,4 @@
-//! What only Unix has: a pseudo terminal, and a Unix socket as an emulator's UART has it.
+//! Serial lines that only Unix has: a pseudo terminal, and a Unix socket like an emulator's UART.
 
 use super::open_device;
 use rustix::fs::OFlags;
@@ -12,19 +12,19 @@ use std::path::{Path, PathBuf};
 use tokio::net::UnixListener;
 use tokio::net::unix::pipe;
 
-/// A pseudo terminal, made for the purpose.
+/// A pseudo terminal created by the server.
 ///
 /// `serial2_tokio` opens devices by their paths, and this end has none. Tokio's unchecked pipes read and write any descriptor.
 #[derive(Debug)]
 pub(super) struct Pty {
     pub(super) reader: pipe::Receiver,
     pub(super) writer: pipe::Sender,
-    /// While it is open, clients may come and go.
+    /// Keeps the terminal alive while clients come and go.
     pub(super) other_end: Device,
 }
 
 impl Pty {
-    /// The pseudo terminal, and the path of its other end.
+    /// Creates a pseudo terminal and returns it with the path of its other end.
     pub(super) fn open() -> io::Result<(Self, PathBuf)> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
         rustix::io::fcntl_setfd(&master, FdFlags::CLOEXEC)?;
@@ -39,7 +39,7 @@ impl Pty {
     }
 }
 
-/// A listening Unix socket; its file goes with it.
+/// A listening Unix socket, whose file is removed with it.
 #[derive(Debug)]
 pub(super) struct Socket {
     pub(super) listener: UnixListener,
@@ -56,18 +56,18 @@ impl Socket {
 
 impl Drop for Socket {
     fn drop(&mut self) {
-        // It may have been removed by somebody else.
+        // Another process may have removed it already.
         let _ = std::fs::remove_file(&self.path);
     }
 }
 
-/// Removes a socket whose server ended without doing so: nobody accepts there any more.
+/// Removes the socket file of a server that ended without doing so. Nothing accepts connections there.
 fn remove_left_over(path: &Path) {
     let is_socket = std::fs::symlink_metadata(path).is_ok_and(|data| data.file_type().is_socket());
     let is_dead =
         || UnixStream::connect(path).is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused);
     if is_socket && is_dead() {
-        // If that fails, so does the binding, and says why.
+        // If this fails, the bind fails, too, and reports the cause.
         let _ = std::fs::remove_file(path);
     }
 }

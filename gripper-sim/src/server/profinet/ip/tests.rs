@@ -1,4 +1,4 @@
-//! The IP side on a line of frames.
+//! The IP stack, tested with Ethernet frames.
 
 use super::*;
 const OWN: MacAddress = MacAddress([0x02, 0, 0, 0, 0, 0x10]);
@@ -12,7 +12,7 @@ fn sum(bytes: &[u8]) -> [u8; 2] {
     (!(((total & 0xFFFF) + (total >> 16)) as u16)).to_be_bytes()
 }
 
-/// A datagram of the peer to this port, with no checksum, or with one that is wrong.
+/// Returns a datagram from the peer to this port, without a checksum or with a wrong one.
 fn udp(port: u16, payload: &[u8], is_wrong: bool) -> Vec<u8> {
     let len = payload.len() as u16;
     let [a, b] = (len + 28).to_be_bytes();
@@ -83,7 +83,7 @@ fn datagrams_come_and_go_by_the_port_of_rpc() {
 }
 
 #[test]
-fn datagram_that_has_its_checksum_made_by_nobody_yet_is_taken() {
+fn datagram_without_a_computed_checksum_is_accepted() {
     let mut stack = IpStack::new(OWN, 0);
     stack.set_parameters(&IP);
     stack.receive(0, &udp(RPC_PORT, b"request", true));
@@ -91,7 +91,7 @@ fn datagram_that_has_its_checksum_made_by_nobody_yet_is_taken() {
 }
 
 #[test]
-fn answer_to_nobody_does_not_hold_up_the_next_one() {
+fn unresolved_address_does_not_block_the_next_answer() {
     let mut stack = IpStack::new(OWN, 0);
     stack.set_parameters(&IP);
     stack.receive(0, &arp(1, IP.address));
@@ -111,7 +111,7 @@ fn other_networks_are_reached_by_the_router() {
     stack.set_parameters(&IP);
     assert!(stack.send(0, Endpoint { address: [10, 0, 0, 1], port: 1 }, b"far"));
     let frames = sent(&mut stack);
-    assert_eq!(frames[0][38..42], IP.gateway, "who has the router's address");
+    assert_eq!(frames[0][38..42], IP.gateway, "an ARP request for the router's address");
 }
 
 #[test]
