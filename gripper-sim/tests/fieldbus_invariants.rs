@@ -1,5 +1,5 @@
-//! Random images from one or two masters, parts, faults, connections and pauses: whatever comes, these rules of the
-//! fieldbus manual hold at the gripper.
+//! Random images from one or two masters, parts, faults, connections and pauses, after which these rules of the
+//! fieldbus manual must hold.
 
 use proptest::prelude::*;
 use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
@@ -13,14 +13,14 @@ enum Op {
         flags: CommandFlags,
         parameters: Option<(i16, u16, i16)>,
     },
-    /// The two jog flags alone.
+    /// Writes only the two jog flags.
     Jog(u8),
     SetPart(Option<f32>),
     SetFault(Fault, bool),
     Wait {
         millis: u16,
     },
-    /// The master goes, and another one comes.
+    /// Disconnects the master and connects another one.
     Reconnect,
 }
 
@@ -60,7 +60,7 @@ impl Trial {
         let port = gripper.connect(PortKind::ModbusTcp).unwrap();
         let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
         let mut trial = Self { gripper, port, image, now: Time::ZERO };
-        // So that most lists get anywhere.
+        // With valid parameters, most sequences cause motion.
         trial.write();
         trial.image.flags = CommandFlags::HOMING;
         trial.write();
@@ -124,7 +124,7 @@ impl Trial {
         let flags = self.image.flags;
         let rising = flags.difference(image.flags);
         assert_eq!(shown.state.bits().count_ones(), 1, "{shown:?}");
-        // Nothing moves without a command: what begins to move does so at a write, on an edge or on a jog.
+        // No motion without a command: a motion starts with a write, on an edge or with a jog.
         if self.moves() && !moved {
             let asked = CommandFlags::from_bits_retain(0x0F);
             let jogs = flags.bits() >> 6 == 1 || flags.bits() >> 6 == 2;
@@ -134,7 +134,7 @@ impl Trial {
         if flags.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP) {
             assert!(!self.moves(), "{op:?} {shown:?}");
         }
-        // A jog is a motion of this controller alone, so with both flags, or none, there is none.
+        // Only this controller jogs, so both flags, or neither, mean no jog.
         if shown.state == GripperFlags::RELEASING && matches!(op, Op::Jog(0 | 3)) && !moved {
             panic!("{op:?} {shown:?}");
         }
@@ -168,7 +168,7 @@ proptest! {
         for op in ops {
             trial.step(op);
         }
-        // Every motion ends.
+        // Every motion must end.
         trial.wait(60_000);
         prop_assert!(!trial.moves());
     }

@@ -1,4 +1,4 @@
-//! Random lists of requests, parts, faults and pauses: whatever comes, these hold.
+//! Random sequences of requests, parts, faults and pauses, after which these invariants must hold.
 
 mod common;
 
@@ -105,7 +105,7 @@ fn op() -> impl Strategy<Value = Op> {
 }
 
 fn ops() -> impl Strategy<Value = Vec<Op>> {
-    // It begins with a way to be referenced, so that most lists get anywhere.
+    // Starts with homing, so that most sequences get past the reference.
     proptest::collection::vec(op(), 1..80).prop_map(|mut ops| {
         ops.insert(0, Op::Send(Command::Homing { direction: HomingDirection::Positive }));
         ops.insert(1, Op::Wait { millis: 3_000 });
@@ -113,7 +113,7 @@ fn ops() -> impl Strategy<Value = Vec<Op>> {
     })
 }
 
-/// What a gripper keeps that has nothing to do with physics, and what it must not forget.
+/// The state that a gripper must keep, independent of the physics.
 struct Model {
     acceleration: f32,
     force_limit: f32,
@@ -121,15 +121,15 @@ struct Model {
     soft_limits: Option<SoftLimits>,
     total: u32,
     no_part: u16,
-    /// Grips of which nobody is told how they ended, because their client was gone.
+    /// Grips whose outcome was reported to no client, because their client was gone.
     untold_grips: u16,
-    /// A part that was held when the counts began again may still be lost.
+    /// A part held when the counts were reset may still be lost.
     held_at_reset: bool,
-    /// A FAST STOP has been caused and not been acknowledged.
+    /// Whether a FAST STOP has been caused and not acknowledged.
     must_be_stopped: bool,
-    /// A FAST STOP has just been acknowledged, so there is one only if its cause lasts.
+    /// Whether a FAST STOP has just been acknowledged. Another one requires that its cause lasts.
     was_acknowledged: bool,
-    /// Motions whose end is still to come.
+    /// Number of motions in progress.
     motions: usize,
 }
 
@@ -157,12 +157,12 @@ impl Model {
         if self.overdrive { 120.0 } else { 80.0 }
     }
 
-    /// A command has been answered for the first time; `before` is how the gripper stood.
+    /// Records the first answer to a command; `before` is the state before it.
     fn answered(&mut self, command: &Command<'_>, reply: Reply<'_>, before: &State) {
         let status = reply.status();
         if status == Status::CmdPending && command.id().kind() == Kind::Motion {
             assert!(!before.flags.contains(SystemFlags::FAST_STOP), "FAST STOP refuses {command}");
-            assert_eq!(self.motions, 0, "one motion at a time: {command}");
+            assert_eq!(self.motions, 0, "only one motion at a time: {command}");
             self.motions += 1;
             self.total += u32::from(matches!(command, Command::GripPart { .. }));
         }
@@ -201,13 +201,13 @@ impl Model {
         }
     }
 
-    /// A command has been answered for the second time.
+    /// Records the second answer to a command.
     fn completed(&mut self, id: CommandId, status: Status) {
         self.motions -= usize::from(id.kind() == Kind::Motion);
         self.no_part += u16::from(id == CommandId::GripPart && status == Status::CmdFailed);
     }
 
-    /// The client has gone; its motion goes on.
+    /// Records a disconnect; the motion of the client continues.
     fn disconnected(&mut self, kind: PortKind, announced: bool, state: &State) {
         self.untold_grips += u16::from(state.gripper == GripperState::Gripping);
         self.motions = 0;
@@ -222,7 +222,7 @@ impl Model {
         assert_eq!(state.force_limit, self.force_limit);
         assert_eq!(flags.contains(SystemFlags::OVERDRIVE_MODE), self.overdrive);
 
-        assert_eq!(statistics.total, self.total, "every grip that began counts");
+        assert_eq!(statistics.total, self.total, "every started grip is counted");
         assert!((self.no_part..=self.no_part + self.untold_grips).contains(&statistics.no_part));
         let ended_badly = u32::from(statistics.no_part) + u32::from(statistics.part_lost);
         assert!(ended_badly <= statistics.total + u32::from(self.held_at_reset), "{statistics}");
@@ -247,16 +247,16 @@ impl Model {
     }
 }
 
-/// A gripper at work, and what must hold after every step.
+/// A gripper under test, with checks after every step.
 struct Trial {
     kind: PortKind,
     gripper: VirtualGripper<2>,
     port: PortId,
     now: Time,
     model: Model,
-    /// What is still to be answered a second time.
+    /// Commands without their second answer.
     pending: HashMap<CommandId, usize>,
-    /// Whether all motions are those of this client, and not of one that has gone.
+    /// Whether all motions belong to this client, and none to an earlier one.
     tells_of_motions: bool,
     commands: usize,
     sent: Vec<u8>,
@@ -308,14 +308,14 @@ impl Trial {
         self.model.check(&state, self.tells_of_motions);
     }
 
-    /// A request and its first answer, which comes before anything else.
+    /// Sends a request and takes its first answer, which must precede everything else.
     fn command(&mut self, id: CommandId, request: &[u8]) {
         self.commands += 1;
         let before = self.gripper.state();
         self.gripper.receive(self.port, self.now, request);
         let frame = self.next_frame().expect("every request is answered");
         let payload = &request[6..request.len() - 2];
-        // FAST STOP is obeyed whatever comes with it.
+        // A FAST STOP is executed regardless of its payload.
         let payload = if id == CommandId::FastStop { &[] } else { payload };
         let command = Command::decode(&Frame { id: id.code(), payload });
         frame.with(|reply| {
@@ -346,7 +346,7 @@ impl Trial {
         self.tells_of_motions = false;
     }
 
-    /// A frame that answers no request just made: a second answer, or an update.
+    /// Takes a frame that is not a first answer: a second answer or an update.
     fn take_unasked(&mut self, frame: &Sent) {
         let (id, status) = (CommandId::from_code(frame.id()), frame.status());
         match self.pending.get_mut(&id) {
@@ -356,7 +356,7 @@ impl Trial {
             }
             _ => {
                 let is_update = matches!(frame.id(), 0x40 | 0x41 | 0x43..=0x45) && status == Status::Success;
-                assert!(is_update, "{} was not asked for", frame.text());
+                assert!(is_update, "{} was not requested", frame.text());
             }
         }
     }
@@ -368,7 +368,7 @@ impl Trial {
         Some(Sent { at: self.now, frame })
     }
 
-    /// Every motion ends, and is answered, in bounded time; all that was sent.
+    /// Checks that every motion ends and is answered in bounded time; returns all sent bytes.
     fn end(mut self) -> Vec<u8> {
         let end = self.now.plus_millis(120_000);
         while self.now < end {
@@ -411,7 +411,7 @@ proptest! {
     }
 
     #[test]
-    fn bytes_like_frames_leave_it_answering_when_nobody_checks(
+    fn bytes_like_frames_leave_it_answering_without_checksums(
         noise in proptest::collection::vec(
             prop_oneof![4 => Just(0xAA), 4 => 0u8..4, 2 => 0x20u8..0x27, 1 => any::<u8>()],
             0..1_500,
@@ -430,7 +430,7 @@ proptest! {
     }
 }
 
-/// The time that a thread was given is what Unix tells.
+/// Measures the CPU time of a thread, which requires Unix.
 #[cfg(unix)]
 mod timed {
     use super::*;
@@ -438,15 +438,15 @@ mod timed {
     use proptest::test_runner::TestRunner;
     use rustix::time::{ClockId, clock_gettime};
 
-    /// The same list at every run. As many commands as the issue asks for take too long without optimization:
-    /// `docs/simulator.md` says how they are run.
+    /// Uses the same sequence on every run. The full number of commands takes too long without optimization;
+    /// `docs/simulator.md` describes how to run it.
     #[test]
     fn many_random_commands_keep_every_invariant_and_are_quick() {
         const COMMANDS: usize = if cfg!(debug_assertions) { 20_000 } else { 1_000_000 };
         const LIMIT_S: i64 = 60;
         let mut runner = TestRunner::deterministic();
         let lists = proptest::collection::vec(op(), 2_000);
-        // Of this thread alone: how busy the machine is must not count.
+        // Only this thread counts, so that other load on the machine has no effect.
         let cpu_s = || clock_gettime(ClockId::ThreadCPUTime).tv_sec;
         let start_s = cpu_s();
         let mut commands = 0;

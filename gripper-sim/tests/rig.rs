@@ -1,4 +1,4 @@
-//! Programs over the blocking driver, in virtual time.
+//! Client programs on the blocking driver, in virtual time.
 
 use std::convert::Infallible;
 use std::thread;
@@ -25,7 +25,7 @@ fn homed(config: Config) -> (VirtualRig, Driver) {
     homed_on(PortKind::Serial, config)
 }
 
-/// A program of a user.
+/// An example of a client program.
 fn two_grips() -> Result<(Grip, Grip, Time), Error<Infallible>> {
     let rig = VirtualRig::new(WITH_PART());
     let mut gripper = Gripper::new(rig.line(), rig.clock());
@@ -46,7 +46,7 @@ fn same_program_takes_the_same_virtual_time_each_time() {
     assert_eq!(two_grips(), Ok(first));
 }
 
-/// Takes the fastest of many runs and allows ten times as long as measured, so that a busy machine does not fail it.
+/// Takes the fastest of many runs and allows ten times the measured duration, so that a busy machine does not fail the test.
 #[test]
 fn homing_and_two_grips_take_milliseconds_of_real_time_at_most() {
     let fastest = (0..50).map(|_| {
@@ -124,7 +124,7 @@ fn cut_line_is_no_connection_until_it_is_restored() {
     assert_eq!(gripper.width(), Ok(Mm(110.0)));
 }
 
-/// Command set, 1.4.2.
+/// Command set, 1.4.2: an unannounced end is an error.
 #[test]
 fn tcp_connection_that_closes_unannounced_leaves_a_fast_stop() {
     let (rig, mut gripper) = homed_on(PortKind::Tcp, Config::default());

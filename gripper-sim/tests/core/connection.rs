@@ -1,4 +1,4 @@
-//! Connections: what clients in the field rely on, and what bad ones cannot do.
+//! Connections: behaviour that clients in the field rely on, and limits for misbehaving clients.
 
 use crate::common::{Rig, go_to, parse, texts};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, LoopData, Status, SystemFlags};
@@ -153,7 +153,7 @@ fn checksum_of_zero_is_taken_when_checking_is_off_and_answers_carry_a_right_one(
     bytes[checksum_at..].fill(0);
     rig.send_bytes(&bytes);
     let answer = rig.frames().remove(0);
-    assert_eq!(parse(&answer.frame).len(), 1, "the answer's checksum is right");
+    assert_eq!(parse(&answer.frame).len(), 1, "the answer has a correct checksum");
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn frames_without_a_checksum_are_recovered_from() {
     let mut rig = Rig::new(Config { check_checksum: false, ..Config::default() });
     let bytes = frame(Command::Stop);
     rig.send_bytes(&bytes[..bytes.len() - 2]);
-    assert!(rig.wait(600).is_empty(), "half a frame is none");
+    assert!(rig.wait(600).is_empty(), "an incomplete frame is discarded");
     assert_eq!(rig.status(Command::GetForceLimit), Status::Success);
 }
 
@@ -175,7 +175,7 @@ fn checksum_that_is_left_out_costs_the_next_frame_its_first_two_bytes() {
     };
     rig.send_bytes(&without(Command::Stop));
     rig.send_bytes(&without(Command::GetForceLimit));
-    assert_eq!(texts(&rig.wait(600)), ["22h Stop E_SUCCESS"], "the rest of the second one is none");
+    assert_eq!(texts(&rig.wait(600)), ["22h Stop E_SUCCESS"], "the rest of the second frame is discarded");
 }
 
 #[test]
@@ -196,7 +196,7 @@ fn half_frame_is_dropped_after_its_time() {
 #[test]
 fn frame_held_inside_a_false_one_is_obeyed_when_that_times_out() {
     let mut rig = Rig::new(Config::default());
-    // A false header that announces 512 bytes, then a frame.
+    // A false header that announces 512 bytes, followed by a frame.
     let mut bytes = vec![0xAA, 0xAA, 0xAA, 0x06, 0x00, 0x02];
     bytes.extend(frame(Command::FastStop));
     rig.send_bytes(&bytes);
@@ -221,7 +221,7 @@ fn client_that_does_not_read_loses_updates_first_and_others_notice_nothing() {
     rig.gripper.advance(rig.now);
     let counters = rig.gripper.counters(rig.port).unwrap();
     assert!(counters.updates_lost > 0);
-    // There is still room for answers.
+    // There is still room for an answer.
     let data = [7; 256];
     rig.send(Command::Loop { data: LoopData::new(&data).unwrap() });
     assert_eq!(rig.gripper.counters(rig.port).unwrap().replies_lost, 0);
@@ -231,7 +231,7 @@ fn client_that_does_not_read_loses_updates_first_and_others_notice_nothing() {
         frames.iter().filter(|sent| sent.id() == 0x45).count(),
         1 + 500 - counters.updates_lost as usize
     );
-    // Nor does a flood of requests grow anything: what finds no room is counted.
+    // A flood of requests does not grow any buffer; excess answers are counted.
     for _ in 0..1_000 {
         rig.send(Command::Loop { data: LoopData::new(&data).unwrap() });
     }
@@ -247,7 +247,7 @@ fn clients_are_bounded_and_places_are_used_again() {
     assert_eq!(gripper.connect(PortKind::Serial), None);
     gripper.disconnect(ports[3], Time::ZERO);
     let again = gripper.connect(PortKind::Serial).unwrap();
-    // What belonged to the client that is gone does not reach the new one.
+    // Answers for the disconnected client do not reach the new one.
     gripper.receive(ports[3], Time::ZERO, &frame(Command::Stop));
     assert!(!gripper.has_frame(again));
     let mut buffer = [0; MAX_FRAME_LEN];

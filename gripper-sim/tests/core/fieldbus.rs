@@ -1,5 +1,4 @@
-//! The rules of the fieldbus manual (chapters 4 to 6) at the virtual gripper, one by one, in virtual time: what a PLC
-//! writes over Modbus/TCP, and what it reads.
+//! The rules of the fieldbus manual (chapters 4 to 6), one by one in virtual time: writes and reads of a PLC over Modbus/TCP.
 
 use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{Command, GripperState, PrePositionFlags, SoftLimits, Status, SystemFlags};
@@ -8,11 +7,11 @@ use wsg_sim::{
     VirtualGripper,
 };
 
-/// Parameters inside the limits of a WSG 50.
+/// Parameters within the limits of a WSG 50.
 const PARAMETERS: OutputImage =
     OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
 
-/// A PLC at a gripper, and the time.
+/// A PLC connected to a gripper, with virtual time.
 struct Plc {
     gripper: VirtualGripper,
     port: PortId,
@@ -21,7 +20,7 @@ struct Plc {
 }
 
 impl Plc {
-    /// Just switched on; the PLC has written its parameters, all flags 0.
+    /// Powers up; the PLC has written its parameters with all flags 0.
     fn new(config: Config) -> Self {
         let mut gripper = VirtualGripper::new(config);
         let port = gripper.connect(PortKind::ModbusTcp).expect("a port is free");
@@ -30,7 +29,7 @@ impl Plc {
         plc
     }
 
-    /// Homed outward.
+    /// Homes in the outward direction.
     fn homed(part: Option<Part>) -> Self {
         Self::homed_with(Config { part, ..Config::default() })
     }
@@ -44,7 +43,7 @@ impl Plc {
         plc
     }
 
-    /// Homed, and with a bus time-out of 500 ms.
+    /// Homes with a bus time-out of 500 ms.
     fn watched(bus_reaction: SilenceReaction) -> Self {
         let mut plc = Self::new(Config { bus_timeout_ms: 500, bus_reaction, ..Config::default() });
         plc.raise(Flag::HOMING);
@@ -57,7 +56,7 @@ impl Plc {
         plc
     }
 
-    /// Holding a part of 20 mm.
+    /// Holds a part of 20 mm.
     fn holding() -> Self {
         let mut plc = Self::homed(Part::of_width(20.0));
         plc.raise(Flag::GRIP);
@@ -67,7 +66,7 @@ impl Plc {
         plc
     }
 
-    /// One request PDU from a client; its response PDU.
+    /// Sends a request PDU from a client and returns the response PDU.
     fn ask_from(&mut self, port: PortId, pdu: &[u8]) -> Vec<u8> {
         let header = [0x15, 0x01, 0, 0, 0, pdu.len() as u8 + 1, 0xFF];
         self.gripper.receive(port, self.now, &[&header, pdu].concat());
@@ -84,7 +83,7 @@ impl Plc {
         self.ask_from(self.port, pdu)
     }
 
-    /// Writes the whole output image.
+    /// Writes the entire output image.
     fn write(&mut self) {
         let answer = self.ask(&[&[16, 0, 0, 0, 4, 8][..], &self.image.to_bytes()].concat());
         assert_eq!(answer, [16, 0, 0, 0, 4]);
@@ -103,7 +102,7 @@ impl Plc {
         self.change(|image| image.flags &= !flags);
     }
 
-    /// Reads the whole input image.
+    /// Reads the entire input image.
     fn read(&mut self) -> InputImage {
         let answer = self.ask(&[4, 0, 0, 0, 6]);
         assert_eq!(answer[..2], [4, 12]);
@@ -158,7 +157,7 @@ fn homing_is_positioning_and_then_idle_and_referenced() {
     let input = plc.read();
     assert!(input.system.contains(SystemFlags::REFERENCED));
     assert_eq!(input.width, 110_00);
-    // D0 of SYSSTATE is the lowest bit of the image's byte 2, so one number of 32 bits shows it as 01000000h.
+    // D0 of SYSSTATE is the lowest bit of byte 2 of the image, so it reads as 01000000h in a number of 32 bits.
     let answer = plc.ask(&[4, 0, 1, 0, 2]);
     assert_eq!(answer[2] & 1, 1);
 }
@@ -229,7 +228,7 @@ fn of_two_edges_at_once_the_lower_bit_runs_alone() {
     plc.wait(3_000);
     assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
     assert_eq!(plc.read().width, 60_00);
-    assert_eq!(plc.gripper.state().statistics.total, 0, "no grip followed");
+    assert_eq!(plc.gripper.state().statistics.total, 0, "no grip was started");
 }
 
 #[test]
@@ -244,7 +243,7 @@ fn motion_is_ignored_while_stop_or_fast_stop_is_set() {
         }
         plc.raise(Flag::MOVE);
         plc.lower(flag);
-        // Its edge is lost.
+        // The edge is lost.
         plc.assert_stands();
     }
 }
@@ -278,7 +277,11 @@ fn parameter_outside_the_limits_with_a_motion_fast_stops_before_anything_moves()
         for motion in [Flag::MOVE, Flag::GRIP, Flag::RELEASE] {
             let mut plc = Plc::homed(None);
             plc.change(change);
-            assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty(), "not without a motion");
+            assert_eq!(
+                plc.flags() & SystemFlags::FAST_STOP,
+                SystemFlags::empty(),
+                "no FAST STOP without a motion"
+            );
             plc.raise(motion);
             plc.assert_fast_stopped();
             assert_eq!(plc.width(), 110.0);
@@ -299,7 +302,7 @@ fn fast_stop_of_the_plc_is_left_by_an_edge_of_stop_while_its_flag_is_0() {
     plc.assert_fast_stopped();
     assert_eq!(plc.shows().1, Status::Success);
     plc.assert_stands();
-    // Command 41h and the text protocol say 7, Error.
+    // Command 41h and the text protocol report 7, Error.
     assert_eq!(plc.gripper.state().gripper, GripperState::Error);
 
     plc.raise(Flag::STOP_ACK);
@@ -321,7 +324,7 @@ fn fast_stop_of_the_plc_is_left_by_an_edge_of_stop_while_its_flag_is_0() {
     assert_eq!(plc.read().width, 20_00);
 }
 
-/// Fieldbus, 6.6: FASTSTOP is a level.
+/// Fieldbus, 6.6: FASTSTOP is level-sensitive.
 #[test]
 fn faststop_that_is_1_outlasts_an_acknowledgement_by_a_third_party() {
     let mut plc = Plc::homed(None);
@@ -355,7 +358,7 @@ fn stop_ends_a_motion_and_leaves_no_error() {
     assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
     assert!(plc.flags().contains(SystemFlags::AXIS_STOPPED));
     plc.assert_stands();
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success), "the aborted motion does not show later");
+    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success), "the aborted motion does not appear later");
 }
 
 #[test]
@@ -364,12 +367,12 @@ fn stop_while_holding_ends_the_watch_over_the_part_and_the_force() {
     assert!(plc.gripper.state().force > 30.0);
     plc.raise(Flag::STOP_ACK);
     assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    // The fingers give way until nothing is pressed any more.
+    // The fingers yield until the part is no longer squeezed.
     plc.wait(100);
     assert_eq!(plc.read().force, 0);
     plc.gripper.set_part(None, plc.now);
     plc.wait(100);
-    assert_eq!(plc.shows().0, Shown::IDLE, "nobody watches any more");
+    assert_eq!(plc.shows().0, Shown::IDLE, "the part is no longer monitored");
 }
 
 #[test]
@@ -403,7 +406,7 @@ fn part_that_goes_while_it_is_held_is_lost_until_the_release() {
     let mut plc = Plc::holding();
     plc.gripper.set_part(None, plc.now);
     plc.wait(10);
-    assert_eq!(plc.shows(), (Shown::PART_LOST, Status::Success), "the status is that of the grip");
+    assert_eq!(plc.shows(), (Shown::PART_LOST, Status::Success), "the status of the grip");
     plc.change(|image| image.width = 60_00);
     plc.raise(Flag::RELEASE);
     assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
@@ -451,7 +454,7 @@ fn jog_flags_together_stop() {
     plc.assert_stands();
     plc.lower(Flag::JOG_PLUS);
     plc.wait(200);
-    assert_eq!(plc.gripper.state().speed, -100.0, "one alone goes on");
+    assert_eq!(plc.gripper.state().speed, -100.0, "a single flag keeps jogging");
 }
 
 #[test]
@@ -467,7 +470,7 @@ fn jog_follows_the_dial_without_a_fast_stop() {
     assert_eq!((plc.gripper.state().speed, plc.gripper.state().force_limit), (-30.0, 10.0));
     plc.change(|image| image.speed = 0);
     plc.wait(100);
-    assert_eq!(plc.gripper.state().speed, -5.0, "0 is the least speed");
+    assert_eq!(plc.gripper.state().speed, -5.0, "0 selects the minimum speed");
     assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
 }
 
@@ -510,7 +513,7 @@ fn jog_ends_idle_at_the_end_of_the_stroke() {
 
 #[test]
 fn move_at_the_virtual_gripper_begins_only_when_gstate_is_idle() {
-    // No part was found; one is lost; a motion has failed.
+    // No part found, part lost, and failed motion.
     let mut no_part = Plc::homed(None);
     no_part.raise(Flag::GRIP);
     no_part.wait(3_000);
@@ -545,11 +548,15 @@ fn jog_that_meets_a_block_ends_idle_and_its_status_says_why() {
     plc.raise(Flag::JOG_MINUS);
     plc.wait(3_000);
     assert_eq!(plc.shows(), (Shown::IDLE, Status::AxisBlocked));
-    assert_eq!(plc.gripper.state().gripper, GripperState::Error, "command 41h has the command set's");
+    assert_eq!(
+        plc.gripper.state().gripper,
+        GripperState::Error,
+        "command 41h reports the state of the command set"
+    );
     plc.wait(1_000);
     assert_eq!(plc.shows(), (Shown::IDLE, Status::AxisBlocked), "until the next command");
     plc.lower(Flag::JOG_MINUS);
-    // An error of a motion behind it shows as ever.
+    // An error of a later motion appears as usual.
     plc.change(|image| image.width = 80_00);
     plc.raise(Flag::MOVE);
     plc.gripper.set_fault(Fault::AxisBlocked, true, plc.now);
@@ -568,7 +575,7 @@ fn jog_ends_when_the_connection_that_wrote_last_is_gone() {
     plc.assert_stands();
     assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
     assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty());
-    // The level alone does not start it again.
+    // The level alone does not restart it.
     plc.write();
     plc.assert_stands();
     plc.lower(Flag::JOG_MINUS);
@@ -599,7 +606,7 @@ fn motion_goes_on_when_the_last_master_is_gone() {
     plc.port = plc.gripper.connect(PortKind::ModbusTcp).unwrap();
     assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
     assert_eq!(plc.read().width, 20_00);
-    // The image stays, so the same flag is no edge.
+    // The image is kept, so the same flag is not an edge.
     plc.change(|image| image.width = 80_00);
     plc.assert_stands();
 }
@@ -611,15 +618,15 @@ fn silent_master_ends_a_jog_whatever_the_reaction_is_and_nothing_begins_when_it_
         plc.change(|image| image.speed = 10_00);
         plc.raise(Flag::JOG_MINUS);
         plc.wait(400);
-        // Reading is life, too.
+        // A read also restarts the time-out.
         plc.read();
-        // The gripper wakes by itself.
+        // The time-out wakes the gripper.
         assert!(plc.gripper.next_wake().is_some());
         plc.wait(499);
         assert!(plc.gripper.state().speed < 0.0, "{reaction:?}: not yet");
         plc.wait(1);
         assert_eq!(plc.gripper.state().speed, 0.0, "{reaction:?}");
-        // Jog and motion of what is written next count after they were 0.
+        // Jog and motion flags of the next write take effect only after they have been 0.
         plc.write();
         plc.assert_stands();
         plc.change(|image| image.flags = Flag::GRIP);
@@ -627,7 +634,7 @@ fn silent_master_ends_a_jog_whatever_the_reaction_is_and_nothing_begins_when_it_
         plc.change(|image| image.flags = Flag::empty());
         plc.raise(Flag::GRIP);
         plc.wait(100);
-        assert!(plc.gripper.state().speed < 0.0, "{reaction:?}: an edge does");
+        assert!(plc.gripper.state().speed < 0.0, "{reaction:?}: an edge starts the jog");
     }
 }
 
@@ -646,7 +653,7 @@ fn silent_master_holds_stops_or_fast_stops_a_motion_as_set() {
         plc.wait(1);
         assert_eq!(plc.gripper.state().speed < 0.0, moves, "{reaction:?}");
         assert_eq!(plc.flags().contains(SystemFlags::FAST_STOP), is_fast_stopped, "{reaction:?}");
-        // It is done once: who reads and writes nothing is not missed again.
+        // It happens only once: a silent client does not time out again.
         plc.wait(5_000);
         assert_eq!(plc.flags().contains(SystemFlags::FAST_STOP), is_fast_stopped, "{reaction:?}");
     }
@@ -751,7 +758,7 @@ fn swapped_bytes_are_those_of_the_numbers_alone() {
     plc.wait(4_000);
     plc.lower(Flag::HOMING);
     assert_eq!(plc.ask(&[4, 0, 3, 0, 1]), [4, 2, 0xF8, 0x2A]);
-    // 50.00 mm at 100.00 mm/s with 40.00 N; CMDFLAGS stays where it is.
+    // 50.00 mm at 100.00 mm/s with 40.00 N; CMDFLAGS is not swapped.
     assert_eq!(plc.ask(&[16, 0, 0, 0, 4, 8, 0x01, 0, 0x88, 0x13, 0x10, 0x27, 0xA0, 0x0F]), [16, 0, 0, 0, 4]);
     plc.wait(2_000);
     assert_eq!(plc.width(), 50.0);
@@ -768,7 +775,7 @@ fn coils_and_registers_are_two_views_of_one_image() {
     assert_eq!(plc.ask(&[2, 0, 0, 0, 8]), [2, 1, 1 << 6]);
     plc.wait(50);
     assert_eq!(plc.ask(&[2, 0, 16, 0, 2]), [2, 1, 0b11]);
-    // FC 22 takes the flag back and leaves the rest: no parameter changes, so nothing stops.
+    // FC 22 clears the flag and leaves the rest. No parameter changes, so nothing stops.
     assert_eq!(plc.ask(&[22, 0, 0, 0, 0xFF, 0, 0]), [22, 0, 0, 0, 0xFF, 0, 0]);
     assert_eq!(plc.shows().0, Shown::POSITIONING);
     // FC 23 writes before it reads: IF6.
@@ -783,7 +790,7 @@ fn clients_share_one_output_image_and_see_one_state() {
     let other = plc.gripper.connect(PortKind::ModbusTcp).unwrap();
     plc.raise(Flag::MOVE);
     assert_eq!(plc.ask_from(other, &[3, 0, 0, 0, 2]), [3, 4, 1, 0, 0x07, 0xD0]);
-    // The other one stops what the first began.
+    // The other client stops the motion of the first.
     plc.wait(100);
     assert_eq!(plc.ask_from(other, &[5, 0, 4, 0xFF, 0]), [5, 0, 4, 0xFF, 0]);
     assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
@@ -792,7 +799,7 @@ fn clients_share_one_output_image_and_see_one_state() {
 
 #[test]
 fn many_identifications_at_once_are_all_answered() {
-    // The longest answers for the shortest request, as many as a server reads at a time.
+    // The longest answer to the shortest request, as many as a server reads at once.
     let mut plc = Plc::new(Config::default());
     let request = [0, 1, 0, 0, 0, 5, 1, 0x2B, 0x0E, 1, 0];
     let count = 256 / request.len() + 1;
@@ -806,7 +813,7 @@ fn many_identifications_at_once_are_all_answered() {
 #[test]
 fn stream_without_a_way_to_its_next_frame_is_over() {
     let mut plc = Plc::homed(None);
-    // A frame of another protocol is left out; after a length of 0 nothing is taken, not even a MOVE.
+    // A frame of another protocol is skipped. After a length of 0 nothing is accepted, not even a MOVE.
     let foreign = [0, 1, 0, 9, 0, 6, 1, 5, 0, 0, 0xFF, 0];
     let read = [0, 2, 0, 0, 0, 6, 1, 3, 0, 0, 0, 1];
     let none = [0, 3, 0, 0, 0, 0];

@@ -1,10 +1,10 @@
-//! The text protocol at the virtual gripper, in virtual time: what each line does and what is answered.
+//! The text protocol at the virtual gripper in virtual time: effect and answers of each request.
 
 use crate::common::Rig;
 use wsg_protocol::{Command, GripperState, SystemFlags};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
-/// A gripper, a client that speaks GCL, and the time.
+/// A gripper with a GCL client and virtual time.
 struct Desk {
     gripper: VirtualGripper,
     port: PortId,
@@ -18,7 +18,7 @@ impl Desk {
         Self { gripper, port, now: Time::ZERO }
     }
 
-    /// Referenced, fingers wide open.
+    /// Returns a referenced gripper with the fingers wide open.
     fn homed(part: Option<Part>) -> Self {
         let mut desk = Self::new(Config { part, ..Config::default() });
         assert_eq!(desk.ask("HOME(1)"), ["ACK HOME"]);
@@ -26,7 +26,7 @@ impl Desk {
         desk
     }
 
-    /// Sends a line; what is answered at once.
+    /// Sends a line and returns the immediate answers.
     fn ask(&mut self, line: &str) -> Vec<String> {
         self.gripper.receive(self.port, self.now, format!("{line}\n").as_bytes());
         self.lines()
@@ -48,7 +48,7 @@ impl Desk {
         lines
     }
 
-    /// Lets time pass; what is sent meanwhile.
+    /// Advances time and returns the lines sent meanwhile.
     fn wait(&mut self, millis: u64) -> Vec<String> {
         let mut lines = vec![];
         for _ in 0..millis {
@@ -59,7 +59,7 @@ impl Desk {
         lines
     }
 
-    /// Sends a motion and waits for its end; its last line.
+    /// Starts a motion, waits for its end and returns its last line.
     fn run(&mut self, line: &str) -> String {
         let mut lines = self.ask(line);
         lines.extend(self.wait(10_000));
@@ -379,7 +379,7 @@ fn verbose_mode_adds_a_text_on_this_connection() {
 }
 
 #[test]
-fn what_is_not_gcl_is_answered_and_what_is_too_long_as_well() {
+fn invalid_and_overlong_lines_are_answered() {
     let mut desk = Desk::new(Config::default());
     assert_eq!(desk.ask("%&!"), ["ERR ? 15"]);
     assert_eq!(desk.ask(""), Vec::<String>::new());
@@ -404,7 +404,7 @@ fn autosend_sends_at_its_interval_and_ends_with_0() {
     assert_eq!(desk.one("AUTOSEND(\"POS\",50)"), "ACK AUTOSEND");
     assert_eq!(desk.wait(200), vec!["@POS=110.0"; 4]);
     assert_eq!(desk.one("AUTOSEND(\"POS\",1)"), "ACK AUTOSEND");
-    assert_eq!(desk.wait(50).len(), 5, "10 ms at least");
+    assert_eq!(desk.wait(50).len(), 5, "the interval is at least 10 ms");
     assert_eq!(desk.one("AUTOSEND(\"POS\",0)"), "ACK AUTOSEND");
     assert_eq!(desk.wait(200), Vec::<String>::new());
 }
@@ -479,21 +479,21 @@ fn binary_and_text_clients_see_the_same_gripper() {
         let line = rig.gripper.transmit(port, &mut buffer).expect("an answer");
         str::from_utf8(line).unwrap().trim_end().to_owned()
     };
-    // What the binary client does the text client sees.
+    // The text client sees the actions of the binary client.
     rig.run(Command::PrePosition {
         flags: wsg_protocol::PrePositionFlags::empty(),
         width: 60.0,
         speed: 100.0,
     });
     assert_eq!(line(&mut rig, "POS?"), "POS=60.0");
-    // And the other way round.
+    // And vice versa.
     assert_eq!(line(&mut rig, "GRIP(40,20)"), "ACK GRIP");
     rig.wait(3_000);
     let state = rig.gripper.state();
     assert_eq!((state.gripper, state.force), (GripperState::Holding, 40.0));
     let frame = rig.ask(Command::GetForce { update: wsg_protocol::AutoUpdate::once() });
     assert_eq!(frame.f32(), 40.0);
-    assert_eq!(frame.at, rig.now, "no answer to GRIP goes to the binary client");
+    assert_eq!(frame.at, rig.now, "the binary client gets no answer to GRIP");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Both sides of the text protocol: the controller's session of `wsg-protocol` at the virtual gripper, in virtual time.
+//! Both sides of the text protocol: the controller's session of `wsg-protocol` with the virtual gripper, in virtual time.
 
 use wsg_protocol::gcl::session::{Config as SessionConfig, Event, Session};
 use wsg_protocol::gcl::{CommandName, Grip, LineReader, MAX_LINE_LEN, Move, Release, Request};

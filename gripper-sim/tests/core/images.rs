@@ -1,4 +1,4 @@
-//! A bus that brings whole images, such as PROFINET, in virtual time: who writes, and what happens when they leave.
+//! A bus with complete images, such as PROFINET, in virtual time: which master is active, and what happens when it leaves.
 
 use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, OutputImage};
 use wsg_protocol::{Command, HomingDirection, Status, SystemFlags};
@@ -86,13 +86,13 @@ fn master_that_falls_silent_ends_its_motion_as_it_is_configured() {
         bus.wait(10);
         let flags = bus.gripper.state().flags;
         assert_eq!((bus.is_moving(), flags.contains(SystemFlags::FAST_STOP)), (goes_on, stops_fast));
-        // Told again, it is the same.
+        // A second report changes nothing.
         bus.gripper.end_images(bus.port, bus.now);
         assert_eq!(bus.is_moving(), goes_on);
     }
 }
 
-/// The control server shows them (`/state`).
+/// The control server shows the outputs (`/state`).
 #[test]
 fn outputs_are_zeros_after_their_master_has_left_and_those_of_another_stay() {
     for is_cut in [false, true] {
@@ -130,14 +130,14 @@ fn silence_of_a_master_that_does_not_command_changes_nothing() {
     bus.wait(100);
     bus.gripper.end_images(other, bus.now);
     assert!(bus.is_moving());
-    // Gone, it writes nothing.
+    // After its disconnect it is not the active master.
     bus.gripper.disconnect(other, bus.now);
     bus.gripper.write_image(other, bus.now, &OutputImage { flags: Flag::FASTSTOP, ..PARAMETERS }, false);
     bus.wait(10);
     assert!(bus.is_moving());
 }
 
-/// Fieldbus manual, 5.1.1. A script that ended can answer for none of its flags.
+/// Fieldbus manual, 5.1.1. The flags of an ended script are reset.
 #[test]
 fn user_flags_cross_the_images_both_ways_and_end_with_the_script() {
     let mut bus = Bus::homed(Config::default());
@@ -153,7 +153,7 @@ fn user_flags_cross_the_images_both_ways_and_end_with_the_script() {
     }
 }
 
-/// Writes the image by Modbus/TCP.
+/// Writes the image over Modbus/TCP.
 fn modbus_writes(bus: &mut Bus, modbus: PortId, flags: Flag) {
     let image = OutputImage { flags, ..PARAMETERS };
     let pdu = [&[16, 0, 0, 0, 4, 8][..], &image.to_bytes()].concat();
@@ -172,14 +172,14 @@ fn cyclic_image_that_does_not_change_is_no_edge_after_another_master_wrote() {
     modbus_writes(&mut bus, modbus, Flag::empty());
     bus.write(Flag::MOVE, false);
     bus.wait(100);
-    assert!(!bus.is_moving(), "the master holds MOVE since its motion");
+    assert!(!bus.is_moving(), "the master has held MOVE since its motion");
     bus.write(Flag::empty(), false);
     bus.write(Flag::MOVE, false);
     bus.wait(100);
     assert!(bus.is_moving());
 }
 
-/// A Modbus master that wrote once and left is missed, but commands no more.
+/// A silent Modbus master times out, but it is no longer the active master.
 #[test]
 fn silence_of_a_modbus_master_leaves_the_motion_of_a_cyclic_one_alone() {
     let config = Config { bus_timeout_ms: 50, ..Config::default() };
@@ -191,7 +191,7 @@ fn silence_of_a_modbus_master_leaves_the_motion_of_a_cyclic_one_alone() {
     assert!(bus.is_moving());
     bus.gripper.end_images(bus.port, bus.now);
     assert_eq!(bus.gripper.fieldbus_images().0, OutputImage::ZERO);
-    assert!(!bus.is_moving(), "the end of the one that commands counts");
+    assert!(!bus.is_moving(), "the active master ends its motion");
 }
 
 #[test]

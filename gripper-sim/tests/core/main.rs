@@ -1,4 +1,4 @@
-//! The virtual gripper without a server: bytes in, bytes out, in virtual time.
+//! The virtual gripper without a server: bytes in and out, in virtual time.
 
 #[path = "../common/mod.rs"]
 mod common;

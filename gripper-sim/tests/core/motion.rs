@@ -1,4 +1,4 @@
-//! Motion commands: what moves, how it ends, what is refused (command set, 3.2 and appendix C).
+//! Motion commands: movement, outcome and refusals (command set, 3.2 and appendix C).
 
 use crate::common::{Rig, Sent, go_by, go_to, go_to_or_stop, grip, release, texts};
 use wsg_protocol::{
@@ -12,7 +12,7 @@ fn homing_takes_under_four_seconds_on_every_model_and_in_both_directions() {
         for (direction, reference) in
             [(HomingDirection::Positive, model.parameters().limits.stroke), (HomingDirection::Negative, 0.0)]
         {
-            // From the far end.
+            // The opposite end.
             let mut rig = Rig::homed_with(Config { model, ..Config::default() });
             if direction == HomingDirection::Positive {
                 assert_eq!(rig.run(go_to(0.0)), Status::Success);
@@ -42,7 +42,7 @@ fn homing_against_a_part_takes_it_for_the_end_stop() {
     assert_eq!(rig.run(Command::Homing { direction: HomingDirection::Negative }), Status::Success);
     let state = rig.gripper.state();
     assert!(state.reported_width.abs() < 1e-3 && (state.width - 19.95).abs() < 1e-3, "{state:?}");
-    // What it takes for 110 mm lies beyond the real end stop.
+    // The gripper counts 110 mm at a position beyond the real end stop.
     assert_eq!(rig.run(go_to(110.0)), Status::RangeError);
     assert_eq!(rig.width(), 110.0);
 }
@@ -65,7 +65,7 @@ fn motions_other_than_homing_need_a_reference() {
     for command in [go_to(20.0), go_by(1.0), grip(20.0), release(50.0)] {
         assert_eq!(rig.status(command), Status::NotInitialized, "{command}");
     }
-    // An aborted homing leaves none.
+    // An aborted homing does not set a reference.
     assert_eq!(rig.status(Command::Homing { direction: HomingDirection::Positive }), Status::CmdPending);
     rig.wait(100);
     rig.send(Command::Stop);
@@ -167,7 +167,7 @@ fn clamp_on_block_pushes_with_half_the_nominal_force_and_snaps_to_the_target() {
     rig.set_part(None);
     rig.wait(1);
     assert!(rig.flags().contains(SystemFlags::MOVING));
-    assert_eq!(texts(&rig.wait(500)), Vec::<String>::new(), "the command was answered long ago");
+    assert_eq!(texts(&rig.wait(500)), Vec::<String>::new(), "the command has already been answered");
     assert_eq!((rig.width(), rig.force()), (10.0, 0.0));
 }
 
@@ -213,7 +213,7 @@ fn grip_on_a_part_too_soft_for_the_force_finds_no_part() {
 
 #[test]
 fn clamping_travel_counts_from_where_a_part_is_met_before_the_nominal_width() {
-    // 40 N at 10 N/mm need 4 mm: enough from 23 mm on, though it ends 1 mm before the nominal width.
+    // 40 N at 10 N/mm need 4 mm. That suffices from 23 mm on, although it ends 1 mm before the nominal width.
     let mut rig = Rig::homed(Part::new(23.0, 10.0));
     assert_eq!(rig.run(grip(20.0)), Status::Success);
     // 40 N at 7 N/mm need 5.7 mm.
@@ -290,7 +290,7 @@ fn grip_again_is_allowed_in_the_same_direction_only() {
     assert_eq!(rig.status(grip(60.0)), Status::RangeError);
     assert_eq!(rig.state(), GripperState::NoPart);
     assert_eq!(rig.run(grip(20.0)), Status::Success);
-    // Once more on the part that is held.
+    // A second grip on the held part.
     rig.status(Command::SetForceLimit { force: 80.0 });
     assert_eq!(rig.run(grip(20.0)), Status::Success);
     assert_eq!(rig.force(), 80.0);
@@ -309,7 +309,7 @@ fn grip_outward_moves_outward() {
 }
 
 #[test]
-fn second_motion_while_moving_is_refused_and_the_first_goes_on() {
+fn second_motion_while_moving_is_refused_and_the_first_continues() {
     let mut rig = Rig::homed(None);
     assert_eq!(rig.status(go_to(30.0)), Status::CmdPending);
     rig.wait(100);
@@ -352,14 +352,14 @@ fn grip_at_0_holds_any_part_with_a_clamping_travel_as_long_as_the_stroke() {
             assert_eq!(rig.state(), state);
         }
     }
-    // Nothing between the fingers is no part all the same.
+    // Closing on nothing still finds no part.
     let mut rig = Rig::homed_with(Config { clamping_travel: 500.0, ..Config::default() });
     assert_eq!(rig.run(grip(0.0)), Status::CmdFailed);
     assert_eq!(rig.state(), GripperState::NoPart);
 }
 
 #[test]
-fn part_width_tolerance_decides_what_is_the_wrong_part() {
+fn part_width_tolerance_decides_which_part_is_wrong() {
     for (part_width_tolerance, result) in [(5.0, Status::CmdFailed), (10.0, Status::Success)] {
         let part = Part::of_width(28.0);
         let mut rig = Rig::homed_with(Config { part_width_tolerance, part, ..Config::default() });
@@ -414,7 +414,7 @@ fn stop_while_holding_releases_force() {
     assert_eq!(rig.state(), GripperState::Idle);
     rig.wait(10);
     assert_eq!((rig.force(), rig.width()), (0.0, 20.0));
-    // The part is not watched any more.
+    // The part is no longer monitored.
     rig.set_part(None);
     rig.wait(100);
     assert_eq!(rig.state(), GripperState::Idle);
@@ -437,7 +437,7 @@ fn fast_stop_latches_until_acknowledged() {
     for command in motions {
         assert_eq!(rig.status(command), Status::AccessDenied, "{command}");
     }
-    // Stop does not end it.
+    // Stop does not clear it.
     assert_eq!(rig.status(Command::Stop), Status::Success);
     assert_eq!((rig.state(), rig.status(go_to(50.0))), (GripperState::Error, Status::AccessDenied));
     assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
@@ -568,7 +568,7 @@ fn statistics_count_grips_and_what_became_of_them_and_reset_after_reading() {
     );
 }
 
-/// The forces while time passes, one a millisecond.
+/// Returns the force in each millisecond while time passes.
 fn forces(rig: &mut Rig, millis: u64) -> Vec<f32> {
     (0..millis)
         .map(|_| {
@@ -587,14 +587,14 @@ fn release_raises_its_force_step_by_step_to_the_nominal_force_whatever_the_limit
     rig.status(Command::SetForceLimit { force: 10.0 });
     assert_eq!(rig.run(grip(20.0)), Status::Success);
     assert_eq!(rig.force(), 10.0);
-    // What keeps the fingers from opening shows the force with which they try.
+    // A jam that blocks the release shows the applied force.
     rig.set_fault(Fault::AxisBlocked, true);
     assert_eq!(rig.status(release(50.0)), Status::CmdPending);
     let forces = forces(&mut rig, 100);
     assert!(forces[0] < 15.0, "{forces:?}");
     assert!(forces.windows(2).all(|pair| (0.0..5.0).contains(&(pair[1] - pair[0]))), "{forces:?}");
     assert_eq!(forces[99], 80.0);
-    assert_eq!(rig.ask(Command::GetForceLimit).f32(), 10.0, "the limit that is set stays");
+    assert_eq!(rig.ask(Command::GetForceLimit).f32(), 10.0, "the configured limit is unchanged");
     rig.set_fault(Fault::AxisBlocked, false);
     assert_eq!(rig.next().status(), Status::Success);
     assert_eq!((rig.width(), rig.force()), (50.0, 0.0));
@@ -637,10 +637,10 @@ fn blocked_stays_set_until_the_block_is_resolved_or_a_stop_is_issued() {
     assert!(blocked(&rig));
     // Another motion in the same direction does not resolve it.
     assert_eq!(rig.status(go_to(5.0)), Status::CmdPending);
-    assert!(blocked(&rig) && !moving(&rig), "fingers that stand on a part do not move");
+    assert!(blocked(&rig) && !moving(&rig), "fingers blocked by a part do not move");
     assert_eq!(rig.next().status(), Status::AxisBlocked);
     assert!(blocked(&rig));
-    // Fingers that move away do.
+    // Moving away does.
     assert_eq!(rig.status(go_to(40.0)), Status::CmdPending);
     rig.wait(20);
     assert!(!blocked(&rig) && moving(&rig));
@@ -650,7 +650,7 @@ fn blocked_stays_set_until_the_block_is_resolved_or_a_stop_is_issued() {
     assert!(blocked(&rig));
     rig.set_part(None);
     assert!(!blocked(&rig));
-    // A stop resets the flag though the part is still there.
+    // A stop resets the flag even though the part is still there.
     rig.wait(500);
     rig.run(go_to(40.0));
     rig.set_part(Some(20.0));
@@ -675,7 +675,7 @@ fn fingers_that_snap_to_their_target_set_target_pos_reached() {
     assert!(!reached(&rig));
     rig.set_part(None);
     rig.wait(20);
-    assert!(!reached(&rig), "still under way");
+    assert!(!reached(&rig), "still moving");
     rig.wait(500);
     assert!(reached(&rig) && rig.width() == 10.0);
     assert_eq!(rig.state(), GripperState::Error, "until the next command (3.4.2)");
@@ -694,7 +694,7 @@ fn pre_position_does_not_release_a_part_that_is_held() {
         assert_eq!((rig.state(), rig.force()), (GripperState::Holding, 40.0));
     }
     assert_eq!(hand(&mut rig), Status::AlreadyRunning);
-    // It is watched on.
+    // The part is still monitored.
     rig.set_part(None);
     assert_eq!(rig.state(), GripperState::PartLost);
     assert_eq!(rig.gripper.state().statistics.part_lost, 1);
@@ -712,7 +712,7 @@ fn release_and_stop_lead_out_of_holding_to_a_pre_position() {
             assert_eq!(rig.next().status(), Status::Success);
         }
         assert_eq!(rig.run(go_to(100.0)), Status::Success, "{way_out}");
-        assert_eq!(rig.gripper.state().statistics.part_lost, 0, "it was let go, not lost");
+        assert_eq!(rig.gripper.state().statistics.part_lost, 0, "the part was released, not lost");
     }
 }
 
@@ -724,14 +724,14 @@ fn automatic_homing_references_the_gripper_in_its_default_direction_without_a_co
         assert_eq!(rig.state(), GripperState::Positioning);
         assert!(rig.flags().contains(SystemFlags::MOVING));
         assert_eq!(rig.status(go_to(50.0)), Status::AlreadyRunning);
-        assert_eq!(rig.wait(4_000), [], "no client asked for it");
+        assert_eq!(rig.wait(4_000), [], "no client requested it");
         assert!(rig.flags().contains(SystemFlags::REFERENCED));
         assert_eq!((rig.width(), rig.state()), (reference, GripperState::Idle));
         assert_eq!(rig.run(go_to(50.0)), Status::Success);
     }
     let mut rig = Rig::new(Config::default());
     rig.wait(4_000);
-    assert_eq!((rig.width(), rig.flags()), (55.0, SystemFlags::empty()), "as delivered it stays where it is");
+    assert_eq!((rig.width(), rig.flags()), (55.0, SystemFlags::empty()), "the default is no motion");
 }
 
 /// Command set, 3.3.5: "soft limits that are loaded by default on power-up".
@@ -747,7 +747,7 @@ fn soft_limits_of_the_configuration_hold_from_power_up_and_yield_to_commands() {
     assert_eq!(rig.status(Command::ClearSoftLimits), Status::Success);
     assert_eq!(rig.status(Command::GetSoftLimits), Status::NotAvailable);
     assert_eq!(rig.run(go_to(10.0)), Status::Success);
-    // None where minus is above plus.
+    // Limits with minus above plus are ignored.
     let limits = SoftLimits { minus: 80.0, plus: 20.0 };
     let mut rig = Rig::new(Config { soft_limits: Some(limits), ..Config::default() });
     assert_eq!(rig.status(Command::GetSoftLimits), Status::NotAvailable);

@@ -1,4 +1,4 @@
-//! A PROFIBUS master at the virtual gripper, telegram by telegram, in virtual time.
+//! A PROFIBUS master with the virtual gripper, telegram by telegram in virtual time.
 
 use wsg_fieldbus::{
     CommandFlags as Flag, Diagnosis, GripperFlags as Shown, InputImage, OutputImage, SilenceReaction,
@@ -10,16 +10,16 @@ const STATION: u8 = 7;
 const MASTER: u8 = 2;
 const SC: [u8; 1] = [0xE5];
 const NOTHING: [u8; 0] = [];
-/// The watchdog that the master asks for.
+/// The watchdog time that the master configures.
 const WATCHDOG_MS: u64 = 200;
 
 const PARAMETERS: OutputImage =
     OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
 
-/// What a master does to leave.
+/// How a master leaves.
 type Leave = fn(&mut Master);
 
-/// A master at a gripper, and the time.
+/// A master connected to a gripper, with virtual time.
 struct Master {
     gripper: VirtualGripper,
     port: PortId,
@@ -38,14 +38,14 @@ fn sd2(body: &[u8]) -> Vec<u8> {
 }
 
 impl Master {
-    /// The gripper is just switched on.
+    /// Powers up the gripper.
     fn new(config: Config) -> Self {
         let mut gripper = VirtualGripper::new(config);
         let port = gripper.connect(PortKind::Profibus).expect("a port is free");
         Self { gripper, port, image: PARAMETERS, fcb: false, now: Time::ZERO }
     }
 
-    /// In data exchange; the PLC has written its parameters, all flags 0.
+    /// Starts data exchange; the PLC has written its parameters with all flags 0.
     fn exchanging(config: Config) -> Self {
         let mut master = Self::new(config);
         master.start();
@@ -71,7 +71,7 @@ impl Master {
         assert_eq!(self.service(62, &[0xA7, 0x9B]), SC);
     }
 
-    /// The answer to bytes; empty if there is none.
+    /// Sends bytes and returns the answer; empty if there is none.
     fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
         self.gripper.receive(self.port, self.now, bytes);
         let mut buffer = [0; MAX_FRAME_LEN];
@@ -80,7 +80,7 @@ impl Master {
         answer.unwrap_or_default()
     }
 
-    /// The function code of a new request.
+    /// Returns the function code of a new request.
     fn next(&mut self) -> u8 {
         self.fcb = !self.fcb;
         if self.fcb { 0x7D } else { 0x5D }
@@ -91,7 +91,7 @@ impl Master {
         self.send(&sd2(&[&head[..], data].concat()))
     }
 
-    /// Data_Exchange as SD3; the answer's function code and the inputs.
+    /// Exchanges data with SD3 and returns the function code of the answer and the inputs.
     fn exchange(&mut self) -> (u8, InputImage) {
         let body = [&[STATION, MASTER, self.next()][..], &self.image.to_bytes()].concat();
         let answer = self.send(&[&[0xA2], &body[..], &[sum(&body), 0x16]].concat());
@@ -104,13 +104,13 @@ impl Master {
         self.exchange();
     }
 
-    /// What a further exchange of the same image shows.
+    /// Exchanges the same image again and returns the shown state.
     fn shows(&mut self) -> (Shown, Status) {
         let (_, input) = self.exchange();
         (input.state, input.status)
     }
 
-    /// Exchanges all the time, as a bus does.
+    /// Exchanges data continuously, as a bus does.
     fn wait(&mut self, millis: u64) {
         let end = self.now.plus_millis(millis);
         while self.now < end {
@@ -145,14 +145,14 @@ fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
     master.set(Flag::JOG_MINUS);
     master.wait(50);
     assert!(master.gripper.state().speed < 0.0);
-    // The gripper wakes by itself when the watchdog expires.
+    // The expiry of the watchdog wakes the gripper.
     assert!(master.gripper.next_wake().is_some_and(|at| at <= master.now.plus_millis(WATCHDOG_MS + 1)));
     master.fall_silent(WATCHDOG_MS - 5);
     assert!(master.gripper.state().speed < 0.0, "not yet");
     master.fall_silent(10);
     assert_eq!(master.gripper.state().speed, 0.0);
 
-    // Another image is its first: a flag that is set there rises from nothing.
+    // The next image is the first one again: a flag set in it is not an edge.
     master.image = PARAMETERS;
     let width = master.gripper.state().width;
     master.start();
@@ -162,14 +162,14 @@ fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
     master.set(Flag::empty());
     master.set(Flag::GRIP);
     master.wait(100);
-    assert!(master.gripper.state().width < width, "an edge does");
+    assert!(master.gripper.state().width < width, "an edge starts the motion");
 }
 
 #[test]
 fn master_that_leaves_ends_its_motion_as_it_is_configured_and_a_jog_in_any_case() {
     let falls_silent = |master: &mut Master| master.fall_silent(WATCHDOG_MS + 5);
     let clears = |master: &mut Master| {
-        // Global_Control to all: Clear_Data.
+        // Global_Control to all stations: Clear_Data.
         let _ = master.send(&sd2(&[0xFF, MASTER | 0x80, 0x46, 58, 62, 0x02, 0]));
     };
     let is_cut = |master: &mut Master| master.gripper.disconnect(master.port, master.now);
@@ -212,7 +212,7 @@ fn fault_is_announced_and_its_diagnosis_read_once() {
 }
 
 #[test]
-fn telegram_in_pieces_is_one_and_half_a_telegram_is_none() {
+fn telegram_in_pieces_is_accepted_and_an_incomplete_one_discarded() {
     let mut master = Master::exchanging(Config::default());
     let status = [0x10, STATION, MASTER, 0x49, 0x52, 0x16];
     let answer = [0x10, MASTER, STATION, 0x00, 0x09, 0x16];

@@ -1,4 +1,4 @@
-//! What scripts share with the gripper: claimed commands, and motions of the script, in virtual time.
+//! The interface between scripts and the gripper in virtual time: claimed commands and script motions.
 
 use crate::common::{Rig, go_to, grip, release};
 use wsg_protocol::{Command, FrameEncoder, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
@@ -52,7 +52,7 @@ fn commands_that_find_no_room_are_answered_and_a_script_that_ended_leaves_none()
             break answer;
         }
         waiting += 1;
-        assert!(waiting < 1_000, "there is a bound");
+        assert!(waiting < 1_000, "the queue must be bounded");
     };
     assert_eq!(refused.frame[6], 10, "E_INSUFFICIENT_RESOURCES");
     assert!(rig.flags().contains(SystemFlags::SCRIPT_RUNNING | SystemFlags::CMD_FAILURE));
@@ -76,7 +76,7 @@ fn velocity_mode_runs_at_its_speed_until_it_is_told_another() {
     assert_eq!(run(&mut rig, -50.0), Status::CmdPending);
     rig.wait(200);
     assert_eq!(rig.gripper.state().speed, -50.0);
-    // Said again and again, as a control loop does, it does not falter.
+    // Repeating the same speed, as a control loop does, does not disturb the motion.
     let before = rig.width();
     for _ in 0..100 {
         run(&mut rig, -50.0);
@@ -89,9 +89,9 @@ fn velocity_mode_runs_at_its_speed_until_it_is_told_another() {
     assert_eq!(rig.gripper.state().speed, 20.0);
     assert_eq!(run(&mut rig, 0.0), Status::Success);
     let stopped = rig.width();
-    assert!(rig.wait(100).is_empty(), "nobody asked");
+    assert!(rig.wait(100).is_empty(), "no answer without a request");
     assert_eq!((rig.width(), rig.state()), (stopped, GripperState::Idle));
-    assert!(!rig.flags().contains(SystemFlags::CMD_FAILURE), "it did as it was told");
+    assert!(!rig.flags().contains(SystemFlags::CMD_FAILURE), "the command succeeded");
 }
 
 #[test]
@@ -119,11 +119,11 @@ fn velocity_mode_pushes_against_a_part_with_the_force_limit_for_as_long_as_it_la
     assert!(rig.flags().contains(SystemFlags::BLOCKED_MINUS) && !rig.flags().contains(SystemFlags::MOVING));
     rig.set_part(None);
     rig.wait(2_000);
-    assert_eq!(rig.width(), 0.0, "it goes on when the part is gone");
+    assert_eq!(rig.width(), 0.0, "it continues when the part is removed");
 }
 
-/// Appendix B, D1 and D2, as a controller meets them that repeats its speed 30 to 60 times a second: the flags that it reads
-/// right after the command are those of fingers that stand on the part.
+/// Appendix B, D1 and D2, for a controller that repeats its speed 30 to 60 times a second: the flags read right after
+/// the command must indicate fingers blocked by the part.
 #[test]
 fn speed_that_is_repeated_against_a_part_leaves_the_axis_blocked_and_not_moving() {
     for (speed, period_ms) in [(-50.0, 33), (-50.0, 16), (-5.0, 1)] {
@@ -139,13 +139,13 @@ fn speed_that_is_repeated_against_a_part_leaves_the_axis_blocked_and_not_moving(
             rig.wait(period_ms);
             assert_eq!(rig.force(), 80.0);
         }
-        // A lower force limit does not resolve it, nor does a speed in the same direction after that.
+        // A lower force limit does not resolve the block, nor does a later speed in the same direction.
         rig.status(Command::SetForceLimit { force: 20.0 });
         run(&mut rig, speed);
         assert!(rig.flags().contains(SystemFlags::BLOCKED_MINUS));
         rig.wait(period_ms + 20);
         assert_eq!(rig.force(), 20.0);
-        // The other direction resolves it, and so does a speed of 0, which is a stop.
+        // The opposite direction resolves it, and so does a speed of 0, which is a stop.
         run(&mut rig, -speed);
         rig.wait(20);
         assert!(!rig.flags().contains(SystemFlags::BLOCKED_MINUS));
@@ -181,28 +181,28 @@ fn any_command_takes_the_place_of_velocity_mode_and_it_takes_the_place_of_any_mo
     assert_eq!(rig.state(), GripperState::Holding);
     assert_eq!(rig.status(release(100.0)), Status::CmdPending);
     assert_eq!(run(&mut rig, 5.0), Status::CmdPending);
-    assert_eq!(rig.next().status(), Status::CmdAborted, "whoever had asked for the motion is told");
+    assert_eq!(rig.next().status(), Status::CmdAborted, "the client of the motion is notified");
     assert_eq!(rig.status(Command::Stop), Status::Success);
-    assert_eq!(rig.wait(50), [], "and nobody else is");
+    assert_eq!(rig.wait(50), [], "no other client is notified");
     assert_eq!(rig.gripper.state().speed, 0.0);
 
     assert_eq!(rig.status(go_to(100.0)), Status::CmdPending);
     rig.wait(50);
     assert_eq!(run(&mut rig, 0.0), Status::Success);
-    assert_eq!(rig.next().status(), Status::CmdAborted, "a speed of 0 ends a motion as well");
+    assert_eq!(rig.next().status(), Status::CmdAborted, "a speed of 0 also ends a motion");
     let stopped = rig.width();
     rig.wait(50);
     assert_eq!((rig.width(), rig.state()), (stopped, GripperState::Idle));
 }
 
 #[test]
-fn motions_of_a_script_are_refused_as_those_of_clients_are() {
+fn motions_of_a_script_are_refused_like_motions_of_clients() {
     let mut rig = Rig::new(Config::default());
     assert_eq!(run(&mut rig, 10.0), Status::NotInitialized);
     assert_eq!(rig.gripper.command(&go_to(50.0), rig.now), Status::NotInitialized);
     let homing = Command::Homing { direction: HomingDirection::Positive };
     assert_eq!(rig.gripper.command(&homing, rig.now), Status::CmdPending);
-    assert_eq!(rig.wait(5_000), [], "the client did not ask");
+    assert_eq!(rig.wait(5_000), [], "the client requested nothing");
     assert!(rig.flags().contains(SystemFlags::REFERENCED));
     rig.set_fault(Fault::MotorCurrent, true);
     assert_eq!(run(&mut rig, 10.0), Status::AccessDenied);
@@ -210,7 +210,7 @@ fn motions_of_a_script_are_refused_as_those_of_clients_are() {
 }
 
 #[test]
-fn answer_to_a_client_that_is_gone_reaches_nobody() {
+fn answer_to_a_disconnected_client_is_discarded() {
     let mut rig = running(None);
     rig.gripper.claim_for_script(0xB0);
     call(&mut rig, 0xB0, &[]);
@@ -231,7 +231,7 @@ fn command_that_a_script_gives_back_is_unknown_again_and_those_that_wait_are_cou
     assert_eq!(rig.gripper.script_requests(), 2);
     assert!(
         rig.gripper.release_for_script(0xB0) && rig.gripper.release_for_script(0xB0),
-        "it may be given back twice"
+        "releasing twice is harmless"
     );
     assert!(!rig.gripper.release_for_script(0x20));
     call(&mut rig, 0xB0, &[]);

@@ -70,7 +70,7 @@ fn unused_flags_are_ignored_unless_fingers_would_move() {
         assert_eq!(raw(&mut rig, id, &[0xFC]), Status::CmdFormatError, "{id:02X}h");
     }
     assert_eq!(raw(&mut rig, 0x40, &[0xFD, 10, 0]), Status::Success);
-    assert!(rig.wait(50).len() > 3, "again and again");
+    assert!(rig.wait(50).len() > 3, "repeatedly");
     assert_eq!(raw(&mut rig, 0x40, &[0, 0, 0]), Status::Success);
     assert_eq!(raw(&mut rig, 0x42, &[0xFE]), Status::Success);
     let motion = [&[0x04][..], &40f32.to_le_bytes(), &50f32.to_le_bytes()].concat();
@@ -105,7 +105,7 @@ fn device_tells_model_serial_number_and_limits() {
 }
 
 #[test]
-fn device_tag_is_kept_and_refused_when_it_is_none() {
+fn device_tag_is_stored_and_an_invalid_one_is_refused() {
     let mut rig = Rig::new(Config::default());
     assert_eq!(rig.status(Command::GetDeviceTag), Status::NotAvailable);
     let tag = DeviceTag::new("cell 4, left").unwrap();
@@ -124,7 +124,7 @@ fn device_tag_is_kept_and_refused_when_it_is_none() {
 fn refused_payloads_get_the_status_that_the_manual_lists() {
     let mut rig = Rig::homed(None);
     for &id in CommandId::ALL {
-        // Too long for every command but Loop and the tag, and FAST STOP that takes anything.
+        // These are too long for every command except Loop, the tag, and FAST STOP, which accepts any payload.
         if matches!(id, CommandId::Loop | CommandId::SetDeviceTag | CommandId::FastStop) {
             continue;
         }
@@ -146,7 +146,7 @@ fn unknown_commands_are_answered_as_such() {
     }
     rig.send_bytes(&FrameEncoder::new(0x90, &[][..]).collect::<Vec<u8>>());
     let mut buffer = [0; wsg_sim::MAX_FRAME_LEN];
-    // The manual's example.
+    // The example of the manual.
     assert_eq!(
         rig.gripper.transmit(rig.port, &mut buffer).unwrap(),
         [0xAA, 0xAA, 0xAA, 0x90, 0x02, 0x00, 0x0E, 0x00, 0xFD, 0x02]
@@ -160,7 +160,7 @@ fn command_failure_flag_shows_the_last_command_that_did_something() {
     assert!(!failed(&rig));
     rig.run(grip(20.0));
     assert!(failed(&rig));
-    // Looking does not clear it.
+    // A query does not clear it.
     rig.ask(Command::GetSystemState { update: Default::default() })
         .with(|reply| assert!(reply.to_string().contains("CMD_FAILURE")));
     rig.ask(Command::GetGripperState { update: Default::default() });
@@ -173,14 +173,14 @@ fn command_failure_flag_shows_the_last_command_that_did_something() {
         rig.status(release(80.0));
         rig.send(stop);
         let answers = rig.frames();
-        assert_eq!(answers.len(), 2, "the stop's, and E_CMD_ABORTED of the motion");
-        assert!(!failed(&rig), "{stop}: what ended the motion was the last command, and it succeeded");
+        assert_eq!(answers.len(), 2, "the answer to the stop, and E_CMD_ABORTED of the motion");
+        assert!(!failed(&rig), "{stop}: the last command ended the motion and succeeded");
     }
     rig.status(Command::ACKNOWLEDGE);
     rig.status(release(60.0));
     rig.set_fault(Fault::MotorCurrent, true);
     assert_eq!(rig.next().status(), Status::CmdAborted);
-    assert!(failed(&rig), "no command ended that one");
+    assert!(failed(&rig), "no command ended that motion");
 }
 
 #[test]
@@ -241,7 +241,7 @@ fn tare_zeroes_the_sensor_unless_there_is_none_or_a_part_is_held() {
     assert_eq!(rig.status(Command::TareForceSensor), Status::NotAvailable);
     let part = Part::of_width(20.0);
     let mut rig = Rig::homed_with(Config { fingers: [Finger::Fmf; 2], part, ..Config::default() });
-    // Clamped on a block: pressed, but no grip.
+    // Clamped on a block: pressing, but not gripping.
     assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
     assert_eq!(rig.ask(Command::GetFinger1Data).f32(), 20.0);
     assert_eq!(rig.status(Command::TareForceSensor), Status::Success);
@@ -288,9 +288,9 @@ fn finger_that_does_not_answer_when_its_supply_comes_on_shows_init_fault_until_i
         assert_eq!(flags(&mut rig), FingerFlags::POWER_ON | FingerFlags::INIT_FAULT);
         assert!(rig.flags().contains(SystemFlags::FINGER_FAULT));
         rig.set_fault(silent, false);
-        assert_eq!(flags(&mut rig), works, "it ends by itself once the finger answers");
+        assert_eq!(flags(&mut rig), works, "it clears once the finger answers");
         assert!(!rig.flags().contains(SystemFlags::FINGER_FAULT));
-        // At run time it is the other flag.
+        // At run time, the other flag is set.
         rig.set_fault(silent, true);
         let open = FingerFlags::POWER_ON | FingerFlags::CONFIG_AVAIL;
         assert_eq!(flags(&mut rig), open | FingerFlags::COMM_FAULT);
@@ -310,18 +310,18 @@ fn motor_overheats_under_the_overdrive_force_recovers_by_itself_and_is_acknowled
     while !fault(&rig) {
         assert_eq!(rig.state(), GripperState::Holding);
         rig.wait(100);
-        assert!(rig.now < start.plus_millis(120_000), "it never comes");
+        assert!(rig.now < start.plus_millis(120_000), "the fault did not occur");
     }
     assert!(rig.now > start.plus_millis(30_000), "{}", rig.now);
     assert!(rig.flags().contains(SystemFlags::FAST_STOP) && rig.force() == 0.0);
-    assert!(!rig.flags().contains(SystemFlags::TEMP_FAULT), "the electronics are slower");
-    // Not before the motor has recovered.
+    assert!(!rig.flags().contains(SystemFlags::TEMP_FAULT), "the electronics heat up more slowly");
+    // The motor must recover first.
     assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
     assert!(rig.flags().contains(SystemFlags::FAST_STOP));
     let wake = rig.gripper.next_wake().expect("a flag is about to change");
     assert!(wake <= rig.now.plus_millis(100), "{wake}");
     rig.wait(10_000);
-    assert!(fault(&rig), "a motor does not recover at once");
+    assert!(fault(&rig), "the motor needs time to recover");
     rig.wait(50_000);
     assert!(!fault(&rig) && rig.flags().contains(SystemFlags::FAST_STOP));
     assert_eq!(rig.status(go_to(50.0)), Status::AccessDenied);
@@ -342,7 +342,7 @@ fn severe_faults_cause_a_fast_stop_that_outlasts_them() {
         rig.set_fault(fault, true);
         assert_eq!(texts(&rig.frames()), ["21h Pre-position Fingers E_CMD_ABORTED"], "{fault:?}");
         assert!(rig.flags().contains(flag | SystemFlags::FAST_STOP), "{fault:?}");
-        // As long as the cause lasts, nothing unlocks it.
+        // Nothing unlocks it while the cause lasts.
         assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
         assert_eq!(rig.status(go_to(30.0)), Status::AccessDenied);
         rig.set_fault(fault, false);
@@ -354,7 +354,7 @@ fn severe_faults_cause_a_fast_stop_that_outlasts_them() {
 }
 
 #[test]
-fn temperature_rises_with_load_and_overdrive_cannot_be_held_for_ever() {
+fn temperature_rises_with_load_and_overdrive_cannot_be_held_indefinitely() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     let temperature = |rig: &Rig| rig.gripper.state().temperature.0;
     let idle = temperature(&rig);
@@ -369,7 +369,7 @@ fn temperature_rises_with_load_and_overdrive_cannot_be_held_for_ever() {
     assert!(warm > idle + 100, "{idle} to {warm}");
     wait_minutes(&mut rig, 60);
     assert!(temperature(&rig) > warm);
-    assert_eq!(rig.state(), GripperState::Holding, "the nominal force may be held for ever");
+    assert_eq!(rig.state(), GripperState::Holding, "the nominal force can be held indefinitely");
     assert!(!rig.flags().contains(SystemFlags::TEMP_WARNING));
 
     rig.status(Command::OverdriveMode { enabled: true });
@@ -377,7 +377,7 @@ fn temperature_rises_with_load_and_overdrive_cannot_be_held_for_ever() {
     rig.run(grip(20.0));
     wait_minutes(&mut rig, 60);
     assert!(rig.flags().contains(SystemFlags::FAST_STOP));
-    // Without force it has cooled down.
+    // It cools down without force.
     assert!(!rig.flags().contains(SystemFlags::TEMP_FAULT));
     assert_eq!(rig.ask(Command::GetTemperature).text(), "46h Get Temperature E_SUCCESS 32.0 °C");
 }

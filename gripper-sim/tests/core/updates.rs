@@ -41,9 +41,9 @@ fn request_without_automatic_update_ends_them() {
     assert_eq!(rig.wait(20).len(), 4);
     rig.ask(width(AutoUpdate::once()));
     let frames = rig.wait(20);
-    assert_eq!(frames.len(), 2, "the other one goes on");
+    assert_eq!(frames.len(), 2, "the other subscription continues");
     assert!(times(&frames, WIDTH).is_empty());
-    // The change bit alone asks for nothing.
+    // The change bit alone does not subscribe.
     rig.ask(Command::GetForce { update: AutoUpdate { flags: UpdateFlags::ON_CHANGE, period_ms: 10 } });
     assert!(rig.wait(50).is_empty());
 }
@@ -61,7 +61,7 @@ fn update_on_change_is_sent_at_a_change_and_keeps_the_period() {
     let widths: Vec<f32> = frames.iter().filter(|sent| sent.id() == WIDTH).map(Sent::f32).collect();
     assert!(widths.windows(2).all(|pair| pair[0] - pair[1] >= 0.01), "{widths:?}");
     assert_eq!(widths.last(), Some(&60.0));
-    // 600 ms of travel, and the first update right at its start.
+    // 600 ms of travel, with the first update right at the start.
     assert!((11..=13).contains(&widths.len()), "{}", widths.len());
 }
 
@@ -75,7 +75,7 @@ fn width_is_not_sent_while_not_referenced() {
     rig.ask(width(AutoUpdate::every(10)));
     assert_eq!(rig.status(Command::Homing { direction: HomingDirection::Positive }), Status::CmdPending);
     let homed = rig.next();
-    assert_eq!(homed.id(), 0x20, "no width came before the end of homing");
+    assert_eq!(homed.id(), 0x20, "no width is sent before the end of homing");
     assert_eq!(rig.wait(10).iter().map(Sent::f32).collect::<Vec<_>>(), [110.0]);
 }
 
@@ -144,12 +144,12 @@ fn updates_of_a_client_that_falls_silent_end_after_the_time_that_is_set() {
         let force = Command::GetForce { update: AutoUpdate::every(PERIOD_MS) };
         rig.ask(force);
         assert_eq!(rig.wait(1_500).len(), 15);
-        // Whatever it sends counts, and an answer it is that comes first.
+        // Any request restarts the time-out, and its answer is sent first.
         rig.ask(Command::GetForceLimit);
         assert!(rig.wait(1_950).len() >= 19, "{kind}");
         rig.wait(100);
         assert_eq!(rig.wait(1_000).is_empty(), ends, "{kind}");
-        // It can subscribe again.
+        // The client can subscribe again.
         rig.ask(force);
         assert!(rig.wait(1_000).len() >= 9, "{kind}");
     }

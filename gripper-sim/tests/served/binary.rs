@@ -1,4 +1,4 @@
-//! The servers over real sockets and terminals, and the binary. Every wait is bounded by a time-out of the socket.
+//! The servers on real sockets and terminals, and the binary. Every wait is bounded by a socket time-out.
 
 use crate::common::{grip, parse};
 use std::io::{self, Read, Write};
@@ -11,18 +11,17 @@ use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, LoopData,
 use wsg_sim::server::{Lines, Log, Profile, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 pub(crate) const BOUND: Duration = Duration::from_secs(60);
-/// So that motions take no time to speak of.
+/// Time scale at which motions take negligible time.
 pub(crate) const QUICK: f32 = 100.0;
-/// So that a motion takes more than a second: its end does not come before its begin has been read, on a machine that has
-/// other things to do.
+/// Time scale at which a motion takes more than a second, so that its start can be read before its end even on a busy machine.
 pub(crate) const READABLE: f32 = 0.5;
 
 pub(crate) const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
 pub(crate) fn serve(config: Config, lines: Lines) -> ServerThread {
-    ServerThread::start(config, &lines, None).expect("the server is up")
+    ServerThread::start(config, &lines, None).expect("the server starts")
 }
 
 fn serve_tcp(config: Config) -> ServerThread {
@@ -41,7 +40,7 @@ pub(crate) fn connect(served: &ServerThread) -> Client<TcpStream> {
     Client(stream)
 }
 
-/// A client that, like several in the field, takes what one read gives for one frame.
+/// A client that, like several in the field, treats the result of one read as one frame.
 pub(crate) struct Client<S>(pub(crate) S);
 
 impl<S: Read + Write> Client<S> {
@@ -49,7 +48,7 @@ impl<S: Read + Write> Client<S> {
         self.0.write_all(&frame(command)).unwrap();
     }
 
-    /// The id and status of the one frame that one read gives.
+    /// Returns the id and status of the only frame in one read.
     fn recv(&mut self) -> (u8, Status) {
         let (id, payload) = self.recv_payload();
         (id, Status::from_code(u16::from_le_bytes([payload[0], payload[1]])))
@@ -59,8 +58,8 @@ impl<S: Read + Write> Client<S> {
         let mut buffer = [0; 4 * MAX_FRAME_LEN];
         let len = uninterrupted::read(&mut self.0, &mut buffer).expect("an answer in time");
         let frames = parse(&buffer[..len]);
-        assert_eq!(frames.len(), 1, "one read gives one frame: {:02X?}", &buffer[..len]);
-        assert_eq!(frames[0].1.len() + 8, len, "and nothing else");
+        assert_eq!(frames.len(), 1, "one read must return exactly one frame: {:02X?}", &buffer[..len]);
+        assert_eq!(frames[0].1.len() + 8, len, "the read must not contain other bytes");
         frames.into_iter().next().unwrap()
     }
 
@@ -87,7 +86,7 @@ pub(crate) fn frame(command: Command<'_>) -> Vec<u8> {
     FrameEncoder::new(command.id().code(), command).collect()
 }
 
-/// A path in the directory for temporary files that no other test uses.
+/// Returns a path in the temporary directory that no other test uses.
 pub(crate) fn scratch(name: &str) -> PathBuf {
     std::env::temp_dir().join(format!("wsg-sim-{}-{name}", std::process::id()))
 }
@@ -131,7 +130,7 @@ fn tcp_close_without_announcement_latches_fast_stop_for_the_next_client() {
     let served = serve_tcp(Config::default());
     drop(connect(&served));
     let mut next = connect(&served);
-    // The close may arrive a little after the next connection.
+    // The server may notice the close slightly after the next connection.
     let start = Instant::now();
     while !next.flags().contains(SystemFlags::FAST_STOP) {
         assert!(start.elapsed() < BOUND, "no FAST STOP");
@@ -148,7 +147,7 @@ fn tcp_announced_close_latches_nothing() {
     let mut client = connect(&served);
     assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::Success);
     assert_eq!(client.ask(Command::Stop), Status::AccessDenied);
-    // The server's end of the connection closes after ours: then it has noticed.
+    // The server closes its end after noticing ours.
     client.0.shutdown(std::net::Shutdown::Write).unwrap();
     assert_eq!(uninterrupted::read(&client.0, &mut [0]).unwrap(), 0);
     assert!(!watcher.flags().contains(SystemFlags::FAST_STOP));
@@ -170,7 +169,7 @@ fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
             Err(error) => panic!("{error}"),
         }
         assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
-        assert!(start.elapsed() < BOUND, "the flood is never held back");
+        assert!(start.elapsed() < BOUND, "the server does not throttle the flood");
     }
 }
 
@@ -204,11 +203,11 @@ fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again()
     loop {
         let mut next = connect(&served);
         next.send(Command::GetForceLimit);
-        // It may come before the place is free; then it is closed, too.
+        // The attempt may precede the release of the place; the server then closes it, too.
         if matches!(uninterrupted::read(&next.0, &mut [0; MAX_FRAME_LEN]), Ok(1..)) {
             break;
         }
-        assert!(start.elapsed() < BOUND, "the place is never free");
+        assert!(start.elapsed() < BOUND, "the place was not released");
     }
 }
 
@@ -234,7 +233,7 @@ fn tcp_updates_arrive_by_themselves() {
     let served = serve_tcp(Config::default());
     let mut client = connect(&served);
     client.send(Command::GetForce { update: AutoUpdate::every(10) });
-    // Several may have come when this thread gets to read.
+    // Several updates may be queued before this thread reads.
     let mut answers = [0; 6 * 14];
     client.0.read_exact(&mut answers).expect("six answers in time");
     let ids: Vec<u8> = parse(&answers).into_iter().map(|(id, _)| id).collect();
@@ -261,13 +260,13 @@ fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
         for _ in 0..answers {
             let (len, _) = uninterrupted::recv_from(&listener, &mut buffer).expect("an answer in time");
             let frames = parse(&buffer[..len]);
-            assert_eq!(frames.len(), 1, "one frame in a datagram");
+            assert_eq!(frames.len(), 1, "one frame per datagram");
             assert_eq!(frames[0].0, command.id().code());
         }
     }
 }
 
-/// The sender of a datagram may be forged: updates go to whoever it names, at 400 a second here, and nobody ends them.
+/// The sender of a datagram can be forged. Updates would then go to an uninvolved host, here at 400 a second, without an end.
 #[test]
 fn udp_peer_that_sends_nothing_is_sent_a_bounded_number_of_datagrams() {
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -290,7 +289,7 @@ fn udp_peer_that_sends_nothing_is_sent_a_bounded_number_of_datagrams() {
         }
     };
     let count = || {
-        // Updates come every 10 ms as long as they come.
+        // Updates are sent every 10 ms while they last.
         peer.set_read_timeout(Some(Duration::from_secs(2))).unwrap();
         let mut datagrams = 0;
         while uninterrupted::recv_from(&peer, &mut [0; 2_048]).is_ok() {
@@ -301,13 +300,13 @@ fn udp_peer_that_sends_nothing_is_sent_a_bounded_number_of_datagrams() {
     };
     subscribe();
     assert!((100..=105).contains(&count()));
-    // Whoever is there says so, and is answered again.
+    // A client that sends again is answered again.
     subscribe();
     assert!((100..=105).contains(&count()));
 }
 
 #[test]
-fn log_tells_time_direction_line_bytes_and_meaning() {
+fn log_shows_time_direction_line_bytes_and_meaning() {
     let path = scratch("log");
     let log = Log::to_file(&path).unwrap();
     let served = ServerThread::start(Config::default(), &tcp_lines(), Some(log)).unwrap();
@@ -340,7 +339,8 @@ fn log_shows_the_checksum_that_was_sent_and_no_other() {
     let config = Config { check_checksum: false, ..Config::default() };
     let served = ServerThread::start(config, &tcp_lines(), Some(log)).unwrap();
     let mut client = connect(&served);
-    // Without a checksum, and the next one with one of zeros: two bytes of its preamble are the first one's.
+    // One frame without a checksum, then one with a checksum of zeros. Two preamble bytes of the second become the
+    // checksum of the first.
     let mut stop = frame(Command::Stop);
     stop.truncate(6);
     for request in [[&stop[..], &stop, &[0, 0]].concat(), [&stop[..], &[0x12, 0x34]].concat()] {
@@ -356,7 +356,7 @@ fn log_shows_the_checksum_that_was_sent_and_no_other() {
     assert_eq!(sent, ["AA AA AA 22 00 00 AA AA  22h Stop", "AA AA AA 22 00 00 12 34  22h Stop"], "{log}");
 }
 
-/// Runs the binary to its end; its exit status, standard output and standard error.
+/// Runs the binary to its end and returns its exit status, standard output and standard error.
 fn sim(arguments: &[&str]) -> (Option<i32>, String, String) {
     let output = Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(arguments).output().unwrap();
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
@@ -395,13 +395,13 @@ fn log_file_shows_a_frame_while_its_client_is_still_there() {
     let start = Instant::now();
     let shown = || std::fs::read_to_string(&path).unwrap().contains("22h Stop E_SUCCESS\n");
     while !shown() {
-        assert!(start.elapsed() < BOUND, "the frame is not shown");
+        assert!(start.elapsed() < BOUND, "the frame was not logged");
         assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
     }
     std::fs::remove_file(&path).unwrap();
 }
 
-/// A place for a log that takes nothing until it is told to.
+/// A log output that blocks until released.
 struct Stuck {
     gate: mpsc::Receiver<()>,
     taken: mpsc::Sender<Vec<u8>>,
@@ -420,7 +420,7 @@ impl Write for Stuck {
 }
 
 #[test]
-fn log_that_nobody_takes_does_not_hold_up_the_gripper_and_says_what_is_lost() {
+fn unread_log_does_not_delay_the_gripper_and_reports_lost_lines() {
     let (open, gate) = mpsc::channel();
     let (taken, log) = mpsc::channel();
     let stuck = Log::to(Stuck { gate, taken });
@@ -432,15 +432,15 @@ fn log_that_nobody_takes_does_not_hold_up_the_gripper_and_says_what_is_lost() {
     drop(open);
     let mut lines = String::new();
     while !lines.contains(" lines are lost here") {
-        lines += str::from_utf8(&log.recv_timeout(BOUND).expect("the log goes on")).unwrap();
-        // Whatever comes next is told together with what was lost.
+        lines += str::from_utf8(&log.recv_timeout(BOUND).expect("the log continues")).unwrap();
+        // The next line is logged together with the number of lost lines.
         assert_eq!(client.ask(Command::Stop), Status::Success);
     }
     served.stop().unwrap();
 }
 
 #[test]
-fn log_that_nobody_takes_does_not_hold_up_the_end() {
+fn unread_log_does_not_delay_the_shutdown() {
     let (_open, gate) = mpsc::channel();
     let (taken, _log) = mpsc::channel();
     let stuck = Log::to(Stuck { gate, taken });

@@ -1,5 +1,5 @@
-//! The gripper on a CAN bus: a controller over SLCAN, as adapters are opened; SocketCAN as far as it can be tested without
-//! an interface. Every wait is bounded.
+//! The gripper on a CAN bus: a controller over SLCAN, opened like an adapter, and the parts of SocketCAN that need no
+//! interface. Every wait is bounded.
 
 use crate::common::grip;
 use crate::common::program::Program;
@@ -20,9 +20,9 @@ use wsg_protocol::{Command, Event, FrameEncoder, HomingDirection, Instant, LoopD
 use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
-/// So that motions take no time to speak of.
+/// Time scale at which motions take negligible time.
 const QUICK: f32 = 100.0;
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
@@ -32,7 +32,7 @@ fn identifiers() -> Identifiers {
 
 fn serve(config: Config, line: SerialLine) -> ServerThread {
     let can = Some(CanLine { bus: CanBus::Slcan(line), identifiers: identifiers() });
-    ServerThread::start(config, &Lines { can, ..Lines::default() }, None).expect("the server is up")
+    ServerThread::start(config, &Lines { can, ..Lines::default() }, None).expect("the server starts")
 }
 
 fn open_terminal(path: &Path) -> File {
@@ -43,7 +43,7 @@ fn open_terminal(path: &Path) -> File {
     terminal.into()
 }
 
-/// A controller behind a serial line, with what the line brings.
+/// A controller on a serial line, with the received SLCAN lines.
 struct Controller<S> {
     line: S,
     lines: Receiver<Line<ClassicFrame>>,
@@ -56,7 +56,7 @@ impl<S: Write> Controller<S> {
         thread::spawn(move || {
             let mut decoder = Decoder::new();
             let mut chunk = [0; 64];
-            // Ends with the line, or with the test.
+            // Ends with the line or with the test.
             while let Ok(count @ 1..) = uninterrupted::read(&mut reader, &mut chunk) {
                 for &byte in &chunk[..count] {
                     if decoder.push(byte).is_some_and(|line| sender.send(line).is_err()) {
@@ -76,7 +76,7 @@ impl<S: Write> Controller<S> {
         self.lines.recv_timeout(BOUND).expect("a line in time")
     }
 
-    /// As hosts do: what was before is closed first.
+    /// Opens the channel as hosts do, after closing any earlier one.
     fn open(&mut self) {
         for command in [&b"C\r"[..], b"S6\r", b"O\r"] {
             self.say(command);
@@ -89,7 +89,7 @@ impl<S: Write> Controller<S> {
         assert_eq!(self.next_answer(), Line::Taken(b'z'));
     }
 
-    /// The next line that is no frame; frames that come before it are of no interest to whom asks.
+    /// Returns the next line that is not a frame; skips frames before it.
     fn next_answer(&self) -> Line<ClassicFrame> {
         loop {
             match self.next() {
@@ -106,7 +106,7 @@ impl<S: Write> Controller<S> {
         }
     }
 
-    /// The next message: id and payload.
+    /// Returns the id and payload of the next message.
     fn recv(&mut self) -> (u8, Vec<u8>) {
         loop {
             let Line::Frame(frame) = self.next() else { continue };
@@ -184,7 +184,7 @@ fn slcan_frames_for_others_are_not_for_the_gripper() {
     assert_eq!(controller.next_answer(), Line::Taken(b'z'));
     controller.say(b"T000003458AAAAAA4600000000\r");
     assert_eq!(controller.next_answer(), Line::Taken(b'Z'));
-    // The first message that comes is the answer to this one.
+    // The next message must be the answer to this request.
     controller.send(Command::GetSystemLimits);
     assert_eq!(controller.recv().0, 0x53);
 }
@@ -239,10 +239,10 @@ fn slcan_over_a_unix_socket_takes_hosts_one_after_the_other() {
 }
 
 #[test]
-fn slcan_behind_a_device_the_gripper_is_the_host_and_opens_the_channel() {
+fn slcan_on_a_device_makes_the_gripper_the_host_that_opens_the_channel() {
     use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 
-    // The adapter's end, raw before the gripper opens the other one: nothing may be echoed.
+    // The adapter's end must be raw before the gripper opens the other end, because nothing may be echoed.
     let adapter = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
     grantpt(&adapter).unwrap();
     unlockpt(&adapter).unwrap();
@@ -257,7 +257,7 @@ fn slcan_behind_a_device_the_gripper_is_the_host_and_opens_the_channel() {
     {
         assert_eq!(controller.next(), expected);
     }
-    // Answers of the adapter are no requests, and get no answer.
+    // Answers of the adapter are not requests and must not be answered.
     controller.say(b"\r\rz\r\x07");
     controller.send(Command::GetTemperature);
     assert_eq!(controller.recv().0, 0x46);

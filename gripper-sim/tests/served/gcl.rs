@@ -1,4 +1,4 @@
-//! The text protocol over real sockets, and the binary. Every wait is bounded by a time-out of the socket.
+//! The text protocol on real sockets, and the binary. Every wait is bounded by a socket time-out.
 
 use crate::common::program::Program;
 use std::io::Write;
@@ -7,17 +7,16 @@ use std::time::{Duration, Instant};
 use wsg_sim::server::{Lines, Log, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
 
 fn any_port() -> Option<SocketAddr> {
     "127.0.0.1:0".parse().ok()
 }
 
-/// So that motions take no time to speak of.
+/// Time scale at which motions take negligible time.
 const QUICK: f32 = 100.0;
-/// So that a motion takes more than a second: its end does not come before its begin has been read, on a machine that has
-/// other things to do.
+/// Time scale at which a motion takes more than a second, so that its start can be read before its end even on a busy machine.
 const READABLE: f32 = 0.5;
 
 fn serve(config: Config, log: Option<Log>) -> ServerThread {
@@ -26,10 +25,10 @@ fn serve(config: Config, log: Option<Log>) -> ServerThread {
 
 fn serve_at(time_scale: f32, config: Config, log: Option<Log>) -> ServerThread {
     let lines = Lines { gcl: any_port(), gcl_udp: any_port(), ..Lines::default() };
-    ServerThread::start(Config { time_scale, ..config }, &lines, log).expect("the server is up")
+    ServerThread::start(Config { time_scale, ..config }, &lines, log).expect("the server starts")
 }
 
-/// A client that takes what one read gives for one line.
+/// A client that treats the result of one read as one line.
 struct Client(TcpStream);
 
 impl Client {
@@ -44,13 +43,13 @@ impl Client {
         self.0.write_all(format!("{line}\n").as_bytes()).unwrap();
     }
 
-    /// The one line that one read gives.
+    /// Returns the only line in one read.
     fn recv(&mut self) -> String {
         let mut buffer = [0; 1_024];
         let len = uninterrupted::read(&self.0, &mut buffer).expect("an answer in time");
         let text = str::from_utf8(&buffer[..len]).unwrap();
-        let line = text.strip_suffix('\n').expect("a read gives a whole line");
-        assert!(!line.contains('\n'), "one read gives one line: {text:?}");
+        let line = text.strip_suffix('\n').expect("a read returns a complete line");
+        assert!(!line.contains('\n'), "one read must return exactly one line: {text:?}");
         line.to_owned()
     }
 
@@ -59,7 +58,7 @@ impl Client {
         self.recv()
     }
 
-    /// The end of a motion, whatever is sent by itself meanwhile.
+    /// Returns the end of a motion; skips unsolicited lines before it.
     fn run(&mut self, line: &str) -> String {
         assert!(self.ask(line).starts_with("ACK "), "{line}");
         self.recv()
@@ -84,7 +83,7 @@ fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
     let mut first = Client::new(address);
     let mut watcher = Client::new(address);
     assert_eq!(first.ask("bye()"), "ACK BYE");
-    // The server's end of the connection closes after ours: then it has noticed.
+    // The server closes its end after noticing ours.
     first.0.shutdown(Shutdown::Write).unwrap();
     assert_eq!(uninterrupted::read(&first.0, &mut [0]).unwrap(), 0);
     assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=0");
@@ -102,7 +101,7 @@ fn datagrams_are_answered_to_the_port_that_asked() {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     socket.set_read_timeout(Some(BOUND)).unwrap();
     let mut buffer = [0; 1_024];
-    // With the end of the line and without it.
+    // With and without a line end.
     for line in ["devtype?\r\n", "devtype?"] {
         uninterrupted::send_to(&socket, line.as_bytes(), served.gcl_udp_address().unwrap()).unwrap();
         let (len, from) = uninterrupted::recv_from(&socket, &mut buffer).expect("an answer in time");
@@ -114,7 +113,7 @@ fn datagrams_are_answered_to_the_port_that_asked() {
 #[test]
 fn datagram_of_somebody_else_ends_the_updates_of_who_asked_before() {
     let lines = Lines { gcl_udp: any_port(), ..Lines::default() };
-    let served = ServerThread::start(Config::default(), &lines, None).expect("the server is up");
+    let served = ServerThread::start(Config::default(), &lines, None).expect("the server starts");
     let gripper = served.gcl_udp_address().unwrap();
     let [before, behind] = [(); 2].map(|()| {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -123,7 +122,7 @@ fn datagram_of_somebody_else_ends_the_updates_of_who_asked_before() {
     });
     let mut buffer = [0; 512];
     uninterrupted::send_to(&before, b"AUTOSEND(\"FORCE\",10)", gripper).unwrap();
-    // Its acknowledgement, and updates.
+    // The acknowledgement and some updates.
     for _ in 0..3 {
         uninterrupted::recv_from(&before, &mut buffer).expect("a datagram in time");
     }
@@ -153,7 +152,7 @@ fn log_shows_lines_as_they_are() {
 }
 
 #[test]
-fn peer_that_sends_answers_back_is_not_answered_for_ever() {
+fn peer_that_echoes_answers_is_not_answered_forever() {
     let served = serve(Config::default(), None);
     let gripper = served.gcl_udp_address().unwrap();
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -168,11 +167,11 @@ fn peer_that_sends_answers_back_is_not_answered_for_ever() {
         answers += 1;
         assert!(answers < 100, "{:?} for ever", str::from_utf8(&datagram));
     }
-    assert!(answers > 1, "what makes no sense is answered");
+    assert!(answers > 1, "an invalid line is answered");
     uninterrupted::send_to(&peer, b"SN?\n", gripper).unwrap();
     peer.set_read_timeout(Some(BOUND)).unwrap();
     let mut buffer = [0; 1_024];
-    let (len, _) = uninterrupted::recv_from(&peer, &mut buffer).expect("a question is answered");
+    let (len, _) = uninterrupted::recv_from(&peer, &mut buffer).expect("a query is answered");
     assert_eq!(&buffer[..len], b"SN=1\n");
 }
 
@@ -183,7 +182,7 @@ fn program_serves_the_text_protocol_and_says_where() {
     assert_eq!(program.line(), "model wsg50-110");
     let address = program.place_of("gcl").parse().unwrap();
     program.place_of("gcl-udp").parse::<SocketAddr>().unwrap();
-    // As the manual's chapter 1.4 types it.
+    // The commands of chapter 1.4 of the manual.
     let mut client = Client::new(address);
     assert_eq!(client.run("HOME()\r"), "FIN HOME");
     assert_eq!(client.ask("BYE()\r"), "ACK BYE");

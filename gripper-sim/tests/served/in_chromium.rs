@@ -1,4 +1,4 @@
-//! The page in Chromium, which `cargo xtask test` installs. These tests click, type and look as a person does.
+//! The page in Chromium, which `cargo xtask test` installs. The tests click, type and inspect like a user.
 
 mod browser;
 
@@ -11,10 +11,10 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
 
-/// How far the fingers are apart on the screen, in the drawing's mm.
+/// Distance of the fingers on the screen, in mm of the drawing.
 const OPENING: &str = "(() => {
     const [left, right] = [...document.querySelectorAll('#drawing .finger')].map(finger => finger.getBoundingClientRect());
     return (right.left - left.right) / document.getElementById('drawing').getScreenCTM().a;
@@ -22,7 +22,7 @@ const OPENING: &str = "(() => {
 
 const STATE: &str = "document.getElementById('state').textContent";
 
-/// A gripper with a page.
+/// A gripper with its page.
 struct Gripper {
     _program: Program,
     tcp: String,
@@ -50,7 +50,7 @@ impl Gripper {
         tab
     }
 
-    /// Acknowledge (24h) of a client, which stays.
+    /// Sends Acknowledge (24h) from a client, which stays connected.
     fn acknowledge(&self) -> TcpStream {
         let mut client = TcpStream::connect(&self.tcp).unwrap();
         client.set_read_timeout(Some(BOUND)).unwrap();
@@ -102,7 +102,7 @@ fn fingers_home_and_grip_by_clicks_and_the_drawing_moves_with_them() {
 
     grip(&mut tab);
 
-    // To scale: a part of 20 mm, a little squeezed, fills what is between the fingers.
+    // To scale: a part of 20 mm, slightly squeezed, fills the opening.
     let opening = tab.eval(OPENING).as_f64().unwrap();
     assert!((19.0..20.1).contains(&opening), "{opening} mm");
     tab.until(
@@ -138,7 +138,7 @@ fn field_without_a_number_sends_nothing() {
     assert_eq!(moves, [r#"{"command":"move","width_mm":60,"speed_mm_per_s":100}"#]);
 }
 
-/// Whether an element has this background.
+/// Returns an expression for whether an element has the FAST STOP colour.
 fn is_red(selector: &str, property: &str) -> String {
     format!(
         "(([red, green, blue]) => red > 150 && green < 80 && blue < 80)
@@ -172,7 +172,7 @@ fn fast_stop_is_red_on_every_page_in_light_and_dark_until_one_acknowledges() {
     }
 }
 
-/// Presses Tab until this has the focus.
+/// Presses Tab until the element with this id has the focus.
 fn tab_to(tab: &mut Tab, id: &str) {
     for _ in 0..60 {
         tab.press("Tab");
@@ -180,7 +180,7 @@ fn tab_to(tab: &mut Tab, id: &str) {
             return;
         }
     }
-    panic!("Tab does not lead to {id}");
+    panic!("Tab does not reach {id}");
 }
 
 #[test]
@@ -199,7 +199,7 @@ fn keyboard_alone_reaches_and_operates_everything() {
     }
     let missed =
         format!("{all}.filter(control => !control.dataset.reached).map(control => control.outerHTML)");
-    assert_eq!(tab.eval(&missed), json!([]), "Tab leads to each, once");
+    assert_eq!(tab.eval(&missed), json!([]), "Tab must reach each element exactly once");
 
     tab_to(&mut tab, "home");
     tab.press("Enter");
@@ -235,7 +235,7 @@ fn every_control_has_a_name_for_a_screen_reader() {
     let count = names.len();
     names.sort();
     names.dedup();
-    assert_eq!(names.len(), count, "two have the same name: {names:#?}");
+    assert_eq!(names.len(), count, "duplicate names: {names:#?}");
 }
 
 #[test]
@@ -263,19 +263,19 @@ fn page_asks_its_own_server_alone_and_the_console_stays_empty() {
     {
         assert_eq!(tab.told(told), Vec::<Value>::new(), "{told}");
     }
-    // That a violation would be seen.
+    // Cross-check: a violation must be detected.
     tab.eval("document.body.append(Object.assign(new Image(), { src: 'http://127.0.0.1:9/x.png' })); 0");
     tab.until("document.images[0].complete");
     assert!(!tab.told("Audits.issueAdded").is_empty() || !tab.told("Log.entryAdded").is_empty());
 }
 
-/// Serves an empty page of another origin, as long as these tests run.
+/// Serves an empty page of another origin while the tests run.
 fn foreign_page() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/", listener.local_addr().unwrap());
     thread::spawn(move || {
         for mut stream in listener.incoming().flatten() {
-            // A browser that goes away is no failure.
+            // A browser that disconnects is not a failure.
             let _ = uninterrupted::read(&stream, &mut [0; 4_096]);
             let _ = stream.write_all(
                 b"HTTP/1.1 200 OK\r\nContent-Type: text/html\r\nContent-Length: 2\r\nConnection: close\r\n\r\nhi",
@@ -294,7 +294,7 @@ fn page_of_another_origin_can_neither_command_nor_watch() {
     foreign.until("document.body.textContent === 'hi'");
     let page = &gripper.page;
 
-    // Without leave to read the answer a browser sends it all the same.
+    // Without permission to read the answer, a browser still sends the request.
     foreign.eval(&format!(
         "fetch('{page}/command', {{ method: 'POST', mode: 'no-cors', body: '{{\"command\":\"fast_stop\"}}' }}).then(() => 0)"
     ));
@@ -306,7 +306,7 @@ fn page_of_another_origin_can_neither_command_nor_watch() {
     assert_eq!(watched, 2, "closed");
     let answers = foreign.told("Network.responseReceivedExtraInfo");
     assert_eq!(answers.iter().filter(|answer| answer["statusCode"] == 403).count(), 2, "{answers:?}");
-    // Behind what the foreign page sent.
+    // After the requests of the foreign page.
     home(&mut own);
     assert_eq!(own.eval(&flag_is_on("FAST_STOP")), false);
 }
@@ -318,7 +318,7 @@ fn plot_shows_width_speed_and_force_and_goes_on() {
     let mut tab = gripper.open();
     home(&mut tab);
     grip(&mut tab);
-    // Each curve's points: how far to the right, and how far up, as shares of the axes.
+    // The points of each curve: horizontal and vertical position as fractions of the axes.
     let curve = |kind: &str| {
         format!(
             "(() => {{ const axes = document.querySelector('#plot .axis').getBBox();
@@ -327,14 +327,17 @@ fn plot_shows_width_speed_and_force_and_goes_on() {
                  .map(([x, y]) => [(x - axes.x) / axes.width, 1 - (y - axes.y) / axes.height]); }})()"
         )
     };
-    // It is drawn a little later.
+    // The plot is drawn with a delay.
     tab.until(&format!("Math.abs({}.at(-1)[1] - 30 / 120) < 0.01", curve("f")));
     let mut read = |kind: &str| -> Vec<[f64; 2]> { serde_json::from_value(tab.eval(&curve(kind))).unwrap() };
     let [width, speed, force] = ["w", "s", "f"].map(&mut read);
     for points in [&width, &speed, &force] {
         assert!(points.iter().flatten().all(|share| (-0.01..=1.01).contains(share)), "{points:?}");
         assert!(points.is_sorted_by(|one, next| one[0] <= next[0] + 0.001), "{points:?}");
-        assert!((points.last().unwrap()[0] - 1.0).abs() < 0.01, "it ends now: {points:?}");
+        assert!(
+            (points.last().unwrap()[0] - 1.0).abs() < 0.01,
+            "the curve must end at the present: {points:?}"
+        );
     }
     let highest = |points: &[[f64; 2]]| points.iter().map(|point| point[1]).fold(0.0, f64::max);
     assert!((highest(&width) - 1.0).abs() < 0.01 && (width.last().unwrap()[1] - 20.0 / 110.0).abs() < 0.01);
@@ -342,7 +345,7 @@ fn plot_shows_width_speed_and_force_and_goes_on() {
     assert!(speed.iter().any(|point| point[1] < 0.48), "inward: {speed:?}");
     assert!((speed.last().unwrap()[1] - 0.5).abs() < 0.01, "{speed:?}");
     assert!(force[0][1] < 0.01, "{force:?}");
-    // Time goes on although nothing happens.
+    // Time advances even if nothing happens.
     let first = width[0][0];
     tab.until(&format!("{}[0][0] < {first} - 0.01", curve("w")));
 }
@@ -360,7 +363,7 @@ fn fieldbus_monitor_shows_every_bit_of_both_images() {
     let states = ["IDLE", "GRIPPING", "NO_PART", "PART_LOST", "HOLDING", "RELEASING", "POSITIONING", "ERROR"];
     assert_eq!(tab.eval(&names("gripper_flags")), json!(states));
     assert_eq!(tab.eval(&names("system_flags")), tab.eval(&names("flags")));
-    // What is lit in a list, as the byte in hex that has these bits, and whether it reads so.
+    // The lit entries of a list as the hex byte with these bits, and whether the page shows that byte.
     let byte = |list: &str, byte: u32| {
         format!(
             "[...document.querySelectorAll('#{list} .on')].map(item => Number(item.title.match(/\\d+/)[0]) - {})
@@ -372,7 +375,7 @@ fn fieldbus_monitor_shows_every_bit_of_both_images() {
     let bytes = |image: &str| format!("document.getElementById('{image}').textContent.split(' ')");
     let mut master = TcpStream::connect(&gripper.modbus).unwrap();
     master.set_read_timeout(Some(BOUND)).unwrap();
-    // Write Multiple Registers (FC 16), the output image: 22 mm, 50 mm/s, 40 N.
+    // Write Multiple Registers (FC 16) with the output image: 22 mm, 50 mm/s, 40 N.
     let mut write = |flags: u8| {
         let image = [flags, 0xA5, 0x08, 0x98, 0x13, 0x88, 0x0F, 0xA0];
         master.write_all(&[&[0, 1, 0, 0, 0, 15, 1, 16, 0, 0, 0, 4, 8], &image[..]].concat()).unwrap();
@@ -388,7 +391,7 @@ fn fieldbus_monitor_shows_every_bit_of_both_images() {
     assert_eq!(tab.eval(&byte("command_flags", 0)), "08");
     tab.until(&format!("{} === '01' && {}[0] === '01'", byte("gripper_flags", 0), bytes("input")));
     tab.until(&flag_is_on("REFERENCED"));
-    // Flags of the second and third byte, too.
+    // Flags of the second and third byte as well.
     for fault in ["motor_current", "over_temperature"] {
         tab.click(&format!("[name={fault}]"));
     }
@@ -434,7 +437,7 @@ fn frames_are_filtered_and_paused() {
     tab.click("#pause");
     let before = tab.eval(log);
     let other = gripper.acknowledge();
-    // Shown by now, if it were not paused: what comes behind it is.
+    // Without the pause, the page would show it by now: it shows a later frame.
     let mut witness = gripper.open();
     witness.click("#part_out");
     tab.until("getComputedStyle(document.querySelector('#drawing .part')).visibility === 'hidden'");
@@ -450,7 +453,7 @@ fn frames_are_filtered_and_paused() {
 #[test]
 #[ignore = "needs Chromium: see the top of this file"]
 fn page_says_that_its_gripper_is_gone_and_goes_on_when_it_is_back() {
-    // An address that nobody else is given ports of, so that this one is free again.
+    // No other server gets ports on this address, so this port will be free again.
     let gripper = Gripper::on("127.0.0.2:0", &["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);
@@ -467,7 +470,7 @@ fn page_says_that_its_gripper_is_gone_and_goes_on_when_it_is_back() {
     home(&mut tab);
     assert_eq!(tab.eval("document.getElementById('message').textContent"), "");
 
-    // One that stands still says nothing, and its connection stays.
+    // A stopped process sends nothing, but its connection stays open.
     gripper._program.signal(rustix::process::Signal::STOP);
     tab.until(&format!("{STATE} === 'no connection'"));
     gripper._program.signal(rustix::process::Signal::CONT);
@@ -483,14 +486,14 @@ fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
         let mut stream = TcpStream::connect(address).unwrap();
         stream.set_read_timeout(Some(BOUND)).unwrap();
         stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
-        // Answered, so that those behind it do not push it out.
+        // Wait for the answers, so that later requests do not displace the pages.
         stream.read_exact(&mut [0; 15]).expect("an answer in time");
         stream
     };
     let others: Vec<TcpStream> = (0..64).map(watch).collect();
     let mut tab = Tab::open(&gripper.page);
     tab.until(&format!("document.readyState === 'complete' && {STATE} === 'no connection'"));
-    // Refused, and not only late.
+    // Rejected, not just delayed.
     tab.until_told("Network.responseReceivedExtraInfo", |answer| answer["statusCode"] == 503);
 
     drop(others);
@@ -498,7 +501,7 @@ fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
     tab.until(&format!("{STATE} === 'IDLE'"));
 }
 
-/// What is wrong with how the page looks: what sticks out, is cut off, lies over something else, or can hardly be read.
+/// Layout defects of the page: elements that overflow, are cut off, overlap, or are hard to read.
 const PROBLEMS: &str = r#"(() => {
     const problems = [], root = document.documentElement;
     if (root.scrollWidth > root.clientWidth) problems.push("the page is wider than the window");
@@ -537,11 +540,11 @@ const PROBLEMS: &str = r#"(() => {
     return problems;
 })()"#;
 
-/// Sizes and colour schemes that the page is made for.
+/// Window sizes and colour schemes that the page supports.
 const LOOKS: [(u32, u32, &str); 4] =
     [(1280, 800, "light"), (1280, 800, "dark"), (400, 800, "light"), (400, 800, "dark")];
 
-/// Waits until the plot has been drawn anew in the new size.
+/// Changes the window and waits until the plot has been redrawn in the new size.
 fn look(tab: &mut Tab, (width, height, scheme): (u32, u32, &str)) {
     tab.look(width, height, scheme);
     tab.until(
@@ -550,7 +553,7 @@ fn look(tab: &mut Tab, (width, height, scheme): (u32, u32, &str)) {
     );
 }
 
-/// These and others, down to the smallest telephones.
+/// Returns these sizes and more, down to the smallest phones.
 fn sizes() -> impl Iterator<Item = (u32, u32, &'static str)> {
     LOOKS.into_iter().chain([320, 360, 810, 1920].map(|width| (width, 800, "light")))
 }
@@ -574,12 +577,12 @@ fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() 
     tab.until("document.getElementById('message').textContent !== ''");
     for size in sizes() {
         look(&mut tab, size);
-        assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}, behind a FAST STOP");
+        assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}, after a FAST STOP");
     }
 }
 
-/// The pictures of `docs/simulator.md`: `WSG_UPDATE_DOCS=1` takes them anew. What is in them depends on the fonts of the machine,
-/// so only their sizes are compared.
+/// Compares the pictures of `docs/simulator.md`; `WSG_UPDATE_DOCS=1` takes them again. Their content depends on the
+/// fonts of the machine, so only the sizes are compared.
 #[test]
 #[ignore = "needs Chromium: see the top of this file"]
 fn documents_have_pictures_of_the_page() {
@@ -609,7 +612,7 @@ fn documents_have_pictures_of_the_page() {
     }
     for (width, height, scheme) in LOOKS {
         let name = picture((width, height, scheme));
-        assert!(text.contains(&name), "docs/simulator.md shows {name}");
+        assert!(text.contains(&name), "docs/simulator.md must show {name}");
         let png = std::fs::read(docs.join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
         let size = [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()));
         assert_eq!(size, [width, height], "{name}");

@@ -1,6 +1,6 @@
-//! The virtual gripper over real sockets, serial lines and terminals.
+//! The virtual gripper on real sockets, serial lines and terminals.
 //!
-//! One program, because these tests wait more than they compute: several run at a time. Pseudo terminals need Unix.
+//! All tests share one program, because they mostly wait and can run in parallel. Pseudo terminals require Unix.
 
 mod binary;
 #[cfg(unix)]

@@ -1,6 +1,6 @@
-//! Modbus/TCP over real sockets, and the binary. Every wait is bounded by a time-out of the socket.
+//! Modbus/TCP on real sockets, and the binary. Every wait is bounded by a socket time-out.
 //!
-//! What is expected is what the MODBUS application protocol specification and the messaging implementation guide say.
+//! The expected behaviour is that of the MODBUS application protocol specification and the messaging implementation guide.
 
 use crate::common::parse;
 use crate::common::program::Program;
@@ -11,7 +11,7 @@ use wsg_protocol::{Command, FrameEncoder};
 use wsg_sim::server::{Lines, Log, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
 
 const GSTATE: [u8; 5] = [4, 0, 0, 0, 1];
@@ -23,9 +23,9 @@ fn any_port() -> Option<SocketAddr> {
 }
 
 fn serve(lines: Lines) -> ServerThread {
-    // So that motions take no time to speak of.
+    // Motions take negligible time.
     let config = Config { time_scale: 100.0, part: Part::of_width(20.0), ..Config::default() };
-    ServerThread::start(config, &Lines { modbus: any_port(), ..lines }, None).expect("the server is up")
+    ServerThread::start(config, &Lines { modbus: any_port(), ..lines }, None).expect("the server starts")
 }
 
 fn frame(transaction: u16, unit: u8, pdu: &[u8]) -> Vec<u8> {
@@ -48,20 +48,20 @@ impl Master {
     }
 
     pub(crate) fn of(served: &ServerThread) -> Self {
-        Self::new(served.modbus_address().expect("it was asked for"))
+        Self::new(served.modbus_address().expect("Modbus is served"))
     }
 
     fn send(&mut self, bytes: &[u8]) {
         self.stream.write_all(bytes).unwrap();
     }
 
-    /// The next frame: its transaction, unit and PDU.
+    /// Returns the transaction, unit and PDU of the next frame.
     fn recv(&mut self) -> (u16, u8, Vec<u8>) {
         let mut header = [0; 7];
         self.stream.read_exact(&mut header).expect("an answer in time");
         let [t1, t0, 0, 0, l1, l0, unit] = header else { panic!("no MODBUS: {header:02X?}") };
         let mut pdu = vec![0; usize::from(u16::from_be_bytes([l1, l0])) - 1];
-        self.stream.read_exact(&mut pdu).expect("the rest of it");
+        self.stream.read_exact(&mut pdu).expect("the rest of the frame");
         (u16::from_be_bytes([t1, t0]), unit, pdu)
     }
 
@@ -73,7 +73,7 @@ impl Master {
         answer
     }
 
-    /// CMDFLAGS with the parameters of a grip at 20 mm.
+    /// Writes CMDFLAGS with the parameters of a grip at 20 mm.
     pub(crate) fn write(&mut self, flags: u8) {
         let image = [flags, 0, 0x07, 0xD0, 0x27, 0x10, 0x0F, 0xA0];
         let answer = self.ask(&[&[16, 0, 0, 0, 4, 8][..], &image].concat());
@@ -90,7 +90,7 @@ impl Master {
         self.ask(&[4, 0, 5, 0, 1])[3]
     }
 
-    /// Until the command that was begun has its result.
+    /// Waits until the current command has its result.
     fn wait_for_result(&mut self) -> u8 {
         let end = Instant::now() + BOUND;
         loop {
@@ -108,7 +108,7 @@ impl Master {
         self.write(0);
     }
 
-    /// What comes until the gripper closes the connection.
+    /// Returns all bytes until the gripper closes the connection.
     fn rest(&mut self) -> Vec<u8> {
         let mut rest = vec![];
         self.stream.read_to_end(&mut rest).expect("the connection is closed in time");
@@ -135,7 +135,7 @@ fn request_in_pieces_is_one_request() {
         master.send(&[byte]);
     }
     assert_eq!(master.recv(), (7, 1, vec![6, 0, 1, 0x04, 0xC4]));
-    // The end of one and the beginning of the next in one piece.
+    // The end of one request and the start of the next in one segment.
     let two = [frame(8, 1, &[3, 0, 1, 0, 1]), frame(9, 1, &[3, 0, 2, 0, 1])].concat();
     master.send(&two[..15]);
     assert_eq!(master.recv(), (8, 1, vec![3, 2, 0x04, 0xC4]));
@@ -149,7 +149,7 @@ fn unit_identifier_is_returned_and_chooses_nothing() {
     let mut master = Master::of(&served);
     for unit in 0..=255 {
         master.send(&frame(1, unit, &[6, 0, 1, 0, unit]));
-        assert_eq!(master.recv(), (1, unit, vec![6, 0, 1, 0, unit]), "0 is no broadcast here");
+        assert_eq!(master.recv(), (1, unit, vec![6, 0, 1, 0, unit]), "0 is not a broadcast over TCP");
     }
 }
 
@@ -159,32 +159,32 @@ fn exceptions_are_those_of_the_specification() {
     let mut master = Master::of(&served);
     for (request, exception, why) in [
         (&[0][..], 1, "no function code"),
-        (&[7], 1, "Read Exception Status is for serial lines"),
-        (&[8, 0, 0, 0xA5, 0x37], 1, "so is Diagnostics"),
-        (&[17], 1, "so is Report Server ID"),
+        (&[7], 1, "Read Exception Status is serial line only"),
+        (&[8, 0, 0, 0xA5, 0x37], 1, "Diagnostics is serial line only"),
+        (&[17], 1, "Report Server ID is serial line only"),
         (&[20, 0], 1, "no files"),
         (&[43, 13, 0], 1, "no CANopen"),
         (&[65], 1, "user defined"),
         (&[3, 0, 0, 0, 0], 3, "no register"),
-        (&[3, 0, 0, 0, 126], 3, "more than there may be"),
+        (&[3, 0, 0, 0, 126], 3, "quantity above the limit"),
         (&[3, 0, 0, 0], 3, "too short"),
         (&[3, 0, 0, 0, 1, 0], 3, "too long"),
         (&[1, 0, 0, 0x07, 0xD1], 3, "2001 coils"),
-        (&[3, 0, 0, 0, 5], 2, "behind the last"),
-        (&[4, 0, 6, 0, 1], 2, "behind the last"),
-        (&[4, 0xFF, 0xFF, 0, 2], 2, "addresses do not begin again"),
+        (&[3, 0, 0, 0, 5], 2, "beyond the last register"),
+        (&[4, 0, 6, 0, 1], 2, "beyond the last register"),
+        (&[4, 0xFF, 0xFF, 0, 2], 2, "addresses do not wrap"),
         (&[5, 0, 0, 0x12, 0x34], 3, "neither on nor off"),
-        (&[5, 0, 64, 0xFF, 0], 2, "behind the last coil"),
+        (&[5, 0, 64, 0xFF, 0], 2, "beyond the last coil"),
         (&[16, 0, 0, 0, 2, 4, 0, 0, 0], 3, "fewer bytes than counted"),
         (&[16, 0, 0, 0, 2, 2, 0, 0], 3, "count and quantity differ"),
-        (&[16, 0, 3, 0, 2, 4, 0, 0, 0, 0], 2, "half of it is behind the last"),
-        (&[22, 0, 4, 0, 0, 0, 0], 2, "behind the last"),
+        (&[16, 0, 3, 0, 2, 4, 0, 0, 0, 0], 2, "partly beyond the last register"),
+        (&[22, 0, 4, 0, 0, 0, 0], 2, "beyond the last register"),
         (&[43, 14, 4, 0x80], 2, "no extended object"),
         (&[43, 14, 5, 0], 3, "no such access"),
     ] {
         assert_eq!(master.ask(request), [request[0] | 0x80, exception], "{request:02X?}: {why}");
     }
-    // Two that read as one: what stands behind the counted data belongs to no request.
+    // Two requests that read as one: bytes after the counted data belong to no request.
     assert_eq!(master.ask(&[3, 0, 0, 0, 4]), [3, 8, 0, 0, 0, 0, 0, 0, 0, 0], "nothing was written");
 }
 
@@ -230,7 +230,7 @@ fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
     for deaf in &deaf {
         deaf.stream.set_nonblocking(true).unwrap();
         let (mut written, mut stuck) = (0, 0);
-        // Until the gripper takes no more of it, however often it has its turn.
+        // Until the gripper accepts nothing more in 20 consecutive turns.
         while stuck < 20 {
             match uninterrupted::write(&deaf.stream, &requests[written % request.len()..]) {
                 Ok(count) => (written, stuck) = (written + count, 0),
@@ -253,10 +253,10 @@ fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
         assert_eq!(master.gstate(), IDLE);
     }
     assert!(begin.elapsed() < BOUND / 2, "{:?}", begin.elapsed());
-    // Half a request is none.
+    // A partial request is not answered.
     assert_eq!(master.ask(&[3, 0, 0, 0, 1]), [3, 2, 0, 0]);
     drop(halves);
-    // Once it reads, a deaf one gets all its answers.
+    // A deaf client gets all its answers once it reads.
     let mut first = deaf.remove(0);
     for _ in 0..5_000 {
         assert_eq!(first.recv().2[..3], [43, 14, 1]);
@@ -267,7 +267,7 @@ fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
 fn idle_connections_give_way_to_new_ones_of_any_kind() {
     let served = serve(Lines { tcp: any_port(), ..Lines::default() });
     let mut masters: Vec<Master> = (0..128).map(|_| Master::of(&served)).collect();
-    // The last one is answered, so all of them were accepted; then the first one is the last that asked.
+    // The last one is answered, so all of them were accepted. The first one then becomes the most recently active.
     for at in [127, 0] {
         assert_eq!(masters[at].gstate(), IDLE);
     }
@@ -300,12 +300,12 @@ fn random_bytes_leave_it_answering() {
     for round in 0..300 {
         let mut master = Master::of(&served);
         let mut bytes: Vec<u8> = (0..next() % 600).map(|_| next() as u8).collect();
-        // Two in three begin with a header that may be one.
+        // Two in three begin with a plausible header.
         if round % 3 > 0 && bytes.len() > 8 {
             bytes[2..5].fill(0);
             bytes[7] = next() as u8 % 3;
         }
-        // The gripper may close it at any time.
+        // The gripper may close the connection at any time.
         let _ = master.stream.write_all(&bytes);
         let _ = master.stream.shutdown(std::net::Shutdown::Write);
         match master.stream.read_to_end(&mut vec![]) {
@@ -341,24 +341,24 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
     };
     const STATE: Command<'static> = Command::GetGripperState { update: wsg_protocol::AutoUpdate::once() };
 
-    // The PLC homes and grips; everybody sees the part held.
+    // The PLC homes and grips; all clients see the held part.
     master.run(0b1000);
     master.run(0b0010);
     assert_eq!((master.gstate(), watcher.gstate()), (HOLDING, HOLDING));
     assert_eq!(answers(STATE), [0, 0, 4]);
     assert_eq!(says("GRIPSTATE?"), "GRIPSTATE=4");
-    // The text client lets go; the PLC sees it.
+    // The text client releases the part, and the PLC sees it.
     assert_eq!(says("RELEASE()"), "ACK RELEASE");
     assert_eq!(says(""), "FIN RELEASE");
     assert_eq!((master.gstate(), answers(STATE)), (IDLE, vec![0, 0, 0]));
-    // The binary client's FAST STOP is the PLC's as well: IDLE there, 7 here and in the text protocol.
+    // A FAST STOP of the binary client also applies to the PLC: state IDLE there, 7 here and in the text protocol.
     assert_eq!(answers(Command::FastStop), [0, 0]);
     assert_eq!(watcher.ask(&[2, 0, 28, 0, 1]), [2, 1, 1], "SYSSTATE bit 12");
     assert_eq!(
         (watcher.gstate(), answers(STATE), says("GRIPSTATE?")),
         (IDLE, vec![0, 0, 7], "GRIPSTATE=7".to_owned())
     );
-    // The PLC acknowledges it for all.
+    // The PLC acknowledges it for all clients.
     watcher.write(0);
     watcher.write(0b1_0000);
     assert_eq!(watcher.ask(&[2, 0, 28, 0, 1]), [2, 1, 0]);
@@ -410,12 +410,12 @@ fn program_serves_modbus_and_says_where() {
     master.ask(&[6, 0, 0, 0x08, 0]);
     let start = Instant::now();
     while master.ask(&[4, 0, 5, 0, 1]) != [4, 2, 0, 0] {
-        assert!(start.elapsed() < BOUND, "homing does not end");
+        assert!(start.elapsed() < BOUND, "homing did not end");
     }
     assert_eq!(master.ask(&[4, 0, 3, 0, 1]), [4, 2, 0xF8, 0x2A], "110.00 mm, low byte first");
 }
 
-/// Fieldbus manual, 5.1.1.
+/// Fieldbus manual, 5.1.1: the user flags.
 #[cfg(feature = "script")]
 #[test]
 fn user_flags_reach_a_script_and_come_from_it() {

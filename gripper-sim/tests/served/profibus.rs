@@ -1,4 +1,4 @@
-//! The gripper as a PROFIBUS slave on a pseudo terminal, with the master of `profirust`. Every wait is bounded.
+//! The gripper as a PROFIBUS slave on a pseudo terminal, with the `profirust` master. Every wait is bounded.
 
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
@@ -20,13 +20,13 @@ use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::server::{Lines, SerialLine, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// The longest that anything may take here.
+/// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
-/// So that motions take no time to speak of.
+/// Time scale at which motions take negligible time.
 const QUICK: f32 = 100.0;
 const STATION: Address = 7;
 
-/// A terminal as the master's line.
+/// A terminal used as the master's line.
 struct Terminal {
     line: File,
     received: Vec<u8>,
@@ -41,11 +41,11 @@ impl Terminal {
         Self { line: line.into(), received: vec![] }
     }
 
-    /// Takes what is there, or waits for it up to a millisecond.
+    /// Reads the available bytes, or waits for bytes for up to a millisecond.
     fn listen(&mut self) {
         let wait = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
         let mut fds = [PollFd::new(&self.line, PollFlags::IN)];
-        // A signal ends the wait, and it is made again.
+        // A signal ends the wait, which is then repeated.
         if poll(&mut fds, Some(&wait)).is_ok_and(|count| count > 0) {
             let mut chunk = [0; 256];
             let count = uninterrupted::read(&mut self.line, &mut chunk).unwrap();
@@ -73,7 +73,7 @@ impl ProfibusPhy for Terminal {
     }
 }
 
-/// A PLC with that master.
+/// A PLC with this master.
 struct Plc {
     line: Terminal,
     fdl: FdlActiveStation,
@@ -94,7 +94,7 @@ impl Plc {
         let (inputs, outputs) = (vec![0; InputImage::LEN], vec![0; OutputImage::LEN]);
         let gripper = master.add(Peripheral::new(STATION, options, inputs, outputs));
         master.enter_operate();
-        // 60 ms and many repetitions, however busy the machine is; and one other address is looked for.
+        // A slot time of 60 ms and many retries tolerate a busy machine. The low highest address limits the polled stations.
         let parameters = ParametersBuilder::new(2, Baudrate::B500000)
             .slot_bits(30_000)
             .max_retry_limit(15)
@@ -107,7 +107,7 @@ impl Plc {
         Self { line: Terminal::open(path), fdl, master, gripper, image }
     }
 
-    /// Exchanges outputs with these flags until the inputs are as they have to become.
+    /// Exchanges outputs with these flags until `is_done` returns `true` for the inputs.
     fn command(&mut self, flags: Flag, is_done: impl Fn(&InputImage) -> bool) {
         self.image.flags = flags;
         let start = RealInstant::now();
@@ -132,8 +132,8 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     let config = Config { time_scale: QUICK, part: Part::of_width(20.0), ..Config::default() };
     let control = "127.0.0.1:0".parse().ok();
     let lines = Lines { profibus: Some(SerialLine::Pty), control, ..Lines::default() };
-    let server = ServerThread::start(config, &lines, None).expect("the server is up");
-    let mut plc = Plc::new(server.profibus_path().expect("it was asked for"));
+    let server = ServerThread::start(config, &lines, None).expect("the server starts");
+    let mut plc = Plc::new(server.profibus_path().expect("PROFIBUS is served"));
 
     let shows = |state| move |input: &InputImage| (input.state, input.status) == (state, Status::Success);
     plc.command(Flag::empty(), shows(Shown::IDLE));
@@ -145,9 +145,9 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     plc.command(Flag::empty(), shows(Shown::HOLDING));
     plc.command(Flag::RELEASE, shows(Shown::IDLE));
 
-    let outputs = || state_outputs(server.control_address().expect("it was asked for"));
+    let outputs = || state_outputs(server.control_address().expect("the control interface is served"));
     assert_eq!(outputs(), plc.image.to_bytes());
-    // Global_Control to all stations: Clear_Data. The master of profirust sends no more.
+    // Global_Control to all stations: Clear_Data, sent in place of the silent profirust master.
     plc.line.line.write_all(&[0x68, 7, 7, 0x68, 0xFF, 0x82, 0x46, 58, 62, 2, 0, 0x41, 0x16]).unwrap();
     let start = RealInstant::now();
     while outputs() != [0; OutputImage::LEN] {
@@ -167,15 +167,15 @@ fn state_outputs(control: SocketAddr) -> [u8; OutputImage::LEN] {
     serde_json::from_value(state["fieldbus"]["output"].clone()).expect("an image")
 }
 
-/// Fieldbus manual, 5.1.1.
+/// Fieldbus manual, 5.1.1: the user flags.
 #[cfg(feature = "script")]
 #[test]
 fn user_flags_reach_a_script_and_come_from_it_over_profibus() {
     use crate::scripts::{MIRRORS_USER_FLAGS, script_file};
     let (_file, path) = script_file("profibus-flags", MIRRORS_USER_FLAGS);
     let lines = Lines { profibus: Some(SerialLine::Pty), script: Some(path), ..Lines::default() };
-    let server = ServerThread::start(Config::default(), &lines, None).expect("the server is up");
-    let mut plc = Plc::new(server.profibus_path().expect("it was asked for"));
+    let server = ServerThread::start(Config::default(), &lines, None).expect("the server starts");
+    let mut plc = Plc::new(server.profibus_path().expect("PROFIBUS is served"));
     for (inputs, outputs) in [(0b0000_0001, 0b0100_0000), (0b1000_0110, 0b1011_0000), (0, 0)] {
         plc.image.user = inputs;
         plc.command(Flag::empty(), |input| input.user == outputs);

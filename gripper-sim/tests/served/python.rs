@@ -1,4 +1,4 @@
-//! `examples/test_gripper.py`, by the pytest that `cargo xtask test` installs.
+//! Runs `examples/test_gripper.py` with the pytest that `cargo xtask test` installs.
 
 use std::path::Path;
 use std::process::Command;

@@ -1,5 +1,5 @@
-//! Debian's Chromium without a screen, by the DevTools protocol: JSON that a zero byte ends, requests in, answers and events
-//! out, over pipes. So it needs no port and no crate, and ends with these tests, however they end: its pipe does.
+//! Debian's Chromium in headless mode, controlled by the DevTools protocol over pipes: JSON terminated by a zero byte.
+//! It needs no port and no crate. It ends with the tests in any case, because its pipe closes.
 
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -13,11 +13,12 @@ use std::time::Instant;
 
 use super::BOUND;
 
-/// One for all tests, each with windows of its own; a process for them all does, and takes two thirds of the time.
+/// One browser for all tests, with separate windows per test. One process takes two thirds of the time of several.
 static BROWSER: LazyLock<Browser> = LazyLock::new(Browser::start);
 
-/// Chromium reads from 3 and writes to 4; what it says besides is about a desktop that is not there. The shell outlives it, to
-/// take its profile away. There is no sandbox, which root and containers cannot have, for what it shows are pages of these tests.
+/// Chromium reads from descriptor 3 and writes to 4; its other output concerns the missing desktop. The shell outlives
+/// it to delete its profile. The sandbox is off, because root and containers cannot use it and only pages of these
+/// tests are shown.
 const START: &str = r#"
 trap '' INT
 profile=$(mktemp -d)
@@ -29,7 +30,7 @@ rm -rf "$profile"
 struct Browser {
     requests: Mutex<ChildStdin>,
     ids: AtomicU64,
-    /// Who waits for messages, by session; those of the browser itself have none.
+    /// Receivers of messages by session; messages of the browser itself have none.
     readers: Mutex<HashMap<String, Sender<Value>>>,
     own: Mutex<Receiver<Value>>,
 }
@@ -47,7 +48,7 @@ impl Browser {
         let answers = shell.stdout.take().expect("it is piped");
         thread::spawn(move || {
             distribute(answers);
-            // It takes the profile away, and is gone.
+            // Waits until the shell has deleted the profile.
             let _ = shell.wait();
         });
         let (sender, own) = channel();
@@ -55,7 +56,7 @@ impl Browser {
         Self { requests, ids: AtomicU64::new(1), readers: Mutex::new(readers), own: Mutex::new(own) }
     }
 
-    /// Sends a request; its number.
+    /// Sends a request and returns its number.
     fn send(&self, session: &str, method: &str, params: &Value) -> u64 {
         let id = self.ids.fetch_add(1, Ordering::Relaxed);
         let mut request = json!({"id": id, "method": method, "params": params});
@@ -69,7 +70,7 @@ impl Browser {
         id
     }
 
-    /// What a request of the browser itself comes to.
+    /// Sends a request to the browser itself and returns its result.
     fn call(&self, method: &str, params: &Value) -> Value {
         let own = self.own.lock().unwrap();
         let id = self.send("", method, params);
@@ -77,7 +78,7 @@ impl Browser {
     }
 }
 
-/// Gives each message to whom it is for, until there are no more.
+/// Passes each message to its receiver until the pipe closes.
 fn distribute(answers: ChildStdout) {
     let mut answers = BufReader::new(answers);
     let mut message = Vec::new();
@@ -86,7 +87,7 @@ fn distribute(answers: ChildStdout) {
         let value: Value = serde_json::from_slice(&message).expect("Chromium sends JSON");
         let session = value["sessionId"].as_str().unwrap_or_default();
         if let Some(reader) = BROWSER.readers.lock().unwrap().get(session) {
-            // A test that is over reads no more.
+            // A finished test no longer receives.
             let _ = reader.send(value);
         }
         message.clear();
@@ -94,7 +95,7 @@ fn distribute(answers: ChildStdout) {
     BROWSER.readers.lock().unwrap().clear();
 }
 
-/// The result of the request of this number; what comes before it is for `pass`.
+/// Returns the result of the request with this number; passes messages before it to `pass`.
 fn result(method: &str, id: u64, messages: &Receiver<Value>, mut pass: impl FnMut(Value)) -> Value {
     loop {
         let mut message = messages
@@ -108,17 +109,17 @@ fn result(method: &str, id: u64, messages: &Receiver<Value>, mut pass: impl FnMu
     }
 }
 
-/// A window that nothing else looks at.
+/// A window used by one test only.
 pub(super) struct Tab {
     session: String,
     target: Value,
     messages: Receiver<Value>,
-    /// What was told unasked: requests, the console.
+    /// Unsolicited events, such as requests and console messages.
     events: Vec<Value>,
 }
 
 impl Tab {
-    /// An empty one.
+    /// Opens an empty window.
     pub(super) fn new() -> Self {
         let window = json!({"url": "about:blank", "newWindow": true});
         let target = BROWSER.call("Target.createTarget", &window);
@@ -131,13 +132,13 @@ impl Tab {
         for domain in ["Page", "Runtime", "Network", "Log", "Audits"] {
             tab.call(&format!("{domain}.enable"), &json!({}));
         }
-        // As if somebody looked at it: nothing is slowed down, and keys arrive.
+        // Emulates the focus, so that the browser does not throttle the page and delivers keys.
         tab.call("Emulation.setFocusEmulationEnabled", &json!({"enabled": true}));
         tab.look(1280, 800, "light");
         tab
     }
 
-    /// One that shows this.
+    /// Opens a window with this URL.
     pub(super) fn open(url: &str) -> Self {
         let mut tab = Self::new();
         let shown = tab.call("Page.navigate", &json!({"url": url}));
@@ -145,7 +146,7 @@ impl Tab {
         tab
     }
 
-    /// The size in pixels, and the colour scheme of the system.
+    /// Sets the size in pixels and the colour scheme of the system.
     pub(super) fn look(&mut self, width: u32, height: u32, scheme: &str) {
         let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
         self.call("Emulation.setDeviceMetricsOverride", &size);
@@ -153,13 +154,13 @@ impl Tab {
         self.call("Emulation.setEmulatedMedia", &scheme);
     }
 
-    /// What a request of the protocol comes to.
+    /// Sends a request of the protocol and returns its result.
     pub(super) fn call(&mut self, method: &str, params: &Value) -> Value {
         let id = BROWSER.send(&self.session, method, params);
         result(method, id, &self.messages, |event| self.events.push(event))
     }
 
-    /// What an expression gives on the page, once it is there.
+    /// Evaluates an expression on the page once it has loaded.
     pub(super) fn eval(&mut self, expression: &str) -> Value {
         let how = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
         let mut answer = self.call("Runtime.evaluate", &how);
@@ -167,7 +168,7 @@ impl Tab {
         answer["result"]["value"].take()
     }
 
-    /// What an expression gives on the page, as soon as that is something.
+    /// Evaluates an expression repeatedly until it is not null, and returns its value.
     #[track_caller]
     pub(super) fn until(&mut self, expression: &str) -> Value {
         let found = self.eval(&format!(
@@ -183,11 +184,15 @@ impl Tab {
              }})",
             BOUND.as_millis() / 2
         ));
-        assert!(!found.is_null(), "it does not come: {expression}\n{}", self.eval("document.body.innerText"));
+        assert!(
+            !found.is_null(),
+            "time-out waiting for: {expression}\n{}",
+            self.eval("document.body.innerText")
+        );
         found
     }
 
-    /// A click of the mouse in the middle of what a selector finds.
+    /// Clicks the centre of the element that a selector finds.
     pub(super) fn click(&mut self, selector: &str) {
         let middle = self.until(&format!(
             "(() => {{ const found = document.querySelector({selector:?}); found.scrollIntoView({{ block: 'center' }});
@@ -200,13 +205,13 @@ impl Tab {
         }
     }
 
-    /// Presses a key that types nothing but, with Enter, a line break.
+    /// Presses a key that types no text except, for Enter, a line break.
     pub(super) fn press(&mut self, key: &str) {
         let code = match key {
             "Tab" => 9,
             "Enter" => 13,
             "Escape" => 27,
-            _ => panic!("which code has {key}?"),
+            _ => panic!("no key code is known for {key}"),
         };
         let text = if key == "Enter" { "\r" } else { "" };
         for kind in ["keyDown", "keyUp"] {
@@ -216,26 +221,26 @@ impl Tab {
         }
     }
 
-    /// Types over what a field has, as the keyboard reached it or a click.
+    /// Replaces the text of the focused field.
     pub(super) fn type_text(&mut self, text: &str) {
         self.eval("document.activeElement.select()");
         self.call("Input.insertText", &json!({"text": text}));
     }
 
-    /// What was told unasked under this name, up to now.
+    /// Returns the events of this name received so far.
     pub(super) fn told(&mut self, method: &str) -> Vec<Value> {
-        // An answer comes behind all that.
+        // The answer arrives after all earlier events.
         self.eval("0");
         let told = self.events.iter().filter(|event| event["method"] == method);
         told.map(|event| event["params"].clone()).collect()
     }
 
-    /// Waits until such a thing is told unasked.
+    /// Waits for an event that matches.
     #[track_caller]
     pub(super) fn until_told(&mut self, method: &str, is_it: impl Fn(&Value) -> bool) {
         let start = Instant::now();
         while !self.told(method).iter().any(&is_it) {
-            assert!(start.elapsed() < BOUND, "{method} is not told");
+            assert!(start.elapsed() < BOUND, "no matching event {method}");
         }
     }
 }
