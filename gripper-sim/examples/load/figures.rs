@@ -1,9 +1,9 @@
-//! Lists of durations, and the limits that are held.
+//! Distributions of durations, and the verdict on limits.
 
 use anyhow::{Result, bail};
 use std::fmt;
 
-/// Durations in microseconds, in order.
+/// Durations in microseconds, sorted.
 pub(crate) struct Durations(Vec<u32>);
 
 impl Durations {
@@ -16,7 +16,7 @@ impl Durations {
         self.0.len()
     }
 
-    /// The least of them that `share` of all do not exceed, in milliseconds.
+    /// Returns the smallest duration that `share` of all do not exceed, in milliseconds.
     pub(crate) fn quantile(&self, share: f64) -> f64 {
         let last = self.0.len().saturating_sub(1);
         let at = (last as f64 * share).round() as usize;
@@ -31,30 +31,30 @@ impl fmt::Display for Durations {
     }
 }
 
-/// The limits that were passed.
+/// The limits that were exceeded.
 #[derive(Default)]
 pub(crate) struct Verdict {
     broken: Vec<String>,
-    /// Why limits of time say nothing, where they do not.
+    /// Why time limits cannot be judged, if they cannot.
     load: Option<String>,
-    /// Those of them that were passed.
+    /// The exceeded time limits that are not judged.
     not_judged: Vec<String>,
 }
 
 impl Verdict {
-    /// On a machine that was loaded, as `load` tells: what comes late is not judged.
+    /// Creates a verdict. With `load`, a description of other load on the machine, exceeded time limits are not judged.
     pub(crate) fn under(load: Option<String>) -> Self {
         Self { load, ..Self::default() }
     }
 
-    /// Something that must hold; otherwise `broken` says what was wrong.
+    /// Requires a condition; `broken` describes its violation.
     pub(crate) fn must(&mut self, holds: bool, broken: String) {
         if !holds {
             self.broken.push(broken);
         }
     }
 
-    /// The same of something that takes a processor in time.
+    /// Requires a condition that depends on processor time.
     pub(crate) fn must_in_time(&mut self, holds: bool, broken: String) {
         if !holds && self.load.is_some() {
             self.not_judged.push(broken);

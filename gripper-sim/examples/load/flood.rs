@@ -1,4 +1,4 @@
-//! Clients that do all they can to disturb, and how the well-behaved ones fare meanwhile.
+//! Clients that disturb the server as much as they can, and the effect on well-behaved clients.
 
 use crate::figures::{Durations, Verdict};
 use crate::sim::{Setup, Sim, ask, frame};
@@ -10,15 +10,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 use wsg_protocol::{AutoUpdate, Command, LoopData};
 
-/// Clients of each bad kind.
+/// Number of clients of each misbehaving kind.
 const OF_EACH: usize = 20;
-/// How far the bad clients stand back when there are too few cores for all.
+/// Nice value of the misbehaving clients when there are too few cores for all.
 #[cfg(unix)]
 const NICENESS: i32 = 15;
-/// How often a well-behaved client asks.
+/// Interval of the requests of a well-behaved client.
 const PACE: Duration = Duration::from_millis(5);
 const FAIR_MS: f64 = 5.0;
-/// What 100 bad clients may take: the tables and queues of each are 32 KiB at most.
+/// Memory for 100 misbehaving clients: tables and queues of each are at most 32 KiB.
 const MEMORY_KIB: u64 = 100 * 32;
 
 pub(crate) fn run(lasting: Duration) -> Result<()> {
@@ -32,7 +32,7 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
         let (sim, ended) = (&sim, &ended);
         let bad = [flood, flood_serial, flood_udp, come_and_go, hold].map(|client| {
             scope.spawn(move || {
-                // It competes with the others for the gripper, but not for this machine.
+                // It competes with the others for the gripper, but not for the processor.
                 #[cfg(unix)]
                 rustix::process::nice(NICENESS)?;
                 client(sim, ended)
@@ -66,7 +66,7 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
     verdict.give()
 }
 
-/// What a well-behaved client sees: how long each answer takes.
+/// Measures how long each answer to a well-behaved client takes.
 fn round_trips(sim: &Sim, lasting: Duration) -> Result<Durations> {
     let mut stream = sim.connect()?;
     let data = LoopData::new(b"round and round").map_err(|refusal| anyhow!("{refusal}"))?;
@@ -82,7 +82,7 @@ fn round_trips(sim: &Sim, lasting: Duration) -> Result<Durations> {
     Ok(Durations::new(micros))
 }
 
-/// Requests as many as go in, from clients that never read an answer.
+/// Sends as many requests as possible from clients that never read an answer.
 fn flood(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     let mut streams = connect_all(sim)?;
     for stream in &streams {
@@ -105,7 +105,7 @@ fn flood(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     Ok(())
 }
 
-/// A serial line has no flow control: all requests are taken, and the answers are lost.
+/// A serial line has no flow control: all requests are accepted, and the answers are lost.
 fn flood_serial(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     let (_unread, mut stream) = sim.open_serial()?;
     let requests = frame(Command::GetSystemLimits).repeat(20);
@@ -119,25 +119,25 @@ fn flood_udp(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     let socket = UdpSocket::bind("127.0.0.1:0")?;
     let request = frame(Command::GetSystemLimits);
     while !ended.load(Ordering::Relaxed) {
-        // What the system has no room for is lost.
+        // Datagrams for which the system has no room are lost.
         let _ = uninterrupted::send_to(&socket, &request, sim.udp);
     }
     Ok(())
 }
 
-/// Connections that end unannounced as soon as they are there.
+/// Opens connections that end unannounced immediately.
 fn come_and_go(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     while !ended.load(Ordering::Relaxed) {
         let mut stream = sim.connect()?;
         stream.write_all(&frame(Command::Stop))?;
-        // One too many is closed at once; then there is nothing to read.
+        // An excess connection is closed immediately; there is nothing to read then.
         let _ = uninterrupted::read(&stream, &mut [0; 64]);
         thread::sleep(Duration::from_millis(1));
     }
     Ok(())
 }
 
-/// Half frames, updates that nobody reads, and control connections that say nothing.
+/// Incomplete frames, unread updates, and silent control connections.
 fn hold(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     let mut half = connect_all(sim)?;
     for stream in &mut half {
@@ -153,7 +153,7 @@ fn hold(sim: &Sim, ended: &AtomicBool) -> Result<()> {
         (0..OF_EACH).map(|_| TcpStream::connect(sim.control)).collect::<Result<_, _>>()?;
     while !ended.load(Ordering::Relaxed) {
         for stream in &mut half {
-            // One byte more before the time is over: the frame stays half for long.
+            // One more byte before the time-out: the frame stays incomplete for long.
             stream.write_all(&[0])?;
         }
         thread::sleep(Duration::from_millis(400));

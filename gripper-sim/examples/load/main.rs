@@ -1,5 +1,5 @@
-//! Puts load on the servers and says what it does to them. The gripper runs in a process of its own, so that its CPU
-//! time and its memory can be told apart from those of the clients. Linux only.
+//! Load tests of the servers. The gripper runs in a separate process, so that its CPU time and memory can be measured
+//! separately from the clients. Linux only.
 //!
 //! ```sh
 //! cargo run --release -p wsg-sim --example load -- updates --seconds 30
@@ -8,7 +8,7 @@
 //! cargo run --release -p wsg-sim --example load -- noise --seconds 60
 //! ```
 //!
-//! Each fails, with a non-zero exit, when a limit is passed. `docs/simulator.md` says what the limits are.
+//! Each test exits with a nonzero status if a limit is exceeded. `docs/simulator.md` lists the limits.
 
 mod figures;
 mod flood;
@@ -67,7 +67,7 @@ fn run() -> Result<()> {
         Some("updates") => updates::run(lasting(30), pages),
         Some("flood") => flood::run(lasting(15)),
         Some("noise") => noise::run(lasting(60)),
-        // What the modes above start: the gripper.
+        // The gripper process started by the modes above.
         Some(sim::SERVE) => sim::serve(),
         _ => bail!("expected updates, flood or noise; --help says more"),
     }

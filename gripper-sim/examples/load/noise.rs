@@ -1,4 +1,4 @@
-//! Random bytes on every port, with checksums evaluated and without: it must not fail, and must still answer.
+//! Random bytes on every port, with and without checksum evaluation: the server must not fail and must still answer.
 
 use crate::sim::{PATIENCE, Random, Setup, Sim, frame};
 use anyhow::{Context, Result, anyhow, ensure};
@@ -9,9 +9,9 @@ use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use wsg_protocol::{Command, LoopData};
 
-/// The longest run of bytes that is sent at a time.
+/// The longest run of bytes sent at once.
 const MAX_RUN: usize = 1_500;
-/// How long is waited for an answer before the question is put again.
+/// Time-out for an answer after which the request is repeated.
 const RETRY: Duration = Duration::from_secs(1);
 const SOUGHT: &[u8] = b"after all that noise";
 
@@ -48,7 +48,7 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
 /// Sends a run of bytes to one port.
 type Sender = Box<dyn FnMut(&[u8]) -> Result<()> + Send>;
 
-/// Sends bytes to every port until the time is over; how many.
+/// Sends bytes to every port until the time is over; returns the number of bytes.
 fn disturb(sim: &Sim, seed: u64, lasting: Duration) -> Result<u64> {
     let end = Instant::now() + lasting;
     let (_unread, mut serial) = sim.open_serial()?;
@@ -62,7 +62,7 @@ fn disturb(sim: &Sim, seed: u64, lasting: Duration) -> Result<u64> {
         Box::new(move |run| say_and_leave(gcl, run)),
         Box::new(move |run| say_and_leave(modbus, run)),
         Box::new(move |run| say_and_leave(control, run)),
-        // What the system has no room for is lost.
+        // Datagrams for which the system has no room are lost.
         Box::new(move |run| uninterrupted::send_to(&socket, run, udp).map_or(Ok(()), |_| Ok(()))),
         Box::new(move |run| uninterrupted::send_to(&gcl_socket, run, gcl_udp).map_or(Ok(()), |_| Ok(()))),
         Box::new(move |run| Ok(serial.write_all(run)?)),
@@ -89,7 +89,7 @@ fn disturb(sim: &Sim, seed: u64, lasting: Duration) -> Result<u64> {
     })
 }
 
-/// Bytes of one of three kinds: any; those that frames are made of; a request with a few wrong bytes.
+/// Returns bytes of one of three kinds: random, typical of frames, or a request with a few wrong bytes.
 fn noise(random: &mut Random) -> Vec<u8> {
     let len = 1 + random.below(MAX_RUN);
     match random.below(3) {
@@ -121,12 +121,12 @@ fn noise(random: &mut Random) -> Vec<u8> {
     }
 }
 
-/// One connection: says it, reads what there is, and goes.
+/// Opens a connection, sends a run of bytes, reads what is available, and disconnects.
 fn say_and_leave(to: SocketAddr, run: &[u8]) -> Result<()> {
     let mut stream = TcpStream::connect(to)?;
     stream.set_read_timeout(Some(Duration::from_millis(1)))?;
     stream.set_write_timeout(Some(PATIENCE))?;
-    // It may be closed for what was said.
+    // The server may close the connection because of the noise.
     let _ = stream.write_all(run);
     let _ = uninterrupted::read(&stream, &mut [0; 4_096]);
     Ok(())
@@ -142,7 +142,7 @@ fn answers_tcp(sim: &Sim) -> Result<()> {
     stream.write_all(&question()?)?;
     let mut answer = vec![0; question()?.len() + 2];
     stream.read_exact(&mut answer)?;
-    ensure!(contains(&answer, SOUGHT), "the answer is another: {answer:02X?}");
+    ensure!(contains(&answer, SOUGHT), "unexpected answer: {answer:02X?}");
     Ok(())
 }
 
@@ -151,7 +151,7 @@ fn answers_udp(sim: &Sim, remote: &UdpSocket) -> Result<()> {
     let mut datagram = [0; 2_048];
     while start.elapsed() < PATIENCE {
         uninterrupted::send_to(remote, &question()?, sim.udp)?;
-        // Answers to the noise come first.
+        // Answers to the noise arrive first.
         while let Ok((len, _)) = uninterrupted::recv_from(remote, &mut datagram) {
             if contains(&datagram[..len], SOUGHT) {
                 return Ok(());
@@ -167,26 +167,26 @@ fn answers_gcl(sim: &Sim) -> Result<()> {
     stream.write_all(b"DEVTYPE?\n")?;
     let mut line = String::new();
     BufReader::new(stream).read_line(&mut line)?;
-    ensure!(line.starts_with("DEVTYPE="), "the answer is another: {line:?}");
+    ensure!(line.starts_with("DEVTYPE="), "unexpected answer: {line:?}");
     Ok(())
 }
 
 fn answers_modbus(sim: &Sim) -> Result<()> {
     let mut stream = TcpStream::connect(sim.modbus)?;
     stream.set_read_timeout(Some(PATIENCE))?;
-    // Read Discrete Inputs: GSTATE, of which one bit is set.
+    // Read Discrete Inputs: GSTATE, in which exactly one bit is set.
     stream.write_all(&[0, 7, 0, 0, 0, 6, 0xFF, 2, 0, 0, 0, 8])?;
     let mut answer = [0; 10];
     stream.read_exact(&mut answer)?;
     let [head @ .., state] = answer;
     ensure!(
         head == [0, 7, 0, 0, 0, 4, 0xFF, 2, 1] && state.is_power_of_two(),
-        "the answer is another: {answer:02X?}"
+        "unexpected answer: {answer:02X?}"
     );
     Ok(())
 }
 
-/// From a socket of its own, so that no answer to the noise comes here; the line's buffers may still be full of it.
+/// Uses a separate socket, which receives no answers to the noise. The line's buffers may still be full of noise.
 fn answers_gcl_udp(sim: &Sim) -> Result<()> {
     let socket = UdpSocket::bind("127.0.0.1:0")?;
     socket.set_read_timeout(Some(RETRY))?;
@@ -195,21 +195,17 @@ fn answers_gcl_udp(sim: &Sim) -> Result<()> {
     while start.elapsed() < PATIENCE {
         uninterrupted::send_to(&socket, b"DEVTYPE?\n", sim.gcl_udp)?;
         if let Ok((len, _)) = uninterrupted::recv_from(&socket, &mut datagram) {
-            ensure!(
-                datagram[..len].starts_with(b"DEVTYPE="),
-                "the answer is another: {:02X?}",
-                &datagram[..len]
-            );
+            ensure!(datagram[..len].starts_with(b"DEVTYPE="), "unexpected answer: {:02X?}", &datagram[..len]);
             return Ok(());
         }
     }
     Err(anyhow!("no answer"))
 }
 
-/// Asks again and again, since half a frame of the noise may be waited for.
+/// Repeats the request, because the gripper may be waiting for the rest of an incomplete frame of the noise.
 fn answers_serial(sim: &Sim) -> Result<()> {
     let (mut reader, mut writer) = sim.open_serial()?;
-    // A terminal has no time-out for reading, so another thread reads.
+    // A terminal has no read time-out, so a separate thread reads.
     let (bytes, incoming) = mpsc::channel();
     thread::spawn(move || {
         let mut buffer = [0; 4_096];

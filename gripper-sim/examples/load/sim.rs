@@ -1,4 +1,4 @@
-//! The gripper in a process of its own, and clients of it.
+//! The gripper in a separate process, and its clients.
 
 use anyhow::{Context, Result, ensure};
 use std::io::{BufRead, BufReader, Read, Write};
@@ -10,15 +10,15 @@ use wsg_protocol::{Command, Event, FrameEncoder, FrameParser};
 use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, Part};
 
-/// The argument that makes this program the gripper.
+/// The argument that starts this program as the gripper.
 pub(crate) const SERVE: &str = "serve";
-/// The longest that an answer may take.
+/// Maximum time for an answer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Ticks of the kernel's process clock in a second; the same on every architecture that Linux runs on today.
+/// Ticks of the kernel's process clock per second, the same on all current architectures of Linux.
 const CLOCK_TICKS: f64 = 100.0;
 
-/// How the gripper is served: the variables that tell the process.
+/// The configuration of the server, passed in environment variables.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Setup<'a> {
     /// A Unix socket instead of a pseudo terminal.
@@ -27,7 +27,7 @@ pub(crate) struct Setup<'a> {
     pub(crate) udp_remote_port: u16,
 }
 
-/// The gripper's process, ended when dropped.
+/// The gripper's process, killed on drop.
 pub(crate) struct Sim {
     process: Child,
     pub(crate) tcp: SocketAddr,
@@ -46,7 +46,7 @@ const UNIX: &str = "WSG_LOAD_UNIX";
 const IGNORE_CHECKSUMS: &str = "WSG_LOAD_IGNORE_CHECKSUMS";
 const UDP_REMOTE_PORT: &str = "WSG_LOAD_UDP_REMOTE_PORT";
 
-/// What the process does: it serves until its standard input ends.
+/// The main function of the process: serves until its standard input ends.
 pub(crate) fn serve() -> Result<()> {
     let any = "127.0.0.1:0".parse()?;
     let remote_port = std::env::var(UDP_REMOTE_PORT)?.parse()?;
@@ -76,9 +76,9 @@ pub(crate) fn serve() -> Result<()> {
         server.modbus_address(),
         server.control_address(),
     ] {
-        println!("{}", address.context("it was asked for")?);
+        println!("{}", address.context("the line is served")?);
     }
-    println!("{}", server.serial_path().context("it was asked for")?.display());
+    println!("{}", server.serial_path().context("the serial line is served")?.display());
     std::io::stdin().read_to_end(&mut Vec::new())?;
     server.stop()
 }
@@ -95,7 +95,7 @@ impl Sim {
             process.env(IGNORE_CHECKSUMS, "1");
         }
         let mut process = process.spawn()?;
-        let mut lines = BufReader::new(process.stdout.take().context("it is piped")?).lines();
+        let mut lines = BufReader::new(process.stdout.take().context("standard output is piped")?).lines();
         let mut line =
             move || lines.next().context("the gripper did not start")?.map_err(anyhow::Error::from);
         Ok(Self {
@@ -118,7 +118,7 @@ impl Sim {
         Ok(stream)
     }
 
-    /// The two directions of the serial line: a Unix socket, or else a terminal.
+    /// Opens the two directions of the serial line: a Unix socket or a terminal.
     #[cfg(unix)]
     pub(crate) fn open_serial(&self) -> Result<SerialEnds> {
         if let Ok(stream) = std::os::unix::net::UnixStream::connect(&self.serial) {
@@ -128,13 +128,13 @@ impl Sim {
         Ok((Box::new(terminal.try_clone()?), Box::new(terminal)))
     }
 
-    /// Where there is no Unix, there is no such line.
+    /// Serial lines require Unix here.
     #[cfg(not(unix))]
     pub(crate) fn open_serial(&self) -> Result<SerialEnds> {
-        anyhow::bail!("{} is served on Unix alone", self.serial.display())
+        anyhow::bail!("{} requires Unix", self.serial.display())
     }
 
-    /// CPU time used so far, in seconds.
+    /// Returns the CPU time used so far, in seconds.
     pub(crate) fn cpu_s(&self) -> Result<f64> {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.process.id()))?;
         // Fields 14 and 15; the second field, in parentheses, may contain spaces.
@@ -144,13 +144,13 @@ impl Sim {
         Ok(ticks.iter().sum::<f64>() / CLOCK_TICKS)
     }
 
-    /// How long its threads had work and no processor so far, in seconds.
+    /// Returns how long the threads were runnable without a processor so far, in seconds.
     pub(crate) fn waited_s(&self) -> Result<f64> {
         let tasks = std::fs::read_dir(format!("/proc/{}/task", self.process.id()))?;
         tasks.map(|task| waited_s(&task?.path())).sum()
     }
 
-    /// Memory in use, in KiB.
+    /// Returns the resident memory, in KiB.
     pub(crate) fn rss_kib(&self) -> Result<u64> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.id()))?;
         let line =
@@ -158,30 +158,29 @@ impl Sim {
         Ok(line.trim().trim_end_matches(" kB").parse()?)
     }
 
-    /// Ends the process by ending its input; it must have lived up to now, and end well.
+    /// Ends the process by closing its input. It must still be running, and exit successfully.
     pub(crate) fn stop(mut self) -> Result<()> {
-        ensure!(self.process.try_wait()?.is_none(), "the gripper ended by itself");
+        ensure!(self.process.try_wait()?.is_none(), "the gripper ended prematurely");
         drop(self.process.stdin.take());
-        ensure!(self.process.wait()?.success(), "the gripper did not end well");
+        ensure!(self.process.wait()?.success(), "the gripper did not exit successfully");
         Ok(())
     }
 }
 
 impl Drop for Sim {
     fn drop(&mut self) {
-        // After `stop` there is nothing left to end.
+        // After `stop` there is no process left.
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
 }
 
-/// How long this thread had work and no processor so far, in seconds.
+/// Returns how long this thread was runnable without a processor so far, in seconds.
 pub(crate) fn own_wait_s() -> Result<f64> {
     waited_s("/proc/thread-self".as_ref())
 }
 
-/// The same of the thread with this directory. A kernel that does not count it (without `CONFIG_SCHED_INFO`) has a 0 there,
-/// or no file.
+/// Returns the same for the thread with this directory. Kernels without `CONFIG_SCHED_INFO` show 0 or have no file.
 fn waited_s(thread: &Path) -> Result<f64> {
     let Ok(schedstat) = std::fs::read_to_string(thread.join("schedstat")) else { return Ok(0.0) };
     let nanos: f64 = schedstat.split_whitespace().nth(1).context("the kernel's format")?.parse()?;
@@ -209,7 +208,7 @@ pub(crate) fn ask(stream: &mut (impl Read + Write), command: Command<'_>, answer
     Ok(())
 }
 
-/// Numbers that look random (SplitMix64), the same for a seed.
+/// Pseudo-random numbers (SplitMix64), reproducible for a seed.
 pub(crate) struct Random(pub(crate) u64);
 
 impl Random {

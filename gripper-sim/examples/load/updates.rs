@@ -1,4 +1,4 @@
-//! 100 connections, each with updates of four values every 10 ms, while the fingers travel.
+//! 100 connections, each with updates of four values every 10 ms, while the fingers move.
 
 use crate::figures::{Durations, Verdict};
 use crate::sim::{Setup, Sim, ask, frame, own_wait_s};
@@ -16,16 +16,16 @@ const CONNECTIONS: usize = 100;
 const PERIOD: Duration = Duration::from_millis(10);
 const VALUES: [u8; 4] = [0x41, 0x43, 0x44, 0x45];
 
-/// The issue's limits.
+/// The limits of the issue that introduced this test.
 const MEDIAN_MS: f64 = 5.0;
 const CORES: f64 = 1.0;
-/// The share of the time for which the gripper's threads and that of the clients wait for a processor, one or the other,
-/// when that alone makes half of the updates late: half a period, half of the time. It is about nothing on a quiet machine.
+/// The fraction of time that the gripper's threads and that of the clients wait for a processor at which the wait alone
+/// makes half of the updates late: half a period, half of the time. It is close to zero on an idle machine.
 const LOADED: f64 = 0.25;
-/// What the allocator may take and give while nothing grows.
+/// Tolerance for the allocator while memory does not grow, in KiB.
 const FLAT_KIB: u64 = 1_024;
 
-/// When each update of one value arrived, in microseconds.
+/// Arrival times of the updates of one value, in microseconds.
 type Arrivals = Vec<u32>;
 
 pub(crate) fn run(lasting: Duration, pages: usize) -> Result<()> {
@@ -52,7 +52,7 @@ pub(crate) fn run(lasting: Duration, pages: usize) -> Result<()> {
         });
         let before_s = sim.cpu_s()?;
         let memory = scope.spawn(|| -> Result<_> {
-            // When all have connected and every buffer has been used, and at the end.
+            // Measured after all have connected and used every buffer, and at the end.
             thread::sleep(lasting.mul_f64(0.3));
             let early = sim.rss_kib()?;
             thread::sleep(lasting.mul_f64(0.6));
@@ -87,14 +87,14 @@ pub(crate) fn run(lasting: Duration, pages: usize) -> Result<()> {
     verdict.give()
 }
 
-/// Opens the connections and reads until the time is over; a series for each value of each connection.
+/// Opens the connections and reads until the time is over; returns the arrivals of each value of each connection.
 fn subscribe(sim: &Sim, lasting: Duration, pages: usize) -> Result<Vec<Arrivals>> {
     let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         let start = Instant::now();
         let mut watching = JoinSet::new();
         for _ in 0..pages {
-            // One after the other: of requests fewer are served at a time.
+            // One after the other, because fewer requests are served simultaneously.
             let page = open_page(sim.control).await?;
             watching.spawn(watch(page, start + lasting));
         }
@@ -115,28 +115,28 @@ fn subscribe(sim: &Sim, lasting: Duration, pages: usize) -> Result<Vec<Arrivals>
     })
 }
 
-/// A page that watches, once it is told something.
+/// Opens a page and waits for its first event.
 async fn open_page(control: SocketAddr) -> Result<tokio::net::TcpStream> {
     let mut stream = tokio::net::TcpStream::connect(control).await?;
     stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").await?;
-    ensure!(stream.read(&mut [0; 64]).await? > 0, "a page is not answered");
+    ensure!(stream.read(&mut [0; 64]).await? > 0, "a page got no answer");
     Ok(stream)
 }
 
-/// The page must be told how things stand ten times a second, until the time is over.
+/// Checks that a page receives the state at least ten times a second until the time is over.
 async fn watch(mut stream: tokio::net::TcpStream, end: Instant) -> Result<()> {
     let start = Instant::now();
     let mut buffer = vec![0; 64 * 1_024];
     let mut states = 0;
     while Instant::now() < end {
         let len = stream.read(&mut buffer).await?;
-        ensure!(len > 0, "a page's stream has ended");
+        ensure!(len > 0, "a page's stream ended");
         let read = buffer.get(..len).unwrap_or(&[]);
-        // One that is cut in two by the buffer is not counted.
+        // An event split across two buffers is not counted.
         states += read.windows(12).filter(|window| window == b"event: state").count();
     }
     let rate = states as f64 / start.elapsed().as_secs_f64();
-    ensure!(rate > 10.0, "a page was told how things stand {rate:.1} times a second");
+    ensure!(rate > 10.0, "a page received the state {rate:.1} times a second");
     Ok(())
 }
 
@@ -169,12 +169,12 @@ async fn read_updates(
             }
         }
     }
-    // Announced, so that the others go on undisturbed.
+    // Announced, so that the other clients continue undisturbed.
     stream.write_all(&frame(Command::DisconnectAnnouncement)).await?;
     Ok(series)
 }
 
-/// How late each update came, measured against the earliest: the one that was delayed the least tells the phase.
+/// Returns the delay of each update against the earliest: the update with the least delay defines the phase.
 fn lateness(arrivals: &Arrivals) -> Vec<u32> {
     let period = PERIOD.as_micros() as i64;
     let phases = || arrivals.iter().zip(0..).map(|(at, count)| i64::from(*at) - count * period);
@@ -182,8 +182,7 @@ fn lateness(arrivals: &Arrivals) -> Vec<u32> {
     phases().map(|phase| (phase - earliest) as u32).collect()
 }
 
-/// How many updates are missing between the first and the last. An update that is late moves the last by less than a
-/// period.
+/// Returns how many updates are missing between the first and the last. A late update shifts the last one by less than a period.
 fn missed(arrivals: &Arrivals) -> usize {
     let (Some(first), Some(last)) = (arrivals.first(), arrivals.last()) else { return usize::MAX };
     let expected = 1 + (f64::from(last - first) / PERIOD.as_micros() as f64).round() as usize;
