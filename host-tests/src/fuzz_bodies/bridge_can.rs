@@ -14,24 +14,23 @@
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
-use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_bridge_fw::can::{
     BusOffPolicy, CanBus, CanController as _, CanNode, DEFAULT_NODE, Health, LinkCounters,
 };
 use wsg_bridge_fw::gripper::GripperLink;
-use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::plc::canopen::{NmtState, Node, SETTINGS_INDEX};
 use wsg_bridge_fw::{Bridge, BusConfig, Config};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::can::{Identifiers, Reassembler, Segments};
-use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Kind, Status};
+use wsg_protocol::{CommandId, Event, FrameEncoder, Instant, Kind};
 
-use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS, READY};
-use super::gripper::{self, Gripper, Message, PREAMBLE};
+use super::gripper::{Message, PREAMBLE};
 use super::input::Input;
 use super::oracle::Oracle;
+use super::tap::Tap;
+use super::whole::{Ends, FLAGS, PARAMETERS, World};
 use crate::can_bench::Double;
-use crate::serial_gripper::SerialLine;
 
 const NODE: u16 = DEFAULT_NODE.node as u16;
 const NMT: u16 = 0;
@@ -117,13 +116,10 @@ struct Model {
     bus: CanBus<Double>,
     double: Double,
     /// The gripper's, where it is on the bus.
-    link: GripperLink,
-    /// The gripper's, where it is not; as fast as need be.
-    line: Option<SerialLine>,
+    link: Tap<GripperLink>,
+    is_on_rs_232: bool,
     node: Node,
-    /// Finds messages in what the bridge says to the gripper.
-    said_to_gripper: FrameParser<64>,
-    /// Those that have not left, with the moment that they were said.
+    /// The messages that have not left, with the moment that they were said.
     said: Vec<(Message, u32)>,
     /// Finds messages in what leaves.
     left: Reassembler<8>,
@@ -145,107 +141,17 @@ struct Model {
     brought: Vec<ClassicFrame>,
     /// The bus was lost in the turn before.
     was_lost: bool,
-    now_ms: u32,
-    wires: Inputs,
     device: Device,
     is_over: bool,
-    gripper: Gripper,
-    oracle: Oracle,
+    ends: Ends,
 }
 
-/// The first byte says whether the bridge is ready (bit 0), whether the gripper is on RS-232 (bit 1), and whether the fingers move
-/// at power-up (bit 4). Then each op is a byte that says what, and bytes that say how: wires, time, frames, how the gripper
-/// answers, a PLC that commands, trouble. Without bit 7 a millisecond passes behind it.
+/// The first byte also says whether the gripper is on RS-232 (bit 1). Then each op is a byte that says what, and bytes that say how:
+/// wires, time, frames, how the gripper answers, a PLC that commands, trouble. Without bit 7 a millisecond passes behind it.
 pub fn bridge_can(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
-    let mut model = Model::new(choice & 2 != 0);
-    if choice & 16 != 0 {
-        model.gripper.run();
-    }
-    if choice & 1 != 0 {
-        model.get_ready();
-    }
-    while !input.is_empty() && !model.is_over {
-        let op = input.byte();
-        match op % 16 {
-            0 | 1 => model.wires = Inputs::from_bits_retain(input.byte()),
-            2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
-            3 => {
-                let (kind, any) = (input.byte(), u16::from_le_bytes(input.array()));
-                let id = if kind & 0x80 == 0 { input.pick(&IDS) } else { any };
-                let count = usize::from(kind % 9);
-                let frame = match kind >> 4 & 3 {
-                    0 => ClassicFrame::new_remote(standard(id), count),
-                    1 => ClassicFrame::new(extended(id), input.bytes(count)),
-                    _ => ClassicFrame::new(standard(id), input.bytes(count)),
-                };
-                if id % 0x800 == FROM_GRIPPER {
-                    model.gripper.forge(model.now_ms, &PREAMBLE);
-                }
-                model.bring(frame);
-            }
-            4 => model.bring_rpdo(input.pick(&FLAGS), input.pick(&PARAMETERS)),
-            5 => {
-                // An edge as a PLC gives it.
-                let parameters = input.pick(&PARAMETERS);
-                model.bring_rpdo(CommandFlags::empty(), parameters);
-                model.bring_rpdo(input.pick(&FLAGS), parameters);
-            }
-            6 => model.gripper.change(model.now_ms, &mut input),
-            7 => model.pass(u32::from(input.byte() % 32)),
-            8 => {
-                let data = [input.pick(&NMT_COMMANDS), input.pick(&[NODE as u8, 0, 5])];
-                model.bring_data(NMT, &data);
-            }
-            9 => {
-                let id = HEARTBEAT | input.pick(&[model.device.master, 5]);
-                model.bring_data(id, &[input.pick(&[5, 0, 127])]);
-            }
-            10 => {
-                let (index, sub) = input.pick(&OBJECTS);
-                let ([low, high], value) = (index.to_le_bytes(), input.byte());
-                let specifier = input.pick(&[0x2B, 0x22, 0x23, 0x40, 0x2F, 0x80, 0x00]);
-                let [a, b, c, d] = match (index, sub) {
-                    MASTER => [value, 0, input.pick(&[0x7F, 5, 0]), 0],
-                    COB_ID => [NODE as u8, 0x02, 0, input.pick(&[0x80, 0x00, 0xC0, 0x20])],
-                    TRANSMISSION => [input.pick(&[1, 255, 0, 254, 252]), 0, 0, 0],
-                    ERROR_BEHAVIOUR => [value % 4, 0, 0, 0],
-                    (0x1600, 0) => [input.pick(&[0, 5, 4]), 0, 0, 0],
-                    _ => [value, 0, 0, 0],
-                };
-                model.bring_data(SDO_REQUEST, &[specifier, low, high, sub, a, b, c, d]);
-            }
-            11 => {
-                let status = input.pick(&[
-                    Status::Success,
-                    Status::CmdPending,
-                    Status::CmdFailed,
-                    Status::AccessDenied,
-                ]);
-                let message = gripper::status(input.pick(CommandId::ALL), status);
-                model.gripper.forge(model.now_ms, &message);
-                model.bring_message(&message, None);
-            }
-            12 => {
-                let (id, count, what) = (input.byte(), usize::from(input.byte() % 24), input.byte());
-                let message: Vec<u8> = FrameEncoder::new(id, input.bytes(count)).collect();
-                model.gripper.forge(model.now_ms, &message);
-                model.bring_message(&message, Some(what));
-            }
-            13 => model.trouble(&mut input),
-            14 => {
-                let flags = input.pick(&FLAGS).bits();
-                let count = usize::from(input.byte() % 9);
-                model.bring_data(RPDO, &[flags, 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F][..count]);
-            }
-            _ => model.pass(u32::from(input.byte())),
-        }
-        if op & 0x80 == 0 || model.brought.len() >= BURST {
-            model.pass(1);
-        }
-    }
-    model.pass(10);
+    Model::new(choice & 2 != 0).play(choice, &mut input);
 }
 
 fn standard(id: u16) -> StandardId {
@@ -440,16 +346,15 @@ impl Device {
 }
 
 impl Model {
-    fn new(gripper_on_rs_232: bool) -> Self {
+    fn new(is_on_rs_232: bool) -> Self {
         let double = Double::default();
         Self {
             bridge: Bridge::new(Config::DEFAULT),
             bus: CanBus::new(double.clone(), BusOffPolicy::DEFAULT),
             double,
-            link: GripperLink::new(Identifiers::DEFAULT),
-            line: gripper_on_rs_232.then(|| SerialLine::with_room(usize::MAX)),
+            link: Tap::new(GripperLink::new(Identifiers::DEFAULT), None),
+            is_on_rs_232,
             node: Node::new(DEFAULT_NODE),
-            said_to_gripper: FrameParser::new(),
             said: Vec::new(),
             left: Reassembler::new(standard(TO_GRIPPER), u32::MAX / 2),
             is_troubled: false,
@@ -462,30 +367,13 @@ impl Model {
             overrun: false,
             brought: Vec::new(),
             was_lost: false,
-            now_ms: 0,
-            wires: Inputs::empty(),
             device: Device::new(),
             is_over: false,
-            gripper: Gripper::new(),
-            oracle: Oracle::new(&Config::DEFAULT),
+            ends: Ends::new(&Config::DEFAULT, None),
         }
     }
 
-    /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, operational, an RPDO of zeros.
-    fn get_ready(&mut self) {
-        self.gripper.answer();
-        self.wires = Inputs::FAST_STOP_OK;
-        self.pass(30);
-        self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
-        self.bring_data(NMT, &[0x01, NODE as u8]);
-        self.pass(8);
-        self.bring_rpdo(CommandFlags::empty(), PARAMETERS[0]);
-        self.wires = Inputs::FAST_STOP_OK;
-        self.pass(4);
-        assert_eq!(self.oracle.shown.outputs, READY);
-    }
-
-    fn bring(&mut self, frame: Option<ClassicFrame>) {
+    fn put(&mut self, frame: Option<ClassicFrame>) {
         let Some(frame) = frame else { return };
         if self.brought.len() >= BURST {
             self.pass(1);
@@ -497,18 +385,18 @@ impl Model {
         self.brought.push(frame);
     }
 
-    fn bring_data(&mut self, id: u16, data: &[u8]) {
-        self.bring(ClassicFrame::new(standard(id), data));
+    fn put_data(&mut self, id: u16, data: &[u8]) {
+        self.put(ClassicFrame::new(standard(id), data));
     }
 
-    fn bring_rpdo(&mut self, flags: CommandFlags, parameters: [u16; 3]) {
+    fn put_rpdo(&mut self, flags: CommandFlags, parameters: [u16; 3]) {
         let parameters = parameters.map(u16::to_le_bytes).concat();
-        self.bring_data(RPDO, &[&[flags.bits(), 0], &parameters[..]].concat());
+        self.put_data(RPDO, &[&[flags.bits(), 0], &parameters[..]].concat());
     }
 
     /// A message of the gripper; of what becomes of its frames, or of its bytes, this.
-    fn bring_message(&mut self, message: &[u8], what: Option<u8>) {
-        if let Some(line) = &mut self.line {
+    fn deliver(&mut self, message: &[u8], what: Option<u8>) {
+        if self.is_on_rs_232 {
             let mut bytes = message.to_vec();
             let at = usize::from(what.unwrap_or(0) >> 4) % bytes.len();
             match what.map(|what| what % 8) {
@@ -518,7 +406,7 @@ impl Model {
                 Some(3) => bytes[at] ^= 0x10,
                 _ => {}
             }
-            return line.bring(&bytes);
+            return self.ends.line.link.bring(&bytes);
         }
         let segments = Segments::new(message.iter().copied());
         let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
@@ -531,12 +419,12 @@ impl Model {
             _ => {}
         }
         for frame in frames {
-            self.bring_data(FROM_GRIPPER, &frame);
+            self.put_data(FROM_GRIPPER, &frame);
         }
     }
 
     fn trouble(&mut self, input: &mut Input<'_>) {
-        self.gripper.fault(self.now_ms);
+        self.ends.gripper.fault(self.ends.now_ms);
         match input.byte() % 8 {
             0 => self.double.go_off(u32::from(input.byte() % 3)),
             1 => {
@@ -557,7 +445,7 @@ impl Model {
                     Health { is_passive: true, transmit_errors: input.byte(), ..self.double.health() };
                 self.double.set_health(health);
             }
-            6 => self.bus.retry(Instant::from_millis(self.now_ms)),
+            6 => self.bus.retry(Instant::from_millis(self.ends.now_ms)),
             _ => {
                 self.double.set_health(Health::default());
                 self.double.set_unheard(false);
@@ -567,85 +455,83 @@ impl Model {
         }
     }
 
-    fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            if self.is_over {
-                return;
-            }
-            self.turn();
-        }
-    }
-
     /// One turn of the main loop, a millisecond after the one before, and what leaves behind it.
     fn turn(&mut self) {
-        self.now_ms += 1;
+        self.ends.now_ms += 1;
+        let now_ms = self.ends.now_ms;
         let lost = usize::from(self.overrun && !self.brought.is_empty());
         self.overrun &= self.brought.is_empty();
         for frame in self.brought.drain(..).skip(lost) {
-            self.device.hear(self.now_ms, &frame);
+            self.device.hear(now_ms, &frame);
         }
-        let turn = if self.line.is_some() { self.turn_on_rs_232() } else { self.turn_on_can() };
-        assert!(self.bridge.may_feed_watchdog(self.now_ms));
+        let (outputs, messages) = self.turn_bridge(Instant::from_millis(now_ms));
+        assert!(self.bridge.may_feed_watchdog(now_ms));
         if self.is_over {
             return;
         }
+        if self.is_on_rs_232 {
+            self.ends.end_turn(outputs, 1);
+            // What the device says leaves as well.
+            return self.leave();
+        }
         let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
-        let patience_ms = match self.line {
-            Some(_) => Some(1),
-            None if cut_off => None,
-            None => Some(FAST_STOP_MS),
-        };
-        if patience_ms.is_none() {
-            self.gripper.fault(self.now_ms);
+        let patience_ms = if cut_off { None } else { Some(FAST_STOP_MS) };
+        let Ends { gripper, oracle, .. } = &mut self.ends;
+        if cut_off {
+            gripper.fault(now_ms);
         }
-        self.oracle.begin_leaving(patience_ms);
-        for message in &turn.messages {
-            self.oracle.leaves(message.id, Some(&message.command()), &self.gripper);
-            if self.line.is_some() {
-                self.gripper.hear(self.now_ms, message);
-            }
+        oracle.begin_leaving(patience_ms);
+        for message in messages {
+            oracle.leaves(message.id, Some(&message.command()), gripper);
         }
-        self.oracle.end_turn(turn.outputs, &self.gripper);
+        oracle.end_turn(outputs, gripper);
         self.leave();
-        for answer in self.gripper.speak(self.now_ms) {
-            self.bring_message(&answer, None);
+        for answer in self.ends.gripper.speak(now_ms) {
+            self.deliver(&answer, None);
         }
     }
 
-    /// What the bridge says to a gripper on the bus, and what comes of the rest of the turn.
-    fn turn_on_can(&mut self) -> Turn {
-        let now = Instant::from_millis(self.now_ms);
+    /// The bridge's turn: what it shows, and the messages that it says to a gripper on the bus.
+    fn turn_bridge(&mut self, now: Instant) -> (Outputs, Vec<Message>) {
         let aborts = self.double.aborts();
-        let Self { bus, link, bridge, node, .. } = self;
-        bus.listen(now, link, node);
-        let took_back = takes_back(link);
-        link.expire(now);
-        self.takes_all_back |= takes_back(link) && !took_back;
-        bridge.set_link_lost(bus.is_lost());
-        if let Some(id) = self.withdrawn.take() {
-            bridge.withdrawn(id);
+        let Self { bus, link: Tap { link, .. }, bridge, node, is_on_rs_232, .. } = self;
+        let mut counters = LinkCounters::default();
+        bus.listen(now, &mut (!*is_on_rs_232).then_some(&mut *link), node);
+        if !*is_on_rs_232 {
+            let took_back = takes_back(link);
+            link.expire(now);
+            self.takes_all_back |= takes_back(link) && !took_back;
+            bridge.set_link_lost(bus.is_lost());
+            if let Some(id) = self.withdrawn.take() {
+                bridge.withdrawn(id);
+            }
+            counters = link.counters();
         }
-        let report = bus.report(link.counters());
+        let report = bus.report(counters);
         node.set_report(report);
         bridge.set_can_reports(report.registers());
         self.forget_if(aborts);
 
-        let Self { link, bridge, node, .. } = self;
-        let (mut heard, mut sent) = (vec![], vec![]);
-        let mut tap = Tap { link, heard: &mut heard, sent: &mut sent };
-        let outputs = bridge.poll(self.now_ms, self.wires, &mut tap, node);
-        let messages = gripper::messages(&mut self.said_to_gripper, &sent);
-        self.said.extend(messages.iter().cloned().map(|message| (message, self.now_ms)));
+        let Self { link, bridge, node, ends: Ends { now_ms, wires, line, .. }, .. } = self;
+        let outputs = match self.is_on_rs_232 {
+            true => bridge.poll(*now_ms, *wires, line.turn(), node),
+            false => bridge.poll(*now_ms, *wires, link.turn(), node),
+        };
+        let messages = link.take_messages();
+        self.said.extend(messages.iter().cloned().map(|message| (message, *now_ms)));
 
         let (aborts, connected) = (self.double.aborts(), self.bridge.is_connected());
-        let Self { bus, link, bridge, node, .. } = self;
-        let mut said = vec![];
-        link.set_connected(connected);
-        self.takes_all_back |= std::mem::replace(&mut self.was_connected, connected) && !connected;
-        if bridge.has_overtaken() {
-            link.withdraw();
+        let Self { bus, link: Tap { link, .. }, bridge, node, is_on_rs_232, .. } = self;
+        if !*is_on_rs_232 {
+            link.set_connected(connected);
+            self.takes_all_back |= std::mem::replace(&mut self.was_connected, connected) && !connected;
+            if bridge.has_overtaken() {
+                link.withdraw();
+            }
         }
-        bus.talk(now, link, &mut Ear { node, said: &mut said });
+        let mut said = vec![];
+        let mut ear = Ear { node, said: &mut said };
+        bus.talk(now, &mut (!*is_on_rs_232).then_some(&mut *link), &mut ear);
         self.withdrawn = link.take_withdrawn();
         let has_them_back = !takes_back(link);
         self.forget_if(aborts);
@@ -657,33 +543,16 @@ impl Model {
         if self.takes_all_back && has_them_back {
             self.forget();
         }
-        self.follow(&heard, &said);
-        Turn { outputs, messages }
-    }
-
-    /// The same with a gripper on RS-232.
-    fn turn_on_rs_232(&mut self) -> Turn {
-        let now = Instant::from_millis(self.now_ms);
-        let Self { bus, bridge, node, line, .. } = self;
-        let line = line.as_mut().expect("the gripper is on RS-232");
-        bus.listen(now, &mut None::<&mut Node>, node);
-        let report = bus.report(LinkCounters::default());
-        node.set_report(report);
-        bridge.set_can_reports(report.registers());
-        let (mut heard, mut sent) = (vec![], vec![]);
-        let mut tap = Tap { link: line, heard: &mut heard, sent: &mut sent };
-        let outputs = bridge.poll(self.now_ms, self.wires, &mut tap, node);
-        let messages = gripper::messages(&mut self.said_to_gripper, &sent);
-        let mut said = vec![];
-        bus.talk(now, &mut None::<&mut Node>, &mut Ear { node, said: &mut said });
-        self.follow(&heard, &said);
-        Turn { outputs, messages }
+        self.follow(&said);
+        (outputs, messages)
     }
 
     /// What the device makes of what it heard, and of the time.
-    fn follow(&mut self, heard: &[u8], said: &[ClassicFrame]) {
-        self.oracle.begin_turn(self.now_ms, heard, self.wires);
-        let Self { oracle: Oracle { asked, .. }, device, .. } = self;
+    fn follow(&mut self, said: &[ClassicFrame]) {
+        let Ends { now_ms, wires, line, oracle, .. } = &mut self.ends;
+        let heard = if self.is_on_rs_232 { line.take_heard() } else { self.link.take_heard() };
+        oracle.begin_turn(*now_ms, &heard, *wires);
+        let (now_ms, Oracle { asked, .. }, device) = (*now_ms, oracle, &mut self.device);
         let was_lost = std::mem::replace(&mut self.was_lost, self.bus.is_lost());
         if self.was_lost && !was_lost {
             device.lose_bus();
@@ -705,11 +574,11 @@ impl Model {
         if reset {
             device.reset();
         }
-        self.is_over = !device.configure(self.now_ms, said);
+        self.is_over = !device.configure(now_ms, said);
         if device.heard.drain(..).any(|heard| matches!(heard, Heard::Left)) {
             asked.lose_bus();
         }
-        let is_silent = |heard_ms| device.timeout_ms > 0 && self.now_ms - heard_ms >= device.timeout_ms;
+        let is_silent = |heard_ms| device.timeout_ms > 0 && now_ms - heard_ms >= device.timeout_ms;
         if device.heard_ms.is_some_and(is_silent) {
             device.forget_master();
             if device.state == NmtState::Operational {
@@ -747,7 +616,7 @@ impl Model {
         for _ in 0..FRAMES_PER_MS {
             let Some(frame) = self.double.take_winner() else { break };
             let (is_troubled, is_spoilt) = (self.is_troubled, &mut self.is_spoilt);
-            self.left.receive(Instant::from_millis(self.now_ms), &frame, |event| match event {
+            self.left.receive(Instant::from_millis(self.ends.now_ms), &frame, |event| match event {
                 Event::Frame(message) => left.push(Message::from(message)),
                 broken => {
                     let is_spoilt = std::mem::take(is_spoilt);
@@ -763,9 +632,105 @@ impl Model {
             let is_overtaken = is_stopped && matches!(message.id.kind(), Kind::Motion | Kind::Acknowledge);
             assert!(!is_overtaken, "{} is sent although a stop was said after it", message.id);
             let (_, said_ms) = self.said.drain(..=place).next_back().unwrap_or((message.clone(), 0));
-            let late = message.id.kind() == Kind::Motion && self.now_ms - said_ms > LATE_MS;
-            assert!(!late, "{} leaves {} ms after it was said", message.id, self.now_ms - said_ms);
-            self.gripper.hear(self.now_ms, &message);
+            let late = message.id.kind() == Kind::Motion && self.ends.now_ms - said_ms > LATE_MS;
+            assert!(!late, "{} leaves {} ms after it was said", message.id, self.ends.now_ms - said_ms);
+            self.ends.gripper.hear(self.ends.now_ms, &message);
+        }
+    }
+}
+
+impl World for Model {
+    const CONNECTS_MS: u32 = 30;
+
+    fn ends(&mut self) -> &mut Ends {
+        &mut self.ends
+    }
+
+    fn write_zeros(&mut self) {
+        self.put_data(NMT, &[0x01, NODE as u8]);
+        self.pass(8);
+        self.put_rpdo(CommandFlags::empty(), PARAMETERS[0]);
+    }
+
+    fn is_over(&self) -> bool {
+        self.is_over
+    }
+
+    fn passes_after(&self, op: u8) -> bool {
+        op & 0x80 == 0 || self.brought.len() >= BURST
+    }
+
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            if self.is_over {
+                return;
+            }
+            self.turn();
+        }
+    }
+
+    fn bring(&mut self, bytes: &[u8]) {
+        self.deliver(bytes, None);
+    }
+
+    fn take(&mut self, op: u8, input: &mut Input<'_>) {
+        match op % 16 {
+            3 => {
+                let (kind, any) = (input.byte(), u16::from_le_bytes(input.array()));
+                let id = if kind & 0x80 == 0 { input.pick(&IDS) } else { any };
+                let count = usize::from(kind % 9);
+                let frame = match kind >> 4 & 3 {
+                    0 => ClassicFrame::new_remote(standard(id), count),
+                    1 => ClassicFrame::new(extended(id), input.bytes(count)),
+                    _ => ClassicFrame::new(standard(id), input.bytes(count)),
+                };
+                if id % 0x800 == FROM_GRIPPER {
+                    self.ends.gripper.forge(self.ends.now_ms, &PREAMBLE);
+                }
+                self.put(frame);
+            }
+            4 => self.put_rpdo(input.pick(&FLAGS), input.pick(&PARAMETERS)),
+            5 => {
+                // An edge as a PLC gives it.
+                let parameters = input.pick(&PARAMETERS);
+                self.put_rpdo(CommandFlags::empty(), parameters);
+                self.put_rpdo(input.pick(&FLAGS), parameters);
+            }
+            8 => {
+                let data = [input.pick(&NMT_COMMANDS), input.pick(&[NODE as u8, 0, 5])];
+                self.put_data(NMT, &data);
+            }
+            9 => {
+                let id = HEARTBEAT | input.pick(&[self.device.master, 5]);
+                self.put_data(id, &[input.pick(&[5, 0, 127])]);
+            }
+            10 => {
+                let (index, sub) = input.pick(&OBJECTS);
+                let ([low, high], value) = (index.to_le_bytes(), input.byte());
+                let specifier = input.pick(&[0x2B, 0x22, 0x23, 0x40, 0x2F, 0x80, 0x00]);
+                let [a, b, c, d] = match (index, sub) {
+                    MASTER => [value, 0, input.pick(&[0x7F, 5, 0]), 0],
+                    COB_ID => [NODE as u8, 0x02, 0, input.pick(&[0x80, 0x00, 0xC0, 0x20])],
+                    TRANSMISSION => [input.pick(&[1, 255, 0, 254, 252]), 0, 0, 0],
+                    ERROR_BEHAVIOUR => [value % 4, 0, 0, 0],
+                    (0x1600, 0) => [input.pick(&[0, 5, 4]), 0, 0, 0],
+                    _ => [value, 0, 0, 0],
+                };
+                self.put_data(SDO_REQUEST, &[specifier, low, high, sub, a, b, c, d]);
+            }
+            11 => self.forge_status(input),
+            12 => {
+                let (id, count, what) = (input.byte(), usize::from(input.byte() % 24), input.byte());
+                let message: Vec<u8> = FrameEncoder::new(id, input.bytes(count)).collect();
+                self.ends.gripper.forge(self.ends.now_ms, &message);
+                self.deliver(&message, Some(what));
+            }
+            13 => self.trouble(input),
+            _ => {
+                let flags = input.pick(&FLAGS).bits();
+                let count = usize::from(input.byte() % 9);
+                self.put_data(RPDO, &[flags, 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F][..count]);
+            }
         }
     }
 }
@@ -782,55 +747,6 @@ const FAST_STOP_MS: u32 = 5;
 
 /// How long a message may wait for the bus, in milliseconds.
 const LATE_MS: u32 = 1_000;
-
-/// What the bridge shows at the end of a turn, and what it says to the gripper.
-struct Turn {
-    outputs: Outputs,
-    messages: Vec<Message>,
-}
-
-/// The gripper's link, and what the bridge reads of it and writes to it.
-pub(super) struct Tap<'a, L> {
-    pub(super) link: &'a mut L,
-    pub(super) heard: &'a mut Vec<u8>,
-    pub(super) sent: &'a mut Vec<u8>,
-}
-
-impl<L: ErrorType> ErrorType for Tap<'_, L> {
-    type Error = L::Error;
-}
-
-impl<L: ReadReady> ReadReady for Tap<'_, L> {
-    fn read_ready(&mut self) -> Result<bool, Self::Error> {
-        self.link.read_ready()
-    }
-}
-
-impl<L: Read> Read for Tap<'_, L> {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
-        let count = self.link.read(buffer)?;
-        self.heard.extend_from_slice(&buffer[..count]);
-        Ok(count)
-    }
-}
-
-impl<L: WriteReady> WriteReady for Tap<'_, L> {
-    fn write_ready(&mut self) -> Result<bool, Self::Error> {
-        self.link.write_ready()
-    }
-}
-
-impl<L: Write> Write for Tap<'_, L> {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
-        let count = self.link.write(bytes)?;
-        self.sent.extend_from_slice(&bytes[..count]);
-        Ok(count)
-    }
-
-    fn flush(&mut self) -> Result<(), Self::Error> {
-        self.link.flush()
-    }
-}
 
 /// The device, and what it says.
 struct Ear<'a> {

@@ -15,23 +15,18 @@
 use std::ops::RangeInclusive;
 
 use bus_profibus::{Address, Baud, Cause, Character, Event};
-use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::{DpBuffers, DpResponder, PlcEvent, PlcSide, Profibus, Shown, UartStatus, View};
 use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
 use wsg_fieldbus::profibus::{PROFILE, Slave};
 use wsg_fieldbus::{CommandFlags, Diagnosis, InputImage, OutputImage};
-use wsg_protocol::{CommandId, FrameParser, Instant, Status, SystemFlags};
+use wsg_protocol::{Instant, SystemFlags};
 
-use super::bridge::{FLAGS, MOTION_WIRES, PARAMETERS, READY};
-use super::bridge_can::Tap;
-use super::gripper::{self, Gripper};
 use super::input::Input;
-use super::oracle::Oracle;
+use super::whole::{Ends, FLAGS, PARAMETERS, World};
 use crate::profibus_bench::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
 use crate::profibus_bench::{sd2, sum};
-use crate::serial_gripper::SerialLine;
 
 const STATION: u8 = 7;
 const BROADCAST: u8 = 127;
@@ -75,11 +70,7 @@ struct Model {
     profibus: Profibus,
     handler: DpResponder,
     slave: Slave,
-    line: SerialLine,
-    /// Finds messages in what the bridge says to the gripper.
-    said_to_gripper: FrameParser<64>,
     now_us: u32,
-    wires: Inputs,
     /// When the timer runs the handler, and when the transmitter has sent a byte.
     timer_us: Option<u32>,
     sent_us: Option<u32>,
@@ -103,101 +94,16 @@ struct Model {
     /// The frame count bit of the masters, and the last telegram.
     fcb: bool,
     last: Vec<u8>,
-    gripper: Gripper,
-    oracle: Oracle,
+    ends: Ends,
 }
 
-/// The first byte says whether the bridge is ready and in data exchange (bit 0), whether the transceiver echoes (bit 1), and
-/// whether the fingers move at power-up (bit 4). Then each op is a byte that says what, and bytes that say how: wires, time, the
-/// gripper, telegrams of masters. Without bit 7 a millisecond passes behind it.
+/// The first byte also says whether the transceiver echoes (bit 1). Then each op is a byte that says what, and bytes that say how:
+/// wires, time, the gripper, telegrams of masters. Without bit 7 a millisecond passes behind it.
 pub fn bridge_profibus(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
     let mut model = Model::new(choice & 2 != 0);
-    if choice & 16 != 0 {
-        model.gripper.run();
-    }
-    if choice & 1 != 0 {
-        model.get_ready();
-    }
-    while !input.is_empty() {
-        let op = input.byte();
-        match op % 16 {
-            0 | 1 => model.wires = Inputs::from_bits_retain(input.byte()),
-            2 => model.wires = input.pick(&MOTION_WIRES) | Inputs::FAST_STOP_OK,
-            3 => {
-                let count = usize::from(input.byte() % 40);
-                model.bring_to_bridge(input.bytes(count));
-            }
-            4 => {
-                let status = input.pick(&[
-                    Status::Success,
-                    Status::CmdPending,
-                    Status::CmdFailed,
-                    Status::AccessDenied,
-                ]);
-                model.bring_to_bridge(&gripper::status(input.pick(CommandId::ALL), status));
-            }
-            5 => model.gripper.change(model.now_ms(), &mut input),
-            6 => model.pass(u32::from(input.byte() % 32)),
-            7 => {
-                let count = usize::from(input.byte() % 24);
-                for _ in 0..count {
-                    let character =
-                        if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
-                    model.bring(character, input.pick(&[0, 0, 0, 20, 40]));
-                }
-            }
-            8 => {
-                let image = image(input.pick(&FLAGS), input.pick(&PARAMETERS));
-                let telegram = model.exchange(input.pick(&MASTERS), &image.to_bytes());
-                model.send(&telegram, &mut input);
-            }
-            9 => {
-                // An edge as a PLC gives it.
-                let parameters = input.pick(&PARAMETERS);
-                for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
-                    let telegram = model.exchange(MASTERS[0], &image(flags, parameters).to_bytes());
-                    model.put(&telegram);
-                    model.pass(2);
-                }
-            }
-            10 => {
-                let watchdog = input.byte();
-                model.start(input.pick(&MASTERS), watchdog, input.byte());
-            }
-            11 => {
-                let telegram = model.service(&mut input);
-                model.send(&telegram, &mut input);
-            }
-            12 => {
-                // Clear, Sync, Freeze and what no slave knows; to all, to this one, to groups.
-                let to = input.pick(&[BROADCAST, BROADCAST, STATION]) | 0x80;
-                let control = [input.pick(&[0x02, 0x02, 0x20, 0x08, 0x00, 0xFF]), input.pick(&[0, 0, 1, 2])];
-                let body =
-                    [to, input.pick(&MASTERS) | 0x80, 0x46, GLOBAL_CONTROL, 62, control[0], control[1]];
-                model.send(&sd2(&body), &mut input);
-            }
-            13 => {
-                // Again; or no outputs (Fail_Safe), or too few.
-                let telegram = match input.byte() % 3 {
-                    0 if !model.last.is_empty() => model.last.clone(),
-                    1 => model.exchange(input.pick(&MASTERS), &[]),
-                    _ => model.exchange(input.pick(&MASTERS), &[input.byte(); 7]),
-                };
-                model.send(&telegram, &mut input);
-            }
-            14 => {
-                let body = [STATION, input.pick(&MASTERS), input.pick(&[0x49, 0x4C, 0x43, 0x4E])];
-                model.put(&[&[0x10], &body[..], &[sum(&body), 0x16]].concat());
-            }
-            _ => model.pass(u32::from(input.byte())),
-        }
-        if op & 0x80 == 0 {
-            model.pass(1);
-        }
-    }
-    model.pass(10);
+    model.play(choice, &mut input);
     // The next case finds the buffers empty.
     while !model.done.is_empty() || model.answer.is_some() || model.inputs.is_some() {
         model.pass(1);
@@ -225,10 +131,7 @@ impl Model {
             profibus,
             handler,
             slave: Slave::new(&PROFILE, Address::new(STATION)),
-            line: SerialLine::with_room(usize::MAX),
-            said_to_gripper: FrameParser::new(),
             now_us: 0,
-            wires: Inputs::empty(),
             timer_us: None,
             sent_us: None,
             heard_us: 0,
@@ -244,36 +147,12 @@ impl Model {
             heard_ms: None,
             fcb: false,
             last: Vec::new(),
-            gripper: Gripper::new(),
-            oracle: Oracle::new(&config),
+            ends: Ends::new(&config, None),
         }
     }
 
     fn now_ms(&self) -> u32 {
         self.now_us / 1_000
-    }
-
-    /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, data exchange, outputs of zeros.
-    fn get_ready(&mut self) {
-        self.gripper.answer();
-        self.wires = Inputs::FAST_STOP_OK;
-        self.pass(12);
-        self.wires = Inputs::FAST_STOP_OK | Inputs::STOP_ACK;
-        self.pass(4);
-        self.start(MASTERS[0], 200, 11);
-        let zeros = self.exchange(MASTERS[0], &image(CommandFlags::empty(), PARAMETERS[0]).to_bytes());
-        self.put(&zeros);
-        self.pass(2);
-        self.wires = Inputs::FAST_STOP_OK;
-        self.pass(4);
-        assert_eq!(self.oracle.shown.outputs, READY);
-        assert!(self.commands);
-    }
-
-    /// Something that the gripper did not say.
-    fn bring_to_bridge(&mut self, bytes: &[u8]) {
-        self.gripper.forge(self.now_ms(), bytes);
-        self.line.bring(bytes);
     }
 
     /// Parameters with a watchdog of so many times 10 ms, 0 without one, and the configuration.
@@ -338,7 +217,7 @@ impl Model {
             let character = if is_damaged { Character::Damaged } else { Character::Byte(*byte) };
             let pauses = trouble % 16 == 3 && place == at;
             let silence_bits = if place == 0 { silence_bits } else { u32::from(pauses) * SILENCES[0] };
-            self.bring(character, silence_bits);
+            self.hear(character, silence_bits);
         }
     }
 
@@ -346,12 +225,12 @@ impl Model {
     fn put(&mut self, telegram: &[u8]) {
         self.last = telegram.to_vec();
         for (place, byte) in telegram.iter().enumerate() {
-            self.bring(Character::Byte(*byte), if place == 0 { SILENCES[0] } else { 0 });
+            self.hear(Character::Byte(*byte), if place == 0 { SILENCES[0] } else { 0 });
         }
     }
 
     /// A character behind so much silence, or more. While the slave sends, a master does not; it waits for the end.
-    fn bring(&mut self, character: Character, silence_bits: u32) {
+    fn hear(&mut self, character: Character, silence_bits: u32) {
         self.pass_us(silence_bits * BIT_US + CHARACTER_US);
         while self.sent_us.is_some() || UNCLEAR_US.contains(&self.silence_us()) {
             self.pass_us(CHARACTER_US);
@@ -381,10 +260,6 @@ impl Model {
     /// The silence before a character that ends now.
     fn silence_us(&self) -> u32 {
         (self.now_us - self.heard_us).saturating_sub(CHARACTER_US)
-    }
-
-    fn pass(&mut self, ms: u32) {
-        self.pass_us(ms * 1_000);
     }
 
     /// Lets time pass: turns of the main loop, each with the handler behind it, the timer, the transmitter.
@@ -481,27 +356,27 @@ impl Model {
     /// One turn of the main loop.
     fn turn(&mut self) {
         let now_ms = self.now_ms();
-        let (mut heard, mut sent) = (vec![], vec![]);
-        let mut tap = Tap { link: &mut self.line, heard: &mut heard, sent: &mut sent };
+        let ends = &mut self.ends;
+        ends.now_ms = now_ms;
         let mut side = Side { profibus: &mut self.profibus, events: vec![], shown: None };
-        let outputs = self.bridge.poll(now_ms, self.wires, &mut tap, &mut side);
+        let outputs = self.bridge.poll(now_ms, ends.wires, ends.line.turn(), &mut side);
         let (events, shown) = (side.events, side.shown);
         self.inputs = shown;
         assert!(self.bridge.may_feed_watchdog(now_ms));
-        self.oracle.begin_turn(now_ms, &heard, self.wires);
-        assert_eq!(events, self.hear(now_ms));
+        ends.begin_turn();
+        assert_eq!(events, self.events(now_ms));
         for event in events {
             match event {
-                PlcEvent::Output(image) => self.oracle.asked.take_image(image, None),
-                PlcEvent::Left { .. } => self.oracle.asked.lose_bus(),
+                PlcEvent::Output(image) => self.ends.oracle.asked.take_image(image, None),
+                PlcEvent::Left { .. } => self.ends.oracle.asked.lose_bus(),
                 PlcEvent::Configured | PlcEvent::Served => unreachable!("it has no registers"),
             }
         }
-        self.end_turn(outputs, &sent);
+        self.ends.end_turn(outputs, 1);
     }
 
     /// What the main loop has to hear.
-    fn hear(&mut self, now_ms: u32) -> Vec<PlcEvent> {
+    fn events(&mut self, now_ms: u32) -> Vec<PlcEvent> {
         let mut events = vec![];
         for done in self.done.drain(..) {
             match done {
@@ -531,17 +406,84 @@ impl Model {
         }
         events
     }
+}
 
-    fn end_turn(&mut self, outputs: Outputs, sent: &[u8]) {
-        let now_ms = self.now_ms();
-        self.oracle.begin_leaving(Some(1));
-        for message in gripper::messages(&mut self.said_to_gripper, sent) {
-            self.oracle.leaves(message.id, Some(&message.command()), &self.gripper);
-            self.gripper.hear(now_ms, &message);
-        }
-        self.oracle.end_turn(outputs, &self.gripper);
-        for answer in self.gripper.speak(now_ms) {
-            self.line.bring(&answer);
+impl World for Model {
+    fn ends(&mut self) -> &mut Ends {
+        &mut self.ends
+    }
+
+    fn write_zeros(&mut self) {
+        self.pass(4);
+        self.start(MASTERS[0], 200, 11);
+        let zeros = self.exchange(MASTERS[0], &image(CommandFlags::empty(), PARAMETERS[0]).to_bytes());
+        self.put(&zeros);
+        self.pass(2);
+        assert!(self.commands);
+    }
+
+    fn pass(&mut self, ms: u32) {
+        self.pass_us(ms * 1_000);
+    }
+
+    fn take(&mut self, op: u8, input: &mut Input<'_>) {
+        match op % 16 {
+            3 => {
+                let count = usize::from(input.byte() % 40);
+                self.forge(input.bytes(count));
+            }
+            4 => self.forge_status(input),
+            5 => {
+                let count = usize::from(input.byte() % 24);
+                for _ in 0..count {
+                    let character =
+                        if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
+                    self.hear(character, input.pick(&[0, 0, 0, 20, 40]));
+                }
+            }
+            8 => {
+                let image = image(input.pick(&FLAGS), input.pick(&PARAMETERS));
+                let telegram = self.exchange(input.pick(&MASTERS), &image.to_bytes());
+                self.send(&telegram, input);
+            }
+            9 => {
+                // An edge as a PLC gives it.
+                let parameters = input.pick(&PARAMETERS);
+                for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
+                    let telegram = self.exchange(MASTERS[0], &image(flags, parameters).to_bytes());
+                    self.put(&telegram);
+                    self.pass(2);
+                }
+            }
+            10 => {
+                let watchdog = input.byte();
+                self.start(input.pick(&MASTERS), watchdog, input.byte());
+            }
+            11 => {
+                let telegram = self.service(input);
+                self.send(&telegram, input);
+            }
+            12 => {
+                // Clear, Sync, Freeze and what no slave knows; to all, to this one, to groups.
+                let to = input.pick(&[BROADCAST, BROADCAST, STATION]) | 0x80;
+                let control = [input.pick(&[0x02, 0x02, 0x20, 0x08, 0x00, 0xFF]), input.pick(&[0, 0, 1, 2])];
+                let body =
+                    [to, input.pick(&MASTERS) | 0x80, 0x46, GLOBAL_CONTROL, 62, control[0], control[1]];
+                self.send(&sd2(&body), input);
+            }
+            13 => {
+                // Again; or no outputs (Fail_Safe), or too few.
+                let telegram = match input.byte() % 3 {
+                    0 if !self.last.is_empty() => self.last.clone(),
+                    1 => self.exchange(input.pick(&MASTERS), &[]),
+                    _ => self.exchange(input.pick(&MASTERS), &[input.byte(); 7]),
+                };
+                self.send(&telegram, input);
+            }
+            _ => {
+                let body = [STATION, input.pick(&MASTERS), input.pick(&[0x49, 0x4C, 0x43, 0x4E])];
+                self.put(&[&[0x10], &body[..], &[sum(&body), 0x16]].concat());
+            }
         }
     }
 }

@@ -1,0 +1,128 @@
+//! The bridge's end of the gripper's link: what the bridge reads from it, and the messages that it writes.
+
+use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use wsg_protocol::frame::OVERHEAD;
+use wsg_protocol::{CommandId, FrameParser};
+
+use super::gripper::{self, Message};
+
+/// Bytes of a frame up to its id.
+const UP_TO_ID: usize = 4;
+
+/// A link, and what passes through it. A slow one takes no frame in a millisecond in which it would not take the id as well: a
+/// command is known when its first byte leaves.
+pub(super) struct Tap<L> {
+    pub(super) link: L,
+    /// Bytes that a slow one takes in a millisecond.
+    per_ms: Option<usize>,
+    /// What it takes in this millisecond.
+    left: usize,
+    /// The frame that is being sent on a slow one.
+    frame: Vec<u8>,
+    heard: Vec<u8>,
+    begun: Vec<CommandId>,
+    /// Whole frames, and the parser that finds messages in them.
+    whole: Vec<u8>,
+    parser: FrameParser<64>,
+}
+
+impl<L> Tap<L> {
+    pub(super) fn new(link: L, per_ms: Option<usize>) -> Self {
+        Self {
+            link,
+            per_ms,
+            left: 0,
+            frame: Vec::new(),
+            heard: Vec::new(),
+            begun: Vec::new(),
+            whole: Vec::new(),
+            parser: FrameParser::new(),
+        }
+    }
+
+    pub(super) const fn is_slow(&self) -> bool {
+        self.per_ms.is_some()
+    }
+
+    /// The link for one turn of the bridge.
+    pub(super) fn turn(&mut self) -> &mut Self {
+        self.left = self.per_ms.unwrap_or(usize::MAX);
+        self
+    }
+
+    /// What the bridge has read.
+    pub(super) fn take_heard(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.heard)
+    }
+
+    /// The commands that have begun to leave on a slow link.
+    pub(super) fn take_begun(&mut self) -> Vec<CommandId> {
+        std::mem::take(&mut self.begun)
+    }
+
+    /// The messages that have left, all of them intact.
+    pub(super) fn take_messages(&mut self) -> Vec<Message> {
+        gripper::messages(&mut self.parser, &std::mem::take(&mut self.whole))
+    }
+
+    /// The rest of the frame that is being sent will not come, unless it is a FAST STOP.
+    pub(super) fn cut(&mut self) {
+        if self.frame.get(UP_TO_ID - 1) != Some(&CommandId::FastStop.code()) {
+            self.frame.clear();
+        }
+    }
+
+    fn take(&mut self, byte: u8) {
+        self.frame.push(byte);
+        if self.frame.len() == UP_TO_ID {
+            self.begun.push(CommandId::from_code(byte));
+        }
+        if let [_, _, _, _, low, high, ..] = self.frame[..]
+            && self.frame.len() == OVERHEAD + usize::from(u16::from_le_bytes([low, high]))
+        {
+            self.whole.append(&mut self.frame);
+        }
+    }
+}
+
+impl<L: ErrorType> ErrorType for Tap<L> {
+    type Error = L::Error;
+}
+
+impl<L: ReadReady> ReadReady for Tap<L> {
+    fn read_ready(&mut self) -> Result<bool, Self::Error> {
+        self.link.read_ready()
+    }
+}
+
+impl<L: Read> Read for Tap<L> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
+        let count = self.link.read(buffer)?;
+        self.heard.extend_from_slice(&buffer[..count]);
+        Ok(count)
+    }
+}
+
+impl<L: WriteReady> WriteReady for Tap<L> {
+    fn write_ready(&mut self) -> Result<bool, Self::Error> {
+        let room = if self.frame.is_empty() { UP_TO_ID } else { 1 };
+        Ok(self.left >= room && self.link.write_ready()?)
+    }
+}
+
+impl<L: Write> Write for Tap<L> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Self::Error> {
+        let count = self.link.write(&bytes[..bytes.len().min(self.left)])?;
+        if self.is_slow() {
+            self.left -= count;
+            bytes[..count].iter().for_each(|byte| self.take(*byte));
+        } else {
+            self.whole.extend_from_slice(&bytes[..count]);
+        }
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> Result<(), Self::Error> {
+        self.link.flush()
+    }
+}
