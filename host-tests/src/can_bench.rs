@@ -4,7 +4,6 @@ use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use bus_modbus::rtu::Character;
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, CanController, Health, NodeConfig, Withdrawal};
@@ -12,7 +11,7 @@ use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::DpBuffers;
 use wsg_bridge_fw::plc::canopen::Node;
-use wsg_bridge_fw::{BoardId, BusPort, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, Config, GripperLine, NoBus, PlcBus, ResetCause, Station};
 use wsg_protocol::can::{Endpoint, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
@@ -244,21 +243,6 @@ fn priority(frame: &ClassicFrame) -> u32 {
     }
 }
 
-/// A line for Modbus RTU that nobody uses.
-struct NoLine;
-
-impl BusPort for NoLine {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        None
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        0
-    }
-
-    fn send(&mut self, _: &[u8]) {}
-}
-
 /// Bridge and gripper on a bus, and a PLC on wires that a test plays.
 pub struct CanBench {
     station: Station<Double>,
@@ -407,7 +391,7 @@ impl CanBench {
     fn turn(&mut self) {
         let Self { station, now_ms, inputs, flash, .. } = self;
         let line = &mut SerialLine::with_room(0);
-        self.outputs = station.turn(*now_ms, *inputs, line, &mut NoLine, &mut NoLine, flash);
+        self.outputs = station.turn(*now_ms, *inputs, line, &mut NoBus, &mut NoBus, flash);
     }
 
     /// Ends the frame that the controller has [begun](Double::begin_frame).

@@ -4,19 +4,18 @@
 //! Bridge library and virtual gripper in virtual time, on a line that carries 115 200 bit/s each way. A case goes on from a
 //! snapshot of the undisturbed cycle, so that hundreds of thousands of them take seconds.
 
-use std::collections::VecDeque;
-use std::convert::Infallible;
+use wsg_bridge_fw::Config;
+use wsg_bridge_fw::gripper::TO_SEND_MAX;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_protocol::SystemFlags;
+use wsg_sim::Part;
 
 use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
-use bus_modbus::rtu::{Character, crc};
-use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
-use wsg_bridge_fw::gripper::TO_SEND_MAX;
-use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::plc::Modbus;
-use wsg_bridge_fw::{Bridge, BusPort, Config};
-use wsg_protocol::SystemFlags;
-use wsg_sim::{MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+use crate::modbus_bench::{JOG_PLUS, ModbusLines};
+use crate::serial_gripper::{Carry, SerialGripper};
+use crate::wires::Wires;
+use crate::world::World;
 
 /// Hundredths of a byte that the line carries in a millisecond: 10 bits a byte.
 const HUNDREDTHS_PER_MS: u32 = 1_152;
@@ -46,8 +45,6 @@ pub enum Way {
 /// One way of the line.
 #[derive(Clone, Debug)]
 struct Wire {
-    /// Sent, and not on the line yet.
-    waiting: VecDeque<u8>,
     /// What the line may carry of it now, in hundredths of a byte.
     budget: u32,
     way: FaultyWay,
@@ -67,111 +64,26 @@ pub struct Case {
 
 impl Wire {
     const fn new() -> Self {
-        Self { waiting: VecDeque::new(), budget: 0, way: FaultyWay::perfect() }
+        Self { budget: 0, way: FaultyWay::perfect() }
     }
+}
 
-    /// What arrives in one millisecond.
-    fn carry(&mut self) -> Vec<u8> {
+impl Carry for Wire {
+    fn carry(&mut self, waiting: &mut Vec<u8>) -> Vec<u8> {
         let budget = self.budget + HUNDREDTHS_PER_MS;
-        let count = self.waiting.len().min((budget / 100) as usize);
+        let count = waiting.len().min((budget / 100) as usize);
         // A line that was idle carries no more for that.
-        self.budget = if self.waiting.len() > count { budget % 100 } else { 0 };
-        let bytes: Vec<u8> = self.waiting.drain(..count).collect();
+        self.budget = if waiting.len() > count { budget % 100 } else { 0 };
+        let bytes: Vec<u8> = waiting.drain(..count).collect();
         self.way.pass(0, &bytes);
         self.way.arrive(0)
     }
 }
 
-/// The bridge's end of the line.
-#[derive(Clone, Debug)]
-struct Line {
-    received: VecDeque<u8>,
-    out: Wire,
-    back: Wire,
-}
-
-impl ErrorType for Line {
-    type Error = Infallible;
-}
-
-impl ReadReady for Line {
-    fn read_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(!self.received.is_empty())
-    }
-}
-
-impl Read for Line {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        let count = buffer.len().min(self.received.len());
-        for (place, byte) in buffer.iter_mut().zip(self.received.drain(..count)) {
-            *place = byte;
-        }
-        Ok(count)
-    }
-}
-
-impl WriteReady for Line {
-    fn write_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(self.out.waiting.len() < TO_SEND_MAX)
-    }
-}
-
-impl Write for Line {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        self.out.waiting.extend(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> Result<(), Infallible> {
-        Ok(())
-    }
-}
-
-/// A Modbus bus on which a master writes images.
-#[derive(Clone, Debug)]
-struct Bus {
-    waiting: VecDeque<(Character, u32)>,
-    silence_us: u32,
-}
-
-impl Bus {
-    /// Writes registers 0 to 3: flags, 40.00 mm, 50.00 mm/s, 40.00 N.
-    fn write(&mut self, flags: u8) {
-        let mut frame = vec![1, 16, 0, 0, 0, 4, 8, flags, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0];
-        frame.extend(crc(&frame).to_le_bytes());
-        for byte in frame {
-            self.waiting.push_back((Character::Byte(byte), std::mem::take(&mut self.silence_us)));
-        }
-    }
-}
-
-impl BusPort for Bus {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        self.waiting.pop_front()
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        self.silence_us
-    }
-
-    fn send(&mut self, _: &[u8]) {}
-}
-
-/// JOG+ in the first byte of the output image.
-const JOG_PLUS: u8 = 1 << 6;
-
 /// Bridge, line and gripper.
 #[derive(Clone, Debug)]
 pub struct Rig {
-    bridge: Bridge,
-    line: Line,
-    modbus: Modbus,
-    bus: Bus,
-    gripper: VirtualGripper<1>,
-    port: PortId,
-    now_ms: u32,
-    inputs: Inputs,
-    outputs: Outputs,
+    world: World<ModbusLines, Wire>,
     /// What the master on the bus writes again and again.
     flags: Option<u8>,
 }
@@ -184,41 +96,16 @@ impl Rig {
             frame_timeout_ms,
             ..wsg_sim::Config::default()
         };
-        let mut gripper = VirtualGripper::with_ports(config);
-        let port =
-            gripper.connect(PortKind::Serial).unwrap_or_else(|| unreachable!("a new gripper has a place"));
-        Self {
-            bridge: Bridge::new(Config::DEFAULT),
-            line: Line { received: VecDeque::new(), out: Wire::new(), back: Wire::new() },
-            modbus: Modbus::new(&Config::DEFAULT),
-            bus: Bus { waiting: VecDeque::new(), silence_us: 1_000_000 },
-            gripper,
-            port,
-            now_ms: 0,
-            inputs: Inputs::FAST_STOP_OK,
-            outputs: Outputs::empty(),
-            flags: None,
-        }
+        let far = SerialGripper::over(config, TO_SEND_MAX, [Wire::new(), Wire::new()]);
+        let lines = ModbusLines::new(&Config::DEFAULT);
+        Self { world: World::with(Config::DEFAULT, lines, far, Inputs::FAST_STOP_OK), flags: None }
     }
 
     fn step(&mut self) {
-        self.now_ms += 1;
-        self.bus.silence_us += 1_000;
-        if let Some(flags) = self.flags.filter(|_| self.now_ms.is_multiple_of(20)) {
-            self.bus.write(flags);
+        self.world.step();
+        if let Some(flags) = self.flags.filter(|_| self.world.now_ms.is_multiple_of(20)) {
+            self.put(flags);
         }
-        let now = Time::from_millis(self.now_ms.into());
-        self.outputs =
-            self.bridge.poll(self.now_ms, self.inputs, &mut self.line, &mut self.modbus.over(&mut self.bus));
-        let arrived = self.line.out.carry();
-        self.gripper.receive(self.port, now, &arrived);
-        self.gripper.advance(now);
-        let mut buffer = [0; MAX_FRAME_LEN];
-        while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
-            self.line.back.waiting.extend(frame);
-        }
-        let arrived = self.line.back.carry();
-        self.line.received.extend(arrived);
     }
 
     fn pass(&mut self, ms: u32) {
@@ -230,21 +117,21 @@ impl Rig {
             self.step();
             wanted(self)
         });
-        assert!(done, "{what}: {:?}", self.outputs);
+        assert!(done, "{what}: {:?}", self.world.outputs);
     }
 
     fn command(&mut self, wire: Inputs, each: &mut impl FnMut(&Self)) {
-        self.inputs |= wire;
+        self.world.inputs |= wire;
         for _ in 0..6 {
             self.step();
             each(self);
         }
-        self.inputs -= wire;
+        self.world.inputs -= wire;
         loop {
             self.step();
             each(self);
-            assert!(self.now_ms < 60_000, "{wire:?} does not end");
-            if self.outputs.contains(Outputs::READY) {
+            assert!(self.world.now_ms < 60_000, "{wire:?} does not end");
+            if self.world.outputs.contains(Outputs::READY) {
                 return;
             }
         }
@@ -254,34 +141,34 @@ impl Rig {
     fn homed(time_scale: f32, frame_timeout_ms: u16) -> Self {
         let mut rig = Self::new(time_scale, frame_timeout_ms);
         rig.pass(200);
-        rig.until(1_000, "READY", |rig| rig.outputs.contains(Outputs::READY));
+        rig.until(1_000, "READY", |rig| rig.world.outputs.contains(Outputs::READY));
         rig.command(Inputs::HOME, &mut |_| {});
+        rig.world.take_sent();
         rig
+    }
+
+    fn wire(&mut self, way: Way) -> &mut Wire {
+        let SerialGripper { to_gripper, to_bridge, .. } = &mut self.world.far;
+        match way {
+            Way::Out => to_gripper,
+            Way::Back => to_bridge,
+        }
     }
 
     /// The bytes that have gone this way.
     fn count(&self, way: Way) -> usize {
-        let wire = match way {
-            Way::Out => &self.line.out,
-            Way::Back => &self.line.back,
-        };
+        let SerialGripper { to_gripper, to_bridge, .. } = &self.world.far;
+        let wire = if way == Way::Out { to_gripper } else { to_bridge };
         wire.way.counts().bytes as usize
     }
 
-    fn wire(&mut self, way: Way) -> &mut Wire {
-        match way {
-            Way::Out => &mut self.line.out,
-            Way::Back => &mut self.line.back,
-        }
-    }
-
     fn is_moving(&self) -> bool {
-        self.gripper.state().flags.contains(SystemFlags::MOVING)
+        self.world.far.gripper.state().flags.contains(SystemFlags::MOVING)
     }
 
     fn ask_for_stop(&mut self, scene: Scene) {
         match scene {
-            Scene::GripCycle => self.inputs -= Inputs::FAST_STOP_OK,
+            Scene::GripCycle => self.world.inputs -= Inputs::FAST_STOP_OK,
             Scene::Jog => self.write(0),
             Scene::Silence => self.flags = None,
         }
@@ -290,7 +177,12 @@ impl Rig {
     /// Writes these flags at once, and again and again.
     fn write(&mut self, flags: u8) {
         self.flags = Some(flags);
-        self.bus.write(flags);
+        self.put(flags);
+    }
+
+    /// With 40.00 mm, 50.00 mm/s, 40.00 N.
+    fn put(&mut self, flags: u8) {
+        self.world.bus.write([u16::from(flags) << 8, 40_00, 50_00, 40_00]);
     }
 }
 
@@ -414,7 +306,7 @@ impl Course {
 
     fn is_stopped(&self, rig: &Rig) -> bool {
         match self.scene {
-            Scene::GripCycle => rig.gripper.state().flags.contains(SystemFlags::FAST_STOP),
+            Scene::GripCycle => rig.world.far.gripper.state().flags.contains(SystemFlags::FAST_STOP),
             Scene::Jog | Scene::Silence => !rig.is_moving(),
         }
     }

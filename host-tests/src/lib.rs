@@ -3,9 +3,9 @@
 //! | module | holds |
 //! |---|---|
 //! | [`addresses`] | the bridge's registers by their names |
-//! | [`mod@bench`] | the bridge library and a virtual gripper in virtual time |
+//! | [`mod@bench`] | a [`world`] whose PLC has wires alone |
 //! | [`bxcan`] | the CAN controller of the STM32L4, by its manual |
-//! | [`can_bench`] | the same on a CAN bus, with a controller that goes bus-off on command |
+//! | [`can_bench`] | bridge and virtual gripper on a CAN bus, with a controller that goes bus-off on command |
 //! | [`can_bus`] | a CAN bus between that controller and others: arbitration, acknowledgement, faults |
 //! | [`can_controller`] | what a bus asks of a CAN controller |
 //! | [`can_hub`] | those on that bus besides the board: a gripper, a master |
@@ -29,10 +29,10 @@
 //! | [`load_store`] | loads and stores of Thumb-2, decoded |
 //! | [`masters`] | third-party masters of Modbus and CANopen |
 //! | [`mcp2515`] | the CAN controller behind SPI, by its data sheet |
-//! | [`modbus_bench`] | the bridge library and a virtual gripper in virtual time, with a Modbus master |
+//! | [`modbus_bench`] | a [`world`] with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
 //! | [`plc_names`] | flags, states and status codes, for the documents |
-//! | [`profibus_bench`] | the bridge library and a virtual gripper in virtual time, with a PROFIBUS master |
+//! | [`profibus_bench`] | a [`world`] with a PROFIBUS master |
 //! | [`registers`] | peripherals that QEMU lacks, served by models |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
@@ -40,6 +40,7 @@
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
 //! | [`wires`] | what a PLC does with the wires of a bench |
+//! | [`world`] | the bridge library and a virtual gripper in virtual time, with whatever bus the PLC has |
 //!
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
 //! is empty.
@@ -100,6 +101,7 @@ pub mod service_bench;
 pub mod terminal;
 pub mod trace;
 pub mod wires;
+pub mod world;
 
 /// Compiles the example in the README.
 #[cfg(doctest)]

@@ -1,73 +1,79 @@
 //! Bridge and virtual gripper in virtual time, with a Modbus master on the bus, another on the service port, and wires that a
 //! test plays.
 
-use std::collections::VecDeque;
-
-use crate::serial_gripper::SerialGripper;
-use crate::wires::Wires;
-use bus_modbus::rtu::{Character, crc};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
-use wsg_bridge_fw::{Bridge, BusPort, Config};
-use wsg_protocol::CommandId;
-use wsg_sim::{Time, VirtualGripper};
+use wsg_bridge_fw::{Bridge, Config};
+
+use crate::rtu_double::{RtuDouble, sealed};
+use crate::serial_gripper::{SerialGripper, SerialLine};
+use crate::wires::Wires;
+use crate::world::{Bus, World};
 
 /// The bridge's unit as delivered.
 pub const UNIT: u8 = 1;
 
-/// The bus.
-#[derive(Default)]
-struct Bus {
-    waiting: VecDeque<(Character, u32)>,
-    silence_us: u32,
-    answers: Vec<Vec<u8>>,
-}
-
-impl BusPort for Bus {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        self.waiting.pop_front()
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        self.silence_us
-    }
-
-    fn send(&mut self, frame: &[u8]) {
-        self.answers.push(frame.to_vec());
-    }
-}
-
-/// Everything on the bench.
-pub struct Bench {
-    bridge: Bridge,
+/// The bridge's two servers, and their lines.
+#[derive(Clone, Debug)]
+pub struct ModbusLines {
     modbus: Modbus,
     service: Modbus,
-    /// The line that is not the master's now: the service port, but inside [`Bench::by_service`].
-    other: Bus,
+    /// The line that the master is on: the bus, but inside [`Bench::by_service`].
+    line: RtuDouble,
+    /// The other one.
+    other: RtuDouble,
     is_by_service: bool,
-    /// The gripper and its line.
-    far: SerialGripper,
-    bus: Bus,
-    now_ms: u32,
-    inputs: Inputs,
-    outputs: Outputs,
+}
+
+impl ModbusLines {
+    /// Both, and lines on which nobody has asked yet.
+    pub(crate) fn new(config: &Config) -> Self {
+        Self {
+            modbus: Modbus::new(config),
+            service: Modbus::service(),
+            line: RtuDouble::default(),
+            other: RtuDouble::default(),
+            is_by_service: false,
+        }
+    }
+
+    fn change_line(&mut self) {
+        std::mem::swap(&mut self.line, &mut self.other);
+        self.is_by_service = !self.is_by_service;
+    }
+
+    /// Writes registers 0 to 3, CMDFLAGS to FORCELIMIT, and does not wait for the answer.
+    pub(crate) fn write(&mut self, image: [u16; 4]) {
+        self.line.put(&sealed(&write_request(0, &image)));
+    }
+}
+
+impl Bus for ModbusLines {
+    fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs, line: &mut SerialLine) -> Outputs {
+        self.line.pass_ms();
+        self.other.pass_ms();
+        let Self { modbus, service, line: bus, other: port, is_by_service } = self;
+        let (bus, port) = if *is_by_service { (port, bus) } else { (bus, port) };
+        let outputs = bridge.poll(now_ms, inputs, line, &mut modbus.over(bus));
+        bridge.serve(now_ms, &mut service.over(port));
+        outputs
+    }
+}
+
+/// A [`World`] whose PLC is on Modbus.
+pub type Bench = World<ModbusLines>;
+
+/// FC 16 with its unit, without its checksum.
+fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
+    let ([a1, a0], count) = (first.to_be_bytes(), values.len() as u8);
+    let head = [UNIT, 16, a1, a0, 0, count, 2 * count];
+    head.into_iter().chain(values.iter().flat_map(|value| value.to_be_bytes())).collect()
 }
 
 impl Bench {
     /// A bench whose wires are low, but the one of FAST STOP.
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
-        Self {
-            bridge: Bridge::new(config),
-            modbus: Modbus::new(&config),
-            service: Modbus::service(),
-            other: Bus { silence_us: 1_000_000, ..Bus::default() },
-            is_by_service: false,
-            far: SerialGripper::new(gripper),
-            bus: Bus { silence_us: 1_000_000, ..Bus::default() },
-            now_ms: 0,
-            inputs: Inputs::FAST_STOP_OK,
-            outputs: Outputs::empty(),
-        }
+        Self::with(config, ModbusLines::new(&config), SerialGripper::new(gripper), Inputs::FAST_STOP_OK)
     }
 
     /// A bench whose gripper answers, with a bus that has written zeros.
@@ -92,87 +98,48 @@ impl Bench {
         bench
     }
 
-    /// The moment, on the gripper's clock.
-    pub fn now(&self) -> Time {
-        Time::from_millis(self.now_ms.into())
-    }
-
-    /// The bridge.
-    pub fn bridge(&self) -> &Bridge {
-        &self.bridge
-    }
-
-    /// The bridge, to tell it what its board knows.
-    pub fn bridge_mut(&mut self) -> &mut Bridge {
-        &mut self.bridge
-    }
-
-    /// The gripper.
-    pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
-        &mut self.far.gripper
-    }
-
-    /// Switches the gripper off and on again: it has forgotten everything.
-    pub fn restart_gripper(&mut self, config: wsg_sim::Config) {
-        self.far.restart(config, self.now());
-    }
-
     /// Lets a test do over the service port what it would do over the bus.
     pub fn by_service<T>(&mut self, test: impl FnOnce(&mut Self) -> T) -> T {
-        self.change_line();
+        self.bus.change_line();
         let result = test(self);
-        self.change_line();
+        self.bus.change_line();
         result
-    }
-
-    fn change_line(&mut self) {
-        std::mem::swap(&mut self.bus, &mut self.other);
-        self.is_by_service = !self.is_by_service;
     }
 
     /// Serves the service port so often without a turn of the bridge.
     pub fn serve_alone(&mut self, times: u32) {
-        let Self { bridge, service, bus, other, now_ms, is_by_service, .. } = self;
-        let port = if *is_by_service { bus } else { other };
-        (0..times).for_each(|_| bridge.serve(*now_ms, &mut service.over(port)));
-    }
-
-    /// Cuts the line from gripper to bridge, or mends it.
-    pub fn set_cut(&mut self, cut: bool) {
-        self.far.to_bridge = if cut { Some(Box::new(Vec::clear)) } else { None };
+        let Self { bridge, bus, now_ms, .. } = self;
+        let port = if bus.is_by_service { &mut bus.line } else { &mut bus.other };
+        (0..times).for_each(|_| bridge.serve(*now_ms, &mut bus.service.over(port)));
     }
 
     /// Puts bytes on the bus, one right behind the other.
     pub fn send_raw(&mut self, bytes: &[u8]) {
-        for byte in bytes {
-            self.bus.waiting.push_back((Character::Byte(*byte), std::mem::take(&mut self.bus.silence_us)));
-        }
+        self.bus.line.put(bytes);
     }
 
     /// Puts bytes on the bus that come so long after those before, in microseconds.
     pub fn send_after(&mut self, pause_us: u32, bytes: &[u8]) {
-        self.bus.silence_us = pause_us;
+        self.bus.line.silence_us = pause_us;
         self.send_raw(bytes);
     }
 
     /// A request's frame, checksum included.
     pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-        let mut frame = [&[unit], pdu].concat();
-        frame.extend(crc(&frame).to_le_bytes());
-        frame
+        sealed(&[&[unit], pdu].concat())
     }
 
     /// Sends a request, and waits for what the bridge answers in 20 ms: the PDU, checked.
     pub fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
         // Half a frame can have a right checksum by chance, and is answered by an exception.
-        self.bus.answers.clear();
+        self.answers();
         self.send_raw(&Self::frame(UNIT, pdu));
         for _ in 0..20 {
             self.step();
-            if let Some(answer) = self.bus.answers.pop() {
-                assert_eq!(self.bus.answers.len(), 0);
-                let (body, sum) = answer.split_at(answer.len() - 2);
-                assert_eq!(crc(body).to_le_bytes(), sum);
+            if let Some(answer) = self.bus.line.answer() {
+                assert_eq!(self.answers(), 0);
+                let (body, _) = answer.split_at(answer.len() - 2);
+                assert_eq!(sealed(body), answer);
                 assert_eq!(body[0], UNIT);
                 return body[1..].to_vec();
             }
@@ -182,7 +149,7 @@ impl Bench {
 
     /// Takes the answers that came since this was last asked; how many.
     pub fn answers(&mut self) -> usize {
-        std::mem::take(&mut self.bus.answers).len()
+        self.bus.line.take_events().len()
     }
 
     /// FC 16.
@@ -192,12 +159,9 @@ impl Bench {
 
     /// FC 16; the exception.
     pub fn try_write(&mut self, first: u16, values: &[u16]) -> Option<u8> {
-        let [a1, a0] = first.to_be_bytes();
-        let count = values.len() as u8;
-        let mut pdu = vec![16, a1, a0, 0, count, 2 * count];
-        pdu.extend(values.iter().flat_map(|value| value.to_be_bytes()));
-        let answer = self.ask(&pdu);
-        if answer == [16, a1, a0, 0, count] {
+        let request = write_request(first, values);
+        let answer = self.ask(&request[1..]);
+        if answer == request[1..6] {
             return None;
         }
         assert_eq!((answer.len(), answer[0]), (2, 0x90));
@@ -253,32 +217,6 @@ impl Bench {
             self.pass(10);
         }
         panic!("the command does not end");
-    }
-}
-
-impl Wires for Bench {
-    fn inputs(&mut self) -> &mut Inputs {
-        &mut self.inputs
-    }
-
-    fn outputs(&self) -> Outputs {
-        self.outputs
-    }
-
-    fn take_sent(&mut self) -> Vec<CommandId> {
-        self.far.take_sent()
-    }
-
-    fn step(&mut self) {
-        self.now_ms += 1;
-        for line in [&mut self.bus, &mut self.other] {
-            line.silence_us = line.silence_us.saturating_add(1_000);
-        }
-        let Self { bridge, modbus, service, far, bus, other, is_by_service, inputs, now_ms, .. } = self;
-        let (bus, port) = if *is_by_service { (other, bus) } else { (bus, other) };
-        self.outputs = bridge.poll(*now_ms, *inputs, &mut far.line, &mut modbus.over(bus));
-        bridge.serve(*now_ms, &mut service.over(port));
-        self.far.advance(self.now());
     }
 }
 

@@ -6,10 +6,10 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::{DpBuffers, DpResponder, Profibus, UartStatus};
 use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
 use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
-use wsg_protocol::CommandId;
-use wsg_sim::{Time, VirtualGripper};
 
-use crate::serial_gripper::{SerialGripper, motions};
+use crate::serial_gripper::{SerialGripper, SerialLine};
+pub use crate::wires::Wires;
+use crate::world::{Bus, World};
 
 /// The station as delivered.
 pub const STATION: u8 = 7;
@@ -47,18 +47,22 @@ pub const AT_500K: Config = Config {
     ..Config::DEFAULT
 };
 
-/// The bridge with its handler: what runs on a board with PROFIBUS.
-pub struct Board {
-    bridge: Bridge,
+/// The slave: the main loop's end and the handler's.
+pub struct Dp {
     profibus: Profibus,
     handler: DpResponder,
-    far: SerialGripper,
-    now_ms: u32,
-    inputs: Inputs,
-    outputs: Outputs,
     /// The rate that the handler has asked for.
     rate: Option<Baud>,
 }
+
+impl Bus for Dp {
+    fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs, line: &mut SerialLine) -> Outputs {
+        bridge.poll(now_ms, inputs, line, &mut self.profibus)
+    }
+}
+
+/// A [`World`] whose PLC is on PROFIBUS: what runs on a board with it. Its handler is to run behind each turn of the main loop.
+pub type Board = World<Dp>;
 
 impl Board {
     /// A board whose wires are low, but the one of FAST STOP.
@@ -67,80 +71,21 @@ impl Board {
         let buffers: &'static DpBuffers = Box::leak(Box::default());
         let mut profibus = Profibus::new(buffers);
         profibus.start(config.profibus);
-        Self {
-            bridge: Bridge::new(config),
-            profibus,
-            handler: DpResponder::new(buffers),
-            far: SerialGripper::new(gripper),
-            now_ms: 0,
-            inputs: Inputs::FAST_STOP_OK,
-            outputs: Outputs::empty(),
-            rate: None,
-        }
-    }
-
-    /// A turn of the main loop, a millisecond after the one before, and the handler behind it.
-    pub fn turn(&mut self) {
-        self.now_ms += 1;
-        let Self { bridge, profibus, far, inputs, now_ms, .. } = self;
-        self.outputs = bridge.poll(*now_ms, *inputs, &mut far.line, profibus);
-        self.far.advance(Time::from_millis(self.now_ms.into()));
+        let dp = Dp { profibus, handler: DpResponder::new(buffers), rate: None };
+        Self::with(config, dp, SerialGripper::new(gripper), Inputs::FAST_STOP_OK)
     }
 
     /// The handler, at a time in microseconds of this millisecond or later.
     pub fn interrupt(&mut self, status: UartStatus, now_us: u32) -> wsg_bridge_fw::plc::Action {
-        let action = self.handler.step(status, self.now_ms, now_us);
-        self.rate = action.rate.or(self.rate);
+        let action = self.bus.handler.step(status, self.now_ms, now_us);
+        self.bus.rate = action.rate.or(self.bus.rate);
         action
     }
 
     /// The rate of the line.
     #[must_use]
     pub fn rate(&self) -> Option<Baud> {
-        self.rate
-    }
-
-    /// The time in milliseconds.
-    #[must_use]
-    pub fn now_ms(&self) -> u32 {
-        self.now_ms
-    }
-
-    /// The bridge.
-    #[must_use]
-    pub fn bridge(&self) -> &Bridge {
-        &self.bridge
-    }
-
-    /// The gripper.
-    pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
-        &mut self.far.gripper
-    }
-
-    /// Cuts the line from gripper to bridge, or mends it.
-    pub fn set_cut(&mut self, cut: bool) {
-        self.far.to_bridge = if cut { Some(Box::new(Vec::clear)) } else { None };
-    }
-
-    /// The wires from the PLC.
-    pub fn inputs(&mut self) -> &mut Inputs {
-        &mut self.inputs
-    }
-
-    /// The wires to the PLC.
-    #[must_use]
-    pub fn outputs(&self) -> Outputs {
-        self.outputs
-    }
-
-    /// The commands that the bridge has sent since this was last asked.
-    pub fn take_sent(&mut self) -> Vec<CommandId> {
-        self.far.take_sent()
-    }
-
-    /// The motion commands among them.
-    pub fn take_motions(&mut self) -> Vec<CommandId> {
-        motions(self.take_sent())
+        self.bus.rate
     }
 }
 
@@ -198,7 +143,7 @@ impl Bench {
         for _ in 0..us {
             self.now_us += 1;
             if self.now_us.is_multiple_of(1_000) {
-                self.board.turn();
+                self.board.step();
                 let idle = UartStatus { has_room: true, is_complete: true, ..UartStatus::default() };
                 let action = self.board.interrupt(idle, self.now_us);
                 assert_eq!(action.send, None, "nobody has asked");
@@ -257,8 +202,8 @@ impl Bench {
             status = UartStatus { has_room: true, is_complete: rest.transmission_complete, ..status };
         }
         // What time the answer took, the main loop makes up for.
-        while self.board.now_ms() < self.now_us / 1_000 {
-            self.board.turn();
+        while self.board.now_ms < self.now_us / 1_000 {
+            self.board.step();
             self.board.interrupt(UartStatus::default(), self.now_us);
         }
         answer
@@ -356,8 +301,8 @@ impl Bench {
 
     /// Exchanges in every millisecond or two.
     pub fn pass(&mut self, ms: u32) {
-        let end = self.board.now_ms() + ms;
-        while self.board.now_ms() < end {
+        let end = self.board.now_ms + ms;
+        while self.board.now_ms < end {
             self.pass_us(1_000);
             self.exchange();
         }

@@ -14,7 +14,7 @@ pub const BYTES_PER_MS: usize = 12;
 pub type Disturbance = Box<dyn FnMut(&mut Vec<u8>)>;
 
 /// The bridge's end of the line.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct SerialLine {
     to_bridge: VecDeque<u8>,
     from_bridge: Vec<u8>,
@@ -78,35 +78,69 @@ impl Write for SerialLine {
     }
 }
 
+/// One way of a line.
+pub trait Carry {
+    /// Takes what the line carries in this millisecond of what waits, and returns what arrives of it.
+    fn carry(&mut self, waiting: &mut Vec<u8>) -> Vec<u8>;
+}
+
+impl Carry for Option<Disturbance> {
+    fn carry(&mut self, waiting: &mut Vec<u8>) -> Vec<u8> {
+        let mut bytes = std::mem::take(waiting);
+        if let Some(disturb) = self {
+            disturb(&mut bytes);
+        }
+        bytes
+    }
+}
+
 /// A gripper and its line.
-pub struct SerialGripper {
+#[derive(Clone, Debug)]
+pub struct SerialGripper<W = Option<Disturbance>> {
     /// The gripper.
     pub gripper: VirtualGripper<1>,
     port: PortId,
     /// The bridge's end of its line.
     pub line: SerialLine,
-    /// Finds frames in what the bridge sends.
+    /// What the gripper has sent and its line has not carried.
+    from_gripper: Vec<u8>,
+    /// Finds frames in what the bridge sends, and how much of what waits there it has seen.
     seen: FrameParser<MAX_MESSAGE_LEN>,
+    seen_len: usize,
     sent: Vec<CommandId>,
     /// On the way from bridge to gripper.
-    pub to_gripper: Option<Disturbance>,
+    pub to_gripper: W,
     /// On the way from gripper to bridge.
-    pub to_bridge: Option<Disturbance>,
+    pub to_bridge: W,
 }
 
 impl SerialGripper {
     /// A gripper that was just switched on.
     #[must_use]
     pub fn new(config: wsg_sim::Config) -> Self {
+        Self::over(config, BYTES_PER_MS, [None, None])
+    }
+
+    /// Sends bytes to the bridge that the gripper never sent.
+    pub fn inject(&mut self, bytes: &[u8]) {
+        self.line.bring(bytes);
+    }
+}
+
+impl<W: Carry> SerialGripper<W> {
+    /// The same on a line with so much room at the bridge's end, and these ways to gripper and bridge.
+    pub(crate) fn over(config: wsg_sim::Config, room: usize, [to_gripper, to_bridge]: [W; 2]) -> Self {
         let (gripper, port) = switch_on(config);
         Self {
             gripper,
             port,
-            line: SerialLine::with_room(BYTES_PER_MS),
+            line: SerialLine::with_room(room),
+            from_gripper: Vec::new(),
             seen: FrameParser::new(),
+            seen_len: 0,
             sent: Vec::new(),
-            to_gripper: None,
-            to_bridge: None,
+            to_gripper,
+            to_bridge,
         }
     }
 
@@ -114,11 +148,6 @@ impl SerialGripper {
     pub fn restart(&mut self, config: wsg_sim::Config, now: Time) {
         (self.gripper, self.port) = switch_on(config);
         self.gripper.advance(now);
-    }
-
-    /// Sends bytes to the bridge that the gripper never sent.
-    pub fn inject(&mut self, bytes: &[u8]) {
-        self.line.bring(bytes);
     }
 
     /// The commands that the bridge has sent since this was last asked.
@@ -131,26 +160,21 @@ impl SerialGripper {
     /// # Panics
     /// When the bridge has sent a broken frame.
     pub fn advance(&mut self, now: Time) {
-        let mut bytes = self.line.take_sent();
-        self.note_frames(&bytes);
-        if let Some(disturb) = &mut self.to_gripper {
-            disturb(&mut bytes);
-        }
+        self.note_frames();
+        let bytes = self.to_gripper.carry(&mut self.line.from_bridge);
+        self.seen_len = self.line.from_bridge.len();
         self.gripper.receive(self.port, now, &bytes);
         self.gripper.advance(now);
         let mut buffer = [0; MAX_FRAME_LEN];
-        let mut bytes = Vec::new();
         while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
-            bytes.extend_from_slice(frame);
+            self.from_gripper.extend_from_slice(frame);
         }
-        if let Some(disturb) = &mut self.to_bridge {
-            disturb(&mut bytes);
-        }
+        let bytes = self.to_bridge.carry(&mut self.from_gripper);
         self.line.bring(&bytes);
     }
 
-    fn note_frames(&mut self, bytes: &[u8]) {
-        let mut rest = bytes;
+    fn note_frames(&mut self) {
+        let mut rest = &self.line.from_bridge[self.seen_len..];
         loop {
             let (taken, event) = self.seen.push_slice(rest);
             rest = &rest[taken..];
@@ -173,10 +197,4 @@ fn switch_on(config: wsg_sim::Config) -> (VirtualGripper<1>, PortId) {
 #[must_use]
 pub fn motions(sent: Vec<CommandId>) -> Vec<CommandId> {
     sent.into_iter().filter(|id| id.kind() == Kind::Motion).collect()
-}
-
-impl std::fmt::Debug for SerialGripper {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("SerialGripper").field("line", &self.line).finish_non_exhaustive()
-    }
 }

@@ -25,10 +25,10 @@ use super::frames::repair_checksums;
 use super::input::Input;
 use super::modbus::sealed;
 use super::overheard::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Overheard, Port};
-use super::rtu_line::RtuLine;
 use super::whole::{Ends, FLAGS, PARAMETERS, World};
 use crate::can_bench::{Double, NO_PROFIBUS};
 use crate::flash_model::FlashModel;
+use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
 
 /// Recipes: width, speed, force and release width. One of them the gripper does not take.
@@ -49,13 +49,11 @@ struct Model {
     station: Station<Double>,
     flash: FlashModel,
     delivered: Record,
-    bus: RtuLine,
-    service: RtuLine,
+    bus: RtuDouble,
+    service: RtuDouble,
     overheard: Overheard,
     /// When the PLC on the bus was heard last; none when it was not, or fell silent.
     heard_ms: Option<u32>,
-    /// What comes cannot be followed.
-    is_over: bool,
     ends: Ends,
 }
 
@@ -110,11 +108,10 @@ impl Model {
             station,
             flash,
             delivered,
-            bus: RtuLine::default(),
-            service: RtuLine::default(),
+            bus: RtuDouble::overheard(),
+            service: RtuDouble::overheard(),
             overheard: Overheard::new(&delivered),
             heard_ms: None,
-            is_over: false,
             ends,
         }
     }
@@ -125,7 +122,7 @@ impl Model {
         sealed(&[&head[..], &parameters.map(u16::to_be_bytes).concat()].concat())
     }
 
-    fn line_of(&mut self, port: Port) -> &mut RtuLine {
+    fn line_of(&mut self, port: Port) -> &mut RtuDouble {
         match port {
             Port::Bus => &mut self.bus,
             Port::Service => &mut self.service,
@@ -156,49 +153,11 @@ impl Model {
             let character = if damaged_at == Some(at) { Character::Damaged } else { Character::Byte(*byte) };
             let silence_us = match pause {
                 Some((pause_at, silence_us)) if pause_at == at => silence_us,
-                _ if at == 0 => line.silence_us().max(port.timing().t3_5_us),
+                _ if at == 0 => line.silence_us.max(port.timing().t3_5_us),
                 _ => 0,
             };
             line.bring(character, silence_us);
         }
-    }
-
-    /// One turn of the main loop, a millisecond after the one before.
-    fn turn(&mut self) {
-        self.ends.now_ms += 1;
-        self.bus.pass_ms();
-        self.service.pass_ms();
-        let Self { station, flash, bus, service, ends, .. } = self;
-        let now_ms = ends.now_ms;
-        let was_connected = station.bridge().is_connected();
-        let outputs = station.turn(now_ms, ends.wires, ends.line.turn(), bus, service, flash);
-        assert!(station.bridge().may_feed_watchdog(now_ms));
-        ends.begin_turn();
-        let oracle = &mut ends.oracle;
-        for event in self.bus.take_events() {
-            match self.overheard.take(Port::Bus, &event) {
-                None => continue,
-                Some(Done::Heard) => {}
-                Some(Done::Image(image, recipe)) => oracle.asked.take_image(image, recipe),
-                Some(Done::Unknown) => self.is_over = true,
-            }
-            self.heard_ms = Some(now_ms);
-        }
-        if self.is_over {
-            return;
-        }
-        oracle.shown.min_busy_ms = self.overheard.min_busy_ms();
-        let timeout_ms = self.overheard.timeout_ms();
-        if timeout_ms > 0 && self.heard_ms.is_some_and(|heard_ms| now_ms - heard_ms >= timeout_ms) {
-            self.heard_ms = None;
-            oracle.asked.lose_bus();
-        }
-        if was_connected && !self.station.bridge().is_connected() {
-            ends.line.cut();
-        }
-        let patience_ms = if ends.line.is_slow() { SLOW_PATIENCE_MS } else { 1 };
-        ends.end_turn(outputs, patience_ms);
-        self.serve();
     }
 
     /// What the service port did comes behind all else in a turn, and counts from the next on.
@@ -207,10 +166,10 @@ impl Model {
             match self.overheard.take(Port::Service, &event) {
                 None | Some(Done::Heard) => {}
                 Some(Done::Image(..)) => unreachable!("it does not command"),
-                Some(Done::Unknown) => self.is_over = true,
+                Some(Done::Unknown) => self.ends.is_over = true,
             }
         }
-        self.is_over |= matches!(self.overheard.end_turn(), Done::Unknown);
+        self.ends.is_over |= matches!(self.overheard.end_turn(), Done::Unknown);
         let Self { ends: Ends { oracle, .. }, overheard, .. } = self;
         oracle.told.frame_timeout_ms = overheard.frame_timeout_ms();
         oracle.asked.debounce_ms = overheard.debounce_ms();
@@ -220,7 +179,7 @@ impl Model {
 
     /// What was saved is what the next start finds.
     fn check_saved(&mut self) {
-        if self.is_over || self.overheard.saved().is_none() {
+        if self.ends.is_over || self.overheard.saved().is_none() {
             return;
         }
         self.pass(SAVE_MS);
@@ -247,21 +206,45 @@ impl World for Model {
         self.pass(4);
     }
 
-    fn is_over(&self) -> bool {
-        self.is_over
-    }
-
     fn passes_after(&self, _: u8) -> bool {
         true
     }
 
-    fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            if self.is_over {
-                return;
+    fn turn(&mut self) {
+        self.ends.now_ms += 1;
+        self.bus.pass_ms();
+        self.service.pass_ms();
+        let Self { station, flash, bus, service, ends, .. } = self;
+        let now_ms = ends.now_ms;
+        let was_connected = station.bridge().is_connected();
+        let outputs = station.turn(now_ms, ends.wires, ends.line.turn(), bus, service, flash);
+        assert!(station.bridge().may_feed_watchdog(now_ms));
+        ends.begin_turn();
+        let Ends { oracle, is_over, .. } = ends;
+        for event in self.bus.take_events() {
+            match self.overheard.take(Port::Bus, &event) {
+                None => continue,
+                Some(Done::Heard) => {}
+                Some(Done::Image(image, recipe)) => oracle.asked.take_image(image, recipe),
+                Some(Done::Unknown) => *is_over = true,
             }
-            self.turn();
+            self.heard_ms = Some(now_ms);
         }
+        if *is_over {
+            return;
+        }
+        oracle.shown.min_busy_ms = self.overheard.min_busy_ms();
+        let timeout_ms = self.overheard.timeout_ms();
+        if timeout_ms > 0 && self.heard_ms.is_some_and(|heard_ms| now_ms - heard_ms >= timeout_ms) {
+            self.heard_ms = None;
+            oracle.asked.lose_bus();
+        }
+        if was_connected && !self.station.bridge().is_connected() {
+            ends.line.cut();
+        }
+        let patience_ms = if ends.line.is_slow() { SLOW_PATIENCE_MS } else { 1 };
+        ends.end_turn(outputs, patience_ms);
+        self.serve();
     }
 
     fn take(&mut self, op: u8, input: &mut Input<'_>) {

@@ -142,7 +142,6 @@ struct Model {
     /// The bus was lost in the turn before.
     was_lost: bool,
     device: Device,
-    is_over: bool,
     ends: Ends,
 }
 
@@ -368,7 +367,6 @@ impl Model {
             brought: Vec::new(),
             was_lost: false,
             device: Device::new(),
-            is_over: false,
             ends: Ends::new(&Config::DEFAULT, None),
         }
     }
@@ -455,42 +453,6 @@ impl Model {
         }
     }
 
-    /// One turn of the main loop, a millisecond after the one before, and what leaves behind it.
-    fn turn(&mut self) {
-        self.ends.now_ms += 1;
-        let now_ms = self.ends.now_ms;
-        let lost = usize::from(self.overrun && !self.brought.is_empty());
-        self.overrun &= self.brought.is_empty();
-        for frame in self.brought.drain(..).skip(lost) {
-            self.device.hear(now_ms, &frame);
-        }
-        let (outputs, messages) = self.turn_bridge(Instant::from_millis(now_ms));
-        assert!(self.bridge.may_feed_watchdog(now_ms));
-        if self.is_over {
-            return;
-        }
-        if self.is_on_rs_232 {
-            self.ends.end_turn(outputs, 1);
-            // What the device says leaves as well.
-            return self.leave();
-        }
-        let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
-        let patience_ms = if cut_off { None } else { Some(FAST_STOP_MS) };
-        let Ends { gripper, oracle, .. } = &mut self.ends;
-        if cut_off {
-            gripper.fault(now_ms);
-        }
-        oracle.begin_leaving(patience_ms);
-        for message in messages {
-            oracle.leaves(message.id, Some(&message.command()), gripper);
-        }
-        oracle.end_turn(outputs, gripper);
-        self.leave();
-        for answer in self.ends.gripper.speak(now_ms) {
-            self.deliver(&answer, None);
-        }
-    }
-
     /// The bridge's turn: what it shows, and the messages that it says to a gripper on the bus.
     fn turn_bridge(&mut self, now: Instant) -> (Outputs, Vec<Message>) {
         let aborts = self.double.aborts();
@@ -549,7 +511,7 @@ impl Model {
 
     /// What the device makes of what it heard, and of the time.
     fn follow(&mut self, said: &[ClassicFrame]) {
-        let Ends { now_ms, wires, line, oracle, .. } = &mut self.ends;
+        let Ends { now_ms, wires, line, oracle, is_over, .. } = &mut self.ends;
         let heard = if self.is_on_rs_232 { line.take_heard() } else { self.link.take_heard() };
         oracle.begin_turn(*now_ms, &heard, *wires);
         let (now_ms, Oracle { asked, .. }, device) = (*now_ms, oracle, &mut self.device);
@@ -574,7 +536,7 @@ impl Model {
         if reset {
             device.reset();
         }
-        self.is_over = !device.configure(now_ms, said);
+        *is_over = !device.configure(now_ms, said);
         if device.heard.drain(..).any(|heard| matches!(heard, Heard::Left)) {
             asked.lose_bus();
         }
@@ -590,7 +552,7 @@ impl Model {
             // It has announced itself.
             device.state = NmtState::PreOperational;
         }
-        if !self.is_over {
+        if !*is_over {
             assert_eq!(self.node.state(), device.state);
         }
         asked.debounce_ms = device.debounce_ms;
@@ -652,25 +614,48 @@ impl World for Model {
         self.put_rpdo(CommandFlags::empty(), PARAMETERS[0]);
     }
 
-    fn is_over(&self) -> bool {
-        self.is_over
-    }
-
     fn passes_after(&self, op: u8) -> bool {
         op & 0x80 == 0 || self.brought.len() >= BURST
     }
 
-    fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            if self.is_over {
-                return;
-            }
-            self.turn();
-        }
-    }
-
     fn bring(&mut self, bytes: &[u8]) {
         self.deliver(bytes, None);
+    }
+
+    /// What leaves in it goes behind it.
+    fn turn(&mut self) {
+        self.ends.now_ms += 1;
+        let now_ms = self.ends.now_ms;
+        let lost = usize::from(self.overrun && !self.brought.is_empty());
+        self.overrun &= self.brought.is_empty();
+        for frame in self.brought.drain(..).skip(lost) {
+            self.device.hear(now_ms, &frame);
+        }
+        let (outputs, messages) = self.turn_bridge(Instant::from_millis(now_ms));
+        assert!(self.bridge.may_feed_watchdog(now_ms));
+        if self.ends.is_over {
+            return;
+        }
+        if self.is_on_rs_232 {
+            self.ends.end_turn(outputs, 1);
+            // What the device says leaves as well.
+            return self.leave();
+        }
+        let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
+        let patience_ms = if cut_off { None } else { Some(FAST_STOP_MS) };
+        let Ends { gripper, oracle, .. } = &mut self.ends;
+        if cut_off {
+            gripper.fault(now_ms);
+        }
+        oracle.begin_leaving(patience_ms);
+        for message in messages {
+            oracle.leaves(message.id, Some(&message.command()), gripper);
+        }
+        oracle.end_turn(outputs, gripper);
+        self.leave();
+        for answer in self.ends.gripper.speak(now_ms) {
+            self.deliver(&answer, None);
+        }
     }
 
     fn take(&mut self, op: u8, input: &mut Input<'_>) {

@@ -353,28 +353,6 @@ impl Model {
         }
     }
 
-    /// One turn of the main loop.
-    fn turn(&mut self) {
-        let now_ms = self.now_ms();
-        let ends = &mut self.ends;
-        ends.now_ms = now_ms;
-        let mut side = Side { profibus: &mut self.profibus, events: vec![], shown: None };
-        let outputs = self.bridge.poll(now_ms, ends.wires, ends.line.turn(), &mut side);
-        let (events, shown) = (side.events, side.shown);
-        self.inputs = shown;
-        assert!(self.bridge.may_feed_watchdog(now_ms));
-        ends.begin_turn();
-        assert_eq!(events, self.events(now_ms));
-        for event in events {
-            match event {
-                PlcEvent::Output(image) => self.ends.oracle.asked.take_image(image, None),
-                PlcEvent::Left { .. } => self.ends.oracle.asked.lose_bus(),
-                PlcEvent::Configured | PlcEvent::Served => unreachable!("it has no registers"),
-            }
-        }
-        self.ends.end_turn(outputs, 1);
-    }
-
     /// What the main loop has to hear.
     fn events(&mut self, now_ms: u32) -> Vec<PlcEvent> {
         let mut events = vec![];
@@ -420,6 +398,27 @@ impl World for Model {
         self.put(&zeros);
         self.pass(2);
         assert!(self.commands);
+    }
+
+    fn turn(&mut self) {
+        let now_ms = self.now_ms();
+        let ends = &mut self.ends;
+        ends.now_ms = now_ms;
+        let mut side = Side { profibus: &mut self.profibus, events: vec![], shown: None };
+        let outputs = self.bridge.poll(now_ms, ends.wires, ends.line.turn(), &mut side);
+        let (events, shown) = (side.events, side.shown);
+        self.inputs = shown;
+        assert!(self.bridge.may_feed_watchdog(now_ms));
+        ends.begin_turn();
+        assert_eq!(events, self.events(now_ms));
+        for event in events {
+            match event {
+                PlcEvent::Output(image) => self.ends.oracle.asked.take_image(image, None),
+                PlcEvent::Left { .. } => self.ends.oracle.asked.lose_bus(),
+                PlcEvent::Configured | PlcEvent::Served => unreachable!("it has no registers"),
+            }
+        }
+        self.ends.end_turn(outputs, 1);
     }
 
     fn pass(&mut self, ms: u32) {

@@ -9,7 +9,8 @@ use wsg_bridge_fw::registers::{self, COMMAND_KEY, Record};
 use wsg_bridge_fw::{RECIPE_COUNT, Recipe};
 use wsg_fieldbus::OutputImage;
 
-use super::rtu_line::{Event, Requests, Way};
+use super::rtu_line::{Requests, Way};
+use crate::rtu_double::Event;
 
 /// The bus's silences, and the service port's.
 const BUS_TIMING: Timing = Timing::of(19_200, 11);

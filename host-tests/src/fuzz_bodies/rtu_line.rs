@@ -1,67 +1,12 @@
-//! A line for Modbus RTU as a bridge has it, and the requests that must be behind the bridge's answers on it.
+//! The requests that must be behind the bridge's answers on a line for Modbus RTU.
 //!
 //! Nothing is known here of how the bridge finds a frame: every answer must have its request, an intact frame for its unit
 //! between two silences of T3.5, or pieces of one with pauses below BUS_CHAR_TIMEOUT between them.
 
-use std::collections::VecDeque;
-
 use bus_modbus::rtu::{Character, Timing};
-use wsg_bridge_fw::BusPort;
 
 use super::modbus::checksum;
-
-/// What the bridge saw of the line and did on it.
-pub(super) enum Event {
-    Character(Character, u32),
-    Silence(u32),
-    Answer(Vec<u8>),
-}
-
-/// The bridge's end of the line.
-#[derive(Default)]
-pub(super) struct RtuLine {
-    waiting: VecDeque<(Character, u32)>,
-    silence_us: u32,
-    events: Vec<Event>,
-}
-
-impl RtuLine {
-    /// Brings a character, so long after the one before.
-    pub(super) fn bring(&mut self, character: Character, silence_us: u32) {
-        self.silence_us = 0;
-        self.waiting.push_back((character, silence_us));
-    }
-
-    pub(super) fn pass_ms(&mut self) {
-        self.silence_us = self.silence_us.saturating_add(1_000);
-    }
-
-    /// For how long nothing has come.
-    pub(super) fn silence_us(&self) -> u32 {
-        self.silence_us
-    }
-
-    pub(super) fn take_events(&mut self) -> Vec<Event> {
-        std::mem::take(&mut self.events)
-    }
-}
-
-impl BusPort for RtuLine {
-    fn receive(&mut self) -> Option<(Character, u32)> {
-        let (character, silence_us) = self.waiting.pop_front()?;
-        self.events.push(Event::Character(character, silence_us));
-        Some((character, silence_us))
-    }
-
-    fn silence_us(&mut self) -> u32 {
-        self.events.push(Event::Silence(self.silence_us));
-        self.silence_us
-    }
-
-    fn send(&mut self, frame: &[u8]) {
-        self.events.push(Event::Answer(frame.to_vec()));
-    }
-}
+use crate::rtu_double::Event;
 
 /// Who answers on a line, and how silence is judged there.
 #[derive(Clone, Copy)]

@@ -49,6 +49,8 @@ pub(super) struct Ends {
     /// The line of a gripper on RS-232.
     pub(super) line: Tap<SerialLine>,
     pub(super) oracle: Oracle,
+    /// What comes next cannot be followed.
+    pub(super) is_over: bool,
 }
 
 impl Ends {
@@ -60,6 +62,7 @@ impl Ends {
             gripper: Gripper::new(),
             line: Tap::new(SerialLine::with_room(usize::MAX), per_ms),
             oracle: Oracle::new(config),
+            is_over: false,
         }
     }
 
@@ -102,16 +105,21 @@ pub(super) trait World {
     /// An op that is not one of all bodies.
     fn take(&mut self, op: u8, input: &mut Input<'_>);
 
-    fn pass(&mut self, ms: u32);
+    /// One turn of the main loop, a millisecond after the one before.
+    fn turn(&mut self);
+
+    fn pass(&mut self, ms: u32) {
+        for _ in 0..ms {
+            if self.ends().is_over {
+                return;
+            }
+            self.turn();
+        }
+    }
 
     /// A millisecond passes after this op.
     fn passes_after(&self, op: u8) -> bool {
         op & 0x80 == 0
-    }
-
-    /// What comes next cannot be followed.
-    fn is_over(&self) -> bool {
-        false
     }
 
     /// Bytes of the gripper reach the bridge.
@@ -154,7 +162,7 @@ pub(super) trait World {
         if choice & 1 != 0 {
             self.get_ready();
         }
-        while !input.is_empty() && !self.is_over() {
+        while !input.is_empty() && !self.ends().is_over {
             let op = input.byte();
             match op % 16 {
                 0 | 1 => self.ends().wires = Inputs::from_bits_retain(input.byte()),

@@ -3,7 +3,7 @@
 
 use bus_profibus::Character;
 use host_tests::modbus_bench::quick;
-use host_tests::profibus_bench::{AT_500K, Board, STATION};
+use host_tests::profibus_bench::{AT_500K, Board, STATION, Wires};
 use profirust::Baudrate;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
@@ -32,7 +32,7 @@ impl Device {
     fn poll(&mut self, now: Instant) {
         let now_us = u32::try_from(now.total_micros()).unwrap();
         while self.board.now_ms() < now_us / 1_000 {
-            self.board.turn();
+            self.board.step();
             if !self.is_sending {
                 let action = self.board.interrupt(BEHIND_IT, now_us);
                 self.send(action.send, now, now_us);
