@@ -8,8 +8,7 @@
 //! |---|---|
 //! | `action` | what can happen |
 //! | `plant` | bridge, gripper, line and PLC, and what an action does to them |
-//! | `gripper` | the gripper: idle, moving, holding or fast-stopped |
-//! | `ports` | the gripper's line and the bus during one turn |
+//! | `answers` | what the gripper has said and the line has not delivered |
 //! | `promises` | what must hold |
 //! | `roots` | the states that an exploration starts from |
 //! | `search` | breadth-first search |
@@ -19,10 +18,9 @@
 //! [`fault_sweep`](crate::fault_sweep).
 
 mod action;
-mod gripper;
+mod answers;
 mod key;
 mod plant;
-mod ports;
 mod promises;
 mod roots;
 mod search;

@@ -74,6 +74,7 @@ pub mod fuzz_bodies;
 pub mod gdb;
 #[cfg(unix)]
 pub mod gripper_end;
+mod gripper_states;
 #[cfg(unix)]
 pub mod iwdg;
 #[cfg(unix)]

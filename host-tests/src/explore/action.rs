@@ -161,9 +161,6 @@ impl Wire {
 }
 
 impl Image {
-    pub(super) const ALL: [Self; 7] =
-        [Self::Zero, Self::Move, Self::Grip, Self::GripGently, Self::JogPlus, Self::StopAck, Self::FastStop];
-
     pub(super) const fn flags(self) -> CommandFlags {
         match self {
             Self::Zero => CommandFlags::empty(),

@@ -5,14 +5,17 @@ use std::fmt::Write as _;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource, WiresConfig};
-use wsg_protocol::{CommandId, GripperState, Instant, session};
+use wsg_protocol::{CommandId, FrameParser, GripperState, Instant, session};
 
 use super::action::{Action, Image};
-use super::gripper::{Answer, Answers, Gripper};
+use super::answers::Answers;
 use super::key::key;
-use super::ports::{Bus, Line, UNIT};
 use super::promises::{Kept, Motion, Promise, Promises, keep};
 use super::search::Model;
+use crate::gripper_states::{Answer, States, messages};
+use crate::modbus_bench::UNIT;
+use crate::rtu_double::RtuDouble;
+use crate::serial_gripper::SerialLine;
 
 const CONFIG: Config = Config {
     // An edge takes no time, so that more orders of events lead to the same state.
@@ -44,7 +47,7 @@ pub(super) struct Plant {
     actions: &'static [Action],
     bridge: Bridge,
     modbus: Modbus,
-    gripper: Gripper,
+    gripper: States,
     now_ms: u32,
     wires: Inputs,
     outputs: Outputs,
@@ -81,7 +84,7 @@ pub(super) const SIGHTS: [Sight; 17] = [
     ("a release", |plant| plant.motion() == Some(CommandId::ReleasePart)),
     ("a jog", |plant| plant.motion() == Some(CommandId::PrePosition) && plant.promises.jogs()),
     ("a lost part", |plant| plant.gripper.state == GripperState::PartLost),
-    ("a latched FAST STOP", |plant| plant.gripper.fast_stop),
+    ("a latched FAST STOP", |plant| plant.gripper.fast_stop()),
     ("a FAST STOP that is not acknowledged", |plant| !plant.promises.is_open()),
     ("a gripper that moves while the bridge does not know", |plant| {
         plant.motion().is_some() && plant.outputs.contains(Outputs::READY)
@@ -95,7 +98,7 @@ impl Plant {
             actions,
             bridge: Bridge::new(CONFIG),
             modbus: Modbus::new(&CONFIG),
-            gripper: Gripper::SWITCHED_ON,
+            gripper: States::SWITCHED_ON,
             now_ms: 0,
             wires: Inputs::empty(),
             outputs: Outputs::empty(),
@@ -184,7 +187,7 @@ impl Plant {
                 let mut bytes = self.bytes_with_next();
                 bytes.extend(self.answers.pop().into_iter().flat_map(Answer::bytes));
                 bytes.pop();
-                self.turn(&bytes, Bus::SILENT)
+                self.turn(&bytes, silence())
             }
             Action::AnswerWithNext => {
                 self.with_next = self.answers.pop();
@@ -200,19 +203,19 @@ impl Plant {
                 self.with_next = None;
                 Ok(())
             }
-            Action::Finish => self.change_gripper(|gripper, answers| gripper.finish(true, answers)),
-            Action::Fail => self.change_gripper(|gripper, answers| gripper.finish(false, answers)),
-            Action::LosePart => self.change_gripper(Gripper::lose_part),
-            Action::GripperStopsFast => self.change_gripper(Gripper::raise_fast_stop),
+            Action::Finish => self.change_gripper(|gripper, say| gripper.finish(true, say)),
+            Action::Fail => self.change_gripper(|gripper, say| gripper.finish(false, say)),
+            Action::LosePart => self.change_gripper(States::lose_part),
+            Action::GripperStopsFast => self.change_gripper(States::raise_fast_stop),
             Action::ThirdPartyAcknowledges => {
                 self.promises.leave_elsewhere(self.now());
-                self.change_gripper(Gripper::acknowledge)
+                self.change_gripper(States::acknowledge)
             }
             Action::RestartGripper => {
-                if self.gripper.fast_stop {
+                if self.gripper.fast_stop() {
                     self.promises.leave_elsewhere(self.now());
                 }
-                self.gripper = Gripper::SWITCHED_ON;
+                self.gripper = States::SWITCHED_ON;
                 self.answers = Answers::NONE;
                 Ok(())
             }
@@ -232,9 +235,9 @@ impl Plant {
     /// The first turns after power-up, until all wires count.
     fn power_up(&mut self) -> Kept {
         if self.wires.contains(Inputs::FAST_STOP_OK) {
-            self.turn(&[], Bus::SILENT)?;
+            self.turn(&[], silence())?;
         } else {
-            self.ask_for_fast_stop(Bus::SILENT, &[])?;
+            self.ask_for_fast_stop(silence(), &[])?;
         }
         self.settle(true)
     }
@@ -245,9 +248,9 @@ impl Plant {
         let rising = self.wires & changed;
         let before = self.outputs;
         if (changed - rising).contains(Inputs::FAST_STOP_OK) {
-            self.ask_for_fast_stop(Bus::SILENT, &[])?;
+            self.ask_for_fast_stop(silence(), &[])?;
         } else {
-            self.turn(&[], Bus::SILENT)?;
+            self.turn(&[], silence())?;
         }
         let was_ready = (before & self.outputs).contains(Outputs::READY);
         let was_open = self.promises.is_open();
@@ -302,14 +305,14 @@ impl Plant {
     }
 
     /// Takes the turn in which FAST STOP is asked for, and one more if it does not leave in that.
-    fn ask_for_fast_stop(&mut self, bus: Bus, incoming: &[u8]) -> Kept {
+    fn ask_for_fast_stop(&mut self, bus: RtuDouble, incoming: &[u8]) -> Kept {
         // One that is on its way is sent again once it is answered, or was not.
         let is_pending = self.bridge.session().fast_stop_pending();
         let is_due = self.promises.fast_stop(self.now()) && !is_pending;
         self.turn(incoming, bus)?;
         if is_due && !self.promises.has_fast_stop_left() {
             self.now_ms += 1;
-            self.turn(&[], Bus::SILENT)?;
+            self.turn(&[], silence())?;
             return keep(Promise::FastStopLeavesAtOnce, self.promises.has_fast_stop_left());
         }
         Ok(())
@@ -339,7 +342,7 @@ impl Plant {
             self.promises.end_jog(now, &self.gripper);
         }
         if image == Image::FastStop {
-            return self.ask_for_fast_stop(Bus::writing(image), &bytes);
+            return self.ask_for_fast_stop(writing(image), &bytes);
         }
         // The first image gives no edge.
         let rises = before.is_some_and(|before| before.flags() != image.flags());
@@ -357,7 +360,7 @@ impl Plant {
                 self.promises.may_want(motion);
             }
         }
-        self.turn(&bytes, Bus::writing(image))?;
+        self.turn(&bytes, writing(image))?;
         if stops && was_open && self.bridge.is_connected() {
             self.promises.expect_standstill(now, &self.gripper);
         }
@@ -378,7 +381,7 @@ impl Plant {
                     self.promises.fall_silent(self.now(), &self.gripper);
                 }
             }
-            self.turn(&[], Bus::SILENT)?;
+            self.turn(&[], silence())?;
         }
         Ok(())
     }
@@ -399,8 +402,8 @@ impl Plant {
         deadline.map_or(LONGEST_WAIT_MS, |deadline| deadline.since(self.now())).clamp(1, LONGEST_WAIT_MS)
     }
 
-    fn change_gripper(&mut self, change: impl FnOnce(&mut Gripper, &mut Answers)) -> Kept {
-        change(&mut self.gripper, &mut self.answers);
+    fn change_gripper(&mut self, change: impl FnOnce(&mut States, &mut dyn FnMut(Answer))) -> Kept {
+        change(&mut self.gripper, &mut |answer| self.answers.push(answer));
         if !self.is_line_up {
             self.answers = Answers::NONE;
         }
@@ -416,7 +419,7 @@ impl Plant {
             while let Some(answer) = self.answers.pop() {
                 bytes.extend(self.bytes_of(answer));
             }
-            self.turn(&bytes, Bus::SILENT)?;
+            self.turn(&bytes, silence())?;
             if self.answers.waiting().is_empty() {
                 let knows = self.is_line_up && self.bridge.is_connected();
                 let is_pending = !knows || self.bridge.session().fast_stop_pending();
@@ -429,7 +432,7 @@ impl Plant {
     fn deliver(&mut self, answer: Option<Answer>) -> Kept {
         let mut bytes = self.bytes_with_next();
         bytes.extend(answer.into_iter().flat_map(|answer| self.bytes_of(answer)));
-        self.turn(&bytes, Bus::SILENT)
+        self.turn(&bytes, silence())
     }
 
     fn bytes_with_next(&mut self) -> Vec<u8> {
@@ -450,27 +453,50 @@ impl Plant {
     }
 
     /// A PLC on the bus reads when it has nothing to write.
-    fn polling(&self) -> Bus {
-        if self.image.is_some() { Bus::reading() } else { Bus::SILENT }
+    fn polling(&self) -> RtuDouble {
+        if self.image.is_some() { reading() } else { silence() }
     }
 
     /// One turn of the bridge's main loop.
-    fn turn(&mut self, incoming: &[u8], mut bus: Bus) -> Kept {
+    fn turn(&mut self, incoming: &[u8], mut bus: RtuDouble) -> Kept {
         let now = self.now();
-        let mut line = Line::bringing(incoming);
+        let mut line = SerialLine::with_room(usize::MAX);
+        line.bring(incoming);
         self.promises.begin_turn(self.holds_fast_stop());
         self.outputs = self.bridge.poll(self.now_ms, self.wires, &mut line, &mut self.modbus.over(&mut bus));
-        for command in line.commands() {
+        for message in messages(&mut FrameParser::new(), &line.take_sent()) {
+            let command = message.command();
             self.say(|story| write!(story, "\n        -> {command}"));
             self.promises.leave(now, &command, &self.gripper, self.is_line_up)?;
             if self.is_line_up {
-                self.gripper.take(&command, &mut self.answers);
+                self.gripper.take(&command, &mut |answer| self.answers.push(answer));
             }
         }
         let outputs = self.outputs;
         self.say(|story| write!(story, "\n           {outputs:?}"));
         self.promises.end_turn(now, outputs, &self.gripper)
     }
+}
+
+/// A bus on which nobody asks.
+fn silence() -> RtuDouble {
+    RtuDouble::default()
+}
+
+/// One on which the PLC writes registers 0 to 3.
+fn writing(image: Image) -> RtuDouble {
+    asking(&[&[UNIT, 16, 0, 0, 0, 4, 8], &image.output().to_bytes()[..]].concat())
+}
+
+/// One on which it reads a register.
+fn reading() -> RtuDouble {
+    asking(&[UNIT, 3, 0, 0, 0, 1])
+}
+
+fn asking(request: &[u8]) -> RtuDouble {
+    let mut bus = RtuDouble::default();
+    bus.ask(request);
+    bus
 }
 
 impl Model for Plant {
@@ -495,14 +521,14 @@ impl Model for Plant {
                 Action::AnswersAll | Action::Answer | Action::AnswerLost | Action::AnswerCut => {
                     !waiting.is_empty()
                 }
-                Action::AnswerTwice => waiting.first().is_some_and(|answer| !answer.is_repeated),
+                Action::AnswerTwice => waiting.first().is_some_and(|(_, is_repeated)| !is_repeated),
                 Action::AnswerWithNext => self.with_next.is_none() && !waiting.is_empty(),
                 Action::Refuse => {
-                    let Gripper { refuses, fast_stop, motion, .. } = self.gripper;
-                    !refuses && !fast_stop && motion.is_none()
+                    let States { refuses, motion, .. } = self.gripper;
+                    !refuses && !self.gripper.fast_stop() && motion.is_none()
                 }
                 Action::Finish | Action::Fail | Action::GripperStopsFast => self.motion().is_some(),
-                Action::ThirdPartyAcknowledges => self.gripper.fast_stop,
+                Action::ThirdPartyAcknowledges => self.gripper.fast_stop(),
                 Action::LosePart => self.gripper.state == GripperState::Holding,
             };
             possible |= u32::from(is_possible) << number;

@@ -9,7 +9,7 @@ use std::hash::{Hash, Hasher};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{Command, CommandId, Instant, Kind, Status, SystemFlags};
 
-use super::gripper::{Answer, Gripper, STROKE};
+use crate::gripper_states::{Answer, STROKE, States};
 
 /// A promise that can be broken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -258,14 +258,14 @@ impl Promises {
     }
 
     /// Expects the motion that runs to end.
-    pub(super) fn expect_standstill(&mut self, now: Instant, gripper: &Gripper) {
+    pub(super) fn expect_standstill(&mut self, now: Instant, gripper: &States) {
         if gripper.motion.is_some() {
             self.stop_given = self.stop_given.or(Some(now));
         }
     }
 
     /// Takes a JOG flag that goes.
-    pub(super) fn end_jog(&mut self, now: Instant, gripper: &Gripper) {
+    pub(super) fn end_jog(&mut self, now: Instant, gripper: &States) {
         self.wanted &= !Motion::Jog.bit();
         if self.is_open() && self.jogs {
             self.expect_standstill(now, gripper);
@@ -273,7 +273,7 @@ impl Promises {
     }
 
     /// Takes the silence of a bus that gave the last command.
-    pub(super) fn fall_silent(&mut self, now: Instant, gripper: &Gripper) {
+    pub(super) fn fall_silent(&mut self, now: Instant, gripper: &States) {
         self.withdraw(Promise::SilenceWithdraws);
         if self.is_open() {
             self.expect_standstill(now, gripper);
@@ -331,8 +331,8 @@ impl Promises {
 
     /// Judges what the bridge has sent once the line has delivered everything. `is_pending`: it is not connected, or
     /// still awaits the answer to a FAST STOP.
-    pub(super) fn delivered(&self, gripper: &Gripper, is_pending: bool) -> Kept {
-        keep(Promise::FastStopIsALevel, !self.left_is_known || gripper.fast_stop || is_pending)
+    pub(super) fn delivered(&self, gripper: &States, is_pending: bool) -> Kept {
+        keep(Promise::FastStopIsALevel, !self.left_is_known || gripper.fast_stop() || is_pending)
     }
 
     /// Takes a command that rises while READY is high.
@@ -352,7 +352,7 @@ impl Promises {
         &mut self,
         now: Instant,
         command: &Command<'_>,
-        gripper: &Gripper,
+        gripper: &States,
         arrives: bool,
     ) -> Kept {
         let is_untaken = matches!(self.lock, Lock::FastStop { untaken: Some(_) });
@@ -384,7 +384,7 @@ impl Promises {
         }
     }
 
-    fn leave_motion(&mut self, command: &Command<'_>, gripper: &Gripper) -> Kept {
+    fn leave_motion(&mut self, command: &Command<'_>, gripper: &States) -> Kept {
         keep(Promise::NoMotionInFastStop, self.is_open())?;
         let may_leave = |motion: &&Motion| self.wanted & motion.bit() != 0;
         let mut motions = Motion::of(command).iter().filter(may_leave).peekable();
@@ -393,15 +393,15 @@ impl Promises {
         self.jogs = motion == Motion::Jog;
         self.withdraw(Promise::MotionLeavesOnce);
         // A gripper that was restarted has forgotten its limit, and refuses to grip.
-        let needs_force = matches!(motion, Motion::Grip | Motion::GripGently) && gripper.referenced;
+        let needs_force = matches!(motion, Motion::Grip | Motion::GripGently) && gripper.referenced();
         keep(Promise::GripHasItsForce, has_force || !needs_force)
     }
 
-    fn leave_acknowledgement(&mut self, gripper: &Gripper) -> Kept {
+    fn leave_acknowledgement(&mut self, gripper: &States) -> Kept {
         keep(Promise::AcknowledgementHasItsEdge, self.acknowledgements > 0)?;
         self.acknowledgements -= 1;
         if let Lock::FastStop { untaken } = self.lock {
-            let has_stopped = untaken.is_none() || gripper.fast_stop;
+            let has_stopped = untaken.is_none() || gripper.fast_stop();
             keep(Promise::AcknowledgementFollowsFastStop, has_stopped)?;
             self.lock = Lock::Acknowledged;
         }
@@ -409,7 +409,7 @@ impl Promises {
     }
 
     /// Ends a turn.
-    pub(super) fn end_turn(&mut self, now: Instant, outputs: Outputs, gripper: &Gripper) -> Kept {
+    pub(super) fn end_turn(&mut self, now: Instant, outputs: Outputs, gripper: &States) -> Kept {
         let shows = |output| outputs.contains(output);
         let connected = shows(Outputs::LINK_OK);
         self.is_connected = connected;
@@ -435,7 +435,7 @@ impl Promises {
         // Without a connection the bridge cannot know: it is told by the handshake.
         let is_free = connected
             && self.holds_fast_stop
-            && !gripper.fast_stop
+            && !gripper.fast_stop()
             && self.left_elsewhere.is_some_and(|left| now.since(left) > SECOND_MS);
         keep(Promise::FastStopIsALevel, !is_free)?;
         // What locks the gripper ends BUSY, and keeps READY low.
@@ -446,7 +446,7 @@ impl Promises {
             Lock::FastStop { untaken: Some(left) } => now.since(left) > SECOND_MS,
             _ => false,
         };
-        keep(Promise::FastStopIsRepeated, !is_away || gripper.fast_stop)
+        keep(Promise::FastStopIsRepeated, !is_away || gripper.fast_stop())
     }
 
     fn shows_report(&self, outputs: Outputs) -> bool {

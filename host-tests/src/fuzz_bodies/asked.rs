@@ -23,7 +23,7 @@ use wsg_bridge_fw::{RECIPE_COUNT, RECIPES, Recipe};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::{Command, CommandId, Kind, PrePositionFlags};
 
-use super::gripper::{LEAST_SPEED, STROKE};
+use crate::gripper_states::{LEAST_SPEED, STROKE};
 
 const COMMAND_WIRES: [(Inputs, CommandFlags); 4] = [
     (Inputs::MOVE, CommandFlags::MOVE),

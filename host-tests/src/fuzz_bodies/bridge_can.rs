@@ -25,12 +25,13 @@ use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::can::{Identifiers, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, FrameEncoder, Instant, Kind};
 
-use super::gripper::{Message, PREAMBLE};
+use super::gripper::PREAMBLE;
 use super::input::Input;
 use super::oracle::Oracle;
 use super::tap::Tap;
 use super::whole::{Ends, FLAGS, PARAMETERS, World};
 use crate::can_bench::Double;
+use crate::gripper_states::Message;
 
 const NODE: u16 = DEFAULT_NODE.node as u16;
 const NMT: u16 = 0;

@@ -2,81 +2,18 @@
 //! and answers late, twice, or not at all.
 
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
-use wsg_protocol::{
-    Command, CommandId, DeviceType, Event, FirmwareVersion, Frame, FrameEncoder, FrameParser, GripperState,
-    Kind, Reply, Status, SystemFlags, SystemInfo, SystemLimits, UpdateFlags, Value,
-};
+use wsg_protocol::{CommandId, GripperState, Status, SystemFlags};
 
 use super::input::Input;
+use crate::gripper_states::{Answer, Message, States};
 
 /// What each message begins with.
 pub(super) const PREAMBLE: [u8; PREAMBLE_LEN] = [PREAMBLE_BYTE; PREAMBLE_LEN];
 
-/// A message by value.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Message {
-    pub(super) id: CommandId,
-    payload: Vec<u8>,
-}
-
-impl Message {
-    /// What it asks for.
-    pub(super) fn command(&self) -> Command<'_> {
-        let frame = Frame { id: self.id.code(), payload: &self.payload };
-        Command::decode(&frame).expect("the bridge says what is allowed")
-    }
-}
-
-impl From<Frame<'_>> for Message {
-    fn from(frame: Frame<'_>) -> Self {
-        Self { id: CommandId::from_code(frame.id), payload: frame.payload.to_vec() }
-    }
-}
-
-/// The messages in what the bridge says, all of them intact.
-pub(super) fn messages(parser: &mut FrameParser<64>, mut said: &[u8]) -> Vec<Message> {
-    let mut found = vec![];
-    loop {
-        let (taken, event) = parser.push_slice(said);
-        said = &said[taken..];
-        match event {
-            None => return found,
-            Some(Event::Frame(frame)) => found.push(frame.into()),
-            Some(broken) => panic!("the bridge sends a broken frame: {broken:?}"),
-        }
-    }
-}
-
 /// An answer that is a status and no more.
 pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
-    frame(Reply::status_only(id, status))
+    Answer::status(id, status).bytes().collect()
 }
-
-fn frame(reply: Reply<'_>) -> Vec<u8> {
-    FrameEncoder::new(reply.id().code(), reply).collect()
-}
-
-/// The opening width of the gripper at the end of its stroke in mm, and its least speed in mm/s.
-pub(super) const STROKE: f32 = 110.0;
-pub(super) const LEAST_SPEED: f32 = 5.0;
-
-const LIMITS: SystemLimits = SystemLimits {
-    stroke: STROKE,
-    min_speed: LEAST_SPEED,
-    max_speed: 420.0,
-    min_acceleration: 100.0,
-    max_acceleration: 5_000.0,
-    min_force: 5.0,
-    nominal_force: 80.0,
-    overdrive_force: 120.0,
-};
-
-const INFO: SystemInfo = SystemInfo {
-    device: DeviceType::Wsg50,
-    hardware_revision: 2,
-    firmware: FirmwareVersion::new(3, 1, 2, 0),
-    serial_number: 1,
-};
 
 /// What becomes of a command and its answer.
 #[derive(Clone, Copy)]
@@ -134,16 +71,12 @@ pub(super) struct Gripper {
     deliveries: Vec<u8>,
     delivered: usize,
     /// Answers and reports on their way, and when they arrive.
-    on_the_way: Vec<(u32, Vec<u8>)>,
+    on_the_way: Vec<(u32, Answer)>,
     last_arrives_ms: u32,
-    flags: SystemFlags,
-    state: GripperState,
+    states: States,
     has_part: bool,
-    force_limit: f32,
-    /// The motion that is carried out, and when it ends.
-    motion: Option<(CommandId, u32)>,
-    /// It reports its states when they change.
-    reports: bool,
+    /// When the motion ends that is carried out.
+    ends_ms: u32,
     /// It waits for so many bytes of a frame that does not exist, and got the last one then.
     deaf: (u32, u32),
     /// When something went wrong on the line, the last two times.
@@ -167,12 +100,9 @@ impl Gripper {
             delivered: 0,
             on_the_way: Vec::new(),
             last_arrives_ms: 0,
-            flags,
-            state: GripperState::Idle,
+            states: States { flags, ..States::SWITCHED_ON },
             has_part,
-            force_limit: LIMITS.nominal_force,
-            motion: None,
-            reports: false,
+            ends_ms: 0,
             deaf: (0, 0),
             faults: [None; 2],
             is_forged: false,
@@ -184,7 +114,8 @@ impl Gripper {
 
     /// Its fingers move, and go on until they are stopped.
     pub(super) fn run(&mut self) {
-        self.begin(CommandId::PrePosition, u32::MAX);
+        self.states.begin(CommandId::PrePosition);
+        self.ends_ms = u32::MAX;
     }
 
     /// It answers from now on, at once.
@@ -206,35 +137,35 @@ impl Gripper {
         self.deliveries = input.bytes(usize::from(how >> 1 & 7)).to_vec();
         self.delivered = 0;
         let (flags, has_part) = CONDITIONS[usize::from(how >> 4 & 7)];
-        let was_fast_stopped = self.flags.contains(SystemFlags::FAST_STOP);
-        (self.flags, self.has_part) = (flags | self.flags & SystemFlags::FAST_STOP, has_part);
-        let is_acknowledged = flags.contains(SystemFlags::FAST_STOP) && how & 0x80 != 0;
-        if is_acknowledged || flags.is_empty() {
-            self.flags -= SystemFlags::FAST_STOP;
-            self.left_ms = if was_fast_stopped { Some(now_ms) } else { self.left_ms };
-        }
-        if is_acknowledged && self.state == GripperState::Error {
-            self.state = GripperState::Idle;
-        }
-        if flags.is_empty() {
-            (self.motion, self.reports, self.state) = (None, false, GripperState::Idle);
-            (self.force_limit, self.on_the_way) = (LIMITS.nominal_force, Vec::new());
+        self.has_part = has_part;
+        let states = &mut self.states;
+        let was_fast_stopped = states.fast_stop();
+        let (is_fast_stopped, is_restarted) = (flags.contains(SystemFlags::FAST_STOP), flags.is_empty());
+        let is_acknowledged = is_fast_stopped && how & 0x80 != 0;
+        let mut said = vec![];
+        states.flags = flags | states.flags & SystemFlags::FAST_STOP;
+        if is_restarted {
+            *states = States::SWITCHED_ON;
+            self.on_the_way.clear();
             self.is_restarted = true;
+        } else if is_acknowledged {
+            states.acknowledge(&mut |answer| said.push(answer));
+        } else if states.fast_stop() {
+            states.raise_fast_stop(&mut |answer| said.push(answer));
         }
-        if self.flags.contains(SystemFlags::FAST_STOP) {
-            self.abort(now_ms, Delivery::Late(0));
-            self.state = GripperState::Error;
+        if (is_restarted || is_acknowledged) && was_fast_stopped {
+            self.left_ms = Some(now_ms);
         }
         if how & 0x80 != 0 {
-            if self.state == GripperState::Holding {
-                self.state = GripperState::PartLost;
-            } else if self.motion.is_none() && !self.flags.contains(SystemFlags::FAST_STOP) {
-                self.begin(CommandId::PrePosition, now_ms + MOTION_FACTOR * 200);
+            if states.state == GripperState::Holding {
+                states.state = GripperState::PartLost;
+            } else if states.motion.is_none() && !states.fast_stop() {
+                states.begin(CommandId::PrePosition);
+                self.ends_ms = now_ms + MOTION_FACTOR * 200;
             }
         }
-        if how >> 4 != 0 {
-            self.report(now_ms, Delivery::Late(0));
-        }
+        states.tell(&mut |answer| said.push(answer));
+        self.send(now_ms, Delivery::Late(0), &said);
     }
 
     /// Hears a command.
@@ -248,49 +179,24 @@ impl Gripper {
         }
         let id = message.id;
         if matches!(delivery, Delivery::Refused) {
-            return self.send(now_ms, delivery, &status(id, Status::AccessDenied));
+            return self.send(now_ms, delivery, &[Answer::status(id, Status::AccessDenied)]);
         }
-        let command = message.command();
-        let before = (self.system_flags(), self.state);
-        let mut value = None;
-        let mut result = Status::Success;
-        match command {
-            Command::GetSystemInfo => value = Some(Value::GetSystemInfo(INFO)),
-            Command::GetSystemLimits => value = Some(Value::GetSystemLimits(LIMITS)),
-            Command::GetForceLimit => value = Some(Value::GetForceLimit(self.force_limit)),
-            Command::GetSystemState { update } => {
-                self.reports = update.flags.contains(UpdateFlags::AUTOMATIC);
-                value = Some(Value::GetSystemState(self.system_flags()));
-            }
-            Command::GetGripperState { .. } => value = Some(Value::GetGripperState(self.state)),
-            Command::GetOpeningWidth { .. } => value = Some(Value::GetOpeningWidth(50.0)),
-            Command::GetForce { .. } => value = Some(Value::GetForce(0.0)),
-            Command::SetForceLimit { force } => {
-                self.is_restarted = false;
-                self.force_limit = force.clamp(LIMITS.min_force, LIMITS.nominal_force);
-            }
-            Command::FastStop => {
-                self.fast_stop_ms = Some(now_ms);
-                self.abort(now_ms, delivery);
-                self.flags |= SystemFlags::FAST_STOP;
-                self.state = GripperState::Error;
-            }
-            Command::Stop => {
-                self.abort(now_ms, delivery);
-                self.state = GripperState::Idle;
-            }
-            Command::Acknowledge { .. } => {
-                self.flags -= SystemFlags::FAST_STOP;
-                self.state = if self.motion.is_some() { self.state } else { GripperState::Idle };
-            }
-            _ if id.kind() == Kind::Motion => result = self.take_motion(now_ms, id),
-            other => panic!("the bridge has no use for {other:?}"),
+        match id {
+            CommandId::SetForceLimit => self.is_restarted = false,
+            CommandId::FastStop => self.fast_stop_ms = Some(now_ms),
+            _ => {}
         }
-        let reply = value.map_or(Reply::status_only(id, result), Reply::success);
-        self.send(now_ms, delivery, &frame(reply));
-        if before != (self.system_flags(), self.state) {
-            self.report(now_ms, delivery);
+        let (moved, mut said) = (self.states.motion.is_some(), vec![]);
+        self.states.take(&message.command(), &mut |answer| said.push(answer));
+        if !moved && self.states.motion.is_some() {
+            self.ends_ms = now_ms
+                + match self.delivery() {
+                    Delivery::Late(ms) | Delivery::Twice(ms) => ms * MOTION_FACTOR,
+                    // Until it is stopped.
+                    Delivery::Unanswered | Delivery::Refused | Delivery::Unheard(_) => u32::MAX / 2,
+                };
         }
+        self.send(now_ms, delivery, &said);
     }
 
     /// Something goes wrong on the line.
@@ -308,7 +214,7 @@ impl Gripper {
 
     /// The force limit in hundredths, if the bridge can know it. A gripper that was restarted refuses to grip until it is homed.
     pub(super) fn force_limit(&self) -> Option<i32> {
-        (!self.is_forged && !self.is_restarted).then_some((self.force_limit * 100.0).round() as i32)
+        (!self.is_forged && !self.is_restarted).then_some(self.states.force_limit as i32)
     }
 
     /// Whether the gripper has heard a FAST STOP since it was asked for, or may still have to wait for it. One that is dead
@@ -347,80 +253,22 @@ impl Gripper {
 
     /// What arrives at the bridge now.
     pub(super) fn speak(&mut self, now_ms: u32) -> Vec<Vec<u8>> {
-        if let Some((id, ends_ms)) = self.motion
-            && now_ms >= ends_ms
-        {
-            self.end(now_ms, id);
+        if let Some(id) = self.states.motion.filter(|_| now_ms >= self.ends_ms) {
+            let (finds_none, mut said) = (id == CommandId::GripPart && !self.has_part, vec![]);
+            self.is_restarted &= id != CommandId::Homing;
+            self.states.finish(!finds_none, &mut |answer| said.push(answer));
+            let delivery = self.delivery();
+            self.send(now_ms, delivery, &said);
         }
         let mut arrived = Vec::new();
-        self.on_the_way.retain_mut(|(arrives_ms, frame)| {
+        self.on_the_way.retain(|(arrives_ms, answer)| {
             let is_there = now_ms >= *arrives_ms;
             if is_there {
-                arrived.push(std::mem::take(frame));
+                arrived.push(answer.bytes().collect());
             }
             !is_there
         });
         if self.answers { arrived } else { vec![] }
-    }
-
-    fn take_motion(&mut self, now_ms: u32, id: CommandId) -> Status {
-        if self.flags.contains(SystemFlags::FAST_STOP) {
-            return Status::AccessDenied;
-        }
-        if self.motion.is_some() {
-            return Status::AlreadyRunning;
-        }
-        if !self.flags.contains(SystemFlags::REFERENCED) && id != CommandId::Homing {
-            return Status::NotInitialized;
-        }
-        let lasts_ms = match self.delivery() {
-            Delivery::Late(ms) | Delivery::Twice(ms) => ms * MOTION_FACTOR,
-            // Until it is stopped.
-            Delivery::Unanswered | Delivery::Refused | Delivery::Unheard(_) => u32::MAX / 2,
-        };
-        self.begin(id, now_ms + lasts_ms);
-        Status::CmdPending
-    }
-
-    fn begin(&mut self, id: CommandId, ends_ms: u32) {
-        self.motion = Some((id, ends_ms));
-        self.state = match id {
-            CommandId::GripPart => GripperState::Gripping,
-            CommandId::ReleasePart => GripperState::Releasing,
-            _ => GripperState::Positioning,
-        };
-    }
-
-    fn end(&mut self, now_ms: u32, id: CommandId) {
-        self.motion = None;
-        let finds_none = id == CommandId::GripPart && !self.has_part;
-        self.state = match id {
-            CommandId::GripPart if finds_none => GripperState::NoPart,
-            CommandId::GripPart => GripperState::Holding,
-            _ => GripperState::Idle,
-        };
-        if id == CommandId::Homing {
-            self.is_restarted = false;
-            self.flags |= SystemFlags::REFERENCED;
-        }
-        let delivery = self.delivery();
-        self.send(
-            now_ms,
-            delivery,
-            &status(id, if finds_none { Status::CmdFailed } else { Status::Success }),
-        );
-        self.report(now_ms, delivery);
-    }
-
-    fn abort(&mut self, now_ms: u32, delivery: Delivery) {
-        if let Some((id, _)) = self.motion.take() {
-            self.send(now_ms, delivery, &status(id, Status::CmdAborted));
-        }
-    }
-
-    fn system_flags(&self) -> SystemFlags {
-        let moving = if self.motion.is_some() { SystemFlags::MOVING } else { SystemFlags::empty() };
-        self.flags | moving
     }
 
     fn delivery(&mut self) -> Delivery {
@@ -430,23 +278,17 @@ impl Gripper {
     }
 
     /// Answers do not overtake each other.
-    fn send(&mut self, now_ms: u32, delivery: Delivery, frame: &[u8]) {
+    fn send(&mut self, now_ms: u32, delivery: Delivery, answers: &[Answer]) {
         let (first_ms, second_ms) = match delivery {
             Delivery::Late(ms) => (ms, None),
             Delivery::Refused => (0, None),
             Delivery::Twice(ms) => (0, Some(ms)),
             Delivery::Unanswered | Delivery::Unheard(_) => return,
         };
-        self.last_arrives_ms = self.last_arrives_ms.max(now_ms + first_ms);
-        self.on_the_way.push((self.last_arrives_ms, frame.to_vec()));
-        self.on_the_way.extend(second_ms.map(|ms| (self.last_arrives_ms + ms, frame.to_vec())));
-    }
-
-    fn report(&mut self, now_ms: u32, delivery: Delivery) {
-        if self.reports {
-            for value in [Value::GetSystemState(self.system_flags()), Value::GetGripperState(self.state)] {
-                self.send(now_ms, delivery, &frame(Reply::success(value)));
-            }
+        for answer in answers {
+            self.last_arrives_ms = self.last_arrives_ms.max(now_ms + first_ms);
+            self.on_the_way.push((self.last_arrives_ms, *answer));
+            self.on_the_way.extend(second_ms.map(|ms| (self.last_arrives_ms + ms, *answer)));
         }
     }
 }

@@ -4,7 +4,7 @@ use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{CommandId, FrameParser};
 
-use super::gripper::{self, Message};
+use crate::gripper_states::{self, Message};
 
 /// Bytes of a frame up to its id.
 const UP_TO_ID: usize = 4;
@@ -62,7 +62,7 @@ impl<L> Tap<L> {
 
     /// The messages that have left, all of them intact.
     pub(super) fn take_messages(&mut self) -> Vec<Message> {
-        gripper::messages(&mut self.parser, &std::mem::take(&mut self.whole))
+        gripper_states::messages(&mut self.parser, &std::mem::take(&mut self.whole))
     }
 
     /// The rest of the frame that is being sent will not come, unless it is a FAST STOP.

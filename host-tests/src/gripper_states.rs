@@ -1,0 +1,290 @@
+//! A gripper reduced to its states: idle, moving, holding or fast-stopped (command set, 3.2 and appendix C).
+//!
+//! It knows neither width nor time: others end its motions. What `wsg-sim` answers in which order, this answers too.
+
+use wsg_protocol::{
+    AutoUpdate, Command, CommandId, DeviceType, Event, FirmwareVersion, Frame, FrameEncoder, FrameParser,
+    GripperState, Kind, Reply, Status, SystemFlags, SystemInfo, SystemLimits, UpdateFlags, Value,
+};
+
+/// Stroke in mm, where a jog in positive direction ends, and the least speed in mm/s.
+pub(crate) const STROKE: f32 = 110.0;
+pub(crate) const LEAST_SPEED: f32 = 5.0;
+
+const INFO: SystemInfo = SystemInfo {
+    device: DeviceType::Wsg50,
+    hardware_revision: 1,
+    firmware: FirmwareVersion::new(4, 0, 0, 0),
+    serial_number: 1,
+};
+
+const LIMITS: SystemLimits = SystemLimits {
+    stroke: STROKE,
+    min_speed: LEAST_SPEED,
+    max_speed: 420.0,
+    min_acceleration: 100.0,
+    max_acceleration: 5_000.0,
+    min_force: 5.0,
+    nominal_force: 80.0,
+    overdrive_force: 120.0,
+};
+
+/// A message to the gripper, by value.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Message {
+    pub(crate) id: CommandId,
+    pub(crate) payload: Vec<u8>,
+}
+
+impl Message {
+    /// What it asks for.
+    pub(crate) fn command(&self) -> Command<'_> {
+        let frame = Frame { id: self.id.code(), payload: &self.payload };
+        Command::decode(&frame).expect("the bridge says what is allowed")
+    }
+}
+
+impl From<Frame<'_>> for Message {
+    fn from(frame: Frame<'_>) -> Self {
+        Self { id: CommandId::from_code(frame.id), payload: frame.payload.to_vec() }
+    }
+}
+
+/// The messages in what the bridge says, all of them intact.
+pub(crate) fn messages(parser: &mut FrameParser<64>, mut said: &[u8]) -> Vec<Message> {
+    let mut found = vec![];
+    loop {
+        let (taken, event) = parser.push_slice(said);
+        said = &said[taken..];
+        match event {
+            None => return found,
+            Some(Event::Frame(frame)) => found.push(frame.into()),
+            Some(broken) => panic!("the bridge sends a broken frame: {broken:?}"),
+        }
+    }
+}
+
+/// A message to the bridge.
+#[derive(Clone, Copy, Debug, PartialEq, Hash)]
+pub(crate) struct Answer {
+    pub(crate) id: CommandId,
+    pub(crate) status: Status,
+    /// System flags, gripper state, or force limit in hundredths of a newton.
+    value: u32,
+}
+
+impl Answer {
+    pub(crate) const fn status(id: CommandId, status: Status) -> Self {
+        Self { id, status, value: 0 }
+    }
+
+    const fn value(id: CommandId, value: u32) -> Self {
+        Self { value, ..Self::status(id, Status::Success) }
+    }
+
+    /// The system flags, if it reports them.
+    pub(crate) fn flags(&self) -> Option<SystemFlags> {
+        (self.id == CommandId::GetSystemState).then(|| SystemFlags::from_bits_retain(self.value))
+    }
+
+    /// Its frame.
+    pub(crate) fn bytes(self) -> impl Iterator<Item = u8> + use<> {
+        let value = match self.id {
+            CommandId::GetSystemInfo => Some(Value::GetSystemInfo(INFO)),
+            CommandId::GetSystemLimits => Some(Value::GetSystemLimits(LIMITS)),
+            CommandId::GetSystemState => {
+                Some(Value::GetSystemState(SystemFlags::from_bits_retain(self.value)))
+            }
+            CommandId::GetGripperState => {
+                GripperState::from_code(self.value as u8).map(Value::GetGripperState)
+            }
+            CommandId::GetForceLimit => Some(Value::GetForceLimit(self.value as f32 / 100.0)),
+            CommandId::GetOpeningWidth => Some(Value::GetOpeningWidth(50.0)),
+            CommandId::GetForce => Some(Value::GetForce(0.0)),
+            _ => None,
+        };
+        let value = value.filter(|_| self.status == Status::Success);
+        let reply = value.map_or(Reply::status_only(self.id, self.status), Reply::success);
+        FrameEncoder::new(self.id.code(), reply)
+    }
+}
+
+/// The gripper. Each method that changes it hands what it says to `say`.
+#[derive(Clone, Debug, Hash)]
+pub(crate) struct States {
+    /// All flags but that of a motion.
+    pub(crate) flags: SystemFlags,
+    pub(crate) motion: Option<CommandId>,
+    pub(crate) state: GripperState,
+    /// In hundredths of a newton.
+    pub(crate) force_limit: u32,
+    /// It refuses the next motion or setting.
+    pub(crate) refuses: bool,
+    /// The last reported flags and state; none without a subscription.
+    pub(crate) told: [Option<u32>; 2],
+}
+
+impl States {
+    pub(crate) const SWITCHED_ON: Self = Self {
+        flags: SystemFlags::empty(),
+        motion: None,
+        state: GripperState::Idle,
+        force_limit: 80_00,
+        refuses: false,
+        told: [None; 2],
+    };
+
+    /// Whether it is in FAST STOP.
+    pub(crate) const fn fast_stop(&self) -> bool {
+        self.flags.contains(SystemFlags::FAST_STOP)
+    }
+
+    /// Whether its fingers are referenced.
+    pub(crate) const fn referenced(&self) -> bool {
+        self.flags.contains(SystemFlags::REFERENCED)
+    }
+
+    /// Takes a command and answers it.
+    pub(crate) fn take(&mut self, command: &Command<'_>, say: &mut dyn FnMut(Answer)) {
+        let id = command.id();
+        match *command {
+            Command::GetSystemState { update } => {
+                self.told[0] = subscribe(update, self.all_flags());
+                say(Answer::value(id, self.all_flags()));
+            }
+            Command::GetGripperState { update } => {
+                self.told[1] = subscribe(update, self.state.code().into());
+                say(Answer::value(id, self.state.code().into()));
+            }
+            Command::GetForceLimit => say(Answer::value(id, self.force_limit)),
+            Command::Stop => {
+                say(Answer::status(id, Status::Success));
+                self.end_motion(Status::CmdAborted, say);
+                if self.state != GripperState::Error {
+                    self.state = GripperState::Idle;
+                }
+            }
+            Command::FastStop => {
+                say(Answer::status(id, Status::Success));
+                self.stop_fast(say);
+            }
+            Command::Acknowledge { .. } => {
+                self.leave_fast_stop();
+                say(Answer::status(id, Status::Success));
+            }
+            Command::SetForceLimit { force } => {
+                let refused = std::mem::take(&mut self.refuses);
+                if !refused {
+                    let force = force.clamp(LIMITS.min_force, LIMITS.nominal_force);
+                    self.force_limit = (force * 100.0).round() as u32;
+                }
+                let status = if refused { Status::CmdFormatError } else { Status::Success };
+                say(Answer::status(id, status));
+            }
+            _ if id.kind() == Kind::Motion => say(Answer::status(id, self.take_motion(id))),
+            _ if id.kind() == Kind::Query => say(Answer::value(id, 0)),
+            _ => panic!("{id} is no command that a bridge sends"),
+        }
+        self.tell(say);
+    }
+
+    /// Ends the motion.
+    pub(crate) fn finish(&mut self, succeeds: bool, say: &mut dyn FnMut(Answer)) {
+        let Some(id) = self.motion else { return };
+        let (state, status) = match (id, succeeds) {
+            (CommandId::GripPart, true) => (GripperState::Holding, Status::Success),
+            (CommandId::GripPart, false) => (GripperState::NoPart, Status::CmdFailed),
+            (_, true) => (GripperState::Idle, Status::Success),
+            (CommandId::ReleasePart, false) => (GripperState::Error, Status::Timeout),
+            (_, false) => (GripperState::Error, Status::AxisBlocked),
+        };
+        self.flags.set(SystemFlags::REFERENCED, self.referenced() || id == CommandId::Homing && succeeds);
+        self.state = state;
+        self.end_motion(status, say);
+        self.tell(say);
+    }
+
+    /// Loses the part that is held.
+    pub(crate) fn lose_part(&mut self, say: &mut dyn FnMut(Answer)) {
+        self.state = GripperState::PartLost;
+        self.tell(say);
+    }
+
+    /// Raises FAST STOP by itself.
+    pub(crate) fn raise_fast_stop(&mut self, say: &mut dyn FnMut(Answer)) {
+        self.stop_fast(say);
+        self.tell(say);
+    }
+
+    /// Takes the acknowledgement of a third party.
+    pub(crate) fn acknowledge(&mut self, say: &mut dyn FnMut(Answer)) {
+        self.leave_fast_stop();
+        self.tell(say);
+    }
+
+    /// Its fingers begin to move, whatever its state.
+    pub(crate) fn begin(&mut self, id: CommandId) {
+        self.motion = Some(id);
+        self.state = match id {
+            CommandId::GripPart => GripperState::Gripping,
+            CommandId::ReleasePart => GripperState::Releasing,
+            _ => GripperState::Positioning,
+        };
+    }
+
+    /// Reports what has changed.
+    pub(crate) fn tell(&mut self, say: &mut dyn FnMut(Answer)) {
+        let ids = [CommandId::GetSystemState, CommandId::GetGripperState];
+        let values = [self.all_flags(), self.state.code().into()];
+        for ((told, id), value) in self.told.iter_mut().zip(ids).zip(values) {
+            if told.is_some_and(|told| told != value) {
+                *told = Some(value);
+                say(Answer::value(id, value));
+            }
+        }
+    }
+
+    fn leave_fast_stop(&mut self) {
+        self.flags -= SystemFlags::FAST_STOP;
+        if self.state == GripperState::Error {
+            self.state = GripperState::Idle;
+        }
+    }
+
+    fn take_motion(&mut self, id: CommandId) -> Status {
+        if self.fast_stop() || std::mem::take(&mut self.refuses) {
+            return Status::AccessDenied;
+        }
+        if self.motion.is_some() {
+            return Status::AlreadyRunning;
+        }
+        if id == CommandId::Homing {
+            self.flags -= SystemFlags::REFERENCED;
+        } else if !self.referenced() {
+            return Status::NotInitialized;
+        }
+        self.begin(id);
+        Status::CmdPending
+    }
+
+    fn stop_fast(&mut self, say: &mut dyn FnMut(Answer)) {
+        self.flags |= SystemFlags::FAST_STOP;
+        self.state = GripperState::Error;
+        self.end_motion(Status::CmdAborted, say);
+    }
+
+    fn end_motion(&mut self, status: Status, say: &mut dyn FnMut(Answer)) {
+        if let Some(id) = self.motion.take() {
+            say(Answer::status(id, status));
+        }
+    }
+
+    fn all_flags(&self) -> u32 {
+        let moving = if self.motion.is_some() { SystemFlags::MOVING } else { SystemFlags::empty() };
+        (self.flags | moving).bits()
+    }
+}
+
+fn subscribe(update: AutoUpdate, value: u32) -> Option<u32> {
+    update.flags.contains(UpdateFlags::AUTOMATIC).then_some(value)
+}
