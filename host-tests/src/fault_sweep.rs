@@ -80,16 +80,11 @@ impl Carry for Wire {
     }
 }
 
-/// Bridge, line and gripper.
-#[derive(Clone, Debug)]
-pub struct Rig {
-    world: World<ModbusLines, Wire>,
-    /// What the master on the bus writes again and again.
-    flags: Option<u8>,
-}
+/// Bridge, line and gripper, wires and a Modbus bus.
+type Rig = World<ModbusLines, Wire>;
 
 impl Rig {
-    fn new(time_scale: f32, frame_timeout_ms: u16) -> Self {
+    fn switched_on(time_scale: f32, frame_timeout_ms: u16) -> Self {
         let config = wsg_sim::Config {
             part: Part::of_width(20.0),
             time_scale,
@@ -98,40 +93,22 @@ impl Rig {
         };
         let far = SerialGripper::over(config, TO_SEND_MAX, [Wire::new(), Wire::new()]);
         let lines = ModbusLines::new(&Config::DEFAULT);
-        Self { world: World::with(Config::DEFAULT, lines, far, Inputs::FAST_STOP_OK), flags: None }
+        Self::with(Config::DEFAULT, lines, far, Inputs::FAST_STOP_OK)
     }
 
-    fn step(&mut self) {
-        self.world.step();
-        if let Some(flags) = self.flags.filter(|_| self.world.now_ms.is_multiple_of(20)) {
-            self.put(flags);
-        }
-    }
-
-    fn pass(&mut self, ms: u32) {
-        (0..ms).for_each(|_| self.step());
-    }
-
-    fn until(&mut self, bound_ms: u32, what: &str, wanted: impl Fn(&Self) -> bool) {
-        let done = (0..bound_ms).any(|_| {
-            self.step();
-            wanted(self)
-        });
-        assert!(done, "{what}: {:?}", self.world.outputs);
-    }
-
-    fn command(&mut self, wire: Inputs, each: &mut impl FnMut(&Self)) {
-        self.world.inputs |= wire;
+    /// Gives a motion command, and waits for its end.
+    fn course_of(&mut self, wire: Inputs, each: &mut impl FnMut(&Self)) {
+        self.inputs |= wire;
         for _ in 0..6 {
             self.step();
             each(self);
         }
-        self.world.inputs -= wire;
+        self.inputs -= wire;
         loop {
             self.step();
             each(self);
-            assert!(self.world.now_ms < 60_000, "{wire:?} does not end");
-            if self.world.outputs.contains(Outputs::READY) {
+            assert!(self.now_ms < 60_000, "{wire:?} does not end");
+            if self.outputs.contains(Outputs::READY) {
                 return;
             }
         }
@@ -139,16 +116,16 @@ impl Rig {
 
     /// Referenced and ready.
     fn homed(time_scale: f32, frame_timeout_ms: u16) -> Self {
-        let mut rig = Self::new(time_scale, frame_timeout_ms);
+        let mut rig = Self::switched_on(time_scale, frame_timeout_ms);
         rig.pass(200);
-        rig.until(1_000, "READY", |rig| rig.world.outputs.contains(Outputs::READY));
-        rig.command(Inputs::HOME, &mut |_| {});
-        rig.world.take_sent();
+        assert!(rig.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", rig.outputs);
+        rig.course_of(Inputs::HOME, &mut |_| {});
+        rig.take_sent();
         rig
     }
 
     fn wire(&mut self, way: Way) -> &mut Wire {
-        let SerialGripper { to_gripper, to_bridge, .. } = &mut self.world.far;
+        let SerialGripper { to_gripper, to_bridge, .. } = &mut self.far;
         match way {
             Way::Out => to_gripper,
             Way::Back => to_bridge,
@@ -157,32 +134,26 @@ impl Rig {
 
     /// The bytes that have gone this way.
     fn count(&self, way: Way) -> usize {
-        let SerialGripper { to_gripper, to_bridge, .. } = &self.world.far;
+        let SerialGripper { to_gripper, to_bridge, .. } = &self.far;
         let wire = if way == Way::Out { to_gripper } else { to_bridge };
         wire.way.counts().bytes as usize
     }
 
     fn is_moving(&self) -> bool {
-        self.world.far.gripper.state().flags.contains(SystemFlags::MOVING)
+        self.far.gripper.state().flags.contains(SystemFlags::MOVING)
     }
 
     fn ask_for_stop(&mut self, scene: Scene) {
         match scene {
-            Scene::GripCycle => self.world.inputs -= Inputs::FAST_STOP_OK,
+            Scene::GripCycle => self.inputs -= Inputs::FAST_STOP_OK,
             Scene::Jog => self.write(0),
-            Scene::Silence => self.flags = None,
+            Scene::Silence => self.bus.repeat(None),
         }
     }
 
-    /// Writes these flags at once, and again and again.
+    /// Writes these flags, with 40.00 mm, 50.00 mm/s, 40.00 N, at once, and again and again.
     fn write(&mut self, flags: u8) {
-        self.flags = Some(flags);
-        self.put(flags);
-    }
-
-    /// With 40.00 mm, 50.00 mm/s, 40.00 N.
-    fn put(&mut self, flags: u8) {
-        self.world.bus.write([u16::from(flags) << 8, 40_00, 50_00, 40_00]);
+        self.bus.repeat(Some([u16::from(flags) << 8, 40_00, 50_00, 40_00]));
     }
 }
 
@@ -214,13 +185,13 @@ impl Course {
             Scene::GripCycle => {
                 let mut rig = Rig::homed(10.0, frame_timeout_ms);
                 keep(&rig);
-                rig.command(Inputs::GRIP, &mut keep);
-                rig.command(Inputs::RELEASE, &mut keep);
+                rig.course_of(Inputs::GRIP, &mut keep);
+                rig.course_of(Inputs::RELEASE, &mut keep);
             }
             Scene::Jog | Scene::Silence => {
                 // At its own speed: 1.8 s to the end of the stroke, where it would end by itself.
                 let mut rig = Rig::homed(1.0, frame_timeout_ms);
-                rig.command(Inputs::MOVE, &mut |_| {});
+                rig.course_of(Inputs::MOVE, &mut |_| {});
                 rig.write(0);
                 rig.pass(100);
                 rig.write(JOG_PLUS);
@@ -306,7 +277,7 @@ impl Course {
 
     fn is_stopped(&self, rig: &Rig) -> bool {
         match self.scene {
-            Scene::GripCycle => rig.world.far.gripper.state().flags.contains(SystemFlags::FAST_STOP),
+            Scene::GripCycle => rig.far.gripper.state().flags.contains(SystemFlags::FAST_STOP),
             Scene::Jog | Scene::Silence => !rig.is_moving(),
         }
     }

@@ -23,6 +23,8 @@ pub struct ModbusLines {
     /// The other one.
     other: RtuDouble,
     is_by_service: bool,
+    /// What the master writes every 20 ms to registers 0 to 3, CMDFLAGS to FORCELIMIT.
+    repeats: Option<[u16; 4]>,
 }
 
 impl ModbusLines {
@@ -34,6 +36,7 @@ impl ModbusLines {
             line: RtuDouble::default(),
             other: RtuDouble::default(),
             is_by_service: false,
+            repeats: None,
         }
     }
 
@@ -42,9 +45,16 @@ impl ModbusLines {
         self.is_by_service = !self.is_by_service;
     }
 
-    /// Writes registers 0 to 3, CMDFLAGS to FORCELIMIT, and does not wait for the answer.
-    pub(crate) fn write(&mut self, image: [u16; 4]) {
-        self.line.put(&sealed(&write_request(0, &image)));
+    /// Writes this image at once, and again and again from now on; or does so no more.
+    pub(crate) fn repeat(&mut self, image: Option<[u16; 4]>) {
+        self.repeats = image;
+        self.write();
+    }
+
+    fn write(&mut self) {
+        if let Some(image) = self.repeats {
+            self.line.put(&sealed(&write_request(0, &image)));
+        }
     }
 }
 
@@ -52,7 +62,10 @@ impl Bus for ModbusLines {
     fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs, line: &mut SerialLine) -> Outputs {
         self.line.pass_ms();
         self.other.pass_ms();
-        let Self { modbus, service, line: bus, other: port, is_by_service } = self;
+        if now_ms.is_multiple_of(20) {
+            self.write();
+        }
+        let Self { modbus, service, line: bus, other: port, is_by_service, .. } = self;
         let (bus, port) = if *is_by_service { (port, bus) } else { (bus, port) };
         let outputs = bridge.poll(now_ms, inputs, line, &mut modbus.over(bus));
         bridge.serve(now_ms, &mut service.over(port));
