@@ -22,6 +22,8 @@
 use std::ops::Range;
 use std::thread;
 
+use generate::Pieces::{Hex, Text};
+
 mod asked;
 mod bridge;
 mod bridge_can;
@@ -55,7 +57,7 @@ pub use can::can;
 pub use controller::controller;
 pub use frames::frames;
 pub use gcl::gcl;
-pub use generate::generated;
+pub use generate::{Pieces, generated};
 pub use modbus::modbus;
 pub use profibus::profibus;
 pub use profinet::profinet;
@@ -70,8 +72,8 @@ pub struct Body {
     pub name: &'static str,
     /// Panics where something does not hold.
     pub run: fn(&[u8]),
-    /// What [`generated`] inputs for it are made of, in groups.
-    pub pieces: &'static [&'static [&'static [u8]]],
+    /// What [`generated`] inputs for it are made of.
+    pub pieces: Pieces,
 }
 
 /// How many [`generated`] inputs the test `fuzz_smoke` takes, from number 0 on.
@@ -92,12 +94,14 @@ impl Body {
     /// # Panics
     /// Where something does not hold; behind what the body says of it stands the input.
     pub fn run_generated(&self, numbers: Range<u32>) {
+        let pieces = self.pieces.list();
         thread::scope(|threads| {
             for first in 0..THREADS {
+                let pieces = &pieces;
                 let numbers = numbers.clone().skip(first).step_by(THREADS);
                 threads.spawn(move || {
                     for number in numbers {
-                        let case = Case { input: generated(number, self.pieces), number };
+                        let case = Case { input: generated(number, pieces), number };
                         (self.run)(&case.input);
                     }
                 });
@@ -120,24 +124,28 @@ impl Drop for Case {
     }
 }
 
-/// What inputs for a body of the whole bridge are made of: how a case begins, and what its PLC does, beside what all have.
-const fn of_bridge([begins, plc]: [&'static [&'static [u8]]; 2]) -> [&'static [&'static [u8]]; 4] {
+/// Pieces for a body of the whole bridge: how a case begins, what its PLC does, and what all of them have.
+const fn of_bridge([begins, plc]: [&'static [&'static str]; 2]) -> [&'static [&'static str]; 4] {
     [begins, generate::WIRES, plc, generate::GRIPPER]
 }
 
 /// Every body.
 pub const ALL: [Body; 13] = [
-    Body { name: "frames", run: frames, pieces: &[generate::BINARY] },
-    Body { name: "typed", run: typed, pieces: &[generate::BINARY] },
-    Body { name: "session", run: session, pieces: &[generate::BINARY] },
-    Body { name: "controller", run: controller, pieces: &[generate::BINARY] },
-    Body { name: "bridge", run: bridge, pieces: &of_bridge(generate::BRIDGE) },
-    Body { name: "bridge_can", run: bridge_can, pieces: &of_bridge(generate::BRIDGE_CAN) },
-    Body { name: "bridge_profibus", run: bridge_profibus, pieces: &of_bridge(generate::BRIDGE_PROFIBUS) },
-    Body { name: "gcl", run: gcl, pieces: &[generate::TEXT] },
-    Body { name: "can", run: can, pieces: &[generate::BINARY] },
-    Body { name: "modbus", run: modbus, pieces: &[generate::BINARY] },
-    Body { name: "storage", run: storage, pieces: &[generate::STORAGE] },
-    Body { name: "profibus", run: profibus, pieces: &[generate::PROFIBUS] },
-    Body { name: "profinet", run: profinet, pieces: &[generate::PROFINET] },
+    Body { name: "frames", run: frames, pieces: Hex(&[generate::BINARY]) },
+    Body { name: "typed", run: typed, pieces: Hex(&[generate::BINARY]) },
+    Body { name: "session", run: session, pieces: Hex(&[generate::BINARY]) },
+    Body { name: "controller", run: controller, pieces: Hex(&[generate::BINARY]) },
+    Body { name: "bridge", run: bridge, pieces: Hex(&of_bridge(generate::BRIDGE)) },
+    Body { name: "bridge_can", run: bridge_can, pieces: Hex(&of_bridge(generate::BRIDGE_CAN)) },
+    Body {
+        name: "bridge_profibus",
+        run: bridge_profibus,
+        pieces: Hex(&of_bridge(generate::BRIDGE_PROFIBUS)),
+    },
+    Body { name: "gcl", run: gcl, pieces: Text(generate::TEXT) },
+    Body { name: "can", run: can, pieces: Hex(&[generate::BINARY]) },
+    Body { name: "modbus", run: modbus, pieces: Hex(&[generate::BINARY]) },
+    Body { name: "storage", run: storage, pieces: Hex(&[generate::STORAGE]) },
+    Body { name: "profibus", run: profibus, pieces: Hex(&[generate::PROFIBUS]) },
+    Body { name: "profinet", run: profinet, pieces: Hex(&[generate::PROFINET]) },
 ];
