@@ -40,7 +40,7 @@
 //! | [`terminal`] | a pseudo terminal in front of the board's bus |
 //! | [`trace`] | what happened, as a person reads it and as a test compares it |
 //! | [`wires`] | what a PLC does with the wires of a bench |
-//! | [`world`] | the bridge library and a virtual gripper in virtual time, with whatever bus the PLC has |
+//! | [`world`] | bridge library and virtual gripper in virtual time, for any bus of the PLC |
 //!
 //! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
 //! is empty.

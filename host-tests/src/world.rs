@@ -13,7 +13,7 @@ use wsg_sim::{Time, VirtualGripper};
 use crate::serial_gripper::{Carry, Disturbance, SerialGripper, SerialLine};
 use crate::wires::Wires;
 
-/// The PLC's bus, beside its wires.
+/// The bus of a PLC that has wires as well.
 pub trait Bus {
     /// One turn of the bridge's main loop.
     fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs, line: &mut SerialLine) -> Outputs;
@@ -25,7 +25,7 @@ impl Bus for NoBus {
     }
 }
 
-/// Bridge, gripper, and the lines to a PLC that a test plays.
+/// A bridge with its gripper, and the lines to a PLC that a test plays.
 #[derive(Clone, Debug)]
 pub struct World<B, W = Option<Disturbance>> {
     pub(crate) bridge: Bridge,
@@ -41,7 +41,7 @@ pub struct World<B, W = Option<Disturbance>> {
 }
 
 impl<B, W: Carry> World<B, W> {
-    /// Both have power from now on.
+    /// Switches bridge and gripper on.
     pub(crate) fn with(bridge: Config, bus: B, far: SerialGripper<W>, inputs: Inputs) -> Self {
         let (bridge, outputs) = (Bridge::new(bridge), Outputs::empty());
         Self { bridge, bus, far, now_ms: 0, is_frozen: false, inputs, outputs }

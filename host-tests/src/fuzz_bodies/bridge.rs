@@ -1,7 +1,7 @@
 //! The whole bridge between wires, a Modbus bus, the service port and the gripper's line: any bytes on all lines, any wires.
 //!
 //! What must hold, whatever comes:
-//! - the [`Oracle`]'s rules: a command leaves only for an edge of a wire, or of an image that an intact request wrote while the
+//! - the [`Oracle`](super::oracle::Oracle)'s rules: a command leaves only for an edge of a wire, or of an image that an intact request wrote while the
 //!   bus commanded; a FAST STOP leaves at once, or behind the frame that is being sent; the outputs are true;
 //! - the watchdog may be fed;
 //! - no frame with a wrong checksum leaves, on any line;
@@ -25,7 +25,7 @@ use super::frames::repair_checksums;
 use super::input::Input;
 use super::modbus::sealed;
 use super::overheard::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Overheard, Port};
-use super::whole::{Ends, FLAGS, PARAMETERS, World};
+use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::can_bench::{Double, NO_PROFIBUS};
 use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
@@ -195,7 +195,7 @@ const SAVE_MS: u32 = 70;
 /// How long a FAST STOP may wait there for the frame before it, in milliseconds.
 const SLOW_PATIENCE_MS: u32 = 2;
 
-impl World for Model {
+impl WholeBridge for Model {
     fn ends(&mut self) -> &mut Ends {
         &mut self.ends
     }

@@ -29,7 +29,7 @@ use super::gripper::PREAMBLE;
 use super::input::Input;
 use super::oracle::Oracle;
 use super::tap::Tap;
-use super::whole::{Ends, FLAGS, PARAMETERS, World};
+use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::can_bench::Double;
 use crate::gripper_states::Message;
 
@@ -602,7 +602,7 @@ impl Model {
     }
 }
 
-impl World for Model {
+impl WholeBridge for Model {
     const CONNECTS_MS: u32 = 30;
 
     fn ends(&mut self) -> &mut Ends {

@@ -2,7 +2,7 @@
 //! masters, any wires, a gripper that does what it likes.
 //!
 //! What must hold, whatever comes:
-//! - the [`Oracle`]'s rules: a command leaves only for an edge of a wire, or of outputs of the master that the slave belongs to,
+//! - the [`Oracle`](super::oracle::Oracle)'s rules: a command leaves only for an edge of a wire, or of outputs of the master that the slave belongs to,
 //!   in data exchange; a FAST STOP at once; the outputs are true;
 //! - the watchdog may be fed;
 //! - the main loop hears of the master what the slave says that it did, in order, each thing once: outputs that differ, that it
@@ -22,7 +22,7 @@ use wsg_fieldbus::{CommandFlags, Diagnosis, InputImage, OutputImage};
 use wsg_protocol::{Instant, SystemFlags};
 
 use super::input::Input;
-use super::whole::{Ends, FLAGS, PARAMETERS, World};
+use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::profibus_bench::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
@@ -386,7 +386,7 @@ impl Model {
     }
 }
 
-impl World for Model {
+impl WholeBridge for Model {
     fn ends(&mut self) -> &mut Ends {
         &mut self.ends
     }

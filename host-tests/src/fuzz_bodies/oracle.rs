@@ -1,5 +1,5 @@
-//! What must hold of the whole bridge in every turn, whatever its PLC and its gripper do: one oracle for the bodies `bridge` and
-//! `bridge_can`, which tell it what goes in and what comes out.
+//! What must hold of the whole bridge in every turn, whatever its PLC and its gripper do: one oracle for the bodies of the
+//! whole bridge, which pass to it what goes in and what comes out.
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::{Inputs, Outputs};

@@ -1,4 +1,4 @@
-//! The bridge's end of the gripper's link: what the bridge reads from it, and the messages that it writes.
+//! The bridge's end of the gripper's link: records what the bridge reads, and finds the messages that it writes.
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_protocol::frame::OVERHEAD;
@@ -9,8 +9,8 @@ use crate::gripper_states::{self, Message};
 /// Bytes of a frame up to its id.
 const UP_TO_ID: usize = 4;
 
-/// A link, and what passes through it. A slow one takes no frame in a millisecond in which it would not take the id as well: a
-/// command is known when its first byte leaves.
+/// A link and what passes through it. A slow one begins a frame only in a millisecond that has room for its id: a command is
+/// known when its first byte is sent.
 pub(super) struct Tap<L> {
     pub(super) link: L,
     /// Bytes that a slow one takes in a millisecond.

@@ -1,6 +1,6 @@
-//! What the bodies of the whole bridge have in common: wires, the gripper's end, the oracle, and how a case is played.
+//! What the bodies of the whole bridge share: wires, the gripper's end, the oracle, and the loop that plays a case.
 //!
-//! A body adds the bridge, its PLC's bus, and what of the bus the oracle is told.
+//! A body adds the bridge, its PLC's bus, and what the oracle needs to know of the bus.
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -41,7 +41,7 @@ const READY: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::
 /// And one that refuses the stored settings.
 const REFUSED: Outputs = READY.difference(Outputs::READY).union(Outputs::ERROR);
 
-/// Wires, gripper and oracle.
+/// Everything around the bridge but its PLC's bus.
 pub(super) struct Ends {
     pub(super) now_ms: u32,
     pub(super) wires: Inputs,
@@ -54,7 +54,7 @@ pub(super) struct Ends {
 }
 
 impl Ends {
-    /// At power-up of a bridge that was built so, with a line that takes so many bytes in a millisecond, or as many as come.
+    /// Power-up of a bridge with these settings, on a line that takes `per_ms` bytes in a millisecond, or any number.
     pub(super) fn new(config: &Config, per_ms: Option<usize>) -> Self {
         Self {
             now_ms: 0,
@@ -66,13 +66,13 @@ impl Ends {
         }
     }
 
-    /// The oracle is told what the bridge read of the line in this turn, and the wires.
+    /// Passes to the oracle what the bridge read from the line in this turn, and the wires.
     pub(super) fn begin_turn(&mut self) {
         let heard = self.line.take_heard();
         self.oracle.begin_turn(self.now_ms, &heard, self.wires);
     }
 
-    /// The bridge has written to the line what it had to, and shows this.
+    /// Ends a turn with these outputs: the gripper hears what the bridge sent, and answers.
     pub(super) fn end_turn(&mut self, outputs: Outputs, patience_ms: u32) {
         let Self { now_ms, gripper, line, oracle, .. } = self;
         oracle.begin_leaving(Some(patience_ms));
@@ -92,17 +92,17 @@ impl Ends {
     }
 }
 
-/// A bridge, its lines, and a PLC.
-pub(super) trait World {
+/// A bridge with its lines and a PLC.
+pub(super) trait WholeBridge {
     /// How long the bridge takes to connect, in milliseconds.
     const CONNECTS_MS: u32 = 12;
 
     fn ends(&mut self) -> &mut Ends;
 
-    /// The PLC on the bus writes zeros, and whatever must come before. STOP_ACK is high meanwhile.
+    /// Lets the PLC on the bus write zeros, after whatever must precede that. STOP_ACK is high meanwhile.
     fn write_zeros(&mut self);
 
-    /// An op that is not one of all bodies.
+    /// Executes an op that belongs to this body alone.
     fn take(&mut self, op: u8, input: &mut Input<'_>);
 
     /// One turn of the main loop, a millisecond after the one before.
@@ -117,31 +117,31 @@ pub(super) trait World {
         }
     }
 
-    /// A millisecond passes after this op.
+    /// Returns whether a millisecond passes after this op.
     fn passes_after(&self, op: u8) -> bool {
         op & 0x80 == 0
     }
 
-    /// Bytes of the gripper reach the bridge.
+    /// Brings bytes of the gripper to the bridge.
     fn bring(&mut self, bytes: &[u8]) {
         self.ends().line.link.bring(bytes);
     }
 
-    /// The same, but the gripper did not say them.
+    /// Brings bytes to the bridge that the gripper never sent.
     fn forge(&mut self, bytes: &[u8]) {
         let Ends { now_ms, gripper, .. } = self.ends();
         gripper.forge(*now_ms, bytes);
         self.bring(bytes);
     }
 
-    /// A status that the gripper did not say.
+    /// Brings an answer to the bridge that the gripper never sent.
     fn forge_status(&mut self, input: &mut Input<'_>) {
         let statuses = [Status::Success, Status::CmdPending, Status::CmdFailed, Status::AccessDenied];
         let status = input.pick(&statuses);
         self.forge(&gripper::status(input.pick(CommandId::ALL), status));
     }
 
-    /// What most of the interesting states lie behind: connected, FAST STOP acknowledged, a bus that has written zeros.
+    /// Reaches the state before most interesting ones: connected, FAST STOP acknowledged, zeros written over the bus.
     fn get_ready(&mut self) {
         self.ends().gripper.answer();
         self.ends().wires = Inputs::FAST_STOP_OK;
