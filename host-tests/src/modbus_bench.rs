@@ -77,7 +77,7 @@ impl Bus for ModbusLines {
 pub type Bench = World<ModbusLines>;
 
 /// FC 16 with its unit, without its checksum.
-fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
+pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
     let ([a1, a0], count) = (first.to_be_bytes(), values.len() as u8);
     let head = [UNIT, 16, a1, a0, 0, count, 2 * count];
     head.into_iter().chain(values.iter().flat_map(|value| value.to_be_bytes())).collect()

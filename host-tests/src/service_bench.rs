@@ -16,6 +16,7 @@ use wsg_sim::Time;
 use crate::addresses::setting;
 use crate::can_bench::Double;
 use crate::flash_model::FlashModel;
+use crate::modbus_bench::write_request;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialGripper;
 
@@ -150,11 +151,7 @@ impl ServiceBench {
     /// # Panics
     /// It is refused.
     pub fn write(&mut self, first: u16, values: &[u16]) {
-        let [high, low] = first.to_be_bytes();
-        let count = values.len() as u8;
-        let mut request = vec![1, 16, high, low, 0, count, 2 * count];
-        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
-        assert_eq!(self.ask(&request)[1], 16);
+        assert_eq!(self.ask(&write_request(first, values))[1], 16);
     }
 
     /// All settings, as the PLC reads them.

@@ -5,73 +5,29 @@ use std::path::Path;
 
 use host_tests::fuzz_bodies::{self, Body};
 
-fn smoke(name: &str) {
-    Body::named(name).expect("a body of this name").run_generated(0..fuzz_bodies::SMOKE_INPUTS);
+macro_rules! smoke {
+    ($($test:ident: $name:literal,)*) => {
+        $(#[test]
+        fn $test() {
+            Body::named($name).expect("a body of this name").run_generated(0..fuzz_bodies::SMOKE_INPUTS);
+        })*
+    };
 }
 
-#[test]
-fn frames_60_000_cases() {
-    smoke("frames");
-}
-
-#[test]
-fn typed_60_000_cases() {
-    smoke("typed");
-}
-
-#[test]
-fn session_60_000_cases() {
-    smoke("session");
-}
-
-#[test]
-fn controller_60_000_cases() {
-    smoke("controller");
-}
-
-#[test]
-fn bridge_60_000_cases() {
-    smoke("bridge");
-}
-
-#[test]
-fn bridge_can_60_000_cases() {
-    smoke("bridge_can");
-}
-
-#[test]
-fn bridge_profibus_60_000_cases() {
-    smoke("bridge_profibus");
-}
-
-#[test]
-fn can_60_000_cases() {
-    smoke("can");
-}
-
-#[test]
-fn gcl_60_000_cases() {
-    smoke("gcl");
-}
-
-#[test]
-fn modbus_60_000_cases() {
-    smoke("modbus");
-}
-
-#[test]
-fn storage_60_000_cases() {
-    smoke("storage");
-}
-
-#[test]
-fn profibus_60_000_cases() {
-    smoke("profibus");
-}
-
-#[test]
-fn profinet_60_000_cases() {
-    smoke("profinet");
+smoke! {
+    frames_60_000_cases: "frames",
+    typed_60_000_cases: "typed",
+    session_60_000_cases: "session",
+    controller_60_000_cases: "controller",
+    bridge_60_000_cases: "bridge",
+    bridge_can_60_000_cases: "bridge_can",
+    bridge_profibus_60_000_cases: "bridge_profibus",
+    can_60_000_cases: "can",
+    gcl_60_000_cases: "gcl",
+    modbus_60_000_cases: "modbus",
+    storage_60_000_cases: "storage",
+    profibus_60_000_cases: "profibus",
+    profinet_60_000_cases: "profinet",
 }
 
 #[test]
