@@ -12,6 +12,7 @@ mod config;
 mod controller;
 mod mcp2515;
 mod report;
+mod transmit_buffers;
 
 pub use bus::{CanBus, CanNode};
 pub(crate) use bus::{MAX_ON_THE_WAY, MAX_RECEIVED_PER_POLL};
@@ -21,3 +22,4 @@ pub use config::{CanConfig, DEFAULT_NODE, NodeConfig, collides_with_canopen};
 pub use controller::{CanController, Health, NoCan, NoFrame, Withdrawal};
 pub use mcp2515::{Mcp2515, Mcp2515Buffers, Overrun};
 pub use report::{BusCounters, BusReport, CanReports, LinkCounters};
+pub use transmit_buffers::TransmitBuffers;

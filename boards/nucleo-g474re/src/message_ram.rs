@@ -51,8 +51,7 @@ pub const fn filter(fifo: Fifo, id: u16, mask: u16) -> u32 {
 }
 
 /// The first word of a data frame with this identifier.
-#[must_use]
-pub fn id_word(id: Id) -> u32 {
+fn id_word(id: Id) -> u32 {
     match id {
         Id::Standard(id) => u32::from(id.as_raw()) << STANDARD_AT,
         Id::Extended(id) => id.as_raw() | XTD,

@@ -15,7 +15,7 @@ use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
 use embedded_hal::spi::{Operation, SpiDevice};
 
 use self::buffers::{RawFrame, read_status};
-use super::{CanConfig, CanController, Health, Withdrawal};
+use super::{CanConfig, CanController, Health, TransmitBuffers, Withdrawal};
 
 /// Instructions (12.0).
 const RESET: u8 = 0xC0;
@@ -141,10 +141,9 @@ pub struct Mcp2515<S, F> {
     is_off: bool,
     /// Frames were lost, which was not said yet.
     has_overrun: bool,
-    /// The identifiers' registers that the transmit buffers were given last.
-    sent: [[u8; 4]; 3],
-    /// The buffer whose frame is being withdrawn, and the status before.
-    withdrawing: Option<(usize, u8)>,
+    transmit: TransmitBuffers,
+    /// The status before the withdrawal that is not decided.
+    before_withdrawal: u8,
     frames: PhantomData<fn() -> F>,
 }
 
@@ -159,8 +158,8 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
             is_set_up: false,
             is_off: false,
             has_overrun: false,
-            sent: [[0; 4]; 3],
-            withdrawing: None,
+            transmit: TransmitBuffers::new(),
+            before_withdrawal: 0,
             frames: PhantomData,
         }
     }
@@ -174,7 +173,6 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
     fn join(&mut self) {
         self.received.close();
         self.has_overrun = false;
-        self.withdrawing = None;
         self.is_set_up = self.config.is_some_and(|config| self.set_up(&config).unwrap_or(false));
         self.is_off = false;
         if self.is_set_up {
@@ -184,6 +182,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
 
     /// Whether it is there, and has a timing for the rate.
     fn set_up(&mut self, config: &CanConfig) -> Result<bool, S::Error> {
+        self.transmit.start(config);
         let Some(timing) = BitTiming::for_rate(self.crystal_hz, config.kbit_rate) else { return Ok(false) };
         self.spi.write(&[RESET])?;
         let mut is_reset = false;
@@ -229,32 +228,12 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         self.spi.write(&[BIT_MODIFY, register, mask, value])
     }
 
-    /// The empty buffer for a frame.
-    ///
-    /// One is the gripper's, and leaves first: FAST STOP waits for no message of another. The others are anybody's, but never
-    /// hold two of one identifier: the second might leave first.
-    fn buffer_for(&mut self, id: [u8; 4]) -> Result<Option<usize>, S::Error> {
-        let status = read_status(&mut self.spi)?;
-        let [gripper, one, other] = TXREQS.map(|waits| status & waits == 0);
-        let its_id = self.config.map(|config| id_registers(config.gripper.controller().transmit.into()));
-        if its_id == Some(id) {
-            return Ok(gripper.then_some(0));
-        }
-        let [_, in_one, in_other] = self.sent;
-        Ok(match (one, other) {
-            (true, true) => Some(1),
-            (true, false) if in_other != id => Some(1),
-            (false, true) if in_one != id => Some(2),
-            _ => None,
-        })
-    }
-
     fn send(&mut self, frame: &F) -> Result<bool, S::Error> {
-        if self.withdrawing.is_some() {
+        if self.transmit.withdrawing().is_some() {
             return Ok(false);
         }
-        let id = id_registers(frame.id());
-        let Some(buffer) = self.buffer_for(id)? else { return Ok(false) };
+        let is_empty = are_empty(read_status(&mut self.spi)?);
+        let Some(buffer) = self.transmit.take(frame.id(), is_empty) else { return Ok(false) };
         let (Some(load), Some(rts), Some(&was_sent)) =
             (LOAD_TX.get(buffer), RTS.get(buffer), TXIF.get(buffer))
         else {
@@ -262,10 +241,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         };
         // For `withdraw`: from now on it means this frame.
         self.modify(CANINTF, was_sent, 0)?;
-        if let Some(sent) = self.sent.get_mut(buffer) {
-            *sent = id;
-        }
-        let [a, b, c, d] = id;
+        let [a, b, c, d] = id_registers(frame.id());
         let len = frame.dlc() as u8 | if frame.is_remote_frame() { RTR } else { 0 };
         self.spi.transaction(&mut [
             Operation::Write(&[*load, a, b, c, d, len]),
@@ -308,39 +284,38 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
     /// Aborts all buffers, and requests the others anew. A buffer whose TXREQ the host clears gives no sign of when its frame has
     /// ended; with ABAT, TXREQ stays until then (3.6).
     fn withdraw_frame(&mut self, id: Id) -> Result<Withdrawal, S::Error> {
-        let (buffer, before) = match self.withdrawing {
-            Some(withdrawing) => withdrawing,
+        let mut status = read_status(&mut self.spi)?;
+        let buffer = match self.transmit.withdrawing() {
+            Some(buffer) => buffer,
             None => {
-                let (id, status) = (id_registers(id), read_status(&mut self.spi)?);
-                let mut buffers = self.sent.iter().zip(TXREQS);
-                let Some(buffer) = buffers.position(|(sent, waits)| *sent == id && status & waits != 0)
-                else {
+                let Some(buffer) = self.transmit.withdraw(id, are_empty(status)) else {
                     return Ok(Withdrawal::TooLate);
                 };
+                self.before_withdrawal = status;
                 self.modify(CANCTRL, ABAT, ABAT)?;
-                *self.withdrawing.insert((buffer, status))
+                status = read_status(&mut self.spi)?;
+                buffer
             }
         };
-        let status = read_status(&mut self.spi)?;
-        if TXREQS.iter().any(|waits| status & waits != 0) {
+        if are_empty(status) != [true; TransmitBuffers::COUNT] {
             return Ok(Withdrawal::Undecided);
         }
-        self.withdrawing = None;
         self.modify(CANCTRL, ABAT, 0)?;
         let mut was_sent = false;
         for (n, ((waits, sent), rts)) in TXREQS.into_iter().zip(TXIFS).zip(RTS).enumerate() {
             if n == buffer {
                 was_sent = status & sent != 0;
-            } else if before & waits != 0 && status & sent == 0 {
+            } else if self.before_withdrawal & waits != 0 && status & sent == 0 {
                 self.spi.write(&[rts])?;
             }
         }
-        Ok(Withdrawal::of(false, was_sent))
+        Ok(self.transmit.decide(Withdrawal::of(false, was_sent)))
     }
 
     fn forget_all(&mut self) -> Result<(), S::Error> {
         TXBCTRL.into_iter().try_for_each(|control| self.modify(control, TXREQ, 0))?;
-        if self.withdrawing.take().is_some() {
+        if self.transmit.withdrawing().is_some() {
+            self.transmit.forget();
             self.modify(CANCTRL, ABAT, 0)?;
         }
         Ok(())
@@ -416,6 +391,11 @@ impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
             self.join();
         }
     }
+}
+
+/// Returns which transmit buffers hold no frame that is to be sent.
+fn are_empty(status: u8) -> [bool; TransmitBuffers::COUNT] {
+    TXREQS.map(|waits| status & waits == 0)
 }
 
 /// An identifier as the registers of a buffer, filter or mask have it.

@@ -5,8 +5,7 @@
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
 use embedded_can::{ErrorKind, ExtendedId, Frame, Id, StandardId};
-use wsg_bridge_fw::can::{CanConfig, CanController, Health, Withdrawal};
-use wsg_stm32::pac::can::Tx;
+use wsg_bridge_fw::can::{CanConfig, CanController, Health, TransmitBuffers, Withdrawal};
 use wsg_stm32::pac::can::regs::Tir;
 use wsg_stm32::pac::{CAN1, Interrupt, RCC, interrupt};
 use wsg_stm32::{BitTiming, Segments};
@@ -39,8 +38,7 @@ pub struct Can1 {
     config: Option<CanConfig>,
     /// Whether timing and filters are in its registers.
     is_set_up: bool,
-    /// The mailbox whose frame is being withdrawn.
-    withdrawing: Option<usize>,
+    transmit: TransmitBuffers,
 }
 
 impl Can1 {
@@ -48,7 +46,7 @@ impl Can1 {
     #[must_use]
     #[expect(clippy::new_without_default, reason = "there is one")]
     pub const fn new() -> Self {
-        Self { config: None, is_set_up: false, withdrawing: None }
+        Self { config: None, is_set_up: false, transmit: TransmitBuffers::new() }
     }
 
     /// Starts the controller. The clock runs, the pins are set up. Only what the bridge may want passes its filters.
@@ -56,6 +54,7 @@ impl Can1 {
         RCC.apb1enr1().modify(|w| w.set_can1en(true));
         let _ = RCC.apb1enr1().read();
         self.config = Some(*config);
+        self.transmit.start(config);
         self.join();
     }
 
@@ -79,7 +78,7 @@ impl Can1 {
             // That clears TXOK as well, which a withdrawal still has to read.
             CAN1.tsr().write(|w| {
                 for mailbox in 0..MAILBOXES {
-                    w.set_rqcp(mailbox, self.withdrawing != Some(mailbox));
+                    w.set_rqcp(mailbox, self.transmit.withdrawing() != Some(mailbox));
                 }
             });
         }
@@ -87,27 +86,6 @@ impl Can1 {
         unsafe {
             NVIC::unmask(Interrupt::CAN1_RX0);
             NVIC::unmask(Interrupt::CAN1_TX);
-        }
-    }
-
-    /// The empty mailbox for a frame; they leave in the order of their identifiers.
-    ///
-    /// One is the gripper's: FAST STOP waits for no message of another. The others are anybody's, but never hold two of one
-    /// identifier: the second might leave first.
-    fn mailbox_for(&self, id: u32) -> Option<Tx> {
-        let status = CAN1.tsr().read().0;
-        let [gripper, one, other] = TME.map(|empty| status & empty != 0);
-        let its_id =
-            self.config.map(|config| u32::from(config.gripper.controller().transmit.as_raw()) << STANDARD_AT);
-        if its_id == Some(id) {
-            return gripper.then_some(CAN1.tx(0));
-        }
-        let has_same = |mailbox: Tx| mailbox.tir().read().0 & !TXRQ == id;
-        match (one, other) {
-            (true, true) => Some(CAN1.tx(1)),
-            (true, false) if !has_same(CAN1.tx(2)) => Some(CAN1.tx(1)),
-            (false, true) if !has_same(CAN1.tx(1)) => Some(CAN1.tx(2)),
-            _ => None,
         }
     }
 }
@@ -177,8 +155,10 @@ impl embedded_can::nb::Can for Can1 {
         if !self.is_set_up {
             return Err(nb::Error::WouldBlock);
         }
-        let id = id_register(frame);
-        let mailbox = self.mailbox_for(id).ok_or(nb::Error::WouldBlock)?;
+        let mailbox = self.transmit.take(frame.id(), empty_mailboxes());
+        // By constants: a variable mailbox can panic.
+        let mailboxes = [CAN1.tx(0), CAN1.tx(1), CAN1.tx(2)];
+        let mailbox = mailbox.and_then(|n| mailboxes.get(n)).ok_or(nb::Error::WouldBlock)?;
         let mut data = [0; MAX_DATA_LEN as usize];
         for (place, byte) in data.iter_mut().zip(frame.data()) {
             *place = *byte;
@@ -187,7 +167,7 @@ impl embedded_can::nb::Can for Can1 {
         mailbox.tdtr().write(|w| w.set_dlc(frame.dlc() as u8));
         mailbox.tdlr().write(|w| w.0 = u32::from_le_bytes([a, b, c, d]));
         mailbox.tdhr().write(|w| w.0 = u32::from_le_bytes([e, f, g, h]));
-        mailbox.tir().write_value(Tir(id | TXRQ));
+        mailbox.tir().write_value(Tir(id_register(frame) | TXRQ));
         Ok(None)
     }
 
@@ -237,31 +217,22 @@ impl CanController for Can1 {
     }
 
     fn withdraw(&mut self, id: Id) -> Withdrawal {
-        let mailbox = match self.withdrawing {
+        let mailbox = match self.transmit.withdrawing() {
             Some(mailbox) => mailbox,
             None => {
-                let status = CAN1.tsr().read().0;
-                let id = standard_or_extended(id);
-                let holds_it = |mailbox: usize| CAN1.tx(mailbox).tir().read().0 & !TXRQ == id;
-                let occupied = TME.iter().map(|empty| status & empty == 0);
-                let Some(mailbox) = occupied.zip(0..).position(|(is_occupied, n)| is_occupied && holds_it(n))
-                else {
+                let Some(mailbox) = self.transmit.withdraw(id, empty_mailboxes()) else {
                     return Withdrawal::TooLate;
                 };
                 CAN1.tsr().write(|w| w.0 = ABRQ0 << (8 * mailbox));
-                *self.withdrawing.insert(mailbox)
+                mailbox
             }
         };
-        let outcome = transmit_status::withdrawal(CAN1.tsr().read().0, mailbox);
-        if outcome != Withdrawal::Undecided {
-            self.withdrawing = None;
-        }
-        outcome
+        self.transmit.decide(transmit_status::withdrawal(CAN1.tsr().read().0, mailbox))
     }
 
     /// What is being sent at this moment goes on to its end, and is not tried again.
     fn abort(&mut self) {
-        self.withdrawing = None;
+        self.transmit.forget();
         CAN1.tsr().write(|w| {
             w.set_abrq(0, true);
             w.set_abrq(1, true);
@@ -274,16 +245,17 @@ impl CanController for Can1 {
     }
 }
 
-fn id_register(frame: &ClassicFrame) -> u32 {
-    let id = standard_or_extended(frame.id());
-    if frame.is_remote_frame() { id | RTR } else { id }
+fn empty_mailboxes() -> [bool; MAILBOXES] {
+    let status = CAN1.tsr().read().0;
+    TME.map(|empty| status & empty != 0)
 }
 
-fn standard_or_extended(id: Id) -> u32 {
-    match id {
+fn id_register(frame: &ClassicFrame) -> u32 {
+    let id = match frame.id() {
         Id::Standard(id) => u32::from(id.as_raw()) << STANDARD_AT,
         Id::Extended(id) => id.as_raw() << EXTENDED_AT | IDE,
-    }
+    };
+    if frame.is_remote_frame() { id | RTR } else { id }
 }
 
 fn id_of(register: u32) -> Id {

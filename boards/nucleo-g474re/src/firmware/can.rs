@@ -5,9 +5,9 @@
 
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
-use embedded_can::{ErrorKind, Id};
-use wsg_bridge_fw::can::{CanConfig, CanController, Health, Withdrawal};
-use wsg_nucleo_g474re::message_ram::{ELEMENT_STRIDE, ELEMENTS, Fifo, element, filter, frame, id_word};
+use embedded_can::{ErrorKind, Frame, Id};
+use wsg_bridge_fw::can::{CanConfig, CanController, Health, TransmitBuffers, Withdrawal};
+use wsg_nucleo_g474re::message_ram::{ELEMENT_STRIDE, ELEMENTS, Fifo, element, filter, frame};
 use wsg_stm32::pac::can::regs::{Txbar, Txbcr, Txbtie};
 use wsg_stm32::pac::can::vals::{Anfe, Anfs, Tfqm};
 use wsg_stm32::pac::rcc::vals::Fdcansel;
@@ -31,14 +31,13 @@ pub(crate) struct Can {
     config: Option<CanConfig>,
     /// Whether timing and filters are in its registers.
     is_set_up: bool,
-    /// The transmit buffer whose frame is being withdrawn.
-    withdrawing: Option<usize>,
+    transmit: TransmitBuffers,
 }
 
 impl Can {
     /// One that was not started. To be asked for once.
     pub(crate) const fn new() -> Self {
-        Self { config: None, is_set_up: false, withdrawing: None }
+        Self { config: None, is_set_up: false, transmit: TransmitBuffers::new() }
     }
 
     /// Starts the controller. The crystal runs, the pins are set up. Only what the bridge may want passes its filters.
@@ -47,6 +46,7 @@ impl Can {
         RCC.apb1enr1().modify(|w| w.set_fdcanen(true));
         let _ = RCC.apb1enr1().read();
         self.config = Some(*config);
+        self.transmit.start(config);
         self.join();
         // SAFETY: no critical section depends on this interrupt being masked; the handler shares nothing.
         unsafe { NVIC::unmask(Interrupt::FDCAN1_IT0) };
@@ -62,26 +62,6 @@ impl Can {
         if self.is_set_up {
             // No FD, no test, no restriction; out of initialisation. It synchronises in its own time; the first frames wait for that.
             FDCAN1.cccr().write(|_| {});
-        }
-    }
-
-    /// The empty transmit buffer for a frame; they leave in the order of their identifiers.
-    ///
-    /// One is the gripper's: FAST STOP waits for no message of another. The others are anybody's, but never hold two of one
-    /// identifier: which one left first would be the buffers' order.
-    fn buffer_for(&self, id: u32) -> Option<usize> {
-        let waiting = FDCAN1.txbrp().read().0;
-        let [gripper, one, other] = [1 << 0, 1 << 1, 1 << 2].map(|buffer| waiting & buffer == 0);
-        let its_id = self.config.map(|config| id_word(config.gripper.controller().transmit.into()));
-        if its_id == Some(id) {
-            return gripper.then_some(0);
-        }
-        let has_same = |buffer: usize| FDCANRAM1.txbuf(buffer * ELEMENT_STRIDE).read() == id;
-        match (one, other) {
-            (true, true) => Some(1),
-            (true, false) if !has_same(2) => Some(1),
-            (false, true) if !has_same(1) => Some(2),
-            _ => None,
         }
     }
 }
@@ -173,10 +153,10 @@ impl embedded_can::nb::Can for Can {
         if !self.is_set_up {
             return Err(nb::Error::WouldBlock);
         }
-        let words = element(frame);
-        let [id, ..] = words;
-        let buffer = self.buffer_for(id).ok_or(nb::Error::WouldBlock)?;
-        for (n, word) in words.iter().enumerate() {
+        let buffer = self.transmit.take(frame.id(), empty_buffers()).ok_or(nb::Error::WouldBlock)?;
+        // There are no others; without this, the index could panic.
+        let buffer = buffer.min(ELEMENTS - 1);
+        for (n, word) in element(frame).iter().enumerate() {
             FDCANRAM1.txbuf(buffer * ELEMENT_STRIDE + n).write_value(*word);
         }
         FDCAN1.txbar().write_value(Txbar(1 << buffer));
@@ -215,36 +195,36 @@ impl CanController for Can {
 
     /// TXBRP stays set as long as the frame is being sent, and TXBTO is set if it was sent; a new request clears TXBTO.
     fn withdraw(&mut self, id: Id) -> Withdrawal {
-        let buffer = match self.withdrawing {
+        let buffer = match self.transmit.withdrawing() {
             Some(buffer) => buffer,
             None => {
-                let (id, waiting) = (id_word(id), FDCAN1.txbrp().read().0);
-                let holds_it = |buffer: usize| FDCANRAM1.txbuf(buffer * ELEMENT_STRIDE).read() == id;
-                let Some(buffer) = (0..ELEMENTS).find(|&n| waiting & 1 << n != 0 && holds_it(n)) else {
+                let Some(buffer) = self.transmit.withdraw(id, empty_buffers()) else {
                     return Withdrawal::TooLate;
                 };
                 FDCAN1.txbcr().write_value(Txbcr(1 << buffer));
-                *self.withdrawing.insert(buffer)
+                buffer
             }
         };
         // In this order: once TXBRP is clear, TXBTO no longer changes.
         let is_waiting = FDCAN1.txbrp().read().0 & 1 << buffer != 0;
-        let outcome = Withdrawal::of(is_waiting, FDCAN1.txbto().read().0 & 1 << buffer != 0);
-        if outcome != Withdrawal::Undecided {
-            self.withdrawing = None;
-        }
-        outcome
+        let was_sent = FDCAN1.txbto().read().0 & 1 << buffer != 0;
+        self.transmit.decide(Withdrawal::of(is_waiting, was_sent))
     }
 
     /// What is being sent at this moment goes on to its end, and is not tried again.
     fn abort(&mut self) {
-        self.withdrawing = None;
+        self.transmit.forget();
         FDCAN1.txbcr().write_value(Txbcr(ALL_BUFFERS));
     }
 
     fn recover(&mut self) {
         self.join();
     }
+}
+
+fn empty_buffers() -> [bool; ELEMENTS] {
+    let waiting = FDCAN1.txbrp().read().0;
+    [1 << 0, 1 << 1, 1 << 2].map(|buffer| waiting & buffer == 0)
 }
 
 /// A frame came, or one has left: that ended the main loop's sleep.

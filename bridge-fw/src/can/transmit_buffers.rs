@@ -1,0 +1,188 @@
+//! The transmit buffers of a CAN controller: which one a frame takes, and whose frame is being withdrawn.
+//!
+//! Controllers send by the priority of buffers or identifiers, not in the order in which they take frames. This policy keeps the order
+//! that [`CanController`](super::CanController) guarantees. A driver reads its registers, follows the policy, and writes its registers.
+
+use embedded_can::Id;
+
+use super::{CanConfig, Withdrawal};
+
+/// The buffer of the gripper's frames.
+const GRIPPER: usize = 0;
+
+/// Keys of extended identifiers, which have 29 bits, begin here.
+const EXTENDED: u32 = 1 << 31;
+
+/// Not the key of any identifier.
+const NONE: u32 = u32::MAX;
+
+/// The three transmit buffers of a controller.
+///
+/// The first holds frames to the gripper only, so a FAST STOP never waits for the frame of another node. The other two hold any
+/// frames, but never two with the same identifier, because the controller might send the second one first.
+#[derive(Debug)]
+pub struct TransmitBuffers {
+    /// The [`key`] of frames to the gripper; `NONE` before the start.
+    gripper: u32,
+    /// The key of the last frame in each buffer.
+    given: [u32; Self::COUNT],
+    /// The buffer whose frame is being withdrawn.
+    withdrawing: Option<usize>,
+}
+
+impl TransmitBuffers {
+    /// Transmit buffers of a controller: bxCAN, FDCAN of an STM32G4 and MCP2515 have this many.
+    pub const COUNT: usize = 3;
+
+    /// Creates the policy of a controller that has not started. It takes no buffer for the gripper's frames alone.
+    #[must_use]
+    #[expect(clippy::new_without_default, reason = "a driver creates it in a constant")]
+    pub const fn new() -> Self {
+        Self { gripper: NONE, given: [NONE; Self::COUNT], withdrawing: None }
+    }
+
+    /// Takes the gripper's identifier, for a controller that is set up, or set up anew, with empty buffers.
+    pub fn start(&mut self, config: &CanConfig) {
+        self.gripper = key(config.gripper.controller().transmit.into());
+        self.forget();
+    }
+
+    /// Returns the buffer for a frame with this identifier, or `None` if the frame must wait. The driver loads the frame at once.
+    pub fn take(&mut self, id: Id, is_empty: [bool; Self::COUNT]) -> Option<usize> {
+        let id = key(id);
+        let [is_gripper_empty, is_one_empty, is_other_empty] = is_empty;
+        let [_, in_one, in_other] = self.given;
+        let buffer = if self.gripper == id {
+            is_gripper_empty.then_some(GRIPPER)
+        } else {
+            match (is_one_empty, is_other_empty) {
+                (true, true) => Some(1),
+                (true, false) if in_other != id => Some(1),
+                (false, true) if in_one != id => Some(2),
+                _ => None,
+            }
+        };
+        *self.given.get_mut(buffer?)? = id;
+        buffer
+    }
+
+    /// Returns the buffer whose frame is being withdrawn, if any. Its flag that the frame was sent must stay until
+    /// [`decide`](Self::decide).
+    #[must_use]
+    pub const fn withdrawing(&self) -> Option<usize> {
+        self.withdrawing
+    }
+
+    /// Begins to withdraw the frame with this identifier. Returns its buffer, or `None` if no buffer holds it unsent.
+    pub fn withdraw(&mut self, id: Id, is_empty: [bool; Self::COUNT]) -> Option<usize> {
+        let id = key(id);
+        let mut held = self.given.iter().zip(is_empty);
+        self.withdrawing = held.position(|(given, is_empty)| !is_empty && *given == id);
+        self.withdrawing
+    }
+
+    /// Takes the outcome of the withdrawal, as the registers have it now, and returns it.
+    pub fn decide(&mut self, outcome: Withdrawal) -> Withdrawal {
+        if outcome != Withdrawal::Undecided {
+            self.withdrawing = None;
+        }
+        outcome
+    }
+
+    /// Drops a withdrawal that is not decided, after all frames were aborted.
+    pub fn forget(&mut self) {
+        self.withdrawing = None;
+    }
+}
+
+/// Returns an identifier as a number, which is compared with less code than an [`Id`].
+fn key(id: Id) -> u32 {
+    match id {
+        Id::Standard(id) => id.as_raw().into(),
+        Id::Extended(id) => EXTENDED.wrapping_add(id.as_raw()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use embedded_can::{ExtendedId, StandardId};
+
+    fn id(raw: u16) -> Id {
+        StandardId::new(raw).unwrap().into()
+    }
+
+    fn gripper() -> Id {
+        CanConfig::DEFAULT.gripper.controller().transmit.into()
+    }
+
+    fn started() -> TransmitBuffers {
+        let mut buffers = TransmitBuffers::new();
+        buffers.start(&CanConfig::DEFAULT);
+        buffers
+    }
+
+    #[test]
+    fn the_gripper_has_a_buffer_of_its_own_and_the_others_share_two() {
+        let mut buffers = started();
+        assert_eq!(buffers.take(id(0x180), [true; 3]), Some(1));
+        assert_eq!(buffers.take(id(0x280), [true, false, true]), Some(2));
+        assert_eq!(buffers.take(id(0x380), [true, false, false]), None);
+        assert_eq!(buffers.take(gripper(), [true, false, false]), Some(0));
+        assert_eq!(buffers.take(gripper(), [false, true, true]), None);
+    }
+
+    #[test]
+    fn two_frames_with_one_identifier_never_wait_in_two_buffers() {
+        let mut buffers = started();
+        assert_eq!(buffers.take(id(0x180), [true; 3]), Some(1));
+        assert_eq!(buffers.take(id(0x180), [true, false, true]), None);
+        assert_eq!(buffers.take(id(0x181), [true, false, true]), Some(2));
+        assert_eq!(buffers.take(id(0x181), [true, true, false]), None);
+        assert_eq!(buffers.take(id(0x180), [true, true, false]), Some(1));
+        assert_eq!(buffers.take(id(0x180), [true; 3]), Some(1), "sent frames do not count");
+    }
+
+    #[test]
+    fn only_an_unsent_frame_with_the_identifier_is_withdrawn_and_only_until_it_is_decided() {
+        let mut buffers = started();
+        for (frame, is_empty) in [(gripper(), [true; 3]), (id(0x180), [false, true, true])] {
+            buffers.take(frame, is_empty).unwrap();
+        }
+        assert_eq!(buffers.withdraw(id(0x280), [false, false, true]), None);
+        assert_eq!(buffers.withdraw(gripper(), [true, false, true]), None, "it was sent");
+        assert_eq!(buffers.withdraw(id(0x180), [false, false, true]), Some(1));
+
+        assert_eq!(buffers.decide(Withdrawal::Undecided), Withdrawal::Undecided);
+        assert_eq!(buffers.withdrawing(), Some(1));
+        assert_eq!(buffers.decide(Withdrawal::Withdrawn), Withdrawal::Withdrawn);
+        assert_eq!(buffers.withdrawing(), None);
+    }
+
+    #[test]
+    fn a_withdrawal_ends_when_all_frames_are_aborted_and_when_the_controller_starts_anew() {
+        let mut buffers = started();
+        buffers.take(gripper(), [true; 3]).unwrap();
+        for end in
+            [TransmitBuffers::forget, |buffers: &mut TransmitBuffers| buffers.start(&CanConfig::DEFAULT)]
+        {
+            assert_eq!(buffers.withdraw(gripper(), [false, true, true]), Some(0));
+            end(&mut buffers);
+            assert_eq!(buffers.withdrawing(), None);
+        }
+    }
+
+    #[test]
+    fn a_standard_and_an_extended_identifier_with_one_number_are_two() {
+        let mut buffers = started();
+        let extended = Id::Extended(ExtendedId::new(0x180).unwrap());
+        assert_eq!(buffers.take(id(0x180), [true; 3]), Some(1));
+        assert_eq!(buffers.take(extended, [true, false, true]), Some(2));
+        assert_eq!(buffers.withdraw(extended, [true, false, false]), Some(2));
+    }
+
+    #[test]
+    fn before_the_start_no_frame_is_the_grippers() {
+        assert_eq!(TransmitBuffers::new().take(gripper(), [true; 3]), Some(1));
+    }
+}
