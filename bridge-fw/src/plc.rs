@@ -3,6 +3,7 @@
 //! The wires are always there, with at most one bus beside them. The `arbiter` decides which of the two commands. A bus is a
 //! folder here and a row of the list in this file, from which [`PlcBus`], the register tables and the dispatch derive.
 
+mod bus_line;
 pub mod canopen;
 mod debounce;
 mod modbus;
@@ -13,6 +14,7 @@ mod side;
 mod view;
 pub(crate) mod wires;
 
+pub use bus_line::{BusHandler, BusLine, HalfDuplexUart};
 pub use modbus::{
     BusConfig, BusPort, Format, IDENTIFICATION, Interrupts, Modbus, ModbusLine, RtuBuffers, RtuPort, RtuUart,
 };

@@ -44,6 +44,12 @@ impl<C: CanController> Station<C> {
         }
     }
 
+    /// A station as [`new`](Self::new), for a board without PROFIBUS.
+    pub const fn without_profibus(can: CanBus<C>) -> Self {
+        static NO_PROFIBUS: DpBuffers = DpBuffers::new();
+        Self::new(can, &NO_PROFIBUS)
+    }
+
     /// Returns the configuration to start with: the one that is stored in flash, or where there is none, or none that can be used,
     /// the one that the image was `delivered` with.
     ///

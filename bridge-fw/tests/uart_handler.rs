@@ -5,8 +5,10 @@ use std::collections::VecDeque;
 use bus_modbus::rtu::Character;
 use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use wsg_bridge_fw::gripper::{LostBytes, Uart, UartBuffers, UartLine};
-use wsg_bridge_fw::plc::{BusPort, Interrupts, RtuBuffers, RtuPort, RtuUart};
-use wsg_bridge_fw::{BusConfig, Format};
+use wsg_bridge_fw::plc::{
+    BusHandler, BusLine, BusPort, HalfDuplexUart, Interrupts, Profibus, RtuBuffers, RtuPort, RtuUart,
+};
+use wsg_bridge_fw::{BusConfig, Format, ProfibusConfig};
 
 const CONFIG: BusConfig = BusConfig { baud: 19_200, format: Format::Even1, ..BusConfig::DEFAULT };
 const NOTHING: Interrupts = Interrupts { transmit_empty: false, transmission_complete: false };
@@ -18,6 +20,11 @@ struct Hal {
     waits: Option<u8>,
     is_shifting: bool,
     sent: Vec<u8>,
+    is_driving: bool,
+    enabled: Option<Interrupts>,
+    set_up: Option<(u32, Format)>,
+    wait_us: Option<u32>,
+    now_us: u32,
 }
 
 impl Hal {
@@ -49,6 +56,37 @@ impl Write for Hal {
 
     fn flush(&mut self) -> nb::Result<(), ErrorKind> {
         if self.waits.is_some() || self.is_shifting { Err(nb::Error::WouldBlock) } else { Ok(()) }
+    }
+}
+
+impl HalfDuplexUart for Hal {
+    fn has_room(&mut self) -> bool {
+        self.waits.is_none()
+    }
+
+    fn enable(&mut self, interrupts: Interrupts) {
+        self.enabled = Some(interrupts);
+    }
+
+    fn drive(&mut self, is_on: bool) {
+        assert!(is_on || self.flush().is_ok(), "the last bit is cut off");
+        self.is_driving = is_on;
+    }
+
+    fn set_up(&mut self, baud: u32, format: Format) {
+        self.set_up = Some((baud, format));
+    }
+
+    fn wake_in(&mut self, us: u32) {
+        self.wait_us = Some(us);
+    }
+
+    fn now_ms(&mut self) -> u32 {
+        self.now_us / 1_000
+    }
+
+    fn now_us(&mut self) -> u32 {
+        self.now_us
     }
 }
 
@@ -151,4 +189,72 @@ fn damage_on_the_bus_is_told_with_its_character() {
         [Character::Damaged, Character::Damaged, Character::Byte(6)],
         "the one behind a lost one counts as damaged"
     );
+}
+
+/// A line with its handler, of which the main loop's end is started by the test.
+fn bus() -> (&'static BusLine, BusHandler, Hal) {
+    (Box::leak(Box::default()), BusHandler::new(), Hal::default())
+}
+
+#[test]
+fn driver_is_on_from_the_first_byte_of_a_modbus_frame_until_its_last_bit() {
+    let (line, mut handler, mut hal) = bus();
+    line.start_modbus(&CONFIG);
+    let mut port = line.port(Registers);
+    handler.serve(line, &mut hal);
+    assert_eq!((hal.is_driving, hal.enabled), (false, Some(NOTHING)));
+    port.send(&[1, 2]);
+
+    let mut runs = 0;
+    loop {
+        handler.serve(line, &mut hal);
+        if !hal.is_driving {
+            break;
+        }
+        runs += 1;
+        assert_ne!(hal.enabled, Some(NOTHING), "no interrupt would switch the driver off");
+        hal.shift();
+    }
+
+    assert_eq!((&hal.sent[..], runs, hal.enabled), (&[1, 2][..], 3, Some(NOTHING)));
+    hal.received.push_back(Ok(7));
+    handler.serve(line, &mut hal);
+    assert!(matches!(port.receive(), Some((Character::Byte(7), _))));
+}
+
+#[test]
+fn profibus_master_is_answered_at_its_rate_with_the_driver_on() {
+    /// FDL_Status for station 7, from master 2; its answer.
+    const REQUEST: [u8; 6] = [0x10, 0x07, 0x02, 0x49, 0x52, 0x16];
+    const ANSWER: [u8; 6] = [0x10, 0x02, 0x07, 0x00, 0x09, 0x16];
+    let (line, mut handler, mut hal) = bus();
+    let rate = bus_profibus::Baud::K500;
+    Profibus::new(line.profibus()).start(ProfibusConfig { rate: Some(rate), ..ProfibusConfig::DEFAULT });
+    line.start_profibus();
+
+    handler.serve(line, &mut hal);
+    assert_eq!(hal.set_up, Some((500_000, Format::Even1)));
+    hal.now_us = 1_000_000;
+    // A damaged character is none of the telegram behind it.
+    for received in [Err(ErrorKind::Parity)].into_iter().chain(REQUEST.map(Ok)) {
+        assert_eq!(hal.wait_us, None);
+        hal.received.push_back(received);
+        hal.now_us += if received.is_ok() { 22 } else { 0 };
+        handler.serve(line, &mut hal);
+        hal.now_us += if received.is_ok() { 0 } else { 1_000 };
+    }
+    assert!(!hal.is_driving);
+    hal.now_us += hal.wait_us.unwrap();
+    for _ in ANSWER {
+        handler.serve(line, &mut hal);
+        assert!(hal.is_driving && hal.enabled != Some(NOTHING));
+        hal.shift();
+        hal.now_us += 22;
+    }
+    handler.serve(line, &mut hal);
+    assert!(hal.is_driving, "the last byte is on its way");
+    hal.shift();
+    handler.serve(line, &mut hal);
+
+    assert_eq!((&hal.sent[..], hal.is_driving, hal.enabled), (&ANSWER[..], false, Some(NOTHING)));
 }

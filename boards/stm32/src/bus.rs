@@ -6,14 +6,13 @@
 mod dp_timer;
 
 use core::marker::PhantomData;
-use core::mem::MaybeUninit;
-use core::sync::atomic::{AtomicBool, Ordering};
 
-use bus_profibus::Character;
 use cortex_m::peripheral::NVIC;
+use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
 use stm32_metapac::Interrupt;
 use stm32_metapac::usart::Lpuart;
-use wsg_bridge_fw::plc::{DpBuffers, DpResponder, RtuBuffers, RtuPort, RtuUart, UartStatus};
+use stm32_metapac::usart::regs::Isr;
+use wsg_bridge_fw::plc::{BusHandler, BusLine, HalfDuplexUart, Interrupts, RtuBuffers, RtuPort, RtuUart};
 use wsg_bridge_fw::{BusConfig, Format};
 
 use crate::Divider;
@@ -22,24 +21,17 @@ use crate::uart::{self, Uart};
 
 pub use dp_timer::on_interrupt as on_timer_interrupt;
 
-/// One type for both lines, so that there is one copy of their code.
-type Buffers = RtuBuffers;
+/// The PLC's bus.
+pub static BUS: BusLine = BusLine::new();
 
-static BUS: Buffers = RtuBuffers::new();
-static SERVICE: Buffers = RtuBuffers::new();
-
-/// What the handler of PROFIBUS and the main loop share.
-pub static PROFIBUS: DpBuffers = DpBuffers::new();
-
-/// Whether the bus is PROFIBUS and not Modbus RTU; set once, before its interrupt is unmasked.
-static IS_PROFIBUS: AtomicBool = AtomicBool::new(false);
+static SERVICE: RtuBuffers = RtuBuffers::new();
 
 /// The bridge's end of Modbus RTU on a line; no character is sent or received before its start.
 pub(crate) type Line<B> = RtuPort<Registers<B>>;
 
 /// Returns the end of the bus. To be called once.
 pub(crate) const fn line<B: Stm32Board>() -> Line<B> {
-    RtuPort::new(Registers(B::BusUart::INTERRUPT, PhantomData), &BUS)
+    BUS.port(Registers(B::BusUart::INTERRUPT, PhantomData))
 }
 
 /// Returns the end of the service port. To be called once.
@@ -63,7 +55,7 @@ impl<B: Stm32Board> RtuUart for Registers<B> {
 /// Starts Modbus RTU on the bus. The board's clock runs, and the pins are set up. At a rate that the board does not support (settings
 /// hold none) it stays silent.
 pub(crate) fn start<B: Stm32Board>(config: &BusConfig) {
-    BUS.start(config);
+    BUS.start_modbus(config);
     if set_up_bus::<B>(config.baud, config.format) {
         uart::unmask(B::BusUart::INTERRUPT);
     }
@@ -71,7 +63,7 @@ pub(crate) fn start<B: Stm32Board>(config: &BusConfig) {
 
 /// Starts PROFIBUS on the bus instead: the handler begins with the first [`pend`].
 pub(crate) fn start_profibus<B: Stm32Board>() {
-    IS_PROFIBUS.store(true, Ordering::Relaxed);
+    BUS.start_profibus();
     dp_timer::start::<B>();
     uart::unmask(B::BusUart::INTERRUPT);
 }
@@ -104,85 +96,89 @@ fn set_up_bus<B: Stm32Board>(baud: u32, format: Format) -> bool {
     true
 }
 
-/// The PROFIBUS slave of the bus's handler. A plain `static` of zeros, which takes no flash: the handler makes the slave.
-pub struct Responder {
-    slave: MaybeUninit<DpResponder>,
-    is_made: bool,
+/// A UART in its handler, with the status at the handler's begin.
+struct Port<B> {
+    uart: Lpuart,
+    status: Isr,
+    board: PhantomData<B>,
 }
 
-impl Responder {
-    /// Returns an empty place.
-    #[expect(clippy::new_without_default, reason = "there is one")]
-    #[must_use]
-    pub const fn new() -> Self {
-        Self { slave: MaybeUninit::uninit(), is_made: false }
+impl<B> Port<B> {
+    fn new(uart: Lpuart) -> Self {
+        Self { uart, status: uart.isr().read(), board: PhantomData }
+    }
+}
+
+impl<B> ErrorType for Port<B> {
+    type Error = ErrorKind;
+}
+
+impl<B> Read for Port<B> {
+    fn read(&mut self) -> nb::Result<u8, ErrorKind> {
+        let Self { uart, status, .. } = *self;
+        let received = if status.rxne() {
+            let byte = (uart.rdr().read().0 & 0xFF) as u8;
+            if uart::is_damaged(status) { Err(nb::Error::Other(ErrorKind::Other)) } else { Ok(byte) }
+        } else if status.ore() {
+            // A byte was received between the reading of the status and that of the byte before.
+            Err(nb::Error::Other(ErrorKind::Overrun))
+        } else {
+            Err(nb::Error::WouldBlock)
+        };
+        uart::clear_errors(uart, status);
+        received
+    }
+}
+
+impl<B> Write for Port<B> {
+    fn write(&mut self, byte: u8) -> nb::Result<(), ErrorKind> {
+        if !self.status.txe() {
+            return Err(nb::Error::WouldBlock);
+        }
+        self.uart.tdr().write(|w| w.0 = byte.into());
+        Ok(())
     }
 
-    fn get(&mut self) -> &mut DpResponder {
-        if !core::mem::replace(&mut self.is_made, true) {
-            self.slave.write(DpResponder::new(&PROFIBUS));
-        }
-        // SAFETY: it was written in this call or in an earlier one.
-        unsafe { self.slave.assume_init_mut() }
+    fn flush(&mut self) -> nb::Result<(), ErrorKind> {
+        if self.status.tc() { Ok(()) } else { Err(nb::Error::WouldBlock) }
+    }
+}
+
+impl<B: Stm32Board> HalfDuplexUart for Port<B> {
+    fn has_room(&mut self) -> bool {
+        self.status.txe()
+    }
+
+    fn enable(&mut self, interrupts: Interrupts) {
+        uart::enable(self.uart, interrupts);
+    }
+
+    /// With PROFIBUS, so it is the bus.
+    fn set_up(&mut self, baud: u32, format: Format) {
+        set_up_bus::<B>(baud, format);
+    }
+
+    fn wake_in(&mut self, us: u32) {
+        dp_timer::wake_in(us);
+    }
+
+    fn now_ms(&mut self) -> u32 {
+        B::now_ms()
+    }
+
+    fn now_us(&mut self) -> u32 {
+        B::now_us()
     }
 }
 
 /// Serves the bus. For the handler of its UART.
 #[inline]
-pub fn on_bus_interrupt<B: Stm32Board>(responder: &mut Responder) {
-    if IS_PROFIBUS.load(Ordering::Relaxed) {
-        serve_master::<B>(responder.get());
-    } else {
-        serve_modbus::<B>(B::BusUart::REGISTERS, &BUS);
-    }
+pub fn on_bus_interrupt<B: Stm32Board>(handler: &mut BusHandler) {
+    handler.serve(&BUS, &mut Port::<B>::new(B::BusUart::REGISTERS));
 }
 
 /// Serves the service port. For the handler of its UART.
 #[inline]
 pub fn on_service_interrupt<B: Stm32Board>() {
-    serve_modbus::<B>(B::ServiceUart::REGISTERS, &SERVICE);
-}
-
-/// One byte each way per call; the interrupt stays pending while there is more.
-#[inline(never)]
-fn serve_modbus<B: Stm32Board>(uart: Lpuart, buffers: &Buffers) {
-    let status = uart.isr().read();
-    if status.rxne() {
-        let byte = (uart.rdr().read().0 & 0xFF) as u8;
-        buffers.on_receive(byte, uart::is_damaged(status), status.tc(), B::now_us());
-    } else if status.ore() {
-        // A byte was received between the reading of the status and that of the byte before.
-        buffers.on_overrun();
-    }
-    uart::clear_errors(uart, status);
-    if let Some(byte) = buffers.on_transmit(status.txe(), status.tc()) {
-        uart.tdr().write(|w| w.0 = byte.into());
-    }
-    uart::enable(uart, buffers.interrupts());
-}
-
-/// One character each way, as above.
-fn serve_master<B: Stm32Board>(responder: &mut DpResponder) {
-    let uart = B::BusUart::REGISTERS;
-    let status = uart.isr().read();
-    let received = if status.rxne() {
-        let byte = (uart.rdr().read().0 & 0xFF) as u8;
-        Some(if uart::is_damaged(status) { Character::Damaged } else { Character::Byte(byte) })
-    } else {
-        // As above.
-        status.ore().then_some(Character::Damaged)
-    };
-    uart::clear_errors(uart, status);
-    let status = UartStatus { received, has_room: status.txe(), is_complete: status.tc() };
-    let action = responder.step(status, B::now_ms(), B::now_us());
-    if let Some(rate) = action.rate {
-        set_up_bus::<B>(rate.bit_s(), Format::Even1);
-    }
-    if let Some(byte) = action.send {
-        uart.tdr().write(|w| w.0 = byte.into());
-    }
-    if let Some(wait_us) = action.wait_us {
-        dp_timer::wake_in(wait_us);
-    }
-    uart::enable(uart, action.interrupts);
+    SERVICE.serve_half_duplex(&mut Port::<B>::new(B::ServiceUart::REGISTERS));
 }

@@ -23,7 +23,6 @@ pub use wires::{
 #[cfg(target_os = "none")]
 pub mod board;
 #[cfg(target_os = "none")]
-#[expect(unsafe_code, reason = "the PROFIBUS slave is initialised by its interrupt handler")]
 pub mod bus;
 #[cfg(target_os = "none")]
 mod chip;

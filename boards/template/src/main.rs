@@ -13,7 +13,7 @@ use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::gripper::{Uart, UartBuffers, UartLine};
 use wsg_bridge_fw::handler::Owned;
 use wsg_bridge_fw::io::{HalInputs, HalOutputs};
-use wsg_bridge_fw::plc::{DpBuffers, Interrupts, RtuBuffers, RtuPort, RtuUart};
+use wsg_bridge_fw::plc::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 use wsg_bridge_fw::registers::Record;
 use wsg_bridge_fw::storage::NoFlash;
 use wsg_bridge_fw::tick::Tick;
@@ -29,7 +29,6 @@ const _: () = assert!(matches!((CONFIG.plc_bus, CONFIG.bus.format), (PlcBus::Mod
 static GRIPPER: UartBuffers = UartBuffers::new();
 static BUS: RtuBuffers = RtuBuffers::new();
 static SERVICE: RtuBuffers = RtuBuffers::new();
-static PROFIBUS: DpBuffers = DpBuffers::new();
 static TICK: Tick<84_000> = Tick::new();
 
 /// The UARTs, for their handlers alone once they run.
@@ -122,7 +121,7 @@ impl wsg_bridge_fw::Hardware for Hardware {
 
 #[entry]
 fn main() -> ! {
-    static mut STATION: Station<NoCan> = Station::new(CanBus::new(NoCan, BusOffPolicy::DEFAULT), &PROFIBUS);
+    static mut STATION: Station<NoCan> = Station::without_profibus(CanBus::new(NoCan, BusOffPolicy::DEFAULT));
     let (Some(mut core), Some(device)) = (cortex_m::Peripherals::take(), pac::Peripherals::take()) else {
         SCB::sys_reset()
     };

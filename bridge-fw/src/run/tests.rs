@@ -6,7 +6,7 @@ use super::*;
 use crate::can::{BusOffPolicy, CanBus, NoCan};
 use crate::gripper::UartBuffers;
 use crate::io::Inputs;
-use crate::plc::{DpBuffers, NoBus};
+use crate::plc::NoBus;
 use crate::storage::NoFlash;
 
 /// The UART of a gripper that is not there.
@@ -107,9 +107,8 @@ fn on_board<const IN_RANGE: bool>(test: impl FnOnce(&mut OnDouble<'_, IN_RANGE>)
 }
 
 fn station(gripper_line: GripperLine, plc_bus: PlcBus) -> (Station<NoCan>, Config) {
-    static PROFIBUS: DpBuffers = DpBuffers::new();
     let config = Config { gripper_line, plc_bus, ..Config::DEFAULT };
-    let mut station = Station::new(CanBus::new(NoCan, BusOffPolicy::DEFAULT), &PROFIBUS);
+    let mut station = Station::without_profibus(CanBus::new(NoCan, BusOffPolicy::DEFAULT));
     station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
     (station, config)
 }

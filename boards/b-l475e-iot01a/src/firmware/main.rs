@@ -10,14 +10,15 @@ use wsg_b_l475e_iot01a::drivers::can1::Can1;
 use wsg_b_l475e_iot01a::drivers::{Iot01a, TICK};
 use wsg_bridge_fw::Station;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
-use wsg_stm32::bus::{self, Responder};
+use wsg_bridge_fw::plc::BusHandler;
+use wsg_stm32::bus;
 use wsg_stm32::pac::interrupt;
 
 #[entry]
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
     static mut STATION: Station<Can1> =
-        Station::new(CanBus::new(Can1::new(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
+        Station::new(CanBus::new(Can1::new(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
     wsg_stm32::run::<Iot01a>(STATION)
 }
 
@@ -28,8 +29,8 @@ fn SysTick() {
 
 #[interrupt]
 fn LPUART1() {
-    static mut RESPONDER: Responder = Responder::new();
-    bus::on_bus_interrupt::<Iot01a>(RESPONDER);
+    static mut HANDLER: BusHandler = BusHandler::new();
+    bus::on_bus_interrupt::<Iot01a>(HANDLER);
 }
 
 #[interrupt]

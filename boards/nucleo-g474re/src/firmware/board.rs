@@ -6,9 +6,10 @@ use cortex_m_rt::exception;
 use wsg_bridge_fw::NoClock;
 use wsg_bridge_fw::can::CanConfig;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::plc::BusHandler;
 use wsg_nucleo_g474re::{INDICATOR, INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 use wsg_stm32::board::Stm32Board;
-use wsg_stm32::bus::{self, Responder};
+use wsg_stm32::bus;
 use wsg_stm32::pac::interrupt;
 use wsg_stm32::tick::SysTick;
 use wsg_stm32::uart::{Usart1, Usart2, Usart3};
@@ -106,8 +107,8 @@ fn USART2() {
 
 #[interrupt]
 fn USART3() {
-    static mut RESPONDER: Responder = Responder::new();
-    bus::on_bus_interrupt::<Nucleo>(RESPONDER);
+    static mut HANDLER: BusHandler = BusHandler::new();
+    bus::on_bus_interrupt::<Nucleo>(HANDLER);
 }
 
 #[interrupt]

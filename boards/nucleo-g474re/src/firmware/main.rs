@@ -28,6 +28,6 @@ use crate::can::Can;
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
     static mut STATION: Station<Can> =
-        Station::new(CanBus::new(Can::new(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
+        Station::new(CanBus::new(Can::new(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
     wsg_stm32::run::<Nucleo>(STATION)
 }

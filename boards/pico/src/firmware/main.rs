@@ -49,7 +49,7 @@ static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;
 fn main() -> ! {
     // Too large for the stack. (`entry` lends it safely: it runs once.)
     static mut STATION: Station<Can> =
-        Station::new(CanBus::new(can::controller(), BusOffPolicy::DEFAULT), &bus::PROFIBUS);
+        Station::new(CanBus::new(can::controller(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
     static mut FLASH: SettingsSectors = SettingsSectors::new();
 
     let reset_cause = watchdog::reset_cause();

@@ -1,0 +1,149 @@
+//! The line of the PLC's bus, on which Modbus RTU or PROFIBUS runs: what the interrupt handler of its UART does, and what it shares with
+//! the main loop.
+//!
+//! A board implements [`HalfDuplexUart`] over its registers, keeps a [`BusLine`] and a [`BusHandler`] as statics, and calls
+//! [`BusHandler::serve`] from the UART's handler. A line for Modbus RTU alone, such as the service port, needs only [`RtuBuffers`].
+
+use bus_profibus::Character;
+use embedded_hal_nb::serial;
+use heapless::Vec;
+
+use super::{BusConfig, DpBuffers, DpResponder, Format, Interrupts, RtuBuffers, RtuPort, UartStatus};
+use crate::atomic::{AtomicBool, Ordering};
+
+/// A UART behind an RS-485 transceiver, for its interrupt handler.
+///
+/// It reads and writes as a UART of a HAL does. Nothing waits, and `flush` succeeds once the last bit of all written bytes has been
+/// sent.
+pub trait HalfDuplexUart: serial::Read + serial::Write {
+    /// Returns whether a byte can be written now.
+    fn has_room(&mut self) -> bool;
+
+    /// Enables the interrupts that the handler needs next, beside the one for a received character. Without an interrupt for the last bit,
+    /// a UART runs the handler by a timer.
+    fn enable(&mut self, interrupts: Interrupts);
+
+    /// Switches the driver of the transceiver. Does nothing for a UART that does this itself.
+    fn drive(&mut self, _is_on: bool) {}
+
+    /// Changes rate and format.
+    fn set_up(&mut self, baud: u32, format: Format);
+
+    /// Runs the handler in this many microseconds, instead of at a time that was set before.
+    fn wake_in(&mut self, us: u32);
+
+    /// Returns the time in milliseconds. It may wrap.
+    fn now_ms(&mut self) -> u32;
+
+    /// Returns the time in microseconds. It may wrap.
+    fn now_us(&mut self) -> u32;
+}
+
+/// What the handler of the bus and the main loop share; a plain `static`.
+#[derive(Debug, Default)]
+pub struct BusLine {
+    modbus: RtuBuffers,
+    profibus: DpBuffers,
+    /// Whether the bus is PROFIBUS and not Modbus RTU.
+    is_profibus: AtomicBool,
+}
+
+impl BusLine {
+    /// Creates a line that has not started.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { modbus: RtuBuffers::new(), profibus: DpBuffers::new(), is_profibus: AtomicBool::new(false) }
+    }
+
+    /// Returns the main loop's end of Modbus RTU. To be called once.
+    pub const fn port<U: super::RtuUart>(&'static self, uart: U) -> RtuPort<U> {
+        RtuPort::new(uart, &self.modbus)
+    }
+
+    /// Returns the buffers of PROFIBUS, for [`Station::new`](crate::Station::new).
+    #[must_use]
+    pub const fn profibus(&self) -> &DpBuffers {
+        &self.profibus
+    }
+
+    /// Starts Modbus RTU, before the interrupt is unmasked. The board sets up rate and format.
+    pub fn start_modbus(&self, config: &BusConfig) {
+        self.modbus.start(config);
+    }
+
+    /// Starts PROFIBUS instead, before the interrupt is unmasked. The handler sets up rate and format in its first run.
+    pub fn start_profibus(&self) {
+        self.is_profibus.store(true, Ordering::Relaxed);
+    }
+}
+
+/// What belongs to the handler of the bus: the PROFIBUS slave, made in the first run with PROFIBUS. A static with a slave from the start
+/// would take its size of flash, too.
+#[derive(Debug, Default)]
+pub struct BusHandler(Vec<DpResponder, 1>);
+
+impl BusHandler {
+    /// Creates a handler without a slave. One for each [`BusLine`].
+    #[must_use]
+    pub const fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    /// The whole handler: at most one character each way. The interrupt stays pending while there is more.
+    pub fn serve<U: HalfDuplexUart>(&mut self, line: &'static BusLine, uart: &mut U) {
+        if !line.is_profibus.load(Ordering::Relaxed) {
+            return line.modbus.serve_half_duplex(uart);
+        }
+        if self.0.is_empty() {
+            // There is room for one.
+            let _ = self.0.push(DpResponder::new(&line.profibus));
+        }
+        if let Some(responder) = self.0.first_mut() {
+            answer_master(responder, uart);
+        }
+    }
+}
+
+fn answer_master<U: HalfDuplexUart>(responder: &mut DpResponder, uart: &mut U) {
+    let received = match uart.read() {
+        Ok(byte) => Some(Character::Byte(byte)),
+        Err(nb::Error::Other(_)) => Some(Character::Damaged),
+        Err(nb::Error::WouldBlock) => None,
+    };
+    let status = UartStatus { received, has_room: uart.has_room(), is_complete: uart.flush().is_ok() };
+    let action = responder.step(status, uart.now_ms(), uart.now_us());
+    if let Some(rate) = action.rate {
+        uart.set_up(rate.bit_s(), Format::Even1);
+    }
+    if let Some(wait_us) = action.wait_us {
+        uart.wake_in(wait_us);
+    }
+    if let Some(byte) = action.send {
+        uart.drive(true);
+        // There is room.
+        let _ = uart.write(byte);
+    }
+    go_on(uart, action.interrupts);
+}
+
+impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
+    /// The whole handler of a line for Modbus RTU, driver included: at most one character each way.
+    // One copy for all lines of a board.
+    #[inline(never)]
+    pub fn serve_half_duplex<U: HalfDuplexUart>(&self, uart: &mut U) {
+        if self.interrupts().transmit_empty {
+            uart.drive(true);
+        }
+        let now_us = uart.now_us();
+        let interrupts = self.serve(uart, now_us);
+        go_on(uart, interrupts);
+    }
+}
+
+/// Leaves the driver on as long as an interrupt is due.
+fn go_on<U: HalfDuplexUart>(uart: &mut U, interrupts: Interrupts) {
+    uart.enable(interrupts);
+    if !interrupts.transmit_empty && !interrupts.transmission_complete {
+        uart.drive(false);
+    }
+}
