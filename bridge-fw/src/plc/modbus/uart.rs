@@ -154,10 +154,10 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
         // Before the byte is written that would make it busy.
         let is_complete = uart.flush().is_ok();
         match uart.read() {
-            Ok(byte) => self.on_receive(byte, false, is_complete, now_us),
-            Err(nb::Error::Other(error)) if error.kind() == serial::ErrorKind::Overrun => self.on_overrun(),
-            Err(nb::Error::Other(_)) => self.on_receive(0, true, is_complete, now_us),
             Err(nb::Error::WouldBlock) => {}
+            Err(nb::Error::Other(error)) if error.kind() == serial::ErrorKind::Overrun => self.on_overrun(),
+            // The byte of a damaged character does not matter.
+            read => self.on_receive(*read.as_ref().unwrap_or(&0), read.is_err(), is_complete, now_us),
         }
         let is_written = self.to_send.peek().is_some_and(|byte| uart.write(byte).is_ok());
         // The byte that was written leaves the queue.
