@@ -171,7 +171,8 @@ fn start_lines<H: Hardware>(hardware: &mut H, station: &mut Station<H::Can>, con
     match config.plc_bus {
         PlcBus::Modbus => hardware.start_modbus(&config.bus),
         PlcBus::Profibus => hardware.start_profibus(),
-        PlcBus::Off | PlcBus::Canopen => {}
+        // None, or one on CAN.
+        _ => {}
     }
     if station.uses_can() {
         hardware.start_can(station.can().controller(), &config.can);

@@ -87,6 +87,9 @@ mod tests {
         assert_eq!(<&Board>::default().name, MACHINE);
         assert_eq!(Board::named("pico").unwrap().triple, "thumbv6m-none-eabi");
         let unknown = Board::named("arduino").unwrap_err().to_string();
-        assert_eq!(unknown, "unknown board arduino; expected one of b-l475e-iot01a, pico, nucleo-g474re");
+        assert!(
+            unknown.starts_with("unknown board arduino; expected one of b-l475e-iot01a, pico, "),
+            "{unknown}"
+        );
     }
 }
