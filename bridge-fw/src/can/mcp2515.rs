@@ -315,7 +315,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
     fn forget_all(&mut self) -> Result<(), S::Error> {
         TXBCTRL.into_iter().try_for_each(|control| self.modify(control, TXREQ, 0))?;
         if self.transmit.withdrawing().is_some() {
-            self.transmit.forget();
+            self.transmit.decide(Withdrawal::Withdrawn);
             self.modify(CANCTRL, ABAT, 0)?;
         }
         Ok(())

@@ -232,7 +232,7 @@ impl CanController for Can1 {
 
     /// What is being sent at this moment goes on to its end, and is not tried again.
     fn abort(&mut self) {
-        self.transmit.forget();
+        self.transmit.decide(Withdrawal::Withdrawn);
         CAN1.tsr().write(|w| {
             w.set_abrq(0, true);
             w.set_abrq(1, true);

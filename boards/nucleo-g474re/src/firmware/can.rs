@@ -213,7 +213,7 @@ impl CanController for Can {
 
     /// What is being sent at this moment goes on to its end, and is not tried again.
     fn abort(&mut self) {
-        self.transmit.forget();
+        self.transmit.decide(Withdrawal::Withdrawn);
         FDCAN1.txbcr().write_value(Txbcr(ALL_BUFFERS));
     }
 
