@@ -51,7 +51,7 @@ impl Client {
         match self {
             Self::Binary(client) => client.is_missed(),
             Self::Text(client) => client.is_missed(),
-            // Many masters connect anew for each request; a bus has a watchdog.
+            // Many masters reconnect for each request; a bus has a watchdog.
             Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => false,
         }
     }
@@ -59,7 +59,7 @@ impl Client {
     /// Returns the reaction to the client's end for a motion that it started by the register interface.
     pub(crate) const fn reaction_to_its_end(&self, config: &Config) -> SilenceReaction {
         match self {
-            // Many masters connect anew for each request.
+            // Many masters reconnect for each request.
             Self::Binary(_) | Self::Text(_) | Self::Modbus(_) => SilenceReaction::Hold,
             // The watchdog of the bus ends with its line.
             Self::Profibus(_) | Self::Images(_) => config.bus_reaction,

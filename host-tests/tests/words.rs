@@ -18,8 +18,11 @@ const REWRITTEN: &[&str] = &[
     "buses/slcan/src",
     "docs/SUMMARY.md",
     "docs/quick-start.md",
+    "gripper-sim/src",
     "protocol/src/driver/methods.rs",
     "protocol/src/driver/methods_of_gcl.rs",
+    "tool/src",
+    "xtask/src",
 ];
 
 /// Wordings, each with what to write instead.
@@ -44,6 +47,7 @@ fn root() -> PathBuf {
 }
 
 #[test]
+#[ignore = "needs typos: run `cargo xtask test`"]
 fn typos_finds_nothing_in_any_text() {
     let python = std::env::var_os(PYTHON_VARIABLE);
     let python = python.unwrap_or_else(|| panic!("{PYTHON_VARIABLE} is not set: run `cargo xtask test`"));
@@ -98,6 +102,7 @@ fn wordings(text: &str, is_rust: bool) -> impl Iterator<Item = (usize, &'static 
     let mut words: Vec<(usize, String)> = Vec::new();
     for (line, part) in prose {
         let part = part.to_lowercase();
+        let part = without_code(&part);
         let split = part.split(|char: char| !char.is_alphanumeric() && char != '\'' && char != '_');
         words.extend(split.filter(|word| !word.is_empty()).map(|word| (line, word.to_owned())));
         if part.is_empty() {
@@ -115,10 +120,19 @@ fn wordings(text: &str, is_rust: bool) -> impl Iterator<Item = (usize, &'static 
     })
 }
 
+/// Removes names of code, such as `behind` and {told}.
+fn without_code(text: &str) -> String {
+    let outside_ticks: String = text.split('`').step_by(2).collect::<Vec<_>>().join(" ");
+    let parts = outside_ticks.split('{').enumerate();
+    parts
+        .map(|(at, part)| if at == 0 { part } else { part.split_once('}').map_or(part, |(_, rest)| rest) })
+        .collect()
+}
+
 /// Returns the comments and the strings of a source, by lines. An empty part ends a comment.
 fn prose_of_source(source: &str) -> Vec<(usize, String)> {
     let mut prose = Vec::new();
-    for (index, line) in source.lines().enumerate() {
+    for (index, line) in source.replace("'\"'", "''").lines().enumerate() {
         // Only a comment of a whole line continues the one before.
         let (code, comment) = match line.split_once("//") {
             Some((code, comment)) if code.trim().is_empty() => ("", comment),

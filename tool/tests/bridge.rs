@@ -16,7 +16,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bus_modbus::rtu::Character;
-use document::hold_file;
+use document::{hold_file, read};
 use host_tests::addresses::{place, setting};
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
@@ -284,6 +284,26 @@ fn settings_are_changed_stored_restored_and_reset() {
         "{said}"
     );
     assert!(served.done(&["events"]).contains("SAVE_FAILED: the settings were not stored"));
+}
+
+#[test]
+fn commands_of_the_quick_start_set_up_the_bridge() {
+    let served = Served::new();
+    let text = read("docs/quick-start.md");
+    let commands = text.lines().filter_map(|line| line.strip_prefix("wsg bridge /dev/ttyACM0 "));
+    let mut answers = String::new();
+    for command in commands {
+        if command.starts_with("show SETTINGS_FROM") {
+            // The restart of the board.
+            served.act(ServiceBench::start);
+        }
+        answers.push_str(&served.done(&command.split(' ').collect::<Vec<_>>()));
+    }
+    assert!(answers.contains("stored\n"), "{answers}");
+    let shown = served.done(&["show", "PLC_BUS", "CAN_RATE", "CAN_NODE", "RECIPE0_WIDTH", "SETTINGS_FROM"]);
+    for value in ["2  CANopen", "250 kbit/s", "CAN_NODE               5\n", "20.00 mm", "1  stored"] {
+        assert!(shown.contains(value), "{value}: {shown}");
+    }
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Tools for individual checks, including nightly Rust: finds them, installs them if permitted, or reports what was not checked.
+//! Tools for individual checks, including nightly Rust: finds them, installs them if permitted, or reports the missing check.
 
 use std::process::Command;
 
@@ -72,7 +72,7 @@ pub(crate) const MIRI: Tool = Tool {
 };
 
 impl Tool {
-    /// Installs the tool if necessary. Fails with a note of what was not checked.
+    /// Installs the tool if necessary. Fails with a note of the missing check.
     pub(crate) fn require(&self, workspace: &Workspace, what_for: &str) -> Result<()> {
         if self.is_there(workspace) {
             return Ok(());

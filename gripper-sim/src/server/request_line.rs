@@ -40,7 +40,7 @@ enum Cut {
 impl RequestLine {
     /// Returns the line of the connection with this number.
     pub(super) const fn new(kind: PortKind, seed: u64, connection: u64) -> Self {
-        // Uses random numbers different from those of the replies.
+        // Other random numbers than the replies use.
         let line = FaultyLine::new(seed, !connection);
         Self { kind, held: Vec::new(), due: None, line }
     }

@@ -263,7 +263,7 @@ impl Event {
         format!("  {age:>10}  {name}{command}: {meaning}{value}\n{:14}remedy: {remedy}\n", "")
     }
 
-    /// Formats the event's value. `what` is its description in the event table: a status, a register, or a number.
+    /// Formats the event's value. `what` has its description in the event table: a status, a register, or a number.
     fn value_words(&self, what: &'static str) -> String {
         if what == "its status" {
             let status = Status::from_code(self.value);

@@ -140,7 +140,7 @@ pub(crate) enum Action {
         text: Option<String>,
     },
 
-    /// Reads what is connected to a finger's port
+    /// Reads the kind of electronics at a finger's port
     FingerInfo {
         /// Finger: 1 or 2
         #[arg(value_parser = finger)]

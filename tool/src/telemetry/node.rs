@@ -52,7 +52,7 @@ pub(super) struct Node {
 #[derive(Debug)]
 struct Device {
     table: &'static [Metric],
-    /// Command state of a device that accepts commands. Its command metrics follow those of the table.
+    /// Command state of a device that accepts commands. Its command metrics follow the metrics of the table.
     commanding: Option<Commanding>,
     /// Topic of its commands (DCMD).
     command: Rc<str>,

@@ -93,7 +93,7 @@ mod tests {
 
     #[test]
     fn number_continues_after_a_restart_and_wraps_at_255() {
-        let path = path_of("goes-on");
+        let path = path_of("continues");
         fs::write(&path, "bdSeq = 254\n").unwrap();
 
         let mut first = Sequence::open(&path).unwrap();

@@ -188,7 +188,7 @@ impl Setting {
     /// Checks a value against the kind of the setting.
     ///
     /// # Errors
-    /// The value is invalid. The message states the line, the value and what was expected.
+    /// The value is invalid. The message states the line, the value and the expected one.
     pub(super) fn check(&self, text: &str, place: &Place) -> Result<()> {
         let wrong = |expected: &str| {
             Err(anyhow!("{place}: {}.{} = {text:?}; expected {expected}", self.section, self.name))

@@ -32,7 +32,7 @@ fn telegram_ends_the_search_until_five_seconds_without_one() {
     assert_eq!(search.poll(4_000, 2), None);
     assert_eq!(run(&mut search, 4_000..9_001, 2), [(9_000, Baud::M1_5)]);
     assert_eq!((search.is_found(), search.baud()), (false, Some(Baud::M1_5)));
-    assert_eq!(run(&mut search, 9_001..9_108, 2), [(9_107, Baud::K9_6)], "the search goes on");
+    assert_eq!(run(&mut search, 9_001..9_108, 2), [(9_107, Baud::K9_6)], "the search continues");
 }
 
 #[test]

@@ -173,7 +173,7 @@ impl phy::Device for Wire {
         let mut capabilities = DeviceCapabilities::default();
         capabilities.medium = Medium::Ethernet;
         capabilities.max_transmission_unit = MAX_FRAME_LEN;
-        // Frames from the same machine do not have a checksum yet; those of other machines were verified by a lower layer.
+        // Frames from the same machine do not have a checksum yet. A lower layer has verified the frames of other machines.
         capabilities.checksum.udp = Checksum::Tx;
         capabilities
     }

@@ -97,7 +97,7 @@ fn unresolved_address_does_not_block_the_next_answer() {
     stack.receive(0, &arp(1, IP.address));
     sent(&mut stack);
     for last in 100..110 {
-        assert!(stack.send(0, Endpoint { address: [192, 168, 0, last], port: 1 }, b"nobody"));
+        assert!(stack.send(0, Endpoint { address: [192, 168, 0, last], port: 1 }, b"no station"));
     }
     sent(&mut stack);
     assert!(stack.send(0, Endpoint { address: [192, 168, 0, 1], port: 1 }, b"somebody"));
