@@ -17,6 +17,7 @@ const REWRITTEN: &[&str] = &[
     "buses/profinet/src",
     "buses/slcan/src",
     "docs/SUMMARY.md",
+    "docs/protocol.md",
     "docs/quick-start.md",
     "gripper-sim/src",
     "protocol/src/driver/methods.rs",
