@@ -19,6 +19,7 @@ const REWRITTEN: &[&str] = &[
     "docs/SUMMARY.md",
     "docs/protocol.md",
     "docs/quick-start.md",
+    "docs/simulator.md",
     "docs/streaming.md",
     "gripper-sim/src",
     "protocol/src/driver/methods.rs",
