@@ -17,6 +17,7 @@ const REWRITTEN: &[&str] = &[
     "buses/profinet/src",
     "buses/slcan/src",
     "docs/SUMMARY.md",
+    "docs/models.md",
     "docs/protocol.md",
     "docs/quick-start.md",
     "docs/simulator.md",
