@@ -20,6 +20,7 @@ const REWRITTEN: &[&str] = &[
     "docs/models.md",
     "docs/protocol.md",
     "docs/quick-start.md",
+    "docs/scripts.md",
     "docs/simulator.md",
     "docs/streaming.md",
     "gripper-sim/src",
