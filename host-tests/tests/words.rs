@@ -18,6 +18,7 @@ const REWRITTEN: &[&str] = &[
     "buses/slcan/src",
     "docs/SUMMARY.md",
     "docs/models.md",
+    "docs/profinet.md",
     "docs/protocol.md",
     "docs/quick-start.md",
     "docs/scripts.md",
