@@ -17,6 +17,7 @@ const REWRITTEN: &[&str] = &[
     "buses/profinet/src",
     "buses/slcan/src",
     "docs/SUMMARY.md",
+    "docs/demo.md",
     "docs/models.md",
     "docs/profinet.md",
     "docs/protocol.md",
