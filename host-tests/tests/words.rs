@@ -19,6 +19,7 @@ const REWRITTEN: &[&str] = &[
     "docs/SUMMARY.md",
     "docs/demo.md",
     "docs/models.md",
+    "docs/porting.md",
     "docs/profinet.md",
     "docs/protocol.md",
     "docs/quick-start.md",
