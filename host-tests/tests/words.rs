@@ -28,6 +28,7 @@ const REWRITTEN: &[&str] = &[
     "docs/simulator.md",
     "docs/streaming.md",
     "gripper-sim/src",
+    "protocol/README.md",
     "protocol/src/driver/methods.rs",
     "protocol/src/driver/methods_of_gcl.rs",
     "tool/src",
