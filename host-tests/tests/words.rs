@@ -27,6 +27,7 @@ const REWRITTEN: &[&str] = &[
     "docs/scripts.md",
     "docs/simulator.md",
     "docs/streaming.md",
+    "fieldbus/README.md",
     "gripper-sim/src",
     "protocol/README.md",
     "protocol/src/driver/methods.rs",
