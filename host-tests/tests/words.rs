@@ -23,6 +23,7 @@ const REWRITTEN: &[&str] = &[
     "buses/slcan/README.md",
     "buses/slcan/src",
     "docs/SUMMARY.md",
+    "docs/commissioning.md",
     "docs/demo.md",
     "docs/models.md",
     "docs/porting.md",
