@@ -1,4 +1,4 @@
-//! What a PLC has asked for: the rules of docs/wiring.md ("What the inputs do") and docs/registers.md ("Who commands"), and
+//! What a PLC has asked for: the rules of docs/wiring.md ("Inputs") and docs/registers.md ("Who commands"), and
 //! whether a command that leaves the bridge was asked for by them.
 //!
 //! - An edge lets one command out, with the parameters of its side: of the recipe, or of the image. What else was asked for

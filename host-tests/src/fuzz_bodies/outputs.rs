@@ -1,4 +1,4 @@
-//! What the wires to the PLC may say: the rules of docs/wiring.md ("What the outputs say"), from what the gripper has told the
+//! What the wires to the PLC may say: the rules of docs/wiring.md ("Outputs"), from what the gripper has told the
 //! bridge and what the PLC has asked for.
 
 use wsg_bridge_fw::io::Outputs;
