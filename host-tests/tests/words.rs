@@ -27,6 +27,7 @@ const REWRITTEN: &[&str] = &[
     "docs/demo.md",
     "docs/models.md",
     "docs/porting.md",
+    "docs/profibus.md",
     "docs/profinet.md",
     "docs/protocol.md",
     "docs/quick-start.md",
