@@ -32,6 +32,7 @@ const REWRITTEN: &[&str] = &[
     "docs/protocol.md",
     "docs/quick-start.md",
     "docs/scripts.md",
+    "docs/service-port.md",
     "docs/simulator.md",
     "docs/streaming.md",
     "fieldbus/README.md",
