@@ -25,6 +25,7 @@ const REWRITTEN: &[&str] = &[
     "docs/SUMMARY.md",
     "docs/commissioning.md",
     "docs/demo.md",
+    "docs/grip-cycle.md",
     "docs/models.md",
     "docs/porting.md",
     "docs/profibus.md",
