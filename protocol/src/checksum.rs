@@ -1,32 +1,32 @@
-//! The checksum that closes every frame (command set, 1.2.1 and appendix D).
+//! The checksum at the end of every frame (command set, 1.2.1 and appendix D).
 //!
-//! It is no catalogue CRC: the manual combines the MSB-first table of polynomial 1021h with a right-shifting
-//! update, `c = T[(c ^ b) & FFh] ^ (c >> 8)`, start FFFFh, low byte sent first. No set of CRC parameters yields
-//! these values, so the table is our own. It is computed at compile time.
+//! This is not a standard CRC. The manual combines the MSB-first table of polynomial 1021h with a right-shifting
+//! update: `c = T[(c ^ b) & FFh] ^ (c >> 8)`, start value FFFFh, low byte sent first. No set of CRC parameters yields
+//! these values, so the table is computed here, at compile time.
 //!
-//! The table is linear in its index, so `T[b] = T[b & F0h] ^ T[b & 0Fh]`, and `T[b & F0h]` is made of two of the first 16
-//! entries as well; the feature `small-table` uses that to keep 32 bytes instead of 512, for a few more instructions per
-//! byte.
+//! The table is linear in its index: `T[b] = T[b & F0h] ^ T[b & 0Fh]`, and `T[b & F0h]` is the combination of two of
+//! the first 16 entries. The feature `small-table` uses this to store 32 bytes instead of 512, at the cost of a few
+//! instructions per byte.
 //!
 //! ```
 //! use wsg_protocol::checksum;
 //!
 //! // The manual's first example: AAAAAA 01 0000, checksum 10E8h, sent as E8 10.
 //! assert_eq!(checksum::of(&[0xAA, 0xAA, 0xAA, 0x01, 0x00, 0x00]), 0x10E8);
-//! // Over a whole frame, checksum included, it is 0.
+//! // The checksum of a whole frame, including its checksum field, is 0.
 //! assert_eq!(checksum::of(&[0xAA, 0xAA, 0xAA, 0x01, 0x00, 0x00, 0xE8, 0x10]), 0);
 //! ```
 
-/// The value before the first byte.
+/// Start value of the checksum, before the first byte.
 pub const START: u16 = 0xFFFF;
 
-/// The value after the three preamble bytes AAh AAh AAh: where a parser starts when the preamble is known.
+/// Checksum after the three preamble bytes AAh AAh AAh. Parsers start from it after they have found a preamble.
 pub const AFTER_PREAMBLE: u16 = update(update(update(START, 0xAA), 0xAA), 0xAA);
 
-/// The generator polynomial of the table, without its leading term.
+/// Generator polynomial of the table, without its leading term.
 const POLYNOMIAL: u16 = 0x1021;
 
-/// One entry of the MSB-first table.
+/// Computes one entry of the MSB-first table.
 const fn entry(index: u8) -> u16 {
     let mut value = (index as u16) << 8;
     let mut bit = 0u8;
@@ -37,7 +37,7 @@ const fn entry(index: u8) -> u16 {
     value
 }
 
-/// The first entries of the table, as many as are asked for.
+/// Computes the first `N` entries of the table.
 const fn entries<const N: usize>() -> [u16; N] {
     let mut table = [0; N];
     let mut index = 0usize;
@@ -57,7 +57,7 @@ mod lookup {
 
     #[expect(
         clippy::indexing_slicing,
-        reason = "a u8 always indexes 256 entries: no check is left in the code"
+        reason = "a u8 always indexes 256 entries, so no bounds check is generated"
     )]
     pub(super) fn table(index: u8) -> u16 {
         TABLE[index as usize]
@@ -66,12 +66,12 @@ mod lookup {
 
 #[cfg(feature = "small-table")]
 mod lookup {
-    /// The first 16 entries: what four bits come to.
+    /// The first 16 entries, one for each value of four bits.
     static TABLE: [u16; 16] = super::entries();
 
     #[expect(
         clippy::indexing_slicing,
-        reason = "four bits always index 16 entries: no check is left in the code"
+        reason = "four bits always index 16 entries, so no bounds check is generated"
     )]
     pub(super) fn table(index: u8) -> u16 {
         let high = TABLE[(index >> 4) as usize];
@@ -79,13 +79,13 @@ mod lookup {
     }
 }
 
-/// Takes one byte into the running value, at compile time: the same as [`push`] without the table.
+/// Updates the checksum with one byte, without the table. Equal to [`push`], but usable at compile time.
 #[must_use]
 pub const fn update(value: u16, byte: u8) -> u16 {
     entry((value as u8) ^ byte) ^ (value >> 8)
 }
 
-/// Takes one byte into the running value.
+/// Updates the checksum with one byte.
 #[must_use]
 #[cfg_attr(feature = "small-table", inline(never))]
 #[cfg_attr(not(feature = "small-table"), inline)]
@@ -93,7 +93,7 @@ pub fn push(value: u16, byte: u8) -> u16 {
     lookup::table((value as u8) ^ byte) ^ (value >> 8)
 }
 
-/// Takes a slice into the running value.
+/// Updates the checksum with a slice.
 #[must_use]
 #[inline]
 pub fn push_slice(value: u16, bytes: &[u8]) -> u16 {
@@ -102,7 +102,7 @@ pub fn push_slice(value: u16, bytes: &[u8]) -> u16 {
     rest.iter().fold(value, |value, &byte| push(value, byte))
 }
 
-/// Takes a slice into the running value while it is copied to the front of `target`, which is no shorter.
+/// Updates the checksum with `source` while copying it to the front of `target`, which must be at least as long.
 #[inline]
 pub(crate) fn push_copied(value: u16, source: &[u8], target: &mut [u8]) -> u16 {
     let mut value = value;
@@ -120,16 +120,16 @@ pub(crate) fn push_copied(value: u16, source: &[u8], target: &mut [u8]) -> u16 {
     value
 }
 
-// Tests hold both ways to take a chunk, whatever the processor they run on.
+// Tests cover both chunk lengths, whatever the processor they run on.
 #[cfg(any(feature = "small-table", not(target_pointer_width = "64")))]
 use chunk_of_4 as chunk;
 #[cfg(not(any(feature = "small-table", not(target_pointer_width = "64"))))]
 use chunk_of_8 as chunk;
 
-/// Takes several bytes into the running value.
+/// Updates the checksum with several bytes at once.
 ///
-/// [`push`] is linear, so the value and all the bytes lie in one word, which a byte leaves with each step: nothing is
-/// read or combined byte by byte but the table.
+/// [`push`] is linear, so the checksum and all bytes share one word that is shifted by a byte per step. Only the table
+/// look-ups are made byte by byte.
 #[cfg(any(test, feature = "small-table", not(target_pointer_width = "64")))]
 mod chunk_of_4 {
     use super::lookup;
@@ -144,13 +144,13 @@ mod chunk_of_4 {
     }
 }
 
-/// The same where flash is no matter: a table for each byte of the word, 4 KiB in all, so that no look-up waits for the
-/// one before.
+/// Updates the checksum with several bytes at once, for targets with enough flash. Each byte of the word has its own
+/// table (4 KiB in total), so no look-up depends on the previous one.
 #[cfg(any(test, not(any(feature = "small-table", not(target_pointer_width = "64")))))]
 mod chunk_of_8 {
     pub(super) const LEN: usize = 8;
 
-    /// What a byte comes to that so many others follow.
+    /// The contribution of a byte that is followed by `index` more bytes.
     static TABLES: [[u16; 256]; LEN] = {
         let mut tables = [[0; 256]; LEN];
         let mut index = 0usize;
@@ -178,14 +178,14 @@ mod chunk_of_8 {
         let word = (u64::from_le_bytes(bytes) ^ u64::from(value)).to_le_bytes();
         #[expect(
             clippy::indexing_slicing,
-            reason = "a u8 always indexes 256 entries: no check is left in the code"
+            reason = "a u8 always indexes 256 entries, so no bounds check is generated"
         )]
         let part = |(table, byte): (&[u16; 256], u8)| table[byte as usize];
         TABLES.iter().rev().zip(word).map(part).fold(0, |sum, part| sum ^ part)
     }
 }
 
-/// The checksum of a whole message, preamble included.
+/// Returns the checksum of a whole message, including its preamble.
 #[must_use]
 pub fn of(bytes: &[u8]) -> u16 {
     push_slice(START, bytes)
@@ -237,7 +237,7 @@ mod tests {
         }
     }
 
-    /// Both chunks that come next, against their bytes.
+    /// Asserts that both chunk lengths give the same result as their bytes one by one.
     #[track_caller]
     fn assert_chunks_agree(value: u16, bytes: [u8; chunk_of_8::LEN]) {
         let by_byte = |bytes: &[u8]| bytes.iter().fold(value, |value, &byte| update(value, byte));
@@ -249,7 +249,7 @@ mod tests {
     #[test]
     fn chunks_of_either_length_are_taken_in_like_their_bytes() {
         for n in 0..1_000u128 {
-            // Any bits do that are the same at every run: multiples of the golden ratio.
+            // Reproducible pseudo-random bits: multiples of the golden ratio.
             let bits = n.wrapping_mul(0x9E37_79B9_7F4A_7C15_F39C_C060_5CED_C835);
             assert_chunks_agree((bits >> 112) as u16, (bits as u64).to_le_bytes());
         }

@@ -1,4 +1,4 @@
-//! Requests: every command of the manual's chapter 3, to be sent and to be understood.
+//! Requests: every command of the manual's chapter 3, for encoding and decoding.
 
 use core::hash::{Hash, Hasher};
 
@@ -9,20 +9,20 @@ use crate::types::{
     AckKey, AutoUpdate, DeviceTag, HomingDirection, LoopData, PrePositionFlags, SoftLimits, Status,
 };
 
-/// What a command is for, which decides how a controller may treat it.
+/// The kind of a command, which determines how a controller may treat it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Kind {
-    /// About the connection itself.
+    /// Concerns the connection itself.
     Connection,
-    /// Moves the fingers: never sent a second time on its own, and answered twice.
+    /// Moves the fingers. It is never repeated automatically and has two replies.
     Motion,
-    /// Ends motion: may be sent again until it is answered.
+    /// Ends a motion. It may be repeated until it is answered.
     Stop,
-    /// Unlocks motion: never sent a second time on its own.
+    /// Unlocks motion. It is never repeated automatically.
     Acknowledge,
-    /// Changes a setting.
+    /// Changes a setting of the gripper.
     Setting,
-    /// Asks for a value.
+    /// Queries a value from the gripper.
     Query,
 }
 
@@ -38,15 +38,15 @@ macro_rules! define_commands {
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
         pub enum CommandId {
             $(#[doc = concat!($title, " (", $code, "), ", $section, ".")] $name,)*
-            /// An id that the manual does not list: a script on the gripper may serve it (A0h to BFh are in use).
+            /// An id that the manual does not define. A script on the gripper may use it (A0h to BFh are in use).
             Unknown(u8),
         }
 
         impl CommandId {
-            /// Every command of the manual, by id.
+            /// All commands of the manual, in the order of their ids.
             pub const ALL: &'static [Self] = &[$(Self::$name),*];
 
-            /// The id byte.
+            /// Returns the id byte of the command.
             #[must_use]
             pub const fn code(self) -> u8 {
                 match self {
@@ -55,8 +55,8 @@ macro_rules! define_commands {
                 }
             }
 
-            /// The command with this id byte.
-            // Asked in several places: once in the image.
+            /// Returns the command with this id byte.
+            // Used in several places, so it is not inlined to save flash.
             #[inline(never)]
             #[must_use]
             pub const fn from_code(code: u8) -> Self {
@@ -66,7 +66,8 @@ macro_rules! define_commands {
                 }
             }
 
-            /// The manual's name of it; `script command` for A0h to BFh, which scripts on the gripper answer.
+            /// Returns the manual's name of the command, or `script command` for A0h to BFh, which are used by scripts
+            /// on the gripper.
             #[must_use]
             pub const fn name(self) -> &'static str {
                 match self {
@@ -76,7 +77,8 @@ macro_rules! define_commands {
                 }
             }
 
-            /// The section of the command set manual that describes it; empty for an unknown one.
+            /// Returns the section of the command set manual that describes the command, or an empty string for an
+            /// unknown one.
             #[must_use]
             pub const fn section(self) -> &'static str {
                 match self {
@@ -85,7 +87,7 @@ macro_rules! define_commands {
                 }
             }
 
-            /// What it is for. An unknown one counts as a motion: it may move the fingers.
+            /// Returns the kind of the command. An unknown command counts as a motion because it may move the fingers.
             #[must_use]
             pub const fn kind(self) -> Kind {
                 match self {
@@ -94,7 +96,7 @@ macro_rules! define_commands {
                 }
             }
 
-            /// The status codes that the manual lists for its first answer.
+            /// Returns the status codes that the manual lists for the first reply.
             #[must_use]
             pub const fn immediate_statuses(self) -> &'static [Status] {
                 match self {
@@ -103,8 +105,8 @@ macro_rules! define_commands {
                 }
             }
 
-            /// The status codes that the manual lists for its second answer; none when there is no second one.
-            // Asked in several places: once in the image.
+            /// Returns the status codes that the manual lists for the second reply; empty if there is no second reply.
+            // Used in several places, so it is not inlined to save flash.
             #[inline(never)]
             #[must_use]
             pub const fn completion_statuses(self) -> &'static [Status] {
@@ -126,7 +128,7 @@ macro_rules! define_commands {
         /// assert_eq!(undefined, Err(DecodeError::UndefinedValue));
         /// ```
         #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
-        // A tag of one byte would leave eleven behind it, which are copied by a call and byte by byte.
+        // A one-byte tag would be followed by eleven more bytes, which are copied one by one in a function call.
         #[repr(u32)]
         pub enum Command<'a> {
             $(
@@ -135,17 +137,17 @@ macro_rules! define_commands {
                 #[doc = concat!($title, " (", $code, "), ", $section, ".")]
                 $name $({ $($(#[$field_doc])* $field: $type),+ })?,
             )*
-            /// A command that the manual does not list, as it stands in the frame.
+            /// A command that the manual does not define, as received.
             Unknown {
-                /// The id byte.
+                /// The id byte of the command.
                 id: u8,
-                /// The payload.
+                /// The undecoded payload.
                 payload: &'a [u8],
             },
         }
 
         impl<'a> Command<'a> {
-            /// The id of this command.
+            /// Returns the id of the command.
             #[must_use]
             pub const fn id(&self) -> CommandId {
                 match self {
@@ -154,10 +156,10 @@ macro_rules! define_commands {
                 }
             }
 
-            /// The command in a frame.
+            /// Decodes the command in a frame.
             ///
             /// # Errors
-            /// What the manual forbids is refused, and says why.
+            /// Returns a [`DecodeError`] if the payload violates the manual.
             pub fn decode(frame: &Frame<'a>) -> Result<Self, DecodeError> {
                 let mut input = frame.payload;
                 let command = match CommandId::from_code(frame.id) {
@@ -167,10 +169,10 @@ macro_rules! define_commands {
                 if input.is_empty() { Ok(command) } else { Err(DecodeError::TooLong) }
             }
 
-            /// Whether a gripper may take it: finite numbers, defined bits.
+            /// Checks the parameters as a gripper does: finite numbers, and no undefined bits.
             ///
             /// # Errors
-            /// The refusal that decoding its frame would give.
+            /// Returns the error that decoding its frame would return.
             pub fn check(&self) -> Result<(), DecodeError> {
                 match self {
                     $(Self::$name $({ $($field),+ })? => {
@@ -182,7 +184,7 @@ macro_rules! define_commands {
             }
         }
 
-        /// By id and payload.
+        /// Hashes id and payload.
         impl Hash for Command<'_> {
             fn hash<H: Hasher>(&self, state: &mut H) {
                 state.write_u8(self.id().code());
@@ -219,7 +221,7 @@ macro_rules! define_commands {
         }
 
         impl core::fmt::Display for Command<'_> {
-            /// Id, name and parameters with their units: `25h Grip Part 20.0 mm 50.0 mm/s`.
+            /// Formats id, name and parameters with their units: `25h Grip Part 20.0 mm 50.0 mm/s`.
             fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
                 let id = self.id();
                 write!(f, "{id}")?;
@@ -244,14 +246,14 @@ macro_rules! define_commands {
 for_each_command!(define_commands);
 
 impl CommandId {
-    /// Whether the manual lists this status code for this command, in its first or second answer.
+    /// Returns whether the manual lists this status code for the first or second reply to this command.
     #[must_use]
     pub fn may_answer(self, status: Status) -> bool {
         self.immediate_statuses().contains(&status) || self.completion_statuses().contains(&status)
     }
 
-    /// Whether sending it a second time changes nothing, so that a lost answer may be asked for again. For Get Gripping
-    /// Statistics that is so without a reset only: see [`Command::is_repeatable`].
+    /// Returns whether the command can be sent twice with the same effect as once, so it may be repeated after a lost
+    /// reply. For Get Gripping Statistics this requires a request without reset; see [`Command::is_repeatable`].
     #[must_use]
     pub const fn is_repeatable(self) -> bool {
         match self.kind() {
@@ -261,7 +263,7 @@ impl CommandId {
         }
     }
 
-    /// The status code that the manual asks a gripper to answer with when it refuses a request.
+    /// Returns the status code with which a gripper rejects a request with this error, according to the manual.
     #[must_use]
     pub fn status_of(self, refusal: DecodeError) -> Status {
         let listed = |status: Status| self.immediate_statuses().contains(&status);
@@ -288,24 +290,25 @@ impl CommandId {
 }
 
 impl core::fmt::Display for CommandId {
-    /// The id as the manual writes it, and the name: `25h Grip Part`.
+    /// Formats the id as in the manual, and the name: `25h Grip Part`.
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(f, "{:02X}h {}", self.code(), self.name())
     }
 }
 
-/// The key of [`Command::Acknowledge`], ready to send.
+/// The ready-to-send form of [`Command::Acknowledge`].
 impl Command<'_> {
-    /// Acknowledges a FAST STOP or a fault.
+    /// A request that acknowledges a FAST STOP or a fault.
     pub const ACKNOWLEDGE: Self = Self::Acknowledge { key: AckKey };
 
-    /// Whether sending it a second time changes nothing, so that a lost answer may be asked for again.
+    /// Returns whether the command can be sent twice with the same effect as once, so it may be repeated after a lost
+    /// reply.
     ///
     /// ```
     /// use wsg_protocol::Command;
     ///
     /// assert!(Command::GetGrippingStatistics { reset: false }.is_repeatable());
-    /// // The counts that the lost answer brought would be gone.
+    /// // The statistics in the lost reply would be gone.
     /// assert!(!Command::GetGrippingStatistics { reset: true }.is_repeatable());
     /// assert!(!Command::GripPart { width: 20.0, speed: 50.0 }.is_repeatable());
     /// ```
@@ -314,8 +317,8 @@ impl Command<'_> {
         !matches!(self, Self::GetGrippingStatistics { reset: true }) && self.id().is_repeatable()
     }
 
-    /// The longest request without the ones of variable length (Loop, Set Device Tag, unknown ones): Pre-position
-    /// Fingers, in bytes of payload.
+    /// Maximum payload length in bytes of a request with fixed length (all but Loop, Set Device Tag and unknown
+    /// commands): that of Pre-position Fingers.
     pub const MAX_FIXED_LEN: usize = 9;
 }
 

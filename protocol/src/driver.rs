@@ -1,43 +1,43 @@
-//! A gripper as an object with methods: blocking over `embedded-io`, async over `embedded-io-async`.
+//! Drivers that present a gripper as an object: blocking over `embedded-io`, and async over `embedded-io-async`.
 //!
 //! | module | over | feature |
 //! |---|---|---|
 //! | `blocking` | a `Transport` (`embedded_io::{Read, ReadReady, Write}` and a way to wait) and a [`Clock`] | `embedded-io` |
 //! | `asynch` | `embedded_io_async::{Read, Write}` and a [`Timer`] | `embedded-io-async` |
-//! | `host` | `blocking` on a computer: TCP, UDP, serial ports, the clock | `std` |
-//! | `stream` | set-points at a fixed rate from a worker thread, and a feed of the state, over `blocking` | `std` |
-//! | `tokio` | `asynch` on tokio: the same | `tokio` |
+//! | `host` | `blocking` on a PC: TCP, UDP, serial ports and a clock | `std` |
+//! | `stream` | set-points at a fixed rate from a worker thread, with state feedback, over `blocking` | `std` |
+//! | `tokio` | `asynch` on tokio: TCP, UDP, serial ports and a timer | `tokio` |
 //!
-//! Both have the same methods, and both are thin: a [`Session`](crate::session::Session) decides what is sent and what an
-//! answer means, a [`FrameParser`](crate::FrameParser) finds the frames.
+//! Both drivers have the same methods, and both are thin. A [`Session`](crate::session::Session) decides what to send
+//! and interprets the replies, and a [`FrameParser`](crate::FrameParser) finds the frames.
 //!
-//! Both speak either protocol: `Gripper` the [binary](Binary) one, `GclGripper` the text protocol, GCL (feature
-//! `gcl`). Methods,
-//! results and errors are the same, so that a program changes the protocol where it says which gripper it means:
+//! Both support both protocols: `Gripper` uses the [binary](Binary) protocol and `GclGripper` the text protocol, GCL
+//! (feature `gcl`). Methods, results and errors are identical, so a program selects the protocol by the type it
+//! imports:
 //!
 //! ```
 //! # #[cfg(all(feature = "embedded-io", feature = "gcl"))]
 //! use wsg_protocol::driver::blocking::GclGripper as Gripper; // or: use wsg_protocol::driver::blocking::Gripper;
 //! ```
 //!
-//! What GCL cannot say is [`Error::NotInGcl`], before anything is sent; `Gcl` lists it. What the drivers add:
+//! A request that GCL does not support returns [`Error::NotInGcl`] before anything is sent; `Gcl` lists them. The
+//! drivers add:
 //!
-//! - **Typed results.** [`Grip`] tells a part from none; [`Error`] tells whose fault it is.
-//! - **Two steps for a motion, if wanted.** `begin_grip` comes back with E_CMD_PENDING and a [`Pending`]; meanwhile
-//!   anything may be asked, and `wait` or `poll` has the result.
-//! - **One write for a frame**, so that over TCP a frame is one segment, as clients and grippers in the field expect.
-//! - **Nothing leaves late.** What a dropped future (or a call that failed half way) had asked for and was not sent is
-//!   taken back; what was sent is awaited before the next request, so that no answer is taken for another's. Only Stop
-//!   and FAST STOP leave in any case.
-//! - **No idle waits.** What is due is sent before anything is waited for, and the wait ends with the first byte. A query over
-//!   loopback TCP takes about 1.2 times as long as a bare socket with the same bytes.
-//! - **Stop from any thread**, by feature `std`: a `StopHandle` writes Stop or FAST STOP to the socket itself, while a call
-//!   waits or between calls, and the program learns of it by [`Error::Stopped`].
-//! - **A proper end.** A gripper that is dropped announces the end of its TCP connection, so that it does not enter FAST STOP.
-//!   `with_connection` runs a program that may leave by `?`, and also waits for the confirmation.
+//! - **Typed results.** [`Grip`] distinguishes a held part from no part, and [`Error`] identifies the cause.
+//! - **Two-step motions.** `begin_grip` returns a [`Pending`] after E_CMD_PENDING. Other requests are possible
+//!   meanwhile, and `wait` or `poll` returns the result.
+//! - **One write per frame**, so over TCP each frame is one segment, as clients and grippers in the field expect.
+//! - **No late requests.** Unsent requests of a dropped future or a failed call are withdrawn. Requests already sent
+//!   are awaited before the next one, so replies are never mixed up. Only Stop and FAST STOP are sent in any case.
+//! - **No idle waits.** Due messages are sent before any wait, and a wait ends with the first received byte. A query
+//!   over loopback TCP takes about 1.2 times as long as over a bare socket with the same bytes.
+//! - **Stop from any thread** (feature `std`): a `StopHandle` writes Stop or FAST STOP directly to the socket, during a
+//!   call or between calls. The program is notified by [`Error::Stopped`].
+//! - **Orderly disconnect.** Dropping a gripper announces the end of its TCP connection, so that it does not enter FAST
+//!   STOP. `with_connection` runs a closure that may return early with `?`, and also waits for the confirmation.
 //!
-//! Nothing runs by itself: the driver receives only while one of its methods is called. A program without a request calls
-//! `next_update` several times a second, so that the buffer of the transport does not overflow.
+//! There is no background task: the driver receives only while one of its methods is called. An idle program must call
+//! `next_update` several times a second, so that the transport's buffer does not overflow.
 
 #[cfg(feature = "embedded-io-async")]
 pub mod asynch;
@@ -54,7 +54,7 @@ mod gcl;
 #[cfg(feature = "std")]
 pub mod host;
 mod link;
-// GCL after the binary protocol, so that the documentation begins with the latter.
+// GCL follows the binary protocol, so that the documentation begins with the latter.
 #[macro_use]
 mod methods;
 #[cfg(feature = "gcl")]
@@ -94,7 +94,7 @@ use crate::{frame, session};
 
 /// The caller's clock.
 ///
-/// A closure is one:
+/// Implemented by closures:
 ///
 /// ```
 /// use wsg_protocol::Instant;
@@ -105,12 +105,12 @@ use crate::{frame, session};
 /// assert!(clock.now().as_millis() < 1_000);
 /// ```
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no clock of a driver",
+    message = "`{Self}` is not a driver clock",
     label = "this needs `wsg_protocol::driver::Clock`",
-    note = "a closure that returns a `wsg_protocol::Instant` is one"
+    note = "a closure that returns a `wsg_protocol::Instant` implements it"
 )]
 pub trait Clock {
-    /// This moment.
+    /// Returns the current time.
     fn now(&mut self) -> Instant;
 }
 
@@ -142,36 +142,36 @@ impl<F: FnMut() -> Instant> Clock for F {
 /// }
 /// ```
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no timer of the async driver",
+    message = "`{Self}` is not a timer for the async driver",
     label = "this needs `wsg_protocol::driver::Timer`",
-    note = "the documentation of `Timer` has one for embassy; a closure is a clock, but cannot wake a task"
+    note = "see the documentation of `Timer` for embassy; a closure is a clock but cannot wake a task"
 )]
 pub trait Timer: Clock {
-    /// Is ready at this moment, or soon after it. It is dropped when something else happens first.
+    /// Completes at this instant or soon after it. The future is dropped if something else happens first.
     fn wait_until(&mut self, moment: Instant) -> impl Future<Output = ()>;
 }
 
-/// What can be set about a driver.
+/// Driver settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Config {
     /// Time-outs, subscriptions and read-back.
     pub session: session::Config,
-    /// After how long without a byte half a frame is given up, in milliseconds.
+    /// Time-out between the bytes of an incomplete frame, which is then discarded, in milliseconds.
     pub half_frame_ms: u32,
-    /// How long `connect` tries, in milliseconds.
+    /// Time-out of `connect`, in milliseconds.
     pub connect_timeout_ms: u32,
 }
 
 impl Config {
-    /// The session's defaults, with settings read back; half a frame is waited for for 20 ms, which is some 230 bytes at
-    /// 115 200 bit/s; a gripper is looked for for 3 s.
+    /// The session's defaults with read-back of settings. An incomplete frame is discarded after 20 ms, which is the
+    /// time of about 230 bytes at 115 200 bit/s. `connect` times out after 3 s.
     pub const DEFAULT: Self = Self {
         session: session::Config { verify_settings: true, ..session::Config::DEFAULT },
         half_frame_ms: 20,
         connect_timeout_ms: 3_000,
     };
 
-    /// How long the confirmation of a FAST STOP is waited for.
+    /// Returns the time-out for the confirmation of a FAST STOP, in milliseconds.
     fn confirmation_ms(&self) -> u32 {
         self.session.reply_timeout_ms.saturating_mul(u32::from(self.session.attempts).saturating_add(1))
     }
@@ -183,22 +183,22 @@ impl Default for Config {
     }
 }
 
-/// What a grip came to (command set, 3.2.6).
+/// The result of a grip (command set, 3.2.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Grip {
     /// A part is held with the gripping force.
     Held,
-    /// The fingers closed and found no part, or did not build up the force (E_CMD_FAILED).
+    /// The fingers closed without finding a part or without building up the force (E_CMD_FAILED).
     NoPart,
 }
 
-/// What Pre-position Fingers does when something is in the way (command set, 3.2.2).
+/// The reaction of Pre-position Fingers to an obstacle (command set, 3.2.2).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub enum OnBlock {
-    /// The motor is turned off.
+    /// The motor is turned off at the obstacle.
     #[default]
     Stop,
-    /// The fingers clamp with half of the nominal force, and move on when the way is free.
+    /// The fingers clamp with half of the nominal force, and continue when the obstacle is gone.
     Clamp,
 }
 
@@ -211,12 +211,12 @@ impl OnBlock {
     }
 }
 
-/// How the fingers are stopped; FAST STOP is the greater one.
+/// The kind of stop. FAST STOP is ordered above Stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, crate::Format)]
 pub enum StopKind {
-    /// Stop: the next motion is possible at once (command set, 3.2.3).
+    /// Stop: the next motion is possible immediately (command set, 3.2.3).
     Stop,
-    /// FAST STOP: the fingers are locked until it is acknowledged (command set, 3.2.4).
+    /// FAST STOP: the fingers are locked until acknowledged (command set, 3.2.4).
     FastStop,
 }
 
@@ -229,15 +229,15 @@ impl StopKind {
     }
 }
 
-/// What a stop handle has requested.
+/// A stop requested by a stop handle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct StopRequest {
     kind: StopKind,
-    /// The handle has sent it, too.
+    /// Whether the handle has already sent it.
     is_sent: bool,
 }
 
-/// The longest message of a stop: `FASTSTOP()` and a line feed.
+/// Length of the longest stop message, `FASTSTOP()` and a line feed, in bytes.
 #[cfg(feature = "std")]
 const MAX_STOP_LEN: usize = 11;
 
@@ -253,13 +253,13 @@ impl core::fmt::Display for StopKind {
 /// One of the two finger ports (command set, 3.6).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Finger {
-    /// Finger 1.
+    /// The finger at port 1.
     One,
-    /// Finger 2.
+    /// The finger at port 2.
     Two,
 }
 
-/// A value that the gripper sent by itself, or that was asked for again in its turn.
+/// A value from an automatic update or from periodic polling.
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 #[non_exhaustive]
 pub enum Update {
@@ -288,26 +288,25 @@ impl Update {
     }
 }
 
-/// What a driver has met that it could not use; each count stops at 65 535.
+/// Counters of input that a driver could not use. Each counter saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct DriverCounters {
-    /// On the line, below frames.
+    /// Errors on the line, below the frame level.
     pub line: frame::FrameCounters,
-    /// In frames and requests.
+    /// Errors in frames and requests.
     pub session: session::SessionCounters,
-    /// Updates that were replaced by newer ones because `next_update` was not called often enough.
+    /// Updates replaced by newer ones because `next_update` was not called often enough.
     pub updates_lost: u16,
 }
 
-/// The longest payload of a reply that a driver takes when nothing else is said: Loop with all its data. Finger data may
-/// be longer.
+/// Default limit for the payload of a reply, in bytes: Loop with the maximum amount of data. Finger data may be longer.
 pub const MAX_REPLY_LEN: usize = LoopData::MAX_LEN + 2;
 
-/// The longest frame that a driver sends when nothing else is said: Loop with all its data.
+/// Default limit for a sent frame, in bytes: Loop with the maximum amount of data.
 pub const MAX_FRAME_LEN: usize = LoopData::MAX_LEN + frame::OVERHEAD;
 
-/// How many updates are kept until `next_update` returns them. The oldest gives way, so that a program which falls behind
-/// sees the present; [`DriverCounters::updates_lost`] counts it.
+/// Number of updates queued for `next_update`. If the queue is full, the oldest update is discarded so that a slow
+/// program sees current values. [`DriverCounters::updates_lost`] counts discarded updates.
 pub const UPDATES_LEN: usize = 8;
 
 #[cfg(all(test, feature = "embedded-io", feature = "embedded-io-async"))]

@@ -1,29 +1,29 @@
-//! How one value stands in a payload: little endian, exact, checked (command set, chapter 1).
+//! Encoding of single values in a payload: little endian, exact length, validated (command set, chapter 1).
 
 use core::fmt::{Display, Formatter};
 
-/// Why a payload was refused.
+/// The reason why a payload was rejected.
 ///
-/// The checksum alone lets about one random corruption in 14 800 through, so every payload is checked for its exact
-/// length, its enumerated values, its reserved bits and finite numbers before anything acts on it.
+/// The checksum alone misses about one in 14 800 random corruptions. Every payload is therefore checked for its exact
+/// length, enumerated values, reserved bits and finite numbers before use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum DecodeError {
-    /// The payload is shorter than the parameters need.
+    /// The payload is shorter than its parameters.
     TooShort,
-    /// The payload is longer than the parameters need, or than the manual allows.
+    /// The payload is longer than its parameters, or than the manual allows.
     TooLong,
-    /// An enumeration has a value that the manual does not list.
+    /// An enumerated value is not defined by the manual.
     UndefinedValue,
-    /// A bit is set that the manual reserves.
+    /// A reserved bit is set.
     ReservedBits,
-    /// A floating point number is infinite or not a number.
+    /// A floating-point number is infinite or NaN.
     NotFinite,
     /// The acknowledge key is not `ack`.
     AckKey,
     /// A device tag has more than 64 characters.
     TagTooLong,
-    /// A text holds a control character, or one that is not ASCII.
+    /// A text contains a control character or a non-ASCII character.
     Character,
 }
 
@@ -44,36 +44,36 @@ impl Display for DecodeError {
 
 impl core::error::Error for DecodeError {}
 
-/// A value that stands in a payload.
+/// A value encoded in a payload.
 pub(crate) trait Field<'a>: Sized + Display {
-    /// Bytes it takes.
+    /// Returns the encoded length in bytes.
     fn len(&self) -> usize;
 
-    /// Its byte at `index`; 0 at or past the end.
+    /// Returns the encoded byte at `index`, or 0 at or past the end.
     fn byte(&self, index: usize) -> u8;
 
-    /// Takes it from the front of `input`.
+    /// Decodes the value from the front of `input` and advances it.
     fn take(input: &mut &'a [u8]) -> Result<Self, DecodeError>;
 
-    /// Whether a receiver may accept it: what [`take`](Self::take) checks beside the length.
+    /// Validates the value like [`take`](Self::take), apart from the length.
     fn check(&self) -> Result<(), DecodeError> {
         Ok(())
     }
 
-    /// Its value as a person reads it.
+    /// Formats the value as readable text.
     fn describe(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
         self.fmt(f)
     }
 }
 
-/// Takes `N` bytes from the front of `input`.
+/// Removes `N` bytes from the front of `input` and returns them.
 pub(crate) fn take_bytes<const N: usize>(input: &mut &[u8]) -> Result<[u8; N], DecodeError> {
     let (bytes, rest) = input.split_first_chunk::<N>().ok_or(DecodeError::TooShort)?;
     *input = rest;
     Ok(*bytes)
 }
 
-/// Implements [`Field`] for types that are a fixed run of bytes, given how to get to bytes and back.
+/// Implements [`Field`] for types of fixed length, from a conversion to bytes and back.
 macro_rules! fixed_field {
     ($type:ty, $len:literal, |$value:ident| $to:expr, |$bytes:ident| $from:expr $(, check |$checked:ident| $check:expr)?) => {
         impl $crate::field::Field<'_> for $type {
@@ -101,7 +101,7 @@ macro_rules! fixed_field {
 }
 pub(crate) use fixed_field;
 
-/// Refuses what is infinite or not a number.
+/// Rejects infinities and NaN.
 pub(crate) const fn finite(value: f32) -> Result<f32, DecodeError> {
     if value.is_finite() { Ok(value) } else { Err(DecodeError::NotFinite) }
 }
@@ -128,7 +128,7 @@ impl Field<'_> for f32 {
     }
 }
 
-/// A switch: one bit, the seven others reserved.
+/// A flag in one bit; the seven other bits are reserved.
 impl Field<'_> for bool {
     fn len(&self) -> usize {
         1

@@ -4,8 +4,8 @@
 //! AA AA AA | id | size low, high | payload | checksum low, high
 //! ```
 //!
-//! The [`FrameParser`] takes bytes and gives frames; the [`FrameEncoder`] takes a payload and gives bytes. Neither
-//! knows what a payload means: see [`command`](crate::command) and [`reply`](crate::reply).
+//! [`FrameParser`] turns bytes into frames and [`FrameEncoder`] turns a payload into bytes. Neither interprets the
+//! payload: see [`command`](crate::command) and [`reply`](crate::reply).
 
 mod encoder;
 mod parser;
@@ -13,23 +13,23 @@ mod parser;
 pub use encoder::{BufferTooSmall, FrameEncoder, Payload};
 pub use parser::{Event, FrameCounters, FrameParser};
 
-/// The three bytes that open a frame are all this one.
+/// The value of all three preamble bytes.
 pub const PREAMBLE_BYTE: u8 = 0xAA;
 
-/// Bytes of the preamble.
+/// Length of the preamble, in bytes.
 pub const PREAMBLE_LEN: usize = 3;
 
-/// Bytes of a frame besides its payload: preamble, id, size, checksum.
+/// Bytes of a frame in addition to its payload: preamble, id, size and checksum.
 pub const OVERHEAD: usize = 8;
 
-/// The longest message that grippers in the field send or take, in bytes, all counted.
+/// Length of the longest message that grippers in the field send or accept, in bytes, including the overhead.
 pub const MAX_MESSAGE_LEN: usize = 1024;
 
-/// One intact frame: an id and a view of its payload.
+/// An intact frame: a command id and a view of the payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Frame<'a> {
     /// The command id (command set, chapter 3).
     pub id: u8,
-    /// The payload: parameters of a request, or status code and values of a reply.
+    /// The payload: the parameters of a request, or the status code and values of a reply.
     pub payload: &'a [u8],
 }

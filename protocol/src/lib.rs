@@ -1,22 +1,22 @@
 //! The binary command protocol of the Weiss Robotics WSG servo grippers.
 //!
-//! For microcontrollers and machine controllers: `no_std`, no allocation, no `unsafe`, one byte at a time.
-//! Nothing here knows a clock, an I/O port or a HAL; the caller owns bytes and time.
+//! Designed for microcontrollers and machine controllers: `no_std`, no allocation, no `unsafe`, byte-by-byte input. The
+//! crate has no clock, I/O port or HAL; the caller owns bytes and time.
 //!
 //! | module | holds | manual |
 //! |---|---|---|
-//! | [`checksum`] | the checksum and its table | command set, appendix D |
+//! | [`checksum`] | the frame checksum and its table | command set, appendix D |
 //! | [`frame`] | [`Frame`], [`FrameParser`], [`FrameEncoder`] | command set, 1.2 |
-//! | [`command`] | [`Command`]: every request; [`CommandId`] and its table | command set, chapter 3 |
+//! | [`command`] | [`Command`], one variant per request; [`CommandId`] and its table | command set, chapter 3 |
 //! | [`reply`] | [`Reply`]: status and typed values | command set, 1.2.2 and chapter 3 |
-//! | [`Meaning`] | frames in words, for logs | |
+//! | [`Meaning`] | frames as readable text, for logs | |
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
 //! | [`session`] | the controller's side of a connection | command set, 1.3 |
-//! | `driver` | a blocking and an async gripper, by features `embedded-io` and `embedded-io-async`; on a computer by `std` and `tokio` | command set, chapter 3 |
-//! | `can` | the messages over CAN frames, both directions, by feature `embedded-can` | command set, 1.1 |
-//! | `gcl` | the text protocol, both directions, by feature `gcl` | GCL |
+//! | `driver` | blocking and async drivers (features `embedded-io` and `embedded-io-async`; on a PC `std` and `tokio`) | command set, chapter 3 |
+//! | `can` | CAN segmentation and reassembly (feature `embedded-can`) | command set, 1.1 |
+//! | `gcl` | the text protocol, both directions (feature `gcl`) | GCL |
 //!
-//! A request becomes bytes, bytes become frames, frames become typed values:
+//! Requests are encoded to bytes. Received bytes are parsed into frames and decoded into typed values:
 //!
 //! ```
 //! use wsg_protocol::{Command, Event, FrameEncoder, FrameParser, Reply, Status, Value};

@@ -1,4 +1,4 @@
-//! Frames in words, for logs: which way they go decides whether they are requests or replies.
+//! Frames as readable text, for logs. The direction determines whether a frame is decoded as a request or a reply.
 
 use core::fmt::{Display, Formatter, Result};
 
@@ -6,17 +6,17 @@ use crate::command::{Command, CommandId};
 use crate::frame::Frame;
 use crate::reply::Reply;
 
-/// Which way a frame goes.
+/// The direction of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub enum Direction {
-    /// A request.
+    /// A request to the gripper.
     ToGripper,
-    /// A reply.
+    /// A reply from the gripper.
     FromGripper,
 }
 
 impl Display for Direction {
-    /// `->` to the gripper, `<-` from it.
+    /// Formats `->` for frames to the gripper and `<-` for frames from it.
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         f.write_str(match self {
             Self::ToGripper => "->",
@@ -25,8 +25,8 @@ impl Display for Direction {
     }
 }
 
-/// What a frame says, as a person reads it in a log: the request or the reply; or, of one that the manual forbids, its command and
-/// why it is refused.
+/// Formats a frame as readable text for a log: the decoded request or reply, or the command and the error if the frame
+/// violates the manual.
 ///
 /// ```
 /// use wsg_protocol::{Direction, Frame, Meaning};
@@ -38,15 +38,15 @@ impl Display for Direction {
 /// assert_eq!(reply.to_string(), "25h Grip Part E_CMD_PENDING");
 /// let neither = Meaning { direction: Direction::FromGripper, frame: Frame { id: 0x25, payload: &[26] } };
 /// assert_eq!(neither.to_string(), "25h Grip Part: payload too short");
-/// // Answers of a script have no form.
+/// // Replies of a script have no defined format.
 /// let script = Meaning { direction: Direction::FromGripper, frame: Frame { id: 0xA0, payload: &[1, 0, 7] } };
 /// assert_eq!(script.to_string(), "A0h script command 3 bytes");
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Meaning<'a> {
-    /// Which way it goes.
+    /// The direction of the frame.
     pub direction: Direction,
-    /// The frame.
+    /// The frame to describe.
     pub frame: Frame<'a>,
 }
 
@@ -64,7 +64,7 @@ impl Display for Meaning<'_> {
         };
         let id = CommandId::from_code(self.frame.id);
         match id {
-            // A script answers as it likes.
+            // The format of a script's reply is unknown.
             CommandId::Unknown(0xA0..=0xBF) => write!(f, "{id} {} bytes", self.frame.payload.len()),
             _ => write!(f, "{id}: {refusal}"),
         }

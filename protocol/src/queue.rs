@@ -1,16 +1,16 @@
-//! A bounded queue that can be hashed, which `heapless::Deque` cannot. Internal to this crate and `wsg-fieldbus`.
+//! A bounded queue with `Hash`, which `heapless::Deque` lacks. Internal to this crate and `wsg-fieldbus`.
 
 use core::hash::{Hash, Hasher};
 use core::ops::{Deref, DerefMut};
 
 use heapless::Deque;
 
-/// At most `N` items, first in, first out.
+/// A first-in, first-out queue of at most `N` items.
 #[derive(Clone, Debug)]
 pub struct Queue<T, const N: usize>(Deque<T, N>);
 
 impl<T, const N: usize> Queue<T, N> {
-    /// An empty queue.
+    /// Creates an empty queue.
     #[must_use]
     #[expect(clippy::new_without_default, reason = "internal")]
     pub const fn new() -> Self {

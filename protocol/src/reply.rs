@@ -1,4 +1,4 @@
-//! Replies: a status code, and on success the values that were asked for (command set, 1.2.2).
+//! Replies: a status code and, on success, the requested values (command set, 1.2.2).
 
 use crate::command::CommandId;
 use crate::field::{DecodeError, Field};
@@ -9,7 +9,7 @@ use crate::types::{
     Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
 };
 
-/// Bytes of the status code.
+/// Length of the status code in bytes.
 const STATUS_LEN: usize = 2;
 
 macro_rules! define_replies {
@@ -20,21 +20,21 @@ macro_rules! define_replies {
             reply $(($value:ty $(= $value_unit:literal)?))?
             immediate [$($immediate:ident),*] completion [$($completion:ident),*];
     )*) => {
-        /// What a successful reply brings beside its status: one variant for each command.
+        /// The values of a successful reply: one variant per command.
         #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
         pub enum Value<'a> {
             $(#[doc = concat!("Of ", $title, " (", $code, "), ", $section, ".")] $name $(($value))?,)*
-            /// Of a command that the manual does not list: its parameters as they stand in the frame.
+            /// The parameters of a command that the manual does not define, as received.
             Unknown {
-                /// The id byte.
+                /// The id byte of the command.
                 id: u8,
-                /// What follows the status code.
+                /// The undecoded bytes after the status code.
                 parameters: &'a [u8],
             },
         }
 
         impl<'a> Value<'a> {
-            /// The command that it belongs to.
+            /// Returns the id of the command.
             #[must_use]
             pub const fn id(&self) -> CommandId {
                 match self {
@@ -91,15 +91,15 @@ macro_rules! define_replies {
 
 for_each_command!(define_replies);
 
-/// The answer of a gripper to one request.
+/// The reply of a gripper to one request.
 ///
 /// ```
 /// use wsg_protocol::{CommandId, Frame, Reply, Status, Value};
 ///
-/// // The manual's third example, 150.0 mm/s², with the id that it prints.
+/// // The manual's third example: 150.0 mm/s², with the id printed there.
 /// let reply = Reply::decode(&Frame { id: 0x31, payload: &[0, 0, 0, 0, 0x16, 0x43] }).unwrap();
 /// assert_eq!(reply.value(), Some(Value::GetAcceleration(150.0)));
-/// // No part found.
+/// // A grip that found no part.
 /// let reply = Reply::decode(&Frame { id: 0x25, payload: &[18, 0] }).unwrap();
 /// assert_eq!((reply.id(), reply.status()), (CommandId::GripPart, Status::CmdFailed));
 /// ```
@@ -111,13 +111,13 @@ pub struct Reply<'a> {
 }
 
 impl<'a> Reply<'a> {
-    /// E_SUCCESS with these values.
+    /// Creates a reply with E_SUCCESS and these values.
     #[must_use]
     pub const fn success(value: Value<'a>) -> Self {
         Self { id: value.id(), status: Status::Success, value: Some(value) }
     }
 
-    /// A status code alone: E_CMD_PENDING, an error, or E_SUCCESS of a command that returns no values.
+    /// Creates a reply without values: E_CMD_PENDING, an error, or E_SUCCESS for a command that returns no values.
     #[must_use]
     pub fn status_only(id: CommandId, status: Status) -> Self {
         let value = match status {
@@ -127,34 +127,34 @@ impl<'a> Reply<'a> {
         Self { id, status, value }
     }
 
-    /// The command that is answered.
+    /// Returns the id of the command that the reply refers to.
     #[must_use]
     pub const fn id(&self) -> CommandId {
         self.id
     }
 
-    /// The status code.
+    /// Returns the status code of the reply.
     #[must_use]
     pub const fn status(&self) -> Status {
         self.status
     }
 
-    /// The values; `None` unless the status is E_SUCCESS.
+    /// Returns the values, or `None` unless the status is E_SUCCESS.
     #[must_use]
     pub const fn value(&self) -> Option<Value<'a>> {
         self.value
     }
 
-    /// As [`value`](Self::value), without a copy.
+    /// Returns a reference to the values, unlike [`value`](Self::value), which copies them.
     pub(crate) const fn value_ref(&self) -> Option<&Value<'a>> {
         self.value.as_ref()
     }
 
-    /// The reply in a frame.
+    /// Decodes the reply in a frame.
     ///
     /// # Errors
-    /// What the manual forbids is refused, and says why: values that are missing, too long, undefined or not finite,
-    /// or that come with another status than E_SUCCESS.
+    /// Returns a [`DecodeError`] if the payload violates the manual: values are missing, too long, undefined or not
+    /// finite, or accompany a status other than E_SUCCESS.
     pub fn decode(frame: &Frame<'a>) -> Result<Self, DecodeError> {
         let mut input = frame.payload;
         let id = CommandId::from_code(frame.id);
@@ -181,7 +181,7 @@ impl Payload for Reply<'_> {
 }
 
 impl core::fmt::Display for Reply<'_> {
-    /// Id, name, status and values with their units: `43h Get Opening Width E_SUCCESS 20.0 mm`.
+    /// Formats id, name, status and values with their units: `43h Get Opening Width E_SUCCESS 20.0 mm`.
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(f, "{} {}", self.id, self.status)?;
         self.value.map_or(Ok(()), |value| value.describe(f))

@@ -1,12 +1,12 @@
-//! The caller's clock: milliseconds that may wrap.
+//! The caller's millisecond clock, which may wrap.
 
 use core::hash::{Hash, Hasher};
 use core::time::Duration;
 
-/// A moment on the caller's millisecond clock.
+/// A point in time on the caller's millisecond clock.
 ///
-/// The counter may wrap (after 49.7 days for one that starts at 0): moments are compared by their distance, which
-/// must stay below 2³¹ ms.
+/// The counter may wrap (after 49.7 days if it starts at 0). Instants are compared by their distance, which must be
+/// less than 2³¹ ms.
 ///
 /// ```
 /// use wsg_protocol::Instant;
@@ -19,8 +19,8 @@ use core::time::Duration;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct Instant(u32);
 
-/// Hashes as an `i32`, as nothing else in this crate does: a [`Hasher`] that compares states of different ages can tell
-/// moments from other numbers and take them relative to its own "now".
+/// Hashes as an `i32`, which is unique in this crate. A [`Hasher`] that compares states of different ages can thus
+/// recognize instants and make them relative to its own "now".
 impl Hash for Instant {
     fn hash<H: Hasher>(&self, state: &mut H) {
         state.write_i32(self.0.cast_signed());
@@ -28,44 +28,44 @@ impl Hash for Instant {
 }
 
 impl Instant {
-    /// The moment at which the clock shows `millis`.
+    /// Creates the instant at which the clock shows `millis`.
     #[must_use]
     pub const fn from_millis(millis: u32) -> Self {
         Self(millis)
     }
 
-    /// What the clock shows at this moment, in milliseconds.
+    /// Returns the clock value at this instant, in milliseconds.
     #[must_use]
     pub const fn as_millis(self) -> u32 {
         self.0
     }
 
-    /// The moment `millis` later.
+    /// Returns the instant `millis` milliseconds later.
     #[must_use]
     pub const fn plus(self, millis: u32) -> Self {
         Self(self.0.wrapping_add(millis))
     }
 
-    /// Milliseconds from `earlier` to this moment; 0 when `earlier` is later.
+    /// Returns the milliseconds from `earlier` to this instant, or 0 if `earlier` is later.
     #[must_use]
     pub const fn since(self, earlier: Self) -> u32 {
         let distance = self.0.wrapping_sub(earlier.0);
         if distance < 1 << 31 { distance } else { 0 }
     }
 
-    /// Whether this moment is at or after `other`.
+    /// Returns whether this instant is at or after `other`.
     #[must_use]
     pub const fn has_reached(self, other: Self) -> bool {
         self.0.wrapping_sub(other.0) < 1 << 31
     }
 
-    /// The earlier of the two.
+    /// Returns the earlier of two instants.
     #[must_use]
     pub const fn earlier_of(self, other: Self) -> Self {
         if self.has_reached(other) { other } else { self }
     }
 
-    /// The time from this moment to `later`, for a caller that sleeps.
+    /// Returns the time from this instant to `later`, for a caller that sleeps.
     #[must_use]
     pub const fn until(self, later: Self) -> Duration {
         Duration::from_millis(later.since(self) as u64)

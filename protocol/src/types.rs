@@ -1,4 +1,4 @@
-//! The values that requests and replies carry: status codes, states, flags, limits.
+//! The value types of requests and replies: status codes, states, flags and limits.
 
 mod flags;
 mod info;

@@ -1,8 +1,8 @@
-//! Which identifier carries which direction.
+//! CAN identifiers of the two directions.
 
 use embedded_can::StandardId;
 
-/// The two identifiers of a gripper: N to it, N + 1 from it.
+/// The two identifiers of a gripper: N for requests, N + 1 for replies.
 ///
 /// ```
 /// use wsg_protocol::can::Identifiers;
@@ -20,24 +20,24 @@ pub struct Identifiers {
     from_gripper: StandardId,
 }
 
-/// One side of the pair: what it sends on and what it listens to.
+/// The identifiers of one side, for sending and receiving.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Endpoint {
-    /// The identifier of what this side sends.
+    /// The identifier on which this side sends.
     pub transmit: StandardId,
-    /// The identifier of what this side receives.
+    /// The identifier on which this side receives.
     pub receive: StandardId,
 }
 
 impl Identifiers {
-    /// 120h and 121h, which this project uses where nothing else is said: none of CANopen's predefined identifiers, so
-    /// both fit on one bus, and of higher priority than process data.
+    /// The default pair, 120h and 121h. Neither is a predefined CANopen identifier, so the gripper can share a CANopen
+    /// bus. Both have a higher priority than process data.
     pub const DEFAULT: Self = match Self::from_base(0x120) {
         Some(pair) => pair,
         None => Self { base: 0, to_gripper: StandardId::ZERO, from_gripper: StandardId::MAX },
     };
 
-    /// The pair N and N + 1; `None` where N + 1 has no 11-bit identifier, that is from N = 7FFh on.
+    /// Returns the pair N and N + 1, or `None` from N = 7FFh on, where N + 1 exceeds 11 bits.
     #[must_use]
     pub const fn from_base(n: u16) -> Option<Self> {
         match (StandardId::new(n), StandardId::new(n.saturating_add(1))) {
@@ -46,19 +46,19 @@ impl Identifiers {
         }
     }
 
-    /// Returns N.
+    /// Returns N, the identifier of requests.
     #[must_use]
     pub const fn base(self) -> u16 {
         self.base
     }
 
-    /// The controller's side: sends on N, receives on N + 1.
+    /// Returns the controller's side, which sends on N and receives on N + 1.
     #[must_use]
     pub const fn controller(self) -> Endpoint {
         Endpoint { transmit: self.to_gripper, receive: self.from_gripper }
     }
 
-    /// The gripper's side: sends on N + 1, receives on N.
+    /// Returns the gripper's side, which sends on N + 1 and receives on N.
     #[must_use]
     pub const fn gripper(self) -> Endpoint {
         Endpoint { transmit: self.from_gripper, receive: self.to_gripper }

@@ -1,7 +1,7 @@
-//! From CAN frames to intact messages.
+//! Reassembles intact messages from CAN frames.
 //!
-//! Like the parser's, the rule is that of a reader with the whole recording: try a message at the first CAN frame; when
-//! it proves false go on one CAN frame further, never skipping what the false one held.
+//! The rule is the same as for the byte parser. The reassembler tries a message at the first CAN frame. If the message
+//! proves false, it retries one CAN frame later and never skips the frames of the false message.
 
 use embedded_can::{Frame as CanFrame, Id, StandardId};
 
@@ -10,38 +10,39 @@ use crate::checksum;
 use crate::frame::{Event, Frame, OVERHEAD, PREAMBLE_BYTE};
 use crate::time::Instant;
 
-/// After how long without its next CAN frame half a message is given up, in milliseconds, where nothing else is known:
-/// a bus at 125 kbit/s that others fill for 40 frames in between.
+/// Default time-out for the next CAN frame of an incomplete message, in milliseconds. It covers a 125 kbit/s bus with
+/// 40 frames of other traffic in between.
 pub const HALF_MESSAGE_MS: u32 = 50;
 
-/// What a reassembler has refused so far; each count stops at 65 535.
+/// Counters of rejected input. Each counter saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct ReassemblerCounters {
-    /// CAN frames that cannot be part of a message to this side: another identifier, remote frames, no data.
+    /// CAN frames that cannot be part of a message to this side: other identifiers, remote frames, no data or more than
+    /// 8 bytes.
     pub foreign: u16,
-    /// CAN frames that belonged to no intact message.
+    /// CAN frames that were not part of an intact message.
     pub dropped: u16,
-    /// Messages in which a CAN frame had another length than the size field asks for: one was lost or doubled.
+    /// Messages with a CAN frame whose length contradicts the size field: a frame was lost or duplicated.
     pub miscut: u16,
     /// Messages with a wrong checksum.
     pub bad_checksum: u16,
-    /// Messages that announced more than the reassembler holds.
+    /// Messages whose size field exceeds the capacity of the reassembler.
     pub oversize: u16,
-    /// Messages whose rest did not come in time.
+    /// Incomplete messages discarded after the time-out.
     pub expired: u16,
 }
 
-/// Finds messages of up to `FRAMES` CAN frames, so with up to 8 `FRAMES` - 8 bytes of payload, among the frames of a bus.
+/// Reassembles messages of up to `FRAMES` CAN frames (8 `FRAMES` - 8 bytes of payload) from the frames of a bus.
 ///
-/// Intact messages, and what proved to be none, go to a closure as the [`Event`]s of the byte-wise
-/// [`FrameParser`](crate::FrameParser), so a [`Session`](crate::session::Session) takes them as they are. One CAN frame
-/// may bring several: what was held back behind a lost frame is looked through again.
+/// A closure receives intact messages and rejected ones as the same [`Event`]s that [`FrameParser`](crate::FrameParser)
+/// reports, so a [`Session`](crate::session::Session) accepts them directly. One CAN frame may cause several events,
+/// because frames held after a lost frame are scanned again.
 ///
-/// The caller says what time it is. Half a message is given up after a time without its next frame, at the latest when
-/// another frame comes; a caller that wants it earlier asks for [`poll_timeout`](Self::poll_timeout).
+/// The caller provides the time. An incomplete message is discarded after the time-out, at the latest when another
+/// frame arrives. To discard it on time, use [`poll_timeout`](Self::poll_timeout).
 ///
-/// Work per CAN frame is bounded: a look at the message's first frame, at its end one pass over its bytes. Where a
-/// message proves false, each held frame that looks like a beginning costs one pass over what is held behind it.
+/// Work per CAN frame is bounded: one look at the message's first frame, and one pass over its bytes at its end. If a
+/// message proves false, each held frame that looks like a first frame costs one pass over the frames held after it.
 ///
 /// ```
 /// use embedded_can::Frame as _;
@@ -71,22 +72,22 @@ pub struct ReassemblerCounters {
 #[derive(Clone, Debug)]
 pub struct Reassembler<const FRAMES: usize> {
     held: [[u8; FULL]; FRAMES],
-    /// How many are held: the beginning of a message, whose frames so far are full.
+    /// Number of frames held: the full frames at the start of a message.
     count: u16,
     id: StandardId,
-    /// When the last of them came.
+    /// Arrival time of the last held frame.
     heard_at: Instant,
     half_message_ms: u32,
     counters: ReassemblerCounters,
 }
 
-/// What the held frames are, from one of them on.
+/// The classification of the held frames from a given one on.
 enum Found {
-    /// A message of so many frames.
+    /// A message of this number of frames.
     Message(usize),
-    /// A message whose rest has not come.
+    /// The start of an incomplete message.
     Half,
-    /// No beginning of a message.
+    /// Not the start of a message.
     Nothing,
     Miscut,
     BadChecksum(u8, u16),
@@ -94,11 +95,11 @@ enum Found {
 }
 
 impl<const FRAMES: usize> Reassembler<FRAMES> {
-    /// A reassembler for the frames with identifier `id` that gives up half a message after `half_message_ms` without its
-    /// next frame.
+    /// Creates a reassembler for the frames with identifier `id`. It discards an incomplete message after
+    /// `half_message_ms` without a next frame.
     #[must_use]
     pub const fn new(id: StandardId, half_message_ms: u32) -> Self {
-        const { assert!(FRAMES >= 1 && FRAMES <= 8_192, "a message has 1 to 8 193 CAN frames") };
+        const { assert!(FRAMES >= 1 && FRAMES <= 8_192, "FRAMES must be from 1 to 8 192") };
         Self {
             held: [[0; FULL]; FRAMES],
             count: 0,
@@ -116,13 +117,13 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
         }
     }
 
-    /// What has been refused so far.
+    /// Returns the counters of rejected input since the reassembler was created.
     #[must_use]
     pub const fn counters(&self) -> ReassemblerCounters {
         self.counters
     }
 
-    /// Takes a frame of the bus, whoever it is for, and gives `deliver` what it completes.
+    /// Processes a frame of the bus, whatever its identifier, and passes the resulting events to `deliver`.
     pub fn receive<F: CanFrame>(&mut self, now: Instant, frame: &F, mut deliver: impl FnMut(Event<'_>)) {
         let data = frame.data();
         let is_ours = frame.id() == Id::Standard(self.id) && frame.is_data_frame();
@@ -132,7 +133,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
         }
         self.handle_timeout(now, &mut deliver);
         self.heard_at = now;
-        // There is always a place: as many frames as there are places are a whole message.
+        // There is always a free slot: once all are occupied, the message is complete.
         if let Some(place) = self.held.get_mut(usize::from(self.count)) {
             for (place, byte) in place.iter_mut().zip(data) {
                 *place = *byte;
@@ -142,27 +143,28 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
         self.scan(data.len(), false, deliver);
     }
 
-    /// When half a message is to be given up; `None` while there is none.
+    /// Returns when the incomplete message times out, or `None` if there is none.
     #[must_use]
     pub const fn poll_timeout(&self) -> Option<Instant> {
         if self.count == 0 { None } else { Some(self.heard_at.plus(self.half_message_ms)) }
     }
 
-    /// Gives up half a message if it is time. `deliver` gets what was held back behind its beginning.
+    /// Discards an incomplete message whose time-out has expired. `deliver` receives the messages found in the frames
+    /// held after its first.
     pub fn handle_timeout(&mut self, now: Instant, deliver: impl FnMut(Event<'_>)) {
         if self.poll_timeout().is_some_and(|at| now.has_reached(at)) {
             self.scan(FULL, true, deliver);
         }
     }
 
-    /// Forgets half a message, as when the bus was left. Its frames count as dropped.
+    /// Discards an incomplete message, for example after leaving the bus. Its frames count as dropped.
     pub fn reset(&mut self) {
         add(&mut self.counters.dropped, self.count);
         self.count = 0;
     }
 
-    /// Looks through the held frames, of which the last has `last_len` bytes and the others are full. What is left then
-    /// is half a message or nothing, and nothing if `ended`: no more frames will come.
+    /// Scans the held frames, of which the last has `last_len` bytes and all others are full. Afterwards an incomplete
+    /// message may remain, but not if `ended`, which means that no more frames will arrive.
     fn scan(&mut self, last_len: usize, ended: bool, mut deliver: impl FnMut(Event<'_>)) {
         let count = usize::from(self.count);
         let mut first = 0usize;
@@ -193,7 +195,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
             first = first.saturating_add(passed.into());
             add(&mut self.counters.dropped, passed);
         }
-        // Not `copy_within`, which can panic.
+        // `copy_within` can panic.
         for (to, from) in (first..count).enumerate() {
             if let Some(&frame) = self.held.get(from)
                 && let Some(place) = self.held.get_mut(to)
@@ -205,7 +207,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
     }
 }
 
-/// What the frames of `held` are, from the first on. The last of them has `last_len` bytes, the others are full; a message
+/// Classifies the frames of `held` from the first on. The last has `last_len` bytes and all others are full. A message
 /// has at most `limit` frames.
 fn judge(held: &[[u8; FULL]], last_len: usize, limit: usize) -> Found {
     let len_of = |frame: usize| if frame == held.len() { last_len } else { FULL };
@@ -234,14 +236,14 @@ fn judge(held: &[[u8; FULL]], last_len: usize, limit: usize) -> Found {
     Found::Message(frames)
 }
 
-/// The message that `held` begins with.
+/// Returns the message at the start of `held`.
 fn message(held: &[[u8; FULL]]) -> Option<Frame<'_>> {
     let [_, _, _, id, low, high, rest @ ..] = held.as_flattened() else { return None };
     let size = u16::from_le_bytes([*low, *high]);
     Some(Frame { id: *id, payload: rest.get(..size.into())? })
 }
 
-/// Adds to a count that stops at its maximum.
+/// Adds to a counter, saturating at its maximum.
 fn add(count: &mut u16, more: u16) {
     *count = count.saturating_add(more);
 }

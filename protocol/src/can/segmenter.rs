@@ -1,4 +1,4 @@
-//! From the bytes of messages to the data of CAN frames.
+//! Divides the bytes of messages into the data of CAN frames.
 
 use embedded_can::{Frame, StandardId};
 
@@ -13,33 +13,35 @@ pub struct Segment {
     len: u8,
 }
 
-/// In the high bytes of a float, a value of 3.4e38: beyond every limit, and unlike a NaN greater than it.
+/// Filler byte for spoilt segments. In the high bytes of a float it gives 3.4e38, which exceeds every limit and, unlike
+/// a NaN, compares greater.
 const SPOILT: u8 = 0x7F;
 
 impl Segment {
     const EMPTY: Self = Self { bytes: [0; FULL], len: 0 };
 
-    /// The data.
+    /// Returns the data bytes of the segment.
     #[must_use]
     pub fn data(&self) -> &[u8] {
         self.bytes.get(..self.len.into()).unwrap_or(&[])
     }
 
-    /// The data frame with this identifier; `None` where the frame type refuses it, which none should.
+    /// Returns the data frame with this identifier, or `None` if the frame type rejects it, which none should.
     #[must_use]
     pub fn frame<F: Frame>(&self, id: StandardId) -> Option<F> {
         F::new(id, self.data())
     }
 
-    /// Spoils a segment of a message that was cut, where earlier segments of it were sent. They cannot be left alone: a
-    /// receiver waits for as many bytes as the size field says, and would take the next message for the rest.
+    /// Invalidates the remaining segments of an aborted message of which earlier segments were sent. They must still be
+    /// sent: the receiver expects as many bytes as the size field states, and would take the next message as the
+    /// remainder.
     ///
-    /// Its bytes become 7Fh, so each width and speed of which a high byte was unsent is beyond every limit, for a gripper that
-    /// does not evaluate checksums (command set, 1.4.1). The last byte of the message (`is_last`) becomes one with which the
-    /// checksum is wrong, whether the gripper compares it or computes 0 over the whole message.
+    /// All bytes become 7Fh. Each width and speed with an unsent high byte then exceeds every limit, for a gripper that
+    /// does not evaluate checksums (command set, 1.4.1). The last byte of the message (`is_last`) makes the checksum
+    /// wrong, whether the gripper compares the checksum or computes 0 over the whole message.
     ///
-    /// `checksum` is the [running value](crate::checksum) over the bytes before the segment, as they were sent. Returns that
-    /// after it.
+    /// `checksum` is the [running value](crate::checksum) over all bytes sent before the segment. Returns the running
+    /// value after it.
     ///
     /// ```
     /// use wsg_protocol::can::Segments;
@@ -58,14 +60,14 @@ impl Segment {
         bytes.fill(SPOILT);
         let running = checksum::push_slice(checksum, bytes);
         if let (true, 0, Some(end)) = (is_last, running, bytes.last_mut()) {
-            // No other value of the last byte leads to 0.
+            // Only one value of the last byte leads to 0, so any other one makes the checksum wrong.
             *end = !SPOILT;
             return checksum::push_slice(checksum, bytes);
         }
         running
     }
 
-    /// Puts a byte behind the others; says whether the segment is full.
+    /// Appends a byte and returns whether the segment is full.
     fn append(&mut self, byte: u8) -> bool {
         if let Some(place) = self.bytes.get_mut(usize::from(self.len)) {
             *place = byte;
@@ -75,11 +77,11 @@ impl Segment {
     }
 }
 
-/// Cuts messages that come byte by byte, one behind the other, as from a writer. The end of each it takes from its size
-/// field, so a following message begins a CAN frame of its own.
+/// Divides a stream of message bytes into segments, as from a writer. The segmenter reads the end of each message from
+/// its size field, so each message begins a new CAN frame.
 ///
-/// Whoever gives up a message before its last byte says so by [`reset`](Self::reset): the bytes of the next one would
-/// count as its rest.
+/// To abort a message before its last byte, call [`reset`](Self::reset). Otherwise the bytes of the next message would
+/// be taken as the remainder.
 ///
 /// ```
 /// use wsg_protocol::can::Segmenter;
@@ -98,20 +100,20 @@ impl Segment {
 pub struct Segmenter {
     /// Index of the next byte in its message.
     at: u32,
-    /// The size field, as far as it has come.
+    /// The size field, as far as received.
     size: [u8; 2],
     filling: Segment,
 }
 
 impl Segmenter {
-    /// A segmenter before the first byte of a message.
+    /// Creates a segmenter that expects the first byte of a message.
     #[must_use]
     pub const fn new() -> Self {
         Self { at: 0, size: [0; 2], filling: Segment::EMPTY }
     }
 
-    /// Takes the next byte; gives the segment that it completes. A byte that is not the beginning of a message where one
-    /// has to begin goes nowhere: what has no size field has no end.
+    /// Takes the next byte and returns the segment that it completes. Discards bytes outside a message until a preamble
+    /// begins, because only a message has a size field and thus an end.
     pub fn push(&mut self, byte: u8) -> Option<Segment> {
         if self.at < PREAMBLE_LEN as u32 && byte != PREAMBLE_BYTE {
             self.reset();
@@ -124,7 +126,7 @@ impl Segmenter {
         }
         self.at = self.at.wrapping_add(1);
         let is_full = self.filling.append(byte);
-        // Before the size is known this is less than a whole message as well: its overhead is one full segment.
+        // Before the size field is known, this is not the end either: the overhead alone fills one segment.
         let message_len = u32::from(u16::from_le_bytes(self.size)).wrapping_add(OVERHEAD as u32);
         let is_last = self.at == message_len;
         if !is_full && !is_last {
@@ -137,19 +139,19 @@ impl Segmenter {
         Some(segment)
     }
 
-    /// Whether a message has begun whose last byte has not come.
+    /// Returns whether a message has begun and its last byte is outstanding.
     #[must_use]
     pub const fn is_mid_message(&self) -> bool {
         self.at != 0
     }
 
-    /// Gives up the message that has begun. The next byte begins one.
+    /// Aborts the current message. The next byte begins a new one.
     pub const fn reset(&mut self) {
         *self = Self::new();
     }
 }
 
-/// Index of the size field's bytes in a message.
+/// Indices of the two bytes of the size field in a message.
 const SIZE_LOW_AT: u32 = 4;
 const SIZE_HIGH_AT: u32 = 5;
 
@@ -159,8 +161,8 @@ impl Default for Segmenter {
     }
 }
 
-/// The segments of messages whose bytes come from an iterator, such as a [`FrameEncoder`](crate::FrameEncoder). Bytes of
-/// a message that ends before its size field says are not given.
+/// An iterator over the segments of messages from a byte iterator, such as a [`FrameEncoder`](crate::FrameEncoder). The
+/// bytes of an incomplete last segment are discarded.
 ///
 /// ```
 /// use wsg_protocol::can::Segments;
@@ -179,7 +181,7 @@ pub struct Segments<I> {
 }
 
 impl<I: Iterator<Item = u8>> Segments<I> {
-    /// The segments of `bytes`.
+    /// Creates an iterator over the segments of `bytes`.
     pub const fn new(bytes: I) -> Self {
         Self { bytes, segmenter: Segmenter::new() }
     }

@@ -1,5 +1,5 @@
-//! The mapping against a naive reader of the whole capture, over every fate of every CAN frame of three messages, and
-//! its edges one by one.
+//! Compares the mapping with a naive reader of the whole capture, for every loss pattern of three messages, and tests
+//! edge cases one by one.
 
 use core::iter;
 use std::vec;

@@ -1,4 +1,4 @@
-//! Every command there and back, and what the manual forbids.
+//! Round trip of every command, and requests that the manual forbids.
 
 use super::*;
 use crate::frame::{FrameEncoder, FrameParser};
@@ -13,7 +13,7 @@ fn bytes(command: &Command<'_>) -> Vec<u8> {
     FrameEncoder::new(command.id().code(), *command).collect()
 }
 
-/// Through the line: encoded, parsed, decoded.
+/// Encodes, parses and decodes the command.
 fn there_and_back(command: &Command<'_>) -> Result<(), String> {
     let mut parser = FrameParser::<1016>::new();
     let line = bytes(command);
@@ -35,7 +35,7 @@ fn update() -> impl Strategy<Value = AutoUpdate> {
         .prop_map(|(flags, period_ms)| AutoUpdate { flags: UpdateFlags::from_bits_retain(flags), period_ms })
 }
 
-/// Any command, built by its own parameters.
+/// Generates any command from its parameters.
 fn command() -> impl Strategy<Value = Command<'static>> {
     let simple = proptest::sample::select(CommandId::ALL.to_vec())
         .prop_filter_map("has no parameters", |id| {
@@ -183,12 +183,12 @@ fn the_table_holds_the_commands_of_the_manual() {
         let motion = id.kind() == Kind::Motion;
         assert!(
             !(motion && id.immediate_statuses().contains(&Status::Success)),
-            "{id}: motion answers twice"
+            "{id}: a motion must have two replies"
         );
         assert_eq!(
             id.immediate_statuses().contains(&Status::CmdPending) && *id != CommandId::Loop,
             !id.completion_statuses().is_empty(),
-            "{id}: pending and only pending means a second answer",
+            "{id}: E_CMD_PENDING, and nothing else, must imply a second reply",
         );
     }
 }

@@ -11,9 +11,9 @@ use core::pin::pin;
 use core::task::Poll;
 use embedded_io_async::{Read, Write};
 
-/// The transport of the async driver: every type with these traits of `embedded_io_async` is one.
+/// The transport of the async driver. Implemented for every type with these traits of `embedded_io_async`.
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no transport of the async driver",
+    message = "`{Self}` is not a transport for the async driver",
     label = "this needs `embedded_io_async::Read` and `Write`"
 )]
 pub trait Transport: Read + Write {}
@@ -21,21 +21,21 @@ pub trait Transport: Read + Write {}
 #[diagnostic::do_not_recommend]
 impl<IO: Read + Write> Transport for IO {}
 
-/// A gripper at the other end of a transport.
+/// A gripper, connected by a transport.
 ///
-/// Every method may be given up: drop its future. Nothing that was received is lost, a frame that was cut off is sent to
-/// its end before the next one, and what had not left does not leave any more; a motion that had begun goes on, as
-/// [`motion`](Self::motion) tells, and [`stop`](Self::stop) ends it. For that the transport's `read`, `write` and `flush`
-/// must have no effect when they are dropped, as those of the buffered serial ports and the TCP sockets of embassy.
+/// Every method can be cancelled by dropping its future. No received data is lost, and a partially sent frame is
+/// completed before the next one. Unsent requests are never sent. A motion in progress continues:
+/// [`motion`](Self::motion) returns it, and [`stop`](Self::stop) ends it. This requires a transport whose dropped
+/// `read`, `write` and `flush` futures have no effect, such as the buffered serial ports and TCP sockets of embassy.
 ///
-/// `RX` is the longest payload of a reply that is taken, at least 34, and `TX` the longest frame that is sent, at least
-/// 17; both can be lower than what [`new`](Self::new) takes where RAM is short and Loop is not used.
+/// `RX` is the maximum payload of a received reply in bytes, at least 34, and `TX` the maximum length of a sent frame,
+/// at least 17. Both can be lower than the defaults of [`new`](Self::new) where RAM is short and Loop is not used.
 ///
 /// ```
 /// use wsg_protocol::driver::asynch::{Gripper, Transport};
 /// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, Timer};
 ///
-/// /// Takes a part of 20 mm and says how wide the fingers are open meanwhile.
+/// /// Grips a part of 20 mm and prints the opening width meanwhile.
 /// async fn pick<IO: Transport>(io: IO, timer: impl Timer) -> Result<Grip, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
 ///     let program = async |gripper: &mut Gripper<_, _>| {
@@ -53,13 +53,14 @@ impl<IO: Read + Write> Transport for IO {}
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
-/// A gripper over the text protocol; [`Gcl`] lists the differences. `RX` is the longest received line in bytes, at least 76.
+/// A gripper over the text protocol; see [`Gcl`] for the differences. `RX` is the maximum length of a received line in
+/// bytes, at least 76.
 ///
 /// ```
 /// use wsg_protocol::driver::asynch::{GclGripper as Gripper, Transport};
 /// use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, N, Timer};
 ///
-/// /// Takes a part of 20 mm; whether there was one.
+/// /// Grips a part of 20 mm and returns whether it was found.
 /// async fn pick<IO: Transport>(io: IO, timer: impl Timer) -> Result<bool, Error<IO::Error>> {
 ///     let mut gripper = Gripper::new(io, timer);
 ///     let program = async |gripper: &mut Gripper<_, _>| {
@@ -80,13 +81,13 @@ pub struct GripperOver<IO, C, P: Protocol> {
     pub(super) engine: Engine<P>,
 }
 
-/// Which of two futures was ready.
+/// The first of two futures to complete.
 enum First<A, B> {
     One(A),
     Other(B),
 }
 
-/// The result of the future that is ready first; of `one` when both are.
+/// Returns the result of the first future to complete, or of `one` if both do.
 async fn first<A, B>(one: impl Future<Output = A>, other: impl Future<Output = B>) -> First<A, B> {
     let mut one = pin!(one);
     let mut other = pin!(other);
@@ -99,7 +100,7 @@ async fn first<A, B>(one: impl Future<Output = A>, other: impl Future<Output = B
     .await
 }
 
-/// Waits for the moment, or for the request of a stop handle.
+/// Waits until `moment`, or until a stop handle makes a request.
 async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>, gate: &Gate) {
     let moment = async {
         match moment {
@@ -111,7 +112,7 @@ async fn wait_until(timer: &mut impl Timer, moment: Option<Instant>, gate: &Gate
 }
 
 impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
-    /// Moves bytes and time until the goal or the moment is reached. Returns whether it was the goal.
+    /// Moves bytes and time until the goal or `moment` is reached. Returns whether the goal was reached.
     pub(super) async fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
@@ -128,7 +129,7 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
             }
             self.engine.elapse(now, awaited);
             if self.engine.has_reached(goal, awaited) {
-                // What is due is sent also while updates keep coming, if the line takes it at once.
+                // Due messages are sent even during continuous updates, if the line accepts them immediately.
                 if goal == Goal::Update && self.engine.fetch(now, awaited) {
                     self.transmit(awaited, Some(now)).await?;
                 }
@@ -162,8 +163,8 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         Ok(())
     }
 
-    /// Sends the rest of the frame, in one write unless the transport accepts less. Returns whether the transport accepted
-    /// anything before something else was due.
+    /// Sends the rest of the message, in one write unless the transport accepts less. Returns whether the transport
+    /// accepted anything before another event.
     async fn transmit(
         &mut self,
         awaited: &mut Awaited<'_>,
@@ -187,7 +188,7 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
         };
         match written {
             First::One(Some(written)) => engine.written(written, || clock.now(), awaited)?,
-            // A stop comes first.
+            // A stop has priority over this message.
             First::One(None) => {}
             First::Other(()) => return Ok(false),
         }

@@ -1,4 +1,4 @@
-//! The binary protocol below a driver.
+//! The binary protocol, as used by a driver.
 
 use super::link::{Link, Protocol};
 use super::{Error, MAX_FRAME_LEN, MAX_REPLY_LEN};
@@ -10,22 +10,28 @@ use crate::types::AutoUpdate;
 
 /// The binary protocol (command set).
 ///
-/// `RX` is the longest payload of a reply that is taken, at least 34, and `TX` the longest frame that is sent, at least
-/// 17.
+/// `RX` is the maximum payload of a received reply in bytes, at least 34, and `TX` the maximum length of a sent frame,
+/// at least 17.
 #[derive(Debug)]
 pub struct Binary<const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> {
     session: Session,
     parser: FrameParser<RX>,
     frame: [u8; TX],
-    /// The command in the frame.
+    /// The command in the frame buffer.
     id: CommandId,
 }
 
 impl<const RX: usize, const TX: usize> Binary<RX, TX> {
     pub(super) const fn new(config: session::Config) -> Self {
         const {
-            assert!(RX >= 34, "the session asks for the limits, 32 bytes behind a status");
-            assert!(TX >= OVERHEAD + Command::MAX_FIXED_LEN, "every command of fixed length fits");
+            assert!(
+                RX >= 34,
+                "RX must be at least 34: the session queries the limits, 32 bytes after the status"
+            );
+            assert!(
+                TX >= OVERHEAD + Command::MAX_FIXED_LEN,
+                "TX must be at least 17, for every command of fixed length"
+            );
         }
         Self {
             session: Session::new(config),
@@ -139,7 +145,7 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
     fn encode_next(&mut self, now: Instant, borrowed: Option<Command<'_>>) -> Option<usize> {
         let command = self.session.poll_transmit_borrowed(now, borrowed)?;
         self.id = command.id();
-        // It fits: what is borrowed was checked, and there is room for all others.
+        // It fits: borrowed commands were checked, and the buffer holds all others.
         Some(FrameEncoder::new(self.id.code(), command).write_into(&mut self.frame).unwrap_or(0))
     }
 

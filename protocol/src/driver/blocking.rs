@@ -10,11 +10,13 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 
 /// The transport of the blocking driver: a byte stream that can wait for bytes.
 ///
-/// The driver sends what is due, takes the bytes that are there, and only then waits, by [`wait`](Self::wait). The three
-/// traits below it therefore never wait for input: `read_ready` looks, and `read` is called only when it returned `true`.
+/// The driver sends due messages, reads the available bytes, and only then waits with [`wait`](Self::wait). The three
+/// supertraits must therefore never wait for input: `read_ready` only checks, and `read` is called only after it
+/// returned `true`.
 ///
-/// The transports of feature `std` (`host::Tcp`, `host::Udp`) wait by readiness. [`Spinning`] makes a transport of any type
-/// that has the three traits, such as the UART of a HAL. A type of its own can sleep until the next interrupt:
+/// The transports of feature `std` (`host::Tcp`, `host::Udp`) wait until the source is ready. [`Spinning`] turns any
+/// type with the three traits, such as the UART of a HAL, into a transport. A custom type can sleep until the next
+/// interrupt:
 ///
 /// ```
 /// use wsg_protocol::driver::blocking::Transport;
@@ -43,7 +45,7 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 /// #     }
 /// # }
 ///
-/// // `Uart` implements `Read`, `ReadReady` and `Write`; its receiver and a tick of 1 ms raise interrupts.
+/// // `Uart` implements `Read`, `ReadReady` and `Write`. Its receiver and a 1 ms tick raise interrupts.
 /// impl Transport for Uart {
 ///     fn wait(&mut self, _at_most_ms: u32) -> Result<(), Self::Error> {
 ///         wait_for_interrupt();
@@ -52,22 +54,23 @@ use embedded_io::{ErrorType, Read, ReadReady, Write};
 /// }
 /// ```
 #[diagnostic::on_unimplemented(
-    message = "`{Self}` is no transport of the blocking driver",
+    message = "`{Self}` is not a transport for the blocking driver",
     label = "this needs `wsg_protocol::driver::blocking::Transport`",
     note = "`Spinning` makes one of every type with `embedded_io::Read`, `ReadReady` and `Write`; for a socket take \
             `wsg_protocol::driver::host::Tcp`, by feature `std`"
 )]
 pub trait Transport: Read + ReadReady + Write {
-    /// Waits for bytes, for `at_most_ms` milliseconds.
+    /// Waits for bytes for at most `at_most_ms` milliseconds.
     ///
-    /// Returns as soon as bytes may be there, the other end may have closed, or the time is over. It may return earlier for
-    /// any other reason, such as an interrupt or a signal, because the driver looks again and calls it again. It must not
-    /// return later: until then the driver neither sends nor reports a time-out. With 0 it returns at once.
+    /// Returns when bytes may be available, when the peer may have closed the connection, or when the time has elapsed.
+    /// It may return earlier for any other reason, such as an interrupt or a signal, because the driver checks and
+    /// calls it again. It must not return later, because the driver neither sends nor reports time-outs meanwhile. With
+    /// 0 it returns immediately.
     ///
-    /// The default returns at once, so the driver spins while it waits.
+    /// The default implementation returns immediately, so the driver spins while it waits.
     ///
     /// # Errors
-    /// The transport failed.
+    /// Returns the error if the transport failed.
     fn wait(&mut self, at_most_ms: u32) -> Result<(), Self::Error> {
         let _ = at_most_ms;
         Ok(())
@@ -80,7 +83,7 @@ impl<IO: Transport + ?Sized> Transport for &mut IO {
     }
 }
 
-/// A transport that spins while it waits, made of any type with the traits of `embedded_io`.
+/// A transport that spins while it waits, for any type with the traits of `embedded_io`.
 #[derive(Clone, Copy, Debug)]
 pub struct Spinning<T>(pub T);
 
@@ -112,17 +115,17 @@ impl<T: Write> Write for Spinning<T> {
 
 impl<T: Read + ReadReady + Write> Transport for Spinning<T> {}
 
-/// A gripper at the other end of a transport.
+/// A gripper, connected by a transport.
 ///
-/// `RX` is the longest payload of a reply that is taken, at least 34, and `TX` the longest frame that is sent, at least
-/// 17; both can be lower than what [`new`](Self::new) takes where RAM is short and Loop is not used.
+/// `RX` is the maximum payload of a received reply in bytes, at least 34, and `TX` the maximum length of a sent frame,
+/// at least 17. Both can be lower than the defaults of [`new`](Self::new) where RAM is short and Loop is not used.
 ///
 /// ```
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::blocking::{Gripper, Transport};
 /// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N};
 ///
-/// /// Takes a part of 20 mm; whether there was one.
+/// /// Grips a part of 20 mm and returns whether it was found.
 /// fn pick<IO: Transport>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
@@ -134,14 +137,15 @@ impl<T: Read + ReadReady + Write> Transport for Spinning<T> {}
 pub type Gripper<IO, C, const RX: usize = MAX_REPLY_LEN, const TX: usize = MAX_FRAME_LEN> =
     GripperOver<IO, C, Binary<RX, TX>>;
 
-/// A gripper over the text protocol; [`Gcl`] lists the differences. `RX` is the longest received line in bytes, at least 76.
+/// A gripper over the text protocol; see [`Gcl`] for the differences. `RX` is the maximum length of a received line in
+/// bytes, at least 76.
 ///
 /// ```
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::blocking::{GclGripper as Gripper, Transport};
 /// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N};
 ///
-/// /// Takes a part of 20 mm; whether there was one.
+/// /// Grips a part of 20 mm and returns whether it was found.
 /// fn pick<IO: Transport>(io: IO, clock: impl Clock) -> Result<bool, Error<IO::Error>> {
 ///     Gripper::new(io, clock).with_connection(|gripper| {
 ///         gripper.home(HomingDirection::Default)?;
@@ -162,13 +166,13 @@ pub struct GripperOver<IO, C, P: Protocol> {
 }
 
 impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
-    /// The clock, for a worker that owns this driver.
+    /// Returns the clock, for a worker that owns this driver.
     #[cfg(feature = "std")]
     pub(super) const fn clock(&self) -> &C {
         &self.clock
     }
 
-    /// Moves bytes and time until the goal or the moment is reached. Returns whether it was the goal.
+    /// Moves bytes and time until the goal or `moment` is reached. Returns whether the goal was reached.
     pub(super) fn drive(
         &mut self,
         awaited: &mut Awaited<'_>,
@@ -178,11 +182,11 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
         let mut now = self.clock.now();
         let mut stopped = None;
         if self.engine.link().is_urgent() {
-            // Before anything is read: a Stop waits for nothing.
+            // Sends before reading, so that a Stop is never delayed.
             self.transmit(now, awaited)?;
         }
         loop {
-            // What is there is read before time passes: it may have come in time.
+            // Reads available bytes before checking time-outs, because they may have arrived in time.
             self.receive(now, awaited)?;
             if let Some(kind) = self.engine.take_stop(now) {
                 stopped = stopped.max(Some(kind));
@@ -212,7 +216,7 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
         Ok(())
     }
 
-    /// Sends the frames that are due, each by one write unless the transport takes less.
+    /// Sends all due frames, each in one write unless the transport accepts less.
     fn transmit(&mut self, now: Instant, awaited: &mut Awaited<'_>) -> Result<(), Error<IO::Error>> {
         let Self { io, engine, .. } = self;
         while engine.fetch(now, awaited) {
@@ -224,7 +228,7 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
             let write = || Poll::Ready(io.write(rest));
             match engine.gate().poll_write(engine.is_at_begin(), rest.len(), write) {
                 Poll::Ready(Some(written)) => engine.written(written, || now, awaited)?,
-                // A stop comes first.
+                // A stop has priority over this message.
                 Poll::Ready(None) | Poll::Pending => return Ok(()),
             }
         }

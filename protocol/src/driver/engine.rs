@@ -1,4 +1,4 @@
-//! What both drivers share: everything but bytes and time.
+//! The common part of both drivers: everything but the transport and the clock.
 
 use super::gate::Gate;
 use super::link::Protocol;
@@ -12,43 +12,43 @@ use crate::time::Instant;
 use crate::types::Status;
 use heapless::Deque;
 
-/// The longest wait for bytes: a program that waits for nothing in particular still looks once a second.
+/// Maximum wait for bytes. A driver without a deadline still checks once a second.
 #[cfg(feature = "embedded-io")]
 const LONGEST_WAIT_MS: u32 = 1_000;
 
-/// Bytes read at a time.
+/// Number of bytes per read.
 pub(super) const CHUNK_LEN: usize = 64;
-/// Chunks read before the driver looks at the clock again, so that endless input cannot stop time.
+/// Number of reads before the driver checks the clock again, so that continuous input cannot suppress time-outs.
 pub(super) const MAX_CHUNKS: usize = 64;
 
-/// What a method waits for.
+/// The condition that a method waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Goal {
-    /// The gripper answers.
+    /// The gripper is connected.
     Connected,
-    /// No request is open: that of a call that was given up may be.
+    /// No request is open, such as one of a cancelled call.
     Free,
-    /// The awaited request is answered, or will not be.
+    /// The awaited request is answered or has failed.
     Answered,
-    /// The motion has begun, or has not.
+    /// The motion has begun or has failed to begin.
     MotionDecided,
-    /// The motion is over.
+    /// The motion has ended.
     MotionOver,
-    /// An update is there.
+    /// An update is available.
     Update,
-    /// Every Stop and FAST STOP is confirmed, or given up.
+    /// Every Stop and FAST STOP is confirmed or abandoned.
     NothingUrgent,
-    /// The same, and no motion runs.
+    /// Every Stop and FAST STOP is confirmed or abandoned, and no motion is running.
     Stopped,
 }
 
-/// A request whose outcome a method waits for.
+/// A request whose outcome a method awaits.
 pub(super) struct Awaited<'p> {
     id: Option<CommandId>,
-    /// The command, if it borrows its payload.
+    /// The command, if the caller keeps it because it borrows its payload.
     borrowed: Option<Command<'p>>,
     verdict: Option<Verdict>,
-    /// Looks at the answer.
+    /// Inspects the reply.
     look: Option<&'p mut (dyn FnMut(&Reply<'_>) + Send)>,
 }
 
@@ -61,7 +61,7 @@ impl<'p> Awaited<'p> {
         Self { id: Some(id), borrowed, verdict: None, look: Some(look) }
     }
 
-    /// For methods that wait for something else.
+    /// For methods that wait for something other than a reply.
     pub(super) const fn nothing() -> Self {
         Self { id: None, borrowed: None, verdict: None, look: None }
     }
@@ -80,11 +80,11 @@ impl<'p> Awaited<'p> {
         }
     }
 
-    /// The outcome of the request.
+    /// Returns the outcome of the request.
     pub(super) fn result<E>(&self) -> Result<(), Error<E>> {
         match self.verdict {
             Some(Verdict::Answered(Status::Success)) => Ok(()),
-            // No gripper answers a setting with it.
+            // Reserved for read-backs: no gripper answers a setting with it.
             Some(Verdict::Answered(MISMATCH)) if self.id.is_some_and(|id| id.kind() == Kind::Setting) => {
                 Err(Error::Mismatch)
             }
@@ -95,7 +95,7 @@ impl<'p> Awaited<'p> {
     }
 }
 
-/// The protocol, how far its message has left, and what became of motion and updates.
+/// The protocol, the progress of the current message, and the state of motion and updates.
 #[derive(Debug)]
 pub(super) struct Engine<P> {
     link: P,
@@ -154,7 +154,7 @@ impl<P: Protocol> Engine<P> {
         self.updates.pop_front()
     }
 
-    /// Cancels what a dropped call has requested and what was not sent yet.
+    /// Withdraws the unsent requests of a dropped call.
     pub(super) fn clear_up(&mut self) {
         self.link.withdraw();
         if self.outbox.is_untouched() && self.link.take_back() {
@@ -162,15 +162,16 @@ impl<P: Protocol> Engine<P> {
         }
     }
 
-    /// Takes over what a stop handle has requested: what was not sent is withdrawn, and the stop is awaited as one that the
-    /// caller has requested.
+    /// Takes over the request of a stop handle. Withdraws unsent requests, and awaits the stop as if the caller had
+    /// requested it.
     pub(super) fn take_stop(&mut self, now: Instant) -> Option<StopKind> {
         let StopRequest { kind, is_sent } = self.gate.take()?;
         self.clear_up();
         let is_new = !self.link.is_urgent();
         let is_taken = self.link.request::<()>(kind.command(), None).is_ok();
         if is_taken && is_new && is_sent && self.outbox.is_empty() {
-            // The handle's message counts as the session's, which would send another one: it is the next, before all others.
+            // The handle's message replaces the session's next one, which is the stop and would otherwise be sent
+            // again.
             let _ = self.link.encode_next(now, None);
         }
         Some(kind)
@@ -180,7 +181,7 @@ impl<P: Protocol> Engine<P> {
         &self.gate
     }
 
-    /// A handle that stops the gripper from another thread; `line` opens the way if there is none yet.
+    /// Creates a handle that stops the gripper from another thread. `line` opens the line for the first handle.
     #[cfg(feature = "std")]
     pub(super) fn stop_handle(
         &mut self,
@@ -196,12 +197,12 @@ impl<P: Protocol> Engine<P> {
         Ok(self.gate.shared.insert(shared).handle())
     }
 
-    /// The line is another one, which no handle knows.
+    /// Detaches all handles, because the line has been replaced.
     pub(super) fn change_line(&mut self) {
         self.gate = Gate::OPEN;
     }
 
-    /// Asks for a motion; `width` is the current one if the protocol wants it.
+    /// Requests a motion. `width` is the current opening width if the protocol needs it.
     pub(super) fn request_motion<E>(
         &mut self,
         command: Command<'static>,
@@ -212,7 +213,7 @@ impl<P: Protocol> Engine<P> {
         Ok(())
     }
 
-    /// Takes the result of a read into `chunk`.
+    /// Processes the result of a read into `chunk`.
     pub(super) fn receive<E>(
         &mut self,
         now: Instant,
@@ -232,7 +233,7 @@ impl<P: Protocol> Engine<P> {
         Ok(())
     }
 
-    /// Lets time pass.
+    /// Processes elapsed time: time-outs and due events.
     pub(super) fn elapse(&mut self, now: Instant, awaited: &mut Awaited<'_>) {
         let Self { link, motion, updates, updates_lost, outbox, config, .. } = self;
         if link.is_mid_message() && now.since(self.received_at) >= config.half_frame_ms {
@@ -240,14 +241,14 @@ impl<P: Protocol> Engine<P> {
         }
         while let Some(event) = link.tick(now) {
             if event == Event::Disconnected {
-                // What has not left by now must not leave when the line takes bytes again. The gripper skips half a message.
+                // Unsent bytes must not be sent when the line recovers. The gripper skips an incomplete message.
                 *outbox = Outbox::EMPTY;
             }
             note(motion, updates, updates_lost, awaited, &event);
         }
     }
 
-    /// Fetches the next message to send, if the last one has left; whether there is something to send.
+    /// Encodes the next message if the last one is complete. Returns whether there are bytes to send.
     pub(super) fn fetch(&mut self, now: Instant, awaited: &Awaited<'_>) -> bool {
         if self.outbox.is_empty()
             && let Some(len) = self.link.encode_next(now, awaited.borrowed)
@@ -257,22 +258,22 @@ impl<P: Protocol> Engine<P> {
         !self.outbox.is_empty()
     }
 
-    /// Whether nothing of the message has left.
+    /// Returns whether no byte of the message was sent.
     pub(super) const fn is_at_begin(&self) -> bool {
         self.outbox.is_untouched()
     }
 
-    /// What is left of the message.
+    /// Returns the unsent rest of the message.
     pub(super) fn rest(&self) -> &[u8] {
         self.link.encoded().get(self.outbox.sent..self.outbox.len).unwrap_or(&[])
     }
 
-    /// Whether the message is written and the transport is to be flushed.
+    /// Returns whether the message is complete and the transport needs a flush.
     pub(super) const fn needs_flush(&self) -> bool {
         self.outbox.needs_flush
     }
 
-    /// Takes the result of a write of the rest.
+    /// Processes the result of writing the rest.
     pub(super) fn written<E>(
         &mut self,
         written: Result<usize, E>,
@@ -293,7 +294,7 @@ impl<P: Protocol> Engine<P> {
         Ok(())
     }
 
-    /// Takes the result of a flush.
+    /// Processes the result of a flush.
     pub(super) fn flushed<E>(&mut self, flushed: Result<(), E>) -> Result<(), Error<E>> {
         self.outbox.needs_flush = false;
         flushed.map_err(|error| {
@@ -302,7 +303,7 @@ impl<P: Protocol> Engine<P> {
         })
     }
 
-    /// The line is gone.
+    /// Handles the loss of the line.
     pub(super) fn hang_up(&mut self, now: Instant, awaited: &mut Awaited<'_>) {
         self.link.hang_up();
         self.outbox = Outbox::EMPTY;
@@ -322,13 +323,13 @@ impl<P: Protocol> Engine<P> {
         }
     }
 
-    /// When something is due even if no byte comes: `until`, or a step of the protocol before it.
+    /// Returns the next deadline without received bytes: `until`, or an earlier one of the protocol.
     pub(super) fn next_due(&self, until: Option<Instant>) -> Option<Instant> {
         let half = self.link.is_mid_message().then(|| self.received_at.plus(self.config.half_frame_ms));
         [until, self.link.poll_timeout(), half].into_iter().flatten().reduce(Instant::earlier_of)
     }
 
-    /// For how many milliseconds nothing is due if no byte comes.
+    /// Returns the milliseconds until the next deadline without received bytes.
     #[cfg(feature = "embedded-io")]
     pub(super) fn idle_ms(&self, now: Instant, until: Option<Instant>) -> u32 {
         self.next_due(until).map_or(LONGEST_WAIT_MS, |due| due.since(now).min(LONGEST_WAIT_MS))
@@ -351,12 +352,12 @@ fn note(
             updates.pop_front();
             *updates_lost = updates_lost.saturating_add(1);
         }
-        // There is room now.
+        // The queue has room: the oldest update was removed.
         let _ = updates.push_back(update);
     }
 }
 
-/// What follows the status code of an answer, copied to the caller's buffer.
+/// The bytes after the status code of a reply, copied to the caller's buffer.
 pub(super) struct Copied<'b> {
     buffer: &'b mut [u8],
     len: usize,
@@ -381,24 +382,24 @@ impl<'b> Copied<'b> {
     }
 }
 
-/// Bytes of the status code.
+/// Length of the status code in bytes.
 const STATUS_LEN: usize = 2;
 
-/// How far the message that was encoded last has left.
+/// The progress of the current message.
 #[derive(Debug)]
 struct Outbox {
     len: usize,
     sent: usize,
-    /// All of it is written, and the transport may still hold it back.
+    /// Whether the message is complete and may still be in the transport's buffer.
     needs_flush: bool,
 }
 
 impl Outbox {
-    /// Nothing is to be sent. The rest of a message that was cut off makes no sense to a gripper; the session misses the
-    /// answer.
+    /// Nothing to send. A gripper cannot use the rest of an interrupted message, and the session notices the missing
+    /// reply.
     const EMPTY: Self = Self { len: 0, sent: 0, needs_flush: false };
 
-    /// So many bytes have left.
+    /// Records that `count` more bytes were sent.
     const fn sent(&mut self, count: usize) {
         self.sent = self.sent.saturating_add(count);
         self.needs_flush = self.sent >= self.len;

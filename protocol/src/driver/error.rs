@@ -1,76 +1,77 @@
-//! Why a request came to nothing, by culprit.
+//! Driver errors, grouped by cause.
 
 use super::StopKind;
 use crate::field::DecodeError;
 use crate::session::RequestError;
 use crate::types::Status;
 
-/// Why a request to a gripper came to nothing. `E` is the transport's own error.
+/// The reason why a request to a gripper failed. `E` is the error type of the transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum Error<E> {
-    /// The caller's: there is no connection (any more), and nothing was sent. `connect` finds out when there is one.
+    /// Caller error: there is no connection (any more), and nothing was sent. Call `connect` to wait for one.
     NotConnected,
-    /// The caller's: a motion is running (or a supply is being switched on); nothing was sent.
+    /// Caller error: a motion is running or a finger supply is being switched on. Nothing was sent.
     MotionRunning,
-    /// The caller's: a FAST STOP is not confirmed yet; nothing was sent.
+    /// Caller error: a FAST STOP is not confirmed yet. Nothing was sent.
     FastStopRunning,
-    /// The caller's: a parameter is none that a gripper may take; nothing was sent.
+    /// Caller error: a parameter has a value that no gripper accepts. Nothing was sent.
     Invalid(DecodeError),
-    /// The caller's: another motion was begun after this one, so its result is not kept any more.
+    /// Caller error: a later motion was begun, so the result of this one is no longer available.
     Superseded,
-    /// The caller's: the text protocol cannot say this; nothing was sent (`Gcl` lists what it cannot say).
+    /// Caller error: the text protocol does not support the request (see `Gcl`). Nothing was sent.
     NotInGcl,
-    /// The caller's: GCL states the force with each grip, and `set_force_limit` was not called yet; nothing was sent.
+    /// Caller error: GCL sends the force limit with each grip, and `set_force_limit` was not called. Nothing was sent.
     NoForceLimit,
-    /// The caller's: a `StopHandle` stopped the gripper during this call, or since the last one. What the call was to do was
-    /// withdrawn or ended. `fast_stop_pending` returns whether the gripper has yet to confirm a FAST STOP.
+    /// Caller error: a `StopHandle` stopped the gripper during this call or since the last one. The request was
+    /// withdrawn, or its motion ended. `fast_stop_pending` returns whether a FAST STOP is still unconfirmed.
     Stopped(StopKind),
-    /// Capacity: a frame of `needed` bytes does not fit the driver, and nothing was sent; or an answer of `needed` bytes
-    /// does not fit the caller's buffer, and the command was carried out.
+    /// Capacity error: a frame of `needed` bytes does not fit the driver and was not sent; or a reply of `needed` bytes
+    /// does not fit the caller's buffer, and the command was executed.
     TooLong {
-        /// The bytes that there should be room for.
+        /// Buffer size required, in bytes.
         needed: usize,
     },
-    /// The gripper's: it refused the command. E_NOT_INITIALIZED: not referenced; E_CMD_UNKNOWN: an id that nothing
-    /// serves.
+    /// Gripper error: it rejected the command. E_NOT_INITIALIZED: the fingers are not referenced. E_CMD_UNKNOWN: the id
+    /// is not supported.
     ///
-    /// E_ACCESS_DENIED: mostly in FAST STOP, until `acknowledge`. A TCP connection that ended without Disconnect
-    /// Announcement leaves the gripper there, so the next program meets it: `with_connection` announces in any case.
-    /// `tare` is denied while a part is held, and everything after a Disconnect Announcement.
+    /// E_ACCESS_DENIED usually means FAST STOP, until `acknowledge`. A TCP connection that ends without Disconnect
+    /// Announcement leaves the gripper in FAST STOP for the next program; `with_connection` always sends the
+    /// announcement. The gripper also denies `tare` while it holds a part, and everything after a Disconnect
+    /// Announcement.
     Refused(Status),
-    /// The gripper's: something was in the way of the fingers (E_AXIS_BLOCKED).
+    /// Gripper error: an obstacle blocked the fingers (E_AXIS_BLOCKED).
     Blocked,
-    /// The gripper's: the motion was ended, by Stop, FAST STOP or another client (E_CMD_ABORTED).
+    /// Gripper error: Stop, FAST STOP or another client ended the motion (E_CMD_ABORTED).
     Aborted,
-    /// The gripper's: the motion began and ended with this status, E_TIMEOUT for example.
+    /// Gripper error: the motion began and ended with this status, for example E_TIMEOUT.
     Failed(Status),
-    /// The gripper's: what came back is not what was sent: a setting that was read back, or loop data.
+    /// Gripper error: the returned value differs from the value sent (a setting that was read back, or loop data).
     Mismatch,
-    /// The gripper's, or the line's: it was sent and no answer came, so what became of it is not known.
+    /// Gripper or line error: the request was sent without a reply, so its outcome is unknown.
     Unanswered,
-    /// The transport's: it failed. What was sent before may have been carried out.
+    /// Transport error: a read or write failed. Earlier requests may have been executed.
     Transport(E),
-    /// The transport's: the other end has closed it.
+    /// Transport error: the peer closed the connection.
     Closed,
 }
 
-/// Who can do something about an [`Error`].
+/// The party that can resolve an [`Error`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum Culprit {
-    /// The caller, who asked for something that cannot be, now or at all.
+    /// The caller, whose request is invalid now or in general.
     Caller,
-    /// The buffers are too small.
+    /// The buffers, which are too small.
     Capacity,
-    /// The gripper, or what it has between its fingers.
+    /// The gripper, or an obstacle between its fingers.
     Peer,
-    /// The line.
+    /// The transport or the line.
     Transport,
 }
 
 impl<E> Error<E> {
-    /// Who can do something about it.
+    /// Returns which party can resolve the error.
     ///
     /// ```
     /// use wsg_protocol::driver::{Culprit, Error};
@@ -106,7 +107,7 @@ impl<E> From<RequestError> for Error<E> {
             RequestError::NotConnected => Self::NotConnected,
             RequestError::FastStopRunning => Self::FastStopRunning,
             RequestError::Invalid(refusal) => Self::Invalid(refusal),
-            // A driver asks for one thing at a time, so its queue is never full.
+            // A driver makes one request at a time, so its queue is never full.
             RequestError::MotionRunning | RequestError::QueueFull => Self::MotionRunning,
         }
     }
@@ -125,11 +126,11 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
             Self::MotionRunning => f.write_str("a motion is running"),
             Self::FastStopRunning => f.write_str("a FAST STOP is not confirmed yet"),
             Self::Invalid(refusal) => write!(f, "invalid parameter: {refusal}"),
-            Self::Superseded => f.write_str("another motion was begun since"),
-            Self::NotInGcl => f.write_str("the text protocol (GCL) cannot say this"),
-            Self::NoForceLimit => f.write_str("no force limit is set, and a grip over GCL states one"),
+            Self::Superseded => f.write_str("a later motion was begun, so this result is no longer available"),
+            Self::NotInGcl => f.write_str("the text protocol (GCL) has no such request"),
+            Self::NoForceLimit => f.write_str("no force limit is set; a grip over GCL needs one: call `set_force_limit` first"),
             Self::Stopped(kind) => write!(f, "a stop handle stopped the gripper: {kind}"),
-            Self::TooLong { needed } => write!(f, "no room for {needed} bytes"),
+            Self::TooLong { needed } => write!(f, "a buffer is too small: {needed} bytes are needed"),
             Self::Refused(Status::AccessDenied) => f.write_str(
                 "refused: E_ACCESS_DENIED; the gripper is probably in FAST STOP, as after a TCP connection that ended \
                  without Disconnect Announcement: make sure that the fingers may move, then call `acknowledge`",
@@ -138,15 +139,15 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
             Self::Blocked => f.write_str("the fingers are blocked"),
             Self::Aborted => f.write_str("the motion was aborted"),
             Self::Failed(status) => write!(f, "the motion failed: {status}"),
-            Self::Mismatch => f.write_str("what was read back is not what was sent"),
-            Self::Unanswered => f.write_str("no answer; what became of the request is not known"),
+            Self::Mismatch => f.write_str("the value read back differs from the value sent"),
+            Self::Unanswered => f.write_str("no answer; the outcome of the request is unknown"),
             Self::Transport(error) => write!(f, "transport: {error}"),
             Self::Closed => f.write_str("the transport is closed"),
         }
     }
 }
 
-/// The source of [`Transport`](Error::Transport) is the transport's own error, which the text has as well.
+/// The source of [`Transport`](Error::Transport) is the transport's error, which is also part of the text.
 impl<E: core::error::Error + 'static> core::error::Error for Error<E> {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
         match self {

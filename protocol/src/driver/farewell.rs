@@ -1,4 +1,4 @@
-//! What a TCP connection that is dropped still has to say: that it ends, so that the gripper does not enter FAST STOP.
+//! The announcement sent when a TCP connection is dropped, so that the gripper does not enter FAST STOP.
 
 use super::readiness::is_readable_within;
 use crate::command::{Command, CommandId};
@@ -9,11 +9,11 @@ use std::net::TcpStream;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-/// How long the gripper may take to close its end.
+/// Time-out for the gripper to close its end.
 const LINGER: Duration = Duration::from_millis(100);
 
-/// Reads what still comes until the gripper has closed its end, or the time is over: bytes that nobody reads would turn the
-/// end into a reset, which may overtake the announcement.
+/// Reads until the gripper has closed its end or the time-out expires. Unread bytes would cause a reset of the
+/// connection, which may overtake the announcement.
 pub(super) fn linger(mut socket: &TcpStream) {
     let begun = Instant::now();
     let mut unread = [0; 512];
@@ -31,21 +31,21 @@ pub(super) fn linger(mut socket: &TcpStream) {
     }
 }
 
-/// Looks at the messages that a driver and its stop handles write, and tells how the connection may end.
+/// Observes the messages of a driver and its stop handles, and determines whether the end must be announced.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Farewell {
-    /// Nothing that could panic leaves a state behind that is no state.
+    /// Valid even after a panic, because no update is left half done.
     state: Arc<Mutex<State>>,
 }
 
-/// At first nothing is said, so nothing is to be announced.
+/// Nothing has been sent yet, so no announcement is due.
 #[derive(Debug, Default)]
 struct State {
     protocol: Option<Spoken>,
     is_due: bool,
 }
 
-/// A protocol, by the first byte of the first message.
+/// A protocol, recognized by the first byte of the first message.
 #[derive(Clone, Copy, Debug)]
 enum Spoken {
     Binary,
@@ -54,10 +54,10 @@ enum Spoken {
 }
 
 impl Farewell {
-    /// Takes note of a message that was written.
+    /// Records a message that was written.
     ///
-    /// After a FAST STOP nothing is due until it is acknowledged: whatever became of it, an end that is not announced is
-    /// another one.
+    /// After a FAST STOP, no announcement is due until it is acknowledged. A FAST STOP may be lost, and the unannounced
+    /// end then triggers another one.
     pub(super) fn note(&self, message: &[u8]) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.protocol.is_none() {
@@ -71,7 +71,7 @@ impl Farewell {
         }
     }
 
-    /// The announcement, written to `buffer`, if it is due.
+    /// Writes the announcement to `buffer` and returns it, if one is due.
     pub(super) fn due<'b>(&self, buffer: &'b mut [u8; OVERHEAD]) -> Option<&'b [u8]> {
         let state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let len = match state.protocol.filter(|_| state.is_due)? {
@@ -97,7 +97,7 @@ impl Spoken {
         }
     }
 
-    /// The command of a message; `None` for the rest of one, too.
+    /// Returns the command of a message, or `None` for the rest of a partial message.
     fn id(self, message: &[u8]) -> Option<CommandId> {
         match self {
             Self::Binary => {
@@ -137,7 +137,7 @@ mod tests {
     #[test]
     fn end_is_announced_in_the_protocol_that_was_spoken_and_once() {
         let announcement = frame(Command::DisconnectAnnouncement);
-        assert_eq!(due(&[]), None, "nothing was said");
+        assert_eq!(due(&[]), None, "no announcement is due before the first message");
         assert_eq!(due(&[&frame(Command::Stop)]), Some(announcement.clone()));
         assert_eq!(due(&[&frame(Command::Stop), &announcement]), None);
         #[cfg(feature = "gcl")]

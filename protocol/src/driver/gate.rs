@@ -1,12 +1,12 @@
-//! Who may write to the line: the driver, and stop handles if there are any.
+//! Controls write access to the line by the driver and its stop handles.
 //!
-//! Every write takes place while one mutex is held. Under the same mutex
-//! - a handle writes nothing into a message of the driver that is half sent, so messages never interleave;
-//! - the driver begins no message while the request of a handle is not taken over. By taking it over it withdraws what waits,
-//!   so nothing that was requested before a stop is sent after it.
+//! Every write takes place under one mutex, which ensures that:
+//! - a handle never writes into a partially sent message of the driver, so messages do not interleave;
+//! - the driver starts no message while a handle's request is pending. It takes the request over first, which withdraws
+//!   all unsent requests. Nothing requested before a stop is sent after it.
 //!
-//! A handle stores its request before it wakes the driver, and a driver that was woken looks for a request before it waits
-//! again, so no wake-up is lost. Without a handle, and without feature `std`, there is no mutex.
+//! A handle stores its request before it wakes the driver, and the driver checks for a request before it waits again,
+//! so no wake-up is lost. Without a handle, and without feature `std`, there is no mutex.
 
 use super::StopRequest;
 #[cfg(feature = "embedded-io-async")]
@@ -16,18 +16,18 @@ use core::task::Poll;
 /// The driver's side of the gate.
 #[derive(Debug)]
 pub(super) struct Gate {
-    /// What it shares with its handles.
+    /// The state shared with the handles.
     #[cfg(feature = "std")]
     pub(super) shared: Option<std::sync::Arc<super::stop::Shared>>,
 }
 
 #[cfg(feature = "std")]
 impl Gate {
-    /// Without handles.
+    /// A gate without handles.
     pub(super) const OPEN: Self = Self { shared: None };
 
-    /// Has the driver write `len` bytes of a message, from its beginning if `is_first`. `None` if it must take a request
-    /// over instead.
+    /// Lets the driver write `len` bytes of a message. `is_first` marks its beginning. Returns `None` if the driver
+    /// must first take over a stop request.
     pub(super) fn poll_write<E>(
         &self,
         is_first: bool,
@@ -40,12 +40,12 @@ impl Gate {
         }
     }
 
-    /// Takes over what was requested.
+    /// Takes the pending stop request, if any.
     pub(super) fn take(&self) -> Option<StopRequest> {
         self.shared.as_ref()?.take()
     }
 
-    /// Is ready when something is requested.
+    /// Completes when a stop is requested.
     #[cfg(feature = "embedded-io-async")]
     pub(super) fn poll_request(&self, context: &mut Context<'_>) -> Poll<()> {
         self.shared.as_ref().map_or(Poll::Pending, |shared| shared.poll_request(context))

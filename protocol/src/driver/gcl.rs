@@ -1,4 +1,4 @@
-//! GCL below a driver: the terms of the binary protocol, said in lines of text.
+//! GCL, as used by a driver: commands and replies of the binary protocol, translated to lines of text.
 
 mod translate;
 
@@ -15,51 +15,51 @@ use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
 use translate::Terms;
 
-/// The longest line that a driver takes over GCL when nothing else is said.
+/// Default limit for a received line over GCL, in bytes.
 pub const GCL_LINE_LEN: usize = 256;
 
-/// The longest line of an answer that a driver asks for: 32 system state flags.
+/// Length of the longest reply line that a driver needs: 32 system state flags.
 const LONGEST_NEEDED: usize = "@SYSFLAGS=[]".len() + 2 * 32;
 
-/// The text protocol (GCL). `RX` is the longest line that is taken, at least 76.
+/// The text protocol (GCL). `RX` is the maximum length of a received line in bytes, at least 76.
 ///
-/// What a program says through a driver means the same as over the binary protocol:
+/// Requests have the same effect as over the binary protocol, with these differences:
 ///
 /// | method | over GCL |
 /// |---|---|
-/// | `connect` | does not ask for the limits: `known().limits` stays `None` |
-/// | `set_force_limit`, `force_limit` | kept by the driver, not clamped, and sent with every GRIP; [`Error::NoForceLimit`] before it was set |
-/// | `move_by` | `MOVE` to the width that is asked for just before, plus the offset |
-/// | `grip` | asks for the width before, to know which way the fingers go; blocked outside the part width tolerance: [`Error::Blocked`] |
-/// | `release` | `RELEASE` by the distance from the width that is asked for just before; only after a grip (E_NOT_AVAILABLE), and only away from the part: else [`Error::NotInGcl`] |
-/// | `system_info` | hardware revision 0; firmware 0.0.0 if it is none that the binary protocol could say |
-/// | `finger_info` | four bytes of data for a WSG-FMF, none for others |
-/// | `finger_data` | of a WSG-FMF; E_NOT_AVAILABLE for others |
+/// | `connect` | does not query the limits: `known().limits` stays `None` |
+/// | `set_force_limit`, `force_limit` | stored by the driver, not clamped, and sent with every GRIP; [`Error::NoForceLimit`] before the first setting |
+/// | `move_by` | queries the width, then sends `MOVE` to that width plus the offset |
+/// | `grip` | queries the width first to determine the direction; blocked outside the part width tolerance: [`Error::Blocked`] |
+/// | `release` | queries the width, then sends `RELEASE` by the distance from it; only after a grip (E_NOT_AVAILABLE), and only away from the part (otherwise [`Error::NotInGcl`]) |
+/// | `system_info` | hardware revision 0; firmware 0.0.0 if the binary protocol cannot represent it |
+/// | `finger_info` | four bytes of data for a WSG-FMF, 0 for other fingers |
+/// | `finger_data` | supported for a WSG-FMF; E_NOT_AVAILABLE for other fingers |
 /// | `announce_disconnect` | `BYE` |
-/// | [`timeouts`](session::Config::timeouts), [`verify_settings`](session::Config::verify_settings) | without effect |
+/// | [`timeouts`](session::Config::timeouts), [`verify_settings`](session::Config::verify_settings) | no effect |
 ///
-/// Which way `RELEASE` goes is the gripper's: away from the part of its last grip. The driver knows its own grips, not those
-/// of other clients; without one it takes the fingers to have closed.
+/// The gripper determines the direction of `RELEASE`: away from the part of its last grip. The driver knows only its
+/// own grips, not the grips of other clients. Before its first grip it assumes that the fingers have closed.
 ///
-/// [`Error::NotInGcl`], and nothing is sent: `move_to` and `move_by` with [`OnBlock::Clamp`](super::OnBlock::Clamp),
-/// `statistics` with a reset, `limits`, acceleration, soft limits, overdrive, `set_tag`, `set_finger_power`, `loop_back`,
-/// and `raw` with anything that GCL has not.
+/// These requests return [`Error::NotInGcl`] and send nothing: `move_to` and `move_by` with
+/// [`OnBlock::Clamp`](super::OnBlock::Clamp), `statistics` with a reset, `limits`, acceleration, soft limits,
+/// overdrive, `set_tag`, `set_finger_power`, `loop_back`, and `raw` with any command that GCL lacks.
 #[derive(Debug)]
 pub struct Gcl<const RX: usize = GCL_LINE_LEN> {
     session: Session,
     reader: LineReader<RX>,
     line: [u8; Request::MAX_LEN + 1],
-    /// The request in the line.
+    /// The request in the line buffer.
     name: CommandName,
     terms: Terms,
     known: Known,
-    /// The answer to a request that the driver serves itself.
+    /// The reply to a request that the driver serves itself.
     own_answer: Option<Reply<'static>>,
-    /// What became of PWT or CLT.
+    /// The state of a PWT or CLT request.
     setting: Setting,
 }
 
-/// What became of a request that only GCL has.
+/// The state of a request that exists only in GCL.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Setting {
     Open,
@@ -71,7 +71,10 @@ enum Setting {
 impl<const RX: usize> Gcl<RX> {
     pub(super) const fn new(config: session::Config) -> Self {
         const {
-            assert!(RX >= LONGEST_NEEDED, "the session asks for the system state flags");
+            assert!(
+                RX >= LONGEST_NEEDED,
+                "RX must be at least 76: the session queries the system state flags"
+            );
         }
         Self {
             session: Session::new(translate::session_config(&config)),
@@ -85,13 +88,13 @@ impl<const RX: usize> Gcl<RX> {
         }
     }
 
-    /// Asks for PWT or CLT, or sets it.
+    /// Requests or sets PWT or CLT.
     pub(super) fn request_setting<E>(&mut self, request: Request) -> Result<(), Error<E>> {
         self.setting = Setting::Open;
         Ok(self.session.request(request)?)
     }
 
-    /// What became of it.
+    /// Returns the outcome of that request.
     pub(super) const fn setting<E>(&self) -> Result<f32, Error<E>> {
         match self.setting {
             Setting::Is(value) => Ok(value),
@@ -101,7 +104,7 @@ impl<const RX: usize> Gcl<RX> {
         }
     }
 
-    /// Requests that the driver serves itself; the answer to one.
+    /// Serves the requests that need no message, and returns the reply.
     fn serve<E>(&mut self, command: &Command<'_>) -> Result<Option<Reply<'static>>, Error<E>> {
         match *command {
             Command::SetForceLimit { force } => {
@@ -214,7 +217,7 @@ impl<const RX: usize> Link for Gcl<RX> {
         }
     }
 
-    /// A line has no time to come in: TCP may hold a part of it back, and a datagram holds all of it.
+    /// A line has no time-out: TCP may delay a part of it, and a datagram contains all of it.
     fn is_mid_message(&self) -> bool {
         false
     }

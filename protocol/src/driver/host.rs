@@ -1,14 +1,14 @@
-//! The blocking driver on a computer: transports and a clock over the standard library, by feature `std`.
+//! The blocking driver on a PC: transports and a clock of the standard library (feature `std`).
 //!
-//! | type | is | the gripper's address |
+//! | type | description | address of the gripper |
 //! |---|---|---|
-//! | [`Tcp`] | a TCP connection, whose end is announced | `192.168.1.20:1000` |
+//! | [`Tcp`] | a TCP connection that announces its end | `192.168.1.20:1000` |
 //! | [`Udp`] | a UDP socket | `192.168.1.20:1500` |
-//! | [`PolledStream`] | a byte stream with a file descriptor: a port of the crate `serial2`, a Unix socket | |
-//! | [`Stream`] | anything else that reads and writes, with a read time-out: a port of the crate `serialport`, any port on Windows | |
-//! | [`StdClock`] | the clock | |
+//! | [`PolledStream`] | a byte stream with a file descriptor, such as a port of the crate `serial2` or a Unix socket | |
+//! | [`Stream`] | any other byte stream with a read time-out, such as a port of the crate `serialport` or any port on Windows | |
+//! | [`StdClock`] | the standard library's monotonic clock | |
 //!
-//! [`connect`] takes them together, for the binary protocol over TCP. For anything else give the parts to the driver:
+//! [`connect`] combines them for the binary protocol over TCP. In all other cases pass the parts to the driver:
 //!
 //! ```no_run
 //! use std::time::Duration;
@@ -40,18 +40,17 @@ use core::time::Duration;
 use std::io;
 use std::net::ToSocketAddrs;
 
-/// How long a read may take that has nothing to read although the system reported bytes, such as a datagram whose checksum
-/// then proved wrong.
+/// Read time-out in case the system reports bytes that are then missing, such as a datagram with a wrong checksum.
 const SPURIOUS: Duration = Duration::from_millis(1);
 
-/// Connects to the gripper at this address, over TCP and the binary protocol, and waits until it answers.
+/// Connects to the gripper at this address over TCP and the binary protocol, and waits for its first reply.
 ///
-/// When the gripper is dropped, it announces the end of the connection, whatever ends the scope: a return, `?`, or `break`.
-/// Otherwise a gripper on TCP enters FAST STOP. Only a program that panics, or that has requested a FAST STOP, leaves it
+/// Dropping the gripper announces the end of the connection, whether the scope ends by return, `?` or `break`.
+/// Otherwise a gripper on TCP enters FAST STOP. Only a program that panics or has requested a FAST STOP leaves it
 /// there; see [`Tcp`].
 ///
-/// A gripper that is in FAST STOP already stays there: [`acknowledge`](super::blocking::GripperOver::acknowledge) unlocks
-/// it, when the fingers may move.
+/// A gripper that is already in FAST STOP stays there. Call [`acknowledge`](super::blocking::GripperOver::acknowledge)
+/// to unlock it once the fingers may move.
 ///
 /// ```
 /// # use wsg_sim::{Config, Part, server::{Lines, ServerThread}};
@@ -62,7 +61,7 @@ const SPURIOUS: Duration = Duration::from_millis(1);
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::{Grip, Mm, MmPerS, N, host};
 ///
-/// // A real one: "192.168.1.20:1000".
+/// // Address of a real gripper: "192.168.1.20:1000".
 /// let mut gripper = host::connect(address)?;
 /// gripper.home(HomingDirection::Default)?;
 /// gripper.set_force_limit(N(40.0))?;
@@ -71,10 +70,10 @@ const SPURIOUS: Duration = Duration::from_millis(1);
 /// ```
 ///
 /// # Errors
-/// - [`Error::Transport`]: no connection within [`Tcp::CONNECT_TIMEOUT`]; the address is wrong, the gripper is off, or its
-///   command interface is not TCP.
-/// - [`Error::NotConnected`]: the connection stands and nothing answers; the interface is perhaps set to the text protocol.
-/// - [`Error::Closed`]: the gripper has closed it; another client perhaps holds the connection.
+/// - [`Error::Transport`]: no connection within [`Tcp::CONNECT_TIMEOUT`]. The address is wrong, the gripper is off, or
+///   its command interface is not TCP.
+/// - [`Error::NotConnected`]: there is a connection but no reply. The interface may be set to the text protocol.
+/// - [`Error::Closed`]: the gripper closed the connection. Another client may already be connected.
 pub fn connect(address: impl ToSocketAddrs) -> Result<Gripper<Tcp, StdClock>, Error<io::Error>> {
     let line = Tcp::connect(address).map_err(Error::Transport)?;
     let mut gripper = Gripper::new(line, StdClock::new());
@@ -82,10 +81,10 @@ pub fn connect(address: impl ToSocketAddrs) -> Result<Gripper<Tcp, StdClock>, Er
     Ok(gripper)
 }
 
-/// As [`connect`], over the text protocol (GCL).
+/// Connects like [`connect`], over the text protocol (GCL).
 ///
 /// # Errors
-/// As [`connect`].
+/// Returns the same errors as [`connect`].
 #[cfg(feature = "gcl")]
 pub fn connect_gcl(
     address: impl ToSocketAddrs,
@@ -96,8 +95,8 @@ pub fn connect_gcl(
     Ok(gripper)
 }
 
-/// Runs a program with the gripper at this address, as [`connect`] does, and also waits until the gripper has confirmed the
-/// end of the connection. For a program with errors of its own take [`connect`], or
+/// Runs a closure with the gripper at this address, connecting like [`connect`], and waits for the gripper to confirm
+/// the end of the connection. For a closure with its own error type, use [`connect`] or
 /// [`with_connection`](super::blocking::GripperOver::with_connection).
 ///
 /// ```
@@ -114,7 +113,7 @@ pub fn connect_gcl(
 /// ```
 ///
 /// # Errors
-/// Those of [`connect`], of the program, and of the announcement.
+/// Returns the errors of [`connect`], of the closure and of the announcement.
 pub fn with_gripper<T>(
     address: impl ToSocketAddrs,
     program: impl FnOnce(&mut Gripper<Tcp, StdClock>) -> Result<T, Error<io::Error>>,
@@ -130,7 +129,7 @@ pub struct StdClock {
 }
 
 impl StdClock {
-    /// A clock that shows 0 now.
+    /// Creates a clock that starts at 0.
     #[must_use]
     pub fn new() -> Self {
         Self { start: std::time::Instant::now() }
@@ -145,7 +144,7 @@ impl Default for StdClock {
 
 impl Clock for StdClock {
     fn now(&mut self) -> Instant {
-        // A driver's clock may wrap, so the low 32 bits will do.
+        // A driver's clock may wrap, so the low 32 bits suffice.
         Instant::from_millis(self.start.elapsed().as_millis() as u32)
     }
 }

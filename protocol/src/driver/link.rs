@@ -1,4 +1,4 @@
-//! What a driver asks of a protocol: a session, what finds its messages in a stream of bytes, and what writes them.
+//! The interface between a driver and a protocol: a session, a parser of its messages and their encoder.
 
 use super::Error;
 use crate::command::{Command, CommandId};
@@ -7,16 +7,16 @@ use crate::time::Instant;
 use crate::types::AutoUpdate;
 use crate::{frame, session};
 
-/// A protocol that a driver speaks: [`Binary`](super::Binary) or `Gcl`. No other type can be one.
+/// A protocol of a driver: [`Binary`](super::Binary) or `Gcl`. Sealed.
 ///
-/// A program that is written for any of them takes it as a parameter:
+/// Generic programs take it as a type parameter:
 ///
 /// ```
 /// # #[cfg(feature = "embedded-io")] {
 /// use wsg_protocol::driver::blocking::{GripperOver, Transport};
 /// use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N, Protocol};
 ///
-/// /// Takes a part of 20 mm; whether there was one.
+/// /// Grips a part of 20 mm and returns whether it was found.
 /// fn pick<IO: Transport, C: Clock, P: Protocol>(
 ///     gripper: &mut GripperOver<IO, C, P>,
 /// ) -> Result<bool, Error<IO::Error>> {
@@ -27,75 +27,75 @@ use crate::{frame, session};
 /// ```
 pub trait Protocol: Link {}
 
-/// The terms are those of the binary protocol: commands, replies, events.
+/// A protocol in the terms of the binary one: commands, replies and events.
 pub trait Link: core::fmt::Debug {
-    /// Whether the gripper answers.
+    /// Returns whether the gripper is connected.
     fn is_connected(&self) -> bool;
 
-    /// Whether a request waits to be sent, or for its first answer. Stop and FAST STOP aside.
+    /// Returns whether a request is queued or its first reply is outstanding. Ignores Stop and FAST STOP.
     fn is_busy(&self) -> bool;
 
-    /// Whether a FAST STOP is not confirmed yet.
+    /// Returns whether a FAST STOP is unconfirmed.
     fn fast_stop_pending(&self) -> bool;
 
-    /// Whether a Stop or FAST STOP is on its way.
+    /// Returns whether a Stop or FAST STOP is pending.
     fn is_urgent(&self) -> bool;
 
-    /// The motion that is running.
+    /// Returns the motion in progress.
     fn motion(&self) -> Option<CommandId>;
 
-    /// What is known of the gripper.
+    /// Returns the known state of the gripper.
     fn known(&self) -> &Known;
 
-    /// What could not be used on the line.
+    /// Returns the counters of unusable bytes on the line.
     fn line_counters(&self) -> frame::FrameCounters;
 
-    /// What could not be used of messages.
+    /// Returns the counters of unusable messages.
     fn session_counters(&self) -> session::SessionCounters;
 
-    /// As [`session::Session::subscribe`].
+    /// Subscribes to a value, as in [`session::Session::subscribe`].
     fn subscribe(&mut self, topic: Topic, update: AutoUpdate);
 
-    /// Whether the current opening width must be known before this command can be asked for.
+    /// Returns whether this command needs the current opening width.
     fn wants_width(&self, command: &Command<'_>) -> bool;
 
-    /// Asks for a command to be sent; `width` is the current one if it was wanted.
+    /// Requests a command. `width` is the current opening width if it is needed.
     fn request<E>(&mut self, command: Command<'static>, width: Option<f32>) -> Result<(), Error<E>>;
 
-    /// Asks for a command that the caller keeps, because it borrows its payload.
+    /// Requests a command that the caller keeps because it borrows its payload.
     fn request_borrowed<E>(&mut self, command: &Command<'_>) -> Result<(), Error<E>>;
 
-    /// Cancels every request that was not sent yet.
+    /// Cancels all unsent requests.
     fn withdraw(&mut self);
 
-    /// Cancels the last encoded message if no byte of it was sent; returns whether it could.
+    /// Cancels the last encoded message if none of its bytes was sent. Returns whether it was cancelled.
     fn take_back(&mut self) -> bool;
 
-    /// The line is gone.
+    /// Handles the loss of the line.
     fn hang_up(&mut self);
 
-    /// Takes bytes from the line.
+    /// Processes bytes received from the line.
     fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Event<'_>));
 
-    /// Whether half a message is there whose rest should have come at once.
+    /// Returns whether an incomplete message is held whose rest must follow at once.
     fn is_mid_message(&self) -> bool;
 
-    /// Gives up that half.
+    /// Discards the incomplete message.
     fn give_up_half(&mut self, now: Instant, note: &mut impl FnMut(&Event<'_>));
 
-    /// Processes what is due at `now`. Call it again until it returns `None`.
+    /// Processes one event that is due at `now`. Call until it returns `None`.
     fn tick(&mut self, now: Instant) -> Option<Event<'static>>;
 
-    /// When [`tick`](Self::tick) must be called at the latest.
+    /// Returns the latest time of the next call to [`tick`](Self::tick).
     fn poll_timeout(&self) -> Option<Instant>;
 
-    /// Encodes the next message to send, and says how long it is. It counts as sent.
+    /// Encodes the next message to send and returns its length. It counts as sent.
     fn encode_next(&mut self, now: Instant, borrowed: Option<Command<'_>>) -> Option<usize>;
 
-    /// The buffer whose start is the message that was encoded last.
+    /// Returns the buffer that starts with the last encoded message.
     fn encoded(&self) -> &[u8];
 
-    /// Writes the message that stops the fingers this way to the buffer, and says how long it is.
+    /// Writes the stop message of this kind to the buffer and returns its length.
     #[cfg(feature = "std")]
     fn stop_message(kind: super::StopKind, buffer: &mut [u8; super::MAX_STOP_LEN]) -> usize;
 }

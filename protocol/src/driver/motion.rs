@@ -1,4 +1,4 @@
-//! A motion that was begun, and what it came to.
+//! The state and result of a motion.
 
 use super::{Error, Grip};
 use crate::command::CommandId;
@@ -6,8 +6,8 @@ use crate::session::Event;
 use crate::types::Status;
 use core::marker::PhantomData;
 
-/// A motion that has begun (E_CMD_PENDING). `wait` or `poll` tells what it comes to, a `T`, as often as asked, until
-/// another one is begun. To drop it changes nothing: the motion goes on.
+/// A motion that has begun (E_CMD_PENDING). `wait` and `poll` return its result `T`, repeatedly if needed, until
+/// another motion is begun. Dropping it has no effect on the motion.
 #[must_use = "the motion goes on; `wait` or `poll` tells what it comes to"]
 pub struct Pending<T> {
     id: CommandId,
@@ -16,7 +16,7 @@ pub struct Pending<T> {
 }
 
 impl<T> Pending<T> {
-    /// The command that is being carried out.
+    /// Returns the command in progress.
     #[must_use]
     pub const fn id(&self) -> CommandId {
         self.id
@@ -37,9 +37,9 @@ impl<T> core::fmt::Debug for Pending<T> {
     }
 }
 
-/// What a motion comes to when it succeeds: [`Grip`] for a grip, `()` for the others.
+/// The result of a successful motion: [`Grip`] for a grip, `()` for all others.
 pub trait MotionResult: Sized + private::Sealed {
-    /// What this status of a second answer stands for; `None`: failure.
+    /// Converts the status of a second reply to a result; `None` means failure.
     #[doc(hidden)]
     fn from_status(status: Status) -> Option<Self>;
 }
@@ -66,7 +66,7 @@ impl MotionResult for Grip {
     }
 }
 
-/// The motion that was asked for last.
+/// The last requested motion.
 #[derive(Debug)]
 pub(super) struct Motion {
     id: CommandId,
@@ -76,29 +76,30 @@ pub(super) struct Motion {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
-    /// Not answered yet.
+    /// Requested, without a reply yet.
     Asked,
-    /// E_CMD_PENDING.
+    /// Begun (E_CMD_PENDING).
     Runs,
-    /// It did not begin.
+    /// Did not begin.
     NotBegun(Verdict),
-    /// It began and ended.
+    /// Begun and ended.
     Over(Verdict),
 }
 
-/// What became of a request.
+/// The outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
-    /// This final status came.
+    /// Answered with this final status.
     Answered(Status),
-    /// Sent, and not answered.
+    /// Sent, without a reply.
     Unanswered,
-    /// Not sent.
+    /// Withdrawn before it was sent.
     Withdrawn,
 }
 
 impl Verdict {
-    /// What this event says of a request with this id; nothing if it is about another, or not final.
+    /// Returns the outcome that an event reports for a request with this id, or `None` if it concerns another request
+    /// or is not final.
     pub(super) fn of(event: &Event<'_>, id: CommandId) -> Option<Self> {
         match event {
             Event::Answered(reply) if reply.id() == id => Some(Self::Answered(reply.status())),
@@ -114,7 +115,7 @@ impl Motion {
         Self { id: CommandId::Unknown(0), serial: 0, stage: Stage::NotBegun(Verdict::Withdrawn) }
     }
 
-    /// Another one is asked for.
+    /// Records the request of another motion.
     pub(super) const fn ask(&mut self, id: CommandId) {
         *self = Self { id, serial: self.serial.wrapping_add(1), stage: Stage::Asked };
     }
@@ -128,7 +129,7 @@ impl Motion {
         }
     }
 
-    /// Whether it is known that it has begun, or that it has not.
+    /// Returns whether the motion is known to have begun or failed to begin.
     pub(super) const fn is_decided(&self) -> bool {
         !matches!(self.stage, Stage::Asked)
     }
@@ -137,7 +138,7 @@ impl Motion {
         matches!(self.stage, Stage::NotBegun(_) | Stage::Over(_))
     }
 
-    /// The one that has begun.
+    /// Returns the motion if it has begun.
     pub(super) fn begun<T, E>(&self) -> Result<Pending<T>, Error<E>> {
         match self.stage {
             Stage::NotBegun(Verdict::Answered(status)) => Err(Error::Refused(status)),
@@ -153,7 +154,7 @@ impl Motion {
         self.serial == pending.serial
     }
 
-    /// What it came to.
+    /// Returns the result of the motion.
     pub(super) fn result<T: MotionResult, E>(&self) -> Result<T, Error<E>> {
         let Stage::Over(Verdict::Answered(status)) = self.stage else { return Err(Error::Unanswered) };
         T::from_status(status).ok_or(match status {

@@ -1,17 +1,17 @@
-//! When a socket or a serial port has bytes, from the operating system, and a way to end that wait. Nothing here reads them.
+//! Readiness of sockets and serial ports as reported by the operating system, and a way to end the wait. Does not read.
 
 use core::time::Duration;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::io;
 use std::sync::Arc;
 
-/// What the operating system can wait for: on Unix anything with a file descriptor, on Windows a socket.
+/// A source that the operating system can poll: on Unix any file descriptor, on Windows a socket.
 #[cfg(unix)]
 pub(super) use std::os::fd::{AsFd as AsPollable, OwnedFd as Owned};
 #[cfg(windows)]
 pub(super) use std::os::windows::io::{AsSocket as AsPollable, OwnedSocket as Owned};
 
-/// A second descriptor of the same source.
+/// Duplicates the descriptor of a source.
 pub(super) fn duplicate(source: &impl AsPollable) -> io::Result<Owned> {
     #[cfg(unix)]
     return source.as_fd().try_clone_to_owned();
@@ -19,21 +19,21 @@ pub(super) fn duplicate(source: &impl AsPollable) -> io::Result<Owned> {
     return source.as_socket().try_clone_to_owned();
 }
 
-/// What is known of a source of bytes without another system call.
+/// The readiness known without another system call.
 #[derive(Clone, Copy, Debug, Default)]
 enum Seen {
     #[default]
     Nothing,
-    /// Bytes are there, or the end.
+    /// Bytes or the end of the stream are available.
     Bytes,
-    /// The last read has emptied it.
+    /// The last read emptied the source.
     Silence,
 }
 
-/// The longest single wait of a read that has no end of its own.
+/// Maximum duration of a single wait without a deadline, in milliseconds.
 pub(super) const LONG_MS: u32 = 60_000;
 
-/// When to read from one source of bytes.
+/// The read readiness of one source.
 #[derive(Debug)]
 pub(super) struct Readiness {
     seen: Seen,
@@ -45,7 +45,7 @@ impl Readiness {
         Self { seen: Seen::Nothing, waker: None }
     }
 
-    /// Whether a read would return at once.
+    /// Returns whether a read would return immediately.
     pub(super) fn may_read(&mut self, source: &impl AsPollable) -> io::Result<bool> {
         match core::mem::take(&mut self.seen) {
             Seen::Nothing => is_readable_within(source, 0),
@@ -54,19 +54,20 @@ impl Readiness {
         }
     }
 
-    /// A read did not fill its buffer: the next question needs no system call.
+    /// Records a read that did not fill its buffer, so the next check needs no system call.
     pub(super) const fn is_emptied(&mut self) {
         self.seen = Seen::Silence;
     }
 
-    /// Waits until bytes are there, or the end, for so many milliseconds. A signal ends the wait, and so does the waker.
+    /// Waits up to `at_most_ms` milliseconds for bytes or the end of the stream. A signal or the waker also ends the
+    /// wait.
     pub(super) fn wait(&mut self, source: &impl AsPollable, at_most_ms: u32) -> io::Result<()> {
         let flags = flags_within(source, PollFlags::IN, self.waker.as_deref(), at_most_ms)?;
         self.seen = if flags.is_empty() { Seen::Nothing } else { Seen::Bytes };
         Ok(())
     }
 
-    /// What ends the wait from another thread.
+    /// Returns a waker that ends the wait from another thread.
     pub(super) fn waker(&mut self) -> io::Result<Arc<Waker>> {
         let waker = match self.waker.take() {
             Some(waker) => waker,
@@ -76,17 +77,18 @@ impl Readiness {
     }
 }
 
-/// Waits until bytes are there, or the end, for so many milliseconds; whether they are.
+/// Waits up to `at_most_ms` milliseconds for bytes or the end of the stream, and returns whether they are available.
 pub(super) fn is_readable_within(source: &impl AsPollable, at_most_ms: u32) -> io::Result<bool> {
     Ok(!flags_within(source, PollFlags::IN, None, at_most_ms)?.is_empty())
 }
 
-/// Whether a write would take something at once.
+/// Returns whether a write would accept bytes immediately.
 pub(super) fn is_writable(source: &impl AsPollable) -> io::Result<bool> {
     Ok(flags_within(source, PollFlags::OUT, None, 0)?.contains(PollFlags::OUT))
 }
 
-/// What is so within so many milliseconds; nothing at the end of the time, or when a signal or the waker ends the wait.
+/// Polls up to `at_most_ms` milliseconds and returns the flags. They are empty after the time-out, a signal or the
+/// waker.
 fn flags_within(
     source: &impl AsPollable,
     flags: PollFlags,
@@ -126,7 +128,7 @@ type Signal = std::os::unix::net::UnixDatagram;
 #[cfg(windows)]
 type Signal = std::net::UdpSocket;
 
-/// Two connected sockets: what one sends ends the wait for the other.
+/// A pair of connected sockets. Sending on one ends the wait on the other.
 #[derive(Debug)]
 pub(super) struct Waker {
     sender: Signal,
@@ -141,14 +143,14 @@ impl Waker {
         Ok(Self { sender, receiver })
     }
 
-    /// Ends the wait, or the next one if there is none now.
+    /// Ends the current wait, or the next one if there is none.
     #[cfg_attr(windows, expect(clippy::disallowed_methods, reason = "it does not wait"))]
     pub(super) fn wake(&self) {
-        // What is full has woken it already.
+        // A full socket has already woken the receiver.
         let _ = self.sender.send(&[1]);
     }
 
-    /// The next wait is not ended by what was sent until now.
+    /// Discards pending wake-ups, so they do not end the next wait.
     #[cfg_attr(windows, expect(clippy::disallowed_methods, reason = "it does not wait"))]
     fn rest(&self) {
         while self.receiver.recv(&mut [0]).is_ok() {}

@@ -1,14 +1,14 @@
-//! What a transport has read and the driver has not taken yet.
+//! Bytes that a transport has read and the driver has not yet taken.
 
 use std::io::{self, ErrorKind};
 
-/// A buffer of what was read; empty before the next read.
+/// A read buffer, refilled only when empty.
 #[derive(Debug)]
 pub(super) struct Received<const N: usize> {
     bytes: [u8; N],
     at: usize,
     len: usize,
-    /// The other end has closed.
+    /// Whether the peer has closed the connection.
     has_ended: bool,
 }
 
@@ -17,28 +17,28 @@ impl<const N: usize> Received<N> {
         Self { bytes: [0; N], at: 0, len: 0, has_ended: false }
     }
 
-    /// Whether there is nothing to take: no byte, and no end.
+    /// Returns whether neither bytes nor the end of the stream are pending.
     pub(super) const fn is_empty(&self) -> bool {
         self.at >= self.len && !self.has_ended
     }
 
-    /// How many bytes the last read had.
+    /// Returns the number of bytes of the last read.
     pub(super) const fn len(&self) -> usize {
         self.len
     }
 
-    /// Where the next bytes are read to.
+    /// Returns the space for the next read.
     pub(super) const fn space(&mut self) -> &mut [u8] {
         &mut self.bytes
     }
 
-    /// So many bytes were read; none: the other end has closed.
+    /// Records a read of `len` bytes; 0 means that the peer has closed the connection.
     pub(super) const fn filled(&mut self, len: usize) {
         (self.at, self.len) = (0, len);
         self.has_ended = len == 0;
     }
 
-    /// Reads if there is nothing to take; whether there is something now. Silence is no error.
+    /// Reads if nothing is pending, and returns whether something is now. No input is not an error.
     pub(super) fn fill(&mut self, read: impl FnOnce(&mut [u8]) -> io::Result<usize>) -> io::Result<bool> {
         use ErrorKind::{Interrupted, TimedOut, WouldBlock};
         if self.is_empty() {
@@ -53,7 +53,7 @@ impl<const N: usize> Received<N> {
         Ok(true)
     }
 
-    /// Moves as much as fits to `buffer`; how much that was.
+    /// Moves as many bytes as fit to `buffer` and returns their number.
     pub(super) fn take(&mut self, buffer: &mut [u8]) -> usize {
         let held = self.bytes.get(self.at..self.len).unwrap_or(&[]);
         let count = held.len().min(buffer.len());

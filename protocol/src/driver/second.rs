@@ -1,4 +1,4 @@
-//! A second way to write to the socket or port of a transport, for a stop handle.
+//! A second write path to the socket or port of a transport, for a stop handle.
 
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
@@ -6,12 +6,12 @@ use std::net::{SocketAddr, TcpStream, UdpSocket};
 use super::farewell::Farewell;
 use super::readiness::{AsPollable, Owned, is_writable};
 
-/// A write to this source returns at once, or is not made.
+/// Writes only if the source is ready, so that the call returns immediately.
 fn if_writable<S: AsPollable>(source: &S, write: impl FnOnce(&S) -> io::Result<usize>) -> io::Result<usize> {
     if is_writable(source)? { write(source) } else { Err(ErrorKind::WouldBlock.into()) }
 }
 
-/// To a TCP connection, whose farewell learns of it.
+/// Creates a write path to a TCP connection and records each message in its farewell.
 pub(super) fn tcp(second: Owned, farewell: Farewell) -> impl Fn(&[u8]) -> io::Result<usize> {
     let socket = TcpStream::from(second);
     move |bytes| {
@@ -22,7 +22,7 @@ pub(super) fn tcp(second: Owned, farewell: Farewell) -> impl Fn(&[u8]) -> io::Re
     }
 }
 
-/// To a gripper on UDP.
+/// Creates a write path to a gripper on UDP.
 pub(super) fn udp(second: Owned, gripper: SocketAddr) -> impl Fn(&[u8]) -> io::Result<usize> {
     let socket = UdpSocket::from(second);
     move |bytes| {
@@ -31,11 +31,11 @@ pub(super) fn udp(second: Owned, gripper: SocketAddr) -> impl Fn(&[u8]) -> io::R
     }
 }
 
-/// To anything with a descriptor.
+/// Creates a write path to any source with a descriptor.
 pub(super) fn stream(second: Owned) -> impl Fn(&[u8]) -> io::Result<usize> {
     #[cfg(unix)]
     let second = std::fs::File::from(second);
-    // A descriptor there is a socket.
+    // On Windows, a descriptor is a socket.
     #[cfg(windows)]
     let second = TcpStream::from(second);
     move |bytes| {

@@ -1,4 +1,5 @@
-//! Stop and FAST STOP from any thread, by feature `std`. [`gate`](super::gate) states what holds between handle and driver.
+//! Stop and FAST STOP from any thread (feature `std`). See [`gate`](super::gate) for the guarantees between handle and
+//! driver.
 
 use super::link::Protocol;
 use super::{MAX_STOP_LEN, StopKind, StopRequest};
@@ -11,20 +12,21 @@ use std::io::{self, ErrorKind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Instant;
 
-/// How long a line may keep the rest of a stop of which it has taken the beginning.
+/// Time-out for sending the rest of a partially accepted stop message.
 const REST_TIMEOUT: Duration = Duration::from_millis(100);
 
-/// Stops the gripper of a driver from any thread, also while that driver waits in a call.
+/// Stops the gripper of a driver from any thread, even while the driver waits in a call.
 ///
-/// A method `stop_handle` of a gripper makes one. The handle writes to the line itself, so the bytes are in the socket when
-/// its method returns, whatever the driver's thread does. The driver is woken, withdraws what it has not sent, waits until
-/// the gripper has confirmed the stop, and returns [`Error::Stopped`](super::Error::Stopped) from the call that is running.
-/// If none is, the next call does. Either way the program learns of the stop before it can move the fingers again.
+/// Created by the method `stop_handle` of a gripper. The handle writes directly to the line, so the bytes are in the
+/// socket when its method returns, whatever the driver's thread does. The driver wakes up, withdraws unsent requests,
+/// waits for the gripper to confirm the stop, and returns [`Error::Stopped`](super::Error::Stopped) from the current
+/// call or, if there is none, from the next one. Either way the program is notified before it can move the fingers
+/// again.
 ///
-/// It must not be used in a signal handler, because it locks a mutex. A thread that waits for signals, as that of the crate
-/// `signal-hook`, may use it.
+/// Do not use it in a signal handler, because it locks a mutex. A thread that waits for signals, such as that of the
+/// crate `signal-hook`, may use it.
 ///
-/// The handle is of no use any more after `into_io`, `replace_io`, or when the gripper is dropped.
+/// The handle is detached by `into_io`, by `replace_io`, and by dropping the gripper.
 ///
 /// ```
 /// # use wsg_sim::{Config, server::{Lines, ServerThread}};
@@ -34,7 +36,7 @@ const REST_TIMEOUT: Duration = Duration::from_millis(100);
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::{Error, Mm, MmPerS, OnBlock, StopKind, host};
 ///
-/// // A real one: "192.168.1.20:1000".
+/// // Address of a real gripper: "192.168.1.20:1000".
 /// let mut gripper = host::connect(address)?;
 /// gripper.home(HomingDirection::Positive)?;
 /// let handle = gripper.stop_handle().map_err(Error::Transport)?;
@@ -50,21 +52,21 @@ pub struct StopHandle {
 }
 
 impl StopHandle {
-    /// Stops the fingers; a part is held no longer (command set, 3.2.3).
+    /// Stops the fingers. A held part is released (command set, 3.2.3).
     ///
     /// # Errors
-    /// - `NotConnected`: the driver is gone, or goes on with another transport. Nothing is sent.
-    /// - `WouldBlock`: the line takes nothing now, because the gripper does not read. The driver sends the stop as soon as it
-    ///   can, within its call or in the next one.
-    /// - Other errors of the transport. The driver tries again in its call or in the next one.
+    /// - `NotConnected`: the driver no longer exists or uses another transport. Nothing is sent.
+    /// - `WouldBlock`: the line accepts no bytes because the gripper does not read. The driver sends the stop as soon
+    ///   as possible, within its current call or the next one.
+    /// - Other errors of the transport. The driver retries in its current call or the next one.
     pub fn stop(&self) -> io::Result<()> {
         self.request(StopKind::Stop)
     }
 
-    /// Stops the fingers the fastest way and locks them until `acknowledge` (command set, 3.2.4).
+    /// Stops the fingers as fast as possible and locks them until `acknowledge` (command set, 3.2.4).
     ///
     /// # Errors
-    /// As [`stop`](Self::stop).
+    /// Returns the same errors as [`stop`](Self::stop).
     pub fn fast_stop(&self) -> io::Result<()> {
         self.request(StopKind::FastStop)
     }
@@ -76,16 +78,16 @@ impl StopHandle {
 
 type Write = dyn Fn(&[u8]) -> io::Result<usize> + Send + Sync;
 
-/// A second way to write to the line of a transport, for a [`StopHandle`].
+/// A second write path to the line of a transport, for a [`StopHandle`].
 pub struct StopLine {
     write: Box<Write>,
     wake: Box<dyn Fn() + Send + Sync>,
 }
 
 impl StopLine {
-    /// `write` writes a message, or the beginning of it, without waiting: `WouldBlock` if the line takes nothing. `wake` ends
-    /// the transport's [`wait`](super::blocking::Transport::wait), or the next one if there is none now; the async driver
-    /// needs none.
+    /// Creates a line. `write` writes a message or its beginning without waiting, and returns `WouldBlock` if the line
+    /// accepts no bytes. `wake` ends the transport's current or next [`wait`](super::blocking::Transport::wait); the
+    /// async driver does not need it.
     pub fn new(
         write: impl Fn(&[u8]) -> io::Result<usize> + Send + Sync + 'static,
         wake: impl Fn() + Send + Sync + 'static,
@@ -100,35 +102,35 @@ impl core::fmt::Debug for StopLine {
     }
 }
 
-/// A transport whose gripper another thread can stop.
+/// A transport whose gripper can be stopped from another thread.
 pub trait Stoppable {
-    /// A second way to write to its line.
+    /// Creates a second write path to the line.
     ///
     /// # Errors
-    /// The operating system has no descriptor left.
+    /// Returns an error if the operating system has no descriptor left.
     fn stop_line(&mut self) -> io::Result<StopLine>;
 }
 
-/// What a driver shares with its handles.
+/// State shared by a driver and its handles.
 #[derive(Debug)]
 pub(super) struct Shared {
     line: StopLine,
-    /// Stop and FAST STOP in the driver's protocol.
+    /// The Stop and FAST STOP messages in the driver's protocol.
     messages: [([u8; MAX_STOP_LEN], usize); 2],
     state: Mutex<State>,
 }
 
 #[derive(Debug)]
 struct State {
-    /// The driver has sent a message in part.
+    /// Whether the driver has partially sent a message.
     is_mid_message: bool,
     request: Option<StopRequest>,
-    /// Who waits for a request: the task of the async driver.
+    /// The task of the async driver that waits for a request.
     task: Option<Waker>,
 }
 
 impl Shared {
-    /// For a driver of this protocol.
+    /// Creates the shared state for a driver of this protocol.
     pub(super) fn new<P: Protocol>(line: StopLine, is_mid_message: bool) -> Self {
         let messages = [StopKind::Stop, StopKind::FastStop].map(|kind| {
             let mut message = [0; MAX_STOP_LEN];
@@ -142,7 +144,7 @@ impl Shared {
         StopHandle { shared: Arc::downgrade(self) }
     }
 
-    /// Nothing that could panic leaves a state behind that is no state.
+    /// A poisoned lock is safe to use: no code under it can panic halfway through a change.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -167,7 +169,7 @@ impl Shared {
         sent
     }
 
-    /// Sends it now or not at all.
+    /// Sends the stop message now, or fails.
     fn send(&self, kind: StopKind) -> io::Result<()> {
         let [stop, fast_stop] = &self.messages;
         let (message, len) = if kind == StopKind::Stop { stop } else { fast_stop };
@@ -181,7 +183,7 @@ impl Shared {
                     begun = Some(Instant::now());
                 }
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                // Nothing else may be sent before the rest is.
+                // Nothing else may be sent before the rest of this message.
                 Err(error)
                     if error.kind() == ErrorKind::WouldBlock
                         && begun.is_some_and(|begun| begun.elapsed() < REST_TIMEOUT) =>
@@ -206,7 +208,7 @@ impl Shared {
         }
         let written = write();
         if let Poll::Ready(result) = &written {
-            // The driver gives up a message whose write fails.
+            // The driver abandons a message whose write fails.
             state.is_mid_message = result.as_ref().is_ok_and(|count| *count < len);
         }
         written.map(Some)

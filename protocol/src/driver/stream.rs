@@ -1,26 +1,26 @@
-//! Set-points for the fingers at a fixed rate, from a worker thread, with a feed of the state (feature `std`).
+//! Set-points for the fingers at a fixed rate, from a worker thread, with state feedback (feature `std`).
 //!
-//! A [`SetPointStream`] owns a connected gripper. Its worker sends the position to command, once a period, and keeps what
-//! the gripper reports. The caller sets targets and reads the state without waiting for the line. The page `docs/streaming.md`
-//! of the repository has the upload of the script and the layout of its messages.
+//! A [`SetPointStream`] owns a connected gripper. Its worker sends the commanded position once per period and records
+//! the reported state. The caller sets targets and reads the state without waiting for the line. See
+//! `docs/streaming.md` in the repository for the script upload and the message layout.
 //!
 //! | back-end | condition | set-points | state |
 //! |---|---|---|---|
-//! | [`Backend::Script`] | `wsg_stream.lua` runs on the gripper | replaced under way, without a stop | with each set-point, with the gripper's time |
-//! | [`Backend::UmiScript`] | UMI's `cmd_measure.lua` runs, or a script with its messages | the same; no watchdog | with each set-point |
-//! | [`Backend::PrePosition`] | neither answers | a Pre-position (21h) for each 100 ms of travel; the fingers rest in between | by automatic updates, 40 a second |
+//! | [`Backend::Script`] | `wsg_stream.lua` runs on the gripper | replaced during the motion, without a stop | with each set-point, with the gripper's time |
+//! | [`Backend::UmiScript`] | UMI's `cmd_measure.lua` or a compatible script runs | as above; no watchdog | with each set-point |
+//! | [`Backend::PrePosition`] | neither script replies | a Pre-position (21h) per 100 ms of travel; the fingers stop in between | by automatic updates, 40 per second |
 //!
 //! **Start.** Nothing moves before the first set-point.
 //!
-//! **Gap.** Without new set-points, the fingers go to the last one and hold it.
+//! **Gap.** Without new set-points, the fingers move to the last one and hold it.
 //!
-//! **Contact.** With a script, the fingers push against a part with the force limit. With Pre-position the motor is turned off on
-//! contact (command set, 3.2.2), so the force ends; the fingers stay there until the set-point moves away from the part. To
-//! hold a part without a script, end the stream and call [`grip`](super::blocking::GripperOver::grip).
+//! **Contact.** With a script, the fingers push against a part with the force limit. With Pre-position, contact turns
+//! the motor off (command set, 3.2.2) and the force ends. The fingers stay there until the set-point moves away from
+//! the part. To hold a part without a script, end the stream and call [`grip`](super::blocking::GripperOver::grip).
 //!
-//! **End.** FAST STOP, Stop by another client, a script error, a lost connection and the end of the `SetPointStream` end the
-//! worker. It sends Stop if the line allows that, and [`ended`](SetPointStream::ended) returns the [`Cause`]. Nothing
-//! resumes by itself.
+//! **End.** The worker ends after a FAST STOP, a Stop by another client, a script error, a lost connection or the end
+//! of the `SetPointStream`. It sends Stop if the line permits it, and [`ended`](SetPointStream::ended) returns the
+//! [`Cause`]. Nothing resumes automatically.
 //!
 //! ```
 //! # use wsg_sim::{Config as Sim, server::{Lines, ServerThread}};
@@ -31,7 +31,7 @@
 //! use wsg_protocol::driver::stream::{Cause, Config, SetPointStream};
 //! use wsg_protocol::driver::{Mm, MmPerS, N, host};
 //!
-//! // A real one: "192.168.1.20:1000".
+//! // Address of a real gripper: "192.168.1.20:1000".
 //! let mut gripper = host::connect(address)?;
 //! gripper.home(HomingDirection::Positive)?;
 //!
@@ -72,19 +72,19 @@ use std::{io, panic};
 use trajectory::Trajectory;
 use worker::Worker;
 
-/// How many samples [`SetPointStream::history`] keeps: 10 s at 100 Hz.
+/// Number of samples in [`SetPointStream::history`]: 10 s at 100 Hz.
 pub const HISTORY_LEN: usize = 1_024;
 
-/// What can be set about a stream.
+/// Stream settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
-    /// Set-points a second, 1 to 500. A line whose round trip takes longer than a period lowers the rate: a request is sent
-    /// after the answer to the one before.
+    /// Set-points per second, 1 to 500. Each request is sent after the previous reply, so a line with a longer round
+    /// trip lowers the rate.
     pub rate_hz: u16,
 }
 
 impl Config {
-    /// 100 set-points a second.
+    /// The default rate: 100 set-points per second.
     pub const DEFAULT: Self = Self { rate_hz: 100 };
 }
 
@@ -94,26 +94,26 @@ impl Default for Config {
     }
 }
 
-/// How set-points reach the fingers.
+/// The method that moves the fingers to the set-points.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Backend {
     /// The project's script, `wsg_stream.lua`.
     Script,
-    /// UMI's script, `cmd_measure.lua`. It follows the last set-point until another one or a Stop, because it has no watchdog.
+    /// UMI's script, `cmd_measure.lua`. It has no watchdog and follows the last set-point until the next one or a Stop.
     UmiScript,
     /// Pre-position (21h) and automatic updates.
     PrePosition,
 }
 
-/// The state of the gripper at one moment.
+/// The state of the gripper at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sample {
-    /// Counts samples from 0, modulo 2³².
+    /// Sample number, counted from 0 modulo 2³².
     pub number: u32,
-    /// When the gripper measured it, by the driver's clock: by the gripper's own time with [`Backend::Script`], otherwise
-    /// by the estimated latency.
+    /// Time of the measurement on the driver's clock: from the gripper's own time with [`Backend::Script`], otherwise
+    /// from the estimated latency.
     pub measured_at: Instant,
-    /// When the worker received it.
+    /// Time at which the worker received the sample.
     pub received_at: Instant,
     /// The opening width in mm.
     pub position: f32,
@@ -123,11 +123,11 @@ pub struct Sample {
     pub force: f32,
     /// The system state flags.
     pub flags: SystemFlags,
-    /// The position in mm that was commanded last. `None` before the first set-point.
+    /// The last commanded position in mm. `None` before the first set-point.
     pub set_point: Option<f32>,
 }
 
-/// Why a stream ended.
+/// The reason why a stream ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Cause {
@@ -135,18 +135,18 @@ pub enum Cause {
     Requested,
     /// A [`StopHandle`] stopped the gripper.
     Stopped(StopKind),
-    /// The gripper is in FAST STOP, by another client, a fault, or since before the stream began.
+    /// The gripper is in FAST STOP, caused by another client or a fault, or since before the stream began.
     FastStop,
     /// Another client stopped the fingers.
     StoppedByOther,
-    /// The script ended, reported an error, or sent an answer of another layout.
+    /// The script ended, reported an error, or sent a reply of another layout.
     Script,
     /// The script received no set-point for 500 ms and stopped the fingers.
     Watchdog,
-    /// The gripper refused a set-point or a setting with this status: E_NOT_INITIALIZED before homing, E_RANGE_ERROR outside the
-    /// soft limits, E_ALREADY_RUNNING while it holds a part.
+    /// The gripper rejected a set-point or a setting with this status: E_NOT_INITIALIZED before homing, E_RANGE_ERROR
+    /// outside the soft limits, E_ALREADY_RUNNING while it holds a part.
     Refused(Status),
-    /// No answer in time: the line or the script is silent.
+    /// There was no reply in time from the line or the script.
     Unanswered,
     /// The gripper closed the connection.
     Closed,
@@ -173,22 +173,22 @@ impl core::fmt::Display for Cause {
     }
 }
 
-/// How a stream ended.
+/// The end of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct End {
-    /// Why.
+    /// The reason for the end.
     pub cause: Cause,
-    /// Whether the gripper confirmed the final Stop. If not, the fingers stop by the script's watchdog, by the FAST STOP that
-    /// follows a lost TCP connection, or at the end of the last Pre-position.
+    /// Whether the gripper confirmed the final Stop. If not, the fingers are stopped by the script's watchdog, by the
+    /// FAST STOP after a lost TCP connection, or at the end of the last Pre-position.
     pub is_stop_confirmed: bool,
 }
 
-/// Why a set-point or a limit was rejected. Nothing changed.
+/// The reason why a set-point or a limit was rejected. Nothing changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rejected {
     /// The number is not finite, or a limit is not greater than 0.
     Invalid,
-    /// [`MAX_SET_POINTS`] earlier set-points wait for their time.
+    /// [`MAX_SET_POINTS`] earlier set-points are queued.
     Full,
     /// The stream has ended.
     Ended(Cause),
@@ -197,8 +197,10 @@ pub enum Rejected {
 impl core::fmt::Display for Rejected {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Invalid => f.write_str("not a finite number, or a limit that is not greater than 0"),
-            Self::Full => write!(f, "{MAX_SET_POINTS} earlier set-points are waiting"),
+            Self::Invalid => {
+                f.write_str("invalid value: positions must be finite, and limits finite and greater than 0")
+            }
+            Self::Full => write!(f, "the queue is full: {MAX_SET_POINTS} earlier set-points are waiting"),
             Self::Ended(cause) => write!(f, "the stream has ended: {cause}"),
         }
     }
@@ -206,7 +208,7 @@ impl core::fmt::Display for Rejected {
 
 impl core::error::Error for Rejected {}
 
-/// Why a stream did not begin. The gripper is dropped.
+/// The reason why a stream did not start. The gripper is dropped.
 #[derive(Debug)]
 pub enum StartError<E> {
     /// A request of the driver failed.
@@ -240,15 +242,15 @@ impl<E> From<io::Error> for StartError<E> {
 
 /// A gripper that follows set-points; see the [module](self).
 ///
-/// Its methods lock a mutex that the worker holds for microseconds, never while it waits for the line. Dropping it stops the
-/// fingers and waits until the worker has ended.
+/// Its methods lock a mutex that the worker holds for microseconds, never while it waits for the line. Dropping it
+/// stops the fingers and waits for the worker to end.
 #[derive(Debug)]
 pub struct SetPointStream<IO, C> {
     shared: Arc<Mutex<Shared>>,
     clock: C,
     backend: Backend,
     handle: StopHandle,
-    /// `None` only while it is dropped.
+    /// `None` only during drop.
     worker: Option<JoinHandle<Gripper<IO, C>>>,
 }
 
@@ -257,15 +259,15 @@ where
     IO: Transport + Stoppable + Send + 'static,
     C: Clock + Clone + Send + 'static,
 {
-    /// Finds out the back-end, measures once, and starts the worker. Waits for about ten answers.
+    /// Detects the back-end, measures once, and starts the worker. Waits for about ten replies.
     ///
-    /// The gripper must be connected, and no motion of this driver may run. With [`Backend::PrePosition`] it changes the
-    /// subscriptions to width, speed and force, and ends them when the stream ends.
+    /// The gripper must be connected, and no motion of this driver may be running. [`Backend::PrePosition`] replaces
+    /// the subscriptions to width, speed and force, and ends them with the stream.
     ///
     /// # Errors
-    /// - [`StartError::Driver`]: an answer did not come, or the line failed. A gripper that is in FAST STOP or not referenced
-    ///   is no error here; the former ends the stream at once, the latter with the first set-point.
-    /// - [`StartError::System`]: no thread, or no descriptor for a [`StopHandle`].
+    /// - [`StartError::Driver`]: a reply was missing or the line failed. FAST STOP and missing homing are not errors
+    ///   here. The former ends the stream immediately, the latter with the first set-point.
+    /// - [`StartError::System`]: the system has no thread, or no descriptor for a [`StopHandle`].
     pub fn start(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, StartError<IO::Error>> {
         let handle = gripper.stop_handle()?;
         let clock = gripper.clock().clone();
@@ -284,14 +286,15 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         self.clock.clone().now()
     }
 
-    /// Has the fingers at the position at the moment `at`, by the driver's clock. The way there is a straight line from the
-    /// set-point before, or from the commanded position.
+    /// Schedules a position for the time `at` on the driver's clock. The path is a straight line from the preceding
+    /// set-point or the commanded position.
     ///
-    /// Replaces all set-points at the same or a later time. A moment in the past counts as [`set_target`](Self::set_target).
-    /// Positions are clamped to the stroke, and the speed limit takes precedence over `at`.
+    /// Replaces all set-points at the same or a later time. A time in the past is equal to
+    /// [`set_target`](Self::set_target). Positions are clamped to the stroke, and the speed limit takes precedence over
+    /// `at`.
     ///
     /// # Errors
-    /// [`Rejected`], and nothing changes.
+    /// Returns [`Rejected`]; nothing changes.
     pub fn schedule(&self, position: Mm, at: Instant) -> Result<(), Rejected> {
         let now = self.now();
         self.plan(position, |trajectory, position, speed_limit| {
@@ -299,10 +302,11 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         })
     }
 
-    /// Has the fingers go to the position at the speed limit. Replaces all set-points. Positions are clamped to the stroke.
+    /// Moves the fingers to the position at the speed limit. Replaces all set-points. Positions are clamped to the
+    /// stroke.
     ///
     /// # Errors
-    /// [`Rejected`], and nothing changes.
+    /// Returns [`Rejected`]; nothing changes.
     pub fn set_target(&self, position: Mm) -> Result<(), Rejected> {
         let now = self.now();
         self.plan(position, |trajectory, position, speed_limit| {
@@ -327,10 +331,10 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         if change(trajectory, position, speed_limit) { Ok(()) } else { Err(Rejected::Full) }
     }
 
-    /// Limits the speed from now on, clamped to the gripper's limits. At first it is the gripper's greatest.
+    /// Limits the speed from now on, clamped to the gripper's limits. The initial limit is the gripper's maximum speed.
     ///
     /// # Errors
-    /// [`Rejected`], and nothing changes.
+    /// Returns [`Rejected`]; nothing changes.
     pub fn set_speed_limit(&self, speed: MmPerS) -> Result<(), Rejected> {
         let mut shared = self.open()?;
         let SystemLimits { min_speed, max_speed, .. } = shared.limits;
@@ -338,11 +342,11 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         Ok(())
     }
 
-    /// Limits the force on contact; clamped to the gripper's least and nominal force. At first
-    /// it is the gripper's present limit. With [`Backend::PrePosition`] it applies from the next motion on.
+    /// Limits the force on contact, clamped to the gripper's minimum and nominal force. The initial limit is the
+    /// gripper's current one. With [`Backend::PrePosition`] it applies from the next motion on.
     ///
     /// # Errors
-    /// [`Rejected`], and nothing changes.
+    /// Returns [`Rejected`]; nothing changes.
     pub fn set_force_limit(&self, force: N) -> Result<(), Rejected> {
         let mut shared = self.open()?;
         let SystemLimits { min_force, nominal_force, .. } = shared.limits;
@@ -350,7 +354,7 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         Ok(())
     }
 
-    /// The lock, unless the stream has ended.
+    /// Locks the shared state, unless the stream has ended.
     fn open(&self) -> Result<MutexGuard<'_, Shared>, Rejected> {
         let shared = lock(&self.shared);
         match shared.cause {
@@ -361,7 +365,7 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
 }
 
 impl<IO, C> SetPointStream<IO, C> {
-    /// Returns the back-end that was found.
+    /// Returns the detected back-end.
     #[must_use]
     pub const fn backend(&self) -> Backend {
         self.backend
@@ -385,7 +389,7 @@ impl<IO, C> SetPointStream<IO, C> {
         lock(&self.shared).exchanges.estimate()
     }
 
-    /// Returns how the stream ended; `None` while it runs, and until the final Stop is confirmed or given up.
+    /// Returns how the stream ended. `None` while it is running, and until the final Stop is confirmed or abandoned.
     #[must_use]
     pub fn ended(&self) -> Option<End> {
         lock(&self.shared).end
@@ -400,7 +404,7 @@ impl<IO, C> SetPointStream<IO, C> {
     /// Stops the fingers, waits for the worker, and returns the gripper and how the stream ended.
     ///
     /// # Panics
-    /// The worker panicked.
+    /// Panics if the worker panicked.
     #[must_use]
     pub fn end(mut self) -> (Gripper<IO, C>, End) {
         match self.join() {
@@ -415,7 +419,7 @@ impl<IO, C> SetPointStream<IO, C> {
         let mut shared = lock(&self.shared);
         if shared.cause.is_none() {
             shared.is_end_requested = true;
-            // It also wakes the worker, which ends by its flag if the line takes no Stop now.
+            // Also wakes the worker, which ends by its flag if the line accepts no Stop.
             let _ = self.handle.stop();
         }
         drop(shared);
@@ -431,7 +435,7 @@ impl<IO, C> Drop for SetPointStream<IO, C> {
     }
 }
 
-/// What caller and worker share.
+/// State shared by caller and worker.
 #[derive(Debug)]
 struct Shared {
     limits: SystemLimits,
@@ -443,25 +447,25 @@ struct Shared {
     history: VecDeque<Sample>,
     exchanges: Exchanges,
     is_end_requested: bool,
-    /// Why the worker ends; from then on it is of no use to stop it.
+    /// The reason why the worker ends. From then on, a stop has no effect on it.
     cause: Option<Cause>,
     end: Option<End>,
 }
 
 impl Shared {
-    /// Returns what is to be done at `now`. `None` before the first set-point.
+    /// Returns the order at `now`, or `None` before the first set-point.
     fn order(&mut self, now: Instant) -> Option<Order> {
         let Self { speed_limit, force_limit, .. } = *self;
         let position = self.trajectory.as_mut()?.advance(now, speed_limit);
         Some(Order { position, speed_limit, force_limit })
     }
 
-    /// Returns the position to command at a moment to come, if nothing changes.
+    /// Returns the position to command at a future instant, if nothing changes.
     fn position_at(&self, moment: Instant) -> Option<f32> {
         Some(self.trajectory.clone()?.advance(moment, self.speed_limit))
     }
 
-    /// Keeps what was measured.
+    /// Records a measurement.
     fn record(&mut self, received_at: Instant, measured: &Measured, set_point: Option<f32>) {
         let Measured { flags, position, speed, force, measured_ms } = *measured;
         let measured_at = self.exchanges.estimate().measured_at(received_at, measured_ms);
@@ -474,12 +478,12 @@ impl Shared {
     }
 }
 
-/// A panic while it is held leaves nothing half changed.
+/// A poisoned lock is safe to use: a panic leaves no change half done.
 fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A limit that is valid, clamped to the gripper's.
+/// Validates a limit and clamps it to the gripper's range.
 fn limit(value: f32, least: f32, greatest: f32) -> Result<f32, Rejected> {
     if value.is_finite() && value > 0.0 { Ok(value.max(least).min(greatest)) } else { Err(Rejected::Invalid) }
 }

@@ -444,7 +444,7 @@ fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
         (Error::MotionRunning, Culprit::Caller, "motion is running"),
         (Error::FastStopRunning, Culprit::Caller, "FAST STOP"),
         (Error::Invalid(DecodeError::NotFinite), Culprit::Caller, "invalid parameter: "),
-        (Error::Superseded, Culprit::Caller, "another motion"),
+        (Error::Superseded, Culprit::Caller, "a later motion"),
         (Error::NotInGcl, Culprit::Caller, "GCL"),
         (Error::NoForceLimit, Culprit::Caller, "force limit"),
         (Error::Stopped(StopKind::Stop), Culprit::Caller, "stop handle"),

@@ -1,13 +1,13 @@
-//! The async driver on tokio: transports and a timer, by feature `tokio`.
+//! The async driver on tokio: transports and a timer (feature `tokio`).
 //!
-//! | type | is | the gripper's address |
+//! | type | description | address of the gripper |
 //! |---|---|---|
-//! | [`Tcp`] | a TCP connection, whose end is announced | `192.168.1.20:1000` |
+//! | [`Tcp`] | a TCP connection that announces its end | `192.168.1.20:1000` |
 //! | [`Udp`] | a UDP socket | `192.168.1.20:1500` |
-//! | [`Stream`] | anything that reads and writes: a port of the crate `tokio-serial`, a Unix socket | |
-//! | [`TokioTimer`] | the timer | |
+//! | [`Stream`] | any byte stream, such as a port of the crate `tokio-serial` or a Unix socket | |
+//! | [`TokioTimer`] | tokio's timer | |
 //!
-//! [`connect`] takes them together, for the binary protocol over TCP.
+//! [`connect`] combines them for the binary protocol over TCP.
 
 mod stream;
 mod tcp;
@@ -23,13 +23,13 @@ use crate::time::Instant;
 use std::io;
 use tokio::net::ToSocketAddrs;
 
-/// Connects to the gripper at this address, over TCP and the binary protocol, and waits until it answers.
+/// Connects to the gripper at this address over TCP and the binary protocol, and waits for its first reply.
 ///
-/// When the gripper is dropped, also with a future, it announces the end of the connection without waiting, as
-/// [the blocking one](super::host::connect) does.
+/// Dropping the gripper, alone or with a future, announces the end of the connection without waiting, as in [the
+/// blocking version](super::host::connect).
 ///
-/// A gripper that is in FAST STOP already stays there: [`acknowledge`](super::asynch::GripperOver::acknowledge) unlocks
-/// it, when the fingers may move.
+/// A gripper that is already in FAST STOP stays there. Call [`acknowledge`](super::asynch::GripperOver::acknowledge) to
+/// unlock it once the fingers may move.
 ///
 /// ```
 /// # use wsg_sim::{Config, Part, server::{Lines, ServerThread}};
@@ -41,7 +41,7 @@ use tokio::net::ToSocketAddrs;
 /// use wsg_protocol::driver::{Grip, Mm, MmPerS, N, tokio::connect};
 ///
 /// # tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(async {
-/// // A real one: "192.168.1.20:1000".
+/// // Address of a real gripper: "192.168.1.20:1000".
 /// let mut gripper = connect(address).await?;
 /// gripper.home(HomingDirection::Default).await?;
 /// gripper.set_force_limit(N(40.0)).await?;
@@ -51,7 +51,7 @@ use tokio::net::ToSocketAddrs;
 /// ```
 ///
 /// # Errors
-/// As [the blocking one](super::host::connect).
+/// Returns the same errors as [the blocking version](super::host::connect).
 pub async fn connect(address: impl ToSocketAddrs) -> Result<Gripper<Tcp, TokioTimer>, Error<io::Error>> {
     let line = Tcp::connect(address).await.map_err(Error::Transport)?;
     let mut gripper = Gripper::new(line, TokioTimer::new());
@@ -59,10 +59,10 @@ pub async fn connect(address: impl ToSocketAddrs) -> Result<Gripper<Tcp, TokioTi
     Ok(gripper)
 }
 
-/// As [`connect`], over the text protocol (GCL).
+/// Connects like [`connect`], over the text protocol (GCL).
 ///
 /// # Errors
-/// As [`connect`].
+/// Returns the same errors as [`connect`].
 #[cfg(feature = "gcl")]
 pub async fn connect_gcl(
     address: impl ToSocketAddrs,
@@ -73,12 +73,12 @@ pub async fn connect_gcl(
     Ok(gripper)
 }
 
-/// Runs a program with the gripper at this address, as [`connect`] does, and also waits until the gripper has confirmed the
-/// end of the connection. For a program with errors of its own take [`connect`], or
+/// Runs a closure with the gripper at this address, connecting like [`connect`], and waits for the gripper to confirm
+/// the end of the connection. For a closure with its own error type, use [`connect`] or
 /// [`with_connection`](super::asynch::GripperOver::with_connection).
 ///
 /// # Errors
-/// Those of [`connect`], of the program, and of the announcement.
+/// Returns the errors of [`connect`], of the closure and of the announcement.
 pub async fn with_gripper<T>(
     address: impl ToSocketAddrs,
     program: impl AsyncFnOnce(&mut Gripper<Tcp, TokioTimer>) -> Result<T, Error<io::Error>>,
@@ -87,14 +87,14 @@ pub async fn with_gripper<T>(
     Gripper::new(line, TokioTimer::new()).with_connection(program).await
 }
 
-/// Tokio's clock, which a test may pause.
+/// Tokio's clock, which tests may pause.
 #[derive(Clone, Copy, Debug)]
 pub struct TokioTimer {
     start: tokio::time::Instant,
 }
 
 impl TokioTimer {
-    /// A clock that shows 0 now.
+    /// Creates a clock that starts at 0.
     #[must_use]
     pub fn new() -> Self {
         Self { start: tokio::time::Instant::now() }
@@ -109,7 +109,7 @@ impl Default for TokioTimer {
 
 impl Clock for TokioTimer {
     fn now(&mut self) -> Instant {
-        // A driver's clock may wrap, so the low 32 bits will do.
+        // A driver's clock may wrap, so the low 32 bits suffice.
         Instant::from_millis(self.start.elapsed().as_millis() as u32)
     }
 }

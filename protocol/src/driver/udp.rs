@@ -1,18 +1,18 @@
-//! What the blocking and the async UDP transport share.
+//! The common part of the blocking and the async UDP transport.
 
 use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 
-/// The port that a gripper listens on as delivered.
+/// The default port on which a gripper listens.
 pub(super) const GRIPPER_PORT: u16 = 1500;
-/// The port that a gripper answers to as delivered.
+/// The default port to which a gripper replies.
 pub(super) const ANSWER_PORT: u16 = 1501;
 
-/// More than a message has, and what a datagram carries over Ethernet.
+/// Longer than any message; the size of a datagram over Ethernet.
 pub(super) const MAX_DATAGRAM_LEN: usize = 1_500;
 const _: () = assert!(MAX_DATAGRAM_LEN > crate::frame::MAX_MESSAGE_LEN);
 
-/// Every local address of the gripper's family.
+/// Returns the unspecified address of the gripper's address family.
 pub(super) const fn any_like(gripper: SocketAddr) -> IpAddr {
     match gripper {
         SocketAddr::V4(_) => IpAddr::V4(Ipv4Addr::UNSPECIFIED),
@@ -20,13 +20,13 @@ pub(super) const fn any_like(gripper: SocketAddr) -> IpAddr {
     }
 }
 
-/// Whether an error says that nobody listens there now: the gripper may be switched on later.
+/// Returns whether the error means that no socket listens there now. The gripper may be switched on later.
 pub(super) fn is_silence(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::ConnectionRefused | ErrorKind::ConnectionReset)
 }
 
-/// Whether a datagram of this length is the gripper's. It may have left another port than the one that the gripper listens
-/// on. One without a byte says nothing, and ends nothing.
+/// Returns whether a datagram of this length was sent by the gripper. Its source port may differ from the port on which the
+/// gripper listens. An empty datagram is ignored.
 pub(super) fn is_message(len: usize, sender: SocketAddr, gripper: SocketAddr) -> bool {
     len > 0 && sender.ip() == gripper.ip()
 }

@@ -1,6 +1,6 @@
-//! Quantities with their units, so that they cannot be swapped.
+//! Quantities with units, so that arguments cannot be swapped.
 
-/// A quantity, shown with its unit: `20.5 mm` by `{:.1}`.
+/// Defines a quantity, formatted with its unit: `20.5 mm` by `{:.1}`.
 macro_rules! quantity {
     ($(#[$meta:meta])* $name:ident $unit:literal) => {
         $(#[$meta])*

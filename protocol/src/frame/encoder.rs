@@ -1,17 +1,17 @@
-//! From a payload straight to the bytes of a frame, with no buffer between.
+//! Encodes a payload into the bytes of a frame without an intermediate buffer.
 
 use super::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 use crate::checksum;
 
-/// A payload that can be read byte by byte: a slice, a [`Command`](crate::Command), a [`Reply`](crate::Reply).
+/// A payload that is read byte by byte: a slice, a [`Command`](crate::Command) or a [`Reply`](crate::Reply).
 pub trait Payload {
-    /// Bytes of the payload, at most 65 535.
+    /// Returns the length of the payload in bytes, at most 65 535.
     fn len(&self) -> usize;
 
-    /// The byte at `index`; 0 at or past the end.
+    /// Returns the byte at `index`, or 0 at or past the end.
     fn byte(&self, index: usize) -> u8;
 
-    /// Whether there is no payload.
+    /// Returns whether the payload is empty.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -27,7 +27,7 @@ impl Payload for &[u8] {
     }
 }
 
-/// The bytes of one frame, one at a time.
+/// An iterator over the bytes of one frame.
 ///
 /// ```
 /// use wsg_protocol::FrameEncoder;
@@ -40,45 +40,45 @@ pub struct FrameEncoder<P> {
     payload: P,
     /// Index of the next byte of the frame.
     next: u32,
-    /// Of the bytes before; behind the payload, what is left of it to send.
+    /// Running checksum; after the payload, the part of the checksum not yet sent.
     checksum: u16,
     id: u8,
 }
 
-/// The slice given to [`FrameEncoder::write_into`] is too short; nothing was written.
+/// The buffer passed to [`FrameEncoder::write_into`] is too short. Nothing was written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct BufferTooSmall {
-    /// Bytes that the frame needs.
+    /// Buffer length required, in bytes.
     pub needed: usize,
 }
 
 /// Index of the first payload byte in a frame.
 const PAYLOAD_AT: usize = 6;
 
-/// Bytes behind the payload.
+/// Bytes after the payload.
 const CHECKSUM_LEN: usize = OVERHEAD - PAYLOAD_AT;
 
 impl<P: Payload> FrameEncoder<P> {
-    /// The encoder of the frame with this id and payload.
+    /// Creates an encoder for a frame with this command id and payload.
     pub const fn new(id: u8, payload: P) -> Self {
         Self { payload, next: 0, checksum: checksum::START, id }
     }
 
-    /// The id of the frame.
+    /// Returns the command id of the frame.
     #[must_use]
     pub const fn id(&self) -> u8 {
         self.id
     }
 
-    /// Bytes of the whole frame.
+    /// Returns the length of the whole frame in bytes, including the bytes already produced.
     pub fn frame_len(&self) -> usize {
         self.payload.len().saturating_add(OVERHEAD)
     }
 
-    /// Writes what is left of the frame to the start of `buffer` and says how many bytes that were.
+    /// Writes the remaining bytes of the frame to the start of `buffer` and returns their number.
     ///
     /// # Errors
-    /// [`BufferTooSmall`]: it does not fit.
+    /// Returns [`BufferTooSmall`] if the remaining bytes do not fit.
     pub fn write_into(self, buffer: &mut [u8]) -> Result<usize, BufferTooSmall> {
         let needed = self.len();
         let target = buffer.get_mut(..needed).ok_or(BufferTooSmall { needed })?;
@@ -88,13 +88,13 @@ impl<P: Payload> FrameEncoder<P> {
         Ok(needed)
     }
 
-    /// Writes what is left of the frame to `writer`, at most 64 bytes at a time.
+    /// Writes the remaining bytes of the frame to `writer` in chunks of at most 64 bytes.
     ///
-    /// A transport that turns each write into a packet (TCP without delay) wants the frame in one piece: use
-    /// [`write_into`](Self::write_into) there.
+    /// Use [`write_into`](Self::write_into) instead if the transport sends each write as a packet, such as TCP with
+    /// `TCP_NODELAY`.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Returns the first error of `writer`.
     #[cfg(feature = "embedded-io")]
     pub fn write_to<W: embedded_io::Write>(mut self, writer: &mut W) -> Result<(), W::Error> {
         let mut chunk = [0; 64];
@@ -108,7 +108,8 @@ impl<P: Payload> FrameEncoder<P> {
             if bytes.is_empty() {
                 return Ok(());
             }
-            // Not `write_all`, which panics at a writer that takes nothing. None may; one that does is asked again.
+            // `write_all` panics if the writer accepts no bytes. The contract forbids that; retry such a writer
+            // instead.
             while !bytes.is_empty() {
                 let taken = writer.write(bytes)?;
                 bytes = bytes.get(taken..).unwrap_or(&[]);
@@ -195,7 +196,7 @@ mod tests {
         assert_eq!(checksum::of(&bytes), 0);
     }
 
-    /// Takes three bytes at a time, and every other time none.
+    /// Accepts three bytes at a time, and none on every other call.
     #[cfg(feature = "embedded-io")]
     #[derive(Default)]
     struct Reluctant {

@@ -1,63 +1,64 @@
-//! From bytes, one at a time or in slices, to intact frames.
+//! Extracts intact frames from received bytes, one at a time or in slices.
 //!
-//! What the parser delivers is what a reader with the whole recording would find: try a frame at the first byte; when
-//! it proves false (size over the limit, wrong checksum) go on one byte further, never skipping what the false frame
-//! held. So noise, a false preamble or a truncated frame costs at most the messages it belongs to.
+//! The parser delivers the same frames as a reader with the whole recording. It tries a frame at the first byte. If the
+//! frame proves false (size over the limit or wrong checksum), it retries one byte later and never skips the bytes of
+//! the false frame. Noise, a false preamble or a truncated frame therefore costs at most the messages it is part of.
 
 use core::hash::{Hash, Hasher};
 
 use super::{Frame, PREAMBLE_BYTE};
 use crate::checksum;
 
-/// Bytes between preamble and payload: id and size.
+/// Bytes between preamble and payload: command id and size.
 const HEAD_LEN: usize = 3;
-/// Bytes behind the payload: the checksum.
+/// Bytes after the payload: the checksum.
 const TAIL_LEN: usize = 2;
 
-/// Whether slices are taken in bulk; else byte by byte. The feature `small-table` is for programs that save flash.
+/// Whether slices are processed in bulk instead of byte by byte. The feature `small-table` disables it to save flash.
 const IN_BULK: bool = cfg!(not(feature = "small-table"));
 
-/// What the parser found.
+/// An event reported by the parser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Event<'a> {
-    /// An intact frame.
+    /// An intact frame with a valid checksum.
     Frame(Frame<'a>),
-    /// A whole frame whose checksum is wrong. Its bytes are scanned again for frames.
+    /// A complete frame with a wrong checksum. Its bytes are scanned again for frames.
     BadChecksum {
-        /// The id it showed.
+        /// The received command id.
         id: u8,
-        /// The payload length it showed.
+        /// The received payload length, in bytes.
         size: u16,
     },
-    /// A frame that announced more payload than the parser holds. Its bytes are scanned again for frames.
+    /// A frame whose size field exceeds the capacity of the parser. Its bytes are scanned again for frames.
     Oversize {
-        /// The id it showed.
+        /// The received command id.
         id: u8,
-        /// The payload length it announced.
+        /// The announced payload length, in bytes.
         size: u16,
     },
 }
 
-/// What a parser has refused so far; each count stops at 65 535.
+/// Counters of rejected input. Each counter saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct FrameCounters {
-    /// Bytes that belonged to no intact frame.
+    /// Bytes that were not part of an intact frame.
     pub dropped: u16,
     /// Frames with a wrong checksum.
     pub bad_checksum: u16,
-    /// Frames that announced more payload than the parser holds.
+    /// Frames whose size field exceeds the capacity of the parser.
     pub oversize: u16,
 }
 
-/// Finds frames of up to `N` bytes of payload in a byte stream. It takes N + 16 bytes of memory (N even), all zero
-/// after [`new`](Self::new).
+/// Finds frames with up to `N` bytes of payload in a byte stream.
 ///
-/// Bytes go in by [`push`](Self::push) or [`push_slice`](Self::push_slice). After an event there may be more to tell
-/// about bytes already taken: [`poll`](Self::poll) until it gives `None`. How long half a frame is waited for is the
-/// caller's to say, by [`expire`](Self::expire).
+/// Pass bytes to [`push`](Self::push) or [`push_slice`](Self::push_slice). An event may leave further events pending
+/// for bytes already taken: call [`poll`](Self::poll) until it returns `None`. The caller decides when an incomplete
+/// frame times out, and then calls [`expire`](Self::expire).
 ///
-/// Work per call is bounded: a byte that belongs to the frame being received costs one table look-up; a false frame
-/// costs a new scan of at most N + 5 held bytes, in which each false preamble costs at most the bytes behind it.
+/// Work per call is bounded. A byte of the frame being received costs one table look-up. A false frame costs a new scan
+/// of at most N + 5 held bytes, in which each false preamble costs at most the bytes that follow it.
+///
+/// The parser takes N + 16 bytes of memory (N even), all zero after [`new`](Self::new).
 ///
 /// ```
 /// use wsg_protocol::{Event, FrameParser};
@@ -70,31 +71,31 @@ pub struct FrameCounters {
 /// assert_eq!(parser.counters().dropped, 1);
 /// ```
 #[derive(Clone, Debug)]
-// What is used for each byte comes first, near enough for short instructions.
+// Fields used for each byte come first, within reach of short load and store instructions.
 #[repr(C)]
 pub struct FrameParser<const N: usize> {
-    /// How many bytes are held.
+    /// Number of bytes held.
     held: u16,
     /// The running checksum; while draining, the index of the held byte to scan next.
     checksum_or_next: u16,
     counters: FrameCounters,
-    /// Preamble bytes seen (0 to 3), and the switches.
+    /// Number of preamble bytes seen (0 to 3) and the mode bits.
     flags: u8,
-    /// Held bytes, without the preamble: those of the frame being received, from its id on; or, while draining, those
-    /// that wait to be scanned.
+    /// Held bytes without the preamble: the frame being received, from its id on; while draining, the bytes still to be
+    /// scanned.
     store: Store<N>,
 }
 
-/// Part of `flags`: preamble bytes seen.
+/// Mask in `flags`: number of preamble bytes seen.
 const PREAMBLE_MASK: u8 = 0b11;
-/// All of them: behind a preamble.
+/// Value under the mask after a complete preamble.
 const IN_FRAME: u8 = PREAMBLE_MASK;
-/// Part of `flags`: held bytes wait to be scanned (an event interrupted that).
+/// Bit in `flags`: an event interrupted a scan, and held bytes remain to be scanned.
 const DRAINING: u8 = 0b0100;
-/// Part of `flags`: frames are taken whatever their checksum.
+/// Bit in `flags`: frames are accepted whatever their checksum.
 const IGNORE_CHECKSUM: u8 = 0b1000;
 
-/// What a byte completed.
+/// The result of a completed frame or scan step.
 #[derive(Clone, Copy, PartialEq)]
 enum Found {
     Frame,
@@ -103,10 +104,15 @@ enum Found {
 }
 
 impl<const N: usize> FrameParser<N> {
-    /// A parser that holds nothing.
+    /// Creates an empty parser.
     #[must_use]
     pub const fn new() -> Self {
-        const { assert!(N <= 65_530, "the size field counts to 65 535, and header and checksum are held as well") };
+        const {
+            assert!(
+                N <= 65_530,
+                "N must not exceed 65 530: the size field is limited to 65 535, and header and checksum are held as well"
+            )
+        };
         Self {
             held: 0,
             checksum_or_next: 0,
@@ -116,8 +122,8 @@ impl<const N: usize> FrameParser<N> {
         }
     }
 
-    /// A parser that takes frames whatever their checksum, for a peer whose checksum evaluation is off (command set,
-    /// 1.4.1). Such a stream has no protection: only the exact checks of the typed layer are left.
+    /// Creates a parser that accepts frames whatever their checksum, for a gripper whose checksum evaluation is
+    /// disabled (command set, 1.4.1). The stream is then unprotected except for the exact checks of the typed layer.
     #[must_use]
     pub const fn ignoring_checksums() -> Self {
         let mut parser = Self::new();
@@ -125,22 +131,22 @@ impl<const N: usize> FrameParser<N> {
         parser
     }
 
-    /// What has been refused so far.
+    /// Returns the counters of rejected input since the parser was created.
     #[must_use]
     pub const fn counters(&self) -> FrameCounters {
         self.counters
     }
 
-    /// Whether part of a frame is held, so that a time-out should run.
+    /// Returns whether part of a frame is held, so that a time-out must run.
     #[must_use]
     pub const fn is_mid_frame(&self) -> bool {
         self.flags & (PREAMBLE_MASK | DRAINING) != 0
     }
 
-    /// Takes one byte.
+    /// Takes one byte and returns the event it completes.
     #[inline]
     pub fn push(&mut self, byte: u8) -> Option<Event<'_>> {
-        // Inlined up to here: most bytes are payload, and an event is only made where there is one.
+        // Inlined up to this point: most bytes are payload and complete no event.
         if self.flags & (DRAINING | PREAMBLE_MASK) == IN_FRAME && self.take_payload_byte(byte) {
             return None;
         }
@@ -148,8 +154,8 @@ impl<const N: usize> FrameParser<N> {
         self.event(found)
     }
 
-    /// Takes bytes up to the first event, and says how many that were. The same events as [`push`](Self::push) byte
-    /// by byte. With an empty slice it is [`poll`](Self::poll).
+    /// Takes bytes up to the first event and returns their number. The events are the same as with [`push`](Self::push)
+    /// byte by byte. An empty slice makes the call equal to [`poll`](Self::poll).
     pub fn push_slice(&mut self, bytes: &[u8]) -> (usize, Option<Event<'_>>) {
         let mut rest = bytes;
         let mut found = self.drain();
@@ -165,14 +171,14 @@ impl<const N: usize> FrameParser<N> {
         (taken, found.and_then(|found| self.event(found)))
     }
 
-    /// The next event about bytes already taken.
+    /// Returns the next pending event for bytes already taken.
     pub fn poll(&mut self) -> Option<Event<'_>> {
         let found = self.drain()?;
         self.event(found)
     }
 
-    /// Gives up the frame being received because its rest does not come, and scans what it held again. Call until it
-    /// gives `None`; then nothing is held any more.
+    /// Discards the incomplete frame after a time-out and scans its bytes again. Call until it returns `None`; no bytes
+    /// are held then.
     pub fn expire(&mut self) -> Option<Event<'_>> {
         loop {
             if let Some(found) = self.drain() {
@@ -189,7 +195,7 @@ impl<const N: usize> FrameParser<N> {
         }
     }
 
-    /// Forgets what is held; the bytes count as dropped.
+    /// Discards all held bytes and counts them as dropped.
     pub fn reset(&mut self) {
         let seen = u16::from(self.preamble_seen());
         let waiting = if self.is_draining() {
@@ -203,20 +209,20 @@ impl<const N: usize> FrameParser<N> {
         self.flags &= IGNORE_CHECKSUM;
     }
 
-    /// One byte into the state machine, behind those that wait to be scanned; up to the next event.
+    /// Processes one byte after all bytes that wait to be scanned, up to the next event.
     fn step(&mut self, byte: u8) -> Option<Found> {
         if self.is_draining() { self.step_behind(byte) } else { self.receive(byte) }
     }
 
-    /// The same while bytes wait.
+    /// Processes one byte while held bytes wait to be scanned.
     #[cold]
     fn step_behind(&mut self, byte: u8) -> Option<Found> {
         let found = self.drain();
         self.receive_after(found, byte)
     }
 
-    /// Scans the bytes that wait, up to the next event or to their end, by receiving them once more. Each comes to lie
-    /// where it was or nearer the front; those behind the event wait on.
+    /// Scans the waiting bytes by receiving them again, up to the next event or the end. Each byte is stored at its old
+    /// position or nearer the front. Bytes after the event keep waiting.
     fn drain(&mut self) -> Option<Found> {
         if !self.is_draining() {
             return None;
@@ -233,8 +239,8 @@ impl<const N: usize> FrameParser<N> {
         found
     }
 
-    /// One byte into the state machine; behind an event, one more that waits. There is room: to find an event, a drain
-    /// has used up at least one byte.
+    /// Processes one byte, or queues it for the scan if an event was found. There is room: finding an event consumes at
+    /// least one byte of a drain.
     fn receive_after(&mut self, found: Option<Found>, byte: u8) -> Option<Found> {
         if found.is_none() {
             return self.receive(byte);
@@ -245,7 +251,7 @@ impl<const N: usize> FrameParser<N> {
         found
     }
 
-    /// One byte into the state machine, while none waits.
+    /// Processes one byte while none waits to be scanned.
     #[inline]
     fn receive(&mut self, byte: u8) -> Option<Found> {
         match self.preamble_seen() {
@@ -257,7 +263,7 @@ impl<const N: usize> FrameParser<N> {
         }
     }
 
-    /// One byte behind a preamble.
+    /// Processes one byte after a complete preamble.
     fn step_in_frame(&mut self, byte: u8) -> Option<Found> {
         if self.take_payload_byte(byte) {
             return None;
@@ -273,7 +279,7 @@ impl<const N: usize> FrameParser<N> {
         None
     }
 
-    /// One byte of payload behind a preamble; whether it is.
+    /// Takes one byte after the preamble if it is payload, and returns whether it was.
     #[inline(always)]
     fn take_payload_byte(&mut self, byte: u8) -> bool {
         let at = self.held as usize;
@@ -288,20 +294,20 @@ impl<const N: usize> FrameParser<N> {
         true
     }
 
-    /// A byte of the checksum.
+    /// Processes one byte of the checksum field.
     fn end(&mut self, at: usize, byte: u8) -> Option<Found> {
         self.store.put(at, byte);
         if at == HEAD_LEN.wrapping_add(self.store.size()) {
             return None;
         }
-        // The manual lets a receiver take the two bytes in as well and look for 0. But four different pairs of bytes
-        // lead to 0 from any value, so comparing lets through a quarter of the corruptions that looking for 0 would.
+        // The manual also allows processing both checksum bytes and testing for 0. Four different pairs of bytes lead
+        // to 0 from any value, so that test would miss four times as many corruptions as this comparison.
         let received = u16::from_le_bytes([self.store.get(at.wrapping_sub(1)), byte]);
         let accepted = received == self.checksum_or_next || self.flags & IGNORE_CHECKSUM != 0;
         Some(self.dispatch(if accepted { Found::Frame } else { Found::BadChecksum }))
     }
 
-    /// One byte outside a frame.
+    /// Processes one byte outside a frame.
     fn look_for_preamble(&mut self, seen: u8, byte: u8) {
         if byte == PREAMBLE_BYTE {
             self.flags = self.flags.wrapping_add(1);
@@ -313,7 +319,7 @@ impl<const N: usize> FrameParser<N> {
         }
     }
 
-    /// Ends the frame being received. If more bytes are held, they wait from behind it on.
+    /// Ends the frame being received. Any bytes held after it wait to be scanned.
     fn dispatch(&mut self, found: Found) -> Found {
         let count = match found {
             Found::Frame => {
@@ -329,9 +335,9 @@ impl<const N: usize> FrameParser<N> {
         found
     }
 
-    /// The frame being received is none: its first byte is dropped, and all others wait to be scanned, beginning with
-    /// the two preamble bytes that are left.
-    // Three functions give up, and none of them is in a hurry then.
+    /// Rejects the frame being received: drops its first byte and queues all others for a scan, starting with the two
+    /// remaining preamble bytes.
+    // Not inlined: called from three places, none of them time-critical.
     #[inline(never)]
     fn give_up_frame(&mut self) {
         self.drop_bytes(1);
@@ -340,8 +346,8 @@ impl<const N: usize> FrameParser<N> {
         self.flags |= DRAINING;
     }
 
-    /// The event to hand out, with its view of the payload. What it is about lies at the front of the store.
-    // Not inlined: five functions give events, and none of them is in a hurry once there is one.
+    /// Builds the event for the caller, with a view of the payload. Its bytes are at the front of the store.
+    // Not inlined: called from five places, none of them time-critical.
     #[inline(never)]
     fn event(&self, found: Found) -> Option<Event<'_>> {
         let [id, low, high] = self.store.head;
@@ -369,8 +375,7 @@ impl<const N: usize> FrameParser<N> {
         self.counters.dropped = self.counters.dropped.saturating_add(count);
     }
 
-    /// Takes payload bytes of the frame being received, or the whole beginning of a frame, at one go; gives the bytes
-    /// behind them.
+    /// Takes a run of payload bytes, or the complete head of a frame, at once. Returns the bytes that follow.
     #[inline]
     fn take_run<'b>(&mut self, bytes: &'b [u8]) -> &'b [u8] {
         match self.preamble_seen() {
@@ -412,10 +417,10 @@ impl<const N: usize> FrameParser<N> {
     }
 }
 
-/// Head, payload and checksum of the longest frame.
+/// Storage for the head, payload and checksum of the longest frame.
 ///
-/// Three arrays, because the sum N + 5 is none of stable Rust's array lengths. In this order they lie one behind the
-/// other, so an index becomes an address after one comparison.
+/// Stable Rust cannot express the array length N + 5, so there are three arrays. In this order they are contiguous, so
+/// an index becomes an address after one comparison.
 #[derive(Clone, Debug)]
 #[repr(C)]
 struct Store<const N: usize> {
@@ -425,14 +430,14 @@ struct Store<const N: usize> {
 }
 
 impl<const N: usize> Store<N> {
-    /// The payload size announced by the frame at the front.
+    /// Returns the payload size announced by the frame at the front.
     #[inline]
     fn size(&self) -> usize {
         let [_, low, high] = self.head;
         u16::from_le_bytes([low, high]) as usize
     }
 
-    /// The byte at `at`.
+    /// Returns the byte at index `at`.
     #[inline]
     fn get(&self, at: usize) -> u8 {
         let slot = match at.checked_sub(HEAD_LEN) {
@@ -445,7 +450,7 @@ impl<const N: usize> Store<N> {
         slot.copied().unwrap_or(0)
     }
 
-    /// Stores a byte at `at`.
+    /// Stores a byte at index `at`.
     #[inline]
     fn put(&mut self, at: usize, byte: u8) {
         let slot = match at.checked_sub(HEAD_LEN) {
@@ -461,8 +466,8 @@ impl<const N: usize> Store<N> {
     }
 }
 
-/// By what is held and not by what was: parsers that take the same bytes in the same way from now on are alike. Counts do
-/// not matter.
+/// Hashes the current state only: parsers that will process the same input in the same way are equal. Counters are
+/// ignored.
 impl<const N: usize> Hash for FrameParser<N> {
     fn hash<H: Hasher>(&self, state: &mut H) {
         state.write_u8(self.flags);
@@ -480,7 +485,7 @@ impl<const N: usize> Default for FrameParser<N> {
     }
 }
 
-const _: () = assert!(size_of::<FrameParser<64>>() == 64 + 16, "the parser's memory is N + 16 bytes");
+const _: () = assert!(size_of::<FrameParser<64>>() == 64 + 16, "the parser must take N + 16 bytes");
 
 #[cfg(test)]
 mod tests;

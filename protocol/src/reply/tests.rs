@@ -1,4 +1,4 @@
-//! Every reply there and back, and what the manual forbids.
+//! Round trip of every reply, and replies that the manual forbids.
 
 use super::*;
 use crate::types::{DeviceType, FingerType, FirmwareVersion};
@@ -11,7 +11,8 @@ fn payload(reply: &Reply<'_>) -> Vec<u8> {
     (0..reply.len()).map(|index| reply.byte(index)).collect()
 }
 
-/// Bytes after the status code of a successful reply, by the manual; `None` where the length varies.
+/// Returns the number of bytes after the status code of a successful reply, from the manual; `None` for variable
+/// lengths.
 fn value_len(id: CommandId) -> Option<usize> {
     Some(match id.code() {
         0x31 | 0x33 | 0x40 | 0x43..=0x45 => 4,

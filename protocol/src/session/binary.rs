@@ -1,4 +1,4 @@
-//! The binary protocol's session.
+//! The session of the binary protocol.
 
 use core::hash::{Hash, Hasher};
 
@@ -19,13 +19,13 @@ use crate::reply::{Reply, Value};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
 
-/// The controller's side of a connection that speaks the binary protocol.
+/// The controller's side of a binary-protocol connection.
 pub type Session = Engine<Binary>;
 
-/// What happened.
+/// An event of a binary-protocol session.
 pub type Event<'a> = EventOf<CommandId, Reply<'a>, Value<'a>>;
 
-/// By kind and command, without the values.
+/// Hashes the kind of event and the command, not the values.
 impl Hash for Event<'_> {
     fn hash<H: Hasher>(&self, state: &mut H) {
         core::mem::discriminant(self).hash(state);
@@ -39,40 +39,40 @@ impl Hash for Event<'_> {
     }
 }
 
-/// The status of a setting that the gripper confirmed but did not take over: read back, it shows another value, or none
+/// Status of a setting that the gripper confirmed but did not apply: the read-back shows another value or none
 /// ([`Config::verify_settings`]).
 ///
-/// It is E_WRITE_ERROR, which the manual lists for none of the settings that are read back, so that a register interface
-/// can show it as it is.
+/// The value is E_WRITE_ERROR. The manual does not list it for any of these settings, so a register interface can show
+/// it unchanged.
 pub const MISMATCH: Status = Status::WriteError;
 
-/// The binary protocol (command set).
+/// The dialect of the binary protocol (command set).
 #[derive(Clone, Copy, Debug, Hash)]
 pub struct Binary {
     verify_settings: bool,
 }
 
-/// Steps of connecting that ask for the two states, before anything else: a gripper that moves must be noticed at once.
+/// Number of setup steps for the two states. They come first because a moving gripper must be detected at once.
 const STATE_STEPS: u8 = 2;
 
 impl Session {
-    /// A session that is not connected, and begins to connect at once.
+    /// Creates a disconnected session, which begins to connect immediately.
     #[must_use]
     pub const fn new(config: Config) -> Self {
         let dialect = Binary { verify_settings: config.verify_settings };
         Self::over(dialect, config.timing(), topic::of_config(&config))
     }
 
-    /// Asks for a command to be sent. Its outcome comes as an [`Event`].
+    /// Requests a command. Its outcome is reported as an [`Event`].
     ///
-    /// Stop, FAST STOP and Acknowledge overtake what waits: it is withdrawn. To ask once for a value that is
-    /// subscribed to does not end the subscription.
+    /// Stop, FAST STOP and Acknowledge overtake all queued requests, which are withdrawn. A single query of a
+    /// subscribed value does not end the subscription.
     ///
     /// # Errors
-    /// [`RequestError`]; then the command is not sent, now or later.
+    /// Returns [`RequestError`] if the command is rejected. It is then never sent.
     pub fn request(&mut self, mut command: Command<'static>) -> Result<(), RequestError> {
         command.check().map_err(RequestError::Invalid)?;
-        // To ask once would end a subscription (command set, 3.4.1).
+        // A single query would end the subscription (command set, 3.4.1).
         if let Some(once) = Update::of(&command).filter(|asked| asked.update == AutoUpdate::once())
             && let Some(subscribed) = self.subscriptions().find(once.name())
         {
@@ -81,12 +81,10 @@ impl Session {
         self.enqueue(Request::Own(command))
     }
 
-    /// As [`request`](Self::request), for a command that the caller keeps, because it borrows its payload: only the id
-    /// is kept here, and the command is sent when [`poll_transmit_borrowed`](Self::poll_transmit_borrowed) has it at
-    /// hand.
+    /// Requests a command that the caller keeps because it borrows its payload. The session stores only the id and
+    /// sends the command when the caller passes it to [`poll_transmit_borrowed`](Self::poll_transmit_borrowed).
     ///
-    /// A caller that cannot lend it any more calls [`withdraw`](Self::withdraw). A setting that is borrowed is not read
-    /// back.
+    /// Call [`withdraw`](Self::withdraw) when the command is no longer available. A borrowed setting is not read back.
     ///
     /// ```
     /// use wsg_protocol::session::{Config, RequestError, Session};
@@ -99,7 +97,7 @@ impl Session {
     /// ```
     ///
     /// # Errors
-    /// [`RequestError`]; then the command is not sent, now or later.
+    /// Returns [`RequestError`] if the command is rejected. It is then never sent.
     pub fn request_borrowed(&mut self, command: &Command<'_>) -> Result<(), RequestError> {
         command.check().map_err(RequestError::Invalid)?;
         self.enqueue(match command.id() {
@@ -109,10 +107,11 @@ impl Session {
         })
     }
 
-    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Event::Reported`].
-    /// [`AutoUpdate::once`] ends that. Periods below 10 ms count as 10 ms. In place of what [`Config`] says.
+    /// Subscribes to periodic updates of a value, reported as [`Event::Reported`]. The subscription overrides
+    /// [`Config`] and is restored after each reconnect. [`AutoUpdate::once`] ends it. Periods below 10 ms count as 10
+    /// ms.
     ///
-    /// The two states are asked for again and again even without updates: the session needs them.
+    /// The session polls the two states even without updates.
     ///
     /// ```
     /// use wsg_protocol::session::{Config, Session, Topic};
@@ -125,10 +124,10 @@ impl Session {
         self.subscriptions_mut().set(Update::new(topic, update));
     }
 
-    /// Takes what the parser found.
+    /// Processes an event of the parser.
     pub fn handle<'a>(&mut self, now: Instant, event: &FrameEvent<'a>) -> Option<Event<'a>> {
         let FrameEvent::Frame(frame) = event else {
-            return None; // The parser counts it; the request that it may have answered is repeated, or reported.
+            return None; // The parser counts it. The request it may have answered is repeated or reported.
         };
         let Ok(reply) = Reply::decode(frame) else {
             self.count_refused();
@@ -137,13 +136,13 @@ impl Session {
         self.take(now, &reply)
     }
 
-    /// The next command to send. It counts as sent now.
+    /// Returns the next command to send and counts it as sent.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Command<'static>> {
         self.poll_transmit_borrowed(now, None)
     }
 
-    /// As [`poll_transmit`](Self::poll_transmit), with the command of [`request_borrowed`](Self::request_borrowed) at
-    /// hand. It may be given more than once, until it is answered.
+    /// Returns the next command to send, like [`poll_transmit`](Self::poll_transmit), and may return `borrowed`, the
+    /// command of [`request_borrowed`](Self::request_borrowed). It may be returned repeatedly until it is answered.
     pub fn poll_transmit_borrowed<'p>(
         &mut self,
         now: Instant,
@@ -168,11 +167,11 @@ impl Dialect for Binary {
     const NOTHING: Known = Known::NOTHING;
     const UPKEEP: Option<CommandId> = Some(CommandId::GetForceLimit);
 
-    /// The two states, what device, what limits, then the other subscriptions.
+    /// The two states, device information, limits, then the other subscriptions.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Command<'static>> {
         const INFO: u8 = STATE_STEPS;
         const LIMITS: u8 = INFO + 1;
-        /// Steps that are no subscriptions.
+        /// Number of steps that query device information and limits.
         const OF_THE_DEVICE: u8 = 2;
         match step {
             0..STATE_STEPS => self.refresh(step, subscribed),
@@ -250,9 +249,9 @@ impl Dialect for Binary {
         matches!(request, Command::GetForceLimit)
     }
 
-    /// A motion is the one request that does not wait for the answer to another one: not even a query may lie between what
-    /// is known and the motion that relies on it. An unknown command may be a script's. Homing is what a gripper needs that
-    /// was restarted, and has forgotten its settings.
+    /// Motions are the only requests that do not wait for other replies: not even a query may come between a known
+    /// setting and the motion that relies on it. An unknown command may be for a script. A restarted gripper has lost
+    /// its settings and needs homing.
     fn leaves_settings(id: CommandId) -> bool {
         matches!(id, CommandId::PrePosition | CommandId::GripPart | CommandId::ReleasePart)
     }

@@ -1,46 +1,47 @@
-//! What can be set about a session: time-outs, subscriptions, read-back.
+//! Session settings: time-outs, subscriptions and read-back.
 
 use crate::command::CommandId;
 use crate::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use crate::types::AutoUpdate;
 
-/// Time-outs and subscriptions. All times in milliseconds.
+/// Time-outs and subscriptions of a session. All times are in milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct Config {
-    /// How long the first answer to a request may take.
+    /// Time-out for the first reply to a request.
     pub reply_timeout_ms: u32,
-    /// How often a request that may be repeated is sent before the connection counts as lost.
+    /// Number of times a repeatable request is sent before the connection counts as lost.
     pub attempts: u8,
-    /// How often each subscribed value is requested again, besides its automatic updates. The requests are spread evenly
-    /// over this time, and each is repeated after a quarter of `reply_timeout_ms`. So on a line that loses one message, no
-    /// state gets older than both times together and the time of one answer.
+    /// Polling period of each subscribed value, in addition to its automatic updates. The requests are spread evenly
+    /// over this period, and each is repeated after a quarter of `reply_timeout_ms`. If a line loses one message, no
+    /// state gets older than the sum of both times and one reply time.
     pub refresh_ms: u32,
-    /// How long to wait before connecting is tried again. A gripper that took a damaged frame for the head of a long one
-    /// hears nothing until it gives that up, which it does in silence alone: wait for longer than it does.
+    /// Delay before the next attempt to connect. A gripper that mistook a damaged frame for the head of a long one
+    /// discards it only after a period of silence. Choose a longer delay than that period.
     pub reconnect_ms: u32,
-    /// How long a motion may take.
+    /// Time-out for the result of a motion.
     pub motion_timeout_ms: u32,
-    /// How long the result of a motion is waited for once the gripper reports that it stands still.
+    /// Time-out for the result of a motion after the gripper reports standstill.
     pub result_grace_ms: u32,
-    /// The least time between two updates of one value that the gripper sends, at least 10, unless
-    /// [`Session::subscribe`](super::Session::subscribe) says otherwise for one of them.
+    /// Minimum period between two updates of a value, at least 10 ms. [`Session::subscribe`](super::Session::subscribe)
+    /// overrides it for a single value.
     pub update_period_ms: u16,
-    /// Whether the opening width is subscribed to.
+    /// Whether to subscribe to the opening width.
     pub width: bool,
-    /// Whether the finger speed is subscribed to.
+    /// Whether to subscribe to the finger speed.
     pub speed: bool,
-    /// Whether the gripping force is subscribed to.
+    /// Whether to subscribe to the gripping force.
     pub force: bool,
-    /// Whether Set Acceleration, Set Force Limit and Set Soft Limits are read back, because the checksum is weak. Such a
-    /// request counts as answered only then, and another value than the one that was set as [`MISMATCH`](super::MISMATCH).
+    /// Whether Set Acceleration, Set Force Limit and Set Soft Limits are read back, because the checksum is weak. Such
+    /// a request counts as answered only after the read-back. A different value is reported as
+    /// [`MISMATCH`](super::MISMATCH).
     pub verify_settings: bool,
-    /// How a FAST STOP is repeated until the gripper confirms it.
+    /// Repetition pattern of an unconfirmed FAST STOP.
     pub fast_stop: FastStopPattern,
-    /// The commands with time-outs of their own, in place of `reply_timeout_ms` and `motion_timeout_ms`.
+    /// Commands with individual time-outs, which replace `reply_timeout_ms` and `motion_timeout_ms`.
     pub timeouts: &'static [Timeout],
 }
 
-/// The time-outs of one command. A script on the gripper, for example, may take its time to answer:
+/// The time-outs of one command, for example a script on the gripper that replies slowly:
 ///
 /// ```
 /// use wsg_protocol::session::{Config, Timeout};
@@ -52,18 +53,18 @@ pub struct Config {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct Timeout<N = CommandId> {
-    /// The command.
+    /// The command to which the time-outs apply.
     pub id: N,
-    /// How long its first answer may take, in milliseconds.
+    /// Time-out for the first reply, in milliseconds.
     pub reply_ms: u32,
-    /// How long its second answer may take after E_CMD_PENDING, in milliseconds.
+    /// Time-out for the second reply after E_CMD_PENDING, in milliseconds.
     pub result_ms: u32,
 }
 
-/// How a FAST STOP is repeated until the gripper confirms it: one frame, then bursts with silent pauses between them.
+/// Repetition pattern of an unconfirmed FAST STOP: a single frame, then bursts with silent pauses in between.
 ///
-/// A damaged length field makes a gripper wait for the rest of a frame that does not exist. A burst that is longer than any
-/// message ends that wait; so does a pause that is longer than the gripper's frame time-out, which the manual does not state.
+/// A damaged length field makes a gripper wait for the rest of a frame that does not exist. A burst longer than any
+/// message ends that wait. So does a pause longer than the gripper's frame time-out, which the manual does not state.
 ///
 /// ```
 /// use wsg_protocol::session::FastStopPattern;
@@ -74,29 +75,30 @@ pub struct Timeout<N = CommandId> {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct FastStopPattern {
-    /// How long the answer to the first frame may take before the first burst, in milliseconds.
+    /// Time-out for the reply to the first frame, after which the first burst begins, in milliseconds.
     pub answer_ms: u32,
-    /// Frames in a burst, 8 bytes each.
+    /// Number of frames in a burst, 8 bytes each.
     pub burst_frames: u16,
     /// Silence after a burst, in milliseconds.
     pub pause_ms: u32,
 }
 
 impl FastStopPattern {
-    /// A burst after 30 ms that is longer than the longest message (1 024 bytes) and one more FAST STOP; a pause longer than
-    /// a frame time-out of half a second.
+    /// Starts the first burst after 30 ms. A burst is longer than the longest message (1 024 bytes) plus one FAST STOP.
+    /// A pause is longer than a frame time-out of half a second.
     pub const DEFAULT: Self =
         Self { answer_ms: 30, burst_frames: (MAX_MESSAGE_LEN / FAST_STOP_LEN + 2) as u16, pause_ms: 600 };
 }
 
-/// Bytes of a FAST STOP: it has no payload.
+/// Length of a FAST STOP in bytes; it has no payload.
 const FAST_STOP_LEN: usize = OVERHEAD;
 
 impl Config {
-    /// For a serial line at 115 200 bit/s: silence is noticed in under a second. System state and gripper state only.
+    /// Settings for a serial line at 115 200 bit/s. Silence is detected in less than a second. Subscribes to system
+    /// state and gripper state only.
     ///
-    /// The longest stroke (210 mm) at the least speed (5 mm/s) takes 42 s, so a motion may take a minute. A finger's
-    /// supply is on after about 500 ms (command set, 3.6.3), so two seconds are given.
+    /// The motion time-out is one minute, because the longest stroke (210 mm) at the lowest speed (5 mm/s) takes 42 s.
+    /// A finger's supply is on after about 500 ms (command set, 3.6.3), so its time-out is two seconds.
     pub const DEFAULT: Self = Self {
         reply_timeout_ms: 200,
         attempts: 3,
@@ -116,7 +118,7 @@ impl Config {
         ],
     };
 
-    /// The part that is the same in every dialect.
+    /// Returns the settings that are common to all dialects.
     pub(super) const fn timing(&self) -> Timing<CommandId> {
         Timing {
             reply_timeout_ms: self.reply_timeout_ms,
@@ -131,7 +133,7 @@ impl Config {
     }
 }
 
-/// The times of a session, as [`Config`] has them, for commands that are named by `N`.
+/// The time settings of a session, for commands named by `N`.
 #[derive(Clone, Copy, Debug, Hash)]
 pub(crate) struct Timing<N: 'static> {
     pub(crate) reply_timeout_ms: u32,
@@ -145,12 +147,12 @@ pub(crate) struct Timing<N: 'static> {
 }
 
 impl<N: Copy + PartialEq> Timing<N> {
-    /// How long the first answer to this command may take.
+    /// Returns the time-out for the first reply to this command, in milliseconds.
     pub(super) fn reply_timeout(&self, name: N) -> u32 {
         self.timeout(name).map_or(self.reply_timeout_ms, |timeout| timeout.reply_ms)
     }
 
-    /// How long the second answer to this command may take.
+    /// Returns the time-out for the second reply to this command, in milliseconds.
     pub(super) fn result_timeout(&self, name: N) -> u32 {
         self.timeout(name).map_or(self.motion_timeout_ms, |timeout| timeout.result_ms)
     }

@@ -1,4 +1,4 @@
-//! What the session's engine asks of a protocol: names, requests, answers, and what they mean.
+//! The interface between the session engine and a protocol: names, requests, replies and their meaning.
 
 use core::fmt::Debug;
 
@@ -6,70 +6,71 @@ use super::message::Message;
 use super::subscriptions::List;
 use crate::types::Status;
 
-/// A protocol in which a gripper is commanded: the binary one or GCL. No other type can be one.
+/// A protocol for gripper commands: the binary protocol or GCL. Sealed.
 pub trait Dialect: Copy + Debug {
-    /// A request, as it is kept until it is answered.
+    /// A request, stored until it is answered.
     type Request: Message;
-    /// Why the parameters of a request are refused.
+    /// The reason why the parameters of a request are invalid.
     type Invalid;
-    /// An answer, or an update that came without a request.
+    /// A reply, or an unsolicited update.
     type Answer<'a>: Copy;
-    /// A value that an answer or an update carries.
+    /// A value in a reply or update.
     type Value<'a>: Copy;
-    /// What is known of the gripper.
+    /// The known state of the gripper.
     type Known;
-    /// What can be subscribed to.
+    /// The possible subscriptions.
     type Subscriptions: List<Request = Self::Request>;
 
-    /// What is known of a gripper that has said nothing.
+    /// The known state before the first reply.
     const NOTHING: Self::Known;
 
-    /// The command of each [`upkeep`](Self::upkeep).
+    /// The command name of every [`upkeep`](Self::upkeep) query.
     const UPKEEP: Option<NameOf<Self>> = None;
 
-    /// Returns the request of a step of connecting, in order; `None` after the last one.
+    /// Returns the request of a setup step, or `None` after the last step.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Self::Request>;
 
-    /// Returns one of the requests that are made again and again while connected; `None` after the last one.
+    /// Returns one of the requests that are repeated while connected, or `None` after the last one.
     fn refresh(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Self::Request>;
 
-    /// Returns the command that an answer is about; `None` if the manual has no such command.
+    /// Returns the command that a reply refers to, or `None` if it is not in the manual.
     fn name(answer: &Self::Answer<'_>) -> Option<NameOf<Self>>;
 
-    /// Returns what an answer says of its request: E_CMD_PENDING, E_SUCCESS or the error.
+    /// Returns the status of a reply: E_CMD_PENDING, E_SUCCESS or the error.
     fn status(answer: &Self::Answer<'_>) -> Status;
 
-    /// Returns the value that an answer or an update carries.
+    /// Returns the value in a reply or update.
     fn value<'r, 'a>(answer: &'r Self::Answer<'a>) -> Option<&'r Self::Value<'a>>;
 
-    /// Returns what an answer can be, by its form alone.
+    /// Returns the role of a reply, judged by its form alone.
     fn role(answer: &Self::Answer<'_>) -> Role;
 
-    /// Whether the answer is about the very value that the request of this name asks for.
+    /// Returns whether the reply refers to the value that this request (of the same name) queries.
     fn fits(request: &Self::Request, answer: &Self::Answer<'_>) -> bool;
 
-    /// Whether a command of this name is answered twice: E_CMD_PENDING, then its result.
+    /// Returns whether a command of this name has two replies: E_CMD_PENDING and the result.
     fn is_asynchronous(name: NameOf<Self>) -> bool;
 
-    /// Whether the first answer to a request is the result of an earlier one of the same name, late. `given_up`: the
-    /// result of one was not waited for any longer.
+    /// Returns whether the first reply to a request is the late result of an earlier one of the same name. `given_up`
+    /// means that such a result timed out.
     fn is_late_result(name: NameOf<Self>, status: Status, given_up: bool) -> bool;
 
-    /// Whether a step of connecting is done, or a subscribed value reported, when it is answered like this.
+    /// Returns whether this reply completes a setup step or reports a subscribed value.
     fn completes_step(name: NameOf<Self>, status: Status) -> bool;
 
-    /// Whether the connection is over when a request of this name is confirmed.
+    /// Returns whether the connection ends when a request of this name is confirmed.
     fn is_farewell(name: NameOf<Self>) -> bool;
 
-    /// Keeps a value, if it is one that is kept. Returns whether the fingers move, if the value tells.
+    /// Stores a value if it is part of the known state. Returns whether the fingers move, if the value contains that.
     fn learn(known: &mut Self::Known, value: &Self::Value<'_>) -> Option<bool>;
 
-    /// Returns the query that shows what this setting came to, if that is to be asked.
+    /// Returns the query that reads this setting back, if it is to be verified.
     fn read_back(&self, _setting: &Self::Request) -> Option<Self::Request> {
         None
     }
 
-    /// Returns the answer to a setting that was read back, and keeps the setting if it is one that is kept.
+    /// Returns the final reply to a setting that was read back, and stores the setting if it is part of the known
+    /// state.
     fn read_back_answer<'a>(
         _setting: &Self::Request,
         read: &Self::Answer<'a>,
@@ -78,37 +79,37 @@ pub trait Dialect: Copy + Debug {
         *read
     }
 
-    /// Returns the query that shows whether a setting that is known still holds, if one is known.
+    /// Returns the query that checks whether a known setting still applies, if any is known.
     fn upkeep(_known: &Self::Known) -> Option<Self::Request> {
         None
     }
 
-    /// Whether this is an [`upkeep`](Self::upkeep).
+    /// Returns whether this is an [`upkeep`](Self::upkeep) query.
     fn is_upkeep(_request: &Self::Request) -> bool {
         false
     }
 
-    /// Whether a request of this name leaves all settings as they are, and nothing that comes behind it waits.
+    /// Returns whether a request of this name changes no setting and does not delay the requests after it.
     fn leaves_settings(_name: NameOf<Self>) -> bool {
         true
     }
 
-    /// Forgets the settings that are known.
+    /// Forgets all known settings.
     fn forget_settings(_known: &mut Self::Known) {}
 }
 
 /// The names of a dialect's commands.
 pub(super) type NameOf<D> = <<D as Dialect>::Request as Message>::Name;
 
-/// What an answer can be, by its form.
+/// The possible roles of a reply, judged by its form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Role {
-    /// An update, and nothing else.
+    /// Always an update.
     Update,
-    /// The result of a command that has begun, and nothing else.
+    /// Always the result of a command that has begun.
     Result,
-    /// An answer to a request, and no update.
+    /// A reply to a request, never an update.
     Answer,
-    /// The form does not tell answers and updates apart.
+    /// Either: the form does not distinguish replies from updates.
     Any,
 }

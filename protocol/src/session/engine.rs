@@ -1,4 +1,4 @@
-//! One engine for every dialect: queueing, time-outs, repeats, Stop and FAST STOP, reconnecting, subscriptions.
+//! The engine common to all dialects: queueing, time-outs, retries, Stop and FAST STOP, reconnecting, subscriptions.
 
 use super::config::Timing;
 use super::dialect::{Dialect, NameOf, Role};
@@ -12,109 +12,110 @@ use crate::queue::Queue;
 use crate::time::Instant;
 use crate::types::Status;
 
-/// What happened, in the terms of a dialect.
+/// An event in the types of a dialect.
 pub(crate) type EventIn<'a, D> = EventOf<NameOf<D>, <D as Dialect>::Answer<'a>, <D as Dialect>::Value<'a>>;
 
-/// How many requests may wait to be sent.
+/// Maximum number of queued requests.
 pub const QUEUE_LEN: usize = 4;
 
-/// Room for an acknowledgement behind a full queue, which it withdraws.
+/// Includes a slot for an acknowledgement, which withdraws a full queue.
 const QUEUE_CAPACITY: usize = QUEUE_LEN + 1;
 
-/// How often a refresh is sent within the time-out of a request: one lost answer must not let a state grow old.
+/// Number of times a refresh is sent within the time-out of a request, so that one lost reply does not leave a state
+/// outdated.
 const REFRESH_REPEATS: u32 = 4;
 
-/// Where the connection stands.
+/// State of the connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Link {
-    /// No answer; the next attempt begins at the given time, or at once.
+    /// No reply; the next attempt begins at `retry_at`, or immediately.
     Down { retry_at: Option<Instant> },
-    /// The requests of [`Dialect::setup`] are being answered, this one now.
+    /// Step `step` of [`Dialect::setup`] is in progress.
     Connecting { step: u8 },
-    /// All of them are.
+    /// All setup steps are complete.
     Up,
-    /// Being given up: what is open is reported first.
+    /// The connection is closing; open requests are reported first.
     Closing { farewell: bool },
-    /// The gripper confirmed a farewell: nothing is sent.
+    /// The gripper confirmed a farewell: nothing more is sent.
     Ended,
 }
 
-/// A command that has begun (E_CMD_PENDING) and whose result is awaited.
+/// A command that has begun (E_CMD_PENDING) and whose result is outstanding.
 #[derive(Clone, Copy, Debug, Hash)]
 struct Running<N> {
     name: N,
     begun: Instant,
-    /// Of a motion: since when the gripper reports that it stands still.
+    /// For a motion: the time since which the gripper has reported standstill.
     still_since: Option<Instant>,
 }
 
-/// Commands that can run at once: one motion, and the supplies of both fingers being switched on.
+/// Maximum number of concurrent commands: one motion, and switching on the supply of each finger.
 const RUNNING_LEN: usize = 3;
 
-/// The controller's side of a connection, in any dialect.
+/// The controller's side of a connection, for any dialect.
 #[derive(Clone, Debug, Hash)]
 pub struct Engine<D: Dialect> {
     dialect: D,
     timing: Timing<NameOf<D>>,
     link: Link,
-    /// Goes before anything else.
+    /// Has priority over everything else.
     fast_stop: FastStop,
-    /// Goes before anything but a FAST STOP.
+    /// Has priority over everything but a FAST STOP.
     stop: Transaction<D::Request>,
-    /// The request whose first answer is awaited.
+    /// The request whose first reply is outstanding.
     request: Transaction<D::Request>,
-    /// The session's own: a step of connecting, or a value asked for again.
+    /// The session's own request: a setup step or the poll of a value.
     refresh: Transaction<D::Request>,
-    /// The setting that is being read back: `request` is the query.
+    /// The setting being read back, while `request` is the query.
     reading_back: Option<D::Request>,
-    /// Requests that wait for the one before to be answered.
+    /// Requests that wait for the current one to be answered.
     queue: Queue<Request<D::Request>, QUEUE_CAPACITY>,
-    /// What a Stop, FAST STOP or Acknowledge has overtaken.
+    /// Requests overtaken by a Stop, FAST STOP or Acknowledge.
     overtaken: Overtaken,
-    /// A request that was sent more than once, and until when another answer to it may still come: a request of the
-    /// same name would take that for its own.
+    /// A request that was sent more than once, and the time until which another reply may arrive. A request of the same
+    /// name could mistake that reply for its own.
     doubled: Option<(NameOf<D>, Instant)>,
-    /// What the next tick reports of a Stop: not answered in time, or not at all.
+    /// The pending report about a Stop.
     stop_report: Option<StopReport>,
-    /// A request that was overtaken and not answered.
+    /// An overtaken request whose outcome is unknown.
     dropped: Option<NameOf<D>>,
     running: [Option<Running<NameOf<D>>>; RUNNING_LEN],
-    /// A command whose result was not waited for any longer: it may still come.
+    /// A command whose result timed out and may still arrive.
     given_up: Option<NameOf<D>>,
-    /// When the next value is asked for again, and which.
+    /// Time and step of the next refresh.
     refresh_at: Instant,
     refresh_step: u8,
     subscriptions: D::Subscriptions,
     known: D::Known,
-    /// When the query was opened that showed the settings that are known.
+    /// Time at which the query was opened that last confirmed the known settings.
     confirmed: Instant,
-    /// When the query was opened that is to show that they still hold.
+    /// Time at which the current upkeep query was opened.
     upkeep_opened: Instant,
-    /// When that query is due, or answered in vain; none while no setting is known.
+    /// Time at which the next upkeep query is due or times out; none while no setting is known.
     upkeep_at: Option<Instant>,
     counters: SessionCounters,
 }
 
-/// The requests that will be withdrawn because something more urgent overtook them.
+/// Requests to be withdrawn because something more urgent overtook them.
 #[derive(Clone, Copy, Debug, Default, Hash)]
 struct Overtaken {
-    /// The one whose first answer is awaited, if it is not sent yet.
+    /// Whether the current request is withdrawn if it is still unsent.
     request: bool,
-    /// So many at the front of the queue.
+    /// Number of requests to withdraw from the front of the queue.
     queued: usize,
 }
 
-/// What there is to tell about a Stop.
+/// A pending report about a Stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum StopReport {
-    /// Not answered in time, and sent again.
+    /// The reply is late, and the Stop is sent again.
     Late,
-    /// Not answered, and not sent again.
+    /// There was no reply, and the Stop is not sent again.
     Unanswered,
 }
 
 impl<D: Dialect> Engine<D> {
-    /// A session that is not connected, and begins to connect at once.
+    /// Creates a disconnected session, which begins to connect immediately.
     pub(crate) const fn over(dialect: D, timing: Timing<NameOf<D>>, subscriptions: D::Subscriptions) -> Self {
         Self {
             dialect,
@@ -143,19 +144,19 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Whether the gripper answers.
+    /// Returns whether the gripper is connected: it replies and all setup steps are complete.
     #[must_use]
     pub const fn is_connected(&self) -> bool {
         matches!(self.link, Link::Up)
     }
 
-    /// What is known of the gripper; nothing without a connection.
+    /// Returns the known state of the gripper, which is empty without a connection.
     #[must_use]
     pub const fn known(&self) -> &D::Known {
         &self.known
     }
 
-    /// The motion that is running: sent and not yet finished, as far as is known.
+    /// Returns the motion in progress: it was requested, and its result is outstanding.
     #[must_use]
     pub fn motion(&self) -> Option<NameOf<D>> {
         let sent = self.request.name();
@@ -167,26 +168,26 @@ impl<D: Dialect> Engine<D> {
             .find(|name| name.kind() == Kind::Motion)
     }
 
-    /// What could not be used so far.
+    /// Returns the counters of unusable input, retries and disconnects.
     #[must_use]
     pub const fn counters(&self) -> SessionCounters {
         self.counters
     }
 
-    /// Whether a request waits to be sent, or for its first answer (or its read-back). Stop and FAST STOP aside.
+    /// Returns whether a request is queued, or its first reply or read-back is outstanding. Ignores Stop and FAST STOP.
     #[must_use]
     pub fn is_busy(&self) -> bool {
         !self.request.is_idle() || !self.queue.is_empty()
     }
 
-    /// Takes a request that was checked. Its outcome comes as an [`EventOf`].
+    /// Queues a checked request. Its outcome is reported as an [`EventOf`].
     pub(crate) fn enqueue(&mut self, request: Request<D::Request>) -> Result<(), RequestError<D::Invalid>> {
         let name = request.name();
         if !D::leaves_settings(name) {
             D::forget_settings(&mut self.known);
         }
         if name == D::Request::FAST_STOP.name() {
-            // Owed until the gripper confirms it, connected or not.
+            // Stays pending until the gripper confirms it, connected or not.
             let stop_failed = self.stop.was_late();
             self.stop.close();
             self.fast_stop.open(stop_failed);
@@ -195,8 +196,8 @@ impl<D: Dialect> Engine<D> {
         }
         let fast_stop_runs = self.fast_stop_pending();
         if name == D::Request::STOP.name() && !fast_stop_runs && self.link != Link::Ended {
-            // The gripper may hear although it is not heard. But it is now or never: a Stop that arrives over another
-            // connection would drop the part that is held then.
+            // The gripper may receive although its replies are lost. But the Stop must be sent now or never: over a
+            // later connection it would drop the part held then.
             if !self.stop.awaits(name) {
                 self.stop.open(request, self.timing.reply_timeout(name));
             }
@@ -222,11 +223,10 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Marks everything that was requested so far and is not sent: the next ticks withdraw it. What is sent is not sent
-    /// again.
+    /// Marks every unsent request for withdrawal by the next ticks. Sent requests are not repeated.
     fn overtake(&mut self) {
         self.overtaken = Overtaken { request: true, queued: self.queue.len() };
-        // What was set is read back all the same.
+        // A setting in progress is read back nevertheless.
         if self.reading_back.is_none() {
             self.request.forbid_repeat();
             if self.request.is_due_again() {
@@ -235,8 +235,8 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Cancels every request that was not sent yet, for a caller that is gone (a future that was dropped): no event
-    /// tells of them. A borrowed request that was sent is not repeated. Stop and FAST STOP remain.
+    /// Cancels every unsent request without an event, for a caller that no longer exists (a dropped future). A borrowed
+    /// request that was already sent is not repeated. Stop and FAST STOP are kept.
     pub fn withdraw(&mut self) {
         self.queue.clear();
         self.overtaken = Overtaken::default();
@@ -245,36 +245,37 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Cancels the last polled request if the gripper cannot have it: not one byte of it was sent, or what was sent is no
-    /// message. Returns whether it could. No event tells of it. A query, Stop and FAST STOP cannot be cancelled: they may be sent late.
+    /// Cancels the last polled request without an event if the gripper cannot have received it: none of its bytes was
+    /// sent, or the bytes sent do not form a message. Returns whether it was cancelled. A query, Stop or FAST STOP
+    /// cannot be cancelled, because it may be sent late.
     pub fn take_back(&mut self, name: NameOf<D>) -> bool {
         name.kind() != Kind::Query && self.request.take_back(name)
     }
 
-    /// Returns whether a motion or acknowledgement that was polled must not be carried out any more: a Stop or FAST STOP is not
-    /// answered, or an Acknowledge was requested after it. A line that still holds a part of it withdraws it, for
-    /// [`take_back`](Self::take_back).
+    /// Returns whether a polled motion or acknowledgement must no longer be executed: a Stop or FAST STOP is
+    /// unanswered, or an Acknowledge was requested later. A transport that still holds part of it must discard that
+    /// part and call [`take_back`](Self::take_back).
     ///
-    /// An answer does not count: it may be a late one to an earlier command.
+    /// A reply does not change the result, because it may be a late reply to an earlier command.
     #[must_use]
     pub fn has_overtaken(&self) -> bool {
         let is_overtaken = |name: NameOf<D>| matches!(name.kind(), Kind::Motion | Kind::Acknowledge);
         self.is_urgent() || self.request.overtaken().is_some_and(is_overtaken)
     }
 
-    /// Returns what is subscribed to, for a change, which the gripper is told when nothing else is due.
+    /// Returns the subscriptions for modification. Changes are sent to the gripper when nothing else is due.
     pub(crate) const fn subscriptions_mut(&mut self) -> &mut D::Subscriptions {
         &mut self.subscriptions
     }
 
-    /// Returns what is subscribed to.
+    /// Returns the current subscriptions.
     pub(crate) const fn subscriptions(&self) -> &D::Subscriptions {
         &self.subscriptions
     }
 
-    /// Gives up the connection, for a caller who knows that it is gone, or who has opened a new one: the next
-    /// [`tick`](Self::tick)s tell what became of what was open, and then it is connected anew. A FAST STOP that is
-    /// not confirmed goes out again at once: what was sent may not have arrived.
+    /// Closes the connection, for a caller that has lost or reopened it. The next [`tick`](Self::tick)s report the
+    /// outcome of open requests, then the session reconnects. An unconfirmed FAST STOP is sent again immediately,
+    /// because the first one may be lost.
     pub fn disconnect(&mut self) {
         self.fast_stop.send_again();
         match self.link {
@@ -287,12 +288,12 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Counts a message that cannot be understood.
+    /// Counts a message that cannot be decoded.
     pub(crate) const fn count_refused(&mut self) {
         count(&mut self.counters.refused);
     }
 
-    /// Takes an answer, or an update.
+    /// Processes a reply or an update.
     #[inline]
     pub(crate) fn take<'a>(&mut self, now: Instant, answer: &D::Answer<'a>) -> Option<EventIn<'a, D>> {
         match self.route(now, answer) {
@@ -306,7 +307,7 @@ impl<D: Dialect> Engine<D> {
             Routed::Answered => Some(EventOf::Answered(*answer)),
             Routed::ReadBack(setting) => {
                 let outcome = D::read_back_answer(&setting, answer, &mut self.known);
-                // What waits may change it; and one of two answers may be from before the setting.
+                // A queued request may change the setting, and one of two replies may predate it.
                 if self.is_urgent() || !self.queue.is_empty() || self.doubled.is_some() {
                     D::forget_settings(&mut self.known);
                 }
@@ -317,7 +318,7 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Processes what is due at `now`, one event at a time. Call it again until it returns `None`.
+    /// Processes one event that is due at `now`. Call until it returns `None`.
     pub fn tick(&mut self, now: Instant) -> Option<EventIn<'static, D>> {
         if let Link::Closing { farewell } = self.link {
             return Some(self.close_one(now, farewell));
@@ -345,17 +346,18 @@ impl<D: Dialect> Engine<D> {
         None
     }
 
-    /// The next request to send, which counts as sent now. `borrowed`: the caller has one of this name at hand.
+    /// Returns the next request to send and counts it as sent. `borrowed` is the name of the request that the caller
+    /// provides.
     pub(crate) fn next_to_send(
         &mut self,
         now: Instant,
         borrowed: Option<NameOf<D>>,
     ) -> Option<Outgoing<'_, D::Request>> {
         if matches!(self.link, Link::Closing { .. } | Link::Ended) {
-            return None; // What is open belongs to a connection that is over, and the caller is still to be told.
+            return None; // Open requests belong to a closed connection, and are still to be reported.
         }
         if !self.fast_stop.is_idle() {
-            // Nothing else: its pauses must be silent, or a gripper that waits for the rest of a frame waits on.
+            // Pauses must be silent. Otherwise a gripper that expects the rest of a frame keeps waiting.
             return self.fast_stop.send(now).then_some(Outgoing::FastStop);
         }
         [&mut self.stop, &mut self.request, &mut self.refresh]
@@ -363,7 +365,7 @@ impl<D: Dialect> Engine<D> {
             .find_map(|transaction| transaction.send(now, borrowed))
     }
 
-    /// When [`tick`](Self::tick) must be called at the latest, if nothing else happens.
+    /// Returns the latest time of the next call to [`tick`](Self::tick), if nothing else happens before.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let (attempts, refresh_attempts) = self.attempts();
@@ -376,7 +378,7 @@ impl<D: Dialect> Engine<D> {
             self.doubled.filter(|_| !self.queue.is_empty() && self.request.is_idle()).map(|(_, until)| until),
         ];
         let link = match self.link {
-            // A FAST STOP that is owed comes first; its own time-out runs then.
+            // A pending FAST STOP has priority; its own time-out then applies.
             Link::Down { retry_at } if !self.is_urgent() => retry_at,
             Link::Up if self.refresh.is_idle() => {
                 Some(self.upkeep_at.map_or(self.refresh_at, |at| at.earlier_of(self.refresh_at)))
@@ -387,25 +389,25 @@ impl<D: Dialect> Engine<D> {
         transactions.into_iter().chain([link]).flatten().chain(running).reduce(Instant::earlier_of)
     }
 
-    /// Whether a FAST STOP was asked for and is not confirmed yet.
+    /// Returns whether a FAST STOP was requested and is not confirmed yet.
     #[must_use]
     pub const fn fast_stop_pending(&self) -> bool {
         !self.fast_stop.is_idle()
     }
 
-    /// Whether a Stop or FAST STOP is on its way.
+    /// Returns whether a Stop or FAST STOP is pending.
     pub(crate) const fn is_urgent(&self) -> bool {
         !self.fast_stop.is_idle() || !self.stop.is_idle()
     }
 
-    /// Whether a motion runs or waits, also one that was stopped but has not answered yet: another one is refused
-    /// ([`RequestError::MotionRunning`]).
+    /// Returns whether a motion is running or queued. A stopped motion counts until its reply arrives. Further motions
+    /// are rejected ([`RequestError::MotionRunning`]).
     #[must_use]
     pub fn motion_is_open(&self) -> bool {
         self.motion().is_some() || self.queue.iter().any(|request| request.name().kind() == Kind::Motion)
     }
 
-    /// To whom an answer belongs.
+    /// Determines the recipient of a reply.
     fn route(&mut self, now: Instant, answer: &D::Answer<'_>) -> Routed<D::Request> {
         let Some(name) = D::name(answer) else { return Routed::Unsolicited };
         let value = D::value(answer);
@@ -415,12 +417,12 @@ impl<D: Dialect> Engine<D> {
         let has_value = value.is_some();
         match D::role(answer) {
             Role::Update if self.wants(name, has_value) => {
-                // It begins to come while the next step of connecting is being answered.
+                // Updates already arrive while the next setup step is in progress.
                 if self.is_connected() { Routed::Reported } else { Routed::Taken }
             }
             Role::Update => Routed::Unsolicited,
             Role::Result if self.end_running(name) => Routed::Answered,
-            // Without E_CMD_PENDING before it, it is that of an earlier motion, late.
+            // Without a preceding E_CMD_PENDING, this is the late result of an earlier motion.
             Role::Result => Routed::Unsolicited,
             Role::Answer => self.route_answer(now, name, answer).unwrap_or(Routed::Unsolicited),
             Role::Any => match self.route_answer(now, name, answer) {
@@ -431,12 +433,12 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Whether a value of this name, if there is one, is subscribed to.
+    /// Returns whether a value is present and a subscription with this name exists.
     fn wants(&self, name: NameOf<D>, has_value: bool) -> bool {
         has_value && self.subscriptions.wants(name)
     }
 
-    /// An answer to what is open; `None` if it is none.
+    /// Matches a reply with the open requests; `None` if it matches none.
     fn route_answer(
         &mut self,
         now: Instant,
@@ -445,7 +447,7 @@ impl<D: Dialect> Engine<D> {
     ) -> Option<Routed<D::Request>> {
         let status = D::status(answer);
         let answers_fast_stop = name == D::Request::FAST_STOP.name() && self.fast_stop.was_sent();
-        // A FAST STOP is only done when the gripper says so.
+        // A FAST STOP is complete only when the gripper confirms it.
         if answers_fast_stop && status != Status::Success {
             return Some(Routed::Unsolicited);
         }
@@ -461,7 +463,7 @@ impl<D: Dialect> Engine<D> {
             return Some(Routed::Answered);
         }
         if D::UPKEEP == Some(name) && self.upkeep_is_sent() {
-            // Ahead of a setting's read-back: the first answer may be from before the setting.
+            // Before a setting's read-back, because the first reply may predate the setting.
             self.refresh.close();
             self.confirm(self.upkeep_opened);
             if status != Status::Success {
@@ -481,7 +483,7 @@ impl<D: Dialect> Engine<D> {
         is_step.then(|| self.route_refresh(now))
     }
 
-    /// The first answer to a request.
+    /// Processes the first reply to a request.
     fn route_first_answer(&mut self, now: Instant, name: NameOf<D>, status: Status) -> Routed<D::Request> {
         if D::is_late_result(name, status, self.given_up == Some(name)) {
             self.given_up = None;
@@ -495,14 +497,14 @@ impl<D: Dialect> Engine<D> {
         }
         self.request.close();
         self.given_up = None;
-        // There is room: only one motion is let in, and each finger's supply once.
+        // A slot is free: only one motion is accepted, and the supply of each finger once.
         if let Some(place) = self.running.iter_mut().find(|place| place.is_none()) {
             *place = Some(Running { name, begun: now, still_since: None });
         }
         Routed::Pending(name)
     }
 
-    /// The request is answered; a setting may have to be read back first.
+    /// Completes the current request, or starts the read-back of a setting.
     fn finish_request(&mut self, now: Instant, name: NameOf<D>, status: Status) -> Routed<D::Request> {
         let request = self.request.own().copied();
         self.doubled = self.request.doubled().or(self.doubled);
@@ -525,7 +527,7 @@ impl<D: Dialect> Engine<D> {
         Routed::Answered
     }
 
-    /// An answer to one of the session's own requests.
+    /// Processes the reply to one of the session's own requests.
     fn route_refresh(&mut self, now: Instant) -> Routed<D::Request> {
         if let Some(request) = self.refresh.own() {
             self.subscriptions.confirm(request);
@@ -544,12 +546,12 @@ impl<D: Dialect> Engine<D> {
                     Routed::Connected
                 }
             }
-            // For a subscriber, if there is a value.
+            // Delivered to the subscriber if it contains a value.
             _ => Routed::Reported,
         }
     }
 
-    /// Takes over a reported value, and what it says of a running motion.
+    /// Stores a reported value and updates the standstill time of a running motion.
     fn learn(&mut self, now: Instant, value: &D::Value<'_>) {
         let Some(moves) = D::learn(&mut self.known, value) else { return };
         for motion in self.running.iter_mut().flatten().filter(|running| running.name.kind() == Kind::Motion)
@@ -563,12 +565,12 @@ impl<D: Dialect> Engine<D> {
         for expired in expired {
             match expired {
                 Expired::No => {}
-                // Only a caller's request can be overtaken.
+                // Only requests of the caller can be overtaken.
                 Expired::Overtaken => self.dropped = self.request.abandon(),
                 Expired::Repeated => count(&mut self.counters.repeated),
                 Expired::GivenUp => match self.link {
                     Link::Up => self.link = Link::Closing { farewell: false },
-                    // Another transaction may have been given up at the same moment.
+                    // Another transaction may have timed out at the same moment.
                     Link::Closing { .. } | Link::Ended => {}
                     Link::Down { .. } | Link::Connecting { .. } => {
                         self.link = Link::Down { retry_at: Some(now.plus(self.timing.reconnect_ms)) };
@@ -579,7 +581,7 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Repeats or gives up what was not answered in time.
+    /// Repeats or abandons requests whose replies are overdue.
     fn expire_transactions(&mut self, now: Instant) {
         if self.doubled.is_some_and(|(_, until)| now.has_reached(until)) {
             self.doubled = None;
@@ -615,7 +617,7 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// How often a request is sent before the connection counts as lost, and how often a refresh is.
+    /// Returns how often a request, and how often a refresh, is sent before the connection counts as lost.
     const fn attempts(&self) -> (u8, u8) {
         if self.is_connected() {
             (self.timing.attempts, self.timing.attempts.saturating_mul(REFRESH_REPEATS as u8))
@@ -624,13 +626,13 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// When the connection counts as lost because a FAST STOP is not confirmed.
+    /// Returns when the connection counts as lost because a FAST STOP is unconfirmed.
     fn fast_stop_deadline(&self) -> Option<Instant> {
         let patience_ms = self.timing.reply_timeout_ms.saturating_mul(self.timing.attempts.into());
         self.fast_stop.begun().map(|begun| begun.plus(patience_ms))
     }
 
-    /// Gives up the connection, one open thing after the other.
+    /// Closes the connection. Each call reports one open request, and the last one the disconnect.
     fn close_one(&mut self, now: Instant, farewell: bool) -> EventIn<'static, D> {
         self.known = D::NOTHING;
         self.refresh.close();
@@ -663,13 +665,13 @@ impl<D: Dialect> Engine<D> {
         EventOf::Disconnected
     }
 
-    /// Withdraws what a Stop, FAST STOP or Acknowledge has overtaken, one request after the other.
+    /// Withdraws one request that a Stop, FAST STOP or Acknowledge has overtaken.
     fn withdraw_overtaken(&mut self) -> Option<NameOf<D>> {
         if !self.overtaken.request && self.overtaken.queued == 0 {
             return None;
         }
         if core::mem::take(&mut self.overtaken.request)
-            // What was set is read back all the same.
+            // A setting in progress is read back nevertheless.
             && self.reading_back.is_none()
             && let Some(unsent) = self.request.withdraw_unsent()
         {
@@ -679,7 +681,7 @@ impl<D: Dialect> Engine<D> {
         self.queue.pop_front().map(|request| request.name())
     }
 
-    /// Gives up a running command whose result does not come.
+    /// Abandons a running command whose result is overdue.
     fn expire_running(&mut self, now: Instant) -> Option<NameOf<D>> {
         let mut running = self.running.iter().flatten();
         let late = running.find(|running| now.has_reached(self.result_deadline(running)))?.name;
@@ -688,20 +690,20 @@ impl<D: Dialect> Engine<D> {
         Some(late)
     }
 
-    /// Takes out this command, if it runs; whether it does.
+    /// Removes a running command and returns whether it was running.
     fn end_running(&mut self, name: NameOf<D>) -> bool {
         let place = self.running.iter_mut().find(|place| place.is_some_and(|running| running.name == name));
         place.is_some_and(|place| place.take().is_some())
     }
 
-    /// Until when the result of a running command is waited for.
+    /// Returns when the result of a running command is overdue.
     fn result_deadline(&self, running: &Running<NameOf<D>>) -> Instant {
         let longest = running.begun.plus(self.timing.result_timeout(running.name));
         let grace = running.still_since.map(|since| since.plus(self.timing.result_grace_ms));
         grace.map_or(longest, |grace| grace.earlier_of(longest))
     }
 
-    /// Opens what is due: the next request, the next step of connecting, the next value to ask for again.
+    /// Opens the next request that is due: from the queue, a setup step or a refresh.
     fn advance(&mut self, now: Instant) {
         if self.is_connected()
             && !self.is_urgent()
@@ -721,7 +723,7 @@ impl<D: Dialect> Engine<D> {
             return;
         }
         match self.link {
-            // A FAST STOP that is owed is the first thing that a gripper hears.
+            // A pending FAST STOP or Stop is the first message to the gripper.
             Link::Down { retry_at } => {
                 if !self.is_urgent() && retry_at.is_none_or(|at| now.has_reached(at)) {
                     self.link = Link::Connecting { step: 0 };
@@ -743,32 +745,32 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// The time between two refreshes: within `refresh_ms` each value is requested once.
+    /// Returns the interval between two refreshes, in milliseconds. Within `refresh_ms` each value is requested once.
     fn refresh_interval_ms(&self) -> u32 {
         let is_value = |step: &u8| self.dialect.refresh(*step, &self.subscriptions).is_some();
         let values = (0..=u8::MAX).take_while(is_value).fold(0u32, |count, _| count.saturating_add(1));
         self.timing.refresh_ms.checked_div(values).unwrap_or(self.timing.refresh_ms)
     }
 
-    /// Whether the refresh is an upkeep, and awaits its answer: it is sent once.
+    /// Returns whether an upkeep query was sent and its reply is outstanding. It is sent only once.
     fn upkeep_is_sent(&self) -> bool {
         self.refresh.deadline().is_some() && self.refresh.own().is_some_and(D::is_upkeep)
     }
 
-    /// The settings that are known were shown by a query of that time. They are asked for again when half of the time is over for
-    /// which they count.
+    /// Records when the query was opened that confirmed the known settings. The next query is due after half of their
+    /// lifetime.
     fn confirm(&mut self, opened: Instant) {
         self.confirmed = opened;
         self.upkeep_at = Some(opened.plus(self.timing.refresh_ms / 2));
     }
 
-    /// Asks for the settings that are known, and forgets them when they were not confirmed in time.
-    // Seldom due.
+    /// Queries the known settings again, and forgets them if they were not confirmed in time.
+    // Rarely due.
     #[inline(never)]
     fn keep_up(&mut self, now: Instant) {
         let is_late = self.upkeep_is_sent() && self.refresh.is_overdue(now);
         if is_late {
-            // Not sent again: of two answers the later one could pass for that to a read-back.
+            // Not repeated: of two replies the later one could be mistaken for a read-back.
             self.refresh.close();
         }
         if is_late || now.has_reached(self.confirmed.plus(self.timing.refresh_ms)) {
@@ -784,7 +786,8 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Whether the next request in the queue could be answered by the second answer to an earlier one of the same name.
+    /// Returns whether the next queued request could be answered by the second reply to an earlier request of the same
+    /// name.
     fn may_take_a_doubled_answer(&self) -> bool {
         self.doubled.is_some_and(|(name, _)| self.queue.front().map(Request::name) == Some(name))
     }
@@ -795,7 +798,8 @@ impl<D: Dialect> Engine<D> {
         }
     }
 
-    /// Opens one of the session's own requests. While the link is up, a lost answer must not let a state grow old.
+    /// Opens one of the session's own requests. While connected, it uses a short time-out so that a lost reply does not
+    /// leave a state outdated.
     fn open_refresh(&mut self, request: D::Request) {
         let reply_ms = self.timing.reply_timeout(request.name());
         let timeout_ms = if self.is_connected() { (reply_ms / REFRESH_REPEATS).max(1) } else { reply_ms };
@@ -803,21 +807,21 @@ impl<D: Dialect> Engine<D> {
     }
 }
 
-/// To whom an answer belongs, and what it says there.
+/// The recipient of a reply and its meaning.
 enum Routed<M: Message> {
-    /// To nobody: it was not asked for, or came too late.
+    /// No recipient: the reply is unsolicited or too late.
     Unsolicited,
-    /// To the session itself.
+    /// The session itself.
     Taken,
-    /// To the session; all steps of connecting are done.
+    /// The session; all setup steps are complete.
     Connected,
-    /// To a request that has begun.
+    /// A request that has begun.
     Pending(M::Name),
-    /// To a request, as its final answer.
+    /// A request; this is its final reply.
     Answered,
-    /// To this setting, which was read back.
+    /// This setting, which was read back.
     ReadBack(M),
-    /// To a subscriber, if there is a value.
+    /// A subscriber, if the reply contains a value.
     Reported,
 }
 

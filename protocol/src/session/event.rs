@@ -1,62 +1,62 @@
-//! What a session tells its caller.
+//! Events and errors reported by a session.
 
 use core::hash::{Hash, Hasher};
 
 use crate::field::DecodeError;
 
-/// What happened, in the terms of a dialect: names, answers, values.
+/// An event in the types of a dialect: names, replies and values.
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 #[non_exhaustive]
 pub enum EventOf<N, A, V> {
-    /// The gripper answers, and all that is subscribed to is known.
+    /// The gripper replies, and all subscribed values are known.
     Connected,
-    /// The gripper is silent: nothing is known of it any more.
+    /// The gripper does not reply. Its state is unknown from now on.
     Disconnected,
     /// A requested motion has begun (E_CMD_PENDING).
     Pending(N),
-    /// The final answer to a request; [`MISMATCH`](super::MISMATCH) is the session's own.
+    /// The final reply to a request. [`MISMATCH`](super::MISMATCH) is created by the session itself.
     Answered(A),
-    /// A request was sent, and its outcome is not known.
+    /// A request was sent, and its outcome is unknown.
     Unanswered(N),
-    /// A Stop was not answered in time and is sent again: the fingers may still move.
+    /// The reply to a Stop is late and the Stop is repeated: the fingers may still move.
     Late(N),
-    /// A request was not sent, and will not be.
+    /// A request was not sent and will not be sent.
     Withdrawn(N),
     /// The gripper reported a value.
     Reported(V),
 }
 
-/// Why a request was not taken. Nothing of it will be sent.
+/// The reason why a request was rejected. Nothing is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum RequestError<E = DecodeError> {
-    /// The caller's: there is no connection. (Only FAST STOP is taken then, and sent until it is confirmed; and Stop,
-    /// which is sent once.)
+    /// Caller error: there is no connection. (Only FAST STOP and Stop are accepted then. FAST STOP is sent until
+    /// confirmed, and Stop once.)
     NotConnected,
-    /// The caller's: a motion is running.
+    /// Caller error: a motion is running.
     MotionRunning,
-    /// The caller's: a FAST STOP is not confirmed yet.
+    /// Caller error: a FAST STOP is not confirmed yet.
     FastStopRunning,
-    /// The caller's: a parameter is none that a gripper may take.
+    /// Caller error: a parameter has a value that no gripper accepts.
     Invalid(E),
-    /// Capacity: too many requests wait.
+    /// Capacity error: too many requests are queued.
     QueueFull,
 }
 
-/// What the session has seen that it could not use; each count stops at 65 535.
+/// Counters of unusable input, retries and disconnects. Each counter saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct SessionCounters {
-    /// Answers that were not asked for, or came too late.
+    /// Replies that were unsolicited or too late.
     pub unsolicited: u16,
-    /// Messages whose content the manual forbids.
+    /// Messages whose content violates the manual.
     pub refused: u16,
-    /// Requests that were sent again.
+    /// Requests sent again after a time-out.
     pub repeated: u16,
-    /// Connections lost.
+    /// Lost connections.
     pub disconnects: u16,
 }
 
-/// Adds nothing: sessions that differ in their counts alone behave alike.
+/// Hashes nothing, so sessions that differ only in their counters are equal.
 impl Hash for SessionCounters {
     fn hash<H: Hasher>(&self, _: &mut H) {}
 }

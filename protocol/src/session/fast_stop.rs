@@ -1,35 +1,35 @@
-//! A FAST STOP on its way: sent once, then in bursts with silent pauses between them, until the gripper confirms it.
+//! The FAST STOP state machine: one frame, then bursts with silent pauses, until the gripper confirms.
 //!
-//! A gripper that took a damaged frame for the head of a long one hears nothing until it has all of that length, or until
-//! the line was silent for its frame time-out. A burst is longer than the longest message that a gripper takes, so it ends
-//! any false length; a pause is longer than any plausible frame time-out. The manual states neither what a gripper does
-//! with half a frame nor its time-out, so both are done in turn.
+//! A gripper that mistook a damaged frame for the head of a long one ignores everything until that length is complete,
+//! or until the line has been silent for its frame time-out. A burst is longer than the longest message that a gripper
+//! accepts, so it completes any false length. A pause is longer than any plausible frame time-out. The manual specifies
+//! neither the handling of incomplete frames nor the time-out, so the pattern alternates between both remedies.
 
 use super::config::FastStopPattern;
 use crate::time::Instant;
 
-/// A FAST STOP, or none.
+/// The FAST STOP in progress, or none.
 #[derive(Clone, Debug, Hash)]
 pub(super) struct FastStop {
     pattern: FastStopPattern,
     phase: Phase,
-    /// At least one frame left since it was opened.
+    /// Whether at least one frame was sent since it was opened.
     was_sent: bool,
-    /// Since when it is not confirmed, counted from the first frame.
+    /// Time of the first frame.
     begun: Option<Instant>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Phase {
-    /// There is none.
+    /// No FAST STOP is in progress.
     Idle,
-    /// The first frame is to be sent.
+    /// The first frame is waiting to be sent.
     Due,
-    /// It was sent, and its answer may come until then.
+    /// The first frame was sent, and its reply may arrive until `until`.
     Sent { until: Instant },
-    /// So many frames are to be sent, one right behind the other.
+    /// `left` more frames are to be sent back to back.
     Burst { left: u16 },
-    /// Nothing is sent until then.
+    /// Nothing is sent until `until`.
     Pause { until: Instant },
 }
 
@@ -38,7 +38,8 @@ impl FastStop {
         Self { pattern, phase: Phase::Idle, was_sent: false, begun: None }
     }
 
-    /// Begins, unless one is on its way already. `at_once`: with a burst, because a Stop before it was not answered.
+    /// Starts a FAST STOP unless one is in progress. `at_once` starts with a burst, because a preceding Stop was not
+    /// answered.
     pub(super) const fn open(&mut self, at_once: bool) {
         if self.is_idle() {
             self.phase = if at_once { self.burst() } else { Phase::Due };
@@ -47,7 +48,7 @@ impl FastStop {
         }
     }
 
-    /// Begins again: what was sent may not have arrived.
+    /// Starts again, because the frames sent so far may be lost.
     pub(super) const fn send_again(&mut self) {
         if !self.is_idle() {
             self.phase = Phase::Due;
@@ -62,17 +63,17 @@ impl FastStop {
         matches!(self.phase, Phase::Idle)
     }
 
-    /// Whether an answer may be one to this FAST STOP.
+    /// Returns whether a reply may belong to this FAST STOP.
     pub(super) const fn was_sent(&self) -> bool {
         !self.is_idle() && self.was_sent
     }
 
-    /// Since when the first frame is unanswered.
+    /// Returns the time of the first frame, while it is unconfirmed.
     pub(super) const fn begun(&self) -> Option<Instant> {
         if self.is_idle() { None } else { self.begun }
     }
 
-    /// Whether a frame is to be sent now; it counts as sent.
+    /// Returns whether a frame must be sent now, and counts it as sent.
     pub(super) fn send(&mut self, now: Instant) -> bool {
         self.phase = match self.phase {
             Phase::Due => Phase::Sent { until: now.plus(self.pattern.answer_ms) },
@@ -85,7 +86,7 @@ impl FastStop {
         true
     }
 
-    /// Begins the next burst if it is due at `now`.
+    /// Starts the next burst if it is due at `now`.
     pub(super) fn expire(&mut self, now: Instant) {
         if self.deadline().is_some_and(|until| now.has_reached(until)) {
             self.phase = self.burst();

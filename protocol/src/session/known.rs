@@ -1,12 +1,12 @@
-//! What the session knows of the gripper.
+//! The known state of the gripper.
 
 use core::hash::{Hash, Hasher};
 
 use crate::reply::Value;
 use crate::types::{GripperState, SystemFlags, SystemInfo, SystemLimits};
 
-/// The flags that change with motions. Behind a change of any other the force limit may be another one: the gripper was
-/// restarted, left overdrive mode, began a script.
+/// Flags that change with motions. A change of any other flag may coincide with a new force limit: the gripper was
+/// restarted, left overdrive mode or began a script.
 const OF_MOTIONS: SystemFlags = SystemFlags::MOVING
     .union(SystemFlags::BLOCKED_MINUS)
     .union(SystemFlags::BLOCKED_PLUS)
@@ -15,14 +15,14 @@ const OF_MOTIONS: SystemFlags = SystemFlags::MOVING
     .union(SystemFlags::AXIS_STOPPED)
     .union(SystemFlags::TARGET_POS_REACHED);
 
-/// What the gripper has told since the connection stands; `None` is not known.
+/// Values reported by the gripper since the connection was established. `None` means unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub struct Known {
-    /// Device, versions, serial number.
+    /// Device type, versions and serial number.
     pub info: Option<SystemInfo>,
-    /// Physical limits.
+    /// Physical limits of the gripper.
     pub limits: Option<SystemLimits>,
-    /// System state.
+    /// System state flags.
     pub flags: Option<SystemFlags>,
     /// Gripper state.
     pub state: Option<GripperState>,
@@ -32,8 +32,8 @@ pub struct Known {
     pub speed: Option<f32>,
     /// Gripping force in N, summed over both fingers.
     pub force: Option<f32>,
-    /// Force limit in N: set over this connection and read back, and read again within
-    /// [`refresh_ms`](super::Config::refresh_ms). Not known as soon as anything may have changed it. Only with
+    /// Force limit in N. It is known after it was set and read back over this connection, and is read again within
+    /// [`refresh_ms`](super::Config::refresh_ms). It becomes unknown as soon as anything may have changed it. Requires
     /// [`verify_settings`](super::Config::verify_settings).
     pub force_limit: Option<f32>,
 }
@@ -47,7 +47,7 @@ impl Hash for Known {
 }
 
 impl Known {
-    /// Nothing is known.
+    /// The state before the first reply.
     pub const NOTHING: Self = Self {
         info: None,
         limits: None,
@@ -59,21 +59,21 @@ impl Known {
         force_limit: None,
     };
 
-    /// Whether the gripper reports that the fingers move.
+    /// Returns whether the gripper reports moving fingers.
     #[must_use]
     pub fn is_moving(&self) -> bool {
         self.flags.is_some_and(|flags| flags.contains(SystemFlags::MOVING))
             || self.state.is_some_and(GripperState::is_motion)
     }
 
-    /// Keeps the force limit that was read back, unless a script runs, which may change it at any time.
+    /// Stores the force limit that was read back, unless a script is running, which may change it at any time.
     pub(super) fn confirm_force_limit(&mut self, read: f32) {
         if !self.flags.unwrap_or_default().contains(SystemFlags::SCRIPT_RUNNING) {
             self.force_limit = Some(read);
         }
     }
 
-    /// Keeps a value, if it is one that is kept. Returns whether the fingers move, if the value tells.
+    /// Stores a value if it is part of the known state. Returns whether the fingers move, if the value contains that.
     pub(super) fn learn(&mut self, value: &Value<'_>) -> Option<bool> {
         match *value {
             Value::GetSystemState(flags) => {

@@ -1,4 +1,4 @@
-//! Requests and their names, in any dialect.
+//! Requests and their command names, in any dialect.
 
 use core::fmt::Debug;
 use core::hash::Hash;
@@ -7,26 +7,26 @@ use crate::command::Kind;
 
 /// The name of a command.
 pub trait Name: Copy + PartialEq + Debug + Hash + 'static {
-    /// Returns what the command is for.
+    /// Returns the kind of the command.
     fn kind(self) -> Kind;
 
-    /// Whether sending it a second time changes nothing.
+    /// Returns whether the command can be sent twice with the same effect as once.
     fn is_repeatable(self) -> bool;
 }
 
-/// A request, whole.
+/// A complete request.
 pub trait Message: Copy + PartialEq + Debug + 'static {
-    /// The names of commands.
+    /// The names of the dialect's commands.
     type Name: Name;
 
-    /// Stop.
+    /// The Stop request.
     const STOP: Self;
-    /// FAST STOP.
+    /// The FAST STOP request.
     const FAST_STOP: Self;
 
-    /// Returns the command that it is.
+    /// Returns the command name of the request.
     fn name(&self) -> Self::Name;
 
-    /// Whether sending it a second time changes nothing.
+    /// Returns whether the request can be sent twice with the same effect as once.
     fn is_repeatable(&self) -> bool;
 }

@@ -1,10 +1,10 @@
-//! Settings that are read back (command set, 3.3): which query shows what a setting came to, and what it may show.
+//! Read-back of settings (command set, 3.3): the query for each setting, and the values that confirm it.
 
 use super::Known;
 use crate::command::Command;
 use crate::reply::Value;
 
-/// The query that shows what this setting came to.
+/// Returns the query that reads this setting back.
 pub(super) const fn query(setting: &Command<'static>) -> Option<Command<'static>> {
     Some(match setting {
         Command::SetAcceleration { .. } => Command::GetAcceleration,
@@ -14,8 +14,8 @@ pub(super) const fn query(setting: &Command<'static>) -> Option<Command<'static>
     })
 }
 
-/// Whether the value is what the gripper makes of the setting: it clamps acceleration and force to its limits, the force
-/// to the nominal one or, in overdrive mode, to the overdrive limit.
+/// Returns whether the value confirms the setting. A gripper clamps acceleration and force to its limits: the force to
+/// the nominal limit or, in overdrive mode, to the overdrive limit.
 pub(super) fn agrees(setting: &Command<'static>, value: &Value<'_>, known: &Known) -> bool {
     match (*setting, *value) {
         (Command::SetAcceleration { acceleration }, Value::GetAcceleration(read)) => {
@@ -37,12 +37,12 @@ pub(super) fn agrees(setting: &Command<'static>, value: &Value<'_>, known: &Know
     }
 }
 
-/// As `f32::clamp`, but without its panic when a gripper's limits are the wrong way round.
+/// Clamps like `f32::clamp`, but does not panic if a gripper reports swapped limits.
 const fn clamp(value: f32, least: f32, greatest: f32) -> f32 {
     value.max(least).min(greatest)
 }
 
-/// A gripper may keep a setting in steps of its own.
+/// Compares with a tolerance, because a gripper may round a setting to its own steps.
 fn is_near(read: f32, expected: f32) -> bool {
     (read - expected).abs() <= 0.05 + 0.001 * expected.abs()
 }

@@ -1,55 +1,55 @@
-//! What is subscribed to, and how.
+//! Subscriptions to values.
 
 use super::message::Message;
 
-/// One value that a gripper can send by itself, and how it is to do so.
+/// A value that a gripper can send periodically, and its update settings.
 pub trait Subscription: Copy + PartialEq {
-    /// A request of the dialect.
+    /// The dialect's request type.
     type Request: Message;
 
-    /// Returns the command that asks for the value.
+    /// Returns the name of the command that queries the value.
     fn name(&self) -> <Self::Request as Message>::Name;
 
-    /// Whether it is asked for again and again. The two states are, with updates or without: the session needs them.
+    /// Returns whether the value is polled. The session always polls the two states, with or without updates.
     fn is_wanted(&self) -> bool;
 
-    /// Returns the request that subscribes, or ends the subscription.
+    /// Returns the request that starts or ends the subscription.
     fn request(&self) -> Self::Request;
 
-    /// Returns what a request subscribes to.
+    /// Returns the subscription that a request starts or ends, if any.
     fn of(request: &Self::Request) -> Option<Self>;
 }
 
-/// All values that a dialect has subscriptions for, and which of them the gripper does not know yet.
+/// All possible subscriptions of a dialect, and which of them the gripper has yet to confirm.
 #[derive(Clone, Debug, Hash)]
 pub struct Subscriptions<S, const N: usize> {
     all: [S; N],
-    /// Those that were changed while connected and that the gripper has not confirmed; one bit each.
+    /// Bit mask of the subscriptions that were changed while connected and are not confirmed yet.
     changed: u8,
 }
 
-/// [`Subscriptions`] of any number of values.
+/// [`Subscriptions`] for any number of values.
 pub trait List {
-    /// A request of the dialect.
+    /// The dialect's request type.
     type Request: Message;
 
-    /// Whether this value is asked for again and again.
+    /// Returns whether the value of this name is polled.
     fn wants(&self, name: <Self::Request as Message>::Name) -> bool;
 
-    /// Returns the request for a subscription that was changed.
+    /// Returns the request for a changed subscription, if any.
     fn changed(&self) -> Option<Self::Request>;
 
-    /// Notes that the gripper has answered this request.
+    /// Records that the gripper has answered this request.
     fn confirm(&mut self, request: &Self::Request);
 }
 
 impl<S: Subscription, const N: usize> Subscriptions<S, N> {
     pub(crate) const fn new(all: [S; N]) -> Self {
-        const { assert!(N <= u8::BITS as usize, "one bit each") }
+        const { assert!(N <= u8::BITS as usize, "at most 8 subscriptions, one bit each") }
         Self { all, changed: 0 }
     }
 
-    /// Replaces the subscription to the same value; the gripper is to be told.
+    /// Replaces the subscription to the same value and marks it as changed.
     pub(crate) fn set(&mut self, subscription: S) {
         let of = self.all.iter().position(|slot| slot.name() == subscription.name());
         if let Some((slot, bit)) = of.and_then(|place| Some((self.all.get_mut(place)?, bit(place)))) {
@@ -58,12 +58,12 @@ impl<S: Subscription, const N: usize> Subscriptions<S, N> {
         }
     }
 
-    /// Returns the subscription to the value that this command asks for.
+    /// Returns the subscription to the value that this command queries.
     pub(crate) fn find(&self, name: <S::Request as Message>::Name) -> Option<S> {
         self.all.iter().find(|slot| slot.name() == name).copied()
     }
 
-    /// Returns the `n`th of those that are asked for again and again.
+    /// Returns the `n`th polled subscription.
     pub(crate) fn nth(&self, n: u8) -> Option<S> {
         self.all.iter().filter(|slot| slot.is_wanted()).nth(n.into()).copied()
     }
@@ -82,7 +82,7 @@ impl<S: Subscription, const N: usize> List for Subscriptions<S, N> {
     }
 
     fn confirm(&mut self, request: &S::Request) {
-        // Unless it was changed again in the meantime.
+        // Not confirmed if it was changed again in the meantime.
         if let Some(confirmed) = S::of(request)
             && let Some(place) = self.all.iter().position(|slot| *slot == confirmed)
         {
@@ -91,7 +91,7 @@ impl<S: Subscription, const N: usize> List for Subscriptions<S, N> {
     }
 }
 
-/// The bit of the subscription at this place. There are at most eight.
+/// Returns the bit mask of the subscription at this index (at most 7).
 const fn bit(place: usize) -> u8 {
     1_u8.unbounded_shl(place as u32)
 }

@@ -1,4 +1,4 @@
-//! The values that a gripper sends by itself (command set, 3.4), and which of them are subscribed to.
+//! The values that a gripper can send periodically (command set, 3.4).
 
 use super::config::Config;
 use super::subscriptions::{Subscription, Subscriptions};
@@ -8,11 +8,11 @@ use crate::types::{AutoUpdate, UpdateFlags};
 /// A value that can be subscribed to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub enum Topic {
-    /// The system state flags (40h). The session always asks for them.
+    /// The system state flags (40h). The session always polls them.
     SystemState,
-    /// The gripper state (41h). The session always asks for it.
+    /// The gripper state (41h). The session always polls it.
     GripperState,
-    /// The opening width in mm (43h); not sent while the fingers are not referenced.
+    /// The opening width in mm (43h). Not sent while the fingers are not referenced.
     Width,
     /// The finger speed in mm/s (44h).
     Speed,
@@ -21,10 +21,10 @@ pub enum Topic {
 }
 
 impl Topic {
-    /// Every one, by command id.
+    /// All topics, in the order of their command ids.
     pub const ALL: [Self; 5] = [Self::SystemState, Self::GripperState, Self::Width, Self::Speed, Self::Force];
 
-    /// The command that asks for it.
+    /// Returns the id of the command that queries the value.
     #[must_use]
     pub const fn id(self) -> CommandId {
         match self {
@@ -36,14 +36,14 @@ impl Topic {
         }
     }
 
-    /// The one that this command asks for.
+    /// Returns the topic that this command queries.
     #[must_use]
     pub fn of(id: CommandId) -> Option<Self> {
         Self::ALL.into_iter().find(|topic| topic.id() == id)
     }
 }
 
-/// A value, and how the gripper is to send it.
+/// A value and its update settings.
 #[derive(Clone, Copy, Debug, PartialEq, Hash)]
 pub struct Update {
     pub(super) topic: Topic,
@@ -51,7 +51,7 @@ pub struct Update {
 }
 
 impl Update {
-    /// Updates in the shape that the gripper confirms: none at all, or at least 10 ms apart.
+    /// Creates an update as the gripper confirms it: disabled, or with a period of at least 10 ms.
     pub(super) fn new(topic: Topic, update: AutoUpdate) -> Self {
         let update = if update.flags.contains(UpdateFlags::AUTOMATIC) {
             AutoUpdate { period_ms: update.period_ms.max(AutoUpdate::MIN_PERIOD_MS), ..update }
@@ -98,7 +98,7 @@ impl Subscription for Update {
     }
 }
 
-/// Returns the subscriptions that a session begins with.
+/// Returns the initial subscriptions of a session.
 pub(super) const fn of_config(config: &Config) -> Subscriptions<Update, { Topic::ALL.len() }> {
     let period_ms = if config.update_period_ms < AutoUpdate::MIN_PERIOD_MS {
         AutoUpdate::MIN_PERIOD_MS

@@ -1,27 +1,27 @@
-//! One request on its way: waiting to be sent, sent and awaiting its first answer, or none.
+//! A single request: idle, waiting to be sent, or sent with its first reply outstanding.
 
 use super::message::{Message, Name};
 use crate::time::Instant;
 
-/// A request, as long as it is not answered.
+/// An unanswered request.
 #[derive(Clone, Copy, Debug, PartialEq, Hash)]
 pub(crate) enum Request<M: Message> {
-    /// The session has it.
+    /// Stored in the session.
     Own(M),
-    /// The caller keeps it, and passes it when it is to be sent.
+    /// Kept by the caller, who provides it for sending.
     Borrowed(M::Name),
-    /// The caller had it, and is gone: it was sent, and will not be again.
+    /// Borrowed from a caller that no longer exists; already sent and not repeated.
     Orphan(M::Name),
 }
 
-/// A request that is to be sent now.
+/// A request to be sent now.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Outgoing<'s, M> {
-    /// FAST STOP.
+    /// The FAST STOP request.
     FastStop,
-    /// This one.
+    /// A request stored in the session.
     Own(&'s M),
-    /// The one that the caller keeps.
+    /// The request kept by the caller.
     Borrowed,
 }
 
@@ -40,7 +40,7 @@ impl<M: Message> Request<M> {
         }
     }
 
-    /// The request to send, if it is at hand. `borrowed`: the caller has one of this name.
+    /// Returns the request to send, if available. `borrowed` is the name of the request that the caller provides.
     fn outgoing(&self, borrowed: Option<M::Name>) -> Option<Outgoing<'_, M>> {
         match self {
             Self::Own(message) => Some(Outgoing::Own(message)),
@@ -50,33 +50,33 @@ impl<M: Message> Request<M> {
     }
 }
 
-/// A request on its way.
+/// The state of a single request.
 #[derive(Clone, Debug, Hash)]
 pub(super) struct Transaction<M: Message> {
-    /// None while the transaction is idle.
+    /// `None` while the transaction is idle.
     request: Option<Request<M>>,
-    /// How long its answer may take, in milliseconds.
+    /// Time-out for the reply, in milliseconds.
     timeout_ms: u32,
-    /// When its answer should have come; none while it waits to be sent.
+    /// Time at which the reply is overdue; `None` while the request waits to be sent.
     deadline: Option<Instant>,
-    /// How often it was sent.
+    /// Number of times the request was sent.
     sent: u8,
-    /// When it was sent first.
+    /// Time of the first transmission.
     begun: Instant,
-    /// It is not sent again.
+    /// Whether repeating is forbidden.
     only_once: bool,
 }
 
-/// What a time-out came to.
+/// The result of checking for a time-out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Expired {
-    /// No time-out, or the requester is gone.
+    /// No time-out, or the requester no longer exists.
     No,
-    /// The request will be sent again.
+    /// The request will be repeated.
     Repeated,
-    /// It was sent often enough, or may not be sent again. It stays open for [`Transaction::abandon`].
+    /// The last retry timed out, or the request is not repeatable. It stays open for [`Transaction::abandon`].
     GivenUp,
-    /// Something more urgent was requested since, so it is not sent again. It stays open for [`Transaction::abandon`].
+    /// A more urgent request overtook it, so it is not repeated. It stays open for [`Transaction::abandon`].
     Overtaken,
 }
 
@@ -86,7 +86,7 @@ impl<M: Message> Transaction<M> {
         Self { request: None, timeout_ms: 0, deadline: None, sent: 0, begun, only_once: false }
     }
 
-    /// Opens it for this request, in place of the previous one. Its answer may take `timeout_ms` each time it is sent.
+    /// Replaces the previous request with this one. `timeout_ms` applies to each transmission.
     pub(super) fn open(&mut self, request: Request<M>, timeout_ms: u32) {
         *self = Self { request: Some(request), timeout_ms, ..Self::new() };
     }
@@ -99,12 +99,12 @@ impl<M: Message> Transaction<M> {
         self.request.is_none()
     }
 
-    /// The name of the open request.
+    /// Returns the name of the open request.
     pub(super) fn name(&self) -> Option<M::Name> {
         self.request.as_ref().map(Request::name)
     }
 
-    /// The open request, if the session has it.
+    /// Returns the open request if it is stored in the session.
     pub(super) const fn own(&self) -> Option<&M> {
         match &self.request {
             Some(Request::Own(message)) => Some(message),
@@ -112,12 +112,12 @@ impl<M: Message> Transaction<M> {
         }
     }
 
-    /// Whether a request of this name is open, sent or not.
+    /// Returns whether a request of this name is open, sent or not.
     pub(super) fn awaits(&self, name: M::Name) -> bool {
         self.name() == Some(name)
     }
 
-    /// Whether a request of this name was sent, at least once, and is open.
+    /// Returns whether a request of this name is open and was sent at least once.
     pub(super) fn awaits_answer(&self, name: M::Name) -> bool {
         self.sent > 0 && self.awaits(name)
     }
@@ -126,7 +126,7 @@ impl<M: Message> Transaction<M> {
         self.deadline
     }
 
-    /// Returns the request if it waits to be sent and is at hand; it counts as sent.
+    /// Returns the request if it waits to be sent and is available. Counts it as sent.
     pub(super) fn send(&mut self, now: Instant, borrowed: Option<M::Name>) -> Option<Outgoing<'_, M>> {
         if self.deadline.is_some() {
             return None;
@@ -141,7 +141,7 @@ impl<M: Message> Transaction<M> {
         Some(outgoing)
     }
 
-    /// Counts a repetition that is due as sent, and does not send it: something else has the line to itself.
+    /// Counts a due repetition as sent without sending it, while something else has exclusive use of the line.
     pub(super) fn hold(&mut self, now: Instant) {
         if self.deadline.is_none() && self.sent > 0 && self.request.is_some() {
             self.deadline = Some(now.plus(self.timeout_ms));
@@ -149,51 +149,52 @@ impl<M: Message> Transaction<M> {
         }
     }
 
-    /// From now on the request is not sent again. One that is not sent yet stays as it is.
+    /// Forbids repetitions. A request that is still unsent is not affected.
     pub(super) const fn forbid_repeat(&mut self) {
         self.only_once = true;
     }
 
-    /// Its name if it was sent, and may not be sent again.
+    /// Returns the name of the request if it was sent and must not be repeated.
     pub(super) fn overtaken(&self) -> Option<M::Name> {
         if self.only_once && self.sent > 0 { self.name() } else { None }
     }
 
-    /// Whether it is to be sent once more, now.
+    /// Returns whether a repetition is due now.
     pub(super) const fn is_due_again(&self) -> bool {
         self.request.is_some() && self.sent > 0 && self.deadline.is_none()
     }
 
-    /// Whether its answer did not come in time at least once.
+    /// Returns whether the reply was overdue at least once.
     pub(super) const fn was_late(&self) -> bool {
         self.is_due_again() || (self.request.is_some() && self.sent > 1)
     }
 
-    /// Its name if it was sent more than once, and until when an answer to the last time may come.
+    /// Returns the name of a request that was sent more than once, and the time until which a reply to the last
+    /// transmission may arrive.
     pub(super) fn doubled(&self) -> Option<(M::Name, Instant)> {
         if self.sent > 1 { self.name().zip(self.deadline) } else { None }
     }
 
-    /// Whether its answer should have come by now.
+    /// Returns whether the reply is overdue.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
         self.deadline.is_some_and(|deadline| now.has_reached(deadline))
     }
 
-    /// Returns when [`expire`](Self::expire) has something to do: at the deadline, or when a repetition that waits to be sent
-    /// has waited too long.
+    /// Returns when [`expire`](Self::expire) must be called: at the deadline, or when a due repetition has been waiting
+    /// too long.
     pub(super) fn expires_at(&self, attempts: u8) -> Option<Instant> {
         let last = || self.begun.plus(self.timeout_ms.saturating_mul(attempts.into()));
         self.deadline.or_else(|| self.is_due_again().then(last))
     }
 
-    /// Processes a time-out that is due at `now`. A request that may be repeated is, up to `attempts` times in all. A line that
-    /// does not take the repetitions does not extend the time that they have together.
+    /// Processes a time-out that is due at `now`. A repeatable request is sent up to `attempts` times in total. A
+    /// blocked line does not extend the total time.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
         let is_due = self.sent > 0 && self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
         if is_due { self.take_time_out(now, attempts) } else { Expired::No }
     }
 
-    // Apart from the question whether it is due, which is asked in each turn of a main loop.
+    // Separate from `expire`, which runs in each iteration of a main loop.
     #[inline(never)]
     fn take_time_out(&mut self, now: Instant, attempts: u8) -> Expired {
         let Some(request) = &self.request else { return Expired::No };
@@ -214,19 +215,19 @@ impl<M: Message> Transaction<M> {
         }
     }
 
-    /// Closes it and says what it was open for.
+    /// Closes the transaction and returns the name of its request.
     pub(super) fn abandon(&mut self) -> Option<M::Name> {
         let name = self.name();
         self.close();
         name
     }
 
-    /// Closes it and says what it was open for, if that was never sent.
+    /// Closes the transaction and returns the name of its request, if that was never sent.
     pub(super) fn withdraw_unsent(&mut self) -> Option<M::Name> {
         if self.sent == 0 { self.abandon() } else { None }
     }
 
-    /// Closes it if it was sent once and is this; whether it was.
+    /// Closes the transaction and returns true if a request of this name was sent exactly once.
     pub(super) fn take_back(&mut self, name: M::Name) -> bool {
         let is_this = self.sent == 1 && self.awaits(name);
         if is_this {
@@ -235,13 +236,13 @@ impl<M: Message> Transaction<M> {
         is_this
     }
 
-    /// Whoever asked is gone: what was borrowed is not sent (again).
+    /// Called when the requester no longer exists: a borrowed request is not sent (again).
     pub(super) const fn orphan(&mut self) {
         if let Some(Request::Borrowed(name)) = self.request {
             if self.deadline.is_some() {
                 self.request = Some(Request::Orphan(name));
             } else {
-                // Its answer did not come in time, and it cannot be repeated any more.
+                // The reply is overdue, and the request can no longer be repeated.
                 self.close();
             }
         }

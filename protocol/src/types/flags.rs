@@ -4,7 +4,7 @@ use crate::field::{DecodeError, fixed_field};
 use bitflags::bitflags;
 
 bitflags! {
-    /// The system state flags (command set, appendix B). Reserved bits are kept as they came.
+    /// The system state flags (command set, appendix B). Reserved bits are preserved.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct SystemFlags: u32 {
         /// D0: the fingers are referenced and motion commands are accepted.
@@ -47,7 +47,7 @@ bitflags! {
         const SCRIPT_FAILURE = 1 << 20;
     }
 
-    /// The state flags of a finger (command set, 3.6.2; bit 10 from the GCL manual). Reserved bits are kept as they came.
+    /// The state flags of a finger (command set, 3.6.2; bit 10 from the GCL manual). Reserved bits are preserved.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
     pub struct FingerFlags: u16 {
         /// Bit 0: the finger is powered.
@@ -64,7 +64,7 @@ bitflags! {
         const INIT_FAULT = 1 << 10;
     }
 
-    /// The flags of Pre-position Fingers (command set, 3.2.2). Public drivers swap the two.
+    /// The flags of Pre-position Fingers (command set, 3.2.2). Some public drivers swap the two.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct PrePositionFlags: u8 {
         /// D0: the width is an offset to the current opening width.
@@ -73,23 +73,23 @@ bitflags! {
         const STOP_ON_BLOCK = 1 << 1;
     }
 
-    /// The flags of the commands that can send updates of their own (command set, 3.4.1).
+    /// The flags of the commands that support automatic updates (command set, 3.4.1).
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct UpdateFlags: u8 {
-        /// D0: updates are sent from now on; without it they end.
+        /// D0: updates are sent from now on. If clear, updates end.
         const AUTOMATIC = 1 << 0;
-        /// D1: updates are sent on a change only.
+        /// D1: updates are sent only on a change.
         const ON_CHANGE = 1 << 1;
     }
 }
 
 impl SystemFlags {
-    /// The flags that keep a gripper from taking a motion command.
+    /// The flags in which a gripper rejects motion commands.
     pub const LOCKS: Self =
         Self::FAST_STOP.union(Self::TEMP_FAULT).union(Self::POWER_FAULT).union(Self::CURR_FAULT);
 }
 
-/// Requests: a reserved bit is refused. Replies: it is kept, for later firmware.
+/// Reserved bits are rejected in requests, and preserved in replies for later firmware.
 macro_rules! bit_field {
     ($type:ident, $len:literal, $bits:ty, strict) => {
         fixed_field!($type, $len, |flags| flags.bits().to_le_bytes(), |bytes| {
@@ -105,7 +105,7 @@ macro_rules! bit_field {
     };
     (@text $type:ident) => {
         impl core::fmt::Display for $type {
-            /// The names of the set bits, `0` when there are none.
+            /// Formats the names of the set bits, or `0` if there are none.
             fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
                 if self.bits() == 0 { f.write_str("0") } else { bitflags::parser::to_writer(self, f) }
             }

@@ -1,4 +1,4 @@
-//! What a gripper tells about itself: device, limits, statistics, fingers.
+//! Information about a gripper: device, limits, statistics and fingers.
 
 use core::hash::{Hash, Hasher};
 
@@ -10,12 +10,12 @@ macro_rules! open_byte_enum {
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
         pub enum $type {
             $(#[doc = concat!($text, " (", $code, ").")] $name,)*
-            /// A value that the manual reserves.
+            /// A value reserved by the manual.
             Unknown(u8),
         }
 
         impl $type {
-            /// The byte that stands for it.
+            /// Returns the byte that encodes the value.
             #[must_use]
             pub const fn code(self) -> u8 {
                 match self {
@@ -24,7 +24,7 @@ macro_rules! open_byte_enum {
                 }
             }
 
-            /// The value that the byte stands for.
+            /// Returns the value for this code.
             #[must_use]
             pub const fn from_code(code: u8) -> Self {
                 match code {
@@ -46,7 +46,7 @@ macro_rules! open_byte_enum {
 }
 
 open_byte_enum! {
-    /// The product (command set, 3.5.1).
+    /// The product type (command set, 3.5.1).
     DeviceType {
         0 Unspecified "unknown";
         1 Wsg50 "WSG 50";
@@ -67,12 +67,12 @@ open_byte_enum! {
     }
 }
 
-/// The firmware version: three numbers, and a release candidate's number or 0 (command set, 3.5.1).
+/// The firmware version: three numbers, and the number of a release candidate or 0 (command set, 3.5.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, crate::Format)]
 pub struct FirmwareVersion(u16);
 
 impl FirmwareVersion {
-    /// A version from its parts; each keeps its low four bits.
+    /// Creates a version from its parts, of which the low four bits are used.
     #[must_use]
     pub const fn new(major: u8, minor: u8, patch: u8, release_candidate: u8) -> Self {
         Self(
@@ -83,19 +83,20 @@ impl FirmwareVersion {
         )
     }
 
-    /// The version as it stands in the reply.
+    /// Returns the version as encoded in the reply.
     #[must_use]
     pub const fn bits(self) -> u16 {
         self.0
     }
 
-    /// A version as it stands in the reply.
+    /// Creates a version as encoded in the reply.
     #[must_use]
     pub const fn from_bits(bits: u16) -> Self {
         Self(bits)
     }
 
-    /// Major version, minor version 1, minor version 2, and the number of the release candidate (0: a release).
+    /// Returns the major version, minor version 1, minor version 2 and the number of the release candidate (0 for a
+    /// release).
     #[must_use]
     pub const fn parts(self) -> (u8, u8, u8, u8) {
         let [low, high] = self.0.to_le_bytes();
@@ -112,16 +113,16 @@ impl core::fmt::Display for FirmwareVersion {
     }
 }
 
-/// Device type, revision, version, serial number (command set, 3.5.1).
+/// Device type, hardware revision, firmware version and serial number (command set, 3.5.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct SystemInfo {
-    /// The product.
+    /// The product type.
     pub device: DeviceType,
-    /// Hardware revision.
+    /// The hardware revision of the device.
     pub hardware_revision: u8,
-    /// Firmware version.
+    /// The installed firmware version.
     pub firmware: FirmwareVersion,
-    /// Serial number.
+    /// The serial number of the device.
     pub serial_number: u32,
 }
 
@@ -154,7 +155,7 @@ fixed_field!(
     }
 );
 
-/// A run of finite floats, taken one after the other.
+/// Defines a structure of consecutive finite floats.
 macro_rules! float_fields {
     ($(#[$doc:meta])* $type:ident, $len:literal { $($(#[$item_doc:meta])* $name:ident $text:literal $unit:literal;)* }) => {
         $(#[$doc])*
@@ -202,43 +203,43 @@ macro_rules! float_fields {
 float_fields! {
     /// The physical limits of the gripper (command set, 3.5.4). Forces are the sum over both fingers.
     SystemLimits, 32 {
-        /// Stroke in mm.
+        /// Maximum stroke in mm.
         stroke "stroke" "mm";
-        /// Least speed in mm/s.
+        /// Minimum speed in mm/s.
         min_speed "speed from" "mm/s";
-        /// Greatest speed in mm/s.
+        /// Maximum speed in mm/s.
         max_speed "to" "mm/s";
-        /// Least acceleration in mm/s².
+        /// Minimum acceleration in mm/s².
         min_acceleration "acceleration from" "mm/s²";
-        /// Greatest acceleration in mm/s².
+        /// Maximum acceleration in mm/s².
         max_acceleration "to" "mm/s²";
-        /// Least gripping force in N.
+        /// Minimum gripping force in N.
         min_force "force from" "N";
         /// Nominal gripping force in N, at a duty cycle of 100 %.
         nominal_force "nominal" "N";
-        /// Greatest gripping force in overdrive mode in N.
+        /// Maximum gripping force in overdrive mode, in N.
         overdrive_force "overdrive" "N";
     }
 }
 
 float_fields! {
-    /// The range that the fingers may not leave (command set, 3.3.5).
+    /// The permitted range of the opening width (command set, 3.3.5).
     SoftLimits, 8 {
-        /// Least opening width in mm.
+        /// Minimum opening width in mm.
         minus "from" "mm";
-        /// Greatest opening width in mm.
+        /// Maximum opening width in mm.
         plus "to" "mm";
     }
 }
 
-/// Counts of grips (command set, 3.4.3).
+/// Grip counters (command set, 3.4.3).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct GrippingStatistics {
-    /// All grips.
+    /// Total number of grips.
     pub total: u32,
-    /// Grips that found no part.
+    /// Number of grips that found no part.
     pub no_part: u16,
-    /// Grips whose part was lost before the release.
+    /// Number of grips whose part was lost before release.
     pub part_lost: u16,
 }
 
@@ -279,12 +280,12 @@ impl core::fmt::Display for Temperature {
 
 fixed_field!(Temperature, 2, |value| value.0.to_le_bytes(), |bytes| Ok(Self(i16::from_le_bytes(bytes))));
 
-/// What is connected at a finger's sensor port (command set, 3.6.1).
+/// The device at a finger's sensor port (command set, 3.6.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct FingerInfo {
-    /// The kind of finger.
+    /// The type of the finger.
     pub finger: FingerType,
-    /// Bytes of one data frame; 0 when the finger gives no data.
+    /// Length of one data frame in bytes; 0 if the finger provides no data.
     pub data_len: u16,
 }
 

@@ -1,4 +1,4 @@
-//! Gripper state, homing direction, and the form of update requests.
+//! Gripper state, homing direction and update settings.
 
 use super::UpdateFlags;
 use crate::field::{DecodeError, fixed_field};
@@ -12,16 +12,16 @@ macro_rules! byte_enum {
         }
 
         impl $type {
-            /// Every value, in order.
+            /// All values, in the order of their codes.
             pub const ALL: &'static [Self] = &[$(Self::$name),*];
 
-            /// The byte that stands for it.
+            /// Returns the byte that encodes the value.
             #[must_use]
             pub const fn code(self) -> u8 {
                 self as u8
             }
 
-            /// The value that the byte stands for.
+            /// Returns the value for this code, or `None` if the manual does not define it.
             #[must_use]
             pub const fn from_code(code: u8) -> Option<Self> {
                 match code {
@@ -47,30 +47,30 @@ macro_rules! byte_enum {
 }
 
 byte_enum! {
-    /// Where the gripping process stands (command set, 3.4.2 and appendix C).
+    /// The state of the gripping process (command set, 3.4.2 and appendix C).
     GripperState {
         /// Waiting for a command.
         #[default]
         0 Idle "IDLE";
-        /// The fingers close to grip a part.
+        /// The fingers are closing to grip a part.
         1 Gripping "GRIPPING";
-        /// The fingers closed and found no part.
+        /// The fingers closed without finding a part.
         2 NoPart "NO PART";
-        /// A part was held and went.
+        /// A held part was lost.
         3 PartLost "PART LOST";
         /// A part is held with the gripping force.
         4 Holding "HOLDING";
-        /// The fingers open to release a part.
+        /// The fingers are opening to release a part.
         5 Releasing "RELEASING";
-        /// The fingers pre-position, or home.
+        /// The fingers are pre-positioning or homing.
         6 Positioning "POSITIONING";
-        /// An error occurred.
+        /// An error occurred; motion is not possible.
         7 Error "ERROR";
     }
 }
 
 impl GripperState {
-    /// Whether a motion command is being carried out in this state.
+    /// Returns whether a motion command is in progress in this state.
     #[must_use]
     pub const fn is_motion(self) -> bool {
         matches!(self, Self::Gripping | Self::Releasing | Self::Positioning)
@@ -78,44 +78,44 @@ impl GripperState {
 }
 
 byte_enum! {
-    /// Which end stop homing goes to (command set, 3.2.1).
+    /// The end stop to which homing moves (command set, 3.2.1).
     HomingDirection {
-        /// As the gripper is configured.
+        /// The direction configured in the gripper.
         #[default]
         0 Default "default direction";
-        /// Outward: fingers open.
+        /// Outward: the fingers open.
         1 Positive "positive direction";
-        /// Inward: fingers close.
+        /// Inward: the fingers close.
         2 Negative "negative direction";
     }
 }
 
-/// Whether a value is asked for once, or sent again and again (command set, 3.4.1).
+/// Whether a value is queried once or updated periodically (command set, 3.4.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, crate::Format)]
 pub struct AutoUpdate {
-    /// What is asked for.
+    /// The update mode.
     pub flags: UpdateFlags,
-    /// The least time between two updates in milliseconds. The manual's minimum is 10.
+    /// The minimum time between two updates, in milliseconds. The manual's minimum is 10.
     pub period_ms: u16,
 }
 
 impl AutoUpdate {
-    /// The manual's minimum of the period, in milliseconds.
+    /// The minimum period according to the manual, in milliseconds.
     pub const MIN_PERIOD_MS: u16 = 10;
 
-    /// One answer now; updates end.
+    /// Requests one reply now and ends all updates.
     #[must_use]
     pub const fn once() -> Self {
         Self { flags: UpdateFlags::empty(), period_ms: 0 }
     }
 
-    /// An update every `period_ms` milliseconds.
+    /// Requests an update every `period_ms` milliseconds.
     #[must_use]
     pub const fn every(period_ms: u16) -> Self {
         Self { flags: UpdateFlags::AUTOMATIC, period_ms }
     }
 
-    /// An update at each change, at least `period_ms` milliseconds apart.
+    /// Requests an update on each change, at least `period_ms` milliseconds apart.
     #[must_use]
     pub const fn on_change(period_ms: u16) -> Self {
         Self { flags: UpdateFlags::AUTOMATIC.union(UpdateFlags::ON_CHANGE), period_ms }

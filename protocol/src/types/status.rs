@@ -4,19 +4,19 @@ use crate::field::fixed_field;
 
 macro_rules! statuses {
     ($($code:literal $name:ident $symbol:literal $meaning:literal;)*) => {
-        /// The status code that opens every reply (command set, appendix A).
+        /// The status code at the start of every reply (command set, appendix A).
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
         pub enum Status {
             $(#[doc = concat!($symbol, " (", $code, "): ", $meaning, ".")] $name,)*
-            /// A code that the manual does not list.
+            /// A code that the manual does not define.
             Unknown(u16),
         }
 
         impl Status {
-            /// Every code of the manual, in order.
+            /// All codes of the manual, in order.
             pub const ALL: &'static [Self] = &[$(Self::$name),*];
 
-            /// The code of this status.
+            /// Returns the numeric code of the status.
             #[must_use]
             pub const fn code(self) -> u16 {
                 match self {
@@ -25,7 +25,7 @@ macro_rules! statuses {
                 }
             }
 
-            /// The status with this code.
+            /// Returns the status for this numeric code.
             #[must_use]
             pub const fn from_code(code: u16) -> Self {
                 match code {
@@ -34,7 +34,7 @@ macro_rules! statuses {
                 }
             }
 
-            /// The manual's name of it, such as `E_CMD_PENDING`; `E_?` for a code that the manual does not list.
+            /// Returns the manual's name, such as `E_CMD_PENDING`, or `E_?` for a code that the manual does not define.
             #[must_use]
             pub const fn symbol(self) -> &'static str {
                 match self {
@@ -43,7 +43,7 @@ macro_rules! statuses {
                 }
             }
 
-            /// What it says, in words.
+            /// Returns the meaning of the status as text.
             ///
             /// ```
             /// use wsg_protocol::Status;
@@ -96,7 +96,7 @@ statuses! {
 }
 
 impl Status {
-    /// Whether this status ends a command: every one but E_CMD_PENDING does.
+    /// Returns whether this status completes a command, as all but E_CMD_PENDING do.
     #[must_use]
     pub const fn is_final(self) -> bool {
         !matches!(self, Self::CmdPending)

@@ -1,4 +1,4 @@
-//! Payloads of variable length: loop data, device tags, finger data; and the acknowledge key.
+//! Payloads of variable length (loop data, device tags, finger data) and the acknowledge key.
 
 use crate::field::{DecodeError, Field, fixed_field};
 
@@ -18,7 +18,7 @@ impl core::fmt::Display for AckKey {
     }
 }
 
-/// A variable run of bytes: whatever is left of the payload.
+/// Defines a variable-length run of bytes: the remainder of the payload.
 macro_rules! byte_run {
     ($(#[$doc:meta])* $type:ident, $max:expr) => {
         $(#[$doc])*
@@ -26,18 +26,18 @@ macro_rules! byte_run {
         pub struct $type<'a>(&'a [u8]);
 
         impl<'a> $type<'a> {
-            /// The most bytes it may have.
+            /// Maximum length in bytes.
             pub const MAX_LEN: usize = $max;
 
-            /// These bytes.
+            /// Creates the value from these bytes.
             ///
             /// # Errors
-            /// [`DecodeError::TooLong`]: more than [`MAX_LEN`](Self::MAX_LEN).
+            /// Returns [`DecodeError::TooLong`] for more than [`MAX_LEN`](Self::MAX_LEN) bytes.
             pub const fn new(bytes: &'a [u8]) -> Result<Self, DecodeError> {
                 if bytes.len() > Self::MAX_LEN { Err(DecodeError::TooLong) } else { Ok(Self(bytes)) }
             }
 
-            /// The bytes.
+            /// Returns the bytes of the value.
             #[must_use]
             pub const fn bytes(self) -> &'a [u8] {
                 self.0
@@ -67,12 +67,13 @@ macro_rules! byte_run {
 }
 
 byte_run! {
-    /// What Loop sends and gets back: at most 256 bytes (command set, 3.1.1).
+    /// The data that Loop echoes: at most 256 bytes (command set, 3.1.1).
     LoopData, 256
 }
 
 byte_run! {
-    /// One data frame of a finger; its meaning is the finger's (command set, 3.6.4). A WSG-FMF sends one `f32`, newton.
+    /// One data frame of a finger, whose format depends on the finger (command set, 3.6.4). A WSG-FMF sends one `f32`
+    /// in N.
     FingerData, crate::frame::MAX_MESSAGE_LEN.saturating_sub(crate::frame::OVERHEAD + 2)
 }
 
@@ -81,13 +82,13 @@ byte_run! {
 pub struct DeviceTag<'a>(&'a str);
 
 impl<'a> DeviceTag<'a> {
-    /// The most characters it may have.
+    /// Maximum length in characters.
     pub const MAX_LEN: usize = 64;
 
-    /// This tag; trailing NUL characters are stripped.
+    /// Creates a tag and strips trailing NUL characters.
     ///
     /// # Errors
-    /// [`DecodeError::TagTooLong`], [`DecodeError::Character`].
+    /// Returns [`DecodeError::TagTooLong`] or [`DecodeError::Character`].
     pub fn new(text: &'a str) -> Result<Self, DecodeError> {
         let text = text.trim_end_matches('\0');
         if text.len() > Self::MAX_LEN {
@@ -99,7 +100,7 @@ impl<'a> DeviceTag<'a> {
         }
     }
 
-    /// The text.
+    /// Returns the text without trailing NUL characters.
     #[must_use]
     pub const fn as_str(self) -> &'a str {
         self.0

@@ -1,8 +1,8 @@
-//! A bus in memory: frames in the order in which they were on it.
+//! A CAN bus in memory that keeps frames in order.
 
 use super::*;
 
-/// What the reassembler under test listens to.
+/// The identifier received by the reassembler under test.
 pub(super) const RECEIVED: StandardId = StandardId::MAX;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,7 +48,7 @@ impl embedded_can::Frame for CanFrame {
     }
 }
 
-/// An event by value.
+/// An event by value, for comparison.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Seen {
     Message(Message),
@@ -86,13 +86,13 @@ impl Message {
         FrameEncoder::new(self.id, &self.payload[..]).collect()
     }
 
-    /// The CAN frames of the message, cut by the test's own hand.
+    /// Divides the message into CAN frames, independently of the code under test.
     pub(super) fn frames(&self) -> Vec<CanFrame> {
         self.bytes().chunks(8).map(CanFrame::ours).collect()
     }
 }
 
-/// A reassembler and what it delivered.
+/// A reassembler and its delivered events.
 pub(super) struct Wire<const FRAMES: usize> {
     pub(super) reassembler: Reassembler<FRAMES>,
     pub(super) seen: Vec<Seen>,

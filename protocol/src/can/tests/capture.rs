@@ -1,9 +1,9 @@
-//! The reassembler against a reader with the whole capture.
+//! Compares the reassembler with a reader of the whole capture.
 
 use super::*;
 
-/// The reference: each position tried in turn, with everything at hand. Gives what it finds and how many frames belong to
-/// no message.
+/// The reference: tries each position in turn on the whole capture. Returns the events and the number of frames that
+/// belong to no message.
 fn reference(capture: &[CanFrame], limit: usize) -> (Vec<Seen>, u16) {
     let (mut seen, mut dropped, mut at) = (Vec::new(), 0, 0);
     while at < capture.len() {
@@ -40,7 +40,7 @@ fn found_at(rest: &[CanFrame], limit: usize) -> Option<Seen> {
     Some(Seen::Message(Message::new(id, &covered[6..])))
 }
 
-/// Frames of the received identifier: of messages, cut short, doubled, reordered, or of nothing.
+/// Generates frames of the received identifier: intact, truncated, duplicated or reordered messages, and noise.
 fn recordings() -> impl Strategy<Value = Vec<CanFrame>> {
     let preamble_like = prop_oneof![Just(0xAAu8), Just(0xAA), Just(0), Just(1), Just(8), any::<u8>()];
     let payload = prop::collection::vec(preamble_like.clone(), 0..40);
@@ -66,7 +66,7 @@ proptest! {
 
     #[test]
     fn any_recording_gives_what_the_reference_finds_in_it(capture in recordings()) {
-        // Five frames: longer messages of the recordings are oversize.
+        // Capacity of five frames: longer messages of the recordings are oversize.
         let mut wire = Wire::<5>::new();
 
         wire.receive(&capture);

@@ -1,4 +1,4 @@
-//! Three messages on the bus, and everything that may happen to each of their CAN frames.
+//! Every combination of losses and duplicates for the CAN frames of three messages.
 
 use super::*;
 
@@ -11,10 +11,10 @@ enum Fate {
 
 const FATES: [Fate; 3] = [Fate::Kept, Fate::Lost, Fate::Doubled];
 
-/// Messages of every way to be cut: one frame, a short last one, a full last one, and payloads whose frames look like the
-/// beginning of another message, of a short one and of one far too long. Different at each place of the script.
+/// Messages of every layout: one frame, a short last frame, a full last frame, and payloads whose frames look like the
+/// start of a short or an oversize message. They differ at each place of the script.
 fn kinds(place: usize) -> [Message; 5] {
-    // So that no two messages share a frame.
+    // Different parameters, so no two messages share a frame.
     let n = place as f32 * 1.37;
     let payload = |len: usize| (1..=len as u8).map(|byte| byte ^ (0x10 << place)).collect::<Vec<u8>>();
     let looking_like_a_beginning = |size: u8| {
@@ -32,7 +32,7 @@ fn kinds(place: usize) -> [Message; 5] {
     ]
 }
 
-/// What is not for us and looks like this frame, or could be put between the frames of a message.
+/// Foreign frames that resemble this frame or could be inserted between the frames of a message.
 fn foreign(ours: &CanFrame) -> [CanFrame; 5] {
     let number = RECEIVED.as_raw();
     [
@@ -53,7 +53,7 @@ fn each_pattern(count: usize, mut check: impl FnMut(&[Fate])) {
     }
 }
 
-/// What comes off the bus of frames with these losses.
+/// Returns the frames received after these losses.
 fn on_the_bus<'a>(frames: &'a [CanFrame], losses: &[Fate]) -> impl Iterator<Item = &'a CanFrame> {
     let times = |fate: &Fate| match fate {
         Fate::Kept => 1,
@@ -67,7 +67,7 @@ fn frames_of(script: &[Message]) -> Vec<CanFrame> {
     script.iter().flat_map(Message::frames).collect()
 }
 
-/// No wrong message, none out of turn, each intact one.
+/// Asserts that each intact message is delivered in order, and no other.
 fn check_delivery(script: &[Message], losses: &[Fate], delivered: &[Message]) {
     let context = || std::format!("{script:02X?}\n{losses:?}\ndelivered {delivered:02X?}");
     let mut rest = delivered;
@@ -82,14 +82,14 @@ fn check_delivery(script: &[Message], losses: &[Fate], delivered: &[Message]) {
         } else if !own.contains(&Fate::Doubled) {
             1..=1
         } else if own.len() == 1 {
-            // Nothing on the wire tells a message of one frame that was doubled from two.
+            // A duplicated single-frame message cannot be distinguished from two messages.
             2..=2
         } else {
             0..=1
         };
         assert!(may_be.contains(&times), "{message:02X?} came {times} times\n{}", context());
     }
-    assert!(rest.is_empty(), "wrong or out of turn: {rest:02X?}\n{}", context());
+    assert!(rest.is_empty(), "unexpected or out of order: {rest:02X?}\n{}", context());
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn every_fate_of_every_frame_of_three_messages_costs_at_most_the_messages_it_bel
             }
         }
     }
-    // 1, 2, 2 and twice 3 frames, at each of three places.
+    // Messages of 1, 2, 2, 3 and 3 frames at each of three places.
     assert_eq!(runs, (3 + 9 + 9 + 27 + 27usize).pow(3));
 }
 
@@ -134,7 +134,7 @@ fn message_behind_any_damage_is_delivered_at_once_unless_a_false_beginning_holds
     }
 }
 
-/// Calls `check` with every order of `ours` and `others` that keeps the order within each.
+/// Calls `check` with every interleaving of `ours` and `others` that keeps the order within each.
 fn each_interleaving(ours: &[CanFrame], others: &[CanFrame], check: &mut impl FnMut(&[CanFrame])) {
     fn merge(
         merged: &mut Vec<CanFrame>,
@@ -175,5 +175,5 @@ fn traffic_of_the_other_direction_changes_nothing_in_whatever_order_it_lies_betw
         );
         orders += 1;
     });
-    assert_eq!(orders, 210, "ten frames, four of them of the other direction");
+    assert_eq!(orders, 210, "ten frames, four of them in the other direction");
 }

@@ -1,4 +1,4 @@
-//! The edges of the mapping.
+//! Edge cases of the mapping.
 
 use super::*;
 use crate::Frame;
@@ -10,7 +10,7 @@ fn grip() -> Message {
 
 #[test]
 fn the_size_field_ends_a_message_and_never_the_length_of_a_can_frame() {
-    // All lengths round the multiples of eight: the last frame is full for 8, 16 and 24 bytes.
+    // Lengths around the multiples of eight: the last frame is full for 8, 16 and 24 bytes.
     for payload_len in 0..=24 {
         let message = Message::new(6, &[0x5A; 24][..payload_len]);
         let frames = message.frames();
@@ -51,7 +51,7 @@ fn greatest_size_field_is_oversize() {
 #[test]
 fn half_a_message_is_given_up_when_its_time_is_over_and_what_it_held_back_is_delivered() {
     let mut wire = Wire::<4>::new();
-    // A false beginning that waits for three frames more, with a whole message behind it.
+    // A false first frame that waits for three more frames, followed by a complete message.
     wire.receive(&[CanFrame::ours(&[0xAA, 0xAA, 0xAA, 6, 24, 0, 0, 0])]);
     let stop = Message::command(Command::Stop);
     wire.receive(&stop.frames());
@@ -102,7 +102,7 @@ fn time_runs_from_the_last_frame_of_the_message_whatever_else_is_on_the_bus() {
 
 #[test]
 fn message_inside_the_payload_of_another_is_none_even_when_the_other_is_broken() {
-    // Byte by byte the Stop in this payload would be found once the first frame is lost.
+    // A byte parser would find the Stop in this payload once the first frame is lost.
     let mut payload = vec![0; 3];
     payload.extend(Message::command(Command::Stop).bytes());
     payload.extend([0; 10]);
@@ -126,7 +126,7 @@ fn right_bytes_in_a_wrong_cut_are_no_message() {
         wire.receive(&grip().frames());
         assert_eq!(wire.messages(), [grip()], "{cut:?}");
     }
-    // Short where the middle has to be full.
+    // A short frame in the middle, where frames must be full.
     let long = Message::new(6, &[9; 12]).bytes();
     let mut wire = Wire::<4>::new();
     wire.receive(&[CanFrame::ours(&long[..8]), CanFrame::ours(&long[8..12]), CanFrame::ours(&long[12..])]);
@@ -139,7 +139,7 @@ fn right_bytes_in_a_wrong_cut_are_no_message() {
 
 #[test]
 fn frame_that_two_messages_share_stands_in_for_a_lost_one_and_gives_the_message_that_was_sent() {
-    // The low bytes of both widths are 0, so the two requests begin with the same frame.
+    // The low bytes of both widths are 0, so the two requests have identical first frames.
     let other = Message::command(Command::GripPart { width: 40.0, speed: 60.0 });
     let ([head, _], [other_head, other_tail]) = (&grip().frames()[..], &other.frames()[..]) else { panic!() };
     assert_eq!(head, other_head);
@@ -189,7 +189,7 @@ fn no_motion_fits_into_one_can_frame_so_a_doubled_frame_never_moves_the_fingers_
             assert!(!matches!(id.kind(), Kind::Motion | Kind::Acknowledge), "{id:?}");
         }
     }
-    // And no reply does: all begin with a status code.
+    // No reply fits either: all begin with a status code.
     let shortest = FrameEncoder::new(0x25, Reply::status_only(CommandId::GripPart, Status::Success));
     assert_eq!(Segments::new(shortest).count(), 2);
 }
@@ -237,7 +237,7 @@ fn controller_sends_on_n_and_the_gripper_on_the_next_identifier() {
 
 #[test]
 fn spoilt_rest_of_a_motion_makes_it_invalid_whether_checksums_are_checked_or_not() {
-    // Command set, 1.4.1: the gripper's evaluation of checksums can be disabled.
+    // Command set, 1.4.1: checksum evaluation of the gripper can be disabled.
     for command in [
         Command::Homing { direction: HomingDirection::Positive },
         Command::PrePosition { flags: PrePositionFlags::empty(), width: 20.0, speed: 50.0 },
@@ -259,7 +259,11 @@ fn spoilt_rest_of_a_motion_makes_it_invalid_whether_checksums_are_checked_or_not
                 running = segment.spoil(running, sent + n + 1 == count);
             }
             let spoilt = segments.iter().flat_map(|segment| segment.data().to_vec()).collect::<Vec<u8>>();
-            assert_eq!(spoilt.len(), intact.len(), "the gripper's next message begins after it");
+            assert_eq!(
+                spoilt.len(),
+                intact.len(),
+                "the length must not change, so the gripper finds the next message"
+            );
             let (covered, received) = spoilt.split_last_chunk().unwrap();
             assert_ne!(
                 checksum::push_slice(checksum::START, covered).to_le_bytes(),
@@ -269,7 +273,7 @@ fn spoilt_rest_of_a_motion_makes_it_invalid_whether_checksums_are_checked_or_not
             assert_ne!(checksum::push_slice(checksum::START, &spoilt), 0, "{command:?}, {sent} sent");
             let payload = |message: &[u8]| message[6..message.len() - 2].to_vec();
             if payload(&spoilt) == payload(&intact) {
-                // All of it was sent before: the checksum is all that is left.
+                // All data bytes were sent before; only the checksum remains.
                 continue;
             }
             let payload = payload(&spoilt);

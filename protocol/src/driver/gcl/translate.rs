@@ -1,4 +1,4 @@
-//! Commands to requests, answers to replies.
+//! Translates commands to GCL requests, and GCL replies to binary replies.
 
 use crate::command::{Command, CommandId};
 use crate::driver::Error;
@@ -15,16 +15,16 @@ use crate::types::{
     SystemInfo, Temperature, UpdateFlags,
 };
 
-/// What the terms of the binary protocol stand for, beside what stands in a line.
+/// State needed for the translation in addition to the current line.
 #[derive(Debug)]
 pub(super) struct Terms {
-    /// The force limit in N.
+    /// The force limit in N, summed over both fingers.
     pub(super) force: Option<f32>,
-    /// Whether the last grip that began went outward.
+    /// Whether the last grip that began moved outward.
     outward: bool,
-    /// Whether the last grip that was asked for goes outward.
+    /// Whether the last requested grip moves outward.
     asked_outward: bool,
-    /// Whether the finger that was asked for last is the second one.
+    /// Whether the last requested finger is the second one.
     second_finger: bool,
 }
 
@@ -32,7 +32,7 @@ impl Terms {
     pub(super) const NONE: Self =
         Self { force: None, outward: false, asked_outward: false, second_finger: false };
 
-    /// Whether the current opening width must be known to say this in GCL.
+    /// Returns whether the translation of this command needs the current opening width.
     pub(super) fn wants_width(&self, command: &Command<'_>) -> bool {
         match command {
             Command::PrePosition { flags, .. } => {
@@ -44,7 +44,7 @@ impl Terms {
         }
     }
 
-    /// The request that says the same as a command; `width` is the current opening width if it was wanted.
+    /// Returns the GCL request for a command. `width` is the current opening width, if it was needed.
     pub(super) fn request<E>(&self, command: &Command<'_>, width: Option<f32>) -> Result<Request, Error<E>> {
         let current = width.ok_or(Error::NotInGcl);
         Ok(match *command {
@@ -84,7 +84,7 @@ impl Terms {
             Command::GetSpeed { .. } => Request::Speed,
             Command::GetForce { .. } => Request::Force,
             Command::GetTemperature => Request::Temp,
-            // Device and version are known from connecting.
+            // Device type and firmware version are known since connecting.
             Command::GetSystemInfo => Request::Sn,
             Command::GetDeviceTag => Request::Tag,
             Command::GetFinger1Info => Request::Ftype(Select::One(0)),
@@ -97,7 +97,7 @@ impl Terms {
         })
     }
 
-    /// The command was taken, and will be sent.
+    /// Records a command that was accepted and will be sent.
     pub(super) fn asked(&mut self, command: &Command<'_>, current: Option<f32>) {
         match *command {
             Command::GripPart { width, .. } => {
@@ -113,7 +113,7 @@ impl Terms {
         }
     }
 
-    /// The command that a request of this name stands for.
+    /// Returns the command that corresponds to a request of this name.
     pub(super) const fn id(&self, name: CommandName) -> Option<CommandId> {
         Some(match name {
             CommandName::Bye => CommandId::DisconnectAnnouncement,
@@ -149,7 +149,7 @@ impl Terms {
         })
     }
 
-    /// Calls `note` with what an event says, if the binary protocol has words for it.
+    /// Calls `note` with the translated event, if the binary protocol has an equivalent.
     pub(super) fn tell(&mut self, event: &GclEvent<'_>, known: &Known, note: &mut impl FnMut(&Event<'_>)) {
         match event {
             GclEvent::Answered(answer) => self.tell_answer(answer, known, note),
@@ -166,7 +166,7 @@ impl Terms {
         }
     }
 
-    /// What an event says that carries no answer.
+    /// Translates an event that carries no reply.
     pub(super) fn of_time(&mut self, event: &GclEvent<'_>) -> Option<Event<'static>> {
         match *event {
             GclEvent::Connected => Some(Event::Connected),
@@ -188,7 +188,7 @@ impl Terms {
         let Some(id) = answer.name().command().and_then(|name| self.id(name)) else { return };
         match answer {
             Answer::Value(value) => self.with_value(value, known, |value| {
-                // What the binary protocol has no form for, such as the data of a tactile finger.
+                // Replies without a binary equivalent, such as the data of a tactile finger.
                 let unsaid = Reply::status_only(id, Status::NotAvailable);
                 note(&Event::Answered(value.map_or(unsaid, Reply::success)));
             }),
@@ -196,7 +196,7 @@ impl Terms {
         }
     }
 
-    /// Calls `look` with the binary protocol's value, if it has one.
+    /// Calls `look` with the binary protocol's value, if there is one.
     fn with_value(&self, value: &LineValue<'_>, known: &Known, look: impl FnOnce(Option<Value<'_>>)) {
         let bytes;
         let value = match *value {
@@ -211,7 +211,7 @@ impl Terms {
                 let info = known.info.unwrap_or(UNKNOWN_DEVICE);
                 Some(Value::GetSystemInfo(SystemInfo { serial_number, ..info }))
             }
-            // One that is not set is an empty text here, and E_NOT_AVAILABLE there.
+            // An unset tag is an empty text in GCL and E_NOT_AVAILABLE in the binary protocol.
             LineValue::Tag(tag) => (!tag.as_str().is_empty()).then_some(Value::GetDeviceTag(tag)),
             LineValue::Ftype(Selected::One(_, text)) => {
                 let finger = text.finger_type();
@@ -235,10 +235,10 @@ impl Terms {
     }
 }
 
-/// Bytes of the data of a WSG-FMF: one `f32`.
+/// Length of the data of a WSG-FMF in bytes: one `f32`.
 const FMF_LEN: u16 = 4;
 
-/// What GCL does not tell.
+/// Device information that GCL does not provide.
 const UNKNOWN_DEVICE: SystemInfo = SystemInfo {
     device: DeviceType::Unspecified,
     hardware_revision: 0,
@@ -246,13 +246,13 @@ const UNKNOWN_DEVICE: SystemInfo = SystemInfo {
     serial_number: 0,
 };
 
-/// The nearest tenth of a degree; what is out of range is the end of it.
+/// Rounds to the nearest tenth of a degree and saturates out of range.
 fn tenths(celsius: f32) -> Temperature {
     let half = if celsius < 0.0 { -0.5 } else { 0.5 };
     Temperature((celsius * 10.0 + half) as i16)
 }
 
-/// What is known, in the binary protocol's terms.
+/// Translates the known state to the terms of the binary protocol.
 pub(super) fn known(lines: &lines::Known) -> Known {
     let info = lines.device.map(|device| SystemInfo {
         device,
@@ -272,7 +272,7 @@ pub(super) fn known(lines: &lines::Known) -> Known {
     }
 }
 
-/// The same settings, as far as GCL has them.
+/// Translates the settings, as far as GCL supports them.
 pub(super) const fn session_config(config: &session::Config) -> lines::Config {
     lines::Config {
         reply_timeout_ms: config.reply_timeout_ms,
@@ -289,7 +289,7 @@ pub(super) const fn session_config(config: &session::Config) -> lines::Config {
     }
 }
 
-/// The same subscription.
+/// Translates a subscription.
 pub(super) const fn autosend(topic: Topic, update: AutoUpdate) -> Autosend {
     let topic = match topic {
         Topic::SystemState => LineTopic::Sysflags,

@@ -1,4 +1,4 @@
-//! A transport over a byte stream that the operating system can wait for.
+//! A transport over a byte stream whose readiness the operating system reports.
 
 use crate::driver::blocking::Transport;
 use crate::driver::readiness::{AsPollable, LONG_MS, Readiness, duplicate};
@@ -7,16 +7,16 @@ use crate::driver::{StopLine, Stoppable, second};
 use embedded_io::{ErrorType, ReadReady};
 use std::io::{self, ErrorKind};
 
-/// Bytes read at a time.
+/// Number of bytes per read.
 const CHUNK_LEN: usize = 512;
 
-/// A transport over a byte stream that the operating system can wait for. On Unix that is every stream with a file
-/// descriptor, such as a serial port of the crate `serial2` or a Unix socket; on Windows it is a TCP socket.
+/// A transport over a byte stream whose readiness the operating system reports. On Unix this is any stream with a file
+/// descriptor, such as a serial port of the crate `serial2` or a Unix socket. On Windows it is a TCP socket.
 ///
-/// It reads only when bytes are there, so the read time-out of the stream does not matter. A write that takes nothing
-/// should end with `TimedOut` after a while.
+/// It reads only available bytes, so the stream's read time-out is irrelevant. A blocked write should fail with
+/// `TimedOut` after a while.
 ///
-/// Over TCP use [`Tcp`](super::Tcp), which announces its end. For streams without a file descriptor there is
+/// For TCP use [`Tcp`](super::Tcp), which announces its end. For streams without a file descriptor use
 /// [`Stream`](super::Stream).
 #[derive(Debug)]
 pub struct PolledStream<T> {
@@ -26,7 +26,7 @@ pub struct PolledStream<T> {
 }
 
 impl<T: io::Read + io::Write + AsPollable> PolledStream<T> {
-    /// A transport over this stream.
+    /// Creates a transport over this stream.
     #[must_use]
     pub const fn new(stream: T) -> Self {
         Self { stream, received: Received::new(), readiness: Readiness::new() }
@@ -34,7 +34,7 @@ impl<T: io::Read + io::Write + AsPollable> PolledStream<T> {
 }
 
 impl<T> PolledStream<T> {
-    /// The stream. Bytes that were received and not taken by the driver are lost.
+    /// Returns the stream. Received bytes that the driver has not yet taken are lost.
     #[must_use]
     pub fn into_inner(self) -> T {
         self.stream
@@ -62,10 +62,7 @@ impl<T: io::Read + AsPollable> ReadReady for PolledStream<T> {
         if !readiness.may_read(stream)? {
             return Ok(false);
         }
-        #[expect(
-            clippy::disallowed_methods,
-            reason = "a signal is taken for silence, and the driver asks again"
-        )]
+        #[expect(clippy::disallowed_methods, reason = "a signal counts as no input, and the driver retries")]
         let is_filled = received.fill(|buffer| io::Read::read(stream, buffer))?;
         if received.len() < CHUNK_LEN {
             readiness.is_emptied();
@@ -88,7 +85,7 @@ impl<T: io::Write> embedded_io::Write for PolledStream<T> {
         loop {
             #[expect(
                 clippy::disallowed_methods,
-                reason = "the call is made again; the driver sends the rest"
+                reason = "the driver repeats the call with the remaining bytes"
             )]
             match io::Write::write(&mut self.stream, bytes) {
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}

@@ -1,4 +1,4 @@
-//! A transport over anything that reads and writes.
+//! A transport over any byte stream.
 
 use crate::driver::blocking::Transport;
 use crate::driver::received::Received;
@@ -9,30 +9,30 @@ use std::io::{self, ErrorKind};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-/// Bytes read at a time.
+/// Number of bytes per read.
 const CHUNK_LEN: usize = 512;
 
-/// For how long silence counts after a read that has found it.
+/// Time after an empty read during which no further read is attempted.
 const SILENCE: Duration = Duration::from_millis(10);
 
-/// A transport over a byte stream that the operating system cannot wait for, such as a port of the crate `serialport`, or
-/// any serial port on Windows. For all others [`PolledStream`](super::PolledStream) is better.
+/// A transport over a byte stream whose readiness the operating system does not report, such as a port of the crate
+/// `serialport`, or any serial port on Windows. Prefer [`PolledStream`](super::PolledStream) for all others.
 ///
-/// Its `read` must end with `TimedOut` or `WouldBlock` when no byte arrives for about a millisecond, as that of a port with
-/// `timeout(Duration::from_millis(1))`. The driver sends and returns that much later while it waits for a read: a longer
-/// time-out delays it, and with a time-out of 0 it spins. A write that takes nothing should end with `TimedOut` as well.
+/// Its `read` must fail with `TimedOut` or `WouldBlock` when no byte arrives for about a millisecond, as with a port
+/// with `timeout(Duration::from_millis(1))`. This time-out delays the driver's sending and returning, and 0 makes it
+/// spin. A blocked write should also fail with `TimedOut`.
 ///
-/// Over TCP use [`Tcp`](super::Tcp), which announces its end.
+/// For TCP use [`Tcp`](super::Tcp), which announces its end.
 #[derive(Debug)]
 pub struct Stream<T, S = NoSecond> {
     stream: T,
     received: Received<CHUNK_LEN>,
-    /// When a read found silence, or the driver took the last byte.
+    /// Time at which a read found no input, or at which the driver took the last byte.
     silent_at: Option<Instant>,
     second: S,
 }
 
-/// The second handle of a [`Stream`] without a stop handle.
+/// Placeholder for the second handle of a [`Stream`] without a stop handle.
 #[derive(Clone, Copy, Debug)]
 pub struct NoSecond;
 
@@ -45,9 +45,10 @@ impl<T: io::Read + io::Write> Stream<T> {
 }
 
 impl<T: io::Read + io::Write, W: io::Write + Send + 'static> Stream<T, Arc<Mutex<W>>> {
-    /// Creates a transport whose gripper another thread can stop ([`StopHandle`](crate::driver::StopHandle)). `second`
-    /// writes to the same port, such as the result of the port's `try_clone`. A stop waits for as long as a read of `stream`
-    /// where the port allows one operation at a time, and for as long as a write of `second` when the port takes no bytes.
+    /// Creates a transport whose gripper can be stopped from another thread
+    /// ([`StopHandle`](crate::driver::StopHandle)). `second` writes to the same port, such as the result of the port's
+    /// `try_clone`. A stop waits for a read of `stream` if the port allows one operation at a time, and for a write of
+    /// `second` if the port accepts no bytes.
     ///
     /// ```no_run
     /// use std::time::Duration;
@@ -79,13 +80,13 @@ impl<T, W: io::Write + Send + 'static> Stoppable for Stream<T, Arc<Mutex<W>>> {
                 written => written,
             }
         };
-        // A read ends by itself soon, so nothing has to wake the driver.
+        // A read ends soon, so the driver need not be woken.
         Ok(StopLine::new(write, || {}))
     }
 }
 
 impl<T, S> Stream<T, S> {
-    /// The stream. Bytes that were received and not taken by the driver are lost.
+    /// Returns the stream. Received bytes that the driver has not yet taken are lost.
     #[must_use]
     pub fn into_inner(self) -> T {
         self.stream
@@ -97,13 +98,10 @@ impl<T, S> ErrorType for Stream<T, S> {
 }
 
 impl<T: io::Read, S> Stream<T, S> {
-    /// Reads, unless there is something to take already; whether there is now.
+    /// Reads unless bytes are already buffered. Returns whether there are any.
     fn fill(&mut self) -> io::Result<bool> {
         let Self { stream, received, .. } = self;
-        #[expect(
-            clippy::disallowed_methods,
-            reason = "a signal is taken for silence, and the driver asks again"
-        )]
+        #[expect(clippy::disallowed_methods, reason = "a signal counts as no input, and the driver retries")]
         let is_filled = received.fill(|buffer| io::Read::read(stream, buffer))?;
         self.silent_at = (!is_filled || self.received.len() < CHUNK_LEN).then(Instant::now);
         Ok(is_filled)
@@ -111,7 +109,7 @@ impl<T: io::Read, S> Stream<T, S> {
 }
 
 impl<T: io::Read, S> ReadReady for Stream<T, S> {
-    /// Waits as long as a read of the stream does, unless the last one is only just over.
+    /// Waits for one read of the stream, unless the last one has just ended.
     fn read_ready(&mut self) -> io::Result<bool> {
         if self.received.is_empty() && self.silent_at.is_some_and(|at| at.elapsed() < SILENCE) {
             return Ok(false);
@@ -128,7 +126,7 @@ impl<T: io::Read, S> embedded_io::Read for Stream<T, S> {
 }
 
 impl<T: io::Read + io::Write, S> Transport for Stream<T, S> {
-    /// Waits as long as a read of the stream does.
+    /// Waits for one read of the stream.
     fn wait(&mut self, _at_most_ms: u32) -> io::Result<()> {
         self.fill().map(|_| ())
     }
@@ -139,7 +137,7 @@ impl<T: io::Write, S> embedded_io::Write for Stream<T, S> {
         loop {
             #[expect(
                 clippy::disallowed_methods,
-                reason = "the call is made again; the driver sends the rest"
+                reason = "the driver repeats the call with the remaining bytes"
             )]
             match io::Write::write(&mut self.stream, bytes) {
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}

@@ -1,4 +1,4 @@
-//! TCP, whose end is announced.
+//! A TCP transport that announces the end of its connection.
 
 use super::{PolledStream, SPURIOUS};
 use crate::driver::blocking::Transport;
@@ -11,16 +11,16 @@ use embedded_io::{ErrorType, ReadReady};
 use std::io::{self, ErrorKind};
 use std::net::{Shutdown, TcpStream, ToSocketAddrs};
 
-/// How long a gripper may leave what is sent unread. A write that takes longer is an error.
+/// Time-out of a write, for a gripper that does not read.
 const WRITE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// A TCP connection to a gripper, for either protocol; port 1000 for the binary one.
+/// A TCP connection to a gripper, for either protocol. The binary protocol uses port 1000.
 ///
-/// When it is dropped, it announces the end of the connection if nobody has (Disconnect Announcement, or `BYE`), and waits
-/// up to 100 ms until the gripper closes its end, so that a program which drops its gripper does not leave it in FAST STOP. It announces nothing, and the
-/// gripper enters FAST STOP, if the program panics, or if FAST STOP was the last that was asked for; nor can it if the
-/// process is killed. [`with_connection`](crate::driver::blocking::GripperOver::with_connection) also waits for the
-/// gripper's confirmation.
+/// Dropping it announces the end of the connection unless that was done before (Disconnect Announcement, or `BYE`), and
+/// waits up to 100 ms for the gripper to close its end. A dropped gripper therefore does not enter FAST STOP. No
+/// announcement is sent, and the gripper enters FAST STOP, if the program panics, if FAST STOP was the last request, or
+/// if the process is killed. [`with_connection`](crate::driver::blocking::GripperOver::with_connection) also waits for
+/// the gripper's confirmation.
 #[derive(Debug)]
 pub struct Tcp {
     stream: PolledStream<TcpStream>,
@@ -28,15 +28,16 @@ pub struct Tcp {
 }
 
 impl Tcp {
-    /// How long [`connect`](Self::connect) waits for each address.
+    /// Time-out of [`connect`](Self::connect) for each address.
     pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 
-    /// Connects to the first address that answers, such as `"192.168.1.20:1000"`.
+    /// Connects to the first reachable address, such as `"192.168.1.20:1000"`.
     ///
     /// # Errors
-    /// That of the last address.
+    /// Returns the error for the last address.
     pub fn connect(address: impl ToSocketAddrs) -> io::Result<Self> {
-        let mut result = Err(io::Error::new(ErrorKind::AddrNotAvailable, "the name has no address"));
+        let mut result =
+            Err(io::Error::new(ErrorKind::AddrNotAvailable, "the name does not resolve to an address"));
         for address in address.to_socket_addrs()? {
             result = TcpStream::connect_timeout(&address, Self::CONNECT_TIMEOUT);
             if result.is_ok() {
@@ -46,12 +47,12 @@ impl Tcp {
         Self::new(result?)
     }
 
-    /// Takes a connection that exists.
+    /// Creates a transport over an existing connection.
     ///
     /// # Errors
-    /// The options of the socket cannot be set.
+    /// Returns the error if the socket options cannot be set.
     pub fn new(stream: TcpStream) -> io::Result<Self> {
-        // A frame is one segment, and it leaves at once.
+        // Each frame is one segment, sent immediately.
         stream.set_nodelay(true)?;
         stream.set_nonblocking(false)?;
         stream.set_read_timeout(Some(SPURIOUS))?;
@@ -111,7 +112,7 @@ impl Drop for Tcp {
         let mut buffer = [0; OVERHEAD];
         let Some(message) = self.farewell.due(&mut buffer) else { return };
         let mut stream = self.stream.get_ref();
-        // One attempt. Nobody is left to be told of an error.
+        // A single attempt. There is no caller to report an error to.
         if stream.set_nonblocking(true).is_ok() && io::Write::write(&mut stream, message).is_ok() {
             let _ = stream.shutdown(Shutdown::Write);
             linger(stream);

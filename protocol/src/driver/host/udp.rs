@@ -1,4 +1,4 @@
-//! UDP.
+//! A UDP transport.
 
 use super::SPURIOUS;
 use crate::driver::blocking::Transport;
@@ -10,11 +10,12 @@ use embedded_io::{ErrorType, ReadReady};
 use std::io::{self, ErrorKind};
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 
-/// UDP to a gripper, for either protocol: one message a datagram. UDP knows no end of a connection, so a gripper that was
-/// commanded over it goes on with what it was told.
+/// A UDP transport to a gripper, for either protocol, with one message per datagram. UDP has no end of connection, so a
+/// gripper continues its last command when the program ends.
 ///
-/// The binary protocol's answers go to the port that the gripper is configured for, whatever port the request came from:
-/// 1501, and the gripper listens on 1500, if nobody has changed it. GCL's go back to the port that asked.
+/// Replies of the binary protocol are sent to the port configured in the gripper, whatever the source port of the
+/// request. Defaults: the gripper listens on 1500 and replies to 1501. GCL replies are sent to the source port of the
+/// request.
 #[derive(Debug)]
 pub struct Udp {
     socket: UdpSocket,
@@ -24,27 +25,28 @@ pub struct Udp {
 }
 
 impl Udp {
-    /// The port that a gripper listens on as delivered.
+    /// The default port on which a gripper listens.
     pub const GRIPPER_PORT: u16 = udp::GRIPPER_PORT;
-    /// The port that a gripper answers to as delivered.
+    /// The default port to which a gripper replies.
     pub const ANSWER_PORT: u16 = udp::ANSWER_PORT;
 
-    /// Speaks to the gripper at this address, such as `"192.168.1.20:1500"`, and hears answers on this port of every
-    /// local address; 0 for one that is free.
+    /// Opens a socket to the gripper at this address, such as `"192.168.1.20:1500"`. It receives replies on
+    /// `answer_port` of all local addresses; 0 selects a free port.
     ///
     /// # Errors
-    /// The name has no address, or the port is in use.
+    /// Returns an error if the name does not resolve or the port is in use.
     pub fn connect(gripper: impl ToSocketAddrs, answer_port: u16) -> io::Result<Self> {
         let gripper = gripper.to_socket_addrs()?.next();
-        let gripper =
-            gripper.ok_or_else(|| io::Error::new(ErrorKind::AddrNotAvailable, "the name has no address"))?;
+        let gripper = gripper.ok_or_else(|| {
+            io::Error::new(ErrorKind::AddrNotAvailable, "the name does not resolve to an address")
+        })?;
         Self::new(UdpSocket::bind((udp::any_like(gripper), answer_port))?, gripper)
     }
 
-    /// Takes a socket that is bound to the port which the gripper answers to.
+    /// Creates a transport over a socket that is bound to the gripper's reply port.
     ///
     /// # Errors
-    /// The options of the socket cannot be set.
+    /// Returns the error if the socket options cannot be set.
     pub fn new(socket: UdpSocket, gripper: SocketAddr) -> io::Result<Self> {
         socket.set_read_timeout(Some(SPURIOUS))?;
         Ok(Self { socket, gripper, received: Received::new(), readiness: Readiness::new() })
@@ -64,10 +66,7 @@ impl ReadReady for Udp {
         if !readiness.may_read(socket)? {
             return Ok(false);
         }
-        #[expect(
-            clippy::disallowed_methods,
-            reason = "a signal is taken for silence, and the driver asks again"
-        )]
+        #[expect(clippy::disallowed_methods, reason = "a signal counts as no input, and the driver retries")]
         received.fill(|buffer| match socket.recv_from(buffer) {
             Ok((len, sender)) if udp::is_message(len, sender, *gripper) => Ok(len),
             Ok(_) => Err(ErrorKind::WouldBlock.into()),

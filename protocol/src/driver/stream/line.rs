@@ -1,12 +1,12 @@
-//! Latency of the line and offset of the gripper's clock, from requests and their answers.
+//! Latency of the line and offset of the gripper's clock, estimated from requests and their replies.
 
 use crate::time::Instant;
 use heapless::Deque;
 
-/// How many exchanges count.
+/// Number of exchanges in the estimate.
 const WINDOW: usize = 64;
 
-/// One request and its answer.
+/// A request and its reply.
 #[derive(Clone, Copy, Debug)]
 struct Exchange {
     round_trip_ms: u32,
@@ -15,23 +15,23 @@ struct Exchange {
 
 /// Latency and clock offset, estimated from the last 64 exchanges.
 ///
-/// The estimate relies on the exchange with the shortest round trip, whose two halves differ least.
+/// The estimate uses the exchange with the shortest round trip, because its two directions differ least.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LineEstimate {
     /// Half of the shortest round trip, in ms.
     pub latency_ms: f32,
-    /// The mean round trip, in ms: the shortest period that the line allows.
+    /// The mean round trip, in ms, which is the shortest period that the line allows.
     pub round_trip_ms: f32,
-    /// What the gripper's clock shows more than the driver's, in ms modulo 2³². `None` if the back-end reports no time.
+    /// The gripper's clock minus the driver's, in ms modulo 2³². `None` if the back-end reports no time.
     pub clock_offset_ms: Option<u32>,
 }
 
-/// The window of exchanges.
+/// The most recent exchanges.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Exchanges(Deque<Exchange, WINDOW>);
 
 impl Exchanges {
-    /// Adds an exchange; `measured_ms` is the gripper's time in the answer.
+    /// Adds an exchange. `measured_ms` is the gripper's time in the reply.
     pub(super) fn add(&mut self, sent: Instant, received: Instant, measured_ms: Option<u32>) {
         let round_trip_ms = received.since(sent);
         let middle = sent.plus(round_trip_ms / 2).as_millis();
@@ -39,7 +39,7 @@ impl Exchanges {
         if self.0.is_full() {
             self.0.pop_front();
         }
-        // There is room now.
+        // The queue has room: the oldest exchange was removed.
         let _ = self.0.push_back(Exchange { round_trip_ms, offset_ms });
     }
 
@@ -57,10 +57,10 @@ impl Exchanges {
 }
 
 impl LineEstimate {
-    /// Returns the driver's time of a measurement: by the gripper's clock, or by the latency before `received`.
+    /// Returns the driver's time of a measurement, from the gripper's clock or from `received` minus the latency.
     pub(super) fn measured_at(&self, received: Instant, measured_ms: Option<u32>) -> Instant {
         match (measured_ms, self.clock_offset_ms) {
-            // The offset is exact to half of a round trip.
+            // The offset is accurate to half of a round trip.
             (Some(measured), Some(offset)) => {
                 Instant::from_millis(measured.wrapping_sub(offset)).earlier_of(received)
             }
@@ -74,10 +74,10 @@ mod tests {
     use super::*;
 
     const BEGIN: Instant = Instant::from_millis(u32::MAX - 50);
-    /// The gripper's clock against the driver's.
+    /// The gripper's clock minus the driver's, in ms.
     const OFFSET: u32 = 5_000;
 
-    /// A request that takes `there` ms and an answer that takes `back` ms.
+    /// Adds a request that takes `there` ms with a reply that takes `back` ms.
     fn exchange(exchanges: &mut Exchanges, sent: Instant, there: u32, back: u32) {
         let measured = sent.plus(there).as_millis().wrapping_add(OFFSET);
         exchanges.add(sent, sent.plus(there + back), Some(measured));

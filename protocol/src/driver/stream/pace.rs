@@ -1,26 +1,26 @@
-//! When each period begins.
+//! The start times of the periods.
 
 use crate::time::Instant;
 
-/// A second, in ms.
+/// Milliseconds per second.
 const SECOND_MS: u32 = 1_000;
 
-/// Periods of a fixed rate, counted from a common start so that fractions of a millisecond do not add up.
+/// Periods of a fixed rate, counted from a common start so that fractions of a millisecond do not accumulate.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     rate_hz: u32,
-    /// A period began here, and `count` have followed.
+    /// Start of the period from which `count` periods are counted.
     begin: Instant,
     count: u32,
 }
 
 impl Pace {
-    /// Returns a pace whose first period begins now. The rate is clamped to 1 to 500 a second.
+    /// Creates a pace whose first period begins now. The rate is clamped to 1 to 500 per second.
     pub(super) fn new(rate_hz: u16, now: Instant) -> Self {
         Self { rate_hz: rate_hz.clamp(1, 500).into(), begin: now, count: 0 }
     }
 
-    /// Returns when the next period begins: now, if a whole one was missed. Missed periods are skipped.
+    /// Returns the start of the next period, or now if a whole period was missed. Missed periods are skipped.
     pub(super) fn next(&mut self, now: Instant) -> Instant {
         if self.count >= self.rate_hz {
             (self.begin, self.count) = (self.begin.plus(SECOND_MS), 0);
@@ -34,7 +34,7 @@ impl Pace {
         now
     }
 
-    /// So many periods in ms.
+    /// Returns the duration of this number of periods in ms.
     fn part_of_a_second(&self, periods: u32) -> u32 {
         periods.saturating_mul(SECOND_MS).checked_div(self.rate_hz).unwrap_or(SECOND_MS)
     }

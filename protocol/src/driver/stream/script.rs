@@ -1,37 +1,37 @@
-//! Messages to and from scripts on the gripper: the project's own, and that of UMI.
+//! Messages to and from the scripts on the gripper: the project's own and UMI's.
 
 use crate::types::SystemFlags;
 
-/// The command of `wsg_stream.lua`.
+/// The command id of `wsg_stream.lua`.
 pub(super) const STREAM_ID: u8 = 0xA5;
-/// The payload that ends a stream, if there is one, and measures.
+/// The payload that ends a running stream and measures.
 pub(super) const STREAM_END: [u8; 1] = [0];
-/// The commands of UMI's `cmd_measure.lua`: measure, and position control.
+/// The command ids of UMI's `cmd_measure.lua`: measurement and position control.
 pub(super) const UMI_MEASURE_ID: u8 = 0xB0;
 pub(super) const UMI_MOVE_ID: u8 = 0xB1;
 
-/// Room for the answer of either script behind its status.
+/// Maximum length of the reply of either script, after its status, in bytes.
 pub(super) const MAX_ANSWER_LEN: usize = STREAM_ANSWER_LEN;
 const STREAM_ANSWER_LEN: usize = 21;
 const UMI_ANSWER_LEN: usize = 17;
-/// The layout that `wsg_stream.lua` reports.
+/// The layout version reported by `wsg_stream.lua`.
 const VERSION: u8 = 1;
 
-/// The gain that UMI's script is used with, in 1/s.
+/// The gain for UMI's script, in 1/s.
 const UMI_GAIN: f32 = 15.0;
 
-/// What a script is to do until the next message.
+/// The order that a script follows until the next message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Order {
-    /// In mm.
+    /// Target position in mm.
     pub(super) position: f32,
-    /// In mm/s.
+    /// Speed limit in mm/s.
     pub(super) speed_limit: f32,
-    /// In N, summed over both fingers.
+    /// Force limit in N, summed over both fingers.
     pub(super) force_limit: f32,
 }
 
-/// The state in an answer, in mm, mm/s and N.
+/// The state in a reply, in mm, mm/s and N.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Measured {
     pub(super) flags: SystemFlags,
@@ -49,7 +49,7 @@ pub(super) fn stream_order(order: &Order) -> [u8; 12] {
     payload
 }
 
-/// Reads what follows the status in an answer of `wsg_stream.lua`.
+/// Decodes the bytes after the status in a reply of `wsg_stream.lua`.
 pub(super) fn stream_answer(answer: &[u8]) -> Option<Measured> {
     let (&VERSION, values) = answer.split_first()? else { return None };
     let [flags, position, speed, force, time] = *words(values)?;
@@ -62,8 +62,8 @@ pub(super) fn stream_answer(answer: &[u8]) -> Option<Measured> {
     })
 }
 
-/// Returns the payload of B1h for UMI's script, which runs at `gain * way`. The gain keeps that within the speed limit, on
-/// the way from `here` in mm.
+/// Returns the payload of B1h for UMI's script, which moves at `gain * way`. The gain keeps that speed within the
+/// limit, for the path from `here` in mm.
 pub(super) fn umi_order(order: &Order, here: f32) -> [u8; 25] {
     let mut payload = [1; 25];
     let gain = UMI_GAIN.min(order.speed_limit / (order.position - here).abs());
@@ -72,8 +72,8 @@ pub(super) fn umi_order(order: &Order, here: f32) -> [u8; 25] {
     payload
 }
 
-/// Reads what follows the status in an answer of UMI's script. It reports the lowest byte of the flags; `known` has the
-/// others. Its time has no usable resolution.
+/// Decodes the bytes after the status in a reply of UMI's script. It reports only the lowest byte of the flags; `known`
+/// provides the others. The resolution of its time is too coarse to be usable.
 pub(super) fn umi_answer(answer: &[u8], known: SystemFlags) -> Option<Measured> {
     let (&lowest, values) = answer.split_first()?;
     let [position, speed, force, _] = words(values)?.map(f32::from_le_bytes);
@@ -89,7 +89,7 @@ fn put(payload: &mut [u8], values: &[f32]) {
     }
 }
 
-/// Returns the bytes as exactly `N` words.
+/// Returns the bytes as exactly `N` four-byte words.
 fn words<const N: usize>(bytes: &[u8]) -> Option<&[[u8; 4]; N]> {
     let (words, rest) = bytes.as_chunks::<4>();
     if rest.is_empty() { words.try_into().ok() } else { None }

@@ -1,47 +1,47 @@
-//! The position to command at any moment: set-points interpolated, limited in speed, and held.
+//! The commanded position at any time: set-points interpolated, limited in speed and held.
 
 use crate::time::Instant;
 use heapless::Deque;
 
-/// How many set-points can wait for their time.
+/// Maximum number of queued set-points.
 pub const MAX_SET_POINTS: usize = 64;
 
-/// A position in mm and the moment at which it is to be reached.
+/// A position in mm and the time at which to reach it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct SetPoint {
     position: f32,
     at: Instant,
 }
 
-/// Straight lines from one set-point to the next, followed no faster than the speed limit.
+/// Straight lines between set-points, followed within the speed limit.
 ///
-/// A new set-point begins its line at the commanded position, so the position never jumps. After the last set-point the
-/// trajectory holds its position.
+/// A new line begins at the commanded position, so the position never jumps. After the last set-point the position is
+/// held.
 #[derive(Clone, Debug)]
 pub(super) struct Trajectory {
-    /// The commanded position, as of the last call.
+    /// The commanded position at the last call.
     here: SetPoint,
-    /// The begin of the current line.
+    /// The start of the current line.
     from: SetPoint,
     points: Deque<SetPoint, MAX_SET_POINTS>,
 }
 
 impl Trajectory {
-    /// Returns a trajectory that holds the position in mm from `now` on.
+    /// Creates a trajectory that holds the position in mm from `now` on.
     pub(super) const fn at(position: f32, now: Instant) -> Self {
         let here = SetPoint { position, at: now };
         Self { here, from: here, points: Deque::new() }
     }
 
-    /// Goes to the position at the speed limit and discards all set-points.
+    /// Moves to the position at the speed limit and discards all set-points.
     pub(super) fn set_target(&mut self, now: Instant, position: f32, speed_limit: f32) {
         self.advance(now, speed_limit);
         self.points.clear();
         self.from = SetPoint { position, at: now };
     }
 
-    /// Adds a set-point, which replaces those at the same or a later time. One in the past is a target. Returns `false`
-    /// without a change when [`MAX_SET_POINTS`] earlier ones wait.
+    /// Adds a set-point and replaces all at the same or a later time. One in the past becomes a target. Returns `false`
+    /// and changes nothing if [`MAX_SET_POINTS`] earlier ones are queued.
     pub(super) fn schedule(&mut self, now: Instant, position: f32, at: Instant, speed_limit: f32) -> bool {
         if now.has_reached(at) {
             self.set_target(now, position, speed_limit);
@@ -58,7 +58,7 @@ impl Trajectory {
         true
     }
 
-    /// Lets time pass and returns the position to command at `now`, in mm. The speed limit is in mm/s.
+    /// Advances the time and returns the position to command at `now`, in mm. The speed limit is in mm/s.
     pub(super) fn advance(&mut self, now: Instant, speed_limit: f32) -> f32 {
         while let Some(next) = self.points.front().copied().filter(|next| now.has_reached(next.at)) {
             self.from = next;
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
     use std::vec::Vec;
 
-    /// Near the end of the clock's range, so that every case also shows that it may wrap.
+    /// Near the end of the clock's range, so that every test also covers wrapping.
     const BEGIN: Instant = Instant::from_millis(u32::MAX - 50);
     const FAST: f32 = 10_000.0;
 

@@ -1,4 +1,4 @@
-//! The worker: one order a period, and the state in between.
+//! The worker: sends one order per period and receives the state in between.
 
 use super::line::Exchanges;
 use super::pace::Pace;
@@ -15,16 +15,17 @@ use crate::types::{AutoUpdate, Status, SystemFlags};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-/// The travel of one Pre-position, in ms.
+/// The travel time of one Pre-position, in ms.
 const SEGMENT_MS: u32 = 100;
-/// The shortest way that is worth a Pre-position, in mm.
+/// The shortest distance for which a Pre-position is sent, in mm.
 const SHORTEST_WAY: f32 = 0.05;
-/// Of width, speed and force. Real grippers send up to 140 updates a second by field reports.
+/// The update period for width, speed and force, in ms. In field reports, real grippers send up to 140 updates per
+/// second.
 const UPDATE_PERIOD_MS: u16 = 25;
-/// What [`Backend::PrePosition`] subscribes to.
+/// The subscriptions of [`Backend::PrePosition`].
 const TOPICS: [Topic; 3] = [Topic::Width, Topic::Speed, Topic::Force];
 
-/// The gripper on its way along the trajectory.
+/// The gripper, following the trajectory.
 #[derive(Debug)]
 pub(super) struct Worker<IO, C> {
     gripper: Gripper<IO, C>,
@@ -32,27 +33,27 @@ pub(super) struct Worker<IO, C> {
     shared: Arc<Mutex<Shared>>,
     backend: Backend,
     rate_hz: u16,
-    /// The position that was ordered last.
+    /// The last ordered position in mm.
     set_point: Option<f32>,
     segment: Segment,
 }
 
-/// Where Pre-position stands.
+/// The state of the Pre-position back-end.
 #[derive(Debug)]
 struct Segment {
     pending: Option<Pending<()>>,
-    /// Where the last one ended, or is to end, in mm.
+    /// The current or planned end of the last segment, in mm.
     end: f32,
-    /// The way of the last one, in mm.
+    /// The distance of the last segment, in mm.
     way: f32,
-    /// Something blocks the fingers in this direction: positive to open, 0 for none.
+    /// The direction in which the fingers are blocked: positive is opening, 0 is none.
     blocked: f32,
-    /// In N, as set.
+    /// The applied force limit in N.
     force_limit: f32,
 }
 
 impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
-    /// Finds out the back-end and measures once.
+    /// Detects the back-end and measures once.
     pub(super) fn new(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, Error<IO::Error>> {
         let mut clock = gripper.clock().clone();
         let limits = gripper.limits()?;
@@ -65,7 +66,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             sent = clock.now();
             match exchange(&mut gripper, backend, None, 0.0) {
                 Ok(Some(measured)) => found = Some((backend, measured)),
-                // Nothing serves the command, or something else does.
+                // The command is unsupported, or another script uses it.
                 Ok(None) | Err(Error::Refused(_) | Error::TooLong { .. }) => continue,
                 Err(error) => return Err(error),
             }
@@ -122,7 +123,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         self.backend
     }
 
-    /// Follows the trajectory until something ends it, and returns the gripper.
+    /// Follows the trajectory until the stream ends, and returns the gripper.
     pub(super) fn run(mut self) -> Gripper<IO, C> {
         let mut pace = Pace::new(self.rate_hz, self.clock.now());
         let cause = loop {
@@ -137,7 +138,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         self.finish(cause)
     }
 
-    /// Sends what is due.
+    /// Sends the orders that are due.
     fn turn(&mut self) -> Result<(), Cause> {
         let now = self.clock.now();
         let order = {
@@ -159,7 +160,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         self.check()
     }
 
-    /// Takes what the gripper sends until `due`, at least what is there.
+    /// Receives updates until `due`, but at least those available.
     fn rest(&mut self, due: Instant) -> Result<(), Cause> {
         loop {
             let now = self.clock.now();
@@ -176,7 +177,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         }
     }
 
-    /// Keeps the answer to a request of `sent`.
+    /// Records the reply to a request of time `sent`.
     fn record(&mut self, sent: Instant, measured: Measured) {
         let received = self.clock.now();
         let mut shared = lock(&self.shared);
@@ -184,7 +185,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         shared.record(received, &measured, self.set_point);
     }
 
-    /// Keeps an automatic update of the width, with the latest values of the others.
+    /// Records an automatic update of the width, with the latest values of the others.
     fn record_update(&mut self, position: f32) {
         let received = self.clock.now();
         let known = self.gripper.known();
@@ -198,7 +199,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         lock(&self.shared).record(received, &measured, self.set_point);
     }
 
-    /// Looks for what ends a stream without an answer that says so.
+    /// Checks for conditions that end the stream without an error reply.
     fn check(&self) -> Result<(), Cause> {
         let reported = lock(&self.shared).latest.flags;
         let known = self.gripper.known().flags.unwrap_or_default();
@@ -211,8 +212,8 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         Ok(())
     }
 
-    /// Begins the next segment when the one before is over. A running one is not replaced, because the gripper refuses a
-    /// Pre-position while the fingers move (command set, 3.2.2).
+    /// Begins the next segment when the previous one has ended. A running segment is not replaced, because the gripper
+    /// rejects a Pre-position while the fingers move (command set, 3.2.2).
     fn pre_position(&mut self, now: Instant, order: Option<Order>) -> Result<(), Cause> {
         if let Some(pending) = &self.segment.pending {
             match self.gripper.poll(pending) {
@@ -234,7 +235,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         }
         if order.force_limit != self.segment.force_limit {
             match self.gripper.set_force_limit(N(order.force_limit)) {
-                // Its own limits may be narrower.
+                // The gripper's own limits may be narrower.
                 Ok(()) | Err(Error::Mismatch) => self.segment.force_limit = order.force_limit,
                 Err(error) => return Err(cause_of(error)),
             }
@@ -248,7 +249,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         Ok(())
     }
 
-    /// Stops the fingers and reports why.
+    /// Stops the fingers and reports the cause.
     fn finish(mut self, mut cause: Cause) -> Gripper<IO, C> {
         {
             let mut shared = lock(&self.shared);
@@ -259,12 +260,12 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         }
         let is_stop_confirmed = self.gripper.stop().is_ok();
         if is_stop_confirmed && let Some(pending) = &self.segment.pending {
-            // Its result, or the next motion would be refused.
+            // Fetches the result; otherwise the next motion would be rejected.
             let _ = self.gripper.wait(pending);
         }
         match self.backend {
             Backend::Script if is_stop_confirmed => {
-                // Or the script could act on the motions that follow.
+                // Otherwise the script could affect the following motions.
                 let _ = exchange(&mut self.gripper, self.backend, None, 0.0);
             }
             Backend::Script | Backend::UmiScript => {}
@@ -274,7 +275,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
                 }
             }
         }
-        // FAST STOP aborts a motion, too.
+        // FAST STOP also aborts motions.
         if cause == Cause::StoppedByOther
             && self.gripper.system_state().is_ok_and(|flags| flags.contains(SystemFlags::FAST_STOP))
         {
@@ -288,8 +289,8 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     }
 }
 
-/// Sends an order to the script, or only measures, and returns the state. `here` is the measured position in mm. `None` for an
-/// answer of another layout.
+/// Sends an order to the script, or only measures, and returns the state. `here` is the measured position in mm.
+/// Returns `None` for a reply of another layout.
 fn exchange<IO: Transport, C: Clock>(
     gripper: &mut Gripper<IO, C>,
     backend: Backend,

@@ -1,4 +1,4 @@
-//! A transport over anything that reads and writes.
+//! A transport over any byte stream.
 
 use crate::driver::readiness::{AsPollable, duplicate};
 use crate::driver::{StopLine, Stoppable, second};
@@ -9,17 +9,17 @@ use embedded_io_async::ErrorType;
 use std::io;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-/// A transport over a byte stream of tokio's traits: a port of the crate `tokio-serial`, a Unix socket. Its reads and
-/// writes may be given up, as the driver asks.
+/// A transport over a byte stream with tokio's traits, such as a port of the crate `tokio-serial` or a Unix socket. Its
+/// reads and writes are cancel-safe, as the driver requires.
 ///
-/// Over TCP use [`Tcp`](super::Tcp), which announces its end.
+/// For TCP use [`Tcp`](super::Tcp), which announces its end.
 #[derive(Debug)]
 pub struct Stream<T> {
     stream: T,
 }
 
 impl<T: AsyncRead + AsyncWrite + Unpin> Stream<T> {
-    /// A transport over this stream.
+    /// Creates a transport over this stream.
     #[must_use]
     pub const fn new(stream: T) -> Self {
         Self { stream }
@@ -27,7 +27,7 @@ impl<T: AsyncRead + AsyncWrite + Unpin> Stream<T> {
 }
 
 impl<T> Stream<T> {
-    /// The stream.
+    /// Returns the stream and drops the transport.
     #[must_use]
     pub fn into_inner(self) -> T {
         self.stream
@@ -63,7 +63,7 @@ impl<T: AsyncWrite + Unpin> embedded_io_async::Write for Stream<T> {
     }
 }
 
-/// On Unix of any stream with a file descriptor, on Windows of a socket.
+/// On Unix for any stream with a file descriptor, on Windows for a socket.
 impl<T: AsPollable> Stoppable for Stream<T> {
     fn stop_line(&mut self) -> io::Result<StopLine> {
         Ok(StopLine::new(second::stream(duplicate(&self.stream)?), || {}))

@@ -1,4 +1,4 @@
-//! TCP, whose end is announced.
+//! A TCP transport that announces the end of its connection.
 
 use super::Stream;
 use crate::driver::farewell::{Farewell, linger};
@@ -13,10 +13,10 @@ use std::io::{self, ErrorKind};
 use tokio::io::AsyncWrite;
 use tokio::net::{TcpStream, ToSocketAddrs, lookup_host};
 
-/// A TCP connection to a gripper, for either protocol; port 1000 for the binary one.
+/// A TCP connection to a gripper, for either protocol. The binary protocol uses port 1000.
 ///
-/// When it is dropped, also with a future, it announces the end of the connection, as
-/// [the blocking one](host::Tcp) does. A short-lived thread waits until the gripper closes its end.
+/// Dropping it, alone or with a future, announces the end of the connection, like [the blocking version](host::Tcp). A
+/// short-lived thread waits for the gripper to close its end.
 #[derive(Debug)]
 pub struct Tcp {
     stream: Stream<TcpStream>,
@@ -24,15 +24,16 @@ pub struct Tcp {
 }
 
 impl Tcp {
-    /// How long [`connect`](Self::connect) waits for each address.
+    /// Time-out of [`connect`](Self::connect) for each address.
     pub const CONNECT_TIMEOUT: Duration = host::Tcp::CONNECT_TIMEOUT;
 
-    /// Connects to the first address that answers, such as `"192.168.1.20:1000"`.
+    /// Connects to the first reachable address, such as `"192.168.1.20:1000"`.
     ///
     /// # Errors
-    /// That of the last address.
+    /// Returns the error for the last address.
     pub async fn connect(address: impl ToSocketAddrs) -> io::Result<Self> {
-        let mut result = Err(io::Error::new(ErrorKind::AddrNotAvailable, "the name has no address"));
+        let mut result =
+            Err(io::Error::new(ErrorKind::AddrNotAvailable, "the name does not resolve to an address"));
         for address in lookup_host(address).await? {
             let connecting = tokio::time::timeout(Self::CONNECT_TIMEOUT, TcpStream::connect(address));
             result = connecting.await.unwrap_or_else(|_| Err(ErrorKind::TimedOut.into()));
@@ -43,12 +44,12 @@ impl Tcp {
         Self::new(result?)
     }
 
-    /// Takes a connection that exists.
+    /// Creates a transport over an existing connection.
     ///
     /// # Errors
-    /// The options of the socket cannot be set.
+    /// Returns the error if the socket options cannot be set.
     pub fn new(stream: TcpStream) -> io::Result<Self> {
-        // A frame is one segment, and it leaves at once.
+        // Each frame is one segment, sent immediately.
         stream.set_nodelay(true)?;
         Ok(Self { stream: Stream::new(stream), farewell: Farewell::default() })
     }
@@ -91,10 +92,10 @@ impl Drop for Tcp {
         let mut buffer = [0; OVERHEAD];
         let Some(message) = self.farewell.due(&mut buffer) else { return };
         let stream = self.stream.get_mut();
-        // One attempt, without waiting. Nobody is left to be told of an error.
+        // A single attempt without waiting. There is no caller to report an error to.
         if stream.try_write(message).is_ok() {
             let _ = Pin::new(&mut *stream).poll_shutdown(&mut Context::from_waker(Waker::noop()));
-            // The runtime must not wait.
+            // The runtime must not block.
             if let Ok(second) = duplicate(stream) {
                 let _ = std::thread::Builder::new().spawn(move || linger(&second.into()));
             }

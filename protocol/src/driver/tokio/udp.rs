@@ -1,4 +1,4 @@
-//! UDP.
+//! A UDP transport.
 
 use crate::driver::readiness::duplicate;
 use crate::driver::received::Received;
@@ -9,8 +9,8 @@ use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
 use tokio::net::{ToSocketAddrs, UdpSocket, lookup_host};
 
-/// UDP to a gripper, for either protocol: one message a datagram; [the blocking one](crate::driver::host::Udp) tells of
-/// its ports.
+/// A UDP transport to a gripper, for either protocol, with one message per datagram. See [the blocking
+/// version](crate::driver::host::Udp) for the ports.
 #[derive(Debug)]
 pub struct Udp {
     socket: UdpSocket,
@@ -19,19 +19,20 @@ pub struct Udp {
 }
 
 impl Udp {
-    /// Speaks to the gripper at this address, such as `"192.168.1.20:1500"`, and hears answers on this port of every
-    /// local address; 0 for one that is free.
+    /// Opens a socket to the gripper at this address, such as `"192.168.1.20:1500"`. It receives replies on
+    /// `answer_port` of all local addresses; 0 selects a free port.
     ///
     /// # Errors
-    /// The name has no address, or the port is in use.
+    /// Returns an error if the name does not resolve or the port is in use.
     pub async fn connect(gripper: impl ToSocketAddrs, answer_port: u16) -> io::Result<Self> {
         let gripper = lookup_host(gripper).await?.next();
-        let gripper =
-            gripper.ok_or_else(|| io::Error::new(ErrorKind::AddrNotAvailable, "the name has no address"))?;
+        let gripper = gripper.ok_or_else(|| {
+            io::Error::new(ErrorKind::AddrNotAvailable, "the name does not resolve to an address")
+        })?;
         Ok(Self::new(UdpSocket::bind((udp::any_like(gripper), answer_port)).await?, gripper))
     }
 
-    /// Takes a socket that is bound to the port which the gripper answers to.
+    /// Creates a transport over a socket that is bound to the gripper's reply port.
     #[must_use]
     pub const fn new(socket: UdpSocket, gripper: SocketAddr) -> Self {
         Self { socket, gripper, received: Received::new() }

@@ -1,11 +1,11 @@
-//! The parser against a naive reader of the whole recording, and its edges one by one.
+//! Compares the parser with a naive reader of the whole recording, and tests edge cases one by one.
 
 use super::*;
 use crate::frame::FrameEncoder;
 use proptest::prelude::*;
 use std::vec::Vec;
 
-/// What a test compares: events by value.
+/// An event by value, for comparison.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Seen {
     Frame(u8, Vec<u8>),
@@ -23,8 +23,8 @@ impl From<Event<'_>> for Seen {
     }
 }
 
-/// The reference: the whole recording at hand, one position after the other. Gives the events, the bytes dropped and
-/// how many bytes at the end may still become a frame.
+/// The reference: scans the whole recording, one position after the other. Returns the events, the number of dropped
+/// bytes, and the number of bytes at the end that may still become a frame.
 fn reference(bytes: &[u8], limit: usize, ended: bool) -> (Vec<Seen>, usize, usize) {
     let (mut events, mut dropped, mut at) = (Vec::new(), 0, 0);
     while at < bytes.len() {
@@ -83,7 +83,7 @@ fn by_slices<const N: usize>(parser: &mut FrameParser<N>, slices: &[&[u8]]) -> V
                 None => break,
             }
         }
-        assert!(rest.is_empty(), "all bytes are taken once there is no event");
+        assert!(rest.is_empty(), "all bytes must be taken if there is no event");
     }
     events
 }
@@ -100,7 +100,7 @@ fn frame(id: u8, payload: &[u8]) -> Vec<u8> {
     FrameEncoder::new(id, payload).collect()
 }
 
-/// Streams in which false preambles, damaged frames and intact frames are frequent.
+/// Generates streams with frequent false preambles, damaged frames and intact frames.
 fn stream() -> impl Strategy<Value = Vec<u8>> {
     let bytes = prop_oneof![
         3 => proptest::collection::vec(prop_oneof![Just(0xAAu8), Just(0u8), Just(1), Just(8), any::<u8>()], 0..12),
@@ -117,7 +117,7 @@ fn stream() -> impl Strategy<Value = Vec<u8>> {
             let [low, high] = size.to_le_bytes();
             std::vec![0xAA, 0xAA, 0xAA, 0x25, low, high]
         }),
-        // A whole frame inside the payload of one whose checksum is wrong.
+        // A complete frame inside the payload of a frame with a wrong checksum.
         1 => (any::<u8>(), proptest::collection::vec(any::<u8>(), 0..6)).prop_map(|(id, payload)| {
             let mut bytes = frame(id, &frame(id, &payload));
             if let Some(last) = bytes.last_mut() { *last ^= 0x40 }
@@ -145,7 +145,7 @@ proptest! {
         prop_assert_eq!(&by_slices(&mut sliced, &slices), &expected);
         prop_assert_eq!(sliced.counters(), parser.counters());
 
-        // Every byte is in a frame, dropped, or still held: none is lost unseen.
+        // Every byte is part of a frame, dropped or still held.
         let framed: usize = expected.iter().map(|seen| if let Seen::Frame(_, p) = seen { p.len() + 8 } else { 0 }).sum();
         prop_assert_eq!(framed + dropped + held, bytes.len());
         prop_assert_eq!(parser.is_mid_frame(), held > 0);
@@ -173,8 +173,8 @@ proptest! {
 
     #[test]
     fn an_intact_frame_after_any_noise_is_delivered(noise in proptest::collection::vec(prop_oneof![Just(0xAAu8), any::<u8>()], 0..60)) {
-        // The noise may open a frame that swallows the intact one: then a time-out ends it, and the held bytes give
-        // the intact one back. (Noise that forms a frame with a right checksum by chance is what the reference is for.)
+        // The noise may open a frame that swallows the intact one. A time-out then discards it, and the scan finds the
+        // intact frame. (The reference covers noise that forms a valid frame by chance.)
         let intact = frame(0x25, &[0x00, 0x00]);
         let bytes = [noise, intact].concat();
         let (expected, ..) = reference(&bytes, 16, true);
@@ -202,7 +202,7 @@ fn frames_of_the_manual_are_delivered() {
         (&[0xAA, 0xAA, 0xAA, 0x21, 0x02, 0x00, 0x00, 0x00, 0x28, 0x04], 0x21, &[0, 0]),
     ] {
         assert_eq!(by_byte(&mut FrameParser::<16>::new(), bytes), [Seen::Frame(id, payload.to_vec())]);
-        assert_eq!(frame(id, payload), bytes, "and the encoder writes them");
+        assert_eq!(frame(id, payload), bytes, "the encoder must write the same bytes");
     }
 }
 
@@ -238,7 +238,7 @@ fn loop_reply_of_258_bytes_fits_a_parser_that_size() {
 
 #[test]
 fn full_store_still_takes_the_byte_that_comes_during_a_rescan() {
-    // A false frame of the greatest size, every held byte needed: its payload is a run of frames.
+    // A false frame of maximum size whose payload is a run of frames, so every held byte is needed.
     let inner = [frame(1, &[]), frame(2, &[])].concat();
     let mut bytes = frame(0xAA, &inner);
     if let Some(last) = bytes.last_mut() {
@@ -302,5 +302,5 @@ fn checksum_that_only_leads_to_zero_is_refused() {
         let is_frame = matches!(by_byte(&mut FrameParser::<16>::new(), &bytes)[..], [Seen::Frame(..)]);
         assert_eq!(is_frame, bytes == good, "{wrong:04X}h");
     }
-    assert_eq!(accepted, 4, "looking for 0 would take four");
+    assert_eq!(accepted, 4, "a test for 0 would accept four");
 }
