@@ -24,7 +24,9 @@ const REWRITTEN: &[&str] = &[
     "buses/slcan/src",
     "docs/SUMMARY.md",
     "docs/commissioning.md",
+    "docs/decisions.md",
     "docs/demo.md",
+    "docs/deviations.md",
     "docs/grip-cycle.md",
     "docs/models.md",
     "docs/porting.md",
@@ -39,10 +41,17 @@ const REWRITTEN: &[&str] = &[
     "fieldbus/README.md",
     "gripper-sim/src",
     "protocol/README.md",
-    "protocol/src/driver/methods.rs",
-    "protocol/src/driver/methods_of_gcl.rs",
+    "protocol/src",
     "tool/src",
     "xtask/src",
+];
+
+/// Parts of those that have not been rewritten yet, by the beginnings of their paths.
+const NOT_YET: &[&str] = &[
+    "protocol/src/driver/gcl/translate/tests",
+    "protocol/src/driver/tests",
+    "protocol/src/gcl/",
+    "protocol/src/session/tests",
 ];
 
 /// Wordings, each with what to write instead.
@@ -83,7 +92,11 @@ fn typos_finds_nothing_in_any_text() {
 fn rewritten_texts_have_no_wording_of_the_list() {
     let mut found = Vec::new();
     for place in REWRITTEN {
-        for file in files(&root().join(place)) {
+        let is_rewritten = |file: &PathBuf| {
+            let path = file.strip_prefix(root()).unwrap().to_str().unwrap();
+            !NOT_YET.iter().any(|part| path.starts_with(part))
+        };
+        for file in files(&root().join(place)).into_iter().filter(is_rewritten) {
             let text = fs::read_to_string(&file).unwrap();
             let is_rust = file.extension().is_some_and(|extension| extension == "rs");
             found.extend(wordings(&text, is_rust).map(|(line, wording, instead)| {

@@ -1,28 +1,28 @@
-//! The Gripper Control Language: the text protocol over TCP and UDP, both directions (GCL).
+//! The Gripper Control Language (GCL), a text protocol over TCP and UDP, in both directions.
 //!
-//! A request is a line, and so is each answer. A command is acknowledged (`ACK MOVE`); a motion is answered once more when it
-//! is done (`FIN MOVE`) or has failed (`ERR MOVE 29`); a question is answered by a value (`POS=20.0`). What AUTOSEND has
-//! sent by itself begins with an `@`.
+//! Each request and each reply is a line. A command is acknowledged (`ACK MOVE`). A motion has a second reply when it
+//! is done (`FIN MOVE`) or has failed (`ERR MOVE 29`). A query is answered by a value (`POS=20.0`). Automatic updates
+//! (AUTOSEND) begin with `@`.
 //!
-//! | what | is |
+//! | type | purpose |
 //! |---|---|
 //! | [`LineReader`] | bytes to lines |
 //! | [`Request`], [`Answer`], [`Value`] | lines to typed values, and back |
-//! | [`ParseError`], [`Refused`] | why a line is not understood, and the answer to it |
+//! | [`ParseError`], [`Refused`] | the reason why a line is rejected, and the reply to it |
 //! | [`CommandName`] | the table of commands: sections, forms, kinds |
 //! | [`session`] | the controller's side of a connection |
 //!
-//! The grammar, and what was decided where the manual is silent, stand in `docs/gcl.md`. By the feature `gcl`.
+//! See `docs/gcl.md` for the grammar and for decisions where the manual is silent. Requires the feature `gcl`.
 //!
 //! ```
 //! use wsg_protocol::gcl::{Answer, LineEvent, LineReader, Move, Request, Value};
 //!
-//! // The controller asks.
+//! // The controller sends a request.
 //! let mut buffer = [0; Request::MAX_LEN + 1];
 //! let length = Request::Move(Move { width: 50.0, speed: None }).write_line_into(&mut buffer).unwrap();
 //! assert_eq!(&buffer[..length], b"MOVE(50.0)\n");
 //!
-//! // The gripper answers.
+//! // The gripper replies.
 //! let mut reader = LineReader::<64>::new();
 //! let mut answers = 0;
 //! for byte in *b"ACK MOVE\n@POS=31.25\nFIN MOVE\n" {

@@ -9,7 +9,7 @@
 /// `id Name "manual's name" "section" Kind request { parameter: type = "unit" } reply (type = "unit") immediate [..] completion [..];`
 ///
 /// The unit is `""`, or omitted in a reply, if the type's text already includes its units. `immediate` lists the status
-/// codes of the first reply and `completion` those of the second. Only asynchronous commands have a second reply
+/// codes of the first reply and `completion` the codes of the second. Only asynchronous commands have a second reply
 /// (command set, 1.3). The lists combine the English and the German manual, with two additions. Loop (06h) has
 /// E_SUCCESS, without which it could not return data (1.2.2). Grip Part and Release Part (25h, 26h) have
 /// E_NOT_INITIALIZED, because Homing precedes every motion (3.2.1).

@@ -8,7 +8,7 @@ use core::marker::PhantomData;
 
 /// A motion that has begun (E_CMD_PENDING). `wait` and `poll` return its result `T`, repeatedly if needed, until
 /// another motion is begun. Dropping it has no effect on the motion.
-#[must_use = "the motion goes on; `wait` or `poll` tells what it comes to"]
+#[must_use = "the motion continues; call `wait` or `poll` for its result"]
 pub struct Pending<T> {
     id: CommandId,
     serial: u16,

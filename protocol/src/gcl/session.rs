@@ -1,26 +1,26 @@
-//! The controller's side of a connection that speaks GCL.
+//! The controller's side of a GCL connection.
 //!
-//! Sans-IO, as the binary protocol's [`session`](crate::session) is: the caller owns bytes and time.
+//! Sans-IO, like the binary protocol's [`session`](crate::session): the caller owns bytes and time, and must:
 //!
-//! 1. give every event of the [`LineReader`](super::LineReader) to [`Session::handle`];
-//! 2. call [`Session::tick`] until it gives `None`, at the latest when [`Session::poll_timeout`] says;
-//! 3. then send every request that [`Session::poll_transmit`] gives, in order, until it gives `None`.
+//! 1. pass every event of the [`LineReader`](super::LineReader) to [`Session::handle`];
+//! 2. call [`Session::tick`] until it returns `None`, at the latest when [`Session::poll_timeout`] expires;
+//! 3. then send every request that [`Session::poll_transmit`] returns, in order, until it returns `None`.
 //!
-//! What it takes care of:
-//! - **Connecting**: it asks what device it is, subscribes to the values of [`Config`], and asks for each again and
-//!   again, so that silence and a gripper that was restarted are noticed.
-//! - **Motions** are acknowledged and finished; other requests go on in between. While no result comes but the gripper
-//!   reports that it stands still, the result is given up.
-//! - **Lost answers**: what may be repeated is ([`CommandName::is_repeatable`]); a motion, FSACK or BYE never is. What
-//!   it does not know it says: [`Event::Unanswered`].
-//! - **STOP** overtakes what waits; without a connection it is sent once, at once, and never later.
-//! - **FASTSTOP** goes out before anything else, is repeated until the gripper confirms it, over a reconnect as well, and
-//!   is never acknowledged by the session itself.
-//! - **Updates**: what is subscribed to by [`Config`] or [`Session::subscribe`] is subscribed to again after a reconnect.
-//! - **Silence**: the connection is given up, all knowledge of the gripper with it, and what was waiting to be sent is
-//!   withdrawn. PWT and CLT, which the gripper forgets with the connection, are the caller's to set again.
-//! - **BYE**: once it is confirmed nothing is sent any more, until [`Session::disconnect`] says that there is a new
-//!   connection. To close a TCP connection without it is a FAST STOP (GCL, 2.1.2).
+//! The session handles:
+//! - **Connecting**: queries the device, subscribes to the values of [`Config`], and polls each of them to detect a
+//!   silent or restarted gripper.
+//! - **Motions**: are acknowledged and finished, and other requests proceed in between. If the gripper reports
+//!   standstill but the result is missing, the session stops waiting for it.
+//! - **Lost replies**: repeats requests that are [repeatable](CommandName::is_repeatable), but never a motion, FSACK or
+//!   BYE. An unknown outcome is reported as [`Event::Unanswered`].
+//! - **STOP**: overtakes all queued requests. Without a connection it is sent once, immediately, and never later.
+//! - **FASTSTOP**: is sent before anything else and repeated until the gripper confirms it, even across a reconnect.
+//!   The session never acknowledges it.
+//! - **Updates**: restores all subscriptions of [`Config`] and [`Session::subscribe`] after a reconnect.
+//! - **Silence**: closes the connection, forgets the gripper's state and withdraws all queued requests. The gripper
+//!   loses PWT and CLT with the connection, so the caller must set them again.
+//! - **BYE**: after its confirmation, nothing is sent until [`Session::disconnect`] announces a new connection. Closing
+//!   a TCP connection without BYE triggers a FAST STOP (GCL, 2.1.2).
 //!
 //! ```
 //! use wsg_protocol::Instant;
@@ -31,7 +31,7 @@
 //! let now = Instant::from_millis(0);
 //! assert_eq!(session.tick(now), None);
 //! assert_eq!(session.poll_transmit(now), Some(Request::Verbose(false)));
-//! // Not connected yet, so a motion is refused, not kept.
+//! // Not connected yet, so a motion is rejected, not queued.
 //! assert!(session.request(Request::Grip(Grip::Preset)).is_err());
 //! ```
 
@@ -53,39 +53,39 @@ use crate::session::{Engine, EventOf};
 use crate::time::Instant;
 use crate::types::Status;
 
-/// The controller's side of a connection that speaks GCL.
+/// The controller's side of a GCL connection.
 pub type Session = Engine<Gcl>;
 
-/// What happened.
+/// An event of a GCL session.
 pub type Event<'a> = EventOf<CommandName, Answer<'a>, Value<'a>>;
 
-/// Why a request was not taken. Nothing of it will be sent.
+/// The reason why a request was rejected. It is never sent.
 pub type RequestError = crate::session::RequestError<ParseError>;
 
-/// The text protocol (GCL).
+/// The dialect of the text protocol (GCL).
 #[derive(Clone, Copy, Debug)]
 pub struct Gcl {
-    /// Whether errors come with a text.
+    /// Whether error replies include a text.
     verbose: bool,
 }
 
-/// Of the steps of connecting, the first that subscribes: those from here on are taken again and again.
+/// The first setup step that subscribes. The steps from here on are repeated while connected.
 const FIRST_SUBSCRIPTION: u8 = 4;
 
 impl Session {
-    /// A session that is not connected, and begins to connect at once.
+    /// Creates a disconnected session, which begins to connect immediately.
     #[must_use]
     pub const fn new(config: Config) -> Self {
         Self::over(Gcl { verbose: config.verbose }, config.timing(), subscriptions::of_config(&config))
     }
 
-    /// Asks for a request to be sent. Its outcome comes as an [`Event`].
+    /// Requests a command. Its outcome is reported as an [`Event`].
     ///
-    /// STOP and FASTSTOP overtake what waits: it is withdrawn. AUTOSEND is a [`subscription`](Self::subscribe); no
-    /// event tells of its acknowledgement.
+    /// STOP and FASTSTOP overtake all queued requests, which are withdrawn. AUTOSEND is a
+    /// [`subscription`](Self::subscribe), and its acknowledgement causes no event.
     ///
     /// # Errors
-    /// [`RequestError`]; then the request is not sent, now or later.
+    /// Returns [`RequestError`] if the request is rejected. It is then never sent.
     pub fn request(&mut self, request: Request) -> Result<(), RequestError> {
         request.check().map_err(RequestError::Invalid)?;
         if let Request::Autosend(autosend) = request {
@@ -95,11 +95,11 @@ impl Session {
         self.enqueue(transaction::Request::Own(request))
     }
 
-    /// Has the gripper send a value by itself from now on, again after each reconnect, as [`Event::Reported`].
-    /// [`Autosend::off`] ends that. Intervals below 10 ms, other than 0, count as 10 ms. In place of what [`Config`]
-    /// says; what [`Autosend::check`](Request::check) would refuse changes nothing.
+    /// Subscribes to periodic updates of a value, reported as [`Event::Reported`]. The subscription overrides
+    /// [`Config`] and is restored after each reconnect. [`Autosend::off`] ends it. Intervals below 10 ms, other than 0,
+    /// count as 10 ms. Invalid parameters (see [`Request::check`]) change nothing.
     ///
-    /// The two states are asked for again and again even without updates: the session needs them.
+    /// The session polls the two states even without updates.
     ///
     /// ```
     /// use wsg_protocol::gcl::session::{Config, Session};
@@ -114,7 +114,7 @@ impl Session {
         }
     }
 
-    /// Takes what the reader found.
+    /// Processes an event of the reader.
     pub fn handle<'a>(&mut self, now: Instant, event: &LineEvent<'a>) -> Option<Event<'a>> {
         let answer = match event {
             LineEvent::Line(line) => Answer::parse(line).ok(),
@@ -127,7 +127,7 @@ impl Session {
         self.take(now, &answer)
     }
 
-    /// The next request to send. It counts as sent now.
+    /// Returns the next request to send and counts it as sent.
     pub fn poll_transmit(&mut self, now: Instant) -> Option<Request> {
         match self.next_to_send(now, None)? {
             Outgoing::FastStop => Some(Request::Faststop),
@@ -147,8 +147,8 @@ impl Dialect for Gcl {
 
     const NOTHING: Known = Known::NOTHING;
 
-    /// Who is it, then for each subscription AUTOSEND and the value itself, because AUTOSEND on change says nothing before
-    /// the first change.
+    /// Device information first, then AUTOSEND and a query for each subscription: AUTOSEND on change sends nothing
+    /// before the first change.
     fn setup(&self, step: u8, subscribed: &Self::Subscriptions) -> Option<Request> {
         match step {
             0 => Some(Request::Verbose(self.verbose)),
@@ -187,7 +187,7 @@ impl Dialect for Gcl {
         }
     }
 
-    /// An error is about any request of its name, a value about the element that was asked for.
+    /// An error matches any request of its name. A value must match the requested element.
     fn fits(request: &Request, answer: &Answer<'_>) -> bool {
         let element = match answer {
             Answer::Err { .. } => return true,
@@ -201,12 +201,12 @@ impl Dialect for Gcl {
         name.is_finished()
     }
 
-    /// An error does not tell how a motion ends from how it is refused.
+    /// An error does not reveal whether a motion failed or was rejected.
     fn is_late_result(_: CommandName, status: Status, given_up: bool) -> bool {
         given_up && is_result(status)
     }
 
-    /// A gripper without a command of the manual is one, but without its states it cannot be watched.
+    /// A gripper may lack a command of the manual, but without its states it cannot be monitored.
     fn completes_step(name: CommandName, status: Status) -> bool {
         status == Status::Success || !matches!(name, CommandName::Gripstate | CommandName::Sysflags)
     }
@@ -245,7 +245,7 @@ impl Name for CommandName {
     }
 }
 
-/// The element of a vector that a request asks for.
+/// Returns the vector element that a request queries.
 const fn element_asked_for(request: &Request) -> Option<u8> {
     match *request {
         Request::Sysflags(Select::One(index))
@@ -257,7 +257,7 @@ const fn element_asked_for(request: &Request) -> Option<u8> {
     }
 }
 
-/// The element of a vector that a value is.
+/// Returns the vector element that a value contains.
 const fn element_of(value: &Value<'_>) -> Option<u8> {
     match *value {
         Value::Sysflags(Selected::One(index, _))
@@ -269,7 +269,7 @@ const fn element_of(value: &Value<'_>) -> Option<u8> {
     }
 }
 
-/// Whether an error is how a motion ends, rather than how it is refused.
+/// Returns whether an error ends a motion, rather than rejecting it.
 const fn is_result(status: Status) -> bool {
     matches!(status, Status::CmdAborted | Status::CmdFailed | Status::AxisBlocked | Status::Timeout)
 }

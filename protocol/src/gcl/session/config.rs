@@ -1,43 +1,44 @@
-//! What can be set about a session: time-outs and subscriptions.
+//! Session settings: time-outs and subscriptions.
 
 use crate::gcl::CommandName;
 use crate::session::config::{FastStopPattern, Timing};
 
-/// Time-outs and subscriptions. All times in milliseconds.
+/// Time-outs and subscriptions of a session. All times are in milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Config {
-    /// How long the first answer to a request may take.
+    /// Time-out for the first reply to a request.
     pub reply_timeout_ms: u32,
-    /// How often a request that may be repeated is sent before the connection counts as lost.
+    /// Number of times a repeatable request is sent before the connection counts as lost.
     pub attempts: u8,
-    /// How often each subscribed value is requested again, besides its automatic updates, as in
+    /// Polling period of each subscribed value, in addition to its automatic updates, as in
     /// [`session::Config`](crate::session::Config::refresh_ms).
     pub refresh_ms: u32,
-    /// How long to wait before connecting is tried again.
+    /// Delay before the next attempt to connect.
     pub reconnect_ms: u32,
-    /// How long a motion may take.
+    /// Time-out for the result of a motion.
     pub motion_timeout_ms: u32,
-    /// How long the result of a motion is waited for once the gripper reports that it stands still.
+    /// Time-out for the result of a motion after the gripper reports standstill.
     pub result_grace_ms: u32,
-    /// The least time between two updates of one value that the gripper sends, at least 10, unless
-    /// [`Session::subscribe`](super::Session::subscribe) says otherwise for one of them.
+    /// Minimum interval between two updates of a value, at least 10 ms.
+    /// [`Session::subscribe`](super::Session::subscribe) overrides it for a single value.
     pub interval_ms: u32,
-    /// Whether the opening width is subscribed to.
+    /// Whether to subscribe to the opening width.
     pub width: bool,
-    /// Whether the finger speed is subscribed to.
+    /// Whether to subscribe to the finger speed.
     pub speed: bool,
-    /// Whether the gripping force is subscribed to.
+    /// Whether to subscribe to the gripping force.
     pub force: bool,
-    /// Whether the temperature is subscribed to.
+    /// Whether to subscribe to the temperature.
     pub temperature: bool,
-    /// Whether errors come with a text (VERBOSE).
+    /// Whether error replies include a text (VERBOSE).
     pub verbose: bool,
 }
 
 impl Config {
-    /// As the binary protocol's: silence is noticed in under a second. System state and gripper state only.
+    /// Like the binary protocol's settings: silence is detected in less than a second. Subscribes to system state and
+    /// gripper state only.
     ///
-    /// The longest stroke (210 mm) at the least speed (5 mm/s) takes 42 s, so a motion may take a minute.
+    /// The motion time-out is one minute, because the longest stroke (210 mm) at the lowest speed (5 mm/s) takes 42 s.
     pub const DEFAULT: Self = Self {
         reply_timeout_ms: 200,
         attempts: 3,
@@ -53,9 +54,9 @@ impl Config {
         verbose: false,
     };
 
-    /// The part that is the same in every dialect.
+    /// Returns the settings that are common to all dialects.
     ///
-    /// A FASTSTOP is repeated one line at a time, without bursts: a line has no length field that could be damaged.
+    /// A FASTSTOP is repeated line by line without bursts, because a line has no length field that could be damaged.
     pub(super) const fn timing(&self) -> Timing<CommandName> {
         Timing {
             reply_timeout_ms: self.reply_timeout_ms,

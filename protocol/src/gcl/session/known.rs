@@ -1,20 +1,20 @@
-//! What is known of the gripper.
+//! The known state of the gripper.
 
 use crate::gcl::{Selected, Value};
 use crate::types::{DeviceType, FirmwareVersion, GripperState, SystemFlags};
 
-/// What the gripper has said of itself; `None`: not yet, or not any more.
+/// Values reported by the gripper. `None` means unknown.
 #[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub struct Known {
-    /// The product.
+    /// Product type of the gripper.
     pub device: Option<DeviceType>,
-    /// Firmware version, where it is one that the binary protocol could say.
+    /// Firmware version, if the binary protocol can represent it.
     pub firmware: Option<FirmwareVersion>,
-    /// Serial number.
+    /// Serial number of the gripper.
     pub serial_number: Option<u32>,
-    /// System state.
+    /// System state flags.
     pub flags: Option<SystemFlags>,
-    /// Gripper state.
+    /// State of the gripping process.
     pub state: Option<GripperState>,
     /// Opening width in mm.
     pub width: Option<f32>,
@@ -31,7 +31,7 @@ pub struct Known {
 }
 
 impl Known {
-    /// Nothing is known.
+    /// The state before the first reply.
     pub const NOTHING: Self = Self {
         device: None,
         firmware: None,
@@ -46,14 +46,14 @@ impl Known {
         clamping_travel: None,
     };
 
-    /// Whether the gripper reports that the fingers move.
+    /// Returns whether the gripper reports moving fingers.
     #[must_use]
     pub fn is_moving(&self) -> bool {
         self.flags.is_some_and(|flags| flags.contains(SystemFlags::MOVING))
             || self.state.is_some_and(GripperState::is_motion)
     }
 
-    /// Keeps a value, if it is one that is kept. Returns whether the fingers move, if the value tells.
+    /// Stores a value if it is part of the known state. Returns whether the fingers move, if the value contains that.
     pub(super) fn learn(&mut self, value: &Value<'_>) -> Option<bool> {
         match *value {
             Value::Sysflags(Selected::All(flags)) => {

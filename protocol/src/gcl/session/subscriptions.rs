@@ -1,4 +1,4 @@
-//! What is subscribed to, and how (GCL, 3.1.7).
+//! Subscriptions to values (GCL, 3.1.7).
 
 use super::Config;
 use crate::gcl::{Autosend, CommandName, Request, Topic};
@@ -27,7 +27,7 @@ impl Subscription for Autosend {
     }
 }
 
-/// Returns the subscriptions that a session begins with, by topic in the order of [`Topic::ALL`].
+/// Returns the initial subscriptions of a session, in the order of [`Topic::ALL`].
 pub(super) const fn of_config(config: &Config) -> Subscriptions<Autosend, { Topic::ALL.len() }> {
     const fn initial(topic: Topic, wanted: bool, interval_ms: u32) -> Autosend {
         let interval_ms =
@@ -45,7 +45,7 @@ pub(super) const fn of_config(config: &Config) -> Subscriptions<Autosend, { Topi
     ])
 }
 
-/// Returns the subscription as the gripper takes it: none, or at least 10 ms apart.
+/// Returns the subscription as the gripper accepts it: disabled, or at least 10 ms apart.
 pub(super) fn rounded(autosend: Autosend) -> Autosend {
     match autosend.interval_ms {
         0 => Autosend::off(autosend.topic),
