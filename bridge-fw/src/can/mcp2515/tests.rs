@@ -319,6 +319,17 @@ fn the_grippers_frames_have_a_buffer_of_their_own_that_leaves_first() {
 }
 
 #[test]
+fn frames_of_one_identifier_never_wait_in_two_buffers() {
+    let (chip, mut controller) = started();
+    assert_eq!(controller.transmit(&frame(0x180, &[1])), Ok(None));
+    assert_eq!(controller.transmit(&frame(0x180, &[2])), Err(nb::Error::WouldBlock));
+    assert_eq!(controller.transmit(&frame(0x181, &[3])), Ok(None));
+    assert_eq!(chip.sent(1).unwrap().1, [1]);
+    assert_eq!(controller.transmit(&frame(0x181, &[4])), Err(nb::Error::WouldBlock));
+    assert_eq!(controller.transmit(&frame(0x180, &[2])), Ok(None));
+}
+
+#[test]
 fn received_frames_come_in_their_order() {
     let (chip, mut controller) = started();
     let id = id_registers(Id::Standard(standard(0x121)));
