@@ -221,10 +221,7 @@ impl Hub {
     }
 
     pub(super) fn report(&self) -> Report {
-        let (now, state) = self.with_gripper(|gripper, now| {
-            gripper.advance(now);
-            (gripper.now(), gripper.state())
-        });
+        let (now, state) = self.look(|gripper| (gripper.now(), gripper.state()));
         let shared = self.lock();
         let Shared { gripper, clients, faults, line_faults, request_counts, reply_counts, .. } = &*shared;
         let counters =
@@ -295,14 +292,10 @@ impl Hub {
     /// Returns the current inputs and the system state.
     #[cfg(all(feature = "profinet", target_os = "linux"))]
     pub(super) fn shown(&self) -> (InputImage, SystemFlags) {
-        self.with_gripper(|gripper, now| {
-            gripper.advance(now);
-            (gripper.fieldbus_images().1, gripper.state().flags)
-        })
+        self.look(|gripper| (gripper.fieldbus_images().1, gripper.state().flags))
     }
 
     /// Calls `act` with the gripper. It must not change the gripper's next wake-up.
-    #[cfg(feature = "script")]
     pub(super) fn look<T>(&self, look: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>) -> T) -> T {
         self.with_gripper(|gripper, now| {
             gripper.advance(now);
