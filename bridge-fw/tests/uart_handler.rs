@@ -235,7 +235,7 @@ fn profibus_master_is_answered_at_its_rate_with_the_driver_on() {
     handler.serve(line, &mut hal);
     assert_eq!(hal.set_up, Some((500_000, Format::Even1)));
     hal.now_us = 1_000_000;
-    // A damaged character is none of the telegram behind it.
+    // A damaged character does not belong to the telegram after it.
     for received in [Err(ErrorKind::Parity)].into_iter().chain(REQUEST.map(Ok)) {
         assert_eq!(hal.wait_us, None);
         hal.received.push_back(received);

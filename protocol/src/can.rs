@@ -13,7 +13,7 @@
 //! The length of a CAN frame therefore does not mark the end of a message; only the size field does. But the size field
 //! also determines the length of every CAN frame of the message, and CAN thereby adds redundancy to a weak checksum.
 //! The [`Reassembler`] enforces it. A message begins at the start of a CAN frame and ends at the end of one, and all
-//! its frames but the last are full. Anything else is rejected, whatever its checksum.
+//! its frames but the last are full. Anything else is rejected, regardless of its checksum.
 //!
 //! CAN guarantees intact frames, and their order within one identifier. It may lose a frame (receiver overrun) or
 //! duplicate one (a sender that missed the end of its own frame). Either costs at most the messages that the frame

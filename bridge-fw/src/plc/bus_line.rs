@@ -11,7 +11,7 @@ use heapless::Vec;
 use super::{BusConfig, DpBuffers, DpResponder, Format, Interrupts, RtuBuffers, RtuPort, UartStatus};
 use crate::atomic::{AtomicBool, Ordering};
 
-/// A UART behind an RS-485 transceiver, for its interrupt handler.
+/// A UART connected to an RS-485 transceiver, for its interrupt handler.
 ///
 /// It reads and writes as a UART of a HAL does. Nothing waits, and `flush` succeeds once the last bit of all written bytes has been
 /// sent.

@@ -93,7 +93,7 @@ fn UART1_IRQ() {
     HANDLER.serve(&BUS, &mut port());
 }
 
-/// UART1, behind a transceiver.
+/// UART1, connected to a transceiver.
 impl HalfDuplexUart for Port {
     fn has_room(&mut self) -> bool {
         Port::has_room(*self)
