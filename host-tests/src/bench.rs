@@ -1,4 +1,4 @@
-//! A [`World`] whose PLC has wires and no bus.
+//! A [`World`] whose PLC uses wires only.
 
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{Config, NoBus};
@@ -8,23 +8,23 @@ use crate::serial_gripper::SerialGripper;
 use crate::wires::Wires;
 use crate::world::World;
 
-/// Bridge and gripper, and a PLC that a test plays.
+/// Bridge and gripper, with PLC wires driven by the test.
 pub type Bench = World<NoBus>;
 
 impl Bench {
-    /// A bench with all wires of the PLC low.
+    /// Creates a bench with all PLC wires low.
     #[must_use]
     pub fn new(config: wsg_sim::Config) -> Self {
         Self::with_bridge(Config::DEFAULT, config)
     }
 
-    /// A bench with all wires of the PLC low, and these settings of bridge and gripper.
+    /// Creates a bench with all PLC wires low and these settings of bridge and gripper.
     #[must_use]
     pub fn with_bridge(bridge: Config, gripper: wsg_sim::Config) -> Self {
         Self::with(bridge, NoBus, SerialGripper::new(gripper), Inputs::empty())
     }
 
-    /// A bench that is READY: connected, FAST STOP acknowledged.
+    /// Creates a bench that is READY: connected, with FAST STOP acknowledged.
     #[must_use]
     pub fn ready(config: wsg_sim::Config) -> Self {
         let mut bench = Self::new(config);
@@ -32,7 +32,7 @@ impl Bench {
         bench
     }
 
-    /// A bench that is READY and REFERENCED.
+    /// Creates a bench that is READY and REFERENCED.
     #[must_use]
     pub fn homed(config: wsg_sim::Config) -> Self {
         let mut bench = Self::new(config);

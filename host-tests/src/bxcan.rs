@@ -1,10 +1,10 @@
-//! The CAN controller of the STM32L4, bxCAN, as ST's RM0351 describes it in chapter 46: what the core sees in its
-//! registers, and what it does on a bus.
+//! Model of bxCAN, the STM32L4's CAN controller, per chapter 46 of ST's RM0351: its registers and its behaviour on a
+//! bus.
 //!
-//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. The model refuses every option that
-//! the board's driver does not use: test modes, wake-up, single transmission, automatic bus-off recovery, FIFO 1, list filters
-//! and filters of 16 bits. What the manual forbids a driver and the hardware ignores, this ignores too, and keeps in
-//! [`Bxcan::violations`].
+//! The bus of [`can_bus`](crate::can_bus) reports when a frame begins, ends or fails. The model rejects all options
+//! that the board's driver does not use: test modes, wake-up, single transmission, automatic bus-off recovery, FIFO
+//! 1, list filters and 16-bit filters. Accesses that the manual forbids and the hardware ignores are ignored, too,
+//! and recorded in [`Bxcan::violations`].
 
 mod faults;
 mod fifo;
@@ -21,7 +21,7 @@ use self::mailboxes::Mailboxes;
 use crate::can_controller::{BusController, ErrorCode, Transmission};
 use crate::can_wire::WireFrame;
 
-/// Offsets of registers (46.9.2 to 46.9.4).
+/// Register offsets (46.9.2 to 46.9.4).
 const MCR: u32 = 0x00;
 const MSR: u32 = 0x04;
 const TSR: u32 = 0x08;
@@ -34,10 +34,10 @@ const FIFO_0: u32 = 0x1B0;
 const FIFO_0_END: u32 = 0x1C0;
 const FILTERS: u32 = 0x200;
 
-/// How many bytes its registers take.
+/// Length of the register block in bytes.
 pub const LEN: u32 = 0x400;
 
-/// Bits of MCR (46.9.2) that are modelled.
+/// Modelled bits of MCR (46.9.2).
 const INRQ: u32 = 1 << 0;
 const SLEEP: u32 = 1 << 1;
 const DBF: u32 = 1 << 16;
@@ -51,47 +51,47 @@ const RXM: u32 = 1 << 9;
 /// The line is recessive, now and at the last sample point.
 const RX_AND_SAMP: u32 = 0b11 << 10;
 
-/// Bits of IER that are modelled: for an empty mailbox, and for a message in FIFO 0.
+/// Modelled bits of IER: mailbox empty, and message pending in FIFO 0.
 const TMEIE: u32 = 1 << 0;
 const FMPIE0: u32 = 1 << 1;
 
-/// Bits of BTR: all of the timing, and the two test modes.
+/// Bits of BTR: the timing and the two test modes.
 const TIMING: u32 = 0x037F_03FF;
 const TEST_MODES: u32 = 0b11 << 30;
 
-/// Recessive bits in a row that a controller waits for before it takes part (46.4.2).
+/// Consecutive recessive bits before a controller takes part (46.4.2).
 const BITS_TO_SYNCHRONISE: u32 = 11;
 
-/// Interrupt lines of transmission and of FIFO 0, by their numbers at the core (RM0351, table 58).
+/// Interrupt numbers of transmission and FIFO 0 (RM0351, table 58).
 pub const LINES: [u8; 2] = [19, 20];
 
-/// Which mode it is in (46.4).
+/// Operating mode (46.4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
-    /// The one after reset.
+    /// The mode after reset.
     Sleep,
     Initialisation,
-    /// On the way to normal mode; what it comes from shows in MSR until it is there.
+    /// On the way to normal mode; until then MSR shows the previous mode.
     Synchronising {
         from: u32,
     },
     Normal,
 }
 
-/// The times of a bit (46.7.7).
+/// Timing of a bit (46.7.7).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitTiming {
-    /// Bits a second.
+    /// Bit rate in bit/s.
     pub rate: u32,
-    /// Where the bit is sampled, in thousandths of it.
+    /// Sample point in thousandths of a bit.
     pub sample_point: u32,
-    /// By how many time quanta it may be made longer or shorter.
+    /// Synchronisation jump width in time quanta.
     pub jump: u32,
-    /// Time quanta of a bit.
+    /// Time quanta per bit.
     pub quanta: u32,
 }
 
-/// The controller.
+/// The bxCAN controller.
 #[derive(Clone, Debug)]
 pub struct Bxcan {
     clock_hz: u32,
@@ -101,7 +101,7 @@ pub struct Bxcan {
     mode: Mode,
     /// Recessive bits since the last frame.
     recessive: u32,
-    /// A frame is on the bus, of this or another.
+    /// Activity while a frame of this or another station is on the bus.
     activity: Option<Activity>,
     mailboxes: Mailboxes,
     fifo: Fifo,
@@ -118,7 +118,7 @@ enum Activity {
 }
 
 impl Bxcan {
-    /// As reset leaves it, on a bus clock of so many Hz.
+    /// Creates a controller after reset with this bus clock in Hz.
     #[must_use]
     pub fn new(clock_hz: u32) -> Self {
         Self {
@@ -138,19 +138,19 @@ impl Bxcan {
         }
     }
 
-    /// What has passed its filters since reset, lost in a FIFO or not.
+    /// Returns all messages accepted by a filter since reset, including any lost in a FIFO.
     #[must_use]
     pub fn accepted(&self) -> &[WireFrame] {
         &self.accepted
     }
 
-    /// What the driver did that the manual forbids and the hardware ignores.
+    /// Returns the driver's accesses that the manual forbids and the hardware ignores.
     #[must_use]
     pub fn violations(&self) -> &[String] {
         &self.violations
     }
 
-    /// The times of a bit as they are set up.
+    /// Returns the configured bit timing.
     #[must_use]
     pub fn bit_timing(&self) -> BitTiming {
         let field = |at: u32, bits: u32| (self.btr >> at & ((1 << bits) - 1)) + 1;
@@ -164,10 +164,10 @@ impl Bxcan {
         }
     }
 
-    /// The register at this offset, as the core loads it.
+    /// Loads the register at this offset.
     ///
     /// # Errors
-    /// When there is none.
+    /// Fails when no such register is modelled.
     pub fn load(&mut self, offset: u32) -> Result<u32> {
         Ok(match offset {
             MCR => self.mcr,
@@ -180,43 +180,41 @@ impl Bxcan {
             MAILBOX..FIFO_0 => self.mailboxes.load(offset - MAILBOX),
             FIFO_0..FIFO_0_END => self.fifo.load(offset - FIFO_0),
             FILTERS.. => self.filters.load(offset - FILTERS)?,
-            _ => bail!("no register of bxCAN is modelled at {offset:#05X}"),
+            _ => bail!("bxCAN: no register is modelled at {offset:#05X}"),
         })
     }
 
-    /// The core stores to the register at this offset.
+    /// Stores to the register at this offset.
     ///
     /// # Errors
-    /// When there is none, or what is asked for is not modelled.
+    /// Fails when the register or the requested option is not modelled.
     pub fn store(&mut self, offset: u32, value: u32) -> Result<()> {
         match offset {
             MCR => self.store_mcr(value)?,
             TSR => self.mailboxes.store_tsr(value),
             RF0R => self.fifo.store_rfr(value),
             IER => {
-                ensure!(value & !(TMEIE | FMPIE0) == 0, "IER {value:#X}: such interrupts are not modelled");
+                ensure!(value & !(TMEIE | FMPIE0) == 0, "IER {value:#X}: these interrupts are not modelled");
                 self.ier = value;
             }
             BTR => self.store_btr(value)?,
             MAILBOX..FIFO_0 => {
                 if !self.mailboxes.store(offset - MAILBOX, value)? {
-                    self.forbidden(format!(
-                        "46.9.3: a mailbox that is not empty was written to, at {offset:#05X}"
-                    ));
+                    self.forbidden(format!("46.9.3: write to a mailbox that is not empty, at {offset:#05X}"));
                 }
             }
-            FIFO_0..FIFO_0_END => self.forbidden(format!("46.9.3: a FIFO was written to, at {offset:#05X}")),
+            FIFO_0..FIFO_0_END => self.forbidden(format!("46.9.3: write to a FIFO, at {offset:#05X}")),
             FILTERS.. => {
                 if !self.filters.store(offset - FILTERS, value)? {
-                    self.forbidden(format!("46.7.4: a filter that is in use was changed, at {offset:#05X}"));
+                    self.forbidden(format!("46.7.4: change of an active filter, at {offset:#05X}"));
                 }
             }
-            _ => bail!("no register of bxCAN is modelled for stores at {offset:#05X}"),
+            _ => bail!("bxCAN: no writable register is modelled at {offset:#05X}"),
         }
         Ok(())
     }
 
-    /// The lines to the core, in the order of [`LINES`] (46.8).
+    /// Returns the interrupt levels in the order of [`LINES`] (46.8).
     #[must_use]
     pub fn interrupts(&self) -> [bool; 2] {
         [
@@ -245,7 +243,7 @@ impl Bxcan {
     }
 
     fn store_mcr(&mut self, value: u32) -> Result<()> {
-        ensure!(value & !MCR_BITS == 0, "MCR {value:#X}: such modes are not modelled");
+        ensure!(value & !MCR_BITS == 0, "MCR {value:#X}: these modes are not modelled");
         self.mcr = value;
         self.change_mode();
         Ok(())
@@ -261,14 +259,14 @@ impl Bxcan {
         Ok(())
     }
 
-    /// Enters the mode that MCR asks for, unless a frame is under way: that goes on to its end (46.4.1, 46.4.3).
+    /// Enters the mode requested in MCR after the current frame, if any, has ended (46.4.1, 46.4.3).
     fn change_mode(&mut self) {
         if self.activity.is_some() {
             return;
         }
         let asked = (self.mcr & INRQ != 0, self.mcr & SLEEP != 0);
         match (self.mode, asked) {
-            // 46.4.3: sleep is left only when SLEEP is cleared.
+            // 46.4.3: sleep mode ends only when SLEEP is cleared.
             (Mode::Sleep, (_, true)) | (Mode::Initialisation, (true, _)) => {}
             (_, (true, false)) => self.enter(Mode::Initialisation),
             (_, (_, true)) => self.enter(Mode::Sleep),
@@ -282,14 +280,14 @@ impl Bxcan {
         if let Mode::Synchronising { from } = mode {
             self.recessive = 0;
             if from == INAK {
-                // 46.7.6: set and cleared, INRQ starts the way out of bus-off.
+                // 46.7.6: setting and clearing INRQ starts the recovery from bus-off.
                 self.faults.begin_recovery();
             }
         }
         self.mode = mode;
     }
 
-    /// A frame ends with as many recessive bits as a controller synchronises to.
+    /// A frame ends with as many recessive bits as synchronisation requires.
     fn end_activity(&mut self) {
         self.activity = None;
         self.change_mode();

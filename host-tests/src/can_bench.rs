@@ -1,4 +1,4 @@
-//! Bridge and virtual gripper on a CAN bus in virtual time, with a controller that can be made to go bus-off.
+//! Bridge and virtual gripper on a CAN bus in virtual time, with a controller that goes bus-off on request.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -20,20 +20,20 @@ use crate::flash_model::FlashModel;
 use crate::serial_gripper::SerialLine;
 use crate::wires::Wires;
 
-/// Frames that a bus at 500 kbit/s carries in a millisecond.
+/// Frames per millisecond on a bus at 500 kbit/s.
 const FRAMES_PER_MS: usize = 4;
 
-/// Of a station without PROFIBUS; all may have the same.
+/// Shared buffers for stations without PROFIBUS.
 pub static NO_PROFIBUS: DpBuffers = DpBuffers::new();
 
-/// Mailboxes of the controller.
+/// Number of transmit mailboxes.
 const MAILBOXES: usize = 3;
 
-/// What becomes of a frame on its way: none, one or more frames.
+/// Modifies a frame in transit: one frame in, any number out.
 pub type Disturbance = Box<dyn FnMut(ClassicFrame) -> Vec<ClassicFrame>>;
 
-/// A controller as boards may have it: three mailboxes, the lowest identifier first, one frame of an identifier at a time,
-/// and when all are taken a more urgent frame takes the place of the least urgent one.
+/// A typical controller with three mailboxes. It sends the lowest identifier first and queues one frame per
+/// identifier. When all mailboxes are full, a more urgent frame displaces the least urgent one.
 #[derive(Clone, Debug, Default)]
 pub struct Double(Rc<RefCell<DoubleState>>);
 
@@ -42,66 +42,66 @@ struct DoubleState {
     mailboxes: Vec<ClassicFrame>,
     received: VecDeque<ClassicFrame>,
     health: Health,
-    /// How many calls of `recover` do not help.
+    /// Number of `recover` calls that remain without effect.
     recoveries_in_vain: u32,
     recoveries: u32,
     aborts: u32,
-    /// The frame that is on the bus now, one of none of the mailboxes.
+    /// The frame in transmission; it occupies no mailbox.
     on_wire: Option<ClassicFrame>,
-    /// What becomes of its withdrawal, once it was asked for.
+    /// Outcome of a withdrawal in progress.
     withdrawal: Option<Withdrawal>,
     withdrawn: u32,
     overrun: bool,
     refuses: bool,
-    /// Nobody acknowledges: frames stay in the mailboxes.
+    /// Whether frames remain unacknowledged and stay in the mailboxes.
     unheard: bool,
 }
 
 impl Double {
-    /// Goes bus-off now, and stays so through this many tries to come back.
+    /// Goes bus-off and ignores this many recovery attempts.
     pub fn go_off(&self, recoveries_in_vain: u32) {
         let mut state = self.0.borrow_mut();
         state.health = Health { is_off: true, is_passive: true, transmit_errors: 255, receive_errors: 3 };
         state.recoveries_in_vain = recoveries_in_vain;
     }
 
-    /// Sees the bus like this from now on.
+    /// Sets the reported bus state.
     pub fn set_health(&self, health: Health) {
         self.0.borrow_mut().health = health;
     }
 
-    /// How often it was told to come back.
+    /// Returns the number of recovery requests.
     #[must_use]
     pub fn recoveries(&self) -> u32 {
         self.0.borrow().recoveries
     }
 
-    /// How often it was told to forget what it had to send.
+    /// Returns the number of abort requests.
     #[must_use]
     pub fn aborts(&self) -> u32 {
         self.0.borrow().aborts
     }
 
-    /// The frames that wait in its mailboxes.
+    /// Returns the frames in the mailboxes.
     #[must_use]
     pub fn waiting(&self) -> Vec<ClassicFrame> {
         self.0.borrow().mailboxes.clone()
     }
 
-    /// How many frames were withdrawn from it one by one.
+    /// Returns the number of frames withdrawn individually.
     #[must_use]
     pub fn withdrawn(&self) -> u32 {
         self.0.borrow().withdrawn
     }
 
-    /// Begins to send the most urgent frame, heard or not, and returns it.
+    /// Starts to transmit the most urgent frame and returns it.
     pub fn begin_frame(&self) -> Option<ClassicFrame> {
         let mut state = self.0.borrow_mut();
         state.on_wire = state.take_most_urgent();
         state.on_wire
     }
 
-    /// Ends that frame, which is returned if it was acknowledged, and repeated otherwise.
+    /// Ends the transmission. An acknowledged frame is returned; any other is queued again.
     pub fn end_frame(&self, is_acknowledged: bool) -> Option<ClassicFrame> {
         let mut state = self.0.borrow_mut();
         let frame = state.on_wire.take()?;
@@ -119,22 +119,22 @@ impl Double {
         None
     }
 
-    /// Loses the next frame for want of room.
+    /// Loses the next received frame to an overrun.
     pub fn overrun(&self) {
         self.0.borrow_mut().overrun = true;
     }
 
-    /// Refuses frames, or takes them again.
+    /// Sets whether frames are rejected.
     pub fn refuse(&self, refuses: bool) {
         self.0.borrow_mut().refuses = refuses;
     }
 
-    /// Nobody is on the bus who acknowledges frames, or somebody is again.
+    /// Sets whether frames remain unacknowledged.
     pub fn set_unheard(&self, unheard: bool) {
         self.0.borrow_mut().unheard = unheard;
     }
 
-    /// The frame that wins on the bus.
+    /// Removes and returns the frame that wins arbitration.
     pub fn take_winner(&self) -> Option<ClassicFrame> {
         let mut state = self.0.borrow_mut();
         if state.health.is_off || state.unheard {
@@ -143,7 +143,7 @@ impl Double {
         state.take_most_urgent()
     }
 
-    /// Brings a frame from the bus.
+    /// Delivers a frame from the bus.
     pub fn bring(&self, frame: ClassicFrame) {
         let mut state = self.0.borrow_mut();
         if !state.health.is_off {
@@ -159,7 +159,7 @@ impl DoubleState {
     }
 }
 
-/// The controller had no room, or refuses.
+/// Error of the controller: no room, or a rejected frame.
 #[derive(Debug)]
 pub struct Trouble;
 
@@ -243,12 +243,12 @@ fn priority(frame: &ClassicFrame) -> u32 {
     }
 }
 
-/// Bridge and gripper on a bus, and a PLC on wires that a test plays.
+/// Bridge and gripper on a CAN bus, and a PLC on wires driven by the test.
 pub struct CanBench {
     station: Station<Double>,
     flash: FlashModel,
     double: Double,
-    /// What a PLC on the bus hears, and what it says next.
+    /// Frames sent to the PLC with their times, and the PLC's queued frames.
     to_plc: Vec<(u32, ClassicFrame)>,
     from_plc: VecDeque<ClassicFrame>,
     gripper: VirtualGripper<1>,
@@ -258,23 +258,23 @@ pub struct CanBench {
     now_ms: u32,
     inputs: Inputs,
     outputs: Outputs,
-    /// Finds messages in what the bridge sends.
+    /// Reassembles messages from the bridge.
     seen: Reassembler<128>,
     sent: Vec<CommandId>,
-    /// On the way to the gripper.
+    /// Disturbance on the way to the gripper.
     pub to_gripper: Option<Disturbance>,
-    /// On the way to the bridge.
+    /// Disturbance on the way to the bridge.
     pub to_bridge: Option<Disturbance>,
 }
 
-/// What a bench runs on.
+/// Board identity of the bench.
 pub const BOARD: BoardId = BoardId { name: "bench", serial: 0x1234_5678 };
 
 impl CanBench {
-    /// A bench with all wires of the PLC low.
+    /// Creates a bench with all PLC wires low.
     ///
     /// # Panics
-    /// Never: a new gripper takes a client, and the delivered settings are good ones.
+    /// Never: a new gripper accepts a client, and the default settings are valid.
     #[must_use]
     pub fn new(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
         Self::with(config, policy, Config { plc_bus: PlcBus::Off, ..Config::DEFAULT })
@@ -283,11 +283,11 @@ impl CanBench {
     fn with(config: wsg_sim::Config, policy: BusOffPolicy, bridge: Config) -> Self {
         let identifiers = bridge.can.gripper;
         let mut gripper = VirtualGripper::with_ports(config);
-        let port = gripper.connect(PortKind::Can).expect("a new gripper takes a client");
+        let port = gripper.connect(PortKind::Can).expect("a new gripper accepts a client");
         let double = Double::default();
         let mut station = Station::new(CanBus::new(double.clone(), policy), &NO_PROFIBUS);
         let flash = FlashModel::new();
-        station.load(&Config::DEFAULT.record(), &flash).expect("the delivered settings are good ones");
+        station.load(&Config::DEFAULT.record(), &flash).expect("the default settings are valid");
         station.start(&Config { gripper_line: GripperLine::Can, ..bridge }, BOARD, ResetCause::Unknown);
         Self {
             station,
@@ -309,10 +309,10 @@ impl CanBench {
         }
     }
 
-    /// A bench that is READY and REFERENCED.
+    /// Creates a bench that is READY and REFERENCED.
     ///
     /// # Panics
-    /// When it does not become so.
+    /// Panics when homing fails.
     #[must_use]
     pub fn homed(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
         let mut bench = Self::new(config, policy);
@@ -320,7 +320,7 @@ impl CanBench {
         bench
     }
 
-    /// A bench with a PLC on the bus, and wires that let it: FAST_STOP_OK high.
+    /// Creates a bench with a PLC on the bus and FAST_STOP_OK high.
     #[must_use]
     pub fn with_node(config: wsg_sim::Config, node: NodeConfig) -> Self {
         let can = CanConfig { node, ..CanConfig::DEFAULT };
@@ -330,71 +330,71 @@ impl CanBench {
         bench
     }
 
-    /// The bridge as a device on the bus; silent on a bench without a PLC there.
+    /// Returns the bridge's CANopen node; it is silent without a PLC on the bus.
     #[must_use]
     pub const fn node(&self) -> &Node {
         self.station.node()
     }
 
-    /// The PLC on the bus says this, after what it has said before.
+    /// Queues a frame from the PLC on the bus.
     pub fn say(&mut self, frame: ClassicFrame) {
         self.from_plc.push_back(frame);
     }
 
-    /// What the PLC has heard since this was last asked, with the moment in milliseconds.
+    /// Returns the frames sent to the PLC since the last call, with their times in milliseconds.
     pub fn take_heard(&mut self) -> Vec<(u32, ClassicFrame)> {
         std::mem::take(&mut self.to_plc)
     }
 
-    /// The controller.
+    /// Returns the controller.
     #[must_use]
     pub fn double(&self) -> &Double {
         &self.double
     }
 
-    /// The bus, as the bridge sees it.
+    /// Returns the bridge's view of the bus.
     #[must_use]
     pub fn bus(&mut self) -> &mut CanBus<Double> {
         self.station.can()
     }
 
-    /// The gripper's link.
+    /// Returns the link to the gripper.
     #[must_use]
     pub fn link(&self) -> &GripperLink {
         self.station.link()
     }
 
-    /// The gripper.
+    /// Returns the gripper.
     pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
         &mut self.gripper
     }
 
-    /// The flash.
+    /// Returns the flash.
     pub fn flash(&mut self) -> &mut FlashModel {
         &mut self.flash
     }
 
-    /// The moment, in milliseconds.
+    /// Returns the current time in milliseconds.
     #[must_use]
     pub fn now_ms(&self) -> u32 {
         self.now_ms
     }
 
-    /// Messages of the bridge that were broken when they left it.
+    /// Returns the number of broken messages sent by the bridge.
     #[must_use]
     pub fn broken(&self) -> u16 {
         let counters = self.seen.counters();
         counters.miscut + counters.bad_checksum + counters.oversize + counters.expired
     }
 
-    /// One turn of the main loop.
+    /// Runs one turn of the main loop.
     fn turn(&mut self) {
         let Self { station, now_ms, inputs, flash, .. } = self;
         let line = &mut SerialLine::with_room(0);
         self.outputs = station.turn(*now_ms, *inputs, line, &mut NoBus, &mut NoBus, flash);
     }
 
-    /// Ends the frame that the controller has [begun](Double::begin_frame).
+    /// Ends the transmission [begun](Double::begin_frame) by the controller.
     pub fn end_frame(&mut self, is_acknowledged: bool) {
         if let Some(frame) = self.double.end_frame(is_acknowledged) {
             self.to_plc.push((self.now_ms, frame));
@@ -445,7 +445,7 @@ impl Wires for CanBench {
                 let frames = disturbed(&mut self.to_bridge, frame);
                 frames.into_iter().for_each(|frame| self.double.bring(frame));
             }
-            // A frame that left makes an interrupt, and that a turn of the main loop.
+            // A transmitted frame raises an interrupt, which wakes the main loop.
             self.turn();
         }
         self.gripper.advance(time);

@@ -1,7 +1,7 @@
-//! A CAN bus between the board's controller and others: arbitration, acknowledgement, time, and what can go wrong.
-//!
-//! Its time is the machine's. A frame takes as long as its bits do, without stuff bits. The others are ideal: they have no
-//! error counters, and a frame of theirs that fails is not sent again.
+//! Model of a CAN bus between the board's controller and other stations: arbitration, acknowledgement, timing, and
+//! faults.
+//! It follows the machine's time. A frame takes as long as its bits, without stuff bits. The other stations are
+//! ideal: they have no error counters and do not repeat a failed frame.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -17,40 +17,40 @@ use crate::can_wire::WireFrame;
 use crate::load_store::Width;
 use crate::registers::{RegisterModel, ensure_word};
 
-/// Where CAN1's registers are (RM0351, table 1).
+/// Base address of CAN1 (RM0351, table 1).
 const CAN1: u32 = 0x4000_6400;
 
-/// CAN1's clock: APB1, which this board runs undivided from its 80 MHz.
+/// CAN1's clock: APB1, which this board runs at the undivided 80 MHz.
 const CLOCK_HZ: u32 = 80_000_000;
 
-/// Bits of a frame that fails at its beginning: some of it, the error flags, and the pause behind them.
+/// Bits of a frame that fails at its beginning, with error flags and intermission.
 const FAILED_BITS: u32 = 31;
 
-/// After how many bits of a free bus it is looked again who wants to send.
+/// Interval on an idle bus after which senders are checked again, in bits.
 const IDLE_STEP: u32 = 11;
 
-/// What is wrong with the bus.
+/// A fault of the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Fault {
-    /// Nothing.
+    /// No fault.
     #[default]
     None,
-    /// The line is dominant: no frame comes through, and nobody who is off comes back.
+    /// The line is dominant: no frame passes, and no station recovers from bus-off.
     ShortCircuit,
-    /// The board's wires are off: it hears silence, and nobody hears it.
+    /// The board's wires are cut: neither side receives the other.
     Cut,
 }
 
-/// A bus with the board's controller on it; clones are the same bus.
+/// A bus with the board's controller; clones share the bus.
 #[derive(Debug)]
 pub struct CanBus<C = Bxcan>(Arc<Mutex<Bus<C>>>);
 
-/// Somebody on the bus besides the board.
+/// A station on the bus besides the board.
 #[derive(Debug)]
 pub struct Station<C = Bxcan> {
     bus: CanBus<C>,
     number: usize,
-    /// What the others send.
+    /// Frames received from other stations.
     pub heard: Receiver<WireFrame>,
 }
 
@@ -61,9 +61,9 @@ struct Bus<C> {
     stations: Vec<Seat>,
     fault: Fault,
     on_wire: Option<OnWire>,
-    /// Time that makes no whole bit yet.
+    /// Time short of a whole bit.
     rest: Duration,
-    /// What the board has sent.
+    /// Frames sent by the board.
     sent: Vec<WireFrame>,
 }
 
@@ -78,7 +78,7 @@ struct OnWire {
     frame: WireFrame,
     from: Sending,
     bits_left: u32,
-    /// Why it will come to nothing.
+    /// Reason for which the transmission will fail.
     fails: Option<ErrorCode>,
 }
 
@@ -95,7 +95,7 @@ impl<C> Clone for CanBus<C> {
 }
 
 impl CanBus {
-    /// A bus of so many bits a second, with bxCAN on it.
+    /// Creates a bus at `rate` bit/s with a bxCAN controller.
     #[must_use]
     pub fn new(rate: u32) -> Self {
         Self::with(Bxcan::new(CLOCK_HZ), rate)
@@ -103,7 +103,7 @@ impl CanBus {
 }
 
 impl<C: BusController> CanBus<C> {
-    /// A bus of so many bits a second, with this controller on it.
+    /// Creates a bus at `rate` bit/s with this controller.
     #[must_use]
     pub fn with(controller: C, rate: u32) -> Self {
         Self(Arc::new(Mutex::new(Bus {
@@ -117,7 +117,7 @@ impl<C: BusController> CanBus<C> {
         })))
     }
 
-    /// Puts somebody on the bus, for good.
+    /// Adds a station permanently.
     #[must_use]
     pub fn join(&self) -> Station<C> {
         let (sender, heard) = mpsc::channel();
@@ -126,19 +126,19 @@ impl<C: BusController> CanBus<C> {
         Station { bus: self.clone(), number: bus.stations.len() - 1, heard }
     }
 
-    /// The board's controller as it is now.
+    /// Returns a copy of the board's controller.
     #[must_use]
     pub fn controller(&self) -> C {
         self.lock().controller.clone()
     }
 
-    /// What the board has sent until now.
+    /// Returns all frames sent by the board.
     #[must_use]
     pub fn sent(&self) -> Vec<WireFrame> {
         self.lock().sent.clone()
     }
 
-    /// Brings the board frames faster than any bus does, as soon as nothing is under way.
+    /// Delivers frames to the board faster than any bus, as soon as the bus is idle.
     pub fn burst(&self, frames: &[WireFrame]) {
         loop {
             let mut bus = self.lock();
@@ -152,24 +152,24 @@ impl<C: BusController> CanBus<C> {
         }
     }
 
-    /// The board does something with its controller.
+    /// Accesses the board's controller.
     pub fn act<T>(&self, what: impl FnOnce(&mut C) -> T) -> T {
         what(&mut self.lock().controller)
     }
 
-    /// Lets time pass, for a controller that is no [`RegisterModel`].
+    /// Advances time, for a controller that is not a [`RegisterModel`].
     pub fn pass(&self, time: Duration) {
         self.lock().advance(time);
     }
 
-    /// How long nothing changes if nobody has more to send: until the frame on the bus ends; `None`: none is there.
+    /// Returns the time until the frame on the bus ends; `None` on an idle bus.
     #[must_use]
     pub fn until_next(&self) -> Option<Duration> {
         let bus = self.lock();
         Some(Duration::from_secs(1) / bus.rate * bus.on_wire?.bits_left)
     }
 
-    /// Breaks or mends the bus.
+    /// Sets or clears a fault of the bus.
     pub fn set_fault(&self, fault: Fault) {
         self.lock().fault = fault;
     }
@@ -185,13 +185,13 @@ impl<C: BusController> Station<C> {
         self.bus.lock().stations[self.number].to_send.push_back(frame);
     }
 
-    /// How many frames wait for the bus.
+    /// Returns the number of queued frames.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.bus.lock().stations[self.number].to_send.len()
     }
 
-    /// Another handle to the same place, for sending alone.
+    /// Returns a handle that sends from this station.
     pub fn sender(&self) -> impl Fn(WireFrame) + Send + 'static {
         let (bus, number) = (self.bus.clone(), self.number);
         move |frame| bus.lock().stations[number].to_send.push_back(frame)
@@ -204,7 +204,7 @@ impl RegisterModel for CanBus {
     }
 
     fn load(&mut self, address: u32, width: Width) -> Result<u32> {
-        // 46.9: all of them are accessed by words.
+        // 46.9: all registers are accessed by words.
         ensure_word(address, width)?;
         self.lock().controller.load(address - CAN1)
     }
@@ -250,7 +250,7 @@ impl<C: BusController> Bus<C> {
                 None => {
                     self.begin();
                     if self.on_wire.is_none() {
-                        // In steps: somebody may be ready to send behind each.
+                        // Advances in steps, because a station may become ready to send in between.
                         let step = bits.min(IDLE_STEP);
                         if self.fault != Fault::ShortCircuit {
                             self.controller.idle(step);
@@ -262,13 +262,13 @@ impl<C: BusController> Bus<C> {
         }
     }
 
-    /// The bus is free: whoever has the lowest identifier begins.
+    /// Arbitrates on a free bus: the lowest identifier wins.
     fn begin(&mut self) {
         let own = self.controller.next_transmission();
         let others = self.stations.iter().enumerate();
         let others = others.filter_map(|(n, seat)| Some((n, *seat.to_send.front()?)));
         let best = others.min_by_key(|(_, frame)| frame.arbitration());
-        // On wires that are off everybody wins.
+        // On cut wires each side wins arbitration.
         let is_alone = self.fault == Fault::Cut;
         match (own, best) {
             (Some(Transmission { mailbox, frame }), best)
@@ -334,7 +334,7 @@ impl<C: BusController> Bus<C> {
     fn tell(&self, frame: &WireFrame, except: Option<usize>) {
         for (n, seat) in self.stations.iter().enumerate() {
             if Some(n) != except {
-                // Whoever is gone hears nothing.
+                // Receivers that no longer exist are skipped.
                 let _ = seat.heard.send(*frame);
             }
         }

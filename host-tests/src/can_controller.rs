@@ -1,64 +1,64 @@
-//! What a bus asks of a CAN controller, whichever it is.
+//! Interface between a CAN bus and any controller model.
 
 use std::fmt::Debug;
 
 use crate::can_wire::WireFrame;
 
-/// A message that is to be sent.
+/// A pending transmission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transmission {
-    /// Which mailbox it is in.
+    /// Index of its mailbox.
     pub mailbox: usize,
     /// The message.
     pub frame: WireFrame,
 }
 
-/// Why a frame failed, by the numbers of bxCAN's LEC.
+/// Cause of a failed frame, numbered as bxCAN's LEC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorCode {
-    /// More than five equal bits.
+    /// More than five equal consecutive bits.
     Stuff = 1,
-    /// A bit that is fixed was not so.
+    /// A fixed-form bit had the wrong level.
     Form = 2,
-    /// Nobody acknowledged.
+    /// No acknowledgement.
     Acknowledgement = 3,
-    /// A recessive bit was not seen.
+    /// A recessive bit was read as dominant.
     BitRecessive = 4,
-    /// A dominant bit was not seen.
+    /// A dominant bit was read as recessive.
     BitDominant = 5,
-    /// The checksum is another.
+    /// The checksum differs.
     Crc = 6,
 }
 
-/// A controller, by what it does on a bus. The bus says when a frame begins, ends, or fails.
+/// A controller's behaviour on a bus. The bus reports when a frame begins, ends or fails.
 pub trait BusController: Clone + Debug + Send + 'static {
-    /// The rate that it is set up for, in bit/s.
+    /// Returns the configured rate in bit/s.
     fn rate(&self) -> u32;
 
-    /// Whether it hears the bus and acknowledges what is on it.
+    /// Returns whether it receives and acknowledges frames.
     fn takes_part(&self) -> bool;
 
-    /// What it would send if the bus were free now.
+    /// Returns the message that it would send on a free bus.
     fn next_transmission(&self) -> Option<Transmission>;
 
-    /// It has begun to send a mailbox's message.
+    /// Handles the start of its own transmission.
     fn begin_transmission(&mut self, mailbox: usize);
 
-    /// Another has begun to send; what this one would have sent has lost arbitration, if it was to begin at once.
+    /// Handles the start of another station's frame. `lost` is the mailbox that lost arbitration, if any.
     fn begin_reception(&mut self, lost: Option<usize>);
 
-    /// What it sent was acknowledged.
+    /// Handles the acknowledgement of its own frame.
     fn end_transmission(&mut self, mailbox: usize);
 
-    /// What it sent failed.
+    /// Handles the failure of its own frame.
     fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode);
 
-    /// Another's frame has come through.
+    /// Handles the end of another station's frame.
     fn end_reception(&mut self, frame: &WireFrame);
 
-    /// Another's frame has failed.
+    /// Handles the failure of another station's frame.
     fn fail_reception(&mut self, why: ErrorCode);
 
-    /// So many bits of a free bus have passed.
+    /// Handles idle bits of a free bus.
     fn idle(&mut self, bits: u32);
 }

@@ -1,4 +1,4 @@
-//! Those on a CAN bus besides the board: a virtual gripper, and a terminal for masters.
+//! Stations on a CAN bus besides the board: a virtual gripper, and a terminal for masters.
 
 use std::io::Write;
 use std::os::unix::net::UnixStream;
@@ -16,20 +16,20 @@ use crate::can_controller::BusController;
 use crate::can_wire::WireFrame;
 use crate::clock::Clock;
 
-/// The lines of those on the bus. They serve until their other ends are gone.
+/// Lines to the stations on the bus, served until their other ends are closed.
 #[derive(Debug)]
 pub struct CanHub {
-    /// The gripper's end: messages byte by byte, as [`GripperEnd`](crate::gripper_end::GripperEnd) takes them.
+    /// The gripper's end: a byte stream of messages, as [`GripperEnd`](crate::gripper_end::GripperEnd) expects.
     pub gripper: UnixStream,
-    /// The master's end: SLCAN, with the answers of an adapter.
+    /// The master's end: SLCAN, including the adapter's replies.
     pub master: UnixStream,
 }
 
 impl CanHub {
-    /// Puts a gripper and a master on the bus, in these places. The gripper's goes by this clock, as the gripper does.
+    /// Connects a gripper and a master to these stations. The gripper's station follows `clock`, as the gripper does.
     ///
     /// # Errors
-    /// When a line or a thread cannot be made.
+    /// Fails when a line or a thread cannot be created.
     pub fn start<C: BusController>([first, second]: [Station<C>; 2], clock: &Clock) -> Result<Self> {
         let (gripper, own_gripper) = UnixStream::pair()?;
         let (master, own_master) = UnixStream::pair()?;
@@ -84,7 +84,7 @@ fn serve_master<C: BusController>(station: Station<C>, line: UnixStream) -> Resu
         each_byte(&from_master, |byte| {
             let Some(line) = decoder.push::<ClassicFrame>(byte) else { return };
             let (to_master, adapter) = &mut *lock(&answering);
-            // A master that is gone hears nothing.
+            // A master that has disconnected is skipped.
             let _ = to_master.write_all(adapter.answer(&line));
             if let (Line::Frame(frame), true) = (line, adapter.is_open()) {
                 send(WireFrame::of(&frame));
@@ -104,14 +104,18 @@ fn serve_master<C: BusController>(station: Station<C>, line: UnixStream) -> Resu
 }
 
 fn spawn(run: impl FnOnce() + Send + 'static) -> Result<()> {
-    thread::Builder::new().name("can".into()).spawn(run).map(drop).context("no thread for a line")
+    thread::Builder::new()
+        .name("can".into())
+        .spawn(run)
+        .map(drop)
+        .context("cannot start the thread of a line")
 }
 
 fn each_byte(line: &UnixStream, mut take: impl FnMut(u8)) {
     while some_bytes(line, &mut take) {}
 }
 
-/// Those of one read; whether the other end is still there.
+/// Passes the bytes of one read. Returns whether the other end is still open.
 fn some_bytes(line: &UnixStream, mut take: impl FnMut(u8)) -> bool {
     let mut chunk = [0; 256];
     let count = uninterrupted::read(line, &mut chunk).unwrap_or(0);

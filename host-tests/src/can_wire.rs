@@ -1,43 +1,43 @@
-//! A frame as it is on the wire of a CAN bus: what arbitration sees, and how long it takes (ISO 11898-1).
+//! A CAN frame on the wire: its arbitration field and its duration (ISO 11898-1).
 
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
 
-/// Bytes of data in a frame.
+/// Maximum number of data bytes.
 pub const MAX_DATA: usize = 8;
 
-/// Bits of a frame around its identifier and data: start, control, CRC, acknowledgement, end. Stuff bits are not counted.
+/// Bits besides identifier and data: start, control, CRC, acknowledgement, end of frame; without stuff bits.
 const OVERHEAD_BITS: u32 = 1 + 1 + 6 + 16 + 2 + 7;
 
-/// Bits between two frames.
+/// Idle bits between two frames.
 const INTERMISSION_BITS: u32 = 3;
 
-/// A frame of classic CAN.
+/// A classic CAN frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WireFrame {
-    /// Its identifier.
+    /// The identifier.
     pub id: Id,
-    /// Whether it asks for data instead of bringing some.
+    /// Whether it is a remote frame.
     pub is_remote: bool,
-    /// Its length field, 0 to 15; above 8 it also means 8.
+    /// Data length code, 0 to 15; values above 8 mean 8 bytes.
     pub dlc: u8,
-    /// Its data; what the length does not cover is 0.
+    /// Data, zero-padded.
     pub data: [u8; MAX_DATA],
 }
 
 impl WireFrame {
-    /// A data frame with a standard identifier; the lowest 11 bits of `id`.
+    /// Creates a data frame with the lowest 11 bits of `id` as standard identifier.
     #[must_use]
     pub fn standard(id: u16, data: &[u8]) -> Self {
         Self::new(Id::Standard(StandardId::new(id & 0x7FF).unwrap_or(StandardId::ZERO)), data)
     }
 
-    /// A data frame with an extended identifier; the lowest 29 bits of `id`.
+    /// Creates a data frame with the lowest 29 bits of `id` as extended identifier.
     #[must_use]
     pub fn extended(id: u32, data: &[u8]) -> Self {
         Self::new(Id::Extended(ExtendedId::new(id & 0x1FFF_FFFF).unwrap_or(ExtendedId::ZERO)), data)
     }
 
-    /// A data frame with up to 8 bytes; more are left out.
+    /// Creates a data frame from the first 8 bytes of `data`.
     #[must_use]
     pub fn new(id: Id, data: &[u8]) -> Self {
         let mut bytes = [0; MAX_DATA];
@@ -47,13 +47,13 @@ impl WireFrame {
         Self { id, is_remote: false, dlc: data.len().min(MAX_DATA) as u8, data: bytes }
     }
 
-    /// The same as a remote frame, without data.
+    /// Converts to a remote frame without data.
     #[must_use]
     pub fn remote(self) -> Self {
         Self { is_remote: true, data: [0; MAX_DATA], ..self }
     }
 
-    /// A frame of another type, which cannot have a length above 8.
+    /// Converts from another frame type, whose length is at most 8.
     #[must_use]
     pub fn of<F: Frame>(frame: &F) -> Self {
         let mut this = Self::new(frame.id(), frame.data());
@@ -62,21 +62,21 @@ impl WireFrame {
         this
     }
 
-    /// As another type of frame; a length above 8 is 8 there.
+    /// Converts to another frame type; a length above 8 becomes 8.
     #[must_use]
     pub fn to<F: Frame>(&self) -> Option<F> {
         let len = usize::from(self.dlc).min(MAX_DATA);
         if self.is_remote { F::new_remote(self.id, len) } else { F::new(self.id, &self.data[..len]) }
     }
 
-    /// The bytes that it brings.
+    /// Returns the data bytes.
     #[must_use]
     pub fn payload(&self) -> &[u8] {
         let len = if self.is_remote { 0 } else { usize::from(self.dlc).min(MAX_DATA) };
         &self.data[..len]
     }
 
-    /// Its arbitration field, from the top bit on; where two begin at once the lower one goes on.
+    /// Returns the arbitration field, left-aligned; the lower value wins.
     #[must_use]
     pub fn arbitration(&self) -> u32 {
         let remote = u32::from(self.is_remote);
@@ -90,7 +90,7 @@ impl WireFrame {
         }
     }
 
-    /// Bits on the bus, with the pause behind it and without stuff bits.
+    /// Returns the number of bits on the bus, including intermission, without stuff bits.
     #[must_use]
     pub fn bits(&self) -> u32 {
         let id = if matches!(self.id, Id::Extended(_)) { 29 + 2 } else { 11 };

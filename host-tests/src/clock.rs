@@ -1,19 +1,19 @@
-//! The time that a virtual gripper beside an emulated board goes by: the wall's, or the machine's.
+//! Clock of a virtual gripper on an emulated board: wall clock or machine time.
 //!
-//! QEMU takes bytes as fast as they come, and its time is close enough to the wall's. Lines of the Pico's emulator have their
-//! rates, and on a busy host its time is slower than the wall's: a gripper that went by the wall would send more than its line
-//! carries, and one that waits for a processor would be late. So that machine tells its time, and waits until everybody who
-//! goes by it has come up to it.
+//! QEMU accepts bytes at any speed, and its time roughly matches the wall clock. The Pico's emulator models bit
+//! rates, and on a busy host its time runs slower than the wall clock. A gripper on wall-clock time would then exceed
+//! the line's capacity, and one that waits for a processor would be late. That machine therefore publishes its time,
+//! and waits until all followers have caught up.
 
 use std::fmt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// What somebody does each time that the machine has told its time; `false`: that was the last time.
+/// Called whenever the machine publishes its time, until it returns `false`.
 type Follower = Box<dyn FnMut() -> bool + Send>;
 
-/// A clock; clones are the same one.
+/// A clock; clones share it.
 #[derive(Clone, Debug)]
 pub struct Clock(Kind);
 
@@ -30,19 +30,19 @@ struct Machine {
 }
 
 impl Clock {
-    /// The clock on the wall.
+    /// Creates a wall clock.
     #[must_use]
     pub fn wall() -> Self {
         Self(Kind::Wall(Instant::now()))
     }
 
-    /// A clock that stands until it is [told](Self::tell).
+    /// Creates a clock that advances only through [`Self::tell`].
     #[must_use]
     pub fn of_machine() -> Self {
         Self(Kind::Machine(Arc::default()))
     }
 
-    /// Time since some moment before.
+    /// Returns the time since an arbitrary start.
     #[must_use]
     pub fn now(&self) -> Duration {
         match &self.0 {
@@ -51,7 +51,7 @@ impl Clock {
         }
     }
 
-    /// The machine's time is this now; returns when all who follow it have done what they do then. The wall is told nothing.
+    /// Sets the machine's time, and returns when all followers have processed it. Has no effect on a wall clock.
     pub fn tell(&self, micros: u64) {
         if let Kind::Machine(machine) = &self.0 {
             machine.micros.store(micros, Ordering::Release);
@@ -60,13 +60,13 @@ impl Clock {
         }
     }
 
-    /// Whether this is the clock on the wall, which tells nobody.
+    /// Returns whether this is a wall clock, which calls no followers.
     #[must_use]
     pub fn is_wall(&self) -> bool {
         matches!(self.0, Kind::Wall(_))
     }
 
-    /// Calls `follower` each time that the machine has [told](Self::tell) its time, until that returns `false`.
+    /// Calls `follower` after each [`Self::tell`], until it returns `false`.
     pub fn follow(&self, follower: impl FnMut() -> bool + Send + 'static) {
         if let Kind::Machine(machine) = &self.0 {
             machine.followers.lock().unwrap_or_else(PoisonError::into_inner).push(Box::new(follower));

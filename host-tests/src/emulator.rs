@@ -1,13 +1,13 @@
-//! The firmware image on an emulated board: power it, wire it, watch it.
+//! The firmware image on an emulated board: power, wiring and observation.
 //!
-//! The ELF that is flashed runs, and tells which board it is for: a B-L475E-IOT01A in QEMU, or a Raspberry Pi Pico in rp2040js
-//! under Node.js. The PLC's wires, the gripper's line, the bus and the service port are the same for both; lines are sockets.
-//! Nothing here sleeps, and every wait has a bound. To reset the board drop the [`Emulator`] and start another.
+//! Runs the ELF that is flashed. The image determines the board: a B-L475E-IOT01A in QEMU, or a Raspberry Pi Pico in
+//! rp2040js under Node.js. Both have the same interface to the PLC's wires, the gripper's line, the bus and the
+//! service port; lines are sockets. No code here sleeps, and every wait is bounded. To reset the board, drop the
+//! [`Emulator`] and start another. The emulator always ends with the process that started it.
 //!
-//! The emulator ends with the process that started it, however that ends.
-//!
-//! Peripherals that QEMU's machine lacks are models, for those who want them ([`Extras::models`]); the Pico's lines run at their
-//! rates, and its time stands until a gripper on one of them has come up to it ([`Emulator::clock`]). What nothing here shows are real time, baud rates on QEMU's lines and electrical levels.
+//! Models replace peripherals that QEMU lacks ([`Extras::models`]). The Pico's lines run at their bit rates, and its
+//! time stops until a gripper on one of them has caught up ([`Emulator::clock`]). Not emulated: real time, bit rates
+//! on QEMU's lines, and electrical levels.
 
 mod output_port;
 mod qemu;
@@ -37,12 +37,12 @@ use crate::line_errors::LineError;
 use crate::mcp2515::Mcp2515;
 use crate::registers::{Derailment, RegisterModel};
 
-/// An emulator starts in tens of milliseconds and answers in less; this is for a host that is very busy.
+/// Time limit on a very busy host. Normally an emulator starts within tens of milliseconds and answers faster still.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// A board in an emulator.
+/// An emulated board.
 trait Chip: fmt::Debug + Send + Sync {
-    /// Drives the one wire.
+    /// Drives a single wire.
     fn set_input(&self, wire: Inputs, high: bool) -> Result<()>;
 
     fn readl(&self, address: u32) -> Result<u32>;
@@ -52,28 +52,28 @@ trait Chip: fmt::Debug + Send + Sync {
     fn now_ms(&self) -> Result<u32>;
 
     fn set_line_error(&self, _line: Line, _error: Option<(LineError, u32)>) -> Result<()> {
-        bail!("line errors of this board are a model beside it")
+        bail!("this board has no built-in line errors; use a model")
     }
 
     fn derail(&self, _how: Derailment) -> Result<()> {
-        bail!("the watchdog of this board is a model beside it")
+        bail!("this board has no built-in watchdog; use a model")
     }
 
     fn watchdog_resets(&self) -> Result<(u32, Duration)> {
-        bail!("the watchdog of this board is a model beside it")
+        bail!("this board has no built-in watchdog; use a model")
     }
 }
 
-/// A line of a board that errors can be on.
+/// A line of a board on which errors can be injected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line {
-    /// The gripper's.
+    /// The gripper's line.
     Gripper,
     /// The PLC's bus.
     Bus,
 }
 
-/// The other ends of a board's lines, until they are taken.
+/// The far ends of a board's lines; `None` once taken.
 #[derive(Debug)]
 struct Lines {
     gripper: Option<UnixStream>,
@@ -81,7 +81,7 @@ struct Lines {
     service: Option<UnixStream>,
 }
 
-/// A running board. Dropping it switches it off.
+/// A running board. Dropping it switches the board off.
 #[derive(Debug)]
 pub struct Emulator {
     chip: Box<dyn Chip>,
@@ -91,30 +91,30 @@ pub struct Emulator {
     clock: Clock,
 }
 
-/// What a board may have besides its wires.
+/// Optional equipment of a board.
 #[derive(Debug, Default)]
 pub struct Extras<'a> {
-    /// Where the firmware's semihosting output goes, which is a `defmt` log; without it there is no
-    /// semihosting, and a firmware that tries locks up.
+    /// Destination of the firmware's semihosting output, a `defmt` log. Without it, firmware that uses semihosting
+    /// locks up.
     pub semihosting: Option<File>,
-    /// Peripherals that QEMU lacks. Not together with semihosting: both take QEMU's standard output.
+    /// Models of peripherals that QEMU lacks. Excludes semihosting, because both need QEMU's standard output.
     pub models: Vec<Box<dyn RegisterModel>>,
-    /// More arguments to QEMU.
+    /// Additional QEMU arguments.
     pub qemu_arguments: &'a [&'a str],
-    /// Of the Pico: the CAN bus that its MCP2515 is on; without it there is no chip on its SPI.
+    /// Pico: the CAN bus of its MCP2515. Without it no chip is on the SPI.
     pub can: Option<CanBus<Mcp2515>>,
-    /// Of the Pico: the file that keeps what the flash holds. Without it the flash is forgotten.
+    /// Pico: file that stores the flash. Without it the flash is volatile.
     pub flash: Option<&'a Path>,
-    /// Of the Pico: what each byte of its RAM is when the power comes; without this 0.
+    /// Pico: initial value of every byte of RAM, 0 by default.
     pub ram: Option<u8>,
-    /// Of the Pico: its watchdog resets it; without this it ends then.
+    /// Pico: whether the watchdog resets the board. Otherwise the emulator ends instead.
     pub may_reset: bool,
 }
 
-/// The wires to the PLC changed, all at once.
+/// A simultaneous change of the wires to the PLC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputChange {
-    /// When the harness saw it.
+    /// Time of observation by the harness.
     pub at: Instant,
     /// All wires after the change.
     pub outputs: Outputs,
@@ -123,15 +123,15 @@ pub struct OutputChange {
 impl Emulator {
     /// Powers a board with the image `elf`, and returns when the firmware's main loop runs.
     ///
-    /// All inputs are low, that is, broken wires: the firmware boots with a FAST STOP wanted.
+    /// All inputs are low, as with broken wires, so the firmware starts with FAST STOP requested.
     ///
     /// # Errors
-    /// When the emulator is missing, refuses to start, or runs no firmware for this board; one line says which.
+    /// Fails with one line when the emulator is missing, does not start, or runs no firmware for this board.
     pub fn start(elf: &Path) -> Result<Self> {
         Self::start_with(elf, Extras::default())
     }
 
-    /// [`start`](Self::start) with `extras`.
+    /// Does the same as [`start`](Self::start), with `extras`.
     ///
     /// # Errors
     /// See [`start`](Self::start).
@@ -149,46 +149,44 @@ impl Emulator {
         Ok(Self { chip, inputs: Mutex::new(Inputs::empty()), lines, watch, clock })
     }
 
-    /// The gripper's end of the line: what the firmware sends comes out, what goes in it receives.
-    /// `None` when it was taken before.
+    /// Returns the gripper's end of the line, or `None` if it has been taken.
     ///
-    /// As on a wire, nothing stops a firmware that nobody reads; other than on a wire, bytes wait
-    /// for the receiver instead of overrunning it. Dropping the end cuts the line for good.
+    /// As on a wire, the firmware is not blocked by a missing reader. Unlike on a wire, bytes wait for the receiver
+    /// and never overrun it. Dropping the end cuts the line permanently.
     pub fn take_gripper_line(&mut self) -> Option<UnixStream> {
         self.lines.gripper.take()
     }
 
-    /// The master's end of the bus, as [`take_gripper_line`](Self::take_gripper_line) is the gripper's end of its line.
+    /// Returns the master's end of the bus; see [`take_gripper_line`](Self::take_gripper_line).
     ///
-    /// Bytes come through as fast as the firmware takes them, and pauses between them as long as the host makes them.
+    /// Bytes pass as fast as the firmware accepts them. The host determines the pauses between them.
     pub fn take_modbus_line(&mut self) -> Option<UnixStream> {
         self.lines.bus.take()
     }
 
-    /// The service port, where the USB cable's end is on the board; otherwise as
-    /// [`take_modbus_line`](Self::take_modbus_line).
+    /// Returns the end of the service port (USB on the real board); see [`take_modbus_line`](Self::take_modbus_line).
     pub fn take_service_line(&mut self) -> Option<UnixStream> {
         self.lines.service.take()
     }
 
-    /// The clock that a virtual gripper on one of its lines goes by.
+    /// Returns the clock for a virtual gripper on one of the lines.
     #[must_use]
     pub fn clock(&self) -> Clock {
         self.clock.clone()
     }
 
-    /// Drives all input wires; those that change do so one after the other, in the order of their bits.
+    /// Drives all input wires. Changes are applied one after the other, in bit order.
     ///
     /// # Errors
-    /// When the emulator has ended.
+    /// Fails when the emulator has ended.
     pub fn set_inputs(&self, inputs: Inputs) -> Result<()> {
         self.drive(|_| inputs)
     }
 
-    /// Drives one input wire, or several, and leaves the others as they are.
+    /// Drives the given input wires and leaves the others unchanged.
     ///
     /// # Errors
-    /// When the emulator has ended.
+    /// Fails when the emulator has ended.
     pub fn set_input(&self, wires: Inputs, high: bool) -> Result<()> {
         self.drive(|driven| if high { driven | wires } else { driven - wires })
     }
@@ -205,93 +203,90 @@ impl Emulator {
         Ok(())
     }
 
-    /// The input wires as they are driven now.
+    /// Returns the driven levels of the input wires.
     #[must_use]
     pub fn inputs(&self) -> Inputs {
         *lock(&self.inputs)
     }
 
-    /// The output wires as they are now.
+    /// Returns the current levels of the output wires.
     #[must_use]
     pub fn outputs(&self) -> Outputs {
         lock(&self.watch.seen).outputs
     }
 
-    /// Every change of the output wires since power-up, past ones first. Ends when the emulator does.
-    ///
-    /// Each caller gets all of them.
+    /// Returns a channel with every change of the output wires since power-up. Each caller receives all changes. The
+    /// channel closes when the emulator ends.
     #[must_use]
     pub fn output_changes(&self) -> Receiver<OutputChange> {
         self.watch.subscribe()
     }
 
-    /// Waits until the output wires are as `wanted`; at once when they are now. Returns them.
+    /// Waits until the output wires satisfy `wanted`, and returns them. Returns immediately if they do now.
     ///
-    /// A state that is over before it is looked at is not seen; for sequences there is
-    /// [`output_changes`](Self::output_changes).
+    /// Short states may be missed; use [`output_changes`](Self::output_changes) for sequences.
     ///
     /// # Errors
-    /// When `timeout` passes first, or the emulator ends.
+    /// Fails after `timeout`, or when the emulator ends.
     pub fn wait_outputs(&self, timeout: Duration, wanted: impl Fn(Outputs) -> bool) -> Result<Outputs> {
         let seen = self.watch.wait(timeout, |seen| wanted(seen.outputs));
         seen.map(|seen| seen.outputs).with_context(|| {
             let names: Vec<&str> = self.outputs().iter_names().map(|(name, _)| name).collect();
-            format!("the outputs are not as wanted; high are [{}]", names.join(", "))
+            format!("the outputs did not reach the expected state; high outputs: [{}]", names.join(", "))
         })
     }
 
-    /// Reads the 32-bit word at `address` in the board's memory, registers included.
+    /// Reads the 32-bit word at `address` in memory or a peripheral.
     ///
     /// # Errors
-    /// When the emulator has ended.
+    /// Fails when the emulator has ended.
     pub fn readl(&self, address: u32) -> Result<u32> {
         self.ask(|chip| chip.readl(address))
     }
 
-    /// Reads `len` bytes of the board's memory from `address` on.
+    /// Reads `len` bytes of memory starting at `address`.
     ///
     /// # Errors
-    /// When the emulator has ended.
+    /// Fails when the emulator has ended.
     pub fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>> {
         self.ask(|chip| chip.read_memory(address, len))
     }
 
-    /// The firmware's clock: milliseconds since its main loop began.
-    ///
-    /// A wait for this to advance is one in the board's time, however slow the host is.
+    /// Returns the firmware's clock: milliseconds since its main loop started. Waits based on it are independent of
+    /// the host's speed.
     ///
     /// # Errors
-    /// When the image for QEMU has no symbols, or the emulator has ended.
+    /// Fails when an image for QEMU has no symbols, or when the emulator has ended.
     pub fn now_ms(&self) -> Result<u32> {
         self.ask(|chip| chip.now_ms())
     }
 
-    /// Of the Pico: lets each n-th byte that arrives from now on have this error; `None`: the line is well.
+    /// Pico: injects this error into every n-th byte received from now on; `None` ends the injection.
     ///
     /// # Errors
-    /// When this is another board, or the emulator has ended.
+    /// Fails on any other board, or when the emulator has ended.
     pub fn set_line_error(&self, line: Line, error: Option<(LineError, u32)>) -> Result<()> {
         self.ask(|chip| chip.set_line_error(line, error))
     }
 
-    /// Of the Pico: lets its firmware hang behind the next time that it feeds the watchdog, which is its main loop's.
+    /// Pico: makes the firmware hang after the main loop next feeds the watchdog.
     ///
     /// # Errors
-    /// When this is another board, or the emulator has ended.
+    /// Fails on any other board, or when the emulator has ended.
     pub fn derail(&self, how: Derailment) -> Result<()> {
         self.ask(|chip| chip.derail(how))
     }
 
-    /// Of the Pico: how often its watchdog has reset it, and how long the last time came behind the main loop's last turn.
+    /// Pico: returns the number of watchdog resets, and the time from the main loop's last turn to the last reset.
     ///
     /// # Errors
-    /// When this is another board, or the emulator has ended.
+    /// Fails on any other board, or when the emulator has ended.
     pub fn watchdog_resets(&self) -> Result<(u32, Duration)> {
         self.ask(|chip| chip.watchdog_resets())
     }
 
     fn ask<T>(&self, question: impl FnOnce(&dyn Chip) -> Result<T>) -> Result<T> {
-        // A machine that stands for good would answer for ever.
+        // A permanently stopped machine still answers requests.
         {
             let seen = lock(&self.watch.seen);
             ensure!(!seen.has_ended, "{}", seen.last_words());
@@ -300,7 +295,7 @@ impl Emulator {
     }
 }
 
-/// Whether this image is for the Pico, which its entry tells.
+/// Returns whether this image is for the Pico, judged by its entry point.
 #[must_use]
 pub fn is_for_pico(elf: &Path) -> bool {
     let entry = || Some(object::File::parse(&*fs::read(elf).ok()?).ok()?.entry());
@@ -308,12 +303,12 @@ pub fn is_for_pico(elf: &Path) -> bool {
 }
 
 fn end(process: &mut Child) {
-    // An error means that it has ended already, which is what is wanted.
+    // Fails only when the process has already ended.
     let _ = process.kill();
     let _ = process.wait();
 }
 
-/// A lock that a panicking test held guards nothing that would be left half done.
+/// Ignores poisoning: no lock here guards data that a panic could leave inconsistent.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,20 +1,20 @@
-//! Examples of this package and programs of the workspace, for tests that run them.
+//! Paths of built examples and programs, for tests that run them.
 
 use std::path::{Path, PathBuf};
 
-/// Where cargo puts the example of this name, beside the test that asks.
+/// Returns the path of an example of the calling test's package.
 ///
 /// # Panics
-/// When it is not built: `cargo test` builds the examples of a package with its tests, but not with one of them alone.
+/// Panics when it is not built; `cargo test` builds examples with all tests of a package, not with one alone.
 #[must_use]
 pub fn path(name: &str) -> PathBuf {
     built(&Path::new("examples").join(name))
 }
 
-/// Where cargo puts the program of this name, above the test that asks.
+/// Returns the path of a program in the calling test's target folder.
 ///
 /// # Panics
-/// When it is not built: `cargo test` builds the programs of another package only with the whole workspace.
+/// Panics when it is not built. `cargo test` builds programs of other packages only for the whole workspace.
 #[must_use]
 pub fn program(name: &str) -> PathBuf {
     built(Path::new(name))

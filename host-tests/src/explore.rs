@@ -1,20 +1,20 @@
 //! Exhaustive exploration of the bridge: every order of events up to a depth, from power-up and from each key state.
 //!
-//! The bridge is the library that the image is made of. Beside it stand a gripper reduced to its states, a line that delays,
-//! drops, repeats or truncates what the gripper says, and a PLC. A breadth-first search tries every action in every state,
-//! visits equal states once, and checks each [`Promise`] of docs/wiring.md and docs/registers.md after every turn.
+//! The bridge is the library that the image is built from. Around it are a PLC, a gripper reduced to its states, and
+//! a line that delays, drops, repeats or truncates its messages. A breadth-first search tries every action in every
+//! state once, and checks each [`Promise`] of docs/wiring.md and docs/registers.md after every turn.
 //!
-//! | module | holds |
+//! | module | content |
 //! |---|---|
-//! | `action` | what can happen |
-//! | `plant` | bridge, gripper, line and PLC, and what an action does to them |
-//! | `answers` | what the gripper has said and the line has not delivered |
-//! | `promises` | what must hold |
-//! | `roots` | the states that an exploration starts from |
+//! | `action` | possible events |
+//! | `plant` | bridge, gripper, line and PLC, and the effect of each action |
+//! | `answers` | the gripper's undelivered messages |
+//! | `promises` | properties that must hold |
+//! | `roots` | initial states |
 //! | `search` | breadth-first search |
-//! | `key` | when two states are equal |
+//! | `key` | equality of states |
 //!
-//! It does not cover half-sent frames and timing within a message: see [`fuzz_bodies`](crate::fuzz_bodies) and
+//! Not covered: partially sent frames and timing within a message. See [`fuzz_bodies`](crate::fuzz_bodies) and
 //! [`fault_sweep`](crate::fault_sweep).
 
 mod action;
@@ -33,26 +33,26 @@ use action::{Action, BUS, WIRES};
 use roots::Root;
 use search::{Outcome, explore};
 
-/// How far to go.
+/// Limits of an exploration.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Actions in a row, 12 at most.
+    /// Maximum number of consecutive actions, at most 12.
     pub depth: u32,
-    /// The search ends once it has met this many states.
+    /// Number of states after which the search ends.
     pub states: u64,
 }
 
-/// A PLC, and so a set of actions.
+/// A type of PLC, which determines the set of actions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Plc {
-    /// It has wires and no bus.
+    /// A PLC with wires and no bus.
     Wires,
-    /// It writes images over Modbus, and has the wires GRIP, STOP_ACK and FAST_STOP_OK.
+    /// A PLC that writes images over Modbus and has the wires GRIP, STOP_ACK and FAST_STOP_OK.
     Bus,
 }
 
 impl Plc {
-    /// Both.
+    /// All types of PLC.
     pub const ALL: [Self; 2] = [Self::Wires, Self::Bus];
 
     const fn actions(self) -> &'static [Action] {
@@ -72,7 +72,7 @@ impl Plc {
     }
 }
 
-/// What an exploration found.
+/// Result of an exploration.
 #[derive(Debug)]
 pub struct Report {
     plc: Plc,
@@ -81,19 +81,19 @@ pub struct Report {
 }
 
 impl Report {
-    /// How many different states it met.
+    /// Returns the number of distinct states.
     #[must_use]
     pub const fn states(&self) -> u64 {
         self.outcome.states
     }
 
-    /// The promises that were broken, the one with the fewest actions first.
+    /// Returns the broken promises in order of the number of actions.
     #[must_use]
     pub fn broken(&self) -> Vec<Promise> {
         self.outcome.broken.iter().map(|broken| broken.promise).collect()
     }
 
-    /// The situations that should have occurred and did not: an exploration that misses them proves little.
+    /// Returns the expected situations that did not occur. An exploration that misses them proves little.
     #[must_use]
     pub fn unseen(&self) -> Vec<&'static str> {
         plant::SIGHTS
@@ -106,7 +106,7 @@ impl Report {
 }
 
 impl fmt::Display for Report {
-    /// Figures, then for each broken promise the shortest way to break it.
+    /// Writes figures, followed by the shortest way to break each broken promise.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Outcome { states, tried, new_at, complete_to, broken, .. } = &self.outcome;
         let Self { plc, roots, .. } = self;

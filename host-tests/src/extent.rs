@@ -1,15 +1,15 @@
-//! How much there is of a test that could go on for any time.
+//! Scaling of tests whose number of cases is arbitrary.
 
-/// Set by `cargo xtask ci`: all of it.
+/// Set by `cargo xtask ci` to run all cases.
 const VARIABLE: &str = "WSG_WHOLE";
 
-/// Returns `whole` in `cargo xtask ci`, and a fifth of it elsewhere, where somebody waits.
+/// Returns `whole` in `cargo xtask ci`, and a fifth of it in interactive runs.
 #[must_use]
 pub fn of(whole: usize) -> usize {
     if is_whole() { whole } else { whole / 5 }
 }
 
-/// Whether it is all of it.
+/// Returns whether all cases run.
 #[must_use]
 pub fn is_whole() -> bool {
     std::env::var_os(VARIABLE).is_some()

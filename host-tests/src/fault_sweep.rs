@@ -1,8 +1,8 @@
-//! Every fault of one bit or one byte on the gripper's line, at every place of a grip cycle or a jog, in both directions, with
-//! FAST STOP asked for at every millisecond around it: how long the gripper takes to stop.
+//! Stopping time under line faults: every single-bit or single-byte fault, at every position of a grip cycle or a
+//! jog, in both directions. FAST STOP is requested at every millisecond around it.
 //!
-//! Bridge library and virtual gripper in virtual time, on a line that carries 115 200 bit/s each way. A case goes on from a
-//! snapshot of the undisturbed cycle, so that hundreds of thousands of them take seconds.
+//! Bridge library and virtual gripper run in virtual time on a line of 115 200 bit/s per direction. A case resumes
+//! from a snapshot of the undisturbed cycle, so hundreds of thousands take seconds.
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::gripper::TO_SEND_MAX;
@@ -17,23 +17,23 @@ use crate::serial_gripper::{Carry, SerialGripper};
 use crate::wires::Wires;
 use crate::world::World;
 
-/// Hundredths of a byte that the line carries in a millisecond: 10 bits a byte.
+/// Capacity of the line per millisecond, in hundredths of a byte (10 bits per byte).
 const HUNDREDTHS_PER_MS: u32 = 1_152;
 
-/// Each fault of a byte: changed to any other value, lost, doubled, and any other byte before it.
+/// Returns all faults of a byte: any other value, loss, duplication, and insertion of any byte before it.
 fn every_fault() -> Vec<Fault> {
     let flipped = (1..=u8::MAX).map(Fault::Flip);
     flipped.chain([Fault::Drop, Fault::Duplicate]).chain((0..=u8::MAX).map(Fault::Insert)).collect()
 }
 
-/// Each bit flipped by itself, lost, doubled, and a few bytes added: those that a preamble, a silent line and a broken line
-/// look like.
+/// Returns the most relevant faults: single-bit flips, loss, duplication, and inserted bytes that resemble a
+/// preamble, an idle line or a broken line.
 fn usual_faults() -> Vec<Fault> {
     let flipped = (0..8).map(|bit| Fault::Flip(1 << bit));
     flipped.chain([Fault::Drop, Fault::Duplicate]).chain([0x00, 0xAA, 0xFF].map(Fault::Insert)).collect()
 }
 
-/// Which way a byte goes.
+/// Direction of a byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
     /// From bridge to gripper.
@@ -42,23 +42,23 @@ pub enum Way {
     Back,
 }
 
-/// One way of the line.
+/// One direction of the line.
 #[derive(Clone, Debug)]
 struct Wire {
-    /// What the line may carry of it now, in hundredths of a byte.
+    /// Transmission credit, in hundredths of a byte.
     budget: u32,
     way: FaultyWay,
 }
 
-/// A damaged byte of a case, counted from the beginning of the course.
+/// A damaged byte of a case: direction, index from the beginning of the course, and fault.
 pub type Damage = (Way, usize, Fault);
 
-/// When the stop is asked for, in milliseconds from the beginning of the course, and what is damaged.
+/// Time of the stop request and the damaged bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Case {
-    /// When the stop is asked for.
+    /// Time of the stop request, in milliseconds from the beginning of the course.
     pub stop_at: usize,
-    /// The damaged bytes. Those from [`Course::bytes_until`] on are what follows the request.
+    /// Damaged bytes. Those from [`Course::bytes_until`] on follow the request.
     pub damage: Vec<Damage>,
 }
 
@@ -72,7 +72,7 @@ impl Carry for Wire {
     fn carry(&mut self, waiting: &mut Vec<u8>) -> Vec<u8> {
         let budget = self.budget + HUNDREDTHS_PER_MS;
         let count = waiting.len().min((budget / 100) as usize);
-        // A line that was idle carries no more for that.
+        // Idle time does not accumulate credit.
         self.budget = if waiting.len() > count { budget % 100 } else { 0 };
         let bytes: Vec<u8> = waiting.drain(..count).collect();
         self.way.pass(0, &bytes);
@@ -96,7 +96,7 @@ impl Rig {
         Self::with(Config::DEFAULT, lines, far, Inputs::FAST_STOP_OK)
     }
 
-    /// Gives a motion command, and waits for its end.
+    /// Issues a motion command and waits until it completes.
     fn course_of(&mut self, wire: Inputs, each: &mut impl FnMut(&Self)) {
         self.inputs |= wire;
         for _ in 0..6 {
@@ -107,14 +107,14 @@ impl Rig {
         loop {
             self.step();
             each(self);
-            assert!(self.now_ms < 60_000, "{wire:?} does not end");
+            assert!(self.now_ms < 60_000, "{wire:?} does not complete");
             if self.outputs.contains(Outputs::READY) {
                 return;
             }
         }
     }
 
-    /// Referenced and ready.
+    /// Creates a rig that is referenced and READY.
     fn homed(time_scale: f32, frame_timeout_ms: u16) -> Self {
         let mut rig = Self::switched_on(time_scale, frame_timeout_ms);
         rig.pass(200);
@@ -132,7 +132,7 @@ impl Rig {
         }
     }
 
-    /// The bytes that have gone this way.
+    /// Returns the number of bytes carried in this direction.
     fn count(&self, way: Way) -> usize {
         let SerialGripper { to_gripper, to_bridge, .. } = &self.far;
         let wire = if way == Way::Out { to_gripper } else { to_bridge };
@@ -151,24 +151,24 @@ impl Rig {
         }
     }
 
-    /// Writes these flags, with 40.00 mm, 50.00 mm/s, 40.00 N, at once, and again and again.
+    /// Writes these flags with 40.00 mm, 50.00 mm/s and 40.00 N, now and repeatedly.
     fn write(&mut self, flags: u8) {
         self.bus.repeat(Some([u16::from(flags) << 8, 40_00, 50_00, 40_00]));
     }
 }
 
-/// What is stopped.
+/// The motion to stop, and the criterion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scene {
-    /// Grip and release, ended by the wire FAST_STOP_OK: until the gripper is in FAST STOP.
+    /// Grip and release, ended by FAST_STOP_OK; measured until the gripper reports FAST STOP.
     GripCycle,
-    /// A jog over Modbus, ended by its flag: until the fingers stand.
+    /// A jog over Modbus, ended by its flag; measured until the fingers stop.
     Jog,
-    /// A jog over Modbus whose master falls silent: until the fingers stand.
+    /// A jog over Modbus whose master stops sending; measured until the fingers stop.
     Silence,
 }
 
-/// The undisturbed course of a scene, millisecond by millisecond.
+/// The undisturbed course of a scene, as one snapshot per millisecond.
 #[derive(Debug)]
 pub struct Course {
     scene: Scene,
@@ -176,7 +176,7 @@ pub struct Course {
 }
 
 impl Course {
-    /// Plays a scene against a gripper that gives up half a frame after so long.
+    /// Plays a scene against a gripper that discards an incomplete frame after `frame_timeout_ms`.
     #[must_use]
     pub fn play(scene: Scene, frame_timeout_ms: u16) -> Self {
         let mut snapshots = vec![];
@@ -189,7 +189,7 @@ impl Course {
                 rig.course_of(Inputs::RELEASE, &mut keep);
             }
             Scene::Jog | Scene::Silence => {
-                // At its own speed: 1.8 s to the end of the stroke, where it would end by itself.
+                // At the original speed the stroke takes 1.8 s, after which the jog would end without a stop.
                 let mut rig = Rig::homed(1.0, frame_timeout_ms);
                 rig.course_of(Inputs::MOVE, &mut |_| {});
                 rig.write(0);
@@ -206,13 +206,13 @@ impl Course {
         Self { scene, snapshots }
     }
 
-    /// How many milliseconds the course takes.
+    /// Returns the course's duration in milliseconds.
     #[must_use]
     pub const fn duration_ms(&self) -> usize {
         self.snapshots.len()
     }
 
-    /// How many bytes have gone this way when the stop is asked for after `stop_at` milliseconds.
+    /// Returns the number of bytes carried in this direction before a stop request at `stop_at` milliseconds.
     #[must_use]
     pub fn bytes_until(&self, way: Way, stop_at: usize) -> usize {
         let count =
@@ -220,12 +220,12 @@ impl Course {
         count(stop_at) - count(0)
     }
 
-    /// How many milliseconds pass from the request to stop until the gripper has stopped; none if it has not after
+    /// Returns the time from the stop request to the gripper's stop, in milliseconds; `None` if it exceeds
     /// `bound_ms`.
     #[must_use]
     pub fn stop(&self, case: &Case, bound_ms: u32) -> Option<u32> {
         let first = self.snapshots.first()?;
-        // The last moment before any of the damaged bytes leaves.
+        // Resumes at the last snapshot before any damaged byte is sent.
         let is_before = |at: usize| {
             let left = |(way, byte, _): &Damage| self.bytes_until(*way, at) > *byte;
             !case.damage.iter().any(left)
@@ -237,14 +237,14 @@ impl Course {
             let at = first.count(*way) + byte;
             rig.wire(*way).way.hit(at as u64, *fault);
         }
-        // Behind the course it goes on without a command.
+        // After the end of the course, time continues without commands.
         rig.pass((case.stop_at - begin) as u32);
         rig.ask_for_stop(self.scene);
         self.time_until_stopped(&mut rig, bound_ms)
     }
 
-    /// As [`stop`](Self::stop), but with noise both ways from `noise_ms` before the request until as long behind it, which
-    /// hits bytes at this rate; counts from the end of the noise.
+    /// Does the same as [`stop`](Self::stop), with noise in both directions from `noise_ms` before to `noise_ms`
+    /// after the request. `rate` is the fraction of damaged bytes. The result counts from the end of the noise.
     #[must_use]
     pub fn stop_in_noise(
         &self,
@@ -283,23 +283,23 @@ impl Course {
     }
 }
 
-/// How long the gripper took to stop, over many cases.
+/// Distribution of stopping times.
 #[derive(Clone, Debug, Default)]
 pub struct Times {
-    /// How many cases took so many milliseconds; the last place counts those that took longer than its bound.
+    /// Number of cases per stopping time in milliseconds; the last entry counts cases beyond their bound.
     counts: Vec<u64>,
-    /// The worst case, and how many milliseconds it took.
+    /// The worst case with its stopping time in milliseconds.
     worst: Option<(u32, Case)>,
 }
 
 impl Times {
-    /// Runs a case and takes down how long it took.
+    /// Runs a case and records its stopping time.
     pub fn take(&mut self, course: &Course, case: Case, bound_ms: u32) {
         let ms = course.stop(&case, bound_ms);
         self.note(ms, bound_ms, || case);
     }
 
-    /// Takes down how long a case took.
+    /// Records the stopping time of a case.
     pub fn note(&mut self, ms: Option<u32>, bound_ms: u32, case: impl FnOnce() -> Case) {
         let ms = ms.unwrap_or(bound_ms + 1);
         let place = ms as usize;
@@ -312,13 +312,13 @@ impl Times {
         }
     }
 
-    /// How many cases were run.
+    /// Returns the number of cases.
     #[must_use]
     pub fn cases(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// The time that half of the cases did not exceed, in milliseconds.
+    /// Returns the median stopping time in milliseconds.
     #[must_use]
     pub fn median_ms(&self) -> u32 {
         let half = self.cases().div_ceil(2);
@@ -330,51 +330,51 @@ impl Times {
         place.unwrap_or(0) as u32
     }
 
-    /// The worst case, and how many milliseconds it took; more than its bound where the gripper did not stop.
+    /// Returns the worst case and its stopping time in milliseconds (above the bound without a stop).
     #[must_use]
     pub const fn worst(&self) -> Option<&(u32, Case)> {
         self.worst.as_ref()
     }
 }
 
-/// A set of cases, and how long the gripper may take in each.
+/// A set of cases and their permitted stopping time.
 #[derive(Clone, Copy, Debug)]
 pub struct Sweep {
-    /// What the cases have in common.
+    /// Description of the cases.
     pub name: &'static str,
-    /// The longest time that is allowed, in milliseconds.
+    /// Longest permitted stopping time in milliseconds.
     pub limit_ms: u32,
-    /// Every so many milliseconds of the course, of bytes, and of random cases is tried: 1 for all of them.
+    /// Step between tested milliseconds, bytes and random cases; 1 tests all of them.
     pub stride: usize,
-    /// Each byte is changed to any other, or has any other added, in place of a few that matter.
+    /// Whether to try all values of damaged and inserted bytes, instead of a relevant few.
     pub every_fault: bool,
     run: fn(&Sweep) -> Times,
 }
 
 impl Sweep {
-    /// Every set of cases, with this stride.
+    /// Returns all sets of cases with this stride.
     #[must_use]
     pub fn all(stride: usize, every_fault: bool) -> [Self; 6] {
         let sweep = |name, limit_ms, run| Self { name, limit_ms, stride, every_fault, run };
         [
             sweep(
-                "any one byte is lost, changed, doubled or added, at any time of a grip cycle",
+                "one byte lost, changed, duplicated or inserted, at any time of a grip cycle",
                 250,
                 |sweep: &Sweep| sweep.one_fault(Scene::GripCycle),
             ),
-            sweep("the same, up to two seconds before", 250, Sweep::one_old_fault),
+            sweep("the same, up to two seconds before the request", 250, Sweep::one_old_fault),
             sweep(
-                "the same, for the end of a jog over Modbus until the fingers stand",
+                "the same, for the end of a jog over Modbus, until the fingers stop",
                 250,
                 |sweep: &Sweep| sweep.one_fault(Scene::Jog),
             ),
             sweep(
-                "the same, for a jog whose master falls silent, BUS_TIMEOUT of 1 s included",
+                "the same, for a jog whose master stops sending, including BUS_TIMEOUT of 1 s",
                 1_270,
                 |sweep: &Sweep| sweep.one_fault(Scene::Silence),
             ),
-            sweep("any two bytes are", 1_500, Sweep::two_faults),
-            sweep("noise, however strong: counted from its end", 1_000, Sweep::noise),
+            sweep("the same for any two bytes", 1_500, Sweep::two_faults),
+            sweep("noise of any strength, measured from its end", 1_000, Sweep::noise),
         ]
     }
 
@@ -388,15 +388,15 @@ impl Sweep {
         if self.every_fault { every_fault() } else { usual_faults() }
     }
 
-    /// Bytes from a while before the request to the end of the first answers to it.
+    /// Damages bytes from shortly before the request to the end of the first answers.
     fn one_fault(&self, scene: Scene) -> Times {
         const BEFORE: usize = 40;
-        // The answer to a silence comes a second later.
+        // The bus time-out adds a second before the answers.
         let behind = if scene == Scene::Silence { 160 } else { 60 };
         let mut times = Times::default();
         for frame_timeout_ms in FRAME_TIMEOUTS_MS {
             let course = Course::play(scene, frame_timeout_ms);
-            // A second takes its time.
+            // A scene of a second is expensive.
             let stride = if scene == Scene::Silence { self.stride * 10 } else { self.stride };
             for stop_at in (0..course.duration_ms()).step_by(stride) {
                 for way in [Way::Out, Way::Back] {
@@ -413,7 +413,7 @@ impl Sweep {
         times
     }
 
-    /// A gripper that has been deaf for up to two seconds.
+    /// Damages a byte up to two seconds before the request, which may leave the gripper in a truncated frame.
     fn one_old_fault(&self) -> Times {
         let mut times = Times::default();
         for frame_timeout_ms in FRAME_TIMEOUTS_MS {
@@ -433,7 +433,7 @@ impl Sweep {
         times
     }
 
-    /// By chance: one before or behind the request, and one up to the end of the first burst.
+    /// Damages two random bytes: one before or after the request, and one up to the end of the first burst.
     fn two_faults(&self) -> Times {
         const CASES: usize = 200_000;
         let mut times = Times::default();
@@ -447,7 +447,8 @@ impl Sweep {
                     let way = if chance.below(4) == 0 { Way::Back } else { Way::Out };
                     let from = course.bytes_until(way, stop_at).saturating_sub(before as usize);
                     let byte = from + chance.below(before + behind) as usize;
-                    // Half of them as in the high byte of a length, which makes a gripper wait for hundreds of bytes.
+                    // Half of them change low bits, as in a length's high byte: the gripper then awaits hundreds of
+                    // bytes.
                     let fault = match chance.below(2) {
                         0 => Fault::Flip(1 + chance.below(3) as u8),
                         _ => faults[chance.below(faults.len() as u64) as usize],
@@ -461,7 +462,7 @@ impl Sweep {
         times
     }
 
-    /// Noise of three strengths.
+    /// Injects noise of three intensities.
     fn noise(&self) -> Times {
         const CASES: usize = 60_000;
         let mut times = Times::default();
@@ -480,5 +481,5 @@ impl Sweep {
     }
 }
 
-/// Grippers that give up half a frame after half a second, and practically never: the manual does not say when.
+/// Grippers that discard an incomplete frame after half a second and practically never; the manual gives no value.
 const FRAME_TIMEOUTS_MS: [u16; 2] = [500, 60_000];

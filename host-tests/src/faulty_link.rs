@@ -1,15 +1,15 @@
-//! A line on which bytes go wrong: middleware round any byte link, for the tests of whoever uses a gripper.
+//! Fault injection for any byte link, to test programs that use a gripper.
 //!
-//! [`FaultyWay`] is one direction: bytes and the time in, what arrives out. It knows no clock and no I/O. What goes wrong is
-//! drawn by a seed, or written down byte by byte, so every run can be repeated. [`FaultyLink`] wraps a transport in two of
-//! them.
+//! [`FaultyWay`] is one direction: bytes and a time in, arriving bytes out. It has no clock and no I/O. Faults are
+//! random with a seed or scripted byte by byte, so every run is reproducible. [`FaultyLink`] wraps a transport in two
+//! of them.
 //!
-//! `wsg-sim` has faults of its own for its servers: those hit whole frames, these hit bytes, wherever they lie.
+//! The servers of `wsg-sim` inject faults into whole frames; these faults hit bytes at any position.
 //!
 //! ```
 //! use host_tests::faulty_link::{Fault, FaultyWay, Rates};
 //!
-//! // The third byte is lost; five bits in a million are wrong besides.
+//! // The third byte is lost; in addition, five bits in a million are flipped.
 //! let mut way = FaultyWay::new(Rates { flip: 5e-6, ..Rates::NONE }, 1).with(2, Fault::Drop);
 //! way.pass(0, b"ABCD");
 //! assert_eq!(way.arrive(0), b"ABD");
@@ -22,31 +22,31 @@ use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 
 use crate::chance::Chance;
 
-/// How often each fault hits a byte, from 0 (never) to 1 (always).
+/// Probability of each fault per byte, from 0 (never) to 1 (always).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Rates {
-    /// It is lost.
+    /// The byte is lost.
     pub drop: f64,
-    /// One bit of it is wrong.
+    /// One bit is flipped.
     pub flip: f64,
-    /// It comes twice.
+    /// The byte is duplicated.
     pub duplicate: f64,
-    /// Another byte comes before it.
+    /// Another byte is inserted before it.
     pub insert: f64,
-    /// It is lost, and all that were sent with it behind it.
+    /// The byte and the rest of its transmission are lost.
     pub truncate: f64,
-    /// It comes late, and all that are sent behind it wait for it.
+    /// The byte is delayed, and so are all later bytes.
     pub delay: f64,
-    /// How late, in milliseconds.
+    /// Delay in milliseconds.
     pub delay_ms: u32,
 }
 
 impl Rates {
-    /// A perfect line.
+    /// A line without faults.
     pub const NONE: Self =
         Self { drop: 0.0, flip: 0.0, duplicate: 0.0, insert: 0.0, truncate: 0.0, delay: 0.0, delay_ms: 0 };
 
-    /// A line on which `rate` of all bytes go wrong, as many of them lost as changed, doubled and preceded by another.
+    /// Returns rates that damage a fraction `rate` of all bytes, with equal shares of the first four faults.
     #[must_use]
     pub const fn of_bytes(rate: f64) -> Self {
         let each = rate / 4.0;
@@ -54,27 +54,27 @@ impl Rates {
     }
 }
 
-/// What happens to a byte.
+/// A fault of one byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// It is lost.
+    /// The byte is lost.
     Drop,
-    /// These bits of it are wrong.
+    /// These bits are flipped.
     Flip(u8),
-    /// It comes twice.
+    /// The byte is duplicated.
     Duplicate,
-    /// This one comes before it.
+    /// This byte is inserted before it.
     Insert(u8),
-    /// It is lost, and all that were sent with it behind it.
+    /// The byte and the rest of its transmission are lost.
     Truncate,
-    /// It comes so many milliseconds late, and all that are sent behind it wait for it.
+    /// The byte is delayed by this many milliseconds, and so are all later bytes.
     Delay(u32),
 }
 
-/// What was passed, and how often each fault hit.
+/// Number of bytes passed and of faults injected.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Bytes that were passed.
+    /// Bytes passed.
     pub bytes: u64,
     /// [`Fault::Drop`].
     pub dropped: u64,
@@ -84,14 +84,14 @@ pub struct Counts {
     pub duplicated: u64,
     /// [`Fault::Insert`].
     pub inserted: u64,
-    /// [`Fault::Truncate`], each counted once, however much was lost.
+    /// [`Fault::Truncate`], counted once per truncation.
     pub truncated: u64,
     /// [`Fault::Delay`].
     pub delayed: u64,
 }
 
 impl Counts {
-    /// How often any fault hit.
+    /// Returns the total number of faults.
     #[must_use]
     pub const fn faults(&self) -> u64 {
         self.dropped + self.flipped + self.duplicated + self.inserted + self.truncated + self.delayed
@@ -103,15 +103,15 @@ impl Counts {
 pub struct FaultyWay {
     rates: Rates,
     chance: Chance,
-    /// What happens to single bytes, counted from 0, whatever the rates.
+    /// Scripted faults by byte index from 0, independent of the rates.
     script: BTreeMap<u64, Fault>,
     counts: Counts,
-    /// What is on its way, and when it is there.
+    /// Bytes in transit with their arrival times.
     waiting: VecDeque<(u32, u8)>,
 }
 
 impl FaultyWay {
-    /// A direction on which faults hit at these rates; the same ones for the same seed and the same bytes.
+    /// Creates a direction with random faults at these rates, reproducible by seed.
     #[must_use]
     pub const fn new(rates: Rates, seed: u64) -> Self {
         Self {
@@ -131,36 +131,36 @@ impl FaultyWay {
         }
     }
 
-    /// A direction without faults.
+    /// Creates a direction without faults.
     #[must_use]
     pub const fn perfect() -> Self {
         Self::new(Rates::NONE, 0)
     }
 
-    /// The same, where this fault hits the byte of this number, counted from 0.
+    /// Adds a fault of the byte with this index, counted from 0.
     #[must_use]
     pub fn with(mut self, number: u64, fault: Fault) -> Self {
         self.hit(number, fault);
         self
     }
 
-    /// Lets this fault hit the byte of this number, counted from 0: [`Counts::bytes`] is the number of the next.
+    /// Schedules a fault of the byte with this index, counted from 0; [`Counts::bytes`] is the next byte's index.
     pub fn hit(&mut self, number: u64, fault: Fault) {
         self.script.insert(number, fault);
     }
 
-    /// What has happened so far.
+    /// Returns the counts so far.
     #[must_use]
     pub const fn counts(&self) -> Counts {
         self.counts
     }
 
-    /// Takes bytes that are sent together at this moment, in milliseconds of any clock that only goes forward.
+    /// Accepts bytes sent together at `now_ms`, in milliseconds of any monotonic clock.
     pub fn pass(&mut self, now_ms: u32, bytes: &[u8]) {
         let first = self.counts.bytes;
         self.counts.bytes += bytes.len() as u64;
         for (number, &byte) in (first..).zip(bytes) {
-            // Every chance is drawn whether it counts or not: a script changes nothing else.
+            // Always draws all chances, so a script does not shift the random sequence.
             let drawn = self.draw();
             match self.script.remove(&number).or(drawn) {
                 None => self.send(now_ms, byte),
@@ -191,7 +191,7 @@ impl FaultyWay {
         }
     }
 
-    /// What has arrived by this moment and was not asked for yet, in the order in which it was sent.
+    /// Returns the bytes that have arrived since the last call, in the order of sending.
     pub fn arrive(&mut self, now_ms: u32) -> Vec<u8> {
         let is_there = |due: &u32| now_ms.wrapping_sub(*due) <= u32::MAX / 2;
         let count = self.waiting.iter().take_while(|(due, _)| is_there(due)).count();
@@ -213,7 +213,7 @@ impl FaultyWay {
         hit.into_iter().flatten().next()
     }
 
-    /// Nothing overtakes what was sent before it.
+    /// Queues a byte; bytes never overtake each other.
     fn send(&mut self, due: u32, byte: u8) {
         let due = match self.waiting.back() {
             Some((before, _)) if before.wrapping_sub(due) <= u32::MAX / 2 => *before,
@@ -223,35 +223,35 @@ impl FaultyWay {
     }
 }
 
-/// A transport with a faulty line behind it, for whatever speaks `embedded_io`. `clock` tells milliseconds.
+/// A transport with fault injection for users of `embedded_io`. `clock` returns milliseconds.
 ///
-/// Ask [`read_ready`](ReadReady::read_ready) before reading: what is late arrives while that is asked.
+/// Call [`read_ready`](ReadReady::read_ready) before reading, because it delivers delayed bytes.
 #[derive(Debug)]
 pub struct FaultyLink<L, C> {
     link: L,
     clock: C,
-    /// What is written.
+    /// Direction of written bytes.
     pub outgoing: FaultyWay,
-    /// What is read.
+    /// Direction of read bytes.
     pub incoming: FaultyWay,
-    /// Arrived at this end, not read yet.
+    /// Bytes that have arrived at this end and are unread.
     arrived: VecDeque<u8>,
-    /// Arrived at the other end, not taken by the transport yet.
+    /// Bytes that have arrived at the other end and wait for the transport.
     to_write: Vec<u8>,
 }
 
 impl<L, C> FaultyLink<L, C> {
-    /// This transport, with these ways out and in.
+    /// Wraps this transport with these directions.
     pub const fn new(link: L, clock: C, outgoing: FaultyWay, incoming: FaultyWay) -> Self {
         Self { link, clock, outgoing, incoming, arrived: VecDeque::new(), to_write: Vec::new() }
     }
 
-    /// The transport.
+    /// Returns the transport.
     pub const fn inner(&mut self) -> &mut L {
         &mut self.link
     }
 
-    /// The transport, without what is still on its way.
+    /// Returns the transport and discards bytes in transit.
     pub fn into_inner(self) -> L {
         self.link
     }
@@ -262,7 +262,7 @@ impl<L: ErrorType, C> ErrorType for FaultyLink<L, C> {
 }
 
 impl<L: Write, C: FnMut() -> u32> FaultyLink<L, C> {
-    /// Hands what has arrived over to the transport.
+    /// Passes arrived bytes to the transport.
     fn push(&mut self) -> Result<(), L::Error> {
         let now_ms = (self.clock)();
         self.to_write.extend(self.outgoing.arrive(now_ms));
@@ -296,7 +296,7 @@ impl<L: Read + ReadReady + Write, C: FnMut() -> u32> ReadReady for FaultyLink<L,
 }
 
 impl<L: Read + ReadReady + Write, C: FnMut() -> u32> Read for FaultyLink<L, C> {
-    /// Waits for bytes by asking [`read_ready`](ReadReady::read_ready) again and again.
+    /// Waits for bytes by polling [`read_ready`](ReadReady::read_ready).
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, L::Error> {
         while !buffer.is_empty() && !self.read_ready()? {}
         let count = buffer.len().min(self.arrived.len());
@@ -339,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_does_what_it_is_called() {
+    fn each_fault_has_the_effect_of_its_name() {
         assert_eq!(after(Fault::Drop), b"ABDEFG");
         assert_eq!(after(Fault::Flip(0x20)), b"ABcDEFG");
         assert_eq!(after(Fault::Duplicate), b"ABCCDEFG");
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_late_holds_up_what_was_sent_behind_it() {
+    fn a_delayed_byte_delays_all_later_bytes() {
         let mut way = FaultyWay::perfect().with(1, Fault::Delay(50));
         way.pass(u32::MAX - 9, b"AB");
         way.pass(u32::MAX, b"C");
@@ -361,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn faults_hit_as_often_as_their_rates_say_and_the_same_bytes_again() {
+    fn faults_match_their_rates_and_are_reproducible_by_seed() {
         let run = |seed| {
             let mut way = FaultyWay::new(Rates { truncate: 0.001, ..Rates::of_bytes(0.04) }, seed);
             for ms in 0..1_000 {

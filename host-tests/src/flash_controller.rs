@@ -1,12 +1,12 @@
-//! The flash interface of the STM32L4 (RM0351, chapter 3): its registers, and the two pages of bank 2 that hold the settings.
+//! Model of the STM32L4's flash interface (RM0351, chapter 3): its registers, and the two settings pages in bank 2.
 //!
-//! RM0351's own text was not at hand. Registers and bits are those of ST's register header for the STM32L475; the rules are
-//! those of RM0440, whose STM32G4 has the same interface under the same section numbers, as long as it has two banks.
-//! Fast programming, mass erase, option bytes and interrupts are refused.
+//! The text of RM0351 was not available. Registers and bits follow ST's register header for the STM32L475. The rules
+//! follow RM0440, whose dual-bank STM32G4 has the same interface under the same section numbers. Fast programming,
+//! mass erase, option bytes and interrupts are rejected.
 //!
-//! What the manual forbids a driver is kept in [`FlashController::violations`], also where the hardware would only be slow.
-//! Where the manual leaves it open whether a second load of an unreadable double word raises a second NMI (3.3.2: the current
-//! buffer may still hold it), each one does.
+//! [`FlashController::violations`] records accesses that the manual forbids, including those that the hardware merely
+//! delays. The manual does not say whether a second load of an unreadable double word raises a second NMI (3.3.2: the
+//! current buffer may still hold it); in this model it does.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::ops::Range;
@@ -20,7 +20,7 @@ use crate::flash_pages::{FlashPages, Operation, PAGE_LEN, Tear};
 use crate::load_store::Width;
 use crate::registers::{Machine, RegisterModel, ensure_word};
 
-/// Where its registers are, and offsets (RM0351, table 1; 3.7).
+/// Base address and register offsets (RM0351, table 1; 3.7).
 const FLASH: u32 = 0x4002_2000;
 const LEN: u32 = 0x400;
 const ACR: u32 = 0x00;
@@ -29,13 +29,13 @@ const SR: u32 = 0x10;
 const CR: u32 = 0x14;
 const ECCR: u32 = 0x18;
 
-/// The two pages: the last ones of 1 MiB.
+/// The two settings pages: the last ones of 1 MiB.
 const MEMORY: Range<u32> = 0x080F_F000..0x0810_0000;
 
-/// The number of the first of them, with BKER above PNB.
+/// Number of the first settings page, with BKER above PNB.
 const FIRST_PAGE_NUMBER: u32 = 510;
 
-/// Bits of ACR (3.7.1): instruction and data cache, and what empties them.
+/// Bits of ACR (3.7.1): instruction and data cache enable and reset.
 const ICEN: u32 = 1 << 9;
 const DCEN: u32 = 1 << 10;
 const ICRST: u32 = 1 << 11;
@@ -43,10 +43,10 @@ const DCRST: u32 = 1 << 12;
 const ACR_BITS: u32 = 0x0000_7F07;
 const ACR_RESET: u32 = 0x0000_0600;
 
-/// What unlocks CR (3.3.5).
+/// Unlock keys of CR (3.3.5).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// A bit of SR (3.7.5) beside those of [`ErrorFlag`].
+/// A bit of SR (3.7.5), besides the flags of [`ErrorFlag`].
 const BSY: u32 = 1 << 16;
 
 /// Bits of CR (3.7.6).
@@ -59,33 +59,33 @@ const OPTLOCK: u32 = 1 << 30;
 const LOCK: u32 = 1 << 31;
 const CR_BITS: u32 = PG | PER | PNB | BKER | STRT | OPTLOCK | LOCK;
 
-/// Bits of ECCR (3.7.7): where, in which bank, and what was found.
+/// Bits of ECCR (3.7.7): address, bank, corrected error, uncorrectable error.
 const ADDR_ECC: u32 = 0x0007_FFFF;
 const BK_ECC: u32 = 1 << 19;
 const ECCC: u32 = 1 << 30;
 const ECCD: u32 = 1 << 31;
 
-/// Typical times (data sheet of the STM32L475, table 61).
+/// Typical durations (data sheet of the STM32L475, table 61).
 const PROGRAM_TIME: Duration = Duration::from_micros(82);
 const ERASE_TIME: Duration = Duration::from_millis(22);
 
-/// Double words that the data cache holds (3.3.4): 8 rows of 4.
+/// Capacity of the data cache in double words (3.3.4): 8 rows of 4.
 const CACHED: usize = 32;
 
-/// A way in which an operation fails; its value is the bit of SR (3.7.5).
+/// An error of an operation; the value is the bit of SR (3.7.5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorFlag {
-    /// OPERR: beside another one, with the interrupt for errors enabled, so only as a [`Fault`] here.
+    /// OPERR: needs another error with the error interrupt enabled, so it occurs only as a [`Fault`] here.
     Operation = 1 << 1,
     /// PROGERR: the double word was not erased.
     Programming = 1 << 3,
     /// WRPERR: the page is write protected.
     WriteProtection = 1 << 4,
-    /// PGAERR: two stores that make no double word.
+    /// PGAERR: two stores that do not form a double word.
     Alignment = 1 << 5,
     /// SIZERR: a store of a byte or a halfword.
     Size = 1 << 6,
-    /// PGSERR: stores or bits that are not in their order, or after an error that was not cleared.
+    /// PGSERR: wrong order of stores or bits, or an operation after an uncleared error.
     Sequence = 1 << 7,
     /// MISERR: in fast programming.
     Miss = 1 << 8,
@@ -94,7 +94,7 @@ pub enum ErrorFlag {
 }
 
 impl ErrorFlag {
-    /// All of them.
+    /// All errors.
     pub const ALL: [Self; 8] = [
         Self::Operation,
         Self::Programming,
@@ -107,36 +107,36 @@ impl ErrorFlag {
     ];
 }
 
-/// What is wrong with the flash.
+/// A fault of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// Operations fail with this flag, and do nothing.
+    /// Operations fail with this flag and have no effect.
     Reports(ErrorFlag),
     /// No operation ends.
     Stuck,
-    /// No key unlocks it, as after a wrong one.
+    /// No key unlocks the interface, as after a wrong one.
     LockedUp,
-    /// The program itself cannot be read, in bank 1, when it looks at the interface next.
+    /// The next access to the interface coincides with an unreadable word of the program in bank 1.
     UnreadableProgram,
 }
 
-/// The interface with its registers; clones are the same one. What the pages hold survives a reset and a
-/// [power cycle](Self::power_cycle).
+/// The interface with its registers; clones share it. The pages survive a reset and a [power
+/// cycle](Self::power_cycle).
 #[derive(Clone, Debug)]
 pub struct FlashController(Arc<Mutex<State>>);
 
-/// The flash as a machine has it until its power goes: what that does meanwhile is nobody's concern any more.
+/// The flash up to the machine's next power cycle; later accesses are rejected.
 #[derive(Clone, Debug)]
 struct Powered {
     flash: FlashController,
     power_cycles: u32,
 }
 
-/// What the core sees where the registers are.
+/// The register block as seen by the core.
 #[derive(Debug)]
 struct Registers(Powered);
 
-/// What the core sees where the pages are.
+/// The memory of the pages as seen by the core.
 #[derive(Debug)]
 struct Memory(Powered);
 
@@ -152,7 +152,7 @@ enum Lock {
 #[derive(Debug)]
 struct State {
     pages: FlashPages,
-    /// Those with one wrong bit, which is put right.
+    /// Double words with one wrong bit, which is corrected on reading.
     correctable: BTreeSet<usize>,
     acr: u32,
     sr: u32,
@@ -161,9 +161,9 @@ struct State {
     lock: Lock,
     first_word: Option<(u32, u32)>,
     running: Option<(Operation, Duration)>,
-    /// Of the data cache: which double words, by their number in both pages, and what they hold.
+    /// Data cache: indices of double words across both pages, and their values.
     cached: VecDeque<(usize, u64)>,
-    /// Some of them were erased since.
+    /// Whether cached double words have been erased since.
     is_cache_stale: bool,
     fault: Option<Fault>,
     cut: Option<(u32, Tear)>,
@@ -175,7 +175,7 @@ struct State {
 }
 
 impl FlashController {
-    /// Erased pages, after power-on.
+    /// Creates erased pages after power-on.
     #[must_use]
     pub fn new() -> Self {
         Self(Arc::new(Mutex::new(State {
@@ -200,7 +200,7 @@ impl FlashController {
         })))
     }
 
-    /// The models of a machine, until the next [power cycle](Self::power_cycle): registers and pages.
+    /// Returns the models of registers and pages, valid until the next [power cycle](Self::power_cycle).
     #[must_use]
     pub fn models(&self) -> Vec<Box<dyn RegisterModel>> {
         vec![Box::new(Registers(self.powered())), Box::new(Memory(self.powered()))]
@@ -210,32 +210,32 @@ impl FlashController {
         Powered { flash: self.clone(), power_cycles: self.lock().power_cycles }
     }
 
-    /// What the driver did that the manual forbids.
+    /// Returns the driver's accesses that the manual forbids.
     #[must_use]
     pub fn violations(&self) -> Vec<String> {
         self.lock().violations.clone()
     }
 
-    /// Operations begun until now.
+    /// Returns the number of operations started.
     #[must_use]
     pub fn operations(&self) -> u32 {
         self.lock().operations
     }
 
-    /// Pages erased until now.
+    /// Returns the number of pages erased.
     #[must_use]
     pub fn erases(&self) -> u32 {
         self.lock().erases
     }
 
-    /// Whether it is as a driver finds it after reset: no operation runs, FLASH_CR is locked, the caches are on.
+    /// Returns whether the state is that after reset: no operation in progress, FLASH_CR locked, caches enabled.
     #[must_use]
     pub fn is_at_rest(&self) -> bool {
         let state = self.lock();
         !state.is_busy() && state.cr & LOCK != 0 && state.acr & (ICEN | DCEN) == ICEN | DCEN
     }
 
-    /// Leaves FLASH_CR open and a flag set, as a boot loader or a debugger does.
+    /// Leaves FLASH_CR unlocked and a flag set, as a boot loader or a debugger may.
     pub fn leave_open(&self, flag: ErrorFlag) {
         let state = &mut *self.lock();
         state.sr |= flag as u32;
@@ -243,25 +243,25 @@ impl FlashController {
         state.cr &= !LOCK;
     }
 
-    /// Lets something be wrong, or nothing.
+    /// Sets or clears a fault.
     pub fn set_fault(&self, fault: Option<Fault>) {
         self.lock().fault = fault;
     }
 
-    /// Cuts the power in the operation that is the `count`-th from now on, counted from 0; what it leaves is up to `tear`. The
-    /// board goes on until it is dropped, and finds the flash busy.
+    /// Cuts the power during the operation number `count` from now, counted from 0, with the effect `tear` on its
+    /// double words. The board continues until it is dropped and finds the flash busy.
     pub fn cut(&self, count: u32, tear: Tear) {
         let state = &mut *self.lock();
         state.cut = Some((state.operations + count, tear));
     }
 
-    /// Whether the power was cut.
+    /// Returns whether the power was cut.
     #[must_use]
     pub fn is_off(&self) -> bool {
         self.lock().is_off
     }
 
-    /// Power goes and comes back: the pages keep what they hold, and all else is as after power-on.
+    /// Power-cycles the flash: the pages keep their content, and everything else is reset.
     pub fn power_cycle(&self) {
         let state = &mut *self.lock();
         (state.cut, state.is_off) = (None, false);
@@ -269,18 +269,18 @@ impl FlashController {
         state.reset();
     }
 
-    /// Reads a double word as the pages hold it; [`None`] if it cannot be read.
+    /// Returns the stored double word; [`None`] if it is unreadable.
     #[must_use]
     pub fn double_word(&self, page: Page, index: usize) -> Option<u64> {
         self.lock().pages.read(page, index).ok()
     }
 
-    /// Sets what a double word holds; [`None`] if it cannot be read.
+    /// Sets a double word; [`None`] makes it unreadable.
     pub fn set(&self, page: Page, index: usize, value: Option<u64>) {
         self.lock().pages.set(page, index, value);
     }
 
-    /// Lets a double word have one wrong bit: it reads right, and is told of.
+    /// Gives a double word a correctable error: it reads correctly and sets ECCC.
     pub fn set_correctable(&self, page: Page, index: usize) {
         self.lock().correctable.insert(number(page, index));
     }
@@ -296,19 +296,19 @@ impl Default for FlashController {
     }
 }
 
-/// The number of a double word in both pages.
+/// Returns the index of a double word across both pages.
 const fn number(page: Page, index: usize) -> usize {
     page as usize * PAGE_LEN + index
 }
 
-/// The double word at this address.
+/// Returns the double word at this address.
 fn place(address: u32) -> (Page, usize) {
     let number = (address - MEMORY.start) as usize / 8;
     (Page::ALL[number / PAGE_LEN], number % PAGE_LEN)
 }
 
 impl State {
-    /// What a reset leaves. An operation is broken off, which [`FlashController::cut`] is for; here it is as if it had not begun.
+    /// Resets the interface and discards an operation in progress; [`FlashController::cut`] models partial ones.
     fn reset(&mut self) {
         (self.acr, self.sr, self.cr, self.eccr) = (ACR_RESET, 0, OPTLOCK | LOCK, 0);
         self.lock = Lock::Locked;
@@ -329,7 +329,7 @@ impl State {
         self.sr |= flag as u32;
     }
 
-    /// 3.3.6, 3.3.7: after an error that was not cleared nothing begins.
+    /// 3.3.6, 3.3.7: no operation starts before all errors are cleared.
     fn has_stale_error(&mut self) -> bool {
         let is_stale = ErrorFlag::ALL.iter().any(|flag| self.sr & *flag as u32 != 0);
         if is_stale {
@@ -342,7 +342,7 @@ impl State {
         match offset {
             ACR => self.store_acr(value),
             KEYR => self.store_key(value),
-            // 3.7.5: each is cleared by a 1.
+            // 3.7.5: flags are cleared by writing 1.
             SR => self.sr &= !value,
             CR => self.store_cr(value)?,
             ECCR => self.eccr &= !(value & (ECCC | ECCD)),
@@ -354,13 +354,13 @@ impl State {
     fn store_acr(&mut self, value: u32) {
         let enabled = self.acr | value;
         if value & DCRST != 0 && enabled & DCEN != 0 || value & ICRST != 0 && enabled & ICEN != 0 {
-            self.forbidden("3.3.7: a cache was flushed while it was enabled");
+            self.forbidden("3.3.7: a cache was flushed while enabled");
         } else if value & DCRST != 0 {
             self.cached.clear();
             self.is_cache_stale = false;
         }
         if value & DCEN != 0 && self.is_cache_stale {
-            self.forbidden("3.3.7: the data cache is on again and holds what was erased");
+            self.forbidden("3.3.7: the data cache was enabled again without a flush after an erase");
         }
         self.acr = value & ACR_BITS;
     }
@@ -377,7 +377,7 @@ impl State {
             }
             _ => {
                 self.forbidden(format!(
-                    "3.3.5: {value:#010X} is the wrong key: a bus error, and no way but a reset"
+                    "3.3.5: wrong key {value:#010X}: a bus error, and locked until reset"
                 ));
                 self.cr |= LOCK;
                 Lock::LockedUp
@@ -401,12 +401,12 @@ impl State {
         if value & STRT != 0 && (self.cr ^ value) & selection != 0 {
             self.forbidden("3.3.6: a page was selected and its erase started by one store");
         }
-        // STRT is cleared by the hardware.
+        // The hardware clears STRT.
         self.cr = value | self.cr & STRT;
         if value & LOCK != 0 {
             self.lock = Lock::Locked;
             if value & (PG | PER) != 0 {
-                self.forbidden("3.3.7: PG or PER was left set behind the last operation");
+                self.forbidden("3.3.7: PG or PER was left set after the last operation");
             }
         }
         if value & PG == 0 {
@@ -431,10 +431,7 @@ impl State {
             Some(0) => Some(Page::First),
             Some(1) => Some(Page::Second),
             _ => {
-                self.forbidden(format!(
-                    "CR {:#010X}: erase of a page that does not hold the settings",
-                    self.cr
-                ));
+                self.forbidden(format!("CR {:#010X}: erase of a page outside the settings", self.cr));
                 None
             }
         };
@@ -475,7 +472,7 @@ impl State {
             && at == self.operations
         {
             let before = self.pages.clone();
-            // What it does not do it does not leave either.
+            // A failed operation leaves no change either.
             let _ = self.pages.apply(operation);
             self.pages.tear(&before, operation, tear);
             self.is_off = true;
@@ -506,7 +503,7 @@ impl State {
         if self.pages.apply(operation).is_err() {
             return self.fail(ErrorFlag::Programming);
         }
-        // 3.3.7: what is programmed is changed in the cache too, what is erased is not.
+        // 3.3.7: programming updates the cache, erasing does not.
         match operation {
             Operation::Program(page, index, value) => {
                 let cached = self.cached.iter_mut().find(|(of, _)| *of == number(page, index));
@@ -518,7 +515,7 @@ impl State {
         }
     }
 
-    /// What is loaded, and whether NMI is raised.
+    /// Returns the loaded value and whether it raises an NMI.
     fn load_memory(&mut self, address: u32, width: Width) -> (u32, bool) {
         if self.is_busy() {
             self.forbidden("3.3.5: a load from the bank that is programmed or erased stalls the core");
@@ -544,7 +541,7 @@ impl State {
             Err(_) => {
                 if self.eccr & (ECCC | ECCD) != 0 {
                     self.forbidden(
-                        "3.3.2: a load while a flag of FLASH_ECCR was set: its error is not noticed",
+                        "3.3.2: a load while a flag of FLASH_ECCR was set: its error stays undetected",
                     );
                 }
                 (part(self.pages.bits(page, index)), self.tell(ECCD, address))
@@ -552,7 +549,7 @@ impl State {
         }
     }
 
-    /// The program has just been found unreadable, once.
+    /// Consumes the fault [`Fault::UnreadableProgram`]. Returns whether it was set.
     fn program_is_unreadable(&mut self) -> bool {
         let is_unreadable = self.fault == Some(Fault::UnreadableProgram);
         if is_unreadable {
@@ -562,7 +559,7 @@ impl State {
         is_unreadable
     }
 
-    /// 3.3.2: the register is updated only while its flags are cleared; whether it was.
+    /// 3.3.2: updates ECCR only while its flags are clear. Returns whether it did.
     fn tell(&mut self, flag: u32, address: u32) -> bool {
         let is_told = self.eccr & (ECCC | ECCD) == 0;
         if is_told {
@@ -575,7 +572,7 @@ impl State {
 impl Powered {
     fn state(&self) -> Result<MutexGuard<'_, State>> {
         let state = self.flash.lock();
-        ensure!(state.power_cycles == self.power_cycles, "the flash has no power any more");
+        ensure!(state.power_cycles == self.power_cycles, "the flash has been power-cycled");
         Ok(state)
     }
 }
@@ -629,7 +626,7 @@ impl RegisterModel for Memory {
     }
 
     fn load(&mut self, address: u32, _: Width) -> Result<u32> {
-        bail!("a load of {address:#010X} may raise NMI at the machine")
+        bail!("a load of {address:#010X} may raise an NMI and needs the machine")
     }
 
     fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {

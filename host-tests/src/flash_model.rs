@@ -1,4 +1,4 @@
-//! Two pages of flash as an STM32L4 has them, and what goes wrong with them: power cuts, wear, no flash at all.
+//! Two flash pages of an STM32L4 and their faults: power failures, wear, and missing flash.
 
 use std::cell::RefCell;
 
@@ -7,43 +7,43 @@ use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
 use crate::flash_pages::{FlashPages, Operation};
 pub use crate::flash_pages::{PAGE_LEN, Tear};
 
-/// What is wrong with the flash.
+/// A fault of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// Reads this throughout and swallows stores, as an emulator without a flash controller does.
+    /// Every read returns this value and stores are ignored, as in an emulator without a flash controller.
     Swallows(u64),
-    /// Every operation is refused.
+    /// Every operation is rejected.
     Protected,
     /// No operation ends.
     Stuck,
-    /// Pages keep a zero bit here when they are erased.
+    /// Erasing leaves a zero bit in this double word.
     Worn(usize),
     /// This double word cannot be programmed.
     Unprogrammable(Page, usize),
 }
 
-/// The flash.
+/// The simulated flash.
 #[derive(Clone)]
 pub struct FlashModel {
     pages: RefCell<FlashPages>,
     running: Option<(Operation, u32)>,
-    /// Answers "it still runs" before an operation ends.
+    /// Number of busy results before an operation ends.
     pub busy_polls: u32,
-    /// What is wrong, if anything.
+    /// The current fault, if any.
     pub fault: Option<Fault>,
-    /// The operation, counted from 0 as [`Self::operations`] does, in which the power goes.
+    /// Number of the operation, as in [`Self::operations`], during which power fails.
     pub cut: Option<(u32, Tear)>,
     is_off: bool,
-    /// Operations started.
+    /// Number of operations started.
     pub operations: u32,
-    /// Erases of each page.
+    /// Number of erases per page.
     pub erases: [u32; 2],
-    /// Double words that were to be programmed a second time.
+    /// Number of attempts to program a double word again.
     pub refused: u32,
 }
 
 impl FlashModel {
-    /// Erased flash.
+    /// Creates erased flash.
     #[must_use]
     pub fn new() -> Self {
         Self {
@@ -59,25 +59,25 @@ impl FlashModel {
         }
     }
 
-    /// Whether the power was cut. No operation ends then.
+    /// Returns whether the power was cut, after which no operation ends.
     #[must_use]
     pub fn is_off(&self) -> bool {
         self.is_off
     }
 
-    /// Power comes back.
+    /// Restores power.
     pub fn reboot(&mut self) {
         self.cut = None;
         self.is_off = false;
         self.running = None;
     }
 
-    /// Sets what a double word holds; [`None`] if it cannot be read.
+    /// Sets a double word; [`None`] makes it unreadable.
     pub fn set(&mut self, page: Page, index: usize, value: Option<u64>) {
         self.pages.get_mut().set(page, index, value);
     }
 
-    /// Lets a double word read otherwise with each read: this, what it held, or not at all.
+    /// Makes reads of a double word vary between this value, its current value and an error.
     pub fn set_changing(&mut self, page: Page, index: usize, value: u64) {
         self.pages.get_mut().set_changing(page, index, value);
     }
@@ -144,7 +144,7 @@ impl NorFlash for FlashModel {
     const PAGE_LEN: usize = PAGE_LEN;
 
     /// # Panics
-    /// While an operation runs: that is the caller's fault.
+    /// Panics while an operation is in progress, because the caller must not read then.
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
         assert!(self.running.is_none(), "read while an operation runs");
         if let Some(Fault::Swallows(value)) = self.fault {

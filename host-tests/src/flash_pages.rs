@@ -1,4 +1,4 @@
-//! What two pages of an STM32L4's flash hold, double word by double word, and what a power cut leaves of them.
+//! Contents of two pages of an STM32L4's flash by double word, and the effects of a power failure.
 
 use wsg_bridge_fw::storage::{Page, Unreadable};
 
@@ -7,22 +7,22 @@ use crate::chance::Chance;
 /// Double words in a page.
 pub const PAGE_LEN: usize = 256;
 
-/// How an operation that a power cut interrupted left its double words.
+/// State of an operation's double words after a power failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tear {
-    /// As before.
+    /// Unchanged.
     NotBegun,
-    /// As if it had ended.
+    /// As after completion.
     Complete,
-    /// All ones, and still not to be programmed.
+    /// All ones, but not programmable.
     SeemsErased,
-    /// More wrong bits than can be put right.
+    /// More wrong bits than can be corrected.
     Unreadable,
-    /// Some bits as before, some as they should be.
+    /// A mixture of old and new bits.
     SomeBits,
-    /// Otherwise with each read.
+    /// Varying with each read.
     Changing,
-    /// Each double word has one of the above.
+    /// One of the above for each double word.
     Mixed,
 }
 
@@ -39,7 +39,7 @@ impl Tear {
     ];
 }
 
-/// The double word is programmed already.
+/// Error: the double word is already programmed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NotErased;
 
@@ -47,9 +47,9 @@ pub struct NotErased;
 enum DoubleWord {
     Erased,
     Programmed(u64),
-    /// More wrong bits than can be put right; these come all the same.
+    /// Raw bits with more errors than can be corrected.
     Unreadable(u64),
-    /// Between two values.
+    /// Varies between two values.
     Changing(u64, u64),
 }
 
@@ -62,7 +62,7 @@ impl DoubleWord {
     }
 }
 
-/// An operation of the flash.
+/// A flash operation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operation {
     /// Programs a double word.
@@ -71,7 +71,7 @@ pub enum Operation {
     Erase(Page),
 }
 
-/// The pages.
+/// Two pages of flash.
 #[derive(Clone, Debug)]
 pub struct FlashPages {
     pages: [[DoubleWord; PAGE_LEN]; 2],
@@ -79,16 +79,16 @@ pub struct FlashPages {
 }
 
 impl FlashPages {
-    /// Erased ones.
+    /// Creates erased pages.
     #[must_use]
     pub fn new() -> Self {
         Self { pages: [[DoubleWord::Erased; PAGE_LEN]; 2], chance: Chance::new(1) }
     }
 
-    /// Reads a double word; what changes reads otherwise each time.
+    /// Reads a double word; a changing one reads differently each time.
     ///
     /// # Errors
-    /// [`Unreadable`] for more wrong bits than can be put right, and from [`PAGE_LEN`] on.
+    /// Returns [`Unreadable`] for an uncorrectable double word, and for an index from [`PAGE_LEN`] on.
     pub fn read(&mut self, page: Page, index: usize) -> Result<u64, Unreadable> {
         match self.pages[page as usize].get(index) {
             None | Some(DoubleWord::Unreadable(_)) => Err(Unreadable),
@@ -101,10 +101,10 @@ impl FlashPages {
         }
     }
 
-    /// Does what the operation is about.
+    /// Performs the operation.
     ///
     /// # Errors
-    /// [`NotErased`]: a double word is programmed once after an erase, or to zeros.
+    /// Returns [`NotErased`]: after an erase a double word can be programmed once, and then only to zeros.
     pub fn apply(&mut self, operation: Operation) -> Result<(), NotErased> {
         match operation {
             Operation::Program(page, index, value) => {
@@ -119,7 +119,7 @@ impl FlashPages {
         Ok(())
     }
 
-    /// Leaves the double words of the operation as a power cut in it does: between what they were `before` and what they are.
+    /// Leaves the operation's double words as after a power failure, between `before` and their current values.
     pub fn tear(&mut self, before: &Self, operation: Operation, tear: Tear) {
         let (page, range) = match operation {
             Operation::Program(page, index, _) => (page as usize, index..index + 1),
@@ -145,19 +145,19 @@ impl FlashPages {
         }
     }
 
-    /// Sets what a double word holds; [`None`] if it cannot be read: its bits stay, and what guards them is wrong.
+    /// Sets a double word; [`None`] makes it unreadable, with its bits unchanged and a wrong error code.
     pub fn set(&mut self, page: Page, index: usize, value: Option<u64>) {
         let double_word = &mut self.pages[page as usize][index];
         *double_word = value.map_or(DoubleWord::Unreadable(double_word.value()), DoubleWord::Programmed);
     }
 
-    /// The bits of a double word that cannot be read, as they come to a reader who does not look whether it can.
+    /// Returns the raw bits of an unreadable double word, as seen by a reader that ignores the error.
     #[must_use]
     pub fn bits(&self, page: Page, index: usize) -> u64 {
         self.pages[page as usize][index].value()
     }
 
-    /// Lets a double word read otherwise with each read: this, what it held, or not at all.
+    /// Makes reads of a double word vary between this value, its current value and an error.
     pub fn set_changing(&mut self, page: Page, index: usize, value: u64) {
         let double_word = &mut self.pages[page as usize][index];
         *double_word = DoubleWord::Changing(value, double_word.value());

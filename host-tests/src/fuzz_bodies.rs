@@ -1,23 +1,24 @@
-//! What must hold for any bytes at all: one body for each fuzz target, which panics where something does not.
+//! Properties that must hold for any input bytes. There is one body per fuzz target; it panics when a property is
+//! violated.
 //!
-//! | body | what it holds |
+//! | body | property |
 //! |---|---|
-//! | [`frames`] | the parser finds what a reader of the whole capture finds, however the bytes are cut |
-//! | [`typed`] | what decodes encodes to the same bytes |
-//! | [`session`] | a request leaves once at the most, and every one comes to an end |
-//! | [`controller`] | a command only after the edge that asks for it |
-//! | [`gcl`] | what is understood of a line is written the same, and what is not gets an answer |
-//! | [`modbus`] | an answer only to an intact frame for this unit, and what the specification says it is |
-//! | [`profibus`] | what the DP model says of each telegram, and no output without data exchange |
-//! | [`profinet`] | no output without data exchange and none but those that came, and what is due is done once |
-//! | [`can`] | the reassembler finds what a reader of the whole capture finds |
-//! | [`storage`] | what is loaded was saved whole, and a save works on whatever the flash holds |
-//! | [`bridge`] | no motion without an edge, FAST STOP in time, true outputs, and settings as they were written, whatever gripper, line, wires, Modbus bus and service port do |
+//! | [`frames`] | the parser finds the same frames as a reader of the whole capture, however the bytes are split |
+//! | [`typed`] | decoded messages encode to the same bytes |
+//! | [`session`] | a request is sent at most once, and every request completes |
+//! | [`controller`] | commands follow only the edges that request them |
+//! | [`gcl`] | a parsed line is written identically, and an invalid one is answered |
+//! | [`modbus`] | only intact frames for this unit are answered, as the specification requires |
+//! | [`profibus`] | each telegram has the effect of the DP model; no output without data exchange |
+//! | [`profinet`] | no output without data exchange; only received outputs; due actions happen once |
+//! | [`can`] | the reassembler finds the same messages as a reader of the whole capture |
+//! | [`storage`] | loaded settings were saved completely; saving works with any flash content |
+//! | [`bridge`] | no motion without an edge, timely FAST STOP, true outputs, and settings as written, for any gripper, line, wires, Modbus bus and service port |
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
-//! | [`bridge_profibus`] | the same, with masters on PROFIBUS, and each answer in time or not at all |
+//! | [`bridge_profibus`] | the same, with PROFIBUS masters; each answer is timely or omitted |
 //!
-//! cargo-fuzz runs them (`cargo xtask fuzz`, targets in `host-tests/fuzz`); the test `fuzz_smoke` runs them on stable Rust
-//! over the committed seeds and over [`generated`] inputs, `cargo xtask fuzz --inputs N` over more of these.
+//! cargo-fuzz runs the bodies (`cargo xtask fuzz`, targets in `host-tests/fuzz`). The test `fuzz_smoke` runs them on
+//! stable Rust over the committed seeds and [`generated`] inputs; `cargo xtask fuzz --inputs N` runs more inputs.
 
 use std::ops::Range;
 use std::thread;
@@ -65,34 +66,34 @@ pub use session::session;
 pub use storage::storage;
 pub use typed::typed;
 
-/// A body, which is also a fuzz target and a folder of seeds.
+/// A body; its name is also that of a fuzz target and of a folder of seeds.
 #[derive(Clone, Copy)]
 pub struct Body {
-    /// The name of all three.
+    /// The common name.
     pub name: &'static str,
-    /// Panics where something does not hold.
+    /// Panics when a property is violated.
     pub run: fn(&[u8]),
-    /// What [`generated`] inputs for it are made of.
+    /// Pieces for [`generated`] inputs.
     pub pieces: Pieces,
 }
 
-/// How many [`generated`] inputs the test `fuzz_smoke` takes, from number 0 on.
+/// Number of [`generated`] inputs in the test `fuzz_smoke`.
 pub const SMOKE_INPUTS: u32 = 60_000;
 
-/// Inputs are shared out among threads: half of them each, odd and even.
+/// Number of threads that share the inputs.
 const THREADS: usize = 2;
 
 impl Body {
-    /// The body of this name.
+    /// Returns the body with this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         ALL.into_iter().find(|body| body.name == name)
     }
 
-    /// Runs it over the [`generated`] inputs of these numbers.
+    /// Runs the body over the [`generated`] inputs with these numbers.
     ///
     /// # Panics
-    /// Where something does not hold; behind what the body says of it stands the input.
+    /// Panics when a property is violated, and prints the input after the message.
     pub fn run_generated(&self, numbers: Range<u32>) {
         let pieces = self.pieces.list();
         thread::scope(|threads| {
@@ -110,7 +111,7 @@ impl Body {
     }
 }
 
-/// Says which input it was, when a body panics.
+/// Prints its input when a body panics.
 struct Case {
     input: Vec<u8>,
     number: u32,
@@ -124,12 +125,12 @@ impl Drop for Case {
     }
 }
 
-/// Pieces for a body of the whole bridge: how a case begins, what its PLC does, and what all of them have.
+/// Combines the pieces of a whole-bridge body: start, wires, PLC and gripper.
 const fn of_bridge([begins, plc]: [&'static [&'static str]; 2]) -> [&'static [&'static str]; 4] {
     [begins, generate::WIRES, plc, generate::GRIPPER]
 }
 
-/// Every body.
+/// All bodies.
 pub const ALL: [Body; 13] = [
     Body { name: "frames", run: frames, pieces: Hex(&[generate::BINARY]) },
     Body { name: "typed", run: typed, pieces: Hex(&[generate::BINARY]) },

@@ -1,7 +1,7 @@
-//! The client's side of the gdb remote protocol, as QEMU's stub speaks it: watchpoints, core registers, memory.
+//! Client of the GDB remote protocol for QEMU's stub: watchpoints, core registers, memory.
 //!
-//! Here is only what this project asks for. QEMU runs one packet after the other, so several may be on their way. (Of the
-//! crates, the well-kept ones are the stub's side; a client would be these few lines with a debugger's interface on top.)
+//! Covers only the commands that this project needs. QEMU processes packets in sequence, so several may be in flight.
+//! The well-maintained crates implement the stub's side only.
 
 use std::collections::VecDeque;
 use std::io::Write;
@@ -13,16 +13,16 @@ use anyhow::{Context, Result, bail, ensure};
 /// R0 to R15 and xPSR.
 const CORE_REGISTERS: usize = 17;
 
-/// Registers of the core, while it stands.
+/// Core registers of a stopped machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CoreRegisters {
-    /// R0 to R15, the program counter.
+    /// R0 to R15, where R15 is the program counter.
     pub r: [u32; 16],
-    /// xPSR; the part that numbers an exception cannot be written.
+    /// xPSR; the exception number cannot be written.
     pub xpsr: u32,
 }
 
-/// A connection to a machine that was started with `-gdb`, and stands.
+/// A connection to a stopped machine that was started with `-gdb`.
 #[derive(Debug)]
 pub struct Gdb {
     line: UnixStream,
@@ -32,37 +32,36 @@ pub struct Gdb {
 }
 
 impl Gdb {
-    /// Speaks over `line`; an answer that takes longer than `patience` is an error.
+    /// Connects over `line`; an answer that takes longer than `patience` is an error.
     ///
     /// # Errors
-    /// When `patience` is zero.
+    /// Fails when `patience` is zero.
     pub fn new(line: UnixStream, patience: Duration) -> Result<Self> {
         line.set_write_timeout(Some(patience))?;
         Ok(Self { line, patience, received: Vec::new(), packets: VecDeque::new() })
     }
 
-    /// Stops the machine before each load and store in these addresses. QEMU takes any length.
+    /// Stops the machine before each load and store in this range. QEMU accepts any length.
     ///
     /// # Errors
-    /// When QEMU refuses or does not answer.
+    /// Fails when QEMU rejects the watchpoint or does not answer.
     pub fn watch(&mut self, first: u32, len: u32) -> Result<()> {
         self.command(&format!("Z4,{first:x},{len:x}"))
     }
 
-    /// Reads the core's registers.
+    /// Reads the core registers.
     ///
     /// # Errors
-    /// When QEMU does not answer with them.
+    /// Fails when QEMU does not return them.
     pub fn core_registers(&mut self) -> Result<CoreRegisters> {
         self.send(&["g"])?;
         self.core_registers_told()
     }
 
-    /// Reads the core's registers, and memory in pieces of an address and a length; all of one moment, for one answer's
-    /// time.
+    /// Reads the core registers and pieces of memory (address, length) consistently, in one round trip.
     ///
     /// # Errors
-    /// When QEMU does not answer with them.
+    /// Fails when QEMU does not return them.
     pub fn look<const N: usize>(
         &mut self,
         places: [(u32, usize); N],
@@ -79,27 +78,27 @@ impl Gdb {
         Ok((registers, pieces))
     }
 
-    /// Reads memory; of a peripheral's the side effects happen.
+    /// Reads memory, including the side effects of peripherals.
     ///
     /// # Errors
-    /// When there is none, or QEMU does not answer.
+    /// Fails when the address is invalid or QEMU does not answer.
     pub fn read_memory(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
         self.send(&[&format!("m{address:x},{len:x}")])?;
         self.memory_told(address, len)
     }
 
-    /// Lets the machine run.
+    /// Resumes the machine.
     ///
     /// # Errors
-    /// When QEMU has ended.
+    /// Fails when QEMU has ended.
     pub fn run(&mut self) -> Result<()> {
         self.send(&["c"])
     }
 
-    /// Lets the machine run, from these registers on.
+    /// Resumes the machine with these registers.
     ///
     /// # Errors
-    /// When QEMU refuses them, or has ended.
+    /// Fails when QEMU rejects them or has ended.
     pub fn run_from(&mut self, registers: &CoreRegisters) -> Result<()> {
         let words = registers.r.iter().chain([&registers.xpsr]);
         let digits: String = words.map(|word| format!("{:08x}", word.swap_bytes())).collect();
@@ -107,10 +106,10 @@ impl Gdb {
         self.expect_ok("G")
     }
 
-    /// Waits until the machine stops before an access to what is watched; `false`: it is still running.
+    /// Waits until the machine stops at a watchpoint; returns `false` while it is still running.
     ///
     /// # Errors
-    /// When it stops for another reason, or QEMU ends.
+    /// Fails when it stops for another reason, or when QEMU ends.
     pub fn stops_within(&mut self, time: Duration) -> Result<bool> {
         match self.packet_within(time)? {
             None => Ok(false),
@@ -119,21 +118,21 @@ impl Gdb {
         }
     }
 
-    /// Stops a machine that runs.
+    /// Stops a running machine.
     ///
     /// # Errors
-    /// When it does not stop, or QEMU ends.
+    /// Fails when it does not stop, or when QEMU ends.
     pub fn interrupt(&mut self) -> Result<()> {
-        self.line.write_all(&[0x03]).context("QEMU's gdb stub is gone")?;
+        self.line.write_all(&[0x03]).context("QEMU has closed its GDB stub")?;
         let stop = self.answer()?;
-        ensure!(stop.starts_with('T'), "the machine does not stop: `{stop}`");
+        ensure!(stop.starts_with('T'), "the machine did not stop: `{stop}`");
         Ok(())
     }
 
-    /// Resets a machine that stands; it begins anew when it is let run.
+    /// Resets a stopped machine; it restarts when resumed.
     ///
     /// # Errors
-    /// When QEMU refuses.
+    /// Fails when QEMU rejects the command.
     pub fn reset_machine(&mut self) -> Result<()> {
         let command: String = b"system_reset".iter().map(|byte| format!("{byte:02x}")).collect();
         self.command(&format!("qRcmd,{command}"))
@@ -146,14 +145,14 @@ impl Gdb {
 
     fn expect_ok(&mut self, packet: &str) -> Result<()> {
         let answer = self.answer()?;
-        ensure!(answer == "OK", "QEMU's gdb stub refuses `{packet}`: `{answer}`");
+        ensure!(answer == "OK", "QEMU's GDB stub rejects `{packet}`: `{answer}`");
         Ok(())
     }
 
     fn core_registers_told(&mut self) -> Result<CoreRegisters> {
         let bytes = from_hex(&self.answer()?)?;
         let words = bytes.as_chunks::<4>().0;
-        ensure!(words.len() >= CORE_REGISTERS, "QEMU's gdb stub tells {} registers", words.len());
+        ensure!(words.len() >= CORE_REGISTERS, "QEMU's GDB stub returned {} registers", words.len());
         let mut r = [0; 16];
         for (register, word) in r.iter_mut().zip(words) {
             *register = u32::from_le_bytes(*word);
@@ -165,24 +164,24 @@ impl Gdb {
         let bytes = from_hex(&self.answer()?).with_context(|| format!("memory at {address:#010X}"))?;
         ensure!(
             bytes.len() == len,
-            "QEMU's gdb stub tells {} bytes of {len} at {address:#010X}",
+            "QEMU's GDB stub returned {} bytes of {len} at {address:#010X}",
             bytes.len()
         );
         Ok(bytes)
     }
 
-    /// Each packet takes the acknowledgement of the one before with it.
+    /// Prefixes each packet with the acknowledgement of the previous one.
     fn send(&mut self, packets: &[&str]) -> Result<()> {
         let mut text = String::new();
         for packet in packets {
             let sum = packet.bytes().fold(0u8, u8::wrapping_add);
             text.push_str(&format!("+${packet}#{sum:02x}"));
         }
-        self.line.write_all(text.as_bytes()).context("QEMU's gdb stub is gone")
+        self.line.write_all(text.as_bytes()).context("QEMU has closed its GDB stub")
     }
 
     fn answer(&mut self) -> Result<String> {
-        self.packet_within(self.patience)?.context("QEMU's gdb stub does not answer")
+        self.packet_within(self.patience)?.context("QEMU's GDB stub does not answer")
     }
 
     fn packet_within(&mut self, time: Duration) -> Result<Option<String>> {
@@ -195,14 +194,14 @@ impl Gdb {
                 return Ok(None);
             }
             match uninterrupted::read(&self.line, &mut chunk)? {
-                0 => bail!("QEMU has closed its gdb stub"),
+                0 => bail!("QEMU has closed its GDB stub"),
                 count => self.received.extend_from_slice(&chunk[..count]),
             }
             self.take_packets()?;
         }
     }
 
-    /// Acknowledgements between packets are passed over.
+    /// Skips acknowledgements between packets.
     fn take_packets(&mut self) -> Result<()> {
         while let Some(start) = self.received.iter().position(|&byte| byte == b'$') {
             let Some(len) = self.received[start..].iter().position(|&byte| byte == b'#') else { break };
@@ -212,7 +211,7 @@ impl Gdb {
             let sum = u8::from_str_radix(str::from_utf8(digits)?, 16)?;
             ensure!(
                 sum == text.bytes().fold(0, u8::wrapping_add),
-                "QEMU's gdb stub sends a wrong checksum: `{text}`"
+                "QEMU's GDB stub sent a wrong checksum: `{text}`"
             );
             self.received.drain(..end + 3);
             self.packets.push_back(text);
@@ -225,5 +224,5 @@ fn from_hex(digits: &str) -> Result<Vec<u8>> {
     let pairs = digits.as_bytes().chunks(2);
     let bytes: Option<_> =
         pairs.map(|pair| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok()).collect();
-    bytes.with_context(|| format!("QEMU's gdb stub answers `{digits}`, no bytes"))
+    bytes.with_context(|| format!("QEMU's GDB stub returned `{digits}`, which is not hexadecimal"))
 }

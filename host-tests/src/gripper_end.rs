@@ -1,4 +1,4 @@
-//! The gripper's end of the line: a virtual gripper in the board's time, and a line that can be cut and disturbed.
+//! A virtual gripper on an emulated board's line, on the board's clock. The line can be cut and disturbed.
 
 use std::io::Write;
 use std::os::unix::net::UnixStream;
@@ -15,16 +15,16 @@ use crate::clock::Clock;
 use crate::faulty_link::FaultyWay;
 use crate::trace::{Entry, Trace};
 
-/// The longest time between two looks at the clock: what a part or a fault sets off shows at most this late.
+/// Longest interval between two looks at the clock; effects of a part or a fault appear at most this late.
 const LOOK_AROUND: Duration = Duration::from_millis(5);
 
-/// How far the fingers move from one entry in the trace to the next, in mm.
+/// Travel of the fingers between two entries of the trace, in mm.
 const TRACED_TRAVEL: f32 = 10.0;
 
-/// What becomes of the frames that the gripper sends: each in, any number out, in order.
+/// Modifies frames from the gripper: one frame in, any number out, in order.
 pub type Tampering = Box<dyn FnMut(Vec<u8>) -> Vec<Vec<u8>> + Send>;
 
-/// A virtual gripper that serves one line. Dropping it hangs up.
+/// A virtual gripper on one line. Dropping it closes the line.
 pub struct GripperEnd {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
@@ -41,23 +41,23 @@ struct World {
     line: UnixStream,
     is_cut: bool,
     tampering: Option<Tampering>,
-    /// The way to the gripper and the way to the bridge.
+    /// Fault injection from and to the bridge.
     ways: Option<(FaultyWay, FaultyWay)>,
-    /// Finds frames in what the bridge sends, for the trace only.
+    /// Parses frames from the bridge, for the trace only.
     seen: FrameParser<MAX_MESSAGE_LEN>,
     traced_width: f32,
     config: Config,
     clock: Clock,
-    /// When it was switched on.
+    /// Time of power-up.
     start: Duration,
     trace: Trace,
 }
 
 impl GripperEnd {
-    /// Switches a gripper on at this end of a line, which goes by this clock: that of the board at the other end.
+    /// Powers up a gripper on `line`. `clock` is the clock of the board at the other end.
     ///
     /// # Errors
-    /// When the line or a thread cannot be set up.
+    /// Fails when the line or a thread cannot be set up.
     pub fn start(line: UnixStream, clock: Clock, config: Config, trace: &Trace) -> Result<Self> {
         let reader = line.try_clone().context("cannot listen on the gripper's line")?;
         let (gripper, port) = switch_on(config)?;
@@ -87,7 +87,7 @@ impl GripperEnd {
         Ok(Self { shared, thread: None })
     }
 
-    /// How the gripper is at this moment.
+    /// Returns the gripper's state at this moment.
     #[must_use]
     pub fn state(&self) -> State {
         let mut world = self.world();
@@ -95,7 +95,7 @@ impl GripperEnd {
         world.gripper.state()
     }
 
-    /// Puts a part between the fingers, or takes it away.
+    /// Places a part between the fingers, or removes it.
     pub fn set_part(&self, part: Option<Part>) {
         let mut world = self.world();
         let now = world.now();
@@ -103,7 +103,7 @@ impl GripperEnd {
         world.turn(&[]);
     }
 
-    /// Lets a fault begin or end.
+    /// Starts or ends a fault.
     pub fn set_fault(&self, fault: Fault, on: bool) {
         let mut world = self.world();
         let now = world.now();
@@ -111,15 +111,15 @@ impl GripperEnd {
         world.turn(&[]);
     }
 
-    /// Cuts the line, both ways, or mends it.
+    /// Cuts or restores both directions of the line.
     pub fn cut(&self, cut: bool) {
         self.world().is_cut = cut;
     }
 
-    /// Switches the gripper off and on again: it has forgotten everything.
+    /// Power-cycles the gripper; it loses all state.
     ///
     /// # Errors
-    /// Never, as long as a new gripper takes a client.
+    /// Never, because a new gripper accepts a client.
     pub fn restart(&self) -> Result<()> {
         let mut world = self.world();
         let (gripper, port) = switch_on(world.config)?;
@@ -128,7 +128,7 @@ impl GripperEnd {
         Ok(())
     }
 
-    /// Gives the gripper a command of a third party, as its web page does. Returns its first status.
+    /// Executes a third-party command, as from the gripper's web page. Returns its first status.
     pub fn command(&self, command: &Command<'_>) -> Status {
         let mut world = self.world();
         let now = world.now();
@@ -137,25 +137,25 @@ impl GripperEnd {
         status
     }
 
-    /// Lets `tampering` have every frame that the gripper sends from now on; `None`: they arrive as they are.
+    /// Passes every further frame from the gripper to `tampering`; `None` delivers frames unmodified.
     pub fn tamper(&self, tampering: Option<Tampering>) {
         self.world().tampering = tampering;
     }
 
-    /// Puts faulty ways between bridge and gripper, to it and from it, and gives those back that were there; `None`: what is
-    /// sent arrives. What is still on the old ways is lost.
+    /// Injects faults on the way to and from the gripper, and returns the previous fault injection. `None` delivers
+    /// everything. Bytes still in transit are lost.
     pub fn disturb(&self, ways: Option<(FaultyWay, FaultyWay)>) -> Option<(FaultyWay, FaultyWay)> {
         std::mem::replace(&mut self.world().ways, ways)
     }
 
-    /// Sends bytes to the bridge that the gripper never sent.
+    /// Sends bytes to the bridge in the gripper's place.
     pub fn inject(&self, bytes: &[u8]) {
         let mut world = self.world();
         world.trace.add(Entry::FromGripper(bytes.to_vec()));
         world.send(bytes);
     }
 
-    /// Lets the gripper receive bytes that the bridge never sent.
+    /// Sends bytes to the gripper in the bridge's place.
     pub fn mislead(&self, bytes: &[u8]) {
         let mut world = self.world();
         let now = world.now();
@@ -172,7 +172,7 @@ impl Drop for GripperEnd {
     fn drop(&mut self) {
         self.shared.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // Had it panicked, its message is out already.
+            // After a panic its message has already been printed.
             let _ = thread.join();
         }
     }
@@ -180,11 +180,11 @@ impl Drop for GripperEnd {
 
 fn switch_on(config: Config) -> Result<(VirtualGripper<1>, PortId)> {
     let mut gripper = VirtualGripper::with_ports(config);
-    let port = gripper.connect(PortKind::Serial).context("a new gripper takes a client")?;
+    let port = gripper.connect(PortKind::Serial).context("a new gripper rejected its client")?;
     Ok((gripper, port))
 }
 
-/// Passes bytes and time to the gripper until this end is dropped or the other one hangs up.
+/// Passes bytes and time to the gripper until either end is closed.
 fn serve(shared: &Shared, line: &UnixStream) {
     while !shared.over.load(Ordering::Relaxed) {
         let wait = lock(&shared.world).until_next_wake().clamp(Duration::from_micros(100), LOOK_AROUND);
@@ -194,7 +194,7 @@ fn serve(shared: &Shared, line: &UnixStream) {
     }
 }
 
-/// The same once, for what has come; whether it is to go on.
+/// Serves the bytes that have arrived. Returns whether to continue.
 fn come_up(shared: &Shared, line: &UnixStream) -> bool {
     match uninterrupted::is_readable_within(line, Duration::ZERO) {
         Ok(true) => take(shared, line, Duration::ZERO),
@@ -206,7 +206,7 @@ fn come_up(shared: &Shared, line: &UnixStream) -> bool {
     }
 }
 
-/// Passes what comes within this time; whether the other end is still there.
+/// Serves bytes that arrive within this time. Returns whether the other end is still open.
 fn take(shared: &Shared, line: &UnixStream, within: Duration) -> bool {
     let mut chunk = [0; 256];
     let bytes = match uninterrupted::read_within(line, &mut chunk, within) {
@@ -229,7 +229,7 @@ impl World {
         Duration::from_micros(wake.saturating_sub(now))
     }
 
-    /// Takes bytes from the bridge, lets the gripper come up to now, and sends what it has to say.
+    /// Delivers bytes from the bridge, advances the gripper to now, and sends its output.
     fn turn(&mut self, bytes: &[u8]) {
         let now = self.now();
         let bytes = if self.is_cut { &[] } else { bytes };
@@ -262,7 +262,7 @@ impl World {
         self.note_travel();
     }
 
-    /// Sends bytes to the bridge, and what is late and arrives now.
+    /// Sends bytes to the bridge, together with delayed bytes that are now due.
     fn send(&mut self, bytes: &[u8]) {
         let now_ms = millis(self.now());
         let arrived = match &mut self.ways {
@@ -273,7 +273,7 @@ impl World {
             None => bytes,
         };
         if !self.is_cut && !arrived.is_empty() {
-            // A board that was switched off reads nothing: the reading side notices and ends.
+            // A board that was switched off reads nothing; the reading side detects this and ends.
             let _ = self.line.write_all(arrived);
         }
     }
@@ -300,7 +300,7 @@ impl World {
         let state = self.gripper.state();
         let travelled = (state.width - self.traced_width).abs();
         let stands = state.speed == 0.0;
-        // At the first look the last width is not a number, and neither is the travel.
+        // Initially the width is NaN, and so is the travel.
         if travelled.is_nan() || travelled >= TRACED_TRAVEL || (stands && travelled > 0.005) {
             self.traced_width = state.width;
             self.trace.add(Entry::Fingers(state.width));
@@ -308,7 +308,7 @@ impl World {
     }
 }
 
-/// Of a clock of 32 bits that starts again from 0.
+/// Converts to a 32-bit clock that wraps to 0.
 fn millis(time: Time) -> u32 {
     (time.as_micros() / 1_000) as u32
 }

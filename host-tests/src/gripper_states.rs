@@ -1,13 +1,13 @@
 //! A gripper reduced to its states: idle, moving, holding or fast-stopped (command set, 3.2 and appendix C).
 //!
-//! It knows neither width nor time: others end its motions. What `wsg-sim` answers in which order, this answers too.
+//! It has neither width nor time; the caller ends its motions. Its replies and their order match `wsg-sim`.
 
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, DeviceType, Event, FirmwareVersion, Frame, FrameEncoder, FrameParser,
     GripperState, Kind, Reply, Status, SystemFlags, SystemInfo, SystemLimits, UpdateFlags, Value,
 };
 
-/// Stroke in mm, where a jog in positive direction ends, and the least speed in mm/s.
+/// Stroke in mm, where a jog in positive direction ends, and minimum speed in mm/s.
 pub(crate) const STROKE: f32 = 110.0;
 pub(crate) const LEAST_SPEED: f32 = 5.0;
 
@@ -29,7 +29,7 @@ const LIMITS: SystemLimits = SystemLimits {
     overdrive_force: 120.0,
 };
 
-/// A message to the gripper, by value.
+/// A message to the gripper.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Message {
     pub(crate) id: CommandId,
@@ -37,10 +37,10 @@ pub(crate) struct Message {
 }
 
 impl Message {
-    /// What it asks for.
+    /// Decodes the command.
     pub(crate) fn command(&self) -> Command<'_> {
         let frame = Frame { id: self.id.code(), payload: &self.payload };
-        Command::decode(&frame).expect("the bridge says what is allowed")
+        Command::decode(&frame).expect("the bridge sends valid commands")
     }
 }
 
@@ -50,7 +50,7 @@ impl From<Frame<'_>> for Message {
     }
 }
 
-/// The messages in what the bridge says, all of them intact.
+/// Returns the messages in bytes from the bridge, all of which must be intact.
 pub(crate) fn messages(parser: &mut FrameParser<64>, mut said: &[u8]) -> Vec<Message> {
     let mut found = vec![];
     loop {
@@ -59,7 +59,7 @@ pub(crate) fn messages(parser: &mut FrameParser<64>, mut said: &[u8]) -> Vec<Mes
         match event {
             None => return found,
             Some(Event::Frame(frame)) => found.push(frame.into()),
-            Some(broken) => panic!("the bridge sends a broken frame: {broken:?}"),
+            Some(broken) => panic!("the bridge sent a broken frame: {broken:?}"),
         }
     }
 }
@@ -82,12 +82,12 @@ impl Answer {
         Self { value, ..Self::status(id, Status::Success) }
     }
 
-    /// The system flags, if it reports them.
+    /// Returns the system flags if this message reports them.
     pub(crate) fn flags(&self) -> Option<SystemFlags> {
         (self.id == CommandId::GetSystemState).then(|| SystemFlags::from_bits_retain(self.value))
     }
 
-    /// Its frame.
+    /// Encodes the frame.
     pub(crate) fn bytes(self) -> impl Iterator<Item = u8> + use<> {
         let value = match self.id {
             CommandId::GetSystemInfo => Some(Value::GetSystemInfo(INFO)),
@@ -109,18 +109,18 @@ impl Answer {
     }
 }
 
-/// The gripper. Each method that changes it hands what it says to `say`.
+/// The gripper. Each method that changes its state passes the resulting messages to `say`.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct States {
-    /// All flags but that of a motion.
+    /// All flags except MOVING.
     pub(crate) flags: SystemFlags,
     pub(crate) motion: Option<CommandId>,
     pub(crate) state: GripperState,
     /// In hundredths of a newton.
     pub(crate) force_limit: u32,
-    /// It refuses the next motion or setting.
+    /// Whether it rejects the next motion or setting.
     pub(crate) refuses: bool,
-    /// The last reported flags and state; none without a subscription.
+    /// The last reported flags and state; `None` without a subscription.
     pub(crate) told: [Option<u32>; 2],
 }
 
@@ -134,17 +134,15 @@ impl States {
         told: [None; 2],
     };
 
-    /// Whether it is in FAST STOP.
     pub(crate) const fn fast_stop(&self) -> bool {
         self.flags.contains(SystemFlags::FAST_STOP)
     }
 
-    /// Whether its fingers are referenced.
     pub(crate) const fn referenced(&self) -> bool {
         self.flags.contains(SystemFlags::REFERENCED)
     }
 
-    /// Takes a command and answers it.
+    /// Executes a command and replies.
     pub(crate) fn take(&mut self, command: &Command<'_>, say: &mut dyn FnMut(Answer)) {
         let id = command.id();
         match *command {
@@ -183,12 +181,11 @@ impl States {
             }
             _ if id.kind() == Kind::Motion => say(Answer::status(id, self.take_motion(id))),
             _ if id.kind() == Kind::Query => say(Answer::value(id, 0)),
-            _ => panic!("{id} is no command that a bridge sends"),
+            _ => panic!("{id} is not a command of the bridge"),
         }
         self.tell(say);
     }
 
-    /// Ends the motion.
     pub(crate) fn finish(&mut self, succeeds: bool, say: &mut dyn FnMut(Answer)) {
         let Some(id) = self.motion else { return };
         let (state, status) = match (id, succeeds) {
@@ -204,25 +201,25 @@ impl States {
         self.tell(say);
     }
 
-    /// Loses the part that is held.
+    /// Simulates the loss of the gripped part.
     pub(crate) fn lose_part(&mut self, say: &mut dyn FnMut(Answer)) {
         self.state = GripperState::PartLost;
         self.tell(say);
     }
 
-    /// Raises FAST STOP by itself.
+    /// Enters FAST STOP without a command.
     pub(crate) fn raise_fast_stop(&mut self, say: &mut dyn FnMut(Answer)) {
         self.stop_fast(say);
         self.tell(say);
     }
 
-    /// Takes the acknowledgement of a third party.
+    /// Executes a third-party acknowledgement.
     pub(crate) fn acknowledge(&mut self, say: &mut dyn FnMut(Answer)) {
         self.leave_fast_stop();
         self.tell(say);
     }
 
-    /// Its fingers begin to move, whatever its state.
+    /// Starts a motion in any state.
     pub(crate) fn begin(&mut self, id: CommandId) {
         self.motion = Some(id);
         self.state = match id {
@@ -232,7 +229,7 @@ impl States {
         };
     }
 
-    /// Reports what has changed.
+    /// Reports changed flags and states to subscribers.
     pub(crate) fn tell(&mut self, say: &mut dyn FnMut(Answer)) {
         let ids = [CommandId::GetSystemState, CommandId::GetGripperState];
         let values = [self.all_flags(), self.state.code().into()];

@@ -1,4 +1,4 @@
-//! The independent watchdog of the STM32L4 (RM0351, chapter 36), and the flags that tell who has reset the machine (6.4.29).
+//! Model of the STM32L4's independent watchdog (RM0351, chapter 36) and reset cause flags (6.4.29).
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use anyhow::{Result, bail};
 use crate::load_store::Width;
 use crate::registers::{Derailment, RegisterModel, ensure_word};
 
-/// Where its registers are, and offsets (RM0351, table 1; 36.4).
+/// Base address and register offsets (RM0351, table 1; 36.4).
 const IWDG: u32 = 0x4000_3000;
 const KR: u32 = 0x00;
 const PR: u32 = 0x04;
@@ -22,26 +22,26 @@ const RELOAD: u32 = 0xAAAA;
 const UNLOCK: u32 = 0x5555;
 const START: u32 = 0xCCCC;
 
-/// PVU and RVU: a new value is on its way to the slow clock (36.4.4).
+/// PVU and RVU: a new value is being transferred to the slow clock domain (36.4.4).
 const PVU: u32 = 1 << 0;
 const RVU: u32 = 1 << 1;
 
-/// A cycle of the slow clock, LSI at its nominal 32 kHz, and how many of them a new value takes at the most.
+/// Cycle of the slow clock (LSI, nominally 32 kHz), and the maximum duration of an update.
 const LSI_CYCLE: Duration = Duration::from_nanos(31_250);
 const UPDATE: Duration = Duration::from_nanos(5 * 31_250);
 
-/// RCC_CSR, and its bits for the watchdog, brown-out and the pin, and the one that clears them all.
+/// RCC_CSR: flags for watchdog, brown-out and pin reset, and the bit that clears all flags.
 const RCC_CSR: u32 = 0x4002_1094;
 const IWDGRSTF: u32 = 1 << 29;
 const BORRSTF: u32 = 1 << 27;
 const PINRSTF: u32 = 1 << 26;
 const RMVF: u32 = 1 << 23;
 
-/// The watchdog; clones are the same one.
+/// The watchdog; clones share it.
 #[derive(Clone, Debug)]
 pub struct Iwdg(Arc<Mutex<State>>);
 
-/// The flags of the last reset.
+/// The reset cause flags.
 #[derive(Debug)]
 pub struct ResetFlags(Iwdg);
 
@@ -52,9 +52,9 @@ struct State {
     prescaler: u32,
     reload: u32,
     window: u32,
-    /// How long PVU and RVU stay set.
+    /// Remaining time of PVU and RVU.
     updating: [Duration; 2],
-    /// Until it resets the machine.
+    /// Time until it resets the machine.
     left: Duration,
     flags: u32,
     resets: u32,
@@ -62,7 +62,7 @@ struct State {
 }
 
 impl Iwdg {
-    /// A watchdog that does not run, after power-on.
+    /// Creates a stopped watchdog after power-on.
     #[must_use]
     pub fn new() -> Self {
         let mut state = State {
@@ -81,26 +81,26 @@ impl Iwdg {
         Self(Arc::new(Mutex::new(state)))
     }
 
-    /// The flags beside it: a peripheral of their own.
+    /// Returns the reset cause flags, which are a separate peripheral.
     #[must_use]
     pub fn flags(&self) -> ResetFlags {
         ResetFlags(self.clone())
     }
 
-    /// How often it has reset the machine.
+    /// Returns the number of resets that it has caused.
     #[must_use]
     pub fn resets(&self) -> u32 {
         self.lock().resets
     }
 
-    /// The time that it gives; `None`: it does not run.
+    /// Returns the configured time-out; `None` while stopped.
     #[must_use]
     pub fn timeout(&self) -> Option<Duration> {
         let state = self.lock();
         state.is_running.then(|| state.timeout())
     }
 
-    /// Lets the firmware hang behind its next access to the watchdog, which is that of its main loop.
+    /// Makes the firmware hang after its next access to the watchdog, which the main loop makes.
     pub fn derail(&self, how: Derailment) {
         self.lock().derailment = Some(how);
     }
@@ -117,28 +117,28 @@ impl Default for Iwdg {
 }
 
 impl State {
-    /// What a reset leaves: the watchdog off, and its values those of reset.
+    /// Resets the watchdog: stopped, with reset values.
     fn reset(&mut self) {
         (self.is_running, self.is_unlocked) = (false, false);
         (self.prescaler, self.reload, self.window) = (0, 0xFFF, 0xFFF);
         self.updating = [Duration::ZERO; 2];
     }
 
-    /// 36.3.2: the counter runs from the reload value to 0 at the prescaled clock.
+    /// 36.3.2: the counter runs from the reload value down to 0 at the prescaled clock.
     fn timeout(&self) -> Duration {
-        // 110 and 111 both divide by 256.
+        // 110b and 111b both divide by 256.
         LSI_CYCLE * (4 << self.prescaler.min(6)) * (self.reload + 1)
     }
 
     fn store(&mut self, offset: u32, value: u32) -> Result<()> {
         match offset {
             KR => {
-                // 36.3.4: another key locks again.
+                // 36.3.4: any other key locks again.
                 self.is_unlocked = value & 0xFFFF == UNLOCK;
                 match value & 0xFFFF {
                     START => self.is_running = true,
                     RELOAD | UNLOCK => {}
-                    other => bail!("IWDG has no key {other:#06X}"),
+                    other => bail!("IWDG: unknown key {other:#06X}"),
                 }
                 if value & 0xFFFF != UNLOCK {
                     self.left = self.timeout();
@@ -146,7 +146,7 @@ impl State {
             }
             PR | RLR => {
                 let at = usize::from(offset == RLR);
-                // Without the key, and while the value before is on its way, nothing is taken (36.4.2, 36.4.3).
+                // Writes without the key or during an update are ignored (36.4.2, 36.4.3).
                 if self.is_unlocked && self.updating[at].is_zero() {
                     let register = if offset == PR { &mut self.prescaler } else { &mut self.reload };
                     *register = value & if offset == PR { 0b111 } else { 0xFFF };
@@ -154,7 +154,7 @@ impl State {
                 }
             }
             WINR => bail!("the window of IWDG is not modelled"),
-            _ => bail!("IWDG has no register to store to at {offset:#04X}"),
+            _ => bail!("IWDG: no writable register at {offset:#04X}"),
         }
         Ok(())
     }
@@ -177,7 +177,7 @@ impl RegisterModel for Iwdg {
                 flags.filter(|(_, left)| !left.is_zero()).fold(0, |bits, (bit, _)| bits | bit)
             }
             WINR => state.window,
-            offset => bail!("IWDG has no register at {offset:#04X}"),
+            offset => bail!("IWDG: no register at {offset:#04X}"),
         })
     }
 
@@ -211,7 +211,7 @@ impl RegisterModel for Iwdg {
     fn reset(&mut self) {
         let state = &mut *self.lock();
         state.reset();
-        // 6.1.1: an internal reset also pulls the pin.
+        // 6.1.1: an internal reset also drives the reset pin.
         state.flags |= IWDGRSTF | PINRSTF;
         state.resets += 1;
     }

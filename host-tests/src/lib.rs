@@ -1,49 +1,49 @@
-//! The harness: the flashed image in an emulator, a virtual gripper on its line, a PLC on its wires.
+//! Test harness: the released firmware image in an emulator, a virtual gripper on its serial line, and a PLC on its
+//! wires.
 //!
-//! | module | holds |
+//! | module | content |
 //! |---|---|
-//! | [`addresses`] | the bridge's registers by their names |
-//! | [`mod@bench`] | a [`world`] whose PLC has wires alone |
-//! | [`bxcan`] | the CAN controller of the STM32L4, by its manual |
-//! | [`can_bench`] | bridge and virtual gripper on a CAN bus, with a controller that goes bus-off on command |
-//! | [`can_bus`] | a CAN bus between that controller and others: arbitration, acknowledgement, faults |
-//! | [`can_controller`] | what a bus asks of a CAN controller |
-//! | [`can_hub`] | those on that bus besides the board: a gripper, a master |
-//! | [`can_wire`] | a frame as it is on the wire of a CAN bus |
-//! | [`clock`] | the time that those beside an emulated board go by |
-//! | [`device_files`] | the names of the device files for PLCs, and of their bitmaps |
-//! | [`emulator`] | the board in QEMU: inputs, outputs, lines, memory |
-//! | [`chance`] | numbers that look random, the same ones for the same seed |
-//! | [`mod@explore`] | every order of events, on the bridge as it is flashed |
-//! | [`fault_sweep`] | every fault of a bit or a byte around a FAST STOP, and how long the gripper takes to stop |
-//! | [`faulty_link`] | a line on which bytes go wrong, round any byte link |
-//! | [`flash_controller`] | the flash interface of the STM32L4 on the settings' pages, by its manual |
-//! | [`flash_model`] | the settings' flash for the library: two pages, and what goes wrong with them |
-//! | [`flash_pages`] | what two pages of flash hold, and what a power cut leaves of them |
-//! | [`fuzz_bodies`] | what must hold for any bytes at all |
-//! | [`mod@example`] | where cargo puts an example |
-//! | [`gdb`] | the client's side of the gdb remote protocol |
-//! | [`gripper_end`] | the virtual gripper at the other end of the line, and what can be done to that line |
-//! | [`iwdg`] | the watchdog of the STM32L4, and the flags of the last reset |
-//! | [`line_errors`] | framing, parity, noise and overrun on a UART |
-//! | [`load_store`] | loads and stores of Thumb-2, decoded |
-//! | [`masters`] | third-party masters of Modbus and CANopen |
-//! | [`mcp2515`] | the CAN controller behind SPI, by its data sheet |
+//! | [`addresses`] | register addresses of the bridge, by name |
+//! | [`mod@bench`] | a [`world`] whose PLC uses wires only |
+//! | [`bxcan`] | model of the STM32L4's CAN controller, per its manual |
+//! | [`can_bench`] | bridge and virtual gripper on a CAN bus, with a controller that goes bus-off on request |
+//! | [`can_bus`] | model of a CAN bus: arbitration, acknowledgement, faults |
+//! | [`can_controller`] | interface between a CAN bus and a controller model |
+//! | [`can_hub`] | other participants on that bus: a gripper, a master |
+//! | [`can_wire`] | bit-level encoding of a CAN frame |
+//! | [`clock`] | clock that peers of an emulated board follow |
+//! | [`device_files`] | file names of the PLC device descriptions and their bitmaps |
+//! | [`emulator`] | the emulated board: inputs, outputs, lines, memory |
+//! | [`chance`] | pseudo-random numbers, reproducible by seed |
+//! | [`mod@explore`] | exhaustive exploration of event orders on the released bridge code |
+//! | [`fault_sweep`] | every bit and byte fault around a FAST STOP, and the resulting stopping time |
+//! | [`faulty_link`] | fault injection for any byte link |
+//! | [`flash_controller`] | model of the STM32L4's flash interface on the settings pages, per its manual |
+//! | [`flash_model`] | the settings flash for the library: two pages and their faults |
+//! | [`flash_pages`] | contents of two flash pages, also after a power failure |
+//! | [`fuzz_bodies`] | properties that must hold for any input bytes |
+//! | [`mod@example`] | location of compiled examples |
+//! | [`gdb`] | client of the GDB remote protocol |
+//! | [`gripper_end`] | the virtual gripper on an emulated board's line, with line faults |
+//! | [`iwdg`] | model of the STM32L4's watchdog and reset flags |
+//! | [`line_errors`] | framing, parity, noise and overrun errors on a UART |
+//! | [`load_store`] | decoder for Thumb-2 loads and stores |
+//! | [`masters`] | third-party masters for Modbus and CANopen |
+//! | [`mcp2515`] | model of the SPI CAN controller, per its data sheet |
 //! | [`modbus_bench`] | a [`world`] with a Modbus master |
-//! | [`modbus_master`] | a Modbus master on the board's bus, byte by byte |
-//! | [`plc_names`] | flags, states and status codes, for the documents |
+//! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
+//! | [`plc_names`] | names of flags, states and status codes, for the documents |
 //! | [`profibus_bench`] | a [`world`] with a PROFIBUS master |
-//! | [`registers`] | peripherals that QEMU lacks, served by models |
+//! | [`registers`] | models of peripherals that QEMU lacks |
 //! | [`rig`] | board, gripper and PLC together |
-//! | [`serial_gripper`] | the virtual gripper behind a serial line in virtual time |
-//! | [`service_bench`] | the bridge library and a virtual gripper, with the service port at the end of a stream |
-//! | [`terminal`] | a pseudo terminal in front of the board's bus |
-//! | [`trace`] | what happened, as a person reads it and as a test compares it |
-//! | [`wires`] | what a PLC does with the wires of a bench |
-//! | [`world`] | bridge library and virtual gripper in virtual time, for any bus of the PLC |
+//! | [`serial_gripper`] | the virtual gripper on a serial line in virtual time |
+//! | [`service_bench`] | bridge library and virtual gripper, with the service port on a stream |
+//! | [`terminal`] | a pseudo-terminal connected to the board's bus |
+//! | [`trace`] | event recording, readable by people and comparable by tests |
+//! | [`wires`] | PLC actions on the wires |
+//! | [`world`] | bridge library and virtual gripper in virtual time, for any PLC bus |
 //!
-//! The emulator needs QEMU and the image: `cargo xtask test` sets both up. On systems without Unix sockets the harness
-//! is empty.
+//! The emulator requires QEMU and the image (`cargo xtask test` provides both), and a system with Unix sockets.
 
 pub mod addresses;
 pub mod bench;

@@ -1,7 +1,7 @@
-//! Errors on a UART that QEMU has: its receiver tells them of the bytes that arrive (RM0351, 40.5.16, 40.8.8).
+//! Injects receive errors into a UART that QEMU models (RM0351, 40.5.16, 40.8.8).
 //!
-//! QEMU's UART does the rest. Of its registers only those round reception are served from here, so an interrupt costs three
-//! accesses.
+//! Only the registers for reception are intercepted, so an interrupt costs three accesses. QEMU's UART handles the
+//! rest.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -11,34 +11,34 @@ use anyhow::{Result, bail};
 use crate::load_store::Width;
 use crate::registers::{Machine, RegisterModel, ensure_word};
 
-/// UART4 and LPUART1 (RM0351, table 1).
+/// Base address of UART4 (RM0351, table 1).
 pub const UART4: u32 = 0x4000_4C00;
-/// See [`UART4`].
+/// Base address of LPUART1 (RM0351, table 1).
 pub const LPUART1: u32 = 0x4000_8000;
 
-/// Offsets of registers, and where the last of them ends.
+/// Register offsets, and the end of the intercepted range.
 const ISR: u32 = 0x1C;
 const ICR: u32 = 0x20;
 const RDR: u32 = 0x24;
 const END: u32 = 0x28;
 
-/// Bit of ISR: a byte waits. Those of the errors are at the same places in ICR, which clears them.
+/// Receive flag of ISR. The error flags have the same positions in ICR, which clears them.
 const RXNE: u32 = 1 << 5;
 
-/// What is wrong with a byte; its value is the bit of ISR.
+/// An error of a received byte; the value is the bit of ISR.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LineError {
-    /// Its parity is wrong.
+    /// Wrong parity.
     Parity = 1 << 0,
-    /// It has no stop bit.
+    /// Missing stop bit.
     Framing = 1 << 1,
-    /// Its bits were not the same in all samples.
+    /// Inconsistent samples of a bit.
     Noise = 1 << 2,
-    /// It came while the one before had not been fetched, and is lost.
+    /// Reception before the previous byte was read; the byte is lost.
     Overrun = 1 << 3,
 }
 
-/// A UART's line; clones are the same one.
+/// A UART's line; clones share it.
 #[derive(Clone, Debug)]
 pub struct LineErrors {
     base: u32,
@@ -47,22 +47,22 @@ pub struct LineErrors {
 
 #[derive(Debug, Default)]
 struct State {
-    /// Which error, and of how many bytes one has it.
+    /// The error, and the interval in bytes at which it occurs.
     errors: Option<(LineError, u32)>,
     bytes: u32,
-    /// The byte that waits has been looked at.
+    /// Whether the waiting byte has been processed.
     is_known: bool,
     flags: u32,
 }
 
 impl LineErrors {
-    /// The line of the UART whose registers are there.
+    /// Creates the line of the UART at this base address.
     #[must_use]
     pub fn on(base: u32) -> Self {
         Self { base, state: Arc::default() }
     }
 
-    /// Lets each n-th byte from now on have this error; `None`: the line is well. Bytes that are not lost have their value.
+    /// Injects this error into every n-th byte from now on; `None` stops it. Received values are unchanged.
     pub fn set(&self, errors: Option<(LineError, u32)>) {
         let mut state = self.lock();
         (state.errors, state.bytes) = (errors, 0);
@@ -74,7 +74,7 @@ impl LineErrors {
 }
 
 impl State {
-    /// ISR as the core sees it.
+    /// Returns ISR as seen by the core.
     fn isr(&mut self, base: u32, machine: &mut dyn Machine) -> Result<u32> {
         loop {
             let real = machine.load(base + ISR)?;
@@ -99,11 +99,11 @@ impl RegisterModel for LineErrors {
     }
 
     fn load(&mut self, address: u32, _: Width) -> Result<u32> {
-        bail!("{address:#010X} is QEMU's")
+        bail!("{address:#010X} needs QEMU's UART")
     }
 
     fn store(&mut self, address: u32, _: Width, _: u32) -> Result<()> {
-        bail!("{address:#010X} is QEMU's")
+        bail!("{address:#010X} needs QEMU's UART")
     }
 
     fn load_through(&mut self, address: u32, width: Width, machine: &mut dyn Machine) -> Result<u32> {

@@ -1,24 +1,24 @@
-//! Loads and stores of Thumb-2, decoded: which register, where, how wide (ARMv7-M Architecture Reference Manual, A5.2.4,
+//! Decoder for Thumb-2 loads and stores: register, address and width (ARMv7-M Architecture Reference Manual, A5.2.4,
 //! A5.3.7, A5.3.8, A5.3.9, A5.3.10).
 //!
-//! One register at a time is moved here, as peripherals are accessed. What moves several, or has another register than the
-//! core's, is refused by its name, and so is everything that is no load or store.
+//! Supports single core registers, as in accesses to peripherals. Other loads and stores and all other instructions
+//! are rejected by name.
 
 use anyhow::{Result, bail, ensure};
 
-/// How many bytes an access moves.
+/// Width of an access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
-    /// One.
+    /// 8 bits.
     Byte,
-    /// Two.
+    /// 16 bits.
     Halfword,
-    /// Four.
+    /// 32 bits.
     Word,
 }
 
 impl Width {
-    /// In bytes.
+    /// Returns the width in bytes.
     #[must_use]
     pub const fn bytes(self) -> u32 {
         match self {
@@ -28,7 +28,7 @@ impl Width {
         }
     }
 
-    /// The lowest bits of a value, as many as are moved.
+    /// Truncates a value to this width.
     #[must_use]
     pub const fn of(self, value: u32) -> u32 {
         match self {
@@ -47,12 +47,12 @@ impl Width {
     }
 }
 
-/// What an instruction moves.
+/// Direction of a transfer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Move {
     /// From memory into a register.
     Load {
-        /// Whether the register's upper bits become those of a negative number.
+        /// Whether the value is sign-extended.
         is_signed: bool,
     },
     /// From a register into memory.
@@ -62,30 +62,30 @@ pub enum Move {
 /// A load or store of one register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoadStore {
-    /// Which of the two.
+    /// Load or store.
     pub direction: Move,
-    /// How wide.
+    /// Width of the access.
     pub width: Width,
-    /// Where, in memory.
+    /// Memory address.
     pub address: u32,
-    /// R0 to R14.
+    /// Register number, 0 to 14.
     pub register: usize,
-    /// The base register and what it holds afterwards, if that changes.
+    /// The base register and its new value, if it changes.
     pub write_back: Option<(usize, u32)>,
-    /// Bytes of the instruction.
+    /// Length of the instruction in bytes.
     pub len: u32,
 }
 
 impl LoadStore {
-    /// Decodes the instruction in these halfwords, of which it may take one, with these registers.
+    /// Decodes a one- or two-halfword instruction with these register values.
     ///
     /// # Errors
-    /// When it is something else, or moves more than one register; names it.
+    /// Fails with the name of any other instruction.
     pub fn decode(code: [u16; 2], r: &[u32; 16]) -> Result<Self> {
         if code[0] >> 11 >= 0b11101 { wide(code, r) } else { narrow(code[0], r) }
     }
 
-    /// What the register holds after a load of `value`.
+    /// Returns the register's value after a load of `value`.
     #[must_use]
     pub const fn loaded(&self, value: u32) -> u32 {
         match self.direction {
@@ -98,7 +98,7 @@ impl LoadStore {
 const LOAD: Move = Move::Load { is_signed: false };
 const LOAD_SIGNED: Move = Move::Load { is_signed: true };
 
-/// A5.2.4.
+/// Decodes 16-bit instructions (A5.2.4).
 fn narrow(code: u16, r: &[u32; 16]) -> Result<LoadStore> {
     let field = |at: u16, bits: u16| usize::from(code >> at & ((1 << bits) - 1));
     let base = r[field(3, 3)];
@@ -123,15 +123,15 @@ fn narrow(code: u16, r: &[u32; 16]) -> Result<LoadStore> {
             0b10001 => by_offset(LOAD, Width::Halfword),
             0b11000 => bail!("STM ({code:04X}) moves several registers"),
             0b11001 => bail!("LDM ({code:04X}) moves several registers"),
-            0b10010 | 0b10011 => bail!("LDR or STR by SP ({code:04X}) is no access to a peripheral"),
-            0b01001 => bail!("LDR by PC ({code:04X}) is no access to a peripheral"),
-            _ => bail!("the instruction {code:04X} is no load or store of one register"),
+            0b10010 | 0b10011 => bail!("LDR or STR by SP ({code:04X}) is not a peripheral access"),
+            0b01001 => bail!("LDR by PC ({code:04X}) is not a peripheral access"),
+            _ => bail!("the instruction {code:04X} is not a load or store of one register"),
         },
     };
     Ok(LoadStore { direction, width, address, register: field(0, 3), write_back: None, len: 2 })
 }
 
-/// A5.3.7 to A5.3.10.
+/// Decodes 32-bit instructions (A5.3.7 to A5.3.10).
 fn wide([first, second]: [u16; 2], r: &[u32; 16]) -> Result<LoadStore> {
     let name = match first {
         _ if first & 0xFE00 == 0xF800 => None,
@@ -155,8 +155,8 @@ fn wide([first, second]: [u16; 2], r: &[u32; 16]) -> Result<LoadStore> {
     };
     ensure!(!is_signed || (is_load && width != Width::Word), refused("undefined"));
     let (base_register, register) = (usize::from(first & 0xF), usize::from(second >> 12));
-    ensure!(base_register != 15, refused("a load by PC, no access to a peripheral"));
-    ensure!(register != 15, refused("a hint for a cache, or a jump"));
+    ensure!(base_register != 15, refused("a load by PC, not a peripheral access"));
+    ensure!(register != 15, refused("a cache hint or a jump"));
     let base = r[base_register];
     let (address, write_back) = if first & 1 << 7 != 0 {
         (base.wrapping_add(u32::from(second & 0xFFF)), None)
@@ -174,7 +174,7 @@ fn wide([first, second]: [u16; 2], r: &[u32; 16]) -> Result<LoadStore> {
         let shift = second >> 4 & 0b11;
         (base.wrapping_add(r[usize::from(second & 0xF)] << shift), None)
     };
-    // LDRT and its like, which look like (1, 0) with an added offset, move what LDR moves.
+    // LDRT and similar encode as (1, 0) with an added offset, and transfer like LDR.
     let direction = if is_load { Move::Load { is_signed } } else { Move::Store };
     Ok(LoadStore { direction, width, address, register, write_back, len: 4 })
 }

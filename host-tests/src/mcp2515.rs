@@ -1,8 +1,8 @@
-//! The CAN controller MCP2515, as Microchip's DS20001801 describes it: what a host sees over SPI, and what it does on a bus.
+//! Model of the CAN controller MCP2515, per Microchip's DS20001801: its SPI interface and its behaviour on a bus.
 //!
-//! The bus is [`can_bus`](crate::can_bus)'s; it says when a frame begins, ends, or fails. The model refuses sleep, loopback,
-//! listen-only and one-shot mode, RX STATUS, and the pins TXnRTS and RXnBF. What the data sheet forbids a driver and the chip ignores, this ignores too, and keeps
-//! in [`Mcp2515::violations`].
+//! The bus of [`can_bus`](crate::can_bus) reports when a frame begins, ends or fails. Rejected are sleep, loopback,
+//! listen-only and one-shot mode, RX STATUS, and the pins TXnRTS and RXnBF. Accesses that the data sheet forbids and
+//! the chip ignores are ignored, too, and recorded in [`Mcp2515::violations`].
 
 mod buffers;
 mod faults;
@@ -16,7 +16,7 @@ use self::faults::Faults;
 use crate::can_controller::{BusController, ErrorCode, Transmission};
 use crate::can_wire::WireFrame;
 
-/// Addresses of registers (table 11-1). CANSTAT and CANCTRL are at these places of each row.
+/// Register addresses (table 11-1). CANSTAT and CANCTRL occupy these columns of every row.
 const BFPCTRL: u8 = 0x0C;
 const TXRTSCTRL: u8 = 0x0D;
 const CANSTAT: u8 = 0x0E;
@@ -31,7 +31,7 @@ const EFLG: u8 = 0x2D;
 const TRANSMIT: u8 = 0x30;
 const RECEIVE: u8 = 0x60;
 
-/// How many registers there are; a READ or WRITE goes on at the first one behind the last.
+/// Number of registers; sequential READ and WRITE wrap to the first.
 const REGISTERS: u8 = 0x80;
 
 /// Bits of CANCTRL (register 10-1).
@@ -46,24 +46,24 @@ const ERRIF: u8 = 1 << 5;
 const TX0IF: u8 = 1 << 2;
 const RX0IF: u8 = 1 << 0;
 
-/// Bits of EFLG that a host clears (register 6-3).
+/// Bits of EFLG that the host clears (register 6-3).
 const RX1OVR: u8 = 1 << 7;
 const RX0OVR: u8 = 1 << 6;
 
-/// CNF2: the length of phase segment 2 is that of CNF3 (register 5-2).
+/// CNF2: CNF3 determines the length of phase segment 2 (register 5-2).
 const BTLMODE: u8 = 1 << 7;
 
-/// Recessive bits in a row that a controller waits for before it takes part (ISO 11898-1).
+/// Consecutive recessive bits before a controller takes part (ISO 11898-1).
 const BITS_TO_SYNCHRONISE: u32 = 11;
 
-/// Which mode it is in (10.0); others are not modelled.
+/// Modelled operating modes (10.0).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mode {
     Normal = 0,
     Configuration = 4,
 }
 
-/// An SPI instruction (table 12-1) and what is left of it; the chip is selected.
+/// Progress of an SPI instruction (table 12-1) while the chip is selected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Instruction {
     Awaited,
@@ -80,7 +80,7 @@ enum Instruction {
         mask: Option<u8>,
     },
     ReadStatus,
-    /// Nothing follows.
+    /// No more bytes are expected.
     Ended,
 }
 
@@ -91,7 +91,7 @@ enum Access {
     Modify,
 }
 
-/// The controller.
+/// The MCP2515.
 #[derive(Clone, Debug)]
 pub struct Mcp2515 {
     oscillator_hz: u32,
@@ -106,10 +106,10 @@ pub struct Mcp2515 {
     transmit: [TransmitBuffer; TRANSMIT_BUFFERS],
     receive: [ReceiveBuffer; 2],
     faults: Faults,
-    /// Recessive bits since it was told to take part, or since the last frame.
+    /// Recessive bits since normal mode was requested, or since the last frame.
     recessive: u32,
     is_synchronised: bool,
-    /// The buffer whose message it is sending.
+    /// Index of the buffer in transmission.
     sending: Option<usize>,
     is_receiving: bool,
     instruction: Option<Instruction>,
@@ -119,7 +119,7 @@ pub struct Mcp2515 {
 }
 
 impl Mcp2515 {
-    /// As reset leaves it, with an oscillator of so many Hz.
+    /// Creates a controller after reset with this oscillator frequency in Hz.
     #[must_use]
     pub fn new(oscillator_hz: u32) -> Self {
         Self {
@@ -145,67 +145,67 @@ impl Mcp2515 {
         }
     }
 
-    /// Power goes and comes back.
+    /// Power-cycles the chip.
     pub fn reset(&mut self) {
-        // What the tests look at stays.
+        // Keeps the findings for the tests.
         let violations = std::mem::take(&mut self.violations);
         *self = Self { violations, ..Self::new(self.oscillator_hz) };
     }
 
-    /// What has passed its filters since reset, lost for want of a buffer or not.
+    /// Returns all messages accepted by a filter since reset, including lost ones.
     #[must_use]
     pub fn accepted(&self) -> &[WireFrame] {
         &self.accepted
     }
 
-    /// What of it was lost.
+    /// Returns the accepted messages that were lost for lack of a buffer.
     #[must_use]
     pub fn lost(&self) -> &[WireFrame] {
         &self.lost
     }
 
-    /// What the driver did that the data sheet forbids and the chip ignores.
+    /// Returns the driver's accesses that the data sheet forbids and the chip ignores.
     #[must_use]
     pub fn violations(&self) -> &[String] {
         &self.violations
     }
 
-    /// Where the bit is sampled, in thousandths of it (5.0).
+    /// Returns the sample point in thousandths of a bit (5.0).
     #[must_use]
     pub fn sample_point(&self) -> u32 {
         let (before, behind) = self.segments();
         1_000 * before / (before + behind)
     }
 
-    /// Which transmit buffers are pending, the first one in bit 0.
+    /// Returns the pending transmit buffers, buffer 0 in bit 0.
     #[must_use]
     pub fn pending(&self) -> u8 {
         (0..TRANSMIT_BUFFERS).filter(|&n| self.transmit[n].is_pending()).fold(0, |bits, n| bits | 1 << n)
     }
 
-    /// The level of its pin INT: low while something is told of that is enabled (7.0).
+    /// Returns the level of the pin INT: low while an enabled interrupt is pending (7.0).
     #[must_use]
     pub fn interrupt_pin(&self) -> bool {
         self.flags & self.enabled == 0
     }
 
-    /// Its pin CS goes low.
+    /// Drives the pin CS low.
     pub fn select(&mut self) {
         self.instruction = Some(Instruction::Awaited);
     }
 
-    /// Its pin CS goes high.
+    /// Drives the pin CS high.
     pub fn deselect(&mut self) {
         if let Some(Instruction::Read { clears, .. }) = self.instruction.take() {
-            // 12.4: READ RX BUFFER clears the buffer's flag then.
+            // 12.4: the end of READ RX BUFFER clears the buffer's flag.
             self.flags &= !clears;
         }
     }
 
-    /// A byte goes in and one comes out; while it listens, that one is FFh here.
+    /// Exchanges a byte; the output is FFh while the chip only receives.
     ///
     /// # Errors
-    /// When there is no such instruction or register, or what is asked for is not modelled.
+    /// Fails when the instruction, register or option is not modelled.
     pub fn exchange(&mut self, byte: u8) -> Result<u8> {
         let Some(instruction) = self.instruction else { bail!("the chip is not selected") };
         let mut out = 0xFF;
@@ -229,7 +229,7 @@ impl Mcp2515 {
             }
             Instruction::Modify { address, mask: None } => Instruction::Modify { address, mask: Some(byte) },
             Instruction::Modify { address, mask: Some(mask) } => {
-                // 12.10: where single bits cannot be modified, the mask is forced to FFh.
+                // 12.10: for registers without bit access, the mask is forced to FFh.
                 let mask = if is_bit_modifiable(address) { mask } else { 0xFF };
                 self.store(address, byte, mask)?;
                 Instruction::Ended
@@ -254,7 +254,7 @@ impl Mcp2515 {
             0b0000_0010 => Instruction::Address(Access::Write),
             0b0000_0101 => Instruction::Address(Access::Modify),
             0b1010_0000 => Instruction::ReadStatus,
-            // Figure 12-3: from the identifier or the data on.
+            // Figure 12-3: starts at the identifier or at the data.
             0b1001_0000 | 0b1001_0010 | 0b1001_0100 | 0b1001_0110 => {
                 let (buffer, is_data) = (code >> 2 & 1, code >> 1 & 1);
                 let address = RECEIVE + 0x10 * buffer + if is_data == 1 { 6 } else { 1 };
@@ -272,7 +272,7 @@ impl Mcp2515 {
                 }
                 Instruction::Ended
             }
-            _ => bail!("the MCP2515 has no instruction {code:#010b}"),
+            _ => bail!("MCP2515: unknown instruction {code:#010b}"),
         })
     }
 
@@ -305,7 +305,7 @@ impl Mcp2515 {
         }
     }
 
-    /// Stores the bits of a mask.
+    /// Stores the bits selected by a mask.
     fn store(&mut self, address: u8, value: u8, mask: u8) -> Result<()> {
         let value = self.load(address) & !mask | value & mask;
         let is_configuration = self.mode == Mode::Configuration;
@@ -322,17 +322,15 @@ impl Mcp2515 {
             TRANSMIT..RECEIVE => {
                 let buffer = usize::from(address / 0x10 - 3);
                 if !self.transmit[buffer].store(address & 0xF, value, self.sending == Some(buffer)) {
-                    self.forbidden(format!("3.2: a pending buffer was written to, at {address:#04X}"));
+                    self.forbidden(format!("3.2: write to a pending buffer, at {address:#04X}"));
                 }
             }
             RECEIVE.. if address & 0xF == 0 => {
                 self.receive[usize::from(address / 0x10 - 6)].store_control(value);
             }
-            RECEIVE.. => self.forbidden(format!("4.0: a receive buffer was written to, at {address:#04X}")),
+            RECEIVE.. => self.forbidden(format!("4.0: write to a receive buffer, at {address:#04X}")),
             _ if is_configuration => self.filters.store(address, value),
-            _ => self.forbidden(format!(
-                "10.1: {address:#04X} can only be written in Configuration mode, which this is not"
-            )),
+            _ => self.forbidden(format!("10.1: write to {address:#04X} outside Configuration mode")),
         }
         Ok(())
     }
@@ -352,7 +350,7 @@ impl Mcp2515 {
         Ok(())
     }
 
-    /// 10.0: the mode changes when all pending messages are sent.
+    /// 10.0: the mode changes after all pending messages have been sent.
     fn change_mode(&mut self) {
         let wanted = if self.canctrl & REQOP == 0 { Mode::Normal } else { Mode::Configuration };
         let is_busy = self.is_receiving || self.sending.is_some();
@@ -368,14 +366,14 @@ impl Mcp2515 {
         }
     }
 
-    /// ICOD: the first of those that are enabled (table 7-1).
+    /// ICOD: code of the enabled interrupt with the highest priority (table 7-1).
     fn interrupt_code(&self) -> u8 {
         const ORDER: [u8; 7] = [ERRIF, 1 << 6, TX0IF, TX0IF << 1, TX0IF << 2, RX0IF, RX0IF << 1];
         let raised = self.flags & self.enabled;
         ORDER.iter().position(|flag| raised & flag != 0).map_or(0, |at| at as u8 + 1)
     }
 
-    /// Time quanta up to the sample point, and behind it (5.0).
+    /// Returns the time quanta before and after the sample point (5.0).
     fn segments(&self) -> (u32, u32) {
         let [_, cnf2, cnf3] = self.timing;
         let (propagation, phase_1) = (u32::from(cnf2 & 0b111) + 1, u32::from(cnf2 >> 3 & 0b111) + 1);
@@ -393,7 +391,7 @@ impl Mcp2515 {
         }
     }
 
-    /// A frame ends with as many recessive bits as a controller synchronises to.
+    /// A frame ends with as many recessive bits as synchronisation requires.
     fn end_activity(&mut self) {
         (self.sending, self.is_receiving) = (None, false);
         self.change_mode();
@@ -407,7 +405,7 @@ impl Mcp2515 {
     }
 }
 
-/// Table 11-1: the registers that are shaded there.
+/// Returns whether the register supports BIT MODIFY (shaded in table 11-1).
 fn is_bit_modifiable(address: u8) -> bool {
     match address {
         BFPCTRL | TXRTSCTRL | CNF3..=EFLG => true,
@@ -419,7 +417,7 @@ fn is_bit_modifiable(address: u8) -> bool {
 impl BusController for Mcp2515 {
     fn rate(&self) -> u32 {
         let (before, behind) = self.segments();
-        // A time quantum is two oscillator periods, and more by BRP (5.1).
+        // A time quantum is two oscillator periods, scaled by BRP (5.1).
         let prescaler = 2 * (u32::from(self.timing[0] & 0x3F) + 1);
         self.oscillator_hz / (prescaler * (before + behind))
     }
@@ -429,11 +427,11 @@ impl BusController for Mcp2515 {
     }
 
     fn next_transmission(&self) -> Option<Transmission> {
-        // 3.6: as long as ABAT is set, nothing leaves.
+        // 3.6: no transmission starts while ABAT is set.
         if !self.takes_part() || self.canctrl & ABAT != 0 {
             return None;
         }
-        // 3.3: by TXP, and of equal ones the higher buffer.
+        // 3.3: by TXP, then by buffer number.
         let pending = (0..TRANSMIT_BUFFERS).filter(|&n| self.transmit[n].is_pending());
         let mailbox = pending.max_by_key(|&n| (self.transmit[n].priority(), n))?;
         Some(Transmission { mailbox, frame: self.transmit[mailbox].frame() })

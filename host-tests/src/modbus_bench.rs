@@ -1,5 +1,5 @@
-//! Bridge and virtual gripper in virtual time, with a Modbus master on the bus, another on the service port, and wires that a
-//! test plays.
+//! Bridge and virtual gripper in virtual time, with Modbus masters on the bus and on the service port, and wires
+//! driven by the test.
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
@@ -10,25 +10,25 @@ use crate::serial_gripper::{SerialGripper, SerialLine};
 use crate::wires::Wires;
 use crate::world::{Bus, World};
 
-/// The bridge's unit as delivered.
+/// The bridge's default unit address.
 pub const UNIT: u8 = 1;
 
-/// The bridge's two servers, and their lines.
+/// The bridge's two Modbus servers and their lines.
 #[derive(Clone, Debug)]
 pub struct ModbusLines {
     modbus: Modbus,
     service: Modbus,
-    /// The line that the master is on: the bus, but inside [`Bench::by_service`].
+    /// The master's current line: the bus, except inside [`Bench::by_service`].
     line: RtuDouble,
-    /// The other one.
+    /// The other line.
     other: RtuDouble,
     is_by_service: bool,
-    /// What the master writes every 20 ms to registers 0 to 3, CMDFLAGS to FORCELIMIT.
+    /// Image that the master writes every 20 ms to registers 0 to 3 (CMDFLAGS to FORCELIMIT).
     repeats: Option<[u16; 4]>,
 }
 
 impl ModbusLines {
-    /// Both, and lines on which nobody has asked yet.
+    /// Creates both servers on idle lines.
     pub(crate) fn new(config: &Config) -> Self {
         Self {
             modbus: Modbus::new(config),
@@ -45,7 +45,7 @@ impl ModbusLines {
         self.is_by_service = !self.is_by_service;
     }
 
-    /// Writes this image at once, and again and again from now on; or does so no more.
+    /// Writes this image now and every 20 ms, or stops doing so.
     pub(crate) fn repeat(&mut self, image: Option<[u16; 4]>) {
         self.repeats = image;
         self.write();
@@ -73,10 +73,10 @@ impl Bus for ModbusLines {
     }
 }
 
-/// A [`World`] whose PLC is on Modbus.
+/// A [`World`] with a Modbus PLC.
 pub type Bench = World<ModbusLines>;
 
-/// FC 16 with its unit, without its checksum.
+/// Returns an FC 16 request with unit address, without checksum.
 pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
     let ([a1, a0], count) = (first.to_be_bytes(), values.len() as u8);
     let head = [UNIT, 16, a1, a0, 0, count, 2 * count];
@@ -84,17 +84,17 @@ pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
 }
 
 impl Bench {
-    /// A bench whose wires are low, but the one of FAST STOP.
+    /// Creates a bench with all wires low except FAST_STOP_OK.
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
         Self::with(config, ModbusLines::new(&config), SerialGripper::new(gripper), Inputs::FAST_STOP_OK)
     }
 
-    /// A bench whose gripper answers, with a bus that has written zeros.
+    /// Creates a bench with a responding gripper and a master that has written zeros.
     pub fn ready() -> Self {
         Self::ready_with(Config::DEFAULT, quick())
     }
 
-    /// As [`ready`](Self::ready), with these settings of bridge and gripper.
+    /// Does the same as [`ready`](Self::ready), with these settings of bridge and gripper.
     pub fn ready_with(config: Config, gripper: wsg_sim::Config) -> Self {
         let mut bench = Self::new(config, gripper);
         bench.pass(200);
@@ -102,7 +102,7 @@ impl Bench {
         bench
     }
 
-    /// A bench whose fingers are referenced, by the bus.
+    /// Creates a bench whose fingers were referenced over the bus.
     pub fn homed(gripper: wsg_sim::Config) -> Self {
         let mut bench = Self::ready_with(Config::DEFAULT, gripper);
         bench.command(HOMING, 0, 0, 0);
@@ -111,7 +111,7 @@ impl Bench {
         bench
     }
 
-    /// Lets a test do over the service port what it would do over the bus.
+    /// Runs `test` over the service port instead of the bus.
     pub fn by_service<T>(&mut self, test: impl FnOnce(&mut Self) -> T) -> T {
         self.bus.change_line();
         let result = test(self);
@@ -119,32 +119,32 @@ impl Bench {
         result
     }
 
-    /// Serves the service port so often without a turn of the bridge.
+    /// Serves the service port `times` times without a turn of the bridge.
     pub fn serve_alone(&mut self, times: u32) {
         let Self { bridge, bus, now_ms, .. } = self;
         let port = if bus.is_by_service { &mut bus.line } else { &mut bus.other };
         (0..times).for_each(|_| bridge.serve(*now_ms, &mut bus.service.over(port)));
     }
 
-    /// Puts bytes on the bus, one right behind the other.
+    /// Puts bytes on the bus back to back.
     pub fn send_raw(&mut self, bytes: &[u8]) {
         self.bus.line.put(bytes);
     }
 
-    /// Puts bytes on the bus that come so long after those before, in microseconds.
+    /// Puts bytes on the bus after a pause in microseconds.
     pub fn send_after(&mut self, pause_us: u32, bytes: &[u8]) {
         self.bus.line.silence_us = pause_us;
         self.send_raw(bytes);
     }
 
-    /// A request's frame, checksum included.
+    /// Returns a request frame including its checksum.
     pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
         sealed(&[&[unit], pdu].concat())
     }
 
-    /// Sends a request, and waits for what the bridge answers in 20 ms: the PDU, checked.
+    /// Sends a request and waits up to 20 ms. Returns the checked PDU of the answer; empty without one.
     pub fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
-        // Half a frame can have a right checksum by chance, and is answered by an exception.
+        // Discards pending answers: a truncated frame can have a valid checksum by chance and raises an exception.
         self.answers();
         self.send_raw(&Self::frame(UNIT, pdu));
         for _ in 0..20 {
@@ -160,17 +160,17 @@ impl Bench {
         vec![]
     }
 
-    /// Takes the answers that came since this was last asked; how many.
+    /// Discards the answers received since the last call. Returns their number.
     pub fn answers(&mut self) -> usize {
         self.bus.line.take_events().len()
     }
 
-    /// FC 16.
+    /// Writes registers (FC 16).
     pub fn write(&mut self, first: u16, values: &[u16]) {
         assert_eq!(self.try_write(first, values), None);
     }
 
-    /// FC 16; the exception.
+    /// Writes registers (FC 16). Returns the exception code, if any.
     pub fn try_write(&mut self, first: u16, values: &[u16]) -> Option<u8> {
         let request = write_request(first, values);
         let answer = self.ask(&request[1..]);
@@ -181,7 +181,7 @@ impl Bench {
         Some(answer[1])
     }
 
-    /// FC 3 or 4.
+    /// Reads registers with FC 3 or 4.
     fn registers(&mut self, function: u8, first: u16, count: u8) -> Result<Vec<u16>, u8> {
         let [a1, a0] = first.to_be_bytes();
         let answer = self.ask(&[function, a1, a0, 0, count]);
@@ -192,34 +192,34 @@ impl Bench {
         Ok(answer[2..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect())
     }
 
-    /// Reads holding registers; an exception code when they are refused.
+    /// Reads holding registers; fails with the exception code.
     pub fn holding(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
         self.registers(3, first, count)
     }
 
-    /// Reads input registers; an exception code when they are refused.
+    /// Reads input registers; fails with the exception code.
     pub fn input(&mut self, first: u16, count: u8) -> Result<Vec<u16>, u8> {
         self.registers(4, first, count)
     }
 
-    /// GSTATE.
+    /// Reads GSTATE.
     pub fn state(&mut self) -> u8 {
         (self.input(0, 1).unwrap()[0] >> 8) as u8
     }
 
-    /// The status register.
+    /// Reads the status register.
     pub fn status(&mut self) -> u16 {
         self.input(5, 1).unwrap()[0]
     }
 
-    /// A discrete input.
+    /// Reads a discrete input.
     pub fn bit(&mut self, address: u16) -> bool {
         let [a1, a0] = address.to_be_bytes();
         self.ask(&[2, a1, a0, 0, 1]) == [2, 1, 1]
     }
 
-    /// Gives a command as a PLC does: parameters and flag in one write, wait for the status, flag back, wait for the
-    /// end.
+    /// Executes a command as a PLC does: writes parameters and flag together, clears the flag, and waits until the
+    /// status is no longer PENDING.
     pub fn command(&mut self, flags: u8, width: u16, speed: u16, force: u16) {
         self.write(0, &[u16::from(flags) << 8, width, speed, force]);
         self.write(0, &[0, width, speed, force]);
@@ -229,11 +229,11 @@ impl Bench {
             }
             self.pass(10);
         }
-        panic!("the command does not end");
+        panic!("the command does not complete");
     }
 }
 
-/// A gripper whose fingers travel ten times as fast.
+/// Returns the configuration of a gripper that moves ten times as fast.
 pub fn quick() -> wsg_sim::Config {
     wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
 }

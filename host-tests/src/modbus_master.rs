@@ -1,7 +1,7 @@
-//! A Modbus RTU master on the emulated board's bus, for tests that want every byte in their hand.
+//! A Modbus RTU master on the emulated board's bus, for tests that control every byte.
 //!
-//! It knows what the MODBUS specifications say of requests and answers, and nothing of the server's code but the
-//! checksum, which a test holds to the `crc` crate and to other masters.
+//! Implements the MODBUS specifications independently of the server's code, except for the checksum. A test compares
+//! that with the `crc` crate and other masters.
 
 use std::io::Write;
 use std::os::unix::net::UnixStream;
@@ -12,22 +12,22 @@ use bus_modbus::rtu::crc;
 
 use crate::clock::Clock;
 
-/// How long an answer may take, in the board's time.
+/// Time limit for an answer, in board time.
 const PATIENCE: Duration = Duration::from_millis(1_000);
 
-/// After so much silence what has come is all, in the board's time.
+/// Silence that ends a transmission, in board time.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// A board whose time stands for so long, on the wall, is off.
+/// Wall-clock time after which a board whose clock has stopped counts as off.
 const STANDSTILL: Duration = Duration::from_secs(60);
 
-/// How often a request is sent at the most.
+/// Maximum number of transmissions of a request.
 const ATTEMPTS: u32 = 10;
 
-/// What becomes of each byte on the line, each way.
+/// Modifies each byte on the line, in both directions.
 pub type Disturbance<'a> = &'a mut dyn FnMut(u8) -> u8;
 
-/// A master for one unit.
+/// A master of one unit.
 pub struct Master {
     line: UnixStream,
     clock: Clock,
@@ -36,34 +36,34 @@ pub struct Master {
     pub failed: Failed,
 }
 
-/// Attempts without an intact answer, by what happened on the line.
+/// Attempts without an intact answer, by event on the line.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Failed {
     /// A byte was damaged.
     pub damaged: u32,
-    /// No byte was damaged, neither in this attempt nor in the one before: the host was too busy to run the board.
+    /// No byte was damaged in this or the previous attempt: the host was too busy to run the board.
     pub undamaged: u32,
-    /// No byte was damaged, but one was in the attempt before.
+    /// No byte was damaged now, but one was in the previous attempt.
     pub after_damage: u32,
 }
 
 impl Master {
-    /// A master on this line, which goes by the board's clock.
+    /// Creates a master on this line that follows the board's clock.
     #[must_use]
     pub const fn new(line: UnixStream, clock: Clock, unit: u8) -> Self {
         Self { line, clock, unit, failed: Failed { damaged: 0, undamaged: 0, after_damage: 0 } }
     }
 
-    /// Hands the line back, without a time-out.
+    /// Returns the line without a time-out.
     ///
     /// # Errors
-    /// When the line keeps it.
+    /// Fails when the time-out cannot be removed.
     pub fn into_line(self) -> Result<UnixStream> {
         self.line.set_read_timeout(None)?;
         Ok(self.line)
     }
 
-    /// A frame: unit, PDU, checksum.
+    /// Returns a frame: unit, PDU, checksum.
     #[must_use]
     pub fn frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
         let mut frame = [&[unit], pdu].concat();
@@ -71,18 +71,18 @@ impl Master {
         frame
     }
 
-    /// Asks until an intact answer comes: its PDU, which may be an exception.
+    /// Sends a request until an intact answer arrives. Returns the answer's PDU, which may be an exception.
     ///
     /// # Errors
-    /// When none comes.
+    /// Fails when no intact answer arrives.
     pub fn ask(&mut self, pdu: &[u8]) -> Result<Vec<u8>> {
         self.ask_over(pdu, &mut |byte| byte)
     }
 
-    /// As [`ask`](Self::ask), over a line that changes bytes.
+    /// Does the same as [`ask`](Self::ask), over a line that changes bytes.
     ///
     /// # Errors
-    /// When no intact answer comes.
+    /// Fails when no intact answer arrives.
     pub fn ask_over(&mut self, pdu: &[u8], disturb: Disturbance<'_>) -> Result<Vec<u8>> {
         let mut was_damaged = false;
         for _ in 0..ATTEMPTS {
@@ -108,18 +108,18 @@ impl Master {
         bail!("no intact answer to {pdu:02X?} in {ATTEMPTS} attempts")
     }
 
-    /// Puts bytes on the line.
+    /// Sends raw bytes.
     ///
     /// # Errors
-    /// When the board is off.
+    /// Fails when the board is off.
     pub fn send(&mut self, bytes: &[u8]) -> Result<()> {
-        self.line.write_all(bytes).context("the board takes nothing any more")
+        self.line.write_all(bytes).context("the board has closed its line")
     }
 
-    /// Whether the line stays silent for this time of the board; what came meanwhile is dropped.
+    /// Returns whether the line stays silent for this board time. Received bytes are discarded.
     ///
     /// # Errors
-    /// When the board is off.
+    /// Fails when the board is off.
     pub fn is_silent(&mut self, time: Duration) -> Result<bool> {
         let bound = self.clock.now() + time;
         let mut silent = true;
@@ -129,10 +129,10 @@ impl Master {
         Ok(silent)
     }
 
-    /// The next answer's PDU; none if nothing intact from this unit comes.
+    /// Returns the next answer's PDU; `None` without an intact answer from this unit.
     ///
     /// # Errors
-    /// When the board is off.
+    /// Fails when the board is off.
     pub fn answer(&mut self, disturb: Disturbance<'_>) -> Result<Option<Vec<u8>>> {
         let mut answer = vec![];
         let bound = self.clock.now() + PATIENCE;
@@ -142,7 +142,7 @@ impl Master {
                 return Ok(None);
             }
             answer.extend(received.into_iter().map(&mut *disturb));
-            // By its length as well: a part of an answer can have a right checksum by chance.
+            // Also checks the length, because part of an answer can have a valid checksum by chance.
             if answer.len() >= 5 && answer.len() == length(&answer) {
                 let (body, sum) = answer.split_at(answer.len() - 2);
                 if crc(body).to_le_bytes() == sum && body.first() == Some(&self.unit) {
@@ -158,16 +158,16 @@ impl Master {
         let (end, bound) = (self.clock.now() + PAUSE, Instant::now() + STANDSTILL);
         loop {
             match uninterrupted::read_within(&self.line, &mut chunk, PAUSE)? {
-                Some(0) => bail!("the board went off"),
+                Some(0) => bail!("the board was switched off"),
                 Some(count) => return Ok(chunk[..count].to_vec()),
                 None if self.clock.now() >= end => return Ok(vec![]),
-                None => ensure!(Instant::now() < bound, "the board's clock stands still"),
+                None => ensure!(Instant::now() < bound, "the board's clock has stopped"),
             }
         }
     }
 }
 
-/// How long an answer that begins like this is, of the functions that the tests use.
+/// Returns the length of an answer, judged by its beginning, for the functions that the tests use.
 fn length(answer: &[u8]) -> usize {
     match answer[1] {
         0x80.. => 5,

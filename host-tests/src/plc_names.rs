@@ -1,48 +1,48 @@
-//! Flags, states and status codes as the documents for people with a PLC name and number them.
+//! Names and numbers of flags, states and status codes for the PLC documents.
 //!
-//! Names, numbers and meanings are those of `wsg-protocol`; meanings stand in its sources alone, so they are read from there.
+//! They come from `wsg-protocol`. Meanings exist only as comments, so they are read from its source.
 
 use wsg_fieldbus::{CommandFlags, GripperFlags};
 use wsg_protocol::{Status, SystemFlags};
 
 use document::read;
 
-/// A flag: its bit, its name and its meaning.
+/// A flag with its bit, name and meaning.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Flag {
-    /// Counted from 0.
+    /// Bit number from 0.
     pub bit: u32,
-    /// The manual's name.
+    /// Name in the manual.
     pub name: String,
-    /// In words.
+    /// Meaning for the documents.
     pub meaning: String,
 }
 
-/// The flags of CMDFLAGS.
+/// Returns the flags of CMDFLAGS.
 #[must_use]
 pub fn command_flags() -> Vec<Flag> {
     let names = CommandFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into()));
     flags("fieldbus/src/image.rs", names)
 }
 
-/// The flags of GSTATE.
+/// Returns the flags of GSTATE.
 #[must_use]
 pub fn gripper_flags() -> Vec<Flag> {
     let names = GripperFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into()));
     flags("fieldbus/src/image.rs", names)
 }
 
-/// The flags of SYSSTATE.
+/// Returns the flags of SYSSTATE.
 #[must_use]
 pub fn system_flags() -> Vec<Flag> {
     let names = SystemFlags::all().iter_names().map(|(name, flag)| (name, flag.bits()));
     flags("protocol/src/types/flags.rs", names)
 }
 
-/// Each status code with its meaning, in the order of the codes.
+/// Returns each status code with its meaning, in numerical order.
 ///
 /// # Panics
-/// If the table in the source is not written as it was.
+/// Panics when the table's format in the source has changed.
 #[must_use]
 pub fn statuses() -> Vec<(Status, String)> {
     let source = read("protocol/src/types/status.rs");
@@ -54,15 +54,15 @@ pub fn statuses() -> Vec<(Status, String)> {
     Status::ALL.iter().map(|status| (*status, meaning(status))).collect()
 }
 
-/// Where a bit of an image is in its Modbus registers: which one, and its mask there. The first byte of a register is its high
-/// one.
+/// Returns the Modbus register that holds a bit of an image, and the mask in it. A register's first byte is its high
+/// byte.
 #[must_use]
 pub const fn register_bit(bit: u32) -> (u32, u16) {
     let in_byte = 1 << (bit % 8);
     (bit / 16, if (bit / 8).is_multiple_of(2) { in_byte << 8 } else { in_byte })
 }
 
-/// A status code as a sentence has it: name, number, meaning.
+/// Formats a status code for a sentence: name, number, meaning.
 #[must_use]
 pub fn in_words(status: Status) -> String {
     let all = statuses();
@@ -70,7 +70,7 @@ pub fn in_words(status: Status) -> String {
     format!("{} ({}, {meaning})", status.symbol(), status.code())
 }
 
-/// The flags with these names and masks; their meanings are the comments in front of them in the source.
+/// Returns the flags with these names and masks. Their meanings are the comments before them in the source.
 fn flags(source: &str, names: impl Iterator<Item = (&'static str, u32)>) -> Vec<Flag> {
     let source = read(source);
     names
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn bits_are_in_the_registers_where_the_images_have_them() {
+    fn bits_are_in_the_registers_of_the_images() {
         let registers = |bytes: &[u8]| -> Vec<u16> {
             bytes.chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect()
         };

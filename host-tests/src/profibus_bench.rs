@@ -1,5 +1,5 @@
-//! Bridge and virtual gripper in virtual time, with a PROFIBUS master and wires that a test plays. The line between them is that
-//! of a UART: characters with their times, and a handler that runs for each.
+//! Bridge and virtual gripper in virtual time, with a PROFIBUS master and wires driven by the test. The line is
+//! modelled as a UART: characters with times, and a handler that runs for each.
 
 use bus_profibus::{Baud, Character};
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -11,17 +11,17 @@ use crate::serial_gripper::{SerialGripper, SerialLine};
 pub use crate::wires::Wires;
 use crate::world::{Bus, World};
 
-/// The station as delivered.
+/// The default station address.
 pub const STATION: u8 = 7;
-/// A master, and another.
+/// Address of the first class 1 master.
 pub const MASTER: u8 = 2;
-/// See [`MASTER`].
+/// Address of a second master.
 pub const SECOND_MASTER: u8 = 3;
 /// Short acknowledgement.
 pub const SC: [u8; 1] = [0xE5];
 
-/// The slave's service access points (IEC 61158-6-3), by the services behind them.
-#[allow(missing_docs, reason = "the names are those of the standard")]
+/// Service access points of the slave, by service (IEC 61158-6-3).
+#[allow(missing_docs, reason = "named as in the standard")]
 pub mod points {
     pub const SET_SLAVE_ADDRESS: u8 = 55;
     pub const RD_INP: u8 = 56;
@@ -31,27 +31,27 @@ pub mod points {
     pub const SLAVE_DIAG: u8 = 60;
     pub const SET_PRM: u8 = 61;
     pub const CHK_CFG: u8 = 62;
-    /// The source of all that a master of class 1 sends.
+    /// Source access point of a class 1 master.
     pub const MASTER: u8 = 62;
 }
 
-/// Bits of a character.
+/// Bits per character.
 const CHARACTER_BITS: u32 = 11;
-/// The silence before a request (T_SYN).
+/// Idle time before a request (T_SYN), in bits.
 const SYNC_BITS: u32 = 33;
 
-/// PROFIBUS at 500 kbit/s, which is also what the master runs at.
+/// PROFIBUS at 500 kbit/s, the master's rate.
 pub const AT_500K: Config = Config {
     plc_bus: PlcBus::Profibus,
     profibus: ProfibusConfig { rate: Some(Baud::K500), ..ProfibusConfig::DEFAULT },
     ..Config::DEFAULT
 };
 
-/// The slave: the main loop's end and the handler's.
+/// The slave's main-loop and interrupt sides.
 pub struct Dp {
     profibus: Profibus,
     handler: DpResponder,
-    /// The rate that the handler has asked for.
+    /// The rate requested by the handler.
     rate: Option<Baud>,
 }
 
@@ -61,11 +61,11 @@ impl Bus for Dp {
     }
 }
 
-/// A [`World`] whose PLC is on PROFIBUS: what runs on a board with it. Its handler is to run behind each turn of the main loop.
+/// A [`World`] with a PROFIBUS PLC. Its handler must run after each turn of the main loop.
 pub type Board = World<Dp>;
 
 impl Board {
-    /// A board whose wires are low, but the one of FAST STOP.
+    /// Creates a board with all wires low except FAST_STOP_OK.
     #[must_use]
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
         let buffers: &'static DpBuffers = Box::leak(Box::default());
@@ -75,25 +75,25 @@ impl Board {
         Self::with(config, dp, SerialGripper::new(gripper), Inputs::FAST_STOP_OK)
     }
 
-    /// The handler, at a time in microseconds of this millisecond or later.
+    /// Runs the handler at a time in microseconds, within or after the current millisecond.
     pub fn interrupt(&mut self, status: UartStatus, now_us: u32) -> wsg_bridge_fw::plc::Action {
         let action = self.bus.handler.step(status, self.now_ms, now_us);
         self.bus.rate = action.rate.or(self.bus.rate);
         action
     }
 
-    /// The rate of the line.
+    /// Returns the line's rate.
     #[must_use]
     pub fn rate(&self) -> Option<Baud> {
         self.bus.rate
     }
 }
 
-/// A master at a board, and the time.
+/// A master connected to a board, and the current time.
 pub struct Bench {
     /// The board.
     pub board: Board,
-    /// What the master writes.
+    /// The master's output image.
     pub image: OutputImage,
     fcb: bool,
     now_us: u32,
@@ -101,7 +101,7 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// A board, and a master that has said nothing yet.
+    /// Creates a board and a master that has sent nothing yet.
     #[must_use]
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
         let mut board = Board::new(config, gripper);
@@ -111,8 +111,8 @@ impl Bench {
         Self { board, image, fcb: false, now_us: 0, rate }
     }
 
-    /// A board whose gripper answers, in data exchange with a watchdog of so many times 10 ms, or none; the master has written
-    /// its parameters and no flag.
+    /// Creates a board in data exchange with a responding gripper. `watchdog` is in units of 10 ms; 0 disables it.
+    /// The master has written parameters and no command flag.
     #[must_use]
     pub fn exchanging(config: Config, gripper: wsg_sim::Config, watchdog: u8) -> Self {
         let mut bench = Self::new(config, gripper);
@@ -123,10 +123,10 @@ impl Bench {
         bench
     }
 
-    /// The same, with fingers that are referenced.
+    /// Does the same as [`exchanging`](Self::exchanging), with referenced fingers.
     ///
     /// # Panics
-    /// When they do not get so.
+    /// Panics when homing fails.
     #[must_use]
     pub fn homed(gripper: wsg_sim::Config) -> Self {
         let mut bench = Self::exchanging(AT_500K, gripper, 20);
@@ -138,7 +138,7 @@ impl Bench {
         bench
     }
 
-    /// Lets microseconds pass; the main loop turns each millisecond, and the handler runs behind it.
+    /// Advances time. The main loop runs every millisecond, followed by the handler.
     fn pass_us(&mut self, us: u32) {
         for _ in 0..us {
             self.now_us += 1;
@@ -146,7 +146,7 @@ impl Bench {
                 self.board.step();
                 let idle = UartStatus { has_room: true, is_complete: true, ..UartStatus::default() };
                 let action = self.board.interrupt(idle, self.now_us);
-                assert_eq!(action.send, None, "nobody has asked");
+                assert_eq!(action.send, None, "an answer without a request");
             }
         }
     }
@@ -155,7 +155,7 @@ impl Bench {
         (bits * 1_000_000).div_ceil(self.rate)
     }
 
-    /// Puts characters on the line one after the other; whether an answer is due behind the last.
+    /// Puts consecutive characters on the line. Returns the wait until an answer, if one is due.
     fn put(&mut self, characters: &[Character]) -> Option<u32> {
         let mut wait_us = None;
         for character in characters {
@@ -168,16 +168,16 @@ impl Bench {
         wait_us
     }
 
-    /// Sends bytes after a silence, and gives the answer; empty if there is none.
+    /// Sends bytes after an idle time and returns the answer, or nothing.
     ///
     /// # Panics
-    /// When an answer begins before 11 bit times are over, or later than max T_SDR.
+    /// Panics when an answer begins before 11 bit times or after max T_SDR.
     pub fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
         let characters: Vec<_> = bytes.iter().map(|byte| Character::Byte(*byte)).collect();
         self.send_characters(&characters)
     }
 
-    /// The same, with characters that may be damaged.
+    /// Does the same as [`send`](Self::send), with characters that may be damaged.
     ///
     /// # Panics
     /// See [`send`](Self::send).
@@ -186,7 +186,7 @@ impl Bench {
         let Some(wait_us) = self.put(characters) else { return vec![] };
         assert!(wait_us >= self.bits_us(11), "{wait_us} us");
         let mut answer = Vec::new();
-        // The timer. The main loop does not turn in between, so the answer leaves by that alone.
+        // The timer expires. The main loop does not run meanwhile, so the handler alone sends the answer.
         self.now_us += wait_us;
         let mut status = UartStatus { has_room: true, is_complete: true, ..UartStatus::default() };
         loop {
@@ -194,14 +194,17 @@ impl Bench {
             let Some(byte) = action.send else { break };
             answer.push(byte);
             let rest = action.interrupts;
-            assert!(rest.transmit_empty != rest.transmission_complete, "either of both");
+            assert!(
+                rest.transmit_empty != rest.transmission_complete,
+                "exactly one transmit interrupt is enabled"
+            );
             self.now_us += self.bits_us(CHARACTER_BITS);
             // The transceiver may echo.
             let echo = UartStatus { received: Some(Character::Byte(byte)), ..UartStatus::default() };
             assert_eq!(self.board.interrupt(echo, self.now_us).send, None);
             status = UartStatus { has_room: true, is_complete: rest.transmission_complete, ..status };
         }
-        // What time the answer took, the main loop makes up for.
+        // The main loop catches up with the time that the answer took.
         while self.board.now_ms < self.now_us / 1_000 {
             self.board.step();
             self.board.interrupt(UartStatus::default(), self.now_us);
@@ -209,52 +212,52 @@ impl Bench {
         answer
     }
 
-    /// The function code of the next request of a master.
+    /// Returns the function code of the master's next request, with alternating frame count bit.
     fn next(&mut self) -> u8 {
         self.fcb = !self.fcb;
         if self.fcb { 0x7D } else { 0x5D }
     }
 
-    /// A service with data, of a master.
+    /// Sends a service with data from this master.
     pub fn service_of(&mut self, master: u8, point: u8, data: &[u8]) -> Vec<u8> {
         let head = [STATION | 0x80, master | 0x80, self.next(), point, points::MASTER];
         self.send(&sd2(&[&head[..], data].concat()))
     }
 
-    /// A service with data.
+    /// Sends a service with data.
     pub fn service(&mut self, point: u8, data: &[u8]) -> Vec<u8> {
         self.service_of(MASTER, point, data)
     }
 
-    /// Parameters with a watchdog of so many times 10 ms, 0 without one, and the configuration.
+    /// Sends configuration and parameters. `watchdog` is in units of 10 ms; 0 disables it.
     pub fn start(&mut self, watchdog: u8) {
         let status = if watchdog == 0 { 0x80 } else { 0x88 };
         self.start_with(&[status, 1, watchdog, 11, 0x55, 0x55, 0], &[0xA7, 0x9B]);
     }
 
-    /// These parameters and this configuration.
+    /// Sends these parameters and this configuration.
     ///
     /// # Panics
-    /// When they are not acknowledged, which they are whether they are taken or not.
+    /// Panics when they are not acknowledged. The slave acknowledges rejected ones, too.
     pub fn start_with(&mut self, parameters: &[u8], config: &[u8]) {
         assert_eq!(self.service(points::SET_PRM, parameters), SC);
         assert_eq!(self.service(points::CHK_CFG, config), SC);
     }
 
-    /// The standard part of the diagnosis: three bytes of status, and the master.
+    /// Reads the three status bytes and the master address from the diagnosis.
     ///
     /// # Panics
-    /// When the diagnosis does not have 16 bytes.
+    /// Panics when the diagnosis is not 16 bytes long.
     pub fn diagnosis(&mut self) -> [u8; 4] {
         let answer = self.service(points::SLAVE_DIAG, &[]);
         assert_eq!(answer.len(), 4 + 5 + 16 + 2, "{answer:02X?}");
         std::array::from_fn(|n| answer[9 + n])
     }
 
-    /// Global_Control to all, of these groups; 0: of all.
+    /// Broadcasts Global_Control to these groups; 0 addresses all.
     ///
     /// # Panics
-    /// When it is answered.
+    /// Panics when the slave answers.
     pub fn control(&mut self, command: u8, groups: u8) {
         let answer = self.send(&sd2(&[
             0xFF,
@@ -265,19 +268,19 @@ impl Bench {
             command,
             groups,
         ]));
-        assert!(answer.is_empty(), "nobody answers a broadcast");
+        assert!(answer.is_empty(), "a broadcast must not be answered");
     }
 
-    /// Data_Exchange as SD3, of a master: the answer.
+    /// Performs Data_Exchange (SD3) from this master and returns the answer.
     pub fn exchange_of(&mut self, master: u8) -> Vec<u8> {
         let body = [&[STATION, master, self.next()][..], &self.image.to_bytes()].concat();
         self.send(&[&[0xA2], &body[..], &[sum(&body), 0x16]].concat())
     }
 
-    /// Data_Exchange; the answer's function code and the inputs.
+    /// Performs Data_Exchange. Returns the answer's function code and the input image.
     ///
     /// # Panics
-    /// When the answer is none of Data_Exchange.
+    /// Panics when the answer does not belong to Data_Exchange.
     pub fn exchange(&mut self) -> (u8, InputImage) {
         let answer = self.exchange_of(MASTER);
         assert_eq!(answer[..6], [0x68, 15, 15, 0x68, MASTER, STATION], "{answer:02X?}");
@@ -286,20 +289,20 @@ impl Bench {
         (answer[6], InputImage::from_bytes(inputs))
     }
 
-    /// Writes these flags.
+    /// Writes these command flags.
     pub fn set(&mut self, flags: CommandFlags) {
         self.image.flags = flags;
         self.exchange();
     }
 
-    /// What the master reads, a turn later.
+    /// Returns the input image after one further turn.
     pub fn input(&mut self) -> InputImage {
         self.exchange();
         self.pass_us(2_000);
         self.exchange().1
     }
 
-    /// Exchanges in every millisecond or two.
+    /// Exchanges data every one to two milliseconds.
     pub fn pass(&mut self, ms: u32) {
         let end = self.board.now_ms + ms;
         while self.board.now_ms < end {
@@ -313,10 +316,10 @@ impl Bench {
         self.pass_us(ms * 1_000);
     }
 
-    /// A command: its flag, then none, until the status is another than E_CMD_PENDING.
+    /// Issues a command flag, clears it, and waits until the status is no longer E_CMD_PENDING.
     ///
     /// # Panics
-    /// When it does not end.
+    /// Panics when the command does not complete.
     pub fn command(&mut self, flags: CommandFlags) {
         self.set(flags);
         self.pass(2);
@@ -327,17 +330,17 @@ impl Bench {
             }
             self.pass(5);
         }
-        panic!("the command does not end");
+        panic!("the command does not complete");
     }
 }
 
-/// The check sum of a body.
+/// Returns the checksum of a telegram body.
 #[must_use]
 pub fn sum(body: &[u8]) -> u8 {
     body.iter().fold(0, |sum, byte| sum.wrapping_add(*byte))
 }
 
-/// A telegram with start delimiter 2.
+/// Returns a telegram with start delimiter SD2.
 #[must_use]
 pub fn sd2(body: &[u8]) -> Vec<u8> {
     let len = body.len() as u8;

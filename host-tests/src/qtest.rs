@@ -1,7 +1,7 @@
-//! The client's side of QEMU's qtest protocol: pins in, memory out, beside a machine that runs.
+//! Client of QEMU's qtest protocol: sets pins and reads memory of a running machine.
 //!
-//! One command at a time, a line each way; the protocol is described in QEMU's `system/qtest.c`. Here
-//! is only what this project asks for.
+//! Commands are sequential, one line each way; QEMU's `system/qtest.c` describes the protocol. Covers only the
+//! commands that this project needs.
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
@@ -16,10 +16,10 @@ pub struct Qtest {
 }
 
 impl Qtest {
-    /// Speaks qtest over `connection`; an answer that takes longer than `patience` is an error.
+    /// Connects over `connection`; an answer that takes longer than `patience` is an error.
     ///
     /// # Errors
-    /// When `patience` is zero.
+    /// Fails when `patience` is zero.
     pub fn new(connection: UnixStream, patience: Duration) -> Result<Self> {
         connection.set_read_timeout(Some(patience))?;
         connection.set_write_timeout(Some(patience))?;
@@ -29,41 +29,41 @@ impl Qtest {
     /// Drives input `line` of the GPIO device at `qom_path` (`/machine/soc/gpioc`) high or low.
     ///
     /// # Errors
-    /// When QEMU knows no such device, or does not answer.
+    /// Fails when QEMU has no such device or does not answer.
     pub fn set_gpio_in(&mut self, qom_path: &str, line: u8, high: bool) -> Result<()> {
         self.set_irq_in(qom_path, "unnamed-gpio-in", line, high)
     }
 
-    /// Drives input `line` of the inputs of this name of the device at `qom_path` high or low.
+    /// Drives input `line` of the named inputs of the device at `qom_path` high or low.
     ///
     /// # Errors
-    /// When QEMU knows no such device, or does not answer.
+    /// Fails when QEMU has no such device or does not answer.
     pub fn set_irq_in(&mut self, qom_path: &str, name: &str, line: u8, high: bool) -> Result<()> {
         self.command(&format!("set_irq_in {qom_path} {name} {line} {}", u8::from(high))).map(drop)
     }
 
-    /// Reads the 32-bit word at `address`, as the core would; a register's side effects happen.
+    /// Reads the 32-bit word at `address` as the core would, including side effects.
     ///
     /// # Errors
-    /// When QEMU does not answer.
+    /// Fails when QEMU does not answer.
     pub fn readl(&mut self, address: u32) -> Result<u32> {
         let answer = self.command(&format!("readl {address:#x}"))?;
         let digits = answer.strip_prefix("0x").unwrap_or(&answer);
         u32::from_str_radix(digits, 16).with_context(|| format!("QEMU read the word `{answer}`"))
     }
 
-    /// Writes the 32-bit word at `address`, as the core would; a register's side effects happen.
+    /// Writes the 32-bit word at `address` as the core would, including side effects.
     ///
     /// # Errors
-    /// When QEMU does not answer.
+    /// Fails when QEMU does not answer.
     pub fn writel(&mut self, address: u32, value: u32) -> Result<()> {
         self.command(&format!("writel {address:#x} {value:#x}")).map(drop)
     }
 
-    /// Reads `len` bytes of memory from `address` on.
+    /// Reads `len` bytes of memory starting at `address`.
     ///
     /// # Errors
-    /// When QEMU does not answer, or not with `len` bytes.
+    /// Fails when QEMU does not return `len` bytes.
     pub fn read(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
         if len == 0 {
             return Ok(Vec::new());
@@ -77,7 +77,7 @@ impl Qtest {
         Ok(bytes)
     }
 
-    /// What QEMU answers to `command` behind its `OK`.
+    /// Sends a command and returns the answer after `OK`.
     fn command(&mut self, command: &str) -> Result<String> {
         let no_answer = || format!("QEMU does not answer `{command}`");
         writeln!(self.connection.get_mut(), "{command}").with_context(no_answer)?;
@@ -88,8 +88,8 @@ impl Qtest {
             ensure!(read > 0, "QEMU ended before it answered `{command}`");
             match line.trim_end().split_once(' ').unwrap_or((line.trim_end(), "")) {
                 ("OK", answer) => return Ok(answer.to_owned()),
-                ("FAIL" | "ERR", why) => bail!("QEMU refuses `{command}`: {why}"),
-                // News nobody here asked for, like an intercepted interrupt, may come before the answer.
+                ("FAIL" | "ERR", why) => bail!("QEMU rejects `{command}`: {why}"),
+                // Unsolicited messages, such as an intercepted interrupt, may precede the answer.
                 _ => {}
             }
         }
@@ -100,7 +100,7 @@ impl Qtest {
 mod tests {
     use super::*;
 
-    /// A client, and a peer that has said `answers` already.
+    /// Returns a client and its peer, which has already sent `answers`.
     fn client_hears(answers: &str) -> (Qtest, UnixStream) {
         let (ours, mut theirs) = UnixStream::pair().unwrap();
         theirs.write_all(answers.as_bytes()).unwrap();
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_says_what_was_refused_and_why() {
+    fn a_rejection_names_the_command_and_the_reason() {
         let (mut qtest, _peer) = client_hears("FAIL Unknown device\n");
         let refusal = qtest.set_gpio_in("/machine/gpioz", 0, true).unwrap_err().to_string();
         assert!(refusal.contains("/machine/gpioz") && refusal.ends_with("Unknown device"), "{refusal}");

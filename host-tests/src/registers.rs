@@ -1,12 +1,12 @@
-//! Peripherals that QEMU lacks: their registers are served from outside, by a model.
+//! Models of peripherals that QEMU lacks; their registers are served from outside.
 //!
-//! Before each load and store in a model's addresses QEMU stops. The instruction at the program counter is decoded, the model
-//! asked, the instruction skipped, and the machine runs on; its interrupts go in through qtest. An access takes a good tenth
-//! of a millisecond; a peripheral that the firmware leaves alone costs nothing.
+//! QEMU stops before each load and store in a model's address range. The instruction at the program counter is
+//! decoded, the model performs the access, the instruction is skipped, and the machine resumes. Interrupts are raised
+//! through qtest. An access takes about 0.1 ms; a peripheral that the firmware does not access costs nothing.
 //!
-//! Models live in the machine's time, which stands while the machine does. But where it goes on, its clock runs ahead of its
-//! core, by as much as the host is busy. So from an interrupt on, until that is answered, only accesses take time: no FIFO
-//! overruns because the host was slow, and that the firmware is quick enough for a bus is not shown here.
+//! Models follow the machine's time, which stops with the machine. On resuming, its clock runs ahead of its core by
+//! an amount that depends on the host's load. Therefore, while an interrupt is pending, only accesses take time. A
+//! slow host causes no FIFO overrun, and this set-up does not show whether the firmware keeps up with a bus.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -18,35 +18,35 @@ use anyhow::{Context, Result, ensure};
 use crate::gdb::{CoreRegisters, Gdb};
 use crate::load_store::{LoadStore, Move, Width};
 
-/// A peripheral's registers, and what it does by itself.
+/// A peripheral: its registers and its autonomous behaviour.
 pub trait RegisterModel: fmt::Debug + Send {
-    /// Their addresses.
+    /// Returns the address range of the registers.
     fn addresses(&self) -> Range<u32>;
 
-    /// The core loads.
+    /// Handles a load by the core.
     ///
     /// # Errors
-    /// When a real one would have no answer, or this one has none.
+    /// Fails when the real peripheral would fault or the model lacks the register.
     fn load(&mut self, address: u32, width: Width) -> Result<u32>;
 
-    /// The core stores.
+    /// Handles a store by the core.
     ///
     /// # Errors
-    /// When the model does not know what a real one would do.
+    /// Fails when the real peripheral's reaction is not modelled.
     fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()>;
 
-    /// As [`load`](Self::load), of a peripheral that QEMU has and that this one changes.
+    /// Handles a [`load`](Self::load) from a peripheral that QEMU has and that this model extends.
     ///
     /// # Errors
-    /// See there.
+    /// See [`load`](Self::load).
     fn load_through(&mut self, address: u32, width: Width, _machine: &mut dyn Machine) -> Result<u32> {
         self.load(address, width)
     }
 
-    /// As [`store`](Self::store), of a peripheral that QEMU has and that this one changes.
+    /// Handles a [`store`](Self::store) to a peripheral that QEMU has and that this model extends.
     ///
     /// # Errors
-    /// See there.
+    /// See [`store`](Self::store).
     fn store_through(
         &mut self,
         address: u32,
@@ -57,40 +57,40 @@ pub trait RegisterModel: fmt::Debug + Send {
         self.store(address, width, value)
     }
 
-    /// Time passes for it; not while an interrupt is unanswered.
+    /// Advances time; not called while an interrupt is pending.
     fn advance(&mut self, _time: Duration) {}
 
-    /// The machine has run for so long since this was last said, and for no less.
+    /// Reports a lower bound of the time that the machine has run since the last call.
     fn has_run(&mut self, _time: Duration) {}
 
-    /// Its lines to the interrupt controller and their levels now.
+    /// Returns the interrupt lines and their current levels.
     fn interrupts(&self) -> Vec<(u8, bool)> {
         Vec::new()
     }
 
-    /// Whether it may reset the machine.
+    /// Returns whether the model may reset the machine.
     fn is_watchdog(&self) -> bool {
         false
     }
 
-    /// Whether it resets the machine now.
+    /// Returns whether the model resets the machine now.
     fn resets_machine(&self) -> bool {
         false
     }
 
-    /// The machine was reset.
+    /// Handles a reset of the machine.
     fn reset(&mut self) {}
 
-    /// How the firmware is to hang from here on, after an access.
+    /// Returns how the firmware is to hang after this access, if at all.
     fn derailment(&mut self) -> Option<Derailment> {
         None
     }
 }
 
-/// How firmware hangs.
+/// A way in which firmware hangs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Derailment {
-    /// In a loop of its program; interrupts are served.
+    /// In a loop with interrupts enabled.
     Loop,
     /// In a loop with interrupts masked.
     Masked,
@@ -98,34 +98,34 @@ pub enum Derailment {
     Handler,
 }
 
-/// The machine beside gdb.
+/// Machine access besides GDB.
 pub trait Machine {
     /// Sets the level of an interrupt line.
     ///
     /// # Errors
-    /// When it has ended.
+    /// Fails when the machine has ended.
     fn set_interrupt(&mut self, line: u8, level: bool) -> Result<()>;
 
-    /// Raises the interrupt that cannot be masked, once: it is taken before the next instruction.
+    /// Raises a non-maskable interrupt once; it is taken before the next instruction.
     ///
     /// # Errors
-    /// When it has ended.
+    /// Fails when the machine has ended.
     fn raise_nmi(&mut self) -> Result<()>;
 
-    /// Reads a word, as the core would.
+    /// Reads a word as the core would.
     ///
     /// # Errors
-    /// When it has ended.
+    /// Fails when the machine has ended.
     fn load(&mut self, address: u32) -> Result<u32>;
 
-    /// Writes a word, as the core would.
+    /// Writes a word as the core would.
     ///
     /// # Errors
-    /// When it has ended.
+    /// Fails when the machine has ended.
     fn store(&mut self, address: u32, value: u32) -> Result<()>;
 }
 
-/// SRAM2, which no firmware of this board uses: `b .`, and with interrupts masked; and a table of vectors to the first.
+/// Unused SRAM2 holds `b .`, the same with interrupts masked, and a vector table that points to the first.
 const LOOP_AT: u32 = 0x1000_0000;
 const LOOP: u32 = 0xE7FE_E7FE;
 const MASKED_LOOP_AT: u32 = LOOP_AT + 4;
@@ -133,52 +133,52 @@ const MASKED_LOOP: u32 = 0xE7FE_B672;
 const VECTORS_AT: u32 = LOOP_AT + 0x200;
 const VECTORS: u32 = 16 + 82;
 
-/// The vector table's address (ARMv7-M, B3.2.5).
+/// Address of the vector table register (ARMv7-M, B3.2.5).
 const VTOR: u32 = 0xE000_ED08;
 
-/// SysTick's control register, and its bit that says that a millisecond has ended since it was last read (ARMv7-M, B3.3.3).
+/// SysTick control register, and its flag for a counted millisecond since the last read (ARMv7-M, B3.3.3).
 const SYST_CSR: u32 = 0xE000_E010;
 const COUNTFLAG: u32 = 1 << 16;
 
-/// How long the machine runs without a look at what its peripherals do by themselves.
+/// Longest time the machine runs before the models advance.
 const LOOK_AROUND: Duration = Duration::from_micros(250);
 
-/// In which steps they go on, to see an interrupt in time: less than a CAN frame takes.
+/// Step in which the models advance, to raise interrupts in time: less than a CAN frame.
 const STEP: Duration = Duration::from_micros(40);
 
-/// By how much QEMU's clock runs ahead of its core where the machine goes on, on a host with time to spare.
+/// Lead of QEMU's clock over its core after resuming, on an idle host.
 const SLOW_START: Duration = Duration::from_micros(40);
 
 const A_MILLISECOND: Duration = Duration::from_millis(1);
 
-/// What an access and the instructions round it take.
+/// Duration of an access including the surrounding instructions.
 const AN_ACCESS: Duration = Duration::from_micros(1);
 
-/// SysTick's reload value and current value, and how many bytes the two are (ARMv7-M, B3.3).
+/// SysTick's reload value and current value, and their length in bytes (ARMv7-M, B3.3).
 const SYSTICK: (u32, usize) = (0xE000_E014, 8);
 
-/// The interrupt control and state register, and its bit that says that SysTick's exception waits (ARMv7-M, B3.2.4).
+/// The interrupt control and state register and its flag for a pending SysTick exception (ARMv7-M, B3.2.4).
 const ICSR: (u32, usize) = (0xE000_ED04, 4);
 const PENDSTSET: u32 = 1 << 26;
 
-/// Serves models to a machine that stands, and has run nothing yet.
+/// Serves models to a machine that is stopped and has executed nothing yet.
 #[derive(Debug)]
 pub struct Registers {
     gdb: Gdb,
     models: Vec<Box<dyn RegisterModel>>,
-    /// Where the firmware counts the milliseconds of SysTick.
+    /// Address of the firmware's SysTick millisecond counter.
     milliseconds_at: u32,
-    /// The firmware's instructions, which do not change.
+    /// Cached instructions of the firmware, which are constant.
     code: HashMap<u32, [u16; 2]>,
-    /// The interrupt lines as they were last set.
+    /// Last level of each interrupt line.
     levels: HashMap<u8, bool>,
 }
 
 impl Registers {
-    /// Watches the models' addresses. `milliseconds_at`: where the firmware counts the milliseconds of SysTick.
+    /// Watches the models' addresses. `milliseconds_at` is the address of the firmware's SysTick millisecond counter.
     ///
     /// # Errors
-    /// When QEMU takes no watchpoint.
+    /// Fails when QEMU rejects a watchpoint.
     pub fn new(mut gdb: Gdb, models: Vec<Box<dyn RegisterModel>>, milliseconds_at: u32) -> Result<Self> {
         for model in &models {
             let Range { start, end } = model.addresses();
@@ -188,10 +188,10 @@ impl Registers {
         Ok(Self { gdb, models, milliseconds_at, code, levels })
     }
 
-    /// Lets the machine run and serves it until it ends, which is an error.
+    /// Runs and serves the machine until it ends, which is an error.
     ///
     /// # Errors
-    /// When the firmware accesses a model in a way that this does not understand or a model refuses, and when QEMU ends.
+    /// Fails when an access is not understood or a model rejects it, and when QEMU ends.
     pub fn serve(mut self, machine: &mut impl Machine) -> Result<()> {
         let has_watchdog = self.models.iter().any(|model| model.is_watchdog());
         self.gdb.run()?;
@@ -201,11 +201,11 @@ impl Registers {
             let mut watched = Duration::ZERO;
             let mut looked = Instant::now();
             while !self.gdb.stops_within(LOOK_AROUND)? {
-                // It sleeps, and its clock goes with the host's.
+                // The machine is asleep, so its clock follows the host's.
                 let time = looked.elapsed();
                 looked = Instant::now();
                 passed += self.advance(time, machine)?;
-                // Not all milliseconds are seen on a busy host. Those that are have passed.
+                // A busy host misses some milliseconds. Each one observed has really passed.
                 if has_watchdog && machine.load(SYST_CSR)? & COUNTFLAG != 0 {
                     watched += A_MILLISECOND;
                     self.models.iter_mut().for_each(|model| model.has_run(A_MILLISECOND));
@@ -219,7 +219,7 @@ impl Registers {
             }
             let (registers, [milliseconds, systick, icsr]) =
                 self.gdb.look([(self.milliseconds_at, 4), SYSTICK, ICSR])?;
-            // Before the firmware has started its clock there is but the host's.
+            // Before the firmware starts SysTick, only the host's clock is available.
             let now = machine_time(&milliseconds, &systick, &icsr).unwrap_or(stopped_at + looked.elapsed());
             self.advance(now.saturating_sub(stopped_at + SLOW_START + passed), machine)?;
             let unwatched = now.saturating_sub(stopped_at + watched);
@@ -234,14 +234,14 @@ impl Registers {
         }
     }
 
-    /// Resets the machine, which stands, and the models.
+    /// Resets the stopped machine and the models.
     fn reset_machine(&mut self) -> Result<()> {
         self.gdb.reset_machine()?;
         self.models.iter_mut().for_each(|model| model.reset());
         Ok(())
     }
 
-    /// Lets time pass for the models until an interrupt is raised; returns how much did.
+    /// Advances the models until an interrupt is raised. Returns the elapsed time.
     fn advance(&mut self, time: Duration, machine: &mut impl Machine) -> Result<Duration> {
         let mut passed = Duration::ZERO;
         while passed < time && !self.levels.values().any(|is_raised| *is_raised) {
@@ -262,18 +262,19 @@ impl Registers {
         Ok(())
     }
 
-    /// Does what the instruction at the program counter would have done; the registers behind it.
+    /// Executes the load or store at the program counter on a model. Returns the registers afterwards.
     fn access(&mut self, mut registers: CoreRegisters, machine: &mut impl Machine) -> Result<CoreRegisters> {
         let pc = registers.r[15];
         let code = self.code_at(pc)?;
         let access = LoadStore::decode(code, &registers.r);
         let access = access.with_context(|| format!("at {pc:#010X}, before an access to a peripheral"))?;
         let LoadStore { direction, width, address, register, write_back, len } = access;
-        // Firmware that waits for a bit comes round.
+        // Firmware that polls a bit must make progress.
         self.models.iter_mut().for_each(|model| model.advance(AN_ACCESS));
         let model = self.models.iter_mut().find(|model| model.addresses().contains(&address));
-        let model = model
-            .with_context(|| format!("{address:#010X} is no model's, but QEMU stopped at {pc:#010X}"))?;
+        let model = model.with_context(|| {
+            format!("QEMU stopped at {pc:#010X} for {address:#010X}, which belongs to no model")
+        })?;
         if let Some((base, after)) = write_back {
             registers.r[base] = after;
         }
@@ -299,14 +300,14 @@ impl Registers {
             return Ok(*code);
         }
         let bytes = self.gdb.read_memory(pc, 4)?;
-        let [a, b, c, d] = bytes[..] else { unreachable!("as many as were asked for") };
+        let [a, b, c, d] = bytes[..] else { unreachable!("four bytes were requested") };
         let code = [u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d])];
         self.code.insert(pc, code);
         Ok(code)
     }
 }
 
-/// Lets the firmware hang from here on.
+/// Makes the firmware hang from here on.
 fn derail(how: Derailment, registers: &mut CoreRegisters, machine: &mut impl Machine) -> Result<()> {
     machine.store(LOOP_AT, LOOP)?;
     machine.store(MASKED_LOOP_AT, MASKED_LOOP)?;
@@ -314,7 +315,7 @@ fn derail(how: Derailment, registers: &mut CoreRegisters, machine: &mut impl Mac
         Derailment::Loop => registers.r[15] = LOOP_AT,
         Derailment::Masked => registers.r[15] = MASKED_LOOP_AT,
         Derailment::Handler => {
-            // With the bit that says Thumb.
+            // With the Thumb bit.
             (0..VECTORS).try_for_each(|n| machine.store(VECTORS_AT + 4 * n, LOOP_AT | 1))?;
             machine.store(VTOR, VECTORS_AT)?;
         }
@@ -322,7 +323,7 @@ fn derail(how: Derailment, registers: &mut CoreRegisters, machine: &mut impl Mac
     Ok(())
 }
 
-/// xPSR after an instruction that changes no flag: one less remains of an IT block (ARMv7-M, A7.3.3).
+/// Returns xPSR after an instruction that changes no flag: the IT block advances by one (ARMv7-M, A7.3.3).
 fn behind_one_instruction(xpsr: u32) -> u32 {
     const IT: u32 = 0b11 << 25 | 0x3F << 10;
     let state = xpsr >> 25 & 0b11 | (xpsr >> 10 & 0x3F) << 2;
@@ -330,24 +331,24 @@ fn behind_one_instruction(xpsr: u32) -> u32 {
     xpsr & !IT | (state & 0b11) << 25 | (state >> 2) << 10
 }
 
-/// Since SysTick was started, of which a millisecond is one turn; `None` before.
+/// Returns the time since SysTick started, which counts one millisecond per period; `None` before the start.
 fn machine_time(milliseconds: &[u8], systick: &[u8], icsr: &[u8]) -> Option<Duration> {
     let word = |bytes: &[u8], at: usize| Some(u32::from_le_bytes(*bytes.as_chunks().0.get(at)?));
     let (reload, current) = (word(systick, 0)?, word(systick, 1)?);
     if reload == 0 {
         return None;
     }
-    // The counter may have begun anew while its exception waits for other code to end.
+    // The counter may have wrapped while its exception is still pending.
     let is_late = word(icsr, 0)? & PENDSTSET != 0 && current > reload / 2;
     let ms = u64::from(word(milliseconds, 0)?) + u64::from(is_late);
     let ns = u64::from(reload.saturating_sub(current)) * 1_000_000 / u64::from(reload + 1);
     Some(Duration::from_millis(ms) + Duration::from_nanos(ns))
 }
 
-/// Refuses what is not as wide as a register.
+/// Rejects accesses that are not a full register wide.
 ///
 /// # Errors
-/// Says so.
+/// Fails for anything but an aligned word.
 pub fn ensure_word(address: u32, width: Width) -> Result<()> {
     ensure!(
         width == Width::Word && address.is_multiple_of(4),

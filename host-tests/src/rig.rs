@@ -1,4 +1,4 @@
-//! Board, gripper and PLC together: what a machine builder has on the bench.
+//! Emulated board, gripper and PLC together, as on a machine builder's desk.
 
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -15,26 +15,26 @@ use crate::emulator::{Emulator, OutputChange};
 use crate::gripper_end::GripperEnd;
 use crate::trace::{Entry, Trace, frame_id};
 
-/// How long anything may take that is not a motion: connecting, a reconnect, an acknowledgement.
+/// Time limit for everything except motions: connecting, reconnecting, acknowledging.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How long a motion may take, at the real gripper's speed.
+/// Time limit for a motion at the real gripper's speed.
 pub const MOTION_PATIENCE: Duration = Duration::from_secs(120);
 
-/// How long an acknowledgement may take before it is given again.
+/// Time after which an unanswered acknowledgement is repeated.
 pub const ACKNOWLEDGED_WITHIN: Duration = Duration::from_secs(2);
 
-/// How long a wire is held so that the bridge counts it, in the board's milliseconds: 2 ms of debouncing, 5 ms until
-/// FAST_STOP_OK counts as high, and the turn of the main loop before and after.
+/// Milliseconds on the board's clock for which a wire is held to be recognized: 2 ms of debouncing, 5 ms until
+/// FAST_STOP_OK counts as high, and one turn of the main loop before and after.
 const HOLD_MS: u32 = 8;
 
-/// The bench.
+/// The test rig.
 #[derive(Debug)]
 pub struct Rig {
     board: Emulator,
     gripper: GripperEnd,
     trace: Trace,
-    /// Changes of the bridge's wires that the PLC has not looked at yet, and how they were at the last one.
+    /// Changes of the bridge's outputs that the PLC has not processed, and the outputs before them.
     changes: Mutex<(Receiver<OutputChange>, Outputs)>,
 }
 
@@ -45,13 +45,13 @@ impl std::fmt::Debug for GripperEnd {
 }
 
 impl Rig {
-    /// Powers board and gripper. The PLC is not there yet: all its wires are low, the one of FAST STOP as well.
+    /// Powers board and gripper. The PLC is off, so all its wires are low, including FAST_STOP_OK.
     ///
     /// # Errors
-    /// When the emulator does not start.
+    /// Fails when the emulator does not start.
     pub fn power_up(elf: &Path, config: Config, trace: Trace) -> Result<Self> {
         let mut board = Emulator::start(elf)?;
-        let line = board.take_gripper_line().context("the board's line was taken")?;
+        let line = board.take_gripper_line().context("the board's line is already taken")?;
         let gripper = GripperEnd::start(line, board.clock(), config, &trace)?;
         let changes = Mutex::new((board.output_changes(), Outputs::empty()));
         let (traced, watched) = (trace.clone(), board.output_changes());
@@ -65,28 +65,28 @@ impl Rig {
         Ok(Self { board, gripper, trace, changes })
     }
 
-    /// The board.
+    /// Returns the board.
     #[must_use]
     pub fn board(&self) -> &Emulator {
         &self.board
     }
 
-    /// The gripper and its line.
+    /// Returns the gripper and its line.
     #[must_use]
     pub fn gripper(&self) -> &GripperEnd {
         &self.gripper
     }
 
-    /// The recording.
+    /// Returns the recording.
     #[must_use]
     pub fn trace(&self) -> &Trace {
         &self.trace
     }
 
-    /// Sets wires of the PLC high or low.
+    /// Sets PLC wires high or low.
     ///
     /// # Errors
-    /// When the board is off.
+    /// Fails when the board is off.
     pub fn set(&self, wires: Inputs, high: bool) -> Result<()> {
         let before = self.board.inputs();
         let after = if high { before | wires } else { before - wires };
@@ -96,23 +96,23 @@ impl Rig {
         self.board.set_input(wires, high)
     }
 
-    /// Lets the board's clock advance by `ms` milliseconds.
+    /// Waits until the board's clock has advanced by `ms` milliseconds.
     ///
     /// # Errors
-    /// When the board is off, or its clock stands still.
+    /// Fails when the board is off or its clock has stopped.
     pub fn pass(&self, ms: u32) -> Result<()> {
         let start = self.board.now_ms()?;
         let bound = Instant::now() + PATIENCE + Duration::from_millis(ms.into());
         while self.board.now_ms()?.wrapping_sub(start) <= ms {
-            ensure!(Instant::now() < bound, "the board's clock stands still");
+            ensure!(Instant::now() < bound, "the board's clock has stopped");
         }
         Ok(())
     }
 
-    /// Raises wires for long enough to count, and lowers them for as long.
+    /// Raises wires long enough to be recognized, and lowers them for the same time.
     ///
     /// # Errors
-    /// When the board is off.
+    /// Fails when the board is off.
     pub fn pulse(&self, wires: Inputs) -> Result<()> {
         self.set(wires, true)?;
         self.pass(HOLD_MS)?;
@@ -123,17 +123,17 @@ impl Rig {
     /// Selects a recipe, 0 to 3.
     ///
     /// # Errors
-    /// When the board is off.
+    /// Fails when the board is off.
     pub fn select_recipe(&self, number: u8) -> Result<()> {
         self.set(Inputs::RECIPE0, number & 1 != 0)?;
         self.set(Inputs::RECIPE1, number & 2 != 0)
     }
 
-    /// Follows the bridge's wires, from where the PLC looked last, until they are as `wanted`; none of their states is
-    /// skipped. At once when the last one was as wanted. Returns the state.
+    /// Follows the outputs, without skipping a state, from the end of the previous call until one satisfies `wanted`;
+    /// at once if the last one does. Returns that state.
     ///
     /// # Errors
-    /// When `timeout` passes first, or the board goes off.
+    /// Fails after `timeout`, or when the board is switched off.
     pub fn await_outputs(&self, timeout: Duration, wanted: impl Fn(Outputs) -> bool) -> Result<Outputs> {
         let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
         let (receiver, current) = &mut *changes;
@@ -141,43 +141,45 @@ impl Rig {
         while !wanted(*current) {
             *current = match receiver.recv_timeout(bound.saturating_duration_since(Instant::now())) {
                 Ok(change) => change.outputs,
-                Err(RecvTimeoutError::Timeout) => bail!("waited {timeout:?}; high are {}", names(*current)),
-                Err(RecvTimeoutError::Disconnected) => bail!("the board went off"),
+                Err(RecvTimeoutError::Timeout) => {
+                    bail!("timed out after {timeout:?}; high outputs: {}", names(*current))
+                }
+                Err(RecvTimeoutError::Disconnected) => bail!("the board was switched off"),
             };
         }
         Ok(*current)
     }
 
-    /// Gives a motion command as a PLC does: the wire up, until BUSY says that it is taken; then waits for the end.
-    /// Returns the bridge's wires at the end.
+    /// Issues a motion command as a PLC does: raises the wire until BUSY confirms it, then waits for the end. Returns
+    /// the bridge's outputs at the end.
     ///
     /// # Errors
-    /// When the bridge is not READY before, does not take the command, or does not end it in time.
+    /// Fails when the bridge is not READY, does not accept the command, or does not complete it in time.
     pub fn command(&self, wire: Inputs) -> Result<Outputs> {
         self.begin(wire)?;
         self.await_outputs(MOTION_PATIENCE, |outputs| !outputs.contains(Outputs::BUSY))
-            .with_context(|| format!("{} does not end", input_names(wire)))
+            .with_context(|| format!("{} does not complete", input_names(wire)))
     }
 
-    /// The first half of [`command`](Self::command): up to BUSY.
+    /// Issues a motion [`command`](Self::command), and returns at BUSY.
     ///
     /// # Errors
-    /// As [`command`](Self::command).
+    /// See [`command`](Self::command).
     pub fn begin(&self, wire: Inputs) -> Result<()> {
         let named = input_names(wire);
         self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::READY))
             .with_context(|| format!("not READY for {named}"))?;
         self.set(wire, true)?;
         self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY))
-            .with_context(|| format!("{named} is not taken"))?;
+            .with_context(|| format!("{named} is not accepted"))?;
         self.set(wire, false)?;
         self.pass(HOLD_MS)
     }
 
-    /// Raises the wire of FAST STOP, [acknowledges](Self::acknowledge), and waits for READY.
+    /// Raises FAST_STOP_OK, [acknowledges](Self::acknowledge), and waits for READY.
     ///
     /// # Errors
-    /// When it does not in time.
+    /// Fails when READY does not become high in time.
     pub fn release_fast_stop(&self) -> Result<()> {
         self.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).context("no link")?;
         self.set(Inputs::FAST_STOP_OK, true)?;
@@ -188,10 +190,11 @@ impl Rig {
         Ok(())
     }
 
-    /// Acknowledges an error or a FAST STOP as a PLC does: raises STOP_ACK until ERROR is low, and again when it stays high.
+    /// Acknowledges an error or FAST STOP as a PLC does: raises STOP_ACK until ERROR is low, and repeats if
+    /// necessary.
     ///
     /// # Errors
-    /// When ERROR stays high.
+    /// Fails when ERROR stays high.
     pub fn acknowledge(&self) -> Result<()> {
         let bound = Instant::now() + PATIENCE;
         loop {
@@ -201,40 +204,40 @@ impl Rig {
             self.set(Inputs::STOP_ACK, false)?;
             match outputs {
                 Ok(_) => return Ok(()),
-                // On a busy host the edge may come before the FAST STOP is confirmed, and counts for nothing then.
+                // On a busy host the edge may precede the confirmation of the FAST STOP and is then ignored.
                 Err(_) if Instant::now() < bound => self.pass(HOLD_MS)?,
-                Err(error) => return Err(error).context("STOP_ACK does not end ERROR"),
+                Err(error) => return Err(error).context("STOP_ACK does not clear ERROR"),
             }
         }
     }
 
-    /// Waits until the recording has everything that the bridge has sent and shown so far. Its regular questions come at
-    /// least every 250 ms while it is connected or tries to be, and what it sent before comes before them.
+    /// Waits until the recording contains everything that the bridge has sent so far. The bridge polls at least every
+    /// 250 ms, also while connecting, and earlier frames precede the next poll.
     ///
     /// # Errors
-    /// When the bridge falls silent.
+    /// Fails when the bridge stops polling.
     pub fn catch_up(&self) -> Result<()> {
         let mark = self.trace.mark();
         let seen = self.trace.wait(mark, PATIENCE, |entry| matches!(entry, Entry::ToGripper(_)));
-        ensure!(seen, "the bridge has fallen silent");
+        ensure!(seen, "the bridge has stopped polling");
         let changes = self.board.output_changes().try_iter().count();
         let seen =
             self.trace.wait_for_count(0, changes, PATIENCE, |entry| matches!(entry, Entry::Bridge(..)));
-        ensure!(seen, "the recording lags behind");
+        ensure!(seen, "the recording misses output changes");
         Ok(())
     }
 
-    /// The motion commands that the bridge has sent since `mark`.
+    /// Returns the motion commands that the bridge has sent since `mark`.
     ///
     /// # Errors
-    /// When the bridge falls silent.
+    /// Fails when the bridge stops polling.
     pub fn motions_since(&self, mark: usize) -> Result<Vec<CommandId>> {
         self.catch_up()?;
         Ok(motions(&self.trace.since(mark)))
     }
 }
 
-/// The motion commands among these entries.
+/// Returns the motion commands among these entries.
 #[must_use]
 pub fn motions(entries: &[Entry]) -> Vec<CommandId> {
     entries
@@ -247,7 +250,7 @@ pub fn motions(entries: &[Entry]) -> Vec<CommandId> {
         .collect()
 }
 
-/// `[READY, LINK_OK]`.
+/// Formats outputs as in `[READY, LINK_OK]`.
 #[must_use]
 pub fn names(outputs: Outputs) -> String {
     let names: Vec<&str> = outputs.iter_names().map(|(name, _)| name).collect();

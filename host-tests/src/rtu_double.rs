@@ -1,11 +1,11 @@
-//! A line for Modbus RTU in virtual time, as bridge and master have it.
+//! A Modbus RTU line in virtual time, from the viewpoints of bridge and master.
 
 use std::collections::VecDeque;
 
 use bus_modbus::rtu::{Character, crc};
 use wsg_bridge_fw::BusPort;
 
-/// What the bridge saw of the line and did on it.
+/// An observation or action of the bridge on the line.
 #[derive(Clone, Debug)]
 pub(crate) enum Event {
     Character(Character, u32),
@@ -13,14 +13,14 @@ pub(crate) enum Event {
     Answer(Vec<u8>),
 }
 
-/// The bridge's end of a line for Modbus RTU, and the master's.
+/// Both ends of a Modbus RTU line: the bridge's and the master's.
 #[derive(Clone, Debug)]
 pub struct RtuDouble {
     waiting: VecDeque<(Character, u32)>,
-    /// For how long nothing has come, in microseconds.
+    /// Time since the last character, in microseconds.
     pub silence_us: u32,
     events: Vec<Event>,
-    /// Events are more than answers.
+    /// Whether events other than answers are recorded.
     is_overheard: bool,
 }
 
@@ -33,25 +33,25 @@ impl Default for RtuDouble {
 /// Long enough to end a frame.
 const SILENCE_US: u32 = 100_000;
 
-/// A frame with its checksum.
+/// Returns a frame with its checksum appended.
 #[must_use]
 pub fn sealed(body: &[u8]) -> Vec<u8> {
     [body, &crc(body).to_le_bytes()].concat()
 }
 
 impl RtuDouble {
-    /// A line that begins now, and remembers all that the bridge sees of it.
+    /// Creates a new line that records everything the bridge observes.
     pub(crate) fn overheard() -> Self {
         Self { silence_us: 0, is_overheard: true, ..Self::default() }
     }
 
-    /// Brings a character, so long after the one before.
+    /// Delivers a character after this silence.
     pub(crate) fn bring(&mut self, character: Character, silence_us: u32) {
         self.silence_us = 0;
         self.waiting.push_back((character, silence_us));
     }
 
-    /// Brings bytes, one right behind the other, after the silence that has been.
+    /// Delivers bytes back to back, after the elapsed silence.
     pub fn put(&mut self, bytes: &[u8]) {
         for byte in bytes {
             let silence_us = self.silence_us;
@@ -59,12 +59,12 @@ impl RtuDouble {
         }
     }
 
-    /// Lets a millisecond pass.
+    /// Advances time by a millisecond.
     pub fn pass_ms(&mut self) {
         self.silence_us = self.silence_us.saturating_add(1_000);
     }
 
-    /// Brings a request without its checksum. The line is silent before it, and behind it.
+    /// Delivers a request given without its checksum, with silence before and after it.
     pub fn ask(&mut self, request: &[u8]) {
         self.silence_us = SILENCE_US;
         self.put(&sealed(request));
@@ -76,7 +76,7 @@ impl RtuDouble {
         std::mem::take(&mut self.events)
     }
 
-    /// The last answer, with its unit and checksum.
+    /// Returns the last answer with unit and checksum.
     pub fn answer(&mut self) -> Option<Vec<u8>> {
         match self.events.pop()? {
             Event::Answer(frame) => Some(frame),
@@ -84,7 +84,7 @@ impl RtuDouble {
         }
     }
 
-    /// The register in it, if it is an answer to a question for one.
+    /// Returns the register value from the answer to a read of one register.
     pub fn answered(&mut self) -> Option<u16> {
         match self.answer()?[..] {
             [_, _, 2, high, low, ..] => Some(u16::from_be_bytes([high, low])),

@@ -1,4 +1,4 @@
-//! The virtual gripper behind a serial line, in virtual time, and what a bridge sends to it.
+//! The virtual gripper on a serial line in virtual time, and the commands that a bridge sends to it.
 
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -7,10 +7,10 @@ use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_protocol::{CommandId, Event, FrameParser, Kind, frame::MAX_MESSAGE_LEN};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
-/// How many bytes a line at 115 200 bit/s, 8N1, carries in a millisecond.
+/// Bytes per millisecond on a line at 115 200 bit/s, 8N1.
 pub const BYTES_PER_MS: usize = 12;
 
-/// What becomes of bytes on their way; called once a millisecond for each direction.
+/// Modifies bytes in transit; called once per millisecond and direction.
 pub type Disturbance = Box<dyn FnMut(&mut Vec<u8>)>;
 
 /// The bridge's end of the line.
@@ -18,23 +18,23 @@ pub type Disturbance = Box<dyn FnMut(&mut Vec<u8>)>;
 pub struct SerialLine {
     to_bridge: VecDeque<u8>,
     from_bridge: Vec<u8>,
-    /// What it takes until that is fetched.
+    /// Capacity of `from_bridge`, in bytes.
     room: usize,
 }
 
 impl SerialLine {
-    /// A line that takes so many bytes until they are fetched.
+    /// Creates a line that accepts `room` bytes until they are fetched.
     #[must_use]
     pub fn with_room(room: usize) -> Self {
         Self { to_bridge: VecDeque::new(), from_bridge: Vec::new(), room }
     }
 
-    /// Brings bytes to the bridge.
+    /// Delivers bytes to the bridge.
     pub fn bring(&mut self, bytes: &[u8]) {
         self.to_bridge.extend(bytes);
     }
 
-    /// What the bridge has sent since this was last asked.
+    /// Returns the bytes that the bridge has sent since the last call.
     pub fn take_sent(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.from_bridge)
     }
@@ -78,9 +78,9 @@ impl Write for SerialLine {
     }
 }
 
-/// One way of a line.
+/// One direction of a line.
 pub trait Carry {
-    /// Takes what the line carries in this millisecond of what waits, and returns what arrives of it.
+    /// Carries one millisecond's share of the waiting bytes, and returns the bytes that arrive.
     fn carry(&mut self, waiting: &mut Vec<u8>) -> Vec<u8>;
 }
 
@@ -100,35 +100,35 @@ pub struct SerialGripper<W = Option<Disturbance>> {
     /// The gripper.
     pub gripper: VirtualGripper<1>,
     port: PortId,
-    /// The bridge's end of its line.
+    /// The bridge's end of the line.
     pub line: SerialLine,
-    /// What the gripper has sent and its line has not carried.
+    /// Bytes from the gripper that are still waiting for the line.
     from_gripper: Vec<u8>,
-    /// Finds frames in what the bridge sends, and how much of what waits there it has seen.
+    /// Parses frames from the bridge; `seen_len` is the number of waiting bytes already parsed.
     seen: FrameParser<MAX_MESSAGE_LEN>,
     seen_len: usize,
     sent: Vec<CommandId>,
-    /// On the way from bridge to gripper.
+    /// Disturbance from bridge to gripper.
     pub to_gripper: W,
-    /// On the way from gripper to bridge.
+    /// Disturbance from gripper to bridge.
     pub to_bridge: W,
 }
 
 impl SerialGripper {
-    /// A gripper that was just switched on.
+    /// Creates a gripper immediately after power-up.
     #[must_use]
     pub fn new(config: wsg_sim::Config) -> Self {
         Self::over(config, BYTES_PER_MS, [None, None])
     }
 
-    /// Sends bytes to the bridge that the gripper never sent.
+    /// Sends bytes to the bridge in the gripper's place.
     pub fn inject(&mut self, bytes: &[u8]) {
         self.line.bring(bytes);
     }
 }
 
 impl<W: Carry> SerialGripper<W> {
-    /// The same on a line with so much room at the bridge's end, and these ways to gripper and bridge.
+    /// Creates a gripper on a line with `room` bytes at the bridge's end and the given directions.
     pub(crate) fn over(config: wsg_sim::Config, room: usize, [to_gripper, to_bridge]: [W; 2]) -> Self {
         let (gripper, port) = switch_on(config);
         Self {
@@ -144,21 +144,21 @@ impl<W: Carry> SerialGripper<W> {
         }
     }
 
-    /// Switches the gripper off and on again: it has forgotten everything, and its clock starts anew.
+    /// Power-cycles the gripper; it loses all state, and its clock restarts at zero.
     pub fn restart(&mut self, config: wsg_sim::Config, now: Time) {
         (self.gripper, self.port) = switch_on(config);
         self.gripper.advance(now);
     }
 
-    /// The commands that the bridge has sent since this was last asked.
+    /// Returns the commands that the bridge has sent since the last call.
     pub fn take_sent(&mut self) -> Vec<CommandId> {
         std::mem::take(&mut self.sent)
     }
 
-    /// Carries what was sent, both ways, and lets the gripper go on until now.
+    /// Carries bytes in both directions and advances the gripper to `now`.
     ///
     /// # Panics
-    /// When the bridge has sent a broken frame.
+    /// Panics when the bridge has sent a broken frame.
     pub fn advance(&mut self, now: Time) {
         self.note_frames();
         let bytes = self.to_gripper.carry(&mut self.line.from_bridge);
@@ -193,7 +193,7 @@ fn switch_on(config: wsg_sim::Config) -> (VirtualGripper<1>, PortId) {
     (gripper, port.unwrap_or_else(|| unreachable!("a new gripper takes a client")))
 }
 
-/// The motion commands among these.
+/// Returns the motion commands among these.
 #[must_use]
 pub fn motions(sent: Vec<CommandId>) -> Vec<CommandId> {
     sent.into_iter().filter(|id| id.kind() == Kind::Motion).collect()

@@ -1,4 +1,4 @@
-//! The bridge library and a virtual gripper, with the service port at the end of a stream.
+//! The bridge library and a virtual gripper, with the service port connected to a stream.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Write};
@@ -23,7 +23,7 @@ use crate::serial_gripper::SerialGripper;
 /// Turns within which the bridge answers on the PLC's bus.
 const TURNS_TO_ANSWER: usize = 20;
 
-/// The service port's end of a line, whose master is at the other.
+/// The service port's end of a line to a master.
 #[derive(Debug)]
 pub struct ServiceLine {
     stream: UnixStream,
@@ -31,21 +31,21 @@ pub struct ServiceLine {
 }
 
 impl ServiceLine {
-    /// Both ends; the second one is the master's.
+    /// Creates a line and returns both ends; the second is the master's.
     ///
     /// # Panics
-    /// There is no socket to be had.
+    /// Panics when no socket can be created.
     #[must_use]
     pub fn new() -> (Self, UnixStream) {
-        let (near, far) = UnixStream::pair().expect("there are sockets");
-        near.set_read_timeout(Some(Duration::from_millis(1))).expect("a millisecond is not zero");
+        let (near, far) = UnixStream::pair().expect("a socket pair can be created");
+        near.set_read_timeout(Some(Duration::from_millis(1))).expect("the time-out is not zero");
         (Self { stream: near, waiting: VecDeque::new() }, far)
     }
 
-    /// Takes what comes until nothing has for a millisecond: then a request is there as a whole.
+    /// Reads until no byte has arrived for a millisecond, so that a request is complete.
     ///
     /// # Panics
-    /// The line is broken.
+    /// Panics when the line fails.
     pub fn read(&mut self) {
         let mut bytes = [0; 256];
         loop {
@@ -60,7 +60,7 @@ impl ServiceLine {
         }
     }
 
-    /// Forgets what has come.
+    /// Discards received bytes.
     pub fn clear(&mut self) {
         self.waiting.clear();
     }
@@ -80,20 +80,20 @@ impl BusPort for ServiceLine {
     }
 }
 
-/// A bridge with a gripper on RS-232, flash and a Modbus bus. It knows no time but its turns, of a millisecond each.
+/// A bridge with a gripper on RS-232, flash and a Modbus bus. Time advances by one millisecond per turn.
 pub struct ServiceBench {
     /// The bridge.
     pub station: Station<Double>,
-    /// What is on its line.
+    /// The gripper and its line.
     pub gripper: SerialGripper,
-    /// Where its settings stay.
+    /// The settings flash.
     pub flash: FlashModel,
     bus: RtuDouble,
     now_ms: u32,
 }
 
 impl ServiceBench {
-    /// Both have power, for the first time.
+    /// Powers up bridge and gripper for the first time.
     #[must_use]
     pub fn new(gripper: wsg_sim::Config) -> Self {
         let mut bench = Self {
@@ -107,34 +107,34 @@ impl ServiceBench {
         bench
     }
 
-    /// The bridge's power comes on, with what the flash has.
+    /// Powers up the bridge with the settings in the flash.
     ///
     /// # Panics
-    /// Those settings are refused.
+    /// Panics when the stored settings are rejected.
     pub fn start(&mut self) {
         self.station = station();
         let config =
-            self.station.load(&Config::DEFAULT.record(), &self.flash).expect("these settings are right");
+            self.station.load(&Config::DEFAULT.record(), &self.flash).expect("the stored settings are valid");
         self.station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
     }
 
-    /// The bridge's millisecond, and the gripper's.
+    /// Runs one millisecond of bridge and gripper.
     pub fn turn(&mut self, service: &mut dyn BusPort) {
         self.turn_alone(service);
         self.gripper.advance(Time::from_millis(self.now_ms.into()));
     }
 
-    /// The bridge's millisecond while the gripper has no power.
+    /// Runs one millisecond of the bridge while the gripper is off.
     pub fn turn_alone(&mut self, service: &mut dyn BusPort) {
         self.now_ms += 1;
         let Self { station, gripper, flash, bus, now_ms } = self;
         station.turn(*now_ms, Inputs::FAST_STOP_OK, &mut gripper.line, bus, service, flash);
     }
 
-    /// Asks as the PLC does; the answer with unit and checksum.
+    /// Sends a request as the PLC and returns the answer with unit and checksum.
     ///
     /// # Panics
-    /// There is none.
+    /// Panics when the bridge does not answer.
     pub fn ask(&mut self, request: &[u8]) -> Vec<u8> {
         self.bus.ask(request);
         for _ in 0..TURNS_TO_ANSWER {
@@ -146,22 +146,22 @@ impl ServiceBench {
         panic!("no answer to {request:?}");
     }
 
-    /// FC 16 on the PLC's bus.
+    /// Writes registers from the PLC's bus (FC 16).
     ///
     /// # Panics
-    /// It is refused.
+    /// Panics when the write is rejected.
     pub fn write(&mut self, first: u16, values: &[u16]) {
         assert_eq!(self.ask(&write_request(first, values))[1], 16);
     }
 
-    /// All settings, as the PLC reads them.
+    /// Reads all settings as a PLC does.
     pub fn settings(&mut self) -> Vec<u16> {
         let answer = self.ask(&[1, 3, 0, FIRST_SETTING as u8, 0, SETTINGS.len() as u8]);
         let values = answer[3..].chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
         values.take(SETTINGS.len()).collect()
     }
 
-    /// The fingers travel, and no PLC is missed.
+    /// Starts a motion, with bus supervision switched off.
     pub fn begin_to_move(&mut self) {
         self.write(setting("BUS_TIMEOUT"), &[0]);
         self.write(0, &[0, 0, 0, 0]);

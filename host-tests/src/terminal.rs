@@ -1,6 +1,6 @@
-//! A pseudo terminal in front of the board's bus, so that a master opens it as it opens a serial port.
+//! A pseudo-terminal connected to the board's bus, which a master opens like a serial port.
 //!
-//! It refuses parity: masters must be told 8N1 or 8N2. The emulated line knows neither rate nor parity.
+//! It rejects parity, so masters must use 8N1 or 8N2. The emulated line has neither rate nor parity.
 
 use std::fs::File;
 use std::io;
@@ -12,19 +12,19 @@ use anyhow::{Context, Result};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
-/// A pseudo terminal whose other end is the board's bus.
+/// A pseudo-terminal connected to the board's bus.
 pub struct Terminal {
-    /// Of the end that a master opens.
+    /// Path of the end for the master.
     pub path: String,
-    /// Open, so that masters may come and go.
+    /// Kept open, so that masters can disconnect and reconnect.
     _other_end: File,
 }
 
 impl Terminal {
-    /// A terminal whose other end is this line.
+    /// Creates a terminal connected to this line.
     ///
     /// # Errors
-    /// When the system gives none.
+    /// Fails when the system provides no pseudo-terminal.
     pub fn to(mut line: UnixStream) -> Result<Self> {
         let master: OwnedFd = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY)?;
         grantpt(&master)?;
@@ -40,7 +40,7 @@ impl Terminal {
         tcsetattr(&other_end, OptionalActions::Now, &raw)?;
         let (mut from_masters, mut from_board) = (File::from(master), line.try_clone()?);
         let mut to_masters = from_masters.try_clone()?;
-        // Each until an end is gone.
+        // Each thread ends when either end is closed.
         thread::spawn(move || io::copy(&mut from_masters, &mut line));
         thread::spawn(move || io::copy(&mut from_board, &mut to_masters));
         Ok(Self { path, _other_end: other_end })

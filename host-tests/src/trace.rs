@@ -1,4 +1,4 @@
-//! What happened between PLC, bridge and gripper: for a person to follow and for a test to compare.
+//! Recording of events between PLC, bridge and gripper, readable by people and comparable by tests.
 
 use std::fmt;
 use std::io::Write;
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, Direction, Event, FrameParser, Meaning, frame::MAX_MESSAGE_LEN};
 
-/// One thing that happened.
+/// A recorded event.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Entry {
     /// The PLC changed wires: before, after.
@@ -17,15 +17,15 @@ pub enum Entry {
     Bridge(Outputs, Outputs),
     /// A frame from bridge to gripper.
     ToGripper(Vec<u8>),
-    /// A frame, or what became of one, from gripper to bridge.
+    /// A frame, possibly damaged, from gripper to bridge.
     FromGripper(Vec<u8>),
-    /// The fingers came to this opening width, in mm.
+    /// The fingers reached this opening width, in mm.
     Fingers(f32),
-    /// Something that the tester did or found.
+    /// An action or finding of the test.
     Note(String),
 }
 
-/// A capture, shared by all who watch.
+/// A shared recording.
 #[derive(Clone)]
 pub struct Trace {
     shared: Arc<Shared>,
@@ -49,14 +49,14 @@ impl fmt::Debug for Trace {
 }
 
 impl Trace {
-    /// A capture that begins now; each entry is also written to every sink, as a line.
+    /// Starts a recording. Each entry is also written as a line to every sink.
     #[must_use]
     pub fn new(sinks: Vec<Box<dyn Write + Send>>) -> Self {
         let inner = Mutex::new(Inner { entries: Vec::new(), sinks });
         Self { shared: Arc::new(Shared { start: Instant::now(), inner, grown: Condvar::new() }) }
     }
 
-    /// Since when this records.
+    /// Returns the start time.
     #[must_use]
     pub fn start(&self) -> Instant {
         self.shared.start
@@ -67,46 +67,46 @@ impl Trace {
         let at = self.shared.start.elapsed();
         let mut inner = self.lock();
         let line = format!("{:>9.3}  {entry}\n", at.as_secs_f64());
-        // A sink that fails (a closed pipe) does not end the capture.
+        // A failing sink, such as a closed pipe, does not end the recording.
         inner.sinks.retain_mut(|sink| sink.write_all(line.as_bytes()).and_then(|()| sink.flush()).is_ok());
         inner.entries.push((at, entry));
         drop(inner);
         self.shared.grown.notify_all();
     }
 
-    /// Writes a line to every sink that is no entry.
+    /// Writes a line to every sink without recording an entry.
     pub fn headline(&self, text: &str) {
         let mut inner = self.lock();
         inner.sinks.retain_mut(|sink| writeln!(sink, "{text}").and_then(|()| sink.flush()).is_ok());
     }
 
-    /// Writes a last line to every sink; what happens later is recorded and not written.
+    /// Writes a last line to every sink. Later entries are recorded but not written.
     pub fn finish(&self, text: &str) {
-        // One turn of the lock: nothing gets in between.
+        // Holds the lock throughout, so no entry intervenes.
         for mut sink in self.lock().sinks.drain(..) {
-            // A sink that fails (a closed pipe) has nothing more to lose.
+            // A failing sink, such as a closed pipe, is ignored.
             let _ = writeln!(sink, "{text}").and_then(|()| sink.flush());
         }
     }
 
-    /// How many entries there are: a place to come back to.
+    /// Returns the number of entries, for use as a mark.
     #[must_use]
     pub fn mark(&self) -> usize {
         self.lock().entries.len()
     }
 
-    /// The entries from a place on.
+    /// Returns the entries from `mark` on.
     #[must_use]
     pub fn since(&self, mark: usize) -> Vec<Entry> {
         self.lock().entries.iter().skip(mark).map(|(_, entry)| entry.clone()).collect()
     }
 
-    /// Waits until an entry from `mark` on is as `wanted`; whether one came in time.
+    /// Waits until an entry from `mark` on satisfies `wanted`. Returns whether one did in time.
     pub fn wait(&self, mark: usize, timeout: Duration, wanted: impl Fn(&Entry) -> bool) -> bool {
         self.wait_for_count(mark, 1, timeout, wanted)
     }
 
-    /// Waits until so many entries from `mark` on are as `wanted`; whether they came in time.
+    /// Waits until `count` entries from `mark` on satisfy `wanted`. Returns whether they did in time.
     pub fn wait_for_count(
         &self,
         mark: usize,
@@ -130,32 +130,31 @@ impl Trace {
     }
 }
 
-/// What two runs are compared by: sequences without times.
+/// Event sequences without times, to compare two runs.
 ///
-/// They are five because only the time decides how they interleave: wires and line reach the harness on separate ways,
-/// and the gripper spaces the reports of each value by itself (10 ms at least, the bridge's regular questions in
-/// between).
+/// There are five because their interleaving depends on timing. Wires and line reach the harness separately, and the
+/// gripper paces reports of each value independently (at least 10 ms apart, with the bridge's polls in between).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sequences {
     /// Edges on the PLC's wires.
     pub edges: Vec<(Inputs, Inputs)>,
     /// Changes of the bridge's wires.
     pub outputs: Vec<(Outputs, Outputs)>,
-    /// Every frame on the gripper's line, both ways, but those of the two values below, and the questions whether the force limit
-    /// still holds: they have a pace of their own.
+    /// Frames on the gripper's line in both directions. Excludes the two values below and periodic reads of the force
+    /// limit, which have their own pace.
     pub frames: Vec<String>,
-    /// The system states that the gripper reported, each that differs from the one before.
+    /// Distinct consecutive system states reported by the gripper.
     pub system_states: Vec<String>,
-    /// The gripper states that the gripper reported, each that differs from the one before.
+    /// Distinct consecutive gripper states reported by the gripper.
     pub gripper_states: Vec<String>,
 }
 
-/// Where the id stands in a frame.
+/// Offset of the id in a frame.
 const ID_AT: usize = 3;
 
 impl Sequences {
-    /// The edges of each of the bridge's wires, one wire after the other. Which of two wires changes first only the time
-    /// decides where each follows a report of its own: REFERENCED one value, BUSY and READY the other.
+    /// Returns the edges of the bridge's wires, wire by wire. The order between wires depends on timing when they
+    /// follow different reports: REFERENCED follows one value, BUSY and READY the other.
     #[must_use]
     pub fn output_edges(&self) -> Vec<(Outputs, bool)> {
         let edges = |wire: Outputs| {
@@ -166,8 +165,7 @@ impl Sequences {
         Outputs::all().iter().flat_map(edges).collect()
     }
 
-    /// The sequences of a capture from the entry `mark` on. What was reported before is known: repeating it is no
-    /// news.
+    /// Extracts the sequences of a recording from the entry `mark` on. Repetitions of earlier reports are left out.
     #[must_use]
     pub fn of(entries: &[Entry], mark: usize) -> Self {
         let mut sequences = Self::default();
@@ -187,7 +185,7 @@ impl Sequences {
                         }
                         id => {
                             let is_answer = matches!(entry, Entry::FromGripper(_));
-                            // What is read back follows what was set.
+                            // The read-back after a write is kept.
                             let follows =
                                 [(CommandId::SetForceLimit, true), (CommandId::GetForceLimit, false)];
                             let is_upkeep = id == Some(CommandId::GetForceLimit)
@@ -213,7 +211,7 @@ impl Sequences {
     }
 }
 
-/// The id of the frame in these bytes, if they look like one.
+/// Returns the id of a frame, if the bytes are long enough.
 #[must_use]
 pub fn frame_id(bytes: &[u8]) -> Option<u8> {
     bytes.get(ID_AT).copied()
@@ -246,7 +244,7 @@ fn name<T>(named: Option<(&'static str, T)>) -> &'static str {
     named.map_or("?", |(name, _)| name)
 }
 
-/// `GRIP ↑  RECIPE0 ↓`.
+/// Writes edges as in `GRIP ↑  RECIPE0 ↓`.
 fn edges(
     f: &mut fmt::Formatter<'_>,
     before: u8,
@@ -261,7 +259,7 @@ fn edges(
     Ok(())
 }
 
-/// A frame's direction, its meaning and its bytes.
+/// Displays a frame's direction, meaning and bytes.
 struct Described<'a> {
     bytes: &'a [u8],
     direction: Direction,
@@ -287,7 +285,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frames_and_edges_read_as_a_person_would_write_them() {
+    fn frames_and_edges_are_written_readably() {
         let pending = [0xAA, 0xAA, 0xAA, 0x21, 0x02, 0x00, 0x1A, 0x00, 0x67, 0xCB];
         let line = Entry::FromGripper(pending.to_vec()).to_string();
         assert!(line.starts_with("<- 21h Pre-position Fingers E_CMD_PENDING "), "{line}");
@@ -297,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn sequences_leave_out_what_only_the_time_decides() {
+    fn sequences_exclude_timing_dependent_events() {
         let state = |byte| Entry::FromGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 0, 0, byte]);
         let question = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 3, 10, 0]);
         let stop = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0]);

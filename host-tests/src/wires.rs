@@ -1,30 +1,30 @@
-//! The PLC on the wires of a bench in virtual time.
+//! PLC actions on wires, in virtual time.
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 
 use crate::serial_gripper::motions;
 
-/// A bench with wires, and what a PLC does with them.
+/// A test fixture with wires, and the PLC's actions on them.
 pub trait Wires {
-    /// The wires from the PLC.
+    /// Returns the wires from the PLC.
     fn inputs(&mut self) -> &mut Inputs;
 
-    /// The wires to the PLC.
+    /// Returns the wires to the PLC.
     fn outputs(&self) -> Outputs;
 
-    /// The commands that the bridge has sent since this was last asked.
+    /// Returns the commands that the bridge has sent since the last call.
     fn take_sent(&mut self) -> Vec<CommandId>;
 
-    /// One millisecond.
+    /// Advances by one millisecond.
     fn step(&mut self);
 
-    /// The motion commands among those that were sent.
+    /// Returns the motion commands that the bridge has sent since the last call.
     fn take_motions(&mut self) -> Vec<CommandId> {
         motions(self.take_sent())
     }
 
-    /// Sets wires of the PLC.
+    /// Sets wires from the PLC.
     fn set(&mut self, wires: Inputs, high: bool) {
         self.inputs().set(wires, high);
     }
@@ -36,7 +36,7 @@ pub trait Wires {
         }
     }
 
-    /// Raises wires for 5 ms and lowers them for as long.
+    /// Raises wires for 5 ms and lowers them for 5 ms.
     fn pulse(&mut self, wires: Inputs) {
         self.set(wires, true);
         self.pass(5);
@@ -44,7 +44,7 @@ pub trait Wires {
         self.pass(5);
     }
 
-    /// Lets time pass until the outputs are as wanted, `bound_ms` at the most; whether they are.
+    /// Waits at most `bound_ms` until the outputs satisfy `wanted`. Returns whether they do.
     fn until(&mut self, bound_ms: u32, wanted: impl Fn(Outputs) -> bool) -> bool {
         (0..bound_ms).any(|_| {
             self.step();
@@ -52,10 +52,10 @@ pub trait Wires {
         })
     }
 
-    /// Gets from power-up to READY: a connection, FAST STOP acknowledged.
+    /// Proceeds from power-up to READY: connects and acknowledges FAST STOP.
     ///
     /// # Panics
-    /// When it does not become so.
+    /// Panics when READY does not become high.
     fn get_ready(&mut self) {
         self.set(Inputs::FAST_STOP_OK, true);
         self.pass(200);
@@ -63,26 +63,26 @@ pub trait Wires {
         assert!(self.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", self.outputs());
     }
 
-    /// The same, and references the fingers.
+    /// Proceeds from power-up to READY and references the fingers.
     ///
     /// # Panics
-    /// When it does not become so.
+    /// Panics when homing fails.
     fn get_homed(&mut self) {
         self.get_ready();
         let outputs = self.command(Inputs::HOME);
         assert!(outputs.contains(Outputs::REFERENCED | Outputs::READY), "{outputs:?}");
     }
 
-    /// Gives a motion command and waits for its end; the outputs then.
+    /// Issues a motion command and waits until it completes. Returns the outputs at that time.
     ///
     /// # Panics
-    /// When it is not taken, or does not end within a minute.
+    /// Panics when it is not accepted, or not completed within a minute.
     fn command(&mut self, wire: Inputs) -> Outputs {
         self.set(wire, true);
         let taken = self.until(1_000, |outputs| outputs.contains(Outputs::BUSY));
-        assert!(taken, "{wire:?} is not taken: {:?}, sent {:?}", self.outputs(), self.take_sent());
+        assert!(taken, "{wire:?} is not accepted: {:?}, sent {:?}", self.outputs(), self.take_sent());
         self.set(wire, false);
-        assert!(self.until(60_000, |outputs| !outputs.contains(Outputs::BUSY)), "{wire:?} does not end");
+        assert!(self.until(60_000, |outputs| !outputs.contains(Outputs::BUSY)), "{wire:?} does not complete");
         self.outputs()
     }
 }

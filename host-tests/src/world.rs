@@ -1,8 +1,8 @@
-//! The whole bridge and a virtual gripper on a serial line in virtual time: no emulator, no clock, a million milliseconds in
-//! seconds.
+//! The complete bridge and a virtual gripper on a serial line in virtual time, without an emulator or a clock. A
+//! million milliseconds take seconds.
 //!
-//! The bridge here is the library that the image is made of; what only the board has (interrupts, registers, the size of
-//! its queues) is tested in the emulator.
+//! This is the library that the image is built from. Board-specific parts (interrupts, registers, queue sizes) are
+//! tested in the emulator.
 
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -13,9 +13,9 @@ use wsg_sim::{Time, VirtualGripper};
 use crate::serial_gripper::{Carry, Disturbance, SerialGripper, SerialLine};
 use crate::wires::Wires;
 
-/// The bus of a PLC that has wires as well.
+/// A PLC bus, used beside the wires.
 pub trait Bus {
-    /// One turn of the bridge's main loop.
+    /// Runs one turn of the bridge's main loop.
     fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs, line: &mut SerialLine) -> Outputs;
 }
 
@@ -25,86 +25,85 @@ impl Bus for NoBus {
     }
 }
 
-/// A bridge with its gripper, and the lines to a PLC that a test plays.
+/// A bridge, its gripper, and the PLC signals driven by a test.
 #[derive(Clone, Debug)]
 pub struct World<B, W = Option<Disturbance>> {
     pub(crate) bridge: Bridge,
-    /// The PLC's bus.
     pub(crate) bus: B,
     /// The gripper and its line.
     pub far: SerialGripper<W>,
     pub(crate) now_ms: u32,
-    /// The bridge's clock stands still.
+    /// Whether the bridge's clock is stopped.
     is_frozen: bool,
     pub(crate) inputs: Inputs,
     pub(crate) outputs: Outputs,
 }
 
 impl<B, W: Carry> World<B, W> {
-    /// Switches bridge and gripper on.
+    /// Powers up bridge and gripper.
     pub(crate) fn with(bridge: Config, bus: B, far: SerialGripper<W>, inputs: Inputs) -> Self {
         let (bridge, outputs) = (Bridge::new(bridge), Outputs::empty());
         Self { bridge, bus, far, now_ms: 0, is_frozen: false, inputs, outputs }
     }
 
-    /// The moment, on the gripper's clock.
+    /// Returns the current time on the gripper's clock.
     #[must_use]
     pub fn now(&self) -> Time {
         Time::from_millis(self.now_ms.into())
     }
 
-    /// The moment, in milliseconds.
+    /// Returns the current time in milliseconds.
     #[must_use]
     pub fn now_ms(&self) -> u32 {
         self.now_ms
     }
 
-    /// The bridge.
+    /// Returns the bridge.
     #[must_use]
     pub fn bridge(&self) -> &Bridge {
         &self.bridge
     }
 
-    /// The bridge, to tell it what its board knows.
+    /// Returns the bridge for board-level input, such as the reset cause.
     pub fn bridge_mut(&mut self) -> &mut Bridge {
         &mut self.bridge
     }
 
-    /// The gripper.
+    /// Returns the gripper.
     pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
         &mut self.far.gripper
     }
 
-    /// What the bridge has met that it could not use.
+    /// Returns the bridge's error counters.
     #[must_use]
     pub fn counters(&self) -> wsg_bridge_fw::Counters {
         self.bridge.counters()
     }
 
-    /// What the LED tells.
+    /// Returns the state shown by the LED.
     #[must_use]
     pub fn indication(&self) -> Indication {
         self.bridge.indication()
     }
 
-    /// Resets the bridge: it has forgotten everything.
+    /// Resets the bridge; it loses all state.
     pub fn restart_bridge(&mut self) {
         self.bridge = Bridge::new(Config::DEFAULT);
     }
 
-    /// Lets the bridge's clock stand still from now on.
+    /// Stops the bridge's clock.
     pub const fn freeze(&mut self) {
         self.is_frozen = true;
     }
 
-    /// Switches the gripper off and on again: it has forgotten everything, and its clock starts anew.
+    /// Power-cycles the gripper; it loses all state, and its clock restarts at zero.
     pub fn restart_gripper(&mut self, config: wsg_sim::Config) {
         self.far.restart(config, self.now());
     }
 }
 
 impl<B> World<B> {
-    /// Cuts the line from gripper to bridge, or mends it.
+    /// Cuts or restores the line from gripper to bridge.
     pub fn set_cut(&mut self, cut: bool) {
         self.far.to_bridge = if cut { Some(Box::new(Vec::clear)) } else { None };
     }

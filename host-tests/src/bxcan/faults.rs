@@ -1,4 +1,4 @@
-//! Error counters, and what follows from them (RM0351, 46.7.6; ISO 11898-1, fault confinement).
+//! Error counters and fault confinement (RM0351, 46.7.6; ISO 11898-1).
 
 use crate::can_controller::ErrorCode;
 
@@ -8,12 +8,12 @@ const EPVF: u32 = 1 << 1;
 const BOFF: u32 = 1 << 2;
 const LEC_AT: u32 = 4;
 
-/// From where on the counters warn, and beyond where they make it error passive or bus-off.
+/// Counter limits: first value with a warning, last error-active value, last value before bus-off.
 const WARNING: u16 = 96;
 const LAST_ACTIVE: u16 = 127;
 const LAST_ON: u16 = 255;
 
-/// Where the receive counter goes on from after a success while it is error passive (46.9.2).
+/// Value of the receive counter after a success while error passive (46.9.2).
 const PASSIVE_RETURN: u16 = 120;
 
 /// Sequences of 11 recessive bits that end bus-off.
@@ -25,7 +25,7 @@ pub(super) struct Faults {
     receive: u16,
     is_off: bool,
     last: u32,
-    /// Sequences that are missing until bus-off ends; `None`: it does not end.
+    /// Remaining sequences until bus-off ends; `None` while no recovery is requested.
     to_recover: Option<u32>,
 }
 
@@ -42,7 +42,7 @@ impl Faults {
         self.transmit > LAST_ACTIVE || self.receive > LAST_ACTIVE
     }
 
-    /// TEC is the lowest 8 of 9 bits: it shows 0 where 256 switch the controller off.
+    /// TEC holds the lower 8 of 9 bits, so it shows 0 when 256 causes bus-off.
     pub(super) fn esr(&self) -> u32 {
         let counters = u32::from(self.transmit as u8) << 16 | u32::from(self.receive.min(255)) << 24;
         self.status() | self.last << LEC_AT | counters
@@ -68,7 +68,7 @@ impl Faults {
 
     pub(super) fn transmit_error(&mut self, why: ErrorCode) {
         self.last = why as u32;
-        // ISO 11898-1: one that is error passive does not count that nobody acknowledges.
+        // ISO 11898-1: an error-passive transmitter does not count missing acknowledgements.
         if why != ErrorCode::Acknowledgement || self.transmit <= LAST_ACTIVE {
             self.transmit += 8;
         }
@@ -80,14 +80,14 @@ impl Faults {
         self.receive = (self.receive + 1).min(LAST_ON);
     }
 
-    /// Initialisation was entered and left (46.7.6).
+    /// Initialisation mode was entered and left (46.7.6).
     pub(super) fn begin_recovery(&mut self) {
         if self.is_off {
             self.to_recover = Some(RECOVERY);
         }
     }
 
-    /// So many times 11 recessive bits were heard.
+    /// Counts received sequences of 11 recessive bits.
     pub(super) fn heard_recessive(&mut self, sequences: u32) {
         let Some(left) = &mut self.to_recover else { return };
         *left = left.saturating_sub(sequences);

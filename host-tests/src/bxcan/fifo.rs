@@ -19,7 +19,7 @@ type Message = [u32; 4];
 #[derive(Clone, Debug)]
 pub(super) struct Fifo {
     messages: VecDeque<Message>,
-    /// What the registers show.
+    /// Content of the output registers.
     output: Message,
     is_full: bool,
     is_overrun: bool,
@@ -55,7 +55,7 @@ impl Fifo {
         !self.messages.is_empty()
     }
 
-    /// A message that passed a filter. There is no room for a fourth: the third gives way.
+    /// Stores a message that passed a filter. When full, the third message is overwritten.
     pub(super) fn put(&mut self, frame: &WireFrame, filter: u8) {
         if self.messages.len() == DEPTH {
             self.is_overrun = true;
@@ -66,7 +66,7 @@ impl Fifo {
         self.show();
     }
 
-    /// An empty FIFO shows what it showed last.
+    /// Updates the output registers; an empty FIFO keeps its last output.
     fn show(&mut self) {
         if let Some(message) = self.messages.front() {
             self.output = *message;

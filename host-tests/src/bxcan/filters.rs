@@ -1,11 +1,11 @@
-//! Which messages are received (RM0351, 46.7.4, 46.9.4), by masks of 32 bits.
+//! Acceptance filters with 32-bit masks (RM0351, 46.7.4, 46.9.4).
 
 use anyhow::{Result, bail, ensure};
 use embedded_can::Id;
 
 use crate::can_wire::WireFrame;
 
-/// Banks of a chip with one controller.
+/// Filter banks of a chip with one controller.
 const BANKS: usize = 14;
 const ALL: u32 = (1 << BANKS) - 1;
 
@@ -19,13 +19,13 @@ const BANK_0: u32 = 0x40;
 const END: u32 = BANK_0 + 8 * BANKS as u32;
 
 const FINIT: u32 = 1 << 0;
-/// FINIT, and where the banks of a second controller begin, which this chip has not.
+/// FINIT, and the start bank of a second controller, which this chip lacks.
 const FMR_BITS: u32 = 0x3F01;
 
 #[derive(Clone, Debug)]
 pub(super) struct Filters {
     fmr: u32,
-    /// A bit for each bank: 32 or 16 bits, active or not.
+    /// One bit per bank: 32-bit scale, and active.
     is_wide: u32,
     is_active: u32,
     /// Identifier and mask.
@@ -52,7 +52,7 @@ impl Filters {
         })
     }
 
-    /// Whether it was taken: widths only while the filters are initialised, a bank also while it is not active.
+    /// Returns whether the store takes effect: scales only during initialisation, a bank also while inactive.
     pub(super) fn store(&mut self, offset: u32, value: u32) -> Result<bool> {
         let is_initialising = self.is_initialising();
         match offset {
@@ -74,8 +74,8 @@ impl Filters {
         Ok(true)
     }
 
-    /// The number of the filter that a message passes; `None`: it passes none, or reception is switched off while the filters
-    /// are initialised.
+    /// Returns the index of the first matching filter; `None` without a match, or while initialisation disables
+    /// reception.
     pub(super) fn pass(&self, frame: &WireFrame) -> Option<u8> {
         if self.is_initialising() {
             return None;
@@ -83,15 +83,15 @@ impl Filters {
         let seen = seen(frame);
         let bank = (0..BANKS).find(|&bank| {
             let [id, mask] = self.banks[bank];
-            // Bit 0 means nothing.
+            // Bit 0 is unused.
             self.is_active & 1 << bank != 0 && (seen ^ id) & mask & !1 == 0
         })?;
-        // Banks count that are not active; one of 16 bits holds two filters.
+        // Inactive banks count as well; a 16-bit bank holds two filters.
         Some((0..bank).map(|bank| if self.is_wide & 1 << bank != 0 { 1 } else { 2 }).sum())
     }
 }
 
-/// A message as a filter sees it: STID, EXID, IDE, RTR, 0.
+/// Returns a message as compared by a filter: STID, EXID, IDE, RTR, 0.
 fn seen(frame: &WireFrame) -> u32 {
     let id = match frame.id {
         Id::Standard(id) => u32::from(id.as_raw()) << 21,

@@ -6,10 +6,10 @@ use embedded_can::{ExtendedId, Id, StandardId};
 use crate::can_controller::Transmission;
 use crate::can_wire::WireFrame;
 
-/// How many there are.
+/// Number of mailboxes.
 pub const MAILBOXES: usize = 3;
 
-/// Bits of TSR for mailbox 0; those of the next are eight to the left.
+/// Bits of TSR for mailbox 0; each further mailbox is shifted left by eight.
 const RQCP: u32 = 1 << 0;
 const TXOK: u32 = 1 << 1;
 const ALST: u32 = 1 << 2;
@@ -43,7 +43,7 @@ impl Mailbox {
         data[..4].copy_from_slice(&low.to_le_bytes());
         data[4..].copy_from_slice(&high.to_le_bytes());
         let dlc = (length & 0xF) as u8;
-        // What the length does not cover is not sent.
+        // Bytes beyond the length are not sent.
         let data = &data[..usize::from(dlc).min(8)];
         let id = if id & IDE != 0 {
             Id::Extended(ExtendedId::new(id >> 3).unwrap_or(ExtendedId::MAX))
@@ -64,7 +64,7 @@ impl Mailbox {
 pub(super) struct Mailboxes([Mailbox; MAILBOXES]);
 
 impl Mailboxes {
-    /// The pending ones, the first to leave first: the lowest identifier, and of equal ones the lower mailbox.
+    /// Returns the pending mailboxes in order of transmission: lowest identifier first, then lowest mailbox.
     fn order(&self) -> Vec<usize> {
         let mut pending: Vec<_> = (0..MAILBOXES).filter(|&n| self.0[n].is_pending).collect();
         pending.sort_by_key(|&n| self.0[n].frame().arbitration());
@@ -84,7 +84,7 @@ impl Mailboxes {
             tsr |= (mailbox.status | abort) << (8 * n);
             tsr |= u32::from(!mailbox.is_pending) << (TME_AT as usize + n);
         }
-        // The next free one, or the last to leave.
+        // The next free mailbox, or the last in the order of transmission.
         let free = (0..MAILBOXES).find(|&n| !self.0[n].is_pending);
         let last = order.last().copied();
         tsr |= (free.or(last).unwrap_or(0) as u32) << CODE_AT;
@@ -97,11 +97,11 @@ impl Mailboxes {
     pub(super) fn store_tsr(&mut self, value: u32) {
         for (n, mailbox) in self.0.iter_mut().enumerate() {
             let value = value >> (8 * n);
-            // Clearing RQCP clears the others.
+            // Clearing RQCP also clears the other flags.
             let cleared = if value & RQCP != 0 { RQCP | TXOK | ALST | TERR } else { value };
             mailbox.status &= !cleared;
             if value & ABRQ != 0 && mailbox.is_pending {
-                // 46.7.1: what is being sent goes on to its end.
+                // 46.7.1: a transmission in progress continues.
                 if mailbox.is_sending { mailbox.is_to_abort = true } else { mailbox.empty(0) }
             }
         }
@@ -118,7 +118,7 @@ impl Mailboxes {
         mailbox.registers[register] | request
     }
 
-    /// Whether it was taken: a mailbox that is not empty takes nothing.
+    /// Returns whether the store takes effect; a pending mailbox ignores it.
     pub(super) fn store(&mut self, offset: u32, value: u32) -> Result<bool> {
         let (mailbox, register) = place(offset);
         let mailbox = &mut self.0[mailbox];
@@ -153,7 +153,7 @@ impl Mailboxes {
         self.again(mailbox, TERR);
     }
 
-    /// It is tried again by the hardware, unless it is to be aborted (46.7.1).
+    /// Retries the transmission as the hardware does, unless an abort is requested (46.7.1).
     fn again(&mut self, mailbox: usize, why: u32) {
         let mailbox = &mut self.0[mailbox];
         mailbox.is_sending = false;

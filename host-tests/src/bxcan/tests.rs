@@ -1,5 +1,5 @@
-//! Protects the strictness of the model: what bxCAN refuses, or keeps until it is cleared. The driver heeds these rules, so no
-//! image in the emulator would notice a model without them. The last test is about the driver's reading of TSR.
+//! Covers the model's strictness: rejected accesses, and flags that stay until cleared. The driver obeys these rules,
+//! so no emulated image would detect a model without them. The last test covers the driver's interpretation of TSR.
 
 use embedded_can::Id;
 use wsg_b_l475e_iot01a::transmit_status::withdrawal;
@@ -7,17 +7,17 @@ use wsg_bridge_fw::can::Withdrawal;
 
 use super::*;
 
-/// Fields of BTR for 500 kbit/s at 80 MHz with a sample point at 87.5 %.
+/// BTR for 500 kbit/s at 80 MHz with a sample point at 87.5 %.
 const BTR_500: u32 = (10 - 1) | (13 - 1) << 16 | (2 - 1) << 20 | (2 - 1) << 24;
 
 const TIR: [u32; MAILBOXES] = [0x180, 0x190, 0x1A0];
 
-/// Filters: widths, active banks, and the two registers of bank 0.
+/// Filter registers: scale, activation, and the two registers of bank 0.
 const FS1R: u32 = FILTERS + 0x0C;
 const FA1R: u32 = FILTERS + 0x1C;
 const BANK_0: [u32; 2] = [FILTERS + 0x40, FILTERS + 0x44];
 
-/// A controller in initialisation mode, whose one filter passes what has these bits where the mask has a 1.
+/// Creates a controller in initialisation mode with one filter of this identifier and mask.
 fn initialised(id: u32, mask: u32) -> Bxcan {
     let mut can = Bxcan::new(80_000_000);
     can.store(MCR, INRQ).unwrap();
@@ -29,7 +29,7 @@ fn initialised(id: u32, mask: u32) -> Bxcan {
     can
 }
 
-/// A controller on the bus that takes every message.
+/// Creates a controller on the bus that accepts every message.
 fn normal() -> Bxcan {
     let mut can = initialised(0, 0);
     can.store(MCR, 0).unwrap();
@@ -70,7 +70,7 @@ fn modes_are_entered_in_their_order_and_time() {
 
     can.begin_transmission(0);
     can.store(MCR, INRQ).unwrap();
-    assert_eq!(can.load(MSR).unwrap() & (INAK | TXM), TXM, "the frame is sent to its end first");
+    assert_eq!(can.load(MSR).unwrap() & (INAK | TXM), TXM, "the frame completes first");
     can.end_transmission(0);
     assert_eq!(can.load(MSR).unwrap() & (INAK | TXM), INAK);
 }
@@ -86,11 +86,11 @@ fn registers_in_use_take_no_store_and_record_a_violation() {
     }
     let mut can = normal();
     can.store(FIFO_0, 0).unwrap();
-    assert_eq!(can.violations().len(), 1, "a FIFO is never written to");
+    assert_eq!(can.violations().len(), 1, "a FIFO is read-only");
 }
 
 #[test]
-fn unmodelled_options_and_registers_are_refused() {
+fn unmodelled_options_and_registers_are_rejected() {
     let mut can = initialised(0, 0);
     can.store(FILTERS, 1).unwrap();
     for (offset, value) in [
@@ -162,14 +162,14 @@ fn bus_off_ends_after_initialisation_and_128_times_11_recessive_bits_only() {
         assert_eq!(is_off(&mut can), errors == 32);
     }
     can.idle(1_000_000);
-    assert!(is_off(&mut can), "not by itself");
+    assert!(is_off(&mut can), "no automatic recovery");
     can.store(MCR, INRQ).unwrap();
     can.store(MCR, 0).unwrap();
     can.idle(128 * 11 - 1);
     assert!(is_off(&mut can));
     can.idle(1);
     assert!(!is_off(&mut can));
-    assert_eq!(next(&can).unwrap().0, 0, "what was not aborted is sent now");
+    assert_eq!(next(&can).unwrap().0, 0, "the pending message is sent after recovery");
 }
 
 #[test]
@@ -197,12 +197,12 @@ fn abort_leaves_the_other_mailboxes_alone() {
 }
 
 #[test]
-fn what_became_of_an_aborted_message_is_read_from_tsr_by_the_driver() {
+fn the_driver_reads_the_outcome_of_an_abort_from_tsr() {
     for mailbox in 0..MAILBOXES {
         let abort = 1 << (7 + 8 * mailbox);
         let mut can = normal();
         let outcome = |can: &mut Bxcan| withdrawal(can.load(TSR).unwrap(), mailbox);
-        // Of the frame before it was said that it was sent.
+        // The previous frame left TXOK set.
         request(&mut can, mailbox, 0x120);
         can.begin_transmission(mailbox);
         can.end_transmission(mailbox);
@@ -214,7 +214,7 @@ fn what_became_of_an_aborted_message_is_read_from_tsr_by_the_driver() {
             request(&mut can, mailbox, 0x120);
             can.begin_transmission(mailbox);
             can.store(TSR, abort).unwrap();
-            assert_eq!(outcome(&mut can), Withdrawal::Undecided, "being sent");
+            assert_eq!(outcome(&mut can), Withdrawal::Undecided, "in transmission");
             if is_acknowledged {
                 can.end_transmission(mailbox);
             } else {
@@ -224,7 +224,7 @@ fn what_became_of_an_aborted_message_is_read_from_tsr_by_the_driver() {
             assert_eq!(can.next_transmission(), None, "not repeated");
         }
 
-        // It is sent just before it is aborted.
+        // The message is sent just before the abort.
         request(&mut can, mailbox, 0x120);
         can.begin_transmission(mailbox);
         can.end_transmission(mailbox);

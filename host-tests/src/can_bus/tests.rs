@@ -1,5 +1,5 @@
-//! Protects what the bus does to a controller: arbitration, and the faults that a driver has to survive. A bus that was kinder
-//! than that would hide a driver that sends in the wrong order or comes back too early.
+//! Covers the bus's effects on a controller: arbitration, and the faults that a driver must survive. A more lenient
+//! bus would hide a driver that sends in the wrong order or recovers too early.
 
 use super::*;
 
@@ -7,7 +7,7 @@ const RATE: u32 = 500_000;
 
 const BTR_500: u32 = (10 - 1) | (13 - 1) << 16 | (2 - 1) << 20 | (2 - 1) << 24;
 
-/// A bus on which the board's controller takes everything into FIFO 0.
+/// Creates a bus whose board controller accepts every message into FIFO 0.
 fn bus() -> CanBus {
     let mut bus = CanBus::new(RATE);
     for (offset, value) in
@@ -46,7 +46,7 @@ fn received(bus: &mut CanBus) -> Vec<u32> {
 }
 
 #[test]
-fn the_lowest_identifier_goes_on_and_the_loser_follows() {
+fn the_lowest_identifier_wins_and_the_loser_follows() {
     let mut bus = bus();
     let (first, second) = (bus.join(), bus.join());
     request(&mut bus, 0, 0x200);
@@ -86,14 +86,14 @@ fn a_short_circuit_ends_in_bus_off() {
     store(&mut bus, 0x00, 1);
     store(&mut bus, 0x00, 0);
     pass(&mut bus, 10_000);
-    assert_eq!(load(&mut bus, 0x18) & 0b100, 0b100, "there are no recessive bits");
+    assert_eq!(load(&mut bus, 0x18) & 0b100, 0b100, "a shorted bus has no recessive bits");
     bus.set_fault(Fault::None);
     pass(&mut bus, 128 * 11 + 47);
     assert!(station.heard.try_recv().is_ok());
 }
 
 #[test]
-fn another_rate_is_heard_as_errors_and_drives_the_controller_off() {
+fn a_different_rate_causes_errors_and_bus_off() {
     let mut bus = CanBus::new(250_000);
     for (offset, value) in
         [(0x00, 1), (0x1C, BTR_500), (0x200, 1), (0x20C, 1), (0x21C, 1), (0x200, 0), (0x00, 0)]

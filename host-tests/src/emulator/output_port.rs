@@ -1,9 +1,8 @@
-//! What the firmware drives on its output port, from the writes QEMU traces.
+//! Levels of the firmware's output port, derived from the writes that QEMU traces.
 //!
-//! Why not intercept the port's pins through qtest: that reports each pin on its own, so a write
-//! that changes three of them looks like three changes, and two writes in a row like one or two as
-//! the host's scheduler likes. A trace line is one write, so the states here are exactly those the
-//! chip showed, in their order.
+//! Intercepting pins through qtest reports each pin separately: one write to three pins looks like three changes, and
+//! two successive writes may merge, depending on the host's scheduler. A trace line is one write, so it yields
+//! exactly the states of the chip, in order.
 
 use std::str::SplitWhitespace;
 
@@ -13,7 +12,7 @@ use wsg_bridge_fw::io::Outputs;
 /// QEMU's trace event for a write to a GPIO port.
 pub(super) const TRACE_EVENT: &str = "stm32l4x5_gpio_write";
 
-/// The registers of the output port that decide what it drives (RM0351, 8.4).
+/// Registers that determine the driven levels of the output port (RM0351, 8.4).
 #[derive(Debug)]
 pub(super) struct OutputPort {
     moder: u32,
@@ -22,14 +21,14 @@ pub(super) struct OutputPort {
 }
 
 impl Default for OutputPort {
-    /// The port after reset: pins A13 to A15 belong to the debug port, all others are analog.
+    /// Returns the port after reset: pins A13 to A15 belong to the debug port, all others are analog.
     fn default() -> Self {
         Self { moder: 0xABFF_FFFF, odr: 0, is_served: false }
     }
 }
 
 impl OutputPort {
-    /// Follows a line of QEMU's trace; false where it is none.
+    /// Processes a line of QEMU's output. Returns whether it belongs to the trace.
     pub(super) fn follow(&mut self, line: &str) -> bool {
         let mut words = line.split_whitespace();
         if words.next() != Some(TRACE_EVENT) {
@@ -48,7 +47,7 @@ impl OutputPort {
         match offset {
             0x00 => self.moder = value,
             0x14 => self.show(value),
-            // BSRR: where a pin is both set and reset, set wins.
+            // BSRR: set wins over reset.
             0x18 => self.show((self.odr & !(value >> 16)) | value),
             0x28 => self.show(self.odr & !value),
             _ => {}
@@ -60,12 +59,12 @@ impl OutputPort {
         self.is_served |= self.driven() & OUTPUT_PINS == OUTPUT_PINS;
     }
 
-    /// Levels of the wires to the PLC. One that is not driven is low: each has a pull-down.
+    /// Returns the levels of the wires to the PLC. Undriven wires are low because of their pull-downs.
     pub(super) fn outputs(&self) -> Outputs {
         wsg_stm32::outputs_from_port(&OUTPUTS, self.driven() & self.odr as u16)
     }
 
-    /// Whether the firmware has shown anything on wires that it drives, which its main loop does first.
+    /// Returns whether the firmware has written levels to driven wires, which is the main loop's first action.
     pub(super) fn is_served(&self) -> bool {
         self.is_served
     }
@@ -75,7 +74,7 @@ impl OutputPort {
     }
 }
 
-/// The hexadecimal number behind `label`.
+/// Returns the hexadecimal number after `label`.
 fn labelled(words: &mut SplitWhitespace<'_>, label: &str) -> Option<u32> {
     words.find(|&word| word == label)?;
     u32::from_str_radix(words.next()?.strip_prefix("0x")?, 16).ok()
@@ -97,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn a_level_shows_once_its_pin_is_an_output() {
+    fn a_level_is_visible_once_its_pin_is_an_output() {
         let set_all = "stm32l4x5_gpio_write GPIOA addr: 0x18 val: 0x80fc";
         assert_eq!(after(&[set_all]).outputs(), Outputs::empty());
         assert_eq!(after(&[set_all, IN_CHARGE]).outputs(), Outputs::all());

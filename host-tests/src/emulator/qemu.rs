@@ -1,4 +1,4 @@
-//! A B-L475E-IOT01A in QEMU: inputs through qtest, outputs in its trace, lines on sockets, peripherals that it lacks through gdb.
+//! A B-L475E-IOT01A in QEMU. Inputs use qtest, outputs its trace, lines sockets, and additional peripherals GDB.
 
 use std::io::{self, BufRead, BufReader};
 use std::os::fd::OwnedFd;
@@ -23,15 +23,15 @@ use crate::registers::{Machine, Registers};
 
 pub(super) const QEMU: &str = "qemu-system-arm";
 
-/// The sockets' names.
+/// Socket names.
 const GRIPPER_LINE: &str = "uart4";
 const MODBUS_LINE: &str = "lpuart1";
 const SERVICE_LINE: &str = "usart1";
 
-/// Part of the name of the board file's millisecond counter.
+/// Part of the mangled name of the board's millisecond counter.
 const CLOCK_SYMBOL: &str = "5board4TICK";
 
-/// Whose inputs are the interrupt lines.
+/// QOM path of the device whose inputs are the interrupt lines.
 const CORE: &str = "/machine/soc/armv7m";
 
 #[derive(Debug)]
@@ -39,25 +39,25 @@ pub(super) struct Qemu {
     process: Child,
     leash: Child,
     qtest: Arc<Mutex<Qtest>>,
-    /// Where the firmware counts its milliseconds.
+    /// Address of the firmware's millisecond counter.
     clock_address: Option<u32>,
 }
 
 impl Qemu {
-    /// Starts it, and returns when the firmware's main loop runs.
+    /// Starts QEMU, and returns when the firmware's main loop runs.
     pub(super) fn start(elf: &Path, extras: Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
         ensure!(
             extras.can.is_none() && extras.flash.is_none() && extras.ram.is_none() && !extras.may_reset,
-            "the image is for the board in QEMU, what it is to have for the Pico"
+            "the image runs in QEMU, but the extras are for the Pico"
         );
         let sockets = Sockets::bind(&[GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE])?;
         let (qtest, qtest_server) = UnixStream::pair()?;
         let mut command = Command::new(QEMU);
         command
             .args(["-M", "b-l475e-iot01a", "-display", "none", "-monitor", "none"])
-            // An instruction takes 16 ns of the machine's time, asleep it follows the wall clock.
+            // An instruction takes 16 ns of machine time; during sleep, machine time follows the wall clock.
             .args(["-icount", "shift=4"])
-            // Standard input of QEMU is a socket here, so this one needs no name.
+            // Uses QEMU's standard input as a socket, which needs no name.
             .args(["-chardev", "socket,id=qtest,fd=0", "-qtest", "chardev:qtest", "-qtest-log", "none"])
             .args([GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE].iter().flat_map(|name| {
                 let to = sockets.path(name);
@@ -77,7 +77,7 @@ impl Qemu {
             .stdout(Stdio::null())
             .stderr(Stdio::piped());
         if !extras.models.iter().any(|model| model.is_watchdog()) {
-            // A firmware that resets itself has failed: QEMU ends, and so does the test.
+            // Without a watchdog model, a reset by the firmware is a failure: QEMU ends, and so does the test.
             command.arg("-no-reboot");
         }
         if let Some(log) = extras.semihosting {
@@ -89,7 +89,7 @@ impl Qemu {
             None
         } else {
             let (gdb, gdb_server) = UnixStream::pair()?;
-            // It waits for the watchpoints.
+            // Starts stopped, to set the watchpoints first.
             command.args(["-S", "-chardev", "socket,id=gdb,fd=1", "-gdb", "chardev:gdb"]);
             command.stdout(Stdio::from(OwnedFd::from(gdb_server)));
             let clock_address =
@@ -99,7 +99,7 @@ impl Qemu {
         let qtest = Qtest::new(qtest, PATIENCE)?;
         let mut process =
             command.spawn().with_context(|| format!("cannot run {QEMU}; `cargo xtask test` sets it up"))?;
-        // It holds this side's copy of QEMU's socket, which would hide that QEMU hangs up.
+        // Closes this process's copy of QEMU's socket, which would hide that QEMU has closed its own.
         drop(command);
         let said = process.stderr.take();
         let leash = match put_on_leash(&process) {
@@ -118,14 +118,14 @@ impl Qemu {
             qemu.serve(Registers::new(gdb, models, clock_address)?, watch)?;
         }
         let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
-        running.with_context(|| format!("no firmware for this board comes up from {}", elf.display()))?;
-        // QEMU connected before the firmware ran, so there is nothing to wait for.
+        running.with_context(|| format!("no firmware for this board starts from {}", elf.display()))?;
+        // QEMU connected before the firmware started, so accepting does not block.
         let [gripper, bus, service] =
             [GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
         Ok((qemu, Lines { gripper: gripper?, bus: bus?, service: service? }))
     }
 
-    /// Serves registers to the machine from a thread of its own.
+    /// Serves registers to the machine on a separate thread.
     fn serve(&self, registers: Registers, watch: &Arc<Watch>) -> Result<()> {
         let (mut machine, watch) = (BesideGdb(Arc::clone(&self.qtest)), Arc::clone(watch));
         let run = move || {
@@ -137,7 +137,7 @@ impl Qemu {
             .name("registers".into())
             .spawn(run)
             .map(drop)
-            .context("no thread for registers")
+            .context("cannot start the thread for registers")
     }
 }
 
@@ -163,13 +163,13 @@ impl Chip for Qemu {
 
 impl Drop for Qemu {
     fn drop(&mut self) {
-        // Before QEMU: until that is waited for, its number is nobody else's.
+        // Ends before QEMU is reaped, while the process number still belongs to QEMU.
         end(&mut self.leash);
         end(&mut self.process);
     }
 }
 
-/// The machine through qtest.
+/// Accesses the machine through qtest.
 struct BesideGdb(Arc<Mutex<Qtest>>);
 
 impl Machine for BesideGdb {
@@ -179,7 +179,7 @@ impl Machine for BesideGdb {
 
     fn raise_nmi(&mut self) -> Result<()> {
         let mut qtest = lock(&self.0);
-        // The core keeps it pending.
+        // The core latches the interrupt as pending.
         [true, false].into_iter().try_for_each(|level| qtest.set_irq_in(CORE, "NMI", 0, level))
     }
 
@@ -192,11 +192,11 @@ impl Machine for BesideGdb {
     }
 }
 
-/// Starts a process that waits until this one has ended, however it ends, and ends QEMU then.
+/// Starts a process that kills QEMU when this process ends in any way.
 ///
-/// What the kernel has for that (`PR_SET_PDEATHSIG`) takes `unsafe`, and looks at the thread that started QEMU.
+/// The kernel's `PR_SET_PDEATHSIG` needs `unsafe` and is tied to the thread that started QEMU.
 fn put_on_leash(qemu: &Child) -> io::Result<Child> {
-    // Its input ends with this process, and only then: nothing is ever written. A Ctrl-C is for QEMU.
+    // Its standard input closes only when this process ends, because nothing is ever written. Ctrl-C is left to QEMU.
     const WAIT_AND_KILL: &str = "trap '' HUP INT QUIT TERM; read -r _; kill -KILL \"$0\"";
     Command::new("sh")
         .args(["-c", WAIT_AND_KILL, &qemu.id().to_string()])
@@ -222,7 +222,7 @@ fn follow(said: ChildStderr, watch: &Watch) {
     watch.end();
 }
 
-/// The address of the symbol whose name contains `name`.
+/// Returns the address of the symbol whose name contains `name`.
 fn symbol(elf: &Path, name: &str) -> Option<u32> {
     let image = std::fs::read(elf).ok()?;
     let image = object::File::parse(&*image).ok()?;

@@ -1,4 +1,4 @@
-//! A Raspberry Pi Pico in rp2040js: `emulators/rp2040/main.js` runs under Node.js, and takes commands on a socket.
+//! A Raspberry Pi Pico in rp2040js: Node.js runs `emulators/rp2040/main.js`, which takes commands on a socket.
 
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::num::NonZero;
@@ -26,19 +26,19 @@ use crate::registers::Derailment;
 
 pub(super) const NODE: &str = "node with rp2040js";
 
-/// Where the image of an RP2040 starts: in its flash.
+/// Address range of the flash, where an RP2040 image starts.
 pub(super) const FLASH: std::ops::Range<u64> = 0x1000_0000..0x1100_0000;
 
-/// The sockets' names.
+/// Socket names.
 const CONTROL: &str = "control";
 const GRIPPER_LINE: &str = "gripper";
 const BUS_LINE: &str = "bus";
 const SERVICE_LINE: &str = "service";
 
-/// How often it is looked whether somebody on the CAN bus has begun to send, in the machine's time.
+/// Polling interval for transmissions of other CAN participants, in machine time.
 const LOOK_AT_BUS: Duration = Duration::from_micros(100);
 
-/// How often it is looked whether a process that does not connect has ended.
+/// Interval at which a process that has not connected is checked for its end.
 const LOOK: Duration = Duration::from_millis(50);
 
 #[derive(Debug)]
@@ -48,12 +48,12 @@ pub(super) struct Rp2040 {
     _turn: Turn,
 }
 
-/// Leave to run one. Each computes a good third of the time; many at once would all be slow for masters that go by the wall.
-/// Whoever has one and starts another may wait for ever.
+/// Permission to run one emulator. Each uses about a third of a processor, and too many would be too slow for masters
+/// on wall-clock time. Starting a second one while holding a permission can deadlock.
 #[derive(Debug)]
 struct Turn;
 
-/// How many run.
+/// Number of running emulators.
 static RUNNING: Mutex<usize> = Mutex::new(0);
 static HAS_ENDED: Condvar = Condvar::new();
 
@@ -79,7 +79,7 @@ struct Control {
     answers: Receiver<String>,
 }
 
-/// Where commands go to it, a whole line at a time, from whatever thread.
+/// Sends commands to the emulator, one whole line at a time, from any thread.
 #[derive(Clone, Debug)]
 struct Commands(Arc<Mutex<UnixStream>>);
 
@@ -90,7 +90,7 @@ impl Commands {
 }
 
 impl Rp2040 {
-    /// Starts it, and returns when the firmware's main loop runs.
+    /// Starts the emulator, and returns when the firmware's main loop runs.
     pub(super) fn start(
         elf: &Path,
         extras: &Extras<'_>,
@@ -99,10 +99,10 @@ impl Rp2040 {
     ) -> Result<(Self, Lines)> {
         ensure!(
             extras.models.is_empty() && extras.semihosting.is_none() && extras.qemu_arguments.is_empty(),
-            "the image is for the Pico, what it is to have for QEMU"
+            "the image runs on the Pico, but the extras are for QEMU"
         );
         let Some(packages) = std::env::var_os(NODE_VARIABLE) else {
-            bail!("{NODE_VARIABLE} names no folder that has rp2040js: run `cargo xtask test`");
+            bail!("{NODE_VARIABLE} does not name a folder with rp2040js: run `cargo xtask test`");
         };
         let sockets = Sockets::bind(&[CONTROL, GRIPPER_LINE, BUS_LINE, SERVICE_LINE])?;
         let outputs = OUTPUTS.iter().fold(0u32, |mask, wire| mask | 1 << wire.gpio);
@@ -138,7 +138,7 @@ impl Rp2040 {
         }
         if let Some(bus) = &extras.can {
             let (asks, told) = (started.process().stdout.take(), started.process().stdin.take());
-            let (asks, told) = asks.zip(told).context("both are pipes")?;
+            let (asks, told) = asks.zip(told).context("standard input and output are not pipes")?;
             let (bus, watch) = (bus.clone(), Arc::clone(watch));
             thread::spawn(move || serve_spi(asks, told, &bus, &watch));
         }
@@ -149,8 +149,8 @@ impl Rp2040 {
         let (told_to, clock, and_back) = (Arc::clone(watch), clock.clone(), commands.clone());
         thread::spawn(move || follow(told, &answer, &told_to, &clock, &and_back));
         let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
-        running.with_context(|| format!("no firmware for this board comes up from {}", elf.display()))?;
-        // It connects the other lines first.
+        running.with_context(|| format!("no firmware for this board starts from {}", elf.display()))?;
+        // The emulator connects the other lines first.
         let [gripper, bus, service] =
             [GRIPPER_LINE, BUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
         let lines = Lines { gripper: gripper?, bus: bus?, service: service? };
@@ -158,7 +158,7 @@ impl Rp2040 {
         Ok((Self { process: started.keep()?, control, _turn: turn }, lines))
     }
 
-    /// What it answers to a command, behind its `ok`.
+    /// Sends a command and returns the answer after `ok`.
     fn ask(&self, command: &str) -> Result<String> {
         let control = lock(&self.control);
         let no_answer = || format!("{NODE} does not answer `{command}`");
@@ -166,7 +166,7 @@ impl Rp2040 {
         let answer = control.answers.recv_timeout(PATIENCE).with_context(no_answer)?;
         match answer.split_once(' ').unwrap_or((&answer, "")) {
             ("ok", told) => Ok(told.to_owned()),
-            (_, why) => bail!("{NODE} refuses `{command}`: {why}"),
+            (_, why) => bail!("{NODE} rejects `{command}`: {why}"),
         }
     }
 }
@@ -186,7 +186,7 @@ impl Chip for Rp2040 {
         let digits = self.ask(&format!("read {address} {len}"))?;
         let byte = |at: usize| u8::from_str_radix(digits.get(2 * at..2 * at + 2)?, 16).ok();
         let bytes: Option<Vec<u8>> = (0..len).map(byte).collect();
-        bytes.with_context(|| format!("{NODE} read {digits}"))
+        bytes.with_context(|| format!("{NODE} returned {digits}, which is not {len} bytes"))
     }
 
     fn now_ms(&self) -> Result<u32> {
@@ -220,7 +220,7 @@ impl Chip for Rp2040 {
 
     fn watchdog_resets(&self) -> Result<(u32, Duration)> {
         let told = self.ask("resets")?;
-        let (resets, micros) = told.split_once(' ').context("two numbers")?;
+        let (resets, micros) = told.split_once(' ').context("expected two numbers")?;
         Ok((resets.parse()?, Duration::from_micros(micros.parse()?)))
     }
 }
@@ -231,19 +231,19 @@ impl Drop for Rp2040 {
     }
 }
 
-/// A process that ends unless it is kept.
+/// A process that is killed on drop unless it is kept.
 struct Started(Option<Child>);
 
 impl Started {
     fn process(&mut self) -> &mut Child {
-        self.0.as_mut().expect("it is there until it is kept")
+        self.0.as_mut().expect("the process has not been kept yet")
     }
 
     fn keep(mut self) -> Result<Child> {
-        self.0.take().context("it is there until it is kept")
+        self.0.take().context("the process has already been kept")
     }
 
-    /// The connection of this name, when it is made; an error when the process has ended.
+    /// Waits for the connection of this name; fails when the process has ended.
     fn accept(&mut self, sockets: &Sockets, name: &str) -> Result<UnixStream> {
         let bound = Instant::now() + PATIENCE;
         loop {
@@ -264,14 +264,14 @@ impl Drop for Started {
     }
 }
 
-/// What happens to the chip on SPI, as `emulators/rp2040/spi.js` has it.
+/// Events of the SPI chip, as defined in `emulators/rp2040/spi.js`.
 const TIME_PASSES: u8 = 0;
 const SELECTED: u8 = 1;
 const BYTE: u8 = 2;
 const DESELECTED: u8 = 3;
 const RESET: u8 = 4;
 
-/// Is the MCP2515 on the board's SPI until the board is off.
+/// Acts as the MCP2515 on the board's SPI until the board is switched off.
 fn serve_spi(mut asks: ChildStdout, mut told: ChildStdin, bus: &CanBus<Mcp2515>, watch: &Watch) {
     let (mut question, mut passed) = ([0; 10], 0);
     while asks.read_exact(&mut question).is_ok() {
@@ -304,7 +304,7 @@ fn serve_spi(mut asks: ChildStdout, mut told: ChildStdin, bus: &CanBus<Mcp2515>,
     }
 }
 
-/// Takes in what it says of itself until it ends.
+/// Records standard error until the emulator ends.
 fn hear(said: ChildStderr, watch: &Watch) {
     for line in BufReader::new(said).lines().map_while(Result::ok) {
         watch.hear(&line);
@@ -312,7 +312,7 @@ fn hear(said: ChildStderr, watch: &Watch) {
     watch.end();
 }
 
-/// Takes in its answers and events until it ends, and lets it go on when those beside it have come up to its time.
+/// Processes answers and events until the emulator ends, and resumes it once its peers have caught up with its time.
 fn follow(line: UnixStream, answer: &Sender<String>, watch: &Watch, clock: &Clock, commands: &Commands) {
     for line in BufReader::new(line).lines().map_while(Result::ok) {
         match line.split_once(' ').unwrap_or((&line, "")) {
@@ -322,11 +322,11 @@ fn follow(line: UnixStream, answer: &Sender<String>, watch: &Watch, clock: &Cloc
             ("end", why) => watch.fail(why),
             ("time", micros) => {
                 clock.tell(micros.parse().unwrap_or(0));
-                // It may have ended.
+                // The emulator may have ended.
                 let _ = commands.send("go on");
             }
             ("reset", _) => {}
-            // Who asked may have given up.
+            // The requester may have given up.
             _ => drop(answer.send(line)),
         }
     }

@@ -1,4 +1,4 @@
-//! Sockets that an emulator connects to.
+//! Sockets for connections from an emulator.
 
 use std::fs;
 use std::io;
@@ -12,7 +12,7 @@ use anyhow::{Context, Result};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-/// Sockets in a directory of their own; all are gone when this is dropped.
+/// Sockets in a private directory, which is removed on drop.
 #[derive(Debug)]
 pub(super) struct Sockets {
     directory: PathBuf,
@@ -25,7 +25,7 @@ impl Sockets {
         let number = EMULATORS.fetch_add(1, Ordering::Relaxed);
         let directory = std::env::temp_dir().join(format!("wsg-emulator-{}-{number}", process::id()));
         let bind = || {
-            // A process of this number may have died before it tidied up.
+            // A dead process with the same number may have left its directory.
             let _ = fs::remove_dir_all(&directory);
             fs::create_dir(&directory)?;
             let listen = |name: &&'static str| {
@@ -39,23 +39,21 @@ impl Sockets {
         Ok(Self { directory, listeners })
     }
 
-    /// Where they are.
     pub(super) fn directory(&self) -> &Path {
         &self.directory
     }
 
-    /// Where one of them is.
     pub(super) fn path(&self, name: &str) -> PathBuf {
         self.directory.join(name)
     }
 
-    /// Waits until the emulator connects to the socket of this name; whether it does in time.
+    /// Waits until the emulator connects to this socket. Returns whether it does in time.
     pub(super) fn wait(&self, name: &str, time: Duration) -> Result<bool> {
         let timeout = Timespec { tv_sec: 0, tv_nsec: time.subsec_nanos().into() };
         match poll(&mut [PollFd::new(self.listener(name)?, PollFlags::IN)], Some(&timeout)) {
             Ok(ready) => Ok(ready > 0),
             Err(Errno::INTR) => Ok(false),
-            Err(error) => Err(error).context("no poll"),
+            Err(error) => Err(error).context("cannot poll the sockets"),
         }
     }
 
@@ -64,7 +62,7 @@ impl Sockets {
         Ok(&named.ok_or(io::ErrorKind::NotFound)?.1)
     }
 
-    /// The connection that the emulator has made to the socket of this name.
+    /// Accepts the emulator's connection to this socket.
     pub(super) fn accept(&self, name: &str) -> Result<UnixStream> {
         let accept = || {
             let (connection, _) = self.listener(name)?.accept()?;
@@ -77,7 +75,7 @@ impl Sockets {
 
 impl Drop for Sockets {
     fn drop(&mut self) {
-        // What stays behind in a directory for temporary files harms nobody.
+        // Failure is harmless: the directory is one for temporary files.
         let _ = fs::remove_dir_all(&self.directory);
     }
 }

@@ -1,4 +1,4 @@
-//! What can be seen of the board from outside, kept up to date by a thread.
+//! Externally visible state of the board, updated by a thread.
 
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -9,7 +9,7 @@ use wsg_bridge_fw::io::Outputs;
 
 use super::{OutputChange, lock};
 
-/// Lines kept of what the emulator says besides its trace.
+/// Number of output lines kept besides the trace.
 const SAID_MAX: usize = 4;
 
 #[derive(Debug)]
@@ -20,14 +20,14 @@ pub(super) struct Watch {
 
 #[derive(Debug)]
 pub(super) struct Seen {
-    /// The program that runs the board.
+    /// Name of the emulator program.
     emulator: &'static str,
     pub(super) outputs: Outputs,
-    /// Whether the firmware has shown anything on wires that it drives, which its main loop does first.
+    /// Whether the firmware has written levels to driven wires, which is the main loop's first action.
     pub(super) is_served: bool,
     changes: Vec<OutputChange>,
     subscribers: Vec<Sender<OutputChange>>,
-    /// The first lines that the emulator said: why it does not start, most of all.
+    /// First output lines of the emulator, which usually explain why it does not start.
     said: Vec<String>,
     pub(super) has_ended: bool,
 }
@@ -46,7 +46,7 @@ impl Watch {
         Self { seen: Mutex::new(seen), changed: Condvar::new() }
     }
 
-    /// The wires are like this now.
+    /// Reports the current levels of the wires.
     pub(super) fn show(&self, outputs: Outputs, is_served: bool) {
         let mut seen = lock(&self.seen);
         seen.is_served |= is_served;
@@ -59,7 +59,7 @@ impl Watch {
         self.changed.notify_all();
     }
 
-    /// The emulator says something. A CPU that locks up is followed by a dump of all registers; the reason is in front.
+    /// Records an output line. A CPU lock-up dumps all registers; the first lines give the reason.
     pub(super) fn hear(&self, line: &str) {
         let mut seen = lock(&self.seen);
         if seen.said.len() < SAID_MAX && !line.trim().is_empty() {
@@ -67,7 +67,7 @@ impl Watch {
         }
     }
 
-    /// The emulator has ended.
+    /// Reports that the emulator has ended.
     pub(super) fn end(&self) {
         let mut seen = lock(&self.seen);
         seen.has_ended = true;
@@ -75,10 +75,10 @@ impl Watch {
         self.changed.notify_all();
     }
 
-    /// The machine stands for good, and this is why.
+    /// Reports that the machine has stopped permanently, and why.
     pub(super) fn fail(&self, why: &str) {
         let mut seen = lock(&self.seen);
-        // Not if the emulator was ended.
+        // An intentional end is not a failure.
         if !seen.has_ended {
             seen.said.push(why.to_owned());
             seen.has_ended = true;
@@ -91,7 +91,7 @@ impl Watch {
         let (sender, receiver) = mpsc::channel();
         let mut seen = lock(&self.seen);
         for &change in &seen.changes {
-            // The receiver is still here, so nothing is refused.
+            // The receiver still exists, so sending cannot fail.
             let _ = sender.send(change);
         }
         if !seen.has_ended {
@@ -124,10 +124,10 @@ impl Seen {
         let (emulator, state) = (self.emulator, if self.has_ended { "has ended" } else { "is running" });
         match self.said.as_slice() {
             [] if self.has_ended => {
-                format!("{emulator} {state} without a word: the firmware has reset itself")
+                format!("{emulator} {state} without output: the firmware has reset itself")
             }
             [] => format!("{emulator} {state}"),
-            said => format!("{emulator} {state}, and said: {}", said.join("; ")),
+            said => format!("{emulator} {state}; output: {}", said.join("; ")),
         }
     }
 }

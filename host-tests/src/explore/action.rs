@@ -1,15 +1,15 @@
-//! What can happen: on the wires, on the bus, on the gripper's line, to the gripper and to the bridge.
+//! Events on the wires, the bus and the gripper's line, and in gripper and bridge.
 
 use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::{CommandFlags, OutputImage};
 
 use super::promises::Motion;
 
-/// One event. All but [`Wait`](Self::Wait) and [`FallSilent`](Self::FallSilent) take no time, so that events of one moment
-/// are tried in every order.
+/// One event. All except [`Wait`](Self::Wait) and [`FallSilent`](Self::FallSilent) take no time, so simultaneous
+/// events are tried in every order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
-    /// A wire changes, and settles.
+    /// A wire changes and settles.
     Toggle(Wire),
     /// GRIP and STOP_ACK rise in the same reading.
     GripAndStop,
@@ -17,13 +17,13 @@ pub(super) enum Action {
     MoveAndFastStop,
     /// The PLC writes an image over the bus.
     Write(Image),
-    /// The PLC stops asking over the bus until the bridge notices.
+    /// The PLC stops polling over the bus until the bridge detects it.
     FallSilent,
-    /// The line delivers everything, and the answers to what the bridge sends on it, until both sides are silent.
+    /// The line delivers all messages, including replies to further commands, until both sides are silent.
     AnswersAll,
     /// The line delivers the next message.
     Answer,
-    /// The line delivers the next message and keeps it for a second time.
+    /// The line delivers the next message and keeps it for a second delivery.
     AnswerTwice,
     /// The line loses the next message.
     AnswerLost,
@@ -31,21 +31,21 @@ pub(super) enum Action {
     AnswerCut,
     /// The line delivers the next message in the same turn as the next event.
     AnswerWithNext,
-    /// The gripper refuses the next motion or setting.
+    /// The gripper rejects the next motion or setting.
     Refuse,
-    /// The line is cut, or repaired. What is on its way is lost.
+    /// The line is cut or restored. Messages in transit are lost.
     ToggleLine,
     /// The motion succeeds.
     Finish,
-    /// The motion fails, or finds no part.
+    /// The motion fails or finds no part.
     Fail,
-    /// The part slips away.
+    /// The gripped part is lost.
     LosePart,
-    /// The gripper raises FAST STOP by itself, as at a soft limit.
+    /// The gripper enters FAST STOP without a command, as at a soft limit.
     GripperStopsFast,
     /// A third party, such as the gripper's web page, acknowledges FAST STOP.
     ThirdPartyAcknowledges,
-    /// The gripper is switched off and on.
+    /// The gripper is power-cycled.
     RestartGripper,
     /// The bridge is reset.
     RestartBridge,
@@ -66,7 +66,7 @@ pub(super) enum Wire {
     Recipe,
 }
 
-/// An output image: one flag, or none.
+/// An output image with one flag, or none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Image {
     Zero,
@@ -80,7 +80,7 @@ pub(super) enum Image {
     FastStop,
 }
 
-/// The actions beside a PLC with wires.
+/// Actions with a PLC on wires.
 pub(super) const WIRES: [Action; 25] = {
     use Action::*;
     [
@@ -112,7 +112,7 @@ pub(super) const WIRES: [Action; 25] = {
     ]
 };
 
-/// The actions beside a PLC with a bus and three wires.
+/// Actions with a PLC on a bus and three wires.
 pub(super) const BUS: [Action; 27] = {
     use Action::*;
     [
@@ -177,7 +177,7 @@ impl Image {
         OutputImage { flags: self.flags(), user: 0, width: 30_00, speed: 50_00, force_limit }
     }
 
-    /// The motion that its edge asks for.
+    /// Returns the motion requested by its edge.
     pub(super) const fn motion(self) -> Option<Motion> {
         match self {
             Self::Move => Some(Motion::Move),

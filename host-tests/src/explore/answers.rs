@@ -1,13 +1,13 @@
-//! What the gripper has said and the line has not delivered.
+//! Messages from the gripper that the line has not delivered.
 
 use wsg_protocol::{CommandId, Status};
 
 use crate::gripper_states::Answer;
 
-/// Messages on their way to the bridge, in order.
+/// Messages in transit to the bridge, in order.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Answers {
-    /// With whether it was delivered once already.
+    /// Each with a flag that it has already been delivered once.
     waiting: [(Answer, bool); Self::ROOM],
     len: usize,
 }
@@ -22,7 +22,7 @@ impl Answers {
         &self.waiting[..self.len]
     }
 
-    /// Appends a message. The answers to a burst of FAST STOPs count as one; a message without room is lost.
+    /// Appends a message. Replies to a burst of FAST STOPs count as one. A message that does not fit is lost.
     pub(super) fn push(&mut self, answer: Answer) {
         let is_of_burst = answer.id == CommandId::FastStop && self.waiting().last() == Some(&(answer, false));
         if !is_of_burst && self.len < Self::ROOM {
@@ -38,7 +38,7 @@ impl Answers {
         Some(first)
     }
 
-    /// The first message, which stays for a second delivery.
+    /// Returns the first message and keeps it for a second delivery.
     pub(super) fn repeat(&mut self) -> Option<Answer> {
         let (first, is_repeated) = self.waiting[..self.len].first_mut()?;
         *is_repeated = true;

@@ -1,21 +1,19 @@
-//! When two states are equal: one number for each state, the same at any time of day.
+//! Equality of states: a number for each state that is independent of absolute time.
 
 use std::hash::{Hash, Hasher};
 
-/// Moments that are further back count as equally old, in milliseconds. The bridge compares moments in the past with its
-/// debounce time, the time for half a frame, the minimum of BUSY and the grace for a result, which are all shorter. Only a
-/// motion's time-out of a minute and an unconfirmed FAST STOP's of 600 ms are longer: states that differ in nothing else count
-/// as equal.
+/// Age beyond which moments count as equally old, in milliseconds. The bridge's debounce time, frame time-out,
+/// minimum of BUSY and grace period for a result are all shorter. Longer are only a motion's time-out of one minute
+/// and the 600 ms of an unconfirmed FAST STOP. States that differ in nothing else count as equal.
 const PAST_MS: i32 = 64;
 
-/// A hasher that takes every [`Instant`](wsg_protocol::Instant) relative to now. An `Instant` hashes as `i32`, and nothing
-/// else does.
+/// A hasher that takes every [`Instant`](wsg_protocol::Instant) relative to now. Only an `Instant` hashes as `i32`.
 struct KeyHasher {
     now_ms: u32,
     key: u64,
 }
 
-/// The key of a state at this moment.
+/// Returns the key of a state at this moment.
 pub(super) fn key(now_ms: u32, state: &impl Hash) -> u64 {
     let mut hasher = KeyHasher { now_ms, key: SEED };
     state.hash(&mut hasher);

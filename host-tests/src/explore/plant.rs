@@ -1,4 +1,4 @@
-//! Bridge, gripper, line and PLC: one state of the exploration, and what each action does to it.
+//! Bridge, gripper, line and PLC: one state of the exploration, and the effect of each action.
 
 use std::fmt::Write as _;
 
@@ -18,30 +18,30 @@ use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
 
 const CONFIG: Config = Config {
-    // An edge takes no time, so that more orders of events lead to the same state.
+    // An edge takes no time, so more orders of events lead to the same state.
     wires: WiresConfig { debounce_ms: 0, ..WiresConfig::DEFAULT },
-    // Less than the time between two queries, so that a missing result is given up before the next one.
+    // Shorter than the interval between queries, so a missing result is given up before the next query.
     session: session::Config { result_grace_ms: 60, ..Config::DEFAULT.session },
     bus: BusConfig { unit: UNIT, timeout_ms: BUS_TIMEOUT_MS as u16, ..Config::DEFAULT.bus },
     ..Config::DEFAULT
 };
 
-/// After this silence the bridge gives up the PLC on the bus, in milliseconds.
+/// Bus silence after which the bridge considers the PLC lost, in milliseconds.
 const BUS_TIMEOUT_MS: u32 = 100;
-/// How long FAST_STOP_OK must be high before it counts, in milliseconds.
+/// Time until a high FAST_STOP_OK takes effect, in milliseconds.
 const FAST_STOP_RELEASE_MS: u32 = 5;
-/// Turns on the way to a deadline: a truncated frame is given up, BUSY has been high for its minimum. In milliseconds.
+/// Turns before a deadline, in milliseconds: after a truncated frame's time-out and after the minimum of BUSY.
 const TURNS_MS: [u32; 2] = [21, 51];
-/// The longest wait, in milliseconds, and the one without a deadline.
+/// Longest wait in milliseconds, also used without a deadline.
 const LONGEST_WAIT_MS: u32 = 1_000;
-/// Question and answer follow each other this often without taking time: connecting takes seven rounds.
+/// Rounds of request and reply that take no time; connecting takes seven.
 const QUICK_ROUNDS: u32 = 20;
-/// A round takes this long on a line of 115 200 bit/s, in milliseconds.
+/// Duration of a round on a line at 115 200 bit/s, in milliseconds.
 const ROUND_MS: u32 = 2;
-/// Question and answer end after this many rounds.
+/// Maximum number of rounds.
 const MOST_ROUNDS: u32 = QUICK_ROUNDS + 500;
 
-/// One state.
+/// One state of the exploration.
 #[derive(Clone, Debug)]
 pub(super) struct Plant {
     actions: &'static [Action],
@@ -52,23 +52,23 @@ pub(super) struct Plant {
     wires: Inputs,
     outputs: Outputs,
     is_line_up: bool,
-    /// Messages on their way to the bridge.
+    /// Messages in transit to the bridge.
     answers: Answers,
     /// A message that arrives in the last turn of the next action.
     with_next: Option<Answer>,
-    /// The last image that the PLC wrote over the bus; none while it is silent.
+    /// The last image that the PLC wrote over the bus; `None` while it is silent.
     image: Option<Image>,
-    /// FASTSTOP was 1 in the last image. A bus that falls silent does not release it.
+    /// Whether FASTSTOP was set in the last image. A silent bus does not release it.
     bus_holds_fast_stop: bool,
     promises: Promises,
-    /// A log, for a reader.
+    /// Readable log, if enabled.
     story: Option<String>,
 }
 
-/// What a plant can be seen to be in, and how to tell.
+/// Name and predicate of a situation.
 type Sight = (&'static str, fn(&Plant) -> bool);
 
-/// Situations that an exploration should meet, by name.
+/// Situations that an exploration should reach.
 pub(super) const SIGHTS: [Sight; 17] = [
     ("READY", |plant| plant.outputs.contains(Outputs::READY)),
     ("BUSY", |plant| plant.outputs.contains(Outputs::BUSY)),
@@ -85,14 +85,14 @@ pub(super) const SIGHTS: [Sight; 17] = [
     ("a jog", |plant| plant.motion() == Some(CommandId::PrePosition) && plant.promises.jogs()),
     ("a lost part", |plant| plant.gripper.state == GripperState::PartLost),
     ("a latched FAST STOP", |plant| plant.gripper.fast_stop()),
-    ("a FAST STOP that is not acknowledged", |plant| !plant.promises.is_open()),
-    ("a gripper that moves while the bridge does not know", |plant| {
+    ("an unacknowledged FAST STOP", |plant| !plant.promises.is_open()),
+    ("a motion unknown to the bridge", |plant| {
         plant.motion().is_some() && plant.outputs.contains(Outputs::READY)
     }),
 ];
 
 impl Plant {
-    /// Everything has just been switched on, and all wires are low.
+    /// Creates the state after power-up with all wires low.
     pub(super) fn switched_on(actions: &'static [Action]) -> Self {
         let mut plant = Self {
             actions,
@@ -110,12 +110,12 @@ impl Plant {
             promises: Promises::new(Instant::from_millis(0)),
             story: None,
         };
-        // A promise that breaks here breaks in the exploration as well, by `RestartBridge`.
+        // A promise broken here also breaks in the exploration, through `RestartBridge`.
         let _ = plant.power_up();
         plant
     }
 
-    /// The state after these actions, whatever they break.
+    /// Returns the state after these actions, ignoring broken promises.
     pub(super) fn after(&self, actions: &[Action]) -> Self {
         let mut plant = self.clone();
         for action in actions {
@@ -124,7 +124,7 @@ impl Plant {
         plant
     }
 
-    /// Tells what these of its actions do.
+    /// Returns a log of these actions.
     pub(super) fn tell(&self, actions: impl IntoIterator<Item = u32>) -> String {
         let mut plant = Self { story: Some(String::new()), ..self.clone() };
         for action in actions {
@@ -135,13 +135,12 @@ impl Plant {
         plant.story.unwrap_or_default()
     }
 
-    /// The wires to the PLC.
     #[cfg(test)]
     pub(super) const fn outputs(&self) -> Outputs {
         self.outputs
     }
 
-    /// The motion that the gripper carries out.
+    /// Returns the motion in progress.
     pub(super) const fn motion(&self) -> Option<CommandId> {
         self.gripper.motion
     }
@@ -150,14 +149,14 @@ impl Plant {
         Instant::from_millis(self.now_ms)
     }
 
-    /// Whether the PLC asserts FAST STOP, by wire or bus.
+    /// Returns whether the PLC asserts FAST STOP by wire or bus.
     fn holds_fast_stop(&self) -> bool {
         !self.wires.contains(Inputs::FAST_STOP_OK) || self.bus_holds_fast_stop
     }
 
     fn say(&mut self, what: impl FnOnce(&mut String) -> std::fmt::Result) {
         if let Some(story) = &mut self.story {
-            what(story).expect("a string takes all text");
+            what(story).expect("writing to a string cannot fail");
         }
     }
 
@@ -232,7 +231,7 @@ impl Plant {
         }
     }
 
-    /// The first turns after power-up, until all wires count.
+    /// Runs the first turns after power-up, until all wires have taken effect.
     fn power_up(&mut self) -> Kept {
         if self.wires.contains(Inputs::FAST_STOP_OK) {
             self.turn(&[], silence())?;
@@ -242,7 +241,7 @@ impl Plant {
         self.settle(true)
     }
 
-    /// Changes wires, and lets them settle.
+    /// Changes wires and lets them settle.
     fn change_wires(&mut self, changed: Inputs) -> Kept {
         self.wires.toggle(changed);
         let rising = self.wires & changed;
@@ -267,7 +266,7 @@ impl Plant {
             Some(_) => self.promises.refuse(),
             None => {}
         }
-        // A message in the same turn may change what is right.
+        // A message in the same turn may change the expected result.
         let judged = motion.filter(|_| self.with_next.is_none());
         self.settle(rising.contains(Inputs::FAST_STOP_OK))?;
         if stops && was_open && self.bridge.is_connected() {
@@ -276,12 +275,12 @@ impl Plant {
         judged.map_or(Ok(()), |motion| self.judge_command(motion, was_ready, before))
     }
 
-    /// The command is taken, or refused so that the PLC sees it.
+    /// Checks that the command is accepted, or visibly rejected.
     fn judge_command(&self, motion: Motion, was_ready: bool, before: Outputs) -> Kept {
         let shows = |output| self.outputs.contains(output);
         if was_ready {
             keep(Promise::ReadyEdgeShowsBusy, shows(Outputs::BUSY))?;
-            // MOVE is refused unless GSTATE is IDLE. ERROR also shows that a command was refused in IDLE.
+            // MOVE is rejected unless GSTATE is IDLE. ERROR in IDLE also follows an earlier rejected command.
             let is_refused =
                 motion == Motion::Move && before.intersects(Outputs::HOLDING | Outputs::PART_FAULT);
             let may_be_refused = motion == Motion::Move && before.contains(Outputs::ERROR);
@@ -291,22 +290,22 @@ impl Plant {
                 keep(Promise::ReadyCommandIsTaken, may_be_refused || !shows(Outputs::ERROR))
             };
         }
-        // A command beside STOP/ACK or FAST STOP is lost.
+        // A command concurrent with STOP/ACK or FAST STOP is lost.
         let is_lost = self.wires & (Inputs::STOP_ACK | Inputs::FAST_STOP_OK) != Inputs::FAST_STOP_OK
             || self.image == Some(Image::StopAck);
         keep(Promise::RefusedCommandShowsError, is_lost || shows(Outputs::ERROR))
     }
 
-    /// Lets wires that have just changed settle.
+    /// Lets changed wires settle.
     fn settle(&mut self, fast_stop_ok_rises: bool) -> Kept {
         self.now_ms += if fast_stop_ok_rises { FAST_STOP_RELEASE_MS } else { CONFIG.wires.debounce_ms };
         self.last_turn()?;
         self.promises.settled(self.wires, self.outputs)
     }
 
-    /// Takes the turn in which FAST STOP is asked for, and one more if it does not leave in that.
+    /// Runs the turn in which FAST STOP is requested, and one more if it was not sent in the first.
     fn ask_for_fast_stop(&mut self, bus: RtuDouble, incoming: &[u8]) -> Kept {
-        // One that is on its way is sent again once it is answered, or was not.
+        // A pending FAST STOP is repeated only after its reply or time-out.
         let is_pending = self.bridge.session().fast_stop_pending();
         let is_due = self.promises.fast_stop(self.now()) && !is_pending;
         self.turn(incoming, bus)?;
@@ -318,7 +317,7 @@ impl Plant {
         Ok(())
     }
 
-    /// The motion that counts of those whose wires rise.
+    /// Returns the motion that takes precedence among the rising wires.
     fn motion_of(&self, rising: Inputs) -> Option<Motion> {
         if rising.contains(Inputs::MOVE) {
             Some(Motion::Move)
@@ -344,7 +343,7 @@ impl Plant {
         if image == Image::FastStop {
             return self.ask_for_fast_stop(writing(image), &bytes);
         }
-        // The first image gives no edge.
+        // The first image raises no edge.
         let rises = before.is_some_and(|before| before.flags() != image.flags());
         let was_open = self.promises.is_open();
         let stops = rises && image == Image::StopAck;
@@ -439,25 +438,25 @@ impl Plant {
         self.with_next.take().into_iter().flat_map(|answer| self.bytes_of(answer)).collect()
     }
 
-    /// A message that arrives intact in this turn.
+    /// Encodes a message that arrives intact in this turn.
     fn bytes_of(&mut self, answer: Answer) -> impl Iterator<Item = u8> + use<> {
         self.promises.hear(self.now(), &answer);
         self.say(|story| write!(story, "\n        <- {} {}", answer.id, answer.status));
         answer.bytes()
     }
 
-    /// The last turn of an action.
+    /// Runs the last turn of an action.
     fn last_turn(&mut self) -> Kept {
         let bytes = self.bytes_with_next();
         self.turn(&bytes, self.polling())
     }
 
-    /// A PLC on the bus reads when it has nothing to write.
+    /// Returns a bus on which the PLC reads if it is not silent.
     fn polling(&self) -> RtuDouble {
         if self.image.is_some() { reading() } else { silence() }
     }
 
-    /// One turn of the bridge's main loop.
+    /// Runs one turn of the bridge's main loop.
     fn turn(&mut self, incoming: &[u8], mut bus: RtuDouble) -> Kept {
         let now = self.now();
         let mut line = SerialLine::with_room(usize::MAX);
@@ -478,17 +477,17 @@ impl Plant {
     }
 }
 
-/// A bus on which nobody asks.
+/// Returns a bus without requests.
 fn silence() -> RtuDouble {
     RtuDouble::default()
 }
 
-/// One on which the PLC writes registers 0 to 3.
+/// Returns a bus on which the PLC writes registers 0 to 3.
 fn writing(image: Image) -> RtuDouble {
     asking(&[&[UNIT, 16, 0, 0, 0, 4, 8], &image.output().to_bytes()[..]].concat())
 }
 
-/// One on which it reads a register.
+/// Returns a bus on which the PLC reads a register.
 fn reading() -> RtuDouble {
     asking(&[UNIT, 3, 0, 0, 0, 1])
 }

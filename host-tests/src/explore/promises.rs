@@ -1,8 +1,8 @@
-//! What docs/wiring.md, docs/registers.md and the README promise, told from outside the bridge: from the wires and the bus on
-//! one side, and from the commands that leave and the gripper on the other.
+//! Promises of docs/wiring.md, docs/registers.md and the README, checked from outside the bridge: wires and bus on
+//! one side, transmitted commands and gripper state on the other.
 //!
-//! Edges ask for motions. This module keeps its own account of which motion may still leave, and so notices one that leaves
-//! without an edge, twice, or after something has withdrawn it.
+//! Edges request motions. This module independently tracks which motions may still be sent. It detects a motion that
+//! is sent without an edge, twice, or after its withdrawal.
 
 use std::hash::{Hash, Hasher};
 
@@ -11,49 +11,49 @@ use wsg_protocol::{Command, CommandId, Instant, Kind, Status, SystemFlags};
 
 use crate::gripper_states::{Answer, STROKE, States};
 
-/// A promise that can be broken.
+/// A verifiable promise of the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Promise {
-    /// A motion leaves only for an edge of its own.
+    /// A motion is sent only for its own edge.
     MotionHasItsEdge,
-    /// A motion leaves only once for an edge.
+    /// A motion is sent only once per edge.
     MotionLeavesOnce,
     /// An edge while READY is low starts nothing.
     EdgeWhileNotReadyStartsNothing,
-    /// STOP/ACK withdraws every motion that was asked for before it.
+    /// STOP/ACK withdraws all motions requested before it.
     StopAckWithdraws,
-    /// FAST STOP withdraws every motion that was asked for before it.
+    /// FAST STOP withdraws all motions requested before it.
     FastStopWithdraws,
-    /// A bus that falls silent withdraws the motion that it asked for.
+    /// A silent bus withdraws the motion that it requested.
     SilenceWithdraws,
-    /// A lost connection withdraws every motion that was asked for before it.
+    /// A lost connection withdraws all motions requested before it.
     ReconnectWithdraws,
-    /// A reset of the bridge withdraws every motion that was asked for before it.
+    /// A reset of the bridge withdraws all motions requested before it.
     ResetWithdraws,
-    /// No motion leaves from FAST STOP until its acknowledgement is answered.
+    /// No motion is sent from FAST STOP until its acknowledgement is confirmed.
     NoMotionInFastStop,
-    /// No setting leaves from FAST STOP until its acknowledgement is answered.
+    /// No setting is sent from FAST STOP until its acknowledgement is confirmed.
     NoSettingInFastStop,
-    /// Nothing but FAST STOP leaves until the gripper has taken it.
+    /// Only FAST STOP is sent until the gripper has executed it.
     OnlyFastStopUntilTaken,
-    /// A force limit leaves only for a GRIP or a jog that may still leave.
+    /// A force limit is sent only for a GRIP or a jog that may still be sent.
     ForceLimitHasItsMotion,
-    /// GRIP leaves only while the gripper has the force limit of that edge.
+    /// GRIP is sent only while the gripper has the force limit of that edge.
     GripHasItsForce,
-    /// An acknowledgement leaves only for an edge of STOP/ACK.
+    /// An acknowledgement is sent only for an edge of STOP/ACK.
     AcknowledgementHasItsEdge,
-    /// An acknowledgement leaves only after the gripper has taken the FAST STOP.
+    /// An acknowledgement is sent only after the gripper has executed the FAST STOP.
     AcknowledgementFollowsFastStop,
-    /// FAST STOP leaves in the turn in which it is asked for, or in the next one a millisecond later.
+    /// FAST STOP is sent in the turn in which it is requested, or in the next one a millisecond later.
     FastStopLeavesAtOnce,
-    /// FAST STOP leaves again within a second until the gripper has taken it.
+    /// FAST STOP is repeated within a second until the gripper has executed it.
     FastStopIsRepeated,
-    /// A gripper that leaves FAST STOP while the PLC asserts it is sent another one within a second.
+    /// A gripper that leaves FAST STOP while the PLC asserts it receives another one within a second.
     FastStopIsALevel,
-    /// A motion that goes on 250 ms after STOP/ACK, the end of a jog or a silent bus has been sent a FAST STOP.
+    /// A motion that continues 250 ms after STOP/ACK, the end of a jog or a silent bus receives a FAST STOP.
     UnheardStopBecomesFastStop,
-    /// A gripper that moves at power-up is stopped as soon as that is known.
+    /// A gripper that moves at power-up is stopped as soon as the motion is detected.
     MotionAtPowerUpIsStopped,
     /// A gripper that moves at power-up raises ERROR.
     MotionAtPowerUpShowsError,
@@ -63,27 +63,27 @@ pub enum Promise {
     NotHoldingAndPartFault,
     /// Without LINK_OK only ERROR can be high.
     OnlyErrorWithoutLink,
-    /// ERROR is high from FAST STOP until its acknowledgement is answered.
+    /// ERROR is high from FAST STOP until its acknowledgement is confirmed.
     FastStopShowsError,
-    /// READY is low from FAST STOP until its acknowledgement is answered.
+    /// READY is low from FAST STOP until its acknowledgement is confirmed.
     NotReadyInFastStop,
     /// READY is low while STOP_ACK is high or FAST_STOP_OK is low.
     NotReadyWhileStopped,
-    /// Moving, referenced and in FAST STOP: with LINK_OK, the outputs show what the gripper reported last.
+    /// With LINK_OK, the outputs match the last reported state: moving, referenced and FAST STOP.
     OutputsShowTheReport,
     /// LINK_OK goes low within a second of the last intact frame.
     LinkOkGoesLow,
-    /// A command that rises while READY is high is taken.
+    /// A command that rises while READY is high is accepted.
     ReadyCommandIsTaken,
-    /// A command that rises while READY is high shows BUSY for 50 ms, taken or refused.
+    /// A command that rises while READY is high sets BUSY for 50 ms, whether accepted or rejected.
     ReadyEdgeShowsBusy,
     /// A command that rises while READY is low raises ERROR.
     RefusedCommandShowsError,
-    /// Question and answer come to an end within a second when the line delivers everything.
+    /// Requests and replies end within a second when the line delivers everything.
     ConversationEnds,
 }
 
-/// A motion that can be asked for.
+/// A motion that can be requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Motion {
     Move,
@@ -101,12 +101,12 @@ impl Motion {
         1 << self as u8
     }
 
-    /// Its force limit in hundredths of a newton.
+    /// Returns the force limit in hundredths of a newton.
     const fn force(self) -> u32 {
         if matches!(self, Self::GripGently) { 10_00 } else { 40_00 }
     }
 
-    /// The motions that this command can be for. Only a jog goes to the end of the stroke.
+    /// Returns the motions that may have caused this command. Only a jog moves to the end of the stroke.
     const fn of(command: &Command<'_>) -> &'static [Self] {
         match *command {
             Command::PrePosition { width: STROKE, .. } => &[Self::Jog],
@@ -119,59 +119,59 @@ impl Motion {
     }
 }
 
-/// Whether motions are locked.
+/// State of the lock on motions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Lock {
-    /// They are not.
+    /// Motions are permitted.
     Open,
-    /// By FAST STOP. `untaken` while the gripper has not taken it: when a frame left last, or when it was asked for.
+    /// Locked by FAST STOP. `untaken`: time of the request or last frame, until the gripper executes it.
     FastStop { untaken: Option<Instant> },
-    /// By FAST STOP, and an acknowledgement is not answered yet.
+    /// Locked by FAST STOP, with an unconfirmed acknowledgement.
     Acknowledged,
 }
 
-/// Whether the bridge may find a motion that it has not begun.
+/// Whether the bridge may encounter a motion that it has not started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum PowerUp {
-    /// It has not been connected yet.
+    /// The bridge has not been connected.
     New { stop_left: bool },
-    /// It has been connected, or has found one.
+    /// The bridge has been connected, or has encountered such a motion.
     Over,
 }
 
-/// What has been asked for and promised so far.
+/// Requests and obligations so far.
 #[derive(Clone, Debug)]
 pub(super) struct Promises {
-    /// The motions of which one may leave, as [`Motion::bit`]s.
+    /// Motions of which one may be sent, as [`Motion::bit`]s.
     wanted: u8,
-    /// Edges of STOP/ACK for which an acknowledgement may leave.
+    /// Edges of STOP/ACK for which an acknowledgement may be sent.
     acknowledgements: u8,
     lock: Lock,
     power_up: PowerUp,
-    /// The last motion that left was a jog.
+    /// Whether the last motion sent was a jog.
     jogs: bool,
-    /// When a motion that still runs was to be stopped.
+    /// Time at which a motion that is still running should have been stopped.
     stop_given: Option<Instant>,
-    /// When the gripper left a FAST STOP that the bridge did not acknowledge: by a third party, or by a restart. Beside
-    /// [`Lock::Open`] the bridge was told so before the end of its handshake, and may give the FAST STOP again.
+    /// Time at which the gripper left FAST STOP without the bridge's acknowledgement: by a third party or a restart.
+    /// With [`Lock::Open`], the bridge learnt of it during its handshake and may repeat the FAST STOP.
     left_elsewhere: Option<Instant>,
-    /// The bridge was told so while the PLC asserted FAST STOP.
+    /// Whether the bridge received that report while the PLC asserted FAST STOP.
     left_is_known: bool,
-    /// The PLC asserts FAST STOP.
+    /// Whether the PLC asserts FAST STOP.
     holds_fast_stop: bool,
-    /// LINK_OK was high at the end of the last turn. Not part of the key: the outputs are.
+    /// LINK_OK at the end of the last turn. Excluded from the key, which contains the outputs.
     is_connected: bool,
-    /// When the last command rose while READY was high.
+    /// Time of the last command edge while READY was high.
     edge: Option<Instant>,
-    /// In this turn.
+    /// Whether FAST STOP was sent in this turn.
     fast_stop_left: bool,
-    /// In this turn, a gripper that moves was reported last.
+    /// Whether the last report in this turn was of a moving gripper.
     found_moving: bool,
-    /// Names the promise that a motion without an edge breaks. Not part of the key: it changes no judgement.
+    /// The promise broken by a motion without an edge. Excluded from the key, because it only names the failure.
     withdrawn_by: Promise,
-    /// When the last intact frame arrived. Not part of the key, or few states would be equal.
+    /// Arrival of the last intact frame. Excluded from the key, or few states would be equal.
     heard: Instant,
-    /// The flags that were reported last. Not part of the key: the bridge keeps them.
+    /// Last reported flags. Excluded from the key, because the bridge also stores them.
     reported: SystemFlags,
 }
 
@@ -185,20 +185,20 @@ impl Hash for Promises {
 
 pub(super) type Kept = Result<(), Promise>;
 
-/// An error if the promise is not kept.
+/// Returns an error unless the promise is kept.
 pub(super) fn keep(promise: Promise, is_kept: bool) -> Kept {
     if is_kept { Ok(()) } else { Err(promise) }
 }
 
-/// The longest that a motion may go on after it was to be stopped, in milliseconds.
+/// Longest time that a motion may continue after its stop, in milliseconds.
 const STOP_MS: u32 = 250;
-/// The longest time between two FAST STOPs, and from the last frame until LINK_OK goes low, in milliseconds.
+/// Longest time between two FAST STOPs, and from the last frame to LINK_OK low, in milliseconds.
 const SECOND_MS: u32 = 1_000;
-/// How long BUSY is high after a command at READY, in milliseconds.
+/// Duration of BUSY after a command at READY, in milliseconds.
 const BUSY_MS: u32 = 50;
 
 impl Promises {
-    /// Those of a bridge that has just been switched on.
+    /// Creates the state of a bridge after power-up.
     pub(super) const fn new(now: Instant) -> Self {
         Self {
             wanted: 0,
@@ -220,51 +220,51 @@ impl Promises {
         }
     }
 
-    /// Starts again, with a bridge that was reset.
+    /// Restarts after a reset of the bridge.
     pub(super) const fn reset(&mut self, now: Instant) {
         *self = Self::new(now);
         self.withdrawn_by = Promise::ResetWithdraws;
     }
 
-    /// Whether no FAST STOP locks motions.
+    /// Returns whether motions are permitted.
     pub(super) fn is_open(&self) -> bool {
         self.lock == Lock::Open
     }
 
-    /// Whether the last motion that left was a jog.
+    /// Returns whether the last motion sent was a jog.
     pub(super) const fn jogs(&self) -> bool {
         self.jogs
     }
 
-    /// Takes an edge that replaces all before it.
+    /// Records an edge that replaces all earlier requests.
     pub(super) const fn want(&mut self, motion: Motion) {
         self.wanted = motion.bit();
     }
 
-    /// Takes an edge of the bus during another motion: it may be refused, and the one before it leave.
+    /// Records a bus edge during another motion: either request may be sent.
     pub(super) const fn may_want(&mut self, motion: Motion) {
         self.wanted |= motion.bit();
     }
 
-    /// Takes an edge of a wire while READY is low.
+    /// Records a wire edge while READY is low.
     pub(super) const fn refuse(&mut self) {
         self.withdrawn_by = Promise::EdgeWhileNotReadyStartsNothing;
     }
 
-    /// Takes an edge of STOP/ACK.
+    /// Records an edge of STOP/ACK.
     pub(super) const fn stop(&mut self) {
         self.withdraw(Promise::StopAckWithdraws);
         self.acknowledgements += 1;
     }
 
-    /// Expects the motion that runs to end.
+    /// Requires the running motion to stop in time.
     pub(super) fn expect_standstill(&mut self, now: Instant, gripper: &States) {
         if gripper.motion.is_some() {
             self.stop_given = self.stop_given.or(Some(now));
         }
     }
 
-    /// Takes a JOG flag that goes.
+    /// Records the end of a JOG flag.
     pub(super) fn end_jog(&mut self, now: Instant, gripper: &States) {
         self.wanted &= !Motion::Jog.bit();
         if self.is_open() && self.jogs {
@@ -272,7 +272,7 @@ impl Promises {
         }
     }
 
-    /// Takes the silence of a bus that gave the last command.
+    /// Records the silence of a bus that issued the last command.
     pub(super) fn fall_silent(&mut self, now: Instant, gripper: &States) {
         self.withdraw(Promise::SilenceWithdraws);
         if self.is_open() {
@@ -280,12 +280,12 @@ impl Promises {
         }
     }
 
-    /// Takes a FAST STOP. Whether a frame has to leave for it: none is on its way.
+    /// Records a FAST STOP request. Returns whether a frame must be sent for it.
     pub(super) fn fast_stop(&mut self, now: Instant) -> bool {
         self.withdraw(Promise::FastStopWithdraws);
         self.acknowledgements = 0;
         self.stop_given = None;
-        // One that the PLC asserted already by its other way gives no edge.
+        // A PLC that already asserts FAST STOP by its other input causes no new edge.
         let is_told_early = self.is_open() && self.left_elsewhere.is_some();
         if !self.holds_fast_stop && !is_told_early {
             self.left_elsewhere = None;
@@ -302,7 +302,7 @@ impl Promises {
         is_new
     }
 
-    /// Takes a message that arrives at the bridge intact.
+    /// Records a message that reaches the bridge intact.
     pub(super) fn hear(&mut self, now: Instant, answer: &Answer) {
         self.heard = now;
         let is_acknowledged = (answer.id, answer.status) == (CommandId::Acknowledge, Status::Success);
@@ -314,7 +314,7 @@ impl Promises {
             if has_left && !self.holds_fast_stop {
                 self.lock = Lock::Open;
                 self.left_elsewhere = self.left_elsewhere.filter(|_| !self.is_connected);
-                // An earlier report may have been requested before the gripper took the FAST STOP.
+                // An earlier report may have been requested before the gripper executed the FAST STOP.
                 self.left_is_known = false;
             }
             self.left_is_known |= has_left && self.holds_fast_stop;
@@ -323,31 +323,31 @@ impl Promises {
         }
     }
 
-    /// Begins a turn. `holds_fast_stop`: the PLC asserts FAST STOP.
+    /// Starts a turn. `holds_fast_stop` is whether the PLC asserts FAST STOP.
     pub(super) const fn begin_turn(&mut self, holds_fast_stop: bool) {
         self.fast_stop_left = false;
         self.holds_fast_stop = holds_fast_stop;
     }
 
-    /// Judges what the bridge has sent once the line has delivered everything. `is_pending`: it is not connected, or
-    /// still awaits the answer to a FAST STOP.
+    /// Checks the commands sent once the line has delivered everything. `is_pending` is whether the bridge is
+    /// disconnected or awaits the reply to a FAST STOP.
     pub(super) fn delivered(&self, gripper: &States, is_pending: bool) -> Kept {
         keep(Promise::FastStopIsALevel, !self.left_is_known || gripper.fast_stop() || is_pending)
     }
 
-    /// Takes a command that rises while READY is high.
+    /// Records a command edge while READY is high.
     pub(super) const fn expect_busy(&mut self, now: Instant) {
         self.edge = Some(now);
     }
 
-    /// Takes a FAST STOP that ends without an acknowledgement of the bridge's.
+    /// Records a FAST STOP that ends without the bridge's acknowledgement.
     pub(super) fn leave_elsewhere(&mut self, now: Instant) {
         if matches!(self.lock, Lock::FastStop { untaken: None }) {
             self.left_elsewhere = Some(now);
         }
     }
 
-    /// Takes a command that leaves. The gripper has not taken it yet, and will if it `arrives`.
+    /// Checks a command as it is sent, before the gripper executes it. `arrives` is whether it reaches the gripper.
     pub(super) fn leave(
         &mut self,
         now: Instant,
@@ -392,7 +392,7 @@ impl Promises {
         let has_force = motions.any(|motion| gripper.force_limit == motion.force());
         self.jogs = motion == Motion::Jog;
         self.withdraw(Promise::MotionLeavesOnce);
-        // A gripper that was restarted has forgotten its limit, and refuses to grip.
+        // A restarted gripper has lost its limit, and rejects GRIP.
         let needs_force = matches!(motion, Motion::Grip | Motion::GripGently) && gripper.referenced();
         keep(Promise::GripHasItsForce, has_force || !needs_force)
     }
@@ -408,7 +408,7 @@ impl Promises {
         Ok(())
     }
 
-    /// Ends a turn.
+    /// Checks all promises at the end of a turn.
     pub(super) fn end_turn(&mut self, now: Instant, outputs: Outputs, gripper: &States) -> Kept {
         let shows = |output| outputs.contains(output);
         let connected = shows(Outputs::LINK_OK);
@@ -424,7 +424,7 @@ impl Promises {
         if !connected {
             self.withdraw(Promise::ReconnectWithdraws);
         } else if shows(Outputs::READY) {
-            // Another command would be taken, so what was asked for has come to nothing.
+            // Another command would be accepted, so the earlier request is void.
             self.withdraw(Promise::MotionHasItsEdge);
         }
         if gripper.motion.is_none() {
@@ -432,13 +432,13 @@ impl Promises {
         }
         let is_late = self.stop_given.is_some_and(|given| now.since(given) > STOP_MS);
         keep(Promise::UnheardStopBecomesFastStop, !is_late)?;
-        // Without a connection the bridge cannot know: it is told by the handshake.
+        // Without a connection the bridge learns of it only during the handshake.
         let is_free = connected
             && self.holds_fast_stop
             && !gripper.fast_stop()
             && self.left_elsewhere.is_some_and(|left| now.since(left) > SECOND_MS);
         keep(Promise::FastStopIsALevel, !is_free)?;
-        // What locks the gripper ends BUSY, and keeps READY low.
+        // A locked gripper ends BUSY and keeps READY low.
         let is_locked = !self.is_open() || self.reported.intersects(SystemFlags::LOCKS);
         self.edge = self.edge.filter(|edge| connected && !is_locked && now.since(*edge) < BUSY_MS);
         keep(Promise::ReadyEdgeShowsBusy, self.edge.is_none_or(|_| shows(Outputs::BUSY)))?;
@@ -470,18 +470,18 @@ impl Promises {
         Ok(())
     }
 
-    /// Whether a FAST STOP left in this turn.
+    /// Returns whether FAST STOP was sent in this turn.
     pub(super) const fn has_fast_stop_left(&self) -> bool {
         self.fast_stop_left
     }
 
-    /// Judges the outputs once all wires count.
+    /// Checks the outputs once all wires have taken effect.
     pub(super) fn settled(&self, wires: Inputs, outputs: Outputs) -> Kept {
         let stopped = wires.contains(Inputs::STOP_ACK) || !wires.contains(Inputs::FAST_STOP_OK);
         keep(Promise::NotReadyWhileStopped, !(stopped && outputs.contains(Outputs::READY)))
     }
 
-    /// No motion may leave. One that does all the same breaks this promise.
+    /// Withdraws all motions. One sent regardless breaks this promise.
     const fn withdraw(&mut self, by: Promise) {
         if self.wanted != 0 {
             self.wanted = 0;

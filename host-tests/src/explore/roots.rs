@@ -1,16 +1,16 @@
-//! The states that an exploration starts from: power-up, and each state that a bridge stays in.
+//! Initial states of an exploration: power-up, and each stable state of a bridge.
 
 use super::action::{Action, Image, Wire};
 use super::plant::Plant;
 
-/// A state to start from.
+/// An initial state.
 #[derive(Debug)]
 pub(super) struct Root {
     pub(super) name: &'static str,
     pub(super) plant: Plant,
 }
 
-/// Every root, for an exploration with these actions.
+/// Returns all initial states for an exploration with these actions.
 pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
     use Action::*;
     let has_bus = actions.contains(&FallSilent);
@@ -21,7 +21,7 @@ pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
     let ready = pulse(&connected, Wire::StopAck);
     let ready = if has_bus { ready.after(&[Write(Image::Zero), AnswersAll]) } else { ready };
     let homing = pulse(&ready, Wire::Home);
-    // BUSY goes low while time passes.
+    // BUSY goes low after its minimum time.
     let rest = [AnswersAll, Wait, AnswersAll];
     let homed = homing.after(&[Finish]).after(&rest);
     let moving = pulse(&homed, Wire::Move).after(&rest);
@@ -44,7 +44,7 @@ pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
         ("force limit sent", preparing),
         ("gripping", gripping),
         ("holding", holding),
-        ("FAST STOP asked for", fast_stop_asked),
+        ("FAST STOP requested", fast_stop_asked),
         ("FAST STOP unheard", fast_stop_unheard),
         ("FAST STOP held", fast_stop_held),
         ("FAST STOP latched", latched),
@@ -79,7 +79,7 @@ mod tests {
                     "homed" => IDLE,
                     "holding" => IDLE | Outputs::HOLDING,
                     "moving" | "force limit sent" | "gripping" | "jogging" => BUSY,
-                    "FAST STOP asked for" | "FAST STOP unheard" => LOCKED | Outputs::BUSY,
+                    "FAST STOP requested" | "FAST STOP unheard" => LOCKED | Outputs::BUSY,
                     _ => LOCKED,
                 };
                 assert_eq!(plant.outputs(), outputs, "{name}");

@@ -1,8 +1,8 @@
 //! Breadth-first search over every order of actions. Equal states are visited once.
 //!
-//! The frontier holds paths of actions, not states: 8 bytes each instead of two thousand, so 10^8 states fit into memory. It
-//! keeps the order of a depth-first walk: a state is rebuilt from the last common ancestor with its neighbour, which takes
-//! little more than one action. `stateright` 0.31 holds each pending state and its path on the heap.
+//! The frontier stores paths of actions of 8 bytes each, instead of states of about 2 kB, so 10^8 states fit into
+//! memory. It keeps depth-first order: a state is rebuilt from the last common ancestor with its neighbour, at the
+//! cost of little more than one action. `stateright` 0.31 keeps each pending state and its path on the heap.
 
 use std::collections::HashSet;
 use std::fmt::Debug;
@@ -10,25 +10,25 @@ use std::hash::{BuildHasherDefault, Hasher};
 
 use super::Bounds;
 
-/// A state that can be explored.
+/// A model that can be explored.
 pub(super) trait Model: Clone {
-    /// A promise that can be broken.
+    /// A property that must hold.
     type Promise: Copy + Debug + Eq;
 
-    /// The actions that are possible, one bit each.
+    /// Returns the possible actions, one bit each.
     fn actions(&self) -> u32;
 
-    /// Takes an action. The error is the promise that it breaks.
+    /// Performs an action; fails with the promise that it breaks.
     fn act(&mut self, action: u32) -> Result<(), Self::Promise>;
 
-    /// A number that is the same for equal states, and different for all others.
+    /// Returns a number that is equal for equal states and differs for all others.
     fn key(&self) -> u64;
 
-    /// The noteworthy situations in this state, one bit each.
+    /// Returns the notable situations in this state, one bit each.
     fn sights(&self) -> u64;
 }
 
-/// A root and the actions from there.
+/// A root and the actions from it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Path(u64);
 
@@ -36,9 +36,9 @@ const ACTION_BITS: u32 = 5;
 const ROOT_BITS: u32 = 4;
 
 impl Path {
-    /// The most actions.
+    /// Maximum number of actions.
     const MAX_LEN: u32 = (u64::BITS - ROOT_BITS) / ACTION_BITS;
-    /// The most roots.
+    /// Maximum number of roots.
     const MAX_ROOTS: usize = 1 << ROOT_BITS;
 
     const fn from(root: usize) -> Self {
@@ -53,17 +53,17 @@ impl Path {
         Self(self.0 | (action as u64) << Self::shift(step))
     }
 
-    /// The number of the root.
+    /// Returns the index of the root.
     pub(super) const fn root(self) -> usize {
         (self.0 >> (u64::BITS - ROOT_BITS)) as usize
     }
 
-    /// The action at this step.
+    /// Returns the action at this step.
     pub(super) const fn action(self, step: u32) -> u32 {
         (self.0 >> Self::shift(step)) as u32 & ((1 << ACTION_BITS) - 1)
     }
 
-    /// How many actions both begin with; none for different roots.
+    /// Returns the number of common initial actions; `None` for different roots.
     const fn common(self, other: Self) -> Option<u32> {
         let same = (self.0 ^ other.0).leading_zeros();
         match same.checked_sub(ROOT_BITS) {
@@ -77,32 +77,32 @@ impl Path {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Broken<P> {
     pub(super) promise: P,
-    /// The fewest actions that break it.
+    /// Shortest sequence of actions that breaks it.
     pub(super) path: Path,
-    /// How many these are.
+    /// Length of `path` in actions.
     pub(super) len: u32,
-    /// How often it was broken.
+    /// Number of times it was broken.
     pub(super) ways: u64,
 }
 
-/// What a search met.
+/// Result of a search.
 #[derive(Clone, Debug)]
 pub(super) struct Outcome<P> {
-    /// Different states, the roots among them.
+    /// Number of distinct states, including the roots.
     pub(super) states: u64,
-    /// Actions that were tried.
+    /// Number of actions tried.
     pub(super) tried: u64,
-    /// New states at each depth. The last depth is incomplete if the bound of states ended the search.
+    /// New states at each depth. The last depth is incomplete if the state limit ended the search.
     pub(super) new_at: Vec<u64>,
-    /// The depth up to which every state was met.
+    /// Depth up to which all states were visited.
     pub(super) complete_to: u32,
-    /// Every broken promise, the one with the shortest path first.
+    /// Broken promises in order of path length.
     pub(super) broken: Vec<Broken<P>>,
-    /// The situations of all states.
+    /// Situations encountered, one bit each.
     pub(super) sights: u64,
 }
 
-/// Searches from all roots at the same time. It does not go on from where a promise is broken.
+/// Searches from all roots at the same time. Does not continue after a broken promise.
 pub(super) fn explore<M: Model>(roots: &[M], bounds: Bounds) -> Outcome<M::Promise> {
     assert!(roots.len() <= Path::MAX_ROOTS && bounds.depth <= Path::MAX_LEN);
     let mut met = KeySet::default();
@@ -132,7 +132,7 @@ pub(super) fn explore<M: Model>(roots: &[M], bounds: Bounds) -> Outcome<M::Promi
             for step in ancestors.len() as u32 - 1..depth {
                 let mut state = ancestors[step as usize].clone();
                 let again = state.act(path.action(step));
-                again.expect("what was done once can be done again");
+                again.expect("a successful action can be repeated");
                 ancestors.push(state);
             }
             let state = &ancestors[depth as usize];
@@ -171,7 +171,7 @@ fn note<P: Copy + Eq>(broken: &mut Vec<Broken<P>>, promise: P, path: Path, len: 
     }
 }
 
-/// Keys are hashes already.
+/// Hasher for keys, which are already hashes.
 #[derive(Default)]
 struct KeyOnly(u64);
 
@@ -195,7 +195,7 @@ impl Hasher for KeyOnly {
 mod tests {
     use super::*;
 
-    /// A number below 100 that goes up by 1 or doubles, and must not be 7.
+    /// Test model: a number below 100 that is incremented or doubled and must not become 7.
     #[derive(Clone)]
     struct Number(u64);
 
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn every_state_is_met_once_and_the_shortest_way_to_break_a_promise_is_told() {
+    fn every_state_is_visited_once_and_the_shortest_violation_is_reported() {
         let outcome = explore(&[Number(1)], Bounds { depth: 12, states: 1_000 });
         // 1; 2; 3, 4; 6, 5, 8; ...
         assert_eq!(outcome.new_at[..4], [1, 1, 2, 3]);

@@ -1,9 +1,9 @@
-//! Protects the strictness of the model: what the flash interface refuses or punishes, which the driver avoids, so that no image
-//! in the emulator would notice a model without it.
+//! Covers the model's strictness: accesses that the flash interface rejects or penalizes. The driver avoids them, so
+//! no emulated image would detect a model without them.
 
 use super::*;
 
-/// A machine that counts what the model asks of it.
+/// A machine that counts NMIs.
 #[derive(Default)]
 struct Core {
     nmis: u32,
@@ -43,7 +43,7 @@ fn poke(flash: &FlashController, address: u32, width: Width, value: u32) {
     Memory(flash.powered()).store(address, width, value).unwrap();
 }
 
-/// What is loaded, and how often NMI is raised.
+/// Returns the loaded value and the number of NMIs.
 fn peek(flash: &FlashController, address: u32) -> (u32, u32) {
     let mut core = Core::default();
     (Memory(flash.powered()).load_through(address, Width::Word, &mut core).unwrap(), core.nmis)
@@ -57,7 +57,7 @@ fn unlock(flash: &FlashController) {
     KEYS.into_iter().for_each(|key| store(flash, KEYR, key));
 }
 
-/// Unlocked, with the data cache off.
+/// Creates an unlocked interface with the data cache off.
 fn ready() -> FlashController {
     let flash = FlashController::new();
     store(&flash, ACR, ICEN);
@@ -91,14 +91,10 @@ fn a_wrong_key_locks_it_until_reset() {
     }
     let flash = ready();
     store(&flash, KEYR, KEYS[0]);
-    assert_eq!(flash.violations().len(), 1, "a key while it is open");
+    assert_eq!(flash.violations().len(), 1, "a key while unlocked");
     let flash = FlashController::new();
     store(&flash, CR, PG);
-    assert_eq!(
-        (flash.violations().len(), load(&flash, CR)),
-        (1, OPTLOCK | LOCK),
-        "a store while it is locked"
-    );
+    assert_eq!((flash.violations().len(), load(&flash, CR)), (1, OPTLOCK | LOCK), "a store while locked");
 }
 
 #[test]
@@ -125,13 +121,13 @@ fn each_programming_error_sets_its_flag_and_changes_nothing() {
 }
 
 #[test]
-fn what_is_not_erased_is_programmed_to_zero_alone() {
+fn a_programmed_double_word_can_only_be_programmed_to_zero() {
     let flash = ready();
     flash.set(Page::First, 0, Some(u64::MAX));
     program(&flash, FIRST, 5);
     pass(&flash, PROGRAM_TIME);
     assert_eq!(load(&flash, SR), ErrorFlag::Programming as u32);
-    assert_eq!(flash.double_word(Page::First, 0), Some(u64::MAX), "all ones, and not erased");
+    assert_eq!(flash.double_word(Page::First, 0), Some(u64::MAX), "all ones, but not erased");
     store(&flash, SR, u32::MAX);
     program(&flash, FIRST, 0);
     pass(&flash, PROGRAM_TIME);
@@ -139,7 +135,7 @@ fn what_is_not_erased_is_programmed_to_zero_alone() {
 }
 
 #[test]
-fn nothing_begins_while_an_error_flag_is_set() {
+fn no_operation_starts_while_an_error_flag_is_set() {
     let flash = ready();
     poke(&flash, FIRST, Width::Byte, 0);
     let size_and_sequence = ErrorFlag::Size as u32 | ErrorFlag::Sequence as u32;
@@ -155,8 +151,8 @@ fn nothing_begins_while_an_error_flag_is_set() {
 }
 
 #[test]
-fn a_forbidden_erase_is_kept_and_does_nothing() {
-    // Without BKER, and the pages beside.
+fn a_forbidden_erase_is_recorded_and_has_no_effect() {
+    // Without BKER, and the neighbouring pages.
     for number in [254, 255, 509, 0] {
         let flash = ready();
         flash.set(Page::First, 0, Some(7));
@@ -170,7 +166,7 @@ fn a_forbidden_erase_is_kept_and_does_nothing() {
 }
 
 #[test]
-fn a_data_cache_that_is_on_during_an_operation_is_kept() {
+fn an_enabled_data_cache_during_an_operation_is_recorded() {
     let flash = FlashController::new();
     unlock(&flash);
     program(&flash, FIRST, 5);
@@ -178,7 +174,7 @@ fn a_data_cache_that_is_on_during_an_operation_is_kept() {
 }
 
 #[test]
-fn the_data_cache_holds_what_was_erased_until_it_is_flushed_while_off() {
+fn the_data_cache_is_stale_after_an_erase_until_flushed_while_disabled() {
     let flash = ready();
     flash.set(Page::First, 0, Some(7));
     store(&flash, ACR, ICEN | DCEN);
@@ -187,9 +183,9 @@ fn the_data_cache_holds_what_was_erased_until_it_is_flushed_while_off() {
     erase(&flash, 510);
     pass(&flash, ERASE_TIME);
     store(&flash, ACR, ICEN | DCEN);
-    assert_eq!((peek(&flash, FIRST).0, flash.violations().len()), (7, 1), "of before");
+    assert_eq!((peek(&flash, FIRST).0, flash.violations().len()), (7, 1), "stale");
     store(&flash, ACR, ICEN | DCEN | DCRST);
-    assert_eq!(peek(&flash, FIRST).0, 7, "flushed while on");
+    assert_eq!(peek(&flash, FIRST).0, 7, "flushed while enabled");
     assert!(flash.violations()[1].contains("flushed"), "{:?}", flash.violations());
     store(&flash, ACR, ICEN);
     store(&flash, ACR, ICEN | DCRST);
@@ -198,7 +194,7 @@ fn the_data_cache_holds_what_was_erased_until_it_is_flushed_while_off() {
 }
 
 #[test]
-fn accesses_that_would_stall_the_core_are_kept() {
+fn accesses_that_would_stall_the_core_are_recorded() {
     let flash = ready();
     program(&flash, FIRST, 5);
     peek(&flash, SECOND);
@@ -212,7 +208,7 @@ fn an_unreadable_double_word_raises_nmi_once_until_its_flag_is_cleared() {
     let flash = ready();
     flash.set(Page::Second, 3, None);
     assert_eq!(peek(&flash, SECOND + 24).1, 1);
-    // Bank 2, and where in it.
+    // Bank 2 and the address in it.
     assert_eq!(load(&flash, ECCR), ECCD | BK_ECC | 0x7_F818);
     assert_eq!(peek(&flash, SECOND + 28).1, 0);
     assert!(flash.violations()[0].starts_with("3.3.2"));

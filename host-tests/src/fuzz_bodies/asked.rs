@@ -1,22 +1,22 @@
-//! What a PLC has asked for: the rules of docs/wiring.md ("Inputs") and docs/registers.md ("Who commands"), and
-//! whether a command that leaves the bridge was asked for by them.
+//! Requests of a PLC: the rules of docs/wiring.md ("Inputs") and docs/registers.md ("Who commands"). Checks that each
+//! command from the bridge was requested.
 //!
-//! - An edge lets one command out, with the parameters of its side: of the recipe, or of the image. What else was asked for
-//!   until then has come to nothing: one motion at a time.
-//! - A wire counts once it has not changed for the debounce time: command and recipe wires together, STOP_ACK and
-//!   FAST_STOP_OK by themselves; none before all have. But a low FAST_STOP_OK counts at once, and a high one after 5 ms at the
-//!   least. The levels that the wires have then, and the first image of a bus, give no edge. Nor does a command wire while
-//!   READY is low.
-//! - A flag of the bus counts from its edge on, as long as it is 1 and the bus is heard. The edge of a motion or a jog is none
-//!   while a command wire is high, or beside STOP/ACK; a command wire that rises ends what counts of them.
-//! - Several motions at once are one: MOVE before GRIP before RELEASE before HOMING.
-//! - With a recipe for the bus (BUS_RECIPE) an edge of it has that one's parameters, RELEASE the release width, and what the
-//!   image has of them does not count.
-//! - While the settings that are stored are refused, no motion leaves.
-//! - A force limit leaves for its motion, and not after that came to nothing.
-//! - STOP/ACK undoes the motions that were asked for before it and beside it, FAST STOP everything. Behind a FAST STOP no
-//!   motion leaves before an acknowledgement, and that only for an edge of STOP/ACK. What was asked for before the connection
-//!   was lost is void.
+//! - An edge permits one command, with the parameters of its side: the recipe or the image. Earlier requests are
+//!   void: there is one motion at a time.
+//! - A wire takes effect after it has been stable for the debounce time: command and recipe wires together, STOP_ACK
+//!   and FAST_STOP_OK separately, and none before all are stable. However, FAST_STOP_OK takes effect at once when
+//!   low, and after at least 5 ms when high.
+//! - Initial levels of the wires and the first image of a bus raise no edge. Command wires raise none while READY is
+//!   low.
+//! - A bus flag is effective from its edge while it is 1 and the bus is active. A motion or jog raises no edge while
+//!   a command wire is high, or together with STOP/ACK. A rising command wire cancels it.
+//! - Of simultaneous motions, MOVE precedes GRIP, RELEASE and HOMING.
+//! - With a recipe for the bus (BUS_RECIPE), an edge uses that recipe's parameters, RELEASE its release width. The
+//!   image's parameters are ignored.
+//! - While the stored settings are rejected, no motion is sent.
+//! - A force limit is sent for its motion, and not after that is void.
+//! - STOP/ACK cancels earlier and simultaneous motions, FAST STOP all requests. After a FAST STOP no motion precedes
+//!   an acknowledgement, which requires an edge of STOP/ACK. A lost connection voids earlier requests.
 
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{RECIPE_COUNT, RECIPES, Recipe};
@@ -32,7 +32,7 @@ const COMMAND_WIRES: [(Inputs, CommandFlags); 4] = [
     (Inputs::HOME, CommandFlags::HOMING),
 ];
 
-/// The motion flags, the one that counts first before the others, and their commands.
+/// Motion flags in order of precedence, and their commands.
 const MOTIONS: [(CommandFlags, CommandId); 4] = [
     (CommandFlags::MOVE, CommandId::PrePosition),
     (CommandFlags::GRIP, CommandId::GripPart),
@@ -44,13 +44,13 @@ const COMMANDS: CommandFlags =
     CommandFlags::MOVE.union(CommandFlags::GRIP).union(CommandFlags::RELEASE).union(CommandFlags::HOMING);
 const JOG: CommandFlags = CommandFlags::JOG_PLUS.union(CommandFlags::JOG_MINUS);
 
-/// Nothing leaves this long after its edge: in milliseconds.
+/// Latest time of a command after its edge, in milliseconds.
 const LATE_MS: u32 = 1_000;
 
-/// How long FAST_STOP_OK must be high at least before it counts as high.
+/// Minimum time until a high FAST_STOP_OK takes effect, in milliseconds.
 const LEAST_RELEASE_MS: u32 = 5;
 
-/// A command that may leave.
+/// A command that may be sent.
 struct Edge {
     id: CommandId,
     at_ms: u32,
@@ -58,41 +58,41 @@ struct Edge {
     goes_by: [i32; 3],
 }
 
-/// What was asked for, and what has come of it.
+/// Requests and their outcomes so far.
 pub(super) struct Asked {
     now_ms: u32,
     pub(super) debounce_ms: u32,
     pub(super) recipes: [Recipe; RECIPE_COUNT],
-    /// Wires that settle together: the last reading, since when, and whether that is long enough to count.
+    /// Groups of wires that are debounced together.
     groups: [Group; 3],
-    /// The flags of the wires as they count; none before all have settled.
+    /// Effective flags of the wires; `None` before all have settled.
     wires: Option<CommandFlags>,
-    /// What the bus wrote last; none: what it writes next is its first.
+    /// Last image from the bus; `None` before its first.
     image: Option<OutputImage>,
-    /// Its flags that count.
+    /// Effective flags of the bus.
     bus: CommandFlags,
-    /// Both sides' flags, as they stood last; none before the wires have settled.
+    /// Last effective flags of both sides; `None` before the wires have settled.
     flags: Option<CommandFlags>,
     may_leave: Vec<Edge>,
-    /// Force limits that were asked for, in hundredths, when, and whether for a jog.
+    /// Requested force limits in hundredths, with their times and whether for a jog.
     forces: Vec<(i32, u32, bool)>,
-    /// What a jog goes by, and whether a Pre-position may leave for it.
+    /// Parameters of a jog, and whether a Pre-position may be sent for it.
     jog: (Option<(CommandFlags, u16, i16)>, bool),
-    /// The bridge shows READY.
+    /// Whether the bridge shows READY.
     pub(super) is_ready: bool,
-    /// In this turn the edge of a command wire came while it did not.
+    /// Whether a command wire rose in this turn while READY was low.
     pub(super) is_refused: bool,
-    /// In this turn a motion wire rose while it did.
+    /// Whether a motion wire rose in this turn while READY was high.
     pub(super) has_edge: bool,
-    /// In this turn FAST STOP or STOP/ACK was asked for, or what a jog goes by that runs was taken away or changed.
+    /// Whether FAST STOP or STOP/ACK was requested in this turn, or the parameters of a running jog ended or changed.
     pub(super) asks_fast_stop: bool,
     pub(super) asks_stop: bool,
     pub(super) ends_jog: bool,
-    /// A Pre-position left for a jog, and was neither answered nor stopped.
+    /// Whether a Pre-position was sent for a jog and neither answered nor stopped.
     pub(super) jogs: bool,
-    /// Since when a FAST STOP awaits its acknowledgement.
+    /// Time since which a FAST STOP has been unacknowledged.
     pub(super) stopped_ms: Option<u32>,
-    /// The settings that are stored are refused.
+    /// Whether the stored settings are rejected.
     pub(super) refuses: bool,
 }
 
@@ -104,7 +104,7 @@ struct Group {
 }
 
 impl Asked {
-    /// Nothing, by a PLC whose wires are debounced for so long.
+    /// Creates the state without requests, with this debounce time.
     pub(super) fn new(debounce_ms: u32) -> Self {
         let command_group = Inputs::all().difference(Inputs::STOP_ACK | Inputs::FAST_STOP_OK);
         let group = |wires| Group { wires, read: None, counts: None };
@@ -132,24 +132,24 @@ impl Asked {
         }
     }
 
-    /// Whether the wires have settled, and neither side holds STOP/ACK or FAST STOP.
+    /// Returns whether the wires have settled and neither side asserts STOP/ACK or FAST STOP.
     pub(super) fn is_released(&self) -> bool {
         let held = CommandFlags::STOP_ACK | CommandFlags::FASTSTOP;
-        // STOP/ACK of a first image gives no edge, but holds.
+        // STOP/ACK in a first image raises no edge, but holds.
         let stop = self.image.unwrap_or_default().flags & CommandFlags::STOP_ACK;
         self.wires.is_some_and(|wires| !(wires | self.bus | stop).intersects(held))
     }
 
-    /// Whether either side asserts FAST STOP.
+    /// Returns whether either side asserts FAST STOP.
     pub(super) fn holds_fast_stop(&self) -> bool {
         match self.flags {
             Some(flags) => flags.contains(CommandFlags::FASTSTOP),
-            // It does not wait for the other wires.
+            // FAST STOP does not wait for the other wires.
             None => self.groups[2].counts == Some(Inputs::empty()),
         }
     }
 
-    /// The wires are read.
+    /// Processes a reading of the wires.
     pub(super) fn read_wires(&mut self, now_ms: u32, reading: Inputs) {
         self.now_ms = now_ms;
         (self.is_refused, self.asks_fast_stop, self.asks_stop, self.ends_jog) = (false, false, false, false);
@@ -159,7 +159,7 @@ impl Asked {
         }
         if self.groups[2].counts == Some(Inputs::empty()) && self.wires.is_none() && self.stopped_ms.is_none()
         {
-            // It does not wait for the others.
+            // FAST STOP does not wait for the other wires.
             self.fast_stop();
         }
         let [Some(commands), Some(stop), Some(fast_stop)] = self.groups.map(|group| group.counts) else {
@@ -179,12 +179,12 @@ impl Asked {
         self.take(self.wires, true);
     }
 
-    /// The bus has written an image, and its commands take this recipe's values.
+    /// Processes an image from the bus; its commands use the values of `recipe`, if any.
     pub(super) fn take_image(&mut self, mut image: OutputImage, recipe: Option<Recipe>) {
         if let Some(recipe) = recipe {
             let OutputImage { flags, width, speed, force_limit, .. } = self.image.unwrap_or_default();
             (image.width, image.speed, image.force_limit) = (width, speed, force_limit);
-            // The lowest bit counts of several; a jog goes by the recipe that counted when its flag rose.
+            // The lowest flag takes precedence. A jog uses the recipe that was selected at its edge.
             if let Some(command) = (image.flags - flags).intersection(COMMANDS | JOG).lowest() {
                 let releases = command == CommandFlags::RELEASE;
                 image.width = if releases { recipe.release_width } else { recipe.width };
@@ -204,21 +204,21 @@ impl Asked {
         self.take(self.wires, false);
     }
 
-    /// Nobody commands over the bus any more.
+    /// Processes the loss of the bus.
     pub(super) fn lose_bus(&mut self) {
-        // What it began may be stopped, which says more than that.
+        // Stopping the bus's motion takes precedence in the display.
         self.is_refused = false;
         self.image = None;
         self.bus &= CommandFlags::FASTSTOP;
         self.take(self.wires, false);
     }
 
-    /// A command leaves the bridge; none where it only begins to, so that no more than the id is known. The force limit of
-    /// the gripper in hundredths, if that is known.
+    /// Checks a command that is sent. `command` is `None` while only its id is known; `force_limit` is the gripper's,
+    /// in hundredths, if known.
     pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, force_limit: Option<i32>) {
         match id.kind() {
             Kind::Motion => {
-                assert!(self.stopped_ms.is_none(), "{id} behind a FAST STOP that is not acknowledged");
+                assert!(self.stopped_ms.is_none(), "{id} after an unacknowledged FAST STOP");
                 assert!(!self.refuses, "{id} while the stored settings are refused");
                 let is_limited_to = |force| force_limit.is_none_or(|limit| limit == force);
                 let has_edge = self.may_leave.iter().any(|edge| {
@@ -248,18 +248,18 @@ impl Asked {
             }
             Kind::Query => {}
             kind => {
-                assert_eq!(id, CommandId::SetForceLimit, "{id} is no command of a PLC, but {kind:?}");
+                assert_eq!(id, CommandId::SetForceLimit, "{id} ({kind:?}) is not a PLC command");
                 if let Some(Command::SetForceLimit { force }) = command {
                     let is_recent = |(asked, at_ms, _): &(i32, u32, bool)| {
                         *asked == hundredths(*force) && self.now_ms - at_ms < LATE_MS
                     };
-                    assert!(self.forces.iter().any(is_recent), "{force} N, which nobody asked for");
+                    assert!(self.forces.iter().any(is_recent), "{force} N without a request");
                 }
             }
         }
     }
 
-    /// The connection to the gripper is lost, or there is none.
+    /// Processes a missing or lost connection to the gripper.
     pub(super) fn lose_gripper(&mut self) {
         self.undo();
         self.jogs = false;
@@ -289,7 +289,7 @@ impl Asked {
         *how == PrePositionFlags::STOP_ON_BLOCK && *width == end && hundredths(*goes) == asked
     }
 
-    /// What an edge of this command goes by: of a wire, or else of the bus.
+    /// Returns the parameters for an edge of this command from a wire or from the bus.
     fn parameters(&self, id: CommandId, of_wire: bool) -> [i32; 3] {
         if !of_wire {
             let image = self.image.unwrap_or_default();
@@ -302,7 +302,7 @@ impl Asked {
         [width.into(), recipe.speed.into(), recipe.force.into()]
     }
 
-    /// Takes both sides' flags as they stand now, behind a change of the wires, or else of the bus.
+    /// Updates the flags of both sides after a change of the wires or of the bus.
     fn take(&mut self, wires: Option<CommandFlags>, of_wire: bool) {
         let Some(flags) = wires.map(|wires| wires | self.bus) else { return };
         let before = self.flags.replace(flags);
@@ -335,7 +335,7 @@ impl Asked {
         self.follow_jog(flags & (self.bus | !JOG), before.is_none());
     }
 
-    /// A jog goes by its flags, SPEED and FORCELIMIT, and what changes of them asks for another command.
+    /// A jog depends on its flags, SPEED and FORCELIMIT; a change requests another command.
     fn follow_jog(&mut self, flags: CommandFlags, is_first: bool) {
         let stops = flags.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP);
         let image = self.image.filter(|_| flags.intersects(JOG) && !stops);
@@ -354,7 +354,7 @@ impl Asked {
         self.stopped_ms = self.stopped_ms.or(Some(self.now_ms));
     }
 
-    /// What was asked for comes to nothing.
+    /// Cancels all requests.
     fn undo(&mut self) {
         self.may_leave.clear();
         self.forces.clear();

@@ -1,18 +1,20 @@
-//! The whole bridge between wires, a Modbus bus, the service port and the gripper's line: any bytes on all lines, any wires.
+//! The whole bridge between wires, a Modbus bus, the service port and the gripper's line, with arbitrary bytes and
+//! wires.
 //!
-//! What must hold, whatever comes:
-//! - the [`Oracle`](super::oracle::Oracle)'s rules: a command leaves only for an edge of a wire, or of an image that an intact request wrote while the
-//!   bus commanded; a FAST STOP leaves at once, or behind the frame that is being sent; the outputs are true;
-//! - the watchdog may be fed;
-//! - no frame with a wrong checksum leaves, on any line;
-//! - each answer on the bus and the service port has its request, intact and for the bridge's unit ([`Overheard`]); what is
-//!   damaged, or for another, does nothing;
-//! - the service port commands nothing, and settings count the same whichever of the two wrote them: they read as they were
-//!   written, recipes are what commands go by, and what was saved is what the next start finds;
-//! - while stored settings are refused, nothing moves before others are stored.
+//! Properties:
+//! - the [`Oracle`](super::oracle::Oracle)'s rules: commands follow only edges of wires, or of images that an intact
+//!   request wrote while the bus had control; FAST STOP is sent at once or after the frame in progress; the outputs
+//!   are true
+//! - the watchdog may be fed
+//! - every frame sent on any line has a correct checksum
+//! - each answer on the bus and the service port belongs to an intact request for the bridge's unit ([`Overheard`]);
+//!   damaged requests and those for others have no effect
+//! - the service port commands nothing. Settings from either port are equivalent: they read back as written, recipes
+//!   apply to commands, and saved settings are loaded at the next start
+//! - while stored settings are rejected, nothing moves until others are stored
 //!
-//! A case ends where that cannot be followed from outside: behind Force Listen Only Mode, a broadcast to the settings, and
-//! when broadcasts count on a line that is not strict.
+//! A case ends when the effects are invisible from outside: after Force Listen Only Mode, after a broadcast to the
+//! settings, and with broadcasts enabled on a line that is not strict.
 
 use bus_modbus::rtu::{Character, Timing};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
@@ -31,7 +33,7 @@ use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
 
-/// Recipes: width, speed, force and release width. One of them the gripper does not take.
+/// Recipes: width, speed, force and release width. The gripper rejects the last one.
 const RECIPES: [[u16; 4]; 4] = [
     [12_00, 40_00, 30_00, 60_00],
     [33_00, 77_00, 55_00, 90_00],
@@ -39,7 +41,7 @@ const RECIPES: [[u16; 4]; 4] = [
     [20_00, 1, 40_00, 40_00],
 ];
 
-/// Silences before a character: none, and around the two that matter.
+/// Silences before a character: none, and around the two limits.
 fn silences(port: Port) -> [u32; 6] {
     let Timing { t1_5_us, t3_5_us } = port.timing();
     [0, t1_5_us, t1_5_us + 1, t3_5_us - 1, t3_5_us, 60_000]
@@ -52,15 +54,14 @@ struct Model {
     bus: RtuDouble,
     service: RtuDouble,
     overheard: Overheard,
-    /// When the PLC on the bus was heard last; none when it was not, or fell silent.
+    /// Time of the PLC's last activity on the bus; `None` while it is inactive.
     heard_ms: Option<u32>,
     ends: Ends,
 }
 
-/// The first byte also says whether the bus is strict and has broadcasts (bit 1), whether the gripper's line takes no more than
-/// it would at 115 200 bit/s (bit 2), and whether the stored settings are damaged (bit 3). Then each op is a byte that says what,
-/// and bytes that say how: wires, time, bytes on any line, how the gripper answers, a PLC that writes. With bit 7 requests come
-/// over the service port.
+/// The first byte also selects a strict bus with broadcasts (bit 1), a gripper line limited to 115 200 bit/s (bit 2),
+/// and damaged stored settings (bit 3). Each further op is a byte with parameter bytes: wires, time, bytes on any
+/// line, gripper replies, PLC writes. Bit 7 selects the service port.
 pub fn bridge(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
@@ -69,7 +70,7 @@ pub fn bridge(data: &[u8]) {
     model.check_saved();
 }
 
-/// A request about settings: one of them, a recipe or BUS_RECIPE is written, or a command; they are read.
+/// Returns a request that writes a setting, a recipe, BUS_RECIPE or a command, or reads settings.
 fn settings_pdu(how: u8, input: &mut Input<'_>) -> Vec<u8> {
     let byte = input.byte();
     match how {
@@ -100,7 +101,7 @@ impl Model {
         }
         let delivered = config.record();
         let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
-        let config = station.load(&delivered, &flash).expect("they go together");
+        let config = station.load(&delivered, &flash).expect("the default settings are valid");
         station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
         let mut ends = Ends::new(&config, slow.then_some(BYTES_PER_MS));
         ends.oracle.asked.refuses = is_damaged;
@@ -116,7 +117,7 @@ impl Model {
         }
     }
 
-    /// A write of registers 0 to 3.
+    /// Returns a write of registers 0 to 3.
     fn image_frame(&self, port: Port, flags: CommandFlags, parameters: [u16; 3]) -> Vec<u8> {
         let head = [self.overheard.unit(port), 16, 0, 0, 0, 4, 8, flags.bits(), 0];
         sealed(&[&head[..], &parameters.map(u16::to_be_bytes).concat()].concat())
@@ -129,7 +130,7 @@ impl Model {
         }
     }
 
-    /// Puts a frame on a line, now and then with a wrong bit, a damaged character or a pause in it.
+    /// Puts a frame on a line, sometimes with a wrong bit, a damaged character or a pause.
     fn send(&mut self, port: Port, frame: &[u8], input: &mut Input<'_>) {
         let mut frame = frame.to_vec();
         let trouble = input.byte();
@@ -142,7 +143,7 @@ impl Model {
         let pause = (trouble % 16 == 2).then(|| (at, input.pick(&silences(port))));
         self.put(port, &frame, (trouble % 16 == 3).then_some(at), pause);
         if trouble & 0x80 == 0 {
-            // The silence that ends it; else the next frame does.
+            // Adds the silence that ends the frame; otherwise the next frame does.
             self.pass(3);
         }
     }
@@ -160,12 +161,12 @@ impl Model {
         }
     }
 
-    /// What the service port did comes behind all else in a turn, and counts from the next on.
+    /// Processes the service port, which runs last in a turn and takes effect from the next turn on.
     fn serve(&mut self) {
         for event in self.service.take_events() {
             match self.overheard.take(Port::Service, &event) {
                 None | Some(Done::Heard) => {}
-                Some(Done::Image(..)) => unreachable!("it does not command"),
+                Some(Done::Image(..)) => unreachable!("the service port does not command"),
                 Some(Done::Unknown) => self.ends.is_over = true,
             }
         }
@@ -177,7 +178,7 @@ impl Model {
         oracle.asked.refuses &= overheard.saved().is_none();
     }
 
-    /// What was saved is what the next start finds.
+    /// Checks that the next start loads the saved settings.
     fn check_saved(&mut self) {
         if self.ends.is_over || self.overheard.saved().is_none() {
             return;
@@ -189,10 +190,10 @@ impl Model {
     }
 }
 
-/// How long a save takes at the most, in turns: an erase and a double word for four settings, the same again in the other page.
+/// Maximum duration of a save in turns: an erase and a double word per four settings, in both pages.
 const SAVE_MS: u32 = 70;
 
-/// How long a FAST STOP may wait there for the frame before it, in milliseconds.
+/// Maximum wait of a FAST STOP for the previous frame on a slow line, in milliseconds.
 const SLOW_PATIENCE_MS: u32 = 2;
 
 impl WholeBridge for Model {
@@ -300,7 +301,7 @@ impl WholeBridge for Model {
                 self.send(port, &sealed(&frame), input);
             }
             _ => {
-                // An edge as a PLC gives it.
+                // An edge as a PLC writes it.
                 let parameters = input.pick(&PARAMETERS);
                 for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
                     let frame = self.image_frame(Port::Bus, flags, parameters);

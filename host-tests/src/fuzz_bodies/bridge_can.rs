@@ -1,16 +1,17 @@
-//! The whole bridge on a CAN bus with a PLC on it, beside wires, the gripper on the bus as well or on RS-232: any frames, any
-//! trouble of the bus.
+//! The whole bridge with a PLC on a CAN bus and on wires, and a gripper on the bus or on RS-232, with arbitrary
+//! frames and bus faults.
 //!
-//! What must hold, whatever comes:
-//! - the [`Oracle`]'s rules: a command is said to the gripper only for an edge of a wire, or of an RPDO of eight bytes to an
-//!   operational device; a FAST STOP as soon as the message before it is with the bus, on RS-232 at once; the outputs are true;
-//! - the watchdog may be fed;
-//! - the device is in the state that CANopen's NMT and the silence of the master make of it, and nobody commands when it is
-//!   not operational or the RPDO is disabled ([`Device`]); one that waits for a SYNC counts with it; remote frames, 29-bit identifiers and other lengths do nothing;
-//! - of the messages to a gripper on the bus each is sent once at most, whole and in order; none from before the bus or the connection was
-//!   lost, and no motion or acknowledgement from before a stop, of which a spoilt rest may be sent.
+//! Properties:
+//! - the [`Oracle`]'s rules: commands follow only edges of wires, or of 8-byte RPDOs to an operational device. FAST
+//!   STOP is sent as soon as the previous message is complete on the bus, or at once on RS-232. The outputs are true
+//! - the watchdog may be fed
+//! - the device state follows CANopen's NMT and the master's silence. Without operation or with a disabled RPDO the
+//!   bus has no control ([`Device`]). A synchronous RPDO takes effect at SYNC. Remote frames, 29-bit identifiers and
+//!   other lengths have no effect
+//! - each message to a gripper on the bus is sent at most once, complete and in order. None predates the loss of the
+//!   bus or the connection. No motion or acknowledgement predates a stop, except for the spoilt rest of one
 //!
-//! A case ends where it shows in no answer whether a setting was taken by SDO.
+//! A case ends when no answer shows whether an SDO changed a setting.
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame as _, Id, StandardId};
@@ -58,7 +59,7 @@ const IDS: [u16; 10] = [
 
 const NMT_COMMANDS: [u8; 6] = [0x01, 0x02, 0x80, 0x81, 0x82, 0x00];
 
-/// Objects that a master writes: settings, the time of its heartbeat, and some that change nothing of what is followed.
+/// Objects written by a master: settings, its heartbeat time, and some that are not tracked.
 const OBJECTS: [(u16, u8); 12] = [
     (SETTINGS_INDEX, TIMEOUT_SUB),
     (SETTINGS_INDEX, TIMEOUT_SUB + 1),
@@ -73,7 +74,7 @@ const OBJECTS: [(u16, u8); 12] = [
     (0x2000, 1),
     (0x2101, 1),
 ];
-/// BUS_TIMEOUT and DEBOUNCE among the settings.
+/// Subindices of BUS_TIMEOUT and DEBOUNCE.
 const TIMEOUT_SUB: u8 = 2;
 const DEBOUNCE_SUB: u8 = 7;
 const MASTER: (u16, u8) = (0x1016, 1);
@@ -81,28 +82,28 @@ const COB_ID: (u16, u8) = (0x1400, 1);
 const TRANSMISSION: (u16, u8) = (0x1400, 2);
 const ERROR_BEHAVIOUR: (u16, u8) = (0x1029, 1);
 
-/// Frames that are brought without a turn in between, at the most: fewer than are taken in one.
+/// Maximum number of frames per turn; a turn processes more.
 const BURST: usize = 8;
 
-/// The device as CANopen has it.
+/// Reference model of the CANopen device.
 struct Device {
     state: NmtState,
     master: u16,
     heard_ms: Option<u32>,
     has_heartbeat: bool,
-    /// The master's heartbeat is watched at all.
+    /// Whether the master's heartbeat is monitored.
     watches: bool,
-    /// The RPDO is enabled, its transmission type, and what waits for a SYNC.
+    /// Whether the RPDO is enabled, its transmission type, and the image that waits for SYNC.
     is_enabled: bool,
     transmission: u8,
     waiting: Option<OutputImage>,
-    /// What becomes of operation when the bus or the master is lost.
+    /// State entered when the bus or the master is lost during operation.
     behaviour: NmtState,
     timeout_ms: u32,
     debounce_ms: u32,
-    /// What it heard in this turn: images, that nobody commands any more, a reset.
+    /// Events in this turn: images, loss of control, a reset.
     heard: Vec<Heard>,
-    /// The SDO request that it answers.
+    /// The pending SDO request.
     request: Option<[u8; 8]>,
 }
 
@@ -116,38 +117,38 @@ struct Model {
     bridge: Bridge,
     bus: CanBus<Double>,
     double: Double,
-    /// The gripper's, where it is on the bus.
+    /// The gripper's link, when it is on the bus.
     link: Tap<GripperLink>,
     is_on_rs_232: bool,
     node: Node,
-    /// The messages that have not left, with the moment that they were said.
+    /// Messages that have not been sent, with the times of their queueing.
     said: Vec<(Message, u32)>,
-    /// Finds messages in what leaves.
+    /// Reassembles sent messages.
     left: Reassembler<8>,
-    /// The controller was told to forget frames, or refused some.
+    /// Whether the controller was asked to discard frames, or rejected some.
     is_troubled: bool,
-    /// A message was withdrawn, of which the rest may be sent spoilt.
+    /// Whether a message was withdrawn, so that its rest may be sent spoilt.
     is_spoilt: bool,
-    /// What was withdrawn in the turn before.
+    /// The message withdrawn in the previous turn.
     withdrawn: Option<CommandId>,
-    /// The link takes back whatever it was given.
+    /// Whether the link withdraws all of its messages.
     takes_all_back: bool,
     was_connected: bool,
-    /// Nobody acknowledges.
+    /// Whether frames remain unacknowledged.
     is_unheard: bool,
-    /// The controller refuses frames.
+    /// Whether the controller rejects frames.
     refuses: bool,
-    /// Of the frames brought since the last turn: the first is lost.
+    /// Whether the first frame since the last turn is lost.
     overrun: bool,
     brought: Vec<ClassicFrame>,
-    /// The bus was lost in the turn before.
+    /// Whether the bus was lost in the previous turn.
     was_lost: bool,
     device: Device,
     ends: Ends,
 }
 
-/// The first byte also says whether the gripper is on RS-232 (bit 1). Then each op is a byte that says what, and bytes that say how:
-/// wires, time, frames, how the gripper answers, a PLC that commands, trouble. Without bit 7 a millisecond passes behind it.
+/// The first byte also puts the gripper on RS-232 (bit 1). Each further op is a byte with parameter bytes: wires,
+/// time, frames, gripper replies, PLC commands, faults. Without bit 7 a millisecond passes after it.
 pub fn bridge_can(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
@@ -158,7 +159,7 @@ fn standard(id: u16) -> StandardId {
     StandardId::new(id % 0x800).unwrap_or(StandardId::ZERO)
 }
 
-/// The identifier with 29 bits that wins and loses like that with 11, or that has the same number.
+/// Returns the 29-bit identifier with the same arbitration as the 11-bit one, or with the same number.
 fn extended(id: u16) -> ExtendedId {
     let raw = if id & 0x800 == 0 { u32::from(id) } else { u32::from(id & 0x7FF) << 18 };
     ExtendedId::new(raw).unwrap_or(ExtendedId::ZERO)
@@ -214,7 +215,7 @@ impl Device {
                 self.request = data.try_into().ok().or(self.request);
             }
             (id, _) if id == HEARTBEAT | self.master && !self.watches => {}
-            // It has restarted, which counts when it was heard before.
+            // A boot-up message counts as a restart if the master was heard before.
             (id, &[0]) if id == HEARTBEAT | self.master && self.heard_ms.is_some() => self.fall_back(),
             (id, &[0]) if id == HEARTBEAT | self.master => {}
             (id, &[_]) if id == HEARTBEAT | self.master => {
@@ -249,7 +250,7 @@ impl Device {
         self.state = state;
     }
 
-    /// Nobody commands any more, be the device in operation or not.
+    /// Ends control from the bus, whether or not the device is operational.
     fn fall_back(&mut self) {
         if self.state == NmtState::Operational {
             self.heard.push(Heard::Left);
@@ -263,13 +264,13 @@ impl Device {
         self.waiting = None;
     }
 
-    /// The bus is gone, and with it who commands.
+    /// Processes the loss of the bus, which ends its control.
     fn lose_bus(&mut self) {
         self.fall_back();
         self.request = None;
     }
 
-    /// As at power-up, but for the state and the settings.
+    /// Resets everything except state and settings.
     fn reset(&mut self) {
         let new = Self::new();
         (self.master, self.watches, self.request) = (new.master, new.watches, None);
@@ -282,7 +283,7 @@ impl Device {
         (self.heard_ms, self.has_heartbeat) = (None, false);
     }
 
-    /// What comes of an SDO request, by what the device said; whether that can be told.
+    /// Applies an SDO request according to the device's answer. Returns whether its effect is known.
     fn configure(&mut self, now_ms: u32, said: &[ClassicFrame]) -> bool {
         let Some([specifier, low, high, sub, a, b, c, d]) = self.request.take() else { return true };
         let object = (u16::from_le_bytes([low, high]), sub);
@@ -291,7 +292,7 @@ impl Device {
             MASTER | COB_ID | TRANSMISSION | ERROR_BEHAVIOUR | (SETTINGS_INDEX, TIMEOUT_SUB | DEBOUNCE_SUB)
         );
         if specifier >> 5 != 1 || !is_followed {
-            // Of the other settings, those of the wires are not followed.
+            // Other settings are not tracked, although some affect the wires.
             return specifier >> 5 != 1 || object.0 != SETTINGS_INDEX;
         }
         let answer = said.iter().rev().find(|frame| frame.id() == Id::Standard(standard(SDO_ANSWER)));
@@ -334,7 +335,7 @@ impl Device {
 }
 
 impl Device {
-    /// Nobody commands by an RPDO that is disabled.
+    /// Enables or disables the RPDO; a disabled one has no control.
     fn enable(&mut self, is_enabled: bool) {
         if self.is_enabled && !is_enabled && self.state == NmtState::Operational {
             self.heard.push(Heard::Left);
@@ -393,7 +394,7 @@ impl Model {
         self.put_data(RPDO, &[&[flags.bits(), 0], &parameters[..]].concat());
     }
 
-    /// A message of the gripper; of what becomes of its frames, or of its bytes, this.
+    /// Delivers a message from the gripper; `what` selects a fault of its frames or bytes.
     fn deliver(&mut self, message: &[u8], what: Option<u8>) {
         if self.is_on_rs_232 {
             let mut bytes = message.to_vec();
@@ -454,7 +455,7 @@ impl Model {
         }
     }
 
-    /// The bridge's turn: what it shows, and the messages that it says to a gripper on the bus.
+    /// Runs the bridge's turn. Returns its outputs and the messages to a gripper on the bus.
     fn turn_bridge(&mut self, now: Instant) -> (Outputs, Vec<Message>) {
         let aborts = self.double.aborts();
         let Self { bus, link: Tap { link, .. }, bridge, node, is_on_rs_232, .. } = self;
@@ -500,7 +501,7 @@ impl Model {
         self.forget_if(aborts);
         if let Some(id) = self.withdrawn {
             let of_it = self.said.iter().rposition(|(message, _)| message.id == id);
-            self.said.remove(of_it.expect("what was not said is not withdrawn"));
+            self.said.remove(of_it.expect("only queued messages are withdrawn"));
             self.is_spoilt = true;
         }
         if self.takes_all_back && has_them_back {
@@ -510,7 +511,7 @@ impl Model {
         (outputs, messages)
     }
 
-    /// What the device makes of what it heard, and of the time.
+    /// Applies received frames and time to the reference model.
     fn follow(&mut self, said: &[ClassicFrame]) {
         let Ends { now_ms, wires, line, oracle, is_over, .. } = &mut self.ends;
         let heard = if self.is_on_rs_232 { line.take_heard() } else { self.link.take_heard() };
@@ -550,7 +551,7 @@ impl Model {
             }
         }
         if device.state == NmtState::Initialising && self.node.state() == NmtState::PreOperational {
-            // It has announced itself.
+            // The device has sent its boot-up message.
             device.state = NmtState::PreOperational;
         }
         if !*is_over {
@@ -559,7 +560,7 @@ impl Model {
         asked.debounce_ms = device.debounce_ms;
     }
 
-    /// The controller has been told to forget what it had to send.
+    /// Discards the queue if the controller was asked to abort.
     fn forget_if(&mut self, aborts_before: u32) {
         if self.double.aborts() != aborts_before {
             self.forget();
@@ -573,7 +574,7 @@ impl Model {
         self.takes_all_back = false;
     }
 
-    /// What the bus takes in a millisecond; the gripper answers.
+    /// Sends one millisecond's frames; the gripper receives complete messages.
     fn leave(&mut self) {
         let mut left = vec![];
         for _ in 0..FRAMES_PER_MS {
@@ -583,20 +584,20 @@ impl Model {
                 Event::Frame(message) => left.push(Message::from(message)),
                 broken => {
                     let is_spoilt = std::mem::take(is_spoilt);
-                    assert!(is_troubled || is_spoilt, "a broken message leaves: {broken:?}");
+                    assert!(is_troubled || is_spoilt, "a broken message was sent: {broken:?}");
                 }
             });
         }
         for message in left {
             let place = self.said.iter().position(|(said, _)| *said == message);
-            let place = place.expect("a message leaves once, and not when what was said is void");
-            assert!(place == 0 || self.is_troubled, "messages leave in order");
+            let place = place.expect("a message is sent once and only while valid");
+            assert!(place == 0 || self.is_troubled, "messages are sent in order");
             let is_stopped = self.said.iter().skip(place + 1).any(|(later, _)| later.id.kind() == Kind::Stop);
             let is_overtaken = is_stopped && matches!(message.id.kind(), Kind::Motion | Kind::Acknowledge);
-            assert!(!is_overtaken, "{} is sent although a stop was said after it", message.id);
+            assert!(!is_overtaken, "{} was sent after a later stop was queued", message.id);
             let (_, said_ms) = self.said.drain(..=place).next_back().unwrap_or((message.clone(), 0));
             let late = message.id.kind() == Kind::Motion && self.ends.now_ms - said_ms > LATE_MS;
-            assert!(!late, "{} leaves {} ms after it was said", message.id, self.ends.now_ms - said_ms);
+            assert!(!late, "{} was sent {} ms after it was queued", message.id, self.ends.now_ms - said_ms);
             self.ends.gripper.hear(self.ends.now_ms, &message);
         }
     }
@@ -623,7 +624,7 @@ impl WholeBridge for Model {
         self.deliver(bytes, None);
     }
 
-    /// What leaves in it goes behind it.
+    /// Frames transmitted in this turn are processed after it.
     fn turn(&mut self) {
         self.ends.now_ms += 1;
         let now_ms = self.ends.now_ms;
@@ -639,7 +640,7 @@ impl WholeBridge for Model {
         }
         if self.is_on_rs_232 {
             self.ends.end_turn(outputs, 1);
-            // What the device says leaves as well.
+            // The device's frames are transmitted as well.
             return self.leave();
         }
         let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
@@ -677,7 +678,7 @@ impl WholeBridge for Model {
             }
             4 => self.put_rpdo(input.pick(&FLAGS), input.pick(&PARAMETERS)),
             5 => {
-                // An edge as a PLC gives it.
+                // An edge as a PLC writes it.
                 let parameters = input.pick(&PARAMETERS);
                 self.put_rpdo(CommandFlags::empty(), parameters);
                 self.put_rpdo(input.pick(&FLAGS), parameters);
@@ -725,16 +726,16 @@ fn takes_back(link: &GripperLink) -> bool {
     CanNode::<ClassicFrame>::takes_back(link).is_some()
 }
 
-/// Frames that the bus takes in a millisecond.
+/// Frames per millisecond on the bus.
 const FRAMES_PER_MS: usize = 4;
 
-/// How long a FAST STOP may wait for the message before it, in milliseconds.
+/// Maximum wait of a FAST STOP for the previous message, in milliseconds.
 const FAST_STOP_MS: u32 = 5;
 
-/// How long a message may wait for the bus, in milliseconds.
+/// Maximum wait of a message for the bus, in milliseconds.
 const LATE_MS: u32 = 1_000;
 
-/// The device, and what it says.
+/// Records the frames of the device.
 struct Ear<'a> {
     node: &'a mut Node,
     said: &'a mut Vec<ClassicFrame>,

@@ -1,16 +1,16 @@
-//! The whole bridge on PROFIBUS, beside wires, the gripper on RS-232: any characters and silences on the bus, any telegrams of two
-//! masters, any wires, a gripper that does what it likes.
+//! The whole bridge on PROFIBUS and wires, with the gripper on RS-232: arbitrary characters and silences, telegrams
+//! from two masters, wires and gripper behaviour.
 //!
-//! What must hold, whatever comes:
-//! - the [`Oracle`](super::oracle::Oracle)'s rules: a command leaves only for an edge of a wire, or of outputs of the master that the slave belongs to,
-//!   in data exchange; a FAST STOP at once; the outputs are true;
-//! - the watchdog may be fed;
-//! - the main loop hears of the master what the slave says that it did, in order, each thing once: outputs that differ, that it
-//!   left, that it is back; and that it has been silent for BUS_TIMEOUT;
-//! - the line hears the slave's answers byte by byte, not before their time, and nothing else; none into what another says.
+//! Properties:
+//! - the [`Oracle`](super::oracle::Oracle)'s rules: commands follow only edges of wires, or of outputs from the
+//!   controlling master in data exchange; FAST STOP is sent at once; the outputs are true
+//! - the watchdog may be fed
+//! - the main loop receives the slave's events once and in order: changed outputs, end and return of control, and
+//!   silence for BUS_TIMEOUT
+//! - the line carries only the slave's answers, byte by byte and not early, and never during another transmission
 //!
-//! The slave is [`bus_profibus`]'s, a second one beside that of the bridge, which gets the same characters with the silences as
-//! they are and not as a clock of microseconds measures them. That it is right the body `profibus` says.
+//! The reference slave is a second instance of [`bus_profibus`]'s. It receives the same characters with exact
+//! silences, not measured by a microsecond clock. The body `profibus` checks its correctness.
 
 use std::ops::RangeInclusive;
 
@@ -32,35 +32,35 @@ const STATION: u8 = 7;
 const BROADCAST: u8 = 127;
 const MASTERS: [u8; 4] = [2, 2, 2, 3];
 
-/// Microseconds of a bit, and of a character, at 500 kbit/s.
+/// Duration of a bit and of a character at 500 kbit/s, in microseconds.
 const BIT_US: u32 = 2;
 const CHARACTER_US: u32 = 11 * BIT_US;
 
-/// A character counts as received in the middle of its stop bit.
+/// Bits from the end of reception, in the middle of the stop bit, to the end of the character.
 const STOP_BITS: u32 = 1;
 
-/// Silences before a telegram, in bit times: enough, and not.
+/// Silences before a telegram in bit times, sufficient and insufficient.
 const SILENCES: [u32; 5] = [40, 40, 40, 200, 10];
 
-/// What is near 33 bits a clock of microseconds does not tell apart.
+/// Silences near 33 bits that a microsecond clock cannot distinguish.
 const UNCLEAR_US: RangeInclusive<u32> = 32 * BIT_US..=35 * BIT_US;
 
 thread_local! {
-    /// What handler and main loop share: one for all cases of a thread, for it is never given back.
+    /// Buffers shared by handler and main loop. They are leaked once per thread.
     static BUFFERS: &'static DpBuffers = Box::leak(Box::default());
 }
 
-/// What the master did, as the main loop is to hear of it.
+/// An action of the master as the main loop must receive it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Done {
     Wrote(OutputImage),
     Left { silent: bool },
 }
 
-/// The answer that is due, or is being sent.
+/// An answer that is pending or in transmission.
 struct Answer {
     bytes: Vec<u8>,
-    /// Not before this, in microseconds.
+    /// Earliest time of transmission, in microseconds.
     from_us: u32,
     sent: usize,
 }
@@ -71,40 +71,40 @@ struct Model {
     handler: DpResponder,
     slave: Slave,
     now_us: u32,
-    /// When the timer runs the handler, and when the transmitter has sent a byte.
+    /// Time of the next timer event and of the end of the byte in transmission.
     timer_us: Option<u32>,
     sent_us: Option<u32>,
-    /// When the last character on the line ended.
+    /// End of the last character on the line.
     heard_us: u32,
-    /// The transceiver echoes.
+    /// Whether the transceiver echoes.
     echoes: bool,
     answer: Option<Answer>,
-    /// Inputs that the handler has not taken, and the flags of those that it took last.
+    /// Inputs not yet processed by the handler, and the flags of those last processed.
     inputs: Option<InputImage>,
     flags: SystemFlags,
-    /// The master commands; the outputs of it that the main loop knows, or will.
+    /// Whether the master has control, and its last outputs passed to the main loop.
     commands: bool,
     told: Option<[u8; OutputImage::LEN]>,
-    /// What the main loop does not know yet, and whether the master has written since it looked.
+    /// Events pending for the main loop, and whether the master has written since its last turn.
     done: Vec<Done>,
     exchanged: bool,
-    /// What the main loop knows: the outputs, and when it heard of the master last; none: it fell silent.
+    /// Outputs known to the main loop, and the time of the master's last activity; `None` after silence.
     written: Option<OutputImage>,
     heard_ms: Option<u32>,
-    /// The frame count bit of the masters, and the last telegram.
+    /// The masters' frame count bit and the last telegram.
     fcb: bool,
     last: Vec<u8>,
     ends: Ends,
 }
 
-/// The first byte also says whether the transceiver echoes (bit 1). Then each op is a byte that says what, and bytes that say how:
-/// wires, time, the gripper, telegrams of masters. Without bit 7 a millisecond passes behind it.
+/// The first byte also enables the transceiver's echo (bit 1). Each further op is a byte with parameter bytes: wires,
+/// time, gripper, telegrams. Without bit 7 a millisecond passes after it.
 pub fn bridge_profibus(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
     let mut model = Model::new(choice & 2 != 0);
     model.play(choice, &mut input);
-    // The next case finds the buffers empty.
+    // Empties the buffers for the next case.
     while !model.done.is_empty() || model.answer.is_some() || model.inputs.is_some() {
         model.pass(1);
     }
@@ -155,7 +155,7 @@ impl Model {
         self.now_us / 1_000
     }
 
-    /// Parameters with a watchdog of so many times 10 ms, 0 without one, and the configuration.
+    /// Sends configuration and parameters. `watchdog` is in units of 10 ms; 0 disables it.
     fn start(&mut self, master: u8, watchdog: u8, min_tsdr: u8) {
         let status = if watchdog == 0 { 0x80 } else { 0x88 };
         let prm = [status, 1, watchdog, min_tsdr, 0x55, 0x55, 0x01];
@@ -163,18 +163,18 @@ impl Model {
             let code = self.next();
             let telegram = sd2(&[&[STATION | 0x80, master | 0x80, code, point, 62], data].concat());
             self.put(&telegram);
-            // Its answer, for which a master waits.
+            // Waits for the answer as a master does.
             self.pass_us(255 * BIT_US + 2 * CHARACTER_US);
         }
     }
 
-    /// The function code of the next request.
+    /// Returns the function code of the next request.
     fn next(&mut self) -> u8 {
         self.fcb = !self.fcb;
         if self.fcb { 0x7D } else { 0x5D }
     }
 
-    /// Data_Exchange with these outputs.
+    /// Returns a Data_Exchange request with these outputs.
     fn exchange(&mut self, master: u8, outputs: &[u8]) -> Vec<u8> {
         let body = [&[STATION, master, self.next()], outputs].concat();
         match outputs.len() {
@@ -184,7 +184,7 @@ impl Model {
         }
     }
 
-    /// A service of a master.
+    /// Returns a service request from a master.
     fn service(&mut self, input: &mut Input<'_>) -> Vec<u8> {
         let (point, data) = match input.byte() % 8 {
             0 => {
@@ -201,7 +201,7 @@ impl Model {
         sd2(&[&head[..], &data].concat())
     }
 
-    /// Puts a telegram on the line behind a silence, now and then with a wrong bit, a damaged character or a pause in it.
+    /// Sends a telegram after a silence, sometimes with a wrong bit, a damaged character or a pause.
     fn send(&mut self, telegram: &[u8], input: &mut Input<'_>) {
         self.last = telegram.to_vec();
         let mut telegram = telegram.to_vec();
@@ -221,7 +221,7 @@ impl Model {
         }
     }
 
-    /// The same without any trouble.
+    /// Sends a telegram without faults.
     fn put(&mut self, telegram: &[u8]) {
         self.last = telegram.to_vec();
         for (place, byte) in telegram.iter().enumerate() {
@@ -229,7 +229,7 @@ impl Model {
         }
     }
 
-    /// A character behind so much silence, or more. While the slave sends, a master does not; it waits for the end.
+    /// Receives a character after at least this silence. A master waits while the slave transmits.
     fn hear(&mut self, character: Character, silence_bits: u32) {
         self.pass_us(silence_bits * BIT_US + CHARACTER_US);
         while self.sent_us.is_some() || UNCLEAR_US.contains(&self.silence_us()) {
@@ -237,7 +237,7 @@ impl Model {
         }
         let silence_bits = self.silence_us() / BIT_US;
         self.heard_us = self.now_us;
-        // An answer is not sent into what another says.
+        // A character on the line cancels the pending answer.
         self.answer = None;
         let now_ms = self.now_ms();
         if let Some(outcome) = self.slave.push(character, silence_bits, now_ms) {
@@ -252,17 +252,17 @@ impl Model {
         }
         let status = UartStatus { received: Some(character), has_room: true, is_complete: true };
         let action = self.handler.step(status, now_ms, self.now_us);
-        assert_eq!(action.send, None, "before its time");
+        assert_eq!(action.send, None, "too early");
         assert_eq!(action.wait_us.is_some(), self.answer.is_some(), "an answer is due");
         self.timer_us = action.wait_us.map(|wait_us| self.now_us + wait_us).or(self.timer_us);
     }
 
-    /// The silence before a character that ends now.
+    /// Returns the silence before a character that ends now.
     fn silence_us(&self) -> u32 {
         (self.now_us - self.heard_us).saturating_sub(CHARACTER_US)
     }
 
-    /// Lets time pass: turns of the main loop, each with the handler behind it, the timer, the transmitter.
+    /// Advances time: turns of the main loop, each followed by the handler, and timer and transmitter events.
     fn pass_us(&mut self, us: u32) {
         let end_us = self.now_us + us;
         loop {
@@ -277,12 +277,12 @@ impl Model {
             let is_due = self.timer_us == Some(next_us) && self.answer.is_some();
             self.timer_us = self.timer_us.filter(|timer_us| *timer_us != next_us);
             self.handle();
-            assert!(!is_due || self.sent_us.is_some(), "an answer that does not leave when it is due");
+            assert!(!is_due || self.sent_us.is_some(), "an answer was not sent on time");
         }
         self.now_us = end_us;
     }
 
-    /// The handler runs, and nothing was received but perhaps the echo of what it sent.
+    /// Runs the handler; only an echo of its own byte may be received.
     fn handle(&mut self) {
         let (now_ms, now_us) = (self.now_ms(), self.now_us);
         let is_sending = self.sent_us.is_some();
@@ -303,9 +303,9 @@ impl Model {
                 answer.sent += 1;
                 self.sent_us = Some(now_us + CHARACTER_US);
             }
-            (Some(_), None) => panic!("nothing is to be answered"),
+            (Some(_), None) => panic!("a byte was sent without an answer"),
             (None, Some(answer)) if is_sent => {
-                assert_eq!(answer.sent, answer.bytes.len(), "it ends in the middle");
+                assert_eq!(answer.sent, answer.bytes.len(), "the answer is truncated");
                 (self.answer, self.sent_us, self.heard_us) = (None, None, now_us);
             }
             (None, _) => {}
@@ -319,7 +319,7 @@ impl Model {
         }
     }
 
-    /// The slave gets the inputs, and takes notice of the time; as the handler's does when nothing is to be answered.
+    /// Updates the reference slave's inputs and time, as the handler does while no answer is pending.
     fn synchronise(&mut self) {
         if let Some(inputs) = self.inputs.take() {
             self.slave.show_inputs(&inputs.to_bytes());
@@ -349,11 +349,11 @@ impl Model {
                     self.done.push(Done::Left { silent: event == Event::Left(Cause::Watchdog) });
                 }
             }
-            Event::Address(_) => panic!("no master changes it"),
+            Event::Address(_) => panic!("the address cannot be changed"),
         }
     }
 
-    /// What the main loop has to hear.
+    /// Returns the events that the main loop must receive.
     fn events(&mut self, now_ms: u32) -> Vec<PlcEvent> {
         let mut events = vec![];
         for done in self.done.drain(..) {
@@ -374,7 +374,7 @@ impl Model {
             && let Some(image) = self.written
             && self.heard_ms.replace(now_ms).is_none()
         {
-            // It was silent for BUS_TIMEOUT, and is back.
+            // The master returns after silence for BUS_TIMEOUT.
             events.push(PlcEvent::Output(image));
         }
         let timeout_ms = u32::from(Config::DEFAULT.bus.timeout_ms);
@@ -415,7 +415,7 @@ impl WholeBridge for Model {
             match event {
                 PlcEvent::Output(image) => self.ends.oracle.asked.take_image(image, None),
                 PlcEvent::Left { .. } => self.ends.oracle.asked.lose_bus(),
-                PlcEvent::Configured | PlcEvent::Served => unreachable!("it has no registers"),
+                PlcEvent::Configured | PlcEvent::Served => unreachable!("PROFIBUS has no registers"),
             }
         }
         self.ends.end_turn(outputs, 1);
@@ -446,7 +446,7 @@ impl WholeBridge for Model {
                 self.send(&telegram, input);
             }
             9 => {
-                // An edge as a PLC gives it.
+                // An edge as a PLC writes it.
                 let parameters = input.pick(&PARAMETERS);
                 for flags in [CommandFlags::empty(), input.pick(&FLAGS)] {
                     let telegram = self.exchange(MASTERS[0], &image(flags, parameters).to_bytes());
@@ -463,7 +463,7 @@ impl WholeBridge for Model {
                 self.send(&telegram, input);
             }
             12 => {
-                // Clear, Sync, Freeze and what no slave knows; to all, to this one, to groups.
+                // Clear, Sync, Freeze and unknown commands; to all, to this slave, to groups.
                 let to = input.pick(&[BROADCAST, BROADCAST, STATION]) | 0x80;
                 let control = [input.pick(&[0x02, 0x02, 0x20, 0x08, 0x00, 0xFF]), input.pick(&[0, 0, 1, 2])];
                 let body =
@@ -471,7 +471,7 @@ impl WholeBridge for Model {
                 self.send(&sd2(&body), input);
             }
             13 => {
-                // Again; or no outputs (Fail_Safe), or too few.
+                // A repetition, missing outputs (Fail_Safe), or too few outputs.
                 let telegram = match input.byte() % 3 {
                     0 if !self.last.is_empty() => self.last.clone(),
                     1 => self.exchange(input.pick(&MASTERS), &[]),
@@ -487,7 +487,7 @@ impl WholeBridge for Model {
     }
 }
 
-/// The main loop's end, and what it tells the bridge and is told.
+/// The main loop's side, recording its events and inputs.
 struct Side<'a> {
     profibus: &'a mut Profibus,
     events: Vec<PlcEvent>,

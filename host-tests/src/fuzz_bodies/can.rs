@@ -1,4 +1,4 @@
-//! Messages over CAN frames against a naive reader, and the same frames as SLCAN lines.
+//! Messages in CAN frames against a naive reader, and the same frames as SLCAN lines.
 
 use bus_slcan::{self as slcan, ClassicFrame, Line};
 use embedded_can::{Frame as _, StandardId};
@@ -7,13 +7,13 @@ use wsg_protocol::{Event, FrameEncoder, Instant, checksum};
 
 use super::input::Input;
 
-/// CAN frames of the longest message that the reassembler takes: few, so that messages are too long often.
+/// Reassembler capacity in CAN frames; small, so that messages often exceed it.
 const LIMIT: usize = 5;
 
 const OURS: Option<StandardId> = StandardId::new(0x21);
 const FOREIGN: Option<StandardId> = StandardId::new(0x20);
 
-/// What is compared: events by value.
+/// Events by value, for comparison.
 #[derive(Clone, Debug, PartialEq)]
 enum Seen {
     Message(u8, Vec<u8>),
@@ -31,7 +31,7 @@ impl From<Event<'_>> for Seen {
     }
 }
 
-/// Each op is a byte that says what, and bytes that say how: a message and what becomes of its frames, or any frame.
+/// Each op is a byte with parameter bytes: a message with a fault of its frames, or any frame.
 pub fn can(data: &[u8]) {
     let mut input = Input::new(data);
     let mut capture: Vec<Vec<u8>> = Vec::new();
@@ -45,7 +45,7 @@ pub fn can(data: &[u8]) {
         let message: Vec<u8> = FrameEncoder::new(input.byte(), input.bytes(count % 48)).collect();
         let segments = Segments::new(message.iter().copied());
         let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
-        assert_eq!(frames.concat(), message, "nothing is added and nothing left out");
+        assert_eq!(frames.concat(), message, "segments contain exactly the message");
         let at = usize::from(op >> 4) % frames.len();
         match op >> 1 & 7 {
             0 => drop(frames.remove(at)),
@@ -59,14 +59,14 @@ pub fn can(data: &[u8]) {
     capture.retain(|frame| !frame.is_empty());
     reassembled(&capture);
     lines(&capture);
-    // Whatever comes from a serial adapter is no more than noise.
+    // Arbitrary bytes from a serial adapter must not cause a panic.
     let mut decoder = slcan::Decoder::new();
     for byte in data {
         let _ = decoder.push::<ClassicFrame>(*byte);
     }
 }
 
-/// The reassembler finds what a reader of the whole capture finds; frames for others in between change nothing.
+/// Compares the reassembler with a reader of the whole capture. Interleaved foreign frames have no effect.
 fn reassembled(capture: &[Vec<u8>]) {
     let (Some(ours), Some(foreign)) = (OURS, FOREIGN) else { unreachable!("both have 11 bits") };
     let mut reassembler = Reassembler::<LIMIT>::new(ours, HALF_MESSAGE_MS);
@@ -88,8 +88,8 @@ fn reassembled(capture: &[Vec<u8>]) {
     assert_eq!((usize::from(counters.dropped), usize::from(counters.foreign)), (dropped, capture.len()));
 }
 
-/// What a reader finds that has the whole capture: a message at the first frame, or one frame further. Gives the frames
-/// dropped as well.
+/// Parses the whole capture naively: a message at the first frame, or from the next frame on. Also returns the number
+/// of dropped frames.
 fn read_all(capture: &[Vec<u8>]) -> (Vec<Seen>, usize) {
     let (mut seen, mut dropped, mut at) = (Vec::new(), 0, 0);
     while let Some(rest) = capture.get(at..).filter(|rest| !rest.is_empty()) {
@@ -101,7 +101,7 @@ fn read_all(capture: &[Vec<u8>]) -> (Vec<Seen>, usize) {
     (seen, dropped)
 }
 
-/// What is found at the first of these, and how many frames it has used up as a message.
+/// Returns the event at the first frame, and the number of frames used by a message.
 fn found_at(rest: &[Vec<u8>]) -> (Option<Seen>, usize) {
     let first = &rest[0];
     if first.len() != FULL || !first.starts_with(&[0xAA; 3]) {
@@ -125,7 +125,7 @@ fn found_at(rest: &[Vec<u8>]) -> (Option<Seen>, usize) {
     (Some(Seen::Message(id, covered[6..].to_vec())), frames)
 }
 
-/// A frame's line is read back as the frame.
+/// Checks that a frame survives encoding as an SLCAN line.
 fn lines(capture: &[Vec<u8>]) {
     let Some(id) = OURS else { unreachable!("it has 11 bits") };
     let mut decoder = slcan::Decoder::new();

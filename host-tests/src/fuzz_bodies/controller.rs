@@ -1,4 +1,4 @@
-//! The register controller against a small model: which edge, which command.
+//! The register controller against a small model of edges and commands.
 
 use wsg_fieldbus::{CommandFlags, Controller, OutputImage};
 use wsg_protocol::session::{Event, Known, RequestError};
@@ -6,7 +6,7 @@ use wsg_protocol::{Command, CommandId, GripperState, Kind, Reply, Status, System
 
 use super::input::Input;
 
-/// The motion flags, lowest bit first, and their commands.
+/// Motion flags, lowest bit first, and their commands.
 const MOTIONS: [(CommandFlags, CommandId); 4] = [
     (CommandFlags::MOVE, CommandId::PrePosition),
     (CommandFlags::GRIP, CommandId::GripPart),
@@ -25,7 +25,7 @@ const LIMITS: SystemLimits = SystemLimits {
     overdrive_force: 120.0,
 };
 
-/// No motion is sent behind a FAST STOP before an acknowledgement behind that has succeeded.
+/// Lock on motions: after FAST STOP until an acknowledgement has succeeded.
 #[derive(PartialEq)]
 enum Lock {
     Open,
@@ -39,18 +39,18 @@ struct Model {
     controller: Controller,
     known: Known,
     image: Option<OutputImage>,
-    /// The motion that the last edge asks for, until its command has come.
+    /// The motion requested by the last edge, until its command is sent.
     wanted: Option<CommandId>,
-    /// The same, whose force limit is being set first: an edge in the meantime is refused and changes nothing.
+    /// The motion whose force limit is being set; an edge in the meantime is rejected without effect.
     prepared: Option<CommandId>,
-    /// STOP/ACK has risen since the last command for it.
+    /// Whether STOP/ACK has risen since its last command.
     stop_risen: bool,
     lock: Lock,
-    /// Both JOG flags were 0, and neither STOP/ACK nor FASTSTOP 1 since.
+    /// Whether both JOG flags have been 0, with neither STOP/ACK nor FASTSTOP set since.
     jog_counts: bool,
 }
 
-/// Each op is a byte that says what, and bytes that say how: an image, what the gripper reports, an outcome.
+/// Each op is a byte with parameter bytes: an image, a gripper report, an outcome.
 pub fn controller(data: &[u8]) {
     let mut input = Input::new(data);
     let mut model = Model {
@@ -105,7 +105,7 @@ pub fn controller(data: &[u8]) {
 }
 
 impl Model {
-    /// An image of which only flags and, now and then, parameters change: chance alone would find no edge.
+    /// Writes an image in which only flags and a few parameters vary, so that edges are frequent.
     fn write(&mut self, input: &mut Input<'_>) {
         let (flags, parameters) = (CommandFlags::from_bits_retain(input.byte()), input.byte());
         let image = OutputImage {
@@ -136,7 +136,7 @@ impl Model {
 
         if fast_stop_due {
             self.lock = Lock::FastStopped;
-            assert_eq!(self.controller.poll_command(), Some(Command::FastStop), "before anything else");
+            assert_eq!(self.controller.poll_command(), Some(Command::FastStop), "FAST STOP is first");
             self.prepared = None;
         }
         self.fetch();
@@ -155,12 +155,12 @@ impl Model {
         self.shown();
     }
 
-    /// Takes what the controller wants sent, and holds it to the edges.
+    /// Fetches the controller's commands and checks them against the edges.
     fn fetch(&mut self) {
         let mut commands = 0;
         while let Some(command) = self.controller.poll_command() {
             commands += 1;
-            assert!(commands < 8, "the commands come to an end");
+            assert!(commands < 8, "the number of commands is bounded");
             assert_eq!(command.check(), Ok(()), "{command:?}");
             let id = command.id();
             match id.kind() {
@@ -171,14 +171,14 @@ impl Model {
                     self.prepared = if grips { self.wanted.take() } else { None };
                 }
                 Kind::Motion => {
-                    // What was being prepared may have come to nothing, and a new edge counts. JOG is a level.
+                    // The motion in preparation may be void and a new edge effective. JOG is a level.
                     let (prepared, wanted) = (self.prepared.take(), self.wanted);
                     let jogs = id == CommandId::PrePosition && self.jogs();
                     assert!([prepared, wanted].contains(&Some(id)) || jogs, "{id} without its edge");
                     self.wanted = wanted.filter(|wanted| *wanted != id);
                     let flags = self.image.map_or(CommandFlags::empty(), |image| image.flags);
                     assert!(!flags.contains(CommandFlags::FASTSTOP), "a motion during FASTSTOP");
-                    assert!(self.lock == Lock::Open, "a motion behind FAST STOP");
+                    assert!(self.lock == Lock::Open, "a motion after FAST STOP");
                 }
                 Kind::Acknowledge => {
                     assert!(std::mem::take(&mut self.stop_risen), "an acknowledgement without STOP/ACK");
@@ -187,29 +187,29 @@ impl Model {
                         self.lock = Lock::Acknowledged;
                     }
                 }
-                // It ends whatever is being prepared.
+                // Stops end any preparation.
                 Kind::Stop => {
                     self.prepared = None;
                     if id == CommandId::FastStop {
                         self.lock = Lock::FastStopped;
                     }
                 }
-                // Whether the gripper shows the FAST STOP that it has answered.
+                // Checks whether the gripper reports the FAST STOP that it has confirmed.
                 Kind::Query => {
                     assert_eq!(id, CommandId::GetSystemState);
-                    assert!(self.lock == Lock::FastStopped, "a question that nobody has");
+                    assert!(self.lock == Lock::FastStopped, "an unexpected query");
                 }
-                kind => panic!("{id} is no command of a PLC, but {kind:?}"),
+                kind => panic!("{id} ({kind:?}) is not a PLC command"),
             }
         }
     }
 
-    /// A JOG flag is set, and counts.
+    /// Returns whether a JOG flag is set and effective.
     fn jogs(&self) -> bool {
         self.jog_counts && self.image.is_some_and(|image| image.flags.intersects(JOG))
     }
 
-    /// The input image shows one state at the most, and can always be read back.
+    /// Checks that the input image has at most one state and survives encoding.
     fn shown(&self) {
         let image = self.controller.input(&self.known);
         assert!(image.state.bits().count_ones() <= 1, "{image:?}");

@@ -4,10 +4,10 @@ use wsg_protocol::{Event, FrameParser, checksum};
 
 use super::input::Input;
 
-/// The payload that the parser holds: short, so that its store is full often.
+/// Parser capacity for a payload; small, so that it is often full.
 const LIMIT: usize = 16;
 
-/// What is compared: events by value.
+/// Events by value, for comparison.
 #[derive(Clone, Debug, PartialEq)]
 enum Seen {
     Frame(u8, Vec<u8>),
@@ -25,8 +25,8 @@ impl From<Event<'_>> for Seen {
     }
 }
 
-/// The first byte chooses: bit 0, whether checksums are repaired first, so that intact frames are frequent; the others,
-/// how long the slices are that the parser is given. The rest is the stream.
+/// The first byte selects repaired checksums for frequent intact frames (bit 0) and the length of slices (other
+/// bits). The rest is the stream.
 pub fn frames(data: &[u8]) {
     let mut input = Input::new(data);
     let choice = input.byte();
@@ -71,8 +71,8 @@ pub fn frames(data: &[u8]) {
     }
 }
 
-/// What a reader finds that has the whole capture: a frame at the first byte, or one byte further. With `ended` no more
-/// bytes will come. Gives the bytes dropped as well.
+/// Parses the whole capture naively: a frame at the first byte, or from the next byte on. With `ended` no more bytes
+/// follow. Also returns the number of dropped bytes.
 fn read_all(stream: &[u8], ended: bool) -> (Vec<Seen>, usize) {
     let (mut seen, mut dropped, mut at) = (Vec::new(), 0, 0);
     while let Some(rest) = stream.get(at..).filter(|rest| !rest.is_empty()) {
@@ -99,7 +99,7 @@ fn read_all(stream: &[u8], ended: bool) -> (Vec<Seen>, usize) {
     (seen, dropped)
 }
 
-/// Gives every whole frame in the stream the checksum that it should have.
+/// Corrects the checksum of every complete frame in the stream.
 pub(super) fn repair_checksums(stream: &mut [u8]) {
     let mut at = 0;
     while at + 8 <= stream.len() {

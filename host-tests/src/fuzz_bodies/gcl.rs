@@ -1,4 +1,4 @@
-//! The text protocol: lines out of bytes, requests and answers out of lines.
+//! The text protocol: lines from bytes, requests and answers from lines.
 
 use wsg_protocol::gcl::session::{Config, Session};
 use wsg_protocol::gcl::{Answer, LineEvent, LineReader, Request};
@@ -6,10 +6,10 @@ use wsg_protocol::{Instant, Kind};
 
 use super::input::Input;
 
-/// The line that the reader holds: short, so that lines are too long often.
+/// Capacity of the line reader; small, so that lines are often too long.
 const LIMIT: usize = 40;
 
-/// What is compared: events by value.
+/// Events by value, for comparison.
 #[derive(Clone, Debug, PartialEq)]
 enum Seen {
     Line(Vec<u8>),
@@ -25,7 +25,7 @@ impl From<LineEvent<'_>> for Seen {
     }
 }
 
-/// The first byte says how long the slices are that the reader is given. The rest is the stream.
+/// The first byte is the length of slices. The rest is the stream.
 pub fn gcl(data: &[u8]) {
     let mut input = Input::new(data);
     let slice = usize::from(input.byte()).max(1);
@@ -59,7 +59,7 @@ pub fn gcl(data: &[u8]) {
     listen(&expected);
 }
 
-/// What a reader finds that has the whole capture, and knows that it ends there.
+/// Parses the whole capture naively, including its end.
 fn read_all(stream: &[u8]) -> Vec<Seen> {
     let lines = stream.split(|byte| matches!(byte, b'\r' | b'\n'));
     let begun = lines.map(|line| {
@@ -73,12 +73,12 @@ fn read_all(stream: &[u8]) -> Vec<Seen> {
     found.collect()
 }
 
-/// A request is written as it is understood; to what is none there is an answer that a client understands.
+/// Checks that a parsed request is written identically, and that an invalid one has a parseable answer.
 fn request(line: &[u8]) {
     let mut buffer = [0; Request::MAX_LEN + 1];
     match Request::parse(line) {
         Ok(request) => {
-            assert_eq!(request.check(), Ok(()), "what is understood may be sent");
+            assert_eq!(request.check(), Ok(()), "a parsed request is valid");
             let length = request.write_line_into(&mut buffer).expect("the longest request fits");
             let (end, written) = buffer[..length].split_last().expect("a line has an end");
             assert_eq!((*end, Request::parse(written)), (b'\n', Ok(request)), "{}", line.escape_ascii());
@@ -86,7 +86,7 @@ fn request(line: &[u8]) {
         Err(refused) => {
             for verbose in [false, true] {
                 let mut text = String::new();
-                refused.answer(verbose).write(&mut text).expect("a string takes everything");
+                refused.answer(verbose).write(&mut text).expect("writing to a string cannot fail");
                 let status = Answer::parse(text.as_bytes()).map(|answer| answer.status());
                 assert_eq!(status, Ok(refused.mistake.status()), "{text}");
             }
@@ -94,27 +94,27 @@ fn request(line: &[u8]) {
     }
 }
 
-/// An answer is written as it is understood; of a description that is no UTF-8 only what can be written.
+/// Checks that a parsed answer is written identically, except for description bytes that are not UTF-8.
 fn answer(line: &[u8]) {
     let Ok(answer) = Answer::parse(line) else { return };
     assert_eq!(answer.check(), Ok(()), "{}", line.escape_ascii());
     let mut text = String::new();
-    answer.write(&mut text).expect("a string takes everything");
-    let again = Answer::parse(text.as_bytes()).expect("it is understood");
+    answer.write(&mut text).expect("writing to a string cannot fail");
+    let again = Answer::parse(text.as_bytes()).expect("a written answer can be parsed");
     assert_eq!((again.name(), again.status()), (answer.name(), answer.status()), "{text}");
     match answer {
         Answer::Err { description: Some(described), .. }
             if std::str::from_utf8(described.bytes()).is_err() =>
         {
             let mut same = String::new();
-            again.write(&mut same).expect("a string takes everything");
+            again.write(&mut same).expect("writing to a string cannot fail");
             assert_eq!(same, text);
         }
         _ => assert_eq!(again, answer, "{text}"),
     }
 }
 
-/// Whatever comes, a session that nobody has asked for anything only asks.
+/// Checks that a session without requests sends queries only, for any received lines.
 fn listen(lines: &[Seen]) {
     let mut session = Session::new(Config::DEFAULT);
     for (at, event) in lines.iter().enumerate() {
@@ -122,16 +122,16 @@ fn listen(lines: &[Seen]) {
         let mut notices = 0;
         while session.tick(now).is_some() {
             notices += 1;
-            assert!(notices < 64, "the notices come to an end");
+            assert!(notices < 64, "the number of notices is bounded");
         }
         let mut requests = 0;
         while let Some(request) = session.poll_transmit(now) {
             requests += 1;
-            assert!(requests < 64, "the requests come to an end");
+            assert!(requests < 64, "the number of requests is bounded");
             assert_eq!(request.check(), Ok(()));
             assert!(
                 !matches!(request.kind(), Kind::Motion | Kind::Stop | Kind::Acknowledge),
-                "{request:?} and nobody asked for it"
+                "{request:?} without a request"
             );
         }
         let event = match event {
@@ -139,6 +139,6 @@ fn listen(lines: &[Seen]) {
             Seen::TooLong(start) => LineEvent::TooLong(start),
         };
         session.handle(now, &event);
-        assert_eq!(session.motion(), None, "nobody asked for a motion");
+        assert_eq!(session.motion(), None, "no motion was requested");
     }
 }

@@ -1,5 +1,5 @@
-//! The gripper's end, for the bodies of the whole bridge: what the bridge says to it, and a gripper that does what it is told
-//! and answers late, twice, or not at all.
+//! The gripper's end in the whole-bridge bodies: received commands, and a gripper that executes them and answers
+//! late, twice or not at all.
 
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 use wsg_protocol::{CommandId, GripperState, Status, SystemFlags};
@@ -7,26 +7,26 @@ use wsg_protocol::{CommandId, GripperState, Status, SystemFlags};
 use super::input::Input;
 use crate::gripper_states::{Answer, Message, States};
 
-/// What each message begins with.
+/// Start of every message.
 pub(super) const PREAMBLE: [u8; PREAMBLE_LEN] = [PREAMBLE_BYTE; PREAMBLE_LEN];
 
-/// An answer that is a status and no more.
+/// Encodes a status-only answer.
 pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
     Answer::status(id, status).bytes().collect()
 }
 
-/// What becomes of a command and its answer.
+/// Delivery of a command and its answer.
 #[derive(Clone, Copy)]
 enum Delivery {
-    /// Carried out, and answered so many milliseconds later.
+    /// Executed, and answered after this many milliseconds.
     Late(u32),
-    /// Answered at once and so many milliseconds later.
+    /// Answered at once, and again after this many milliseconds.
     Twice(u32),
-    /// Carried out, not answered.
+    /// Executed without an answer.
     Unanswered,
-    /// Refused.
+    /// Rejected.
     Refused,
-    /// Not heard; nor is anything behind it before so many bytes have come, or nothing for a while.
+    /// Lost, together with all following bytes until this many have been received or the frame times out.
     Unheard(u32),
 }
 
@@ -42,17 +42,17 @@ impl Delivery {
     }
 }
 
-/// After how long without a byte the gripper gives up half a frame, in milliseconds.
+/// Time-out of the gripper for an incomplete frame, in milliseconds.
 const FRAME_TIMEOUT_MS: u32 = 500;
 
-/// How soon FAST STOP reaches a gripper: behind the last fault, and where there was one at the most.
+/// Time until FAST STOP reaches the gripper: after the last fault, and with at most one fault.
 const HEALTHY_MS: u32 = 1_000;
 const ONE_FAULT_MS: u32 = 250;
 
-/// A motion lasts so many times as long as an answer.
+/// Duration of a motion as a multiple of the answer's delay.
 const MOTION_FACTOR: u32 = 4;
 
-/// What else may be the matter with a gripper: the flags that it reports, and whether there is a part to grip.
+/// Further conditions: reported flags, and whether a part can be gripped.
 const CONDITIONS: [(SystemFlags, bool); 8] = [
     (SystemFlags::REFERENCED, true),
     (SystemFlags::REFERENCED, false),
@@ -64,34 +64,34 @@ const CONDITIONS: [(SystemFlags, bool); 8] = [
     (SystemFlags::REFERENCED.union(SystemFlags::FAST_STOP), true),
 ];
 
-/// A gripper that does what it is told.
+/// A gripper that executes its commands.
 pub(super) struct Gripper {
     answers: bool,
-    /// What becomes of one command and answer after the other, the last one for all that follow; none: answered at once.
+    /// Delivery of successive commands and answers; the last one applies to the rest. Empty means at once.
     deliveries: Vec<u8>,
     delivered: usize,
-    /// Answers and reports on their way, and when they arrive.
+    /// Answers and reports in transit, with their times of arrival.
     on_the_way: Vec<(u32, Answer)>,
     last_arrives_ms: u32,
     states: States,
     has_part: bool,
-    /// When the motion ends that is carried out.
+    /// End of the current motion.
     ends_ms: u32,
-    /// It waits for so many bytes of a frame that does not exist, and got the last one then.
+    /// Bytes still swallowed by a nonexistent frame, and the time of the last byte.
     deaf: (u32, u32),
-    /// When something went wrong on the line, the last two times.
+    /// Times of the last two line faults.
     faults: [Option<u32>; 2],
-    /// Somebody else has spoken in its name.
+    /// Whether forged messages have been sent in its name.
     is_forged: bool,
-    /// When it heard a FAST STOP, and when it left one that the bridge has not acknowledged.
+    /// Time of the last received FAST STOP, and of leaving one without the bridge's acknowledgement.
     fast_stop_ms: Option<u32>,
     left_ms: Option<u32>,
-    /// It has forgotten its force limit, and was neither homed nor given another one since.
+    /// Whether it has lost its force limit and has neither been homed nor received a new one.
     is_restarted: bool,
 }
 
 impl Gripper {
-    /// One that is referenced and stands, and says nothing.
+    /// Creates a silent gripper that is referenced and at rest.
     pub(super) fn new() -> Self {
         let (flags, has_part) = CONDITIONS[0];
         Self {
@@ -112,26 +112,26 @@ impl Gripper {
         }
     }
 
-    /// Its fingers move, and go on until they are stopped.
+    /// Starts a motion that continues until it is stopped.
     pub(super) fn run(&mut self) {
         self.states.begin(CommandId::PrePosition);
         self.ends_ms = u32::MAX;
     }
 
-    /// It answers from now on, at once.
+    /// Answers all commands at once from now on.
     pub(super) fn answer(&mut self) {
         self.answers = true;
         self.deliveries.clear();
     }
 
-    /// A byte says whether it answers (bit 0), how many bytes follow that say what becomes of one command and answer after the
-    /// other (bits 1 to 3), and its condition (bits 4 to 6). Condition 2 is a restart. With bit 7 it begins to move or loses
-    /// its part; a third party acknowledges its FAST STOP if that is its condition.
+    /// Changes the gripper according to a byte: whether it answers (bit 0), the number of delivery bytes that follow
+    /// (bits 1 to 3), and its condition (bits 4 to 6; 2 is a restart). Bit 7 starts a motion or loses the part. In
+    /// the condition FAST STOP it is a third party's acknowledgement.
     pub(super) fn change(&mut self, now_ms: u32, input: &mut Input<'_>) {
         let how = input.byte();
         let was_dead = !std::mem::replace(&mut self.answers, how & 1 != 0);
         if was_dead && self.answers {
-            // It was no single fault: what it has missed meanwhile may be a whole burst of FAST STOPs.
+            // Not a single fault: the gripper may have missed a whole burst of FAST STOPs.
             self.faults = [Some(now_ms); 2];
         }
         self.deliveries = input.bytes(usize::from(how >> 1 & 7)).to_vec();
@@ -168,7 +168,7 @@ impl Gripper {
         self.send(now_ms, Delivery::Late(0), &said);
     }
 
-    /// Hears a command.
+    /// Receives a command.
     pub(super) fn hear(&mut self, now_ms: u32, message: &Message) {
         let delivery = self.delivery();
         if !matches!(delivery, Delivery::Late(_)) || !self.answers {
@@ -199,28 +199,28 @@ impl Gripper {
         self.send(now_ms, delivery, &said);
     }
 
-    /// Something goes wrong on the line.
+    /// Records a fault of the line.
     pub(super) fn fault(&mut self, now_ms: u32) {
         if self.faults[0] != Some(now_ms) {
             self.faults = [Some(now_ms), self.faults[0]];
         }
     }
 
-    /// These bytes reach the bridge, and the gripper did not say them: noise, or something that the bridge takes for its word.
+    /// Records bytes that reach the bridge but are not from the gripper: noise, or a forged message.
     pub(super) fn forge(&mut self, now_ms: u32, bytes: &[u8]) {
         self.fault(now_ms);
         self.is_forged |= bytes.windows(PREAMBLE.len()).any(|window| window == PREAMBLE);
     }
 
-    /// The force limit in hundredths, if the bridge can know it. A gripper that was restarted refuses to grip until it is homed.
+    /// Returns the force limit in hundredths if the bridge can know it. After a restart GRIP requires homing.
     pub(super) fn force_limit(&self) -> Option<i32> {
         (!self.is_forged && !self.is_restarted).then_some(self.states.force_limit as i32)
     }
 
-    /// Whether the gripper has heard a FAST STOP since it was asked for, or may still have to wait for it. One that is dead
-    /// cannot hear. While it `is_held`, one that has left it must hear another.
+    /// Returns whether the gripper has received a FAST STOP since the request, or may still be waiting for it. A
+    /// silent gripper cannot receive. While FAST STOP `is_held`, a gripper that has left it must receive another.
     pub(super) fn has_stopped(&self, now_ms: u32, asked_ms: u32, is_held: bool) -> bool {
-        // The bridge learns of it by a report, which may be late or lost.
+        // The bridge depends on a report, which may be late or lost.
         if let Some(left_ms) = self.left_ms.filter(|left_ms| is_held && *left_ms > asked_ms) {
             let healthy_ms = self.faults[0].map_or(left_ms, |fault_ms| fault_ms.max(left_ms));
             let has_heard = self.fast_stop_ms.is_some_and(|heard_ms| heard_ms >= left_ms);
@@ -251,7 +251,7 @@ impl Gripper {
         left == 0 && !matches!(delivery, Delivery::Unheard(_))
     }
 
-    /// What arrives at the bridge now.
+    /// Returns the messages that reach the bridge now.
     pub(super) fn speak(&mut self, now_ms: u32) -> Vec<Vec<u8>> {
         if let Some(id) = self.states.motion.filter(|_| now_ms >= self.ends_ms) {
             let (finds_none, mut said) = (id == CommandId::GripPart && !self.has_part, vec![]);
@@ -277,7 +277,7 @@ impl Gripper {
         Delivery::of(byte.copied().unwrap_or(0))
     }
 
-    /// Answers do not overtake each other.
+    /// Queues answers; they never overtake each other.
     fn send(&mut self, now_ms: u32, delivery: Delivery, answers: &[Answer]) {
         let (first_ms, second_ms) = match delivery {
             Delivery::Late(ms) => (ms, None),

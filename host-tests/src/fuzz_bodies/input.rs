@@ -1,6 +1,6 @@
-//! Choices out of the fuzzer's bytes.
+//! Choices from the fuzzer's bytes.
 
-/// Bytes that are used up from the front; 0 where there are none left.
+/// Bytes consumed from the front, followed by zeros.
 pub(super) struct Input<'a>(&'a [u8]);
 
 impl<'a> Input<'a> {
@@ -16,7 +16,7 @@ impl<'a> Input<'a> {
         self.bytes(1).first().copied().unwrap_or(0)
     }
 
-    /// Up to so many bytes.
+    /// Returns up to `count` bytes.
     pub(super) fn bytes(&mut self, count: usize) -> &'a [u8] {
         let (front, rest) = self.0.split_at(count.min(self.0.len()));
         self.0 = rest;
@@ -27,7 +27,7 @@ impl<'a> Input<'a> {
         std::array::from_fn(|_| self.byte())
     }
 
-    /// One of these.
+    /// Returns one of these.
     pub(super) fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[usize::from(self.byte()) % choices.len()]
     }

@@ -1,4 +1,4 @@
-//! The MODBUS server on a serial line, against a small model of it: framing, addresses, checksum and the four tables.
+//! The MODBUS server on a serial line against a small model: framing, addresses, checksum and the four tables.
 
 use bus_modbus::rtu::{Character, Config, Event, Mode, Server, Timing};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
@@ -10,11 +10,11 @@ const OTHER_UNIT: u8 = 5;
 const BROADCAST: u8 = 0;
 const TIMING: Timing = Timing::of(19_200, 11);
 
-/// Of registers and bits there are these; every other address does not exist.
+/// Existing addresses of registers and bits.
 const REGISTERS: std::ops::Range<u16> = 100..110;
 const BITS: std::ops::Range<u16> = 40..60;
 
-/// Functions that are served, one that is not, and those that the model leaves to the library's own tests.
+/// Supported functions, an unsupported one, and those covered only by the library's own tests.
 const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 7, DIAGNOSTICS, IDENTIFICATION];
 const DIAGNOSTICS: u8 = 8;
 const REPORT_SERVER_ID: u8 = 17;
@@ -30,14 +30,14 @@ struct Tables {
     input: [u16; 10],
 }
 
-/// What must become of a frame.
+/// Required effect of a frame.
 #[derive(Debug, PartialEq)]
 enum Outcome {
     Damaged,
     Passed,
     Served,
     Answer(Vec<u8>),
-    /// The model does not know FC 8, FC 17 and FC 43.
+    /// FC 8, FC 17 and FC 43 are not modelled.
     Unmodelled,
 }
 
@@ -46,12 +46,12 @@ struct Model {
     server: Server,
     served: Tables,
     expected: Tables,
-    /// The frame that the next long silence ends.
+    /// The frame before the next long silence.
     frame: Vec<u8>,
     void: bool,
 }
 
-/// The first byte says whether broadcasts count. Then each op is a byte that says what frame, and bytes that say how.
+/// The first byte enables broadcasts. Each further op is a byte that selects a frame, with parameter bytes.
 pub fn modbus(data: &[u8]) {
     let mut input = Input::new(data);
     let config = Config { unit: UNIT, mode: Mode::Strict, broadcast: input.byte() & 1 != 0 };
@@ -99,7 +99,7 @@ fn input_bytes(input: &mut Input<'_>, most: u8) -> Vec<u8> {
     input.bytes(count).to_vec()
 }
 
-/// A request as a master makes it, near the ends of the tables.
+/// Returns a valid request near the ends of the tables.
 fn request(input: &mut Input<'_>) -> Vec<u8> {
     let function = input.pick(&FUNCTIONS);
     let table = if matches!(function, 1 | 2 | 5 | 15) { BITS } else { REGISTERS };
@@ -127,7 +127,7 @@ fn request(input: &mut Input<'_>) -> Vec<u8> {
     [&[function][..], &data].concat()
 }
 
-/// The polynomial of the specification, bit by bit.
+/// Computes the specification's polynomial bit by bit.
 pub(super) fn checksum(bytes: &[u8]) -> [u8; 2] {
     let mut value = 0xFFFF_u16;
     for byte in bytes {
@@ -144,7 +144,7 @@ pub(super) fn sealed(frame: &[u8]) -> Vec<u8> {
 }
 
 impl Model {
-    /// Sends a frame, perhaps with a damaged character or a pause in it. The silence before it ends the one before.
+    /// Sends a frame, possibly with a damaged character or a pause. The silence before it ends the previous frame.
     fn send(&mut self, frame: &[u8], damaged_at: Option<usize>, pause_at: Option<usize>) {
         for (at, byte) in frame.iter().enumerate() {
             let character = if damaged_at == Some(at) { Character::Damaged } else { Character::Byte(*byte) };
@@ -156,7 +156,7 @@ impl Model {
             let event = self.server.push(character, silence_us, &mut self.served).map(Outcome::from);
             if at == 0 {
                 if self.settle(event) {
-                    // The one before had it.
+                    // The previous frame consumed the character.
                     assert!(self.server.push(character, silence_us, &mut self.served).is_none());
                 }
             } else {
@@ -168,13 +168,19 @@ impl Model {
     }
 
     fn fall_silent(&mut self) {
-        assert!(self.server.silence(TIMING.t3_5_us - 1, &mut self.served).is_none(), "not over yet");
+        assert!(
+            self.server.silence(TIMING.t3_5_us - 1, &mut self.served).is_none(),
+            "the silence is too short"
+        );
         let event = self.server.silence(TIMING.t3_5_us, &mut self.served).map(Outcome::from);
         self.settle(event);
-        assert!(self.server.silence(u32::MAX, &mut self.served).is_none(), "once");
+        assert!(
+            self.server.silence(u32::MAX, &mut self.served).is_none(),
+            "a silence ends a frame only once"
+        );
     }
 
-    /// Holds what became of the frame that was sent to what must. Says whether there is another server since.
+    /// Compares the effect of the sent frame with the model. Returns whether the server was replaced.
     fn settle(&mut self, event: Option<Outcome>) -> bool {
         let frame = std::mem::take(&mut self.frame);
         let void = std::mem::take(&mut self.void);
@@ -184,7 +190,7 @@ impl Model {
         }
         let event = event.expect("a silence ends a frame");
         if let Outcome::Answer(answer) = &event {
-            assert!(!void && frame[0] == UNIT, "an answer to what was not for this unit");
+            assert!(!void && frame[0] == UNIT, "an answer to a frame that was not for this unit");
             assert!((5..=256).contains(&answer.len()), "{answer:02X?}");
             assert_eq!(answer[0], UNIT);
             assert_eq!(answer[1] & 0x7F, frame[1] & 0x7F, "the function of the request");
@@ -195,7 +201,7 @@ impl Model {
             assert_eq!(event, expected, "after {frame:02X?}");
         }
         assert_eq!(self.served, self.expected, "after {frame:02X?}");
-        // What FC 8 does is the library's own test; here nothing is to stay silent.
+        // FC 8 has tests in the library; here the server must not stay silent.
         let is_listen_only = self.server.is_listen_only();
         if is_listen_only {
             self.server = Server::new(self.config, TIMING);
@@ -242,7 +248,7 @@ const NO_ADDRESS: u8 = 2;
 const NO_VALUE: u8 = 3;
 
 impl Tables {
-    /// A server as the specification's diagrams draw it: the response's data, or the exception's code.
+    /// Serves a request as in the specification's diagrams. Returns the response's data, or the exception code.
     fn serve(&mut self, function: u8, data: &[u8]) -> Result<Vec<u8>, u8> {
         if !FUNCTIONS[..10].contains(&function) {
             return Err(NO_FUNCTION);
@@ -313,7 +319,7 @@ impl Tables {
         }
     }
 
-    /// First address, quantity, count of bytes, values.
+    /// Writes registers: first address, quantity, byte count, values.
     fn write(&mut self, data: &[u8], most: u16) -> Result<(), u8> {
         let &[a1, a0, q1, q0, count, ref values @ ..] = data else { return Err(NO_VALUE) };
         let (first, quantity) = (u16::from_be_bytes([a1, a0]), u16::from_be_bytes([q1, q0]));
@@ -329,7 +335,7 @@ impl Tables {
     }
 }
 
-/// Where a block lies in its table, if all of it does.
+/// Returns the range of a block in its table, if it fits completely.
 fn place(table: &std::ops::Range<u16>, first: u16, quantity: u16) -> Result<std::ops::Range<usize>, u8> {
     let end = u32::from(first) + u32::from(quantity);
     if first < table.start || end > u32::from(table.end) {
@@ -348,7 +354,7 @@ fn counted(registers: &[u16]) -> Vec<u8> {
     [&[bytes.len() as u8][..], &bytes].concat()
 }
 
-/// The same tables as the server sees them: address by address.
+/// Provides the tables to the server by address.
 impl Device for Tables {
     fn coil(&self, address: u16) -> Result<bool, Exception> {
         item(&self.coils, &BITS, address)

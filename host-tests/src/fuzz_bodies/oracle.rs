@@ -1,5 +1,5 @@
-//! What must hold of the whole bridge in every turn, whatever its PLC and its gripper do: one oracle for the bodies of the
-//! whole bridge, which pass to it what goes in and what comes out.
+//! Properties of the whole bridge that must hold in every turn, for any PLC and gripper. The whole-bridge bodies
+//! share this oracle and pass all inputs and outputs to it.
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -11,21 +11,21 @@ use super::outputs::Shown;
 use super::stops::Stops;
 use super::told::Told;
 
-/// The rules, each set with what it goes by.
+/// The sets of rules with their state.
 pub(super) struct Oracle {
     pub(super) asked: Asked,
     pub(super) told: Told,
     pub(super) shown: Shown,
     stops: Stops,
-    /// The gripper has confirmed a FAST STOP that is not acknowledged.
+    /// Whether the gripper has confirmed a FAST STOP that is not acknowledged.
     is_latched: bool,
     now_ms: u32,
-    /// How long a frame may wait for the one before it, in milliseconds; none: nothing can reach the gripper.
+    /// Maximum wait of a frame for the previous one, in milliseconds; `None` while the gripper is unreachable.
     patience_ms: Option<u32>,
 }
 
 impl Oracle {
-    /// At power-up of a bridge that was built so.
+    /// Creates the state at power-up of a bridge with these settings.
     pub(super) fn new(config: &Config) -> Self {
         Self {
             asked: Asked::new(config.wires.debounce_ms),
@@ -38,11 +38,11 @@ impl Oracle {
         }
     }
 
-    /// A turn begins. The bridge reads this of the gripper, and these wires.
+    /// Starts a turn with bytes read from the gripper and levels of the wires.
     pub(super) fn begin_turn(&mut self, now_ms: u32, heard: &[u8], wires: Inputs) {
         self.now_ms = now_ms;
         self.told.read(now_ms, heard);
-        // A third party has acknowledged it, or the gripper was restarted (fieldbus, 6.6); also before the connection is up.
+        // A third party's acknowledgement or a restart (fieldbus, 6.6), also before the connection is established.
         let may_be_latched = self.stops.is_answered() || self.told.is_answered(CommandId::FastStop);
         if self.told.has_left_fast_stop && may_be_latched {
             if !self.asked.holds_fast_stop() {
@@ -58,13 +58,13 @@ impl Oracle {
         self.asked.read_wires(now_ms, wires);
     }
 
-    /// All that comes in in this turn is told; what leaves comes next.
+    /// Ends the inputs of this turn; commands follow.
     pub(super) fn begin_leaving(&mut self, patience_ms: Option<u32>) {
         self.patience_ms = patience_ms;
         self.stops.begin_turn(self.now_ms, &self.told, &self.asked);
     }
 
-    /// A command leaves for the gripper; none where no more of it than its id is known yet.
+    /// Checks a command to the gripper; `command` is `None` while only its id is known.
     pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, gripper: &Gripper) {
         self.asked.leaves(id, command, gripper.force_limit());
         self.stops.leaves(self.now_ms, id, &self.told, self.patience_ms);
@@ -73,7 +73,7 @@ impl Oracle {
         }
     }
 
-    /// The turn is over, and the bridge shows this.
+    /// Ends the turn with these outputs.
     pub(super) fn end_turn(&mut self, outputs: Outputs, gripper: &Gripper) {
         let is_connected = outputs.contains(Outputs::LINK_OK);
         if !is_connected {

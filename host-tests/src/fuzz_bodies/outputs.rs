@@ -1,5 +1,5 @@
-//! What the wires to the PLC may say: the rules of docs/wiring.md ("Outputs"), from what the gripper has told the
-//! bridge and what the PLC has asked for.
+//! Permitted levels of the wires to the PLC: the rules of docs/wiring.md ("Outputs"), applied to the gripper's
+//! reports and the PLC's requests.
 
 use wsg_bridge_fw::io::Outputs;
 use wsg_protocol::{GripperState, Status, SystemFlags};
@@ -7,26 +7,26 @@ use wsg_protocol::{GripperState, Status, SystemFlags};
 use super::asked::Asked;
 use super::told::Told;
 
-/// How long after the last intact frame of the gripper LINK_OK may be high, in milliseconds.
+/// Maximum time of LINK_OK after the gripper's last intact frame, in milliseconds.
 const SILENCE_MS: u32 = 1_000;
 
-/// The output wires as they were shown last.
+/// The output wires of the last turn.
 pub(super) struct Shown {
-    /// How long BUSY is high at the least, in milliseconds.
+    /// Minimum duration of BUSY, in milliseconds.
     pub(super) min_busy_ms: u32,
     pub(super) outputs: Outputs,
     busy_since: u32,
-    /// When the last motion wire rose while READY was high.
+    /// Time of the last motion edge while READY was high.
     edge_ms: Option<u32>,
 }
 
 impl Shown {
-    /// All wires are low.
+    /// Creates the state with all wires low.
     pub(super) const fn new(min_busy_ms: u32) -> Self {
         Self { min_busy_ms, outputs: Outputs::empty(), busy_since: 0, edge_ms: None }
     }
 
-    /// The bridge shows this at the end of a turn.
+    /// Checks the outputs at the end of a turn.
     pub(super) fn show(&mut self, now_ms: u32, outputs: Outputs, told: &Told, asked: &Asked) {
         let before = std::mem::replace(&mut self.outputs, outputs);
         let has = |wires| outputs.intersects(wires);
@@ -64,14 +64,14 @@ impl Shown {
         let ends = before.contains(Outputs::BUSY) && !busy && !error;
         assert!(!ends || now_ms - self.busy_since >= self.min_busy_ms, "{}", what());
 
-        // A FAST STOP ends BUSY; ERROR without READY shows as well.
+        // A FAST STOP ends BUSY; ERROR without READY is also a response.
         let is_stopped = error && !ready && !busy;
         self.edge_ms = self.edge_ms.filter(|edge_ms| !is_stopped && now_ms - edge_ms < self.min_busy_ms);
-        assert!(busy || self.edge_ms.is_none(), "an edge at READY without an answer: {}", what());
+        assert!(busy || self.edge_ms.is_none(), "an edge at READY without a response: {}", what());
 
         let (holding, fault) = (has(Outputs::HOLDING), has(Outputs::PART_FAULT));
         assert!(!(holding && fault), "{}", what());
-        // A result never appears while BUSY is high. The one from before a refused command stays until a motion begins.
+        // No new result appears while BUSY is high. An earlier one outlasts a rejected command until a motion starts.
         let is_kept = before.contains(Outputs::HOLDING) && !flags.contains(SystemFlags::MOVING);
         assert!(!holding || !busy || is_kept, "{}", what());
         assert!(

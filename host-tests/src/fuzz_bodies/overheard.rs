@@ -1,8 +1,8 @@
-//! What a PLC and the computer on the service port may know of the bridge's registers: what they have written, by the answers
-//! that they got (docs/registers.md, docs/service-port.md).
+//! Registers of the bridge as known to the PLC and to the computer on the service port: values that they wrote,
+//! according to the answers (docs/registers.md, docs/service-port.md).
 //!
-//! Broadcasts have no answers, so they are followed on a strict line alone (BUS_CHAR_TIMEOUT 0), where each silence of T3.5 ends a
-//! frame.
+//! Broadcasts have no answers. They are tracked only on a strict line (BUS_CHAR_TIMEOUT 0), where each silence of
+//! T3.5 ends a frame.
 
 use bus_modbus::rtu::Timing;
 use wsg_bridge_fw::registers::{self, COMMAND_KEY, Record};
@@ -12,13 +12,13 @@ use wsg_fieldbus::OutputImage;
 use super::rtu_line::{Requests, Way};
 use crate::rtu_double::Event;
 
-/// The bus's silences, and the service port's.
+/// Silences on the bus and on the service port.
 const BUS_TIMING: Timing = Timing::of(19_200, 11);
 const SERVICE_TIMING: Timing = Timing::of(115_200, 10);
 
 pub(super) const BROADCAST: u8 = 0;
 
-/// Settings are registers from here on; these are followed.
+/// Registers of the settings, followed by the tracked ones.
 const SETTINGS: std::ops::Range<usize> = 100..100 + registers::SETTINGS.len();
 const UNIT: usize = 100;
 const BUS_TIMEOUT: usize = 101;
@@ -36,12 +36,12 @@ const COMMANDS: std::ops::Range<usize> = 200..203;
 const SAVE: usize = 200;
 const RESTORE: usize = 201;
 
-/// Force Listen Only Mode, behind which a unit says nothing and does nothing.
+/// Force Listen Only Mode, after which a unit neither answers nor acts.
 const LISTEN_ONLY: [u8; 5] = [8, 0, 4, 0, 0];
 
 const ILLEGAL_FUNCTION: u8 = 1;
 
-/// A line for Modbus RTU.
+/// A Modbus RTU line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Port {
     /// The PLC's bus.
@@ -58,34 +58,34 @@ impl Port {
     }
 }
 
-/// What a request that was carried out comes to.
+/// Effect of an executed request.
 pub(super) enum Done {
-    /// Whoever asked was heard.
+    /// Only activity of the requester.
     Heard,
-    /// The PLC wrote this image, and its commands take this recipe's values.
+    /// The PLC wrote this image; its commands use the recipe's values, if any.
     Image(OutputImage, Option<Recipe>),
-    /// Something that is not followed any further.
+    /// An effect that is not tracked.
     Unknown,
 }
 
-/// The registers as those on the lines know them.
+/// The registers as known on both lines.
 pub(super) struct Overheard {
-    /// As the bus reads it.
+    /// The image as read over the bus.
     image: [u8; OutputImage::LEN],
     settings: Record,
-    /// What RESTORE brings back, and DEFAULTS.
+    /// Settings after RESTORE, and after DEFAULTS.
     stored: Record,
     delivered: Record,
-    /// DEFAULTS was taken; it counts from the end of the turn on.
+    /// Whether DEFAULTS was accepted; it takes effect at the end of the turn.
     resets: bool,
-    /// SAVE or DEFAULTS was taken.
+    /// Whether SAVE or DEFAULTS was accepted.
     is_saved: bool,
     bus: Requests,
     service: Requests,
 }
 
 impl Overheard {
-    /// A bridge that was delivered so, and starts with that.
+    /// Creates the state of a bridge with these default settings.
     pub(super) fn new(delivered: &Record) -> Self {
         Self {
             image: [0; OutputImage::LEN],
@@ -99,7 +99,7 @@ impl Overheard {
         }
     }
 
-    /// The unit that answers there.
+    /// Returns the unit address on this line.
     pub(super) fn unit(&self, port: Port) -> u8 {
         match port {
             Port::Bus => self.setting(UNIT) as u8,
@@ -131,12 +131,12 @@ impl Overheard {
         })
     }
 
-    /// What a bridge that starts finds in flash, once a save has ended; none if there was no save.
+    /// Returns the settings loaded at the next start after a completed save; `None` without one.
     pub(super) fn saved(&self) -> Option<&Record> {
         self.is_saved.then_some(&self.stored)
     }
 
-    /// The turn is over.
+    /// Ends the turn.
     pub(super) fn end_turn(&mut self) -> Done {
         if !std::mem::take(&mut self.resets) {
             return Done::Heard;
@@ -159,7 +159,7 @@ impl Overheard {
         Way { unit: self.unit(port), character_timeout_us: u32::from(character_timeout_ms) * 1_000 }
     }
 
-    /// Takes what happened next on a line.
+    /// Processes the next event of a line.
     pub(super) fn take(&mut self, port: Port, event: &Event) -> Option<Done> {
         let way = self.way(port);
         let requests = match port {
@@ -170,12 +170,12 @@ impl Overheard {
             let (request, answer) = requests.answered(answer, way.unit);
             return Some(self.take_answer(port, &request, answer));
         }
-        // The service port has no broadcasts, and listens only as well as it likes: what has no answer there does nothing.
+        // The service port supports no broadcasts; requests without an answer have no effect there.
         let has_ended = requests.listen(event, way) && port == Port::Bus;
         if has_ended { self.unanswered(way.unit) } else { None }
     }
 
-    /// Something has ended on the bus, and may be what is never answered.
+    /// Processes a frame on the bus that may require no answer.
     fn unanswered(&mut self, unit: u8) -> Option<Done> {
         if self.bus.request(unit).is_some_and(|pdu| pdu == LISTEN_ONLY) {
             return Some(Done::Unknown);
@@ -187,7 +187,7 @@ impl Overheard {
         if !matches!(pdu[0], 5 | 6 | 15 | 16 | 22) {
             return None;
         }
-        // Whether a setting was taken shows in no answer.
+        // No answer shows whether a setting was accepted.
         let write = self.write(&pdu);
         if self.bus.may_go_on() || write.as_ref().is_some_and(|write| !write.is_of_image()) {
             return Some(Done::Unknown);
@@ -206,13 +206,13 @@ impl Overheard {
             self.check_read(port, request, answer);
             return done.unwrap_or(Done::Heard);
         }
-        // Settings are refused while the fingers move as well.
+        // Settings are also rejected while the fingers move.
         assert!(port == Port::Service || !is_of_image, "refused: {}", what());
         assert!(!is_of_image || answer[1] == ILLEGAL_FUNCTION, "{}", what());
         Done::Heard
     }
 
-    /// Holding registers that were read are as they were written.
+    /// Checks that holding registers read back as written.
     fn check_read(&self, port: Port, request: &[u8], answer: &[u8]) {
         let [3, a1, a0, ..] = *request else { return };
         let words = answer[2..].chunks_exact(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
@@ -221,7 +221,7 @@ impl Overheard {
         }
     }
 
-    /// What a holding register reads there.
+    /// Returns the expected value of a holding register on this line.
     fn register(&self, port: Port, at: usize) -> Option<u16> {
         let mut image = self.image;
         if port == Port::Service && self.setting(SWAP_BYTES) != 0 {
@@ -234,7 +234,7 @@ impl Overheard {
         }
     }
 
-    /// The write that a request asks for, as the specification draws it; none if it is none, or no good one.
+    /// Returns the write requested by a PDU per the specification; `None` for any other or invalid request.
     fn write(&self, pdu: &[u8]) -> Option<Write> {
         let word = |high, low| u16::from_be_bytes([high, low]);
         let words = |bytes: &[u8]| bytes.chunks_exact(2).map(|pair| word(pair[0], pair[1])).collect();
@@ -304,9 +304,9 @@ impl Overheard {
         Some(Done::Image(OutputImage::from_bytes(image), recipe))
     }
 
-    /// SAVE, RESTORE or DEFAULTS is taken. Until the first or the last has ended, settings do not change.
+    /// Executes SAVE, RESTORE or DEFAULTS. During SAVE and DEFAULTS, settings do not change.
     fn command(&mut self, register: usize) -> Done {
-        assert!(!self.resets, "another command behind DEFAULTS, before it was done");
+        assert!(!self.resets, "another command before DEFAULTS has completed");
         match register {
             SAVE => self.stored = self.settings,
             RESTORE => return self.change_settings(|it| it.settings = it.stored),
@@ -317,7 +317,7 @@ impl Overheard {
     }
 
     fn change_settings(&mut self, change: impl FnOnce(&mut Self)) -> Done {
-        assert!(!self.resets, "settings change behind DEFAULTS, before it was done");
+        assert!(!self.resets, "settings changed before DEFAULTS has completed");
         let before = self.setting(SWAP_BYTES);
         change(self);
         if self.setting(SWAP_BYTES) != before {
@@ -328,10 +328,10 @@ impl Overheard {
     }
 }
 
-/// Functions that write.
+/// Functions with a write.
 const WRITES: [u8; 6] = [5, 6, 15, 16, 22, 23];
 
-/// Coils or registers from an address on, and what they shall be.
+/// A write to consecutive coils or registers.
 enum Write {
     Coils(usize, Vec<bool>),
     Words(usize, Vec<u16>),
@@ -343,14 +343,14 @@ impl Write {
     }
 }
 
-/// Whether there are such holding registers, all of one kind.
+/// Returns whether these holding registers exist and are of one kind.
 fn exist(first: usize, count: usize) -> bool {
     let last = first + count;
     let is_in = |range: &std::ops::Range<usize>| range.contains(&first) && last <= range.end;
     count > 0 && (last <= 4 || is_in(&SETTINGS) || is_in(&COMMANDS))
 }
 
-/// Turns the bytes of WIDTH, SPEED and FORCELIMIT round.
+/// Swaps the bytes of WIDTH, SPEED and FORCELIMIT.
 fn swap(image: &mut [u8; OutputImage::LEN]) {
     image.chunks_exact_mut(2).skip(1).for_each(<[u8]>::reverse);
 }

@@ -1,4 +1,4 @@
-//! The DP slave on its line, against a small model of it: telegrams, frame count bit, services, watchdog.
+//! The DP slave on its line against a small model: telegrams, frame count bit, services, watchdog.
 
 use bus_profibus::{Address, Cause, Character, Event, Profile, Slave, State};
 
@@ -18,7 +18,7 @@ const SYNC_BITS: u32 = 33;
 
 const SERVICES: [u8; 9] = [55, 56, 57, 58, 59, 60, 61, 62, 63];
 
-/// A slave with everything, and one with nothing.
+/// A slave with all options, and one with none.
 static PROFILES: [Profile; 2] = [
     Profile { ident: 0x1234, config: &CONFIG, sync: true, freeze: true, fail_safe: true, set_address: true },
     Profile {
@@ -33,10 +33,10 @@ static PROFILES: [Profile; 2] = [
 
 type Device = Slave<8, 2, 4>;
 
-/// Destination and source service access point.
+/// Destination and source service access points.
 type Points = (Option<u8>, Option<u8>);
 
-/// A telegram as a reader of the whole capture sees it.
+/// A telegram as parsed from the whole capture.
 #[derive(Clone, Debug)]
 struct Telegram {
     destination: u8,
@@ -46,7 +46,7 @@ struct Telegram {
     data: Vec<u8>,
 }
 
-/// The master that the slave belongs to.
+/// The master that controls the slave.
 #[derive(Clone, Copy, Debug)]
 struct Owner {
     address: u8,
@@ -75,14 +75,14 @@ struct Model {
     is_fault: bool,
     overflow: bool,
     announced: bool,
-    /// Source, frame count bit and service of the last request, and its answer.
+    /// Source, frame count bit and service of the last request, followed by its answer.
     last: Option<(u8, bool, Points)>,
     stored: Vec<u8>,
     /// The master's frame count bit.
     fcb: bool,
 }
 
-/// The first byte says which slave it is. Then each op is a byte that says what happens, and bytes that say how.
+/// The first byte selects the slave. Each further op is a byte with parameter bytes.
 pub fn profibus(data: &[u8]) {
     let mut input = Input::new(data);
     let mut model = Model::new(&PROFILES[usize::from(input.byte() & 1)]);
@@ -116,7 +116,7 @@ pub fn profibus(data: &[u8]) {
     }
 }
 
-/// Delimiters and check sum around a body; one with eight bytes of data comes either way.
+/// Adds delimiters and checksum to a body. Eight bytes of data can use either format.
 fn framed(body: &[u8], how: u8) -> Vec<u8> {
     let len = body.len() as u8;
     let head = match body.len() {
@@ -127,7 +127,7 @@ fn framed(body: &[u8], how: u8) -> Vec<u8> {
     [&head, body, &[sum(body), 0x16]].concat()
 }
 
-/// The telegrams in what came between two silences, each with the place of its last byte.
+/// Returns the telegrams between two silences, each with the index of its last byte.
 fn read(line: &[u8]) -> Vec<(usize, Telegram)> {
     let mut found = vec![];
     let mut at = 0;
@@ -196,7 +196,7 @@ impl Model {
         }
     }
 
-    /// The application shows inputs and a diagnosis.
+    /// Sets inputs and a diagnosis as the application.
     fn application(&mut self, input: &mut Input<'_>) {
         let how = input.byte();
         self.inputs = input.array();
@@ -214,7 +214,7 @@ impl Model {
         }
     }
 
-    /// A master takes the slave, with every mode that it has.
+    /// Starts control by a master with all supported modes.
     fn start(&mut self) {
         let modes = if self.profile.sync { 0x30 } else { 0 };
         let station = self.address.station | 0x80;
@@ -224,7 +224,7 @@ impl Model {
         self.send(&framed(&[station, 0x82, 0x5D, CHK_CFG, 62, CONFIG[0], CONFIG[1]], 1), None, None);
     }
 
-    /// A telegram of a master, from destination to data.
+    /// Returns a telegram from a master, from destination to data.
     fn body(&mut self, input: &mut Input<'_>) -> Vec<u8> {
         let how = input.byte();
         let destination = match how % 16 {
@@ -238,7 +238,7 @@ impl Model {
             1 => 0x6D,
             2 => 0x4C,
             3 => 0x49,
-            // Again.
+            // A repetition.
             4 => 0x5D | u8::from(self.fcb) << 5,
             _ => {
                 self.fcb = !self.fcb;
@@ -279,7 +279,7 @@ impl Model {
         [&[destination | 0x80, source | 0x80, code, point, ssap], &data[..]].concat()
     }
 
-    /// Sends it after a silence, perhaps with a damaged character or a pause in it.
+    /// Sends a telegram after a silence, possibly with a damaged character or a pause.
     fn send(&mut self, line: &[u8], damaged_at: Option<usize>, pause_at: Option<usize>) {
         let end = damaged_at.unwrap_or(line.len());
         let (first, second) = line[..end].split_at(pause_at.unwrap_or(end).min(end));
@@ -318,7 +318,7 @@ impl Model {
         assert_eq!(self.device.state(), self.state());
         assert_eq!(self.device.address(), self.address);
         assert_eq!(self.device.master(), self.owner.map(|owner| owner.address));
-        // No output without a master that exchanges data.
+        // Outputs require a master in data exchange.
         assert!(self.state() == State::DataExch || self.outputs == [0; 8]);
     }
 
@@ -348,7 +348,7 @@ impl Model {
         was_exchanging.then_some(Event::Left(cause))
     }
 
-    /// What the application must be told of a telegram, and its answer.
+    /// Returns the required event and answer for a telegram.
     fn handle(&mut self, telegram: &Telegram) -> (Option<Event>, Option<Vec<u8>>) {
         if self.is_expired() {
             return (self.expire(), None);

@@ -1,4 +1,4 @@
-//! The IO device with whoever is on its network: DCP, RPC, cyclic frames and alarms, whole and damaged.
+//! The IO device with its network peers: DCP, RPC, cyclic frames and alarms, intact and damaged.
 
 use bus_profinet::{Endpoint, Event, MAX_FRAME_LEN, MacAddress, State, Stored, Transmit};
 use wsg_fieldbus::profinet::{Device, PROFILE};
@@ -15,7 +15,7 @@ const HOSTS: [Endpoint; 2] =
 const IDENTIFY: [u8; 6] = [0x01, 0x0E, 0xCF, 0, 0, 0];
 const OUTPUT_ID: u16 = 0x8001;
 const SESSION_KEY: u16 = 7;
-/// How many frames may leave at a time: the bound of all that waits in the device.
+/// Maximum number of frames at a time: the capacity of the device's queues.
 const MAX_AT_ONCE: usize = 16;
 
 const INDEXES: [u16; 20] = [
@@ -30,11 +30,11 @@ struct Network {
     counter: u16,
     /// The device's last call.
     call: Option<Vec<u8>>,
-    /// What the last frame of outputs brought, if it was one that may count.
+    /// Outputs of the last cyclic frame, if it was valid.
     offered: Option<[u8; OutputImage::LEN]>,
 }
 
-/// Each op is a byte that says what happens, and bytes that say how.
+/// Each op is a byte with parameter bytes.
 pub fn profinet(data: &[u8]) {
     let mut input = Input::new(data);
     let mut network = Network::new();
@@ -158,7 +158,7 @@ impl Network {
                 self.device.receive_datagram(self.now, HOSTS[0], &datagram)
             }
             _ => {
-                // The endpoint mapper, or an operation that there is not.
+                // The endpoint mapper, or an unknown operation.
                 let operation = u16::from(input.byte() % 8);
                 let count = usize::from(input.byte() % 64);
                 let body = input.bytes(count).to_vec();
@@ -203,7 +203,7 @@ impl Network {
         frame.extend(self.counter.to_be_bytes());
         frame.extend([0x35, 0]);
         damage(&mut frame, input);
-        // As a reader of the network sees it: from the controller, all good.
+        // Independently checks that the frame is from the controller and valid.
         let is_good = frame.len() == 60
             && frame[..16] == [&DEVICE.0[..], &CONTROLLERS[0].0, &numbers(&[0x8892, OUTPUT_ID])].concat()
             && frame[24] & 0x80 != 0
@@ -213,7 +213,7 @@ impl Network {
         self.device.receive(self.now, &frame)
     }
 
-    /// No outputs without data exchange, and none but those that came.
+    /// Checks that outputs occur only in data exchange and were received.
     fn check(&self, before: State, event: Option<Event>) {
         let outputs = *self.device.outputs();
         if event == Some(Event::Outputs) {
@@ -222,7 +222,7 @@ impl Network {
                 (State::Data, State::Data),
                 "outputs without a controller"
             );
-            assert_eq!(Some(outputs), self.offered, "outputs that nobody sent");
+            assert_eq!(Some(outputs), self.offered, "outputs that were not received");
         }
         if self.device.state() != State::Data || matches!(event, Some(Event::Cleared | Event::Left(_))) {
             assert_eq!(outputs, [0; OutputImage::LEN], "{event:?}");
@@ -232,20 +232,20 @@ impl Network {
         }
     }
 
-    /// What is due leaves, and then there is nothing to do before its time.
+    /// Fetches all due events and frames, and checks that none is due afterwards.
     fn settle(&mut self) {
         for _ in 0..MAX_AT_ONCE {
             let before = self.device.state();
             let Some(event) = self.device.poll(self.now) else { break };
             self.check(before, Some(event));
         }
-        assert_eq!(self.device.poll(self.now), None, "events without end");
+        assert_eq!(self.device.poll(self.now), None, "the number of events is bounded");
         let mut buffer = [0; MAX_FRAME_LEN];
         for _ in 0..MAX_AT_ONCE {
             match self.device.poll_transmit(self.now, &mut buffer) {
                 Some(Transmit::Frame(len)) => {
                     assert!((60..=MAX_FRAME_LEN).contains(&len), "{len}");
-                    assert_eq!(buffer[6..12], DEVICE.0, "under another's name");
+                    assert_eq!(buffer[6..12], DEVICE.0, "a foreign source address");
                 }
                 Some(Transmit::Datagram(len, _)) => {
                     assert!((80..=1_472).contains(&len), "{len}");
@@ -254,16 +254,16 @@ impl Network {
                     }
                 }
                 None => {
-                    assert!(self.device.poll_timeout(self.now) > self.now, "due, and not done");
+                    assert!(self.device.poll_timeout(self.now) > self.now, "an overdue action");
                     return;
                 }
             }
         }
-        panic!("frames without end");
+        panic!("the number of frames is not bounded");
     }
 }
 
-/// Changes some bytes, or cuts the end.
+/// Changes some bytes or truncates the end.
 fn damage(bytes: &mut Vec<u8>, input: &mut Input<'_>) {
     let how = input.byte();
     if how < 0xC0 {
@@ -286,7 +286,7 @@ const INTERFACE: [u8; 16] =
     [0xDE, 0xA0, 0, 1, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 0xA0, 0x24, 0x42, 0xDF, 0x7D];
 const EPM: [u8; 16] = [0xE1, 0xAF, 0x83, 8, 0x5D, 0x1F, 0x11, 0xC9, 0x91, 0xA4, 8, 0, 0x2B, 0x14, 0xA0, 0xFA];
 
-/// The object of the device: instance 1, device 0001h, vendor 02A2h.
+/// Object UUID of the device: instance 1, device 0001h, vendor 02A2h.
 const OBJECT: [u8; 16] = [0xDE, 0xA0, 0, 0, 0x6C, 0x97, 0x11, 0xD1, 0x82, 0x71, 0, 1, 0, 1, 0x02, 0xA2];
 
 fn uuid(who: usize) -> [u8; 16] {
@@ -319,7 +319,7 @@ fn datagram(interface: &[u8; 16], sequence: u32, operation: u16, body: &[u8]) ->
     .concat()
 }
 
-/// The blocks of a connection, or of one for records alone: every 8 ms, silence of 24 ms.
+/// Returns the blocks of a connection (8 ms cycle, 24 ms time-out), or of one for records alone.
 fn connect(who: usize, is_access: bool) -> Vec<u8> {
     let (kind, properties) = if is_access { (6, 0x111_u32) } else { (1, 0x11) };
     let ar = [
@@ -376,7 +376,7 @@ fn connect(who: usize, is_access: bool) -> Vec<u8> {
 mod tests {
     use super::*;
 
-    /// The ops of the seeds do what they are there for.
+    /// The seeds' ops achieve their purpose.
     #[test]
     fn connection_of_this_body_leads_to_outputs() {
         let mut network = Network::new();

@@ -1,18 +1,18 @@
-//! The requests that must be behind the bridge's answers on a line for Modbus RTU.
+//! Matches the bridge's answers on a Modbus RTU line with their requests.
 //!
-//! Nothing is known here of how the bridge finds a frame: every answer must have its request, an intact frame for its unit
-//! between two silences of T3.5, or pieces of one with pauses below BUS_CHAR_TIMEOUT between them.
+//! Independent of the bridge's framing: every answer needs a request, an intact frame for its unit between two
+//! silences of T3.5, or fragments of one with pauses below BUS_CHAR_TIMEOUT.
 
 use bus_modbus::rtu::{Character, Timing};
 
 use super::modbus::checksum;
 use crate::rtu_double::Event;
 
-/// Who answers on a line, and how silence is judged there.
+/// The responding unit of a line, and the handling of silences there.
 #[derive(Clone, Copy)]
 pub(super) struct Way {
     pub(super) unit: u8,
-    /// Pauses below this do not end a frame; 0: T3.5 does, and T1.5 makes it void.
+    /// Pauses below this do not end a frame. With 0, T3.5 ends it and T1.5 invalidates it.
     pub(super) character_timeout_us: u32,
 }
 
@@ -22,19 +22,19 @@ impl Way {
     }
 }
 
-/// Characters without a silence of T3.5 between them.
+/// Characters without a silence of T3.5 in between.
 #[derive(Default)]
 struct Piece {
-    /// The pause before it was too short to end a frame.
+    /// Whether the pause before it was too short to end a frame.
     joins: bool,
     bytes: Vec<u8>,
     void: bool,
 }
 
-/// What may be requests on a line.
+/// Candidates for requests on a line.
 pub(super) struct Requests {
     timing: Timing,
-    /// The pieces that have ended, since the last request that was answered.
+    /// Complete fragments since the last answered request.
     ended: Vec<Piece>,
     current: Option<Piece>,
 }
@@ -44,7 +44,7 @@ impl Requests {
         Self { timing, ended: Vec::new(), current: None }
     }
 
-    /// Takes what happened next on the line. Whether a piece has ended.
+    /// Processes the next event of the line. Returns whether a fragment has ended.
     pub(super) fn listen(&mut self, event: &Event, way: Way) -> bool {
         match *event {
             Event::Character(character, silence_us) => {
@@ -73,7 +73,7 @@ impl Requests {
         true
     }
 
-    /// The PDU of the frame for this unit that the last pieces are, if they are one.
+    /// Returns the PDU of the frame for this unit formed by the last fragments, if any.
     pub(super) fn request(&self, unit: u8) -> Option<Vec<u8>> {
         (0..self.ended.len()).find_map(|from| {
             let (first, others) = self.ended[from..].split_first()?;
@@ -87,12 +87,12 @@ impl Requests {
         })
     }
 
-    /// Whether the last piece may be the rest of something that came before it.
+    /// Returns whether the last fragment may continue an earlier one.
     pub(super) fn may_go_on(&self) -> bool {
         self.ended.last().is_some_and(|piece| piece.joins)
     }
 
-    /// The request that this answers, and the PDU of the answer.
+    /// Returns the request that this answers, and the PDU of the answer.
     pub(super) fn answered<'a>(&mut self, answer: &'a [u8], unit: u8) -> (Vec<u8>, &'a [u8]) {
         let (body, sum) = answer.split_last_chunk().expect("an answer has a checksum");
         assert_eq!(checksum(body), *sum, "{answer:02X?}");

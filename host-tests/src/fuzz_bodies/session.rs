@@ -1,4 +1,4 @@
-//! The session against a small model: what was asked for, what of it has left, what has come to an end.
+//! The session against a small model of requested, sent and completed commands.
 
 use wsg_protocol::session::{Config, Event, FastStopPattern, Session};
 use wsg_protocol::{
@@ -8,8 +8,7 @@ use wsg_protocol::{
 
 use super::input::Input;
 
-/// Requests whose fate is followed: those that move fingers, unlock motion, or change a setting, and a query that the
-/// session does not make by itself.
+/// Tracked requests: motions, acknowledgements, settings, and a query that the session does not send by itself.
 const REQUESTS: [Command<'static>; 8] = [
     Command::Homing { direction: HomingDirection::Default },
     Command::GripPart { width: 20.0, speed: 50.0 },
@@ -30,24 +29,24 @@ const STATUSES: [Status; 6] = [
     Status::AxisBlocked,
 ];
 
-/// A request that was accepted.
+/// An accepted request.
 #[derive(Debug)]
 struct Accepted {
     id: CommandId,
     sent: bool,
 }
 
-/// The most that a session has to say at one moment: a burst of FAST STOPs, and what waited behind it.
+/// Maximum number of commands at one moment: a burst of FAST STOPs and the commands queued after it.
 const MOST_COMMANDS: usize = 16 + FastStopPattern::DEFAULT.burst_frames as usize;
 
 struct Model {
     session: Session,
     now_ms: u32,
-    /// Accepted and not ended.
+    /// Accepted requests that have not completed.
     open: Vec<Accepted>,
 }
 
-/// Each op is a byte that says what, and bytes that say how: a request, an answer, other frames, time.
+/// Each op is a byte with parameter bytes: a request, an answer, other frames, time.
 pub fn session(data: &[u8]) {
     let mut input = Input::new(data);
     let config = Config { verify_settings: input.byte() & 1 != 0, ..Config::DEFAULT };
@@ -97,7 +96,7 @@ impl Model {
         self.receive(id.code(), &payload);
     }
 
-    /// Answers what the session asks by itself, so that it connects and stays connected.
+    /// Answers the session's own queries, so that it connects and stays connected.
     fn answer_everything(&mut self, rounds: usize) {
         for _ in 0..rounds {
             for (id, payload) in answers() {
@@ -107,7 +106,7 @@ impl Model {
         }
     }
 
-    /// Lets time pass; takes all events and sends all commands, as the contract says.
+    /// Advances time, then fetches all events and commands as the contract requires.
     fn pass(&mut self, ms: u32) {
         self.now_ms = self.now_ms.wrapping_add(ms);
         let now = self.now();
@@ -115,44 +114,44 @@ impl Model {
         while let Some(event) = self.session.tick(now) {
             note(&mut self.open, &event);
             events += 1;
-            assert!(events < 64, "the events come to an end");
+            assert!(events < 64, "the number of events is bounded");
         }
         let mut commands = 0;
         while let Some(command) = self.session.poll_transmit(now) {
             self.sent(command.id());
             commands += 1;
-            assert!(commands <= MOST_COMMANDS, "the commands come to an end");
+            assert!(commands <= MOST_COMMANDS, "the number of commands is bounded");
         }
     }
 
     fn sent(&mut self, id: CommandId) {
         if matches!(id.kind(), Kind::Motion | Kind::Acknowledge) {
             let request = self.open.iter_mut().find(|open| open.id == id && !open.sent);
-            request.unwrap_or_else(|| panic!("{id} leaves and nobody asks for it")).sent = true;
+            request.unwrap_or_else(|| panic!("{id} was sent without a request")).sent = true;
         }
     }
 
-    /// After silence without end, every request has come to an end.
+    /// Checks that every request has completed after unlimited silence.
     fn end(mut self) {
         for _ in 0..40 {
             let Some(deadline) = self.session.poll_timeout() else { break };
             let ms = deadline.since(self.now()).max(1);
             self.pass(ms);
         }
-        assert!(self.open.is_empty(), "without an end: {:?}", self.open);
+        assert!(self.open.is_empty(), "requests that never completed: {:?}", self.open);
         assert!(!self.session.is_connected());
         assert_eq!(self.session.motion(), None);
     }
 }
 
-/// An end that an event tells of.
+/// Removes the request that an event completes.
 fn note(open: &mut Vec<Accepted>, event: &Event<'_>) {
     let (id, was_sent) = match event {
         Event::Answered(reply) => (reply.id(), true),
         Event::Unanswered(id) => (*id, true),
         Event::Withdrawn(id) => (*id, false),
         Event::Disconnected => {
-            assert!(open.is_empty(), "lost with the connection, and nobody is told: {open:?}");
+            assert!(open.is_empty(), "requests were lost with the connection without an event: {open:?}");
             return;
         }
         _ => return,
@@ -164,10 +163,10 @@ fn note(open: &mut Vec<Accepted>, event: &Event<'_>) {
         open.id == id && (!matches!(id.kind(), Kind::Motion | Kind::Acknowledge) || open.sent == was_sent)
     };
     let at = open.iter().position(is_it);
-    open.remove(at.unwrap_or_else(|| panic!("{event:?}, and nobody asked for it")));
+    open.remove(at.unwrap_or_else(|| panic!("{event:?} without a request")));
 }
 
-/// What the session asks by itself, answered.
+/// Returns the answers to the session's own queries.
 fn answers() -> Vec<(CommandId, Vec<u8>)> {
     let mut limits = vec![0, 0];
     for limit in [110.0_f32, 5.0, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0] {

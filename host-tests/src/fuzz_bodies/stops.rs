@@ -1,5 +1,5 @@
-//! What must leave, and when, whatever else goes on: a FAST STOP that was asked for, until the gripper answers it; a FAST STOP
-//! for a Stop that is not answered; a Stop for a gripper that moves when it is met first.
+//! Deadlines of stops: a requested FAST STOP until the gripper confirms it, a FAST STOP after an unanswered Stop, and
+//! a Stop for a gripper that is already moving on the first connection.
 
 use wsg_bridge_fw::io::Outputs;
 use wsg_protocol::session::FastStopPattern;
@@ -10,43 +10,43 @@ use super::told::Told;
 
 const PATTERN: FastStopPattern = FastStopPattern::DEFAULT;
 
-/// How long a Stop may be unanswered while the fingers are not known to stand, in milliseconds.
+/// Maximum time without an answer to Stop while the fingers may be moving, in milliseconds.
 const STOP_MS: u32 = 100;
 
-/// Where a FAST STOP stands.
+/// Progress of a FAST STOP.
 #[derive(Clone, Copy)]
 enum FastStop {
-    /// It is answered, or there is none.
+    /// Confirmed, or none requested.
     Answered,
-    /// It must leave; since when.
+    /// To be sent, since this time.
     Due(u32),
-    /// Left once, and when.
+    /// Sent once, at this time.
     Once(u32),
-    /// So many have left of a burst, the last one then.
+    /// Number of frames of a burst sent so far, and the time of the last.
     Burst(u16, u32),
-    /// A burst has ended.
+    /// Pause after a burst, since this time.
     Pause(u32),
-    /// It is not known what became of the last ones.
+    /// The last frames may be lost.
     Unknown,
 }
 
-/// What is owed to the gripper.
+/// Stops owed to the gripper.
 pub(super) struct Stops {
     fast_stop: FastStop,
-    /// Since when a Stop must leave; and when one left that is not answered.
+    /// Time since which a Stop is due, and of the last unanswered Stop.
     stop_due_ms: Option<u32>,
     stop_ms: Option<u32>,
-    /// An acknowledgement left, and is not answered: until then STOP/ACK is no Stop.
+    /// Whether an acknowledgement is unanswered; until then STOP/ACK causes no Stop.
     acknowledges: bool,
-    /// The fingers move, and nobody commands them; since when.
+    /// Time since which the fingers move without a command.
     runaway_ms: Option<u32>,
-    /// Since when the gripper reports that the fingers move.
+    /// Time since which the gripper reports moving fingers.
     moves_since_ms: Option<u32>,
-    /// It has reported that they stand, since the Stop that is not answered.
+    /// Whether the fingers were reported at rest since the unanswered Stop.
     has_stood: bool,
-    /// The gripper was connected, or was stopped when it was met first.
+    /// Whether the gripper was connected, or was stopped on the first connection.
     is_acquainted: bool,
-    /// A FAST STOP was left by a third party; the bridge may still await a later report before it knows.
+    /// Whether a third party ended a FAST STOP of which the bridge may still await the report.
     may_be_stopped: bool,
 }
 
@@ -65,22 +65,22 @@ impl Stops {
         }
     }
 
-    /// Whether every FAST STOP is answered.
+    /// Returns whether every FAST STOP is confirmed.
     pub(super) const fn is_answered(&self) -> bool {
         matches!(self.fast_stop, FastStop::Answered)
     }
 
-    /// The gripper has left a FAST STOP that the PLC still asserts: another one must be sent.
+    /// Requires another FAST STOP, because the gripper has left one that the PLC still asserts.
     pub(super) const fn owe_fast_stop(&mut self, now_ms: u32) {
         self.fast_stop = FastStop::Due(now_ms);
     }
 
-    /// The gripper has left a FAST STOP that the PLC asserts no more.
+    /// Records that the gripper has left a FAST STOP that the PLC no longer asserts.
     pub(super) const fn leave_fast_stop(&mut self) {
         self.may_be_stopped = true;
     }
 
-    /// What was read and asked for in this turn, before anything leaves.
+    /// Processes the inputs of this turn, before any command is sent.
     pub(super) fn begin_turn(&mut self, now_ms: u32, told: &Told, asked: &Asked) {
         self.has_stood |= told.stands();
         self.moves_since_ms = told.moves().then(|| self.moves_since_ms.unwrap_or(now_ms));
@@ -108,7 +108,7 @@ impl Stops {
         }
     }
 
-    /// A command leaves the bridge, so late at the most as `patience_ms`, if that is known.
+    /// Checks a command, which may be delayed by up to `patience_ms`, if known.
     pub(super) fn leaves(&mut self, now_ms: u32, id: CommandId, told: &Told, patience_ms: Option<u32>) {
         let is_query_of_state = matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
         let is_stop = matches!(id, CommandId::Stop | CommandId::FastStop);
@@ -125,18 +125,18 @@ impl Stops {
         let is_alone = matches!(self.fast_stop, FastStop::Answered | FastStop::Unknown);
         assert!(is_alone, "{id} before the answer to a FAST STOP");
         if id == CommandId::Stop {
-            // The repetition may have waited for the line since before they began to move.
+            // The repetition may have been queued before the fingers began to move.
             let is_late = self.moves_since_ms.is_some_and(|since_ms| {
                 self.has_stood && patience_ms.is_none_or(|patience_ms| now_ms - since_ms <= patience_ms)
             });
             let is_first = self.stop_ms.is_none();
-            assert!(is_first || is_late || told.stands(), "Stop again, while the fingers move");
+            assert!(is_first || is_late || told.stands(), "a repeated Stop while the fingers move");
             self.has_stood &= !is_first;
             self.stop_ms = Some(now_ms);
         }
     }
 
-    /// The turn is over.
+    /// Checks the deadlines at the end of a turn.
     pub(super) fn end_turn(&mut self, now_ms: u32, outputs: Outputs, told: &Told, patience_ms: Option<u32>) {
         self.may_be_stopped &= !outputs.contains(Outputs::READY);
         if outputs.contains(Outputs::LINK_OK) {
@@ -145,7 +145,7 @@ impl Stops {
             (self.stop_due_ms, self.acknowledges) = (None, false);
         }
         let Some(patience_ms) = patience_ms else {
-            // Nothing can reach the gripper. What is due stays due.
+            // The gripper is unreachable, so deadlines are deferred.
             for moment in
                 [&mut self.stop_due_ms, &mut self.stop_ms, &mut self.runaway_ms].into_iter().flatten()
             {
@@ -165,10 +165,10 @@ impl Stops {
             FastStop::Burst(_, left_ms) => left_ms,
             FastStop::Pause(since_ms) => since_ms + PATTERN.pause_ms,
         };
-        assert!(now_ms <= latest_ms + patience_ms, "FAST STOP does not leave");
+        assert!(now_ms <= latest_ms + patience_ms, "FAST STOP was not sent in time");
         assert!(
             self.stop_due_ms.is_none_or(|since_ms| now_ms <= since_ms + patience_ms),
-            "Stop does not leave"
+            "Stop was not sent in time"
         );
         if let Some(since_ms) = self.runaway_ms {
             assert!(outputs.contains(Outputs::ERROR), "the fingers move without ERROR");
@@ -180,28 +180,25 @@ impl Stops {
             if told.stands() {
                 self.stop_ms = None;
             } else {
-                assert!(
-                    now_ms <= left_ms + STOP_MS + patience_ms,
-                    "no FAST STOP behind a Stop without an answer"
-                );
+                assert!(now_ms <= left_ms + STOP_MS + patience_ms, "no FAST STOP after an unanswered Stop");
             }
         }
     }
 }
 
 impl FastStop {
-    /// One leaves.
+    /// Advances after sending a frame.
     fn leaves(self, now_ms: u32, patience_ms: Option<u32>) -> Self {
         let silence_of = |left_ms: u32| now_ms - left_ms;
         let patience_ms = patience_ms.unwrap_or(u32::MAX);
         match self {
             Self::Answered | Self::Due(_) => Self::Once(now_ms),
-            // Behind a Stop without an answer a burst is first.
+            // After an unanswered Stop the burst comes first.
             Self::Once(left_ms) if silence_of(left_ms) <= patience_ms => Self::Burst(2, now_ms),
             Self::Once(left_ms) => {
                 assert!(
                     silence_of(left_ms) >= PATTERN.answer_ms,
-                    "FAST STOP again before its answer can come"
+                    "FAST STOP repeated before its answer can arrive"
                 );
                 Self::Burst(1, now_ms)
             }
@@ -210,7 +207,7 @@ impl FastStop {
             Self::Pause(since_ms) => {
                 assert!(
                     silence_of(since_ms) >= PATTERN.pause_ms,
-                    "a pause of a FAST STOP that is not silent"
+                    "FAST STOP sent during the pause after a burst"
                 );
                 Self::Burst(1, now_ms)
             }

@@ -1,4 +1,4 @@
-//! The store of settings on pages that hold anything.
+//! The settings store on pages with arbitrary content.
 
 use wsg_bridge_fw::storage::{NorFlash, Page, Progress, Store};
 use wsg_protocol::Instant;
@@ -8,10 +8,10 @@ use crate::flash_model::{FlashModel, PAGE_LEN, Tear};
 
 const MAX_LEN: usize = 200;
 
-/// Saves are slow beside everything else.
+/// Limits the number of slow saves.
 const MAX_SAVES: usize = 8;
 
-/// Each op is a byte that says what, and bytes that say how: what pages hold, saves, power cuts.
+/// Each op is a byte with parameter bytes: contents of pages, saves, power failures.
 pub fn storage(data: &[u8]) {
     let mut input = Input::new(data);
     let mut flash = FlashModel::new();
@@ -56,14 +56,14 @@ pub fn storage(data: &[u8]) {
     }
 }
 
-/// What is loaded has a CRC that fits.
+/// Checks that loaded settings have a valid CRC.
 fn loads_what_is_there(flash: &FlashModel) {
     let mut store = Store::<MAX_LEN>::new();
     let Ok(found) = store.load(flash) else { return };
     let is_there = |page, index| {
         let Ok(first) = flash.read(page, index) else { return false };
         let expected = record(found.version, 0, found.payload);
-        // All but the number of the save, which nothing else tells.
+        // Excludes the number of the save, which cannot be known.
         let expected = with_number(&expected, first >> 40);
         (index..).zip(&expected).all(|(index, double_word)| flash.read(page, index) == Ok(*double_word))
     };
@@ -71,13 +71,13 @@ fn loads_what_is_there(flash: &FlashModel) {
     assert!(is_there, "no such record: {found:X?}");
 }
 
-/// A save on whatever is there works, and is found.
+/// Checks that a save succeeds on any content and can be loaded.
 fn save(flash: &mut FlashModel, version: u16, payload: &[u8], cut: Option<(u32, Tear)>) {
     let mut store = Store::<MAX_LEN>::new();
     let _ = store.load(flash);
     flash.cut = cut.map(|(after, tear)| (flash.operations + after, tear));
     assert_eq!(store.begin(version, payload), Ok(()));
-    // An erase, the longest record, the same again in the other page, and what begins and ends them.
+    // An erase and the longest record, in both pages, and their start and end.
     for _ in 0..70 {
         match store.poll(flash, Instant::from_millis(0)) {
             Progress::Saving if flash.is_off() => break,
@@ -87,14 +87,17 @@ fn save(flash: &mut FlashModel, version: u16, payload: &[u8], cut: Option<(u32, 
         }
     }
     let was_cut = store.is_saving();
-    assert!(!was_cut || cut.is_some(), "a save ends");
+    assert!(!was_cut || cut.is_some(), "a save completes without a power failure");
     flash.reboot();
     let mut store = Store::<MAX_LEN>::new();
     let found = store.load(flash).map(|record| (record.version, record.payload));
-    assert!(was_cut || found == Ok((version, payload)), "saved is not what is loaded: {found:X?}");
+    assert!(
+        was_cut || found == Ok((version, payload)),
+        "the loaded settings differ from the saved ones: {found:X?}"
+    );
 }
 
-/// The double words of a record, as the format says.
+/// Returns the double words of a record per the format.
 fn record(version: u16, number: u16, payload: &[u8]) -> Vec<u64> {
     let first = 0xA5 | (payload.len() as u64) << 8 | u64::from(version) << 24;
     let padded = payload.chunks(8).map(|chunk| {
@@ -106,11 +109,13 @@ fn record(version: u16, number: u16, payload: &[u8]) -> Vec<u64> {
     with_number(&double_words, number.into())
 }
 
-/// The record with this number and the CRC that fits.
+/// Returns the record with this number and a matching CRC.
 fn with_number(record: &[u64], number: u64) -> Vec<u64> {
     let mut record = record.to_vec();
     record[0] = record[0] & 0xFF_FFFF_FFFF | number << 40;
-    let Some((trailer, covered)) = record.split_last_mut() else { unreachable!("it has two at the least") };
+    let Some((trailer, covered)) = record.split_last_mut() else {
+        unreachable!("a record has at least two double words")
+    };
     let bytes = covered.iter().flat_map(|double_word| double_word.to_le_bytes());
     let crc: u32 = !bytes.fold(!0, |crc, byte| {
         (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xEDB8_8320 } else { 0 })

@@ -1,4 +1,4 @@
-//! The bridge's end of the gripper's link: records what the bridge reads, and finds the messages that it writes.
+//! The bridge's end of the gripper's link: records received bytes and parses sent messages.
 
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_protocol::frame::OVERHEAD;
@@ -6,22 +6,22 @@ use wsg_protocol::{CommandId, FrameParser};
 
 use crate::gripper_states::{self, Message};
 
-/// Bytes of a frame up to its id.
+/// Length of a frame up to and including its id.
 const UP_TO_ID: usize = 4;
 
-/// A link and what passes through it. A slow one begins a frame only in a millisecond that has room for its id: a command is
-/// known when its first byte is sent.
+/// A link and its traffic. A slow one starts a frame only in a millisecond with room up to its id, so the command is
+/// known at its first byte.
 pub(super) struct Tap<L> {
     pub(super) link: L,
-    /// Bytes that a slow one takes in a millisecond.
+    /// Capacity of a slow link in bytes per millisecond.
     per_ms: Option<usize>,
-    /// What it takes in this millisecond.
+    /// Remaining capacity in this millisecond.
     left: usize,
-    /// The frame that is being sent on a slow one.
+    /// The frame in transmission on a slow link.
     frame: Vec<u8>,
     heard: Vec<u8>,
     begun: Vec<CommandId>,
-    /// Whole frames, and the parser that finds messages in them.
+    /// Complete frames, and their parser.
     whole: Vec<u8>,
     parser: FrameParser<64>,
 }
@@ -44,28 +44,28 @@ impl<L> Tap<L> {
         self.per_ms.is_some()
     }
 
-    /// The link for one turn of the bridge.
+    /// Returns the link for one turn of the bridge.
     pub(super) fn turn(&mut self) -> &mut Self {
         self.left = self.per_ms.unwrap_or(usize::MAX);
         self
     }
 
-    /// What the bridge has read.
+    /// Returns the bytes that the bridge has read.
     pub(super) fn take_heard(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.heard)
     }
 
-    /// The commands that have begun to leave on a slow link.
+    /// Returns the commands whose transmission has started on a slow link.
     pub(super) fn take_begun(&mut self) -> Vec<CommandId> {
         std::mem::take(&mut self.begun)
     }
 
-    /// The messages that have left, all of them intact.
+    /// Returns the sent messages, all of which must be intact.
     pub(super) fn take_messages(&mut self) -> Vec<Message> {
         gripper_states::messages(&mut self.parser, &std::mem::take(&mut self.whole))
     }
 
-    /// The rest of the frame that is being sent will not come, unless it is a FAST STOP.
+    /// Drops the rest of the frame in transmission, unless it is a FAST STOP.
     pub(super) fn cut(&mut self) {
         if self.frame.get(UP_TO_ID - 1) != Some(&CommandId::FastStop.code()) {
             self.frame.clear();

@@ -1,24 +1,24 @@
-//! What the gripper has told the bridge: the intact frames in what the bridge has read.
+//! Reports of the gripper: intact frames in the bytes read by the bridge.
 
 use wsg_bridge_fw::MAX_REPLY_LEN;
 use wsg_protocol::{CommandId, Event, FrameParser, GripperState, Kind, Reply, Status, SystemFlags, Value};
 
-/// What the bridge may know of its gripper.
+/// State of the gripper as known to the bridge.
 pub(super) struct Told {
-    /// After how long without a byte half a frame is given up, in milliseconds.
+    /// Time-out of an incomplete frame, in milliseconds.
     pub(super) frame_timeout_ms: u32,
     parser: FrameParser<MAX_REPLY_LEN>,
     read_ms: u32,
-    /// When the last intact frame ended.
+    /// End of the last intact frame.
     pub(super) heard_ms: u32,
-    /// The states that were reported last, since the connection was lost.
+    /// Last reported states since the connection was lost.
     pub(super) flags: Option<SystemFlags>,
     pub(super) state: Option<GripperState>,
-    /// The result of a grip, since another motion was sent and since a stop was answered. Until then the part may still be held.
+    /// Result of the last grip, until another motion is sent or a stop is confirmed; until then the part may be held.
     pub(super) grip: Option<Status>,
-    /// In this turn, a report of FAST STOP was followed by one without it.
+    /// Whether FAST STOP was reported and then cleared in this turn.
     pub(super) has_left_fast_stop: bool,
-    /// What was answered by a status alone in this turn.
+    /// Status-only answers in this turn.
     answered: Vec<(CommandId, Status)>,
 }
 
@@ -37,23 +37,23 @@ impl Told {
         }
     }
 
-    /// The connection is lost.
+    /// Discards all states after the loss of the connection.
     pub(super) fn forget(&mut self) {
         (self.flags, self.state, self.grip) = (None, None, None);
     }
 
-    /// Whether the gripper reports that the fingers move, as far as it has.
+    /// Returns whether the gripper has reported moving fingers.
     pub(super) fn moves(&self) -> bool {
         self.flags.is_some_and(|flags| flags.contains(SystemFlags::MOVING))
             || self.state.is_some_and(GripperState::is_motion)
     }
 
-    /// Whether the gripper reports that they stand.
+    /// Returns whether the gripper has reported fingers at rest.
     pub(super) fn stands(&self) -> bool {
         self.flags.is_some() && !self.moves()
     }
 
-    /// Whether the gripper has answered this command in this turn, for good; FAST STOP is only answered by E_SUCCESS.
+    /// Returns whether this command received a final answer in this turn; for FAST STOP only E_SUCCESS counts.
     pub(super) fn is_answered(&self, command: CommandId) -> bool {
         self.answered.iter().any(|(id, status)| {
             *id == command
@@ -62,7 +62,7 @@ impl Told {
         })
     }
 
-    /// The bridge reads this, in this turn.
+    /// Processes bytes read by the bridge in this turn.
     pub(super) fn read(&mut self, now_ms: u32, mut bytes: &[u8]) {
         self.answered.clear();
         self.has_left_fast_stop = false;
@@ -93,7 +93,7 @@ impl Told {
             Heard::State(state) => self.state = Some(state),
             Heard::Status(id, status) => {
                 self.answered.push((id, status));
-                // A second answer of E_CMD_PENDING, after the result, changes nothing.
+                // A further E_CMD_PENDING after the result has no effect.
                 if id == CommandId::GripPart && status.is_final() {
                     self.grip = Some(status);
                 } else if id.kind() == Kind::Stop {
@@ -107,12 +107,12 @@ impl Told {
 }
 
 enum Heard {
-    /// A frame that is not intact.
+    /// A damaged frame.
     Nothing,
     Flags(SystemFlags),
     State(GripperState),
     Status(CommandId, Status),
-    /// Something that is not for the bridge.
+    /// A frame that does not concern the bridge.
     Other,
 }
 

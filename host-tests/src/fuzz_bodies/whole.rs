@@ -1,6 +1,6 @@
-//! What the bodies of the whole bridge share: wires, the gripper's end, the oracle, and the loop that plays a case.
+//! Common parts of the whole-bridge bodies: wires, the gripper's end, the oracle, and the loop that plays a case.
 //!
-//! A body adds the bridge, its PLC's bus, and what the oracle needs to know of the bus.
+//! Each body adds the bridge, its PLC bus, and the oracle's inputs from the bus.
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -15,7 +15,7 @@ use crate::serial_gripper::SerialLine;
 
 const MOTION_WIRES: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
 
-/// Flags that a PLC writes: one motion, a jog, a stop, several at once.
+/// Flags from a PLC: single motions, jogs, stops, and combinations.
 pub(super) const FLAGS: [CommandFlags; 12] = [
     CommandFlags::empty(),
     CommandFlags::MOVE,
@@ -31,17 +31,17 @@ pub(super) const FLAGS: [CommandFlags; 12] = [
     CommandFlags::all(),
 ];
 
-/// WIDTH, SPEED and FORCELIMIT: two that a gripper takes, and one that it does not.
+/// WIDTH, SPEED and FORCELIMIT: two valid sets and one that the gripper rejects.
 pub(super) const PARAMETERS: [[u16; 3]; 3] =
     [[20_00, 50_00, 40_00], [50_00, 100_00, 40_00], [20_00, 1, 40_00]];
 
-/// What a bridge shows whose gripper takes commands.
+/// Outputs of a bridge whose gripper accepts commands.
 const READY: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 
-/// And one that refuses the stored settings.
+/// Outputs of a bridge that rejects the stored settings.
 const REFUSED: Outputs = READY.difference(Outputs::READY).union(Outputs::ERROR);
 
-/// Everything around the bridge but its PLC's bus.
+/// Everything around the bridge except the PLC bus.
 pub(super) struct Ends {
     pub(super) now_ms: u32,
     pub(super) wires: Inputs,
@@ -49,12 +49,12 @@ pub(super) struct Ends {
     /// The line of a gripper on RS-232.
     pub(super) line: Tap<SerialLine>,
     pub(super) oracle: Oracle,
-    /// What comes next cannot be followed.
+    /// Whether further effects cannot be tracked.
     pub(super) is_over: bool,
 }
 
 impl Ends {
-    /// Power-up of a bridge with these settings, on a line that takes `per_ms` bytes in a millisecond, or any number.
+    /// Creates the state at power-up with these settings; `per_ms` limits the line's bytes per millisecond.
     pub(super) fn new(config: &Config, per_ms: Option<usize>) -> Self {
         Self {
             now_ms: 0,
@@ -66,13 +66,13 @@ impl Ends {
         }
     }
 
-    /// Passes to the oracle what the bridge read from the line in this turn, and the wires.
+    /// Passes the bytes read in this turn and the wires to the oracle.
     pub(super) fn begin_turn(&mut self) {
         let heard = self.line.take_heard();
         self.oracle.begin_turn(self.now_ms, &heard, self.wires);
     }
 
-    /// Ends a turn with these outputs: the gripper hears what the bridge sent, and answers.
+    /// Ends a turn with these outputs: delivers the bridge's commands to the gripper, and its answers.
     pub(super) fn end_turn(&mut self, outputs: Outputs, patience_ms: u32) {
         let Self { now_ms, gripper, line, oracle, .. } = self;
         oracle.begin_leaving(Some(patience_ms));
@@ -94,18 +94,18 @@ impl Ends {
 
 /// A bridge with its lines and a PLC.
 pub(super) trait WholeBridge {
-    /// How long the bridge takes to connect, in milliseconds.
+    /// Time until the bridge is connected, in milliseconds.
     const CONNECTS_MS: u32 = 12;
 
     fn ends(&mut self) -> &mut Ends;
 
-    /// Lets the PLC on the bus write zeros, after whatever must precede that. STOP_ACK is high meanwhile.
+    /// Writes zeros as the PLC on the bus, with any required preparation. STOP_ACK is high meanwhile.
     fn write_zeros(&mut self);
 
-    /// Executes an op that belongs to this body alone.
+    /// Executes an op specific to this body.
     fn take(&mut self, op: u8, input: &mut Input<'_>);
 
-    /// One turn of the main loop, a millisecond after the one before.
+    /// Runs one turn of the main loop, a millisecond after the previous one.
     fn turn(&mut self);
 
     fn pass(&mut self, ms: u32) {
@@ -122,26 +122,26 @@ pub(super) trait WholeBridge {
         op & 0x80 == 0
     }
 
-    /// Brings bytes of the gripper to the bridge.
+    /// Delivers bytes from the gripper to the bridge.
     fn bring(&mut self, bytes: &[u8]) {
         self.ends().line.link.bring(bytes);
     }
 
-    /// Brings bytes to the bridge that the gripper never sent.
+    /// Delivers forged bytes to the bridge.
     fn forge(&mut self, bytes: &[u8]) {
         let Ends { now_ms, gripper, .. } = self.ends();
         gripper.forge(*now_ms, bytes);
         self.bring(bytes);
     }
 
-    /// Brings an answer to the bridge that the gripper never sent.
+    /// Delivers a forged answer to the bridge.
     fn forge_status(&mut self, input: &mut Input<'_>) {
         let statuses = [Status::Success, Status::CmdPending, Status::CmdFailed, Status::AccessDenied];
         let status = input.pick(&statuses);
         self.forge(&gripper::status(input.pick(CommandId::ALL), status));
     }
 
-    /// Reaches the state before most interesting ones: connected, FAST STOP acknowledged, zeros written over the bus.
+    /// Establishes the usual initial state: connected, FAST STOP acknowledged, zeros written over the bus.
     fn get_ready(&mut self) {
         self.ends().gripper.answer();
         self.ends().wires = Inputs::FAST_STOP_OK;
@@ -154,7 +154,7 @@ pub(super) trait WholeBridge {
         assert_eq!(shown.outputs, if asked.refuses { REFUSED } else { READY });
     }
 
-    /// Plays a case. The first byte says whether the bridge is ready (bit 0) and whether the fingers move at power-up (bit 4).
+    /// Plays a case. The first byte selects a ready bridge (bit 0) and moving fingers at power-up (bit 4).
     fn play(&mut self, choice: u8, input: &mut Input<'_>) {
         if choice & 16 != 0 {
             self.ends().gripper.run();

@@ -1,5 +1,5 @@
-//! Protects the strictness of the watchdog: it fires only when it should, and takes values only with its key. Firmware that
-//! feeds it in time would not notice another one.
+//! Covers the watchdog's strictness: it fires only on time, and accepts values only with the key. Firmware that feeds
+//! it in time would not detect a difference.
 
 use super::*;
 
@@ -11,7 +11,7 @@ fn load(iwdg: &mut Iwdg, offset: u32) -> u32 {
     iwdg.load(IWDG + offset, Width::Word).unwrap()
 }
 
-/// One that runs with 100 ms.
+/// Creates a running watchdog with a time-out of 100 ms.
 fn running() -> Iwdg {
     let mut iwdg = Iwdg::new();
     store(&mut iwdg, KR, START);
@@ -35,14 +35,14 @@ fn it_resets_the_machine_when_it_is_not_fed() {
 }
 
 #[test]
-fn it_counts_from_its_start_alone() {
+fn it_counts_only_after_its_start() {
     let mut iwdg = Iwdg::new();
     iwdg.has_run(Duration::from_secs(10));
     assert!(!iwdg.resets_machine());
 }
 
 #[test]
-fn values_are_taken_with_the_key_alone() {
+fn values_are_accepted_only_with_the_key() {
     let mut iwdg = Iwdg::new();
     store(&mut iwdg, RLR, 1);
     assert_eq!(load(&mut iwdg, RLR), 0xFFF);
@@ -58,7 +58,7 @@ fn a_new_value_takes_five_cycles_of_its_clock() {
     assert_eq!(load(&mut iwdg, SR), PVU | RVU);
     store(&mut iwdg, KR, UNLOCK);
     store(&mut iwdg, RLR, 5);
-    assert_eq!(load(&mut iwdg, RLR), 799, "not while the last one is on its way");
+    assert_eq!(load(&mut iwdg, RLR), 799, "ignored during an update");
     iwdg.advance(UPDATE);
     assert_eq!(load(&mut iwdg, SR), 0);
     store(&mut iwdg, RLR, 5);
@@ -66,7 +66,7 @@ fn a_new_value_takes_five_cycles_of_its_clock() {
 }
 
 #[test]
-fn what_is_no_key_is_refused() {
+fn unknown_keys_and_the_window_are_rejected() {
     assert!(Iwdg::new().store(IWDG, Width::Word, 1).is_err());
     assert!(Iwdg::new().store(IWDG + WINR, Width::Word, 1).is_err());
 }

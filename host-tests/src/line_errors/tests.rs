@@ -1,8 +1,8 @@
-//! Protects the strictness of the model: an error flag stays until the firmware clears it.
+//! Covers the model's strictness: an error flag stays set until the firmware clears it.
 
 use super::*;
 
-/// QEMU's UART with a byte that waits, and the stores to its ICR.
+/// QEMU's UART with a waiting byte; records stores to ICR.
 #[derive(Default)]
 struct Uart(Vec<u32>);
 

@@ -1,8 +1,8 @@
-//! Protects the encodings that a compiler does not emit today and may emit tomorrow, and the refusal of all others.
+//! Covers encodings that compilers may emit in future, and the rejection of all others.
 
 use super::*;
 
-/// R0 to R15; R2 is an index, R10 another.
+/// R0 to R15; R2 and R10 are indices.
 const R: [u32; 16] = {
     let mut r = [0xDEAD_BEEF; 16];
     r[0] = 0x4000_6400;
@@ -21,10 +21,10 @@ fn assert_decodes(code: [u16; 2], direction: Move, width: Width, address: u32) {
     assert_eq!((decoded.register, decoded.len), (register, len), "{code:04X?}");
 }
 
-// The encodings are an assembler's (llvm-mc).
+// The encodings come from an assembler (llvm-mc).
 
 #[test]
-fn narrow_ones_have_an_offset_or_a_register() {
+fn narrow_instructions_have_an_offset_or_a_register() {
     for (code, direction, width, address) in [
         (0x6001, Move::Store, Width::Word, 0x4000_6400),
         (0x6FC1, LOAD, Width::Word, 0x4000_6400 + 124),
@@ -46,7 +46,7 @@ fn narrow_ones_have_an_offset_or_a_register() {
 }
 
 #[test]
-fn wide_ones_have_a_longer_offset_or_a_shifted_register() {
+fn wide_instructions_have_a_longer_offset_or_a_shifted_register() {
     for (code, direction, width, address) in [
         ([0xF8D8, 0x9ABC], LOAD, Width::Word, 0x4000_6800 + 0xABC),
         ([0xF8C8, 0x9ABC], Move::Store, Width::Word, 0x4000_6800 + 0xABC),
@@ -79,7 +79,7 @@ fn the_base_is_written_back_before_or_after() {
 }
 
 #[test]
-fn everything_else_is_refused_by_name() {
+fn all_other_instructions_are_rejected_by_name() {
     for (code, name) in [
         ([0xE9D2, 0x0100], "LDRD"),
         ([0xE9C2, 0x0102], "STRD"),

@@ -5,7 +5,7 @@ use embedded_can::{ExtendedId, Id, StandardId};
 use super::filters::identifier;
 use crate::can_wire::WireFrame;
 
-/// How many transmit buffers there are.
+/// Number of transmit buffers.
 pub const TRANSMIT_BUFFERS: usize = 3;
 
 /// Bits of TXBnCTRL (register 3-1).
@@ -32,7 +32,7 @@ type Message = [u8; 13];
 pub(super) struct TransmitBuffer {
     control: u8,
     message: Message,
-    /// Aborted while it is being sent.
+    /// Abort requested during transmission.
     is_to_abort: bool,
 }
 
@@ -45,7 +45,7 @@ impl TransmitBuffer {
         self.control & TXP
     }
 
-    /// 3.4: the flags of the last message are cleared.
+    /// 3.4: a request clears the flags of the last message.
     pub(super) fn request(&mut self) {
         self.control = self.control & TXP | TXREQ;
     }
@@ -57,7 +57,7 @@ impl TransmitBuffer {
         }
     }
 
-    /// Whether it was taken: a message that is pending must not be changed (3.2).
+    /// Returns whether the store takes effect; a pending message must not be changed (3.2).
     pub(super) fn store(&mut self, column: u8, value: u8, is_sending: bool) -> bool {
         if column == 0 {
             let was_pending = self.is_pending();
@@ -65,7 +65,7 @@ impl TransmitBuffer {
             self.control = control;
             match (was_pending, value & TXREQ != 0) {
                 (false, true) => self.request(),
-                // 3.6: what is being sent goes on to its end.
+                // 3.6: a transmission in progress continues.
                 (true, false) if is_sending => self.is_to_abort = true,
                 (true, false) => self.control &= !TXREQ,
                 _ => {}
@@ -81,7 +81,7 @@ impl TransmitBuffer {
         true
     }
 
-    /// 3.6: ABAT, which tells of what it has aborted.
+    /// 3.6: handles ABAT, which sets ABTF in aborted buffers.
     pub(super) fn abort_all(&mut self, is_sending: bool) {
         if self.is_pending() && !is_sending {
             self.control = self.control & !TXREQ | ABTF;
@@ -114,7 +114,7 @@ impl TransmitBuffer {
         self.again(TXERR, all_are_aborted);
     }
 
-    /// It is tried again, unless it is to be aborted, which ABTF shows of ABAT (3.4, 3.6).
+    /// Retries the transmission unless an abort is requested; ABTF reports aborts by ABAT (3.4, 3.6).
     fn again(&mut self, why: u8, all_are_aborted: bool) {
         self.control |= why;
         if all_are_aborted || self.is_to_abort {
@@ -136,7 +136,7 @@ pub(super) struct ReceiveBuffer {
 }
 
 impl ReceiveBuffer {
-    /// The filters are off.
+    /// Returns whether the filters are off.
     pub(super) const fn takes_any(&self) -> bool {
         self.control & RXM == RXM
     }
@@ -149,12 +149,12 @@ impl ReceiveBuffer {
         self.control = value & (RXM | BUKT);
     }
 
-    /// `buffer`: which of the two it is.
+    /// Loads a register. `buffer` is the number of this receive buffer.
     pub(super) fn load(&self, buffer: usize, column: u8) -> u8 {
         match column {
             0 => {
                 let remote = if self.is_remote { RXRTR } else { 0 };
-                // Of the first one, one bit tells of the filter, and beside it is a copy of BUKT.
+                // RXB0CTRL has one filter bit, and a copy of BUKT beside it.
                 let rollover = if buffer == 0 { self.control & BUKT | (self.control & BUKT) >> 1 } else { 0 };
                 self.control & RXM | rollover | remote | self.filter
             }

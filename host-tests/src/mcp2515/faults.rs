@@ -1,8 +1,8 @@
-//! Error counters, and what follows from them (6.0; ISO 11898-1, fault confinement).
+//! Error counters and fault confinement (6.0; ISO 11898-1).
 
 use crate::can_controller::ErrorCode;
 
-/// Bits of EFLG that are states (register 6-3).
+/// State bits of EFLG (register 6-3).
 pub(super) const TXBO: u8 = 1 << 5;
 pub(super) const TXEP: u8 = 1 << 4;
 pub(super) const RXEP: u8 = 1 << 3;
@@ -10,22 +10,22 @@ pub(super) const TXWAR: u8 = 1 << 2;
 pub(super) const RXWAR: u8 = 1 << 1;
 pub(super) const EWARN: u8 = 1 << 0;
 
-/// From where on the counters warn, and beyond where they make it error passive or bus-off.
+/// Counter limits: first value with a warning, last error-active value, last value before bus-off.
 const WARNING: u16 = 96;
 const LAST_ACTIVE: u16 = 127;
 const LAST_ON: u16 = 255;
 
-/// Where the receive counter goes on from after a success while it is error passive (ISO 11898-1: 119 to 127).
+/// Value of the receive counter after a success while error passive (ISO 11898-1: 119 to 127).
 const PASSIVE_RETURN: u16 = 120;
 
-/// Sequences of 11 recessive bits that end bus-off, which nobody has to ask for (6.6).
+/// Sequences of 11 recessive bits that end bus-off without a request (6.6).
 const RECOVERY: u32 = 128;
 
 #[derive(Clone, Debug, Default)]
 pub(super) struct Faults {
     transmit: u16,
     receive: u16,
-    /// Sequences that are missing until bus-off ends.
+    /// Remaining sequences until bus-off ends.
     to_recover: Option<u32>,
 }
 
@@ -65,7 +65,7 @@ impl Faults {
     }
 
     pub(super) fn transmit_error(&mut self, why: ErrorCode) {
-        // ISO 11898-1: one that is error passive does not count that nobody acknowledges.
+        // ISO 11898-1: an error-passive transmitter does not count missing acknowledgements.
         if why != ErrorCode::Acknowledgement || self.transmit <= LAST_ACTIVE {
             self.transmit += 8;
         }
@@ -78,7 +78,7 @@ impl Faults {
         self.receive = (self.receive + 1).min(LAST_ON);
     }
 
-    /// So many times 11 recessive bits were heard.
+    /// Counts received sequences of 11 recessive bits.
     pub(super) fn heard_recessive(&mut self, sequences: u32) {
         let Some(left) = &mut self.to_recover else { return };
         *left = left.saturating_sub(sequences);

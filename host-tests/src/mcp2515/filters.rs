@@ -4,10 +4,10 @@ use embedded_can::Id;
 
 use crate::can_wire::WireFrame;
 
-/// RXFnSIDL: the filter is for extended identifiers (register 4-11).
+/// RXFnSIDL: the filter applies to extended identifiers (register 4-11).
 const EXIDE: u8 = 1 << 3;
 
-/// Where the masks are; the filters are below, in two rows of three.
+/// Row of the masks; the filters precede it in two rows of three.
 const MASKS: u8 = 0x20;
 
 /// SIDH, SIDL, EID8 and EID0 of filters and masks.
@@ -27,7 +27,7 @@ impl Filters {
     }
 
     pub(super) fn store(&mut self, address: u8, value: u8) {
-        // SIDL has bits that are not there.
+        // SIDL has unimplemented bits.
         match place(address) {
             Some((MASKS.., n, byte)) => self.masks[n][byte] = if byte == 1 { value & 0xE3 } else { value },
             Some((_, n, byte)) => self.filters[n][byte] = if byte == 1 { value & 0xEB } else { value },
@@ -35,7 +35,7 @@ impl Filters {
         }
     }
 
-    /// The buffer that a frame is for, and the filter that says so. `takes_any`: the buffers whose filters are off.
+    /// Returns the buffer for a frame and the matching filter. `takes_any` lists the buffers whose filters are off.
     pub(super) fn pass(&self, frame: &WireFrame, takes_any: [bool; 2]) -> Option<(usize, u8)> {
         [0..2, 2..6].into_iter().enumerate().find_map(|(buffer, filters)| {
             if takes_any[buffer] {
@@ -47,7 +47,7 @@ impl Filters {
     }
 }
 
-/// The row, the number of the filter or mask, and which of its bytes.
+/// Returns the row, the index of the filter or mask, and the byte in it.
 fn place(address: u8) -> Option<(u8, usize, usize)> {
     let (row, column) = (address & 0xF0, usize::from(address & 0xF));
     let number = match row {
@@ -59,7 +59,7 @@ fn place(address: u8) -> Option<(u8, usize, usize)> {
     Some((row, number, column % 4))
 }
 
-/// 4.5: on frames with a standard identifier, the bits of the extended one apply to the first two bytes of data.
+/// 4.5: for standard identifiers, the extended identifier bits apply to the first two data bytes.
 fn matches(filter: [u8; 4], mask: [u8; 4], frame: &WireFrame) -> bool {
     let value = match frame.id {
         Id::Standard(id) => {
@@ -70,13 +70,13 @@ fn matches(filter: [u8; 4], mask: [u8; 4], frame: &WireFrame) -> bool {
     let is_extended = matches!(frame.id, Id::Extended(_));
     let mut mask = identifier(mask);
     if !is_extended {
-        // EID17 and EID16 have no byte of data.
+        // EID17 and EID16 correspond to no data byte.
         mask &= !(0b11 << 16);
     }
     (filter[1] & EXIDE != 0) == is_extended && (identifier(filter) ^ value) & mask == 0
 }
 
-/// 29 bits: those of the standard identifier above.
+/// Returns 29 bits, with the standard identifier in the upper 11.
 pub(super) fn identifier([sidh, sidl, eid8, eid0]: [u8; 4]) -> u32 {
     let (standard, extended) = (u32::from(sidh) << 3 | u32::from(sidl >> 5), u32::from(sidl & 0b11));
     standard << 18 | extended << 16 | u32::from(eid8) << 8 | u32::from(eid0)

@@ -1,14 +1,14 @@
-//! Protects the strictness of the model: what the chip refuses, overwrites or keeps until it is cleared. The driver heeds these
-//! rules, so neither [`driver`] nor an image in the emulator would notice a model without them.
+//! Covers the model's strictness: rejected accesses, overwritten messages, and flags that stay until cleared. The
+//! driver obeys these rules, so neither [`driver`] nor an emulated image would detect a model without them.
 
 mod driver;
 
 use super::*;
 
-/// 500 kbit/s from 16 MHz.
+/// Bit timing for 500 kbit/s from 16 MHz.
 const CNF: [u8; 3] = [0x00, 0xB5, 0x01];
 
-/// One instruction: what comes out, byte by byte.
+/// Executes one instruction and returns its output bytes.
 fn spi(can: &mut Mcp2515, bytes: &[u8]) -> Vec<u8> {
     can.select();
     let out = bytes.iter().map(|byte| can.exchange(*byte).unwrap()).collect();
@@ -28,14 +28,14 @@ fn modify(can: &mut Mcp2515, address: u8, mask: u8, value: u8) {
     spi(can, &[0x05, address, mask, value]);
 }
 
-/// In Configuration mode, with its timing set.
+/// Creates a controller in Configuration mode with its timing set.
 fn configured() -> Mcp2515 {
     let mut can = Mcp2515::new(16_000_000);
     write(&mut can, CNF3, &[CNF[2], CNF[1], CNF[0]]);
     can
 }
 
-/// In Normal mode, and all filters off.
+/// Creates a controller in Normal mode with all filters off.
 fn normal() -> Mcp2515 {
     let mut can = configured();
     write(&mut can, 0x60, &[RXM_ANY | 1 << 2]);
@@ -52,7 +52,7 @@ fn start(can: &mut Mcp2515) {
     assert!(can.takes_part());
 }
 
-/// SIDH, SIDL of a standard identifier.
+/// Returns SIDH and SIDL of a standard identifier.
 fn standard(id: u16) -> [u8; 2] {
     [(id >> 3) as u8, (id << 5) as u8]
 }
@@ -77,7 +77,7 @@ fn fail(can: &mut Mcp2515, times: usize, why: ErrorCode) {
 }
 
 #[test]
-fn bits_are_modified_where_that_is_possible_and_all_of_them_elsewhere() {
+fn bit_modify_applies_its_mask_only_to_registers_that_support_it() {
     let mut can = configured();
     write(&mut can, CANINTE, &[0b1010_0000]);
     modify(&mut can, CANINTE, 0b0000_1111, 0xFF);
@@ -111,7 +111,7 @@ fn it_takes_part_after_eleven_recessive_bits() {
 }
 
 #[test]
-fn a_message_is_aborted_at_once_unless_it_is_being_sent() {
+fn a_message_is_aborted_at_once_unless_in_transmission() {
     let mut can = normal();
     load_and_request(&mut can, 0, 0x100, &[]);
     modify(&mut can, 0x30, 1 << 3, 0);
@@ -135,7 +135,7 @@ fn filters_choose_the_buffer_and_keep_others_out() {
     for (filter, id) in [(0x00, 0x100), (0x04, 0x101), (0x08, 0x200), (0x10, 0x201), (0x14, 0x202)] {
         write(&mut can, filter, &standard(id));
     }
-    // RXF5: extended.
+    // RXF5 is for extended identifiers.
     write(&mut can, 0x18, &[standard(0x300)[0], standard(0x300)[1] | 1 << 3]);
     start(&mut can);
 
@@ -176,14 +176,14 @@ fn bus_off_ends_by_itself_after_128_times_11_recessive_bits_and_the_message_is_s
     assert!(!can.takes_part());
     write(&mut can, CANINTF, &[0]);
     can.idle(127 * 11);
-    // The failed frame ended with 11 of them.
+    // The failed frame already ended with 11 of them.
     assert!(can.takes_part());
     assert_eq!((read(&mut can, TEC), read(&mut can, EFLG), read(&mut can, CANINTF)), (0, 0, ERRIF));
     assert_eq!(can.next_transmission().unwrap().mailbox, 0);
 }
 
 #[test]
-fn what_is_not_modelled_is_refused() {
+fn unmodelled_modes_and_instructions_are_rejected() {
     let mut can = configured();
     for bytes in [&[0x02, CANCTRL, 1 << 5][..], &[0x02, CANCTRL, OSM], &[0x02, BFPCTRL, 1], &[0xB0]] {
         can.select();

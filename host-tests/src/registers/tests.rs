@@ -1,11 +1,11 @@
-//! Protects the two calculations whose errors would show as a test that fails now and then: the state of an IT block after a
-//! skipped instruction, and the machine's time. All else fails in every image that the emulator runs.
+//! Covers the two calculations whose errors would cause intermittent test failures: the IT state after a skipped
+//! instruction, and the machine's time. All other errors fail in every emulated image.
 
 use super::*;
 
 #[test]
 fn an_it_block_shrinks_with_each_instruction() {
-    // ITTE EQ: 0000 1101 behind IT.
+    // ITTE EQ: 0000 1101 after IT.
     let xpsr = |state: u32| 0x4100_0010 | (state & 0b11) << 25 | (state >> 2) << 10;
     assert_eq!(behind_one_instruction(xpsr(0b0000_0110)), xpsr(0b0000_1100));
     assert_eq!(behind_one_instruction(xpsr(0b0000_1100)), xpsr(0b0001_1000));
@@ -21,7 +21,11 @@ fn time_is_that_of_systick_and_its_milliseconds() {
     };
     assert_eq!(time(7, 79_999, 0), Some(Duration::from_millis(7)));
     assert_eq!(time(7, 39_999, 0), Some(Duration::from_micros(7_500)));
-    assert_eq!(time(7, 79_999, PENDSTSET), Some(Duration::from_millis(8)), "its exception waits");
-    assert_eq!(time(7, 799, PENDSTSET), Some(Duration::from_micros(7_990)), "looked at before it began anew");
-    assert_eq!(machine_time(&[0; 4], &[0; 8], &[0; 4]), None, "it is not running");
+    assert_eq!(time(7, 79_999, PENDSTSET), Some(Duration::from_millis(8)), "the exception is pending");
+    assert_eq!(
+        time(7, 799, PENDSTSET),
+        Some(Duration::from_micros(7_990)),
+        "read before the counter wrapped"
+    );
+    assert_eq!(machine_time(&[0; 4], &[0; 8], &[0; 4]), None, "SysTick is stopped");
 }

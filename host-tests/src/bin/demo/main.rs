@@ -1,5 +1,5 @@
-//! The main job on real input: the flashed image in an emulator, a virtual gripper on its line, a PLC on its wires, and
-//! a live trace of what they do. Run it by `cargo xtask demo`.
+//! The demonstration: the released image in an emulator, a virtual gripper on its line, a PLC on its wires, and a
+//! live trace. Run it with `cargo xtask demo`.
 
 #[cfg(unix)]
 mod options;
@@ -29,6 +29,6 @@ fn main() -> std::process::ExitCode {
 
 #[cfg(not(unix))]
 fn main() -> std::process::ExitCode {
-    eprintln!("error: the demonstration needs Unix sockets towards the emulator; run it on Linux");
+    eprintln!("error: the demonstration needs Unix sockets to connect to the emulator; run it on Linux");
     std::process::ExitCode::FAILURE
 }

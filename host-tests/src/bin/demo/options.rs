@@ -1,4 +1,4 @@
-//! What can be said on the command line.
+//! Command-line options.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -7,32 +7,30 @@ use anyhow::{Context, Result, bail};
 use lexopt::prelude::*;
 use wsg_sim::Part;
 
-/// What `--help` prints.
+/// Text of `--help`.
 pub(crate) const HELP: &str = "\
-Plays a PLC against the flashed image and a virtual gripper, and shows what they do.
+Runs the released image against a simulated PLC and a virtual gripper, and prints a trace.
 
-  --part none|WIDTH_MM   what lies between the fingers for the first grip (default 20)
-  --speed-up X           the gripper's fingers travel X times as fast, 0.1 to 20 (default 1)
-  --trace FILE           writes the trace to FILE as well
-  --elf FILE             the firmware image (`cargo xtask demo` builds it and says which)";
+  --part none|WIDTH_MM   part between the fingers for the first grip (default 20)
+  --speed-up X           speed factor of the fingers, 0.1 to 20 (default 1)
+  --trace FILE           also write the trace to FILE
+  --elf FILE             firmware image (`cargo xtask demo` builds it and passes it)";
 
-/// The choices of one run.
 pub(crate) struct Options {
-    /// The firmware image.
     pub(crate) elf: PathBuf,
-    /// What lies between the fingers for the first grip.
+    /// Part between the fingers for the first grip.
     pub(crate) part: Option<Part>,
-    /// How many times as fast the fingers travel.
+    /// Speed factor of the fingers.
     pub(crate) speed_up: f32,
-    /// Where the trace goes beside the terminal.
+    /// Additional destination of the trace.
     pub(crate) trace: Option<PathBuf>,
 }
 
-/// Slower is no speed-up; with faster ones the fingers arrive before a PLC could stop them in mid travel.
+/// Above 20 the fingers arrive before a PLC could stop them.
 const SPEED_UPS: std::ops::RangeInclusive<f32> = 0.1..=20.0;
 
 impl Options {
-    /// The options of this process; `None` when help is asked for.
+    /// Returns the options of this process; `None` for `--help`.
     pub(crate) fn from_arguments() -> Result<Option<Self>> {
         let (mut elf, mut part, mut speed_up, mut trace) = (None, Part::of_width(20.0), 1.0, None);
         let mut parser = lexopt::Parser::from_env();

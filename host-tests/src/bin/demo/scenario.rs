@@ -1,4 +1,4 @@
-//! What the PLC does, step by step, and what must come of it.
+//! The PLC's actions, step by step, and their expected results.
 
 use std::fs::File;
 use std::io::Write;
@@ -16,27 +16,27 @@ use crate::options::Options;
 
 /// The recipe that opens wide, for MOVE.
 const WIDE: u8 = 1;
-/// The recipe that closes slowly: time enough to stop in mid travel.
+/// The recipe that closes slowly enough to be stopped in mid travel.
 const SLOW: u8 = 2;
 
-/// How far the fingers may stand from where they were sent, in mm.
+/// Permitted deviation of the fingers from their target, in mm.
 const TOLERANCE: f32 = 0.1;
 
-/// A step: its name, and what it does.
+/// Name and action of a step.
 type Step = (&'static str, fn(&Bench) -> Result<Outcome>);
 
-/// How a step ended, if it did not fail.
+/// Outcome of a step that did not fail.
 enum Outcome {
     Passed,
-    /// It does not apply to this run.
+    /// The step does not apply to this run.
     LeftOut(&'static str),
 }
 
-/// The rig, and what this run is about.
+/// The rig and the parameters of this run.
 struct Bench {
     rig: Rig,
     part: Option<Part>,
-    /// The recipe that comes nearest to the part.
+    /// The recipe closest to the part's width.
     recipe: u8,
     /// Whether that recipe can find the part.
     fits: bool,
@@ -57,7 +57,7 @@ const STEPS: [Step; 12] = [
     ("gripper line cut and restored", cut_line),
 ];
 
-/// Plays all steps; whether none failed.
+/// Plays all steps. Returns whether all succeeded.
 pub(crate) fn play(options: &Options) -> Result<bool> {
     let mut sinks: Vec<Box<dyn Write + Send>> = vec![Box::new(std::io::stdout())];
     if let Some(path) = &options.trace {
@@ -67,7 +67,7 @@ pub(crate) fn play(options: &Options) -> Result<bool> {
     }
     let trace = Trace::new(sinks);
     trace.headline("  seconds  PLC: its wires; bridge: its wires; -> to the gripper; <- from the gripper");
-    // The part comes between the fingers when it is to be gripped: homing must not meet it.
+    // The part is placed only before the grip, because homing must not hit it.
     let config = Config { time_scale: options.speed_up, ..Config::default() };
     let rig = Rig::power_up(&options.elf, config, trace.clone())?;
     let (recipe, fits) = recipe_for(options.part, &config);
@@ -92,7 +92,7 @@ pub(crate) fn play(options: &Options) -> Result<bool> {
     Ok(failed == 0)
 }
 
-/// The recipe whose width is nearest to the part's, and whether a grip with it can find the part.
+/// Returns the recipe closest to the part's width, and whether it can find the part.
 fn recipe_for(part: Option<Part>, config: &Config) -> (u8, bool) {
     let Some(part) = part else { return (0, false) };
     let off = |recipe: &Recipe| part.width() - f32::from(recipe.width) / 100.0;
@@ -174,7 +174,7 @@ fn stop_in_mid_travel(bench: &Bench) -> Result<Outcome> {
     rig.begin(Inputs::MOVE)?;
     let bound = Instant::now() + PATIENCE;
     while (rig.gripper().state().width - start).abs() < 2.0 {
-        ensure!(Instant::now() < bound, "the fingers do not set off");
+        ensure!(Instant::now() < bound, "the fingers do not start to move");
     }
     rig.pulse(Inputs::STOP_ACK)?;
     let outputs = rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::BUSY))?;
@@ -188,7 +188,7 @@ fn stop_in_mid_travel(bench: &Bench) -> Result<Outcome> {
         "the fingers arrived at {:.2} mm in spite of STOP",
         state.width
     );
-    ensure!(state.flags.contains(SystemFlags::AXIS_STOPPED), "the gripper knows of no STOP: {}", state.flags);
+    ensure!(state.flags.contains(SystemFlags::AXIS_STOPPED), "the gripper reports no STOP: {}", state.flags);
     Ok(Outcome::Passed)
 }
 
@@ -198,7 +198,7 @@ fn break_fast_stop_wire(bench: &Bench) -> Result<Outcome> {
     rig.await_outputs(PATIENCE, |outputs| {
         !outputs.contains(Outputs::READY) && outputs.contains(Outputs::ERROR)
     })
-    .context("the broken wire does not show")?;
+    .context("the broken wire is not reported")?;
     let (mark, width) = (rig.trace().mark(), rig.gripper().state().width);
     rig.pulse(Inputs::MOVE)?;
     rig.set(Inputs::FAST_STOP_OK, true)?;
@@ -215,8 +215,8 @@ fn cut_line(bench: &Bench) -> Result<Outcome> {
     rig.gripper().cut(true);
     let cut_at = Instant::now();
     rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK))
-        .context("the cut goes unnoticed")?;
-    ensure!(cut_at.elapsed() < Duration::from_secs(2), "the cut was noticed after {:?}", cut_at.elapsed());
+        .context("the cut is not detected")?;
+    ensure!(cut_at.elapsed() < Duration::from_secs(2), "the cut was detected after {:?}", cut_at.elapsed());
     rig.gripper().cut(false);
     let outputs =
         rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK | Outputs::READY))?;
@@ -229,13 +229,13 @@ impl Bench {
         let stands = self.rig.gripper().state().width;
         ensure!(
             (stands - width).abs() < TOLERANCE,
-            "the fingers stand at {stands:.2} mm instead of {width:.2} mm"
+            "the fingers are at {stands:.2} mm instead of {width:.2} mm"
         );
         Ok(Outcome::Passed)
     }
 }
 
 fn expect(outputs: Outputs, wanted: Outputs) -> Result<()> {
-    ensure!(outputs == wanted, "the bridge shows {} instead of {}", names(outputs), names(wanted));
+    ensure!(outputs == wanted, "the outputs are {} instead of {}", names(outputs), names(wanted));
     Ok(())
 }

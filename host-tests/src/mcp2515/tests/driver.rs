@@ -1,4 +1,4 @@
-//! The driver of `wsg-bridge-fw` on the chip, and the chip on a bus: what it withdraws, and what it does not.
+//! Tests withdrawal in the driver of `wsg-bridge-fw`, with the chip on a bus.
 
 use std::convert::Infallible;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::can_bus::{CanBus, Fault, Station};
 const CRYSTAL_HZ: u32 = 16_000_000;
 const RATE: u32 = 500_000;
 
-/// Some bits of a frame, and more than all of one.
+/// Part of a frame, and longer than a frame.
 const BEGUN: Duration = Duration::from_micros(40);
 const OVER: Duration = Duration::from_millis(1);
 
@@ -51,7 +51,7 @@ impl SpiDevice for Spi {
     }
 }
 
-/// A driver, its chip on a bus, and somebody there who acknowledges.
+/// Returns a bus, an acknowledging station, and a driver whose chip is on the bus.
 fn started() -> (CanBus<Mcp2515>, Station<Mcp2515>, Driver<Spi, ClassicFrame>) {
     let bus = CanBus::with(Mcp2515::new(CRYSTAL_HZ), RATE);
     let station = bus.join();
@@ -74,14 +74,14 @@ fn give(driver: &mut Driver<Spi, ClassicFrame>, id: Id, byte: u8) -> bool {
     driver.transmit(&ClassicFrame::new(id, &[byte; 8]).unwrap()).is_ok()
 }
 
-/// What the board has sent: identifiers, and a byte of the data.
+/// Returns the frames sent by the board: identifier and first data byte.
 fn sent(bus: &CanBus<Mcp2515>) -> Vec<(Id, u8)> {
     assert_eq!(bus.controller().violations(), [""; 0]);
     bus.sent().iter().map(|frame| (frame.id, frame.data[0])).collect()
 }
 
 #[test]
-fn frame_that_waits_is_withdrawn_at_once_and_those_of_others_are_sent_once() {
+fn a_waiting_frame_is_withdrawn_at_once_and_others_are_sent_once() {
     let (bus, station, mut driver) = started();
     station.send(WireFrame::standard(0x001, &[0; 8]));
     bus.pass(BEGUN);
@@ -95,17 +95,17 @@ fn frame_that_waits_is_withdrawn_at_once_and_those_of_others_are_sent_once() {
     let mut others = sent(&bus);
     others.sort_by_key(|(_, byte)| *byte);
     assert_eq!(others, [(id(0x190), 1), (id(0x590), 3)]);
-    assert_eq!(driver.withdraw(gripper()), Withdrawal::TooLate, "nothing waits");
+    assert_eq!(driver.withdraw(gripper()), Withdrawal::TooLate, "no pending frame");
     assert!(give(&mut driver, gripper(), 4));
     bus.pass(OVER);
     assert_eq!(sent(&bus).last(), Some(&(gripper(), 4)));
 }
 
 #[test]
-fn frame_that_is_being_sent_is_undecided_until_it_was_acknowledged_or_was_not() {
+fn a_frame_in_transmission_is_undecided_until_its_acknowledgement() {
     for (fault, outcome) in [(Fault::None, Withdrawal::TooLate), (Fault::Cut, Withdrawal::Withdrawn)] {
         let (bus, _station, mut driver) = started();
-        // An earlier one was sent, which must not be taken for this one.
+        // The result of an earlier frame must not be mistaken for this one's.
         assert!(give(&mut driver, gripper(), 1));
         bus.pass(OVER);
         bus.set_fault(fault);
@@ -133,7 +133,7 @@ fn frame_that_is_being_sent_is_undecided_until_it_was_acknowledged_or_was_not() 
 }
 
 #[test]
-fn frame_of_another_that_is_being_sent_is_not_sent_twice() {
+fn another_frame_in_transmission_is_not_sent_twice() {
     let (bus, _station, mut driver) = started();
     assert!(give(&mut driver, id(0x190), 1));
     bus.pass(BEGUN);
