@@ -1,31 +1,32 @@
-//! ZIP archives (PKWARE's APPNOTE) without compression, so that their bytes depend on their files alone.
+//! ZIP archives (PKWARE's APPNOTE) without compression, so that their bytes depend only on their files.
 
 use anyhow::{Context, Result};
 use crc::{CRC_32_ISO_HDLC, Crc};
 
 const CRC_32: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Signatures of a file, of its entry in the directory, and of the end.
+/// Signatures of a file, a directory entry, and the end of the directory.
 const FILE: &[u8] = b"PK\x03\x04";
 const ENTRY: &[u8] = b"PK\x01\x02";
 const END: &[u8] = b"PK\x05\x06";
 
-/// The version that is needed to unpack: 1.0.
+/// Version required to unpack: 1.0.
 const VERSION: u16 = 10;
-/// 1980-01-01, the first day that a ZIP archive can name.
+/// 1980-01-01, the earliest date in a ZIP archive.
 const DATE: u16 = 0x0021;
 
-/// Returns an archive of these files, by their names, in this order.
+/// Returns an archive of these named files, in this order.
 ///
 /// # Errors
-/// A file or the whole is too long for the format.
+/// Fails when a file or the archive exceeds the format's limits.
 pub(crate) fn zip(files: &[(&str, &[u8])]) -> Result<Vec<u8>> {
     let (mut archive, mut directory) = (Vec::new(), Vec::new());
     for (name, bytes) in files {
         let offset = length(&archive)?;
         let len = length(bytes)?;
-        let name_len = u16::try_from(name.len()).with_context(|| format!("{name} is too long a name"))?;
-        // Both headers have this part: version, no flags, no compression, no time of day, checksum, lengths, no extra field.
+        let name_len =
+            u16::try_from(name.len()).with_context(|| format!("the file name {name} is too long"))?;
+        // Part common to both headers: version, no flags, no compression, no time, checksum, lengths, no extra field.
         let mut common = Vec::new();
         [VERSION, 0, 0, 0, DATE].iter().for_each(|value| common.extend(value.to_le_bytes()));
         [CRC_32.checksum(bytes), len, len].iter().for_each(|value| common.extend(value.to_le_bytes()));
@@ -51,7 +52,7 @@ fn length(bytes: &[u8]) -> Result<u32> {
 pub(crate) mod tests {
     use super::*;
 
-    /// Reads an archive by its directory, and holds what a file's own header says to it.
+    /// Reads an archive by its directory, and compares each file's header with its entry.
     pub(crate) fn unzip(archive: &[u8]) -> Vec<(String, Vec<u8>)> {
         let word = |at: usize| u32::from_le_bytes(archive[at..at + 4].try_into().unwrap()) as usize;
         let half = |at: usize| usize::from(u16::from_le_bytes(archive[at..at + 2].try_into().unwrap()));
@@ -83,7 +84,7 @@ pub(crate) mod tests {
         let archive = zip(&files).unwrap();
         let expected: Vec<_> = files.map(|(name, bytes)| (name.to_owned(), bytes.to_vec())).into();
         assert_eq!(unzip(&archive), expected);
-        // The check value of CRC-32.
+        // Check value of CRC-32.
         assert_eq!(archive[14..18], 0xCBF4_3926_u32.to_le_bytes());
         assert_eq!(unzip(&zip(&[]).unwrap()), []);
     }

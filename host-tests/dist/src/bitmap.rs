@@ -1,14 +1,14 @@
-//! The picture of a gripper that engineering tools show: a device-independent bitmap (DIB) of 70 x 40 pixels and 16 colours, as the
-//! specifications of GSD and GSDML files want it.
+//! The gripper's picture for engineering tools: a device-independent bitmap (DIB) of 70 x 40 pixels and 16 colours,
+//! as the specifications of GSD and GSDML files require.
 
 const WIDTH: usize = 70;
 const HEIGHT: usize = 40;
-/// Two pixels a byte; a row begins at a multiple of four bytes.
+/// Two pixels per byte; rows are aligned to four bytes.
 const ROW_LEN: usize = (WIDTH / 2).next_multiple_of(4);
 const HEADERS_LEN: usize = 14 + 40 + 16 * 4;
 const LEN: usize = HEADERS_LEN + ROW_LEN * HEIGHT;
 
-/// The 16 colours of VGA: red, green, blue.
+/// The 16 VGA colours: red, green, blue.
 const PALETTE: [[u8; 3]; 16] = [
     [0, 0, 0],
     [0x80, 0, 0],
@@ -33,20 +33,20 @@ const SILVER: u8 = 7;
 const GREY: u8 = 8;
 const WHITE: u8 = 15;
 
-/// What the device's lamp shows.
+/// Colour of the device's lamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Lamp {
     /// Normal operation.
     Green = 10,
-    /// A diagnosis.
+    /// Diagnosis.
     Red = 9,
-    /// A special operating mode.
+    /// Special operating mode.
     Yellow = 11,
 }
 
-/// Returns the bitmap: two fingers that hold a part, above a housing with a lamp.
+/// Returns the bitmap: two fingers holding a part, above a housing with a lamp.
 pub(crate) fn gripper(lamp: Lamp) -> Vec<u8> {
-    // Left, top, right, bottom, colour; later ones cover earlier ones.
+    // Left, top, right, bottom, colour; later boxes cover earlier ones.
     let boxes = [
         (0, 0, WIDTH, HEIGHT, WHITE),
         (26, 7, 44, 19, TEAL),
@@ -60,7 +60,7 @@ pub(crate) fn gripper(lamp: Lamp) -> Vec<u8> {
         (44, 30, 50, 34, lamp as u8),
     ];
     let mut bitmap = headers();
-    // From the bottom up.
+    // Bottom row first.
     for y in (0..HEIGHT).rev() {
         let colour = |x: usize| {
             let covers = |(left, top, right, bottom, _): &&(usize, usize, usize, usize, u8)| {
@@ -74,16 +74,16 @@ pub(crate) fn gripper(lamp: Lamp) -> Vec<u8> {
     bitmap
 }
 
-/// BITMAPFILEHEADER, BITMAPINFOHEADER and the colours.
+/// Returns BITMAPFILEHEADER, BITMAPINFOHEADER and the colour table.
 fn headers() -> Vec<u8> {
     let mut bytes = b"BM".to_vec();
     let words = |bytes: &mut Vec<u8>, values: &[usize]| {
         values.iter().for_each(|value| bytes.extend((*value as u32).to_le_bytes()));
     };
     words(&mut bytes, &[LEN, 0, HEADERS_LEN, 40, WIDTH, HEIGHT]);
-    // One plane, 4 bits a pixel.
+    // One plane, 4 bits per pixel.
     bytes.extend([1, 0, 4, 0]);
-    // Not compressed; its size; no resolution; all colours.
+    // No compression; size of the pixels; no resolution; all colours.
     words(&mut bytes, &[0, ROW_LEN * HEIGHT, 0, 0, 16, 0]);
     PALETTE.iter().for_each(|[red, green, blue]| bytes.extend([*blue, *green, *red, 0]));
     bytes

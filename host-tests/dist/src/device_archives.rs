@@ -1,4 +1,4 @@
-//! The archives with device files that engineering tools of PLCs install (fieldbus, 2.1 and 3.1): the files that the manual names.
+//! Archives of device files for installation in PLC engineering tools (fieldbus, 2.1 and 3.1).
 
 use std::fs;
 
@@ -24,10 +24,10 @@ The device is in the hardware catalogue under
 Other field devices -> PROFIBUS DP -> Drives -> VENDOR -> wsg-bridge
 ";
 
-/// Returns both archives by their names.
+/// Returns both archives with their names.
 ///
 /// # Errors
-/// A device file cannot be read.
+/// Fails when a device file cannot be read.
 pub(crate) fn archives() -> Result<[(&'static str, Vec<u8>); 2]> {
     let device_file =
         |name: &str| fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"));
@@ -51,9 +51,9 @@ mod tests {
     use super::*;
     use crate::archive::tests::unzip;
 
-    /// Fieldbus, 2.1 and 3.1, with the names of this project's device files.
+    /// Fieldbus, 2.1 and 3.1, with this project's device file names.
     #[test]
-    fn archives_hold_the_files_of_the_manual_and_are_the_same_again() {
+    fn archives_hold_the_files_of_the_manual_and_are_reproducible() {
         let made = archives().unwrap();
         let [gsd, gsdml] = made.each_ref().map(|(_, archive)| unzip(archive));
         let names = |files: &[(String, Vec<u8>)]| -> Vec<String> {

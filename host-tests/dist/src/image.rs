@@ -1,4 +1,4 @@
-//! The image as the bytes of the flash, which the drive of a debug probe takes.
+//! The image as flash contents, to be copied to a debug probe's drive.
 
 use anyhow::{Context, Result, ensure};
 use object::{
@@ -7,24 +7,24 @@ use object::{
     read::elf::{ElfFile32, ProgramHeader},
 };
 
-/// What flash holds that nothing was written to.
+/// Value of erased flash.
 const ERASED: u8 = 0xFF;
 
-/// A program for the board is far smaller; what is longer has a part at a wrong address.
+/// Limit of the image's length. A longer one has a segment at a wrong address.
 const MOST_BYTES: usize = 1 << 20;
 
-/// Returns the bytes from the first address of the flash on, as an ELF file has them loaded.
+/// Returns the flash contents loaded by an ELF file, from its lowest address on.
 ///
 /// # Errors
-/// The file is no 32-bit ELF file, has nothing to load, or its parts are too far apart or overlap.
+/// Fails when the file is not a 32-bit ELF file, or its segments are missing, overlap or are too far apart.
 pub(crate) fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
     let file = ElfFile32::<Endianness>::parse(elf)?;
     let endian = file.endian();
     let mut parts = Vec::new();
     for header in file.elf_program_headers() {
-        let data = header.data(endian, elf).ok().context("a part of the image is not in its file")?;
+        let data = header.data(endian, elf).ok().context("a segment exceeds the image file")?;
         if header.p_type(endian) == PT_LOAD && !data.is_empty() {
-            // Data is copied to RAM at the start; in the flash it lies at its physical address.
+            // Initialized data is stored at its physical address in flash and copied to RAM at the start.
             parts.push((header.p_paddr(endian), data));
         }
     }
@@ -34,10 +34,10 @@ pub(crate) fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     for (address, data) in parts {
         let offset = (address - first) as usize;
-        ensure!(offset >= bytes.len(), "two parts of the image overlap at {address:08X}h");
+        ensure!(offset >= bytes.len(), "two segments of the image overlap at {address:08X}h");
         ensure!(
             offset + data.len() <= MOST_BYTES,
-            "the image has a part at {address:08X}h, beyond the flash"
+            "the image has a segment at {address:08X}h, beyond the flash"
         );
         bytes.resize(offset, ERASED);
         bytes.extend_from_slice(data);
@@ -49,7 +49,7 @@ pub(crate) fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
 mod tests {
     use super::*;
 
-    /// An ELF file for a 32-bit machine with these segments: physical address, size in memory, data.
+    /// Returns a 32-bit ELF file with these segments: physical address, size in memory, data.
     fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
         let heads = 52 + 32 * segments.len() as u32;
         let mut file = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
@@ -73,13 +73,13 @@ mod tests {
     }
 
     #[test]
-    fn parts_lie_at_their_addresses_in_the_flash_and_gaps_are_erased() {
+    fn segments_are_at_their_flash_addresses_and_gaps_are_erased() {
         let image = elf(&[(0x0800_0006, 2, b"de"), (0x0800_0000, 3, b"abc"), (0x2000_0000, 9, b"")]);
         assert_eq!(bytes_of_flash(&image).unwrap(), b"abc\xff\xff\xffde");
     }
 
     #[test]
-    fn parts_that_overlap_or_are_far_away_are_refused() {
+    fn overlapping_or_distant_segments_are_rejected() {
         assert!(bytes_of_flash(&elf(&[(0x0800_0000, 3, b"abc"), (0x0800_0002, 1, b"d")])).is_err());
         assert!(bytes_of_flash(&elf(&[(0x0800_0000, 3, b"abc"), (0x2000_0000, 1, b"d")])).is_err());
         assert!(bytes_of_flash(&elf(&[(0x0800_0000, 9, b"")])).is_err());

@@ -1,4 +1,4 @@
-//! The licences of everything that is linked into the image.
+//! Licences of everything linked into the image.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -13,36 +13,36 @@ use anyhow::{Context, Result, ensure};
 use document::root;
 use serde_json::Value;
 
-/// The crate that the image is built from, how, and for what.
+/// Cargo arguments that select the image's crate, features and target.
 const IMAGE: [&str; 6] =
     ["--package", "wsg-b-l475e-iot01a", "--features", "firmware", "--target", "thumbv7em-none-eabihf"];
 
-/// How the files are called that hold a licence or a notice that goes with it.
+/// Beginnings of the names of licence and notice files.
 const FILES: [&str; 4] = ["LICENSE", "COPYING", "UNLICENSE", "NOTICE"];
 
-/// A part of the image.
+/// A crate in the image.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Part {
     name: String,
     version: String,
     licence: String,
     authors: String,
-    /// The folder with its sources.
+    /// Source folder.
     folder: PathBuf,
 }
 
-/// Names every part of the image with its licence, and gives the texts of these.
+/// Lists all crates in the image with their licences, followed by the licence texts.
 ///
 /// # Errors
-/// Cargo cannot be asked, or a part has no licence.
+/// Fails when cargo fails or a crate has no licence.
 pub(crate) fn text() -> Result<String> {
     text_of(&parts()?)
 }
 
 fn text_of(parts: &[Part]) -> Result<String> {
     let mut text = String::from(
-        "This folder is under the MIT licence or the Apache License 2.0, as you like. The texts are below.\n\n\
-         The image contains these parts of others. Where there is an \"OR\", one of them is enough.\n\n",
+        "This folder is licensed under the MIT licence or the Apache License 2.0, at your option. The texts follow.\n\n\
+         The image contains these third-party parts. Where \"OR\" appears, either licence applies, at your option.\n\n",
     );
     let mut used: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     let mut texts = |name: &str, folder: &Path| -> Result<bool> {
@@ -58,7 +58,7 @@ fn text_of(parts: &[Part]) -> Result<String> {
         let name = format!("{} {}", part.name, part.version);
         write!(text, "  {name}: {}", part.licence)?;
         if !texts(&name, &part.folder)? {
-            write!(text, " (by {}; comes without a text, the standard one is below)", part.authors)?;
+            write!(text, " (by {}; provides no licence text, the standard text follows)", part.authors)?;
         }
         text.push('\n');
     }
@@ -73,9 +73,9 @@ fn text_of(parts: &[Part]) -> Result<String> {
     Ok(text)
 }
 
-/// Parts of others in the image, in the order of their names.
+/// Returns the third-party crates in the image, sorted by name.
 fn parts() -> Result<Vec<Part>> {
-    // Only a tree has the features that the image has, and leaves out what runs while it is built.
+    // Only `cargo tree` applies the image's features and leaves out build-time dependencies.
     let mut tree = vec!["tree", "--prefix", "none", "--edges", "normal,no-proc-macro", "--format", "{p}"];
     tree.extend(IMAGE);
     let tree = cargo(&tree)?;
@@ -89,11 +89,11 @@ fn parts() -> Result<Vec<Part>> {
     let mut parts = Vec::new();
     for package in packages {
         let field = |name: &str| package[name].as_str().unwrap_or_default();
-        // Without a source it is this project's own.
+        // Packages without a source belong to this project.
         if package["source"].is_null() || !linked.contains(&(field("name"), field("version"))) {
             continue;
         }
-        ensure!(!field("license").is_empty(), "{} names no licence", field("name"));
+        ensure!(!field("license").is_empty(), "{} declares no licence", field("name"));
         let authors = package["authors"].as_array().into_iter().flatten().filter_map(Value::as_str);
         parts.push(Part {
             name: field("name").to_owned(),
@@ -111,7 +111,7 @@ fn word(text: &str) -> &str {
     text.split(' ').next().unwrap_or_default()
 }
 
-/// The texts of a folder's licences, each a file, or a file in a folder of licences.
+/// Returns the licence texts in a folder, each in a file or in a subfolder of licences.
 fn licence_files(folder: &Path) -> Result<Vec<String>> {
     let mut texts = Vec::new();
     let entries = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
@@ -131,7 +131,7 @@ fn licence_files(folder: &Path) -> Result<Vec<String>> {
     Ok(texts.iter().map(|text| tidy(text)).collect())
 }
 
-/// The same text, whatever ends its lines: so that those of two parts are found to be one.
+/// Normalizes line endings and blank edges, so that equal texts of two crates compare equal.
 fn tidy(text: &str) -> String {
     let lines: Vec<_> = text.lines().map(str::trim_end).collect();
     lines.join("\n").trim_matches('\n').to_owned()
@@ -143,7 +143,7 @@ fn cargo(arguments: &[&str]) -> Result<String> {
         cargo.current_dir(root()).arg("--locked").args(arguments).output().context("cannot run cargo")?;
     let what = arguments.first().unwrap_or(&"");
     ensure!(output.status.success(), "cargo {what}: {}", String::from_utf8_lossy(&output.stderr));
-    String::from_utf8(output.stdout).with_context(|| format!("what cargo {what} says is no text"))
+    String::from_utf8(output.stdout).with_context(|| format!("the output of cargo {what} is not UTF-8"))
 }
 
 #[cfg(test)]
@@ -157,7 +157,7 @@ mod tests {
         for part in ["cortex-m ", "heapless ", "embedded-io ", "stm32-metapac ", "crc "] {
             assert!(text.contains(&format!("\n  {part}")), "{part}");
         }
-        // Only built with, or only for the host.
+        // Used only at build time or only on the host.
         for other in ["syn ", "proptest ", "anyhow ", "object "] {
             assert!(!text.contains(&format!("\n  {other}")), "{other}");
         }
@@ -166,13 +166,13 @@ mod tests {
     }
 
     #[test]
-    fn a_text_that_two_parts_share_is_there_once() {
+    fn a_text_shared_by_two_parts_appears_once() {
         let folder = env::temp_dir().join(format!("wsg-dist-licences-{}", std::process::id()));
         let part = |name: &str, text: &str| {
             let folder = folder.join(name);
             fs::create_dir_all(&folder).unwrap();
             fs::write(folder.join("LICENSE-X"), text).unwrap();
-            let [name, version, licence, authors] = [name, "1.0", "X", "nobody"].map(str::to_owned);
+            let [name, version, licence, authors] = [name, "1.0", "X", "unknown"].map(str::to_owned);
             Part { name, version, licence, authors, folder }
         };
 

@@ -1,5 +1,5 @@
-//! The folder that a PLC engineer gets: the image, what a master's tools read, the manual, the licences. Run it by
-//! `cargo xtask dist`. The same sources give the same bytes, wherever they lie.
+//! Builds the release folder for PLC engineers: image, device files, manual, licences. Run it with `cargo xtask
+//! dist`. The same sources give the same bytes in any location.
 
 mod archive;
 mod bitmap;
@@ -21,34 +21,34 @@ use host_tests::device_files::GSD;
 use lexopt::{Arg, Parser};
 use sha2::{Digest, Sha256};
 
-/// Files of `docs` that are in the folder as they are.
+/// Files of `docs` that are copied unchanged.
 const COPIED: [&str; 4] = ["wsg-bridge.eds", GSD, "FB_WSG_GRIP.st", "PRG_WSG_MODBUS.st"];
 
 const REGISTERS: &str = "registers.csv";
 const SUMS: &str = "SHA256SUMS";
 
-/// Files that the manual may point at.
+/// Files to which the manual may link.
 const FILES: [&str; 5] = [COPIED[0], COPIED[1], COPIED[2], COPIED[3], REGISTERS];
 
 const README: &str = "\
 wsg-bridge: a bridge between a PLC and a servo gripper of the WSG series.
 It is not a safety device.
 
-Begin with manual.html, \"Quick start\". Any browser opens it, without a network.
+Start with manual.html, \"Quick start\". Open it in any browser; no network is needed.
 
-wsg-bridge.bin       the image: drop it on the drive that the board is over USB
+wsg-bridge.bin       the image: copy it to the USB drive that the board provides
 wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer
 manual.html          the manual
 registers.csv        all Modbus registers, coils and discrete inputs
-wsg-bridge.eds       CANopen: the device for a master's tool
-WSGB5555.gsd         PROFIBUS: the device for a master's tool
-WSGB5555.zip         the same file with its bitmaps, to unpack and install
+wsg-bridge.eds       CANopen: device file for a master's tool
+WSGB5555.gsd         PROFIBUS: device file for a master's tool
+WSGB5555.zip         the same file with its bitmaps, for installation
 GSDML-WSG.zip        PROFINET: the virtual gripper (wsg-sim) for a controller's tool;
                      in TIA Portal's catalogue under Other field devices ->
                      PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG
 FB_WSG_GRIP.st       a function block in IEC 61131-3 structured text
 PRG_WSG_MODBUS.st    a program that connects it to Modbus registers
-LICENCES.txt         what the image is made of, and under which licences
+LICENCES.txt         third-party parts of the image and their licences
 SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
 ";
 
@@ -62,7 +62,7 @@ fn main() -> ExitCode {
     }
 }
 
-/// `--elf IMAGE --to FOLDER`.
+/// Parses `--elf IMAGE --to FOLDER` and writes the folder.
 fn run(mut arguments: Parser) -> Result<()> {
     let (mut elf, mut folder) = (None, None);
     while let Some(argument) = arguments.next()? {
@@ -72,14 +72,14 @@ fn run(mut arguments: Parser) -> Result<()> {
             other => return Err(other.unexpected().into()),
         }
     }
-    let (elf, folder) = elf.zip(folder).context("give --elf IMAGE and --to FOLDER")?;
+    let (elf, folder) = elf.zip(folder).context("expected --elf IMAGE and --to FOLDER")?;
     let elf = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
     write(&folder, &contents(elf)?)?;
     println!("{}", folder.display());
     Ok(())
 }
 
-/// The files by their names, the sums last.
+/// Returns the named files, with the checksums last.
 fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
     let mut files = vec![
         ("README.txt", README.replace('\n', "\r\n").into_bytes()),
@@ -103,13 +103,17 @@ fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
     Ok(files)
 }
 
-/// Writes the files as the only ones of the folder.
+/// Replaces the contents of the folder with these files.
 fn write(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<()> {
     if folder.exists() {
-        ensure!(folder.join(SUMS).exists(), "{} was not made by this program: it stays", folder.display());
+        ensure!(
+            folder.join(SUMS).exists(),
+            "{} was not created by this program; expected a new folder or one with SHA256SUMS",
+            folder.display()
+        );
         fs::remove_dir_all(folder).with_context(|| format!("cannot empty {}", folder.display()))?;
     }
-    fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     for (name, bytes) in files {
         fs::write(folder.join(name), bytes).with_context(|| format!("cannot write {name}"))?;
     }
@@ -126,7 +130,7 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("wsg-dist-{}", std::process::id()));
         write(&folder, &[("old", b"1".to_vec()), (SUMS, b"2".to_vec())]).unwrap();
         write(&folder, &[("new", b"3".to_vec())]).unwrap();
-        // Without sums it could be anybody's.
+        // A folder without checksums may belong to someone else.
         let refused = write(&folder, &[(SUMS, b"4".to_vec())]).is_err();
         let left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
 

@@ -1,8 +1,8 @@
-//! The manual: the documents for people with a PLC as one HTML file that loads nothing.
+//! The manual: the documents for PLC engineers as one self-contained HTML file.
 //!
-//! Links between these documents lead to places in the file, and have a document's title where they have its name; pictures are in it. A link to another document of the
-//! repository is left out, and its text stays. What stands between `<!-- manual: off -->` and `<!-- manual: on -->` is for
-//! people who build the image, and is left out as well.
+//! Links between these documents become internal links and show a document's title instead of its file name. Pictures
+//! are embedded. Links to other documents are reduced to their text. Text between `<!-- manual: off -->` and `<!--
+//! manual: on -->` is for people who build the image and is removed.
 
 use std::{collections::BTreeMap, fmt::Write as _, fs};
 
@@ -10,7 +10,7 @@ use anyhow::{Context, Result, bail, ensure};
 use document::{anchor_of, root};
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
-/// The documents, in the order in which they are read.
+/// The documents, in reading order.
 pub(crate) const DOCUMENTS: [&str; 10] = [
     "quick-start.md",
     "commissioning.md",
@@ -46,7 +46,7 @@ img { max-width: 100%; }\n\
 /// Returns the manual.
 ///
 /// # Errors
-/// A document or a picture cannot be read, or a link leads nowhere.
+/// Fails when a document or a picture cannot be read, or a link is broken.
 pub(crate) fn html(files: &[&str]) -> Result<String> {
     let mut documents = BTreeMap::new();
     for name in DOCUMENTS {
@@ -80,30 +80,30 @@ fn without_parts_for_builders(text: &str) -> Result<String> {
     let mut rest = text;
     while let Some((before, after)) = rest.split_once(OFF) {
         kept.push_str(before);
-        (_, rest) = after.split_once(ON).with_context(|| format!("there is no {ON}"))?;
+        (_, rest) = after.split_once(ON).with_context(|| format!("{OFF} has no closing {ON}"))?;
     }
-    ensure!(!rest.contains(ON), "there is no {OFF} in front of {ON}");
+    ensure!(!rest.contains(ON), "{ON} has no preceding {OFF}");
     Ok(kept + rest)
 }
 
-/// A document, and the files beside the manual.
+/// A document and its link targets outside the manual.
 struct Chapter<'a> {
     name: &'a str,
     files: &'a [&'a str],
-    /// The title of each document.
+    /// Titles of all documents.
     titles: &'a BTreeMap<&'a str, &'a str>,
 }
 
-/// Where a link of a document leads.
+/// Target of a link.
 enum Target {
-    /// To this address.
+    /// An address.
     To(String),
-    /// To what the manual leaves out.
+    /// Content outside the manual.
     Elsewhere,
 }
 
 impl Chapter<'_> {
-    /// The name of a place in the manual.
+    /// Returns the id of a heading in the manual.
     fn id(&self, heading: &str) -> String {
         id(self.name, heading)
     }
@@ -115,7 +115,11 @@ impl Chapter<'_> {
         for event in Parser::new_ext(text, Options::ENABLE_TABLES) {
             let event = match event {
                 Event::Html(html) | Event::InlineHtml(html) => {
-                    ensure!(html.trim_start().starts_with("<!--"), "docs/{} has HTML: {html}", self.name);
+                    ensure!(
+                        html.trim_start().starts_with("<!--"),
+                        "docs/{} contains HTML: {html}",
+                        self.name
+                    );
                     continue;
                 }
                 Event::Start(Tag::Link { link_type, dest_url, title, id }) => match self.target(&dest_url)? {
@@ -151,7 +155,7 @@ impl Chapter<'_> {
                 Event::End(TagEnd::Heading(level)) => {
                     let (start, words) = heading(&events);
                     let mut id = self.id(&anchor_of(&words));
-                    // As repository hosts count them.
+                    // Numbered like duplicate headings on repository hosts.
                     let same = ids.iter().filter(|other| **other == id).count();
                     ids.push(id.clone());
                     if same > 0 {
@@ -169,7 +173,7 @@ impl Chapter<'_> {
         Ok(events)
     }
 
-    /// Adds the headings of the first two levels to the table of contents.
+    /// Adds headings of levels 1 and 2 to the table of contents.
     fn list(&self, events: &[Event<'_>], contents: &mut String) -> Result<()> {
         let mut entries = Vec::new();
         for (end, event) in events.iter().enumerate() {
@@ -201,7 +205,11 @@ impl Chapter<'_> {
         if self.files.contains(&file) {
             return Ok(Target::To(file.to_owned()));
         }
-        ensure!(root().join("docs").join(file).exists(), "docs/{} points at {link}", self.name);
+        ensure!(
+            root().join("docs").join(file).exists(),
+            "docs/{} links to the missing file {link}",
+            self.name
+        );
         Ok(Target::Elsewhere)
     }
 }
@@ -211,7 +219,7 @@ fn id(document: &str, heading: &str) -> String {
     if heading.is_empty() { stem.to_owned() } else { format!("{stem}--{heading}") }
 }
 
-/// Where the last heading begins, and its words.
+/// Returns the index and the words of the last heading.
 fn heading(events: &[Event<'_>]) -> (usize, String) {
     let is_start = |event: &Event<'_>| matches!(event, Event::Start(Tag::Heading { .. }));
     let start = events.iter().rposition(is_start).unwrap_or(0);
@@ -224,9 +232,9 @@ fn heading(events: &[Event<'_>]) -> (usize, String) {
     (start, words)
 }
 
-/// A drawing as an address that holds all of it.
+/// Returns a drawing as a data URL.
 fn picture(file: &str) -> Result<String> {
-    ensure!(file.ends_with(".svg"), "{file} is no drawing");
+    ensure!(file.ends_with(".svg"), "{file} is not an SVG drawing");
     let drawing = fs::read(root().join("docs").join(file)).with_context(|| format!("docs/{file}"))?;
     let mut address = String::from("data:image/svg+xml;charset=utf-8,");
     for byte in drawing {
@@ -243,25 +251,25 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
-/// Fails where a link leads nowhere, a place has two owners, or something is loaded from elsewhere.
+/// Fails on broken links, duplicate ids, and external resources.
 fn check(manual: &str, files: &[&str]) -> Result<()> {
     let ids: Vec<&str> = attributes(manual, " id=\"").collect();
     for (n, id) in ids.iter().enumerate() {
-        ensure!(!ids[n + 1..].contains(id), "the manual has two places {id}");
+        ensure!(!ids[n + 1..].contains(id), "the manual has a duplicate id {id}");
     }
     for link in attributes(manual, " href=\"") {
         let is_there = match link.strip_prefix('#') {
             Some(id) => ids.contains(&id),
             None => link.starts_with("https://") || files.contains(&link),
         };
-        ensure!(is_there, "a link of the manual leads nowhere: {link}");
+        ensure!(is_there, "broken link in the manual: {link}");
     }
     for address in attributes(manual, " src=\"") {
-        ensure!(address.starts_with("data:"), "the manual loads {address}");
+        ensure!(address.starts_with("data:"), "the manual loads an external resource: {address}");
     }
     for loads in ["<script", "<link", "<iframe", "<object", "@import", "url("] {
         if manual.contains(loads) {
-            bail!("the manual has {loads}, which loads something");
+            bail!("the manual contains {loads}, which may load external resources");
         }
     }
     Ok(())
@@ -285,21 +293,21 @@ mod tests {
     }
 
     #[test]
-    fn manual_has_every_document_no_tools_of_builders_and_is_the_same_again() {
+    fn manual_has_every_document_no_build_tools_and_is_reproducible() {
         let manual = html(&FILES).unwrap();
 
         for document in DOCUMENTS {
             assert!(manual.contains(&format!("<section id=\"{}\">", id(document, ""))), "{document}");
         }
         for word in ["cargo", "xtask", "Rust", ".rs", "rustup", "crate", "host-tests", ".md"] {
-            assert!(!manual.contains(word), "the manual speaks of {word}");
+            assert!(!manual.contains(word), "the manual mentions {word}");
         }
         assert!(manual.contains("src=\"data:image/svg+xml;"));
         assert!(manual == html(&FILES).unwrap());
     }
 
     #[test]
-    fn links_lead_into_the_manual_or_to_the_files_beside_it() {
+    fn links_point_into_the_manual_or_to_neighbouring_files() {
         let html =
             rendered("# A b\n[c](wiring.md#the-bus) [d](#a-b) [e](a.eds) [f](protocol.md#x) [g](https://h) [wiring.md](wiring.md)")
                 .unwrap();
@@ -319,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leads_nowhere_or_loads_something_is_found() {
+    fn broken_links_and_external_resources_are_found() {
         assert!(check("<h1 id=\"a\"></h1><a href=\"#a\"></a><img src=\"data:x\">", &[]).is_ok());
         for wrong in [
             "<a href=\"#a\"></a>",

@@ -1,4 +1,4 @@
-//! The registers as comma-separated values (RFC 4180), for the tools of a PLC and for a spreadsheet.
+//! The registers as comma-separated values (RFC 4180), for PLC tools and spreadsheets.
 
 use host_tests::plc_names::{command_flags, gripper_flags, system_flags};
 use wsg_bridge_fw::Config;
@@ -8,9 +8,9 @@ use wsg_bridge_fw::registers::{
 use wsg_fieldbus::{Content, INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 
 const HEAD: [&str; 10] =
-    ["table", "address", "number", "name", "access", "unit", "from", "to", "as delivered", "meaning"];
+    ["table", "address", "number", "name", "access", "unit", "minimum", "maximum", "default", "meaning"];
 
-/// A table of Modbus, what it is called, and what a PLC's tool adds to its addresses.
+/// Name of a Modbus table, and the offset that PLC tools add to its addresses.
 #[derive(Clone, Copy)]
 struct Table(&'static str, u32);
 
@@ -21,7 +21,7 @@ const HOLDING: Table = Table("holding register", 40_001);
 
 type Row = [String; 10];
 
-/// Returns all registers, coils and discrete inputs that have a name.
+/// Returns all named registers, coils and discrete inputs.
 pub(crate) fn csv() -> String {
     let mut text = line(&HEAD.map(str::to_owned));
     rows().iter().for_each(|row| text.push_str(&line(row)));
@@ -55,7 +55,7 @@ fn rows() -> Vec<Row> {
     rows
 }
 
-/// The two images, as registers and as bits.
+/// Returns the rows of both images, as registers and as bits.
 fn images() -> Vec<Row> {
     let mut rows = Vec::new();
     for (table, access, registers) in
@@ -164,6 +164,6 @@ mod tests {
         fields[0] = "a, b".to_owned();
         fields[1] = "say \"c\"".to_owned();
         assert_eq!(line(&fields), "\"a, b\",\"say \"\"c\"\"\",,,,,,,,\r\n");
-        assert!(csv().is_ascii(), "a spreadsheet guesses how other letters are written");
+        assert!(csv().is_ascii(), "spreadsheets guess the encoding of other characters");
     }
 }

@@ -1,4 +1,4 @@
-//! The folder as a whole, made from the image that is tested.
+//! Tests of the whole release folder, built from the tested image.
 
 use std::{
     env, fs,
@@ -10,7 +10,7 @@ use document::root;
 
 const IMAGE: &str = "WSG_FIRMWARE_ELF";
 
-/// Runs the program; returns the files by their names.
+/// Runs the program. Returns the named files.
 fn folder(elf: &Path, to: &Path) -> Vec<(String, Vec<u8>)> {
     let mut dist = Command::new(env!("CARGO_BIN_EXE_dist"));
     assert!(dist.arg("--elf").arg(elf).arg("--to").arg(to).status().unwrap().success());
@@ -27,7 +27,7 @@ fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
 }
 
 fn image() -> PathBuf {
-    env::var_os(IMAGE).expect("`cargo xtask test` says where the image is").into()
+    env::var_os(IMAGE).expect("`cargo xtask test` sets WSG_FIRMWARE_ELF to the image's path").into()
 }
 
 fn scratch(name: &str) -> PathBuf {
@@ -36,25 +36,25 @@ fn scratch(name: &str) -> PathBuf {
 
 #[test]
 #[ignore = "needs the image: cargo xtask test"]
-fn folder_names_no_place_of_the_machine_and_is_the_same_again() {
+fn folder_contains_no_machine_paths_and_is_reproducible() {
     let to = scratch("folder");
     let first = folder(&image(), &to);
     let again = folder(&image(), &to);
 
     fs::remove_dir_all(&to).unwrap();
-    assert!(first == again, "made twice, it differs");
+    assert!(first == again, "the second run differs");
     let cargo = env::home_dir().unwrap().join(".cargo");
     for place in [root(), cargo] {
         let place = place.to_str().unwrap().as_bytes();
         for (name, bytes) in &first {
             assert!(
                 !bytes.windows(place.len()).any(|part| part == place),
-                "{name} names a place of this machine"
+                "{name} contains a path of this machine"
             );
         }
     }
     let of = |name: &str| &first.iter().find(|(other, _)| other == name).unwrap().1;
-    // The vector table: the stack's first address, and where the program starts.
+    // The vector table: initial stack pointer in RAM, reset vector in flash.
     let bin = of("wsg-bridge.bin");
     assert_eq!((bin[3], bin[7]), (0x20, 0x08));
     assert_eq!(of("wsg-bridge.elf"), &fs::read(image()).unwrap());
@@ -65,7 +65,7 @@ fn folder_names_no_place_of_the_machine_and_is_the_same_again() {
 #[ignore = "needs the image: cargo xtask test"]
 fn sources_in_another_folder_give_the_same_bytes() {
     if env::var_os("WSG_WHOLE").is_none() {
-        println!("only in cargo xtask ci: it builds the image again");
+        println!("skipped: runs only in cargo xtask ci, because it rebuilds the image");
         return;
     }
     let (here, there) = (scratch("here"), scratch("there-and-with-a-longer-name"));
@@ -89,5 +89,5 @@ fn sources_in_another_folder_give_the_same_bytes() {
     assert!(is_made);
     let differing: Vec<_> =
         first.iter().filter(|file| !second.contains(file)).map(|(name, _)| name).collect();
-    assert!(differing.is_empty() && first.len() == second.len(), "not the same: {differing:?}");
+    assert!(differing.is_empty() && first.len() == second.len(), "differing files: {differing:?}");
 }
