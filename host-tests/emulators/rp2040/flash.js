@@ -1,7 +1,8 @@
-// The QSPI flash of a Pico (2 MiB, W25Q16JV), the image in it, and what of the boot ROM programs it (RP2040 data sheet, 2.8).
+// Model of a Pico's QSPI flash (2 MiB, W25Q16JV), of its image, and of the boot ROM's flash functions (RP2040 data
+// sheet, 2.8).
 //
-// There is no boot ROM of Raspberry Pi's: where it has a function, this one has a breakpoint, and does it. What a real flash would
-// not do, or would crash, ends the machine.
+// Raspberry Pi's boot ROM is not used. Its functions are breakpoints that this model handles. Accesses that real
+// flash would ignore or that would crash the program end the machine.
 "use strict";
 
 const fs = require("node:fs");
@@ -11,52 +12,52 @@ const SECTOR = 4096;
 const PAGE = 256;
 const XIP = 0x10000000;
 
-// W25Q16JV, 9.6: how long a sector's erase and a page's programming typically take.
+// W25Q16JV, 9.6: typical durations of a sector erase and a page program.
 const ERASE_NANOS = 45e6;
 const PROGRAM_NANOS = 0.4e6;
 
-// W25Q16JV, 8.2.29: Read Unique ID, where its answer has the number, and one of a chip.
+// W25Q16JV, 8.2.29: Read Unique ID, the offset of the number in its answer, and an example number.
 const READ_UNIQUE_ID = 0x4b;
 const UNIQUE_ID_AT = 5;
 const UNIQUE_ID = [0xe6, 0x60, 0x58, 0x38, 0x83, 0x2a, 0x47, 0x2f];
 
-// Registers of the interface (4.10.13) and of the pin that selects the chip (2.19.6.2), which can be driven low.
+// Registers of the interface (4.10.13) and of the chip select pin (2.19.6.2), which can be driven low.
 const SSI = 0x18000, SSIENR = 0x08, SR = 0x28, DR0 = 0x60;
 const TFNF = 1 << 1, RFNE = 1 << 3, FIFO_LEN = 16;
 const IO_QSPI = 0x40018, SS_CTRL = 0x0c, DRIVEN_LOW = 2;
 
-// Where in the ROM the tables and the breakpoints are.
+// Locations of the tables and breakpoints in the ROM.
 const FUNCTIONS = 0x100;
 const DATA = 0x180;
 const STUBS = 0x200;
 const STUB_LEN = 4;
 
-// The function `lookup` comes first: the ROM has its address apart from the table.
+// `lookup` comes first, because the ROM stores its address outside the table.
 const CODES = ["lookup", "IF", "EX", "RE", "RP", "FC", "CX"];
 
 class Flash {
-    // `file` keeps what the flash holds; null: it is forgotten.
+    // `file` stores the flash; with null it is volatile.
     constructor(image, file, fail) {
         this.bytes = new Uint8Array(LEN).fill(0xff);
         this.fail = fail;
-        // How far an operation gets before the power goes: the first `cut` pages or sectors from now on; null: it stays.
+        // Number of pages or sectors until the power fails; null for never.
         this.cut = null;
         this.file = file;
         if (file && fs.existsSync(file)) this.bytes.set(fs.readFileSync(file).subarray(0, LEN));
         for (const { address, bytes } of segments(image)) {
             if (address < XIP || address + bytes.length > XIP + LEN) {
-                throw new Error(`the image has ${bytes.length} bytes at 0x${address.toString(16)}, where no flash is`);
+                throw new Error(`the image has ${bytes.length} bytes at 0x${address.toString(16)}, outside the flash`);
             }
             this.bytes.set(bytes, address - XIP);
         }
         const sum = crc(this.bytes.subarray(0, 252));
         const told = new DataView(this.bytes.buffer).getUint32(252, true);
         // 2.8.1.3.1
-        if (sum !== told) throw new Error("the boot ROM would not start it: the second stage's checksum is wrong");
+        if (sum !== told) throw new Error("the boot ROM would reject the image: wrong checksum of the second stage");
         if (file) fs.writeFileSync(file, this.bytes);
     }
 
-    // Gives a machine this flash and this ROM.
+    // Installs this flash and ROM in a machine.
     install(rp2040) {
         this.rp2040 = rp2040;
         this.isMapped = true;
@@ -75,7 +76,7 @@ class Flash {
         this.connectInterface(rp2040.peripherals[SSI], rp2040.peripherals[IO_QSPI]);
     }
 
-    // While the flash is not mapped, bytes go to the chip and come from it one by one.
+    // While the flash is not mapped, bytes are exchanged with the chip one by one.
     connectInterface(ssi, pins) {
         this.isSelected = false;
         let asked = [], answers = [];
@@ -85,7 +86,7 @@ class Flash {
             return offset === SR ? TFNF | (answers.length ? RFNE : 0) : (answers.shift() ?? 0);
         };
         ssi.writeUint32 = (offset, value) => {
-            // Boot from flash maps it: the second stage enables the interface.
+            // The second stage maps the flash by enabling the interface.
             if (offset === SSIENR && value === 1) this.isMapped = true;
             if (this.isMapped || offset !== DR0) return write(offset, value);
             if (!this.isSelected || answers.length === FIFO_LEN) return this.fail(`the byte ${hex(value)} to the flash is lost`);
@@ -99,7 +100,7 @@ class Flash {
         };
     }
 
-    // How long the ROM's function has taken that was called last.
+    // Returns the duration of the last ROM function.
     takeNanos() {
         const { nanos } = this;
         this.nanos = 0;
@@ -124,7 +125,7 @@ class Flash {
                 this.isMapped = true;
                 break;
             case "FC":
-                // It gives the pin that selects the chip back to the interface, too.
+                // Also returns the chip select pin to the interface.
                 this.isSelected = false;
                 break;
             case "RE":
@@ -150,7 +151,7 @@ class Flash {
         for (let page = at; page < at + len; page += PAGE) {
             if (!this.begin(PROGRAM_NANOS)) return;
             for (let n = 0; n < PAGE; n++) {
-                // A bit becomes 0 by programming, and 1 by an erase alone.
+                // Programming clears bits; only an erase sets them.
                 this.rp2040.flash[page + n] &= this.rp2040.readUint8(from + page - at + n);
             }
             this.keep(page, PAGE);
@@ -164,7 +165,7 @@ class Flash {
         return false;
     }
 
-    // Whether the power lasts for one more operation.
+    // Returns whether the power lasts for another operation.
     begin(nanos) {
         if (this.cut !== null && this.cut-- <= 0) {
             this.fail("the power was cut");
@@ -184,9 +185,9 @@ class Flash {
     }
 }
 
-// What an ELF file loads, by the addresses that it is stored at.
+// Returns the loaded segments of an ELF file by storage address.
 function segments(elf) {
-    if (elf.readUInt32BE(0) !== 0x7f454c46 || elf[4] !== 1) throw new Error("no ELF file of 32 bits");
+    if (elf.readUInt32BE(0) !== 0x7f454c46 || elf[4] !== 1) throw new Error("not a 32-bit ELF file");
     const [table, size, count] = [elf.readUInt32LE(28), elf.readUInt16LE(42), elf.readUInt16LE(44)];
     const found = [];
     for (let n = 0; n < count; n++) {

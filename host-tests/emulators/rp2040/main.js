@@ -1,16 +1,16 @@
-// A Raspberry Pi Pico for the tests: rp2040js runs the image, and this is what is round the chip.
+// A Raspberry Pi Pico for the tests: rp2040js runs the image; this program models the chip's surroundings.
 //
 //   node main.js ELF --sockets FOLDER --outputs MASK [--flash FILE] [--can] [--reboot] [--ram BYTE]
 //
-// In the folder are the sockets that this connects to: `control`, a line a command and a line an answer or an event; `gripper`
-// (UART0), `bus` (UART1) and `service` (USB). With --can an MCP2515 is on SPI0, whose model asks and answers over standard input
-// and output. Time is the machine's: asleep it follows the clock on the wall; busy, it takes as long as it does. It stands again
-// and again until those beside it have come up to it: event `time MICROS`, and then the line `go on`, which has no answer.
+// Connects to these sockets in FOLDER: `control`, with one line per command, answer and event; `gripper` (UART0),
+// `bus` (UART1) and `service` (USB). With --can, an MCP2515 is on SPI0; its model communicates over standard input
+// and output. During sleep the machine's time follows the wall clock; otherwise it runs as fast as it can. It stops
+// periodically until all peers have caught up: event `time MICROS`, answered by the line `go on`, which has no reply.
 //
-// Commands: `in PIN LEVEL`; `read ADDRESS LEN`; `time`; `error UART KIND EVERY`, `error UART none`; `cut OPERATIONS`; `derail HOW`,
-// the firmware, from the next time on that it feeds the watchdog; `resets`: how many by that, and MICROS from the feed to the last.
-// Answers: `ok ...`, `refused WHY`. Events: `out LEVELS` of the pins in MASK; `served LEVELS`, the first that
-// were written with all of them driven; `reset`; `end WHY`.
+// Commands: `in PIN LEVEL`; `read ADDRESS LEN`; `time`; `error UART KIND EVERY`, `error UART none`; `cut OPERATIONS`;
+// `derail HOW`, from the next watchdog feed on; `resets`: number of watchdog resets, and MICROS from the last feed to
+// the last one. Answers: `ok ...`, `refused WHY`. Events: `out LEVELS` of the pins in MASK; `served LEVELS`, the
+// first levels with all pins driven; `reset`; `end WHY`.
 "use strict";
 
 const fs = require("node:fs");
@@ -36,25 +36,24 @@ const { values: options, positionals } = parseArgs({
     },
 });
 
-// boards/pico has them in its pin table.
+// From the pin table of boards/pico.
 const BUS_DRIVER = 6;
 const CAN_SELECT = 17, CAN_INTERRUPT = 20;
 const SPI0 = 0x4003c, UARTS = [0x40034, 0x40038], UART_INTERRUPTS = [20, 21], IO_BANK0 = 0x40014, GPIO_OUT_XOR = 0x1c, NVIC_ICPR = 0x280;
 
-// Where the boot ROM leaves the core (data sheet, 2.8.1.4).
+// Stack pointer and entry after the boot ROM (data sheet, 2.8.1.4).
 const BOOT_STACK = 0x20041f00, BOOT_ENTRY = 0x10000000;
 
-// How far the machine's time may be ahead of the wall's when it sleeps, which saves a pause that no host could make so short;
-// and by how much it may be late and still catch up.
+// Lead of the machine's time over the wall clock for which no pause is made, because no host can make one so short;
+// and maximum lag that is caught up.
 const AHEAD_NANOS = 1e6, LATE_NANOS = 50e6;
-// How long, on the wall, until commands and bytes are looked at; and how far the machine may be ahead of those beside it.
+// Wall-clock interval for checking commands and bytes, and maximum lead over the peers.
 const SLICE_MILLIS = 1, AHEAD_OF_OTHERS_NANOS = 2e6;
 
-// Pins that firmware drives one by one change one after the other: told is how they are a moment after the first of them, shorter
-// than any input of a PLC is filtered.
+// Delay before reporting pins that firmware drives one by one: shorter than any input filter of a PLC.
 const SETTLE_NANOS = 5000;
 
-// The longest piece of what the lines send.
+// Minimum number of bytes to pass on while a line is still sending.
 const PIECE = [16, 256, 1];
 
 const outputMask = Number(options.outputs);
@@ -73,7 +72,7 @@ class Pico {
         this.toSend = this.lines.map(() => []);
         this.control = connect("control").on("data", (text) => this.onControl(text)).on("close", () => process.exit());
         this.partial = "";
-        // What those beside the machine know of its time, and whether it waits for them.
+        // The machine's time as known to the peers, and whether it waits for them.
         this.toldNanos = 0;
         this.isHeld = false;
         this.offset = 0;
@@ -83,7 +82,7 @@ class Pico {
         this.offset = this.wall();
     }
 
-    // A reset: of what there was, the flash, the time, the watchdog's notes and what is wrong with the lines stay.
+    // Resets the machine. Flash, time, watchdog state and line errors persist.
     powerUp(nanos) {
         this.rp2040 = new RP2040();
         const { rp2040 } = this;
@@ -93,7 +92,7 @@ class Pico {
         rp2040.logger = {
             debug() {},
             info() {},
-            // What rp2040js does not model the hardware has, but for memory.
+            // Hardware has all peripherals that rp2040js lacks, but not all memory.
             warn: (name, message) => message.match(/invalid|undefined/) && this.end(`${message}, PC ${hex(rp2040.core.PC)}`),
             error: (name, message) => this.end(`${name}: ${message}, PC ${hex(rp2040.core.PC)}`),
         };
@@ -132,10 +131,10 @@ class Pico {
         this.look();
     }
 
-    // rp2040js takes an exception that is masked when the core sleeps, does not wake for SysTick, forgets an interrupt that was
-    // pended by software when its line falls, and has an odd program counter in handlers, which spoils jumps by a table. Here it is
-    // as ARMv6-M has it (B1.5, B3.4): a line that rises pends its interrupt, as a store to ISPR does; that ends with its handler's
-    // entry, and begins anew behind it if the line is still high.
+    // Corrects rp2040js to ARMv6-M (B1.5, B3.4). It takes masked exceptions during sleep, does not wake for SysTick,
+    // drops software-pended interrupts when their line falls, and has an odd program counter in handlers, which
+    // breaks table jumps. Correct: a rising line pends its interrupt, as a store to ISPR does. Handler entry clears
+    // it, and a line still high on return pends it again.
     correctCore() {
         const { core, ppb } = this.rp2040;
         let lines = 0, active = 0;
@@ -186,8 +185,8 @@ class Pico {
         this.rp2040.gpio[pin].setInputValue(level);
     }
 
-    // A store may have changed the pins; `isLevels`: it gave outputs their levels. The first one behind that which made the last of them an
-    // output is the main loop's.
+    // Checks the pins after a store; `isLevels` means that it set output levels. The first such store with all
+    // outputs driven is the main loop's.
     look(isLevels = false) {
         if (!this.settled.scheduled && this.levels() !== this.shown) this.settled.schedule(SETTLE_NANOS);
         if (isLevels && !this.isServed && this.levels("outputEnable") === outputMask) {
@@ -197,7 +196,7 @@ class Pico {
         this.model?.look();
     }
 
-    // Which of the outputs are high, or driven.
+    // Returns the high outputs, or the driven ones, as a mask.
     levels(what = "outputValue") {
         let levels = 0;
         for (let pin = 0; pin < 30; pin++) {
@@ -241,7 +240,7 @@ class Pico {
         for (const line of lines) {
             if (line === "go on") {
                 this.isHeld = false;
-                // Behind what came together with it on the other lines.
+                // After bytes that arrived together with it on the other lines.
                 setImmediate(() => this.run());
                 continue;
             }
@@ -282,16 +281,16 @@ class Pico {
                 this.flash.cut = numbers[0];
                 return undefined;
             default:
-                throw new Error(`no command ${command}`);
+                throw new Error(`unknown command ${command}`);
         }
     }
 
-    // The machine's time, if it were never late.
+    // The machine's time if it never lagged.
     wall() {
         return performance.now() * 1e6 - this.offset;
     }
 
-    // Lets a machine that sleeps come up to now.
+    // Advances a sleeping machine to now.
     wakeUp() {
         const { clock } = this;
         if (!this.rp2040.core.waiting) return;
@@ -307,7 +306,7 @@ class Pico {
         }
     }
 
-    // When it waits at the latest; while it does, that is now.
+    // Time at which it must wait for the peers; while it waits, the current time.
     get untilNanos() {
         return this.isHeld ? this.clock.nanosCounter : this.toldNanos + AHEAD_OF_OTHERS_NANOS;
     }
@@ -328,7 +327,7 @@ class Pico {
                 if (!core.waiting) {
                     let nanos = core.executeInstruction() * cycleNanos;
                     if (!flash.isMapped) nanos += this.unmapped();
-                    // As clock.tick, which would be called once an instruction.
+                    // Inlined clock.tick, which would be called per instruction.
                     clock.nanosCounter += nanos;
                     if (clock.nextAlarm !== null && clock.nextAlarm.nanos <= clock.nanosCounter) clock.tick(0);
                 } else if (this.mayWake()) {
@@ -354,21 +353,21 @@ class Pico {
         else this.hold();
     }
 
-    // Until those beside the machine are as far as it is.
+    // Waits until the peers have caught up.
     hold() {
         this.toldNanos = this.clock.nanosCounter;
         this.isHeld = true;
         this.tell(`time ${Math.floor(this.toldNanos / 1000)}`);
     }
 
-    // What the flash has taken, and that nobody runs from it meanwhile.
+    // Returns the time taken by the flash, and ensures that no code runs from it meanwhile.
     unmapped() {
         const { PC } = this.rp2040.core;
-        if (PC >>> 24 === 0x10) this.end(`${hex(PC)} ran from the flash while that was not mapped`);
+        if (PC >>> 24 === 0x10) this.end(`${hex(PC)} ran from the flash while it was not mapped`);
         return this.flash.takeNanos();
     }
 
-    // Passes on what was sent. A frame goes in one piece: on a busy host its bytes would else come too far apart for a master.
+    // Passes on sent bytes. Frames are sent whole, because gaps on a busy host would break them for a master.
     flush() {
         this.lines.forEach((line, n) => {
             const bytes = this.toSend[n];

@@ -1,6 +1,7 @@
-// The UARTs of the RP2040, by its data sheet (4.2) and ARM's DDI 0183: queues, levels, time-out, errors, and line time.
+// Model of the RP2040's UARTs, per its data sheet (4.2) and ARM's DDI 0183: FIFOs, levels, time-out, errors, and line
+// timing.
 //
-// rp2040js sends a byte at once, and knows neither levels nor errors.
+// rp2040js sends bytes instantly and models neither levels nor errors.
 "use strict";
 
 const { BasePeripheral } = require("rp2040js");
@@ -16,18 +17,18 @@ const BRK = 1 << 0, PEN = 1 << 1, STP2 = 1 << 3, FEN = 1 << 4;
 const UARTEN = 1 << 0, LBE = 1 << 7, TXE = 1 << 8, RXE = 1 << 9;
 // RIS, MIS, IMSC, ICR
 const OE = 1 << 10, BE = 1 << 9, PE = 1 << 8, FE = 1 << 7, RT = 1 << 6, TX = 1 << 5, RX = 1 << 4;
-// DR and RSR: the error bits that go with a byte, from bit 8 on, and their interrupts.
+// Error bits of a received byte in DR and RSR, from bit 8 on, and their interrupts.
 const ERRORS = { framing: [1 << 8, FE], parity: [1 << 9, PE], break: [1 << 10, BE] };
 const OVERRUN = 1 << 11;
 
 const DEPTH = 32;
-// IFLS: eighths of a full queue (4.2.8).
+// IFLS: eighths of a full FIFO (4.2.8).
 const LEVELS = [4, 8, 16, 24, 28];
-// Bit times without a character after which received bytes are told of, whatever the level.
+// Idle bit times after which received bytes raise an interrupt below the level.
 const TIMEOUT_BITS = 32;
 
 class Pl011 extends BasePeripheral {
-    // `send(byte)` takes what has left; `driver()` is whether the line's driver is on, for a line that has one.
+    // `send(byte)` receives sent bytes; `driver()` returns whether the line's driver is on, if it has one.
     constructor(rp2040, name, irq, { send, driver, complain }) {
         super(rp2040, name);
         Object.assign(this, { irq, send, driver, complain });
@@ -38,7 +39,7 @@ class Pl011 extends BasePeripheral {
         this.shifting = null;
         this.received = [];
         this.lost = false;
-        // On the wire towards this UART, and what is wrong with every n-th of it.
+        // Bytes on the wire towards this UART, and the error of every n-th byte.
         this.arriving = [];
         this.error = null;
         this.sent = rp2040.clock.createAlarm(() => this.endOfSent());
@@ -82,13 +83,13 @@ class Pl011 extends BasePeripheral {
         this.rp2040.setInterrupt(this.irq, (this.raw & this.imsc) !== 0);
     }
 
-    // Bytes from the other end of the line, one behind the other as fast as the line allows.
+    // Receives bytes from the other end of the line at line speed.
     receive(bytes) {
         for (const byte of bytes) this.arriving.push(byte);
         if (!this.arrived.scheduled && this.arriving.length) this.arrived.schedule(this.characterNanos);
     }
 
-    // `kind` with every `every`-th byte from now on; null: the line is sound.
+    // Injects error `kind` into every `every`-th byte from now on; null stops it.
     setError(kind, every) {
         this.error = kind ? { kind, every, count: 0 } : null;
     }
@@ -112,11 +113,11 @@ class Pl011 extends BasePeripheral {
         }
         let entry = byte;
         if (isWrong && error.kind === "noise") {
-            // The PL011 does not tell of it: a bit is wrong.
+            // The PL011 does not report noise; a bit is wrong.
             entry ^= 1 << error.count % 8;
         } else if (isWrong) {
             const [flag, interrupt] = ERRORS[error.kind];
-            // A wrong stop bit is a byte that was cut through.
+            // A framing error corrupts the byte.
             entry = (error.kind === "framing" ? byte ^ 0x80 : error.kind === "parity" ? byte ^ 1 : 0) | flag;
             this.raw |= interrupt;
         }
@@ -157,7 +158,7 @@ class Pl011 extends BasePeripheral {
         if (this.shifting !== null || !this.toSend.length || (this.cr & (UARTEN | TXE)) !== (UARTEN | TXE)) return;
         this.shifting = this.toSend.shift();
         this.isDriven = this.driver();
-        // DDI 0183, 2.8.3: told of when the queue falls to its level, not while it is there.
+        // DDI 0183, 2.8.3: raised when the FIFO falls to its level, not while it stays there.
         if (this.toSend.length === (this.lcr & FEN ? this.level(0) : 0)) this.raw |= TX;
         this.sent.schedule(this.characterNanos);
     }

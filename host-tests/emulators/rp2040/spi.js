@@ -1,7 +1,7 @@
-// SPI0 to a model of what is on it, in another process: a byte there, a byte back, in the machine's time.
+// Connects SPI0 to a chip model in another process, one byte at a time, in machine time.
 //
-// To the model, 10 bytes: the machine's time in nanoseconds (64 bits, little endian), what happens, and the byte. From it, 10 bytes:
-// the byte, whether its interrupt line is high, and when it has something to tell by itself at the latest (64 bits).
+// To the model, 10 bytes: machine time in nanoseconds (64 bits, little endian), event, byte. From it, 10 bytes: byte,
+// level of its interrupt line, and latest time of its next event (64 bits).
 "use strict";
 
 const fs = require("node:fs");
@@ -21,17 +21,17 @@ class SpiToModel {
         let byte = 0;
         const sent = this.clock.createAlarm(() => spi.completeTransmit(this.isSelected() ? this.ask(BYTE, byte) : 0xff));
         spi.onTransmit = (value) => {
-            // The clock's idle level and the edge that samples go together in the two modes that the chip takes.
+            // The chip's two modes have equal clock polarity and phase.
             const mode = (spi.control0 >> 6) & 3;
             if (spi.dataBits !== 8 || mode === 1 || mode === 2) fail(`SPI0: ${spi.dataBits} bits, SPO and SPH ${mode}`);
-            if (spi.clockFrequency > 10e6) fail(`SPI0: ${spi.clockFrequency} Hz, the MCP2515 takes 10 MHz`);
+            if (spi.clockFrequency > 10e6) fail(`SPI0: ${spi.clockFrequency} Hz, the MCP2515 supports up to 10 MHz`);
             byte = value;
             sent.schedule(8e9 / spi.clockFrequency);
         };
         this.ask(RESET);
     }
 
-    // The select line may have changed.
+    // Checks the select line for a change.
     look() {
         if (this.isSelected() === this.wasSelected) return;
         this.wasSelected = !this.wasSelected;

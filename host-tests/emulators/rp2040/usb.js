@@ -1,7 +1,6 @@
-// A USB host that finds a serial port (CDC ACM), opens it and passes bytes.
+// A USB host that finds and opens a serial port (CDC ACM) and exchanges bytes with it.
 //
-// rp2040js has one too, which takes only devices whose endpoint 0 has packets of 64 bytes, and answers a device that listens with
-// empty packets.
+// That of rp2040js supports only 64-byte packets on endpoint 0, and sends empty packets to a listening device.
 "use strict";
 
 const { createSetupPacket, DataDirection, SetupRecipient, SetupType, SetupRequest } = require("rp2040js");
@@ -12,11 +11,11 @@ const PAUSE_NANOS = 1e6, RECOVERY_NANOS = 10e6;
 const SET_CONTROL_LINE_STATE = 0x22, DTR_AND_RTS = 3;
 
 class UsbHost {
-    // `take(bytes)` has what the device sends.
+    // `take(bytes)` receives the device's data.
     constructor(usb, take) {
         Object.assign(this, { usb, take });
         this.toSend = [];
-        // How much each endpoint listens for; a device may begin with it before it has said what it is.
+        // Requested length per endpoint; a device may listen before it is enumerated.
         this.wanted = new Array(16).fill(0);
         this.transfer = null;
         this.next = usb.rp2040.clock.createAlarm(() => this.then(this.received));
@@ -27,7 +26,7 @@ class UsbHost {
         usb.onEndpointRead = (endpoint, len) => this.onListening(endpoint, len);
     }
 
-    // USB 2.0, 7.1.7.5: a device has 10 ms behind a reset.
+    // USB 2.0, 7.1.7.5: a device has 10 ms to recover from a reset.
     recover(then) {
         Object.assign(this, { then });
         this.next.schedule(RECOVERY_NANOS);
@@ -71,7 +70,7 @@ class UsbHost {
         transfer.received.push(...bytes);
         if (transfer.received.length >= transfer.wLength) {
             this.transfer = null;
-            // Of a read, the device hears that it has come: an empty packet, before anything else.
+            // Completes a read with an empty packet (status stage) before anything else.
             if (transfer.wLength) this.usb.endpointReadDone(0, new Uint8Array(0));
             Object.assign(this, { then: transfer.then, received: transfer.received });
             this.next.schedule(PAUSE_NANOS);
@@ -96,7 +95,7 @@ class UsbHost {
     }
 }
 
-// The bulk endpoints of the interface that has the data.
+// Returns the bulk endpoints of the data interface.
 function dataEndpoints(descriptors) {
     const found = { in: -1, out: -1 };
     let isData = false;

@@ -1,19 +1,19 @@
-// The watchdog of the RP2040 (data sheet, 4.7), where rp2040js has less than the hardware: the rate of its tick, what it resets,
-// and what stays over a reset. And a firmware that hangs.
+// Completes rp2040js's watchdog (RP2040 data sheet, 4.7): tick rate, scope of a reset, and persistent state. Also
+// makes the firmware hang on request.
 "use strict";
 
 const { BasePeripheral } = require("rp2040js");
 
 const WATCHDOG = 0x40058, PSM = 0x40010, VREG_AND_CHIP_RESET = 0x40064;
 const LOAD = 0x04, TICK = 0x2c;
-// TICK: cycles of CLK_REF in a tick.
+// TICK: cycles of CLK_REF per tick.
 const CYCLES = 0x1ff;
-// PSM_WDSEL: everything but the two oscillators.
+// PSM_WDSEL: everything except the two oscillators.
 const ALL = 0x1fffc;
-// CHIP_RESET (2.12.8): the power came. No reset by the watchdog changes it.
+// CHIP_RESET (2.12.8): power-on reset; unaffected by watchdog resets.
 const CHIP_RESET = 0x08, HAD_POR = 1 << 8;
 
-// Where RAM is neither static nor the stack: a loop, and vectors that lead there.
+// A loop and vectors to it, in RAM that neither static data nor the stack uses.
 const LOOP_AT = 0x20020000, LOOP = 0xe7fe, VECTORS_AT = 0x20020100, VECTORS = 48;
 
 class ChipReset extends BasePeripheral {
@@ -27,20 +27,20 @@ class Watchdog {
         this.reason = 0;
         this.scratch = new Uint32Array(8);
         this.resets = 0;
-        // When it was fed, and how long after that it reset the machine last.
+        // Time of the last feed, and time from it to the last reset.
         this.fedNanos = this.lastedNanos = 0;
-        // How the firmware is to hang from the next time on that it feeds it: `loop`, with interrupts; `masked`, without; `handler`.
+        // How the firmware hangs from the next feed on: `loop`, with interrupts; `masked`, without; `handler`.
         this.derailment = null;
     }
 
-    // Puts it into a machine that power or it has reset. `reset()` does that; `fail(why)` ends the machine.
+    // Installs it in a machine after any reset. `reset()` resets the machine; `fail(why)` ends it.
     install(rp2040, { reset, fail }) {
         rp2040.peripherals[VREG_AND_CHIP_RESET] = new ChipReset(rp2040, "VREG_AND_CHIP_RESET");
         const registers = rp2040.peripherals[WATCHDOG];
         registers.reason = this.reason;
         registers.scratchData = this.scratch;
         registers.onWatchdogTrigger = () => {
-            // It would go off again and again in this very moment.
+            // Otherwise it would trigger again immediately.
             registers.alarm.enable = false;
             const { wdsel } = rp2040.peripherals[PSM];
             if ((wdsel & ALL) !== ALL) return fail(`the watchdog resets 0x${wdsel.toString(16)} of PSM_WDSEL, not all`);
@@ -51,7 +51,7 @@ class Watchdog {
         };
         let cycles = 0;
         const setRate = () => {
-            // Erratum RP2040-E1: it counts down twice in a tick.
+            // Erratum RP2040-E1: it counts down twice per tick.
             registers.timer.frequency = (2 * rp2040.clocks.refFreq) / Math.max(cycles, 1);
         };
         const { updateClocks } = rp2040;
