@@ -1,12 +1,12 @@
-//! The emulated board between a Modbus master of yours and a virtual gripper:
+//! The emulated board between your Modbus master and a virtual gripper:
 //!
 //! ```sh
 //! cargo xtask build                                   # prints the image's path
 //! cargo run -p host-tests --example bus -- IMAGE 2>frames     # prints the terminals for masters
 //! ```
 //!
-//! A part of 20 mm is between the fingers. The FAST STOP wire is high, and was low at power-up: the first command is
-//! STOP/ACK. The flash is empty at the start: SAVE stores, until the program ends.
+//! A part of 20 mm is between the fingers. FAST_STOP_OK was low at power-up and is now high, so the first command is
+//! STOP/ACK. The flash is initially empty; SAVE lasts until the program ends.
 
 use anyhow::Result;
 
@@ -19,18 +19,19 @@ fn main() -> Result<()> {
     use wsg_bridge_fw::io::Inputs;
     use wsg_sim::{Config, Part};
 
-    let image = std::env::args_os().nth(1).context("which image? `cargo xtask build` prints its path")?;
+    let image =
+        std::env::args_os().nth(1).context("expected the path of an image; `cargo xtask build` prints it")?;
     let models = FlashController::new().models();
     let mut board = Emulator::start_with(image.as_ref(), Extras { models, ..Extras::default() })?;
     board.set_input(Inputs::FAST_STOP_OK, true)?;
-    let terminal = Terminal::to(board.take_modbus_line().context("the bus is taken")?)?;
-    let service = Terminal::to(board.take_service_line().context("the service port is taken")?)?;
-    println!("{}  (the bus: Modbus RTU, unit 1, no parity; Ctrl-C ends it)", terminal.path);
-    println!("{}  (the service port: Modbus RTU, unit 1, no parity)", service.path);
-    // The frames apart from the path, which they would hide: `2>frames` keeps them.
+    let terminal = Terminal::to(board.take_modbus_line().context("the bus is already in use")?)?;
+    let service = Terminal::to(board.take_service_line().context("the service port is already in use")?)?;
+    println!("{}  (bus: Modbus RTU, unit 1, no parity; press Ctrl-C to quit)", terminal.path);
+    println!("{}  (service port: Modbus RTU, unit 1, no parity)", service.path);
+    // Frames go to standard error, where `2>frames` keeps them apart from the paths.
     let trace = Trace::new(vec![Box::new(std::io::stderr())]);
     let config = Config { part: Part::of_width(20.0), ..Config::default() };
-    let line = board.take_gripper_line().context("the gripper's line is taken")?;
+    let line = board.take_gripper_line().context("the gripper's line is already in use")?;
     let _gripper = GripperEnd::start(line, board.clock(), config, &trace)?;
     loop {
         std::thread::park();

@@ -1,4 +1,4 @@
-//! Explores every order of events, beside a PLC with wires and beside one with a bus: `cargo xtask explore` runs it.
+//! Explores every order of events with a PLC on wires and a PLC on a bus; run by `cargo xtask explore`.
 //!
 //! ```sh
 //! cargo run --release -p host-tests --example explore -- 100000000
@@ -12,8 +12,8 @@ use anyhow::{Context, Result};
 use host_tests::explore::{Bounds, Plc};
 
 fn main() -> Result<ExitCode> {
-    let states = std::env::args().nth(1).context("how many states? One number is expected")?;
-    let states: u64 = states.parse().with_context(|| format!("{states} is no number of states"))?;
+    let states = std::env::args().nth(1).context("expected the number of states")?;
+    let states: u64 = states.parse().with_context(|| format!("{states} is not a number of states"))?;
     let bounds = Bounds { depth: 8, states: states / Plc::ALL.len() as u64 };
     let explore = |plc: Plc| {
         let begun = Instant::now();

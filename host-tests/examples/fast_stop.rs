@@ -1,11 +1,12 @@
-//! How long the gripper takes to stop while bytes on its line are lost, changed, doubled or added: a row of a table for each
-//! set of cases, and a failure where one takes longer than its limit. Every millisecond and every byte:
+//! Stopping time of the gripper under line faults: lost, changed, duplicated or inserted bytes. Prints a table row
+//! per set of cases, and fails if a case exceeds its limit. Tries every millisecond and every byte:
 //!
 //! ```sh
 //! cargo run --release -p host-tests --example fast_stop
 //! ```
 //!
-//! `--every-fault` changes each byte to every other one, which takes forty times as long; `--stride N` tries every N-th.
+//! `--every-fault` tries all values of each byte, which takes forty times as long; `--stride N` tries every N-th
+//! case.
 
 use std::process::ExitCode;
 
@@ -19,7 +20,7 @@ fn main() -> ExitCode {
             "--every-fault" => every_fault = true,
             "--stride" => match arguments.next().and_then(|value| value.parse().ok()) {
                 Some(value @ 1..) => stride = value,
-                _ => return refuse("--stride wants a number from 1"),
+                _ => return refuse("--stride expects a number of at least 1"),
             },
             other => return refuse(&format!("{other}: expected --stride N or --every-fault")),
         }
@@ -38,7 +39,7 @@ fn main() -> ExitCode {
         );
         if *worst_ms > sweep.limit_ms {
             is_held = false;
-            eprintln!("fast_stop: does not stop in time: {case:?}");
+            eprintln!("fast_stop: not stopped within the limit: {case:?}");
         }
     }
     if is_held { ExitCode::SUCCESS } else { ExitCode::FAILURE }

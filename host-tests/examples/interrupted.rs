@@ -1,5 +1,5 @@
-//! Runs a program and stops and continues it all the time, as debuggers and jobs of a shell do: calls that wait on a socket
-//! with a time-out give `Interrupted` then, without any handler in the program. It ends as the program ends.
+//! Runs a program while continually stopping and continuing it, as debuggers and shell job control do. Socket calls
+//! with a time-out then return `Interrupted`, even without signal handlers. Returns the program's exit code.
 //!
 //! ```sh
 //! cargo build -p host-tests --example interrupted
@@ -16,19 +16,19 @@ fn main() -> anyhow::Result<ExitCode> {
     use std::thread::sleep;
     use std::time::Duration;
 
-    /// How long it runs between two stops, and stands in each.
+    /// Running time between two stops, and duration of a stop.
     const RUNS: Duration = Duration::from_millis(2);
     const STANDS: Duration = Duration::from_micros(200);
 
     let mut arguments = std::env::args_os().skip(1);
-    let program = arguments.next().context("which program? Its arguments follow")?;
-    let mut child = Command::new(&program).args(arguments).spawn().context("it does not start")?;
+    let program = arguments.next().context("expected a program and its arguments")?;
+    let mut child = Command::new(&program).args(arguments).spawn().context("cannot start the program")?;
     let pid = Pid::from_child(&child);
     loop {
         sleep(RUNS);
-        // Until it is waited for, its number is nobody else's.
+        // Until it is reaped, its process number cannot be reused.
         if let Some(status) = child.try_wait()? {
-            // A program that a signal ended has no code of its own.
+            // A program ended by a signal has no exit code.
             return Ok(status
                 .code()
                 .and_then(|code| u8::try_from(code).ok())
@@ -42,5 +42,5 @@ fn main() -> anyhow::Result<ExitCode> {
 
 #[cfg(not(unix))]
 fn main() -> anyhow::Result<ExitCode> {
-    anyhow::bail!("only Unix stops and continues programs")
+    anyhow::bail!("stopping and continuing programs requires Unix")
 }

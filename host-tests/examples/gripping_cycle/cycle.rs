@@ -1,22 +1,23 @@
-//! The gripping cycle of the fieldbus manual's demo program (appendix D), as a PLC scans it: an input image in, an
-//! output image out. It knows no bus and no clock.
+//! The gripping cycle of the fieldbus manual's demo program (appendix D) as a PLC scan: input image in, output image
+//! out. It has no bus and no clock.
 //!
-//! As there, an error clears all command flags, acknowledges, homes and begins again. Other than there,
-//! - the cycle homes first, and counts a FAST STOP as an error whatever GSTATE says;
-//! - each command flag is seen at 0 before it rises, STOP/ACK as well: otherwise a second error gives no edge;
-//! - a motion that is over before the next scan is no motion that never began;
-//! - every wait has an end.
+//! As in the manual, an error clears all command flags, acknowledges, homes and restarts. Differences:
+//! - the cycle homes first, and treats FAST STOP as an error regardless of GSTATE
+//! - each command flag, including STOP/ACK, is 0 for a scan before it rises; otherwise a second error would raise no
+//!   edge
+//! - a motion may complete before the next scan
+//! - every wait is bounded
 
 use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 
-/// How long a part is held, in milliseconds.
+/// Holding time of a part, in milliseconds.
 const HOLDING_TIME_MS: u64 = 1_000;
-/// How long anything else may take, in milliseconds: more than any stroke needs.
+/// Time limit for everything else, in milliseconds: more than any stroke needs.
 const PATIENCE_MS: u64 = 30_000;
-/// How long after its edge a motion may be over without having been seen, in milliseconds.
+/// Time after its edge in which a motion may start and complete unseen, in milliseconds.
 const BEGIN_MS: u64 = 300;
-/// How many errors in a row are not worth another attempt.
+/// Number of consecutive errors after which the cycle gives up.
 const MAX_ERRORS_IN_A_ROW: u32 = 3;
 
 /// A motion of the cycle.
@@ -39,7 +40,7 @@ impl Motion {
         }
     }
 
-    /// GSTATE while it runs.
+    /// Returns GSTATE during the motion.
     const fn running(self) -> GripperFlags {
         match self {
             Self::Home | Self::PrePosition | Self::Start => GripperFlags::POSITIONING,
@@ -48,7 +49,7 @@ impl Motion {
         }
     }
 
-    /// WIDTH, SPEED and FORCELIMIT as registers; HOMING has none.
+    /// Returns WIDTH, SPEED and FORCELIMIT as registers; HOMING has none.
     const fn parameters(self) -> Option<(i16, u16, i16)> {
         match self {
             Self::Home => None,
@@ -59,7 +60,7 @@ impl Motion {
     }
 }
 
-/// What happened so far.
+/// Results so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counters {
     pub(crate) cycles: u32,
@@ -70,28 +71,28 @@ pub(crate) struct Counters {
     pub(crate) errors: u32,
 }
 
-/// Where the cycle stands.
+/// State of the cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Phase {
     /// Nothing has been written.
     Off,
-    /// All command flags are 0: what is written first gives no edge.
+    /// All command flags are 0, because the first write raises no edge.
     Clear,
     /// STOP/ACK is set.
     Acknowledge,
     /// The flag of a motion is set.
     Begin(Motion),
-    /// The motion runs; its flag is 0 again.
+    /// The motion is running and its flag is 0.
     Run(Motion),
     /// The part is held.
     Hold,
-    /// All cycles are done.
+    /// All cycles are complete.
     Finished,
-    /// Too many errors in a row.
+    /// Stopped after too many consecutive errors.
     GivenUp,
 }
 
-/// The cycle.
+/// The gripping cycle.
 #[derive(Debug)]
 pub(crate) struct Cycle {
     output: OutputImage,
@@ -104,7 +105,7 @@ pub(crate) struct Cycle {
 }
 
 impl Cycle {
-    /// As many cycles as this, from the first image on.
+    /// Creates a cycle that repeats this many times.
     pub(crate) const fn new(wanted: u32) -> Self {
         Self {
             output: OutputImage::ZERO,
@@ -125,12 +126,12 @@ impl Cycle {
         self.counters
     }
 
-    /// What went wrong last.
+    /// Returns the last error.
     pub(crate) fn last_error(&self) -> Option<&str> {
         self.last_error.as_deref()
     }
 
-    /// One scan: takes what the gripper shows, gives what it is to be told.
+    /// Performs one scan: processes the input image and returns the output image.
     pub(crate) fn scan(&mut self, now_ms: u64, input: &InputImage) -> OutputImage {
         let lasted_ms = now_ms.saturating_sub(self.since_ms);
         let next = match self.next(lasted_ms, input) {
@@ -143,7 +144,7 @@ impl Cycle {
         self.output
     }
 
-    /// The next phase, none to stay, or what went wrong.
+    /// Returns the next phase, `None` to stay, or an error.
     fn next(&mut self, lasted_ms: u64, input: &InputImage) -> Result<Option<Phase>, String> {
         let is_fast_stopped = input.system.contains(SystemFlags::FAST_STOP);
         match self.phase {
@@ -184,15 +185,15 @@ impl Cycle {
                 state => return Err(format!("{state:?} instead of HOLDING")),
             },
         }
-        if lasted_ms < PATIENCE_MS { Ok(None) } else { Err(format!("{:?} lasts too long", self.phase)) }
+        if lasted_ms < PATIENCE_MS { Ok(None) } else { Err(format!("{:?} took too long", self.phase)) }
     }
 
-    /// What follows a motion that is over.
+    /// Returns the phase after a completed motion.
     fn follow(&mut self, motion: Motion, input: &InputImage) -> Result<Phase, String> {
         let next = match (motion, input.state, input.status) {
             (Motion::Home, GripperFlags::IDLE, Status::Success) => {
                 if !input.system.contains(SystemFlags::REFERENCED) {
-                    return Err("homed, and not REFERENCED".to_owned());
+                    return Err("not REFERENCED after homing".to_owned());
                 }
                 self.counters.homings += 1;
                 Phase::Begin(Motion::PrePosition)
@@ -249,7 +250,7 @@ mod tests {
     use super::*;
     use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
-    /// A PLC that scans every 10 ms.
+    /// A PLC with a scan cycle of 10 ms.
     struct Plc {
         gripper: VirtualGripper,
         port: PortId,
@@ -280,7 +281,7 @@ mod tests {
             self.gripper.advance(self.now);
         }
 
-        /// Scans until a phase begins, at most two minutes.
+        /// Scans for at most two minutes until a phase begins.
         #[track_caller]
         fn scan_until(&mut self, phase: Phase) {
             for _ in 0..12_000 {
@@ -308,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn cycle_without_a_part_goes_on() {
+    fn cycle_continues_without_a_part() {
         let mut plc = Plc::new(None, 2);
         plc.scan_until(Phase::Finished);
         assert_eq!(
@@ -318,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn part_that_is_lost_is_released_at_once() {
+    fn a_lost_part_is_released_at_once() {
         let mut plc = Plc::new(Part::of_width(22.0), 1);
         plc.scan_until(Phase::Hold);
         plc.gripper.set_part(None, plc.now);
@@ -342,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn fault_that_stays_is_given_up_with_all_flags_0() {
+    fn a_persistent_fault_ends_the_cycle_with_all_flags_0() {
         let mut plc = Plc::new(None, 1);
         plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
         plc.scan_until(Phase::GivenUp);
@@ -352,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn fast_stop_that_is_latched_at_the_start_is_acknowledged_first() {
+    fn a_latched_fast_stop_is_acknowledged_first() {
         let mut plc = Plc::new(None, 1);
         plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
         plc.gripper.set_fault(Fault::MotorCurrent, false, plc.now);

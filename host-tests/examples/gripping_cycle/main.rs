@@ -1,5 +1,5 @@
-//! The demo program of the fieldbus manual (appendix D) as a Modbus master, against the virtual gripper or the bridge:
-//! homing, then pre-position, grip, hold, release and start position, again and again.
+//! The demo program of the fieldbus manual (appendix D) as a Modbus master for the virtual gripper or the bridge.
+//! Homes, then repeats pre-position, grip, hold, release and start position.
 
 mod cycle;
 mod master;
@@ -16,15 +16,15 @@ The gripping cycle of the fieldbus manual, as a Modbus master.
 
 Usage: gripping_cycle --tcp ADDR | --rtu DEVICE [OPTION]...
 
-  --tcp ADDR      a gripper's, or the virtual one's, Modbus/TCP address, such as 127.0.0.1:1502
-  --rtu DEVICE    a serial line with the bridge, 8N1, such as /dev/ttyUSB0
-  --baud N        its rate in bit/s (default 19200)
-  --unit N        the unit, 1 to 247 (default 1)
-  --cycles N      how many cycles (default 3)
+  --tcp ADDR      Modbus/TCP address of a real or virtual gripper, such as 127.0.0.1:1502
+  --rtu DEVICE    serial line to the bridge, 8N1, such as /dev/ttyUSB0
+  --baud N        bit rate of the serial line in bit/s (default 19200)
+  --unit N        unit address, 1 to 247 (default 1)
+  --cycles N      number of cycles (default 3)
   --help          show this
 ";
 
-/// From one scan to the next.
+/// Scan interval.
 const SCAN: Duration = Duration::from_millis(10);
 
 struct Options {
@@ -43,7 +43,8 @@ fn main() -> ExitCode {
         Err(error) => return fail(&error, 2),
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
-    let done = runtime.context("no runtime").and_then(|runtime| runtime.block_on(run(options)));
+    let done =
+        runtime.context("cannot start the async runtime").and_then(|runtime| runtime.block_on(run(options)));
     done.map_or_else(|error| fail(&error, 1), |()| ExitCode::SUCCESS)
 }
 
@@ -120,7 +121,7 @@ fn parse(mut parser: Parser) -> Result<Option<Options>> {
     let target = match (tcp, device, baud) {
         (Some(address), None, None) => Target::Tcp(address),
         (None, Some(device), baud) => Target::Rtu { device, baud: baud.unwrap_or(19_200) },
-        (Some(_), None, Some(_)) => bail!("--baud is of no use without --rtu DEVICE"),
+        (Some(_), None, Some(_)) => bail!("--baud requires --rtu DEVICE"),
         _ => bail!("expected one of --tcp ADDR and --rtu DEVICE"),
     };
     Ok(Some(Options { target, unit, cycles }))

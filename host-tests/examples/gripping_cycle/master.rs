@@ -1,5 +1,5 @@
-//! The master: `tokio-modbus` on TCP or on a serial line. Every request has an end, and is repeated when it is not
-//! answered; all of them may be, because the same image written again has no edge.
+//! The Modbus master: `tokio-modbus` over TCP or a serial line. Every request is bounded, and repeated if unanswered.
+//! Repetition is always safe, because writing the same image again raises no edge.
 
 use anyhow::{Context as _, Result, anyhow};
 use serial2_tokio::SerialPort;
@@ -10,25 +10,25 @@ use tokio_modbus::client::{Context, rtu, tcp};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
 use wsg_fieldbus::{InputImage, OutputImage};
 
-/// How long an answer may take.
+/// Time limit for an answer.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// How long after a request that failed it is repeated.
+/// Pause before a failed request is repeated.
 const PAUSE: Duration = Duration::from_millis(200);
-/// How often a request is sent.
+/// Maximum number of attempts.
 const ATTEMPTS: u32 = 5;
 
-/// Where the gripper, or the bridge before it, is.
+/// Address of the gripper, or of the bridge in front of it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     Tcp(SocketAddr),
-    /// A serial line, 8N1, and its rate in bit/s.
+    /// A serial line (8N1) and its rate in bit/s.
     Rtu {
         device: String,
         baud: u32,
     },
 }
 
-/// What the line did so far.
+/// Statistics of the line.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Traffic {
     pub(crate) requests: u64,
@@ -68,7 +68,7 @@ impl Master {
         Ok(InputImage::from_bytes(bytes))
     }
 
-    /// Writes the output image, as a whole.
+    /// Writes the complete output image.
     pub(crate) async fn write(&mut self, image: &OutputImage) -> Result<()> {
         let bytes = image.to_bytes();
         let registers: Vec<u16> =
@@ -90,7 +90,7 @@ impl Master {
                     return Err(error.context(format!("no answer to {ATTEMPTS} requests")));
                 }
                 Err(_) => {
-                    // What comes late must not pass for the answer to the next request.
+                    // Reconnects, so that a late answer is not mistaken for the next one.
                     self.context = None;
                     sleep(PAUSE).await;
                     attempt += 1;
@@ -113,7 +113,7 @@ impl Master {
                 }
             }
         };
-        let answer = timeout(PATIENCE, answer).await.context("it takes too long")??;
+        let answer = timeout(PATIENCE, answer).await.context("no answer in time")??;
         answer.map_err(|exception| anyhow!("exception: {exception}"))
     }
 }
@@ -123,13 +123,13 @@ async fn connect(target: &Target, unit: u8) -> Result<Context> {
     match target {
         Target::Tcp(address) => timeout(PATIENCE, tcp::connect_slave(*address, slave))
             .await
-            .with_context(|| format!("{address} takes too long"))?
+            .with_context(|| format!("{address} did not accept the connection in time"))?
             .with_context(|| format!("{address} cannot be reached")),
         Target::Rtu { device, baud } => {
-            // A rate alone means 8N1.
+            // Opening with only a rate selects 8N1.
             let line =
                 SerialPort::open(device, *baud).with_context(|| format!("{device} cannot be opened"))?;
-            line.discard_buffers().with_context(|| format!("{device} cannot be emptied"))?;
+            line.discard_buffers().with_context(|| format!("the buffers of {device} cannot be cleared"))?;
             Ok(rtu::attach_slave(line, slave))
         }
     }

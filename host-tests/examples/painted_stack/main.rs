@@ -1,5 +1,6 @@
-//! How deep the firmware's stack was: boots an image on painted memory, puts it through the worst that is known, and
-//! looks how far the paint is gone. Prints one line: `painted-stack` and bytes. The emulator needs Unix sockets.
+//! Measures the firmware's stack depth: boots an image on painted memory, applies the known worst-case load, and
+//! finds the lowest overwritten byte. Prints `painted-stack` and the number of bytes. The emulator needs Unix
+//! sockets.
 
 #[cfg(unix)]
 mod stack;

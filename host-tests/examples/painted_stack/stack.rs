@@ -1,4 +1,4 @@
-//! An image on painted memory, with a gripper and a bus, at its worst.
+//! An image on painted memory, with a gripper and a bus, under worst-case load.
 
 use std::fs;
 use std::ops::Range;
@@ -14,19 +14,19 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
 use wsg_sim::{Config, Part};
 
-/// Where RAM begins on every board, and the symbol of cortex-m-rt at its end: there the stack begins.
+/// Start of RAM on every board, and cortex-m-rt's symbol for its end, where the stack starts.
 const RAM: u32 = 0x2000_0000;
 const STACK_START: &str = "_stack_start";
 
-/// No value that a program is likely to put on its stack.
+/// A value that programs are unlikely to put on the stack.
 const PAINT: u8 = 0xC5;
 
-/// Bytes read at a time.
+/// Bytes per read.
 const CHUNK: u32 = 4096;
 
-/// Of the image that the first argument names: the bytes of stack that were used.
+/// Returns the bytes of stack used by the image named by the first argument.
 pub(crate) fn deepest_of_image() -> Result<u32> {
-    let elf: PathBuf = std::env::args_os().nth(1).context("give the image")?.into();
+    let elf: PathBuf = std::env::args_os().nth(1).context("expected the path of an image")?.into();
     let stack = room_for_stack(&elf)?;
     let rig = if is_for_pico(&elf) {
         Rig::power_up(&elf, Extras { ram: Some(PAINT), ..Extras::default() })?
@@ -41,10 +41,10 @@ pub(crate) fn deepest_of_image() -> Result<u32> {
     Ok(stack.end - deepest(&rig, &stack)?)
 }
 
-/// How long anything may take.
+/// Time limit for every wait.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// How long a wire is held, and how long noise is given to arrive, in the board's milliseconds.
+/// Holding time of a wire and arrival time of noise, in milliseconds of board time.
 const HOLD_MS: u32 = 60;
 
 /// Board and gripper.
@@ -56,7 +56,7 @@ struct Rig {
 impl Rig {
     fn power_up(elf: &Path, extras: Extras<'_>) -> Result<Self> {
         let mut board = Emulator::start_with(elf, extras)?;
-        let line = board.take_gripper_line().context("the board's line was taken")?;
+        let line = board.take_gripper_line().context("the board's line is already taken")?;
         let config = Config { time_scale: 10.0, ..Config::default() };
         let gripper = GripperEnd::start(line, board.clock(), config, &Trace::new(vec![]))?;
         Ok(Self { board, gripper })
@@ -76,10 +76,13 @@ impl Rig {
     }
 
     fn wait(&self, what: &str, wanted: impl Fn(Outputs) -> bool) -> Result<()> {
-        self.board.wait_outputs(PATIENCE, wanted).map(drop).with_context(|| format!("waited for {what}"))
+        self.board
+            .wait_outputs(PATIENCE, wanted)
+            .map(drop)
+            .with_context(|| format!("timed out waiting for {what}"))
     }
 
-    /// The motion may fail: what it leaves behind matters.
+    /// Starts a motion; it may fail, because only its use of the stack matters.
     fn motion(&self, wire: Inputs) -> Result<()> {
         self.wait("READY", |outputs| outputs.contains(Outputs::READY))?;
         self.pulse(wire)
@@ -93,7 +96,7 @@ impl Rig {
     }
 }
 
-/// Everything at once: motions, faults, noise in every place, the line cut and back, FAST STOP.
+/// Applies the worst-case load: motions, faults, noise at every stage, line cut and restored, FAST STOP.
 fn worst(rig: &Rig) -> Result<()> {
     rig.release_fast_stop()?;
     rig.motion(Inputs::HOME)?;
@@ -114,7 +117,7 @@ fn worst(rig: &Rig) -> Result<()> {
     rig.motion(Inputs::HOME)
 }
 
-/// Answers to what nobody asked, false beginnings, wrong checksums with frames inside, lengths past every limit.
+/// Injects unsolicited answers, false preambles, wrong checksums around valid frames, and excessive lengths.
 fn noise(rig: &Rig, seed: u8) -> Result<()> {
     for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
         for status in [Status::Success, Status::CmdPending, Status::AccessDenied] {
@@ -142,7 +145,7 @@ fn noise(rig: &Rig, seed: u8) -> Result<()> {
     rig.pass(HOLD_MS)
 }
 
-/// The lowest address whose paint is gone.
+/// Returns the lowest overwritten address.
 fn deepest(rig: &Rig, stack: &Range<u32>) -> Result<u32> {
     let mut address = stack.start;
     while address < stack.end {
@@ -154,10 +157,10 @@ fn deepest(rig: &Rig, stack: &Range<u32>) -> Result<u32> {
         }
         address += length;
     }
-    anyhow::bail!("no byte of the stack was written: was this image started?")
+    anyhow::bail!("no byte of the stack was written: the image may not have started")
 }
 
-/// From where the stack would meet the static variables up to where it begins.
+/// Returns the range between the static variables and the start of the stack.
 fn room_for_stack(elf: &Path) -> Result<Range<u32>> {
     let image = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
     let image = object::File::parse(&*image)?;
@@ -169,24 +172,24 @@ fn room_for_stack(elf: &Path) -> Result<Range<u32>> {
     Ok(end..u32::try_from(start)?)
 }
 
-/// A file of paint for QEMU to load; gone when this is dropped.
+/// A file with paint for QEMU to load; removed on drop.
 struct Paint {
     path: PathBuf,
 }
 
 impl Paint {
-    /// Paint for this room. An ELF file of one segment: QEMU takes raw files only for machines whose
-    /// memory can be chosen.
+    /// Creates paint for this range, as an ELF file with one segment: QEMU loads raw files only on machines with
+    /// configurable memory.
     fn new(&Range { start: first, end }: &Range<u32>) -> Result<Self> {
         const HEADERS: u32 = 52 + 32;
         let length = end - first;
-        // Little endian, executable, Arm; one program header behind this header, no sections.
+        // Little endian, executable, Arm; one program header after this header, no sections.
         let ident = *b"\x7FELF\x01\x01\x01\0\0\0\0\0\0\0\0\0";
         let mut bytes = ident.to_vec();
         bytes.extend([2_u16, 40].map(u16::to_le_bytes).concat());
         bytes.extend([1_u32, 0, 52, 0, 0].map(u32::to_le_bytes).concat());
         bytes.extend([52_u16, 32, 1, 40, 0, 0].map(u16::to_le_bytes).concat());
-        // A segment to load: where in the file, where in memory (twice), how long (twice), readable and writable.
+        // A loadable segment: file offset, address (twice), length (twice), readable and writable.
         bytes.extend([1, HEADERS, first, first, length, length, 6, 8].map(u32::to_le_bytes).concat());
         bytes.resize((HEADERS + length) as usize, PAINT);
         let path = std::env::temp_dir().join(format!("wsg-paint-{}", std::process::id()));
@@ -197,7 +200,7 @@ impl Paint {
 
 impl Drop for Paint {
     fn drop(&mut self) {
-        // What stays behind in a directory for temporary files harms nobody.
+        // Failure is harmless: the directory is one for temporary files.
         let _ = fs::remove_file(&self.path);
     }
 }
