@@ -1,4 +1,4 @@
-//! The functions of an image, and what each calls.
+//! The functions of an image and their calls.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,39 +10,39 @@ use super::{
     thumb::{Effect, decode},
 };
 
-/// A function, by its first address.
+/// A function, identified by its first address.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Function {
     pub(super) name: String,
-    /// Bytes of stack by the compiler; none where it did not make the function.
+    /// Stack frame in bytes according to the compiler, if it compiled the function.
     pub(super) frame: Option<u64>,
-    /// Bytes that all pushes in its code come to.
+    /// Total bytes of all pushes in the code.
     pub(super) pushed: u64,
-    /// Functions that it calls or goes on to.
+    /// Functions that it calls or jumps to.
     pub(super) calls: BTreeSet<u32>,
-    /// It calls what a register holds.
+    /// Whether it has indirect calls.
     pub(super) is_indirect: bool,
 }
 
-/// An image for a Cortex-M: its functions, and what each calls.
+/// The functions of a Cortex-M image and their calls.
 #[derive(Debug, Default)]
 pub struct Program {
     pub(super) functions: BTreeMap<u32, Function>,
-    /// Functions whose address stands in data or is made in code.
+    /// Functions whose address is stored in data or built in code.
     pub(super) taken: BTreeSet<u32>,
-    /// Where the program starts.
+    /// Address of the reset handler.
     pub(super) reset: u32,
-    /// The handlers of exceptions and interrupts.
+    /// Handlers of exceptions and interrupts.
     pub(super) handlers: BTreeSet<u32>,
-    /// Bytes of code.
+    /// Length of the code in bytes.
     pub code_len: usize,
 }
 
-/// Code and the data within it.
+/// The code section, including embedded data.
 struct Text<'a> {
     address: u32,
     bytes: &'a [u8],
-    /// Where data begins and ends within the code.
+    /// Boundaries of data within the code.
     data: BTreeMap<u32, bool>,
 }
 
@@ -50,26 +50,28 @@ impl Program {
     /// Reads an ELF file with symbols.
     ///
     /// # Errors
-    /// It is none for a 32-bit machine, or it has no code, no symbols of functions or no `.vector_table`.
+    /// Fails when it is not a 32-bit ELF file, or has no code, no function symbols or no `.vector_table`.
     pub fn of(elf: &[u8]) -> Result<Self> {
         let elf = ElfFile32::<object::Endianness>::parse(elf)?;
         let mut program = Self::default();
         let text = Text::of(&elf)?;
         program.code_len = text.bytes.len();
         let frames = match elf.section_by_name(".stack_sizes") {
-            Some(section) => frames::parse(section.data()?).context("the section .stack_sizes is broken")?,
+            Some(section) => {
+                frames::parse(section.data()?).context("the section .stack_sizes is malformed")?
+            }
             None => BTreeMap::new(),
         };
         let starts = starts_of(&elf);
-        ensure!(!starts.is_empty(), "no symbols of functions");
+        ensure!(!starts.is_empty(), "no function symbols");
         for (&start, (name, size)) in &starts {
             let next = starts.range(start + 1..).next().map_or(text.end(), |(next, _)| *next);
-            // Written in assembly, some say no size. Behind the others may be filling that is no code.
+            // Some assembly functions have no size. After other functions there may be padding.
             let behind = if *size == 0 { next } else { next.min(start + size) };
             let function = text.function(name.clone(), start..behind, &mut program.taken);
             program.functions.insert(start, Function { frame: frames.get(&start).copied(), ..function });
         }
-        // A jump within a function is none to another: what is called is the function that holds the address.
+        // A call's target is the function that contains the address, so jumps within a function are no calls.
         let holders: Vec<u32> = program.functions.keys().copied().collect();
         for (start, function) in &mut program.functions {
             let of = |address: u32| {
@@ -89,13 +91,13 @@ impl Program {
         Ok(program)
     }
 
-    /// How many functions it has.
+    /// Returns the number of functions.
     #[must_use]
     pub fn function_count(&self) -> usize {
         self.functions.len()
     }
 
-    /// The vector table: the initial stack pointer, Reset, then the handlers.
+    /// Reads the vector table: initial stack pointer, Reset, then the handlers.
     fn read_vectors(&mut self, elf: &ElfFile32<'_>) -> Result<()> {
         let vectors = elf.section_by_name(".vector_table").context("no section .vector_table")?;
         let mut words = words(vectors.data()?).skip(1);
@@ -133,7 +135,7 @@ impl<'a> Text<'a> {
         Some(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?))
     }
 
-    /// Follows the code from start to end; addresses that it makes or holds go to `taken`.
+    /// Decodes the code of a function; addresses that it builds or contains are added to `taken`.
     fn function(&self, name: String, range: std::ops::Range<u32>, taken: &mut BTreeSet<u32>) -> Function {
         let mut function = Function { name, ..Function::default() };
         let mut low_halves = [0_u16; 16];
@@ -173,7 +175,7 @@ impl<'a> Text<'a> {
     }
 }
 
-/// Every function's first address, its name and its size.
+/// Returns each function's first address, name and size.
 fn starts_of(elf: &ElfFile32<'_>) -> BTreeMap<u32, (String, u32)> {
     let mut starts = BTreeMap::new();
     for symbol in elf.symbols().filter(|symbol| symbol.kind() == SymbolKind::Text) {
@@ -186,12 +188,12 @@ fn starts_of(elf: &ElfFile32<'_>) -> BTreeMap<u32, (String, u32)> {
     starts
 }
 
-/// The name as the sources have it, without the hash.
+/// Demangles a name, without its hash.
 fn readable(mangled: &str) -> String {
     format!("{:#}", rustc_demangle::demangle(mangled))
 }
 
-/// Words in data that may be the address of a function.
+/// Returns words in data that may be function addresses.
 fn words_of_data(elf: &ElfFile32<'_>) -> Result<BTreeSet<u32>> {
     let mut found = BTreeSet::new();
     for section in elf.sections() {
@@ -221,7 +223,7 @@ mod tests {
 
     #[test]
     fn pushes_calls_and_addresses_in_a_function_are_seen() {
-        // push {r7, lr}; sub sp, #56; bl 0x200; blx r3; then a word that looks like an address
+        // push {r7, lr}; sub sp, #56; bl 0x200; blx r3; followed by a word that resembles an address
         let code = [0xB580, 0xB08E, 0xF000, 0xF87C, 0x4798, 0xBF00, 0x0301, 0x0000];
 
         let (function, taken) = follow(&code, 0x100..0x110);

@@ -1,15 +1,15 @@
-//! Stack frames of functions, as the compiler tells them in the section `.stack_sizes`: an address and a number in
-//! LEB128 for each function.
+//! Stack frames of functions from the compiler's section `.stack_sizes`: per function an address and a size in
+//! LEB128.
 
 use std::collections::BTreeMap;
 
-/// Bytes of stack by the function's address.
+/// Returns the frame sizes in bytes by function address.
 pub(super) fn parse(section: &[u8]) -> Option<BTreeMap<u32, u64>> {
     let mut frames = BTreeMap::new();
     let mut rest = section;
     while let Some((address, behind)) = rest.split_first_chunk::<4>() {
         let (size, behind) = leb128(behind)?;
-        // The lowest bit says that it is Thumb code.
+        // The lowest bit marks Thumb code.
         frames.insert(u32::from_le_bytes(*address) & !1, size);
         rest = behind;
     }

@@ -1,4 +1,4 @@
-//! The deepest path through all calls.
+//! The deepest call path.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -6,7 +6,7 @@ use anyhow::{Result, bail};
 
 use super::calls::{Function, Program};
 
-/// A path and the stack that it takes.
+/// A call path and its stack use.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Path {
     /// Bytes of stack.
@@ -15,16 +15,16 @@ pub struct Path {
     pub path: Vec<String>,
 }
 
-/// What the walk found.
+/// Result of the walk.
 #[derive(Debug)]
 pub struct Deepest {
-    /// From Reset on.
+    /// Deepest path from Reset.
     pub program: Path,
-    /// Of each handler.
+    /// Deepest path of each handler.
     pub handlers: Vec<Path>,
-    /// Functions whose frame was taken from their code.
+    /// Functions whose frame size was derived from their code.
     pub by_prologue: BTreeSet<String>,
-    /// Functions that call what a register holds.
+    /// Functions with indirect calls.
     pub indirect: BTreeSet<String>,
 }
 
@@ -32,7 +32,7 @@ impl Program {
     /// Walks all paths from Reset and from each handler.
     ///
     /// # Errors
-    /// A function calls itself, directly or not: no stack is enough.
+    /// Fails when a function calls itself directly or indirectly, because its stack is unbounded.
     pub fn deepest(&self) -> Result<Deepest> {
         let mut walk = Walk { program: self, known: BTreeMap::new(), open: Vec::new() };
         let deepest = walk.from(self.reset)?;
@@ -53,7 +53,7 @@ impl Program {
 struct Walk<'a> {
     program: &'a Program,
     known: BTreeMap<u32, Path>,
-    /// The path that is being walked.
+    /// The current path.
     open: Vec<u32>,
 }
 
@@ -63,10 +63,10 @@ impl Walk<'_> {
             return Ok(known.clone());
         }
         let Some(function) = self.program.functions.get(&address) else {
-            bail!("code at {address:#x} belongs to no function")
+            bail!("code at {address:#x} is not in any function")
         };
         if self.open.contains(&address) {
-            bail!("{} calls itself, directly or not: its stack has no bound", function.name);
+            bail!("{} calls itself directly or indirectly: its stack has no bound", function.name);
         }
         self.open.push(address);
         let mut below = Path::default();
@@ -78,7 +78,7 @@ impl Walk<'_> {
             }
         }
         self.open.pop();
-        // What the compiler says counts as well as what the code does: the larger.
+        // Uses the larger of the compiler's and the decoded frame size.
         let frame = function.frame.unwrap_or(0).max(function.pushed);
         let mut path = vec![format!("{} ({frame} B)", function.name)];
         path.extend(below.path);
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn an_indirect_call_may_be_one_of_anything_whose_address_is_taken() {
+    fn an_indirect_call_may_reach_any_function_whose_address_is_taken() {
         let mut caller = function("caller", 8, &[]);
         caller.is_indirect = true;
         let mut program = program(vec![

@@ -1,10 +1,10 @@
-//! What a Cortex-M image takes, by its ELF file: flash, static RAM, and the deepest stack.
+//! Memory use of a Cortex-M image from its ELF file: flash, static RAM, and maximum stack depth.
 //!
-//! [`uf2`] writes it as the RP2040 takes it.
+//! [`uf2`] converts the image for the RP2040.
 //!
-//! The stack is found by a walk over all calls. Every path counts as possible, and a call of what a register holds as one
-//! of any function whose address is taken. The compiler tells the frames in the section `.stack_sizes`
-//! (`-Zemit-stack-sizes`); where it does not, the code does.
+//! The stack depth results from a walk over all calls. Every path counts as possible, and an indirect call as one of
+//! any function whose address is taken. Frame sizes come from the compiler's section `.stack_sizes`
+//! (`-Zemit-stack-sizes`), otherwise from the code.
 
 mod calls;
 mod frames;

@@ -1,4 +1,4 @@
-//! The sections of an image, and the memory that they take.
+//! The sections of an image and their memory use.
 
 use anyhow::Result;
 use object::{
@@ -7,29 +7,29 @@ use object::{
     read::elf::ElfFile32,
 };
 
-/// A section that takes memory on the target.
+/// A section that occupies memory on the target.
 pub struct Section {
-    /// `.text`, `.bss`.
+    /// Name, such as `.text` or `.bss`.
     pub name: String,
-    /// Bytes.
+    /// Size in bytes.
     pub size: u64,
-    /// Its contents are loaded from flash: all but `.bss` and `.uninit`.
+    /// Whether its contents are loaded from flash: all except `.bss` and `.uninit`.
     pub is_loaded: bool,
-    /// It lies in RAM at run time: `.data`, `.bss`, `.uninit`.
+    /// Whether it is in RAM at run time: `.data`, `.bss`, `.uninit`.
     pub is_written: bool,
 }
 
-/// What a program takes of the target's memory, in bytes.
+/// Memory use of a program on the target, in bytes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
     /// Code, constants, and the initial values of `.data`.
     pub flash: u64,
-    /// What is there before the program starts, without the stack.
+    /// Static variables, without the stack.
     pub static_ram: u64,
 }
 
 impl Section {
-    /// Where it lies, for a person.
+    /// Returns the section's location as text.
     #[must_use]
     pub fn place(&self) -> &'static str {
         match (self.is_loaded, self.is_written) {
@@ -41,7 +41,7 @@ impl Section {
 }
 
 impl Footprint {
-    /// The sum over sections.
+    /// Sums these sections.
     #[must_use]
     pub fn of(sections: &[Section]) -> Self {
         let sum =
@@ -52,7 +52,7 @@ impl Footprint {
         }
     }
 
-    /// What this one takes more than `other`.
+    /// Returns the excess over `other`.
     #[must_use]
     pub fn over(self, other: Self) -> Self {
         Self {
@@ -62,10 +62,10 @@ impl Footprint {
     }
 }
 
-/// The sections of this file that take memory on the target.
+/// Returns the sections that occupy memory on the target.
 ///
 /// # Errors
-/// It is no ELF file for a 32-bit machine.
+/// Fails when the file is not a 32-bit ELF file.
 pub fn sections_of(elf: &[u8]) -> Result<Vec<Section>> {
     let elf = ElfFile32::<object::Endianness>::parse(elf)?;
     let mut sections = Vec::new();
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_no_elf_is_refused() {
+    fn a_file_other_than_elf_is_rejected() {
         assert!(sections_of(b"MZ").is_err());
     }
 }

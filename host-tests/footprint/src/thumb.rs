@@ -1,24 +1,24 @@
-//! As much of the Thumb-2 instruction set (ARMv7-M Architecture Reference Manual, A5 and A7) as says where a program
-//! goes and how deep it pushes.
+//! Decoder for the Thumb-2 instructions that affect control flow and stack depth (ARMv7-M Architecture Reference
+//! Manual, A5 and A7).
 
-/// What an instruction does that matters here.
+/// Effect of an instruction on control flow or stack.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Effect {
     /// Calls the function at this address.
     Call(u32),
-    /// Goes on at this address, perhaps.
+    /// May continue at this address.
     Jump(u32),
-    /// Calls what a register holds.
+    /// Calls an address in a register.
     IndirectCall,
-    /// Takes so many bytes of stack.
+    /// Uses this many bytes of stack.
     Push(u32),
-    /// Sets half of a register: which, which half, to what.
+    /// Sets half of a register.
     Half { register: u8, high: bool, value: u16 },
-    /// Nothing of that.
+    /// No relevant effect.
     Other,
 }
 
-/// Decodes the instruction at `address`: its length in bytes, and what it does.
+/// Decodes the instruction at `address`. Returns its length in bytes and its effect.
 pub(super) fn decode(address: u32, halfwords: [u16; 2]) -> (u32, Effect) {
     let [first, second] = halfwords;
     if first >> 11 >= 0b11101 { (4, wide(address, first, second)) } else { (2, narrow(address, first)) }
@@ -37,7 +37,7 @@ fn narrow(address: u32, code: u16) -> Effect {
         }
         // BLX (register)
         _ if code & 0xFF87 == 0x4780 => Effect::IndirectCall,
-        // BX other than LR: a tail call of what a register holds
+        // BX other than LR: an indirect tail call
         _ if code & 0xFF87 == 0x4700 && (code >> 3) & 0xF != 14 => Effect::IndirectCall,
         // PUSH
         _ if code & 0xFE00 == 0xB400 => Effect::Push((code & 0x1FF).count_ones() * 4),
@@ -66,12 +66,12 @@ fn wide(address: u32, first: u16, second: u16) -> Effect {
         _ if first >> 11 == 0b11110 && second & 0xD000 == 0x9000 => {
             Effect::Jump(pc.wrapping_add_signed(branch_offset()))
         }
-        // B (T3): conditions 111x are other instructions
+        // B (T3): conditions 111x encode other instructions
         _ if first >> 11 == 0b11110 && second & 0xD000 == 0x8000 && (first >> 7) & 7 != 7 => {
             let offset = (one >> 10 & 1) << 19 | (two >> 11 & 1) << 18 | (two >> 13 & 1) << 17;
             Effect::Jump(pc.wrapping_add_signed(signed(offset | (one & 0x3F) << 11 | two & 0x7FF, 20) * 2))
         }
-        // PUSH.W, that is STMDB SP!
+        // PUSH.W, an alias of STMDB SP!
         (0xE92D, _) => Effect::Push(second.count_ones() * 4),
         // STR.W Rt, [SP, #-imm]!
         (0xF84D, _) if second & 0x0F00 == 0x0D00 => Effect::Push(two & 0xFF),
@@ -98,7 +98,7 @@ fn wide(address: u32, first: u16, second: u16) -> Effect {
     }
 }
 
-/// The two's complement number in the low bits.
+/// Sign-extends the low bits.
 fn signed(value: u32, bits: u32) -> i32 {
     (value << (32 - bits)) as i32 >> (32 - bits)
 }
@@ -119,7 +119,7 @@ fn expand(immediate: u32) -> u32 {
 mod tests {
     use super::*;
 
-    /// As `llvm-objdump` shows them in the firmware and in small assembled pieces.
+    /// Expected results come from `llvm-objdump` on the firmware and on assembled snippets.
     #[test]
     fn instructions_are_decoded_as_the_disassembler_does() {
         for (address, halfwords, expected) in [

@@ -1,4 +1,4 @@
-//! An image as the RP2040's boot ROM takes it over USB: UF2, blocks of 256 bytes with their addresses (Microsoft's UF2
+//! The image in UF2 format for the RP2040's USB boot loader: blocks of 256 bytes with addresses (Microsoft's UF2
 //! specification; RP2040 data sheet, 2.8.4.2).
 
 use std::collections::BTreeMap;
@@ -9,19 +9,19 @@ use object::read::elf::{ElfFile32, ProgramHeader};
 
 const MAGIC: [u32; 2] = [0x0A32_4655, 0x9E5D_5157];
 const MAGIC_END: u32 = 0x0AB1_6F30;
-/// The number of the family tells for which MCU it is.
+/// Flag for a family number, which identifies the MCU.
 const FAMILY_ID_PRESENT: u32 = 0x2000;
 const RP2040: u32 = 0xE48B_FF56;
 
 const BLOCK_LEN: usize = 512;
 const DATA_AT: usize = 32;
-/// Of a page of flash, the unit that the boot ROM programs.
+/// Length of a flash page, the programming unit of the boot ROM.
 const PAYLOAD: u64 = 256;
 
-/// The flash, as addresses.
+/// Address range of the flash.
 const FLASH: std::ops::Range<u64> = 0x1000_0000..0x1100_0000;
 
-/// Writes what an ELF file loads into flash as UF2. What no segment has in a page is 00h.
+/// Converts an ELF file's flash contents to UF2. Unused bytes of a page are 00h.
 pub fn uf2(elf: &[u8]) -> Result<Vec<u8>> {
     let mut pages = BTreeMap::<u64, [u8; PAYLOAD as usize]>::new();
     let file = ElfFile32::<object::Endianness>::parse(elf)?;
@@ -56,7 +56,7 @@ pub fn uf2(elf: &[u8]) -> Result<Vec<u8>> {
 mod tests {
     use super::*;
 
-    /// An ELF file of nothing but these segments, each an address and bytes.
+    /// Returns an ELF file with only these segments: address and bytes.
     fn elf(segments: &[(u32, &[u8])]) -> Vec<u8> {
         let (header_len, entry_len) = (52u32, 32u32);
         let mut file = b"\x7FELF\x01\x01\x01\0\0\0\0\0\0\0\0\0\x02\0\x28\0\x01\0\0\0\0\0\0\0".to_vec();
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_in_flash_is_refused() {
+    fn a_segment_outside_flash_is_rejected() {
         let refused = uf2(&elf(&[(0x2000_0000, &[1])])).unwrap_err().to_string();
         assert_eq!(refused, "the image has 0x20000000, which is not in flash");
     }
