@@ -1,45 +1,46 @@
-//! The documents of this project as files, and the one writer of what is generated in them.
+//! Access to this project's documents, and the single writer of their generated parts.
 //!
-//! A generated part stands between `<!-- generated: NAME -->` and `<!-- end -->`. A test makes the part from the code and
-//! [`hold`]s the document to it. With `WSG_UPDATE_DOCS=1` in the environment, the same test writes the part.
+//! A generated part is delimited by `<!-- generated: NAME -->` and `<!-- end -->`. A test generates it from the code
+//! and compares the document with it by [`hold`]. With `WSG_UPDATE_DOCS=1` in the environment, the same test writes
+//! it.
 
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// Makes tests write what is generated instead of only comparing it.
+/// Environment variable that makes tests write generated parts instead of comparing them.
 const UPDATE_VARIABLE: &str = "WSG_UPDATE_DOCS";
 
 const END: &str = "<!-- end -->";
 
-/// Tests run in parallel, and several write to one file.
+/// Serializes tests that write to the same file in parallel.
 static WRITING: Mutex<()> = Mutex::new(());
 
-/// Returns the folder of the workspace.
+/// Returns the workspace folder.
 ///
 /// # Panics
-/// If this package is not two folders below it.
+/// Panics if this package is not two folders below it.
 #[must_use]
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("the workspace").to_owned()
 }
 
-/// Reads a file of the workspace, by its path from the root.
+/// Reads a file of the workspace, given by its path from the root.
 ///
 /// # Panics
-/// If the file cannot be read as text.
+/// Panics if the file cannot be read as text.
 #[must_use]
 pub fn read(path: &str) -> String {
     fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// Holds the generated part of this name to `wanted`, or writes it. Blank lines around the part do not count.
+/// Compares the generated part of this name with `wanted`, or writes it. Surrounding blank lines are ignored.
 ///
 /// # Panics
-/// If the document has no such part, or the part differs.
+/// Panics if the document has no such part, or the part differs.
 pub fn hold(document: &str, name: &str, wanted: &str) {
-    // Shown with `-- --nocapture`.
+    // Visible with `-- --nocapture`.
     println!("{document}, {name}:\n\n{wanted}\n");
     if is_updating() {
         let _alone = WRITING.lock().unwrap_or_else(PoisonError::into_inner);
@@ -49,29 +50,29 @@ pub fn hold(document: &str, name: &str, wanted: &str) {
     let stands = part(document, name);
     assert!(
         stands == wanted.trim(),
-        "{document}, part \"{name}\", is out of date; this test writes it anew with {UPDATE_VARIABLE}=1.\n\
-         --- stands\n{stands}\n--- wanted\n{wanted}"
+        "{document}, part \"{name}\", is out of date; run this test with {UPDATE_VARIABLE}=1 to update it.\n\
+         --- document\n{stands}\n--- expected\n{wanted}"
     );
 }
 
-/// Holds a file that is generated as a whole to `wanted`, or writes it.
+/// Compares a completely generated file with `wanted`, or writes it.
 ///
 /// # Panics
-/// If the file differs.
+/// Panics if the file differs.
 pub fn hold_file(document: &str, wanted: &str) {
     if is_updating() {
         write(document, wanted);
     }
     assert!(
         fs::read_to_string(root().join(document)).is_ok_and(|text| text == wanted),
-        "{document} is out of date; this test writes it anew with {UPDATE_VARIABLE}=1"
+        "{document} is out of date; run this test with {UPDATE_VARIABLE}=1 to update it"
     );
 }
 
-/// Reads the generated part of this name, without blank lines around it.
+/// Returns the generated part of this name without surrounding blank lines.
 ///
 /// # Panics
-/// If the document has no such part.
+/// Panics if the document has no such part.
 #[must_use]
 pub fn part(document: &str, name: &str) -> String {
     let text = read(document);
@@ -79,31 +80,32 @@ pub fn part(document: &str, name: &str) -> String {
     text[range].trim().to_owned()
 }
 
-/// Returns the text with `part` as its generated part of this name, or `None` if it has no such part.
+/// Returns the text with its generated part of this name replaced by `part`, or `None` without such a part.
 #[must_use]
 pub fn with_part(text: &str, name: &str, part: &str) -> Option<String> {
     let Range { start, end } = range(text, name)?;
     Some(format!("{}\n{}\n{}", &text[..start], part.trim(), &text[end..]))
 }
 
-/// Returns what a link to a heading of these words has behind its `#`.
+/// Returns the link anchor of a heading, without `#`.
 #[must_use]
 pub fn anchor_of(heading: &str) -> String {
     let kept = heading.chars().filter(|c| c.is_alphanumeric() || matches!(c, ' ' | '-' | '_'));
     kept.map(|c| if c == ' ' { '-' } else { c.to_ascii_lowercase() }).collect()
 }
 
-/// Returns the CAN frames in the text blocks of a document: identifier and bytes, in hexadecimal, and words behind them.
+/// Returns the CAN frames in a document's text blocks. Each line has a hexadecimal identifier and bytes, then words.
 ///
 /// # Panics
-/// If a line of such a block is none.
+/// Panics if a line of such a block is not a frame.
 #[must_use]
 pub fn can_frames(text: &str) -> Vec<(u16, Vec<u8>)> {
     let blocks = text.split("```text\n").skip(1).filter_map(|rest| rest.split("```").next());
     let lines = blocks.flat_map(str::lines).map(|line| {
-        // The words are a column of their own.
+        // The words occupy a separate column.
         let mut numbers = line.get(..29).unwrap_or(line).split_whitespace();
-        let number = |word| u16::from_str_radix(word, 16).unwrap_or_else(|_| panic!("no frame: {line}"));
+        let number =
+            |word| u16::from_str_radix(word, 16).unwrap_or_else(|_| panic!("not a CAN frame: {line}"));
         let id = number(numbers.next().unwrap_or_default());
         (id, numbers.map(|byte| number(byte).to_le_bytes()[0]).collect())
     });
@@ -128,7 +130,7 @@ fn write(document: &str, text: &str) {
     fs::write(root().join(document), text).unwrap_or_else(|error| panic!("{document}: {error}"));
 }
 
-/// Where the part stands in the text, between its marks.
+/// Returns the range of a part, between its marks.
 fn range(text: &str, name: &str) -> Option<Range<usize>> {
     let begin = format!("<!-- generated: {name} -->");
     let start = text.find(&begin)? + begin.len();

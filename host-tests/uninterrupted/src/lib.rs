@@ -1,24 +1,24 @@
-//! Reads that a signal cannot fail: a system call that it interrupts is made again.
+//! I/O calls that signals cannot interrupt: an interrupted system call is repeated.
 //!
-//! Each call has its own time-out, so many signals make a wait longer; [`read_within`] has a bound that they leave alone.
+//! Each repetition restarts its time-out, so frequent signals extend a wait, except in [`read_within`].
 //!
-//! With a time-out on a socket, a process that was merely stopped and continued (a debugger, a job of a shell, a frozen
-//! container) gets `Interrupted` from such a call, without any handler of its own. `read_exact`, `read_line`, `write_all`,
-//! `accept` and the like of the standard library make the call again by themselves; those here do not, so clippy refuses
-//! them everywhere else (`clippy.toml`).
-#![allow(clippy::disallowed_methods, reason = "this is the place for them")]
+//! With a time-out on a socket, stopping and continuing a process (debugger, shell job control, container freeze)
+//! makes such a call return `Interrupted`, even without signal handlers. The standard library's `read_exact`,
+//! `read_line`, `write_all`, `accept` and similar functions repeat the call themselves. The functions wrapped here do
+//! not, so clippy rejects them everywhere else (`clippy.toml`).
+#![allow(clippy::disallowed_methods, reason = "this crate wraps them")]
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 #[cfg(unix)]
 use std::time::{Duration, Instant};
 
-/// One `read`: it may give less than there is room for. 0 is the end.
+/// Performs one `read`, which may be partial; 0 is the end.
 ///
 /// ```
 /// use std::io::{self, ErrorKind, Read};
 ///
-/// /// Interrupted before each byte, which come one by one.
+/// /// A reader that is interrupted before each byte.
 /// struct Nervous(u8);
 ///
 /// impl Read for Nervous {
@@ -39,31 +39,31 @@ use std::time::{Duration, Instant};
 /// ```
 ///
 /// # Errors
-/// Those of [`Read::read`] but `Interrupted`.
+/// Returns the errors of [`Read::read`] except `Interrupted`.
 pub fn read(mut from: impl Read, buffer: &mut [u8]) -> io::Result<usize> {
     again(|| from.read(buffer))
 }
 
-/// One `write`: it may take less than there is.
+/// Performs one `write`, which may be partial.
 ///
 /// # Errors
-/// Those of [`Write::write`] but `Interrupted`.
+/// Returns the errors of [`Write::write`] except `Interrupted`.
 pub fn write(mut to: impl Write, bytes: &[u8]) -> io::Result<usize> {
     again(|| to.write(bytes))
 }
 
-/// As [`read`], and what is read stays there.
+/// Performs one [`read`] without consuming the bytes.
 ///
 /// # Errors
-/// Those of [`TcpStream::peek`] but `Interrupted`.
+/// Returns the errors of [`TcpStream::peek`] except `Interrupted`.
 pub fn peek(from: &TcpStream, buffer: &mut [u8]) -> io::Result<usize> {
     again(|| from.peek(buffer))
 }
 
-/// The next datagram: its length and who sent it.
+/// Receives a datagram. Returns its length and sender.
 ///
 /// # Errors
-/// Those of [`UdpSocket::recv_from`] but `Interrupted`.
+/// Returns the errors of [`UdpSocket::recv_from`] except `Interrupted`.
 pub fn recv_from(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, SocketAddr)> {
     again(|| socket.recv_from(buffer))
 }
@@ -71,15 +71,15 @@ pub fn recv_from(socket: &UdpSocket, buffer: &mut [u8]) -> io::Result<(usize, So
 /// Sends a datagram.
 ///
 /// # Errors
-/// Those of [`UdpSocket::send_to`] but `Interrupted`.
+/// Returns the errors of [`UdpSocket::send_to`] except `Interrupted`.
 pub fn send_to(socket: &UdpSocket, bytes: &[u8], to: SocketAddr) -> io::Result<usize> {
     again(|| socket.send_to(bytes, to))
 }
 
-/// One `read` in this time, which becomes the line's time-out; `None`: nothing came.
+/// Performs one `read` within `time`, which becomes the line's time-out; returns `None` if no byte arrived.
 ///
 /// # Errors
-/// Those of [`Read::read`] but `Interrupted` and that of the time-out.
+/// Returns the errors of [`Read::read`] except `Interrupted` and the time-out.
 #[cfg(unix)]
 pub fn read_within(
     line: &std::os::unix::net::UnixStream,
@@ -88,7 +88,7 @@ pub fn read_within(
 ) -> io::Result<Option<usize>> {
     let end = Instant::now() + time;
     loop {
-        // A time-out of 0 would be none.
+        // A time-out of 0 would disable it.
         let left = end.saturating_duration_since(Instant::now()).max(Duration::from_micros(1));
         line.set_read_timeout(Some(left))?;
         match (&*line).read(buffer) {
@@ -99,11 +99,11 @@ pub fn read_within(
     }
 }
 
-/// Whether a read would return at once, or does so within this time: some microseconds are kept, which a socket's own
-/// time-out makes milliseconds of.
+/// Returns whether a read would return within `time`. Microseconds are honoured, unlike a socket's own time-out,
+/// which has milliseconds.
 ///
 /// # Errors
-/// Those of `poll` but `Interrupted`.
+/// Returns the errors of `poll` except `Interrupted`.
 #[cfg(unix)]
 pub fn is_readable_within(line: &std::os::unix::net::UnixStream, time: Duration) -> io::Result<bool> {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -119,7 +119,7 @@ pub fn is_readable_within(line: &std::os::unix::net::UnixStream, time: Duration)
     }
 }
 
-/// Whether this is how a read with a time-out says that nothing came.
+/// Returns whether a read with a time-out received nothing.
 #[cfg(unix)]
 fn is_over(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::WouldBlock | ErrorKind::TimedOut)
