@@ -1,4 +1,4 @@
-//! What holds for the board whatever the bridge does: wires, start, and nothing that moves by itself.
+//! The board in isolation: wiring, start-up, and no motion without a command.
 #![cfg(unix)]
 
 use std::io::Write;
@@ -12,23 +12,25 @@ use host_tests::emulator::{Emulator, Extras};
 use wsg_b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
-/// Some hundred turns of the firmware's main loop, in milliseconds of the board.
+/// Several hundred turns of the firmware's main loop, in milliseconds of board time.
 const A_WHILE_MS: u32 = 500;
 
-/// How long the line is listened to between two looks at the board's clock.
+/// Time to wait for bytes on the line before the board's clock is read again.
 const LOOK_AROUND: Duration = Duration::from_millis(10);
 
-/// Homing, Pre-position, Grip Part and Release Part: the commands that move the fingers.
+/// Commands that move the fingers: Homing, Pre-position, Grip Part and Release Part.
 const MOTION_COMMANDS: [u8; 4] = [0x20, 0x21, 0x25, 0x26];
 const PREAMBLE: [u8; 3] = [0xAA; 3];
 
-/// Base address of a GPIO port, and its input data register there (RM0351, 2.2.2 and 8.4.5).
+/// Base address of GPIO port A, spacing of the ports, and offset of the input data register (RM0351, 2.2.2 and 8.4.5).
 const GPIOA: u32 = 0x4800_0000;
 const PORT_SPACING: u32 = 0x400;
 const IDR: u32 = 0x10;
 
 fn image() -> PathBuf {
-    std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image").into()
+    std::env::var_os("WSG_FIRMWARE_ELF")
+        .expect("WSG_FIRMWARE_ELF must hold the path of the firmware image")
+        .into()
 }
 
 fn board() -> Emulator {
@@ -69,10 +71,10 @@ fn each_input_wire_reaches_its_pin_and_is_low_when_broken() {
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn no_motion_command_is_sent_unasked() {
+fn no_motion_command_is_sent_without_a_request() {
     let mut board = board();
     let gripper_line = board.take_gripper_line().unwrap();
-    // No FAST STOP is wanted, and nothing else either.
+    // Request neither a FAST STOP nor a motion.
     board.set_inputs(Inputs::FAST_STOP_OK).unwrap();
 
     let sent = received_within(&board, &gripper_line, A_WHILE_MS);
@@ -83,10 +85,10 @@ fn no_motion_command_is_sent_unasked() {
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn the_board_outlives_noise_on_the_gripper_line() {
+fn board_survives_noise_on_the_gripper_line() {
     let mut board = board();
     let mut gripper_line = board.take_gripper_line().unwrap();
-    // Every byte value in every neighbourhood of a simple generator, preambles among them.
+    // The byte values of a simple generator, preambles among them.
     let noise: Vec<u8> =
         (0..4096_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8 | (n as u8 & 0xAA)).collect();
 
@@ -97,7 +99,7 @@ fn the_board_outlives_noise_on_the_gripper_line() {
     assert!(!board.outputs().intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY));
 }
 
-/// The variable that makes [`harness_that_waits_to_be_killed`] one.
+/// Environment variable that enables [`harness_that_waits_to_be_killed`].
 const HARNESS_VARIABLE: &str = "WSG_HARNESS_THAT_WAITS";
 
 #[test]
@@ -110,35 +112,35 @@ fn harness_that_is_killed_leaves_no_emulator() {
         .env(HARNESS_VARIABLE, "1")
         .stdout(OwnedFd::from(output));
     let mut harness = command.spawn().unwrap();
-    // It has a copy of the output.
+    // The command holds a copy of the output.
     drop(command);
     let mut said = String::new();
     while !said.contains("it runs") {
-        said += &next_said(&ours).expect("the harness comes up");
+        said += &next_said(&ours).expect("the harness starts");
     }
 
     harness.kill().unwrap();
     harness.wait().unwrap();
 
-    // The output ends when all who have it have ended: the harness, and its QEMU.
+    // The output ends after all its holders have ended: the harness and its QEMU.
     while next_said(&ours).is_some() {}
 }
 
-/// What comes next on the output of a harness, within a bound; `None`: its end.
+/// Returns the next output of a harness within 60 s, or `None` at its end.
 fn next_said(output: &UnixStream) -> Option<String> {
     let mut chunk = [0; 256];
     let count = uninterrupted::read_within(output, &mut chunk, Duration::from_secs(60)).unwrap();
-    let count = count.expect("neither more nor the end in time");
+    let count = count.expect("no output and no end within 60 s");
     (count > 0).then(|| String::from_utf8_lossy(&chunk[..count]).into_owned())
 }
 
 #[test]
-#[ignore = "another test runs it in a process of its own"]
+#[ignore = "another test runs it in its own process"]
 fn harness_that_waits_to_be_killed() {
     if std::env::var_os(HARNESS_VARIABLE).is_none() {
         return;
     }
-    // QEMU has the output as well, so it does not end before QEMU does.
+    // QEMU holds the output too, so the output does not end before QEMU.
     let output = std::io::stdout().as_fd().try_clone_to_owned().unwrap();
     let extras = Extras { semihosting: Some(output.into()), ..Extras::default() };
     let _board = Emulator::start_with(&image(), extras).unwrap();
@@ -150,12 +152,12 @@ fn harness_that_waits_to_be_killed() {
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn a_file_that_is_no_firmware_is_refused_in_one_line() {
+fn missing_image_is_refused_in_one_line() {
     let refusal = format!("{:#}", Emulator::start("Cargo.toml.missing".as_ref()).unwrap_err());
     assert!(refusal.contains("Cargo.toml.missing") && !refusal.contains('\n'), "{refusal}");
 }
 
-/// All bytes that come out of `line` in so many milliseconds of the board.
+/// Returns the bytes sent on `line` within `ms` milliseconds of board time.
 fn received_within(board: &Emulator, line: &UnixStream, ms: u32) -> Vec<u8> {
     let mut received = Vec::new();
     let mut chunk = [0; 256];
@@ -163,7 +165,7 @@ fn received_within(board: &Emulator, line: &UnixStream, ms: u32) -> Vec<u8> {
     loop {
         let is_over = board.now_ms().unwrap().wrapping_sub(start) > ms;
         match uninterrupted::read_within(line, &mut chunk, LOOK_AROUND).unwrap() {
-            Some(0) => panic!("the board went off"),
+            Some(0) => panic!("the board closed the line"),
             Some(count) => received.extend_from_slice(&chunk[..count]),
             None if is_over => return received,
             None => {}

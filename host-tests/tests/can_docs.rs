@@ -1,6 +1,6 @@
-//! docs/can.md says what the tables in the code say, and what a bus has to carry.
+//! Checks the tables in docs/can.md against the code, and the bus load of a full configuration.
 //!
-//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs` writes the generated parts anew.
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test can_docs` updates the generated parts.
 
 use document::{hold, table};
 use host_tests::plc_names::{command_flags, gripper_flags};
@@ -44,7 +44,7 @@ fn identifiers() -> String {
     )
 }
 
-/// The mapping of each PDO, from the dictionary.
+/// Returns the table of PDO mappings from the dictionary.
 fn pdos() -> String {
     let fields = |index: u16, order: &[u8]| {
         let mut at = 0;
@@ -78,7 +78,7 @@ fn pdos() -> String {
     table(["PDO", "bytes", "field", "type", "object"], rows)
 }
 
-/// The bits of the two bytes that are flags.
+/// Returns the table of bits in the two flag bytes.
 fn flag_bytes() -> String {
     table(
         ["bit", "hexadecimal", "CMDFLAGS (RPDO1, byte 0)", "GSTATE (TPDO1, byte 0)"],
@@ -142,19 +142,18 @@ fn objects() -> String {
     table(["index", "object", "access, by subindex"], indices.into_iter().map(row).chain(registers))
 }
 
-/// Bits of a data frame with an 11-bit identifier, stuffed as unluckily as can be, and the pause behind it: 34 bits and
-/// the data can be stuffed, one bit in four after the first.
+/// Bits of a data frame with an 11-bit identifier and worst-case stuffing, including the interframe space. 34 bits and
+/// the data are subject to stuffing, at most one bit in four after the first.
 fn worst_bits(len: usize) -> usize {
     47 + 8 * len + (34 + 8 * len - 1) / 4
 }
 
-/// Bits of a message over CAN, at the worst.
+/// Worst-case bits of a message over CAN.
 fn message_bits<P: Payload>(id: u8, payload: P) -> usize {
     Segments::new(FrameEncoder::new(id, payload)).map(|segment| worst_bits(segment.data().len())).sum()
 }
 
-/// Bits a second of all that goes on while the fingers move, as delivered: twenty TPDOs would be few, so as often as the
-/// inhibit times allow.
+/// Traffic sources during a motion, with default settings. PDOs are counted at their inhibit time, their highest rate.
 fn load() -> Vec<(String, usize, bool, bool)> {
     let per_second = |period_ms: usize| 1_000 / period_ms;
     let update = usize::from(AutoUpdate::MIN_PERIOD_MS);
@@ -173,7 +172,7 @@ fn load() -> Vec<(String, usize, bool, bool)> {
         + message_bits(0x25, grip)
         + 2 * message_bits(0x25, Reply::status_only(CommandId::GripPart, Status::CmdPending));
     let pdo = |number: usize, len: usize| worst_bits(len) * 10_000 / usize::from(NODE.inhibit[number]);
-    // What, bits a second, whether the gripper's, whether at rest too.
+    // Source, bits per second, whether it belongs to the gripper, whether it sends at rest.
     vec![
         ("gripper: state and system state, every 10 ms".into(), state * per_second(update), true, false),
         ("gripper: width and force, every 10 ms".into(), measured * per_second(update), true, false),
@@ -233,7 +232,7 @@ fn bus_load() -> String {
 
 #[test]
 fn worst_frames_are_as_long_as_the_literature_says() {
-    // 8 data bytes: 111 bits without stuffing and 24 stuff bits, the pause of 3 included.
+    // 8 data bytes: 111 bits without stuffing, including the interframe space of 3, and 24 stuff bits.
     assert_eq!((worst_bits(0), worst_bits(8)), (55, 135));
 }
 

@@ -1,14 +1,14 @@
-//! Every order of events, to a small depth: `cargo xtask explore` goes further.
+//! Explores every order of events to a small depth. `cargo xtask explore` uses a greater depth.
 
 use host_tests::explore::{Bounds, Plc};
 
-/// Enough for all orders of four actions.
+/// Covers all orders of four actions.
 const BOUNDS: Bounds = Bounds { depth: 4, states: u64::MAX };
 
 fn explore(plc: Plc) -> Vec<&'static str> {
     let report = plc.explore(BOUNDS);
     println!("{report}");
-    assert!(report.broken().is_empty(), "a promise is broken: see above");
+    assert!(report.broken().is_empty(), "an invariant is violated; see the output above");
     report.unseen()
 }
 

@@ -1,4 +1,4 @@
-//! The fuzz bodies on stable Rust: over the committed seeds, and over the same 60 000 inputs every time.
+//! Runs the fuzz bodies on stable Rust: over the committed seeds, and over 60 000 inputs that are the same in each run.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,7 @@ macro_rules! smoke {
     ($($test:ident: $name:literal,)*) => {
         $(#[test]
         fn $test() {
-            Body::named($name).expect("a body of this name").run_generated(0..fuzz_bodies::SMOKE_INPUTS);
+            Body::named($name).expect("a body with this name").run_generated(0..fuzz_bodies::SMOKE_INPUTS);
         })*
     };
 }
@@ -37,7 +37,7 @@ fn every_committed_seed_passes() {
         let folder =
             fs::read_dir(seeds.join(name)).unwrap_or_else(|error| panic!("seeds of {name}: {error}"));
         let files: Vec<_> = folder.map(|entry| entry.unwrap().path()).collect();
-        assert!(!files.is_empty(), "{name} has seeds");
+        assert!(!files.is_empty(), "{name} has no seeds");
         for file in files {
             eprintln!("{}", file.display());
             run(&fs::read(&file).unwrap());
@@ -49,7 +49,7 @@ fn every_committed_seed_passes() {
 fn every_body_has_a_fuzz_target() {
     let targets = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/fuzz_targets");
     for Body { name, .. } in fuzz_bodies::ALL {
-        let target = fs::read_to_string(targets.join(format!("{name}.rs"))).expect("its target");
+        let target = fs::read_to_string(targets.join(format!("{name}.rs"))).expect("a target for the body");
         assert!(target.contains(&format!("fuzz_bodies::{name}(")), "{name}");
     }
 }

@@ -1,5 +1,5 @@
-//! docs/gcl.md, "By hand": the conversation of the document with a real `wsg-sim`'s server, over a bare socket and with
-//! `nc`, as the manual's chapter 1.4 has it with PuTTY.
+//! Runs the conversation in docs/gcl.md, "By hand", against a real server of `wsg-sim`: over a bare socket and with
+//! `nc`, which replaces the PuTTY of the manual's chapter 1.4.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -11,17 +11,17 @@ use std::time::Duration;
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// The longest that anything may take here.
+/// Time limit of every wait.
 const BOUND: Duration = Duration::from_secs(60);
 
-/// What the document starts: `wsg-sim --gcl ... --part 20`, but for the time that the fingers take.
+/// Starts the simulator as the document does (`wsg-sim --gcl ... --part 20`), with faster fingers.
 fn serve() -> ServerThread {
     let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
     let lines = Lines { gcl: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
-    ServerThread::start(config, &lines, None).expect("the server is up")
+    ServerThread::start(config, &lines, None).expect("the server starts")
 }
 
-/// Lines as they come; the channel ends where they do.
+/// Sends each received line to a channel, which ends with the input.
 fn lines_of(from: impl Read + Send + 'static) -> Receiver<String> {
     let (line, lines) = channel();
     thread::spawn(move || {
@@ -34,12 +34,12 @@ fn lines_of(from: impl Read + Send + 'static) -> Receiver<String> {
     lines
 }
 
-/// Types what the document types, and holds what comes to what it shows.
+/// Types the lines of the document and compares the answers with it.
 fn converse(mut keyboard: impl Write, screen: &Receiver<String>, line_end: &str) {
     let text = document::read("docs/gcl.md");
     let blocks: Vec<&str> =
         text.split("```nc\n").skip(1).filter_map(|rest| rest.split("```").next()).collect();
-    let [conversation] = blocks[..] else { panic!("the document has one conversation by hand") };
+    let [conversation] = blocks[..] else { panic!("docs/gcl.md must have exactly one `nc` block") };
     let mut count = 0;
     for line in conversation.lines() {
         count += 1;
@@ -48,18 +48,18 @@ fn converse(mut keyboard: impl Write, screen: &Receiver<String>, line_end: &str)
             Some(("<", shown)) => {
                 assert_eq!(screen.recv_timeout(BOUND).as_deref(), Ok(shown), "line {count}")
             }
-            _ => panic!("neither typed nor shown: {line}"),
+            _ => panic!("expected `> typed` or `< shown`: {line}"),
         }
     }
     assert!(count > 10, "{count} lines");
 }
 
-/// Whether the gripper took the end of the conversation for an error.
+/// Returns whether the gripper treated the end of the conversation as an error.
 fn is_in_fast_stop(address: SocketAddr) -> bool {
     let mut stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
     let screen = lines_of(stream.try_clone().unwrap());
     stream.write_all(b"SYSFLAGS[12]?\n").unwrap();
-    let flag = screen.recv_timeout(BOUND).expect("an answer in time");
+    let flag = screen.recv_timeout(BOUND).expect("an answer within the time limit");
     stream.write_all(b"BYE()\n").unwrap();
     assert_eq!(screen.recv_timeout(BOUND).as_deref(), Ok("ACK BYE"));
     flag == "SYSFLAGS[12]=1"
@@ -67,7 +67,7 @@ fn is_in_fast_stop(address: SocketAddr) -> bool {
 
 #[test]
 fn conversation_by_hand_over_a_bare_socket() {
-    // What Enter sends: in `nc`, in PuTTY, in telnet.
+    // The bytes that Enter sends in `nc`, in PuTTY and in telnet.
     for line_end in ["\n", "\r", "\r\n"] {
         let served = serve();
         let address = served.gcl_address().unwrap();
@@ -88,10 +88,10 @@ fn conversation_by_hand_with_nc() {
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
-        .expect("nc is installed");
+        .expect("nc must be installed");
     let screen = lines_of(nc.stdout.take().unwrap());
     converse(nc.stdin.as_mut().unwrap(), &screen, "\n");
-    // As Ctrl-C does.
+    // Ctrl-C has the same effect.
     nc.kill().unwrap();
     nc.wait().unwrap();
     assert!(!is_in_fast_stop(address));

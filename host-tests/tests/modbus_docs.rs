@@ -1,6 +1,6 @@
-//! docs/registers.md says what the tables in the code say.
+//! Checks the tables in docs/registers.md against the code.
 //!
-//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` writes the generated parts anew.
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test modbus_docs` updates the generated parts.
 
 use bus_modbus::Function;
 use document::{hold, table};
@@ -68,13 +68,13 @@ fn functions() -> String {
     )
 }
 
-/// What a PLC's tool adds to an address where it counts from 1 and puts the number of the table in front.
+/// Base addresses in PLC tools that count from 1 and prefix the number of the table.
 const COILS: u32 = 1;
 const DISCRETE_INPUTS: u32 = 10_001;
 const INPUT: u32 = 30_001;
 const HOLDING: u32 = 40_001;
 
-/// An address, counted from 0 and as such a tool has it.
+/// Returns an address counted from 0 and in the notation of these tools.
 fn both(address: u32, base: u32) -> [String; 2] {
     [address.to_string(), format!("{:05}", address + base)]
 }
@@ -122,7 +122,7 @@ fn registers(base: u32, registers: &[Register]) -> String {
     )
 }
 
-/// Bits of an image, by their address, and where they are in its registers.
+/// Returns the bits of an image, by address, with their positions in the registers.
 fn bits(
     base: u32,
     registers: u32,
@@ -163,7 +163,7 @@ fn discrete_inputs() -> String {
     bits(DISCRETE_INPUTS, INPUT, all, (48, 95, "WIDTH, Gripping Force and Status Code"))
 }
 
-/// Settings and their values as delivered.
+/// Returns the table of settings with their default values.
 fn settings_table(settings: impl IntoIterator<Item = ((u16, &'static Setting), u16)>) -> String {
     table(
         ["address", "40001-based", "name", "unit", "from", "to", "as delivered", "meaning"],
@@ -183,7 +183,7 @@ fn settings_table(settings: impl IntoIterator<Item = ((u16, &'static Setting), u
     )
 }
 
-/// All of them, with the values that a PLC reads.
+/// Returns all settings with their default register values.
 fn delivered() -> Vec<((u16, &'static Setting), u16)> {
     let mut bench = Bench::ready();
     let delivered = (FIRST_SETTING..).zip(&SETTINGS).map(|it| (it, bench.holding(it.0, 1).unwrap()[0]));
@@ -212,7 +212,7 @@ fn commands() -> String {
 fn reports() -> String {
     table(
         ["address", "30001-based", "name", "meaning"],
-        // Of the last events the others are as the first.
+        // All recent events have the same layout; only the first is described.
         (FIRST_REPORT..).zip(&REPORTS).filter(|(_, report)| !report.meaning.is_empty()).map(
             |(address, report)| {
                 let [address, numbered] = both(address.into(), INPUT);

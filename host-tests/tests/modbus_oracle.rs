@@ -1,8 +1,8 @@
-//! `rmodbus` as a second opinion on requests, with a list of what it may see differently.
+//! Compares the MODBUS server with `rmodbus`, with a list of allowed disagreements.
 //!
-//! Expectations come from the MODBUS application protocol specification (the tests beside the code), not from here: this
-//! only finds what nobody thought of. Both servers keep the same plain tables. Its client is one of the masters, over both
-//! framings.
+//! The specification tests are beside the server's code and define the expectations. This test finds differences that
+//! they do not cover. Both servers keep the same plain tables. The client of `rmodbus` also serves as a master, over
+//! both framings.
 
 use bus_modbus::rtu::{self, Character, Mode, Server, Timing, crc};
 use bus_modbus::tcp;
@@ -17,7 +17,7 @@ const BITS: usize = 40;
 const REGISTERS: usize = 130;
 const UNIT: u8 = 7;
 
-/// Coils, discrete inputs, input registers and holding registers that have nothing to do with each other.
+/// Independent coils, discrete inputs, input registers and holding registers.
 type Tables = ModbusStorage<BITS, BITS, REGISTERS, REGISTERS>;
 
 fn tables() -> Tables {
@@ -77,7 +77,7 @@ fn frame(pdu: &[u8]) -> Vec<u8> {
     frame
 }
 
-/// What `rmodbus` answers; nothing when it does not.
+/// Returns the answer of `rmodbus`; empty without an answer.
 fn theirs(tables: &mut Tables, pdu: &[u8]) -> Vec<u8> {
     let request = frame(pdu);
     let mut response = Vec::new();
@@ -111,7 +111,7 @@ fn address() -> impl Strategy<Value = u16> {
     prop_oneof![4 => 0..45u16, 2 => 100..140u16, 1 => any::<u16>(), 1 => 65_400..=u16::MAX]
 }
 
-/// Requests whose length, quantity and byte count agree and are in range.
+/// Generates requests whose length, quantity and byte count agree and are in range.
 fn request() -> impl Strategy<Value = Vec<u8>> {
     let read = |code: u8, most: u16| {
         (address(), prop_oneof![4 => 1..30u16, 1 => 1..=most])
@@ -150,12 +150,12 @@ proptest! {
     }
 }
 
-/// The answer of our server to a frame of this framing.
+/// Returns the answer of our server to a frame with this framing.
 fn answer(device: &mut Ours, framing: ModbusProto, frame: &[u8]) -> Vec<u8> {
     if framing == ModbusProto::TcpUdp {
         let mut receiver = tcp::Receiver::new();
         let (_, Some(tcp::Event::Request(request))) = receiver.push_slice(frame) else {
-            panic!("no frame: {frame:02X?}")
+            panic!("the server found no frame: {frame:02X?}")
         };
         let mut place = [0; tcp::MAX_FRAME_LEN];
         return request.answer(&mut place, |pdu, response| serve(pdu, device, response)).to_vec();
@@ -211,14 +211,14 @@ fn client_of_rmodbus_is_served_and_understands_every_answer() {
     }
 }
 
-/// What each answers, and whether each wrote; so that a line here goes when `rmodbus` changes its mind.
+/// Requires each disagreement to exist, so a change in `rmodbus` removes its line here.
 #[test]
 fn allowed_disagreements_are_these_and_the_specification_is_on_our_side() {
     const VALUE: &[u8] = &[3];
     let refused = |code: u8, exception: &[u8]| frame(&[&[code | 0x80], exception].concat());
     for (why, pdu, exception) in [
-        ("a quantity of 0 is no quantity (6.1 to 6.4)", &[3, 0, 0, 0, 0][..], VALUE),
-        ("nor is it one to write (6.12)", &[16, 0, 0, 0, 0, 0], VALUE),
+        ("a read quantity of 0 is invalid (6.1 to 6.4)", &[3, 0, 0, 0, 0][..], VALUE),
+        ("a write quantity of 0 is invalid (6.12)", &[16, 0, 0, 0, 0, 0], VALUE),
         ("byte count and quantity disagree (6.12)", &[16, 0, 0, 0, 1, 4, 0, 1, 0, 2], VALUE),
         ("byte count and quantity disagree (6.11)", &[15, 0, 0, 0, 1, 2, 1, 0], VALUE),
     ] {
@@ -227,16 +227,16 @@ fn allowed_disagreements_are_these_and_the_specification_is_on_our_side() {
         assert_ne!(
             theirs(&mut their_tables, pdu),
             refused(pdu[0], exception),
-            "{why}: no disagreement any more"
+            "{why}: the servers now agree; remove this line"
         );
         assert_eq!(our_device.0.holdings, tables().holdings);
     }
-    // Functions that it does not serve: 22, 23, 43 and 8.
+    // `rmodbus` does not serve functions 22, 23 and 43.
     for pdu in [&[22, 0, 0, 0xFF, 0xFF, 0, 0][..], &[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0, 1], &[43, 14, 1, 0]] {
         assert_eq!(ours(&mut Ours(tables()), pdu)[1], pdu[0]);
         assert_ne!(theirs(&mut tables(), pdu).get(1), Some(&pdu[0]));
     }
-    // It numbers the gateway's exceptions 09 and 0A; the specification 0A and 0B (chapter 7).
+    // `rmodbus` numbers the gateway exceptions 09 and 0A, the specification 0A and 0B (chapter 7).
     assert_eq!(rmodbus::consts::ModbusErrorCode::GatewayPathUnavailable as u8, 9);
     assert_eq!(Exception::GatewayPathUnavailable.code(), 10);
 }

@@ -1,7 +1,7 @@
-//! How much the checksum is worth: what the parser, the decoder and docs/protocol.md rely on.
+//! Measures the strength of the checksum, on which the parser, the decoder and docs/protocol.md rely.
 //!
-//! An error is what a disturbance adds to a frame (exclusive or). The checksum is linear, so whether an error passes
-//! depends on the error and the frame's length alone.
+//! An error is the exclusive or of the sent and the received frame. The checksum is linear, so its detection depends
+//! only on the error and the frame's length.
 
 use document::{hold, table};
 use wsg_protocol::checksum::push;
@@ -13,29 +13,29 @@ use wsg_protocol::{
 
 const DOCUMENT: &str = "docs/protocol.md";
 
-/// Bytes of the checksum.
+/// Length of the checksum in bytes.
 const CHECKSUM_LEN: usize = 2;
 
 const PRE_POSITION: Command<'static> =
     Command::PrePosition { flags: PrePositionFlags::empty(), width: 80.0, speed: 200.0 };
 
-/// What an error leaves of the running value, from the first byte behind the preamble on.
+/// Returns the contribution of an error to the running value, from the first byte after the preamble.
 fn value_of(error: &[u8]) -> u16 {
     error.iter().fold(0, |value, &byte| push(value, byte))
 }
 
-/// Whether a receiver overlooks the error that takes the running value over the whole frame and wants 0.
+/// Returns whether an error passes a receiver that requires a running value of 0 over the whole frame.
 fn passes_zero(error: &[u8]) -> bool {
     value_of(error) == 0
 }
 
-/// Whether a receiver overlooks the error that compares the two received bytes with those it calculates.
+/// Returns whether an error passes a receiver that compares the two received checksum bytes with the calculated ones.
 fn passes_comparison(error: &[u8]) -> bool {
     let (covered, checksum) = error.split_at(error.len() - CHECKSUM_LEN);
     value_of(covered).to_le_bytes() == checksum
 }
 
-/// The rank of the map from the running value to the running value `bytes` bytes later.
+/// Returns the rank of the map from the running value to the running value `bytes` bytes later.
 fn rank_after(bytes: usize) -> usize {
     let mut basis: Vec<u16> = Vec::new();
     for bit in 0..u16::BITS {
@@ -48,7 +48,7 @@ fn rank_after(bytes: usize) -> usize {
     basis.len()
 }
 
-/// All errors of two bits in a frame of `len` bytes, preamble excepted.
+/// Returns all two-bit errors in a frame of `len` bytes, preamble excepted.
 fn two_bit_errors(len: usize) -> impl Iterator<Item = Vec<u8>> {
     let bytes = len - PREAMBLE_LEN;
     let pairs =
@@ -62,8 +62,8 @@ fn two_bit_errors(len: usize) -> impl Iterator<Item = Vec<u8>> {
     })
 }
 
-/// Sends a frame with each error of two bits through parser and decoder. Returns a row: how many errors there are, how many the
-/// parser overlooks, and of these, how many decoding refuses or finds to have an id that the manual does not list.
+/// Sends a frame with each two-bit error through parser and decoder. Returns a row: the number of errors, the number that
+/// the parser accepts, and of these, the number that decoding refuses or maps to an id outside the manual.
 fn outcomes(what: String, line: &[u8], id: impl Fn(&Frame<'_>) -> Option<CommandId>) -> [String; 5] {
     let (mut errors, mut passed, mut refused) = (0, 0, 0);
     for error in two_bit_errors(line.len()) {
@@ -117,7 +117,7 @@ fn checksum_finds_every_error_in_one_byte_and_every_odd_number_of_bits() {
             }
         }
     }
-    // A byte changes the parity of the running value by its own: an odd number of bits never comes to 0.
+    // Each byte value changes the parity of the running value by its own parity, so an odd number of bits never yields 0.
     for value in 0..=u16::MAX {
         assert_eq!(push(value, 0).count_ones() % 2, value.count_ones() % 2, "{value:04X}h");
     }
@@ -189,7 +189,7 @@ fn checksum_two_bit_errors_that_decoding_refuses_in_the_document_are_measured() 
     );
 }
 
-/// Frames of one length, without their checksums, and these as numbers.
+/// Frames of one length without checksum, each with its checksum.
 const FRAMES: [(&[u8], u16); 5] = [
     (&[0xAA, 0xAA, 0xAA, 0x21, 0x02, 0x00, 0x1A, 0x00], 0xCB67),
     (&[0xAA, 0xAA, 0xAA, 0x21, 0x02, 0x00, 0x00, 0x00], 0x0428),
@@ -200,8 +200,8 @@ const FRAMES: [(&[u8], u16); 5] = [
 
 #[test]
 fn checksum_is_no_crc_with_any_parameters() {
-    // Start value and final exclusive or cancel out between two messages of one length: what is left of a CRC is its
-    // polynomial, and the order of bits and bytes in and out.
+    // Start value and final exclusive or cancel out between two messages of one length. Only the polynomial of a CRC and
+    // the order of bits and bytes remain.
     let (first, expected_first) = FRAMES[0];
     let differences = FRAMES[1..].iter().map(|(frame, expected)| {
         let message: Vec<u8> = first.iter().zip(*frame).map(|(a, b)| a ^ b).collect();

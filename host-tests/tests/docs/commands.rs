@@ -1,11 +1,11 @@
-//! The tables of commands and status codes in docs/protocol.md.
+//! Checks the tables of commands and status codes in docs/protocol.md.
 
 use document::{hold, read, table};
 use wsg_protocol::{Command, CommandId, Frame, Reply, Status};
 
 const DOCUMENT: &str = "docs/protocol.md";
 
-/// How a type of the command table stands in a payload: in words, and how many bytes it takes (least, most).
+/// The payload layout of each type in the command table: in words, and its least and greatest length in bytes.
 const LAYOUTS: [(&str, &str, usize, usize); 17] = [
     ("f32", "f32", 4, 4),
     ("bool", "u8 (D0)", 1, 1),
@@ -30,10 +30,10 @@ const LAYOUTS: [(&str, &str, usize, usize); 17] = [
     ("FingerInfo", "type u8, bytes of data u16", 3, 3),
     ("FingerFlags", "flags u16", 2, 2),
 ];
-/// As long as a message may be, so its length has no bound of its own.
+/// A type limited only by the longest message.
 const FINGER_DATA: &str = "FingerData<'a>";
 
-/// A row of the command table as its source has it.
+/// A row of the command table, as parsed from its source.
 pub(super) struct Row {
     pub(super) id: CommandId,
     /// Name, type, unit.
@@ -42,8 +42,8 @@ pub(super) struct Row {
     pub(super) reply: Option<(String, String)>,
 }
 
-/// The rows of protocol/src/table.rs: `id Name "title" "section" Kind request { .. } reply (..) ..;`. Layouts are not
-/// public, so they are read from there; the lengths are checked against the code below.
+/// Parses protocol/src/table.rs: `id Name "title" "section" Kind request { .. } reply (..) ..;`. Layouts are not public
+/// and are therefore read from the source. A test below checks their lengths against the code.
 pub(super) fn rows() -> Vec<Row> {
     let source = read("protocol/src/table.rs");
     let lines = source.lines().map(str::trim).filter(|line| !line.starts_with("//"));
@@ -99,7 +99,10 @@ fn statuses(list: &[Status]) -> String {
 #[test]
 fn commands_in_the_document_are_those_of_the_code() {
     let rows = rows();
-    assert!(rows.iter().map(|row| &row.id).eq(CommandId::ALL), "table.rs was not read as it is meant");
+    assert!(
+        rows.iter().map(|row| &row.id).eq(CommandId::ALL),
+        "the rows of table.rs differ from CommandId::ALL; check the parser of this test"
+    );
     let yes = |yes: bool| if yes { "yes" } else { "no" }.to_owned();
     let layouts = table(
         ["id", "name", "manual", "kind", "repeated", "request", "reply after E_SUCCESS"],
@@ -139,7 +142,7 @@ fn status_codes_in_the_document_are_those_of_the_code() {
 
 #[test]
 fn layouts_in_the_document_are_as_long_as_the_code_says() {
-    /// Longer than any payload but a finger's data.
+    /// A length above every payload except a finger's data.
     const LONGEST: usize = 300;
     let lengths = |kinds: &[&String]| {
         let sum = |add: fn((&str, usize, usize)) -> usize| {
@@ -152,7 +155,7 @@ fn layouts_in_the_document_are_as_long_as_the_code_says() {
         let request = lengths(&row.request.iter().map(|(_, kind, _)| kind).collect::<Vec<_>>());
         let reply = lengths(&row.reply.iter().map(|(kind, _)| kind).collect::<Vec<_>>());
         for length in 0..LONGEST {
-            // The key is the one request that zeros do not make, and a tag ends before its zeros.
+            // The key is the only request that zeros cannot form, and a tag ends before its zeros.
             let mut payload = match row.id {
                 CommandId::Acknowledge => b"ack".repeat(LONGEST),
                 CommandId::SetDeviceTag => vec![b' '; LONGEST],

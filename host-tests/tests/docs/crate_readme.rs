@@ -1,10 +1,10 @@
-//! protocol/README.md: its examples are those that are compiled and run, its tables are those of Cargo.toml.
+//! Checks protocol/README.md: its examples against the compiled ones, its tables against Cargo.toml.
 
 use document::read;
 
 const DOCUMENT: &str = "protocol/README.md";
 
-/// The first example of a crate's documentation.
+/// Returns the first example in a crate's documentation.
 fn first_example(source: &str) -> String {
     let doc = source
         .lines()
@@ -28,7 +28,10 @@ fn quick_start_comes_first_and_is_the_example_that_is_run() {
 fn example_is_the_one_that_is_compiled_in_the_crates_documentation() {
     let example = first_example(&read("protocol/src/lib.rs"));
     assert!(example.contains("FrameParser"));
-    assert!(read(DOCUMENT).contains(&format!("```rust\n{example}\n```")), "{DOCUMENT} has another example");
+    assert!(
+        read(DOCUMENT).contains(&format!("```rust\n{example}\n```")),
+        "{DOCUMENT} has a different example"
+    );
 }
 
 #[test]
@@ -43,7 +46,7 @@ fn features_are_those_of_the_manifest() {
     let features = section("[features]");
     let mut named: Vec<String> =
         features.iter().filter(is_entry).map(key).filter(|name| name != "default").collect();
-    // An optional dependency that no feature takes as `dep:` is a feature itself.
+    // An optional dependency without a `dep:` entry is a feature itself.
     let dependencies = section("[dependencies]");
     let optional = dependencies.iter().filter(|line| line.contains("optional = true")).map(key);
     named.extend(optional.filter(|name| !manifest.contains(&format!("\"dep:{name}\""))));
@@ -67,9 +70,6 @@ fn least_rust_version_is_that_of_the_workspace() {
     let version =
         manifest.lines().find_map(|line| line.strip_prefix("rust-version = ")).unwrap().trim_matches('"');
     for document in [DOCUMENT, "README.md"] {
-        assert!(
-            read(document).contains(&format!("Rust {version}")),
-            "{document} does not say Rust {version}"
-        );
+        assert!(read(document).contains(&format!("Rust {version}")), "{document} must state Rust {version}");
     }
 }

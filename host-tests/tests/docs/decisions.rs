@@ -1,4 +1,4 @@
-//! docs/decisions.md: each decision names a test that exists, or says that there is no code for it yet.
+//! Checks docs/decisions.md: each decision names an existing test, or is marked as not built.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -8,10 +8,10 @@ use document::{read, root};
 
 const DOCUMENT: &str = "docs/decisions.md";
 
-/// Opens the last cell of a decision that nothing carries out yet.
+/// Start of the last cell of a decision without an implementation.
 const NOT_BUILT: &str = "not built yet";
 
-/// The names of all tests in the sources of the workspace.
+/// Returns the names of all tests in the workspace.
 fn tests() -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     collect(&root(), &mut names);
@@ -46,13 +46,13 @@ fn tests_in(source: &str) -> Vec<String> {
             is_test = false;
         }
     }
-    // Functions that the macro makes tests of.
+    // Functions from which the macro makes tests.
     let lists = source.split("on_both_boards!(").skip(1).filter_map(|rest| rest.split(");").next());
     names.extend(lists.flat_map(|list| list.split(',').map(|name| name.trim().to_owned())));
     names
 }
 
-/// The decisions: the cells of each row of the document's tables, headings left out.
+/// Returns the decisions: the cells of each table row, without the headings.
 fn decisions(text: &str) -> Vec<Vec<&str>> {
     let rows = text.lines().filter(|line| line.starts_with("| ") && !line.starts_with("| decision"));
     rows.map(|row| row.trim_matches('|').split(" | ").map(str::trim).collect()).collect()
@@ -65,14 +65,19 @@ fn each_decision_names_tests_that_exist() {
     let decisions = decisions(&text);
     assert!(decisions.len() > 50, "{DOCUMENT} has {} decisions", decisions.len());
     for cells in decisions {
-        let [decision, held_by] = cells[..] else { panic!("{DOCUMENT}: no two cells: {cells:?}") };
+        let [decision, held_by] = cells[..] else {
+            panic!("{DOCUMENT}: expected two cells, found {cells:?}")
+        };
         let named: Vec<&str> = held_by.split('`').skip(1).step_by(2).collect();
         assert!(
             !named.is_empty() || held_by.starts_with(NOT_BUILT),
-            "{DOCUMENT}: nothing holds \"{decision}\""
+            "{DOCUMENT}: no test holds \"{decision}\""
         );
         for name in named {
-            assert!(tests.contains(name), "{DOCUMENT}: there is no test `{name}` to hold \"{decision}\"");
+            assert!(
+                tests.contains(name),
+                "{DOCUMENT}: test `{name}` not found; it should hold \"{decision}\""
+            );
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The tables of the Wireshark dissector: they are the crate's.
+//! Checks the tables of the Wireshark dissector against the crate.
 
 use std::fmt::Write;
 
@@ -24,7 +24,7 @@ fn flags(name: &str, flags: impl Iterator<Item = (&'static str, u32)>) -> String
     format!("local {name} = {{\n{}}}\n", rows.collect::<String>())
 }
 
-/// The name of a reply's value: what the command asks for.
+/// Returns the name of a reply's value: the title of the command without its verb.
 fn value_name(title: &str) -> String {
     title.strip_prefix("Get ").unwrap_or(title).to_lowercase().replace([' ', '-'], "_")
 }

@@ -1,5 +1,5 @@
-//! The figures in docs/figures.md, which `cargo xtask figures` writes: the limits are those of the gates; the image's sizes
-//! are near those of the image that is tested.
+//! Checks docs/figures.md, which `cargo xtask figures` writes: its limits are those of the gates, and its image sizes
+//! match the tested image.
 
 use std::path::PathBuf;
 
@@ -10,15 +10,15 @@ use object::{Object, ObjectSection, SectionFlags, elf};
 const DOCUMENT: &str = "docs/figures.md";
 const PART: &str = "figures";
 
-/// How far the image may be from what the document says, in percent: compilers differ.
+/// Allowed deviation of the image from the document, in percent, because compilers differ.
 const TOLERANCE: u64 = 10;
 
-/// The rows that the image decides, and how the limit stands in which file.
+/// Rows that depend on the image, each with the limit in the document, in the source, and the source's path.
 const FLASH: [&str; 4] = ["firmware image, flash", "80 KiB", "flash_limit: 80 * 1024", "xtask/src/board.rs"];
 const STATIC_RAM: [&str; 4] =
     ["firmware image, static RAM", "12 KiB", "STATIC_RAM_LIMIT: u64 = 12 * 1024", "xtask/src/size.rs"];
 
-/// Flash and static RAM of an image, in bytes, as `cargo xtask size` counts them.
+/// Returns flash and static RAM of an image in bytes, counted like `cargo xtask size`.
 fn measure(image: &[u8]) -> (u64, u64) {
     let image = ElfFile32::<object::Endianness>::parse(image).unwrap();
     let (mut flash, mut static_ram) = (0, 0);
@@ -34,7 +34,7 @@ fn measure(image: &[u8]) -> (u64, u64) {
     (flash, static_ram)
 }
 
-/// The cells behind the first one of this row.
+/// Returns the cells of this row after the first.
 fn row(what: &str) -> Vec<String> {
     let part = part(DOCUMENT, PART);
     let row = part.lines().find_map(|line| line.strip_prefix(&format!("| {what} | ")));
@@ -45,7 +45,7 @@ fn row(what: &str) -> Vec<String> {
 #[test]
 fn limits_in_the_document_are_those_of_the_size_gate() {
     for [what, limit, source, file] in [FLASH, STATIC_RAM] {
-        assert!(read(file).contains(source), "{what}: the limit is no longer {limit}");
+        assert!(read(file).contains(source), "{what}: {file} no longer has the limit {limit}");
         assert_eq!(row(what)[1], limit, "{what}");
     }
 }
@@ -60,13 +60,14 @@ fn number_of_fuzz_targets_in_the_document_is_that_of_the_folder() {
 #[test]
 #[ignore = "needs the firmware image: run `cargo xtask test`"]
 fn sizes_in_the_document_are_near_those_of_the_image() {
-    let image = std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF names the firmware image");
+    let image = std::env::var_os("WSG_FIRMWARE_ELF")
+        .expect("WSG_FIRMWARE_ELF must hold the path of the firmware image");
     let (flash, static_ram) = measure(&std::fs::read(PathBuf::from(image)).unwrap());
     for (what, measured) in [(FLASH[0], flash), (STATIC_RAM[0], static_ram)] {
         let stated: u64 = row(what)[0].split(' ').next().unwrap().parse().unwrap();
         assert!(
             stated.abs_diff(measured) * 100 <= measured * TOLERANCE,
-            "{DOCUMENT}: {what} is {measured} B now; `cargo xtask figures` writes it"
+            "{DOCUMENT}: {what} is now {measured} B; run `cargo xtask figures`"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! The patterns of the LED in docs/commissioning.md.
+//! Checks the LED patterns in docs/commissioning.md.
 
 use document::{hold, table};
 use wsg_bridge_fw::indicator::INDICATIONS;

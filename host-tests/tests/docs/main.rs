@@ -1,6 +1,6 @@
-//! What the documents say and the code says is the same.
+//! Checks the documents against the code.
 //!
-//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test docs` writes the generated parts anew.
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test docs` updates the generated parts.
 
 mod checksum;
 mod commands;

@@ -1,10 +1,10 @@
-//! The pictures of the documents are drawn by hand. Each names what the code and the tables name.
+//! Checks that the hand-drawn pictures show the names in the code and the tables.
 
 use document::read;
 use wsg_b_l475e_iot01a::{INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 use wsg_fieldbus::GripperFlags;
 
-/// The connectors and MCU pins in the first table below this heading of docs/wiring.md.
+/// Returns the connectors and MCU pins in the first table below this heading of docs/wiring.md.
 fn pins(heading: &str) -> Vec<[String; 2]> {
     let text = read("docs/wiring.md");
     let below = text.split(&format!("\n{heading}\n")).nth(1);
@@ -17,10 +17,10 @@ fn pins(heading: &str) -> Vec<[String; 2]> {
     rows.collect()
 }
 
-/// The headings of docs/wiring.md with pins of lines and buses.
+/// Headings of docs/wiring.md with the pins of lines and buses.
 const LINES: [&str; 3] = ["## The gripper's line", "## The bus", "### CAN"];
 
-/// Asserts that texts stand in a picture, each alone or at the beginning of a text.
+/// Asserts that a picture contains each text, alone or at the start of a longer text.
 fn assert_shows(picture: &str, texts: impl IntoIterator<Item = String>) {
     let svg = read(picture);
     for text in texts {

@@ -1,10 +1,10 @@
-//! What the documents point at exists: files, commands of xtask, environment variables.
+//! Checks the references of the documents: files, xtask commands and environment variables exist.
 
 use std::path::{Path, PathBuf};
 
 use document::{anchor_of, read, root};
 
-/// The documents outside of `docs/`, whose pages the contents list.
+/// Documents outside `docs/`, and the contents of `docs/`.
 const DOCUMENTS: [&str; 12] = [
     "README.md",
     "ARCHITECTURE.md",
@@ -55,7 +55,7 @@ fn links_lead_to_files_of_this_repository() {
     }
 }
 
-/// What a document must not deny, and the source that has it.
+/// Denials that a document must not contain, each with the source that contradicts it.
 const EXISTING: [(&str, &str, &str); 2] = [
     ("docs/simulator.md", "\n- PROFINET.", "gripper-sim/src/server/profinet.rs"),
     ("docs/wiring.md", "no watchdog", "host-tests/src/iwdg.rs"),
@@ -64,12 +64,12 @@ const EXISTING: [(&str, &str, &str); 2] = [
 #[test]
 fn documents_deny_nothing_that_exists() {
     for (document, denial, source) in EXISTING {
-        assert!(root().join(source).exists(), "{source} is gone: may {document} deny it?");
+        assert!(root().join(source).exists(), "{source} no longer exists; remove its row from EXISTING");
         assert!(!read(document).contains(denial), "{document} denies {source}");
     }
 }
 
-/// What a link to this heading has behind its `#`; none for any other line.
+/// Returns the anchor of a heading, or `None` for any other line.
 fn anchor(line: &str) -> Option<String> {
     let heading = line.strip_prefix('#')?.trim_start_matches('#').strip_prefix(' ')?;
     Some(anchor_of(heading))
@@ -111,14 +111,14 @@ fn map_in_the_architecture_names_every_part_of_the_workspace() {
     let manifest = read("Cargo.toml");
     let members = manifest.lines().find(|line| line.starts_with("members")).unwrap();
     for member in members.split('"').skip(1).step_by(2) {
-        // Of a folder whose parts are all members, what its parts are.
+        // The members of a folder `x/*` are each named in the map.
         let row = member.strip_suffix('*').map_or(format!("| `{member}/`"), |folder| format!("| `{folder}"));
-        assert!(map.contains(&row), "ARCHITECTURE.md does not tell what {member} is");
+        assert!(map.contains(&row), "ARCHITECTURE.md has no row for {member}");
     }
 }
 
 #[test]
-fn no_document_names_a_place_on_somebodys_machine() {
+fn no_document_names_a_local_path() {
     for document in documents() {
         let text = read(&document);
         for place in ["/work", "/root", "/home/", "/Users/"] {

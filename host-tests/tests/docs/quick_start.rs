@@ -1,4 +1,4 @@
-//! The names, addresses and values of registers in docs/quick-start.md are those of the tables, and its frames lead to a grip.
+//! Checks docs/quick-start.md: its registers against the tables, and the grip that its frames cause.
 
 use bus_slcan::ClassicFrame;
 use document::{can_frames, read};
@@ -16,7 +16,7 @@ use wsg_sim::{Config, Part};
 
 const DOCUMENT: &str = "docs/quick-start.md";
 
-/// Each name with its address: `NAME` (address), or NAME (address) behind a command.
+/// Returns each name with its address: `NAME` (address), or NAME (address) after a command.
 fn named(text: &str) -> Vec<(&str, u16)> {
     let pairs = text.match_indices('(').filter_map(|(at, _)| {
         let address = text[at + 1..].split(')').next()?.parse().ok()?;
@@ -47,7 +47,7 @@ fn commands_of_the_quick_start_name_their_register_and_write_what_it_takes() {
     let lines: Vec<_> = text.lines().filter_map(|line| line.strip_prefix("$M -t ")).collect();
     assert!(lines.len() > 10, "{lines:?}");
     for line in lines {
-        let (command, comment) = line.split_once("# ").expect("each says which register it is");
+        let (command, comment) = line.split_once("# ").expect("a comment with the register");
         let words: Vec<&str> = command.split_whitespace().collect();
         let [table, "-r", address, what @ ..] = &words[..] else { panic!("{line}") };
         let address: u16 = address.parse().unwrap();
@@ -84,7 +84,7 @@ fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
         bench.pass(1);
         bench.take_heard()
     };
-    // The wire was low at power-up.
+    // The wire is low at power-up.
     bench.set(Inputs::FAST_STOP_OK, false);
     (0..300).for_each(|_| drop(pass(&mut bench)));
     bench.set(Inputs::FAST_STOP_OK, true);
@@ -102,7 +102,7 @@ fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
             let mut frames = heard.iter().map(|(_, frame)| (frame.id(), frame.data()));
             frames.any(|frame| frame == (Id::from(StandardId::new(id).unwrap()), &data[..]))
         });
-        assert!(is_told, "{id:03X} {data:02X?} does not come");
+        assert!(is_told, "{id:03X} {data:02X?} was not received");
     }
     assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart]);
 }

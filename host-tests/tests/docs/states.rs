@@ -1,6 +1,6 @@
-//! docs/states.md: what each state, flag and status code means to somebody with a PLC.
+//! Checks docs/states.md: the meaning of each state, flag and status code for a PLC programmer.
 //!
-//! What to do about it is written in the document; the tests require words for each.
+//! The remedies are written in the document. The tests require one for each entry.
 
 use std::fs;
 
@@ -10,7 +10,7 @@ use wsg_protocol::{CommandId, Status};
 
 const DOCUMENT: &str = "docs/states.md";
 
-/// Each command flag and the commands that it sends.
+/// Each command flag with the commands that it causes.
 const SENT: [(&str, &[CommandId]); 7] = [
     ("HOMING", &[CommandId::Homing]),
     ("MOVE", &[CommandId::PrePosition]),
@@ -21,24 +21,24 @@ const SENT: [(&str, &[CommandId]); 7] = [
     ("FASTSTOP", &[CommandId::FastStop]),
 ];
 
-/// The last cells of the row of this name in a part of the document. These words stand there alone.
+/// Returns the last cells of a row in a part of the document. Only the document contains these words.
 fn words<const N: usize>(part_name: &str, name: &str) -> Option<[String; N]> {
     let text = part(DOCUMENT, part_name);
     let mut rows =
         text.lines().map(|row| row.trim_matches('|').split('|').map(str::trim).collect::<Vec<_>>());
     let row = rows.find(|cells| cells.contains(&name))?;
     let (_, cells) = row.split_at_checked(row.len().checked_sub(N)?)?;
-    assert!(cells.last().is_some_and(|remedy| !remedy.is_empty()), "nothing is said about {name}");
+    assert!(cells.last().is_some_and(|remedy| !remedy.is_empty()), "{DOCUMENT} has no remedy for {name}");
     Some(std::array::from_fn(|n| cells[n].to_owned()))
 }
 
 fn remedy(part_name: &str, name: &str) -> String {
     let [remedy] = words(part_name, name)
-        .unwrap_or_else(|| panic!("{DOCUMENT} has no row for {name}: add one that ends in what to do"));
+        .unwrap_or_else(|| panic!("{DOCUMENT} has no row for {name}: add one that ends with the remedy"));
     remedy
 }
 
-/// The command flags after which the manual lets the gripper answer with this status.
+/// Returns the command flags after which the manual allows this status as an answer.
 fn shown_after(status: Status) -> String {
     let gives = |id: &CommandId| {
         id.immediate_statuses().contains(&status) || id.completion_statuses().contains(&status)
@@ -79,7 +79,7 @@ fn states_in_the_document_are_those_of_the_code() {
 #[test]
 fn system_flags_in_the_document_are_those_of_the_code() {
     let rows = system_flags().into_iter().map(|flag| {
-        // Behind GSTATE and OF.
+        // The system flags follow GSTATE and OF.
         let (register, mask) = register_bit(16 + flag.bit);
         let remedy = remedy("sysstate", &flag.name);
         [
@@ -102,7 +102,7 @@ fn status_codes_for_the_plc_are_those_of_the_code() {
     for (status, meaning) in statuses() {
         let (row, shown_after) = ([code(status), status.symbol().to_owned(), meaning], shown_after(status));
         let Some([own, remedy]) = words("status", status.symbol()) else {
-            assert_eq!(shown_after, "", "{status} needs words of its own");
+            assert_eq!(shown_after, "", "{status} needs its own row");
             others.push(row);
             continue;
         };
@@ -114,7 +114,7 @@ fn status_codes_for_the_plc_are_those_of_the_code() {
     hold(DOCUMENT, "other-status", &table(["code", "name", "meaning"], others));
 }
 
-/// A number in brackets behind the `E_NAME` of a document is the number of that status.
+/// Checks that the number in brackets after an `E_NAME` in a document is the number of that status.
 #[test]
 fn status_codes_in_sentences_have_their_numbers() {
     let documents = fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().file_name());
@@ -122,7 +122,7 @@ fn status_codes_in_sentences_have_their_numbers() {
     let mut numbered = 0;
     for document in documents.filter(|name| name.ends_with(".md")) {
         let text = read(&document);
-        // Behind a letter it is part of another name.
+        // After a letter or an underscore, it is part of another name.
         let is_alone = |at: &usize| !text[..*at].ends_with(|c: char| c.is_ascii_alphanumeric() || c == '_');
         for (at, _) in text.match_indices("E_").filter(|(at, _)| is_alone(at)) {
             let rest = &text[at..];
@@ -133,7 +133,7 @@ fn status_codes_in_sentences_have_their_numbers() {
             let number: String = digits.take_while(char::is_ascii_digit).collect();
             if !number.is_empty() {
                 let status = Status::ALL.iter().find(|status| status.symbol() == symbol);
-                let status = status.unwrap_or_else(|| panic!("{document}: there is no {symbol}"));
+                let status = status.unwrap_or_else(|| panic!("{document}: unknown status {symbol}"));
                 assert_eq!(number, status.code().to_string(), "{document}: {symbol}");
                 numbered += 1;
             }

@@ -1,12 +1,12 @@
-//! The excerpt of the demonstration's trace in docs/demo.md: its bytes mean what it says they mean.
+//! Checks the excerpt of the demonstration's trace in docs/demo.md: its bytes match its words.
 
 use document::read;
 use host_tests::trace::Entry;
 
-/// Where an entry begins in a line of the trace, behind the time.
+/// Column of the entry in a line of the trace, after the time.
 const ENTRY_AT: usize = 11;
 
-/// The bytes at the end of a line: words of two hexadecimal digits, back to the last one that is none.
+/// Returns the bytes at the end of a line: two-digit hexadecimal words, back to the first other word.
 fn bytes_at_end(line: &str) -> Vec<u8> {
     let is_byte = |word: &&str| word.len() == 2 && word.bytes().all(|c| c.is_ascii_hexdigit());
     let words: Vec<&str> = line.split_whitespace().rev().take_while(is_byte).collect();
@@ -27,7 +27,7 @@ fn frames_of_the_excerpt_read_as_the_code_reads_them() {
         frames += 1;
         assert_eq!(entry, wanted.to_string());
     }
-    assert!(frames >= 4, "docs/demo.md shows {frames} frames");
+    assert!(frames >= 4, "docs/demo.md shows only {frames} frames");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! The wiring, recipes and times in docs/wiring.md.
+//! Checks the wiring, recipes and times in docs/wiring.md.
 
 use document::{hold, table};
 use host_tests::fault_sweep::Sweep;
@@ -6,7 +6,7 @@ use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Config, RECIPES, Recipe, WiresConfig};
 
-/// Each input and what it is for.
+/// Each input with its function.
 const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
     (Inputs::GRIP, "rising edge: grip a part"),
     (Inputs::RELEASE, "rising edge: release it"),
@@ -18,7 +18,7 @@ const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
     (Inputs::RECIPE1, "recipe number, bit 1"),
 ];
 
-/// Each output and what it says.
+/// Each output with its meaning.
 const OUTPUT_MEANINGS: [(Outputs, &str); Outputs::COUNT] = [
     (Outputs::READY, "a command would be taken"),
     (Outputs::BUSY, "a command is being carried out"),
@@ -33,7 +33,7 @@ fn name<T>(mut names: impl Iterator<Item = (&'static str, T)>) -> String {
     format!("`{}`", names.next().expect("each wire has a name").0)
 }
 
-/// The wires of a board in the order of the bits, each by what it is called on the board and on its MCU.
+/// Returns the wires of a board in the order of their bits, each with its names on the board and on its MCU.
 fn wires(
     on_board: &str,
     inputs: [(Inputs, [String; 2]); Inputs::COUNT],
@@ -97,7 +97,10 @@ fn recipes() -> String {
         row(number.to_string(), [number >> 1, number & 1].map(|bit| bit.to_string()), recipe)
     });
     let (last, others) = RECIPES[by_wires..].split_last().unwrap();
-    assert!(others.iter().all(|other| other == last), "one row stands for all of them");
+    assert!(
+        others.iter().all(|other| other == last),
+        "the other recipes must be equal, because one row describes them"
+    );
     let rest = format!("{by_wires} to {}", RECIPES.len() - 1);
     table(
         ["recipe", "`RECIPE1`", "`RECIPE0`", "width, mm", "speed, mm/s", "force, N", "release width, mm"],

@@ -1,5 +1,5 @@
-//! Clients of both protocols at one virtual gripper at the same time, over real sockets: they see the same gripper. Every
-//! wait is bounded.
+//! Clients of both protocols use one virtual gripper at the same time over real sockets and read the same state. Every wait
+//! is bounded.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -11,10 +11,10 @@ use wsg_protocol::{GripperState, HomingDirection, Status, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// The longest that anything may take here.
+/// Time limit of every wait.
 const BOUND: Duration = Duration::from_secs(60);
 
-/// A loaded machine may let the server wait for longer than a gripper ever would.
+/// On a loaded machine the server may answer later than any real gripper.
 const PATIENT: driver::Config = driver::Config {
     session: session::Config {
         reply_timeout_ms: 20_000,
@@ -26,12 +26,12 @@ const PATIENT: driver::Config = driver::Config {
 };
 
 fn connect(address: Option<SocketAddr>) -> Tcp {
-    Tcp::connect(address.expect("it is served")).unwrap()
+    Tcp::connect(address.expect("the server has this port")).unwrap()
 }
 
 type Driver<P> = GripperOver<Tcp, StdClock, P>;
 
-/// All that a gripper tells of its state and both protocols have words for.
+/// The state of a gripper, as far as both protocols report it.
 #[derive(Debug, PartialEq)]
 struct Seen {
     state: GripperState,
@@ -58,7 +58,7 @@ fn seen<P: Protocol>(gripper: &mut Driver<P>) -> Seen {
     }
 }
 
-/// Once the fingers stand, both see the same; what that is.
+/// Asserts that both clients read the same state at standstill, and returns it.
 #[track_caller]
 fn seen_by_both<P: Protocol, Q: Protocol>(one: &mut Driver<P>, other: &mut Driver<Q>) -> Seen {
     let first = seen(one);
@@ -66,12 +66,12 @@ fn seen_by_both<P: Protocol, Q: Protocol>(one: &mut Driver<P>, other: &mut Drive
     first
 }
 
-/// What one begins the other watches, and ends.
+/// One client acts. The other monitors and stops its motions.
 fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P>, watcher: &mut Driver<Q>) {
     actor.set_force_limit(N(35.0)).unwrap();
     watcher.set_force_limit(N(35.0)).unwrap();
 
-    // While the fingers move, for fourteen seconds if nobody stops them, the same state, and widths of one and the same way.
+    // A motion of fourteen seconds: both clients read the same state, and widths that change in one direction.
     actor.move_to(Mm(100.0), MmPerS(400.0), OnBlock::Stop).unwrap();
     let motion = actor.begin_move_to(Mm(30.0), MmPerS(5.0), OnBlock::Stop).unwrap();
     assert_eq!(watcher.gripper_state().unwrap(), GripperState::Positioning);
@@ -85,14 +85,14 @@ fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P
     assert!(widths.is_sorted_by(|one, other| one >= other), "{widths:?}");
     let refused = watcher.grip(Mm(20.0), MmPerS(100.0)).unwrap_err();
     assert!(matches!(refused, Error::Refused(Status::AlreadyRunning)), "{refused:?}");
-    // The one stops what the other has begun.
+    // One client stops the other's motion.
     watcher.stop().unwrap();
     assert!(matches!(actor.wait(&motion), Err(Error::Aborted)));
     assert!(seen_by_both(actor, watcher).flags.contains(SystemFlags::AXIS_STOPPED));
     actor.move_to(Mm(60.0), MmPerS(400.0), OnBlock::Stop).unwrap();
     assert_eq!(seen_by_both(actor, watcher).width, 60.0);
 
-    // A part is held.
+    // The part is held.
     let before = seen(watcher).grips[0];
     assert_eq!(actor.grip(Mm(20.0), MmPerS(100.0)).unwrap(), Grip::Held);
     let holding = seen_by_both(actor, watcher);
@@ -100,7 +100,7 @@ fn one_acts_and_the_other_watches<P: Protocol, Q: Protocol>(actor: &mut Driver<P
     actor.release(Mm(50.0), MmPerS(200.0)).unwrap();
     assert_eq!(seen_by_both(actor, watcher).state, GripperState::Idle);
 
-    // FAST STOP of the one ends the motion of the other, and either acknowledges it.
+    // A FAST STOP of one client ends the other's motion, and either client can acknowledge it.
     let motion = watcher.begin_move_to(Mm(100.0), MmPerS(5.0), OnBlock::Stop).unwrap();
     actor.fast_stop().unwrap();
     assert!(matches!(watcher.wait(&motion), Err(Error::Aborted)));
@@ -124,7 +124,7 @@ fn clients_of_both_protocols_at_the_same_time_see_the_same_gripper() {
         ..Config::default()
     };
     let lines = Lines { tcp: any(), gcl: any(), ..Lines::default() };
-    let served = ServerThread::start(config, &lines, None).expect("the server is up");
+    let served = ServerThread::start(config, &lines, None).expect("the server starts");
     let clock = StdClock::new();
     let mut frames: Gripper<_, _> = Gripper::with_config(connect(served.tcp_address()), clock, PATIENT);
     let mut text: GclGripper<_, _> = GclGripper::with_config(connect(served.gcl_address()), clock, PATIENT);
@@ -138,7 +138,7 @@ fn clients_of_both_protocols_at_the_same_time_see_the_same_gripper() {
     assert_eq!(seen_by_both(&mut frames, &mut text).serial_number, 4_711);
     assert_eq!((frames.counters().session.refused, text.counters().session.refused), (0, 0));
 
-    // The one goes announced, and the other is none the worse for it.
+    // An announced disconnect of one client does not affect the other.
     text.announce_disconnect().unwrap();
     drop(text);
     frames.move_to(Mm(80.0), MmPerS(200.0), OnBlock::Stop).unwrap();

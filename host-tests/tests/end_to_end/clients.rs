@@ -1,6 +1,6 @@
-//! Doubles of the clients in the field: what public drivers of these grippers send, and what they rely on. Each talks to
-//! the servers of the virtual gripper as it would to a real one, with the bytes that it would send. Every wait is bounded
-//! by a time-out of the socket.
+//! Models of public drivers of these grippers: their requests and their assumptions. Each connects to the servers of the
+//! virtual gripper as to a real one and sends the same bytes as the original. Every wait is bounded by a time-out of the
+//! socket.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, TcpStream, UdpSocket};
@@ -9,10 +9,10 @@ use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, Status, S
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
-/// The longest that anything may take here.
+/// Time limit of every wait.
 pub(crate) const BOUND: Duration = Duration::from_secs(60);
 
-/// Requests and answers as they stand in the drivers' sources, or as their checksum routines make them.
+/// Requests and answers, copied from the drivers' sources or calculated by their checksum routines.
 pub(crate) const ACK: &[u8] = &[0xAA, 0xAA, 0xAA, 0x24, 0x03, 0x00, 0x61, 0x63, 0x6B, 0xDC, 0xB9];
 pub(crate) const ACK_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x24, 0x02, 0x00, 0x00, 0x00, 0xB9, 0x7E];
 pub(crate) const HOME: &[u8] = &[0xAA, 0xAA, 0xAA, 0x20, 0x01, 0x00, 0x01, 0xAE, 0x93];
@@ -20,7 +20,7 @@ const HOME_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x20, 0x02, 0x00, 0x00, 0x00, 0xB3,
 const GRIP_PENDING: &[u8] = &[0xAA, 0xAA, 0xAA, 0x25, 0x02, 0x00, 0x1A, 0x00, 0x6D, 0x48];
 const GRIP_DONE: &[u8] = &[0xAA, 0xAA, 0xAA, 0x25, 0x02, 0x00, 0x00, 0x00, 0x22, 0x87];
 
-/// Bytes of a checksum.
+/// Length of the checksum in bytes.
 const CHECKSUM_LEN: usize = 2;
 
 pub(crate) fn frame(id: u8, payload: &[u8]) -> Vec<u8> {
@@ -49,22 +49,22 @@ pub(crate) fn floats(values: [f32; 2]) -> Vec<u8> {
     values.map(f32::to_le_bytes).concat()
 }
 
-/// Fast enough for a test.
+/// Fast fingers, for short tests.
 fn config() -> Config {
     Config { time_scale: 4.0, part: Part::of_width(20.0), ..Config::default() }
 }
 
 fn serve(config: Config) -> ServerThread {
     let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
-    ServerThread::start(config, &lines, None).expect("the gripper is served")
+    ServerThread::start(config, &lines, None).expect("the server starts")
 }
 
-/// A client that takes what one `recv` gives for one frame, and compares it with what it expects, byte by byte.
+/// A client that treats the result of one `recv` as one frame and compares it with the expected bytes.
 pub(crate) struct OneFramePerRecv<S>(pub(crate) S);
 
 impl OneFramePerRecv<TcpStream> {
     fn connect(server: &ServerThread) -> Self {
-        let stream = TcpStream::connect(server.tcp_address().expect("TCP is served")).unwrap();
+        let stream = TcpStream::connect(server.tcp_address().expect("the server has a TCP port")).unwrap();
         stream.set_read_timeout(Some(BOUND)).unwrap();
         Self(stream)
     }
@@ -77,7 +77,7 @@ impl<S: Read + Write> OneFramePerRecv<S> {
 
     fn recv(&mut self) -> Vec<u8> {
         let mut buffer = [0; 4 * MAX_FRAME_LEN];
-        let len = uninterrupted::read(&mut self.0, &mut buffer).expect("an answer in time");
+        let len = uninterrupted::read(&mut self.0, &mut buffer).expect("an answer within the time limit");
         buffer[..len].to_vec()
     }
 
@@ -92,7 +92,7 @@ impl<S: Read + Write> OneFramePerRecv<S> {
         self.expect(answer);
     }
 
-    /// A motion: E_CMD_PENDING, and the result; in one `recv` where this client comes only after both.
+    /// Runs a motion: E_CMD_PENDING and the result, possibly in one `recv`.
     #[track_caller]
     pub(crate) fn run(&mut self, request: &[u8], result: Status) {
         let id = request[3];
@@ -106,14 +106,14 @@ impl<S: Read + Write> OneFramePerRecv<S> {
     }
 }
 
-/// A client that calls `recv(n)` once for what it knows must come, as UMI's does: the head, then the rest.
+/// A client that calls `recv(n)` once for each expected part, like UMI's driver: first the header, then the rest.
 struct RecvWithoutLoop(TcpStream);
 
 impl RecvWithoutLoop {
     fn recv(&mut self, len: usize) -> Vec<u8> {
         let mut buffer = vec![0; len];
-        let got = uninterrupted::read(&self.0, &mut buffer).expect("an answer in time");
-        assert_eq!(got, len, "one call gives all of it");
+        let got = uninterrupted::read(&self.0, &mut buffer).expect("an answer within the time limit");
+        assert_eq!(got, len, "one call returns the whole part");
         buffer
     }
 
@@ -129,7 +129,7 @@ impl RecvWithoutLoop {
 
 #[test]
 fn client_with_fixed_expectations_gets_pending_and_result_in_a_recv_each() {
-    // So slow that each motion takes more than a second: its end does not come before its begin has been read.
+    // Each motion takes more than a second, so the client reads its start before its end is sent.
     let server = serve(Config { time_scale: 0.5, ..config() });
     let mut client = OneFramePerRecv::connect(&server);
     client.ask(ACK, ACK_DONE);
@@ -151,7 +151,7 @@ fn client_that_calls_recv_without_a_loop_never_gets_part_of_a_frame() {
     client.0.write_all(HOME).unwrap();
     assert_eq!(client.recv_frame(), (0x20, vec![0x1A, 0]));
     assert_eq!(client.recv_frame(), (0x20, vec![0, 0]));
-    // Many and long ones, too.
+    // Also many and long frames.
     let data: Vec<u8> = (0..=255).collect();
     for _ in 0..200 {
         client.0.write_all(&frame(0x06, &data)).unwrap();
@@ -181,11 +181,11 @@ fn checksums_of_zero_are_taken_when_checking_is_off_and_answers_have_right_ones(
 fn checksum_that_is_left_out_is_taken_from_the_next_frame_when_checking_is_off() {
     let server = serve(Config { check_checksum: false, ..config() });
     let mut client = OneFramePerRecv::connect(&server);
-    // The two bytes must be there (command set, 1.4.1): those of the next frame's preamble are taken, and that one is lost.
+    // The two bytes are mandatory (command set, 1.4.1). They are taken from the next frame's preamble, so that frame is lost.
     let requests = [without_checksum(0x24, b"ack"), without_checksum(0x22, &[]), ACK.to_vec()];
     client.send(&requests.concat());
     let mut both = [ACK_DONE; 2].concat();
-    client.0.read_exact(&mut both).expect("two answers in time");
+    client.0.read_exact(&mut both).expect("two answers within the time limit");
     assert_eq!(both, [ACK_DONE; 2].concat());
 }
 
@@ -212,7 +212,7 @@ fn half_a_frame_costs_only_itself_once_its_time_is_over() {
     let server = serve(Config { frame_timeout_ms: 50, ..config() });
     let mut client = OneFramePerRecv::connect(&server);
     client.send(&[0xAA, 0xAA, 0xAA, 0x06, 0xF0, 0x03, 1, 2, 3]);
-    // Asked again and again, as clients do that miss an answer; the first ones are taken for the rest of that frame.
+    // Clients repeat a request without an answer. The first repetitions are consumed as the rest of the incomplete frame.
     client.0.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
     let start = Instant::now();
     let answer = loop {
@@ -240,7 +240,7 @@ fn several_frames_in_one_segment_are_answered_one_by_one() {
     ]
     .concat();
     let mut answers = vec![0; expected.len()];
-    client.0.read_exact(&mut answers).expect("all answers in time");
+    client.0.read_exact(&mut answers).expect("all answers within the time limit");
     assert_eq!(answers, expected);
 }
 
@@ -277,7 +277,7 @@ fn client_that_asks_for_nothing_gets_nothing() {
     while !seen.windows(GRIP_DONE.len()).any(|window| window == GRIP_DONE) {
         seen.extend(busy.recv());
     }
-    // The first byte that it gets is that of what it asks for.
+    // The first received byte belongs to the answer to the first request.
     strict.ask(&frame(0x06, b"mine"), &frame(0x06, b"\0\0mine"));
 }
 
@@ -285,11 +285,11 @@ fn client_that_asks_for_nothing_gets_nothing() {
 fn updates_come_in_their_period_and_the_width_only_when_referenced() {
     let server = serve(config());
     let mut client = OneFramePerRecv::connect(&server);
-    // Not referenced: the request is answered with 0 mm, and nothing follows.
+    // Not referenced: the request is answered with 0 mm, without updates.
     client.ask(&frame(0x43, &[1, 10, 0]), &frame(0x43, &[0; 6]));
     client.ask(&frame(0x45, &[1, 20, 0]), &frame(0x45, &[0; 6]));
     let mut forces = vec![0; 5 * 14];
-    client.0.read_exact(&mut forces).expect("updates in time");
+    client.0.read_exact(&mut forces).expect("updates within the time limit");
     assert_eq!(forces, frame(0x45, &[0; 6]).repeat(5));
     client.send(HOME);
     let mut seen = Vec::new();
@@ -298,9 +298,9 @@ fn updates_come_in_their_period_and_the_width_only_when_referenced() {
         seen.extend(client.recv());
     }
     let done =
-        seen.windows(HOME_DONE.len()).position(|window| window == HOME_DONE).expect("homing ends first");
+        seen.windows(HOME_DONE.len()).position(|window| window == HOME_DONE).expect("the end of homing");
     let first = seen.windows(4).position(|window| window == [0xAA, 0xAA, 0xAA, 0x43]).unwrap();
-    assert!(done < first, "a width before the end of homing");
+    assert!(done < first, "a width was sent before the end of homing");
 }
 
 #[test]
@@ -310,7 +310,7 @@ fn unannounced_close_leaves_fast_stop_latched() {
     client.run(HOME, Status::Success);
     drop(client);
     let mut next = OneFramePerRecv::connect(&server);
-    // The close may arrive a little after the next connection.
+    // The gripper may detect the close slightly after the next connection.
     let stopped =
         system_state(SystemFlags::REFERENCED | SystemFlags::TARGET_POS_REACHED | SystemFlags::FAST_STOP);
     let start = Instant::now();
@@ -333,7 +333,7 @@ fn unannounced_close_changes_nothing_where_that_is_set() {
     let mut client = OneFramePerRecv::connect(&server);
     client.ask(ACK, ACK_DONE);
     client.0.shutdown(Shutdown::Write).unwrap();
-    assert_eq!(uninterrupted::read(&client.0, &mut [0]).unwrap(), 0, "the gripper has noticed");
+    assert_eq!(uninterrupted::read(&client.0, &mut [0]).unwrap(), 0, "the gripper closes its end");
     watcher.run(HOME, Status::Success);
 }
 
@@ -346,14 +346,14 @@ fn announced_client_is_refused_until_it_comes_again() {
         client.ask(&frame(id, payload), &status(id, Status::AccessDenied));
     }
     client.0.shutdown(Shutdown::Write).unwrap();
-    assert_eq!(uninterrupted::read(&client.0, &mut [0]).unwrap(), 0, "the gripper has noticed");
+    assert_eq!(uninterrupted::read(&client.0, &mut [0]).unwrap(), 0, "the gripper closes its end");
     let mut again = OneFramePerRecv::connect(&server);
-    // The refusals count as failures; there is no FAST STOP.
+    // The refusals set SF_CMD_FAILURE. There is no FAST STOP.
     again.ask(&frame(0x40, &[0, 0, 0]), &system_state(SystemFlags::CMD_FAILURE));
     again.run(HOME, Status::Success);
 }
 
-/// A client that asks from any port and listens on the fixed one.
+/// A client that sends from any port and listens on the fixed one.
 struct Udp {
     asking: UdpSocket,
     listening: UdpSocket,
@@ -380,7 +380,8 @@ impl Udp {
     #[track_caller]
     fn expect(&self, answer: &[u8]) {
         let mut datagram = [0; 4 * MAX_FRAME_LEN];
-        let (len, _) = uninterrupted::recv_from(&self.listening, &mut datagram).expect("an answer in time");
+        let (len, _) = uninterrupted::recv_from(&self.listening, &mut datagram)
+            .expect("an answer within the time limit");
         assert_eq!(&datagram[..len], answer);
     }
 }
@@ -394,8 +395,8 @@ fn udp_client_gets_each_answer_as_a_datagram_on_the_fixed_port() {
     client.send(&frame(0x07, &[]));
     client.expect(&status(0x07, Status::NotAvailable));
     client.asking.set_nonblocking(true).unwrap();
-    let nothing =
-        uninterrupted::recv_from(&client.asking, &mut [0]).expect_err("nothing comes to the port that asked");
+    let nothing = uninterrupted::recv_from(&client.asking, &mut [0])
+        .expect_err("no datagram is sent to the requesting port");
     assert_eq!(nothing.kind(), ErrorKind::WouldBlock);
 }
 
@@ -423,7 +424,7 @@ fn can_client_cuts_frames_into_pieces_of_eight_and_only_the_size_ends_them() {
     let port = gripper.connect(PortKind::Can).unwrap();
     let mut buffer = [0; MAX_FRAME_LEN];
     let grip = frame(0x25, &floats([20.0, 100.0]));
-    // Stop is one whole piece, Grip two: no short piece ends them.
+    // Stop is exactly one full CAN frame, Grip two, so no short frame marks the end.
     for (request, answer) in [
         (frame(0x22, &[]), status(0x22, Status::Success)),
         (grip, status(0x25, Status::NotInitialized)),
@@ -431,7 +432,7 @@ fn can_client_cuts_frames_into_pieces_of_eight_and_only_the_size_ends_them() {
         (frame(0x07, &[]), status(0x07, Status::NotAvailable)),
     ] {
         for piece in request.chunks(8) {
-            assert!(!gripper.has_frame(port), "an answer before the end of the request");
+            assert!(!gripper.has_frame(port), "the request was answered before its end");
             gripper.receive(port, Time::ZERO, piece);
         }
         assert_eq!(gripper.transmit(port, &mut buffer), Some(&answer[..]));
@@ -460,7 +461,7 @@ fn pre_position_flag_d0_is_relative_and_d1_stops_on_a_block() {
     let width = |width: f32| frame(0x43, &[&[0, 0][..], &width.to_le_bytes()].concat());
     client.run(&go(0b01, -10.0), Status::Success);
     client.ask(&frame(0x43, &[0, 0, 0]), &width(100.0));
-    // A client that swaps the two goes to 50 mm here instead of by 50 mm.
+    // A client that swaps the two flags moves to 50 mm here instead of by 50 mm.
     client.run(&go(0b10, 50.0), Status::Success);
     client.ask(&frame(0x43, &[0, 0, 0]), &width(50.0));
     client.run(&go(0b10, 10.0), Status::AxisBlocked);
@@ -472,13 +473,13 @@ fn ids_that_scripts_serve_are_unknown_without_a_script() {
     let server = serve(config());
     let mut client = OneFramePerRecv::connect(&server);
     for id in 0xA0..=0xBF {
-        // A driver's request to its script: a command byte and two floats.
+        // A driver's request to its script consists of a command byte and two floats.
         client.ask(&frame(id, &[&[1][..], &floats([20.0, 50.0])].concat()), &status(id, Status::CmdUnknown));
     }
 }
 
 #[test]
-fn the_bytes_that_clients_hold_are_those_of_the_protocol() {
+fn bytes_of_the_clients_match_the_protocol() {
     let home = Command::Homing { direction: HomingDirection::Positive };
     for (command, bytes) in [(Command::ACKNOWLEDGE, ACK), (home, HOME)] {
         assert_eq!(FrameEncoder::new(command.id().code(), command).collect::<Vec<u8>>(), bytes);
@@ -488,7 +489,7 @@ fn the_bytes_that_clients_hold_are_those_of_the_protocol() {
     assert_eq!(bytes, frame(0x43, &[1, 10, 0]));
 }
 
-/// A Unix socket as a serial line.
+/// A Unix socket serves as a serial line.
 #[cfg(unix)]
 mod unix {
     use super::*;

@@ -1,4 +1,4 @@
-"""The EDS file as two libraries read it, against the table that it was made from.
+"""Parses the EDS file with two libraries and compares it with the table from which it was generated.
 
 Arguments: the EDS file; the table, one `index sub type access mappable least most` a line, in hex but for access and -.
 """
@@ -13,7 +13,7 @@ NODE = 0x10
 ARRAYS = (0x1003, 0x1016, 0x1029)
 
 path, table = sys.argv[1], sys.argv[2]
-assert dcf.lint(dcf.parse_file(path)), "Lely's linter finds something"
+assert dcf.lint(dcf.parse_file(path)), "Lely's linter reports an error"
 theirs = dcf.Device.from_dcf(path, {"NODEID": NODE})
 ours = canopen.import_od(path, NODE)
 assert (ours.device_information.LSS_supported, ours.device_information.nr_of_RXPDO) == (False, 1)

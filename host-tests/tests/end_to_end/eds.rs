@@ -1,4 +1,4 @@
-//! The EDS file, as libraries that others wrote read it.
+//! Parses the EDS file with third-party libraries.
 
 use std::fmt::Write;
 

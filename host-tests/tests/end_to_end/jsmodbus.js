@@ -1,4 +1,4 @@
-// jsmodbus as a master, of unit 1: `tcp PORT` of the virtual gripper or `rtu TERMINAL` of the bridge.
+// jsmodbus as the master of unit 1: `tcp PORT` of the virtual gripper or `rtu TERMINAL` of the bridge.
 const assert = require("node:assert");
 const fs = require("node:fs");
 const net = require("node:net");
@@ -15,7 +15,7 @@ async function connect() {
         return client;
     }
     const line = new tty.ReadStream(fs.openSync(where, fs.constants.O_RDWR | fs.constants.O_NOCTTY));
-    // As the package serialport has it, which this replaces.
+    // Stands in for a port of the package serialport, which has this property.
     line.isOpen = true;
     return new modbus.client.RTU(line, 1);
 }
@@ -34,7 +34,7 @@ async function run(client) {
             if (image[5] !== PENDING) {
                 return [image[0] >> 8, image[5]];
             }
-            assert(Date.now() < end, "waited in vain");
+            assert(Date.now() < end, "time-out");
         }
     }
 
@@ -65,7 +65,7 @@ async function run(client) {
     assert.deepEqual([identity.conformityLevel, identity.objects.map(({ id }) => id)], [0x81, [0, 1, 2]]);
     assert(identity.objects[0].value.toString().startsWith("wsg-"), "the vendor");
     if (kind === "tcp") {
-        // On a serial line it takes the checksum of this exception for a part of it.
+        // On a serial line, jsmodbus takes the checksum of this exception as part of it.
         await refused(client.readDeviceIdentification(4, 0x80), 2);
     }
     console.log("cycle done");

@@ -1,7 +1,7 @@
-//! What works together, over real lines and sockets: the flashed image, the virtual gripper, the drivers, and programs that
-//! others wrote.
+//! End-to-end tests over real lines and sockets: the released image, the virtual gripper, the drivers, and third-party
+//! programs.
 //!
-//! One program, because these tests wait more than they compute: several run at a time.
+//! They form one program because they mostly wait, so several run in parallel.
 
 mod both_protocols;
 mod clients;

@@ -1,9 +1,9 @@
-//! Third-party masters, over Modbus/TCP to the virtual gripper: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
-//! (PyPI), `jsmodbus` (npm), `tokio-modbus`; and the example `gripping_cycle`, which is built on the last. `minimalmodbus` speaks RTU
-//! alone.
+//! Third-party masters over Modbus/TCP at the virtual gripper: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
+//! (PyPI), `jsmodbus` (npm) and `tokio-modbus`, and the example `gripping_cycle`, which uses the last. `minimalmodbus` supports
+//! only RTU.
 //!
-//! The tests with `mbpoll`, `pymodbus`, `modbus_tk` and `jsmodbus` in their names need those programs; `cargo xtask test` runs them
-//! where it finds or can install them, and says NOT CHECKED otherwise.
+//! Tests with `mbpoll`, `pymodbus`, `modbus_tk` or `jsmodbus` in their names require that program. `cargo xtask test` runs them
+//! if it finds or can install the program, and prints NOT CHECKED otherwise.
 
 use document::read;
 use host_tests::example;
@@ -17,10 +17,10 @@ use tokio_modbus::prelude::{ExceptionCode, ReadCode, Reader, Slave, Writer};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// The longest that anything may take here.
+/// Time limit of every wait.
 const BOUND: Duration = Duration::from_secs(60);
 
-/// A gripper with a part of 20 mm, and where its Modbus/TCP is.
+/// Starts a gripper with a part of 20 mm and returns its Modbus/TCP address.
 fn gripper() -> (ServerThread, SocketAddr) {
     let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
     let lines = Lines { modbus: "127.0.0.1:0".parse().ok(), ..Lines::default() };
@@ -29,8 +29,8 @@ fn gripper() -> (ServerThread, SocketAddr) {
     (served, address)
 }
 
-/// What every Python master does, over `read(address, count)`, `inputs(address, count)`, `write(address, values)` and
-/// `coil(address, value)`: home, grip, release, and a motion that is refused.
+/// The common part of all Python masters: home, grip, release, and a refused motion. It requires `read(address, count)`,
+/// `inputs(address, count)`, `write(address, values)` and `coil(address, value)`.
 const CYCLE: &str = r#"
 import time
 
@@ -40,7 +40,7 @@ def wait(done):
         image = inputs(0, 6)
         if done(image):
             return image
-    raise SystemExit("waited in vain; input image %r" % (image,))
+    raise SystemExit("time-out; input image %r" % (image,))
 
 def command(flags, width=0, speed=0, force=0):
     write(0, [0, width, speed, force])
@@ -143,7 +143,7 @@ def coil(address, value):
 for address, count, code in [(4, 1, cst.ILLEGAL_DATA_ADDRESS), (0, 5, cst.ILLEGAL_DATA_ADDRESS)]:
     try:
         read(address, count)
-        raise SystemExit("there is no register 4")
+        raise SystemExit("register 4 must not exist")
     except modbus.ModbusError as error:
         assert error.get_exception_code() == code, error
 client.execute(1, cst.WRITE_MULTIPLE_COILS, 8, output_value=[1, 0, 1, 0, 0, 0, 0, 1])
@@ -168,7 +168,7 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
     let port = format!("-p {}", address.port());
     let status = format!("mbpoll -0 -1 -q {port} -t 3 -r 5 -c 1 127.0.0.1");
     let said = paste(&read("docs/simulator.md"), "mbpoll", &[("-p 1502", &port)], &status);
-    // A part of 20 mm is between the fingers; the document has one of 22 mm.
+    // The part between the fingers has 20 mm, the part of the document 22 mm.
     for answer in ["[0]: \t0x1000", "[1]: \t0x0500", "[4]: \t0x0FA0", "[5]: \t0x0000"] {
         assert!(said.contains(answer), "{answer}: {said}");
     }
@@ -179,7 +179,7 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
 fn mbpoll_reads_writes_and_homes_over_tcp() {
     let (_served, address) = gripper();
     let port = address.port().to_string();
-    // References from 0, once, and values behind the host. It connects anew each time.
+    // Zero-based references, one poll, and values after the host. Each call opens a new connection.
     let poll = |arguments: &[&str], values: &[&str]| {
         let always = ["-m", "tcp", "-p", &port, "-a", "1", "-0", "-1", "-q"];
         said(&mbpoll(&[&always, arguments, &["127.0.0.1"], values].concat()))
@@ -190,23 +190,23 @@ fn mbpoll_reads_writes_and_homes_over_tcp() {
     assert!(holding.contains("[1]: \t1220") && holding.contains("[3]: \t4000"), "{holding}");
     let beyond = poll(&["-t", "4", "-r", "3", "-c", "2"], &[]);
     assert!(beyond.contains("Illegal data address"), "{beyond}");
-    // HOMING by its coil goes on between the connections.
+    // HOMING by its coil continues between the connections.
     let written = poll(&["-t", "0", "-r", "3"], &["1"]);
     assert!(written.contains("Written 1 references"), "{written}");
     let referenced = || poll(&["-t", "1", "-r", "16", "-c", "1"], &[]).contains("[16]: \t1");
     let start = Instant::now();
     while !referenced() {
-        assert!(start.elapsed() < BOUND, "REFERENCED does not come");
+        assert!(start.elapsed() < BOUND, "REFERENCED is not set within the time limit");
     }
     let width = poll(&["-t", "3", "-r", "3", "-c", "1"], &[]);
     assert!(width.contains("[3]: \t11000"), "{width}");
-    // SYSSTATE as one number of 32 bits, high word first: REFERENCED is 01000000h, TARGET_POS_REACHED 80000000h.
+    // SYSSTATE as a 32-bit number, high word first: REFERENCED is 01000000h, TARGET_POS_REACHED 80000000h.
     let state = poll(&["-B", "-t", "3:int", "-r", "1", "-c", "1"], &[]);
     let expected = 0x8100_0000_u32.cast_signed().to_string();
     assert!(state.contains(&format!("[1]: \t{expected}")), "{state}");
 }
 
-/// Runs what a `tokio-modbus` client does, in time.
+/// Runs the steps of a `tokio-modbus` client within the time limit.
 fn with_tokio_modbus(address: SocketAddr, act: impl AsyncFnOnce(&mut Context)) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
@@ -214,7 +214,7 @@ fn with_tokio_modbus(address: SocketAddr, act: impl AsyncFnOnce(&mut Context)) {
             let mut context = tcp::connect_slave(address, Slave::tcp_device()).await.unwrap();
             act(&mut context).await;
         });
-        done.await.expect("it takes too long");
+        done.await.expect("the steps end within the time limit");
     });
 }
 
@@ -224,7 +224,7 @@ fn tokio_modbus_reads_writes_and_grips() {
     grip_with_tokio_modbus(address);
 }
 
-/// Grips and releases a part of 20 mm with `tokio-modbus`, and calls what else that has.
+/// Grips and releases a part of 20 mm with `tokio-modbus`, and checks its other functions.
 pub(crate) fn grip_with_tokio_modbus(address: SocketAddr) {
     with_tokio_modbus(address, async |context| {
         for (flags, state) in [(0x0800, 0x0100), (0x0200, 0x1000), (0x0400, 0x0100)] {

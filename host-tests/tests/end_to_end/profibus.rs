@@ -1,4 +1,4 @@
-//! The virtual gripper on PROFIBUS, with a master that others wrote; and what that reads out of the GSD file.
+//! The virtual gripper on PROFIBUS with a third-party master, and the GSD file in this master's parser.
 
 use document::root;
 use host_tests::masters::{self, said};
@@ -18,7 +18,7 @@ fn pyprofibus_runs_a_grip_cycle_on_the_virtual_gripper() {
     assert!(output.status.success(), "{}", said(&output));
 }
 
-/// Prints some facts of a GSD file, and the bytes that its parameters and its configuration end in.
+/// Prints facts of a GSD file, and the resulting parameter and configuration bytes.
 const PRINT_GSD: &str = "
 import sys
 from pyprofibus.gsd.interp import GsdInterp
@@ -42,7 +42,7 @@ fn parser_of_pyprofibus_reads_what_the_tables_say() {
     assert_eq!(lines, [facts, config], "{}", said(&output));
 }
 
-/// The GSD file's path.
+/// Returns the GSD file's path.
 pub(crate) fn gsd_file() -> String {
     root().join("docs/WSGB5555.gsd").to_str().unwrap().to_owned()
 }

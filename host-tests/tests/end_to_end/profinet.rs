@@ -1,8 +1,8 @@
-//! The virtual gripper on PROFINET, in network namespaces with a cable between them: with controllers that others wrote, `tshark`
-//! as a witness, and with frames of one who means no good.
+//! The virtual gripper on PROFINET, in network namespaces connected by a virtual cable, with third-party controllers, with `tshark`
+//! as a monitor, and with hostile frames.
 //!
-//! Those that take long are for `cargo xtask ci` (`WSG_WHOLE`). Needs root. `cargo xtask test` leaves out what cannot be had, by the names: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`,
-//! `in_namespaces`.
+//! Long tests run only in `cargo xtask ci` (`WSG_WHOLE`). All tests require root. `cargo xtask test` selects them by the programs
+//! in their names and skips missing ones: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`, `in_namespaces`.
 
 use bus_profinet::Stored;
 use host_tests::masters::{PYTHON_VARIABLE, said};
@@ -27,7 +27,7 @@ const HOSTILE: &str = include_str!("profinet/hostile.py");
 
 static NETWORKS: AtomicU32 = AtomicU32::new(0);
 
-/// Two namespaces and a cable: the gripper's, and the controller's, which has 192.168.7.1/24.
+/// Two connected namespaces: one for the gripper, one for the controller with the address 192.168.7.1/24.
 struct Network {
     name: String,
 }
@@ -59,7 +59,7 @@ impl Network {
             vec!["-n", &controller, "link", "set", "lo", "up"],
             vec!["-n", &controller, "address", "add", "192.168.7.1/24", "dev", "eth0"],
         ] {
-            let output = Command::new("ip").args(&arguments).output().expect("Debian's iproute2");
+            let output = Command::new("ip").args(&arguments).output().expect("`ip` of Debian's iproute2");
             assert!(output.status.success(), "ip {arguments:?}: {}", said(&output));
         }
         network
@@ -73,15 +73,15 @@ impl Network {
         format!("{}c", self.name)
     }
 
-    /// A gripper of its own there, as delivered.
+    /// Starts a gripper with default settings in its namespace.
     fn serve(&self, config: Config) -> ServerThread {
         self.serve_as(config, Stored::NONE)
     }
 
-    /// The same with a name or an address from the start.
+    /// Like `serve`, but with a stored name or address.
     fn serve_as(&self, config: Config, stored: Stored) -> ServerThread {
         let namespace = File::open(format!("/run/netns/{}", self.gripper())).unwrap();
-        // The server's thread is in the namespace of the one that starts it.
+        // The server's thread inherits the namespace of the thread that starts it.
         let start = move || {
             move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
             let line = ProfinetLine { interface: "eth0".to_owned(), stored, keep: None };
@@ -90,7 +90,7 @@ impl Network {
             ServerThread::start(config, &lines, None).unwrap()
         };
         let server = thread::spawn(start).join().unwrap();
-        // Ahead of what else this machine does, as a controller of its own would be.
+        // Real-time priority replaces the dedicated controller of a real device.
         for task in fs::read_dir("/proc/self/task").unwrap().map(Result::unwrap) {
             if fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "wsg-sim\n") {
                 let _ = Command::new("chrt").args(["--fifo", "--pid", "20"]).arg(task.file_name()).output();
@@ -99,7 +99,7 @@ impl Network {
         server
     }
 
-    /// Waits until `/state` of a gripper there shows these outputs.
+    /// Waits until `/state` of a gripper shows these outputs.
     fn await_outputs(&self, server: &ServerThread, expected: &str) {
         let namespace = File::open(format!("/run/netns/{}", self.gripper())).unwrap();
         let (address, expected) = (server.control_address().unwrap(), format!("\"output\":{expected}"));
@@ -120,7 +120,7 @@ impl Network {
         thread::spawn(wait).join().unwrap();
     }
 
-    /// A gripper as its user starts it, with this configuration file; it says when it serves.
+    /// Starts `wsg-sim` with this configuration file and waits until it serves PROFINET.
     fn start(&self, file: &Path) -> Program {
         let mut ip = Command::new("ip");
         ip.args(["netns", "exec", &self.gripper()])
@@ -130,13 +130,13 @@ impl Network {
         let mut child = ip.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
         let program = Program(child);
-        assert!(lines.any(|line| line == "profinet eth0"), "it ends before it serves");
-        // Whatever else it says has somebody who reads it.
+        assert!(lines.any(|line| line == "profinet eth0"), "wsg-sim ended before it served PROFINET");
+        // Drain the remaining output, so that the program never blocks on it.
         thread::spawn(move || lines.for_each(drop));
         program
     }
 
-    /// A program at the controller's end.
+    /// Returns a command for a program in the controller's namespace.
     fn at_controller(&self, program: &str) -> Command {
         let mut command = Command::new("ip");
         command.args(["netns", "exec", &self.controller(), "chrt", "--fifo", "20", program]);
@@ -145,22 +145,21 @@ impl Network {
 
     fn python(&self, script: &str, arguments: &[&str]) -> Output {
         let Some(python) = std::env::var(PYTHON_VARIABLE).ok() else {
-            panic!("{PYTHON_VARIABLE} names no Python that has the masters: run `cargo xtask test`");
+            panic!("{PYTHON_VARIABLE} is not set: run `cargo xtask test`");
         };
         self.at_controller(&python).args(["-c", script]).args(arguments).output().unwrap()
     }
 
-    /// Begins to write all that passes by to a file.
+    /// Starts to capture all packets to a file.
     fn capture(&self) -> Capture {
         let file = std::env::temp_dir().join(format!("{}.pcap", self.name));
         let mut tshark = self.at_controller("tshark");
         tshark.args(["-i", "eth0", "-F", "pcap", "-w"]).arg(&file);
         let mut child = tshark.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-        // It says when it has begun.
+        // tshark reports the start of the capture.
         let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
         let begun = lines.by_ref().map(Result::unwrap).any(|line| line.starts_with("Capturing on"));
-        assert!(begun, "tshark ends before it begins");
-        // Whatever else it says has somebody who reads it.
+        assert!(begun, "tshark ended before it started the capture");
         thread::spawn(move || lines.for_each(drop));
         Capture { child, file }
     }
@@ -174,7 +173,7 @@ impl Drop for Network {
     }
 }
 
-/// A `wsg-sim` that runs; dropped, it is killed.
+/// A running `wsg-sim`, which is killed on drop.
 struct Program(Child);
 
 impl Drop for Program {
@@ -184,20 +183,20 @@ impl Drop for Program {
     }
 }
 
-/// What passes by, as it is written to a file.
+/// A running capture to a file.
 struct Capture {
     child: Child,
     file: PathBuf,
 }
 
 impl Capture {
-    /// Ends it, and gives what `tshark` says of the packets that this filter fits.
+    /// Ends the capture, and returns the fields of the packets that match the filter.
     fn finish(mut self, filter: &str, fields: &[&str]) -> Vec<String> {
         self.end();
         self.packets(filter, fields)
     }
 
-    /// What `tshark` says of the packets that this filter fits, as soon as there are so many: it is some time behind.
+    /// Waits until `count` packets match the filter, and returns their fields. The capture lags the traffic.
     fn wait_for(&self, count: usize, filter: &str, fields: &[&str]) -> Vec<String> {
         let end = Instant::now() + Duration::from_secs(60);
         loop {
@@ -210,7 +209,7 @@ impl Capture {
         }
     }
 
-    /// What `tshark` says of the packets so far that this filter fits.
+    /// Returns the fields of the packets captured so far that match the filter.
     fn packets(&self, filter: &str, fields: &[&str]) -> Vec<String> {
         let mut tshark = Command::new("tshark");
         tshark.args(["-n", "-r"]).arg(&self.file).args(["-Y", filter, "-T", "fields"]);
@@ -237,7 +236,7 @@ fn config() -> Config {
     Config { part: Part::of_width(20.0), time_scale: 5.0, serial_number: 4_711, ..Config::default() }
 }
 
-/// Malformed packets, and what is worth a warning.
+/// Matches malformed packets and packets with a warning.
 const SUSPICIOUS: &str = "_ws.malformed || _ws.expert.severity >= \"Warning\"";
 
 #[test]
@@ -248,7 +247,7 @@ fn profinet_py_runs_a_grip_cycle_in_namespaces_and_tshark_finds_no_fault() {
     let server = network.serve(config());
     let output = network.python(CONTROLLER, &["cycle"]);
     assert!(output.status.success(), "{}", said(&output));
-    // Its last outputs had a width and a speed; it has left.
+    // The last outputs had a width and a speed. They are cleared after the controller has disconnected.
     network.await_outputs(&server, "[0,0,0,0,0,0,0,0]");
     let warnings = capture.finish(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
     assert_eq!(warnings, Vec::<String>::new());
@@ -305,7 +304,7 @@ fn profinet_py_finds_in_namespaces_after_a_restart_what_it_has_written() {
     let network = Network::new();
     let file = std::env::temp_dir().join(format!("{}.toml", network.name));
     fs::write(&file, "# Cell 7\nprofinet = \"eth0\"\ntime-scale = 5\n").unwrap();
-    // Killed each time: what was written has to be kept at once.
+    // The program is killed each time, so each write must be stored immediately.
     for part in ["label", "labelled"] {
         let _program = network.start(&file);
         let output = network.python(CONTROLLER, &[part]);
@@ -331,7 +330,7 @@ fn endpoint_mapper_tells_in_namespaces_of_the_device_as_tshark_reads_it() {
         &["epm.proto.udp_port", "epm.proto.ip", "epm.tower.num_floors", "epm.rc"],
     );
     assert_eq!(entries, ["34964\t192.168.7.5\t5\t0x00000000"; 2]);
-    // The last answer of all: a handle that was given back.
+    // The last answer returns a released handle.
     capture.wait_for(2, "epm.opnum == 4 && dcerpc.pkt_type == 2", &["frame.number"]);
     let warnings = capture.finish(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
     assert_eq!(warnings, Vec::<String>::new());
@@ -361,7 +360,7 @@ fn hostile_frames_by_scapy_in_namespaces_move_nothing_and_profinet_py_and_tshark
     let file = capture.file.to_str().unwrap().to_owned();
     let output = network.python(HOSTILE, &[&file, "1", "20000"]);
     assert!(output.status.success(), "{}", said(&output));
-    // It is as it was, but for a name and an address that the frames may have set.
+    // The device is unchanged, except for a name and an address that the frames may have set.
     let output = network.python(CONTROLLER, &["unmoved"]);
     assert!(output.status.success(), "{}", said(&output));
     server.stop().unwrap();

@@ -1,5 +1,5 @@
-# A grip cycle with the master of pyprofibus, over the pseudo terminal that is named, which refuses parity; of the slave it knows
-# what the GSD file says.
+# A grip cycle with the master of pyprofibus over the given pseudo terminal, which refuses parity. The GSD file is the only
+# source of the slave's parameters.
 import sys
 import time
 
@@ -17,12 +17,12 @@ gripper = DpSlaveDesc()
 gripper.slaveAddr = gripper.setPrmTelegram.da = gripper.chkCfgTelegram.da = 7
 gsd = GsdInterp.fromFile(sys.argv[2])
 gripper.identNumber = gripper.setPrmTelegram.identNumber = gsd.getIdentNumber()
-# As the slave sees them.
+# Directions as seen by the slave.
 gripper.inputSize, gripper.outputSize = 8, 12
 gripper.setCfgDataElements(gsd.getCfgDataElements())
 gripper.setSyncMode(False)
 gripper.setFreezeMode(False)
-# However busy the machine is.
+# A limit for a busy machine.
 gripper.setWatchdog(10_000)
 master.addSlave(gripper)
 master.initialize()
@@ -35,13 +35,13 @@ def rise(flags):
 
 
 def run(flags, is_done, what):
-    """Writes these flags until the input image is as it has to become."""
+    """Writes these flags until the input image meets the condition."""
     end = time.monotonic() + 120
     exchanges, image, written = 0, None, rise(flags)
     while time.monotonic() < end:
         if not gripper.isConnected():
-            # On a busy machine, answers arrive after this master's time-out, and it connects again. Its first outputs are no
-            # edge then, so the program writes zeros and raises the flags again.
+            # On a busy machine, answers may exceed this master's time-out, and it connects again. Its first outputs are then
+            # not an edge, so the program writes zeros and raises the flags again.
             exchanges, written = 0, 0
         # WIDTH 20 mm, SPEED 100 mm/s, FORCELIMIT 40 N.
         gripper.setMasterOutData(bytearray([written, 0, 0x07, 0xD0, 0x27, 0x10, 0x0F, 0xA0]))
@@ -51,12 +51,12 @@ def run(flags, is_done, what):
             continue
         image = bytes(data)
         exchanges += 1
-        # What the first ones bring is from before the flags.
+        # The first inputs may precede the flags.
         if exchanges > 3 and is_done(image):
             return
         if exchanges > 3 and written != flags:
             exchanges, written = 0, rise(flags)
-    sys.exit(f"waited in vain for {what}: {image!r}")
+    sys.exit(f"time-out; expected {what}: {image!r}")
 
 
 def shows(state):

@@ -1,5 +1,5 @@
-//! `wsg-sim.exe`, run by Wine: what a user of Windows meets, as far as Wine is like it. `cargo xtask platforms` builds the
-//! program, runs these tests and says where Wine keeps its files; `cargo xtask test` leaves them out.
+//! Runs `wsg-sim.exe` in Wine, as an approximation of Windows. `cargo xtask platforms` builds the program, sets Wine's
+//! folder and runs these tests. `cargo xtask test` skips them.
 
 use crate::clients::{ACK, ACK_DONE, BOUND, HOME, OneFramePerRecv, floats, frame};
 use crate::modbus_tcp::grip_with_tokio_modbus;
@@ -14,38 +14,39 @@ use std::process::{Child, Command, Stdio};
 use std::time::Instant;
 use wsg_protocol::Status;
 
-/// The variable that says where the program is.
+/// Environment variable with the path of the program.
 const PROGRAM: &str = "WSG_SIM_EXE";
 
 fn program(arguments: &[&str]) -> Command {
-    let exe = std::env::var_os(PROGRAM)
-        .unwrap_or_else(|| panic!("{PROGRAM} names no program for Windows: run `cargo xtask platforms`"));
+    let exe = std::env::var_os(PROGRAM).unwrap_or_else(|| {
+        panic!("{PROGRAM} must hold the path of wsg-sim.exe: run `cargo xtask platforms`")
+    });
     let mut command = Command::new("wine");
     command.arg(exe).args(arguments).stdin(Stdio::null());
     command
 }
 
-/// A program that serves, and where it serves what, by the names of its lines.
+/// A running program, with the place of each of its lines by name.
 struct Served {
     child: Child,
     places: HashMap<String, String>,
 }
 
 impl Served {
-    /// With these arguments; `last` is the name of the last line that it says.
+    /// Starts the program and waits for its output line that begins with `last`.
     fn start(arguments: &[&str], last: &str) -> Self {
-        let mut child = program(arguments).stdout(Stdio::piped()).spawn().expect("there is a wine");
-        let said = BufReader::new(child.stdout.take().expect("it is piped"));
+        let mut child = program(arguments).stdout(Stdio::piped()).spawn().expect("wine must be installed");
+        let said = BufReader::new(child.stdout.take().expect("stdout is piped"));
         let mut served = Self { child, places: HashMap::new() };
         for line in said.lines() {
-            let line = line.expect("it can be read");
+            let line = line.expect("readable output");
             let (name, place) = line.split_once(' ').expect("a name and a place");
             served.places.insert(name.to_owned(), place.to_owned());
             if name == last {
                 return served;
             }
         }
-        panic!("it ended without {last}: {:?}", served.places);
+        panic!("wsg-sim.exe ended before it printed {last}: {:?}", served.places);
     }
 
     fn connect(&self, name: &str) -> TcpStream {
@@ -54,7 +55,7 @@ impl Served {
         stream
     }
 
-    /// A request to the page's server; what it answers.
+    /// Sends a request to the page's server and returns the stream with the answer.
     fn http(&self, request: &str, body: &str) -> TcpStream {
         let mut stream = self.connect("control");
         let len = body.len();
@@ -66,7 +67,7 @@ impl Served {
 
 impl Drop for Served {
     fn drop(&mut self) {
-        // An error means that it has ended already.
+        // An error means that the program has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -105,7 +106,7 @@ fn page_shows_what_its_buttons_do() {
         let mut line = String::new();
         while !line.contains(sought) {
             line.clear();
-            assert!(events.read_line(&mut line).expect("an event in time") > 0, "no {sought}");
+            assert!(events.read_line(&mut line).expect("an event within the time limit") > 0, "no {sought}");
             assert!(start.elapsed() < BOUND, "no {sought}");
         }
     };
@@ -116,8 +117,8 @@ fn page_shows_what_its_buttons_do() {
     until(r#""REFERENCED""#);
 }
 
-/// Wine 8 wakes whoever reads a serial line not before as many bytes are there as the reader has room for (4096), where Windows
-/// does at the first: so they are sent.
+/// Wine 8 wakes the reader of a serial line only when the line holds as many bytes as the reader's buffer (4096), while Windows
+/// wakes it at the first byte. The test therefore sends 4096 bytes.
 #[test]
 #[ignore = "needs Wine: run `cargo xtask platforms`"]
 fn com_port_is_a_serial_line() {
@@ -126,11 +127,11 @@ fn com_port_is_a_serial_line() {
     let (mut line, theirs) = UnixStream::pair().unwrap();
     line.set_read_timeout(Some(BOUND)).unwrap();
     let terminal = Terminal::to(theirs).unwrap();
-    // When Wine starts it makes its ports anew: ours comes after that.
+    // Wine recreates its ports at start, so this port is created afterwards.
     assert!(program(&["--version"]).stdout(Stdio::null()).status().unwrap().success());
-    let prefix = std::env::var_os("WINEPREFIX").expect("Wine has a place for its files");
+    let prefix = std::env::var_os("WINEPREFIX").expect("WINEPREFIX must be set");
     let port = Path::new(&prefix).join("dosdevices").join(PORT.to_lowercase());
-    // One that an earlier run has left.
+    // An earlier run may have left the port.
     let _ = std::fs::remove_file(&port);
     symlink(&terminal.path, &port).unwrap();
 
@@ -139,14 +140,14 @@ fn com_port_is_a_serial_line() {
     for _ in 0..3 {
         line.write_all(&[vec![0; ROOM - ACK.len()], ACK.to_vec()].concat()).unwrap();
         let mut answer = vec![0; ACK_DONE.len()];
-        line.read_exact(&mut answer).expect("an answer in time");
+        line.read_exact(&mut answer).expect("an answer within the time limit");
         assert_eq!(answer, ACK_DONE);
     }
 }
 
 #[test]
 #[ignore = "needs Wine: run `cargo xtask platforms`"]
-fn what_windows_lacks_is_said_in_one_line() {
+fn lines_that_windows_lacks_are_refused_in_one_line() {
     for (arguments, expected) in [
         (
             ["--serial", "pty"],

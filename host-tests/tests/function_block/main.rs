@@ -1,5 +1,5 @@
-//! The function block of docs/FB_WSG_GRIP.st, run by an interpreter in a PLC that is played here, against the bridge and the
-//! virtual gripper in virtual time.
+//! Runs the function block of docs/FB_WSG_GRIP.st in an interpreter with a simulated PLC, against the bridge and the virtual
+//! gripper in virtual time.
 
 mod structured_text;
 
@@ -18,19 +18,19 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
 use wsg_sim::{Fault, Part};
 
-/// The PLC's cycle.
+/// Cycle time of the PLC.
 const SCAN_MS: i64 = 10;
 
 fn units() -> [Unit; 2] {
     [Unit::parse(&read("docs/FB_WSG_GRIP.st")), Unit::parse(&read("docs/PRG_WSG_MODBUS.st"))]
 }
 
-/// A PLC that runs the program, and a Modbus master beside it that exchanges the registers in a cycle of its own.
+/// A PLC that runs the program, with a Modbus master that exchanges the registers in its own cycle.
 struct Plc {
     program: Instance,
     bench: Bench,
     now_ms: i64,
-    /// From one exchange to the next, in cycles of the PLC.
+    /// Period of the exchange, in cycles of the PLC.
     exchange_every: i64,
     is_unplugged: bool,
 }
@@ -40,7 +40,7 @@ impl Plc {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let gripper = wsg_sim::Config { part, ..quick() };
         let mut bench = Bench::new(Config::DEFAULT, gripper);
-        // FAST STOP of power-up: the wire is low until the plant is ready.
+        // The wire is low until the plant is ready, so there is a FAST STOP at power-up.
         bench.set(Inputs::FAST_STOP_OK, false);
         bench.pass(300);
         bench.set(Inputs::FAST_STOP_OK, true);
@@ -48,7 +48,7 @@ impl Plc {
         Self { program, bench, now_ms: 0, exchange_every, is_unplugged: false }
     }
 
-    /// The same, acknowledged and homed.
+    /// Like `new`, but acknowledged and homed.
     fn homed(part: Option<f32>, exchange_every: i64) -> Self {
         let mut plc = Self::new(part, exchange_every);
         plc.until("Error");
@@ -62,7 +62,7 @@ impl Plc {
 
     fn exchange(&mut self) {
         let answer = self.bench.ask(&[4, 0, 0, 0, 6]);
-        // A master leaves its registers as they are when the answer is an exception.
+        // After an exception, a master keeps its previous registers.
         if answer[0] == 4 {
             for (name, word) in ["In0", "In1", "In2", "In3", "In4", "In5"].iter().zip(answer[2..].chunks(2)) {
                 let word = u16::from_be_bytes([word[0], word[1]]);
@@ -74,11 +74,11 @@ impl Plc {
     }
 
     fn word(&self, name: &str) -> u16 {
-        let Value::Bits(16, word) = self.program.get(name) else { panic!("{name} is no WORD") };
+        let Value::Bits(16, word) = self.program.get(name) else { panic!("{name} is not a WORD") };
         u16::try_from(word).unwrap()
     }
 
-    /// One cycle of the PLC.
+    /// Runs one cycle of the PLC.
     fn scan(&mut self) {
         let before = self.bench.now().as_micros();
         if !self.is_unplugged && (self.now_ms / SCAN_MS) % self.exchange_every == 0 {
@@ -97,7 +97,7 @@ impl Plc {
         }
     }
 
-    /// An output of the function block.
+    /// Returns an output of the function block.
     fn is(&self, output: &str) -> bool {
         let Value::Bool(value) = self.program.get(&format!("Gripper.{output}")) else { panic!("{output}") };
         value
@@ -122,7 +122,7 @@ impl Plc {
         self.program.set(button, Value::Bool(is_pressed));
     }
 
-    /// Presses a button for two cycles of the PLC, and lets the function block see it.
+    /// Presses a button for two cycles of the PLC, so that the function block detects it.
     fn press(&mut self, button: &str) {
         self.set(button, true);
         self.pass(2 * SCAN_MS);
@@ -139,13 +139,13 @@ impl Plc {
         self.bench.gripper().state().width
     }
 
-    /// What the function block has run through.
+    /// Returns the executed lines of the function block.
     fn covered(&self) -> BTreeSet<usize> {
         self.program.block("Gripper").covered.clone()
     }
 }
 
-/// Whatever the bus's cycle: as fast as the PLC's, and as slow as BusTime allows.
+/// Bus cycles: as fast as the PLC's, and the slowest that BusTime permits.
 const EXCHANGES: [i64; 2] = [1, 5];
 
 fn grip_cycle(exchange_every: i64) -> Plc {
@@ -158,7 +158,7 @@ fn grip_cycle(exchange_every: i64) -> Plc {
     plc.press("Home");
     assert!(plc.is("Busy") && !plc.is("Ready"));
     plc.pass(200);
-    assert_eq!(plc.word("Out0"), 0, "the flag goes back once the motion is seen");
+    assert_eq!(plc.word("Out0"), 0, "the flag is reset after the motion has started");
     plc.until("Done");
     for _ in 0..3 {
         plc.press("Grip");
@@ -184,7 +184,7 @@ fn no_part() -> Plc {
     plc.press("Grip");
     plc.until("Done");
     assert!(plc.is("NoPart") && !plc.is("Holding") && !plc.is("Error"));
-    // The fingers stand where GRIP goes already: over before anybody has seen it run. Each one is given all the same.
+    // The fingers are already at the target of GRIP, so the motion ends before a poll sees it. Every GRIP is still sent.
     plc.bench.take_motions();
     for _ in 0..4 {
         plc.press("Grip");
@@ -217,7 +217,7 @@ fn fault_and_acknowledge() -> Plc {
     let mut plc = Plc::homed(Some(20.0), 5);
     plc.set_fault(Fault::MotorCurrent, true);
     plc.until("Error");
-    // What locks the gripper is still there: it is given some time to go.
+    // The fault persists, so the function block waits for some time until it disappears.
     plc.press("StopAck");
     plc.pass(1_000);
     assert!(plc.is("Busy"));
@@ -241,7 +241,7 @@ fn not_referenced() -> Plc {
     plc.press("Grip");
     plc.until("Error");
     assert_eq!(plc.error_status(), Value::Int(3), "E_NOT_INITIALIZED");
-    // Lost: Ready is not there.
+    // Without Ready, the edge is ignored.
     plc.press("Home");
     plc.pass(1_000);
     assert_eq!(plc.bench.take_motions(), [CommandId::GripPart]);
@@ -266,7 +266,7 @@ fn fast_stop() -> Plc {
     plc.set("FastStop", true);
     plc.pass(100);
     assert!(!plc.is("Ready") && plc.bench.take_sent().contains(&CommandId::FastStop));
-    // No acknowledgement while it is wanted.
+    // No acknowledgement is sent while FastStop is set.
     plc.press("StopAck");
     plc.pass(1_000);
     assert!(!plc.bench.take_sent().contains(&CommandId::Acknowledge));
@@ -274,7 +274,7 @@ fn fast_stop() -> Plc {
     plc.until("Error");
     plc.press("StopAck");
     plc.until("Ready");
-    // Shorter than the bus's cycle, and just behind an exchange.
+    // A pulse shorter than the bus cycle, directly after an exchange.
     plc.bench.take_sent();
     while plc.now_ms % 50 != SCAN_MS {
         plc.scan();
@@ -293,7 +293,7 @@ fn stop() -> Plc {
     let mut plc = Plc::homed(Some(20.0), 5);
     plc.press("Grip");
     plc.until("Done");
-    // The second one comes while the flag of the first is 1: without a 0 between them there is no edge.
+    // The second press occurs while the flag of the first is 1. Without a 0 in between, there is no edge.
     plc.press("StopAck");
     plc.pass(50);
     assert_eq!(plc.word("Out0"), 0x1000);
@@ -303,7 +303,7 @@ fn stop() -> Plc {
     assert!(!plc.is("Holding") && !plc.is("Done") && !plc.is("Error"));
     let stops = plc.bench.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count();
     assert_eq!(stops, 2);
-    // Again as soon as it is Ready, on a slow bus.
+    // Repeat as soon as the block is Ready, on a slow bus.
     for _ in 0..3 {
         plc.press("StopAck");
         plc.until("Ready");
@@ -315,7 +315,7 @@ fn stop() -> Plc {
 fn parameters_change() -> Plc {
     let mut plc = Plc::homed(None, 1);
     plc.press("Grip");
-    // Somebody turns the dial during the motion: to pass it on would be a FAST STOP.
+    // The parameters change during the motion. Forwarding them would cause a FAST STOP.
     for dial in ["GripWidth", "Speed", "ForceLimit"] {
         plc.program.set(dial, Value::Int(15_00));
     }
@@ -332,7 +332,7 @@ fn bus_is_cut() -> Plc {
     assert!(plc.now_ms >= 65_000, "a motion may take a minute");
     plc.is_unplugged = false;
     plc.pass(500);
-    // The bridge stopped the motion when its master fell silent; nothing begins by itself.
+    // The bridge stopped the motion when polling ceased. No motion starts without a command.
     plc.bench.take_motions();
     plc.pass(2_000);
     assert_eq!(plc.bench.take_motions(), []);
@@ -343,8 +343,7 @@ fn bus_is_cut() -> Plc {
 
 fn wrong_place() -> Plc {
     let mut plc = Plc::homed(None, 1);
-    // The bridge, but not the function block, is told to stop: by the wire. The fingers stand, without an error, in a
-    // wrong place.
+    // A wire stops the motion without the function block. The fingers stand in a wrong position without an error.
     for motion in ["Grip", "Release", "Home"] {
         plc.press(motion);
         plc.bench.set(Inputs::STOP_ACK, true);
@@ -382,7 +381,7 @@ fn buttons_that_stay() -> Plc {
 fn refused_meanwhile() -> Plc {
     let mut plc = Plc::homed(None, 1);
     plc.press("Release");
-    // An edge of somebody else is refused; its status code is not that of the motion.
+    // The edge of another source is refused. Its status code does not belong to the motion.
     plc.bench.set(Inputs::HOME, true);
     plc.pass(50);
     plc.bench.set(Inputs::HOME, false);
@@ -392,7 +391,7 @@ fn refused_meanwhile() -> Plc {
     plc
 }
 
-/// The function block alone, with the objects of CANopen at its inputs and outputs.
+/// Runs the function block alone, with CANopen objects at its inputs and outputs.
 #[test]
 fn grip_cycle_over_canopen() {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
@@ -454,7 +453,7 @@ fn grip_cycle_over_canopen() {
     assert_eq!(bench.take_motions(), motions);
 }
 
-/// Makes a test of each scenario, and the list of all with their words in the document.
+/// Generates a test for each scenario, and the list of all scenarios with their descriptions in the document.
 macro_rules! scenarios {
     ($($test:ident: $scenario:expr, $words:literal;)*) => {
         $(

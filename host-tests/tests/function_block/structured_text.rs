@@ -1,16 +1,16 @@
-//! An interpreter for as much of IEC 61131-3 structured text as docs/*.st uses: no more, and no leniency. What a PLC's compiler
-//! could refuse or take differently is a panic here: an unknown name, a wrong type, a number that does not fit, an input that
-//! is written.
+//! An interpreter for the subset of IEC 61131-3 structured text that docs/*.st uses. It is strict: anything that a PLC compiler
+//! could reject or interpret differently is a panic here, such as an unknown name, a wrong type, a number out of range, or a
+//! write to an input.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A value with its type. BYTE, WORD and DWORD are bits, which do not mix with numbers or with one another.
+/// A typed value. BYTE, WORD and DWORD are bit strings, which do not mix with numbers or with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Value {
     Bool(bool),
     Bits(u32, u64),
     Int(i64),
-    /// In milliseconds.
+    /// Duration in milliseconds.
     Time(i64),
 }
 
@@ -21,12 +21,12 @@ enum Token {
     Symbol(&'static str),
 }
 
-/// With the line it is in.
+/// A token with its line number.
 type Placed = (usize, Token);
 
 const SYMBOLS: [&str; 15] = [":=", "<>", "<=", ">=", "<", ">", "=", "+", "-", "(", ")", ";", ":", ",", "."];
 
-/// Cuts a text into tokens; comments are `(* *)`.
+/// Splits a text into tokens; comments are `(* *)`.
 fn tokens(text: &str) -> Vec<Placed> {
     let mut found = Vec::new();
     let mut rest = text;
@@ -63,7 +63,7 @@ fn tokens(text: &str) -> Vec<Placed> {
     }
 }
 
-/// `T#500MS`, `BYTE#16#20`.
+/// Parses a literal with a type, such as `T#500MS` or `BYTE#16#20`.
 fn typed_literal(kind: &str, literal: &str) -> Option<Value> {
     if kind == "T" {
         let unit = literal.find(|c: char| !c.is_ascii_digit())?;
@@ -80,7 +80,7 @@ fn typed_literal(kind: &str, literal: &str) -> Option<Value> {
     (value >> bits == 0).then_some(Value::Bits(bits, value))
 }
 
-/// Bits of a type that is bits.
+/// Returns the width of a bit string type.
 fn width_of(kind: &str) -> Option<u32> {
     match kind {
         "BYTE" => Some(8),
@@ -90,7 +90,7 @@ fn width_of(kind: &str) -> Option<u32> {
     }
 }
 
-/// The numbers of a type that is a number.
+/// Returns the range of a number type.
 fn range_of(kind: &str) -> Option<(i64, i64)> {
     match kind {
         "INT" => Some((i16::MIN.into(), i16::MAX.into())),
@@ -122,7 +122,7 @@ enum Expression {
     Call(String, Vec<Expression>),
 }
 
-/// A statement and its line.
+/// A statement with its line number.
 #[derive(Clone, Debug)]
 struct Statement {
     line: usize,
@@ -146,7 +146,7 @@ pub(crate) struct Unit {
 }
 
 impl Unit {
-    /// Reads the one function block or program of this text.
+    /// Parses a text with exactly one function block or program.
     pub(crate) fn parse(text: &str) -> Self {
         let mut parser = Parser { tokens: tokens(text), at: 0 };
         let kind = parser.name();
@@ -155,11 +155,11 @@ impl Unit {
         let variables = parser.variables();
         let body = parser.statements();
         parser.word(&format!("END_{kind}"));
-        assert_eq!(parser.at, parser.tokens.len(), "something comes behind END_{kind}");
+        assert_eq!(parser.at, parser.tokens.len(), "unexpected text after END_{kind}");
         Self { name, variables, body }
     }
 
-    /// The lines of all statements that do something themselves.
+    /// Returns the lines of all statements with an effect of their own.
     pub(crate) fn lines(&self) -> BTreeSet<usize> {
         fn add(statements: &[Statement], lines: &mut BTreeSet<usize>) {
             for statement in statements {
@@ -191,7 +191,7 @@ impl Parser {
     }
 
     fn fail(&self, wanted: &str) -> ! {
-        panic!("line {}: {wanted} wanted, not {:?}", self.line(), self.peek())
+        panic!("line {}: expected {wanted}, found {:?}", self.line(), self.peek())
     }
 
     fn takes(&mut self, symbol: &str) -> bool {
@@ -252,14 +252,17 @@ impl Parser {
                 let kind = self.name();
                 let begins = self.takes(":=").then(|| self.literal());
                 self.symbol(";");
-                // Names are the same whatever their case.
-                assert!(all.keys().all(|other| !other.eq_ignore_ascii_case(&name)), "{name} twice");
+                // Names are case-insensitive.
+                assert!(
+                    all.keys().all(|other| !other.eq_ignore_ascii_case(&name)),
+                    "{name} is declared twice"
+                );
                 all.insert(name, Variable { section, kind, begins });
             }
         }
     }
 
-    /// Statements up to a word that ends them, which stays.
+    /// Parses statements up to a word that ends them, without consuming it.
     fn statements(&mut self) -> Vec<Statement> {
         let mut all = Vec::new();
         while let Some(Token::Name(name)) = self.peek() {
@@ -326,7 +329,7 @@ impl Parser {
         self.level(0)
     }
 
-    /// Weakest first: OR, AND, = and <>, < and the like, + and -.
+    /// Parses operators from the lowest precedence: OR, AND, = and <>, < and the like, + and -.
     fn level(&mut self, level: usize) -> Expression {
         const LEVELS: [&[&str]; 5] = [&["OR"], &["AND"], &["=", "<>"], &["<=", ">=", "<", ">"], &["+", "-"]];
         let Some(operators) = LEVELS.get(level) else { return self.primary() };
@@ -376,7 +379,6 @@ impl Parser {
     }
 }
 
-/// What a variable holds.
 #[derive(Clone, Debug)]
 enum Slot {
     Plain(Value),
@@ -392,20 +394,20 @@ struct Timer {
     preset_ms: i64,
 }
 
-/// A function block or program with its memory.
+/// A function block or program with its variables.
 #[derive(Clone, Debug)]
 pub(crate) struct Instance {
     unit: Unit,
     slots: BTreeMap<String, Slot>,
-    /// The lines that were carried out.
+    /// Executed lines.
     pub(crate) covered: BTreeSet<usize>,
 }
 
 impl Instance {
-    /// The unit of this name, with all variables as they begin.
+    /// Creates an instance of the unit with this name, with initial values.
     pub(crate) fn new(units: &[Unit], name: &str) -> Self {
         let unit = units.iter().find(|unit| unit.name == name);
-        let unit = unit.unwrap_or_else(|| panic!("there is no {name}")).clone();
+        let unit = unit.unwrap_or_else(|| panic!("unknown unit {name}")).clone();
         let slots = unit.variables.iter().map(|(name, variable)| {
             let kind = &variable.kind[..];
             let slot = match (kind, width_of(kind), range_of(kind)) {
@@ -427,13 +429,13 @@ impl Instance {
         instance
     }
 
-    /// Reads a variable, or one of a function block in it: `Gripper.Ready`.
+    /// Reads a variable, or a variable of a nested function block: `Gripper.Ready`.
     pub(crate) fn get(&self, path: &str) -> Value {
         let path: Vec<String> = path.split('.').map(str::to_owned).collect();
         self.read(&path)
     }
 
-    /// Writes a variable; the value has to be of its type.
+    /// Writes a variable; the types must agree.
     pub(crate) fn set(&mut self, name: &str, value: Value) {
         let variable =
             self.unit.variables.get(name).unwrap_or_else(|| panic!("{} has no {name}", self.unit.name));
@@ -446,19 +448,19 @@ impl Instance {
                 range_of(kind).is_some_and(|(least, most)| (least..=most).contains(&number))
             }
         };
-        assert!(fits, "{name}: {kind} does not take {value:?}");
+        assert!(fits, "{name}: {kind} does not accept {value:?}");
         self.slots.insert(name.to_owned(), Slot::Plain(value));
     }
 
-    /// One cycle of the PLC.
+    /// Runs one cycle of the PLC.
     pub(crate) fn scan(&mut self, now_ms: i64) {
         let body = self.unit.body.clone();
         self.run(&body, now_ms);
     }
 
-    /// The function block in this variable.
+    /// Returns the function block in this variable.
     pub(crate) fn block(&self, name: &str) -> &Self {
-        let Some(Slot::Block(block)) = self.slots.get(name) else { panic!("{name} is no function block") };
+        let Some(Slot::Block(block)) = self.slots.get(name) else { panic!("{name} is not a function block") };
         block
     }
 
@@ -481,7 +483,8 @@ impl Instance {
                 What::Case(selector, arms) => {
                     let selected = self.value(selector);
                     let arm = arms.iter().find(|(label, _)| Value::Int(*label) == selected);
-                    let (_, body) = arm.unwrap_or_else(|| panic!("line {line}: no case for {selected:?}"));
+                    let (_, body) =
+                        arm.unwrap_or_else(|| panic!("line {line}: CASE has no branch for {selected:?}"));
                     self.run(body, now_ms);
                 }
                 What::Invoke(name, inputs) => {
@@ -511,7 +514,7 @@ impl Instance {
                 }
                 block.scan(now_ms);
             }
-            _ => panic!("{name} is no function block"),
+            _ => panic!("{name} is not a function block"),
         }
     }
 
@@ -529,7 +532,7 @@ impl Instance {
     }
 
     fn truth(&self, expression: &Expression) -> bool {
-        let Value::Bool(value) = self.value(expression) else { panic!("{expression:?} is no BOOL") };
+        let Value::Bool(value) = self.value(expression) else { panic!("{expression:?} is not a BOOL") };
         value
     }
 
@@ -571,9 +574,9 @@ fn combine(operator: &str, left: Value, right: Value) -> Value {
     }
 }
 
-/// A PLC reckons with 16 bits here.
+/// Checks the range of INT: a PLC calculates with 16 bits here.
 fn int(number: i64) -> Value {
-    assert!(i16::try_from(number).is_ok(), "{number} is no INT");
+    assert!(i16::try_from(number).is_ok(), "{number} is not an INT");
     Value::Int(number)
 }
 
@@ -640,14 +643,14 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "does not take")]
-    fn bits_are_no_numbers() {
+    #[should_panic(expected = "does not accept")]
+    fn bit_strings_and_numbers_do_not_mix() {
         run("w := 3;");
     }
 
     #[test]
-    #[should_panic(expected = "is no INT")]
-    fn numbers_do_not_overflow_in_silence() {
+    #[should_panic(expected = "is not an INT")]
+    fn overflow_is_a_panic() {
         run("a := 32000 + 1000;");
     }
 }

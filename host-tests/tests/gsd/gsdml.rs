@@ -1,4 +1,4 @@
-//! The GSDML file, and the tables of docs/profinet.md.
+//! Checks the GSDML file and the tables in docs/profinet.md.
 
 use bus_profinet::{Gsdml, GsdmlFacts, Priority};
 use document::{hold, hold_file, read, table};
@@ -10,7 +10,7 @@ use wsg_fieldbus::{InputImage, OutputImage};
 const PAGE: &str = "docs/profinet.md";
 
 const FACTS: GsdmlFacts<'_> = GsdmlFacts {
-    // Where the gripper's own file is listed (fieldbus, 3.1).
+    // The catalogue path of the original gripper (fieldbus, 3.1).
     vendor: VENDOR,
     family: "WSG",
     main_family: "I/O",
@@ -18,7 +18,7 @@ const FACTS: GsdmlFacts<'_> = GsdmlFacts {
     bitmap: Some(GSDML_BITMAP),
 };
 
-/// The file's path from the root.
+/// Returns the file's path from the root.
 fn path() -> String {
     format!("docs/{GSDML}")
 }
@@ -28,12 +28,12 @@ fn gsdml_file_is_that_of_the_tables() {
     hold_file(&path(), &Gsdml { facts: FACTS, profile: &PROFILE }.to_string());
 }
 
-/// The elements of this name.
+/// Returns the elements with this name.
 fn all<'a>(document: &'a Document<'_>, name: &'static str) -> impl Iterator<Item = Node<'a, 'a>> {
     document.descendants().filter(move |node| node.tag_name().name() == name)
 }
 
-/// A number in decimal, or behind `0x` in hexadecimal.
+/// Parses a decimal number, or a hexadecimal one after `0x`.
 fn number(node: Node<'_, '_>, attribute: &str) -> u32 {
     let text = node.attribute(attribute).unwrap_or_else(|| panic!("{node:?} has no {attribute}"));
     match text.strip_prefix("0x") {
@@ -75,7 +75,7 @@ fn numbers_of_the_file_are_those_of_the_device() {
         .map(|item| (item.parent().unwrap().tag_name().name(), number(item, "Length") as usize))
         .collect();
     assert_eq!(lens, [("Input", InputImage::LEN), ("Output", OutputImage::LEN)]);
-    // With the statuses of two submodules of data, of the access point, of its interface and of its port.
+    // IOPS and IOCS of two data submodules, of the access point, of its interface and of its port.
     let data = all(&document, "IOConfigData").next().unwrap();
     assert_eq!((number(data, "MaxInputLength"), number(data, "MaxOutputLength")), (17, 13));
 
@@ -86,8 +86,8 @@ fn numbers_of_the_file_are_those_of_the_device() {
 /// Returns whether a file, as text and as elements, keeps a rule.
 type Check = fn(&str, &Document<'_>) -> bool;
 
-/// What TIA Portal's checker demands beyond the schema (public logs of it and p-net's guide), each with a change of the file that it
-/// has to reject. Checks of PROFINET V2.31 bind no device that declares V2.3.
+/// Rules of TIA Portal's checker beyond the schema (from its public logs and p-net's guide), each with a modification of the
+/// file that breaks it. Rules for PROFINET V2.31 do not apply to a device that declares V2.3.
 const RULES: [(&str, Check, [&str; 2]); 11] = [
     (
         "CertificationInfo from V2.31 on",
@@ -115,7 +115,7 @@ const RULES: [(&str, Check, [&str; 2]); 11] = [
         ["ResetToFactoryModes=\"2\"", "ResetToFactoryModes=\"1\""],
     ),
     (
-        // PDInterfaceAdjust (8071h) sets what LLDP_NoD_Supported offers, and the device has no such record.
+        // PDInterfaceAdjust (8071h) sets the feature declared by LLDP_NoD_Supported, and the device has no such record.
         "record 8071h is not offered",
         |_, file| !is_true(file, "DeviceAccessPointItem", "LLDP_NoD_Supported"),
         ["MultipleWriteSupported=", "LLDP_NoD_Supported=\"true\" MultipleWriteSupported="],
@@ -159,7 +159,7 @@ const RULES: [(&str, Check, [&str; 2]); 11] = [
     ),
 ];
 
-/// The one element of this name.
+/// Returns the only element with this name.
 fn item<'a>(file: &'a Document<'_>, name: &'static str) -> Node<'a, 'a> {
     all(file, name).next().unwrap_or_else(|| panic!("no {name}"))
 }
@@ -168,14 +168,14 @@ fn is_true(file: &Document<'_>, name: &'static str, attribute: &str) -> bool {
     item(file, name).attribute(attribute) == Some("true")
 }
 
-/// Returns whether the device conforms to an older version of PROFINET. V2.2 < V2.25 < V2.3 < V2.31 (GSDML, 5.1): they are decimals.
+/// Returns whether the device conforms to a version before V2.31. Versions are decimals: V2.2 < V2.25 < V2.3 < V2.31 (GSDML, 5.1).
 fn is_before_v2_31(file: &Document<'_>) -> bool {
     let version = item(file, "DeviceAccessPointItem").attribute("PNIO_Version").unwrap();
     version.strip_prefix('V').unwrap().parse::<f32>().unwrap() < 2.31
 }
 
-/// Returns the length of the cyclic data in a direction: a provider status after the data of each submodule, a consumer status for
-/// each with data in the other direction. Submodules without data count as inputs.
+/// Returns the length of the cyclic data in a direction: a provider status after each submodule's data, and a consumer status
+/// for each submodule with data in the other direction. Submodules without data count as inputs.
 fn frame_len(file: &Document<'_>, direction: &str) -> u32 {
     let names = ["VirtualSubmoduleItem", "InterfaceSubmoduleItem", "PortSubmoduleItem"];
     let submodules = file.descendants().filter(|node| names.contains(&node.tag_name().name()));
@@ -199,11 +199,14 @@ fn file_keeps_every_rule_of_tia_portal() {
         assert!(holds(&text, &Document::parse(&text).unwrap()), "broken: {rule}");
         assert_eq!(text.matches(part).count(), 1, "{rule}: {part}");
         let broken = text.replace(part, change);
-        assert!(!holds(&broken, &Document::parse(&broken).unwrap()), "without effect: {rule}");
+        assert!(
+            !holds(&broken, &Document::parse(&broken).unwrap()),
+            "the modified file does not break the rule: {rule}"
+        );
     }
 }
 
-/// Fieldbus, 3.1: PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG.
+/// Checks the catalogue path (fieldbus, 3.1): PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG.
 #[test]
 fn gsdml_file_has_the_catalogue_path_of_the_manual() {
     let text = read(&path());

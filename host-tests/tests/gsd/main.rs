@@ -1,6 +1,6 @@
-//! Device files: docs/WSGB5555.gsd, and the GSDML file, are what the tables say, and a third-party parser reads the same out of it.
+//! Checks the device files docs/WSGB5555.gsd and GSDML against the tables, and parses them with a third-party parser.
 //!
-//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test gsd` writes the files anew.
+//! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test gsd` updates the files.
 
 mod gsdml;
 
@@ -12,11 +12,11 @@ use wsg_fieldbus::{Diagnosis, InputImage, OutputImage};
 
 const FILE: &str = "docs/WSGB5555.gsd";
 
-/// 9.6 kbit/s to 1.5 Mbit/s.
+/// Supported rates: 9.6 kbit/s to 1.5 Mbit/s.
 const RATES: [Baud; 7] =
     [Baud::K9_6, Baud::K19_2, Baud::K45_45, Baud::K93_75, Baud::K187_5, Baud::K500, Baud::M1_5];
 
-/// Those flags of SYSSTATE that have the diagnosis sent, by their bits.
+/// Returns the SYSSTATE flags that trigger a diagnosis, by their bits.
 fn diagnosis_bits() -> Vec<(u16, &'static str)> {
     let bits = Diagnosis::TRIGGERS.iter_names();
     bits.map(|(name, flag)| (flag.bits().trailing_zeros() as u16, name)).collect()
@@ -29,11 +29,11 @@ fn facts<'a>(diagnosis_bits: &'a [(u16, &'static str)]) -> GsdFacts<'a> {
         revision: "1.0",
         hardware_release: "1.0",
         software_release: concat!("V", env!("CARGO_PKG_VERSION")),
-        // Drives, where configuration tools list the gripper itself (fieldbus, 2.1).
+        // Drives: the family of the original gripper in configuration tools (fieldbus, 2.1).
         family: 1,
         rates: &RATES,
         auto_baud: true,
-        // 1 ms, a turn of the bridge.
+        // 1 ms, in units of 100 us: a turn of the bridge.
         min_slave_interval: 10,
         module: "8 bytes out, 12 bytes in",
         max_diagnosis_len: Diagnosis::LEN as u8,
@@ -48,7 +48,7 @@ fn gsd_file_is_that_of_the_tables() {
     hold_file(FILE, &Gsd { facts: facts(&bits), profile: &PROFILE }.to_string());
 }
 
-/// Fieldbus, 2.1: PROFIBUS DP -> Drives -> Weiss Robotics GmbH & Co. KG; and the bitmaps.
+/// Checks the catalogue path (fieldbus, 2.1), PROFIBUS DP -> Drives -> Weiss Robotics GmbH & Co. KG, and the bitmaps.
 #[test]
 fn gsd_file_has_the_catalogue_path_and_the_bitmaps_of_the_manual() {
     let text = read(FILE);

@@ -1,4 +1,4 @@
-//! The cycle over CANopen.
+//! The grip cycle over CANopen.
 
 use bus_slcan::ClassicFrame;
 use document::{hold, table};
@@ -22,7 +22,7 @@ const TPDO2: u16 = 0x280 | NODE.node as u16;
 const HEARTBEAT: u16 = 0x700 | NODE.node as u16;
 const MASTER_HEARTBEAT: u16 = 0x700 | NODE.master as u16;
 
-/// A frame of the cycle.
+/// A recorded frame with its step, sender and meaning.
 struct Row {
     step: String,
     from: &'static str,
@@ -59,7 +59,7 @@ impl Recording {
         self.rows.push(Row { step: step.to_owned(), from, id, data: data.to_vec(), says: says.into() });
     }
 
-    /// Says it and notes that.
+    /// Sends a frame as the master and records it.
     fn send(&mut self, step: &str, id: u16, data: &[u8], says: impl Into<String>) {
         self.say(id, data);
         self.note(step, "master", id, data, says);
@@ -69,7 +69,7 @@ impl Recording {
         self.heard.iter().rev().find(|(other, _)| *other == id).map(|(_, data)| data.clone())
     }
 
-    /// Waits for a TPDO1 that is wanted, and notes it.
+    /// Waits for a TPDO1 that meets a condition, and records it.
     fn note_tpdo1(&mut self, step: &str, wanted: fn(&InputImage) -> bool) {
         for _ in 0..20_000 {
             self.pass(1);
@@ -81,17 +81,17 @@ impl Recording {
                 return self.note(step, "bridge", TPDO1, &data, says);
             }
         }
-        panic!("{step}: not within 20 s");
+        panic!("{step}: no such TPDO1 within 20 s");
     }
 }
 
-/// The part of the input image that is in TPDO1.
+/// Returns the part of the input image in TPDO1.
 fn tpdo1(data: &[u8]) -> InputImage {
     let [state, user, s0, s1, s2, s3, c0, c1] = data.try_into().unwrap();
     InputImage::from_bytes([state, user, s0, s1, s2, s3, 0, 0, 0, 0, c1, c0])
 }
 
-/// The part of the input image that is in TPDO2.
+/// Returns the part of the input image in TPDO2.
 fn tpdo2(data: &[u8]) -> InputImage {
     let [w0, w1, f0, f1] = data.try_into().unwrap();
     InputImage::from_bytes([0, 0, 0, 0, 0, 0, w1, w0, f1, f0, 0, 0])
@@ -102,7 +102,7 @@ fn rpdo1(image: &OutputImage) -> [u8; 8] {
     [flags, user, w0, w1, s0, s1, f0, f1]
 }
 
-/// The cycle from power-up on, with the wire of FAST STOP low until the plant is ready.
+/// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Row> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
     let bench = CanBench::with_node(gripper, NODE);
@@ -139,7 +139,7 @@ fn record() -> Vec<Row> {
             }
             Then::Look | Then::End => {}
         }
-        // Until the fingers stand, and what is measured as well.
+        // Wait until the fingers stand and the measured values are current.
         let ended = |image: &InputImage| {
             image.status != Status::CmdPending && !image.system.contains(SystemFlags::MOVING)
         };
@@ -153,7 +153,7 @@ fn record() -> Vec<Row> {
         recording.heard.clear();
         recording.note_tpdo1(step.then.name(), |image| image.status != Status::CmdPending);
         recording.pass(200);
-        let data = recording.last(TPDO2).expect("TPDO2 comes cyclically");
+        let data = recording.last(TPDO2).expect("a cyclic TPDO2");
         let image = tpdo2(&data);
         recording.note("", "bridge", TPDO2, &data, [width, force].map(|part| part(&image)).join("; "));
     }
@@ -169,7 +169,7 @@ fn canopen_cycle_in_the_document_is_the_recorded_one() {
     hold(DOCUMENT, "canopen-rpdo", &table(head, explain(&grip.data, &output_parts(&image))));
 
     let is_held = |row: &Row| row.id == TPDO1 && tpdo1(&row.data).state == GripperFlags::HOLDING;
-    let at = rows.iter().position(is_held).expect("the part is not held");
+    let at = rows.iter().position(is_held).expect("a TPDO1 that reports a held part");
     let (first, second) = (&rows[at].data, &rows[at + 1].data);
     let image = tpdo1(first);
     let parts = [

@@ -3,28 +3,27 @@
 use host_tests::plc_names::command_flags;
 use wsg_fieldbus::{CommandFlags, InputImage, OutputImage};
 
-/// What a PLC writes, step by step: homing, grip and release, from power-up on.
+/// A step of the PLC in a cycle of homing, grip and release from power-up.
 pub(super) struct Step {
     pub(super) name: &'static str,
     pub(super) image: OutputImage,
     pub(super) then: Then,
 }
 
-/// What the PLC looks at behind a step.
+/// The condition for which the PLC waits after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Then {
-    /// Nothing.
     Nothing,
-    /// What the gripper shows.
+    /// Reads the gripper's state once.
     Look,
-    /// That the motion has begun.
+    /// The start of the motion.
     Begin,
-    /// That it is over.
+    /// The end of the motion.
     End,
 }
 
 impl Then {
-    /// How that is called.
+    /// Returns the name of the condition in the document.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Nothing | Self::Look => "",
@@ -34,7 +33,7 @@ impl Then {
     }
 }
 
-/// The steps of the cycle. WIDTH, SPEED and FORCELIMIT stay when a flag is taken back.
+/// Returns the steps of the cycle. WIDTH, SPEED and FORCELIMIT stay unchanged when a flag is reset.
 pub(super) fn steps() -> Vec<Step> {
     let grip = OutputImage { width: 20_00, speed: 50_00, force_limit: 40_00, ..OutputImage::ZERO };
     let release = OutputImage { width: 40_00, ..grip };
@@ -63,7 +62,7 @@ fn names<'a>(names: impl Iterator<Item = &'a str>) -> String {
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
 
-/// The parts of the output image: where each begins, how many bytes it has, and what it says.
+/// Returns the parts of the output image, each with its length in bytes and its meaning.
 pub(super) fn output_parts(image: &OutputImage) -> Vec<(usize, String)> {
     let mut flags = command_flags();
     flags.retain(|flag| image.flags.bits() & 1 << flag.bit != 0);
@@ -96,7 +95,7 @@ pub(super) fn status(image: &InputImage) -> String {
     format!("Status Code: {}, {}", image.status.code(), image.status.symbol())
 }
 
-/// The parts of the input image, as a Modbus master reads them.
+/// Returns the parts of the input image in the byte order of a Modbus master.
 pub(super) fn input_parts(image: &InputImage) -> Vec<(usize, String)> {
     vec![
         (1, state(image)),
@@ -112,7 +111,7 @@ pub(super) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02X}")).collect::<Vec<_>>().join(" ")
 }
 
-/// A message cut into its parts, as rows of a table: which bytes, their values, what they mean.
+/// Splits a message into its parts, as table rows with positions, values and meaning.
 pub(super) fn explain(message: &[u8], parts: &[(usize, String)]) -> Vec<[String; 3]> {
     let mut at = 0;
     let rows = parts.iter().map(|(len, meaning)| {

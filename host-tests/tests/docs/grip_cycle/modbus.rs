@@ -1,4 +1,4 @@
-//! The cycle over Modbus RTU.
+//! The grip cycle over Modbus RTU.
 
 use document::{hold, table};
 use host_tests::modbus_bench::{Bench, UNIT};
@@ -13,7 +13,7 @@ use super::image::{
     Then, explain, force, hex, input_parts, output_parts, state, status, steps, system, width,
 };
 
-/// A request and its answer, whole frames.
+/// A request and its answer, as complete frames.
 struct Exchange {
     step: String,
     request: Vec<u8>,
@@ -27,7 +27,7 @@ struct Recording {
 
 impl Recording {
     fn note(&mut self, step: impl Into<String>, request: &[u8], answer: &[u8]) {
-        // The bench has checked the answer's unit and checksum.
+        // The bench has already checked the answer's unit and checksum.
         let [request, answer] = [request, answer].map(|pdu| Bench::frame(UNIT, pdu));
         self.exchanges.push(Exchange { step: step.into(), request, answer });
     }
@@ -49,7 +49,7 @@ impl Recording {
         input(&answer[2..])
     }
 
-    /// Lets the gripper come to rest, while the PLC reads on.
+    /// Polls until the fingers stand still.
     fn settle(&mut self) {
         for _ in 0..500 {
             let image = self.read(None);
@@ -71,7 +71,7 @@ fn input(bytes: &[u8]) -> InputImage {
     InputImage::from_bytes(bytes.try_into().unwrap())
 }
 
-/// The cycle from power-up on, with the wire of FAST STOP low until the plant is ready.
+/// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Exchange> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
     let bench = Bench::new(wsg_bridge_fw::Config::DEFAULT, gripper);
@@ -112,7 +112,8 @@ fn held(exchange: &Exchange) -> bool {
 fn modbus_messages_in_the_document_are_those_that_were_recorded() {
     let exchanges = record();
     let grip = exchanges.iter().find(|exchange| exchange.step == "GRIP").unwrap();
-    let read = exchanges.iter().find(|exchange| held(exchange)).expect("the part is not held");
+    let read =
+        exchanges.iter().find(|exchange| held(exchange)).expect("an exchange that reports a held part");
     let hold_bytes = |name, message: &[u8], parts: Vec<Vec<(usize, String)>>| {
         hold(DOCUMENT, name, &table(["bytes", "value", "meaning"], explain(message, &parts.concat())));
     };

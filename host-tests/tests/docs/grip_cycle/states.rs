@@ -1,4 +1,4 @@
-//! The table in docs/grip-cycle.md: which state follows which, as recorded in virtual time.
+//! The state transitions in docs/grip-cycle.md, recorded in virtual time.
 
 use std::collections::BTreeSet;
 
@@ -8,10 +8,10 @@ use wsg_fieldbus::InputImage;
 use wsg_protocol::SystemFlags;
 use wsg_sim::{Fault, Part};
 
-/// From a state, for a reason, to a state.
+/// A previous state, the cause of the change, and the next state.
 type Transition = (&'static str, &'static str, &'static str);
 
-/// A PLC that notes how the state goes on.
+/// A PLC that records transitions between states.
 struct Watch {
     bench: Bench,
     state: &'static str,
@@ -36,12 +36,12 @@ impl Watch {
         image.state.iter_names().next().map_or("", |(name, _)| name)
     }
 
-    /// Lets time pass. The first change is for this reason, if there is one; each other one is the end of what came before.
+    /// Lets time pass. `reason` is the cause of the first change; each other change is caused by the end of the previous state.
     fn go_on(&mut self, mut reason: Option<&'static str>) {
         for _ in 0..GO_ON_LOOKS {
             self.note(|state| reason.take().unwrap_or_else(|| ended(state)));
         }
-        assert!(!MOVING.contains(&self.state), "{} does not end", self.state);
+        assert!(!MOVING.contains(&self.state), "{} does not end within the limit", self.state);
     }
 
     fn note(&mut self, reason: impl FnOnce(&'static str) -> &'static str) {
@@ -56,7 +56,7 @@ impl Watch {
         self.bench.write(0, &[u16::from(flag) << 8, width, 50_00, 40_00]);
     }
 
-    /// Gives a command and takes its flag back.
+    /// Issues a command and resets its flag.
     fn command(&mut self, name: &'static str, flag: u8, width: u16) {
         self.write(flag, width);
         let before = self.state;
@@ -75,26 +75,25 @@ impl Watch {
     }
 }
 
-/// Looks of a few milliseconds each, for what a command starts: longer than a motion of the quick gripper takes.
+/// Number of polls, a few milliseconds each, for the effects of a command. Exceeds every motion of the quick gripper.
 const GO_ON_LOOKS: usize = 1_500;
 
 const FAST_STOP: &str = "FAST STOP";
 
-/// Why a state came by itself.
+/// Returns the cause of a state that follows without a command.
 fn ended(state: &str) -> &'static str {
     match state {
         "IDLE" => "done",
         "HOLDING" => "part held",
         "NO_PART" => "no part",
         "ERROR" => "blocked",
-        state => panic!("{state} does not come by itself"),
+        state => panic!("{state} requires a command"),
     }
 }
 
-/// How a watch gets into a state.
+/// A part between the fingers, and steps that lead to a state.
 type Way = (Option<f32>, fn(&mut Watch));
 
-/// The commands that a PLC can give.
 const COMMANDS: [(&str, u8); 7] = [
     ("HOMING", HOMING),
     ("MOVE", MOVE),
@@ -115,7 +114,7 @@ fn grip(watch: &mut Watch) {
     watch.command("GRIP", GRIP, 20_00);
 }
 
-/// A way into each state in which the fingers stand.
+/// One sequence for each state at standstill.
 const WAYS: [Way; 6] = [
     (None, home),
     (None, grip),
@@ -141,7 +140,7 @@ const WAYS: [Way; 6] = [
     }),
 ];
 
-/// Each command in each state in which the fingers stand, and STOP/ACK and FASTSTOP in each in which they move.
+/// Records each command in each state at standstill, and STOP/ACK and FASTSTOP in each state of motion.
 fn record() -> BTreeSet<Transition> {
     let mut seen = BTreeSet::new();
     for (part, way) in WAYS {

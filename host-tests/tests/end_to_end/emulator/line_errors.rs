@@ -1,4 +1,4 @@
-//! The flashed image on lines with errors: nothing moves unasked, counters count, LINK_OK tells.
+//! The released image on lines with errors: no motion without a command, counted errors, and a correct LINK_OK.
 
 use std::time::{Duration, Instant};
 
@@ -21,14 +21,14 @@ const LINE_DROPPED: u8 = 111;
 const DISCONNECTS: u8 = 117;
 const BUS_OVERRUNS: u8 = 124;
 
-/// FC 16 over the output image: HOMING, and nothing.
+/// FC 16 over the output image: HOMING without parameters.
 const HOMING: [u8; 14] = [16, 0, 0, 0, 4, 8, 1 << 3, 0, 0, 0, 0, 0, 0, 0];
 const NOTHING: [u8; 14] = [16, 0, 0, 0, 4, 8, 0, 0, 0, 0, 0, 0, 0, 0];
 const STOP_ACK: [u8; 14] = [16, 0, 0, 0, 4, 8, 1 << 4, 0, 0, 0, 0, 0, 0, 0];
 
 struct Plant {
     kind: Board,
-    /// Of the default board: the gripper's line and the bus.
+    /// Models of the default board: the gripper's line and the bus.
     models: [LineErrors; 2],
     board: Emulator,
     trace: Trace,
@@ -37,7 +37,7 @@ struct Plant {
 }
 
 impl Plant {
-    /// A board that is READY.
+    /// Starts a board and waits for READY.
     fn start(kind: Board) -> Self {
         let models = [UART4, LPUART1].map(LineErrors::on);
         let served = if kind == Board::DEFAULT { &models[..] } else { &[] };
@@ -51,7 +51,7 @@ impl Plant {
             GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
         let master = Master::new(board.take_modbus_line().unwrap(), board.clock(), UNIT);
         let mut plant = Self { kind, models, board, trace, master, _gripper: gripper };
-        // BUS_TIMEOUT to BUS_CHAR_TIMEOUT: a host may pause inside of frames.
+        // Raise BUS_TIMEOUT and BUS_CHAR_TIMEOUT, because a host may pause inside frames.
         let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
         plant.ask(&[&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat());
         plant.acknowledge();
@@ -69,7 +69,7 @@ impl Plant {
         }
     }
 
-    /// Errors that the board's UART tells of: a PL011 does not of noise.
+    /// Returns the errors that the board's UART reports. A PL011 does not report noise.
     fn told(&self) -> &'static [LineError] {
         const ALL: [LineError; 4] =
             [LineError::Parity, LineError::Framing, LineError::Overrun, LineError::Noise];
@@ -104,8 +104,8 @@ fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
     let mut plant = Plant::start(board);
     for &error in plant.told() {
         let before = plant.register(BUS_OVERRUNS);
-        // One damaged byte of 17 is enough, whatever checksum the frame has. A lost one is told with the byte behind it, or
-        // by itself before that comes.
+        // One damaged byte of 17 is sufficient, even with a correct checksum. The UART reports a lost byte with the next byte,
+        // or earlier by itself.
         plant.set(Line::Bus, Some((error, 9)));
         plant.master.send(&Master::frame(UNIT, &HOMING)).unwrap();
         assert!(plant.master.is_silent(Duration::from_millis(200)).unwrap(), "{error:?} is answered");
@@ -123,7 +123,7 @@ fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
 fn a_gripper_line_with_errors_is_told_and_moves_nothing(board: Board) {
     let mut plant = Plant::start(board);
     if plant.told().contains(&LineError::Noise) {
-        // What it leaves of a byte is for the checksum to judge.
+        // The checksum decides about bytes with noise.
         plant.set(Line::Gripper, Some((LineError::Noise, 1)));
         let start = plant.board.now_ms().unwrap();
         while plant.board.now_ms().unwrap().wrapping_sub(start) < 1_000 {}

@@ -1,9 +1,9 @@
-//! The flashed image in the emulator: on wires, on its buses, and with masters that others wrote.
+//! The released image in the emulator: on wires, on its buses, and with third-party masters.
 //!
-//! What holds of any board runs on each of them: the default board in QEMU, the Pico in rp2040js. What is left to one of them
-//! asks for its registers.
+//! Board-independent tests run on the default board in QEMU and on the Pico in rp2040js. The other tests read registers of
+//! one board.
 
-/// Makes a test for each board of functions that take a board.
+/// Generates a test for each board from functions that take a board.
 macro_rules! on_both_boards {
     ($($test:ident),+ $(,)?) => {
         mod on_the_default_board {
@@ -45,7 +45,7 @@ mod wires;
 
 use std::path::PathBuf;
 
-/// A board, by what the names of its images' variables end in.
+/// A board, identified by the suffix of its images' environment variables.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Board(&'static str);
 
@@ -53,16 +53,18 @@ impl Board {
     const DEFAULT: Self = Self("");
     const PICO: Self = Self("_PICO");
 
-    /// Its firmware image that this variable names.
+    /// Returns the path of this board's firmware image from the variable.
     fn image(self, variable: &str) -> PathBuf {
         let variable = format!("{variable}{}", self.0);
         std::env::var_os(&variable)
-            .unwrap_or_else(|| panic!("{variable} names no firmware image: run `cargo xtask test`"))
+            .unwrap_or_else(|| {
+                panic!("{variable} must hold the path of a firmware image: run `cargo xtask test`")
+            })
             .into()
     }
 }
 
-/// The default board's firmware image that this variable names.
+/// Returns the path of the default board's firmware image from the variable.
 fn image(variable: &str) -> PathBuf {
     Board::DEFAULT.image(variable)
 }

@@ -1,4 +1,4 @@
-//! The flashed image between a Modbus master and a virtual gripper, in the emulator.
+//! The released image between a Modbus master and a virtual gripper, in the emulator.
 
 use std::time::{Duration, Instant};
 
@@ -24,7 +24,7 @@ struct Plant {
 }
 
 impl Plant {
-    /// A board whose FAST STOP wire is high, a gripper that answers, and a bus that has written zeros.
+    /// A board with a high FAST STOP wire, a responding gripper, and a master that has written zeros.
     fn start(board: Board, config: Config) -> Self {
         let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
         board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
@@ -35,9 +35,9 @@ impl Plant {
         let mut plant = Self { board, gripper, trace, master };
         let bound = Instant::now() + Duration::from_secs(60);
         while plant.ask(&[4, 0, 0, 0, 6])[0] != 4 {
-            assert!(Instant::now() < bound, "the gripper does not answer");
+            assert!(Instant::now() < bound, "the gripper does not respond");
         }
-        // The wire was low until just now.
+        // The wire was low at power-up.
         plant.write(&[0, 0, 0, 0]);
         plant.write(&[1 << 12, 0, 0, 0]);
         plant.wait("the FAST STOP of power-up to end", |input| input[1] & FAST_STOP == 0);
@@ -45,26 +45,26 @@ impl Plant {
         plant
     }
 
-    /// The answer's PDU, after as many attempts as it takes.
+    /// Returns the answer's PDU, with retries.
     fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
         self.master.ask(pdu).unwrap()
     }
 
-    /// FC 16 over the output image.
+    /// Writes the output image with FC 16.
     fn write(&mut self, values: &[u16; 4]) {
         let mut pdu = vec![16, 0, 0, 0, 4, 8];
         pdu.extend(values.iter().flat_map(|value| value.to_be_bytes()));
         assert_eq!(self.ask(&pdu), [16, 0, 0, 0, 4]);
     }
 
-    /// The input image.
+    /// Reads the input image.
     fn input(&mut self) -> [u16; 6] {
         let answer = self.ask(&[4, 0, 0, 0, 6]);
         assert_eq!(answer[..2], [4, 12]);
         std::array::from_fn(|n| u16::from_be_bytes([answer[2 + 2 * n], answer[3 + 2 * n]]))
     }
 
-    /// Waits for an input image.
+    /// Waits for an input image that meets the condition.
     fn wait(&mut self, what: &str, mut is_there: impl FnMut(&[u16; 6]) -> bool) -> [u16; 6] {
         let bound = Instant::now() + Duration::from_secs(60);
         loop {
@@ -72,11 +72,11 @@ impl Plant {
             if is_there(&input) {
                 return input;
             }
-            assert!(Instant::now() < bound, "waited in vain for {what}: {input:04X?}");
+            assert!(Instant::now() < bound, "time-out; expected {what}; input image {input:04X?}");
         }
     }
 
-    /// A command with its parameters; GSTATE and status at its end.
+    /// Runs a command with its parameters and returns GSTATE and status at its end.
     fn command(&mut self, bit: u8, parameters: [u16; 3]) -> (u16, u16) {
         let [width, speed, force] = parameters;
         self.write(&[1 << (8 + bit), width, speed, force]);
@@ -91,7 +91,7 @@ const GRIP: u8 = 1;
 const RELEASE: u8 = 2;
 const HOMING: u8 = 3;
 const STOP_ACK: u8 = 4;
-/// In input register 1, whose low byte is the second one of SYSSTATE.
+/// In input register 1, whose low byte is the second byte of SYSSTATE.
 const FAST_STOP: u16 = 1 << 4;
 const ACCESS_DENIED: u16 = Status::AccessDenied.code();
 const TIMEOUT: u16 = Status::Timeout.code();
@@ -125,8 +125,8 @@ fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board(board: Board) {
     let stops = |plant: &mut Plant| plant.wait("a FAST STOP", |input| input[1] & FAST_STOP != 0);
     let acknowledge = |plant: &mut Plant| {
         plant.write(&[0, 30_00, 50_00, 40_00]);
-        // On a busy host the gripper may not have confirmed the FAST STOP yet, or answers too late. The bridge says so, and a
-        // PLC asks again.
+        // On a busy host, the gripper's confirmation of the FAST STOP may be late. The bridge reports this, and the PLC
+        // retries.
         let mut tries = 0;
         loop {
             match plant.command(STOP_ACK, [30_00, 50_00, 40_00]) {
@@ -134,12 +134,12 @@ fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board(board: Board) {
                 ended => break assert_eq!(ended, (IDLE, 0)),
             }
         }
-        // The gripper reports its flags a moment after it has answered.
+        // The gripper reports its flags slightly after its answer.
         plant.wait("FAST STOP to end", |input| input[1] & FAST_STOP == 0);
     };
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
 
-    // Two edges at once: MOVE and GRIP; the lowest runs. Then a parameter changes on the way.
+    // Two simultaneous edges, MOVE and GRIP: the lowest bit is executed. Then a parameter changes during the motion.
     plant.write(&[0b11 << 8, 30_00, 50_00, 40_00]);
     assert_eq!(plant.input()[0] >> 8, POSITIONING);
     plant.write(&[0b11 << 8, 30_00, 50_01, 40_00]);
@@ -147,12 +147,12 @@ fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board(board: Board) {
     assert_eq!(plant.input()[0] >> 8, IDLE);
     acknowledge(&mut plant);
 
-    // SPEED out of range.
+    // SPEED is out of range.
     plant.write(&[1 << 8, 30_00, 1, 40_00]);
     stops(&mut plant);
     acknowledge(&mut plant);
 
-    // FASTSTOP on the way; it is not acknowledged while it is 1.
+    // FASTSTOP during the motion. It cannot be acknowledged while it is 1.
     plant.write(&[1 << 8, 30_00, 50_00, 40_00]);
     plant.write(&[1 << 13, 30_00, 50_00, 40_00]);
     stops(&mut plant);
@@ -162,7 +162,7 @@ fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board(board: Board) {
     }
     acknowledge(&mut plant);
 
-    // A part is gripped, and lost.
+    // The part is gripped, and lost.
     assert_eq!(plant.command(GRIP, [20_00, 200_00, 40_00]), (HOLDING, 0));
     plant.gripper.set_part(None);
     plant.wait("PART_LOST", |input| input[0] >> 8 == PART_LOST);
@@ -184,8 +184,8 @@ fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_maste
 
     let mark = plant.trace.mark();
     plant.write(&jog_plus);
-    // Nobody says that the button is still held: the bridge stops by itself, in its own time. On a busy host that of the
-    // gripper may run ahead of it, so the fingers take long enough.
+    // Without further requests, the bridge stops the jog in board time. On a busy host the gripper's time may run ahead,
+    // so the motion is long.
     let is_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(frame) if frame_id(frame) == Some(CommandId::Stop.code()));
     assert!(plant.trace.wait(mark, Duration::from_secs(60), is_stop), "no Stop");
     let input = plant.wait("the fingers to stand", |input| input[0] >> 8 == IDLE);
@@ -194,14 +194,14 @@ fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_maste
 
 fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered(board: Board) {
     let mut plant = Plant::start(board, quick());
-    // HOMING, which would move, for this unit and for another.
+    // HOMING, a motion, for this unit and for another.
     let homing = |unit: u8| Master::frame(unit, &[6, 0, 0, 1 << HOMING, 0]);
     let read = [3, 0, 1, 0, 1];
     let value = [3, 2, 0, 0];
     let quiet = Duration::from_millis(200);
     for unit in [2, 247] {
         plant.master.send(&homing(unit)).unwrap();
-        assert!(plant.master.is_silent(quiet).unwrap(), "unit {unit} is another");
+        assert!(plant.master.is_silent(quiet).unwrap(), "unit {unit} must not be answered");
         assert_eq!(plant.ask(&read), value);
     }
     let glued = [homing(UNIT), homing(UNIT)].concat();
@@ -215,7 +215,7 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
         assert_eq!(plant.ask(&read), value, "after {bytes:02X?}");
     }
     assert_eq!(motions(&plant.trace.since(0)), []);
-    // Pauses inside a request are forgiven, for a PC behind a USB adapter: 5 ms and the rest of one.
+    // The bridge tolerates pauses inside a request, which a USB adapter causes: 5 ms and the rest of a millisecond.
     const PAUSE_MS: u32 = 6;
     let frame = Master::frame(UNIT, &read);
     let mut in_two_pieces = |cut: usize| {
@@ -226,11 +226,11 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
         plant.master.answer(&mut |byte| byte).unwrap()
     };
     for cut in 1..frame.len() {
-        // A host that is very busy may make more of the pause than is forgiven.
+        // A very busy host may extend the pause beyond the limit.
         let answer = (0..3).find_map(|_| in_two_pieces(cut));
-        assert_eq!(answer.as_deref(), Some(&value[..]), "cut behind {cut}");
+        assert_eq!(answer.as_deref(), Some(&value[..]), "cut after {cut} bytes");
     }
-    // After an attempt that came to nothing the bus was silent, and flags that are set first thing after that are no edges.
+    // After a failed attempt the bus was silent, and flags in the first image after silence are not edges.
     plant.write(&[0; 4]);
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
@@ -239,7 +239,7 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
 fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(board: Board) {
     let requests = extent::of(10_000);
     let mut plant = Plant::start(board, quick());
-    // One byte in ten thousand, each way, by a generator that is the same in every run (xorshift).
+    // Damage one byte in ten thousand in each direction, by a generator with a fixed seed (xorshift).
     let mut state = 0x2545_F491u32;
     let mut damaged = 0;
     let mut disturb = |byte: u8| {
@@ -262,9 +262,9 @@ fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(boa
     }
     let failed = plant.master.failed;
     println!("{requests} requests, {damaged} damaged bytes, {failed:?}");
-    assert!(damaged > 0 && failed.damaged > 0, "the disturbance does something");
-    // A damaged byte costs one request at the most. A host that is very busy may pause inside a frame for longer than
-    // the bridge has patience, and that may fall together with a damage, but not twice.
+    assert!(damaged > 0 && failed.damaged > 0, "the disturbance must have an effect");
+    // A damaged byte costs at most one request. A very busy host may also pause inside a frame for longer than the
+    // character time-out. Both can coincide once, but not twice.
     assert!(failed.after_damage <= 1, "{damaged} damaged bytes: {failed:?}");
     assert_eq!(motions(&plant.trace.since(0)), []);
 }

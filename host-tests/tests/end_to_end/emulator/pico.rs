@@ -1,4 +1,4 @@
-//! What only the Pico's registers and its emulator show: pins, the LED, the flash that keeps settings.
+//! Features specific to the Pico's registers and emulator: pins, LED, and flash for settings.
 
 use std::path::PathBuf;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use wsg_pico::{INDICATOR, INPUTS};
 
 use super::Board;
 
-/// Levels of all pins, as they are and as they are driven (RP2040, 2.3.1.7).
+/// Levels of all pins, read and driven (RP2040, 2.3.1.7).
 const GPIO_IN: u32 = 0xD000_0004;
 const GPIO_OUT: u32 = 0xD000_0010;
 
@@ -49,10 +49,10 @@ fn each_input_wire_reaches_its_pin_and_is_low_when_broken_in_rp2040js() {
 
 #[test]
 #[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
-fn led_tells_that_the_gripper_has_never_answered_in_rp2040js() {
+fn led_shows_that_the_gripper_has_never_answered_in_rp2040js() {
     let board = Emulator::start(&image()).unwrap();
     let is_lit = || board.readl(GPIO_OUT).unwrap() & 1 << INDICATOR != 0;
-    // From one flash to the next.
+    // Times of the LED's edges.
     let mut edges = Vec::new();
     let (mut was_lit, bound) = (is_lit(), Instant::now() + PATIENCE);
     while edges.len() < 3 {
@@ -66,9 +66,9 @@ fn led_tells_that_the_gripper_has_never_answered_in_rp2040js() {
         (0..10_000)
             .all(|at| Indication::NeverAnswered.is_lit(at) == Indication::NeverAnswered.is_lit(at + ms))
     });
-    let (seen, told) = (edges[2] - edges[0], period.expect("it repeats"));
-    // Looks from outside are apart by what the host takes for them.
-    assert!(seen.abs_diff(told) <= told / 4, "{seen} ms instead of {told} ms");
+    let (seen, told) = (edges[2] - edges[0], period.expect("a period"));
+    // The host's speed limits the resolution of external readings.
+    assert!(seen.abs_diff(told) <= told / 4, "period {seen} ms, expected {told} ms");
 }
 
 #[test]
@@ -92,7 +92,7 @@ fn settings_that_were_saved_survive_the_power_in_rp2040js() {
     write(&mut master, FIRST_COMMAND + save, COMMAND_KEY);
     let bound = Instant::now() + PATIENCE;
     while read(&mut master, 4, report("SAVE_STATE")) != SAVED {
-        assert!(Instant::now() < bound, "the save does not end");
+        assert!(Instant::now() < bound, "the save did not end within the limit");
     }
     drop(board);
 

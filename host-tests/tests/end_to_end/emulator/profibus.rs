@@ -1,8 +1,8 @@
-//! The flashed image between a PROFIBUS master and a virtual gripper, in the emulators, at 9.6 kbit/s. The masters are those of
+//! The released image between a PROFIBUS master and a virtual gripper, in the emulators, at 9.6 kbit/s. The masters are
 //! `profirust` and `pyprofibus`.
 //!
-//! QEMU has no rates, no silences of bit times and no timer: an answer leaves with the next turn of the main loop. What rp2040js
-//! runs takes the time that characters take, and longer by the wall clock. So the master's slot time is 104 ms.
+//! QEMU models neither bit rates, idle times nor this timer, so the next turn of the main loop sends an answer. rp2040js models
+//! character times but runs slower than real time. The master's slot time is therefore 104 ms.
 
 use std::io::{ErrorKind, Write};
 use std::os::unix::net::UnixStream;
@@ -26,17 +26,17 @@ use wsg_sim::{Config, Part};
 use super::Board;
 use crate::profibus::gsd_file;
 
-/// The longest that anything may take here.
+/// Time limit of every wait.
 const BOUND: Duration = Duration::from_secs(120);
 
-/// The board's line as the master's.
+/// The board's line, as the PHY of the master.
 struct Line {
     line: UnixStream,
     received: Vec<u8>,
 }
 
 impl Line {
-    /// Takes what is there, or waits for it up to a millisecond.
+    /// Reads available bytes, and waits up to 1 ms for the first.
     fn listen(&mut self) {
         let mut chunk = [0; 256];
         match uninterrupted::read(&mut self.line, &mut chunk) {
@@ -82,7 +82,7 @@ struct Plant {
     image: OutputImage,
 }
 
-/// A board on PROFIBUS, its gripper with a part of 20 mm, and the master's end of the bus.
+/// Starts a board on PROFIBUS and a gripper with a part of 20 mm. Also returns the master's end of the bus.
 fn power_up(board: Board) -> (Emulator, Trace, GripperEnd, UnixStream) {
     let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF_PROFIBUS")).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
@@ -120,7 +120,7 @@ impl Plant {
         Self { _board: board, trace, _gripper: gripper, line, fdl, master, station, image }
     }
 
-    /// Exchanges outputs with these flags until the inputs are as they have to become.
+    /// Exchanges outputs with these flags until the inputs meet the condition.
     fn command(&mut self, flags: Flag, is_done: impl Fn(&InputImage) -> bool) -> InputImage {
         self.image.flags = flags;
         let start = Instant::now();
@@ -135,7 +135,7 @@ impl Plant {
                 let inputs = self.master.get_mut(self.station).pi_i();
                 let input = InputImage::from_bytes(inputs.try_into().unwrap());
                 exchanges += 1;
-                // What the first ones read is from before the flag.
+                // The inputs of the first exchanges may precede the flag.
                 if exchanges > 3 && is_done(&input) {
                     return input;
                 }
@@ -150,7 +150,7 @@ fn master_of_profirust_runs_grip_cycles_on_the_emulated_board(board: Board) {
     let mut plant = Plant::start(board);
     let shows = |state| move |input: &InputImage| (input.state, input.status) == (state, Status::Success);
     let is_stopped = |input: &InputImage| input.system.contains(SystemFlags::FAST_STOP);
-    // The wire of FAST STOP was low until just now.
+    // The wire of FAST STOP was low at power-up.
     plant.command(Flag::empty(), is_stopped);
     plant.command(Flag::STOP_ACK, |input| !is_stopped(input));
     plant.command(Flag::empty(), |_| true);
@@ -180,7 +180,7 @@ fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board(board: Board) {
         ("edge 02", CommandId::GripPart),
         ("edge 04", CommandId::ReleasePart),
     ] {
-        // One edge, unless this busy machine made the master connect again; then the edge before may have been lost.
+        // One edge is sufficient, unless a busy machine has made the master reconnect, which may lose the edge before.
         let edges = printed.lines().filter(|line| *line == edge).count();
         let sent = commands.iter().take_while(|sent| **sent == command).count();
         assert!((1..=edges).contains(&sent), "{command:?} sent {sent} times: {}", said(&output));

@@ -1,5 +1,5 @@
-//! docs/quick-start.md from its third step to its last, on the flashed image with its delivered settings and an empty flash: the
-//! commands are pasted, the power goes off and on, and a master sends the frames.
+//! docs/quick-start.md from the third step to the last, on the released image with default settings and an empty flash. The test
+//! pastes the commands, cycles the power, and sends the frames as a master.
 
 use std::time::Instant;
 
@@ -23,7 +23,7 @@ use super::service_port::poll;
 
 const DOCUMENT: &str = "docs/quick-start.md";
 
-/// What the bridge sends in the document.
+/// The bridge's frame in the document.
 const TPDO1: u16 = 0x185;
 
 /// A board with a gripper and a cable at its service port.
@@ -35,7 +35,7 @@ struct Plant {
 }
 
 impl Plant {
-    /// Power comes on.
+    /// Switches the power on.
     fn power_up(flash: &FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
         flash.power_cycle();
         let models = flash.models().into_iter().chain(more).collect();
@@ -51,7 +51,7 @@ impl Plant {
         plant
     }
 
-    /// Until this input register has this value.
+    /// Waits until this input register has this value.
     fn wait(&self, register: u16, value: u16) {
         let bound = Instant::now() + PATIENCE;
         let address = register.to_string();
@@ -62,7 +62,7 @@ impl Plant {
         }
     }
 
-    /// Pastes the commands of this text; what was said.
+    /// Pastes the commands of this text and returns their output.
     fn paste(&self, text: &str) -> String {
         paste(text, "$M", &[("/dev/ttyACM0", &self.cable.path)], "")
     }
@@ -71,7 +71,7 @@ impl Plant {
 fn hears(master: &Station, wanted: &WireFrame) {
     let bound = Instant::now() + MOTION_PATIENCE;
     while master.heard.recv_timeout(PATIENCE).expect("a frame") != *wanted {
-        assert!(Instant::now() < bound, "{wanted:?} does not come");
+        assert!(Instant::now() < bound, "{wanted:?} was not received");
     }
 }
 
@@ -79,8 +79,9 @@ fn hears(master: &Station, wanted: &WireFrame) {
 #[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
 fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_settings_to_a_grip() {
     let text = read(DOCUMENT);
-    let (before, after) = text.split_once("\n## 7. ").expect("the step with the power cycle");
-    // The shell stays open.
+    let (before, after) =
+        text.split_once("\n## 7. ").expect("docs/quick-start.md must have a step 7, with the power cycle");
+    // The variables persist, as in one shell.
     let variables = before.lines().filter(|line| line.starts_with("M=") || line.starts_with("T="));
     let variables: String = variables.map(|line| format!("{line}\n")).collect();
 
@@ -99,10 +100,10 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_setting
     let plant = Plant::power_up(&flash, vec![Box::new(can)]);
     hears(&master, &WireFrame::standard(0x705, &[0]));
     plant.board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-    // The wire settles.
+    // Wait for the debounce time of the wire.
     let start = plant.board.now_ms().unwrap();
     while plant.board.now_ms().unwrap().wrapping_sub(start) < 50 {}
-    // No master on a busy machine is as punctual as a PLC.
+    // A master on a busy machine is less punctual than a PLC.
     let written = poll(&plant.cable, &["-t", "4", "-r", "101"], &["60000"]);
     assert!(written.contains("Written 1 references"), "{written}");
     for (id, data) in can_frames(after) {

@@ -1,4 +1,4 @@
-//! The service port of the flashed image, with a master that others wrote: whatever bus the PLC is on.
+//! The service port of the released image with a third-party master, for every PLC bus.
 
 use document::read;
 use host_tests::can_bus::CanBus;
@@ -12,7 +12,7 @@ use wsg_sim::Config;
 
 use super::{Board, image};
 
-/// `mbpoll` as the manual has it: unit 1, 115 200 bit/s, 8N1, references from 0, once.
+/// Runs `mbpoll` as in the manual: unit 1, 115 200 bit/s, 8N1, zero-based references, one poll.
 pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> String {
     let line = ["-m", "rtu", "-a", "1", "-b", "115200", "-P", "none", "-o", "5", "-0", "-1", "-q"];
     for _ in 0..5 {
@@ -24,7 +24,7 @@ pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> 
     panic!("no answer to {arguments:?}");
 }
 
-/// What a person with a USB cable does, to a board whose gripper is on RS-232.
+/// Reads and changes settings over the USB cable of a board with its gripper on RS-232.
 fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
     let trace = Trace::new(vec![]);
     let gripper =
@@ -35,7 +35,7 @@ fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
 
     let version = poll(&["-t", "3", "-r", "100", "-c", "1"], &[]);
     assert!(version.contains("[100]: \t"), "{plc_bus}: {version}");
-    // A gripper that is there answers in less than the patience of one poll.
+    // A responding gripper answers within one attempt of `poll`.
     let image =
         (0..50).map(|_| poll(&["-t", "3", "-r", "0", "-c", "6"], &[])).find(|it| it.contains("[5]: \t"));
     assert!(image.is_some(), "{plc_bus}: no input image");
@@ -44,7 +44,7 @@ fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
     assert!(written.contains("Written 1 references"), "{plc_bus}: {written}");
     let debounce = poll(&["-t", "4", "-r", "106", "-c", "1"], &[]);
     assert!(debounce.contains("[106]: \t7"), "{plc_bus}: {debounce}");
-    // Whoever takes the bus's unit and pauses away does not lock the port.
+    // A changed unit and character time-out of the bus must not lock the port.
     poll(&["-t", "4", "-r", "100"], &["9"]);
     poll(&["-t", "4", "-r", "103"], &["0"]);
     let unit = poll(&["-t", "4", "-r", "100", "-c", "1"], &[]);
@@ -85,7 +85,7 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
     let answers = (0..50)
         .map(|_| poll(&terminal, &["-t", "3", "-r", "107", "-c", "1"], &[]))
         .any(|it| it.contains("\t2"));
-    assert!(answers, "the gripper does not answer");
+    assert!(answers, "the gripper does not respond");
     let here = [("/dev/ttyACM0", terminal.path.as_str())];
 
     let said = masters::paste(&read("docs/service-port.md"), "$M", &here, "");

@@ -1,5 +1,5 @@
-//! Settings in the flash of the flashed image, with a model of its flash interface: what is saved over the service port is
-//! there after a power cycle, whatever the flash does in between.
+//! Stored settings of the released image, with a model of its flash interface. Settings saved over the service port survive a
+//! power cycle, with any fault of the flash.
 
 use std::os::unix::net::UnixStream;
 use std::time::Instant;
@@ -30,7 +30,7 @@ use wsg_sim::Config;
 use super::image;
 use super::service_port::poll;
 
-/// SETTINGS_FROM and SAVE_STATE (docs/registers.md).
+/// Values of SETTINGS_FROM and SAVE_STATE (docs/registers.md).
 const DELIVERED: u16 = 0;
 const STORED: u16 = 1;
 const DAMAGED: u16 = 5;
@@ -38,7 +38,7 @@ const SAVING: u16 = 1;
 const SAVED: u16 = 2;
 const FAILED: u16 = 3;
 
-/// Double words of a record: one, two bytes a setting, one.
+/// Length of a record in double words: header, two bytes per setting, trailer.
 const RECORD: usize = 2 + SETTINGS.len().div_ceil(4);
 
 const RECIPE_REGISTERS: usize = 4 * RECIPE_COUNT;
@@ -53,12 +53,12 @@ struct Plant {
 }
 
 impl Plant {
-    /// Power comes on.
+    /// Switches the power on.
     fn power_up(flash: FlashController) -> Self {
         Self::power_up_with(flash, vec![])
     }
 
-    /// The same with more peripherals.
+    /// Like `power_up`, with more peripherals.
     fn power_up_with(flash: FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
         flash.power_cycle();
         let models = flash.models().into_iter().chain(more).collect();
@@ -71,14 +71,14 @@ impl Plant {
         Self { board, flash, service, _gripper: gripper, trace }
     }
 
-    /// Power goes. Until then nothing has moved, and the driver did nothing that it must not.
+    /// Switches the power off. Checks that no motion was sent and that the driver violated no rule of the flash.
     fn power_down(self) -> FlashController {
         assert_eq!(motions(&self.trace.since(0)), []);
         assert!(self.flash.violations().is_empty(), "{:?}", self.flash.violations());
         self.flash
     }
 
-    /// The service port as a person with a computer has it. The master has none then.
+    /// Connects a terminal to the service port, in place of the master.
     fn on_cable(mut self) -> (Self, Terminal) {
         let nothing = Master::new(UnixStream::pair().unwrap().0, Clock::wall(), 1);
         let service = std::mem::replace(&mut self.service, nothing);
@@ -113,7 +113,7 @@ impl Plant {
         self.read(3, setting("DEBOUNCE"), 1)[0]
     }
 
-    /// Sets each value of each recipe.
+    /// Sets every value of every recipe.
     fn set_recipes(&mut self, value: u16) {
         let head = [setting("RECIPE0_WIDTH"), RECIPE_REGISTERS as u16].map(u16::to_be_bytes).concat();
         let values = [value; RECIPE_REGISTERS].map(u16::to_be_bytes).concat();
@@ -125,12 +125,12 @@ impl Plant {
         self.read(4, report(name), 1)[0]
     }
 
-    /// Code, command, value and age of each event, the last one first.
+    /// Returns code, command, value and age of each event, the latest first.
     fn events(&mut self) -> Vec<[u16; 4]> {
         self.read(4, report("EVENT1_CODE"), 4 * EVENTS_KEPT as u16).as_chunks().0.to_vec()
     }
 
-    /// Code and value of the last event.
+    /// Returns code and value of the latest event.
     fn last_event(&mut self) -> (u16, u16) {
         let [code, _, value, _] = self.events()[0];
         (code, value)
@@ -140,19 +140,19 @@ impl Plant {
         self.write(command(name), COMMAND_KEY);
     }
 
-    /// SAVE, to its end: SAVE_STATE.
+    /// Saves, waits for the end, and returns SAVE_STATE.
     fn save(&mut self) -> u16 {
         self.command("SAVE");
         let bound = Instant::now() + PATIENCE;
         loop {
             match self.report("SAVE_STATE") {
-                SAVING => assert!(Instant::now() < bound, "the save does not end"),
+                SAVING => assert!(Instant::now() < bound, "the save did not end within the limit"),
                 state => return state,
             }
         }
     }
 
-    /// SAVE, which the power cut of the flash interrupts.
+    /// Saves until the flash model cuts the power.
     fn save_until_cut(&mut self, what: &str) {
         self.command("SAVE");
         let bound = Instant::now() + PATIENCE;
@@ -168,7 +168,10 @@ impl Plant {
                 "{what}: not cut after {operations} operations, {:?}",
                 self.events()[0]
             );
-            assert!(Instant::now() < bound, "{what}: the save does not get there, {operations} operations");
+            assert!(
+                Instant::now() < bound,
+                "{what}: the save did not reach the cut; {operations} operations"
+            );
         }
     }
 }
@@ -177,11 +180,11 @@ fn command(name: &str) -> u16 {
     FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).unwrap() as u16
 }
 
-/// LPUART1's divider, of which QEMU keeps the lowest 16 bits, and the clock that it divides (RM0351, 41.4.5, 41.7.4).
+/// LPUART1's divider, of which QEMU keeps the lowest 16 bits, and its input clock (RM0351, 41.4.5, 41.7.4).
 const LPUART1_BRR: u32 = 0x4000_800C;
 const HSI16_HZ: u32 = 16_000_000;
 
-/// The rate of the PLC's bus, in bit/s, is this, and it answers as this unit.
+/// Asserts that the PLC's bus runs at this rate, in bit/s, and that the bridge answers as this unit.
 fn assert_bus_runs(board: &mut Emulator, unit: u8, rate: u32) {
     let divider = (256 * HSI16_HZ + rate / 2) / rate;
     assert_eq!(board.readl(LPUART1_BRR).unwrap(), divider & 0xFFFF);
@@ -202,12 +205,12 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
         let said = mbpoll(cable, &format!("-t 4 -r {first}"), values);
         assert!(said.contains(&format!("Written {} references", values.len())), "{said}");
     };
-    // SAVE or DEFAULTS, to its end.
+    // Run SAVE or DEFAULTS and wait for its end.
     let store = |cable: &Terminal, name: &str| {
         write(cable, command(name), &[COMMAND_KEY]);
         let bound = Instant::now() + PATIENCE;
         while !mbpoll(cable, "-t 3 -r 204 -c 1", &[]).contains("[204]: \t2") {
-            assert!(Instant::now() < bound, "{name} does not end");
+            assert!(Instant::now() < bound, "{name} did not end within the limit");
         }
     };
     let are_there = |cable: &Terminal, recipes: &[u16]| {
@@ -236,7 +239,7 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
     let plant = Plant::power_up_with(plant.power_down(), vec![Box::new(can.clone())]);
     let (plant, cable) = plant.on_cable();
     assert!(are_there(&cable, &recipes));
-    // Node 5's boot-up message, and an SDO of it (CiA 301, 7.2.8.3.3, 7.2.4.3.5).
+    // Node 5's boot-up message and an SDO answer (CiA 301, 7.2.8.3.3, 7.2.4.3.5).
     let hears = |identifier, data: &[u8]| {
         let wanted = WireFrame::standard(identifier, data);
         while master.heard.recv_timeout(PATIENCE).expect("a frame of node 5").id != wanted.id {}
@@ -255,7 +258,7 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
     plant.power_down();
 }
 
-/// Operations of a save, and how each of the first 200 is cut: the whole of them, or some.
+/// Returns operations of a save, each with a kind of power cut: 200 in the full run, otherwise six.
 fn cuts() -> Vec<(u32, Tear)> {
     const OPERATIONS: u32 = 1 + RECORD as u32;
     const LAST: u32 = OPERATIONS - 1;
@@ -281,7 +284,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
     plant.set_recipes(999);
     assert_eq!(plant.save(), SAVED);
     let mut old = plant.settings();
-    // With something at the ends of both pages each save begins with an erase: an operation, and then the double words.
+    // With data at the ends of both pages, each save begins with an erase: one operation, followed by the double words.
     let power_cycle = |plant: Plant| {
         let flash = plant.power_down();
         Page::ALL.into_iter().for_each(|page| flash.set(page, PAGE_LEN - 1, Some(0)));
@@ -290,7 +293,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
     plant = power_cycle(plant);
     for (n, (operation, tear)) in (1_000..).zip(cuts()) {
         let what = format!("operation {operation}, {tear:?}");
-        // Wires that are high from the start on are no edges.
+        // Wires that are high at start-up are not edges.
         plant.board.set_inputs(Inputs::FAST_STOP_OK | Inputs::HOME | Inputs::GRIP).unwrap();
         plant.set_recipes(n);
         let new = plant.settings();
@@ -308,7 +311,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
         }
         old = found;
         if is_last && matches!(tear, Tear::Changing | Tear::Mixed) {
-            // Whether that record reads whole another time is left to chance: the next one takes its place.
+            // This record may or may not read back intact next time, so the next one replaces it.
             plant.set_recipes(n + 1_000);
             assert_eq!(plant.save(), SAVED, "{what}");
             old = plant.settings();
@@ -320,19 +323,23 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn each_fault_of_the_flash_is_told_and_leaves_what_was_stored() {
+fn each_fault_of_the_flash_is_reported_and_leaves_what_was_stored() {
     let mut plant = Plant::power_up(FlashController::new());
     plant.set_debounce(7);
     assert_eq!(plant.save(), SAVED);
     assert!(plant.flash.is_at_rest());
-    // All ones where the next record goes, and not erased: the other page takes it.
+    // The place of the next record reads as all ones but is not erased, so the other page is used.
     plant.flash.set(Page::First, RECORD, Some(u64::MAX));
     plant.set_debounce(8);
     assert_eq!((plant.save(), plant.flash.erases()), (SAVED, 2));
-    // What a boot loader left.
+    // An error flag left by a boot loader.
     plant.flash.leave_open(ErrorFlag::Sequence);
     plant.set_debounce(9);
-    assert_eq!((plant.save(), plant.flash.erases()), (SAVED, 2), "at the first attempt");
+    assert_eq!(
+        (plant.save(), plant.flash.erases()),
+        (SAVED, 2),
+        "the save must succeed at the first attempt"
+    );
 
     let reported = ErrorFlag::ALL.into_iter().map(|flag| {
         let why = match flag {
@@ -351,7 +358,7 @@ fn each_fault_of_the_flash_is_told_and_leaves_what_was_stored() {
     }
     plant.flash.set_fault(None);
     plant.set_debounce(30);
-    assert_eq!(plant.save(), SAVED, "it works again");
+    assert_eq!(plant.save(), SAVED, "the next save must succeed");
     plant.flash.set_fault(Some(Fault::Stuck));
     for value in 31..33 {
         plant.set_debounce(value);
@@ -374,13 +381,17 @@ fn an_unreadable_double_word_costs_its_record_and_no_start() {
         assert_eq!(plant.save(), SAVED);
     }
     let flash = plant.power_down();
-    // Bits that are put right leave a flag, behind which a wrong double word would not be noticed.
+    // Corrected bits leave a flag that would hide a later uncorrectable double word.
     (0..RECORD).for_each(|index| flash.set_correctable(Page::First, index));
     flash.set(Page::First, RECORD + 3, None);
     let mut plant = Plant::power_up(flash);
-    assert_eq!((plant.report("SETTINGS_FROM"), plant.debounce()), (STORED, 7), "of the save before");
+    assert_eq!(
+        (plant.report("SETTINGS_FROM"), plant.debounce()),
+        (STORED, 7),
+        "the previous save must count"
+    );
 
-    // And now the whole of the other page is damaged.
+    // The whole other page is damaged.
     let flash = plant.power_down();
     flash.set(Page::First, 3, None);
     let mut chance = Chance::new(1);
@@ -404,8 +415,8 @@ fn a_program_that_cannot_be_read_resets_the_board() {
     plant.flash.set_fault(Some(Fault::UnreadableProgram));
     plant.command("SAVE");
     let bound = Instant::now() + PATIENCE;
-    // QEMU ends with a reset that firmware does by itself.
+    // QEMU exits when the firmware resets itself.
     while plant.board.now_ms().is_ok() {
-        assert!(Instant::now() < bound, "it goes on");
+        assert!(Instant::now() < bound, "the board must reset");
     }
 }

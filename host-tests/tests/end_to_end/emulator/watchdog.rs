@@ -1,4 +1,4 @@
-//! The flashed image with a watchdog in the emulator: firmware that hangs is reset, and its outputs go low.
+//! The released image with a watchdog in the emulator: hung firmware is reset, and its outputs go low.
 
 use std::time::{Duration, Instant};
 
@@ -18,14 +18,14 @@ use super::{Board, image};
 /// Input register RESET_CAUSE (docs/registers.md).
 const RESET_CAUSE: u8 = 132;
 
-/// The time that a main loop has.
+/// The watchdog's time-out.
 const TIMEOUT: Duration = Duration::from_millis(100);
 
-/// How long the machine goes on without a reset while the firmware is well, in its milliseconds: ten times that.
+/// Time without a reset for running firmware, in milliseconds of board time: ten times the time-out.
 const WELL_MS: u32 = 1_000;
 
-/// Firmware that hangs in any way is reset, its outputs go low, and it says why when it is up again. `derail` lets it hang, and
-/// `resets` counts.
+/// Checks that hung firmware is reset, its outputs go low, and RESET_CAUSE reports the watchdog. `derail` hangs the firmware,
+/// and `resets` returns the number of resets.
 fn is_reset(mut board: Emulator, derail: impl Fn(&Emulator, Derailment), resets: impl Fn(&Emulator) -> u32) {
     let trace = Trace::new(vec![]);
     let line = board.take_gripper_line().unwrap();
@@ -37,7 +37,7 @@ fn is_reset(mut board: Emulator, derail: impl Fn(&Emulator, Derailment), resets:
     assert_eq!(reset_cause(), ResetCause::PowerOn as u16);
     let bound = Instant::now() + PATIENCE;
     while board.now_ms().unwrap() < WELL_MS {
-        assert!(Instant::now() < bound, "the board's clock stands still");
+        assert!(Instant::now() < bound, "the board's clock does not advance");
     }
     assert_eq!(resets(&board), 0);
 
@@ -45,7 +45,7 @@ fn is_reset(mut board: Emulator, derail: impl Fn(&Emulator, Derailment), resets:
         let changes = board.output_changes();
         let seen = changes.try_iter().count();
         derail(&board, how);
-        // Low, and up again when the bridge has begun anew.
+        // The outputs go low and return after the restart.
         let went_low =
             || board.output_changes().try_iter().skip(seen).any(|change| change.outputs.is_empty());
         let bound = Instant::now() + PATIENCE;
@@ -64,7 +64,7 @@ fn firmware_that_hangs_is_reset_and_its_outputs_go_low() {
     let iwdg = Iwdg::new();
     let extras = Extras { models: vec![Box::new(iwdg.clone()), Box::new(iwdg.flags())], ..Extras::default() };
     let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
-    // At the nominal rate of its clock.
+    // At the nominal clock rate of the watchdog.
     assert_eq!(iwdg.timeout(), Some(TIMEOUT));
     is_reset(board, |_, how| iwdg.derail(how), |_| iwdg.resets());
 }
@@ -77,7 +77,7 @@ fn firmware_that_hangs_is_reset_in_time_and_its_outputs_go_low_in_rp2040js() {
     let derail = |board: &Emulator, how| board.derail(how).unwrap();
     is_reset(board, derail, |board| {
         let (resets, behind_last_turn) = board.watchdog_resets().unwrap();
-        // Outputs are low from the reset on. It comes with the first instruction behind the end of the time.
+        // The reset lowers the outputs. It occurs at the first instruction after the time-out.
         let is_in_time = behind_last_turn.abs_diff(TIMEOUT) < Duration::from_micros(10);
         assert!(resets == 0 || is_in_time, "{behind_last_turn:?}");
         resets

@@ -1,4 +1,4 @@
-//! The flashed image between a PLC and a virtual gripper, in the emulator.
+//! The released image between a PLC on wires and a virtual gripper, in the emulator.
 
 use std::time::Instant;
 
@@ -17,11 +17,11 @@ use super::{Board, image};
 
 const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 
-/// The recipe that opens wide.
+/// The recipe with a large width.
 const WIDE: u8 = 1;
 
-/// A gripper whose fingers travel ten times as fast, which leaves every phase of a motion well above the 10 ms in which
-/// reports are drawn together.
+/// A gripper with fingers ten times as fast as usual. Every phase of a motion still exceeds the 10 ms period of the reports
+/// by far.
 fn quick() -> Config {
     Config { time_scale: 10.0, ..Config::default() }
 }
@@ -50,7 +50,7 @@ fn frame(reply: Reply<'_>) -> Vec<u8> {
     FrameEncoder::new(reply.id().code(), reply).collect()
 }
 
-/// MOVE wide, GRIP the part, RELEASE: each must end as it should.
+/// Runs MOVE with the large width, GRIP and RELEASE, and checks the end of each.
 fn cycle(rig: &Rig, number: usize) {
     rig.select_recipe(WIDE).unwrap();
     assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "MOVE of cycle {number}");
@@ -72,26 +72,31 @@ fn grip_cycles_without_one_deviation(board: Board) {
     rig.catch_up().unwrap();
     let entries = rig.trace().since(mark);
     let expected = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart].repeat(cycles);
-    assert_eq!(motions(&entries), expected, "one command for each edge");
+    assert_eq!(motions(&entries), expected, "one command per edge");
     let statistics = rig.gripper().state().statistics;
     assert_eq!((statistics.total as usize, statistics.no_part, statistics.part_lost), (cycles, 0, 0));
     let notes: Vec<&Entry> = entries.iter().filter(|entry| matches!(entry, Entry::Note(_))).collect();
     assert!(notes.is_empty(), "{notes:?}");
-    // Every cycle looks like the first one: edges and outputs from the sequence of one cycle.
+    // The edges and output changes of every cycle are equal.
     let sequences = Sequences::of(&entries, 0);
     let per_cycle = sequences.edges.len() / cycles;
     assert!(sequences.edges.chunks(per_cycle).all(|chunk| chunk == &sequences.edges[..per_cycle]));
-    assert_eq!(sequences.outputs.len() % cycles, 0, "{} changes of outputs", sequences.outputs.len());
+    assert_eq!(
+        sequences.outputs.len() % cycles,
+        0,
+        "{} output changes are not a multiple of the cycles",
+        sequences.outputs.len()
+    );
     let per_cycle = sequences.outputs.len() / cycles;
     assert!(sequences.outputs.chunks(per_cycle).all(|chunk| chunk == &sequences.outputs[..per_cycle]));
 }
 
-/// The main job once, from READY on. (At power-up the board, the gripper and the PLC start each in its own time: whether
-/// the first question or the FAST STOP of the low wire goes out first is nobody's to say.)
+/// Runs one cycle of commands from READY. Earlier events are excluded: at power-up, board, gripper and PLC start
+/// independently, so the order of the first query and the FAST STOP of the low wire is undefined.
 fn main_job(board: Board) -> Sequences {
     let rig = powered(board, with_part());
-    // A PLC takes longer from one action to the next than the 10 ms that lie between two reports of one value, so no
-    // report is drawn together with the one after it.
+    // The PLC pauses for longer than the 10 ms report period between actions, so consecutive reports are never
+    // merged.
     let next = || rig.pass(20).unwrap();
     rig.release_fast_stop().unwrap();
     rig.catch_up().unwrap();
@@ -166,7 +171,7 @@ fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from(bo
         rig.gripper().inject(noise);
         rig.catch_up().unwrap();
     }
-    // Before and behind every frame of a while, then inside every third one.
+    // Insert noise before and after every frame for some time, then inside every third frame.
     let mut count = 0u32;
     rig.gripper().tamper(Some(Box::new(move |frame| {
         count += 1;
@@ -203,15 +208,11 @@ fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from
             |outputs: Outputs| outputs.contains(Outputs::ERROR) || !outputs.contains(Outputs::LINK_OK);
         rig.await_outputs(PATIENCE, shown).unwrap();
         rig.await_outputs(PATIENCE, |outputs| outputs.contains(IDLE)).unwrap();
-        assert_eq!(
-            rig.motions_since(mark).unwrap(),
-            [CommandId::PrePosition],
-            "never a second time by itself"
-        );
+        assert_eq!(rig.motions_since(mark).unwrap(), [CommandId::PrePosition], "a motion is never repeated");
         rig.gripper().tamper(None);
         rig.pulse(Inputs::STOP_ACK).unwrap();
         rig.await_outputs(PATIENCE, |outputs| outputs == IDLE).unwrap();
-        assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "and behind STOP/ACK it goes on");
+        assert_eq!(rig.command(Inputs::MOVE).unwrap(), IDLE, "commands work after STOP/ACK");
     }
 }
 
@@ -259,7 +260,7 @@ fn line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done(board: Bo
     rig.await_outputs(PATIENCE, |outputs| outputs.contains(IDLE)).unwrap();
     rig.pass(300).unwrap();
     assert_eq!(rig.motions_since(mark).unwrap(), []);
-    assert!(rig.board().outputs().contains(Outputs::ERROR), "the refused MOVE shows");
+    assert!(rig.board().outputs().contains(Outputs::ERROR), "the refused MOVE must set ERROR");
 }
 
 fn restarted_gripper_shows_that_homing_is_due(board: Board) {
@@ -271,8 +272,8 @@ fn restarted_gripper_shows_that_homing_is_due(board: Board) {
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
 }
 
-/// Fieldbus manual, 6.6: FAST STOP is a level. The PLC holds the wire low while somebody acknowledges at the gripper, and while
-/// the gripper is restarted.
+/// FAST STOP is a level (fieldbus manual, 6.6). The PLC holds the wire low while a third party acknowledges at the gripper,
+/// and while the gripper restarts.
 fn fast_stop_wire_that_is_low_outlasts_third_parties_and_a_restart(board: Board) {
     let rig = homed(board, quick());
     let is_stopped = || rig.gripper().state().flags.contains(SystemFlags::FAST_STOP);
@@ -298,18 +299,21 @@ fn fast_stop_wire_that_is_low_outlasts_third_parties_and_a_restart(board: Board)
 
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     rig.pass(500).unwrap();
-    assert!(is_stopped() && !rig.board().outputs().contains(Outputs::READY), "high alone unlocks nothing");
+    assert!(
+        is_stopped() && !rig.board().outputs().contains(Outputs::READY),
+        "a high wire alone must not unlock motion"
+    );
     assert_eq!(rig.gripper().command(&Command::ACKNOWLEDGE), Status::Success);
     rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::READY | Outputs::LINK_OK).unwrap();
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
 }
 
-/// The image's queues and interrupts keep a burst together: what `fault_sweep` shows of the library in virtual time.
+/// The image's queues and interrupts do not split a burst. `fault_sweep` tests the library in virtual time.
 fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist(board: Board) {
     let is_fast_stop =
         |entry: &&Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes) == Some(0x23));
     for high_byte_of_the_size in 1..=3 {
-        // It does not give up by itself, however slow this machine is.
+        // The gripper's own time-out exceeds any delay of a slow machine.
         let rig = homed(board, Config { frame_timeout_ms: 60_000, ..Config::default() });
         rig.begin(Inputs::MOVE).unwrap();
         rig.catch_up().unwrap();
@@ -318,14 +322,14 @@ fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_
         rig.set(Inputs::FAST_STOP_OK, false).unwrap();
         let answered =
             |entry: &Entry| matches!(entry, Entry::FromGripper(bytes) if frame_id(bytes) == Some(0x23));
-        assert!(rig.trace().wait(mark, PATIENCE, answered), "FAST STOP is not heard");
+        assert!(rig.trace().wait(mark, PATIENCE, answered), "the gripper does not answer FAST STOP");
         let state = rig.gripper().state();
         assert!(state.flags.contains(SystemFlags::FAST_STOP) && state.speed == 0.0, "{state:?}");
         let entries = rig.trace().since(mark);
         let until = entries.iter().position(answered).unwrap();
         let sent = entries[..until].iter().filter(is_fast_stop).count();
         let burst = usize::from(FastStopPattern::DEFAULT.burst_frames);
-        assert!((2..=1 + burst).contains(&sent), "the first burst is enough: {sent}");
+        assert!((2..=1 + burst).contains(&sent), "the first burst must suffice; {sent} were sent");
         rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::ERROR)).unwrap();
         rig.release_fast_stop().unwrap();
     }
@@ -348,13 +352,13 @@ on_both_boards!(
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn led_tells_that_the_gripper_has_never_answered() {
+fn led_shows_that_the_gripper_has_never_answered() {
     let board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
     let (port, pin) = INDICATOR;
-    // RM0351, 2.2.2 and 8.4: the port's registers MODER and ODR.
+    // MODER and ODR of the port (RM0351, 2.2.2 and 8.4).
     let moder = 0x4800_0000 + 0x400 * (u32::from(port.letter()) - u32::from('A'));
     let odr = moder + 0x14;
-    assert_eq!(board.readl(moder).unwrap() >> (2 * pin) & 0b11, 0b01, "the pin is an output");
+    assert_eq!(board.readl(moder).unwrap() >> (2 * pin) & 0b11, 0b01, "the pin must be an output");
 
     let (mut was_lit, mut was_dark) = (false, false);
     let bound = Instant::now() + PATIENCE;
@@ -363,7 +367,7 @@ fn led_tells_that_the_gripper_has_never_answered() {
         let before = board.now_ms().unwrap();
         let is_lit = board.readl(odr).unwrap() & 1 << pin != 0;
         let after = board.now_ms().unwrap();
-        // The pin is written at the end of a turn of the main loop, with the time of its beginning.
+        // The pin is written at the end of a turn of the main loop, with the time at the turn's start.
         let mut turns = before.saturating_sub(2)..=after;
         assert!(
             turns.any(|ms| Indication::NeverAnswered.is_lit(ms) == is_lit),

@@ -1,5 +1,5 @@
-//! Ten thousand commands of a program over the blocking driver, with a faulty line between it and a virtual gripper, in
-//! virtual time.
+//! Ten thousand commands through the blocking driver, over a faulty line to a virtual gripper, in virtual
+//! time.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -17,7 +17,7 @@ const COMMANDS: u32 = 10_000;
 
 const PART_MM: f32 = 20.0;
 
-/// A virtual gripper, and the time.
+/// A virtual gripper and the virtual time.
 struct World {
     gripper: VirtualGripper<1>,
     port: PortId,
@@ -42,7 +42,7 @@ impl World {
     }
 }
 
-/// The gripper's end of the line. When there is nothing to read, a millisecond passes.
+/// The gripper's end of the line. A millisecond passes when no bytes can be read.
 #[derive(Clone)]
 struct End(Rc<RefCell<World>>);
 
@@ -59,7 +59,7 @@ impl ReadReady for End {
             world.gripper.advance(now);
             world.collect();
         }
-        // What is there now is read at the next question: else time would stand still while there is something.
+        // These bytes are reported at the next call. Otherwise time would not pass while bytes are available.
         Ok(!world.answers.is_empty())
     }
 }
@@ -89,7 +89,7 @@ impl Write for End {
     }
 }
 
-/// Counts the motions that the driver sends, before the line has them.
+/// Counts the motions that the driver sends, before the line damages them.
 struct Tap<L> {
     link: L,
     sent: FrameParser<64>,
@@ -132,10 +132,10 @@ impl<L: Write> Write for Tap<L> {
     }
 }
 
-/// Time passes while it is asked whether bytes are there, so it need not wait.
+/// Time passes with each call of `read_ready`, so `wait` need not block.
 impl<L: Read + ReadReady + Write> Transport for Tap<L> {}
 
-/// What the program asks for, one after the other, and how the gripper is when it was done.
+/// Conditions on the gripper after each of the program's repeating commands.
 const JOBS: [fn(&State) -> bool; 3] = [
     |state| (state.width - 60.0).abs() < 0.1,
     |state| state.gripper == GripperState::Holding,
@@ -154,7 +154,7 @@ fn ten_thousand_commands_with_one_byte_wrong_in_two_hundred() {
     assert!(done > COMMANDS / 4, "{done}");
 }
 
-/// Gives the commands on a line of this rate of wrong bytes; how many were told as done.
+/// Issues the commands over a line with this rate of damaged bytes. Returns the number reported as done.
 fn soak(byte_errors: f64) -> u32 {
     let config = Config { part: Part::of_width(PART_MM), time_scale: 10.0, ..Config::default() };
     let mut gripper = VirtualGripper::with_ports(config);
@@ -181,7 +181,7 @@ fn soak(byte_errors: f64) -> u32 {
     for number in 0..COMMANDS {
         let job = (number % 3) as usize;
         let (sent, before) = (motions.get(), world.borrow().state());
-        assert!((before.width - rest).abs() < 0.02, "command {number}: the fingers moved before it");
+        assert!((before.width - rest).abs() < 0.02, "command {number}: the fingers moved before the command");
 
         let result = match job {
             0 => gripper.move_to(Mm(60.0), MmPerS(400.0), OnBlock::Stop),
@@ -196,14 +196,14 @@ fn soak(byte_errors: f64) -> u32 {
         match result {
             Ok(()) => {
                 let state = world.borrow().state();
-                assert!(left == 1 && JOBS[job](&state), "command {number} is told as done: {state:?}");
+                assert!(left == 1 && JOBS[job](&state), "command {number} is reported as done: {state:?}");
                 done += 1;
             }
             Err(Error::Unanswered) => not_known += 1,
             Err(error) => {
                 assert!(
                     left == 0 || error.culprit() != Culprit::Caller,
-                    "command {number}: {error:?}, and it left"
+                    "command {number}: {error:?}, but the command was sent"
                 );
                 refused += 1;
             }
@@ -213,11 +213,9 @@ fn soak(byte_errors: f64) -> u32 {
     }
 
     let faults = faults(gripper);
-    println!(
-        "{done} done, {refused} refused or failed, {not_known} whose outcome is not known; {faults} faults"
-    );
+    println!("{done} done, {refused} refused or failed, {not_known} with unknown outcome; {faults} faults");
     assert_eq!(done + refused + not_known, COMMANDS);
-    assert!(faults >= 50 && not_known > 0, "the line was faulty enough to see something");
+    assert!(faults >= 50 && not_known > 0, "the line must cause faults and unknown outcomes");
     done
 }
 
@@ -228,17 +226,17 @@ fn faults<C: FnMut() -> u32, D: Clock>(gripper: Soaked<C, D>) -> u64 {
     link.outgoing.counts().faults() + link.incoming.counts().faults()
 }
 
-/// As a careful program does after each command: waits until there is a connection again and the fingers stand.
+/// Waits for a connection and standstill, as a careful program does after each command.
 fn recover<C: FnMut() -> u32, D: Clock>(gripper: &mut Soaked<C, D>, world: &RefCell<World>) {
     for _ in 0..200 {
         if gripper.is_connected() && gripper.motion().is_none() && world.borrow().state().speed == 0.0 {
             return;
         }
         if !gripper.is_connected() {
-            // A try may fail like anything else on this line.
+            // On this line, a connection attempt may fail too.
             let _ = gripper.connect();
         }
         let _ = gripper.next_update(20);
     }
-    panic!("no connection, or the fingers travel for ever");
+    panic!("no connection, or the motion does not end");
 }

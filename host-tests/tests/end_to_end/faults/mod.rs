@@ -1,4 +1,4 @@
-//! A line on which bytes go wrong: what the bridge and the driver make of it, and what the fingers do.
+//! Damaged bytes on the line: reactions of the bridge, the driver and the fingers.
 
 mod driver;
 mod scenarios;

@@ -1,7 +1,7 @@
-//! Thirty scenarios: each fault in each place of a GRIP. In virtual time, with the bridge that the image is made of.
+//! Thirty scenarios: each fault in each place of a GRIP, in virtual time, with the bridge's library.
 //!
-//! In all of them a motion leaves once for each edge, the fingers move for that edge alone, the PLC is told the truth, and
-//! the next GRIP works.
+//! In every scenario, the bridge sends one motion per edge, the fingers move only for that edge, the PLC reads the actual
+//! result, and the next GRIP works.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -13,33 +13,33 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, GripperState};
 use wsg_sim::{Config, Part};
 
-/// Where in a GRIP the fault hits.
+/// The frame of a GRIP that the fault hits.
 #[derive(Clone, Copy, Debug)]
 enum Place {
-    /// The command that sets the force limit before it.
+    /// The preceding command that sets the force limit.
     ForceLimit,
-    /// The command.
+    /// The GRIP command.
     Command,
-    /// The answer that says that it has begun.
+    /// The answer that reports the start of the motion.
     Pending,
-    /// The answer that says how it ended.
+    /// The answer with the result.
     Result,
-    /// A report of the gripper's state on the way.
+    /// A report of the gripper's state during the motion.
     Report,
 }
 
-/// What the PLC is shown at the end.
+/// The state that the PLC reads at the end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Shown {
     /// HOLDING without ERROR.
     Held,
-    /// ERROR, or a lost link on the way: the PLC knows that something went wrong.
+    /// ERROR, or a temporary loss of the link: the PLC detects a problem.
     Trouble,
 }
 use Place::{Command, ForceLimit, Pending, Report, Result};
 use Shown::{Held, Trouble};
 
-/// What a place's frame looks like, and which way it goes.
+/// Identification of the frame in each place, and its direction.
 impl Place {
     fn id(self) -> CommandId {
         match self {
@@ -53,21 +53,21 @@ impl Place {
         matches!(self, ForceLimit | Command)
     }
 
-    /// Which frame of that id it is, counted from 0.
+    /// Returns the index of the frame among frames with its id, counted from 0.
     fn number(self) -> usize {
         usize::from(matches!(self, Result))
     }
 }
 
-/// How long the link may be away for one fault.
+/// Longest permitted loss of the link for one fault.
 const LONGEST_OUTAGE_MS: u32 = 2_000;
 
-/// Behind the id: a wrong id would be another frame.
+/// First offset after the id: a wrong id would address another frame.
 const BEHIND_ID: u64 = 4;
-/// The high byte of the size.
+/// Offset of the size's high byte.
 const SIZE_HIGH: u64 = 5;
 
-/// Lets `fault` hit this byte of the frame of this place, the first time that it comes once `armed`.
+/// Applies `fault` to this byte of the frame in this place, at its first occurrence once `armed`.
 fn hit(place: Place, fault: Fault, offset: u64, armed: Rc<RefCell<bool>>) -> Disturbance {
     let mut way = FaultyWay::perfect();
     let (mut now_ms, mut seen) = (0, 0);
@@ -76,7 +76,7 @@ fn hit(place: Place, fault: Fault, offset: u64, armed: Rc<RefCell<bool>>) -> Dis
         if *armed.borrow() {
             for at in frames_of(place.id(), bytes) {
                 if seen == place.number() {
-                    // A frame that is late is so as a whole.
+                    // A delay applies to the whole frame.
                     let offset = if matches!(fault, Fault::Delay(_)) { 0 } else { offset };
                     way.hit(way.counts().bytes + at as u64 + offset, fault);
                 }
@@ -88,7 +88,7 @@ fn hit(place: Place, fault: Fault, offset: u64, armed: Rc<RefCell<bool>>) -> Dis
     })
 }
 
-/// Where frames of this id begin. (What the line carries in a millisecond may end in one; its head is always whole here.)
+/// Returns the offsets of frames with this id. The input may end inside a frame, but contains its whole header.
 fn frames_of(id: CommandId, bytes: &[u8]) -> Vec<usize> {
     let head = [0xAA, 0xAA, 0xAA, id.code()];
     bytes.windows(head.len()).enumerate().filter(|(_, it)| **it == head).map(|(at, _)| at).collect()
@@ -127,14 +127,18 @@ fn scenario(place: Place, fault: Fault, offset: u64, expected: Shown) {
     assert!(sent.len() <= 1 && sent.iter().all(|id| *id == CommandId::GripPart), "{what}: {sent:?}");
     assert!(!shown.contains(Outputs::BUSY), "{what}: {shown:?}");
     let moved = (state.width - before.width).abs() > 0.01;
-    assert!(!moved || sent.len() == 1, "{what}: the fingers moved and no command left");
+    assert!(!moved || sent.len() == 1, "{what}: the fingers moved without a command");
     if !shown.contains(Outputs::ERROR) && !lost_link {
-        assert_eq!(state.gripper, GripperState::Holding, "{what}: no trouble shown, and no part held");
+        assert_eq!(
+            state.gripper,
+            GripperState::Holding,
+            "{what}: no problem is reported, but no part is held"
+        );
     }
     assert_eq!(
         shown.contains(Outputs::HOLDING),
         state.gripper == GripperState::Holding,
-        "{what}: HOLDING is what the gripper does, {shown:?}"
+        "{what}: the outputs contradict the gripper: {shown:?}"
     );
     let trouble = shown.contains(Outputs::ERROR) || lost_link;
     assert_eq!(if trouble { Trouble } else { Held }, expected, "{what}: {shown:?}, lost link {lost_link}");
@@ -146,7 +150,7 @@ fn scenario(place: Place, fault: Fault, offset: u64, expected: Shown) {
     assert!(outputs.contains(Outputs::HOLDING) && !outputs.contains(Outputs::ERROR), "{what}: {outputs:?}");
 }
 
-/// A test for each: its name, the place, the fault, what the PLC is shown.
+/// Generates a test for each scenario from its name, place, fault and the state that the PLC reads.
 macro_rules! scenarios {
     ($($name:ident: $fault:expr, $place:ident => $shown:ident;)*) => {
         $(
@@ -158,8 +162,8 @@ macro_rules! scenarios {
     };
 }
 
-// A force limit is set again until it is answered, and the gripper's states are asked for again and again. A motion command
-// is never repeated: nobody knows whether the gripper has it, so the PLC is told of trouble, part held or not.
+// The bridge repeats a force limit until it is answered, and polls the gripper's states. It never repeats a motion
+// command: its execution is unknown, so the PLC reads a problem, with or without a held part.
 scenarios! {
     lost_byte_in_the_force_limit: Fault::Drop, ForceLimit => Held;
     wrong_bit_in_the_force_limit: Fault::Flip(0x10), ForceLimit => Held;
@@ -193,8 +197,8 @@ scenarios! {
     late_report: Fault::Delay(40), Report => Held;
 }
 
-/// A gripper that takes a command for the head of a long frame hears nothing until it gives that up, which it only does in
-/// silence. So the bridge must be silent for longer, or every try to connect again is swallowed with the rest.
+/// A gripper that reads a command as the header of a long frame discards it only after silence on the line. The bridge
+/// must therefore be silent for longer, or the incomplete frame consumes every attempt to reconnect.
 #[test]
 fn gripper_that_waits_for_a_long_frame_is_reached_again() {
     for bit in [0x01, 0x02] {

@@ -1,4 +1,4 @@
-//! The image in the emulator, a virtual gripper, and a faulty line between them: `cargo xtask soak`.
+//! The emulated image and a virtual gripper with a faulty line between them: `cargo xtask soak`.
 
 use std::time::{Duration, Instant};
 
@@ -10,37 +10,37 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, GripperState, Kind};
 use wsg_sim::{Config, Part, State};
 
-/// What a run of the tests does; `cargo xtask soak` says more in this variable.
+/// Number of commands in a test run. `cargo xtask soak` sets a greater number in this variable.
 const COMMANDS: usize = 200;
 const COMMANDS_VARIABLE: &str = "WSG_SOAK_COMMANDS";
 const SEED_VARIABLE: &str = "WSG_SOAK_SEED";
 
 const BYTE_ERRORS: f64 = 1e-4;
-/// In the short run more go wrong, or there would be nothing to see.
+/// The short run has a higher error rate, so that faults occur in it.
 const BYTE_ERRORS_SHORT: f64 = 5e-4;
 
-/// How many of the commands must be done for all that, in percent: carried out, and the result shown.
+/// Minimum share of commands, in percent, that are executed and reported as such.
 const DONE_PERCENT: usize = 95;
 
-/// A wire, the command that its edge asks for, and how the gripper is when it was done.
+/// An input wire, the command of its rising edge, and the resulting condition of the gripper.
 type Job = (Inputs, CommandId, fn(&State) -> bool);
 
 const MOVE: Job = (Inputs::MOVE, CommandId::PrePosition, |state| (state.width - 80.0).abs() < 0.1);
 const GRIP: Job = (Inputs::GRIP, CommandId::GripPart, |state| state.gripper == GripperState::Holding);
 const RELEASE: Job = (Inputs::RELEASE, CommandId::ReleasePart, |state| (state.width - 40.0).abs() < 0.1);
 
-/// The recipe that opens wide, for MOVE.
+/// The recipe with a large width, for MOVE.
 const WIDE: u8 = 1;
 
-/// How long anything may take: a lost link is back in seconds, but a busy machine may lose it several times.
+/// Time limit of every wait. A lost link recovers in seconds, but may fail repeatedly on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What the PLC was shown.
+/// Results that the PLC has read.
 #[derive(Debug, Default)]
 struct Told {
     done: usize,
     trouble: usize,
-    /// The link was lost at the moment of the edge.
+    /// The link was lost at the time of the edge.
     not_taken: usize,
 }
 
@@ -56,8 +56,8 @@ fn soak_on_a_faulty_line_loses_nothing_and_does_nothing_twice() {
     let (told, counts, seconds) = soak(commands, rate, seed).unwrap();
 
     println!(
-        "soak: {commands} commands at {rate:e} wrong bytes, seed {seed}, in {seconds} s: {} done, {} with trouble shown, \
-         {} not taken and said so; {} of {} bytes went wrong; none twice, none without an edge, none lost unreported",
+        "soak: {commands} commands at {rate:e} wrong bytes, seed {seed}, in {seconds} s: {} done, {} reported as failed, \
+         {} refused; {} of {} bytes damaged; no command repeated, sent without an edge, or lost without a report",
         told.done,
         told.trouble,
         told.not_taken,
@@ -66,12 +66,13 @@ fn soak_on_a_faulty_line_loses_nothing_and_does_nothing_twice() {
     );
     assert_eq!(told.done + told.trouble + told.not_taken, commands);
     assert!(counts.iter().all(|way| way.faults() > 0), "{counts:?}");
-    assert!(told.done * 100 >= commands * DONE_PERCENT, "less than {DONE_PERCENT} % done: {told:?}");
+    assert!(told.done * 100 >= commands * DONE_PERCENT, "fewer than {DONE_PERCENT} % done: {told:?}");
 }
 
 fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64)> {
     let start = Instant::now();
-    let elf = std::env::var_os("WSG_FIRMWARE_ELF").context("WSG_FIRMWARE_ELF names the firmware image")?;
+    let elf = std::env::var_os("WSG_FIRMWARE_ELF")
+        .context("WSG_FIRMWARE_ELF must hold the path of the firmware image")?;
     let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
     let rig = Rig::power_up(elf.as_ref(), config, Trace::new(vec![]))?;
     rig.release_fast_stop()?;
@@ -98,13 +99,13 @@ fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64
         command(&rig, job, &mut told).with_context(|| format!("command {number}, {:?}", job.0))?;
         rest = settle(&rig).with_context(|| format!("after command {number}, {:?}", job.0))?;
     }
-    let ways = rig.gripper().disturb(None).context("the ways were put there")?;
+    let ways = rig.gripper().disturb(None).context("the disturbance is still installed")?;
     rig.catch_up()?;
     once_for_each_edge(&rig.trace().since(mark))?;
     Ok((told, [ways.0.counts(), ways.1.counts()], start.elapsed().as_secs()))
 }
 
-/// Gets to READY without ERROR by wires alone, as docs/wiring.md describes: STOP_ACK ends an error.
+/// Reaches READY without ERROR through the wires alone, as docs/wiring.md describes: STOP_ACK ends an error.
 fn recover(rig: &Rig) -> Result<Outputs> {
     let ready = |outputs: Outputs| outputs.contains(Outputs::READY);
     let outputs = rig.await_outputs(PATIENCE, |outputs| {
@@ -118,11 +119,11 @@ fn recover(rig: &Rig) -> Result<Outputs> {
     rig.await_outputs(PATIENCE, ready).context("not READY after STOP_ACK")
 }
 
-/// Gives a command as a PLC does, and holds what it is told to what the gripper did.
+/// Issues a command as a PLC does, and compares the reported result with the gripper.
 fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
     rig.select_recipe(if wire == Inputs::MOVE { WIDE } else { 0 })?;
     rig.set(wire, true)?;
-    // A link that is lost at this very moment lowers READY.
+    // If the link is lost at this time, READY goes low.
     let shown = |outputs: Outputs| outputs.contains(Outputs::BUSY) || !outputs.contains(Outputs::READY);
     let taken = rig.await_outputs(PATIENCE, shown).context("neither BUSY nor READY low")?;
     rig.set(wire, false)?;
@@ -144,7 +145,7 @@ fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
     Ok(())
 }
 
-/// Waits until the fingers stand; their width then.
+/// Waits for standstill and returns the width.
 fn settle(rig: &Rig) -> Result<f32> {
     let bound = Instant::now() + PATIENCE;
     loop {
@@ -154,12 +155,12 @@ fn settle(rig: &Rig) -> Result<f32> {
             return Ok(state.width);
         }
         if Instant::now() > bound {
-            bail!("the fingers travel for ever: {state:?}");
+            bail!("the motion does not end: {state:?}");
         }
     }
 }
 
-/// Holds every motion that has left the bridge to the edges: one at the most for each, behind it.
+/// Checks that the bridge has sent at most one motion for each edge, and only after it.
 fn once_for_each_edge(entries: &[Entry]) -> Result<()> {
     let mut asked: Option<CommandId> = None;
     for entry in entries {
@@ -175,7 +176,7 @@ fn once_for_each_edge(entries: &[Entry]) -> Result<()> {
             Entry::ToGripper(frame) => {
                 let id = CommandId::from_code(frame[3]);
                 if id.kind() == Kind::Motion && asked.take() != Some(id) {
-                    bail!("{id} has left without an edge, or twice");
+                    bail!("{id} was sent without an edge, or twice");
                 }
             }
             Entry::Note(note) => bail!("{note}"),

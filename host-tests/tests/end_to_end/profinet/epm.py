@@ -1,5 +1,5 @@
-# Asks the endpoint mapper of the virtual gripper what it serves, as engineering tools do, with both orders of bytes: the first
-# entry, the one behind it, which there is not, and the end of the list. By the DCE specification alone, byte for byte.
+# Queries the endpoint mapper of the virtual gripper as engineering tools do, in both byte orders: the first entry, the
+# missing second entry, and the end of the list. The messages follow the DCE specification, byte by byte.
 import socket
 import struct
 import uuid
@@ -7,7 +7,7 @@ import uuid
 DEVICE = ("192.168.7.5", 34964)
 EPM = uuid.UUID("e1af8308-5d1f-11c9-91a4-08002b14a0fa")
 PNIO_DEVICE = uuid.UUID("dea00001-6c97-11d1-8271-00a02442df7d")
-# Of instance 1 of device 0001h of vendor 02A2h.
+# Instance 1 of device 0001h of vendor 02A2h.
 OBJECT = uuid.UUID("dea00000-6c97-11d1-8271-0001000102a2")
 LOOKUP, FREE_HANDLE = 2, 4
 RESPONSE = 2
@@ -45,7 +45,7 @@ class Client:
         return answer[80:]
 
     def lookup(self, handle):
-        # All entries: the object is none, and so is the interface.
+        # All entries: neither an object nor an interface is given.
         return self.call(LOOKUP, self.pack("IIIII", 0, 0, 0, 0, 0)[:16] + handle + self.pack("I", 1))
 
 

@@ -1,4 +1,4 @@
-# Frames of one who means no good, made with `scapy` from those of a controller that is well, beside one that exchanges data.
+# Sends hostile frames, made with `scapy` from a valid controller's frames, beside a controller that exchanges data.
 import random
 import socket
 import sys
@@ -12,9 +12,9 @@ chance = random.Random(seed)
 frames = [bytes(frame) for frame in rdpcap(capture)]
 with open(f"/sys/class/net/{INTERFACE}/address") as file:
     own = bytes.fromhex(file.read().replace(":", ""))
-# What the controller sent: DCP, RPC, alarms, cyclic data.
+# Frames of the controller: DCP, RPC, alarms, cyclic data.
 frames = [frame for frame in frames if frame[6:12] == own]
-# Of IP, what is for RPC: the system has more to say.
+# Of IP, keep only UDP, which carries RPC. The system sends other packets.
 frames = [frame for frame in frames if frame[12:14] != b"\x08\x00" or frame[23] == 17]
 kinds = {}
 for frame in frames:
@@ -26,7 +26,7 @@ assert len(kinds) >= 4, kinds.keys()
 
 def mutated(frame):
     frame = bytearray(frame)
-    # Another station, most of the time: the one that is well must not be harmed by what it did not send.
+    # Mostly use another station's address, so that the valid controller is not blamed.
     frame[6:12] = b"\x02\x00\x00\x00\x66" + bytes([chance.randrange(4)])
     first = 14
     is_rpc = frame[12:14] == b"\x08\x00"
@@ -60,5 +60,5 @@ for _ in range(count):
     try:
         sender.send(frame[:1514])
     except OSError:
-        # The interface refuses what is no frame at all.
+        # The interface rejects invalid Ethernet frames.
         pass

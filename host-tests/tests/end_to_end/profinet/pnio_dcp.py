@@ -1,4 +1,4 @@
-# `pnio-dcp` at the virtual gripper. What it only needs to find its interface and its version is played here.
+# `pnio-dcp` at the virtual gripper. Stubs replace the modules that only find its interface and version.
 import sys
 import types
 from importlib import metadata

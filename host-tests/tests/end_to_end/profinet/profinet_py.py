@@ -1,5 +1,5 @@
-# A controller by `profinet-py` at the virtual gripper: python3 -c SCRIPT PART [SECONDS].
-# `profinet-py` is GPL: it is run here, by a program of the tests, and never a part of what is delivered.
+# A `profinet-py` controller for the virtual gripper: python3 -c SCRIPT PART [SECONDS].
+# `profinet-py` is GPL. Only this test program runs it, and it is never part of a delivery.
 import os
 import struct
 import subprocess
@@ -27,14 +27,14 @@ SLOTS = [
 
 
 def until(what, value):
-    """The first value that is none of nothing."""
+    """Returns the first true value within the time limit."""
     end = time.monotonic() + BOUND
     while time.monotonic() < end:
         found = value()
         if found:
             return found
         time.sleep(0.004)
-    raise SystemExit(f"{what}: not within {BOUND} s")
+    raise SystemExit(f"{what}: time-out after {BOUND} s")
 
 
 def sock():
@@ -54,18 +54,18 @@ def image(flags, width=20_00, speed=100_00, force=40_00):
 
 
 class Plc:
-    """A program that exchanges images."""
+    """A controller that exchanges images."""
 
     def __init__(self, watchdog=200):
         self.device = until("discover", self.discover)
         self.alarms = []
         self.device.on_alarm(lambda alarm: self.alarms.append(alarm.alarm_type_name))
-        # 8 ms; silence of 1.6 s ends it, however busy the machine is.
+        # The cycle is 8 ms. The connection ends after 1.6 s of silence, which covers a busy machine.
         setup = IOCRSetup(slots=SLOTS, reduction_ratio=8, watchdog_factor=watchdog, data_hold_factor=watchdog)
         self.cyclic = until("connect", lambda: self.connect(setup))
         self.write(0)
         until("inputs", self.read)
-        # Some images of zeros have reached the gripper: flags count.
+        # The gripper has received some images of zeros, so flags count as edges.
         time.sleep(0.1)
 
     @staticmethod
@@ -86,7 +86,7 @@ class Plc:
         self.cyclic.set_output_data(2, 1, image(flags, **parameters))
 
     def read(self):
-        """State, system state, width, status."""
+        """Returns state, system state, width and status."""
         data = self.cyclic.get_input_data(1, 1)
         if data is None:
             return None
@@ -119,7 +119,7 @@ def cycle():
     until("end of the alarm", lambda: plc.alarms == ["Diagnosis", "DiagnosisDisappears"])
     plc.release()
 
-    # Records, by a connection that only reads.
+    # Read and write records over a read-only connection.
     with ProfinetDevice.discover(NAME, INTERFACE, timeout=5) as device:
         im0 = device.read_im0()
         assert im0.vendor_id_high << 8 | im0.vendor_id_low == 0x02A2, im0
@@ -129,17 +129,17 @@ def cycle():
         assert device.read_topology().interface.chassis_id == NAME
         try:
             device.write(0, 1, 0xAFF2, b"\x00\x22\x00\x12\x01\x00" + b"2026-11-23 16:00")
-            raise SystemExit("the connection that only reads has written")
+            raise SystemExit("a write over the read-only connection was accepted")
         except ProfinetError:
             pass
 
-    # Again, after a release.
+    # Connect again after a release.
     plc = Plc()
     assert plc.read()[2] == 50_00, plc.read()
     plc.release()
 
 
-# I&M 1 (function and location), 2, 3: the type of the block, and what it says, quotation marks and an umlaut included.
+# I&M 1 (function and location), 2 and 3: block type and text, which includes quotation marks and an umlaut.
 LABELS = {
     0xAFF1: (0x21, b"= gripper 1".ljust(32) + b"+ cell \"7\"".ljust(22)),
     0xAFF2: (0x22, b"2026-11-23 16:00"),
@@ -156,7 +156,7 @@ def label():
 
 
 def labelled():
-    """By the name and at the address that it was given before its restart."""
+    """Connects to the name and address assigned before the restart."""
     device = until("discover", Plc.discover)
     assert device.ip == ADDRESS, device.ip
     with device:
@@ -166,7 +166,7 @@ def labelled():
 
 
 def is_stopped(plc, flags):
-    """The motion that ran has ended before its target, and nothing begins again."""
+    """Checks that the motion ended before its target and that no motion follows."""
     state, system, width, _ = plc.read()
     assert state == IDLE and not system & IS_FAST_STOPPED, (state, system)
     assert 20_00 < width < 110_00, width
@@ -178,7 +178,7 @@ def is_stopped(plc, flags):
 def begin_to_move():
     plc = Plc()
     plc.home()
-    # 90 mm at 5 mm/s.
+    # A motion of 90 mm at 5 mm/s.
     plc.command(MOVE, lambda state, flags, width, _: width < 109_00, speed=5_00)
     return plc
 
@@ -189,7 +189,7 @@ def cut():
     cable = lambda state: subprocess.run(["ip", "link", "set", INTERFACE, state], check=True)
     cable("down")
     plc.cyclic.stop()
-    # The time that the gripper waits, and some: it has no way to tell.
+    # Wait slightly longer than the gripper's time-out, which cannot be read.
     time.sleep(2.5)
     cable("up")
     subprocess.run(["ip", "address", "replace", "192.168.7.1/24", "dev", INTERFACE], check=True)
@@ -210,14 +210,14 @@ def killed():
     assert os.read(reads, 1) == b"x"
     os.kill(child, 9)
     os.waitpid(child, 0)
-    # It connects as soon as the gripper has noticed.
+    # Connect as soon as the gripper has detected the loss.
     plc = Plc()
     is_stopped(plc, 0)
     plc.release()
 
 
 def unmoved():
-    """Where `cycle` has left it, after whatever came since; and it still does what it is told."""
+    """Checks that the device is as `cycle` left it, and still executes commands."""
     set_up()
     plc = Plc()
     state, flags, width, _ = plc.read()
@@ -227,7 +227,7 @@ def unmoved():
 
 
 class Tampered:
-    """What its frames of outputs are sent by, changed on their way."""
+    """A socket that modifies the frames of outputs."""
 
     def __init__(self, socket, change):
         self.socket, self.change = socket, change
@@ -240,7 +240,7 @@ class Tampered:
 
 
 def unasked():
-    """Frames that ask for a motion and must not count, and those behind them that hold what they asked for."""
+    """Sends invalid frames that request a motion, followed by valid frames that hold the same flag."""
     set_up()
     plc = Plc()
     plc.home()
@@ -262,7 +262,7 @@ def unasked():
         return frame
 
     def bad(frame):
-        # Data of slot 2 is first, its status behind it.
+        # The data of slot 2 is first, followed by its status.
         assert frame[28] == 0x80, frame.hex()
         frame[28] = 0
         return frame
@@ -273,7 +273,7 @@ def unasked():
             return frame
         return change
 
-    # The controller is silent for the gripper, and is given up.
+    # To the gripper the controller is silent, so it ends the connection.
     for name, change in [
         ("another station", lambda _: of_another_station),
         ("another connection", lambda _: of_another_connection),
@@ -287,7 +287,7 @@ def unasked():
         plc.cyclic._tx_sock = Tampered(sender, change(plc.cyclic._cycle_counter))
         time.sleep(0.05)
         plc.write(MOVE)
-        # More than its watchdog. The frames are good again, but nobody listens.
+        # Wait longer than the watchdog. The frames are valid again, but the connection has ended.
         time.sleep(0.5)
         plc.cyclic._tx_sock = sender
         time.sleep(0.1)
@@ -297,7 +297,7 @@ def unasked():
         assert plc.read()[2] == width, (name, plc.read())
         plc.release()
 
-    # It is there, and has no outputs; when it has, the flag that it holds is no edge.
+    # The controller is connected but has no valid outputs. When they become valid, a held flag is not an edge.
     plc = Plc()
     sender = plc.cyclic._tx_sock
     for name, change in [("bad", bad), ("stopped", status(0x10)), ("a backup", status(0x01))]:
@@ -312,9 +312,9 @@ def unasked():
         time.sleep(0.2)
         assert plc.read()[2] == width, (name, plc.read())
 
-    # The same flag is one when all is well.
+    # With valid outputs, the same flag is an edge.
     plc.command(MOVE, lambda state, flags, now, _: now < width - 1_00, speed=5_00)
-    # Back with the image that it had when its cable was cut.
+    # After a cut cable, the controller continues with its previous image.
     plc.cyclic._tx_sock = Tampered(sender, of_another_station)
     time.sleep(2)
     plc.cyclic.stop()

@@ -1,4 +1,4 @@
-//! What can go wrong on a CAN bus: bus-off, nobody who acknowledges, full mailboxes, an overrun, frames of others.
+//! Faults of a CAN bus: bus-off, missing acknowledgement, full mailboxes, overrun, foreign frames.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,7 +25,7 @@ use super::{
     power_up, pulse, wait,
 };
 
-/// Identifiers of an image as delivered: what the gripper sends, and the bridge's TPDO1.
+/// Identifiers with default settings: the gripper's messages, and the bridge's TPDO1.
 const FROM_GRIPPER: u16 = 0x121;
 const TPDO1: u16 = 0x190;
 
@@ -56,7 +56,7 @@ fn plant<C: CanBoard>(image: (&str, u32), config: Config) -> Plant<C> {
 }
 
 impl<C: CanBoard> Plant<C> {
-    /// One of the bridge's input registers, by Modbus.
+    /// Reads an input register of the bridge over Modbus.
     fn register(&self, master: &mut Master, address: u16) -> u16 {
         let answer = master.ask(&[&[4][..], &address.to_be_bytes(), &[0, 1]].concat()).unwrap();
         u16::from_be_bytes([answer[2], answer[3]])
@@ -66,7 +66,7 @@ impl<C: CanBoard> Plant<C> {
         self.bus.controller().faults()
     }
 
-    /// The commands that the gripper has heard since.
+    /// Returns the commands that the gripper has received since the mark.
     fn heard_since(&self, mark: usize) -> Vec<CommandId> {
         let entries = self.trace.since(mark);
         let to_gripper = entries.iter().filter_map(|entry| match entry {
@@ -76,7 +76,7 @@ impl<C: CanBoard> Plant<C> {
         to_gripper.collect()
     }
 
-    /// Until the bridge is READY again after a FAST STOP.
+    /// Acknowledges a FAST STOP and waits for READY.
     fn acknowledge(&self) {
         let bound = Instant::now() + PATIENCE;
         loop {
@@ -93,13 +93,13 @@ fn load(controller: &mut Bxcan, offset: u32) -> u32 {
     controller.load(offset).unwrap()
 }
 
-/// Somebody who keeps the bus busy with frames of this kind, in turn, until it is dropped.
+/// A node that keeps the bus busy with these frames, in turn, until it is dropped.
 struct Storm {
     is_over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// How many frames wait for the bus at any time.
+/// Number of frames that wait for the bus at any time.
 const STORM_QUEUE: usize = 200;
 
 impl Storm {
@@ -111,7 +111,7 @@ impl Storm {
             while !over.load(Ordering::Relaxed) {
                 let missing = STORM_QUEUE.saturating_sub(station.waiting());
                 frames.by_ref().take(missing).for_each(|frame| station.send(*frame));
-                // What the others say is of no interest, but sets the pace.
+                // The content of received frames is irrelevant. They set the pace.
                 let _ = station.heard.recv_timeout(Duration::from_millis(1));
             }
         });
@@ -139,10 +139,10 @@ fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_
     plant.bus.set_fault(Fault::ShortCircuit);
     let lost = |outputs: Outputs| outputs.contains(Outputs::ERROR) && !outputs.contains(Outputs::LINK_OK);
     plant.board.wait_outputs(PATIENCE, lost).unwrap();
-    // On a busy host the gripper may have fallen silent a moment before.
+    // On a busy host the gripper may have stopped responding shortly before.
     let bound = Instant::now() + PATIENCE;
     while plant.register(&mut master, CAN_STATE) & 0x7F == 0 {
-        assert!(Instant::now() < bound, "neither off nor on the way back");
+        assert!(Instant::now() < bound, "neither bus-off nor recovering");
     }
     plant.board.set_input(Inputs::FAST_STOP_OK, false).unwrap();
     pass(&plant.board, 20);
@@ -153,8 +153,8 @@ fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_
     assert_eq!(plant.heard_since(mark).first(), Some(&CommandId::FastStop), "{:?}", plant.heard_since(mark));
     plant.board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
     plant.acknowledge();
-    assert_eq!(motions(&plant.trace.since(mark)), [], "the motion is not gone on with");
-    assert_eq!(plant.faults(), (false, false, false), "the bus is well again");
+    assert_eq!(motions(&plant.trace.since(mark)), [], "the motion must not continue");
+    assert_eq!(plant.faults(), (false, false, false), "the bus must have recovered");
     assert_eq!(plant.register(&mut master, CAN_STATE), 0);
     assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 1);
     assert!(plant.gripper.state().speed.abs() < 0.001);
@@ -170,7 +170,11 @@ fn a_command_that_nobody_acknowledges_does_not_leave_later<C: CanBoard>() {
     plant.board.set_input(Inputs::HOME, true).unwrap();
     plant.board.wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
     plant.board.set_input(Inputs::HOME, false).unwrap();
-    assert_eq!(plant.register(&mut master, CAN_STATE), 0x80, "error passive, not off");
+    assert_eq!(
+        plant.register(&mut master, CAN_STATE),
+        0x80,
+        "the controller must be error passive, not bus-off"
+    );
     assert_eq!(plant.faults(), (false, true, true));
     plant.bus.set_fault(Fault::None);
     plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
@@ -182,7 +186,7 @@ fn a_command_that_nobody_acknowledges_does_not_leave_later<C: CanBoard>() {
     assert_eq!(motions(&plant.trace.since(mark)), [CommandId::Homing]);
 }
 
-/// Nobody acknowledges, so the motion waits in a mailbox when it is withdrawn, and the bus is well again before LINK_OK falls.
+/// Without an acknowledgement, the motion waits in a mailbox until it is withdrawn. The bus recovers before LINK_OK falls.
 fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanBoard>() {
     for (wire, high, command) in
         [(Inputs::STOP_ACK, true, CommandId::Stop), (Inputs::FAST_STOP_OK, false, CommandId::FastStop)]
@@ -194,7 +198,7 @@ fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanB
         pass(&plant.board, 20);
         plant.board.set_input(wire, high).unwrap();
         pass(&plant.board, 20);
-        assert_eq!(motions(&plant.trace.since(mark)), [], "the bus is cut");
+        assert_eq!(motions(&plant.trace.since(mark)), [], "nothing is sent over the cut bus");
         plant.bus.set_fault(Fault::None);
         let is_heard = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(command));
         assert!(plant.trace.wait(mark, PATIENCE, is_heard), "{command}: {:?}", plant.heard_since(mark));
@@ -208,26 +212,30 @@ fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanB
 fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
     let plant = plant::<Bxcan>(BOTH_ON_CAN, config());
     let master = plant.bus.join();
-    // More urgent than what the bridge tells the PLC, less so than what it tells the gripper.
+    // Lower priority than messages to the gripper, higher than frames to the PLC.
     static BETWEEN: [WireFrame; 1] = [WireFrame { id: id(0x150), is_remote: false, dlc: 8, data: [0; 8] }];
     let empty_mailboxes = || load(&mut plant.bus.controller(), TSR) >> 26 & 0b111;
     let wait_for = |what: &str, are_so: &dyn Fn(u32) -> bool| {
         let bound = Instant::now() + PATIENCE;
         while !are_so(empty_mailboxes()) {
-            assert!(Instant::now() < bound, "the mailboxes do not become {what}: {:03b}", empty_mailboxes());
+            assert!(
+                Instant::now() < bound,
+                "time-out; expected mailboxes: {what}; empty: {:03b}",
+                empty_mailboxes()
+            );
         }
     };
-    // A second heartbeat, half a second behind the first, might leave before it from another mailbox.
+    // A second heartbeat, half a second after the first, could be sent first from another mailbox.
     let storm = Storm::on(&plant.bus, &BETWEEN);
-    wait_for("one heartbeat's", &|empty| empty & 0b010 == 0);
+    wait_for("one holds a heartbeat", &|empty| empty & 0b010 == 0);
     pass(&plant.board, 1_100);
-    assert_eq!(empty_mailboxes() & 0b100, 0b100, "one frame of an identifier at a time");
+    assert_eq!(empty_mailboxes() & 0b100, 0b100, "at most one frame per identifier in the mailboxes");
     drop(storm);
-    // The others leave, and the next is on its own.
+    // The queued frames are sent, and the next heartbeat is alone.
     pass(&plant.board, 600);
     let storm = Storm::on(&plant.bus, &BETWEEN);
-    wait_for("one heartbeat's", &|empty| empty & 0b010 == 0);
-    // NMT, before the next one: start the node. From here on it sends PDOs.
+    wait_for("one holds a heartbeat", &|empty| empty & 0b010 == 0);
+    // Start the node by NMT before the next heartbeat, so that it sends PDOs.
     master.send(WireFrame::standard(0, &[1, 0x10]));
     wait_for("full", &|empty| empty & 0b110 == 0);
 
@@ -236,13 +244,13 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
     let is_fast_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(CommandId::FastStop));
     assert!(plant.trace.wait(mark, PATIENCE, is_fast_stop));
 
-    assert_eq!(empty_mailboxes() & 0b110, 0, "what was to be sent before is still there");
+    assert_eq!(empty_mailboxes() & 0b110, 0, "the earlier frames must still be in the mailboxes");
     let pdos = plant.bus.sent().iter().skip(sent).filter(|frame| frame.id == id(TPDO1)).count();
     assert_eq!(pdos, 0);
     drop(storm);
     let bound = Instant::now() + PATIENCE;
     while !plant.bus.sent().iter().skip(sent).any(|frame| frame.id == id(TPDO1)) {
-        assert!(Instant::now() < bound, "the PDO does not leave when the bus is free");
+        assert!(Instant::now() < bound, "the PDO was not sent on the free bus");
     }
 }
 
@@ -257,7 +265,7 @@ fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
 
     let bound = Instant::now() + PATIENCE;
     while plant.register(&mut master, CAN_OVERRUNS) == 0 {
-        assert!(Instant::now() < bound, "no overrun is counted");
+        assert!(Instant::now() < bound, "the overrun counter did not increase");
     }
     assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 1);
     assert_eq!(motions(&plant.trace.since(mark)), []);
@@ -269,14 +277,14 @@ fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
 fn frames_without_a_pause_between_them_are_all_heard_in_rp2040js() {
     const FRAMES: usize = 200;
     let plant = plant::<Mcp2515>(GRIPPER_ON_CAN, config());
-    // The shortest that there are, with the identifier of another node's heartbeat, which passes the filters.
+    // The shortest frames, with the identifier of another node's heartbeat, which passes the filters.
     static HEARTBEAT: WireFrame = WireFrame { id: id(0x701), is_remote: false, dlc: 0, data: [0; 8] };
     let node = plant.bus.join();
     let is_heartbeat = |frame: &&WireFrame| frame.id == HEARTBEAT.id;
     (0..FRAMES).for_each(|_| node.send(HEARTBEAT));
     let bound = Instant::now() + PATIENCE;
     while plant.bus.controller().accepted().iter().filter(is_heartbeat).count() < FRAMES {
-        assert!(Instant::now() < bound, "{} are still to be sent", node.waiting());
+        assert!(Instant::now() < bound, "{} frames are still queued", node.waiting());
     }
     command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
     assert_eq!(plant.bus.controller().lost(), []);
@@ -285,11 +293,11 @@ fn frames_without_a_pause_between_them_are_all_heard_in_rp2040js() {
 fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
     let plant = plant::<C>(GRIPPER_ON_CAN, config());
     let wanted = [0x000, FROM_GRIPPER, 0x210, 0x610, 0x701];
-    // Identifiers that nobody wants; the wanted ones as the beginning of 29 bits; remote frames of the wanted ones.
+    // Unused identifiers, 29-bit identifiers that begin with used ones, and remote frames of used ones.
     let foreign = [0x122, 0x300, 0x7FF].map(|id| WireFrame::standard(id, &[0xAA; 8]));
     let extended = wanted.map(|id| WireFrame::extended(u32::from(id) << 18 | 0x2AAAA, &[0xAA; 8]));
     let remote = wanted.map(|id| WireFrame::standard(id, &[0; 8]).remote());
-    // Not those with the identifiers of NMT and the like: they would leave no time for the gripper.
+    // NMT identifiers and the like are excluded, because they would starve the gripper's frames.
     let frames: Vec<_> = foreign.into_iter().chain(extended).chain(remote).collect();
     let (urgent, others): (Vec<_>, Vec<_>) = frames
         .into_iter()

@@ -20,7 +20,7 @@ def wait(what, reached):
     bound = time.monotonic() + PATIENCE
     while not reached():
         assert time.monotonic() < bound, (
-            f"{what} does not come: {dict(seen)}, {node.nmt.state}, {emergencies}"
+            f"time-out; expected {what}: {dict(seen)}, {node.nmt.state}, {emergencies}"
         )
         time.sleep(0.002)
 
@@ -32,21 +32,21 @@ node.sdo.RESPONSE_TIMEOUT = PATIENCE
 seen = {}
 emergencies = []
 node.emcy.add_callback(lambda error: emergencies.append((error.code, error.register)))
-# Collected from the start: the package's own `wait_for_bootup` misses one that comes before it begins to wait.
+# Recorded from the start: the package's `wait_for_bootup` misses a message sent before the call.
 beats = []
 node.nmt.add_heartbeat_callback(beats.append)
 BOOT_UP = 0
 
 
 def in_state(name):
-    """A state as a heartbeat tells it."""
+    """Waits until a heartbeat reports this state."""
     wait(name, lambda: beats and node.nmt.state == name)
 
 
 beat = network.send_periodic(0x700 + MASTER, [5], 0.1)
 in_state("PRE-OPERATIONAL")
 
-# SDO, before operation: the PDO parameters as the device has them are those of the EDS file.
+# Before operation, read by SDO: the device's PDO parameters equal the EDS file.
 node.rpdo.read()
 node.tpdo.read()
 assert node.rpdo[1].cob_id == 0x200 + NODE and node.tpdo[1].cob_id == 0x180 + NODE
@@ -57,7 +57,7 @@ def expect_heartbeats_within(silence_ms):
     node.sdo["Consumer heartbeat time"][1].raw = MASTER << 16 | silence_ms
 
 
-# The longest that there is: a busy host may send the heartbeat late.
+# The longest time: a busy host may send the heartbeat late.
 expect_heartbeats_within(65_535)
 
 recipe = node.sdo["Settings"]["RECIPE2_WIDTH"]
@@ -66,16 +66,16 @@ recipe.raw = 1234
 assert recipe.raw == 1234, recipe.raw
 try:
     node.sdo["Settings"]["BUS_REACTION"].raw = 9
-    raise AssertionError("a reaction 9 is taken")
+    raise AssertionError("reaction 9 was accepted")
 except canopen.SdoAbortedError as error:
     assert error.code == 0x06090030, hex(error.code)
 try:
     node.sdo["Output image"]["CMDFLAGS"].raw = MOVE
-    raise AssertionError("a command by SDO is taken")
+    raise AssertionError("a command by SDO was accepted")
 except canopen.SdoAbortedError as error:
     assert error.code == 0x08000021, hex(error.code)
 
-# Every object is there, and holds what the EDS file says of power-up.
+# Every object exists and has the power-up value from the EDS file.
 for entry in node.object_dictionary.values():
     for variable in [entry] if isinstance(entry, canopen.objectdictionary.ODVariable) else entry.values():
         holder = node.sdo[variable.index]
@@ -86,13 +86,13 @@ for entry in node.object_dictionary.values():
         except canopen.SdoAbortedError as error:
             assert variable.index == 0x1003 and error.code == 0x08000024, f"{what}: {error}"
             continue
-        # Two were changed above; the image is delivered with the others, which chose this bus.
+        # Two values were changed above. Others differ because the image's settings select this bus.
         settings = ("RECIPE2_WIDTH", "BUS_TIMEOUT", "PLC_BUS", "GRIPPER_LINE", "CAN_RATE", "CAN_ID", "CAN_NODE")
         changed = variable.index in (0x1003, 0x1016) or variable.name in settings
         assert changed or variable.default in (None, value), f"{what}: {value!r}, {variable.default!r}"
 assert node.sdo["Manufacturer device name"].raw == "WSG gripper bridge"
 
-# What configuration tools write, whole: PDOs are disabled, set, mapped anew as they are, and enabled.
+# Write the full PDO configuration as configuration tools do: disable, set, map with the same entries, enable.
 node.tpdo[1].inhibit_time = 50
 node.rpdo.save()
 node.tpdo.save()
@@ -101,7 +101,7 @@ node.load_configuration()
 node.rpdo.read()
 node.tpdo.read()
 assert node.rpdo[1].enabled and node.tpdo[1].enabled and node.tpdo[2].enabled
-assert node.sdo[0x1800][3].raw == 20, "as the EDS file has it"
+assert node.sdo[0x1800][3].raw == 20, "differs from the EDS file"
 
 
 def take(pdo):
@@ -123,7 +123,7 @@ def write(flags):
 
 
 def command(flag, state):
-    """A command to its end."""
+    """Runs a command to its end."""
     write(0)
     write(flag)
     wait("the end of a command", lambda: seen["Status Code"] != PENDING and seen["GSTATE"] == state)
@@ -134,7 +134,7 @@ def command(flag, state):
 write(0)
 # The wire was low at power-up.
 wait("FAST STOP", lambda: seen["SYSSTATE"] & FAST_STOP)
-# Its EMCY came before anybody listened.
+# Its EMCY was sent before the callback was registered.
 assert node.sdo["Error register"].raw == 0x81
 write(STOP_ACK)
 wait("the end of FAST STOP", lambda: not seen["SYSSTATE"] & FAST_STOP)
@@ -146,10 +146,10 @@ wait("width and force", lambda: 1900 <= seen.get("WIDTH_2", 0) <= 2000 and seen[
 command(RELEASE, IDLE)
 assert node.sdo["Input image"]["SYSSTATE"].raw & REFERENCED
 
-# With SYNC: nothing without it.
+# With SYNC, nothing is sent without it.
 node.rpdo[1].trans_type = 1
 node.rpdo[1].save()
-# It was disabled for a moment: the first image behind that gives no edge.
+# The RPDO was disabled for a moment, so its first image gives no edge.
 write(0)
 network.sync.transmit()
 write(GRIP)
@@ -161,7 +161,7 @@ write(RELEASE)
 network.sync.transmit()
 wait("IDLE", lambda: seen["GSTATE"] == IDLE)
 
-# FAST STOP by the master, which waits for no SYNC.
+# A FAST STOP by the master does not wait for SYNC.
 emergencies.clear()
 write(FASTSTOP)
 wait("EMCY of the master's FAST STOP", lambda: (0xFF01, 0x81) in emergencies)
@@ -174,7 +174,7 @@ write(STOP_ACK)
 wait("its end", lambda: not seen["SYSSTATE"] & FAST_STOP)
 write(0)
 
-# The master falls silent: pre-operational, and told why.
+# The master's heartbeat stops: the node becomes pre-operational and reports the reason.
 expect_heartbeats_within(2_000)
 beat.stop()
 wait("EMCY of the silence", lambda: (0x8130, 0x11) in emergencies)
@@ -182,7 +182,7 @@ assert node.sdo["Pre-defined error field"][1].raw & 0xFFFF == 0x8130
 in_state("PRE-OPERATIONAL")
 assert node.sdo["Reports"]["BUS_TIMEOUTS"].raw == 1
 
-# Reset: announced by a boot-up, and the recipe is as delivered.
+# Reset: a boot-up message follows, and the recipe has its default value.
 beats.clear()
 node.nmt.state = "RESET"
 wait("boot-up", lambda: BOOT_UP in beats)

@@ -1,7 +1,7 @@
-//! The flashed image with CAN1's registers in the emulator, under three settings: the gripper on the bus, the PLC on the
-//! bus, and both; and a third-party CANopen master.
+//! The released image with a model of CAN1's registers, under three settings: gripper on CAN, PLC on CAN, and both. A
+//! third-party CANopen master controls it.
 
-/// Makes a test for each controller, that is, for each board, of functions that are generic over it.
+/// Generates a test for each board's controller from functions that are generic over it.
 macro_rules! on_both_boards {
     ($($test:ident),+ $(,)?) => {
         mod on_the_default_board {
@@ -50,12 +50,12 @@ use super::Board;
 
 const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
 
-/// Images with somebody on CAN, and their bus's rate, in bit/s, as `cargo xtask test` builds them.
+/// Environment variables of the images with CAN, as `cargo xtask test` builds them, and their bit rates in bit/s.
 const GRIPPER_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_GRIPPER", 1_000_000);
 const PLC_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_PLC", 250_000);
 const BOTH_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_BOTH", 500_000);
 
-/// A board's CAN controller, and what the tests ask of it.
+/// A board's CAN controller, with the board-specific checks.
 trait CanBoard: BusController {
     const BOARD: Board;
 
@@ -63,15 +63,15 @@ trait CanBoard: BusController {
 
     fn extras(bus: &CanBus<Self>) -> Extras<'static>;
 
-    /// Whether it is bus-off, error passive, and warns.
+    /// Returns whether the controller is bus-off, error passive, and above its warning limit.
     fn faults(&mut self) -> (bool, bool, bool);
 
-    /// Whether its filters have let nothing pass but these frames; where they cannot be so narrow, that it has lost none of these.
+    /// Returns whether the filters passed only these frames or, for wider filters, whether no such frame was lost.
     fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool;
 
-    /// What holds of any driver: the bus's rate, a sample point at 87.5 % where the controller's clock allows it (CiA 301, table 1),
-    /// and nothing that the manual forbids; that no frame was lost where the controller's model tells; and what only registers of the
-    /// board show.
+    /// Checks requirements on every driver: the bit rate, a sample point at 87.5 % if the controller's clock permits it (CiA 301,
+    /// table 1), no violation of the manual, and no lost frame if the model detects losses. Also checks the board's own
+    /// registers.
     fn assert_set_up(board: &Emulator, bus: &CanBus<Self>, rate: u32);
 }
 
@@ -131,7 +131,7 @@ impl CanBoard for Mcp2515 {
 
     fn assert_set_up(_: &Emulator, bus: &CanBus<Self>, rate: u32) {
         let controller = bus.controller();
-        // At 1 Mbit/s its crystal makes eight time quanta of a bit.
+        // At 1 Mbit/s, the crystal provides eight time quanta per bit.
         let sample_point = if rate == 1_000_000 { 750 } else { 875 };
         assert_eq!((controller.rate(), controller.sample_point()), (rate, sample_point));
         assert_eq!(controller.violations(), [""; 0]);
@@ -139,39 +139,43 @@ impl CanBoard for Mcp2515 {
     }
 }
 
-/// A board on a bus, with its main loop running.
+/// Starts a board on a bus, with its main loop running.
 fn power_up<C: CanBoard>((variable, rate): (&str, u32)) -> (Emulator, CanBus<C>, CanHub) {
     let bus = C::new_bus(rate);
-    // Who acknowledges is there before the board.
+    // The acknowledging nodes join before the board starts.
     let places = [bus.join(), bus.join()];
     let board = Emulator::start_with(&C::BOARD.image(variable), C::extras(&bus)).unwrap();
     let hub = CanHub::start(places, &board.clock()).unwrap();
     (board, bus, hub)
 }
 
-/// MODER and AFRH of port B, and the register that switches CAN1's clock on (RM0351, 8.5, 6.4.19).
+/// MODER and AFRH of port B, and the register that enables CAN1's clock (RM0351, 8.5, 6.4.19).
 const GPIOB_MODER: u32 = 0x4800_0400;
 const GPIOB_AFRH: u32 = 0x4800_0424;
 const RCC_APB1ENR1: u32 = 0x4002_1058;
 
-/// Which of the first 32 interrupts are enabled (ARMv7-M, B3.4.4), and the interrupts that CAN1 is asked for (RM0351, 46.9.2):
-/// a mailbox that is empty, a message in FIFO 0.
+/// Enable register of the first 32 interrupts (ARMv7-M, B3.4.4), and CAN1's interrupt sources (RM0351, 46.9.2): empty
+/// mailbox, message in FIFO 0.
 const NVIC_ISER0: u32 = 0xE000_E100;
 const CAN_IER: u32 = 0x14;
-/// MCR of a controller that tries again, sends by identifiers and stays bus-off until it is told.
+/// MCR of a controller that retransmits, sends by identifier, and stays bus-off until software recovers it.
 const CAN_MCR: (u32, u32) = (0x00, 0x0001_0000);
 const TMEIE_AND_FMPIE0: u32 = 0b11;
 
-/// Clock, pins, interrupts and mode.
+/// Checks clock, pins, interrupts and mode.
 fn assert_peripheral_set_up(board: &Emulator, bus: &CanBus) {
-    assert_eq!(board.readl(RCC_APB1ENR1).unwrap() >> 25 & 1, 1, "CAN1's clock");
-    assert_eq!(board.readl(GPIOB_MODER).unwrap() >> 16 & 0xF, 0b1010, "PB8 and PB9 are a peripheral's");
-    assert_eq!(board.readl(GPIOB_AFRH).unwrap() & 0xFF, 0x99, "and that is CAN1");
-    // The handlers mask them until the main loop has come round.
+    assert_eq!(board.readl(RCC_APB1ENR1).unwrap() >> 25 & 1, 1, "CAN1's clock must be enabled");
+    assert_eq!(
+        board.readl(GPIOB_MODER).unwrap() >> 16 & 0xF,
+        0b1010,
+        "PB8 and PB9 must be in alternate-function mode"
+    );
+    assert_eq!(board.readl(GPIOB_AFRH).unwrap() & 0xFF, 0x99, "PB8 and PB9 must belong to CAN1");
+    // The handlers mask the interrupts until the next turn of the main loop.
     let wakes = || board.readl(NVIC_ISER0).unwrap() >> 19 & 0b11 == 0b11;
     let bound = Instant::now() + PATIENCE;
     while !wakes() {
-        assert!(Instant::now() < bound, "CAN1_TX and CAN1_RX0 do not wake the core");
+        assert!(Instant::now() < bound, "CAN1_TX and CAN1_RX0 are not enabled");
     }
     let mut controller = bus.controller();
     assert_eq!(controller.load(CAN_IER).unwrap(), TMEIE_AND_FMPIE0);
@@ -182,12 +186,12 @@ fn config() -> Config {
     Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() }
 }
 
-/// Whether this is the end of a command: READY, and these besides.
+/// Waits until the outputs are exactly these, at the end of a command.
 fn wait(board: &Emulator, wanted: Outputs) {
     board.wait_outputs(MOTION_PATIENCE, |outputs| outputs == wanted).unwrap();
 }
 
-/// Lets the board's clock advance.
+/// Waits for some milliseconds of board time.
 fn pass(board: &Emulator, ms: u32) {
     let start = board.now_ms().unwrap();
     while board.now_ms().unwrap().wrapping_sub(start) < ms {}
@@ -200,11 +204,11 @@ fn pulse(board: &Emulator, wire: Inputs) {
     }
 }
 
-/// From power-up to READY, by the wires.
+/// Reaches READY from power-up through the wires.
 fn make_ready(board: &Emulator) {
     board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-    // The FAST STOP of power-up has to be confirmed before it can be acknowledged.
+    // The gripper must confirm the FAST STOP of power-up before it can be acknowledged.
     let bound = Instant::now() + PATIENCE;
     while Instant::now() < bound {
         pulse(board, Inputs::STOP_ACK);
@@ -215,7 +219,7 @@ fn make_ready(board: &Emulator) {
     panic!("not READY: {:?}", board.outputs());
 }
 
-/// A command by a wire: BUSY, and then these outputs.
+/// Issues a command by a wire: waits for BUSY, then for these outputs.
 fn command(board: &Emulator, wire: Inputs, wanted: Outputs) {
     board.set_input(wire, true).unwrap();
     board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
@@ -241,7 +245,7 @@ fn gripper_on_can_runs_a_grip_cycle_by_wires<C: CanBoard>() {
     C::assert_set_up(&board, &bus, GRIPPER_ON_CAN.1);
 }
 
-/// Runs the master against a board; the gripper is on the bus with it or on its serial line.
+/// Runs the master against a board, with the gripper on the same bus or on a serial line.
 fn run_master<C: CanBoard>(settings: (&str, u32), gripper_on_bus: bool) {
     let (mut board, bus, hub) = power_up::<C>(settings);
     let line = if gripper_on_bus { hub.gripper } else { board.take_gripper_line().unwrap() };
@@ -261,7 +265,7 @@ fn run_master<C: CanBoard>(settings: (&str, u32), gripper_on_bus: bool) {
     drop(gripper);
 }
 
-/// The number of the chip that `emulators/rp2040/flash.js` plays.
+/// Number of the flash chip that `emulators/rp2040/flash.js` models.
 const FLASH_CHIP: [u32; 2] = [0xE660_5838, 0x832A_472F];
 
 #[test]
@@ -273,11 +277,14 @@ fn serial_number_is_made_of_the_flash_chips_in_rp2040js() {
         let id = WireFrame::standard(id, &[]).id;
         let bound = Instant::now() + PATIENCE;
         let heard = std::iter::from_fn(|| master.heard.recv_timeout(PATIENCE).ok());
-        heard.take_while(|_| Instant::now() < bound).find(|frame| frame.id == id).expect("it is sent")
+        heard
+            .take_while(|_| Instant::now() < bound)
+            .find(|frame| frame.id == id)
+            .expect("the frame must be sent")
     };
-    // It takes part in the bus.
+    // A heartbeat shows that the node is on the bus.
     hear(0x710);
-    // SDO: object 1018h, entry 4 is read, and its four bytes come.
+    // Read object 1018h, subindex 4, by SDO.
     master.send(WireFrame::standard(0x610, &[0x40, 0x18, 0x10, 4, 0, 0, 0, 0]));
     let answer = hear(0x590);
     let (of, number) = answer.data.split_at(4);

@@ -1,5 +1,5 @@
-# What every Python master does, over read(address, count), inputs(address, count), write(address, values) and
-# coil(address, value), which each test puts before.
+# The common part of all Python masters. Each test prepends read(address, count), inputs(address, count),
+# write(address, values) and coil(address, value).
 
 import time
 
@@ -9,7 +9,7 @@ def wait(done, seconds=60):
         image = inputs(0, 6)
         if done(image):
             return image
-    raise SystemExit("waited in vain; input image %r" % (image,))
+    raise SystemExit("time-out; input image %r" % (image,))
 
 def command(flags, width=0, speed=0, force=0):
     write(0, [flags << 8, width, speed, force])

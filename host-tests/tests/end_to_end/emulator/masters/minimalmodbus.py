@@ -1,4 +1,4 @@
-# minimalmodbus as a master of the bridge: the functions that cycle.py asks for, and what it can besides.
+# minimalmodbus as a master of the bridge: the functions for cycle.py, and its other functions.
 import sys
 import minimalmodbus
 client = minimalmodbus.Instrument(sys.argv[1], 1)
@@ -29,7 +29,7 @@ def coil(address, value):
 
 try:
     client.read_register(4)
-    raise SystemExit("there is no register 4")
+    raise SystemExit("register 4 must not exist")
 except minimalmodbus.IllegalRequestError:
     pass
 assert client.read_bits(0, 16, functioncode=2)[0] == 1

@@ -1,7 +1,7 @@
-//! Third-party masters, over a pseudo terminal to the emulated board: `mbpoll`, `pymodbus`, `minimalmodbus`,
+//! Third-party masters over a pseudo terminal to the emulated board: `mbpoll`, `pymodbus`, `minimalmodbus`,
 //! `modbus-tk`, `jsmodbus` and `tokio-modbus`.
 //!
-//! A pseudo terminal refuses parity, so they are told 8N1; the emulated line knows neither rate nor parity.
+//! A pseudo terminal refuses parity, so the masters use 8N1. The emulated line models neither rate nor parity.
 
 use std::time::{Duration, Instant};
 
@@ -29,7 +29,7 @@ struct Plant {
     terminal: Terminal,
 }
 
-/// A board whose gripper answers; the FAST STOP of power-up is not acknowledged yet.
+/// A board with a responding gripper. The FAST STOP of power-up is not acknowledged.
 fn plant(board: Board) -> Plant {
     let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
     board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
@@ -40,16 +40,16 @@ fn plant(board: Board) -> Plant {
     let mut master = Master::new(board.take_modbus_line().unwrap(), board.clock(), 1);
     let bound = Instant::now() + Duration::from_secs(60);
     while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
-        assert!(Instant::now() < bound, "the gripper does not answer");
+        assert!(Instant::now() < bound, "the gripper does not respond");
     }
-    // BUS_TIMEOUT to BUS_CHAR_TIMEOUT: a master on a busy host may pause between requests and inside of them.
+    // Raise BUS_TIMEOUT and BUS_CHAR_TIMEOUT, because a master on a busy host may pause between and inside requests.
     let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
     let settings = [&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat();
     assert_eq!(master.ask(&settings).unwrap(), [16, 0, 101, 0, 3]);
     Plant { _board: board, gripper, trace, terminal: Terminal::to(master.into_line().unwrap()).unwrap() }
 }
 
-/// Homing, a grip and a release left the bridge, once each, and the fingers are where they belong.
+/// Checks that the bridge has sent homing, a grip and a release once each, and the final width.
 fn assert_one_cycle(plant: &Plant, said: &str) {
     let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
     assert_eq!(motions(&plant.trace.since(0)), expected, "{said}");
@@ -57,7 +57,7 @@ fn assert_one_cycle(plant: &Plant, said: &str) {
     assert!((width - 40.0).abs() < 0.5, "{width}");
 }
 
-/// Runs a script that homes, grips, releases and asserts what it sees on the way.
+/// Runs a Python master with the script, which homes, grips, releases and checks the results.
 fn run_python(board: Board, script: &str) {
     let plant = plant(board);
     let script = script.replace("# cycle.py\n", include_str!("cycle.py"));
@@ -87,7 +87,7 @@ fn jsmodbus_runs_a_grip_cycle(board: Board) {
 
 fn mbpoll_reads_writes_and_homes(board: Board) {
     let plant = plant(board);
-    // References from 0, once, 8N1, and values behind the terminal.
+    // Zero-based references, one poll, 8N1, and values after the terminal.
     let poll = |arguments: &[&str], values: &[&str]| {
         let line = ["-m", "rtu", "-a", "1", "-b", "19200", "-P", "none", "-o", "5", "-0", "-1", "-q"];
         for _ in 0..5 {
@@ -104,7 +104,7 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
     assert!(holding.contains("[1]: \t1220") && holding.contains("[3]: \t4000"), "{holding}");
     let beyond = poll(&["-t", "4", "-r", "3", "-c", "2"], &[]);
     assert!(beyond.contains("Illegal data address"), "{beyond}");
-    // STOP/ACK, then HOMING, by their coils.
+    // Trigger STOP/ACK, then HOMING, by their coils.
     for coil in ["4", "3"] {
         for value in ["1", "0"] {
             let written = poll(&["-t", "0", "-r", coil], &[value]);
@@ -114,7 +114,7 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
     let referenced = || poll(&["-t", "1", "-r", "16", "-c", "1"], &[]).contains("[16]: \t1");
     let bound = Instant::now() + Duration::from_secs(60);
     while !referenced() {
-        assert!(Instant::now() < bound, "REFERENCED does not come");
+        assert!(Instant::now() < bound, "REFERENCED is not set within the time limit");
     }
     assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
     let unit = poll(&["-t", "4", "-r", "100", "-c", "1"], &[]);
@@ -143,7 +143,9 @@ fn tokio_modbus_runs_a_grip_cycle(board: Board) {
         let port = serial2_tokio::SerialPort::open(&plant.terminal.path, 19_200).unwrap();
         let mut client = rtu::attach_slave(port, Slave(1));
         let within = Duration::from_secs(120);
-        tokio::time::timeout(within, tokio_cycle(&mut client)).await.expect("the cycle takes too long");
+        tokio::time::timeout(within, tokio_cycle(&mut client))
+            .await
+            .expect("the cycle ends within the time limit");
     });
     assert_one_cycle(&plant, "");
 }
@@ -166,7 +168,7 @@ async fn tokio_cycle(client: &mut Context) {
     assert!(client.read_discrete_inputs(0, 1).await.unwrap().unwrap()[0], "IDLE");
 }
 
-/// A command; GSTATE and status at its end.
+/// Runs a command and returns GSTATE and status at its end.
 async fn tokio_command(client: &mut Context, image: &[u16; 4]) -> (u16, u16) {
     client.write_multiple_registers(0, image).await.unwrap().unwrap();
     client.write_multiple_registers(0, &[0, image[1], image[2], image[3]]).await.unwrap().unwrap();

@@ -1,4 +1,4 @@
-# modbus-tk as a master of the bridge: the functions that cycle.py asks for, and what it can besides.
+# modbus-tk as a master of the bridge: the functions for cycle.py, and its other functions.
 import sys
 import serial
 import modbus_tk.defines as fc
@@ -31,19 +31,19 @@ def coil(address, value):
 
 try:
     again(fc.READ_HOLDING_REGISTERS, 4, 1)
-    raise SystemExit("there is no register 4")
+    raise SystemExit("register 4 must not exist")
 except ModbusError as error:
     assert error.get_exception_code() == 2, error
 try:
     again(fc.WRITE_SINGLE_REGISTER, 100, output_value=0)
-    raise SystemExit("there is no unit 0")
+    raise SystemExit("UNIT must reject 0")
 except ModbusError as error:
     assert error.get_exception_code() == 3, error
 assert again(fc.READ_DISCRETE_INPUTS, 0, 16)[0] == 1
 assert again(fc.READ_COILS, 0, 16) == (0,) * 16
 assert again(fc.WRITE_MULTIPLE_COILS, 8, output_value=[1, 0, 1, 0, 0, 0, 0, 1]) == (8, 8)
 assert read(0, 1) == [0x85], read(0, 1)
-# Registers 0 and 1 are read after register 1 was written.
+# Registers 0 and 1 are read after the write to register 1.
 answer = again(fc.READ_WRITE_MULTIPLE_REGISTERS, 0, 2, output_value=[4001], write_starting_address_fc23=1)
 assert list(answer) == [0x85, 4001], answer
 assert read(100, 1) == [1], "the unit"

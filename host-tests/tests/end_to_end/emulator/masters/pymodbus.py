@@ -1,4 +1,4 @@
-# pymodbus as a master of the bridge: the functions that cycle.py asks for, and what it can besides.
+# pymodbus as a master of the bridge: the functions for cycle.py, and its other functions.
 import sys
 from pymodbus.client import ModbusSerialClient
 from pymodbus import FramerType
