@@ -279,7 +279,7 @@ fn damaged_characters_cause_retries_only() {
 }
 
 #[test]
-fn announced_diagnosis_is_read_and_exchange_goes_on() {
+fn announced_diagnosis_is_read_and_exchange_continues() {
     let mut bus = Bus::new(Baudrate::B500000, options());
     bus.exchange(20, 5_000);
     let part = [10, 0x00, 0x10, 0, 0, 0, 0, 0, 0, 0];

@@ -1,4 +1,4 @@
-//! A client with a virtual clock, so that a test reads as a script.
+//! A client with a virtual clock, so that a test reads like a script.
 #![allow(dead_code, reason = "every test file uses a part of it")]
 
 #[cfg(feature = "std")]
@@ -10,7 +10,7 @@ use wsg_protocol::{
 };
 use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
-/// An answer, with the moment it was sent (to the millisecond below).
+/// An answer and the time of its transmission, rounded down to the millisecond.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Sent {
     pub(crate) at: Time,
@@ -36,13 +36,13 @@ impl Sent {
         f32::from_le_bytes(self.frame[8..12].try_into().expect("four bytes"))
     }
 
-    /// As the log shows it: `25h Grip Part E_CMD_PENDING`.
+    /// Returns the frame in the words of the log: `25h Grip Part E_CMD_PENDING`.
     pub(crate) fn text(&self) -> String {
         self.with(|reply| reply.to_string())
     }
 }
 
-/// A gripper, one client at it, and the time.
+/// A gripper with one client and virtual time.
 pub(crate) struct Rig {
     pub(crate) gripper: VirtualGripper,
     pub(crate) port: PortId,
@@ -60,7 +60,7 @@ impl Rig {
         Self { gripper, port, now: Time::ZERO }
     }
 
-    /// A referenced gripper, fingers wide open, with this part between them.
+    /// Returns a referenced gripper with the fingers wide open and this part between them.
     pub(crate) fn homed(part: Option<Part>) -> Self {
         Self::homed_with(Config { part, ..Config::default() })
     }
@@ -85,7 +85,7 @@ impl Rig {
         self.gripper.receive(self.port, self.now, bytes);
     }
 
-    /// Every frame that waits.
+    /// Returns all frames that are ready.
     pub(crate) fn frames(&mut self) -> Vec<Sent> {
         self.frames_of(self.port)
     }
@@ -99,7 +99,7 @@ impl Rig {
         frames
     }
 
-    /// Sends a command and takes its first answer; others before it are an error.
+    /// Sends a command and returns its first answer. Fails if other frames precede it.
     pub(crate) fn ask(&mut self, command: Command<'_>) -> Sent {
         self.send(command);
         let frames = self.frames();
@@ -112,7 +112,7 @@ impl Rig {
         self.ask(command).status()
     }
 
-    /// Lets time pass, a millisecond at a time, and gives what was sent meanwhile.
+    /// Advances time in steps of a millisecond and returns the frames sent meanwhile.
     pub(crate) fn wait(&mut self, millis: u64) -> Vec<Sent> {
         let mut frames = Vec::new();
         for _ in 0..millis {
@@ -123,7 +123,7 @@ impl Rig {
         frames
     }
 
-    /// Lets time pass up to the next frame.
+    /// Advances time to the next frame.
     pub(crate) fn next(&mut self) -> Sent {
         for _ in 0..120_000 {
             if let Some(sent) = self.wait(1).into_iter().next() {
@@ -133,7 +133,7 @@ impl Rig {
         panic!("nothing was sent for two minutes")
     }
 
-    /// A motion to its end: its second status.
+    /// Runs a motion to its end and returns its second status.
     pub(crate) fn run(&mut self, command: Command<'_>) -> Status {
         assert_eq!(self.status(command), Status::CmdPending, "{command}");
         let done = self.next();
@@ -191,7 +191,7 @@ pub(crate) fn texts(frames: &[Sent]) -> Vec<String> {
     frames.iter().map(Sent::text).collect()
 }
 
-/// The frames in a run of bytes that ends there.
+/// Parses a sequence of complete frames.
 pub(crate) fn parse(bytes: &[u8]) -> Vec<(u8, Vec<u8>)> {
     let mut parser = FrameParser::<1016>::new();
     let mut frames = Vec::new();

@@ -1,9 +1,9 @@
-//! `wsg-sim` as a program.
+//! `wsg-sim` as a child process.
 
 use std::io::{BufRead, BufReader, Lines};
 use std::process::{Child, ChildStdout, Command, Stdio};
 
-/// A `wsg-sim` that runs. It ends with its test, however that ends.
+/// A running `wsg-sim`, which is killed on drop.
 pub(crate) struct Program {
     child: Child,
     said: Lines<BufReader<ChildStdout>>,
@@ -16,21 +16,21 @@ impl Program {
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .spawn()
-            .expect("it starts");
-        let said = BufReader::new(child.stdout.take().expect("it is piped")).lines();
+            .expect("wsg-sim starts");
+        let said = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
         Self { child, said }
     }
 
-    /// The next line that it says.
+    /// Returns the next line of standard output.
     pub(crate) fn line(&mut self) -> String {
-        self.said.next().expect("it says more").expect("it can be read")
+        self.said.next().expect("another line").expect("readable output")
     }
 
-    /// Where it serves this: what comes behind the name in its next line.
+    /// Returns the address or path in the next line, after this name.
     pub(crate) fn place_of(&mut self, name: &str) -> String {
         let line = self.line();
         let place = line.strip_prefix(name).and_then(|rest| rest.strip_prefix(' '));
-        place.unwrap_or_else(|| panic!("where is {name}? {line}")).to_owned()
+        place.unwrap_or_else(|| panic!("expected `{name} PLACE`, found `{line}`")).to_owned()
     }
 
     #[cfg(unix)]
@@ -38,23 +38,23 @@ impl Program {
         rustix::process::Pid::from_child(&self.child)
     }
 
-    /// Sends it a signal, which Unix has.
+    /// Sends a signal to the program.
     #[cfg(unix)]
     pub(crate) fn signal(&self, signal: rustix::process::Signal) {
-        rustix::process::kill_process(self.pid(), signal).expect("it runs");
+        rustix::process::kill_process(self.pid(), signal).expect("wsg-sim is running");
     }
 
-    /// What Ctrl-C does; how it ends.
+    /// Interrupts the program like Ctrl-C and returns its exit status.
     #[cfg(unix)]
     pub(crate) fn interrupt(mut self) -> std::process::ExitStatus {
         self.signal(rustix::process::Signal::INT);
-        self.child.wait().expect("it ends")
+        self.child.wait().expect("wsg-sim ends")
     }
 }
 
 impl Drop for Program {
     fn drop(&mut self) {
-        // An error means that it has ended already, which is what is wanted.
+        // An error means that the program has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -675,7 +675,7 @@ fn master_that_never_wrote_or_is_not_watched_is_not_missed() {
     plc.change(|image| image.speed = 5_00);
     plc.raise(Flag::JOG_MINUS);
     plc.wait(20_000);
-    assert!(plc.gripper.state().speed < 0.0, "as delivered");
+    assert!(plc.gripper.state().speed < 0.0, "the default is no time-out");
 }
 
 #[test]

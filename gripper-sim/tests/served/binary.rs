@@ -294,7 +294,7 @@ fn udp_peer_that_sends_nothing_is_sent_a_bounded_number_of_datagrams() {
         let mut datagrams = 0;
         while uninterrupted::recv_from(&peer, &mut [0; 2_048]).is_ok() {
             datagrams += 1;
-            assert!(datagrams <= 105, "for ever");
+            assert!(datagrams <= 105, "the updates must end");
         }
         datagrams
     };

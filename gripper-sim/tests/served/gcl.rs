@@ -165,7 +165,7 @@ fn peer_that_echoes_answers_is_not_answered_forever() {
         let Ok((len, _)) = uninterrupted::recv_from(&peer, &mut buffer) else { break };
         datagram = buffer[..len].to_vec();
         answers += 1;
-        assert!(answers < 100, "{:?} for ever", str::from_utf8(&datagram));
+        assert!(answers < 100, "the answers must end: {:?}", str::from_utf8(&datagram));
     }
     assert!(answers > 1, "an invalid line is answered");
     uninterrupted::send_to(&peer, b"SN?\n", gripper).unwrap();

@@ -7,7 +7,7 @@ use std::process::Command;
 #[ignore = "needs pytest: see the top of this file"]
 fn example_passes_in_pytest() {
     let python = std::env::var_os("WSG_MODBUS_PYTHON")
-        .expect("WSG_MODBUS_PYTHON names a Python that has pytest: run `cargo xtask test`");
+        .expect("WSG_MODBUS_PYTHON must name a Python with pytest; run `cargo xtask test`");
     let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/test_gripper.py");
     let output = Command::new(python)
         .args(["-m", "pytest", "-p", "no:cacheprovider"])

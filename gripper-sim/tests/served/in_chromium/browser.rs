@@ -43,9 +43,9 @@ impl Browser {
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
-            .expect("there is a shell");
-        let requests = Mutex::new(shell.stdin.take().expect("it is piped"));
-        let answers = shell.stdout.take().expect("it is piped");
+            .expect("a shell");
+        let requests = Mutex::new(shell.stdin.take().expect("stdin is piped"));
+        let answers = shell.stdout.take().expect("stdout is piped");
         thread::spawn(move || {
             distribute(answers);
             // Waits until the shell has deleted the profile.
