@@ -1,11 +1,11 @@
-//! The MODBUS device of the probes: the two images and nothing else.
+//! The MODBUS device of the probes, which consists only of the two images.
 
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use wsg_fieldbus::Images;
 
 use core::hint::black_box as opaque;
 
-/// A gripper that is its images.
+/// A device with the images as its registers.
 #[derive(Debug)]
 pub struct Gripper(pub Images);
 

@@ -1,7 +1,7 @@
-//! What the probes share: a panic handler that does not link, and inputs that the compiler knows nothing of.
+//! Parts shared by all probes: a panic handler that does not link, and inputs that the compiler cannot predict.
 //!
-//! A probe is a program for the thumb target that is never run: it is linked, and `cargo xtask size` takes what it holds
-//! beside the program `empty`. It links only if no panic can be reached in it (`cargo xtask panics`).
+//! Most probes are only linked for the thumb target, never run. `cargo xtask size` measures their difference from the program
+//! `empty`. A probe links only if no panic is reachable (`cargo xtask panics`).
 #![no_std]
 
 #[cfg(feature = "modbus")]

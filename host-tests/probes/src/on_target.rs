@@ -1,21 +1,21 @@
-//! The part of every probe that only the target has.
+//! Target-specific parts of every probe.
 
 use core::hint::black_box;
 use core::panic::PanicInfo;
 
-/// The same value, of which the compiler knows no more than its type.
+/// Returns the value, hidden from the optimizer.
 #[inline(always)]
 pub fn opaque<T>(value: T) -> T {
     black_box(value)
 }
 
-/// Keeps what makes this value, without a copy of it.
+/// Keeps the code that computes this value, without a copy of it.
 #[inline(always)]
 pub fn keep<T: ?Sized>(value: &T) {
     black_box(value);
 }
 
-/// Bytes that the compiler knows neither the number nor the values of.
+/// Returns bytes of unknown number and values.
 #[inline(always)]
 pub fn bytes() -> &'static [u8] {
     static BYTES: [u8; 8] = [0; 8];
@@ -39,7 +39,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// The bench says what failed: it is run, and has panics of its own.
+/// The bench is executed and reports a panic's message. Its own code may panic.
 #[cfg(feature = "bench")]
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {

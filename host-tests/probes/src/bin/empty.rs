@@ -1,4 +1,4 @@
-//! The program that every other probe is measured beside.
+//! An empty program, the baseline of all other probes.
 #![no_std]
 #![no_main]
 

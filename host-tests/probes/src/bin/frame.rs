@@ -1,4 +1,4 @@
-//! Parser and encoder, every function of both: what a program takes that speaks frames and nothing else.
+//! Every function of parser and encoder: the size of a program that handles only frames.
 #![no_std]
 #![no_main]
 

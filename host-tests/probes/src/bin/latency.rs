@@ -1,14 +1,14 @@
-//! How long a call of a driver takes over loopback TCP, beside a bare socket that exchanges the same bytes in the same run.
+//! Measures calls of the drivers over loopback TCP, compared in one run with a bare socket that exchanges the same bytes.
 //!
-//! The peer is `wsg-sim`, a server for each client. The clients take turns, some hundred queries at a time, so that other work
-//! of the machine hits all of them. Prints a line for each figure, a name and a number: microseconds, or for `cpu` percent of
+//! The peer is `wsg-sim`, with one server per client. The clients take turns of some hundred queries, so that other load affects
+//! all of them. Prints one line per figure with name and number: microseconds or, for `cpu`, percent of
 //! a core.
 //!
-//! With UMI's Python driver, `latency PATH/wsg_binary_driver.py` measures that one in the same turns; it needs `python3`. The file
+//! `latency PATH/wsg_binary_driver.py` also measures UMI's Python driver, with `python3`. The file
 //! is `umi/real_world/wsg_binary_driver.py` of the repository `real-stanford/universal_manipulation_interface`.
 //!
-//! Stops are timed from the call until the bytes have arrived at the other end of the socket, in a thread that passes them on
-//! to the server.
+//! The time of a stop is measured from the call to the arrival of its bytes at the other end of the socket, in a thread that
+//! forwards them to the server.
 
 use std::hint::black_box;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -25,20 +25,20 @@ use wsg_protocol::driver::{Config, Error, Mm, MmPerS, OnBlock, StopKind, host, t
 use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, HomingDirection, session};
 use wsg_sim::server::{Lines, ServerThread};
 
-/// Queries of each client in one run, and in one turn.
+/// Queries of each client per run, and per turn.
 const QUERIES: usize = 10_000;
 const TURN: usize = 200;
-/// Queries before the first that counts.
+/// Unmeasured queries at the start.
 const WARM_UP: usize = 500;
-/// Busy loops beside the clients, one run each.
+/// Numbers of busy loops in parallel with the clients, one run each.
 const LOADS: [usize; 4] = [0, 1, 2, 4];
 
 /// Stops of each kind.
 const STOPS: usize = 100;
-/// Travel while the processor time of the waiting thread is counted, in mm at 5 mm/s.
+/// Travel for the measurement of the waiting thread's processor time, in mm at 5 mm/s.
 const TRAVEL_MM: f32 = 15.0;
 
-/// A busy machine may let the server wait for longer than a gripper ever would.
+/// On a busy machine the server may answer later than any real gripper.
 const PATIENT: Config = Config {
     session: session::Config { reply_timeout_ms: 10_000, ..Config::DEFAULT.session },
     ..Config::DEFAULT
@@ -58,7 +58,7 @@ fn main() {
             println!("query-{name}-p99-load-{load} {p99:.2}");
         }
         is_over.store(true, Ordering::Relaxed);
-        busy.into_iter().for_each(|thread| thread.join().expect("it only spins"));
+        busy.into_iter().for_each(|thread| thread.join().expect("the busy loop never panics"));
     }
 }
 
@@ -71,15 +71,15 @@ fn spin(is_over: &Arc<AtomicBool>) -> impl FnOnce() + use<> {
     }
 }
 
-/// In ascending order of the times; in microseconds.
+/// Returns a percentile of times in ascending order.
 fn percentile(sorted: &[f64], percent: usize) -> f64 {
     sorted[(sorted.len() * percent / 100).min(sorted.len() - 1)]
 }
 
-/// One client: asks so many times, and returns how long each took, in microseconds.
+/// A client that runs a number of queries and returns the time of each in microseconds.
 type Client<'a> = Box<dyn FnMut(usize) -> Vec<f64> + 'a>;
 
-/// A client that is timed here.
+/// Returns a client that measures each call in this process.
 fn timed<'a>(mut ask: impl FnMut() + 'a) -> Client<'a> {
     Box::new(move |count| {
         let time = |_| {
@@ -91,7 +91,7 @@ fn timed<'a>(mut ask: impl FnMut() + 'a) -> Client<'a> {
     })
 }
 
-/// UMI's driver in a process of its own, which times itself.
+/// UMI's driver in a separate process, which measures its own calls.
 const UMI: &str = "\
 import importlib.util, sys, time
 path, host, port = sys.argv[1:]
@@ -117,7 +117,7 @@ struct Python {
 }
 
 impl Drop for Python {
-    /// It ends with its input.
+    /// Closes the input, which ends the process.
     fn drop(&mut self) {
         self.requests = None;
         let _ = self.child.wait();
@@ -128,7 +128,7 @@ fn umi(path: &str, address: SocketAddr) -> Client<'static> {
     let mut python = Process::new("python3");
     python.args(["-c", UMI, path, &address.ip().to_string(), &address.port().to_string()]);
     let mut child =
-        python.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("python3 is installed");
+        python.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("python3 must be installed");
     let answers = BufReader::new(child.stdout.take().expect("a pipe"));
     let mut python = Python { requests: child.stdin.take(), answers, child };
     Box::new(move |count| {
@@ -136,16 +136,16 @@ fn umi(path: &str, address: SocketAddr) -> Client<'static> {
         let mut line = String::new();
         python.answers.read_line(&mut line).expect("the driver runs");
         let times: Vec<f64> = line.split_whitespace().map(|time| time.parse().expect("a number")).collect();
-        assert_eq!(times.len(), count, "the Python driver has ended");
+        assert_eq!(times.len(), count, "the Python driver must answer every query");
         times
     })
 }
 
-/// The times of all clients, in ascending order.
+/// Returns the times of all clients, in ascending order.
 fn queries() -> Vec<(&'static str, Vec<f64>)> {
     let servers: Vec<ServerThread> = (0..6).map(|_| serve()).collect();
-    let binary = |at: usize| servers[at].tcp_address().expect("it is served");
-    let gcl = |at: usize| servers[at].gcl_address().expect("it is served");
+    let binary = |at: usize| servers[at].tcp_address().expect("the server has a TCP port");
+    let gcl = |at: usize| servers[at].gcl_address().expect("the server has a GCL port");
 
     let query = Command::GetOpeningWidth { update: AutoUpdate::once() };
     let frame: Vec<u8> = FrameEncoder::new(query.id().code(), query).collect();
@@ -180,41 +180,43 @@ fn queries() -> Vec<(&'static str, Vec<f64>)> {
 fn serve() -> ServerThread {
     let loopback = Some(SocketAddr::from(([127, 0, 0, 1], 0)));
     let lines = Lines { tcp: loopback, gcl: loopback, ..Lines::default() };
-    ServerThread::start(wsg_sim::Config::default(), &lines, None).expect("loopback is there")
+    ServerThread::start(wsg_sim::Config::default(), &lines, None).expect("loopback is available")
 }
 
-/// Prints how long a FAST STOP takes to the other end of the socket: of the driver while it is idle, and of a handle while the
-/// driver waits for a motion.
+/// Prints the time from a FAST STOP to its arrival at the other end of the socket: by an idle driver, and by a handle while
+/// the driver waits for a motion.
 fn stops() {
     let (address, arrivals) = tap(serve());
-    let line = host::Tcp::connect(address).expect("it listens");
+    let line = host::Tcp::connect(address).expect("the tap listens");
     let mut gripper = Gripper::<_, _>::with_config(line, host::StdClock::new(), PATIENT);
     gripper.connect().expect("the gripper answers");
-    let handle = gripper.stop_handle().expect("a descriptor is left");
-    gripper.home(HomingDirection::Positive).expect("the way is free");
+    let handle = gripper.stop_handle().expect("a free file descriptor");
+    gripper.home(HomingDirection::Positive).expect("unblocked fingers");
     let (mut idle, mut by_handle) = (vec![], vec![]);
     for _ in 0..STOPS {
-        // A motion keeps the driver waiting: nothing arrives but its refreshes.
+        // The driver waits for a motion and receives only its refreshes.
         let handle = handle.clone();
         let button = thread::spawn(move || {
             thread::park_timeout(PAUSE);
             let called = Instant::now();
-            handle.fast_stop().expect("the line takes it");
+            handle.fast_stop().expect("the line accepts a FAST STOP");
             called
         });
         let moved = gripper.move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop);
         assert!(matches!(moved, Err(Error::Stopped(StopKind::FastStop))), "{moved:?}");
-        by_handle
-            .push(micros(button.join().expect("it does not panic"), arrivals.recv().expect("it arrives")));
-        gripper.acknowledge().expect("it is answered");
+        by_handle.push(micros(
+            button.join().expect("the thread does not panic"),
+            arrivals.recv().expect("the FAST STOP arrives"),
+        ));
+        gripper.acknowledge().expect("an answer");
         arrivals.try_iter().for_each(drop);
 
         thread::park_timeout(PAUSE);
         let called = Instant::now();
-        gripper.fast_stop().expect("it is confirmed");
-        idle.push(micros(called, arrivals.recv().expect("it arrives")));
-        gripper.acknowledge().expect("it is answered");
-        // One that is not confirmed in time, on a busy machine, is followed by others.
+        gripper.fast_stop().expect("a confirmation");
+        idle.push(micros(called, arrivals.recv().expect("the FAST STOP arrives")));
+        gripper.acknowledge().expect("an answer");
+        // On a busy machine, a late confirmation causes repetitions.
         arrivals.try_iter().for_each(drop);
     }
     for (name, mut times) in [("idle", idle), ("handle", by_handle)] {
@@ -225,32 +227,32 @@ fn stops() {
     }
 }
 
-/// Between two stops: whatever the one before has left behind is over.
+/// Pause between two stops, for the remaining traffic of the first.
 const PAUSE: Duration = Duration::from_millis(20);
 
 fn micros(begun: Instant, ended: Instant) -> f64 {
     ended.saturating_duration_since(begun).as_secs_f64() * 1e6
 }
 
-/// A way to the server that says when each FAST STOP has arrived.
+/// Starts a proxy to the server that reports the arrival time of each FAST STOP.
 fn tap(server: ServerThread) -> (SocketAddr, Receiver<Instant>) {
-    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("loopback is there");
-    let address = listener.local_addr().expect("it is bound");
+    let listener = TcpListener::bind(("127.0.0.1", 0)).expect("loopback is available");
+    let address = listener.local_addr().expect("a bound listener");
     let (arrived, arrivals) = channel();
     thread::spawn(move || {
         let (mut near, _) = listener.accept().expect("the driver connects");
         let mut far = TcpStream::connect(server.tcp_address().expect("it is served")).expect("it listens");
         near.set_nodelay(true).and_then(|()| far.set_nodelay(true)).expect("they are sockets");
         let [mut back_from, mut back_to] =
-            [&far, &near].map(|end| end.try_clone().expect("a descriptor is left"));
+            [&far, &near].map(|end| end.try_clone().expect("a free file descriptor"));
         thread::spawn(move || std::io::copy(&mut back_from, &mut back_to));
         let fast_stop: Vec<u8> = FrameEncoder::new(CommandId::FastStop.code(), Command::FastStop).collect();
         let mut bytes = [0; 512];
-        #[expect(clippy::disallowed_methods, reason = "no signal comes")]
+        #[expect(clippy::disallowed_methods, reason = "no signal handler is installed")]
         while let Ok(count @ 1..) = near.read(&mut bytes) {
             let now = Instant::now();
             if bytes[..count].windows(fast_stop.len()).any(|window| window == fast_stop) {
-                arrived.send(now).expect("it is waited for");
+                arrived.send(now).expect("a waiting receiver");
             }
             far.write_all(&bytes[..count]).expect("the server listens");
         }
@@ -258,32 +260,35 @@ fn tap(server: ServerThread) -> (SocketAddr, Receiver<Instant>) {
     (address, arrivals)
 }
 
-/// The processor time of a thread that waits for a motion, in percent of a core; on Linux.
+/// Returns the processor time of a thread that waits for a motion, in percent of a core. Linux only.
 fn processor_time_of_a_motion() -> Option<f64> {
     let server = serve();
     let mut gripper =
-        host::connect(server.tcp_address().expect("it is served")).expect("the gripper answers");
-    gripper.home(HomingDirection::Positive).expect("the way is free");
+        host::connect(server.tcp_address().expect("the server has a TCP port")).expect("the gripper answers");
+    gripper.home(HomingDirection::Positive).expect("unblocked fingers");
     let (begun, before) = (Instant::now(), processor_time()?);
-    gripper.move_by(Mm(-TRAVEL_MM), MmPerS(5.0), OnBlock::Stop).expect("the way is free");
+    gripper.move_by(Mm(-TRAVEL_MM), MmPerS(5.0), OnBlock::Stop).expect("unblocked fingers");
     Some((processor_time()? - before).as_secs_f64() / begun.elapsed().as_secs_f64() * 100.0)
 }
 
-/// Of this thread.
+/// Returns the processor time of this thread.
 fn processor_time() -> Option<Duration> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     text.split(' ').next()?.parse().ok().map(Duration::from_nanos)
 }
 
-/// A socket that sends the bytes of the query and reads those of the answer, and nothing else.
+/// Returns a client with a bare socket, which only sends the query and reads the answer.
 fn bare(address: SocketAddr, query: Vec<u8>) -> Client<'static> {
-    let mut socket = TcpStream::connect(address).expect("it listens");
-    socket.set_nodelay(true).expect("it is a socket");
+    let mut socket = TcpStream::connect(address).expect("the server listens");
+    socket.set_nodelay(true).expect("a TCP socket");
     let mut answer = [0; 512];
     timed(move || {
-        socket.write_all(&query).expect("it takes a few bytes");
-        #[expect(clippy::disallowed_methods, reason = "no signal comes, and one read is measured")]
-        let len = socket.read(&mut answer).expect("it answers");
+        socket.write_all(&query).expect("the socket accepts a few bytes");
+        #[expect(
+            clippy::disallowed_methods,
+            reason = "no signal handler is installed, and a single read is measured"
+        )]
+        let len = socket.read(&mut answer).expect("an answer");
         assert!(len > 0, "the peer has closed");
     })
 }

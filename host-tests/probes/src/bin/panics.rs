@@ -1,4 +1,4 @@
-//! The control of the panic gate: a program that must not link, because its index may be past the end.
+//! Negative control of the panic gate: its index may be out of range, so it must not link.
 #![no_std]
 #![no_main]
 

@@ -1,10 +1,10 @@
-//! How evenly a stream of set-points runs at `wsg-sim`, with the script of `driver::stream` or without one.
+//! Measures the period jitter of a set-point stream at `wsg-sim`, with or without the script of `driver::stream`.
 //!
-//! `--seconds N` (60), `--rate HZ` (100), `--grippers N` (1), `--busy N` busy loops beside them (0), `--profile real`, `--no-script`.
-//! Prints a line for each figure, a name and a number: for each gripper the samples, the share in percent whose period is at most
-//! 1.5 periods, and the longest period and the round trip in ms; and the same for a bare timer, a thread that only sleeps from
-//! period to period in the same run. Beside busy loops the scheduler delays both, so the probe fails when a stream has less than
-//! 99.9 % and also more than three times as many late periods as the bare timer.
+//! Options: `--seconds N` (60), `--rate HZ` (100), `--grippers N` (1), `--busy N` busy loops (0), `--profile real`, `--no-script`.
+//! Prints one line per figure, with name and number. For each gripper: samples, share in percent of periods of at most
+//! 1.5 nominal periods, longest period and round trip in ms. The same follows for a bare timer, a thread that only sleeps for
+//! each period of the same run. With busy loops the scheduler delays both, so the probe fails only if a stream has less than
+//! 99.9 % and more than three times as many late periods as the bare timer.
 
 use std::hint::black_box;
 use std::net::SocketAddr;
@@ -21,13 +21,13 @@ use wsg_protocol::driver::stream::{Backend, Config, SetPointStream};
 use wsg_protocol::driver::{Error, Mm};
 use wsg_sim::server::{Lines, Profile, ServerThread};
 
-/// The fingers go to and fro between these, in mm, once a second.
+/// End positions of the reciprocating fingers in mm, one cycle per second.
 const TRAVEL: [f32; 2] = [60.0, 90.0];
-/// Well before the history is full.
+/// Duration of a travel. Samples are collected this often, well before the history is full.
 const HALF_TURN_MS: u32 = 500;
-/// Of all periods, in percent.
+/// Minimum share of periods in time, in percent.
 const LEAST_SHARE: f64 = 99.9;
-/// Late periods for each one of the bare timer.
+/// Maximum ratio of late periods to the bare timer's.
 const MOST_LATE: f64 = 3.0;
 
 struct Options {
@@ -73,7 +73,7 @@ fn main() -> ExitCode {
         }
     }
     is_over.store(true, Ordering::Relaxed);
-    let timer = share("bare-timer", &timer.join().expect("it only sleeps"), options.rate_hz);
+    let timer = share("bare-timer", &timer.join().expect("the timer thread never panics"), options.rate_hz);
     let mut is_even = true;
     for (at, (stream, periods)) in streams.iter().zip(&periods).enumerate() {
         let periods: Vec<f64> = periods.iter().map(|(_, period_ms)| f64::from(*period_ms)).collect();
@@ -99,7 +99,7 @@ fn bare_timer(rate_hz: u16, is_over: &AtomicBool) -> Vec<f64> {
     periods
 }
 
-/// Prints how even these periods are, in ms, and returns the share in percent.
+/// Prints the statistics of these periods, in ms, and returns the share in time in percent.
 fn share(what: &str, periods: &[f64], rate_hz: u16) -> f64 {
     let limit_ms = 1_500.0 / f64::from(rate_hz);
     let even = periods.iter().filter(|period| **period <= limit_ms).count();
@@ -143,21 +143,21 @@ fn serve(options: &Options) -> ServerThread {
         profile: options.profile,
         ..Lines::default()
     };
-    ServerThread::start(wsg_sim::Config::default(), &lines, None).expect("loopback is there")
+    ServerThread::start(wsg_sim::Config::default(), &lines, None).expect("loopback is available")
 }
 
 fn start(server: &ServerThread, options: &Options) -> SetPointStream<Tcp, StdClock> {
-    let address = server.tcp_address().expect("it is served");
+    let address = server.tcp_address().expect("the server has a TCP port");
     let mut gripper = host::connect(address).expect("the gripper answers");
-    gripper.home(HomingDirection::Positive).expect("the way is free");
-    // The script claims its command soon after its start.
+    gripper.home(HomingDirection::Positive).expect("unblocked fingers");
+    // The script registers its command shortly after its start.
     while options.has_script && matches!(gripper.raw(0xA5, &[], &mut [0; 32]), Err(Error::Refused(_))) {}
-    let stream = SetPointStream::start(gripper, Config { rate_hz: options.rate_hz }).expect("it answers");
+    let stream = SetPointStream::start(gripper, Config { rate_hz: options.rate_hz }).expect("an answer");
     assert_eq!(stream.backend() == Backend::Script, options.has_script);
     stream
 }
 
-/// Adds the new samples, each with its number and the time since the one before in ms.
+/// Adds the new samples, each with its number and the time since its predecessor in ms.
 fn collect(stream: &SetPointStream<Tcp, StdClock>, periods: &mut Vec<(u32, u32)>) {
     let last = periods.last().map_or(0, |(number, _)| *number);
     for pair in stream.history().windows(2).filter(|pair| pair[1].number > last) {

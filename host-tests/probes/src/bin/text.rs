@@ -1,4 +1,4 @@
-//! What it costs to write commands and replies as text for a person: `core::fmt`, with floating point numbers.
+//! Size of formatting commands and replies as readable text with `core::fmt`, floating point included.
 #![no_std]
 #![no_main]
 

@@ -1,8 +1,8 @@
-//! How many bytes a second the host parses: our parser, a plain loop over the table of the command set's appendix D, and
-//! the parser of another protocol (its checksum is two sums, without a table), in one run on one machine.
+//! Measures the parsing throughput of the host in one run: our parser, a plain loop over the table in the command set's
+//! appendix D, and the parser of another protocol, whose checksum consists of two sums without a table.
 //!
-//! Prints a line for each: name and GB/s (10⁹ bytes a second, frames whole). They take turns, so that what else the machine
-//! does hits all of them, and of all turns the best counts: a busy machine only makes a turn slower.
+//! Prints one line each, with name and GB/s (10⁹ bytes of whole frames per second). They take turns, so that other load affects
+//! all of them. The best turn counts, because load only slows a turn down.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -34,7 +34,7 @@ fn main() {
     for _ in 0..TURNS {
         for ((name, bytes, parse), best) in readers.iter_mut().zip(&mut best) {
             let begun = Instant::now();
-            assert_eq!(parse(black_box(bytes)), FRAMES, "{name} finds every frame");
+            assert_eq!(parse(black_box(bytes)), FRAMES, "{name} must find every frame");
             *best = best.min(begun.elapsed().as_secs_f64());
         }
     }
@@ -43,7 +43,7 @@ fn main() {
     }
 }
 
-/// A name, the bytes that are read, and what reads them and counts the frames.
+/// A name, the bytes to parse, and a function that parses them and returns the number of frames.
 type Reader<'a> = (&'static str, &'a [u8], &'a mut dyn FnMut(&[u8]) -> usize);
 
 fn by_slices(parser: &mut FrameParser<PAYLOAD>, bytes: &[u8]) -> usize {
@@ -60,7 +60,7 @@ fn by_bytes(parser: &mut FrameParser<PAYLOAD>, bytes: &[u8]) -> usize {
     bytes.iter().filter(is_frame).count()
 }
 
-/// The least that a parser byte by byte does: copy each byte and look it up, as the appendix does.
+/// The minimal work of a byte-by-byte parser: copies each byte and looks it up, as in the appendix.
 fn plain_loop(table: &[u16; 256], bytes: &[u8]) -> usize {
     let mut frame = [0; PAYLOAD + 8];
     let mut intact = 0;
@@ -91,7 +91,7 @@ fn by_ublox<B: ublox::UnderlyingBuffer, P: ublox::UbxProtocol>(
     frames
 }
 
-/// A frame of the UBX protocol, of a message that the crate does not know and so only frames.
+/// Returns a UBX frame with a message unknown to the crate, which therefore only deframes it.
 fn ubx_frame(payload: &[u8]) -> Vec<u8> {
     let mut bytes = vec![0xB5, 0x62, 0x77, 0x77];
     bytes.extend_from_slice(&(payload.len() as u16).to_le_bytes());

@@ -1,4 +1,4 @@
-//! Instructions by SysTick.
+//! Counts instructions with SysTick.
 
 use core::hint::black_box;
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -6,20 +6,20 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::SYST;
 use cortex_m::peripheral::syst::SystClkSource;
 
-/// Nanoseconds of the machine's time: of a tick at 4 MHz, and of an instruction with `-icount shift=10`.
+/// Nanoseconds of machine time per tick at 4 MHz, and per instruction with `-icount shift=10`.
 const TICK_NS: u32 = 250;
 const INSTRUCTION_NS: u32 = 1024;
 
-/// SysTick counts 24 bits; more ticks than this between two looks would be ambiguous.
+/// SysTick has 24 bits. A longer interval between two readings would be ambiguous.
 const MASK: u32 = 0x00FF_FFFF;
 
-/// What it costs to look twice, in ticks; found out once.
+/// Cost of two readings in ticks, measured once.
 static LOOKING: AtomicU32 = AtomicU32::new(0);
 
-/// The counter.
+/// The instruction counter.
 pub(crate) struct Counter(());
 
-/// A moment, in ticks of a clock that counts down.
+/// A reading, in ticks of a clock that counts down.
 #[derive(Clone, Copy)]
 pub(crate) struct Moment(u32);
 
@@ -36,13 +36,13 @@ impl Counter {
         counter
     }
 
-    /// This moment.
+    /// Reads the counter.
     #[inline(always)]
     pub(crate) fn now(&self) -> Moment {
         now()
     }
 
-    /// Instructions that `work` takes.
+    /// Returns the instructions of `work`.
     #[inline(always)]
     pub(crate) fn of<T>(&self, work: impl FnOnce() -> T) -> u32 {
         let before = self.now();
@@ -51,12 +51,12 @@ impl Counter {
         before.instructions_to(after)
     }
 
-    /// Counts what is known, so that a machine with another clock gives no figures at all.
+    /// Counts a known loop, so that a machine with another clock yields no figures.
     pub(crate) fn check(&self) {
         let counted = self.of(|| {
-            // 100 times a subtraction and a branch, and the first value.
+            // The first value and 100 times a subtraction and a branch.
             let mut left = 100_u32;
-            // SAFETY: it changes nothing but its own register and the flags.
+            // SAFETY: the code changes only its own register and the flags.
             unsafe { core::arch::asm!("2: subs {0}, #1", "bne 2b", inout(reg) left) };
             left
         });
@@ -67,17 +67,17 @@ impl Counter {
     }
 }
 
-/// This moment.
+/// Reads the counter.
 #[inline(always)]
 pub(crate) fn now() -> Moment {
     Moment(SYST::get_current())
 }
 
 impl Moment {
-    /// Instructions from this moment to `later`, without those of looking.
+    /// Returns the instructions from this reading to `later`, without the cost of the readings.
     pub(crate) fn instructions_to(self, later: Self) -> u32 {
         let ticks = self.ticks_to(later).saturating_sub(LOOKING.load(Ordering::Relaxed));
-        // 16 ticks are 64 instructions less than 2^24: no overflow below a million instructions.
+        // In units of 16 ns, so that no product of 24-bit ticks overflows.
         (ticks / 16 * TICK_NS + ticks % 16 * TICK_NS / 16 + INSTRUCTION_NS / 32) / (INSTRUCTION_NS / 16)
     }
 

@@ -1,12 +1,12 @@
-//! From an edge of the PLC to the first byte on the gripper's line, on the board's own drivers; for a GRIP whose force limit is
-//! known, with the bytes of its frame, which is the first that leaves.
+//! Cost from a PLC edge to the first byte on the gripper's line, with the board's drivers. For a GRIP with a known force
+//! limit, also the size of the frame, which is sent first.
 
 use core::cell::Cell;
 
 use cortex_m_semihosting::hprintln;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use heapless::{Deque, Vec};
-// What is counted is what runs on the board.
+// The same drivers run on the board.
 use wsg_b_l475e_iot01a::drivers::Iot01a;
 use wsg_bridge_fw::gripper::WouldBlock;
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
@@ -19,7 +19,7 @@ use wsg_stm32::gripper_line::{self, GripperLine};
 
 use crate::counting::{self, Counter, Moment};
 
-/// The board's line, which the virtual gripper listens in on and answers to.
+/// The board's line. The virtual gripper receives its bytes and answers.
 struct Line {
     board: GripperLine<Iot01a>,
     sent: Vec<u8, 64>,
@@ -53,7 +53,7 @@ impl WriteReady for Line {
 impl Write for Line {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, WouldBlock> {
         let taken = self.board.write(bytes)?;
-        // The interrupt is pending since the write, and nothing masks it: by now the byte is in the transmitter.
+        // The interrupt has been pending since the write and is not masked, so the byte is now in the transmitter.
         if self.first_byte.get().is_none() {
             self.first_byte.set(Some(counting::now()));
         }
@@ -67,24 +67,24 @@ impl Write for Line {
     }
 }
 
-/// What a PLC does before the edge: when it raises a wire, for 100 ms.
+/// Actions of the PLC before the edge: times in ms at which it raises a wire, for 100 ms each.
 type Script = [(u32, Inputs)];
 
-/// When the PLC's wire changes: so long after the last one of the script.
+/// Time from the last action of the script to the measured edge.
 const REST_MS: u32 = 400;
 
-/// FAST STOP is acknowledged.
+/// The FAST STOP is acknowledged.
 const READY: &Script = &[(300, Inputs::STOP_ACK)];
 
-/// The force limit was set by a GRIP, and was read again since.
+/// A GRIP has set the force limit, and it has been read back since.
 const LIMITED: &Script =
     &[(300, Inputs::STOP_ACK), (500, Inputs::HOME), (700, Inputs::GRIP), (900, Inputs::RELEASE)];
 
-/// Each wire that gives a command, what went before, and the command that its edge lets out first.
+/// Each command wire with its preparation and the command that its edge sends first.
 const EDGES: [(&str, Inputs, &Script, CommandId); 7] = [
     ("edge-to-first-byte/home", Inputs::HOME, READY, CommandId::Homing),
     ("edge-to-first-byte/move", Inputs::MOVE, READY, CommandId::PrePosition),
-    // The force limit goes ahead of the motion.
+    // The force limit precedes the motion.
     ("edge-to-first-byte/grip", Inputs::GRIP, READY, CommandId::SetForceLimit),
     ("edge-to-first-byte/release", Inputs::RELEASE, READY, CommandId::ReleasePart),
     ("edge-to-first-byte/stop", Inputs::STOP_ACK, READY, CommandId::Stop),
@@ -92,11 +92,11 @@ const EDGES: [(&str, Inputs, &Script, CommandId); 7] = [
     (LAST_BYTE, Inputs::GRIP, LIMITED, CommandId::GripPart),
 ];
 
-/// Counted as the others are; the bytes that leave in that turn stand beside it.
+/// Measured like the others, with the number of bytes sent in that turn.
 const LAST_BYTE: &str = "edge-to-last-byte/grip";
 
-/// Counts the turn of the main loop in which an edge counts, from its beginning to the first byte.
-// Apart from the others, whose registers would be its own.
+/// Counts the main loop's turn of the edge, from its start to the first byte.
+// Not inlined, so that register allocation is independent of the other measurements.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     let (mut pins, _) = gpio::init::<Iot01a>();
@@ -113,7 +113,7 @@ pub(crate) fn count(counter: &Counter) {
     }
 }
 
-/// Instructions to the first byte, and the bytes that leave in that turn: the frame of this command is the first of them.
+/// Returns the instructions to the first byte, and the bytes sent in that turn, which begin with this command's frame.
 fn count_one(
     counter: &Counter,
     pins: &mut Pins<Iot01a>,
@@ -138,7 +138,7 @@ fn count_one(
         }
         line.first_byte.set(None);
         let begun = counter.now();
-        // What reading the pins costs is counted; the levels are the script's.
+        // The cost of reading the pins is included; the levels come from the script.
         let read = pins.read();
         let outputs = bridge.poll(ms, levels | (read & Inputs::empty()), line, &mut NoBus);
         pins.write(outputs);
@@ -151,8 +151,11 @@ fn count_one(
             return (begun.instructions_to(sent), bytes);
         }
         let sets_limit = line.sent.get(PREAMBLE_LEN) == Some(&CommandId::SetForceLimit.code());
-        assert!(!sets_limit || ms < edge_ms || command != CommandId::GripPart, "the limit is known");
-        assert!(ms != edge_ms - 1 || outputs.contains(Outputs::READY), "READY before the edge");
+        assert!(
+            !sets_limit || ms < edge_ms || command != CommandId::GripPart,
+            "the force limit must be known"
+        );
+        assert!(ms != edge_ms - 1 || outputs.contains(Outputs::READY), "READY must be high before the edge");
 
         let time = Time::from_millis(ms.into());
         gripper.receive(port, time, &line.sent);
@@ -162,5 +165,5 @@ fn count_one(
             line.answers.extend(frame.iter().copied());
         }
     }
-    panic!("the edge is not taken: {}", command.name());
+    panic!("the edge sent no byte: {}", command.name());
 }

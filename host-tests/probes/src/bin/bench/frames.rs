@@ -1,4 +1,4 @@
-//! The parser's two paths, at payloads of several lengths.
+//! Cost of the parser's two paths for payloads of several lengths.
 
 use core::hint::black_box;
 
@@ -10,8 +10,8 @@ use crate::counting::Counter;
 const PAYLOADS: [usize; 4] = [2, 14, 64, 256];
 const LONGEST: usize = 256;
 
-/// Counts whole frames, preamble and checksum included, each byte in the loop that a program has around the parser.
-// Apart from the others, whose registers would be its own.
+/// Counts whole frames, including preamble and checksum, with the caller's loop over the bytes.
+// Not inlined, so that register allocation is independent of the other measurements.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     let mut parser = FrameParser::<LONGEST>::new();
@@ -31,7 +31,7 @@ pub(crate) fn count(counter: &Counter) {
                 }
             }
         });
-        assert!(delivered == size, "the frame is delivered");
+        assert!(delivered == size, "the frame must be delivered");
         hprintln!("byte-path/{} {} {}", size, instructions, frame.len());
 
         let mut delivered = 0;
@@ -44,7 +44,7 @@ pub(crate) fn count(counter: &Counter) {
                 rest = rest.get(taken..).unwrap_or(&[]);
             }
         });
-        assert!(delivered == size, "the frame is delivered");
+        assert!(delivered == size, "the frame must be delivered");
         hprintln!("bulk-path/{} {} {}", size, instructions, frame.len());
     }
 }

@@ -1,8 +1,8 @@
-//! Counts instructions, in the emulator, and says the counts over semihosting: a line each, name and number.
+//! Counts instructions in the emulator and prints them over semihosting, one line each with name and number.
 //!
-//! `cargo xtask bench` runs it with `-icount shift=10`: an instruction then takes 1024 ns of the machine's time, and
-//! SysTick, at the 4 MHz that the microcontroller starts with, counts 4.096 ticks for each. So no instruction is missed,
-//! and every run gives the same counts. There are as many of a Cortex-M0+'s program on that machine, whose core takes it.
+//! `cargo xtask bench` runs it with `-icount shift=10`: an instruction then takes 1024 ns of machine time, and SysTick at the
+//! microcontroller's initial 4 MHz counts 4.096 ticks for it. The counts are therefore exact and repeatable. The machine's core
+//! also executes programs for a Cortex-M0+, whose counts are measured in the same way.
 #![no_std]
 #![no_main]
 
@@ -17,7 +17,7 @@ mod round_trip;
 use cortex_m_rt::entry;
 use cortex_m_semihosting::debug;
 use counting::Counter;
-// The panic handler.
+// Links the panic handler.
 use wsg_probes as _;
 
 #[entry]

@@ -1,4 +1,4 @@
-//! One request of a MODBUS master and its answer, on the serial line.
+//! Cost of one request of a MODBUS master and its answer on a serial line.
 
 use core::hint::black_box;
 
@@ -13,13 +13,13 @@ use crate::counting::Counter;
 const UNIT: u8 = 1;
 const REGISTERS: usize = 8;
 
-/// What a PLC asks in every cycle: all input registers; and all holding registers written.
+/// Requests of a typical PLC cycle: a read of all input registers, and a write of all holding registers.
 const REQUESTS: [(&str, &[u8]); 2] = [
     ("modbus-read-input", &[UNIT, 0x04, 0, 0, 0, 6]),
     ("modbus-write-output", &[UNIT, 0x10, 0, 0, 0, 4, 8, 1, 0, 0x13, 0x88, 0x07, 0xD0, 0x0F, 0xA0]),
 ];
 
-/// Registers and nothing else.
+/// A device with plain registers.
 struct Registers([u16; REGISTERS]);
 
 impl Device for Registers {
@@ -52,31 +52,31 @@ impl Device for Registers {
     }
 }
 
-/// Counts requests of the gripper, and one for eight registers, which has a limit.
-// Apart from the others, whose registers would be its own.
+/// Counts requests to the gripper, and a request for eight registers, which has a limit.
+// Not inlined, so that register allocation is independent of the other measurements.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     let mut gripper = Gripper(Images::new(false));
     for (name, request) in REQUESTS {
         let answered = one(counter, name, request, &mut gripper);
-        assert!(answered > 5, "an answer, and no exception");
+        assert!(answered > 5, "an answer without an exception");
     }
     let mut registers = Registers(black_box([0x1234; REGISTERS]));
     let answered = one(counter, "modbus-8-registers", &[UNIT, 3, 0, 0, 0, REGISTERS as u8], &mut registers);
-    assert!(answered == 5 + 2 * REGISTERS, "eight registers");
+    assert!(answered == 5 + 2 * REGISTERS, "an answer with eight registers");
 }
 
-/// Counts from the first byte of a request to its sealed answer, all but the bytes' way; gives the answer's length.
+/// Counts from the first byte of a request to its sealed answer, without transmission. Returns the answer's length.
 fn one(counter: &Counter, name: &str, request: &[u8], device: &mut impl Device) -> usize {
     let timing = black_box(Timing::of(115_200, 11));
     let mut server = Server::new(Config { unit: UNIT, mode: Mode::Strict, broadcast: false }, timing);
     let device = black_box(device);
-    // The checksum is the master's work, and not counted.
+    // The master calculates this checksum, so it is not counted.
     let mut sealed = heapless::Vec::<u8, MAX_FRAME_LEN>::new();
     let fits = sealed
         .extend_from_slice(request)
         .and_then(|()| sealed.extend_from_slice(&crc(request).to_le_bytes()));
-    assert!(fits.is_ok(), "a request is a frame");
+    assert!(fits.is_ok(), "a request must fit a frame");
     let frame = black_box(sealed.as_slice());
     let mut answered = 0;
     let instructions = counter.of(|| {

@@ -1,5 +1,5 @@
-//! One Data_Exchange of a PROFIBUS master, in the handler of its line: what the last character of the request costs until the
-//! first byte of the answer is there, and a character before it.
+//! Cost of one Data_Exchange in the interrupt handler of the line: from the last character of the request to the
+//! first byte of the answer, and of one earlier character.
 
 use core::hint::black_box;
 
@@ -20,10 +20,10 @@ const REQUESTS: [&[u8]; 4] = [
     &[0xA2, 0x07, 0x02, 0x5D, 2, 0, 0, 0, 0, 0, 0, 0, 0x68, 0x16],
 ];
 
-/// Microseconds between two requests, so that they are silence.
+/// Microseconds between two requests, long enough as idle time.
 const PAUSE_US: u32 = 5_000;
 
-// Apart from the others, whose registers would be its own.
+// Not inlined, so that register allocation is independent of the other measurements.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     Profibus::new(&BUFFERS)
@@ -49,7 +49,7 @@ pub(crate) fn count(counter: &Counter) {
         now_us += wait_us.unwrap_or_default();
         let mut sent = 0;
         exchange += counter.of(|| sent += u32::from(responder.step(idle, 0, now_us).send.is_some()));
-        assert!(sent == 1, "an answer");
+        assert!(sent == 1, "one answer");
         while responder.step(idle, 0, now_us).send.is_some() {}
     }
     hprintln!("profibus-data-exchange {} 1", exchange);

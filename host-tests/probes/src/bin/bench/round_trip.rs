@@ -1,4 +1,4 @@
-//! One command and its answer, in the session.
+//! Cost of one command and its answer in the session.
 
 use core::hint::black_box;
 
@@ -11,8 +11,8 @@ use wsg_sim::{MAX_FRAME_LEN, PortKind, Time, VirtualGripper};
 
 use crate::counting::Counter;
 
-/// Counts from the request to the event of its answer: queue, frame, answer, all but the bytes' way.
-// Apart from the others, whose registers would be its own.
+/// Counts from the request to the event of its answer: queue, frame and answer, without transmission.
+// Not inlined, so that register allocation is independent of the other measurements.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
     let mut session = Session::new(Config::DEFAULT);
@@ -29,7 +29,7 @@ pub(crate) fn count(counter: &Counter) {
     let mut answered = false;
     let instructions = counter.of(|| {
         let taken = session.request(Command::SetForceLimit { force: black_box(40.0) });
-        assert!(taken.is_ok(), "the request is taken");
+        assert!(taken.is_ok(), "the session must accept the request");
         while session.tick(now).is_some() {}
         while let Some(command) = session.poll_transmit(now) {
             for byte in FrameEncoder::new(command.id().code(), command) {
@@ -40,7 +40,7 @@ pub(crate) fn count(counter: &Counter) {
             answered = matches!(session.handle(now, &event), Some(Event::Answered(_)));
         }
     });
-    assert!(answered && sent > 8, "the command is sent and answered");
+    assert!(answered && sent > 8, "the command must be sent and answered");
     hprintln!("round-trip {} 1", instructions);
 }
 
@@ -51,7 +51,7 @@ fn connect(session: &mut Session, parser: &mut FrameParser<64>) -> Instant {
     let mut ms = 0;
     while !session.is_connected() {
         ms += 1;
-        assert!(ms < 1_000, "the session connects");
+        assert!(ms < 1_000, "the session must connect within a second");
         let now = Instant::from_millis(ms);
         let time = Time::from_millis(ms.into());
         while session.tick(now).is_some() {}

@@ -1,4 +1,4 @@
-//! A CANopen device over a dictionary that nothing is known of.
+//! A CANopen device with an opaque dictionary.
 
 use core::hint::black_box;
 

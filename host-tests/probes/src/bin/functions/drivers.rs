@@ -1,4 +1,4 @@
-//! Both drivers, over both protocols. Of the async one only what does not wait: a future that is polled after its end panics.
+//! Both drivers over both protocols. Excludes the waiting methods of the async driver: polling a completed future panics.
 
 use core::convert::Infallible;
 use core::hint::black_box;
@@ -14,7 +14,7 @@ use wsg_protocol::{DecodeError, Instant};
 use crate::transport::Line;
 use crate::{function, functions};
 
-/// Any clock.
+/// An opaque clock.
 struct Time;
 
 impl Clock for Time {
@@ -45,7 +45,7 @@ impl embedded_io_async::Write for Line {
     }
 }
 
-/// Any program.
+/// An opaque client program.
 type Program<Gripper> = fn(&mut Gripper) -> Result<Grip, Error<Infallible>>;
 
 pub(crate) fn every_function() {
@@ -62,7 +62,7 @@ macro_rules! without_waiting {
     };
 }
 
-/// The methods that wait.
+/// The waiting methods.
 macro_rules! waiting {
     ($($gripper:ty),+) => {
         functions! { $(

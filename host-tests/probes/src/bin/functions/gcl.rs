@@ -11,7 +11,7 @@ use wsg_protocol::gcl::{
 
 use crate::{function, functions};
 
-/// Takes text, or does not.
+/// An opaque writer, which may fail.
 struct Sink;
 
 impl fmt::Write for Sink {

@@ -1,13 +1,13 @@
-//! Every public function of `wsg-protocol` and of the buses, a module for each part of it.
+//! Every public function of `wsg-protocol` and of the buses, grouped into modules.
 //!
-//! For the target it keeps the address of each function, so that each is there whole, for whatever arguments: it links only
-//! if none of them can panic (`cargo xtask panics`), and its size is theirs (`cargo xtask size`). For the host it prints the
-//! compiler's own name of each, and `cargo xtask panics` compares them with what rustdoc finds in the crates.
+//! On the target, the program keeps the address of each function, so that all are linked for arbitrary arguments. It links only
+//! if none can panic (`cargo xtask panics`), and its size is theirs (`cargo xtask size`). On the host, it prints the
+//! compiler's name of each function, and `cargo xtask panics` compares the names with rustdoc's list.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 use core::any::type_name_of_val;
 
-// Its panic handler.
+// Links the panic handler.
 use wsg_probes as _;
 
 #[cfg(feature = "can")]
@@ -48,7 +48,7 @@ fn every_function() {
     drivers::every_function();
 }
 
-/// Keeps the function for the target; prints its name for the host.
+/// Keeps the function on the target; prints its name on the host.
 fn keep<F>(function: &F, address: *const ()) {
     let name = type_name_of_val(function);
     #[cfg(not(target_os = "none"))]
@@ -56,12 +56,12 @@ fn keep<F>(function: &F, address: *const ()) {
     core::hint::black_box((address, name.len()));
 }
 
-/// Methods whose type parameters, if any, are those of their type.
+/// Methods without type parameters beyond the parameters of their type.
 macro_rules! functions {
     ($($type:ty: $($name:ident),+;)+) => { $($(crate::function!(<$type>::$name);)+)+ };
 }
 
-/// One function. Where it takes an `impl Trait`, a pointer's type says which.
+/// A single function. For an `impl Trait` argument, the pointer type selects the concrete type.
 macro_rules! function {
     ($function:expr) => {
         crate::keep(&$function, $function as *const ())

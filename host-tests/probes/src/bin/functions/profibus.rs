@@ -1,4 +1,4 @@
-//! A DP slave with outputs, inputs and a diagnosis, and the search for its rate.
+//! A DP slave with outputs, inputs and a diagnosis, and its bit rate search.
 
 use bus_profibus::{Address, Baud, BaudSearch, Slave, identifiers_fit};
 

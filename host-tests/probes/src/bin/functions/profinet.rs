@@ -1,4 +1,4 @@
-//! An IO device with outputs and inputs, and what it is made of.
+//! An IO device with outputs and inputs, and its parts.
 
 use bus_profinet::{Device, IpParameters, Profile, StationName};
 use wsg_fieldbus::profinet;

@@ -1,4 +1,4 @@
-//! A transport that nothing is known of.
+//! An opaque transport.
 
 use core::convert::Infallible;
 use core::hint::black_box;
@@ -34,6 +34,6 @@ impl Write for Line {
     }
 }
 
-/// It spins.
+/// Waits by spinning.
 #[cfg(feature = "drivers")]
 impl wsg_protocol::driver::blocking::Transport for Line {}
