@@ -26,13 +26,13 @@ fn identifiers() -> String {
         row(base | node, &format!("{base:03X}h + `CAN_NODE`"), what, from)
     };
     table(
-        ["as delivered", "is", "what", "from"],
+        ["default", "identifier", "content", "sender"],
         [
             row(0, "000h", "NMT", "master"),
-            row(0x080, "080h", "SYNC, where a PDO waits for it", "master"),
+            row(0x080, "080h", "SYNC, for PDOs that wait for it", "master"),
             of_node(0x080, "EMCY", "bridge"),
             row(pair.transmit.as_raw(), "`CAN_ID`", "messages to the gripper", "bridge"),
-            row(pair.receive.as_raw(), "`CAN_ID` + 1", "messages of the gripper", "gripper"),
+            row(pair.receive.as_raw(), "`CAN_ID` + 1", "messages from the gripper", "gripper"),
             of_node(0x180, "TPDO1: GSTATE, OF, SYSSTATE, Status Code", "bridge"),
             of_node(0x200, "RPDO1: the output image", "master"),
             of_node(0x280, "TPDO2: WIDTH, Gripping Force", "bridge"),
@@ -93,21 +93,33 @@ fn times() -> String {
     let policy = BusOffPolicy::DEFAULT;
     let ms = |ms: u32| format!("{ms} ms");
     table(
-        ["what", "as delivered", "where it is set"],
+        ["time", "default", "setting"],
         [
             ["heartbeat of the bridge".into(), ms(NODE.heartbeat_ms.into()), "1017h".into()],
-            ["EMCY: at the soonest".into(), ms(u32::from(NODE.emergency_inhibit) / 10), "1015h".into()],
-            ["TPDO1: at the soonest, at the latest".into(), pdo_times(0), "1800h, 3 and 5".into()],
-            ["TPDO2: at the soonest, at the latest".into(), pdo_times(1), "1801h, 3 and 5".into()],
+            ["EMCY: minimum interval".into(), ms(u32::from(NODE.emergency_inhibit) / 10), "1015h".into()],
+            ["TPDO1: minimum, maximum interval".into(), pdo_times(0), "1800h, 3 and 5".into()],
+            ["TPDO2: minimum, maximum interval".into(), pdo_times(1), "1801h, 3 and 5".into()],
             [
-                "silence of the master".into(),
+                "time-out of the master".into(),
                 ms(wsg_bridge_fw::Config::DEFAULT.bus.timeout_ms.into()),
                 "1016h, or BUS_TIMEOUT".into(),
             ],
-            ["half a message of the gripper".into(), ms(HALF_MESSAGE_MS), "fixed".into()],
-            ["bus-off: delay before coming back".into(), ms(policy.delay_ms), "fixed".into()],
-            ["bus-off: failures until given up".into(), policy.limit.to_string(), "fixed".into()],
-            ["bus-off: stable time that forgets failures".into(), ms(policy.stable_ms), "fixed".into()],
+            [
+                "time-out of an incomplete message from the gripper".into(),
+                ms(HALF_MESSAGE_MS),
+                "fixed".into(),
+            ],
+            ["bus-off: delay before recovery".into(), ms(policy.delay_ms), "fixed".into()],
+            [
+                "bus-off: failures before recovery is abandoned".into(),
+                policy.limit.to_string(),
+                "fixed".into(),
+            ],
+            [
+                "bus-off: stable time after which failures are cleared".into(),
+                ms(policy.stable_ms),
+                "fixed".into(),
+            ],
         ],
     )
 }
@@ -174,21 +186,31 @@ fn load() -> Vec<(String, usize, bool, bool)> {
     let pdo = |number: usize, len: usize| worst_bits(len) * 10_000 / usize::from(NODE.inhibit[number]);
     // Source, bits per second, whether it belongs to the gripper, whether it sends at rest.
     vec![
-        ("gripper: state and system state, every 10 ms".into(), state * per_second(update), true, false),
-        ("gripper: width and force, every 10 ms".into(), measured * per_second(update), true, false),
         (
-            format!("gripper: states, width and force requested again, every {refresh} ms"),
+            "gripper: updates of state and system state every 10 ms".into(),
+            state * per_second(update),
+            true,
+            false,
+        ),
+        (
+            "gripper: updates of width and force every 10 ms".into(),
+            measured * per_second(update),
+            true,
+            false,
+        ),
+        (
+            format!("gripper: states, width and force polled every {refresh} ms"),
             (4 * subscription + state + measured) * per_second(refresh),
             true,
             true,
         ),
         (
-            format!("gripper: the force limit requested again, every {} ms", refresh / 2),
+            format!("gripper: force limit polled every {} ms", refresh / 2),
             limit * per_second(refresh / 2),
             true,
             true,
         ),
-        ("gripper: a Grip Part a second, force limit before it".into(), motion, true, false),
+        ("gripper: one Grip Part per second, after a force limit".into(), motion, true, false),
         (format!("PLC: TPDO1, every {} ms", NODE.inhibit[0] / 10), pdo(0, 8), false, false),
         (format!("PLC: TPDO2, every {} ms", NODE.inhibit[1] / 10), pdo(1, 4), false, false),
         (
@@ -219,15 +241,15 @@ fn bus_load() -> String {
         load.iter().filter(|row| which(row)).map(|row| row.1).sum()
     };
     let mut rows: Vec<(String, usize)> = load.iter().map(|row| (row.0.clone(), row.1)).collect();
-    rows.push(("**gripper alone, while it grips**".into(), sum(|row| row.2)));
-    rows.push(("**PLC alone, while it grips**".into(), sum(|row| !row.2)));
-    rows.push(("**both, while it grips**".into(), sum(|_| true)));
+    rows.push(("**gripper alone, during a grip**".into(), sum(|row| row.2)));
+    rows.push(("**PLC alone, during a grip**".into(), sum(|row| !row.2)));
+    rows.push(("**both, during a grip**".into(), sum(|_| true)));
     rows.push(("**both, at rest**".into(), sum(|row| row.3)));
     let row = |(what, bits): (String, usize)| {
         let [a, b, c, d] = RATES.map(|rate| percent(bits, rate));
         [what, bits.to_string(), a, b, c, d]
     };
-    table(["what", "bit/s", "125 kbit/s", "250", "500", "1000"], rows.into_iter().map(row))
+    table(["traffic", "bit/s", "125 kbit/s", "250", "500", "1000"], rows.into_iter().map(row))
 }
 
 #[test]

@@ -17,7 +17,7 @@ fn line() -> String {
     let bus = Config::DEFAULT.bus;
     let timing = bus.timing();
     table(
-        ["what", "as delivered"],
+        ["parameter", "default"],
         [
             ["rate".into(), format!("{} bit/s", bus.baud)],
             ["format".into(), bus.format.name().into()],
@@ -29,13 +29,13 @@ fn line() -> String {
 
 fn functions() -> String {
     table(
-        ["FC", "function", "what it reads or writes"],
+        ["FC", "function", "access"],
         Function::ALL.map(|function| {
             let (name, what) = match function {
                 Function::ReadCoils => ("Read Coils", "coils"),
                 Function::ReadDiscreteInputs => ("Read Discrete Inputs", "discrete inputs"),
                 Function::ReadHoldingRegisters => {
-                    ("Read Holding Registers", "output image, settings; commands read 0")
+                    ("Read Holding Registers", "output image, settings; commands read as 0")
                 }
                 Function::ReadInputRegisters => {
                     ("Read Input Registers", "input image, counters and versions")
@@ -47,12 +47,12 @@ fn functions() -> String {
                 Function::Diagnostics => {
                     ("Diagnostics", "subfunctions 00, 01, 02, 04, 0Ah to 12h, 14h; not as a broadcast")
                 }
-                Function::WriteMultipleCoils => ("Write Multiple Coils", "coils, as one"),
+                Function::WriteMultipleCoils => ("Write Multiple Coils", "coils, together"),
                 Function::WriteMultipleRegisters => {
-                    ("Write Multiple Registers", "output image or settings, as one; one command")
+                    ("Write Multiple Registers", "output image or settings, together; one command")
                 }
                 Function::ReportServerId => {
-                    ("Report Server ID", "unit, FFh (it runs), product code and revision as text")
+                    ("Report Server ID", "unit, FFh (running), product code and revision as text")
                 }
                 Function::MaskWriteRegister => ("Mask Write Register", "output image, settings"),
                 Function::ReadWriteMultipleRegisters => {
@@ -87,7 +87,7 @@ fn addresses() -> String {
         ("holding registers", HOLDING),
     ];
     table(
-        ["table", "first address", "as a PLC's tool has it"],
+        ["table", "first address", "in PLC tools that count from 1"],
         tables.map(|(name, base)| {
             let [address, numbered] = both(0, base);
             [name.to_owned(), address, numbered]
@@ -144,7 +144,7 @@ fn bits(
         String::new(),
     ];
     let based = format!("{base:05}-based");
-    table(["address", &based, "bit", "in register", "as"], rows.chain([rest]))
+    table(["address", &based, "bit", "register", "mask"], rows.chain([rest]))
 }
 
 fn user_flags(letters: &str) -> impl Iterator<Item = (u32, String)> {
@@ -166,7 +166,7 @@ fn discrete_inputs() -> String {
 /// Returns the table of settings with their default values.
 fn settings_table(settings: impl IntoIterator<Item = ((u16, &'static Setting), u16)>) -> String {
     table(
-        ["address", "40001-based", "name", "unit", "from", "to", "as delivered", "meaning"],
+        ["address", "40001-based", "name", "unit", "minimum", "maximum", "default", "meaning"],
         settings.into_iter().map(|((address, setting), delivered)| {
             let [address, numbered] = both(address.into(), HOLDING);
             [
@@ -200,7 +200,7 @@ fn start_settings() -> String {
 
 fn commands() -> String {
     table(
-        ["address", "40001-based", "name", "takes", "what it does"],
+        ["address", "40001-based", "name", "value", "effect"],
         (FIRST_COMMAND..).zip(&COMMANDS).map(|(address, command)| {
             let [address, numbered] = both(address.into(), HOLDING);
             let key = format!("{COMMAND_KEY} ({COMMAND_KEY:04X}h)");
@@ -229,7 +229,7 @@ fn reports() -> String {
 
 fn events() -> String {
     table(
-        ["code", "name", "what happened", "value", "what to do"],
+        ["code", "name", "event", "value", "remedy"],
         EVENTS.iter().map(|event| {
             [
                 (event.code as u8).to_string(),

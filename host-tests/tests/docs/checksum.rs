@@ -183,7 +183,7 @@ fn checksum_two_bit_errors_that_decoding_refuses_in_the_document_are_measured() 
         DOCUMENT,
         "two-bit errors by frame",
         &table(
-            ["frame", "two-bit errors", "taken by the parser", "refused by decoding", "accepted"],
+            ["frame", "two-bit errors", "accepted by the parser", "refused by decoding", "accepted by both"],
             requests.chain(replies),
         ),
     );

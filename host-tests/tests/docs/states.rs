@@ -73,7 +73,7 @@ fn states_in_the_document_are_those_of_the_code() {
         ]
     });
     let rows = rows.map(|[bit, byte, word, remedy, name, meaning]| [bit, byte, word, name, meaning, remedy]);
-    hold(DOCUMENT, "gstate", &table(["bit", "byte", "register 0", "name", "meaning", "what to do"], rows));
+    hold(DOCUMENT, "gstate", &table(["bit", "byte", "register 0", "name", "meaning", "remedy"], rows));
 }
 
 #[test]
@@ -91,7 +91,7 @@ fn system_flags_in_the_document_are_those_of_the_code() {
             remedy,
         ]
     });
-    let head = ["bit", "name", "Modbus: input register, mask", "CANopen", "meaning", "what to do"];
+    let head = ["bit", "name", "Modbus: input register, mask", "CANopen", "meaning", "remedy"];
     hold(DOCUMENT, "sysstate", &table(head, rows));
 }
 
@@ -109,7 +109,7 @@ fn status_codes_for_the_plc_are_those_of_the_code() {
         let [code, symbol, meaning] = row;
         rows.push([code, symbol, meaning, shown_after, own, remedy]);
     }
-    let head = ["code", "name", "meaning", "shown after", "the bridge by itself", "what to do"];
+    let head = ["code", "name", "meaning", "shown after", "automatic reaction of the bridge", "remedy"];
     hold(DOCUMENT, "status", &table(head, rows));
     hold(DOCUMENT, "other-status", &table(["code", "name", "meaning"], others));
 }

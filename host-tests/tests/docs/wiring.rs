@@ -9,7 +9,7 @@ use wsg_bridge_fw::{Config, RECIPES, Recipe, WiresConfig};
 /// Each input with its function.
 const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
     (Inputs::GRIP, "rising edge: grip a part"),
-    (Inputs::RELEASE, "rising edge: release it"),
+    (Inputs::RELEASE, "rising edge: release the part"),
     (Inputs::MOVE, "rising edge: move the fingers to a width"),
     (Inputs::HOME, "rising edge: reference the fingers"),
     (Inputs::STOP_ACK, "rising edge: stop, or acknowledge a FAST STOP"),
@@ -20,13 +20,13 @@ const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
 
 /// Each output with its meaning.
 const OUTPUT_MEANINGS: [(Outputs, &str); Outputs::COUNT] = [
-    (Outputs::READY, "a command would be taken"),
-    (Outputs::BUSY, "a command is being carried out"),
+    (Outputs::READY, "ready to accept a command"),
+    (Outputs::BUSY, "a command is in progress"),
     (Outputs::HOLDING, "a part is held"),
-    (Outputs::PART_FAULT, "no part was found, or it was lost"),
-    (Outputs::ERROR, "refused, failed, unknown, or FAST STOP"),
-    (Outputs::REFERENCED, "the fingers have been homed"),
-    (Outputs::LINK_OK, "the gripper answers"),
+    (Outputs::PART_FAULT, "no part found, or part lost"),
+    (Outputs::ERROR, "command refused or failed, state unknown, or FAST STOP"),
+    (Outputs::REFERENCED, "the fingers are referenced"),
+    (Outputs::LINK_OK, "the gripper responds"),
 ];
 
 fn name<T>(mut names: impl Iterator<Item = (&'static str, T)>) -> String {
@@ -113,26 +113,29 @@ fn times() -> String {
         Config::DEFAULT;
     let ms = |value: u32| format!("{value} ms");
     let rows = [
-        ("a wire must keep its level", ms(debounce_ms)),
-        ("`BUSY` is high for at least, unless an error ends it,", ms(min_busy_ms)),
-        ("the first answer to a request may take", ms(session.reply_timeout_ms)),
-        ("the answer to a Stop may take, before it becomes a FAST STOP,", ms(session.timeouts[0].reply_ms)),
-        ("the answer to a FAST STOP may take, before a burst of them,", ms(session.fast_stop.answer_ms)),
-        ("FAST STOPs in a burst", session.fast_stop.burst_frames.to_string()),
-        ("silence behind a burst", ms(session.fast_stop.pause_ms)),
-        ("times a repeatable request is sent before the link counts as lost", session.attempts.to_string()),
-        ("the bridge requests each state of the gripper again every", ms(session.refresh_ms)),
-        ("a lost link is tried again every", ms(session.reconnect_ms)),
-        ("a motion may take", ms(session.motion_timeout_ms)),
-        ("a result may come after the gripper stands still", ms(session.result_grace_ms)),
-        ("half a frame is given up after", ms(half_frame_ms)),
+        ("debounce time of a wire", ms(debounce_ms)),
+        ("minimum pulse of `BUSY`, unless an error ends it", ms(min_busy_ms)),
+        ("time-out of the first answer to a request", ms(session.reply_timeout_ms)),
+        ("time-out of the answer to a Stop, before it becomes a FAST STOP", ms(session.timeouts[0].reply_ms)),
+        ("time-out of the answer to a FAST STOP, before a burst of them", ms(session.fast_stop.answer_ms)),
+        ("number of FAST STOPs in a burst", session.fast_stop.burst_frames.to_string()),
+        ("pause after a burst", ms(session.fast_stop.pause_ms)),
+        (
+            "transmissions of a repeatable request before the link counts as lost",
+            session.attempts.to_string(),
+        ),
+        ("polling interval of each state of the gripper", ms(session.refresh_ms)),
+        ("interval of attempts to reconnect", ms(session.reconnect_ms)),
+        ("time-out of a motion", ms(session.motion_timeout_ms)),
+        ("time-out of a result after standstill", ms(session.result_grace_ms)),
+        ("time-out of an incomplete frame", ms(half_frame_ms)),
     ];
-    table(["what", "how long, how often"], rows.map(|(what, value)| [what.to_owned(), value]))
+    table(["parameter", "value"], rows.map(|(what, value)| [what.to_owned(), value]))
 }
 
 fn fast_stop() -> String {
     let rows = Sweep::all(1, false).map(|sweep| [sweep.name.to_owned(), format!("{} ms", sweep.limit_ms)]);
-    table(["when", "at most"], rows)
+    table(["fault", "worst-case latency"], rows)
 }
 
 #[test]

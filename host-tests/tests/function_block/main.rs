@@ -468,23 +468,23 @@ macro_rules! scenarios {
 }
 
 scenarios! {
-    homing_grip_and_release: grip_cycles, "homing, grip and release, again and again";
-    missing_part_is_a_result: no_part, "no part; a grip that is over at once";
-    lost_part_shows_and_is_released: part_lost, "a part is lost while it is held";
+    homing_grip_and_release: grip_cycles, "homing, then repeated grip and release";
+    missing_part_is_a_result: no_part, "no part; a grip that ends immediately";
+    lost_part_shows_and_is_released: part_lost, "loss of a held part";
     fault_is_an_error_until_it_is_gone_and_acknowledged: fault_and_acknowledge,
-        "a fault that stays, goes, and is acknowledged";
+        "a persistent fault that ends and is acknowledged";
     command_before_homing_is_an_error_with_its_status: not_referenced,
-        "a command before homing; a command while there is an error";
+        "a command before homing; a command during an error";
     fast_stop_comes_first_and_waits_to_be_acknowledged: fast_stop,
-        "FAST STOP during a motion, StopAck meanwhile";
-    stop_lets_go_of_the_part: stop, "StopAck while a part is held, twice in a row";
-    parameters_stay_while_the_fingers_move: parameters_change, "a parameter changes during a motion";
-    cut_bus_ends_the_command_in_an_error: bus_is_cut, "the bus is cut during a motion";
+        "FAST STOP during a motion, with StopAck";
+    stop_lets_go_of_the_part: stop, "StopAck with a held part, twice in a row";
+    parameters_stay_while_the_fingers_move: parameters_change, "change of a parameter during a motion";
+    cut_bus_ends_the_command_in_an_error: bus_is_cut, "loss of the bus during a motion";
     motion_that_somebody_else_stopped_is_an_error: wrong_place,
-        "a wire stops the motion of the function block";
-    button_that_stays_pressed_gives_one_command: buttons_that_stay, "a button stays pressed";
+        "a wire that stops the motion of the function block";
+    button_that_stays_pressed_gives_one_command: buttons_that_stay, "a button that stays pressed";
     motion_goes_on_to_its_end_while_other_commands_are_refused: refused_meanwhile,
-        "a wire's command is refused during the motion";
+        "a refused command of a wire during a motion";
 }
 
 #[test]
@@ -498,5 +498,5 @@ fn every_line_of_the_function_block_is_run_by_the_scenarios() {
 #[test]
 fn scenarios_in_the_document_are_those_that_are_run() {
     let rows = SCENARIOS.iter().map(|(name, _)| [(*name).to_owned()]);
-    hold("docs/function-block.md", "scenarios", &table(["what is run"], rows));
+    hold("docs/function-block.md", "scenarios", &table(["scenario"], rows));
 }

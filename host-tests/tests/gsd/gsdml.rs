@@ -253,7 +253,15 @@ fn tables_of_the_page_are_those_of_the_device() {
             ]
         })
     });
-    let head = ["slot", "subslot", "module", "its ident number", "the submodule's", "bytes in", "bytes out"];
+    let head = [
+        "slot",
+        "subslot",
+        "module",
+        "module ident number",
+        "submodule ident number",
+        "input bytes",
+        "output bytes",
+    ];
     hold(PAGE, "profinet modules", &table(head, modules));
     let faults = PROFILE.faults.iter().map(|fault| {
         let priority = if fault.priority == Priority::High { "high" } else { "low" };

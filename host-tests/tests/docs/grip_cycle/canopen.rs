@@ -197,9 +197,5 @@ fn canopen_cycle_in_the_document_is_the_recorded_one() {
             row.says,
         ]
     });
-    hold(
-        DOCUMENT,
-        "canopen-cycle",
-        &table(["", "step", "from", "identifier", "bytes", "what they say"], all),
-    );
+    hold(DOCUMENT, "canopen-cycle", &table(["", "step", "from", "identifier", "bytes", "meaning"], all));
 }

@@ -158,5 +158,5 @@ fn modbus_cycle_in_the_document_is_the_recorded_one() {
             says,
         ]
     });
-    hold(DOCUMENT, "modbus-cycle", &table(["", "step", "request", "answer", "what the answer says"], rows));
+    hold(DOCUMENT, "modbus-cycle", &table(["", "step", "request", "answer", "meaning of the answer"], rows));
 }

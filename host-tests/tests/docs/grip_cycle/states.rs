@@ -185,7 +185,7 @@ fn next_states(seen: &BTreeSet<Transition>) -> String {
         [(*state).to_owned(), homing, moves, grip, release, jog, stop, fast_stop, itself.join(", ")]
     });
     let [a, b, c, d, e, f, g] = COMMANDS.map(|(name, _)| name);
-    table(["GSTATE", a, b, c, d, e, f, g, "by itself"], rows)
+    table(["GSTATE", a, b, c, d, e, f, g, "without a command"], rows)
 }
 
 #[test]
