@@ -1,5 +1,5 @@
-//! Checks docs/figures.md, which `cargo xtask figures` writes: its limits are those of the gates, and its image sizes
-//! match the tested image.
+//! Checks docs/figures.md, which `cargo xtask figures` writes: its limits equal the gates' limits, and
+//! its image sizes match the tested image.
 
 use std::path::PathBuf;
 

@@ -1,5 +1,5 @@
-//! The virtual gripper on PROFINET, in network namespaces connected by a virtual cable, with third-party controllers, with `tshark`
-//! as a monitor, and with hostile frames.
+//! The virtual gripper on PROFINET, in network namespaces connected by a virtual cable, with third-party controllers, with
+//! `tshark` as a monitor, and with hostile frames.
 //!
 //! Long tests run only in `cargo xtask ci` (`WSG_WHOLE`). All tests require root. `cargo xtask test` selects them by the programs
 //! in their names and skips missing ones: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`, `in_namespaces`.

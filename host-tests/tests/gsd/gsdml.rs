@@ -168,7 +168,7 @@ fn is_true(file: &Document<'_>, name: &'static str, attribute: &str) -> bool {
     item(file, name).attribute(attribute) == Some("true")
 }
 
-/// Returns whether the device conforms to a version before V2.31. Versions are decimals: V2.2 < V2.25 < V2.3 < V2.31 (GSDML, 5.1).
+/// Returns whether the device conforms to a version before V2.31. Versions are decimals: V2.25 < V2.3 < V2.31 (GSDML, 5.1).
 fn is_before_v2_31(file: &Document<'_>) -> bool {
     let version = item(file, "DeviceAccessPointItem").attribute("PNIO_Version").unwrap();
     version.strip_prefix('V').unwrap().parse::<f32>().unwrap() < 2.31

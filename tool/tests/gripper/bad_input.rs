@@ -1,4 +1,4 @@
-//! Invalid input is rejected with a message that states what was expected, before anything is sent.
+//! Invalid input is rejected with a message that states the expectation, before anything is sent.
 
 use crate::bench::{Bench, Program, Scratch, quick};
 use wsg_sim::{Config, Finger};

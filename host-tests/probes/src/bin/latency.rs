@@ -1,8 +1,7 @@
 //! Measures calls of the drivers over loopback TCP, compared in one run with a bare socket that exchanges the same bytes.
 //!
-//! The peer is `wsg-sim`, with one server per client. The clients take turns of some hundred queries, so that other load affects
-//! all of them. Prints one line per figure with name and number: microseconds or, for `cpu`, percent of
-//! a core.
+//! The peer is `wsg-sim`, with one server per client. The clients take turns of some hundred queries, so that other load
+//! affects all of them. Prints one line per figure with name and number: microseconds or, for `cpu`, percent of a core.
 //!
 //! `latency PATH/wsg_binary_driver.py` also measures UMI's Python driver, with `python3`. The file
 //! is `umi/real_world/wsg_binary_driver.py` of the repository `real-stanford/universal_manipulation_interface`.

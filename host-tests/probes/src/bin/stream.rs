@@ -1,10 +1,10 @@
 //! Measures the period jitter of a set-point stream at `wsg-sim`, with or without the script of `driver::stream`.
 //!
-//! Options: `--seconds N` (60), `--rate HZ` (100), `--grippers N` (1), `--busy N` busy loops (0), `--profile real`, `--no-script`.
-//! Prints one line per figure, with name and number. For each gripper: samples, share in percent of periods of at most
-//! 1.5 nominal periods, longest period and round trip in ms. The same follows for a bare timer, a thread that only sleeps for
-//! each period of the same run. With busy loops the scheduler delays both, so the probe fails only if a stream has less than
-//! 99.9 % and more than three times as many late periods as the bare timer.
+//! Options: `--seconds N` (60), `--rate HZ` (100), `--grippers N` (1), `--busy N` busy loops (0), `--profile real`,
+//! `--no-script`. Prints one line per figure, with name and number. For each gripper: samples, share in percent of
+//! periods up to 1.5 nominal periods, longest period and round trip in ms. The same follows for a bare timer, a thread
+//! that only sleeps for each period. With busy loops the scheduler delays both, so the probe fails only if a stream has
+//! less than 99.9 % and more than three times as many late periods as the bare timer.
 
 use std::hint::black_box;
 use std::net::SocketAddr;

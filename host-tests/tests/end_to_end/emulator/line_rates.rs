@@ -56,8 +56,7 @@ fn lines_run_at_their_rates_and_the_driver_is_enabled_around_each_frame() {
     let divider = (256 * u64::from(HSI16_HZ) + 19_200 / 2) / 19_200;
     assert_eq!(u64::from(read(LPUART1 + BRR)), divider & 0xFFFF);
 
-    // DE mode enables the transceiver from 1 us before to 1 us after a transmission, in cycles of the UART clock
-    // (41.7.1).
+    // DE mode enables the transceiver from 1 us before to 1 us after a transmission, in cycles of the UART clock (41.7.1).
     assert_eq!(field(read(LPUART1 + CR3), 14, 1), 1);
     let cycles_in_a_microsecond = HSI16_HZ / 1_000_000;
     assert_eq!(

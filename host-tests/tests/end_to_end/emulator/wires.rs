@@ -95,8 +95,7 @@ fn grip_cycles_without_one_deviation(board: Board) {
 /// independently, so the order of the first query and the FAST STOP of the low wire is undefined.
 fn main_job(board: Board) -> Sequences {
     let rig = powered(board, with_part());
-    // The PLC pauses for longer than the 10 ms report period between actions, so consecutive reports are never
-    // merged.
+    // The PLC pauses for longer than the 10 ms report period between actions, so consecutive reports are never merged.
     let next = || rig.pass(20).unwrap();
     rig.release_fast_stop().unwrap();
     rig.catch_up().unwrap();

@@ -1,5 +1,4 @@
-//! Ten thousand commands through the blocking driver, over a faulty line to a virtual gripper, in virtual
-//! time.
+//! Ten thousand commands through the blocking driver, over a faulty line to a virtual gripper, in virtual time.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
