@@ -1,5 +1,5 @@
-//! From edges in the output image to commands, and from the gripper's answers to the input image (fieldbus,
-//! chapter 6).
+//! Converts edges in the output image to commands, and the gripper's answers to the input image (fieldbus, chapter
+//! 6).
 
 mod jogging;
 
@@ -14,144 +14,147 @@ use wsg_protocol::types::{
     AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
 };
 
-/// Commands that may wait to be fetched: a FAST STOP replaces all others, so one motion's two at the most.
+/// Capacity for commands to fetch. A FAST STOP replaces all others, so the maximum is the two commands of one motion.
 const OUTGOING_LEN: usize = 2;
 
-/// Incidents that may wait to be fetched: one event or image makes two at the most, a FAST STOP and what it ends; and there may be
-/// two of them between two looks.
+/// Capacity for incidents to fetch. One event or image causes two at most, a FAST STOP and the motion that it ends,
+/// and two may occur between polls.
 const INCIDENTS_LEN: usize = 4;
 
-/// The register interface of a gripper, whatever carries the images.
+/// The register interface of a gripper, independent of the PLC's bus.
 ///
-/// Sans-IO, beside a [`Session`](wsg_protocol::session::Session): give it each image by [`set_output`](Self::set_output) and
-/// each event of the session by [`handle`](Self::handle), then fetch commands by
+/// Sans-IO, used with a [`Session`](wsg_protocol::session::Session): pass each image to
+/// [`set_output`](Self::set_output) and each session event to [`handle`](Self::handle). Then fetch commands by
 /// [`poll_command`](Self::poll_command) and show the PLC [`input`](Self::input).
 ///
-/// The rules, beside those that the manual states at each flag:
-/// - The first image gives no edge: what is 1 at power-up starts nothing. FASTSTOP acts on its level there.
-/// - When several motions rise at once only the lowest bit runs; while STOP/ACK or FASTSTOP is 1 none does, and its
+/// Rules in addition to the manual's definition of each flag:
+/// - The first image gives no edge, so flags that are 1 at power-up start nothing. FASTSTOP acts on its level there.
+/// - When several motion flags rise at once, only the lowest bit runs. While STOP/ACK or FASTSTOP is 1, a motion's
 ///   edge is lost.
-/// - WIDTH, SPEED or FORCELIMIT changed while the fingers move: FAST STOP. So is SPEED or FORCELIMIT outside the
-///   limits with MOVE, GRIP or RELEASE; HOMING has no parameters.
-/// - FASTSTOP is a level (fieldbus, 6.6). While it is 1, a gripper whose flags stop showing FAST STOP is sent another one,
-///   whether a third party acknowledged it or the gripper was restarted.
-/// - A FAST STOP ends only while FASTSTOP is 0 and after the gripper has confirmed it: by E_SUCCESS, then by system flags
-///   that show it. A rising edge of STOP/ACK acknowledges it; so may a third party, after which the flag is gone.
-/// - STOP/ACK withdraws every motion that was asked for before it.
-/// - A Stop that is not answered in time, while the fingers are not known to stand, becomes a FAST STOP.
-/// - GRIP leaves only behind the answer to its own force limit, or at once while the gripper is known to have that limit
-///   ([`Known::force_limit`]). Let the session read settings back
+/// - A change of WIDTH, SPEED or FORCELIMIT while the fingers move is a FAST STOP. So is SPEED or FORCELIMIT outside
+///   the limits with MOVE, GRIP or RELEASE. HOMING has no parameters.
+/// - FASTSTOP is a level (fieldbus, 6.6). If the gripper's FAST STOP flag disappears while FASTSTOP is 1, another
+///   FAST STOP is sent. The reason, a third party's acknowledgement or a restart, makes no difference.
+/// - A FAST STOP ends only while FASTSTOP is 0 and after the gripper has confirmed it, first by E_SUCCESS and then by
+///   its system flags. A rising edge of STOP/ACK acknowledges it. A third party may acknowledge it too; then the flag
+///   is gone.
+/// - STOP/ACK withdraws every motion requested before it.
+/// - A Stop that times out becomes a FAST STOP unless the fingers are known to be at rest.
+/// - GRIP is sent only after the answer to its own force limit, or at once if the gripper is known to have that limit
+///   ([`Known::force_limit`]). Configure the session to read settings back
 ///   ([`Config::verify_settings`](wsg_protocol::session::Config::verify_settings)).
-/// - MOVE begins only when GSTATE is IDLE (fieldbus, 6.1). While a part is held, or behind one that was not found or got lost,
-///   RELEASE is the way to open; behind an error STOP/ACK comes first.
-/// - MOVE stops on a block: fingers that clamp and later snap to the target would move without a command.
-/// - Without a connection a motion is refused, never kept for later.
-/// - A motion that is asked for while another runs is refused: the status is E_ALREADY_RUNNING while its flag is 1, and that of the
-///   running motion again behind that.
+/// - MOVE starts only when GSTATE is IDLE (fieldbus, 6.1). Use RELEASE to open while a part is held, after NO_PART
+///   and after PART_LOST. After an error, use STOP/ACK first.
+/// - MOVE stops on a block. Otherwise blocked fingers could later snap to the target without a command.
+/// - Without a connection a motion is refused and never kept for later.
+/// - A motion requested while another runs is refused. The status is E_ALREADY_RUNNING while its flag is 1, then the
+///   running motion's status again.
 ///
-/// JOG (fieldbus, 6.7) has no command of its own in the binary command set. It runs as the force limit and a
-/// Pre-position to the end of the stroke, with a Stop when its flag goes:
-/// - The flags count by their level, once both have been 0: a level that is there at power-up starts nothing. Both at
-///   once stop. SPEED 0 is the least speed.
-/// - SPEED and FORCELIMIT may follow a dial: the fingers are stopped and go on with the new values, because a force
-///   limit holds for consecutive motions (command set, 3.3.3). Outside the limits they are a FAST STOP here as well.
-/// - A jog that reached the end, failed, was refused, or was ended by STOP/ACK, FASTSTOP or the loss of the connection
-///   begins again only after both flags were 0. It is refused while a part is held.
-/// - When the connection goes while the fingers may be moving, a FAST STOP is the first thing that the gripper hears
-///   when it comes back: nobody could stop them in the meantime.
-/// - A gripper with soft limits refuses the end of the stroke (E_RANGE_ERROR). The controller then queries the limits and
-///   runs the jog to the one in its direction. At that limit, or beyond it, the jog ends with E_RANGE_ERROR.
+/// The binary command set has no command for JOG (fieldbus, 6.7). The controller sends the force limit and a
+/// Pre-position to the end of the stroke, and a Stop when the flag falls:
+/// - The flags act on their level, after both have been 0, so a flag that is 1 at power-up starts nothing. Both at
+///   once stop. SPEED 0 selects the minimum speed.
+/// - SPEED and FORCELIMIT may follow a dial. The fingers stop and continue with the new values, because a force limit
+///   applies to subsequent motions (command set, 3.3.3). Values outside the limits are a FAST STOP here too.
+/// - A jog that reached the end, failed, was refused, or was ended by STOP/ACK, FASTSTOP or a lost connection
+///   restarts only after both flags were 0. A jog is refused while a part is held.
+/// - If the connection is lost while the fingers may be moving, the gripper receives a FAST STOP first after the
+///   reconnect, because no Stop could reach it in the meantime.
+/// - A gripper with soft limits refuses the end of the stroke (E_RANGE_ERROR). The controller then queries the limits
+///   and jogs to the limit in that direction. At or beyond that limit, the jog ends with E_RANGE_ERROR.
 #[derive(Clone, Debug, Hash)]
 pub struct Controller {
-    /// The last image; none before the first.
+    /// The last image; `None` before the first.
     image: Option<OutputImage>,
     connected: bool,
-    /// The gripper's flags have been seen once since power-up, and it was connected.
+    /// The gripper's flags have been received while connected, at least once since power-up.
     is_acquainted: bool,
     fast_stop: FastStop,
-    /// Acknowledgements without an outcome so far: what is answered before that may be an earlier FAST STOP, which they undo.
+    /// Acknowledgements without an outcome. A FAST STOP answered before the outcome may precede them and be undone by
+    /// them.
     acknowledgements_open: u8,
-    /// Set Force Limit commands without an outcome so far.
+    /// Set Force Limit commands without an outcome.
     force_limits_open: u8,
-    /// The motion whose result is awaited.
+    /// The motion that has no result yet.
     motion: Option<Motion>,
-    /// A motion that the gripper's reports say nothing of yet, be it stopped meanwhile.
+    /// Whether the gripper's reports already cover the last motion, including one that was stopped since.
     unseen: Unseen,
     /// The command whose outcome the status register shows.
     shown: Option<CommandId>,
     status: Status,
-    /// A motion was asked for while this command is pending, and refused: those of its flags that are still 1.
+    /// A motion was refused while the shown command is pending: the refused flags that are still 1.
     refused: Option<CommandFlags>,
-    /// The last command failed, or its outcome is not known.
+    /// The last command failed, or its outcome is unknown.
     failed: bool,
     /// The state that the last result implies, until the gripper reports one.
     settled: Option<GripperState>,
-    /// A success that is shown once the gripper reports that its fingers stand: the PLC sees the end of a motion, its
-    /// result and the flags that belong to it at one and the same time.
+    /// A success that is withheld until the gripper reports that its fingers are at rest. The PLC thus sees the end
+    /// of a motion, its result and its flags together.
     held_back: Option<(CommandId, Status)>,
     jog: Jog,
-    /// OF, for the input image.
+    /// OF of the input image.
     user_outputs: u8,
     outgoing: Queue<Command<'static>, OUTGOING_LEN>,
     incidents: Queue<Incident, INCIDENTS_LEN>,
 }
 
-/// The controller's own memory of a FAST STOP, beside the gripper's flag.
+/// The controller's own record of a FAST STOP, in addition to the gripper's flag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum FastStop {
     /// None, or acknowledged.
     Clear,
-    /// Requested; the gripper has not answered.
+    /// Requested and not answered yet.
     Asked,
-    /// Requested once more before the gripper answered. The answer may be from before the second request, and a third party
-    /// may have acknowledged in between: the next FAST STOP follows the answer.
+    /// Requested again before the first answer. That answer may precede the second request, with a third party's
+    /// acknowledgement in between, so another FAST STOP follows the answer.
     AskedTwice,
-    /// Answered while an acknowledgement was open, which may have undone it: given again after the acknowledgement's outcome.
+    /// Answered while an acknowledgement was open, which may have undone it. Sent again after the acknowledgement's
+    /// outcome.
     Undone,
-    /// Answered; its system flags do not show it yet.
+    /// Answered, but not yet shown by the system flags.
     Answered,
     /// Confirmed; awaits STOP/ACK.
     Latched,
-    /// The same, and an acknowledgement was sent since.
+    /// Confirmed, and an acknowledgement was sent.
     Acknowledged,
 }
 
-/// A motion that may have begun since the gripper told its states: that the fingers stood then says nothing.
+/// Whether a motion may have started since the last report. Until then, a report of fingers at rest proves nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Unseen {
-    /// There is none.
+    /// No such motion.
     No,
-    /// Given to the session; reports that come now may be older.
+    /// Passed to the session. Reports received now may precede it.
     Given,
-    /// Begun, or not answered: the next report knows of it.
+    /// Started, or unanswered. The next report covers it.
     Begun,
 }
 
-/// What becomes of the fingers when the PLC that commands them falls silent.
+/// The reaction to the silence of the PLC that controls the fingers.
 ///
-/// A jog ends in any case: nobody holds its button any more.
+/// A jog always ends, because its flag can no longer be released.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SilenceReaction {
-    /// What runs goes on.
+    /// A running motion continues.
     Hold,
-    /// A motion is stopped; a part that is held stays held.
+    /// Stops a motion. A held part stays held.
     #[default]
     Stop,
-    /// FAST STOP, which must be acknowledged.
+    /// Sends a FAST STOP, which must be acknowledged.
     FastStop,
 }
 
-/// A motion on its way.
+/// A motion that was requested and has no result yet.
 #[derive(Clone, Copy, Debug, Hash)]
 struct Motion {
     command: Command<'static>,
-    /// The command that must be answered before the motion is sent: Set Force Limit, or Get Soft Limits for a jog.
+    /// The command whose answer the motion awaits: Set Force Limit, or Get Soft Limits for a jog.
     awaits: Option<CommandId>,
 }
 
 impl Controller {
-    /// A controller that has seen no image and no gripper.
+    /// Returns a controller that has received neither an image nor data from a gripper.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -176,13 +179,13 @@ impl Controller {
         }
     }
 
-    /// Takes an image that the PLC wrote, complete and at once.
+    /// Takes a complete image that the PLC wrote.
     pub fn set_output(&mut self, image: &OutputImage, known: &Known) {
         self.take_output(image, known, true);
     }
 
-    /// As [`set_output`](Self::set_output), for a PLC that has been told not to give commands now: a motion whose flag rises
-    /// is refused even if the gripper would take it.
+    /// Takes an image like [`set_output`](Self::set_output), but refuses every motion whose flag rises. Use it while
+    /// the PLC sees READY low, even if the gripper would accept the motion.
     pub fn set_output_refusing_motions(&mut self, image: &OutputImage, known: &Known) {
         self.take_output(image, known, false);
     }
@@ -200,7 +203,7 @@ impl Controller {
             return;
         }
         let changed = previous.is_some_and(|previous| {
-            // A jog follows its dial; the width is none of its parameters.
+            // A jog follows its dial. WIDTH is not one of its parameters.
             if self.jog.is_on() { image.width != previous.width } else { image.parameters_differ(&previous) }
         });
         if changed && self.is_moving(known) {
@@ -223,9 +226,9 @@ impl Controller {
         }
     }
 
-    /// Takes note that the PLC is not heard any more, for a bus that tells.
+    /// Reports that the PLC no longer communicates, for a bus that detects this.
     ///
-    /// The image stays as it is, so that its flags give no edge when the PLC is back; JOG counts again after both of its
+    /// The image is kept, so its flags give no edge when the PLC returns. JOG becomes effective after both of its
     /// flags were 0.
     pub fn silence(&mut self, reaction: SilenceReaction, known: &Known) {
         self.jog.disarm(self.image.as_ref());
@@ -236,7 +239,7 @@ impl Controller {
             {
                 self.stop();
             }
-            // A motion that the gripper was not heard to end goes on behind a line that is cut: a Stop now would be lost.
+            // Without a connection, an unfinished motion continues and a Stop would be lost.
             SilenceReaction::Stop if !self.connected && self.unseen != Unseen::No => {
                 self.fast_stop(Cause::PlcSilent, 0);
             }
@@ -244,7 +247,7 @@ impl Controller {
         }
     }
 
-    /// IF as the PLC wrote it last: user flags IF1 (bit 0) to IF8, for a script on the gripper.
+    /// Returns IF as last written by the PLC: user flags IF1 (bit 0) to IF8, for a script on the gripper.
     #[must_use]
     pub fn user_inputs(&self) -> u8 {
         self.image.map_or(0, |image| image.user)
@@ -255,10 +258,9 @@ impl Controller {
         self.user_outputs = flags;
     }
 
-    /// Looks at what is known while the first connection after power-up is made. A gripper that moves then moves for a
-    /// command of before a reset, which nobody can end any more: it is stopped, and the PLC sees E_CMD_ABORTED. A part that
-    /// is held stays held. Call it whenever something new may be known; later calls do nothing.
-    // Nearly always there is nothing to do.
+    /// Checks the gripper's state on the first connection after power-up. Fingers that move then follow a command
+    /// from before a reset, so they are stopped and the PLC sees E_CMD_ABORTED. A held part stays held. Call this
+    /// whenever new data may be known; later calls do nothing.
     #[inline(always)]
     pub fn get_acquainted(&mut self, known: &Known) {
         if !self.is_acquainted {
@@ -277,14 +279,14 @@ impl Controller {
         }
     }
 
-    /// Takes what the session noticed, with what it knows since.
+    /// Takes an event of the session, and the gripper data known after it.
     pub fn handle(&mut self, event: &Event<'_>, known: &Known) {
         self.note_outcome(event);
         self.note_motion(event, known);
         match event {
             Event::Connected => {
                 self.connected = true;
-                // They were asked for behind a FAST STOP that was answered before.
+                // The flags were requested after a FAST STOP that was answered earlier.
                 if let Some(flags) = known.flags {
                     self.supervise_fast_stop(flags);
                 }
@@ -301,7 +303,7 @@ impl Controller {
                     }
                 };
                 if is_answered {
-                    // The gripper may be restarted and forget it: it shall be the first thing that it hears.
+                    // The gripper may restart and lose the FAST STOP, so send it first after a reconnect.
                     self.give_fast_stop();
                 } else if self.jog.is_on() {
                     self.fast_stop(Cause::ConnectionLost, 0);
@@ -316,19 +318,19 @@ impl Controller {
             }
             Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, Cause::Unanswered, known),
             Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, Cause::Withdrawn, known),
-            // A jog ends idle, whatever the gripper makes of its error (fieldbus, 6.7).
+            // A jog ends in IDLE even if the gripper reports its error as a state (fieldbus, 6.7).
             Event::Reported(Value::GetGripperState(GripperState::Error)) if self.jog.failed => {}
             Event::Reported(Value::GetGripperState(_)) => self.settled = None,
             Event::Reported(Value::GetSystemState(flags)) => {
                 self.supervise_fast_stop(*flags);
                 self.show_held_back(known);
             }
-            // Pending answers, late ones, and reports of values that are only shown.
+            // Pending and late answers, and reports of values that are only displayed.
             _ => {}
         }
     }
 
-    /// Keeps count of what is open at the gripper.
+    /// Counts the open commands of which the outcome matters.
     fn note_outcome(&mut self, event: &Event<'_>) {
         let id = match event {
             Event::Answered(reply) => reply.id(),
@@ -353,7 +355,7 @@ impl Controller {
         }
     }
 
-    /// Keeps track of whether the reports know of the last motion.
+    /// Tracks whether the reports cover the last motion.
     fn note_motion(&mut self, event: &Event<'_>, known: &Known) {
         let is_motion = |id: CommandId| id.kind() == Kind::Motion;
         let tells_states = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
@@ -364,28 +366,28 @@ impl Controller {
             Event::Answered(reply) if is_motion(reply.id()) => Unseen::No,
             Event::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
             Event::Reported(value) if self.unseen == Unseen::Begun && tells_states(value.id()) => Unseen::No,
-            // Its states were asked for since.
+            // The states were queried after the motion.
             Event::Connected => Unseen::No,
             _ => return,
         };
     }
 
-    /// Whether the gripper has reported that its fingers stand, and was given no motion since.
+    /// Returns whether the gripper has reported its fingers at rest and has received no motion since.
     fn stands(&self, known: &Known) -> bool {
         self.unseen == Unseen::No && known.flags.is_some() && !known.is_moving()
     }
 
-    /// Compares the gripper's system flags with the FAST STOP that it has answered.
+    /// Compares the gripper's system flags with the FAST STOP that it answered.
     fn supervise_fast_stop(&mut self, flags: SystemFlags) {
         match (self.fast_stop, flags.contains(SystemFlags::FAST_STOP)) {
-            // A third party has acknowledged it, or the gripper was restarted.
+            // A third party acknowledged it, or the gripper restarted.
             (FastStop::Latched, false) if self.holds(CommandFlags::FASTSTOP) => {
                 self.fast_stop(Cause::Flag, 0)
             }
             // The same, before an earlier acknowledgement has its outcome.
             (FastStop::Undone, false) if self.holds(CommandFlags::FASTSTOP) => self.give_fast_stop(),
             (FastStop::Latched, false) => self.fast_stop = FastStop::Clear,
-            // The answer was to an earlier one.
+            // The answer belonged to an earlier FAST STOP.
             (FastStop::Answered, false) => self.give_fast_stop(),
             (FastStop::Answered, true) => {
                 self.fast_stop = FastStop::Latched;
@@ -393,7 +395,7 @@ impl Controller {
                     self.status = Status::Success;
                 }
             }
-            // It was acknowledged, and the answer that said so was lost or damaged.
+            // It was acknowledged, but the answer was lost or damaged.
             (FastStop::Acknowledged, false) if self.acknowledgements_open == 0 => {
                 self.fast_stop = FastStop::Clear
             }
@@ -401,22 +403,22 @@ impl Controller {
         }
     }
 
-    /// Whether one of these flags is 1 in the last image.
+    /// Returns whether one of these flags is 1 in the last image.
     fn holds(&self, any_of: CommandFlags) -> bool {
         self.image.is_some_and(|image| image.flags.intersects(any_of))
     }
 
-    /// Whether a FAST STOP that the controller asked for lasts.
+    /// Returns whether a FAST STOP requested by the controller is in effect.
     #[must_use]
     pub fn asks_fast_stop(&self) -> bool {
         self.fast_stop != FastStop::Clear
     }
 
-    /// Takes back a command that the session did not take.
+    /// Takes back a command that the session refused.
     pub fn refused(&mut self, id: CommandId, error: RequestError) {
         self.note_outcome(&Event::Withdrawn(id));
         if self.unseen == Unseen::Given {
-            // An earlier one may be the reason.
+            // An earlier motion may be the reason.
             self.unseen = Unseen::Begun;
         }
         let (status, cause) = match error {
@@ -427,27 +429,27 @@ impl Controller {
             // The session's queue is full.
             _ => (Status::InsufficientResources, Cause::Withdrawn),
         };
-        // What is known matters to a Stop alone, and a session that refuses one has no connection.
+        // Known data matters only to a Stop, and a session refuses a Stop only without a connection.
         self.came_to_nothing(id, status, cause, &Known::NOTHING);
     }
 
-    /// The next thing that went wrong, for those who keep a record. What is not fetched gives way to what comes later.
+    /// Returns the oldest incident. When the queue is full, a new incident replaces the oldest.
     pub fn poll_incident(&mut self) -> Option<Incident> {
         self.incidents.pop_front()
     }
 
-    /// The next command to send.
+    /// Returns the next command to send.
     pub fn poll_command(&mut self) -> Option<Command<'static>> {
         self.outgoing.pop_front()
     }
 
-    /// The image that the PLC reads.
+    /// Returns the image that the PLC reads.
     #[must_use]
     pub fn input(&self, known: &Known) -> InputImage {
         let unit = force_unit(known);
         let mut system = known.flags.unwrap_or_default();
         system.set(SystemFlags::FAST_STOP, self.is_fast_stopped(known));
-        // Without a connection nothing is known, and an image of zeros would pass for a gripper at rest.
+        // Without a connection, an image of zeros would look like a gripper at rest.
         let (state, status) = if self.connected {
             (self.state(known), self.shown_status())
         } else {
@@ -463,7 +465,8 @@ impl Controller {
         }
     }
 
-    /// What is pending, until it is done; E_ALREADY_RUNNING for as long as a flag is 1 that was refused meanwhile.
+    /// Returns the status to show: E_ALREADY_RUNNING while a flag refused during a pending command is 1, the stored
+    /// status otherwise.
     fn shown_status(&self) -> Status {
         match self.refused {
             Some(refused) if self.status == Status::CmdPending && !refused.is_empty() => {
@@ -473,13 +476,13 @@ impl Controller {
         }
     }
 
-    /// Whether a motion was refused because of the command that is pending now. Its flag may have been taken back meanwhile.
+    /// Returns whether a motion was refused because of the command now pending, even if its flag has fallen since.
     #[must_use]
     pub fn has_refused_meanwhile(&self) -> bool {
         self.status == Status::CmdPending && self.refused.is_some()
     }
 
-    /// Refuses the motions or jog of these flags, for a caller that does not let them reach the controller.
+    /// Refuses the motions or jog of these flags, for a caller that withholds them from the controller.
     pub fn refuse(&mut self, flags: CommandFlags) {
         if self.status == Status::CmdPending {
             self.refuse_beside_motion(flags);
@@ -488,19 +491,19 @@ impl Controller {
         }
     }
 
-    /// A motion or jog that is asked for while the fingers move.
+    /// Refuses a motion or jog that was requested while the fingers move.
     fn refuse_beside_motion(&mut self, flags: CommandFlags) {
         self.note(Cause::MotionRuns, self.motion.map(|motion| motion.command.id()), 0);
         if self.status == Status::CmdPending {
             self.refused = Some(flags.union(self.refused.unwrap_or_default()));
         } else {
-            // They move for another reason, of which the status register tells nothing.
+            // They move for another reason, which the status register does not show.
             self.status = Status::AlreadyRunning;
         }
     }
 
-    /// GSTATE of a gripper that answers: FAST STOP shows as IDLE (SYSSTATE has the flag), a motion from its edge on, a failure
-    /// as ERROR; no bit before it has told its state.
+    /// Returns GSTATE of a connected gripper. FAST STOP shows as IDLE (SYSSTATE has the flag), a motion from its edge
+    /// on, a failure as ERROR. No bit is set before the gripper has reported its state.
     fn state(&self, known: &Known) -> GripperFlags {
         if self.is_fast_stopped(known) {
             return GripperFlags::IDLE;
@@ -516,7 +519,7 @@ impl Controller {
             });
         }
         match self.settled.or(known.state) {
-            // That a part is held matters more than that a command failed, which the status register says.
+            // A held part matters more than a failed command, which the status register shows.
             Some(GripperState::Holding) => GripperFlags::HOLDING,
             _ if self.failed => GripperFlags::ERROR,
             Some(state) => state.into(),
@@ -524,17 +527,17 @@ impl Controller {
         }
     }
 
-    // Asked in many places: once in the image.
+    // Not inlined: it has many callers.
     #[inline(never)]
     fn is_fast_stopped(&self, known: &Known) -> bool {
         self.fast_stop != FastStop::Clear || has_flag(known, SystemFlags::FAST_STOP)
     }
 
-    /// Whether a motion is carried out, or the fingers move for another reason: what is refused or ends in a FAST STOP
-    /// then.
+    /// Returns whether a motion runs or the fingers move for another reason. Then motions are refused and parameter
+    /// changes are a FAST STOP.
     #[must_use]
     pub fn is_moving(&self, known: &Known) -> bool {
-        // A result overtakes the report of the state that it ends.
+        // A result arrives before the report of the state that it ends.
         let state = self.settled.or(known.state);
         self.motion.is_some()
             || self.jog.is_on()
@@ -542,7 +545,7 @@ impl Controller {
             || state.is_some_and(GripperState::is_motion)
     }
 
-    /// Whether a motion flag that rises now comes to nothing: the fingers move, or STOP/ACK or FASTSTOP is 1.
+    /// Returns whether a motion flag that rises now has no effect: the fingers move, or STOP/ACK or FASTSTOP is 1.
     #[must_use]
     pub fn ignores_motions(&self, known: &Known) -> bool {
         let held = CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP);
@@ -558,7 +561,7 @@ impl Controller {
         }
     }
 
-    /// Gives one, be it again.
+    /// Sends a FAST STOP, for the first time or again.
     fn give_fast_stop(&mut self) {
         self.fast_stop = FastStop::Asked;
         self.jog.stage = Stage::Off;
@@ -570,7 +573,7 @@ impl Controller {
         let is_confirmed =
             matches!(self.fast_stop, FastStop::Clear | FastStop::Latched | FastStop::Acknowledged);
         if !is_confirmed {
-            // The gripper has not heard of it yet: an acknowledgement now would be undone by the FAST STOP behind it.
+            // The gripper has not confirmed it yet. The pending FAST STOP would undo an acknowledgement sent now.
             self.show(Status::AccessDenied, Cause::FastStopLasts);
         } else if !self.connected {
             self.show(Status::IoError, Cause::NotConnected);
@@ -583,23 +586,23 @@ impl Controller {
             let failed = self.failed || known.state == Some(GripperState::Error);
             self.stop();
             if failed {
-                // A Stop leaves the state as it is; Acknowledge is the way to IDLE (command set, 3.2.5 and appendix C).
+                // A Stop does not change the state; Acknowledge leads to IDLE (command set, 3.2.5 and appendix C).
                 self.send(Command::ACKNOWLEDGE);
             }
         }
     }
 
-    /// Sends a command that ends or overrules a motion; what the motion still answers no longer matters.
-    // Done in many places: once in the image.
+    /// Sends a command that ends or overrides a motion. Later answers to that motion are ignored.
+    // Not inlined: it has many callers.
     #[inline(never)]
     fn send_alone(&mut self, command: Command<'static>) {
         self.motion = None;
         self.held_back = None;
         self.failed = false;
-        // These will have no outcome: the session has not been given them.
+        // The session never received these, so they have no outcome.
         while let Some(unsent) = self.outgoing.pop_front() {
             self.note_outcome(&Event::Withdrawn(unsent.id()));
-            // What is known matters to what was sent.
+            // Known data matters only to commands that were sent.
             self.note_motion(&Event::Withdrawn(unsent.id()), &Known::NOTHING);
         }
         self.send(command);
@@ -610,7 +613,7 @@ impl Controller {
     fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, known: &Known, may_begin: bool) {
         let Some(lowest) = rising.lowest() else { return };
         if !self.jog.is_on() {
-            // JOG has the highest bits of all.
+            // The JOG flags have the highest bits and lose against any motion.
             self.jog.disarm(Some(image));
         }
         if !self.connected {
@@ -649,7 +652,8 @@ impl Controller {
         self.begin_motion(command, force, known);
     }
 
-    /// Sends a motion, its force limit first if it has one that the gripper is not known to have. What waits may change it.
+    /// Sends a motion, after its force limit unless the gripper is known to have it. A queued command may change the
+    /// limit.
     fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>, known: &Known) {
         let force = force.filter(|_| known.force_limit != force || !self.outgoing.is_empty());
         if force.is_some() {
@@ -671,12 +675,12 @@ impl Controller {
             Kind::Acknowledge => self.acknowledgements_open = self.acknowledgements_open.saturating_add(1),
             _ => {}
         }
-        // There is room: a motion only begins when none runs, and all else clears the queue first.
+        // There is room: a motion starts only when none runs, and every other command clears the queue first.
         let _ = self.outgoing.push_back(command);
     }
 
-    /// A status of the PLC's own doing, with no command behind it.
-    // Done in many places: once in the image.
+    /// Shows a status caused by the PLC itself, without a command to the gripper.
+    // Not inlined: it has many callers.
     #[inline(never)]
     fn show(&mut self, status: Status, cause: Cause) {
         self.note(cause, None, 0);
@@ -692,7 +696,7 @@ impl Controller {
         let _ = self.incidents.push_back(Incident { cause, command, value });
     }
 
-    /// SPEED or FORCELIMIT cannot be: the FAST STOP of that, with the one that it is.
+    /// Requests the FAST STOP for SPEED or FORCELIMIT outside the limits, and records the value at fault.
     fn outside_limits(&mut self, image: &OutputImage, known: &Known) {
         let least_force = known.limits.map_or(0.0, |limits| limits.min_force);
         let is_force = within_limits(image.speed_mm_s(), least_force, known);
@@ -728,13 +732,13 @@ impl Controller {
         }
     }
 
-    /// Whether this is the result of the motion.
+    /// Returns whether this answer is the result of the motion.
     fn is_result_of_motion(&self, id: CommandId) -> bool {
         self.motion.is_some_and(|motion| motion.awaits.is_none() && id == motion.command.id())
     }
 
-    /// Whether this is the outcome of something earlier: of a motion like the one that is not sent yet, or of a force limit
-    /// whose motion was dropped.
+    /// Returns whether the outcome belongs to an earlier command: a motion of the same kind as one not sent yet, or a
+    /// force limit whose motion was dropped.
     fn is_of_earlier_motion(&self, id: CommandId) -> bool {
         let is_unsent = |motion: Motion| motion.awaits.is_some() && id == motion.command.id();
         self.motion.is_some_and(is_unsent) || (id == CommandId::SetForceLimit && self.force_limits_open > 0)
@@ -746,13 +750,13 @@ impl Controller {
         }
     }
 
-    /// The outcome of a command, for the PLC to see.
+    /// Shows the outcome of a command to the PLC.
     fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
         let is_result = self.is_result_of_motion(id);
         if is_result && self.jog_meets_soft_limit(status) {
             return;
         }
-        // That no part was found is a result.
+        // NO_PART is a result, not an error.
         if (is_result || self.shown == Some(id)) && implied_state(id, status).is_none() {
             self.note(Cause::Gripper, Some(id), status.code());
         }
@@ -771,7 +775,7 @@ impl Controller {
             (CommandId::FastStop, Status::Success, FastStop::Asked | FastStop::AskedTwice) => {
                 return self.fast_stop_answered();
             }
-            // A FAST STOP that was asked for in the meantime stays, in whatever order the two are answered.
+            // A FAST STOP requested in the meantime stays in effect, regardless of the order of the two answers.
             (CommandId::Acknowledge, Status::Success, FastStop::Acknowledged | FastStop::Clear) => {
                 self.fast_stop = FastStop::Clear;
                 self.settled = implied_state(id, status);
@@ -784,7 +788,7 @@ impl Controller {
         self.jog_stopped(id, status, known);
     }
 
-    /// The gripper has answered a FAST STOP: maybe an earlier one. Its flags tell.
+    /// Handles the answer to a FAST STOP, which may be an earlier one. The flags decide.
     fn fast_stop_answered(&mut self) {
         if self.acknowledgements_open > 0 {
             self.fast_stop = FastStop::Undone;
@@ -797,7 +801,7 @@ impl Controller {
         }
     }
 
-    /// A command that was not carried out, or of which that is not known.
+    /// Handles a command that was not carried out, or whose outcome is unknown.
     fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause, known: &Known) {
         if self.is_of_earlier_motion(id) {
             return;
@@ -827,7 +831,7 @@ impl Default for Controller {
     }
 }
 
-/// The gripper state that the end of a command implies; `None` when it failed.
+/// Returns the gripper state that the end of a command implies; `None` if it failed.
 const fn implied_state(id: CommandId, status: Status) -> Option<GripperState> {
     match (id, status) {
         (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
@@ -841,13 +845,13 @@ fn force_unit(known: &Known) -> ForceUnit {
     known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device))
 }
 
-// Asked in many places: once in the image.
+// Not inlined: it has many callers.
 #[inline(never)]
 fn has_flag(known: &Known, any_of: SystemFlags) -> bool {
     known.flags.is_some_and(|flags| flags.intersects(any_of))
 }
 
-/// Whether a speed in mm/s and a force in N are inside the gripper's limits; unknown limits allow nothing.
+/// Returns whether a speed in mm/s and a force in N are inside the gripper's limits. Unknown limits permit nothing.
 fn within_limits(speed: f32, force: f32, known: &Known) -> bool {
     let Some(SystemLimits { min_speed, max_speed, min_force, nominal_force, overdrive_force, .. }) =
         known.limits
@@ -856,7 +860,7 @@ fn within_limits(speed: f32, force: f32, known: &Known) -> bool {
     };
     let overdrive = has_flag(known, SystemFlags::OVERDRIVE_MODE);
     let max_force = if overdrive { overdrive_force } else { nominal_force };
-    // A limit is met by the register value nearest to it.
+    // The register value nearest to a limit is inside.
     let inside =
         |value: f32, from: f32, to: f32, half_step: f32| value >= from - half_step && value <= to + half_step;
     inside(speed, min_speed, max_speed, 0.005)

@@ -1,8 +1,8 @@
-//! The PROFIBUS diagnosis block (fieldbus, 5.2, table 3) as data. Who sends it when is the bus stack's business.
+//! The PROFIBUS diagnosis block (fieldbus, 5.2, table 3) as data. The bus stack decides when to send it.
 
 use wsg_protocol::types::SystemFlags;
 
-/// What a WSG tells a PROFIBUS master about itself: 16 bytes.
+/// The 16-byte diagnosis that a WSG sends to a PROFIBUS master.
 ///
 /// ```
 /// use wsg_protocol::SystemFlags;
@@ -16,24 +16,24 @@ use wsg_protocol::types::SystemFlags;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Diagnosis {
-    /// Bytes 0 to 3: station status 1 to 3 and the master's address, by the PROFIBUS specification; the bus stack's.
+    /// Bytes 0 to 3: station status 1 to 3 and the master's address, supplied by the bus stack.
     pub standard: [u8; 4],
     /// Bytes 7 to 10: the system state as in SYSSTATE (byte 7 holds bits 0 to 7).
     pub system: SystemFlags,
 }
 
 impl Diagnosis {
-    /// Bytes of the block.
+    /// Length of the block in bytes.
     pub const LEN: usize = 16;
 
     /// Bytes 4 and 5: the identification number of the WSG.
     pub const IDENT: u16 = 0x5555;
 
-    /// Byte 6: how long the device's own part is, this byte included. Table 3 prints the reserved rest as bytes 10 to
-    /// 15; byte 10 belongs to the system state.
+    /// Byte 6: the length of the device-related part, including this byte. Table 3 prints the reserved rest as bytes
+    /// 10 to 15, but byte 10 belongs to the system state.
     pub const DEVICE_PART_LEN: u8 = 10;
 
-    /// The flags that have the block sent when one of them goes from 0 to 1.
+    /// The flags whose change from 0 to 1 triggers the block.
     pub const TRIGGERS: SystemFlags = SystemFlags::SOFT_LIMIT_MINUS
         .union(SystemFlags::SOFT_LIMIT_PLUS)
         .union(SystemFlags::FAST_STOP)
@@ -44,7 +44,7 @@ impl Diagnosis {
         .union(SystemFlags::CMD_FAILURE)
         .union(SystemFlags::SCRIPT_FAILURE);
 
-    /// Whether the block is due when the system state goes from one to the other.
+    /// Returns whether a change of the system state triggers the block.
     ///
     /// ```
     /// use wsg_protocol::SystemFlags;
@@ -60,7 +60,7 @@ impl Diagnosis {
         after.difference(before).intersects(Self::TRIGGERS)
     }
 
-    /// The bytes of the block.
+    /// Encodes the block.
     #[must_use]
     pub const fn to_bytes(self) -> [u8; Self::LEN] {
         let [s0, s1, s2, s3] = self.standard;
@@ -69,7 +69,7 @@ impl Diagnosis {
         [s0, s1, s2, s3, i1, i0, d0, d1, d2, d3, d4, d5, d6, d7, d8, d9]
     }
 
-    /// Bytes 6 to 15: what the device adds to the part that the bus stack makes.
+    /// Encodes bytes 6 to 15, the part that the device adds to the bus stack's.
     #[must_use]
     pub const fn device_part(system: SystemFlags) -> [u8; Self::DEVICE_PART_LEN as usize] {
         let [y0, y1, y2, y3] = system.bits().to_le_bytes();
@@ -77,7 +77,7 @@ impl Diagnosis {
     }
 }
 
-/// The device's own part reaches from its length byte to the end of the block.
+/// The device-related part extends from its length byte to the end of the block.
 const _: () = assert!(6 + Diagnosis::DEVICE_PART_LEN as usize == Diagnosis::LEN);
 
 #[cfg(test)]

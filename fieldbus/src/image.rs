@@ -4,33 +4,34 @@ use bitflags::bitflags;
 use wsg_protocol::types::{DeviceType, GripperState, Status, SystemFlags};
 
 bitflags! {
-    /// CMDFLAGS, byte 0 of the output image. A rising edge gives the command; JOG acts on level.
+    /// CMDFLAGS, byte 0 of the output image. Motion, stop and acknowledge flags act on a rising edge, JOG on its
+    /// level.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct CommandFlags: u8 {
         /// Bit 0: pre-position the fingers (WIDTH, SPEED).
         const MOVE = 1 << 0;
         /// Bit 1: grip a part (WIDTH, SPEED, FORCELIMIT).
         const GRIP = 1 << 1;
-        /// Bit 2: release a part (WIDTH, SPEED). The manual's chapter 6.3 prints bit 3; its table 1 is right.
+        /// Bit 2: release a part (WIDTH, SPEED). Chapter 6.3 of the manual prints bit 3; its table 1 is correct.
         const RELEASE = 1 << 2;
-        /// Bit 3: reference the fingers.
+        /// Bit 3: home the fingers.
         const HOMING = 1 << 3;
         /// Bit 4: stop, or acknowledge a FAST STOP.
         const STOP_ACK = 1 << 4;
-        /// Bit 5: FAST STOP.
+        /// Bit 5: request a FAST STOP for as long as the bit is 1.
         const FASTSTOP = 1 << 5;
-        /// Bit 6: jog in positive direction.
+        /// Bit 6: open the fingers while the bit is 1.
         const JOG_PLUS = 1 << 6;
-        /// Bit 7: jog in negative direction.
+        /// Bit 7: close the fingers while the bit is 1.
         const JOG_MINUS = 1 << 7;
     }
 
-    /// GSTATE, byte 0 of the input image: the gripper state, one bit set.
+    /// GSTATE, byte 0 of the input image: the gripper state, with exactly one bit set.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct GripperFlags: u8 {
         /// Bit 0: waiting for a command.
         const IDLE = 1 << 0;
-        /// Bit 1: the fingers move to the part.
+        /// Bit 1: the fingers are moving towards the part.
         const GRIPPING = 1 << 1;
         /// Bit 2: no part was found.
         const NO_PART = 1 << 2;
@@ -38,9 +39,9 @@ bitflags! {
         const PART_LOST = 1 << 3;
         /// Bit 4: a part is held.
         const HOLDING = 1 << 4;
-        /// Bit 5: the fingers move away from the part.
+        /// Bit 5: the fingers are moving away from the part.
         const RELEASING = 1 << 5;
-        /// Bit 6: the fingers pre-position or home.
+        /// Bit 6: the fingers are pre-positioning or homing.
         const POSITIONING = 1 << 6;
         /// Bit 7: an error occurred.
         const ERROR = 1 << 7;
@@ -48,13 +49,13 @@ bitflags! {
 }
 
 impl CommandFlags {
-    /// The flags that begin a motion on their rising edge.
+    /// The flags that start a motion on their rising edge.
     pub const MOTIONS: Self = Self::MOVE.union(Self::GRIP).union(Self::RELEASE).union(Self::HOMING);
 
-    /// Both directions of JOG.
+    /// Both JOG flags.
     pub const JOG: Self = Self::JOG_PLUS.union(Self::JOG_MINUS);
 
-    /// The set flag with the lowest bit number: of several that rise at once the one that counts.
+    /// Returns the set flag with the lowest bit number, which has priority when several rise at once.
     ///
     /// ```
     /// use wsg_fieldbus::CommandFlags;
@@ -69,10 +70,10 @@ impl CommandFlags {
     }
 }
 
-/// Flags of a PLC that do not count until it writes them 0, because they were 1 when they must not give an edge.
+/// Flags that are ignored until the PLC writes them 0, because they were 1 when no edge may count.
 ///
-/// While a JOG flag is masked, the other one is too. JOG counts again after both were 0, since both at once mean a stop
-/// (fieldbus, 6.7).
+/// While a JOG flag is masked, so is the other one. JOG becomes effective after both were 0, since both at once mean
+/// a stop (fieldbus, 6.7).
 ///
 /// ```
 /// use wsg_fieldbus::{CommandFlags, MaskedFlags};
@@ -88,13 +89,13 @@ impl CommandFlags {
 pub struct MaskedFlags(CommandFlags);
 
 impl MaskedFlags {
-    /// All flags count.
+    /// No flag is masked.
     pub const NONE: Self = Self(CommandFlags::empty());
 
-    /// Takes the flags that a PLC has written. Those that are 1 in its first image are masked, except FASTSTOP, which
-    /// counts by its level.
+    /// Takes the flags that a PLC wrote. Flags that are 1 in its first image are masked, except FASTSTOP, which acts
+    /// on its level.
     pub fn see(&mut self, written: CommandFlags, is_first: bool) {
-        // Also when the masked flag goes as the other one rises: both were not 0.
+        // Both flags must be 0 together: masking continues if one rises as the masked one falls.
         let jog_was_masked = self.0.intersects(CommandFlags::JOG);
         self.0 &= written;
         if is_first {
@@ -105,12 +106,12 @@ impl MaskedFlags {
         }
     }
 
-    /// Masks flags that are 1.
+    /// Masks the flags that are 1 in `flags`.
     pub fn mask(&mut self, flags: CommandFlags) {
         self.0 |= flags;
     }
 
-    /// Returns those of the written flags that count.
+    /// Returns the written flags that are not masked.
     #[must_use]
     pub const fn counting(self, written: CommandFlags) -> CommandFlags {
         written.difference(self.0)
@@ -147,19 +148,19 @@ impl From<GripperState> for GripperFlags {
     }
 }
 
-/// What one step of a force register is worth.
+/// The value of one step of a force register.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ForceUnit {
-    /// 1/100 N.
+    /// 1/100 N, all devices except the WSG 70.
     #[default]
     Hundredth,
-    /// 1/10 N: the WSG 70.
+    /// 1/10 N, the WSG 70.
     Tenth,
 }
 
 impl ForceUnit {
-    /// The unit that this device uses.
+    /// Returns the unit that this device uses.
     #[must_use]
     pub const fn of(device: DeviceType) -> Self {
         match device {
@@ -178,7 +179,7 @@ impl ForceUnit {
     }
 }
 
-/// What the PLC writes: 8 bytes, numbers high byte first.
+/// The registers that the PLC writes: 8 bytes, numbers big-endian.
 ///
 /// ```
 /// use wsg_fieldbus::{CommandFlags, OutputImage};
@@ -199,18 +200,18 @@ pub struct OutputImage {
     pub width: i16,
     /// Bytes 4 and 5, SPEED in 1/100 mm/s.
     pub speed: u16,
-    /// Bytes 6 and 7, FORCELIMIT in 1/100 N (WSG 70: 1/10 N), only positive.
+    /// Bytes 6 and 7, FORCELIMIT in 1/100 N (WSG 70: 1/10 N). Only positive values are valid.
     pub force_limit: i16,
 }
 
 impl OutputImage {
-    /// Bytes of the image.
+    /// Length of the image in bytes.
     pub const LEN: usize = 8;
 
     /// All registers 0.
     pub const ZERO: Self = Self { flags: CommandFlags::empty(), user: 0, width: 0, speed: 0, force_limit: 0 };
 
-    /// The image in these bytes.
+    /// Decodes an image. Every byte pattern is valid.
     #[must_use]
     pub const fn from_bytes(bytes: [u8; Self::LEN]) -> Self {
         let [flags, user, w1, w0, s1, s0, f1, f0] = bytes;
@@ -223,7 +224,7 @@ impl OutputImage {
         }
     }
 
-    /// The bytes of this image.
+    /// Encodes the image.
     #[must_use]
     pub const fn to_bytes(self) -> [u8; Self::LEN] {
         let [w1, w0] = self.width.to_be_bytes();
@@ -250,14 +251,15 @@ impl OutputImage {
         f32::from(self.force_limit) / unit.per_newton()
     }
 
-    /// Whether WIDTH, SPEED or FORCELIMIT differ.
+    /// Returns whether WIDTH, SPEED or FORCELIMIT differs.
     #[must_use]
     pub const fn parameters_differ(&self, other: &Self) -> bool {
         self.width != other.width || self.speed != other.speed || self.force_limit != other.force_limit
     }
 }
 
-/// What the PLC reads: 12 bytes, numbers high byte first, SYSSTATE as a bit vector (byte 2 holds bits 0 to 7).
+/// The registers that the PLC reads: 12 bytes, numbers big-endian, SYSSTATE as a bit vector (byte 2 holds bits 0 to
+/// 7).
 ///
 /// ```
 /// use wsg_fieldbus::{GripperFlags, InputImage};
@@ -292,10 +294,10 @@ pub struct InputImage {
 }
 
 impl InputImage {
-    /// Bytes of the image.
+    /// Length of the image in bytes.
     pub const LEN: usize = 12;
 
-    /// The image in these bytes.
+    /// Decodes an image. Every byte pattern is valid.
     #[must_use]
     pub const fn from_bytes(bytes: [u8; Self::LEN]) -> Self {
         let [state, user, y0, y1, y2, y3, w1, w0, f1, f0, c1, c0] = bytes;
@@ -309,7 +311,7 @@ impl InputImage {
         }
     }
 
-    /// The bytes of this image.
+    /// Encodes the image.
     #[must_use]
     pub const fn to_bytes(self) -> [u8; Self::LEN] {
         let [y0, y1, y2, y3] = self.system.bits().to_le_bytes();
@@ -320,10 +322,10 @@ impl InputImage {
     }
 }
 
-/// A measured value as a register holds it: steps, rounded, at the register's end where it does not fit.
+/// Converts a measured value to register steps, rounded and saturated at the ends of the register's range.
 pub(super) fn to_register(value: f32, steps_per_unit: f32) -> i16 {
     let steps = value * steps_per_unit;
-    // `as` saturates, and takes what is not a number as 0.
+    // `as` saturates and converts NaN to 0.
     if steps < 0.0 { (steps - 0.5) as i16 } else { (steps + 0.5) as i16 }
 }
 

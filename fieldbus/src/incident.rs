@@ -1,47 +1,49 @@
-//! Why a command came to nothing, or a FAST STOP was asked for: what the status register and GSTATE do not tell.
+//! Causes of refused commands and FAST STOPs, which the status register and GSTATE do not show.
 
 use wsg_protocol::command::CommandId;
 
-/// The reason.
+/// The reason for an incident.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Cause {
     /// FAST STOP: FASTSTOP is 1.
     Flag,
-    /// FAST STOP: WIDTH, SPEED or FORCELIMIT changed while the fingers moved. The value is the new one.
+    /// FAST STOP: WIDTH, SPEED or FORCELIMIT changed while the fingers moved. `value` is the new register value.
     ParameterChanged,
-    /// FAST STOP: SPEED or FORCELIMIT is outside the gripper's limits, or these are not known. The value is that of the register.
+    /// FAST STOP: SPEED or FORCELIMIT is outside the gripper's limits, or the limits are unknown. `value` is the
+    /// register value.
     OutsideLimits,
-    /// FAST STOP: the PLC that commanded is silent.
+    /// FAST STOP: the PLC in control stopped communicating.
     PlcSilent,
-    /// FAST STOP: a Stop was not carried out while the fingers were not known to stand. The value is its status.
+    /// FAST STOP: a Stop failed while the fingers may have been moving. `value` is its status.
     StopFailed,
     /// FAST STOP: the connection was lost while a jog ran.
     ConnectionLost,
-    /// The gripper moved when it was heard first: it was stopped.
+    /// The gripper was moving on first contact and was stopped.
     MovedAtStart,
-    /// A command came while the gripper did not answer.
+    /// A command was refused because the gripper is not connected.
     NotConnected,
-    /// A motion came while FAST STOP lasts, or STOP/ACK before the gripper has confirmed it.
+    /// A motion was refused during a FAST STOP, or STOP/ACK before the gripper confirmed it.
     FastStopLasts,
-    /// A motion came while the fingers move.
+    /// A motion was refused because the fingers move.
     MotionRuns,
-    /// A motion came while READY was low.
+    /// A motion was refused because READY is low.
     NotReady,
-    /// MOVE or a jog came while a part is held: RELEASE is the way to open.
+    /// MOVE or a jog was refused while a part is held. Use RELEASE to open.
     PartHeld,
-    /// MOVE came while GSTATE was neither IDLE nor HOLDING: no part was found, one was lost, or there was an error.
+    /// MOVE was refused because GSTATE was neither IDLE nor HOLDING: no part was found, a part was lost, or an error
+    /// occurred.
     NotIdle,
-    /// The gripper refused the command or ended it with an error. The value is its status.
+    /// The gripper refused the command or ended it with an error. `value` is its status.
     Gripper,
-    /// The gripper did not answer, be it to a motion that may run: nobody knows its outcome.
+    /// The gripper did not answer. A motion may run, with unknown outcome.
     Unanswered,
-    /// Something overtook the command before it left.
+    /// Another command overtook this one before it was sent.
     Withdrawn,
 }
 
 impl Cause {
-    /// Whether the controller refused a command for this reason, so that the gripper never received it.
+    /// Returns whether the controller refused a command for this reason, so that the gripper never received it.
     #[must_use]
     pub const fn is_refusal(self) -> bool {
         matches!(
@@ -55,7 +57,7 @@ impl Cause {
         )
     }
 
-    /// Whether a FAST STOP came of it.
+    /// Returns whether this cause led to a FAST STOP.
     #[must_use]
     pub const fn is_fast_stop(self) -> bool {
         matches!(
@@ -70,14 +72,14 @@ impl Cause {
     }
 }
 
-/// Something that a PLC sees as an error, and why.
+/// An error visible to the PLC, with its cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Incident {
-    /// Why.
+    /// The reason, which also defines the meaning of `value`.
     pub cause: Cause,
-    /// The command concerned, if one is.
+    /// The command concerned, if any.
     pub command: Option<CommandId>,
-    /// What the cause says that it is; 0 otherwise.
+    /// The value that the cause defines; 0 for other causes.
     pub value: u16,
 }

@@ -1,29 +1,29 @@
-//! What JOG+ and JOG- ask for, and where a jog stands (fieldbus, 6.7). What is sent for it is the controller's.
+//! The state of JOG+ and JOG- and of a jog (fieldbus, 6.7). The controller sends the commands.
 
 use super::{CommandFlags, OutputImage};
 use wsg_protocol::types::SoftLimits;
 
-/// Which way the fingers go.
+/// The direction of the fingers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Direction {
-    /// They open.
+    /// Opening.
     Plus,
-    /// They close.
+    /// Closing.
     Minus,
 }
 
-/// A jog as the flags and the dial ask for it.
+/// A jog as requested by the flags and the dial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) struct Drive {
     pub(super) direction: Direction,
-    /// SPEED as in the register; 0 stands for the least speed.
+    /// SPEED in register units; 0 selects the minimum speed.
     pub(super) speed: u16,
-    /// FORCELIMIT as in the register.
+    /// FORCELIMIT in register units.
     pub(super) force_limit: i16,
 }
 
 impl Drive {
-    /// What this image asks for; both flags ask for a stop.
+    /// Returns the jog that this image requests; both flags together request a stop.
     fn asked_by(image: &OutputImage) -> Option<Self> {
         let direction = match image.flags.intersection(CommandFlags::JOG) {
             CommandFlags::JOG_PLUS => Direction::Plus,
@@ -34,26 +34,28 @@ impl Drive {
     }
 }
 
-/// Where the jog stands.
+/// The progress of a jog.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Stage {
-    /// There is none.
     Off,
-    /// Asked for in this way, and sent.
+    /// Requested with these parameters, and sent.
     Runs(Drive),
-    /// A Stop was sent; what the gripper has not answered yet.
-    Stops { stop_open: bool, motion_open: bool },
+    /// A Stop was sent. The fields name the commands that the gripper has not answered yet.
+    Stops {
+        stop_open: bool,
+        motion_open: bool,
+    },
 }
 
-/// The flags as levels: a jog that has ended by itself, was refused or overruled begins again only after both flags
-/// were 0. The same goes for flags that are 1 in the first image, or beside STOP/ACK or FASTSTOP: to let go of these, or to
-/// acknowledge, moves nothing.
+/// The JOG flags as levels. A jog that ended by itself, was refused or was overridden restarts only after both flags
+/// were 0. The same applies to flags that are 1 in the first image, or beside STOP/ACK or FASTSTOP. Releasing those
+/// flags, or an acknowledgement, thus moves nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Hash)]
 pub(super) struct Jog {
     pub(super) stage: Stage,
-    /// The last one ended with an error, and nothing was asked for since: the gripper's ERROR is its own.
+    /// The last jog ended with an error and no command followed, so the gripper's ERROR state belongs to the jog.
     pub(super) failed: bool,
-    /// The gripper's soft limits, once it has refused the end of the stroke because of them. Known until both flags are 0.
+    /// The soft limits, known after the gripper refused the end of the stroke, until both flags are 0.
     pub(super) soft_limits: Option<SoftLimits>,
     armed: bool,
 }
@@ -67,7 +69,6 @@ impl Jog {
         self.stage != Stage::Off
     }
 
-    /// Takes a look at an image.
     pub(super) fn see(&mut self, image: &OutputImage) {
         let overruled = image.flags.intersects(CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP));
         let is_asked = image.flags.intersects(CommandFlags::JOG);
@@ -75,12 +76,12 @@ impl Jog {
         self.soft_limits = self.soft_limits.filter(|_| is_asked);
     }
 
-    /// Lets what the flags ask for now no longer count.
+    /// Disables the current JOG flags until both were 0.
     pub(super) fn disarm(&mut self, image: Option<&OutputImage>) {
         self.armed = image.is_some_and(|image| !image.flags.intersects(CommandFlags::JOG));
     }
 
-    /// What is asked for, as far as it counts.
+    /// Returns the requested jog if the flags are effective.
     pub(super) fn asked(&self, image: Option<&OutputImage>) -> Option<Drive> {
         image.and_then(Drive::asked_by).filter(|_| self.armed)
     }

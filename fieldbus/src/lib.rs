@@ -1,12 +1,11 @@
-//! The register interface of the fieldbus manual: two images, and the controller that turns edges into commands.
+//! The register interface of the fieldbus manual: two images, and the controller that converts edges to commands.
 //!
 //! Every PLC side of a bridge, wires or a bus, writes the 8-byte [`OutputImage`] and reads the 12-byte [`InputImage`]
-//! (fieldbus, chapter 5). The [`Controller`] does what chapter 6 says between them. PROFIBUS masters also get a
+//! (fieldbus, chapter 5). The [`Controller`] implements chapter 6 between the two. PROFIBUS masters also receive a
 //! [`Diagnosis`] block.
 //!
-//! By the feature `modbus`, `Images` is both images as the coils and registers of a MODBUS server, for `bus_modbus`. By the
-//! feature `profibus`, the module `profibus` is what a slave of `bus_profibus` has to be; by `profinet`, the module `profinet` is the same
-//! for a device of `bus_profinet`.
+//! Features: `modbus` adds `Images`, both images as coils and registers for a server of `bus_modbus`. `profibus` and
+//! `profinet` each add a module of that name with the device profile for `bus_profibus` or `bus_profinet`.
 #![no_std]
 #![forbid(unsafe_code)]
 #![deny(missing_docs)]

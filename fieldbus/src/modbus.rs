@@ -1,6 +1,6 @@
-//! The two images as tables of coils and registers (fieldbus, chapter 4; its byte order as NOTES of the project say).
+//! The two images as tables of coils and registers (fieldbus, chapter 4, with the byte order of `docs/decisions.md`).
 //!
-//! The MODBUS server itself is `bus_modbus`'s.
+//! `bus_modbus` provides the MODBUS server.
 
 use core::hash::{Hash, Hasher};
 
@@ -9,16 +9,16 @@ use bus_modbus::{Bits, Exception, Words};
 use super::registers::{INPUT_REGISTERS, OUTPUT_REGISTERS, Register};
 use super::{InputImage, OutputImage};
 
-/// The output image as coils and holding registers, the input image as discrete inputs and input registers, all from
-/// address 0 on.
+/// The output image as coils and holding registers, the input image as discrete inputs and input registers, each from
+/// address 0.
 ///
 /// - Register n holds bytes 2n and 2n + 1 of its image, the first as its high byte.
 /// - Coil or discrete input n is bit n mod 8 of byte n div 8, over the whole image. So coil 0 (MOVE) is bit 8 of
 ///   register 0.
-/// - With `swap_bytes` the two bytes of each number change places, for a PLC that takes the manual's "low byte first"
-///   by the letter; bit vectors stay.
+/// - `swap_bytes` reverses the two bytes of each number, for a PLC that follows the manual's "low byte first"
+///   literally. Bit vectors keep their order.
 ///
-/// A write changes the image as a whole; [`take_written`](Self::take_written) hands it over once.
+/// A write changes the image atomically; [`take_written`](Self::take_written) returns it once.
 ///
 /// ```
 /// use bus_modbus::Words;
@@ -36,13 +36,13 @@ use super::{InputImage, OutputImage};
 #[derive(Clone, Debug)]
 pub struct Images {
     swap_bytes: bool,
-    /// As they go over the line, that is, swapped if that is asked for.
+    /// In transmission order: swapped if `swap_bytes` is set.
     output: [u8; OutputImage::LEN],
     input: [u8; InputImage::LEN],
     written: bool,
 }
 
-/// Not by the input image, which is set anew before each request.
+/// Excludes the input image, which is updated before each request.
 impl Hash for Images {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let Self { swap_bytes, output, input: _, written } = self;
@@ -51,18 +51,18 @@ impl Hash for Images {
 }
 
 impl Images {
-    /// Coils and holding registers: how many there are of the output image.
+    /// Number of coils, one for each bit of the output image.
     pub const COILS: u16 = 8 * OutputImage::LEN as u16;
-    /// Discrete inputs: how many there are of the input image.
+    /// Number of discrete inputs, one for each bit of the input image.
     pub const DISCRETE_INPUTS: u16 = 8 * InputImage::LEN as u16;
 
-    /// Images of zeros.
+    /// Creates two images of zeros.
     #[must_use]
     pub const fn new(swap_bytes: bool) -> Self {
         Self { swap_bytes, output: [0; OutputImage::LEN], input: [0; InputImage::LEN], written: false }
     }
 
-    /// Changes whether numbers are swapped; what the images mean stays.
+    /// Sets whether numbers are swapped. The meaning of both images stays the same.
     pub fn set_swap_bytes(&mut self, swap_bytes: bool) {
         if self.swap_bytes != swap_bytes {
             swap_numbers(&mut self.output, &OUTPUT_REGISTERS);
@@ -71,7 +71,7 @@ impl Images {
         }
     }
 
-    /// Shows this input image from now on.
+    /// Sets the input image to serve.
     pub fn set_input(&mut self, image: &InputImage) {
         self.input = image.to_bytes();
         if self.swap_bytes {
@@ -79,7 +79,7 @@ impl Images {
         }
     }
 
-    /// Shows this output image from now on, for a server that shows what another one was written. It does not count as
+    /// Sets the output image to serve, for a server that shows the image written to another one. It does not count as
     /// written.
     ///
     /// ```
@@ -97,7 +97,7 @@ impl Images {
         }
     }
 
-    /// The output image as it was written last.
+    /// Returns the last written output image.
     #[must_use]
     pub fn output(&self) -> OutputImage {
         let mut bytes = self.output;
@@ -107,45 +107,45 @@ impl Images {
         OutputImage::from_bytes(bytes)
     }
 
-    /// The output image, if a request has written to it since this was last asked. To be asked after each request: an
-    /// edge that two requests make and take back would be lost otherwise.
+    /// Returns the output image if a request has written to it since the last call. Call this after each request,
+    /// because an edge that one request makes and the next one reverts would be lost.
     pub fn take_written(&mut self) -> Option<OutputImage> {
         core::mem::take(&mut self.written).then(|| self.output())
     }
 
-    /// The coil at this address.
+    /// Returns the coil at this address.
     ///
     /// # Errors
-    /// [`Exception::IllegalDataAddress`] behind the last.
+    /// [`Exception::IllegalDataAddress`] beyond the last coil.
     pub fn coil(&self, address: u16) -> Result<bool, Exception> {
         bit(&self.output, address)
     }
 
-    /// The discrete input at this address.
+    /// Returns the discrete input at this address.
     ///
     /// # Errors
-    /// [`Exception::IllegalDataAddress`] behind the last.
+    /// [`Exception::IllegalDataAddress`] beyond the last input.
     pub fn discrete_input(&self, address: u16) -> Result<bool, Exception> {
         bit(&self.input, address)
     }
 
-    /// The holding register at this address.
+    /// Returns the holding register at this address.
     ///
     /// # Errors
-    /// [`Exception::IllegalDataAddress`] behind the last.
+    /// [`Exception::IllegalDataAddress`] beyond the last register.
     pub fn holding_register(&self, address: u16) -> Result<u16, Exception> {
         word(&self.output, address)
     }
 
-    /// The input register at this address.
+    /// Returns the input register at this address.
     ///
     /// # Errors
-    /// [`Exception::IllegalDataAddress`] behind the last.
+    /// [`Exception::IllegalDataAddress`] beyond the last register.
     pub fn input_register(&self, address: u16) -> Result<u16, Exception> {
         word(&self.input, address)
     }
 
-    /// Writes coils from this address on.
+    /// Writes coils, starting at this address.
     ///
     /// # Errors
     /// [`Exception::IllegalDataAddress`] if one of them does not exist; then none is written.
@@ -160,7 +160,7 @@ impl Images {
         Ok(())
     }
 
-    /// Writes holding registers from this address on.
+    /// Writes holding registers, starting at this address.
     ///
     /// # Errors
     /// [`Exception::IllegalDataAddress`] if one of them does not exist; then none is written.
@@ -190,7 +190,7 @@ fn word(bytes: &[u8], address: u16) -> Result<u16, Exception> {
     pair.map(|pair| u16::from_be_bytes(*pair)).ok_or(Exception::IllegalDataAddress)
 }
 
-/// Turns round the bytes of each register that is a number.
+/// Reverses the bytes of each register that is a number.
 fn swap_numbers(bytes: &mut [u8], registers: &[Register]) {
     let (pairs, _) = bytes.as_chunks_mut::<2>();
     for (pair, register) in pairs.iter_mut().zip(registers) {
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn swap_bytes_turns_numbers_round_and_leaves_bits() {
+    fn swap_bytes_reverses_numbers_and_leaves_bits() {
         let mut images = Images::new(true);
         images.set_input(&INPUT);
         let registers = [0, 1, 2, 3, 4, 5].map(|address| images.input_register(address).unwrap());
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn images_have_as_many_bits_as_their_bytes_and_the_next_address_is_none() {
+    fn images_have_eight_bits_per_byte_and_no_address_beyond() {
         assert_eq!((Images::COILS, Images::DISCRETE_INPUTS), (64, 96));
         let images = Images::new(false);
         for last in [images.coil(Images::COILS - 1), images.discrete_input(Images::DISCRETE_INPUTS - 1)] {

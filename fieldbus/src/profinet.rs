@@ -1,15 +1,15 @@
-//! The register interface as a PROFINET IO device (fieldbus, chapter 3): what a device of `bus_profinet` has to be.
+//! The register interface as a PROFINET IO device (fieldbus, chapter 3): the device profile for `bus_profinet`.
 
 use bus_profinet::{Fault, Module, Priority, Profile, Submodule};
 
 use super::{Diagnosis, InputImage, OutputImage};
 use wsg_protocol::types::SystemFlags;
 
-/// A device with both images.
+/// A PROFINET device with both images.
 pub type Device = bus_profinet::Device<{ OutputImage::LEN }, { InputImage::LEN }>;
 
-/// What a gripper is on PROFINET. Vendor and device number are those of the manual's GSDML file; ident numbers are not printed
-/// there: one module for each image, so that an edge and the values that it goes with are not torn apart.
+/// The gripper's profile. Vendor and device ID are from the manual's GSDML file. The manual prints no ident numbers.
+/// Each image is one module, so an edge and its values are never separated.
 pub const PROFILE: Profile = Profile {
     vendor_id: 0x02A2,
     device_id: 0x0001,
@@ -18,7 +18,7 @@ pub const PROFILE: Profile = Profile {
     serial_number: "1",
     hardware_revision: 1,
     software_revision: [0, 1, 0],
-    // 1 ms.
+    // In units of 31.25 us: 1 ms.
     min_interval: 32,
     modules: &MODULES,
     faults: &FAULTS,
@@ -60,7 +60,7 @@ static MODULES: [Module; 3] = [
     },
 ];
 
-/// The flags that PROFIBUS sends its diagnosis for, each as a fault of its own.
+/// The flags that trigger the PROFIBUS diagnosis, each as a separate fault.
 const FAULTS: [Fault; Diagnosis::TRIGGERS.bits().count_ones() as usize] = [
     fault(SystemFlags::SOFT_LIMIT_MINUS, "SOFT_LIMIT_MINUS"),
     fault(SystemFlags::SOFT_LIMIT_PLUS, "SOFT_LIMIT_PLUS"),
@@ -73,17 +73,17 @@ const FAULTS: [Fault; Diagnosis::TRIGGERS.bits().count_ones() as usize] = [
     fault(SystemFlags::SCRIPT_FAILURE, "SCRIPT_FAILURE"),
 ];
 
-/// The first error type that is the vendor's; that of a flag is this and its bit.
+/// The first vendor-specific error type. The error type of a flag is this number plus its bit.
 const FIRST_ERROR_TYPE: u16 = 0x0100;
 
 const fn fault(flag: SystemFlags, name: &'static str) -> Fault {
     let error_type = FIRST_ERROR_TYPE.saturating_add(flag.bits().trailing_zeros() as u16);
-    // What stopped the fingers goes before all else.
+    // A fault that stopped the fingers has priority.
     let priority = if flag.bits() == SystemFlags::FAST_STOP.bits() { Priority::High } else { Priority::Low };
     Fault { error_type, name, priority }
 }
 
-/// What a device shows of this system state: the flags that are faults, by their places in the profile.
+/// Converts a system state to a device's faults: bit n is fault n of the profile.
 ///
 /// ```
 /// use wsg_protocol::SystemFlags;

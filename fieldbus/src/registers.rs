@@ -1,23 +1,23 @@
-//! The registers of the two images: which there are, and what each holds.
+//! The register table of the two images.
 //!
-//! The one table of them: what [`Images`](super::Images) serves and what the documents say comes from here.
+//! [`Images`](super::Images) and the documents derive from it.
 
 use super::{InputImage, OutputImage};
 
-/// What the two bytes of a register are.
+/// The meaning of a register's two bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Content {
-    /// Two bytes of single bits; the high byte of the register is the image's first. Never swapped.
+    /// Two bytes of bits, never swapped. The high byte of the register is the first byte of the image.
     Bits,
-    /// An unsigned number.
+    /// An unsigned 16-bit number.
     Unsigned,
-    /// A number in two's complement.
+    /// A signed 16-bit number in two's complement.
     Signed,
 }
 
 impl Content {
-    /// Whether the bytes are a number, which `swap bytes` turns round.
+    /// Returns whether the register is a number, which `swap bytes` reverses.
     #[must_use]
     pub const fn is_number(self) -> bool {
         !matches!(self, Self::Bits)
@@ -28,11 +28,11 @@ impl Content {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Register {
-    /// The manual's name.
+    /// The name in the manual.
     pub name: &'static str,
-    /// What its bytes are.
+    /// The meaning of its bytes.
     pub content: Content,
-    /// Its unit, or which bits it holds.
+    /// The unit, or the bits that it holds.
     pub unit: &'static str,
 }
 
@@ -48,7 +48,7 @@ const fn unsigned(name: &'static str, unit: &'static str) -> Register {
     Register { name, content: Content::Unsigned, unit }
 }
 
-/// The holding registers from 0 on: the output image (fieldbus, table 1).
+/// The holding registers, from address 0: the output image (fieldbus, table 1).
 ///
 /// ```
 /// use wsg_fieldbus::OUTPUT_REGISTERS;
@@ -62,7 +62,7 @@ pub const OUTPUT_REGISTERS: [Register; OutputImage::LEN / 2] = [
     signed("FORCELIMIT", "1/100 N (WSG 70: 1/10 N), only positive"),
 ];
 
-/// The input registers from 0 on: the input image (fieldbus, table 2).
+/// The input registers, from address 0: the input image (fieldbus, table 2).
 ///
 /// ```
 /// use wsg_fieldbus::INPUT_REGISTERS;

@@ -1,11 +1,11 @@
-//! What this crate does where the manuals err, contradict each other or can be read in two ways.
+//! The crate's decisions where the manuals err, contradict each other or are ambiguous.
 //!
 //! `docs/decisions.md` lists every decision with its test.
 
 use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{GripperState, Status, SystemFlags};
 
-/// An input image in which only `change` is not 0.
+/// Returns an input image of zeros except for `change`.
 fn input(change: impl FnOnce(&mut InputImage)) -> [u8; InputImage::LEN] {
     let mut image = InputImage {
         state: GripperFlags::empty(),
@@ -19,7 +19,7 @@ fn input(change: impl FnOnce(&mut InputImage)) -> [u8; InputImage::LEN] {
     image.to_bytes()
 }
 
-/// The numbers of the coils or discrete inputs that are set: number n is bit n mod 8 of byte n div 8.
+/// Returns the numbers of the set coils or discrete inputs: number n is bit n mod 8 of byte n div 8.
 fn numbers(bytes: &[u8]) -> Vec<usize> {
     (0..8 * bytes.len()).filter(|n| bytes[n / 8] & (1 << (n % 8)) != 0).collect()
 }

@@ -1,4 +1,4 @@
-//! Equal hashes mean that two machines do the same from now on. The exhaustive exploration relies on it.
+//! Equal hashes imply equal future behaviour. The exhaustive exploration relies on it.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
@@ -13,7 +13,7 @@ fn hash(state: &impl Hash) -> u64 {
     hasher.finish()
 }
 
-/// Whether they all differ.
+/// Returns whether all hashes differ.
 fn differ<T: Hash>(states: &[T]) -> bool {
     let mut hashes: Vec<_> = states.iter().map(hash).collect();
     hashes.sort_unstable();

@@ -1,4 +1,5 @@
-//! JOG in commands (fieldbus, 6.7): the force limit, a Pre-position to the end of the stroke or to a soft limit, and a Stop.
+//! JOG as commands (fieldbus, 6.7): the force limit, a Pre-position to the end of the stroke or a soft limit, and a
+//! Stop.
 
 use super::{Controller, Motion, force_unit, within_limits};
 use crate::jog::{Direction, Drive, Stage};
@@ -8,7 +9,7 @@ use wsg_protocol::session::Known;
 use wsg_protocol::types::{GripperState, PrePositionFlags, SoftLimits, Status};
 
 impl Controller {
-    /// Ends what runs by a Stop; a jog is over once the gripper has answered for all of it.
+    /// Sends a Stop. A jog is over once the gripper has answered both the Stop and the motion.
     pub(super) fn stop(&mut self) {
         if self.jog.is_on() {
             let unsent = self.outgoing.iter().any(|command| command.id() == CommandId::PrePosition);
@@ -22,7 +23,7 @@ impl Controller {
         self.send_alone(Command::Stop);
     }
 
-    /// Makes the jog what the flags ask for.
+    /// Starts, changes or stops the jog according to the flags.
     pub(super) fn follow_jog(&mut self, known: &Known) {
         let asked = self.jog.asked(self.image.as_ref());
         match (self.jog.stage, asked) {
@@ -59,14 +60,14 @@ impl Controller {
     }
 
     fn jog_outside_limits(&mut self, drive: Drive, known: &Known) {
-        // 0 is the least speed that there is.
+        // SPEED 0 selects the minimum speed.
         let least = known.limits.map_or(0, |limits| (limits.min_speed * 100.0) as u16);
         let speed = if drive.speed == 0 { least } else { drive.speed };
         let image = OutputImage { speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
         self.outside_limits(&image, known);
     }
 
-    /// Queries the soft limits if they are why the gripper refused a jog. Returns whether it does.
+    /// Queries the soft limits if they may be why the gripper refused a jog. Returns whether it sends the query.
     pub(super) fn jog_meets_soft_limit(&mut self, status: Status) -> bool {
         let runs = matches!(self.jog.stage, Stage::Runs(_));
         let Some(motion) = self.motion.filter(|_| runs && status == Status::RangeError) else { return false };
@@ -78,7 +79,7 @@ impl Controller {
         true
     }
 
-    /// Sends the jog to the soft limit in its direction, unless the fingers are there or beyond.
+    /// Sends the jog to the soft limit in its direction, unless the fingers are at or beyond it.
     pub(super) fn jog_within(&mut self, limits: SoftLimits, known: &Known) {
         self.jog.soft_limits = Some(limits);
         let Stage::Runs(drive) = self.jog.stage else { return };
@@ -91,8 +92,8 @@ impl Controller {
         }
     }
 
-    /// Whether no soft limit is known in the direction of a jog, or the fingers have not reached it. Beyond it, a Pre-position
-    /// to the limit would move them the other way.
+    /// Returns whether the fingers may still move in the jog's direction. Beyond a soft limit, a Pre-position to that
+    /// limit would reverse the direction.
     fn has_room(&self, drive: Drive, known: &Known) -> bool {
         let Some(limits) = self.jog.soft_limits else { return true };
         known.width.is_some_and(|width| match drive.direction {
@@ -106,7 +107,7 @@ impl Controller {
         self.end_jog(Status::RangeError);
     }
 
-    /// Returns the Pre-position that a jog is, and its force limit; `None` when they are outside the gripper's limits.
+    /// Returns the jog's Pre-position and force limit in N, or `None` if they are outside the gripper's limits.
     fn jog_command(&self, drive: Drive, known: &Known) -> Option<(Command<'static>, f32)> {
         let image = OutputImage { speed: drive.speed, force_limit: drive.force_limit, ..OutputImage::ZERO };
         let limits = known.limits?;
@@ -122,7 +123,7 @@ impl Controller {
         within_limits(speed, force, known).then_some((command, force))
     }
 
-    /// A jog is over by itself, or did not begin: GSTATE is IDLE, after an error as well (fieldbus, 6.7).
+    /// Ends a jog that finished by itself or did not start. GSTATE is IDLE, even after an error (fieldbus, 6.7).
     #[inline(never)]
     pub(super) fn end_jog(&mut self, status: Status) {
         self.jog.stage = Stage::Off;
@@ -134,8 +135,8 @@ impl Controller {
         self.status = status;
     }
 
-    /// The gripper has answered for the Stop of a jog, or for the motion that it ended; a Stop that it does not know of
-    /// leaves the fingers moving.
+    /// Handles the answer to a jog's Stop, or to the stopped motion. A Stop that failed leaves the fingers moving,
+    /// which requires a FAST STOP.
     pub(super) fn jog_stopped(&mut self, id: CommandId, status: Status, known: &Known) {
         let Stage::Stops { mut stop_open, mut motion_open } = self.jog.stage else { return };
         match id {
@@ -154,7 +155,7 @@ impl Controller {
         }
     }
 
-    /// Whether nobody knows if a jog still moves the fingers, now that this command has no answer.
+    /// Returns whether the jog may still be moving the fingers, now that this command remains unanswered.
     pub(super) fn jog_may_move(&self, id: CommandId, known: &Known) -> bool {
         let of_jog = match self.jog.stage {
             Stage::Off => false,

@@ -1,4 +1,4 @@
-//! The rules of the fieldbus manual, one by one, with a session's part played by each test.
+//! The rules of the fieldbus manual, one by one. Each test plays the session.
 
 use super::*;
 use std::vec;
@@ -17,7 +17,7 @@ const LIMITS: SystemLimits = SystemLimits {
     overdrive_force: 120.0,
 };
 
-/// Parameters inside the limits.
+/// Parameters inside `LIMITS`.
 const PARAMETERS: OutputImage =
     OutputImage { flags: CommandFlags::empty(), user: 0, width: 20_00, speed: 50_00, force_limit: 40_00 };
 
@@ -35,7 +35,7 @@ struct Plc {
 }
 
 impl Plc {
-    /// A PLC with all flags 0 and parameters set, and a connected, referenced, idle gripper.
+    /// Returns a PLC with all flags 0 and parameters set, and a connected, referenced, idle gripper.
     fn ready() -> Self {
         let mut plc = Self::with_first_image(PARAMETERS);
         plc.connect();
@@ -82,7 +82,8 @@ impl Plc {
         self.commands()
     }
 
-    /// A FASTSTOP was confirmed and is over; STOP_ACK is high, and the gripper has been asked to leave it.
+    /// Returns a PLC after a confirmed FAST STOP: FASTSTOP is 0 again, STOP/ACK is 1, and the acknowledgement has
+    /// been sent.
     fn acknowledging_a_fast_stop() -> Self {
         let mut plc = Self::ready();
         plc.raise(CommandFlags::FASTSTOP);
@@ -105,7 +106,7 @@ impl Plc {
         self.commands()
     }
 
-    /// The gripper begins a motion: E_CMD_PENDING.
+    /// Reports the start of a motion: E_CMD_PENDING.
     fn begins(&mut self, id: CommandId) {
         self.controller.handle(&Event::Pending(id), &self.known);
     }
@@ -115,13 +116,13 @@ impl Plc {
         self.controller.handle(&Event::Reported(Value::GetGripperState(state)), &self.known);
     }
 
-    /// The gripper answers a FAST STOP, and the question for its flags behind it.
+    /// Answers a FAST STOP and the query of the flags that follows it.
     fn confirm_fast_stop(&mut self) {
         assert_eq!(self.answer(CommandId::FastStop, Status::Success), [FLAGS]);
         self.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
     }
 
-    /// The gripper carries out an acknowledgement.
+    /// Answers an acknowledgement with success.
     fn acknowledged(&mut self) {
         self.known.flags = Some(SystemFlags::REFERENCED);
         assert_eq!(self.answer(CommandId::Acknowledge, Status::Success), []);
@@ -184,20 +185,20 @@ fn grip_is_not_sent_when_the_force_limit_was_not_taken() {
 fn only_the_answer_to_its_own_force_limit_lets_a_grip_begin() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
-    assert_eq!(plc.answer(CommandId::TareForceSensor, Status::Success), [], "of somebody else");
+    assert_eq!(plc.answer(CommandId::TareForceSensor, Status::Success), [], "sent by another party");
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [GRIP]);
-    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [], "it has begun");
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [], "the grip has started");
     assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
 
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
-    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [], "it needs none");
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [], "MOVE needs no force limit");
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), []);
-    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::CmdPending), "and goes on");
+    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::CmdPending), "and continues");
 }
 
 #[test]
-fn command_of_somebody_else_that_comes_to_nothing_leaves_a_motion_and_its_status_alone() {
+fn failed_command_of_another_party_changes_neither_a_motion_nor_its_status() {
     for (flag, id) in [
         (CommandFlags::MOVE, CommandId::SetForceLimit),
         (CommandFlags::MOVE, CommandId::TareForceSensor),
@@ -217,7 +218,7 @@ fn stop_and_acknowledgement_that_are_not_answered_show_e_timeout() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
     plc.controller.handle(&Event::Unanswered(CommandId::TareForceSensor), &plc.known);
-    assert_eq!(plc.shows().1, Status::CmdPending, "of somebody else");
+    assert_eq!(plc.shows().1, Status::CmdPending, "sent by another party");
     plc.controller.handle(&Event::Unanswered(CommandId::Stop), &plc.known);
     assert_eq!(plc.shows().1, Status::Timeout);
 
@@ -257,8 +258,8 @@ fn move_release_and_homing_go_through_their_states() {
         assert_eq!(plc.shows(), (state, Status::CmdPending));
         plc.answer(command.id(), Status::Success);
         assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
-        assert_eq!(plc.lower(flag), [], "a falling edge is no command");
-        assert_eq!(plc.raise(flag), [command], "the next rising edge is");
+        assert_eq!(plc.lower(flag), [], "a falling edge gives no command");
+        assert_eq!(plc.raise(flag), [command], "the next rising edge does");
     }
 }
 
@@ -283,7 +284,7 @@ fn stop_after_a_failed_motion_acknowledges_it_too() {
     plc.report(GripperState::Idle);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
     plc.lower(CommandFlags::STOP_ACK);
-    // An error that the controller knows by the gripper's report alone; and without any, a Stop is a Stop.
+    // An error known only from the gripper's report is acknowledged too; without an error, only a Stop is sent.
     plc.report(GripperState::Error);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop, Command::ACKNOWLEDGE]);
     plc.report(GripperState::Idle);
@@ -417,7 +418,7 @@ fn fast_stop_flag_that_disappears_while_faststop_is_1_is_answered_with_fast_stop
     }
     let causes: Vec<_> = incidents(&mut plc).iter().map(|incident| incident.cause).collect();
     assert_eq!(causes, [Cause::Flag; 4]);
-    // A restart within the time-out of the link.
+    // The gripper restarts within the link's time-out.
     plc.report_flags(SystemFlags::empty());
     assert_eq!(plc.commands(), [Command::FastStop]);
 }
@@ -437,7 +438,7 @@ fn fast_stop_flag_that_disappears_before_an_acknowledgement_has_its_outcome_is_a
 fn fast_stop_that_is_requested_again_before_its_answer_is_sent_again_after_it() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
-    // A third party acknowledges at the gripper while the answer is on its way.
+    // Meanwhile, a third party may acknowledge at the gripper.
     plc.lower(CommandFlags::FASTSTOP);
     plc.raise(CommandFlags::FASTSTOP);
     plc.lower(CommandFlags::FASTSTOP);
@@ -514,7 +515,7 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
         assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
         let [first, second] = answers.map(|id| plc.answer(id, Status::Success));
         if answers[0] == CommandId::FastStop {
-            // The acknowledgement may have undone the one that was answered: it is given again, and once.
+            // The acknowledgement may have undone the answered FAST STOP, so it is sent once more.
             assert_eq!((first, second), (vec![], vec![Command::FastStop]));
             assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
         }
@@ -541,7 +542,7 @@ fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_ack
 }
 
 #[test]
-fn fast_stop_that_the_gripper_shows_no_more_behind_an_acknowledgement_is_left_whatever_its_answer_said() {
+fn fast_stop_ends_when_the_flag_disappears_after_an_acknowledgement_even_if_the_answer_was_an_error() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.report_flags(SystemFlags::REFERENCED);
     assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP), "not answered yet");
@@ -555,7 +556,7 @@ fn fast_stop_that_the_gripper_shows_no_more_behind_an_acknowledgement_is_left_wh
 }
 
 #[test]
-fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_told_to_stand_behind_the_motion() {
+fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_reported_at_rest_after_the_motion() {
     let late = |plc: &mut Plc| {
         plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
         plc.commands()
@@ -563,13 +564,13 @@ fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_told_to_stand_b
     for begins in [false, true] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
-        // On its way since before the motion.
+        // This report may have been sent before the motion.
         plc.report_flags(SystemFlags::REFERENCED);
         if begins {
             plc.begins(CommandId::PrePosition);
         }
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
-        assert_eq!(late(&mut plc), [Command::FastStop], "it began: {begins}");
+        assert_eq!(late(&mut plc), [Command::FastStop], "started: {begins}");
     }
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
@@ -579,9 +580,9 @@ fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_told_to_stand_b
     assert_eq!(late(&mut plc), []);
 }
 
-/// What tells whether the fingers stand behind a motion, and what does not: then a Stop that is late is a FAST STOP.
+/// Lists the events that prove the fingers at rest after a motion. Without one, a late Stop becomes a FAST STOP.
 #[test]
-fn only_a_report_from_behind_a_motion_tells_that_the_fingers_stand() {
+fn only_a_report_sent_after_a_motion_proves_the_fingers_at_rest() {
     const MOTION: CommandId = CommandId::PrePosition;
     const STANDS: SystemFlags = SystemFlags::REFERENCED;
     let flags = || Value::GetSystemState(STANDS);
@@ -591,17 +592,13 @@ fn only_a_report_from_behind_a_motion_tells_that_the_fingers_stand() {
     let cases: Vec<(&str, Vec<Event<'_>>, bool)> = vec![
         ("given", vec![], true),
         ("given, and reported", vec![Event::Reported(flags())], true),
-        ("given, and asked for", vec![Event::Answered(Reply::success(flags()))], true),
+        ("given, and queried", vec![Event::Answered(Reply::success(flags()))], true),
         ("begun", vec![Event::Pending(MOTION)], true),
         ("begun, and reported", vec![Event::Pending(MOTION), Event::Reported(flags())], false),
         ("begun, and its state reported", vec![Event::Pending(MOTION), Event::Reported(state())], false),
+        ("begun, and queried", vec![Event::Pending(MOTION), Event::Answered(Reply::success(flags()))], false),
         (
-            "begun, and asked for",
-            vec![Event::Pending(MOTION), Event::Answered(Reply::success(flags()))],
-            false,
-        ),
-        (
-            "begun, and its state asked for",
+            "begun, and its state queried",
             vec![Event::Pending(MOTION), Event::Answered(Reply::success(state()))],
             false,
         ),
@@ -619,12 +616,12 @@ fn only_a_report_from_behind_a_motion_tells_that_the_fingers_stand() {
         ("answered", vec![answered(Status::CmdAborted)], false),
         ("never sent", vec![Event::Withdrawn(MOTION)], false),
         (
-            "without an outcome, of fingers that stand",
+            "without an outcome, but reported at rest",
             vec![Event::Pending(MOTION), Event::Reported(flags()), Event::Unanswered(MOTION)],
             false,
         ),
         ("without an outcome, and not reported", vec![Event::Unanswered(MOTION)], true),
-        ("connected anew", vec![Event::Pending(MOTION), Event::Disconnected, Event::Connected], false),
+        ("reconnected", vec![Event::Pending(MOTION), Event::Disconnected, Event::Connected], false),
     ];
     for (what, events, is_fast_stop) in cases {
         let mut plc = Plc::ready();
@@ -640,7 +637,7 @@ fn only_a_report_from_behind_a_motion_tells_that_the_fingers_stand() {
 }
 
 #[test]
-fn a_finger_supply_that_is_being_switched_is_no_motion() {
+fn switching_a_finger_supply_is_no_motion() {
     let mut plc = Plc::ready();
     let supply = CommandId::Finger1Power;
     plc.controller.handle(&Event::Pending(supply), &plc.known);
@@ -650,7 +647,7 @@ fn a_finger_supply_that_is_being_switched_is_no_motion() {
 }
 
 #[test]
-fn an_acknowledgement_of_before_a_disconnect_is_not_waited_for() {
+fn acknowledgement_sent_before_a_disconnect_is_not_awaited() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.lower(CommandFlags::STOP_ACK);
     plc.disconnect();
@@ -663,7 +660,7 @@ fn an_acknowledgement_of_before_a_disconnect_is_not_waited_for() {
 }
 
 #[test]
-fn a_motion_that_the_session_refused_leaves_an_earlier_one_in_doubt_and_nothing_else() {
+fn motion_refused_by_the_session_leaves_only_an_earlier_motion_in_doubt() {
     let late = |plc: &mut Plc| {
         plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
         plc.commands()
@@ -722,13 +719,13 @@ fn parameter_that_changes_while_the_fingers_move_is_a_fast_stop() {
         [|image| image.width += 1, |image| image.speed += 1, |image| image.force_limit += 1];
     for change in changes {
         let mut plc = Plc::ready();
-        assert_eq!(plc.write(change), [], "not while they stand");
+        assert_eq!(plc.write(change), [], "the fingers are at rest");
         plc.raise(CommandFlags::MOVE);
         assert_eq!(plc.write(change), [Command::FastStop]);
     }
     let mut plc = Plc::ready();
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
-    assert_eq!(plc.write(changes[0]), [Command::FastStop], "moved by somebody else");
+    assert_eq!(plc.write(changes[0]), [Command::FastStop], "moved by another party");
 }
 
 #[test]
@@ -801,7 +798,7 @@ fn second_motion_while_one_runs_is_refused_and_the_first_still_ends() {
     assert_eq!(plc.shows().1, Status::CmdPending, "the first runs");
     plc.raise(CommandFlags::RELEASE);
     plc.answer(CommandId::PrePosition, Status::Success);
-    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success), "whatever is 1");
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success), "regardless of the flags");
 }
 
 #[test]
@@ -837,7 +834,7 @@ fn move_begins_only_when_gstate_is_idle_and_every_other_motion_in_any_state_of_r
         assert_eq!(plc.shows(), (shown, Status::AccessDenied));
         assert_eq!(incidents(&mut plc), incident(Cause::NotIdle, None, 0));
         plc.lower(CommandFlags::MOVE);
-        // STOP/ACK leads out of all of them.
+        // STOP/ACK leaves each of these states.
         plc.raise(CommandFlags::STOP_ACK);
         plc.answer(CommandId::Stop, Status::Success);
         plc.answer(CommandId::Acknowledge, Status::Success);
@@ -868,9 +865,9 @@ fn motion_without_a_connection_is_refused_and_not_kept() {
 }
 
 #[test]
-fn gripper_that_is_not_there_shows_as_an_error_whatever_it_did_last() {
+fn disconnected_gripper_shows_as_an_error_regardless_of_its_last_state() {
     let plc = Plc::with_first_image(PARAMETERS);
-    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError), "nor that was never there");
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError), "never connected");
 
     let mut plc = Plc::ready();
     plc.disconnect();
@@ -890,7 +887,7 @@ fn gripper_that_is_not_there_shows_as_an_error_whatever_it_did_last() {
     plc.disconnect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError));
     let system = plc.controller.input(&plc.known).system;
-    assert!(system.contains(SystemFlags::FAST_STOP), "which is not over");
+    assert!(system.contains(SystemFlags::FAST_STOP), "still in effect");
 }
 
 #[test]
@@ -994,7 +991,7 @@ fn fast_stop_wins_over_a_success_that_is_held_back() {
 mod jog;
 
 #[test]
-fn grip_leaves_only_behind_the_answer_to_its_own_force_limit() {
+fn grip_is_sent_only_after_the_answer_to_its_own_force_limit() {
     for refused in [true, false] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
@@ -1013,13 +1010,13 @@ fn grip_leaves_only_behind_the_answer_to_its_own_force_limit() {
 }
 
 #[test]
-fn grip_leaves_at_once_while_the_gripper_is_known_to_have_its_force_limit() {
+fn grip_is_sent_at_once_if_the_gripper_is_known_to_have_its_force_limit() {
     let mut plc = Plc::ready();
     plc.known.force_limit = Some(40.0);
     assert_eq!(plc.raise(CommandFlags::GRIP), [GRIP]);
     assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
     plc.begins(CommandId::GripPart);
-    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), [], "of somebody else");
+    assert_eq!(plc.answer(CommandId::SetForceLimit, Status::CmdFormatError), [], "sent by another party");
     assert_eq!(plc.answer(CommandId::GripPart, Status::Success), []);
     assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Success));
 
@@ -1044,7 +1041,7 @@ fn jog_begins_at_once_while_the_gripper_is_known_to_have_its_force_limit() {
 }
 
 #[test]
-fn force_limit_is_set_anew_behind_a_command_that_has_not_left() {
+fn force_limit_is_set_again_after_a_command_that_is_still_queued() {
     let mut plc = Plc::ready();
     plc.known.force_limit = Some(40.0);
     plc.image.flags = CommandFlags::STOP_ACK;
@@ -1090,7 +1087,7 @@ fn stop_that_is_late_becomes_a_fast_stop_unless_the_fingers_stand() {
     }
 }
 
-/// A controller after a reset, and what it knows of the gripper before it is connected.
+/// Returns a controller after a reset, with this knowledge of a gripper that is not connected yet.
 fn after_a_reset(flags: SystemFlags, state: GripperState) -> Plc {
     let mut plc = Plc::with_first_image(PARAMETERS);
     plc.known = Known { flags: Some(flags), state: Some(state), ..Known::NOTHING };
@@ -1103,11 +1100,11 @@ fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
     let mut plc = after_a_reset(SystemFlags::REFERENCED | SystemFlags::MOVING, GripperState::Positioning);
     assert_eq!(plc.commands(), [Command::Stop]);
     plc.controller.get_acquainted(&plc.known);
-    assert_eq!(plc.commands(), [], "once");
+    assert_eq!(plc.commands(), [], "sent only once");
     plc.answer(CommandId::Stop, Status::Success);
     plc.connect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::CmdAborted));
-    assert_eq!(plc.raise(CommandFlags::HOMING), [HOMING], "it is no lock");
+    assert_eq!(plc.raise(CommandFlags::HOMING), [HOMING], "motions are not locked");
 }
 
 #[test]
@@ -1118,11 +1115,11 @@ fn gripper_that_holds_a_part_at_the_first_contact_keeps_it() {
     plc.controller.get_acquainted(&plc.known);
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
     plc.controller.get_acquainted(&plc.known);
-    assert_eq!(plc.commands(), [], "what moves later moves for another reason");
+    assert_eq!(plc.commands(), [], "a later motion has another reason");
 }
 
 #[test]
-fn motion_is_refused_while_the_plc_is_told_not_to_give_commands() {
+fn motion_is_refused_while_the_plc_sees_ready_low() {
     let mut plc = Plc::ready();
     for (flags, status) in [
         (SystemFlags::REFERENCED, Status::AlreadyRunning),
@@ -1141,7 +1138,7 @@ fn motion_is_refused_while_the_plc_is_told_not_to_give_commands() {
 }
 
 #[test]
-fn fast_stop_that_is_to_be_given_again_behind_an_acknowledgement_outlives_a_disconnect() {
+fn fast_stop_due_again_after_an_acknowledgement_survives_a_disconnect() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), []);
@@ -1180,7 +1177,7 @@ fn incident(cause: Cause, command: Option<CommandId>, value: u16) -> Vec<Inciden
 }
 
 #[test]
-fn every_fast_stop_says_why() {
+fn every_fast_stop_reports_its_cause() {
     let moving = SystemFlags::REFERENCED | SystemFlags::MOVING;
     type Act = fn(&mut Plc);
     let acts: [(Act, Cause, Option<CommandId>, u16); 8] = [
@@ -1256,7 +1253,7 @@ fn every_fast_stop_says_why() {
 }
 
 #[test]
-fn fast_stop_that_is_given_again_is_no_other() {
+fn repeated_fast_stop_is_not_a_second_incident() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
     incidents(&mut plc);
@@ -1266,7 +1263,7 @@ fn fast_stop_that_is_given_again_is_no_other() {
     assert_eq!(incidents(&mut plc), []);
 }
 
-/// Incidents of which no FAST STOP came.
+/// Returns the incidents, none of which may be a FAST STOP.
 fn refusals(plc: &mut Plc) -> Vec<Incident> {
     let incidents = incidents(plc);
     assert!(incidents.iter().all(|incident| !incident.cause.is_fast_stop()), "{incidents:?}");
@@ -1274,7 +1271,7 @@ fn refusals(plc: &mut Plc) -> Vec<Incident> {
 }
 
 #[test]
-fn every_command_that_comes_to_nothing_says_why() {
+fn every_failed_command_reports_its_cause() {
     let moved = Some(CommandId::PrePosition);
     let mut plc = Plc::ready();
     plc.disconnect();
@@ -1320,11 +1317,11 @@ fn every_command_that_comes_to_nothing_says_why() {
 }
 
 #[test]
-fn result_that_is_none_is_no_incident() {
+fn no_part_is_a_result_and_not_an_incident() {
     let mut plc = Plc::ready();
     plc.grip();
     plc.answer(CommandId::GripPart, Status::CmdFailed);
-    assert_eq!(incidents(&mut plc), [], "no part");
+    assert_eq!(incidents(&mut plc), [], "NO_PART is a result");
     plc.lower(CommandFlags::GRIP);
     plc.raise(CommandFlags::RELEASE);
     plc.answer(CommandId::ReleasePart, Status::Success);

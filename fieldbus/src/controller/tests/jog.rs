@@ -1,4 +1,4 @@
-//! JOG (fieldbus, 6.7), the silence of a PLC, and the user flags, with a session's part played by each test.
+//! JOG (fieldbus, 6.7), the silence of a PLC, and the user flags. Each test plays the session.
 
 use super::*;
 use wsg_protocol::types::SoftLimits;
@@ -11,7 +11,7 @@ const fn jog(width: f32, speed: f32) -> Command<'static> {
 }
 
 impl Plc {
-    /// Fingers that open because JOG+ is 1.
+    /// Returns fingers that are opening because JOG+ is 1.
     fn jogging() -> Self {
         let mut plc = Self::ready();
         assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
@@ -21,7 +21,7 @@ impl Plc {
         plc
     }
 
-    /// The gripper's answers when a Stop ends a motion; what the controller sends then.
+    /// Answers a motion that a Stop ended. Returns the commands that the controller then sends.
     fn stopped(&mut self) -> Vec<Command<'static>> {
         self.answer(CommandId::PrePosition, Status::CmdAborted);
         self.answer(CommandId::Stop, Status::Success);
@@ -42,7 +42,7 @@ fn jog_moves_to_the_end_of_the_stroke_while_its_flag_is_1_and_stops_when_it_goes
         assert_eq!(plc.shows(), (GripperFlags::RELEASING, Status::CmdPending), "until it is confirmed");
         assert_eq!(plc.stopped(), []);
         assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
-        assert_eq!(plc.raise(flag), [FORCE], "and again");
+        assert_eq!(plc.raise(flag), [FORCE], "a new edge restarts it");
     }
 }
 
@@ -52,7 +52,7 @@ fn jog_that_reaches_the_end_is_idle_and_waits_for_the_flag_to_go() {
     plc.report_flags(SystemFlags::REFERENCED);
     assert_eq!(plc.answer(CommandId::PrePosition, Status::Success), []);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
-    assert_eq!(plc.write(|image| image.speed = 60_00), [], "there is nowhere to go");
+    assert_eq!(plc.write(|image| image.speed = 60_00), [], "the end of the stroke is reached");
     assert_eq!(plc.lower(CommandFlags::JOG_PLUS), []);
     assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
 }
@@ -62,7 +62,7 @@ fn jog_that_fails_is_idle_and_shows_why() {
     let mut plc = Plc::jogging();
     assert_eq!(plc.answer(CommandId::PrePosition, Status::AxisBlocked), []);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked));
-    assert_eq!(plc.write(|_| {}), [], "not again by itself");
+    assert_eq!(plc.write(|_| {}), [], "no automatic retry");
 
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::JOG_MINUS);
@@ -71,7 +71,8 @@ fn jog_that_fails_is_idle_and_shows_why() {
 }
 
 impl Plc {
-    /// A gripper with soft limits at 30 and 80 mm, its fingers at 50 mm, which has refused the end of the stroke.
+    /// Returns a gripper with soft limits at 30 and 80 mm and its fingers at 50 mm, after it refused the end of the
+    /// stroke.
     fn jogging_into_soft_limits(flag: CommandFlags) -> Self {
         let mut plc = Self::ready();
         plc.raise(flag);
@@ -101,7 +102,7 @@ fn jog_of_a_gripper_with_soft_limits_runs_to_the_limit_in_its_direction() {
         assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [jog(limit, 60.0)]);
         assert_eq!(plc.answer(CommandId::PrePosition, Status::Success), []);
         assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
-        // The limits may change while no flag is 1.
+        // The limits may change while both flags are 0.
         plc.lower(flag);
         plc.raise(flag);
         let end = if flag == CommandFlags::JOG_PLUS { 110.0 } else { 0.0 };
@@ -121,7 +122,7 @@ fn jog_at_a_soft_limit_or_beyond_it_moves_nothing_and_shows_e_range_error() {
     }
 }
 
-/// The fingers are outside both limits in turn, where only the way back is open (command set, 3.3.5).
+/// Places the fingers outside each limit in turn, where only the way back is permitted (command set, 3.3.5).
 #[test]
 fn jog_beyond_a_known_soft_limit_never_moves_the_fingers_the_other_way() {
     let outside = [
@@ -132,7 +133,7 @@ fn jog_beyond_a_known_soft_limit_never_moves_the_fingers_the_other_way() {
         let mut plc = Plc::jogging_into_soft_limits(back);
         plc.known.width = Some(width);
         assert_eq!(plc.answer_soft_limits().len(), 1, "back into the range");
-        assert_eq!(plc.raise(onward), [Command::Stop], "both stop");
+        assert_eq!(plc.raise(onward), [Command::Stop], "both flags stop");
         plc.answer(CommandId::PrePosition, Status::CmdAborted);
         plc.answer(CommandId::Stop, Status::Success);
         assert_eq!(plc.lower(back), [], "{onward:?} at {width} mm");
@@ -159,11 +160,11 @@ fn jog_flag_that_goes_while_soft_limits_are_queried_moves_nothing() {
     assert_eq!(plc.answer_soft_limits(), []);
     assert_eq!(plc.answer(CommandId::Stop, Status::Success), []);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
-    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE], "and begins again");
+    assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE], "a new edge restarts it");
 }
 
 #[test]
-fn both_jog_flags_stop_and_the_one_that_stays_goes_on() {
+fn both_jog_flags_stop_and_the_remaining_one_continues() {
     let mut plc = Plc::jogging();
     assert_eq!(plc.raise(CommandFlags::JOG_MINUS), [Command::Stop]);
     assert_eq!(plc.stopped(), []);
@@ -173,7 +174,7 @@ fn both_jog_flags_stop_and_the_one_that_stays_goes_on() {
 }
 
 #[test]
-fn error_that_the_gripper_reports_behind_a_failed_jog_is_the_jogs_until_something_is_asked_for() {
+fn error_reported_after_a_failed_jog_is_hidden_until_the_next_command() {
     let mut plc = Plc::ready();
     let commands = plc.raise(CommandFlags::JOG_PLUS);
     assert_eq!(commands.len(), 1);
@@ -185,11 +186,11 @@ fn error_that_the_gripper_reports_behind_a_failed_jog_is_the_jogs_until_somethin
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked));
     plc.lower(CommandFlags::JOG_PLUS);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked));
-    // An error of somebody else's motion is none of it.
+    // An error of another party's motion is shown.
     plc.report(GripperState::Positioning);
     plc.report(GripperState::Error);
     assert_eq!(plc.shows().0, GripperFlags::ERROR);
-    // And one of the PLC's own shows.
+    // An error of the PLC's own motion is shown too.
     plc.raise(CommandFlags::HOMING);
     plc.begins(CommandId::Homing);
     plc.report(GripperState::Positioning);
@@ -206,12 +207,12 @@ fn jog_flags_that_rise_together_move_nothing() {
 }
 
 #[test]
-fn jog_that_turns_round_stops_before_it_goes_the_other_way() {
+fn jog_that_reverses_stops_first() {
     let mut plc = Plc::jogging();
     let turned = plc.write(|image| image.flags = CommandFlags::JOG_MINUS);
     assert_eq!(turned, [Command::Stop]);
     assert_eq!(plc.answer(CommandId::PrePosition, Status::CmdAborted), []);
-    assert_eq!(plc.answer(CommandId::Stop, Status::Success), [], "they still move");
+    assert_eq!(plc.answer(CommandId::Stop, Status::Success), [], "the fingers still move");
     plc.report_flags(SystemFlags::REFERENCED);
     assert_eq!(plc.commands(), [FORCE]);
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [MINUS]);
@@ -229,7 +230,7 @@ fn speed_and_force_of_a_jog_follow_a_dial() {
 }
 
 #[test]
-fn jog_waits_for_both_answers_before_it_goes_on() {
+fn jog_waits_for_both_answers_before_it_continues() {
     for first in [CommandId::Stop, CommandId::PrePosition] {
         let mut plc = Plc::jogging();
         plc.report_flags(SystemFlags::REFERENCED);
@@ -290,7 +291,7 @@ fn jog_at_speed_0_runs_at_the_least_speed() {
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [jog(110.0, 5.0)]);
     let mut plc = Plc::ready();
     plc.write(|image| image.speed = 0);
-    assert_eq!(plc.raise(CommandFlags::MOVE), [Command::FastStop], "that is for JOG alone");
+    assert_eq!(plc.raise(CommandFlags::MOVE), [Command::FastStop], "only for JOG");
 }
 
 #[test]
@@ -353,7 +354,7 @@ fn jog_flag_that_rises_beside_stop_or_fast_stop_starts_nothing_when_that_goes() 
     assert_eq!(plc.lower(CommandFlags::JOG_PLUS), []);
     assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
 
-    // Before the acknowledgement of a FAST STOP, with it, and behind it.
+    // Before, with and after the acknowledgement of a FAST STOP.
     for at in 0..3 {
         let mut plc = Plc::ready();
         let jog_if = |now: bool| if now { CommandFlags::JOG_MINUS } else { CommandFlags::empty() };
@@ -412,7 +413,7 @@ fn jog_beside_another_motion_does_not_run_now_or_after_it() {
 }
 
 #[test]
-fn motion_during_a_jog_is_refused_and_the_jog_goes_on() {
+fn motion_during_a_jog_is_refused_and_the_jog_continues() {
     let mut plc = Plc::jogging();
     assert_eq!(plc.raise(CommandFlags::MOVE), []);
     assert_eq!(plc.shows(), (GripperFlags::RELEASING, Status::AlreadyRunning));
@@ -451,7 +452,7 @@ fn jog_flag_that_goes_while_the_end_is_held_back_ends_all_the_same() {
 }
 
 #[test]
-fn connection_that_goes_during_a_jog_leaves_a_fast_stop_for_the_gripper() {
+fn connection_lost_during_a_jog_queues_a_fast_stop() {
     let mut plc = Plc::jogging();
     plc.known = Known::NOTHING;
     plc.controller.handle(&Event::Unanswered(CommandId::PrePosition), &plc.known);
@@ -497,7 +498,7 @@ fn jog_that_the_session_refuses_ends() {
 }
 
 #[test]
-fn silence_ends_a_jog_whatever_the_reaction() {
+fn silence_ends_a_jog_with_every_reaction() {
     for reaction in [SilenceReaction::Hold, SilenceReaction::Stop] {
         let mut plc = Plc::jogging();
         plc.controller.silence(reaction, &plc.known);
@@ -544,7 +545,7 @@ fn user_flags_go_both_ways() {
 }
 
 #[test]
-fn silence_of_the_plc_behind_a_cut_line_leaves_a_fast_stop_for_fingers_that_may_move() {
+fn silence_of_the_plc_during_a_disconnect_queues_a_fast_stop_for_fingers_that_may_move() {
     for ends in [false, true] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::MOVE).len(), 1);
@@ -564,9 +565,9 @@ fn silence_of_the_plc_behind_a_cut_line_leaves_a_fast_stop_for_fingers_that_may_
     }
 }
 
-/// FASTSTOP has priority over all other commands (fieldbus, 6.6), and its end moves nothing.
+/// FASTSTOP has priority over all other commands (fieldbus, 6.6), and its end starts no motion.
 #[test]
-fn jog_flag_of_before_a_fast_stop_counts_for_nothing_whoever_acknowledges() {
+fn jog_flag_set_before_a_fast_stop_has_no_effect_after_any_acknowledgement() {
     type Begin = fn() -> Plc;
     let of_a_parameter: Begin = || {
         let mut plc = Plc::jogging();
@@ -586,10 +587,14 @@ fn jog_flag_of_before_a_fast_stop_counts_for_nothing_whoever_acknowledges() {
     };
     for begin in [of_a_parameter, beside_its_flag] {
         let mut plc = begin();
-        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success), "the FAST STOP's");
+        assert_eq!(
+            plc.shows(),
+            (GripperFlags::IDLE, Status::Success),
+            "the state and status of the FAST STOP"
+        );
         let causes: Vec<Cause> = incidents(&mut plc).iter().map(|incident| incident.cause).collect();
         assert!(!causes.contains(&Cause::FastStopLasts), "no jog was refused: {causes:?}");
-        // On the gripper's web page.
+        // Acknowledge on the gripper's web page.
         plc.report_flags(SystemFlags::REFERENCED);
         assert_eq!(plc.commands(), []);
         assert_eq!(plc.write(|image| image.user ^= 1), [], "JOG+ is still 1");
