@@ -1,4 +1,4 @@
-//! Answers: what a gripper sends, to be sent and to be understood (GCL, 1.3 and the sections of the commands).
+//! Answers: every line that a gripper sends, with parser and writer (GCL, 1.3 and the commands' sections).
 
 use super::name::Named;
 use super::number::{read_integer, write_integer};
@@ -20,42 +20,42 @@ use core::fmt::{Formatter, Result as Written, Write};
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum Answer<'a> {
-    /// `ACK NAME`: understood; a motion begins.
+    /// `ACK NAME`: accepted; a motion starts.
     Ack(CommandName),
-    /// `FIN NAME`: a motion is done.
+    /// `FIN NAME`: a motion has ended successfully.
     Fin(CommandName),
-    /// `ERR NAME code`, in verbose mode with a text: not understood, refused, or failed.
+    /// `ERR NAME code`, with a text in verbose mode: invalid, refused or failed.
     Err {
-        /// What was asked for.
+        /// The name of the request.
         name: Named<'a>,
-        /// Why not.
+        /// The reason.
         status: Status,
-        /// The same in words, in verbose mode.
+        /// The reason as a text, in verbose mode.
         description: Option<Description<'a>>,
     },
-    /// `NAME=value`: what was asked for.
+    /// `NAME=value`: the answer to a query.
     Value(Value<'a>),
-    /// `@NAME=value`: what is sent by itself, after AUTOSEND.
+    /// `@NAME=value`: an automatic update, after AUTOSEND.
     Update(Value<'a>),
 }
 
 const ACK: &str = "ACK";
 const FIN: &str = "FIN";
 const ERR: &str = "ERR";
-/// What the manual's example calls TAG (3.1.4).
+/// The name of TAG in the manual's example (3.1.4).
 const TAG_IN_THE_EXAMPLE: &[u8] = b"DEVTAG";
 
 impl<'a> Answer<'a> {
-    /// An error without a text.
+    /// Returns an error without a text.
     #[must_use]
     pub const fn failed(name: CommandName, status: Status) -> Self {
         Self::Err { name: Named::Command(name), status, description: None }
     }
 
-    /// The answer in a line. Upper and lower case are the same, and blanks may stand between words.
+    /// Parses a line. Case is ignored, and blanks are permitted between words.
     ///
     /// # Errors
-    /// What is no answer is refused, and says why.
+    /// Returns [`ParseError`] for an invalid answer.
     pub fn parse(line: &'a [u8]) -> Result<Self, ParseError> {
         let mut input = Scanner::new(line);
         let is_update = input.take(b'@');
@@ -102,7 +102,7 @@ impl<'a> Answer<'a> {
         Ok(Self::Err { name, status: Status::from_code(code), description })
     }
 
-    /// What it is about.
+    /// Returns the name of the request that this answers.
     #[must_use]
     pub const fn name(&self) -> Named<'a> {
         match self {
@@ -112,7 +112,7 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// What it says of the request: E_CMD_PENDING when it acknowledges a motion, E_SUCCESS, or the error.
+    /// Returns the status of the request: E_CMD_PENDING for an acknowledged motion, E_SUCCESS, or the error.
     ///
     /// ```
     /// use wsg_protocol::Status;
@@ -132,11 +132,11 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// Whether a controller understands what is written: finite numbers, indices inside, an `ACK`, `FIN` or update that
-    /// the manual knows.
+    /// Checks that a controller can parse the answer: finite numbers, valid indices, and only an `ACK`, `FIN` or update that
+    /// the manual defines.
     ///
     /// # Errors
-    /// The mistake that reading it would find.
+    /// Returns the error that parsing it would find.
     pub fn check(&self) -> Result<(), ParseError> {
         match self {
             Self::Ack(name) if !name.is_acknowledged() => Err(ParseError::Form),
@@ -147,10 +147,10 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// Writes it without the end of the line. It is understood if [`check`](Self::check) says so.
+    /// Writes the answer without a line end. Call [`check`](Self::check) first to ensure that it can be parsed.
     ///
     /// # Errors
-    /// Those of the writer.
+    /// Returns the errors of the writer.
     pub fn write(&self, to: &mut impl Write) -> Written {
         match self {
             Self::Ack(name) => {
@@ -186,7 +186,7 @@ impl<'a> Answer<'a> {
         }
     }
 
-    /// Writes the line, with its end (LF), to the start of `buffer`, and says how many bytes that were.
+    /// Writes the line, including its end (LF), to the start of `buffer`. Returns its length in bytes.
     ///
     /// ```
     /// use wsg_protocol::gcl::{Answer, Value};
@@ -197,7 +197,7 @@ impl<'a> Answer<'a> {
     /// ```
     ///
     /// # Errors
-    /// [`LineError`]; then what stands in the buffer is of no use.
+    /// Returns [`LineError`]. The content of the buffer is then undefined.
     pub fn write_line_into(&self, buffer: &mut [u8]) -> Result<usize, LineError> {
         self.check().map_err(LineError::Invalid)?;
         write_line(buffer, |line| self.write(line))
@@ -205,7 +205,7 @@ impl<'a> Answer<'a> {
 }
 
 impl core::fmt::Display for Answer<'_> {
-    /// The line without its end.
+    /// Writes the line without its end.
     fn fmt(&self, f: &mut Formatter<'_>) -> Written {
         self.write(f)
     }

@@ -1,29 +1,29 @@
-//! From decimal digits to the nearest `f32`, in little code and with no path to a panic.
+//! Converts decimal digits to the nearest `f32`, with little code and no panic path.
 //!
-//! Not by a library: each that was tried (`core`, `fast-float2`, `lexical-parse-float`, `minimal-lexical`) has panics
-//! that the compiler keeps, and several times the flash. They are made to be fast with tables, which one number in a line
-//! does not need. Here the number is worked out digit by digit as a fixed-point number that holds everything from
-//! the largest `f32` down to below the smallest, and rounded once; `core` is the oracle of the tests.
+//! The libraries tried (`core`, `fast-float2`, `lexical-parse-float`, `minimal-lexical`) keep panics after optimization and
+//! need several times the flash. Their tables buy speed, which one number per line does not need. This module computes the
+//! number digit by digit in fixed point, from the largest `f32` to below the smallest, and rounds once. The tests compare it
+//! with `core`.
 
-/// Words of the part before the point: 128 bits hold every `f32`.
+/// Words of the integer part: 128 bits hold every `f32`.
 const WHOLE_WORDS: usize = 4;
-/// Words behind it: below the last bit of the smallest `f32`, 2^-149, there is room to round.
+/// Words of the fraction: below the last bit of the smallest `f32`, 2^-149, with room to round.
 const FRACTION_WORDS: usize = 5;
 const FRACTION_BITS: u32 = 160;
 const _: () = assert!(FRACTION_BITS as usize == 32 * FRACTION_WORDS && FRACTION_BITS > 149 + 2);
 
-/// The point stands so far right of the first digit at the most: `f32::MAX` has 39 digits.
+/// Maximum number of integer digits: `f32::MAX` has 39.
 const MOST_WHOLE_DIGITS: i32 = 39;
-/// Half of the smallest `f32` is 7.0e-46, so what begins further behind the point is 0.
+/// Maximum number of zeros after the point. Half of the smallest `f32` is 7.0e-46, so smaller numbers round to 0.
 const MOST_LEADING_ZEROS: i32 = 46;
 
-/// Bits of a significand, the leading one included.
+/// Bits of a significand, including the leading one.
 const SIGNIFICAND_BITS: u32 = 24;
-/// The lowest bit that counts: 2^-149.
+/// The lowest significant bit: 2^-149.
 const LOWEST_BIT: u32 = FRACTION_BITS - 149;
 
-/// The `f32` that is nearest to this number, the even one of two that are as near; infinite when it is too large. `None`
-/// for what is no number. Takes digits with a point among them or not, a sign, an exponent.
+/// Returns the nearest `f32`, with ties to even, or infinity if the number is too large. Returns `None` for an invalid number.
+/// Accepts a sign, digits with an optional point, and an exponent.
 pub(super) fn read(text: &[u8]) -> Option<f32> {
     let (negative, unsigned) = sign(text);
     let mantissa_len = unsigned.iter().position(|byte| matches!(byte, b'e' | b'E')).unwrap_or(unsigned.len());
@@ -41,7 +41,7 @@ pub(super) fn read(text: &[u8]) -> Option<f32> {
     Some(if negative { -magnitude } else { magnitude })
 }
 
-/// Whether a minus stands there, and what is behind the sign.
+/// Returns whether the text starts with a minus, and the text after the sign.
 fn sign(text: &[u8]) -> (bool, &[u8]) {
     match text {
         [b'-', rest @ ..] => (true, rest),
@@ -50,7 +50,7 @@ fn sign(text: &[u8]) -> (bool, &[u8]) {
     }
 }
 
-/// An exponent; far too large a one stays far too large.
+/// Parses an exponent. The value saturates.
 fn integer(text: &[u8]) -> Option<i32> {
     let (negative, digits) = sign(text);
     if digits.is_empty() || !digits.iter().all(u8::is_ascii_digit) {
@@ -62,7 +62,7 @@ fn integer(text: &[u8]) -> Option<i32> {
     Some(if negative { magnitude.wrapping_neg() } else { magnitude })
 }
 
-/// What stands before and behind the point.
+/// The digits before and after the point.
 struct Digits<'a> {
     whole: &'a [u8],
     fraction: &'a [u8],
@@ -78,7 +78,7 @@ impl Digits<'_> {
         self.whole.len().saturating_add(self.fraction.len())
     }
 
-    /// The digit at this place, 0 behind the last.
+    /// Returns the digit at this index, or 0 past the last one.
     fn at(&self, index: usize) -> u32 {
         let behind = || self.fraction.get(index.wrapping_sub(self.whole.len()));
         self.whole.get(index).or_else(behind).map_or(0, |digit| u32::from(digit.wrapping_sub(b'0')))
@@ -89,7 +89,7 @@ impl Digits<'_> {
         if zeros == self.len() {
             return 0.0;
         }
-        // Digits from the first that is not 0 to the point; negative: zeros from the point to that digit.
+        // Digits from the first non-zero one to the point. If negative, zeros from the point to that digit.
         let distance = (self.whole.len() as i32).wrapping_sub(zeros as i32).saturating_add(exponent);
         if distance > MOST_WHOLE_DIGITS {
             return f32::INFINITY;
@@ -99,7 +99,7 @@ impl Digits<'_> {
         }
         let mut value = Fixed::ZERO;
         let point = zeros.saturating_add(distance.max(0) as usize);
-        // From the last digit to the point: each goes before what is behind it.
+        // Shift the fraction in from its last digit to the first.
         for index in (point..self.len()).rev() {
             value.put_behind_the_point(self.at(index));
         }
@@ -115,20 +115,20 @@ impl Digits<'_> {
     }
 }
 
-/// A number that is not negative, with bits enough before and behind the point.
+/// A non-negative fixed-point number with enough bits before and after the point.
 struct Fixed {
-    /// The lowest word first.
+    /// The lowest word is first.
     words: [u32; WHOLE_WORDS + FRACTION_WORDS],
-    /// Something below the last bit is left out.
+    /// Non-zero bits below the last one were dropped.
     inexact: bool,
 }
 
 impl Fixed {
     const ZERO: Self = Self { words: [0; WHOLE_WORDS + FRACTION_WORDS], inexact: false };
 
-    /// A fraction becomes (digit + fraction) / 10. The part before the point is 0 still.
+    /// Replaces the fraction by (digit + fraction) / 10, while the integer part is 0.
     ///
-    /// What a division leaves out cannot change a later quotient, so only that it was not 0 is kept.
+    /// The remainder of a division cannot change a later quotient, so only its being non-zero is recorded.
     fn put_behind_the_point(&mut self, digit: u32) {
         let mut remainder = u64::from(digit);
         for word in self.words.iter_mut().take(FRACTION_WORDS).rev() {
@@ -139,7 +139,7 @@ impl Fixed {
         self.inexact |= remainder != 0;
     }
 
-    /// The part before the point becomes ten times itself and this digit; none when it has no room for that.
+    /// Multiplies the integer part by ten and adds the digit. Returns `None` on overflow.
     fn append_before_the_point(&mut self, digit: u32) -> Option<()> {
         let mut carry = u64::from(digit);
         for word in self.words.iter_mut().skip(FRACTION_WORDS) {
@@ -157,8 +157,8 @@ impl Fixed {
         let half = self.bits_from(lowest.wrapping_sub(1)) & 1 != 0;
         let more = self.inexact || self.has_bits_below(lowest.wrapping_sub(1));
         let up = half && (more || significand & 1 != 0);
-        // Without a leading one (a subnormal number) the exponent field is 0, with it 1 from 2^-149 on; a carry out of the
-        // significand goes into the field, up to the one that means infinite.
+        // Without a leading one (a subnormal number) the exponent field is 0; with it, the field is 1 from 2^-149. A carry
+        // from the significand increments the field, up to infinity.
         let exponent = lowest.wrapping_sub(LOWEST_BIT);
         let bits = (exponent << (SIGNIFICAND_BITS - 1)).wrapping_add(significand).wrapping_add(up.into());
         f32::from_bits(bits.min(f32::INFINITY.to_bits()))
@@ -170,7 +170,7 @@ impl Fixed {
         Some((index as u32).wrapping_mul(32).wrapping_add(31u32.wrapping_sub(word.leading_zeros())))
     }
 
-    /// 32 bits from this one on.
+    /// Returns 32 bits, starting at this one.
     fn bits_from(&self, bit: u32) -> u32 {
         let index = (bit / 32) as usize;
         let word = |index: usize| self.words.get(index).copied().map_or(0, u64::from);

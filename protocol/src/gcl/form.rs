@@ -1,4 +1,4 @@
-//! How values stand in a line (GCL, appendix E), and how a command's forms are put together of them.
+//! The notation of values in a line (GCL, appendix E), and the forms composed of them.
 
 use super::ParseError;
 use super::number::{finite, read_float, read_integer, write_float, write_integer};
@@ -6,18 +6,18 @@ use super::scanner::Scanner;
 use crate::types::{GripperState, GrippingStatistics};
 use core::fmt::{Result as Written, Write};
 
-/// What stands after the name of a command: parameters, a question mark, a value.
+/// The text after a command name: parameters, a question mark or a value.
 pub(super) trait Form<'a>: Sized {
-    /// Its forms, in the manual's notation.
+    /// The forms in the manual's notation.
     const FORMS: &'static [&'static str];
 
-    /// Takes it from the line.
+    /// Parses the form from the line.
     fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError>;
 
-    /// Writes it.
+    /// Writes the form.
     fn write(&self, to: &mut impl Write) -> Written;
 
-    /// Whether what is written is read back as the same.
+    /// Checks that the written form parses to the same value.
     fn check(&self) -> Result<(), ParseError> {
         Ok(())
     }
@@ -39,7 +39,7 @@ impl Form<'_> for Call {
     }
 }
 
-/// `?`: a question.
+/// `?`: a query.
 pub(super) struct Ask;
 
 impl Form<'_> for Ask {
@@ -55,11 +55,11 @@ impl Form<'_> for Ask {
     }
 }
 
-/// One value.
+/// A single value.
 pub(super) trait Word<'a>: Sized {
-    /// After an equals sign, in the manual's notation.
+    /// The notation after an equals sign, as in the manual.
     const ASSIGNED: &'static str;
-    /// The same, as one element of a vector.
+    /// The notation of one element of a vector.
     const INDEXED: &'static str;
 
     fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError>;
@@ -71,7 +71,7 @@ pub(super) trait Word<'a>: Sized {
     }
 }
 
-/// How a word stands in the manual's notation.
+/// Defines the notation of a word.
 macro_rules! notation {
     ($text:literal) => {
         const ASSIGNED: &'static str = concat!("=", $text);
@@ -80,7 +80,7 @@ macro_rules! notation {
 }
 pub(super) use notation;
 
-/// A word after an equals sign is a form.
+/// Implements `Form` for words that follow an equals sign.
 macro_rules! assigned {
     ($($type:ty),*) => {
         $(impl<'a> $crate::gcl::form::Form<'a> for $type {
@@ -190,7 +190,7 @@ impl Word<'_> for GrippingStatistics {
     }
 }
 
-/// The parameters between parentheses, one after the other.
+/// Parses the parameters between parentheses in order.
 pub(super) struct Parameters<'s, 'a> {
     input: &'s mut Scanner<'a>,
     taken: bool,
@@ -202,7 +202,7 @@ impl<'s, 'a> Parameters<'s, 'a> {
         Ok(Self { input, taken: false })
     }
 
-    /// The next parameter, if there is one.
+    /// Returns the next parameter, or `None` at the closing parenthesis.
     pub(super) fn optional<T: Word<'a>>(&mut self) -> Result<Option<T>, ParseError> {
         if self.input.peek() == Some(b')') {
             return Ok(None);
@@ -214,7 +214,7 @@ impl<'s, 'a> Parameters<'s, 'a> {
         T::read(self.input).map(Some)
     }
 
-    /// The next parameter.
+    /// Returns the next parameter, or [`ParseError::TooFew`].
     pub(super) fn required<T: Word<'a>>(&mut self) -> Result<T, ParseError> {
         self.optional()?.ok_or(ParseError::TooFew)
     }
@@ -223,14 +223,14 @@ impl<'s, 'a> Parameters<'s, 'a> {
         match self.input.peek() {
             Some(b')') => self.input.expect(b')'),
             Some(b',') => Err(ParseError::TooMany),
-            // Only where a parameter could begin is what stands here one.
+            // At the position of a first parameter, any text counts as a parameter.
             Some(_) if !self.taken => Err(ParseError::TooMany),
             _ => Err(ParseError::Form),
         }
     }
 }
 
-/// Writes parameters between parentheses, up to the first that is not given.
+/// Writes parameters between parentheses, up to the first `None`.
 pub(super) fn write_parameters(parameters: &[Option<f32>], to: &mut impl Write) -> Written {
     to.write_char('(')?;
     let mut separator = "";

@@ -1,21 +1,21 @@
-//! Lines in a stream of bytes (GCL, 1.2): where one ends, and what to do about one that does not.
+//! Splits a stream of bytes into lines (GCL, 1.2), and discards lines that are too long.
 
-/// The longest line that a controller has to take, in bytes without its end.
+/// Maximum length of a line that a controller must accept, in bytes without the line end.
 ///
-/// Grippers in the field send at most 1024 bytes at a time. Only `FDATA` of tactile fingers comes near; a controller
-/// that does not ask for it is served by 256.
+/// Grippers in the field send at most 1024 bytes at a time. Only `FDATA` of tactile fingers approaches that; a controller that
+/// does not query it needs 256.
 pub const MAX_LINE_LEN: usize = 1024;
 
-/// What a [`LineReader`] found.
+/// An event of a [`LineReader`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum LineEvent<'a> {
-    /// A line, without its end and without blanks before it. It is never empty.
+    /// A line without its end and without leading blanks. It is never empty.
     Line(&'a [u8]),
-    /// A line is longer than the reader holds; nothing more is told of it. This is how it began.
+    /// A line exceeds the reader's capacity and the rest of it is discarded. Holds the start of the line.
     TooLong(&'a [u8]),
 }
 
-/// What a reader has thrown away so far; each count stops at 65 535.
+/// Counts of discarded input. Each count saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct LineCounters {
     /// Lines that were too long.
@@ -24,10 +24,10 @@ pub struct LineCounters {
     pub dropped: u16,
 }
 
-/// Finds lines of up to `N` bytes in a stream of bytes. It is all zero after [`new`](Self::new).
+/// Splits a stream of bytes into lines of up to `N` bytes. All its fields are zero after [`new`](Self::new).
 ///
-/// A line ends with LF, CR, or both: the manual prints LF with the code of CR, and terminals send any of them. A line
-/// without anything but blanks is none. After a line that is too long the next line is found again.
+/// A line ends with LF, CR or both: the manual prints LF with the code of CR, and terminals send either. Blank lines are
+/// ignored. After a line that is too long, the next line is found again.
 ///
 /// ```
 /// use wsg_protocol::gcl::{LineEvent, LineReader};
@@ -51,15 +51,15 @@ pub struct LineReader<const N: usize> {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
-    /// The line up to here is in the buffer.
+    /// Collecting a line in the buffer.
     Reading = 0,
-    /// The line in the buffer was told of: the next byte begins another one.
+    /// The line in the buffer was reported, so the next byte starts a new line.
     Told,
-    /// The line is too long: its end is looked for.
+    /// Discarding a line that is too long, up to its end.
     Skipping,
 }
 
-/// What a byte led to.
+/// The result of a byte.
 #[derive(Clone, Copy)]
 enum Step {
     Nothing,
@@ -68,7 +68,7 @@ enum Step {
 }
 
 impl<const N: usize> LineReader<N> {
-    /// A reader at the start of a line.
+    /// Returns a reader at the start of a line.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -79,13 +79,13 @@ impl<const N: usize> LineReader<N> {
         }
     }
 
-    /// Takes one byte.
+    /// Processes one byte.
     pub fn push(&mut self, byte: u8) -> Option<LineEvent<'_>> {
         let step = self.step(byte);
         self.event(step)
     }
 
-    /// Takes bytes up to the next event, and says how many.
+    /// Processes bytes up to the next event. Returns the number of processed bytes and the event.
     ///
     /// ```
     /// use wsg_protocol::gcl::{LineEvent, LineReader};
@@ -107,7 +107,7 @@ impl<const N: usize> LineReader<N> {
         (taken, self.event(step))
     }
 
-    /// Ends the line: nothing more of it comes, because its datagram ends here.
+    /// Ends the current line at the end of a datagram.
     ///
     /// ```
     /// use wsg_protocol::gcl::{LineEvent, LineReader};
@@ -121,13 +121,13 @@ impl<const N: usize> LineReader<N> {
         self.push(b'\n')
     }
 
-    /// Forgets what came of a line, for a new connection; the counters stay.
+    /// Discards an incomplete line, for a new connection. The counters keep their values.
     pub const fn reset(&mut self) {
         self.len = 0;
         self.state = State::Reading;
     }
 
-    /// What was thrown away so far.
+    /// Returns the counts of discarded input.
     #[must_use]
     pub const fn counters(&self) -> LineCounters {
         self.counters

@@ -1,5 +1,4 @@
-//! The names of commands, and what the manual says of each. The forms of their requests and values are in `request` and
-//! `value`.
+//! Command names, with the manual's section and kind of each. `request` and `value` hold the forms of requests and values.
 
 use super::ParseError;
 use super::scanner::Scanner;
@@ -23,7 +22,7 @@ macro_rules! define_names {
             /// Every name, in the manual's order.
             pub const ALL: &'static [Self] = &[$(Self::$name),*];
 
-            /// The name as it stands in a line.
+            /// Returns the name as written in a line.
             #[must_use]
             pub const fn text(self) -> &'static str {
                 match self {
@@ -31,7 +30,7 @@ macro_rules! define_names {
                 }
             }
 
-            /// The section of the manual that describes it.
+            /// Returns the section of the manual that describes the command.
             #[must_use]
             pub const fn section(self) -> &'static str {
                 match self {
@@ -39,7 +38,7 @@ macro_rules! define_names {
                 }
             }
 
-            /// What it is for. PWT and CLT, which also ask, count as settings.
+            /// Returns the purpose of the command. PWT and CLT count as settings, although they can also be queried.
             #[must_use]
             pub const fn kind(self) -> Kind {
                 match self {
@@ -47,7 +46,7 @@ macro_rules! define_names {
                 }
             }
 
-            /// Whether `ACK` answers it.
+            /// Returns whether the command is acknowledged by `ACK`.
             #[must_use]
             pub const fn is_acknowledged(self) -> bool {
                 match self {
@@ -55,7 +54,7 @@ macro_rules! define_names {
                 }
             }
 
-            /// Whether `FIN` answers it once more, when it is done.
+            /// Returns whether the command is also answered by `FIN` when it is done.
             #[must_use]
             pub const fn is_finished(self) -> bool {
                 match self {
@@ -72,7 +71,7 @@ macro_rules! define_names {
 for_each_gcl_command!(define_names);
 
 impl CommandName {
-    /// The command of this name, in upper or lower case.
+    /// Returns the command of this name, in upper or lower case.
     ///
     /// ```
     /// use wsg_protocol::gcl::CommandName;
@@ -89,7 +88,7 @@ impl CommandName {
         Self::ALL.iter().copied().find(|name| name.text().as_bytes().eq_ignore_ascii_case(text))
     }
 
-    /// Whether sending it a second time changes nothing, so that a lost answer may be asked for again.
+    /// Returns whether sending the command twice has no further effect, so that a lost answer permits a repetition.
     #[must_use]
     pub const fn is_repeatable(self) -> bool {
         match self.kind() {
@@ -105,35 +104,35 @@ impl core::fmt::Display for CommandName {
     }
 }
 
-/// The name in an answer: one of the manual, or another one that a line began with.
+/// The name in an answer: a command of the manual, or any other name.
 #[derive(Clone, Copy, Debug, crate::Format)]
 pub enum Named<'a> {
-    /// One of the manual.
+    /// A command of the manual.
     Command(CommandName),
-    /// Another one; how it was spelled. At most [`MAX_LEN`](Self::MAX_LEN) characters of it are kept.
+    /// An unknown name as spelled, truncated to [`MAX_LEN`](Self::MAX_LEN) characters.
     Other(OtherName<'a>),
 }
 
-/// A name that the manual does not list, or `?` for a line that begins with none.
+/// A name that the manual does not list, or `?` for a line without a name.
 #[derive(Clone, Copy, Debug, crate::Format)]
 pub struct OtherName<'a>(&'a str);
 
 impl<'a> OtherName<'a> {
-    /// The name as it was spelled.
+    /// Returns the name as spelled.
     #[must_use]
     pub const fn text(self) -> &'a str {
         self.0
     }
 }
 
-/// What a line without a name is called.
+/// The name in answers to a line without a name.
 const NAMELESS: &str = "?";
 
 impl<'a> Named<'a> {
-    /// How much of a name that nobody knows is repeated in the answer.
+    /// Maximum number of characters of an unknown name that the answer repeats.
     pub const MAX_LEN: usize = 16;
 
-    /// What a line that begins like this is called: `?` if not by a name.
+    /// Returns the name at the start of a line, or `?` if there is no name.
     #[must_use]
     pub fn at_start_of(line: &'a [u8]) -> Self {
         Self::from_bytes(Scanner::new(line).name())
@@ -148,7 +147,7 @@ impl<'a> Named<'a> {
         Self::Other(OtherName(if text.is_empty() { NAMELESS } else { text }))
     }
 
-    /// Takes the name in an answer.
+    /// Parses the name in an answer.
     pub(super) fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError> {
         if input.take(b'?') {
             return Ok(Self::Other(OtherName(NAMELESS)));
@@ -159,7 +158,7 @@ impl<'a> Named<'a> {
         }
     }
 
-    /// The command, if it is one of the manual.
+    /// Returns the command, if the manual lists it.
     #[must_use]
     pub const fn command(self) -> Option<CommandName> {
         match self {
@@ -177,7 +176,7 @@ impl<'a> Named<'a> {
 }
 
 impl PartialEq for Named<'_> {
-    /// Upper and lower case are the same.
+    /// Ignores upper and lower case.
     fn eq(&self, other: &Self) -> bool {
         match (self, other) {
             (Self::Command(one), Self::Command(other)) => one == other,

@@ -1,15 +1,15 @@
-//! Numbers as text, both ways.
+//! Numbers as text.
 //!
-//! Read by [`decimal`]: a decimal number becomes the nearest `f32`. Written by `zmij`: the fewest digits that are read
-//! back as the same `f32`, so what one side means the other side gets. Where `zmij` would write an exponent, it is
-//! spelled out in zeros: the manual shows none, and a PLC that reads digits and a point is not to stumble over one. `zmij` beside
-//! `core::fmt`: a third of the flash, and no path to a panic. An exponent is understood when it comes.
+//! [`decimal`] parses a decimal number to the nearest `f32`. `zmij` writes the fewest digits that parse to the same `f32`, so
+//! a value survives the transfer. Exponents are accepted but never written: the manual shows none, and a PLC may parse only
+//! digits and a point. They are replaced by zeros. Compared with `core::fmt`, `zmij` needs a third of the flash and has no
+//! panic path.
 
 use super::scanner::Scanner;
 use super::{ParseError, decimal};
 use core::fmt::{Result as Written, Write};
 
-/// The longest number that is written: `-0.`, 37 zeros and 9 digits, or a little less.
+/// Maximum length of a written number: `-0.`, 37 zeros and 9 digits, rounded up.
 pub(super) const MAX_FLOAT_LEN: usize = 52;
 
 pub(super) fn read_float(input: &mut Scanner<'_>) -> Result<f32, ParseError> {
@@ -17,7 +17,7 @@ pub(super) fn read_float(input: &mut Scanner<'_>) -> Result<f32, ParseError> {
     finite(decimal::read(word).ok_or(ParseError::Form)?)
 }
 
-/// Refuses what is infinite or not a number.
+/// Rejects infinity and NaN.
 pub(super) const fn finite(value: f32) -> Result<f32, ParseError> {
     if value.is_finite() { Ok(value) } else { Err(ParseError::Range) }
 }
@@ -42,7 +42,7 @@ pub(super) fn write_float(value: f32, to: &mut impl Write) -> Written {
     }
 }
 
-/// Writes `digits` times ten to the power of `exponent`, in digits.
+/// Writes `digits` times ten to the power of `exponent` without an exponent.
 fn write_without_exponent(digits: &str, exponent: i8, to: &mut impl Write) -> Written {
     let digits = match digits.strip_prefix('-') {
         Some(digits) => {
@@ -54,13 +54,13 @@ fn write_without_exponent(digits: &str, exponent: i8, to: &mut impl Write) -> Wr
     let (whole, fraction) = split_once(digits, b'.').unwrap_or((digits, ""));
     let shift = usize::from(exponent.unsigned_abs());
     if exponent < 0 {
-        // The point moves left: `whole` is one digit.
+        // The point moves left of `whole`, which is a single digit.
         to.write_str("0.")?;
         write_zeros(shift.saturating_sub(1), to)?;
         to.write_str(whole)?;
         to.write_str(fraction)
     } else {
-        // An exponent is written from 10^13 on, and there are at most 9 digits: the point moves past them all.
+        // `zmij` writes an exponent from 10^13, with 9 digits at most, so the point moves past all of them.
         to.write_str(whole)?;
         to.write_str(fraction)?;
         write_zeros(shift.saturating_sub(fraction.len()), to)?;
@@ -68,7 +68,7 @@ fn write_without_exponent(digits: &str, exponent: i8, to: &mut impl Write) -> Wr
     }
 }
 
-/// As that of `str`, without its path to a panic.
+/// Like `str::split_once`, without its panic path.
 fn split_once(text: &str, letter: u8) -> Option<(&str, &str)> {
     let at = text.bytes().position(|byte| byte == letter)?;
     Some((text.get(..at)?, text.get(at.wrapping_add(1)..)?))

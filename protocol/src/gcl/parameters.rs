@@ -7,12 +7,12 @@ use super::{ParseError, Topic};
 use crate::types::HomingDirection;
 use core::fmt::{Result as Written, Write};
 
-/// Checks numbers that may be missing.
+/// Checks optional numbers.
 fn check_all(parameters: &[Option<f32>]) -> Result<(), ParseError> {
     parameters.iter().flatten().try_for_each(|value| finite(*value).map(|_| ()))
 }
 
-/// `1`: positive, outward. `0`: negative, inward. None: as the gripper is configured (GCL, 2.2.1).
+/// `1`: positive, outward. `0`: negative, inward. Without parameter: the gripper's configured direction (GCL, 2.2.1).
 impl Form<'_> for HomingDirection {
     const FORMS: &'static [&'static str] = &["()", "(<bool>)"];
 
@@ -39,9 +39,9 @@ impl Form<'_> for HomingDirection {
 /// The parameters of MOVE (GCL, 2.2.2).
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub struct Move {
-    /// Opening width to go to, in mm.
+    /// Target opening width in mm.
     pub width: f32,
-    /// Speed in mm/s; `None`: as the gripper is configured.
+    /// Speed in mm/s; `None` selects the gripper's configured speed.
     pub speed: Option<f32>,
 }
 
@@ -68,23 +68,22 @@ impl Form<'_> for Move {
 /// The parameters of GRIP: the manual's four cases (GCL, 2.2.3).
 #[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub enum Grip {
-    /// Inward until the fingers meet something, with the force and speed that the gripper is configured for. The end
-    /// stop counts as a part.
+    /// Closes until the fingers meet resistance, with the configured force and speed. The end stop counts as a part.
     #[default]
     Preset,
-    /// The same with this force.
+    /// Closes like `Preset`, with this force.
     Force {
         /// Force in N.
         force: f32,
     },
-    /// Towards a part of this width, inward or outward.
+    /// Moves towards a part of this width, inward or outward.
     Part {
         /// Force in N.
         force: f32,
         /// Nominal width of the part in mm.
         width: f32,
     },
-    /// The same at this speed.
+    /// Moves towards a part of this width at this speed.
     PartAtSpeed {
         /// Force in N.
         force: f32,
@@ -134,15 +133,15 @@ impl Form<'_> for Grip {
 /// The parameters of RELEASE (GCL, 2.2.4).
 #[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub enum Release {
-    /// Opens as far and as fast as the gripper is configured for.
+    /// Opens by the configured distance at the configured speed.
     #[default]
     Preset,
-    /// Opens this far, as fast as it can.
+    /// Opens by this distance at maximum speed.
     By {
         /// Distance from the current width, in mm.
         distance: f32,
     },
-    /// Opens this far at this speed.
+    /// Opens by this distance at this speed.
     ByAtSpeed {
         /// Distance from the current width, in mm.
         distance: f32,
@@ -184,12 +183,12 @@ impl Form<'_> for Release {
     }
 }
 
-/// Asks for a setting, or sets it: PWT and CLT (GCL, 2.2.5 and 2.2.6).
+/// Reads or writes a setting: PWT and CLT (GCL, 2.2.5 and 2.2.6).
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum Setting {
-    /// What is it?
+    /// Queries the value.
     Ask,
-    /// It is this from now on, in mm, until the connection ends.
+    /// Sets the value in mm, until the connection ends.
     Set(f32),
 }
 
@@ -215,17 +214,17 @@ impl Form<'_> for Setting {
     }
 }
 
-/// Asks for all `LEN` elements of a vector, or for one of them.
+/// Queries all `LEN` elements of a vector, or one of them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub enum Select<const LEN: u8> {
-    /// All of them.
+    /// All elements.
     #[default]
     All,
-    /// The one with this index, counted from 0.
+    /// The element with this index, counted from 0.
     One(u8),
 }
 
-/// An index and the bracket after it.
+/// Parses an index and the closing bracket.
 pub(super) fn read_index<const LEN: u8>(input: &mut Scanner<'_>) -> Result<u8, ParseError> {
     let index = match read_integer(input) {
         Err(ParseError::Range) => return Err(ParseError::Index),
@@ -269,17 +268,17 @@ impl<const LEN: u8> Form<'_> for Select<LEN> {
     }
 }
 
-/// Which force measurement finger TARE zeroes (GCL, 3.3.1).
+/// The force measurement fingers that TARE zeroes (GCL, 3.3.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub enum Tare {
-    /// All that are connected.
+    /// All connected fingers.
     #[default]
     All,
-    /// The one with this index, 0 or 1.
+    /// The finger with this index, 0 or 1.
     Finger(u8),
 }
 
-/// Fingers of a gripper.
+/// Number of fingers of a gripper.
 pub(super) const FINGERS: u8 = 2;
 
 impl Form<'_> for Tare {
@@ -315,7 +314,7 @@ impl Form<'_> for Tare {
     }
 }
 
-/// The parameters of AUTOSEND: which value is sent by itself, and when (GCL, 3.1.7).
+/// The parameters of AUTOSEND: the value to report, and when (GCL, 3.1.7).
 ///
 /// ```
 /// use wsg_protocol::gcl::{Autosend, Request, Topic};
@@ -327,46 +326,45 @@ impl Form<'_> for Tare {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub struct Autosend {
-    /// The value.
+    /// The value to report.
     pub topic: Topic,
-    /// The least time between two of its updates in ms, at least [`MIN_INTERVAL_MS`](Self::MIN_INTERVAL_MS); 0 ends
-    /// them.
+    /// Minimum interval between two updates in ms, at least [`MIN_INTERVAL_MS`](Self::MIN_INTERVAL_MS). 0 ends the updates.
     pub interval_ms: u32,
-    /// Which updates are left out.
+    /// The updates to suppress.
     pub filter: Filter,
 }
 
-/// Which updates are left out (GCL, 3.1.7).
+/// The updates to suppress (GCL, 3.1.7).
 #[derive(Clone, Copy, Debug, Default, PartialEq, crate::Format)]
 pub enum Filter {
-    /// None is.
+    /// None.
     #[default]
     None,
-    /// Of a measured value ([`Topic::is_measured`]): those that differ by less than this from the one sent last. Not
-    /// negative, in the unit of the value.
+    /// For a measured value ([`Topic::is_measured`]): updates that differ by less than this from the last one. Not negative,
+    /// in the unit of the value.
     Delta(f32),
-    /// Of a state: if `true`, those that are the same as the one sent last.
+    /// For a state: if `true`, updates equal to the last one.
     Unchanged(bool),
 }
 
 impl Autosend {
-    /// The manual's least interval in ms.
+    /// The manual's minimum interval in ms.
     pub const MIN_INTERVAL_MS: u32 = 10;
 
-    /// An update every `interval_ms` milliseconds.
+    /// Requests an update every `interval_ms` milliseconds.
     #[must_use]
     pub const fn every(topic: Topic, interval_ms: u32) -> Self {
         Self { topic, interval_ms, filter: Filter::None }
     }
 
-    /// An update of a measured value whenever it has changed by `delta`, at least `interval_ms` milliseconds apart.
+    /// Requests an update of a measured value after each change by `delta`, at least `interval_ms` milliseconds apart.
     #[must_use]
     pub const fn by(topic: Topic, interval_ms: u32, delta: f32) -> Self {
         Self { topic, interval_ms, filter: Filter::Delta(delta) }
     }
 
-    /// An update at each change, at least `interval_ms` milliseconds apart. A measured value counts as changed as it
-    /// does in the binary protocol: by 0.01 mm, 0.05 mm/s, 0.05 N; and by 0.1 °C.
+    /// Requests an update after each change, at least `interval_ms` milliseconds apart. The thresholds of measured values are
+    /// 0.01 mm, 0.05 mm/s and 0.05 N, as in the binary protocol, and 0.1 °C.
     #[must_use]
     pub const fn on_change(topic: Topic, interval_ms: u32) -> Self {
         match topic {
@@ -379,7 +377,7 @@ impl Autosend {
         }
     }
 
-    /// No more updates.
+    /// Ends the updates.
     #[must_use]
     pub const fn off(topic: Topic) -> Self {
         Self::every(topic, 0)

@@ -1,37 +1,37 @@
-//! Why a line is not understood.
+//! Errors of the parser, and the status codes that report them.
 
 use crate::types::Status;
 
-/// What is wrong with a line, or with a request that is to be written.
+/// The error in a line, or in a request to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
 pub enum ParseError {
-    /// It does not begin with a name.
+    /// The line does not start with a name.
     NoName,
     /// The manual lists no command of this name.
     UnknownName,
-    /// What follows the name is none of the forms that the command has.
+    /// The text after the name matches none of the command's forms.
     Form,
-    /// Too few parameters.
+    /// The request lacks a required parameter.
     TooFew,
-    /// More parameters than the command takes.
+    /// The request has more parameters than the command accepts.
     TooMany,
-    /// A number is too large for what it stands for, or not finite.
+    /// A number is out of range or not finite.
     Range,
-    /// A value that the manual does not list.
+    /// The manual does not define this value.
     Value,
-    /// An index past the end.
+    /// An index is past the end.
     Index,
-    /// A text holds a control character, one that is not ASCII, or too many of them.
+    /// A text contains a control or non-ASCII character, or is too long.
     Text,
-    /// The line is longer than the reader holds.
+    /// The line exceeds the reader's capacity.
     TooLong,
 }
 
 impl ParseError {
-    /// The status code that a gripper answers with (GCL, appendix A).
+    /// Returns the status code of the gripper's answer (GCL, appendix A).
     ///
-    /// The manual names the codes and not the cases; E_NO_PARAM_EXPECTED stands for every parameter too many.
+    /// The manual names the codes without their cases. Here, E_NO_PARAM_EXPECTED reports any excess parameter.
     #[must_use]
     pub const fn status(self) -> Status {
         match self {

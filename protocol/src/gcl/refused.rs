@@ -1,18 +1,18 @@
-//! What a gripper answers to a line that it does not understand.
+//! The answer of a gripper to an invalid line.
 
 use super::{Answer, Description, Named, ParseError};
 
-/// A line that is no request, and what to call it in the answer.
+/// An invalid request, with the name to use in the answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Refused<'a> {
     /// The name at the start of the line.
     pub name: Named<'a>,
-    /// What is wrong.
+    /// The error in the line.
     pub mistake: ParseError,
 }
 
 impl<'a> Refused<'a> {
-    /// A line that is longer than the reader holds, from how it began.
+    /// Returns the refusal of a line that exceeds the reader's capacity, given its start.
     ///
     /// ```
     /// use wsg_protocol::gcl::Refused;
@@ -25,7 +25,7 @@ impl<'a> Refused<'a> {
         Self { name: Named::at_start_of(start), mistake: ParseError::TooLong }
     }
 
-    /// The gripper's answer to it (GCL, 1.3), with a text in verbose mode.
+    /// Returns the gripper's answer (GCL, 1.3), with a text in verbose mode.
     #[must_use]
     pub const fn answer(&self, verbose: bool) -> Answer<'a> {
         let status = self.mistake.status();

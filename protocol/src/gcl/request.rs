@@ -1,4 +1,4 @@
-//! Requests: every command and query of the manual's chapters 2 and 3, to be sent and to be understood.
+//! Requests: every command and query of the manual's chapters 2 and 3, with parser and writer.
 
 use super::form::{Ask, Call, Form};
 use super::scanner::Scanner;
@@ -28,7 +28,7 @@ macro_rules! define_requests {
         /// assert_eq!(grip.to_string(), "GRIP(20.0,35.5)");
         /// assert_eq!(Request::parse(b"SYSFLAGS[12]?"), Ok(Request::Sysflags(Select::One(12))));
         ///
-        /// // What is no request is refused, and the answer names the reason: E_CMD_UNKNOWN is 14.
+        /// // Invalid lines are refused with the reason: E_CMD_UNKNOWN is 14.
         /// let refused = Request::parse(b"dance(3)").unwrap_err();
         /// assert_eq!(refused.answer(false).to_string(), "ERR DANCE 14");
         /// ```
@@ -43,7 +43,7 @@ macro_rules! define_requests {
         }
 
         impl Request {
-            /// The name of this command.
+            /// Returns the name of this command.
             #[must_use]
             pub const fn name(&self) -> CommandName {
                 match self {
@@ -63,10 +63,10 @@ macro_rules! define_requests {
                 })
             }
 
-            /// Whether it is written as a request that a gripper understands: finite numbers, indices inside.
+            /// Checks that a gripper can parse the request: finite numbers and valid indices.
             ///
             /// # Errors
-            /// The mistake that reading it would find.
+            /// Returns the error that parsing it would find.
             pub fn check(&self) -> Result<(), ParseError> {
                 match self {
                     $(define_requests!(@pattern $name parameters $($unit)?) => {
@@ -76,10 +76,10 @@ macro_rules! define_requests {
                 }
             }
 
-            /// Writes it without the end of the line. No number is infinite if [`check`](Self::check) says so.
+            /// Writes the request without a line end. Call [`check`](Self::check) first to exclude non-finite numbers.
             ///
             /// # Errors
-            /// Those of the writer.
+            /// Returns the errors of the writer.
             pub fn write(&self, to: &mut impl Write) -> Written {
                 to.write_str(self.name().text())?;
                 match self {
@@ -92,7 +92,7 @@ macro_rules! define_requests {
         }
 
         impl CommandName {
-            /// What may follow the name in a request, in the manual's notation.
+            /// Returns the forms that may follow the name in a request, in the manual's notation.
             #[must_use]
             pub fn forms(self) -> &'static [&'static str] {
                 match self {
@@ -108,14 +108,14 @@ macro_rules! define_requests {
 for_each_gcl_command!(define_requests);
 
 impl Request {
-    /// The longest request, in bytes without the end of the line.
+    /// Maximum length of a request in bytes, without the line end.
     pub const MAX_LEN: usize =
         "GRIP(,,)".len().saturating_add(super::number::MAX_FLOAT_LEN.saturating_mul(3));
 
-    /// The request in a line. Upper and lower case are the same, and blanks may stand between words.
+    /// Parses a line. Case is ignored, and blanks are permitted between words.
     ///
     /// # Errors
-    /// What is no request is refused, and says why and what to answer.
+    /// Returns [`Refused`] for an invalid request, with the reason and the answer.
     pub fn parse(line: &[u8]) -> Result<Self, Refused<'_>> {
         let mut input = Scanner::new(line);
         let name = Named::from_bytes(input.name());
@@ -129,7 +129,7 @@ impl Request {
         Ok(request)
     }
 
-    /// Writes the line, with its end, to the start of `buffer`, and says how many bytes that were.
+    /// Writes the line, including its end (LF), to the start of `buffer`. Returns its length in bytes.
     ///
     /// ```
     /// use wsg_protocol::gcl::Request;
@@ -140,13 +140,13 @@ impl Request {
     /// ```
     ///
     /// # Errors
-    /// [`LineError`]; then what stands in the buffer is of no use.
+    /// Returns [`LineError`]. The content of the buffer is then undefined.
     pub fn write_line_into(&self, buffer: &mut [u8]) -> Result<usize, LineError> {
         self.check().map_err(LineError::Invalid)?;
         write_line(buffer, |line| self.write(line))
     }
 
-    /// What it is for. To ask for PWT or CLT is a query.
+    /// Returns the purpose of the request. Reading PWT or CLT is a query.
     #[must_use]
     pub const fn kind(&self) -> Kind {
         match self {
@@ -157,7 +157,7 @@ impl Request {
 }
 
 impl Topic {
-    /// The request that asks for it once.
+    /// Returns the request that queries the value once.
     #[must_use]
     pub const fn query(self) -> Request {
         match self {
@@ -172,7 +172,7 @@ impl Topic {
 }
 
 impl core::fmt::Display for Request {
-    /// The line without its end.
+    /// Writes the line without its end.
     fn fmt(&self, f: &mut Formatter<'_>) -> Written {
         self.write(f)
     }

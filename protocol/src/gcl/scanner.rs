@@ -1,13 +1,13 @@
-//! The marks and words of a line, from left to right. Blanks may stand before each of them.
+//! Parses the marks and words of a line from left to right. Blanks are permitted before each of them.
 
 use super::ParseError;
 
-/// Whether a person may type this between words.
+/// Returns whether the byte is a blank, which is permitted between words.
 pub(super) const fn is_blank(byte: u8) -> bool {
     matches!(byte, b' ' | b'\t')
 }
 
-/// What is left of a line.
+/// The unparsed rest of a line.
 #[derive(Clone, Debug)]
 pub(super) struct Scanner<'a> {
     rest: &'a [u8],
@@ -18,13 +18,13 @@ impl<'a> Scanner<'a> {
         Self { rest: line }
     }
 
-    /// The next byte that is not a blank.
+    /// Skips blanks and returns the next byte without consuming it.
     pub(super) fn peek(&mut self) -> Option<u8> {
         self.take_while(is_blank);
         self.rest.first().copied()
     }
 
-    /// Takes this mark if it is the next.
+    /// Consumes the mark if it is next. Returns whether it was.
     pub(super) fn take(&mut self, mark: u8) -> bool {
         let is_next = self.peek() == Some(mark);
         if is_next {
@@ -33,18 +33,18 @@ impl<'a> Scanner<'a> {
         is_next
     }
 
-    /// Takes this mark.
+    /// Consumes the mark, or returns [`ParseError::Form`].
     pub(super) fn expect(&mut self, mark: u8) -> Result<(), ParseError> {
         if self.take(mark) { Ok(()) } else { Err(ParseError::Form) }
     }
 
-    /// Takes bytes as long as they belong to the word, blanks before it left out; it may be empty.
+    /// Skips blanks and consumes the bytes of a word, possibly none.
     pub(super) fn word(&mut self, belongs: impl FnMut(u8) -> bool) -> &'a [u8] {
         self.take_while(is_blank);
         self.take_while(belongs)
     }
 
-    /// Takes a name: letters, then letters, digits and `_`; it may be empty.
+    /// Consumes a name, which is a letter and then letters, digits and `_`; possibly empty.
     pub(super) fn name(&mut self) -> &'a [u8] {
         if self.peek().is_some_and(|byte| byte.is_ascii_alphabetic()) {
             self.take_while(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
@@ -53,7 +53,7 @@ impl<'a> Scanner<'a> {
         }
     }
 
-    /// Takes what stands between two quotation marks.
+    /// Consumes a text in quotation marks.
     pub(super) fn quoted(&mut self) -> Result<&'a [u8], ParseError> {
         self.expect(b'"')?;
         let text = self.take_while(|byte| byte != b'"');
@@ -61,7 +61,7 @@ impl<'a> Scanner<'a> {
         Ok(text)
     }
 
-    /// Takes numbers, commas, blanks and pairs of brackets, up to a bracket that closes none of them.
+    /// Consumes numbers, commas, blanks and pairs of brackets, up to an unmatched closing bracket.
     pub(super) fn inside_brackets(&mut self) -> &'a [u8] {
         let mut depth = 0usize;
         let is_inside = |byte| match byte {
@@ -82,17 +82,17 @@ impl<'a> Scanner<'a> {
         self.take_while(is_inside)
     }
 
-    /// Takes all that is left, without the blanks around it.
+    /// Consumes the rest of the line. Returns it without surrounding blanks.
     pub(super) fn remainder(&mut self) -> &'a [u8] {
         core::mem::take(&mut self.rest).trim_ascii()
     }
 
-    /// Whether a blank is next, or nothing.
+    /// Returns whether a blank or the end of the line is next.
     pub(super) fn at_gap(&self) -> bool {
         self.rest.first().is_none_or(|byte| is_blank(*byte))
     }
 
-    /// Takes the end of the line.
+    /// Returns [`ParseError::Form`] unless the line ends here.
     pub(super) fn end(&mut self) -> Result<(), ParseError> {
         if self.peek().is_none() { Ok(()) } else { Err(ParseError::Form) }
     }

@@ -1,4 +1,4 @@
-//! Texts in answers (GCL, 1.3 and appendix E), and what those of a device say.
+//! Texts in answers (GCL, 1.3 and appendix E), and conversions of device texts.
 
 use super::ParseError;
 use super::form::{Word, assigned, notation};
@@ -7,28 +7,27 @@ use super::scanner::{Scanner, is_blank};
 use crate::types::{DeviceTag, DeviceType, FingerType, FirmwareVersion, Status};
 use core::fmt::{Formatter, Result as Written, Write};
 
-/// A text between quotation marks: printable ASCII characters, no quotation mark among them. The manual knows no way to
-/// write one.
+/// The text between quotation marks: printable ASCII characters except the quotation mark, which the manual has no escape for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct Text<'a>(&'a str);
 
 impl<'a> Text<'a> {
-    /// This text.
+    /// Checks a text.
     ///
     /// # Errors
-    /// [`ParseError::Text`]: a character that it may not hold.
+    /// [`ParseError::Text`] for a character that is not permitted.
     pub fn new(text: &'a str) -> Result<Self, ParseError> {
         let is_allowed = |byte: u8| (0x20..0x7F).contains(&byte) && byte != b'"';
         if text.bytes().all(is_allowed) { Ok(Self(text)) } else { Err(ParseError::Text) }
     }
 
-    /// The text.
+    /// Returns the text without quotation marks.
     #[must_use]
     pub const fn as_str(self) -> &'a str {
         self.0
     }
 
-    /// The product, of an answer to DEVTYPE: `WSG 50-110` is a WSG 50.
+    /// Returns the product in an answer to DEVTYPE: `WSG 50-110` is a WSG 50.
     ///
     /// ```
     /// use wsg_protocol::DeviceType;
@@ -51,8 +50,8 @@ impl<'a> Text<'a> {
         named.map_or(DeviceType::Unspecified, |(_, device)| device)
     }
 
-    /// The version, of an answer to VERSION; `None` if it has other than three numbers up to 15, or four with a release
-    /// candidate (`4.0.0-rc1`), which is what the binary protocol can say.
+    /// Returns the version in an answer to VERSION. `None` unless it has three numbers up to 15, or a release candidate in
+    /// addition (`4.0.0-rc1`), the range of the binary protocol.
     ///
     /// ```
     /// use wsg_protocol::FirmwareVersion;
@@ -85,7 +84,7 @@ impl<'a> Text<'a> {
         Some(FirmwareVersion::new(major, minor, patch, candidate))
     }
 
-    /// The kind of finger, of an answer to FTYPE.
+    /// Returns the type of finger in an answer to FTYPE.
     ///
     /// ```
     /// use wsg_protocol::FingerType;
@@ -96,7 +95,7 @@ impl<'a> Text<'a> {
     /// ```
     #[must_use]
     pub fn finger_type(self) -> FingerType {
-        // Not `str::contains`, which keeps a path to a panic.
+        // `str::contains` would keep a panic path.
         let names = |kind: &[u8; 3]| self.0.as_bytes().windows(3).any(|letters| letters == kind);
         if names(b"FMF") {
             FingerType::Fmf
@@ -131,7 +130,7 @@ impl<'a> Word<'a> for Text<'a> {
     }
 }
 
-/// A tag may hold quotation marks. It is the last word of its line, so it ends at the last one.
+/// A tag may contain quotation marks. It is the last word of its line, so the last quotation mark ends it.
 impl<'a> Word<'a> for DeviceTag<'a> {
     notation!("<string>");
 
@@ -148,12 +147,12 @@ impl<'a> Word<'a> for DeviceTag<'a> {
     }
 }
 
-/// The text that an error carries in verbose mode (GCL, 1.3), in whatever language and character set it came.
+/// The text of an error in verbose mode (GCL, 1.3), in any language and character set.
 #[derive(Clone, Copy, PartialEq, Eq, crate::Format)]
 pub struct Description<'a>(&'a [u8]);
 
 impl<'a> Description<'a> {
-    /// This text, without the blanks around it; `None` if nothing is left, or if it has more than one line.
+    /// Returns the text without surrounding blanks; `None` if it is empty or has more than one line.
     #[must_use]
     pub fn new(text: &'a [u8]) -> Option<Self> {
         let text = text.trim_ascii();
@@ -161,13 +160,13 @@ impl<'a> Description<'a> {
         is_one_line.then_some(Self(text))
     }
 
-    /// The text for a status: its [meaning](Status::meaning) in words (GCL, 1.3 and appendix A).
+    /// Returns the text of a status: its [meaning](Status::meaning) (GCL, 1.3 and appendix A).
     #[must_use]
     pub const fn of(status: Status) -> Description<'static> {
         Description(status.meaning().as_bytes())
     }
 
-    /// The bytes.
+    /// Returns the bytes in the gripper's character set.
     #[must_use]
     pub const fn bytes(self) -> &'a [u8] {
         self.0
@@ -182,7 +181,7 @@ impl<'a> Description<'a> {
 }
 
 impl core::fmt::Display for Description<'_> {
-    /// What is not UTF-8 is written as `?`.
+    /// Writes invalid UTF-8 as `?`.
     fn fmt(&self, f: &mut Formatter<'_>) -> Written {
         self.write(f)
     }

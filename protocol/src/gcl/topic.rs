@@ -1,11 +1,11 @@
-//! The values that a gripper sends by itself (GCL, 3.1.7).
+//! The values that AUTOSEND supports (GCL, 3.1.7).
 
 use super::form::{Word, notation};
 use super::scanner::Scanner;
 use super::{CommandName, ParseError};
 use core::fmt::{Result as Written, Write};
 
-/// A value that AUTOSEND has sent again and again.
+/// A value that AUTOSEND can report periodically.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum Topic {
     /// Opening width in mm.
@@ -23,11 +23,11 @@ pub enum Topic {
 }
 
 impl Topic {
-    /// Every one, in the manual's order.
+    /// Every topic, in the manual's order.
     pub const ALL: [Self; 6] =
         [Self::Pos, Self::Speed, Self::Force, Self::Gripstate, Self::Sysflags, Self::Temp];
 
-    /// The command that asks for it, whose name it has.
+    /// Returns the command that queries the value and has the same name.
     #[must_use]
     pub const fn name(self) -> CommandName {
         match self {
@@ -40,14 +40,14 @@ impl Topic {
         }
     }
 
-    /// The one that this command asks for.
+    /// Returns the topic that this command queries.
     #[must_use]
     pub fn of(name: CommandName) -> Option<Self> {
         Self::ALL.into_iter().find(|topic| topic.name() == name)
     }
 
-    /// Whether it is a measured value, whose changes have a size, and not a state. The manual speaks of numeric values
-    /// and gives the gripper state as an integer; it is a state here.
+    /// Returns whether it is a measured value with a threshold for changes, and not a state. The manual speaks of numeric
+    /// values and defines the gripper state as an integer; here it counts as a state.
     #[must_use]
     pub const fn is_measured(self) -> bool {
         !matches!(self, Self::Gripstate | Self::Sysflags)

@@ -1,4 +1,4 @@
-//! The values of answers and updates.
+//! The values in answers and updates.
 
 use super::form::{Form, Word, notation};
 use super::number::{read_float, write_float};
@@ -16,7 +16,7 @@ macro_rules! define_values {
             $(unit $unit:ident)? $(with ($parameters:ty))?
             answers [$($answer:ident),*] value ($($value:ty)?);
     )*) => { define_values!(@rows [] $([$(#[$doc])* $name $text $section ($($value)?)])*); };
-    // Rows without a value are left out.
+    // Skips rows without a value.
     (@rows [$($kept:tt)*] [$(#[$doc:meta])* $name:ident $text:literal $section:literal ()] $($rest:tt)*) => {
         define_values!(@rows [$($kept)*] $($rest)*);
     };
@@ -24,7 +24,7 @@ macro_rules! define_values {
         define_values!(@rows [$($kept)* ($(#[$doc])* $name $text $section $value)] $($rest)*);
     };
     (@rows [$(($(#[$doc:meta])* $name:ident $text:literal $section:literal $value:ty))*]) => {
-        /// A value that the gripper answers with, or sends by itself.
+        /// A value in an answer or an automatic update.
         #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
         pub enum Value<'a> {
             $(
@@ -36,7 +36,7 @@ macro_rules! define_values {
         }
 
         impl<'a> Value<'a> {
-            /// The name of the command that asks for it.
+            /// Returns the name of the command that queries the value.
             #[must_use]
             pub const fn name(&self) -> CommandName {
                 match self {
@@ -51,7 +51,7 @@ macro_rules! define_values {
                 }
             }
 
-            /// Takes what stands after the name.
+            /// Parses the text after the name.
             pub(super) fn read(name: CommandName, input: &mut Scanner<'a>) -> Result<Self, ParseError> {
                 match name {
                     $(CommandName::$name => <$value as Form>::read(input).map(Self::$name),)*
@@ -59,17 +59,17 @@ macro_rules! define_values {
                 }
             }
 
-            /// Writes what stands after the name.
+            /// Writes the text after the name.
             pub(super) fn write(&self, to: &mut impl Write) -> Written {
                 match self {
                     $(Self::$name(value) => <$value as Form>::write(value, to),)*
                 }
             }
 
-            /// Whether it is written as a value that a controller understands: finite numbers, indices inside.
+            /// Checks that a controller can parse the value: finite numbers and valid indices.
             ///
             /// # Errors
-            /// The mistake that reading it would find.
+            /// Returns the error that parsing it would find.
             pub fn check(&self) -> Result<(), ParseError> {
                 match self {
                     $(Self::$name(value) => <$value as Form>::check(value),)*
@@ -82,14 +82,15 @@ macro_rules! define_values {
 for_each_gcl_command!(define_values);
 
 impl Value<'_> {
-    /// Whether an update may carry it: whole, and one that can be subscribed to.
+    /// Returns whether an update may carry it: a complete value that supports AUTOSEND.
     pub(super) fn is_of_an_update(&self) -> bool {
         Topic::of(self.name()).is_some() && !matches!(self, Self::Sysflags(Selected::One(..)))
     }
 }
 
 impl CommandName {
-    /// What may follow the name in the answer, in the manual's notation; nothing for a command that is acknowledged.
+    /// Returns the forms that may follow the name in the answer, in the manual's notation. Empty for a command that is only
+    /// acknowledged.
     #[must_use]
     pub fn value_forms(self) -> &'static [&'static str] {
         Value::forms(self)
@@ -97,17 +98,17 @@ impl CommandName {
 }
 
 impl core::fmt::Display for Value<'_> {
-    /// Name and value: `POS=20.0`.
+    /// Writes name and value: `POS=20.0`.
     fn fmt(&self, f: &mut Formatter<'_>) -> Written {
         f.write_str(self.name().text())?;
         self.write(f)
     }
 }
 
-/// A vector, or one of its `LEN` elements.
+/// A vector of `LEN` elements, or one element.
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum Selected<Whole, Element, const LEN: u8> {
-    /// All of it.
+    /// The complete vector.
     All(Whole),
     /// The element with this index, counted from 0.
     One(u8, Element),
@@ -152,24 +153,24 @@ impl<'a, Whole: Word<'a>, Element: Word<'a>, const LEN: u8> Form<'a> for Selecte
     }
 }
 
-/// What a finger measures (GCL, 3.4.1). Its form is the finger's.
+/// The measurement of a finger (GCL, 3.4.1). Its form depends on the type of finger.
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum FingerReading<'a> {
-    /// One number: the force in N of a WSG-FMF.
+    /// The force in N of a WSG-FMF.
     Number(f32),
-    /// A vector: the tactile data of a WSG-DSA, whose order the manual does not tell.
+    /// The tactile data of a WSG-DSA. The manual does not define the order.
     Vector(Vector<'a>),
 }
 
-/// A vector of any depth, as it stands in the line.
+/// A vector of any depth, in its text form.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, crate::Format)]
 pub struct Vector<'a>(&'a str);
 
 impl<'a> Vector<'a> {
-    /// The vector without elements: a finger that gives no data.
+    /// The empty vector: a finger without data.
     pub const EMPTY: Vector<'static> = Vector("");
 
-    /// The vector with these elements: what stands between its brackets.
+    /// Returns the vector with these elements, given as the text between its brackets.
     ///
     /// ```
     /// use wsg_protocol::gcl::{ParseError, Vector};
@@ -180,7 +181,7 @@ impl<'a> Vector<'a> {
     /// ```
     ///
     /// # Errors
-    /// [`ParseError::Form`]: something else than numbers, commas, blanks and pairs of brackets.
+    /// [`ParseError::Form`] for anything but numbers, commas, blanks and pairs of brackets.
     pub fn new(elements: &'a str) -> Result<Self, ParseError> {
         let mut input = Scanner::new(elements.as_bytes());
         let inside = input.inside_brackets();
@@ -188,13 +189,13 @@ impl<'a> Vector<'a> {
         if inside.len() == elements.len() { Ok(Self(elements)) } else { Err(ParseError::Form) }
     }
 
-    /// What stands between its brackets.
+    /// Returns the text between the brackets.
     #[must_use]
     pub const fn as_str(self) -> &'a str {
         self.0
     }
 
-    /// The numbers in it, from left to right, whatever its depth; what is no number is left out.
+    /// Returns the numbers from left to right, at any depth. Other words are skipped.
     pub fn numbers(self) -> impl Iterator<Item = f32> + 'a {
         let words = self.0.split(|c: char| !matches!(c, '0'..='9' | '+' | '-' | '.' | 'e' | 'E'));
         words.filter_map(|word| decimal::read(word.as_bytes())).filter(|number| number.is_finite())
@@ -233,8 +234,7 @@ impl<'a> Word<'a> for FingerReading<'a> {
     }
 }
 
-/// Takes the bits of a vector of flags, the first of which is bit 0. The manual gives the greatest number of them; those
-/// that do not come are 0.
+/// Parses a vector of flags, starting with bit 0. The manual defines the maximum number of flags; missing ones are 0.
 fn read_flags(input: &mut Scanner<'_>, most: u32) -> Result<u32, ParseError> {
     let mut bits = 0;
     input.expect(b'[')?;
@@ -285,7 +285,7 @@ impl Word<'_> for FingerFlags {
     }
 }
 
-/// One of each finger.
+/// Implements `Word` for a pair of values, one for each finger.
 macro_rules! of_both_fingers {
     ($($type:ty = $notation:literal),*) => {
         $(impl<'a> Word<'a> for [$type; 2] {

@@ -1,14 +1,14 @@
-//! A line in a slice of bytes.
+//! Writes a line to a slice of bytes.
 
 use super::ParseError;
 use core::fmt::{Error, Result as Written, Write};
 
-/// Why a line was not written.
+/// The reason why a line was not written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum LineError {
-    /// The other side would not understand it.
+    /// The recipient could not parse the line.
     Invalid(ParseError),
-    /// It is longer than the slice.
+    /// The line is longer than the slice.
     BufferTooSmall,
 }
 
@@ -23,7 +23,7 @@ impl core::fmt::Display for LineError {
 
 impl core::error::Error for LineError {}
 
-/// What is left of a slice.
+/// The unused rest of a slice.
 pub(super) struct Line<'b> {
     rest: &'b mut [u8],
 }
@@ -38,7 +38,7 @@ impl Write for Line<'_> {
     }
 }
 
-/// Writes a line and its end to the start of `buffer`, and says how many bytes that were.
+/// Writes a line and its end (LF) to the start of `buffer`. Returns its length in bytes.
 pub(super) fn write_line(
     buffer: &mut [u8],
     write: impl FnOnce(&mut Line<'_>) -> Written,

@@ -1,4 +1,4 @@
-//! The session in virtual time, against a gripper whose answers each test writes down.
+//! The session in virtual time. Each test plays the gripper.
 
 mod force_limit;
 
@@ -15,7 +15,7 @@ use std::vec::Vec;
 
 const GRIP: Command<'static> = Command::GripPart { width: 20.0, speed: 50.0 };
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Default };
-/// What connecting begins with.
+/// The first commands of a connection.
 const STATE: Command<'static> = Command::GetSystemState { update: AutoUpdate::on_change(10) };
 
 pub(crate) const INFO: SystemInfo = SystemInfo {
@@ -36,7 +36,7 @@ pub(crate) const LIMITS: SystemLimits = SystemLimits {
     overdrive_force: 120.0,
 };
 
-/// A session, its clock, and what has happened.
+/// A session with its clock and its events.
 struct Rig {
     session: Session,
     now: Instant,
@@ -49,7 +49,7 @@ impl Rig {
     }
 
     fn with(config: Config) -> Self {
-        // Near the end of the clock's range, so that every script also shows that it may wrap.
+        // Close to the end of the clock's range, so that every script also covers the wraparound.
         Self { session: Session::new(config), now: Instant::from_millis(u32::MAX - 400), events: vec![] }
     }
 
@@ -69,10 +69,10 @@ impl Rig {
                 self.answer(command.id());
             }
         }
-        panic!("a gripper that answers is found");
+        panic!("the session does not connect to a gripper that answers");
     }
 
-    /// Lets `ms` pass, one by one, noting what happens.
+    /// Advances by `ms`, millisecond by millisecond. Returns the sent commands.
     fn pass(&mut self, ms: u32) -> Vec<Command<'static>> {
         let mut sent = self.sent();
         for _ in 0..ms {
@@ -85,12 +85,12 @@ impl Rig {
     fn sent(&mut self) -> Vec<Command<'static>> {
         while let Some(event) = self.session.tick(self.now) {
             self.events.push(std::format!("{event:?}"));
-            assert!(self.events.len() < 10_000, "events without end");
+            assert!(self.events.len() < 10_000, "endless events");
         }
         let mut sent = vec![];
         while let Some(command) = self.session.poll_transmit(self.now) {
             sent.push(command);
-            assert!(sent.len() < 200, "commands without end: {sent:?}");
+            assert!(sent.len() < 200, "endless commands: {sent:?}");
         }
         sent
     }
@@ -107,7 +107,7 @@ impl Rig {
         self.reply(Reply::status_only(id, status));
     }
 
-    /// A healthy gripper's answer to one of the session's own requests.
+    /// Answers one of the session's own requests like a healthy gripper.
     fn answer(&mut self, id: CommandId) {
         self.reply(Reply::success(match id {
             CommandId::GetSystemInfo => Value::GetSystemInfo(INFO),
@@ -121,7 +121,7 @@ impl Rig {
         }));
     }
 
-    /// Lets `ms` pass with a gripper that answers the session's own requests, and nothing else.
+    /// Advances by `ms`, answering only the session's own requests.
     fn pass_answered(&mut self, ms: u32) {
         for _ in 0..ms {
             for command in self.pass(1) {
@@ -138,7 +138,7 @@ impl Rig {
 }
 
 #[test]
-fn connecting_subscribes_to_the_states_first_and_asks_for_device_and_limits() {
+fn connecting_subscribes_to_the_states_first_and_queries_device_and_limits() {
     let mut rig = Rig::new();
     assert!(!rig.session.is_connected());
     let mut asked = vec![];
@@ -162,7 +162,7 @@ fn connecting_subscribes_to_the_states_first_and_asks_for_device_and_limits() {
 }
 
 #[test]
-fn motion_is_pending_and_then_done_while_queries_go_on() {
+fn motion_is_pending_and_then_done_while_queries_continue() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     assert_eq!(rig.sent(), [GRIP]);
@@ -203,11 +203,11 @@ fn updates_are_asked_for_in_the_period_of_the_configuration_but_10_ms_at_the_lea
 fn second_motion_is_refused_while_one_runs() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
-    assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while it waits");
+    assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while the first is queued");
     rig.sent();
-    assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while it is sent");
+    assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while the first awaits its answer");
     rig.status(CommandId::GripPart, Status::CmdPending);
-    assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while it runs");
+    assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while the first runs");
     rig.status(CommandId::GripPart, Status::CmdFailed);
     assert_eq!(rig.session.request(HOMING), Ok(()));
 }
@@ -235,7 +235,7 @@ fn query_without_an_answer_is_repeated_and_then_the_link_is_lost() {
 }
 
 #[test]
-fn silence_is_noticed_within_a_second_and_a_gripper_that_comes_back_is_found() {
+fn silence_is_detected_within_a_second_and_a_returning_gripper_is_found() {
     let mut rig = Rig::connected();
     rig.pass(1_000);
     assert_eq!(rig.events, ["Disconnected"]);
@@ -261,7 +261,7 @@ fn subscriptions_are_renewed_in_turn_so_that_a_restarted_gripper_is_noticed() {
 }
 
 #[test]
-fn nothing_asked_for_before_a_disconnect_leaves_after_it() {
+fn requests_pending_at_a_disconnect_are_never_sent_later() {
     let mut rig = Rig::connected();
     rig.session.request(Command::SetForceLimit { force: 40.0 }).unwrap();
     rig.session.request(GRIP).unwrap();
@@ -286,7 +286,7 @@ fn each_subscribed_value_is_refreshed_in_time_although_one_answer_in_four_is_los
     for _ in 0..10_000 {
         if let Some(command) = rig.pass(1).pop() {
             count += 1;
-            // The line is too quick for a second question before the answer to the first.
+            // The line is too fast for a second query before the answer to the first.
             asked = (count % 4 != 0).then_some((command.id(), rig.now.plus(ANSWER_MS)));
         }
         if let Some((id, at)) = asked
@@ -303,14 +303,15 @@ fn each_subscribed_value_is_refreshed_in_time_although_one_answer_in_four_is_los
 }
 
 #[test]
-fn two_requests_that_run_out_at_the_same_moment_lose_the_connection_once_and_leave_nothing_behind() {
+fn two_simultaneous_timeouts_lose_the_connection_once_and_clear_all_requests() {
     let mut rig = Rig::connected();
-    // The refresh is due at 250 ms and is sent every 50 ms. A motion follows 200 ms before it counts as lost.
+    // The refresh is due at 250 ms and is sent every 50 ms. A motion starts 200 ms before the connection counts as
+    // lost.
     let before = rig.pass(250 + 2 * 200 - 1);
     assert_eq!(before.len(), 8, "{before:?}");
     rig.now = rig.now.plus(1);
     rig.session.request(GRIP).unwrap();
-    assert_eq!(rig.sent().len(), 2, "both leave at one moment");
+    assert_eq!(rig.sent().len(), 2, "both are sent at once");
     rig.session.request(Command::SetForceLimit { force: 40.0 }).unwrap();
     rig.pass(1_000);
     assert_eq!(rig.noticed("Unanswered(GripPart)"), 1);
@@ -322,15 +323,15 @@ fn two_requests_that_run_out_at_the_same_moment_lose_the_connection_once_and_lea
 }
 
 #[test]
-fn motion_is_overtaken_by_what_stops_it_until_that_is_answered() {
+fn motion_is_overtaken_by_a_stopping_command_until_its_answer() {
     for stop in [Command::Stop, Command::FastStop] {
         let mut rig = Rig::connected();
         rig.session.request(GRIP).unwrap();
         rig.sent();
-        assert!(!rig.session.has_overtaken(), "nothing stops it");
+        assert!(!rig.session.has_overtaken(), "no command stops it");
         rig.session.request(stop).unwrap();
         assert!(rig.session.has_overtaken(), "{stop:?}");
-        // It may be to an earlier one.
+        // This answer may belong to an earlier command.
         rig.status(CommandId::GripPart, Status::CmdPending);
         assert!(rig.session.has_overtaken(), "{stop:?}");
         assert_eq!(rig.sent(), [stop]);
@@ -350,7 +351,7 @@ fn motion_is_overtaken_by_an_acknowledgement_until_it_is_taken_back_and_a_query_
     assert!(rig.session.take_back(CommandId::GripPart));
     assert!(!rig.session.has_overtaken());
     assert_eq!(rig.pass(10), [acknowledge]);
-    assert_eq!(rig.noticed("GripPart"), 0, "no event tells of it");
+    assert_eq!(rig.noticed("GripPart"), 0, "no event reports it");
 
     let mut rig = Rig::connected();
     rig.session.request(Command::GetTemperature).unwrap();
@@ -360,7 +361,7 @@ fn motion_is_overtaken_by_an_acknowledgement_until_it_is_taken_back_and_a_query_
 }
 
 #[test]
-fn stop_overtakes_what_waits_and_ends_the_motion() {
+fn stop_overtakes_queued_requests_and_ends_the_motion() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     rig.sent();
@@ -376,7 +377,7 @@ fn stop_overtakes_what_waits_and_ends_the_motion() {
 }
 
 #[test]
-fn stop_that_is_not_answered_is_told_before_the_connection_counts_as_lost_and_does_not_leave_after_it() {
+fn stop_without_an_answer_is_reported_before_the_disconnect_and_not_sent_after_it() {
     let mut rig = Rig::connected();
     rig.session.request(Command::Stop).unwrap();
     let sent = rig.pass(2_000);
@@ -429,10 +430,10 @@ fn fast_stop_goes_first_and_is_repeated_until_it_is_confirmed() {
     rig.session.request(GRIP).unwrap();
     rig.session.request(Command::FastStop).unwrap();
     let sent = rig.pass(10_000);
-    assert!(!sent.contains(&GRIP), "what waited is withdrawn");
+    assert!(!sent.contains(&GRIP), "queued commands are withdrawn");
     assert_eq!(sent.first(), Some(&Command::FastStop));
     let stops = sent.iter().filter(|command| **command == Command::FastStop).count();
-    assert!(stops >= 40, "over the disconnect, without end: {stops}");
+    assert!(stops >= 40, "repeated across the disconnect: {stops}");
     rig.status(CommandId::FastStop, Status::CmdFormatError);
     assert!(rig.session.fast_stop_pending(), "only E_SUCCESS confirms it");
     rig.status(CommandId::FastStop, Status::Success);
@@ -442,7 +443,7 @@ fn fast_stop_goes_first_and_is_repeated_until_it_is_confirmed() {
 }
 
 #[test]
-fn what_else_the_gripper_answers_does_not_confirm_a_fast_stop() {
+fn only_its_own_success_confirms_a_fast_stop() {
     let mut rig = Rig::connected();
     rig.session.request(Command::FastStop).unwrap();
     assert_eq!(rig.sent(), [Command::FastStop]);
@@ -456,13 +457,13 @@ fn what_else_the_gripper_answers_does_not_confirm_a_fast_stop() {
 }
 
 #[test]
-fn answer_that_comes_before_its_fast_stop_has_left_does_not_confirm_it() {
+fn answer_received_before_its_fast_stop_was_sent_does_not_confirm_it() {
     let mut rig = Rig::connected();
     rig.session.request(Command::FastStop).unwrap();
     rig.sent();
     rig.status(CommandId::FastStop, Status::Success);
     assert!(!rig.session.fast_stop_pending());
-    // Doubled on the line; meanwhile another FAST STOP was asked for, and the line has no room for it yet.
+    // The answer is received twice. Meanwhile, another FAST STOP was requested but the line has no room for it yet.
     rig.session.request(Command::FastStop).unwrap();
     rig.status(CommandId::FastStop, Status::Success);
     assert!(rig.session.fast_stop_pending());
@@ -471,11 +472,11 @@ fn answer_that_comes_before_its_fast_stop_has_left_does_not_confirm_it() {
     rig.status(CommandId::FastStop, Status::Success);
     assert_eq!((rig.session.fast_stop_pending(), rig.session.counters().unsolicited), (false, unsolicited));
     rig.status(CommandId::FastStop, Status::Success);
-    assert_eq!(rig.session.counters().unsolicited, unsolicited + 1, "nothing waits for it");
+    assert_eq!(rig.session.counters().unsolicited, unsolicited + 1, "no command awaits it");
 }
 
 #[test]
-fn stop_behind_a_fast_stop_that_is_not_confirmed_is_refused_and_not_sent_later() {
+fn stop_after_an_unconfirmed_fast_stop_is_refused_and_not_sent_later() {
     let mut rig = Rig::connected();
     rig.session.request(Command::FastStop).unwrap();
     assert_eq!(rig.session.request(Command::Stop), Err(RequestError::FastStopRunning));
@@ -483,11 +484,11 @@ fn stop_behind_a_fast_stop_that_is_not_confirmed_is_refused_and_not_sent_later()
     assert_eq!(rig.session.request(Command::Stop), Err(RequestError::FastStopRunning));
     rig.status(CommandId::FastStop, Status::Success);
     assert_eq!(rig.sent(), []);
-    assert_eq!(rig.session.request(Command::Stop), Ok(()), "it is confirmed");
+    assert_eq!(rig.session.request(Command::Stop), Ok(()), "confirmed");
 }
 
 #[test]
-fn fast_stop_is_the_first_thing_that_a_gripper_hears() {
+fn fast_stop_is_the_first_command_of_a_connection() {
     let mut rig = Rig::new();
     rig.session.request(Command::FastStop).unwrap();
     assert_eq!(rig.sent(), [Command::FastStop]);
@@ -529,14 +530,14 @@ fn lost_result_is_given_up_once_the_gripper_stands_still() {
     rig.pass(100);
     rig.reply(Reply::success(Value::GetGripperState(GripperState::Holding)));
     rig.pass_answered(900);
-    assert_eq!(rig.noticed("Unanswered"), 0, "a result may be a little late");
+    assert_eq!(rig.noticed("Unanswered"), 0, "the result may be delayed");
     rig.pass_answered(200);
     assert_eq!(rig.noticed("Unanswered(GripPart)"), 1);
     assert!(rig.session.is_connected());
 }
 
 #[test]
-fn slow_motion_is_waited_for_while_the_gripper_reports_it() {
+fn slow_motion_is_awaited_while_the_gripper_reports_it() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     rig.sent();
@@ -574,7 +575,7 @@ fn late_result_of_an_earlier_motion_is_not_taken_for_that_of_a_new_one() {
 }
 
 #[test]
-fn answer_that_comes_before_its_request_has_left_is_not_taken_for_its_answer() {
+fn answer_received_before_its_request_was_sent_is_ignored() {
     for (command, status) in [(Command::TareForceSensor, Status::Success), (GRIP, Status::AccessDenied)] {
         let mut rig = Rig::connected();
         rig.session.request(command).unwrap();
@@ -589,7 +590,7 @@ fn answer_that_comes_before_its_request_has_left_is_not_taken_for_its_answer() {
 }
 
 #[test]
-fn unasked_and_forbidden_frames_are_counted_and_change_nothing() {
+fn unsolicited_and_invalid_frames_are_counted_and_change_nothing() {
     let mut rig = Rig::connected();
     rig.status(CommandId::Homing, Status::Success);
     rig.status(CommandId::Unknown(0xB0), Status::Success);
@@ -602,7 +603,7 @@ fn unasked_and_forbidden_frames_are_counted_and_change_nothing() {
 }
 
 #[test]
-fn updates_are_reported_as_they_come() {
+fn updates_are_reported_as_received() {
     let mut rig = Rig::connected();
     rig.reply(Reply::success(Value::GetGripperState(GripperState::PartLost)));
     assert_eq!(rig.events, ["Reported(GetGripperState(PartLost))"]);
@@ -658,7 +659,7 @@ fn finger_supply_may_be_switched_on_beside_a_motion() {
 }
 
 #[test]
-fn time_out_is_told_in_advance() {
+fn timeout_is_announced_in_advance() {
     let mut rig = Rig::connected();
     let mut checked = 0;
     for step in 0..4_000 {
@@ -686,13 +687,13 @@ fn verifying() -> Rig {
     rig
 }
 
-/// Sets the force limit and has it read back as this; what is noticed then.
+/// Sets the force limit, answers the read-back with `read`, and returns the events.
 fn read_back(force: f32, read: f32) -> Vec<std::string::String> {
     let mut rig = verifying();
     rig.session.request(Command::SetForceLimit { force }).unwrap();
     rig.sent();
     rig.status(CommandId::SetForceLimit, Status::Success);
-    assert_eq!(rig.events, [""; 0], "confirmed is not answered");
+    assert_eq!(rig.events, [""; 0], "a read-back follows before the answer");
     assert_eq!(rig.sent(), [Command::GetForceLimit]);
     assert!(rig.session.is_busy());
     rig.reply(Reply::success(Value::GetForceLimit(read)));
@@ -709,7 +710,7 @@ fn answered(id: CommandId, status: Status) -> std::string::String {
 fn setting_is_answered_once_it_was_read_back() {
     let success = [answered(CommandId::SetForceLimit, Status::Success)];
     assert_eq!(read_back(40.0, 40.0), success);
-    assert_eq!(read_back(40.0, 40.02), success, "in steps of the gripper's own");
+    assert_eq!(read_back(40.0, 40.02), success, "rounded to the gripper's resolution");
     assert_eq!(read_back(1.0, 5.0), success, "clamped to the least force");
     assert_eq!(read_back(100.0, 80.0), success, "clamped to the nominal force");
     assert_eq!(read_back(500.0, 120.0), success, "clamped to the overdrive force");
@@ -721,7 +722,7 @@ fn setting_that_the_gripper_did_not_take_over_is_a_mismatch() {
     assert_eq!(read_back(40.0, 41.0), mismatch);
     assert_eq!(read_back(40.0, 80.0), mismatch);
     for setting in [CommandId::SetAcceleration, CommandId::SetForceLimit, CommandId::SetSoftLimits] {
-        assert!(!setting.may_answer(MISMATCH), "no gripper says it");
+        assert!(!setting.may_answer(MISMATCH), "no gripper sends this status");
     }
 }
 
@@ -778,7 +779,7 @@ fn read_back_without_an_answer_leaves_the_setting_unanswered() {
 }
 
 #[test]
-fn stop_does_not_take_a_read_back_away() {
+fn stop_does_not_cancel_a_read_back() {
     let mut rig = verifying();
     rig.session.request(FORCE_40).unwrap();
     rig.sent();
@@ -791,7 +792,7 @@ fn stop_does_not_take_a_read_back_away() {
 }
 
 #[test]
-fn command_with_time_outs_of_its_own_is_waited_for_that_long() {
+fn command_with_its_own_timeouts_is_awaited_that_long() {
     let script = CommandId::Unknown(0xB0);
     const TIMEOUTS: &[Timeout] = &[
         Timeout { id: CommandId::Unknown(0xB0), reply_ms: 2_000, result_ms: 5_000 },
@@ -828,7 +829,7 @@ fn command_with_time_outs_of_its_own_is_waited_for_that_long() {
 }
 
 #[test]
-fn subscription_is_asked_for_at_once_and_again_after_a_reconnect() {
+fn subscription_is_requested_at_once_and_again_after_a_reconnect() {
     let mut rig = Rig::connected();
     let update = AutoUpdate::every(50);
     let force = Command::GetForce { update };
@@ -858,7 +859,7 @@ fn subscription_is_asked_for_at_once_and_again_after_a_reconnect() {
 }
 
 #[test]
-fn each_signal_has_a_period_of_its_own() {
+fn each_signal_has_its_own_period() {
     let mut rig = Rig::new();
     for (topic, period_ms) in Topic::ALL.into_iter().zip([20, 30, 40, 50, 5]) {
         rig.session.subscribe(topic, AutoUpdate::on_change(period_ms));
@@ -910,7 +911,7 @@ fn subscription_that_ends_is_ended_at_the_gripper() {
 }
 
 #[test]
-fn to_ask_once_does_not_end_a_subscription() {
+fn single_query_does_not_end_a_subscription() {
     let mut rig = Rig::connected();
     rig.session.request(Command::GetGripperState { update: AutoUpdate::once() }).unwrap();
     assert_eq!(rig.sent(), [Command::GetGripperState { update: AutoUpdate::on_change(10) }]);
@@ -920,12 +921,12 @@ fn to_ask_once_does_not_end_a_subscription() {
 }
 
 #[test]
-fn lent_command_is_sent_when_it_is_at_hand_and_repeated_while_it_is() {
+fn borrowed_command_is_sent_and_repeated_while_it_is_available() {
     let mut rig = Rig::connected();
     let text = std::string::String::from("left");
     let tag = Command::SetDeviceTag { tag: crate::DeviceTag::new(&text).unwrap() };
     rig.session.request_borrowed(&tag).unwrap();
-    assert_eq!(rig.sent(), [], "it is not at hand");
+    assert_eq!(rig.sent(), [], "the lent command is not available");
     assert_eq!(rig.session.poll_transmit_borrowed(rig.now, Some(Command::GetTemperature)), None);
     assert_eq!(rig.session.poll_transmit_borrowed(rig.now, Some(tag)), Some(tag));
     assert_eq!(rig.session.poll_transmit_borrowed(rig.now, Some(tag)), None);
@@ -937,7 +938,7 @@ fn lent_command_is_sent_when_it_is_at_hand_and_repeated_while_it_is() {
 }
 
 #[test]
-fn what_is_withdrawn_does_not_leave_and_what_was_lent_is_not_repeated() {
+fn withdrawn_command_is_not_sent_and_borrowed_one_not_repeated() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     rig.session.withdraw();
@@ -949,7 +950,7 @@ fn what_is_withdrawn_does_not_leave_and_what_was_lent_is_not_repeated() {
     rig.sent();
     assert_eq!(rig.session.poll_transmit_borrowed(rig.now, Some(echo)), Some(echo));
     rig.session.withdraw();
-    assert!(rig.session.is_busy(), "its answer may still come");
+    assert!(rig.session.is_busy(), "its answer may still be received");
     rig.pass_answered(201);
     assert!(!rig.session.is_busy());
     assert!(rig.session.is_connected());
@@ -968,7 +969,7 @@ fn motion_that_the_caller_did_not_send_is_taken_back() {
 }
 
 #[test]
-fn connection_that_the_caller_knows_is_gone_is_given_up_at_once() {
+fn disconnect_by_the_caller_takes_effect_at_once() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     rig.sent();
@@ -981,7 +982,7 @@ fn connection_that_the_caller_knows_is_gone_is_given_up_at_once() {
 }
 
 #[test]
-fn stop_of_a_connection_that_the_caller_gives_up_is_sent_again_only_if_it_is_a_fast_stop_that_is_not_confirmed()
+fn only_an_unconfirmed_fast_stop_is_sent_again_after_a_disconnect_by_the_caller()
  {
     for (command, again) in [(Command::FastStop, true), (Command::Stop, false)] {
         let mut rig = Rig::connected();
@@ -997,7 +998,7 @@ fn stop_of_a_connection_that_the_caller_gives_up_is_sent_again_only_if_it_is_a_f
 }
 
 #[test]
-fn fast_stop_that_is_owed_while_the_line_is_down_does_not_make_the_caller_spin() {
+fn pending_fast_stop_does_not_busy_loop_the_caller_while_the_line_is_down() {
     let mut rig = Rig::with(Config { reconnect_ms: 50, ..Config::DEFAULT });
     rig.connect();
     rig.session.request(Command::FastStop).unwrap();
@@ -1008,7 +1009,7 @@ fn fast_stop_that_is_owed_while_the_line_is_down_does_not_make_the_caller_spin()
 }
 
 #[test]
-fn connection_that_is_given_up_while_it_begins_is_tried_again_at_once() {
+fn disconnect_while_connecting_causes_an_immediate_retry() {
     let mut rig = Rig::new();
     assert_eq!(rig.sent(), [STATE]);
     rig.answer(CommandId::GetSystemState);
@@ -1016,11 +1017,11 @@ fn connection_that_is_given_up_while_it_begins_is_tried_again_at_once() {
     rig.session.disconnect();
     assert_eq!(rig.session.known(), &Known::NOTHING);
     assert_eq!(rig.sent(), [STATE]);
-    assert_eq!(rig.events, [""; 0], "there was none to lose");
+    assert_eq!(rig.events, [""; 0], "no connection was lost");
 }
 
 #[test]
-fn connection_that_is_given_up_twice_still_tells_what_was_open() {
+fn second_disconnect_still_reports_open_requests() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     rig.sent();
@@ -1031,7 +1032,7 @@ fn connection_that_is_given_up_twice_still_tells_what_was_open() {
 }
 
 #[test]
-fn time_out_that_is_told_lies_ahead_whether_the_gripper_answers_or_not() {
+fn announced_timeout_is_in_the_future_with_and_without_answers() {
     let mut rig = Rig::connected();
     for step in 0..4_000 {
         for command in rig.pass(1) {
@@ -1064,18 +1065,18 @@ fn query_is_not_taken_back() {
 }
 
 #[test]
-fn supply_that_is_being_switched_on_is_not_switched_again() {
+fn finger_supply_is_not_switched_again_while_switching_on() {
     let mut rig = Rig::connected();
     rig.session.request(Command::Finger1Power { enabled: true }).unwrap();
     rig.sent();
     rig.status(CommandId::Finger1Power, Status::CmdPending);
     let again = rig.session.request(Command::Finger1Power { enabled: false });
     assert_eq!(again, Err(RequestError::MotionRunning));
-    assert_eq!(rig.session.request(Command::Finger2Power { enabled: true }), Ok(()), "the other one may be");
+    assert_eq!(rig.session.request(Command::Finger2Power { enabled: true }), Ok(()), "the other supply may be switched");
 }
 
 #[test]
-fn request_behind_a_stop_waits_until_the_stop_is_answered() {
+fn request_after_a_stop_waits_until_the_stop_is_answered() {
     let mut rig = Rig::connected();
     rig.session.request(Command::Stop).unwrap();
     assert_eq!(rig.sent(), [Command::Stop]);
@@ -1086,7 +1087,7 @@ fn request_behind_a_stop_waits_until_the_stop_is_answered() {
 }
 
 #[test]
-fn nothing_is_reported_before_the_connection_stands() {
+fn nothing_is_reported_before_the_connection_is_established() {
     let mut rig = Rig::new();
     rig.sent();
     rig.answer(CommandId::GetGripperState);
@@ -1124,7 +1125,7 @@ fn either_soft_limit_that_is_another_one_is_a_mismatch() {
 }
 
 #[test]
-fn to_ask_once_ends_no_subscription_of_any_signal() {
+fn single_query_ends_the_subscription_of_no_signal() {
     let mut rig = Rig::connected();
     let (update, once) = (AutoUpdate::on_change(70), AutoUpdate::once());
     for (ask, kept) in [
@@ -1136,7 +1137,7 @@ fn to_ask_once_ends_no_subscription_of_any_signal() {
     ] {
         rig.session.subscribe(Topic::of(ask.id()).unwrap(), update);
         rig.session.request(ask).unwrap();
-        assert_eq!(rig.sent(), [kept, kept], "for the caller, and to have it changed");
+        assert_eq!(rig.sent(), [kept, kept], "once for the caller, once to change the period");
         for _ in 0..2 {
             match kept.id() {
                 CommandId::GetOpeningWidth => rig.reply(Reply::success(Value::GetOpeningWidth(0.0))),
@@ -1145,12 +1146,12 @@ fn to_ask_once_ends_no_subscription_of_any_signal() {
                 id => rig.answer(id),
             }
         }
-        assert_eq!(rig.sent(), [], "it is confirmed");
+        assert_eq!(rig.sent(), [], "confirmed");
     }
 }
 
 #[test]
-fn update_that_is_asked_for_is_sent_as_it_is() {
+fn requested_update_is_sent_unchanged() {
     let mut rig = Rig::connected();
     let ask = Command::GetGripperState { update: AutoUpdate::every(70) };
     rig.session.request(ask).unwrap();
@@ -1158,7 +1159,7 @@ fn update_that_is_asked_for_is_sent_as_it_is() {
 }
 
 #[test]
-fn subscriptions_that_change_together_are_each_asked_for_once() {
+fn subscriptions_changed_together_are_each_requested_once() {
     let mut rig = Rig::connected();
     let update = AutoUpdate::every(50);
     rig.session.subscribe(Topic::Width, update);
@@ -1183,7 +1184,7 @@ fn request_that_is_answered_once_is_not_answered_by_pending() {
 }
 
 #[test]
-fn everything_that_the_gripper_tells_of_itself_is_known() {
+fn every_reported_value_becomes_known() {
     let mut rig = Rig::connected();
     rig.reply(Reply::success(Value::GetSystemState(SystemFlags::MOVING)));
     assert!(rig.session.known().is_moving(), "by its flags");
@@ -1207,7 +1208,8 @@ fn everything_that_the_gripper_tells_of_itself_is_known() {
     assert_eq!(rig.session.known(), &known);
 }
 
-/// The times at which a FAST STOP that is never answered leaves, in milliseconds since it was requested, each once.
+/// Returns the times in ms at which an unanswered FAST STOP is sent after its request, with the number of frames at
+/// each.
 fn fast_stop_times(rig: &mut Rig, ms: u32) -> Vec<(u32, usize)> {
     let mut times = vec![];
     for at in 0..ms {
@@ -1226,7 +1228,7 @@ fn fast_stop_that_is_not_answered_goes_out_in_bursts_with_silence_between_them()
     let mut rig = Rig::connected();
     rig.session.request(Command::FastStop).unwrap();
     assert_eq!(fast_stop_times(&mut rig, 1_900), [(0, 1), (30, 130), (630, 130), (1_230, 130), (1_830, 130)]);
-    assert_eq!(rig.noticed("Disconnected"), 1, "and nothing else left before or behind that");
+    assert_eq!(rig.noticed("Disconnected"), 1, "and nothing else is sent");
 }
 
 #[test]
@@ -1236,7 +1238,7 @@ fn burst_of_fast_stops_is_longer_than_the_longest_message_and_one_of_them() {
 }
 
 #[test]
-fn burst_of_fast_stops_ends_with_its_confirmation_and_what_waited_goes_on() {
+fn burst_of_fast_stops_ends_with_its_confirmation_and_queued_commands_continue() {
     let mut rig = Rig::connected();
     rig.session.request(Command::FastStop).unwrap();
     rig.sent();
@@ -1251,7 +1253,7 @@ fn burst_of_fast_stops_ends_with_its_confirmation_and_what_waited_goes_on() {
 }
 
 #[test]
-fn fast_stop_behind_a_stop_without_an_answer_begins_with_a_burst() {
+fn fast_stop_after_a_stop_without_an_answer_starts_with_a_burst() {
     let mut rig = Rig::connected();
     rig.session.request(Command::Stop).unwrap();
     assert_eq!(rig.pass(200), [Command::Stop, Command::Stop]);
@@ -1261,7 +1263,7 @@ fn fast_stop_behind_a_stop_without_an_answer_begins_with_a_burst() {
 }
 
 #[test]
-fn fast_stop_behind_a_stop_that_may_still_be_answered_begins_with_one_frame() {
+fn fast_stop_after_a_stop_that_may_still_be_answered_starts_with_one_frame() {
     let mut rig = Rig::connected();
     rig.session.request(Command::Stop).unwrap();
     assert_eq!(rig.sent(), [Command::Stop]);
@@ -1270,7 +1272,7 @@ fn fast_stop_behind_a_stop_that_may_still_be_answered_begins_with_one_frame() {
 }
 
 #[test]
-fn query_that_became_due_while_a_fast_stop_had_the_line_leaves_right_behind_it() {
+fn query_due_during_a_fast_stop_is_sent_right_after_it() {
     let mut rig = Rig::connected();
     let due = rig.session.poll_timeout().unwrap();
     rig.session.request(Command::FastStop).unwrap();
@@ -1297,7 +1299,7 @@ fn line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it() {
 }
 
 #[test]
-fn acknowledgement_withdraws_what_was_requested_before_it() {
+fn acknowledgement_withdraws_earlier_requests() {
     let mut rig = Rig::connected();
     rig.session.request(Command::GetTemperature).unwrap();
     assert_eq!(rig.sent(), [Command::GetTemperature]);
@@ -1306,13 +1308,13 @@ fn acknowledgement_withdraws_what_was_requested_before_it() {
         rig.session.request(waiting).unwrap();
     }
     assert_eq!(rig.session.request(force), Err(RequestError::QueueFull));
-    assert_eq!(rig.session.request(Command::ACKNOWLEDGE), Ok(()), "it makes room");
+    assert_eq!(rig.session.request(Command::ACKNOWLEDGE), Ok(()), "it frees the queue");
     rig.session.request(HOMING).unwrap_err();
     rig.reply(Reply::success(Value::GetTemperature(crate::Temperature(250))));
     assert_eq!(rig.sent(), [Command::ACKNOWLEDGE]);
     assert_eq!((rig.noticed("Withdrawn(GripPart)"), rig.noticed("Withdrawn(SetForceLimit)")), (1, 3));
     rig.session.request(HOMING).unwrap();
-    assert_eq!(rig.sent(), [], "behind the answer");
+    assert_eq!(rig.sent(), [], "only after the answer");
     rig.status(CommandId::Acknowledge, Status::Success);
     assert_eq!(rig.sent(), [HOMING], "what was requested later is sent");
 }
@@ -1328,7 +1330,7 @@ fn motion_that_is_next_to_be_sent_is_withdrawn_by_an_acknowledgement() {
 }
 
 #[test]
-fn setting_that_was_overtaken_is_not_sent_again_and_its_outcome_is_told() {
+fn overtaken_setting_is_not_repeated_and_its_outcome_is_reported() {
     for overtakes in [Command::Stop, Command::FastStop, Command::ACKNOWLEDGE] {
         let mut rig = Rig::connected();
         let force = Command::SetForceLimit { force: 40.0 };
@@ -1359,7 +1361,7 @@ fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
     rig.session.request(second).unwrap();
     assert_eq!(rig.pass(10), []);
     rig.status(CommandId::SetForceLimit, Status::Success);
-    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1, "the second answer is nobody's");
+    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1, "the second answer belongs to no request");
     let sent = rig.pass(200);
     assert_eq!(sent.iter().filter(|command| command.id() == CommandId::SetForceLimit).count(), 1);
     rig.status(CommandId::SetForceLimit, Status::RangeError);
@@ -1367,7 +1369,7 @@ fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
 }
 
 #[test]
-fn end_of_the_wait_for_a_second_answer_is_told_where_a_request_waits_for_it_and_not_else() {
+fn end_of_the_wait_for_a_second_answer_is_announced_only_if_a_request_waits_for_it() {
     let force = Command::SetForceLimit { force: 40.0 };
     let doubled = || {
         let mut rig = Rig::connected();
@@ -1382,13 +1384,13 @@ fn end_of_the_wait_for_a_second_answer_is_told_where_a_request_waits_for_it_and_
     while !waits.pass(1).contains(&force) {
         due = waits.session.poll_timeout();
     }
-    assert_eq!(due, Some(waits.now), "told in advance");
+    assert_eq!(due, Some(waits.now), "announced in advance");
 
     let mut quiet = doubled();
     while quiet.now.plus(1) != waits.now {
         quiet.pass_answered(1);
     }
-    assert_ne!(quiet.session.poll_timeout(), Some(waits.now), "nobody waits");
+    assert_ne!(quiet.session.poll_timeout(), Some(waits.now), "no request waits");
 }
 
 #[test]

@@ -1,17 +1,17 @@
-//! The oracle is `core`'s parser.
+//! Compares the parser with `core`'s.
 
 use super::*;
 use proptest::prelude::*;
 use std::format;
 use std::string::String;
 
-/// Both parsers, held to each other to the bit.
+/// Asserts that both parsers agree to the bit.
 fn agree(text: &str) {
     let ours = read(text.as_bytes()).map(f32::to_bits);
     assert_eq!(ours, text.parse::<f32>().ok().map(f32::to_bits), "{text}");
 }
 
-/// A float and the one above it have a number in the middle, which has a finite decimal expansion: `core` writes it out.
+/// Returns the midpoint between a float and the next larger one, written exactly by `core`.
 fn middle_above(value: f32) -> String {
     let above = f32::from_bits(value.to_bits().wrapping_add(1));
     let above = if above.is_finite() { above.into() } else { 2f64.powi(128) };
@@ -19,7 +19,7 @@ fn middle_above(value: f32) -> String {
 }
 
 #[test]
-fn ends_of_the_range_and_what_is_beyond() {
+fn limits_of_the_range_and_values_beyond() {
     for text in [
         "0",
         "-0",
@@ -54,7 +54,7 @@ fn ends_of_the_range_and_what_is_beyond() {
 }
 
 #[test]
-fn zeros_in_front_and_behind_do_not_matter() {
+fn leading_and_trailing_zeros_do_not_matter() {
     for text in [
         "0000000000000000000000000000000000000000000000000000000001.5",
         "000.000000000000000000000000000000000000000000000000000000015e55",
@@ -82,7 +82,7 @@ fn numbers_between_two_floats_go_to_the_even_one_and_next_to_it_to_the_nearer() 
 }
 
 #[test]
-fn what_is_no_number_is_none() {
+fn invalid_numbers_are_none() {
     for text in [
         "", "+", "-", ".", "-.", "e", "1e", "1e+", "e1", ".e1", "1.2.3", "1e1.5", "1e1e1", "+-1", "1-",
         "1+1", "--1",

@@ -25,20 +25,20 @@ fn lf_cr_and_both_end_a_line_in_any_mix() {
 }
 
 #[test]
-fn empty_and_blank_lines_are_none() {
+fn empty_and_blank_lines_are_ignored() {
     let mut reader = LineReader::new();
     assert_eq!(lines(&mut reader, b"\n\r\r\n   \n\t\n a \n"), whole(&["a "]));
     assert_eq!(reader.counters(), LineCounters::default());
 }
 
 #[test]
-fn line_of_the_greatest_length_is_delivered() {
+fn line_of_maximum_length_is_delivered() {
     let mut reader = LineReader::new();
     assert_eq!(lines(&mut reader, b"12345678\n"), whole(&["12345678"]));
 }
 
 #[test]
-fn line_too_long_is_told_of_once_and_the_next_one_is_found() {
+fn line_too_long_is_reported_once_and_the_next_one_is_found() {
     let mut reader = LineReader::new();
     let found = lines(&mut reader, b"123456789 and more\rok\n");
     assert_eq!(found, [(false, b"12345678".to_vec()), (true, b"ok".to_vec())]);
@@ -55,7 +55,7 @@ fn counters_stop_at_their_end() {
 }
 
 #[test]
-fn reset_forgets_half_a_line_and_the_skipping_of_one() {
+fn reset_discards_an_incomplete_line_and_ends_skipping() {
     let mut reader = LineReader::new();
     lines(&mut reader, b"123");
     reader.reset();
@@ -77,7 +77,7 @@ fn end_of_a_datagram_ends_the_line() {
 }
 
 #[test]
-fn reader_of_no_bytes_finds_every_line_too_long() {
+fn reader_without_capacity_reports_every_line_as_too_long() {
     let mut reader = LineReader::<0>::new();
     assert_eq!(reader.push(b'a'), Some(LineEvent::TooLong(b"")));
     assert_eq!(reader.push(b'\n'), None);

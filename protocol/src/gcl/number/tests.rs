@@ -37,7 +37,7 @@ fn exponents_are_spelled_out() {
 
 #[test]
 fn every_kind_of_number_survives_the_round_trip() {
-    // Every exponent, with the mantissas at its ends and some between.
+    // Every exponent, with the smallest and largest mantissa and some between.
     for sign_and_exponent in 0..1u32 << 9 {
         for mantissa in [0, 1, 2, 0x2A_AAAA, 0x40_0000, 0x55_5555, 0x7F_FFFE, 0x7F_FFFF] {
             let value = f32::from_bits(sign_and_exponent << 23 | mantissa);
@@ -71,7 +71,7 @@ fn numbers_are_read_as_people_type_them() {
 }
 
 #[test]
-fn what_is_no_number_is_refused() {
+fn invalid_numbers_are_rejected() {
     for text in ["", "-", ".", "e5", "1e", "1.2.3", "--1", "inf", "nan", "0x10", "1,5", "5mm"] {
         assert_eq!(read(text), Err(ParseError::Form), "{text}");
     }

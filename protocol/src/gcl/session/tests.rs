@@ -1,4 +1,4 @@
-//! The session in virtual time, against a gripper whose answers each test writes down.
+//! The session in virtual time. Each test plays the gripper.
 
 use super::*;
 use crate::gcl::{Grip, Move, Select, Setting};
@@ -10,7 +10,7 @@ use std::vec::Vec;
 const GRIP: Request = Request::Grip(Grip::Part { force: 40.0, width: 20.0 });
 const HOME: Request = Request::Home(HomingDirection::Default);
 
-/// A session, its clock, and what has happened.
+/// A session with its clock and its events.
 struct Rig {
     session: Session,
     now: Instant,
@@ -23,7 +23,7 @@ impl Rig {
     }
 
     fn with(config: Config) -> Self {
-        // Near the end of the clock's range, so that every script also shows that it may wrap.
+        // Close to the end of the clock's range, so that every script also covers the wraparound.
         Self { session: Session::new(config), now: Instant::from_millis(u32::MAX - 400), events: vec![] }
     }
 
@@ -34,7 +34,7 @@ impl Rig {
         rig
     }
 
-    /// One that has given up the result of a GRIP.
+    /// Returns a session that gave up waiting for the result of a GRIP.
     fn with_a_lost_result() -> Self {
         let mut rig = Self::connected();
         rig.session.request(GRIP).unwrap();
@@ -54,10 +54,10 @@ impl Rig {
                 self.answer(request);
             }
         }
-        panic!("a gripper that answers is found");
+        panic!("the session does not connect to a gripper that answers");
     }
 
-    /// Lets `ms` pass, one by one, noting what happens.
+    /// Advances by `ms`, millisecond by millisecond. Returns the sent requests.
     fn pass(&mut self, ms: u32) -> Vec<Request> {
         let mut sent = self.sent();
         for _ in 0..ms {
@@ -70,17 +70,17 @@ impl Rig {
     fn sent(&mut self) -> Vec<Request> {
         while let Some(event) = self.session.tick(self.now) {
             self.note(event);
-            assert!(self.events.len() < 10_000, "events without end");
+            assert!(self.events.len() < 10_000, "endless events");
         }
         let mut sent = vec![];
         while let Some(request) = self.session.poll_transmit(self.now) {
             sent.push(request);
-            assert!(sent.len() < 100, "requests without end");
+            assert!(sent.len() < 100, "endless requests");
         }
         sent
     }
 
-    /// What is sent in `ms`, as lines, without the session's own, which are answered.
+    /// Returns the lines sent within `ms`. The session's own requests are answered and left out.
     fn lines(&mut self, ms: u32) -> Vec<String> {
         let mut lines = vec![];
         for at in 0..=ms {
@@ -107,7 +107,7 @@ impl Rig {
         self.events.push(describe(event));
     }
 
-    /// A healthy gripper's answer to one of the session's own requests.
+    /// Answers one of the session's own requests like a healthy gripper.
     fn answer(&mut self, request: Request) {
         let line: String = match request {
             Request::Verbose(on) => std::format!("VERBOSE={}", u8::from(on)),
@@ -118,12 +118,12 @@ impl Rig {
             Request::Gripstate => "GRIPSTATE=0".into(),
             Request::Sysflags(Select::All) => "SYSFLAGS=[1,0]".into(),
             Request::Pos => "POS=20.0".into(),
-            other => panic!("{other} is none of the session's own"),
+            other => panic!("{other} is not one of the session's own requests"),
         };
         self.hear(&line);
     }
 
-    /// Lets `ms` pass with a gripper that answers the session's own requests, and nothing else.
+    /// Advances by `ms`, answering only the session's own requests.
     fn pass_answered(&mut self, ms: u32) {
         for _ in 0..ms {
             for request in self.pass(1) {
@@ -134,7 +134,7 @@ impl Rig {
         }
     }
 
-    /// What has happened since the last time, without reports.
+    /// Returns the events since the last call, without reports.
     fn happened(&mut self) -> Vec<String> {
         self.events.retain(|event| !event.starts_with("Reported"));
         core::mem::take(&mut self.events)
@@ -167,7 +167,7 @@ fn describe(event: Event<'_>) -> String {
 }
 
 #[test]
-fn connecting_asks_who_it_is_and_subscribes_to_the_states() {
+fn connecting_queries_the_device_and_subscribes_to_the_states() {
     let mut rig = Rig::new();
     let mut lines = vec![];
     for _ in 0..20 {
@@ -203,7 +203,7 @@ fn connecting_asks_who_it_is_and_subscribes_to_the_states() {
 }
 
 #[test]
-fn gripper_that_does_not_know_a_question_of_identity_is_connected_all_the_same() {
+fn gripper_that_refuses_the_device_queries_is_connected() {
     let mut rig = Rig::new();
     for _ in 0..100 {
         for request in rig.pass(1) {
@@ -233,7 +233,7 @@ fn gripper_that_refuses_its_states_is_not_connected() {
 }
 
 #[test]
-fn motion_is_acknowledged_and_finished_while_queries_go_on() {
+fn motion_is_acknowledged_and_finished_while_queries_continue() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     assert_eq!(rig.lines(0), ["GRIP(40.0,20.0)"]);
@@ -299,11 +299,11 @@ fn motion_without_an_answer_is_never_sent_again() {
 }
 
 #[test]
-fn only_the_request_that_was_given_once_and_last_is_taken_back() {
+fn only_the_last_request_sent_once_is_taken_back() {
     let mut rig = Rig::connected();
     let request = Request::Pwt(Setting::Set(1.0));
     rig.session.request(request).unwrap();
-    assert!(!rig.session.take_back(CommandName::Pwt), "it was not given yet");
+    assert!(!rig.session.take_back(CommandName::Pwt), "it was not sent yet");
     assert_eq!(rig.lines(0), ["PWT=1.0"]);
     assert!(!rig.session.take_back(CommandName::Clt));
     assert!(rig.session.is_busy());
@@ -313,7 +313,7 @@ fn only_the_request_that_was_given_once_and_last_is_taken_back() {
 
     rig.session.request(request).unwrap();
     assert_eq!(rig.lines(Config::DEFAULT.reply_timeout_ms + 1), ["PWT=1.0", "PWT=1.0"]);
-    assert!(!rig.session.take_back(CommandName::Pwt), "the first may have left");
+    assert!(!rig.session.take_back(CommandName::Pwt), "the first one may have been sent");
     assert_eq!(rig.happened(), Vec::<String>::new());
 }
 
@@ -340,7 +340,7 @@ fn queries_and_settings_are_sent_again_until_the_connection_counts_as_lost() {
 }
 
 #[test]
-fn silence_is_noticed_within_a_second_and_a_gripper_that_comes_back_is_found() {
+fn silence_is_detected_within_a_second_and_a_returning_gripper_is_found() {
     let mut rig = Rig::connected();
     rig.pass(1_000);
     assert_eq!(rig.happened(), ["Disconnected"]);
@@ -361,7 +361,7 @@ fn lost_connection_is_tried_again_after_its_time_and_not_before() {
 }
 
 #[test]
-fn nothing_asked_for_before_a_disconnect_leaves_after_it() {
+fn requests_pending_at_a_disconnect_are_never_sent_later() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Tag).unwrap();
     rig.session.request(GRIP).unwrap();
@@ -372,7 +372,7 @@ fn nothing_asked_for_before_a_disconnect_leaves_after_it() {
 }
 
 #[test]
-fn stop_overtakes_what_waits_and_ends_the_motion() {
+fn stop_overtakes_queued_requests_and_ends_the_motion() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Move(Move { width: 50.0, speed: None })).unwrap();
     rig.lines(0);
@@ -405,7 +405,7 @@ fn stop_without_a_connection_is_sent_once_and_never_later() {
 }
 
 #[test]
-fn stop_that_is_open_when_the_connection_goes_is_told_and_never_sent_again() {
+fn stop_open_at_a_disconnect_is_reported_and_never_repeated() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Stop).unwrap();
     assert_eq!(rig.lines(0), ["STOP()"]);
@@ -426,7 +426,7 @@ fn fast_stop_goes_out_first_and_is_repeated_until_it_is_confirmed() {
     for refused in [GRIP, Request::Fsack, Request::Stop] {
         assert_eq!(rig.session.request(refused), Err(RequestError::FastStopRunning), "{refused}");
     }
-    // An error is no confirmation.
+    // An error does not confirm it.
     rig.hear("ERR FASTSTOP 15");
     assert!(rig.session.fast_stop_pending());
     assert!(rig.pass(400).contains(&Request::Faststop));
@@ -445,7 +445,7 @@ fn nothing_but_fast_stop_is_sent_until_it_is_confirmed() {
 }
 
 #[test]
-fn fsack_withdraws_what_was_requested_before_it() {
+fn fsack_withdraws_earlier_requests() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Tag).unwrap();
     assert_eq!(rig.lines(0), ["TAG?"]);
@@ -465,7 +465,7 @@ fn stop_that_is_not_answered_in_time_is_reported_and_repeated() {
 }
 
 #[test]
-fn fast_stop_is_owed_over_a_reconnect_and_is_the_first_thing_a_gripper_hears() {
+fn fast_stop_survives_a_reconnect_and_is_sent_first() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Faststop).unwrap();
     let silent = rig.pass(3_000);
@@ -538,12 +538,12 @@ fn late_result_is_not_taken_for_that_of_the_next_motion() {
 }
 
 #[test]
-fn refusal_behind_a_lost_result_is_that_of_the_new_request() {
+fn refusal_after_a_lost_result_belongs_to_the_new_request() {
     let mut rig = Rig::with_a_lost_result();
     rig.session.request(GRIP).unwrap();
     rig.lines(0);
     rig.hear("ERR GRIP 3");
-    // How a motion ends may be how another request is refused.
+    // A status that ends a motion may also refuse another request.
     rig.session.request(Request::Pwt(Setting::Set(1.0))).unwrap();
     rig.lines(0);
     rig.hear("ERR PWT 18");
@@ -554,7 +554,7 @@ fn refusal_behind_a_lost_result_is_that_of_the_new_request() {
 }
 
 #[test]
-fn states_are_asked_for_again_and_again_and_reported() {
+fn states_are_polled_and_reported() {
     let mut rig = Rig::connected();
     rig.pass_answered(2_000);
     let reported = |text: &str| rig.events.iter().filter(|event| event.starts_with(text)).count();
@@ -583,7 +583,7 @@ fn updates_are_reported_once_subscribed_to() {
 }
 
 #[test]
-fn each_subscription_that_changes_is_told_to_the_gripper_once() {
+fn each_changed_subscription_is_sent_to_the_gripper_once() {
     let mut rig = Rig::connected();
     for topic in [Topic::Temp, Topic::Force] {
         rig.session.subscribe(Autosend::every(topic, 50));
@@ -599,7 +599,7 @@ fn each_subscription_that_changes_is_told_to_the_gripper_once() {
 }
 
 #[test]
-fn what_a_gripper_says_is_known() {
+fn values_in_answers_become_known() {
     let mut rig = Rig::connected();
     for line in ["POS=20.5", "SPEED=1.5", "FORCE=2.5", "TEMP=35.5", "PWT=3.5", "CLT=4.5", "TAG=\"x\""] {
         rig.hear(line);
@@ -611,7 +611,7 @@ fn what_a_gripper_says_is_known() {
 }
 
 #[test]
-fn answer_that_comes_before_its_request_was_sent_is_none() {
+fn answer_received_before_its_request_was_sent_is_ignored() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Tag).unwrap();
     while rig.session.tick(rig.now).is_some() {}
@@ -639,7 +639,7 @@ fn subscriptions_are_made_again_after_a_reconnect() {
 }
 
 #[test]
-fn one_flag_and_all_of_them_are_not_taken_for_each_other() {
+fn one_flag_and_all_flags_are_not_confused() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Sysflags(Select::One(12))).unwrap();
     let mut sent = vec![];
@@ -657,7 +657,7 @@ fn one_flag_and_all_of_them_are_not_taken_for_each_other() {
 }
 
 #[test]
-fn bye_ends_the_conversation_until_there_is_a_new_connection() {
+fn bye_silences_the_session_until_a_new_connection() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     rig.lines(0);
@@ -676,7 +676,7 @@ fn bye_ends_the_conversation_until_there_is_a_new_connection() {
 }
 
 #[test]
-fn stop_behind_a_farewell_is_refused_and_not_sent_over_the_next_connection() {
+fn stop_after_bye_is_refused_and_not_sent_over_the_next_connection() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Bye).unwrap();
     assert_eq!(rig.lines(0), ["BYE()"]);
@@ -689,7 +689,7 @@ fn stop_behind_a_farewell_is_refused_and_not_sent_over_the_next_connection() {
 }
 
 #[test]
-fn fast_stop_that_a_farewell_overtook_waits_for_the_next_connection() {
+fn fast_stop_pending_at_bye_waits_for_the_next_connection() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Bye).unwrap();
     assert_eq!(rig.lines(0), ["BYE()"]);
@@ -702,7 +702,7 @@ fn fast_stop_that_a_farewell_overtook_waits_for_the_next_connection() {
 }
 
 #[test]
-fn unasked_lines_and_what_is_no_answer_are_counted_and_change_nothing() {
+fn unsolicited_and_invalid_lines_are_counted_and_change_nothing() {
     let mut rig = Rig::connected();
     for line in
         ["ACK GRIP", "FIN GRIP", "ERR GRIP 18", "ERR DANCE 14", "ERR ? 15", "TAG=\"left\"", "@TEMP=30.0"]
@@ -717,7 +717,7 @@ fn unasked_lines_and_what_is_no_answer_are_counted_and_change_nothing() {
 }
 
 #[test]
-fn what_a_gripper_may_not_take_is_refused_before_it_is_sent() {
+fn invalid_request_is_refused_before_it_is_sent() {
     let mut rig = Rig::connected();
     let request = Request::Move(Move { width: f32::NAN, speed: None });
     assert_eq!(rig.session.request(request), Err(RequestError::Invalid(ParseError::Range)));
@@ -736,7 +736,7 @@ fn more_requests_than_fit_are_refused() {
 }
 
 #[test]
-fn tick_at_the_announced_times_does_all_that_a_tick_at_each_millisecond_does() {
+fn tick_at_the_announced_times_is_equivalent_to_a_tick_each_millisecond() {
     let script = |request: Request, reply_timeout_ms: u32, by_announcement: bool| {
         let mut rig = Rig::with(Config { reply_timeout_ms, ..Config::DEFAULT });
         rig.connect();

@@ -1,10 +1,10 @@
-//! The force limit that is known: how it becomes known, how it is kept so, and each way in which it counts no longer.
+//! The known force limit: how it becomes known, how it is refreshed, and each event that makes it unknown.
 
 use super::*;
 
 const FORCE_40: Command<'static> = Command::SetForceLimit { force: 40.0 };
 const REFRESH_MS: u32 = Config::DEFAULT.refresh_ms;
-/// How long the answer to a refresh may take.
+/// Time-out of the answer to a refresh.
 const REFRESH_REPLY_MS: u32 = Config::DEFAULT.reply_timeout_ms / 4;
 
 impl Rig {
@@ -12,12 +12,12 @@ impl Rig {
         self.session.known().force_limit
     }
 
-    /// The gripper tells its force limit.
+    /// Reports the gripper's force limit.
     fn tell(&mut self, force: f32) {
         self.reply(Reply::success(Value::GetForceLimit(force)));
     }
 
-    /// Sets the force limit and has it read back.
+    /// Sets the force limit and answers the read-back with `read`.
     fn set(&mut self, force: f32, read: f32) {
         self.session.request(Command::SetForceLimit { force }).unwrap();
         assert_eq!(self.sent(), [Command::SetForceLimit { force }]);
@@ -26,7 +26,8 @@ impl Rig {
         self.tell(read);
     }
 
-    /// Lets `ms` pass with a gripper that answers everything and has this force limit; how often that was asked for.
+    /// Advances by `ms` with a gripper that answers everything and has this force limit. Returns the number of force
+    /// limit queries.
     fn pass_with(&mut self, ms: u32, force: f32) -> usize {
         let mut asked = 0;
         for _ in 0..ms {
@@ -43,7 +44,7 @@ impl Rig {
         asked
     }
 
-    /// Lets time pass until the session asks whether the force limit still holds.
+    /// Advances until the session queries the force limit. Returns the elapsed time in ms.
     fn until_asked(&mut self) -> u32 {
         for ms in 1..REFRESH_MS {
             for command in self.pass(1) {
@@ -53,11 +54,11 @@ impl Rig {
                 self.answer(command.id());
             }
         }
-        panic!("it does not ask");
+        panic!("the session does not query the force limit");
     }
 }
 
-/// A gripper that is known to be limited to 40 N.
+/// Returns a session that knows the gripper's limit to be 40 N.
 fn limited() -> Rig {
     let mut rig = verifying();
     rig.set(40.0, 40.0);
@@ -73,7 +74,7 @@ fn force_limit_is_known_as_it_was_read_back() {
     rig.session.request(FORCE_40).unwrap();
     rig.sent();
     rig.status(CommandId::SetForceLimit, Status::Success);
-    assert_eq!(rig.limit(), None, "confirmed is not read back");
+    assert_eq!(rig.limit(), None, "confirmed, but not read back");
     rig.sent();
     rig.tell(40.0);
     assert_eq!(rig.limit(), Some(40.0));
@@ -91,9 +92,9 @@ fn force_limit_that_was_not_set_or_not_read_back_is_not_known() {
     rig.session.request(Command::GetForceLimit).unwrap();
     rig.sent();
     rig.tell(40.0);
-    assert_eq!(rig.limit(), None, "asked for");
+    assert_eq!(rig.limit(), None, "queried without a setting");
     rig.tell(40.0);
-    assert_eq!(rig.limit(), None, "unasked");
+    assert_eq!(rig.limit(), None, "unsolicited");
 
     let mut rig = Rig::connected();
     rig.session.request(FORCE_40).unwrap();
@@ -103,7 +104,7 @@ fn force_limit_that_was_not_set_or_not_read_back_is_not_known() {
 }
 
 #[test]
-fn force_limit_is_asked_for_again_and_stays_known_beside_motions_and_the_other_values() {
+fn force_limit_is_queried_periodically_and_stays_known_beside_motions_and_other_values() {
     let mut rig = limited();
     rig.session.request(GRIP).unwrap();
     rig.sent();
@@ -114,13 +115,13 @@ fn force_limit_is_asked_for_again_and_stays_known_beside_motions_and_the_other_v
     assert!((39..=40).contains(&asked), "{asked}");
     assert_eq!(rig.limit(), Some(40.0));
     assert_eq!(rig.session.counters().unsolicited, 0);
-    assert_eq!(rig.noticed("Reported(GetForceLimit"), 0, "nobody subscribed to it");
+    assert_eq!(rig.noticed("Reported(GetForceLimit"), 0, "no subscription to it");
     let states = rig.noticed("Reported(GetSystemState") + rig.noticed("Reported(GetGripperState");
     assert!((39..=40).contains(&states), "{states}");
 }
 
 #[test]
-fn moment_at_which_the_force_limit_is_asked_for_is_told_in_advance() {
+fn time_of_the_next_query_is_announced() {
     let mut rig = limited();
     let mut due = None;
     let asked = (0..REFRESH_MS).any(|_| {
@@ -137,7 +138,7 @@ fn moment_at_which_the_force_limit_is_asked_for_is_told_in_advance() {
 }
 
 #[test]
-fn force_limit_that_is_not_asked_for_any_more_wakes_nobody() {
+fn unknown_force_limit_causes_no_wake_up() {
     let mut rig = limited();
     rig.session.request(Command::GetTemperature).unwrap();
     for command in rig.sent() {
@@ -153,7 +154,7 @@ fn force_limit_that_is_not_asked_for_any_more_wakes_nobody() {
 }
 
 #[test]
-fn every_request_ends_it_but_a_motion_other_than_homing() {
+fn every_request_except_a_motion_other_than_homing_makes_it_unknown() {
     let script = Command::Unknown { id: 0xB0, payload: &[] };
     let tag = Command::SetDeviceTag { tag: crate::DeviceTag::new("x").unwrap() };
     let once = AutoUpdate::once();
@@ -170,7 +171,7 @@ fn every_request_ends_it_but_a_motion_other_than_homing() {
         Command::Stop,
         Command::FastStop,
         Command::ACKNOWLEDGE,
-        // What a gripper needs that was restarted.
+        // The requests that a restarted gripper needs.
         HOMING,
     ] {
         let mut rig = limited();
@@ -193,8 +194,8 @@ fn every_request_ends_it_but_a_motion_other_than_homing() {
 }
 
 #[test]
-fn it_is_not_known_again_while_something_waits_that_may_change_it() {
-    // Another limit, which is sent behind the read-back.
+fn it_stays_unknown_while_a_request_that_may_change_it_is_queued() {
+    // Another limit, which is sent after the read-back.
     let mut rig = verifying();
     rig.session.request(FORCE_40).unwrap();
     rig.sent();
@@ -205,7 +206,7 @@ fn it_is_not_known_again_while_something_waits_that_may_change_it() {
     assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1);
     assert_eq!(rig.limit(), None);
 
-    // A Stop, which holds what is asked for behind it.
+    // A Stop, which delays the requests after it.
     let mut rig = verifying();
     rig.session.request(FORCE_40).unwrap();
     rig.sent();
@@ -218,7 +219,7 @@ fn it_is_not_known_again_while_something_waits_that_may_change_it() {
 }
 
 #[test]
-fn it_is_not_known_when_one_of_two_answers_may_be_from_before_it_was_set() {
+fn it_stays_unknown_if_one_of_two_answers_may_precede_the_setting() {
     let mut rig = verifying();
     rig.session.request(FORCE_40).unwrap();
     rig.sent();
@@ -231,7 +232,7 @@ fn it_is_not_known_when_one_of_two_answers_may_be_from_before_it_was_set() {
 }
 
 #[test]
-fn flag_that_no_motion_changes_ends_it() {
+fn flag_change_without_a_motion_makes_it_unknown() {
     let motions = [
         SystemFlags::MOVING,
         SystemFlags::BLOCKED_MINUS,
@@ -248,7 +249,7 @@ fn flag_that_no_motion_changes_ends_it() {
         rig.reply(Reply::success(Value::GetSystemState(changed)));
         let stays = motions.contains(&flag);
         assert_eq!(rig.limit().is_some(), stays, "{flag:?}");
-        // Also when it goes.
+        // Also when the flag is cleared.
         let mut rig = verifying();
         rig.reply(Reply::success(Value::GetSystemState(changed)));
         rig.set(40.0, 40.0);
@@ -267,17 +268,17 @@ fn it_is_not_known_while_a_script_runs() {
 }
 
 #[test]
-fn other_limit_that_is_read_ends_it_whoever_asked() {
+fn reading_a_different_limit_makes_it_unknown() {
     let mut rig = limited();
     rig.tell(40.1);
-    assert_eq!(rig.limit(), None, "unasked");
+    assert_eq!(rig.limit(), None, "unsolicited");
 
     let mut rig = limited();
     rig.until_asked();
     rig.tell(39.9);
-    assert_eq!(rig.limit(), None, "asked for by the session");
+    assert_eq!(rig.limit(), None, "queried by the session");
     rig.tell(40.0);
-    assert_eq!(rig.pass_with(2 * REFRESH_MS, 40.0), 0, "and only a limit that is set is known again");
+    assert_eq!(rig.pass_with(2 * REFRESH_MS, 40.0), 0, "only a new setting makes it known again");
     assert_eq!(rig.limit(), None);
 
     let mut rig = limited();
@@ -287,7 +288,7 @@ fn other_limit_that_is_read_ends_it_whoever_asked() {
 }
 
 #[test]
-fn limit_that_is_not_read_again_in_time_is_not_known_any_more() {
+fn limit_not_refreshed_in_time_becomes_unknown() {
     let mut rig = limited();
     let opened = rig.until_asked();
     assert_eq!(opened, REFRESH_MS / 2);
@@ -296,7 +297,7 @@ fn limit_that_is_not_read_again_in_time_is_not_known_any_more() {
     rig.pass(1);
     assert_eq!(rig.limit(), None);
 
-    // It counts from the question on, not from the answer.
+    // The time starts at the query, not at the answer.
     let mut rig = limited();
     let opened = rig.until_asked();
     rig.pass(40);
@@ -310,7 +311,7 @@ fn limit_that_is_not_read_again_in_time_is_not_known_any_more() {
 }
 
 #[test]
-fn time_of_a_read_back_counts_from_its_question_too() {
+fn time_of_a_read_back_starts_at_its_query_too() {
     let mut rig = verifying();
     rig.session.request(FORCE_40).unwrap();
     rig.sent();
@@ -323,7 +324,7 @@ fn time_of_a_read_back_counts_from_its_question_too() {
 }
 
 #[test]
-fn limit_is_not_known_any_more_when_the_line_takes_nothing() {
+fn limit_becomes_unknown_while_the_line_accepts_no_data() {
     let mut rig = limited();
     for _ in 0..REFRESH_MS {
         rig.now = rig.now.plus(1);
@@ -333,7 +334,7 @@ fn limit_is_not_known_any_more_when_the_line_takes_nothing() {
 }
 
 #[test]
-fn question_that_is_not_answered_is_not_repeated_and_the_others_go_on() {
+fn unanswered_query_is_not_repeated_and_other_queries_continue() {
     let mut rig = limited();
     rig.until_asked();
     let mut others = 0;
@@ -347,7 +348,7 @@ fn question_that_is_not_answered_is_not_repeated_and_the_others_go_on() {
     assert!(rig.session.is_connected() && (7..=8).contains(&others), "{others}");
     assert_eq!(rig.session.counters().repeated, 0);
     rig.set(40.0, 40.0);
-    assert_eq!(rig.limit(), Some(40.0), "and a limit that is set is known again");
+    assert_eq!(rig.limit(), Some(40.0), "a new setting makes it known again");
 }
 
 #[test]
@@ -363,7 +364,7 @@ fn short_answer_time_ends_it_earlier() {
 }
 
 #[test]
-fn late_answer_to_an_earlier_question_is_none_to_a_read_back() {
+fn late_answer_to_an_earlier_query_does_not_answer_a_read_back() {
     for first in [40.0, 10.0] {
         let mut rig = limited();
         rig.until_asked();
@@ -372,7 +373,7 @@ fn late_answer_to_an_earlier_question_is_none_to_a_read_back() {
         rig.status(CommandId::SetForceLimit, Status::Success);
         assert_eq!(rig.sent(), [Command::GetForceLimit]);
         rig.tell(first);
-        assert_eq!(rig.events, [""; 0], "{first} N may be from before");
+        assert_eq!(rig.events, [""; 0], "{first} N may precede the setting");
         assert_eq!(rig.limit(), None);
         rig.tell(10.0);
         assert_eq!(rig.events, [answered(CommandId::SetForceLimit, Status::Success)]);
@@ -382,13 +383,13 @@ fn late_answer_to_an_earlier_question_is_none_to_a_read_back() {
 }
 
 #[test]
-fn question_that_waits_for_room_takes_no_answer_to_a_read_back() {
+fn query_not_sent_yet_does_not_take_the_answer_to_a_read_back() {
     let mut rig = limited();
     for _ in 0..REFRESH_MS / 2 {
         rig.now = rig.now.plus(1);
         rig.session.tick(rig.now);
     }
-    // The question is due and has not left.
+    // The query is due and has not been sent.
     rig.session.request(FORCE_40).unwrap();
     rig.session.tick(rig.now);
     assert_eq!(rig.session.poll_transmit(rig.now), Some(FORCE_40));
@@ -401,7 +402,7 @@ fn question_that_waits_for_room_takes_no_answer_to_a_read_back() {
 }
 
 #[test]
-fn nothing_of_it_outlives_the_connection() {
+fn force_limit_becomes_unknown_with_the_connection() {
     let mut rig = limited();
     rig.session.disconnect();
     rig.pass(1);
@@ -411,9 +412,10 @@ fn nothing_of_it_outlives_the_connection() {
     assert_eq!(rig.limit(), None);
 }
 
-/// As `line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it`, for a setting that is being read back.
+/// Like `line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it`, for a setting awaiting its
+/// read-back.
 #[test]
-fn read_back_that_waits_for_a_fast_stop_delays_no_notice_of_a_lost_line() {
+fn read_back_waiting_for_a_fast_stop_does_not_delay_the_detection_of_a_lost_line() {
     for fast_stop_at in [100, 300, 500] {
         let mut rig = verifying();
         rig.session.request(FORCE_40).unwrap();
