@@ -1,4 +1,4 @@
-//! Grips a part over TCP, with the blocking driver: against the virtual gripper, or a real one.
+//! Grips a part of the virtual or a real gripper over TCP with the blocking driver.
 //!
 //! ```text
 //! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000 --gcl 127.0.0.1:1001
@@ -15,7 +15,7 @@ use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, MotionResult, N, Pend
 use wsg_protocol::session::Topic;
 use wsg_protocol::{AutoUpdate, HomingDirection, Status};
 
-/// Shows the values that the gripper has sent, until none has come for so many milliseconds.
+/// Prints the received updates until none is received for `within_ms`.
 fn show_updates<C: Clock, P: Protocol>(
     gripper: &mut GripperOver<Tcp, C, P>,
     within_ms: u32,
@@ -26,7 +26,7 @@ fn show_updates<C: Clock, P: Protocol>(
     Ok(())
 }
 
-/// Waits for the end of a motion, and shows every value that comes meanwhile.
+/// Waits for the end of a motion and prints every update received meanwhile.
 fn watch<C: Clock, P: Protocol, T: MotionResult>(
     gripper: &mut GripperOver<Tcp, C, P>,
     motion: &Pending<T>,
@@ -40,12 +40,12 @@ fn watch<C: Clock, P: Protocol, T: MotionResult>(
     }
 }
 
-/// The same program over either protocol. It may leave by `?`: the connection is closed properly.
+/// The program for either protocol. It may return early by `?`: the connection is closed properly.
 fn run<C: Clock, P: Protocol>(gripper: &mut GripperOver<Tcp, C, P>) -> Result<(), Error<io::Error>> {
     println!("{}", gripper.system_info()?);
     match gripper.limits() {
         Ok(limits) => println!("{limits}"),
-        Err(Error::NotInGcl) => println!("the text protocol does not tell the limits"),
+        Err(Error::NotInGcl) => println!("the text protocol does not report the limits"),
         Err(error) => return Err(error),
     }
     match gripper.tag(&mut [0; 64]) {
@@ -54,7 +54,7 @@ fn run<C: Clock, P: Protocol>(gripper: &mut GripperOver<Tcp, C, P>) -> Result<()
         Err(error) => return Err(error),
     }
 
-    // A FAST STOP of an earlier client may be latched.
+    // An earlier client may have left a FAST STOP.
     gripper.acknowledge()?;
     let homing = gripper.begin_home(HomingDirection::Default)?;
     watch(gripper, &homing)?;
@@ -83,7 +83,9 @@ fn start() -> Result<(), String> {
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--protocol" => protocol = arguments.next().ok_or(USAGE)?,
-            _ if argument.starts_with('-') => return Err(format!("{argument} is not known: {USAGE}")),
+            _ if argument.starts_with('-') => {
+                return Err(format!("unknown option {argument}; usage: {USAGE}"));
+            }
             _ => address = argument,
         }
     }
@@ -92,7 +94,7 @@ fn start() -> Result<(), String> {
     match protocol.as_str() {
         "binary" => Gripper::new(line, clock).with_connection(run),
         "gcl" => GclGripper::new(line, clock).with_connection(run),
-        other => return Err(format!("no protocol {other}: {USAGE}")),
+        other => return Err(format!("unknown protocol {other}; usage: {USAGE}")),
     }
     .map_err(|error| error.to_string())
 }

@@ -1,5 +1,5 @@
-//! Grips a part over TCP, with the async driver on embassy's executor: one thread, two tasks. On a board the executor and
-//! the timer are the same; the transport is a UART or a socket of `embassy-net`.
+//! Grips a part over TCP with the async driver on embassy's executor: one thread, two tasks. On a board, executor and timer
+//! are the same, and the transport is a UART or a socket of `embassy-net`.
 //!
 //! ```text
 //! cargo run -p wsg-sim -- --tcp 127.0.0.1:1000 --gcl 127.0.0.1:1001
@@ -18,12 +18,12 @@ use wsg_protocol::driver::asynch::{GclGripper, Gripper, GripperOver};
 use wsg_protocol::driver::{Clock, Error, Grip, Mm, MmPerS, N, Protocol, Timer};
 use wsg_protocol::{HomingDirection, Instant};
 
-/// Embassy's clock.
+/// The clock of embassy.
 struct EmbassyTimer;
 
 impl Clock for EmbassyTimer {
     fn now(&mut self) -> Instant {
-        // The clock may wrap, so its low 32 bits will do.
+        // The clock may wrap, so its low 32 bits suffice.
         Instant::from_millis(embassy_time::Instant::now().as_millis() as u32)
     }
 }
@@ -34,7 +34,7 @@ impl Timer for EmbassyTimer {
     }
 }
 
-/// What else there is to do meanwhile.
+/// A second task that runs concurrently.
 #[embassy_executor::task]
 async fn blink() {
     let mut ticker = Ticker::every(Duration::from_millis(500));
@@ -52,7 +52,7 @@ async fn connect(address: SocketAddr) -> io::Result<Tcp> {
     Ok(FromFutures::new(stream))
 }
 
-/// The same program over either protocol. It may leave by `?`: the connection is closed properly.
+/// The program for either protocol. It may return early by `?`: the connection is closed properly.
 async fn run<P: Protocol>(gripper: &mut GripperOver<Tcp, EmbassyTimer, P>) -> Result<(), Error<io::Error>> {
     println!("{}", gripper.system_info().await?);
     gripper.acknowledge().await?;
@@ -60,7 +60,7 @@ async fn run<P: Protocol>(gripper: &mut GripperOver<Tcp, EmbassyTimer, P>) -> Re
     gripper.set_force_limit(N(40.0)).await?;
 
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(100.0)).await?;
-    // To give up waiting does not give up the motion.
+    // A cancelled wait does not cancel the motion.
     let patience = Duration::from_millis(100);
     let result = loop {
         match embassy_time::with_timeout(patience, gripper.wait(&grip)).await {
@@ -83,7 +83,9 @@ async fn start() -> Result<(), String> {
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--protocol" => protocol = arguments.next().ok_or(USAGE)?,
-            _ if argument.starts_with('-') => return Err(format!("{argument} is not known: {USAGE}")),
+            _ if argument.starts_with('-') => {
+                return Err(format!("unknown option {argument}; usage: {USAGE}"));
+            }
             _ => address = argument,
         }
     }
@@ -93,14 +95,14 @@ async fn start() -> Result<(), String> {
     match protocol.as_str() {
         "binary" => Gripper::new(line, EmbassyTimer).with_connection(run).await,
         "gcl" => GclGripper::new(line, EmbassyTimer).with_connection(run).await,
-        other => return Err(format!("no protocol {other}: {USAGE}")),
+        other => return Err(format!("unknown protocol {other}; usage: {USAGE}")),
     }
     .map_err(|error| error.to_string())
 }
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
-    spawner.spawn(blink().expect("it is spawned once"));
+    spawner.spawn(blink().expect("spawned only once"));
     // The executor never ends by itself.
     match start().await {
         Ok(()) => std::process::exit(0),

@@ -1,6 +1,6 @@
-//! A pick-and-place station on a board: `no_std`, no allocation, whatever UART the board's HAL has.
+//! A pick-and-place station on a board: `no_std`, without allocation, with any HAL's UART.
 //!
-//! It is a library, so that it is compiled for the host with all other examples, and for a board by
+//! As a library, it is compiled for the host with the other examples. Compile it for a board by
 //!
 //! ```text
 //! cargo build -p wsg-protocol --example no_std_board --features embedded-io --target thumbv7em-none-eabihf
@@ -13,31 +13,32 @@ use wsg_protocol::driver::{
 };
 use wsg_protocol::{HomingDirection, session};
 
-/// A gripper with small buffers: replies up to a device tag, commands up to Pre-position Fingers. Some 600 bytes of RAM.
+/// A gripper with small buffers: replies up to a device tag, commands up to Pre-position Fingers. It needs about 600 bytes of
+/// RAM.
 pub type Gripper<Uart, Tick> = blocking::Gripper<Uart, Tick, 66, 17>;
 
-/// How wide the fingers are at a part.
+/// Finger widths for a part.
 #[derive(Clone, Copy, Debug)]
 pub struct Part {
-    /// When they hold it.
+    /// The width when holding the part.
     pub width: Mm,
-    /// When it fits between them.
+    /// The width when the part fits between the fingers.
     pub open: Mm,
 }
 
 const SPEED: MmPerS = MmPerS(200.0);
 const GRIP_SPEED: MmPerS = MmPerS(100.0);
 
-/// What one cycle came to.
+/// The result of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cycle {
-    /// A part was taken and put down.
+    /// A part was picked and placed.
     Done,
-    /// There was none.
+    /// There was no part.
     Empty,
 }
 
-/// The gripper on this UART; the tick is the board's millisecond counter.
+/// Returns the gripper on this UART. The tick is the board's millisecond counter.
 pub const fn gripper<Uart: Transport, Tick: Clock>(uart: Uart, tick: Tick) -> Gripper<Uart, Tick> {
     const CONFIG: driver::Config = driver::Config {
         session: session::Config { width: true, ..driver::Config::DEFAULT.session },
@@ -46,10 +47,10 @@ pub const fn gripper<Uart: Transport, Tick: Clock>(uart: Uart, tick: Tick) -> Gr
     Gripper::with_config(uart, tick, CONFIG)
 }
 
-/// After power-up: finds the gripper, references its fingers, sets the force.
+/// Connects after power-up, homes the fingers and sets the force limit.
 ///
 /// # Errors
-/// Those of the driver.
+/// Returns the errors of the driver.
 pub fn set_up<Uart: Transport, Tick: Clock>(
     gripper: &mut Gripper<Uart, Tick>,
     force: f32,
@@ -59,10 +60,10 @@ pub fn set_up<Uart: Transport, Tick: Clock>(
     gripper.set_force_limit(N(force))
 }
 
-/// Takes a part, has `carry` bring it where it belongs, and puts it down.
+/// Picks a part, calls `carry` to move it to its place, and releases it.
 ///
 /// # Errors
-/// Those of the driver.
+/// Returns the errors of the driver.
 pub fn cycle<Uart: Transport, Tick: Clock>(
     gripper: &mut Gripper<Uart, Tick>,
     part: Part,

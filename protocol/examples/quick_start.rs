@@ -8,7 +8,7 @@
 use wsg_protocol::HomingDirection;
 use wsg_protocol::driver::{Error, Grip, Mm, MmPerS, N, host};
 
-/// Grips a part of 20 mm with 40 N and puts it down. However this function ends, the end of the connection is announced.
+/// Grips a part of 20 mm with 40 N and releases it. The end of the connection is announced on every return path.
 fn take_a_part(address: &str) -> Result<Grip, Error<std::io::Error>> {
     let mut gripper = host::connect(address)?;
     gripper.home(HomingDirection::Default)?;

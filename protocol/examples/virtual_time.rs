@@ -1,5 +1,5 @@
-//! A program for a gripper, tested without one: driver and virtual gripper in one process, on one thread, in virtual time.
-//! A minute of travel takes milliseconds, and the result is the same each time.
+//! Tests a gripper program without hardware: driver and virtual gripper in one process, on one thread, in virtual time. A
+//! minute of travel takes milliseconds, and the result is reproducible.
 //!
 //! ```text
 //! cargo run -p wsg-protocol --example virtual_time --features embedded-io
@@ -14,7 +14,7 @@ use wsg_sim::{Config, Part, VirtualRig};
 
 type Driver = Gripper<VirtualRig, VirtualRig>;
 
-/// The program: takes a part and puts it down, or reports that there is none.
+/// The program under test: grips a part and releases it, or reports that there is none.
 fn cycle(gripper: &mut Driver) -> Result<Grip, Error<Infallible>> {
     gripper.move_to(Mm(60.0), MmPerS(200.0), OnBlock::Stop)?;
     let grip = gripper.grip(Mm(20.0), MmPerS(100.0))?;
@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn held_part_and_missing_part_are_told_apart() {
+    fn held_part_and_missing_part_are_distinguished() {
         let (rig, mut gripper) = homed(with_part());
         assert_eq!(cycle(&mut gripper), Ok(Grip::Held));
         rig.set_part(None);
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_come_back_as_they_were_set_or_clamped() {
+    fn settings_read_back_as_set_or_clamped() {
         let (_rig, mut gripper) = homed(Config::default());
         let limits = gripper.limits().unwrap();
         gripper.set_force_limit(N(40.0)).unwrap();

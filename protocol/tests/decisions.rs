@@ -1,7 +1,6 @@
-//! What this crate does where the manuals err, contradict each other or can be read in two ways.
+//! The crate's decisions where the manuals err, contradict each other or are ambiguous.
 //!
-//! `docs/decisions.md` lists every decision with the test that holds it; those that belong to no module's own tests
-//! stand here.
+//! `docs/decisions.md` lists every decision with its test. This file holds the tests that belong to no single module.
 
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use wsg_protocol::{
@@ -9,7 +8,7 @@ use wsg_protocol::{
     PrePositionFlags, Reply, Status, Value, checksum,
 };
 
-/// The parser's one event for a whole frame.
+/// Checks the parser's only event for a complete frame.
 fn parsed(line: &[u8], check: impl FnOnce(Event<'_>)) {
     let mut parser = FrameParser::<{ MAX_MESSAGE_LEN - OVERHEAD }>::new();
     let (taken, event) = parser.push_slice(line);
@@ -24,8 +23,9 @@ fn second_example_of_the_manual_carries_id_1() {
 }
 
 #[test]
-fn third_example_of_the_manual_is_intact_and_no_answer_of_the_command_whose_id_it_carries() {
-    // Printed as the answer to Get Acceleration (31h) with the id of Set Acceleration (30h), which returns no value.
+fn third_example_of_the_manual_is_intact_but_no_answer_to_the_command_with_its_id() {
+    // The manual prints it as the answer to Get Acceleration (31h), but with the ID of Set Acceleration (30h), which returns
+    // no value.
     let line = [0xAA, 0xAA, 0xAA, 0x30, 0x06, 0x00, 0x00, 0x00, 0x00, 0x00, 0x16, 0x43, 0xDC, 0xCB];
     parsed(&line, |event| {
         let Event::Frame(frame) = event else { panic!("{event:?}") };
@@ -52,7 +52,7 @@ fn finger_flags_have_bit_10_from_the_gcl_manual() {
     assert_eq!(FingerFlags::INIT_FAULT.bits(), 1 << 10);
 }
 
-/// Command set, 3.4.7: in steps of 0.1 °C as the other examples have it, FFF5h is -1.1 °C and not the -1.0 °C that are printed.
+/// Command set, 3.4.7: with the 0.1 °C steps of the other examples, FFF5h is -1.1 °C and not the printed -1.0 °C.
 #[test]
 fn temperature_fff5h_is_minus_1_1_degrees() {
     for (raw, text) in [
@@ -72,8 +72,8 @@ fn temperature_fff5h_is_minus_1_1_degrees() {
     }
 }
 
-/// The lists of chapter 3, "Possible Status Codes" and "Mögliche Statuscodes", of the commands in which the English and the
-/// German manual differ or this project adds to both: (id, in English, in German as well, added).
+/// The lists "Possible Status Codes" and "Mögliche Statuscodes" of chapter 3, for the commands where the English and the
+/// German manual differ or this project adds to both: (ID, in English, in German too, added).
 #[test]
 fn status_codes_are_those_of_both_manuals_and_the_additions_are_these() {
     use Status::{
@@ -138,7 +138,7 @@ fn pre_position_that_two_wrong_bits_turn_into_a_fast_stop_is_refused() {
 }
 
 #[test]
-fn message_of_the_greatest_length_is_delivered() {
+fn message_of_maximum_length_is_delivered() {
     let payload = [0x55; MAX_MESSAGE_LEN - OVERHEAD];
     let line: Vec<u8> = FrameEncoder::new(0xA0, &payload[..]).collect();
     assert_eq!(line.len(), 1024);

@@ -1,5 +1,5 @@
-//! What equal hashes say: two machines in this state do the same from now on. So what is still to come counts, and what has
-//! been counted or answered does not. The exhaustive exploration relies on it.
+//! Equal hashes imply equal future behaviour. Pending input and commands therefore count; counters and past answers do not.
+//! The exhaustive exploration relies on it.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 
@@ -15,7 +15,7 @@ fn hash(state: &impl Hash) -> u64 {
     hasher.finish()
 }
 
-/// Whether they all differ.
+/// Returns whether all hashes differ.
 fn differ<T: Hash>(states: &[T]) -> bool {
     let mut hashes: Vec<_> = states.iter().map(hash).collect();
     hashes.sort_unstable();
@@ -24,7 +24,7 @@ fn differ<T: Hash>(states: &[T]) -> bool {
 }
 
 #[test]
-fn notices_differ_by_kind_and_command_and_not_by_what_was_answered() {
+fn events_differ_by_kind_and_command_and_not_by_the_answer() {
     let answered = |id, status| Event::Answered(Reply::status_only(id, status));
     assert!(differ(&[
         Event::Connected,
@@ -87,7 +87,7 @@ fn known_values_differ_by_each() {
 }
 
 #[test]
-fn parsers_differ_by_what_they_hold_and_not_by_what_they_held() {
+fn parsers_differ_by_buffered_and_not_by_past_bytes() {
     let frame: Vec<u8> = FrameEncoder::new(CommandId::GetForce.code(), &[1, 2, 3][..]).collect();
     let after = |bytes: &[u8]| {
         let mut parser = FrameParser::<64>::new();
@@ -107,18 +107,18 @@ fn parsers_differ_by_what_they_hold_and_not_by_what_they_held() {
     ]));
     assert!(differ(&[after(&[]), FrameParser::ignoring_checksums()]));
     assert_eq!(hash(&after(&frame)), hash(&after(&[])));
-    assert_eq!(hash(&after(b"noise")), hash(&after(&[])), "counted, and no more");
+    assert_eq!(hash(&after(b"noise")), hash(&after(&[])), "only counted");
 }
 
 #[test]
-fn sessions_differ_by_what_they_wait_for_and_not_by_their_counts() {
+fn sessions_differ_by_pending_requests_and_not_by_their_counters() {
     let now = Instant::from_millis(0);
     let fresh = Session::new(session::Config::DEFAULT);
     let mut unsolicited = fresh.clone();
     let event = FrameEvent::Frame(Frame { id: CommandId::GetForce.code(), payload: &[0, 0, 0, 0, 0, 0] });
     assert_eq!(unsolicited.handle(now, &event), None);
     assert_ne!(unsolicited.counters(), fresh.counters());
-    assert!(unsolicited.known().force.is_some(), "it is learned all the same");
+    assert!(unsolicited.known().force.is_some(), "its value is still stored");
     let mut refused = fresh.clone();
     assert_eq!(refused.handle(now, &FrameEvent::Frame(Frame { id: 1, payload: &[] })), None);
     assert_ne!(refused.counters(), fresh.counters());

@@ -13,17 +13,17 @@ use wsg_protocol::{FrameParser, HomingDirection, SystemFlags};
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
-/// No test waits longer for what must happen.
+/// Maximum time that a test waits for an expected event.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 fn loopback() -> SocketAddr {
     "127.0.0.1:0".parse().unwrap()
 }
 
-/// A gripper with a part of 20 mm before it, and soon homed.
+/// Starts a gripper with a part of 20 mm, which homes at its start.
 fn serve(lines: &Lines) -> ServerThread {
     let config = Config { part: Part::of_width(20.0), homing_speed: Some(400.0), ..Config::default() };
-    ServerThread::start(config, lines, None).expect("loopback and pseudo terminals are there")
+    ServerThread::start(config, lines, None).expect("loopback and pseudo terminals are available")
 }
 
 fn on_tcp() -> (ServerThread, SocketAddr) {
@@ -38,7 +38,7 @@ fn on_gcl() -> (ServerThread, SocketAddr) {
     (server, address)
 }
 
-/// The same for every transport and protocol.
+/// Runs the same grip cycle over any transport and protocol.
 fn grips<IO, C, P>(gripper: &mut GripperOver<IO, C, P>)
 where
     IO: Transport<Error = io::Error>,
@@ -82,7 +82,7 @@ fn blocking_driver_grips_over_gcl_on_udp() {
     grips(&mut GclGripper::new(line, StdClock::new()));
 }
 
-/// Waits until the fingers stand still, over a connection of its own.
+/// Waits until the fingers are at rest, over a separate connection. Returns the flags.
 fn flags_at_rest(address: SocketAddr) -> SystemFlags {
     let begin = Instant::now();
     let look = |gripper: &mut Gripper<Tcp, StdClock>| -> Result<_, Error<io::Error>> {
@@ -97,7 +97,7 @@ fn flags_at_rest(address: SocketAddr) -> SystemFlags {
     host::with_gripper(address, look).expect("the gripper answers")
 }
 
-/// A gripper in mid travel, half a minute from where it goes.
+/// Returns a gripper in mid travel, 30 s before its target.
 fn in_motion(address: SocketAddr) -> Gripper<Tcp, StdClock> {
     let mut gripper = Gripper::new(Tcp::connect(address).unwrap(), StdClock::new());
     gripper.connect().unwrap();
@@ -148,7 +148,7 @@ fn program_that_panics_stops_the_fingers_by_fast_stop() {
     let gripper = in_motion(address);
     let panicked = catch_unwind(AssertUnwindSafe(move || {
         let _gripper = gripper;
-        std::panic::resume_unwind(Box::new("a panic that is meant"));
+        std::panic::resume_unwind(Box::new("an intended panic"));
     }));
     assert!(panicked.is_err());
     let flags = flags_at_rest(address);
@@ -156,7 +156,7 @@ fn program_that_panics_stops_the_fingers_by_fast_stop() {
 }
 
 #[test]
-fn fast_stop_that_was_asked_for_is_left_in_force() {
+fn requested_fast_stop_stays_in_effect() {
     let (_server, address) = on_tcp();
     let mut gripper = in_motion(address);
     gripper.fast_stop().unwrap();
@@ -164,7 +164,7 @@ fn fast_stop_that_was_asked_for_is_left_in_force() {
     assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
 }
 
-/// Begins half a minute of travel, has another thread stop it meanwhile, and says when that thread had done so.
+/// Starts a slow motion and checks that another thread can stop it, by Stop and by FAST STOP.
 fn stopped_by_another_thread<IO, P>(gripper: &mut GripperOver<IO, StdClock, P>)
 where
     IO: Transport<Error = io::Error> + Stoppable,
@@ -213,7 +213,7 @@ fn another_thread_stops_a_motion_over_udp() {
 }
 
 #[test]
-fn fast_stop_of_a_handle_is_left_in_force_when_the_driver_is_dropped() {
+fn fast_stop_of_a_handle_stays_in_effect_when_the_driver_is_dropped() {
     let (_server, address) = on_tcp();
     let mut gripper = in_motion(address);
     let handle = gripper.stop_handle().unwrap();
@@ -230,7 +230,7 @@ fn handle_does_not_keep_the_connection_of_a_program_that_panics() {
     let handle = gripper.stop_handle().unwrap();
     let panicked = catch_unwind(AssertUnwindSafe(move || {
         let _gripper = gripper;
-        std::panic::resume_unwind(Box::new("a panic that is meant"));
+        std::panic::resume_unwind(Box::new("an intended panic"));
     }));
     assert!(panicked.is_err());
     assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
@@ -252,7 +252,7 @@ fn every_end_of_a_scope_announces_the_end_of_the_connection() {
     assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
 }
 
-/// A gripper on a socket that says what it cannot understand: the bytes outside of frames, and frames with bad checksums.
+/// Counts the bytes outside of frames and the frames with bad checksums on a socket.
 fn serve_and_count(listener: &TcpListener) -> (u16, u16) {
     use std::io::{Read, Write};
     let (mut stream, _) = listener.accept().unwrap();
@@ -262,7 +262,7 @@ fn serve_and_count(listener: &TcpListener) -> (u16, u16) {
     let port = gripper.connect(PortKind::Tcp).unwrap();
     let (begun, mut answer) = (Instant::now(), [0; MAX_FRAME_LEN]);
     loop {
-        #[expect(clippy::disallowed_methods, reason = "no signal comes")]
+        #[expect(clippy::disallowed_methods, reason = "no signal is sent")]
         let count = stream.read(&mut bytes).unwrap_or(0);
         if count == 0 {
             let counters = parser.counters();
@@ -276,7 +276,7 @@ fn serve_and_count(listener: &TcpListener) -> (u16, u16) {
         gripper.advance(now);
         gripper.receive(port, now, &bytes[..count]);
         while let Some(message) = gripper.transmit(port, &mut answer) {
-            // A driver that is gone reads no answer.
+            // The driver may already be closed.
             let _ = stream.write_all(message);
         }
     }
@@ -309,8 +309,8 @@ fn messages_of_driver_and_handles_do_not_interleave() {
 }
 
 #[test]
-fn port_that_nobody_listens_on_is_an_error_of_the_transport() {
-    // It is free for as long as nobody else takes it.
+fn closed_port_is_an_error_of_the_transport() {
+    // The port is free unless another process takes it in the meantime.
     let address = TcpListener::bind(loopback()).unwrap().local_addr().unwrap();
     let result = host::with_gripper(address, |gripper| gripper.stop());
     assert!(matches!(result, Err(Error::Transport(_))), "{result:?}");
@@ -319,7 +319,7 @@ fn port_that_nobody_listens_on_is_an_error_of_the_transport() {
 }
 
 #[test]
-fn udp_takes_nothing_from_another_host_and_nothing_of_empty_datagrams() {
+fn udp_ignores_other_hosts_and_empty_datagrams() {
     use embedded_io::{Read, ReadReady};
     let gripper = UdpSocket::bind(loopback()).unwrap();
     let elsewhere: SocketAddr = "127.0.0.2:1500".parse().unwrap();
@@ -337,7 +337,7 @@ fn udp_takes_nothing_from_another_host_and_nothing_of_empty_datagrams() {
             line.wait(100).unwrap();
             ready = line.read_ready().unwrap();
         }
-        // What came is in the socket's queue already: loopback.
+        // Over loopback, the datagrams are in the socket's queue already.
         let ready = ready || line.read_ready().unwrap() || line.read_ready().unwrap();
         assert_eq!(ready, is_heard, "{address}");
         if is_heard {
@@ -474,12 +474,12 @@ mod on_unix {
     fn unix_socket(name: &str) -> (ServerThread, std::os::unix::net::UnixStream) {
         let server = serve(&Lines { serial: Some(SerialLine::Unix(socket_path(name))), ..Lines::default() });
         let stream = std::os::unix::net::UnixStream::connect(server.serial_path().unwrap()).unwrap();
-        // As `host::Stream` wants it.
+        // As `host::Stream` requires.
         stream.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
         (server, stream)
     }
 
-    /// A stream of which a signal interrupts every other call, and that carries at most three bytes a call.
+    /// A stream whose calls are interrupted every other time and transfer at most three bytes.
     struct Reluctant {
         stream: std::os::unix::net::UnixStream,
         is_interrupted: bool,
@@ -531,7 +531,7 @@ mod on_unix {
         grips(&mut Gripper::new(host::Stream::new(Reluctant::new(stream)), StdClock::new()));
     }
 
-    /// Runs a program in this thread while another one interrupts it with signals.
+    /// Runs a program in this thread while another thread interrupts it with signals.
     fn under_signals(program: impl FnOnce()) {
         use nix::sys::pthread::{pthread_kill, pthread_self};
         use nix::sys::signal::Signal;

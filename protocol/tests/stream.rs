@@ -1,4 +1,4 @@
-//! Streams of set-points at the virtual gripper: with the project's script, with one that has UMI's messages, and without.
+//! Streams of set-points to the virtual gripper: with the project's script, with UMI's message format, and without a script.
 
 use std::io;
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -14,9 +14,9 @@ use wsg_protocol::{HomingDirection, Status, SystemFlags, session};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config as Sim, Part, VirtualRig};
 
-/// No test waits longer for what must happen.
+/// Maximum time that a test waits for an expected event.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// How close the fingers come to a set-point, in mm.
+/// Permitted distance of the fingers from a set-point, in mm.
 const CLOSE: f32 = 0.3;
 const ENDED_BY_CALLER: End = End { cause: Cause::Requested, is_stop_confirmed: true };
 
@@ -30,7 +30,7 @@ fn ours() -> Option<PathBuf> {
     Some(script("scripts/wsg_stream.lua"))
 }
 
-/// Both back-ends of the project.
+/// Returns both back-ends of the project.
 fn scripts() -> [Option<PathBuf>; 2] {
     [ours(), None]
 }
@@ -51,13 +51,13 @@ fn until(what: &str, mut is_reached: impl FnMut() -> bool) {
     }
 }
 
-/// A busy machine may let the server wait for longer than a gripper ever would.
+/// On a busy machine, the server may pause longer than a real gripper.
 const PATIENT: driver::Config = driver::Config {
     session: session::Config { reply_timeout_ms: 2_000, ..driver::Config::DEFAULT.session },
     ..driver::Config::DEFAULT
 };
 
-/// Homed and open.
+/// Returns a homed and open gripper.
 fn homed(address: SocketAddr) -> Gripper<Tcp, StdClock> {
     let mut gripper = Gripper::<_, _>::with_config(Tcp::connect(address).unwrap(), StdClock::new(), PATIENT);
     gripper.connect().unwrap();
@@ -69,7 +69,7 @@ fn stream_at(address: SocketAddr, backend: Backend) -> Stream {
     let mut gripper = homed(address);
     let id = if backend == Backend::Script { 0xA5 } else { 0xB0 };
     if backend != Backend::PrePosition {
-        // It claims its command soon after its start.
+        // The script registers its command soon after its start.
         until("a script", || gripper.raw(id, &[], &mut [0; 32]).is_ok());
     }
     let stream = SetPointStream::start(gripper, Config::default()).unwrap();
@@ -98,7 +98,7 @@ fn ended(stream: &Stream) -> End {
     stream.ended().unwrap()
 }
 
-/// Checks over a connection of its own that the fingers stand and stay.
+/// Checks over a separate connection that the fingers are at rest and stay there.
 fn assert_standing(address: SocketAddr) -> SystemFlags {
     let mut other = host::connect(address).unwrap();
     let before = other.width().unwrap();
@@ -142,7 +142,7 @@ fn later_target_replaces_the_one_before_without_a_stop() {
     let stream = start(address, &ours());
     stream.set_speed_limit(MmPerS(100.0)).unwrap();
     stream.set_target(Mm(80.0)).unwrap();
-    until("the way", || stream.latest().position < 95.0);
+    until("the start of the motion", || stream.latest().position < 95.0);
     stream.set_target(Mm(40.0)).unwrap();
     reach(&stream, 40.0);
     let under_way = stream.history();
@@ -157,7 +157,7 @@ fn fast_stop_by_another_client_ends_the_stream_and_nothing_resumes() {
         let stream = start(address, &script);
         stream.set_speed_limit(MmPerS(20.0)).unwrap();
         stream.set_target(Mm(10.0)).unwrap();
-        until("the way", || stream.latest().position < 108.0);
+        until("the start of the motion", || stream.latest().position < 108.0);
         let mut other = host::connect(address).unwrap();
         other.fast_stop().unwrap();
         assert_eq!(ended(&stream).cause, Cause::FastStop);
@@ -175,8 +175,8 @@ fn stop_by_another_client_ends_the_stream() {
         stream.set_speed_limit(MmPerS(20.0)).unwrap();
         stream.set_target(Mm(10.0)).unwrap();
         let mut other = host::connect(address).unwrap();
-        until("a stop under way", || {
-            // Without a script the fingers rest between two motions, when a Stop ends nothing.
+        until("a Stop during a motion", || {
+            // Without a script, a Stop between two motions ends nothing because the fingers are at rest.
             other.stop().unwrap();
             stream.ended().is_some()
         });
@@ -204,7 +204,7 @@ fn stop_handle_and_drop_end_the_stream_with_the_fingers_standing() {
     }
 }
 
-/// A connection to the gripper that breaks without an announcement when the function is called.
+/// Returns a connection to the gripper that breaks without an announcement when the returned function is called.
 fn breakable(address: SocketAddr) -> (SocketAddr, impl FnOnce()) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let (near_address, (sender, ends)) = (listener.local_addr().unwrap(), std::sync::mpsc::channel());
@@ -234,7 +234,7 @@ fn broken_connection_ends_the_stream_and_the_gripper_stops() {
         let stream = start(near, &script);
         stream.set_speed_limit(MmPerS(20.0)).unwrap();
         stream.set_target(Mm(10.0)).unwrap();
-        until("the way", || stream.latest().position < 108.0);
+        until("the start of the motion", || stream.latest().position < 108.0);
         cut();
         let end = ended(&stream);
         assert!(matches!(end.cause, Cause::Closed | Cause::Transport(_)), "{end:?}");
@@ -251,7 +251,7 @@ fn silent_line_ends_the_stream_at_the_end_of_a_segment() {
     gripper.home(HomingDirection::Positive).unwrap();
     let stream = SetPointStream::start(gripper, Config::default()).unwrap();
     rig.cut_line();
-    // Whether it is sent is a matter of threads; it is not obeyed.
+    // Thread timing decides whether it is sent; it is never executed.
     let _ = stream.set_target(Mm(10.0));
     until("the end", || stream.ended().is_some());
     assert_eq!(stream.ended(), Some(End { cause: Cause::Unanswered, is_stop_confirmed: false }));
@@ -300,7 +300,7 @@ fn script_stops_the_fingers_when_set_points_cease() {
         flags.contains(SystemFlags::AXIS_STOPPED) && !flags.contains(SystemFlags::MOVING)
     });
     assert!((90.0..109.0).contains(&gripper.width().unwrap().0));
-    // Neither a late set-point nor time resumes it.
+    // Neither a late set-point nor a delay resumes it.
     let late = gripper.raw(0xA5, &set_point, answer);
     assert!(matches!(late, Err(Error::Refused(Status::Timeout))), "{late:?}");
     assert_standing(address);
@@ -372,7 +372,7 @@ fn two_grippers_stream_at_once_each_at_its_rate() {
         let mut periods: Vec<u32> =
             history.windows(2).map(|pair| pair[1].received_at.since(pair[0].received_at)).collect();
         periods.sort_unstable();
-        // Half of them, because a busy machine may delay any of them.
+        // Require only half of them, because a busy machine may delay any of them.
         assert!((8..15).contains(&periods[periods.len() / 2]), "{periods:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! Both drivers in virtual time, against a gripper whose answers each test writes down.
+//! Both drivers in virtual time. Each test plays the gripper.
 
 mod cancelled;
 mod framing;
@@ -32,7 +32,7 @@ fn connected_async(rig: &Rig) -> Asynch {
 }
 
 #[test]
-fn a_gripper_that_is_off_is_not_connected() {
+fn silent_gripper_is_not_connected() {
     let rig = Rig::new();
     rig.world(|world| world.silent = true);
     let mut gripper = Blocking::new(rig.clone(), Watch(rig.clone()));
@@ -44,7 +44,7 @@ fn a_gripper_that_is_off_is_not_connected() {
 }
 
 #[test]
-fn grip_tells_held_no_part_and_every_failure_apart() {
+fn grip_distinguishes_held_no_part_and_every_failure() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let mut other = connected_async(&rig);
@@ -64,7 +64,7 @@ fn grip_tells_held_no_part_and_every_failure_apart() {
 }
 
 #[test]
-fn refusal_at_once_carries_its_status() {
+fn immediate_refusal_returns_its_status() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.script(CommandId::Homing, vec![(1, status(CommandId::Homing, Status::AccessDenied))]);
@@ -89,7 +89,7 @@ fn motion_without_an_answer_is_unanswered_and_was_sent_once() {
 }
 
 #[test]
-fn query_whose_answer_is_lost_is_asked_again() {
+fn query_whose_answer_is_lost_is_repeated() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.script(CommandId::GetOpeningWidth, vec![]);
@@ -98,7 +98,7 @@ fn query_whose_answer_is_lost_is_asked_again() {
 }
 
 #[test]
-fn queries_go_on_while_a_motion_runs() {
+fn queries_continue_while_a_motion_runs() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
@@ -107,12 +107,12 @@ fn queries_go_on_while_a_motion_runs() {
     assert_eq!(gripper.poll(&grip), Ok(None));
     assert_eq!(gripper.home(HomingDirection::Default), Err(Error::MotionRunning));
     assert_eq!(gripper.wait(&grip), Ok(Grip::Held));
-    assert_eq!(gripper.poll(&grip), Ok(Some(Grip::Held)), "as often as asked");
+    assert_eq!(gripper.poll(&grip), Ok(Some(Grip::Held)), "repeatable");
     assert_eq!(gripper.motion(), None);
 }
 
 #[test]
-fn result_that_came_while_something_else_was_asked_is_kept() {
+fn result_received_during_another_request_is_kept() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.script_motion(CommandId::GripPart, Status::CmdFailed);
@@ -155,7 +155,7 @@ fn pre_position_flags_stand_as_in_the_manual() {
 }
 
 #[test]
-fn fast_stop_that_is_not_confirmed_is_owed_over_a_reconnect() {
+fn unconfirmed_fast_stop_is_sent_again_after_a_reconnect() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.world(|world| world.silent = true);
@@ -166,7 +166,7 @@ fn fast_stop_that_is_not_confirmed_is_owed_over_a_reconnect() {
     gripper.connect().unwrap();
     assert!(!gripper.fast_stop_pending());
     assert!(rig.heard(CommandId::FastStop) >= 1);
-    assert_eq!(rig.heard(CommandId::Acknowledge), 0, "never by itself");
+    assert_eq!(rig.heard(CommandId::Acknowledge), 0, "the driver never acknowledges by itself");
     assert_eq!(gripper.acknowledge(), Ok(()));
 }
 
@@ -183,7 +183,7 @@ fn setting_is_read_back_and_clamping_is_no_mismatch() {
 }
 
 #[test]
-fn status_that_stands_for_a_mismatch_is_one_with_a_setting_alone() {
+fn mismatch_status_counts_only_for_a_setting() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let id = CommandId::GetOpeningWidth;
@@ -192,7 +192,7 @@ fn status_that_stands_for_a_mismatch_is_one_with_a_setting_alone() {
 }
 
 #[test]
-fn number_that_is_none_is_refused_before_it_is_sent() {
+fn invalid_number_is_refused_before_it_is_sent() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     assert_eq!(gripper.grip(Mm(f32::NAN), MmPerS(50.0)), Err(Error::Invalid(DecodeError::NotFinite)));
@@ -215,7 +215,7 @@ fn borrowed_payloads_are_sent_and_repeated_when_the_answer_is_lost() {
 }
 
 #[test]
-fn script_command_is_sent_once_and_its_answer_comes_as_it_is() {
+fn script_command_is_sent_once_and_its_answer_returned_unchanged() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let id = CommandId::Unknown(0xB0);
@@ -249,7 +249,7 @@ fn frame_that_does_not_fit_is_not_sent() {
 }
 
 #[test]
-fn loop_back_notices_other_bytes() {
+fn loop_back_detects_different_bytes() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     assert_eq!(gripper.loop_back(&[0xFF; 256]), Ok(()));
@@ -259,7 +259,7 @@ fn loop_back_notices_other_bytes() {
 }
 
 #[test]
-fn updates_are_kept_and_subscribed_to_again_after_a_reconnect() {
+fn updates_are_kept_and_subscriptions_restored_after_a_reconnect() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     while gripper.next_update(0).unwrap().is_some() {}
@@ -268,9 +268,13 @@ fn updates_are_kept_and_subscribed_to_again_after_a_reconnect() {
     let subscription = Some(vec![0b01, 10, 0]);
     assert_eq!(rig.world(|world| world.width_update.take()), subscription, "not below 10 ms");
     rig.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
-    assert_eq!(gripper.width(), Ok(Mm(42.5)), "what was asked for");
-    assert_eq!(rig.world(|world| world.width_update.take()), subscription, "to ask does not end it");
-    assert_eq!(gripper.next_update(0), Ok(Some(Update::Width(41.0))), "what came meanwhile");
+    assert_eq!(gripper.width(), Ok(Mm(42.5)), "the answer to the query");
+    assert_eq!(
+        rig.world(|world| world.width_update.take()),
+        subscription,
+        "a query does not end the subscription"
+    );
+    assert_eq!(gripper.next_update(0), Ok(Some(Update::Width(41.0))), "the update received meanwhile");
 
     rig.world(|world| world.silent = true);
     for _ in 0..20 {
@@ -306,7 +310,7 @@ fn newest_updates_are_kept_and_lost_ones_counted() {
 }
 
 #[test]
-fn error_of_the_transport_is_told_and_the_motion_can_be_waited_for_again() {
+fn error_of_the_transport_is_returned_and_the_motion_can_be_awaited_again() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
@@ -316,7 +320,7 @@ fn error_of_the_transport_is_told_and_the_motion_can_be_waited_for_again() {
 }
 
 #[test]
-fn end_of_the_transport_is_told_and_another_one_can_take_its_place() {
+fn end_of_the_transport_is_reported_and_it_can_be_replaced() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
@@ -360,7 +364,7 @@ fn finger_supply_takes_its_time() {
 }
 
 #[test]
-fn confirmation_of_a_fast_stop_that_was_lost_is_waited_for_while_it_is_sent_again() {
+fn fast_stop_is_repeated_while_its_confirmation_is_awaited() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.script(CommandId::FastStop, vec![]);
@@ -371,7 +375,7 @@ fn confirmation_of_a_fast_stop_that_was_lost_is_waited_for_while_it_is_sent_agai
 }
 
 #[test]
-fn every_kind_of_update_comes_through() {
+fn every_kind_of_update_is_returned() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     for topic in [Topic::Width, Topic::Speed, Topic::Force] {
@@ -402,11 +406,11 @@ fn transport_that_holds_bytes_back_until_it_is_flushed_is_flushed() {
     rig.world(|world| world.width_update = None);
     other.subscribe(Topic::Width, AutoUpdate::every(10));
     rig.run(other.next_update(0)).unwrap();
-    assert!(rig.world(|world| world.width_update.is_some()), "all of it within one call that does not wait");
+    assert!(rig.world(|world| world.width_update.is_some()), "sent within a single call that does not wait");
 }
 
 #[test]
-fn motion_that_has_begun_tells_which_it_is() {
+fn started_motion_names_its_command() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
@@ -415,7 +419,7 @@ fn motion_that_has_begun_tells_which_it_is() {
 }
 
 #[test]
-fn notice_about_another_request_says_nothing_of_this_one() {
+fn event_of_another_request_does_not_end_this_one() {
     use crate::session::Event;
     use motion::Verdict;
     let (this, other) = (CommandId::Homing, CommandId::GripPart);
@@ -428,7 +432,7 @@ fn notice_about_another_request_says_nothing_of_this_one() {
         assert_eq!(Verdict::of(&about(this), this), Some(verdict));
         assert_eq!(Verdict::of(&about(other), this), None);
     }
-    assert_eq!(Verdict::of(&Event::Pending(this), this), None, "it is not the last word");
+    assert_eq!(Verdict::of(&Event::Pending(this), this), None, "it is not a final outcome");
 }
 
 #[test]
@@ -438,7 +442,7 @@ fn closure_is_a_clock() {
 }
 
 #[test]
-fn every_error_says_who_can_do_something_about_it_and_what_it_is() {
+fn every_error_names_its_cause() {
     for (error, culprit, text) in [
         (Error::NotConnected, Culprit::Caller, "no connection"),
         (Error::MotionRunning, Culprit::Caller, "motion is running"),

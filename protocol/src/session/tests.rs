@@ -205,7 +205,11 @@ fn second_motion_is_refused_while_one_runs() {
     rig.session.request(GRIP).unwrap();
     assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while the first is queued");
     rig.sent();
-    assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while the first awaits its answer");
+    assert_eq!(
+        rig.session.request(HOMING),
+        Err(RequestError::MotionRunning),
+        "while the first awaits its answer"
+    );
     rig.status(CommandId::GripPart, Status::CmdPending);
     assert_eq!(rig.session.request(HOMING), Err(RequestError::MotionRunning), "while the first runs");
     rig.status(CommandId::GripPart, Status::CmdFailed);
@@ -982,8 +986,7 @@ fn disconnect_by_the_caller_takes_effect_at_once() {
 }
 
 #[test]
-fn only_an_unconfirmed_fast_stop_is_sent_again_after_a_disconnect_by_the_caller()
- {
+fn only_an_unconfirmed_fast_stop_is_sent_again_after_a_disconnect_by_the_caller() {
     for (command, again) in [(Command::FastStop, true), (Command::Stop, false)] {
         let mut rig = Rig::connected();
         rig.session.request(command).unwrap();
@@ -1072,7 +1075,11 @@ fn finger_supply_is_not_switched_again_while_switching_on() {
     rig.status(CommandId::Finger1Power, Status::CmdPending);
     let again = rig.session.request(Command::Finger1Power { enabled: false });
     assert_eq!(again, Err(RequestError::MotionRunning));
-    assert_eq!(rig.session.request(Command::Finger2Power { enabled: true }), Ok(()), "the other supply may be switched");
+    assert_eq!(
+        rig.session.request(Command::Finger2Power { enabled: true }),
+        Ok(()),
+        "the other supply may be switched"
+    );
 }
 
 #[test]
@@ -1361,7 +1368,11 @@ fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
     rig.session.request(second).unwrap();
     assert_eq!(rig.pass(10), []);
     rig.status(CommandId::SetForceLimit, Status::Success);
-    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1, "the second answer belongs to no request");
+    assert_eq!(
+        rig.noticed("Answered(Reply { id: SetForceLimit"),
+        1,
+        "the second answer belongs to no request"
+    );
     let sent = rig.pass(200);
     assert_eq!(sent.iter().filter(|command| command.id() == CommandId::SetForceLimit).count(), 1);
     rig.status(CommandId::SetForceLimit, Status::RangeError);

@@ -1,4 +1,4 @@
-//! A virtual gripper at the other end of a line, and the time: transport, clock and executor of a driver.
+//! A line to a virtual gripper, with transport, clock and executor for a driver.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -12,10 +12,10 @@ use wsg_protocol::Instant;
 use wsg_protocol::driver::{Clock, Timer, blocking::Transport};
 use wsg_sim::{Config, MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
-/// A minute and a half: no motion takes longer.
+/// 90 s; every motion takes less.
 const LONGEST_MS: u32 = 90_000;
 
-/// One line to a virtual gripper, for both ends and the test.
+/// A line to a virtual gripper, shared by both ends and the test.
 #[derive(Clone)]
 pub(crate) struct Bench(Rc<RefCell<World>>);
 
@@ -25,24 +25,24 @@ pub(crate) struct World {
     port: PortId,
     now: Time,
     to_driver: VecDeque<u8>,
-    /// What the driver has written, one entry for each write.
+    /// Written bytes, one entry per write.
     pub(crate) writes: Vec<Vec<u8>>,
-    /// Nothing comes from the gripper any more.
+    /// Discards all data from the gripper.
     pub(crate) mute: bool,
-    /// Nothing gets to the gripper any more.
+    /// Discards all data to the gripper.
     pub(crate) deaf: bool,
-    /// The other end has closed.
+    /// The other end has closed the connection.
     pub(crate) closed: bool,
-    /// Bytes that the transport takes before it is full.
+    /// Number of bytes that the transport still accepts.
     pub(crate) room: usize,
-    /// So many messages from the gripper get lost, then the others come again.
+    /// Number of messages from the gripper still to be lost.
     pub(crate) lose: usize,
 }
 
 impl Bench {
     pub(crate) fn new(kind: PortKind, config: Config) -> Self {
         let mut gripper = VirtualGripper::new(config);
-        let port = gripper.connect(kind).expect("a new gripper takes a client");
+        let port = gripper.connect(kind).expect("a new gripper accepts a client");
         Self(Rc::new(RefCell::new(World {
             gripper,
             kind,
@@ -70,12 +70,12 @@ impl Bench {
         (0..millis).for_each(|_| self.world(World::pass));
     }
 
-    /// Bytes to the driver that the gripper never sent.
+    /// Adds bytes to the driver's input that the gripper never sent.
     pub(crate) fn inject(&self, bytes: &[u8]) {
         self.world(|world| world.to_driver.extend(bytes));
     }
 
-    /// The connection breaks, and another one is made.
+    /// Breaks the connection and makes a new one.
     pub(crate) fn reconnect(&self) {
         self.world(|world| {
             world.gripper.disconnect(world.port, world.now);
@@ -85,12 +85,12 @@ impl Bench {
         });
     }
 
-    /// Runs a future to its end in virtual time.
+    /// Runs a future to completion in virtual time.
     pub(crate) fn run<T>(&self, future: impl Future<Output = T>) -> T {
-        self.run_for(LONGEST_MS, future).expect("it comes to an end")
+        self.run_for(LONGEST_MS, future).expect("the future completes")
     }
 
-    /// Polls a future once a millisecond, so many times at the most, and drops it.
+    /// Polls a future once per millisecond, at most `polls` times, and drops it.
     pub(crate) fn run_for<T>(&self, polls: u32, future: impl Future<Output = T>) -> Option<T> {
         let mut future = pin!(future);
         let mut context = Context::from_waker(Waker::noop());
@@ -149,7 +149,7 @@ impl World {
 
 impl Clock for Bench {
     fn now(&mut self) -> Instant {
-        // Near the end of the clock's range, so that every script also shows that it may wrap.
+        // Close to the end of the clock's range, so that every script also covers the wraparound.
         Instant::from_millis(self.millis().wrapping_sub(300))
     }
 }
@@ -171,7 +171,7 @@ impl embedded_io::ReadReady for Bench {
 }
 
 impl Transport for Bench {
-    /// Time passes until something is there.
+    /// Advances the time until data is available.
     fn wait(&mut self, at_most_ms: u32) -> Result<(), Infallible> {
         self.world(|world| {
             for _ in 0..at_most_ms {

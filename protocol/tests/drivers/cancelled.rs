@@ -1,5 +1,5 @@
-//! Futures of the async driver that are dropped, over both protocols: nothing leaves late, and no answer is taken for
-//! another's.
+//! Dropped futures of the async driver, over both protocols: no command is sent late, and no answer is assigned to another
+//! request.
 
 use wsg_protocol::driver::{Grip, Mm, MmPerS, N, OnBlock};
 use wsg_protocol::{GripperState, HomingDirection, SystemFlags};
@@ -8,12 +8,12 @@ use wsg_sim::{Config, Part};
 use crate::client::{Asynch, Calls, Client, Error, Frames, Lines, Speech};
 
 #[test]
-fn dropping_a_call_at_any_moment_mixes_up_no_answers() {
+fn dropping_a_call_at_any_moment_confuses_no_answers() {
     fn check<S: Speech>() {
         for polls in 0..60 {
             let mut client = Asynch::<S>::homed(Config { part: Part::of_width(105.0), ..Config::default() });
             let Asynch { bench, gripper } = &mut client;
-            // A grip of some 40 ms.
+            // A grip of about 40 ms.
             let _ = bench.run_for(polls, gripper.grip(Mm(105.0), MmPerS(400.0)));
             assert_eq!(client.force_limit(), Ok(N(40.0)), "{polls}");
             let width = client.width().unwrap().0;
@@ -41,7 +41,7 @@ fn dropping_a_call_at_any_moment_mixes_up_no_answers() {
 }
 
 #[test]
-fn motion_that_had_not_left_does_not_leave_any_more() {
+fn cancelled_motion_that_was_not_sent_is_never_sent() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
         let Asynch { bench, gripper } = &mut client;
@@ -57,11 +57,11 @@ fn motion_that_had_not_left_does_not_leave_any_more() {
 }
 
 #[test]
-fn motion_that_waited_behind_another_message_does_not_leave_any_more() {
+fn cancelled_motion_queued_after_another_message_is_never_sent() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
         let Asynch { bench, gripper } = &mut client;
-        // What the session asks by itself is stuck half way.
+        // A query of the session itself is only partly sent.
         bench.world(|world| world.room = 3);
         bench.run_for(300, async { while gripper.next_update(1_000).await.is_ok() {} });
         assert_eq!(bench.world(|world| world.room), 0);
@@ -76,7 +76,7 @@ fn motion_that_waited_behind_another_message_does_not_leave_any_more() {
 }
 
 #[test]
-fn motion_that_waited_behind_a_stop_does_not_leave_after_it() {
+fn motion_queued_after_a_stop_is_not_sent() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
         let Asynch { bench, gripper } = &mut client;
@@ -94,14 +94,14 @@ fn motion_that_waited_behind_a_stop_does_not_leave_after_it() {
 }
 
 #[test]
-fn message_that_was_cut_off_is_sent_to_its_end() {
+fn partly_sent_message_is_completed() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
         let Asynch { bench, gripper } = &mut client;
         bench.world(|world| world.room = 3);
         assert!(bench.run_for(50, gripper.move_to(Mm(50.0), MmPerS(400.0), OnBlock::Stop)).is_none());
         bench.world(|world| world.room = usize::MAX);
-        // What began to leave leaves: half a message would spoil the next one.
+        // A message that was started is completed, because a partial one would damage the next.
         client.gripper_state().unwrap();
         client.bench.pass(2_000);
         assert!((client.width().unwrap().0 - 50.0).abs() < 0.1);
@@ -112,7 +112,7 @@ fn message_that_was_cut_off_is_sent_to_its_end() {
 }
 
 #[test]
-fn stop_and_fast_stop_leave_even_if_the_call_is_given_up() {
+fn cancelled_stop_and_fast_stop_are_still_sent() {
     fn check<S: Speech>() {
         for fast in [false, true] {
             let mut client = Asynch::<S>::homed(Config::default());
@@ -134,7 +134,7 @@ fn stop_and_fast_stop_leave_even_if_the_call_is_given_up() {
 }
 
 #[test]
-fn motion_whose_call_was_given_up_goes_on_and_can_be_waited_for() {
+fn motion_of_a_cancelled_call_continues_and_can_be_awaited() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config { part: Part::of_width(20.0), ..Config::default() });
         let grip = client.begin_grip(Mm(20.0), MmPerS(100.0)).unwrap();
@@ -148,7 +148,7 @@ fn motion_whose_call_was_given_up_goes_on_and_can_be_waited_for() {
 }
 
 #[test]
-fn line_that_takes_nothing_holds_nobody_up() {
+fn blocked_line_does_not_block_the_caller() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
         let Asynch { bench, gripper } = &mut client;
@@ -157,7 +157,7 @@ fn line_that_takes_nothing_holds_nobody_up() {
         assert!(bench.run_for(10, gripper.stop()).is_none());
         let before = bench.millis();
         assert_eq!(bench.run(gripper.next_update(50)), Ok(None));
-        assert!(bench.millis() - before < 60, "a STOP that cannot leave is in nobody's way");
+        assert!(bench.millis() - before < 60, "an unsent STOP does not block the call");
     }
     check::<Frames>();
     check::<Lines>();

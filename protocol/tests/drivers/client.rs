@@ -1,4 +1,4 @@
-//! A driver as the tests see it: blocking or async, over the binary protocol or over GCL.
+//! A common interface for the tests: blocking or async driver, over the binary protocol or GCL.
 
 use std::convert::Infallible;
 
@@ -18,7 +18,7 @@ use crate::bench::Bench;
 pub(crate) type Error = driver::Error<Infallible>;
 type Result<T> = std::result::Result<T, Error>;
 
-/// What a program fails with: a driver's error, or its own.
+/// The error of a program: a driver's error, or its own.
 #[derive(Debug, PartialEq)]
 pub(crate) enum ProgramError {
     Driver(Error),
@@ -33,12 +33,12 @@ impl From<Error> for ProgramError {
 
 pub(crate) type Outcome = std::result::Result<u8, ProgramError>;
 
-/// A protocol, and how its drivers are made.
+/// A protocol and its drivers.
 pub(crate) trait Speech {
     type Protocol: Protocol;
-    /// How it is spoken to a virtual gripper, over a connection whose end is noticed.
+    /// The port of the virtual gripper for this protocol, over a connection that detects its end.
     const PORT: PortKind;
-    /// What a driver of this protocol cannot use.
+    /// Input that a driver of this protocol must ignore.
     const GARBAGE: &[u8];
     fn blocking(bench: &Bench) -> blocking::GripperOver<Bench, Bench, Self::Protocol>;
     fn asynch(bench: &Bench) -> asynch::GripperOver<Bench, Bench, Self::Protocol>;
@@ -53,7 +53,7 @@ pub(crate) enum Lines {}
 impl Speech for Frames {
     type Protocol = driver::Binary;
     const PORT: PortKind = PortKind::Tcp;
-    // Two preamble bytes and more, a frame with a wrong checksum, and an answer that nobody asked for.
+    // A truncated preamble, a frame with a wrong checksum, and an unsolicited answer.
     const GARBAGE: &[u8] =
         b"\xAA\xAA\x00noise\xAA\xAA\xAA\x43\x02\x00\x00\x00\x00\x00\xAA\xAA\xAA\x20\x02\x00\x00\x00\xB3\xFD";
 
@@ -86,17 +86,17 @@ pub(crate) struct Blocking<S: Speech> {
     pub(crate) gripper: blocking::GripperOver<Bench, Bench, S::Protocol>,
 }
 
-/// The async driver, each call of which is run to its end.
+/// The async driver; each call runs to completion.
 pub(crate) struct Asynch<S: Speech> {
     pub(crate) bench: Bench,
     pub(crate) gripper: asynch::GripperOver<Bench, Bench, S::Protocol>,
 }
 
-/// Every test is written for this.
+/// The interface that every test uses.
 pub(crate) trait Client: Calls + Sized {
     type Speech: Speech;
 
-    /// A driver that is not connected, and its gripper.
+    /// Returns a driver that is not connected, with its gripper.
     fn at(bench: Bench) -> Self;
 
     fn new(config: Config) -> Self {
@@ -105,18 +105,18 @@ pub(crate) trait Client: Calls + Sized {
 
     fn bench(&self) -> Bench;
 
-    /// Connected.
+    /// Returns a connected driver.
     fn connected(config: Config) -> Self {
         let mut client = Self::new(config);
         client.connect().expect("the gripper answers");
         client
     }
 
-    /// Connected, referenced, with a force limit of 40 N.
+    /// Returns a connected driver with homed fingers and a force limit of 40 N.
     fn homed(config: Config) -> Self {
         let mut client = Self::connected(config);
-        client.home(HomingDirection::Default).expect("the way is free");
-        client.set_force_limit(N(40.0)).expect("it is within the limits");
+        client.home(HomingDirection::Default).expect("the path is clear");
+        client.set_force_limit(N(40.0)).expect("40 N is within the limits");
         client
     }
 }
@@ -145,14 +145,14 @@ impl<S: Speech> Client for Asynch<S> {
     }
 }
 
-/// The methods of a driver, the same for all.
+/// Defines the methods that all drivers share.
 macro_rules! calls {
     ($(fn $name:ident $([$T:ident: $bound:ident])? ($($arg:ident: $type:ty),*) -> $result:ty;)*) => {
         pub(crate) trait Calls {
             $(fn $name $(<$T: $bound>)? (&mut self, $($arg: $type),*) -> Result<$result>;)*
             fn tag(&mut self) -> Result<String>;
             fn finger_data(&mut self, finger: Finger) -> Result<Vec<u8>>;
-            /// Has `with_connection` run a program that begins a slow motion and ends while it runs, with this.
+            /// Runs a program with `with_connection` that starts a slow motion and returns `end()` while it runs.
             fn with_connection(&mut self, end: impl FnOnce() -> Outcome) -> Outcome;
             fn is_connected(&self) -> bool;
             fn known(&self) -> Known;
@@ -160,7 +160,7 @@ macro_rules! calls {
             fn fast_stop_pending(&self) -> bool;
             fn counters(&self) -> DriverCounters;
             fn subscribe(&mut self, topic: Topic, update: AutoUpdate);
-            /// Goes on with another connection to the same gripper.
+            /// Continues with a new connection to the same gripper.
             fn take_new_line(&mut self);
         }
 

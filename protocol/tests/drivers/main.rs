@@ -1,5 +1,4 @@
-//! The drivers at the virtual gripper, in virtual time: one body for each behaviour, run over the binary protocol and over
-//! GCL, blocking and async.
+//! The drivers with the virtual gripper in virtual time. Each behaviour has one test body for both protocols and both drivers.
 
 mod bench;
 mod cancelled;

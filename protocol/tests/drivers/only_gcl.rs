@@ -1,4 +1,4 @@
-//! Where the drivers over GCL differ from those over the binary protocol.
+//! The differences of the GCL drivers from the binary protocol's drivers.
 
 use std::future::poll_fn;
 use std::pin::pin;
@@ -14,7 +14,7 @@ fn homed(part: f32) -> Blocking<Lines> {
     Blocking::homed(Config { part: Part::of_width(part), ..Config::default() })
 }
 
-/// The lines that were sent since this was last asked, without the session's own questions.
+/// Returns the lines sent since the last call, without the session's own queries.
 fn sent(bench: &Bench) -> Vec<String> {
     let writes = bench.world(|world| std::mem::take(&mut world.writes));
     let lines = writes.into_iter().map(|bytes| String::from_utf8(bytes).unwrap().trim_end().to_owned());
@@ -23,13 +23,13 @@ fn sent(bench: &Bench) -> Vec<String> {
         .collect()
 }
 
-/// Has the driver take all that is there.
+/// Lets the driver process all available input.
 fn hear(client: &mut Blocking<Lines>) {
     while client.next_update(0).unwrap().is_some() {}
 }
 
 #[test]
-fn what_gcl_cannot_say_is_told_and_not_sent() {
+fn requests_without_a_gcl_equivalent_are_refused_and_not_sent() {
     let mut client = homed(20.0);
     let bench = client.bench();
     sent(&bench);
@@ -54,7 +54,7 @@ fn what_gcl_cannot_say_is_told_and_not_sent() {
     assert_eq!(
         gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop),
         Ok(()),
-        "it is none the worse for it"
+        "the connection is unaffected"
     );
 }
 
@@ -68,17 +68,17 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NoForceLimit));
     assert_eq!(sent(&bench), Vec::<String>::new());
     client.set_force_limit(N(33.5)).unwrap();
-    assert_eq!(sent(&bench), Vec::<String>::new(), "GCL has no request for it");
+    assert_eq!(sent(&bench), Vec::<String>::new(), "GCL has no request for this");
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
     assert_eq!(sent(&bench), ["POS?", "GRIP(33.5,20.0,100.0)"]);
-    // It stays with the driver.
+    // The driver keeps it.
     client.take_new_line();
     client.connect().unwrap();
     assert_eq!(client.force_limit(), Ok(N(33.5)));
 }
 
 #[test]
-fn release_is_a_distance_from_the_width_that_was_asked_for_before() {
+fn release_is_a_distance_from_the_last_requested_width() {
     let mut client = homed(20.0);
     let bench = client.bench();
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
@@ -134,7 +134,7 @@ fn part_outside_the_tolerance_blocks_a_grip() {
 }
 
 #[test]
-fn tolerance_and_clamping_travel_are_asked_for_and_set() {
+fn tolerance_and_clamping_travel_are_read_and_set() {
     let mut client = homed(26.0);
     assert_eq!(client.gripper.part_width_tolerance(), Ok(Mm(5.0)));
     assert_eq!(client.gripper.set_part_width_tolerance(Mm(7.5)), Ok(Mm(7.5)));
@@ -148,7 +148,7 @@ fn tolerance_and_clamping_travel_are_asked_for_and_set() {
     client.take_new_line();
     assert_eq!(client.gripper.clamping_travel(), Err(Error::NotConnected));
     client.connect().unwrap();
-    assert_eq!(client.gripper.part_width_tolerance(), Ok(Mm(5.0)), "they end with the connection");
+    assert_eq!(client.gripper.part_width_tolerance(), Ok(Mm(5.0)), "the settings end with the connection");
     client.bench().world(|world| world.mute = true);
     assert_eq!(client.gripper.clamping_travel(), Err(Error::Unanswered));
 
@@ -160,7 +160,7 @@ fn tolerance_and_clamping_travel_are_asked_for_and_set() {
     assert_eq!(bench.run(gripper.clamping_travel()), Ok(Mm(0.5)));
 }
 
-/// The outcome of a call that is answered by these bytes, once what it asks has left.
+/// Returns the outcome of a call that is answered by these bytes after its request was sent.
 fn told<T>(bench: &Bench, call: impl Future<Output = T>, answer: &[u8]) -> T {
     bench.world(|world| world.mute = true);
     let mut call = pin!(call);
@@ -175,7 +175,7 @@ fn told<T>(bench: &Bench, call: impl Future<Output = T>, answer: &[u8]) -> T {
 }
 
 #[test]
-fn end_of_a_motion_behind_the_answer_to_a_setting_is_not_that_of_the_setting() {
+fn end_of_a_motion_after_the_answer_to_a_setting_is_not_taken_for_its_answer() {
     let mut client = Asynch::<Lines>::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     let Asynch { bench, gripper } = &mut client;
@@ -184,7 +184,7 @@ fn end_of_a_motion_behind_the_answer_to_a_setting_is_not_that_of_the_setting() {
 }
 
 #[test]
-fn setting_that_waited_behind_a_stop_is_withdrawn_with_the_connection() {
+fn setting_queued_after_a_stop_is_withdrawn_with_the_connection() {
     let mut client = Asynch::<Lines>::homed(Config::default());
     let Asynch { bench, gripper } = &mut client;
     bench.world(|world| world.mute = true);
@@ -193,7 +193,7 @@ fn setting_that_waited_behind_a_stop_is_withdrawn_with_the_connection() {
 }
 
 #[test]
-fn lines_that_are_too_long_and_bytes_of_none_are_counted() {
+fn lines_that_are_too_long_and_stray_bytes_are_counted() {
     let mut client = homed(20.0);
     client.bench().inject(&[b'x'; 300]);
     client.bench().inject(b"\n");
@@ -204,7 +204,7 @@ fn lines_that_are_too_long_and_bytes_of_none_are_counted() {
 }
 
 #[test]
-fn line_that_comes_in_pieces_is_waited_for() {
+fn line_received_in_pieces_is_awaited() {
     let mut client = homed(20.0);
     let bench = client.bench();
     bench.inject(b"@PO");
@@ -218,7 +218,7 @@ fn line_that_comes_in_pieces_is_waited_for() {
 }
 
 #[test]
-fn half_a_line_of_a_connection_that_broke_spoils_nothing() {
+fn incomplete_line_of_a_broken_connection_is_discarded() {
     let mut client = homed(20.0);
     client.bench().inject(b"@PO");
     hear(&mut client);

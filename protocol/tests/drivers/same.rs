@@ -1,4 +1,4 @@
-//! What is the same over both protocols and in both drivers.
+//! The behaviour common to both protocols and both drivers.
 
 use wsg_protocol::driver::{DriverCounters, Finger, Grip, Mm, MmPerS, N, OnBlock, UPDATES_LEN, Update};
 use wsg_protocol::session::{Known, Topic};
@@ -11,7 +11,7 @@ use wsg_sim::{Config, Part, PortKind, Tag};
 use crate::bench::Bench;
 use crate::client::{Asynch, Blocking, Calls, Client, Error, Frames, Lines, ProgramError, Speech};
 
-/// A test of each body for each protocol and driver.
+/// Defines a test for each body, protocol and driver.
 macro_rules! for_all {
     ($(fn $name:ident;)*) => {
         for_all!(@modules [$($name)*]
@@ -34,41 +34,41 @@ macro_rules! for_all {
 }
 
 for_all! {
-    fn device_tells_about_itself;
+    fn device_information_is_returned;
     fn gripper_that_is_silent_is_not_connected_and_time_is_bounded;
     fn motion_before_homing_is_refused;
-    fn fingers_go_to_the_width_that_was_asked_for;
+    fn fingers_move_to_the_requested_width;
     fn relative_moves_add_up;
     fn part_is_held_with_the_force_limit;
     fn grip_without_a_part_finds_none;
     fn part_in_the_way_blocks;
-    fn release_opens_to_the_width_that_was_asked_for;
+    fn release_opens_to_the_requested_width;
     fn release_after_an_outward_grip_goes_inward;
     fn stop_aborts_a_motion_and_lets_a_part_go;
     fn fast_stop_aborts_and_locks_until_it_is_acknowledged;
-    fn fast_stop_that_is_not_confirmed_is_owed_until_it_is;
-    fn state_is_told_while_a_motion_runs;
+    fn unconfirmed_fast_stop_is_pending_until_it_is_confirmed;
+    fn state_is_reported_while_a_motion_runs;
     fn one_motion_at_a_time;
-    fn result_that_came_meanwhile_is_kept;
-    fn question_whose_answer_is_lost_is_asked_again;
+    fn result_received_meanwhile_is_kept;
+    fn query_whose_answer_is_lost_is_repeated;
     fn motion_whose_answer_is_lost_is_unanswered_and_was_sent_once;
     fn silence_during_a_motion_is_unanswered;
-    fn closed_connection_is_told_and_another_takes_its_place;
+    fn closed_connection_is_reported_and_can_be_replaced;
     fn announced_end_causes_no_fast_stop;
-    fn end_without_announcement_is_what_the_next_program_is_told_of;
+    fn end_without_announcement_is_reported_to_the_next_program;
     fn program_may_leave_early_without_causing_a_fast_stop;
     fn program_without_a_connection_is_not_run;
-    fn announcement_that_is_not_answered_is_told_unless_the_program_failed;
-    fn program_whose_line_was_closed_is_told_so;
-    fn garbage_is_counted_and_nothing_else;
-    fn number_that_is_none_is_refused_before_anything_is_sent;
-    fn updates_come_while_the_fingers_travel;
+    fn unanswered_announcement_is_reported_unless_the_program_failed;
+    fn closed_line_is_reported_to_the_program;
+    fn garbage_is_only_counted;
+    fn invalid_number_is_refused_before_anything_is_sent;
+    fn updates_are_received_while_the_fingers_travel;
     fn every_value_is_returned_or_counted_as_lost;
     fn latest_speed_is_known_while_it_is_subscribed_to;
-    fn fingers_tell_what_they_are;
+    fn finger_types_are_returned;
     fn message_is_one_write;
     fn nothing_is_sent_without_a_connection;
-    fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_bytes_again;
+    fn motion_of_a_closed_connection_is_not_sent_when_the_line_accepts_bytes_again;
 }
 
 fn with_part(width: f32) -> Config {
@@ -80,7 +80,7 @@ fn assert_near(value: f32, expected: f32) {
     assert!((value - expected).abs() < 0.1, "{value} is not {expected}");
 }
 
-fn device_tells_about_itself<C: Client>() {
+fn device_information_is_returned<C: Client>() {
     let tag = Tag::new("left hand").unwrap();
     let mut client = C::connected(Config { serial_number: 77, tag, ..Config::default() });
     let info = client.system_info().unwrap();
@@ -121,7 +121,7 @@ fn motion_before_homing_is_refused<C: Client>() {
     assert_near(client.width().unwrap().0, 0.0);
 }
 
-fn fingers_go_to_the_width_that_was_asked_for<C: Client>() {
+fn fingers_move_to_the_requested_width<C: Client>() {
     let mut client = C::homed(Config::default());
     assert_eq!(client.move_to(Mm(42.5), MmPerS(200.0), OnBlock::Stop), Ok(()));
     assert_near(client.width().unwrap().0, 42.5);
@@ -160,7 +160,7 @@ fn part_in_the_way_blocks<C: Client>() {
     assert_eq!(client.gripper_state(), Ok(GripperState::Error));
 }
 
-fn release_opens_to_the_width_that_was_asked_for<C: Client>() {
+fn release_opens_to_the_requested_width<C: Client>() {
     let mut client = C::homed(with_part(20.0));
     client.move_to(Mm(40.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
@@ -208,7 +208,7 @@ fn fast_stop_aborts_and_locks_until_it_is_acknowledged<C: Client>() {
     assert_eq!(client.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop), Ok(()));
 }
 
-fn fast_stop_that_is_not_confirmed_is_owed_until_it_is<C: Client>() {
+fn unconfirmed_fast_stop_is_pending_until_it_is_confirmed<C: Client>() {
     let mut client = C::homed(Config::default());
     let bench = client.bench();
     bench.world(|world| (world.mute, world.deaf) = (true, true));
@@ -223,12 +223,12 @@ fn fast_stop_that_is_not_confirmed_is_owed_until_it_is<C: Client>() {
     assert!(!locked(&client));
     client.connect().unwrap();
     assert!(!client.fast_stop_pending());
-    assert!(locked(&client), "it arrived after all, and nothing acknowledged it");
+    assert!(locked(&client), "the FAST STOP was received and not acknowledged");
     assert_eq!(client.acknowledge(), Ok(()));
     assert!(!locked(&client));
 }
 
-fn state_is_told_while_a_motion_runs<C: Client>() {
+fn state_is_reported_while_a_motion_runs<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     assert_eq!(client.motion(), Some(CommandId::PrePosition));
@@ -242,7 +242,7 @@ fn state_is_told_while_a_motion_runs<C: Client>() {
     assert!(widths.len() > 100, "{}", widths.len());
     assert!(widths.is_sorted_by(|one, other| one >= other));
     assert_eq!(client.motion(), None);
-    assert_eq!(client.wait(&motion), Ok(()), "as often as asked");
+    assert_eq!(client.wait(&motion), Ok(()), "repeatable");
 }
 
 fn one_motion_at_a_time<C: Client>() {
@@ -256,7 +256,7 @@ fn one_motion_at_a_time<C: Client>() {
     assert_eq!(client.wait(&second), Ok(()));
 }
 
-fn result_that_came_meanwhile_is_kept<C: Client>() {
+fn result_received_meanwhile_is_kept<C: Client>() {
     let mut client = C::homed(Config::default());
     let grip = client.begin_grip(Mm(100.0), MmPerS(200.0)).unwrap();
     client.bench().pass(5_000);
@@ -264,7 +264,7 @@ fn result_that_came_meanwhile_is_kept<C: Client>() {
     assert_eq!(client.wait(&grip), Ok(Grip::NoPart));
 }
 
-fn question_whose_answer_is_lost_is_asked_again<C: Client>() {
+fn query_whose_answer_is_lost_is_repeated<C: Client>() {
     let mut client = C::homed(Config::default());
     client.bench().world(|world| world.lose = 1);
     assert_near(client.width().unwrap().0, 110.0);
@@ -302,7 +302,7 @@ fn silence_during_a_motion_is_unanswered<C: Client>() {
     assert_eq!(client.stop(), Ok(()));
 }
 
-fn closed_connection_is_told_and_another_takes_its_place<C: Client>() {
+fn closed_connection_is_reported_and_can_be_replaced<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     client.bench().world(|world| world.closed = true);
@@ -312,7 +312,7 @@ fn closed_connection_is_told_and_another_takes_its_place<C: Client>() {
     client.take_new_line();
     assert_eq!(client.wait(&motion), Err(Error::Unanswered));
     client.connect().unwrap();
-    // The gripper took the end for an error.
+    // The gripper treats the end as an error.
     assert!(client.system_state().unwrap().contains(SystemFlags::FAST_STOP));
     client.acknowledge().unwrap();
     assert_eq!(client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop), Ok(()));
@@ -328,7 +328,7 @@ fn announced_end_causes_no_fast_stop<C: Client>() {
     assert_eq!(client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop), Ok(()));
 }
 
-fn end_without_announcement_is_what_the_next_program_is_told_of<C: Client>() {
+fn end_without_announcement_is_reported_to_the_next_program<C: Client>() {
     let mut client = C::homed(Config::default());
     client.take_new_line();
     client.connect().unwrap();
@@ -356,11 +356,11 @@ fn program_may_leave_early_without_causing_a_fast_stop<C: Client>() {
 fn program_without_a_connection_is_not_run<C: Client>() {
     let mut client = C::new(Config::default());
     client.bench().world(|world| world.mute = true);
-    let outcome = client.with_connection(|| panic!("there is no gripper"));
+    let outcome = client.with_connection(|| panic!("the program must not run without a gripper"));
     assert_eq!(outcome, Err(Error::NotConnected.into()));
 }
 
-fn announcement_that_is_not_answered_is_told_unless_the_program_failed<C: Client>() {
+fn unanswered_announcement_is_reported_unless_the_program_failed<C: Client>() {
     for (end, told) in [(Ok(7), Error::Unanswered.into()), (Err(ProgramError::Own), ProgramError::Own)] {
         let mut client = C::new(Config::default());
         let bench = client.bench();
@@ -372,7 +372,7 @@ fn announcement_that_is_not_answered_is_told_unless_the_program_failed<C: Client
     }
 }
 
-fn program_whose_line_was_closed_is_told_so<C: Client>() {
+fn closed_line_is_reported_to_the_program<C: Client>() {
     let mut client = C::new(Config::default());
     let bench = client.bench();
     let outcome = client.with_connection(|| {
@@ -382,7 +382,7 @@ fn program_whose_line_was_closed_is_told_so<C: Client>() {
     assert_eq!(outcome, Err(Error::Closed.into()));
 }
 
-fn garbage_is_counted_and_nothing_else<C: Client>() {
+fn garbage_is_only_counted<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let (before, known) = (client.counters(), client.known());
@@ -401,7 +401,7 @@ fn garbage_is_counted_and_nothing_else<C: Client>() {
     assert_near(client.width().unwrap().0, 50.0);
 }
 
-fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
+fn invalid_number_is_refused_before_anything_is_sent<C: Client>() {
     let mut client = C::homed(Config::default());
     let bench = client.bench();
     bench.world(|world| world.writes.clear());
@@ -415,7 +415,7 @@ fn number_that_is_none_is_refused_before_anything_is_sent<C: Client>() {
     assert_eq!(client.force_limit(), Ok(N(40.0)));
 }
 
-fn updates_come_while_the_fingers_travel<C: Client>() {
+fn updates_are_received_while_the_fingers_travel<C: Client>() {
     let mut client = C::homed(Config::default());
     client.subscribe(Topic::Width, AutoUpdate::every(10));
     let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
@@ -454,15 +454,18 @@ fn every_value_is_returned_or_counted_as_lost<C: Client>() {
     for _ in 0..UPDATES_LEN {
         assert!(client.next_update(50).unwrap().is_some());
     }
-    assert_eq!(client.bench().millis(), begun, "what is kept costs no time");
+    assert_eq!(client.bench().millis(), begun, "queued updates are returned without delay");
     let lost = usize::from(client.counters().updates_lost - lost_before);
     let returned = UPDATES_LEN;
-    assert!((100..=110).contains(&(returned + lost)), "one every 10 ms, and some states: {lost} lost");
+    assert!(
+        (100..=110).contains(&(returned + lost)),
+        "expected one every 10 ms and some states; {lost} lost"
+    );
 }
 
 fn latest_speed_is_known_while_it_is_subscribed_to<C: Client>() {
     let mut client = C::homed(Config::default());
-    assert_eq!(client.known().speed, None, "nothing asked for it");
+    assert_eq!(client.known().speed, None, "no query or subscription");
     client.subscribe(Topic::Speed, AutoUpdate::every(10));
     let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let mut fastest: f32 = 0.0;
@@ -476,7 +479,7 @@ fn latest_speed_is_known_while_it_is_subscribed_to<C: Client>() {
     assert_eq!(client.known().speed, Some(0.0));
 }
 
-fn fingers_tell_what_they_are<C: Client>() {
+fn finger_types_are_returned<C: Client>() {
     let fingers = [wsg_sim::Finger::Fmf, wsg_sim::Finger::None];
     let mut client = C::homed(Config { fingers, ..with_part(20.0) });
     let one = client.finger_info(Finger::One).unwrap();
@@ -534,8 +537,8 @@ fn nothing_is_sent_without_a_connection<C: Client>() {
     assert_near(client.width().unwrap().0, 110.0);
 }
 
-fn motion_of_a_connection_that_was_given_up_does_not_leave_when_the_line_takes_bytes_again<C: Client>() {
-    // Nothing of it had left, or a part.
+fn motion_of_a_closed_connection_is_not_sent_when_the_line_accepts_bytes_again<C: Client>() {
+    // The message is unsent or partly sent.
     for room in [0, 3, 5] {
         let mut client = C::homed(Config::default());
         client.bench().world(|world| world.room = room);

@@ -1,4 +1,4 @@
-//! Lines that are no GCL, and nearly GCL: each is understood exactly, or refused with a reason.
+//! Invalid and almost valid GCL lines: each is parsed exactly, or refused with a reason.
 
 use crate::strategies::{answer, mutated, numbers, request, texts};
 use proptest::prelude::*;
@@ -9,14 +9,14 @@ use wsg_protocol::gcl::ParseError::{
 };
 use wsg_protocol::gcl::{Answer, Named, Refused, Request};
 
-/// The words of a line: numbers by their value, all else by its letters.
+/// The words of a line: numbers by value, all others by their letters.
 #[derive(Debug, PartialEq)]
 enum Word {
     Number(f32),
     Mark(u8),
 }
 
-/// A reading of a line that shares nothing with the parser: nothing of it is left out.
+/// Splits a line into words, independently of the parser and without dropping anything.
 fn words(line: &[u8]) -> Vec<Word> {
     let mut words = vec![];
     let mut rest = line;
@@ -105,7 +105,7 @@ proptest! {
 }
 
 #[test]
-fn what_is_not_gcl_is_answered_with_its_name_and_the_right_code() {
+fn invalid_line_is_answered_with_its_name_and_the_right_code() {
     for (line, mistake, answer) in [
         ("dance(3)", UnknownName, "ERR DANCE 14"),
         ("hello", UnknownName, "ERR HELLO 14"),
@@ -174,7 +174,7 @@ fn line_too_long_is_answered_by_the_name_that_it_began_with() {
 }
 
 #[test]
-fn refusal_says_what_was_wrong_with_which_request() {
+fn refusal_names_the_request_and_the_error() {
     let refused = Request::parse(b"move()").unwrap_err();
     let told = refused.to_string();
     assert!(told.contains("MOVE") && told.contains(&ParseError::TooFew.to_string()), "{told}");
@@ -191,7 +191,7 @@ fn verbose_mode_adds_the_meaning_of_the_code() {
 }
 
 #[test]
-fn what_is_no_answer_is_refused_with_its_reason() {
+fn invalid_answer_is_refused_with_its_reason() {
     for (line, mistake) in [
         ("", ParseError::NoName),
         ("20.0", ParseError::NoName),

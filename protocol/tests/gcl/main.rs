@@ -1,4 +1,4 @@
-//! The Gripper Control Language (GCL): the manual's lines, every value both ways, and lines that are none.
+//! The Gripper Control Language (GCL): the manual's lines, every value in both directions, and invalid lines.
 
 mod hostile;
 mod manual;

@@ -1,4 +1,4 @@
-//! Every line that the GCL manual shows, both ways.
+//! Every line printed in the GCL manual, in both directions.
 
 use wsg_protocol::gcl::{
     Answer, Autosend, CommandName, FingerReading, Grip, LineEvent, LineReader, Move, Named, Release, Request,
@@ -9,14 +9,14 @@ use wsg_protocol::{
     HomingDirection, Status, SystemFlags,
 };
 
-/// `typed` is understood as `request`, which is written as `written`.
+/// Asserts that `typed` parses to `request`, which is written as `written`.
 fn request(typed: &str, request: Request, written: &str) {
     assert_eq!(Request::parse(typed.as_bytes()), Ok(request), "{typed}");
     assert_eq!(request.to_string(), written);
     assert_eq!(Request::parse(written.as_bytes()), Ok(request), "{written}");
 }
 
-/// `line` is understood as `answer`, which is written the same.
+/// Asserts that `line` parses to `answer`, which is written the same.
 fn answer(line: &str, answer: Answer<'_>) {
     assert_eq!(Answer::parse(line.as_bytes()), Ok(answer), "{line}");
     assert_eq!(answer.to_string(), line);
@@ -192,7 +192,7 @@ fn every_signal_can_be_subscribed_to_in_every_way_that_suits_it() {
 }
 
 #[test]
-fn only_what_autosend_knows_comes_as_an_update() {
+fn only_topics_of_autosend_are_accepted_as_updates() {
     for line in ["@SN=1", "@SYSFLAGS[3]=1", "@ACK MOVE", "@PWT=1.0", "@"] {
         assert!(Answer::parse(line.as_bytes()).is_err(), "{line}");
     }
@@ -205,9 +205,9 @@ fn stops_of_chapter_3_2() {
     {
         request(line, command, line);
         answer(&format!("ACK {}", command.name()), Answer::Ack(command.name()));
-        assert_eq!(Answer::Ack(command.name()).status(), Status::Success, "all is done");
+        assert_eq!(Answer::Ack(command.name()).status(), Status::Success, "completed");
     }
-    // The manual calls code 19 E_AXIS_STOPPED here; its own table says E_CMD_ABORTED.
+    // The manual calls code 19 E_AXIS_STOPPED here, but E_CMD_ABORTED in its own table.
     answer("ERR MOVE 19", Answer::failed(CommandName::Move, Status::CmdAborted));
     answer("ERR MOVE 16", Answer::failed(CommandName::Move, Status::AccessDenied));
 }
@@ -270,11 +270,11 @@ fn errors_of_chapter_1_3_with_and_without_a_text() {
     let Ok(Answer::Err { name, status, description: Some(description) }) =
         Answer::parse("ERR GRIP 18 Fehler während der Ausführung".as_bytes())
     else {
-        panic!("an error with a text");
+        panic!("not parsed as an error with a text");
     };
     assert_eq!((name, status), (Named::Command(CommandName::Grip), Status::CmdFailed));
     assert_eq!(description.to_string(), "Fehler während der Ausführung");
-    // In another character set: the code counts, not the words.
+    // In another character set, the code matters and not the text.
     assert!(Answer::parse(b"ERR GRIP 18 Ausf\xFChrung").is_ok());
     answer("ERR ? 15", Answer::parse(b"ERR ? 15").unwrap());
 }

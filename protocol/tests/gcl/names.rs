@@ -1,4 +1,4 @@
-//! Names, those of the manual and others: how they are spelled, shown and compared.
+//! The names of the manual and unknown names: spelling, display and comparison.
 
 use wsg_protocol::gcl::{CommandName, Named, Request};
 
@@ -39,7 +39,7 @@ fn names_are_equal_whatever_their_case_and_to_no_other() {
 }
 
 #[test]
-fn only_what_changes_nothing_the_second_time_may_be_asked_again() {
+fn only_idempotent_commands_are_repeatable() {
     let once: Vec<&str> =
         CommandName::ALL.iter().filter(|name| !name.is_repeatable()).map(|name| name.text()).collect();
     assert_eq!(once, ["BYE", "HOME", "MOVE", "GRIP", "RELEASE", "FSACK"]);

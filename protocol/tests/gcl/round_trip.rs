@@ -1,4 +1,4 @@
-//! What is written is read back as the same.
+//! Written lines parse to the same value.
 
 use crate::strategies::{answer, number, numbers, request, texts};
 use proptest::prelude::*;
@@ -73,7 +73,7 @@ fn longest_request_has_the_announced_length_at_most() {
 }
 
 #[test]
-fn what_the_other_side_would_refuse_is_not_written() {
+fn values_that_the_recipient_would_refuse_are_not_written() {
     let mut buffer = [0; 256];
     for (request, mistake) in [
         (Request::Move(Move { width: f32::NAN, speed: None }), ParseError::Range),

@@ -1,9 +1,9 @@
-//! Where the stream of bytes is cut does not matter.
+//! The events are independent of how the stream of bytes is split.
 
 use proptest::prelude::*;
 use wsg_protocol::gcl::{LineCounters, LineEvent, LineReader};
 
-/// What a reader found, kept.
+/// An owned copy of an event.
 #[derive(Clone, Debug, PartialEq)]
 enum Found {
     Line(Vec<u8>),
@@ -19,7 +19,7 @@ fn keep(event: LineEvent<'_>) -> Found {
     }
 }
 
-/// Reads the pieces one after the other, each as a slice.
+/// Reads the pieces in order, each as a slice.
 fn in_slices<'a>(pieces: impl IntoIterator<Item = &'a [u8]>) -> (Vec<Found>, LineCounters) {
     let mut reader = LineReader::<LEN>::new();
     let mut found = vec![];
@@ -40,7 +40,7 @@ fn in_bytes(stream: &[u8]) -> (Vec<Found>, LineCounters) {
     (found, reader.counters())
 }
 
-/// The same by a reader that has the whole stream before it.
+/// Splits the complete stream, as a reference.
 fn reference(stream: &[u8]) -> Vec<Found> {
     let is_end = |byte: &u8| matches!(byte, b'\n' | b'\r');
     let mut found = vec![];

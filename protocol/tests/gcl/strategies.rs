@@ -1,4 +1,4 @@
-//! Any request, any answer, and lines that are nearly one.
+//! Strategies for requests, answers and almost valid lines.
 
 use proptest::prelude::*;
 use wsg_protocol::gcl::{
@@ -9,7 +9,7 @@ use wsg_protocol::{
     DeviceTag, FingerFlags, GripperState, GrippingStatistics, HomingDirection, Status, SystemFlags,
 };
 
-/// Any finite number.
+/// Generates finite numbers.
 pub(crate) fn number() -> impl Strategy<Value = f32> {
     any::<u32>().prop_map(f32::from_bits).prop_filter("finite", |number| number.is_finite())
 }
@@ -39,7 +39,7 @@ fn autosend() -> impl Strategy<Value = Autosend> {
     )
 }
 
-/// Any request.
+/// Generates requests.
 pub(crate) fn request() -> BoxedStrategy<Request> {
     prop_oneof![
         any::<bool>().prop_map(Request::Verbose),
@@ -99,7 +99,7 @@ pub(crate) struct Texts {
     name: String,
 }
 
-/// Any texts.
+/// Generates texts.
 pub(crate) fn texts() -> impl Strategy<Value = Texts> {
     (
         "[ -~]{0,64}",
@@ -124,10 +124,10 @@ fn selected<W: Clone, E: Clone, const LEN: u8>(at: u32, all: W, one: E) -> Selec
     }
 }
 
-/// The numbers that an answer is made of.
+/// The numbers that select and fill an answer.
 pub(crate) type Numbers = (usize, u32, u32, f32, f32);
 
-/// Any numbers.
+/// Generates numbers for an answer.
 pub(crate) fn numbers() -> impl Strategy<Value = Numbers> {
     (any::<usize>(), any::<u32>(), any::<u32>(), number(), number())
 }
@@ -164,7 +164,7 @@ fn value<'a>(texts: &'a Texts, (which, at, bits, first, second): Numbers) -> Val
     }
 }
 
-/// The answer that is made of these.
+/// Builds an answer from texts and numbers.
 pub(crate) fn answer<'a>(texts: &'a Texts, kind: u8, numbers: Numbers) -> Answer<'a> {
     let (which, _, bits, ..) = numbers;
     let pick = |wanted: fn(CommandName) -> bool| {
@@ -196,7 +196,7 @@ pub(crate) fn answer<'a>(texts: &'a Texts, kind: u8, numbers: Numbers) -> Answer
     }
 }
 
-/// The line with some of its bytes changed, left out, doubled or put in.
+/// Generates a line with some bytes changed, removed, doubled or inserted.
 pub(crate) fn mutated(line: String) -> impl Strategy<Value = Vec<u8>> {
     let byte = prop_oneof![any::<u8>(), proptest::sample::select(b"()[],=?\"@ .-+0123456789eE".to_vec())];
     proptest::collection::vec((any::<proptest::sample::Index>(), 0..4u8, byte), 0..4).prop_map(

@@ -1,4 +1,4 @@
-//! The grammar of docs/gcl.md, executed: what it derives, by trying every way.
+//! Executes the grammar of docs/gcl.md with backtracking.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -17,7 +17,7 @@ enum Node {
 }
 
 impl Grammar {
-    /// Takes the rules of a block.
+    /// Adds the rules of a block.
     pub(crate) fn add(&mut self, block: &str) {
         let mut tokens = tokens(block).into_iter().peekable();
         while let Some(name) = tokens.next() {
@@ -28,13 +28,13 @@ impl Grammar {
         }
     }
 
-    /// Whether the rule derives the whole line.
+    /// Returns whether the rule derives the complete line.
     pub(crate) fn derives(&self, rule: &str, line: &str) -> bool {
         let line: Vec<char> = line.chars().collect();
         self.ends(&Node::Rule(rule.to_owned()), &line, 0).contains(&line.len())
     }
 
-    /// Where what the node derives from `at` on may end.
+    /// Returns the possible ends of the node's derivations from `at`.
     fn ends(&self, node: &Node, line: &[char], at: usize) -> BTreeSet<usize> {
         let one = |fits: bool| if fits { BTreeSet::from([at + 1]) } else { BTreeSet::new() };
         match node {
@@ -111,13 +111,13 @@ fn sequence(tokens: &mut Tokens) -> Node {
             "[" => (Node::Optional(Box::new(choice(tokens))), "]"),
             "{" => (Node::Repeated(Box::new(choice(tokens))), "}"),
             text if text.starts_with('"') => {
-                // In a literal, `'` stands for the quotation mark.
+                // In a literal, `'` represents the quotation mark.
                 (Node::Literal(text.trim_matches('"').replace('\'', "\"")), "")
             }
             name => (Node::Rule(name.to_owned()), ""),
         };
         if !end.is_empty() {
-            assert_eq!(tokens.next().as_deref(), Some(end), "what opens is closed");
+            assert_eq!(tokens.next().as_deref(), Some(end), "unbalanced bracket");
         }
         nodes.push(node);
     }

@@ -1,8 +1,8 @@
-//! docs/gcl.md, executed: its grammar, its table, its conversations, the tests that it names.
+//! Checks docs/gcl.md: its grammar, its table, its conversations, and the names of its tests.
 
 mod grammar;
 #[path = "../gcl/strategies.rs"]
-#[allow(dead_code, reason = "every test file uses a part of it")]
+#[allow(dead_code, reason = "each test file uses a part of it")]
 mod strategies;
 
 use crate::grammar::Grammar;
@@ -20,7 +20,7 @@ static GRAMMAR: LazyLock<Grammar> = LazyLock::new(|| {
     grammar
 });
 
-/// The blocks of code in this language.
+/// Returns the code blocks in this language.
 fn blocks(language: &str) -> Vec<String> {
     let text = read(DOCUMENT);
     let blocks = text.split("```").skip(1).step_by(2);
@@ -140,7 +140,7 @@ fn longest_request_is_as_long_as_the_document_says() {
     assert!(read(DOCUMENT).contains(&format!("at most\n  {} bytes", Request::MAX_LEN)));
 }
 
-/// The line without blanks outside its texts.
+/// Removes blanks outside texts.
 fn without_blanks(line: &str) -> String {
     let mut inside = false;
     line.chars()
@@ -169,7 +169,7 @@ proptest! {
         line in request().prop_flat_map(|request| mutated(request.to_string())),
     ) {
         let Ok(text) = String::from_utf8(line) else { return Ok(()) };
-        // A blank inside a word, a text with blanks around it: the grammar does not speak of them.
+        // The grammar does not cover blanks inside a word or around a text.
         let is_told = !text.contains([' ', '\t']) && text.trim_ascii().len() == text.len();
         let is_derived = GRAMMAR.derives("request", &without_blanks(&text));
         match Request::parse(text.as_bytes()) {

@@ -1,4 +1,4 @@
-//! Futures that are dropped: no byte is lost, nothing leaves late, no answer is taken for another's.
+//! Dropped futures: no byte is lost, no command is sent late, and no answer is assigned to another request.
 
 use super::*;
 use crate::Command;
@@ -22,13 +22,13 @@ fn dropping_at_any_moment_loses_no_byte_and_no_step() {
 }
 
 #[test]
-fn motion_that_had_not_left_does_not_leave_any_more() {
+fn cancelled_motion_that_was_not_sent_is_never_sent() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.world(|world| world.room = 0);
     assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
     rig.world(|world| world.room = usize::MAX);
-    assert!(gripper.motion().is_some(), "it still waits for the line");
+    assert!(gripper.motion().is_some(), "the frame is not sent yet");
     assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert_eq!(rig.heard(CommandId::GripPart), 0);
     assert_eq!(gripper.motion(), None);
@@ -36,7 +36,7 @@ fn motion_that_had_not_left_does_not_leave_any_more() {
 }
 
 #[test]
-fn frame_that_was_cut_off_is_sent_to_its_end() {
+fn partly_sent_frame_is_completed() {
     for room in 1..16 {
         let rig = Rig::new();
         let mut gripper = connected_async(&rig);
@@ -51,7 +51,7 @@ fn frame_that_was_cut_off_is_sent_to_its_end() {
 }
 
 #[test]
-fn motion_goes_on_and_is_told_of() {
+fn cancelled_wait_leaves_the_motion_running_and_reported() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     assert_eq!(rig.run_for(10, gripper.home(HomingDirection::Default)), None);
@@ -62,7 +62,7 @@ fn motion_goes_on_and_is_told_of() {
 }
 
 #[test]
-fn answer_to_a_setting_that_was_given_up_is_not_taken_for_that_of_the_next() {
+fn answer_to_a_cancelled_setting_is_not_taken_for_that_of_the_next() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     let id = CommandId::SetForceLimit;
@@ -75,7 +75,7 @@ fn answer_to_a_setting_that_was_given_up_is_not_taken_for_that_of_the_next() {
 }
 
 #[test]
-fn borrowed_payload_that_is_gone_is_not_sent_again_and_the_connection_stays() {
+fn dropped_borrowed_payload_is_not_repeated_and_the_connection_stays() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.script(CommandId::SetDeviceTag, vec![]);
@@ -87,7 +87,7 @@ fn borrowed_payload_that_is_gone_is_not_sent_again_and_the_connection_stays() {
 }
 
 #[test]
-fn stop_leaves_even_when_it_was_given_up() {
+fn cancelled_stop_is_still_sent() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.world(|world| world.room = 0);
@@ -101,7 +101,7 @@ fn stop_leaves_even_when_it_was_given_up() {
 }
 
 #[test]
-fn line_that_takes_nothing_ends_in_an_error() {
+fn blocked_line_is_an_error() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.world(|world| world.room = 0);
@@ -109,11 +109,11 @@ fn line_that_takes_nothing_ends_in_an_error() {
     assert!(!gripper.is_connected());
     rig.world(|world| world.room = usize::MAX);
     rig.run(gripper.connect()).unwrap();
-    assert_eq!(rig.heard(CommandId::GripPart), 0, "and does not leave when the line takes bytes again");
+    assert_eq!(rig.heard(CommandId::GripPart), 0, "and is not sent when the line accepts bytes again");
 }
 
 #[test]
-fn future_may_be_given_to_another_thread() {
+fn futures_are_send() {
     fn is_send<T: Send>(_: &T) {}
     struct Nothing;
     impl embedded_io::ErrorType for Nothing {
@@ -149,12 +149,12 @@ fn future_may_be_given_to_another_thread() {
 }
 
 #[test]
-fn dropped_motion_and_a_new_one_are_not_mixed_up() {
+fn dropped_motion_and_a_new_one_are_not_confused() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.script_motion(CommandId::GripPart, Status::CmdFailed);
     assert_eq!(rig.run_for(10, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
-    rig.pass(150); // its result waits on the line
+    rig.pass(150); // its result is ready to be received
     assert_eq!(rig.run(gripper.grip(Mm(30.0), MmPerS(50.0))), Ok(Grip::Held));
     let widths: Vec<_> = rig.world(|world| world.heard.iter().map(|(_, payload)| payload.clone()).collect());
     let grip = |width| rig::payload(&Command::GripPart { width, speed: 50.0 });
@@ -162,22 +162,22 @@ fn dropped_motion_and_a_new_one_are_not_mixed_up() {
 }
 
 #[test]
-fn frame_that_an_error_of_the_transport_cut_off_is_not_sent_to_its_end() {
+fn frame_cut_off_by_a_transport_error_is_not_completed() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     rig.world(|world| world.room = 7);
     assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
     rig.world(|world| (world.room, world.refuses) = (usize::MAX, true));
     assert_eq!(rig.run(gripper.width()), Err(Error::Transport(Noise)));
-    assert_eq!(rig.run(gripper.width()), Err(Error::NotConnected), "the motion has no answer");
+    assert_eq!(rig.run(gripper.width()), Err(Error::NotConnected), "the motion was not answered");
     rig.run(gripper.connect()).unwrap();
     assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert_eq!((rig.heard(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
 }
 
 #[test]
-fn frame_that_is_half_sent_when_a_motion_is_given_up_is_sent_to_its_end() {
-    /// A motion that has begun and never ends, and for how long it is waited for.
+fn partly_sent_frame_is_completed_after_a_motion_timeout() {
+    /// Starts a motion that never ends.
     fn endless(rig: &Rig) -> (Asynch, Pending<Grip>) {
         let mut gripper = connected_async(rig);
         rig.script(CommandId::GripPart, vec![(1, status(CommandId::GripPart, Status::CmdPending))]);

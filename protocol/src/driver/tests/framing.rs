@@ -1,9 +1,11 @@
-//! Where public drivers lose sync: frames that nobody asked for, two frames in one segment, AA AA AA in a payload.
+//! Conditions under which public drivers lose synchronization: unsolicited frames, two frames in one segment, and AA AA AA in
+//! a payload.
 
 use super::*;
 use crate::{LoopData, SystemFlags};
 
-/// Frames that a gripper may send unsolicited: an update that an earlier client left behind, a late result, an unknown id.
+/// Returns frames that a gripper may send unsolicited: an update subscribed to by an earlier client, a late result, an unknown
+/// ID.
 fn unsolicited() -> Vec<u8> {
     [
         frame(Reply::success(Value::GetForce(12.5))),
@@ -15,7 +17,7 @@ fn unsolicited() -> Vec<u8> {
 }
 
 #[test]
-fn unasked_frames_before_every_answer_do_not_get_it_out_of_step() {
+fn unsolicited_frames_before_every_answer_do_not_desynchronize_the_driver() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     for force in [10.0, 20.0, 30.0] {
@@ -51,7 +53,7 @@ fn update_between_pending_and_result_is_not_the_result() {
 }
 
 #[test]
-fn two_frames_in_one_segment_are_both_taken() {
+fn two_frames_in_one_segment_are_both_processed() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let mut other = connected_async(&rig);
@@ -64,14 +66,14 @@ fn two_frames_in_one_segment_are_both_taken() {
 
     let width = frame(Reply::success(Value::GetOpeningWidth(7.0)));
     let segment = [unsolicited(), width, unsolicited()].concat();
-    assert!(segment.len() > 64, "more than one read takes");
+    assert!(segment.len() > 64, "needs more than one read");
     rig.script(CommandId::GetOpeningWidth, vec![(1, segment)]);
     assert_eq!(gripper.width(), Ok(Mm(7.0)));
     assert_eq!(gripper.home(HomingDirection::Default), Ok(()));
 }
 
 #[test]
-fn frame_in_pieces_is_put_together_wherever_it_was_cut() {
+fn frame_is_reassembled_from_any_two_pieces() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let width = frame(Reply::success(Value::GetOpeningWidth(7.0)));
@@ -93,19 +95,19 @@ fn preambles_in_a_payload_are_data() {
         assert_eq!(gripper.loop_back(&vec![0xAA; len]), Ok(()), "{len}");
         assert_eq!(rig.run(other.loop_back(&vec![0xAA; len])), Ok(()), "{len}");
     }
-    // A whole frame inside a payload: its outside counts.
+    // A complete frame inside a payload is data, too.
     let inner = status(CommandId::Homing, Status::Success);
     assert_eq!(gripper.loop_back(&inner), Ok(()));
     assert_eq!(gripper.counters().session.unsolicited, 0);
 }
 
 #[test]
-fn rest_of_a_cut_frame_is_given_up_and_the_next_one_is_taken() {
+fn truncated_frame_is_discarded_and_the_next_one_is_processed() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let echo = frame(Reply::success(Value::Loop(LoopData::new(&[0xAA; 100]).unwrap())));
     rig.script(CommandId::GetOpeningWidth, vec![(1, echo[..40].to_vec())]);
-    assert_eq!(gripper.width(), Ok(Mm(42.5)), "asked again");
+    assert_eq!(gripper.width(), Ok(Mm(42.5)), "after a repetition of the query");
     assert_eq!(gripper.counters().session.repeated, 1);
     assert_eq!(gripper.counters().line.dropped, 40);
 }
@@ -123,7 +125,7 @@ fn noise_around_frames_costs_nothing() {
 }
 
 #[test]
-fn every_frame_leaves_by_one_write() {
+fn every_frame_is_sent_in_one_write() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let mut other = connected_async(&rig);

@@ -1,4 +1,4 @@
-//! Both ends in one process, in virtual time: a transport and a clock for the driver, a scripted gripper behind them.
+//! Both ends of a line in one process and in virtual time: transport and clock of the driver, and a scripted gripper.
 
 use crate::driver::blocking::Transport;
 use crate::driver::{Clock, Timer};
@@ -15,13 +15,13 @@ use std::rc::Rc;
 use std::vec;
 use std::vec::Vec;
 
-/// Near the end of the clock's range, so that every script also shows that it may wrap.
+/// Close to the end of the clock's range, so that every script also covers the wraparound.
 const BEGIN: Instant = Instant::from_millis(u32::MAX - 300);
 
-/// Bytes that arrive together, so many milliseconds after the request.
+/// Bytes received together, with their delay after the request in ms.
 pub(super) type Segment = (u32, Vec<u8>);
 
-/// What the transport reports.
+/// The error of the transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Noise;
 
@@ -42,48 +42,48 @@ impl embedded_io::Error for Noise {
 pub(super) struct World {
     pub(super) now: Instant,
     parser: FrameParser<300>,
-    /// To the driver, in order of time.
+    /// Bytes for the driver, in order of time.
     coming: VecDeque<(Instant, Vec<u8>)>,
-    /// The answers to the next requests with an id, in place of a healthy gripper's.
+    /// The answers to the next requests with an ID, in place of the healthy gripper's.
     scripted: Vec<(u8, Vec<Segment>)>,
-    /// What the gripper has heard: requests without the session's own.
+    /// Requests received by the gripper, without the session's own.
     pub(super) heard: Vec<(u8, Vec<u8>)>,
-    /// Bytes of each write.
+    /// Length of each write in bytes.
     pub(super) writes: Vec<usize>,
-    /// How often the blocking driver has waited.
+    /// Number of waits of the blocking driver.
     pub(super) waits: u32,
-    /// Bytes that were written leave at the flush.
+    /// Keeps written bytes until the flush.
     pub(super) holds_back: bool,
     held_back: Vec<u8>,
-    /// When the future that was polled last wants to be polled again.
+    /// The time at which the last polled future requested a wake-up.
     wakes_at: Option<Instant>,
-    /// Bytes that the transport takes before it is full.
+    /// Number of bytes that the transport still accepts.
     pub(super) room: usize,
-    /// The gripper is off.
+    /// The gripper does not answer.
     pub(super) silent: bool,
     pub(super) closed: bool,
     pub(super) noise: bool,
-    /// The next write fails; what was written before is forgotten.
+    /// The next write fails, and the gripper discards its incomplete frame.
     pub(super) refuses: bool,
-    /// The system state.
+    /// The system state that the gripper reports.
     pub(super) flags: SystemFlags,
     pub(super) force_limit: f32,
-    /// What stop handles have written.
+    /// The line of the stop handles.
     pub(super) direct: std::sync::Arc<std::sync::Mutex<Direct>>,
-    /// What somebody else does at a moment while the blocking driver waits.
+    /// An action to run at a given time while the blocking driver waits.
     other: Option<(Instant, std::boxed::Box<dyn FnOnce()>)>,
-    /// The last subscription to the width.
+    /// Payload of the last subscription to the width.
     pub(super) width_update: Option<Vec<u8>>,
 }
 
-/// The line as stop handles see it.
+/// The line as used by stop handles.
 #[derive(Debug, Default)]
 pub(super) struct Direct {
     bytes: Vec<u8>,
     pub(super) is_full: bool,
 }
 
-/// The way to it, for both ends and the test.
+/// Shared access to the world, for both ends and the test.
 #[derive(Clone)]
 pub(super) struct Rig(Rc<RefCell<World>>);
 
@@ -125,22 +125,22 @@ impl Rig {
         look(&mut self.0.borrow_mut())
     }
 
-    /// The answer to the next request with this id; none: silence.
+    /// Sets the answer to the next request with this ID. An empty answer is silence.
     pub(super) fn script(&self, id: CommandId, answer: Vec<Segment>) {
         self.world(|world| world.scripted.push((id.code(), answer)));
     }
 
-    /// A motion that is answered at once and, after 100 ms, with this.
+    /// Sets a motion's answers: E_CMD_PENDING at once, and `result` after 100 ms.
     pub(super) fn script_motion(&self, id: CommandId, result: Status) {
         self.script(id, vec![(1, status(id, Status::CmdPending)), (100, status(id, result))]);
     }
 
-    /// Somebody else does this after so many milliseconds, while the blocking driver waits.
+    /// Runs an action after `ms`, while the blocking driver waits.
     pub(super) fn later(&self, ms: u32, act: impl FnOnce() + 'static) {
         self.world(|world| world.other = Some((world.now.plus(ms), std::boxed::Box::new(act))));
     }
 
-    /// Bytes out of nowhere.
+    /// Adds bytes to the input of the driver.
     pub(super) fn inject(&self, bytes: &[u8]) {
         self.world(|world| world.coming.push_back((world.now, bytes.to_vec())));
     }
@@ -154,13 +154,12 @@ impl Rig {
         self.world(|world| world.now = world.now.plus(ms));
     }
 
-    /// Runs a future to its end in virtual time.
+    /// Runs a future to completion in virtual time.
     pub(super) fn run<T>(&self, future: impl Future<Output = T>) -> T {
-        self.run_for(600_000, future).expect("it comes to an end within ten minutes")
+        self.run_for(600_000, future).expect("the future completes within ten minutes")
     }
 
-    /// Runs a future to its end as an executor does: it is polled again when bytes have come, or when the moment is there
-    /// that it waits for.
+    /// Runs a future to completion like an executor: polls it again when bytes are due or at its requested wake-up time.
     pub(super) fn run_woken<T>(&self, future: impl Future<Output = T>) -> T {
         let mut future = pin!(future);
         let mut context = Context::from_waker(Waker::noop());
@@ -171,13 +170,13 @@ impl Rig {
             }
             self.world(|world| {
                 let coming = world.coming.iter().map(|(at, _)| *at).chain(world.wakes_at);
-                world.now = coming.reduce(Instant::earlier_of).expect("something wakes it again");
+                world.now = coming.reduce(Instant::earlier_of).expect("the future has requested a wake-up");
             });
         }
-        panic!("it is woken and woken again");
+        panic!("endless wake-ups");
     }
 
-    /// Polls a future once a millisecond, so many times at the most, and drops it.
+    /// Polls a future once per millisecond, at most `polls` times, and drops it.
     pub(super) fn run_for<T>(&self, polls: u32, future: impl Future<Output = T>) -> Option<T> {
         let mut future = pin!(future);
         let mut context = Context::from_waker(Waker::noop());
@@ -198,7 +197,7 @@ impl World {
             let (taken, event) = self.parser.push_slice(rest);
             rest = &rest[taken..];
             let Some(event) = event else { return };
-            let Event::Frame(frame) = event else { panic!("a driver sends whole frames: {event:?}") };
+            let Event::Frame(frame) = event else { panic!("a driver sends only complete frames: {event:?}") };
             let (id, payload) = (frame.id, frame.payload.to_vec());
             if !self.silent {
                 self.answer(id, payload);
@@ -208,7 +207,7 @@ impl World {
 
     fn answer(&mut self, id: u8, payload: Vec<u8>) {
         let command =
-            Command::decode(&Frame { id, payload: &payload }).expect("a driver sends what is allowed");
+            Command::decode(&Frame { id, payload: &payload }).expect("a driver sends only valid commands");
         let scripted = self.scripted.iter().position(|(scripted, _)| *scripted == id);
         let segments = match scripted {
             Some(at) => self.scripted.remove(at).1,
@@ -253,8 +252,7 @@ impl World {
         vec![(1, frame(Reply::success(value)))]
     }
 
-    /// What was on its way to the driver is lost.
-    /// Bytes that the gripper heard outside a frame.
+    /// Returns the number of bytes that the gripper received outside a frame.
     pub(super) fn stray(&self) -> u16 {
         self.parser.counters().dropped
     }
@@ -263,7 +261,7 @@ impl World {
         self.coming.clear();
     }
 
-    /// Hands over what stop handles have written.
+    /// Passes the bytes written by stop handles to the gripper.
     fn hear_handles(&mut self) {
         let bytes = core::mem::take(&mut self.direct.lock().unwrap().bytes);
         self.take(&bytes);
@@ -281,7 +279,7 @@ impl World {
         if self.closed {
             return Ok(0);
         }
-        let at = self.coming.iter().position(|(at, _)| self.now.has_reached(*at)).expect("something is due");
+        let at = self.coming.iter().position(|(at, _)| self.now.has_reached(*at)).expect("bytes are due");
         let bytes = &mut self.coming[at].1;
         let count = bytes.len().min(buffer.len());
         buffer[..count].copy_from_slice(&bytes[..count]);
@@ -295,14 +293,14 @@ impl World {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
         self.hear_handles();
         if core::mem::take(&mut self.refuses) {
-            // Behind it the other end hears from the beginning.
+            // The gripper then starts with an empty parser.
             self.parser = FrameParser::new();
             return Err(Noise);
         }
         let count = bytes.len().min(self.room);
         self.room -= count;
         self.writes.push(count);
-        assert!(self.writes.len() < 10_000, "messages without end");
+        assert!(self.writes.len() < 10_000, "endless messages");
         if self.holds_back {
             self.held_back.extend(&bytes[..count]);
         } else {
@@ -327,7 +325,7 @@ impl embedded_io::ReadReady for Rig {
     }
 }
 
-/// Time passes up to the next byte, and no further than the driver allows.
+/// Advances the time to the next byte, but not beyond the limit of the driver.
 impl Transport for Rig {
     fn wait(&mut self, at_most_ms: u32) -> Result<(), Noise> {
         let other = self.world(|world| {
@@ -338,7 +336,7 @@ impl Transport for Rig {
             let end = world.now.plus(at_most_ms);
             let other = world.other.iter().map(|(at, _)| *at);
             world.now = world.coming.iter().map(|(at, _)| *at).chain(other).fold(end, Instant::earlier_of);
-            assert!(world.now.since(BEGIN) < 600_000, "a call comes to an end within ten minutes");
+            assert!(world.now.since(BEGIN) < 600_000, "a call returns within ten minutes");
             world.other.take_if(|(at, _)| world.now.has_reached(*at))
         });
         if let Some((_, act)) = other {
@@ -348,7 +346,7 @@ impl Transport for Rig {
     }
 }
 
-/// The second way to the line, for stop handles.
+/// The second path to the line, for stop handles.
 #[cfg(feature = "std")]
 impl crate::driver::Stoppable for Rig {
     fn stop_line(&mut self) -> std::io::Result<crate::driver::StopLine> {
@@ -405,7 +403,7 @@ impl embedded_io_async::Write for Rig {
     }
 }
 
-/// The rig's clock.
+/// The clock of the rig.
 pub(super) struct Watch(pub(super) Rig);
 
 impl Clock for Watch {
@@ -429,7 +427,7 @@ impl Timer for Watch {
     }
 }
 
-/// The payload of a request.
+/// Returns the payload of a request.
 pub(super) fn payload(command: &Command<'_>) -> Vec<u8> {
     (0..command.len()).map(|at| command.byte(at)).collect()
 }

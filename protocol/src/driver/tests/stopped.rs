@@ -1,9 +1,9 @@
-//! Stop handles: what is sent, once, and what the driver makes of it, in virtual time.
+//! Stop handles in virtual time: they send once, and the driver reports the stop.
 
 use super::*;
 use std::io::ErrorKind;
 
-/// A motion that does not end by itself, and what Stop and FAST STOP make of it.
+/// Scripts a motion that ends only by Stop or FAST STOP.
 fn script_endless(rig: &Rig, motion: CommandId) {
     rig.world(|world| world.flags |= SystemFlags::MOVING);
     rig.script(motion, vec![(1, status(motion, Status::CmdPending))]);
@@ -23,7 +23,7 @@ fn request(handle: &StopHandle, kind: StopKind) -> std::io::Result<()> {
 }
 
 #[test]
-fn handle_ends_a_motion_that_a_call_waits_for() {
+fn handle_ends_an_awaited_motion() {
     for (kind, id) in KINDS {
         let rig = Rig::new();
         let mut gripper = connected(&rig);
@@ -35,7 +35,7 @@ fn handle_ends_a_motion_that_a_call_waits_for() {
         assert!(rig.world(|world| world.now).since(begun) < 510);
         assert_eq!((rig.heard(id), gripper.motion()), (1, None), "the driver does not send it again");
         assert!(!gripper.fast_stop_pending());
-        assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held), "it is reported once");
+        assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held), "the stop is reported only once");
         assert_eq!(gripper.counters().session.unsolicited, 0);
     }
 }
@@ -56,7 +56,7 @@ fn handle_of_an_idle_driver_sends_at_once_and_the_next_call_reports_it() {
 }
 
 #[test]
-fn fast_stop_is_not_acknowledged_by_a_program_that_does_not_know_of_it() {
+fn fast_stop_is_reported_before_it_can_be_acknowledged() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     gripper.stop_handle().unwrap().fast_stop().unwrap();
@@ -77,7 +77,7 @@ fn fast_stop_outranks_a_stop() {
 }
 
 #[test]
-fn own_stop_counts_for_that_of_a_handle_and_not_for_a_greater_one() {
+fn own_stop_replaces_that_of_a_handle_unless_the_latter_is_a_fast_stop() {
     for (by_handle, own, outcome) in [
         (StopKind::Stop, StopKind::Stop, Ok(())),
         (StopKind::Stop, StopKind::FastStop, Ok(())),
@@ -94,7 +94,7 @@ fn own_stop_counts_for_that_of_a_handle_and_not_for_a_greater_one() {
 }
 
 #[test]
-fn fast_stop_that_is_not_confirmed_ends_the_call_in_time_and_is_owed() {
+fn unconfirmed_fast_stop_ends_the_call_in_time_and_stays_pending() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     script_endless(&rig, CommandId::GripPart);
@@ -115,7 +115,7 @@ fn fast_stop_that_is_not_confirmed_ends_the_call_in_time_and_is_owed() {
 }
 
 #[test]
-fn handle_writes_nothing_into_a_message_that_is_half_sent() {
+fn handle_writes_nothing_into_a_partly_sent_message() {
     for room in 1..16 {
         let rig = Rig::new();
         let mut gripper = connected_async(&rig);
@@ -132,7 +132,7 @@ fn handle_writes_nothing_into_a_message_that_is_half_sent() {
 }
 
 #[test]
-fn motion_that_waits_for_the_line_does_not_leave_after_a_stop() {
+fn motion_waiting_for_the_line_is_not_sent_after_a_stop() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     let handle = gripper.stop_handle().unwrap();
@@ -150,7 +150,7 @@ fn motion_that_waits_for_the_line_does_not_leave_after_a_stop() {
 }
 
 #[test]
-fn stop_that_the_line_does_not_take_is_sent_by_the_driver() {
+fn stop_rejected_by_a_full_line_is_sent_by_the_driver() {
     for (kind, id) in KINDS {
         let rig = Rig::new();
         let mut gripper = connected(&rig);
@@ -190,7 +190,7 @@ fn handle_wakes_the_task_of_the_async_driver() {
 }
 
 #[test]
-fn handle_of_a_driver_that_is_gone_says_so_and_sends_nothing() {
+fn handle_of_a_dropped_driver_returns_an_error_and_sends_nothing() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let first = gripper.stop_handle().unwrap();

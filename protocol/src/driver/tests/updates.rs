@@ -1,4 +1,4 @@
-//! Values that are kept until they are fetched: they come first, cost no time, and hold up no FAST STOP.
+//! Queued updates: they are returned first, without delay, and do not delay a FAST STOP.
 
 use super::*;
 
@@ -6,13 +6,13 @@ fn force(newtons: u8) -> Vec<u8> {
     frame(Reply::success(Value::GetForce(newtons.into())))
 }
 
-/// Three forces that come while something else is asked for, so that they are kept.
+/// Injects three forces that are received during a query and therefore queued.
 fn inject_three(rig: &Rig) {
     (1..=3).for_each(|newtons| rig.inject(&force(newtons)));
 }
 
 #[test]
-fn kept_values_come_before_a_look_at_the_transport() {
+fn queued_updates_are_returned_before_reading_the_transport() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
@@ -29,7 +29,7 @@ fn kept_values_come_before_a_look_at_the_transport() {
 }
 
 #[test]
-fn kept_values_come_before_a_look_at_the_transport_in_the_async_driver() {
+fn async_driver_returns_queued_updates_before_reading_the_transport() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
@@ -44,7 +44,7 @@ fn kept_values_come_before_a_look_at_the_transport_in_the_async_driver() {
 }
 
 #[test]
-fn stop_and_fast_stop_that_were_given_up_leave_before_kept_values_come() {
+fn cancelled_stop_and_fast_stop_are_sent_before_queued_updates_are_returned() {
     for fast in [false, true] {
         let rig = Rig::new();
         let mut gripper = connected_async(&rig);
@@ -66,7 +66,7 @@ fn stop_and_fast_stop_that_were_given_up_leave_before_kept_values_come() {
 }
 
 #[test]
-fn what_is_due_is_sent_while_values_keep_coming() {
+fn due_requests_are_sent_while_updates_are_received() {
     let rig = Rig::new();
     let mut gripper = connected_async(&rig);
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
@@ -78,7 +78,7 @@ fn what_is_due_is_sent_while_values_keep_coming() {
 }
 
 #[test]
-fn count_of_lost_values_stops_at_its_end() {
+fn count_of_lost_updates_saturates() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));

@@ -1,8 +1,8 @@
-//! When the blocking driver waits, and for how long: after it has sent what is due, and never longer than nothing is due.
+//! Waits of the blocking driver: only after sending what is due, and no longer than until the next action is due.
 
 use super::*;
 
-/// How often the driver waits while this runs.
+/// Returns the number of waits during a call.
 fn waits(rig: &Rig, call: impl FnOnce()) -> u32 {
     let before = rig.world(|world| world.waits);
     call();
@@ -10,7 +10,7 @@ fn waits(rig: &Rig, call: impl FnOnce()) -> u32 {
 }
 
 #[test]
-fn query_is_sent_before_the_first_wait_and_answered_by_the_end_of_it() {
+fn query_needs_a_single_wait_after_sending() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     assert_eq!(waits(&rig, || assert_eq!(gripper.width(), Ok(Mm(42.5)))), 1);
@@ -29,7 +29,7 @@ fn stop_and_fast_stop_are_sent_before_anything_is_read() {
 }
 
 #[test]
-fn motion_is_waited_for_with_few_wake_ups() {
+fn motion_is_awaited_with_few_wake_ups() {
     const SECONDS: u32 = 20;
     let rig = Rig::new();
     let mut gripper = connected(&rig);
@@ -38,12 +38,12 @@ fn motion_is_waited_for_with_few_wake_ups() {
     rig.script(id, vec![(1, status(id, Status::CmdPending)), end]);
     rig.world(|world| world.flags |= SystemFlags::MOVING);
     let waits = waits(&rig, || gripper.move_to(Mm(50.0), MmPerS(5.0), OnBlock::Stop).unwrap());
-    // Each refresh costs two: until it is due, and for its answer.
+    // Each refresh costs two waits: until it is due, and for its answer.
     assert!(waits <= 12 * SECONDS, "{waits}");
 }
 
 #[test]
-fn poll_and_next_update_of_no_time_do_not_wait() {
+fn poll_and_next_update_without_a_timeout_do_not_wait() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
@@ -66,7 +66,7 @@ fn gripper_that_is_off_is_given_up_in_time() {
 }
 
 #[test]
-fn gripper_that_falls_silent_is_noticed_in_time() {
+fn silence_of_the_gripper_is_detected_in_time() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     rig.world(|world| world.silent = true);
@@ -76,7 +76,7 @@ fn gripper_that_falls_silent_is_noticed_in_time() {
 }
 
 #[test]
-fn update_that_does_not_come_is_waited_for_as_long_as_asked() {
+fn missing_update_is_awaited_until_the_timeout() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     while gripper.next_update(0).unwrap().is_some() {}
@@ -86,7 +86,7 @@ fn update_that_does_not_come_is_waited_for_as_long_as_asked() {
 }
 
 #[test]
-fn answers_that_came_while_the_program_was_busy_came_in_time() {
+fn answers_received_while_the_program_was_busy_are_in_time() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();

@@ -1,4 +1,4 @@
-//! A future that is polled only when something is due: it asks to be woken in time, and not for nothing.
+//! Futures polled only on wake-ups: they request each wake-up in time, and none without need.
 
 use super::*;
 
@@ -7,7 +7,7 @@ fn asleep(rig: &Rig) -> Asynch {
 }
 
 #[test]
-fn motion_is_carried_to_its_end() {
+fn motion_runs_to_its_end() {
     let rig = Rig::new();
     let mut gripper = asleep(&rig);
     assert_eq!(rig.run_woken(gripper.connect()), Ok(()));
@@ -26,7 +26,7 @@ fn gripper_that_is_off_is_given_up_in_time() {
 }
 
 #[test]
-fn gripper_that_falls_silent_is_noticed() {
+fn silence_of_the_gripper_is_detected() {
     let rig = Rig::new();
     let mut gripper = asleep(&rig);
     rig.run_woken(gripper.connect()).unwrap();
@@ -37,7 +37,7 @@ fn gripper_that_falls_silent_is_noticed() {
 }
 
 #[test]
-fn half_a_frame_is_given_up_after_its_time() {
+fn incomplete_frame_is_discarded_after_its_timeout() {
     let rig = Rig::new();
     let mut gripper = asleep(&rig);
     rig.run_woken(gripper.connect()).unwrap();

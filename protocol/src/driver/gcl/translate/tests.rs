@@ -1,4 +1,4 @@
-//! What is the same in both protocols, and what is near enough.
+//! The common features of both protocols, and the closest equivalents of the others.
 
 use super::*;
 
