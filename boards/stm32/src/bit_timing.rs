@@ -1,6 +1,6 @@
-//! The times of a bit on CAN (RM0351, 46.7.7; RM0440, FDCAN_NBTP).
+//! CAN bit timing (RM0351, 46.7.7; RM0440, FDCAN_NBTP).
 
-/// How a kind of CAN controller divides a bit: one time quantum for synchronisation, and two segments.
+/// The division of a bit by a type of CAN controller: one time quantum for synchronization and two segments.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Segments {
     before_sample: u8,
@@ -9,10 +9,10 @@ pub struct Segments {
 }
 
 impl Segments {
-    /// bxCAN, whose prescaler has 10 bits: 16 time quanta, sampled at 87.5 % (CiA 301, table 1).
+    /// bxCAN, with a 10-bit prescaler: 16 time quanta, sampled at 87.5 % (CiA 301, table 1).
     pub const BXCAN: Self = Self { before_sample: 13, after_sample: 2, max_prescaler: 1 << 10 };
 
-    /// FDCAN, whose prescaler has 9 bits: 24 time quanta, sampled at 87.5 %.
+    /// FDCAN, with a 9-bit prescaler: 24 time quanta, sampled at 87.5 %.
     pub const FDCAN: Self = Self { before_sample: 20, after_sample: 3, max_prescaler: 1 << 9 };
 
     const fn quanta(self) -> u32 {
@@ -20,21 +20,21 @@ impl Segments {
     }
 }
 
-/// How a CAN controller makes a bit of its clock.
+/// The bit timing of a CAN controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BitTiming {
-    /// Cycles of the clock in a time quantum.
+    /// Clock cycles in a time quantum.
     pub prescaler: u16,
-    /// Time quanta between the one for synchronisation and the sample point.
+    /// Time quanta between the synchronization quantum and the sample point.
     pub before_sample: u8,
     /// Time quanta after the sample point.
     pub after_sample: u8,
-    /// By how many time quanta a bit may be made longer or shorter: as many as there are after the sample point.
+    /// Synchronization jump width in time quanta, equal to the segment after the sample point.
     pub jump: u8,
 }
 
 impl BitTiming {
-    /// Returns the times for a rate in kbit/s from a clock in Hz. None for a rate that the clock does not divide to.
+    /// Returns the bit timing for a rate in kbit/s from a clock in Hz, or `None` if the clock does not divide to the rate.
     ///
     /// ```
     /// use wsg_stm32::{BitTiming, Segments};
@@ -62,7 +62,7 @@ impl BitTiming {
 mod tests {
     use super::*;
 
-    /// The controllers, each with the clock of its board.
+    /// The controllers with their boards' clocks.
     const CONTROLLERS: [(Segments, u32); 2] = [(Segments::BXCAN, 80_000_000), (Segments::FDCAN, 24_000_000)];
 
     #[test]

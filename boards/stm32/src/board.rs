@@ -1,4 +1,4 @@
-//! What a board with an STM32 tells the drivers.
+//! The description of an STM32 board that the drivers need.
 
 use cortex_m::peripheral::SYST;
 use wsg_bridge_fw::NoClock;
@@ -8,9 +8,9 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use crate::uart::Uart;
 use crate::{Divider, InputWire, LinePin, OutputWire, Port};
 
-/// A board with an STM32: its pins, clocks, UARTs and CAN. One type without values per board implements it.
+/// A board with an STM32: its pins, clocks, UARTs and CAN. Each board implements it for one type without values.
 pub trait Stm32Board: Sized {
-    /// Its name.
+    /// The board's name in reports.
     const NAME: &'static str;
 
     /// The input wires, in the order of the bits of [`Inputs`].
@@ -36,20 +36,20 @@ pub trait Stm32Board: Sized {
     /// The CAN controller.
     type Can: CanController;
 
-    /// How long the driver of the bus is on before and after the bits, in the units of DEAT and DEDT.
+    /// Driver enable time of the bus before and after the bits, in units of DEAT and DEDT.
     const DRIVER_TIME: u8;
 
-    /// Switches from the clock of reset to [`HCLK_HZ`](Self::HCLK_HZ).
+    /// Switches from the reset clock to [`HCLK_HZ`](Self::HCLK_HZ).
     ///
     /// # Errors
     /// [`NoClock`], after a bounded wait.
     fn start_clock() -> Result<(), NoClock>;
 
-    /// Selects the clock of the bus's UART, which is off, for a rate in bit/s. Returns the divider, or none for a rate that the board
-    /// does not support.
+    /// Selects the clock of the bus's UART, which must be disabled, for a rate in bit/s. Returns the divider, or `None` for an
+    /// unsupported rate.
     fn select_bus_clock(baud: u32) -> Option<Divider>;
 
-    /// Starts the time.
+    /// Starts the millisecond and microsecond counters.
     fn start_time(systick: &mut SYST);
 
     /// Returns milliseconds since [`start_time`](Self::start_time).
@@ -61,9 +61,9 @@ pub trait Stm32Board: Sized {
     /// Starts the CAN controller.
     fn start_can(can: &mut Self::Can, config: &CanConfig);
 
-    /// Lets the interrupts of the CAN controller run again, where their handlers mask them.
+    /// Unmasks the CAN controller's interrupts if their handlers mask them.
     fn rearm_can(_can: &mut Self::Can) {}
 
-    /// Returns whether the CAN controller, which was started, has received a frame.
+    /// Returns whether the CAN controller has received a frame. Call it only after the start of the controller.
     fn can_has_received() -> bool;
 }

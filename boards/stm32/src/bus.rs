@@ -1,7 +1,7 @@
-//! Two UARTs, interrupt driven both ways: the PLC's bus, with Modbus RTU or PROFIBUS, and the service port, with Modbus RTU.
+//! Two interrupt-driven UARTs: the PLC's bus (Modbus RTU or PROFIBUS) and the service port (Modbus RTU).
 //!
-//! The bus's UART switches the transceiver's driver by itself (DE mode). PROFIBUS is answered in the handler, which has less than
-//! 87 µs for it: then the next byte of the gripper's line is complete, and all interrupts have the same priority.
+//! The bus's UART controls the transceiver's driver (DE mode). The handler answers PROFIBUS requests and must return within 87
+//! µs, the time of a byte on the gripper's line, because all interrupts have the same priority.
 
 mod dp_timer;
 
@@ -26,20 +26,20 @@ pub static BUS: BusLine = BusLine::new();
 
 static SERVICE: RtuBuffers = RtuBuffers::new();
 
-/// The bridge's end of Modbus RTU on a line; no character is sent or received before its start.
+/// The bridge's end of a Modbus RTU line. No character is sent or received before its start.
 pub(crate) type Line<B> = RtuPort<Registers<B>>;
 
-/// Returns the end of the bus. To be called once.
+/// Returns the bus's line. Call it once.
 pub(crate) const fn line<B: Stm32Board>() -> Line<B> {
     BUS.port(Registers(B::BusUart::INTERRUPT, PhantomData))
 }
 
-/// Returns the end of the service port. To be called once.
+/// Returns the service port's line. Call it once.
 pub(crate) const fn service_line<B: Stm32Board>() -> Line<B> {
     RtuPort::new(Registers(B::ServiceUart::INTERRUPT, PhantomData), &SERVICE)
 }
 
-/// What the main loop needs of the registers.
+/// The main loop's access to the registers.
 pub(crate) struct Registers<B>(Interrupt, PhantomData<B>);
 
 impl<B: Stm32Board> RtuUart for Registers<B> {
@@ -52,8 +52,8 @@ impl<B: Stm32Board> RtuUart for Registers<B> {
     }
 }
 
-/// Starts Modbus RTU on the bus. The board's clock runs, and the pins are set up. At a rate that the board does not support (settings
-/// hold none) it stays silent.
+/// Starts Modbus RTU on the bus. The clock must run and the pins must be set up. At an unsupported rate, which settings never
+/// contain, the bus stays silent.
 pub(crate) fn start<B: Stm32Board>(config: &BusConfig) {
     BUS.start_modbus(config);
     if set_up_bus::<B>(config.baud, config.format) {
@@ -61,19 +61,19 @@ pub(crate) fn start<B: Stm32Board>(config: &BusConfig) {
     }
 }
 
-/// Starts PROFIBUS on the bus instead: the handler begins with the first [`pend`].
+/// Starts PROFIBUS on the bus. The handler starts with the first [`pend`].
 pub(crate) fn start_profibus<B: Stm32Board>() {
     BUS.start_profibus();
     dp_timer::start::<B>();
     uart::unmask(B::BusUart::INTERRUPT);
 }
 
-/// Has the handler of the bus run.
+/// Triggers the bus's interrupt handler.
 pub(crate) fn pend<B: Stm32Board>() {
     NVIC::pend(B::BusUart::INTERRUPT);
 }
 
-/// Starts the service port. The board's clock runs, and the pins are set up.
+/// Starts the service port. The clock must run and the pins must be set up.
 pub(crate) fn start_service<B: Stm32Board>() {
     B::ServiceUart::enable();
     SERVICE.start(&BusConfig::SERVICE);
@@ -82,13 +82,13 @@ pub(crate) fn start_service<B: Stm32Board>() {
     uart::unmask(B::ServiceUart::INTERRUPT);
 }
 
-/// Sets the bus up for a rate and a format, before its start or anew; returns whether the board supports that.
-// Once in the image.
+/// Configures the bus for a rate and a format, before its start or later. Returns whether the board supports the rate.
+// Not inlined: it has several callers.
 #[inline(never)]
 fn set_up_bus<B: Stm32Board>(baud: u32, format: Format) -> bool {
     let uart = B::BusUart::REGISTERS;
     B::BusUart::enable();
-    // Rate and format change while it is off.
+    // Rate and format must change while the UART is disabled.
     uart.cr1().write(|_| {});
     let Some(divider) = B::select_bus_clock(baud) else { return false };
     uart.cr3().write(|w| w.set_dem(true));
@@ -96,7 +96,7 @@ fn set_up_bus<B: Stm32Board>(baud: u32, format: Format) -> bool {
     true
 }
 
-/// A UART in its handler, with the status at the handler's begin.
+/// A UART in its handler, with the status at the start of the handler.
 struct Port<B> {
     uart: Lpuart,
     status: Isr,
@@ -120,7 +120,7 @@ impl<B> Read for Port<B> {
             let byte = (uart.rdr().read().0 & 0xFF) as u8;
             if uart::is_damaged(status) { Err(nb::Error::Other(ErrorKind::Other)) } else { Ok(byte) }
         } else if status.ore() {
-            // A byte was received between the reading of the status and that of the byte before.
+            // A byte was received between reading the status and reading the previous byte.
             Err(nb::Error::Other(ErrorKind::Overrun))
         } else {
             Err(nb::Error::WouldBlock)
@@ -153,7 +153,7 @@ impl<B: Stm32Board> HalfDuplexUart for Port<B> {
         uart::enable(self.uart, interrupts);
     }
 
-    /// With PROFIBUS, so it is the bus.
+    /// Only PROFIBUS calls this, so the UART is the bus's.
     fn set_up(&mut self, baud: u32, format: Format) {
         set_up_bus::<B>(baud, format);
     }
@@ -171,13 +171,13 @@ impl<B: Stm32Board> HalfDuplexUart for Port<B> {
     }
 }
 
-/// Serves the bus. For the handler of its UART.
+/// Serves the bus. Call it from the UART's interrupt handler.
 #[inline]
 pub fn on_bus_interrupt<B: Stm32Board>(handler: &mut BusHandler) {
     handler.serve(&BUS, &mut Port::<B>::new(B::BusUart::REGISTERS));
 }
 
-/// Serves the service port. For the handler of its UART.
+/// Serves the service port. Call it from the UART's interrupt handler.
 #[inline]
 pub fn on_service_interrupt<B: Stm32Board>() {
     SERVICE.serve_half_duplex(&mut Port::<B>::new(B::ServiceUart::REGISTERS));

@@ -1,4 +1,4 @@
-//! Differences between the chips, as constants of one name.
+//! Differences between the chips, as constants and functions with the same names.
 
 #[cfg(feature = "stm32g474re")]
 pub(crate) use stm32g474re::*;
@@ -11,13 +11,13 @@ mod stm32l475vg {
     use stm32_metapac::flash::regs::Cr;
     use stm32_metapac::usart::Lpuart;
 
-    /// Clock of the core from reset until the board has switched: MSI.
+    /// Core clock from reset until the board switches it: MSI.
     pub(crate) const RESET_HZ: u32 = 4_000_000;
 
-    /// What DBGMCU_IDCODE holds (48.6.1).
+    /// Value of DBGMCU_IDCODE (48.6.1).
     pub(crate) const DEVICE_ID: u16 = 0x415;
 
-    /// The end of the flash of 1 MiB, in two banks.
+    /// End of the flash: 1 MiB in two banks.
     pub(crate) const FLASH_END: usize = 0x0810_0000;
     pub(crate) const FLASH_BANK_BYTES: usize = 0x8_0000;
 
@@ -25,12 +25,12 @@ mod stm32l475vg {
         control.set_start(true);
     }
 
-    /// Returns whether the flash is organised as the settings' driver needs it.
+    /// Returns whether the flash organization suits the settings driver.
     pub(crate) const fn has_two_banks() -> bool {
         true
     }
 
-    /// There is no prescaler.
+    /// This chip has no prescaler.
     pub(crate) fn halve_clock(_: Lpuart, _: bool) {}
 }
 
@@ -42,13 +42,13 @@ mod stm32g474re {
     use stm32_metapac::usart::Lpuart;
     use stm32_metapac::usart::vals::Presc;
 
-    /// Clock of the core from reset until the board has switched: HSI16.
+    /// Core clock from reset until the board switches it: HSI16.
     pub(crate) const RESET_HZ: u32 = 16_000_000;
 
-    /// What DBGMCU_IDCODE holds.
+    /// Value of DBGMCU_IDCODE.
     pub(crate) const DEVICE_ID: u16 = 0x469;
 
-    /// The end of the flash of 512 KiB, in two banks.
+    /// End of the flash: 512 KiB in two banks.
     pub(crate) const FLASH_END: usize = 0x0808_0000;
     pub(crate) const FLASH_BANK_BYTES: usize = 0x4_0000;
 
@@ -56,15 +56,14 @@ mod stm32g474re {
         control.set_strt(true);
     }
 
-    /// Returns whether the flash is organised as the settings' driver needs it: two banks, as the chip is delivered (option DBANK).
-    /// As one bank it has other pages, and the program would stand still while one is erased. The same holds where the banks
-    /// have changed places (option BFB2).
+    /// Returns whether the flash organization suits the settings driver: two banks (option DBANK, the factory default) in
+    /// their normal order (option BFB2). A single bank has other pages, and the program would stall while one is erased.
     pub(crate) fn has_two_banks() -> bool {
         let options = FLASH.optr().read();
         options.dbank() && !options.bfb2()
     }
 
-    /// Sets the prescaler to two or one.
+    /// Sets the prescaler to 2 or 1.
     pub(crate) fn halve_clock(uart: Lpuart, is_halved: bool) {
         uart.presc().write(|w| w.set_prescaler(if is_halved { Presc::DIV2 } else { Presc::DIV1 }));
     }

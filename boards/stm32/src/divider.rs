@@ -1,17 +1,17 @@
-//! By what a USART divides the clock of its bus for a rate (RM0351, 40.5.4; RM0440, USART_PRESC and USART_BRR).
+//! Baud rate dividers of USARTs (RM0351, 40.5.4; RM0440, USART_PRESC and USART_BRR).
 
-/// How a UART makes a rate of its clock.
+/// A baud rate divider.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Divider {
-    /// Whether the prescaler halves the clock first. Only an STM32G4 has one.
+    /// Whether the prescaler first halves the clock. Only an STM32G4 has a prescaler.
     pub is_halved: bool,
     /// The value of BRR.
     pub brr: u32,
 }
 
 impl Divider {
-    /// Returns the division of a USART's clock for a rate in bit/s, rounded to the nearest. None for a rate that the boards do not
-    /// support; they support 1200 bit/s to 1.5 Mbit/s.
+    /// Returns the divider for a clock in Hz and a rate in bit/s, rounded to the nearest, or `None` for an unsupported rate.
+    /// The boards support 1200 bit/s to 1.5 Mbit/s.
     ///
     /// ```
     /// use wsg_stm32::Divider;
@@ -36,8 +36,8 @@ impl Divider {
         Some(Self { is_halved, brr })
     }
 
-    /// Returns the division for a rate that never changes. For a constant alone: its evaluation fails where the divider's own error is
-    /// not below 0.1 %, because the tolerance of the line is left to the clock.
+    /// Returns the divider for a fixed rate. For constants only: evaluation fails unless the divider's error is below 0.1 %,
+    /// because the clock needs the rest of the line's tolerance.
     #[must_use]
     pub const fn fixed(clock_hz: u32, baud: u32) -> Self {
         let brr = (clock_hz + baud / 2) / baud;
@@ -47,10 +47,10 @@ impl Divider {
     }
 }
 
-/// The slowest and the fastest rate, in bit/s.
+/// Minimum and maximum rate in bit/s.
 const RATES: (u32, u32) = (1_200, 1_500_000);
 
-/// The receiver samples each bit 16 times.
+/// The receiver takes 16 samples per bit.
 const LEAST_DIVIDER: u32 = 16;
 
 #[cfg(test)]
@@ -79,7 +79,7 @@ mod tests {
             assert_eq!(Divider::for_rate(CLOCK_HZ, baud), None, "{baud}");
         }
         assert!((1_200..=1_500_000).all(|baud| Divider::for_rate(CLOCK_HZ, baud).is_some()));
-        assert_eq!(Divider::for_rate(16_000_000, 1_500_000), None, "too few cycles for a bit");
+        assert_eq!(Divider::for_rate(16_000_000, 1_500_000), None, "fewer than 16 cycles per bit");
     }
 
     #[test]

@@ -1,11 +1,11 @@
-//! What a panic, a fault and an unexpected interrupt do: they reset the MCU.
+//! Panics, faults and unexpected interrupts reset the MCU.
 
 use core::panic::PanicInfo;
 
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::exception;
 
-/// A reset puts every output low and lets the bridge start from what it can know for sure.
+/// A reset sets every output low and restarts the bridge from a known state.
 #[cfg(not(feature = "prove-panic-free"))]
 #[panic_handler]
 fn panic(_: &PanicInfo) -> ! {
@@ -21,14 +21,14 @@ fn panic(_: &PanicInfo) -> ! {
     a_panic_can_be_reached()
 }
 
-// SAFETY: the handler uses nothing of the program that was interrupted.
+// SAFETY: the handler uses no state of the interrupted program.
 #[exception(trampoline = false)]
 unsafe fn HardFault() -> ! {
     SCB::sys_reset()
 }
 
-/// An interrupt that nobody enabled is as much a fault as a bus error.
-// SAFETY: the handler uses nothing of the program that was interrupted.
+/// An interrupt without a handler is treated like a fault.
+// SAFETY: the handler uses no state of the interrupted program.
 #[exception]
 unsafe fn DefaultHandler(_interrupt: i16) -> ! {
     SCB::sys_reset()

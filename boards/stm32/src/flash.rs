@@ -1,7 +1,8 @@
-//! The settings' two pages: the last ones of flash bank 2 (RM0351, chapter 3; RM0440, FLASH of category 3 devices).
+//! The settings' two pages at the end of flash bank 2 (RM0351, chapter 3; RM0440, FLASH of category 3 devices).
 //!
-//! The program runs from bank 1, so it goes on while they are programmed or erased. Tested on the default board in the emulator with a
-//! model of the interface, not on hardware yet. The emulator alone reads 0 and swallows stores, which the store notices.
+//! The program runs from bank 1, so it continues while the pages are programmed or erased. Tested on the default board in the
+//! emulator with a model of the interface, not on hardware yet. Without the model, the emulator reads 0 and ignores stores;
+//! the settings store detects this.
 
 use core::ptr::with_exposed_provenance;
 use core::sync::atomic::{AtomicU8, Ordering};
@@ -18,31 +19,30 @@ use crate::chip::{self, FLASH_BANK_BYTES, FLASH_END};
 const PAGE_BYTES: usize = 2048;
 const DOUBLE_WORD_BYTES: usize = 8;
 
-/// Where the first page begins: the end of flash, less two pages. The board's board-memory.x keeps the linker off.
+/// Address of the first page: the end of the flash less two pages. `board-memory.x` reserves them.
 const FIRST_PAGE: usize = FLASH_END - 2 * PAGE_BYTES;
 
-/// The number of the first page in its bank.
+/// Number of the first page in its bank.
 const FIRST_PAGE_NUMBER: u8 = (FLASH_BANK_BYTES / PAGE_BYTES - 2) as u8;
 const _: () = assert!(FLASH_BANK_BYTES / PAGE_BYTES <= 256);
 
-/// What unlocks FLASH_CR (RM0351, 3.3.5).
+/// Key sequence that unlocks FLASH_CR (RM0351, 3.3.5).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// What NMI has to know of [`NorFlash::read`].
+/// The state of [`NorFlash::read`] for the NMI handler.
 static READ: AtomicU8 = AtomicU8::new(NO_READ);
 const NO_READ: u8 = 0;
 const READING: u8 = 1;
 const UNREADABLE: u8 = 2;
 
-/// The two pages.
 pub(crate) struct SettingsPages(());
 
-/// Returns the two pages. To be called once.
+/// Returns the settings' pages. Call it once.
 pub(crate) const fn settings_pages() -> SettingsPages {
     SettingsPages(())
 }
 
-/// The address of a double word.
+/// Returns the address of a double word.
 fn address(page: Page, index: usize) -> Option<usize> {
     let page = match page {
         Page::First => FIRST_PAGE,
@@ -52,7 +52,7 @@ fn address(page: Page, index: usize) -> Option<usize> {
 }
 
 impl SettingsPages {
-    /// Makes FLASH_CR writable, and clears the flags of what was before: some keep an operation from starting (RM0351, 3.3.7).
+    /// Unlocks FLASH_CR and clears earlier error flags, some of which block an operation (RM0351, 3.3.7).
     fn prepare(&mut self) -> Result<(), FlashError> {
         if !chip::has_two_banks() {
             return Err(FlashError::Protected);
@@ -60,7 +60,7 @@ impl SettingsPages {
         if FLASH.sr().read().bsy() {
             return Err(FlashError::Busy);
         }
-        // Writing a one clears a flag.
+        // Writing 1 clears a flag.
         FLASH.sr().write_value(errors());
         if FLASH.cr().read().lock() {
             for key in KEYS {
@@ -70,8 +70,8 @@ impl SettingsPages {
         if FLASH.cr().read().lock() {
             return Err(FlashError::Protected);
         }
-        // By an erratum a read of one bank while the other is written can spoil the data cache; ST's own driver turns
-        // it off as well. The instruction cache stays on.
+        // Erratum: reading one bank while the other is written can corrupt the data cache, so disable it like ST's driver. The
+        // instruction cache stays enabled.
         FLASH.acr().modify(|w| w.set_dcen(false));
         Ok(())
     }
@@ -82,12 +82,12 @@ impl NorFlash for SettingsPages {
 
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
         let low = with_exposed_provenance::<u32>(address(page, index).ok_or(Unreadable)?);
-        // While a flag is set, the next wrong double word is not noticed (RM0351, 3.7.7).
+        // While a flag is set, the next uncorrectable double word is not detected (RM0351, 3.7.7).
         clear_ecc_flags();
         READ.store(READING, Ordering::SeqCst);
-        // SAFETY: both words are in flash, aligned, and nothing but this driver writes them, by registers.
+        // SAFETY: both words are in flash and aligned. Only this driver writes them, by registers.
         let (low, high) = unsafe { (low.read_volatile(), low.wrapping_add(1).read_volatile()) };
-        // NMI comes now at the latest.
+        // A pending NMI is taken here at the latest.
         dsb();
         isb();
         match READ.swap(NO_READ, Ordering::SeqCst) {
@@ -99,20 +99,20 @@ impl NorFlash for SettingsPages {
     fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError> {
         let low = with_exposed_provenance::<u32>(address(page, index).ok_or(FlashError::Failed)?).cast_mut();
         self.prepare()?;
-        // An operation that was given up may have left the other bit.
+        // An abandoned operation may have left the other bit set.
         FLASH.cr().modify(|w| {
             w.set_per(false);
             w.set_pg(true);
         });
         // SAFETY: with PG set, two stores to one double word of the settings' pages program it (RM0351, 3.3.7). No reference
-        // to it exists, and it is read by `read_volatile` alone.
+        // to it exists, and only `read_volatile` reads it.
         unsafe {
             low.write_volatile(value as u32);
-            // The low word first, whatever buffers there are.
+            // Ensure that the low word is stored first.
             isb();
             low.wrapping_add(1).write_volatile((value >> 32) as u32);
         }
-        // The flags are looked at after the stores.
+        // Complete the stores before reading the flags.
         dsb();
         Ok(())
     }
@@ -138,7 +138,7 @@ impl NorFlash for SettingsPages {
         if status.bsy() {
             return Err(nb::Error::WouldBlock);
         }
-        // EOP is set with its interrupt enabled only (RM0351, 3.7.5): that the operation did its work, a read tells.
+        // EOP is set only with its interrupt enabled (RM0351, 3.7.5). A read-back verifies the operation.
         let result = if status.wrperr() {
             Err(FlashError::Protected)
         } else if status.progerr() {
@@ -153,7 +153,7 @@ impl NorFlash for SettingsPages {
             w.set_per(false);
         });
         FLASH.cr().modify(|w| w.set_lock(true));
-        // It may hold what was there before. It is reset while it is off (RM0351, 3.7.1).
+        // The cache may hold old data. It must be disabled for its reset (RM0351, 3.7.1).
         FLASH.acr().modify(|w| w.set_dcrst(true));
         FLASH.acr().modify(|w| w.set_dcrst(false));
         FLASH.acr().modify(|w| w.set_dcen(true));
@@ -161,7 +161,7 @@ impl NorFlash for SettingsPages {
     }
 }
 
-/// The flags of every way in which an operation fails (RM0351, 3.7.5).
+/// Returns all error flags of an operation (RM0351, 3.7.5).
 fn errors() -> Sr {
     let mut errors = Sr(0);
     errors.set_operr(true);
@@ -175,7 +175,7 @@ fn errors() -> Sr {
     errors
 }
 
-/// Writing a one clears a flag. The register's other bit that can be written is an interrupt's enable, which stays off.
+/// Clears the ECC flags by writing 1. The only other writable bit enables an interrupt and stays 0.
 fn clear_ecc_flags() {
     FLASH.eccr().write(|w| {
         w.set_eccc(true);
@@ -183,12 +183,12 @@ fn clear_ecc_flags() {
     });
 }
 
-/// Flash with more wrong bits than can be corrected raises it: in the settings that is a power cut's work and no reason to
-/// start over, which would never end. Anywhere else the program is wrong.
-// SAFETY: the handler shares only an atomic with the program that was interrupted.
+/// Handles uncorrectable flash data. In the settings, a power failure may cause it, and a reset would repeat forever, so the
+/// read only fails. Anywhere else the program is corrupt, so reset.
+// SAFETY: the handler shares only an atomic with the interrupted program.
 #[exception]
 unsafe fn NonMaskableInt() {
-    // Each of the two words of a double word may raise it. Nothing interrupts this handler, so a load and a store do.
+    // Each word of a double word may raise NMI. Nothing interrupts this handler, so a separate load and store suffice.
     if FLASH.eccr().read().eccd() && READ.load(Ordering::SeqCst) != NO_READ {
         READ.store(UNREADABLE, Ordering::SeqCst);
         clear_ecc_flags();

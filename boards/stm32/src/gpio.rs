@@ -1,4 +1,4 @@
-//! The PLC's wires, the LED, and the lines on their pins (RM0351, chapter 8; RM0440, GPIO).
+//! The PLC's wires, the LED and the pins of the lines (RM0351, chapter 8; RM0440, GPIO).
 
 use core::marker::PhantomData;
 
@@ -9,23 +9,23 @@ use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 use crate::board::Stm32Board;
 use crate::{LinePin, Port, Pull, output_pins, port_from_outputs};
 
-/// Values of a pin's field in MODER.
+/// Values of a pin's MODER field.
 const MODE_INPUT: u32 = 0b00;
 const MODE_OUTPUT: u32 = 0b01;
 const MODE_ALTERNATE: u32 = 0b10;
 
-/// The PLC's wires. There is one value of it, made by [`init`].
+/// The PLC's wires. [`init`] creates the only value.
 pub struct Pins<B>(PhantomData<B>);
 
 impl<B: Stm32Board> Pins<B> {
     const OUTPUT_PINS: u16 = output_pins(&B::OUTPUTS);
 }
 
-/// The LED. There is one value of it, made by [`init`].
+/// The LED. [`init`] creates the only value.
 pub struct Led<B>(PhantomData<B>);
 
 impl<B: Stm32Board> Led<B> {
-    /// Lights it, or not.
+    /// Switches the LED on or off.
     #[inline]
     pub fn indicate(&mut self, is_lit: bool) {
         let (port, pin) = B::INDICATOR;
@@ -33,7 +33,7 @@ impl<B: Stm32Board> Led<B> {
     }
 }
 
-/// Sets up all pins; outputs are low before they become outputs.
+/// Configures all pins. The output levels are set to low before the pins become outputs.
 #[must_use]
 pub fn init<B: Stm32Board>() -> (Pins<B>, Led<B>) {
     RCC.ahb2enr().modify(|w| {
@@ -42,7 +42,7 @@ pub fn init<B: Stm32Board>() -> (Pins<B>, Led<B>) {
         w.set_gpiocen(true);
         w.set_gpioden(true);
     });
-    // A port takes writes two cycles after its clock is enabled; reading back takes that long.
+    // A port accepts writes two cycles after its clock is enabled; the read-back takes that long.
     let _ = RCC.ahb2enr().read();
 
     let mut pins = Pins::<B>(PhantomData);
@@ -68,7 +68,7 @@ pub fn init<B: Stm32Board>() -> (Pins<B>, Led<B>) {
 impl<B: Stm32Board> InputPort for Pins<B> {
     #[inline]
     fn read(&mut self) -> Inputs {
-        // Each port once, so that wires of one port are seen at the same moment.
+        // Read each port once, so that all wires of a port are sampled simultaneously.
         let [a, b, c, d] = [GPIOA, GPIOB, GPIOC, GPIOD].map(|port| port.idr().read().0);
         let levels = |port| match port {
             Port::A => a,

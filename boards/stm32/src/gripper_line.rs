@@ -1,4 +1,4 @@
-//! The gripper's line: a UART with 115 200 baud, 8N1, interrupt driven both ways.
+//! The gripper's line: an interrupt-driven UART at 115 200 bit/s, 8N1.
 
 use core::marker::PhantomData;
 
@@ -10,19 +10,19 @@ use crate::Divider;
 use crate::board::Stm32Board;
 use crate::uart::{self, Uart};
 
-/// The bytes on their way.
+/// The receive and transmit queues.
 pub static BUFFERS: UartBuffers = UartBuffers::new();
 
-/// The bridge's end of the line to the gripper; no byte is sent or received before [`start`].
+/// The bridge's end of the line to the gripper. No byte is sent or received before [`start`].
 pub type GripperLine<B> = UartLine<Registers<B>>;
 
-/// Returns the end of the line. To be called once.
+/// Returns the gripper's line. Call it once.
 #[must_use]
 pub const fn line<B: Stm32Board>() -> GripperLine<B> {
     UartLine::new(Registers(PhantomData), &BUFFERS)
 }
 
-/// What the main loop needs of the registers.
+/// The main loop's access to the registers.
 pub struct Registers<B>(PhantomData<B>);
 
 impl<B: Stm32Board> wsg_bridge_fw::gripper::Uart for Registers<B> {
@@ -37,7 +37,7 @@ impl<B: Stm32Board> wsg_bridge_fw::gripper::Uart for Registers<B> {
     }
 }
 
-/// Starts the line. The board's clock runs, and the pins are set up.
+/// Starts the line. The clock must run and the pins must be set up.
 pub fn start<B: Stm32Board>() {
     B::GripperUart::enable();
     let divider = const { Divider::fixed(B::HCLK_HZ, BAUD) };
@@ -45,12 +45,12 @@ pub fn start<B: Stm32Board>() {
     uart::unmask(B::GripperUart::INTERRUPT);
 }
 
-/// Moves one byte each way; the interrupt stays pending while there is more. For the UART's handler.
+/// Transfers one byte in each direction; the interrupt stays pending if there is more. Call it from the UART's handler.
 #[inline]
 pub fn on_interrupt<B: Stm32Board>() {
     let uart = B::GripperUart::REGISTERS;
     let status = uart.isr().read();
-    // Reading the byte of a framing error makes room for the next.
+    // A byte with a framing error must be read to make room for the next.
     let byte = status.rxne().then(|| uart.rdr().read().0 as u8);
     BUFFERS.on_receive(byte, ReceiveErrors { framing: status.fe(), overrun: status.ore() });
     uart.icr().write(|w| {

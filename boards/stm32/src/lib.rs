@@ -1,8 +1,8 @@
-//! Drivers that STM32 boards of the bridge share: pins, the lines' UARTs, flash, watchdog, timers.
+//! Drivers shared by the STM32 boards: pins, UARTs, flash, watchdog and timers.
 //!
-//! A board implements `board::Stm32Board`, which holds its pins, clocks and UARTs. Its crate also holds the interrupt
-//! vectors, the memory layout and the CAN controller. The feature of the chip selects the registers, and `chip`
-//! holds the differences between the chips. On the host only the tables and the arithmetic are compiled.
+//! A board implements `board::Stm32Board` with its pins, clocks and UARTs. Its crate also holds the interrupt vectors, the
+//! memory layout and the CAN controller. A feature selects the chip, and `chip` holds the differences between the chips. On
+//! the host, only the tables and the arithmetic are compiled.
 
 #![no_std]
 #![deny(unsafe_code)]
@@ -36,7 +36,7 @@ mod delivered;
 #[expect(unsafe_code, reason = "fault handlers are unsafe to define")]
 mod faults;
 #[cfg(target_os = "none")]
-#[expect(unsafe_code, reason = "flash is read and programmed by address; NMI is an exception of its own")]
+#[expect(unsafe_code, reason = "flash is read and programmed by address; NMI has a separate handler")]
 mod flash;
 #[cfg(target_os = "none")]
 pub mod gpio;
@@ -51,7 +51,7 @@ pub mod tick;
 #[cfg(target_os = "none")]
 #[expect(
     unsafe_code,
-    reason = "interrupts are unmasked, which only the author of their handlers can call safe"
+    reason = "unmasking interrupts is safe only with regard to their handlers"
 )]
 pub mod uart;
 #[cfg(target_os = "none")]

@@ -1,4 +1,4 @@
-//! The whole program of a board with an STM32: its start, and its registers for the library's main loop.
+//! The program of an STM32 board: its start, and its registers for the library's main loop.
 
 use cortex_m::peripheral::SCB;
 use wsg_bridge_fw::can::CanConfig;
@@ -15,7 +15,7 @@ use crate::{bus, delivered, flash, gpio, gripper_line, reset, unique_id, watchdo
 
 /// Runs the bridge on a board.
 pub fn run<B: Stm32Board>(station: &mut Station<B::Can>) -> ! {
-    // Outputs first: they show "not ready" through everything that may go wrong below.
+    // Set up the outputs first, so that they show "not ready" if a later step fails.
     let (wires, mut led) = gpio::init::<B>();
     let Some(mut core) = cortex_m::Peripherals::take() else { SCB::sys_reset() };
     let reset_cause = reset::take_cause();

@@ -1,4 +1,4 @@
-//! The UARTs of the chips, and what their handlers have in common (RM0351, chapters 40 and 41; RM0440, USART).
+//! The UARTs of the chips, and functions shared by their handlers (RM0351, chapters 40 and 41; RM0440, USART).
 
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::usart::regs::Isr;
@@ -12,12 +12,12 @@ use crate::{Divider, chip};
 
 /// A UART of the chip.
 pub trait Uart {
-    /// Its registers. An LPUART has those of a USART at the same places, but two that are not used here.
+    /// Its registers. An LPUART has a USART's layout except for two registers, which this crate does not use.
     const REGISTERS: Lpuart;
     /// Its interrupt.
     const INTERRUPT: Interrupt;
 
-    /// Switches its clock on.
+    /// Enables its clock.
     fn enable();
 }
 
@@ -26,7 +26,7 @@ const fn lpuart(uart: Usart) -> Lpuart {
     unsafe { Lpuart::from_ptr(uart.as_ptr()) }
 }
 
-/// Makes a type of each UART, by its registers and the bit that switches its clock on.
+/// Defines a type for each UART, with its registers and its clock enable bit.
 macro_rules! uarts {
     ($($name:ident, $interrupt:ident, $registers:expr, $enable:ident, $set:ident;)+) => {$(
         #[doc = concat!(stringify!($interrupt), ".")]
@@ -52,7 +52,7 @@ uarts! {
     Uart4, UART4, lpuart(UART4), apb1enr1, set_uart4en;
 }
 
-/// Sets rate and format of a UART, which is off, and switches it on.
+/// Sets the rate and format of a disabled UART and enables it.
 #[inline(never)]
 pub(crate) fn set_up(uart: Lpuart, format: Format, divider: Divider, driver_time: u8) {
     chip::halve_clock(uart, divider.is_halved);
@@ -62,11 +62,11 @@ pub(crate) fn set_up(uart: Lpuart, format: Format, divider: Divider, driver_time
     });
     let with_parity = matches!(format, Format::Even1);
     uart.cr1().write(|w| {
-        // The parity bit is the ninth.
+        // The parity bit is the ninth bit.
         w.set_m0(if with_parity { M0::BIT9 } else { M0::BIT8 });
         w.set_pce(with_parity);
         w.set_ps(Ps::EVEN);
-        // Without DE mode they do nothing.
+        // No effect without DE mode.
         w.set_deat(driver_time);
         w.set_dedt(driver_time);
         w.set_ue(true);
@@ -76,10 +76,10 @@ pub(crate) fn set_up(uart: Lpuart, format: Format, divider: Divider, driver_time
     });
 }
 
-/// Lets an interrupt of the lines run its handler.
+/// Unmasks an interrupt of a line.
 pub(crate) fn unmask(interrupt: Interrupt) {
-    // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
-    // atomics with the rest.
+    // SAFETY: no critical section depends on this interrupt being masked. The handler shares only atomics with the rest of the
+    // program.
     unsafe { NVIC::unmask(interrupt) };
 }
 
@@ -96,7 +96,7 @@ pub(crate) fn clear_errors(uart: Lpuart, status: Isr) {
     });
 }
 
-/// Enables the interrupts that a handler needs next.
+/// Enables the interrupts that the handler needs next.
 #[inline(never)]
 pub(crate) fn enable(uart: Lpuart, Interrupts { transmit_empty, transmission_complete }: Interrupts) {
     let control = uart.cr1().read();

@@ -1,8 +1,8 @@
-//! The PLC's wires, the lines, and the pins that they end on, as tables: for drivers, harness and documents.
+//! Tables of the PLC's wires, the lines and their pins, for drivers, test harness and documents.
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
-/// A GPIO port that wires are on.
+/// A GPIO port of the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Port {
     /// GPIOA.
@@ -16,7 +16,7 @@ pub enum Port {
 }
 
 impl Port {
-    /// Returns the letter in the port's name.
+    /// Returns the letter of the port.
     #[must_use]
     pub const fn letter(self) -> char {
         match self {
@@ -28,10 +28,10 @@ impl Port {
     }
 }
 
-/// A wire from the PLC and the pin that it ends on.
+/// A wire from the PLC and its input pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputWire {
-    /// The one bit of [`Inputs`] that this wire is.
+    /// The signal, exactly one bit of [`Inputs`].
     pub signal: Inputs,
     /// The pin's port.
     pub port: Port,
@@ -41,10 +41,10 @@ pub struct InputWire {
     pub connector: &'static str,
 }
 
-/// A wire to the PLC and the pin that it starts from. All of them are on one port, so that one write changes them together.
+/// A wire to the PLC and its output pin. All are on one port, so that one write changes them simultaneously.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputWire {
-    /// The one bit of [`Outputs`] that this wire is.
+    /// The signal, exactly one bit of [`Outputs`].
     pub signal: Outputs,
     /// The pin's number in the port of the outputs, 0 to 15.
     pub pin: u8,
@@ -52,31 +52,31 @@ pub struct OutputWire {
     pub connector: &'static str,
 }
 
-/// The level that a pin is pulled to while nobody drives it; the values of its field in PUPDR.
+/// The pull resistor of a pin, with the values of its PUPDR field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pull {
-    /// None.
+    /// No pull resistor.
     None = 0b00,
-    /// High. A line idles high, and recessive is high: without a transceiver the receiver hears silence, not noise.
+    /// Pull-up. UART lines idle high and recessive CAN is high, so an open receiver input reads as idle.
     Up = 0b01,
-    /// Low.
+    /// Pull-down. An open input reads low.
     Down = 0b10,
 }
 
-/// A pin that a peripheral takes.
+/// A pin that a peripheral uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LinePin {
     /// The pin's port.
     pub port: Port,
     /// The pin's number in its port, 0 to 15.
     pub pin: u8,
-    /// The peripheral's number among the pin's alternate functions (the chip's data sheet).
+    /// The number of the pin's alternate function (the chip's data sheet).
     pub function: u8,
-    /// What it is pulled to.
+    /// The pull resistor.
     pub pull: Pull,
 }
 
-/// Returns the pins of all wires as a mask of their port. Fails to evaluate where two wires are on one pin.
+/// Returns the pins of all wires as a mask of their port. Fails at compile time if two wires share a pin.
 #[must_use]
 pub const fn output_pins(wires: &[OutputWire; Outputs::COUNT]) -> u16 {
     let mut mask = 0u16;
@@ -92,14 +92,14 @@ pub const fn output_pins(wires: &[OutputWire; Outputs::COUNT]) -> u16 {
     mask
 }
 
-/// Returns the levels of the port that show `outputs`; unused pins are 0.
+/// Returns the port levels for `outputs`; unused pins are 0.
 #[inline]
 #[must_use]
 pub fn port_from_outputs(wires: &[OutputWire], outputs: Outputs) -> u16 {
     wires.iter().filter(|wire| outputs.contains(wire.signal)).fold(0, |levels, wire| levels | 1 << wire.pin)
 }
 
-/// Returns the outputs that the levels of the port show.
+/// Returns the outputs for the port levels.
 #[must_use]
 pub fn outputs_from_port(wires: &[OutputWire], levels: u16) -> Outputs {
     wires.iter().filter(|wire| levels & (1 << wire.pin) != 0).map(|wire| wire.signal).collect()
@@ -109,7 +109,7 @@ pub fn outputs_from_port(wires: &[OutputWire], levels: u16) -> Outputs {
 mod tests {
     use super::*;
 
-    /// On every other pin, the first signal on the highest.
+    /// Places the wires on every second pin, the first signal on the highest.
     fn wires() -> [OutputWire; Outputs::COUNT] {
         let mut pins = (0..16).rev().step_by(2);
         let mut signals = Outputs::all().iter();

@@ -1,6 +1,6 @@
-//! When an answer on PROFIBUS is due, to the microsecond: TIM6 (RM0351, chapter 33; RM0440), which runs the bus's handler once.
+//! The time of a PROFIBUS answer, in microseconds: TIM6 (RM0351, chapter 33; RM0440) triggers the bus's handler once.
 //!
-//! Where there is no such timer, as in an emulator, the answer is sent with the next turn of the main loop.
+//! Without this timer, for example in an emulator, the next iteration of the main loop sends the answer.
 
 use cortex_m::peripheral::NVIC;
 use stm32_metapac::{Interrupt, RCC, TIM6};
@@ -14,7 +14,7 @@ pub(super) fn start<B: Stm32Board>() {
     let _ = RCC.apb1enr1().read();
     TIM6.psc().write_value((B::HCLK_HZ / 1_000_000) as u16 - 1);
     TIM6.cr1().write(|w| {
-        // Once, and no interrupt for what begins it anew.
+        // One shot, without an interrupt when it is restarted.
         w.set_opm(true);
         w.set_urs(stm32_metapac::timer::vals::Urs::COUNTER_ONLY);
     });
@@ -22,16 +22,16 @@ pub(super) fn start<B: Stm32Board>() {
     uart::unmask(Interrupt::TIM6_DAC);
 }
 
-/// Runs the bus's handler in so many microseconds, up to 65 ms, and not at a time that was set before.
+/// Triggers the bus's handler after `us`, at most 65 ms. Replaces an earlier request.
 pub(super) fn wake_in(us: u32) {
     TIM6.cr1().modify(|w| w.set_cen(false));
     TIM6.arr().write(|w| w.set_arr(u16::try_from(us).unwrap_or(u16::MAX)));
-    // Counter and prescaler from 0.
+    // Reset counter and prescaler.
     TIM6.egr().write(|w| w.set_ug(true));
     TIM6.cr1().modify(|w| w.set_cen(true));
 }
 
-/// Has the bus's handler run. For the handler of TIM6.
+/// Triggers the bus's handler. Call it from the handler of TIM6.
 #[inline]
 pub fn on_interrupt<B: Stm32Board>() {
     TIM6.sr().write(|w| w.set_uif(false));
