@@ -1,4 +1,4 @@
-//! Tells the linker about the board's memory. Builds for the host need no such thing.
+//! Passes the board's memory layout to the linker. Host builds do not need it.
 
 use std::env;
 use std::path::PathBuf;
@@ -8,7 +8,7 @@ fn main() {
     if env::var_os("CARGO_FEATURE_FIRMWARE").is_none() {
         return;
     }
-    // link.x of cortex-m-rt includes the memory.x at the top, and that the board's.
+    // link.x of cortex-m-rt includes the top-level memory.x, which includes the board's.
     let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     println!("cargo:rerun-if-changed={}", board.join("board-memory.x").display());
     println!("cargo:rustc-link-search={}", board.display());

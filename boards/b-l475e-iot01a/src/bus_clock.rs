@@ -1,18 +1,18 @@
-//! Which clock LPUART1 runs from for a rate of the bus, and by what it is divided (RM0351, 41.4.5).
+//! The clock source and divider of LPUART1 for a rate of the bus (RM0351, 41.4.5).
 
-/// A clock that LPUART1 can run from.
+/// A clock source of LPUART1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BusClock {
-    /// The crystal of 32.768 kHz (X1 on the board), for slow rates.
+    /// The 32.768 kHz crystal (X1 on the board), for low rates.
     Lse,
-    /// The oscillator of 16 MHz that the PLL runs from: 1 % over temperature.
+    /// The 16 MHz oscillator that also feeds the PLL; accuracy 1 % over temperature.
     Hsi16,
-    /// The PLL, by way of the bus clock of 80 MHz, for rates of which a bit would have too few cycles of HSI16.
+    /// The 80 MHz bus clock from the PLL, for rates at which a bit has too few cycles of HSI16.
     Pclk1,
 }
 
 impl BusClock {
-    /// Its rate in Hz.
+    /// Returns the frequency in Hz.
     #[must_use]
     pub const fn hz(self) -> u32 {
         match self {
@@ -22,8 +22,8 @@ impl BusClock {
         }
     }
 
-    /// The clock for a rate in bit/s, and the divider: 256 times their ratio, rounded. None for a rate that this board
-    /// cannot do; it takes 1200 bit/s to 1.5 Mbit/s.
+    /// Returns the clock for a rate in bit/s and the divider, which is 256 times their ratio, rounded. Returns `None` for an
+    /// unsupported rate. The board supports 1200 bit/s to 1.5 Mbit/s.
     ///
     /// ```
     /// use wsg_b_l475e_iot01a::BusClock;
@@ -39,18 +39,18 @@ impl BusClock {
             return None;
         }
         let clock = match baud {
-            // BRR has 20 bits: too few for HSI16 below 3907 bit/s, and for the PLL below 19 532.
+            // BRR has 20 bits, too few for HSI16 below 3907 bit/s and for the PLL below 19 532.
             ..4_800 => Self::Lse,
             4_800..=230_400 => Self::Hsi16,
             _ => Self::Pclk1,
         };
-        // 256 times the ratio does not fit into 32 bits at once.
+        // 256 times the clock would overflow 32 bits.
         let (whole, rest) = (clock.hz() / baud, clock.hz() % baud);
         Some((clock, 256 * whole + (256 * rest + baud / 2) / baud))
     }
 }
 
-/// The slowest and the fastest rate, in bit/s.
+/// Minimum and maximum rate in bit/s.
 const RATES: (u32, u32) = (1_200, 1_500_000);
 
 #[cfg(test)]
@@ -67,8 +67,8 @@ mod tests {
         assert_eq!(BusClock::for_rate(500_000), Some((BusClock::Pclk1, 40_960)));
         for baud in RATES.0..=RATES.1 {
             let (_, divider) = BusClock::for_rate(baud).unwrap();
-            // RM0351, 41.8.4: values below 300h are forbidden. From 1000h on the receiver
-            // tolerates most (its tolerance to clock deviation, 41.4).
+            // RM0351, 41.8.4: values below 300h are forbidden. The receiver's tolerance to clock deviation is highest from
+            // 1000h (41.4).
             assert!((0x1000..=0xF_FFFF).contains(&divider) || baud < 4_800, "{baud}");
             assert!(divider >= 0x300, "{baud}");
         }
@@ -82,7 +82,7 @@ mod tests {
             let (clock, divider) = BusClock::for_rate(baud).unwrap();
             let real = 256.0 * f64::from(clock.hz()) / f64::from(divider);
             assert!((real / f64::from(baud) - 1.0).abs() < 1e-3, "{baud}: {real}");
-            // RM0351: the clock is between 3 and 4096 times the rate.
+            // RM0351: the clock must be 3 to 4096 times the rate.
             assert!((3..=4096).contains(&(clock.hz() / baud)), "{baud}");
         }
     }

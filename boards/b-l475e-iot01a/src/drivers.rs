@@ -1,9 +1,9 @@
-//! What the firmware and the programs that measure it drive: the board for the shared drivers of `wsg-stm32`, its clock, and CAN.
+//! The board's drivers for the firmware and its measurement programs: the description for `wsg-stm32`, the clock and CAN.
 
 #![deny(clippy::undocumented_unsafe_blocks)]
 
 mod board;
-#[expect(unsafe_code, reason = "interrupts are unmasked, which only their handlers' author can call safe")]
+#[expect(unsafe_code, reason = "unmasking interrupts is safe only with regard to their handlers")]
 pub mod can1;
 pub mod clock;
 

@@ -1,9 +1,10 @@
-//! Where the PLC's wires are on the board B-L475E-IOT01A (ST UM2153, Arduino connectors CN1 to CN4).
+//! The pins of the PLC's wires on the board B-L475E-IOT01A (ST UM2153, Arduino connectors CN1 to CN4).
 //!
-//! The firmware's pin file and the harness that plays the PLC in the emulator both read these
-//! tables. Taken besides: UART4 to the gripper on PA0 (TX, D1) and PA1 (RX, D0); LPUART1 to the bus on PC1
-//! (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6); CAN1 on PB8 (RX, D15) and PB9 (TX, D14); USART1, the service port, on
-//! PB6 (TX) and PB7 (RX), which go to the ST-Link and to no connector.
+//! The firmware and the test harness, which plays the PLC in the emulator, both use these tables. Other pins in use:
+//! - gripper: UART4 on PA0 (TX, D1) and PA1 (RX, D0)
+//! - bus: LPUART1 on PC1 (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6)
+//! - CAN1: PB8 (RX, D15) and PB9 (TX, D14)
+//! - service port: USART1 on PB6 (TX) and PB7 (RX), connected only to the ST-Link
 
 #![no_std]
 #![deny(unsafe_code)]
@@ -21,7 +22,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 pub use wsg_stm32::Port;
 use wsg_stm32::{InputWire, OutputWire, output_pins};
 
-/// The name of the board.
+/// The board's name in reports.
 pub const NAME: &str = "B-L475E-IOT01A";
 
 /// The input wires, in the order of the bits of [`Inputs`].
@@ -36,7 +37,7 @@ pub const INPUTS: [InputWire; Inputs::COUNT] = [
     InputWire { signal: Inputs::RECIPE1, port: Port::B, pin: 2, connector: "D8" },
 ];
 
-/// The port all outputs are on, so that one write changes them together.
+/// The port of all outputs, so that one write changes them simultaneously.
 pub const OUTPUT_PORT: Port = Port::A;
 
 /// The output wires, in the order of the bits of [`Outputs`].
@@ -46,17 +47,17 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
     OutputWire { signal: Outputs::HOLDING, pin: 4, connector: "D7" },
     OutputWire { signal: Outputs::PART_FAULT, pin: 6, connector: "D12" },
     OutputWire { signal: Outputs::ERROR, pin: 7, connector: "D11" },
-    // JTDI until the firmware takes it, pulled up inside the MCU: this wire needs a pull-down of its own
-    // that is stronger (25 kΩ at the least pull up), or it shows high during reset.
+    // JTDI until the firmware reconfigures it, with an internal pull-up of at least 25 kΩ. The wire needs a stronger external
+    // pull-down, otherwise it is high during reset.
     OutputWire { signal: Outputs::REFERENCED, pin: 15, connector: "D9" },
-    // Also the board's green LED1.
+    // Also drives the board's green LED1.
     OutputWire { signal: Outputs::LINK_OK, pin: 5, connector: "D13" },
 ];
 
-/// All pins of [`OUTPUTS`] as a mask of [`OUTPUT_PORT`].
+/// The pins of all [`OUTPUTS`], as a mask of [`OUTPUT_PORT`].
 pub const OUTPUT_PINS: u16 = output_pins(&OUTPUTS);
 
-/// The port and pin of the board's green LED2, lit when high: it shows the bridge's
+/// The port and pin of the board's green LED2, lit when high. It shows the bridge's
 /// [`Indication`](wsg_bridge_fw::indicator::Indication).
 pub const INDICATOR: (Port, u8) = (Port::B, 14);
 

@@ -1,11 +1,13 @@
-//! Where the PLC's wires are on the board NUCLEO-G474RE (STM32G474RE; ST UM2505, connectors CN7 and CN10).
+//! The pins of the PLC's wires on the board NUCLEO-G474RE (STM32G474RE; ST UM2505, connectors CN7 and CN10).
 //!
-//! The firmware's pins and the documents both have them from these tables. Taken besides: USART1 to the gripper on PC4 (TX) and
-//! PC5 (RX); USART3 to the bus on PB10 (TX), PB11 (RX) and PB14 (driver enable); FDCAN1 on PA11 (RX) and PA12 (TX); USART2, the
-//! service port, on PA2 (TX) and PA3 (RX), which go to the ST-LINK.
+//! The firmware and the documents use these tables. Other pins in use:
+//! - gripper: USART1 on PC4 (TX) and PC5 (RX)
+//! - bus: USART3 on PB10 (TX), PB11 (RX) and PB14 (driver enable)
+//! - FDCAN1: PA11 (RX) and PA12 (TX)
+//! - service port: USART2 on PA2 (TX) and PA3 (RX), connected to the ST-LINK
 //!
-//! Left alone: PA13 to PA15, PB3 and PB4, the debug port; PB4 and PB6, which USB-C's dead battery logic pulls down after a
-//! reset; PB8, which is BOOT0; PC13, the button; PC14 and PC15, the slow crystal.
+//! Unused on purpose: the debug port on PA13 to PA15, PB3 and PB4; PB4 and PB6, which the USB-C dead battery logic pulls down
+//! after a reset; PB8 (BOOT0); PC13 (button); PC14 and PC15 (32 kHz crystal).
 
 #![no_std]
 #![forbid(unsafe_code)]
@@ -18,7 +20,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 pub use wsg_stm32::Port;
 use wsg_stm32::{InputWire, OutputWire};
 
-/// The name of the board.
+/// The board's name in reports.
 pub const NAME: &str = "NUCLEO-G474RE";
 
 /// The input wires, in the order of the bits of [`Inputs`].
@@ -33,7 +35,7 @@ pub const INPUTS: [InputWire; Inputs::COUNT] = [
     InputWire { signal: Inputs::RECIPE1, port: Port::C, pin: 3, connector: "CN7-37" },
 ];
 
-/// The port all outputs are on, so that one write changes them together.
+/// The port of all outputs, so that one write changes them simultaneously.
 pub const OUTPUT_PORT: Port = Port::C;
 
 /// The output wires, in the order of the bits of [`Outputs`].
@@ -47,7 +49,7 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
     OutputWire { signal: Outputs::LINK_OK, pin: 12, connector: "CN7-3" },
 ];
 
-/// The port and pin of the board's green LD2, lit when high: it shows the bridge's
+/// The port and pin of the board's green LD2, lit when high. It shows the bridge's
 /// [`Indication`](wsg_bridge_fw::indicator::Indication).
 pub const INDICATOR: (Port, u8) = (Port::A, 5);
 
@@ -55,7 +57,7 @@ pub const INDICATOR: (Port, u8) = (Port::A, 5);
 mod tests {
     use super::*;
 
-    /// The pins of the MCU on the Morpho connectors, by the numbers there (UM2505).
+    /// The MCU's pins on the Morpho connectors, by connector pin (UM2505).
     const CN7: [(u8, char, u8); 21] = [
         (1, 'C', 10),
         (2, 'C', 11),
@@ -95,7 +97,7 @@ mod tests {
         let pins: &[_] = match connector {
             "CN7" => &CN7,
             "CN10" => &CN10,
-            _ => panic!("there is no {connector}"),
+            _ => panic!("unknown connector {connector}"),
         };
         pins.contains(&(number.parse().unwrap(), port.letter(), pin))
     }
@@ -118,7 +120,7 @@ mod tests {
 
     #[test]
     fn no_pin_is_used_twice() {
-        // What has functions of its own: lines, CAN, debug port, BOOT0, button, crystals, and what USB-C pulls down.
+        // Pins with fixed functions: lines, CAN, debug port, BOOT0, button, crystals, and USB-C's pull-downs.
         let mut used = [
             1 << 2 | 1 << 3 | 0b1_1111 << 11,
             1 << 3 | 1 << 4 | 1 << 6 | 1 << 8 | 1 << 10 | 1 << 11 | 1 << 14,

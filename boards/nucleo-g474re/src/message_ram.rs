@@ -1,46 +1,46 @@
-//! What is in the message RAM of FDCAN1: its filters, and the elements that hold frames (RM0440, FDCAN, "Message RAM").
+//! The message RAM of FDCAN1: filters and frame elements (RM0440, FDCAN, "Message RAM").
 //!
-//! Where each part begins is fixed on an STM32G4, and named by `stm32-metapac`. The bus is one of classic CAN: no element has more
-//! than eight bytes of data.
+//! The layout is fixed on an STM32G4, and `stm32-metapac` names its parts. The bus is classic CAN, so an element has at most
+//! eight data bytes.
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
 
-/// Elements of a receive FIFO, and transmit buffers.
+/// Elements of a receive FIFO, and number of transmit buffers.
 pub const ELEMENTS: usize = 3;
 
-/// Words from one element to the next: two of a header, and 64 bytes of data.
+/// Words from one element to the next: two header words and 64 data bytes.
 pub const ELEMENT_STRIDE: usize = 18;
 
-/// The words of an element that a classic frame takes: identifier, length, and eight bytes of data.
+/// The words of a classic frame's element: identifier, length and eight data bytes.
 pub type Element = [u32; 4];
 
-/// In an element's first word: an extended identifier; a remote frame; where a standard identifier begins.
+/// First word of an element: extended identifier, remote frame, position of a standard identifier.
 const XTD: u32 = 1 << 30;
 const RTR: u32 = 1 << 29;
 const STANDARD_AT: u32 = 18;
 
-/// In an element's second word: where the length begins.
+/// Second word of an element: position of the length.
 const DLC_AT: u32 = 16;
 
-/// Bytes of data in a frame. Its length field goes up to 15; above 8 it also means 8 (ISO 11898-1).
+/// Maximum number of data bytes. A length code above 8, up to 15, also means 8 (ISO 11898-1).
 const MAX_DATA_LEN: usize = 8;
 
-/// In a filter's word: it is one of identifier and mask; into which FIFO; where the identifier begins, before the mask.
+/// Filter word: filter by identifier and mask, target FIFO, position of the identifier. The mask is in the lowest bits.
 const SFT_MASK: u32 = 0b10 << 30;
 const SFEC_AT: u32 = 27;
 const SFID1_AT: u32 = 16;
 
-/// A receive FIFO.
+/// A receive FIFO of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fifo {
-    /// The first: the gripper's frames, which no others crowd out.
+    /// FIFO 0: the gripper's frames, separate so that no other frames displace them.
     Gripper,
-    /// The second.
+    /// FIFO 1: all other accepted frames.
     Others,
 }
 
-/// The filter that puts frames with a standard identifier into a FIFO: those that are equal to `id` where `mask` has ones.
+/// Returns the filter for standard identifiers that equal `id` in the bits set in `mask`, for a FIFO.
 #[must_use]
 pub const fn filter(fifo: Fifo, id: u16, mask: u16) -> u32 {
     let target = match fifo {
@@ -50,7 +50,7 @@ pub const fn filter(fifo: Fifo, id: u16, mask: u16) -> u32 {
     SFT_MASK | target << SFEC_AT | (id as u32 & 0x7FF) << SFID1_AT | mask as u32 & 0x7FF
 }
 
-/// The first word of a data frame with this identifier.
+/// Returns the first word of a data frame with this identifier.
 fn id_word(id: Id) -> u32 {
     match id {
         Id::Standard(id) => u32::from(id.as_raw()) << STANDARD_AT,
@@ -58,7 +58,7 @@ fn id_word(id: Id) -> u32 {
     }
 }
 
-/// The element of a frame that is to be sent, without an entry in the FIFO of events.
+/// Encodes a frame to send, without an entry in the event FIFO.
 #[must_use]
 pub fn element(frame: &ClassicFrame) -> Element {
     let remote = if frame.is_remote_frame() { RTR } else { 0 };
@@ -75,7 +75,7 @@ pub fn element(frame: &ClassicFrame) -> Element {
     ]
 }
 
-/// The frame in an element that was received.
+/// Decodes a received element.
 #[must_use]
 pub fn frame([id, header, low, high]: Element) -> Option<ClassicFrame> {
     let len = (header >> DLC_AT & 0xF) as usize;
@@ -135,7 +135,7 @@ mod tests {
 
     #[test]
     fn what_the_controller_notes_beside_a_frame_is_no_part_of_it() {
-        // ESI; ANMF and filter index; RXTS; a length above 8; and the rest of the identifier's field.
+        // ESI; ANMF and filter index; RXTS; a length above 8; unused bits of the identifier field.
         let noted = [1 << 31 | 0x123 << 18 | 0x3_FFFF, 0xFFCF_FFFF, 0x0403_0201, 0x0807_0605];
         assert_eq!(frame(noted), ClassicFrame::new(standard(0x123), &[1, 2, 3, 4, 5, 6, 7, 8]));
     }

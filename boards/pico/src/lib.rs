@@ -1,8 +1,10 @@
-//! Where the PLC's wires are on the Raspberry Pi Pico (RP2040; data sheet of the Pico, figure 2).
+//! The pins of the PLC's wires on the Raspberry Pi Pico (RP2040; data sheet of the Pico, figure 2).
 //!
-//! The firmware's pins, the harness that plays the PLC in the emulator and the documents all have them from these tables. Taken
-//! besides: UART0 to the gripper on GP0 (TX) and GP1 (RX); UART1 to the bus on GP4 (TX), GP5 (RX) and GP6 (driver enable); SPI0
-//! to the MCP2515 on GP16 (MISO), GP17 (CS), GP18 (SCK) and GP19 (MOSI), and its INT on GP20. The service port is the USB socket.
+//! The firmware, the test harness, which plays the PLC in the emulator, and the documents use these tables. Other pins in use:
+//! - gripper: UART0 on GP0 (TX) and GP1 (RX)
+//! - bus: UART1 on GP4 (TX), GP5 (RX) and GP6 (driver enable)
+//! - MCP2515: SPI0 on GP16 (MISO), GP17 (CS), GP18 (SCK) and GP19 (MOSI), INT on GP20
+//! - service port: the USB connector
 
 #![no_std]
 #![forbid(unsafe_code)]
@@ -11,13 +13,13 @@
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
-/// The name of the board.
+/// The board's name in reports.
 pub const NAME: &str = "Raspberry Pi Pico";
 
-/// A wire from the PLC and the pin it ends on.
+/// A wire from the PLC and its input pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputWire {
-    /// The one bit of [`Inputs`] this wire is.
+    /// The signal, exactly one bit of [`Inputs`].
     pub signal: Inputs,
     /// The number of the GPIO, as in `GP7`.
     pub gpio: u8,
@@ -25,10 +27,10 @@ pub struct InputWire {
     pub pin: u8,
 }
 
-/// A wire to the PLC and the pin it starts from.
+/// A wire to the PLC and its output pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputWire {
-    /// The one bit of [`Outputs`] this wire is.
+    /// The signal, exactly one bit of [`Outputs`].
     pub signal: Outputs,
     /// The number of the GPIO, as in `GP2`.
     pub gpio: u8,
@@ -59,14 +61,14 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
     OutputWire { signal: Outputs::LINK_OK, gpio: 27, pin: 32 },
 ];
 
-/// The GPIO of the LED on the board, lit when high: it shows the bridge's
+/// The GPIO of the LED on the board, lit when high. It shows the bridge's
 /// [`Indication`](wsg_bridge_fw::indicator::Indication).
 pub const INDICATOR: u8 = 25;
 
-/// The GPIO that switches the driver of the bus's transceiver on while it is high.
+/// The GPIO that enables the driver of the bus's transceiver while it is high.
 pub const BUS_DRIVER_ENABLE: u8 = 6;
 
-/// What the levels of all GPIOs, GP0 in bit 0, show of the outputs.
+/// Returns the outputs for the levels of all GPIOs; bit 0 is GP0.
 #[must_use]
 pub fn outputs_from_gpios(levels: u32) -> Outputs {
     OUTPUTS.iter().filter(|wire| levels & (1 << wire.gpio) != 0).map(|wire| wire.signal).collect()
@@ -76,7 +78,7 @@ pub fn outputs_from_gpios(levels: u32) -> Outputs {
 mod tests {
     use super::*;
 
-    /// The pin on the board's edge of each GPIO that is there: six blocks of four with a ground behind each pair of pairs.
+    /// Returns a GPIO's pin on the board's edge. A ground pin follows GP1 and then every fourth GPIO.
     fn pin_of(gpio: u8) -> u8 {
         match gpio {
             0..=1 => gpio + 1,
@@ -100,7 +102,7 @@ mod tests {
 
     #[test]
     fn no_pin_is_used_twice_and_each_is_where_the_board_has_it() {
-        // What has functions of its own: both lines, the bus's driver, and the MCP2515.
+        // Pins with fixed functions: both lines, the bus's driver and the MCP2515.
         let mut used = 0b111_0011 | 0b1_1111u32 << 16;
         assert_ne!(used & 1 << BUS_DRIVER_ENABLE, 0);
         let wires = INPUTS.iter().map(|wire| (wire.gpio, wire.pin));

@@ -1,4 +1,4 @@
-//! The bridge on a board of one's own: here a NUCLEO-F446RE by `stm32f4xx-hal`, never run. docs/porting.md goes through it.
+//! A template for your own board, here a NUCLEO-F446RE with `stm32f4xx-hal`; never executed. docs/porting.md explains it.
 #![no_std]
 #![no_main]
 
@@ -19,24 +19,24 @@ use wsg_bridge_fw::storage::NoFlash;
 use wsg_bridge_fw::tick::Tick;
 use wsg_bridge_fw::{Board, BoardId, BusConfig, Config, Format, GripperLine, PlcBus, ResetCause, Station};
 
-/// The settings of this image: as delivered, so the PLC is on wires and on Modbus RTU.
+/// The settings of this image. By default, the PLC uses wires and Modbus RTU.
 const CONFIG: Config = Config::DEFAULT;
-// What is set up below serves no other settings than these; a constant is checked by nobody else.
+// The set-up below supports only these settings. No other code checks a constant.
 const _: () = assert!(matches!(CONFIG.gripper_line, GripperLine::Serial));
 const _: () = assert!(matches!((CONFIG.plc_bus, CONFIG.bus.format), (PlcBus::Modbus, Format::Even1)));
 
-/// What handlers and main loop share.
+/// Shared by the handlers and the main loop.
 static GRIPPER: UartBuffers = UartBuffers::new();
 static BUS: RtuBuffers = RtuBuffers::new();
 static SERVICE: RtuBuffers = RtuBuffers::new();
 static TICK: Tick<84_000> = Tick::new();
 
-/// The UARTs, for their handlers alone once they run.
+/// The UARTs, used only by their handlers after the start.
 static GRIPPER_UART: Owned<Serial<pac::USART1>> = Owned::new();
 static BUS_UART: Owned<(Serial<pac::UART4>, Pin<'A', 8, Output>)> = Owned::new();
 static SERVICE_UART: Owned<Serial<pac::USART2>> = Owned::new();
 
-/// The main loop's end of a line: it has the handler run.
+/// The main loop's end of a line. It triggers the line's handler.
 struct Line(Interrupt);
 
 impl Uart for Line {
@@ -45,7 +45,7 @@ impl Uart for Line {
     }
 
     fn is_idle(&mut self) -> bool {
-        // SAFETY: reading the status changes nothing.
+        // SAFETY: reading the status has no side effect.
         unsafe { (*pac::USART1::ptr()).sr().read().tc().bit() }
     }
 }
@@ -64,15 +64,15 @@ fn now_us() -> u32 {
     cortex_m::interrupt::free(|_| TICK.now_us(SYST::get_current(), SCB::is_pendst_pending()))
 }
 
-/// What the library's main loop needs besides wires and lines.
+/// The main loop's access to the hardware, apart from wires and lines.
 struct Hardware {
     led: Pin<'A', 5, Output>,
     watchdog: IndependentWatchdog,
 }
 
-/// The UARTs are set up in `main`; from their start on their handlers run.
+/// Enables the handler of a UART, which `main` has set up.
 fn unmask(interrupt: Interrupt) {
-    // SAFETY: no critical section depends on it being masked.
+    // SAFETY: no critical section depends on this interrupt being masked.
     unsafe { NVIC::unmask(interrupt) };
 }
 
@@ -129,7 +129,7 @@ fn main() -> ! {
     watchdog.start(100.millis());
     let mut rcc = device.RCC.freeze(rcc::Config::hsi().sysclk(84.MHz()));
 
-    // Wires, in the order of `Inputs` and `Outputs`. Outputs are low from here on.
+    // The wires, in the order of `Inputs` and `Outputs`. Outputs are low from here on.
     let (a, b) = (device.GPIOA.split(&mut rcc), device.GPIOB.split(&mut rcc));
     let c = device.GPIOC.split(&mut rcc);
     macro_rules! inputs { ($($pin:expr),*) => { HalInputs::new([$($pin.into_pull_down_input().erase()),*]) } }
@@ -138,14 +138,15 @@ fn main() -> ! {
     let outputs = outputs!(b.pb0, b.pb1, b.pb2, b.pb8, b.pb9, b.pb10, b.pb12);
     let led = a.pa5.into_push_pull_output();
 
-    // The clock: milliseconds, and the microseconds between them.
+    // The clock in milliseconds and microseconds.
     core.SYST.set_reload(Tick::<84_000>::RELOAD);
     core.SYST.clear_current();
     core.SYST.set_clock_source(cortex_m::peripheral::syst::SystClkSource::Core);
     core.SYST.enable_interrupt();
     core.SYST.enable_counter();
 
-    // The UARTs. The bus as delivered: 8E1. The others: 115 200 bit/s, 8N1. The HAL divides by the rate.
+    // The UARTs: 8E1 for the bus, 115 200 bit/s and 8N1 for the others. The rates are constants, because the HAL divides by
+    // them.
     let even = SerialConfig::default().baudrate(CONFIG.bus.baud.bps()).parity_even().wordlength_9();
     let gripper = Serial::new(device.USART1, (a.pa9, a.pa10), SerialConfig::default(), &mut rcc);
     let bus = Serial::new(device.UART4, (a.pa0, a.pa1), even, &mut rcc);
@@ -171,7 +172,7 @@ fn main() -> ! {
     wsg_bridge_fw::run(board, STATION, ResetCause::Unknown)
 }
 
-/// The interrupts that a handler needs next.
+/// Enables the interrupts that a handler needs next.
 fn expect<U: Listen<Event = Event>>(uart: &mut U, next: Interrupts) {
     uart.listen_only(Event::RxNotEmpty);
     if next.transmit_empty {
@@ -193,7 +194,7 @@ fn USART1() {
 #[interrupt]
 fn UART4() {
     BUS_UART.with(|(uart, driver)| {
-        // On before the first byte, off once nothing is to be sent: it echoes nothing, or what the library knows.
+        // Enable the driver before the first byte and disable it when no data is left. The library ignores an echo.
         let before = BUS.interrupts();
         driver.set_state((before.transmit_empty || before.transmission_complete).into());
         let next = BUS.serve(uart, now_us());
@@ -215,14 +216,14 @@ fn SysTick() {
     TICK.count();
 }
 
-/// A reset puts every output low and lets the bridge start from what it can know for sure. A fault, and an interrupt that nobody
-/// enabled, are no better than a panic.
+/// A reset sets every output low and restarts the bridge from a known state. Faults and unexpected interrupts are handled like
+/// a panic.
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo) -> ! {
     SCB::sys_reset()
 }
 
-// SAFETY: the handler uses nothing of the program that was interrupted.
+// SAFETY: the handler uses no state of the interrupted program.
 #[exception(trampoline = false)]
 unsafe fn HardFault() -> ! {
     SCB::sys_reset()

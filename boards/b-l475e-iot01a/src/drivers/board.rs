@@ -1,5 +1,5 @@
-//! The board for the shared drivers: UART4 to the gripper, LPUART1 for the PLC's bus, and USART1, the service port, which the
-//! board's ST-Link hands on over USB.
+//! The board for the shared drivers: UART4 to the gripper, LPUART1 to the PLC's bus, and USART1 to the ST-Link, which bridges
+//! the service port to USB.
 
 use cortex_m::peripheral::SYST;
 use wsg_bridge_fw::NoClock;
@@ -16,13 +16,13 @@ use super::can1::{self, Can1};
 use super::clock::{self, HCLK_HZ};
 use crate::{BusClock, INDICATOR, INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 
-/// The functions of pins (data sheet of the STM32L475, alternate functions).
+/// Alternate functions of the pins (data sheet of the STM32L475).
 const AF_USART1: u8 = 7;
 const AF_UART4: u8 = 8;
 const AF_LPUART1: u8 = 8;
 const AF_CAN1: u8 = 9;
 
-/// The time.
+/// The board's clock.
 pub static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 
 /// The board B-L475E-IOT01A.
@@ -39,7 +39,7 @@ impl Stm32Board for Iot01a {
         // UART4: transmitter, receiver.
         LinePin { port: Port::A, pin: 0, function: AF_UART4, pull: Pull::None },
         LinePin { port: Port::A, pin: 1, function: AF_UART4, pull: Pull::Up },
-        // LPUART1: transmitter, receiver, driver enable, which is off also while nobody drives it.
+        // LPUART1: transmitter, receiver, driver enable with a pull-down that keeps the driver off during reset.
         LinePin { port: Port::C, pin: 1, function: AF_LPUART1, pull: Pull::Up },
         LinePin { port: Port::C, pin: 0, function: AF_LPUART1, pull: Pull::Up },
         LinePin { port: Port::B, pin: 1, function: AF_LPUART1, pull: Pull::Down },
@@ -58,7 +58,7 @@ impl Stm32Board for Iot01a {
     type ServiceUart = Usart1;
     type Can = Can1;
 
-    /// Clocks of LPUART1: a microsecond of HSI16, a third of a bit at 1.5 Mbit/s.
+    /// In cycles of LPUART1's clock: 1 µs of HSI16, a third of a bit at 1.5 Mbit/s.
     const DRIVER_TIME: u8 = 16;
 
     fn start_clock() -> Result<(), NoClock> {
@@ -72,7 +72,7 @@ impl Stm32Board for Iot01a {
                 start_lse();
                 Lpuart1sel::LSE
             }
-            // It runs for the PLL anyway.
+            // HSI16 already runs for the PLL.
             BusClock::Hsi16 => Lpuart1sel::HSI,
             BusClock::Pclk1 => Lpuart1sel::PCLK1,
         };
@@ -105,13 +105,13 @@ impl Stm32Board for Iot01a {
     }
 }
 
-/// Switches the crystal of 32.768 kHz on. It takes up to 2 s to swing; until then the bus is deaf, and nobody waits.
+/// Switches the 32.768 kHz crystal on without waiting. It takes up to 2 s to start; the bus does not respond until then.
 fn start_lse() {
     RCC.apb1enr1().modify(|w| w.set_pwren(true));
     let _ = RCC.apb1enr1().read();
     // The register is in the backup domain, which is write-protected after a reset.
     PWR.cr1().modify(|w| w.set_dbp(true));
-    // The protection is lifted within some cycles; an emulator without PWR never says so.
+    // The protection is lifted within a few cycles. An emulator without PWR never reports it.
     let _ = (0..16).any(|_| PWR.cr1().read().dbp());
     RCC.bdcr().modify(|w| w.set_lseon(true));
 }

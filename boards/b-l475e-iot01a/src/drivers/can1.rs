@@ -1,6 +1,6 @@
-//! CAN1 on PB8 (RX, D15) and PB9 (TX, D14), behind a transceiver for 3.3 V (RM0351, chapter 46).
+//! CAN1 on PB8 (RX, D15) and PB9 (TX, D14), connected to a 3.3 V transceiver (RM0351, chapter 46).
 //!
-//! The interrupts wake the main loop and mask themselves; the work is done there. Nothing waits without a bound.
+//! The interrupt handlers only wake the main loop and mask themselves; the main loop does the work. Every wait is bounded.
 
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
@@ -13,43 +13,43 @@ use wsg_stm32::{BitTiming, Segments};
 use super::clock::HCLK_HZ;
 use crate::transmit_status::{self, MAILBOXES, TME};
 
-/// Fields of an identifier's register, the same ones for sending, receiving and filters (46.7.4, 46.9.3).
+/// Fields of an identifier register, identical for transmission, reception and filters (46.7.4, 46.9.3).
 const STANDARD_AT: u32 = 21;
 const EXTENDED_AT: u32 = 3;
 const IDE: u32 = 1 << 2;
 const RTR: u32 = 1 << 1;
 const TXRQ: u32 = 1 << 0;
 
-/// A standard identifier's bits, and that it is a standard one, of a data frame.
+/// Filter mask for an exact standard identifier of a data frame.
 const EXACT: u32 = 0x7FF << STANDARD_AT | IDE | RTR;
 
-/// Bytes of data in a frame. Its length field goes up to 15; above 8 it also means 8 (ISO 11898-1).
+/// Maximum number of data bytes. A length code above 8, up to 15, also means 8 (ISO 11898-1).
 const MAX_DATA_LEN: u8 = 8;
 
-/// Aborts the request of mailbox 0, in TSR; the bits of the others are 8 and 16 higher. `set_abrq` of a variable mailbox can panic.
+/// Aborts the request of mailbox 0 in TSR; the others are 8 and 16 bits higher. `set_abrq` with a variable mailbox can panic.
 const ABRQ0: u32 = 1 << 7;
 
-/// How often the peripheral's answer to a change of its mode is looked at. It takes a few cycles of the bus clock.
+/// Maximum number of status reads while the controller changes its mode, which takes a few cycles of the bus clock.
 const MAX_LOOKS: u32 = 10_000;
 
-/// The controller.
+/// The bxCAN controller.
 #[derive(Debug)]
 pub struct Can1 {
     config: Option<CanConfig>,
-    /// Whether timing and filters are in its registers.
+    /// Whether timing and filters are configured.
     is_set_up: bool,
     transmit: TransmitBuffers,
 }
 
 impl Can1 {
-    /// One that was not started. To be asked for once.
+    /// Returns a controller that is not started. Call it once.
     #[must_use]
-    #[expect(clippy::new_without_default, reason = "there is one")]
+    #[expect(clippy::new_without_default, reason = "a program has a single value")]
     pub const fn new() -> Self {
         Self { config: None, is_set_up: false, transmit: TransmitBuffers::new() }
     }
 
-    /// Starts the controller. The clock runs, the pins are set up. Only what the bridge may want passes its filters.
+    /// Starts the controller. The clock must run and the pins must be set up. The filters accept only frames for the bridge.
     pub fn start(&mut self, config: &CanConfig) {
         RCC.apb1enr1().modify(|w| w.set_can1en(true));
         let _ = RCC.apb1enr1().read();
@@ -58,31 +58,31 @@ impl Can1 {
         self.join();
     }
 
-    /// Goes through initialisation and on to the bus: where it was bus-off, it then waits for 128 times 11 recessive bits.
+    /// Initializes the controller and joins the bus. After bus-off, it waits for 128 times 11 recessive bits first.
     fn join(&mut self) {
         let Some(config) = self.config else { return };
-        // Out of sleep. Out of bus-off not by itself: that is the bus-off policy's to decide.
+        // Leaves sleep mode. Automatic recovery from bus-off stays disabled, because the bus-off policy decides.
         CAN1.mcr().write(|w| {
             w.set_inrq(true);
             w.set_dbf(true);
         });
         let entered = (0..MAX_LOOKS).any(|_| CAN1.msr().read().inak());
         self.is_set_up = entered && set_up(&config);
-        // It synchronises in its own time; the first frames wait for that.
+        // The controller synchronizes in the background; the first frames wait for that.
         CAN1.mcr().write(|w| w.set_dbf(true));
     }
 
-    /// Lets the interrupts wake the main loop again.
+    /// Unmasks the interrupts, so that they wake the main loop again.
     pub fn rearm(&mut self) {
         if !NVIC::is_enabled(Interrupt::CAN1_TX) {
-            // That clears TXOK as well, which a withdrawal still has to read.
+            // This also clears TXOK, which a pending withdrawal still has to read.
             CAN1.tsr().write(|w| {
                 for mailbox in 0..MAILBOXES {
                     w.set_rqcp(mailbox, self.transmit.withdrawing() != Some(mailbox));
                 }
             });
         }
-        // SAFETY: no critical section depends on these being masked; their handlers do nothing but mask them.
+        // SAFETY: no critical section depends on these interrupts being masked. Their handlers only mask them.
         unsafe {
             NVIC::unmask(Interrupt::CAN1_RX0);
             NVIC::unmask(Interrupt::CAN1_TX);
@@ -90,16 +90,16 @@ impl Can1 {
     }
 }
 
-/// Whether a frame waits.
+/// Returns whether the receive FIFO holds a frame.
 #[must_use]
 pub fn has_received() -> bool {
     CAN1.rfr(0).read().fmp() != 0
 }
 
-/// Timing, filters and interrupts, in initialisation mode; whether there is a timing for the rate.
+/// Configures timing, filters and interrupts in initialization mode. Returns whether the rate is supported.
 fn set_up(config: &CanConfig) -> bool {
     let Some(timing) = BitTiming::for_rate(Segments::BXCAN, HCLK_HZ, config.kbit_rate) else { return false };
-    // Each field holds one less than it means.
+    // Each field holds its value minus one.
     CAN1.btr().write(|w| {
         w.set_brp(timing.prescaler.saturating_sub(1));
         w.set_ts(0, timing.before_sample.saturating_sub(1));
@@ -112,13 +112,13 @@ fn set_up(config: &CanConfig) -> bool {
     };
     let gripper = u32::from(config.gripper.controller().receive.as_raw()) << STANDARD_AT;
     CAN1.fmr().modify(|w| w.set_finit(true));
-    // Five banks of a mask of 32 bits each, for FIFO 0.
+    // Five filter banks with a 32-bit mask each, for FIFO 0.
     CAN1.fm1r().write(|w| w.0 = 0);
     CAN1.fs1r().write(|w| w.0 = 0b1_1111);
     CAN1.ffa1r().write(|w| w.0 = 0);
     let wanted = [
         (CAN1.fb(0), (gripper, EXACT)),
-        // NMT; SYNC; what is for this node; heartbeats.
+        // NMT; SYNC; frames for this node; heartbeats.
         (CAN1.fb(1), (0, EXACT)),
         (CAN1.fb(4), standard(0x080, 0x7FF)),
         (CAN1.fb(2), standard(config.node.node.into(), 0x07F)),
@@ -137,7 +137,7 @@ fn set_up(config: &CanConfig) -> bool {
     true
 }
 
-/// A frame found no room in the FIFO, and took another's place there.
+/// The FIFO was full and a frame overwrote another one.
 #[derive(Debug)]
 pub struct Overrun;
 
@@ -156,7 +156,7 @@ impl embedded_can::nb::Can for Can1 {
             return Err(nb::Error::WouldBlock);
         }
         let mailbox = self.transmit.take(frame.id(), empty_mailboxes());
-        // By constants: a variable mailbox can panic.
+        // Indexing by a variable could panic.
         let mailboxes = [CAN1.tx(0), CAN1.tx(1), CAN1.tx(2)];
         let mailbox = mailbox.and_then(|n| mailboxes.get(n)).ok_or(nb::Error::WouldBlock)?;
         let mut data = [0; MAX_DATA_LEN as usize];
@@ -195,13 +195,13 @@ impl embedded_can::nb::Can for Can1 {
         } else {
             data.get(..len.into()).and_then(|data| ClassicFrame::new(id_of(id), data))
         };
-        // A length up to 8 makes a frame.
+        // Every length up to 8 yields a frame.
         frame.ok_or(nb::Error::WouldBlock)
     }
 }
 
 impl CanController for Can1 {
-    /// One that could not be set up is as good as bus-off, and the policy tries again.
+    /// A controller that could not be configured is reported as bus-off, so that the policy tries again.
     fn health(&mut self) -> Health {
         if !self.is_set_up {
             return Health { is_off: true, ..Health::default() };
@@ -210,7 +210,7 @@ impl CanController for Can1 {
         Health {
             is_off: status.boff(),
             is_passive: status.epvf(),
-            // The register has the lowest 8 bits, and at bus-off there is a ninth.
+            // The register holds the lowest 8 bits; at bus-off the counter has a ninth.
             transmit_errors: if status.boff() { u8::MAX } else { status.tec() },
             receive_errors: status.rec(),
         }
@@ -230,7 +230,7 @@ impl CanController for Can1 {
         self.transmit.decide(transmit_status::withdrawal(CAN1.tsr().read().0, mailbox))
     }
 
-    /// What is being sent at this moment goes on to its end, and is not tried again.
+    /// A frame in transmission is completed, but not repeated.
     fn abort(&mut self) {
         self.transmit.decide(Withdrawal::Withdrawn);
         CAN1.tsr().write(|w| {

@@ -1,7 +1,7 @@
-//! Where the log goes, and its time stamps. Without the feature `defmt` there is no log.
+//! The log's destination and time stamps. Without the feature `defmt` there is no log.
 
 #[cfg(all(feature = "log-rtt", feature = "log-semihosting"))]
-compile_error!("choose one of log-rtt and log-semihosting: a log goes to one place");
+compile_error!("log-rtt and log-semihosting exclude each other: choose one");
 
 #[cfg(feature = "log-rtt")]
 use defmt_rtt as _;

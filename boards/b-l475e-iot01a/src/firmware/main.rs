@@ -16,7 +16,7 @@ use wsg_stm32::pac::interrupt;
 
 #[entry]
 fn main() -> ! {
-    // Too large for the stack. (`entry` lends it safely: it runs once.)
+    // Too large for the stack. `entry` makes this safe, because it runs only once.
     static mut STATION: Station<Can1> =
         Station::new(CanBus::new(Can1::new(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
     wsg_stm32::run::<Iot01a>(STATION)

@@ -1,5 +1,5 @@
-//! The board for the shared drivers: USART1 to the gripper, USART3 for the PLC's bus, and USART2, the service port, which the board's
-//! ST-LINK hands on over USB.
+//! The board for the shared drivers: USART1 to the gripper, USART3 to the PLC's bus, and USART2 to the ST-LINK, which bridges
+//! the service port to USB.
 
 use cortex_m::peripheral::SYST;
 use cortex_m_rt::exception;
@@ -18,11 +18,11 @@ use wsg_stm32::{Divider, InputWire, LinePin, OutputWire, Port, Pull, gripper_lin
 use crate::can::{self, Can};
 use crate::clock::{self, HCLK_HZ};
 
-/// The function of the USARTs on their pins, and that of FDCAN1 (data sheet DS12288, alternate functions).
+/// Alternate functions of the USARTs and of FDCAN1 (data sheet DS12288).
 const AF_USART: u8 = 7;
 const AF_FDCAN1: u8 = 9;
 
-/// The time.
+/// The board's clock.
 pub(crate) static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 
 /// The board NUCLEO-G474RE.
@@ -39,7 +39,7 @@ impl Stm32Board for Nucleo {
         // USART1: transmitter, receiver.
         LinePin { port: Port::C, pin: 4, function: AF_USART, pull: Pull::None },
         LinePin { port: Port::C, pin: 5, function: AF_USART, pull: Pull::Up },
-        // USART3: transmitter, receiver, driver enable, which is off also while nobody drives it.
+        // USART3: transmitter, receiver, driver enable with a pull-down that keeps the driver off during reset.
         LinePin { port: Port::B, pin: 10, function: AF_USART, pull: Pull::Up },
         LinePin { port: Port::B, pin: 11, function: AF_USART, pull: Pull::Up },
         LinePin { port: Port::B, pin: 14, function: AF_USART, pull: Pull::Down },

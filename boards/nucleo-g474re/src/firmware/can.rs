@@ -1,7 +1,7 @@
-//! FDCAN1 on PA11 (RX, CN10-14) and PA12 (TX, CN10-12), as a controller of classic CAN, behind a transceiver for 3.3 V (RM0440,
+//! FDCAN1 on PA11 (RX, CN10-14) and PA12 (TX, CN10-12) as a classic CAN controller, connected to a 3.3 V transceiver (RM0440,
 //! FDCAN).
 //!
-//! Its clock is the crystal's. The interrupt wakes the main loop; the work is done there. Nothing waits without a bound.
+//! It runs from the crystal. The interrupt wakes the main loop, which does the work. Every wait is bounded.
 
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
@@ -16,31 +16,31 @@ use wsg_stm32::{BitTiming, Segments};
 
 use crate::clock::HSE_HZ;
 
-/// The receive error counter stops at 127; that it went beyond is a flag of its own.
+/// The receive error counter saturates at 127; a separate flag reports larger values.
 const REC_BEYOND: u8 = 128;
 
-/// All transmit buffers, as bits of the registers that have one for each.
+/// All transmit buffers, as bits of the registers with one bit per buffer.
 const ALL_BUFFERS: u32 = (1 << ELEMENTS) - 1;
 
-/// How often the peripheral's answer to a change of its mode is looked at. It takes a few cycles of the crystal.
+/// Maximum number of status reads while the controller changes its mode, which takes a few cycles of the crystal.
 const MAX_LOOKS: u32 = 10_000;
 
-/// The controller.
+/// The FDCAN controller.
 #[derive(Debug)]
 pub(crate) struct Can {
     config: Option<CanConfig>,
-    /// Whether timing and filters are in its registers.
+    /// Whether timing and filters are configured.
     is_set_up: bool,
     transmit: TransmitBuffers,
 }
 
 impl Can {
-    /// One that was not started. To be asked for once.
+    /// Returns a controller that is not started. Call it once.
     pub(crate) const fn new() -> Self {
         Self { config: None, is_set_up: false, transmit: TransmitBuffers::new() }
     }
 
-    /// Starts the controller. The crystal runs, the pins are set up. Only what the bridge may want passes its filters.
+    /// Starts the controller. The crystal must run and the pins must be set up. The filters accept only frames for the bridge.
     pub(crate) fn start(&mut self, config: &CanConfig) {
         RCC.ccipr().modify(|w| w.set_fdcansel(Fdcansel::HSE));
         RCC.apb1enr1().modify(|w| w.set_fdcanen(true));
@@ -48,35 +48,35 @@ impl Can {
         self.config = Some(*config);
         self.transmit.start(config);
         self.join();
-        // SAFETY: no critical section depends on this interrupt being masked; the handler shares nothing.
+        // SAFETY: no critical section depends on this interrupt being masked. The handler shares nothing.
         unsafe { NVIC::unmask(Interrupt::FDCAN1_IT0) };
     }
 
-    /// Goes through initialisation and on to the bus: where it was bus-off, it then waits for 129 times 11 recessive bits. What
-    /// was to be sent and what was received before is forgotten.
+    /// Initializes the controller and joins the bus. After bus-off, it waits for 129 times 11 recessive bits first. Pending
+    /// and received frames are discarded.
     fn join(&mut self) {
         let Some(config) = self.config else { return };
         FDCAN1.cccr().modify(|w| w.set_init(true));
         let entered = (0..MAX_LOOKS).any(|_| FDCAN1.cccr().read().init());
         self.is_set_up = entered && set_up(&config);
         if self.is_set_up {
-            // No FD, no test, no restriction; out of initialisation. It synchronises in its own time; the first frames wait for that.
+            // Normal classic CAN mode. The controller synchronizes in the background; the first frames wait for that.
             FDCAN1.cccr().write(|_| {});
         }
     }
 }
 
-/// Whether a frame waits.
+/// Returns whether a receive FIFO holds a frame.
 pub(crate) fn has_received() -> bool {
     FDCAN1.rxfs(0).read().ffl() != 0 || FDCAN1.rxfs(1).read().ffl() != 0
 }
 
-/// Timing, filters and interrupts, in initialisation mode; whether there is a timing for the rate.
+/// Configures timing, filters and interrupts in initialization mode. Returns whether the rate is supported.
 fn set_up(config: &CanConfig) -> bool {
     let Some(timing) = BitTiming::for_rate(Segments::FDCAN, HSE_HZ, config.kbit_rate) else { return false };
     // Unlocks the registers, and empties FIFOs and transmit buffers.
     FDCAN1.cccr().modify(|w| w.set_cce(true));
-    // Each field holds one less than it means.
+    // Each field holds its value minus one.
     FDCAN1.nbtp().write(|w| {
         w.set_nbrp(timing.prescaler.saturating_sub(1));
         w.set_ntseg1(timing.before_sample.saturating_sub(1));
@@ -86,7 +86,7 @@ fn set_up(config: &CanConfig) -> bool {
     let gripper = config.gripper.controller().receive.as_raw();
     let filters = [
         filter(Fifo::Gripper, gripper, 0x7FF),
-        // NMT; SYNC; what is for this node; heartbeats.
+        // NMT; SYNC; frames for this node; heartbeats.
         filter(Fifo::Others, 0x000, 0x7FF),
         filter(Fifo::Others, 0x080, 0x7FF),
         filter(Fifo::Others, config.node.node.into(), 0x07F),
@@ -97,7 +97,7 @@ fn set_up(config: &CanConfig) -> bool {
     }
     FDCAN1.rxgfc().write(|w| {
         w.set_lss(filters.len() as u8);
-        // Everything else is dropped; and so is what finds its FIFO full, which sets a flag.
+        // All other frames are rejected. A frame for a full FIFO is lost and sets a flag.
         w.set_anfs(Anfs::REJECT);
         w.set_anfe(Anfe::REJECT);
         w.set_rrfs(true);
@@ -110,12 +110,12 @@ fn set_up(config: &CanConfig) -> bool {
         w.set_rfne(1, true);
         w.set_tce(true);
     });
-    // All of them on the first of the two interrupts, as reset leaves it.
+    // All on the first of the two interrupt lines, the reset value.
     FDCAN1.ile().write(|w| w.set_eint0(true));
     true
 }
 
-/// A frame found no room in its FIFO, and was dropped.
+/// A frame was lost because its FIFO was full.
 #[derive(Debug)]
 pub(crate) struct Overrun;
 
@@ -125,7 +125,7 @@ impl embedded_can::Error for Overrun {
     }
 }
 
-/// The frame that waits longest in a FIFO, none for one that is empty.
+/// Returns the oldest frame of a FIFO, or `None` if it is empty.
 fn take<const FIFO: usize>() -> Result<Option<ClassicFrame>, Overrun> {
     if FDCAN1.ir().read().rfl(FIFO) {
         FDCAN1.ir().write(|w| w.set_rfl(FIFO, true));
@@ -154,7 +154,7 @@ impl embedded_can::nb::Can for Can {
             return Err(nb::Error::WouldBlock);
         }
         let buffer = self.transmit.take(frame.id(), empty_buffers()).ok_or(nb::Error::WouldBlock)?;
-        // There are no others; without this, the index could panic.
+        // Buffers have no higher index, but without this the indexing could panic.
         let buffer = buffer.min(ELEMENTS - 1);
         for (n, word) in element(frame).iter().enumerate() {
             FDCANRAM1.txbuf(buffer * ELEMENT_STRIDE + n).write_value(*word);
@@ -177,8 +177,8 @@ impl embedded_can::nb::Can for Can {
 }
 
 impl CanController for Can {
-    /// One that could not be set up is as good as bus-off, and the policy tries again. So is one that sends nothing any more
-    /// because it could not reach its message RAM in time.
+    /// A controller that could not be configured is reported as bus-off, so that the policy tries again. So is one that
+    /// stopped sending after a message RAM access failure.
     fn health(&mut self) -> Health {
         if !self.is_set_up {
             return Health { is_off: true, ..Health::default() };
@@ -193,7 +193,7 @@ impl CanController for Can {
         }
     }
 
-    /// TXBRP stays set as long as the frame is being sent, and TXBTO is set if it was sent; a new request clears TXBTO.
+    /// TXBRP stays set while the frame is pending. TXBTO is set if the frame was sent, until a new request clears it.
     fn withdraw(&mut self, id: Id) -> Withdrawal {
         let buffer = match self.transmit.withdrawing() {
             Some(buffer) => buffer,
@@ -205,13 +205,13 @@ impl CanController for Can {
                 buffer
             }
         };
-        // In this order: once TXBRP is clear, TXBTO no longer changes.
+        // The order matters: once TXBRP is clear, TXBTO does not change.
         let is_waiting = FDCAN1.txbrp().read().0 & 1 << buffer != 0;
         let was_sent = FDCAN1.txbto().read().0 & 1 << buffer != 0;
         self.transmit.decide(Withdrawal::of(is_waiting, was_sent))
     }
 
-    /// What is being sent at this moment goes on to its end, and is not tried again.
+    /// A frame in transmission is completed, but not repeated.
     fn abort(&mut self) {
         self.transmit.decide(Withdrawal::Withdrawn);
         FDCAN1.txbcr().write_value(Txbcr(ALL_BUFFERS));
@@ -227,10 +227,10 @@ fn empty_buffers() -> [bool; ELEMENTS] {
     [1 << 0, 1 << 1, 1 << 2].map(|buffer| waiting & buffer == 0)
 }
 
-/// A frame came, or one has left: that ended the main loop's sleep.
+/// A received or sent frame only ends the main loop's sleep.
 #[interrupt]
 fn FDCAN1_IT0() {
-    // Writing a one clears a flag. That a frame was lost stays noted.
+    // Writing 1 clears a flag. The flag for a lost frame is kept.
     FDCAN1.ir().write(|w| {
         w.set_rfn(0, true);
         w.set_rfn(1, true);

@@ -1,29 +1,30 @@
-//! 144 MHz from the PLL and the board's crystal X3 (RM0440, RCC).
+//! The 144 MHz core clock from the PLL and the board's crystal X3 (RM0440, RCC).
 
 use wsg_bridge_fw::NoClock;
 use wsg_stm32::pac::flash::vals::Latency;
 use wsg_stm32::pac::rcc::vals::{Hpre, Pllm, Plln, Pllr, Pllsrc, Sw};
 use wsg_stm32::pac::{FLASH, RCC};
 
-/// Clock of the core and, undivided, of all buses: all rates of Modbus and most of PROFIBUS divide it, and it needs no boost.
+/// Clock of the core and, undivided, of all buses. All Modbus rates and most PROFIBUS rates divide it, and it needs no boost
+/// mode.
 pub(crate) const HCLK_HZ: u32 = 144_000_000;
 
-/// The crystal. CAN runs from it.
+/// Frequency of the crystal, which also clocks CAN.
 pub(crate) const HSE_HZ: u32 = 24_000_000;
 const PLL_M: (Pllm, u32) = (Pllm::DIV4, 4);
 const PLL_N: (Plln, u32) = (Plln::MUL48, 48);
 const PLL_R: (Pllr, u32) = (Pllr::DIV2, 2);
 const _: () = assert!(HSE_HZ / PLL_M.1 * PLL_N.1 / PLL_R.1 == HCLK_HZ);
 
-/// Wait states for 120 to 150 MHz in voltage range 1 without boost, the range after reset (RM0440, FLASH, "Read access latency").
+/// Wait states for 120 to 150 MHz in voltage range 1 without boost, which is selected after reset (RM0440, FLASH, "Read access
+/// latency").
 const FLASH_WAIT_STATES: Latency = Latency::WS4;
 
-/// From less than 80 MHz to more the way leads over half the clock, for a microsecond at the least (RM0440, RCC, "System clock
-/// (SYSCLK) selection").
+/// A switch from below 80 MHz to above needs at least 1 µs at half the clock (RM0440, RCC, "System clock (SYSCLK) selection").
 const CYCLES_AT_HALF: u32 = HCLK_HZ / 1_000_000;
 
-/// Looks at a ready bit before the clock is given up. One look takes at least 4 cycles, so at the
-/// 16 MHz of reset this waits no less than 20 ms; the crystal needs some 2 ms, the PLL some 40 µs.
+/// Maximum number of reads of a ready bit. One read takes at least 4 cycles, so the time-out is at least 20 ms at the 16 MHz
+/// of reset. The crystal needs about 2 ms, the PLL about 40 µs.
 const MAX_LOOKS: u32 = 80_000;
 
 /// Switches from the 16 MHz of reset to 144 MHz.

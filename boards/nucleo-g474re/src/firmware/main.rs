@@ -1,6 +1,6 @@
-//! The bridge on the board NUCLEO-G474RE (STM32G474RE): entry point, board and CAN. Register names are those of ST's RM0440.
+//! The bridge on the board NUCLEO-G474RE (STM32G474RE): entry point, board and CAN. Register names follow ST's RM0440.
 //!
-//! Compiled, linked and measured; never run.
+//! Compiled, linked and measured, but never executed.
 
 #![no_std]
 #![no_main]
@@ -26,7 +26,7 @@ use crate::can::Can;
 
 #[entry]
 fn main() -> ! {
-    // Too large for the stack. (`entry` lends it safely: it runs once.)
+    // Too large for the stack. `entry` makes this safe, because it runs only once.
     static mut STATION: Station<Can> =
         Station::new(CanBus::new(Can::new(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
     wsg_stm32::run::<Nucleo>(STATION)

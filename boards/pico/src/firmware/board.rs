@@ -67,7 +67,7 @@ impl Hardware for Registers {
         });
     }
 
-    /// Programs the flash that the program runs from, while the fingers stand and nothing is being sent.
+    /// Programs the flash, which blocks the program, only while the fingers are at rest and no line transmits.
     fn after_turn(&mut self, shown: Outputs, flash: &mut SettingsSectors) {
         if bus::is_silent() && uart::is_silent() && !shown.contains(Outputs::BUSY) {
             flash.work();
@@ -78,7 +78,7 @@ impl Hardware for Registers {
         can::rearm();
     }
 
-    /// Also while Modbus sends: the handler then checks whether the last bit has been sent.
+    /// Also called while Modbus transmits: the handler then checks whether the last bit has been sent.
     fn serve_bus(&mut self, is_profibus: bool) {
         if is_profibus || !bus::is_silent() {
             bus::serve();

@@ -1,7 +1,7 @@
-//! The PLC's bus: UART1, interrupt driven both ways (RP2040, 4.2), with Modbus RTU or PROFIBUS.
+//! The PLC's bus: the interrupt-driven UART1 (RP2040, 4.2), with Modbus RTU or PROFIBUS.
 //!
-//! The UART has neither a driver enable nor an interrupt behind the last bit: the handler switches the pin, and an alarm has it
-//! look again until the last bit has been sent.
+//! The UART has neither a driver enable output nor an interrupt after the last bit. The handler switches the pin, and an alarm
+//! triggers it again until the last bit has been sent.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -18,21 +18,21 @@ use crate::uart::Port;
 /// The PLC's bus.
 pub(crate) static BUS: BusLine = BusLine::new();
 
-/// The driver's pin, in the registers of SIO.
+/// The driver enable pin in the registers of SIO.
 const DRIVER: u32 = 1 << BUS_DRIVER_ENABLE;
 
-/// The time of two bits, rounded up, in microseconds: how late the driver may be switched off.
+/// The time of two bits in microseconds, rounded up: the maximum delay until the driver is switched off.
 static TWO_BITS_US: AtomicU32 = AtomicU32::new(0);
 
-/// The bridge's end of Modbus RTU on the bus; nothing comes and goes before its start.
+/// The bridge's end of Modbus RTU on the bus. No character is sent or received before its start.
 pub(crate) type Line = RtuPort<Uart1>;
 
-/// The end of the bus. To be asked for once.
+/// Returns the bus's line. Call it once.
 pub(crate) const fn line() -> Line {
     BUS.port(Uart1(()))
 }
 
-/// What the main loop needs of the registers.
+/// The main loop's access to the registers.
 pub(crate) struct Uart1(());
 
 impl RtuUart for Uart1 {
@@ -49,39 +49,39 @@ fn port() -> Port {
     Port(peripheral!(UART1))
 }
 
-/// Starts Modbus RTU on the bus. The clock runs, the pins are set up.
+/// Starts Modbus RTU on the bus. The clock must run and the pins must be set up.
 pub(crate) fn start(config: &BusConfig) {
     BUS.start_modbus(config);
     set_up(config.baud, config.format);
     unmask();
 }
 
-/// Starts PROFIBUS on the bus instead: the handler begins with the first [`serve`].
+/// Starts PROFIBUS on the bus. The handler starts with the first [`serve`].
 pub(crate) fn start_profibus() {
     BUS.start_profibus();
     unmask();
 }
 
-/// Whether nothing is being sent.
+/// Returns whether the bus does not transmit.
 pub(crate) fn is_silent() -> bool {
     peripheral!(SIO).gpio_out().read().bits() & DRIVER == 0
 }
 
-/// Has the handler take what the main loop's turn has brought, and look whether the last bit has been sent. Once a millisecond is
-/// enough: each run ends the main loop's sleep.
+/// Triggers the handler, which processes the main loop's output and checks whether the last bit has been sent. Call it at most
+/// once per millisecond, because each call ends the main loop's sleep.
 pub(crate) fn serve() {
     NVIC::pend(Interrupt::UART1_IRQ);
 }
 
 fn unmask() {
-    // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
-    // atomics with the rest.
+    // SAFETY: no critical section depends on this interrupt being masked. The handler shares only atomics with the rest of the
+    // program.
     unsafe { NVIC::unmask(Interrupt::UART1_IRQ) };
 }
 
-/// Sets the bus up for a rate and a format, before its start or anew.
+/// Configures the bus for a rate and a format, before its start or later.
 fn set_up(baud: u32, format: Format) {
-    // Should it not come out of reset, the bus is silent.
+    // If it stays in reset, the bus is silent.
     let _ = reset(reset_bit::UART1);
     TWO_BITS_US.store(2_000_000 / baud.max(1) + 1, Ordering::Relaxed);
     port().set_up(baud, format);

@@ -1,7 +1,7 @@
-//! CAN: an MCP2515 with a crystal of 16 MHz on SPI0 (RP2040, 4.4), GP16 to GP19, and its INT on GP20.
+//! CAN: an MCP2515 with a 16 MHz crystal on SPI0 (RP2040, 4.4), GP16 to GP19, and its INT on GP20.
 //!
-//! The handler of its interrupt takes what it receives; all else is done in the main loop. Both use SPI0: the handler waits until the
-//! main loop's transaction is over.
+//! The interrupt handler reads received frames; the main loop does everything else. Both use SPI0: the handler is masked
+//! during a transaction of the main loop.
 
 use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
@@ -12,60 +12,60 @@ use wsg_bridge_fw::can::{CanConfig, Mcp2515, Mcp2515Buffers};
 use crate::clock::SYS_HZ;
 use crate::registers::{peripheral, reset, reset_bit, write};
 
-/// The controller.
+/// The CAN controller.
 pub(crate) type Can = Mcp2515<MainLoopSpi, ClassicFrame>;
 
-/// What it has received.
+/// The received frames.
 pub(crate) static BUFFERS: Mcp2515Buffers = Mcp2515Buffers::new();
 
-/// Its crystal.
+/// The MCP2515's crystal.
 const CRYSTAL_HZ: u32 = 16_000_000;
 
-/// What it takes at the most, and what it gets: the clock divided by an even number, and by another.
+/// The maximum SPI clock of the MCP2515, and the dividers for the actual one.
 const SPI_MAX_HZ: u32 = 10_000_000;
 const PRESCALER: u32 = 2;
 const DIVIDER: u32 = 7;
 const _: () = assert!(SYS_HZ / PRESCALER / DIVIDER <= SPI_MAX_HZ);
 
-/// SSPCR0: frames of eight bits, mode 0. SSPCR1: on.
+/// SSPCR0: 8-bit frames, mode 0. SSPCR1: enable.
 const EIGHT_BITS: u32 = 7;
 const SSE: u32 = 1 << 1;
-/// SSPSR: a frame was received.
+/// SSPSR: receive FIFO not empty.
 const RNE: u32 = 1 << 2;
 
-/// Frames that the receiver holds.
+/// Capacity of the receive FIFO in frames.
 const FIFO_LEN: u32 = 8;
 
-/// Looks at a byte that is under way: it takes 112 cycles of the clock, and a look takes 4 at the least.
+/// Maximum number of status reads for a byte, which takes 112 clock cycles; a read takes at least 4.
 const MAX_LOOKS: u32 = 1_000;
 
-/// Pins that this module switches itself, by the registers of SIO and IO_BANK0.
+/// Pins that this module controls by the registers of SIO and IO_BANK0.
 const CHIP_SELECT: u32 = 1 << 17;
 const INT: u32 = 20;
-/// The four bits of a pin in PROC0_INTE, of which the first is a low level.
+/// The four bits of a pin in PROC0_INTE; the first is the low level.
 const INT_LOW: u32 = 1 << (4 * (INT % 8));
 const INT_WORD: usize = (INT / 8) as usize;
 
-/// The priority of its handler, which takes 26 µs for a frame: the lowest. No UART waits for it.
+/// The handler's priority is the lowest, because it takes 26 µs per frame. It never delays a UART.
 const PRIORITY: u8 = 0xC0;
 
-/// Bytes for which a received frame waits at the most: the main loop's longest transaction, which loads a frame; then the
-/// handler's look and read.
+/// Maximum number of SPI bytes before a received frame is read: the main loop's longest transaction, which loads a frame, then
+/// the handler's status query and read.
 const BYTES_BEFORE_TAKEN: u32 = 14 + 2 + 14;
-/// Cycles of a byte: as many again as SPI takes are more than the instructions around it do.
+/// Cycles per byte: twice the SPI time, to cover the instructions in between.
 const BYTE_CYCLES: u32 = 2 * 8 * PRESCALER * DIVIDER;
-/// The shortest frame, of no data, without stuff bits, at 1 Mbit/s. Two buffers are full until a third one ends.
+/// The shortest frame, without data and stuff bits, at 1 Mbit/s. Two full buffers overflow at the end of a third frame.
 const SHORTEST_FRAME_US: u32 = 47;
 const _: () = assert!(BYTES_BEFORE_TAKEN * BYTE_CYCLES < 2 * SHORTEST_FRAME_US * (SYS_HZ / 1_000_000));
 
-/// The one that was not started. To be asked for once.
+/// Returns the controller, not started. Call it once.
 pub(crate) const fn controller() -> Can {
     Mcp2515::new(MainLoopSpi(()), CRYSTAL_HZ, &BUFFERS)
 }
 
-/// Starts the controller. The clock runs, the pins are set up.
+/// Starts the controller. The clock must run and the pins must be set up.
 pub(crate) fn start(controller: &mut Can, config: &CanConfig, nvic: &mut NVIC) {
-    // Should it not come out of reset, every exchange fails, which is a controller that is not there.
+    // If it stays in reset, every exchange fails, like with a missing controller.
     let _ = reset(reset_bit::SPI0);
     let spi = peripheral!(SPI0);
     write(spi.sspcpsr(), PRESCALER);
@@ -73,14 +73,14 @@ pub(crate) fn start(controller: &mut Can, config: &CanConfig, nvic: &mut NVIC) {
     write(spi.sspcr1(), SSE);
     controller.start(config);
     write(peripheral!(IO_BANK0).proc0_inte(INT_WORD), INT_LOW);
-    // SAFETY: it is still masked, and no critical section is by priority.
+    // SAFETY: the interrupt is still masked, and no critical section depends on priorities.
     unsafe { nvic.set_priority(INTERRUPT, PRIORITY) };
     rearm();
 }
 
-/// Lets the handler run again, behind each turn of the main loop: it may have masked itself.
+/// Unmasks the handler, which may mask itself. Call it after each iteration of the main loop.
 pub(crate) fn rearm() {
-    // SAFETY: the main loop's transactions depend on it being masked, and this is behind them; the handler shares only atomics.
+    // SAFETY: only the main loop's transactions depend on the mask, and none is running. The handler shares only atomics.
     unsafe { NVIC::unmask(INTERRUPT) };
 }
 
@@ -93,7 +93,7 @@ fn IO_IRQ_BANK0() {
     }
 }
 
-/// The main loop's SPI0: the handler does not run during a transaction.
+/// SPI0 for the main loop, with the handler masked during a transaction.
 #[derive(Debug)]
 pub(crate) struct MainLoopSpi(());
 
@@ -105,7 +105,7 @@ impl SpiDevice for MainLoopSpi {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Stuck> {
         let was_unmasked = NVIC::is_enabled(INTERRUPT);
         NVIC::mask(INTERRUPT);
-        // From here on it does not begin any more (ARMv6-M, B3.4.3).
+        // The handler cannot start after these barriers (ARMv6-M, B3.4.3).
         cortex_m::asm::dsb();
         cortex_m::asm::isb();
         let result = Spi(()).transaction(operations);
@@ -116,11 +116,11 @@ impl SpiDevice for MainLoopSpi {
     }
 }
 
-/// SPI0 and the chip select, of whoever runs.
+/// SPI0 and the chip select, for the handler or the main loop.
 #[derive(Debug)]
 pub(crate) struct Spi(());
 
-/// A byte did not come back.
+/// A byte was not received in time.
 #[derive(Debug)]
 pub(crate) struct Stuck;
 
@@ -136,7 +136,7 @@ impl ErrorType for Spi {
 
 impl SpiDevice for Spi {
     fn transaction(&mut self, operations: &mut [Operation<'_, u8>]) -> Result<(), Stuck> {
-        // What came after it had been given up.
+        // Discard bytes received after a time-out.
         let spi = peripheral!(SPI0);
         for _ in 0..FIFO_LEN {
             if spi.sspsr().read().bits() & RNE != 0 {
@@ -146,7 +146,7 @@ impl SpiDevice for Spi {
         write(peripheral!(SIO).gpio_out_clr(), CHIP_SELECT);
         let result = operations.iter_mut().try_for_each(run);
         write(peripheral!(SIO).gpio_out_set(), CHIP_SELECT);
-        // It is to be high for 50 ns; the next one is farther away than these six cycles.
+        // The chip select must be high for 50 ns; the next transaction starts later than these six cycles.
         result
     }
 }
@@ -163,7 +163,7 @@ fn run(operation: &mut Operation<'_, u8>) -> Result<(), Stuck> {
             Ok(())
         }),
         Operation::Transfer(read, written) => {
-            // The longer one's rest is filled up, or dropped.
+            // If one buffer is longer, its rest is filled with zeros or dropped.
             let mut written = written.iter().copied();
             for place in read.iter_mut() {
                 *place = exchange(written.next().unwrap_or(0))?;
@@ -177,7 +177,7 @@ fn run(operation: &mut Operation<'_, u8>) -> Result<(), Stuck> {
     }
 }
 
-/// One byte each way.
+/// Exchanges one byte.
 fn exchange(byte: u8) -> Result<u8, Stuck> {
     let spi = peripheral!(SPI0);
     write(spi.sspdr(), byte.into());

@@ -5,23 +5,23 @@ use wsg_bridge_fw::NoClock;
 
 use crate::registers::{peripheral, reset, reset_bit, wait_until, write};
 
-/// Clock of the cores and of the UARTs and SPI.
+/// Clock of the cores, the UARTs and SPI.
 pub(crate) const SYS_HZ: u32 = 125_000_000;
 
-/// Clock of the cores from reset until [`start`] has switched: the ring oscillator's, 1.8 to 12 MHz.
+/// Core clock from reset until [`start`]: the ring oscillator, 1.8 to 12 MHz.
 pub(crate) const RESET_HZ: u32 = 6_500_000;
 
-/// The crystal.
+/// Frequency of the crystal.
 pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
 
-/// XOSC, 2.16.7: the range of 1 to 15 MHz; that, and running.
+/// XOSC, 2.16.7: the range 1 to 15 MHz, and the same with the oscillator enabled.
 const RANGE_1_15MHZ: u32 = 0xAA0;
 const RUNNING: u32 = 0xFAB << 12 | RANGE_1_15MHZ;
 const STABLE: u32 = 1 << 31;
-/// How long it starts, in 256 cycles: 1 ms.
+/// Start-up delay in units of 256 cycles: 1 ms.
 const STARTUP: u32 = CRYSTAL_HZ / 1_000 / 256 + 1;
 
-/// Values of a PLL: what the crystal is multiplied by, and the two that the result is divided by.
+/// Settings of a PLL: multiplier and post dividers.
 struct Setup {
     times: u32,
     by: (u32, u32),
@@ -37,7 +37,7 @@ impl Setup {
     }
 }
 
-/// CS, PWR and PRIM of a PLL (2.18.4).
+/// Bits of a PLL's CS, PWR and PRIM (2.18.4).
 const LOCK: u32 = 1 << 31;
 const PD: u32 = 1 << 0;
 const POSTDIVPD: u32 = 1 << 3;
@@ -48,14 +48,14 @@ const ALL_DOWN: u32 = PD | 1 << 2 | POSTDIVPD | VCOPD;
 const REF_FROM_ROSC: u32 = 0;
 const REF_FROM_XOSC: u32 = 2;
 const SYS_FROM_REF: u32 = 0;
-/// The auxiliary source, which is PLL_SYS where nothing else is chosen.
+/// The auxiliary source, PLL_SYS by default.
 const SYS_FROM_AUX: u32 = 1;
 const ENABLE: u32 = 1 << 11;
 
 /// Switches from the ring oscillator to 125 MHz.
 pub(crate) fn start() -> Result<(), NoClock> {
     let clocks = peripheral!(CLOCKS);
-    // Away from the PLLs first: a debugger's reset leaves them.
+    // First switch away from the PLLs, which a debugger's reset leaves selected.
     let select = |came: bool| if came { Ok(()) } else { Err(NoClock) };
     write(clocks.clk_sys_ctrl(), SYS_FROM_REF);
     select(wait_until(|| clocks.clk_sys_selected().read().bits() == 1 << SYS_FROM_REF))?;
@@ -76,7 +76,7 @@ pub(crate) fn start() -> Result<(), NoClock> {
     select(wait_until(|| clocks.clk_ref_selected().read().bits() == 1 << REF_FROM_XOSC))?;
     write(clocks.clk_sys_ctrl(), SYS_FROM_AUX);
     select(wait_until(|| clocks.clk_sys_selected().read().bits() == 1 << SYS_FROM_AUX))?;
-    // Both from what is chosen where nothing is: CLK_SYS, and PLL_USB.
+    // Both with their default sources: CLK_SYS and PLL_USB.
     write(clocks.clk_peri_ctrl(), ENABLE);
     write(clocks.clk_usb_ctrl(), ENABLE);
     Ok(())

@@ -1,8 +1,9 @@
-//! The settings' two sectors: the last ones of the QSPI flash (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV). And that chip's number.
+//! The settings' two sectors at the end of the QSPI flash (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV), and the flash chip's
+//! ID.
 //!
-//! The program runs from the same flash. While a sector is erased (45 ms, 400 ms at the most) or a page programmed (3 ms at
-//! the most) nothing can be read from it, so nothing runs but a few instructions in RAM and the boot ROM's. That is done only
-//! while the fingers stand and nothing is being sent. Where there is no boot ROM, as in an emulator, it fails.
+//! The program runs from the same flash. Erasing a sector takes 45 ms (maximum 400 ms), programming a page up to 3 ms.
+//! Meanwhile the flash cannot be read, and only a few instructions in RAM and the boot ROM run. Operations therefore run only
+//! while the fingers are at rest and no line transmits. Without a boot ROM, as in an emulator, they fail.
 
 use core::ptr::{with_exposed_provenance, with_exposed_provenance_mut};
 
@@ -11,67 +12,67 @@ use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
 
 use crate::watchdog;
 
-/// Where the first sector begins: the end of 2 MiB, less two sectors. memory.x keeps the linker off.
+/// Offset of the first sector: the end of 2 MiB less two sectors. `board-memory.x` reserves them.
 const FIRST_SECTOR: u32 = 2 * 1024 * 1024 - 2 * SECTOR_BYTES as u32;
 const SECTOR_BYTES: usize = 4096;
 const DOUBLE_WORD_BYTES: usize = 8;
 
-/// What is programmed at once. Bits that stay 1 in it are left alone, so a page is programmed in parts.
+/// Number of bytes programmed at once. Bits that stay 1 are unchanged, so a page can be programmed in parts.
 const PROGRAM_BYTES: usize = 256;
 
-/// The instruction that erases a sector, which the boot ROM uses where no larger block fits.
+/// The instruction with which the boot ROM erases a block of 64 KiB, if a range covers one.
 const ERASE_BLOCK: u8 = 0xD8;
 const BLOCK_BYTES: u32 = 64 * 1024;
 
-/// Flash as memory: past the cache, which would hold what was there before.
+/// Flash as memory, bypassing the cache, which could hold old data.
 const UNCACHED: usize = 0x1300_0000;
-/// The second boot stage, at the begin of flash.
+/// The second boot stage, at the start of flash.
 const BOOT2_AT: usize = UNCACHED;
 const BOOT2_WORDS: usize = 64;
 
-/// What the boot ROM has at address 10h: two letters and a version (2.8.3).
+/// The boot ROM's identification at address 10h: two letters and a version (2.8.3).
 const ROM_MAGIC_AT: usize = 0x10;
 const ROM_MAGIC: u32 = 0x01_75_4D;
 
-/// The pin that selects the flash chip (RP2040, 2.19.6.2), driven low or high whatever the interface does; its function stays XIP.
+/// The chip select of the flash (RP2040, 2.19.6.2). Its output override drives it low or high; its function stays XIP.
 const QSPI_SS_CTRL: usize = 0x4001_800C;
 const SELECTED: u32 = 2 << 8;
 const DESELECTED: u32 = 3 << 8;
-/// The interface (4.10.13): whether a byte was received, and the bytes both ways.
+/// Registers of the interface (4.10.13): the receive status and the data in both directions.
 const SSI_SR: usize = 0x1800_0028;
 const RFNE: u32 = 1 << 3;
 const SSI_DR0: usize = 0x1800_0060;
-/// Looks at a byte that takes 0.4 µs.
+/// Maximum number of status reads for a byte, which takes 0.4 µs.
 const MAX_LOOKS: u32 = 1_000;
 
-/// Read Unique ID (W25Q16JV, 8.2.29): the instruction, four bytes without a meaning, and eight of the number.
+/// Read Unique ID (W25Q16JV, 8.2.29): the instruction, four dummy bytes and eight ID bytes.
 const READ_UNIQUE_ID: u32 = 0x4B;
 const UNIQUE_ID: core::ops::Range<usize> = 5..13;
-/// The interface's queues hold all of it.
+/// The interface's FIFOs hold the complete exchange.
 const _: () = assert!(UNIQUE_ID.end <= 16);
 
-/// What is to be done.
+/// A pending operation.
 #[derive(Clone, Copy)]
 enum Operation {
     Nothing,
-    /// The chip's answer to Read Unique ID goes to the page buffer.
+    /// Reads the chip's unique ID into the page buffer.
     Identify,
     Erase(u32),
-    /// The page buffer, at this place.
+    /// Programs the page buffer at this offset.
     Program(u32),
 }
 
-/// The two sectors.
+/// The settings' sectors and a pending operation.
 pub(crate) struct SettingsSectors {
     operation: Operation,
-    /// How the last one ended.
+    /// The result of the last operation.
     result: Result<(), FlashError>,
     page: [u8; PROGRAM_BYTES],
     boot2: [u32; BOOT2_WORDS],
 }
 
 impl SettingsSectors {
-    /// The two sectors. To be asked for once.
+    /// Returns the settings' sectors. Call it once.
     pub(crate) const fn new() -> Self {
         Self {
             operation: Operation::Nothing,
@@ -81,8 +82,8 @@ impl SettingsSectors {
         }
     }
 
-    /// Does what is to be done, if anything is. Behind a turn of the main loop, while everything may stand still: the fingers
-    /// stand, and nothing is being sent.
+    /// Runs a pending operation. Call it between iterations of the main loop while the program may block: the fingers are at
+    /// rest and no line transmits.
     pub(crate) fn work(&mut self) {
         let operation = core::mem::replace(&mut self.operation, Operation::Nothing);
         if !matches!(operation, Operation::Nothing) {
@@ -90,8 +91,8 @@ impl SettingsSectors {
         }
     }
 
-    /// The serial number: of the flash chip's, for the RP2040 has none, what fits into 32 bits. 0 if it has none either. Before the
-    /// main loop.
+    /// Returns the serial number: the flash chip's unique ID reduced to 32 bits, because the RP2040 has none. Returns 0 if the
+    /// flash chip has none either. Call it before the main loop.
     pub(crate) fn serial_number(&mut self) -> u32 {
         if self.run(Operation::Identify).is_err() {
             return 0;
@@ -99,20 +100,20 @@ impl SettingsSectors {
         let number =
             self.page.get(UNIQUE_ID).and_then(|bytes| Some(u64::from_be_bytes(*bytes.first_chunk()?)));
         match number {
-            // Lines that nobody drives.
+            // An undriven data line.
             None | Some(0 | u64::MAX) => 0,
             Some(number) => ((number >> 32) as u32).rotate_left(11) ^ number as u32,
         }
     }
 
     fn run(&mut self, operation: Operation) -> Result<(), FlashError> {
-        // SAFETY: the address is the boot ROM's; where there is none, it reads as something else.
+        // SAFETY: the address is in the boot ROM. Without a ROM, the read returns another value.
         let magic = unsafe { with_exposed_provenance::<u32>(ROM_MAGIC_AT).read_volatile() };
         if magic & 0xFF_FFFF != ROM_MAGIC {
             return Err(FlashError::Failed);
         }
         for (word, at) in self.boot2.iter_mut().zip((BOOT2_AT..).step_by(4)) {
-            // SAFETY: the address is in flash, aligned, and nothing writes there.
+            // SAFETY: the address is in flash and aligned, and no code writes there.
             *word = unsafe { with_exposed_provenance::<u32>(at).read_volatile() };
         }
         let rom = Rom {
@@ -123,8 +124,8 @@ impl SettingsSectors {
             flash_flush_cache: rom_data::flash_flush_cache::ptr(),
         };
         watchdog::wait_for_flash();
-        // SAFETY: interrupts are off, and the function is in RAM with all that it uses: the ROM's functions, and the buffers of
-        // this value. What is erased or programmed is in the settings' sectors.
+        // SAFETY: interrupts are disabled. The function is in RAM and uses only the ROM's functions and the buffers of this
+        // value. It erases and programs only the settings' sectors.
         cortex_m::interrupt::free(|_| unsafe {
             run_in_ram(&rom, operation, &mut self.page, &self.boot2);
         });
@@ -132,7 +133,7 @@ impl SettingsSectors {
     }
 }
 
-/// The boot ROM's functions, looked up while flash can be read.
+/// The boot ROM's functions, looked up while the flash is readable.
 struct Rom {
     connect_internal_flash: unsafe extern "C" fn(),
     flash_exit_xip: unsafe extern "C" fn(),
@@ -141,10 +142,10 @@ struct Rom {
     flash_flush_cache: unsafe extern "C" fn(),
 }
 
-/// Erases, programs or identifies. In RAM: flash is no memory meanwhile.
+/// Erases, programs or reads the ID. Placed in RAM, because the flash is unreadable meanwhile.
 ///
 /// # Safety
-/// Interrupts are off, nothing else uses flash, and `boot2` is the second boot stage.
+/// Interrupts are disabled, no other code uses the flash, and `boot2` is the second boot stage.
 #[unsafe(link_section = ".data.run_in_ram")]
 #[inline(never)]
 unsafe fn run_in_ram(
@@ -153,8 +154,8 @@ unsafe fn run_in_ram(
     page: &mut [u8; PROGRAM_BYTES],
     boot2: &[u32; BOOT2_WORDS],
 ) {
-    // SAFETY: in the order that the data sheet asks for. The second boot stage returns where it was called, and leaves flash
-    // readable as it was (its address is odd: Thumb).
+    // SAFETY: the order follows the data sheet. The second boot stage returns to its caller and makes the flash readable again
+    // (its address is odd: Thumb).
     unsafe {
         (rom.connect_internal_flash)();
         (rom.flash_exit_xip)();
@@ -171,14 +172,14 @@ unsafe fn run_in_ram(
     }
 }
 
-/// Has the chip tell its number. The ROM's flush of the cache gives the pin back to the interface.
+/// Reads the flash chip's unique ID. The ROM's cache flush returns the pin to the interface.
 ///
 /// # Safety
-/// As for [`run_in_ram`], of which it is a part; the interface is as the ROM's exit from XIP leaves it: bytes, one line each way.
+/// As for [`run_in_ram`], which calls it. The ROM's exit from XIP leaves the interface in single-line byte mode.
 #[inline(always)]
 unsafe fn identify(answer: &mut [u8; PROGRAM_BYTES]) {
     let [select, status, data] = [QSPI_SS_CTRL, SSI_SR, SSI_DR0].map(with_exposed_provenance_mut::<u32>);
-    // SAFETY: they are registers, and nobody else uses them meanwhile.
+    // SAFETY: these are registers that no other code uses meanwhile.
     unsafe {
         select.write_volatile(SELECTED);
         data.write_volatile(READ_UNIQUE_ID);
@@ -191,7 +192,7 @@ unsafe fn identify(answer: &mut [u8; PROGRAM_BYTES]) {
     }
 }
 
-/// Where a double word is, from the begin of flash.
+/// Returns the offset of a double word from the start of flash.
 fn offset(page: Page, index: usize) -> Option<u32> {
     let sector = match page {
         Page::First => FIRST_SECTOR,
@@ -206,7 +207,7 @@ impl NorFlash for SettingsSectors {
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
         let at = UNCACHED.wrapping_add(offset(page, index).ok_or(Unreadable)? as usize);
         let low = with_exposed_provenance::<u32>(at);
-        // SAFETY: both words are in flash, aligned, and written by `run_in_ram` alone.
+        // SAFETY: both words are in flash and aligned. Only `run_in_ram` writes them.
         let (low, high) = unsafe { (low.read_volatile(), low.wrapping_add(1).read_volatile()) };
         Ok(u64::from(low) | u64::from(high) << 32)
     }
@@ -226,7 +227,7 @@ impl NorFlash for SettingsSectors {
         Ok(())
     }
 
-    /// Whether it did its work, a read tells.
+    /// A read-back verifies the operation.
     fn poll(&mut self) -> nb::Result<(), FlashError> {
         match self.operation {
             Operation::Nothing => self.result.map_err(nb::Error::Other),

@@ -1,7 +1,7 @@
-//! The bridge on the Raspberry Pi Pico (RP2040): start, main loop, faults.
+//! The bridge on the Raspberry Pi Pico (RP2040): start, main loop and faults.
 //!
-//! Here are pins, clocks, interrupts and nothing else; what the bridge does is in its library. Register names are those of
-//! Raspberry Pi's RP2040 data sheet.
+//! This program contains only pins, clocks and interrupts; the library implements the bridge. Register names follow Raspberry
+//! Pi's RP2040 data sheet.
 
 #![no_std]
 #![no_main]
@@ -39,7 +39,7 @@ use crate::board::Registers;
 use crate::can::Can;
 use crate::flash::SettingsSectors;
 
-/// Makes flash readable as memory: the boot ROM runs it.
+/// The second boot stage, which makes flash readable as memory. The boot ROM runs it.
 #[unsafe(link_section = ".boot2")]
 #[unsafe(no_mangle)]
 #[used]
@@ -47,17 +47,17 @@ static BOOT2: [u8; 256] = rp2040_boot2::BOOT_LOADER_W25Q080;
 
 #[entry]
 fn main() -> ! {
-    // Too large for the stack. (`entry` lends it safely: it runs once.)
+    // Too large for the stack. `entry` makes this safe, because it runs only once.
     static mut STATION: Station<Can> =
         Station::new(CanBus::new(can::controller(), BusOffPolicy::DEFAULT), bus::BUS.profibus());
     static mut FLASH: SettingsSectors = SettingsSectors::new();
 
     let reset_cause = watchdog::reset_cause();
-    // Before everything that waits: whatever does not come up, the MCU starts over.
+    // Started before any wait, so that a failed start resets the MCU.
     let watchdog = watchdog::start();
-    // SAFETY: `main` runs once, and nothing else takes them.
+    // SAFETY: `main` runs once, and no other code takes the peripherals.
     let (mut core, peripherals) = unsafe { (cortex_m::Peripherals::steal(), pac::Peripherals::steal()) };
-    // Outputs first: they show "not ready" through everything that may go wrong below.
+    // Set up the outputs first, so that they show "not ready" if a later step fails.
     let (wires, mut led) = pins::init(peripherals);
     if clock::start().is_err() {
         without_clock(|is_lit| led.indicate(is_lit), || cortex_m::asm::delay(clock::RESET_HZ / 1_000));
@@ -75,7 +75,7 @@ fn main() -> ! {
     wsg_bridge_fw::run(board, STATION, reset_cause)
 }
 
-/// A reset puts every output low and lets the bridge start from what it can know for sure.
+/// A reset sets every output low and restarts the bridge from a known state.
 #[cfg(not(feature = "prove-panic-free"))]
 #[panic_handler]
 fn panic(_: &PanicInfo) -> ! {
@@ -91,14 +91,14 @@ fn panic(_: &PanicInfo) -> ! {
     a_panic_can_be_reached()
 }
 
-// SAFETY: the handler uses nothing of the program that was interrupted.
+// SAFETY: the handler uses no state of the interrupted program.
 #[exception(trampoline = false)]
 unsafe fn HardFault() -> ! {
     watchdog::reset()
 }
 
-/// An interrupt that nobody enabled is as much a fault as a bus error.
-// SAFETY: the handler uses nothing of the program that was interrupted.
+/// An interrupt without a handler is treated like a fault.
+// SAFETY: the handler uses no state of the interrupted program.
 #[exception]
 unsafe fn DefaultHandler(_interrupt: i16) -> ! {
     watchdog::reset()

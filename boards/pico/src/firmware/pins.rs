@@ -1,4 +1,4 @@
-//! The PLC's wires, the LED, both lines and the MCP2515 on their pins, by `embedded-hal`'s traits.
+//! The PLC's wires, the LED, both lines and the MCP2515 on their pins, with `embedded-hal`'s traits.
 
 use embedded_hal::digital::OutputPin;
 use rp2040_hal::Sio;
@@ -20,13 +20,13 @@ pub(crate) type Wires = (
 pub(crate) struct Led(Pin<Gpio25, FunctionSioOutput, PullNone>);
 
 impl Led {
-    /// Lights it, or not.
+    /// Switches the LED on or off.
     pub(crate) fn indicate(&mut self, is_lit: bool) {
         let _ = self.0.set_state(is_lit.into());
     }
 }
 
-/// Sets up all pins; outputs are low before they become outputs.
+/// Configures all pins. The output levels are set to low before the pins become outputs.
 pub(crate) fn init(peripherals: Peripherals) -> (Wires, Led) {
     let mut resets = peripherals.RESETS;
     let sio = Sio::new(peripherals.SIO);
@@ -42,7 +42,7 @@ pub(crate) fn init(peripherals: Peripherals) -> (Wires, Led) {
             pins.$pin.into_pull_down_input().into_dyn_pin()
         };
     }
-    // In the order of `OUTPUTS` and `INPUTS` of the pin table; the emulator's tests hold both together.
+    // In the order of `OUTPUTS` and `INPUTS` of the pin table. The emulator's tests compare both.
     let outputs = [
         low!(gpio2).into_dyn_pin(),
         low!(gpio3).into_dyn_pin(),
@@ -64,20 +64,20 @@ pub(crate) fn init(peripherals: Peripherals) -> (Wires, Led) {
     ];
 
     let _: Pin<_, FunctionUart, PullNone> = pins.gpio0.reconfigure();
-    // A line idles high: without a transceiver the receiver hears silence, not noise.
+    // Pull-up, because a line idles high: an open receiver input reads as idle.
     let _: Pin<_, FunctionUart, PullUp> = pins.gpio1.reconfigure();
     let _: Pin<_, FunctionUart, PullUp> = pins.gpio4.reconfigure();
     let _: Pin<_, FunctionUart, PullUp> = pins.gpio5.reconfigure();
-    // The bus's driver is off; its handler switches it, by the registers of SIO.
+    // The bus's driver is off. The handler switches it by the registers of SIO.
     let _: Pin<_, FunctionSioOutput, PullDown> =
         pins.gpio6.into_pull_type::<PullDown>().into_push_pull_output_in_state(PinState::Low);
 
     let _: Pin<_, FunctionSpi, PullUp> = pins.gpio16.reconfigure();
     let _: Pin<_, FunctionSpi, PullNone> = pins.gpio18.reconfigure();
     let _: Pin<_, FunctionSpi, PullNone> = pins.gpio19.reconfigure();
-    // INT of the MCP2515, low when it wants something; without one the pin is high.
+    // INT of the MCP2515 is active low; without an MCP2515 the pin is high.
     let _: Pin<_, FunctionSioInput, PullUp> = pins.gpio20.reconfigure();
-    // Its chip select, which the driver switches by the registers of SIO.
+    // Chip select of the MCP2515. The driver switches it by the registers of SIO.
     let _: Pin<_, FunctionSioOutput, PullUp> =
         pins.gpio17.into_pull_type::<PullUp>().into_push_pull_output_in_state(PinState::High);
 

@@ -1,26 +1,26 @@
-//! Registers that the HAL leaves alone, or serves with waits that have no end: written here.
+//! Access to registers that the HAL does not cover, or covers with unbounded waits.
 //!
-//! Chapters and names are those of Raspberry Pi's RP2040 data sheet.
+//! Chapters and names follow Raspberry Pi's RP2040 data sheet.
 
 use rp2040_hal::pac::generic::{Reg, Writable};
 
-/// Writes a whole register.
+/// Writes a complete register.
 pub(crate) fn write<R: Writable<Ux = u32>>(register: &Reg<R>, value: u32) {
-    // SAFETY: the registers that this firmware writes reach no memory: those of clocks, resets, UARTs, SPI, timer, watchdog and
-    // pins. DMA is not used.
+    // SAFETY: the written registers do not affect memory: clocks, resets, UARTs, SPI, timer, watchdog and pins. DMA is not
+    // used.
     unsafe { register.as_ptr().write_volatile(value) };
 }
 
-/// The registers of a peripheral.
+/// Returns the registers of a peripheral.
 macro_rules! peripheral {
     ($name:ident) => {{
-        // SAFETY: they are always there, and each has one user: what is shared with a handler says so.
+        // SAFETY: the registers always exist. Each has one user, and registers shared with a handler are documented.
         unsafe { &*rp2040_hal::pac::$name::PTR }
     }};
 }
 pub(crate) use peripheral;
 
-/// Resets these peripherals (RESETS, 2.14), and takes them out of reset; whether all came.
+/// Resets peripherals (RESETS, 2.14) and releases them. Returns whether all left the reset state.
 pub(crate) fn reset(peripherals: u32) -> bool {
     let resets = peripheral!(RESETS);
     write(resets.reset(), resets.reset().read().bits() | peripherals);
@@ -39,11 +39,11 @@ pub(crate) mod reset_bit {
     pub(crate) const USBCTRL: u32 = 1 << 24;
 }
 
-/// Looks at a bit before the wait for it is given up. A look takes at least 4 cycles: 10 ms at the 12 MHz at most of the start, where
-/// the crystal needs 1 ms, the longest of all.
+/// Maximum number of reads of a bit. A read takes at least 4 cycles, so the time-out is at least 10 ms at the maximum start
+/// clock of 12 MHz. The crystal needs the longest, 1 ms.
 const MAX_LOOKS: u32 = 30_000;
 
-/// Waits for something that takes microseconds; whether it came.
+/// Polls a condition that takes microseconds. Returns whether it became true before the time-out.
 pub(crate) fn wait_until(ready: impl Fn() -> bool) -> bool {
     (0..MAX_LOOKS).any(|_| ready())
 }

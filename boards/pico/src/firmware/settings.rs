@@ -1,21 +1,20 @@
-//! The settings that the image was delivered with. They lie in flash, where `cargo xtask build --set` and `flash --set`
-//! change them in the image.
+//! The factory settings in flash. `cargo xtask build --set` and `flash --set` change them in the image.
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::Record;
 
-/// Found by its name in the image.
+/// Found in the image by its symbol.
 #[used]
 #[unsafe(no_mangle)]
 static WSG_SETTINGS: Record = Config::DEFAULT.record();
 
-/// Reads them.
+/// Returns the factory settings.
 pub(crate) fn delivered() -> Record {
     let mut record = [0; _];
-    // One by one: read as a whole they would be on the stack twice.
+    // Copied one by one, because a copy of the whole table would be on the stack twice.
     for (value, delivered) in record.iter_mut().zip(&WSG_SETTINGS) {
-        // Volatile: the compiler must not take them for what stands above.
-        // SAFETY: a reference may be read through.
+        // Volatile, because the image may have been changed after compilation.
+        // SAFETY: the pointer is derived from a valid reference.
         *value = unsafe { core::ptr::read_volatile(delivered) };
     }
     record

@@ -1,4 +1,4 @@
-//! Milliseconds by the core's SysTick, microseconds by the timer (RP2040, 4.6), and its alarms.
+//! Milliseconds from the core's SysTick, microseconds and alarms from the timer (RP2040, 4.6).
 
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{NVIC, SYST};
@@ -14,15 +14,15 @@ const _: () = assert!(SYS_HZ.is_multiple_of(1_000));
 
 static TICK: Systick = Tick::new();
 
-/// Alarm 0 runs the handler of the bus.
+/// Alarm 0 triggers the bus's handler.
 const ALARM_0: u32 = 1 << 0;
 
-/// Starts counting. The watchdog runs, whose ticks the timer counts.
+/// Starts counting. The watchdog must run, because the timer counts its ticks.
 pub(crate) fn start(systick: &mut SYST) {
-    // Should it not come, the alarms do not either: the bus stays silent, and its registers say so.
+    // If the timer stays in reset, its alarms fail: the bus stays silent, and its reports show that.
     let _ = reset(reset_bit::TIMER);
     write(peripheral!(TIMER).inte(), ALARM_0);
-    // SAFETY: no critical section depends on this interrupt being masked; the handler shares nothing.
+    // SAFETY: no critical section depends on this interrupt being masked. The handler shares nothing.
     unsafe { NVIC::unmask(Interrupt::TIMER_IRQ_0) };
     systick.set_clock_source(SystClkSource::Core);
     systick.set_reload(Systick::RELOAD);
@@ -31,20 +31,20 @@ pub(crate) fn start(systick: &mut SYST) {
     systick.enable_counter();
 }
 
-/// Milliseconds since [`start`]; starts again from 0 after 49 days.
+/// Returns milliseconds since [`start`]. Wraps to 0 after 49 days.
 pub(crate) fn now_ms() -> u32 {
     TICK.now_ms()
 }
 
-/// Microseconds; starts again from 0 after 71 minutes. Also for interrupt handlers.
+/// Returns microseconds. Wraps to 0 after 71 minutes. Interrupt handlers may call it.
 pub(crate) fn now_us() -> u32 {
     peripheral!(TIMER).timerawl().read().bits()
 }
 
-/// Runs the bus's handler in so many microseconds, five at the least, and not at a time that was set before. For that handler.
+/// Triggers the bus's handler after `us`, at least 5. Replaces an earlier request. Call it only from that handler.
 pub(crate) fn wake_bus_in(us: u32) {
-    // An alarm at a time that has just gone by would come in 71 minutes; code that is not in the cache takes microseconds. The main
-    // loop has the handler run as well while something is being sent.
+    // An alarm for a time that has just passed would trigger after 71 minutes, and uncached code takes microseconds. As a
+    // fallback, the main loop triggers the handler while the bus transmits.
     write(peripheral!(TIMER).alarm0(), now_us().wrapping_add(us.max(5)));
 }
 

@@ -1,4 +1,4 @@
-//! The gripper's line: UART0, 115200 baud, 8N1, interrupt driven both ways (RP2040, 4.2), and what both UARTs have in common.
+//! The gripper's line, the interrupt-driven UART0 at 115 200 bit/s, 8N1 (RP2040, 4.2), and functions shared by both UARTs.
 
 use cortex_m::peripheral::NVIC;
 use embedded_hal_nb::serial::{ErrorKind, ErrorType, Read, Write};
@@ -10,30 +10,30 @@ use wsg_bridge_fw::gripper::{BAUD, Uart, UartBuffers, UartLine};
 use crate::clock::SYS_HZ;
 use crate::registers::{peripheral, reset, reset_bit, write};
 
-/// UARTFR: sending; nothing received; no room to send.
+/// UARTFR: transmitting, receiver empty, transmitter full.
 const BUSY: u32 = 1 << 3;
 const RXFE: u32 = 1 << 4;
 const TXFF: u32 = 1 << 5;
 
-/// UARTDR: what is wrong with a character.
+/// UARTDR: errors of a character.
 const FE: u32 = 1 << 8;
 const PE: u32 = 1 << 9;
 const BE: u32 = 1 << 10;
 const OE: u32 = 1 << 11;
 
-/// UARTLCR_H: parity, and that it is even; two stop bits; eight bits. Without FIFOs, whose interrupts come late: the time of
-/// each character counts.
+/// UARTLCR_H: parity, even parity, two stop bits, eight bits. FIFOs stay disabled, because their interrupts are late and the
+/// time of each character matters.
 const PEN: u32 = 1 << 1;
 const EPS: u32 = 1 << 2;
 const STP2: u32 = 1 << 3;
 const WLEN_8: u32 = 0b11 << 5;
 
-/// UARTCR: on, both ways.
+/// UARTCR: enable, transmitter, receiver.
 const UARTEN: u32 = 1 << 0;
 const TXE: u32 = 1 << 8;
 const RXE: u32 = 1 << 9;
 
-/// UARTIMSC: a character was received; there is room to send.
+/// UARTIMSC: character received, room to transmit.
 const RXIM: u32 = 1 << 4;
 const TXIM: u32 = 1 << 5;
 
@@ -42,13 +42,13 @@ const TXIM: u32 = 1 << 5;
 pub(crate) struct Port(pub(crate) &'static Registers);
 
 impl Port {
-    /// Sets rate and format, before its start or anew, and switches it on.
+    /// Sets rate and format, before the start or later, and enables the UART.
     pub(crate) fn set_up(self, baud: u32, format: Format) {
         let (whole, sixty_fourths) = divider(baud);
         write(self.0.uartcr(), 0);
         write(self.0.uartibrd(), whole);
         write(self.0.uartfbrd(), sixty_fourths);
-        // Takes the divider over as well.
+        // This write also applies the divider.
         let bits = match format {
             Format::Even1 => PEN | EPS,
             Format::None1 => 0,
@@ -59,17 +59,17 @@ impl Port {
         write(self.0.uartcr(), UARTEN | TXE | RXE);
     }
 
-    /// Whether there is room to send.
+    /// Returns whether the transmitter has room.
     pub(crate) fn has_room(self) -> bool {
         self.0.uartfr().read().bits() & TXFF == 0
     }
 
-    /// Whether the last bit of all that it was given has been sent.
+    /// Returns whether the last bit of all data has been sent.
     pub(crate) fn is_complete(self) -> bool {
         self.0.uartfr().read().bits() & BUSY == 0
     }
 
-    /// Whether room to send is worth an interrupt.
+    /// Enables or disables the interrupt for room to transmit.
     pub(crate) fn wants_room(self, wanted: bool) {
         write(self.0.uartimsc(), if wanted { RXIM | TXIM } else { RXIM });
     }
@@ -87,7 +87,7 @@ impl Read for Port {
         let data = self.0.uartdr().read().bits();
         match data & (OE | FE | BE | PE) {
             0 => Ok((data & 0xFF) as u8),
-            // It came whole; one before it did not.
+            // This character is intact; an earlier one was lost.
             OE => Err(nb::Error::Other(ErrorKind::Overrun)),
             PE => Err(nb::Error::Other(ErrorKind::Parity)),
             _ => Err(nb::Error::Other(ErrorKind::FrameFormat)),
@@ -109,25 +109,25 @@ impl Write for Port {
     }
 }
 
-/// A 16th of the clock over the rate: whole, and the rest in 64ths, rounded. It fits from 120 bit/s to 7.8 Mbit/s.
+/// Returns the divider: the clock by 16 times the rate, as an integer and 64ths, rounded. Valid from 120 bit/s to 7.8 Mbit/s.
 fn divider(baud: u32) -> (u32, u32) {
     let sixty_fourths = (SYS_HZ * 4 + baud / 2).checked_div(baud).unwrap_or(u32::MAX);
     (sixty_fourths >> 6, sixty_fourths & 0x3F)
 }
 const _: () = assert!(SYS_HZ <= u32::MAX / 8);
 
-/// The bytes on their way.
+/// The receive and transmit queues.
 pub(crate) static BUFFERS: UartBuffers = UartBuffers::new();
 
-/// The bridge's end of the line to the gripper; nothing comes and goes before [`start`].
+/// The bridge's end of the line to the gripper. No byte is sent or received before [`start`].
 pub(crate) type GripperLine = UartLine<Uart0>;
 
-/// The end of the line. To be asked for once.
+/// Returns the gripper's line. Call it once.
 pub(crate) const fn line() -> GripperLine {
     UartLine::new(Uart0(()), &BUFFERS)
 }
 
-/// What the main loop needs of the registers.
+/// The main loop's access to the registers.
 pub(crate) struct Uart0(());
 
 impl Uart for Uart0 {
@@ -144,23 +144,23 @@ fn port() -> Port {
     Port(peripheral!(UART0))
 }
 
-/// Starts the line. The clock runs, the pins are set up.
+/// Starts the line. The clock must run and the pins must be set up.
 pub(crate) fn start() {
-    // Should it not come out of reset, the gripper is silent, which the PLC is shown.
+    // If it stays in reset, the gripper is silent, which the PLC is shown.
     let _ = reset(reset_bit::UART0);
     port().set_up(BAUD, Format::None1);
-    // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
-    // atomics with the rest.
+    // SAFETY: no critical section depends on this interrupt being masked. The handler shares only atomics with the rest of the
+    // program.
     unsafe { NVIC::unmask(Interrupt::UART0_IRQ) };
 }
 
-/// Whether nothing is being sent.
+/// Returns whether the line does not transmit.
 pub(crate) fn is_silent() -> bool {
-    // One that was not started is in reset, and has nothing to tell.
+    // A line that is not started is still in reset, so its registers are not read.
     !NVIC::is_enabled(Interrupt::UART0_IRQ) || (!BUFFERS.has_to_send() && port().is_complete())
 }
 
-/// One byte each way per call; the interrupt stays pending while there is more.
+/// Transfers one byte in each direction; the interrupt stays pending if there is more.
 #[interrupt]
 fn UART0_IRQ() {
     let mut port = port();

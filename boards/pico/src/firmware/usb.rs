@@ -1,6 +1,6 @@
-//! The service port: Modbus RTU over the USB socket, as a serial port (RP2040, 4.1).
+//! The service port: Modbus RTU over the USB connector as a virtual serial port (RP2040, 4.1).
 //!
-//! The handler alone touches the registers and the endpoints' buffers. It is given descriptors and answers by the library.
+//! Only the handler accesses the registers and the endpoint buffers. The library provides the descriptors and answers.
 
 use core::ptr::with_exposed_provenance_mut;
 
@@ -15,45 +15,46 @@ use crate::tick;
 
 static SERVICE: RtuBuffers = RtuBuffers::new();
 
-/// The memory that the controller shares: the packet that begins a control transfer, the endpoints' controls, and buffers.
+/// The controller's shared memory: setup packet, endpoint controls, buffer controls and buffers.
 const DPRAM: usize = 0x5010_0000;
 const DPRAM_LEN: usize = 4096;
 const SETUP: usize = 0;
-/// Controls of endpoints, of which number 1 is the first, and of their buffers: to the host, and four bytes on from the host.
+/// Offsets of the endpoint controls, starting with endpoint 1, and of the buffer controls. The control to the host is first,
+/// the one from the host 4 bytes higher.
 const ENDPOINT_CONTROL: usize = 0;
 const BUFFER_CONTROL: usize = 0x80;
-/// Buffers, of 64 bytes each.
+/// Offsets of the buffers, 64 bytes each.
 const CONTROL_BUFFER: usize = 0x100;
 const NOTIFICATIONS_BUFFER: usize = 0x180;
 const FROM_HOST_BUFFER: usize = 0x1C0;
 const TO_HOST_BUFFER: usize = 0x200;
 
-/// An endpoint's control: on, with an interrupt for each buffer, its type and its buffer.
+/// Endpoint control: enable with an interrupt per buffer, and the endpoint type.
 const ENABLE: u32 = 1 << 31 | 1 << 29;
 const BULK: u32 = 2 << 26;
 const INTERRUPT: u32 = 3 << 26;
 
-/// A buffer's control.
+/// Buffer control.
 const FULL: u32 = 1 << 15;
 const DATA1: u32 = 1 << 13;
 const STALL: u32 = 1 << 11;
 const AVAILABLE: u32 = 1 << 10;
 const LEN: u32 = 0x3FF;
 
-/// Bits of BUFF_STATUS and EP_STALL_ARM: to the host; from the host is the next one.
+/// Bits of BUFF_STATUS and EP_STALL_ARM. The bit from the host follows the bit to the host.
 const CONTROL_TO_HOST: u32 = 1 << 0;
 const CONTROL_FROM_HOST: u32 = 1 << 1;
 const DATA_TO_HOST: u32 = 1 << 4;
 const DATA_FROM_HOST: u32 = 1 << 5;
 
-/// INTE and INTS.
+/// Bits of INTE and INTS.
 const INT_BUFFER: u32 = 1 << 4;
 const INT_RESET: u32 = 1 << 12;
 const INT_SETUP: u32 = 1 << 16;
-/// SIE_STATUS.
+/// Bits of SIE_STATUS.
 const BUS_RESET: u32 = 1 << 19;
 const SETUP_RECEIVED: u32 = 1 << 17;
-/// SIE_CTRL, USB_MUXING, USB_PWR, MAIN_CTRL.
+/// Bits of SIE_CTRL, USB_MUXING, USB_PWR and MAIN_CTRL.
 const CONTROL_INTERRUPTS: u32 = 1 << 29;
 const PULL_UP: u32 = 1 << 16;
 const TO_PHY: u32 = 1 << 0 | 1 << 3;
@@ -63,12 +64,12 @@ const CONTROLLER_ON: u32 = 1 << 0;
 /// The bridge's end of the service port.
 pub(crate) type ServiceLine = RtuPort<Usb>;
 
-/// The end of the service port. To be asked for once.
+/// Returns the service port's line. Call it once.
 pub(crate) const fn service_line() -> ServiceLine {
     RtuPort::new(Usb(()), &SERVICE)
 }
 
-/// What the main loop needs of the registers.
+/// The main loop's access to the registers.
 pub(crate) struct Usb(());
 
 impl RtuUart for Usb {
@@ -81,37 +82,37 @@ impl RtuUart for Usb {
     }
 }
 
-/// Starts the service port. The clock of 48 MHz runs.
+/// Starts the service port. The 48 MHz clock must run.
 pub(crate) fn start_service() {
     SERVICE.start(&BusConfig::SERVICE);
-    // Should it not come out of reset, no host sees a device.
+    // If it stays in reset, the host detects no device.
     let _ = reset(reset_bit::USBCTRL);
     (0..DPRAM_LEN).step_by(4).for_each(|at| set(at, 0));
     let registers = peripheral!(USBCTRL_REGS);
     write(registers.usb_muxing(), TO_PHY);
-    // The socket's supply is not wired to a pin; where the board runs, it is there or another one is.
+    // VBUS is not connected to a pin, so its presence is forced.
     write(registers.usb_pwr(), FORCE_VBUS);
     write(registers.main_ctrl(), CONTROLLER_ON);
     write(registers.inte(), INT_BUFFER | INT_RESET | INT_SETUP);
     write(registers.sie_ctrl(), CONTROL_INTERRUPTS | PULL_UP);
-    // SAFETY: no critical section depends on this interrupt being masked; the handler shares only
-    // atomics with the rest.
+    // SAFETY: no critical section depends on this interrupt being masked. The handler shares only atomics with the rest of the
+    // program.
     unsafe { NVIC::unmask(Interrupt::USBCTRL_IRQ) };
 }
 
-/// What the handler remembers.
+/// The state of the handler.
 struct Device {
-    /// What is still to go to the host in this control transfer.
+    /// The rest of the answer in this control transfer.
     rest: &'static [u8],
     is_sending: bool,
-    /// The address from the end of this control transfer on.
+    /// The address that becomes effective at the end of this control transfer.
     address: Option<u8>,
     is_configured: bool,
-    /// The data endpoint's packets alternate; the control endpoint's to the host.
+    /// DATA0/DATA1 toggles of the data endpoint in both directions, and of the control endpoint to the host.
     data_to_host: u32,
     data_from_host: u32,
     control_to_host: u32,
-    /// A packet waits for the host, and whether it was full: then another one follows, if an empty one.
+    /// A packet awaits its transfer to the host. After a full one, another packet follows, which may be empty.
     is_offered: bool,
     was_full: bool,
 }
@@ -131,14 +132,14 @@ impl Device {
         }
     }
 
-    /// The host reset the bus.
+    /// Handles a bus reset by the host.
     fn reset(&mut self) {
         *self = Self::new();
         write(peripheral!(USBCTRL_REGS).addr_endp(), 0);
         give_up_answer();
     }
 
-    /// The host began a control transfer.
+    /// Handles the setup packet of a control transfer.
     fn set_up(&mut self) {
         let [a, b] = [SETUP, SETUP + 4].map(get);
         let ([a, b, c, d], [e, f, g, h]) = (a.to_le_bytes(), b.to_le_bytes());
@@ -194,7 +195,7 @@ impl Device {
         self.listen();
     }
 
-    /// Acknowledges a request by an empty packet.
+    /// Acknowledges a request with an empty packet.
     fn acknowledge(&mut self) {
         offer(BUFFER_CONTROL, FULL | DATA1);
     }
@@ -208,7 +209,7 @@ impl Device {
         self.rest = rest;
     }
 
-    /// A packet of a control transfer went to the host.
+    /// Handles the completion of a control packet to the host.
     fn control_sent(&mut self) {
         if let Some(address) = self.address.take() {
             write(peripheral!(USBCTRL_REGS).addr_endp(), address.into());
@@ -216,20 +217,20 @@ impl Device {
         if !self.rest.is_empty() {
             self.send_control();
         } else if core::mem::take(&mut self.is_sending) {
-            // The host acknowledges by an empty packet.
+            // The host acknowledges with an empty packet.
             offer(BUFFER_CONTROL + 4, DATA1);
         }
     }
 
-    /// A packet of a control transfer came.
+    /// Handles a control packet from the host.
     fn control_received(&mut self) {
-        // One with something in it is to be acknowledged; the empty one was the acknowledgement.
+        // A packet with data requires an acknowledgement; an empty one is the host's acknowledgement.
         if get(BUFFER_CONTROL + 4) & LEN != 0 {
             self.acknowledge();
         }
     }
 
-    /// Lets the host send the next packet.
+    /// Permits the host to send the next data packet.
     fn listen(&mut self) {
         if self.is_configured {
             let control = BUFFER_CONTROL + 8 * usize::from(usb_serial::DATA) + 4;
@@ -237,7 +238,7 @@ impl Device {
         }
     }
 
-    /// Takes the packet that came.
+    /// Processes a data packet from the host.
     fn received(&mut self) {
         let control = BUFFER_CONTROL + 8 * usize::from(usb_serial::DATA) + 4;
         let len = (get(control) & LEN).min(PACKET_LEN.into()) as usize;
@@ -250,7 +251,7 @@ impl Device {
         self.listen();
     }
 
-    /// Offers what there is to send, unless a packet waits for the host already.
+    /// Offers the next data packet, unless one is already awaiting its transfer.
     fn send(&mut self) {
         if !self.is_configured || self.is_offered {
             return;
@@ -259,7 +260,7 @@ impl Device {
         let bytes = core::iter::from_fn(|| SERVICE.on_transmit(true, false)).take(PACKET_LEN.into());
         fill(TO_HOST_BUFFER, bytes.inspect(|_| len += 1));
         if len == 0 && !core::mem::take(&mut self.was_full) {
-            // All is sent.
+            // All data has been sent.
             SERVICE.on_transmit(false, true);
             return;
         }
@@ -270,7 +271,7 @@ impl Device {
     }
 }
 
-/// Forgets an answer that the host will not fetch.
+/// Discards an answer that the host will not read.
 fn give_up_answer() {
     while SERVICE.on_transmit(true, false).is_some() {}
     SERVICE.on_transmit(false, true);
@@ -293,7 +294,7 @@ fn USBCTRL_IRQ() {
     if done & CONTROL_FROM_HOST != 0 {
         DEVICE.control_received();
     }
-    // Behind what was before it.
+    // Processed after the packets that preceded it.
     if causes & INT_SETUP != 0 {
         write(registers.sie_status(), SETUP_RECEIVED);
         DEVICE.set_up();
@@ -301,14 +302,15 @@ fn USBCTRL_IRQ() {
     if done & DATA_TO_HOST != 0 {
         DEVICE.is_offered = false;
     }
-    // First what went: what came is no echo of it then.
+    // Handle the sent packet first, so that the received packet is not taken for an echo.
     DEVICE.send();
     if done & DATA_FROM_HOST != 0 {
         DEVICE.received();
     }
 }
 
-/// Gives a buffer to the controller. Its clock is another one: the last bit is written when the others have arrived (4.1.2.5.1).
+/// Passes a buffer to the controller, which has a different clock: the last bit is set after the others have settled
+/// (4.1.2.5.1).
 fn offer(control: usize, value: u32) {
     set(control, value);
     cortex_m::asm::delay(12);
@@ -333,11 +335,12 @@ fn fill(buffer: usize, bytes: impl Iterator<Item = u8>) {
 }
 
 fn get(at: usize) -> u32 {
-    // SAFETY: the address is in the controller's memory, aligned: all places above are, and buffers end before its end.
+    // SAFETY: the address is in the controller's memory and aligned: all offsets above are, and the buffers are within its
+    // size.
     unsafe { with_exposed_provenance_mut::<u32>(DPRAM + at).read_volatile() }
 }
 
 fn set(at: usize, value: u32) {
-    // SAFETY: as above; no reference to it exists.
+    // SAFETY: as above; no reference to this memory exists.
     unsafe { with_exposed_provenance_mut::<u32>(DPRAM + at).write_volatile(value) };
 }
