@@ -1,5 +1,4 @@
-//! Converts edges in the output image to commands, and the gripper's answers to the input image (fieldbus, chapter
-//! 6).
+//! Converts edges in the output image to commands, and the gripper's answers to the input image (fieldbus, chapter 6).
 
 mod jogging;
 
@@ -35,9 +34,8 @@ const INCIDENTS_LEN: usize = 4;
 ///   the limits with MOVE, GRIP or RELEASE. HOMING has no parameters.
 /// - FASTSTOP is a level (fieldbus, 6.6). If the gripper's FAST STOP flag disappears while FASTSTOP is 1, another
 ///   FAST STOP is sent. The reason, a third party's acknowledgement or a restart, makes no difference.
-/// - A FAST STOP ends only while FASTSTOP is 0 and after the gripper has confirmed it, first by E_SUCCESS and then by
-///   its system flags. A rising edge of STOP/ACK acknowledges it. A third party may acknowledge it too; then the flag
-///   is gone.
+/// - A FAST STOP ends only while FASTSTOP is 0 and after the gripper has confirmed it, first by E_SUCCESS and then by its
+///   system flags. A rising edge of STOP/ACK acknowledges it. A third party may acknowledge it too; then the flag is gone.
 /// - STOP/ACK withdraws every motion requested before it.
 /// - A Stop that times out becomes a FAST STOP unless the fingers are known to be at rest.
 /// - GRIP is sent only after the answer to its own force limit, or at once if the gripper is known to have that limit
@@ -70,8 +68,7 @@ pub struct Controller {
     /// The gripper's flags have been received while connected, at least once since power-up.
     is_acquainted: bool,
     fast_stop: FastStop,
-    /// Acknowledgements without an outcome. A FAST STOP answered before the outcome may precede them and be undone by
-    /// them.
+    /// Acknowledgements without an outcome. A FAST STOP answered before the outcome may precede them and be undone by them.
     acknowledgements_open: u8,
     /// Set Force Limit commands without an outcome.
     force_limits_open: u8,
@@ -108,8 +105,7 @@ enum FastStop {
     /// Requested again before the first answer. That answer may precede the second request, with a third party's
     /// acknowledgement in between, so another FAST STOP follows the answer.
     AskedTwice,
-    /// Answered while an acknowledgement was open, which may have undone it. Sent again after the acknowledgement's
-    /// outcome.
+    /// Answered while an acknowledgement was open, which may have undone it. Sent again after the acknowledgement's outcome.
     Undone,
     /// Answered, but not yet shown by the system flags.
     Answered,
@@ -652,8 +648,7 @@ impl Controller {
         self.begin_motion(command, force, known);
     }
 
-    /// Sends a motion, after its force limit unless the gripper is known to have it. A queued command may change the
-    /// limit.
+    /// Sends a motion, after its force limit unless the gripper is known to have it. A queued command may change the limit.
     fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>, known: &Known) {
         let force = force.filter(|_| known.force_limit != force || !self.outgoing.is_empty());
         if force.is_some() {

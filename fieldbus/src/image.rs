@@ -4,8 +4,7 @@ use bitflags::bitflags;
 use wsg_protocol::types::{DeviceType, GripperState, Status, SystemFlags};
 
 bitflags! {
-    /// CMDFLAGS, byte 0 of the output image. Motion, stop and acknowledge flags act on a rising edge, JOG on its
-    /// level.
+    /// CMDFLAGS, byte 0 of the output image. Motion, stop and acknowledge flags act on a rising edge, JOG on its level.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct CommandFlags: u8 {
         /// Bit 0: pre-position the fingers (WIDTH, SPEED).
@@ -258,8 +257,7 @@ impl OutputImage {
     }
 }
 
-/// The registers that the PLC reads: 12 bytes, numbers big-endian, SYSSTATE as a bit vector (byte 2 holds bits 0 to
-/// 7).
+/// The registers that the PLC reads: 12 bytes, numbers big-endian, SYSSTATE as a bit vector (byte 2 holds bits 0 to 7).
 ///
 /// ```
 /// use wsg_fieldbus::{GripperFlags, InputImage};

@@ -31,8 +31,7 @@ pub enum Cause {
     NotReady,
     /// MOVE or a jog was refused while a part is held. Use RELEASE to open.
     PartHeld,
-    /// MOVE was refused because GSTATE was neither IDLE nor HOLDING: no part was found, a part was lost, or an error
-    /// occurred.
+    /// MOVE was refused because GSTATE was neither IDLE nor HOLDING: no part was found, a part was lost, or an error occurred.
     NotIdle,
     /// The gripper refused the command or ended it with an error. `value` is its status.
     Gripper,

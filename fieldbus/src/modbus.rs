@@ -13,8 +13,7 @@ use super::{InputImage, OutputImage};
 /// address 0.
 ///
 /// - Register n holds bytes 2n and 2n + 1 of its image, the first as its high byte.
-/// - Coil or discrete input n is bit n mod 8 of byte n div 8, over the whole image. So coil 0 (MOVE) is bit 8 of
-///   register 0.
+/// - Coil or discrete input n is bit n mod 8 of byte n div 8, over the whole image. So coil 0 (MOVE) is bit 8 of register 0.
 /// - `swap_bytes` reverses the two bytes of each number, for a PLC that follows the manual's "low byte first"
 ///   literally. Bit vectors keep their order.
 ///
@@ -79,8 +78,7 @@ impl Images {
         }
     }
 
-    /// Sets the output image to serve, for a server that shows the image written to another one. It does not count as
-    /// written.
+    /// Sets the output image to serve, for a server that shows the image written to another one. It does not count as written.
     ///
     /// ```
     /// use wsg_fieldbus::{Images, OutputImage};

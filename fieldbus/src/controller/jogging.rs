@@ -1,5 +1,4 @@
-//! JOG as commands (fieldbus, 6.7): the force limit, a Pre-position to the end of the stroke or a soft limit, and a
-//! Stop.
+//! JOG as commands (fieldbus, 6.7): the force limit, a Pre-position to the end of the stroke or a soft limit, and a Stop.
 
 use super::{Controller, Motion, force_unit, within_limits};
 use crate::jog::{Direction, Drive, Stage};

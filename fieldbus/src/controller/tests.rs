@@ -82,8 +82,7 @@ impl Plc {
         self.commands()
     }
 
-    /// Returns a PLC after a confirmed FAST STOP: FASTSTOP is 0 again, STOP/ACK is 1, and the acknowledgement has
-    /// been sent.
+    /// Returns a PLC after a confirmed FAST STOP: FASTSTOP is 0 again, STOP/ACK is 1, and the acknowledgement has been sent.
     fn acknowledging_a_fast_stop() -> Self {
         let mut plc = Self::ready();
         plc.raise(CommandFlags::FASTSTOP);

@@ -309,8 +309,7 @@ fn each_subscribed_value_is_refreshed_in_time_although_one_answer_in_four_is_los
 #[test]
 fn two_simultaneous_timeouts_lose_the_connection_once_and_clear_all_requests() {
     let mut rig = Rig::connected();
-    // The refresh is due at 250 ms and is sent every 50 ms. A motion starts 200 ms before the connection counts as
-    // lost.
+    // The refresh is due at 250 ms and is sent every 50 ms. A motion starts 200 ms before the connection counts as lost.
     let before = rig.pass(250 + 2 * 200 - 1);
     assert_eq!(before.len(), 8, "{before:?}");
     rig.now = rig.now.plus(1);
@@ -1215,8 +1214,7 @@ fn every_reported_value_becomes_known() {
     assert_eq!(rig.session.known(), &known);
 }
 
-/// Returns the times in ms at which an unanswered FAST STOP is sent after its request, with the number of frames at
-/// each.
+/// Returns the times in ms at which an unanswered FAST STOP is sent after its request, with the number of frames at each.
 fn fast_stop_times(rig: &mut Rig, ms: u32) -> Vec<(u32, usize)> {
     let mut times = vec![];
     for at in 0..ms {

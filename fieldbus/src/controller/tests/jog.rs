@@ -71,8 +71,7 @@ fn jog_that_fails_is_idle_and_shows_why() {
 }
 
 impl Plc {
-    /// Returns a gripper with soft limits at 30 and 80 mm and its fingers at 50 mm, after it refused the end of the
-    /// stroke.
+    /// Returns a gripper with soft limits at 30 and 80 mm and its fingers at 50 mm, after it refused the end of the stroke.
     fn jogging_into_soft_limits(flag: CommandFlags) -> Self {
         let mut plc = Self::ready();
         plc.raise(flag);

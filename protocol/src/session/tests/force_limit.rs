@@ -412,8 +412,7 @@ fn force_limit_becomes_unknown_with_the_connection() {
     assert_eq!(rig.limit(), None);
 }
 
-/// Like `line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it`, for a setting awaiting its
-/// read-back.
+/// Like `line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it`, for a setting awaiting its read-back.
 #[test]
 fn read_back_waiting_for_a_fast_stop_does_not_delay_the_detection_of_a_lost_line() {
     for fast_stop_at in [100, 300, 500] {
