@@ -12,22 +12,22 @@
 local socket = require "socket"
 
 local ID, VERSION = 0xA5, 1
--- Speed in mm/s for each mm that is left.
+-- Speed in mm/s per mm of remaining distance.
 local GAIN = 15
--- The fingers rest within this distance of the set-point, in mm.
+-- The fingers stop within this distance of the set-point, in mm.
 local DEAD_BAND = 0.1
 local WATCHDOG = 0.5
--- The speed is corrected at least this often, in s, also between messages.
+-- Maximum time between two corrections of the speed, in s.
 local PERIOD = 0.02
 -- System state flags.
 local REFERENCED, AXIS_STOPPED, FAST_STOP = 0x1, 0x40, 0x1000
 
 local started = socket.gettime()
--- The set-point, when it was received, and whether a Stop since then would be noticed.
+-- The set-point, its time of receipt, and whether a Stop since then would be detected.
 local position, limit, received, is_armed
--- The limit and the speed that were set last, and when.
+-- The last limit and speed, and the time at which they were set.
 local force, speed, followed
--- Why the last stream ended.
+-- The reason for the end of the last stream.
 local ended
 
 local function has(flags, flag)
@@ -59,7 +59,7 @@ local function run(wanted)
   is_armed = is_armed or wanted ~= 0
 end
 
--- Sets the speed by the state, whose calls are slow on a gripper: once for each message.
+-- Sets the speed from the state. State calls are slow on a gripper, so once per message.
 local function follow(flags, here)
   followed = socket.gettime()
   if not position then return end

@@ -52,7 +52,7 @@ impl core::fmt::Display for ParseError {
         f.write_str(match self {
             Self::NoName => "no name at the start",
             Self::UnknownName => "unknown name",
-            Self::Form => "not a form that this command has",
+            Self::Form => "not a form of this command",
             Self::TooFew => "too few parameters",
             Self::TooMany => "too many parameters",
             Self::Range => "number too large or not finite",

@@ -1321,7 +1321,7 @@ fn acknowledgement_withdraws_earlier_requests() {
     rig.session.request(HOMING).unwrap();
     assert_eq!(rig.sent(), [], "only after the answer");
     rig.status(CommandId::Acknowledge, Status::Success);
-    assert_eq!(rig.sent(), [HOMING], "what was requested later is sent");
+    assert_eq!(rig.sent(), [HOMING], "later requests are sent");
 }
 
 #[test]

@@ -47,7 +47,7 @@ fn generated_parts_are_those_of_the_table_and_of_the_mistakes() {
     }
     hold(DOCUMENT, "commands", &commands);
 
-    let mut mistakes = String::from("| what is wrong | status code |\n|---|---|\n");
+    let mut mistakes = String::from("| error | status code |\n|---|---|\n");
     for mistake in [
         ParseError::NoName,
         ParseError::UnknownName,

@@ -1,4 +1,4 @@
-//! Waits of the blocking driver: only after sending what is due, and no longer than until the next action is due.
+//! Waits of the blocking driver: only after sending all due data, and no longer than until the next action is due.
 
 use super::*;
 
