@@ -4,7 +4,7 @@ use bitflags::bitflags;
 use wsg_protocol::types::{DeviceType, GripperState, Status, SystemFlags};
 
 bitflags! {
-    /// CMDFLAGS, byte 0 of the output image. Motion, stop and acknowledge flags act on a rising edge, JOG on its level.
+    /// CMDFLAGS, byte 0 of the output image. JOG and FASTSTOP act on their level, all other flags on a rising edge.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct CommandFlags: u8 {
         /// Bit 0: pre-position the fingers (WIDTH, SPEED).
@@ -19,9 +19,9 @@ bitflags! {
         const STOP_ACK = 1 << 4;
         /// Bit 5: request a FAST STOP for as long as the bit is 1.
         const FASTSTOP = 1 << 5;
-        /// Bit 6: open the fingers while the bit is 1.
+        /// Bit 6: jog in the positive direction (opening) while the bit is 1.
         const JOG_PLUS = 1 << 6;
-        /// Bit 7: close the fingers while the bit is 1.
+        /// Bit 7: jog in the negative direction (closing) while the bit is 1.
         const JOG_MINUS = 1 << 7;
     }
 
