@@ -1,5 +1,5 @@
-//! The attribute that makes the blocking driver of `wsg-protocol` from its async driver, and a derive that derives nothing. They
-//! are not for other crates.
+//! Macros of `wsg-protocol`, not for other crates: an attribute that generates the blocking driver from the async driver, and
+//! a derive without output.
 
 use proc_macro::{Group, Ident, Literal, TokenStream, TokenTree};
 
@@ -14,11 +14,11 @@ const BLOCKING: &str = "#[cfg(feature = \"embedded-io\")]";
 pub fn also_blocking(names: TokenStream, item: TokenStream) -> TokenStream {
     let names = names.into_iter().filter(|token| matches!(token, TokenTree::Ident(_)));
     let names: Vec<String> = names.map(|name| name.to_string()).collect();
-    let cfg = |text: &str| text.parse::<TokenStream>().expect("a valid attribute");
+    let cfg = |text: &str| text.parse::<TokenStream>().expect("the attribute is valid");
     [cfg(ASYNC), item.clone(), cfg(BLOCKING), blocking(item, &names)].into_iter().collect()
 }
 
-/// Derives nothing. It takes the place of `defmt::Format` without feature `defmt`, so that a type needs no `cfg_attr`.
+/// Derives nothing. It replaces `defmt::Format` without feature `defmt`, so that types need no `cfg_attr`.
 #[proc_macro_derive(Format)]
 pub fn format(_item: TokenStream) -> TokenStream {
     TokenStream::new()
@@ -34,7 +34,7 @@ fn blocking(code: TokenStream, names: &[String]) -> TokenStream {
             TokenTree::Ident(name) => match name.to_string().as_str() {
                 "async" => continue,
                 "await" => {
-                    // The dot before it.
+                    // Also remove the dot before it.
                     result.pop();
                     continue;
                 }

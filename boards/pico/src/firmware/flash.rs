@@ -1,5 +1,4 @@
-//! The settings' two sectors at the end of the QSPI flash (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV), and the flash chip's
-//! ID.
+//! The settings' two sectors at the end of the QSPI flash, and the chip's ID (RP2040, 2.6 and 2.8.3.1.3; Winbond W25Q16JV).
 //!
 //! The program runs from the same flash. Erasing a sector takes 45 ms (maximum 400 ms), programming a page up to 3 ms.
 //! Meanwhile the flash cannot be read, and only a few instructions in RAM and the boot ROM run. Operations therefore run only
