@@ -33,8 +33,6 @@ const REWRITTEN: &[&str] = &[
     "docs/commissioning.md",
     "docs/decisions.md",
     "docs/decode.md",
-    "docs/demo.md",
-    "docs/deviations.md",
     "docs/function-block.md",
     "docs/grip-cycle.md",
     "docs/models.md",

@@ -4,11 +4,13 @@ use document::read;
 use wsg_b_l475e_iot01a::{INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 use wsg_fieldbus::GripperFlags;
 
-/// Returns the connectors and MCU pins in the first table below this heading of docs/wiring.md.
-fn pins(heading: &str) -> Vec<[String; 2]> {
+/// The heading of the table in docs/wiring.md that has the pins of lines and buses on the default board.
+const LINES: &str = "\n### Lines of the B-L475E-IOT01A\n";
+
+/// Returns the connectors and MCU pins of that table.
+fn pins_of_lines() -> Vec<[String; 2]> {
     let text = read("docs/wiring.md");
-    let below = text.split(&format!("\n{heading}\n")).nth(1);
-    let below = below.unwrap_or_else(|| panic!("docs/wiring.md has no \"{heading}\""));
+    let below = text.split(LINES).nth(1).unwrap_or_else(|| panic!("docs/wiring.md has no \"{LINES}\""));
     let rows = below.lines().skip_while(|line| !line.starts_with("|---")).skip(1);
     let rows = rows.take_while(|line| line.starts_with('|')).map(|line| {
         let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
@@ -16,9 +18,6 @@ fn pins(heading: &str) -> Vec<[String; 2]> {
     });
     rows.collect()
 }
-
-/// Headings of docs/wiring.md with the pins of lines and buses.
-const LINES: [&str; 3] = ["## The gripper's line", "## The bus", "### CAN"];
 
 /// Asserts that a picture contains each text, alone or at the start of a longer text.
 fn assert_shows(picture: &str, texts: impl IntoIterator<Item = String>) {
@@ -38,8 +37,9 @@ fn wiring_picture_shows_every_wire_line_and_pin() {
         let mcu = format!("P{}{}", OUTPUT_PORT.letter(), wire.pin);
         [wire.signal.iter_names().next().unwrap().0.to_owned(), wire.connector.to_owned(), mcu]
     });
-    let lines = LINES.iter().flat_map(|heading| pins(heading)).flatten().filter(|name| name != "GND");
-    assert_shows("docs/wiring.svg", inputs.chain(outputs).chain(lines).chain([NAME.to_owned()]));
+    let lines = pins_of_lines().into_iter().flatten();
+    let parts = [NAME, "24 V", "120 Ω", "GND", "RS-485", "PROFIBUS", "CAN_H", "pull-down"].map(str::to_owned);
+    assert_shows("docs/wiring.svg", inputs.chain(outputs).chain(lines).chain(parts));
 }
 
 #[test]
@@ -52,9 +52,8 @@ fn state_picture_shows_every_state() {
 fn no_connector_of_the_wiring_is_used_twice() {
     let wires = INPUTS.iter().map(|wire| wire.connector).chain(OUTPUTS.iter().map(|wire| wire.connector));
     let mut used: Vec<String> = wires.map(str::to_owned).collect();
-    for heading in LINES {
-        used.extend(pins(heading).into_iter().map(|[connector, _]| connector).filter(|name| name != "GND"));
-    }
+    // The USB connector has both lines of the service port.
+    used.extend(pins_of_lines().into_iter().map(|[connector, _]| connector).filter(|name| name != "USB"));
     for (at, connector) in used.iter().enumerate() {
         assert!(!used[..at].contains(connector), "{connector} is used twice");
     }

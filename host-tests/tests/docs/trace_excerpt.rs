@@ -1,10 +1,10 @@
-//! Checks the excerpt of the demonstration's trace in docs/demo.md: its bytes match its words.
+//! The recorded frames in docs/quick-start.md: their bytes have the meanings shown beside them.
 
 use document::read;
 use host_tests::trace::Entry;
 
-/// Column of the entry in a line of the trace, after the time.
-const ENTRY_AT: usize = 11;
+/// The documents with recorded frames, and the column at which an entry begins: after the time, if it is shown.
+const DOCUMENTS: [(&str, usize); 1] = [("docs/quick-start.md", 11)];
 
 /// Returns the bytes at the end of a line: two-digit hexadecimal words, back to the first other word.
 fn bytes_at_end(line: &str) -> Vec<u8> {
@@ -15,24 +15,25 @@ fn bytes_at_end(line: &str) -> Vec<u8> {
 
 #[test]
 fn frames_of_the_excerpt_read_as_the_code_reads_them() {
-    let document = read("docs/demo.md");
-    let mut frames = 0;
-    for line in document.lines() {
-        let Some(entry) = line.get(ENTRY_AT..) else { continue };
-        let wanted = match entry.get(..2) {
-            Some("->") => Entry::ToGripper(bytes_at_end(line)),
-            Some("<-") => Entry::FromGripper(bytes_at_end(line)),
-            _ => continue,
-        };
-        frames += 1;
-        assert_eq!(entry, wanted.to_string());
+    for (document, entry_at) in DOCUMENTS {
+        let mut frames = 0;
+        for line in read(document).lines() {
+            let Some(entry) = line.get(entry_at..) else { continue };
+            let wanted = match entry.get(..2) {
+                Some("->") => Entry::ToGripper(bytes_at_end(line)),
+                Some("<-") => Entry::FromGripper(bytes_at_end(line)),
+                _ => continue,
+            };
+            frames += 1;
+            assert_eq!(entry, wanted.to_string());
+        }
+        assert!(frames >= 4, "{document} shows {frames} frames");
     }
-    assert!(frames >= 4, "docs/demo.md shows only {frames} frames");
 }
 
 #[test]
 fn step_of_the_excerpt_is_one_of_the_demonstration() {
-    let document = read("docs/demo.md");
+    let document = read("docs/quick-start.md");
     let scenario = read("host-tests/src/bin/demo/scenario.rs");
     let steps = document.lines().filter_map(|line| line.strip_prefix("=== ")?.split_once(". "));
     let steps: Vec<&str> = steps.map(|(_, name)| name).collect();

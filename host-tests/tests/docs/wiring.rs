@@ -33,47 +33,46 @@ fn name<T>(mut names: impl Iterator<Item = (&'static str, T)>) -> String {
     format!("`{}`", names.next().expect("each wire has a name").0)
 }
 
-/// Returns the wires of a board in the order of their bits, each with its names on the board and on its MCU.
-fn wires(
-    on_board: &str,
+/// Returns the table of all wires, in the order of the bits.
+fn wires() -> String {
+    let row = |wire, direction: &str, meaning: &str| [wire, direction.to_owned(), meaning.to_owned()];
+    let inputs = INPUT_MEANINGS.map(|(wire, meaning)| row(name(wire.iter_names()), "PLC to bridge", meaning));
+    let outputs =
+        OUTPUT_MEANINGS.map(|(wire, meaning)| row(name(wire.iter_names()), "bridge to PLC", meaning));
+    table(["wire", "direction", "meaning"], inputs.into_iter().chain(outputs))
+}
+
+/// Returns the table of a board's wires with their pins on the board and on the MCU, in the order of the bits.
+fn pins(
     inputs: [(Inputs, [String; 2]); Inputs::COUNT],
     outputs: [(Outputs, [String; 2]); Outputs::COUNT],
 ) -> String {
-    let inputs = inputs.into_iter().zip(INPUT_MEANINGS).map(|((wire, [pin, on_mcu]), (signal, meaning))| {
-        assert_eq!(wire, signal);
-        [name(wire.iter_names()), "PLC to bridge".to_owned(), pin, on_mcu, meaning.to_owned()]
-    });
-    let outputs =
-        outputs.into_iter().zip(OUTPUT_MEANINGS).map(|((wire, [pin, on_mcu]), (signal, meaning))| {
-            assert_eq!(wire, signal);
-            [name(wire.iter_names()), "bridge to PLC".to_owned(), pin, on_mcu, meaning.to_owned()]
-        });
-    table(["wire", "direction", on_board, "MCU pin", "meaning"], inputs.chain(outputs))
+    let row = |wire, [pin, on_mcu]: [String; 2]| [wire, pin, on_mcu];
+    let inputs = inputs.into_iter().map(|(wire, pins)| row(name(wire.iter_names()), pins));
+    let outputs = outputs.into_iter().map(|(wire, pins)| row(name(wire.iter_names()), pins));
+    table(["wire", "pin", "MCU pin"], inputs.chain(outputs))
 }
 
-fn wires_of_the_default_board() -> String {
+fn pins_of_the_default_board() -> String {
     let pins = |connector: &str, port: Port, pin| [connector.to_owned(), format!("P{}{pin}", port.letter())];
-    wires(
-        "Arduino pin",
+    self::pins(
         INPUTS.map(|wire| (wire.signal, pins(wire.connector, wire.port, wire.pin))),
         OUTPUTS.map(|wire| (wire.signal, pins(wire.connector, OUTPUT_PORT, wire.pin))),
     )
 }
 
-fn wires_of_the_pico() -> String {
+fn pins_of_the_pico() -> String {
     let pins = |pin: u8, gpio: u8| [pin.to_string(), format!("GP{gpio}")];
-    wires(
-        "pin",
+    self::pins(
         wsg_pico::INPUTS.map(|wire| (wire.signal, pins(wire.pin, wire.gpio))),
         wsg_pico::OUTPUTS.map(|wire| (wire.signal, pins(wire.pin, wire.gpio))),
     )
 }
 
-fn wires_of_the_nucleo() -> String {
+fn pins_of_the_nucleo() -> String {
     use wsg_nucleo_g474re::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
     let pins = |connector: &str, port: Port, pin| [connector.to_owned(), format!("P{}{pin}", port.letter())];
-    wires(
-        "pin",
+    self::pins(
         INPUTS.map(|wire| (wire.signal, pins(wire.connector, wire.port, wire.pin))),
         OUTPUTS.map(|wire| (wire.signal, pins(wire.connector, OUTPUT_PORT, wire.pin))),
     )
@@ -140,9 +139,10 @@ fn fast_stop() -> String {
 
 #[test]
 fn wiring_in_the_documents_is_that_of_the_board_files() {
-    hold("docs/wiring.md", "wires", &wires_of_the_default_board());
-    hold("docs/pico.md", "wires", &wires_of_the_pico());
-    hold("docs/nucleo-g474re.md", "wires", &wires_of_the_nucleo());
+    hold("docs/wiring.md", "wires", &wires());
+    hold("docs/wiring.md", "pins of the B-L475E-IOT01A", &pins_of_the_default_board());
+    hold("docs/wiring.md", "pins of the Pico", &pins_of_the_pico());
+    hold("docs/wiring.md", "pins of the NUCLEO-G474RE", &pins_of_the_nucleo());
 }
 
 #[test]
