@@ -1,7 +1,7 @@
-//! Checks the tables of commands and status codes in docs/protocol.md.
+//! Checks the tables of commands and finger flags in docs/protocol.md.
 
 use document::{hold, read, table};
-use wsg_protocol::{Command, CommandId, Frame, Reply, Status};
+use wsg_protocol::{Command, CommandId, FingerFlags, Frame, Reply, Status};
 
 const DOCUMENT: &str = "docs/protocol.md";
 
@@ -20,14 +20,19 @@ const LAYOUTS: [(&str, &str, usize, usize); 17] = [
     ("GripperState", "state u8", 1, 1),
     ("GrippingStatistics", "grips u32, without part u16, part lost u16", 8, 8),
     ("Temperature", "i16, 0.1 °C", 2, 2),
-    ("SystemInfo", "type u8, revision u8, firmware u16, serial number u32", 8, 8),
+    (
+        "SystemInfo",
+        "type u8 (1 WSG 50, 2 WSG 32, 5 WSG 25, 6 WSG 70), revision u8, firmware u16 (D15 to D12 major, D11 to D4 minor), serial number u32",
+        8,
+        8,
+    ),
     (
         "SystemLimits",
         "8 × f32: stroke, speed from, to, acceleration from, to, force from, nominal, overdrive",
         32,
         32,
     ),
-    ("FingerInfo", "type u8, bytes of data u16", 3, 3),
+    ("FingerInfo", "type u8 (0 generic or none, 1 WSG-FMF, 2 WSG-DSA), bytes of data u16", 3, 3),
     ("FingerFlags", "flags u16", 2, 2),
 ];
 /// A type limited only by the longest message.
@@ -134,10 +139,23 @@ fn commands_in_the_document_are_those_of_the_code() {
     hold(DOCUMENT, "answers", &answers);
 }
 
+/// Each finger flag and its meaning.
+const FINGER_FLAGS: [(FingerFlags, &str); 6] = [
+    (FingerFlags::POWER_ON, "the finger is powered"),
+    (FingerFlags::CONFIG_AVAIL, "the finger provides configuration data"),
+    (FingerFlags::COMM_OPEN, "a communication interface is open"),
+    (FingerFlags::POWER_FAULT, "over-current was detected"),
+    (FingerFlags::COMM_FAULT, "communication failed at run time"),
+    (FingerFlags::INIT_FAULT, "the finger failed to initialize"),
+];
+
 #[test]
-fn status_codes_in_the_document_are_those_of_the_code() {
-    let codes = Status::ALL.iter().map(|status| [status.code().to_string(), status.symbol().to_owned()]);
-    hold(DOCUMENT, "status codes", &table(["code", "name"], codes));
+fn finger_flags_in_the_document_are_those_of_the_code() {
+    let named = FingerFlags::all().iter_names().map(|(name, flag)| {
+        let (_, meaning) = FINGER_FLAGS.iter().find(|(other, _)| *other == flag).expect("a meaning");
+        [flag.bits().trailing_zeros().to_string(), name.to_owned(), (*meaning).to_owned()]
+    });
+    hold(DOCUMENT, "finger flags", &table(["bit", "name", "meaning"], named));
 }
 
 #[test]

@@ -1,10 +1,10 @@
-//! The recorded frames in docs/quick-start.md: their bytes have the meanings shown beside them.
+//! The recorded frames in docs/quick-start.md and docs/protocol.md: their bytes have the meanings shown beside them.
 
 use document::read;
 use host_tests::trace::Entry;
 
 /// The documents with recorded frames, and the column at which an entry begins: after the time, if it is shown.
-const DOCUMENTS: [(&str, usize); 1] = [("docs/quick-start.md", 11)];
+const DOCUMENTS: [(&str, usize); 2] = [("docs/quick-start.md", 11), ("docs/protocol.md", 0)];
 
 /// Returns the bytes at the end of a line: two-digit hexadecimal words, back to the first other word.
 fn bytes_at_end(line: &str) -> Vec<u8> {
