@@ -4,6 +4,7 @@
 
 mod bench;
 mod board;
+mod book;
 mod coverage;
 mod demo;
 mod dependencies;
@@ -92,7 +93,8 @@ Commands
   coverage           report the lines of protocol and buses that their tests cover (cargo-llvm-cov)
   figures            measure all figures of docs/figures.md and update the file
   dist               build the delivery folder for PLC engineers (reproducible)
-  docs               build the documents as a book in target/book (mdbook)
+  docs               build the documents as a book in target/book (mdbook), and print it to target/book.pdf
+                     (Chromium; without it, there is no PDF)
   flash              write the image to a board with probe-rs and start it
                      [--board NAME] [--set NAME=VALUE] [--features X] as for build
   help               print this page
@@ -186,7 +188,7 @@ fn run() -> Result<ExitCode> {
         }
         "docs" => {
             no_more(arguments)?;
-            tool::book(&Workspace::from_env()?)?;
+            book::build(&Workspace::from_env()?)?;
         }
         "matrix" => {
             no_more(arguments)?;

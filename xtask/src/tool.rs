@@ -44,19 +44,6 @@ pub(crate) const CARGO_LLVM_COV: Tool = Tool {
     install: &["cargo", "install", "cargo-llvm-cov", "--locked"],
 };
 
-/// mdBook.
-const MDBOOK: Tool = Tool {
-    name: "mdbook",
-    probe: &["mdbook", "--version"],
-    install: &["cargo", "install", "mdbook", "--locked"],
-};
-
-/// Makes the book of the documents.
-pub(crate) fn book(workspace: &Workspace) -> Result<()> {
-    MDBOOK.require(workspace, "the book")?;
-    process::run(plain(workspace, &["mdbook", "build"]).current_dir(&workspace.root))
-}
-
 /// The nightly tool chain, for Miri and cargo-fuzz.
 pub(crate) const NIGHTLY: Tool = Tool {
     name: "nightly Rust",
