@@ -24,6 +24,7 @@ mod platforms;
 mod probe;
 mod process;
 mod public_functions;
+mod recording;
 mod settings;
 mod setup;
 mod size;
@@ -60,7 +61,8 @@ Commands
                      [--set NAME=VALUE]: change a default setting (docs/registers.md);
                      [--features X]: enable additional features. Such an image gets a separate name
   demo [ARGS]        run the image in an emulator between a PLC and a virtual gripper;
-                     [--board NAME] comes first and must be emulated; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE
+                     [--board NAME] comes first and must be emulated; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE;
+                     --record FILE.svg instead of ARGS: also write an animated picture of the run (docs/demo.svg)
   test [FILTER]      run all checks of the workspace, including the emulator tests;
                      with FILTER, only the tests whose names match; with --strict before FILTER,
                      checks that had to be skipped are failures instead of being listed
@@ -168,6 +170,11 @@ fn run() -> Result<ExitCode> {
             }
             let toolchain = setup::thumb_and_qemu(&workspace)?;
             let image = firmware::build(&workspace, &toolchain, &Variant { board, ..Variant::default() })?;
+            if let [option, file] = &arguments[..]
+                && option == "--record"
+            {
+                return Ok(exit_code(demo::record(&workspace, &image, file.as_ref())?));
+            }
             return Ok(exit_code(demo::run(&workspace, &image, &arguments)?));
         }
         "test" => {
