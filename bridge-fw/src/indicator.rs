@@ -1,30 +1,30 @@
-//! What a board's LED tells somebody who has no PLC at hand: patterns over time, which [`Bridge::indication`](crate::Bridge::indication)
-//! chooses.
+//! Blink patterns of the board's LED, for diagnosis without a PLC. [`Bridge::indication`](crate::Bridge::indication) selects
+//! one.
 //!
-//! Not here: the LED, which is the board's, and LINK_OK, which is a wire.
+//! The LED itself is the board's. LINK_OK is a wire.
 
 use crate::register::Link;
 
-/// A pattern begins anew after so long.
+/// Period of a pattern.
 const PERIOD_MS: u32 = 2_000;
-/// A flash, and the dark before it. Four of them leave more than twice as long a pause as is between two.
+/// A flash, and the dark time before it. The pause after four flashes is more than twice the dark time between two.
 const FLASH_MS: u32 = 150;
 const DARK_MS: u32 = 200;
-/// The gap in the light of a bridge that runs.
+/// Gap in the light of a running bridge.
 const GAP_MS: u32 = 100;
-/// Half of a flicker: within 100 ms a watchdog ends it and it begins anew, which looks the same.
+/// Half a period of the flicker. The watchdog restarts the pattern within 100 ms, which looks the same.
 const FLICKER_MS: u32 = 50;
 
-/// What the LED tells.
+/// Status shown by the LED.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Indication {
     /// The gripper answers, and there is no error.
     Running,
     /// The gripper has not answered since power-up.
     NeverAnswered,
-    /// The gripper answered, and does not any more.
+    /// The gripper has stopped answering.
     GripperSilent,
-    /// The PLC's bus is lost: its master fell silent, or the CAN controller is off the bus.
+    /// The PLC's bus is lost: its master is silent, or the CAN controller is off the bus.
     BusLost,
     /// The wire ERROR is high for another reason.
     Error,
@@ -32,50 +32,50 @@ pub enum Indication {
     NotStarted,
 }
 
-/// A pattern of the table, for those who read it from the LED.
+/// A row of the table of patterns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IndicationText {
-    /// What it tells.
+    /// Status that the pattern shows.
     pub indication: Indication,
-    /// What is seen.
+    /// Visible pattern.
     pub seen: &'static str,
-    /// What that means.
+    /// Meaning of the pattern.
     pub meaning: &'static str,
-    /// What to do.
+    /// Recommended action.
     pub remedy: &'static str,
 }
 
-/// All patterns. Where several apply, the first is shown.
+/// All patterns. If several apply, the first is shown.
 pub const INDICATIONS: [IndicationText; 6] = [
     text(
         Indication::NotStarted,
         "flickers",
-        "the bridge cannot start: no clock, or settings in the image that are out of range",
-        "flash the image again; if it stays, the board is broken",
+        "the bridge cannot start: no clock, or the image's settings are out of range",
+        "flash the image again; if the pattern persists, replace the board",
     ),
     text(
         Indication::NeverAnswered,
         "1 flash",
         "the gripper has not answered since power-up",
-        "the gripper's supply, its line, its setting for the interface; the setting `GRIPPER_LINE`",
+        "check the gripper's supply, its line and its interface setting, and the setting `GRIPPER_LINE`",
     ),
     text(
         Indication::GripperSilent,
         "2 flashes",
-        "the gripper answered, and does not any more",
-        "the gripper's supply, plugs and cable",
+        "the gripper has stopped answering",
+        "check the gripper's supply, plugs and cable",
     ),
     text(
         Indication::BusLost,
         "3 flashes",
-        "the PLC's bus is lost: its master was silent for `BUS_TIMEOUT`, or CAN is bus-off. A master is not missed that was never there, or while the wires command",
-        "the bus's wiring, rate and termination, and its master",
+        "the PLC's bus is lost: its master was silent for `BUS_TIMEOUT`, or CAN is bus-off. Not shown for a master that was never connected, or while the wires command",
+        "check the bus wiring, rate and termination, and the master",
     ),
     text(
         Indication::Error,
         "4 flashes",
-        "`ERROR` is high for another reason; after a power-up with `FAST_STOP_OK` low until `STOP_ACK`",
-        "`ERROR_CAUSE` over a bus, or the table above; then an edge on `STOP_ACK`",
+        "`ERROR` is high for another reason; after a power-up with `FAST_STOP_OK` low, until `STOP_ACK`",
+        "see `ERROR_CAUSE` over a bus, or the table above; then give an edge on `STOP_ACK`",
     ),
     text(
         Indication::Running,
@@ -95,7 +95,7 @@ const fn text(
 }
 
 impl Indication {
-    /// What a bridge tells that has started.
+    /// Returns the indication of a running bridge.
     pub(crate) const fn of(link: Link, is_bus_lost: bool, has_error: bool) -> Self {
         match (link, is_bus_lost, has_error) {
             (Link::Never, ..) => Self::NeverAnswered,
@@ -106,9 +106,9 @@ impl Indication {
         }
     }
 
-    /// Whether the LED is lit at this moment, in milliseconds since any other.
+    /// Returns whether the LED is lit at this time, in milliseconds from an arbitrary start.
     ///
-    /// Each pattern begins dark: a bridge that starts over and over again does not look like one that runs.
+    /// Each pattern begins dark, so that a bridge in a reset loop does not look like a running one.
     ///
     /// ```
     /// use wsg_bridge_fw::indicator::Indication;
@@ -136,7 +136,7 @@ mod tests {
     use std::vec::Vec;
 
     #[test]
-    fn what_is_first_in_the_table_is_shown_first() {
+    fn first_applicable_pattern_of_the_table_is_shown() {
         let rank = |wanted| INDICATIONS.iter().position(|text| text.indication == wanted).unwrap();
         for link in [Link::Never, Link::Silent, Link::Up] {
             for (is_bus_lost, has_error) in [(false, false), (false, true), (true, false), (true, true)] {

@@ -1,7 +1,8 @@
-//! PLC sides: the ways in which a PLC commands the bridge. All have one contract, and each comes with its configuration and its registers.
+//! PLC sides: the ways for a PLC to command the bridge. All share one contract, and each defines its configuration and
+//! registers.
 //!
-//! The wires are always there, with at most one bus beside them. The `arbiter` decides which of the two commands. A bus is a
-//! folder here and a row of the list in this file, from which [`PlcBus`], the register tables and the dispatch derive.
+//! The wires are always active, with at most one bus beside them. The `arbiter` decides which of the two commands. A bus is a
+//! folder here and a row of the list in this file, which generates [`PlcBus`], the register tables and the dispatch.
 
 mod bus_line;
 pub mod canopen;
@@ -37,35 +38,33 @@ use crate::register::{
 use wsg_protocol::session::{self, Timeout};
 use wsg_protocol::{CommandId, Instant};
 
-/// Derives everything that names a PLC side from a list of them, with the number in PLC_BUS, the name, the side, its part of
-/// [`Config`], and its reports if it has some.
+/// Generates all code that names a PLC side. A row has the number in PLC_BUS, the name, the side, its part of [`Config`], and
+/// its reports, if any.
 macro_rules! plc_sides {
     ($(
         $number:literal $bus:ident $name:literal
         $side:ident: $type:ty, $config:ident: $config_type:ty $(, $reports:ty)?;
     )*) => {
-        /// The bus of the PLC, beside the wires.
+        /// The PLC's bus, in addition to the wires.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum PlcBus {
-            /// None.
+            /// No bus: the wires alone.
             Off,
             $(#[doc = concat!($name, ".")] $bus = $number,)*
         }
 
         impl PlcBus {
-            /// All of them, each at the place that is its number in the setting PLC_BUS.
+            /// All values, each at the index that is its number in PLC_BUS.
             const ALL: &[Self] = &[Self::Off, $(Self::$bus),*];
 
-            /// What the setting says of them.
+            /// Meaning of the setting PLC_BUS.
             const MEANING: &str =
-                concat!("the PLC's bus, beside the wires: 0 none" $(, ", ", $number, " ", $name)*);
+                concat!("PLC bus, in addition to the wires: 0 none" $(, ", ", $number, " ", $name)*);
         }
 
-        /// The rows of all settings.
         const SETTING_ROWS: &[Rows<Setting>] =
             &[Config::SETTINGS, WiresConfig::SETTINGS, Recipe::SETTINGS, $(<$config_type>::SETTINGS),*];
 
-        /// The rows of all reports.
         const REPORT_ROWS: &[Rows<Report>] = &[
             View::REPORTS, Events::REPORTS, BusCounts::REPORTS, CanReports::REPORTS, $($(<$reports>::REPORTS,)?)*
         ];
@@ -81,13 +80,13 @@ macro_rules! plc_sides {
             }
         }
 
-        /// Checks what settings say of each side, all values being in their ranges.
+        /// Checks the settings of each side. All values are already in their ranges.
         fn check_sides(value_at: &impl Fn(usize) -> u16) -> Result<(), u16> {
             $(<$config_type>::check(value_at)?;)*
             Ok(())
         }
 
-        /// What the PLC sides report of themselves, in registers of their own.
+        /// Reports of the PLC sides, each with registers of its own.
         #[derive(Clone, Debug, Hash)]
         pub struct SideReports {
             $($($side: $reports,)?)*
@@ -98,13 +97,13 @@ macro_rules! plc_sides {
                 Self { $($($side: <$reports>::new(config),)?)* }
             }
 
-            /// Returns the report in a register, or `None` if it is not one of these.
+            /// Returns the report in a register, or `None` if no PLC side has this register.
             fn value_of(&self, register: u16) -> Option<u16> {
                 None$($(.or_else(|| { let it: &$reports = &self.$side; it.value_of(register) }))?)*
             }
         }
 
-        /// The PLC sides beside the wires, of which one counts.
+        /// The buses, of which PLC_BUS selects one.
         pub(crate) struct Sides {
             bus: PlcBus,
             $($side: $type,)*
@@ -116,7 +115,7 @@ macro_rules! plc_sides {
                 $(Listed::start(&mut self.$side, config, board);)*
             }
 
-            /// Returns the side that counts, for one turn. `port`: the line of Modbus RTU.
+            /// Returns the selected side for one turn. `port` is the line of Modbus RTU.
             pub(crate) fn over<'a>(&'a mut self, port: &'a mut dyn BusPort) -> Side<'a> {
                 match self.bus {
                     PlcBus::Off => Side::Off(NoBus),
@@ -125,7 +124,7 @@ macro_rules! plc_sides {
             }
         }
 
-        /// The side that counts. One type for all, so that the bridge's turn is not in the image for each.
+        /// The selected side, as one type. The image then holds the bridge's turn only once, not once per side.
         pub(crate) enum Side<'a> {
             Off(NoBus),
             $($bus(<$type as Listed>::Turn<'a>),)*
@@ -169,17 +168,17 @@ plc_sides! {
     3 Profibus "PROFIBUS DP" profibus: Profibus, profibus: ProfibusConfig, profibus::ProfibusReports;
 }
 
-/// What the list needs of a PLC side.
+/// Requirements of the list for a PLC side.
 pub(crate) trait Listed {
-    /// The side for one turn of the bridge.
+    /// Type of the side during one turn of the bridge.
     type Turn<'a>
     where
         Self: 'a;
 
-    /// Takes its configuration, before the first turn alone.
+    /// Applies the configuration. Called only before the first turn.
     fn start(&mut self, config: &Config, board: BoardId);
 
-    /// Returns the side for one turn. `port`: the line of Modbus RTU.
+    /// Returns the side for one turn. `port` is the line of Modbus RTU.
     fn over<'a>(&'a mut self, port: &'a mut dyn BusPort) -> Self::Turn<'a>;
 }
 
@@ -197,12 +196,12 @@ impl Sides {
         self.bus
     }
 
-    /// The bridge as a CANopen device, whether the PLC is on CANopen or not.
+    /// Returns the bridge's CANopen device, even if another bus is selected.
     pub(crate) const fn node(&self) -> &canopen::Node {
         &self.canopen
     }
 
-    /// The side that is on CAN, if it counts.
+    /// Returns the CANopen device if CANopen is selected.
     pub(crate) fn on_can(&mut self) -> Option<&mut canopen::Node> {
         self.bus.is_on_can().then_some(&mut self.canopen)
     }
@@ -215,34 +214,34 @@ impl PlcBus {
     }
 }
 
-/// What can be set about a bridge.
+/// Configuration of a bridge.
 #[derive(Clone, Copy, Debug)]
 pub struct Config {
-    /// The wires.
+    /// Timing of the wires.
     pub wires: WiresConfig,
-    /// After how long without a byte half a frame is given up, in milliseconds.
+    /// Time without a byte after which an incomplete gripper frame is discarded, in milliseconds.
     pub half_frame_ms: u32,
-    /// What the recipe wires choose from, and BUS_RECIPE.
+    /// Recipes, selected by the recipe wires or by BUS_RECIPE.
     pub recipes: [Recipe; RECIPE_COUNT],
-    /// The number of the recipe that the bus's commands take; none: they take the parameters that it writes.
+    /// Number of the recipe for bus commands. `None`: bus commands use the parameters that the bus writes.
     pub bus_recipe: Option<u8>,
-    /// Time-outs towards the gripper.
+    /// Time-outs for the gripper.
     pub session: session::Config,
-    /// Where the gripper is.
+    /// Interface to the gripper.
     pub gripper_line: GripperLine,
-    /// Which bus the PLC is on.
+    /// Selected PLC bus.
     pub plc_bus: PlcBus,
-    /// That bus: Modbus RTU's line, and what every bus has.
+    /// Settings shared by all buses, and the line of Modbus RTU.
     pub bus: BusConfig,
-    /// The CAN bus, for whoever is on it.
+    /// CAN bus of the gripper, of the PLC, or of both.
     pub can: CanConfig,
-    /// The bridge on PROFIBUS.
+    /// Address and rate on PROFIBUS.
     pub profibus: ProfibusConfig,
 }
 
-/// Towards the gripper: settings are read back, because a force limit that a damaged frame changed would hurt. A Stop that
-/// is not answered soon becomes a FAST STOP while there is time for one. States are refreshed often enough that none
-/// that the PLC sees is older than 250 ms, even when the line loses one message.
+/// Session with the gripper. Settings are read back, because a force limit changed by a damaged frame could injure. An
+/// unanswered Stop becomes a FAST STOP while time permits. With this refresh period, no state shown to the PLC is older than
+/// 250 ms, even if the line loses one message.
 const SESSION: session::Config = session::Config {
     verify_settings: true,
     refresh_ms: 150,
@@ -250,27 +249,27 @@ const SESSION: session::Config = session::Config {
     ..session::Config::DEFAULT
 };
 
-/// How long a gripper may take to answer a Stop, in milliseconds, before the fingers count as not stopped. The burst
-/// of FAST STOPs that follows takes 90 ms, and both together may take 250 ms.
+/// Time for the gripper to answer a Stop, in milliseconds. After it, the fingers count as still moving. The subsequent burst
+/// of FAST STOPs takes 90 ms. Both together may take 250 ms.
 const STOP_ANSWER_MS: u32 = 100;
 
 setting_rows! { Config:
-    108 "HALF_FRAME" "ms" (1, 1_000) "after how long without a byte half a frame of the gripper is given up"
+    108 "HALF_FRAME" "ms" (1, 1_000) "time without a byte after which an incomplete gripper frame is discarded"
         half_frame_ms: |it| crate::register::saturate(it), |value| Some(value.into());
     173 "BUS_RECIPE" "" (0, RECIPE_COUNT as u16)
-        "0 to 15: commands of the bus take this recipe's values; 16: WIDTH, SPEED and FORCELIMIT that it writes"
+        "parameters of bus commands: 0 to 15 this recipe; 16: WIDTH, SPEED and FORCELIMIT of the bus"
         bus_recipe: |it| match it { Some(number) => number as u16, None => u16::MAX },
         |value| Some(u8::try_from(value).ok().filter(|it| usize::from(*it) < RECIPE_COUNT));
     174 "PLC_BUS" "" (0, PlcBus::ALL.len() as u16 - 1) (PlcBus::MEANING)
         plc_bus: |it| it as u16, |value| PlcBus::ALL.get(usize::from(value)).copied();
-    175 "GRIPPER_LINE" "" (0, 1) "the gripper's line: 0 RS-232, 1 CAN"
+    175 "GRIPPER_LINE" "" (0, 1) "gripper interface: 0 RS-232, 1 CAN"
         gripper_line: |it| it as u16,
         |value| Some(if value == 0 { GripperLine::Serial } else { GripperLine::Can });
 }
 
 impl Config {
-    /// Debounced for 2 ms, BUSY for 50 ms at least, the recipes as delivered, the gripper on RS-232, and the PLC on wires and
-    /// on Modbus RTU at 19 200 bit/s.
+    /// Default: 2 ms debounce, BUSY for at least 50 ms, the delivered recipes, the gripper on RS-232, and the PLC on wires
+    /// and on Modbus RTU at 19 200 bit/s.
     pub const DEFAULT: Self = Self {
         wires: WiresConfig::DEFAULT,
         half_frame_ms: 20,
@@ -284,7 +283,7 @@ impl Config {
         profibus: ProfibusConfig::DEFAULT,
     };
 
-    /// Returns the settings of this configuration as a record, each value brought into its range.
+    /// Returns the settings of this configuration as a record, each value clamped to its range.
     ///
     /// ```
     /// use wsg_bridge_fw::Config;
@@ -310,10 +309,10 @@ impl Config {
         record
     }
 
-    /// Returns the configuration that this record makes. What no setting is for is [`DEFAULT`](Self::DEFAULT)'s.
+    /// Returns the configuration for this record. Parts without a setting have the values of [`DEFAULT`](Self::DEFAULT).
     ///
     /// # Errors
-    /// [`WrongSetting`]: the first whose value is out of its range or does not go with the others.
+    /// [`WrongSetting`]: the first setting that is out of range or conflicts with another.
     pub fn from_record(record: &Record) -> Result<Self, WrongSetting> {
         check_record(record)?;
         let mut config = Self::DEFAULT;
@@ -332,19 +331,19 @@ impl Config {
     }
 }
 
-/// The settings as holding registers, from [`FIRST_SETTING`] on: one table, for the PLC's bus, for flash and for `--set`.
+/// Settings as holding registers from [`FIRST_SETTING`]: one table for the PLC's bus, the flash and `--set`.
 pub const SETTINGS: [Setting; count(SETTING_ROWS)] = assembled(FIRST_SETTING, SETTING_ROWS);
 
-/// The reports as input registers, from [`FIRST_REPORT`] on. Counters stop at 65 535.
+/// Reports as input registers from [`FIRST_REPORT`]. Counters saturate at 65 535.
 pub const REPORTS: [Report; count(REPORT_ROWS)] = assembled(FIRST_REPORT, REPORT_ROWS);
 
-/// The values of all settings, in the order of [`SETTINGS`].
+/// Values of all settings, in the order of [`SETTINGS`].
 pub type Record = [u16; SETTINGS.len()];
 
-/// The [`SETTINGS`] from this place on take effect at the next start of the bridge.
+/// Index from which [`SETTINGS`] take effect only at the next start of the bridge.
 pub const FIRST_START_SETTING: usize = place_of("PLC_BUS");
 
-/// Returns the place of a setting among [`SETTINGS`]. At compile time, where a name that none has does not compile.
+/// Returns the index of a setting in [`SETTINGS`]. An unknown name fails to compile.
 const fn place_of(name: &str) -> usize {
     let mut place = 0;
     #[expect(clippy::indexing_slicing, reason = "at compile time, where a wrong index does not compile")]
@@ -365,7 +364,7 @@ const fn is_same(one: &[u8], other: &[u8]) -> bool {
 /// A record that no bridge can use: the value of one setting is outside its range, or conflicts with another setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WrongSetting {
-    /// Its place in the record.
+    /// Index of the setting in the record.
     pub at: usize,
 }
 
@@ -381,14 +380,14 @@ impl core::fmt::Display for WrongSetting {
             Some(Setting { name, least, most, meaning, .. }) => {
                 write!(f, "{name} takes {least} to {most}: {meaning}")
             }
-            None => f.write_str("there is no such setting"),
+            None => f.write_str("no such setting"),
         }
     }
 }
 
 impl core::error::Error for WrongSetting {}
 
-/// The ranges alone, so that the words of the table stay out of the image.
+/// Ranges without texts, which keeps the texts of [`SETTINGS`] out of the image.
 const RANGES: [(u16, u16); SETTINGS.len()] = {
     let mut ranges = [(0, 0); SETTINGS.len()];
     let mut at = 0;
@@ -403,15 +402,15 @@ const RANGES: [(u16, u16); SETTINGS.len()] = {
 };
 
 impl Settings {
-    /// What can be set about the wires.
+    /// Returns the configuration of the wires.
     pub(crate) fn wires(&self) -> WiresConfig {
         let mut wires = WiresConfig::DEFAULT;
-        // Values that no bridge can have are not among them.
+        // Cannot fail: the record holds only valid values.
         let _ = wires.take(&values_of(self.record()));
         wires
     }
 
-    /// What can be set about the PLC's bus.
+    /// Returns the configuration of the PLC's bus.
     pub(crate) fn bus(&self) -> BusConfig {
         let mut bus = BusConfig::DEFAULT;
         let _ = bus.take(&values_of(self.record()));
@@ -419,12 +418,12 @@ impl Settings {
     }
 }
 
-/// Returns the values of a record by their places.
+/// Returns an accessor to the values of a record, by index.
 fn values_of(record: &Record) -> impl Fn(usize) -> u16 {
     |place| record.get(place).copied().unwrap_or_default()
 }
 
-/// Returns whether a bridge can have these values.
+/// Checks that all values are in range and do not conflict.
 pub(crate) fn check_record(record: &Record) -> Result<(), WrongSetting> {
     let is_wrong = |(value, (least, most)): (&u16, &(u16, u16))| !(least..=most).contains(&value);
     if let Some(at) = record.iter().zip(&RANGES).position(is_wrong) {

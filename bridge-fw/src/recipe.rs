@@ -1,28 +1,27 @@
-//! Recipes: what motion commands mean in millimetres and newtons.
+//! Recipes: the parameters of motion commands, in millimetres and newtons.
 
 use crate::register::{FIRST_SETTING, Rows, Setting};
 use wsg_fieldbus::{CommandFlags, ForceUnit, OutputImage};
 
-/// Parameters of the motion commands, chosen by the wires RECIPE0 and RECIPE1, or by BUS_RECIPE for the bus's.
+/// Parameters of motion commands, selected by the wires RECIPE0 and RECIPE1, or by BUS_RECIPE for bus commands.
 ///
-/// The units are those of the fieldbus registers, so no value has to be rounded.
+/// The units are the units of the fieldbus registers, so no value is rounded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Recipe {
-    /// Opening width that GRIP and MOVE go to, in 1/100 mm.
+    /// Target width of GRIP and MOVE, in 1/100 mm.
     pub width: i16,
     /// Speed of every motion, in 1/100 mm/s.
     pub speed: u16,
     /// Force limit of GRIP, summed over both fingers, in 1/100 N.
     pub force: i16,
-    /// Opening width that RELEASE goes to, in 1/100 mm.
+    /// Target width of RELEASE, in 1/100 mm.
     pub release_width: i16,
 }
 
 impl Recipe {
-    /// The rows of all recipes.
     pub(crate) const SETTINGS: Rows<Setting> = RECIPE_ROWS.as_flattened();
 
-    /// The recipe of a record with this number.
+    /// Returns the recipe with this number from a record.
     pub(crate) fn of(record: &[u16], number: usize) -> Option<Self> {
         let recipes = record.get(RECIPES_AT..RECIPES_AT + Self::SETTINGS.len())?;
         recipes.as_chunks::<RECIPE_LEN>().0.get(number).copied().map(Self::from_registers)
@@ -39,7 +38,6 @@ impl Recipe {
         }
     }
 
-    /// As settings hold it.
     const fn registers(self) -> [u16; 4] {
         let Self { width, speed, force, release_width } = self;
         [width.cast_unsigned(), speed, force.cast_unsigned(), release_width.cast_unsigned()]
@@ -54,7 +52,7 @@ impl Recipe {
         }
     }
 
-    /// Puts the parameters of this command into an image. `unit`: of the gripper's force registers.
+    /// Writes the parameters of this command to an image. `unit` is the unit of the gripper's force registers.
     pub(crate) const fn fill(self, image: &mut OutputImage, command: CommandFlags, unit: ForceUnit) {
         image.width = if command.contains(CommandFlags::RELEASE) { self.release_width } else { self.width };
         image.speed = self.speed;
@@ -65,33 +63,33 @@ impl Recipe {
     }
 }
 
-/// How many recipes there are. Two wires can choose from the first four.
+/// Number of recipes. The two recipe wires select one of the first four.
 pub const RECIPE_COUNT: usize = 16;
 
-/// The recipes as delivered, inside the limits of a WSG 50-110 (5 to 420 mm/s, 5 to 80 N, stroke 110 mm).
+/// Delivered recipes, within the limits of a WSG 50-110 (5 to 420 mm/s, 5 to 80 N, stroke 110 mm).
 pub const RECIPES: [Recipe; RECIPE_COUNT] = {
-    // A 20 mm part, in all but these three.
+    // A 20 mm part, in all recipes except these three.
     let mut recipes =
         [Recipe { width: 20_00, speed: 50_00, force: 40_00, release_width: 40_00 }; RECIPE_COUNT];
-    // Wide open, quickly: for pre-positioning.
+    // Pre-positioning: wide open, fast.
     recipes[1] = Recipe { width: 80_00, speed: 200_00, force: 40_00, release_width: 80_00 };
-    // A small part, gently.
+    // Small part, gentle grip.
     recipes[2] = Recipe { width: 10_00, speed: 20_00, force: 10_00, release_width: 25_00 };
-    // A 50 mm part, firmly.
+    // 50 mm part, firm grip.
     recipes[3] = Recipe { width: 50_00, speed: 100_00, force: 80_00, release_width: 70_00 };
     recipes
 };
 
 const RECIPE_LEN: usize = 4;
 
-/// The register of the first recipe's first value.
+/// Register of the first recipe's width.
 const FIRST_RECIPE: u16 = 109;
 
-/// The rows of the recipes, by their numbers.
+/// Rows of the recipes, by number.
 macro_rules! recipe_rows {
     ($first:literal $($number:literal)*) => {[
         recipe_rows!(@ $first
-            "where GRIP and MOVE go" "of every motion" "force limit of GRIP" "where RELEASE goes"),
+            "target width of GRIP and MOVE" "speed of every motion" "force limit of GRIP" "target width of RELEASE"),
         $(recipe_rows!(@ $number "as for recipe 0" "" "" "")),*
     ]};
     (@ $number:literal $width:literal $speed:literal $force:literal $release:literal) => {[
@@ -120,5 +118,5 @@ const fn recipe_row(
 const RECIPE_ROWS: [[(u16, Setting); RECIPE_LEN]; RECIPE_COUNT] =
     recipe_rows!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
 
-/// The place of the first recipe's first value among the settings.
+/// Index of the first recipe's width among the settings.
 const RECIPES_AT: usize = (FIRST_RECIPE - FIRST_SETTING) as usize;

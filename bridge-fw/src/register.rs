@@ -1,5 +1,4 @@
-//! What the registers of the bridge are made of: rows, commands and events. `plc` assembles the tables from the rows of all
-//! modules.
+//! Parts of the register tables: rows, commands and events. `plc` assembles the tables from the rows of all modules.
 
 mod events;
 mod rows;
@@ -15,83 +14,83 @@ pub(crate) use events::Events;
 pub(crate) use rows::{Rows, assembled, count, place_in, report_rows, saturate, setting_rows};
 pub(crate) use store_commands::StoreReports;
 
-/// The address of the first setting.
+/// Address of the first setting, a holding register.
 pub const FIRST_SETTING: u16 = 100;
 
-/// The address of the first report.
+/// Address of the first report, an input register.
 pub const FIRST_REPORT: u16 = 100;
 
-/// The version of the register map: the last register or meaning that was added or changed.
+/// Version of the register map, increased when a register or a meaning is added or changed.
 pub const MAP_VERSION: u16 = 7;
 
-/// Whether the gripper answers.
+/// State of the link to the gripper.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Link {
-    /// It has not answered since power-up.
+    /// The gripper has not answered since power-up.
     #[default]
     Never,
-    /// It answered, and does not any more.
+    /// The gripper has stopped answering.
     Silent,
-    /// It does.
+    /// The gripper answers.
     Up,
 }
 
-/// Why the MCU was reset.
+/// Cause of the last reset of the MCU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ResetCause {
-    /// The board does not say.
+    /// The board does not report the cause.
     #[default]
     Unknown,
-    /// Power-on, or a supply that was too low.
+    /// Power-on or brown-out.
     PowerOn,
-    /// The reset pin.
+    /// Reset pin.
     Pin,
-    /// The watchdog: the main loop did not come round, or not all of it.
+    /// Watchdog: the main loop stalled, or skipped a part of its turn.
     Watchdog,
-    /// The firmware itself: a fault or a panic.
+    /// Firmware: a fault or a panic.
     Firmware,
 }
 
-/// What a PLC side has counted on its bus; a side that does not count something leaves it at 0.
+/// Counters of a PLC side for its bus. Counters that a side does not support stay at 0.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusCounts {
-    /// Intact messages on the bus, whoever they were for.
+    /// Intact messages on the bus, for any device.
     pub messages: u16,
     /// Damaged messages.
     pub errors: u16,
-    /// Requests that were refused.
+    /// Rejected requests.
     pub exceptions: u16,
     /// Messages for this device.
     pub own_messages: u16,
-    /// Those of them that got no answer.
+    /// Messages for this device without a response.
     pub no_responses: u16,
-    /// Those of them that were put off.
+    /// Messages for this device that were answered with "busy".
     pub busy: u16,
-    /// Messages that were lost because they were too long or came too fast.
+    /// Messages that were lost because they were too long or too fast.
     pub overruns: u16,
 }
 
-/// Why a register was not read or written.
+/// Reason for a failed register access.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RegisterError {
-    /// One of the registers does not exist.
+    /// A register does not exist.
     Missing,
-    /// One of the values is out of its register's range.
+    /// A value is out of its register's range.
     Value,
-    /// Settings do not change while the fingers move.
+    /// Settings cannot change while the fingers move.
     Moving,
-    /// Settings do not change while they are being stored.
+    /// Settings cannot change while a save is running.
     Saving,
 }
 
 impl core::fmt::Display for RegisterError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            Self::Missing => "there is no such register",
+            Self::Missing => "no such register",
             Self::Value => "the value is out of the register's range",
-            Self::Moving => "settings do not change while the fingers move",
-            Self::Saving => "settings do not change while they are being stored",
+            Self::Moving => "settings cannot change while the fingers move",
+            Self::Saving => "settings cannot change while they are being stored",
         })
     }
 }
@@ -105,11 +104,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_refusal_has_words_of_its_own() {
+    fn each_error_has_its_own_message() {
         let all =
             [RegisterError::Missing, RegisterError::Value, RegisterError::Moving, RegisterError::Saving];
         let words = all.map(|it| it.to_string());
-        assert_eq!(words[0], "there is no such register");
+        assert_eq!(words[0], "no such register");
         assert!(words[1].contains("range") && words[2].contains("move"), "{words:?}");
         assert!(words[3].contains("stored"), "{words:?}");
     }

@@ -438,7 +438,7 @@ fn watch_on_a_terminal_ends_with_q_and_with_ctrl_c() {
             screen.read_exact(&mut byte).expect("the screen is shown");
             shown.extend(byte);
         }
-        assert!(String::from_utf8_lossy(&shown).contains("gripper    answers: WSG 50"));
+        assert!(String::from_utf8_lossy(&shown).contains("gripper    connected: WSG 50"));
         screen.write_all(key.as_bytes()).unwrap();
         assert!(watch.wait().unwrap().success(), "{key:?}");
     }
@@ -532,7 +532,7 @@ fn flashed_image_is_configured_over_its_service_port_and_keeps_its_settings_over
     let plant = power_up();
     let cable = &plant.2;
     let shown =
-        (0..50).map(|_| bridge(cable, &["show"])).find(|it| it.contains("gripper    answers: WSG 50"));
+        (0..50).map(|_| bridge(cable, &["show"])).find(|it| it.contains("gripper    connected: WSG 50"));
     assert!(shown.is_some(), "the gripper does not answer");
     assert!(bridge(cable, &["recipes"]).contains("\n     0    20.00 mm   50.00 mm/s"));
     assert!(bridge(cable, &["events"]).contains("START: the bridge started"));

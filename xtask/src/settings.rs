@@ -126,7 +126,7 @@ mod tests {
     #[test]
     fn a_value_out_of_its_range_is_refused_with_the_range() {
         let refused = |text| check(&[Change::parse(text).unwrap()]).unwrap_err().to_string();
-        let said = "invalid value 300: CAN_RATE takes 125 to 1000: the rate of CAN: 125, 250, 500 or 1000";
+        let said = "invalid value 300: CAN_RATE takes 125 to 1000: rate of CAN: 125, 250, 500 or 1000";
         assert_eq!(refused("CAN_RATE=300"), said);
         assert!(refused("UNIT=0").contains("UNIT takes 1 to 247"));
         assert!(check(&[Change::parse("CAN_RATE=250").unwrap()]).is_ok());

@@ -1,42 +1,42 @@
-//! What is known of the bus and of the gripper's link on it, for those who report it.
+//! State of the CAN bus and of the gripper's link on it, for reports.
 
 use wsg_protocol::can;
 
 use super::{BusState, Health};
 use crate::register::report_rows;
 
-/// What the bus has met so far; each count stops at 65 535.
+/// Faults of the bus since power-up. Each count saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusCounters {
-    /// How often the controller went bus-off.
+    /// Transitions to bus-off.
     pub bus_offs: u16,
-    /// How often the controller had no room for a frame that it received.
+    /// Received frames for which the controller had no room.
     pub overruns: u16,
     /// Frames that the controller refused to send.
     pub refused: u16,
 }
 
-/// What the link could not use so far; each count stops at 65 535.
+/// Faults of the link since power-up. Each count saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LinkCounters {
-    /// On the bus, below messages.
+    /// Faults on the bus, below messages.
     pub frames: can::ReassemblerCounters,
     /// Messages for which there was no room, because the bridge did not read.
     pub overflows: u16,
-    /// Messages to the gripper of which a part did not leave.
+    /// Messages to the gripper that were sent only in part.
     pub broken: u16,
 }
 
-/// What a node knows of its bus, for the counters.
+/// State of a node's bus, for the reports.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct BusReport {
-    /// How the bridge stands to the bus.
+    /// Participation of the bridge in the bus.
     pub state: BusState,
-    /// How the controller sees the bus.
+    /// State of the controller's error confinement.
     pub health: Health,
-    /// What the bus has met.
+    /// Faults of the bus.
     pub counters: BusCounters,
-    /// What the gripper's link has met; nothing where it is not on this bus.
+    /// Faults of the gripper's link; all 0 if the gripper is not on this bus.
     pub link: LinkCounters,
 }
 
@@ -75,31 +75,31 @@ impl BusReport {
     }
 }
 
-/// What is reported about CAN: state, transmit and receive errors, bus-offs, overruns, dropped frames, as registers.
+/// Reports on CAN as registers: state, transmit and receive errors, bus-offs, overruns, dropped frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct CanReports(pub [u16; 6]);
 
 impl CanReports {
-    /// There is no CAN.
+    /// No CAN: all 0.
     pub const NONE: Self = Self([0; 6]);
 
-    /// Whether the controller is off the bus: bus-off, recovering or given up.
+    /// Returns whether the controller is off the bus: bus-off, recovering or given up.
     pub(crate) const fn is_off(&self) -> bool {
         self.0[0] & 0x7F != 0
     }
 
-    /// How often the controller went bus-off.
+    /// Returns the number of transitions to bus-off.
     pub(crate) const fn bus_offs(&self) -> u16 {
         self.0[3]
     }
 }
 
 report_rows! { CanReports as it:
-    126 "CAN_STATE" "CAN: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN all of these are 0"
+    126 "CAN_STATE" "CAN state: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN all of these are 0"
         it.0[0];
     127 "CAN_TEC" "CAN: transmit error counter" it.0[1];
     128 "CAN_REC" "CAN: receive error counter" it.0[2];
-    129 "CAN_BUS_OFFS" "CAN: how often the controller went bus-off" it.0[3];
-    130 "CAN_OVERRUNS" "CAN: frames for which the controller had no room" it.0[4];
-    131 "CAN_DROPPED" "CAN: frames of the gripper that belonged to no intact message" it.0[5];
+    129 "CAN_BUS_OFFS" "CAN: number of transitions to bus-off" it.0[3];
+    130 "CAN_OVERRUNS" "CAN: received frames that the controller had no room for" it.0[4];
+    131 "CAN_DROPPED" "CAN: frames from the gripper outside of intact messages" it.0[5];
 }

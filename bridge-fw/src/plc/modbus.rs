@@ -1,5 +1,5 @@
-//! Modbus RTU as a PLC side: requests in, output images out; the input image and the registers of the bridge in answers.
-//! The service port is the same without output images.
+//! Modbus RTU as a PLC side: converts requests to output images, and answers them with the input image and the bridge's
+//! registers. The service port is the same without output images.
 
 mod config;
 mod port;
@@ -20,7 +20,7 @@ use bus_modbus::{Bits, Device, Exception, Identification, Words};
 use wsg_fieldbus::Images;
 use wsg_protocol::Instant;
 
-/// What the bridge calls itself (FC 43/14).
+/// Identification of the bridge (FC 43/14).
 pub const IDENTIFICATION: Identification = Identification {
     vendor_name: "wsg-bridge",
     product_code: env!("CARGO_PKG_NAME"),
@@ -28,7 +28,7 @@ pub const IDENTIFICATION: Identification = Identification {
     regular: None,
 };
 
-/// What is reported of the line.
+/// Reports on the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ModbusReports {
     baud: u32,
@@ -42,62 +42,62 @@ impl ModbusReports {
 }
 
 report_rows! { ModbusReports as it:
-    109 "BUS_RATE" "rate of this bus in 100 bit/s"
+    109 "BUS_RATE" "rate of Modbus RTU in 100 bit/s"
         u16::try_from(it.baud / 100).unwrap_or(u16::MAX);
-    110 "BUS_FORMAT" "format of this bus: 0 8E1, 1 8N1, 2 8N2" it.format as u16;
+    110 "BUS_FORMAT" "character format of Modbus RTU: 0 8E1, 1 8N1, 2 8N2" it.format as u16;
 }
 
 report_rows! { BusCounts as it:
     118 "BUS_MESSAGES" "intact frames on the bus (FC 8, 0Bh)" it.messages;
-    119 "BUS_ERRORS" "broken ones (FC 8, 0Ch)" it.errors;
-    120 "BUS_EXCEPTIONS" "exceptions (FC 8, 0Dh)" it.exceptions;
+    119 "BUS_ERRORS" "damaged frames on the bus (FC 8, 0Ch)" it.errors;
+    120 "BUS_EXCEPTIONS" "exception responses (FC 8, 0Dh)" it.exceptions;
     121 "SERVER_MESSAGES" "frames for this unit, and broadcasts (FC 8, 0Eh)" it.own_messages;
-    122 "NO_RESPONSES" "those of them without a response (FC 8, 0Fh)" it.no_responses;
-    123 "SERVER_BUSY" "exceptions 06 (FC 8, 11h)" it.busy;
+    122 "NO_RESPONSES" "frames for this unit without a response (FC 8, 0Fh)" it.no_responses;
+    123 "SERVER_BUSY" "exception responses 06, busy (FC 8, 11h)" it.busy;
     124 "BUS_OVERRUNS" "frames with a damaged or lost character (FC 8, 12h)" it.overruns;
 }
 
-/// Characters taken from a line in one go, at the most: a line that never falls silent must not keep the rest waiting. One
-/// millisecond at 230 400 bit/s brings 23.
+/// Maximum characters read from a line per event. A continuously sending line must not delay the rest of the turn. One
+/// millisecond at 230 400 bit/s is 23 characters.
 const MAX_CHARACTERS: usize = 64;
 
-/// What the line has brought.
+/// Input from the line.
 #[derive(Clone, Copy, Debug)]
 enum RxEvent {
-    /// A character, and the silence before it in microseconds.
+    /// A character, and the preceding silence in microseconds.
     Character(Character, u32),
-    /// No character for so long, in microseconds.
+    /// Silence since the last character, in microseconds.
     Silence(u32),
 }
 
-/// What a server is for.
+/// Purpose of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Role {
-    /// The PLC's bus: it writes the output image, and settings say how it is served.
+    /// The PLC's bus. It accepts output images, and its configuration is in the settings.
     Plc,
-    /// The service port: it reads the output image, and no setting changes how it is served.
+    /// The service port. It only reads the output image, and its configuration is fixed.
     Service,
 }
 
-/// The server of a Modbus line. The line itself stays outside: [`over`](Self::over) brings both together for a turn.
+/// Server of a Modbus line. The line itself stays outside: [`over`](Self::over) combines both for a turn.
 #[derive(Clone, Debug, Hash)]
 pub struct Modbus {
     role: Role,
     server: Server,
     images: Images,
-    /// When a request for this unit came last; none once that is too long ago.
+    /// Time of the last request for this unit; `None` after a time-out.
     heard_at: Option<Instant>,
 }
 
 impl Modbus {
-    /// A server for the PLC's bus that begins as the configuration says.
+    /// Creates a server for the PLC's bus with the configuration's settings.
     #[must_use]
     pub const fn new(config: &Config) -> Self {
         Self::with_role(Role::Plc, &config.bus)
     }
 
-    /// A server for the service port ([`BusConfig::SERVICE`]): it reads all that the PLC's bus reads and writes settings; a
-    /// write of the output image is exception 01, so it commands nothing.
+    /// Creates a server for the service port ([`BusConfig::SERVICE`]). It reads all registers of the PLC's bus and writes
+    /// settings. It cannot command: a write to the output image is exception 01.
     #[must_use]
     pub const fn service() -> Self {
         Self::with_role(Role::Service, &BusConfig::SERVICE)
@@ -112,7 +112,7 @@ impl Modbus {
         }
     }
 
-    /// What the server has counted so far (FC 8).
+    /// Returns the server's counters (FC 8).
     const fn counts(&self) -> BusCounts {
         let rtu::Counters {
             bus_messages: messages,
@@ -127,12 +127,12 @@ impl Modbus {
         BusCounts { messages, errors, exceptions, own_messages, no_responses, busy, overruns }
     }
 
-    /// Serves this line: a PLC side for one turn.
+    /// Combines the server with its line: a PLC side for one turn.
     pub const fn over<'a>(&'a mut self, port: &'a mut dyn BusPort) -> ModbusLine<'a> {
         ModbusLine { modbus: self, port }
     }
 
-    /// Takes what counts for the next request, whoever changed it.
+    /// Updates settings and images before a request.
     fn update(&mut self, view: &View<'_>) {
         match self.role {
             Role::Plc => {
@@ -145,7 +145,7 @@ impl Modbus {
         self.images.set_input(&view.image());
     }
 
-    /// Serves a request that `event` completes. `None` if it completes none.
+    /// Serves the request that `event` completes. Returns `None` if it completes none.
     fn serve(
         &mut self,
         now: Instant,
@@ -173,7 +173,7 @@ impl Modbus {
         Some(self.images.take_written().map_or(PlcEvent::Served, PlcEvent::Output))
     }
 
-    /// Whether a PLC has been silent for so long, in milliseconds; says so once.
+    /// Returns, once per silence, whether a PLC has been silent for `timeout_ms`.
     fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
         let silent = self.role == Role::Plc
             && timeout_ms > 0
@@ -188,7 +188,7 @@ impl Modbus {
 impl Listed for Modbus {
     type Turn<'a> = ModbusLine<'a>;
 
-    // Apart: what is built anew here would be on the stack beside that of the other sides.
+    // Not inlined: the new server would be on the stack together with the frames of the other sides.
     #[inline(never)]
     fn start(&mut self, config: &Config, _: BoardId) {
         *self = Self::new(config);
@@ -199,7 +199,7 @@ impl Listed for Modbus {
     }
 }
 
-/// The server's own configuration.
+/// Returns the configuration of the protocol server.
 const fn server_config(config: &BusConfig) -> rtu::Config {
     let mode = match config.character_timeout_ms {
         0 => Mode::Strict,
@@ -209,14 +209,14 @@ const fn server_config(config: &BusConfig) -> rtu::Config {
 }
 
 /// A [`Modbus`] server and its line.
-// By `dyn`: the code for the PLC's bus and that for the service port are one.
+// `dyn`: PLC's bus and service port share one copy of the code.
 pub struct ModbusLine<'a> {
     modbus: &'a mut Modbus,
     port: &'a mut dyn BusPort,
 }
 
 impl ModbusLine<'_> {
-    /// What the line has brought; none when there is nothing to serve, which is nearly always.
+    /// Returns the next input of the line; usually `None`, because nothing is to be served.
     fn listen(&mut self) -> Option<RxEvent> {
         match self.port.receive() {
             Some((character, silence_us)) => Some(RxEvent::Character(character, silence_us)),
@@ -246,11 +246,11 @@ impl PlcSide for ModbusLine<'_> {
         is_silent.then_some(PlcEvent::Left { silent: true })
     }
 
-    /// Each request is answered with what is known at its time.
+    /// Does nothing: each request is answered with the state at its time.
     fn show(&mut self, _: Instant, _: &Shown) {}
 }
 
-/// The bridge as a device, for one request.
+/// The bridge as a Modbus device, for one request.
 struct BridgeDevice<'a, 'b> {
     role: Role,
     images: &'a mut Images,
@@ -260,8 +260,8 @@ struct BridgeDevice<'a, 'b> {
 }
 
 impl BridgeDevice<'_, '_> {
-    /// Whether so many items of the output image may be written, of `all` that there are. The service port moves nothing: 01,
-    /// or 02 as everywhere if one of them does not exist.
+    /// Checks a write to `count` of the `all` items of the output image. The service port rejects it with exception 01, or 02
+    /// if an item does not exist.
     fn may_command(&self, first: u16, count: u16, all: u16) -> Result<(), Exception> {
         match self.role {
             Role::Service if first.saturating_add(count) <= all => Err(Exception::IllegalFunction),
@@ -270,14 +270,14 @@ impl BridgeDevice<'_, '_> {
         }
     }
 
-    /// Writes to a command register, one at a time.
+    /// Writes to one command register.
     fn command(&mut self, index: u16, values: Words<'_>) -> Result<(), RegisterError> {
         let mut keys = values.iter();
         let (Some(key), None) = (keys.next(), keys.next()) else { return Err(RegisterError::Value) };
         self.view.command_store(StoreCommand::of_register(index, key)?)
     }
 
-    /// The input image is the gripper's: without one there is nothing to show.
+    /// Checks that the gripper answers. Without a gripper there is no input image.
     fn gripper_answers(&self) -> Result<(), Exception> {
         match self.view.link() {
             Link::Never => Err(Exception::GatewayPathUnavailable),
@@ -287,7 +287,7 @@ impl BridgeDevice<'_, '_> {
     }
 }
 
-/// The exception that says so.
+/// Returns the exception for an error.
 const fn exception(error: RegisterError) -> Exception {
     match error {
         RegisterError::Missing => Exception::IllegalDataAddress,

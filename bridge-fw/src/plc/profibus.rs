@@ -1,10 +1,10 @@
-//! PROFIBUS DP as a PLC side (fieldbus, chapters 2, 5 and 6): what the master wrote as output images, input image and diagnosis
-//! back. The slave itself is `bus_profibus`'s.
+//! PROFIBUS DP as a PLC side (fieldbus, chapters 2, 5 and 6): converts the master's output data to output images, and returns
+//! input image and diagnosis. `bus_profibus` implements the slave.
 //!
-//! A master waits for its answer for 60 to 150 bit times, which is 100 µs at 1.5 Mbit/s, and a turn of the main loop takes
-//! a millisecond. So the slave belongs to the interrupt handler of its UART ([`DpResponder`]), and moves nothing: every image
-//! that differs from the one before waits in [`DpBuffers`] until the main loop takes it ([`Profibus`]), and passes the arbiter
-//! there as that of any other bus.
+//! A master waits 60 to 150 bit times for a response, 100 µs at 1.5 Mbit/s, whereas a turn of the main loop takes 1 ms.
+//! Therefore the slave runs in the interrupt handler of its UART ([`DpResponder`]) and commands no motion. It queues each
+//! changed image in [`DpBuffers`]. The main loop reads the queue ([`Profibus`]) and passes the images to the arbiter, like
+//! the images of any other bus.
 
 mod config;
 mod responder;
@@ -22,49 +22,49 @@ use super::side::{BoardId, PlcEvent, PlcSide, Shown};
 use super::{Config, Listed, SideReports, View};
 use crate::register::report_rows;
 
-/// What is reported about PROFIBUS: state, rate of the line, intact telegrams, damaged ones, as registers.
+/// Reports on PROFIBUS as registers: state, line rate, intact telegrams, damaged telegrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ProfibusReports([u16; 4]);
 
 impl ProfibusReports {
-    /// The reports of a bridge whose PLC does not use PROFIBUS: all 0.
+    /// Creates the reports of a bridge that does not use PROFIBUS: all 0.
     pub(crate) const fn new(_: &Config) -> Self {
         Self([0; 4])
     }
 }
 
 report_rows! { ProfibusReports as it:
-    206 "PROFIBUS_STATE" "PROFIBUS: 0 it is not the PLC's bus, 1 no telegram is heard, 2 a master has to send parameters, 3 its configuration, 4 data exchange"
+    206 "PROFIBUS_STATE" "PROFIBUS state: 0 not the PLC's bus, 1 no telegrams received, 2 waiting for parameters, 3 waiting for configuration, 4 data exchange"
         it.0[0];
-    207 "PROFIBUS_LINE" "PROFIBUS: the line's rate in 100 bit/s; with state 1 one that is tried"
+    207 "PROFIBUS_LINE" "PROFIBUS line rate in 100 bit/s; in state 1 the rate being tried"
         it.0[1];
-    208 "PROFIBUS_TELEGRAMS" "PROFIBUS: intact telegrams, for whatever station" it.0[2];
-    209 "PROFIBUS_DAMAGED" "PROFIBUS: what was no telegram, such as noise or one with a wrong check sum"
+    208 "PROFIBUS_TELEGRAMS" "PROFIBUS: intact telegrams for any station" it.0[2];
+    209 "PROFIBUS_DAMAGED" "PROFIBUS: noise and telegrams with errors, such as a wrong checksum"
         it.0[3];
 }
 
-/// The value of PROFIBUS_STATE where no telegram is heard; those behind it are the slave's states.
+/// PROFIBUS_STATE without received telegrams. Greater values are the slave's states.
 const NOT_HEARD: u8 = 1;
 
 /// The main loop's end of PROFIBUS.
 ///
-/// When the master releases the bridge, clears its outputs, lets its watchdog expire or is silent for BUS_TIMEOUT, the bridge
-/// reacts as BUS_REACTION says.
+/// The bridge reacts according to BUS_REACTION when the master releases it, clears its outputs, lets its watchdog expire or
+/// is silent for BUS_TIMEOUT.
 #[derive(Debug)]
 pub struct Profibus {
     buffers: &'static DpBuffers,
     search: BaudSearch,
-    /// What the master wrote last; none while it does not command.
+    /// Last output image of the master; `None` while it does not command.
     written: Option<OutputImage>,
-    /// When it did, changed or not; none once that is too long ago.
+    /// Time of the last output data, changed or not; `None` after a time-out.
     heard_at: Option<Instant>,
-    /// As `buffers` had it when this was looked at last.
+    /// Last value of the exchange counter of `buffers`.
     exchanges: u32,
     telegrams: Count,
     damaged: Count,
 }
 
-/// A count that stops at its end, of one that wraps.
+/// A saturating count that follows a wrapping one.
 #[derive(Debug)]
 struct Count {
     total: u16,
@@ -81,7 +81,7 @@ impl Count {
 }
 
 impl Profibus {
-    /// The end of these buffers, of which there is one.
+    /// Creates the main loop's end of these buffers. Create only one for each.
     #[must_use]
     pub const fn new(buffers: &'static DpBuffers) -> Self {
         Self {
@@ -95,7 +95,7 @@ impl Profibus {
         }
     }
 
-    /// Takes address and rate, which the handler takes with its next step. Before the first turn alone.
+    /// Sets address and rate, which the handler applies in its next step. Called only before the first turn.
     pub fn start(&mut self, config: ProfibusConfig) {
         static RATES: [Baud; 7] = ProfibusConfig::RATES;
         let is_set = |rate: &Baud| config.rate.is_none_or(|set| set == *rate);
@@ -112,14 +112,14 @@ impl Profibus {
         }
     }
 
-    /// What the bridge's registers tell of it.
+    /// Returns the values of the report registers.
     fn reports(&self) -> ProfibusReports {
         let state = if self.search.is_found() { self.buffers.state() } else { NOT_HEARD };
         let rate = self.search.baud().map_or(0, |rate| (rate.bit_s() / 100) as u16);
         ProfibusReports([state.into(), rate, self.telegrams.total, self.damaged.total])
     }
 
-    /// What the master did, as far as it has not been said.
+    /// Returns the next queued event of the master.
     fn take(&mut self, now: Instant) -> Option<PlcEvent> {
         while let Some(event) = self.buffers.take() {
             match event {
@@ -131,7 +131,7 @@ impl Profibus {
                 }
                 FromMaster::Left { silent } => {
                     self.written = None;
-                    // Else it has been silent for BUS_TIMEOUT already.
+                    // Otherwise the time-out has already been reported.
                     if self.heard_at.take().is_some() {
                         return Some(PlcEvent::Left { silent });
                     }
@@ -141,7 +141,7 @@ impl Profibus {
         None
     }
 
-    /// A master that has written the same again; the image, if it was away for BUS_TIMEOUT.
+    /// Handles unchanged output data. Returns the image if the master resumes after a time-out.
     fn hear(&mut self, now: Instant) -> Option<PlcEvent> {
         let exchanges = self.buffers.exchanges();
         if core::mem::replace(&mut self.exchanges, exchanges) == exchanges {
@@ -151,7 +151,7 @@ impl Profibus {
         self.heard_at.replace(now).is_none().then_some(PlcEvent::Output(written))
     }
 
-    /// Whether a master without a watchdog has been silent for so long, in milliseconds; says so once.
+    /// Returns, once per silence, whether a master without a watchdog has been silent for `timeout_ms`.
     fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
         let silent =
             timeout_ms > 0 && self.heard_at.is_some_and(|heard_at| now.since(heard_at) >= timeout_ms);

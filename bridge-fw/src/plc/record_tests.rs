@@ -14,7 +14,7 @@ fn with(name: &str, value: u16) -> Record {
 }
 
 #[test]
-fn the_default_configuration_survives_its_record() {
+fn default_configuration_survives_its_record() {
     let config = Config::from_record(&DEFAULT).unwrap();
     assert_eq!(config.record(), DEFAULT);
     assert_eq!((config.plc_bus, config.gripper_line), (PlcBus::Modbus, GripperLine::Serial));
@@ -24,7 +24,7 @@ fn the_default_configuration_survives_its_record() {
 }
 
 #[test]
-fn what_a_configuration_has_out_of_range_becomes_the_nearest() {
+fn values_of_a_configuration_are_clamped_to_their_ranges() {
     for (baud, rate) in [(0, 12), (6_560_000, 2_304), (u32::MAX, 2_304)] {
         let config = Config { bus: BusConfig { baud, ..Config::DEFAULT.bus }, ..Config::DEFAULT };
         assert_eq!(config.record(), with("MODBUS_RATE", rate), "{baud}");
@@ -32,9 +32,9 @@ fn what_a_configuration_has_out_of_range_becomes_the_nearest() {
 }
 
 proptest! {
-    /// Every record is refused, or is that of the configuration it makes: nothing in it is passed over.
+    /// Every record is either refused or returned by its configuration, so no value is ignored.
     #[test]
-    fn what_is_taken_is_taken_whole(record in SETTINGS.iter()
+    fn accepted_record_is_applied_completely(record in SETTINGS.iter()
         .map(|setting| prop_oneof![4 => setting.least..=setting.most, 1 => Just(setting.least), 1 => Just(setting.most)])
         .collect::<Vec<_>>())
     {
@@ -46,7 +46,7 @@ proptest! {
 }
 
 #[test]
-fn each_setting_is_held_to_its_range() {
+fn value_out_of_range_is_refused_for_each_setting() {
     for (at, setting) in SETTINGS.iter().enumerate() {
         for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
             let mut record = DEFAULT;
@@ -62,12 +62,12 @@ fn can_has_four_rates() {
         assert_eq!(Config::from_record(&with("CAN_RATE", rate)).unwrap().can.kbit_rate, rate);
     }
     let error = Config::from_record(&with("CAN_RATE", 300)).unwrap_err();
-    assert_eq!(error.to_string(), "CAN_RATE takes 125 to 1000: the rate of CAN: 125, 250, 500 or 1000");
+    assert_eq!(error.to_string(), "CAN_RATE takes 125 to 1000: rate of CAN: 125, 250, 500 or 1000");
 }
 
 #[test]
-fn the_gripper_gets_none_of_the_identifiers_of_canopen() {
-    // 101h is free, and so is the next; 100h is a time stamp's, and 17Fh + 1 is TPDO1's of node 0, which there is not.
+fn identifiers_of_canopen_are_refused_for_the_gripper() {
+    // 101h and 102h are free. 100h is the time stamp, and 180h, TPDO1 of node 0, is reserved although node 0 does not exist.
     for (id, is_free) in [(0x101, true), (0x100, false), (0x180, false), (0x120, true), (0, false)] {
         assert_eq!(Config::from_record(&with("CAN_ID", id)).is_ok(), is_free, "{id:#x}");
     }
@@ -90,18 +90,18 @@ fn profibus_has_seven_rates_and_the_search_for_one() {
     assert_eq!(rates, ProfibusConfig::RATES.map(Some));
     assert!(rate(455).is_err());
     let error = rate(1_152).unwrap_err().to_string();
-    assert!(error.starts_with("PROFIBUS_RATE takes 0 to 15000: the rate of PROFIBUS: 96, 192,"), "{error}");
+    assert!(error.starts_with("PROFIBUS_RATE takes 0 to 15000: rate of PROFIBUS: 96, 192,"), "{error}");
 }
 
 #[test]
-fn the_bus_has_one_of_the_recipes_or_none() {
+fn bus_recipe_selects_a_recipe_or_none() {
     for (number, recipe) in [(0, Some(0)), (15, Some(15)), (16, None)] {
         assert_eq!(Config::from_record(&with("BUS_RECIPE", number)).unwrap().bus_recipe, recipe);
     }
 }
 
 #[test]
-fn bridge_and_master_are_two_nodes() {
+fn bridge_and_master_need_different_node_ids() {
     assert!(Config::from_record(&with("CAN_NODE", 0x7F)).is_err());
     assert_eq!(Config::from_record(&with("CAN_NODE", 5)).unwrap().can.node.node, 5);
 }

@@ -1,47 +1,47 @@
-//! The settings as they are while the bridge runs, those that are stored, and what shall be done with them.
+//! The current settings, the stored settings, and the pending store command.
 
 use super::{Config, RANGES, Record, check_sides, place_of};
 use crate::recipe::Recipe;
 use crate::register::{RegisterError, StoreCommand};
 
-/// The values of [`SETTINGS`]: always inside their ranges, and such as go together.
+/// Values of [`SETTINGS`], always in range and without conflicts.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Settings {
     values: Record,
-    /// Those that count from the next start on.
+    /// Stored values, which apply from the next start on.
     stored: Record,
-    /// What shall be done with them at the end of the turn.
+    /// Store command to execute at the end of the turn.
     asked: Option<StoreCommand>,
 }
 
 impl Settings {
-    /// Where BUS_TIMEOUT stands, counted from [`FIRST_SETTING`].
+    /// Index of BUS_TIMEOUT, counted from [`FIRST_SETTING`].
     pub(crate) const TIMEOUT: u16 = place_of("BUS_TIMEOUT") as u16;
 
-    /// What the configuration says, each value brought into its range.
+    /// Creates settings from a configuration, each value clamped to its range.
     pub(crate) const fn new(config: &Config) -> Self {
         let values = config.record();
         Self { values, stored: values, asked: None }
     }
 
-    /// Takes what the configuration says in place of all that it has: in its place, as a copy would be on the stack.
+    /// Replaces all settings with a configuration, in place to save stack.
     pub(crate) fn start(&mut self, config: &Config) {
         self.values = config.record();
         self.stored = self.values;
         self.asked = None;
     }
 
-    /// All values, in the order of [`SETTINGS`].
+    /// Returns all values, in the order of [`SETTINGS`].
     pub(crate) const fn record(&self) -> &Record {
         &self.values
     }
 
-    /// The register at this address, counted from [`FIRST_SETTING`].
+    /// Returns the setting at this index, counted from [`FIRST_SETTING`].
     pub(crate) fn register(&self, index: u16) -> Result<u16, RegisterError> {
         self.values.get(usize::from(index)).copied().ok_or(RegisterError::Missing)
     }
 
-    /// Whether registers from this one on exist and take these values.
+    /// Checks whether the registers from `first` on exist and accept these values.
     pub(crate) fn check(
         &self,
         first: u16,
@@ -54,7 +54,7 @@ impl Settings {
             let (least, most) = *ranges.next().ok_or(RegisterError::Missing)?;
             fits &= (least..=most).contains(&value);
         }
-        // Not by a record: another one would be on the stack.
+        // No second record: it would be on the stack.
         let after = |place: usize| {
             let written = place.checked_sub(first).and_then(|n| values.clone().nth(n));
             written.or_else(|| self.values.get(place).copied()).unwrap_or_default()
@@ -62,7 +62,7 @@ impl Settings {
         if fits && check_sides(&after).is_ok() { Ok(()) } else { Err(RegisterError::Value) }
     }
 
-    /// Writes registers from this one on; all or, when one does not exist or does not take its value, none.
+    /// Writes the registers from `first` on, all or, if one does not exist or rejects its value, none.
     pub(crate) fn write(
         &mut self,
         first: u16,
@@ -76,17 +76,17 @@ impl Settings {
         Ok(())
     }
 
-    /// Takes these values; they are not stored.
+    /// Applies these values without storing them.
     pub(crate) const fn take(&mut self, values: &Record) {
         self.values = *values;
     }
 
-    /// Takes the stored values.
+    /// Applies the stored values.
     pub(crate) const fn restore(&mut self) {
         self.values = self.stored;
     }
 
-    /// They are stored as they are.
+    /// Marks the current values as stored.
     pub(crate) const fn are_stored(&mut self) {
         self.stored = self.values;
     }
@@ -95,7 +95,7 @@ impl Settings {
         self.values != self.stored
     }
 
-    /// Has them stored, or the delivered ones taken and stored, at the end of the turn.
+    /// Schedules a store command for the end of the turn.
     pub(crate) const fn ask(&mut self, command: StoreCommand) {
         self.asked = Some(command);
     }
@@ -120,7 +120,7 @@ impl Settings {
         Recipe::of(&self.values, number)
     }
 
-    /// The recipe that the bus's commands take, if they take one.
+    /// Returns the recipe for bus commands, if BUS_RECIPE selects one.
     pub(crate) fn bus_recipe(&self) -> Option<Recipe> {
         self.recipe(self.values[const { place_of("BUS_RECIPE") }].into())
     }
@@ -135,7 +135,7 @@ mod tests {
     use wsg_fieldbus::SilenceReaction;
 
     #[test]
-    fn settings_begin_as_the_configuration_says() {
+    fn settings_start_with_the_values_of_the_configuration() {
         let settings = Settings::new(&Config::DEFAULT);
         for (number, recipe) in RECIPES.iter().enumerate() {
             assert_eq!(settings.recipe(number), Some(*recipe));
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_configuration_has_out_of_range_becomes_the_nearest() {
+    fn values_of_the_configuration_are_clamped_to_their_ranges() {
         let config = Config {
             wires: WiresConfig { debounce_ms: 0x1_0005, min_busy_ms: u32::MAX },
             half_frame_ms: 0,
@@ -166,15 +166,15 @@ mod tests {
     }
 
     #[test]
-    fn every_setting_takes_its_range_and_nothing_else() {
+    fn every_setting_accepts_its_range_and_nothing_else() {
         for (index, setting) in SETTINGS.iter().enumerate() {
             let mut settings = Settings::new(&Config::DEFAULT);
-            // What these take depends on each other and on CANopen.
+            // The valid values of these depend on each other and on CANopen.
             let is_free = !matches!(setting.name, "CAN_ID" | "CAN_NODE" | "CAN_MASTER");
             for value in [setting.least, setting.most].into_iter().filter(|_| is_free) {
                 settings.write(index as u16, [value].into_iter()).unwrap();
                 assert_eq!(settings.register(index as u16), Ok(value), "{}", setting.name);
-                assert!(Config::from_record(settings.record()).is_ok(), "a start takes it: {}", setting.name);
+                assert!(Config::from_record(settings.record()).is_ok(), "valid at a start: {}", setting.name);
             }
             for value in [setting.least.checked_sub(1), setting.most.checked_add(1)].into_iter().flatten() {
                 let refused = settings.write(index as u16, [value].into_iter());
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn values_that_do_not_go_together_are_refused_and_both_at_once_are_not() {
+    fn conflicting_values_are_refused_and_a_consistent_pair_is_accepted() {
         let mut settings = Settings::new(&Config::DEFAULT);
         for (name, value) in [
             ("CAN_RATE", 300),
@@ -203,20 +203,20 @@ mod tests {
     }
 
     #[test]
-    fn wrong_setting_is_named_with_what_it_takes() {
+    fn wrong_setting_is_reported_with_its_range() {
         let mut record = Config::DEFAULT.record();
         record[place_of("BUS_REACTION")] = 3;
         let wrong = Config::from_record(&record).unwrap_err();
         assert_eq!(wrong, WrongSetting { at: place_of("BUS_REACTION") });
         assert!(wrong.to_string().starts_with("BUS_REACTION takes 0 to 2: "), "{wrong}");
-        assert_eq!(WrongSetting { at: SETTINGS.len() }.to_string(), "there is no such setting");
+        assert_eq!(WrongSetting { at: SETTINGS.len() }.to_string(), "no such setting");
     }
 
     #[test]
     fn write_with_one_wrong_value_changes_nothing() {
         let mut settings = Settings::new(&Config::DEFAULT);
         let refused = settings.write(0, [9; 3].into_iter());
-        assert_eq!(refused, Err(RegisterError::Value), "there is no reaction 9");
+        assert_eq!(refused, Err(RegisterError::Value), "9 is no reaction");
         assert_eq!(settings.register(0), Ok(1));
         let past_the_end = settings.write(SETTINGS.len() as u16 - 1, [9; 2].into_iter());
         assert_eq!(past_the_end, Err(RegisterError::Missing));

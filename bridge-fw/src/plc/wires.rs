@@ -1,4 +1,4 @@
-//! Digital I/O as a PLC side: wires in, output image out; input image in, wires out.
+//! Digital I/O as a PLC side: converts input wires to the output image, and the input image to output wires.
 
 use super::motion_end::MOTION_STATES;
 use super::side::{PlcEvent, PlcSide, Shown};
@@ -9,7 +9,7 @@ use crate::register::{Link, saturate, setting_rows};
 use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Instant, Status, SystemFlags};
 
-/// Each command wire and the flag that it stands for. FAST STOP is apart: its wire is active low.
+/// Command wires and their flags. FAST STOP is separate, because its wire is active low.
 const COMMANDS: [(Inputs, CommandFlags); 5] = [
     (Inputs::MOVE, CommandFlags::MOVE),
     (Inputs::GRIP, CommandFlags::GRIP),
@@ -18,49 +18,50 @@ const COMMANDS: [(Inputs, CommandFlags); 5] = [
     (Inputs::STOP_ACK, CommandFlags::STOP_ACK),
 ];
 
-/// How long BUSY answers an edge that bridge or gripper refuses, in milliseconds, whatever MIN_BUSY is: the cycle of a slow PLC.
+/// Duration of BUSY after a refused edge, in milliseconds, regardless of a shorter MIN_BUSY. It covers the cycle of a slow
+/// PLC.
 const REFUSAL_MS: u32 = 50;
 
-/// What can be set about the wires.
+/// Timing of the wires.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WiresConfig {
-    /// How long a wire must keep its level before it counts, in milliseconds.
+    /// Debounce time of the inputs, in milliseconds.
     pub debounce_ms: u32,
-    /// How long BUSY is high at least, in milliseconds: fingers that are at their goal already would show it for less than
-    /// a PLC's cycle.
+    /// Minimum duration of BUSY, in milliseconds. A motion whose target is already reached would otherwise show BUSY for less
+    /// than a PLC's cycle.
     pub min_busy_ms: u32,
 }
 
 impl WiresConfig {
-    /// Debounced for 2 ms, BUSY for at least 50 ms.
+    /// 2 ms debounce, BUSY for at least 50 ms.
     pub const DEFAULT: Self = Self { debounce_ms: 2, min_busy_ms: 50 };
 }
 
 setting_rows! { WiresConfig:
-    106 "DEBOUNCE" "ms" (0, 1_000) "how long a wire must keep its level; a low FAST_STOP_OK counts at once, whatever is set here"
+    106 "DEBOUNCE" "ms" (0, 1_000) "debounce time of the input wires; FAST_STOP_OK low takes effect immediately, regardless of this setting"
         debounce_ms: |it| saturate(it), |value| Some(value.into());
-    107 "MIN_BUSY" "ms" (0, 10_000) "how long the wire BUSY is high at the least; for the refusal of a command, at least 50 ms"
+    107 "MIN_BUSY" "ms" (0, 10_000) "minimum duration of the wire BUSY; at least 50 ms after a refused command"
         min_busy_ms: |it| saturate(it), |value| Some(value.into());
 }
 
-/// The wires between a PLC and the register images.
+/// Conversion between the wires of a PLC and the register images.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Wires {
     debounce: Debounce,
-    /// The wires as they count now; none before they have settled after power-up.
+    /// Debounced levels; `None` until all wires have settled after power-up.
     levels: Option<Inputs>,
     image: OutputImage,
     min_busy_ms: u32,
-    /// When the wire of a motion rose last, or BUSY did: it is high for some time from then on at least.
+    /// Time at which a motion wire or BUSY last rose. BUSY stays high for a minimum time from then.
     busy_since: Option<Instant>,
-    /// A motion has run since BUSY rose: its result shows when BUSY falls.
+    /// A motion has run since BUSY rose. Its result is shown when BUSY falls.
     has_run: bool,
-    /// What the PLC is shown.
+    /// Output levels for the PLC.
     shown: Outputs,
 }
 
 impl Wires {
-    /// Wires before their first reading.
+    /// Creates the state before the first reading.
     #[must_use]
     pub(crate) const fn new(WiresConfig { debounce_ms, min_busy_ms }: WiresConfig) -> Self {
         Self {
@@ -74,22 +75,22 @@ impl Wires {
         }
     }
 
-    /// Whether the PLC is shown READY: the edge of a command wire is refused while it is not.
+    /// Returns whether READY is high. While it is low, an edge of a command wire is refused.
     pub(crate) const fn is_ready(&self) -> bool {
         self.shown.contains(Outputs::READY)
     }
 
-    /// Takes over settings, from the next reading on.
+    /// Applies settings, from the next reading on.
     pub(crate) fn configure(&mut self, settings: &Settings) {
         let config = settings.wires();
         self.debounce.set_period(config.debounce_ms);
         self.min_busy_ms = config.min_busy_ms;
     }
 
-    /// Takes a reading of the wires; the output image when it has changed.
+    /// Processes a reading of the wires. Returns the output image if it has changed.
     ///
-    /// Reads the recipe when its command rises. The arbiter ignores the parameters of a command that rises while READY is low:
-    /// a parameter that changes during a motion is a FAST STOP (fieldbus, table 1).
+    /// Reads the recipe when its command rises. The arbiter ignores the parameters of a command that rises while READY is
+    /// low, because a parameter change during a motion causes a FAST STOP (fieldbus, table 1).
     fn update(
         &mut self,
         now: Instant,
@@ -110,16 +111,16 @@ impl Wires {
         self.image.flags = flags;
         let held = CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP);
         if before.is_some() && rising.intersects(CommandFlags::MOTIONS) && !flags.intersects(held) {
-            // Whatever becomes of the command, the PLC sees BUSY: an ERROR may have been high before.
+            // Every command shows BUSY, even a refused one: ERROR may have been high before.
             self.busy_since = Some(now);
         }
         self.take_recipe(rising, levels, recipe);
         Some(&self.image)
     }
 
-    /// FAST STOP before all wires have settled after power-up: it must not wait for a command wire that chatters.
+    /// Reports FAST STOP before all wires have settled after power-up, so that a bouncing command wire does not delay it.
     ///
-    /// All other flags are shown set, which FASTSTOP overrules, so that none of them rises when the wires settle.
+    /// All command flags are set as well, so that none of them rises when the wires settle. FASTSTOP overrules them.
     fn early_fast_stop(&mut self) -> Option<&OutputImage> {
         let wanted = self.debounce.is_settled_low(Inputs::FAST_STOP_OK);
         if !wanted || self.image.flags.contains(CommandFlags::FASTSTOP) {
@@ -130,12 +131,12 @@ impl Wires {
         Some(&self.image)
     }
 
-    /// These wires as they are read now: a PLC side for one turn.
+    /// Returns these wires with their current reading: a PLC side for one turn.
     pub(crate) const fn read(&mut self, reading: Inputs) -> WiresRead<'_> {
         WiresRead { wires: self, reading }
     }
 
-    /// The wires to the PLC.
+    /// Returns the output levels for the PLC.
     pub(crate) const fn shown(&self) -> Outputs {
         self.shown
     }
@@ -150,13 +151,13 @@ impl Wires {
         let mut outputs = Outputs::empty();
         outputs.set(Outputs::ERROR, has_error(shown));
         if shown.link != Link::Up {
-            // Nothing is known of the gripper, whatever it has told so far.
+            // The last reported state of the gripper is no longer valid.
             return outputs;
         }
         outputs.set(Outputs::LINK_OK, true);
         outputs.set(Outputs::READY, !busy && !locked && released && !shown.ignores_motions);
         outputs.set(Outputs::BUSY, busy);
-        // A result shows when BUSY falls, not before. While BUSY answers a refused edge, the last result stays.
+        // A result is shown when BUSY falls, not before. While BUSY answers a refused edge, the last result stays.
         let is_over = !self.has_run;
         outputs.set(Outputs::HOLDING, has(GripperFlags::HOLDING) && is_over);
         outputs.set(
@@ -167,8 +168,8 @@ impl Wires {
         outputs
     }
 
-    /// Whether a motion runs or has not answered, or a command was given too recently for a PLC to have seen BUSY. What
-    /// locks the gripper ends BUSY at once: READY stays low then.
+    /// Returns whether a motion runs or has not been answered, or a command is too recent for a PLC to have seen BUSY. A
+    /// locked gripper ends BUSY immediately, because READY stays low.
     fn is_busy(&mut self, now: Instant, shown: &Shown) -> bool {
         let gripper = &shown.image;
         let runs = is_moving(gripper) || (shown.motion_is_open && !is_error(gripper));
@@ -191,7 +192,7 @@ impl Wires {
         recipe: impl FnOnce(usize) -> Option<(Recipe, ForceUnit)>,
     ) {
         let with_recipe = CommandFlags::MOVE | CommandFlags::GRIP | CommandFlags::RELEASE;
-        // As the controller does: of several the lowest bit counts.
+        // The lowest of several flags takes effect, as in the controller.
         let Some(command) = rising.intersection(with_recipe).lowest() else { return };
         let number =
             usize::from(levels.contains(Inputs::RECIPE0)) + 2 * usize::from(levels.contains(Inputs::RECIPE1));
@@ -201,7 +202,7 @@ impl Wires {
     }
 }
 
-/// [`Wires`] and their levels.
+/// [`Wires`] with their current reading.
 #[derive(Debug)]
 pub(crate) struct WiresRead<'a> {
     wires: &'a mut Wires,
@@ -220,18 +221,18 @@ impl PlcSide for WiresRead<'_> {
     }
 }
 
-/// Whether a motion is shown to be carried out, or the fingers to move for another reason.
+/// Returns whether a motion is in progress, or the fingers move for another reason.
 fn is_moving(gripper: &InputImage) -> bool {
     gripper.state.intersects(MOTION_STATES) || gripper.system.contains(SystemFlags::MOVING)
 }
 
-/// Whether the wire ERROR is high.
+/// Returns whether the wire ERROR is high.
 pub(crate) fn has_error(shown: &Shown) -> bool {
     is_error(&shown.image) || shown.refused_meanwhile
 }
 
-/// FAST STOP, a fault, or a last command that was refused, failed or has an unknown outcome. That no part was found is
-/// a result, not an error.
+/// Returns whether the image shows FAST STOP, a fault, or a last command that was refused, failed or has an unknown outcome.
+/// A missing part is a result, not an error.
 fn is_error(gripper: &InputImage) -> bool {
     let no_part = gripper.status == Status::CmdFailed && gripper.state.contains(GripperFlags::NO_PART);
     let failed = !matches!(gripper.status, Status::Success | Status::CmdPending) && !no_part;
@@ -246,7 +247,7 @@ mod tests {
 
     const NOTHING: InputImage = InputImage::from_bytes([0; InputImage::LEN]);
 
-    /// What is shown for these wires, and these flags of a gripper that stands.
+    /// Returns the outputs for these wires and the flags of a gripper at rest.
     fn shown_for(inputs: Inputs, system: SystemFlags) -> Outputs {
         shown_of(inputs, InputImage { system, ..NOTHING })
     }

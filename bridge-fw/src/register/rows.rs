@@ -1,42 +1,41 @@
-//! Rows of the register tables: each with its number and its accessor, so that every table can be assembled from parts.
+//! Rows of the register tables. Each row has its register number and its accessor, so that any module can contribute rows.
 
-/// A holding register that holds a setting.
+/// A setting in a holding register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Setting {
-    /// Its name.
+    /// Name in documents and tools.
     pub name: &'static str,
-    /// Its unit; empty for a number without one.
+    /// Unit; empty for a plain number.
     pub unit: &'static str,
-    /// The least value it takes.
+    /// Least valid value.
     pub least: u16,
-    /// The greatest value it takes.
+    /// Greatest valid value.
     pub most: u16,
-    /// What it is for.
+    /// Effect of the value, short enough for a table cell.
     pub meaning: &'static str,
 }
 
-/// An input register that reports on the bridge.
+/// A report on the bridge in an input register.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Report {
-    /// Its name.
+    /// Name in documents and tools.
     pub name: &'static str,
-    /// What it says.
+    /// Reported value, short enough for a table cell.
     pub meaning: &'static str,
 }
 
-/// Rows of a table, each with its register.
+/// Rows of a table, each with its register number.
 pub(crate) type Rows<T> = &'static [(u16, T)];
 
-/// Defines the settings of a configuration. A row has register, name, unit, range and meaning, then the field, the conversion to
-/// a register, and the conversion from one: `None` for a value that no bridge can use. The default is that of the configuration.
-/// An optional last line is a condition over all settings, with the register to report when it is not met.
+/// Defines the settings of a configuration. A row has register, name, unit, range and meaning, followed by the field and the
+/// conversions to and from a register. The latter returns `None` for an invalid value. The default is that of the
+/// configuration. An optional last line is a condition across settings, with the register to report if it is not met.
 macro_rules! setting_rows {
     ($config:ty: $(
         $register:literal $name:literal $unit:literal ($least:expr, $most:expr) $meaning:tt
         $($field:ident).+: |$is:ident| $read:expr, |$value:ident| $write:expr;
     )* $(together $culprit:literal: |$all:ident| $fits:expr;)?) => {
         impl $config {
-            /// The rows of its settings.
             pub(crate) const SETTINGS: $crate::register::Rows<$crate::register::Setting> = &[$(($register, $crate::register::Setting {
                 name: $name,
                 unit: $unit,
@@ -45,7 +44,7 @@ macro_rules! setting_rows {
                 meaning: $meaning,
             })),*];
 
-            /// Writes its settings to a record.
+            /// Writes the settings to a record.
             #[allow(clippy::indexing_slicing, reason = "a row outside of the record does not compile")]
             pub(crate) const fn put<const LEN: usize>(&self, record: &mut [u16; LEN]) {
                 $(record[const { $crate::register::place_in::<LEN>($register) }] = {
@@ -54,7 +53,7 @@ macro_rules! setting_rows {
                 };)*
             }
 
-            /// Takes its settings from the values at their places. Fails with the register whose value no bridge can have.
+            /// Reads the settings from the values, by index. Fails with the register of the first invalid value.
             pub(crate) fn take(&mut self, value_at: &impl Fn(usize) -> u16) -> Result<(), u16> {
                 $({
                     let $value = value_at(($register - $crate::register::FIRST_SETTING) as usize);
@@ -70,8 +69,8 @@ macro_rules! setting_rows {
                 Ok(())
             }
 
-            /// Returns whether a bridge can have these settings, which are in their ranges.
-            #[allow(dead_code, reason = "only those of PLC sides are checked by themselves")]
+            /// Checks these settings, which are in their ranges, for conflicts.
+            #[allow(dead_code, reason = "only the settings of PLC sides are checked separately")]
             pub(crate) fn check(value_at: &impl Fn(usize) -> u16) -> Result<(), u16> {
                 let mut config = Self::DEFAULT;
                 config.take(value_at)
@@ -80,15 +79,14 @@ macro_rules! setting_rows {
     };
 }
 
-/// Defines the reports that a value makes. A row has register, name, meaning and the register's value.
+/// Defines the reports of a type. A row has register, name, meaning and the register's value.
 macro_rules! report_rows {
     ($source:ty as $it:ident: $($register:literal $name:literal $meaning:literal $value:expr;)*) => {
         impl $source {
-            /// The rows of its reports.
             pub(crate) const REPORTS: $crate::register::Rows<$crate::register::Report> =
                 &[$(($register, $crate::register::Report { name: $name, meaning: $meaning })),*];
 
-            /// Returns the report in a register, or `None` if it is not one of these.
+            /// Returns the report in a register, or `None` if this type does not have the register.
             pub(crate) fn value_of(&self, register: u16) -> Option<u16> {
                 let $it = self;
                 Some(match register {
@@ -102,14 +100,14 @@ macro_rules! report_rows {
 
 pub(crate) use {report_rows, setting_rows};
 
-/// The place of a setting in a record of this length.
+/// Returns the index of a setting in a record of this length.
 pub(crate) const fn place_in<const LEN: usize>(register: u16) -> usize {
     let place = (register - super::FIRST_SETTING) as usize;
     assert!(place < LEN, "no setting has this register");
     place
 }
 
-/// Returns how many rows these parts have.
+/// Returns the number of rows in all parts.
 pub(crate) const fn count<T: Copy>(parts: &[Rows<T>]) -> usize {
     let (mut count, mut part) = (0, 0);
     while part < parts.len() {
@@ -121,8 +119,8 @@ pub(crate) const fn count<T: Copy>(parts: &[Rows<T>]) -> usize {
     count
 }
 
-/// Returns the table that consists of these parts, from register `first` on. At compile time, where a register that is missing or
-/// there twice does not compile.
+/// Assembles a table that starts at register `first`. Evaluated at compile time, where a missing or duplicate register is an
+/// error.
 pub(crate) const fn assembled<T: Copy, const LEN: usize>(first: u16, parts: &[Rows<T>]) -> [T; LEN] {
     #[expect(clippy::indexing_slicing, reason = "at compile time, where a wrong index does not compile")]
     {
@@ -145,7 +143,7 @@ pub(crate) const fn assembled<T: Copy, const LEN: usize>(first: u16, parts: &[Ro
     }
 }
 
-/// Returns a value as a register holds it, or the register's greatest.
+/// Converts a value to a register, saturating at 65 535.
 pub(crate) const fn saturate(value: u32) -> u16 {
     if value > u16::MAX as u32 { u16::MAX } else { value as u16 }
 }

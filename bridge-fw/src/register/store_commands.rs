@@ -1,104 +1,104 @@
-//! What can be done with the settings as a whole: registers that take a key, and what is reported of it.
+//! Commands for all settings at once: registers that accept a key, and reports on the outcome.
 
 use super::RegisterError;
 
-/// What is done with all settings at once.
+/// A command for all settings at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum StoreCommand {
-    /// Stores them.
+    /// Stores the current settings.
     Save,
-    /// Takes those again that are stored.
+    /// Applies the stored settings.
     Restore,
-    /// Takes those that the image was delivered with, and stores them.
+    /// Applies the settings of the image, and stores them.
     Defaults,
 }
 
-/// A holding register that does something when the key is written to it.
+/// A holding register that executes a command when the key is written to it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CommandRegister {
-    /// Its name.
+    /// Name in documents and tools.
     pub name: &'static str,
-    /// What it does.
+    /// Effect of the command, short enough for a table cell.
     pub meaning: &'static str,
-    /// The command.
+    /// Command that the key executes.
     pub command: StoreCommand,
 }
 
-/// The address of the first of [`COMMANDS`].
+/// Address of the first of [`COMMANDS`].
 pub const FIRST_COMMAND: u16 = 200;
 
-/// What a command register takes; anything else is refused. It reads 0.
+/// Key for all command registers. Other values are refused. Reads return 0.
 pub const COMMAND_KEY: u16 = 0x5AA5;
 
-/// The command registers, from [`FIRST_COMMAND`] on.
+/// Command registers, from [`FIRST_COMMAND`] on.
 pub const COMMANDS: [CommandRegister; 3] = [
     CommandRegister {
         name: "SAVE",
-        meaning: "stores the settings: they count after the next power-up too",
+        meaning: "stores the settings, so that they also apply after the next power-up",
         command: StoreCommand::Save,
     },
     CommandRegister {
         name: "RESTORE",
-        meaning: "takes the stored settings again, without a start",
+        meaning: "applies the stored settings without a restart",
         command: StoreCommand::Restore,
     },
     CommandRegister {
         name: "DEFAULTS",
-        meaning: "takes the settings that the image was delivered with, and stores them",
+        meaning: "applies the settings of the image, and stores them",
         command: StoreCommand::Defaults,
     },
 ];
 
 impl StoreCommand {
-    /// The command of the register at this address, counted from [`FIRST_COMMAND`], if this is its key.
+    /// Returns the command of the register at this index, counted from [`FIRST_COMMAND`], if `key` is correct.
     pub(crate) fn of_register(index: u16, key: u16) -> Result<Self, RegisterError> {
         let register = COMMANDS.get(usize::from(index)).ok_or(RegisterError::Missing)?;
         if key == COMMAND_KEY { Ok(register.command) } else { Err(RegisterError::Value) }
     }
 }
 
-/// Where the settings are from that the bridge started with.
+/// Source of the settings at the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum SettingsFrom {
-    /// The image: nothing was ever stored.
+    /// The image, because no settings were stored.
     #[default]
     Delivered,
     /// Flash.
     Stored,
-    /// Flash, by a firmware that knew fewer of them; the others are the image's.
+    /// Flash, written by older firmware with fewer settings. The image supplies the others.
     StoredByOlder,
-    /// The image: those in flash are a newer firmware's.
+    /// The image, because newer firmware wrote the settings in flash.
     RefusedNewer,
-    /// The image: one of those in flash is wrong.
+    /// The image, because a setting in flash is invalid.
     RefusedWrong,
-    /// The image: what is in flash is damaged.
+    /// The image, because the record in flash is damaged.
     RefusedDamaged,
-    /// The image: there is no flash for them.
+    /// The image, because the board has no flash for settings.
     NoFlash,
 }
 
 impl SettingsFrom {
-    /// Whether settings were stored that do not count: other ones than were set up.
+    /// Returns whether stored settings were refused, so that the bridge runs with other settings than those set up.
     pub(crate) const fn is_refusal(self) -> bool {
         matches!(self, Self::RefusedNewer | Self::RefusedWrong | Self::RefusedDamaged)
     }
 }
 
-/// How the last save went.
+/// State of the last save.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum SaveState {
-    /// There was none since the start.
+    /// No save since the start.
     #[default]
     Nothing,
-    /// It runs.
+    /// The save is running.
     Saving,
-    /// What was saved is stored, and was read back.
+    /// The settings are stored and verified.
     Saved,
-    /// It failed; what was stored before still is.
+    /// The save failed. The previously stored settings are kept.
     Failed,
 }
 
-/// What is reported of the settings in flash.
+/// Reports on the settings in flash.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct StoreReports {
     pub(crate) from: SettingsFrom,

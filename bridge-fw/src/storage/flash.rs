@@ -1,56 +1,56 @@
-//! What a board gives of its flash.
+//! Interface to a board's flash.
 //!
-//! `embedded-storage` has no such trait: its operations block until they are done, and its `read` fails as a whole
-//! where one double word cannot be read.
+//! `embedded-storage` does not fit: its operations block until completion, and its `read` fails completely if one double word
+//! is unreadable.
 
-/// Two pages of NOR flash that hold nothing else, programmed in double words of 64 bits.
+/// Two pages of NOR flash for settings only, programmed in double words of 64 bits.
 ///
-/// Erased is all ones. A double word is programmed once after an erase, or to all zeros. Operations are started and
-/// then asked about, so that no caller waits for one.
+/// Erased flash reads all ones. A double word can be programmed once after an erase, or to all zeros. Operations are started
+/// and polled, so that no caller waits.
 pub trait NorFlash {
-    /// Double words in a page.
+    /// Number of double words in a page.
     const PAGE_LEN: usize;
 
-    /// Reads a double word. No operation is running.
+    /// Reads a double word. Must not be called during an operation.
     ///
     /// # Errors
-    /// [`Unreadable`] for what a power cut left half programmed or half erased, as far as the flash notices, and from
-    /// [`Self::PAGE_LEN`] on. Flash that does not notice returns anything.
+    /// [`Unreadable`] for detected remains of a power cut during programming or erasing, and from [`Self::PAGE_LEN`] on.
+    /// Flash without detection returns arbitrary data.
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable>;
 
-    /// Starts to program a double word; [`poll`](Self::poll) says when it is done.
+    /// Starts to program a double word. [`poll`](Self::poll) returns the result.
     ///
     /// # Errors
-    /// A reason why it was not started.
+    /// The reason why the operation did not start.
     fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError>;
 
-    /// Starts to erase a page; [`poll`](Self::poll) says when it is done.
+    /// Starts to erase a page. [`poll`](Self::poll) returns the result.
     ///
     /// # Errors
-    /// A reason why it was not started.
+    /// The reason why the operation did not start.
     fn start_erase(&mut self, page: Page) -> Result<(), FlashError>;
 
-    /// Returns how the operation ended that was started last. Does not wait.
+    /// Returns the result of the last operation. Does not wait.
     ///
     /// # Errors
-    /// [`nb::Error::WouldBlock`] while it runs; then the flash's own report, if it failed.
+    /// [`nb::Error::WouldBlock`] during the operation, then its error if it failed.
     fn poll(&mut self) -> nb::Result<(), FlashError>;
 }
 
-/// One of the two pages.
+/// Page of the settings' flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Page {
-    /// The one at the lower address.
+    /// Page at the lower address.
     First,
-    /// The one at the higher address.
+    /// Page at the higher address.
     Second,
 }
 
 impl Page {
-    /// Both, in the order of their addresses.
+    /// Both pages, in the order of their addresses.
     pub const ALL: [Self; 2] = [Self::First, Self::Second];
 
-    /// The page that this is not.
+    /// Returns the other page.
     #[must_use]
     pub const fn other(self) -> Self {
         match self {
@@ -60,20 +60,20 @@ impl Page {
     }
 }
 
-/// A double word has more wrong bits than its error correction can put right.
+/// Error: a double word has more wrong bits than the error correction can handle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unreadable;
 
-/// Why the flash did not program or erase.
+/// Reason for a failed operation of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum FlashError {
-    /// The operation before still runs.
+    /// The previous operation is still running.
     Busy,
-    /// The page is write protected, or the flash cannot be unlocked.
+    /// The page is write-protected, or the flash cannot be unlocked.
     Protected,
-    /// The double word is programmed already.
+    /// The double word is already programmed.
     NotErased,
     /// Any other failure of the operation.
     Failed,
@@ -82,9 +82,9 @@ pub enum FlashError {
 impl core::fmt::Display for FlashError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.write_str(match self {
-            Self::Busy => "the flash is busy with the operation before",
-            Self::Protected => "the flash is write protected",
-            Self::NotErased => "the double word is programmed already",
+            Self::Busy => "the flash is busy with the previous operation",
+            Self::Protected => "the flash is write-protected",
+            Self::NotErased => "the double word is already programmed",
             Self::Failed => "the flash reports a failed operation",
         })
     }
@@ -92,7 +92,7 @@ impl core::fmt::Display for FlashError {
 
 impl core::error::Error for FlashError {}
 
-/// No flash, for a board that keeps no settings: a start finds none, and a save fails.
+/// No flash, for a board without persistent settings. A load finds none, and a save fails.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoFlash;
 

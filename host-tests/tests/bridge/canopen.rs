@@ -1,4 +1,4 @@
-//! A PLC on CAN, in virtual time. The master's frames are made and read by `canopen-rs`, a third-party library.
+//! A PLC on CAN, in virtual time. The third-party library `canopen-rs` encodes and decodes the master's frames.
 
 use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
@@ -25,16 +25,16 @@ use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
 use wsg_sim::{Config, Part, Time};
 
 const NODE: NodeConfig = DEFAULT_NODE;
-/// BUS_TIMEOUT as delivered.
+/// Default of BUS_TIMEOUT.
 const TIMEOUT_MS: u32 = 1_000;
 
 /// A master on the bus.
 struct Master {
     bench: CanBench,
-    /// The last image that was sent.
+    /// The last image sent.
     image: [u8; 8],
     heard: Vec<(u32, u16, Vec<u8>)>,
-    /// Sends its heartbeat every 200 ms.
+    /// Whether the master sends its heartbeat every 200 ms.
     beats: bool,
 }
 
@@ -44,7 +44,8 @@ impl Master {
         Self { bench, image: [0; 8], heard: Vec::new(), beats: false }
     }
 
-    /// Operational, connected, FAST STOP acknowledged, homed; the heartbeat goes on by itself.
+    /// Returns a master of an operational node: connected, FAST STOP acknowledged, homed. The heartbeat is sent
+    /// automatically.
     fn homed(part: Option<f32>, time_scale: f32) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let mut master = Self::new(Config { part, time_scale, ..Config::default() });
@@ -108,7 +109,7 @@ impl Master {
         self.pass(5);
     }
 
-    /// The last TPDO of a kind.
+    /// Returns the last TPDO of a kind.
     fn tpdo(&self, base: u16) -> Option<&[u8]> {
         let id = base | u16::from(NODE.node);
         self.heard.iter().rev().find(|(_, other, _)| *other == id).map(|(_, _, data)| &data[..])
@@ -131,7 +132,7 @@ impl Master {
         Status::from_code(self.tpdo(0x180).map_or(0, |data| u16::from_le_bytes([data[6], data[7]])))
     }
 
-    /// The frames of one kind that were heard since this was last asked, with their moments.
+    /// Returns the frames of one kind received since the last call, with their times.
     fn take(&mut self, base: u16) -> Vec<(u32, Vec<u8>)> {
         let id = base | u16::from(NODE.node);
         let (found, rest) =
@@ -141,7 +142,7 @@ impl Master {
         found.into_iter().map(|(at, _, data)| (at, data)).collect()
     }
 
-    /// The codes of the emergencies that were heard since this was last asked, with the error register.
+    /// Returns codes and error registers of the emergencies received since the last call.
     fn emergencies(&mut self) -> Vec<(u16, u8)> {
         let frames = self.take(0x080);
         let decoded = frames.iter().map(|(_, data)| EmergencyMessage::decode(data).unwrap());
@@ -188,7 +189,7 @@ impl Master {
         }
     }
 
-    /// Writes to 1010h or 1011h, and waits for the answer as long as clients do.
+    /// Writes to 1010h or 1011h, and waits for the response up to a client's usual time-out.
     fn store(&mut self, object: u16, signature: Value) -> Result<(), u32> {
         self.take(0x580);
         self.send(0x600 | u16::from(NODE.node), &sdo_request(object, signature));
@@ -207,7 +208,7 @@ impl Master {
     }
 }
 
-/// A write to subindex 1.
+/// Returns a write to subindex 1.
 fn sdo_request(index: u16, value: Value) -> [u8; 8] {
     sdo::encode_download_expedited(Address::new(index, 1), &value).unwrap()
 }
@@ -225,7 +226,7 @@ fn code_of(meaning: &str) -> u16 {
 }
 
 #[test]
-fn node_announces_itself_and_beats() {
+fn node_sends_its_boot_up_message_and_heartbeats() {
     let mut master = Master::new(Config::default());
     master.pass(2_600);
     let beats = master.take(0x700);
@@ -245,7 +246,7 @@ fn node_announces_itself_and_beats() {
 }
 
 #[test]
-fn nmt_commands_of_others_and_broken_ones_change_nothing() {
+fn nmt_commands_for_other_nodes_and_invalid_ones_change_nothing() {
     let mut master = Master::new(Config::default());
     master.pass(10);
     for data in [&[1, NODE.node + 1][..], &[1], &[1, NODE.node, 0], &[9, NODE.node], &[]] {
@@ -293,7 +294,7 @@ fn rpdo_counts_in_operation_alone_and_whole_alone() {
     assert_eq!(
         told,
         [(0x8210, 0x11), (0x8210, 0x11), (0x8210, 0x11), (0, 0)],
-        "told, but not each of so many in a moment"
+        "reported, but limited in rate"
     );
     master.nmt(NmtCommand::EnterPreOperational);
     master.command(Cmd::MOVE);
@@ -326,7 +327,7 @@ fn edges_that_come_in_one_millisecond_all_count() {
     let mut master = Master::homed(None, 10.0);
     let id = 0x200 | u16::from(NODE.node);
     let image = |flags: Cmd| [flags.bits(), 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F];
-    // Four frames come within a millisecond.
+    // Four frames are received within a millisecond.
     for flags in [Cmd::MOVE, Cmd::empty(), Cmd::FASTSTOP, Cmd::empty()] {
         master.send(id, &image(flags));
     }
@@ -340,20 +341,20 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
     master.beats = false;
-    // RPDOs do not stand in for a heartbeat that was heard.
+    // RPDOs do not replace a heartbeat that was received before.
     for _ in 0..TIMEOUT_MS / 100 - 3 {
         master.command(Cmd::MOVE);
         master.pass(95);
     }
-    assert_eq!(master.bench.node().state(), NmtState::Operational, "not before the time");
+    assert_eq!(master.bench.node().state(), NmtState::Operational, "not before the time-out");
     master.pass(400);
     assert_eq!(master.bench.node().state(), NmtState::PreOperational);
     assert_eq!(master.emergencies(), [(code_of("the master is silent"), 0x11)]);
-    assert!(master.bench.take_sent().contains(&CommandId::Stop), "BUS_REACTION as delivered");
+    assert!(master.bench.take_sent().contains(&CommandId::Stop), "default of BUS_REACTION");
     let timeouts = master.read_u16(REPORTS_INDEX, report("BUS_TIMEOUTS"));
     assert_eq!(timeouts, 1);
 
-    // It is over when the master starts the node again.
+    // The fault ends when the master starts the node again.
     master.beats = true;
     master.nmt(NmtCommand::StartRemoteNode);
     assert_eq!(master.emergencies(), [(0, 0)]);
@@ -411,7 +412,7 @@ fn nmt_stop_and_resets_during_a_motion_stop_it() {
 }
 
 #[test]
-fn reset_of_the_node_brings_settings_back_and_that_of_communication_does_not() {
+fn reset_of_the_node_restores_settings_and_reset_of_communication_does_not() {
     let recipe = setting("RECIPE2_WIDTH");
     for (command, width) in [(NmtCommand::ResetCommunication, 1_234), (NmtCommand::ResetNode, 1_000)] {
         let mut master = Master::new(Config::default());
@@ -427,7 +428,7 @@ fn reset_of_the_node_brings_settings_back_and_that_of_communication_does_not() {
 }
 
 #[test]
-fn two_resets_in_one_turn_are_both_carried_out() {
+fn two_resets_in_one_turn_are_both_executed() {
     let recipe = setting("RECIPE2_WIDTH");
     for specifiers in [[0x81, 0x82], [0x82, 0x81]] {
         let mut master = Master::new(Config::default());
@@ -443,7 +444,7 @@ fn two_resets_in_one_turn_are_both_carried_out() {
 }
 
 #[test]
-fn fast_stop_is_told_and_so_is_its_end() {
+fn fast_stop_and_its_end_are_reported() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
     master.command(Cmd::FASTSTOP);
@@ -458,7 +459,7 @@ fn fast_stop_is_told_and_so_is_its_end() {
 }
 
 #[test]
-fn each_fault_sets_the_bit_of_the_error_register_that_its_class_has() {
+fn each_fault_sets_the_bit_of_its_class_in_the_error_register() {
     for fault in FAULTS {
         // CiA 301, 7.2.7.1 and 7.5.2.2.
         let bit = match (fault.code >> 12, fault.code) {
@@ -473,16 +474,16 @@ fn each_fault_sets_the_bit_of_the_error_register_that_its_class_has() {
 }
 
 #[test]
-fn silent_gripper_is_told() {
+fn silent_gripper_is_reported() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
     master.bench.to_gripper = Some(Box::new(|_| vec![]));
     master.pass(2_000);
-    assert_eq!(master.emergencies(), [(code_of("gripper is silent"), 0x11)]);
+    assert_eq!(master.emergencies(), [(code_of("gripper does not answer"), 0x11)]);
 }
 
 #[test]
-fn bus_off_is_told_when_it_is_over() {
+fn bus_off_is_reported_after_the_recovery() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
     master.bench.double().go_off(0);
@@ -491,7 +492,7 @@ fn bus_off_is_told_when_it_is_over() {
     assert!(codes.contains(&0x8140), "{codes:04X?}");
     assert_eq!(master.read_u16(0x2002, 4), 1);
     assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_BUS_OFFS")), 1);
-    assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_STATE")), 0, "it is back");
+    assert_eq!(master.read_u16(REPORTS_INDEX, report("CAN_STATE")), 0, "the bus has recovered");
 }
 
 #[test]
@@ -514,7 +515,7 @@ fn bus_off_ends_operation_until_the_master_starts_it_again() {
 }
 
 #[test]
-fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
+fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
     for (flags, is_commander) in [(Cmd::MOVE, true), (Cmd::JOG_MINUS, true), (Cmd::empty(), false)] {
         let mut far = SerialGripper::new(Config::default());
         let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
@@ -552,7 +553,7 @@ fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
         pass(5, wires, &[(rpdo, &[0; 8])]);
         let sent = pass(50, wires, &[(rpdo, &image)]);
         assert_eq!(sent.contains(&CommandId::PrePosition), is_commander, "{flags:?}: {sent:?}");
-        // Behind as much as a turn takes.
+        // After as many frames as a turn handles.
         for _ in 0..24 {
             double.bring(ClassicFrame::new(StandardId::new(rpdo).unwrap(), &image).unwrap());
         }
@@ -563,7 +564,7 @@ fn bus_off_stops_a_gripper_on_rs_232_that_the_bus_commands_at_once() {
 }
 
 #[test]
-fn error_counters_are_shown_as_the_controller_has_them() {
+fn error_counters_are_those_of_the_controller() {
     let mut master = Master::homed(None, 10.0);
     master.bench.double().set_health(Health {
         is_off: false,
@@ -581,7 +582,7 @@ fn error_counters_are_shown_as_the_controller_has_them() {
 }
 
 #[test]
-fn recipe_is_read_and_written_and_serves_the_wires() {
+fn recipe_is_read_written_and_used_by_the_wires() {
     let mut master = Master::homed(None, 10.0);
     let width = setting("RECIPE0_WIDTH");
     assert_eq!(master.read_u16(SETTINGS_INDEX, width), 2_000);
@@ -601,7 +602,11 @@ fn sdo_says_why_it_refuses() {
     assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(3)), Err(VALUE));
     assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned8(1)), Err(0x0607_0010));
     assert_eq!(master.download(SETTINGS_INDEX, 0, Value::Unsigned8(1)), Err(0x0601_0002));
-    assert_eq!(master.download(0x2000, 1, Value::Unsigned8(1)), Err(0x0800_0021), "no command by SDO");
+    assert_eq!(
+        master.download(0x2000, 1, Value::Unsigned8(1)),
+        Err(0x0800_0021),
+        "commands by SDO are not allowed"
+    );
     assert_eq!(master.download(0x1016, 1, Value::Unsigned32(128 << 16)), Err(VALUE), "no such node");
     assert_eq!(master.download(0x1016, 1, Value::Unsigned32(0x0100_0000)), Err(VALUE));
     assert_eq!(master.upload(0x1A05, 1, Theirs::Unsigned8), Err(0x0602_0000));
@@ -610,12 +615,12 @@ fn sdo_says_why_it_refuses() {
     let past_the_reports = REPORTS.len() as u8 + 1;
     assert_eq!(master.download(REPORTS_INDEX, past_the_reports, Value::Unsigned16(1)), Err(0x0609_0011));
     assert_eq!(master.download(REPORTS_INDEX, 1, Value::Unsigned16(1)), Err(0x0601_0002));
-    // Download in segments, a segment of no transfer, block transfer.
+    // Segmented download, a segment without a transfer, block transfer.
     for specifier in [0x21, 0x60, 0x70, 0xA0, 0xC2, 0xE0, 0x00] {
         let answer = master.transfer(&[specifier, 0x17, 0x10, 0, 0, 0, 0, 0]);
         assert_eq!(sdo::decode_abort(&answer).unwrap().1, 0x0504_0001, "{specifier:02X}h");
     }
-    // Without a size: that of the object.
+    // Without a size, the object's size applies.
     let answer = master.transfer(&[0x22, 0x17, 0x10, 0, 0x2C, 0x01, 0xFF, 0xFF]);
     assert!(sdo::decode_download_response(&answer).is_ok());
     assert_eq!(master.read_u16(0x1017, 0), 300);
@@ -623,11 +628,15 @@ fn sdo_says_why_it_refuses() {
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
     assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(0)), Err(0x0800_0022));
-    assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(3)), Err(VALUE), "that first");
+    assert_eq!(
+        master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(3)),
+        Err(VALUE),
+        "reported with priority"
+    );
 }
 
 #[test]
-fn sdo_requests_that_are_cut_and_aborts_of_the_client_get_no_answer() {
+fn truncated_sdo_requests_and_aborts_of_the_client_get_no_response() {
     let mut master = Master::new(Config::default());
     master.pass(10);
     for data in [&[0x40, 0x00, 0x10][..], &[0x80, 0x17, 0x10, 0, 0, 0, 0, 8]] {
@@ -640,7 +649,7 @@ fn sdo_requests_that_are_cut_and_aborts_of_the_client_get_no_answer() {
     assert_eq!(master.take(0x580), []);
 }
 
-/// Objects of CiA 301 (7.5.2): index, subindices, type, whether a master may write them.
+/// Objects of CiA 301 (7.5.2): index, subindices, type, write access.
 const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool); 42] = {
     use DataType::{Text, U8, U16, U32};
     [
@@ -731,17 +740,17 @@ fn every_object_is_read_and_written_as_its_type_and_access_let_it() {
         let value = match master.upload(index, sub, theirs) {
             Ok(value) => value,
             Err(abort) => {
-                assert_eq!((index, abort), (0x1003, 0x0800_0024), "{what}: nothing there yet");
+                assert_eq!((index, abort), (0x1003, 0x0800_0024), "{what}: no entry yet");
                 Value::Unsigned32(0)
             }
         };
         let written = match (index, writable) {
-            // They take a signature.
+            // These require a signature.
             (0x1010 | 0x1011, true) => Err(0x0800_0020),
             (_, true) => Ok(()),
             (_, false) => Err(0x0601_0002),
         };
-        assert_eq!(master.download(index, sub, value), written, "{what}: the same again");
+        assert_eq!(master.download(index, sub, value), written, "{what}: the same value");
         let refused = if writable { Err(0x0607_0010) } else { Err(0x0601_0002) };
         assert_eq!(master.download(index, sub, longer), refused, "{what}: another length");
         if !OBJECTS.iter().any(|object| (object.index, object.sub) == (index, sub + 1)) && index < 0x2100 {
@@ -757,12 +766,12 @@ fn every_object_is_read_and_written_as_its_type_and_access_let_it() {
     assert_eq!(subindices.len(), count, "no object twice");
 }
 
-/// What is written to 1010h and 1011h.
+/// Signatures for 1010h and 1011h.
 const SAVE: Value = Value::Unsigned32(0x6576_6173);
 const LOAD: Value = Value::Unsigned32(0x6461_6F6C);
 
 #[test]
-fn settings_are_stored_by_1010h_and_the_delivered_ones_by_1011h() {
+fn settings_are_stored_by_1010h_and_defaults_by_1011h() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let sub = setting("DEBOUNCE");
@@ -771,7 +780,7 @@ fn settings_are_stored_by_1010h_and_the_delivered_ones_by_1011h() {
         assert_eq!(master.download(object, 1, wrong), Err(0x0800_0020));
         assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
         assert_eq!(master.store(object, signature), Ok(()));
-        assert_eq!(master.read_u16(REPORTS_INDEX, report("SAVE_STATE")), 2, "it is stored when that is said");
+        assert_eq!(master.read_u16(REPORTS_INDEX, report("SAVE_STATE")), 2, "stored before the response");
         assert_eq!(master.read_u16(REPORTS_INDEX, report("SETTINGS_CHANGED")), 0);
         let is_delivered = object == 0x1011;
         assert_eq!(master.read_u16(SETTINGS_INDEX, sub), if is_delivered { 2 } else { 9 });
@@ -779,15 +788,19 @@ fn settings_are_stored_by_1010h_and_the_delivered_ones_by_1011h() {
 }
 
 #[test]
-fn save_that_fails_or_ends_late_is_said_by_its_sdo() {
+fn failed_or_late_save_is_reported_by_its_sdo() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let slow = 20;
     master.bench.flash().busy_polls = slow;
     master.send(0x600 | u16::from(NODE.node), &sdo_request(0x1010, SAVE));
     master.pass(slow);
-    assert_eq!(master.take(0x580), [], "it runs");
-    assert_eq!(master.store(0x1010, SAVE), Err(0x0800_0022), "who asks again does not wait for it any more");
+    assert_eq!(master.take(0x580), [], "the save is running");
+    assert_eq!(
+        master.store(0x1010, SAVE),
+        Err(0x0800_0022),
+        "a new request cancels the first one's response"
+    );
     master.pass(3_000);
     assert_eq!(master.take(0x580), []);
     assert_eq!(master.read_u16(REPORTS_INDEX, report("SAVE_STATE")), 2);
@@ -799,14 +812,14 @@ fn save_that_fails_or_ends_late_is_said_by_its_sdo() {
             let sub = setting("DEBOUNCE");
             assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
             assert_eq!(master.store(object, signature), Err(0x0606_0000), "{object:X}h, {fault:?}");
-            // Another write is none of the save that failed.
+            // A later write is independent of the failed save.
             assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
         }
     }
 }
 
 #[test]
-fn names_and_serial_number_are_those_of_the_board() {
+fn names_and_serial_number_are_from_the_board() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     for (index, text) in
@@ -828,19 +841,19 @@ fn names_and_serial_number_are_those_of_the_board() {
     assert_eq!(master.upload(0x1018, 4, Theirs::Unsigned32), Ok(Value::Unsigned32(BOARD.serial)));
 }
 
-/// COB-IDs of the RPDO, disabled and not.
+/// COB-IDs of the RPDO, disabled and enabled.
 const RPDO_OFF: Value = Value::Unsigned32(0x8000_0210);
 const RPDO_ON: Value = Value::Unsigned32(0x210);
 
 #[test]
-fn rpdo_that_is_disabled_commands_nothing_and_stops_what_it_commanded() {
+fn disabled_rpdo_commands_nothing_and_stops_its_motion() {
     let mut master = Master::homed(None, 1.0);
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
     master.bench.take_sent();
     master.download(0x1400, 1, RPDO_OFF).unwrap();
     master.pass(10);
-    assert!(master.bench.take_sent().contains(&CommandId::Stop), "as when the master falls silent");
+    assert!(master.bench.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
     master.until(1_000, |master| !master.is(SystemFlags::MOVING));
     master.take_motions();
     master.command(Cmd::empty());
@@ -878,13 +891,13 @@ fn grip_cycle_with_sync() {
     }
     assert!(holding);
     assert_eq!(master.take_motions(), [CommandId::GripPart]);
-    // A FAST STOP waits for nobody.
+    // A FAST STOP does not wait for SYNC.
     master.command(Cmd::FASTSTOP);
     assert!(master.bench.take_sent().contains(&CommandId::FastStop));
 }
 
 #[test]
-fn consumer_that_is_switched_off_leaves_the_watch_over_the_rpdos() {
+fn rpdos_are_monitored_without_a_heartbeat_consumer() {
     let mut master = Master::homed(None, 1.0);
     master.download(0x1016, 1, Value::Unsigned32(0)).unwrap();
     assert_eq!(master.upload(0x1016, 1, Theirs::Unsigned32), Ok(Value::Unsigned32(0)));
@@ -892,7 +905,7 @@ fn consumer_that_is_switched_off_leaves_the_watch_over_the_rpdos() {
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
     master.bench.take_sent();
-    // The heartbeat goes on, and does not count.
+    // The heartbeat continues without an effect.
     master.pass(TIMEOUT_MS + 10);
     assert!(master.bench.take_sent().contains(&CommandId::Stop));
 }
@@ -930,7 +943,7 @@ fn pdo_mappings_name_the_objects_whose_bytes_are_sent() {
 }
 
 #[test]
-fn tpdos_keep_their_inhibit_time_and_come_without_a_change_too() {
+fn tpdos_keep_their_inhibit_time_and_are_also_sent_without_a_change() {
     let mut master = Master::homed(None, 1.0);
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
@@ -952,11 +965,11 @@ fn tpdos_keep_their_inhibit_time_and_come_without_a_change_too() {
     master.download(0x1800, 5, Value::Unsigned16(0)).unwrap();
     master.take(0x180);
     master.pass(1_000);
-    assert_eq!(master.take(0x180), [], "on change alone");
+    assert_eq!(master.take(0x180), [], "only on change");
 }
 
 #[test]
-fn consumer_heartbeat_object_moves_the_master_and_is_the_setting() {
+fn consumer_heartbeat_object_selects_the_master_and_changes_the_setting() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let Ok(value) = master.upload(0x1016, 1, Theirs::Unsigned32) else { panic!() };
@@ -972,7 +985,7 @@ fn consumer_heartbeat_object_moves_the_master_and_is_the_setting() {
 }
 
 #[test]
-fn wires_keep_their_rights_beside_a_plc_on_the_bus() {
+fn wires_keep_their_priority_over_a_plc_on_the_bus() {
     let mut master = Master::homed(None, 1.0);
     master.bench.set(Inputs::FAST_STOP_OK, false);
     master.until(500, |master| master.is(SystemFlags::FAST_STOP));
@@ -983,8 +996,8 @@ fn wires_keep_their_rights_beside_a_plc_on_the_bus() {
 }
 
 #[test]
-fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
-    // Everything that the node can send, all the time.
+fn traffic_of_the_node_does_not_delay_messages_to_the_gripper() {
+    // The node sends all of its frames at maximum rate.
     let mut master = Master::homed(Some(20.0), 10.0);
     for (index, id) in [(0x1800, 0x4000_0190), (0x1801, 0x4000_0290)] {
         master.download(index, 1, Value::Unsigned32(0x8000_0000 | id)).unwrap();
@@ -1000,7 +1013,7 @@ fn traffic_of_the_node_does_not_keep_a_message_to_the_gripper_waiting() {
 }
 
 #[test]
-fn its_own_frames_are_those_that_it_sends() {
+fn own_frames_are_the_frames_that_the_node_sends() {
     let node = Node::new(NODE);
     let sends = |id: u16| CanNode::<ClassicFrame>::sends(&node, StandardId::new(id).unwrap().into());
     let own = u16::from(NODE.node);
@@ -1013,7 +1026,7 @@ fn its_own_frames_are_those_that_it_sends() {
 }
 
 #[test]
-fn frames_that_will_not_leave_are_sent_anew() {
+fn rejected_frames_are_sent_again() {
     const PDOS: [u16; 2] = [0x180, 0x280];
     let mut master = Master::homed(None, 10.0);
     master.pass(200);
@@ -1021,7 +1034,7 @@ fn frames_that_will_not_leave_are_sent_anew() {
     while master.take(0x180).is_empty() {
         master.pass(1);
     }
-    // The controller refuses the next ones: without a change they are due 100 ms after these, and then in 100 ms more.
+    // The controller rejects the next frames. Without a change, they are due 100 ms after these, and again every 100 ms.
     master.bench.double().refuse(true);
     for pdo in PDOS {
         master.take(pdo);
@@ -1034,7 +1047,7 @@ fn frames_that_will_not_leave_are_sent_anew() {
 }
 
 #[test]
-fn all_that_came_in_one_turn_is_served_in_it() {
+fn all_frames_of_one_turn_are_served_in_it() {
     let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
     let mut node = Node::new(NODE);
     let mut turn = |now_ms, frames: &[ClassicFrame]| {
@@ -1049,14 +1062,14 @@ fn all_that_came_in_one_turn_is_served_in_it() {
     let rpdo = |flags: Cmd| frame(0x200 + u16::from(NODE.node), &[flags.bits(), 0, 0, 0, 0, 0, 0, 0]);
     turn(1, &[]);
     turn(2, &[frame(0, &[1, NODE.node]), rpdo(Cmd::empty())]);
-    // 24 are what the bus is asked for in a turn.
+    // The bus delivers at most 24 frames per turn.
     let mut burst = vec![rpdo(Cmd::empty()); 23];
     burst.push(rpdo(Cmd::HOMING));
     assert_eq!(turn(3, &burst), ControlSource::Bus);
 }
 
 #[test]
-fn gripper_and_node_share_a_bus_by_default_and_some_identifiers_are_told_to_collide() {
+fn default_identifiers_of_gripper_and_node_do_not_collide_and_reserved_ones_do() {
     assert!(NODE.is_valid() && !collides_with_canopen(Identifiers::DEFAULT));
     let collides = |n| collides_with_canopen(Identifiers::from_base(n).unwrap());
     let (free, taken): (Vec<u16>, Vec<u16>) = (0..=0x7FE).partition(|&n| !collides(n));
@@ -1071,29 +1084,29 @@ fn eds_file_is_that_of_the_tables() {
     hold_file("docs/wsg-bridge.eds", &made);
 }
 
-/// The heartbeat consumer (CiA 301, 7.2.8.3) and, without one, RPDO1 watch the master. BUS_TIMEOUT is the time of both.
+/// The heartbeat consumer (CiA 301, 7.2.8.3) or, without one, RPDO1 monitors the master. BUS_TIMEOUT is the time-out of both.
 #[test]
-fn silent_master_is_missed_in_time_beside_other_traffic_on_the_bus() {
+fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
     let (node, of_master) = (u16::from(NODE.node), 0x700 | u16::from(NODE.master));
     let frame = |id: u16, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
     let traffic = [
         ("the heartbeat of another node", frame(of_master - 1, &[5])),
         ("a heartbeat of two bytes", frame(of_master, &[5, 5])),
         (
-            "a heartbeat that is asked for",
+            "a remote request of a heartbeat",
             ClassicFrame::new_remote(StandardId::new(of_master).unwrap(), 1).unwrap(),
         ),
         ("an RPDO of another node", frame(0x200 | (node + 1), &[0; 8])),
         ("an RPDO of seven bytes", frame(0x200 | node, &[0; 7])),
         ("a SYNC", frame(0x080, &[])),
         ("an NMT command for another node", frame(0x000, &[1, NODE.node + 1])),
-        ("a client of SDO", frame(0x600 | node, &sdo::encode_upload_request(Address::new(0x1000, 0)))),
+        ("an SDO request", frame(0x600 | node, &sdo::encode_upload_request(Address::new(0x1000, 0)))),
     ];
     for beats in [true, false] {
         for (what, frame) in &traffic {
             let mut master = Master::homed(None, 1.0);
             if !beats {
-                // Without the heartbeat that was heard so far.
+                // Without the heartbeat received so far.
                 master.beats = false;
                 master.pass(2 * TIMEOUT_MS);
                 master.nmt(NmtCommand::StartRemoteNode);
@@ -1115,8 +1128,8 @@ fn silent_master_is_missed_in_time_beside_other_traffic_on_the_bus() {
                 }
                 (master.bench.node().state(), master.bench.take_sent().contains(&CommandId::Stop))
             };
-            assert_eq!(pass(TIMEOUT_MS - 20), (NmtState::Operational, false), "too early beside {what}");
-            assert_eq!(pass(40), (NmtState::PreOperational, true), "beside {what}, heartbeat: {beats}");
+            assert_eq!(pass(TIMEOUT_MS - 20), (NmtState::Operational, false), "too early with {what}");
+            assert_eq!(pass(40), (NmtState::PreOperational, true), "with {what}, heartbeat: {beats}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The store of settings on a flash that loses power in the middle of anything.
+//! Tests of the settings' store on a flash that may lose power at any time.
 
 use std::collections::VecDeque;
 
@@ -11,10 +11,10 @@ use wsg_protocol::Instant;
 const MAX_LEN: usize = 200;
 type Settings = Store<MAX_LEN>;
 
-/// What was saved: version and payload.
+/// Version and payload of a save.
 type Saved = (u16, Vec<u8>);
 
-/// Settings that differ from those of other numbers.
+/// Returns settings that differ for each number.
 fn settings(number: u32, len: usize) -> Saved {
     let mut chance = Chance::new(number.into());
     (number as u16, (0..len).map(|_| chance.number() as u8).collect())
@@ -24,7 +24,7 @@ fn load(store: &mut Settings, flash: &FlashModel) -> Result<Saved, LoadError> {
     store.load(flash).map(|record| (record.version, record.payload.to_vec()))
 }
 
-/// What a program finds that starts now, and its store.
+/// Restarts the program. Returns its store, and the loaded settings.
 fn boot(flash: &mut FlashModel) -> (Settings, Result<Saved, LoadError>) {
     flash.reboot();
     let mut store = Settings::new();
@@ -32,21 +32,21 @@ fn boot(flash: &mut FlashModel) -> (Settings, Result<Saved, LoadError>) {
     (store, found)
 }
 
-/// Polls until the save has ended, or the power has gone ([`None`]).
+/// Polls until the save has ended. Returns [`None`] if the power failed.
 fn finish(store: &mut Settings, flash: &mut FlashModel) -> Option<Result<(), SaveError>> {
     for now in 0..2_000 {
         let before = flash.operations;
         let progress = store.poll(flash, Instant::from_millis(now));
-        assert!(flash.operations <= before + 1, "one operation a turn at the most");
+        assert!(flash.operations <= before + 1, "at most one operation per turn");
         match progress {
             _ if flash.is_off() => return None,
             Progress::Saving => assert!(store.is_saving()),
             Progress::Saved => return Some(Ok(())),
             Progress::Failed(error) => return Some(Err(error)),
-            Progress::Idle => panic!("a save that was begun says how it ends"),
+            Progress::Idle => panic!("the end of the save was not reported"),
         }
     }
-    panic!("a save ends");
+    panic!("the save did not end");
 }
 
 fn save(
@@ -62,7 +62,7 @@ fn save(
     end
 }
 
-/// A flash after these saves, and the last one.
+/// Returns a flash after these saves, and the last one.
 fn history(saves: u32, len: usize) -> (FlashModel, Result<Saved, LoadError>) {
     let mut flash = FlashModel::new();
     let (mut store, mut last) = boot(&mut flash);
@@ -75,7 +75,7 @@ fn history(saves: u32, len: usize) -> (FlashModel, Result<Saved, LoadError>) {
 }
 
 #[test]
-fn what_was_saved_last_is_loaded_whatever_its_length_and_version() {
+fn last_save_is_loaded_with_any_length_and_version() {
     let mut flash = FlashModel::new();
     let (mut store, found) = boot(&mut flash);
     assert_eq!(found, Err(LoadError::Empty));
@@ -84,12 +84,12 @@ fn what_was_saved_last_is_loaded_whatever_its_length_and_version() {
         flash.busy_polls = len as u32 % 3;
         assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
         assert_eq!(load(&mut store, &flash), Ok(saved.clone()), "in the same run");
-        assert_eq!(boot(&mut flash).1, Ok(saved), "in the next");
+        assert_eq!(boot(&mut flash).1, Ok(saved), "in the next run");
     }
 }
 
 #[test]
-fn payload_is_that_of_the_begin() {
+fn payload_is_copied_at_the_start_of_a_save() {
     let mut flash = FlashModel::new();
     let (mut store, _) = boot(&mut flash);
     let mut payload = [7; 20];
@@ -100,7 +100,7 @@ fn payload_is_that_of_the_begin() {
 }
 
 #[test]
-fn a_record_is_written_as_the_format_says() {
+fn record_has_the_documented_format() {
     let mut flash = FlashModel::new();
     let (mut store, _) = boot(&mut flash);
     save(&mut store, &mut flash, &(0x1234, b"123456789".to_vec()));
@@ -111,11 +111,11 @@ fn a_record_is_written_as_the_format_says() {
     assert_eq!(bytes[8..24], *b"123456789\xFF\xFF\xFF\xFF\xFF\xFF\xFF");
     assert_eq!(bytes[24..28], crc.to_le_bytes());
     assert_eq!(bytes[28..32], (!crc).to_le_bytes());
-    assert_eq!(bytes[32..], [0xFF; 8], "nothing after it");
+    assert_eq!(bytes[32..], [0xFF; 8], "no data after the record");
     assert_eq!(crc32(b"123456789"), 0xCBF4_3926, "the check value of CRC-32");
 }
 
-/// CRC-32 as its definition has it.
+/// Computes CRC-32 according to its definition.
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0, |crc, &byte| {
         (0..8).fold(crc ^ u32::from(byte), |crc, _| (crc >> 1) ^ if crc & 1 == 1 { 0xEDB8_8320 } else { 0 })
@@ -123,7 +123,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 }
 
 #[test]
-fn a_save_is_refused_that_would_do_harm_or_does_not_fit() {
+fn save_is_refused_before_a_load_during_a_save_and_if_too_long() {
     let mut flash = FlashModel::new();
     let mut store = Settings::new();
     assert_eq!(store.begin(1, &[]), Err(BeginError::NotLoaded));
@@ -139,19 +139,19 @@ fn a_save_is_refused_that_would_do_harm_or_does_not_fit() {
 }
 
 #[test]
-fn saving_what_is_stored_writes_nothing() {
+fn saving_unchanged_settings_writes_nothing() {
     let (mut flash, last) = history(3, 30);
     let (mut store, _) = boot(&mut flash);
-    let Ok(saved) = last else { panic!("three were saved") };
+    let Ok(saved) = last else { panic!("three saves were made") };
     let before = flash.operations;
     assert_eq!(save(&mut store, &mut flash, &saved), Some(Ok(())));
     assert_eq!(flash.operations, before);
-    // Any difference counts.
+    // Any difference leads to a write.
     for changed in [(saved.0 + 1, saved.1.clone()), (saved.0, saved.1[1..].to_vec())] {
         assert_eq!(save(&mut store, &mut flash, &changed), Some(Ok(())));
         assert_eq!(boot(&mut flash).1, Ok(changed));
     }
-    // So does a record that can no longer be read.
+    // So does an unreadable record.
     let (mut flash, _) = history(3, 30);
     let (mut store, _) = boot(&mut flash);
     flash.set(Page::First, 2 * 6 + 5, None);
@@ -159,7 +159,7 @@ fn saving_what_is_stored_writes_nothing() {
     assert_eq!(boot(&mut flash).1, Ok(saved));
 }
 
-/// Operations of the next save.
+/// Returns the operations of the next save.
 fn operations_of_next(flash: &FlashModel, next: &Saved) -> std::ops::Range<u32> {
     let mut flash = flash.clone();
     let (mut store, _) = boot(&mut flash);
@@ -168,7 +168,7 @@ fn operations_of_next(flash: &FlashModel, next: &Saved) -> std::ops::Range<u32> 
     begin..flash.operations
 }
 
-/// The flash after a save with the power cut in this operation.
+/// Returns the flash after a save with a power cut in this operation.
 fn cut(flash: &FlashModel, next: &Saved, at: u32, tear: Tear) -> FlashModel {
     let mut flash = flash.clone();
     let (mut store, _) = boot(&mut flash);
@@ -177,7 +177,7 @@ fn cut(flash: &FlashModel, next: &Saved, at: u32, tear: Tear) -> FlashModel {
     flash
 }
 
-/// What may be found after a cut of the save's operation `at`.
+/// Asserts the permitted results after a power cut in operation `at` of a save.
 fn assert_old_or_new(
     found: &Result<Saved, LoadError>,
     old: &Result<Saved, LoadError>,
@@ -196,8 +196,8 @@ fn assert_old_or_new(
 }
 
 #[test]
-fn a_power_cut_in_any_operation_leaves_the_old_or_the_new_record_and_the_next_save_works() {
-    // 9, 15 and 36 records fill a page: from the first save to the second erase of the first page.
+fn power_cut_in_any_operation_leaves_the_old_or_the_new_record_and_the_next_save_works() {
+    // A page holds 9, 15 or 36 records. The range covers the first save to the second erase of the first page.
     for (len, saves) in [(200, 0..20), (120, 13..32), (40, 34..39)] {
         for count in saves {
             let (flash, old) = history(count, len);
@@ -210,7 +210,7 @@ fn a_power_cut_in_any_operation_leaves_the_old_or_the_new_record_and_the_next_sa
                 let next = settings(1_001, len);
                 assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "{count} {at} {tear:?}");
                 assert_eq!(boot(&mut flash).1, Ok(next), "{count} {at} {tear:?}");
-                // What is seen not to be erased is not programmed again.
+                // A double word that visibly is not erased is not programmed again.
                 let is_seen = !matches!(tear, Tear::SeemsErased | Tear::Changing | Tear::Mixed);
                 assert!(flash.refused == 0 || !is_seen, "{count} {at} {tear:?}");
             }
@@ -219,14 +219,14 @@ fn a_power_cut_in_any_operation_leaves_the_old_or_the_new_record_and_the_next_sa
 }
 
 #[test]
-fn a_second_power_cut_during_the_repair_does_no_more_harm() {
+fn second_power_cut_during_the_repair_does_no_further_harm() {
     let len = 40;
     for count in [0, 35, 36, 72] {
         let (flash, old) = history(count, len);
         let (first, second) = (settings(1_000, len), settings(1_001, len));
         let operations = operations_of_next(&flash, &first);
         for (at, tear) in operations.flat_map(|at| Tear::ALL.map(|tear| (at, tear))) {
-            // What reads otherwise each time is found as either; here the save that comes next decides.
+            // A record that reads differently each time may be found as either. The next save then decides.
             if tear == Tear::Changing || tear == Tear::Mixed {
                 continue;
             }
@@ -247,7 +247,7 @@ fn a_second_power_cut_during_the_repair_does_no_more_harm() {
 }
 
 #[test]
-fn a_double_word_that_cannot_be_programmed_moves_the_record_to_the_other_page() {
+fn unprogrammable_double_word_moves_the_record_to_the_other_page() {
     for count in 1..20 {
         let (flash, _) = history(count, MAX_LEN);
         let new = settings(1_000, MAX_LEN);
@@ -260,12 +260,12 @@ fn a_double_word_that_cannot_be_programmed_moves_the_record_to_the_other_page() 
                 let found = boot(&mut flash).1;
                 match end {
                     Some(Ok(())) => assert_eq!(found, Ok(new.clone())),
-                    // The page that has to take it is the broken one.
+                    // The target page is the broken one.
                     Some(Err(error)) => {
                         assert_eq!((error, &found), (SaveError::Flash(FlashError::Failed), &old));
                         assert!(index < 27 && count % 9 == 0, "{count} {index}");
                     }
-                    None => panic!("the power stays"),
+                    None => panic!("the power does not fail"),
                 }
             }
         }
@@ -273,7 +273,7 @@ fn a_double_word_that_cannot_be_programmed_moves_the_record_to_the_other_page() 
 }
 
 #[test]
-fn a_failed_save_says_why_ends_and_leaves_the_old_record() {
+fn failed_save_reports_the_reason_and_leaves_the_old_record() {
     let everywhere =
         [(Fault::Protected, SaveError::Flash(FlashError::Protected)), (Fault::Stuck, SaveError::TimedOut)];
     for (fault, error) in everywhere {
@@ -286,7 +286,7 @@ fn a_failed_save_says_why_ends_and_leaves_the_old_record() {
             let (mut store, found) = boot(&mut flash);
             assert!(found == old || count == 0, "{found:?}");
             let next = settings(1_001, MAX_LEN);
-            assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "it works again");
+            assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "works again");
             assert_eq!(boot(&mut flash).1, Ok(next));
         }
     }
@@ -298,21 +298,21 @@ fn a_failed_save_says_why_ends_and_leaves_the_old_record() {
     assert_eq!(save(&mut store, &mut flash, &next), Some(Err(SaveError::NotErased)));
     assert_eq!(load(&mut store, &flash), old);
     flash.fault = None;
-    assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "the same store can go on");
+    assert_eq!(save(&mut store, &mut flash, &next), Some(Ok(())), "the same store continues");
     assert_eq!(boot(&mut flash).1, Ok(next));
 }
 
 #[test]
-fn each_failure_of_the_flash_has_words_of_its_own() {
+fn each_failure_of_the_flash_has_its_own_message() {
     let words = [FlashError::Busy, FlashError::Protected, FlashError::NotErased, FlashError::Failed]
         .map(|error| error.to_string());
-    for (words, part) in words.iter().zip(["busy", "protected", "programmed already", "failed"]) {
+    for (words, part) in words.iter().zip(["busy", "protected", "already programmed", "failed"]) {
         assert!(words.contains(part), "{words}");
     }
 }
 
 #[test]
-fn a_worn_first_page_is_replaced_by_the_second_when_nothing_is_stored() {
+fn second_page_replaces_a_worn_first_page_when_nothing_is_stored() {
     let mut flash = FlashModel::new();
     let (mut store, _) = boot(&mut flash);
     flash.fault = Some(Fault::Unprogrammable(Page::First, 3));
@@ -322,7 +322,7 @@ fn a_worn_first_page_is_replaced_by_the_second_when_nothing_is_stored() {
 }
 
 #[test]
-fn a_time_out_ends_a_save_after_200_ms() {
+fn save_times_out_after_200_ms() {
     let (mut flash, _) = history(3, MAX_LEN);
     let (mut store, _) = boot(&mut flash);
     flash.fault = Some(Fault::Stuck);
@@ -333,7 +333,7 @@ fn a_time_out_ends_a_save_after_200_ms() {
         progress => Some((ms, progress)),
     });
     assert_eq!(ends, Some((201, Progress::Failed(SaveError::TimedOut))));
-    // While it is busy still, it is not read either: that would make the core wait.
+    // A busy flash is not read either, because that would stall the core.
     let next = settings(4, MAX_LEN);
     assert_eq!(save(&mut store, &mut flash, &next), Some(Err(SaveError::TimedOut)));
     flash.fault = None;
@@ -342,7 +342,7 @@ fn a_time_out_ends_a_save_after_200_ms() {
 }
 
 #[test]
-fn flash_that_swallows_stores_is_no_flash() {
+fn flash_that_ignores_writes_is_no_flash() {
     for (reads, found, error) in [
         (0, LoadError::NoFlash, SaveError::NotErased),
         (u64::MAX, LoadError::Empty, SaveError::NotWritten),
@@ -362,7 +362,7 @@ fn flash_that_swallows_stores_is_no_flash() {
 }
 
 #[test]
-fn a_record_that_decays_takes_no_other_with_it() {
+fn damaged_record_does_not_affect_others() {
     let (flash, last) = history(6, MAX_LEN);
     let before = settings(4, MAX_LEN);
     for record in 0..6 {
@@ -385,7 +385,7 @@ fn a_record_that_decays_takes_no_other_with_it() {
 }
 
 #[test]
-fn a_record_that_reads_otherwise_each_time_is_loaded_whole_or_not_at_all() {
+fn record_that_reads_differently_each_time_is_loaded_completely_or_not_at_all() {
     let (flash, last) = history(6, MAX_LEN);
     let before = Ok(settings(4, MAX_LEN));
     for n in 0..27 {
@@ -405,8 +405,8 @@ fn a_record_that_reads_otherwise_each_time_is_loaded_whole_or_not_at_all() {
 }
 
 #[test]
-fn a_first_double_word_that_reads_as_one_record_or_another_never_mixes_them() {
-    // One record is the other's begin: its last double word is payload there.
+fn first_double_word_that_reads_as_one_of_two_records_never_mixes_them() {
+    // One record is the start of the other, whose payload contains the first one's last double word.
     let begin = b"8 bytes.";
     let first = |payload: &[u8]| {
         let mut flash = FlashModel::new();
@@ -430,8 +430,8 @@ fn a_first_double_word_that_reads_as_one_record_or_another_never_mixes_them() {
 }
 
 #[test]
-fn a_payload_that_looks_like_records_is_none() {
-    // The image of a record with a higher number, after a double word of something else.
+fn payload_that_looks_like_records_is_not_parsed() {
+    // Image of a record with a higher number, after an unrelated double word.
     let (flash, _) = history(8, 100);
     let image = (7 * 15..8 * 15).flat_map(|n| flash.read(Page::First, n).unwrap_or(0).to_le_bytes());
     let image: Vec<u8> = [0; 8].into_iter().chain(image).collect();
@@ -445,12 +445,12 @@ fn a_payload_that_looks_like_records_is_none() {
     for damaged in [3 + 17, 3 + 1] {
         let mut flash = flash.clone();
         flash.set(Page::First, damaged, None);
-        assert_eq!(boot(&mut flash).1, Ok(old.clone()), "the rest of a damaged record is not looked into");
+        assert_eq!(boot(&mut flash).1, Ok(old.clone()), "the rest of a damaged record is not parsed");
     }
 }
 
 #[test]
-fn a_record_too_long_for_this_program_is_said_and_replaced() {
+fn record_too_long_for_this_program_is_reported_and_replaced() {
     let (mut flash, _) = history(4, MAX_LEN);
     let mut small = Store::<199>::new();
     assert_eq!(small.load(&flash), Err(LoadError::TooLong { version: 3, len: 200 }));
@@ -463,7 +463,7 @@ fn a_record_too_long_for_this_program_is_said_and_replaced() {
 }
 
 #[test]
-fn numbers_of_saves_come_to_an_end_with_words() {
+fn exhausted_save_numbers_are_reported() {
     let (mut flash, _) = history(1, 8);
     for (number, begin) in [(0xFF_FFFE, Ok(())), (0xFF_FFFF, Err(BeginError::WornOut))] {
         // The same record with a higher number.
@@ -484,8 +484,8 @@ fn numbers_of_saves_come_to_an_end_with_words() {
 }
 
 #[test]
-fn a_damaged_record_does_not_use_up_the_numbers_of_saves() {
-    // The first double word of a record with the last number there is, and nothing behind it.
+fn damaged_record_does_not_use_up_the_save_numbers() {
+    // The first double word of a record with the highest number, without the rest.
     let mut flash = FlashModel::new();
     flash.set(Page::First, 0, Some(0xFF_FFFF << 40 | 8 << 8 | 0xA5));
     let (mut store, found) = boot(&mut flash);
@@ -497,9 +497,9 @@ fn a_damaged_record_does_not_use_up_the_numbers_of_saves() {
     }
 }
 
-/// The table in the documentation of `storage`: the page endures 10 000 erases.
+/// Table in the documentation of `storage`: a page endures 10 000 erases.
 #[test]
-fn wear_is_shared_by_both_pages_and_as_documented() {
+fn wear_is_shared_by_both_pages_as_documented() {
     const ENDURED: u32 = 10_000;
     for (len, per_page) in [(120, 15), (200, 9)] {
         let saves = 20 * per_page;
@@ -509,7 +509,7 @@ fn wear_is_shared_by_both_pages_and_as_documented() {
     }
 }
 
-/// What happens to a store, for the comparison with a plain model.
+/// Operation on a store, for the comparison with a plain model.
 #[derive(Clone, Debug)]
 enum Op {
     Save(u32, usize),
@@ -536,9 +536,9 @@ fn ops() -> impl Strategy<Value = Vec<Op>> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 1_500, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The model: what was saved last. While a double word reads otherwise each time, what was cut may be it as well.
+    /// The model is the last save. While a double word reads differently each time, an interrupted save is permitted as well.
     #[test]
-    fn whatever_happens_what_was_saved_last_is_loaded(ops in ops(), busy_polls in 0..3u32) {
+    fn last_save_is_loaded_after_any_sequence_of_operations(ops in ops(), busy_polls in 0..3u32) {
         let mut flash = FlashModel::new();
         flash.busy_polls = busy_polls;
         let mut store = boot(&mut flash).0;

@@ -110,7 +110,7 @@ pub(crate) fn value(setting: &Setting, text: &str) -> Result<u16> {
     Ok(value as u16)
 }
 
-/// Parses the choices in a register's meaning: numbers followed by text, such as `0 hold, 1 stop` or `0: for ever`.
+/// Parses the choices in a register's meaning: numbers followed by text, such as `0 hold, 1 stop` or `0: unlimited`.
 pub(crate) fn choices(meaning: &'static str) -> Vec<(u16, &'static str)> {
     // Number, and start and end of its text.
     let mut found: Vec<(u16, usize, usize)> = Vec::new();
@@ -145,7 +145,7 @@ pub(crate) fn choices(meaning: &'static str) -> Vec<(u16, &'static str)> {
     found.into_iter().filter_map(|(number, start, end)| Some((number, meaning.get(start..end)?))).collect()
 }
 
-/// Parses one choice: `0 hold` or `0: for ever`.
+/// Parses one choice: `0 hold` or `0: unlimited`.
 fn choice(part: &str) -> Option<(u16, &str)> {
     let end = part.find(|c: char| !c.is_ascii_digit())?;
     let (number, rest) = part.split_at(end);
@@ -163,15 +163,15 @@ mod tests {
         let of = |name: &str| choices(setting(name).unwrap().1.meaning);
         assert_eq!(of("BUS_REACTION"), [(0, "hold"), (1, "stop"), (2, "FAST STOP")]);
         assert_eq!(of("PLC_BUS"), [(0, "none"), (1, "Modbus RTU"), (2, "CANopen"), (3, "PROFIBUS DP")]);
-        assert_eq!(of("BUS_CHAR_TIMEOUT"), [(0, "T1.5, by the specification")]);
-        assert_eq!(of("BUS_RECIPE"), [(16, "WIDTH, SPEED and FORCELIMIT that it writes")]);
-        assert_eq!(of("PROFIBUS_RATE"), [(0, "that of the bus, which is searched")]);
+        assert_eq!(of("BUS_CHAR_TIMEOUT"), [(0, "T1.5 of the specification")]);
+        assert_eq!(of("BUS_RECIPE"), [(16, "WIDTH, SPEED and FORCELIMIT of the bus")]);
+        assert_eq!(of("PROFIBUS_RATE"), [(0, "automatic search")]);
         assert_eq!((of("CAN_RATE"), of("RECIPE0_WIDTH"), of("CAN_MASTER")), (vec![], vec![], vec![]));
         let of = |name: &str| choices(REPORTS[report(name)].meaning);
-        assert_eq!(of("GRIPPER_LINK"), [(0, "has never answered"), (1, "is silent"), (2, "answers")]);
+        assert_eq!(of("GRIPPER_LINK"), [(0, "never answered"), (1, "lost"), (2, "connected")]);
         assert_eq!(of("SETTINGS_FROM").len(), 7);
-        assert_eq!(of("SETTINGS_FROM")[3..5], [(3, "newer firmware's"), (4, "a wrong value")]);
-        assert!(matches!(of("SAVE_STATE")[3], (3, words) if words.starts_with("failed: ")));
+        assert_eq!(of("SETTINGS_FROM")[3..5], [(3, "from newer firmware"), (4, "invalid")]);
+        assert!(matches!(of("SAVE_STATE")[3], (3, words) if words.starts_with("failed, ")));
         assert_eq!(of("BUS_MESSAGES"), []);
     }
 
@@ -185,7 +185,7 @@ mod tests {
         assert_eq!(of("MODBUS_RATE", "19200 bit/s"), Ok(192));
         assert_eq!(of("CAN_ID", "0x140"), Ok(0x140));
         assert_eq!(of("PLC_BUS", "canopen"), Ok(2));
-        assert_eq!(of("BUS_TIMEOUT", "for ever"), Ok(0));
+        assert_eq!(of("BUS_TIMEOUT", "unlimited"), Ok(0));
         for (name, text, error) in [
             (
                 "RECIPE0_WIDTH",
@@ -198,16 +198,20 @@ mod tests {
                 "20.051mm is not a multiple of the step of RECIPE0_WIDTH, which is 1/100 mm",
             ),
             ("RECIPE0_WIDTH", "400mm", "400mm is out of range: RECIPE0_WIDTH takes 0.00 mm to 327.67 mm"),
-            ("RECIPE0_SPEED", "0", "0 is out of range: RECIPE0_SPEED takes 1 to 65535: of every motion"),
+            (
+                "RECIPE0_SPEED",
+                "0",
+                "0 is out of range: RECIPE0_SPEED takes 1 to 65535: speed of every motion",
+            ),
             (
                 "UNIT",
                 "70000",
-                "70000 is out of range: UNIT takes 1 to 247: the bridge's address on the bus, from the next request on",
+                "70000 is out of range: UNIT takes 1 to 247: address of the bridge on the bus; takes effect with the next request",
             ),
             (
                 "GRIPPER_LINE",
                 "USB",
-                "`USB` is not a valid value: GRIPPER_LINE takes 0 to 1: the gripper's line: 0 RS-232, 1 CAN",
+                "`USB` is not a valid value: GRIPPER_LINE takes 0 to 1: gripper interface: 0 RS-232, 1 CAN",
             ),
             (
                 "MODBUS_RATE",

@@ -1,27 +1,27 @@
-//! EMCY: which faults the bridge tells, and by which codes.
+//! EMCY: the faults that the bridge reports, and their codes.
 
 use wsg_protocol::SystemFlags;
 
-/// A fault that is told.
+/// A fault that EMCY reports.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
-    /// The emergency error code.
+    /// Emergency error code.
     pub code: u16,
-    /// The bit of the error register, beside bit 0.
+    /// Bit of the error register, in addition to bit 0.
     pub register: u8,
-    /// What it is.
+    /// The fault in words.
     pub meaning: &'static str,
     cause: Cause,
 }
 
-/// Where a fault is seen.
+/// Source of a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Cause {
-    /// A flag of SYSSTATE.
+    /// Flag of SYSSTATE.
     System(SystemFlags),
-    /// The gripper was there and is silent.
+    /// The gripper has stopped answering.
     GripperSilent,
-    /// On the bus.
+    /// Fault of the bus.
     Bus(bus_canopen::Cause),
 }
 
@@ -32,7 +32,7 @@ const fn fault(code: u16, register: u8, cause: Cause, meaning: &'static str) -> 
     Fault { code, register, meaning, cause }
 }
 
-/// The faults. The first that is new is told first.
+/// All faults. Of several new ones, the first is reported first.
 pub const FAULTS: [Fault; 10] = {
     use bus_canopen::Cause::{BusOff, MasterSilent, PdoLength};
     [
@@ -41,20 +41,25 @@ pub const FAULTS: [Fault; 10] = {
         fault(0x3000, 1 << 2, Cause::System(SystemFlags::POWER_FAULT), "POWER_FAULT"),
         fault(0x2000, 1 << 1, Cause::System(SystemFlags::CURR_FAULT), "CURR_FAULT"),
         fault(0x7000, MANUFACTURER, Cause::System(SystemFlags::FINGER_FAULT), "FINGER_FAULT"),
-        fault(0xFF02, COMMUNICATION, Cause::GripperSilent, "the gripper is silent"),
+        fault(0xFF02, COMMUNICATION, Cause::GripperSilent, "the gripper does not answer"),
         fault(0x8130, COMMUNICATION, Cause::Bus(MasterSilent), "the master is silent"),
-        fault(0x8140, COMMUNICATION, Cause::Bus(BusOff), "the bridge was bus-off and is back (told once)"),
+        fault(
+            0x8140,
+            COMMUNICATION,
+            Cause::Bus(BusOff),
+            "the bridge has recovered from bus-off (reported once)",
+        ),
         fault(
             0x8210,
             COMMUNICATION,
             Cause::Bus(PdoLength),
-            "an RPDO had a wrong length and was not taken (told once)",
+            "an RPDO of wrong length was ignored (reported once)",
         ),
         fault(0x4210, 1 << 3, Cause::System(SystemFlags::TEMP_WARNING), "TEMP_WARNING"),
     ]
 };
 
-/// What the device needs of them, so that the words stay out of the image.
+/// Faults without texts, which keeps the texts out of the image.
 pub(super) const CODES: [bus_canopen::Fault; FAULTS.len()] = {
     let mut codes =
         [bus_canopen::Fault { code: 0, register: 0, cause: bus_canopen::Cause::Application }; FAULTS.len()];
@@ -74,7 +79,7 @@ pub(super) const CODES: [bus_canopen::Fault; FAULTS.len()] = {
     codes
 };
 
-/// The causes alone, for the same reason.
+/// Causes without texts, for the same reason.
 const CAUSES: [Cause; FAULTS.len()] = {
     let mut causes = [Cause::GripperSilent; FAULTS.len()];
     let mut at = 0;
@@ -90,7 +95,7 @@ const CAUSES: [Cause; FAULTS.len()] = {
 
 const _: () = assert!(FAULTS.len() <= u16::BITS as usize);
 
-/// The faults that the bridge itself sees now: bit n for fault n of [`FAULTS`].
+/// Returns the active faults that the bridge itself detects: bit n for fault n of [`FAULTS`].
 pub(super) fn present(system: SystemFlags, gripper_silent: bool) -> u16 {
     let mut present = 0;
     for (number, cause) in CAUSES.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The object dictionary: one table for the server, the EDS file and the documents.
+//! Object dictionary: one table for the server, the EDS file and the documents.
 
 use bus_canopen::{Abort, DataType, Dictionary, Entry, Pdo, Source, entries, find};
 
@@ -7,7 +7,7 @@ use crate::plc::side::BoardId;
 use crate::plc::{REPORTS, SETTINGS, Settings, View};
 use crate::register::{BusCounts, RegisterError, SaveState, StoreCommand};
 
-/// A value that is the bridge's: one about the bus, a setting or a report.
+/// A value of the bridge in the dictionary: bus state, setting or report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Key(Value);
 
@@ -27,37 +27,37 @@ enum Value {
     FramesMiscut,
     FramesExpired,
     LinkBroken,
-    /// What takes this signature: it does something with the settings as a whole.
+    /// A store command, which is written as a signature.
     Store(StoreCommand),
-    /// A register of the settings, counted from 0.
+    /// Index of a setting.
     Setting(u16),
-    /// A report, counted from 0.
+    /// Index of a report.
     Report(u16),
 }
 
-/// An object of the dictionary, or one of its entries.
+/// An object of the dictionary, or an entry of an object.
 pub type Object = bus_canopen::Object<Key>;
 
-/// The index of the record of the settings: entry n is holding register 99 + n of `docs/registers.md`.
+/// Record of the settings. Entry n is holding register 99 + n of `docs/registers.md`.
 pub const SETTINGS_INDEX: u16 = 0x2100;
-/// The index of the record of the reports: entry n is input register 99 + n of `docs/registers.md`.
+/// Record of the reports. Entry n is input register 99 + n of `docs/registers.md`.
 pub const REPORTS_INDEX: u16 = 0x2101;
-/// The index of the output image.
+/// Record of the output image.
 pub const OUTPUT_INDEX: u16 = 0x2000;
-/// The index of the input image.
+/// Record of the input image.
 pub const INPUT_INDEX: u16 = 0x2001;
 
-/// The name of the device (1008h).
+/// Device name (1008h).
 pub(super) const DEVICE_NAME: &str = "WSG gripper bridge";
-/// Its software version (100Ah).
+/// Software version (100Ah).
 pub(super) const SOFTWARE_VERSION: &str = env!("CARGO_PKG_VERSION");
 
 const REVISION: u32 = 1 << 16;
 
-/// The name of the entry that says how many there are.
+/// Name of subindex 0 of a record.
 pub(super) const COUNT: &str = "Number of entries";
 
-/// Objects 1000h to 2002h. The settings and reports behind them have tables of their own.
+/// Objects 1000h to 2002h. The subsequent settings and reports have tables of their own.
 pub const OBJECTS: [Object; 85] = {
     use DataType::{I16, Text, U8, U16, U32};
     use Pdo::{Receive, Transmit};
@@ -77,15 +77,15 @@ pub const OBJECTS: [Object; 85] = {
     const BUS: &str = "CAN";
     const STORE: &str = "Store parameters";
     const RESTORE: &str = "Restore default parameters";
-    /// A field of RPDO1, by its first byte.
+    /// Field of RPDO1 at this byte offset.
     const fn received(at: u8) -> Source<Key> {
         Source::Rpdo { number: 0, at }
     }
-    /// A field of TPDO1.
+    /// Field of TPDO1 at this byte offset.
     const fn state(at: u8) -> Source<Key> {
         Source::Tpdo { number: 0, at }
     }
-    /// A field of TPDO2.
+    /// Field of TPDO2 at this byte offset.
     const fn measured(at: u8) -> Source<Key> {
         Source::Tpdo { number: 1, at }
     }
@@ -126,14 +126,14 @@ pub const OBJECTS: [Object; 85] = {
         ro(0x1000, 0, U32, S::Fixed(0), "", "Device type"),
         ro(0x1001, 0, U8, S::ErrorRegister, "", "Error register"),
         rw(0x1003, 0, U8, S::ErrorCount, ERRORS, COUNT),
-        error(1, "The last: code, and ERROR_CAUSE in bits 16 to 23"),
-        error(2, "The second last"),
-        error(3, "The third last"),
-        error(4, "The fourth last"),
-        error(5, "The fifth last"),
-        error(6, "The sixth last"),
-        error(7, "The seventh last"),
-        error(8, "The eighth last"),
+        error(1, "Latest error: code, ERROR_CAUSE in bits 16 to 23"),
+        error(2, "2nd latest error"),
+        error(3, "3rd latest error"),
+        error(4, "4th latest error"),
+        error(5, "5th latest error"),
+        error(6, "6th latest error"),
+        error(7, "7th latest error"),
+        error(8, "8th latest error"),
         rw(0x1005, 0, U32, S::Fixed(0x80), "", "COB-ID SYNC"),
         ro(0x1008, 0, Text, own(V::DeviceName), "", "Manufacturer device name"),
         ro(0x1009, 0, Text, own(V::HardwareVersion), "", "Manufacturer hardware version"),
@@ -208,35 +208,35 @@ pub const OBJECTS: [Object; 85] = {
         ro(0x2002, 1, U8, own(V::BusStatus), BUS, "0 on, 1 off, 2 recovering, 3 given up; 80h: passive"),
         ro(0x2002, 2, U8, own(V::TransmitErrors), BUS, "Transmit error counter"),
         ro(0x2002, 3, U8, own(V::ReceiveErrors), BUS, "Receive error counter"),
-        ro(0x2002, 4, U16, own(V::BusOffs), BUS, "Times bus-off"),
+        ro(0x2002, 4, U16, own(V::BusOffs), BUS, "Transitions to bus-off"),
         ro(0x2002, 5, U16, own(V::Overruns), BUS, "Frames lost by the controller"),
         ro(0x2002, 6, U16, own(V::Refused), BUS, "Frames refused by the controller"),
-        ro(0x2002, 7, U16, own(V::FramesDropped), BUS, "Gripper: frames of no intact message"),
-        ro(0x2002, 8, U16, own(V::FramesMiscut), BUS, "Gripper: messages cut wrongly"),
-        ro(0x2002, 9, U16, own(V::FramesExpired), BUS, "Gripper: half messages"),
-        ro(0x2002, 10, U16, own(V::LinkBroken), BUS, "To the gripper: messages that left in part"),
+        ro(0x2002, 7, U16, own(V::FramesDropped), BUS, "Gripper: frames outside of intact messages"),
+        ro(0x2002, 8, U16, own(V::FramesMiscut), BUS, "Gripper: messages split incorrectly"),
+        ro(0x2002, 9, U16, own(V::FramesExpired), BUS, "Gripper: incomplete messages"),
+        ro(0x2002, 10, U16, own(V::LinkBroken), BUS, "To the gripper: messages sent only in part"),
     ]
 };
 
-/// How many entries the settings and the reports have, without the one that says so.
+/// Number of settings and reports, without subindex 0.
 const SETTINGS_COUNT: u8 = SETTINGS.len() as u8;
 const REPORTS_COUNT: u8 = REPORTS.len() as u8;
 const _: () = assert!(SETTINGS.len() < 255 && REPORTS.len() < 255);
 
-/// The server's part of the table.
+/// Entries of the table that the server needs.
 const ENTRIES: [Entry<Key>; OBJECTS.len()] = entries(&OBJECTS);
 
-/// The setting with this subindex, from 1 on.
+/// Returns the source of the setting with this subindex, counted from 1.
 pub(super) const fn setting(sub: u8) -> Source<Key> {
     Source::Application(Key(Value::Setting((sub as u16).wrapping_sub(1))))
 }
 
-/// The report with this subindex, from 1 on.
+/// Returns the source of the report with this subindex, counted from 1.
 pub(super) const fn report(sub: u8) -> Source<Key> {
     Source::Application(Key(Value::Report((sub as u16).wrapping_sub(1))))
 }
 
-/// What a master reads and writes in one turn of the bridge.
+/// The bridge's objects for SDO, during one turn.
 pub(super) struct Objects<'a, 'v> {
     pub(super) view: &'a mut View<'v>,
     pub(super) report: &'a BusReport,
@@ -269,7 +269,7 @@ impl Dictionary for Objects<'_, '_> {
                 self.view.report(number, BusCounts::default()).map(u32::from).map_err(abort_of)
             }
             Value::SerialNumber => Ok(self.board.serial),
-            // Bit 0: on command, and not by itself.
+            // Bit 0: saves on command, not autonomously.
             Value::Store(_) => Ok(1),
             _ => Ok(bus_value(self.report, value)),
         }
@@ -287,7 +287,7 @@ impl Dictionary for Objects<'_, '_> {
     fn write(&mut self, Key(value): Key, number: u32) -> Result<(), Abort> {
         match value {
             Value::Setting(at) => self.write_setting(at, number as u16),
-            // CiA 301 has this abort for a wrong signature.
+            // CiA 301 requires this abort for a wrong signature.
             Value::Store(command) if number != signature(command) => Err(Abort::Store),
             Value::Store(command) => self.view.command_store(command).map_err(abort_of),
             _ => Err(Abort::ReadOnly),
@@ -317,7 +317,7 @@ impl Objects<'_, '_> {
     }
 }
 
-/// What CiA 301 has written to 1010h ("save") and 1011h ("load"), the first letter in the lowest byte.
+/// Returns the CiA 301 signature for 1010h ("save") and 1011h ("load"), first letter in the lowest byte.
 const fn signature(command: StoreCommand) -> u32 {
     u32::from_le_bytes(match command {
         StoreCommand::Save => *b"save",
@@ -325,7 +325,7 @@ const fn signature(command: StoreCommand) -> u32 {
     })
 }
 
-/// The abort that says so.
+/// Returns the abort code for an error.
 const fn abort_of(error: RegisterError) -> Abort {
     match error {
         RegisterError::Missing => Abort::NoSubindex,
@@ -334,7 +334,7 @@ const fn abort_of(error: RegisterError) -> Abort {
     }
 }
 
-/// What is known of the bus, by its object.
+/// Returns the value of an object about the bus.
 fn bus_value(report: &BusReport, value: Value) -> u32 {
     let BusReport { state, health, counters, link } = report;
     match value {

@@ -1,22 +1,22 @@
-//! What can be set about Modbus RTU, and about the silence of every bus.
+//! Configuration of Modbus RTU, and of the time-out of every bus.
 
 use crate::register::{saturate, setting_rows};
 use bus_modbus::rtu::Timing;
 use wsg_fieldbus::SilenceReaction;
 
-/// The bits of a character besides the eight of data (MODBUS over serial line, 2.5.1).
+/// Format of a character: its bits in addition to the eight data bits (MODBUS over serial line, 2.5.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Format {
     /// Even parity, one stop bit: the specification's default.
     Even1,
     /// No parity, one stop bit.
     None1,
-    /// No parity, two stop bits: what the specification asks for without parity.
+    /// No parity, two stop bits: required by the specification without parity.
     None2,
 }
 
 impl Format {
-    /// Bits of a character on the line, start bit included.
+    /// Returns the length of a character in bits, start bit included.
     #[must_use]
     pub const fn bits(self) -> u32 {
         match self {
@@ -25,7 +25,7 @@ impl Format {
         }
     }
 
-    /// The one that is written so.
+    /// Parses a name such as `8E1`.
     #[must_use]
     pub const fn from_name(name: &str) -> Option<Self> {
         match name.as_bytes() {
@@ -36,7 +36,7 @@ impl Format {
         }
     }
 
-    /// As it is written: `8E1`.
+    /// Returns the usual name, such as `8E1`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -47,31 +47,30 @@ impl Format {
     }
 }
 
-/// The bus at power-up. What can be changed while it runs has a register ([`SETTINGS`](crate::registers::SETTINGS)); rate and
-/// format need a start.
+/// The bus at power-up. Rate and format need a restart. The other values are settings that can change at run time
+/// ([`SETTINGS`](crate::registers::SETTINGS)).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct BusConfig {
-    /// The rate in bit/s. Which ones a board can do, its board file says.
+    /// Rate in bit/s. The board's documentation lists the supported rates.
     pub baud: u32,
-    /// The format of a character.
+    /// Format of a character.
     pub format: Format,
-    /// The bridge's address, 1 to 247.
+    /// Address of the bridge, 1 to 247.
     pub unit: u8,
-    /// How long a PLC that commanded may be silent, in milliseconds; 0: for ever.
+    /// Longest silence of a commanding PLC, in milliseconds; 0: unlimited.
     pub timeout_ms: u16,
-    /// What is done then.
+    /// Reaction to a longer silence.
     pub reaction: SilenceReaction,
-    /// How long a pause inside a request may be, in milliseconds; 0: by the specification, T1.5.
+    /// Longest pause inside a request, in milliseconds; 0: T1.5 of the specification.
     pub character_timeout_ms: u16,
-    /// Whether broadcasts count. Off as delivered: a register that is broadcast for devices of another kind would be
-    /// CMDFLAGS here.
+    /// Broadcast writes are executed. Off by default: a broadcast register of another kind of device could be CMDFLAGS here.
     pub broadcast: bool,
-    /// Whether the bytes of numbers in registers 0 to 5 are swapped.
+    /// The bytes of numbers in registers 0 to 5 are swapped.
     pub swap_bytes: bool,
 }
 
 impl BusConfig {
-    /// 19 200 bit/s, 8E1, unit 1: the specification's defaults. Silence of a second stops a motion.
+    /// 19 200 bit/s, 8E1, unit 1: the specification's defaults. A silence of 1 s stops a motion.
     pub const DEFAULT: Self = Self {
         baud: 19_200,
         format: Format::Even1,
@@ -83,8 +82,8 @@ impl BusConfig {
         swap_bytes: false,
     };
 
-    /// The service port: 115 200 bit/s, 8N1, unit 1, and whatever settings say of the PLC's bus changes none of it. It
-    /// commands nothing, so its silence is no time-out.
+    /// The service port: 115 200 bit/s, 8N1, unit 1, independent of the settings of the PLC's bus. It has no time-out,
+    /// because it cannot command motions.
     pub const SERVICE: Self = Self {
         baud: 115_200,
         format: Format::None1,
@@ -96,7 +95,7 @@ impl BusConfig {
         swap_bytes: false,
     };
 
-    /// The silences of this rate and format.
+    /// Returns the silences of this rate and format.
     #[must_use]
     pub const fn timing(&self) -> Timing {
         Timing::of(self.baud, self.format.bits())
@@ -104,25 +103,25 @@ impl BusConfig {
 }
 
 setting_rows! { BusConfig:
-    100 "UNIT" "" (1, 247) "the bridge's address on the bus, from the next request on"
+    100 "UNIT" "" (1, 247) "address of the bridge on the bus; takes effect with the next request"
         unit: |it| it as u16, |value| Some(value as u8);
-    101 "BUS_TIMEOUT" "ms" (0, u16::MAX) "how long a PLC that commanded may be silent; 0: for ever"
+    101 "BUS_TIMEOUT" "ms" (0, u16::MAX) "longest silence of a commanding PLC; 0: unlimited"
         timeout_ms: |it| it, |value| Some(value);
-    102 "BUS_REACTION" "" (0, 2) "what is done then: 0 hold, 1 stop, 2 FAST STOP; a jog ends in any case"
+    102 "BUS_REACTION" "" (0, 2) "reaction to a longer silence: 0 hold, 1 stop, 2 FAST STOP; a jog always ends"
         reaction: |it| it as u16, |value| Some(match value {
             0 => SilenceReaction::Hold,
             1 => SilenceReaction::Stop,
             _ => SilenceReaction::FastStop,
         });
-    103 "BUS_CHAR_TIMEOUT" "ms" (0, 1_000) "how long a pause inside a request may be; 0: T1.5, by the specification"
+    103 "BUS_CHAR_TIMEOUT" "ms" (0, 1_000) "longest pause inside a request; 0: T1.5 of the specification"
         character_timeout_ms: |it| it, |value| Some(value);
-    104 "BROADCAST" "" (0, 1) "1: broadcast writes count"
+    104 "BROADCAST" "" (0, 1) "1: broadcast writes are executed"
         broadcast: |it| it as u16, |value| Some(value != 0);
-    105 "SWAP_BYTES" "" (0, 1) "1: the bytes of the numbers in registers 0 to 5 change places"
+    105 "SWAP_BYTES" "" (0, 1) "1: the bytes of numbers in registers 0 to 5 are swapped"
         swap_bytes: |it| it as u16, |value| Some(value != 0);
-    176 "MODBUS_RATE" "100 bit/s" (12, 2_304) "the rate of Modbus RTU"
+    176 "MODBUS_RATE" "100 bit/s" (12, 2_304) "rate of Modbus RTU"
         baud: |it| saturate(it / 100), |value| Some(u32::from(value) * 100);
-    177 "MODBUS_FORMAT" "" (0, 2) "a character of Modbus RTU: 0 8E1, 1 8N1, 2 8N2"
+    177 "MODBUS_FORMAT" "" (0, 2) "character format of Modbus RTU: 0 8E1, 1 8N1, 2 8N2"
         format: |it| it as u16, |value| Some(match value {
             0 => Format::Even1,
             1 => Format::None1,
@@ -135,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn formats_have_the_names_that_they_are_found_by() {
+    fn each_format_is_found_by_its_name() {
         for format in [Format::Even1, Format::None1, Format::None2] {
             assert_eq!(Format::from_name(format.name()), Some(format));
         }
@@ -143,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn slowest_and_fastest_rate_have_the_silences_of_the_specification() {
+    fn silences_at_the_slowest_and_fastest_rate_follow_the_specification() {
         let timing = |baud, format| BusConfig { baud, format, ..BusConfig::DEFAULT }.timing();
         // 11 bits at 1200 bit/s are 9 167 us.
         let slow = timing(1_200, Format::Even1);

@@ -1,4 +1,4 @@
-//! What is fixed about PROFIBUS when the bridge starts: its address, and the rate of the bus.
+//! PROFIBUS configuration that is fixed at the start: the bridge's address, and the rate of the bus.
 
 use crate::register::setting_rows;
 use bus_profibus::Baud;
@@ -7,21 +7,21 @@ use wsg_fieldbus::profibus::ADDRESS;
 /// The bridge as a DP slave at power-up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProfibusConfig {
-    /// Its address, 0 to 125.
+    /// Station address, 0 to 125.
     pub address: u8,
-    /// The rate of the bus; `None`: it is searched among [`RATES`](Self::RATES).
+    /// Rate of the bus. `None`: the bridge searches for it among [`RATES`](Self::RATES).
     pub rate: Option<Baud>,
 }
 
 impl ProfibusConfig {
-    /// Address 7 (fieldbus, 2.2), and whatever rate the bus has.
+    /// Address 7 (fieldbus, 2.2), rate search.
     pub const DEFAULT: Self = Self { address: ADDRESS.station, rate: None };
 
-    /// The rates that can be set and are searched: 9.6 kbit/s to 1.5 Mbit/s.
+    /// Rates for setting and search: 9.6 kbit/s to 1.5 Mbit/s.
     pub const RATES: [Baud; 7] =
         [Baud::K9_6, Baud::K19_2, Baud::K45_45, Baud::K93_75, Baud::K187_5, Baud::K500, Baud::M1_5];
 
-    /// The rate as a setting: in 100 bit/s, what is left of it cut off; 0: searched.
+    /// Returns the rate as a setting, in 100 bit/s, rounded down; 0: search.
     const fn rate_setting(rate: Option<Baud>) -> u16 {
         match rate {
             Some(rate) => setting(rate),
@@ -29,7 +29,7 @@ impl ProfibusConfig {
         }
     }
 
-    /// The rate that this setting means; `None` if it is no rate of PROFIBUS that can be set.
+    /// Returns the rate for this setting. `None`: not a supported PROFIBUS rate.
     fn rate_of(value: u16) -> Option<Option<Baud>> {
         if value == 0 {
             return Some(None);
@@ -39,10 +39,10 @@ impl ProfibusConfig {
 }
 
 setting_rows! { ProfibusConfig:
-    182 "PROFIBUS_ADDRESS" "" (0, 125) "the bridge's address on PROFIBUS"
+    182 "PROFIBUS_ADDRESS" "" (0, 125) "address of the bridge on PROFIBUS"
         address: |it| it as u16, |value| Some(value as u8);
     183 "PROFIBUS_RATE" "100 bit/s" (0, 15_000)
-        "the rate of PROFIBUS: 96, 192, 454 (45.45 kbit/s), 937 (93.75 kbit/s), 1875, 5000 or 15000; 0: that of the bus, which is searched"
+        "rate of PROFIBUS: 96, 192, 454 (45.45 kbit/s), 937 (93.75 kbit/s), 1875, 5000 or 15000; 0: automatic search"
         rate: |it| Self::rate_setting(it), |value| Self::rate_of(value);
 }
 

@@ -10,7 +10,7 @@ fn at(ms: u32) -> Instant {
 }
 
 #[test]
-fn codes_and_names_are_told_apart_and_in_order() {
+fn codes_are_ascending_and_names_unique() {
     assert!(EVENTS.windows(2).all(|two| (two[0].code as u8) < two[1].code as u8));
     for (number, event) in EVENTS.iter().enumerate() {
         assert!(EVENTS[..number].iter().all(|other| other.name != event.name));
@@ -19,7 +19,7 @@ fn codes_and_names_are_told_apart_and_in_order() {
 }
 
 #[test]
-fn events_are_read_the_last_first_and_grow_old() {
+fn events_are_read_latest_first_with_their_age() {
     let mut events = Events::new();
     assert_eq!(registers(&events, 0), [0; 4]);
     events.grow_old(at(2_500));
@@ -35,7 +35,7 @@ fn events_are_read_the_last_first_and_grow_old() {
 }
 
 #[test]
-fn sixteen_are_kept_and_ages_stop_at_their_end() {
+fn sixteen_events_are_kept_and_ages_saturate() {
     let mut events = Events::new();
     for value in 0..300 {
         events.happened(EventCode::BusSilent, value);
@@ -49,7 +49,7 @@ fn sixteen_are_kept_and_ages_stop_at_their_end() {
 }
 
 #[test]
-fn last_fast_stop_stays_whatever_happens_behind_it() {
+fn last_fast_stop_is_kept_despite_later_events() {
     let mut events = Events::new();
     assert_eq!(events.cause_of_error(true), 0);
     let flag = Incident { cause: Cause::Flag, command: None, value: 0 };
@@ -65,7 +65,7 @@ fn last_fast_stop_stays_whatever_happens_behind_it() {
 }
 
 #[test]
-fn flags_are_events_when_they_rise() {
+fn rising_flags_are_events() {
     let mut events = Events::new();
     let faults = SystemFlags::TEMP_FAULT | SystemFlags::FAST_STOP;
     events.see_flags(faults, false);
@@ -74,5 +74,5 @@ fn flags_are_events_when_they_rise() {
     assert_eq!(events.fast_stop_register(0), EventCode::GripperFastStop as u16);
     events.see_flags(SystemFlags::empty(), false);
     events.see_flags(SystemFlags::FAST_STOP, true);
-    assert_eq!(events.count(), 2, "that one was asked for");
+    assert_eq!(events.count(), 2, "the bridge requested this FAST STOP");
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::can::{BusCounters, BusState, Health, LinkCounters};
 
 #[test]
-fn each_entry_about_the_bus_has_a_value_of_its_own() {
+fn each_entry_about_the_bus_has_its_own_value() {
     let frames =
         wsg_protocol::can::ReassemblerCounters { dropped: 9, miscut: 10, expired: 11, ..Default::default() };
     let report = BusReport {
