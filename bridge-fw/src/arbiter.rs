@@ -1,51 +1,51 @@
-//! Who commands: wires and bus at the same time, one output image for the controller.
+//! Arbitration: merges the commands of wires and bus to one output image for the controller.
 //!
-//! The rule:
-//! 1. FASTSTOP and STOP/ACK of either side always count; so does a FASTSTOP wire that is low.
-//! 2. Motion and jog flags of the bus count only while no command wire (GRIP, RELEASE, MOVE, HOME) is high. One that
-//!    rises meanwhile, or is 1 when a command wire rises, counts again after it was written 0. So a jog of the bus ends
-//!    when a command wire rises.
-//! 3. What the bus writes first, after power-up or after it was silent, gives no edge: a flag that is 1 there counts
-//!    after it was written 0. FASTSTOP counts at once. What the bus reads changes nothing of that: one that
-//!    holds a flag across a reset of the bridge may read zeros before it writes.
-//! 4. While the stored settings are refused, motion and jog flags of the bus do not count; one that is 1 meanwhile counts
-//!    after it was written 0.
-//! 5. WIDTH, SPEED and FORCELIMIT are those of the side that gave the last motion command; while the fingers move the
-//!    other side's change nothing.
+//! The rules:
+//! 1. FASTSTOP and STOP/ACK of either side always take effect, including a low FASTSTOP wire.
+//! 2. Motion and jog flags of the bus take effect only while all command wires (GRIP, RELEASE, MOVE, HOME) are low. A flag
+//!    that rises in the meantime, or is 1 when a command wire rises, is ignored until it was written 0. So a jog of the bus
+//!    ends when a command wire rises.
+//! 3. The first image of the bus, after power-up or a time-out, gives no edge. A flag that is 1 in it is ignored until it was
+//!    written 0. FASTSTOP takes effect immediately. Reads do not matter: a master that holds a flag during a reset of the
+//!    bridge may read zeros before it writes.
+//! 4. While the stored settings are refused, motion and jog flags of the bus are ignored until they were written 0
+//!    afterwards.
+//! 5. WIDTH, SPEED and FORCELIMIT come from the source of the last motion command. While the fingers move, the other side's
+//!    values have no effect.
 
 use crate::recipe::Recipe;
 use wsg_fieldbus::{CommandFlags, ForceUnit, MaskedFlags, OutputImage};
 
-/// What moves fingers.
+/// Flags that move fingers.
 const MOVERS: CommandFlags = CommandFlags::MOTIONS.union(CommandFlags::JOG);
 
-/// Whose motion command was the last.
+/// Source of the last motion command.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum ControlSource {
-    /// Nobody's yet.
+    /// No motion command since power-up.
     #[default]
     Nobody,
-    /// The wires'.
+    /// The wires.
     Wires,
-    /// The bus's.
+    /// The bus.
     Bus,
 }
 
 /// Merges wire and bus commands.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Arbiter {
-    /// What the wires ask for; none before they have settled.
+    /// Image of the wires; `None` until they have settled.
     wires: Option<OutputImage>,
-    /// What the bus wrote last.
+    /// Last image written by the bus.
     bus: OutputImage,
     /// The next image of the bus is its first.
     bus_is_new: bool,
-    /// Flags of the bus that do not count.
+    /// Ignored flags of the bus.
     masked: MaskedFlags,
-    /// Nothing that moves fingers counts.
+    /// All flags that move fingers are ignored.
     refuses: bool,
     control_source: ControlSource,
-    /// WIDTH, SPEED and FORCELIMIT that count; its flags mean nothing.
+    /// Effective WIDTH, SPEED and FORCELIMIT. Its flags are unused.
     parameters: OutputImage,
 }
 
@@ -66,29 +66,29 @@ impl Arbiter {
         self.control_source
     }
 
-    /// What the bus wrote last, whether or not it counts.
+    /// Returns the last image written by the bus, whether or not it has an effect.
     pub(crate) const fn bus_image(&self) -> &OutputImage {
         &self.bus
     }
 
-    /// Whether the bus holds STOP/ACK, which keeps every motion from beginning (fieldbus, table 1). In a master's first
-    /// image it gives no edge, but its level counts.
+    /// Returns whether the bus holds STOP/ACK, which prevents every motion (fieldbus, table 1). A master's first image gives
+    /// no edge of it, but the level takes effect.
     pub(crate) const fn bus_holds_stop(&self) -> bool {
         !self.bus_is_new && self.bus.flags.contains(CommandFlags::STOP_ACK)
     }
 
-    /// Says whether what moves fingers shall not count, from the bus's next image on.
+    /// Sets whether flags that move fingers are ignored, from the bus's next image on.
     pub(crate) const fn set_refuses(&mut self, refuses: bool) {
         self.refuses = refuses;
     }
 
-    /// Whether the wires ask for FAST STOP.
+    /// Returns whether the wires request FAST STOP.
     pub(crate) fn is_stopped_by_wires(&self) -> bool {
         self.wires.is_some_and(|wires| wires.flags.contains(CommandFlags::FASTSTOP))
     }
 
-    /// Takes what the wires ask for. Hands the images on to the controller, in order: before a command wire's edge, one
-    /// in which the bus has let go.
+    /// Merges an image of the wires, and passes the results to the controller in order. Before an edge of a command wire, it
+    /// passes an image in which the bus has released its flags.
     pub(crate) fn take_wires(
         &mut self,
         image: &OutputImage,
@@ -115,7 +115,7 @@ impl Arbiter {
         to_controller(&self.merged(image.flags));
     }
 
-    /// Returns the flags of a bus image that rise and move fingers, but are refused: a command wire is high, or motions are
+    /// Returns the rising motion and jog flags of a bus image that are refused, because a command wire is high or motions are
     /// locked.
     pub(crate) fn refused(&self, image: &OutputImage) -> CommandFlags {
         let wires = self.wires.unwrap_or_default();
@@ -127,10 +127,10 @@ impl Arbiter {
         }
     }
 
-    /// Takes an image that the bus wrote. Gives the one for the controller, if the wires have settled.
+    /// Merges an image written by the bus. Returns the image for the controller if the wires have settled.
     ///
-    /// With a `recipe` its values count in place of the image's: those for the command whose flag rises. Without such a flag,
-    /// and while the fingers move, those that counted last, so that they never change during a motion.
+    /// With a `recipe`, its values for the rising command replace the image's. Without a rising command, and while the
+    /// fingers move, the last values stay, so that they never change during a motion.
     pub(crate) fn take_bus(
         &mut self,
         image: OutputImage,
@@ -162,7 +162,7 @@ impl Arbiter {
         self.wires.map(|wires| self.merged(wires.flags))
     }
 
-    /// Takes notice that the bus is silent: nothing that it wrote counts any more, but FASTSTOP.
+    /// Handles a lost bus: all its flags except FASTSTOP are ignored.
     pub(crate) fn lose_bus(&mut self) -> Option<OutputImage> {
         self.bus_is_new = true;
         self.masked.mask(self.bus.flags.difference(CommandFlags::FASTSTOP));
@@ -190,7 +190,7 @@ mod tests {
         OutputImage { flags, user: 0, width, speed: 50_00, force_limit: 40_00 }
     }
 
-    /// Wires that are low, and a bus that has written zeros once.
+    /// Returns an arbiter with low wires and a bus that has written zeros once.
     fn idle() -> Arbiter {
         let mut arbiter = Arbiter::new();
         take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
@@ -198,7 +198,7 @@ mod tests {
         arbiter
     }
 
-    /// What the controller is given for these wires: the image in which the bus lets go, and the last one.
+    /// Returns the images for the controller: the one in which the bus releases its flags, if any, and the last one.
     fn take_wires(
         arbiter: &mut Arbiter,
         image: OutputImage,
@@ -223,7 +223,7 @@ mod tests {
     }
 
     #[test]
-    fn user_flags_are_those_of_the_bus_whoever_commands() {
+    fn user_flags_are_from_the_bus_regardless_of_the_control_source() {
         let mut arbiter = idle();
         arbiter.take_bus(OutputImage { user: 0x20, ..image(CommandFlags::empty(), 3) }, None, false);
         let (_, merged) = take_wires(&mut arbiter, image(GRIP, 7), false);
@@ -244,7 +244,7 @@ mod tests {
         take_wires(&mut arbiter, image(GRIP, 7), false);
         assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), None, false)), GRIP);
         let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 7), false);
-        assert_eq!(merged.flags, CommandFlags::empty(), "MOVE is still 1, and still lost");
+        assert_eq!(merged.flags, CommandFlags::empty(), "MOVE is still 1 and still ignored");
         arbiter.take_bus(image(CommandFlags::empty(), 3), None, false);
         assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), None, false)), MOVE);
     }
@@ -254,7 +254,7 @@ mod tests {
         let mut arbiter = idle();
         arbiter.take_bus(image(MOVE, 3), None, false);
         let (let_go, merged) = take_wires(&mut arbiter, image(MOVE, 7), false);
-        assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)), "the bus lets go first");
+        assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)), "the bus releases its flag first");
         assert_eq!(merged, image(MOVE, 7));
     }
 
@@ -264,9 +264,9 @@ mod tests {
         arbiter.take_bus(image(CommandFlags::JOG_PLUS, 3), None, false);
         let (let_go, merged) = take_wires(&mut arbiter, image(GRIP, 7), true);
         assert_eq!(let_go, Some(image(CommandFlags::empty(), 3)));
-        assert_eq!(merged, image(GRIP, 3), "and the parameters do not change while the fingers move");
+        assert_eq!(merged, image(GRIP, 3), "the parameters do not change while the fingers move");
         let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 7), false);
-        assert_eq!(merged.flags, CommandFlags::empty(), "it does not go on");
+        assert_eq!(merged.flags, CommandFlags::empty(), "the jog does not resume");
     }
 
     #[test]
@@ -299,7 +299,7 @@ mod tests {
             assert_eq!(
                 flags(arbiter.take_bus(image(MOVE, 3), None, false)),
                 CommandFlags::empty(),
-                "never 0"
+                "MOVE has not been 0"
             );
             arbiter.take_bus(image(CommandFlags::empty(), 3), None, false);
             assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), None, false)), MOVE);
@@ -307,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_that_rises_beside_a_stop_flag_which_does_not_count_does_not_count_either() {
+    fn motion_that_rises_beside_an_ignored_stop_flag_is_ignored() {
         let mut arbiter = Arbiter::new();
         take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
         arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), None, false);
@@ -338,14 +338,14 @@ mod tests {
         assert_eq!(flags(merged), CommandFlags::empty(), "no edge");
         assert!(arbiter.bus_holds_stop());
         arbiter.lose_bus();
-        assert!(!arbiter.bus_holds_stop(), "what a lost master wrote counts as 0");
+        assert!(!arbiter.bus_holds_stop(), "the flags of a lost master are 0");
         arbiter.take_bus(image(CommandFlags::STOP_ACK, 3), None, false);
         arbiter.take_bus(image(CommandFlags::empty(), 3), None, false);
         assert!(!arbiter.bus_holds_stop());
     }
 
     #[test]
-    fn silent_bus_lets_go_of_all_but_fast_stop() {
+    fn lost_bus_releases_all_flags_but_fast_stop() {
         let mut arbiter = idle();
         arbiter.take_bus(image(MOVE | CommandFlags::JOG_PLUS | CommandFlags::FASTSTOP, 3), None, false);
         assert_eq!(flags(arbiter.lose_bus()), CommandFlags::FASTSTOP);
@@ -358,7 +358,7 @@ mod tests {
         take_wires(&mut arbiter, image(CommandFlags::empty(), 7), true);
         assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), None, true).unwrap().width, 7);
         let second = arbiter.take_bus(image(MOVE, 3), None, true).unwrap();
-        assert_eq!((second.flags, second.width), (MOVE, 7), "the controller refuses it");
+        assert_eq!((second.flags, second.width), (MOVE, 7), "the controller refuses the command");
         assert_eq!(arbiter.control_source(), ControlSource::Wires);
     }
 
@@ -369,43 +369,43 @@ mod tests {
         assert_eq!(
             arbiter.take_bus(image(MOVE, 4), None, true),
             Some(image(MOVE, 4)),
-            "the controller makes it a FAST STOP"
+            "the controller converts it to a FAST STOP"
         );
     }
 
-    /// Width, speed and force limit that the controller is given.
+    /// Returns width, speed and force limit for the controller.
     fn parameters(merged: Option<OutputImage>) -> (i16, u16, i16) {
         let OutputImage { width, speed, force_limit, .. } = merged.unwrap();
         (width, speed, force_limit)
     }
 
     #[test]
-    fn recipe_counts_in_place_of_what_the_bus_writes_and_changes_nothing_during_a_motion() {
+    fn recipe_replaces_the_parameters_of_the_bus_and_does_not_change_during_a_motion() {
         let recipe = Recipe { width: 11, speed: 12, force: 130, release_width: 14 };
         let other = Recipe { width: 21, speed: 22, force: 230, release_width: 24 };
         let by = |recipe| Some((recipe, ForceUnit::Hundredth));
         let mut arbiter = idle();
         let moved = arbiter.take_bus(image(MOVE, 3), by(recipe), false);
         assert_eq!(parameters(moved), (11, 12, 130));
-        assert_eq!(arbiter.bus_image(), &image(MOVE, 3), "as it was written");
+        assert_eq!(arbiter.bus_image(), &image(MOVE, 3), "as written");
         let released = arbiter.take_bus(image(CommandFlags::empty(), 4), by(other), true);
         assert_eq!(parameters(released), (11, 12, 130), "no flag rises");
         let refused = arbiter.take_bus(image(CommandFlags::RELEASE, 4), by(other), true);
         assert_eq!(parameters(refused), (11, 12, 130), "the fingers move");
         let held = arbiter.take_bus(image(CommandFlags::RELEASE, 4), by(other), false);
-        assert_eq!(parameters(held), (11, 12, 130), "it has not risen again");
+        assert_eq!(parameters(held), (11, 12, 130), "RELEASE has not risen again");
         arbiter.take_bus(image(CommandFlags::empty(), 4), by(other), false);
         let opened = arbiter.take_bus(image(CommandFlags::RELEASE, 4), by(other), false);
         assert_eq!(parameters(opened), (24, 22, 230));
         arbiter.take_bus(image(CommandFlags::empty(), 4), by(other), false);
         let both =
             arbiter.take_bus(image(GRIP | CommandFlags::RELEASE, 4), Some((recipe, ForceUnit::Tenth)), false);
-        assert_eq!(parameters(both), (11, 12, 13), "GRIP is the one that runs");
+        assert_eq!(parameters(both), (11, 12, 13), "GRIP has priority");
         assert_eq!(parameters(arbiter.take_bus(image(GRIP, 4), None, false)), (4, 50_00, 40_00));
     }
 
     #[test]
-    fn recipe_of_the_bus_changes_nothing_while_the_wires_command() {
+    fn recipe_of_the_bus_has_no_effect_while_the_wires_command() {
         let recipe = Recipe { width: 11, speed: 12, force: 13, release_width: 14 };
         let mut arbiter = idle();
         take_wires(&mut arbiter, image(GRIP, 7), false);
@@ -419,6 +419,6 @@ mod tests {
         assert_eq!(arbiter.take_bus(image(CommandFlags::empty(), 3), None, false), None);
         assert_eq!(arbiter.take_bus(image(CommandFlags::FASTSTOP, 3), None, false), None);
         let (_, merged) = take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
-        assert_eq!(merged.flags, CommandFlags::FASTSTOP, "but what the bus wrote is not forgotten");
+        assert_eq!(merged.flags, CommandFlags::FASTSTOP, "the image of the bus takes effect afterwards");
     }
 }

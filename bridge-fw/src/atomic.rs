@@ -1,5 +1,5 @@
-//! The atomics that interrupt handlers and the main loop share: those of `core`, and in the models of `cargo xtask loom` those of
-//! `loom`. Loads and stores alone, because a Cortex-M0+ has nothing else.
+//! Atomics shared by interrupt handlers and the main loop, from `core`, or from `loom` in the models of `cargo xtask loom`.
+//! Only loads and stores are used, because a Cortex-M0+ has no other atomic operations.
 
 #[cfg(all(loom, test))]
 pub(crate) mod model;

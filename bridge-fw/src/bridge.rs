@@ -19,26 +19,26 @@ use wsg_fieldbus::{Controller, InputImage};
 use wsg_protocol::session::{self, Event, Session, Topic};
 use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, SystemFlags, frame};
 
-/// Bytes taken from the line in one turn of the main loop, at the most: a line that never falls silent must not keep
-/// the wires waiting. One millisecond at 115 200 bit/s brings 12.
+/// Maximum bytes read from the line in one turn of the main loop. A continuously sending line must not delay the wires. One
+/// millisecond at 115 200 bit/s is 12 bytes.
 const MAX_RECEIVED_PER_POLL: usize = 256;
 
-/// The least time between two updates of width or force for the bus's registers: a report has 14 bytes, and the line
-/// carries 115 in that time.
+/// Minimum period of width and force updates for the bus's registers. An update has 14 bytes, and the line carries 115 in
+/// this period.
 const MEASURED_PERIOD_MS: u16 = AutoUpdate::MIN_PERIOD_MS;
 
-/// What the bridge has met that it could not use.
+/// Faults on the way to and from the gripper since power-up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
-    /// On the gripper's line, below frames.
+    /// Faults on the gripper's line, below frames.
     pub line: frame::FrameCounters,
-    /// In frames and requests.
+    /// Faults in frames and requests.
     pub session: session::SessionCounters,
 }
 
-/// One bridge between the wires of a PLC, or its bus, and one gripper.
+/// A bridge between one PLC, on wires and on a bus, and one gripper.
 ///
-/// Board-free: [`poll`](Self::poll) it in the main loop, at least once a millisecond.
+/// Independent of the board. The main loop calls [`poll`](Self::poll) at least once a millisecond.
 #[derive(Clone, Debug, Hash)]
 pub struct Bridge {
     settings: Settings,
@@ -49,18 +49,18 @@ pub struct Bridge {
     wires: Wires,
     arbiter: Arbiter,
     facts: Facts,
-    /// Width and force are subscribed to, because a bus or the service port shows them. Wires alone have no use for them.
+    /// Width and force are subscribed to, because a bus or the service port shows them. The wires alone do not need them.
     is_measured: bool,
     liveness: Liveness,
-    /// The frame that is being sent.
+    /// Frame in transmission.
     sending: Option<FrameEncoder<Command<'static>>>,
-    /// The connection was given up in this turn. Nothing more leaves in it: first the link must let go of what it was given
-    /// before (a FAST STOP would go with that).
+    /// The connection was lost in this turn, so nothing more is sent in it. The link must first discard its pending bytes,
+    /// and would discard a FAST STOP with them.
     gave_up: bool,
 }
 
 impl Bridge {
-    /// A bridge at power-up: nothing is known, nothing will be sent that moves fingers.
+    /// Creates a bridge at power-up. It knows nothing about the gripper and sends no motion.
     #[must_use]
     pub const fn new(config: Config) -> Self {
         let settings = Settings::new(&config);
@@ -92,9 +92,9 @@ impl Bridge {
         }
     }
 
-    /// Takes another configuration, but for the time-outs towards the gripper, and where it is from. Before the first turn
-    /// alone. Settings that are refused let nothing move until others are stored.
-    // Apart: a record of the settings is on its stack.
+    /// Applies another configuration, except for the time-outs of the session, and its origin. Called only before the first
+    /// turn. Refused settings block all motions until others are stored.
+    // Not inlined: a record of the settings is on its stack.
     #[inline(never)]
     pub(crate) fn configure(&mut self, config: &Config, from: SettingsFrom) {
         self.settings.start(config);
@@ -107,45 +107,45 @@ impl Bridge {
         }
     }
 
-    /// The settings as they are now.
+    /// Returns the current settings.
     pub(crate) const fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// Takes what was asked to be done with the settings. The fingers stood when it was asked for, and nothing that comes later
-    /// in that turn begins a motion.
+    /// Takes the requested action on the settings. The fingers were at rest at the request, and later input of that turn
+    /// starts no motion.
     pub(crate) const fn take_store_command(&mut self) -> Option<StoreCommand> {
         self.settings.take_asked()
     }
 
-    /// Takes these settings; they are not stored.
+    /// Applies these settings without storing them.
     pub(crate) fn take_settings(&mut self, settings: &Record) {
         self.settings.take(settings);
         self.wires.configure(&self.settings);
     }
 
-    /// A save has begun.
+    /// Records the start of a save.
     pub(crate) const fn save_begins(&mut self) {
         self.facts.store.save = SaveState::Saving;
     }
 
-    /// The settings as they are were stored.
+    /// Records that the current settings have been stored.
     pub(crate) fn save_succeeded(&mut self) {
         self.settings.are_stored();
         self.facts.store = StoreReports { from: SettingsFrom::Stored, save: SaveState::Saved };
         self.arbiter.set_refuses(false);
     }
 
-    /// They were not; why is the value of [`EventCode::SaveFailed`].
+    /// Records a failed save. `why` is the value of [`EventCode::SaveFailed`].
     pub(crate) fn save_failed(&mut self, why: u16) {
         self.facts.events.happened(EventCode::SaveFailed, why);
         self.facts.store.save = SaveState::Failed;
     }
 
-    /// One turn: takes what the line, the wires and the bus brought, sends what is due, and returns the levels of the wires to
-    /// the PLC. Never waits: `link` is read only when it has bytes and written only when it has room.
+    /// Runs one turn: handles the input of line, wires and bus, sends due commands, and returns the output levels for the
+    /// PLC. Never waits: reads from `link` only available bytes, and writes only while it has room.
     ///
-    /// `bus` is the PLC side beside the wires, [`NoBus`](crate::plc::NoBus) if there is none.
+    /// `bus` is the PLC side beside the wires, or [`NoBus`](crate::plc::NoBus).
     pub fn poll<L: Read + ReadReady + Write + WriteReady, P: PlcSide>(
         &mut self,
         now_ms: u32,
@@ -156,13 +156,13 @@ impl Bridge {
         let now = Instant::from_millis(now_ms);
         bus.report(&mut self.facts.sides);
         let has_heard = self.receive(now, link) | self.expire_half_frame(now);
-        // Before what is known may be given up with the connection.
+        // Before a lost connection invalidates this state.
         self.controller.get_acquainted(self.session.known());
         self.tick(now);
         self.facts.was_connected |= self.session.is_connected();
         self.take_wires(now, inputs, has_heard);
         if self.facts.motion_end.is_awaited() {
-            // Before a bus is answered.
+            // Before a bus is served.
             self.follow_motion(now, &self.facts.image(&self.controller, &self.session));
         }
         self.take_bus(now, bus);
@@ -171,7 +171,7 @@ impl Bridge {
         if !core::mem::take(&mut self.gave_up) {
             self.transmit(now, link);
         }
-        // Behind what leaves: a FAST STOP does not wait for its record.
+        // After transmitting, so that the record never delays a FAST STOP.
         self.keep_record(now);
         let motion_is_open = self.session.motion_is_open();
         let image = self.facts.image(&self.controller, &self.session);
@@ -195,8 +195,8 @@ impl Bridge {
         self.wires.shown()
     }
 
-    /// Serves a service port, once a turn, before or behind [`poll`](Self::poll): one event at the most. What it changes of the
-    /// settings counts at once. It commands nothing: an output image of it is dropped, and so is its silence.
+    /// Serves a service port, once per turn before or after [`poll`](Self::poll), with at most one event. Changed settings
+    /// take effect immediately. The port cannot command: its output images and its silence are ignored.
     pub fn serve<P: PlcSide>(&mut self, now_ms: u32, service: &mut P) {
         let Self { controller, session, parser, arbiter, facts, settings, .. } = self;
         let mut view = View { controller, session, parser, arbiter, facts, settings };
@@ -207,23 +207,23 @@ impl Bridge {
         }
     }
 
-    /// Whether the gripper answers.
+    /// Returns whether the gripper answers.
     #[must_use]
     pub const fn is_connected(&self) -> bool {
         self.session.is_connected()
     }
 
-    /// The connection to the gripper, to look at.
+    /// Returns the session with the gripper, for inspection.
     #[must_use]
     pub const fn session(&self) -> &Session {
         &self.session
     }
 
-    /// Says whether the way to the gripper is known to be gone (bus-off), before a poll. As long as it is, the PLC sees
-    /// ERROR and E_IO_ERROR, and no LINK_OK.
+    /// Sets before a poll whether the link to the gripper is known to be down (bus-off). While it is, the PLC reads ERROR and
+    /// E_IO_ERROR, and LINK_OK is low.
     ///
-    /// The connection is given up at once and not after a silence: what was asked for does not leave when the way is
-    /// there again.
+    /// The connection ends immediately instead of after a time-out, so pending commands are never sent after the link
+    /// recovers.
     pub fn set_link_lost(&mut self, is_lost: bool) {
         if is_lost && !self.facts.link_is_lost {
             self.session.disconnect();
@@ -231,15 +231,14 @@ impl Bridge {
         self.facts.link_is_lost = is_lost;
     }
 
-    /// Returns whether the gripper must not carry out a motion or acknowledgement any more that was written to the link, after a
-    /// poll: something that stops it was requested since. A link that holds unsent frames of it withdraws them, and the bridge
-    /// learns that by [`withdrawn`](Self::withdrawn).
+    /// Returns, after a poll, whether a later stop has superseded a motion or acknowledgement that was written to the link. A
+    /// link that still holds unsent frames of it withdraws them and reports that by [`withdrawn`](Self::withdrawn).
     #[must_use]
     pub fn has_overtaken(&self) -> bool {
         self.session.has_overtaken()
     }
 
-    /// Takes that the link has withdrawn this command, before a poll: the gripper never gets it whole.
+    /// Records before a poll that the link has withdrawn this command: the gripper never receives it completely.
     pub fn withdrawn(&mut self, id: CommandId) {
         if self.session.take_back(id) {
             let withdrawn = Some(Event::Withdrawn(id));
@@ -247,8 +246,8 @@ impl Bridge {
         }
     }
 
-    /// Whether the watchdog may be fed: since this was true last, time has passed, and wires, line, bus and outputs were
-    /// looked at. Ask once a turn, and feed the watchdog for no other reason.
+    /// Returns whether the watchdog may be fed: since the last `true`, time has passed, and wires, line, bus and outputs were
+    /// served. Call this once per turn, and feed the watchdog for no other reason.
     ///
     /// ```
     /// use wsg_bridge_fw::{Bridge, Config};
@@ -260,13 +259,13 @@ impl Bridge {
         self.liveness.take(Instant::from_millis(now_ms))
     }
 
-    /// Takes why the MCU was reset, for the register that reports it.
+    /// Sets the reset cause, for the register that reports it.
     pub fn set_reset_cause(&mut self, cause: ResetCause) {
         self.facts.events.happened(EventCode::Start, cause as u16);
         self.facts.reset_cause = cause;
     }
 
-    /// Takes what is known of the CAN bus, for the registers that report it.
+    /// Sets the state of the CAN bus, for the registers that report it.
     pub fn set_can_reports(&mut self, reports: CanReports) {
         if reports.bus_offs() != self.facts.can.bus_offs() {
             self.facts.events.happened(EventCode::BusOff, 0);
@@ -274,7 +273,7 @@ impl Bridge {
         self.facts.can = reports;
     }
 
-    /// What the board's LED tells, as of the last turn.
+    /// Returns the indication for the board's LED, as of the last turn.
     #[must_use]
     pub const fn indication(&self) -> Indication {
         let is_missed = !matches!(self.arbiter.control_source(), ControlSource::Wires);
@@ -283,19 +282,19 @@ impl Bridge {
         Indication::of(self.facts.link(&self.session), is_bus_lost, has_error)
     }
 
-    /// What has been met so far that could not be used.
+    /// Returns the counters of line and session.
     #[must_use]
     pub const fn counters(&self) -> Counters {
         Counters { line: self.parser.counters(), session: self.session.counters() }
     }
 
-    /// Whose motion command was the last.
+    /// Returns the source of the last motion command.
     #[must_use]
     pub const fn control_source(&self) -> ControlSource {
         self.arbiter.control_source()
     }
 
-    /// Whether anything came.
+    /// Returns whether any bytes were received.
     fn receive<L: Read + ReadReady>(&mut self, now: Instant, link: &mut L) -> bool {
         let mut received = 0;
         while received < MAX_RECEIVED_PER_POLL {
@@ -320,7 +319,7 @@ impl Bridge {
         received > 0
     }
 
-    /// Whether half a frame was given up, which may have held a whole one.
+    /// Discards an incomplete frame after its time-out, and handles complete frames inside it. Returns whether it did.
     fn expire_half_frame(&mut self, now: Instant) -> bool {
         if !self.parser.is_mid_frame() || now.since(self.received_at) < self.settings.half_frame_ms() {
             return false;
@@ -336,7 +335,7 @@ impl Bridge {
         while let Some(noticed) = self.session.tick(now) {
             if noticed == Event::Disconnected {
                 self.facts.events.happened(EventCode::GripperSilent, 0);
-                // What has not left by now must not leave when the line comes back; but for a FAST STOP, which is owed.
+                // Unsent commands must not be sent when the line recovers. The exception is a FAST STOP, which remains due.
                 self.sending = self.sending.take().filter(|frame| frame.id() == CommandId::FastStop.code());
                 self.gave_up = true;
             }
@@ -351,8 +350,8 @@ impl Bridge {
         let mut view = View { controller, session, parser, arbiter, facts, settings };
         let Some(PlcEvent::Output(image)) = wires.read(inputs).receive(now, &mut view) else { return };
         let known = self.session.known();
-        // Of a command that is refused, the parameters do not count. (READY was not shown to a PLC whose fingers move:
-        // only what came since can tell otherwise.)
+        // The parameters of a refused command have no effect. READY was low for moving fingers. If it was high, only data
+        // received in this turn can show a motion.
         let keeps_parameters = !is_ready || (has_heard && self.controller.is_moving(known));
         self.arbiter.take_wires(&image, keeps_parameters, |image| {
             if is_ready {
@@ -363,7 +362,7 @@ impl Bridge {
         });
     }
 
-    /// Serves what the bus has brought. Each image reaches the controller by itself, so that no edge is lost.
+    /// Serves the events of the bus. Each image reaches the controller separately, so that no edge is lost.
     fn take_bus<P: PlcSide>(&mut self, now: Instant, bus: &mut P) {
         for _ in 0..bus.max_events_per_turn() {
             let Self { controller, session, parser, arbiter, facts, settings, .. } = self;
@@ -388,7 +387,7 @@ impl Bridge {
                 PlcEvent::Configured => {
                     self.wires.configure(&self.settings);
                     if self.settings.is_asked() {
-                        // It is done before anything else comes.
+                        // The store command is executed before any further event.
                         break;
                     }
                 }
@@ -399,29 +398,30 @@ impl Bridge {
         self.liveness.look(Looked::BUS);
     }
 
-    /// Subscribes to what only registers show.
+    /// Subscribes to the values that only registers show.
     fn measure(&mut self) {
         if !core::mem::replace(&mut self.is_measured, true) {
             self.ask_for_measured();
         }
     }
 
-    /// Subscribes to width and force, be it again: the gripper is asked for both as soon as the line has nothing more urgent.
+    /// Subscribes to width and force, again if required. The gripper is queried for both as soon as nothing more urgent is
+    /// pending.
     fn ask_for_measured(&mut self) {
         let update = AutoUpdate::on_change(MEASURED_PERIOD_MS);
         self.session.subscribe(Topic::Width, update);
         self.session.subscribe(Topic::Force, update);
     }
 
-    /// Asks for width and force at the end of a motion, for a bus. No request: a motion that the PLC asks for now does not
-    /// wait for the answers.
+    /// Requests width and force at the end of a motion, for a bus. It subscribes instead of sending a request, so that a
+    /// subsequent motion command does not wait for the replies.
     fn follow_motion(&mut self, now: Instant, image: &InputImage) {
         if self.is_measured && self.facts.motion_end.look(now, image) {
             self.ask_for_measured();
         }
     }
 
-    /// `silent`: unexpectedly, which is counted.
+    /// Handles a bus that no longer commands. `silent`: unexpectedly, which is counted.
     fn lose_bus(&mut self, silent: bool) {
         let known = self.session.known();
         if self.arbiter.control_source() == ControlSource::Bus {
@@ -436,14 +436,14 @@ impl Bridge {
         }
     }
 
-    /// Takes what the controller has noted.
+    /// Logs the incidents of the controller.
     fn note_incidents(&mut self) {
         while let Some(incident) = self.controller.poll_incident() {
             self.facts.events.note(incident, self.arbiter.is_stopped_by_wires());
         }
     }
 
-    /// Keeps a record of what went wrong, and of the faults that the gripper tells.
+    /// Logs incidents, and the faults that the gripper reports.
     #[inline(never)]
     fn keep_record(&mut self, now: Instant) {
         self.facts.events.grow_old(now);
@@ -453,7 +453,7 @@ impl Bridge {
         }
     }
 
-    /// Why ERROR is high, by the code of an event; 0: it is not.
+    /// Returns the event code of the cause of ERROR; 0 if ERROR is low.
     fn cause_of_error(&self, shown: &Shown) -> u8 {
         if !wires::has_error(shown) {
             0
@@ -476,8 +476,8 @@ impl Bridge {
         }
     }
 
-    /// One byte at a time: a byte is taken from the frame, and a command from the session, only when the line has room. A
-    /// command that waits in the session can be overtaken by FAST STOP, and no time-out runs for it.
+    /// Transmits byte by byte, and takes a byte or a command only while the line has room. A FAST STOP can overtake a command
+    /// that still waits in the session, whose time-out has not started.
     fn transmit<L: Write + WriteReady>(&mut self, now: Instant, link: &mut L) {
         while link.write_ready().unwrap_or(false) {
             let sending = match &mut self.sending {
@@ -490,7 +490,8 @@ impl Bridge {
             };
             let is_sent = sending.next().is_some_and(|byte| matches!(link.write(&[byte]), Ok(1)));
             if !is_sent {
-                // It has ended; or the rest of it would make no sense to the gripper, and the session misses the answer.
+                // The frame is complete, or a byte was rejected. The gripper discards a truncated frame, and the session
+                // times out.
                 self.sending = None;
             }
         }

@@ -1,17 +1,17 @@
-//! The queue between an interrupt handler and the main loop.
+//! Queue between an interrupt handler and the main loop.
 //!
-//! `heapless::spsc` is not used for this: its two halves have to be put into statics by `unsafe`,
-//! and its division by a length known only at run time is a way to panic.
+//! `heapless::spsc` does not fit: placing its halves in statics requires `unsafe`, and its division by a run-time length can
+//! panic.
 
 #[cfg(all(loom, test))]
 mod model;
 
 use crate::atomic::{AtomicUsize, Ordering, Place};
 
-/// A queue of up to `N` bytes, `N` a power of two, from one producer to one consumer.
+/// A queue of up to `N` bytes, a power of two, from one producer to one consumer.
 ///
-/// Both sides use it through a shared reference, so it can be a plain `static`. With more than one
-/// producer or consumer at the same time bytes get lost or doubled, but nothing worse happens.
+/// Both ends use a shared reference, so the queue can be a plain `static`. With more than one producer or consumer at a time,
+/// bytes are lost or duplicated, without further effects.
 ///
 /// ```
 /// use wsg_bridge_fw::byte_queue::{ByteQueue, Full};
@@ -26,31 +26,31 @@ use crate::atomic::{AtomicUsize, Ordering, Place};
 #[derive(Debug)]
 pub struct ByteQueue<const N: usize> {
     bytes: [Place; N],
-    /// Bytes ever pushed, wrapping; written by the producer alone.
+    /// Total bytes pushed, wrapping. Written only by the producer.
     pushed: AtomicUsize,
-    /// Bytes ever popped, wrapping; written by the consumer alone.
+    /// Total bytes popped, wrapping. Written only by the consumer.
     popped: AtomicUsize,
 }
 
-/// A byte was not taken because the queue is full.
+/// Error: the queue has no room.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
 impl<const N: usize> ByteQueue<N> {
-    /// An empty queue.
+    /// Creates an empty queue.
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(N.is_power_of_two()) };
         Self { bytes: [const { Place::new(0) }; N], pushed: AtomicUsize::new(0), popped: AtomicUsize::new(0) }
     }
 
-    /// Puts a byte at the end of the queue. For the producer.
+    /// Appends a byte. For the producer.
     ///
     /// # Errors
-    /// [`Full`] when `N` bytes wait already; `byte` is dropped.
+    /// [`Full`] if the queue holds `N` bytes. `byte` is discarded.
     pub fn push(&self, byte: u8) -> Result<(), Full> {
         let pushed = self.pushed.load(Ordering::Relaxed);
-        // Acquire: the consumer has read the place before this byte goes there.
+        // Acquire: the consumer has read the place before this byte is stored.
         let waiting = pushed.wrapping_sub(self.popped.load(Ordering::Acquire));
         match self.bytes.get(pushed & (N - 1)) {
             Some(place) if waiting < N => {
@@ -63,7 +63,7 @@ impl<const N: usize> ByteQueue<N> {
         }
     }
 
-    /// The byte that waits longest, which stays. For the consumer.
+    /// Returns the oldest byte without removing it. For the consumer.
     pub fn peek(&self) -> Option<u8> {
         let popped = self.popped.load(Ordering::Relaxed);
         if self.pushed.load(Ordering::Acquire) == popped {
@@ -72,7 +72,7 @@ impl<const N: usize> ByteQueue<N> {
         self.bytes.get(popped & (N - 1)).map(|place| place.load(Ordering::Relaxed))
     }
 
-    /// Takes the byte that waits longest. For the consumer.
+    /// Removes the oldest byte. For the consumer.
     pub fn pop(&self) -> Option<u8> {
         let popped = self.popped.load(Ordering::Relaxed);
         if self.pushed.load(Ordering::Acquire) == popped {
@@ -83,10 +83,10 @@ impl<const N: usize> ByteQueue<N> {
         Some(byte)
     }
 
-    /// Puts bytes at the end of the queue, all of them or none: the consumer never sees a part. For the producer.
+    /// Appends bytes, all or none, so that the consumer never sees a part. For the producer.
     ///
     /// # Errors
-    /// [`Full`] when there is no room for all of them; `bytes` are dropped.
+    /// [`Full`] if there is no room for all `bytes`, which are discarded.
     pub fn push_all(&self, bytes: &[u8]) -> Result<(), Full> {
         if bytes.len() > self.room() {
             return Err(Full);
@@ -101,7 +101,7 @@ impl<const N: usize> ByteQueue<N> {
         Ok(())
     }
 
-    /// Takes the `L` bytes that wait longest, if so many wait. For the consumer.
+    /// Removes the oldest `L` bytes, if that many are queued. For the consumer.
     pub fn pop_all<const L: usize>(&self) -> Option<[u8; L]> {
         let popped = self.popped.load(Ordering::Relaxed);
         if self.pushed.load(Ordering::Acquire).wrapping_sub(popped) < L {
@@ -115,25 +115,25 @@ impl<const N: usize> ByteQueue<N> {
         Some(bytes)
     }
 
-    /// Drops what waits. For the consumer.
+    /// Discards all queued bytes. For the consumer.
     pub fn clear(&self) {
         self.popped.store(self.pushed.load(Ordering::Acquire), Ordering::Release);
     }
 
-    /// How many more bytes can be pushed, as the producer sees it.
+    /// Returns the room in bytes, as seen by the producer.
     #[must_use]
     pub fn room(&self) -> usize {
         let pushed = self.pushed.load(Ordering::Relaxed);
         N.saturating_sub(pushed.wrapping_sub(self.popped.load(Ordering::Acquire)))
     }
 
-    /// Whether no byte waits.
+    /// Returns whether the queue is empty.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.pushed.load(Ordering::Acquire) == self.popped.load(Ordering::Acquire)
     }
 
-    /// Whether there is no room for another byte.
+    /// Returns whether the queue has no room.
     #[must_use]
     pub fn is_full(&self) -> bool {
         let pushed = self.pushed.load(Ordering::Acquire);
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn takes_as_many_bytes_as_its_size_says() {
+    fn holds_n_bytes() {
         let queue = ByteQueue::<4>::new();
         for byte in 0..4 {
             assert!(!queue.is_full());
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn bytes_that_are_pushed_together_come_together_or_not_at_all() {
+    fn bytes_pushed_together_are_popped_together_or_not_at_all() {
         let queue = ByteQueue::<4> {
             pushed: AtomicUsize::new(usize::MAX - 1),
             popped: AtomicUsize::new(usize::MAX - 1),
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_cleared_is_gone_and_leaves_its_room() {
+    fn clear_discards_all_bytes_and_frees_their_room() {
         let queue = ByteQueue::<2>::new();
         assert_eq!(queue.push_all(&[1, 2]), Ok(()));
         queue.clear();

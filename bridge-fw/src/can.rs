@@ -1,10 +1,10 @@
-//! CAN: the gripper on a bus instead of a serial line, and a PLC on a bus instead of wires.
+//! CAN: the gripper or the PLC on a CAN bus.
 //!
-//! [`CanBus`] owns the controller, shares it between those who are on the bus ([`CanNode`]), and leaves and joins the
-//! bus when the controller goes bus-off. [`GripperLink`](crate::gripper::GripperLink) is one of them: to the bridge it is
-//! a line like any other. The PLC's side by CANopen is the other. The board gives the controller, behind [`CanController`].
+//! [`CanBus`] owns the controller, shares it between the participants ([`CanNode`]), and leaves and rejoins the bus after
+//! bus-off. One participant is [`GripperLink`](crate::gripper::GripperLink), a line like any other to the bridge. The other
+//! is the PLC's CANopen side. The board implements [`CanController`].
 //!
-//! The mapping of messages to frames is `wsg_protocol::can`'s.
+//! `wsg_protocol::can` maps messages to frames.
 
 mod bus;
 mod bus_off;

@@ -1,4 +1,4 @@
-//! The lines to a gripper: a UART, or CAN. To the bridge both are lines that it reads and writes byte by byte.
+//! Lines to a gripper: UART or CAN. The bridge reads and writes both byte by byte.
 
 mod can;
 mod serial;
@@ -10,10 +10,10 @@ pub use would_block::WouldBlock;
 
 use wsg_protocol::DeviceTag;
 
-/// The longest reply that a bridge asks for: a device tag behind its status code. Everything longer is not for it.
+/// Longest reply that the bridge requests: a device tag after its status code. Longer frames are ignored.
 pub const MAX_REPLY_LEN: usize = DeviceTag::MAX_LEN + 2;
 
-/// The line that the gripper is on.
+/// Interface to the gripper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GripperLine {
     /// RS-232.

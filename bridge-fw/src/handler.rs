@@ -1,10 +1,10 @@
-//! What an interrupt handler owns: a HAL's UART that the main loop sets up and hands over.
+//! Resources of an interrupt handler, such as a HAL's UART that the main loop sets up.
 
 use core::cell::RefCell;
 
 use critical_section::Mutex;
 
-/// A place for what belongs to a handler once it runs; a plain `static`. Nothing here panics.
+/// A resource that a handler owns once it runs; a plain `static`. No method panics.
 ///
 /// ```
 /// use wsg_bridge_fw::handler::Owned;
@@ -19,13 +19,13 @@ use critical_section::Mutex;
 pub struct Owned<T>(Mutex<RefCell<Option<T>>>);
 
 impl<T> Owned<T> {
-    /// An empty place.
+    /// Creates an empty place.
     #[must_use]
     pub const fn new() -> Self {
         Self(Mutex::new(RefCell::new(None)))
     }
 
-    /// Hands it over, before its interrupt is unmasked.
+    /// Hands over the resource, before its interrupt is unmasked.
     pub fn give(&self, owned: T) {
         critical_section::with(|cs| {
             if let Ok(mut place) = self.0.borrow(cs).try_borrow_mut() {
@@ -34,7 +34,7 @@ impl<T> Owned<T> {
         });
     }
 
-    /// Runs a handler with what it owns; `None` if it was not given, or from within such a run.
+    /// Runs `serve` with the resource. Returns `None` before [`give`](Self::give), and inside another run.
     pub fn with<R>(&self, serve: impl FnOnce(&mut T) -> R) -> Option<R> {
         critical_section::with(|cs| self.0.borrow(cs).try_borrow_mut().ok()?.as_mut().map(serve))
     }
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_given_is_there_for_one_run_at_a_time() {
+    fn resource_is_available_to_one_run_at_a_time() {
         static PLACE: Owned<u8> = Owned::new();
         assert_eq!(PLACE.with(|owned| *owned), None);
         PLACE.give(1);

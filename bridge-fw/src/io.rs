@@ -1,15 +1,15 @@
-//! The wires between PLC and bridge: which there are, and how a board hands them over.
+//! Wires between PLC and bridge, and the interface to a board's pins.
 //!
-//! Not here: what a wire does (debouncing and meaning are the bridge's) and where it is on a board (its own crate says).
+//! The bridge defines debouncing and meaning of the wires, the board's crate their pins.
 
 use bitflags::bitflags;
 use embedded_hal::digital::{InputPin, OutputPin};
 
 bitflags! {
-    /// Levels of the eight wires from the PLC, as read, not debounced. A set bit is a high wire.
+    /// Levels of the eight wires from the PLC, before debouncing. A set bit is a high wire.
     ///
-    /// Every input is pulled down, so a broken or unpowered wire reads 0, and 0 asks for nothing
-    /// but a FAST STOP: the safe level of each bit is 0.
+    /// Every input is pulled down, so a broken or unpowered wire reads 0. The safe level of each bit is 0, which at most
+    /// requests a FAST STOP.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct Inputs: u8 {
         /// Rising edge: grip a part with the selected recipe.
@@ -22,11 +22,11 @@ bitflags! {
         const HOME = 1 << 3;
         /// Rising edge: stop a running motion, or acknowledge a FAST STOP or error.
         const STOP_ACK = 1 << 4;
-        /// High while no FAST STOP is wanted; low, also by a broken wire, stops the gripper.
+        /// High: no FAST STOP. Low, which includes a broken wire, stops the gripper.
         const FAST_STOP_OK = 1 << 5;
-        /// Number of the recipe, bit 0.
+        /// Bit 0 of the recipe number.
         const RECIPE0 = 1 << 6;
-        /// Number of the recipe, bit 1.
+        /// Bit 1 of the recipe number.
         const RECIPE1 = 1 << 7;
     }
 }
@@ -34,18 +34,18 @@ bitflags! {
 bitflags! {
     /// Levels of the seven wires to the PLC. A set bit is a high wire.
     ///
-    /// The empty set is what a bridge without power or firmware shows: not ready, no link.
+    /// A bridge without power or firmware shows the empty set: not ready, no link.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
     pub struct Outputs: u8 {
         /// The gripper accepts a motion command.
         const READY = 1 << 0;
-        /// A motion command is being carried out.
+        /// A motion command is in progress.
         const BUSY = 1 << 1;
-        /// A part is held with the wanted force.
+        /// A part is held with the set force.
         const HOLDING = 1 << 2;
         /// No part was found, or the held part was lost.
         const PART_FAULT = 1 << 3;
-        /// A command was refused or failed, or a FAST STOP waits to be acknowledged.
+        /// A command was refused or failed, or a FAST STOP has not been acknowledged.
         const ERROR = 1 << 4;
         /// The fingers have been homed.
         const REFERENCED = 1 << 5;
@@ -55,30 +55,30 @@ bitflags! {
 }
 
 impl Inputs {
-    /// How many input wires there are.
+    /// Number of input wires.
     pub const COUNT: usize = 8;
 }
 
 impl Outputs {
-    /// How many output wires there are.
+    /// Number of output wires.
     pub const COUNT: usize = 7;
 }
 
 const _: () = assert!(Inputs::all().bits().count_ones() as usize == Inputs::COUNT);
 const _: () = assert!(Outputs::all().bits().count_ones() as usize == Outputs::COUNT);
 
-/// Where a bridge reads the PLC's wires.
+/// Input wires of a board.
 pub trait InputPort {
-    /// The levels at this moment. A wire whose level cannot be read counts as low.
+    /// Returns the current levels. A wire that cannot be read counts as low.
     fn read(&mut self) -> Inputs;
 }
 
-/// Where a bridge drives the wires to the PLC.
+/// Output wires of a board.
 pub trait OutputPort {
     /// Drives all wires to these levels.
     ///
-    /// Outputs change together. Where the hardware cannot do that, the PLC may see states in between, none of which claims more
-    /// than the one before or the one after: [`HalOutputs`] has the order.
+    /// Outputs change together. If the hardware cannot do that, the PLC may read intermediate states, which claim no more
+    /// than the state before or after: see [`HalOutputs`] for the order.
     fn write(&mut self, outputs: Outputs);
 }
 
@@ -102,7 +102,7 @@ pub struct HalInputs<P> {
 }
 
 impl<P: InputPin> HalInputs<P> {
-    /// `pins` in the order of the bits of [`Inputs`], set up as inputs with pull-down.
+    /// Creates the port. `pins` are inputs with pull-down, in the order of the bits of [`Inputs`].
     pub const fn new(pins: [P; Inputs::COUNT]) -> Self {
         Self { pins }
     }
@@ -119,13 +119,12 @@ impl<P: InputPin> InputPort for HalInputs<P> {
 
 /// [`OutputPort`] over seven pins of any HAL, for a board whose outputs share no port.
 ///
-/// The pins change one after the other, in an order in which a PLC may sample any state in between: first those that become
-/// cautious, then those that become confident. BUSY, ERROR and PART_FAULT are cautious while they are high, the others while they
-/// are low. So each state in between
-/// - is at least as cautious as the one before or the one after it in every wire: no READY, HOLDING, REFERENCED or LINK_OK that both
-///   lack, and no ERROR or PART_FAULT hidden that both have;
-/// - shows BUSY, if that changes, together with whatever else is changing: a PLC that waits until BUSY is low, and then reads the others,
-///   reads those that belong to it;
+/// The pins change one after the other, so a PLC may sample intermediate states. Outputs that become cautious change first,
+/// then outputs that become confident. BUSY, ERROR and PART_FAULT are cautious while high, the others while low. So each
+/// intermediate state
+/// - is in every wire at least as cautious as the state before or the state after: it shows no READY, HOLDING, REFERENCED or
+///   LINK_OK that both lack, and hides no ERROR or PART_FAULT that both have;
+/// - shows BUSY high if BUSY changes, so that a PLC that waits for BUSY low then reads the matching outputs;
 /// - has ERROR high while LINK_OK is low, as both ends have it.
 #[derive(Debug)]
 pub struct HalOutputs<P> {
@@ -133,7 +132,7 @@ pub struct HalOutputs<P> {
 }
 
 impl<P: OutputPin> HalOutputs<P> {
-    /// The order in which outputs become cautious. They become confident in the reverse order.
+    /// Order in which outputs become cautious. They become confident in reverse order.
     const ORDER: [Outputs; Outputs::COUNT] = [
         Outputs::BUSY,
         Outputs::ERROR,
@@ -144,18 +143,17 @@ impl<P: OutputPin> HalOutputs<P> {
         Outputs::LINK_OK,
     ];
 
-    /// Outputs that are cautious while they are high.
+    /// Outputs that are cautious while high.
     const CAUTIOUS_HIGH: Outputs = Outputs::BUSY.union(Outputs::ERROR).union(Outputs::PART_FAULT);
 
-    /// `pins` in the order of the bits of [`Outputs`], set up as outputs.
+    /// Creates the port. `pins` are outputs, in the order of the bits of [`Outputs`].
     pub const fn new(pins: [P; Outputs::COUNT]) -> Self {
         Self { pins }
     }
 
     fn drive(&mut self, output: Outputs, is_high: bool) {
         let Some(pin) = self.pins.get_mut(output.bits().trailing_zeros() as usize) else { return };
-        // A pin that refuses has no better place to report to: the main loop writes again in its
-        // next turn.
+        // An error is ignored, because the main loop writes again in its next turn.
         let _ = if is_high { pin.set_high() } else { pin.set_low() };
     }
 }
@@ -183,7 +181,7 @@ mod tests {
 
     use super::*;
 
-    /// A wire with a fixed level, or one that cannot be read.
+    /// A wire with a fixed level, or an unreadable one.
     struct Wire(Result<bool, ErrorKind>);
 
     #[derive(Debug)]
@@ -209,7 +207,7 @@ mod tests {
         }
     }
 
-    /// A pin that notes what all pins show after each of its changes.
+    /// A pin that records the state of all pins after each of its changes.
     struct NotingPin<'a> {
         bit: usize,
         port: &'a RefCell<Vec<Outputs>>,
@@ -249,14 +247,14 @@ mod tests {
     }
 
     #[test]
-    fn a_pin_that_cannot_be_read_counts_as_low() {
+    fn unreadable_pin_counts_as_low() {
         let mut port = HalInputs::new(core::array::from_fn(|bit| {
             Wire(if bit == 5 { Err(ErrorKind::Other) } else { Ok(true) })
         }));
         assert_eq!(port.read(), !Inputs::FAST_STOP_OK);
     }
 
-    /// Every state that the outputs show while they change, from the first to the last.
+    /// Returns all states that the outputs show during a change, including both ends.
     fn shown(before: Outputs, after: Outputs) -> Vec<Outputs> {
         let shown = RefCell::new(std::vec![before]);
         let mut port = HalOutputs::new(core::array::from_fn(|bit| NotingPin { bit, port: &shown }));
@@ -265,7 +263,7 @@ mod tests {
         shown.into_inner()
     }
 
-    /// Calls it with what is shown during each change from one state to another.
+    /// Calls `check` with the shown states of each change from one state to another.
     fn for_each_change(check: impl Fn(&[Outputs], [Outputs; 2])) {
         let states = || (0..=Outputs::all().bits()).map(Outputs::from_bits_retain);
         for before in states() {
@@ -274,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn no_state_in_between_claims_more_than_the_one_before_or_the_one_after() {
+    fn no_intermediate_state_claims_more_than_both_ends() {
         let warnings = Outputs::BUSY | Outputs::ERROR | Outputs::PART_FAULT;
         for_each_change(|shown, ends| {
             for &seen in shown {
@@ -287,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn busy_is_low_together_with_what_belongs_to_it_alone() {
+    fn busy_is_low_only_together_with_the_matching_outputs() {
         for_each_change(|shown, ends| {
             let [was_busy, is_busy] = ends.map(|end| end.contains(Outputs::BUSY));
             for &seen in shown.iter().filter(|seen| was_busy != is_busy && !seen.contains(Outputs::BUSY)) {
@@ -297,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn error_is_high_without_link_ok_in_between_too() {
+    fn error_is_high_without_link_ok_in_intermediate_states() {
         let is_told = |state: &Outputs| state.intersects(Outputs::LINK_OK | Outputs::ERROR);
         for_each_change(|shown, ends| {
             assert!(shown.iter().all(is_told) || !ends.iter().all(is_told), "{shown:?}");
@@ -305,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn each_output_changes_once_at_the_most() {
+    fn each_output_changes_at_most_once() {
         for_each_change(|shown, [before, after]| {
             let changes = shown.windows(2).filter(|pair| pair[0] != pair[1]).count();
             assert_eq!(changes, (before ^ after).bits().count_ones() as usize, "{shown:?}");

@@ -1,16 +1,15 @@
-//! A bridge between a PLC and a WSG gripper, without the board: everything that needs no register runs on the host as
-//! well.
+//! A bridge between a PLC and a WSG gripper, independent of the board. All code that accesses no register also runs on the
+//! host.
 //!
 //! `PLC side -> fieldbus::Controller -> Session -> line`, and back. A PLC side ([`plc::PlcSide`]) produces the output image
-//! and consumes the input image of the fieldbus manual: the wires, and beside them one bus at the most.
+//! and consumes the input image of the fieldbus manual. The PLC sides are the wires and at most one bus.
 //!
-//! Who commands, when both are connected:
-//! - FASTSTOP and STOP/ACK of either side always count; so does a FASTSTOP wire that is low. Without wires, that one must
-//!   be tied high.
-//! - The bus moves the fingers only while no command wire is high. What rises meanwhile is lost, and a jog of the bus
-//!   ends when a command wire rises.
-//! - What a bus writes first, after power-up or after it was silent, gives no edge.
-//! - A motion goes on with the parameters of the side that began it.
+//! Rules when both are connected:
+//! - FASTSTOP and STOP/ACK of either side always take effect, including a low FASTSTOP wire. Without wires, tie it high.
+//! - The bus moves the fingers only while all command wires are low. Edges of the bus in the meantime are lost, and a jog of
+//!   the bus ends when a command wire rises.
+//! - The first write of a bus, after power-up or after a time-out, gives no edge.
+//! - A motion keeps the parameters of the side that started it.
 #![no_std]
 #![forbid(unsafe_code)]
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -49,9 +48,9 @@ pub use register::ResetCause;
 pub use run::{Board, Hardware, NoClock, run};
 pub use station::Station;
 
-/// The registers of the bridge itself: settings and reports, independent of the bus that carries them.
+/// The bridge's own registers: settings and reports, independent of the bus that carries them.
 ///
-/// The tables here are the only ones: the PLC sides serve them, `docs/registers.md` and the EDS file are made from them.
+/// The PLC sides, `docs/registers.md` and the EDS file all derive from these tables.
 pub mod registers {
     pub use crate::can::CanReports;
     pub use crate::plc::{FIRST_START_SETTING, REPORTS, Record, SETTINGS, WrongSetting};

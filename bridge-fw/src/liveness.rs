@@ -1,24 +1,24 @@
-//! Whether the watchdog may be fed: only a bridge that looks at everything while time goes on is alive.
+//! Watchdog policy: a bridge is alive only if it serves all parts while time passes.
 
 use bitflags::bitflags;
 use wsg_protocol::Instant;
 
 bitflags! {
-    /// What a turn has to look at.
+    /// Parts that each turn must serve.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
     pub(crate) struct Looked: u8 {
-        /// The wires from the PLC.
+        /// Input wires.
         const WIRES = 1 << 0;
-        /// The gripper's line: it said whether it had bytes.
+        /// Gripper line: it has reported whether bytes are available.
         const LINE = 1 << 1;
-        /// The PLC's bus, or that there is none.
+        /// The PLC's bus, or its absence.
         const BUS = 1 << 2;
-        /// The wires to the PLC.
+        /// Output wires.
         const OUTPUTS = 1 << 3;
     }
 }
 
-/// What was looked at since the watchdog was fed last, and when that was.
+/// Parts served since the watchdog was last fed, and the time of that.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Liveness {
     looked: Looked,
@@ -34,7 +34,7 @@ impl Liveness {
         self.looked |= at;
     }
 
-    /// Whether everything was looked at, and time has passed, since this was true last.
+    /// Returns whether all parts were served and time has passed since the last `true`.
     pub(crate) fn take(&mut self, now: Instant) -> bool {
         let is_alive = self.looked.is_all() && self.fed_at != Some(now);
         if is_alive {

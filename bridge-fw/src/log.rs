@@ -1,9 +1,6 @@
-//! What the bridge logs, with the feature `defmt`: its start, lost bytes, commands sent and what the session noticed.
+//! Logging with the feature `defmt`: start, lost bytes, sent commands and session events.
 
-#![cfg_attr(
-    not(feature = "defmt"),
-    expect(unused_variables, reason = "without the feature nothing is logged")
-)]
+#![cfg_attr(not(feature = "defmt"), expect(unused_variables, reason = "used only with the feature"))]
 
 use wsg_protocol::Command;
 use wsg_protocol::session::Event;
@@ -23,27 +20,27 @@ macro_rules! log {
 
 pub(crate) fn boot(cause: ResetCause) {
     match cause {
-        ResetCause::Watchdog => log!(error, "boot: reset by the watchdog, the main loop did not come round"),
+        ResetCause::Watchdog => log!(error, "boot: reset by the watchdog, the main loop stalled"),
         ResetCause::Firmware => log!(error, "boot: reset by the firmware, a fault or a panic"),
         ResetCause::PowerOn => log!(info, "boot: power on"),
         ResetCause::Pin => log!(info, "boot: reset pin"),
-        ResetCause::Unknown => log!(info, "boot: for an unknown reason"),
+        ResetCause::Unknown => log!(info, "boot: unknown reset cause"),
     }
 }
 
 pub(crate) fn no_clock() {
-    log!(error, "clock: it does not start, waiting for the watchdog");
+    log!(error, "clock: start failed, waiting for the watchdog");
 }
 
 pub(crate) fn wrong_settings() {
-    log!(error, "settings: those of this image are out of range, waiting for the watchdog");
+    log!(error, "settings: image out of range, waiting for the watchdog");
 }
 
 pub(crate) fn running() {
     log!(info, "clock, watchdog and lines started");
 }
 
-/// Reports the bytes from the gripper that have been lost since the last call.
+/// Logs bytes from the gripper that were lost since the last call.
 pub(crate) fn lost<U>(line: &UartLine<U>) {
     #[cfg(feature = "defmt")]
     {

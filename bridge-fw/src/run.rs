@@ -1,4 +1,4 @@
-//! The main loop of every board: the start by the settings, one turn after the other, LED, watchdog, and sleep.
+//! The main loop of every board: start with the settings, turns, LED, watchdog and sleep.
 //!
 //! A board's program sets up pins, watchdog and clock, and calls [`run`] with a [`Board`].
 
@@ -12,40 +12,40 @@ use crate::register::ResetCause;
 use crate::station::Station;
 use crate::storage::NorFlash;
 
-/// A board whose clock, time and watchdog run, as one value.
+/// A board whose clock, timer and watchdog run.
 pub struct Board<'a, H: Hardware, W, U> {
-    /// LED, watchdog, time, and the starts of the lines.
+    /// LED, watchdog, time, and the start of the lines.
     pub hardware: H,
-    /// Its name and serial number.
+    /// Name and serial number of the board.
     pub id: BoardId,
-    /// The wires of the PLC.
+    /// The PLC's wires.
     pub wires: W,
-    /// The UART to the gripper.
+    /// UART to the gripper.
     pub gripper: UartLine<U>,
-    /// The line of Modbus RTU; [`NoBus`](crate::NoBus) for a board without one.
+    /// Line of Modbus RTU; [`NoBus`](crate::NoBus) for a board without one.
     pub bus: &'a mut dyn BusPort,
-    /// The service port; [`NoBus`](crate::NoBus) for a board without one.
+    /// Service port; [`NoBus`](crate::NoBus) for a board without one.
     pub service: &'a mut dyn BusPort,
-    /// The flash of the settings.
+    /// Flash of the settings.
     pub flash: &'a mut H::Flash,
 }
 
-/// What the main loop needs of a board's registers. Nothing here waits, but for [`sleep`](Self::sleep).
+/// A board's hardware, as required by the main loop. No method waits except [`sleep`](Self::sleep).
 ///
-/// The lines that the settings choose are started once each, before the first turn.
+/// The lines that the settings select are started once, before the first turn.
 pub trait Hardware {
-    /// The CAN controller; [`NoCan`](crate::can::NoCan) for a board without one.
+    /// CAN controller; [`NoCan`](crate::can::NoCan) for a board without one.
     type Can: CanController;
-    /// The flash of the settings; [`NoFlash`](crate::storage::NoFlash) for a board that keeps none.
+    /// Flash of the settings; [`NoFlash`](crate::storage::NoFlash) for a board without one.
     type Flash: NorFlash;
 
-    /// Returns the settings that the image was delivered with.
+    /// Returns the settings of the image.
     fn delivered() -> Record;
 
-    /// Starts the UART to the gripper.
+    /// Starts the UART to the gripper, before the first turn.
     fn start_gripper(&mut self);
 
-    /// Starts the service port.
+    /// Starts the service port, before the first turn.
     fn start_service(&mut self);
 
     /// Starts the PLC's bus with Modbus RTU.
@@ -54,41 +54,42 @@ pub trait Hardware {
     /// Starts the PLC's bus with PROFIBUS.
     fn start_profibus(&mut self) {}
 
-    /// Starts the CAN controller.
+    /// Starts the CAN controller at the rate of `config`.
     fn start_can(&mut self, _controller: &mut Self::Can, _config: &CanConfig) {}
 
-    /// Returns milliseconds since the start. They may wrap.
+    /// Returns the time since the start in milliseconds. It may wrap.
     fn now_ms(&mut self) -> u32;
 
-    /// Lights the LED, or not.
+    /// Switches the LED on or off.
     fn indicate(&mut self, is_lit: bool);
 
-    /// Restarts the time-out of the watchdog. Called by the main loop alone: fed from an interrupt, the watchdog would watch nothing.
+    /// Restarts the time-out of the watchdog. Only the main loop calls it: a watchdog fed from an interrupt would not detect
+    /// a stalled loop.
     fn feed_watchdog(&mut self);
 
-    /// Sleeps until the next interrupt, unless `now_ms` is over or a line has received something.
+    /// Sleeps until the next interrupt, unless the time is past `now_ms` or a line has received data.
     ///
-    /// Both are read with interrupts masked. An interrupt between that and the sleep then stays pending, which ends the sleep at once.
+    /// The implementation checks both with interrupts masked. A later interrupt stays pending and ends the sleep immediately.
     fn sleep(&mut self, now_ms: u32, uses_can: bool);
 
-    /// Does the work of the flash that stops everything else, after the outputs were written.
+    /// Performs flash operations that stall the MCU, after the outputs were written.
     fn after_turn(&mut self, _shown: Outputs, _flash: &mut Self::Flash) {}
 
-    /// Lets the interrupts of the CAN controller run again, where their handlers mask them. Called after each turn with CAN.
+    /// Enables the interrupts of the CAN controller again, if their handlers mask them. Called after each turn with CAN.
     fn rearm_can(&mut self, _controller: &mut Self::Can) {}
 
-    /// Has the handler of the bus run, which with PROFIBUS takes the results of the turn. Called once a millisecond.
+    /// Runs the handler of the bus, which with PROFIBUS collects the results of the turn. Called once a millisecond.
     fn serve_bus(&mut self, _is_profibus: bool) {}
 }
 
-/// A clock did not become ready.
+/// Error: a clock did not become ready.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NoClock;
 
 /// Runs the bridge on a board.
 ///
-/// With other recipes than the image was delivered with no gripper should be moved. So outputs stay low where the settings of the image
-/// are out of range, the LED shows [`Indication::NotStarted`], and the watchdog resets the MCU.
+/// A gripper must not move with other recipes than those set up. If the image's settings are out of range, the outputs stay
+/// low, the LED shows [`Indication::NotStarted`], and the watchdog resets the MCU.
 pub fn run<H: Hardware, W: InputPort + OutputPort, U: Uart>(
     mut board: Board<'_, H, W, U>,
     station: &mut Station<H::Can>,
@@ -105,8 +106,8 @@ pub fn run<H: Hardware, W: InputPort + OutputPort, U: Uart>(
     }
 }
 
-/// Shows [`Indication::NotStarted`] until the watchdog resets the MCU: without a clock there is no baud rate to talk to the gripper with.
-/// `wait_ms` waits for a millisecond of the clock of reset.
+/// Shows [`Indication::NotStarted`] until the watchdog resets the MCU, because without a clock there is no baud rate for the
+/// gripper. `wait_ms` waits for 1 ms on the reset clock.
 pub fn without_clock(mut indicate: impl FnMut(bool), wait_ms: impl Fn()) -> ! {
     log::no_clock();
     let mut now_ms = 0u32;
@@ -118,12 +119,12 @@ pub fn without_clock(mut indicate: impl FnMut(bool), wait_ms: impl Fn()) -> ! {
 }
 
 impl<H: Hardware, W: InputPort + OutputPort, U: Uart> Board<'_, H, W, U> {
-    /// Starts the bridge by its settings, and the lines that these choose; returns whether the main loop may begin.
-    // Apart: neither configuration nor record is on the stack any more when it returns.
+    /// Starts the bridge with its settings, and the lines that they select. Returns whether the main loop may begin.
+    // Not inlined: its return removes configuration and record from the stack.
     #[inline(never)]
     fn start(&mut self, station: &mut Station<H::Can>, reset_cause: ResetCause) -> bool {
         log::boot(reset_cause);
-        // By reference: taken out of the result it would be there twice.
+        // By reference: moved out of the result, the configuration would be on the stack twice.
         let loaded = station.load_delivered(H::delivered, self.flash);
         let Ok(config) = &loaded else {
             log::wrong_settings();
@@ -171,7 +172,7 @@ fn start_lines<H: Hardware>(hardware: &mut H, station: &mut Station<H::Can>, con
     match config.plc_bus {
         PlcBus::Modbus => hardware.start_modbus(&config.bus),
         PlcBus::Profibus => hardware.start_profibus(),
-        // None, or one on CAN.
+        // No bus, or a bus on CAN.
         _ => {}
     }
     if station.uses_can() {

@@ -1,4 +1,4 @@
-//! A bridge with everything that a board can connect it to, of which its configuration chooses.
+//! A bridge with all connections of a board. The configuration selects the used ones.
 
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_protocol::Instant;
@@ -13,11 +13,11 @@ use crate::register::ResetCause;
 use crate::storage::NorFlash;
 use crate::stored_settings::StoredSettings;
 
-/// What runs on a board: the bridge, and whoever is on its lines.
+/// The application of a board: the bridge and the devices on its lines.
 ///
-/// The gripper is on RS-232 or on CAN. The PLC is on the wires in any case, and on Modbus RTU, on PROFIBUS or on CAN (CANopen)
-/// beside them. The service port is there whatever the configuration says. [`run`](crate::run::run) calls [`turn`](Self::turn) at least
-/// once a millisecond.
+/// The gripper is on RS-232 or on CAN. The PLC is always on the wires, and optionally on Modbus RTU, PROFIBUS or CAN
+/// (CANopen). The service port is always active. [`run`](crate::run::run) calls [`turn`](Self::turn) at least once a
+/// millisecond.
 pub struct Station<C: CanController> {
     gripper_line: GripperLine,
     bridge: Bridge,
@@ -29,8 +29,8 @@ pub struct Station<C: CanController> {
 }
 
 impl<C: CanController> Station<C> {
-    /// A station as [`Config::DEFAULT`] says. `can` is used only where somebody is on CAN, and `profibus` where the PLC is on
-    /// PROFIBUS.
+    /// Creates a station with [`Config::DEFAULT`]. It uses `can` only if gripper or PLC are on CAN, and `profibus` only if
+    /// the PLC is on PROFIBUS.
     pub const fn new(can: CanBus<C>, profibus: &'static DpBuffers) -> Self {
         let config = Config::DEFAULT;
         Self {
@@ -44,26 +44,25 @@ impl<C: CanController> Station<C> {
         }
     }
 
-    /// A station as [`new`](Self::new), for a board without PROFIBUS.
+    /// Creates a station like [`new`](Self::new), for a board without PROFIBUS.
     pub const fn without_profibus(can: CanBus<C>) -> Self {
         static NO_PROFIBUS: DpBuffers = DpBuffers::new();
         Self::new(can, &NO_PROFIBUS)
     }
 
-    /// Returns the configuration to start with: the one that is stored in flash, or where there is none, or none that can be used,
-    /// the one that the image was `delivered` with.
+    /// Returns the configuration for the start: the one stored in flash, or the `delivered` one if there is no usable one.
     ///
     /// # Errors
-    /// [`WrongSetting`] if the image was delivered with settings that no bridge can have. Nothing must be moved then: other
-    /// recipes were asked for.
+    /// [`WrongSetting`] if the delivered settings are invalid. Then no motion is allowed, because the intended recipes are
+    /// unknown.
     #[inline(never)]
     pub fn load(&mut self, delivered: &Record, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
         self.settings.set_delivered(|| *delivered);
         self.settings.load(flash)
     }
 
-    /// Takes the configuration, what it runs on, and why the MCU was reset. Before the first turn alone.
-    // Apart: what is built anew here would be on the stack through every turn of the main loop.
+    /// Applies the configuration, the board's identity and the reset cause. Called only before the first turn.
+    // Not inlined: its temporaries would stay on the stack during every turn of the main loop.
     #[inline(never)]
     pub fn start(&mut self, config: &Config, board: BoardId, reset_cause: ResetCause) {
         self.gripper_line = config.gripper_line;
@@ -73,13 +72,13 @@ impl<C: CanController> Station<C> {
         self.start_link(config);
     }
 
-    // Apart, as above: the frames of the sides would be on the stack beside it.
+    // Not inlined, so that its frame adds no stack to the frames of the sides.
     #[inline(never)]
     fn start_link(&mut self, config: &Config) {
         self.link = GripperLink::new(config.can.gripper);
     }
 
-    /// [`load`](Self::load), with the delivered settings not on the stack meanwhile.
+    /// Same as [`load`](Self::load), without the delivered settings on the stack.
     #[inline(never)]
     pub(crate) fn load_delivered(
         &mut self,
@@ -90,8 +89,8 @@ impl<C: CanController> Station<C> {
         self.settings.load(flash)
     }
 
-    /// One turn of the main loop: takes what the lines and wires brought, sends what is due, and returns the levels of the
-    /// wires to the PLC. Never waits. `service` is a line of its own for Modbus RTU, by [`BusConfig::SERVICE`].
+    /// Runs one turn of the main loop: handles the input of lines and wires, sends due data, and returns the output levels
+    /// for the PLC. Never waits. `service` is a separate line for Modbus RTU with [`BusConfig::SERVICE`].
     ///
     /// [`BusConfig::SERVICE`]: crate::BusConfig::SERVICE
     pub fn turn<L: Read + ReadReady + Write + WriteReady>(
@@ -104,7 +103,7 @@ impl<C: CanController> Station<C> {
         flash: &mut impl NorFlash,
     ) -> Outputs {
         let outputs = self.poll(now_ms, inputs, serial, modbus);
-        // Behind what leaves: no wire waits for it, and the PLC's bus finds in the next turn what it changed.
+        // After transmitting: the wires do not wait for it, and the PLC's bus reads the changes in the next turn.
         self.bridge.serve(now_ms, &mut self.service.over(service));
         self.settings.turn(Instant::from_millis(now_ms), &mut self.bridge, flash);
         outputs
@@ -129,7 +128,7 @@ impl<C: CanController> Station<C> {
         outputs
     }
 
-    /// What comes before the bridge's turn where somebody is on CAN.
+    /// Receives from CAN before the bridge's turn, if CAN is used.
     fn listen(&mut self, now: Instant) {
         if !self.uses_can() {
             return;
@@ -141,7 +140,7 @@ impl<C: CanController> Station<C> {
         let mut counters = LinkCounters::default();
         if let Some(link) = link {
             link.expire(now);
-            // Before the bridge's turn: what a bus that is lost carried must not be gone on with.
+            // Before the bridge's turn, so that it does not continue with data from a lost bus.
             bridge.set_link_lost(can.is_lost());
             if let Some(id) = link.take_withdrawn() {
                 bridge.withdrawn(id);
@@ -155,7 +154,7 @@ impl<C: CanController> Station<C> {
         }
     }
 
-    /// What comes behind it.
+    /// Transmits on CAN after the bridge's turn, if CAN is used.
     fn talk(&mut self, now: Instant) {
         if !self.uses_can() {
             return;
@@ -163,7 +162,7 @@ impl<C: CanController> Station<C> {
         let Self { bridge, can, link, sides, gripper_line, .. } = self;
         let mut link = matches!(gripper_line, GripperLine::Can).then_some(link);
         if let Some(link) = &mut link {
-            // Before anything is sent: no frame of before may reach a gripper that was lost, or was told to stop since.
+            // Before sending: earlier frames must not reach a gripper after a lost connection or a later stop.
             link.set_connected(bridge.is_connected());
             if bridge.has_overtaken() {
                 link.withdraw();
@@ -172,32 +171,32 @@ impl<C: CanController> Station<C> {
         can.talk(now, &mut link, &mut sides.on_can());
     }
 
-    /// Whether somebody is on CAN.
+    /// Returns whether the gripper or the PLC is on CAN.
     pub const fn uses_can(&self) -> bool {
         matches!(self.gripper_line, GripperLine::Can) || self.sides.bus().is_on_can()
     }
 
-    /// Whether the PLC is on PROFIBUS: then the handler of its line is to run after each turn.
+    /// Returns whether the PLC is on PROFIBUS. Then the handler of its line must run after each turn.
     pub const fn uses_profibus(&self) -> bool {
         matches!(self.sides.bus(), PlcBus::Profibus)
     }
 
-    /// The bridge.
+    /// Returns the bridge.
     pub const fn bridge(&mut self) -> &mut Bridge {
         &mut self.bridge
     }
 
-    /// The CAN bus.
+    /// Returns the CAN bus.
     pub const fn can(&mut self) -> &mut CanBus<C> {
         &mut self.can
     }
 
-    /// The gripper's link on it.
+    /// Returns the gripper's link on the CAN bus.
     pub const fn link(&self) -> &GripperLink {
         &self.link
     }
 
-    /// The bridge as a device on it.
+    /// Returns the bridge's CANopen node.
     pub const fn node(&self) -> &Node {
         self.sides.node()
     }

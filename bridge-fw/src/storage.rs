@@ -1,31 +1,31 @@
-//! Settings that survive power-off: a log of records in two pages of flash, over a small trait of the board.
+//! Persistent settings: a log of records in two pages of flash, over a small trait of the board.
 //!
-//! A save appends a record. When the page that holds the newest record is full, or has anything but records at its end,
-//! the other page is erased and takes the record; so the newest whole record is never in the page that is erased. After
-//! a power cut at any moment the newest whole record is either the old one or the new one. Leftovers are passed over,
-//! and go with the next erase of their page. A page takes its first record only after an erase in the same run, for one
-//! that reads erased may be what a power cut left of an erase.
+//! A save appends a record. If the newest record's page is full, or ends with other data, the other page is erased and
+//! receives the record. So the page of the newest complete record is never erased. After a power cut at any time, the newest
+//! complete record is either the old one or the new one. Leftovers are skipped, and removed by the next erase of their page.
+//! A page receives its first record only after an erase in the same run, because a page that reads erased may be the result
+//! of an interrupted erase.
 //!
-//! What is in a payload, and what to do with another version of it, is the caller's concern.
+//! The caller defines the payload, and the handling of other versions.
 //!
 //! # Format
-//! A record is made of double words of 64 bits, each little-endian:
+//! A record consists of little-endian double words of 64 bits:
 //!
-//! | double words | bits | holds |
+//! | double words | bits | content |
 //! |---|---|---|
 //! | first | 0 to 7 | A5h |
 //! | | 8 to 23 | length of the payload in bytes |
 //! | | 24 to 39 | version of the payload's format |
-//! | | 40 to 63 | number of the save; the highest one is the newest record |
-//! | as many as it takes | | payload, filled up with FFh |
-//! | last | 0 to 31 | CRC-32 (ISO-HDLC) over all double words before, as bytes |
-//! | | 32 to 63 | the same, inverted |
+//! | | 40 to 63 | number of the save; the newest record has the highest |
+//! | as many as required | | payload, padded with FFh |
+//! | last | 0 to 31 | CRC-32 (ISO-HDLC) of all previous double words, as bytes |
+//! | | 32 to 63 | the inverted CRC |
 //!
 //! # Wear
-//! A record of `len` bytes takes `2 + len / 8` double words, rounded up. STM32L4: 256 double words a page, and each of the
-//! two pages endures 10 000 erases. A save of what is stored already writes nothing.
+//! A record of `len` bytes occupies `2 + len / 8` double words, rounded up. A page of an STM32L4 has 256 double words and
+//! endures 10 000 erases. Saving unchanged settings writes nothing.
 //!
-//! | payload | records in a page | erases per save | saves until both pages are worn |
+//! | payload | records per page | erases per save | saves until both pages are worn |
 //! |---|---|---|---|
 //! | 120 bytes | 15 | 1/15 | 300 000 |
 //! | 200 bytes | 9 | 1/9 | 180 000 |

@@ -1,4 +1,4 @@
-//! The settings in flash: which of them count at the start, and what SAVE, RESTORE and DEFAULTS do.
+//! Settings in flash: selection at the start, and execution of SAVE, RESTORE and DEFAULTS.
 
 use crate::bridge::Bridge;
 use crate::plc::{Config, Record, SETTINGS, WrongSetting, check_record};
@@ -6,13 +6,13 @@ use crate::register::{SettingsFrom, StoreCommand};
 use crate::storage::{FlashError, LoadError, NorFlash, Progress, SaveError, Store};
 use wsg_protocol::Instant;
 
-/// The version of the record's format. A setting that is added behind the others leaves it as it is.
+/// Version of the record's format. Appending a setting does not change it.
 const VERSION: u16 = 1;
 
-/// Bytes of a record: each setting in the order of its register, the low byte first.
+/// Length of a record in bytes: each setting in the order of its register, low byte first.
 const LEN: usize = 2 * SETTINGS.len();
 
-/// The settings that count after the next start, and those that the image was delivered with.
+/// The stored settings, which apply from the next start on, and the settings of the image.
 pub(crate) struct StoredSettings {
     store: Store<LEN>,
     delivered: Record,
@@ -24,29 +24,29 @@ impl StoredSettings {
         Self { store: Store::new(), delivered: [0; SETTINGS.len()], from: SettingsFrom::Delivered }
     }
 
-    /// Where the configuration is from that [`load`](Self::load) returned.
+    /// Returns the source of the configuration that [`load`](Self::load) returned.
     pub(crate) const fn from(&self) -> SettingsFrom {
         self.from
     }
 
-    /// Takes the settings that the image was delivered with.
-    // Apart: they are not on the stack any more when it returns.
+    /// Sets the settings of the image.
+    // Not inlined: its return removes them from the stack.
     #[inline(never)]
     pub(crate) fn set_delivered(&mut self, delivered: impl FnOnce() -> Record) {
         self.delivered = delivered();
     }
 
-    /// Returns the configuration to start with.
+    /// Returns the configuration for the start.
     ///
     /// # Errors
-    /// [`WrongSetting`] if the image was delivered with settings that no bridge can have.
+    /// [`WrongSetting`] if the settings of the image are invalid.
     pub(crate) fn load(&mut self, flash: &impl NorFlash) -> Result<Config, WrongSetting> {
         let delivered = &self.delivered;
         check_record(delivered)?;
         self.from = match self.store.load(flash) {
             Ok(record) if record.version == VERSION => {
                 let words = record.payload.as_chunks::<2>().0;
-                // What older firmware did not know is as delivered.
+                // The image supplies settings that older firmware did not know.
                 let mut stored = *delivered;
                 for (value, word) in stored.iter_mut().zip(words) {
                     *value = u16::from_le_bytes(*word);
@@ -66,7 +66,7 @@ impl StoredSettings {
         Config::from_record(delivered)
     }
 
-    /// Does what was asked for in this turn, and lets a save go on.
+    /// Executes the store command of this turn, and continues a running save.
     pub(crate) fn turn(&mut self, now: Instant, bridge: &mut Bridge, flash: &mut impl NorFlash) {
         let command = bridge.take_store_command();
         if command == Some(StoreCommand::Defaults) {
@@ -94,10 +94,10 @@ impl StoredSettings {
     }
 }
 
-/// The value of the event SAVE_FAILED where a save did not even begin: none runs and there is room, so its numbers are used up.
+/// Value of SAVE_FAILED if a save cannot start. None is running and the record fits, so the numbers of saves are used up.
 const WORN_OUT: u16 = 7;
 
-/// That value for a save that ended so; the table of events has them in words.
+/// Returns the value of SAVE_FAILED for an error, as listed in the table of events.
 const fn failure(error: SaveError) -> u16 {
     match error {
         SaveError::TimedOut | SaveError::Flash(FlashError::Busy) => 1,

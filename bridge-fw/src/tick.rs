@@ -1,9 +1,9 @@
-//! Milliseconds, and the microseconds between them, by a timer that counts down from one millisecond to the next: SysTick of a
-//! Cortex-M. The board gives the timer and its interrupt.
+//! Milliseconds and microseconds from a timer that counts down once per millisecond, such as SysTick of a Cortex-M. The board
+//! provides the timer and its interrupt.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// The time since the start, of a timer that counts `CYCLES_PER_MS` to a millisecond, a multiple of 1 000; a plain `static`.
+/// Time since the start, from a timer with `CYCLES_PER_MS` cycles per millisecond, a multiple of 1 000; a plain `static`.
 ///
 /// ```
 /// use wsg_bridge_fw::tick::Tick;
@@ -13,7 +13,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 /// // In the handler of the timer.
 /// TICK.count();
 /// assert_eq!(TICK.now_ms(), 1);
-/// // A quarter of the next millisecond has gone by.
+/// // After a quarter of the next millisecond.
 /// assert_eq!(TICK.now_us(59_999, false), 1_250);
 /// ```
 #[derive(Debug)]
@@ -22,36 +22,36 @@ pub struct Tick<const CYCLES_PER_MS: u32> {
 }
 
 impl<const CYCLES_PER_MS: u32> Tick<CYCLES_PER_MS> {
-    /// What the timer counts down from, 0 included. SysTick has 24 bits for it.
+    /// Reload value of the timer, which counts down to 0. SysTick has 24 bits for it.
     pub const RELOAD: u32 = {
         assert!(CYCLES_PER_MS > 0 && CYCLES_PER_MS.is_multiple_of(1_000) && CYCLES_PER_MS - 1 <= 0x00FF_FFFF);
         CYCLES_PER_MS - 1
     };
 
-    /// No millisecond yet.
+    /// Creates a counter at 0 ms.
     #[must_use]
     pub const fn new() -> Self {
         Self { now_ms: AtomicU32::new(0) }
     }
 
-    /// Counts a millisecond. For the timer's handler.
+    /// Counts a millisecond, in the timer's handler.
     #[inline]
     pub fn count(&self) {
-        // Written here alone, so a load and a store do.
+        // Only written here, so a load and a store suffice.
         self.now_ms.store(self.now_ms().wrapping_add(1), Ordering::Relaxed);
     }
 
-    /// Milliseconds since the start; starts again from 0 after 49 days.
+    /// Returns the milliseconds since the start. Wraps after 49 days.
     #[inline]
     #[must_use]
     pub fn now_ms(&self) -> u32 {
         self.now_ms.load(Ordering::Relaxed)
     }
 
-    /// Microseconds since the start, while the timer has `left` cycles to go; starts again from 0 after 71 minutes.
+    /// Returns the microseconds since the start, with the timer at `left` cycles. Wraps after 71 minutes.
     ///
-    /// Call it with interrupts masked. `is_pending`, read behind `left`, is whether the timer's interrupt waits for that to end: it
-    /// may have begun anew meanwhile.
+    /// Call it with interrupts masked. `is_pending`, read after `left`, is whether the timer's interrupt is pending. The
+    /// timer may have reloaded in the meantime.
     #[inline]
     #[must_use]
     pub fn now_us(&self, left: u32, is_pending: bool) -> u32 {
@@ -79,11 +79,11 @@ mod tests {
     }
 
     #[test]
-    fn microseconds_never_go_back_over_a_millisecond_whose_interrupt_is_late() {
+    fn microseconds_never_decrease_despite_a_late_interrupt() {
         let tick = after(6);
         let mut before = tick.now_us(Tick::<CYCLES_PER_MS>::RELOAD, false);
         assert_eq!(before, 6_000);
-        // The counter goes on from 0 at its start, and the interrupt waits for the first half of that.
+        // The counter reloads after 0, and the interrupt is pending during the first half of the next millisecond.
         let counts = (0..CYCLES_PER_MS).rev().map(|left| (left, false));
         let late = (CYCLES_PER_MS / 2 + 1..CYCLES_PER_MS).rev().map(|left| (left, true));
         for (left, is_pending) in counts.chain(late) {
@@ -95,12 +95,12 @@ mod tests {
     }
 
     #[test]
-    fn an_interrupt_that_comes_behind_the_look_at_the_counter_counts_for_the_next_millisecond() {
+    fn interrupt_after_reading_the_counter_belongs_to_the_next_millisecond() {
         assert_eq!(after(6).now_us(0, true), 6_999);
     }
 
     #[test]
-    fn time_starts_again_from_0() {
+    fn time_wraps_to_0() {
         let tick = after(u32::MAX);
         assert_eq!(tick.now_us(0, false), u32::MAX.wrapping_mul(1_000).wrapping_add(999));
         tick.count();

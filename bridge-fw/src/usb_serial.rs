@@ -1,18 +1,18 @@
-//! What a serial port over USB answers on its control endpoint: a device of the class CDC ACM (USB 2.0, chapter 9; CDC 1.2;
-//! PSTN 1.2). For boards whose service port is a USB socket.
+//! Control endpoint of a serial port over USB: a device of class CDC ACM (USB 2.0, chapter 9; CDC 1.2; PSTN 1.2). For boards
+//! whose service port is a USB socket.
 //!
-//! Not here: endpoints and their buffers, which are the board's. `usb-device` is not used: what it shares with a handler is in
-//! a `RefCell`, and that can panic.
+//! The board implements endpoints and their buffers. `usb-device` does not fit: it shares data with a handler in a `RefCell`,
+//! which can panic.
 
-/// The largest packet of each endpoint.
+/// Largest packet of each endpoint.
 pub const PACKET_LEN: u8 = 64;
 
-/// The endpoint that tells nothing (to the host), and the one that carries what the port carries (both ways).
+/// Endpoint for notifications to the host, which are never sent, and endpoint for data in both directions.
 pub const NOTIFICATIONS: u8 = 1;
 /// See [`NOTIFICATIONS`].
 pub const DATA: u8 = 2;
 
-/// Of a packet that begins a control transfer (9.3): direction and type of the request.
+/// Fields of the request type of a setup packet (9.3): direction and type.
 const TO_HOST: u8 = 0x80;
 const TYPE: u8 = 0b11 << 5;
 const STANDARD: u8 = 0;
@@ -42,17 +42,17 @@ const GET_LINE_CODING: u8 = 0x21;
 const SET_CONTROL_LINE_STATE: u8 = 0x22;
 const SEND_BREAK: u8 = 0x23;
 
-/// Vendor and product: pid.codes' test product. Whoever sells a device needs numbers of his own.
+/// Vendor and product: the test product of pid.codes. A commercial device needs its own numbers.
 const IDS: [u8; 4] = [0x09, 0x12, 0x01, 0x00];
 
-/// The device: USB 2.0, class CDC, and three strings (9.6.1).
+/// Device descriptor: USB 2.0, class CDC, three strings (9.6.1).
 static DEVICE_DESCRIPTOR: [u8; 18] = {
     let [v0, v1, p0, p1] = IDS;
     [18, DEVICE, 0x00, 0x02, 0x02, 0, 0, PACKET_LEN, v0, v1, p0, p1, 0x00, 0x01, 1, 2, 0, 1]
 };
 
-/// The configuration: bus powered with 100 mA; an interface with the class's descriptors and the endpoint of notifications,
-/// and one with the data (9.6.3; PSTN, 5.3).
+/// Configuration descriptor: bus powered with 100 mA; an interface with the class descriptors and the notification endpoint,
+/// and an interface for data (9.6.3; PSTN, 5.3).
 #[rustfmt::skip]
 static CONFIGURATION_DESCRIPTOR: [u8; 67] = [
     9, CONFIGURATION, 67, 0, 2, 1, 0, 0x80, 50,
@@ -67,12 +67,12 @@ static CONFIGURATION_DESCRIPTOR: [u8; 67] = [
     7, ENDPOINT, TO_HOST | DATA, 0x02, PACKET_LEN, 0, 0,
 ];
 
-/// English; the maker; the product (9.6.7).
+/// Strings (9.6.7): language English, manufacturer, product.
 static LANGUAGES: [u8; 4] = [4, STRING, 0x09, 0x04];
 static MAKER: [u8; 22] = string(b"wsg-bridge");
 static PRODUCT: [u8; 48] = string(b"WSG bridge service port");
 
-/// ASCII as a string's descriptor: UTF-16 behind length and type.
+/// Encodes ASCII as a string descriptor: length, type, UTF-16.
 const fn string<const N: usize, const LEN: usize>(text: &[u8; N]) -> [u8; LEN] {
     assert!(LEN == 2 + 2 * N);
     let mut descriptor = [0; LEN];
@@ -89,32 +89,32 @@ const fn string<const N: usize, const LEN: usize>(text: &[u8; N]) -> [u8; LEN] {
     descriptor
 }
 
-/// 115 200 bit/s, one stop bit, no parity, eight bits (PSTN, 6.3.11): what the host sets changes nothing.
+/// 115 200 bit/s, one stop bit, no parity, eight bits (PSTN, 6.3.11). Settings of the host have no effect.
 static LINE_CODING: [u8; 7] = [0x00, 0xC2, 0x01, 0x00, 0, 0, 8];
 
-/// What is to be done about a request of the host.
+/// Response to a request of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// These bytes go to the host, which acknowledges them.
+    /// Send these bytes to the host, which acknowledges them.
     Data(&'static [u8]),
-    /// The request is acknowledged.
+    /// Acknowledge the request.
     Done,
-    /// The same; from then on the device has this address.
+    /// Acknowledge the request, then use this address.
     Address(u8),
-    /// The same; from then on the data endpoint works, or not. Both of its directions begin with DATA0.
+    /// Acknowledge the request, then enable or disable the data endpoint. Both of its directions start with DATA0.
     Configured(bool),
-    /// The same for one that begins with DATA0 again: the data endpoint, to the host or from it.
+    /// Acknowledge the request, then restart one direction of the data endpoint with DATA0.
     Cleared {
-        /// To the host.
+        /// The direction to the host.
         to_host: bool,
     },
-    /// The host sends a packet, which is acknowledged and means nothing.
+    /// Receive and acknowledge a packet of the host, and ignore its content.
     TakeData,
-    /// There is no such request: the control endpoint stalls until the next one.
+    /// Unknown request: stall the control endpoint until the next one.
     Stall,
 }
 
-/// Answers a request: the eight bytes that begin a control transfer.
+/// Returns the response to a request. `setup` is the setup packet of a control transfer.
 ///
 /// ```
 /// use wsg_bridge_fw::usb_serial::{Answer, answer};
@@ -145,7 +145,7 @@ pub fn answer(setup: [u8; 8], is_configured: bool) -> Answer {
         _ => Answer::Stall,
     };
     match answer {
-        // No more than the host asked for.
+        // Limited to the requested length.
         Answer::Data(bytes) if kind & TO_HOST != 0 => {
             let len = usize::from(u16::from_le_bytes([len_low, len_high]));
             Answer::Data(bytes.get(..len).unwrap_or(bytes))
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn descriptors_have_the_lengths_and_the_order_that_a_host_walks_through() {
+    fn descriptors_have_consistent_lengths_and_order() {
         let Answer::Data(bytes) = ask(TO_HOST, GET_DESCRIPTOR, 0x200, 0, 255) else { panic!() };
         let mut kinds = Vec::new();
         let mut endpoints = Vec::new();
@@ -204,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_gets_no_more_than_it_asked_for() {
+    fn response_is_limited_to_the_requested_length() {
         assert_eq!(ask(TO_HOST, GET_DESCRIPTOR, 0x100, 0, 8), Answer::Data(&DEVICE_DESCRIPTOR[..8]));
         assert_eq!(ask(TO_HOST, GET_DESCRIPTOR, 0x100, 0, 64), Answer::Data(&DEVICE_DESCRIPTOR));
         assert_eq!(ask(TO_HOST, GET_DESCRIPTOR, 0x600, 0, 10), Answer::Stall);
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn a_host_brings_the_port_up() {
+    fn host_configures_the_port() {
         assert_eq!(ask(TO_DEVICE, SET_ADDRESS, 42, 0, 0), Answer::Address(42));
         assert_eq!(ask(TO_DEVICE, SET_CONFIGURATION, 1, 0, 0), Answer::Configured(true));
         assert_eq!(ask(TO_DEVICE, SET_CONFIGURATION, 0, 0, 0), Answer::Configured(false));

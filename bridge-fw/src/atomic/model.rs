@@ -1,7 +1,7 @@
-//! The atomics of `loom` under the names and with the constructors of `core`.
+//! The atomics of `loom` with the names and constructors of `core`.
 //!
-//! `loom` runs two threads in every order, and lets a relaxed load return an old value. A handler that interrupts the main loop
-//! can do no more than a second thread, so code that holds here holds there.
+//! `loom` runs two threads in every order, and lets a relaxed load return an old value. An interrupt handler can do no more
+//! than a second thread, so code that passes the models is correct for a handler.
 
 extern crate std;
 
@@ -15,7 +15,7 @@ use loom::sync::atomic;
 
 macro_rules! atomics {
     ($($name:ident: $value:ty;)*) => {$(
-        /// Made by the first access, because `loom` makes none at compile time.
+        /// Created on first access, because `loom` cannot create it at compile time.
         pub(crate) struct $name {
             initial: $value,
             made: OnceLock<atomic::$name>,
@@ -55,8 +55,8 @@ atomics! {
     AtomicUsize: usize;
 }
 
-/// A place for a byte of a queue. `loom` does not let a load return a value that is stored later, as a processor may. So a place
-/// also notes its visitors, and it is an error when one end is there before it can know that the other has left.
+/// A byte of a queue. Unlike a processor, `loom` does not let a load return a value that is stored later. Therefore a place
+/// also tracks accesses, and fails if one end accesses it before the other is known to be done.
 pub(crate) struct Place {
     byte: AtomicU8,
     visitors: OnceLock<UnsafeCell<()>>,
@@ -89,7 +89,7 @@ impl Debug for Place {
     }
 }
 
-/// A value for a model, with all of its atomics made: they have to be there before a second thread is.
+/// Returns a value for a model with all atomics created, which must precede the second thread.
 pub(crate) fn made<T: Debug + Default>() -> T {
     let value = T::default();
     let _ = format!("{value:?}");

@@ -1,4 +1,4 @@
-//! The queue under every interleaving and every reordering that the memory model allows: `cargo xtask loom`.
+//! Models of the queue in every interleaving and reordering that the memory model allows: `cargo xtask loom`.
 
 extern crate std;
 
@@ -8,7 +8,7 @@ use loom::thread;
 use std::sync::Arc;
 use std::vec::Vec;
 
-/// Sends so many bytes from one thread to another, in every way in which they can run.
+/// Sends `count` bytes from one thread to another, in every order of execution.
 fn send<const N: usize>(count: u8) {
     loom::model(move || {
         let queue = Arc::new(made::<ByteQueue<N>>());
@@ -44,16 +44,16 @@ fn every_byte_arrives_once_and_in_order_through_two_places() {
 }
 
 #[test]
-fn what_either_end_is_told_of_the_other_is_never_too_much() {
+fn neither_end_overestimates_bytes_or_room() {
     loom::model(|| {
         let queue = Arc::new(made::<ByteQueue<2>>());
         let popping = Arc::clone(&queue);
         queue.push(1).unwrap();
         let consumer = thread::spawn(move || {
-            // Of what it is told to be there, it gets a byte.
+            // Each reported byte can be popped.
             (0..2).filter(|_| !popping.is_empty()).map(|_| popping.pop().unwrap()).collect::<Vec<u8>>()
         });
-        // What it is told to have room for, it can push.
+        // The reported room can be filled.
         let room = queue.room();
         assert!(room >= 1 && queue.is_full() <= (queue.room() == 0));
         for byte in 0..room {
@@ -65,7 +65,7 @@ fn what_either_end_is_told_of_the_other_is_never_too_much() {
 }
 
 #[test]
-fn what_is_pushed_together_is_seen_together() {
+fn bytes_pushed_together_are_seen_together() {
     loom::model(|| {
         let queue = Arc::new(made::<ByteQueue<4>>());
         let pushing = Arc::clone(&queue);
@@ -85,7 +85,7 @@ fn what_is_pushed_together_is_seen_together() {
             };
             assert_eq!(pair, expected);
         }
-        // Whole pairs are dropped, too.
+        // `clear` also discards whole pairs.
         queue.clear();
         producer.join().unwrap();
         assert!(matches!(queue.pop_all(), None | Some([5, 6])));

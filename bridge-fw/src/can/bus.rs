@@ -1,4 +1,4 @@
-//! The controller, shared by those who are on the bus.
+//! The controller, shared by the participants of the bus.
 
 use embedded_can::{Frame, Id};
 use wsg_protocol::Instant;
@@ -8,45 +8,44 @@ use super::{
     BusCounters, BusOffPolicy, BusReport, BusState, CanController, Health, LinkCounters, Withdrawal,
 };
 
-/// Frames taken from the controller in one turn, at the most: at 1 Mbit/s a millisecond brings 9 of 8 bytes, or 21 empty
-/// ones.
+/// Maximum frames read from the controller per turn. At 1 Mbit/s, a millisecond is 9 frames of 8 bytes, or 21 empty ones.
 pub(crate) const MAX_RECEIVED_PER_POLL: usize = 24;
 
-/// Frames given to the controller in one turn, at the most.
+/// Maximum frames passed to the controller per turn.
 const MAX_SENT_PER_POLL: usize = 8;
 
-/// Frames of one participant that can be on their way at once: one in the controller, two that wait for it.
+/// Maximum unsent frames of one participant: one in the controller, two waiting for it.
 pub(crate) const MAX_ON_THE_WAY: usize = 3;
 
-/// Places of the participants among those who wait.
+/// Indices of the participants in `waiting`.
 const FIRST: usize = 0;
 const SECOND: usize = 1;
 
-/// Somebody on the bus: what it hears and what it has to say.
+/// A participant of the bus.
 pub trait CanNode<F> {
-    /// Hears a frame, whoever it is for.
+    /// Processes a received frame, for any node.
     fn on_frame(&mut self, now: Instant, frame: &F);
 
-    /// The next frame that it sends.
+    /// Returns the next frame to send.
     fn poll_transmit(&mut self, now: Instant) -> Option<F>;
 
-    /// Whether frames with this identifier are its own.
+    /// Returns whether frames with this identifier are its own.
     fn sends(&self, id: Id) -> bool;
 
-    /// A frame of its own will not leave: what goes with it need not either.
+    /// One of its frames was discarded, so related frames need not be sent either.
     fn lost(&mut self);
 
-    /// The bus is lost, or there again. What was to be said before is not said after.
+    /// The bus was lost or has recovered. Frames from before must not be sent afterwards.
     fn bus_changed(&mut self, is_on: bool);
 
-    /// Returns the identifier of the frames that it takes back: all of its own that were not sent. A frame that is never
-    /// acknowledged waits in the controller for ever, and is sent as soon as somebody joins the bus. It sends nothing before
+    /// Returns the identifier of its frames if it wants to withdraw all unsent ones. Without an acknowledgement, a frame
+    /// waits in the controller indefinitely, and is sent as soon as another node joins. The participant sends nothing before
     /// [`taken_back`](Self::taken_back).
     fn takes_back(&self) -> Option<Id> {
         None
     }
 
-    /// It has its frames back: the last `count` of those that it gave were not sent, and all before them were.
+    /// Its frames are withdrawn: the last `count` frames were not sent, all earlier ones were.
     fn taken_back(&mut self, _count: usize) {}
 }
 
@@ -89,8 +88,8 @@ impl<F, N: CanNode<F>> CanNode<F> for Option<&mut N> {
     }
 }
 
-/// A controller and its bus, for up to two participants: the gripper's link first, the PLC's side second. Board-free: in each turn of the main loop
-/// [`listen`](Self::listen) before the bridge's turn and [`talk`](Self::talk) behind it.
+/// A controller and its bus, for up to two participants: the gripper's link first, the PLC's side second. Independent of the
+/// board. In each turn, call [`listen`](Self::listen) before the bridge's turn and [`talk`](Self::talk) after it.
 #[derive(Debug)]
 pub struct CanBus<C: CanController> {
     controller: C,
@@ -100,11 +99,11 @@ pub struct CanBus<C: CanController> {
     waiting: [Waiting<C::Frame>; 2],
 }
 
-/// Frames of one participant that the controller has not taken, in order.
+/// Frames of one participant that the controller has not accepted, in order.
 #[derive(Debug)]
 struct Waiting<F> {
     next: Option<F>,
-    /// What was to follow when the controller gave back a frame that it had taken.
+    /// The frame after `next`, if the controller returned an earlier frame.
     behind: Option<F>,
 }
 
@@ -117,7 +116,7 @@ impl<F> Waiting<F> {
 }
 
 impl<C: CanController> CanBus<C> {
-    /// A bus by this controller, which takes part already.
+    /// Creates a bus with this controller, which is already on the bus.
     pub const fn new(controller: C, policy: BusOffPolicy) -> Self {
         Self {
             controller,
@@ -128,43 +127,42 @@ impl<C: CanController> CanBus<C> {
         }
     }
 
-    /// How the bridge stands to the bus.
+    /// Returns the bridge's participation in the bus.
     pub const fn state(&self) -> BusState {
         self.bus_off.state()
     }
 
-    /// Whether the bus is lost, which the PLC must be told.
+    /// Returns whether the bus is lost, which the PLC must be shown.
     pub fn is_lost(&self) -> bool {
         self.state() != BusState::On
     }
 
-    /// How the controller saw the bus in the last turn.
+    /// Returns the controller's state in the last turn.
     pub const fn health(&self) -> Health {
         self.health
     }
 
-    /// What has been met so far.
+    /// Returns the counters.
     pub const fn counters(&self) -> BusCounters {
         self.counters
     }
 
-    /// What is known of the bus and of the gripper's link on it, for those who report it; a link that is not on this bus has
-    /// met nothing.
+    /// Returns the report on the bus, with the counters of the gripper's link, which are 0 if the link is not on this bus.
     pub const fn report(&self, link: LinkCounters) -> BusReport {
         BusReport { state: self.state(), health: self.health(), counters: self.counters, link }
     }
 
-    /// The controller, for its board.
+    /// Returns the controller, for its board.
     pub const fn controller(&mut self) -> &mut C {
         &mut self.controller
     }
 
-    /// Tries again after the bus was given up.
+    /// Tries to recover a bus that was given up.
     pub fn retry(&mut self, now: Instant) {
         self.bus_off.retry(now);
     }
 
-    /// The first half of a turn, before the bridge's: looks after the controller and hears what has come. Never waits.
+    /// First half of a turn, before the bridge's: checks the controller and processes received frames. Never waits.
     pub fn listen(
         &mut self,
         now: Instant,
@@ -177,7 +175,7 @@ impl<C: CanController> CanBus<C> {
             Step::Nothing | Step::Leave => {}
             Step::Recover => self.controller.recover(),
             Step::Join => {
-                // What the controller was given before must not leave now, whatever it did with it meanwhile.
+                // The controller must not send earlier frames now, even if it still holds some.
                 self.forget();
                 first.bus_changed(true);
                 second.bus_changed(true);
@@ -185,7 +183,7 @@ impl<C: CanController> CanBus<C> {
         }
         self.receive(now, first, second);
         if step == Step::Leave {
-            // What had come before was true, and may be a FAST STOP.
+            // Frames received before the loss are valid, and may include a FAST STOP.
             add(&mut self.counters.bus_offs);
             self.forget();
             first.bus_changed(false);
@@ -211,11 +209,11 @@ impl<C: CanController> CanBus<C> {
         }
     }
 
-    /// The second half of a turn, behind the bridge's: says what the controller takes. Never waits.
+    /// Second half of a turn, after the bridge's: passes frames to the controller. Never waits.
     ///
-    /// The first participant's frames are offered first, whatever their identifiers: a controller takes no frame while one
-    /// waits in it that is more urgent, but it takes a more urgent one at any time. So the second's never keep a FAST STOP
-    /// waiting in here, and on the bus all leave in the order of their identifiers.
+    /// The first participant has priority, regardless of identifiers. A controller rejects frames while it holds a more
+    /// urgent one, but always accepts a more urgent one. So the second participant never delays a FAST STOP here, and the bus
+    /// carries all frames in the order of their identifiers.
     pub fn talk(
         &mut self,
         now: Instant,
@@ -239,8 +237,8 @@ impl<C: CanController> CanBus<C> {
         }
     }
 
-    /// Gives a participant its unsent frames back, if it asks for them. Returns whether it may send: not while it is open
-    /// whether the frame in the controller can still be withdrawn.
+    /// Withdraws a participant's unsent frames on its request. Returns whether it may send, which it may not while a
+    /// withdrawal from the controller is undecided.
     fn take_back(&mut self, whose: usize, node: &mut impl CanNode<C::Frame>) -> bool {
         let Some(id) = node.takes_back() else { return true };
         let in_controller = match self.controller.withdraw(id) {
@@ -259,7 +257,7 @@ impl<C: CanController> CanBus<C> {
         self.waiting = [const { Waiting::NOTHING }; 2];
     }
 
-    /// Gives the controller the next frame of a participant; whether it is gone.
+    /// Passes a participant's next frame to the controller. Returns whether the frame left the queue.
     fn send(
         &mut self,
         whose: usize,
@@ -307,7 +305,7 @@ fn fill<F>(waiting: &mut Waiting<F>, now: Instant, whose: &mut impl CanNode<F>) 
     }
 }
 
-/// Puts a frame before those that wait; whether there was room.
+/// Puts a frame before the waiting ones. Returns whether there was room.
 fn put_back<F>(waiting: &mut Waiting<F>, frame: F) -> bool {
     let follower = waiting.next.replace(frame);
     match follower {

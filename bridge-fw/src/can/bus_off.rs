@@ -1,52 +1,52 @@
-//! When to come back after bus-off, and when to give up.
+//! Recovery after bus-off, and its limit.
 
 use wsg_protocol::Instant;
 
-/// What is done about bus-off. All times in milliseconds.
+/// Reaction to bus-off. All times are in milliseconds.
 ///
-/// A controller goes bus-off after its own sending has failed too often: a short circuit, a wrong bit rate, a broken
-/// transceiver. One that came back at once, again and again, would disturb the others for ever.
+/// A controller goes bus-off after repeated failures to send: a short circuit, a wrong bit rate, a broken transceiver. If it
+/// rejoined immediately each time, it would disturb the other nodes permanently.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BusOffPolicy {
-    /// How long the controller stays off before it tries to come back.
+    /// Time that the controller stays off before it tries to recover.
     pub delay_ms: u32,
-    /// How long coming back may take before that counts as another failure. At 125 kbit/s on a full bus it takes 150 ms.
+    /// Longest recovery. A longer one counts as another failure. At 125 kbit/s on a full bus, it takes 150 ms.
     pub recovery_ms: u32,
-    /// After how many failures without a stable time in between it stays off until it is told to
-    /// [`retry`](super::CanBus::retry), or until power-up. 0: never.
+    /// Number of failures without a stable time in between after which the controller stays off until
+    /// [`retry`](super::CanBus::retry) or power-up. 0: unlimited.
     pub limit: u8,
-    /// How long the bus must have gone well for the failures to be forgotten.
+    /// Time without a failure after which the number of failures is reset.
     pub stable_ms: u32,
 }
 
 impl BusOffPolicy {
-    /// Back after 100 ms, ten times; ten seconds without a failure count as stable.
+    /// Recovery after 100 ms, at most ten times. Ten seconds without a failure are stable.
     pub const DEFAULT: Self = Self { delay_ms: 100, recovery_ms: 500, limit: 10, stable_ms: 10_000 };
 }
 
-/// How the bridge stands to the bus.
+/// Participation of the bridge in the bus.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BusState {
-    /// It takes part.
+    /// On the bus.
     #[default]
     On,
-    /// Bus-off; the delay runs.
+    /// Bus-off, during the delay.
     Off,
-    /// Bus-off; the controller is on its way back.
+    /// Bus-off, the controller is recovering.
     Recovering,
-    /// Bus-off, and given up.
+    /// Bus-off, given up.
     GivenUp,
 }
 
-/// What is to be done now.
+/// Action for the current turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Step {
     Nothing,
-    /// The bus is lost: forget what waits.
+    /// The bus is lost: discard waiting frames.
     Leave,
-    /// Tell the controller to come back.
+    /// Start the recovery of the controller.
     Recover,
-    /// The bus is there again.
+    /// The bus has recovered.
     Join,
 }
 
@@ -54,7 +54,7 @@ pub(super) enum Step {
 pub(super) struct BusOff {
     policy: BusOffPolicy,
     state: BusState,
-    /// Since when it is in this state.
+    /// Time of entering this state.
     since: Instant,
     /// Failures since the last stable time.
     failures: u8,
@@ -69,7 +69,7 @@ impl BusOff {
         self.state
     }
 
-    /// One look at the controller.
+    /// Updates the state with the controller's.
     pub(super) fn update(&mut self, now: Instant, is_off: bool) -> Step {
         let waited = |ms: u32| now.since(self.since) >= ms;
         match self.state {
@@ -99,7 +99,7 @@ impl BusOff {
         }
     }
 
-    /// Begins anew after it was given up.
+    /// Restarts the recovery after it was given up.
     pub(super) fn retry(&mut self, now: Instant) {
         if self.state == BusState::GivenUp {
             self.failures = 0;

@@ -2,16 +2,16 @@
 
 use embedded_can::{ErrorKind, Frame, Id};
 
-/// How a controller sees the bus (ISO 11898-1, fault confinement).
+/// State of a controller's fault confinement (ISO 11898-1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Health {
-    /// Bus-off: it takes no part in the bus any more.
+    /// Bus-off: the controller no longer takes part in the bus.
     pub is_off: bool,
     /// Error passive: one of its counters is above 127.
     pub is_passive: bool,
-    /// The transmit error counter; it stops at 255.
+    /// Transmit error counter, saturating at 255.
     pub transmit_errors: u8,
-    /// The receive error counter.
+    /// Receive error counter.
     pub receive_errors: u8,
 }
 
@@ -20,15 +20,15 @@ pub struct Health {
 pub enum Withdrawal {
     /// The frame is being sent, and may still fail. Withdraw it again in the next turn.
     Undecided,
-    /// It was not sent and never will be.
+    /// The frame was not sent and never will be.
     Withdrawn,
-    /// It was sent, or there was none.
+    /// The frame was sent, or there was none.
     TooLate,
 }
 
 impl Withdrawal {
-    /// Returns the outcome by what every controller reports of a mailbox after the request: whether it is still occupied, and
-    /// whether its last frame was sent.
+    /// Returns the outcome from the state of a mailbox after the request: whether it is still occupied, and whether its last
+    /// frame was sent.
     #[must_use]
     pub const fn of(is_occupied: bool, was_sent: bool) -> Self {
         match (is_occupied, was_sent) {
@@ -39,34 +39,33 @@ impl Withdrawal {
     }
 }
 
-/// A CAN controller that does not leave bus-off by itself.
+/// A CAN controller that stays bus-off until [`recover`](Self::recover).
 ///
-/// It takes and gives frames by `embedded_can::nb::Can`. It holds at most one frame with a given identifier, so frames with
-/// the same identifier are sent in the order in which it took them. A frame that takes the place of another gives that one
-/// back, as the trait defines.
+/// `embedded_can::nb::Can` transfers the frames. The controller holds at most one frame with a given identifier, so frames
+/// with the same identifier are sent in order. A frame that replaces another one returns it, as the trait defines.
 pub trait CanController: embedded_can::nb::Can {
-    /// How it sees the bus now.
+    /// Returns the current state of fault confinement.
     fn health(&mut self) -> Health;
 
-    /// Withdraws the frame with this identifier that it took and has not sent. Frames with other identifiers stay, though they
-    /// may have to wait until the withdrawal is decided. Does not wait.
+    /// Withdraws an accepted but unsent frame with this identifier. Other frames stay, but may have to wait for the decision.
+    /// Does not wait.
     ///
-    /// No controller stops a frame that is being sent. It completes that frame, but does not repeat it if it fails. Until then
-    /// the withdrawal is [`Undecided`](Withdrawal::Undecided), and the caller repeats it once a turn.
+    /// No controller stops a frame that is being sent. It completes the frame, but does not repeat it after a failure. Until
+    /// then the withdrawal is [`Undecided`](Withdrawal::Undecided), and the caller repeats it once per turn.
     fn withdraw(&mut self, id: Id) -> Withdrawal;
 
-    /// Forgets all frames that it took and has not sent, and a withdrawal that is not decided.
+    /// Discards all accepted but unsent frames, and an undecided withdrawal.
     fn abort(&mut self);
 
-    /// Begins to leave bus-off, which takes 128 times 11 recessive bits. Does not wait for that.
+    /// Starts the recovery from bus-off, which takes 128 times 11 recessive bits. Does not wait for it.
     fn recover(&mut self);
 }
 
-/// No controller, for a board that has none: as good as one that is bus-off.
+/// No controller, for a board without CAN. It behaves like one that is bus-off.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoCan;
 
-/// A frame of [`NoCan`], of which there is none.
+/// Frame type of [`NoCan`]. It has no values.
 #[derive(Clone, Copy, Debug)]
 pub enum NoFrame {}
 

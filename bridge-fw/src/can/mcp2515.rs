@@ -1,9 +1,9 @@
-//! The CAN controller MCP2515 (Microchip DS20001801) over any HAL's SPI, for boards without one of their own.
+//! Driver for the CAN controller MCP2515 (Microchip DS20001801) over any HAL's SPI, for boards without a CAN controller.
 //!
-//! The crate `mcp2515` tells neither error counters nor overflows, withdraws nothing, and sends two frames of one identifier in
-//! any order. Here every wait is bounded: an MCP2515 that is not there counts as one that is bus-off.
+//! The crate `mcp2515` reports neither error counters nor overflows, cannot withdraw frames, and may reorder two frames with
+//! the same identifier. In this driver every wait is bounded, and a missing MCP2515 is reported as bus-off.
 //!
-//! Received frames are taken by the handler of its interrupt, through [`Mcp2515Buffers`]; all else is the main loop's.
+//! The interrupt handler reads received frames, through [`Mcp2515Buffers`]. The main loop does everything else.
 
 mod buffers;
 
@@ -25,7 +25,7 @@ const BIT_MODIFY: u8 = 0x05;
 const LOAD_TX: [u8; 3] = [0x40, 0x42, 0x44];
 const RTS: [u8; 3] = [0x81, 0x82, 0x84];
 
-/// Registers (11.0). Filters, masks and buffers are four registers of an identifier each.
+/// Registers (11.0). Filters, masks and buffers have four registers for an identifier.
 const RXF: [u8; 6] = [0x00, 0x04, 0x08, 0x10, 0x14, 0x18];
 const CANSTAT: u8 = 0x0E;
 const CANCTRL: u8 = 0x0F;
@@ -42,17 +42,17 @@ const RXBCTRL: [u8; 2] = [0x60, 0x70];
 const MODE: u8 = 0b111 << 5;
 const NORMAL: u8 = 0;
 const CONFIGURATION: u8 = 0b100 << 5;
-/// CANCTRL: abort all transmissions, and begin none as long as it is set (3.6).
+/// CANCTRL: abort all transmissions, and start none while it is set (3.6).
 const ABAT: u8 = 1 << 4;
 /// CANINTF: a buffer's frame was sent.
 const TXIF: [u8; 3] = [1 << 2, 1 << 3, 1 << 4];
-/// CNF2: PHSEG2 is as CNF3 says.
+/// CNF2: CNF3 sets PHSEG2.
 const BTLMODE: u8 = 1 << 7;
 /// CANINTE: a frame is in either buffer.
 const RX_INTERRUPTS: u8 = 0b11;
-/// RXB0CTRL: what finds the first buffer full goes to the second.
+/// RXB0CTRL: a frame for a full first buffer rolls over to the second.
 const BUKT: u8 = 1 << 2;
-/// TXBnCTRL: to be sent; and before the others.
+/// TXBnCTRL: transmit request; highest priority.
 const TXREQ: u8 = 1 << 3;
 const TXP_HIGHEST: u8 = 0b11;
 /// EFLG.
@@ -63,31 +63,30 @@ const OVERFLOWS: u8 = 0b11 << 6;
 const TXREQS: [u8; 3] = [1 << 2, 1 << 4, 1 << 6];
 const TXIFS: [u8; 3] = [1 << 3, 1 << 5, 1 << 7];
 
-/// In an identifier's second register: an extended one; a standard one of a remote frame that was received. In its length's:
-/// a remote frame.
+/// Second identifier register: extended identifier; received standard remote frame. Length register: remote frame.
 const EXIDE: u8 = 1 << 3;
 const SRR: u8 = 1 << 4;
 const RTR: u8 = 1 << 6;
 
-/// Bytes of data in a frame. Its length field goes up to 15; above 8 it also means 8 (ISO 11898-1).
+/// Maximum data bytes in a frame. The length field ranges up to 15, and values above 8 also mean 8 (ISO 11898-1).
 const MAX_DATA_LEN: u8 = 8;
 
-/// How often is looked whether it has come out of its reset, which takes 128 cycles of its crystal. A look takes 24 of SPI's.
+/// Maximum polls for the end of the reset, which takes 128 cycles of the crystal. A poll takes 24 cycles of SPI.
 const MAX_LOOKS: u32 = 100;
 
-/// How it makes a bit of its clock (5.0).
+/// Bit timing registers (5.0).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct BitTiming {
-    /// CNF3, CNF2, CNF1, in the order of their addresses.
+    /// CNF3, CNF2 and CNF1, in the order of their addresses.
     registers: [u8; 3],
 }
 
 impl BitTiming {
-    /// The times for a rate in kbit/s with a crystal of so many Hz: 16 time quanta, sampled at 87.5 % (CiA 301, table 1), or
-    /// where the crystal is too slow for so many, 8, sampled at 75 %. `None` for a rate that it does not divide to.
+    /// Returns the timing for a crystal in Hz and a rate in kbit/s. A bit has 16 time quanta, sampled at 87.5 % (CiA 301,
+    /// table 1), or 8 for a slow crystal, sampled at 75 %. Returns `None` if the crystal does not divide to the rate.
     const fn for_rate(crystal_hz: u32, kbit_rate: u16) -> Option<Self> {
-        // Time quanta of the propagation segment and of phase segment 1. Phase segment 2 has the least that there may be, two; so
-        // the jump width is one.
+        // Time quanta of the propagation segment and of phase segment 1. Phase segment 2 has the minimum of two, so the jump
+        // width is one.
         const FINE: [u32; 2] = [5, 8];
         const COARSE: [u32; 2] = [2, 3];
         match Self::with(crystal_hz, kbit_rate, FINE) {
@@ -99,7 +98,7 @@ impl BitTiming {
     const fn with(crystal_hz: u32, kbit_rate: u16, [propagation, phase_1]: [u32; 2]) -> Option<Self> {
         const PHASE_2: u32 = 2;
         let quanta = 1 + propagation + phase_1 + PHASE_2;
-        // A time quantum is at least two cycles of the crystal.
+        // A time quantum has at least two cycles of the crystal.
         let cycles = 2 * quanta * kbit_rate as u32 * 1_000;
         if cycles == 0 || !crystal_hz.is_multiple_of(cycles) {
             return None;
@@ -114,7 +113,7 @@ impl BitTiming {
     }
 }
 
-/// A frame was lost: it found both buffers full.
+/// Error: a frame was lost, because both buffers were full.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overrun;
 
@@ -124,31 +123,31 @@ impl embedded_can::Error for Overrun {
     }
 }
 
-/// An MCP2515, and the SPI that it is on: mode 0, 10 MHz at the most. No transaction may be interrupted by the handler of its
-/// interrupt: mask that one meanwhile, and no other.
+/// An MCP2515 on SPI in mode 0, at up to 10 MHz. The handler of its interrupt must not interrupt a transaction: mask only
+/// that interrupt during each.
 ///
-/// It leaves bus-off by itself, after 128 times 11 recessive bits; nothing is sent and nothing that it has received counts
-/// until it is told to [`recover`](CanController::recover).
+/// The chip leaves bus-off by itself after 128 times 11 recessive bits. Until [`recover`](CanController::recover), the driver
+/// sends nothing and discards received frames.
 #[derive(Debug)]
 pub struct Mcp2515<S, F> {
     spi: S,
     received: &'static Mcp2515Buffers,
     crystal_hz: u32,
     config: Option<CanConfig>,
-    /// Whether timing and filters are in its registers.
+    /// Timing and filters are in the registers.
     is_set_up: bool,
-    /// It was bus-off, and was not told to recover.
+    /// The chip was bus-off, and `recover` has not been called since.
     is_off: bool,
-    /// Frames were lost, which was not said yet.
+    /// Frames were lost, which has not been reported yet.
     has_overrun: bool,
     transmit: TransmitBuffers,
-    /// The status before the withdrawal that is not decided.
+    /// Status before the undecided withdrawal.
     before_withdrawal: u8,
     frames: PhantomData<fn() -> F>,
 }
 
 impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
-    /// One that was not started, with a crystal of so many Hz, and what its handler takes from it.
+    /// Creates a driver before its start, with the crystal's frequency in Hz and the buffers of the handler.
     pub const fn new(spi: S, crystal_hz: u32, received: &'static Mcp2515Buffers) -> Self {
         Self {
             spi,
@@ -164,7 +163,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         }
     }
 
-    /// Starts it; SPI works. Little more than what the bridge may want passes its filters.
+    /// Starts the chip over working SPI. The filters accept little more than the frames for the bridge.
     pub fn start(&mut self, config: &CanConfig) {
         self.config = Some(*config);
         self.join();
@@ -180,7 +179,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         }
     }
 
-    /// Whether it is there, and has a timing for the rate.
+    /// Sets up the chip. Returns whether it responds and supports the rate.
     fn set_up(&mut self, config: &CanConfig) -> Result<bool, S::Error> {
         self.transmit.start(config);
         let Some(timing) = BitTiming::for_rate(self.crystal_hz, config.kbit_rate) else { return Ok(false) };
@@ -196,8 +195,8 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
             return Ok(false);
         }
         self.write(CNF3, &timing.registers)?;
-        // The first buffer: the gripper, and with it the identifiers beside its own; heartbeats. The second: what is for this
-        // node; NMT and SYNC. (A mask is the whole buffer's. Whoever gets a frame looks at all of its identifier.)
+        // First buffer: the gripper with adjacent identifiers, and heartbeats. Second buffer: frames to this node, NMT and
+        // SYNC. A mask applies to the whole buffer, so each receiver compares the complete identifier.
         let gripper = config.gripper.controller().receive.as_raw();
         let node = u16::from(config.node.node);
         self.write(RXM[0], &id_registers(Id::Standard(standard(0x780))))?;
@@ -208,9 +207,9 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         self.write(RXBCTRL[0], &[BUKT])?;
         self.write(RXBCTRL[1], &[0])?;
         self.write(CANINTE, &[RX_INTERRUPTS])?;
-        // It synchronises in its own time; the first frames wait for that.
+        // The chip synchronises to the bus on its own. The first frames wait for that.
         self.write(CANCTRL, &[NORMAL])?;
-        // Lines that float read anything; no reset leaves this.
+        // Floating lines read arbitrary values. A reset chip never has these.
         Ok(self.read::<3>(CNF3)? == timing.registers)
     }
 
@@ -239,7 +238,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         else {
             return Ok(false);
         };
-        // For `withdraw`: from now on it means this frame.
+        // From now on, the flag applies to this frame. `withdraw` depends on it.
         self.modify(CANINTF, was_sent, 0)?;
         let [a, b, c, d] = id_registers(frame.id());
         let len = frame.dlc() as u8 | if frame.is_remote_frame() { RTR } else { 0 };
@@ -248,7 +247,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
             Operation::Write(frame.data()),
         ])?;
         if buffer == 0 {
-            // The others have the lowest from the reset on.
+            // The other buffers keep the lowest priority from the reset.
             self.write(TXBCTRL[0], &[TXREQ | TXP_HIGHEST])?;
         } else {
             self.spi.write(&[*rts])?;
@@ -261,7 +260,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         let [transmit_errors, receive_errors] = self.read(TEC)?;
         let [flags] = self.read(EFLG)?;
         if control & MODE != NORMAL {
-            // It has lost its supply meanwhile, or is not there any more.
+            // The chip has lost its supply, or is missing.
             self.is_set_up = false;
         }
         if flags & OVERFLOWS != 0 {
@@ -270,7 +269,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         }
         self.is_off |= flags & TXBO != 0;
         if self.is_off {
-            // What comes meanwhile would be long ago when the bus is there again.
+            // Frames received during bus-off would be outdated after the recovery.
             self.received.clear();
         }
         Ok(Health {
@@ -281,8 +280,8 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         })
     }
 
-    /// Aborts all buffers, and requests the others anew. A buffer whose TXREQ the host clears gives no sign of when its frame has
-    /// ended; with ABAT, TXREQ stays until then (3.6).
+    /// Aborts all buffers, and requests the others again. With ABAT, TXREQ stays set until the end of a frame on the bus
+    /// (3.6). Clearing TXREQ of a single buffer would not show that end.
     fn withdraw_frame(&mut self, id: Id) -> Result<Withdrawal, S::Error> {
         let mut status = read_status(&mut self.spi)?;
         let buffer = match self.transmit.withdrawing() {
@@ -321,7 +320,7 @@ impl<S: SpiDevice, F: Frame> Mcp2515<S, F> {
         Ok(())
     }
 
-    /// What SPI gave; an error of it is one of a controller that is not there.
+    /// Returns the result of SPI. An error counts as a missing controller.
     fn unless_lost<T>(&mut self, result: Result<T, S::Error>) -> Option<T> {
         self.is_set_up &= result.is_ok();
         result.ok()
@@ -352,7 +351,7 @@ impl<S: SpiDevice, F: Frame> embedded_can::nb::Can for Mcp2515<S, F> {
 }
 
 impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
-    /// One that could not be set up is as good as bus-off, and the policy tries again.
+    /// A chip without set-up is reported as bus-off, so that the bus-off policy tries again.
     fn health(&mut self) -> Health {
         let health = if self.is_set_up {
             let result = self.look();
@@ -377,13 +376,13 @@ impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
         self.unless_lost(result).unwrap_or(Withdrawal::TooLate)
     }
 
-    /// What is being sent at this moment goes on to its end.
+    /// A frame that is being sent is completed.
     fn abort(&mut self) {
         let result = self.forget_all();
         self.unless_lost(result);
     }
 
-    /// Its own recovery has begun when it went bus-off: what is left to do is to believe it.
+    /// The chip's own recovery began at bus-off, so it only needs to be accepted.
     fn recover(&mut self) {
         if self.is_set_up {
             self.is_off = false;
@@ -393,12 +392,12 @@ impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
     }
 }
 
-/// Returns which transmit buffers hold no frame that is to be sent.
+/// Returns which transmit buffers are free.
 fn are_empty(status: u8) -> [bool; TransmitBuffers::COUNT] {
     TXREQS.map(|waits| status & waits == 0)
 }
 
-/// An identifier as the registers of a buffer, filter or mask have it.
+/// Encodes an identifier for the registers of a buffer, filter or mask.
 fn id_registers(id: Id) -> [u8; 4] {
     match id {
         Id::Standard(id) => [(id.as_raw() >> 3) as u8, (id.as_raw() << 5) as u8, 0, 0],
@@ -410,7 +409,7 @@ fn id_registers(id: Id) -> [u8; 4] {
     }
 }
 
-/// The frame that is in a receive buffer's registers.
+/// Decodes a frame from the registers of a receive buffer.
 fn frame<F: Frame>([high, low, e8, e0, len, data @ ..]: RawFrame) -> Option<F> {
     let is_extended = low & EXIDE != 0;
     let count = (len & 0xF).min(MAX_DATA_LEN).into();

@@ -1,16 +1,17 @@
-//! The transmit buffers of a CAN controller: which one a frame takes, and whose frame is being withdrawn.
+//! Transmit buffers of a CAN controller: allocation to frames, and pending withdrawal.
 //!
-//! Controllers send by the priority of buffers or identifiers, not in the order in which they take frames. This policy keeps the order
-//! that [`CanController`](super::CanController) guarantees. A driver reads its registers, follows the policy, and writes its registers.
+//! Controllers send by the priority of buffers or identifiers, not in the order of acceptance. This policy ensures the order
+//! that [`CanController`](super::CanController) guarantees. A driver reads its registers, follows the policy, and writes its
+//! registers.
 
 use embedded_can::Id;
 
 use super::{CanConfig, Withdrawal};
 
-/// The buffer of the gripper's frames.
+/// Buffer of frames to the gripper.
 const GRIPPER: usize = 0;
 
-/// Keys of extended identifiers, which have 29 bits, begin here.
+/// First key of extended identifiers, which have 29 bits.
 const EXTENDED: u32 = 1 << 31;
 
 /// Not the key of any identifier.
@@ -41,13 +42,14 @@ impl TransmitBuffers {
         Self { gripper: NONE, given: [NONE; Self::COUNT], withdrawing: None }
     }
 
-    /// Takes the gripper's identifier, for a controller that is set up, or set up anew, with empty buffers.
+    /// Sets the gripper's identifier. Called with empty buffers, after each set-up of the controller.
     pub fn start(&mut self, config: &CanConfig) {
         self.gripper = key(config.gripper.controller().transmit.into());
         self.withdrawing = None;
     }
 
-    /// Returns the buffer for a frame with this identifier, or `None` if the frame must wait. The driver loads the frame at once.
+    /// Returns the buffer for a frame with this identifier, or `None` if the frame must wait. The driver loads the frame
+    /// immediately.
     pub fn take(&mut self, id: Id, is_empty: [bool; Self::COUNT]) -> Option<usize> {
         let id = key(id);
         let [is_gripper_empty, is_one_empty, is_other_empty] = is_empty;
@@ -66,14 +68,14 @@ impl TransmitBuffers {
         buffer
     }
 
-    /// Returns the buffer whose frame is being withdrawn, if any. Its flag that the frame was sent must stay until
+    /// Returns the buffer whose frame is being withdrawn, if any. The driver keeps the buffer's sent flag until
     /// [`decide`](Self::decide).
     #[must_use]
     pub const fn withdrawing(&self) -> Option<usize> {
         self.withdrawing
     }
 
-    /// Begins to withdraw the frame with this identifier. Returns its buffer, or `None` if no buffer holds it unsent.
+    /// Starts the withdrawal of the frame with this identifier. Returns its buffer, or `None` if no buffer holds it unsent.
     pub fn withdraw(&mut self, id: Id, is_empty: [bool; Self::COUNT]) -> Option<usize> {
         let id = key(id);
         let mut held = self.given.iter().zip(is_empty);
@@ -81,7 +83,7 @@ impl TransmitBuffers {
         self.withdrawing
     }
 
-    /// Takes the outcome of the withdrawal, as the registers have it now, and returns it. After all frames were aborted, it is
+    /// Records and returns the outcome of the withdrawal according to the registers. After an abort of all frames, it is
     /// [`Withdrawal::Withdrawn`].
     pub fn decide(&mut self, outcome: Withdrawal) -> Withdrawal {
         if outcome != Withdrawal::Undecided {
@@ -119,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gripper_has_a_buffer_of_its_own_and_the_others_share_two() {
+    fn gripper_has_its_own_buffer_and_other_frames_share_two() {
         let mut buffers = started();
         assert_eq!(buffers.take(id(0x180), [true; 3]), Some(1));
         assert_eq!(buffers.take(id(0x280), [true, false, true]), Some(2));
@@ -140,13 +142,13 @@ mod tests {
     }
 
     #[test]
-    fn only_an_unsent_frame_with_the_identifier_is_withdrawn_and_only_until_it_is_decided() {
+    fn only_an_unsent_frame_with_the_identifier_is_withdrawn() {
         let mut buffers = started();
         for (frame, is_empty) in [(gripper(), [true; 3]), (id(0x180), [false, true, true])] {
             buffers.take(frame, is_empty).unwrap();
         }
         assert_eq!(buffers.withdraw(id(0x280), [false, false, true]), None);
-        assert_eq!(buffers.withdraw(gripper(), [true, false, true]), None, "it was sent");
+        assert_eq!(buffers.withdraw(gripper(), [true, false, true]), None, "already sent");
         assert_eq!(buffers.withdraw(id(0x180), [false, false, true]), Some(1));
 
         assert_eq!(buffers.decide(Withdrawal::Undecided), Withdrawal::Undecided);
@@ -156,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_withdrawal_ends_when_the_controller_starts_anew() {
+    fn restart_of_the_controller_ends_a_withdrawal() {
         let mut buffers = started();
         buffers.take(gripper(), [true; 3]).unwrap();
         assert_eq!(buffers.withdraw(gripper(), [false, true, true]), Some(0));
@@ -165,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_standard_and_an_extended_identifier_with_one_number_are_two() {
+    fn standard_and_extended_identifiers_with_one_number_differ() {
         let mut buffers = started();
         let extended = Id::Extended(ExtendedId::new(0x180).unwrap());
         assert_eq!(buffers.take(id(0x180), [true; 3]), Some(1));
@@ -174,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn before_the_start_no_frame_is_the_grippers() {
+    fn gripper_has_no_buffer_before_the_start() {
         assert_eq!(TransmitBuffers::new().take(gripper(), [true; 3]), Some(1));
     }
 }

@@ -1,4 +1,4 @@
-//! The gripper on the bus: to the bridge a line that it reads and writes byte by byte.
+//! The gripper on CAN, as a line that the bridge reads and writes byte by byte.
 
 use embedded_can::{Frame, Id};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
@@ -11,22 +11,22 @@ use super::MAX_REPLY_LEN;
 use super::would_block::WouldBlock;
 use crate::can::{CanNode, LinkCounters, MAX_ON_THE_WAY};
 
-/// CAN frames of the longest reply that a bridge asks for.
+/// CAN frames of the longest reply that the bridge requests.
 const REPLY_FRAMES: usize = (MAX_REPLY_LEN + OVERHEAD).div_ceil(FULL);
 
 /// CAN frames of the longest message that the bridge sends.
 const REQUEST_FRAMES: usize = (Command::MAX_FIXED_LEN + OVERHEAD).div_ceil(FULL);
 
-/// What the bus brings between two turns of the bridge, and a reply that was held back until then. The bridge takes 256
-/// bytes in a turn, so nothing is left over.
+/// Bytes that the bus delivers between two turns of the bridge, plus a reply that was completed only then. The bridge reads
+/// 256 bytes per turn, so nothing is left over.
 const RECEIVED_MAX: usize = 256;
 const _: () = assert!(RECEIVED_MAX >= REPLY_FRAMES * FULL + 20 * FULL);
 
-/// How long frames wait for the controller to take one, in milliseconds, before they and what it holds are given up. Less
-/// than the time in which a session expects an answer, and more than a bus at 125 kbit/s needs for 90 frames of others.
+/// Longest wait for the controller to accept a frame, in milliseconds. Then all frames are discarded. It is shorter than the
+/// session's time-out for a reply, and longer than a bus at 125 kbit/s needs for 90 other frames.
 const STUCK_MS: u32 = 100;
 
-/// Frames that the bus may have, and the message after them. Every unsent frame is among them.
+/// Capacity for the frames on the bus and the next message, which are all unsent frames.
 const FRAMES_MAX: usize = MAX_ON_THE_WAY + REQUEST_FRAMES;
 
 /// Index of the command's id in a message.
@@ -36,52 +36,53 @@ const ID_AT: usize = PREAMBLE_LEN;
 #[derive(Clone, Copy, Debug)]
 struct Piece {
     segment: Segment,
-    /// The motion or acknowledgement that it belongs to, unless that is spoilt.
+    /// Motion or acknowledgement that the frame belongs to, unless it is spoilt.
     motion: Option<CommandId>,
-    /// The running checksum before it.
+    /// Running checksum before this frame.
     checksum: u16,
     is_first: bool,
     is_last: bool,
 }
 
-/// Which unsent frames the link takes back from the bus.
+/// Kind of unsent frames that the link withdraws from the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TakesBack {
-    /// All of them, for good.
+    /// All frames, permanently.
     All,
-    /// Those of motions and acknowledgements. The others are sent after all.
+    /// Frames of motions and acknowledgements. The others are sent later.
     Motions,
 }
 
 /// The bridge's end of a gripper on CAN.
 ///
-/// It takes the next message once the bus has all frames of the one before, so a FAST STOP waits for the rest of one message at
-/// most, and for none that it [withdraws](Self::withdraw). What was on its way when the bus was lost is never sent.
+/// It accepts the next message after the bus has taken all frames of the previous one. So a FAST STOP waits for the rest of
+/// at most one message, and not for a message that it [withdraws](Self::withdraw). Unsent frames are discarded when the bus
+/// is lost.
 #[derive(Debug)]
 pub struct GripperLink {
     endpoint: Endpoint,
     reassembler: Reassembler<REPLY_FRAMES>,
     received: Deque<u8, RECEIVED_MAX>,
     segmenter: Segmenter,
-    /// The last frames that the bus was given, and those that it was not given yet.
+    /// The last frames passed to the bus, followed by the pending ones.
     frames: Vec<Piece, FRAMES_MAX>,
-    /// How many of them it was given.
+    /// Number of these frames passed to the bus.
     given: usize,
-    /// Since when frames wait and none was taken, looked at once a turn.
+    /// Start of the current wait for the controller, checked once per turn.
     stuck_since: Option<Instant>,
     is_on: bool,
     is_connected: bool,
     takes_back: Option<TakesBack>,
-    /// The gripper will not get this command whole, which the bridge does not know yet.
+    /// Command that the gripper will not receive completely. Not yet reported to the bridge.
     withdrawn: Option<CommandId>,
-    /// Truncated message: the writer must get an error.
+    /// A message was truncated, and the next write must fail.
     is_broken: bool,
     overflows: u16,
     broken: u16,
 }
 
 impl GripperLink {
-    /// A link to the gripper with these identifiers, on a bus that is there.
+    /// Creates a link to the gripper with these identifiers, on a working bus.
     #[must_use]
     pub const fn new(identifiers: Identifiers) -> Self {
         let endpoint = identifiers.controller();
@@ -103,14 +104,14 @@ impl GripperLink {
         }
     }
 
-    /// What could not be used so far.
+    /// Returns the counters of the link.
     #[must_use]
     pub const fn counters(&self) -> LinkCounters {
         LinkCounters { frames: self.reassembler.counters(), overflows: self.overflows, broken: self.broken }
     }
 
-    /// Takes whether the gripper answers, after each turn of the bridge. When it no longer does, all unsent frames are taken
-    /// back from the controller. Without a node that acknowledges them they would wait there, and be sent when the gripper
+    /// Sets whether the gripper answers, after each turn of the bridge. When it stops answering, all unsent frames are
+    /// withdrawn from the controller. Otherwise they would wait there for an acknowledgement, and be sent when the gripper
     /// returns.
     pub fn set_connected(&mut self, is_connected: bool) {
         if self.is_connected && !is_connected {
@@ -120,27 +121,25 @@ impl GripperLink {
         self.is_connected = is_connected;
     }
 
-    /// Withdraws motions and acknowledgements of which unsent frames may wait for the bus. No message is taken until that is
-    /// decided. The gripper never gets such a message whole then, and [`take_withdrawn`](Self::take_withdrawn) reports it. Does
-    /// nothing if all of them are known to be sent.
+    /// Withdraws motions and acknowledgements with unsent frames. No message is accepted until the withdrawal is decided. The
+    /// gripper never receives such a message completely, and [`take_withdrawn`](Self::take_withdrawn) reports it. Does
+    /// nothing if all frames have been sent.
     ///
-    /// A message of which the gripper has the first frame is not just cut: the gripper would take the following FAST STOP for
-    /// its rest. Its other frames are sent [spoilt](Segment::spoil), in at most two frames, and the gripper hears the FAST STOP
-    /// after them.
+    /// A message whose first frame was sent cannot simply be cut, because the gripper would take the following FAST STOP for
+    /// its rest. Its other frames are sent [spoilt](Segment::spoil), in at most two frames, followed by the FAST STOP.
     pub fn withdraw(&mut self) {
         if self.takes_back.is_none() && self.frames.iter().any(|piece| piece.motion.is_some()) {
             self.takes_back = Some(TakesBack::Motions);
         }
     }
 
-    /// Returns the command that was withdrawn last, once.
+    /// Returns the last withdrawn command, once.
     pub const fn take_withdrawn(&mut self) -> Option<CommandId> {
         self.withdrawn.take()
     }
 
-    /// Lets time pass: gives up half a message of the gripper whose rest did not come, and messages to it that the bus
-    /// does not take, because nobody is there who acknowledges them. Whoever sent them is waiting for answers, and has to
-    /// notice that there are none.
+    /// Discards an incomplete message of the gripper after its time-out. Also discards messages to the gripper that the bus
+    /// does not accept, because no node acknowledges them. The session then times out.
     pub fn expire(&mut self, now: Instant) {
         if !self.has_frames_to_give() {
             self.stuck_since = None;
@@ -152,12 +151,12 @@ impl GripperLink {
         reassembler.handle_timeout(now, |event| keep(received, overflows, event));
     }
 
-    /// Whether there are frames that the bus was not given.
+    /// Returns whether frames are pending for the bus.
     fn has_frames_to_give(&self) -> bool {
         self.given < self.frames.len()
     }
 
-    /// Gives up what is being sent.
+    /// Discards the message in transmission.
     #[inline(never)]
     fn abandon(&mut self) {
         if self.segmenter.is_mid_message() {
@@ -171,7 +170,7 @@ impl GripperLink {
         self.stuck_since = None;
     }
 
-    /// Forgets so many frames that were sent.
+    /// Removes the first `count` frames, which were sent.
     #[inline(never)]
     fn forget_sent(&mut self, count: usize) {
         let mut number = 0usize;
@@ -182,7 +181,7 @@ impl GripperLink {
         self.given = self.given.saturating_sub(count);
     }
 
-    /// The bus has given the last `count` frames back.
+    /// Handles the withdrawal of the last `count` frames by the bus.
     #[inline(never)]
     fn resume(&mut self, count: usize) {
         if self.takes_back.take() != Some(TakesBack::Motions) {
@@ -190,7 +189,7 @@ impl GripperLink {
         }
         self.forget_sent(self.given.saturating_sub(count));
         self.given = 0;
-        // Of a message that is cut only the rest is there, before the others.
+        // Of a message that was partly sent, only the rest is left, before the other messages.
         let mut is_cut = true;
         let mut checksum = self.frames.first().map_or(checksum::START, |piece| piece.checksum);
         let withdrawn = &mut self.withdrawn;
@@ -206,8 +205,8 @@ impl GripperLink {
         });
     }
 
-    /// Keeps the next segment of the message that is being written; whether there is room, which every message of the bridge
-    /// has.
+    /// Queues the next segment of the written message. Returns whether there was room, which suffices for every message of
+    /// the bridge.
     #[inline(never)]
     fn keep_to_send(&mut self, segment: Segment) -> bool {
         if self.frames.len().saturating_sub(self.given) >= REQUEST_FRAMES {
@@ -222,7 +221,7 @@ impl GripperLink {
             (_, data) => {
                 let id = data.get(ID_AT).map(|code| CommandId::from_code(*code));
                 let motion = id.filter(|id| matches!(id.kind(), Kind::Motion | Kind::Acknowledge));
-                // The bus has the last of the others at most.
+                // At most the last frames of earlier messages are still on the bus.
                 self.forget_sent(self.given.saturating_sub(MAX_ON_THE_WAY));
                 Piece { segment, motion, checksum: checksum::START, is_first: true, is_last }
             }
@@ -236,7 +235,7 @@ impl GripperLink {
     }
 }
 
-/// Keeps an intact message for the bridge, whole or not at all.
+/// Queues an intact message for the bridge, completely or not at all.
 fn keep(received: &mut Deque<u8, RECEIVED_MAX>, overflows: &mut u16, event: Event<'_>) {
     let Event::Frame(message) = event else { return };
     let bytes = FrameEncoder::new(message.id, message.payload);
@@ -245,7 +244,7 @@ fn keep(received: &mut Deque<u8, RECEIVED_MAX>, overflows: &mut u16, event: Even
         return;
     }
     for byte in bytes {
-        // There is room for all of them.
+        // Cannot fail: the room was checked.
         let _ = received.push_back(byte);
     }
 }
@@ -287,7 +286,7 @@ impl<F: Frame> CanNode<F> for GripperLink {
         self.abandon();
         self.takes_back = None;
         self.reassembler.reset();
-        // Whole messages that came before stay: they were true then, and the session knows what it still waits for.
+        // Complete messages received before the loss stay: they were valid, and the session knows its pending requests.
     }
 }
 
@@ -315,7 +314,7 @@ impl Read for GripperLink {
 
 impl WriteReady for GripperLink {
     fn write_ready(&mut self) -> Result<bool, WouldBlock> {
-        // Also when the message is broken: writing tells.
+        // Also true for a truncated message, because the write reports it.
         let goes_on = self.segmenter.is_mid_message() || !self.has_frames_to_give();
         Ok(self.is_broken || (self.is_on && self.takes_back.is_none() && goes_on))
     }

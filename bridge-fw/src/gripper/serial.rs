@@ -1,7 +1,7 @@
-//! A UART between its interrupt handler and the main loop: two queues, and the line that the main loop sees of them.
+//! UART between its interrupt handler and the main loop: two queues, and the main loop's line.
 //!
-//! A board's handler moves bytes between its registers and [`UartBuffers`], by [`UartBuffers::serve`] where a HAL has the UART; it
-//! alone touches the registers, so main loop and handler never change the same one. [`UartLine`] is the main loop's end.
+//! A board's handler moves bytes between its registers and [`UartBuffers`], with [`UartBuffers::serve`] if a HAL has the
+//! UART. Only the handler accesses the registers. [`UartLine`] is the main loop's end.
 
 use embedded_hal_nb::serial::{self, Error as _};
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
@@ -13,28 +13,27 @@ use super::would_block::WouldBlock;
 use crate::atomic::{AtomicU32, Ordering};
 use crate::byte_queue::ByteQueue;
 
-/// The rate of a gripper's RS-232 line in bit/s; 8 data bits, no parity, 1 stop bit.
+/// Rate of a gripper's RS-232 line in bit/s, with 8 data bits, no parity and 1 stop bit.
 pub const BAUD: u32 = 115_200;
 
-/// Bytes that are received before the main loop reads them: what comes in 10 ms, at 10 bits a byte, is ten times what comes between
-/// two turns of it.
+/// Queue length for received bytes: 10 ms at 10 bits per byte, ten times the bytes between two turns of the main loop.
 const RECEIVED_MAX: usize = 128;
 const _: () = assert!(RECEIVED_MAX >= (BAUD / 10 / 100) as usize);
 
-/// Bytes that wait to be sent: the longest frame that the bridge sends. It gives one frame at a time, so that a FAST STOP never waits
-/// for more than the rest of one.
+/// Queue length for bytes to send: the longest frame of the bridge. It writes one frame at a time, so a FAST STOP waits for
+/// at most the rest of one.
 pub const TO_SEND_MAX: usize = 32;
 const _: () = assert!(TO_SEND_MAX >= Command::MAX_FIXED_LEN + OVERHEAD);
 
-/// The bytes on their way, `RX` received ones and `TX` to be sent at the most, both powers of two; as many as a gripper needs where
-/// neither is given. It is a plain `static`.
+/// Data shared by handler and main loop, in a plain `static`. `RX` and `TX` are the queue lengths in bytes, both powers of
+/// two. The defaults suffice for a gripper.
 ///
 /// ```
 /// use wsg_bridge_fw::gripper::{ReceiveErrors, UartBuffers};
 ///
 /// static BUFFERS: UartBuffers = UartBuffers::new();
 ///
-/// // In the handler: what the status register says, and the byte if there is one.
+/// // In the handler: the errors of the status register, and the received byte, if any.
 /// BUFFERS.on_receive(Some(0xAA), ReceiveErrors { framing: false, overrun: false });
 /// assert!(BUFFERS.has_received());
 /// assert_eq!(BUFFERS.next_to_send(), None);
@@ -48,29 +47,28 @@ pub struct UartBuffers<const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND
     queue_full: AtomicU32,
 }
 
-/// What a UART says of the byte that it has received last.
+/// Receive errors of a UART for its last byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReceiveErrors {
     /// No stop bit: a break, a wrong baud rate, or noise.
     pub framing: bool,
-    /// A byte before it was lost, because the handler came too late for it.
+    /// An earlier byte was lost, because the handler was late.
     pub overrun: bool,
 }
 
-/// How many bytes did not reach the reader, by cause; each count stays at its maximum. They are left to the frames'
-/// checksums.
+/// Lost bytes by cause. Each count saturates. The frames' checksums detect the loss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LostBytes {
-    /// The handler came too late for them.
+    /// Bytes lost because the handler was late.
     pub overrun: u32,
-    /// They had no stop bit.
+    /// Bytes without a stop bit.
     pub framing: u32,
-    /// The main loop came too late for them.
+    /// Bytes lost because the main loop was late.
     pub queue_full: u32,
 }
 
 impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
-    /// Empty queues.
+    /// Creates empty queues.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -82,7 +80,7 @@ impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
         }
     }
 
-    /// Takes a received byte. For the handler. The byte of a framing error is none.
+    /// Processes a received byte, in the handler. The byte of a framing error is discarded.
     pub fn on_receive(&self, byte: Option<u8>, errors: ReceiveErrors) {
         if let Some(byte) = byte.filter(|_| !errors.framing)
             && self.received.push(byte).is_err()
@@ -97,12 +95,13 @@ impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
         }
     }
 
-    /// Returns the next byte for an empty transmit register. For the handler.
+    /// Returns the next byte for an empty transmit register, in the handler.
     pub fn next_to_send(&self) -> Option<u8> {
         self.to_send.pop()
     }
 
-    /// The whole handler for a HAL's UART: at most one byte each way. Returns whether the transmit interrupt is needed.
+    /// Handles one interrupt for a HAL's UART, with at most one byte each way. Returns whether the transmit interrupt is
+    /// needed.
     ///
     /// ```
     /// use embedded_hal_nb::serial::{Read, Write};
@@ -132,25 +131,25 @@ impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
         self.has_to_send()
     }
 
-    /// Whether the transmit interrupt is needed. For the handler.
+    /// Returns whether the transmit interrupt is needed, in the handler.
     #[must_use]
     pub fn has_to_send(&self) -> bool {
         !self.to_send.is_empty()
     }
 
-    /// Whether another received byte finds room: a line with flow control leaves it where it is until then.
+    /// Returns whether the queue has room for a received byte. A line with flow control keeps the byte until then.
     #[must_use]
     pub fn takes_more(&self) -> bool {
         !self.received.is_full()
     }
 
-    /// Whether a byte waits to be read.
+    /// Returns whether a received byte is queued.
     #[must_use]
     pub fn has_received(&self) -> bool {
         !self.received.is_empty()
     }
 
-    /// Returns what was lost so far.
+    /// Returns the lost bytes since power-up.
     #[must_use]
     pub fn lost(&self) -> LostBytes {
         LostBytes {
@@ -167,25 +166,25 @@ impl<const RX: usize, const TX: usize> Default for UartBuffers<RX, TX> {
     }
 }
 
-/// Counts one more, in the handler alone, so a load and a store do.
+/// Increments a counter. Only the handler writes it, so a load and a store suffice.
 fn count(counter: &AtomicU32) {
     counter.store(counter.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
 }
 
-/// The two things that the main loop needs of a UART's registers.
+/// The main loop's access to a UART's registers.
 pub trait Uart {
-    /// Has the handler run soon: there is more to send, or room for more.
+    /// Schedules a run of the handler, because there is more to send, or room for more received bytes.
     fn pend(&mut self);
 
-    /// Whether the last bit of all bytes that it was given has been sent.
+    /// Returns whether the last bit of all written bytes has been sent.
     fn is_idle(&mut self) -> bool;
 }
 
-/// The main loop's end of the line. There is one value of it for each [`UartBuffers`].
+/// The main loop's end of the line. Create only one for each [`UartBuffers`].
 ///
-/// Nothing here waits. [`Read::read`], [`Write::write`] and [`Write::flush`] do what can be done at once, and fail with
-/// [`WouldBlock`] where they would have to wait; after [`ReadReady::read_ready`] or [`WriteReady::write_ready`] said yes,
-/// reading or writing succeeds.
+/// No method waits. [`Read::read`], [`Write::write`] and [`Write::flush`] return immediately, and fail with [`WouldBlock`] if
+/// they would have to wait. After `true` from [`ReadReady::read_ready`] or [`WriteReady::write_ready`], a read or write
+/// succeeds.
 #[derive(Debug)]
 pub struct UartLine<U, const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_MAX> {
     uart: U,
@@ -193,14 +192,14 @@ pub struct UartLine<U, const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND
 }
 
 impl<U: Uart, const RX: usize, const TX: usize> UartLine<U, RX, TX> {
-    /// The end of this line.
+    /// Creates the main loop's end of this line.
     pub const fn new(uart: U, buffers: &'static UartBuffers<RX, TX>) -> Self {
         Self { uart, buffers }
     }
 }
 
 impl<U, const RX: usize, const TX: usize> UartLine<U, RX, TX> {
-    /// Returns what was lost so far.
+    /// Returns the lost bytes since power-up.
     #[must_use]
     pub fn lost(&self) -> LostBytes {
         self.buffers.lost()
@@ -247,7 +246,7 @@ impl<U: Uart, const RX: usize, const TX: usize> Write for UartLine<U, RX, TX> {
     }
 }
 
-/// The result of moving `count` bytes between a queue and a caller's buffer.
+/// Returns the result of moving `count` bytes between a queue and a caller's buffer.
 const fn moved(count: usize, buf: &[u8]) -> Result<usize, WouldBlock> {
     if count == 0 && !buf.is_empty() { Err(WouldBlock) } else { Ok(count) }
 }

@@ -1,11 +1,11 @@
-//! The one error of the lines to a gripper.
+//! Error of the lines to a gripper.
 
 use core::fmt;
 
 use embedded_io::{Error, ErrorKind};
 
-/// Where a line would have to wait: no byte has come, there is no room for another, or not all have been sent. On CAN also
-/// where there is no bus, and where the beginning of a message was lost with it.
+/// Error: the line would have to wait for received bytes, for room, or for the end of transmission. On CAN it also means that
+/// there is no bus, or that the start of the message was lost.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WouldBlock;
 

@@ -1,5 +1,5 @@
-//! The line of the PLC's bus, on which Modbus RTU or PROFIBUS runs: what the interrupt handler of its UART does, and what it shares with
-//! the main loop.
+//! Line of the PLC's bus, which runs Modbus RTU or PROFIBUS: the interrupt handler of its UART, and the data that it shares
+//! with the main loop.
 //!
 //! A board implements [`HalfDuplexUart`] over its registers, keeps a [`BusLine`] and a [`BusHandler`] as statics, and calls
 //! [`BusHandler::serve`] from the UART's handler. A line for Modbus RTU alone, such as the service port, needs only [`RtuBuffers`].
@@ -13,23 +13,23 @@ use crate::atomic::{AtomicBool, Ordering};
 
 /// A UART connected to an RS-485 transceiver, for its interrupt handler.
 ///
-/// It reads and writes as a UART of a HAL does. Nothing waits, and `flush` succeeds once the last bit of all written bytes has been
-/// sent.
+/// It reads and writes like a HAL's UART. No method waits, and `flush` succeeds once the last bit of all written bytes has
+/// been sent.
 pub trait HalfDuplexUart: serial::Read + serial::Write {
     /// Returns whether a byte can be written now.
     fn has_room(&mut self) -> bool;
 
-    /// Enables the interrupts that the handler needs next, beside the one for a received character. Without an interrupt for the last bit,
-    /// a UART runs the handler by a timer.
+    /// Enables the interrupts that the handler needs next, in addition to the one for a received character. A UART without an
+    /// interrupt for the last bit runs the handler from a timer.
     fn enable(&mut self, interrupts: Interrupts);
 
     /// Switches the driver of the transceiver. Does nothing for a UART that does this itself.
     fn drive(&mut self, _is_on: bool) {}
 
-    /// Changes rate and format.
+    /// Sets the rate, in bit/s, and the format.
     fn set_up(&mut self, baud: u32, format: Format);
 
-    /// Runs the handler in this many microseconds, instead of at a time that was set before.
+    /// Runs the handler in this many microseconds, and cancels a run that was scheduled before.
     fn wake_in(&mut self, us: u32);
 
     /// Returns the time in milliseconds. It may wrap.
@@ -39,12 +39,12 @@ pub trait HalfDuplexUart: serial::Read + serial::Write {
     fn now_us(&mut self) -> u32;
 }
 
-/// What the handler of the bus and the main loop share; a plain `static`.
+/// Data shared by the handler of the bus and the main loop; a plain `static`.
 #[derive(Debug, Default)]
 pub struct BusLine {
     modbus: RtuBuffers,
     profibus: DpBuffers,
-    /// Whether the bus is PROFIBUS and not Modbus RTU.
+    /// The line runs PROFIBUS instead of Modbus RTU.
     is_profibus: AtomicBool,
 }
 
@@ -55,7 +55,7 @@ impl BusLine {
         Self { modbus: RtuBuffers::new(), profibus: DpBuffers::new(), is_profibus: AtomicBool::new(false) }
     }
 
-    /// Returns the main loop's end of Modbus RTU. To be called once.
+    /// Returns the main loop's end of Modbus RTU. Call this once.
     pub const fn port<U: super::RtuUart>(&'static self, uart: U) -> RtuPort<U> {
         RtuPort::new(uart, &self.modbus)
     }
@@ -77,8 +77,8 @@ impl BusLine {
     }
 }
 
-/// What belongs to the handler of the bus: the PROFIBUS slave, made in the first run with PROFIBUS. A static with a slave from the start
-/// would take its size of flash, too.
+/// State of the bus's interrupt handler: the PROFIBUS slave, created in the first run with PROFIBUS. As the initial value of
+/// a static, it would also occupy its size of flash.
 #[derive(Debug, Default)]
 pub struct BusHandler(Vec<DpResponder, 1>);
 
@@ -89,13 +89,13 @@ impl BusHandler {
         Self(Vec::new())
     }
 
-    /// The whole handler: at most one character each way. The interrupt stays pending while there is more.
+    /// Handles one interrupt, with at most one character each way. The interrupt stays pending while more is due.
     pub fn serve<U: HalfDuplexUart>(&mut self, line: &'static BusLine, uart: &mut U) {
         if !line.is_profibus.load(Ordering::Relaxed) {
             return line.modbus.serve_half_duplex(uart);
         }
         if self.0.is_empty() {
-            // There is room for one.
+            // Cannot fail: the capacity is one.
             let _ = self.0.push(DpResponder::new(&line.profibus));
         }
         if let Some(responder) = self.0.first_mut() {
@@ -120,15 +120,15 @@ fn answer_master<U: HalfDuplexUart>(responder: &mut DpResponder, uart: &mut U) {
     }
     if let Some(byte) = action.send {
         uart.drive(true);
-        // There is room.
+        // Cannot fail: `send` requires `has_room`.
         let _ = uart.write(byte);
     }
     go_on(uart, action.interrupts);
 }
 
 impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
-    /// The whole handler of a line for Modbus RTU, driver included: at most one character each way.
-    // One copy for all lines of a board.
+    /// Handles one interrupt of a line for Modbus RTU, transceiver included, with at most one character each way.
+    // Not inlined: all lines of a board share one copy.
     #[inline(never)]
     pub fn serve_half_duplex<U: HalfDuplexUart>(&self, uart: &mut U) {
         if self.interrupts().transmit_empty {
@@ -140,7 +140,7 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
     }
 }
 
-/// Leaves the driver on as long as an interrupt is due.
+/// Enables interrupts, and switches the driver off when no transmit interrupt is due.
 fn go_on<U: HalfDuplexUart>(uart: &mut U, interrupts: Interrupts) {
     uart.enable(interrupts);
     if !interrupts.transmit_empty && !interrupts.transmission_complete {

@@ -1,4 +1,4 @@
-//! The bridge as a CANopen device: what its PDOs carry, and what a master reads and writes of it by SDO.
+//! CANopen side: the contents of the PDOs, and the objects for SDO.
 //!
 //! | what | identifier | bytes |
 //! |---|---|---|
@@ -6,13 +6,13 @@
 //! | input image | TPDO1, 180h + node | GSTATE, OF, SYSSTATE, Status Code |
 //! | | TPDO2, 280h + node | WIDTH, Gripping Force |
 //!
-//! Numbers stand low byte first, as CANopen has them. State, flags and status are in one frame: a PLC sees the end of a
-//! motion, its result and the flags that belong to it together.
+//! Values are little-endian, as in all of CANopen. State, flags and status share one frame, so a PLC receives the end of a
+//! motion, its result and its flags together.
 //!
-//! What a master can read and write by SDO is in [`OBJECTS`], and in the tables of the settings and reports.
-//! When the master falls silent for BUS_TIMEOUT, the bridge reacts as BUS_REACTION says.
+//! [`OBJECTS`] and the tables of settings and reports list the objects for SDO. If the master is silent for BUS_TIMEOUT, the
+//! bridge reacts according to BUS_REACTION.
 //!
-//! NMT, heartbeats, the SDO server and when a PDO or an emergency is due are `bus_canopen`'s.
+//! `bus_canopen` handles NMT, heartbeats, the SDO server, and the timing of PDOs and emergencies.
 
 mod eds;
 mod emergency;
@@ -35,17 +35,18 @@ use super::{Config, Listed, View};
 use crate::can::{BusReport, CanNode, MAX_RECEIVED_PER_POLL, NodeConfig, TPDOS};
 use crate::register::Link;
 
-/// What can happen in one turn: each frame is one thing at the most, and then the bus may go.
+/// Maximum events per turn: one for each received frame, and one for the loss of the bus.
 const EVENTS_MAX: usize = MAX_RECEIVED_PER_POLL + 1;
 
 static PROFILE: Profile<1, TPDOS> = Profile {
-    // The bridge takes what comes in one turn, so there is always room. If there were not, no FAST STOP would be lost.
+    // The bridge handles all received frames in one turn, so there is always room. `keep` would preserve a FAST STOP
+    // otherwise.
     rpdos: [Rpdo { len: 8, keep: [CommandFlags::FASTSTOP.bits(), 0, 0, 0, 0, 0, 0, 0] }],
     tpdos: [8, 4],
     faults: &emergency::CODES,
 };
 
-/// The bridge on a CANopen bus.
+/// The bridge as a node on a CANopen bus.
 #[derive(Debug)]
 pub struct Node {
     device: Device<1, TPDOS, EVENTS_MAX>,
@@ -54,31 +55,31 @@ pub struct Node {
 }
 
 impl Node {
-    /// A device that has not announced itself.
+    /// Creates a device that has not sent its boot-up message.
     #[must_use]
     pub const fn new(config: NodeConfig) -> Self {
         Self { device: Device::new(&PROFILE, config), report: BusReport::NOTHING, board: BoardId::UNKNOWN }
     }
 
-    /// Its state.
+    /// Returns the NMT state.
     #[must_use]
     pub const fn state(&self) -> NmtState {
         self.device.state()
     }
 
-    /// Takes what is known of the bus, for the counters that a master reads.
+    /// Sets the state of the bus, for the counters that a master reads.
     pub const fn set_report(&mut self, report: BusReport) {
         self.report = report;
     }
 }
 
 impl PlcSide for Node {
-    /// What can come in one turn, an SDO request, what comes of it, and a time-out.
+    /// Maximum events per turn, plus an SDO request, its effect, and a time-out.
     fn max_events_per_turn(&self) -> usize {
         EVENTS_MAX + 3
     }
 
-    // Apart: its frame would be on the stack of the other sides, too.
+    // Not inlined: its frame would be on the stack of the other sides, too.
     #[inline(never)]
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         let mut objects = Objects { view, report: &self.report, board: self.board };
@@ -112,7 +113,7 @@ impl PlcSide for Node {
 impl Listed for Node {
     type Turn<'a> = &'a mut Self;
 
-    // Apart: what is built anew here would be on the stack beside that of the other sides.
+    // Not inlined: the new device would be on the stack together with the frames of the other sides.
     #[inline(never)]
     fn start(&mut self, config: &Config, board: BoardId) {
         *self = Self::new(config.can.node);
@@ -124,7 +125,7 @@ impl Listed for Node {
     }
 }
 
-/// RPDO1.
+/// Decodes RPDO1.
 fn output_image([flags, user, w0, w1, s0, s1, f0, f1]: [u8; 8]) -> OutputImage {
     OutputImage {
         flags: CommandFlags::from_bits_retain(flags),

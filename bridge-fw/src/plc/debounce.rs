@@ -1,14 +1,12 @@
-//! From bouncing wires to levels that can be trusted.
+//! Debounces the input wires.
 //!
-//! FAST STOP is quick to fall and slow to rise: one low reading counts at once, whatever the debounce time is, and the wire
-//! counts as high again only after it was high without a break. A contact that bounces, a wire that is about to break and
-//! noise all err towards stopping.
+//! FAST_STOP_OK falls fast and rises slowly. One low reading takes effect immediately, regardless of the debounce time. The
+//! wire counts as high only after an uninterrupted high level. So bounce, a loose wire and noise all lead to a stop.
 
 use crate::io::Inputs;
 use wsg_protocol::Instant;
 
-/// The wires that give a command or say which: they settle together, so that a recipe is never read half changed while
-/// a command beside it already counts.
+/// Wires of commands and recipes. They settle together, so that a command never takes effect with half of a recipe change.
 const COMMAND_GROUP: Inputs = Inputs::GRIP
     .union(Inputs::RELEASE)
     .union(Inputs::MOVE)
@@ -16,35 +14,35 @@ const COMMAND_GROUP: Inputs = Inputs::GRIP
     .union(Inputs::RECIPE0)
     .union(Inputs::RECIPE1);
 
-/// The groups, each with its own time: what stops the fingers must not wait for a command wire that chatters.
+/// Groups with separate debounce times, so that a bouncing command wire does not delay a stop.
 const GROUPS: [Inputs; 2] = [COMMAND_GROUP, Inputs::STOP_ACK];
 
-/// How long FAST_STOP_OK must be high at least before it counts as high, in milliseconds: a wire that is low once in so long
-/// is low.
+/// Minimum high time of FAST_STOP_OK before it counts as high, in milliseconds. A wire that is low once in this time counts
+/// as low.
 const LEAST_RELEASE_MS: u32 = 5;
 
 const _: () = assert!(
     GROUPS[0].union(GROUPS[1]).union(Inputs::FAST_STOP_OK).bits() == Inputs::all().bits(),
-    "every wire belongs somewhere"
+    "each wire must be in a group"
 );
 
-/// Takes the levels as they are read, and gives those that have not changed for a time.
+/// Debouncer of all input wires.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Debounce {
     period_ms: u32,
-    /// The last reading; none before the first.
+    /// Last reading; `None` before the first.
     read: Option<Inputs>,
-    /// Since when each group shows it.
+    /// Start of each group's current reading.
     since: [Instant; GROUPS.len()],
-    /// Since when FAST_STOP_OK is read as high.
+    /// Start of the current high reading of FAST_STOP_OK.
     high_since: Instant,
-    /// The groups that have settled at least once, and the levels they settled at.
+    /// Wires that have settled at least once, and their debounced levels.
     settled: Inputs,
     levels: Inputs,
 }
 
 impl Debounce {
-    /// Levels count once they have not changed for `period_ms` milliseconds; a low FAST_STOP_OK counts at once.
+    /// Creates a debouncer with a debounce time of `period_ms` milliseconds. A low FAST_STOP_OK takes effect immediately.
     #[must_use]
     pub(crate) const fn new(period_ms: u32) -> Self {
         Self {
@@ -57,12 +55,12 @@ impl Debounce {
         }
     }
 
-    /// Changes the time, from the next reading on.
+    /// Sets the debounce time, from the next reading on.
     pub(crate) const fn set_period(&mut self, period_ms: u32) {
         self.period_ms = period_ms;
     }
 
-    /// Takes a reading, and gives the levels that count; `None` until every wire has settled once after power-up.
+    /// Processes a reading. Returns the debounced levels, or `None` until every wire has settled once after power-up.
     pub(crate) fn update(&mut self, now: Instant, reading: Inputs) -> Option<Inputs> {
         let before = self.read.replace(reading);
         let changed = before.map_or(Inputs::all(), |before| before.symmetric_difference(reading));
@@ -93,7 +91,7 @@ impl Debounce {
         }
     }
 
-    /// Whether this wire has settled low, whatever the others do.
+    /// Returns whether this wire has settled low, regardless of the other wires.
     #[must_use]
     pub(crate) fn is_settled_low(&self, wire: Inputs) -> bool {
         self.settled.contains(wire) && !self.levels.intersects(wire)
@@ -109,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_counts_before_every_wire_has_settled() {
+    fn levels_are_unknown_until_every_wire_has_settled() {
         let mut debounce = Debounce::new(2);
         for ms in 0..5 {
             assert_eq!(debounce.update(at(ms), Inputs::FAST_STOP_OK), None, "{ms} ms");
@@ -145,7 +143,7 @@ mod tests {
         }
     }
 
-    /// Wires that are low but FAST_STOP_OK, for long enough to count.
+    /// Returns a debouncer whose wires have settled: FAST_STOP_OK high, all others low.
     fn settled(period_ms: u32) -> Debounce {
         let mut debounce = Debounce::new(period_ms);
         for ms in 0..=1_001 {
@@ -155,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn pulse_shorter_than_the_period_is_not_seen() {
+    fn pulse_shorter_than_the_debounce_time_is_ignored() {
         let mut debounce = Debounce::new(2);
         for ms in 0..5 {
             debounce.update(at(ms), Inputs::empty());
@@ -167,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn recipe_and_command_count_from_the_same_moment_however_they_are_skewed() {
+    fn recipe_and_command_settle_together_despite_skew() {
         let mut debounce = Debounce::new(2);
         for ms in 0..5 {
             debounce.update(at(ms), Inputs::empty());
@@ -181,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn chattering_command_wire_does_not_delay_a_stop() {
+    fn bouncing_command_wire_does_not_delay_a_stop() {
         let mut debounce = Debounce::new(2);
         for ms in 0..5 {
             debounce.update(at(ms), Inputs::FAST_STOP_OK);
@@ -191,7 +189,11 @@ mod tests {
             let chatter = if ms % 2 == 0 { Inputs::GRIP } else { Inputs::empty() };
             levels = debounce.update(at(ms), chatter | Inputs::STOP_ACK);
         }
-        assert_eq!(levels, Some(Inputs::STOP_ACK), "FAST STOP wire low and STOP high count, GRIP does not");
+        assert_eq!(
+            levels,
+            Some(Inputs::STOP_ACK),
+            "FAST STOP wire low and STOP high take effect, GRIP does not"
+        );
     }
 
     #[test]

@@ -1,31 +1,31 @@
-//! The end of a motion as a bus shows it: not before width and force are from after it.
+//! The end of a motion as a bus shows it: only with width and force measured after it.
 //!
-//! State, flags and status come with the gripper's answer, width and force in reports of their own, up to 10 ms older, and not at
-//! all for the last hundredth of a millimetre. A PLC that reads all of them at once took the force of the approach for that of the
-//! grip. So both are asked for when the fingers stand, and the end is shown with the answers.
+//! State, flags and status change with the gripper's reply. Width and force have reports of their own, up to 10 ms older, and
+//! the last 0.01 mm has none. A PLC that reads all values at once would take the force of the approach for the gripping
+//! force. So the bridge queries both when the fingers are at rest, and shows the end with the replies.
 
 use wsg_fieldbus::{GripperFlags, InputImage};
 use wsg_protocol::session::Event;
 use wsg_protocol::{CommandId, Instant, SystemFlags};
 
-/// GSTATE while a motion command is carried out.
+/// GSTATE while a motion command is executed.
 pub(super) const MOTION_STATES: GripperFlags =
     GripperFlags::GRIPPING.union(GripperFlags::RELEASING).union(GripperFlags::POSITIONING);
 
-/// How long the end is kept back, in milliseconds, at the most.
+/// Longest delay of the end, in milliseconds.
 const PATIENCE_MS: u32 = 10;
 
-/// What is asked for.
+/// Queries at the end of a motion.
 const MEASURED: [CommandId; 2] = [CommandId::GetOpeningWidth, CommandId::GetForce];
 
 /// Follows a motion to its end.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct MotionEnd {
-    /// The image of the motion, until its end is shown.
+    /// Image of the motion, until its end is shown.
     motion: Option<InputImage>,
-    /// When width and force were asked for, after the motion.
+    /// Time of the queries for width and force.
     asked_at: Option<Instant>,
-    /// Which of [`MEASURED`] has not been reported since.
+    /// Outstanding replies to [`MEASURED`].
     awaited: [bool; MEASURED.len()],
 }
 
@@ -34,18 +34,18 @@ impl MotionEnd {
         Self { motion: None, asked_at: None, awaited: [false; MEASURED.len()] }
     }
 
-    /// Whether a motion runs, or its end is kept back.
+    /// Returns whether a motion runs or its end is delayed.
     pub(crate) const fn is_awaited(&self) -> bool {
         self.motion.is_some()
     }
 
-    /// Takes the image as it is now. Whether width and force are to be asked for.
+    /// Processes the current image. Returns whether width and force must be queried.
     pub(crate) fn look(&mut self, now: Instant, image: &InputImage) -> bool {
         if image.state.intersects(MOTION_STATES) {
             (self.motion, self.asked_at) = (Some(*image), None);
             return false;
         }
-        // What went wrong is shown at once.
+        // Errors are shown immediately.
         let is_wrong = image.state.contains(GripperFlags::ERROR);
         let is_over = match self.asked_at {
             _ if is_wrong || image.system.contains(SystemFlags::FAST_STOP) => true,
@@ -62,8 +62,8 @@ impl MotionEnd {
         true
     }
 
-    /// Takes what the session noticed. A value that comes behind the end is from after it, be it an update: the gripper sends in
-    /// the order in which it measures.
+    /// Processes an event of the session. A value received after the end was also measured after it, even in an automatic
+    /// update, because the gripper sends values in the order of measurement.
     pub(crate) fn see(&mut self, event: &Event<'_>) {
         let Event::Reported(value) = event else { return };
         for (awaited, measured) in self.awaited.iter_mut().zip(MEASURED) {
@@ -71,7 +71,7 @@ impl MotionEnd {
         }
     }
 
-    /// What a bus shows of this image.
+    /// Returns this image as a bus shows it.
     pub(crate) fn shown(&self, image: InputImage) -> InputImage {
         match self.motion {
             Some(motion) if !image.state.intersects(MOTION_STATES) => {

@@ -4,7 +4,7 @@ use super::{Config, RANGES, Record, check_sides, place_of};
 use crate::recipe::Recipe;
 use crate::register::{RegisterError, StoreCommand};
 
-/// Values of [`SETTINGS`], always in range and without conflicts.
+/// Values of [`SETTINGS`](super::SETTINGS), always in range and without conflicts.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Settings {
     values: Record,
@@ -15,7 +15,7 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Index of BUS_TIMEOUT, counted from [`FIRST_SETTING`].
+    /// Index of BUS_TIMEOUT, counted from the first setting.
     pub(crate) const TIMEOUT: u16 = place_of("BUS_TIMEOUT") as u16;
 
     /// Creates settings from a configuration, each value clamped to its range.
@@ -31,12 +31,12 @@ impl Settings {
         self.asked = None;
     }
 
-    /// Returns all values, in the order of [`SETTINGS`].
+    /// Returns all values, in the order of [`SETTINGS`](super::SETTINGS).
     pub(crate) const fn record(&self) -> &Record {
         &self.values
     }
 
-    /// Returns the setting at this index, counted from [`FIRST_SETTING`].
+    /// Returns the setting at this index, counted from the first setting.
     pub(crate) fn register(&self, index: u16) -> Result<u16, RegisterError> {
         self.values.get(usize::from(index)).copied().ok_or(RegisterError::Missing)
     }

@@ -6,10 +6,10 @@ use crate::register::Link;
 use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::Instant;
 
-/// One way in which a PLC commands the bridge: it turns what the PLC sends into events, and gives it what it reads.
+/// One way for a PLC to command the bridge: converts the PLC's input to events, and provides the data that the PLC reads.
 ///
-/// In each of its turns the bridge calls [`receive`](Self::receive) until nothing more has come, and
-/// [`show`](Self::show) once at the end. Neither may wait.
+/// In each turn, the bridge calls [`receive`](Self::receive) until no event is left, and [`show`](Self::show) once at the
+/// end. Neither may wait.
 ///
 /// ```
 /// use wsg_bridge_fw::plc::{PlcEvent, PlcSide, Shown, View};
@@ -33,70 +33,70 @@ use wsg_protocol::Instant;
 /// }
 /// ```
 pub trait PlcSide {
-    /// Events taken in one turn, at the most: a PLC that never falls silent must not keep the rest waiting.
+    /// Returns the maximum number of events per turn. A continuously sending PLC must not delay the rest of the turn.
     fn max_events_per_turn(&self) -> usize {
         4
     }
 
-    /// Writes what it reports of itself in registers of its own, before each turn.
+    /// Updates the side's own report registers. Called before each turn.
     fn report(&self, _: &mut SideReports) {}
 
-    /// Returns the next event, or `None` when nothing more has come. What the PLC asks meanwhile is answered from `view`.
+    /// Returns the next event, or `None` if there is no further input. Requests of the PLC are answered from `view`.
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent>;
 
-    /// Gives the PLC what it reads from now on.
+    /// Sets the data that the PLC reads from now on.
     fn show(&mut self, now: Instant, shown: &Shown);
 }
 
-/// What a PLC side received in one turn.
+/// Event of a PLC side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PlcEvent {
-    /// It wrote the output image, complete and at once.
+    /// The PLC wrote a complete output image.
     Output(OutputImage),
-    /// It changed settings.
+    /// The PLC changed settings.
     Configured,
-    /// It asked for something that changes nothing.
+    /// The PLC made a request that changes nothing.
     Served,
-    /// It does not command any more.
+    /// The PLC no longer commands.
     Left {
-        /// Unexpectedly, because it fell silent; this is counted in BUS_TIMEOUTS.
+        /// Unexpectedly, by a time-out. Counted in BUS_TIMEOUTS.
         silent: bool,
     },
 }
 
-/// What a PLC reads at the end of a turn.
+/// Data for the PLC at the end of a turn.
 #[derive(Clone, Copy, Debug)]
 pub struct Shown {
-    /// The input image of the fieldbus manual. To a bus the end of a motion is shown with width and force from after it.
+    /// Input image of the fieldbus manual. For a bus, the end of a motion is shown with width and force measured after it.
     pub image: InputImage,
-    /// Whether the gripper answers.
+    /// State of the link to the gripper.
     pub link: Link,
-    /// Why the wire ERROR is high, by the code of an event ([`EVENTS`](crate::registers::EVENTS)); 0: it is low.
+    /// Event code of the cause of ERROR ([`EVENTS`](crate::registers::EVENTS)); 0: ERROR is low.
     pub error_cause: u8,
-    /// A motion was refused because another command was, and is, pending.
+    /// A motion was refused because another command was pending, which it still is.
     pub refused_meanwhile: bool,
-    /// A motion has not answered yet, be it that it was stopped.
+    /// A motion has not been answered yet, even if it was stopped.
     pub motion_is_open: bool,
-    /// A motion command would come to nothing: for that reason, because the fingers move, or because either side holds
-    /// STOP/ACK or FASTSTOP.
+    /// A motion command would have no effect: a motion is open, the fingers move, one side holds STOP/ACK or FASTSTOP, or the
+    /// stored settings are refused.
     pub ignores_motions: bool,
 }
 
-/// The identity of the board that a bridge runs on, as a master can read it (CANopen 1009h and 1018h, 4).
+/// Identity of the bridge's board, for masters (CANopen 1009h and 1018h, 4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BoardId {
-    /// Its name.
+    /// Name of the board.
     pub name: &'static str,
-    /// The serial number; of no number is known whether another board has it too.
+    /// Serial number, which is not guaranteed to be unique.
     pub serial: u32,
 }
 
 impl BoardId {
-    /// A board of which nothing is known.
+    /// Identity of an unknown board.
     pub const UNKNOWN: Self = Self { name: "unknown", serial: 0 };
 }
 
-/// No bus beside the wires; or the line of one that a board does not have, the service port included.
+/// No bus beside the wires. Also the missing line, or service port, of a board.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct NoBus;
 

@@ -1,4 +1,4 @@
-//! Order and conditions of the main loop, on hardware that records its calls.
+//! Tests of order and conditions of the main loop, on hardware that records its calls.
 
 use std::vec::Vec;
 
@@ -9,7 +9,7 @@ use crate::io::Inputs;
 use crate::plc::NoBus;
 use crate::storage::NoFlash;
 
-/// The UART of a gripper that is not there.
+/// UART of a missing gripper.
 struct Silent;
 
 impl Uart for Silent {
@@ -20,7 +20,7 @@ impl Uart for Silent {
     }
 }
 
-/// Wires that remember what they show.
+/// Wires that record their output levels.
 #[derive(Default)]
 struct Wires(Option<Outputs>);
 
@@ -36,7 +36,7 @@ impl OutputPort for Wires {
     }
 }
 
-/// Makes functions that record a call.
+/// Generates methods that record a call.
 macro_rules! records {
     ($($name:ident($($argument:ty),*) => $call:literal;)+) => {$(
         fn $name(&mut self $(, _: $argument)*) {
@@ -45,7 +45,7 @@ macro_rules! records {
     )+};
 }
 
-/// The hardware of an image whose settings are in range, or not.
+/// Hardware of an image with settings in range, or out of range.
 #[derive(Default)]
 struct Double<const IN_RANGE: bool = true> {
     calls: Vec<&'static str>,
@@ -113,7 +113,7 @@ fn station(gripper_line: GripperLine, plc_bus: PlcBus) -> (Station<NoCan>, Confi
     (station, config)
 }
 
-/// Asserts the calls of a turn in each of these milliseconds.
+/// Asserts the calls of a turn at each of these times, in milliseconds.
 fn assert_turns(gripper_line: GripperLine, plc_bus: PlcBus, turns: &[(u32, &[&str])]) {
     on_board::<true>(|board| {
         let (mut station, _) = station(gripper_line, plc_bus);
@@ -129,7 +129,7 @@ fn assert_turns(gripper_line: GripperLine, plc_bus: PlcBus, turns: &[(u32, &[&st
 }
 
 #[test]
-fn a_start_starts_the_lines_of_the_settings_and_no_other() {
+fn start_starts_only_the_lines_that_the_settings_select() {
     let cases: [(_, _, &[&str]); 8] = [
         (GripperLine::Serial, PlcBus::Off, &["gripper", "service"]),
         (GripperLine::Serial, PlcBus::Modbus, &["gripper", "service", "Modbus"]),
@@ -149,7 +149,7 @@ fn a_start_starts_the_lines_of_the_settings_and_no_other() {
 }
 
 #[test]
-fn a_board_starts_with_the_delivered_settings() {
+fn board_starts_with_the_settings_of_the_image() {
     on_board::<true>(|board| {
         let (mut station, _) = station(GripperLine::Can, PlcBus::Off);
         assert!(board.start(&mut station, ResetCause::PowerOn));
@@ -158,7 +158,7 @@ fn a_board_starts_with_the_delivered_settings() {
 }
 
 #[test]
-fn no_line_is_started_with_settings_that_no_bridge_can_have_and_the_led_flickers() {
+fn invalid_settings_start_no_line_and_the_led_flickers() {
     on_board::<false>(|board| {
         let (mut station, _) = station(GripperLine::Serial, PlcBus::Modbus);
         assert!(!board.start(&mut station, ResetCause::PowerOn));
@@ -173,7 +173,7 @@ fn no_line_is_started_with_settings_that_no_bridge_can_have_and_the_led_flickers
 }
 
 #[test]
-fn a_turn_serves_bus_and_watchdog_once_a_millisecond_and_sleeps_last() {
+fn turn_serves_bus_and_watchdog_once_a_millisecond_and_sleeps_last() {
     let turns: [(_, &[_]); 3] = [
         (1, &["after", "serve", "feed", "sleep"]),
         (1, &["after", "sleep"]),
@@ -190,7 +190,7 @@ fn a_turn_serves_bus_and_watchdog_once_a_millisecond_and_sleeps_last() {
 }
 
 #[test]
-fn the_led_shows_the_indication_of_the_bridge() {
+fn led_shows_the_indication_of_the_bridge() {
     on_board::<true>(|board| {
         let (mut station, _) = station(GripperLine::Serial, PlcBus::Modbus);
         for now_ms in 0..4_000 {
@@ -202,7 +202,7 @@ fn the_led_shows_the_indication_of_the_bridge() {
 }
 
 #[test]
-fn a_pair_reads_its_first_port_and_writes_its_second() {
+fn pair_reads_its_first_port_and_writes_its_second() {
     let mut pair = (Wires::default(), Wires::default());
     assert_eq!(pair.read(), Inputs::FAST_STOP_OK);
     pair.write(Outputs::BUSY);

@@ -1,24 +1,24 @@
-//! The format of a record: see the module above.
+//! Format of a record, as described in the parent module.
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
 use super::flash::{NorFlash, Page, Unreadable};
 
-/// Bit by bit: a table of 1 KiB would be more than all other code of the storage.
+/// Bitwise, because a table of 1 KiB would exceed all other code of the storage.
 static CRC: Crc<u32, Table<0>> = Crc::<u32, Table<0>>::new(&CRC_32_ISO_HDLC);
 
 pub(super) const ERASED: u64 = u64::MAX;
 
-/// Bytes in a double word.
+/// Bytes per double word.
 pub(super) const BYTES: usize = 8;
 
-/// Double words of a record beside its payload: the first and the last.
+/// Double words of a record in addition to its payload: the first and the last.
 pub(super) const OVERHEAD: usize = 2;
 
-/// The lowest byte of a record.
+/// Lowest byte of a record.
 const MARK: u64 = 0xA5;
 
-/// The first double word of a record.
+/// First double word of a record.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) struct Header {
     pub(super) len: u16,
@@ -28,7 +28,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Two pages of 256 double words that endure 10 000 erases each are worn at less than a sixth of it.
+    /// Highest number of a save. Two pages of 256 double words with 10 000 erases each are worn before a sixth of it.
     pub(super) const MAX_SEQUENCE: u32 = 0xFF_FFFF;
 
     const fn from_bits(bits: u64) -> Option<Self> {
@@ -47,39 +47,39 @@ impl Header {
         MARK | (self.len as u64) << 8 | (self.version as u64) << 24 | (self.sequence as u64) << 40
     }
 
-    /// Double words of the whole record.
+    /// Returns the double words of the complete record.
     pub(super) const fn record_len(self) -> usize {
         OVERHEAD.saturating_add((self.len as usize).div_ceil(BYTES))
     }
 }
 
-/// A record but for its payload.
+/// Location of a record, without its payload.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) struct Located {
     pub(super) page: Page,
-    /// Of its first double word.
+    /// Index of the first double word.
     pub(super) index: usize,
     pub(super) header: Header,
-    /// The last double word.
+    /// Last double word.
     pub(super) trailer: u64,
 }
 
-/// What begins at a double word.
+/// Content that starts at a double word.
 pub(super) enum Found {
     Record(Located),
-    /// A double word that begins no record: erased, zero, or anything else.
+    /// No start of a record: erased, zero, or other data.
     Other(Result<u64, Unreadable>),
-    /// A first double word, and not the rest of that record.
+    /// First double word of a record whose rest is wrong.
     Damaged(Header),
 }
 
 impl Located {
-    /// The index after the record.
+    /// Returns the index after the record.
     pub(super) const fn end(&self) -> usize {
         self.index.saturating_add(self.header.record_len())
     }
 
-    /// The double word `n` of the record with this payload.
+    /// Returns double word `n` of the record with this payload.
     pub(super) fn double_word(&self, n: usize, payload: &[u8]) -> u64 {
         let Some(of_payload) = n.checked_sub(1) else { return self.header.bits() };
         if n.saturating_add(1) >= self.header.record_len() {
@@ -93,14 +93,14 @@ impl Located {
         u64::from_le_bytes(bytes)
     }
 
-    /// Whether flash holds exactly this record with this payload.
+    /// Returns whether the flash holds exactly this record with this payload.
     pub(super) fn is_stored<F: NorFlash>(&self, flash: &F, payload: &[u8]) -> bool {
         (0..self.header.record_len())
             .all(|n| flash.read(self.page, self.index.saturating_add(n)) == Ok(self.double_word(n, payload)))
     }
 }
 
-/// The CRC of a record while its double words pass by; 0 before the first.
+/// Running CRC over the double words of a record; 0 before the first.
 #[derive(Clone, Copy)]
 pub(super) struct Checksum(u32);
 
@@ -110,20 +110,20 @@ impl Checksum {
     }
 
     pub(super) fn push(&mut self, double_word: u64) {
-        // Goes on from the CRC of what was before: its digest, which would take a reference to CRC along, is the CRC
-        // inverted; and an initial value is given in the order of the polynomial's bits.
+        // Continues from the previous CRC. Its digest, which would also hold a reference to `CRC`, is the inverted CRC. The
+        // initial value is given in the bit order of the polynomial.
         let mut digest = CRC.digest_with_initial((!self.0).reverse_bits());
         digest.update(&double_word.to_le_bytes());
         self.0 = digest.finalize();
     }
 
-    /// The last double word of a record whose others were pushed.
+    /// Returns the last double word of a record after all others.
     pub(super) const fn trailer(self) -> u64 {
         self.0 as u64 | (!self.0 as u64) << 32
     }
 }
 
-/// Reads what begins at `index`, and copies the payload's begin into `payload`, as much as that holds.
+/// Reads the content at `index`. Copies as much of the payload as fits into `payload`.
 pub(super) fn read<F: NorFlash>(flash: &F, page: Page, index: usize, payload: &mut [u8]) -> Found {
     let first = flash.read(page, index);
     let Some((bits, header)) = first.ok().and_then(|bits| Some((bits, Header::from_bits(bits)?))) else {

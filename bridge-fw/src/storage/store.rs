@@ -1,17 +1,17 @@
-//! Finds the newest record, and writes the next one step by step.
+//! Loads the newest record, and writes the next one step by step.
 
 use wsg_protocol::Instant;
 
 use super::flash::{FlashError, NorFlash, Page};
 use super::record::{self, BYTES, Checksum, ERASED, Found, Header, Located, OVERHEAD};
 
-/// Milliseconds that one operation of the flash may take before the save is given up. An STM32L4 erases in 25 ms.
+/// Longest operation of the flash before a save fails, in milliseconds. An STM32L4 erases in 25 ms.
 const OPERATION_TIMEOUT_MS: u32 = 200;
 
-/// Records that may read whole once and not a second time before a load is given up. A power cut leaves one.
+/// Maximum records that read complete only once before a load fails. A power cut leaves one.
 const MAX_READS: u8 = 3;
 
-/// Loads the newest record, and saves the next one: payloads of up to `N` bytes.
+/// Persistent storage for payloads of up to `N` bytes: loads the newest record, and saves the next one.
 ///
 /// ```
 /// use wsg_bridge_fw::storage::{NorFlash, Progress, SaveError, Store};
@@ -23,8 +23,8 @@ const MAX_READS: u8 = 3;
 ///     let mut store = Store::<200>::new();
 ///     match store.load(flash) {
 ///         Ok(record) if record.version == VERSION => { /* take record.payload */ }
-///         Ok(_another_version) => { /* migrate, or refuse and say so */ }
-///         Err(_) => { /* defaults, and say why */ }
+///         Ok(_another_version) => { /* migrate, or refuse and report it */ }
+///         Err(_) => { /* use defaults, and report why */ }
 ///     }
 ///     store.begin(VERSION, settings).expect("it was loaded, there is room, no other save runs");
 ///     loop {
@@ -38,33 +38,33 @@ const MAX_READS: u8 = 3;
 /// }
 /// ```
 pub struct Store<const N: usize> {
-    /// Of the save that runs; else of the last load or save.
+    /// Payload of the running save, otherwise of the last load or save.
     payload: [u8; N],
     is_loaded: bool,
-    /// Whether `newest` is there. Not an `Option`: its `None` is not zero, and would move the store from .bss to .data.
+    /// `newest` is valid. No `Option`, because its `None` is not zero and would move the store from .bss to .data.
     has_newest: bool,
     newest: Located,
-    /// Where in the newest record's page the next one may begin.
+    /// Index in the newest record's page at which the next record may start.
     free: usize,
-    /// The highest number that a save took, whether it succeeded or not.
+    /// Highest number of all saves, whether they succeeded or not.
     sequence: u32,
     step: Step,
-    /// The record that is being written; its trailer once all before is written.
+    /// Record in progress. Its trailer is valid once all other double words are written.
     target: Located,
     checksum: Checksum,
-    /// Whether this is the second attempt of the save.
+    /// The save is in its second attempt.
     is_retry: bool,
-    /// When the operation was started that runs.
+    /// Start of the running operation.
     started: Instant,
-    /// Whether that operation was given up, and may run still.
+    /// The operation timed out, and may still be running.
     is_given_up: bool,
 }
 
-/// What a save does.
+/// Step of a save.
 #[derive(Clone, Copy)]
 enum Step {
     Idle,
-    /// It has to be found out where the record goes.
+    /// Determine the place of the record.
     Place,
     /// The target's page is being erased.
     Erase,
@@ -72,86 +72,86 @@ enum Step {
     Program(usize),
 }
 
-/// A record that was found whole.
+/// A complete record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record<'a> {
-    /// The version of the payload's format, as it was saved.
+    /// Version of the payload's format, as saved.
     pub version: u16,
-    /// What was saved, byte for byte.
+    /// Saved payload.
     pub payload: &'a [u8],
 }
 
-/// Why no record was loaded.
+/// Reason why no record was loaded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum LoadError {
-    /// A save runs: the flash cannot be read.
+    /// A save is running, so the flash cannot be read.
     Saving,
-    /// Both pages are erased: nothing was ever saved.
+    /// Both pages are erased, because nothing was ever saved.
     Empty,
-    /// Both pages read zero throughout: no flash that could be used, such as an emulator's.
+    /// Both pages read zero: no usable flash, such as an emulator's.
     NoFlash,
-    /// There is something, and no whole record in it.
+    /// The pages hold data, but no complete record.
     Damaged,
-    /// The newest record is longer than `N` bytes. It stays, until the next save succeeds.
+    /// The newest record is longer than `N` bytes. It is kept until the next successful save.
     TooLong {
-        /// The version of its payload's format.
+        /// Version of its payload's format.
         version: u16,
-        /// The length of its payload in bytes.
+        /// Length of its payload in bytes.
         len: u16,
     },
 }
 
-/// Why a save did not begin. What is stored is not touched.
+/// Reason why a save did not start. The stored record is unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum BeginError {
-    /// [`Store::load`] was not called yet, so it is not known what must not be erased.
+    /// [`Store::load`] has not been called, so the page to keep is unknown.
     NotLoaded,
-    /// Another save runs.
+    /// Another save is running.
     Saving,
     /// The payload is longer than `N` bytes.
     TooLong,
-    /// All 16 777 215 numbers of saves are used up.
+    /// All 16 777 215 save numbers are used up.
     WornOut,
 }
 
-/// Where a save is.
+/// Progress of a save.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Progress {
-    /// No save runs.
+    /// No save is running.
     Idle,
-    /// The save goes on.
+    /// A save is running.
     Saving,
-    /// The record is stored and was read back: it is what the next [`Store::load`] returns. Said once.
+    /// The record is stored and verified: the next [`Store::load`] returns it. Reported once.
     Saved,
-    /// The save ended without success. Said once.
+    /// The save failed. Reported once.
     Failed(SaveError),
 }
 
-/// Why a save failed. All but [`Self::TimedOut`] come after a second attempt, in the page that does not hold the newest
-/// record, after an erase.
+/// Reason for a failed save. All except [`Self::TimedOut`] are reported after a second attempt, with an erase, in the page
+/// without the newest record.
 ///
-/// The record that was the newest before is untouched, and the next save may succeed.
+/// The previous record is unchanged, and the next save may succeed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum SaveError {
-    /// The flash refused an operation, or reported that it failed.
+    /// The flash rejected an operation, or reported its failure.
     Flash(FlashError),
     /// The flash was busy with one operation for more than 200 ms.
     TimedOut,
-    /// A page does not read erased after it was erased.
+    /// A page does not read erased after an erase.
     NotErased,
-    /// The record reads otherwise than it was written.
+    /// The record reads back wrong.
     NotWritten,
 }
 
 impl<const N: usize> Store<N> {
-    /// A store that knows nothing yet of what the flash holds.
+    /// Creates a store before the first [`load`](Self::load).
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(N <= u16::MAX as usize) };
@@ -177,8 +177,8 @@ impl<const N: usize> Store<N> {
         }
     }
 
-    /// Returns the newest whole record. Reads both pages from end to end, up to three times: to be called at the start, not
-    /// in a turn.
+    /// Returns the newest complete record. Reads both pages completely, up to three times, so call it at the start and not in
+    /// a turn.
     ///
     /// # Errors
     /// [`LoadError`]; all but [`LoadError::Saving`] leave the store ready to save.
@@ -206,8 +206,8 @@ impl<const N: usize> Store<N> {
             };
             let Header { len, version, sequence } = newest.header;
             self.sequence = self.sequence.max(sequence);
-            // What is returned is checked, not what was read a moment ago: a double word that a power cut left half
-            // programmed may read otherwise each time.
+            // Verify the data that is returned, not an earlier read: a double word whose programming was interrupted may read
+            // differently each time.
             match record::read(flash, newest.page, newest.index, &mut self.payload) {
                 Found::Record(again) if again == newest => {
                     return match self.payload.get(..usize::from(len)) {
@@ -221,10 +221,10 @@ impl<const N: usize> Store<N> {
         Err(LoadError::Damaged)
     }
 
-    /// Begins to save a payload. It is copied; [`poll`](Self::poll) writes it.
+    /// Starts to save a copy of the payload, which [`poll`](Self::poll) writes.
     ///
     /// # Errors
-    /// [`BeginError`]; the store is as before.
+    /// [`BeginError`]. The store is unchanged.
     pub fn begin(&mut self, version: u16, payload: &[u8]) -> Result<(), BeginError> {
         if !self.is_loaded {
             return Err(BeginError::NotLoaded);
@@ -243,14 +243,14 @@ impl<const N: usize> Store<N> {
         Ok(())
     }
 
-    /// Whether a save runs. Until it has ended, nothing else may use the flash or read it.
+    /// Returns whether a save is running. During a save, no other access to the flash is allowed.
     #[must_use]
     pub const fn is_saving(&self) -> bool {
         !matches!(self.step, Step::Idle)
     }
 
-    /// Lets the save go on, and says where it is; for every turn of the main loop. Does not wait: it starts one
-    /// operation of the flash at the most.
+    /// Continues the save and returns its progress. Called in every turn of the main loop. Does not wait, and starts at most
+    /// one operation of the flash.
     pub fn poll<F: NorFlash>(&mut self, flash: &mut F, now: Instant) -> Progress {
         let ended = match self.step {
             Step::Idle => return Progress::Idle,
@@ -258,7 +258,7 @@ impl<const N: usize> Store<N> {
             _ => flash.poll(),
         };
         let next = match (self.step, ended) {
-            // A read would make the core wait for the operation.
+            // A read would stall the core until the end of the operation.
             (Step::Place, Err(nb::Error::WouldBlock)) => Err(SaveError::TimedOut),
             (Step::Place, _) => Ok(self.place(flash)),
             (_, Ok(())) => self.after_operation(flash),
@@ -283,10 +283,10 @@ impl<const N: usize> Store<N> {
         self.has_newest.then_some(self.newest)
     }
 
-    /// Takes what the page holds into account; records from number `below` on are damaged ones.
+    /// Scans a page. Records from number `below` on are treated as damaged.
     fn scan<F: NorFlash>(&mut self, flash: &F, page: Page, below: u32, blank: &mut Blank) {
         let mut index = 0usize;
-        // Where the next record may begin: after the last one, with nothing behind it.
+        // Start of the next record: after the last one, if nothing follows it.
         let mut free = 0;
         let mut is_newest_here = false;
         while index < F::PAGE_LEN {
@@ -301,7 +301,7 @@ impl<const N: usize> Store<N> {
                     record.header.record_len()
                 }
                 Found::Record(Located { header, .. }) | Found::Damaged(header) => {
-                    // It may read whole another time; what is saved from now on is newer all the same.
+                    // It may read complete another time, so the numbers of new saves must be higher.
                     if header.sequence <= Header::MAX_SEQUENCE / 2 {
                         self.sequence = self.sequence.max(header.sequence);
                     }
@@ -326,7 +326,7 @@ impl<const N: usize> Store<N> {
         }
     }
 
-    /// Where the record goes, and what is done first; [`Step::Idle`] if it is stored already.
+    /// Determines the place of the record and returns the first step, or [`Step::Idle`] if it is already stored.
     fn place<F: NorFlash>(&mut self, flash: &F) -> Step {
         let Header { len, version, .. } = self.target.header;
         let payload = self.payload.get(..usize::from(len)).unwrap_or(&[]);
@@ -353,7 +353,7 @@ impl<const N: usize> Store<N> {
         }
     }
 
-    /// What comes after the operation that has ended.
+    /// Returns the step after a completed operation.
     fn after_operation<F: NorFlash>(&mut self, flash: &F) -> Result<Step, SaveError> {
         let target = &self.target;
         match self.step {
@@ -376,7 +376,7 @@ impl<const N: usize> Store<N> {
         }
     }
 
-    /// Starts what the step is about.
+    /// Starts the operation of a step.
     fn start<F: NorFlash>(&mut self, flash: &mut F, step: Step) -> Result<Step, SaveError> {
         match step {
             Step::Idle | Step::Place => Ok(()),
@@ -392,7 +392,7 @@ impl<const N: usize> Store<N> {
         .map_or_else(|error| Err(SaveError::Flash(error)), |()| Ok(step))
     }
 
-    /// Tries again, once, and no more in the page of the newest record, should that have been the target.
+    /// Starts a second attempt, which never uses the page of the newest record. Fails after it.
     fn fail(&mut self, error: SaveError) -> Progress {
         self.free = usize::MAX;
         self.is_given_up = error == SaveError::TimedOut;
@@ -411,7 +411,7 @@ impl<const N: usize> Default for Store<N> {
     }
 }
 
-/// What all double words so far have in common.
+/// Common content of all double words so far.
 struct Blank {
     erased: bool,
     zero: bool,

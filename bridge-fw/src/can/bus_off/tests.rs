@@ -2,7 +2,7 @@ use super::*;
 
 const POLICY: BusOffPolicy = BusOffPolicy { delay_ms: 100, recovery_ms: 500, limit: 3, stable_ms: 10_000 };
 
-/// What is done from this moment on through so many milliseconds of an unchanged controller, and when.
+/// Returns the actions during `ms` milliseconds from `from_ms` on, with an unchanged controller, and their times.
 fn pass(bus: &mut BusOff, from_ms: u32, ms: u32, is_off: bool) -> std::vec::Vec<(u32, Step)> {
     (from_ms..from_ms + ms)
         .map(|now| (now, bus.update(Instant::from_millis(now), is_off)))
@@ -11,7 +11,7 @@ fn pass(bus: &mut BusOff, from_ms: u32, ms: u32, is_off: bool) -> std::vec::Vec<
 }
 
 #[test]
-fn the_bus_is_left_at_once_and_recovered_after_the_delay_and_joined_when_the_controller_is_back() {
+fn bus_is_left_at_once_recovered_after_the_delay_and_joined_with_the_controller() {
     let mut bus = BusOff::new(POLICY);
     assert_eq!(pass(&mut bus, 0, 1_000, false), []);
     assert_eq!(pass(&mut bus, 1_000, 300, true), [(1_000, Step::Leave), (1_100, Step::Recover)]);
@@ -21,28 +21,28 @@ fn the_bus_is_left_at_once_and_recovered_after_the_delay_and_joined_when_the_con
 }
 
 #[test]
-fn recovery_that_takes_too_long_is_a_failure_and_the_last_gives_up() {
+fn slow_recovery_is_a_failure_and_the_last_failure_gives_up() {
     let mut bus = BusOff::new(POLICY);
     let recoveries = [(0, Step::Leave), (100, Step::Recover), (700, Step::Recover)];
     assert_eq!(pass(&mut bus, 0, 1_200, true), recoveries);
     assert_eq!(bus.state(), BusState::Recovering);
     assert_eq!(pass(&mut bus, 1_200, 60_000, true), []);
     assert_eq!(bus.state(), BusState::GivenUp);
-    assert_eq!(pass(&mut bus, 61_200, 60_000, false), [], "it is told to come back, or stays away");
+    assert_eq!(pass(&mut bus, 61_200, 60_000, false), [], "no recovery without a retry");
 
     bus.retry(Instant::from_millis(121_200));
     assert_eq!(pass(&mut bus, 121_200, 200, false), [(121_300, Step::Recover), (121_301, Step::Join)]);
 }
 
 #[test]
-fn a_retry_that_nobody_needs_changes_nothing() {
+fn unnecessary_retry_changes_nothing() {
     let mut bus = BusOff::new(POLICY);
     bus.retry(Instant::from_millis(5));
     assert_eq!(bus.state(), BusState::On);
 }
 
 #[test]
-fn failures_count_until_the_bus_went_well_for_the_stable_time() {
+fn failures_count_until_the_stable_time_without_a_failure() {
     for (stable_ms, is_given_up) in [(POLICY.stable_ms - 1, true), (POLICY.stable_ms, false)] {
         let mut bus = BusOff::new(BusOffPolicy { limit: 2, ..POLICY });
         pass(&mut bus, 0, 101, true);

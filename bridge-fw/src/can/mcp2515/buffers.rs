@@ -1,4 +1,4 @@
-//! What an MCP2515 has received, between the handler of its interrupt and the main loop.
+//! Frames received by an MCP2515, between its interrupt handler and the main loop.
 
 use embedded_hal::spi::{Operation, SpiDevice};
 
@@ -9,24 +9,23 @@ use crate::can::bus::MAX_RECEIVED_PER_POLL;
 /// Instructions (12.0).
 const READ_STATUS: u8 = 0xA0;
 const READ_RX: [u8; 2] = [0x90, 0x94];
-/// READ STATUS: a frame is in the first buffer, in the second.
+/// READ STATUS: frame in the first buffer; in the second.
 const RX0IF: u8 = 1 << 0;
 const RX1IF: u8 = 1 << 1;
 
-/// A frame as the registers of a receive buffer have it: identifier, length, data.
+/// Frame in the layout of a receive buffer's registers: identifier, length, data.
 pub(super) type RawFrame = [u8; FRAME_LEN];
 const FRAME_LEN: usize = 13;
 
-/// 39 frames: what comes in the millisecond between two turns of the main loop, and in another half.
-/// In a model for one.
+/// Queue length in bytes for 39 frames, 1.5 ms of traffic. A turn of the main loop takes 1 ms. In a model for one frame.
 const QUEUE_LEN: usize = if cfg!(all(loom, test)) { 16 } else { 512 };
 const _: () = assert!(QUEUE_LEN / FRAME_LEN >= MAX_RECEIVED_PER_POLL * 3 / 2 || cfg!(all(loom, test)));
 
-/// The frames that the handler of an MCP2515's interrupt has taken from it. It is a plain `static`, for a handler and a main loop on
-/// one core.
+/// Frames that the interrupt handler has read from an MCP2515, in a plain `static`. Handler and main loop must run on one
+/// core.
 ///
-/// The MCP2515 holds two frames, and at 1 Mbit/s the third may end 94 µs behind the first: too soon for a main loop. Both use its
-/// SPI, each by a [`SpiDevice`] of its own; that of the main loop keeps the handler out for each transaction.
+/// The MCP2515 holds two frames. At 1 Mbit/s, a third may end 94 µs after the first, too soon for a main loop. Handler and
+/// main loop each have a [`SpiDevice`] for its SPI. The main loop's device blocks the handler during each transaction.
 ///
 /// ```
 /// use embedded_hal::spi::SpiDevice;
@@ -43,14 +42,15 @@ const _: () = assert!(QUEUE_LEN / FRAME_LEN >= MAX_RECEIVED_PER_POLL * 3 / 2 || 
 #[derive(Debug)]
 pub struct Mcp2515Buffers {
     frames: ByteQueue<QUEUE_LEN>,
-    /// Whether the controller is set up; written by the main loop alone.
+    /// The controller is set up. Written only by the main loop.
     is_open: AtomicBool,
-    /// What is in the second receive buffer is older than what is in the first; the handler's, once it is open.
+    /// The frame in the second receive buffer is older than the one in the first. Written only by the handler while it is
+    /// open.
     second_is_older: AtomicBool,
 }
 
 impl Mcp2515Buffers {
-    /// An empty queue of a controller that is not set up.
+    /// Creates an empty queue for a controller that is not set up.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -60,18 +60,18 @@ impl Mcp2515Buffers {
         }
     }
 
-    /// Takes every frame that the controller holds: the whole handler. Returns whether its interrupt may stay unmasked: not if there
-    /// is no room for a frame, which stays where it is, and not before the controller is set up. Then the handler masks
-    /// its interrupt, and the main loop unmasks it after its turn.
+    /// Reads all frames from the controller, in the handler. Returns whether its interrupt may stay unmasked. Without room
+    /// for a frame, which then stays in the controller, and before the set-up, the handler masks the interrupt. The main loop
+    /// unmasks it after its turn.
     #[must_use]
     pub fn serve<S: SpiDevice>(&self, spi: &mut S) -> bool {
-        // Acquire: what the main loop has cleared for the handler is clear.
+        // Acquire: the handler sees the state that the main loop has reset.
         self.is_open.load(Ordering::Acquire) && self.take(spi).unwrap_or(false)
     }
 
     fn take<S: SpiDevice>(&self, spi: &mut S) -> Result<bool, S::Error> {
         let mut status = read_status(spi)?;
-        // It ends with the queue's room: the main loop makes none meanwhile.
+        // Bounded by the queue's room, because the main loop frees none in the meantime.
         loop {
             let buffer = match (status & RX0IF != 0, status & RX1IF != 0) {
                 (false, false) => return Ok(true),
@@ -84,35 +84,35 @@ impl Mcp2515Buffers {
             let mut raw: RawFrame = [0; FRAME_LEN];
             spi.transaction(&mut [Operation::Write(&[*read]), Operation::Read(&mut raw)])?;
             status = read_status(spi)?;
-            // What has come to the second while the first was full is older than what comes to the first from now on.
+            // A frame that the second buffer received while the first was full is older than the first buffer's next frame.
             self.second_is_older.store(buffer == 0 && status & RX1IF != 0, Ordering::Relaxed);
-            // There is room.
+            // Cannot fail: the room was checked.
             let _ = self.frames.push_all(&raw);
         }
     }
 
-    /// Whether a frame waits for the main loop.
+    /// Returns whether a frame is queued for the main loop.
     #[must_use]
     pub fn has_received(&self) -> bool {
         !self.frames.is_empty()
     }
 
-    /// The frame that waits longest.
+    /// Removes the oldest frame.
     pub(super) fn pop(&self) -> Option<RawFrame> {
         self.frames.pop_all()
     }
 
-    /// Drops the frames that wait.
+    /// Discards all queued frames.
     pub(super) fn clear(&self) {
         self.frames.clear();
     }
 
-    /// Has the handler leave the controller alone.
+    /// Stops the handler from accessing the controller.
     pub(super) fn close(&self) {
         self.is_open.store(false, Ordering::Relaxed);
     }
 
-    /// Has the handler begin, with a controller that was just set up.
+    /// Lets the handler access a controller that was just set up.
     pub(super) fn open(&self) {
         self.clear();
         self.second_is_older.store(false, Ordering::Relaxed);
@@ -126,7 +126,7 @@ impl Default for Mcp2515Buffers {
     }
 }
 
-/// Which buffers are full and which are to be sent, as READ STATUS has it (12.8).
+/// Reads the states of all buffers with READ STATUS (12.8).
 pub(super) fn read_status<S: SpiDevice>(spi: &mut S) -> Result<u8, S::Error> {
     let mut status = [READ_STATUS, 0];
     spi.transfer_in_place(&mut status)?;

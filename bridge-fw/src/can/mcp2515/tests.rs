@@ -1,4 +1,4 @@
-//! The driver with registers that do what the data sheet says of them, as far as it needs.
+//! Tests of the driver with a model of the registers it uses, according to the data sheet.
 
 use core::cell::RefCell;
 use core::convert::Infallible;
@@ -13,16 +13,16 @@ use embedded_hal::spi::ErrorType;
 use super::*;
 
 const CRYSTAL_HZ: u32 = 16_000_000;
-/// What the instructions of the handler are to it.
+/// An instruction of the handler.
 const READ_STATUS: u8 = 0xA0;
 
-/// The registers behind SPI, as tests look at them.
+/// Registers of the modelled chip.
 struct Registers {
     values: [u8; 128],
-    /// Nothing answers: lines that are pulled up.
+    /// No chip: pulled-up lines.
     is_missing: bool,
     resets: u32,
-    /// The frame of one byte that comes to a buffer as soon as that was read.
+    /// A frame of one byte that a buffer receives as soon as it was read.
     comes_next: Option<(usize, [u8; 4], u8)>,
     /// The transmit buffer whose frame is on the bus.
     sending: Option<usize>,
@@ -46,7 +46,7 @@ impl Chip {
         self.0.borrow_mut().values[usize::from(register)] = value;
     }
 
-    /// Puts a frame into a receive buffer.
+    /// Places a frame in a receive buffer.
     fn receive(&self, buffer: usize, id: [u8; 4], data: &[u8]) {
         self.0.borrow_mut().receive(buffer, id, data);
     }
@@ -55,7 +55,7 @@ impl Chip {
         self.0.borrow().status()
     }
 
-    /// Takes the frame that a transmit buffer was told to send: its first identifier register and its data.
+    /// Removes the frame with a transmit request in this buffer. Returns its first identifier register and its data.
     fn sent(&self, buffer: usize) -> Option<(u8, Vec<u8>)> {
         let mut chip = self.0.borrow_mut();
         let control = usize::from(TXBCTRL[buffer]);
@@ -94,7 +94,7 @@ impl Registers {
         })
     }
 
-    /// The frame on the bus ends.
+    /// Ends the frame on the bus.
     fn end_frame(&mut self, is_acknowledged: bool) {
         let Some(buffer) = self.sending.take() else { return };
         if is_acknowledged || self.values[usize::from(CANCTRL)] & ABAT != 0 {
@@ -105,14 +105,14 @@ impl Registers {
         }
     }
 
-    /// All frames that wait are aborted, but for the one on the bus.
+    /// Aborts all waiting frames except the one on the bus.
     fn abort_all(&mut self) {
         for buffer in (0..3).filter(|&buffer| self.sending != Some(buffer)) {
             self.values[usize::from(TXBCTRL[buffer])] &= !TXREQ;
         }
     }
 
-    /// What the chip gives for the bytes of one selection.
+    /// Returns the chip's response to the bytes of one chip select.
     fn exchange(&mut self, bytes: &[u8]) -> Vec<u8> {
         let mut out = std::vec![0xFF; bytes.len()];
         if self.is_missing {
@@ -159,7 +159,7 @@ impl Registers {
                 let buffer = rts.trailing_zeros() as usize;
                 self.values[usize::from(TXBCTRL[buffer])] |= TXREQ;
             }
-            other => panic!("no instruction: {other:02X?}"),
+            other => panic!("unknown instruction: {other:02X?}"),
         }
         out
     }
@@ -177,7 +177,7 @@ impl SpiDevice for Chip {
                 Operation::Write(written) => bytes.extend_from_slice(written),
                 Operation::Read(read) => bytes.extend(read.iter().map(|_| 0)),
                 Operation::TransferInPlace(both) => bytes.extend_from_slice(both),
-                other => panic!("not used: {other:?}"),
+                other => panic!("unexpected operation: {other:?}"),
             }
         }
         let mut given = self.0.borrow_mut().exchange(&bytes).into_iter();
@@ -190,7 +190,7 @@ impl SpiDevice for Chip {
                 Operation::TransferInPlace(both) => {
                     both.iter_mut().zip(given.by_ref()).for_each(|(to, from)| *to = from)
                 }
-                other => panic!("not used: {other:?}"),
+                other => panic!("unexpected operation: {other:?}"),
             }
         }
         Ok(())
@@ -209,12 +209,12 @@ fn started() -> (Chip, Mcp2515<Chip, ClassicFrame>) {
     (chip, controller)
 }
 
-/// The handler of its interrupt runs; whether it may go on.
+/// Runs the interrupt handler. Returns whether the interrupt may stay unmasked.
 fn interrupt(chip: &Chip, controller: &Mcp2515<Chip, ClassicFrame>) -> bool {
     controller.received.serve(&mut chip.clone())
 }
 
-/// What the main loop finds, all of it.
+/// Returns all frames for the main loop.
 fn received(controller: &mut Mcp2515<Chip, ClassicFrame>) -> Vec<ClassicFrame> {
     core::iter::from_fn(|| controller.receive().ok()).collect()
 }
@@ -228,8 +228,8 @@ fn gripper_id() -> u16 {
 }
 
 #[test]
-fn every_rate_of_the_settings_is_met_and_what_the_crystal_cannot_do_is_refused() {
-    // Prescaler, quanta before and behind the sample point.
+fn every_rate_of_the_settings_is_met_if_the_crystal_divides_to_it() {
+    // Prescaler, quanta before and after the sample point.
     let of = |crystal, rate| {
         BitTiming::for_rate(crystal, rate).map(|BitTiming { registers: [cnf3, cnf2, cnf1] }| {
             assert_eq!(cnf2 & BTLMODE, BTLMODE);
@@ -255,7 +255,7 @@ fn every_rate_of_the_settings_is_met_and_what_the_crystal_cannot_do_is_refused()
 }
 
 #[test]
-fn what_the_bridge_wants_passes_the_filters_and_other_traffic_does_not() {
+fn filters_accept_frames_for_the_bridge_and_reject_other_traffic() {
     let (chip, _) = started();
     let id_at = |at: u8| u16::from(chip.at(at)) << 3 | u16::from(chip.at(at + 1) >> 5);
     let passes = |id: u16| {
@@ -275,7 +275,7 @@ fn what_the_bridge_wants_passes_the_filters_and_other_traffic_does_not() {
 }
 
 #[test]
-fn one_that_is_not_there_counts_as_bus_off_until_it_comes() {
+fn missing_chip_is_bus_off_until_it_responds() {
     let chip = Chip::new();
     chip.0.borrow_mut().is_missing = true;
     let mut controller = on(&chip);
@@ -290,7 +290,7 @@ fn one_that_is_not_there_counts_as_bus_off_until_it_comes() {
 }
 
 #[test]
-fn one_that_lost_its_supply_is_set_up_again() {
+fn chip_that_lost_its_supply_is_set_up_again() {
     let (chip, mut controller) = started();
     chip.0.borrow_mut().reset();
     assert!(controller.health().is_off);
@@ -303,7 +303,7 @@ fn one_that_lost_its_supply_is_set_up_again() {
 }
 
 #[test]
-fn the_grippers_frames_have_a_buffer_of_their_own_that_leaves_first() {
+fn frames_to_the_gripper_have_their_own_buffer_with_priority() {
     let (chip, mut controller) = started();
     assert_eq!(controller.transmit(&frame(0x180, &[1])), Ok(None));
     assert_eq!(controller.transmit(&frame(0x280, &[2])), Ok(None));
@@ -319,7 +319,7 @@ fn the_grippers_frames_have_a_buffer_of_their_own_that_leaves_first() {
 }
 
 #[test]
-fn frames_of_one_identifier_never_wait_in_two_buffers() {
+fn frames_with_one_identifier_never_wait_in_two_buffers() {
     let (chip, mut controller) = started();
     assert_eq!(controller.transmit(&frame(0x180, &[1])), Ok(None));
     assert_eq!(controller.transmit(&frame(0x180, &[2])), Err(nb::Error::WouldBlock));
@@ -330,12 +330,12 @@ fn frames_of_one_identifier_never_wait_in_two_buffers() {
 }
 
 #[test]
-fn received_frames_come_in_their_order() {
+fn received_frames_keep_their_order() {
     let (chip, mut controller) = started();
     let id = id_registers(Id::Standard(standard(0x121)));
     chip.receive(0, id, &[1]);
     chip.receive(1, id, &[2]);
-    // The first buffer takes the next as soon as it is free, before the second was read.
+    // The first buffer receives the next frame as soon as it is free, before the second is read.
     chip.0.borrow_mut().comes_next = Some((0, id, 3));
     assert!(interrupt(&chip, &controller));
     let data: Vec<u8> = received(&mut controller).iter().map(|frame| frame.data()[0]).collect();
@@ -343,7 +343,7 @@ fn received_frames_come_in_their_order() {
 }
 
 #[test]
-fn frames_that_the_main_loop_does_not_take_stay_in_the_controller_when_the_queue_is_full() {
+fn full_queue_leaves_frames_in_the_controller() {
     let (chip, mut controller) = started();
     let id = id_registers(Id::Standard(standard(0x121)));
     let mut came = 0;
@@ -355,7 +355,7 @@ fn frames_that_the_main_loop_does_not_take_stay_in_the_controller_when_the_queue
         }
     }
     assert!(usize::from(came) > crate::can::bus::MAX_RECEIVED_PER_POLL);
-    assert_eq!(chip.status() & 0b11, 0b01, "the last one is still there");
+    assert_eq!(chip.status() & 0b11, 0b01, "the last frame is still in the buffer");
     assert!(!interrupt(&chip, &controller));
     let data = |frames: Vec<ClassicFrame>| frames.iter().map(|frame| frame.data()[0]).collect::<Vec<u8>>();
     assert!(data(received(&mut controller)).into_iter().eq(0..came - 1));
@@ -367,13 +367,13 @@ fn frames_that_the_main_loop_does_not_take_stay_in_the_controller_when_the_queue
 }
 
 #[test]
-fn handler_leaves_a_controller_alone_that_is_not_set_up() {
+fn handler_ignores_a_controller_that_is_not_set_up() {
     let chip = Chip::new();
     chip.0.borrow_mut().is_missing = true;
     let mut controller = on(&chip);
     assert!(!interrupt(&chip, &controller));
     controller.start(&CanConfig::DEFAULT);
-    // Lines that are pulled up read as two frames for ever.
+    // Pulled-up lines always read as two frames.
     assert!(!interrupt(&chip, &controller));
     assert!(!controller.received.has_received());
 
@@ -381,7 +381,7 @@ fn handler_leaves_a_controller_alone_that_is_not_set_up() {
     controller.recover();
     assert!(interrupt(&chip, &controller));
 
-    // It vanishes while frames are on their way: the handler ends, and no frame counts that came before it is there again.
+    // The chip disappears during reception. The handler ends, and frames received before the next set-up are discarded.
     chip.0.borrow_mut().is_missing = true;
     assert!(!interrupt(&chip, &controller));
     assert!(controller.health().is_off);
@@ -394,15 +394,15 @@ fn handler_leaves_a_controller_alone_that_is_not_set_up() {
     assert!(!controller.health().is_off);
     assert_eq!(received(&mut controller), []);
 
-    // Nor one that is started anew and cannot be set up.
+    // The same for a controller whose restart fails.
     controller.start(&CanConfig { kbit_rate: 300, ..CanConfig::DEFAULT });
     assert!(!interrupt(&chip, &controller));
 }
 
 #[test]
-fn which_frame_is_older_is_forgotten_with_the_frames() {
+fn restart_resets_the_order_of_the_buffers() {
     let (chip, mut controller) = started();
-    // The queue is full behind the first of two frames, and another follows it.
+    // The queue becomes full after the first of two frames, and a third follows.
     let id = id_registers(Id::Standard(standard(0x121)));
     chip.receive(0, id, &[0]);
     while interrupt(&chip, &controller) {
@@ -423,7 +423,7 @@ fn which_frame_is_older_is_forgotten_with_the_frames() {
 }
 
 #[test]
-fn identifiers_lengths_and_remote_frames_survive_both_ways() {
+fn identifiers_lengths_and_remote_frames_are_converted_both_ways() {
     let (chip, mut controller) = started();
     for (id, registers) in [
         (Id::Standard(standard(0x7A5)), [0xF4, 0xA0, 0, 0]),
@@ -446,7 +446,7 @@ fn identifiers_lengths_and_remote_frames_survive_both_ways() {
 }
 
 #[test]
-fn a_lost_frame_is_said_once() {
+fn lost_frame_is_reported_once() {
     let (chip, mut controller) = started();
     chip.set(EFLG, 1 << 7);
     assert!(!controller.health().is_off);
@@ -456,13 +456,13 @@ fn a_lost_frame_is_said_once() {
 }
 
 #[test]
-fn after_bus_off_nothing_goes_and_nothing_old_comes_before_it_is_told_to_recover() {
+fn after_bus_off_nothing_is_sent_or_received_until_recover() {
     let (chip, mut controller) = started();
     chip.set(EFLG, TXBO | PASSIVE);
     let health = controller.health();
     assert!(health.is_off && health.is_passive && health.transmit_errors == 255);
 
-    // It has recovered by itself.
+    // The chip has recovered by itself.
     chip.set(EFLG, 0);
     chip.receive(0, id_registers(Id::Standard(standard(0x121))), &[1]);
     assert!(interrupt(&chip, &controller));
@@ -476,7 +476,7 @@ fn after_bus_off_nothing_goes_and_nothing_old_comes_before_it_is_told_to_recover
 }
 
 #[test]
-fn what_is_withdrawn_does_not_leave() {
+fn aborted_frames_are_not_sent() {
     let (chip, mut controller) = started();
     for id in [gripper_id(), 0x180, 0x280] {
         assert_eq!(controller.transmit(&frame(id, &[1])), Ok(None));
@@ -486,7 +486,7 @@ fn what_is_withdrawn_does_not_leave() {
 }
 
 #[test]
-fn one_frame_is_withdrawn_and_the_others_are_requested_anew() {
+fn one_frame_is_withdrawn_and_the_others_are_requested_again() {
     let (chip, mut controller) = started();
     let gripper = Id::Standard(standard(gripper_id()));
     for id in [gripper_id(), 0x180, 0x280] {
@@ -503,11 +503,11 @@ fn one_frame_is_withdrawn_and_the_others_are_requested_anew() {
 }
 
 #[test]
-fn frame_on_the_bus_is_undecided_until_it_has_ended() {
+fn withdrawal_is_undecided_until_the_frame_on_the_bus_ends() {
     for (is_acknowledged, outcome) in [(true, Withdrawal::TooLate), (false, Withdrawal::Withdrawn)] {
         let (chip, mut controller) = started();
         let gripper = Id::Standard(standard(gripper_id()));
-        // Of an earlier frame the chip still says that it was sent.
+        // The flag of an earlier sent frame is still set.
         chip.set(CANINTF, TXIF[0]);
         assert_eq!(controller.transmit(&frame(gripper_id(), &[1])), Ok(None));
         assert_eq!(controller.transmit(&frame(0x180, &[2])), Ok(None));

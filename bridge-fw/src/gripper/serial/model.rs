@@ -1,4 +1,4 @@
-//! What the handler and the main loop share, under every order of events: `cargo xtask loom`.
+//! Models of handler and main loop in every order of events: `cargo xtask loom`.
 
 extern crate std;
 
@@ -8,7 +8,7 @@ use loom::thread;
 use std::boxed::Box;
 use std::vec::Vec;
 
-/// Registers that the main loop needs nothing of.
+/// Registers without a function for the main loop.
 struct Registers;
 
 impl Uart for Registers {

@@ -1,4 +1,4 @@
-//! The EDS file (CiA 306), from the tables that the server uses.
+//! EDS file (CiA 306), generated from the server's tables.
 
 use core::fmt::{self, Write};
 use core::iter;
@@ -24,10 +24,10 @@ const FACTS: EdsFacts<'_> = EdsFacts {
     kbit_rates: &[125, 250, 500, 1000],
 };
 
-/// Writes the EDS file of a bridge that is built with this configuration.
+/// Writes the EDS file of a bridge with this configuration.
 ///
 /// # Errors
-/// Those of the writer.
+/// Errors of the writer.
 pub fn write_eds(out: &mut impl Write, config: &NodeConfig) -> fmt::Result {
     let delivered = Config::DEFAULT.record();
     let table = OBJECTS.iter().map(|object| {
@@ -58,7 +58,7 @@ pub fn write_eds(out: &mut impl Write, config: &NodeConfig) -> fmt::Result {
     write!(out, "{}", Eds { facts: FACTS, entries, config: *config })
 }
 
-/// The entry that says how many there are.
+/// Returns subindex 0, the number of entries.
 fn count(index: u16, entries: usize) -> iter::Once<EdsEntry<'static, Key>> {
     let source = Source::Fixed(entries as u32);
     let object = Object { kind: DataType::U8, ..register(index, 0, COUNT, source) };

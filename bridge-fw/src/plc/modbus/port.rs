@@ -1,19 +1,19 @@
-//! The bus's line as a board hands it over.
+//! Interface between a board and the bus's line.
 
 use crate::plc::side::NoBus;
 use bus_modbus::rtu::Character;
 
-/// A half-duplex line for Modbus RTU that measures its silences.
+/// A half-duplex line for Modbus RTU that measures silences.
 ///
-/// The board switches the driver of an RS-485 transceiver by itself, and does not hand over what it sends.
+/// The board switches the driver of an RS-485 transceiver, and suppresses the echo of sent bytes.
 pub trait BusPort {
-    /// The character that waits longest, and for how long none came before it, in microseconds.
+    /// Returns the oldest received character, and the silence before it in microseconds.
     fn receive(&mut self) -> Option<(Character, u32)>;
 
-    /// For how long no character has come, in microseconds; looked at when none waits.
+    /// Returns the silence since the last character, in microseconds. Called when no character is left.
     fn silence_us(&mut self) -> u32;
 
-    /// Sends a frame. Does not wait; while another is being sent, this one is dropped.
+    /// Sends a frame without waiting. Discards it while another one is being sent.
     fn send(&mut self, frame: &[u8]);
 }
 

@@ -1,8 +1,8 @@
-//! An RS-485 line between its interrupt handler and the main loop: received characters with the silence before each, and the
-//! frame that is being sent. What the transceiver echoes of the bridge's own frames is not handed over.
+//! RS-485 line between its interrupt handler and the main loop: received characters with the preceding silence, and the frame
+//! in transmission. Echoes of the bridge's own frames are suppressed.
 //!
-//! A board's handler moves bytes between its registers and [`RtuBuffers`], by [`RtuBuffers::serve`] where a HAL has the UART; it
-//! alone touches the registers, so main loop and handler never change the same one. [`RtuPort`] is the main loop's end.
+//! A board's handler moves bytes between its registers and [`RtuBuffers`], with [`RtuBuffers::serve`] if a HAL has the UART.
+//! Only the handler accesses the registers. [`RtuPort`] is the main loop's end.
 
 use bus_modbus::rtu::{Character, MAX_FRAME_LEN};
 use embedded_hal_nb::serial::{self, Error as _};
@@ -11,31 +11,31 @@ use super::{BusConfig, BusPort};
 use crate::atomic::{AtomicBool, AtomicU32, Ordering};
 use crate::byte_queue::ByteQueue;
 
-/// Steps in which silence is handed on, in microseconds; 15 bits hold 262 ms of it.
+/// Unit of silence in the queue, in microseconds. 15 bits hold 262 ms.
 const STEP_US: u32 = 8;
 const MAX_STEPS: u32 = 0x7FFF;
-/// Beside the steps: the character is damaged, or one before it was lost.
+/// Flag in addition to the silence: the character is damaged, or the one before was lost.
 const DAMAGED: u16 = 0x8000;
 
-/// A character in the queue: silence, high byte first, and the byte.
+/// Length of a queued character: silence, high byte first, and the byte.
 const ENTRY_LEN: usize = 3;
 
-/// Bytes for characters that are received before the main loop reads them: what comes in 7 ms at 230 400 bit/s.
+/// Queue length in bytes for received characters: 7 ms at 230 400 bit/s.
 const RECEIVED_MAX: usize = 512;
 
-/// Bytes for the frame that is being sent.
+/// Queue length in bytes for the frame in transmission.
 const TO_SEND_MAX: usize = 256;
 const _: () = assert!(TO_SEND_MAX >= MAX_FRAME_LEN);
 
-/// The characters on their way; `RX` bytes for received ones, three for each, and `TX` for a frame, both powers of two; enough for
-/// every rate of Modbus where neither is given. It is a plain `static`.
+/// Data shared by handler and main loop, in a plain `static`. `RX` is the queue length in bytes for received characters,
+/// three each, and `TX` for a frame. Both are powers of two. The defaults suffice for every rate of Modbus.
 ///
 /// ```
 /// use wsg_bridge_fw::plc::RtuBuffers;
 ///
 /// static BUFFERS: RtuBuffers = RtuBuffers::new();
 ///
-/// // In the handler, at 1 000 us: a byte without damage while nothing is being sent.
+/// // In the handler, at 1 000 us: an undamaged byte while nothing is being sent.
 /// BUFFERS.on_receive(0x01, false, true, 1_000);
 /// assert_eq!(BUFFERS.on_transmit(true, true), None);
 /// ```
@@ -43,20 +43,20 @@ const _: () = assert!(TO_SEND_MAX >= MAX_FRAME_LEN);
 pub struct RtuBuffers<const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_MAX> {
     received: ByteQueue<RX>,
     to_send: ByteQueue<TX>,
-    /// The time of a character, rounded up, in microseconds.
+    /// Duration of a character, rounded up, in microseconds.
     character_us: AtomicU32,
-    /// When the last character ended, in microseconds.
+    /// End of the last character, in microseconds.
     received_at: AtomicU32,
-    /// A frame is being sent: from the first byte that was given to the transmitter until the last bit has left. The handler's own.
+    /// A frame is being sent, from its first byte until its last bit. Written only by the handler.
     sending: AtomicBool,
-    /// Bytes of this frame that were sent, and that came back from a transceiver that echoes. The handler's own.
+    /// Bytes of this frame that were sent, and echoes of them. Written only by the handler.
     sent: AtomicU32,
     echoed: AtomicU32,
-    /// The next character follows one that was lost. The handler's own.
+    /// The next character follows a lost one. Written only by the handler.
     lost: AtomicBool,
 }
 
-/// The interrupts that a handler needs next, beside the one for a received byte.
+/// Interrupts that a handler needs next, in addition to the one for a received byte.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Interrupts {
     /// The transmit register has room.
@@ -66,7 +66,7 @@ pub struct Interrupts {
 }
 
 impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
-    /// Empty queues. Silences count from [`start`](Self::start).
+    /// Creates empty queues. Silences are valid from [`start`](Self::start) on.
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(TX >= MAX_FRAME_LEN || cfg!(all(loom, test))) };
@@ -82,30 +82,29 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
         }
     }
 
-    /// Sets how long a character takes, before the line is switched on.
+    /// Sets the duration of a character, before the line is switched on.
     pub fn start(&self, config: &BusConfig) {
         let character_us = config.format.bits().saturating_mul(1_000_000).div_ceil(config.baud.max(1));
         self.character_us.store(character_us, Ordering::Relaxed);
     }
 
-    /// Takes a received byte. For the handler. `is_complete`: the last bit of all bytes given to the transmitter has been
-    /// sent.
+    /// Processes a received byte, in the handler. `is_complete`: the last bit of all written bytes has been sent.
     pub fn on_receive(&self, byte: u8, damaged: bool, is_complete: bool, now_us: u32) {
         if !self.is_echo(is_complete) {
             self.take(byte, damaged, now_us);
         }
     }
 
-    /// Takes an overrun without a byte: one was lost, and the one before it has been taken already. For the handler.
+    /// Processes an overrun without a byte, in the handler: a byte was lost after the previous one was read.
     pub fn on_overrun(&self) {
-        // While a frame is being sent it was an echo.
+        // During transmission, the lost byte was an echo.
         if !self.sending.load(Ordering::Relaxed) {
             self.lost.store(true, Ordering::Relaxed);
         }
     }
 
-    /// Whether what was received is the bridge's own. Behind the last bit that can only be the last byte, and only if the
-    /// others came back as well: else it is the begin of the next request already, and the handler is late.
+    /// Returns whether a received byte is an echo. After the last bit has been sent, it can only be the echo of the last
+    /// byte, after all other echoes. Otherwise it is the start of the next request, and the handler is late.
     fn is_echo(&self, is_complete: bool) -> bool {
         if !self.sending.load(Ordering::Relaxed) {
             return false;
@@ -127,12 +126,12 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
         let void = damaged || self.lost.load(Ordering::Relaxed);
         self.lost.store(false, Ordering::Relaxed);
         let [high, low] = if void { steps | DAMAGED } else { steps }.to_be_bytes();
-        // There is room.
+        // Cannot fail: the room was checked.
         let _ = self.received.push_all(&[high, low, byte]);
     }
 
-    /// Returns the next byte of a frame for a transmit register that `has_room`, or ends the frame: its last bit has been
-    /// sent. For the handler, behind [`on_receive`](Self::on_receive).
+    /// Returns the next byte for a transmit register that `has_room`, or ends the frame if its last bit has been sent. For
+    /// the handler, after [`on_receive`](Self::on_receive).
     pub fn on_transmit(&self, has_room: bool, is_complete: bool) -> Option<u8> {
         let byte = if has_room { self.to_send.pop() } else { None };
         if byte.is_some() {
@@ -146,21 +145,22 @@ impl<const RX: usize, const TX: usize> RtuBuffers<RX, TX> {
         byte
     }
 
-    /// The whole handler for a HAL's UART: at most one character each way. Returns the interrupts that it needs from now on.
+    /// Handles one interrupt for a HAL's UART, with at most one character each way. Returns the interrupts that it needs from
+    /// now on.
     ///
-    /// A driver of RS-485 that the UART does not switch by itself has to be on before a byte is written, and is to be off once no
-    /// interrupt is needed.
+    /// If the UART does not switch the RS-485 driver itself, switch it on before a byte is written, and off when no interrupt
+    /// is needed.
     pub fn serve<U: serial::Read + serial::Write>(&self, uart: &mut U, now_us: u32) -> Interrupts {
-        // Before the byte is written that would make it busy.
+        // Before a written byte makes the UART busy.
         let is_complete = uart.flush().is_ok();
         match uart.read() {
             Err(nb::Error::WouldBlock) => {}
             Err(nb::Error::Other(error)) if error.kind() == serial::ErrorKind::Overrun => self.on_overrun(),
-            // The byte of a damaged character does not matter.
+            // The byte of a damaged character is not used.
             read => self.on_receive(*read.as_ref().unwrap_or(&0), read.is_err(), is_complete, now_us),
         }
         let is_written = self.to_send.peek().is_some_and(|byte| uart.write(byte).is_ok());
-        // The byte that was written leaves the queue.
+        // Removes the written byte from the queue.
         let _ = self.on_transmit(is_written, is_complete);
         self.interrupts()
     }
@@ -180,16 +180,16 @@ impl<const RX: usize, const TX: usize> Default for RtuBuffers<RX, TX> {
     }
 }
 
-/// What the main loop needs of a UART's registers, and a clock.
+/// The main loop's access to a UART and a clock.
 pub trait RtuUart {
-    /// Has the handler run soon: there is a frame to send.
+    /// Schedules a run of the handler, because a frame is to be sent.
     fn pend(&mut self);
 
-    /// The time in microseconds, of the clock that the handler uses; it may wrap.
+    /// Returns the time in microseconds, from the handler's clock. It may wrap.
     fn now_us(&mut self) -> u32;
 }
 
-/// The main loop's end of the line. There is one value of it for each [`RtuBuffers`].
+/// The main loop's end of the line. Create only one for each [`RtuBuffers`].
 #[derive(Debug)]
 pub struct RtuPort<U, const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_MAX> {
     uart: U,
@@ -197,7 +197,7 @@ pub struct RtuPort<U, const RX: usize = RECEIVED_MAX, const TX: usize = TO_SEND_
 }
 
 impl<U: RtuUart, const RX: usize, const TX: usize> RtuPort<U, RX, TX> {
-    /// The end of this line.
+    /// Creates the main loop's end of this line.
     pub const fn new(uart: U, buffers: &'static RtuBuffers<RX, TX>) -> Self {
         Self { uart, buffers }
     }
@@ -212,19 +212,20 @@ impl<U: RtuUart, const RX: usize, const TX: usize> BusPort for RtuPort<U, RX, TX
     }
 
     fn silence_us(&mut self) -> u32 {
-        // Acquire: the clock is read after it. A character received between these in the other order would make the silence
-        // negative, which ends a frame in its middle.
+        // Acquire: the clock must be read afterwards. If a character were received between the reads in the other order, the
+        // silence would be negative and end a frame prematurely.
         let received_at = self.buffers.received_at.load(Ordering::Acquire);
         let silence_us = self.uart.now_us().wrapping_sub(received_at);
         if self.buffers.received.is_empty() { silence_us } else { 0 }
     }
 
     fn send(&mut self, frame: &[u8]) {
-        // In this order: the handler has said that it sends before the queue is empty.
+        // In this order: the handler sets `sending` before the queue becomes empty.
         if !self.buffers.to_send.is_empty() || self.buffers.sending.load(Ordering::Relaxed) {
             return;
         }
-        // At once, or a handler that runs meanwhile for something else would take a part for the whole. There is room for the longest.
+        // In one operation: a handler that runs in between would take a part for the whole frame. There is room for the
+        // longest frame.
         let _ = self.buffers.to_send.push_all(frame);
         self.uart.pend();
     }

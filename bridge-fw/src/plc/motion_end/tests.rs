@@ -12,17 +12,17 @@ fn at(ms: u32) -> Instant {
     Instant::from_millis(ms)
 }
 
-/// The end of a motion that ran at 0 ms, and came at 1 ms.
+/// Returns the state after a motion at 0 ms and its end at 1 ms.
 fn ended() -> MotionEnd {
     let mut end = MotionEnd::new();
     assert!(!end.look(at(0), &RUNNING));
-    assert!(end.look(at(1), &DONE), "now they are asked for");
-    assert!(!end.look(at(1), &DONE), "once");
+    assert!(end.look(at(1), &DONE), "width and force are queried");
+    assert!(!end.look(at(1), &DONE), "only once");
     end
 }
 
 #[test]
-fn end_waits_for_both_values_and_what_is_measured_does_not() {
+fn end_waits_for_both_values_which_are_shown_at_once() {
     let mut end = ended();
     let fresh = InputImage { force: 4_000, ..DONE };
     assert_eq!(end.shown(fresh), InputImage { force: 4_000, ..RUNNING });
@@ -45,7 +45,7 @@ fn end_waits_10_ms_at_the_most() {
 }
 
 #[test]
-fn other_values_and_those_from_before_the_end_end_nothing() {
+fn other_values_and_values_from_before_the_end_do_not_end_the_wait() {
     let mut end = MotionEnd::new();
     end.look(at(0), &RUNNING);
     end.see(&Event::Reported(Value::GetOpeningWidth(21.0)));
@@ -66,7 +66,7 @@ fn what_went_wrong_is_shown_at_once() {
         end.look(at(0), &RUNNING);
         assert!(!end.look(at(1), &wrong));
         assert_eq!(end.shown(wrong), wrong);
-        // The same while the end waits.
+        // The same during the wait.
         let mut end = ended();
         end.look(at(2), &wrong);
         assert_eq!(end.shown(wrong), wrong);
@@ -77,14 +77,14 @@ fn what_went_wrong_is_shown_at_once() {
 fn next_motion_is_shown_at_once() {
     let mut end = ended();
     let next = InputImage { state: GripperFlags::RELEASING, ..RUNNING };
-    assert_eq!(end.shown(next), next, "to a master that reads in the turn in which it commands");
+    assert_eq!(end.shown(next), next, "for a master that reads in the turn of its command");
     assert!(!end.look(at(2), &next));
     assert_eq!(end.shown(next), next);
-    assert!(end.look(at(3), &DONE), "and its end waits for values of its own");
+    assert!(end.look(at(3), &DONE), "its end waits for new values");
 }
 
 #[test]
-fn nothing_is_asked_for_without_a_motion() {
+fn nothing_is_queried_without_a_motion() {
     let mut end = MotionEnd::new();
     assert!(!end.look(at(0), &DONE) && !end.look(at(1), &DONE));
     assert_eq!(end.shown(DONE), DONE);

@@ -1,7 +1,8 @@
-//! The slave in the interrupt handler of its UART, and what it shares with the main loop.
+//! The slave in the interrupt handler of its UART, and the data that it shares with the main loop.
 //!
-//! A board's handler tells [`DpResponder::step`] what its registers say, and does what that returns; it alone touches them.
-//! Both exchange outputs and inputs whole, in whatever order they run: `cargo xtask loom`.
+//! A board's handler passes the state of its registers to [`DpResponder::step`], and executes the returned action. Only the
+//! handler accesses the registers. Outputs and inputs are exchanged as a whole in every order of execution: `cargo xtask
+//! loom`.
 
 use bus_profibus::{Address, Baud, Character, Counters, Event, Outcome, State};
 use wsg_fieldbus::profibus::{ADDRESS, PROFILE, Slave};
@@ -13,65 +14,65 @@ use crate::atomic::{AtomicU8, AtomicU32, Ordering, fence};
 use crate::byte_queue::ByteQueue;
 use crate::plc::Interrupts;
 
-/// Room for 14 images that differ, between two turns of the main loop; in a model for one.
+/// Queue length in bytes for 14 different images between two turns of the main loop; in a model for one.
 const QUEUE_LEN: usize = if cfg!(all(loom, test)) { 16 } else { 128 };
 
-/// An event in the queue: its tag, and behind that of outputs the image.
+/// Tags of queued events. `OUTPUT` is followed by the image.
 const OUTPUT: u8 = 0;
 const LEFT: u8 = 1;
 const LEFT_SILENT: u8 = 2;
 const OUTPUT_LEN: usize = 1 + OutputImage::LEN;
 
-/// Bits of a character: start, eight of data, parity, stop.
+/// Bits of a character: start, eight data bits, parity, stop.
 const CHARACTER_BITS: u32 = 11;
-/// A character counts as received in the middle of its stop bit; what is waited for begins behind that.
+/// A character is received in the middle of its stop bit. Subsequent waiting times start at the end of the bit.
 const STOP_BITS: u32 = 1;
 
-/// Silences are not told apart from here on, in microseconds: 33 bits at 9.6 kbit/s are 3.5 ms.
+/// Limit up to which silences are distinguished, in microseconds: 33 bits at 9.6 kbit/s are 3.5 ms.
 const LONG_SILENCE_US: u32 = 20_000;
 
-/// The longest answer is the diagnosis: start delimiters and lengths, addresses and function code, two service access points,
-/// the block, check sum and end delimiter.
+/// Length of the longest response, the diagnosis: start delimiters and lengths, addresses and function code, two service
+/// access points, the block, checksum and end delimiter.
 const MAX_ANSWER_LEN: usize = 27;
 const _: () = assert!(MAX_ANSWER_LEN == 4 + 3 + 2 + Diagnosis::LEN + 2);
 const _: () = assert!(InputImage::LEN < Diagnosis::LEN);
 
-/// What the main loop and the handler share; a plain `static`.
+/// Data shared by the main loop and the handler; a plain `static`.
 #[derive(Debug)]
 pub struct DpBuffers {
-    /// What the master did.
+    /// Events of the master.
     events: ByteQueue<QUEUE_LEN>,
-    /// How often the master has written outputs. Wraps.
+    /// Number of output data telegrams of the master. Wraps.
     exchanges: AtomicU32,
-    /// How many intact telegrams there were. Wraps.
+    /// Number of intact telegrams. Wraps.
     telegrams: AtomicU32,
-    /// How often something was none. Wraps.
+    /// Number of damaged telegrams. Wraps.
     damaged: AtomicU32,
-    /// The slave's state, as PROFIBUS_STATE has it.
+    /// State of the slave, encoded as PROFIBUS_STATE.
     state: AtomicU8,
-    /// The input image, written by the main loop alone; the handler keeps a copy.
+    /// Input image, written only by the main loop. The handler keeps a copy.
     input: [AtomicU32; 3],
-    /// Counts the beginnings and ends of writing it, and wraps: odd while it is being written.
+    /// Version of the input image, incremented before and after each write. It is odd during a write, and wraps.
     input_version: AtomicU32,
-    /// The version of the handler's copy. The handler's own.
+    /// Version of the handler's copy. Written only by the handler.
     taken_version: AtomicU32,
-    /// Counts from the first rate on.
+    /// Station address. Valid once the rate is set.
     address: AtomicU8,
-    /// In bit/s; 0 before the start.
+    /// Rate in bit/s; 0 before the start.
     rate: AtomicU32,
 }
 
-/// What the master did.
+/// Event of the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FromMaster {
-    /// It wrote this image.
+    /// The master wrote this image.
     Output([u8; OutputImage::LEN]),
-    /// It does not command any more: its watchdog has expired (`silent`), or it said so.
+    /// The master no longer commands. `silent`: its watchdog expired. Otherwise it released or cleared the outputs.
     Left { silent: bool },
 }
 
 impl DpBuffers {
-    /// A slave that has not started. All zeros: else a static would take its size of flash as well.
+    /// Creates the buffers of a slave that has not started. All zeros, so that a static occupies no flash.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -88,20 +89,20 @@ impl DpBuffers {
         }
     }
 
-    /// Sets the address. For the main loop, before the first rate.
+    /// Sets the address before the first rate, in the main loop.
     pub(super) fn set_address(&self, address: u8) {
         self.address.store(address, Ordering::Relaxed);
     }
 
-    /// Sets the rate that the line is to have. For the main loop.
+    /// Sets the rate of the line, in the main loop.
     pub(super) fn set_rate(&self, rate: Baud) {
         self.rate.store(rate.bit_s(), Ordering::Release);
     }
 
-    /// Shows the master this input image from the handler's next step on. For the main loop.
+    /// Sets the input image from the handler's next step on, in the main loop.
     pub(super) fn show(&self, image: [u8; InputImage::LEN]) {
         let version = self.input_version.load(Ordering::Relaxed);
-        // A handler that runs between these keeps its copy.
+        // A handler that runs between these stores keeps its copy.
         self.input_version.store(version.wrapping_add(1), Ordering::Relaxed);
         fence(Ordering::Release);
         for (place, word) in self.input.iter().zip(image.as_chunks().0) {
@@ -110,7 +111,7 @@ impl DpBuffers {
         self.input_version.store(version.wrapping_add(2), Ordering::Release);
     }
 
-    /// The event that waits longest. For the main loop.
+    /// Returns the oldest event, in the main loop.
     pub(super) fn take(&self) -> Option<FromMaster> {
         if self.events.peek()? == OUTPUT {
             let [_, image @ ..]: [u8; OUTPUT_LEN] = self.events.pop_all()?;
@@ -136,7 +137,7 @@ impl DpBuffers {
         self.state.load(Ordering::Relaxed)
     }
 
-    /// Gives the main loop an event; whether there was room. For the handler.
+    /// Queues an event for the main loop, in the handler. Returns whether there was room.
     fn push(&self, event: FromMaster) -> bool {
         if self.events.room() < OUTPUT_LEN {
             return false;
@@ -151,7 +152,7 @@ impl DpBuffers {
         pushed.is_ok()
     }
 
-    /// The input image, if it is another than before. For the handler.
+    /// Returns the input image if it has changed, in the handler.
     fn take_input(&self) -> Option<[u8; InputImage::LEN]> {
         let version = self.input_version.load(Ordering::Acquire);
         if version == self.taken_version.load(Ordering::Relaxed) {
@@ -176,67 +177,68 @@ impl Default for DpBuffers {
     }
 }
 
-/// What the registers of a UART say when its handler runs.
+/// State of a UART's registers when its handler runs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct UartStatus {
-    /// What was received since the last step.
+    /// Character received since the last step.
     pub received: Option<Character>,
     /// The transmit register has room.
     pub has_room: bool,
-    /// The last bit of all that was given to the transmitter has been sent.
+    /// The last bit of all written bytes has been sent.
     pub is_complete: bool,
 }
 
-/// What a handler has to do.
+/// Action for the handler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Action {
-    /// The line gets this rate, before anything else; 8E1 it has always.
+    /// New rate for the line, to set before anything else. The format is always 8E1.
     pub rate: Option<Baud>,
-    /// A byte for the transmit register.
+    /// Byte for the transmit register.
     pub send: Option<u8>,
-    /// The interrupts that it needs, beside those for a received byte and for errors.
+    /// Interrupts that the handler needs, in addition to those for received bytes and errors.
     pub interrupts: Interrupts,
-    /// An answer is due after so many microseconds: then the handler has to run again.
+    /// Time until a response is due, in microseconds. The handler must run again after it.
     pub wait_us: Option<u32>,
 }
 
-/// Whose turn it is on the line.
+/// State of the line.
 #[derive(Clone, Copy, Debug)]
 enum Phase {
-    /// The others'.
+    /// Other stations send.
     Listening,
-    /// The slave's, once it has been silent from the first for the second, in microseconds.
+    /// The slave responds after a silence, from the first time on for the second, in microseconds.
     Waiting(u32, u32),
-    /// The slave's: so many bytes of the answer have been given to the transmitter.
+    /// The slave responds. This many bytes have been written to the transmitter.
     Sending(usize),
 }
 
-/// The slave at the line. It belongs to the handler, which runs when a character was received or sent, when [`Action::wait_us`]
-/// is over, and after each turn of the main loop.
+/// The slave on the line. It belongs to the handler, which runs after a received or sent character, after
+/// [`Action::wait_us`], and after each turn of the main loop.
 #[derive(Debug)]
 pub struct DpResponder {
     buffers: &'static DpBuffers,
     slave: Slave,
-    /// In bit/s, and the time of a bit in nanoseconds, rounded up; 0 before the start.
+    /// Rate in bit/s, and duration of a bit in nanoseconds, rounded up; 0 before the start.
     rate: u32,
     bit_ns: u32,
     phase: Phase,
-    /// When the last character ended, in microseconds.
+    /// End of the last character, in microseconds.
     heard_us: u32,
     answer: [u8; MAX_ANSWER_LEN],
     answer_len: usize,
-    /// The master commands: the slave's outputs are its own.
+    /// The outputs are valid, because the master commands.
     has_outputs: bool,
-    /// The outputs that the main loop was given last.
+    /// Outputs last queued for the main loop.
     told: Option<[u8; OutputImage::LEN]>,
-    /// What it is still to be told: the master left, silently or not.
+    /// Event still to be queued: the master left, by a time-out or not.
     left: Option<bool>,
-    /// The flags that the diagnosis tells.
+    /// Flags shown in the diagnosis.
     flags: SystemFlags,
 }
 
 impl DpResponder {
-    /// A slave that waits for its start ([`Profibus::start`](super::Profibus::start)). One for each [`DpBuffers`].
+    /// Creates a slave before its start ([`Profibus::start`](super::Profibus::start)). Create only one for each
+    /// [`DpBuffers`].
     #[must_use]
     pub const fn new(buffers: &'static DpBuffers) -> Self {
         Self {
@@ -255,12 +257,12 @@ impl DpResponder {
         }
     }
 
-    /// One run of the handler, by clocks in milliseconds and in microseconds, which may wrap.
+    /// Runs one step of the handler. The clocks, in milliseconds and microseconds, may wrap.
     pub fn step(&mut self, status: UartStatus, now_ms: u32, now_us: u32) -> Action {
         let rate = self.take_rate();
         let mut wait_us = None;
         match (status.received, self.phase) {
-            // What the transceiver echoes.
+            // Echo of the transceiver.
             (Some(_), Phase::Sending(_)) => {}
             (Some(character), _) => wait_us = self.receive(character, now_ms, now_us),
             (None, _) => {}
@@ -279,7 +281,7 @@ impl DpResponder {
         Action { rate, send, interrupts, wait_us }
     }
 
-    /// Takes another rate, and the first time the address.
+    /// Applies a new rate, and with the first one the address.
     fn take_rate(&mut self) -> Option<Baud> {
         let wanted = self.buffers.rate.load(Ordering::Acquire);
         if wanted == self.rate {
@@ -295,13 +297,13 @@ impl DpResponder {
         Some(rate)
     }
 
-    /// Takes a character. If an answer is due, in how many microseconds.
+    /// Processes a character. Returns the time until a response is due, in microseconds.
     fn receive(&mut self, character: Character, now_ms: u32, now_us: u32) -> Option<u32> {
         let distance_us = now_us.wrapping_sub(core::mem::replace(&mut self.heard_us, now_us));
         let distance_ns = distance_us.min(LONG_SILENCE_US).saturating_mul(1_000);
         let silence_bits =
             distance_ns.checked_div(self.bit_ns).unwrap_or_default().saturating_sub(CHARACTER_BITS);
-        // An answer is not sent into what another says.
+        // Cancels a pending response while another station sends.
         self.phase = Phase::Listening;
         let Outcome { event, answer } = self.slave.push(character, silence_bits, now_ms)?;
         let mut wait_us = None;
@@ -322,7 +324,7 @@ impl DpResponder {
         wait_us
     }
 
-    /// What goes on beside the line: the inputs, the watchdog, and what the main loop has had no room for.
+    /// Performs the work between characters: inputs, watchdog, counters, and events that had no room in the queue.
     fn synchronise(&mut self, now_ms: u32) {
         if let Some(image) = self.buffers.take_input() {
             self.show(image);
@@ -342,7 +344,7 @@ impl DpResponder {
         self.buffers.state.store(state, Ordering::Relaxed);
     }
 
-    /// Inputs, and the diagnosis with the flags among them.
+    /// Applies the input image, and updates the diagnosis from its flags.
     fn show(&mut self, image: [u8; InputImage::LEN]) {
         self.slave.show_inputs(&image);
         let [_, _, y0, y1, y2, y3, ..] = image;
@@ -358,7 +360,7 @@ impl DpResponder {
         match event {
             Event::Outputs => {
                 self.has_outputs = true;
-                // Written by the handler alone.
+                // Written only by the handler.
                 let exchanges = self.buffers.exchanges().wrapping_add(1);
                 self.buffers.exchanges.store(exchanges, Ordering::Relaxed);
             }
@@ -368,12 +370,12 @@ impl DpResponder {
                     self.left = Some(silent || self.left == Some(true));
                 }
             }
-            // The profile lets no master change it.
+            // The profile allows no master to change it.
             Event::Address(_) => {}
         }
     }
 
-    /// Tells the main loop what it does not know, in order; once there is room, if there is none.
+    /// Queues outstanding events for the main loop in order, as far as there is room.
     fn tell(&mut self) {
         if let Some(silent) = self.left {
             if !self.buffers.push(FromMaster::Left { silent }) {

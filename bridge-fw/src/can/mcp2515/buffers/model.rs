@@ -1,4 +1,4 @@
-//! What the handler and the main loop share, under every order of events: `cargo xtask loom`.
+//! Models of handler and main loop in every order of events: `cargo xtask loom`.
 
 extern crate std;
 
@@ -10,7 +10,7 @@ use embedded_hal::spi::ErrorType;
 use loom::thread;
 use std::sync::Arc;
 
-/// A controller with a frame in each receive buffer that are read and gone.
+/// A controller with one frame in each receive buffer.
 struct Controller {
     full: [bool; 2],
 }
@@ -37,10 +37,10 @@ impl SpiDevice for Controller {
 }
 
 #[test]
-fn controller_that_was_set_up_is_read_from_its_first_buffer_and_frames_arrive_whole() {
+fn frames_are_read_completely_and_from_the_first_buffer_after_a_set_up() {
     loom::model(|| {
         let buffers = Arc::new(made::<Mcp2515Buffers>());
-        // From before the controller was set up again.
+        // Left over from an earlier set-up.
         buffers.second_is_older.store(true, Ordering::Relaxed);
         let shared = Arc::clone(&buffers);
         let handler = thread::spawn(move || {
@@ -55,7 +55,7 @@ fn controller_that_was_set_up_is_read_from_its_first_buffer_and_frames_arrive_wh
         let full = handler.join().unwrap();
         let rest = [first, buffers.pop(), buffers.pop()];
         let popped = rest.iter().flatten().count();
-        assert_eq!(popped, full.iter().filter(|full| !**full).count(), "each is read once");
+        assert_eq!(popped, full.iter().filter(|full| !**full).count(), "each frame is read once");
         for (frame, byte) in rest.iter().flatten().zip(1..) {
             assert_eq!(*frame, [byte; FRAME_LEN]);
         }

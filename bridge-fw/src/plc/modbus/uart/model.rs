@@ -1,4 +1,4 @@
-//! What the handler and the main loop share, under every order of events: `cargo xtask loom`.
+//! Models of handler and main loop in every order of events: `cargo xtask loom`.
 
 extern crate std;
 
@@ -11,7 +11,7 @@ use std::vec::Vec;
 
 type Buffers = RtuBuffers<4, 2>;
 
-/// The main loop's access to the registers, and a clock that the handler's thread advances.
+/// Main loop's registers, with a clock that the handler's thread advances.
 struct Registers(Arc<loom::sync::atomic::AtomicU32>);
 
 impl RtuUart for Registers {
@@ -22,8 +22,8 @@ impl RtuUart for Registers {
     }
 }
 
-/// Whose turn it is. `loom` remembers one access to an atomic, so a thread's load before its own store hides the other's access, and
-/// some orders are left out. With a store between the steps of both threads it runs these in every order.
+/// A store between the steps of both threads. `loom` tracks one access per atomic, so a thread's load before its own store
+/// hides the other thread's access and some orders are skipped. With this store, it runs the steps in every order.
 #[derive(Clone)]
 struct Turn(Arc<loom::sync::atomic::AtomicBool>);
 
@@ -44,7 +44,7 @@ fn line(start_us: u32) -> (&'static Buffers, Arc<loom::sync::atomic::AtomicU32>,
 }
 
 #[test]
-fn characters_arrive_whole_with_the_silence_before_them() {
+fn characters_are_received_completely_with_the_preceding_silence() {
     loom::model(|| {
         let (buffers, _, mut port) = line(0);
         let handler = thread::spawn(move || {
@@ -70,7 +70,7 @@ fn characters_arrive_whole_with_the_silence_before_them() {
 }
 
 #[test]
-fn silence_is_never_longer_than_since_the_last_character() {
+fn silence_never_exceeds_the_time_since_the_last_character() {
     loom::model(|| {
         let (buffers, clock, mut port) = line(1_000);
         let turn = Turn::new();
@@ -82,7 +82,7 @@ fn silence_is_never_longer_than_since_the_last_character() {
             clock.store(2_100, Ordering::Relaxed);
         });
         turn.take();
-        // Not negative: it wraps.
+        // A negative value would wrap.
         let silence_us = port.silence_us();
         assert!(silence_us <= 2_100, "{silence_us}");
         if port.receive().is_some() {
@@ -93,7 +93,7 @@ fn silence_is_never_longer_than_since_the_last_character() {
 }
 
 #[test]
-fn next_frame_is_taken_only_after_the_last_bit_of_the_one_before() {
+fn next_frame_is_accepted_only_after_the_last_bit_of_the_previous_one() {
     loom::model(|| {
         let (buffers, _, mut port) = line(0);
         let turn = Turn::new();

@@ -1,4 +1,4 @@
-//! What the handler and the main loop share, under every order of events: `cargo xtask loom`.
+//! Models of handler and main loop in every order of events: `cargo xtask loom`.
 
 extern crate std;
 
@@ -9,7 +9,7 @@ use std::boxed::Box;
 use std::sync::Arc;
 
 #[test]
-fn input_image_is_taken_whole_and_the_last_one_is_not_missed() {
+fn input_image_is_read_completely_and_the_last_one_is_not_missed() {
     loom::model(|| {
         let buffers = Arc::new(made::<DpBuffers>());
         buffers.show([1; InputImage::LEN]);
@@ -27,7 +27,7 @@ fn input_image_is_taken_whole_and_the_last_one_is_not_missed() {
 }
 
 #[test]
-fn events_arrive_whole_and_in_order() {
+fn events_are_received_completely_and_in_order() {
     const EVENTS: [FromMaster; 3] = [
         FromMaster::Output([1; OutputImage::LEN]),
         FromMaster::Left { silent: true },
@@ -58,7 +58,7 @@ fn events_arrive_whole_and_in_order() {
 }
 
 #[test]
-fn handler_that_takes_the_first_rate_has_the_address() {
+fn handler_has_the_address_with_the_first_rate() {
     loom::model(|| {
         let buffers: &'static DpBuffers = Box::leak(Box::new(made()));
         let handler = thread::spawn(move || {

@@ -4,7 +4,7 @@ use std::vec::Vec;
 use super::*;
 
 const IDLE: UartStatus = UartStatus { received: None, has_room: true, is_complete: true };
-/// FDL_Status for station 7, from master 2; its answer.
+/// FDL_Status from master 2 to station 7, and the response.
 const REQUEST: [u8; 6] = [0x10, 0x07, 0x02, 0x49, 0x52, 0x16];
 const ANSWER: [u8; 6] = [0x10, 0x02, 0x07, 0x00, 0x09, 0x16];
 
@@ -21,7 +21,7 @@ fn receive(responder: &mut DpResponder, character: Character, now_us: u32) -> Ac
     responder.step(UartStatus { received: Some(character), ..IDLE }, now_us / 1_000, now_us)
 }
 
-/// Brings a telegram whose last character ends at a time; in how many microseconds an answer is due.
+/// Passes a telegram whose last character ends at `end_us`. Returns the time until a response is due, in microseconds.
 fn bring(responder: &mut DpResponder, bytes: &[u8], character_us: u32, end_us: u32) -> Option<u32> {
     let begin_us = end_us - character_us * (bytes.len() as u32 - 1);
     let times = (begin_us..).step_by(character_us as usize);
@@ -46,7 +46,7 @@ fn answer_begins_11_bit_times_after_the_stop_bit_and_no_microsecond_more_than_it
 }
 
 #[test]
-fn bytes_of_an_answer_leave_as_there_is_room_and_their_echo_is_nothing() {
+fn response_is_sent_as_there_is_room_and_its_echo_is_ignored() {
     let (mut responder, _) = at(Baud::K500);
     let mut now_us = 1_000_000;
     now_us += bring(&mut responder, &REQUEST, 22, now_us).unwrap();
@@ -58,7 +58,11 @@ fn bytes_of_an_answer_leave_as_there_is_room_and_their_echo_is_nothing() {
         assert_eq!(action.interrupts.transmission_complete, sent.len() == ANSWER.len());
         let full = UartStatus { has_room: false, is_complete: false, ..IDLE };
         let meanwhile = responder.step(full, 0, now_us);
-        assert_eq!((meanwhile.send, meanwhile.interrupts), (None, action.interrupts), "it is being sent");
+        assert_eq!(
+            (meanwhile.send, meanwhile.interrupts),
+            (None, action.interrupts),
+            "transmission in progress"
+        );
         now_us += 22;
         let echo = UartStatus { received: Some(Character::Byte(byte)), is_complete: false, ..IDLE };
         action = responder.step(echo, 0, now_us);
@@ -66,7 +70,7 @@ fn bytes_of_an_answer_leave_as_there_is_room_and_their_echo_is_nothing() {
     assert_eq!(sent, ANSWER);
     let quiet = Interrupts { transmit_empty: false, transmission_complete: false };
     assert_eq!(responder.step(IDLE, 0, now_us).interrupts, quiet, "sent");
-    // The echo was no telegram, and the next request is.
+    // The echo was no telegram, but the next request is.
     assert!(bring(&mut responder, &REQUEST, 22, now_us + 1_000).is_some());
 }
 
@@ -79,10 +83,10 @@ fn answer_that_is_due_is_dropped_when_another_speaks() {
 }
 
 #[test]
-fn silence_before_a_telegram_ends_what_was_damaged_and_none_inside_it_is_taken() {
+fn telegram_needs_a_preceding_silence_and_no_pauses() {
     let (mut responder, _) = at(Baud::K500);
     receive(&mut responder, Character::Damaged, 990_000);
-    // 32 bit times between two characters are 43 between their ends, 86 us; 33 are 88.
+    // A gap of 32 bit times is 43 bit times or 86 us from end to end. With 33 it is 88 us.
     assert_eq!(bring(&mut responder, &REQUEST, 22, 990_000 + 5 * 22 + 86), None, "no silence");
     let end_us = 990_000 + 2 * (5 * 22) + 86 + 91;
     assert!(bring(&mut responder, &REQUEST, 22, end_us).is_some());
@@ -90,7 +94,7 @@ fn silence_before_a_telegram_ends_what_was_damaged_and_none_inside_it_is_taken()
 }
 
 #[test]
-fn another_rate_ends_what_was_on_its_way_and_is_told_once() {
+fn new_rate_cancels_a_response_and_is_reported_once() {
     let (mut responder, buffers) = at(Baud::K500);
     assert!(bring(&mut responder, &REQUEST, 22, 1_000_000).is_some());
     buffers.set_rate(Baud::M1_5);
@@ -100,7 +104,7 @@ fn another_rate_ends_what_was_on_its_way_and_is_told_once() {
     assert_eq!(bring(&mut responder, &REQUEST, 8, 1_100_000), Some(10), "12 bits at 1.5 Mbit/s, and a clock");
 }
 
-/// Puts a responder into data exchange, and gives what writes an image to it.
+/// Puts a responder into data exchange. Returns a function that writes an image to it.
 fn exchanging(responder: &mut DpResponder) -> impl FnMut(&mut DpResponder, u8) + use<> {
     let sum = |body: &[u8]| body.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
     let mut now_us = 0;
@@ -110,7 +114,7 @@ fn exchanging(responder: &mut DpResponder) -> impl FnMut(&mut DpResponder, u8) +
         let telegram = [&[0x68, len, len, 0x68], body, &[sum(body), 0x16]].concat();
         let begin_us = now_us;
         let wait_us = bring(responder, &telegram, 22, begin_us).unwrap();
-        // Until the answer is sent.
+        // Until the response has been sent.
         let mut at_us = begin_us + wait_us;
         while responder.step(IDLE, now_us / 1_000, at_us).send.is_some() {
             at_us += 22;
@@ -150,7 +154,7 @@ fn full_queue_costs_images_but_never_the_last_nor_that_the_master_left() {
     let first: Vec<_> = (0..14).map(Some).collect();
     assert_eq!(taken(buffers), first);
     responder.step(IDLE, 0, 0);
-    assert_eq!(taken(buffers), [Some(99)], "what is on the bus");
+    assert_eq!(taken(buffers), [Some(99)], "the current outputs");
 
     for byte in 0..100 {
         write(&mut responder, byte);
@@ -159,11 +163,11 @@ fn full_queue_costs_images_but_never_the_last_nor_that_the_master_left() {
     responder.tell();
     assert_eq!(taken(buffers), first);
     write(&mut responder, 200);
-    assert_eq!(taken(buffers), [None, Some(200)], "that it left comes before what it wrote when it was back");
+    assert_eq!(taken(buffers), [None, Some(200)], "the end precedes the new image");
 }
 
 #[test]
-fn only_a_watchdog_that_has_expired_is_silence() {
+fn only_an_expired_watchdog_is_a_time_out() {
     let (mut responder, buffers) = at(Baud::K500);
     let mut write = exchanging(&mut responder);
     for (event, silent) in [
@@ -180,7 +184,7 @@ fn only_a_watchdog_that_has_expired_is_silence() {
 }
 
 #[test]
-fn image_is_queued_whole_or_not_at_all() {
+fn image_is_queued_completely_or_not_at_all() {
     for (room, is_taken) in [(OutputImage::LEN, false), (OutputImage::LEN + 1, true)] {
         let buffers = DpBuffers::new();
         while buffers.events.room() > room {
@@ -196,13 +200,13 @@ fn image_is_queued_whole_or_not_at_all() {
 }
 
 #[test]
-fn inputs_are_those_that_were_shown_whole() {
+fn incomplete_inputs_are_not_used() {
     let (mut responder, buffers) = at(Baud::K500);
     let first: [u8; InputImage::LEN] = core::array::from_fn(|n| n as u8);
     buffers.show(first);
     assert_eq!(buffers.take_input(), Some(first));
     assert_eq!(buffers.take_input(), None, "nothing new");
-    // The handler comes while the main loop writes.
+    // The handler runs during a write of the main loop.
     buffers.input_version.store(3, Ordering::Relaxed);
     buffers.input[0].store(0xFFFF_FFFF, Ordering::Relaxed);
     responder.step(IDLE, 0, 0);
