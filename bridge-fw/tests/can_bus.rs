@@ -1,4 +1,4 @@
-//! The bus that two share, on a controller that notes what it is given: who goes first, what is given back, who is told of a loss.
+//! Tests of a CAN bus with two participants, on a recording controller: priority, returned frames and losses.
 
 use std::collections::VecDeque;
 
@@ -7,27 +7,27 @@ use embedded_can::{ExtendedId, Frame, Id, StandardId};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanController, CanNode, Health, Withdrawal};
 use wsg_protocol::Instant;
 
-/// What the controller does with a frame that it is offered.
+/// Response of the controller to a frame.
 #[derive(Clone, Copy, Debug)]
 enum Takes {
-    /// Takes it.
+    /// Accepts the frame.
     It,
     /// Has no room for this identifier.
     No,
-    /// Takes it, and gives back one that it had taken before.
+    /// Accepts the frame, and returns an earlier one.
     Instead(ClassicFrame),
-    /// Refuses it.
+    /// Rejects the frame.
     Never,
 }
 
-/// A controller that does as it was told, and takes everything when that is used up.
+/// A controller with scripted responses. After the script, it accepts every frame.
 #[derive(Debug, Default)]
 struct Scripted {
     answers: VecDeque<Takes>,
-    /// Identifiers for which there never is room.
+    /// Identifiers that are always rejected for lack of room.
     full: Vec<Id>,
     taken: Vec<Id>,
-    /// What becomes of withdrawals, and of which identifiers they were.
+    /// Scripted outcomes of withdrawals, and the identifiers of all withdrawals.
     outcomes: VecDeque<Withdrawal>,
     withdrawn: Vec<Id>,
 }
@@ -79,14 +79,14 @@ impl CanController for Scripted {
     fn recover(&mut self) {}
 }
 
-/// Somebody with frames to send, all of one identifier.
+/// A participant with frames to send, all with one identifier.
 #[derive(Debug)]
 struct Speaker {
     id: Id,
     left: usize,
     losses: usize,
     takes_back: bool,
-    /// How many frames came back.
+    /// Number of withdrawn frames.
     back: Option<usize>,
 }
 
@@ -149,7 +149,7 @@ fn talk(
 }
 
 #[test]
-fn frames_of_the_first_are_offered_before_those_of_the_second_whatever_their_identifiers() {
+fn first_participant_has_priority_regardless_of_identifiers() {
     for [first, second] in
         [[standard(1), standard(2)], [standard(2), standard(1)], [extended(7), standard(1)]]
     {
@@ -160,7 +160,7 @@ fn frames_of_the_first_are_offered_before_those_of_the_second_whatever_their_ide
 }
 
 #[test]
-fn where_there_is_no_room_for_one_the_other_still_speaks() {
+fn participant_without_room_does_not_block_the_other() {
     for (full, free) in [(1, 2), (2, 1)] {
         let mut bus = bus(Scripted { full: vec![standard(full)], ..Scripted::default() });
         let (mut first, mut second) = (Speaker::new(standard(1), 3), Speaker::new(standard(2), 3));
@@ -168,12 +168,12 @@ fn where_there_is_no_room_for_one_the_other_still_speaks() {
         assert_eq!(bus.controller().taken, [free; 3].map(standard));
         bus.controller().full.clear();
         talk(&mut bus, &mut first, &mut second);
-        assert_eq!(bus.controller().taken[3..], [full; 3].map(standard), "none was lost");
+        assert_eq!(bus.controller().taken[3..], [full; 3].map(standard), "no frame was lost");
     }
 }
 
 #[test]
-fn eight_frames_leave_in_a_turn_at_the_most() {
+fn at_most_eight_frames_are_sent_per_turn() {
     let mut bus = bus(Scripted::default());
     let mut first = Speaker::new(standard(1), 20);
     talk(&mut bus, &mut first, &mut None::<&mut Speaker>);
@@ -181,9 +181,9 @@ fn eight_frames_leave_in_a_turn_at_the_most() {
 }
 
 #[test]
-fn a_frame_that_the_controller_gives_back_leaves_next_and_before_what_waited() {
+fn returned_frame_is_sent_next_before_waiting_frames() {
     for (giver, taker) in [(1u16, 2u16), (2, 1)] {
-        // `giver` had a frame in the controller, which `taker`'s takes the place of.
+        // A frame of `taker` replaces one of `giver` in the controller.
         let mut bus = bus(Scripted::default());
         let mut speakers = [Speaker::new(standard(1), 0), Speaker::new(standard(2), 0)];
         speakers[usize::from(taker - 1)].left = 1;
@@ -198,7 +198,8 @@ fn a_frame_that_the_controller_gives_back_leaves_next_and_before_what_waited() {
     }
 }
 
-/// A bus on which frames of the second take the place of two of the first that were taken before, while another waits.
+/// Returns a bus on which frames of the second participant replaced earlier ones of the first, while another one of the first
+/// waits.
 fn crowded(frames_of_the_second: usize) -> (CanBus<Scripted>, Speaker, Speaker) {
     let mut bus = bus(Scripted { full: vec![standard(2)], ..Scripted::default() });
     let (mut first, mut second) =
@@ -210,7 +211,7 @@ fn crowded(frames_of_the_second: usize) -> (CanBus<Scripted>, Speaker, Speaker) 
 }
 
 #[test]
-fn what_a_given_back_frame_pushed_aside_is_not_lost() {
+fn frame_displaced_by_a_returned_one_is_not_lost() {
     let (mut bus, mut first, mut second) = crowded(1);
     bus.controller().full.clear();
     talk(&mut bus, &mut first, &mut second);
@@ -219,23 +220,23 @@ fn what_a_given_back_frame_pushed_aside_is_not_lost() {
 }
 
 #[test]
-fn where_a_given_back_frame_has_no_place_everybody_is_told() {
-    // Two come back while a third waits: there are two places.
+fn returned_frame_without_room_is_reported_to_both() {
+    // Two frames are returned while a third waits, but there is room for two.
     let (bus, first, second) = crowded(2);
     assert_eq!((first.losses, second.losses, bus.counters().refused), (1, 1, 1));
 }
 
 #[test]
-fn a_frame_of_the_second_that_comes_back_is_not_taken_for_nobodys() {
+fn returned_frame_of_the_second_keeps_its_owner() {
     let mut bus = bus(Scripted::default());
     let mut second = Speaker::new(standard(1), 1);
     bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::Never]);
     talk(&mut bus, &mut None::<&mut Speaker>, &mut second);
-    assert_eq!(second.losses, 1, "it is told of what was refused then");
+    assert_eq!(second.losses, 1, "the later rejection is reported to it");
 }
 
 #[test]
-fn only_he_whose_frame_was_refused_is_told() {
+fn rejection_is_reported_only_to_the_frames_owner() {
     for (refused, losses) in [(1, (1, 0)), (2, (0, 1))] {
         let mut bus = bus(Scripted::default());
         let (mut first, mut second) = (Speaker::new(standard(1), 0), Speaker::new(standard(2), 0));
@@ -249,8 +250,8 @@ fn only_he_whose_frame_was_refused_is_told() {
 }
 
 #[test]
-fn frames_that_one_takes_back_are_counted_and_those_of_the_other_stay() {
-    // In the controller, and waiting for it.
+fn withdrawn_frames_are_counted_and_frames_of_the_other_stay() {
+    // Outcome for the frame in the controller; another frame waits for it; withdrawn frames.
     for (outcome, waits, count) in [
         (Withdrawal::Withdrawn, true, 2),
         (Withdrawal::Withdrawn, false, 1),
@@ -284,12 +285,12 @@ fn frames_that_one_takes_back_are_counted_and_those_of_the_other_stay() {
 }
 
 #[test]
-fn nothing_of_one_that_takes_back_is_sent_until_the_controller_has_decided() {
+fn participant_sends_nothing_during_an_undecided_withdrawal() {
     let mut bus = bus(Scripted { full: vec![standard(1)], ..Scripted::default() });
     let (mut first, mut second) = (Speaker::new(standard(1), 1), Speaker::new(standard(2), 1));
     talk(&mut bus, &mut first, &mut second);
     (first.takes_back, second.left) = (true, 1);
-    // The frame on the bus has ended in this very turn, so there would be room.
+    // The frame on the bus ended in this turn, so there would be room.
     bus.controller().full.clear();
     bus.controller().outcomes.extend([Withdrawal::Undecided, Withdrawal::TooLate]);
 

@@ -1,4 +1,4 @@
-//! The gripper's link on CAN by itself: what fits, what is given up, and what is said of it.
+//! Tests of the gripper's link on CAN alone: capacity, discarded messages and counters.
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id, StandardId};
@@ -16,13 +16,13 @@ fn link() -> GripperLink {
     GripperLink::new(IDENTIFIERS)
 }
 
-/// A message with so many bytes of payload, as it is on a line.
+/// Returns a message with this many bytes of payload, as on a line.
 fn message(payload_len: usize) -> Vec<u8> {
     let payload: Vec<u8> = (0..payload_len).map(|at| at as u8).collect();
     FrameEncoder::new(0x51, &payload[..]).collect()
 }
 
-/// The gripper sends these bytes.
+/// Sends these bytes from the gripper.
 fn hear(link: &mut GripperLink, bytes: &[u8]) {
     for segment in Segments::new(bytes.iter().copied()) {
         let frame: ClassicFrame = segment.frame(IDENTIFIERS.gripper().transmit).unwrap();
@@ -57,7 +57,7 @@ fn write_all(link: &mut GripperLink, bytes: &[u8]) {
 }
 
 #[test]
-fn the_longest_reply_reaches_the_bridge_and_a_longer_one_does_not() {
+fn longest_reply_is_received_and_a_longer_one_is_counted() {
     let longest = message(DeviceTag::MAX_LEN + 2);
     let mut link = link();
     hear(&mut link, &longest);
@@ -69,8 +69,8 @@ fn the_longest_reply_reaches_the_bridge_and_a_longer_one_does_not() {
 }
 
 #[test]
-fn messages_that_fill_the_queue_to_its_end_are_kept_and_the_next_is_counted() {
-    // 32 of eight bytes are 256, which a bridge takes in a turn.
+fn messages_are_kept_until_the_queue_is_full_and_the_next_is_counted() {
+    // 32 messages of eight bytes are 256 bytes, which a bridge reads in one turn.
     let message = message(0);
     assert_eq!(message.len(), OVERHEAD);
     let mut link = link();
@@ -85,7 +85,7 @@ fn messages_that_fill_the_queue_to_its_end_are_kept_and_the_next_is_counted() {
     assert_eq!(read_all(&mut link), message.repeat(fit));
     assert!(link.read(&mut [0]).is_err() && link.read(&mut []).is_ok());
 
-    // Eight bytes of room are none for nine.
+    // Room for eight bytes does not suffice for nine.
     for _ in 1..fit {
         hear(&mut link, &message);
     }
@@ -97,13 +97,13 @@ fn messages_that_fill_the_queue_to_its_end_are_kept_and_the_next_is_counted() {
 }
 
 #[test]
-fn what_it_refuses_has_a_reason_in_words() {
+fn error_has_a_message() {
     let error = link().read(&mut [0]).unwrap_err();
     assert_eq!(error.to_string(), "the line would have to wait");
 }
 
 #[test]
-fn its_own_frames_are_those_to_the_gripper() {
+fn own_frames_are_the_frames_to_the_gripper() {
     let link = link();
     let own = IDENTIFIERS.controller().transmit;
     let sends = |id: StandardId| CanNode::<ClassicFrame>::sends(&link, Id::Standard(id));
@@ -112,12 +112,12 @@ fn its_own_frames_are_those_to_the_gripper() {
 }
 
 #[test]
-fn a_message_leaves_in_order_and_one_at_a_time() {
+fn messages_are_sent_in_order_and_one_at_a_time() {
     let mut link = link();
     let message = message(10);
     assert!(link.write_ready().unwrap() && link.flush().is_ok());
     write_all(&mut link, &message);
-    assert!(!link.write_ready().unwrap(), "the next waits until all frames are with the controller");
+    assert!(!link.write_ready().unwrap(), "the next message waits until the controller has all frames");
     assert!(link.write(&[0]).is_err() && link.write(&[]).is_ok());
     assert!(link.flush().is_err());
     let frames: Vec<ClassicFrame> = core::iter::from_fn(|| say(&mut link)).collect();
@@ -133,8 +133,8 @@ fn a_message_leaves_in_order_and_one_at_a_time() {
 }
 
 #[test]
-fn a_message_of_which_a_frame_was_lost_is_given_up_and_its_writer_is_told() {
-    // Wholly written; half written; not begun.
+fn message_with_a_lost_frame_is_discarded_and_reported_to_its_writer() {
+    // Completely written; partly written; not started.
     for (written, is_broken, is_told) in [(18, true, false), (5, true, true), (0, false, false)] {
         let mut link = link();
         write_all(&mut link, &message(10)[..written]);
@@ -144,7 +144,7 @@ fn a_message_of_which_a_frame_was_lost_is_given_up_and_its_writer_is_told() {
         assert!(link.write_ready().unwrap(), "{written}");
         assert_eq!(link.write(&[0xAA]).is_err(), is_told, "{written}");
         if is_told {
-            // Told once: what comes then is a new message.
+            // Reported once. The next bytes are a new message.
             write_all(&mut link, &message(0));
             assert!(say(&mut link).is_some());
         }
@@ -152,7 +152,7 @@ fn a_message_of_which_a_frame_was_lost_is_given_up_and_its_writer_is_told() {
 }
 
 #[test]
-fn nothing_is_taken_while_the_bus_is_lost_and_nothing_of_before_leaves_after_it() {
+fn lost_bus_accepts_nothing_and_earlier_frames_are_never_sent() {
     let mut link = link();
     write_all(&mut link, &message(10));
     CanNode::<ClassicFrame>::bus_changed(&mut link, false);
@@ -165,7 +165,7 @@ fn nothing_is_taken_while_the_bus_is_lost_and_nothing_of_before_leaves_after_it(
 }
 
 #[test]
-fn half_a_message_of_the_gripper_is_forgotten_with_the_bus_and_a_whole_one_kept() {
+fn lost_bus_discards_an_incomplete_message_and_keeps_a_complete_one() {
     let whole = message(0);
     let longer = message(10);
     let mut link = link();
@@ -176,18 +176,18 @@ fn half_a_message_of_the_gripper_is_forgotten_with_the_bus_and_a_whole_one_kept(
     CanNode::<ClassicFrame>::bus_changed(&mut link, true);
     hear(&mut link, &longer);
     assert_eq!(read_all(&mut link), [whole, longer].concat());
-    assert_eq!(link.counters().frames.dropped, 1, "the frame of the half one");
+    assert_eq!(link.counters().frames.dropped, 1, "the frame of the incomplete message");
 }
 
 #[test]
-fn frames_that_the_controller_does_not_take_for_100_ms_are_withdrawn_with_what_it_holds() {
+fn frames_that_wait_for_100_ms_are_withdrawn_with_those_in_the_controller() {
     let at = Instant::from_millis;
     let mut link = link();
     write_all(&mut link, &message(10));
     link.expire(at(1));
     link.expire(at(100));
     assert!(!takes_back(&link));
-    // One is taken: the time begins anew.
+    // An accepted frame restarts the time.
     assert!(say(&mut link).is_some());
     link.expire(at(101));
     link.expire(at(200));
@@ -202,10 +202,10 @@ fn frames_that_the_controller_does_not_take_for_100_ms_are_withdrawn_with_what_i
 }
 
 #[test]
-fn what_was_said_to_a_gripper_that_is_lost_is_withdrawn() {
+fn frames_to_a_lost_gripper_are_withdrawn() {
     let mut link = link();
     link.set_connected(false);
-    assert!(!takes_back(&link), "nothing was lost");
+    assert!(!takes_back(&link), "no connection was lost");
     link.set_connected(true);
     write_all(&mut link, &message(0));
     link.set_connected(true);
@@ -216,13 +216,13 @@ fn what_was_said_to_a_gripper_that_is_lost_is_withdrawn() {
 }
 
 #[test]
-fn withdrawn_message_is_removed_or_spoilt_and_the_message_after_it_is_kept() {
+fn withdrawn_message_is_removed_or_spoilt_and_the_next_is_kept() {
     let grip = Command::GripPart { width: 20.0, speed: 50.0 };
     let grip: Vec<u8> = FrameEncoder::new(grip.id().code(), grip).collect();
-    // How many of the last frames that the bus was given were not sent.
+    // Number of unsent frames among the last frames passed to the bus.
     for unsent in 0..=2 {
         let mut link = link();
-        // Of four messages before it, the bus has none any more.
+        // The bus has sent all frames of four earlier messages.
         for _ in 0..4 {
             write_all(&mut link, &message(0));
             assert!(say(&mut link).is_some());
@@ -235,7 +235,7 @@ fn withdrawn_message_is_removed_or_spoilt_and_the_message_after_it_is_kept() {
 
         link.withdraw();
         assert!(takes_back(&link) && !link.write_ready().unwrap());
-        assert!(say(&mut link).is_none(), "nothing overtakes it");
+        assert!(say(&mut link).is_none(), "no frame overtakes the withdrawal");
         CanNode::<ClassicFrame>::taken_back(&mut link, unsent);
 
         let rest: Vec<Vec<u8>> =

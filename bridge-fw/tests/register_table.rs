@@ -1,4 +1,4 @@
-//! The table of settings and reports, number by number, compared with the one that shipped before each PLC side had rows of its own.
+//! Compares the table of settings and reports with the released one, so that numbers, names and ranges stay.
 
 use std::fmt::Write;
 

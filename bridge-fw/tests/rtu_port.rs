@@ -1,4 +1,4 @@
-//! The RS-485 line of Modbus RTU, its handler played by the test.
+//! Tests of the RS-485 line of Modbus RTU. The test plays its handler.
 
 use std::cell::Cell;
 
@@ -6,7 +6,7 @@ use bus_modbus::rtu::{Character, MAX_FRAME_LEN};
 use wsg_bridge_fw::plc::{BusPort, Interrupts, RtuBuffers, RtuPort, RtuUart};
 use wsg_bridge_fw::{BusConfig, Format};
 
-/// A character of 11 bits at 19 200 bit/s, rounded up.
+/// Duration of a character of 11 bits at 19 200 bit/s, rounded up.
 const CHARACTER_US: u32 = 573;
 const CONFIG: BusConfig = BusConfig { baud: 19_200, format: Format::Even1, ..BusConfig::DEFAULT };
 
@@ -35,7 +35,7 @@ fn line() -> (&'static Buffers, RtuPort<Registers, 16, 256>) {
     (buffers, RtuPort::new(Registers, buffers))
 }
 
-/// What a handler does that finds this in the registers; what it sends.
+/// Runs the handler with this state of the registers. Returns the byte to send.
 fn handler(buffers: &Buffers, received: Option<u8>, has_room: bool, is_complete: bool) -> Option<u8> {
     if let Some(byte) = received {
         buffers.on_receive(byte, false, is_complete, NOW_US.get());
@@ -44,13 +44,13 @@ fn handler(buffers: &Buffers, received: Option<u8>, has_room: bool, is_complete:
 }
 
 #[test]
-fn character_comes_with_the_silence_before_it_in_steps_of_8_us() {
+fn character_has_the_preceding_silence_in_steps_of_8_us() {
     let (buffers, mut port) = line();
     for (at_us, silence_us) in [(10_000, 10_000 - CHARACTER_US), (10_573, 0), (12_573, 2_000 - 573)] {
         buffers.on_receive(7, false, true, at_us);
         assert_eq!(port.receive(), Some((Character::Byte(7), silence_us / 8 * 8)), "at {at_us} us");
     }
-    // Late reading of the clock, and the longest silence that is told.
+    // Late reading of the clock, and the longest reported silence.
     buffers.on_receive(8, false, true, 12_600);
     assert_eq!(port.receive(), Some((Character::Byte(8), 0)));
     buffers.on_receive(9, false, true, 12_600 + 1_000_000);
@@ -69,11 +69,11 @@ fn silence_is_measured_over_the_wrap_of_the_clock_and_is_0_while_a_character_wai
 }
 
 #[test]
-fn damage_is_told_with_the_character_and_behind_a_lost_one() {
+fn damage_is_reported_with_the_character_and_after_a_lost_one() {
     let (buffers, mut port) = line();
     buffers.on_receive(1, true, true, 10_000);
     assert_eq!(port.receive(), Some((Character::Damaged, (10_000 - CHARACTER_US) / 8 * 8)));
-    // Five fit; the sixth is lost, and with it the frame that the seventh is part of.
+    // Five fit. The sixth is lost, and so is the frame that contains the seventh.
     for at in 0..6 {
         buffers.on_receive(at, false, true, 20_000);
     }
@@ -98,25 +98,25 @@ fn overrun_without_a_byte_damages_the_next_character_unless_it_was_an_echo() {
     port.send(&[3]);
     assert_eq!(handler(buffers, None, true, true), Some(3));
     buffers.on_overrun();
-    assert_eq!(handler(buffers, None, true, true), None, "its last bit has been sent");
+    assert_eq!(handler(buffers, None, true, true), None, "the last bit has been sent");
     buffers.on_receive(4, false, true, 20_000);
     assert_eq!(port.receive(), Some((Character::Byte(4), 0)));
 }
 
 #[test]
-fn frame_is_sent_byte_by_byte_and_another_one_dropped_meanwhile() {
+fn frame_is_sent_byte_by_byte_and_another_one_discarded() {
     let (buffers, mut port) = line();
     let idle = Interrupts { transmit_empty: false, transmission_complete: false };
     assert_eq!(buffers.interrupts(), idle);
     port.send(&[1, 2]);
     port.send(&[9]);
-    assert_eq!(PENDED.get(), 1, "the second is dropped");
+    assert_eq!(PENDED.get(), 1, "the second frame is discarded");
     assert_eq!(handler(buffers, None, false, false), None, "no room");
     assert_eq!(buffers.interrupts(), Interrupts { transmit_empty: true, transmission_complete: false });
     assert_eq!(handler(buffers, None, true, true), Some(1));
     assert_eq!(handler(buffers, None, true, false), Some(2));
     assert_eq!(buffers.interrupts(), Interrupts { transmit_empty: false, transmission_complete: true });
-    assert_eq!(handler(buffers, None, true, false), None, "its last bit is on the line");
+    assert_eq!(handler(buffers, None, true, false), None, "the last bit is on the line");
     port.send(&[9]);
     assert_eq!(PENDED.get(), 1);
     assert_eq!(handler(buffers, None, true, true), None);
@@ -134,13 +134,13 @@ fn longest_frame_fits() {
 }
 
 #[test]
-fn echo_of_a_frame_is_not_handed_over() {
+fn echo_of_a_frame_is_suppressed() {
     let (buffers, mut port) = line();
     port.send(&[1, 2, 3]);
     assert_eq!(handler(buffers, None, true, true), Some(1));
     assert_eq!(handler(buffers, Some(1), true, false), Some(2));
     assert_eq!(handler(buffers, Some(2), true, false), Some(3));
-    // The last one comes back with the last bit.
+    // The last echo is received with the last bit.
     assert_eq!(handler(buffers, Some(3), true, true), None);
     assert_eq!(port.receive(), None);
     assert_eq!(handler(buffers, Some(4), true, true), None);
@@ -148,16 +148,16 @@ fn echo_of_a_frame_is_not_handed_over() {
 }
 
 #[test]
-fn request_right_behind_a_frame_without_an_echo_is_handed_over_to_a_late_handler() {
+fn request_directly_after_a_frame_without_echo_is_received_by_a_late_handler() {
     let (buffers, mut port) = line();
     port.send(&[1, 2, 3]);
     for byte in 1..=3 {
         assert_eq!(handler(buffers, None, true, false), Some(byte));
     }
-    // The last bit was sent and the request has begun before the handler came.
+    // The handler runs after the last bit was sent and the request has begun.
     assert_eq!(handler(buffers, Some(0x11), true, true), None);
     assert!(matches!(port.receive(), Some((Character::Byte(0x11), _))));
-    // Nothing of that frame is left to be taken for an echo of the next.
+    // No state of that frame is left, which could be taken for an echo of the next.
     port.send(&[5, 6]);
     assert_eq!(handler(buffers, None, true, true), Some(5));
     assert_eq!(handler(buffers, Some(5), true, false), Some(6));

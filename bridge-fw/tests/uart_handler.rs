@@ -1,4 +1,4 @@
-//! The handlers of both lines over a HAL's UART, which the test plays.
+//! Tests of both lines' handlers with a modelled UART of a HAL.
 
 use std::collections::VecDeque;
 
@@ -13,7 +13,7 @@ use wsg_bridge_fw::{BusConfig, Format, ProfibusConfig};
 const CONFIG: BusConfig = BusConfig { baud: 19_200, format: Format::Even1, ..BusConfig::DEFAULT };
 const NOTHING: Interrupts = Interrupts { transmit_empty: false, transmission_complete: false };
 
-/// A UART with one place for what was received, one to send, and a shift register.
+/// A UART with one received byte, one byte to send, and a shift register.
 #[derive(Default)]
 struct Hal {
     received: VecDeque<Result<u8, ErrorKind>>,
@@ -28,7 +28,7 @@ struct Hal {
 }
 
 impl Hal {
-    /// The line has had time for a character.
+    /// Advances the line by one character.
     fn shift(&mut self) {
         self.is_shifting = self.waits.is_some();
         self.sent.extend(self.waits.take());
@@ -69,7 +69,7 @@ impl HalfDuplexUart for Hal {
     }
 
     fn drive(&mut self, is_on: bool) {
-        assert!(is_on || self.flush().is_ok(), "the last bit is cut off");
+        assert!(is_on || self.flush().is_ok(), "the driver cuts off the last bit");
         self.is_driving = is_on;
     }
 
@@ -115,8 +115,8 @@ fn no_byte_to_the_gripper_is_lost_while_the_uart_has_no_room() {
     let mut hal = Hal::default();
     embedded_io::Write::write(&mut line, &[1, 2]).unwrap();
 
-    assert!(buffers.serve(&mut hal), "the second byte waits");
-    assert!(buffers.serve(&mut hal), "there is no room for it");
+    assert!(buffers.serve(&mut hal), "the second byte is queued");
+    assert!(buffers.serve(&mut hal), "there is no room for the second byte");
     hal.shift();
     assert!(!buffers.serve(&mut hal));
     hal.shift();
@@ -125,7 +125,7 @@ fn no_byte_to_the_gripper_is_lost_while_the_uart_has_no_room() {
 }
 
 #[test]
-fn what_the_gripper_sent_is_read_and_what_was_damaged_is_counted() {
+fn received_bytes_are_read_and_damaged_ones_counted() {
     let buffers: &'static UartBuffers<4, 4> = Box::leak(Box::default());
     let mut line = UartLine::new(Registers, buffers);
     let mut hal = Hal::default();
@@ -147,7 +147,7 @@ fn what_the_gripper_sent_is_read_and_what_was_damaged_is_counted() {
 }
 
 #[test]
-fn a_frame_on_the_bus_ends_behind_its_last_bit_and_its_echo_is_not_received() {
+fn frame_on_the_bus_ends_after_its_last_bit_and_its_echo_is_suppressed() {
     let buffers: &'static RtuBuffers<16, 256> = Box::leak(Box::default());
     buffers.start(&CONFIG);
     let mut port = RtuPort::new(Registers, buffers);
@@ -161,7 +161,7 @@ fn a_frame_on_the_bus_ends_behind_its_last_bit_and_its_echo_is_not_received() {
     assert_eq!(buffers.serve(&mut hal, 573), ending);
     hal.received.push_back(Ok(1));
     hal.shift();
-    assert_eq!(buffers.serve(&mut hal, 1_146), ending, "the last byte is on its way");
+    assert_eq!(buffers.serve(&mut hal, 1_146), ending, "the last byte is being sent");
     hal.received.push_back(Ok(2));
     hal.shift();
     assert_eq!(buffers.serve(&mut hal, 1_719), NOTHING);
@@ -173,7 +173,7 @@ fn a_frame_on_the_bus_ends_behind_its_last_bit_and_its_echo_is_not_received() {
 }
 
 #[test]
-fn damage_on_the_bus_is_told_with_its_character() {
+fn damage_on_the_bus_is_reported_with_its_character() {
     let buffers: &'static RtuBuffers<16, 256> = Box::leak(Box::default());
     buffers.start(&CONFIG);
     let mut port = RtuPort::new(Registers, buffers);
@@ -187,11 +187,11 @@ fn damage_on_the_bus_is_told_with_its_character() {
     assert_eq!(
         characters.collect::<Vec<_>>(),
         [Character::Damaged, Character::Damaged, Character::Byte(6)],
-        "the one behind a lost one counts as damaged"
+        "the character after a lost one counts as damaged"
     );
 }
 
-/// A line with its handler, of which the main loop's end is started by the test.
+/// Returns a line with its handler. The test starts the main loop's end.
 fn bus() -> (&'static BusLine, BusHandler, Hal) {
     (Box::leak(Box::default()), BusHandler::new(), Hal::default())
 }
@@ -212,7 +212,7 @@ fn driver_is_on_from_the_first_byte_of_a_modbus_frame_until_its_last_bit() {
             break;
         }
         runs += 1;
-        assert_ne!(hal.enabled, Some(NOTHING), "no interrupt would switch the driver off");
+        assert_ne!(hal.enabled, Some(NOTHING), "no pending interrupt to switch the driver off");
         hal.shift();
     }
 
@@ -224,7 +224,7 @@ fn driver_is_on_from_the_first_byte_of_a_modbus_frame_until_its_last_bit() {
 
 #[test]
 fn profibus_master_is_answered_at_its_rate_with_the_driver_on() {
-    /// FDL_Status for station 7, from master 2; its answer.
+    /// FDL_Status from master 2 to station 7, and the response.
     const REQUEST: [u8; 6] = [0x10, 0x07, 0x02, 0x49, 0x52, 0x16];
     const ANSWER: [u8; 6] = [0x10, 0x02, 0x07, 0x00, 0x09, 0x16];
     let (line, mut handler, mut hal) = bus();
@@ -235,7 +235,7 @@ fn profibus_master_is_answered_at_its_rate_with_the_driver_on() {
     handler.serve(line, &mut hal);
     assert_eq!(hal.set_up, Some((500_000, Format::Even1)));
     hal.now_us = 1_000_000;
-    // A damaged character does not belong to the telegram after it.
+    // A damaged character does not belong to the following telegram.
     for received in [Err(ErrorKind::Parity)].into_iter().chain(REQUEST.map(Ok)) {
         assert_eq!(hal.wait_us, None);
         hal.received.push_back(received);
@@ -252,7 +252,7 @@ fn profibus_master_is_answered_at_its_rate_with_the_driver_on() {
         hal.now_us += 22;
     }
     handler.serve(line, &mut hal);
-    assert!(hal.is_driving, "the last byte is on its way");
+    assert!(hal.is_driving, "the last byte is being sent");
     hal.shift();
     handler.serve(line, &mut hal);
 

@@ -1,4 +1,4 @@
-//! A UART's line, its handler played by the test.
+//! Tests of a UART's line. The test plays its handler.
 
 use std::cell::Cell;
 use std::thread::LocalKey;
@@ -80,12 +80,12 @@ fn handler_runs_again_when_a_full_queue_has_room() {
     }
     assert!(!buffers.takes_more());
     assert_eq!(line.read(&mut []), Ok(0));
-    assert_eq!(PENDED.get(), 0, "nothing was taken");
+    assert_eq!(PENDED.get(), 0, "nothing was read");
     assert_eq!(line.read(&mut [0]), Ok(1));
     assert_eq!(PENDED.get(), 1);
     assert!(buffers.takes_more());
     assert_eq!(line.read(&mut [0]), Ok(1));
-    assert_eq!(PENDED.get(), 1, "it was not full");
+    assert_eq!(PENDED.get(), 1, "the queue was not full");
 }
 
 #[test]
@@ -106,7 +106,7 @@ fn written_bytes_are_sent_in_order_as_far_as_they_fit() {
 }
 
 #[test]
-fn line_is_flushed_when_the_last_bit_was_sent() {
+fn line_is_flushed_after_the_last_bit() {
     let (buffers, mut line) = line();
     assert_eq!(line.flush(), Ok(()));
     assert_eq!(line.write(&[1]), Ok(1));
