@@ -1,5 +1,5 @@
-//! Every event of the table is provoked once, on a station with the PLC on Modbus and on one with it on CANopen, and read back
-//! over that bus, by EMCY and its error field, and over the service port.
+//! Provokes every event of the table once, on a station with the PLC on Modbus and on one with the PLC on CANopen. Reads it
+//! back over that bus, by EMCY and its error field, and over the service port.
 
 use std::collections::BTreeSet;
 
@@ -27,7 +27,7 @@ use wsg_sim::{Fault, Finger, Jaw, Part, Time};
 /// 10.00 mm, 20.00 mm/s, 40.00 N.
 const SLOWLY: [u16; 3] = [10_00, 20_00, 40_00];
 
-/// A station, its gripper, and a PLC that writes its image again and again.
+/// A station, its gripper, and a PLC that writes its image cyclically.
 struct Plant {
     plc_bus: PlcBus,
     station: Station<Double>,
@@ -41,7 +41,7 @@ struct Plant {
     /// CMDFLAGS, WIDTH, SPEED, FORCELIMIT.
     image: (Cmd, [u16; 3]),
     talks: bool,
-    /// What the bridge said on CAN.
+    /// Frames sent by the bridge on CAN.
     heard: Vec<(u16, Vec<u8>)>,
 }
 
@@ -80,14 +80,14 @@ impl Plant {
         Self::new(Config { plc_bus, ..Config::DEFAULT }, gripper, FlashModel::new())
     }
 
-    /// With referenced fingers, by the bus.
+    /// Returns a plant with referenced fingers, homed over the bus.
     fn homed(plc_bus: PlcBus, gripper: wsg_sim::Config) -> Self {
         let mut plant = Self::ready(plc_bus, gripper);
         plant.command(Cmd::HOMING, [0; 3]);
         plant
     }
 
-    /// In the middle of a MOVE of the bus.
+    /// Returns a plant during a MOVE of the bus.
     fn moving(plc_bus: PlcBus) -> Self {
         let mut plant = Self::homed(plc_bus, wsg_sim::Config::default());
         plant.write(Cmd::MOVE, SLOWLY);
@@ -104,7 +104,7 @@ impl Plant {
         plant
     }
 
-    /// The bridge alone is reset.
+    /// Resets only the bridge.
     fn reset(self) -> Self {
         let config = Config { plc_bus: self.plc_bus, ..Config::DEFAULT };
         Self::with_gripper(config, self.gripper, self.flash, self.now_ms)
@@ -155,7 +155,7 @@ impl Plant {
         self.pass(5);
     }
 
-    /// An edge, and the end of what it began.
+    /// Gives an edge, and waits for the end of the command.
     fn command(&mut self, flags: Cmd, numbers: [u16; 3]) {
         self.write(flags, numbers);
         self.write(Cmd::empty(), numbers);
@@ -165,7 +165,7 @@ impl Plant {
             }
             self.pass(10);
         }
-        panic!("the command does not end");
+        panic!("the command did not end");
     }
 
     fn pulse(&mut self, wire: Inputs) {
@@ -179,7 +179,7 @@ impl Plant {
         self.gripper.to_bridge = Some(Box::new(Vec::clear));
     }
 
-    /// FC 3 or 4 over the service port.
+    /// Reads registers with FC 3 or 4 over the service port.
     fn over_service(&mut self, function: u8, first: u16, count: u8) -> Vec<u16> {
         let [high, low] = first.to_be_bytes();
         self.service.ask(&[1, function, high, low, 0, count]);
@@ -187,15 +187,15 @@ impl Plant {
         registers(&self.service.answer().expect("the service port answers"), count)
     }
 
-    /// FC 6 over the service port.
+    /// Writes a register with FC 6 over the service port.
     fn set(&mut self, address: u16, value: u16) {
         let request = [&[1, 6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
         self.service.ask(&request);
         self.pass(5);
-        assert_eq!(self.service.answer().unwrap()[..6], request, "taken");
+        assert_eq!(self.service.answer().unwrap()[..6], request, "accepted");
     }
 
-    /// Reports over the PLC's bus.
+    /// Reads reports over the PLC's bus.
     fn over_bus(&mut self, first: u16, count: u8) -> Vec<u16> {
         if self.plc_bus == PlcBus::Canopen {
             let sub = u8::try_from(first - FIRST_REPORT + 1).unwrap();
@@ -204,7 +204,7 @@ impl Plant {
             return values.map(|value| u16::try_from(value).unwrap()).collect();
         }
         let [high, low] = first.to_be_bytes();
-        // Not while an image is on its way.
+        // Wait for the end of an image in transmission.
         let talks = std::mem::take(&mut self.talks);
         self.pass(5);
         self.modbus.ask(&[1, 4, high, low, 0, count]);
@@ -213,7 +213,7 @@ impl Plant {
         registers(&self.modbus.answer().expect("the bus answers"), count)
     }
 
-    /// An SDO upload.
+    /// Reads an object with an SDO upload.
     fn upload(&mut self, index: u16, sub: u8, kind: DataType) -> u32 {
         let node = u16::from(DEFAULT_NODE.node);
         self.heard.retain(|(id, _)| *id != 0x580 | node);
@@ -229,14 +229,14 @@ impl Plant {
         }
     }
 
-    /// Code and cause of each EMCY.
+    /// Returns code and cause of each EMCY.
     fn emergencies(&self) -> Vec<(u16, u8)> {
         let id = 0x080 | u16::from(DEFAULT_NODE.node);
         let frames = self.heard.iter().filter(|(other, _)| *other == id);
         frames.map(|(_, data)| (u16::from_le_bytes([data[0], data[1]]), data[7])).collect()
     }
 
-    /// Code and cause of each entry of 1003h.
+    /// Returns code and cause of each entry of 1003h.
     fn error_field(&mut self) -> Vec<(u16, u8)> {
         let count = self.upload(0x1003, 0, DataType::Unsigned8);
         let entries = (1..=count).map(|sub| self.upload(0x1003, sub as u8, DataType::Unsigned32));
@@ -244,7 +244,7 @@ impl Plant {
     }
 }
 
-/// The registers of an answer to FC 3 or 4.
+/// Returns the registers of a response to FC 3 or 4.
 fn registers(answer: &[u8], count: u8) -> Vec<u16> {
     assert_eq!((answer[0], answer[2]), (1, 2 * count), "{answer:02X?}");
     answer[3..]
@@ -254,12 +254,12 @@ fn registers(answer: &[u8], count: u8) -> Vec<u16> {
         .collect()
 }
 
-/// A gripper whose fingers travel ten times as fast.
+/// Returns a gripper whose fingers move ten times as fast.
 fn quick() -> wsg_sim::Config {
     wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
 }
 
-/// Flash with a record of a later firmware.
+/// Returns flash with a record of a later firmware.
 fn of_later_firmware(record: &Record) -> FlashModel {
     let mut flash = FlashModel::new();
     let mut store = Store::<400>::new();
@@ -270,14 +270,14 @@ fn of_later_firmware(record: &Record) -> FlashModel {
     flash
 }
 
-/// What is told of an event.
+/// Expected reports on an event.
 struct Told {
     code: EventCode,
     command: Option<CommandId>,
     value: u16,
-    /// ERROR_CAUSE; none: ERROR is low.
+    /// Event of ERROR_CAUSE; `None`: ERROR is low.
     error: Option<EventCode>,
-    /// EMCY's code and the ERROR_CAUSE in it, of those that CANopen has an EMCY for.
+    /// Code and ERROR_CAUSE of the EMCY, if CANopen has one for the event.
     emergency: Option<(u16, Option<EventCode>)>,
 }
 
@@ -287,17 +287,17 @@ type Provoke = fn(PlcBus) -> Plant;
 const MOVED: Option<CommandId> = Some(CommandId::PrePosition);
 const FAST_STOP: u16 = 0xFF01;
 
-/// A FAST STOP that the bridge asks for is told by EMCY with its cause.
+/// A FAST STOP of the bridge. EMCY reports it with its cause.
 const fn fast_stop(code: EventCode, command: Option<CommandId>, value: u16) -> Told {
     Told { code, command, value, error: Some(code), emergency: Some((FAST_STOP, Some(code))) }
 }
 
-/// A fault, told by EMCY with this code. ERROR may have another cause.
+/// A fault with an EMCY of this code. ERROR may have another cause.
 const fn fault(code: EventCode, emergency: u16, error: EventCode) -> Told {
     Told { emergency: Some((emergency, Some(error))), error: Some(error), ..refusal(code, None, 0) }
 }
 
-/// A command that came to nothing: no fault, hence no EMCY.
+/// A refused or failed command. It is not a fault, so there is no EMCY.
 const fn refusal(code: EventCode, command: Option<CommandId>, value: u16) -> Told {
     Told { code, command, value, error: Some(code), emergency: None }
 }
@@ -397,7 +397,7 @@ fn causes() -> Vec<(Told, Provoke)> {
             plant
         }),
         (refusal(E::NotReady, None, 0), |bus| {
-            // The fingers stand soon, and BUSY is high for longer.
+            // The fingers stop before the end of BUSY.
             let mut plant = Plant::homed(bus, quick());
             plant.set(setting("MIN_BUSY"), 10_000);
             plant.pulse(Inputs::MOVE);
@@ -433,8 +433,8 @@ fn causes() -> Vec<(Told, Provoke)> {
         (
             Told { error: Some(E::GripperSilent), ..refusal(E::Withdrawn, Some(CommandId::ReleasePart), 0) },
             |bus| {
-                // Nothing but the answer to a Stop comes through. The connection is given up for want of reports while a motion waits
-                // for the answer to the Acknowledge that goes with the Stop behind an error.
+                // Only the reply to a Stop reaches the bridge. The connection is lost for lack of reports while a motion
+                // waits for the reply to the Acknowledge that follows the Stop after an error.
                 let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
                 let mut plant = Plant::homed(bus, gripper);
                 plant.command(Cmd::MOVE, [10_00, 50_00, 40_00]);
@@ -465,7 +465,7 @@ fn causes() -> Vec<(Told, Provoke)> {
             plant
         }),
         (fault(E::BusOff, 0x8140, E::GripperSilent), |plc_bus| {
-            // Somebody has to be on CAN: a gripper that does not answer.
+            // CAN needs a participant: a gripper that does not answer.
             let config = Config { plc_bus, gripper_line: GripperLine::Can, ..Config::DEFAULT };
             let mut plant = Plant::new(config, quick(), FlashModel::new());
             plant.can.go_off(0);
@@ -476,7 +476,7 @@ fn causes() -> Vec<(Told, Provoke)> {
             let config = Config { plc_bus, ..Config::DEFAULT };
             Plant::new(config, quick(), of_later_firmware(&config.record()))
         }),
-        // 2: write protected.
+        // 2: write-protected.
         (Told { error: None, ..refusal(E::SaveFailed, None, 2) }, |bus| {
             let mut plant = Plant::homed(bus, quick());
             plant.flash.fault = Some(FlashFault::Protected);
@@ -488,7 +488,7 @@ fn causes() -> Vec<(Told, Provoke)> {
 }
 
 #[test]
-fn every_cause_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
+fn every_event_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
     let mut provoked = BTreeSet::new();
     for (told, provoke) in causes() {
         for plc_bus in [PlcBus::Modbus, PlcBus::Canopen] {
@@ -504,7 +504,7 @@ fn every_cause_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
     assert!(missing.is_empty(), "never provoked: {missing:?}");
 }
 
-/// The event is told over this bus and the service port, and both tell the same.
+/// Asserts that this bus and the service port report the event identically.
 fn assert_told(told: &Told, plant: &mut Plant, plc_bus: PlcBus) {
     let what = format!("{:?} with {plc_bus:?}", told.code);
     let (first, last) = (report("ERROR_CAUSE"), report("EVENT16_AGE"));

@@ -1,4 +1,4 @@
-//! Which event is the cause of ERROR and of the last FAST STOP. Every event by itself is in causes.rs.
+//! Tests of the causes of ERROR and of the last FAST STOP. causes.rs covers every single event.
 
 use host_tests::addresses::report;
 use host_tests::modbus_bench::*;
@@ -8,7 +8,7 @@ use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::registers::EventCode;
 use wsg_protocol::CommandId;
 
-/// Code, command and value of the last events, the last first.
+/// Returns code, command and value of the events, latest first.
 fn events(bench: &mut Bench) -> Vec<[u16; 3]> {
     let first = report("EVENT1_CODE");
     let registers = bench.input(first, 64).unwrap();
@@ -32,7 +32,7 @@ fn moving() -> Bench {
 }
 
 #[test]
-fn cause_of_error_is_that_of_the_fast_stop_as_long_as_that_lasts() {
+fn cause_of_error_is_the_fast_stop_while_it_is_active() {
     let mut bench = moving();
     assert_eq!(cause(&mut bench), 0);
     bench.write(1, &[11_00]);
@@ -45,12 +45,12 @@ fn cause_of_error_is_that_of_the_fast_stop_as_long_as_that_lasts() {
     bench.write(0, &[u16::from(GRIP) << 8]);
     bench.pass(10);
     assert_eq!(events(&mut bench)[0][0], EventCode::FastStopLasts as u16);
-    assert_eq!(cause(&mut bench), EventCode::ParameterChanged as u16, "which is what is to be mended");
+    assert_eq!(cause(&mut bench), EventCode::ParameterChanged as u16, "the cause to remove");
     bench.write(0, &[0]);
     bench.write(0, &[u16::from(STOP_ACK) << 8]);
     bench.pass(50);
     assert_eq!(cause(&mut bench), 0);
-    assert_eq!(fast_stop(&mut bench)[0], EventCode::ParameterChanged as u16, "the last one");
+    assert_eq!(fast_stop(&mut bench)[0], EventCode::ParameterChanged as u16, "the last FAST STOP");
     bench.pass(900);
     bench.write(0, &[0]);
     bench.pass(900);
@@ -59,7 +59,7 @@ fn cause_of_error_is_that_of_the_fast_stop_as_long_as_that_lasts() {
 }
 
 #[test]
-fn cause_of_an_error_without_a_fast_stop_is_what_happened_last() {
+fn cause_of_error_without_a_fast_stop_is_the_last_event() {
     let mut bench = Bench::ready_with(Config::DEFAULT, quick());
     bench.write(0, &[0, 20_00, 50_00, 40_00]);
     bench.write(0, &[u16::from(MOVE) << 8, 20_00, 50_00, 40_00]);

@@ -1,5 +1,5 @@
-//! The gripper on CAN, in virtual time: a grip cycle, lost and doubled frames, bus-off and the way back, and what a blocked bus
-//! holds when the fingers have to stop.
+//! The gripper on CAN, in virtual time: a grip cycle, lost and repeated frames, bus-off and recovery, and a blocked bus when
+//! the fingers must stop.
 
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -39,7 +39,7 @@ fn grip_cycle_over_can_shows_what_the_gripper_does() {
 }
 
 #[test]
-fn frames_of_others_on_the_bus_change_nothing() {
+fn frames_of_other_nodes_have_no_effect() {
     let mut bench = homed();
     let base = Identifiers::DEFAULT.controller();
     let mut count = 0u32;
@@ -61,7 +61,7 @@ fn frames_of_others_on_the_bus_change_nothing() {
 }
 
 #[test]
-fn every_seventh_frame_lost_or_doubled_moves_nothing_unasked_and_ends_in_a_known_state() {
+fn every_seventh_frame_lost_or_repeated_causes_no_motion_and_a_defined_state() {
     for doubled in [false, true] {
         let mut bench = homed();
         bench.take_sent();
@@ -96,7 +96,7 @@ fn bus_off_is_shown_at_once_and_the_bridge_comes_back_by_itself() {
     let mut bench = homed();
     bench.double().go_off(0);
     bench.pass(1);
-    assert_eq!(bench.outputs(), Outputs::ERROR, "no LINK_OK, and nothing else is known");
+    assert_eq!(bench.outputs(), Outputs::ERROR, "no LINK_OK, and no other state is known");
     assert_eq!(bench.bus().state(), BusState::Off);
     assert_eq!(bench.bus().health().transmit_errors, 255);
 
@@ -113,7 +113,7 @@ fn motion_asked_for_while_the_bus_is_off_never_leaves() {
     let mut bench = homed();
     bench.take_sent();
     bench.double().go_off(0);
-    // In the very millisecond in which it goes, and while it is gone.
+    // In the millisecond of bus-off, and during it.
     bench.set(Inputs::GRIP, true);
     bench.pass(20);
     bench.set(Inputs::GRIP, false);
@@ -127,7 +127,7 @@ fn motion_asked_for_while_the_bus_is_off_never_leaves() {
 
 #[test]
 fn message_cut_by_bus_off_is_not_continued_after_it() {
-    // The bus goes right behind the first of the two frames of Grip Part, and of the three of Pre-position.
+    // Bus-off directly after the first of the two frames of Grip Part, or of the three of Pre-position.
     for (wire, id) in [(Inputs::GRIP, 0x25), (Inputs::MOVE, 0x21)] {
         let mut bench = homed();
         bench.take_sent();
@@ -146,9 +146,9 @@ fn message_cut_by_bus_off_is_not_continued_after_it() {
         assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)));
         bench.pass(3_000);
         assert_eq!(bench.take_motions(), []);
-        assert!(bench.outputs().contains(Outputs::ERROR), "its outcome is not known: {:?}", bench.outputs());
-        assert_eq!(bench.broken(), 1, "the one that was cut");
-        assert_eq!(bench.double().aborts(), 2, "when the bus goes, and when it is back");
+        assert!(bench.outputs().contains(Outputs::ERROR), "unknown outcome: {:?}", bench.outputs());
+        assert_eq!(bench.broken(), 1, "the truncated message");
+        assert_eq!(bench.double().aborts(), 2, "at bus-off and after the recovery");
         assert_eq!(
             bench.link().counters().broken,
             u16::from(wire == Inputs::MOVE),
@@ -188,7 +188,7 @@ fn fast_stop_asked_for_while_the_bus_is_off_is_the_first_thing_after_it() {
 }
 
 #[test]
-fn fast_stop_that_waited_for_the_bus_leaves_with_its_first_frames() {
+fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
     let mut bench = homed();
     bench.double().go_off(0);
     bench.pass(10);
@@ -202,7 +202,7 @@ fn fast_stop_that_waited_for_the_bus_leaves_with_its_first_frames() {
 }
 
 #[test]
-fn fast_stop_that_bus_off_caught_in_the_controller_leaves_with_the_first_frames_after_it() {
+fn fast_stop_in_the_controller_at_bus_off_is_sent_with_the_first_frames_after_it() {
     let mut bench = homed();
     bench.double().set_unheard(true);
     bench.set(Inputs::FAST_STOP_OK, false);
@@ -219,8 +219,8 @@ fn fast_stop_that_bus_off_caught_in_the_controller_leaves_with_the_first_frames_
 }
 
 #[test]
-fn fast_stop_leaves_at_once_in_whatever_turn_the_connection_is_given_up() {
-    /// A gripper that hears everything and answers nothing any more.
+fn fast_stop_is_sent_at_once_in_any_turn_around_the_loss_of_the_connection() {
+    /// A gripper that receives everything, but answers no longer.
     fn falling_silent() -> CanBench {
         let mut bench = homed();
         bench.to_bridge = Some(Box::new(|_| vec![]));
@@ -252,7 +252,7 @@ fn bus_off_again_and_again_is_given_up() {
     assert_eq!(bench.double().recoveries(), 2, "the third failure is the last");
     assert_eq!(bench.outputs(), Outputs::ERROR);
 
-    // Whatever becomes of the controller by itself: it was given up.
+    // The controller's own recovery has no effect.
     bench.double().go_off(0);
     bench.pass(60_000);
     assert_eq!((bench.bus().state(), bench.double().recoveries()), (BusState::GivenUp, 2));
@@ -288,7 +288,7 @@ fn motion_that_nobody_acknowledged_does_not_leave_when_somebody_comes() {
     for wire in [Inputs::GRIP, Inputs::MOVE] {
         let mut bench = homed();
         bench.take_sent();
-        // The gripper's plug is pulled: frames stay in the controller's mailboxes.
+        // The gripper is unplugged, so frames stay in the controller's mailboxes.
         bench.double().set_unheard(true);
         bench.to_bridge = Some(Box::new(|_| vec![]));
         bench.set(wire, true);
@@ -301,11 +301,11 @@ fn motion_that_nobody_acknowledged_does_not_leave_when_somebody_comes() {
         assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", bench.outputs());
         bench.pass(3_000);
         assert_eq!(bench.take_motions(), []);
-        assert!(bench.outputs().contains(Outputs::ERROR), "its outcome is not known: {:?}", bench.outputs());
+        assert!(bench.outputs().contains(Outputs::ERROR), "unknown outcome: {:?}", bench.outputs());
     }
 }
 
-/// With nobody who acknowledges, every other repetition waits in the controller's mailbox until it is given up.
+/// Without a node that acknowledges, every other repetition waits in the controller's mailbox until it is discarded.
 #[test]
 fn link_ok_falls_within_a_second_of_the_last_answer_whenever_the_plug_is_pulled() {
     for offset_ms in 0..150 {
@@ -321,7 +321,7 @@ fn link_ok_falls_within_a_second_of_the_last_answer_whenever_the_plug_is_pulled(
 
 #[test]
 fn message_that_the_bus_does_not_take_is_withdrawn_before_its_time() {
-    // Frames come in, but none goes out, as with nobody but a listener on the bus.
+    // Frames are received, but none is sent, as with only a listening node on the bus.
     let mut bench = homed();
     bench.take_sent();
     bench.double().set_unheard(true);
@@ -338,7 +338,7 @@ fn message_that_the_bus_does_not_take_is_withdrawn_before_its_time() {
 }
 
 #[test]
-fn overruns_and_refusals_of_the_controller_are_counted_and_got_over() {
+fn overruns_and_refusals_of_the_controller_are_counted_and_overcome() {
     let mut bench = homed();
     bench.double().overrun();
     bench.pass(500);
@@ -352,16 +352,16 @@ fn overruns_and_refusals_of_the_controller_are_counted_and_got_over() {
     assert!(counters.refused > 0);
 }
 
-/// What happens to one frame.
+/// Fault of one frame.
 #[derive(Clone, Copy, Debug)]
 enum FrameFault {
     Lost,
     Doubled,
-    /// Somebody else sends the head of a long message with the same identifier before it.
+    /// Another node sends the start of a long message with the same identifier before it.
     Misled,
 }
 
-/// Lets the fault hit the frame of this number, counted from now.
+/// Applies the fault to the frame with this number, counted from now.
 fn hit(fault: FrameFault, number: usize) -> Disturbance {
     let mut count = 0;
     Box::new(move |frame: ClassicFrame| {
@@ -379,7 +379,7 @@ fn hit(fault: FrameFault, number: usize) -> Disturbance {
 }
 
 #[test]
-fn fast_stop_over_can_is_heard_in_250_ms_whatever_frame_is_lost_doubled_or_foreign() {
+fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_foreign() {
     const FRAMES: usize = 12;
     let mut bench = CanBench::homed(Config { time_scale: 10.0, ..Config::default() }, BusOffPolicy::DEFAULT);
     let mut worst = 0;
@@ -421,7 +421,7 @@ fn fast_stop_over_can_is_heard_in_250_ms_whatever_frame_is_lost_doubled_or_forei
     assert!(worst > 30, "some cases need a burst: {worst} ms");
 }
 
-/// A motion of the wires, its command, and its CAN frames.
+/// A motion of the wires: wire, command, and number of CAN frames.
 #[derive(Clone, Copy, Debug)]
 struct Motion {
     wire: Inputs,
@@ -434,27 +434,27 @@ const MOTIONS: [Motion; 2] = [
     Motion { wire: Inputs::MOVE, id: CommandId::PrePosition, frames: 3 },
 ];
 
-/// What a PLC stops the fingers by, as levels of its wires.
+/// Wires and levels that stop the fingers.
 const STOPS: [(Inputs, bool); 2] = [(Inputs::STOP_ACK, true), (Inputs::FAST_STOP_OK, false)];
 
-/// An SDO answer of the bridge, as a PLC waits for it.
+/// SDO response of the bridge to a PLC.
 const SDO_ANSWER: u16 = 0x580 | DEFAULT_NODE.node as u16;
 
-/// A bench with a gripper and a PLC on one bus, on which a motion stands still.
+/// A bench with gripper and PLC on one bus, which blocks during a motion command.
 struct Blocked {
     bench: CanBench,
     motion: Motion,
-    /// All bytes that the gripper has got since the motion was given.
+    /// All bytes that the gripper has received since the motion command.
     bytes: Rc<RefCell<Vec<u8>>>,
     width: f32,
 }
 
 impl Blocked {
-    /// `sent` frames of the motion are sent, and then nothing any more. An SDO answer waits as well.
+    /// Sends `sent` frames of the motion, then blocks the bus. An SDO response waits as well.
     fn after(motion: Motion, sent: usize) -> Self {
         let mut bench = CanBench::with_node(with_part(20.0), DEFAULT_NODE);
         bench.get_homed();
-        // The gripper is known to have the force limit of the recipe, so that GRIP is sent without one.
+        // The gripper already has the recipe's force limit, so GRIP is sent without setting it.
         bench.command(Inputs::GRIP);
         bench.command(Inputs::RELEASE);
         bench.pass(500);
@@ -496,7 +496,7 @@ impl Blocked {
         Self { bench, motion, bytes, width }
     }
 
-    /// The PLC stops the fingers; the bus is free 15 ms later. Returns the first command that the gripper hears then, and after
+    /// Stops the fingers, and frees the bus 15 ms later. Returns the first command that the gripper then receives, and after
     /// how many milliseconds.
     fn stop_and_unblock(&mut self, (wire, level): (Inputs, bool)) -> (CommandId, u32) {
         self.bench.set(wire, level);
@@ -504,7 +504,7 @@ impl Blocked {
         self.unblock()
     }
 
-    /// Begins to send the next frame of the motion: its first, before which a query may wait, or not.
+    /// Begins to send the next frame of the motion. Its first frame may follow a query.
     fn begin_frame(&mut self, is_first: bool) {
         let head = [0xAA, 0xAA, 0xAA, self.motion.id.code()];
         loop {
@@ -523,7 +523,7 @@ impl Blocked {
         self.bench.double().set_unheard(false);
         for ms in 1..=50 {
             self.bench.step();
-            // A query may have waited before it.
+            // A query may precede it.
             if let Some(first) = self.bench.take_sent().into_iter().find(|id| id.kind() != Kind::Query) {
                 return (first, ms);
             }
@@ -531,8 +531,8 @@ impl Blocked {
         panic!("{:?}: nothing is sent", self.motion);
     }
 
-    /// The commands that the simplest of grippers finds: it takes the frames' data for a stream of bytes, waits for as many as a
-    /// size field says, however long that takes, and drops them all where the checksum is wrong.
+    /// Returns the commands that the simplest gripper finds. It treats the frames' data as a stream of bytes, waits without a
+    /// time-out for the length in the size field, and discards all bytes of a message with a wrong checksum.
     fn heard_by_the_simplest_gripper(&self) -> Vec<CommandId> {
         let bytes = self.bytes.borrow();
         let (mut rest, mut heard) = (bytes.as_slice(), vec![]);
@@ -547,7 +547,7 @@ impl Blocked {
                     after
                 }
                 _ => {
-                    assert_ne!(*first, 0xAA, "it has lost the beginning of a message");
+                    assert_ne!(*first, 0xAA, "the start of a message was lost");
                     others
                 }
             };
@@ -555,7 +555,7 @@ impl Blocked {
         heard
     }
 
-    /// What holds when all is over, wherever the motion was stopped.
+    /// Checks the state after the stop, regardless of the point of interruption.
     fn check_that_it_is_over(mut self, (wire, level): (Inputs, bool), context: &str) {
         self.bench.pass(200);
         let Self { bench, motion, width, .. } = &mut self;
@@ -587,7 +587,7 @@ impl Blocked {
 }
 
 #[test]
-fn stop_and_fast_stop_withdraw_a_motion_of_which_not_every_frame_is_sent() {
+fn stop_and_fast_stop_withdraw_a_motion_with_unsent_frames() {
     for motion in MOTIONS {
         for sent in 0..motion.frames {
             for stop in STOPS {
@@ -605,7 +605,7 @@ fn stop_and_fast_stop_withdraw_a_motion_of_which_not_every_frame_is_sent() {
                 let expected = if stop.0 == Inputs::STOP_ACK { CommandId::Stop } else { CommandId::FastStop };
                 assert_eq!(first, expected, "{context}");
                 assert!(ms <= 2, "{context}: after {ms} ms");
-                assert_eq!(blocked.bench.broken(), u16::from(sent > 0), "{context}: spoilt if it was begun");
+                assert_eq!(blocked.bench.broken(), u16::from(sent > 0), "{context}: spoilt if partly sent");
                 blocked.check_that_it_is_over(stop, &context);
             }
         }
@@ -613,7 +613,7 @@ fn stop_and_fast_stop_withdraw_a_motion_of_which_not_every_frame_is_sent() {
 }
 
 #[test]
-fn motion_of_which_every_frame_is_sent_is_sent_once_and_stopped() {
+fn completely_sent_motion_is_sent_once_and_stopped() {
     for motion in MOTIONS {
         for stop in STOPS {
             let mut blocked = Blocked::after(motion, motion.frames);
@@ -631,7 +631,7 @@ fn motion_of_which_every_frame_is_sent_is_sent_once_and_stopped() {
 }
 
 #[test]
-fn late_answer_to_an_earlier_motion_does_not_keep_one_that_waits_from_being_withdrawn() {
+fn late_reply_to_an_earlier_motion_does_not_prevent_a_withdrawal() {
     for motion in MOTIONS {
         for status in [Status::CmdPending, Status::Success] {
             for stop in STOPS {
@@ -656,7 +656,7 @@ fn late_answer_to_an_earlier_motion_does_not_keep_one_that_waits_from_being_with
 }
 
 #[test]
-fn frame_that_is_being_sent_ends_before_it_is_decided_what_becomes_of_its_motion() {
+fn withdrawal_is_decided_after_the_end_of_the_frame_on_the_bus() {
     for motion in MOTIONS {
         for sent in 0..motion.frames {
             for stop in STOPS {

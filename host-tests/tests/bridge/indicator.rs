@@ -1,4 +1,4 @@
-//! The LED, in virtual time, read as a person reads it: by counting flashes between longer pauses.
+//! The LED, in virtual time, read like a person does: by counting flashes between longer pauses.
 
 use host_tests::bench::Bench;
 use host_tests::modbus_bench::{self, quick};
@@ -8,10 +8,10 @@ use wsg_bridge_fw::indicator::{INDICATIONS, Indication};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::CanReports;
 
-/// The dark that ends a group of flashes for a person.
+/// Dark time that separates groups of flashes for a person.
 const PAUSE_MS: usize = 500;
 
-/// How somebody would put what they saw, in the words of the table.
+/// Describes the visible pattern in the words of the table.
 fn seen(levels: &[bool]) -> String {
     let lit = levels.iter().filter(|is_lit| **is_lit).count();
     if lit * 2 > levels.len() {
@@ -20,21 +20,18 @@ fn seen(levels: &[bool]) -> String {
     }
     let runs: Vec<&[bool]> = levels.chunk_by(|a, b| a == b).collect();
     let is_pause = |run: &&[bool]| !run[0] && run.len() > PAUSE_MS;
-    // The first group may have begun before somebody looked, and the last may go on.
+    // The first and the last group may be incomplete.
     let groups: Vec<usize> =
         runs.split(is_pause).map(|group| group.iter().filter(|run| run[0]).count()).collect();
     let whole = &groups[1..groups.len().saturating_sub(1).max(1)];
-    assert!(
-        whole.len() > 1 && whole.iter().all(|count| *count == whole[0]),
-        "flashes come in groups of {groups:?}"
-    );
+    assert!(whole.len() > 1 && whole.iter().all(|count| *count == whole[0]), "groups of flashes: {groups:?}");
     match whole[0] {
         1 => "1 flash".into(),
         count => format!("{count} flashes"),
     }
 }
 
-/// Looks at the LED of a bench for a while.
+/// Observes the LED of a bench for 10 s.
 fn look<B: Wires>(bench: &mut B, indication: impl Fn(&B) -> Indication) -> String {
     let level = |ms| {
         bench.step();
@@ -52,7 +49,7 @@ fn look_at_modbus(bench: &mut modbus_bench::Bench) -> String {
 }
 
 #[test]
-fn each_pattern_is_seen_as_the_table_says() {
+fn each_pattern_looks_as_in_the_table() {
     for text in INDICATIONS.iter().filter(|text| text.indication != Indication::NotStarted) {
         for begin in [0, 137, 1_000, 1_999] {
             let levels: Vec<bool> = (begin..begin + 10_000).map(|ms| text.indication.is_lit(ms)).collect();
@@ -62,7 +59,7 @@ fn each_pattern_is_seen_as_the_table_says() {
 }
 
 #[test]
-fn wires_power_up_homing_and_a_cut_line_are_told() {
+fn power_up_homing_and_a_cut_line_are_shown() {
     let mut bench = Bench::new(quick());
     bench.far.to_bridge = Some(Box::new(Vec::clear));
     assert_eq!(look_at_wires(&mut bench), "1 flash");
@@ -81,7 +78,7 @@ fn wires_power_up_homing_and_a_cut_line_are_told() {
 }
 
 #[test]
-fn a_master_that_falls_silent_is_missed_until_it_comes_back() {
+fn silent_master_is_shown_until_it_resumes() {
     let mut bench = modbus_bench::Bench::homed(quick());
     bench.pass(u32::from(Config::DEFAULT.bus.timeout_ms) + 100);
     assert_eq!(look_at_modbus(&mut bench), "3 flashes");
@@ -91,7 +88,7 @@ fn a_master_that_falls_silent_is_missed_until_it_comes_back() {
 }
 
 #[test]
-fn a_master_that_was_never_there_or_while_the_wires_command_is_not_missed() {
+fn absent_master_is_not_shown_if_never_connected_or_while_the_wires_command() {
     let mut bench = modbus_bench::Bench::new(Config::DEFAULT, quick());
     bench.get_homed();
     assert_eq!(look_at_modbus(&mut bench), "lit, with a short gap");
@@ -101,14 +98,14 @@ fn a_master_that_was_never_there_or_while_the_wires_command_is_not_missed() {
 }
 
 #[test]
-fn a_controller_off_the_bus_is_told_as_long_as_it_is() {
+fn controller_off_the_bus_is_shown_until_the_recovery() {
     let mut bench = modbus_bench::Bench::new(Config::DEFAULT, quick());
     bench.get_homed();
     for state in [1, 2, 3] {
         bench.bridge_mut().set_can_reports(CanReports([state, 0, 0, 1, 0, 0]));
         assert_eq!(bench.bridge().indication(), Indication::BusLost, "CAN_STATE {state}");
     }
-    // Error passive is not off.
+    // Error passive is not bus-off.
     bench.bridge_mut().set_can_reports(CanReports([128, 0, 0, 1, 0, 0]));
     assert_eq!(bench.bridge().indication(), Indication::Running);
 }

@@ -1,4 +1,4 @@
-//! The library of the bridge in virtual time, with a PLC and a virtual gripper: what each PLC side and each gripper line does.
+//! Tests of the bridge library in virtual time, with a PLC and a virtual gripper, for each PLC side and each gripper line.
 //!
 //! `cargo xtask mutants` runs these tests against `bridge-fw`.
 

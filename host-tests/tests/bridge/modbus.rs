@@ -1,4 +1,4 @@
-//! The bridge over Modbus RTU in virtual time: what a PLC on the bus sees, who commands, and what must never happen.
+//! The bridge over Modbus RTU, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use host_tests::addresses::{report, setting};
 use host_tests::modbus_bench::*;
@@ -39,7 +39,7 @@ fn grip_cycle_over_the_bus() {
 }
 
 #[test]
-fn no_part_and_a_lost_part_show_in_gstate() {
+fn missing_and_lost_parts_are_shown_in_gstate() {
     let mut bench = Bench::homed(quick());
     bench.command(GRIP, 20_00, 50_00, 40_00);
     assert_eq!((bench.state(), bench.status()), (NO_PART, 18), "E_CMD_FAILED");
@@ -60,7 +60,7 @@ fn two_edges_at_once_run_the_lowest() {
 }
 
 #[test]
-fn parameter_that_changes_on_the_way_and_speed_out_of_range_are_a_fast_stop() {
+fn parameter_change_during_a_motion_and_speed_out_of_range_are_a_fast_stop() {
     for second in [[u16::from(MOVE) << 8, 30_01, 50_00, 40_00], [u16::from(MOVE) << 8, 30_00, 51_00, 40_00]] {
         let mut bench = Bench::homed(quick());
         bench.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
@@ -92,7 +92,7 @@ fn jog_moves_while_its_coil_is_set() {
     let from = bench.gripper().state().width;
     bench.write(2, &[40_00]);
     bench.pass(100);
-    assert_eq!(bench.state(), RELEASING, "it follows the dial");
+    assert_eq!(bench.state(), RELEASING, "the speed may change during a jog");
     assert_eq!(bench.ask(&[5, 0, 6, 0, 0]), [5, 0, 6, 0, 0]);
     bench.pass(100);
     assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
@@ -102,7 +102,7 @@ fn jog_moves_while_its_coil_is_set() {
     assert_eq!(bench.gripper().state().width, stands);
 }
 
-/// Fieldbus, 6.7; command set, 3.3.5: the limits are at 40 and 80 mm, over the bridge's own session.
+/// Fieldbus, 6.7; command set, 3.3.5: limits at 40 and 80 mm, over the bridge's own session.
 #[test]
 fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
     let parameters = [0, 40_00, 40_00];
@@ -123,15 +123,19 @@ fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
         bench.write(0, &[&[0], &parameters[..]].concat());
         bench.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
         bench.pass(500);
-        assert_eq!((bench.state(), bench.status()), (IDLE, Status::RangeError.code()), "there already");
+        assert_eq!(
+            (bench.state(), bench.status()),
+            (IDLE, Status::RangeError.code()),
+            "already at the limit"
+        );
         assert!((bench.gripper().state().width - limit).abs() < 0.05);
         bench.write(0, &[&[0], &parameters[..]].concat());
     }
 }
 
-/// A bus subscribes to width and force besides the states.
+/// A bus subscribes to width and force in addition to the states.
 #[test]
-fn restarted_gripper_shows_on_the_bus_within_250_ms_that_homing_is_due() {
+fn restart_of_the_gripper_is_shown_on_the_bus_as_unreferenced_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
         let mut bench = Bench::homed(quick());
         bench.pass(offset_ms);
@@ -142,7 +146,7 @@ fn restarted_gripper_shows_on_the_bus_within_250_ms_that_homing_is_due() {
     }
 }
 
-/// STOP/ACK in a master's first image is no edge, but its level keeps motions back (fieldbus, table 1).
+/// STOP/ACK in a master's first image is no edge, but its level blocks motions (fieldbus, table 1).
 #[test]
 fn stop_in_the_first_image_of_the_bus_keeps_ready_low_and_refuses_the_wires() {
     let mut bench = Bench::new(Config::DEFAULT, quick());
@@ -172,7 +176,7 @@ fn silent_master_ends_a_jog_even_where_silence_is_to_be_ignored() {
     bench.pass(1_100);
     assert!(bench.take_sent().contains(&CommandId::Stop));
     let stands = bench.gripper().state().width;
-    // The PLC is back, its button still pressed.
+    // The PLC resumes with its button still pressed.
     bench.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
     bench.pass(200);
     assert_eq!(bench.gripper().state().width, stands);
@@ -198,13 +202,13 @@ fn silent_master_holds_stops_or_fast_stops_its_motion() {
         bench.pass(100);
         assert_eq!(stops(&mut bench), expected, "{reaction:?}");
         bench.pass(1_000);
-        assert_eq!(stops(&mut bench), None, "once");
+        assert_eq!(stops(&mut bench), None, "only once");
         assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![1]));
     }
 }
 
 #[test]
-fn bus_timeout_of_0_waits_for_ever() {
+fn bus_timeout_of_0_is_unlimited() {
     let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
     let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
     bench.command(HOMING, 0, 0, 0);
@@ -227,8 +231,8 @@ fn coils_read_as_they_were_written() {
 }
 
 #[test]
-fn pause_inside_a_request_may_last_as_long_as_the_setting_says() {
-    // A master on a host with a scheduler: half a request, a pause, the rest.
+fn pause_inside_a_request_is_limited_by_the_setting() {
+    // A master on a host with a scheduler: half a request, a pause, and the rest.
     for (character_timeout_ms, pause_us, is_answered) in
         [(50, 40_000, true), (50, 51_000, false), (2, 40_000, false)]
     {
@@ -246,7 +250,7 @@ fn pause_inside_a_request_may_last_as_long_as_the_setting_says() {
 }
 
 #[test]
-fn silent_master_that_only_read_stops_nobody() {
+fn silent_master_that_only_read_stops_no_motion() {
     let mut bench = Bench::ready();
     bench.input(0, 1).unwrap();
     bench.set(Inputs::HOME, true);
@@ -282,7 +286,7 @@ fn first_write_of_a_master_starts_nothing() {
 
 #[test]
 fn flag_that_a_master_holds_gives_no_edge_after_a_reset_whatever_it_reads() {
-    // The bridge has just started. The PLC has not: it goes on with its cycle, in which it reads and writes, and holds HOMING.
+    // The bridge has just restarted, but the PLC has not. Its cycle continues to read and write with HOMING set.
     let mut bench = Bench::new(Config::DEFAULT, quick());
     bench.pass(200);
     for _ in 0..5 {
@@ -313,7 +317,7 @@ fn end_of_a_motion_comes_with_the_width_and_force_from_after_it() {
             }
             bench.pass(2_000);
             let later = bench.input(0, 6).unwrap();
-            assert_eq!(image, later, "nothing changes behind the end");
+            assert_eq!(image, later, "nothing changes after the end");
             assert_eq!((image[0] >> 8, image[4]), (u16::from(state), force));
         }
     }
@@ -321,7 +325,8 @@ fn end_of_a_motion_comes_with_the_width_and_force_from_after_it() {
 
 #[test]
 fn motion_that_is_asked_for_at_the_end_of_another_leaves_at_once_whatever_becomes_of_the_answers() {
-    /// Turns from the write to the motion, so long after the end of a grip; from the end on answers are lost for so long.
+    /// Returns the turns from the write to the motion, `after_ms` after the end of a grip. Replies are lost for `lost_ms`
+    /// from the end on.
     fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
         let mut bench = Bench::homed(with_part());
         bench.write(0, &[u16::from(GRIP) << 8, 20_00, 50_00, 40_00]);
@@ -339,21 +344,21 @@ fn motion_that_is_asked_for_at_the_end_of_another_leaves_at_once_whatever_become
                 bench.pass(1);
                 bench.take_sent().contains(&CommandId::ReleasePart)
             })
-            .expect("the motion leaves")
+            .expect("the motion is sent")
     }
 
     let at_rest = turns_to_leave(100, 0);
     for after_ms in 0..15 {
-        assert_eq!(turns_to_leave(after_ms, 0), at_rest, "{after_ms} ms behind the end");
+        assert_eq!(turns_to_leave(after_ms, 0), at_rest, "{after_ms} ms after the end");
         for lost_ms in 1..=after_ms {
             let turns = turns_to_leave(after_ms, lost_ms);
-            assert_eq!(turns, at_rest, "{after_ms} ms behind the end, {lost_ms} ms of answers lost");
+            assert_eq!(turns, at_rest, "{after_ms} ms after the end, {lost_ms} ms of replies lost");
         }
     }
 }
 
 #[test]
-fn what_went_wrong_is_answered_in_the_turn_in_which_the_wires_show_it() {
+fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
     let blocked = || {
         let mut bench = Bench::homed(with_part());
         bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
@@ -373,7 +378,7 @@ fn what_went_wrong_is_answered_in_the_turn_in_which_the_wires_show_it() {
             assert_eq!(status, Status::AxisBlocked.code());
         }
     }
-    assert_eq!(answers, 1, "one of them is answered in that turn");
+    assert_eq!(answers, 1, "one request is answered in that turn");
 }
 
 #[test]
@@ -415,7 +420,7 @@ fn wires_command_while_one_of_them_is_high_and_the_bus_does_after_that() {
     assert_eq!(bench.take_motions(), [], "the wire is high");
     bench.set(Inputs::MOVE, false);
     bench.pass(50);
-    assert_eq!(bench.take_motions(), [], "and what it asked for is not done later");
+    assert_eq!(bench.take_motions(), [], "the bus's command is not executed later");
     assert_eq!(bench.bridge().control_source(), ControlSource::Wires);
     bench.write(0, &[0, 30_00, 50_00, 40_00]);
     bench.command(MOVE, 30_00, 50_00, 40_00);
@@ -448,7 +453,7 @@ fn second_motion_is_refused_and_the_first_still_ends() {
 }
 
 #[test]
-fn each_refusal_counts_and_shows_its_status_also_beside_a_command_wire() {
+fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() {
     let mut bench = Bench::homed(with_part());
     bench.command(GRIP, 20_00, 50_00, 40_00);
     let refused = |bench: &mut Bench| bench.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
@@ -477,7 +482,7 @@ fn gripper_that_never_answered_is_0a_and_one_that_fell_silent_is_0b() {
     bench.pass(500);
     assert_eq!(bench.input(0, 6), Err(0x0A));
     assert_eq!(bench.ask(&[2, 0, 0, 0, 1]), [0x82, 0x0A]);
-    assert_eq!(bench.input(6, 1), Err(2), "there is no register 6 in any case");
+    assert_eq!(bench.input(6, 1), Err(2), "register 6 never exists");
     assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![0]));
     bench.set_cut(false);
     bench.pass(1_000);
@@ -487,8 +492,8 @@ fn gripper_that_never_answered_is_0a_and_one_that_fell_silent_is_0b() {
     bench.pass(2_000);
     assert_eq!(bench.input(0, 6), Err(0x0B));
     assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![1]));
-    assert!(bench.holding(0, 4).is_ok(), "what the PLC wrote is here");
-    // What is written meanwhile is not done when the gripper is back.
+    assert!(bench.holding(0, 4).is_ok(), "the output image is local");
+    // Commands in the meantime are not executed after the gripper's return.
     bench.write(0, &[u16::from(HOMING) << 8, 0, 0, 0]);
     bench.take_motions();
     bench.set_cut(false);
@@ -519,8 +524,8 @@ fn settings_read_as_built_and_take_effect_when_written() {
 
     let unit = setting("UNIT").to_be_bytes();
     let answer = bench.ask(&[6, unit[0], unit[1], 0, 9]);
-    assert_eq!(answer, [6, unit[0], unit[1], 0, 9], "answered as the old unit");
-    assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "and then it is another");
+    assert_eq!(answer, [6, unit[0], unit[1], 0, 9], "answered with the old address");
+    assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "the old address is no longer served");
     bench.send_raw(&Bench::frame(9, &[4, 0, 0, 0, 1]));
     bench.pass(5);
     assert_eq!(bench.answers(), 1);
@@ -531,20 +536,20 @@ fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06(
     let mut bench = Bench::homed(quick());
     assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3));
     assert_eq!(bench.try_write(setting("UNIT"), &[248]), Some(3));
-    assert_eq!(bench.try_write(setting("BUS_REACTION"), &[1, 2_000]), Some(3), "all or nothing");
+    assert_eq!(bench.try_write(setting("BUS_REACTION"), &[1, 2_000]), Some(3), "all or none");
     assert_eq!(bench.try_write(99, &[1]), Some(2));
     let last = FIRST_SETTING + SETTINGS.len() as u16 - 1;
     assert_eq!(bench.try_write(last, &[1, 1]), Some(2));
     assert_eq!(bench.try_write(3, &[40_00, 0]), Some(2), "no write across the gap");
     bench.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
     assert_eq!(bench.try_write(setting("DEBOUNCE"), &[5]), Some(6));
-    assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3), "what is wrong is wrong at any time");
+    assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3), "an invalid value is reported with priority");
     let counters = bench.input(report("SERVER_BUSY"), 1);
     assert_eq!(counters, Ok(vec![1]));
 }
 
 #[test]
-fn reset_cause_that_the_board_tells_is_a_report() {
+fn reset_cause_of_the_board_is_a_report() {
     let mut bench = Bench::ready();
     assert_eq!(bench.input(report("RESET_CAUSE"), 1), Ok(vec![0]));
     bench.bridge_mut().set_reset_cause(ResetCause::Watchdog);
@@ -577,7 +582,7 @@ fn device_identification_names_the_bridge() {
 }
 
 #[test]
-fn width_and_force_are_asked_for_once_a_master_is_heard_and_not_before() {
+fn width_and_force_are_queried_only_once_a_master_communicates() {
     let mut bench = Bench::new(Config::DEFAULT, quick());
     bench.pass(1_000);
     let asks = |sent: Vec<CommandId>| {
@@ -604,15 +609,15 @@ fn broadcast_counts_where_it_is_switched_on_alone() {
     assert!(bench.bit(28));
 }
 
-/// Something that happens on the bus and is no request of the PLC.
+/// Traffic on the bus that is no request of the PLC.
 #[derive(Clone, Debug)]
 enum Happening {
     Noise(Vec<u8>),
-    /// A frame that moves fingers, with one of its bits turned over.
+    /// A frame that commands a motion, with one inverted bit.
     Damaged(u8, usize),
-    /// The begin of one.
+    /// The start of such a frame.
     Half(u8, usize),
-    /// One for another unit.
+    /// Such a frame for another unit.
     Foreign(u8, u8),
     Pass(u32),
 }
@@ -668,7 +673,7 @@ proptest! {
     }
 }
 
-/// BUS_TIMEOUT (docs/registers.md) counts from the last intact request for this unit.
+/// BUS_TIMEOUT (docs/registers.md) starts with the last intact request for this unit.
 #[test]
 fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
     let read = [4, 0, 0, 0, 1];
@@ -696,7 +701,7 @@ fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
             }
             bench.take_sent().contains(&CommandId::Stop)
         };
-        assert!(!pass(280), "too early beside {what}");
-        assert!(pass(50), "not missed beside {what}");
+        assert!(!pass(280), "too early with {what}");
+        assert!(pass(50), "not detected with {what}");
     }
 }

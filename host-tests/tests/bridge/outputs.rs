@@ -1,4 +1,4 @@
-//! What the wires to the PLC show, held to the table of docs/wiring.md: cases that need a particular gripper, flag or moment.
+//! Output levels compared with the table of docs/wiring.md, in cases that need a particular gripper, flag or time.
 
 use host_tests::bench::Bench;
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
@@ -15,7 +15,7 @@ fn quick() -> wsg_sim::Config {
 }
 
 #[test]
-fn fault_that_lasts_keeps_ready_low_however_often_it_is_acknowledged() {
+fn persistent_fault_keeps_ready_low_despite_acknowledgements() {
     for fault in [Fault::OverTemperature, Fault::SupplyOutOfRange, Fault::MotorCurrent] {
         let mut bench = Bench::homed(quick());
         let now = bench.now();
@@ -36,7 +36,7 @@ fn fault_that_lasts_keeps_ready_low_however_often_it_is_acknowledged() {
 }
 
 #[test]
-fn ready_is_low_as_long_as_stop_ack_is_high() {
+fn ready_is_low_while_stop_ack_is_high() {
     let mut bench = Bench::homed(quick());
     bench.set(Inputs::STOP_ACK, true);
     assert!(bench.until(5, |outputs| !outputs.contains(Outputs::READY)));
@@ -46,8 +46,8 @@ fn ready_is_low_as_long_as_stop_ack_is_high() {
 }
 
 #[test]
-fn recipe_grips_a_wsg_70_with_the_force_that_it_says() {
-    // Those whose force is within a WSG 70's limits.
+fn recipe_grips_with_its_force_on_a_wsg_70() {
+    // Recipes with a force within the limits of a WSG 70.
     for number in [0, 3] {
         let recipe = RECIPES[number];
         let width = f32::from(recipe.width) / 100.0;
@@ -62,11 +62,11 @@ fn recipe_grips_a_wsg_70_with_the_force_that_it_says() {
     }
 }
 
-/// The beginning of an answer that is never finished: preamble, id, and a length within what the bridge takes.
+/// Start of a reply that is never completed: preamble, id, and a length that the bridge accepts.
 const HALF_FRAME: [u8; 7] = [0xAA, 0xAA, 0xAA, 0x41, 60, 0, 0];
 
 #[test]
-fn half_a_frame_is_given_up_20_ms_after_its_last_byte() {
+fn incomplete_frame_is_discarded_20_ms_after_its_last_byte() {
     let mut bridge = Bridge::new(Config::DEFAULT);
     let mut line = SerialLine::with_room(BYTES_PER_MS);
     let mut dropped_at = |ms: u32, brought: &[u8]| {
@@ -84,10 +84,10 @@ fn half_a_frame_is_given_up_20_ms_after_its_last_byte() {
 }
 
 #[test]
-fn half_a_frame_does_not_swallow_what_the_gripper_tells_later() {
+fn incomplete_frame_does_not_swallow_later_reports() {
     let mut bench = Bench::homed(wsg_sim::Config { part: Part::of_width(20.0), ..quick() });
     assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
-    // Until the line has fallen silent for longer than the bridge waits for the rest of a frame.
+    // Until the line has been idle for longer than the time-out of an incomplete frame.
     let mut silent_ms = 0;
     while silent_ms < 3 {
         silent_ms = if bench.take_sent().is_empty() { silent_ms + 1 } else { 0 };
@@ -101,7 +101,7 @@ fn half_a_frame_does_not_swallow_what_the_gripper_tells_later() {
 }
 
 #[test]
-fn a_line_that_never_falls_silent_is_left_for_the_wires_after_256_bytes() {
+fn at_most_256_bytes_are_read_per_turn() {
     let mut bridge = Bridge::new(Config::DEFAULT);
     let mut line = SerialLine::with_room(BYTES_PER_MS);
     line.bring(&[0x55; 1_000]);
@@ -112,7 +112,7 @@ fn a_line_that_never_falls_silent_is_left_for_the_wires_after_256_bytes() {
 }
 
 #[test]
-fn a_recipe_counts_with_its_command_also_while_the_gripper_talks() {
+fn recipe_takes_effect_with_its_command_while_the_gripper_sends() {
     let recipe = RECIPES[3];
     let width = f32::from(recipe.width) / 100.0;
     let mut bench = Bench::homed(wsg_sim::Config { part: Part::of_width(width), ..quick() });
@@ -127,7 +127,7 @@ fn a_recipe_counts_with_its_command_also_while_the_gripper_talks() {
 }
 
 #[test]
-fn fast_stop_leaves_in_the_turn_that_reads_its_wire_low() {
+fn fast_stop_is_sent_in_the_turn_that_reads_its_wire_low() {
     let mut bench = Bench::homed(quick());
     // Until the line is free.
     bench.until(100, |_| false);
@@ -140,7 +140,7 @@ fn fast_stop_leaves_in_the_turn_that_reads_its_wire_low() {
 }
 
 #[test]
-fn busy_shows_a_motion_without_a_way_for_50_ms() {
+fn busy_lasts_50_ms_for_a_motion_already_at_its_target() {
     let mut bench = Bench::homed(quick());
     bench.command(Inputs::MOVE);
     bench.set(Inputs::MOVE, true);

@@ -1,4 +1,4 @@
-//! The bridge over PROFIBUS in virtual time: what a master sees, who commands, and what must never happen.
+//! The bridge over PROFIBUS, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use bus_profibus::{Baud, Character};
 use host_tests::modbus_bench::quick;
@@ -9,7 +9,7 @@ use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, Outpu
 use wsg_protocol::{CommandId, Status, SystemFlags};
 use wsg_sim::{Fault, Part, Time};
 
-/// 200 ms.
+/// Watchdog factor for 200 ms.
 const WATCHDOG: u8 = 20;
 const WATCHDOG_MS: u32 = 200;
 
@@ -23,12 +23,12 @@ fn with_reaction(reaction: SilenceReaction) -> Config {
     Config { bus: BusConfig { reaction, ..AT_500K.bus }, ..AT_500K }
 }
 
-/// A bench whose fingers are on a long way, by MOVE.
+/// Returns a bench during a long MOVE.
 fn moving(reaction: SilenceReaction) -> Bench {
     moving_with(reaction, WATCHDOG)
 }
 
-/// The same, of a master with this watchdog.
+/// Returns a bench during a long MOVE of a master with this watchdog.
 fn moving_with(reaction: SilenceReaction, watchdog: u8) -> Bench {
     let slow = wsg_sim::Config::default();
     let mut bench = Bench::exchanging(with_reaction(reaction), slow, watchdog);
@@ -46,7 +46,7 @@ fn stops(bench: &mut Bench) -> Vec<CommandId> {
     sent.filter(|id| matches!(id, CommandId::Stop | CommandId::FastStop)).collect()
 }
 
-/// What each reaction sends.
+/// Commands sent for each reaction.
 const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
     (SilenceReaction::Hold, &[]),
     (SilenceReaction::Stop, &[CommandId::Stop]),
@@ -87,7 +87,7 @@ fn watchdog_of_the_master_stops_its_motion_at_its_limit_and_not_before() {
         bench.pass_silent(6);
         assert_eq!(stops(&mut bench), expected, "{reaction:?}");
         bench.pass_silent(3_000);
-        assert_eq!(stops(&mut bench), [], "once");
+        assert_eq!(stops(&mut bench), [], "only once");
     }
 }
 
@@ -105,12 +105,12 @@ fn clear_and_data_exchange_without_data_are_handled_as_silence() {
     for (reaction, expected) in REACTIONS {
         for number in 0..2 {
             let mut bench = moving(reaction);
-            // Again and again, as a master in the operating mode Clear does.
+            // Repeatedly, as a master in the operating mode Clear does.
             for function in [0x5D, 0x7D].into_iter().cycle().take(40) {
                 clear(&mut bench, function, number);
                 bench.pass_silent(5);
             }
-            assert_eq!(stops(&mut bench), expected, "{reaction:?}, once");
+            assert_eq!(stops(&mut bench), expected, "{reaction:?}, only once");
         }
     }
 }
@@ -130,7 +130,7 @@ fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
 }
 
 #[test]
-fn outputs_after_clear_that_are_those_from_before_it_make_the_next_flag_an_edge() {
+fn unchanged_outputs_after_clear_make_the_next_flag_an_edge() {
     let mut bench = Bench::homed(quick());
     bench.control(0x02, 0);
     bench.pass_silent(10);
@@ -158,7 +158,7 @@ fn first_outputs_after_power_up_start_nothing() {
 }
 
 #[test]
-fn outputs_without_parameters_and_configuration_are_nothing() {
+fn outputs_without_parameters_and_configuration_are_refused() {
     let mut bench = Bench::new(AT_500K, quick());
     bench.pass_silent(200);
     for flags in [Flag::empty(), Flag::HOMING, Flag::empty(), Flag::FASTSTOP] {
@@ -176,7 +176,7 @@ fn outputs_without_parameters_and_configuration_are_nothing() {
 fn jog_ends_when_the_master_leaves_whatever_the_reaction_is() {
     type Leave = fn(&mut Bench);
     let ways: [(&str, Leave); 5] = [
-        ("falls silent", |bench| bench.pass_silent(WATCHDOG_MS)),
+        ("times out", |bench| bench.pass_silent(WATCHDOG_MS)),
         ("clears", |bench| bench.control(0x02, 0)),
         ("unlocks", |bench| assert_eq!(bench.service(points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
         ("sends parameters again", |bench| bench.start(WATCHDOG)),
@@ -194,7 +194,7 @@ fn jog_ends_when_the_master_leaves_whatever_the_reaction_is() {
         leave(&mut bench);
         bench.pass_silent(20);
         assert_eq!(stops(&mut bench), [CommandId::Stop], "a master that {way}");
-        // It is back, its button still pressed.
+        // The master resumes with its button still pressed.
         bench.start(WATCHDOG);
         bench.pass(100);
         assert_eq!(bench.board.take_motions(), [], "{way}");
@@ -215,13 +215,13 @@ fn master_without_a_watchdog_is_missed_after_bus_timeout_and_heard_when_it_is_ba
     bench.pass_silent(10);
     assert_eq!(stops(&mut bench), [CommandId::Stop]);
     bench.pass(100);
-    assert_eq!(bench.board.take_motions(), [], "the flag is that from before");
+    assert_eq!(bench.board.take_motions(), [], "the flag is unchanged");
     bench.set(Flag::empty());
     bench.pass(3);
     bench.set(Flag::JOG_MINUS);
     bench.pass(20);
     assert_eq!(bench.board.take_motions(), [CommandId::PrePosition]);
-    // Its outputs were 0 when it went, and are 0 when it is back: the next flag is an edge.
+    // The outputs were 0 before the time-out, and are 0 when the master resumes. So the next flag is an edge.
     bench.set(Flag::empty());
     bench.pass(500);
     bench.pass_silent(2_000);
@@ -234,7 +234,7 @@ fn master_without_a_watchdog_is_missed_after_bus_timeout_and_heard_when_it_is_ba
 }
 
 #[test]
-fn master_without_a_watchdog_may_be_silent_for_ever_with_a_bus_timeout_of_0() {
+fn master_without_a_watchdog_never_times_out_with_a_bus_timeout_of_0() {
     let bus = BusConfig { timeout_ms: 0, ..AT_500K.bus };
     let mut bench = Bench::exchanging(Config { bus, ..AT_500K }, quick(), 0);
     bench.command(Flag::HOMING);
@@ -258,7 +258,7 @@ fn bus_timeout_and_watchdog_count_as_one_silence() {
     bench.pass_silent(1_100);
     assert_eq!(stops(&mut bench), [CommandId::Stop]);
     bench.pass_silent(3_000);
-    assert_eq!(stops(&mut bench), [], "once");
+    assert_eq!(stops(&mut bench), [], "only once");
 }
 
 #[test]
@@ -299,7 +299,7 @@ fn wrong_parameters_or_configuration_are_told_and_nobody_commands() {
     ];
     for (what, parameters, config, fault) in wrong {
         let mut bench = moving(SilenceReaction::Stop);
-        // In data exchange they end it, and out of it they do not begin it.
+        // During data exchange, they end it. Otherwise, they prevent it.
         assert_eq!(bench.service(points::SET_PRM, &parameters), SC);
         bench.service(points::CHK_CFG, &config);
         assert_eq!(bench.diagnosis()[0] & 0x56, 0x02 | fault, "{what}: not ready");
@@ -314,14 +314,14 @@ fn wrong_parameters_or_configuration_are_told_and_nobody_commands() {
         assert_eq!(bench.board.take_motions(), [], "{what}");
         bench.start_with(&right.0, &right.1);
         bench.image.flags = Flag::MOVE;
-        assert_eq!((bench.exchange().0, bench.diagnosis()[0] & 0x56), (0x08, 0), "{what}, and over");
+        assert_eq!((bench.exchange().0, bench.diagnosis()[0] & 0x56), (0x08, 0), "{what}, resolved");
     }
 }
 
 #[test]
 fn sync_holds_no_outputs_back_and_freeze_no_inputs() {
     let mut bench = moving(SilenceReaction::Hold);
-    // No parameters have asked for them; and those that ask are refused.
+    // The parameters have not enabled them. Parameters that do are refused.
     bench.control(0x20 | 0x08, 0);
     bench.set(Flag::MOVE | Flag::FASTSTOP);
     bench.pass_silent(10);
@@ -340,7 +340,7 @@ fn clear_of_another_group_is_not_for_the_bridge() {
         let mut bench = moving(SilenceReaction::Stop);
         bench.start_with(&[0x88, 1, WATCHDOG, 11, 0x55, 0x55, group], &[0xA7, 0x9B]);
         bench.pass_silent(10);
-        // The parameters ended what was on its way.
+        // The new parameters ended the motion.
         bench.set(Flag::empty());
         bench.set(Flag::MOVE);
         bench.pass(50);
@@ -362,7 +362,7 @@ fn configuration_inputs_and_outputs_are_read_and_the_address_stays() {
         assert_eq!(data(bench.service_of(master, points::RD_INP, &[])), input.to_bytes(), "RD_Inp");
         assert_eq!(data(bench.service_of(master, points::RD_OUTP, &[])), bench.image.to_bytes(), "RD_Outp");
     }
-    // Set_Slave_Address is refused by each, in data exchange and without a master.
+    // Set_Slave_Address is refused from both masters, during data exchange and without it.
     let refused = [0x10, MASTER, STATION, 0x03, 0x0C, 0x16];
     assert_eq!(bench.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
     bench.exchange();
@@ -382,12 +382,12 @@ fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
     bench.pass(100);
     let (function, input) = bench.exchange();
     assert!(input.system.contains(SystemFlags::TEMP_FAULT));
-    assert_eq!(function, 0x0A, "high priority: a diagnosis is there");
+    assert_eq!(function, 0x0A, "high priority: diagnosis available");
     let answer = bench.service(points::SLAVE_DIAG, &[]);
     let expected = Diagnosis { standard: [0x08, 0x0C, 0x00, MASTER], system: input.system }.to_bytes();
     assert_eq!(answer[9..25], expected);
     assert_eq!(bench.exchange().0, 0x08, "read");
-    // The end of a fault is no fault; once there is none, Diag.Ext_Diag is 0.
+    // The end of a fault is not announced. Without any fault, Diag.Ext_Diag is 0.
     let now = Time::from_millis(bench.board.now_ms().into());
     bench.board.gripper().set_fault(Fault::OverTemperature, false, now);
     bench.pass(100);
@@ -407,7 +407,7 @@ fn diagnosis_has_its_16_bytes_also_while_no_flag_is_known() {
 }
 
 #[test]
-fn gripper_that_is_not_there_shows_as_an_error() {
+fn missing_gripper_is_shown_as_an_error() {
     let mut bench = Bench::homed(quick());
     bench.board.set_cut(true);
     bench.pass(2_000);
@@ -427,7 +427,7 @@ fn fast_stop_for_one_exchange_counts_however_fast_the_bus_is() {
     let turn = bench.board.now_ms();
     bench.set(Flag::MOVE | Flag::FASTSTOP);
     bench.set(Flag::empty());
-    assert!(bench.board.now_ms() - turn <= 1, "both in a millisecond or the next");
+    assert!(bench.board.now_ms() - turn <= 1, "both within one millisecond");
     bench.pass(20);
     assert_eq!(stops(&mut bench), [CommandId::FastStop]);
     assert!(bench.exchange().1.system.contains(SystemFlags::FAST_STOP));
@@ -439,18 +439,18 @@ fn repeated_outputs_are_one_edge() {
     bench.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x7D][..], &bench.image.to_bytes()].concat();
     let telegram = [&[0xA2], &body[..], &[sum(&body), 0x16]].concat();
-    // Another request in between, so that the frame count bit is known.
+    // Another request in between defines the frame count bit.
     assert_eq!(bench.send(&sd2(&[STATION | 0x80, MASTER | 0x80, 0x5D, 60, 62])).len(), 27);
     let first = bench.send(&telegram);
     for _ in 0..5 {
-        assert_eq!(bench.send(&telegram), first, "the stored answer");
+        assert_eq!(bench.send(&telegram), first, "the stored response");
     }
     bench.pass_silent(20);
     assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
 }
 
 #[test]
-fn damaged_characters_move_nothing_and_the_next_telegram_counts() {
+fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
     let mut bench = Bench::homed(quick());
     bench.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x5D][..], &bench.image.to_bytes()].concat();
@@ -473,7 +473,7 @@ fn damaged_characters_move_nothing_and_the_next_telegram_counts() {
 }
 
 #[test]
-fn wires_command_beside_profibus() {
+fn wires_command_in_parallel_with_profibus() {
     let mut bench = Bench::homed(quick());
     bench.board.inputs().insert(Inputs::MOVE);
     bench.pass(20);
@@ -511,18 +511,18 @@ fn rate_that_is_not_set_is_searched_until_telegrams_come() {
         assert!(bench.board.now_ms() < 5_000, "{tried:?}");
     }
     let slower = &ProfibusConfig::RATES[..5];
-    assert_eq!(tried, slower.iter().copied().map(Some).collect::<Vec<_>>(), "one after the other");
+    assert_eq!(tried, slower.iter().copied().map(Some).collect::<Vec<_>>(), "in ascending order");
     bench.start(WATCHDOG);
     bench.pass(6_000);
     assert_eq!(bench.board.rate(), Some(Baud::K500));
-    // Five seconds of silence, and it goes on.
+    // After five seconds of silence, the search continues.
     bench.pass_silent(5_010);
     assert_eq!(bench.board.rate(), Some(Baud::M1_5));
 }
 
-/// The watchdog (IEC 61158-6-3) and BUS_TIMEOUT (docs/registers.md) count from the last request of the master that commands.
+/// The watchdog (IEC 61158-6-3) and BUS_TIMEOUT (docs/registers.md) start with the last request of the commanding master.
 #[test]
-fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
+fn silent_master_is_detected_in_time_despite_other_traffic_on_the_line() {
     let image = [&[Flag::MOVE.bits(), 0][..], &[0; 6]].concat();
     let sd1 =
         |station: u8, master: u8| vec![0x10, station, master, 0x49, sum(&[station, master, 0x49]), 0x16];
@@ -537,7 +537,7 @@ fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
         ("the master's exchange with another slave", sd3(STATION + 1, MASTER)),
         ("the answer of another slave", sd2(&[&[MASTER, STATION + 1, 0x08][..], &[0; 12]].concat())),
         ("a token", vec![0xDC, SECOND_MASTER, MASTER]),
-        ("an exchange with a wrong check sum", wrong_sum),
+        ("an exchange with a wrong checksum", wrong_sum),
         ("half an exchange", sd3(STATION, MASTER)[..7].to_vec()),
         ("another master's exchange", sd3(STATION, SECOND_MASTER)),
         ("another master that reads the diagnosis", sd2(&diagnosis)),
@@ -556,8 +556,8 @@ fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
                 }
                 stops(&mut bench)
             };
-            assert_eq!(pass(limit_ms - 15), [], "too early beside {what}");
-            assert_eq!(pass(limit_ms + 15), [CommandId::Stop], "beside {what}, watchdog {watchdog}");
+            assert_eq!(pass(limit_ms - 15), [], "too early with {what}");
+            assert_eq!(pass(limit_ms + 15), [CommandId::Stop], "with {what}, watchdog {watchdog}");
         }
     }
 }

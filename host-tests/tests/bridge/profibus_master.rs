@@ -1,5 +1,5 @@
-//! The master of `profirust` and the bridge on a bus in virtual time. The bus panics when two send at once, and when an answer
-//! begins earlier than 11 bit times after its request.
+//! The bridge on a bus with the master of `profirust`, in virtual time. The bus panics if two stations send at once, or if a
+//! response starts earlier than 11 bit times after its request.
 
 use bus_profibus::Character;
 use host_tests::modbus_bench::quick;
@@ -18,13 +18,13 @@ use wsg_sim::Part;
 
 const BEHIND_IT: UartStatus = UartStatus { received: None, has_room: true, is_complete: true };
 
-/// The board with a UART that knows the time.
+/// The board with a timed UART.
 struct Device {
     board: Board,
     phy: SimulatorPhy,
-    /// The timer of the handler.
+    /// Time at which the handler's timer expires.
     due: Option<Instant>,
-    /// The handler is not done with its answer.
+    /// The handler has not finished its response.
     is_sending: bool,
 }
 
@@ -42,7 +42,7 @@ impl Device {
             return;
         }
         if std::mem::take(&mut self.is_sending) {
-            assert_eq!(self.board.interrupt(BEHIND_IT, now_us).send, None, "all is sent");
+            assert_eq!(self.board.interrupt(BEHIND_IT, now_us).send, None, "the response is complete");
         }
         for byte in self.phy.receive_data(now, |bytes| (bytes.len(), bytes.to_vec())) {
             let received = Some(Character::Byte(byte));
@@ -57,7 +57,7 @@ impl Device {
         }
     }
 
-    /// Gives the bus a whole answer, which has no pauses.
+    /// Passes a complete response to the bus, without pauses.
     fn send(&mut self, first: Option<u8>, now: Instant, now_us: u32) {
         let Some(first) = first else { return };
         let mut answer = vec![first];
@@ -111,12 +111,12 @@ impl Bus {
         board.interrupt(BEHIND_IT, 0);
         let device = Device { board, phy: phy.duplicate("bridge"), due: None, is_sending: false };
         let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
-        // Two bit times, and no less than the clock can.
+        // Two bit times, limited to the resolution of the clock.
         let step = rate.bits_to_time(2).max(Duration::from_micros(1u64));
         Self { device, phy, fdl, master, gripper: station, image, exchanges: 0, now: Instant::ZERO, step }
     }
 
-    /// A step of the bus; the inputs, if there was an exchange in it.
+    /// Advances the bus by one step. Returns the inputs if an exchange was completed.
     fn turn(&mut self) -> Option<InputImage> {
         self.now += self.step;
         self.phy.set_bus_time(self.now);
@@ -130,12 +130,12 @@ impl Bus {
         Some(InputImage::from_bytes(inputs.try_into().unwrap()))
     }
 
-    /// Exchanges these flags until the inputs are as they have to become, within 60 s.
+    /// Exchanges these flags until the inputs are as expected, within 60 s.
     fn command(&mut self, flags: Flag, shown: (Shown, Status)) {
         self.image.flags = flags;
         let end = self.now + Duration::from_millis(60_000u64);
         let mut last = None;
-        // What is read with the exchange that brings the flag is from before it.
+        // The exchange that carries the flag still returns earlier inputs.
         let from = self.exchanges + 5;
         while self.exchanges < from || last.is_none_or(|it: InputImage| (it.state, it.status) != shown) {
             assert!(self.now < end, "{flags:?}: {last:?}");
@@ -174,7 +174,7 @@ fn grip_cycles_at_every_rate() {
 }
 
 #[test]
-fn ten_thousand_exchanges_and_the_gripper_stands() {
+fn ten_thousand_exchanges_cause_no_motion() {
     let mut bus = Bus::new(Baudrate::B1500000, at_1_5m(), quick());
     bus.command(Flag::empty(), (Shown::IDLE, Status::Success));
     let (from, start) = (bus.exchanges, bus.now);

@@ -1,4 +1,4 @@
-//! The service port in virtual time: it reads everything, sets settings, and moves nothing.
+//! The service port, in virtual time: it reads all registers, changes settings, and never commands.
 
 use bus_modbus::rtu::Character;
 use host_tests::addresses::{report, setting};
@@ -13,7 +13,7 @@ use wsg_protocol::CommandId;
 
 #[test]
 fn every_write_of_the_output_image_is_refused_and_nothing_comes_of_it() {
-    // A PLC that may be silent for ever.
+    // A PLC without a time-out.
     let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
     let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
     bench.command(HOMING, 0, 0, 0);
@@ -34,16 +34,16 @@ fn every_write_of_the_output_image_is_refused_and_nothing_comes_of_it() {
             assert_eq!(bench.ask(&[22, 0, 0, 0, 0, flags, 0]), [0x96, 1]);
             assert_eq!(bench.ask(&[23, 0, 0, 0, 1, 0, 0, 0, 1, 2, flags, 0]), [0x97, 1]);
         }
-        assert_eq!(bench.try_write(3, &[1, 1]), Some(2), "the second does not exist");
+        assert_eq!(bench.try_write(3, &[1, 1]), Some(2), "the second register does not exist");
         assert_eq!(bench.try_write(4, &[1]), Some(2));
         assert_eq!(bench.ask(&[15, 0, 60, 0, 5, 1, 0x1F]), [0x8F, 2]);
         assert_eq!(bench.holding(0, 4), Ok(vec![0; 4]), "nothing was written");
     });
     bench.pass(2_000);
     let sent = bench.take_sent();
-    assert_eq!(sent.iter().find(|id| !heard.contains(id)), None, "only what leaves by itself");
+    assert_eq!(sent.iter().find(|id| !heard.contains(id)), None, "only periodic requests are sent");
     assert_eq!(bench.input(report("EVENTS"), 1), events);
-    assert_eq!(bench.bridge().control_source(), ControlSource::Bus, "which homed");
+    assert_eq!(bench.bridge().control_source(), ControlSource::Bus, "the bus commanded the homing");
 }
 
 #[test]
@@ -60,18 +60,18 @@ fn service_port_reads_what_the_bus_reads() {
     let coils = bench.ask(&[1, 0, 0, 0, 64]);
     bench.by_service(|bench| {
         assert_eq!(bench.input(0, 6), image);
-        assert_eq!(bench.holding(0, 4), output, "the image as the bus wrote it");
+        assert_eq!(bench.holding(0, 4), output, "the image written by the bus");
         assert_eq!(bench.holding(FIRST_SETTING, SETTINGS.len() as u8), settings);
         assert_eq!(bench.ask(&[43, 14, 1, 0]), identification);
         assert_eq!(bench.ask(&[2, 0, 0, 0, 96]), bits);
         assert_eq!(bench.ask(&[1, 0, 0, 0, 64]), coils);
-        assert_eq!(bench.input(report("BUS_RATE"), 2), Ok(vec![192, 0]), "the PLC's bus has these");
-        assert_eq!(bench.input(report("SERVER_MESSAGES"), 1), Ok(vec![7]), "and the port counts its own");
+        assert_eq!(bench.input(report("BUS_RATE"), 2), Ok(vec![192, 0]), "rate and format of the PLC's bus");
+        assert_eq!(bench.input(report("SERVER_MESSAGES"), 1), Ok(vec![7]), "the port's own counter");
     });
 }
 
 #[test]
-fn width_and_force_are_asked_for_once_the_service_port_is_used() {
+fn width_and_force_are_queried_once_the_service_port_is_used() {
     let mut bench = Bench::new(Config::DEFAULT, quick());
     bench.pass(1_000);
     assert!(!bench.take_sent().contains(&CommandId::GetForce));
@@ -84,19 +84,19 @@ fn width_and_force_are_asked_for_once_the_service_port_is_used() {
 fn setting_that_is_written_there_counts_on_the_bus_and_the_wires_at_once() {
     let mut bench = Bench::homed(quick());
     bench.by_service(|bench| bench.write(setting("UNIT"), &[9]));
-    assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "another unit's");
+    assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "address of another unit");
     bench.send_raw(&Bench::frame(9, &[4, 0, 0, 0, 1]));
     bench.pass(5);
     assert_eq!(bench.answers(), 1);
     bench.by_service(|bench| {
-        assert_eq!(bench.holding(setting("UNIT"), 1), Ok(vec![9]), "but this port's is 1");
+        assert_eq!(bench.holding(setting("UNIT"), 1), Ok(vec![9]), "the port's own address stays 1");
         bench.write(setting("UNIT"), &[1]);
     });
 
     bench.by_service(|bench| bench.write(setting("SWAP_BYTES"), &[1]));
     let width = bench.by_service(|bench| bench.input(3, 1)).unwrap()[0];
     assert_ne!(width, width.swap_bytes());
-    assert_eq!(bench.input(3, 1), Ok(vec![width.swap_bytes()]), "the bus's alone is swapped");
+    assert_eq!(bench.input(3, 1), Ok(vec![width.swap_bytes()]), "swapped only on the bus");
     bench.by_service(|bench| bench.write(setting("SWAP_BYTES"), &[0]));
 
     bench.by_service(|bench| bench.write(setting("BROADCAST"), &[1]));
@@ -120,7 +120,7 @@ fn setting_that_is_written_there_counts_on_the_bus_and_the_wires_at_once() {
         bench.answers() == 1
     };
     assert!(!is_answered(&mut bench), "the bus is strict");
-    assert!(bench.by_service(is_answered), "and the port forgives pauses");
+    assert!(bench.by_service(is_answered), "the port tolerates pauses");
 
     bench.by_service(|bench| bench.write(setting("RECIPE0_WIDTH"), &[33_00]));
     bench.pulse(Inputs::MOVE);
@@ -133,7 +133,7 @@ fn setting_that_is_written_there_counts_on_the_bus_and_the_wires_at_once() {
 }
 
 #[test]
-fn settings_are_refused_there_as_on_the_bus() {
+fn service_port_refuses_settings_like_the_bus() {
     let mut bench = Bench::homed(quick());
     bench.by_service(|bench| {
         assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3));
@@ -144,11 +144,11 @@ fn settings_are_refused_there_as_on_the_bus() {
 }
 
 #[test]
-fn all_recipes_are_written_at_once_by_a_request_that_takes_several_turns() {
+fn all_recipes_can_be_written_by_one_request_that_takes_several_turns() {
     let mut bench = Bench::homed(quick());
     let first = setting("RECIPE0_WIDTH");
     for (by_service, from) in [(false, 1_000), (true, 2_000)] {
-        // 137 characters, all there at the same time.
+        // 137 characters, all available at the same time.
         let recipes: Vec<u16> = (from..from + 64).collect();
         if by_service {
             bench.by_service(|bench| bench.write(first, &recipes));
@@ -160,14 +160,14 @@ fn all_recipes_are_written_at_once_by_a_request_that_takes_several_turns() {
 }
 
 #[test]
-fn both_lines_are_served_at_the_same_time_and_silence_of_the_port_is_no_event() {
+fn both_lines_are_served_in_parallel_and_silence_of_the_port_is_no_event() {
     let mut bench = Bench::homed(quick());
     bench.take_motions();
     bench.write(0, &[u16::from(MOVE) << 8, 20_00, 10_00, 40_00]);
     let events = bench.input(report("EVENTS"), 1);
     let (mut on_bus, mut on_port) = (0, 0);
     for _ in 0..300 {
-        // Both requests are whole in the same turn.
+        // Both requests are complete in the same turn.
         bench.send_raw(&Bench::frame(1, &[4, 0, 0, 0, 6]));
         bench.by_service(|bench| bench.send_raw(&Bench::frame(1, &[4, 0, 100, 0, 40])));
         bench.pass(4);
@@ -176,7 +176,7 @@ fn both_lines_are_served_at_the_same_time_and_silence_of_the_port_is_no_event() 
     }
     assert_eq!((on_bus, on_port), (300, 300));
     assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
-    // The port falls silent, the PLC does not.
+    // The port becomes silent, but the PLC does not.
     for _ in 0..300 {
         assert!(bench.input(0, 1).is_ok());
         bench.pass(10);
@@ -201,7 +201,7 @@ fn master_on_the_port_does_not_keep_a_silent_plc_alive() {
     assert!(bench.take_sent().contains(&CommandId::Stop));
 }
 
-/// A line that brings characters without an end, and looks as if a frame never ended.
+/// A line with an endless stream of characters, in which a frame never seems to end.
 struct Babble(Chance);
 
 impl BusPort for Babble {
@@ -230,7 +230,7 @@ fn garbage_without_an_end_changes_nothing_and_keeps_nobody_waiting() {
         bench.pass(5);
     }
     assert_eq!(bench.take_motions(), []);
-    // An edge of a wire beside it counts as soon as without it.
+    // The noise does not delay an edge of a wire.
     let leaves_after = |bench: &mut Bench, noisy: bool| {
         bench.take_motions();
         bench.set(Inputs::MOVE, true);
@@ -261,7 +261,8 @@ fn garbage_without_an_end_changes_nothing_and_keeps_nobody_waiting() {
 fn a_million_writes_to_the_settings_move_nothing() {
     const WRITES_PER_TURN: u32 = 20;
     let mut bench = Bench::homed(quick());
-    // The PLC that homed is silent from here on: whatever BUS_TIMEOUT and BUS_REACTION become, that has been reacted to.
+    // The PLC that homed is silent from here on. Its time-out has passed, so later values of BUS_TIMEOUT and BUS_REACTION
+    // have no effect.
     bench.pass(2_000);
     bench.take_motions();
     let mut chance = Chance::new(18);
@@ -273,11 +274,11 @@ fn a_million_writes_to_the_settings_move_nothing() {
                 let [a1, a0] = first.to_be_bytes();
                 let count = 1 + chance.below(4) as u8;
                 let mut pdu = vec![16, a1, a0, 0, count, 2 * count];
-                // Half of them in most ranges.
+                // Half of the values are within most ranges.
                 let most = if chance.below(2) == 0 { 3 } else { 0x1_0000 };
                 pdu.extend((0..count).flat_map(|_| (chance.below(most) as u16).to_be_bytes()));
                 bench.send_after(60_000, &Bench::frame(UNIT, &pdu));
-                // Where it begins the one before ends.
+                // The start of a request ends the previous one.
                 bench.serve_alone(1);
             }
             bench.step();

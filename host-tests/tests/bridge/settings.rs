@@ -1,4 +1,4 @@
-//! Settings that stay: SAVE, RESTORE, DEFAULTS, what a start finds in flash, and recipes for the bus.
+//! Persistent settings: SAVE, RESTORE, DEFAULTS, the selection at a start, and recipes for the bus.
 
 use host_tests::addresses::{place, report, setting};
 use host_tests::can_bench::{Double, NO_PROFIBUS};
@@ -15,7 +15,7 @@ use wsg_fieldbus::CommandFlags;
 use wsg_protocol::{CommandId, Instant};
 use wsg_sim::Time;
 
-/// A bridge with its flash, a gripper, and a master on the service port and the PLC's bus.
+/// A bridge with its flash, a gripper, and masters on the service port and the PLC's bus.
 struct Plant {
     station: Station<Double>,
     gripper: SerialGripper,
@@ -54,7 +54,7 @@ impl Plant {
         }
     }
 
-    /// The same board after its power was off. The gripper's was as well.
+    /// Restarts the board after a power cycle. The gripper restarts, too.
     fn restart(self) -> Self {
         Self::start(self.flash)
     }
@@ -69,11 +69,11 @@ impl Plant {
         }
     }
 
-    /// Reads registers over the service port, or writes them: the exception, if it is refused.
+    /// Sends a read or write request over the service port. Returns the exception if it is refused.
     fn ask(&mut self, request: &[u8]) -> Result<Vec<u8>, u8> {
         self.service.ask(&[&[1], request].concat());
         self.pass(5);
-        let answer = self.service.answer().expect("an answer");
+        let answer = self.service.answer().expect("a response");
         if answer[1] & 0x80 == 0 { Ok(answer[2..answer.len() - 2].to_vec()) } else { Err(answer[2]) }
     }
 
@@ -135,7 +135,7 @@ fn command(name: &str) -> u16 {
     FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).expect("a command") as u16
 }
 
-/// Flash in which this was saved.
+/// Returns flash with this record.
 fn with_record(version: u16, words: &[u16]) -> FlashModel {
     let mut flash = FlashModel::new();
     let mut store = Store::<400>::new();
@@ -147,7 +147,7 @@ fn with_record(version: u16, words: &[u16]) -> FlashModel {
 }
 
 #[test]
-fn what_was_saved_counts_after_a_power_cycle_and_nothing_else() {
+fn only_saved_settings_apply_after_a_power_cycle() {
     let mut plant = Plant::start(FlashModel::new());
     assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SAVE_STATE")), (0, 0));
     let recipes: Vec<u16> = (0..64).map(|n| 1_000 + n).collect();
@@ -162,24 +162,24 @@ fn what_was_saved_counts_after_a_power_cycle_and_nothing_else() {
     plant.pass(500);
     assert_eq!((plant.report("SAVE_STATE"), plant.report("SETTINGS_CHANGED")), (2, 0));
     plant.set("RECIPE15_RELEASE", 7_777);
-    assert_eq!(plant.config.plc_bus as u16, 1, "a start setting counts from a start on");
+    assert_eq!(plant.config.plc_bus as u16, 1, "a start setting takes effect at a start");
 
     let mut plant = plant.restart();
     assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SETTINGS_CHANGED")), (1, 0));
     let there: Vec<u16> = (0..64).map(|n| plant.read(3, setting("RECIPE0_WIDTH") + n)).collect();
-    assert_eq!(there, recipes, "and what was changed behind the save is not there");
+    assert_eq!(there, recipes, "changes after the save are lost");
     let Config { plc_bus, can, .. } = plant.config;
     assert_eq!((plc_bus as u16, can.kbit_rate, can.node.node), (2, 250, 5));
 }
 
 #[test]
-fn restore_takes_what_is_stored_and_defaults_what_was_delivered() {
+fn restore_applies_the_stored_settings_and_defaults_those_of_the_image() {
     let mut delivered = Config::DEFAULT.record();
     delivered[place("DEBOUNCE")] = 9;
     let mut plant = Plant::delivered_with(&delivered, FlashModel::new());
     plant.set("DEBOUNCE", 50);
     assert_eq!(plant.command("RESTORE"), Ok(()));
-    assert_eq!(plant.setting("DEBOUNCE"), 9, "nothing is stored but what was delivered");
+    assert_eq!(plant.setting("DEBOUNCE"), 9, "only the image's settings exist");
     plant.set("DEBOUNCE", 60);
     assert_eq!(plant.command("SAVE"), Ok(()));
     plant.pass(500);
@@ -190,11 +190,11 @@ fn restore_takes_what_is_stored_and_defaults_what_was_delivered() {
     plant.pass(500);
     assert_eq!((plant.setting("DEBOUNCE"), plant.report("SAVE_STATE")), (9, 2));
     let mut plant = Plant::delivered_with(&Config::DEFAULT.record(), plant.flash);
-    assert_eq!((plant.setting("DEBOUNCE"), plant.report("SETTINGS_FROM")), (9, 1), "they are stored");
+    assert_eq!((plant.setting("DEBOUNCE"), plant.report("SETTINGS_FROM")), (9, 1), "the defaults are stored");
 }
 
 #[test]
-fn command_registers_take_their_key_alone_while_the_fingers_stand() {
+fn command_registers_accept_only_their_key_and_only_at_rest() {
     let mut plant = Plant::start(FlashModel::new());
     plant.get_ready();
     for name in ["SAVE", "RESTORE", "DEFAULTS"] {
@@ -205,14 +205,14 @@ fn command_registers_take_their_key_alone_while_the_fingers_stand() {
     }
     let [high, low] = command("SAVE").to_be_bytes();
     let [k1, k0] = COMMAND_KEY.to_be_bytes();
-    assert_eq!(plant.ask(&[16, high, low, 0, 2, 4, k1, k0, k1, k0]), Err(3), "two at once");
+    assert_eq!(plant.ask(&[16, high, low, 0, 2, 4, k1, k0, k1, k0]), Err(3), "two commands at once");
     assert_eq!(plant.report("SAVE_STATE"), 0);
 
     plant.inputs |= Inputs::MOVE;
     plant.pass(20);
     assert!(plant.outputs.contains(Outputs::BUSY));
     for name in ["SAVE", "RESTORE", "DEFAULTS"] {
-        assert_eq!(plant.command(name), Err(6), "{name} while the fingers move");
+        assert_eq!(plant.command(name), Err(6), "{name} during a motion");
     }
     plant.pass(2_000);
     // Each operation takes long.
@@ -223,11 +223,11 @@ fn command_registers_take_their_key_alone_while_the_fingers_stand() {
     assert_eq!(plant.write(setting("DEBOUNCE"), 3), Err(6));
     plant.pass(3_000);
     assert_eq!(plant.report("SAVE_STATE"), 2);
-    assert_eq!(plant.flash.erases, [1, 0], "saved once");
+    assert_eq!(plant.flash.erases, [1, 0], "saved only once");
 }
 
 #[test]
-fn what_the_bus_and_the_service_port_ask_for_in_the_same_turn_is_done_or_refused() {
+fn requests_of_bus_and_service_port_in_one_turn_are_executed_or_refused() {
     let by_service = |plant: &mut Plant, address: u16, value: u16| {
         let ([a1, a0], [v1, v0]) = (address.to_be_bytes(), value.to_be_bytes());
         plant.service.ask(&[1, 6, a1, a0, v1, v0]);
@@ -245,12 +245,12 @@ fn what_the_bus_and_the_service_port_ask_for_in_the_same_turn_is_done_or_refused
         assert_eq!((plant.setting("DEBOUNCE"), plant.report("SAVE_STATE")), (2, 2));
         by_service(&mut plant, address, value);
         plant.pass(5);
-        assert_eq!(plant.service.answer().map(|answer| answer[1]), Some(6), "once it is done");
+        assert_eq!(plant.service.answer().map(|answer| answer[1]), Some(6), "after completion");
     }
 }
 
 #[test]
-fn fast_stop_leaves_as_soon_during_a_save_as_without_one() {
+fn save_does_not_delay_a_fast_stop() {
     let ms_to_fast_stop = |save: bool| {
         let mut plant = Plant::start(FlashModel::new());
         plant.get_ready();
@@ -263,14 +263,14 @@ fn fast_stop_leaves_as_soon_during_a_save_as_without_one() {
             plant.pass(1);
             plant.sent.contains(&CommandId::FastStop)
         });
-        assert_eq!(plant.report("SAVE_STATE"), u16::from(save), "the save runs still");
+        assert_eq!(plant.report("SAVE_STATE"), u16::from(save), "the save is still running");
         ms.expect("FAST STOP")
     };
     assert_eq!(ms_to_fast_stop(true), ms_to_fast_stop(false));
 }
 
 #[test]
-fn a_power_cut_leaves_the_old_or_the_new_settings_and_moves_nothing() {
+fn power_cut_leaves_the_old_or_the_new_settings_and_causes_no_motion() {
     let mut saved = Plant::start(FlashModel::new());
     saved.set("RECIPE0_WIDTH", 1_111);
     saved.set("RECIPE15_RELEASE", 1_111);
@@ -298,7 +298,7 @@ fn a_power_cut_leaves_the_old_or_the_new_settings_and_moves_nothing() {
 }
 
 #[test]
-fn settings_that_cannot_be_used_let_nothing_move_until_others_are_stored() {
+fn unusable_settings_block_motions_until_others_are_stored() {
     let delivered = Config::DEFAULT.record();
     let mut wrong = delivered;
     wrong[place("CAN_RATE")] = 300;
@@ -320,7 +320,7 @@ fn settings_that_cannot_be_used_let_nothing_move_until_others_are_stored() {
         assert_eq!(plant.report("SETTINGS_FROM"), from);
         assert_eq!(plant.report("ERROR_CAUSE"), EventCode::SettingsRefused as u16);
         assert_eq!(plant.outputs & (Outputs::READY | Outputs::ERROR), Outputs::ERROR);
-        // By the bus alone, and then by both.
+        // By the bus alone, then by both.
         plant.write_image(CommandFlags::empty(), [20_00, 50_00, 40_00]);
         plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
         plant.pass(200);
@@ -329,7 +329,7 @@ fn settings_that_cannot_be_used_let_nothing_move_until_others_are_stored() {
         plant.pass(200);
         assert!(!plant.has_moved(), "{:?}", plant.sent);
 
-        // DEFAULTS ends it, and what was held meanwhile gives no edge.
+        // DEFAULTS ends the block. Flags and wires held in the meantime give no edge.
         assert_eq!(plant.command("DEFAULTS"), Ok(()));
         plant.pass(500);
         assert_eq!((plant.report("SAVE_STATE"), plant.report("SETTINGS_FROM")), (2, 1));
@@ -340,12 +340,12 @@ fn settings_that_cannot_be_used_let_nothing_move_until_others_are_stored() {
         plant.pass(200);
         plant.inputs |= Inputs::HOME;
         plant.pass(200);
-        assert!(plant.sent.contains(&CommandId::Homing), "an edge is one again");
+        assert!(plant.sent.contains(&CommandId::Homing), "a new edge takes effect");
     }
 }
 
 #[test]
-fn older_firmwares_settings_are_taken_and_the_others_are_as_delivered() {
+fn settings_of_older_firmware_are_used_and_completed_from_the_image() {
     let mut older = Config::DEFAULT.record();
     older[0] = 44;
     let mut plant = Plant::start(with_record(1, &older[..50]));
@@ -354,7 +354,7 @@ fn older_firmwares_settings_are_taken_and_the_others_are_as_delivered() {
 }
 
 #[test]
-fn settings_of_map_version_5_are_taken_and_those_of_profibus_are_as_delivered() {
+fn settings_of_map_version_5_are_used_and_profibus_settings_come_from_the_image() {
     let at = |name| place(name);
     let mut delivered = Config::DEFAULT.record();
     delivered[at("PROFIBUS_ADDRESS")] = 9;
@@ -371,12 +371,12 @@ fn settings_of_map_version_5_are_taken_and_those_of_profibus_are_as_delivered() 
     assert_eq!(
         (plant.report("SETTINGS_FROM"), plant.setting("PROFIBUS_ADDRESS")),
         (1, 9),
-        "stored with the others"
+        "stored together with the others"
     );
 }
 
 #[test]
-fn flash_that_fails_is_said_and_the_settings_in_ram_stay() {
+fn flash_failure_is_reported_and_the_settings_in_ram_stay() {
     let cases =
         [(Fault::Stuck, 0, 1), (Fault::Protected, 0, 2), (Fault::Worn(3), 0, 5), (Fault::Swallows(0), 6, 5)];
     for (fault, from, why) in cases {
@@ -395,7 +395,7 @@ fn flash_that_fails_is_said_and_the_settings_in_ram_stay() {
 }
 
 #[test]
-fn random_writes_leave_settings_that_a_start_takes_and_move_nothing() {
+fn random_writes_leave_valid_settings_and_cause_no_motion() {
     let mut plant = Plant::start(FlashModel::new());
     let mut chance = Chance::new(18);
     for round in 0..2_000 {
@@ -422,7 +422,7 @@ fn random_writes_leave_settings_that_a_start_takes_and_move_nothing() {
 }
 
 #[test]
-fn commands_of_the_bus_take_the_recipe_that_was_chosen() {
+fn bus_commands_use_the_selected_recipe() {
     let mut plant = Plant::start(FlashModel::new());
     plant.get_ready();
     for (name, value) in [("WIDTH", 33_00), ("SPEED", 150_00), ("FORCE", 20_00), ("RELEASE", 66_00)]
@@ -435,12 +435,12 @@ fn commands_of_the_bus_take_the_recipe_that_was_chosen() {
     let width = |plant: &mut Plant| plant.read(4, 3);
     plant.write_image(CommandFlags::empty(), [0; 3]);
     plant.write_image(CommandFlags::MOVE, [0; 3]);
-    // The flag goes, and other parameters come, while the fingers move: nothing of that is a parameter that changes.
+    // The flag falls, and the parameters change, while the fingers move. Neither counts as a parameter change.
     plant.write_image(CommandFlags::empty(), [1, 2, 3]);
     assert_eq!(
         (1..4).map(|at| plant.read(3, at)).collect::<Vec<_>>(),
         [1, 2, 3],
-        "the port shows what was written"
+        "the port shows the written values"
     );
     plant.pass(2_000);
     assert_eq!(width(&mut plant), 33_00);
@@ -456,7 +456,7 @@ fn commands_of_the_bus_take_the_recipe_that_was_chosen() {
 }
 
 #[test]
-fn motion_that_arrives_in_the_turn_of_a_store_command_begins_after_it() {
+fn motion_in_the_turn_of_a_store_command_begins_after_it() {
     let mut plant = Plant::start(FlashModel::new());
     plant.get_ready();
     plant.set("RECIPE12_WIDTH", 33_00);
@@ -474,5 +474,5 @@ fn motion_that_arrives_in_the_turn_of_a_store_command_begins_after_it() {
     assert!(!plant.has_moved(), "settings never change during a motion");
     plant.pass(2_000);
     assert_eq!(motions(plant.sent.clone()), [CommandId::PrePosition]);
-    assert_eq!(plant.read(4, 3), 44_00, "the default is no recipe for the bus");
+    assert_eq!(plant.read(4, 3), 44_00, "by default, no recipe applies to the bus");
 }

@@ -1,4 +1,4 @@
-//! A station uses the lines that its settings choose, and no other, with what its settings say.
+//! A station uses only the lines that its settings select, with the parameters of its settings.
 
 use bus_profibus::{Baud, Character};
 use embedded_can::{Frame, Id};
@@ -20,7 +20,7 @@ use wsg_sim::Time;
 
 struct Bench {
     station: Station<Double>,
-    /// The handler of PROFIBUS, and the rate that it has asked for.
+    /// PROFIBUS handler, and its last requested rate.
     handler: DpResponder,
     rate: Option<Baud>,
     can: Double,
@@ -29,7 +29,7 @@ struct Bench {
     service: RtuDouble,
     flash: FlashModel,
     now_ms: u32,
-    /// Identifiers of the frames on CAN.
+    /// Identifiers of the frames sent on CAN.
     on_can: Vec<u16>,
 }
 
@@ -54,7 +54,7 @@ impl Bench {
         }
     }
 
-    /// Lets time pass, with the wires as they are when nobody wants anything.
+    /// Advances the time, with the wires at rest.
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
             self.now_ms += 1;
@@ -74,12 +74,12 @@ impl Bench {
         self.handler.step(UartStatus { received, has_room: true, is_complete: true }, self.now_ms, now_us)
     }
 
-    /// Whether FDL_Status of this station is answered.
+    /// Returns whether this station responds to FDL_Status.
     fn is_on_profibus(&mut self, station: u8) -> bool {
         self.telegram(&[0x10, station, 2, 0x49, station.wrapping_add(2 + 0x49), 0x16])
     }
 
-    /// Brings a telegram at 19 200 bit/s, behind a silence; whether it is answered.
+    /// Sends a telegram at 19 200 bit/s after a silence. Returns whether it is answered.
     fn telegram(&mut self, bytes: &[u8]) -> bool {
         self.now_ms += 1_000;
         let mut now_us = self.now_ms * 1_000;
@@ -94,7 +94,7 @@ impl Bench {
         true
     }
 
-    /// Asks a unit for a register by Modbus RTU: FC 3 or 4.
+    /// Reads a unit's register over Modbus RTU with FC 3 or 4.
     fn register(&mut self, unit: u8, function: u8, address: u16) -> Option<u16> {
         let [high, low] = address.to_be_bytes();
         self.modbus.ask(&[unit, function, high, low, 0, 1]);
@@ -102,7 +102,7 @@ impl Bench {
         self.modbus.answered()
     }
 
-    /// The same over the service port.
+    /// Sends a request over the service port.
     fn service(&mut self, request: &[u8]) -> Option<u16> {
         self.service.ask(request);
         self.pass(3);
@@ -119,7 +119,7 @@ fn with(changes: &[(&str, u16)]) -> Config {
 }
 
 #[test]
-fn only_the_lines_that_the_settings_choose_are_used() {
+fn only_the_lines_that_the_settings_select_are_used() {
     let to_gripper = Identifiers::DEFAULT.controller().transmit.as_raw();
     let boot_up = 0x700 | u16::from(DEFAULT_NODE.node);
     for gripper_line in [GripperLine::Serial, GripperLine::Can] {
@@ -143,7 +143,7 @@ fn only_the_lines_that_the_settings_choose_are_used() {
 }
 
 #[test]
-fn service_port_is_there_whatever_the_settings_choose() {
+fn service_port_is_available_with_any_settings() {
     for gripper_line in [GripperLine::Serial, GripperLine::Can] {
         for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen, PlcBus::Profibus] {
             let changes = [("UNIT", 9), ("BUS_CHAR_TIMEOUT", 0), ("SWAP_BYTES", 1), ("MODBUS_RATE", 12)];
@@ -153,16 +153,16 @@ fn service_port_is_there_whatever_the_settings_choose() {
             assert_eq!(bench.service(&[1, 3, 0, 100, 0, 1]), Some(9), "{what}");
             bench.service(&[1, 6, 0, 100, 0, 7]);
             assert_eq!(bench.service(&[1, 3, 0, 100, 0, 1]), Some(7), "{what}");
-            assert_eq!(bench.service(&[9, 3, 0, 100, 0, 1]), None, "{what}: its unit is 1");
+            assert_eq!(bench.service(&[9, 3, 0, 100, 0, 1]), None, "{what}: the port's address is 1");
         }
     }
 }
 
 #[test]
-fn settings_of_the_record_count_from_the_start_on() {
+fn settings_of_the_record_apply_from_the_start() {
     let mut bench = Bench::new(&with(&[("UNIT", 5), ("MODBUS_RATE", 1_152), ("RECIPE2_WIDTH", 33_00)]));
     bench.pass(10);
-    assert_eq!(bench.register(1, 3, FIRST_SETTING), None, "it is another's");
+    assert_eq!(bench.register(1, 3, FIRST_SETTING), None, "address of another unit");
     assert_eq!(bench.register(5, 3, FIRST_SETTING), Some(5));
     assert_eq!(bench.register(5, 3, setting("RECIPE2_WIDTH")), Some(33_00));
     assert_eq!(bench.register(5, 4, report("BUS_RATE")), Some(1_152));
@@ -170,7 +170,7 @@ fn settings_of_the_record_count_from_the_start_on() {
 }
 
 #[test]
-fn identifiers_and_nodes_of_the_record_are_those_on_the_bus() {
+fn identifiers_and_nodes_of_the_record_are_used_on_the_bus() {
     let changes = [("GRIPPER_LINE", 1), ("PLC_BUS", 2), ("CAN_ID", 0x140), ("CAN_NODE", 5)];
     let mut bench = Bench::new(&with(&changes));
     bench.pass(50);
@@ -180,16 +180,16 @@ fn identifiers_and_nodes_of_the_record_are_those_on_the_bus() {
 }
 
 #[test]
-fn address_and_rate_of_the_record_are_those_on_profibus() {
+fn address_and_rate_of_the_record_are_used_on_profibus() {
     let changes = [("PLC_BUS", 3), ("PROFIBUS_ADDRESS", 9), ("PROFIBUS_RATE", 192)];
     let mut bench = Bench::new(&with(&changes));
     bench.pass(1_000);
-    assert_eq!(bench.rate, Some(Baud::K19_2), "and no other is tried");
+    assert_eq!(bench.rate, Some(Baud::K19_2), "no other rate is tried");
     assert!(!bench.is_on_profibus(7) && bench.is_on_profibus(9));
 }
 
 #[test]
-fn service_port_tells_how_far_profibus_is() {
+fn service_port_reports_the_state_of_profibus() {
     let mut bench = Bench::new(&with(&[("PLC_BUS", 3), ("PROFIBUS_RATE", 192)]));
     bench.pass(10);
     let first = report("PROFIBUS_STATE");
@@ -200,29 +200,29 @@ fn service_port_tells_how_far_profibus_is() {
             bench.service(&[1, 4, high, low, 0, 1]).unwrap()
         })
     };
-    assert_eq!(tell(&mut bench), [1, 192, 0, 0], "nothing is heard");
+    assert_eq!(tell(&mut bench), [1, 192, 0, 0], "no telegrams received");
     assert!(bench.is_on_profibus(7));
     assert_eq!(tell(&mut bench), [2, 192, 1, 0]);
-    assert!(!bench.telegram(&[0x10, 7, 2, 0x49, 0x53, 0x16]), "a wrong check sum");
+    assert!(!bench.telegram(&[0x10, 7, 2, 0x49, 0x53, 0x16]), "a wrong checksum");
     assert_eq!(tell(&mut bench), [2, 192, 1, 1]);
     assert!(bench.telegram(&sd2(&[0x87, 0x82, 0x6D, 61, 62, 0x80, 0, 0, 11, 0x55, 0x55, 0])));
     assert_eq!(tell(&mut bench), [3, 192, 2, 1]);
     assert!(bench.telegram(&sd2(&[0x87, 0x82, 0x5D, 62, 62, 0xA7, 0x9B])));
     assert_eq!(tell(&mut bench), [4, 192, 3, 1]);
     bench.pass(6_000);
-    assert_eq!(tell(&mut bench)[0], 1, "nothing any more");
+    assert_eq!(tell(&mut bench)[0], 1, "no more telegrams");
     let mut bench = Bench::new(&Config::DEFAULT);
     assert_eq!(tell(&mut bench), [0; 4], "another bus");
 }
 
 #[test]
-fn wires_are_debounced_as_the_record_says() {
+fn wires_are_debounced_with_the_time_of_the_record() {
     for (debounce_ms, bounds) in [(2, 2..10), (200, 200..210)] {
         let Bench { mut station, mut modbus, mut service, mut flash, .. } =
             Bench::new(&with(&[("DEBOUNCE", debounce_ms)]));
         let mut far = SerialGripper::new(wsg_sim::Config::default());
         let mut sent = |now_ms: u32| {
-            // The FAST STOP of power-up is acknowledged from 1000 ms on; from 2000 ms on there is nothing but to stop.
+            // Acknowledges the FAST STOP of power-up from 1000 ms on. From 2000 ms on, the only effect is a Stop.
             let acknowledges = (1_000..1_500).contains(&now_ms) || now_ms >= 2_000;
             let wires =
                 if acknowledges { Inputs::FAST_STOP_OK | Inputs::STOP_ACK } else { Inputs::FAST_STOP_OK };

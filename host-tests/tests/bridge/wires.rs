@@ -1,4 +1,4 @@
-//! The bridge library and the virtual gripper in virtual time: what a PLC sees, and what must never happen.
+//! The bridge library with wires and a virtual gripper, in virtual time: output levels and safety.
 
 use host_tests::bench::Bench;
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
@@ -35,7 +35,8 @@ fn grip_cycle_shows_what_the_gripper_does() {
     assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
 }
 
-/// Raises a command wire; what leaves until the frame of this motion is complete, and after how many turns.
+/// Raises a command wire. Returns the number of turns until the frame of this motion is complete, and the commands sent until
+/// then.
 fn raise(bench: &mut Bench, wire: Inputs, motion: CommandId) -> (u32, Vec<CommandId>) {
     bench.take_sent();
     bench.set(wire, true);
@@ -47,10 +48,10 @@ fn raise(bench: &mut Bench, wire: Inputs, motion: CommandId) -> (u32, Vec<Comman
             return (turn, sent);
         }
     }
-    panic!("{motion} does not leave: {sent:?}");
+    panic!("{motion} is not sent: {sent:?}");
 }
 
-/// Waits for the end of a motion, with its wire back.
+/// Lowers the wire, and waits for the end of the motion.
 fn finish(bench: &mut Bench, wire: Inputs) {
     bench.set(wire, false);
     assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
@@ -67,7 +68,7 @@ fn grip_leaves_at_once_whenever_its_force_limit_is_known() {
         bench.pass(pause_ms);
         let (turns, sent) = raise(&mut bench, Inputs::GRIP, CommandId::GripPart);
         assert!(!sent.contains(&CommandId::SetForceLimit), "after {pause_ms} ms: {sent:?}");
-        // The frame is as long as that of RELEASE. One of the session's own may be on the line.
+        // The frame is as long as the frame of RELEASE. One of the session's own requests may be on the line.
         assert!(turns <= release_turns, "after {pause_ms} ms: {turns} turns instead of {release_turns}");
         finish(&mut bench, Inputs::GRIP);
     }
@@ -81,7 +82,7 @@ fn force_limit_that_somebody_else_changed_is_set_again() {
     let force = bench.gripper().state().force_limit;
     let other = Command::SetForceLimit { force: force + 1.0 };
     let mut bytes = FrameEncoder::new(other.id().code(), other).collect::<Vec<u8>>();
-    // Between two frames of the bridge's own.
+    // Between two of the bridge's frames.
     bench.far.to_gripper = Some(Box::new(move |line| {
         if line.is_empty() {
             line.append(&mut bytes);
@@ -95,7 +96,7 @@ fn force_limit_that_somebody_else_changed_is_set_again() {
 }
 
 #[test]
-fn part_pulled_out_is_a_part_fault() {
+fn lost_part_is_a_part_fault() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.command(Inputs::GRIP);
     let now = bench.now();
@@ -122,7 +123,7 @@ fn recipe_wires_choose_the_width() {
 }
 
 #[test]
-fn busy_lasts_long_enough_for_a_plc_even_if_the_fingers_are_there_already() {
+fn busy_lasts_long_enough_for_a_plc_even_if_the_target_is_already_reached() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.command(Inputs::MOVE);
     bench.set(Inputs::MOVE, true);
@@ -146,10 +147,10 @@ fn motion_before_homing_is_refused_by_the_gripper_and_shows_error() {
     bench.pulse(Inputs::MOVE);
     assert!(bench.until(100, |outputs| outputs.contains(Outputs::ERROR)));
     assert!(bench.until(60, |outputs| outputs.contains(Outputs::READY)));
-    assert_eq!(bench.command(Inputs::HOME), IDLE, "and homing clears it");
+    assert_eq!(bench.command(Inputs::HOME), IDLE, "homing clears the error");
 }
 
-/// Gives an edge at READY and returns for how long BUSY is high, and the outputs after it.
+/// Gives an edge at READY. Returns the duration of BUSY, and the outputs after it.
 fn edge_at_ready(bench: &mut Bench, wire: Inputs) -> (u32, Outputs) {
     assert!(bench.outputs().contains(Outputs::READY), "{:?}", bench.outputs());
     bench.set(wire, true);
@@ -164,7 +165,7 @@ fn edge_at_ready(bench: &mut Bench, wire: Inputs) -> (u32, Outputs) {
 
 #[test]
 fn edge_that_is_refused_at_ready_shows_busy_for_50_ms_also_when_error_was_high_before() {
-    // The gripper ends a motion with an error: GSTATE is ERROR, and READY is high.
+    // The gripper ends a motion with an error, so GSTATE is ERROR and READY is high.
     let mut bench = Bench::homed(quick());
     let now = bench.now();
     bench.gripper().set_part(Part::of_width(90.0), now);
@@ -178,7 +179,7 @@ fn edge_that_is_refused_at_ready_shows_busy_for_50_ms_also_when_error_was_high_b
         assert_eq!(outputs, in_error);
         assert_eq!(bench.take_motions(), []);
     }
-    // The way out, by wires alone.
+    // Recovery by wires alone.
     let now = bench.now();
     bench.gripper().set_part(None, now);
     bench.pulse(Inputs::STOP_ACK);
@@ -198,9 +199,9 @@ fn move_is_refused_after_no_part_until_a_release() {
     assert_eq!(bench.command(Inputs::MOVE), IDLE);
 }
 
-/// A PLC that watches HOLDING must not take a refusal for a lost part.
+/// A PLC that monitors HOLDING must not take a refusal for a lost part.
 #[test]
-fn refused_edge_leaves_holding_and_part_fault_as_they_are() {
+fn refused_edge_does_not_change_holding_and_part_fault() {
     for (config, result) in [(with_part(20.0), Outputs::HOLDING), (quick(), Outputs::PART_FAULT)] {
         let mut bench = Bench::homed(config);
         assert_eq!(bench.command(Inputs::GRIP), IDLE | result);
@@ -212,7 +213,7 @@ fn refused_edge_leaves_holding_and_part_fault_as_they_are() {
 }
 
 #[test]
-fn part_that_is_lost_is_released_or_gripped_again_by_wires_alone() {
+fn lost_part_is_released_or_gripped_again_by_wires_alone() {
     for way_out in [Inputs::RELEASE, Inputs::GRIP] {
         let mut bench = Bench::homed(with_part(20.0));
         bench.command(Inputs::GRIP);
@@ -234,7 +235,7 @@ fn part_that_is_lost_is_released_or_gripped_again_by_wires_alone() {
 }
 
 #[test]
-fn refusal_shows_busy_for_50_ms_whatever_min_busy_is() {
+fn refusal_shows_busy_for_at_least_50_ms_at_any_min_busy() {
     for (min_busy_ms, expected) in [(0, 50..=52), (70, 70..=72)] {
         let mut bench = Bench::with_bridge(
             BridgeConfig {
@@ -322,7 +323,7 @@ fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged
 }
 
 #[test]
-fn fast_stop_wire_low_at_power_up_counts_even_if_a_command_wire_chatters() {
+fn fast_stop_wire_low_at_power_up_takes_effect_despite_a_bouncing_command_wire() {
     let mut bench = Bench::new(quick());
     let chatter = |bench: &mut Bench, ms: u32| {
         for n in 0..ms {
@@ -388,7 +389,7 @@ fn command_while_the_line_is_cut_is_not_carried_out_when_it_is_mended() {
     bench.far.to_gripper = Some(Box::new(Vec::clear));
     assert!(
         bench.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)),
-        "the cut shows within a second"
+        "the cut is shown within a second"
     );
     bench.pulse(Inputs::MOVE);
     bench.far.to_bridge = None;
@@ -399,7 +400,7 @@ fn command_while_the_line_is_cut_is_not_carried_out_when_it_is_mended() {
 }
 
 #[test]
-fn line_cut_during_a_motion_says_that_the_outcome_is_not_known() {
+fn line_cut_during_a_motion_reports_an_unknown_outcome() {
     let mut bench = Bench::homed(Config::default());
     bench.set(Inputs::MOVE, true);
     bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
@@ -408,17 +409,17 @@ fn line_cut_during_a_motion_says_that_the_outcome_is_not_known() {
     assert!(bench.until(1_000, |outputs| outputs == Outputs::ERROR), "{:?}", bench.outputs());
     bench.far.to_bridge = None;
     assert!(bench.until(5_000, |outputs| outputs.contains(Outputs::READY)));
-    assert!(bench.outputs().contains(Outputs::ERROR), "still not known");
+    assert!(bench.outputs().contains(Outputs::ERROR), "the outcome is still unknown");
     bench.set(Inputs::RECIPE0, true);
     bench.pulse(Inputs::STOP_ACK);
     assert_eq!(bench.command(Inputs::MOVE), IDLE, "an acknowledgement clears it");
 }
 
 #[test]
-fn result_with_a_wrong_checksum_is_noticed_and_recovered_from() {
+fn result_with_a_wrong_checksum_is_detected_and_recovered() {
     let mut bench = Bench::homed(quick());
     bench.take_sent();
-    // The second answer to Pre-position (21h, E_SUCCESS) arrives damaged, once.
+    // The second reply to Pre-position (21h, E_SUCCESS) is damaged once.
     let result = frame(Reply::status_only(CommandId::PrePosition, Status::Success));
     let mut done = false;
     bench.far.to_bridge = Some(Box::new(move |bytes| {
@@ -450,11 +451,11 @@ fn answers_to_nothing_ever_asked_change_nothing() {
     bench.pass(300);
     assert_eq!(bench.outputs(), outputs);
     assert_eq!(bench.take_motions(), []);
-    assert!(bench.counters().session.unsolicited > 50, "and they are counted: {:?}", bench.counters());
+    assert!(bench.counters().session.unsolicited > 50, "the replies are counted: {:?}", bench.counters());
 }
 
 #[test]
-fn restarted_gripper_shows_within_250_ms_that_homing_is_due_whatever_is_subscribed() {
+fn restart_of_the_gripper_is_shown_as_unreferenced_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
         let mut bench = Bench::homed(quick());
         bench.pass(offset_ms);
@@ -466,7 +467,7 @@ fn restarted_gripper_shows_within_250_ms_that_homing_is_due_whatever_is_subscrib
 
 /// Switched off for 200 ms, which is too short for LINK_OK to fall.
 #[test]
-fn gripper_that_was_off_for_200_ms_shows_within_250_ms_that_homing_is_due() {
+fn power_cycle_of_200_ms_is_shown_as_unreferenced_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
         let mut bench = Bench::homed(quick());
         bench.pass(offset_ms);
@@ -480,7 +481,7 @@ fn gripper_that_was_off_for_200_ms_shows_within_250_ms_that_homing_is_due() {
     }
 }
 
-/// A bench in a FAST STOP that the gripper has confirmed, with `FAST_STOP_OK` low.
+/// Returns a bench in a FAST STOP confirmed by the gripper, with `FAST_STOP_OK` low.
 fn held_in_fast_stop() -> Bench {
     let mut bench = Bench::homed(quick());
     bench.set(Inputs::FAST_STOP_OK, false);
@@ -491,7 +492,7 @@ fn held_in_fast_stop() -> Bench {
 
 /// Fieldbus, 6.6: FASTSTOP is a level.
 #[test]
-fn fast_stop_wire_that_is_low_stops_fingers_that_a_third_party_acknowledges_and_moves() {
+fn low_fast_stop_wire_stops_fingers_acknowledged_and_moved_by_a_third_party() {
     for offset_ms in 0..40 {
         let mut bench = held_in_fast_stop();
         for _ in 0..3 {
@@ -510,7 +511,7 @@ fn fast_stop_wire_that_is_low_stops_fingers_that_a_third_party_acknowledges_and_
 
 /// Fieldbus, 6.6.
 #[test]
-fn fast_stop_wire_that_is_high_again_lets_a_third_party_acknowledge() {
+fn third_party_may_acknowledge_after_the_fast_stop_wire_is_high() {
     let mut bench = held_in_fast_stop();
     bench.set(Inputs::FAST_STOP_OK, true);
     bench.pass(100);
@@ -535,7 +536,7 @@ fn gripper_that_is_restarted_while_the_fast_stop_wire_is_low_is_in_fast_stop_wit
 }
 
 #[test]
-fn fault_of_the_gripper_shows_error_and_is_left_by_an_acknowledgement() {
+fn fault_of_the_gripper_shows_error_until_acknowledged() {
     let mut bench = Bench::homed(quick());
     let now = bench.now();
     bench.gripper().set_fault(Fault::SupplyOutOfRange, true, now);
@@ -545,23 +546,23 @@ fn fault_of_the_gripper_shows_error_and_is_left_by_an_acknowledgement() {
     let now = bench.now();
     bench.gripper().set_fault(Fault::SupplyOutOfRange, false, now);
     bench.pass(100);
-    assert!(bench.outputs().contains(Outputs::ERROR), "not by itself");
+    assert!(bench.outputs().contains(Outputs::ERROR), "not cleared automatically");
     bench.pulse(Inputs::STOP_ACK);
     assert!(bench.until(100, |outputs| outputs == IDLE), "{:?}", bench.outputs());
 }
 
-/// What can happen to the bench from outside.
+/// External influence on the bench.
 #[derive(Clone, Debug)]
 enum Happening {
-    /// Bytes on the line to the bridge.
+    /// Bytes to the bridge on the line.
     Bytes(Vec<u8>),
-    /// A wire that commands no motion changes.
+    /// A change of a wire that commands no motion.
     Wire(usize, bool),
-    /// A pulse on a command wire that is too short to count.
+    /// A pulse on a command wire, shorter than the debounce time.
     Spike(usize),
-    /// The line is dead, or not.
+    /// The line is cut, or repaired.
     Cut(bool),
-    /// The gripper's supply fails, or comes back.
+    /// The gripper's supply fails, or recovers.
     Fault(bool),
     Pass(u32),
 }
@@ -620,14 +621,14 @@ proptest! {
         bench.far.inject(&noise);
         bench.pass(2_000);
         if !bench.outputs().contains(Outputs::READY) {
-            // Noise can hold a right report by chance, of a FAST STOP for example; the next regular question corrects it.
+            // Noise may contain a valid report by chance, of a FAST STOP for example. The next periodic query corrects it.
             bench.pass(2_000);
         }
         prop_assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     }
 }
 
-/// A line that only brings errors.
+/// A line that only returns errors.
 struct DeadLine;
 
 impl embedded_io::ErrorType for DeadLine {
@@ -663,7 +664,7 @@ impl embedded_io::Write for DeadLine {
 }
 
 #[test]
-fn watchdog_is_fed_once_for_each_turn_in_which_time_has_passed() {
+fn watchdog_is_fed_once_per_turn_if_time_has_passed() {
     let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
     let mut line = SerialLine::with_room(BYTES_PER_MS);
     for now_ms in 1..100 {
@@ -673,7 +674,7 @@ fn watchdog_is_fed_once_for_each_turn_in_which_time_has_passed() {
     }
     for _ in 0..1_000 {
         bridge.poll(99, Inputs::empty(), &mut line, &mut NoBus);
-        assert!(!bridge.may_feed_watchdog(99), "time stands still");
+        assert!(!bridge.may_feed_watchdog(99), "the clock has stopped");
     }
 }
 
@@ -687,7 +688,7 @@ fn watchdog_is_not_fed_while_the_line_cannot_be_looked_at() {
 }
 
 #[test]
-fn fast_stop_leaves_although_the_clock_stands_still() {
+fn fast_stop_is_sent_with_a_stopped_clock() {
     let mut bench = Bench::homed(quick());
     bench.take_sent();
     bench.set(Inputs::FAST_STOP_OK, false);
@@ -697,7 +698,7 @@ fn fast_stop_leaves_although_the_clock_stands_still() {
 }
 
 #[test]
-fn fast_stop_wire_that_is_low_2_of_every_3_ms_or_1_of_5_stops_the_gripper() {
+fn fast_stop_wire_low_for_2_of_3_ms_or_1_of_5_ms_stops_the_gripper() {
     for (period, low) in [(3, 2), (5, 1)] {
         let mut bench = Bench::homed(quick());
         bench.set(Inputs::MOVE, true);
@@ -715,7 +716,7 @@ fn edge_of_a_command_wire_while_ready_is_low_is_refused_also_while_busy_lasts_on
     let mut bench = Bench::homed(with_part(20.0));
     bench.command(Inputs::MOVE);
     bench.take_sent();
-    // The fingers are there already: BUSY for 50 ms all the same.
+    // The fingers are already at the target, but BUSY lasts 50 ms.
     bench.set(Inputs::MOVE, true);
     assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
     bench.pass(20);
@@ -730,11 +731,11 @@ fn edge_of_a_command_wire_while_ready_is_low_is_refused_also_while_busy_lasts_on
     assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
     bench.set(Inputs::MOVE | Inputs::RELEASE, false);
     bench.pass(10);
-    assert_eq!(bench.command(Inputs::RELEASE), IDLE, "it is no lock");
+    assert_eq!(bench.command(Inputs::RELEASE), IDLE, "the refusal does not lock");
 }
 
 #[test]
-fn stop_that_is_not_answered_within_100_ms_becomes_a_fast_stop() {
+fn stop_unanswered_for_100_ms_becomes_a_fast_stop() {
     let mut bench = Bench::homed(Config::default());
     bench.set(Inputs::MOVE, true);
     bench.pass(50);
@@ -748,7 +749,7 @@ fn stop_that_is_not_answered_within_100_ms_becomes_a_fast_stop() {
 }
 
 #[test]
-fn force_limit_is_read_back_before_the_grip_leaves() {
+fn force_limit_is_read_back_before_the_grip_is_sent() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.take_sent();
     bench.set(Inputs::GRIP, true);
@@ -761,7 +762,7 @@ fn force_limit_is_read_back_before_the_grip_leaves() {
 }
 
 #[test]
-fn longest_reply_that_a_gripper_may_send_is_no_oversize() {
+fn longest_reply_of_a_gripper_is_not_oversize() {
     let mut bench = Bench::ready(quick());
     let tag = [b'T'; DeviceTag::MAX_LEN];
     let reply = [&Status::Success.code().to_le_bytes()[..], &tag].concat();
@@ -772,14 +773,14 @@ fn longest_reply_that_a_gripper_may_send_is_no_oversize() {
 }
 
 #[test]
-fn edge_in_the_turn_in_which_the_gripper_is_heard_to_move_is_refused_with_its_parameters() {
+fn edge_in_the_turn_of_a_report_of_motion_is_refused_with_its_parameters() {
     let mut bench = Bench::homed(quick());
     bench.set(Inputs::RECIPE0, true);
     bench.pass(20);
     let flags = bench.gripper().state().flags | SystemFlags::MOVING;
     bench.take_sent();
     bench.set(Inputs::MOVE, true);
-    // The wire counts in the third turn.
+    // The wire takes effect in the third turn.
     bench.pass(2);
     assert!(bench.outputs().contains(Outputs::READY));
     let report = Reply::success(Value::GetSystemState(flags));
@@ -790,7 +791,7 @@ fn edge_in_the_turn_in_which_the_gripper_is_heard_to_move_is_refused_with_its_pa
 }
 
 #[test]
-fn link_that_is_known_to_be_lost_ends_the_connection_at_once() {
+fn lost_link_ends_the_connection_at_once() {
     let mut far = SerialGripper::new(quick());
     let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
     for ms in 1..500 {
@@ -803,7 +804,7 @@ fn link_that_is_known_to_be_lost_ends_the_connection_at_once() {
 }
 
 #[test]
-fn ready_stays_low_until_the_motion_that_was_stopped_has_answered() {
+fn ready_stays_low_until_the_stopped_motion_is_answered() {
     let mut bench = Bench::homed(quick());
     bench.far.to_bridge = Some(Box::new(Vec::clear));
     for (wire, high) in [(Inputs::MOVE, true), (Inputs::STOP_ACK, true), (Inputs::STOP_ACK, false)] {
@@ -811,8 +812,12 @@ fn ready_stays_low_until_the_motion_that_was_stopped_has_answered() {
         bench.pass(5);
     }
     bench.pass(60);
-    assert_eq!(bench.outputs(), Outputs::BUSY | Outputs::REFERENCED | Outputs::LINK_OK, "MIN_BUSY is over");
-    // It is refused, which ends BUSY after its minimum.
+    assert_eq!(
+        bench.outputs(),
+        Outputs::BUSY | Outputs::REFERENCED | Outputs::LINK_OK,
+        "MIN_BUSY has passed"
+    );
+    // The refusal ends BUSY after its minimum duration.
     bench.set(Inputs::GRIP, true);
     bench.pass(60);
     assert_eq!(bench.outputs(), Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK);
@@ -843,7 +848,7 @@ fn bridge_that_is_reset_while_the_fingers_move_stops_them_and_shows_error() {
 }
 
 #[test]
-fn bridge_that_is_reset_while_a_part_is_held_keeps_it() {
+fn bridge_reset_while_a_part_is_held_keeps_it() {
     let mut bench = Bench::homed(with_part(20.0));
     assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     bench.restart_bridge();
@@ -874,7 +879,7 @@ fn force_limit_of_a_motion_that_was_dropped_is_not_sent_again() {
 }
 
 #[test]
-fn two_hundred_cycles_in_virtual_time_are_all_alike() {
+fn two_hundred_cycles_have_identical_results() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.take_sent();
     for cycle in 0..200 {
@@ -890,13 +895,13 @@ fn two_hundred_cycles_in_virtual_time_are_all_alike() {
     assert_eq!(
         bench.counters(),
         wsg_bridge_fw::Counters::default(),
-        "nothing was lost, repeated or unsolicited"
+        "no message was lost, repeated or unsolicited"
     );
 }
 
-/// Fieldbus manual, 6.2: a part that got lost is a fault at once, whatever the fingers do since.
+/// Fieldbus manual, 6.2: a lost part is a fault immediately, regardless of later motion.
 #[test]
-fn lost_part_shows_at_once_although_the_fingers_move_and_a_missing_one_with_the_end_of_busy() {
+fn lost_part_is_shown_at_once_and_a_missing_part_at_the_end_of_busy() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.command(Inputs::GRIP);
     let flags = bench.gripper().state().flags | SystemFlags::MOVING;
@@ -920,7 +925,7 @@ fn id_of(event: Option<Event<'_>>) -> Option<CommandId> {
 
 /// Completing the frame later would start a motion that was commanded over an earlier connection.
 #[test]
-fn frame_that_a_blocked_transmitter_cut_is_not_completed_after_the_connection_was_given_up() {
+fn frame_cut_by_a_blocked_transmitter_is_not_completed_after_the_connection_is_lost() {
     let mut far = SerialGripper::new(quick());
     let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
     let mut now_ms = 0;
