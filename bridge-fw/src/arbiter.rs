@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn edge_of_the_bus_while_a_command_wire_is_high_is_lost() {
+    fn bus_edge_is_lost_while_a_command_wire_is_high() {
         let mut arbiter = idle();
         take_wires(&mut arbiter, image(GRIP, 7), false);
         assert_eq!(flags(arbiter.take_bus(image(MOVE, 3), None, false)), GRIP);
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn stop_and_fast_stop_of_either_side_count_always() {
+    fn stop_and_fast_stop_of_either_side_always_take_effect() {
         for flag in [CommandFlags::STOP_ACK, CommandFlags::FASTSTOP] {
             let mut arbiter = idle();
             take_wires(&mut arbiter, image(GRIP, 7), false);
@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn jog_of_the_bus_counts_only_after_both_flags_were_0_once_one_of_them_was_masked() {
+    fn masked_jog_of_the_bus_takes_effect_only_after_both_flags_were_0() {
         const PLUS: CommandFlags = CommandFlags::JOG_PLUS;
         const MINUS: CommandFlags = CommandFlags::JOG_MINUS;
         let mut arbiter = Arbiter::new();
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn stop_that_the_bus_holds_keeps_motions_back_until_it_goes_or_the_bus_is_lost() {
+    fn stop_held_by_the_bus_blocks_motions_until_released_or_the_bus_is_lost() {
         let mut arbiter = Arbiter::new();
         take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
         assert!(!arbiter.bus_holds_stop());

@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn time_that_stands_still_is_no_life() {
+    fn stopped_clock_is_not_alive() {
         let mut liveness = Liveness::new();
         liveness.look(Looked::all());
         assert!(liveness.take(at(7)));
@@ -65,7 +65,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_was_not_looked_at_since_is_missed() {
+    fn each_part_must_be_served_again() {
         for missed in Looked::all().iter() {
             let mut liveness = Liveness::new();
             liveness.look(Looked::all());

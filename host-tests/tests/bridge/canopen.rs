@@ -281,7 +281,7 @@ fn grip_cycle_by_pdo() {
 }
 
 #[test]
-fn rpdo_counts_in_operation_alone_and_whole_alone() {
+fn rpdo_takes_effect_only_in_operation_and_only_complete() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
     for len in 0..8 {
@@ -323,7 +323,7 @@ fn first_image_after_the_start_gives_no_edge_but_fast_stop() {
 }
 
 #[test]
-fn edges_that_come_in_one_millisecond_all_count() {
+fn all_edges_within_one_millisecond_take_effect() {
     let mut master = Master::homed(None, 10.0);
     let id = 0x200 | u16::from(NODE.node);
     let image = |flags: Cmd| [flags.bits(), 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F];
@@ -364,7 +364,7 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
 }
 
 #[test]
-fn master_without_a_heartbeat_is_watched_by_its_rpdo() {
+fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
     let mut master = Master::homed(None, 1.0);
     master.beats = false;
     master.pass(2 * TIMEOUT_MS);
@@ -382,7 +382,7 @@ fn master_without_a_heartbeat_is_watched_by_its_rpdo() {
 }
 
 #[test]
-fn master_that_restarts_commands_no_more() {
+fn restarted_master_no_longer_commands() {
     let mut master = Master::homed(None, 1.0);
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
@@ -394,7 +394,7 @@ fn master_that_restarts_commands_no_more() {
 }
 
 #[test]
-fn nmt_stop_and_resets_during_a_motion_stop_it() {
+fn nmt_stop_and_resets_stop_a_motion() {
     for command in [
         NmtCommand::StopRemoteNode,
         NmtCommand::EnterPreOperational,
@@ -595,7 +595,7 @@ fn recipe_is_read_written_and_used_by_the_wires() {
 }
 
 #[test]
-fn sdo_says_why_it_refuses() {
+fn sdo_abort_states_the_reason() {
     const VALUE: u32 = 0x0609_0030;
     let mut master = Master::homed(None, 1.0);
     let reaction = setting("BUS_REACTION");
@@ -713,7 +713,7 @@ fn objects_of_the_communication_profile_have_the_types_and_access_of_the_standar
 }
 
 #[test]
-fn every_object_is_read_and_written_as_its_type_and_access_let_it() {
+fn every_object_is_read_and_written_according_to_type_and_access() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let registers = |index, count: usize, writable| {
@@ -921,7 +921,7 @@ fn silent_gripper_is_an_error_in_the_tpdo_also_at_rest() {
 }
 
 #[test]
-fn pdo_mappings_name_the_objects_whose_bytes_are_sent() {
+fn pdo_mappings_match_the_transmitted_objects() {
     for (mapping, len) in [(0x1600, 64), (0x1A00, 64), (0x1A01, 32)] {
         let mut master = Master::new(Config::default());
         master.pass(500);
@@ -1078,7 +1078,7 @@ fn default_identifiers_of_gripper_and_node_do_not_collide_and_reserved_ones_do()
 }
 
 #[test]
-fn eds_file_is_that_of_the_tables() {
+fn eds_file_matches_the_tables() {
     let mut made = String::new();
     write_eds(&mut made, &NODE).unwrap();
     hold_file("docs/wsg-bridge.eds", &made);

@@ -92,7 +92,7 @@ fn every_seventh_frame_lost_or_repeated_causes_no_motion_and_a_defined_state() {
 }
 
 #[test]
-fn bus_off_is_shown_at_once_and_the_bridge_comes_back_by_itself() {
+fn bus_off_is_shown_at_once_and_the_bridge_recovers() {
     let mut bench = homed();
     bench.double().go_off(0);
     bench.pass(1);
@@ -109,7 +109,7 @@ fn bus_off_is_shown_at_once_and_the_bridge_comes_back_by_itself() {
 }
 
 #[test]
-fn motion_asked_for_while_the_bus_is_off_never_leaves() {
+fn motion_commanded_during_bus_off_is_never_sent() {
     let mut bench = homed();
     bench.take_sent();
     bench.double().go_off(0);
@@ -171,7 +171,7 @@ fn motion_during_bus_off_has_an_unknown_outcome_and_shows_error() {
 }
 
 #[test]
-fn fast_stop_asked_for_while_the_bus_is_off_is_the_first_thing_after_it() {
+fn fast_stop_during_bus_off_is_the_first_command_after_it() {
     let mut bench = homed();
     bench.double().go_off(0);
     bench.pass(10);
@@ -243,7 +243,7 @@ fn fast_stop_is_sent_at_once_in_any_turn_around_the_loss_of_the_connection() {
 }
 
 #[test]
-fn bus_off_again_and_again_is_given_up() {
+fn repeated_bus_off_is_given_up() {
     let policy = BusOffPolicy { limit: 3, ..POLICY };
     let mut bench = CanBench::homed(with_part(20.0), policy);
     bench.double().go_off(u32::MAX);
@@ -263,7 +263,7 @@ fn bus_off_again_and_again_is_given_up() {
 }
 
 #[test]
-fn failures_are_forgotten_after_a_stable_time_and_not_before() {
+fn failures_are_reset_only_after_a_stable_time() {
     let policy = BusOffPolicy { limit: 3, stable_ms: 5_000, ..POLICY };
     for (pause, given_up) in [(4_000, true), (7_000, false)] {
         let mut bench = CanBench::homed(with_part(20.0), policy);
@@ -284,7 +284,7 @@ fn limit_of_zero_never_gives_up() {
 }
 
 #[test]
-fn motion_that_nobody_acknowledged_does_not_leave_when_somebody_comes() {
+fn unacknowledged_motion_is_not_sent_when_a_node_joins() {
     for wire in [Inputs::GRIP, Inputs::MOVE] {
         let mut bench = homed();
         bench.take_sent();
@@ -320,7 +320,7 @@ fn link_ok_falls_within_a_second_of_the_last_answer_whenever_the_plug_is_pulled(
 }
 
 #[test]
-fn message_that_the_bus_does_not_take_is_withdrawn_before_its_time() {
+fn unsent_message_is_withdrawn_before_its_time_out() {
     // Frames are received, but none is sent, as with only a listening node on the bus.
     let mut bench = homed();
     bench.take_sent();

@@ -52,7 +52,7 @@ fn missing_and_lost_parts_are_shown_in_gstate() {
 }
 
 #[test]
-fn two_edges_at_once_run_the_lowest() {
+fn lowest_of_simultaneous_edges_is_executed() {
     let mut bench = Bench::homed(quick());
     bench.take_motions();
     bench.command(MOVE | GRIP | HOMING, 40_00, 50_00, 40_00);
@@ -166,7 +166,7 @@ fn stop_in_the_first_image_of_the_bus_keeps_ready_low_and_refuses_the_wires() {
 }
 
 #[test]
-fn silent_master_ends_a_jog_even_where_silence_is_to_be_ignored() {
+fn silent_master_ends_a_jog_even_with_reaction_hold() {
     let bus = BusConfig { reaction: SilenceReaction::Hold, ..BusConfig::DEFAULT };
     let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
     bench.command(HOMING, 0, 0, 0);
@@ -262,7 +262,7 @@ fn silent_master_that_only_read_stops_no_motion() {
 }
 
 #[test]
-fn part_stays_held_when_the_master_falls_silent() {
+fn part_stays_held_while_the_master_is_silent() {
     let mut bench = Bench::homed(with_part());
     bench.command(GRIP, 20_00, 50_00, 40_00);
     bench.pass(5_000);
@@ -285,7 +285,7 @@ fn first_write_of_a_master_starts_nothing() {
 }
 
 #[test]
-fn flag_that_a_master_holds_gives_no_edge_after_a_reset_whatever_it_reads() {
+fn held_flag_gives_no_edge_after_a_reset_regardless_of_reads() {
     // The bridge has just restarted, but the PLC has not. Its cycle continues to read and write with HOMING set.
     let mut bench = Bench::new(Config::DEFAULT, quick());
     bench.pass(200);
@@ -302,7 +302,7 @@ fn flag_that_a_master_holds_gives_no_edge_after_a_reset_whatever_it_reads() {
 }
 
 #[test]
-fn end_of_a_motion_comes_with_the_width_and_force_from_after_it() {
+fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
     for phase_ms in 0..5 {
         let mut bench = Bench::homed(with_part());
         bench.pass(2 * phase_ms);
@@ -324,7 +324,7 @@ fn end_of_a_motion_comes_with_the_width_and_force_from_after_it() {
 }
 
 #[test]
-fn motion_that_is_asked_for_at_the_end_of_another_leaves_at_once_whatever_becomes_of_the_answers() {
+fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies() {
     /// Returns the turns from the write to the motion, `after_ms` after the end of a grip. Replies are lost for `lost_ms`
     /// from the end on.
     fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
@@ -410,7 +410,7 @@ fn fast_stop_of_the_bus_stops_a_motion_of_the_wires() {
 }
 
 #[test]
-fn wires_command_while_one_of_them_is_high_and_the_bus_does_after_that() {
+fn wires_command_while_one_of_them_is_high_and_the_bus_afterwards() {
     let mut bench = Bench::homed(quick());
     bench.set(Inputs::MOVE, true);
     bench.pass(3_000);
@@ -476,7 +476,7 @@ fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() 
 }
 
 #[test]
-fn gripper_that_never_answered_is_0a_and_one_that_fell_silent_is_0b() {
+fn exception_is_0a_for_a_gripper_that_never_answered_and_0b_for_a_lost_one() {
     let mut bench = Bench::new(Config::DEFAULT, quick());
     bench.set_cut(true);
     bench.pass(500);
@@ -595,7 +595,7 @@ fn width_and_force_are_queried_only_once_a_master_communicates() {
 }
 
 #[test]
-fn broadcast_counts_where_it_is_switched_on_alone() {
+fn broadcast_takes_effect_only_if_enabled() {
     let stop = Bench::frame(0, &[6, 0, 0, FASTSTOP, 0]);
     let mut bench = Bench::homed(quick());
     bench.send_raw(&stop);

@@ -78,7 +78,7 @@ fn grip_cycle_over_profibus() {
 }
 
 #[test]
-fn watchdog_of_the_master_stops_its_motion_at_its_limit_and_not_before() {
+fn watchdog_of_the_master_stops_its_motion_in_time() {
     for (reaction, expected) in REACTIONS {
         let mut bench = moving(reaction);
         bench.exchange();
@@ -92,7 +92,7 @@ fn watchdog_of_the_master_stops_its_motion_at_its_limit_and_not_before() {
 }
 
 #[test]
-fn clear_and_data_exchange_without_data_are_handled_as_silence() {
+fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
     let clear = |bench: &mut Bench, function: u8, number: u8| {
         if number == 0 {
             bench.control(0x02, 0);
@@ -173,7 +173,7 @@ fn outputs_without_parameters_and_configuration_are_refused() {
 }
 
 #[test]
-fn jog_ends_when_the_master_leaves_whatever_the_reaction_is() {
+fn jog_ends_when_the_master_leaves_at_any_reaction() {
     type Leave = fn(&mut Bench);
     let ways: [(&str, Leave); 5] = [
         ("times out", |bench| bench.pass_silent(WATCHDOG_MS)),
@@ -202,7 +202,7 @@ fn jog_ends_when_the_master_leaves_whatever_the_reaction_is() {
 }
 
 #[test]
-fn master_without_a_watchdog_is_missed_after_bus_timeout_and_heard_when_it_is_back() {
+fn master_without_a_watchdog_times_out_by_bus_timeout_and_may_resume() {
     let mut bench = Bench::exchanging(AT_500K, quick(), 0);
     bench.command(Flag::HOMING);
     bench.image.speed = 5_00;
@@ -247,7 +247,7 @@ fn master_without_a_watchdog_never_times_out_with_a_bus_timeout_of_0() {
 }
 
 #[test]
-fn bus_timeout_and_watchdog_count_as_one_silence() {
+fn bus_timeout_and_watchdog_count_as_one_time_out() {
     let mut bench = moving(SilenceReaction::Stop);
     // A watchdog of 2.5 s, longer than BUS_TIMEOUT.
     bench.start(250);
@@ -287,7 +287,7 @@ fn second_master_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn wrong_parameters_or_configuration_are_told_and_nobody_commands() {
+fn wrong_parameters_or_configuration_are_reported_and_prevent_commands() {
     let right = ([0x88, 1, WATCHDOG, 11, 0x55, 0x55, 0], [0xA7, 0x9B]);
     let (prm_fault, cfg_fault, not_supported) = (0x40, 0x04, 0x10);
     let wrong = [
@@ -319,7 +319,7 @@ fn wrong_parameters_or_configuration_are_told_and_nobody_commands() {
 }
 
 #[test]
-fn sync_holds_no_outputs_back_and_freeze_no_inputs() {
+fn sync_delays_no_outputs_and_freeze_no_inputs() {
     let mut bench = moving(SilenceReaction::Hold);
     // The parameters have not enabled them. Parameters that do are refused.
     bench.control(0x20 | 0x08, 0);
@@ -330,7 +330,7 @@ fn sync_holds_no_outputs_back_and_freeze_no_inputs() {
 }
 
 #[test]
-fn clear_of_another_group_is_not_for_the_bridge() {
+fn clear_of_another_group_is_ignored() {
     for (group, groups, expected) in [
         (0x01, 0x02, &[][..]),
         (0x00, 0x02, &[]),
@@ -352,7 +352,7 @@ fn clear_of_another_group_is_not_for_the_bridge() {
 }
 
 #[test]
-fn configuration_inputs_and_outputs_are_read_and_the_address_stays() {
+fn configuration_inputs_and_outputs_are_readable_and_the_address_is_fixed() {
     let mut bench = Bench::homed(quick());
     bench.image.width = 33_00;
     let input = bench.input();
@@ -399,7 +399,7 @@ fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
 }
 
 #[test]
-fn diagnosis_has_its_16_bytes_also_while_no_flag_is_known() {
+fn diagnosis_has_16_bytes_even_while_no_flag_is_known() {
     let mut bench = Bench::new(AT_500K, quick());
     bench.board.set_cut(true);
     bench.pass_silent(10);
@@ -416,7 +416,7 @@ fn missing_gripper_is_shown_as_an_error() {
 }
 
 #[test]
-fn fast_stop_for_one_exchange_counts_however_fast_the_bus_is() {
+fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
     let profibus = ProfibusConfig { rate: Some(Baud::M1_5), ..ProfibusConfig::DEFAULT };
     let slow = wsg_sim::Config::default();
     let mut bench = Bench::exchanging(Config { profibus, ..AT_500K }, slow, WATCHDOG);
@@ -489,7 +489,7 @@ fn wires_command_in_parallel_with_profibus() {
 }
 
 #[test]
-fn bridge_is_where_its_setting_says() {
+fn bridge_has_the_address_of_its_setting() {
     let profibus = ProfibusConfig { address: 125, ..AT_500K.profibus };
     let mut bench = Bench::new(Config { profibus, ..AT_500K }, quick());
     bench.pass_silent(10);
@@ -499,7 +499,7 @@ fn bridge_is_where_its_setting_says() {
 }
 
 #[test]
-fn rate_that_is_not_set_is_searched_until_telegrams_come() {
+fn rate_is_searched_until_telegrams_are_received() {
     let mut bench = Bench::new(Config { profibus: ProfibusConfig::DEFAULT, ..AT_500K }, quick());
     assert_eq!(bench.board.rate(), Some(Baud::K9_6));
     let mut tried = vec![];

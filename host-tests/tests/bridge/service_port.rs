@@ -12,7 +12,7 @@ use wsg_bridge_fw::{Bridge, BusConfig, BusPort, Config, ControlSource};
 use wsg_protocol::CommandId;
 
 #[test]
-fn every_write_of_the_output_image_is_refused_and_nothing_comes_of_it() {
+fn every_write_to_the_output_image_is_refused_without_effect() {
     // A PLC without a time-out.
     let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
     let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
@@ -81,7 +81,7 @@ fn width_and_force_are_queried_once_the_service_port_is_used() {
 }
 
 #[test]
-fn setting_that_is_written_there_counts_on_the_bus_and_the_wires_at_once() {
+fn setting_written_by_the_service_port_applies_to_bus_and_wires_at_once() {
     let mut bench = Bench::homed(quick());
     bench.by_service(|bench| bench.write(setting("UNIT"), &[9]));
     assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "address of another unit");
@@ -217,7 +217,7 @@ impl BusPort for Babble {
 }
 
 #[test]
-fn garbage_without_an_end_changes_nothing_and_keeps_nobody_waiting() {
+fn endless_noise_changes_nothing_and_delays_nothing() {
     let mut bench = Bench::homed(quick());
     let settings = bench.holding(FIRST_SETTING, SETTINGS.len() as u8);
     bench.take_motions();
@@ -258,7 +258,7 @@ fn garbage_without_an_end_changes_nothing_and_keeps_nobody_waiting() {
 }
 
 #[test]
-fn a_million_writes_to_the_settings_move_nothing() {
+fn a_million_writes_to_the_settings_cause_no_motion() {
     const WRITES_PER_TURN: u32 = 20;
     let mut bench = Bench::homed(quick());
     // The PLC that homed is silent from here on. Its time-out has passed, so later values of BUS_TIMEOUT and BUS_REACTION

@@ -59,7 +59,7 @@ fn finish(bench: &mut Bench, wire: Inputs) {
 }
 
 #[test]
-fn grip_leaves_at_once_whenever_its_force_limit_is_known() {
+fn grip_is_sent_at_once_if_its_force_limit_is_known() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.command(Inputs::GRIP);
     for pause_ms in 0..300 {
@@ -75,7 +75,7 @@ fn grip_leaves_at_once_whenever_its_force_limit_is_known() {
 }
 
 #[test]
-fn force_limit_that_somebody_else_changed_is_set_again() {
+fn force_limit_changed_by_a_third_party_is_set_again() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.command(Inputs::GRIP);
     bench.command(Inputs::RELEASE);
@@ -164,7 +164,7 @@ fn edge_at_ready(bench: &mut Bench, wire: Inputs) -> (u32, Outputs) {
 }
 
 #[test]
-fn edge_that_is_refused_at_ready_shows_busy_for_50_ms_also_when_error_was_high_before() {
+fn edge_refused_at_ready_shows_busy_for_50_ms_even_if_error_was_high_before() {
     // The gripper ends a motion with an error, so GSTATE is ERROR and READY is high.
     let mut bench = Bench::homed(quick());
     let now = bench.now();
@@ -252,7 +252,7 @@ fn refusal_shows_busy_for_at_least_50_ms_at_any_min_busy() {
 }
 
 #[test]
-fn motion_that_the_gripper_refuses_at_once_shows_busy_for_50_ms() {
+fn motion_refused_by_the_gripper_shows_busy_for_50_ms() {
     let mut bench = Bench::ready(quick());
     for _ in 0..2 {
         let (busy_ms, outputs) = edge_at_ready(&mut bench, Inputs::GRIP);
@@ -262,7 +262,7 @@ fn motion_that_the_gripper_refuses_at_once_shows_busy_for_50_ms() {
 }
 
 #[test]
-fn recipe_that_changes_during_a_motion_changes_nothing() {
+fn recipe_change_during_a_motion_has_no_effect() {
     let mut bench = Bench::homed(quick());
     bench.set(Inputs::MOVE, true);
     bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
@@ -294,7 +294,7 @@ fn stop_while_holding_releases_the_force() {
 }
 
 #[test]
-fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged() {
+fn fast_stop_wire_low_at_power_up_blocks_motions_until_high_and_acknowledged() {
     let mut bench = Bench::new(quick());
     let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
     let try_all = |bench: &mut Bench| {
@@ -382,7 +382,7 @@ fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
 }
 
 #[test]
-fn command_while_the_line_is_cut_is_not_carried_out_when_it_is_mended() {
+fn command_while_the_line_is_cut_is_not_executed_after_the_repair() {
     let mut bench = Bench::homed(quick());
     bench.take_sent();
     bench.far.to_bridge = Some(Box::new(Vec::clear));
@@ -524,7 +524,7 @@ fn third_party_may_acknowledge_after_the_fast_stop_wire_is_high() {
 
 /// Fieldbus, 6.6.
 #[test]
-fn gripper_that_is_restarted_while_the_fast_stop_wire_is_low_is_in_fast_stop_within_250_ms() {
+fn gripper_restarted_while_the_fast_stop_wire_is_low_is_in_fast_stop_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
         let mut bench = held_in_fast_stop();
         bench.pass(offset_ms);
@@ -589,7 +589,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn without_an_edge_on_a_command_wire_no_motion_ever_leaves(happenings in proptest::collection::vec(happening(), 1..40)) {
+    fn no_motion_is_sent_without_an_edge_on_a_command_wire(happenings in proptest::collection::vec(happening(), 1..40)) {
         let mut bench = Bench::homed(with_part(20.0));
         bench.take_sent();
         for happening in happenings {
@@ -679,7 +679,7 @@ fn watchdog_is_fed_once_per_turn_if_time_has_passed() {
 }
 
 #[test]
-fn watchdog_is_not_fed_while_the_line_cannot_be_looked_at() {
+fn watchdog_is_not_fed_while_the_line_returns_errors() {
     let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
     for now_ms in 1..100 {
         bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut DeadLine, &mut NoBus);
@@ -712,7 +712,7 @@ fn fast_stop_wire_low_for_2_of_3_ms_or_1_of_5_ms_stops_the_gripper() {
 }
 
 #[test]
-fn edge_of_a_command_wire_while_ready_is_low_is_refused_also_while_busy_lasts_on() {
+fn edge_while_ready_is_low_is_refused_even_if_only_busy_is_still_high() {
     let mut bench = Bench::homed(with_part(20.0));
     bench.command(Inputs::MOVE);
     bench.take_sent();
@@ -824,7 +824,7 @@ fn ready_stays_low_until_the_stopped_motion_is_answered() {
 }
 
 #[test]
-fn bridge_that_is_reset_while_the_fingers_move_stops_them_and_shows_error() {
+fn bridge_reset_during_a_motion_stops_it_and_shows_error() {
     for time_scale in [1.0, 10.0] {
         let mut bench = Bench::homed(Config { time_scale, ..Config::default() });
         bench.set(Inputs::MOVE, true);
@@ -858,7 +858,7 @@ fn bridge_reset_while_a_part_is_held_keeps_it() {
 }
 
 #[test]
-fn force_limit_of_a_motion_that_was_dropped_is_not_sent_again() {
+fn force_limit_of_a_withdrawn_motion_is_not_repeated() {
     for drops in [Inputs::STOP_ACK, Inputs::FAST_STOP_OK] {
         let mut bench = Bench::homed(with_part(20.0));
         bench.take_sent();

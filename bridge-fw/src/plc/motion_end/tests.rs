@@ -36,7 +36,7 @@ fn end_waits_for_both_values_which_are_shown_at_once() {
 }
 
 #[test]
-fn end_waits_10_ms_at_the_most() {
+fn end_waits_for_at_most_10_ms() {
     let mut end = ended();
     assert!(!end.look(at(10), &DONE));
     assert_eq!(end.shown(DONE).state, GripperFlags::GRIPPING);
@@ -57,7 +57,7 @@ fn other_values_and_values_from_before_the_end_do_not_end_the_wait() {
 }
 
 #[test]
-fn what_went_wrong_is_shown_at_once() {
+fn errors_are_shown_at_once() {
     for wrong in [
         image(GripperFlags::ERROR, SystemFlags::empty(), Status::AxisBlocked, 0),
         image(GripperFlags::IDLE, SystemFlags::FAST_STOP, Status::Success, 0),

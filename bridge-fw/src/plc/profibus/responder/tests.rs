@@ -33,7 +33,7 @@ fn bring(responder: &mut DpResponder, bytes: &[u8], character_us: u32, end_us: u
 }
 
 #[test]
-fn answer_begins_11_bit_times_after_the_stop_bit_and_no_microsecond_more_than_its_clock_needs() {
+fn response_starts_11_bit_times_after_the_stop_bit_within_the_clock_resolution() {
     for rate in ProfibusConfig::RATES {
         let (mut responder, _) = at(rate);
         let us = |bits: u32| (bits * 1_000_000).div_ceil(rate.bit_s());
@@ -75,7 +75,7 @@ fn response_is_sent_as_there_is_room_and_its_echo_is_ignored() {
 }
 
 #[test]
-fn answer_that_is_due_is_dropped_when_another_speaks() {
+fn pending_response_is_cancelled_when_another_station_sends() {
     let (mut responder, _) = at(Baud::K500);
     assert!(bring(&mut responder, &REQUEST, 22, 1_000_000).is_some());
     receive(&mut responder, Character::Byte(0x10), 1_000_010);
@@ -134,7 +134,7 @@ fn taken(buffers: &DpBuffers) -> Vec<Option<u8>> {
 }
 
 #[test]
-fn images_that_differ_are_handed_over_in_order_and_the_same_again_is_counted() {
+fn changed_images_are_queued_in_order_and_repeated_ones_counted() {
     let (mut responder, buffers) = at(Baud::K500);
     let mut write = exchanging(&mut responder);
     for byte in [0, 0, 1, 1, 1, 0, 2] {
@@ -145,7 +145,7 @@ fn images_that_differ_are_handed_over_in_order_and_the_same_again_is_counted() {
 }
 
 #[test]
-fn full_queue_costs_images_but_never_the_last_nor_that_the_master_left() {
+fn full_queue_never_loses_the_last_image_or_the_end_of_the_master() {
     let (mut responder, buffers) = at(Baud::K500);
     let mut write = exchanging(&mut responder);
     for byte in 0..100 {
