@@ -1,0 +1,206 @@
+//! `include/wsg.h` is what cbindgen and the protocol's tables give, and every compiler accepts it.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use wsg_protocol::{CommandId, FingerFlags, GripperState, Status, SystemFlags};
+
+const HEADER: &str = "include/wsg.h";
+
+fn crate_dir() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// `GetFinger1Info` as `GET_FINGER1_INFO`.
+fn screaming(name: &str) -> String {
+    let is_word = |at: usize, letter: char| at > 0 && letter.is_uppercase();
+    let letters = name
+        .char_indices()
+        .flat_map(|(at, letter)| is_word(at, letter).then_some('_').into_iter().chain(letter.to_uppercase()));
+    letters.collect()
+}
+
+/// An enumeration of constants, with a comment for each.
+fn constants(name: &str, about: &str, rows: impl Iterator<Item = (String, String, String)>) -> String {
+    let mut text = format!("/* {about} */\nenum {name} {{\n");
+    for (name, value, comment) in rows {
+        writeln!(text, "    /* {comment} */\n    WSG_{name} = {value},").unwrap();
+    }
+    // C99 accepts the last comma, but this is what people write.
+    text.truncate(text.len() - 2);
+    text + "\n};\n"
+}
+
+/// The parts that cbindgen cannot see, from the protocol's tables.
+fn tables() -> String {
+    let statuses = Status::ALL
+        .iter()
+        .map(|status| (status.symbol().to_owned(), status.code().to_string(), status.meaning().to_owned()));
+    let commands = CommandId::ALL.iter().map(|id| {
+        let name = format!("COMMAND_{}", screaming(&format!("{id:?}")));
+        (name, format!("0x{:02X}", id.code()), format!("{} ({})", id.name(), id.section()))
+    });
+    let states = GripperState::ALL.iter().map(|state| {
+        let name = format!("STATE_{}", screaming(&format!("{state:?}")));
+        (name, state.code().to_string(), state.to_string())
+    });
+    let bits = |prefix: &'static str, names: Vec<(&'static str, u32)>| {
+        names.into_iter().map(move |(name, bits)| {
+            let value = format!("0x{bits:06X}");
+            (format!("{prefix}{name}"), value, format!("D{}", bits.trailing_zeros()))
+        })
+    };
+    let system = SystemFlags::all().iter_names().map(|(name, flag)| (name, flag.bits())).collect();
+    let finger = FingerFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into())).collect();
+    [
+        constants("wsg_status", "Status codes (command set, appendix A).", statuses),
+        constants("wsg_command", "Commands (command set, chapter 3).", commands),
+        constants("wsg_state", "Gripper states (command set, appendix C).", states),
+        constants("wsg_flag", "System state flags (command set, appendix B).", bits("FLAG_", system)),
+        constants("wsg_finger_flag", "Finger flags (command set, 3.6.2).", bits("FINGER_FLAG_", finger)),
+    ]
+    .join("\n")
+}
+
+fn preamble() -> String {
+    let words = |at_32: usize, at_64: usize| (at_32, at_64);
+    let (session, parser) = (words(80, 104), words(11, 11));
+    let [major, minor, patch] =
+        [env!("CARGO_PKG_VERSION_MAJOR"), env!("CARGO_PKG_VERSION_MINOR"), env!("CARGO_PKG_VERSION_PATCH")];
+    format!(
+        "\
+/*
+ * libwsg: the session with a Weiss Robotics WSG gripper.
+ *
+ * No heap, no clock, no I/O: the caller owns storage, bytes and time. In a main loop:
+ *
+ *     wsg_receive(&wsg, now_ms, bytes, length);      received bytes; events go to the callback
+ *     wsg_tick(&wsg, now_ms);                        time-outs; events go to the callback
+ *     while ((length = wsg_transmit(&wsg, now_ms, buffer, sizeof buffer)) > 0)
+ *         send(buffer, length);                      all of them, in order
+ *
+ * now_ms is any millisecond counter, which may wrap. Requests such as wsg_grip_part() return at once; their outcome is an event.
+ *
+ * Rules for all functions:
+ * - A pointer is null or points to an object of its type, or to an array of the length passed with it.
+ * - An object is used by one thread or interrupt at a time. The library has no global state.
+ * - Functions that return int32_t return a negative WSG_ERROR_... code on error.
+ *
+ * Generated from the crate wsg-c: do not edit.
+ */
+#include <stddef.h>
+#include <stdint.h>
+
+#define WSG_VERSION_MAJOR {major}
+#define WSG_VERSION_MINOR {minor}
+#define WSG_VERSION_PATCH {patch}
+
+/* Changes when a program must be compiled again. */
+#define WSG_ABI_VERSION 0
+
+#if UINTPTR_MAX > 0xFFFFFFFFu
+#define WSG_WORDS {}
+#else
+#define WSG_WORDS {}
+#endif
+#define WSG_PARSER_WORDS {}
+
+{}",
+        session.1,
+        session.0,
+        parser.0,
+        tables()
+    )
+}
+
+fn header() -> String {
+    let mut config = cbindgen::Config::from_file(crate_dir().join("cbindgen.toml")).unwrap();
+    config.after_includes = Some(preamble());
+    let bindings = cbindgen::Builder::new().with_crate(crate_dir()).with_config(config).generate().unwrap();
+    let mut text = Vec::new();
+    bindings.write(&mut text);
+    with_short_comments(&String::from_utf8(text).unwrap())
+}
+
+/// Puts each comment of one line on a line with its delimiters.
+fn with_short_comments(text: &str) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    for line in text.lines() {
+        if line.trim() == "*/"
+            && let [.., begin, only] = &mut lines[..]
+            && begin.trim() == "/*"
+        {
+            *begin = format!("{begin} {} */", only.trim());
+            lines.pop();
+        } else {
+            lines.push(line.to_owned());
+        }
+    }
+    lines.join("\n") + "\n"
+}
+
+#[test]
+fn the_header_is_generated_from_the_crate() {
+    let (path, header) = (crate_dir().join(HEADER), header());
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
+        fs::write(&path, &header).unwrap();
+    }
+    let committed = fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        committed == header,
+        "{HEADER} is outdated; run `WSG_UPDATE_DOCS=1 cargo test -p wsg-c --test header`"
+    );
+}
+
+#[test]
+fn sizes_in_the_header_are_those_of_the_crate() {
+    let preamble = preamble();
+    let line = format!("#define WSG_WORDS {}\n", wsg::session::WSG_WORDS);
+    assert!(preamble.contains(&line), "{line}");
+    assert!(preamble.contains(&format!("#define WSG_PARSER_WORDS {}\n", wsg::frame::WSG_PARSER_WORDS)));
+}
+
+/// Compiles the header and the check of its layouts with all warnings as errors, without linking.
+fn compile(compiler: &str, arguments: &[&str]) {
+    for (language, standard) in [("c", "c99"), ("c", "c11"), ("c++", "c++17")] {
+        let mut command = Command::new(compiler);
+        command.args([
+            "-x",
+            language,
+            &format!("-std={standard}"),
+            "-Wall",
+            "-Wextra",
+            "-Wpedantic",
+            "-Werror",
+        ]);
+        command.args(["-fsyntax-only", "-I"]).arg(crate_dir().join("include")).args(arguments);
+        let output = command.arg(layout()).output().unwrap_or_else(|error| panic!("{compiler}: {error}"));
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{compiler} as {standard}:\n{said}");
+    }
+}
+
+fn layout() -> PathBuf {
+    crate_dir().join("tests/layout.c")
+}
+
+#[test]
+fn gcc_accepts_the_header_and_its_layouts() {
+    compile("gcc", &[]);
+    compile("gcc", &["-m32", "-ffreestanding"]);
+}
+
+#[test]
+#[ignore = "needs clang: run `cargo xtask test`"]
+fn clang_accepts_the_header_and_its_layouts() {
+    compile("clang", &[]);
+}
+
+#[test]
+#[ignore = "needs arm-none-eabi-gcc: run `cargo xtask test`"]
+fn arm_none_eabi_gcc_accepts_the_header_and_its_layouts() {
+    compile("arm-none-eabi-gcc", &["-mcpu=cortex-m4", "-mthumb", "-ffreestanding"]);
+    compile("arm-none-eabi-gcc", &["-mcpu=cortex-m0", "-mthumb", "-ffreestanding"]);
+}
