@@ -106,14 +106,32 @@ macro_rules! define_commands {
             }
 
             /// Returns the status codes that the manual lists for the second reply; empty if there is no second reply.
-            // Used in several places, so it is not inlined to save flash.
-            #[inline(never)]
             #[must_use]
             pub const fn completion_statuses(self) -> &'static [Status] {
                 match self {
                     $(Self::$name => &[$(Status::$completion),*],)*
                     Self::Unknown(_) => &[],
                 }
+            }
+
+            /// Returns whether the manual lists a second reply.
+            pub(crate) const fn has_completion(self) -> bool {
+                match self {
+                    $(Self::$name => const { <[Status]>::len(&[$(Status::$completion),*]) > 0 },)*
+                    Self::Unknown(_) => false,
+                }
+            }
+
+            /// Returns whether the manual lists this status for the second reply only.
+            // By bits, because two lists for each command take more flash.
+            pub(crate) const fn is_completion_only(self, status: Status) -> bool {
+                let statuses = match self {
+                    $(Self::$name => const {
+                        bits(&[$(Status::$completion),*]) & !bits(&[$(Status::$immediate),*])
+                    },)*
+                    Self::Unknown(_) => 0,
+                };
+                statuses & bit(status) != 0
             }
         }
 
@@ -244,6 +262,24 @@ macro_rules! define_commands {
 }
 
 for_each_command!(define_commands);
+
+/// Returns the bit of a status of the manual, and none for another one.
+const fn bit(status: Status) -> u32 {
+    match 1u32.checked_shl(status.code() as u32) {
+        Some(bit) => bit,
+        None => 0,
+    }
+}
+
+/// Returns the bits of these statuses.
+const fn bits(mut statuses: &[Status]) -> u32 {
+    let mut bits = 0;
+    while let [status, rest @ ..] = statuses {
+        bits |= bit(*status);
+        statuses = rest;
+    }
+    bits
+}
 
 impl CommandId {
     /// Returns whether the manual lists this status code for the first or second reply to this command.

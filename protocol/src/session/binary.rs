@@ -206,11 +206,11 @@ impl Dialect for Binary {
     }
 
     fn is_asynchronous(id: CommandId) -> bool {
-        id.kind() == Kind::Motion || !id.completion_statuses().is_empty()
+        id.kind() == Kind::Motion || id.has_completion()
     }
 
     fn is_late_result(id: CommandId, status: Status, _: bool) -> bool {
-        id.completion_statuses().contains(&status) && !id.immediate_statuses().contains(&status)
+        id.is_completion_only(status)
     }
 
     fn completes_step(_: CommandId, status: Status) -> bool {

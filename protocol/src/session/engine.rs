@@ -369,14 +369,6 @@ impl<D: Dialect> Engine<D> {
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let (attempts, refresh_attempts) = self.attempts();
-        let transactions = [
-            self.fast_stop.deadline(),
-            self.fast_stop_deadline().filter(|_| self.is_connected()),
-            self.stop.expires_at(attempts),
-            self.request.expires_at(attempts),
-            self.refresh.expires_at(refresh_attempts),
-            self.doubled.filter(|_| !self.queue.is_empty() && self.request.is_idle()).map(|(_, until)| until),
-        ];
         let link = match self.link {
             // A pending FAST STOP has priority; its own time-out then applies.
             Link::Down { retry_at } if !self.is_urgent() => retry_at,
@@ -385,8 +377,20 @@ impl<D: Dialect> Engine<D> {
             }
             _ => None,
         };
-        let running = self.running.iter().flatten().map(|running| self.result_deadline(running));
-        transactions.into_iter().chain([link]).flatten().chain(running).reduce(Instant::earlier_of)
+        let mut next = earlier(link, self.fast_stop.deadline());
+        if self.is_connected() {
+            next = earlier(next, self.fast_stop_deadline());
+        }
+        next = earlier(next, self.stop.expires_at(attempts));
+        next = earlier(next, self.request.expires_at(attempts));
+        next = earlier(next, self.refresh.expires_at(refresh_attempts));
+        if !self.queue.is_empty() && self.request.is_idle() {
+            next = earlier(next, self.doubled.map(|(_, until)| until));
+        }
+        for running in self.running.iter().flatten() {
+            next = earlier(next, Some(self.result_deadline(running)));
+        }
+        next
     }
 
     /// Returns whether a FAST STOP was requested and is not confirmed yet.
@@ -823,6 +827,16 @@ enum Routed<M: Message> {
     ReadBack(M),
     /// A subscriber, if the reply contains a value.
     Reported,
+}
+
+/// Returns the earlier of two times, of which either may be absent.
+// Called many times in a row: inlined it takes more flash.
+#[inline(never)]
+fn earlier(one: Option<Instant>, other: Option<Instant>) -> Option<Instant> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.earlier_of(other)),
+        (one, other) => one.or(other),
+    }
 }
 
 const fn count(counter: &mut u16) {

@@ -38,8 +38,10 @@ pub(super) fn agrees(setting: &Command<'static>, value: &Value<'_>, known: &Know
 }
 
 /// Clamps like `f32::clamp`, but does not panic if a gripper reports swapped limits.
+// `max` and `min` would call functions of the C library.
 const fn clamp(value: f32, least: f32, greatest: f32) -> f32 {
-    value.max(least).min(greatest)
+    let raised = if value < least { least } else { value };
+    if raised > greatest { greatest } else { raised }
 }
 
 /// Compares with a tolerance, because a gripper may round a setting to its own steps.
