@@ -477,14 +477,14 @@ typedef struct {
 
 /* Device type, versions and serial number (command set, 3.5.1). */
 typedef struct {
-    /* Serial number. */
-    uint32_t serial_number;
-    /* Firmware version: four bits each of major, minor 1, minor 2 and release candidate (0 for a release). */
-    uint16_t firmware;
     /* Product type: 0 unknown, 1 WSG 50, 2 WSG 32, 3 KMS 40, 4 WTS, 5 WSG 25, 6 WSG 70. */
     uint8_t device;
     /* Hardware revision. */
     uint8_t hardware_revision;
+    /* Firmware version: four bits each of major, minor 1, minor 2 and release candidate (0 for a release). */
+    uint16_t firmware;
+    /* Serial number. */
+    uint32_t serial_number;
 } wsg_system_info_t;
 
 /* Physical limits (command set, 3.5.4). Forces are the sum over both fingers. */
@@ -509,10 +509,12 @@ typedef struct {
 
 /* The device at a finger's sensor port (command set, 3.6.1). */
 typedef struct {
-    /* Length of one data frame in bytes; 0 if the finger provides no data. */
-    uint16_t data_len;
+    /* Always 0. */
+    uint8_t reserved;
     /* Type of the finger: 0 generic or none, 1 WSG-FMF, 2 WSG-DSA. */
     uint8_t finger;
+    /* Length of one data frame in bytes; 0 if the finger provides no data. */
+    uint16_t data_len;
 } wsg_finger_info_t;
 
 /* Bytes in the memory of the library. They are valid until the event callback returns. */
@@ -545,6 +547,8 @@ typedef union {
     wsg_finger_info_t finger;
     /* WSG_VALUE_BYTES. */
     wsg_bytes_t bytes;
+    /* Private. */
+    uint8_t payload[32];
 } wsg_value_t;
 
 /* An event of a session. */

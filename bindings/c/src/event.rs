@@ -3,7 +3,7 @@
 use core::ptr;
 
 use wsg_protocol::session::Event;
-use wsg_protocol::{Reply, Value};
+use wsg_protocol::{CommandId, Reply, Status};
 
 /// Kinds of events.
 #[repr(C)]
@@ -59,14 +59,14 @@ pub enum wsg_value {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct wsg_system_info_t {
-    /// Serial number.
-    pub serial_number: u32,
-    /// Firmware version: four bits each of major, minor 1, minor 2 and release candidate (0 for a release).
-    pub firmware: u16,
     /// Product type: 0 unknown, 1 WSG 50, 2 WSG 32, 3 KMS 40, 4 WTS, 5 WSG 25, 6 WSG 70.
     pub device: u8,
     /// Hardware revision.
     pub hardware_revision: u8,
+    /// Firmware version: four bits each of major, minor 1, minor 2 and release candidate (0 for a release).
+    pub firmware: u16,
+    /// Serial number.
+    pub serial_number: u32,
 }
 
 /// Physical limits (command set, 3.5.4). Forces are the sum over both fingers.
@@ -117,10 +117,12 @@ pub struct wsg_statistics_t {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct wsg_finger_info_t {
-    /// Length of one data frame in bytes; 0 if the finger provides no data.
-    pub data_len: u16,
+    /// Always 0.
+    pub reserved: u8,
     /// Type of the finger: 0 generic or none, 1 WSG-FMF, 2 WSG-DSA.
     pub finger: u8,
+    /// Length of one data frame in bytes; 0 if the finger provides no data.
+    pub data_len: u16,
 }
 
 /// Bytes in the memory of the library. They are valid until the event callback returns.
@@ -157,7 +159,16 @@ pub union wsg_value_t {
     pub finger: wsg_finger_info_t,
     /// WSG_VALUE_BYTES.
     pub bytes: wsg_bytes_t,
+    /// Private.
+    pub payload: [u8; 32],
 }
+
+/// The longest value but bytes.
+/// cbindgen:ignore
+const PAYLOAD_LEN: usize = 32;
+
+// Values are copied from the payload of the reply as they are.
+const _: () = assert!(cfg!(target_endian = "little") && size_of::<wsg_value_t>() == PAYLOAD_LEN);
 
 /// An event of a session.
 #[repr(C)]
@@ -177,123 +188,89 @@ pub struct wsg_event_t {
 
 impl wsg_event_t {
     const fn new(kind: wsg_event, command: u8) -> Self {
-        Self {
-            kind: kind as u8,
-            command,
-            status: 0,
-            value_kind: wsg_value::None as u8,
-            value: wsg_value_t { limits: NO_VALUE },
-        }
+        Self { kind: kind as u8, command, status: 0, value_kind: wsg_value::None as u8, value: NO_VALUE }
     }
 
-    fn with_value(self, value: Option<Value<'_>>) -> Self {
-        let (value_kind, value) = value.map_or((wsg_value::None, self.value), |value| plain(&value));
-        Self { value_kind: value_kind as u8, value, ..self }
-    }
-
-    /// Returns the event of a reply.
-    pub(crate) fn answered(reply: &Reply<'_>) -> Self {
-        let event = Self::new(wsg_event::Answered, reply.id().code());
-        Self { status: reply.status().code(), ..event }.with_value(reply.value())
-    }
-}
-
-impl From<&Event<'_>> for wsg_event_t {
-    fn from(event: &Event<'_>) -> Self {
-        match event {
-            Event::Connected => Self::new(wsg_event::Connected, 0),
-            Event::Disconnected => Self::new(wsg_event::Disconnected, 0),
-            Event::Pending(id) => Self {
-                status: wsg_protocol::Status::CmdPending.code(),
-                ..Self::new(wsg_event::Pending, id.code())
-            },
-            Event::Answered(reply) => Self::answered(reply),
-            Event::Unanswered(id) => Self::new(wsg_event::Unanswered, id.code()),
-            Event::Late(id) => Self::new(wsg_event::Late, id.code()),
-            Event::Withdrawn(id) => Self::new(wsg_event::Withdrawn, id.code()),
-            Event::Reported(value) => {
-                Self::new(wsg_event::Reported, value.id().code()).with_value(Some(*value))
+    /// Takes the value from the payload of its reply, without the status.
+    fn with_value(mut self, id: CommandId, payload: &[u8]) -> Self {
+        let kind = kind_of(id);
+        self.value_kind = kind as u8;
+        match kind {
+            wsg_value::None => {}
+            wsg_value::Bytes => {
+                let data = if payload.is_empty() { ptr::null() } else { payload.as_ptr() };
+                self.value.bytes = wsg_bytes_t { data, length: payload.len() as u16 };
             }
-            // The enumeration is not exhaustive. A new kind of event extends this library, too.
-            _ => Self::new(wsg_event::Reported, 0),
+            _ => {
+                let mut copy = [0; PAYLOAD_LEN];
+                // The one value that does not begin at an aligned byte.
+                let skipped = usize::from(kind == wsg_value::Finger);
+                for (slot, byte) in copy.iter_mut().skip(skipped).zip(payload) {
+                    *slot = *byte;
+                }
+                self.value.payload = copy;
+            }
         }
+        self
+    }
+
+    /// Returns the event of a reply and its payload.
+    pub(crate) fn answered(reply: &Reply<'_>, payload: &[u8]) -> Self {
+        let event =
+            Self { status: reply.status().code(), ..Self::new(wsg_event::Answered, reply.id().code()) };
+        if reply.value().is_some() { event.with_value(reply.id(), payload) } else { event }
+    }
+
+    /// Returns the plain form of an event. `payload` is the payload, without the status, of the frame that caused it.
+    pub(crate) fn of(event: &Event<'_>, payload: &[u8]) -> Self {
+        let (kind, id) = match event {
+            Event::Connected => return Self::new(wsg_event::Connected, 0),
+            Event::Disconnected => return Self::new(wsg_event::Disconnected, 0),
+            Event::Answered(reply) => return Self::answered(reply, payload),
+            Event::Reported(value) => {
+                let id = value.id();
+                return Self::new(wsg_event::Reported, id.code()).with_value(id, payload);
+            }
+            Event::Pending(id) => (wsg_event::Pending, id),
+            Event::Unanswered(id) => (wsg_event::Unanswered, id),
+            Event::Late(id) => (wsg_event::Late, id),
+            Event::Withdrawn(id) => (wsg_event::Withdrawn, id),
+            // The enumeration is not exhaustive. A new kind of event extends this library, too.
+            _ => return Self::new(wsg_event::Reported, 0),
+        };
+        let status = if matches!(kind, wsg_event::Pending) { Status::CmdPending.code() } else { 0 };
+        Self { status, ..Self::new(kind, id.code()) }
     }
 }
 
 /// Fills the largest member, so that no byte of the union is uninitialized.
-const NO_VALUE: wsg_system_limits_t = wsg_system_limits_t {
-    stroke: 0.0,
-    min_speed: 0.0,
-    max_speed: 0.0,
-    min_acceleration: 0.0,
-    max_acceleration: 0.0,
-    min_force: 0.0,
-    nominal_force: 0.0,
-    overdrive_force: 0.0,
-};
+const NO_VALUE: wsg_value_t = wsg_value_t { payload: [0; PAYLOAD_LEN] };
 
-fn plain(value: &Value<'_>) -> (wsg_value, wsg_value_t) {
-    let mut plain = wsg_value_t { limits: NO_VALUE };
-    let kind = match *value {
-        Value::GetAcceleration(number)
-        | Value::GetForceLimit(number)
-        | Value::GetOpeningWidth(number)
-        | Value::GetSpeed(number)
-        | Value::GetForce(number) => {
-            plain.number = number;
-            wsg_value::Number
-        }
-        Value::GetSystemState(flags) => {
-            plain.flags = flags.bits();
+/// Returns the kind of a command's value.
+const fn kind_of(id: CommandId) -> wsg_value {
+    match id {
+        CommandId::GetAcceleration
+        | CommandId::GetForceLimit
+        | CommandId::GetOpeningWidth
+        | CommandId::GetSpeed
+        | CommandId::GetForce => wsg_value::Number,
+        CommandId::GetSystemState | CommandId::GetFinger1Flags | CommandId::GetFinger2Flags => {
             wsg_value::Flags
         }
-        Value::GetFinger1Flags(flags) | Value::GetFinger2Flags(flags) => {
-            plain.flags = flags.bits().into();
-            wsg_value::Flags
-        }
-        Value::GetGripperState(state) => {
-            plain.state = state.code();
-            wsg_value::State
-        }
-        Value::GetSoftLimits(limits) => {
-            plain.soft_limits = wsg_soft_limits_t { minus: limits.minus, plus: limits.plus };
-            wsg_value::SoftLimits
-        }
-        Value::GetGrippingStatistics(counts) => {
-            let wsg_protocol::GrippingStatistics { total, no_part, part_lost } = counts;
-            plain.statistics = wsg_statistics_t { total, no_part, part_lost };
-            wsg_value::Statistics
-        }
-        Value::GetTemperature(temperature) => {
-            plain.temperature = temperature.0;
-            wsg_value::Temperature
-        }
-        Value::GetSystemInfo(info) => {
-            plain.info = (&info).into();
-            wsg_value::Info
-        }
-        Value::GetSystemLimits(limits) => {
-            plain.limits = (&limits).into();
-            wsg_value::Limits
-        }
-        Value::GetFinger1Info(info) | Value::GetFinger2Info(info) => {
-            plain.finger = wsg_finger_info_t { data_len: info.data_len, finger: info.finger.code() };
-            wsg_value::Finger
-        }
-        Value::Loop(data) => bytes(&mut plain, data.bytes()),
-        Value::GetDeviceTag(tag) => bytes(&mut plain, tag.as_str().as_bytes()),
-        Value::GetFinger1Data(data) | Value::GetFinger2Data(data) => bytes(&mut plain, data.bytes()),
-        Value::Unknown { parameters, .. } => bytes(&mut plain, parameters),
-        // A reply without values.
+        CommandId::GetGripperState => wsg_value::State,
+        CommandId::GetSoftLimits => wsg_value::SoftLimits,
+        CommandId::GetGrippingStatistics => wsg_value::Statistics,
+        CommandId::GetTemperature => wsg_value::Temperature,
+        CommandId::GetSystemInfo => wsg_value::Info,
+        CommandId::GetSystemLimits => wsg_value::Limits,
+        CommandId::GetFinger1Info | CommandId::GetFinger2Info => wsg_value::Finger,
+        CommandId::Loop
+        | CommandId::GetDeviceTag
+        | CommandId::GetFinger1Data
+        | CommandId::GetFinger2Data
+        | CommandId::Unknown(_) => wsg_value::Bytes,
         _ => wsg_value::None,
-    };
-    (kind, plain)
-}
-
-fn bytes(plain: &mut wsg_value_t, bytes: &[u8]) -> wsg_value {
-    let data = if bytes.is_empty() { ptr::null() } else { bytes.as_ptr() };
-    plain.bytes = wsg_bytes_t { data, length: u16::try_from(bytes.len()).unwrap_or(u16::MAX) };
-    wsg_value::Bytes
+    }
 }
 
 impl From<&wsg_protocol::SystemInfo> for wsg_system_info_t {

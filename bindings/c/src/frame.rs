@@ -7,7 +7,7 @@ use wsg_protocol::{Event, FrameEncoder, FrameParser, Reply};
 use crate::error::{DONE, Outcome, code, length, wsg_error};
 use crate::event::wsg_event_t;
 use crate::memory::{self, give};
-use crate::session::WSG_MAX_PAYLOAD;
+use crate::session::{STATUS_LEN, WSG_MAX_PAYLOAD};
 
 /// Number of 64-bit words of a parser.
 /// cbindgen:ignore
@@ -157,7 +157,8 @@ pub unsafe extern "C" fn wsg_reply_decode(
         // SAFETY: the rules of the crate's documentation.
         let payload = unsafe { memory::bytes(frame.payload, frame.length.into()) }?;
         let reply = Reply::decode(&wsg_protocol::Frame { id: frame.id, payload });
-        give(event, wsg_event_t::answered(&reply.map_err(|_| wsg_error::Malformed)?))?;
+        let value = payload.get(STATUS_LEN..).unwrap_or(&[]);
+        give(event, wsg_event_t::answered(&reply.map_err(|_| wsg_error::Malformed)?, value))?;
         DONE
     };
     code(decode())

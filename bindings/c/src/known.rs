@@ -2,7 +2,7 @@
 
 use core::mem::MaybeUninit;
 
-use crate::error::{DONE, Outcome, code};
+use crate::error::{DONE, Outcome, code, wsg_error};
 use crate::event::{wsg_system_info_t, wsg_system_limits_t};
 use crate::memory::give;
 use crate::session::wsg_t;
@@ -81,34 +81,41 @@ pub struct wsg_counters_t {
 pub extern "C" fn wsg_known(wsg: Option<&wsg_t>, known: Option<&mut MaybeUninit<wsg_known_t>>) -> i32 {
     let fill = || -> Outcome {
         let session = &wsg_t::look(wsg)?.session;
-        let mut plain = wsg_known_t {
-            connected: session.is_connected().into(),
-            motion: session.motion().map_or(0, wsg_protocol::CommandId::code),
-            busy: session.is_busy().into(),
-            fast_stop_pending: session.fast_stop_pending().into(),
-            ..wsg_known_t::default()
-        };
+        // Filled in place: a copy of it on the stack takes more flash.
+        let plain = known.ok_or(wsg_error::NullPointer)?.write(wsg_known_t::default());
         let its = session.known();
-        let mut valid = 0;
-        let mut set = |bit: u8, is_known: bool| valid |= if is_known { bit } else { 0 };
-        set(WSG_KNOWN_INFO, its.info.is_some());
-        set(WSG_KNOWN_LIMITS, its.limits.is_some());
-        set(WSG_KNOWN_FLAGS, its.flags.is_some());
-        set(WSG_KNOWN_STATE, its.state.is_some());
-        set(WSG_KNOWN_WIDTH, its.width.is_some());
-        set(WSG_KNOWN_SPEED, its.speed.is_some());
-        set(WSG_KNOWN_FORCE, its.force.is_some());
-        set(WSG_KNOWN_FORCE_LIMIT, its.force_limit.is_some());
-        plain.valid = valid;
-        plain.info = its.info.as_ref().map(Into::into).unwrap_or_default();
-        plain.limits = its.limits.as_ref().map(Into::into).unwrap_or_default();
-        plain.flags = its.flags.map_or(0, |flags| flags.bits());
-        plain.state = its.state.map_or(0, wsg_protocol::GripperState::code);
-        plain.width = its.width.unwrap_or_default();
-        plain.speed = its.speed.unwrap_or_default();
-        plain.force = its.force.unwrap_or_default();
-        plain.force_limit = its.force_limit.unwrap_or_default();
-        give(known, plain)?;
+        if let Some(flags) = its.flags {
+            plain.valid |= WSG_KNOWN_FLAGS;
+            plain.flags = flags.bits();
+        }
+        if let Some(state) = its.state {
+            plain.valid |= WSG_KNOWN_STATE;
+            plain.state = state.code();
+        }
+        if let Some(info) = &its.info {
+            plain.valid |= WSG_KNOWN_INFO;
+            plain.info = info.into();
+        }
+        if let Some(limits) = &its.limits {
+            plain.valid |= WSG_KNOWN_LIMITS;
+            plain.limits = limits.into();
+        }
+        let numbers = [
+            (&mut plain.width, its.width, WSG_KNOWN_WIDTH),
+            (&mut plain.speed, its.speed, WSG_KNOWN_SPEED),
+            (&mut plain.force, its.force, WSG_KNOWN_FORCE),
+            (&mut plain.force_limit, its.force_limit, WSG_KNOWN_FORCE_LIMIT),
+        ];
+        for (plain_number, number, bit) in numbers {
+            if let Some(number) = number {
+                plain.valid |= bit;
+                *plain_number = number;
+            }
+        }
+        plain.connected = session.is_connected().into();
+        plain.motion = session.motion().map_or(0, wsg_protocol::CommandId::code);
+        plain.busy = session.is_busy().into();
+        plain.fast_stop_pending = session.fast_stop_pending().into();
         DONE
     };
     code(fill())

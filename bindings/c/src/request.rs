@@ -223,7 +223,11 @@ pub unsafe extern "C" fn wsg_set_device_tag(wsg: Option<&mut wsg_t>, tag: *const
     let set = || -> Outcome {
         let inner = wsg_t::open(wsg)?;
         // SAFETY: the rules of the crate's documentation.
-        inner.keep(CommandId::SetDeviceTag, unsafe { memory::text(tag, DeviceTag::MAX_LEN) }?)
+        let tag = unsafe { memory::text(tag, DeviceTag::MAX_LEN) }?;
+        if tag.iter().any(|character| !(b' '..=b'~').contains(character)) {
+            return Err(wsg_error::Character);
+        }
+        inner.keep(CommandId::SetDeviceTag, tag)
     };
     code(set())
 }
@@ -314,7 +318,14 @@ unsafe fn send_kept(wsg: Option<&mut wsg_t>, id: CommandId, data: *const u8, len
 pub extern "C" fn wsg_subscribe(wsg: Option<&mut wsg_t>, command: u8, period_ms: u16, on_change: u8) -> i32 {
     let subscribe = || -> Outcome {
         let inner = wsg_t::open(wsg)?;
-        let topic = Topic::of(CommandId::from_code(command)).ok_or(wsg_error::Argument)?;
+        let topic = match CommandId::from_code(command) {
+            CommandId::GetSystemState => Topic::SystemState,
+            CommandId::GetGripperState => Topic::GripperState,
+            CommandId::GetOpeningWidth => Topic::Width,
+            CommandId::GetSpeed => Topic::Speed,
+            CommandId::GetForce => Topic::Force,
+            _ => return Err(wsg_error::Argument),
+        };
         let update = match (period_ms, switch(on_change)?) {
             (0, _) => AutoUpdate::once(),
             (_, false) => AutoUpdate::every(period_ms),

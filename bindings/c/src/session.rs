@@ -40,6 +40,9 @@ pub struct wsg_t {
 /// wsg_expire() and wsg_init(). Requests made here are sent by the next wsg_tick() and wsg_transmit().
 pub type wsg_callback_t = Option<unsafe extern "C" fn(context: *mut c_void, event: *const wsg_event_t)>;
 
+/// Length of the status at the start of a reply.
+pub(crate) const STATUS_LEN: usize = 2;
+
 /// Marks initialized storage.
 const READY: u32 = 0x4757_5357;
 
@@ -73,7 +76,7 @@ impl Kept {
     unsafe fn command<'a>(self) -> Option<Command<'a>> {
         // SAFETY: passed on to the caller.
         let payload = unsafe { memory::bytes(self.data, self.length.into()) }.ok()?;
-        Command::decode(&wsg_protocol::Frame { id: self.id.code(), payload }).ok()
+        Some(Command::Unknown { id: self.id.code(), payload })
     }
 }
 
@@ -136,9 +139,7 @@ impl Inner {
         if self.kept.is_some() {
             return Err(wsg_error::QueueFull);
         }
-        let command = Command::decode(&wsg_protocol::Frame { id: id.code(), payload: data })
-            .map_err(wsg_error::of_argument)?;
-        self.session.request_borrowed(&command)?;
+        self.session.request_borrowed(&Command::Unknown { id: id.code(), payload: data })?;
         self.kept = Some(Kept { id, data: data.as_ptr(), length: data.len() as u16 });
         DONE
     }
@@ -147,9 +148,14 @@ impl Inner {
 /// Passes an event to the callback.
 ///
 /// # Safety
-/// `wsg` is initialized. No reference to it exists except in `event`, which is not used after the callback begins.
-unsafe fn deliver(wsg: *mut wsg_t, event: &Event<'_>) {
-    let plain = wsg_event_t::from(event);
+/// `wsg` is initialized. No reference to it exists except in `event` and in `found`, the frame that caused it, which are not used
+/// after the callback begins.
+unsafe fn deliver(wsg: *mut wsg_t, event: &Event<'_>, found: Option<&frame::Event<'_>>) {
+    let payload = match found {
+        Some(frame::Event::Frame(frame)) => frame.payload.get(STATUS_LEN..).unwrap_or(&[]),
+        _ => &[],
+    };
+    let plain = wsg_event_t::of(event, payload);
     // SAFETY: passed on to the caller.
     let Ok(inner) = (unsafe { Inner::at(wsg) }) else { return };
     let ends = matches!(event, Event::Answered(_) | Event::Unanswered(_) | Event::Withdrawn(_));
@@ -217,7 +223,7 @@ pub unsafe extern "C" fn wsg_receive(wsg: *mut wsg_t, now_ms: u32, bytes: *const
                 rest = rest.get(taken..).unwrap_or(&[]);
                 let Some(found) = found else { return DONE };
                 if let Some(event) = inner.session.handle(now, &found) {
-                    deliver(wsg, &event);
+                    deliver(wsg, &event, Some(&found));
                 }
             }
         }
@@ -239,7 +245,7 @@ pub unsafe extern "C" fn wsg_tick(wsg: *mut wsg_t, now_ms: u32) -> i32 {
             }
             loop {
                 let Some(event) = Inner::at(wsg)?.session.tick(now) else { return DONE };
-                deliver(wsg, &event);
+                deliver(wsg, &event, None);
             }
         }
     };
@@ -271,7 +277,7 @@ unsafe fn expire(wsg: *mut wsg_t, now: Instant) -> Outcome {
             let inner = Inner::at(wsg)?;
             let Some(found) = inner.parser.expire() else { return DONE };
             if let Some(event) = inner.session.handle(now, &found) {
-                deliver(wsg, &event);
+                deliver(wsg, &event, Some(&found));
             }
         }
     }
@@ -332,7 +338,6 @@ pub extern "C" fn wsg_disconnect(wsg: Option<&mut wsg_t>) -> i32 {
         if inner.is_calling {
             return Err(wsg_error::InCallback);
         }
-        inner.parser.reset();
         inner.session.disconnect();
         DONE
     };

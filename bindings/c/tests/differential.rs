@@ -237,7 +237,6 @@ impl Pair {
             12 => self.subscribe(chance),
             13 if chance.one_in(8) => {
                 assert_eq!(wsg_disconnect(self.c()), 0);
-                self.parser.reset();
                 self.session.disconnect();
             }
             14 if chance.one_in(8) => {
@@ -416,7 +415,9 @@ impl Pair {
         if payload.len() > 64 {
             return wsg_error::TooLong as i32;
         }
-        if self.kept.is_some() {
+        let is_text =
+            id != CommandId::SetDeviceTag || payload.iter().all(|letter| (b' '..=b'~').contains(letter));
+        if self.kept.is_some() && is_text {
             return wsg_error::QueueFull as i32;
         }
         let decoded = match Command::decode(&Frame { id: id.code(), payload }) {
