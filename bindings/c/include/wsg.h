@@ -30,12 +30,11 @@
 /* Changes when a program must be compiled again. */
 #define WSG_ABI_VERSION 0
 
-#if UINTPTR_MAX > 0xFFFFFFFFu
-#define WSG_WORDS 104
-#else
-#define WSG_WORDS 80
-#endif
+/* Storage in 64-bit words. */
+#define WSG_WORDS (UINTPTR_MAX > 0xFFFFFFFFu ? 104 : 80)
 #define WSG_PARSER_WORDS 11
+#define WSG_CAN_WORDS 16
+#define WSG_FIELDBUS_WORDS (UINTPTR_MAX > 0xFFFFFFFFu ? 40 : 32)
 
 /* Status codes (command set, appendix A). */
 enum wsg_status {
@@ -325,6 +324,27 @@ enum wsg_finger_flag {
 
 /* Kind of wsg_frame_t: the head of a frame that is too long. Its bytes are scanned again for frames. */
 #define WSG_FRAME_OVERSIZE 3
+
+/* Identifier of requests by default. The gripper replies on the next one. */
+#define WSG_CAN_DEFAULT_ID 288
+
+/* Number of CAN frames of the longest message that is sent or received. */
+#define WSG_CAN_MAX_FRAMES 10
+
+/* Length of the output image, from the PLC. */
+#define WSG_FIELDBUS_OUTPUT_LEN 8
+
+/* Length of the input image, to the PLC. */
+#define WSG_FIELDBUS_INPUT_LEN 12
+
+/* Reaction of wsg_fieldbus_silence(): the motion in progress continues. */
+#define WSG_SILENCE_HOLD 0
+
+/* Reaction of wsg_fieldbus_silence(): a motion is stopped, a held part stays held. */
+#define WSG_SILENCE_STOP 1
+
+/* Reaction of wsg_fieldbus_silence(): FAST STOP. */
+#define WSG_SILENCE_FAST_STOP 2
 
 /*
  Return values of all functions. Positive values are results: a length, a count, or 1 for "yes".
@@ -663,6 +683,44 @@ typedef struct {
     uint8_t kind;
 } wsg_frame_t;
 
+/* Reassembles messages from CAN frames, owned by the caller. Initialize it with wsg_can_init(). */
+typedef struct {
+    /* Private. */
+    uint64_t opaque[WSG_CAN_WORDS];
+} wsg_can_t;
+
+/* A classic CAN data frame with an 11-bit identifier. */
+typedef struct {
+    /* The identifier. */
+    uint16_t id;
+    /* Number of data bytes, up to 8. */
+    uint8_t length;
+    /* The data. */
+    uint8_t data[8];
+} wsg_can_frame_t;
+
+/* Counters of rejected CAN frames and messages. Each saturates at 65 535. */
+typedef struct {
+    /* Frames that cannot be part of a reply: other identifiers, or no data. */
+    uint16_t foreign;
+    /* Frames that were not part of an intact message. */
+    uint16_t dropped;
+    /* Messages with a frame whose length contradicts the size field: a frame was lost or duplicated. */
+    uint16_t miscut;
+    /* Messages with a wrong checksum. */
+    uint16_t bad_checksum;
+    /* Messages of more than WSG_CAN_MAX_FRAMES frames. */
+    uint16_t oversize;
+    /* Incomplete messages discarded after the time-out of 50 ms. */
+    uint16_t expired;
+} wsg_can_counters_t;
+
+/* The controller of the register interface, owned by the caller. Attach it to a session with wsg_fieldbus_attach(). */
+typedef struct {
+    /* Private. */
+    uint64_t opaque[WSG_FIELDBUS_WORDS];
+} wsg_fieldbus_t;
+
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -896,6 +954,50 @@ int32_t wsg_frame_encode(uint8_t id, const uint8_t *payload, size_t payload_leng
  Returns WSG_ERROR_MALFORMED if the frame violates the manual.
  */
 int32_t wsg_reply_decode(const wsg_frame_t *frame, wsg_event_t *event);
+
+/*
+ Initializes a reassembler for the gripper that receives requests on `id` (WSG_CAN_DEFAULT_ID unless configured) and replies
+ on `id` + 1, up to 0x7FE.
+ */
+int32_t wsg_can_init(wsg_can_t *can, uint16_t id);
+
+/*
+ Splits a message from wsg_transmit() into CAN frames with identifier `id`, and returns their number, up to
+ WSG_CAN_MAX_FRAMES. Send all of them in order before the frames of the next message.
+ */
+int32_t wsg_can_split(uint16_t id, const uint8_t *message, size_t message_length, wsg_can_frame_t *frames, size_t capacity);
+
+/*
+ Takes a CAN frame of the bus, whatever its identifier, and passes each resulting event to the callback of the session. The
+ callback must not use the reassembler.
+ */
+int32_t wsg_can_receive(wsg_can_t *can, wsg_t *wsg, uint32_t now_ms, const wsg_can_frame_t *frame);
+
+/* Discards an incomplete message after its time-out. Call it with each wsg_tick(). */
+int32_t wsg_can_tick(wsg_can_t *can, wsg_t *wsg, uint32_t now_ms);
+
+/* Writes the counters. */
+int32_t wsg_can_counters(wsg_can_t *can, wsg_can_counters_t *counters);
+
+/*
+ Initializes a controller and attaches it to a session, after wsg_init() and before the first wsg_tick(). It receives every
+ event before the callback, and subscribes to width and force. Initialize the session with `verify_settings` of 1.
+
+ The controller must stay at its place as long as the session is used. Do not send motions of your own.
+ */
+int32_t wsg_fieldbus_attach(wsg_fieldbus_t *fieldbus, wsg_t *wsg);
+
+/*
+ Takes an output image that the PLC wrote, complete: exactly WSG_FIELDBUS_OUTPUT_LEN bytes. Call it for each image, so that
+ no edge is lost; the next wsg_tick() requests the commands.
+ */
+int32_t wsg_fieldbus_write(wsg_fieldbus_t *fieldbus, const wsg_t *wsg, const uint8_t *image, size_t image_length);
+
+/* Writes the input image for the PLC to `image` and returns its length, WSG_FIELDBUS_INPUT_LEN. */
+int32_t wsg_fieldbus_read(wsg_fieldbus_t *fieldbus, const wsg_t *wsg, uint8_t *image, size_t size);
+
+/* Reports that the PLC is not heard any more. `reaction` is WSG_SILENCE_... A jog ends in any case. */
+int32_t wsg_fieldbus_silence(wsg_fieldbus_t *fieldbus, const wsg_t *wsg, uint8_t reaction);
 
 /* Returns the manual's name of a status, such as "E_CMD_PENDING", or "E_?". */
 const char *wsg_status_name(uint16_t status);

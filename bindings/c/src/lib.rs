@@ -12,6 +12,8 @@
 //! | [`known`] | the known state and the counters |
 //! | [`config`] | time-outs and subscriptions |
 //! | [`frame`] | parser and encoder alone, without a session |
+//! | [`can`] | messages over classic CAN |
+//! | [`fieldbus`] | the register interface: 8 bytes from a PLC, 12 bytes to it |
 //! | [`text`] | texts of errors, statuses and commands |
 //!
 //! # Safety
@@ -48,6 +50,10 @@ pub mod known;
 pub mod queue;
 
 pub mod frame;
+
+pub mod can;
+
+pub mod fieldbus;
 
 pub mod text;
 

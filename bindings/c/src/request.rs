@@ -58,7 +58,7 @@ fn send_checked(wsg: Option<&mut wsg_t>, command: Result<Command<'static>, wsg_e
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_loop(wsg: Option<&mut wsg_t>, data: *const u8, length: usize) -> i32 {
     // SAFETY: passed on to the caller.
-    unsafe { send_kept(wsg, CommandId::Loop, data, length) }
+    unsafe { send_kept(wsg, CommandId::Loop.code(), data, length) }
 }
 
 /// Disconnect Announcement (07h): announces the end of a TCP connection, so that it does not cause a FAST STOP.
@@ -227,7 +227,7 @@ pub unsafe extern "C" fn wsg_set_device_tag(wsg: Option<&mut wsg_t>, tag: *const
         if tag.iter().any(|character| !(b' '..=b'~').contains(character)) {
             return Err(wsg_error::Character);
         }
-        inner.keep(CommandId::SetDeviceTag, tag)
+        inner.keep(CommandId::SetDeviceTag.code(), tag)
     };
     code(set())
 }
@@ -293,7 +293,7 @@ pub extern "C" fn wsg_get_finger_data(wsg: Option<&mut wsg_t>, finger: u8) -> i3
 pub unsafe extern "C" fn wsg_custom(wsg: Option<&mut wsg_t>, id: u8, data: *const u8, length: usize) -> i32 {
     match CommandId::from_code(id) {
         // SAFETY: passed on to the caller.
-        custom @ CommandId::Unknown(_) => unsafe { send_kept(wsg, custom, data, length) },
+        CommandId::Unknown(_) => unsafe { send_kept(wsg, id, data, length) },
         _ => wsg_error::Argument as i32,
     }
 }
@@ -302,7 +302,7 @@ pub unsafe extern "C" fn wsg_custom(wsg: Option<&mut wsg_t>, id: u8, data: *cons
 ///
 /// # Safety
 /// As [`memory::bytes`].
-unsafe fn send_kept(wsg: Option<&mut wsg_t>, id: CommandId, data: *const u8, length: usize) -> i32 {
+unsafe fn send_kept(wsg: Option<&mut wsg_t>, id: u8, data: *const u8, length: usize) -> i32 {
     let keep = || -> Outcome {
         let inner = wsg_t::open(wsg)?;
         // SAFETY: passed on to the caller.

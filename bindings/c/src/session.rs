@@ -2,9 +2,10 @@
 
 use core::ffi::c_void;
 use core::mem::MaybeUninit;
+use core::ptr;
 
 use wsg_protocol::session::{Event, Session};
-use wsg_protocol::{Command, CommandId, FrameEncoder, FrameParser, Instant, frame};
+use wsg_protocol::{Command, FrameEncoder, FrameParser, Instant, frame};
 
 use crate::config::wsg_config_t;
 use crate::error::{DONE, Outcome, code, length, wsg_error};
@@ -54,18 +55,23 @@ pub(crate) struct Inner {
     pub(crate) session: Session,
     pub(crate) kept: Option<Kept>,
     received_at: Instant,
+    hook: Option<Hook>,
     callback: wsg_callback_t,
     context: *mut c_void,
     frame_timeout_ms: u16,
     is_calling: bool,
 }
 
+/// A part of the library that sees every event and, without one, every tick. Returns the caller's callback and its context.
+pub(crate) type Hook =
+    unsafe fn(*mut c_void, Option<&Event<'_>>, &mut Session) -> (wsg_callback_t, *mut c_void);
+
 /// A request whose payload the caller keeps.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Kept {
-    id: CommandId,
-    data: *const u8,
-    length: u16,
+    id: u8,
+    data: ptr::NonNull<u8>,
+    length: u8,
 }
 
 impl Kept {
@@ -75,101 +81,111 @@ impl Kept {
     /// The data is still valid, as the request's documentation demands.
     unsafe fn command<'a>(self) -> Option<Command<'a>> {
         // SAFETY: passed on to the caller.
-        let payload = unsafe { memory::bytes(self.data, self.length.into()) }.ok()?;
-        Some(Command::Unknown { id: self.id.code(), payload })
+        let payload = unsafe { memory::bytes(self.data.as_ptr(), self.length.into()) }.ok()?;
+        Some(Command::Unknown { id: self.id, payload })
     }
 }
 
 impl wsg_t {
     /// Returns the contents of initialized storage.
     pub(crate) fn open(wsg: Option<&mut Self>) -> Result<&mut Inner, wsg_error> {
-        let wsg = wsg.ok_or(wsg_error::NullPointer)?;
-        // SAFETY: `Inner` fits, see the assertion above.
-        unsafe { Inner::at(wsg) }
+        let inner = Inner::at(wsg.map_or(ptr::null_mut(), ptr::from_mut))?;
+        // SAFETY: initialized, and borrowed from the caller.
+        Ok(unsafe { &mut *inner })
     }
 
     /// Returns the contents of initialized storage for reading.
     pub(crate) fn look(wsg: Option<&Self>) -> Result<&Inner, wsg_error> {
-        let inner: *const Inner = core::ptr::from_ref(wsg.ok_or(wsg_error::NullPointer)?).cast();
-        // SAFETY: as in `Inner::at`.
-        unsafe {
-            if (&raw const (*inner).ready).read() != READY {
-                return Err(wsg_error::NotInitialized);
-            }
-            Ok(&*inner)
-        }
+        let inner = Inner::at(wsg.map_or(ptr::null_mut(), |wsg| ptr::from_ref(wsg).cast_mut()))?;
+        // SAFETY: initialized, and borrowed from the caller.
+        Ok(unsafe { &*inner })
     }
 }
 
 impl Inner {
-    /// Returns the contents of initialized storage.
-    ///
-    /// # Safety
-    /// `wsg` is null or points to a `wsg_t` to which no other reference exists during `'a`.
-    unsafe fn at<'a>(wsg: *mut wsg_t) -> Result<&'a mut Self, wsg_error> {
+    /// Returns the place of initialized contents. Parts of it are borrowed one by one, because an event borrows the
+    /// parser while the session is used.
+    fn at(wsg: *mut wsg_t) -> Result<*mut Self, wsg_error> {
         if wsg.is_null() {
             return Err(wsg_error::NullPointer);
         }
         let inner: *mut Self = wsg.cast();
         // SAFETY: `wsg_t` is as large and as aligned as `Inner`. The mark is read as an integer, because only storage
         // that `wsg_init` has filled holds an `Inner`.
-        unsafe {
-            if (&raw const (*inner).ready).read() != READY {
-                return Err(wsg_error::NotInitialized);
-            }
-            Ok(&mut *inner)
-        }
+        let ready = unsafe { (&raw const (*inner).ready).read() };
+        if ready == READY { Ok(inner) } else { Err(wsg_error::NotInitialized) }
     }
 
     /// As [`at`](Self::at), for functions that the callback must not call.
-    ///
-    /// # Safety
-    /// As [`at`](Self::at).
-    unsafe fn outside_callback<'a>(wsg: *mut wsg_t) -> Result<&'a mut Self, wsg_error> {
-        // SAFETY: passed on to the caller.
-        let inner = unsafe { Self::at(wsg) }?;
-        if inner.is_calling { Err(wsg_error::InCallback) } else { Ok(inner) }
+    pub(crate) fn outside_callback(wsg: *mut wsg_t) -> Result<*mut Self, wsg_error> {
+        let inner = Self::at(wsg)?;
+        // SAFETY: initialized.
+        if unsafe { (*inner).is_calling } { Err(wsg_error::InCallback) } else { Ok(inner) }
+    }
+
+    /// Lets a hook see every event and every tick. It is called with the callback's context, and returns the callback.
+    pub(crate) fn set_hook(&mut self, hook: Hook, context: *mut c_void) -> (wsg_callback_t, *mut c_void) {
+        self.hook = Some(hook);
+        (self.callback.take(), core::mem::replace(&mut self.context, context))
+    }
+
+    pub(crate) const fn has_hook(&self) -> bool {
+        self.hook.is_some()
     }
 
     /// Requests a command whose payload the caller keeps until the final event.
-    pub(crate) fn keep(&mut self, id: CommandId, data: &[u8]) -> Outcome {
+    pub(crate) fn keep(&mut self, id: u8, data: &[u8]) -> Outcome {
         if data.len() > WSG_MAX_PAYLOAD.saturating_sub(2) {
             return Err(wsg_error::TooLong);
         }
         if self.kept.is_some() {
             return Err(wsg_error::QueueFull);
         }
-        self.session.request_borrowed(&Command::Unknown { id: id.code(), payload: data })?;
-        self.kept = Some(Kept { id, data: data.as_ptr(), length: data.len() as u16 });
+        self.session.request_borrowed(&Command::Unknown { id, payload: data })?;
+        self.kept = Some(Kept { id, data: ptr::NonNull::from(data).cast(), length: data.len() as u8 });
         DONE
     }
 }
 
-/// Passes an event to the callback.
+/// Takes what a parser has found, and passes the resulting event to the callback.
 ///
 /// # Safety
-/// `wsg` is initialized. No reference to it exists except in `event` and in `found`, the frame that caused it, which are not used
-/// after the callback begins.
-unsafe fn deliver(wsg: *mut wsg_t, event: &Event<'_>, found: Option<&frame::Event<'_>>) {
+/// `inner` is initialized, and no reference to it exists except in `found`.
+#[inline(never)]
+pub(crate) unsafe fn feed(inner: *mut Inner, now: Instant, found: &frame::Event<'_>) {
+    // SAFETY: a part that `found` does not borrow.
+    let session = unsafe { &mut (*inner).session };
+    if let Some(event) = session.handle(now, found) {
+        // SAFETY: passed on to the caller.
+        unsafe { deliver(inner, &event, Some(found)) };
+    }
+}
+
+/// Passes an event to hook and callback.
+///
+/// # Safety
+/// As [`feed`]; `event` and `found` may borrow the parser.
+unsafe fn deliver(inner: *mut Inner, event: &Event<'_>, found: Option<&frame::Event<'_>>) {
     let payload = match found {
         Some(frame::Event::Frame(frame)) => frame.payload.get(STATUS_LEN..).unwrap_or(&[]),
         _ => &[],
     };
     let plain = wsg_event_t::of(event, payload);
-    // SAFETY: passed on to the caller.
-    let Ok(inner) = (unsafe { Inner::at(wsg) }) else { return };
     let ends = matches!(event, Event::Answered(_) | Event::Unanswered(_) | Event::Withdrawn(_));
-    if ends && inner.kept.is_some_and(|kept| kept.id.code() == plain.command) {
-        inner.kept = None;
-    }
-    let (Some(callback), context) = (inner.callback, inner.context) else { return };
-    inner.is_calling = true;
-    // SAFETY: the caller of `wsg_init` guarantees that the function may be called. No reference to the session is used
-    // after this point, so that the function may use the session.
-    unsafe { callback(context, &raw const plain) };
-    // SAFETY: as above.
-    if let Ok(inner) = unsafe { Inner::at(wsg) } {
-        inner.is_calling = false;
+    // SAFETY: parts that the event does not borrow. The caller of `wsg_init` guarantees that the callback may be called. No
+    // reference exists during the callback, so that it may use the session.
+    unsafe {
+        if ends && (*inner).kept.is_some_and(|kept| kept.id == plain.command) {
+            (*inner).kept = None;
+        }
+        let (mut callback, mut context) = ((*inner).callback, (*inner).context);
+        if let Some(hook) = (*inner).hook {
+            (callback, context) = hook(context, Some(event), &mut (*inner).session);
+        }
+        let Some(callback) = callback else { return };
+        (*inner).is_calling = true;
+        callback(context, &raw const plain);
+        (*inner).is_calling = false;
     }
 }
 
@@ -193,6 +209,7 @@ pub unsafe extern "C" fn wsg_init(
             session: Session::new(config.session()?),
             kept: None,
             received_at: Instant::from_millis(0),
+            hook: None,
             callback,
             context,
             frame_timeout_ms: config.frame_timeout_ms,
@@ -210,21 +227,19 @@ pub unsafe extern "C" fn wsg_init(
 pub unsafe extern "C" fn wsg_receive(wsg: *mut wsg_t, now_ms: u32, bytes: *const u8, length: usize) -> i32 {
     let receive = || -> Outcome {
         let now = Instant::from_millis(now_ms);
-        // SAFETY: the rules of the crate's documentation; each reference ends before the next one begins.
-        unsafe {
-            Inner::outside_callback(wsg)?;
-            let mut rest = memory::bytes(bytes, length)?;
-            if !rest.is_empty() {
-                Inner::at(wsg)?.received_at = now;
-            }
-            loop {
-                let inner = Inner::at(wsg)?;
-                let (taken, found) = inner.parser.push_slice(rest);
+        let inner = Inner::outside_callback(wsg)?;
+        // SAFETY: the rules of the crate's documentation.
+        let mut rest = unsafe { memory::bytes(bytes, length) }?;
+        loop {
+            // SAFETY: initialized; only the parser is borrowed while its event is in use.
+            unsafe {
+                if !rest.is_empty() {
+                    (*inner).received_at = now;
+                }
+                let (taken, found) = (*inner).parser.push_slice(rest);
                 rest = rest.get(taken..).unwrap_or(&[]);
                 let Some(found) = found else { return DONE };
-                if let Some(event) = inner.session.handle(now, &found) {
-                    deliver(wsg, &event, Some(&found));
-                }
+                feed(inner, now, &found);
             }
         }
     };
@@ -237,19 +252,39 @@ pub unsafe extern "C" fn wsg_receive(wsg: *mut wsg_t, now_ms: u32, bytes: *const
 pub unsafe extern "C" fn wsg_tick(wsg: *mut wsg_t, now_ms: u32) -> i32 {
     let tick = || -> Outcome {
         let now = Instant::from_millis(now_ms);
-        // SAFETY: as in `wsg_receive`.
+        let inner = Inner::outside_callback(wsg)?;
+        // SAFETY: initialized; each borrow of a part ends before the next one begins.
         unsafe {
-            let inner = Inner::outside_callback(wsg)?;
-            if inner.parser.is_mid_frame() && now.since(inner.received_at) >= inner.frame_timeout_ms.into() {
-                expire(wsg, now)?;
+            if (*inner).parser.is_mid_frame()
+                && now.since((*inner).received_at) >= (*inner).frame_timeout_ms.into()
+            {
+                expire(inner, now);
             }
-            loop {
-                let Some(event) = Inner::at(wsg)?.session.tick(now) else { return DONE };
-                deliver(wsg, &event, None);
+            if let Some(hook) = (*inner).hook {
+                hook((*inner).context, None, &mut (*inner).session);
+                tick_session(inner, now);
+                // What it has requested because of these events.
+                hook((*inner).context, None, &mut (*inner).session);
             }
+            tick_session(inner, now);
         }
+        DONE
     };
     code(tick())
+}
+
+/// Processes everything that is due in the session.
+///
+/// # Safety
+/// `inner` is initialized, and no reference to it exists.
+#[inline(never)]
+unsafe fn tick_session(inner: *mut Inner, now: Instant) {
+    // SAFETY: passed on to the caller. The events of a tick borrow nothing.
+    unsafe {
+        while let Some(event) = (*inner).session.tick(now) {
+            deliver(inner, &event, None);
+        }
+    }
 }
 
 /// Ends an incomplete frame at once, for a caller that knows that the line is idle. wsg_tick() does so after the time-out
@@ -257,11 +292,10 @@ pub unsafe extern "C" fn wsg_tick(wsg: *mut wsg_t, now_ms: u32) -> i32 {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_expire(wsg: *mut wsg_t, now_ms: u32) -> i32 {
     let end = || -> Outcome {
-        // SAFETY: as in `wsg_receive`.
-        unsafe {
-            Inner::outside_callback(wsg)?;
-            expire(wsg, Instant::from_millis(now_ms))
-        }
+        let inner = Inner::outside_callback(wsg)?;
+        // SAFETY: initialized, and not borrowed.
+        unsafe { expire(inner, Instant::from_millis(now_ms)) };
+        DONE
     };
     code(end())
 }
@@ -269,16 +303,13 @@ pub unsafe extern "C" fn wsg_expire(wsg: *mut wsg_t, now_ms: u32) -> i32 {
 /// Ends an incomplete frame, whose bytes may contain another one.
 ///
 /// # Safety
-/// As [`wsg_receive`].
-unsafe fn expire(wsg: *mut wsg_t, now: Instant) -> Outcome {
-    loop {
-        // SAFETY: passed on to the caller; each reference ends before the next one begins.
-        unsafe {
-            let inner = Inner::at(wsg)?;
-            let Some(found) = inner.parser.expire() else { return DONE };
-            if let Some(event) = inner.session.handle(now, &found) {
-                deliver(wsg, &event, Some(&found));
-            }
+/// As [`tick_session`].
+#[inline(never)]
+unsafe fn expire(inner: *mut Inner, now: Instant) {
+    // SAFETY: passed on to the caller; only the parser is borrowed while its event is in use.
+    unsafe {
+        while let Some(found) = (*inner).parser.expire() {
+            feed(inner, now, &found);
         }
     }
 }
@@ -292,7 +323,7 @@ unsafe fn expire(wsg: *mut wsg_t, now: Instant) -> Outcome {
 pub unsafe extern "C" fn wsg_transmit(wsg: *mut wsg_t, now_ms: u32, buffer: *mut u8, size: usize) -> i32 {
     let transmit = || -> Outcome {
         // SAFETY: the rules of the crate's documentation. No callback is called.
-        let (inner, buffer) = unsafe { (Inner::outside_callback(wsg)?, memory::buffer(buffer, size)?) };
+        let (inner, buffer) = unsafe { (&mut *Inner::outside_callback(wsg)?, memory::buffer(buffer, size)?) };
         let kept_len = inner.kept.map_or(0, |kept| frame::OVERHEAD.saturating_add(kept.length.into()));
         if buffer.len() < kept_len.max(WSG_TRANSMIT_LEN) {
             return Err(wsg_error::BufferTooSmall);

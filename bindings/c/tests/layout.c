@@ -29,3 +29,5 @@ CHECK(grip_part, WSG_COMMAND_GRIP_PART == 0x25);
 CHECK(pending, WSG_E_CMD_PENDING == 26);
 CHECK(holding, WSG_STATE_HOLDING == 4);
 CHECK(fast_stop, WSG_FLAG_FAST_STOP == 0x1000);
+CHECK(can_frame_size, sizeof(wsg_can_frame_t) == 12);
+CHECK(fieldbus_on_32_bits, sizeof(void *) != 4 || sizeof(wsg_fieldbus_t) == 256);
