@@ -12,7 +12,7 @@ use crate::{
     board::{BOARDS, Board},
     process,
     settings::{self, Change},
-    setup::ThumbToolchain,
+    setup::{TRIPLE, ThumbToolchain},
     workspace::Workspace,
 };
 
@@ -80,6 +80,14 @@ pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: 
 /// Builds the default images of all boards, the default board's first.
 pub(crate) fn build_all(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<Vec<Image>> {
     BOARDS.iter().map(|board| build(workspace, toolchain, &Variant { board, ..Variant::default() })).collect()
+}
+
+/// Builds the static library for C programs on the default board. A panic path fails to link there.
+pub(crate) fn c_library(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<PathBuf> {
+    let mut cargo = toolchain.cargo(workspace, "rustc", TRIPLE);
+    cargo.args(["-p", "wsg-c", "--lib", "--crate-type", "staticlib", "--features", "prove-panic-free"]);
+    process::run(cargo.args(["--profile", "c-library"]))?;
+    Ok(toolchain.output_dir(workspace, TRIPLE, "c-library").join("libwsg.a"))
 }
 
 /// Returns cargo's arguments that select the firmware's binary, features and profile.

@@ -110,6 +110,7 @@ Environment
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH,
   WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
                      the same for images with other bus settings; with the suffix _PICO for the Pico
+  WSG_C_LIBRARY      set by test: the static library for the program in C that runs in the emulator
   WSG_WHOLE=1        set by ci: run long tests in full
   WSG_LOAD=1         set by ci: run the load test with 500 grippers
   WSG_SIM_EXE        set by platforms for its tests: the simulator's Windows executable

@@ -1,13 +1,13 @@
 //! Runs all checks of the workspace in order, up to the first failure.
 
-use std::{ffi::OsString, num::NonZero, process::Command, thread, time::Instant};
+use std::{ffi::OsString, num::NonZero, path::PathBuf, process::Command, thread, time::Instant};
 
 use anyhow::{Context, Result, ensure};
 
 use crate::{
     bench,
     board::{BOARDS, Board},
-    firmware::{self, Image, Variant},
+    firmware::{self, Variant},
     gate,
     matrix::{self, Extent},
     panics, platforms,
@@ -39,8 +39,9 @@ pub(crate) fn run(
             settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
         let variant = Variant { board, settings, ..Variant::default() };
         let variable = format!("{variable}{ending}");
-        chosen.push((variable, firmware::build(workspace, toolchain, &variant)?));
+        chosen.push((variable, firmware::build(workspace, toolchain, &variant)?.path));
     }
+    chosen.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(workspace, toolchain)?));
     let mut record = Record::default();
     for program in &masters.missing {
         record.not_checked(&format!("tests with {program} (it is not installed)"));
@@ -59,8 +60,8 @@ pub(crate) fn run(
 struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain,
-    /// Images of all emulated boards and settings, by the environment variable for the tests.
-    chosen: Vec<(String, Image)>,
+    /// Images of all emulated boards and settings, and the C library, by the environment variable for the tests.
+    chosen: Vec<(String, PathBuf)>,
     masters: &'a Masters,
     extent: Extent,
 }
@@ -157,8 +158,8 @@ impl Checks<'_> {
         if self.extent == Extent::Whole {
             tests.env("WSG_WHOLE", "1");
         }
-        for (variable, image) in &self.chosen {
-            tests.env(variable, &image.path);
+        for (variable, file) in &self.chosen {
+            tests.env(variable, file);
         }
         for skipped in self.masters.missing.iter().chain([&platforms::TESTS]) {
             tests.args(["--skip", skipped]);

@@ -30,6 +30,7 @@ macro_rules! on_both_boards {
     };
 }
 
+mod c_program;
 mod can;
 mod line_errors;
 mod line_rates;

@@ -1,0 +1,78 @@
+//! Programs in C, compiled and linked with the static library, against the virtual gripper.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+use wsg_sim::server::{Lines, SerialLine, ServerThread};
+use wsg_sim::{Config, Part};
+
+fn crate_dir() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Builds the static library for this computer once.
+fn library() -> &'static Path {
+    static LIBRARY: OnceLock<PathBuf> = OnceLock::new();
+    LIBRARY.get_or_init(|| {
+        // A folder of its own, because the calling cargo may have locked its own one.
+        let target = Path::new(env!("CARGO_TARGET_TMPDIR")).join("libwsg");
+        let mut cargo = Command::new(env!("CARGO"));
+        cargo.current_dir(crate_dir()).args([
+            "rustc",
+            "--locked",
+            "--quiet",
+            "--lib",
+            "--profile",
+            "c-library",
+        ]);
+        cargo
+            .args(["--crate-type", "staticlib", "--features", "prove-panic-free", "--target-dir"])
+            .arg(&target);
+        assert!(cargo.status().unwrap().success());
+        target.join("c-library/libwsg.a")
+    })
+}
+
+/// Compiles a program with the library, with all warnings as errors.
+fn program(source: &str, name: &str, arguments: &[&str]) -> PathBuf {
+    let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let mut gcc = Command::new("gcc");
+    gcc.args(["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"]);
+    gcc.arg(crate_dir().join("include")).args(arguments).arg(crate_dir().join(source)).arg(library());
+    let output = gcc.arg("-o").arg(&program).output().unwrap();
+    assert!(output.status.success(), "{source}:\n{}", said(&output));
+    program
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned()
+}
+
+fn passes(command: &mut Command) -> String {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{command:?}: {}\n{}", output.status, said(&output));
+    said(&output)
+}
+
+fn gripper(lines: &Lines) -> ServerThread {
+    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
+    ServerThread::start(config, lines, None).unwrap()
+}
+
+const CYCLE: &str = "connected\nHoming: no error\nGrip Part: no error\nRelease Part: no error\ndone\n";
+
+#[test]
+fn posix_example_grips_over_tcp() {
+    let server = gripper(&Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() });
+    let port = server.tcp_address().unwrap().port().to_string();
+    let posix = program("examples/posix.c", "posix-tcp", &["-fsanitize=address,undefined"]);
+    assert_eq!(passes(Command::new(posix).args(["127.0.0.1", &port])), CYCLE);
+}
+
+#[test]
+fn posix_example_grips_over_a_pseudo_terminal() {
+    let server = gripper(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() });
+    let posix = program("examples/posix.c", "posix-serial", &[]);
+    assert_eq!(passes(Command::new(posix).arg(server.serial_path().unwrap())), CYCLE);
+}
