@@ -19,6 +19,7 @@
 //! | `client` | a client of any protocol |
 //! | `gripper` | the contract with the caller |
 //! | `server` | servers on TCP, UDP, serial lines and CAN (feature `std`) |
+//! | `program` | the program `wsg-sim` and its options (feature `std`) |
 //! | `rig` | gripper, line and clock for unit tests of client programs (feature `rig`) |
 //!
 //! Module imports are acyclic.
@@ -44,6 +45,8 @@ mod model;
 mod motion;
 mod port;
 mod profibus;
+#[cfg(feature = "std")]
+pub mod program;
 #[cfg(feature = "rig")]
 mod rig;
 mod script;

@@ -10,7 +10,6 @@ mod state;
 use std::fs;
 use std::io::{self, IsTerminal, Write};
 use std::path::PathBuf;
-use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
@@ -107,7 +106,7 @@ enum Command {
 /// Reminder after a change that was not stored.
 const NOT_STORED: &str = "in effect until power-off; run `save` to keep the changes";
 
-pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
+pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let mut output = io::stdout().lock();
     let port = &arguments.port;
     match carry_out(port, &arguments.command, &mut output) {
@@ -117,7 +116,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
         }
         done => done?,
     }
-    Ok(ExitCode::SUCCESS)
+    Ok(0)
 }
 
 fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<()> {

@@ -15,20 +15,22 @@ mod signals;
 mod slcan;
 mod trouble;
 mod watch;
+mod wire;
 
 use std::fs::File;
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper as BinaryGripper};
 use wsg_protocol::driver::host::StdClock;
 
+pub use address::Address;
+pub use wire::{Wire, open};
+
 use action::Named;
-use address::Address;
 use line::LOOK_MS;
 use line::Line;
 use lines::Script;
@@ -91,7 +93,7 @@ fn after_help() -> String {
 }
 
 /// Runs the command given on the command line, and returns its exit status.
-pub(crate) fn run(arguments: Arguments) -> Result<ExitCode> {
+pub(crate) fn run(arguments: Arguments) -> Result<u8> {
     let Arguments { address, json, record, task } = arguments;
     let output = Output { is_json: json };
     let name = match &task {
@@ -110,7 +112,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<ExitCode> {
         Err(trouble) if trouble.is_broken_pipe() => trouble.exit_status(),
         Err(trouble) => output.tell(&name, &Err(trouble), None)?,
     };
-    Ok(status.into())
+    Ok(status)
 }
 
 fn perform(

@@ -22,7 +22,7 @@ mod settings;
 mod store;
 mod values;
 
-use std::{path::PathBuf, process::ExitCode, rc::Rc};
+use std::{path::PathBuf, rc::Rc};
 
 use anyhow::Result;
 use tokio::{
@@ -56,10 +56,10 @@ pub(crate) struct Arguments {
 }
 
 /// Runs until interrupted by a signal: Ctrl-C, SIGTERM or SIGHUP.
-pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
+pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let Some(path) = arguments.config.as_ref().filter(|_| !arguments.reference) else {
         print!("{}", reference::text());
-        return Ok(ExitCode::SUCCESS);
+        return Ok(0);
     };
     let telemetry = Telemetry::read(path)?;
     let broker = broker::Broker::new(&telemetry.broker)?;
@@ -72,12 +72,12 @@ pub(crate) fn run(arguments: &Arguments) -> Result<ExitCode> {
             telemetry.group,
             telemetry.node
         );
-        return Ok(ExitCode::SUCCESS);
+        return Ok(0);
     }
     let mut sequence = Sequence::open(&telemetry.state_file)?;
     let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
     LocalSet::new().block_on(&runtime, send(telemetry, broker, &mut sequence))?;
-    Ok(ExitCode::SUCCESS)
+    Ok(0)
 }
 
 async fn send(telemetry: Telemetry, broker: broker::Broker, sequence: &mut Sequence) -> Result<()> {

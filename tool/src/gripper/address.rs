@@ -23,19 +23,52 @@ gcl://HOST[:1000]                         text protocol (GCL) over TCP
 gcl+udp://HOST[:1500]                     text protocol (GCL) over UDP";
 
 /// An address of a gripper: line, location and protocol.
+///
+/// ```
+/// use wsg_tool::Address;
+///
+/// let address: Address = "tcp://192.168.1.20".parse()?;
+/// assert_eq!(address.to_string(), "tcp://192.168.1.20:1000");
+/// assert!("192.168.1.20".parse::<Address>().unwrap_err().contains("tcp://HOST"));
+/// # Ok::<(), String>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Address {
+pub enum Address {
+    /// The binary protocol over TCP, at `HOST:PORT`.
     Tcp(String),
-    Udp { gripper: String, answer_port: u16 },
-    Serial { device: String, rate: u32 },
-    Slcan { device: String, kbit: u16, identifiers: Identifiers },
+    /// The binary protocol over UDP.
+    Udp {
+        /// `HOST:PORT`.
+        gripper: String,
+        /// The local port to which the gripper replies.
+        answer_port: u16,
+    },
+    /// The binary protocol over RS-232.
+    Serial {
+        /// The serial port.
+        device: String,
+        /// The rate in bit/s.
+        rate: u32,
+    },
+    /// The binary protocol over CAN, through an SLCAN adapter.
+    Slcan {
+        /// The serial port of the adapter.
+        device: String,
+        /// The rate of the bus in kbit/s.
+        kbit: u16,
+        /// The CAN identifiers of the gripper.
+        identifiers: Identifiers,
+    },
+    /// The text protocol (GCL) over TCP, at `HOST:PORT`.
     Gcl(String),
+    /// The text protocol (GCL) over UDP, at `HOST:PORT`.
     GclUdp(String),
 }
 
 impl Address {
     /// Returns whether the address selects the text protocol (GCL).
-    pub(crate) const fn is_gcl(&self) -> bool {
+    #[must_use]
+    pub const fn is_gcl(&self) -> bool {
         matches!(self, Self::Gcl(_) | Self::GclUdp(_))
     }
 }

@@ -3,7 +3,6 @@
 use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
-use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
 
@@ -53,9 +52,9 @@ pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
 }
 
 /// Prints clap's explanation of an invalid command and exits with clap's status.
-pub(crate) fn explain(words: &[String]) -> ExitCode {
+pub(crate) fn explain(words: &[String]) -> u8 {
     match Line::try_parse_from(words) {
-        Ok(_) => ExitCode::SUCCESS,
+        Ok(_) => 0,
         Err(error) => error.exit(),
     }
 }

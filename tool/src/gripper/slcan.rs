@@ -4,7 +4,8 @@ use std::collections::VecDeque;
 use std::io::{self, Read, Write};
 
 use bus_slcan::{ClassicFrame, Decoder, Line, encode};
-use wsg_protocol::can::{Endpoint, HALF_MESSAGE_MS, Identifiers, MAX_FRAMES, Reassembler, Segmenter};
+use embedded_can::StandardId;
+use wsg_protocol::can::{HALF_MESSAGE_MS, Identifiers, MAX_FRAMES, Reassembler, Segmenter};
 use wsg_protocol::driver::{Clock, host::StdClock};
 use wsg_protocol::{Event, FrameEncoder};
 
@@ -27,13 +28,39 @@ pub(crate) fn rate_of(kbit: u16) -> Option<char> {
     RATES.iter().find(|(rate, _)| *rate == kbit).map(|(_, digit)| *digit)
 }
 
+/// Encodes gripper messages as CAN frames in SLCAN, and writes them to a port.
+#[derive(Debug)]
+pub(crate) struct Encoder<S> {
+    port: S,
+    identifier: StandardId,
+    segmenter: Segmenter,
+}
+
+impl<S> Encoder<S> {
+    pub(crate) const fn new(port: S, identifiers: Identifiers) -> Self {
+        Self { port, identifier: identifiers.controller().transmit, segmenter: Segmenter::new() }
+    }
+}
+
+impl<S: Write> Write for Encoder<S> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let segments = bytes.iter().filter_map(|byte| self.segmenter.push(*byte));
+        let frames = segments.filter_map(|segment| segment.frame::<ClassicFrame>(self.identifier));
+        let lines: Vec<u8> = frames.flat_map(|frame| encode(&frame).as_bytes().to_vec()).collect();
+        self.port.write_all(&lines)?;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.port.flush()
+    }
+}
+
 /// A byte stream of gripper messages, carried in CAN frames over SLCAN.
 pub(crate) struct Slcan<S: Read + Write> {
-    port: S,
-    endpoint: Endpoint,
+    encoder: Encoder<S>,
     decoder: Decoder,
     reassembler: Reassembler<MAX_FRAMES>,
-    segmenter: Segmenter,
     clock: StdClock,
     received: VecDeque<u8>,
 }
@@ -44,13 +71,10 @@ impl<S: Read + Write> Slcan<S> {
         let rate =
             rate_of(kbit).ok_or_else(|| io::Error::other(format!("SLCAN does not support {kbit} kbit/s")))?;
         write!(port, "\rC\rS{rate}\rO\r")?;
-        let endpoint = identifiers.controller();
         Ok(Self {
-            port,
-            endpoint,
+            encoder: Encoder::new(port, identifiers),
             decoder: Decoder::new(),
-            reassembler: Reassembler::new(endpoint.receive, HALF_MESSAGE_MS),
-            segmenter: Segmenter::new(),
+            reassembler: Reassembler::new(identifiers.controller().receive, HALF_MESSAGE_MS),
             clock: StdClock::new(),
             received: VecDeque::new(),
         })
@@ -62,7 +86,7 @@ impl<S: Read + Write> Read for Slcan<S> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         if self.received.is_empty() {
             let mut chunk = [0; CHUNK_LEN];
-            let count = self.port.read(&mut chunk)?;
+            let count = self.encoder.port.read(&mut chunk)?;
             if count == 0 {
                 return Ok(0);
             }
@@ -86,29 +110,19 @@ impl<S: Read + Write> Read for Slcan<S> {
 }
 
 impl<S: Read + Write> Write for Slcan<S> {
+    #[expect(clippy::disallowed_methods, reason = "the encoder writes everything or fails")]
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let segments = bytes.iter().filter_map(|byte| self.segmenter.push(*byte));
-        let frames = segments.filter_map(|segment| segment.frame::<ClassicFrame>(self.endpoint.transmit));
-        let lines: Vec<u8> = frames.flat_map(|frame| encode(&frame).as_bytes().to_vec()).collect();
-        self.port.write_all(&lines)?;
-        Ok(bytes.len())
+        self.encoder.write(bytes)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.port.flush()
+        self.encoder.flush()
     }
 }
 
 impl<S: Read + Write> Drop for Slcan<S> {
     fn drop(&mut self) {
         // An error cannot be reported from here.
-        let _ = self.port.write_all(b"C\r");
-    }
-}
-
-#[cfg(unix)]
-impl<S: Read + Write + std::os::fd::AsFd> std::os::fd::AsFd for Slcan<S> {
-    fn as_fd(&self) -> std::os::fd::BorrowedFd<'_> {
-        self.port.as_fd()
+        let _ = self.encoder.port.write_all(b"C\r");
     }
 }

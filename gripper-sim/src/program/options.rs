@@ -1,5 +1,12 @@
 //! The options: the command line, the configuration file, `--help` and the table of `docs/simulator.md` share them.
 
+use crate::axis::{Direction, Part};
+use crate::config::{Config, Tag};
+use crate::finger::Finger;
+use crate::model::Model;
+#[cfg(feature = "profinet")]
+use crate::server::ProfinetLine;
+use crate::server::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 #[cfg(feature = "profinet")]
 use bus_profinet::{IpParameters, Maintenance, StationName, Stored};
@@ -11,12 +18,9 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use toml::de::{DeTable, DeValue};
+use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::SoftLimits;
 use wsg_protocol::can::Identifiers;
-#[cfg(feature = "profinet")]
-use wsg_sim::server::ProfinetLine;
-use wsg_sim::server::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
-use wsg_sim::{Config, Direction, Finger, Model, Part, SilenceReaction, Tag};
 
 const LOOPBACK: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 /// The default TCP address if no line is given: the gripper's own port, on this machine only.
@@ -25,13 +29,15 @@ const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
 
 /// All options, in the form that the server takes.
 #[derive(Debug)]
-pub(crate) struct Options {
-    pub(crate) config: Config,
-    pub(crate) lines: Lines,
+pub struct Options {
+    /// The settings of the gripper.
+    pub config: Config,
+    /// The lines on which it is served.
+    pub lines: Lines,
     /// Whether no line is given, so that the gripper's own is served.
-    pub(crate) is_default_line: bool,
+    pub is_default_line: bool,
     /// The log file; `-` means standard output.
-    pub(crate) log: Option<PathBuf>,
+    pub log: Option<PathBuf>,
 }
 
 const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
@@ -266,7 +272,10 @@ fn command() -> Command {
 
 /// Parses the command line, without the program's name, and the configuration file that it names. Help and version end
 /// the program.
-pub(crate) fn parse(arguments: Vec<OsString>) -> Result<Options> {
+///
+/// # Errors
+/// Returns one line that names the wrong option and the expected value.
+pub fn parse(arguments: Vec<OsString>) -> Result<Options> {
     let mut matches = command().try_get_matches_from(&arguments).map_err(one_line)?;
     if let Some(path) = matches.get_one::<PathBuf>("config") {
         let arguments = [words_of_file(path)?, arguments].concat();

@@ -1,28 +1,31 @@
-//! The virtual gripper as a program; see `wsg-sim --help`.
+//! The virtual gripper as a program; see `wsg-sim --help` (feature `std`).
 
 mod options;
 
+use crate::server::{CanBus, CanLine, Log, Server};
 use anyhow::{Context, Result};
-use options::Options;
+pub use options::{Options, parse};
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
 use std::path::Path;
-use std::process::ExitCode;
 use tokio::net::TcpListener;
-use wsg_sim::server::{CanBus, CanLine, Log, Server};
 
 /// Exit status for invalid options.
 const WRONG_USE: u8 = 2;
 /// Replaces the gripper's own port where listening on that port requires privileges.
 const UNPRIVILEGED_TCP: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 11_000));
 
-fn main() -> ExitCode {
-    let options = match options::parse(std::env::args_os().skip(1).collect()) {
+/// Runs `wsg-sim` with the words after the name of the program, and returns its exit status.
+///
+/// Reports an error in one line with status 1, or 2 for an invalid option. `--help` and `--version` end the process.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let options = match parse(arguments.into_iter().collect()) {
         Ok(options) => options,
         Err(error) => return fail(&error, WRONG_USE),
     };
     match serve(options) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         Err(error) => fail(&error, 1),
     }
 }
@@ -132,7 +135,7 @@ fn announce(options: &Options, server: &Server) -> io::Result<()> {
 }
 
 /// Prints the error in one line and returns the exit status.
-fn fail(error: &anyhow::Error, status: u8) -> ExitCode {
+fn fail(error: &anyhow::Error, status: u8) -> u8 {
     eprintln!("wsg-sim: {error:#}");
-    ExitCode::from(status)
+    status
 }

@@ -1,0 +1,72 @@
+//! `wsg`: commands grippers, sets up bridges, decodes recordings, and publishes telemetry over MQTT.
+//!
+//! A library, so that other programs, such as the Python package, can run the whole program with [`run`], or open a
+//! gripper at any of its addresses with [`Address`] and [`open`].
+
+mod bridge;
+mod decode;
+mod gripper;
+#[cfg(feature = "telemetry")]
+mod telemetry;
+
+use std::ffi::OsString;
+use std::io::{self, Write};
+
+use clap::{CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
+
+pub use gripper::{Address, Wire, open};
+
+/// Commands and monitors WSG grippers and their fieldbus bridges.
+#[derive(Parser)]
+#[command(version)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Bridge(bridge::Arguments),
+    Decode(decode::Arguments),
+    Gripper(gripper::Arguments),
+    #[cfg(feature = "telemetry")]
+    Telemetry(telemetry::Arguments),
+    /// Prints a shell completion script for `wsg`
+    Completions {
+        /// Shell to generate the script for
+        shell: Shell,
+    },
+}
+
+/// Runs `wsg` with a command line whose first word is the name of the program, and returns its exit status.
+///
+/// Reports an error in one line with status 1. An invalid command line ends the process with status 2.
+pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
+    let result = match Arguments::parse_from(command_line).command {
+        Command::Bridge(arguments) => bridge::run(&arguments),
+        Command::Decode(arguments) => decode::run(&arguments),
+        Command::Gripper(arguments) => gripper::run(arguments),
+        #[cfg(feature = "telemetry")]
+        Command::Telemetry(arguments) => telemetry::run(&arguments),
+        Command::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Arguments::command(), "wsg", &mut script);
+            io::stdout().write_all(&script).map(|()| 0).map_err(anyhow::Error::from)
+        }
+    };
+    result.unwrap_or_else(|error| {
+        eprintln!("wsg: {error:#}");
+        1
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn command_line_definition_is_valid() {
+        Arguments::command().debug_assert();
+    }
+}
