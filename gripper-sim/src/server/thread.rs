@@ -1,11 +1,15 @@
 //! A server that runs in its own thread.
 
+use super::hub::Hub;
 use super::{Lines, Log, Server};
+use crate::axis::Part;
 use crate::config::Config;
+use crate::faults::Fault;
+use crate::gripper::State;
 use anyhow::{Context, Result, anyhow};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 use std::thread::{self, JoinHandle};
 use tokio::runtime;
 use tokio::sync::oneshot;
@@ -31,6 +35,7 @@ use tokio::sync::oneshot;
 /// ```
 #[derive(Debug)]
 pub struct ServerThread {
+    hub: Arc<Hub>,
     addresses: Addresses,
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<Result<()>>>,
@@ -64,8 +69,7 @@ impl ServerThread {
             let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
             runtime.block_on(async {
                 let server = Server::bind(config, &lines, log).await?;
-                // The caller of `start` waits for it.
-                let _ = opened.send(Addresses {
+                let addresses = Addresses {
                     tcp: server.tcp_address(),
                     udp: server.udp_address(),
                     serial: server.serial_path().map(Path::to_owned),
@@ -77,7 +81,9 @@ impl ServerThread {
                     #[cfg(feature = "profinet")]
                     profinet: server.profinet_path().map(Path::to_owned),
                     control: server.control_address(),
-                });
+                };
+                // The caller of `start` waits for it.
+                let _ = opened.send((Arc::clone(&server.hub), addresses));
                 let end = async {
                     let _ = ended.await;
                 };
@@ -85,7 +91,7 @@ impl ServerThread {
             })
         })?;
         match opening.recv() {
-            Ok(addresses) => Ok(Self { addresses, end: Some(end), thread: Some(thread) }),
+            Ok((hub, addresses)) => Ok(Self { hub, addresses, end: Some(end), thread: Some(thread) }),
             Err(_) => {
                 join(thread)?;
                 Err(anyhow!("the server thread ended before its lines were open"))
@@ -154,6 +160,23 @@ impl ServerThread {
     #[must_use]
     pub const fn control_address(&self) -> Option<SocketAddr> {
         self.addresses.control
+    }
+
+    /// Returns the state of the gripper as an observer beside it sees it.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.hub.report().state
+    }
+
+    /// Places a part between the fingers, or removes it; see
+    /// [`VirtualGripper::set_part`](crate::VirtualGripper::set_part).
+    pub fn set_part(&self, part: Option<Part>) {
+        self.hub.set_part(part);
+    }
+
+    /// Begins or ends a fault of the gripper.
+    pub fn set_fault(&self, fault: Fault, on: bool) {
+        self.hub.set_fault(fault, on);
     }
 
     /// Powers the gripper off and joins its thread.

@@ -1,0 +1,270 @@
+//! A connected driver that several threads share.
+//!
+//! A request locks the driver. A motion yields it within [`Line`]'s time-out when another request waits, so state queries
+//! pass while the fingers move. Stop and FAST STOP do not wait: the [`StopHandle`] sends them at once.
+
+use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::thread::{self, ThreadId};
+use std::{mem, process};
+
+use pyo3::prelude::*;
+use wsg_protocol::driver::blocking::{GclGripper, Gripper};
+use wsg_protocol::driver::{Error, MotionResult, Pending, StopHandle, StopKind};
+
+use crate::error::{self, Failure};
+use crate::line::{Calls, Clock, Line};
+
+/// A driver of either protocol.
+pub(crate) enum Driver {
+    Binary(Box<Gripper<Line, Clock>>),
+    Gcl(Box<GclGripper<Line, Clock>>),
+}
+
+/// Evaluates an expression with the gripper of a [`Driver`] of either protocol.
+macro_rules! each {
+    ($driver:expr, $gripper:ident => $value:expr) => {
+        match $driver {
+            $crate::core::Driver::Binary($gripper) => $value,
+            $crate::core::Driver::Gcl($gripper) => $value,
+        }
+    };
+}
+pub(crate) use each;
+
+/// A driver and what its callers share.
+pub(crate) struct Core {
+    driver: Mutex<Option<Driver>>,
+    calls: Arc<Calls>,
+    handle: StopHandle,
+    /// Number of stops that this program requested.
+    stops: AtomicUsize,
+    /// The thread that uses the driver.
+    owner: Mutex<Option<ThreadId>>,
+    /// The process that opened the line. A forked child must not use it.
+    process: u32,
+}
+
+/// The open drivers, which the interpreter's end closes.
+static OPEN: Mutex<Vec<Weak<Core>>> = Mutex::new(Vec::new());
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The part that a call has in a motion.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    Query,
+    Begin,
+    Wait,
+}
+
+/// A failed call: an error of the driver, or the exception of a signal handler.
+pub(crate) enum Failed {
+    Driver(Failure),
+    Raised(PyErr),
+}
+
+impl Failed {
+    pub(crate) fn into_exception(self, py: Python<'_>) -> PyErr {
+        match self {
+            Self::Driver(failure) => error::of_driver(py, &failure),
+            Self::Raised(raised) => raised,
+        }
+    }
+}
+
+impl From<Failure> for Failed {
+    fn from(failure: Failure) -> Self {
+        Self::Driver(failure)
+    }
+}
+
+impl Core {
+    /// Connects a driver.
+    pub(crate) fn connect(driver: Driver, calls: Arc<Calls>) -> Result<Arc<Self>, Failed> {
+        let mut driver = driver;
+        let handle = each!(&mut driver, gripper => gripper.stop_handle()).map_err(Error::Transport)?;
+        let core = Arc::new(Self {
+            driver: Mutex::new(Some(driver)),
+            calls,
+            handle,
+            stops: AtomicUsize::new(0),
+            owner: Mutex::new(None),
+            process: process::id(),
+        });
+        core.with(true, |driver| each!(driver, gripper => gripper.connect()))?;
+        let mut open = lock(&OPEN);
+        open.retain(|other| other.strong_count() > 0);
+        open.push(Arc::downgrade(&core));
+        Ok(core)
+    }
+
+    /// Calls `act` with the driver. If a signal handler raises an exception meanwhile, stops the fingers.
+    pub(crate) fn with<T>(
+        &self,
+        handles_signals: bool,
+        act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
+    ) -> Result<T, Failed> {
+        self.with_calls(handles_signals, Stage::Query, act)
+    }
+
+    fn with_calls<T>(
+        &self,
+        handles_signals: bool,
+        stage: Stage,
+        act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
+    ) -> Result<T, Failed> {
+        let Self { calls, owner, .. } = self;
+        if self.is_foreign() {
+            return Err(Error::NotConnected.into());
+        }
+        if self.is_called_by_this_thread() {
+            // A signal handler within a call cannot wait for the end of that call.
+            return Err(Error::MotionRunning.into());
+        }
+        calls.waiting.fetch_add(1, SeqCst);
+        let mut driver = lock(&self.driver);
+        calls.waiting.fetch_sub(1, SeqCst);
+        let driver = driver.as_mut().ok_or(Error::NotConnected)?;
+        *lock(owner) = Some(thread::current().id());
+        calls.handles_signals.store(handles_signals, SeqCst);
+        calls.is_motion.store(stage == Stage::Wait, SeqCst);
+        let mut result = act(driver).map_err(Failed::Driver);
+        calls.is_motion.store(false, SeqCst);
+        if let Some(raised) = calls.take_raised() {
+            // A second Ctrl-C must not prevent the stop, which has a time-out.
+            calls.handles_signals.store(false, SeqCst);
+            each!(driver, gripper => if stage != Stage::Query || gripper.motion().is_some() {
+                let _ = gripper.stop();
+            });
+            result = Err(Failed::Raised(raised));
+        }
+        *lock(owner) = None;
+        result
+    }
+
+    /// Begins a motion.
+    pub(crate) fn begin<T>(
+        &self,
+        handles_signals: bool,
+        act: impl FnOnce(&mut Driver) -> Result<T, Failure>,
+    ) -> Result<T, Failed> {
+        self.with_calls(handles_signals, Stage::Begin, act)
+    }
+
+    /// Waits for the end of a motion that began after `stops`, and lets other requests pass.
+    pub(crate) fn wait<T: MotionResult>(
+        &self,
+        handles_signals: bool,
+        pending: &Pending<T>,
+        stops: usize,
+    ) -> Result<T, Failed> {
+        loop {
+            let wait = |driver: &mut Driver| each!(driver, gripper => gripper.wait(pending));
+            let result = self.with_calls(handles_signals, Stage::Wait, wait);
+            if !self.calls.take_yielded() || result.is_ok() {
+                return match result {
+                    // The thread that stopped the gripper received the confirmation before this one.
+                    Err(Failed::Driver(Error::Aborted)) if self.stops() != stops => {
+                        Err(Error::Stopped(StopKind::Stop).into())
+                    }
+                    result => result,
+                };
+            }
+            while self.calls.waiting.load(SeqCst) > 0 {
+                thread::yield_now();
+            }
+        }
+    }
+
+    /// Stops the fingers at once, even while another thread waits in a motion.
+    pub(crate) fn stop(&self, handles_signals: bool, kind: StopKind) -> Result<(), Failed> {
+        if self.is_foreign() {
+            return Err(Error::NotConnected.into());
+        }
+        let is_busy = self.driver.try_lock().is_err();
+        if is_busy {
+            // The driver repeats it if the line does not accept it now.
+            let _ = self.send_stop(kind);
+        }
+        if is_busy && self.is_called_by_this_thread() {
+            return Ok(());
+        }
+        // Returns once the stop is confirmed, whether it was sent by the handle or is sent here.
+        self.with(handles_signals, |driver| match kind {
+            StopKind::Stop => each!(driver, gripper => gripper.stop()),
+            StopKind::FastStop => each!(driver, gripper => gripper.fast_stop()),
+        })
+    }
+
+    /// Returns the number of stops that this program requested.
+    pub(crate) fn stops(&self) -> usize {
+        self.stops.load(SeqCst)
+    }
+
+    /// Sends a stop without waiting for its confirmation.
+    pub(crate) fn send_stop(&self, kind: StopKind) -> std::io::Result<()> {
+        self.stops.fetch_add(1, SeqCst);
+        match kind {
+            StopKind::Stop => self.handle.stop(),
+            StopKind::FastStop => self.handle.fast_stop(),
+        }
+    }
+
+    /// Announces the end of the connection and closes it. Does nothing if it is closed.
+    pub(crate) fn close(&self) {
+        if self.is_foreign() || self.is_called_by_this_thread() {
+            return;
+        }
+        self.calls.waiting.fetch_add(1, SeqCst);
+        let driver = lock(&self.driver).take();
+        self.calls.waiting.fetch_sub(1, SeqCst);
+        if let Some(mut driver) = driver {
+            self.calls.handles_signals.store(false, SeqCst);
+            // Lines other than TCP have nothing to announce, so the motion is stopped here.
+            each!(&mut driver, gripper => {
+                if gripper.motion().is_some() {
+                    let _ = gripper.stop();
+                }
+                let _ = gripper.announce_disconnect();
+            });
+        }
+    }
+
+    /// Returns whether the driver is open and belongs to this process. Does not wait.
+    pub(crate) fn is_open(&self) -> bool {
+        // A driver that a thread uses is open.
+        !self.is_foreign() && self.driver.try_lock().map_or(true, |driver| driver.is_some())
+    }
+
+    /// Returns whether another process opened the line.
+    fn is_foreign(&self) -> bool {
+        self.process != process::id()
+    }
+
+    fn is_called_by_this_thread(&self) -> bool {
+        *lock(&self.owner) == Some(thread::current().id())
+    }
+}
+
+impl Drop for Core {
+    fn drop(&mut self) {
+        if self.is_foreign() {
+            // The parent still uses the connection, so a forked child must announce nothing.
+            mem::forget(self.driver.get_mut().unwrap_or_else(PoisonError::into_inner).take());
+        }
+    }
+}
+
+/// Closes all open drivers, at the end of the interpreter.
+pub(crate) fn close_all() {
+    let open = mem::take(&mut *lock(&OPEN));
+    for core in open.iter().filter_map(Weak::upgrade) {
+        if core.driver.try_lock().is_err() {
+            let _ = core.send_stop(StopKind::Stop);
+        }
+        core.close();
+    }
+}

@@ -1,0 +1,552 @@
+//! The class `Driver`: every request of the manual, for a caller that waits and for one that does not.
+//!
+//! The Python classes `Gripper` and `AsyncGripper` document the requests and give their results types. Each method ends
+//! with a parameter `reply`. Without it, the method waits for the result and returns it. With it, a worker thread makes
+//! the request and delivers the result to the caller's event loop.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+use std::time::Instant;
+
+use pyo3::IntoPyObjectExt;
+use pyo3::prelude::*;
+use wsg_protocol::driver::blocking::{GclGripper, Gripper};
+use wsg_protocol::driver::{Error, Finger, Grip, Mm, MmPerS, MotionResult, N, OnBlock, Pending, StopKind};
+use wsg_protocol::{DecodeError, DeviceTag, HomingDirection, SoftLimits, Status};
+use wsg_tool::{Address, Wire};
+
+use crate::core::{self, Core, Failed, each};
+use crate::error::{self, Failure};
+use crate::line::{Calls, Clock, Line};
+use crate::queue::{Queue, Reply};
+
+/// Longest reply of a script or of a finger, in bytes.
+const MAX_REPLY: usize = 1_024;
+
+/// A connection to a gripper.
+#[pyclass(frozen, module = "wsg_gripper._native")]
+pub(crate) struct Driver {
+    core: Arc<Core>,
+    is_gcl: bool,
+    /// The queues of motions and of all other requests, which pass them.
+    motions: Queue,
+    queries: Queue,
+}
+
+/// Connects a driver to a gripper at the other end of this wire.
+pub(crate) fn connect(wire: Box<dyn Wire>, clock: Clock, is_gcl: bool) -> Result<Driver, Failed> {
+    let calls = Arc::new(Calls::default());
+    let line = Line::new(wire, Arc::clone(&calls));
+    let driver = if is_gcl {
+        core::Driver::Gcl(Box::new(GclGripper::new(line, clock)))
+    } else {
+        core::Driver::Binary(Box::new(Gripper::new(line, clock)))
+    };
+    let core = Core::connect(driver, calls)?;
+    Ok(Driver { core, is_gcl, motions: Queue::default(), queries: Queue::default() })
+}
+
+/// A motion that has begun.
+#[derive(Clone, Copy)]
+enum Begun {
+    Grip(Pending<Grip>),
+    Other(Pending<()>),
+}
+
+impl Begun {
+    /// Waits for the result: whether a part is held, or `None` for other motions.
+    fn wait(self, core: &Core, stops: usize, handles_signals: bool) -> Result<Option<bool>, Failed> {
+        Ok(match self {
+            Self::Grip(pending) => Some(core.wait(handles_signals, &pending, stops)? == Grip::Held),
+            Self::Other(pending) => {
+                core.wait(handles_signals, &pending, stops)?;
+                None
+            }
+        })
+    }
+}
+
+/// A motion in progress.
+#[pyclass(frozen, module = "wsg_gripper._native")]
+pub(crate) struct Motion {
+    core: Arc<Core>,
+    begun: Begun,
+    /// Number of stops before it began.
+    stops: usize,
+    /// The result, if the call that began the motion has waited for it.
+    result: Option<Option<bool>>,
+}
+
+#[pymethods]
+impl Motion {
+    /// Waits for the end of the motion. Returns whether a part is held; None for motions other than a grip.
+    fn wait(&self, py: Python<'_>) -> PyResult<Option<bool>> {
+        if let Some(result) = self.result {
+            return Ok(result);
+        }
+        py.detach(|| self.begun.wait(&self.core, self.stops, true))
+            .map_err(|failed| failed.into_exception(py))
+    }
+
+    /// Returns None while the motion continues, otherwise its result in a tuple. Does not wait.
+    fn poll(&self, py: Python<'_>) -> PyResult<Option<(Option<bool>,)>> {
+        fn poll<T: MotionResult>(core: &Core, pending: &Pending<T>) -> Result<Option<T>, Failed> {
+            core.with(true, |driver| each!(driver, gripper => gripper.poll(pending)))
+        }
+        let polled = py.detach(|| match &self.begun {
+            Begun::Grip(pending) => {
+                poll(&self.core, pending).map(|done| done.map(|grip| (Some(grip == Grip::Held),)))
+            }
+            Begun::Other(pending) => poll(&self.core, pending).map(|done| done.map(|()| (None,))),
+        });
+        polled.map_err(|failed| failed.into_exception(py))
+    }
+}
+
+fn homing(direction: u8) -> Result<HomingDirection, Failure> {
+    HomingDirection::from_code(direction).ok_or(Error::Invalid(DecodeError::UndefinedValue))
+}
+
+const fn on_block(clamps: bool) -> OnBlock {
+    if clamps { OnBlock::Clamp } else { OnBlock::Stop }
+}
+
+fn finger(number: u8) -> Result<Finger, Failure> {
+    match number {
+        1 => Ok(Finger::One),
+        2 => Ok(Finger::Two),
+        _ => Err(Error::Invalid(DecodeError::UndefinedValue)),
+    }
+}
+
+#[pymethods]
+impl Driver {
+    /// Opens the line to an address and connects.
+    #[new]
+    fn new(py: Python<'_>, address: &str) -> PyResult<Self> {
+        let address: Address =
+            address.parse().map_err(|text: String| error::exception(py, "InvalidError", &text, None))?;
+        py.detach(|| {
+            let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
+            connect(wire, Clock::Real(Instant::now()), address.is_gcl())
+        })
+        .map_err(|failed| match failed {
+            Failed::Driver(failure) => error::not_connected(py, &format!("{address}: {failure}")),
+            failed => failed.into_exception(py),
+        })
+    }
+
+    /// Announces the end of the connection and closes it.
+    fn close(&self, py: Python<'_>) {
+        py.detach(|| self.core.close());
+    }
+
+    fn is_open(&self) -> bool {
+        self.core.is_open()
+    }
+
+    /// Returns whether the connection uses the text protocol (GCL).
+    fn is_gcl(&self) -> bool {
+        self.is_gcl
+    }
+
+    #[pyo3(signature = (is_fast, reply=None))]
+    fn stop(&self, py: Python<'_>, is_fast: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        let kind = if is_fast { StopKind::FastStop } else { StopKind::Stop };
+        if reply.is_some() {
+            // Sent before the requests in the queue.
+            let _ = py.detach(|| self.core.send_stop(kind));
+        }
+        let handles_signals = reply.is_none();
+        self.make(py, reply, &self.queries, false, move |core| core.stop(handles_signals, kind))
+    }
+
+    #[pyo3(signature = (direction, waits, reply=None))]
+    fn home(&self, py: Python<'_>, direction: u8, waits: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.begin(py, waits, reply, move |driver| {
+            let direction = homing(direction)?;
+            each!(driver, gripper => gripper.begin_home(direction)).map(Begun::Other)
+        })
+    }
+
+    #[pyo3(signature = (width, speed, clamps, waits, reply=None))]
+    fn move_to(
+        &self,
+        py: Python<'_>,
+        width: f32,
+        speed: f32,
+        clamps: bool,
+        waits: bool,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.begin(py, waits, reply, move |driver| {
+            each!(driver, gripper => gripper.begin_move_to(Mm(width), MmPerS(speed), on_block(clamps)))
+                .map(Begun::Other)
+        })
+    }
+
+    #[pyo3(signature = (offset, speed, clamps, waits, reply=None))]
+    fn move_by(
+        &self,
+        py: Python<'_>,
+        offset: f32,
+        speed: f32,
+        clamps: bool,
+        waits: bool,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.begin(py, waits, reply, move |driver| {
+            each!(driver, gripper => gripper.begin_move_by(Mm(offset), MmPerS(speed), on_block(clamps)))
+                .map(Begun::Other)
+        })
+    }
+
+    #[pyo3(signature = (width, speed, force, waits, reply=None))]
+    fn grip(
+        &self,
+        py: Python<'_>,
+        width: f32,
+        speed: f32,
+        force: Option<f32>,
+        waits: bool,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.begin(py, waits, reply, move |driver| {
+            if let Some(force) = force {
+                each!(driver, gripper => gripper.set_force_limit(N(force)))?;
+            }
+            each!(driver, gripper => gripper.begin_grip(Mm(width), MmPerS(speed))).map(Begun::Grip)
+        })
+    }
+
+    #[pyo3(signature = (width, speed, waits, reply=None))]
+    fn release(
+        &self,
+        py: Python<'_>,
+        width: f32,
+        speed: f32,
+        waits: bool,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.begin(py, waits, reply, move |driver| {
+            each!(driver, gripper => gripper.begin_release(Mm(width), MmPerS(speed))).map(Begun::Other)
+        })
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn acknowledge(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.acknowledge()))
+    }
+
+    #[pyo3(signature = (acceleration, reply=None))]
+    fn set_acceleration(
+        &self,
+        py: Python<'_>,
+        acceleration: f32,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.request(
+            py,
+            reply,
+            move |driver| each!(driver, gripper => gripper.set_acceleration(acceleration)),
+        )
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn acceleration(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.acceleration()))
+    }
+
+    #[pyo3(signature = (force, reply=None))]
+    fn set_force_limit(&self, py: Python<'_>, force: f32, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.set_force_limit(N(force))))
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn force_limit(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.force_limit()).map(|force| force.0)
+        })
+    }
+
+    #[pyo3(signature = (minus, plus, reply=None))]
+    fn set_soft_limits(
+        &self,
+        py: Python<'_>,
+        minus: f32,
+        plus: f32,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.request(
+            py,
+            reply,
+            move |driver| each!(driver, gripper => gripper.set_soft_limits(SoftLimits { minus, plus })),
+        )
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn soft_limits(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.soft_limits()).map(|limits| limits.map(|it| (it.minus, it.plus)))
+        })
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn clear_soft_limits(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.clear_soft_limits()))
+    }
+
+    #[pyo3(signature = (enabled, reply=None))]
+    fn set_overdrive(&self, py: Python<'_>, enabled: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.set_overdrive(enabled)))
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn tare(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.tare()))
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn flags(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.system_state()).map(|flags| flags.bits())
+        })
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn state(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.gripper_state()).map(|state| state.code())
+        })
+    }
+
+    #[pyo3(signature = (reset, reply=None))]
+    fn statistics(&self, py: Python<'_>, reset: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.statistics(reset)).map(|it| (it.total, it.no_part, it.part_lost))
+        })
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn width(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.width()).map(|width| width.0))
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn speed(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.speed()).map(|speed| speed.0))
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn force(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.force()).map(|force| force.0))
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn temperature(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.temperature()).map(|it| f32::from(it.0) / 10.0)
+        })
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn limits(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.limits()).map(|it| {
+                let force = (it.min_force, it.nominal_force, it.overdrive_force);
+                (
+                    it.stroke,
+                    it.min_speed,
+                    it.max_speed,
+                    it.min_acceleration,
+                    it.max_acceleration,
+                    force.0,
+                    force.1,
+                    force.2,
+                )
+            })
+        })
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn info(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            each!(driver, gripper => gripper.system_info()).map(|it| {
+                (it.device.to_string(), it.hardware_revision, it.firmware.to_string(), it.serial_number)
+            })
+        })
+    }
+
+    #[pyo3(signature = (tag, reply=None))]
+    fn set_tag(&self, py: Python<'_>, tag: String, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.set_tag(&tag)))
+    }
+
+    #[pyo3(signature = (reply=None))]
+    fn tag(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            let mut buffer = [0; DeviceTag::MAX_LEN];
+            match each!(driver, gripper => gripper.tag(&mut buffer).map(str::to_owned)) {
+                Err(Error::Refused(Status::NotAvailable)) => Ok(String::new()),
+                tag => tag,
+            }
+        })
+    }
+
+    #[pyo3(signature = (number, reply=None))]
+    fn finger_info(&self, py: Python<'_>, number: u8, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            let finger = finger(number)?;
+            each!(driver, gripper => gripper.finger_info(finger))
+                .map(|it| (it.finger.to_string(), it.data_len))
+        })
+    }
+
+    #[pyo3(signature = (number, reply=None))]
+    fn finger_flags(&self, py: Python<'_>, number: u8, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            let finger = finger(number)?;
+            each!(driver, gripper => gripper.finger_flags(finger)).map(|flags| flags.bits())
+        })
+    }
+
+    #[pyo3(signature = (number, enabled, reply=None))]
+    fn set_finger_power(
+        &self,
+        py: Python<'_>,
+        number: u8,
+        enabled: bool,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            let finger = finger(number)?;
+            each!(driver, gripper => gripper.set_finger_power(finger, enabled))
+        })
+    }
+
+    #[pyo3(signature = (number, reply=None))]
+    fn finger_data(&self, py: Python<'_>, number: u8, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            let finger = finger(number)?;
+            let mut buffer = [0; MAX_REPLY];
+            each!(driver, gripper => gripper.finger_data(finger, &mut buffer).map(|bytes| Bytes::from(bytes.to_vec())))
+        })
+    }
+
+    #[pyo3(signature = (data, reply=None))]
+    fn loop_back(&self, py: Python<'_>, data: Vec<u8>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| each!(driver, gripper => gripper.loop_back(&data)))
+    }
+
+    #[pyo3(signature = (id, payload, reply=None))]
+    fn raw(&self, py: Python<'_>, id: u8, payload: Vec<u8>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            let mut buffer = [0; MAX_REPLY];
+            each!(driver, gripper => gripper.raw(id, &payload, &mut buffer).map(|bytes| Bytes::from(bytes.to_vec())))
+        })
+    }
+
+    #[pyo3(signature = (tolerance, reply=None))]
+    fn part_width_tolerance(
+        &self,
+        py: Python<'_>,
+        tolerance: Option<f32>,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            only_gcl(driver, |gripper| match tolerance {
+                Some(tolerance) => gripper.set_part_width_tolerance(Mm(tolerance)),
+                None => gripper.part_width_tolerance(),
+            })
+        })
+    }
+
+    #[pyo3(signature = (travel, reply=None))]
+    fn clamping_travel(
+        &self,
+        py: Python<'_>,
+        travel: Option<f32>,
+        reply: Option<Reply>,
+    ) -> PyResult<Py<PyAny>> {
+        self.request(py, reply, move |driver| {
+            only_gcl(driver, |gripper| match travel {
+                Some(travel) => gripper.set_clamping_travel(Mm(travel)),
+                None => gripper.clamping_travel(),
+            })
+        })
+    }
+}
+
+impl Driver {
+    /// Makes a request here, or in a queue if there is a `reply`.
+    fn make<T>(
+        &self,
+        py: Python<'_>,
+        reply: Option<Reply>,
+        queue: &Queue,
+        is_motion: bool,
+        act: impl FnOnce(&Core) -> Result<T, Failed> + Send + 'static,
+    ) -> PyResult<Py<PyAny>>
+    where
+        T: for<'py> IntoPyObject<'py> + Send,
+    {
+        match reply {
+            Some(reply) => queue.push(py, reply, &self.core, is_motion, act)?.into_py_any(py),
+            None => {
+                let made = py.detach(|| act(&self.core));
+                made.map_err(|failed| failed.into_exception(py))?.into_py_any(py)
+            }
+        }
+    }
+
+    fn request<T>(
+        &self,
+        py: Python<'_>,
+        reply: Option<Reply>,
+        act: impl FnOnce(&mut core::Driver) -> Result<T, Failure> + Send + 'static,
+    ) -> PyResult<Py<PyAny>>
+    where
+        T: for<'py> IntoPyObject<'py> + Send,
+    {
+        let handles_signals = reply.is_none();
+        self.make(py, reply, &self.queries, false, move |core| core.with(handles_signals, act))
+    }
+
+    /// Begins a motion and returns it. With `waits`, which a `reply` implies, also waits for its end.
+    fn begin(
+        &self,
+        py: Python<'_>,
+        waits: bool,
+        reply: Option<Reply>,
+        act: impl FnOnce(&mut core::Driver) -> Result<Begun, Failure> + Send + 'static,
+    ) -> PyResult<Py<PyAny>> {
+        if reply.is_some() {
+            return self.make(py, reply, &self.motions, true, |core| {
+                let stops = core.stops();
+                core.begin(false, act)?.wait(core, stops, false)
+            });
+        }
+        let stops = self.core.stops();
+        let moved = py.detach(|| {
+            let begun = self.core.begin(true, act)?;
+            let result = if waits { Some(begun.wait(&self.core, stops, true)?) } else { None };
+            Ok((begun, result))
+        });
+        let (begun, result) = moved.map_err(|failed: Failed| failed.into_exception(py))?;
+        Motion { core: Arc::clone(&self.core), begun, stops, result }.into_py_any(py)
+    }
+}
+
+/// A reply of bytes, which Python receives as `bytes`.
+type Bytes = Cow<'static, [u8]>;
+
+/// Makes a request that only the text protocol has.
+fn only_gcl(
+    driver: &mut core::Driver,
+    act: impl FnOnce(&mut GclGripper<Line, Clock>) -> Result<Mm, Failure>,
+) -> Result<f32, Failure> {
+    match driver {
+        core::Driver::Gcl(gripper) => act(gripper).map(|value| value.0),
+        core::Driver::Binary(_) => Err(Error::Invalid(DecodeError::UndefinedValue)),
+    }
+}

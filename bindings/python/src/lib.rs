@@ -1,0 +1,54 @@
+//! The native part of the Python package `wsg-gripper`.
+//!
+//! The Python part (`python/wsg_gripper`) has the public classes with their documentation. This part has the objects that
+//! own a gripper, a stream or a simulator, without types of their own for results: it returns numbers, text and tuples.
+
+mod core;
+mod driver;
+mod error;
+mod line;
+mod queue;
+mod sim;
+
+use std::collections::BTreeMap;
+
+use pyo3::prelude::*;
+use wsg_protocol::{FingerFlags, GripperState, Status, SystemFlags};
+
+/// The native part of `wsg_gripper`; see the modules of the package.
+#[pymodule]
+mod _native {
+    #[pymodule_export]
+    use super::driver::{Driver, Motion};
+    #[pymodule_export]
+    use super::queue::Ticket;
+    #[pymodule_export]
+    use super::sim::{Rig, Server};
+
+    use super::*;
+
+    /// Closes all open connections.
+    #[pyfunction]
+    fn close_all(py: Python<'_>) {
+        py.detach(crate::core::close_all);
+    }
+
+    /// Returns the names and numbers of states, flags and status codes, for a test of `_types.py`.
+    #[pyfunction]
+    fn tables() -> BTreeMap<&'static str, BTreeMap<String, u32>> {
+        let state = |state: &GripperState| (state.to_string().replace(' ', "_"), state.code().into());
+        BTreeMap::from([
+            ("Status", Status::ALL.iter().map(|it| (it.symbol().to_owned(), it.code().into())).collect()),
+            ("GripperState", GripperState::ALL.iter().map(state).collect()),
+            ("SystemFlags", flags(SystemFlags::all().iter_names().map(|(name, it)| (name, it.bits())))),
+            (
+                "FingerFlags",
+                flags(FingerFlags::all().iter_names().map(|(name, it)| (name, it.bits().into()))),
+            ),
+        ])
+    }
+}
+
+fn flags(flags: impl Iterator<Item = (&'static str, u32)>) -> BTreeMap<String, u32> {
+    flags.map(|(name, bits)| (name.to_owned(), bits)).collect()
+}

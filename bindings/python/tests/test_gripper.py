@@ -1,0 +1,320 @@
+"""The blocking driver, in virtual time unless a test needs a thread or a signal."""
+
+from __future__ import annotations
+
+import signal
+import threading
+
+import pytest
+
+import wsg_gripper
+from wsg_gripper import (
+    AbortedError,
+    BlockedError,
+    BusyError,
+    Gripper,
+    GripperError,
+    GripperState,
+    GripResult,
+    HomingDirection,
+    InvalidError,
+    Limits,
+    NotConnectedError,
+    RefusedError,
+    SoftLimits,
+    Statistics,
+    Status,
+    StoppedError,
+    SystemFlags,
+    UnansweredError,
+    UnsupportedError,
+)
+from wsg_gripper.sim import Fault, Simulator, VirtualGripper
+
+
+def test_grip_reports_whether_a_part_is_held(virtual: VirtualGripper, gripper: Gripper) -> None:
+    assert gripper.grip(20, speed=100, force=40) is GripResult.HELD
+    assert gripper.state() is GripperState.HOLDING
+    assert gripper.force() == pytest.approx(40, abs=0.5)
+    gripper.release(60, speed=200)
+    assert gripper.width() == pytest.approx(60, abs=0.1)
+    virtual.set_part(None)
+    result = gripper.grip(20, speed=100)
+    assert result is GripResult.NO_PART
+    assert not result
+    assert gripper.statistics() == Statistics(total=2, no_part=1, part_lost=0)
+
+
+def test_lost_part_changes_the_state(virtual: VirtualGripper, gripper: Gripper) -> None:
+    gripper.grip(20, speed=100)
+    virtual.set_part(None)
+    virtual.pass_time(0.1)
+    assert gripper.state() is GripperState.PART_LOST
+
+
+def test_virtual_time_gives_the_same_result_each_time() -> None:
+    def program() -> tuple[float, float, float]:
+        virtual = VirtualGripper(part=20)
+        with virtual.connect() as gripper:
+            gripper.home()
+            gripper.grip(20, speed=100)
+            return virtual.time, gripper.width(), gripper.force()
+
+    first = program()
+    assert first == program()
+    assert first[0] > 1
+
+
+def test_state_is_available_during_a_motion(gripper: Gripper) -> None:
+    motion = gripper.begin_move(100, speed=20)
+    assert motion.poll() is None
+    assert not motion.done()
+    assert SystemFlags.MOVING in gripper.flags()
+    assert motion.wait() is None
+    assert motion.poll() == (None,)
+    gripper.move_by(-5, speed=50)
+    assert gripper.width() == pytest.approx(95, abs=0.1)
+
+
+def test_second_motion_is_busy_and_supersedes_none(gripper: Gripper) -> None:
+    motion = gripper.begin_grip(20, speed=20)
+    with pytest.raises(BusyError):
+        gripper.move(50, speed=100)
+    assert motion.wait() is GripResult.HELD
+
+
+def test_settings_are_read_back(gripper: Gripper) -> None:
+    gripper.set_force_limit(30)
+    gripper.set_acceleration(500)
+    gripper.set_soft_limits(10, 90)
+    gripper.set_tag("cell 7")
+    assert (gripper.force_limit(), gripper.acceleration()) == (30, 500)
+    assert gripper.soft_limits() == SoftLimits(minus=10, plus=90)
+    with pytest.raises(RefusedError) as refused:
+        gripper.move(5, speed=100)
+    assert refused.value.status is Status.E_RANGE_ERROR
+    gripper.clear_soft_limits()
+    assert gripper.soft_limits() is None
+    assert gripper.tag() == "cell 7"
+    gripper.set_force_limit(1000)
+    assert gripper.force_limit() == gripper.limits().nominal_force
+    gripper.set_overdrive(True)
+    assert SystemFlags.OVERDRIVE_MODE in gripper.flags()
+
+
+def test_device_describes_itself() -> None:
+    with VirtualGripper(model="wsg32", serial_number=7, finger1="fmf").connect() as gripper:
+        info = gripper.info()
+        assert (info.device, info.serial_number) == ("WSG 32", 7)
+        assert isinstance(gripper.limits(), Limits)
+        assert gripper.limits().stroke == 68
+        assert gripper.temperature() > 0
+        assert gripper.finger_info(1) == ("WSG-FMF", 4)
+        assert wsg_gripper.FingerFlags.POWER_ON in gripper.finger_flags(1)
+        assert len(gripper.finger_data(1)) == 4
+        gripper.loop_back(b"any bytes")
+        assert gripper.tag() == ""
+
+
+def test_fault_and_fast_stop_lock_the_fingers(virtual: VirtualGripper, gripper: Gripper) -> None:
+    virtual.set_fault(Fault.AXIS_BLOCKED)
+    with pytest.raises(BlockedError) as blocked:
+        gripper.move(50, speed=100)
+    assert blocked.value.status is Status.E_AXIS_BLOCKED
+    virtual.set_fault(Fault.AXIS_BLOCKED, False)
+    gripper.fast_stop()
+    with pytest.raises(RefusedError) as refused:
+        gripper.move(50, speed=100)
+    assert refused.value.status is Status.E_ACCESS_DENIED
+    gripper.acknowledge()
+    gripper.move(50, speed=100)
+    gripper.stop()
+
+
+def test_unreferenced_fingers_refuse_to_move(virtual: VirtualGripper) -> None:
+    with virtual.connect() as gripper, pytest.raises(RefusedError) as refused:
+        gripper.grip(20, speed=100)
+    assert refused.value.status is Status.E_NOT_INITIALIZED
+    with virtual.connect() as gripper:
+        gripper.home(HomingDirection.CLOSE)
+        assert gripper.width() == 0
+
+
+@pytest.mark.parametrize(
+    ("address", "expected"),
+    [
+        ("192.168.1.20", "tcp://HOST"),
+        ("tcp://host:port", "invalid port"),
+        ("slcan:/dev/x?kbit=400", "10, 20, 50"),
+    ],
+)
+def test_invalid_address_names_the_expected_form(address: str, expected: str) -> None:
+    with pytest.raises(InvalidError, match=expected):
+        Gripper(address)
+
+
+def test_missing_gripper_is_a_connection_error() -> None:
+    with Simulator() as simulator:
+        address = simulator.tcp
+    with pytest.raises(ConnectionError, match=address):
+        Gripper(address)
+    with pytest.raises(NotConnectedError):
+        Gripper("serial:/dev/no-such-device")
+
+
+def test_cut_line_is_unanswered(virtual: VirtualGripper, gripper: Gripper) -> None:
+    virtual.cut_line()
+    with pytest.raises(UnansweredError):
+        gripper.set_tag("lost")
+    virtual.close_line()
+    with pytest.raises(NotConnectedError):
+        gripper.width()
+
+
+def test_invalid_parameters_are_value_errors(gripper: Gripper) -> None:
+    with pytest.raises(ValueError, match="invalid parameter"):
+        gripper.move(float("nan"), speed=100)
+    with pytest.raises(InvalidError):
+        gripper.finger_info(3)
+    with pytest.raises(UnsupportedError):
+        gripper.clamping_travel()
+    with pytest.raises(InvalidError, match="option|argument"):
+        VirtualGripper(no_such_option=1)
+
+
+def test_text_protocol_has_the_same_methods() -> None:
+    virtual = VirtualGripper("gcl", part=20)
+    with virtual.connect() as gripper:
+        gripper.home()
+        assert gripper.grip(20, speed=100, force=40) is GripResult.HELD
+        assert gripper.set_part_width_tolerance(3) == 3
+        assert gripper.part_width_tolerance() == 3
+        assert gripper.set_clamping_travel(4) == gripper.clamping_travel() == 4
+
+
+def test_announced_end_leaves_no_fast_stop_and_an_unannounced_one_does(virtual: VirtualGripper) -> None:
+    with virtual.connect() as gripper:
+        gripper.home()
+        gripper.begin_move(10, speed=5)
+    assert not gripper.is_open
+    with pytest.raises(NotConnectedError):
+        gripper.width()
+    gripper.close()
+    assert SystemFlags.FAST_STOP not in virtual.observe().flags
+    assert SystemFlags.MOVING not in virtual.observe().flags
+    gripper = virtual.connect()
+    virtual.close_line()
+    assert SystemFlags.FAST_STOP in virtual.observe().flags
+
+
+@pytest.mark.parametrize("line", ["tcp", "udp", "gcl", "gcl_udp"])
+def test_every_line_of_the_simulator_is_an_address(line: str) -> None:
+    with Simulator(part=20, time_scale=10) as simulator, Gripper(getattr(simulator, line)) as gripper:
+        gripper.home()
+        assert gripper.grip(20, speed=100, force=30)
+        assert simulator.observe().state is GripperState.HOLDING
+
+
+def test_stop_of_another_thread_ends_a_grip(simulator: Simulator) -> None:
+    with Gripper(simulator.tcp) as gripper:
+        gripper.home()
+        raised: list[BaseException] = []
+
+        def grip() -> None:
+            with pytest.raises(StoppedError) as stopped:
+                gripper.grip(20, speed=5)
+            raised.append(stopped.value)
+
+        thread = threading.Thread(target=grip)
+        thread.start()
+        while SystemFlags.MOVING not in gripper.flags():
+            pass
+        gripper.stop()
+        assert SystemFlags.MOVING not in gripper.flags()
+        thread.join()
+        assert raised
+        assert simulator.observe().width > 100
+        gripper.move(100, speed=400)
+
+
+def test_queries_of_another_thread_pass_a_grip(simulator: Simulator) -> None:
+    with Gripper(simulator.tcp) as gripper:
+        gripper.home()
+        results: list[GripResult] = []
+        thread = threading.Thread(target=lambda: results.append(gripper.grip(20, speed=60)))
+        thread.start()
+        widths = []
+        while thread.is_alive():
+            widths.append(gripper.width())
+        thread.join()
+        assert results == [GripResult.HELD]
+        assert len(widths) > 20
+        assert widths[0] > 90 and widths[-1] < 30
+
+
+def test_ctrl_c_stops_the_fingers(simulator: Simulator) -> None:
+    main = threading.main_thread().ident
+    assert main is not None
+    with Gripper(simulator.tcp) as gripper:
+        gripper.home()
+
+        def interrupt() -> None:
+            while SystemFlags.MOVING not in simulator.observe().flags:
+                pass
+            signal.pthread_kill(main, signal.SIGINT)
+
+        thread = threading.Thread(target=interrupt)
+        thread.start()
+        with pytest.raises(KeyboardInterrupt):
+            gripper.grip(20, speed=5)
+        thread.join()
+        assert SystemFlags.MOVING not in simulator.observe().flags
+        assert simulator.observe().width > 100
+        assert SystemFlags.FAST_STOP not in gripper.flags()
+
+
+def test_signal_handler_may_stop_the_gripper(simulator: Simulator) -> None:
+    main = threading.main_thread().ident
+    assert main is not None
+    with Gripper(simulator.tcp) as gripper:
+        gripper.home()
+
+        def interrupt() -> None:
+            while SystemFlags.MOVING not in simulator.observe().flags:
+                pass
+            signal.pthread_kill(main, signal.SIGUSR1)
+
+        before = signal.signal(signal.SIGUSR1, lambda *_: gripper.stop())
+        thread = threading.Thread(target=interrupt)
+        thread.start()
+        try:
+            with pytest.raises(StoppedError):
+                gripper.grip(20, speed=5)
+        finally:
+            signal.signal(signal.SIGUSR1, before)
+            thread.join()
+
+
+def test_stop_of_another_client_aborts_a_motion(simulator: Simulator) -> None:
+    with Gripper(simulator.tcp) as gripper, Gripper(simulator.udp) as other:
+        gripper.home()
+        motion = gripper.begin_move(10, speed=5)
+        other.stop()
+        with pytest.raises(AbortedError) as aborted:
+            motion.wait()
+        assert aborted.value.status is Status.E_CMD_ABORTED
+
+
+def test_errors_are_sorted_by_cause() -> None:
+    errors = [getattr(wsg_gripper, name) for name in wsg_gripper.__all__ if name.endswith("Error")]
+    assert all(issubclass(error, GripperError) for error in errors)
+    assert issubclass(UnansweredError, TimeoutError)
+    assert GripperError("no status").status is None
+    assert GripperError("unknown", 99).status == 99
+
+
+def test_fixture_starts_a_simulator(wsg_sim: Simulator) -> None:
+    with Gripper(wsg_sim.tcp) as gripper:
+        gripper.home()
+        wsg_sim.set_part(30)
+        assert gripper.grip(30, speed=100)
