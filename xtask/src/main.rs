@@ -24,6 +24,7 @@ mod platforms;
 mod probe;
 mod process;
 mod public_functions;
+mod python;
 mod recording;
 mod settings;
 mod setup;
@@ -94,6 +95,7 @@ Commands
   miri               run the bridge's host tests under Miri; needs nightly Rust
   coverage           report the lines of protocol and buses that their tests cover (cargo-llvm-cov)
   figures            measure all figures of docs/figures.md and update the file
+  python             build the wheel of bindings/python and test it in a virtual environment; part of test
   dist               build the delivery folder for PLC engineers (reproducible)
   docs               build the documents as a book in target/book (mdbook), and print it to target/book.pdf
                      (Chromium; without it, there is no PDF)
@@ -187,6 +189,13 @@ fn run() -> Result<ExitCode> {
             let is_strict = filter.first().is_some_and(|first| first == "--strict");
             filter.drain(..usize::from(is_strict));
             test::run(&workspace, &toolchain, &filter, Extent::Quick, is_strict)?;
+        }
+        "python" => {
+            no_more(arguments)?;
+            let workspace = Workspace::from_env()?;
+            let environment =
+                setup::python(&workspace).context("the tools of the Python package are missing")?;
+            python::test(&workspace, &environment)?;
         }
         "dist" => {
             no_more(arguments)?;

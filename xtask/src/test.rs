@@ -12,7 +12,7 @@ use crate::{
     matrix::{self, Extent},
     panics, platforms,
     probe::Probes,
-    process,
+    process, python,
     settings::Change,
     setup::{self, CLIPPY, Masters, NODE_VARIABLE, PYTHON_VARIABLE, RUSTFMT, ThumbToolchain},
     size, stack,
@@ -95,6 +95,10 @@ impl Checks<'_> {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
         }
         record.check(TESTS, || self.tests(&[]))?;
+        match setup::python(workspace) {
+            Some(environment) => record.check("Python package", || python::test(workspace, &environment))?,
+            None => record.not_checked("Python package (its tools are not installed)"),
+        }
         let mut not_built = Vec::new();
         record.check("protocol on other targets, oldest Rust, package", || {
             not_built = matrix::build(workspace, self.extent)?.not_checked;

@@ -13,7 +13,7 @@ use super::{
     apt::{self, Packages},
     installing_is_forbidden, obstacle_to_installing, report,
 };
-use crate::{board::Board, process, workspace::Workspace};
+use crate::{board::Board, process, python, workspace::Workspace};
 
 /// Environment variables for the tests: the Python with the masters, and the folder of the npm packages.
 pub(crate) const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
@@ -75,15 +75,8 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     let lists = workspace.root.join("host-tests");
     let environment = workspace.target_dir.join("modbus-masters");
     let python = environment.join("bin/python");
-    let has_python = || {
-        is_of(&environment, &lists, &REQUIREMENTS)
-            && process::answer(Command::new(&python).args(["-c", "import pymodbus"])).is_some()
-    };
-    if !has_python() && !installing_is_forbidden() {
-        report(fill(&environment, &lists));
-    }
     let mut missing = Vec::new();
-    if !has_python() {
+    if !has_environment(&environment, &lists, "pymodbus") {
         missing.extend(FROM_PYPI);
     }
     let node = node(workspace);
@@ -97,6 +90,25 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
         missing.push(NAMESPACES);
     }
     Masters { python, node: node.unwrap_or_default(), missing }
+}
+
+/// Returns the virtual environment that builds and tests the Python package, or `None` if it cannot be created.
+pub(crate) fn python(workspace: &Workspace) -> Option<PathBuf> {
+    let environment = workspace.target_dir.join("python");
+    has_environment(&environment, &workspace.root.join(python::FOLDER), "pytest").then_some(environment)
+}
+
+/// Returns whether the virtual environment has the packages in the list, which are installed if permitted.
+fn has_environment(environment: &Path, lists: &Path, module: &str) -> bool {
+    let python = environment.join("bin/python");
+    let has = || {
+        is_of(environment, lists, &REQUIREMENTS)
+            && process::answer(Command::new(&python).args(["-c", &format!("import {module}")])).is_some()
+    };
+    if !has() && !installing_is_forbidden() {
+        report(fill(environment, lists));
+    }
+    has()
 }
 
 /// Returns the folder of the npm packages, which are installed if permitted. Returns `None` if they are unavailable.
