@@ -45,8 +45,21 @@ pub(crate) struct Core {
     process: u32,
 }
 
-/// The open drivers, which the interpreter's end closes.
-static OPEN: Mutex<Vec<Weak<Core>>> = Mutex::new(Vec::new());
+/// A connection that the interpreter's end closes.
+pub(crate) trait Close: Send + Sync {
+    /// Stops the fingers and ends the connection, within a bounded time.
+    fn close_at_exit(&self);
+}
+
+/// The open connections.
+static OPEN: Mutex<Vec<Weak<dyn Close>>> = Mutex::new(Vec::new());
+
+/// Registers a connection that the interpreter's end closes.
+pub(crate) fn close_at_exit(connection: Weak<dyn Close>) {
+    let mut open = lock(&OPEN);
+    open.retain(|other| other.strong_count() > 0);
+    open.push(connection);
+}
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -95,9 +108,8 @@ impl Core {
             process: process::id(),
         });
         core.with(true, |driver| each!(driver, gripper => gripper.connect()))?;
-        let mut open = lock(&OPEN);
-        open.retain(|other| other.strong_count() > 0);
-        open.push(Arc::downgrade(&core));
+        let weak = Arc::downgrade(&core);
+        close_at_exit(weak);
         Ok(core)
     }
 
@@ -184,6 +196,7 @@ impl Core {
         if self.is_foreign() {
             return Err(Error::NotConnected.into());
         }
+        self.stops.fetch_add(1, SeqCst);
         let is_busy = self.driver.try_lock().is_err();
         if is_busy {
             // The driver repeats it if the line does not accept it now.
@@ -258,13 +271,17 @@ impl Drop for Core {
     }
 }
 
-/// Closes all open drivers, at the end of the interpreter.
+impl Close for Core {
+    fn close_at_exit(&self) {
+        if !self.is_foreign() && self.driver.try_lock().is_err() {
+            let _ = self.send_stop(StopKind::Stop);
+        }
+        self.close();
+    }
+}
+
+/// Closes all open connections, at the end of the interpreter.
 pub(crate) fn close_all() {
     let open = mem::take(&mut *lock(&OPEN));
-    for core in open.iter().filter_map(Weak::upgrade) {
-        if core.driver.try_lock().is_err() {
-            let _ = core.send_stop(StopKind::Stop);
-        }
-        core.close();
-    }
+    open.iter().filter_map(Weak::upgrade).for_each(|connection| connection.close_at_exit());
 }

@@ -9,6 +9,7 @@ mod error;
 mod line;
 mod queue;
 mod sim;
+mod stream;
 
 use std::collections::BTreeMap;
 
@@ -24,6 +25,8 @@ mod _native {
     use super::queue::Ticket;
     #[pymodule_export]
     use super::sim::{Rig, Server};
+    #[pymodule_export]
+    use super::stream::Stream;
 
     use super::*;
 
@@ -31,6 +34,12 @@ mod _native {
     #[pyfunction]
     fn close_all(py: Python<'_>) {
         py.detach(crate::core::close_all);
+    }
+
+    /// Returns the source of the script for set-point streaming.
+    #[pyfunction]
+    const fn stream_script() -> &'static str {
+        wsg_protocol::driver::stream::SCRIPT
     }
 
     /// Returns the names and numbers of states, flags and status codes, for a test of `_types.py`.

@@ -72,6 +72,9 @@ use std::{io, panic};
 use trajectory::Trajectory;
 use worker::Worker;
 
+/// The source of the project's script, `wsg_stream.lua`, for upload to a gripper.
+pub const SCRIPT: &str = include_str!("../../scripts/wsg_stream.lua");
+
 /// Number of samples in [`SetPointStream::history`]: 10 s at 100 Hz.
 pub const HISTORY_LEN: usize = 1_024;
 

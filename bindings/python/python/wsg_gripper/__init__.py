@@ -1,6 +1,7 @@
 """Weiss Robotics WSG servo grippers: drivers, set-point streaming, and a virtual gripper for tests.
 
 - :class:`Gripper`: blocking driver
+- :class:`StreamingGripper`: set-points at a fixed rate, with the state at any time
 - :mod:`wsg_gripper.sim`: virtual gripper, for tests and without hardware
 """
 
@@ -23,6 +24,7 @@ from ._errors import (
     UnsupportedError,
 )
 from ._gripper import Gripper, Motion
+from ._streaming import Sample, StreamingGripper
 from ._types import (
     FingerFlags,
     FingerInfo,
@@ -55,11 +57,13 @@ __all__ = [
     "MotionError",
     "NotConnectedError",
     "RefusedError",
+    "Sample",
     "SoftLimits",
     "Statistics",
     "Status",
     "StoppedError",
     "StreamEndedError",
+    "StreamingGripper",
     "SystemFlags",
     "SystemInfo",
     "UnansweredError",

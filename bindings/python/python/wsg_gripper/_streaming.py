@@ -1,0 +1,205 @@
+"""Set-points at a fixed rate, from a thread without the interpreter lock."""
+
+from __future__ import annotations
+
+import threading
+from types import TracebackType
+from typing import NamedTuple, Optional, TypeVar
+
+from ._errors import NotConnectedError
+from ._native import Stream, stream_script
+from ._types import HomingDirection, SystemFlags
+
+Self = TypeVar("Self", bound="StreamingGripper")
+
+
+class Sample(NamedTuple):
+    """State of the gripper at one instant. Times are those of ``time.time()`` in s."""
+
+    number: int
+    """Sample number, counted from 0."""
+    measured: float
+    """Time of the measurement, by the gripper's clock or from the estimated latency."""
+    received: float
+    """Time at which the sample arrived."""
+    position: float
+    """Opening width in mm."""
+    speed: float
+    """Finger speed in mm/s; closing is negative."""
+    force: float
+    """Gripping force in N, summed over both fingers."""
+    flags: SystemFlags
+    set_point: Optional[float]
+    """Commanded position in mm; ``None`` before the first set-point."""
+
+
+class StreamingGripper:
+    """A gripper that follows set-points, 100 times a second by default.
+
+    ::
+
+        with StreamingGripper("tcp://192.168.1.20") as gripper:
+            gripper.schedule_waypoint(60, time.time() + 0.1)
+            gripper.schedule_waypoint(40, time.time() + 0.3)
+            sample = gripper.latest()
+
+    A thread of its own sends the set-points and receives the state, independently of the interpreter lock. No method but
+    ``start`` and ``stop`` waits for the gripper.
+
+    With the script :attr:`SCRIPT` or UMI's script on the gripper, a set-point replaces the one before during the motion,
+    and the fingers push against a part with the force limit. Without a script, the fingers stop between segments of
+    100 ms, and contact turns the motor off. ``docs/streaming.md`` explains the upload.
+
+    Without new set-points the fingers move to the last one and stay there. A FAST STOP, a Stop by another client, a
+    script error or a lost connection ends the stream, and nothing resumes by itself: see :attr:`ended`.
+    """
+
+    SCRIPT: str = stream_script()
+    """Source of ``wsg_stream.lua``, the script for a gripper or for ``Simulator(script=...)``."""
+
+    def __init__(
+        self,
+        address: str,
+        frequency: float = 100,
+        *,
+        home: Optional[HomingDirection] = HomingDirection.DEFAULT,
+        max_speed: Optional[float] = None,
+        force: Optional[float] = None,
+    ) -> None:
+        """Prepare a stream of ``frequency`` set-points per second, 1 to 500. It connects in :meth:`start`.
+
+        ``home`` references the fingers first, and ``None`` does not. ``max_speed`` in mm/s and ``force`` in N limit the
+        motion; the defaults are the maximum speed and the force limit of the gripper.
+        """
+        self.address = address
+        self.frequency = frequency
+        self._home = home
+        self._max_speed = max_speed
+        self._force = force
+        self._stream: Optional[Stream] = None
+        self._starting: Optional[threading.Thread] = None
+        self._failure: Optional[BaseException] = None
+
+    def __enter__(self: Self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: Optional[type[BaseException]],
+        error: Optional[BaseException],
+        traceback: Optional[TracebackType],
+    ) -> None:
+        self.stop()
+
+    # Start and end
+
+    def start(self, wait: bool = True) -> None:
+        """Connect, home and start the stream. Nothing moves afterwards before the first set-point.
+
+        With ``wait=False`` it happens in another thread: call :meth:`start_wait`, or poll :attr:`is_ready`.
+        """
+        if wait:
+            self._open()
+        else:
+            self._starting = threading.Thread(target=self._open_in_thread, daemon=True)
+            self._starting.start()
+
+    def start_wait(self) -> None:
+        """Wait for ``start(wait=False)``, and raise its exception if it failed."""
+        if self._starting is not None:
+            self._starting.join()
+            self._starting = None
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+    def stop(self, wait: bool = True) -> None:
+        """Stop the fingers, and end the stream and the connection. With ``wait=False`` only send the stop."""
+        if wait or self._stream is None:
+            self.stop_wait()
+        else:
+            self._stream.stop_fingers(False)
+
+    def stop_wait(self) -> None:
+        """Wait for the end of the stream. The samples remain available."""
+        if self._starting is not None:
+            self._starting.join()
+        if self._stream is not None:
+            self._stream.close()
+
+    def fast_stop(self) -> None:
+        """Stop the fingers as fast as possible and lock them (command set, 3.2.4). This ends the stream."""
+        self._running().stop_fingers(True)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the stream has started and not ended."""
+        return self._stream is not None and self._stream.ended() is None
+
+    @property
+    def ended(self) -> Optional[str]:
+        """Cause of the end of the stream; ``None`` while it runs."""
+        return self._running().ended()
+
+    @property
+    def backend(self) -> str:
+        """How the fingers follow the set-points: ``"script"``, ``"umi-script"`` or ``"pre-position"``."""
+        return self._running().backend()
+
+    # Set-points
+
+    def schedule_waypoint(self, pos: float, target_time: float) -> None:
+        """Move to a position in mm until a time of ``time.time()``, on a straight line from the set-point before.
+
+        It replaces the set-points at the same or a later time. A time in the past is like :meth:`set_target`. The stroke
+        and the speed limit take precedence. Raises ``StreamEndedError`` after the end of the stream.
+        """
+        self._running().schedule(pos, target_time)
+
+    def set_target(self, pos: float) -> None:
+        """Move to a position in mm at the speed limit. It replaces all set-points."""
+        self._running().set_target(pos)
+
+    def set_speed_limit(self, speed: float) -> None:
+        """Limit the speed to a value in mm/s, clamped to the limits of the gripper."""
+        self._running().set_speed_limit(speed)
+
+    def set_force_limit(self, force: float) -> None:
+        """Limit the force on contact to a value in N, clamped to the limits of the gripper."""
+        self._running().set_force_limit(force)
+
+    # State
+
+    def latest(self) -> Sample:
+        """Return the latest sample."""
+        number, measured, received, position, speed, force, flags, set_point = self._running().latest()
+        return Sample(number, measured, received, position, speed, force, SystemFlags(flags), set_point)
+
+    def history(self) -> memoryview[float]:
+        """Return the last 1024 samples, oldest first: rows of doubles with the columns of :class:`Sample`.
+
+        ``numpy.asarray(gripper.history())`` makes an array of it without a copy. A missing set-point is NaN.
+        """
+        columns = len(Sample._fields)
+        rows = memoryview(self._running().history())
+        return rows.cast("d", (len(rows) // (8 * columns), columns)) if rows else rows.cast("d")
+
+    def _running(self) -> Stream:
+        if self._stream is None:
+            raise NotConnectedError("the stream has not started: call start, or start_wait after start(wait=False)")
+        return self._stream
+
+    def _open(self) -> None:
+        stream = Stream(self.address, round(self.frequency), self._home)
+        if self._max_speed is not None:
+            stream.set_speed_limit(self._max_speed)
+        if self._force is not None:
+            stream.set_force_limit(self._force)
+        self._stream = stream
+
+    def _open_in_thread(self) -> None:
+        try:
+            self._open()
+        except BaseException as failure:
+            self._failure = failure
