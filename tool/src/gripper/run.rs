@@ -9,7 +9,9 @@ use wsg_protocol::driver::{
     Binary, Error, Finger, Gcl, Grip, Mm, MmPerS, MotionResult, N, Pending, Protocol,
 };
 use wsg_protocol::session::{Known, Topic};
-use wsg_protocol::{AutoUpdate, DeviceTag, FingerFlags, FingerType, SoftLimits, SystemFlags, SystemLimits};
+use wsg_protocol::{
+    AutoUpdate, DeviceTag, FingerType, GrippingStatistics, SoftLimits, Status, SystemInfo, SystemLimits,
+};
 
 use super::action::{Action, Bytes, Switch, on_block};
 use super::answer::{Answer, CELSIUS, Datum, MM, MM_PER_S, MM_PER_S2, NEWTON, Outcome, Unit};
@@ -71,124 +73,77 @@ pub(crate) fn carry_out<P: Dialect>(
     live: Live<'_>,
 ) -> Result<Answer, Trouble> {
     let done = Answer::done();
-    Ok(match action {
-        Action::Home { end } => {
-            let motion = gripper.begin_home((*end).into())?;
-            moved(gripper, &motion, live)?
-        }
+    Ok(match *action {
+        Action::Home { end } => told(finish(gripper, |it| it.begin_home(end.into()), live))?,
         Action::Move { width, speed, clamp } => {
-            let motion = gripper.begin_move_to(Mm(*width), MmPerS(*speed), on_block(*clamp))?;
-            moved(gripper, &motion, live)?
+            let begin = |it: &mut Gripper<P>| it.begin_move_to(Mm(width), MmPerS(speed), on_block(clamp));
+            told(finish(gripper, begin, live))?
         }
         Action::MoveBy { offset, speed, clamp } => {
-            let motion = gripper.begin_move_by(Mm(*offset), MmPerS(*speed), on_block(*clamp))?;
-            moved(gripper, &motion, live)?
+            let begin = |it: &mut Gripper<P>| it.begin_move_by(Mm(offset), MmPerS(speed), on_block(clamp));
+            told(finish(gripper, begin, live))?
         }
-        Action::Grip { width, speed, force } => grip(gripper, *width, *speed, *force, live)?,
+        Action::Grip { width, speed, force } => grip(gripper, width, speed, force, live)?,
         Action::Release { width, speed } => {
-            let motion = gripper.begin_release(Mm(*width), MmPerS(*speed))?;
-            moved(gripper, &motion, live)?
+            told(finish(gripper, |it| it.begin_release(Mm(width), MmPerS(speed)), live))?
         }
         Action::Stop => told(gripper.stop())?,
         Action::FastStop => told(gripper.fast_stop())?,
         Action::Ack => told(gripper.acknowledge())?,
 
         Action::ForceLimit { force } => {
-            if let Some(force) = *force {
-                set_force_limit(gripper, force)?;
-            }
+            set_force_limit(gripper, force)?;
             done.number("force limit", gripper.force_limit()?.0, NEWTON)
         }
         Action::Acceleration { acceleration } => {
-            if let Some(acceleration) = *acceleration {
-                set_acceleration(gripper, acceleration)?;
-            }
+            set_acceleration(gripper, acceleration)?;
             done.number("acceleration", gripper.acceleration()?, MM_PER_S2)
         }
-        Action::SoftLimits { from, to, clear } => {
-            if *clear {
-                gripper.clear_soft_limits()?;
-            } else if let (Some(minus), Some(plus)) = (*from, *to) {
-                gripper.set_soft_limits(SoftLimits { minus, plus })?;
-            }
-            match gripper.soft_limits()? {
-                Some(SoftLimits { minus, plus }) => done.number("from", minus, MM).number("to", plus, MM),
-                None => done.with("soft limits", Datum::Nothing),
-            }
-        }
-        Action::Overdrive { switch } => told(gripper.set_overdrive(*switch == Switch::On))?,
+        Action::SoftLimits { from, to, clear } => soft_limits(gripper, from.zip(to), clear)?,
+        Action::Overdrive { switch } => told(gripper.set_overdrive(switch == Switch::On))?,
         Action::Tare => told(gripper.tare())?,
         Action::PartWidthTolerance { tolerance } => {
-            done.number("part width tolerance", P::part_width_tolerance(gripper, *tolerance)?, MM)
+            done.number("part width tolerance", P::part_width_tolerance(gripper, tolerance)?, MM)
         }
         Action::ClampingTravel { travel } => {
-            done.number("clamping travel", P::clamping_travel(gripper, *travel)?, MM)
+            done.number("clamping travel", P::clamping_travel(gripper, travel)?, MM)
         }
 
         Action::Status => status(gripper)?,
         Action::State => done.text("state", gripper.gripper_state()?),
-        Action::Flags => done.with("flags", system_flags(gripper.system_state()?)),
+        Action::Flags => done.with("flags", names(gripper.system_state()?.iter_names())),
         Action::Width => done.number("width", gripper.width()?.0, MM),
         Action::Speed => done.number("speed", gripper.speed()?.0, MM_PER_S),
         Action::Force => done.number("force", gripper.force()?.0, NEWTON),
         Action::Temperature => {
             done.number("temperature", f32::from(gripper.temperature()?.0) / 10.0, CELSIUS)
         }
-        Action::Statistics { reset } => {
-            let counts = gripper.statistics(*reset)?;
-            done.with("grips", Datum::Count(counts.total))
-                .with("without part", Datum::Count(counts.no_part.into()))
-                .with("parts lost", Datum::Count(counts.part_lost.into()))
-        }
+        Action::Statistics { reset } => statistics(gripper.statistics(reset)?),
 
-        Action::Info => {
-            let info = gripper.system_info()?;
-            done.text("device", info.device)
-                .with("hardware revision", Datum::Count(info.hardware_revision.into()))
-                .text("firmware", info.firmware)
-                .with("serial number", Datum::Count(info.serial_number))
-        }
+        Action::Info => info(gripper.system_info()?),
         Action::Limits => limits(gripper.limits()?),
-        Action::Tag { text } => {
-            if let Some(text) = text {
-                gripper.set_tag(text)?;
-            }
-            let mut buffer = [0; DeviceTag::MAX_LEN];
-            match gripper.tag(&mut buffer) {
-                Err(Error::Refused(wsg_protocol::Status::NotAvailable)) => done.with("tag", Datum::Nothing),
-                tag => done.text("tag", tag?),
-            }
-        }
+        Action::Tag { ref text } => tag(gripper, text.as_deref())?,
 
         Action::FingerInfo { finger } => {
-            let info = gripper.finger_info(*finger)?;
+            let info = gripper.finger_info(finger)?;
             done.text("finger", info.finger).with("bytes of data", Datum::Count(info.data_len.into()))
         }
-        Action::FingerFlags { finger } => done.with("flags", finger_flags(gripper.finger_flags(*finger)?)),
+        Action::FingerFlags { finger } => {
+            done.with("flags", names(gripper.finger_flags(finger)?.iter_names()))
+        }
         Action::FingerPower { finger, switch } => {
-            told(gripper.set_finger_power(*finger, *switch == Switch::On))?
+            told(gripper.set_finger_power(finger, switch == Switch::On))?
         }
-        Action::FingerData { finger } => finger_data(gripper, *finger)?,
+        Action::FingerData { finger } => finger_data(gripper, finger)?,
 
-        Action::Loop { bytes } => told(gripper.loop_back(&Bytes::joined(bytes)))?,
-        Action::Raw { id, payload } => {
-            let mut buffer = [0; MAX_ANSWER];
-            let answer = gripper.raw(*id, &Bytes::joined(payload), &mut buffer)?;
-            done.with("answer", hex(answer))
-        }
+        Action::Loop { ref bytes } => told(gripper.loop_back(&Bytes::joined(bytes)))?,
+        Action::Raw { id, ref payload } => raw(gripper, id, &Bytes::joined(payload))?,
         Action::Disconnect => told(match gripper.announce_disconnect() {
             // Not available on lines that need no announcement.
-            Err(Error::Refused(wsg_protocol::Status::NotAvailable)) => Ok(()),
+            Err(Error::Refused(Status::NotAvailable)) => Ok(()),
             told => told,
         })?,
-        Action::Pause { seconds } => {
-            let end = Instant::now() + Duration::from_secs_f32(*seconds);
-            while Instant::now() < end {
-                gripper.next_update(LOOK_MS)?;
-                live(gripper.known())?;
-            }
-            done
-        }
+        Action::Pause { seconds } => told(pause(gripper, Duration::from_secs_f32(seconds), live))?,
     })
 }
 
@@ -222,18 +177,19 @@ pub(crate) fn unsubscribe<P: Protocol>(gripper: &mut Gripper<P>) {
     let _ = gripper.gripper_state();
 }
 
-fn told(result: Result<(), Error<io::Error>>) -> Result<Answer, Trouble> {
-    result?;
-    Ok(Answer::done())
+fn told(result: Result<(), impl Into<Trouble>>) -> Result<Answer, Trouble> {
+    result.map(|()| Answer::done()).map_err(Into::into)
 }
 
+/// Begins a motion and waits for its end.
 fn finish<P: Protocol, T: MotionResult>(
     gripper: &mut Gripper<P>,
-    motion: &Pending<T>,
+    begin: impl FnOnce(&mut Gripper<P>) -> Result<Pending<T>, Error<io::Error>>,
     live: Live<'_>,
 ) -> Result<T, Trouble> {
+    let motion = begin(gripper)?;
     loop {
-        if let Some(result) = gripper.poll(motion)? {
+        if let Some(result) = gripper.poll(&motion)? {
             return Ok(result);
         }
         gripper.next_update(LOOK_MS)?;
@@ -241,13 +197,13 @@ fn finish<P: Protocol, T: MotionResult>(
     }
 }
 
-fn moved<P: Protocol>(
-    gripper: &mut Gripper<P>,
-    motion: &Pending<()>,
-    live: Live<'_>,
-) -> Result<Answer, Trouble> {
-    finish(gripper, motion, live)?;
-    Ok(Answer::done())
+fn pause<P: Protocol>(gripper: &mut Gripper<P>, time: Duration, live: Live<'_>) -> Result<(), Trouble> {
+    let end = Instant::now() + time;
+    while Instant::now() < end {
+        gripper.next_update(LOOK_MS)?;
+        live(gripper.known())?;
+    }
+    Ok(())
 }
 
 fn grip<P: Protocol>(
@@ -257,11 +213,8 @@ fn grip<P: Protocol>(
     force: Option<f32>,
     live: Live<'_>,
 ) -> Result<Answer, Trouble> {
-    if let Some(force) = force {
-        set_force_limit(gripper, force)?;
-    }
-    let motion = gripper.begin_grip(Mm(width), MmPerS(speed))?;
-    Ok(match finish(gripper, &motion, live)? {
+    set_force_limit(gripper, force)?;
+    Ok(match finish(gripper, |it| it.begin_grip(Mm(width), MmPerS(speed)), live)? {
         Grip::Held => {
             let held = Answer::of(Outcome::Held);
             held.number("width", gripper.width()?.0, MM).number("force", gripper.force()?.0, NEWTON)
@@ -270,8 +223,9 @@ fn grip<P: Protocol>(
     })
 }
 
-/// Sets the force limit in N, and fails if the gripper clamps it.
-fn set_force_limit<P: Protocol>(gripper: &mut Gripper<P>, force: f32) -> Result<(), Trouble> {
+/// Sets the force limit in N if one is given, and fails if the gripper clamps it.
+fn set_force_limit<P: Protocol>(gripper: &mut Gripper<P>, force: Option<f32>) -> Result<(), Trouble> {
+    let Some(force) = force else { return Ok(()) };
     gripper.set_force_limit(N(force))?;
     let taken = gripper.force_limit()?.0;
     let range = gripper.known().limits.map(|limits| {
@@ -281,7 +235,8 @@ fn set_force_limit<P: Protocol>(gripper: &mut Gripper<P>, force: f32) -> Result<
     unclamped("force limit", NEWTON, [force, taken], range)
 }
 
-fn set_acceleration<P: Protocol>(gripper: &mut Gripper<P>, acceleration: f32) -> Result<(), Trouble> {
+fn set_acceleration<P: Protocol>(gripper: &mut Gripper<P>, asked: Option<f32>) -> Result<(), Trouble> {
+    let Some(acceleration) = asked else { return Ok(()) };
     gripper.set_acceleration(acceleration)?;
     let taken = gripper.acceleration()?;
     let range = gripper
@@ -306,7 +261,51 @@ fn status<P: Protocol>(gripper: &mut Gripper<P>) -> Result<Answer, Trouble> {
         .number("width", gripper.width()?.0, MM)
         .number("speed", gripper.speed()?.0, MM_PER_S)
         .number("force", gripper.force()?.0, NEWTON)
-        .with("flags", system_flags(gripper.system_state()?)))
+        .with("flags", names(gripper.system_state()?.iter_names())))
+}
+
+/// Clears the soft limits, or sets them if a range is given, and returns the range in effect.
+fn soft_limits<P: Protocol>(
+    gripper: &mut Gripper<P>,
+    range: Option<(f32, f32)>,
+    clear: bool,
+) -> Result<Answer, Trouble> {
+    if clear {
+        gripper.clear_soft_limits()?;
+    } else if let Some((minus, plus)) = range {
+        gripper.set_soft_limits(SoftLimits { minus, plus })?;
+    }
+    Ok(match gripper.soft_limits()? {
+        Some(SoftLimits { minus, plus }) => Answer::done().number("from", minus, MM).number("to", plus, MM),
+        None => Answer::done().with("soft limits", Datum::Nothing),
+    })
+}
+
+/// Sets the device tag if a text is given, and returns the tag in effect.
+fn tag<P: Protocol>(gripper: &mut Gripper<P>, text: Option<&str>) -> Result<Answer, Trouble> {
+    if let Some(text) = text {
+        gripper.set_tag(text)?;
+    }
+    let mut buffer = [0; DeviceTag::MAX_LEN];
+    Ok(match gripper.tag(&mut buffer) {
+        Err(Error::Refused(Status::NotAvailable)) => Answer::done().with("tag", Datum::Nothing),
+        tag => Answer::done().text("tag", tag?),
+    })
+}
+
+fn statistics(counts: GrippingStatistics) -> Answer {
+    Answer::done()
+        .with("grips", Datum::Count(counts.total))
+        .with("without part", Datum::Count(counts.no_part.into()))
+        .with("parts lost", Datum::Count(counts.part_lost.into()))
+}
+
+fn info(info: SystemInfo) -> Answer {
+    Answer::done()
+        .text("device", info.device)
+        .with("hardware revision", Datum::Count(info.hardware_revision.into()))
+        .text("firmware", info.firmware)
+        .with("serial number", Datum::Count(info.serial_number))
 }
 
 fn limits(limits: SystemLimits) -> Answer {
@@ -331,14 +330,15 @@ fn finger_data<P: Protocol>(gripper: &mut Gripper<P>, finger: Finger) -> Result<
     })
 }
 
+fn raw<P: Protocol>(gripper: &mut Gripper<P>, id: u8, payload: &[u8]) -> Result<Answer, Trouble> {
+    let mut buffer = [0; MAX_ANSWER];
+    Ok(Answer::done().with("answer", hex(gripper.raw(id, payload, &mut buffer)?)))
+}
+
 fn hex(bytes: &[u8]) -> Datum {
     Datum::Names(bytes.iter().map(|byte| format!("{byte:02X}")).collect())
 }
 
-fn system_flags(flags: SystemFlags) -> Datum {
-    Datum::Names(flags.iter_names().map(|(name, _)| name.to_owned()).collect())
-}
-
-fn finger_flags(flags: FingerFlags) -> Datum {
-    Datum::Names(flags.iter_names().map(|(name, _)| name.to_owned()).collect())
+fn names<T>(flags: impl Iterator<Item = (&'static str, T)>) -> Datum {
+    Datum::Names(flags.map(|(name, _)| name.to_owned()).collect())
 }
