@@ -13,7 +13,7 @@ use wsg_protocol::frame::{PREAMBLE_BYTE, PREAMBLE_LEN};
 use wsg_protocol::gcl::{Answer, Request};
 
 use super::entry::{self, Entry};
-use super::tcp::Stream;
+use super::tcp::{Stream, Stretch};
 
 /// The gripper's factory ports: TCP, UDP, and the UDP port to which it sends answers.
 const TCP_PORT: u16 = 1000;
@@ -333,34 +333,36 @@ impl Found {
             // Detect the protocol per direction, because a piece may hold only part of a line.
             let is_gcl = gcl.unwrap_or_else(|| stretches.iter().all(|stretch| entry::is_gcl(&stretch.bytes)));
             for stretch in stretches {
-                if stretch.missing_before > 0 {
-                    let packet = stretch.packet_of(0);
-                    let words = format!(
-                        "{} of the stream missing from the capture",
-                        entry::count(stretch.missing_before as usize, "byte")
-                    );
-                    let place = format!("{} {}", self.time(packet), way(is_from_lower));
-                    self.entries.push((packet, Entry::note(place, words)));
-                }
-                let mut packets = Vec::new();
-                let place = |range: std::ops::Range<usize>| {
-                    let packet = stretch.packet_of(range.end.saturating_sub(1));
-                    packets.push(packet);
-                    let offset = stretch.offset + range.start as u64;
-                    format!("{} {} @{offset:08X}", self.time(packet), way(is_from_lower))
-                };
-                let entries = decoded(&stretch.bytes, Some(is_gcl), direction(is_from_lower), place);
-                last_packet = packets.iter().copied().chain([last_packet]).max().unwrap_or(0);
-                self.entries.extend(packets.into_iter().zip(entries));
+                let last = self.add_stretch(stretch, is_gcl, direction(is_from_lower), &way(is_from_lower));
+                last_packet = last_packet.max(last);
             }
         }
         if repeated > 0 {
-            let words = format!(
-                "skipped {} retransmitted between {lower} and {upper}",
-                entry::count(repeated, "TCP segment")
-            );
+            let segments = entry::count(repeated, "TCP segment");
+            let words = format!("skipped {segments} retransmitted between {lower} and {upper}");
             self.entries.push((last_packet, Entry::note(String::new(), words)));
         }
+    }
+
+    /// Adds the entries of a piece of a stream, and returns their last packet.
+    fn add_stretch(&mut self, stretch: &Stretch, is_gcl: bool, direction: Direction, way: &str) -> usize {
+        if stretch.missing_before > 0 {
+            let packet = stretch.packet_of(0);
+            let missing = entry::count(stretch.missing_before as usize, "byte");
+            let words = format!("{missing} of the stream missing from the capture");
+            self.entries.push((packet, Entry::note(format!("{} {way}", self.time(packet)), words)));
+        }
+        let mut packets = Vec::new();
+        let place = |range: std::ops::Range<usize>| {
+            let packet = stretch.packet_of(range.end.saturating_sub(1));
+            packets.push(packet);
+            let offset = stretch.offset + range.start as u64;
+            format!("{} {way} @{offset:08X}", self.time(packet))
+        };
+        let entries = decoded(&stretch.bytes, Some(is_gcl), direction, place);
+        let last = packets.iter().copied().max().unwrap_or(0);
+        self.entries.extend(packets.into_iter().zip(entries));
+        last
     }
 }
 
