@@ -126,9 +126,9 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
     // Read the file before opening the port, so that an unreadable file never accesses the bridge.
     let file_text = match command {
         Command::Import { file, .. } => {
-            Some(fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?)
+            fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?
         }
-        _ => None,
+        _ => String::new(),
     };
     let mut client = Client::open(port)?;
     match command {
@@ -158,20 +158,11 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
             change(&mut client, &old, &new, *save, output)?;
         }
         Command::Recipes => write!(output, "{}", read(&mut client)?.recipes())?,
-        Command::Save => {
-            client.command(StoreCommand::Save)?;
-            writeln!(output, "stored")?;
-        }
-        Command::Restore => {
-            let old = client.settings()?;
-            client.command(StoreCommand::Restore)?;
-            told_changes(&old, &client.settings()?, output)?;
-        }
+        Command::Save => save_settings(&mut client, output)?,
+        Command::Restore => replace_settings(&mut client, StoreCommand::Restore, output)?,
         Command::Defaults { yes } => {
             confirm("Reset all settings to the image's defaults and store them", *yes)?;
-            let old = client.settings()?;
-            client.command(StoreCommand::Defaults)?;
-            told_changes(&old, &client.settings()?, output)?;
+            replace_settings(&mut client, StoreCommand::Defaults, output)?;
             writeln!(output, "stored")?;
         }
         Command::Events { json } => {
@@ -193,8 +184,8 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
         }
         Command::Import { file, dry_run, save } => {
             let old = client.settings()?;
-            let text = file_text.as_deref().unwrap_or_default();
-            let new = settings_file::imported(text, &old).with_context(|| file.display().to_string())?;
+            let new =
+                settings_file::imported(&file_text, &old).with_context(|| file.display().to_string())?;
             if *dry_run {
                 told_changes(&old, &new, output)?;
             } else {
@@ -221,12 +212,23 @@ fn change(
     told_changes(old, new, output)?;
     change::write(client, old, new)?;
     if save {
-        client.command(StoreCommand::Save)?;
-        writeln!(output, "stored")?;
+        save_settings(client, output)?;
     } else if old != new {
         writeln!(output, "{NOT_STORED}")?;
     }
     Ok(())
+}
+
+fn save_settings(client: &mut Client, output: &mut impl Write) -> Result<()> {
+    client.command(StoreCommand::Save)?;
+    Ok(writeln!(output, "stored")?)
+}
+
+/// Executes RESTORE or DEFAULTS and prints the changes.
+fn replace_settings(client: &mut Client, command: StoreCommand, output: &mut impl Write) -> Result<()> {
+    let old = client.settings()?;
+    client.command(command)?;
+    told_changes(&old, &client.settings()?, output)
 }
 
 fn told_changes(old: &Record, new: &Record, output: &mut impl Write) -> Result<()> {
