@@ -3,7 +3,7 @@
 use crate::config::Config;
 use wsg_protocol::{SoftLimits, Status, SystemLimits};
 
-/// The motion settings, always within the limits of the model.
+/// The motion settings, always within the limits of the model. Setters return the status of their command.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settings {
     system_limits: SystemLimits,
@@ -37,9 +37,10 @@ impl Settings {
         self.acceleration
     }
 
-    pub(crate) const fn set_acceleration(&mut self, acceleration: f32) {
+    pub(crate) const fn set_acceleration(&mut self, acceleration: f32) -> Status {
         let limits = &self.system_limits;
         self.acceleration = acceleration.clamp(limits.min_acceleration, limits.max_acceleration);
+        Status::Success
     }
 
     /// Returns the force limit in N, summed over both fingers.
@@ -47,8 +48,9 @@ impl Settings {
         self.force_limit
     }
 
-    pub(crate) const fn set_force_limit(&mut self, force: f32) {
+    pub(crate) const fn set_force_limit(&mut self, force: f32) -> Status {
         self.force_limit = self.possible_force(force);
+        Status::Success
     }
 
     /// Returns the permitted force in N that is closest to `force`.
@@ -60,9 +62,10 @@ impl Settings {
         self.overdrive
     }
 
-    pub(crate) const fn set_overdrive(&mut self, enabled: bool) {
+    pub(crate) const fn set_overdrive(&mut self, enabled: bool) -> Status {
         self.overdrive = enabled;
         self.force_limit = self.force_limit.min(self.greatest_force());
+        Status::Success
     }
 
     pub(crate) const fn soft_limits(&self) -> Option<SoftLimits> {
@@ -77,8 +80,9 @@ impl Settings {
         Status::Success
     }
 
-    pub(crate) const fn clear_soft_limits(&mut self) {
+    pub(crate) const fn clear_soft_limits(&mut self) -> Status {
         self.soft_limits = None;
+        Status::Success
     }
 
     const fn greatest_force(&self) -> f32 {

@@ -19,6 +19,7 @@ impl Device {
     /// Executes a command and returns its first answer.
     pub(crate) fn execute<'a>(&'a mut self, request: Request, command: &Command<'a>) -> Reply<'a> {
         let id = command.id();
+        let [one, two] = [Jaw::One, Jaw::Two];
         let status = match *command {
             Command::Loop { data } => return Reply::success(Value::Loop(data)),
             // Connections handle this command; it does not concern the device.
@@ -36,49 +37,30 @@ impl Device {
                 self.fast_stop();
                 Status::Success
             }
-            Command::Acknowledge { .. } => {
-                self.acknowledge();
-                Status::Success
-            }
+            Command::Acknowledge { .. } => self.acknowledge(),
             Command::GripPart { width, speed } => self.motion.start_grip(request, width, speed),
             Command::ReleasePart { width, speed } => self.motion.start_release(request, width, speed),
 
             Command::SetAcceleration { acceleration } => {
-                self.motion.settings_mut().set_acceleration(acceleration);
-                Status::Success
+                self.motion.settings_mut().set_acceleration(acceleration)
             }
             Command::GetAcceleration => {
                 return Reply::success(Value::GetAcceleration(self.motion.settings().acceleration()));
             }
-            Command::SetForceLimit { force } => {
-                self.motion.settings_mut().set_force_limit(force);
-                Status::Success
-            }
+            Command::SetForceLimit { force } => self.motion.settings_mut().set_force_limit(force),
             Command::GetForceLimit => return Reply::success(Value::GetForceLimit(self.force_limit())),
             Command::SetSoftLimits { limits } => self.motion.settings_mut().set_soft_limits(limits),
             Command::GetSoftLimits => match self.motion.settings().soft_limits() {
                 Some(limits) => return Reply::success(Value::GetSoftLimits(limits)),
                 None => Status::NotAvailable,
             },
-            Command::ClearSoftLimits => {
-                self.motion.settings_mut().clear_soft_limits();
-                Status::Success
-            }
-            Command::OverdriveMode { enabled } => {
-                self.motion.settings_mut().set_overdrive(enabled);
-                Status::Success
-            }
-            Command::TareForceSensor => self.tare(),
+            Command::ClearSoftLimits => self.motion.settings_mut().clear_soft_limits(),
+            Command::OverdriveMode { enabled } => self.motion.settings_mut().set_overdrive(enabled),
+            Command::TareForceSensor => self.tare(&[one, two]),
 
             Command::GetSystemState { .. } => return self.reading(Quantity::SystemState),
             Command::GetGripperState { .. } => return self.reading(Quantity::GripperState),
-            Command::GetGrippingStatistics { reset } => {
-                let statistics = self.statistics();
-                if reset {
-                    self.motion.reset_statistics();
-                }
-                return Reply::success(Value::GetGrippingStatistics(statistics));
-            }
+            Command::GetGrippingStatistics { reset } => return self.take_statistics(reset),
             Command::GetOpeningWidth { .. } => return self.reading(Quantity::Width),
             Command::GetSpeed { .. } => return self.reading(Quantity::Speed),
             Command::GetForce { .. } => return self.reading(Quantity::Force),
@@ -95,22 +77,18 @@ impl Device {
             },
             Command::GetSystemLimits => return Reply::success(Value::GetSystemLimits(*self.limits())),
 
-            Command::GetFinger1Info => {
-                return Reply::success(Value::GetFinger1Info(self.finger(Jaw::One).info()));
-            }
+            Command::GetFinger1Info => return Reply::success(Value::GetFinger1Info(self.finger(one).info())),
             Command::GetFinger1Flags => {
-                return Reply::success(Value::GetFinger1Flags(self.finger(Jaw::One).flags()));
+                return Reply::success(Value::GetFinger1Flags(self.finger(one).flags()));
             }
-            Command::Finger1Power { enabled } => self.switch_finger(request, Jaw::One, id, enabled),
-            Command::GetFinger1Data => return self.finger_data(Jaw::One, id, Value::GetFinger1Data),
-            Command::GetFinger2Info => {
-                return Reply::success(Value::GetFinger2Info(self.finger(Jaw::Two).info()));
-            }
+            Command::Finger1Power { enabled } => self.switch_finger(request, one, id, enabled),
+            Command::GetFinger1Data => return self.finger_data(one, id, Value::GetFinger1Data),
+            Command::GetFinger2Info => return Reply::success(Value::GetFinger2Info(self.finger(two).info())),
             Command::GetFinger2Flags => {
-                return Reply::success(Value::GetFinger2Flags(self.finger(Jaw::Two).flags()));
+                return Reply::success(Value::GetFinger2Flags(self.finger(two).flags()));
             }
-            Command::Finger2Power { enabled } => self.switch_finger(request, Jaw::Two, id, enabled),
-            Command::GetFinger2Data => return self.finger_data(Jaw::Two, id, Value::GetFinger2Data),
+            Command::Finger2Power { enabled } => self.switch_finger(request, two, id, enabled),
+            Command::GetFinger2Data => return self.finger_data(two, id, Value::GetFinger2Data),
 
             Command::Unknown { .. } => Status::CmdUnknown,
         };
@@ -121,37 +99,34 @@ impl Device {
         Reply::success(quantity.value(&self.readings()))
     }
 
-    /// Executes Acknowledge (24h). A FAST STOP stays latched while its cause persists (appendix B, D16).
-    fn acknowledge(&mut self) {
-        if !self.has_lasting_fault() {
-            self.motion.acknowledge();
+    fn take_statistics(&mut self, reset: bool) -> Reply<'static> {
+        let reply = Reply::success(Value::GetGrippingStatistics(self.statistics()));
+        if reset {
+            self.motion.reset_statistics();
         }
+        reply
     }
 
-    fn tare(&mut self) -> Status {
-        if !self.fingers.iter().any(|finger| finger.is_force_sensor()) {
-            return Status::NotAvailable;
-        }
-        if self.state() == GripperState::Holding {
-            return Status::AccessDenied;
-        }
-        let force = self.force_per_jaw();
-        for finger in &mut self.fingers {
-            finger.zero_at(force);
+    /// Executes Acknowledge (24h). A FAST STOP stays latched while its cause persists (appendix B, D16).
+    fn acknowledge(&mut self) -> Status {
+        if !self.has_lasting_fault() {
+            self.motion.acknowledge();
         }
         Status::Success
     }
 
-    /// Tares one finger, which only the text protocol supports.
-    pub(crate) fn tare_finger(&mut self, jaw: Jaw) -> Status {
-        if !self.finger(jaw).is_force_sensor() {
+    /// Tares the force sensors of these fingers. Only the text protocol tares a single finger.
+    pub(crate) fn tare(&mut self, jaws: &[Jaw]) -> Status {
+        if !jaws.iter().any(|jaw| self.finger(*jaw).is_force_sensor()) {
             return Status::NotAvailable;
         }
         if self.state() == GripperState::Holding {
             return Status::AccessDenied;
         }
         let force = self.force_per_jaw();
-        self.finger_mut(jaw).zero_at(force);
+        for jaw in jaws {
+            self.finger_mut(*jaw).zero_at(force);
+        }
         Status::Success
     }
 

@@ -13,8 +13,10 @@ use heapless::String;
 use wsg_protocol::gcl::{
     FingerReading, Grip, Release, Request, Select, Selected, Setting, Tare, Text, Value, Vector,
 };
-use wsg_protocol::types::AckKey;
-use wsg_protocol::{Command, DeviceTag, FingerType, PrePositionFlags, Status, SystemFlags, Value as Reading};
+use wsg_protocol::{
+    Command, DeviceTag, FingerType, GrippingStatistics, PrePositionFlags, Status, SystemFlags,
+    Value as Reading,
+};
 
 /// The result of a request.
 pub(super) enum Outcome<'a> {
@@ -34,6 +36,14 @@ impl<'a> From<Value<'a>> for Outcome<'a> {
     }
 }
 
+impl<'a> From<Result<Value<'a>, Status>> for Outcome<'a> {
+    fn from(result: Result<Value<'a>, Status>) -> Self {
+        result.map_or_else(Self::Status, Self::Value)
+    }
+}
+
+type Readings = Selected<[FingerReading<'static>; 2], FingerReading<'static>, 2>;
+
 /// Buffer for the texts of an answer.
 type TextBuffer = String<32>;
 
@@ -46,125 +56,100 @@ pub(super) fn carry_out<'a>(
     text: &'a mut TextBuffer,
 ) -> Outcome<'a> {
     let asked = Asked { port: line.id, now };
-    let [one, two] = [Jaw::One, Jaw::Two];
-    let command = match request {
+    let jaws = [Jaw::One, Jaw::Two];
+    match request {
         Request::Verbose(on) => {
             line.verbose = on;
-            return Value::Verbose(on).into();
+            Value::Verbose(on).into()
         }
         // The end of a UDP conversation cannot be detected.
-        Request::Bye if line.kind.is_datagram() => return Status::NotAvailable.into(),
+        Request::Bye if line.kind.is_datagram() => Status::NotAvailable.into(),
         Request::Bye => {
             line.announced = true;
             line.autosends.clear();
-            return Status::Success.into();
+            Status::Success.into()
         }
-        Request::Pwt(setting) => {
-            return read_or_set(&mut line.part_width_tolerance, setting)
-                .map_or_else(Outcome::from, |value| Value::Pwt(value).into());
-        }
-        Request::Clt(setting) => {
-            return read_or_set(&mut line.clamping_travel, setting)
-                .map_or_else(Outcome::from, |value| Value::Clt(value).into());
-        }
+        Request::Pwt(setting) => read_or_set(&mut line.part_width_tolerance, setting).map(Value::Pwt).into(),
+        Request::Clt(setting) => read_or_set(&mut line.clamping_travel, setting).map(Value::Clt).into(),
         Request::Autosend(autosend) => {
             line.autosends.request(autosend, now);
-            return Status::Success.into();
+            Status::Success.into()
         }
 
-        Request::Home(direction) => Command::Homing { direction },
-        Request::Move(to) => Command::PrePosition {
-            flags: PrePositionFlags::STOP_ON_BLOCK,
-            width: to.width,
-            speed: to.speed.unwrap_or(device.config().speed),
-        },
-        Request::Grip(grip) => return start_grip(device, line, asked, grip).into(),
-        Request::Release(release) => {
-            let Config { release_distance, release_speed, .. } = *device.config();
-            let preset = release_speed.unwrap_or(device.limits().max_speed);
-            let (distance, speed) = match release {
-                Release::Preset => (release_distance, preset),
-                Release::By { distance } => (distance, preset),
-                Release::ByAtSpeed { distance, speed } => (distance, speed),
-            };
-            return device.release_by(asked, distance, speed).into();
+        Request::Home(direction) => device.execute(asked, &Command::Homing { direction }).status().into(),
+        Request::Move(to) => {
+            let flags = PrePositionFlags::STOP_ON_BLOCK;
+            let speed = to.speed.unwrap_or(device.config().speed);
+            device.execute(asked, &Command::PrePosition { flags, width: to.width, speed }).status().into()
         }
-        Request::Stop => Command::Stop,
-        Request::Faststop => Command::FastStop,
-        Request::Fsack => Command::Acknowledge { key: AckKey },
-        Request::Tare(Tare::All) => Command::TareForceSensor,
-        Request::Tare(Tare::Finger(index)) => {
-            return device.tare_finger(jaw(index)).into();
-        }
+        Request::Grip(grip) => start_grip(device, line, asked, grip).into(),
+        Request::Release(release) => start_release(device, asked, release).into(),
+        Request::Stop => device.execute(asked, &Command::Stop).status().into(),
+        Request::Faststop => device.execute(asked, &Command::FastStop).status().into(),
+        Request::Fsack => device.execute(asked, &Command::ACKNOWLEDGE).status().into(),
+        Request::Tare(Tare::All) => device.execute(asked, &Command::TareForceSensor).status().into(),
+        Request::Tare(Tare::Finger(index)) => device.tare(&[jaw(index)]).into(),
 
-        Request::Pos => return Value::Pos(device.reported_width()).into(),
-        Request::Speed => return Value::Speed(device.readings().speed).into(),
-        Request::Force => return Value::Force(device.reported_force()).into(),
-        Request::Gripstate => return Value::Gripstate(device.state()).into(),
-        Request::Temp => return Value::Temp(celsius(&device.readings())).into(),
+        Request::Pos => Value::Pos(device.reported_width()).into(),
+        Request::Speed => Value::Speed(device.readings().speed).into(),
+        Request::Force => Value::Force(device.reported_force()).into(),
+        Request::Gripstate => Value::Gripstate(device.state()).into(),
+        Request::Temp => Value::Temp(celsius(&device.readings())).into(),
         Request::Sysflags(select) => {
-            let flags = device.flags();
-            return Value::Sysflags(match select {
-                Select::All => Selected::All(flags),
-                Select::One(index) => Selected::One(index, flag(flags, index)),
-            })
-            .into();
+            Value::Sysflags(selected(select, device.flags(), |index| flag(device.flags(), index))).into()
         }
         Request::Gripstats(select) => {
             let counts = device.statistics();
-            return Value::Gripstats(match select {
-                Select::All => Selected::All(counts),
-                Select::One(0) => Selected::One(0, counts.total),
-                Select::One(1) => Selected::One(1, counts.no_part.into()),
-                Select::One(index) => Selected::One(index, counts.part_lost.into()),
-            })
-            .into();
+            Value::Gripstats(selected(select, counts, |index| count(counts, index))).into()
         }
 
-        Request::Sn => return Value::Sn(device.config().serial_number).into(),
+        Request::Sn => Value::Sn(device.config().serial_number).into(),
         Request::Tag => {
-            return DeviceTag::new(device.tag().as_str())
-                .map_or(Status::NotAvailable.into(), |tag| Value::Tag(tag).into());
+            DeviceTag::new(device.tag().as_str()).map(Value::Tag).map_err(|_| Status::NotAvailable).into()
         }
         Request::Devtype => {
             // For example `WSG 32-068`: type and stroke.
             let _ = write!(text, "{}-{:03}", device.info().device, device.limits().stroke as u16);
-            return Value::Devtype(text_of(text)).into();
+            Value::Devtype(text_of(text)).into()
         }
         Request::Version => {
             let _ = write!(text, "{}", device.info().firmware);
-            return Value::Version(text_of(text)).into();
+            Value::Version(text_of(text)).into()
         }
 
         Request::Ftype(select) => {
-            return Value::Ftype(match select {
-                Select::All => Selected::All([finger_type(device, one), finger_type(device, two)]),
-                Select::One(index) => Selected::One(index, finger_type(device, jaw(index))),
-            })
-            .into();
+            let of = |jaw| finger_type(device, jaw);
+            Value::Ftype(selected(select, jaws.map(of), |index| of(jaw(index)))).into()
         }
         Request::Fflags(select) => {
-            return Value::Fflags(match select {
-                Select::All => Selected::All([device.finger(one).flags(), device.finger(two).flags()]),
-                Select::One(index) => Selected::One(index, device.finger(jaw(index)).flags()),
-            })
-            .into();
+            let of = |jaw| device.finger(jaw).flags();
+            Value::Fflags(selected(select, jaws.map(of), |index| of(jaw(index)))).into()
         }
-        Request::Fdata(select) => {
-            return match select {
-                Select::All => {
-                    let empty = FingerReading::Vector(Vector::EMPTY);
-                    let mut of = |jaw| finger_reading(device, asked, jaw).unwrap_or(empty);
-                    Value::Fdata(Selected::All([of(one), of(two)])).into()
-                }
-                Select::One(index) => match finger_reading(device, asked, jaw(index)) {
-                    Ok(reading) => Value::Fdata(Selected::One(index, reading)).into(),
-                    Err(status) => status.into(),
-                },
-            };
-        }
+        Request::Fdata(select) => finger_readings(device, asked, select).map(Value::Fdata).into(),
+    }
+}
+
+/// Returns all of a vector, or the selected element.
+fn selected<All, One, const LEN: u8>(
+    select: Select<LEN>,
+    all: All,
+    one: impl FnOnce(u8) -> One,
+) -> Selected<All, One, LEN> {
+    match select {
+        Select::All => Selected::All(all),
+        Select::One(index) => Selected::One(index, one(index)),
+    }
+}
+
+fn start_release(device: &mut Device, asked: Asked, release: Release) -> Status {
+    let Config { release_distance, release_speed, .. } = *device.config();
+    let preset = release_speed.unwrap_or(device.limits().max_speed);
+    let (distance, speed) = match release {
+        Release::Preset => (release_distance, preset),
+        Release::By { distance } => (distance, preset),
+        Release::ByAtSpeed { distance, speed } => (distance, speed),
     };
-    device.execute(asked, &command).status().into()
+    device.release_by(asked, distance, speed)
 }
 
 fn start_grip(device: &mut Device, line: &Line, asked: Asked, grip: Grip) -> Status {
@@ -194,6 +179,18 @@ fn finger_type(device: &Device, jaw: Jaw) -> Text<'static> {
     text_of(name)
 }
 
+/// Returns the readings of the selected fingers. Of two, a missing one is an empty vector.
+fn finger_readings(device: &mut Device, asked: Asked, select: Select<2>) -> Result<Readings, Status> {
+    Ok(match select {
+        Select::All => {
+            Selected::All([Jaw::One, Jaw::Two].map(|jaw| {
+                finger_reading(device, asked, jaw).unwrap_or(FingerReading::Vector(Vector::EMPTY))
+            }))
+        }
+        Select::One(index) => Selected::One(index, finger_reading(device, asked, jaw(index))?),
+    })
+}
+
 /// Returns the reading of the finger, one number as in the frame of the binary protocol.
 fn finger_reading(device: &mut Device, asked: Asked, jaw: Jaw) -> Result<FingerReading<'static>, Status> {
     let command = match jaw {
@@ -212,6 +209,14 @@ fn finger_reading(device: &mut Device, asked: Asked, jaw: Jaw) -> Result<FingerR
 
 const fn jaw(index: u8) -> Jaw {
     if index == 0 { Jaw::One } else { Jaw::Two }
+}
+
+fn count(counts: GrippingStatistics, index: u8) -> u32 {
+    match index {
+        0 => counts.total,
+        1 => counts.no_part.into(),
+        _ => counts.part_lost.into(),
+    }
 }
 
 fn flag(flags: SystemFlags, index: u8) -> bool {
