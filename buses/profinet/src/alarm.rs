@@ -230,12 +230,9 @@ fn frame(
         Priority::Low => (ends.cr.tag_low, LOW),
     };
     frame::header(&mut writer, ends.peer, ends.mac, Some(tag), ETHERTYPE_PROFINET);
-    writer.u16(frame_id);
-    writer.u16(ends.cr.reference);
-    writer.u16(ends.reference);
+    writer.u16s(&[frame_id, ends.cr.reference, ends.reference]);
     writer.bytes(&[kind, if kind == pdu::DATA { WINDOW | ACK_AT_ONCE } else { WINDOW }]);
-    writer.u16(number);
-    writer.u16(acknowledged);
+    writer.u16s(&[number, acknowledged]);
     let length_at = writer.len();
     writer.u16(0);
     body(&mut writer);
@@ -258,8 +255,7 @@ fn notification(writer: &mut Writer<'_>, alarm: Alarm, priority: Priority, profi
         writer.u32(first.map_or(0, |submodule| submodule.ident));
         let any = if alarm.is_any { SPECIFIER_SUBMODULE | SPECIFIER_AR } else { 0 };
         writer.u16(alarm.number | SPECIFIER_CHANNEL | any);
-        writer.u16(CHANNEL_DIAGNOSIS);
-        writer.u16(WHOLE_SUBMODULE);
+        writer.u16s(&[CHANNEL_DIAGNOSIS, WHOLE_SUBMODULE]);
         let fault = profile.faults.get(usize::from(alarm.fault));
         writer.u16(if alarm.appears { APPEARS } else { IS_GONE });
         writer.u16(fault.map_or(0, |fault: &Fault| fault.error_type));

@@ -115,6 +115,12 @@ impl<'a> Writer<'a> {
         self.bytes(&value.to_be_bytes());
     }
 
+    pub(crate) fn u16s(&mut self, values: &[u16]) {
+        for value in values {
+            self.u16(*value);
+        }
+    }
+
     pub(crate) fn u32(&mut self, value: u32) {
         self.bytes(&value.to_be_bytes());
     }
@@ -125,6 +131,20 @@ impl<'a> Writer<'a> {
 
     pub(crate) fn u32_in(&mut self, order: Order, value: u32) {
         self.u32(if order == Order::BigEndian { value } else { value.swap_bytes() });
+    }
+
+    /// Writes a count of 0 for [`count_one`](Self::count_one), and returns its offset.
+    pub(crate) fn begin_count(&mut self) -> usize {
+        let at = self.len;
+        self.u16(0);
+        at
+    }
+
+    /// Increments a count written before.
+    pub(crate) fn count_one(&mut self, at: usize) {
+        if let Some(count) = self.buffer.get_mut(at..self.len).and_then(|rest| rest.first_chunk_mut()) {
+            *count = u16::from_be_bytes(*count).saturating_add(1).to_be_bytes();
+        }
     }
 
     /// Overwrites a number written before.

@@ -115,16 +115,11 @@ pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> R
             writer.block(block::FILTER_DEVICE, 0, |writer| identification(writer, all(), access_point));
         }
         // Expected and real identification, by submodule, module, connection and API.
-        0x8000 | 0xC000 | 0xE000 => match view.expected {
-            Some(expected) => writer.block(block::EXPECTED, 1, |writer| {
-                let expected = || {
-                    let expected = expected.iter().flatten();
-                    expected.map(|it| (it.slot, it.module, it.subslot, it.ident))
-                };
-                identification(writer, expected(), is_here);
-            }),
-            None => return Err(access::NOT_THERE),
-        },
+        0x8000 | 0xC000 | 0xE000 => {
+            let expected = view.expected.ok_or(access::NOT_THERE)?.iter().flatten();
+            let expected = expected.map(|it| (it.slot, it.module, it.subslot, it.ident));
+            writer.block(block::EXPECTED, 1, |writer| identification(writer, expected, is_here));
+        }
         0x8001 | 0xC001 | 0xE001 | 0xF000 => {
             writer.block(block::REAL, 1, |writer| identification(writer, real(profile), is_here));
         }
@@ -134,10 +129,7 @@ pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> R
                 diagnosis(writer, view);
             }
         }
-        index::MODULE_DIFF => match view.expected {
-            Some(expected) => module_diff(writer, expected, profile),
-            None => return Err(access::NOT_THERE),
-        },
+        index::MODULE_DIFF => module_diff(writer, view.expected.ok_or(access::NOT_THERE)?, profile),
         index::API_DATA => writer.block(block::API_DATA, 0, |writer| {
             writer.u16(1);
             writer.u32(0);
@@ -145,18 +137,8 @@ pub(crate) fn read(view: &View<'_>, what: Address, writer: &mut Writer<'_>) -> R
         index::INTERFACE_REAL if subslot == INTERFACE_SUBSLOT => interface(writer, view),
         index::PORT_REAL if subslot == PORT_SUBSLOT => port(writer),
         index::PD_REAL => {
-            for (subslot, write) in [
-                (INTERFACE_SUBSLOT, interface as fn(&mut Writer<'_>, &View<'_>)),
-                (PORT_SUBSLOT, |writer, _| port(writer)),
-            ] {
-                writer.block(block::MULTIPLE, 0, |writer| {
-                    writer.u16(0);
-                    writer.u32(0);
-                    writer.u16(0);
-                    writer.u16(subslot);
-                    write(writer, view);
-                });
-            }
+            of_submodule(writer, INTERFACE_SUBSLOT, |writer| interface(writer, view));
+            of_submodule(writer, PORT_SUBSLOT, port);
         }
         _ => return Err(access::INVALID_INDEX),
     }
@@ -217,9 +199,7 @@ fn im0(writer: &mut Writer<'_>, profile: &Profile) {
         writer.u8(b'V');
         writer.bytes(&profile.software_revision);
         // No revision counter, no profile.
-        writer.u16(0);
-        writer.u16(0);
-        writer.u16(0);
+        writer.u16s(&[0, 0, 0]);
         // I&M version 1.1.
         writer.bytes(&[1, 1]);
         writer.u16(IM_SUPPORTED);
@@ -243,26 +223,20 @@ fn identification(
 ) {
     writer.u16(1);
     writer.u32(0);
-    let slots_at = writer.len();
-    writer.u16(0);
-    let (mut slots, mut last_slot) = (0_u16, None);
-    let (mut subslots, mut subslots_at) = (0_u16, 0);
+    let slots = writer.begin_count();
+    let (mut subslots, mut last_slot) = (slots, None);
     for (slot, module, subslot, submodule) in all.filter(|(slot, _, subslot, _)| is_asked(*slot, *subslot)) {
         if last_slot != Some(slot) {
             last_slot = Some(slot);
-            slots = slots.saturating_add(1);
+            writer.count_one(slots);
             writer.u16(slot);
             writer.u32(module);
-            subslots_at = writer.len();
-            subslots = 0;
-            writer.u16(0);
+            subslots = writer.begin_count();
         }
-        subslots = subslots.saturating_add(1);
-        writer.put_u16(subslots_at, subslots);
+        writer.count_one(subslots);
         writer.u16(subslot);
         writer.u32(submodule);
     }
-    writer.put_u16(slots_at, slots);
 }
 
 /// Returns whether any expected submodule does not match.
@@ -280,15 +254,13 @@ pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, pro
             return;
         }
         writer.u32(0);
-        let modules_at = writer.len();
-        writer.u16(0);
-        let (mut modules, mut subslots, mut subslots_at) = (0_u16, 0_u16, 0);
-        let mut last_slot = None;
+        let modules = writer.begin_count();
+        let (mut subslots, mut last_slot) = (modules, None);
         for expected in differing() {
             let how = expected.compare(profile);
             if last_slot != Some(expected.slot) {
                 last_slot = Some(expected.slot);
-                modules = modules.saturating_add(1);
+                writer.count_one(modules);
                 writer.u16(expected.slot);
                 writer.u32(profile.module(expected.slot).map_or(0, |module| module.ident));
                 // No module, wrong module, or proper module with wrong submodules.
@@ -297,13 +269,10 @@ pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, pro
                     Match::WrongModule => 1,
                     _ => 2,
                 });
-                subslots_at = writer.len();
-                subslots = 0;
-                writer.u16(0);
+                subslots = writer.begin_count();
             }
             if matches!(how, Match::WrongSubmodule | Match::NoSubmodule) {
-                subslots = subslots.saturating_add(1);
-                writer.put_u16(subslots_at, subslots);
+                writer.count_one(subslots);
                 writer.u16(expected.subslot);
                 let real = profile.submodule(expected.slot, expected.subslot);
                 writer.u32(real.map_or(0, |submodule| submodule.ident));
@@ -311,7 +280,6 @@ pub(crate) fn module_diff(writer: &mut Writer<'_>, expected: &Configuration, pro
                 writer.u16(0x8000 | if how == Match::WrongSubmodule { 2 } else { 3 } << 11);
             }
         }
-        writer.put_u16(modules_at, modules);
     });
 }
 
@@ -322,18 +290,20 @@ fn diagnosis(writer: &mut Writer<'_>, view: &View<'_>) {
     }
     writer.block(block::DIAGNOSIS, 1, |writer| {
         writer.u32(0);
-        writer.u16(0);
-        writer.u16(1);
-        writer.u16(WHOLE_SUBMODULE);
-        writer.u16(APPEARS);
-        writer.u16(CHANNEL_DIAGNOSIS);
+        writer.u16s(&[0, 1, WHOLE_SUBMODULE, APPEARS, CHANNEL_DIAGNOSIS]);
         for (bit, fault) in view.profile.faults.iter().enumerate() {
             if view.faults.checked_shr(bit as u32).unwrap_or(0) & 1 == 1 {
-                writer.u16(WHOLE_SUBMODULE);
-                writer.u16(APPEARS);
-                writer.u16(fault.error_type);
+                writer.u16s(&[WHOLE_SUBMODULE, APPEARS, fault.error_type]);
             }
         }
+    });
+}
+
+/// Writes a block of a submodule of the device access point.
+fn of_submodule(writer: &mut Writer<'_>, subslot: u16, body: impl FnOnce(&mut Writer<'_>)) {
+    writer.block(block::MULTIPLE, 0, |writer| {
+        writer.u16s(&[0, 0, 0, 0, subslot]);
+        body(writer);
     });
 }
 
@@ -355,9 +325,7 @@ fn interface(writer: &mut Writer<'_>, view: &View<'_>) {
 fn port(writer: &mut Writer<'_>) {
     let start = writer.len();
     writer.block(block::PORT_REAL, 0, |writer| {
-        writer.u16(0);
-        writer.u16(0);
-        writer.u16(PORT_SUBSLOT);
+        writer.u16s(&[0, 0, PORT_SUBSLOT]);
         writer.u8(PORT_ID.len() as u8);
         writer.bytes(PORT_ID);
         // Neighbours are not detected.
