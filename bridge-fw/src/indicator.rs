@@ -68,7 +68,7 @@ pub const INDICATIONS: [IndicationText; 6] = [
     text(
         Indication::BusLost,
         "3 flashes",
-        "the PLC's bus is lost: its master was silent for `BUS_TIMEOUT`, or CAN is bus-off. Not shown for a master that was never connected, or while the wires command",
+        "the PLC's bus is lost: its master was silent for `BUS_TIMEOUT`, or CAN is bus-off. Not shown for a master that was never connected, or while the wires are in control",
         "check the bus wiring, rate and termination, and the master",
     ),
     text(

@@ -21,7 +21,7 @@ bitflags! {
         const SOFT_LIMIT_PLUS = 1 << 5;
         /// D6: a motion was ended by Stop; the next motion clears it.
         const AXIS_STOPPED = 1 << 6;
-        /// D7: the target position is reached; may come later than MOVING goes.
+        /// D7: the target position is reached; may be set some time after MOVING is cleared.
         const TARGET_POS_REACHED = 1 << 7;
         /// D8: forces up to the overdrive limit are allowed.
         const OVERDRIVE_MODE = 1 << 8;
@@ -52,7 +52,7 @@ bitflags! {
     pub struct FingerFlags: u16 {
         /// Bit 0: the finger is powered.
         const POWER_ON = 1 << 0;
-        /// Bit 1: the finger gives configuration data.
+        /// Bit 1: the finger provides configuration data.
         const CONFIG_AVAIL = 1 << 1;
         /// Bit 2: a communication interface is open.
         const COMM_OPEN = 1 << 2;

@@ -118,7 +118,7 @@ fn record() -> Vec<Row> {
     recording.note("power-up", "bridge", HEARTBEAT, &[0], "boot-up");
     of_node(&recording, &[0x7F]);
     recording.note("", "bridge", HEARTBEAT, &[0x7F], "heartbeat: pre-operational");
-    recording.note("", "master", MASTER_HEARTBEAT, &[5], "heartbeat, again and again");
+    recording.note("", "master", MASTER_HEARTBEAT, &[5], "heartbeat, repeated");
     recording.send("NMT start", NMT, &[1, NODE.node], format!("node {} becomes operational", NODE.node));
     recording.pass(1_000);
     of_node(&recording, &[5]);

@@ -27,8 +27,8 @@ impl Then {
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Nothing | Self::Look => "",
-            Self::Begin => "it runs",
-            Self::End => "the end",
+            Self::Begin => "running",
+            Self::End => "done",
         }
     }
 }
@@ -38,11 +38,11 @@ pub(super) fn steps() -> Vec<Step> {
     let grip = OutputImage { width: 20_00, speed: 50_00, force_limit: 40_00, ..OutputImage::ZERO };
     let release = OutputImage { width: 40_00, ..grip };
     let step = |name, image, flags, then| Step { name, image: OutputImage { flags, ..image }, then };
-    let back = |image, then| step("flag back", image, CommandFlags::empty(), then);
+    let back = |image, then| step("flag cleared", image, CommandFlags::empty(), then);
     let zeros = OutputImage::ZERO;
     vec![
-        step("zeros first", zeros, CommandFlags::empty(), Then::Look),
-        step("STOP/ACK, for the FAST STOP of power-up", zeros, CommandFlags::STOP_ACK, Then::End),
+        step("zeros", zeros, CommandFlags::empty(), Then::Look),
+        step("STOP/ACK: acknowledge the FAST STOP of power-up", zeros, CommandFlags::STOP_ACK, Then::End),
         back(zeros, Then::Nothing),
         step("HOMING", zeros, CommandFlags::HOMING, Then::Begin),
         back(zeros, Then::End),

@@ -148,7 +148,7 @@ fn modbus_cycle_in_the_document_is_the_recorded_one() {
             let image = input(&exchange.answer[3..15]);
             [state, status, system, width, force].map(|part| part(&image)).join("; ")
         } else {
-            "taken".to_owned()
+            "accepted".to_owned()
         };
         [
             (number + 1).to_string(),

@@ -63,7 +63,7 @@ impl Watch {
         self.note(|_| name);
         self.write(0, width);
         self.go_on(match flag {
-            JOG_PLUS => Some("flag back"),
+            JOG_PLUS => Some("flag cleared"),
             _ if self.state == before => Some(name),
             _ => None,
         });
@@ -123,7 +123,7 @@ const WAYS: [Way; 6] = [
         grip(watch);
         let now = watch.bench.now();
         watch.bench.gripper().set_part(None, now);
-        watch.go_on(Some("part gone"));
+        watch.go_on(Some("part removed"));
     }),
     (None, |watch| {
         home(watch);
