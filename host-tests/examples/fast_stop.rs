@@ -26,7 +26,7 @@ fn main() -> ExitCode {
         }
     }
     let mut is_held = true;
-    println!("| when | cases | median | worst | limit |\n|---|---|---|---|---|");
+    println!("| fault | cases | median | worst | limit |\n|---|---|---|---|---|");
     for sweep in Sweep::all(stride, every_fault) {
         let times = sweep.run();
         let Some((worst_ms, case)) = times.worst() else { continue };

@@ -150,7 +150,7 @@ fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
     [
         Gate::new("host throughput in bulk, 64 B payloads", bulk, THROUGHPUT_LIMIT, Unit::GigabytesPerSecond),
         Gate::new(
-            "the same beside a plain table loop",
+            "ratio to a plain table loop",
             bulk / of("table-loop"),
             SPEED_UP_LIMIT,
             Unit::TimesAsFast,
@@ -218,14 +218,14 @@ fn latency_gates(best: &BTreeMap<String, f64>) -> Vec<Gate> {
         ));
         for (statistic, limit) in QUERY_LIMITS {
             let [it, bare] = [client, beside].map(|name| of(&format!("query-{name}-{statistic}-load-0")));
-            let what = format!("the same beside a bare socket, {what}, {statistic}");
+            let what = format!("ratio to a bare socket, {what}, {statistic}");
             gates.push(Gate::new(what, it / bare, limit, Unit::TimesAsLong));
         }
     }
     for (what, name, limit) in FAST_STOP_LIMITS {
         gates.push(Gate::new(what, of(name), limit, Unit::Microseconds));
     }
-    gates.push(Gate::new("a driver that waits for a motion", of("cpu"), 1.0, Unit::PercentOfCore));
+    gates.push(Gate::new("processor time of a driver that waits for a motion", of("cpu"), 1.0, Unit::PercentOfCore));
     gates
 }
 
@@ -406,8 +406,8 @@ mod tests {
         assert_eq!(
             failing(&slow),
             [
-                "the same beside a bare socket, blocking driver, median",
-                "the same beside a bare socket, tokio, p99"
+                "ratio to a bare socket, blocking driver, median",
+                "ratio to a bare socket, tokio, p99"
             ]
         );
         assert_eq!(failing("").len(), latency_gates(&BTreeMap::new()).len());
