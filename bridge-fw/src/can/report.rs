@@ -95,11 +95,11 @@ impl CanReports {
 }
 
 report_rows! { CanReports as it:
-    126 "CAN_STATE" "CAN state: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN all of these are 0"
+    126 "CAN_STATE" "CAN state: 0 on the bus, 1 bus-off, 2 recovering, 3 given up; plus 128: error passive. Without CAN, all CAN registers are 0"
         it.0[0];
     127 "CAN_TEC" "CAN: transmit error counter" it.0[1];
     128 "CAN_REC" "CAN: receive error counter" it.0[2];
     129 "CAN_BUS_OFFS" "CAN: number of transitions to bus-off" it.0[3];
-    130 "CAN_OVERRUNS" "CAN: received frames that the controller had no room for" it.0[4];
+    130 "CAN_OVERRUNS" "CAN: received frames lost because the controller was full" it.0[4];
     131 "CAN_DROPPED" "CAN: frames from the gripper outside of intact messages" it.0[5];
 }

@@ -229,7 +229,7 @@ report_rows! { View<'_> as it:
     134 "EVENTS" "number of events since the start" it.facts.events.count();
     135 "FAST_STOP_CAUSE" "event code of the last FAST STOP; 0: none"
         it.facts.events.fast_stop_register(0);
-    136 "FAST_STOP_COMMAND" "id of the command that it ended; 0: none"
+    136 "FAST_STOP_COMMAND" "id of the command ended by the last FAST STOP; 0: none"
         it.facts.events.fast_stop_register(1);
     137 "FAST_STOP_VALUE" "value of the event, see the table of events" it.facts.events.fast_stop_register(2);
     138 "FAST_STOP_AGE" "time since the event, in s" it.facts.events.fast_stop_register(3);
