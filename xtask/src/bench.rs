@@ -149,12 +149,7 @@ fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
     let bulk = of("bulk-path");
     [
         Gate::new("host throughput in bulk, 64 B payloads", bulk, THROUGHPUT_LIMIT, Unit::GigabytesPerSecond),
-        Gate::new(
-            "ratio to a plain table loop",
-            bulk / of("table-loop"),
-            SPEED_UP_LIMIT,
-            Unit::TimesAsFast,
-        ),
+        Gate::new("ratio to a plain table loop", bulk / of("table-loop"), SPEED_UP_LIMIT, Unit::TimesAsFast),
     ]
 }
 
@@ -225,7 +220,12 @@ fn latency_gates(best: &BTreeMap<String, f64>) -> Vec<Gate> {
     for (what, name, limit) in FAST_STOP_LIMITS {
         gates.push(Gate::new(what, of(name), limit, Unit::Microseconds));
     }
-    gates.push(Gate::new("processor time of a driver that waits for a motion", of("cpu"), 1.0, Unit::PercentOfCore));
+    gates.push(Gate::new(
+        "processor time of a driver that waits for a motion",
+        of("cpu"),
+        1.0,
+        Unit::PercentOfCore,
+    ));
     gates
 }
 
@@ -405,10 +405,7 @@ mod tests {
         let slow = bare + &of("blocking", 16.0, 20.0) + &of("tokio", 10.0, 61.0) + &of("gcl", 10.0, 20.0);
         assert_eq!(
             failing(&slow),
-            [
-                "ratio to a bare socket, blocking driver, median",
-                "ratio to a bare socket, tokio, p99"
-            ]
+            ["ratio to a bare socket, blocking driver, median", "ratio to a bare socket, tokio, p99"]
         );
         assert_eq!(failing("").len(), latency_gates(&BTreeMap::new()).len());
     }
