@@ -76,3 +76,29 @@ fn posix_example_grips_over_a_pseudo_terminal() {
     let posix = program("examples/posix.c", "posix-serial", &[]);
     assert_eq!(passes(Command::new(posix).arg(server.serial_path().unwrap())), CYCLE);
 }
+
+/// Steps of the program that misuses every function; `WSG_WHOLE=1` runs more.
+fn misuse_steps(few: u32, many: u32) -> String {
+    let steps = if std::env::var_os("WSG_WHOLE").is_some() { many } else { few };
+    steps.to_string()
+}
+
+#[test]
+fn misuse_returns_errors_under_the_sanitizers() {
+    let options = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"];
+    let misuse = program("tests/misuse.c", "misuse-sanitized", &options);
+    for seed in 1..=2 {
+        let steps = misuse_steps(100_000, 20_000_000);
+        let said = passes(Command::new(&misuse).args([&steps, &seed.to_string()]));
+        assert!(said.contains(" rejected"), "{said}");
+    }
+}
+
+#[test]
+#[ignore = "needs Valgrind: run `cargo xtask test`"]
+fn misuse_touches_no_foreign_memory_under_valgrind() {
+    let misuse = program("tests/misuse.c", "misuse", &[]);
+    let mut valgrind = Command::new("valgrind");
+    valgrind.args(["--quiet", "--error-exitcode=9", "--leak-check=full"]).arg(misuse);
+    passes(valgrind.args([&misuse_steps(50_000, 2_000_000), "5"]));
+}
