@@ -159,7 +159,7 @@ fn the_header_is_generated_from_the_crate() {
     );
 }
 
-/// Compiles the header and the check of its layouts with all warnings as errors, without linking.
+/// Compiles the headers and the check of the layouts with all warnings as errors, without linking.
 fn compile(compiler: &str, arguments: &[&str]) {
     for (language, standard) in [("c", "c99"), ("c", "c11"), ("c++", "c++17")] {
         let mut command = Command::new(compiler);
@@ -172,6 +172,9 @@ fn compile(compiler: &str, arguments: &[&str]) {
             "-Wpedantic",
             "-Werror",
         ]);
+        if language == "c++" && !arguments.contains(&"-ffreestanding") {
+            command.args(["-include", "wsg.hpp"]);
+        }
         command.args(["-fsyntax-only", "-I"]).arg(crate_dir().join("include")).args(arguments);
         let output = command.arg(layout()).output().unwrap_or_else(|error| panic!("{compiler}: {error}"));
         let said = String::from_utf8_lossy(&output.stderr);

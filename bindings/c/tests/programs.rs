@@ -37,8 +37,10 @@ fn library() -> &'static Path {
 /// Compiles a program with the library, with all warnings as errors.
 fn program(source: &str, name: &str, arguments: &[&str]) -> PathBuf {
     let program = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
-    let mut gcc = Command::new("gcc");
-    gcc.args(["-std=c99", "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"]);
+    let (compiler, standard) =
+        if source.ends_with(".cpp") { ("g++", "-std=c++17") } else { ("gcc", "-std=c99") };
+    let mut gcc = Command::new(compiler);
+    gcc.args([standard, "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"]);
     gcc.arg(crate_dir().join("include")).args(arguments).arg(crate_dir().join(source)).arg(library());
     let output = gcc.arg("-o").arg(&program).output().unwrap();
     assert!(output.status.success(), "{source}:\n{}", said(&output));
@@ -75,6 +77,18 @@ fn posix_example_grips_over_a_pseudo_terminal() {
     let server = gripper(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() });
     let posix = program("examples/posix.c", "posix-serial", &[]);
     assert_eq!(passes(Command::new(posix).arg(server.serial_path().unwrap())), CYCLE);
+}
+
+#[test]
+fn cpp_example_grips_and_needs_no_exceptions() {
+    let server = gripper(&Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() });
+    let port = server.tcp_address().unwrap().port().to_string();
+    let options = ["-fno-exceptions", "-fno-rtti", "-fsanitize=address,undefined"];
+    let cpp = program("examples/cpp_host.cpp", "cpp-host", &options);
+    let expected = "connect: done\nhome: done\nforce: done\nopen: done\ngrip: done\na part is held\nwidth: 20 mm\n\
+                    release: done\nfast stop: done\nmove: access denied, in FAST STOP for example\nacknowledge: done\n\
+                    move: done\n";
+    assert_eq!(passes(Command::new(cpp).args(["127.0.0.1", &port])), expected);
 }
 
 /// Steps of the program that misuses every function; `WSG_WHOLE=1` runs more.
