@@ -13,6 +13,7 @@ pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> 
     panics::check(probes)?;
     let mut gates = size::of_images(images)?;
     gates.extend(size::of_protocol(probes)?);
+    gates.extend(size::of_c_library(probes)?);
     gates.extend(stack::walked(probes.workspace, probes.toolchain, images)?);
     gates.extend(stack::painted(probes.workspace, images)?);
     gates.extend(bench::counted(probes, false)?.gates);

@@ -12,7 +12,7 @@ use crate::{
     board::{BOARDS, Board},
     process,
     settings::{self, Change},
-    setup::{TRIPLE, ThumbToolchain},
+    setup::ThumbToolchain,
     workspace::Workspace,
 };
 
@@ -85,12 +85,12 @@ pub(crate) fn build_all(workspace: &Workspace, toolchain: &ThumbToolchain) -> Re
     BOARDS.iter().map(|board| build(workspace, toolchain, &Variant { board, ..Variant::default() })).collect()
 }
 
-/// Builds the static library for C programs on the default board. A panic path fails to link there.
-pub(crate) fn c_library(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<PathBuf> {
-    let mut cargo = toolchain.cargo(workspace, "rustc", TRIPLE);
+/// Builds the static library for C programs on a target. A program with a panic path fails to link with it.
+pub(crate) fn c_library(workspace: &Workspace, toolchain: &ThumbToolchain, triple: &str) -> Result<PathBuf> {
+    let mut cargo = toolchain.cargo(workspace, "rustc", triple);
     cargo.args(["-p", "wsg-c", "--lib", "--crate-type", "staticlib", "--features", "prove-panic-free"]);
     process::run(cargo.args(["--profile", "c-library"]))?;
-    Ok(toolchain.output_dir(workspace, TRIPLE, "c-library").join("libwsg.a"))
+    Ok(toolchain.output_dir(workspace, triple, "c-library").join("libwsg.a"))
 }
 
 /// Returns cargo's arguments that select the firmware's binary, features and profile.

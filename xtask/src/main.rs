@@ -152,6 +152,13 @@ enum Command {
     Python,
     /// Build the delivery folder for PLC engineers (reproducible)
     Dist,
+    /// Build the archive for C and C++ programmers: headers, static libraries for eight targets, CMake and pkg-config files,
+    /// examples
+    DistC {
+        /// --targets TRIPLE,...
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+        arguments: Vec<OsString>,
+    },
     /// Build the documents as a book in target/book (mdbook), and print it to target/book.pdf (Chromium; without it, there is
     /// no PDF)
     Docs,
@@ -194,7 +201,14 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Deny => checks::dependencies(workspace)?,
         Command::Size => {
             let built = Built::new(workspace)?;
-            gate::check(&[size::of_images(&built.images()?)?, size::of_protocol(&built.probes())?].concat())?;
+            gate::check(
+                &[
+                    size::of_images(&built.images()?)?,
+                    size::of_protocol(&built.probes())?,
+                    size::of_c_library(&built.probes())?,
+                ]
+                .concat(),
+            )?;
         }
         Command::Stack => {
             let built = Built::new(workspace)?;
@@ -221,8 +235,16 @@ fn run(command: Command) -> Result<ExitCode> {
             let built = Built::new(workspace)?;
             gate::check(&figures::write(&built.probes(), &built.images()?)?)?;
         }
-        Command::Python => python::test(workspace, &setup::python(workspace).context("the tools of the Python package are missing")?)?,
+        Command::Python => python::test(
+            workspace,
+            &setup::python(workspace).context("the tools of the Python package are missing")?,
+        )?,
         Command::Dist => demo::dist(workspace, &build(workspace, &Variant::default())?)?,
+        Command::DistC { arguments } => {
+            let mut dist = workspace.cargo("run");
+            dist.args(["--quiet", "-p", "dist-c", "--", "--to"]).arg(workspace.target_dir.join("dist-c"));
+            process::run(dist.args(arguments))?;
+        }
         Command::Docs => book::build(workspace)?,
         Command::Flash(variant) => {
             flash::require_probe_rs()?;

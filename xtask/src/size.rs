@@ -1,11 +1,17 @@
 //! Size gates: flash and RAM of the images and the protocol, compared with their limits.
 
-use std::fs;
+use std::{fs, process::Command};
 
 use anyhow::{Context, Result};
 use footprint::Footprint;
 
-use crate::{firmware::Image, gate::Gate, probe::Probes};
+use crate::{
+    firmware::{self, Image},
+    gate::Gate,
+    probe::Probes,
+    process,
+    setup::TRIPLE,
+};
 
 const STATIC_RAM_LIMIT: u64 = 12 * 1024;
 
@@ -24,6 +30,14 @@ const MODBUS_LIMIT: u64 = 9 * 1024;
 /// Payload length of the probe's parser, and the RAM limit beyond it, in bytes.
 const PARSER_PAYLOAD: u64 = 64;
 const PARSER_OVERHEAD_LIMIT: u64 = 16;
+
+/// Flash limits of the C library by target and C compiler options, and the RAM limit per gripper, in bytes. The limits of the
+/// default board are those of the design. A core without floating-point unit takes more.
+const C_LIBRARY: [(&str, &[&str], u64); 2] = [
+    (TRIPLE, &["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"], 16 * 1024),
+    ("thumbv6m-none-eabi", &["-mcpu=cortex-m0plus"], 20 * 1024),
+];
+const C_RAM_LIMIT: u64 = 640;
 
 /// Returns the gates of the boards' images.
 pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
@@ -73,4 +87,35 @@ pub(crate) fn of_protocol(probes: &Probes<'_>) -> Result<Vec<Gate>> {
         Gate::bytes("`gcl`, every public function, flash", gcl.flash, GCL_LIMIT),
         Gate::bytes("`modbus`, every public function, flash", modbus.flash, MODBUS_LIMIT),
     ])
+}
+
+/// Returns the gates of the C library: a C program with the whole session minus the same program without it.
+pub(crate) fn of_c_library(probes: &Probes<'_>) -> Result<Vec<Gate>> {
+    let mut gates = Vec::new();
+    for (triple, options, limit) in C_LIBRARY {
+        let library = firmware::c_library(probes.workspace, probes.toolchain, triple)?;
+        let program = |definition: &str| {
+            let elf = library.with_file_name("c-size.elf");
+            let mut gcc = Command::new("arm-none-eabi-gcc");
+            gcc.current_dir(probes.workspace.root.join("bindings/c"));
+            gcc.args([
+                "-mthumb",
+                "-Os",
+                "-ffreestanding",
+                "-nostdlib",
+                "-z",
+                "noexecstack",
+                "-Wl,--gc-sections",
+            ]);
+            gcc.args(options).args([definition, "-I", "include", "size/size.c"]).arg(&library);
+            process::run(gcc.args(["-T", "examples/bare_metal.ld", "-o"]).arg(&elf))?;
+            let sections = footprint::sections_of(&fs::read(&elf)?)?;
+            anyhow::Ok(Footprint::of(&sections))
+        };
+        let library = program("-DWSG_WHOLE")?.over(program("-DWSG_EMPTY")?);
+        gates.push(Gate::bytes(format!("C library, whole session, flash, {triple}"), library.flash, limit));
+        let ram = format!("C library, RAM per gripper, {triple}");
+        gates.push(Gate::bytes(ram, library.static_ram, C_RAM_LIMIT));
+    }
+    Ok(gates)
 }

@@ -41,7 +41,7 @@ pub(crate) fn run(
         let variable = format!("{variable}{ending}");
         chosen.push((variable, firmware::build(workspace, toolchain, &variant)?.path));
     }
-    chosen.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(workspace, toolchain)?));
+    chosen.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(workspace, toolchain, setup::TRIPLE)?));
     let mut record = Record::default();
     for program in &masters.missing {
         record.not_checked(&format!("tests with {program} (it is not installed)"));
@@ -115,6 +115,11 @@ impl Checks<'_> {
         record.check("size", || {
             gate::check(&[size::of_images(&images)?, size::of_protocol(&probes)?].concat())
         })?;
+        if self.masters.missing.contains(&"arm_none_eabi_gcc") {
+            record.not_checked("size of the C library (no arm-none-eabi-gcc)");
+        } else {
+            record.check("size of the C library", || gate::check(&size::of_c_library(&probes)?))?;
+        }
         record.check("stack, walked", || gate::check(&stack::walked(workspace, toolchain, &images)?))?;
         // Without rp2040js, only the default board's image, which is the first, can be emulated.
         let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { &images };

@@ -44,11 +44,13 @@ const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
 pub(crate) type Program = (&'static str, &'static str, &'static str);
 
 /// The Debian programs, as named in the tests that need them.
-const FROM_DEBIAN: [Program; 10] = [
+const FROM_DEBIAN: [Program; 12] = [
     (NAMESPACES, "ip", "iproute2"),
     ("mbpoll", "mbpoll", "mbpoll"),
     ("arm_none_eabi_gcc", "arm-none-eabi-gcc", "gcc-arm-none-eabi"),
     ("with_clang", "clang", "clang"),
+    ("with_cmake", "cmake", "cmake"),
+    ("with_pkg_config", "pkg-config", "pkg-config"),
     ("under_valgrind", "valgrind", "valgrind"),
     ("by_hand_with_nc", "nc", "netcat-openbsd"),
     ("in_chromium", "chromium", "chromium"),
