@@ -128,7 +128,7 @@ fn provide(triple: &str) -> bool {
         && (!is_forbidden || String::from_utf8_lossy(&output.stdout).lines().any(|line| line == triple))
 }
 
-/// Builds the static library for a target and puts it into the folder, without debug information.
+/// Builds the static library for a target and puts it into the folder, without debug information and bitcode.
 fn library(sources: &Path, to: &Path, folder: &Path, triple: &str) -> Result<()> {
     let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(sources).args(["rustc", "--locked", "--quiet", "--lib", "--profile", "c-library"]);
@@ -142,12 +142,11 @@ fn library(sources: &Path, to: &Path, folder: &Path, triple: &str) -> Result<()>
     let output = sysroot.args(["--print", "target-libdir"]).output().context("cannot run rustc")?;
     let libraries = PathBuf::from(String::from_utf8(output.stdout)?.trim());
     let objcopy = libraries.parent().context("it has a parent")?.join("bin/rust-objcopy");
-    succeed(
-        Command::new(objcopy)
-            .args(["--strip-debug", "--enable-deterministic-archives"])
-            .arg(built)
-            .arg(target),
-    )
+    let mut strip = Command::new(objcopy);
+    strip.args(["--strip-debug", "--enable-deterministic-archives"]);
+    // Bitcode for the compiler's own linker.
+    strip.args(["--remove-section=.llvmbc", "--remove-section=.llvmcmd"]);
+    succeed(strip.arg(built).arg(target))
 }
 
 /// Packs the folder, reproducibly.

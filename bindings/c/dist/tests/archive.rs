@@ -83,3 +83,21 @@ fn archive_is_used_with_pkg_config() {
         assert!(!fs::read_to_string(root.join(file)).unwrap().contains("@VERSION@"), "{file}");
     }
 }
+
+#[test]
+fn library_defines_no_other_global_symbols_than_its_functions() {
+    let root = unpacked(&scratch("archive-symbols"));
+    let library = root.join("lib").join(HOST).join("libwsg.a");
+    let symbols = passes(Command::new("readelf").arg("-sW").arg(library));
+    // Number, value, size, type, binding, visibility, section, name. What the compiler adds is hidden or weak.
+    let columns = symbols.lines().map(|line| line.split_whitespace().collect::<Vec<_>>());
+    let exported: Vec<String> = columns
+        .filter(|it| matches!(it[..], [_, _, _, _, "GLOBAL", "DEFAULT", section, _] if section != "UND"))
+        .map(|it| it[7].to_owned())
+        .collect();
+    let header = fs::read_to_string(root.join("include/wsg.h")).unwrap();
+    for name in &exported {
+        assert!(name.starts_with("wsg_") && header.contains(&format!("{name}(")), "{name}");
+    }
+    assert!(exported.len() > 60, "{exported:?}");
+}
