@@ -31,8 +31,8 @@ const MODBUS_LIMIT: u64 = 9 * 1024;
 const PARSER_PAYLOAD: u64 = 64;
 const PARSER_OVERHEAD_LIMIT: u64 = 16;
 
-/// Flash limits of the C library by target and C compiler options, and the RAM limit per gripper, in bytes. The limits of the
-/// default board are those of the design. A core without floating-point unit takes more.
+/// Flash limits of the C library by target and C compiler options, and the RAM limit per gripper, in bytes. A core without
+/// floating-point unit takes more.
 const C_LIBRARY: [(&str, &[&str], u64); 2] = [
     (TRIPLE, &["-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"], 16 * 1024),
     ("thumbv6m-none-eabi", &["-mcpu=cortex-m0plus"], 20 * 1024),

@@ -968,7 +968,7 @@ int32_t wsg_can_init(wsg_can_t *can, uint16_t id);
 int32_t wsg_can_split(uint16_t id, const uint8_t *message, size_t message_length, wsg_can_frame_t *frames, size_t capacity);
 
 /*
- Takes a CAN frame of the bus, whatever its identifier, and passes each resulting event to the callback of the session. The
+ Takes a CAN frame with any identifier, and passes each resulting event to the callback of the session. The
  callback must not use the reassembler.
  */
 int32_t wsg_can_receive(wsg_can_t *can, wsg_t *wsg, uint32_t now_ms, const wsg_can_frame_t *frame);
@@ -996,7 +996,7 @@ int32_t wsg_fieldbus_write(wsg_fieldbus_t *fieldbus, const wsg_t *wsg, const uin
 /* Writes the input image for the PLC to `image` and returns its length, WSG_FIELDBUS_INPUT_LEN. */
 int32_t wsg_fieldbus_read(wsg_fieldbus_t *fieldbus, const wsg_t *wsg, uint8_t *image, size_t size);
 
-/* Reports that the PLC is not heard any more. `reaction` is WSG_SILENCE_... A jog ends in any case. */
+/* Reports that the PLC has become silent. `reaction` is WSG_SILENCE_... A jog ends in any case. */
 int32_t wsg_fieldbus_silence(wsg_fieldbus_t *fieldbus, const wsg_t *wsg, uint8_t reaction);
 
 /* Returns the manual's name of a status, such as "E_CMD_PENDING", or "E_?". */

@@ -168,7 +168,7 @@ pub unsafe extern "C" fn wsg_can_split(
     code(split())
 }
 
-/// Takes a CAN frame of the bus, whatever its identifier, and passes each resulting event to the callback of the session. The
+/// Takes a CAN frame with any identifier, and passes each resulting event to the callback of the session. The
 /// callback must not use the reassembler.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_can_receive(

@@ -162,7 +162,7 @@ pub unsafe extern "C" fn wsg_fieldbus_read(
     code(read())
 }
 
-/// Reports that the PLC is not heard any more. `reaction` is WSG_SILENCE_... A jog ends in any case.
+/// Reports that the PLC has become silent. `reaction` is WSG_SILENCE_... A jog ends in any case.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_fieldbus_silence(
     fieldbus: Option<&mut wsg_fieldbus_t>,

@@ -186,7 +186,7 @@ struct Pair {
     seen: Vec<Seen>,
     received_at: Instant,
     now: u32,
-    /// What was sent last, to answer it.
+    /// The commands sent last, to be answered.
     sent: Vec<CommandId>,
     requested: BTreeSet<u8>,
 }
@@ -351,7 +351,7 @@ impl Pair {
         self.now = self.now.wrapping_add(passed);
     }
 
-    /// Answers what was sent last as a gripper does, so that connections come about.
+    /// Answers the commands sent last, so that sessions connect.
     fn answer(&mut self, chance: &mut Chance) {
         for id in std::mem::take(&mut self.sent) {
             let payload = if chance.one_in(6) { reply_to(chance, id) } else { success_of(chance, id) };

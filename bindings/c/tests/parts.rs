@@ -384,7 +384,7 @@ fn requests_are_accepted_in_the_callback_and_other_calls_are_not() {
     let mut seen = Seen { wsg: wsg.as_mut_ptr(), results: vec![] };
     let context = ptr::from_mut(&mut seen).cast();
     assert_eq!(unsafe { wsg_init(Some(&mut wsg), None, Some(call_back), context) }, 0);
-    // A Stop without a connection is answered by nobody.
+    // A Stop without a connection gets no reply.
     let wsg = wsg.as_mut_ptr();
     unsafe {
         assert_eq!(wsg_stop(Some(&mut *wsg)), 0);

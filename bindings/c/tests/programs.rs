@@ -91,6 +91,19 @@ fn cpp_example_grips_and_needs_no_exceptions() {
     assert_eq!(passes(Command::new(cpp).args(["127.0.0.1", &port])), expected);
 }
 
+#[test]
+fn example_in_the_readme_grips() {
+    let readme = std::fs::read_to_string(crate_dir().join("README.md")).unwrap();
+    let (_, code) = readme.split_once("```c\n").unwrap();
+    let (code, _) = code.split_once("```").unwrap();
+    let source = Path::new(env!("CARGO_TARGET_TMPDIR")).join("grip.c");
+    std::fs::write(&source, code).unwrap();
+    let server = gripper(&Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() });
+    let port = server.tcp_address().unwrap().port().to_string();
+    let grip = program(source.to_str().unwrap(), "grip", &["-std=gnu99"]);
+    assert_eq!(passes(Command::new(grip).arg(&port)), "Homing: no error\nGrip Part: no error\n");
+}
+
 /// Steps of the program that misuses every function; `WSG_WHOLE=1` runs more.
 fn misuse_steps(few: u32, many: u32) -> String {
     let steps = if std::env::var_os("WSG_WHOLE").is_some() { many } else { few };
