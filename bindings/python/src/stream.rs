@@ -57,12 +57,11 @@ impl Stream {
             let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
             let mut gripper = Gripper::new(Line::new(wire, Arc::clone(&calls)), Clock::Real(start));
             gripper.connect()?;
-            if let Some(direction) = direction.and_then(HomingDirection::from_code) {
-                if let Err(error) = gripper.home(direction) {
-                    calls.handles_signals.store(false, SeqCst);
-                    let _ = gripper.stop();
-                    return Err(error.into());
-                }
+            let homed = direction.and_then(HomingDirection::from_code).map(|it| gripper.home(it));
+            if let Some(Err(failure)) = homed {
+                calls.handles_signals.store(false, SeqCst);
+                let _ = gripper.stop();
+                return Err(failure.into());
             }
             // The worker must not wait for the interpreter.
             calls.handles_signals.store(false, SeqCst);

@@ -1,11 +1,15 @@
 """Weiss Robotics WSG servo grippers: drivers, set-point streaming, and a virtual gripper for tests.
 
 - :class:`Gripper`: blocking driver
+- :class:`AsyncGripper`: the same for asyncio
 - :class:`StreamingGripper`: set-points at a fixed rate, with the state at any time
 - :mod:`wsg_gripper.sim`: virtual gripper, for tests and without hardware
+- :mod:`wsg_gripper.protocol`: frames and commands without a connection
+- :mod:`wsg_gripper.umi`: the interface of UMI's controller
 """
 
 import atexit as _atexit
+from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from . import _native
 from ._errors import (
@@ -39,8 +43,12 @@ from ._types import (
     SystemInfo,
 )
 
+if _TYPE_CHECKING:
+    from ._async import AsyncGripper
+
 __all__ = [
     "AbortedError",
+    "AsyncGripper",
     "BlockedError",
     "BusyError",
     "FingerFlags",
@@ -71,3 +79,12 @@ __all__ = [
 ]
 
 _atexit.register(_native.close_all)
+
+
+def __getattr__(name: str) -> object:
+    """Import ``AsyncGripper`` at its first use, because the import of asyncio takes 50 ms."""
+    if name == "AsyncGripper":
+        from ._async import AsyncGripper
+
+        return AsyncGripper
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
