@@ -7,11 +7,13 @@ mod core;
 mod driver;
 mod error;
 mod line;
+mod protocol;
 mod queue;
 mod sim;
 mod stream;
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 
 use pyo3::prelude::*;
 use wsg_protocol::{FingerFlags, GripperState, Status, SystemFlags};
@@ -21,6 +23,8 @@ use wsg_protocol::{FingerFlags, GripperState, Status, SystemFlags};
 mod _native {
     #[pymodule_export]
     use super::driver::{Driver, Motion};
+    #[pymodule_export]
+    use super::protocol::{Decoder, commands, decode_reply, describe, encode_command, encode_frame};
     #[pymodule_export]
     use super::queue::Ticket;
     #[pymodule_export]
@@ -34,6 +38,18 @@ mod _native {
     #[pyfunction]
     fn close_all(py: Python<'_>) {
         py.detach(crate::core::close_all);
+    }
+
+    /// Runs the program `wsg` and returns its exit status. The first word is the name of the program.
+    #[pyfunction]
+    fn run_wsg(py: Python<'_>, words: Vec<OsString>) -> u8 {
+        py.detach(|| wsg_tool::run(words))
+    }
+
+    /// Runs the program `wsg-sim` and returns its exit status. The first word is the name of the program.
+    #[pyfunction]
+    fn run_wsg_sim(py: Python<'_>, words: Vec<OsString>) -> u8 {
+        py.detach(|| wsg_sim::program::run(words.into_iter().skip(1)))
     }
 
     /// Returns the source of the script for set-point streaming.

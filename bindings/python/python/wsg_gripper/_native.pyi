@@ -4,17 +4,48 @@ With ``reply``, a method of ``Driver`` returns a ``Ticket`` at once, and a worke
 results below are for calls without it, and for ``reply``.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Optional, final
 
-__all__ = ["Driver", "Motion", "Rig", "Server", "Stream", "Ticket", "close_all", "stream_script", "tables"]
+__all__ = [
+    "Decoder",
+    "Driver",
+    "Motion",
+    "Rig",
+    "Server",
+    "Stream",
+    "Ticket",
+    "close_all",
+    "commands",
+    "decode_reply",
+    "describe",
+    "encode_command",
+    "encode_frame",
+    "run_wsg",
+    "run_wsg_sim",
+    "stream_script",
+    "tables",
+]
 
 _Reply = Optional[Callable[[Any, Optional[BaseException]], object]]
 _Seen = tuple[float, float, float, float, int, int, float, Optional[float], bool]
 
 def close_all() -> None: ...
+def run_wsg(words: list[str]) -> int: ...
+def run_wsg_sim(words: list[str]) -> int: ...
 def stream_script() -> str: ...
+def encode_frame(id: int, payload: bytes) -> bytes: ...
+def encode_command(id: int, parameters: Sequence[float]) -> bytes: ...
+def decode_reply(id: int, payload: bytes) -> tuple[int, Optional[float]]: ...
+def describe(id: int, payload: bytes, is_reply: bool) -> str: ...
+def commands() -> list[tuple[int, str, str]]: ...
 def tables() -> dict[str, dict[str, int]]: ...
+@final
+class Decoder:
+    def __new__(cls) -> Decoder: ...
+    def feed(self, data: bytes) -> list[tuple[int, bytes]]: ...
+    def counters(self) -> tuple[int, int, int]: ...
+
 @final
 class Ticket:
     def cancel(self) -> None: ...
