@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -29,7 +30,8 @@ def test_stub_matches_the_native_module() -> None:
 @pytest.mark.parametrize("target", [["-p", "wsg_gripper"], [str(EXAMPLES)], [str(Path(__file__).parent)]])
 def test_mypy_accepts_package_examples_and_tests(target: list[str]) -> None:
     mypy = [sys.executable, "-m", "mypy", "--strict", "--no-error-summary"]
-    done = subprocess.run([*mypy, *target], capture_output=True, text=True)
+    environment = {**os.environ, "MYPYPATH": str(Path(__file__).parent / "standin")}
+    done = subprocess.run([*mypy, *target], capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
