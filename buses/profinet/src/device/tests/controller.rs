@@ -199,23 +199,6 @@ impl Wanted {
             &self.alarm_properties.to_be_bytes(),
             &numbers(&[1, self.retries, PLC_REFERENCE, 200, high_tag, low_tag]),
         ];
-        let submodule = |subslot: u16, ident: u32, data: &[(u16, u16)]| {
-            let properties = data.iter().map(|(direction, len)| if *len > 0 { *direction } else { 0 }).sum();
-            let mut bytes =
-                [&numbers(&[subslot])[..], &ident.to_be_bytes(), &numbers(&[properties])].concat();
-            for (direction, len) in data {
-                bytes.extend([numbers(&[*direction, *len]), vec![1, 1]].concat());
-            }
-            bytes
-        };
-        let module = |slot: u16, ident: u32, submodules: &[Vec<u8>]| {
-            let head = [
-                &numbers(&[1, 0, 0, slot])[..],
-                &ident.to_be_bytes(),
-                &numbers(&[0, submodules.len() as u16]),
-            ];
-            block(0x0104, &[head.concat(), submodules.concat()].concat())
-        };
         let [first, second] = self.modules;
         let [first_submodule, second_submodule] = self.submodules;
         [
@@ -238,6 +221,23 @@ impl Wanted {
         ]
         .concat()
     }
+}
+
+/// Returns an expected submodule with the direction and length of its data.
+fn submodule(subslot: u16, ident: u32, data: &[(u16, u16)]) -> Vec<u8> {
+    let properties = data.iter().map(|(direction, len)| if *len > 0 { *direction } else { 0 }).sum();
+    let mut bytes = [&numbers(&[subslot])[..], &ident.to_be_bytes(), &numbers(&[properties])].concat();
+    for (direction, len) in data {
+        bytes.extend([numbers(&[*direction, *len]), vec![1, 1]].concat());
+    }
+    bytes
+}
+
+/// Returns a block of an expected module.
+fn module(slot: u16, ident: u32, submodules: &[Vec<u8>]) -> Vec<u8> {
+    let head =
+        [&numbers(&[1, 0, 0, slot])[..], &ident.to_be_bytes(), &numbers(&[0, submodules.len() as u16])];
+    block(0x0104, &[head.concat(), submodules.concat()].concat())
 }
 
 /// Returns a Control or Release block.
