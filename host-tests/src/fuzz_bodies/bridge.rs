@@ -252,12 +252,10 @@ impl WholeBridge for Model {
         let port = if op & 0x80 == 0 { Port::Bus } else { Port::Service };
         match op % 16 {
             3 => {
-                let count = usize::from(input.byte() % 40);
-                self.forge(input.bytes(count));
+                self.forge(input.fewer_than(40));
             }
             4 => {
-                let count = usize::from(input.byte() % 40);
-                let mut bytes = input.bytes(count).to_vec();
+                let mut bytes = input.fewer_than(40).to_vec();
                 repair_checksums(&mut bytes);
                 self.forge(&bytes);
             }
@@ -272,8 +270,7 @@ impl WholeBridge for Model {
             }
             9 => {
                 let unit = input.pick(&[self.overheard.unit(port), BROADCAST, 5]);
-                let count = usize::from(input.byte() % 24);
-                let frame = [&[unit], input.bytes(count)].concat();
+                let frame = [&[unit], input.fewer_than(24)].concat();
                 self.send(port, &sealed(&frame), input);
             }
             10 => {

@@ -428,8 +428,7 @@ impl WholeBridge for Model {
     fn take(&mut self, op: u8, input: &mut Input<'_>) {
         match op % 16 {
             3 => {
-                let count = usize::from(input.byte() % 40);
-                self.forge(input.bytes(count));
+                self.forge(input.fewer_than(40));
             }
             4 => self.forge_status(input),
             5 => {

@@ -23,6 +23,12 @@ impl<'a> Input<'a> {
         front
     }
 
+    /// Returns fewer than `limit` bytes.
+    pub(super) fn fewer_than(&mut self, limit: usize) -> &'a [u8] {
+        let count = usize::from(self.byte()) % limit;
+        self.bytes(count)
+    }
+
     pub(super) fn array<const N: usize>(&mut self) -> [u8; N] {
         std::array::from_fn(|_| self.byte())
     }

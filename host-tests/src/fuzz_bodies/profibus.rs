@@ -94,8 +94,7 @@ pub fn profibus(data: &[u8]) {
                 model.poll();
             }
             2 => {
-                let count = usize::from(input.byte() % 40);
-                let noise = input.bytes(count).to_vec();
+                let noise = input.fewer_than(40).to_vec();
                 model.send(&noise, None, None);
             }
             3 => model.start(),

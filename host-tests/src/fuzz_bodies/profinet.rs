@@ -60,7 +60,6 @@ impl Network {
     }
 
     fn happen(&mut self, input: &mut Input<'_>) -> Option<Event> {
-        let who = |input: &mut Input<'_>| usize::from(input.byte()) % 2;
         match input.byte() % 14 {
             0 => {
                 self.now += 250 * u64::from(input.byte());
@@ -73,21 +72,7 @@ impl Network {
                 self.device.show_faults(input.byte().into());
                 None
             }
-            2 => {
-                let (to, id, service) = input.pick(&[
-                    (IDENTIFY, 0xFEFE, 5),
-                    (DEVICE.0, 0xFEFD, 3),
-                    (DEVICE.0, 0xFEFD, 4),
-                    (DEVICE.0, 0xFEFE, 5),
-                ]);
-                let delay = input.pick(&[1, 2, 0x80, 0x1900]);
-                let count = usize::from(input.byte() % 64);
-                let blocks = input.bytes(count);
-                let who = CONTROLLERS[who(input)];
-                let len = numbers(&[delay, blocks.len() as u16]);
-                let head = [&to[..], &who.0, &numbers(&[0x8892, id]), &[service, 0, 0, 0, 0, 1], &len];
-                self.device.receive(self.now, &[&head.concat(), blocks].concat())
-            }
+            2 => self.dcp(input),
             3 => {
                 let who = who(input);
                 let is_access = input.byte().is_multiple_of(4);
@@ -97,77 +82,89 @@ impl Network {
             }
             4 => self.control(who(input), 4, 0x0110, 1, input),
             5 => self.control(who(input), 1, 0x0114, 4, input),
-            6 => {
-                let call = self.call.clone()?;
-                let mut block = control(0x8112, uuid(who(input)), 8);
-                damage(&mut block, input);
-                let len = block.len() as u32;
-                let body: Vec<u8> =
-                    [0, len, len, 0, len].iter().flat_map(|value| value.to_be_bytes()).collect();
-                let mut answer = [&call[..80], &body, &block].concat();
-                answer[1] = 2;
-                answer[74..76].copy_from_slice(&((body.len() + block.len()) as u16).to_be_bytes());
-                self.device.receive_datagram(self.now, HOSTS[0], &answer)
-            }
+            6 => self.confirm(input),
             7 | 8 => self.outputs(input),
-            9 => {
-                let who = who(input);
-                let (operation, kind) = input.pick(&[(2, 9), (5, 9), (3, 8)]);
-                let index = input.pick(&INDEXES);
-                let (slot, subslot) = input.pick(&[(0, 1), (0, 0x8000), (0, 0x8001), (1, 1), (2, 1), (3, 1)]);
-                let count = usize::from(input.byte() % 96);
-                let data = if kind == 8 { input.bytes(count) } else { &[] };
-                let len = if kind == 8 { data.len() as u32 } else { 1_000 };
-                let body = [
-                    &numbers(&[1])[..],
-                    &uuid(who),
-                    &[0; 4],
-                    &numbers(&[slot, subslot, 0, index]),
-                    &len.to_be_bytes(),
-                    &[0; 24],
-                ];
-                let mut blocks = [&block(kind, &body.concat()), data].concat();
-                damage(&mut blocks, input);
-                self.request(who, operation, &blocks)
-            }
-            10 => {
-                let id = input.pick(&[0xFE01, 0xFC01]);
-                let kind = input.pick(&[0x11, 0x13, 0x13, 0x14, 0x12]);
-                let numbers_of = [0xFFFF, 0xFFFE, 0, 1];
-                let (number, acknowledged) = (input.pick(&numbers_of), input.pick(&numbers_of));
-                let reference = u16::from(input.byte() % 4);
-                let alarm = u16::from(input.byte() % 4);
-                let ack = block(
-                    if id == 0xFC01 { 0x8001 } else { 0x8002 },
-                    &numbers(&[1, 0, 0, 0, 1, alarm, 0, 0]),
-                );
-                let data = if kind == 0x11 { &ack[..] } else { &[] };
-                let head = numbers(&[0x8892, id, reference, 3]);
-                let rest = numbers(&[number, acknowledged, data.len() as u16]);
-                let frame = [&DEVICE.0[..], &CONTROLLERS[0].0, &head, &[kind, 0x11], &rest, data];
-                self.device.receive(self.now, &frame.concat())
-            }
-            11 => {
-                let count = usize::from(input.byte());
-                let frame = input.bytes(count).to_vec();
-                self.device.receive(self.now, &frame)
-            }
-            12 => {
-                let count = usize::from(input.byte());
-                let datagram = input.bytes(count).to_vec();
-                self.device.receive_datagram(self.now, HOSTS[0], &datagram)
-            }
+            9 => self.record(input),
+            10 => self.alarm(input),
+            11 => self.device.receive(self.now, input.fewer_than(256)),
+            12 => self.device.receive_datagram(self.now, HOSTS[0], input.fewer_than(256)),
             _ => {
                 // The endpoint mapper, or an unknown operation.
                 let operation = u16::from(input.byte() % 8);
-                let count = usize::from(input.byte() % 64);
-                let body = input.bytes(count).to_vec();
+                let body = input.fewer_than(64);
                 self.sequence += 1;
                 let interface = if operation % 2 == 0 { EPM } else { INTERFACE };
-                let request = datagram(&interface, self.sequence, operation, &body);
+                let request = datagram(&interface, self.sequence, operation, body);
                 self.device.receive_datagram(self.now, HOSTS[1], &request)
             }
         }
+    }
+
+    /// Sends a DCP request of either controller.
+    fn dcp(&mut self, input: &mut Input<'_>) -> Option<Event> {
+        let (to, id, service) = input.pick(&[
+            (IDENTIFY, 0xFEFE, 5),
+            (DEVICE.0, 0xFEFD, 3),
+            (DEVICE.0, 0xFEFD, 4),
+            (DEVICE.0, 0xFEFE, 5),
+        ]);
+        let delay = input.pick(&[1, 2, 0x80, 0x1900]);
+        let blocks = input.fewer_than(64);
+        let who = CONTROLLERS[who(input)];
+        let len = numbers(&[delay, blocks.len() as u16]);
+        let head = [&to[..], &who.0, &numbers(&[0x8892, id]), &[service, 0, 0, 0, 0, 1], &len];
+        self.device.receive(self.now, &[&head.concat(), blocks].concat())
+    }
+
+    /// Confirms the device's last call, as the controller.
+    fn confirm(&mut self, input: &mut Input<'_>) -> Option<Event> {
+        let call = self.call.clone()?;
+        let mut block = control(0x8112, uuid(who(input)), 8);
+        damage(&mut block, input);
+        let len = block.len() as u32;
+        let body: Vec<u8> = [0, len, len, 0, len].iter().flat_map(|value| value.to_be_bytes()).collect();
+        let mut answer = [&call[..80], &body, &block].concat();
+        answer[1] = 2;
+        answer[74..76].copy_from_slice(&((body.len() + block.len()) as u16).to_be_bytes());
+        self.device.receive_datagram(self.now, HOSTS[0], &answer)
+    }
+
+    /// Reads or writes a record.
+    fn record(&mut self, input: &mut Input<'_>) -> Option<Event> {
+        let who = who(input);
+        let (operation, kind) = input.pick(&[(2, 9), (5, 9), (3, 8)]);
+        let index = input.pick(&INDEXES);
+        let (slot, subslot) = input.pick(&[(0, 1), (0, 0x8000), (0, 0x8001), (1, 1), (2, 1), (3, 1)]);
+        let count = usize::from(input.byte() % 96);
+        let data = if kind == 8 { input.bytes(count) } else { &[] };
+        let len = if kind == 8 { data.len() as u32 } else { 1_000 };
+        let body = [
+            &numbers(&[1])[..],
+            &uuid(who),
+            &[0; 4],
+            &numbers(&[slot, subslot, 0, index]),
+            &len.to_be_bytes(),
+            &[0; 24],
+        ];
+        let mut blocks = [&block(kind, &body.concat()), data].concat();
+        damage(&mut blocks, input);
+        self.request(who, operation, &blocks)
+    }
+
+    /// Sends an alarm, an acknowledgement or an abort.
+    fn alarm(&mut self, input: &mut Input<'_>) -> Option<Event> {
+        let id = input.pick(&[0xFE01, 0xFC01]);
+        let kind = input.pick(&[0x11, 0x13, 0x13, 0x14, 0x12]);
+        let numbers_of = [0xFFFF, 0xFFFE, 0, 1];
+        let (number, acknowledged) = (input.pick(&numbers_of), input.pick(&numbers_of));
+        let reference = u16::from(input.byte() % 4);
+        let alarm = u16::from(input.byte() % 4);
+        let ack = block(if id == 0xFC01 { 0x8001 } else { 0x8002 }, &numbers(&[1, 0, 0, 0, 1, alarm, 0, 0]));
+        let data = if kind == 0x11 { &ack[..] } else { &[] };
+        let head = numbers(&[0x8892, id, reference, 3]);
+        let rest = numbers(&[number, acknowledged, data.len() as u16]);
+        let frame = [&DEVICE.0[..], &CONTROLLERS[0].0, &head, &[kind, 0x11], &rest, data];
+        self.device.receive(self.now, &frame.concat())
     }
 
     fn request(&mut self, who: usize, operation: u16, blocks: &[u8]) -> Option<Event> {
@@ -261,6 +258,11 @@ impl Network {
         }
         panic!("the number of frames is not bounded");
     }
+}
+
+/// Picks a controller.
+fn who(input: &mut Input<'_>) -> usize {
+    usize::from(input.byte()) % 2
 }
 
 /// Changes some bytes or truncates the end.
