@@ -45,7 +45,7 @@ pub enum Fault {
 #[derive(Debug)]
 pub struct CanBus<C = Bxcan>(Arc<Mutex<Bus<C>>>);
 
-/// A station on the bus besides the board.
+/// A station on the bus, in addition to the board.
 #[derive(Debug)]
 pub struct Station<C = Bxcan> {
     bus: CanBus<C>,

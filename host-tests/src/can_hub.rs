@@ -1,4 +1,4 @@
-//! Stations on a CAN bus besides the board: a virtual gripper, and a terminal for masters.
+//! Stations on a CAN bus in addition to the board: a virtual gripper, and a terminal for masters.
 
 use std::io::Write;
 use std::os::unix::net::UnixStream;

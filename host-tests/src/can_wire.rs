@@ -5,7 +5,7 @@ use embedded_can::{ExtendedId, Frame, Id, StandardId};
 /// Maximum number of data bytes.
 pub const MAX_DATA: usize = 8;
 
-/// Bits besides identifier and data: start, control, CRC, acknowledgement, end of frame; without stuff bits.
+/// Bits in addition to identifier and data: start, control, CRC, acknowledgement, end of frame; without stuff bits.
 const OVERHEAD_BITS: u32 = 1 + 1 + 6 + 16 + 2 + 7;
 
 /// Idle bits between two frames.

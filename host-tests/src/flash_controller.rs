@@ -46,7 +46,7 @@ const ACR_RESET: u32 = 0x0000_0600;
 /// Unlock keys of CR (3.3.5).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
 
-/// A bit of SR (3.7.5), besides the flags of [`ErrorFlag`].
+/// A bit of SR (3.7.5), in addition to the flags of [`ErrorFlag`].
 const BSY: u32 = 1 << 16;
 
 /// Bits of CR (3.7.6).

@@ -98,7 +98,7 @@ pub enum Derailment {
     Handler,
 }
 
-/// Machine access besides GDB.
+/// Machine access in addition to GDB.
 pub trait Machine {
     /// Sets the level of an interrupt line.
     ///

@@ -120,7 +120,7 @@ pub(crate) fn push_copied(value: u16, source: &[u8], target: &mut [u8]) -> u16 {
     value
 }
 
-// Tests cover both chunk lengths, whatever the processor they run on.
+// Tests cover both chunk lengths on every processor.
 #[cfg(any(feature = "small-table", not(target_pointer_width = "64")))]
 use chunk_of_4 as chunk;
 #[cfg(not(any(feature = "small-table", not(target_pointer_width = "64"))))]

@@ -188,7 +188,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
     }
 
-    /// Returns the next event, or `None` if there is none. This call also serves SDO requests from the dictionary and
+    /// Returns the next event, or `None` if no event is pending. This call also serves SDO requests from the dictionary and
     /// detects the time-out of the master.
     ///
     /// Call it until it returns `None`, before more than `Q` frames have been received. If the queue is full, an RPDO

@@ -95,7 +95,7 @@ pub struct IpParameters {
     pub address: [u8; 4],
     /// Mask of its subnet.
     pub mask: [u8; 4],
-    /// Router; the station's own address or zeros if there is none.
+    /// Router. Without one, the station's own address or zeros.
     pub gateway: [u8; 4],
 }
 

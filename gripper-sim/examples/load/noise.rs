@@ -121,7 +121,7 @@ fn noise(random: &mut Random) -> Vec<u8> {
     }
 }
 
-/// Opens a connection, sends a run of bytes, reads what is available, and disconnects.
+/// Opens a connection, sends a run of bytes, reads the available bytes, and disconnects.
 fn say_and_leave(to: SocketAddr, run: &[u8]) -> Result<()> {
     let mut stream = TcpStream::connect(to)?;
     stream.set_read_timeout(Some(Duration::from_millis(1)))?;

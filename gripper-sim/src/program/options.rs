@@ -62,7 +62,7 @@ struct Arguments {
     /// Listens for UDP; grippers in the field use port 1500
     #[arg(long, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
     udp: Option<SocketAddr>,
-    /// Sends answers to this port of the latest client, whatever its source port; not the port of `--udp` [default: 1501]
+    /// Sends answers to this port of the latest client, regardless of its source port; not the port of `--udp` [default: 1501]
     #[arg(long, value_name = "PORT")]
     #[arg(value_parser = expected("a port from 1 to 65535", |text| parsed(text).filter(|port: &u16| *port > 0)))]
     udp_remote_port: Option<u16>,

@@ -113,7 +113,7 @@ async fn serve_terminal(
 async fn serve_client(hub: Arc<Hub>, mut stream: tokio::net::UnixStream, name: String, carried: Carried) {
     let Some(client) = hub.connect(carried.kind(), &name) else { return };
     let (reader, writer) = stream.split();
-    // The client is gone, whatever the result.
+    // The client has disconnected in either case.
     let _ = carried.serve(&client, reader, writer).await;
 }
 

@@ -41,7 +41,7 @@ async fn serve_client(hub: Arc<Hub>, mut stream: TcpStream, peer: SocketAddr, ki
     let _ = keep_alive(&stream);
     if stream.set_nodelay(true).is_ok() {
         let (reader, writer) = stream.split();
-        // The client is gone, whatever the result.
+        // The client has disconnected in either case.
         let _ = stream::serve(&client, reader, writer, Pace::OfTheReader).await;
     }
 }

@@ -71,7 +71,7 @@ impl Master {
         assert_eq!(self.service(62, &[0xA7, 0x9B]), SC);
     }
 
-    /// Sends bytes and returns the answer; empty if there is none.
+    /// Sends bytes and returns the answer; empty without one.
     fn send(&mut self, bytes: &[u8]) -> Vec<u8> {
         self.gripper.receive(self.port, self.now, bytes);
         let mut buffer = [0; MAX_FRAME_LEN];

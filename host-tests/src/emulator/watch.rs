@@ -9,7 +9,7 @@ use wsg_bridge_fw::io::Outputs;
 
 use super::{OutputChange, lock};
 
-/// Number of output lines kept besides the trace.
+/// Number of output lines kept in addition to the trace.
 const SAID_MAX: usize = 4;
 
 #[derive(Debug)]

@@ -123,7 +123,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
         self.counters
     }
 
-    /// Processes a frame of the bus, whatever its identifier, and passes the resulting events to `deliver`.
+    /// Processes a frame of the bus with any identifier, and passes the resulting events to `deliver`.
     pub fn receive<F: CanFrame>(&mut self, now: Instant, frame: &F, mut deliver: impl FnMut(Event<'_>)) {
         let data = frame.data();
         let is_ours = frame.id() == Id::Standard(self.id) && frame.is_data_frame();
@@ -143,7 +143,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
         self.scan(data.len(), false, deliver);
     }
 
-    /// Returns when the incomplete message times out, or `None` if there is none.
+    /// Returns when the incomplete message times out, or `None` if no message is incomplete.
     #[must_use]
     pub const fn poll_timeout(&self) -> Option<Instant> {
         if self.count == 0 { None } else { Some(self.heard_at.plus(self.half_message_ms)) }

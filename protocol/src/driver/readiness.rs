@@ -143,7 +143,7 @@ impl Waker {
         Ok(Self { sender, receiver })
     }
 
-    /// Ends the current wait, or the next one if there is none.
+    /// Ends the current wait; without one, ends the next wait.
     #[cfg_attr(windows, expect(clippy::disallowed_methods, reason = "it does not wait"))]
     pub(super) fn wake(&self) {
         // A full socket has already woken the receiver.

@@ -18,9 +18,9 @@ const REST_TIMEOUT: Duration = Duration::from_millis(100);
 /// Stops the gripper of a driver from any thread, even while the driver waits in a call.
 ///
 /// Created by the method `stop_handle` of a gripper. The handle writes directly to the line, so the bytes are in the
-/// socket when its method returns, whatever the driver's thread does. The driver wakes up, withdraws unsent requests,
+/// socket when its method returns, regardless of the driver's thread. The driver wakes up, withdraws unsent requests,
 /// waits for the gripper to confirm the stop, and returns [`Error::Stopped`](super::Error::Stopped) from the current
-/// call or, if there is none, from the next one. Either way the program is notified before it can move the fingers
+/// call, or from the next call if none is active. Either way the program is notified before it can move the fingers
 /// again.
 ///
 /// Do not use it in a signal handler, because it locks a mutex. A thread that waits for signals, such as that of the

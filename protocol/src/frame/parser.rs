@@ -92,7 +92,7 @@ const PREAMBLE_MASK: u8 = 0b11;
 const IN_FRAME: u8 = PREAMBLE_MASK;
 /// Bit in `flags`: an event interrupted a scan, and held bytes remain to be scanned.
 const DRAINING: u8 = 0b0100;
-/// Bit in `flags`: frames are accepted whatever their checksum.
+/// Bit in `flags`: frames are accepted with any checksum.
 const IGNORE_CHECKSUM: u8 = 0b1000;
 
 /// The result of a completed frame or scan step.
@@ -122,7 +122,7 @@ impl<const N: usize> FrameParser<N> {
         }
     }
 
-    /// Creates a parser that accepts frames whatever their checksum, for a gripper whose checksum evaluation is
+    /// Creates a parser that accepts frames with any checksum, for a gripper whose checksum evaluation is
     /// disabled (command set, 1.4.1). The stream is then unprotected except for the exact checks of the typed layer.
     #[must_use]
     pub const fn ignoring_checksums() -> Self {

@@ -128,7 +128,7 @@ table! {
 }
 
 table! {
-    /// Metrics of the edge node, besides `bdSeq` and `Node Control/Rebirth`.
+    /// Metrics of the edge node, except `bdSeq` and `Node Control/Rebirth`.
     NODE, OfNode {
         Online: "Devices/Online" UInt64 "" "devices that respond";
         Waiting: "Store/Waiting" UInt64 "" "samples waiting for the broker";

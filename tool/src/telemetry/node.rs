@@ -257,7 +257,7 @@ impl Node {
         }
     }
 
-    /// Returns the next message to send, or `None` if there is none or no connection.
+    /// Returns the next message to send, or `None` without a message or a connection.
     pub(super) fn poll_transmit(&mut self, now: u64) -> Option<Message> {
         let session = self.session.as_mut()?;
         if let Some(birth) = session.births.pop_front() {

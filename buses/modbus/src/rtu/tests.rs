@@ -63,7 +63,7 @@ impl Bus {
         Self::note(&mut self.answers, &mut self.others, event);
     }
 
-    /// Sends a frame, then silence of T3.5, and returns the response; empty if there is none.
+    /// Sends a frame, then silence of T3.5, and returns the response; empty without one.
     fn ask(&mut self, unit: u8, pdu: &[u8]) -> Vec<u8> {
         self.send(&frame(unit, pdu));
         self.silence(TIMING.t3_5_us);

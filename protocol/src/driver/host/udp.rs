@@ -13,7 +13,7 @@ use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 /// A UDP transport to a gripper, for either protocol, with one message per datagram. UDP has no end of connection, so a
 /// gripper continues its last command when the program ends.
 ///
-/// Replies of the binary protocol are sent to the port configured in the gripper, whatever the source port of the
+/// Replies of the binary protocol are sent to the port configured in the gripper, not to the source port of the
 /// request. Defaults: the gripper listens on 1500 and replies to 1501. GCL replies are sent to the source port of the
 /// request.
 #[derive(Debug)]
