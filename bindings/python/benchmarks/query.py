@@ -104,6 +104,7 @@ def main() -> None:
                 measure("Gripper, again", gripper.width)
             asyncio.run(measure_async("AsyncGripper", address))
             with StreamingGripper(address) as stream:
+                print(f"back-end: {stream.backend}")
                 measure("StreamingGripper.latest", stream.latest)
                 ended = threading.Event()
                 thread = threading.Thread(target=compute, args=(ended,))

@@ -40,4 +40,5 @@ else:
         script = Path(folder) / "wsg_stream.lua"
         script.write_text(StreamingGripper.SCRIPT)
         with Simulator(script=script) as simulator:
+            simulator.wait_for_script()
             follow_a_cosine(simulator.tcp)

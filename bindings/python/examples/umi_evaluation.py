@@ -49,5 +49,6 @@ else:
         script = Path(folder) / "wsg_stream.lua"
         script.write_text(StreamingGripper.SCRIPT)
         with Simulator(script=script, homing_speed=400) as simulator:
+            simulator.wait_for_script()
             host, port = simulator.tcp.split("//")[1].split(":")
             evaluate(host, int(port))

@@ -32,7 +32,7 @@ macro_rules! each {
 }
 pub(crate) use each;
 
-/// A driver and what its callers share.
+/// A driver, and the state that its callers share.
 pub(crate) struct Core {
     driver: Mutex<Option<Driver>>,
     calls: Arc<Calls>,
@@ -73,10 +73,13 @@ enum Stage {
     Wait,
 }
 
-/// A failed call: an error of the driver, or the exception of a signal handler.
+/// A failed call.
 pub(crate) enum Failed {
     Driver(Failure),
+    /// A signal handler raised this exception.
     Raised(PyErr),
+    /// The wait for a motion ended to let another request pass.
+    Yielded,
 }
 
 impl Failed {
@@ -84,6 +87,7 @@ impl Failed {
         match self {
             Self::Driver(failure) => error::of_driver(py, &failure),
             Self::Raised(raised) => raised,
+            Self::Yielded => error::of_driver(py, &Error::MotionRunning),
         }
     }
 }
@@ -96,8 +100,7 @@ impl From<Failure> for Failed {
 
 impl Core {
     /// Connects a driver.
-    pub(crate) fn connect(driver: Driver, calls: Arc<Calls>) -> Result<Arc<Self>, Failed> {
-        let mut driver = driver;
+    pub(crate) fn connect(mut driver: Driver, calls: Arc<Calls>) -> Result<Arc<Self>, Failed> {
         let handle = each!(&mut driver, gripper => gripper.stop_handle()).map_err(Error::Transport)?;
         let core = Arc::new(Self {
             driver: Mutex::new(Some(driver)),
@@ -108,8 +111,8 @@ impl Core {
             process: process::id(),
         });
         core.with(true, |driver| each!(driver, gripper => gripper.connect()))?;
-        let weak = Arc::downgrade(&core);
-        close_at_exit(weak);
+        let open = Arc::downgrade(&core);
+        close_at_exit(open);
         Ok(core)
     }
 
@@ -145,6 +148,9 @@ impl Core {
         calls.is_motion.store(stage == Stage::Wait, SeqCst);
         let mut result = act(driver).map_err(Failed::Driver);
         calls.is_motion.store(false, SeqCst);
+        if calls.take_yielded() && result.is_err() {
+            result = Err(Failed::Yielded);
+        }
         if let Some(raised) = calls.take_raised() {
             // A second Ctrl-C must not prevent the stop, which has a time-out.
             calls.handles_signals.store(false, SeqCst);
@@ -175,18 +181,17 @@ impl Core {
     ) -> Result<T, Failed> {
         loop {
             let wait = |driver: &mut Driver| each!(driver, gripper => gripper.wait(pending));
-            let result = self.with_calls(handles_signals, Stage::Wait, wait);
-            if !self.calls.take_yielded() || result.is_ok() {
-                return match result {
-                    // The thread that stopped the gripper received the confirmation before this one.
-                    Err(Failed::Driver(Error::Aborted)) if self.stops() != stops => {
-                        Err(Error::Stopped(StopKind::Stop).into())
+            match self.with_calls(handles_signals, Stage::Wait, wait) {
+                Err(Failed::Yielded) => {
+                    while self.calls.waiting.load(SeqCst) > 0 {
+                        thread::yield_now();
                     }
-                    result => result,
-                };
-            }
-            while self.calls.waiting.load(SeqCst) > 0 {
-                thread::yield_now();
+                }
+                // The thread that stopped the gripper received the confirmation before this one.
+                Err(Failed::Driver(Error::Aborted)) if self.stops() != stops => {
+                    return Err(Error::Stopped(StopKind::Stop).into());
+                }
+                result => return result,
             }
         }
     }

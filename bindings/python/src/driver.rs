@@ -1,6 +1,6 @@
 //! The class `Driver`: every request of the manual, for a caller that waits and for one that does not.
 //!
-//! The Python classes `Gripper` and `AsyncGripper` document the requests and give their results types. Each method ends
+//! The Python classes `Gripper` and `AsyncGripper` document the requests and type their results. Each method ends
 //! with a parameter `reply`. Without it, the method waits for the result and returns it. With it, a worker thread makes
 //! the request and delivers the result to the caller's event loop.
 

@@ -18,7 +18,7 @@ const SIGNALS: Duration = Duration::from_millis(50);
 /// Longest wait of a motion before it lets the requests of other threads pass, in ms.
 const YIELD_MS: u32 = 5;
 
-/// What the callers of a driver and its line share.
+/// The state that the callers of a driver share with its line.
 #[derive(Default)]
 pub(crate) struct Calls {
     /// Whether the running call handles signals. Cleared while the fingers are being stopped.
@@ -34,7 +34,7 @@ pub(crate) struct Calls {
 }
 
 impl Calls {
-    /// Returns whether the last call ended to let other requests pass.
+    /// Returns whether the running call ended to let other requests pass.
     pub(crate) fn take_yielded(&self) -> bool {
         self.has_yielded.swap(false, SeqCst)
     }
@@ -122,12 +122,13 @@ impl Stoppable for Line {
     }
 }
 
-/// The line to a virtual gripper. It ends its connection when it is dropped.
-pub(crate) struct VirtualWire(pub(crate) VirtualRig);
+/// The line to a virtual gripper, and whether it is in use. It ends its connection when it is dropped.
+pub(crate) struct VirtualWire(pub(crate) VirtualRig, pub(crate) Arc<AtomicBool>);
 
 impl Drop for VirtualWire {
     fn drop(&mut self) {
         self.0.close_line();
+        self.1.store(false, SeqCst);
     }
 }
 

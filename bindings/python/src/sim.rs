@@ -2,7 +2,8 @@
 
 use std::ffi::OsString;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::{Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::{io, mem, process};
 
 use pyo3::exceptions::PyOSError;
@@ -30,7 +31,7 @@ fn part(py: Python<'_>, width: Option<f32>, stiffness: f32) -> PyResult<Option<P
     Ok(Some(part))
 }
 
-/// Returns the fault of this name. The names are those of the Python enumeration `Fault`.
+/// Returns the fault of this name. The Python enumeration `Fault` has the same names.
 fn fault(py: Python<'_>, name: &str) -> PyResult<Fault> {
     Ok(match name {
         "AXIS_BLOCKED" => Fault::AxisBlocked,
@@ -62,6 +63,7 @@ fn seen(state: State) -> Seen {
 pub(crate) struct Rig {
     rig: VirtualRig,
     is_gcl: bool,
+    is_connected: Arc<AtomicBool>,
 }
 
 #[pymethods]
@@ -78,13 +80,23 @@ impl Rig {
             }
         };
         let Options { config, .. } = options(py, words)?;
-        Ok(Self { rig: VirtualRig::with_port(kind, config), is_gcl: kind == PortKind::GclTcp })
+        Ok(Self {
+            rig: VirtualRig::with_port(kind, config),
+            is_gcl: kind == PortKind::GclTcp,
+            is_connected: Arc::default(),
+        })
     }
 
-    /// Connects a driver, instead of the one before.
+    /// Connects a driver.
     fn connect(&self, py: Python<'_>) -> PyResult<Driver> {
-        self.rig.restore_line();
-        let (wire, clock) = (VirtualWire(self.rig.clone()), Clock::Virtual(self.rig.clone()));
+        let Self { rig, is_connected, .. } = self;
+        if is_connected.swap(true, SeqCst) {
+            let text = "the virtual gripper has a connection: close it first";
+            return Err(error::exception(py, "BusyError", text, None));
+        }
+        let wire = VirtualWire(rig.clone(), Arc::clone(is_connected));
+        rig.restore_line();
+        let clock = Clock::Virtual(rig.clone());
         py.detach(|| driver::connect(Box::new(wire), clock, self.is_gcl))
             .map_err(|failed| failed.into_exception(py))
     }

@@ -113,7 +113,7 @@ impl Stream {
         Ok(self.0.row(&sample))
     }
 
-    /// Returns the samples as rows of eight doubles, oldest first: those of `latest`, and NaN without a set-point.
+    /// Returns the samples as rows of eight doubles, oldest first, with the values of `latest`; NaN without a set-point.
     fn history(&self, py: Python<'_>) -> PyResult<Vec<u8>> {
         let samples = match &*self.0.state(py)? {
             State::Running(stream) => stream.history(),

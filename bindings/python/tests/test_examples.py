@@ -22,7 +22,7 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
     [
         ("first_grip.py", "holds a part of"),
         ("force_while_holding.py", "PART_LOST"),
-        ("streaming.py", "samples from"),
+        ("streaming.py", "back-end: script"),
         ("umi_evaluation.py", "closed to 0.0"),
     ],
 )
@@ -47,6 +47,7 @@ def test_lerobot_plugin_moves_the_gripper(tmp_path: Path, monkeypatch: pytest.Mo
     script = tmp_path / "wsg_stream.lua"
     script.write_text(StreamingGripper.SCRIPT)
     with Simulator(script=script, homing_speed=400, part=60) as simulator:
+        simulator.wait_for_script()
         assert RobotConfig.choices == {"wsg": plugin.WsgConfig}
         robot = plugin.Wsg(plugin.WsgConfig(address=simulator.tcp, force=30))
         assert not robot.is_connected

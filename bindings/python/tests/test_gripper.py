@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -203,6 +204,8 @@ def test_announced_end_leaves_no_fast_stop_and_an_unannounced_one_does(virtual: 
     assert SystemFlags.FAST_STOP not in virtual.observe().flags
     assert SystemFlags.MOVING not in virtual.observe().flags
     gripper = virtual.connect()
+    with pytest.raises(BusyError):
+        virtual.connect()
     virtual.close_line()
     assert SystemFlags.FAST_STOP in virtual.observe().flags
 
@@ -250,6 +253,19 @@ def test_queries_of_another_thread_pass_a_grip(simulator: Simulator) -> None:
         assert results == [GripResult.HELD]
         assert len(widths) > 20
         assert widths[0] > 90 and widths[-1] < 30
+
+
+def test_queries_and_motions_of_many_threads_pass_a_grip(simulator: Simulator) -> None:
+    with Gripper(simulator.tcp) as gripper:
+        gripper.home()
+        motion = gripper.begin_grip(20, speed=60)
+        results: list[object] = []
+        threads = [threading.Thread(target=lambda: results.append(motion.wait())) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        while any(thread.is_alive() for thread in threads):
+            gripper.force()
+        assert results == [GripResult.HELD] * 3
 
 
 def test_ctrl_c_stops_the_fingers(simulator: Simulator) -> None:
@@ -311,6 +327,14 @@ def test_errors_are_sorted_by_cause() -> None:
     assert issubclass(UnansweredError, TimeoutError)
     assert GripperError("no status").status is None
     assert GripperError("unknown", 99).status == 99
+
+
+def test_failed_script_is_noticed(tmp_path: Path) -> None:
+    script = tmp_path / "script.lua"
+    script.write_text("error('intended')")
+    with Simulator(script=script) as simulator, pytest.raises(RefusedError) as refused:
+        simulator.wait_for_script(seconds=0.1)
+    assert refused.value.status is Status.E_CMD_UNKNOWN
 
 
 def test_fixture_starts_a_simulator(wsg_sim: Simulator) -> None:

@@ -30,6 +30,7 @@ def scripted(tmp_path: Path) -> Iterator[Simulator]:
     script = tmp_path / "wsg_stream.lua"
     script.write_text(StreamingGripper.SCRIPT)
     with Simulator(script=script, homing_speed=400) as simulator:
+        simulator.wait_for_script()
         yield simulator
 
 

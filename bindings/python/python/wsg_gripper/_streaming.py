@@ -14,7 +14,7 @@ Self = TypeVar("Self", bound="StreamingGripper")
 
 
 class Sample(NamedTuple):
-    """State of the gripper at one instant. Times are those of ``time.time()`` in s."""
+    """State of the gripper at one instant. Times are values of ``time.time()`` in s."""
 
     number: int
     """Sample number, counted from 0."""

@@ -12,14 +12,16 @@ lists them.
 
 from __future__ import annotations
 
+import time
 from enum import Enum
 from os import PathLike, fspath
 from types import TracebackType
 from typing import NamedTuple, Optional, TypeVar, Union
 
+from ._errors import RefusedError
 from ._gripper import Gripper
 from ._native import Rig, Server
-from ._types import GripperState, SystemFlags
+from ._types import GripperState, Status, SystemFlags
 
 __all__ = ["Fault", "Observation", "Simulator", "VirtualGripper"]
 
@@ -107,7 +109,7 @@ class VirtualGripper:
         self._rig = Rig(line, _words(options))
 
     def connect(self) -> Gripper:
-        """Connect a driver. It replaces the one before, whose connection ends."""
+        """Connect a driver. Raises ``BusyError`` while another one is connected."""
         return Gripper._over(self._rig.connect())
 
     @property
@@ -147,7 +149,7 @@ class VirtualGripper:
         self._rig.close_line()
 
     def restore_line(self) -> None:
-        """Restore a line that was cut. After :meth:`close_line`, use :meth:`connect`."""
+        """Restore a line that was cut."""
         self._rig.restore_line()
 
     def inject(self, data: bytes) -> None:
@@ -219,3 +221,19 @@ class Simulator:
     def set_fault(self, fault: Fault, on: bool = True) -> None:
         """Begin or end a fault."""
         self._server.set_fault(fault.name, on)
+
+    def wait_for_script(self, command: int = 0xA5, seconds: float = 10) -> None:
+        """Wait until the script of the option ``script`` serves a command, by default the one for streaming.
+
+        Raises ``RefusedError`` after the time-out, for example if the script has failed.
+        """
+        end = time.monotonic() + seconds
+        with Gripper(self.tcp) as gripper:
+            while True:
+                try:
+                    gripper.raw(command, b"\0")
+                    return
+                except RefusedError as refused:
+                    if refused.status is not Status.E_CMD_UNKNOWN or time.monotonic() > end:
+                        raise
+                time.sleep(0.01)

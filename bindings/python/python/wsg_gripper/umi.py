@@ -4,7 +4,7 @@ In UMI's ``real_world/umi_env.py``, replace one import::
 
     from wsg_gripper.umi import WSGController
 
-The constructor, the methods and the keys of the states are those of UMI's ``WSGController``. Instead of a process with
+The constructor, the methods and the keys of the states match UMI's ``WSGController``. Instead of a process with
 shared memory there is a thread without the interpreter lock. NumPy is required.
 """
 
