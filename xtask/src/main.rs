@@ -150,6 +150,8 @@ enum Command {
     Figures,
     /// Build the wheel of bindings/python and test it in a virtual environment; part of test
     Python,
+    /// Build the wheels for users by zig, and check their size; test the one for this machine
+    Wheels,
     /// Build the delivery folder for PLC engineers (reproducible)
     Dist,
     /// Build the archive for C and C++ programmers: headers, static libraries for eight targets, CMake and pkg-config files,
@@ -235,10 +237,8 @@ fn run(command: Command) -> Result<ExitCode> {
             let built = Built::new(workspace)?;
             gate::check(&figures::write(&built.probes(), &built.images()?)?)?;
         }
-        Command::Python => python::test(
-            workspace,
-            &setup::python(workspace).context("the tools of the Python package are missing")?,
-        )?,
+        Command::Python => python::test(workspace, &python(workspace)?)?,
+        Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
         Command::Dist => demo::dist(workspace, &build(workspace, &Variant::default())?)?,
         Command::DistC { arguments } => {
             let mut dist = workspace.cargo("run");
@@ -296,6 +296,11 @@ impl<'a> Built<'a> {
     fn probes(&self) -> Probes<'_> {
         Probes { workspace: self.workspace, toolchain: &self.toolchain }
     }
+}
+
+/// Returns the environment with the tools of the Python package.
+fn python(workspace: &Workspace) -> Result<PathBuf> {
+    setup::python(workspace).context("the tools of the Python package are missing")
 }
 
 fn print_image(image: &Image) {

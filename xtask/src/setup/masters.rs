@@ -13,11 +13,14 @@ use super::{
     apt::{self, Packages},
     installing_is_forbidden, obstacle_to_installing, report,
 };
-use crate::{board::Board, process, python, workspace::Workspace};
+use crate::{board::Board, process, workspace::Workspace};
 
 /// Environment variables for the tests: the Python with the masters, and the folder of the npm packages.
 pub(crate) const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";
 pub(crate) const NODE_VARIABLE: &str = "WSG_MODBUS_NODE";
+
+/// The folder of the Python package in the workspace.
+pub(crate) const PYTHON_PACKAGE: &str = "bindings/python";
 
 /// Files that list the packages and versions. Each environment keeps a copy to detect changes.
 const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
@@ -97,7 +100,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
 /// Returns the virtual environment that builds and tests the Python package, or `None` if it cannot be created.
 pub(crate) fn python(workspace: &Workspace) -> Option<PathBuf> {
     let environment = workspace.target_dir.join("python");
-    has_environment(&environment, &workspace.root.join(python::FOLDER), "pytest").then_some(environment)
+    has_environment(&environment, &workspace.root.join(PYTHON_PACKAGE), "pytest").then_some(environment)
 }
 
 /// Returns whether the virtual environment has the packages in the list, which are installed if permitted.

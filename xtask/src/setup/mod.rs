@@ -14,7 +14,8 @@ use anyhow::{Context, Result, bail};
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{
-    Masters, NODE_VARIABLE, PYTHON_VARIABLE, Program, lacking, provide as masters, python, tell_emulator,
+    Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, lacking, provide as masters, python,
+    tell_emulator,
 };
 pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, has_target, rustup};
 
