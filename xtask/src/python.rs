@@ -18,7 +18,7 @@ use crate::{
 
 /// The targets of wheels with their platform tags. zig links all of them, against an old glibc.
 const WHEELS: [(&str, &str); 2] =
-    [("x86_64-unknown-linux-gnu", "manylinux_2_28"), ("aarch64-unknown-linux-gnu", "manylinux_2_28")];
+    [("aarch64-unknown-linux-gnu", "manylinux_2_28"), ("x86_64-unknown-linux-gnu", "manylinux_2_28")];
 /// Limit for the size of a wheel, in bytes.
 const MAX_WHEEL: u64 = 6_000_000;
 

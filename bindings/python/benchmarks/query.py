@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from wsg_gripper import AsyncGripper, Gripper, StreamingGripper
@@ -71,14 +71,20 @@ def measure(name: str, call: Callable[[], object]) -> None:
     report(name, times)
 
 
-async def measure_async(name: str, address: str) -> None:
+async def measure_async(name: str, call: Callable[[], Awaitable[object]]) -> None:
+    times = []
+    for _ in range(NUMBER):
+        begin = time.perf_counter()
+        await call()
+        times.append(time.perf_counter() - begin)
+    report(name, times)
+
+
+async def measure_both(address: str) -> None:
+    plain = Plain(address)
+    await measure_async("pure Python in asyncio.to_thread", lambda: asyncio.to_thread(plain.width))
     async with AsyncGripper(address) as gripper:
-        times = []
-        for _ in range(NUMBER):
-            begin = time.perf_counter()
-            await gripper.width()
-            times.append(time.perf_counter() - begin)
-        report(name, times)
+        await measure_async("AsyncGripper", gripper.width)
 
 
 def compute(ended: threading.Event) -> None:
@@ -102,7 +108,7 @@ def main() -> None:
                 measure("Gripper", gripper.width)
                 measure("pure Python, again", plain.width)
                 measure("Gripper, again", gripper.width)
-            asyncio.run(measure_async("AsyncGripper", address))
+            asyncio.run(measure_both(address))
             with StreamingGripper(address) as stream:
                 print(f"back-end: {stream.backend}")
                 measure("StreamingGripper.latest", stream.latest)

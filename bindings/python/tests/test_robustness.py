@@ -232,7 +232,8 @@ def test_many_threads_share_a_gripper(wsg_sim: Simulator) -> None:
 
 
 def test_import_takes_less_than_50_ms() -> None:
-    script = "import time; begin = time.perf_counter(); import wsg_gripper; print(time.perf_counter() - begin)"
+    # Processor time, so that other programs of the computer have no effect.
+    script = "import time; begin = time.process_time(); import wsg_gripper; print(time.process_time() - begin)"
     times = [float(run_script(script).stdout) for _ in range(7)]
     assert min(times) < 0.05
 
