@@ -1,4 +1,4 @@
-# find_package(wsg) defines the target wsg::wsg.
+# find_package(wsg) defines the target wsg::wsg, and on a computer wsg::host, which contains it.
 #
 # On a computer the library is chosen by system and processor. For a board set WSG_TARGET, such as thumbv7em-none-eabihf, to one of
 # the folders in lib.
@@ -25,4 +25,18 @@ if(NOT TARGET wsg::wsg)
     set_target_properties(wsg::wsg PROPERTIES
         IMPORTED_LOCATION "${wsg_library}"
         INTERFACE_INCLUDE_DIRECTORIES "${wsg_root}/include")
+endif()
+
+set(wsg_host_library "${wsg_root}/lib/${WSG_TARGET}/libwsg_host.a")
+if(EXISTS "${wsg_host_library}" AND NOT TARGET wsg::host)
+    add_library(wsg::host STATIC IMPORTED)
+    if(WIN32)
+        set(wsg_host_system ws2_32 userenv ntdll)
+    else()
+        set(wsg_host_system pthread dl m)
+    endif()
+    set_target_properties(wsg::host PROPERTIES
+        IMPORTED_LOCATION "${wsg_host_library}"
+        INTERFACE_INCLUDE_DIRECTORIES "${wsg_root}/include"
+        INTERFACE_LINK_LIBRARIES "${wsg_host_system}")
 endif()

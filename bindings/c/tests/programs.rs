@@ -104,6 +104,14 @@ fn example_in_the_readme_grips() {
     assert_eq!(passes(Command::new(grip).arg(&port)), "Homing: no error\nGrip Part: no error\n");
 }
 
+#[test]
+fn no_function_of_the_library_can_panic() {
+    // A reachable panic would call an undefined function; see the panic handler.
+    let undefined = passes(Command::new("nm").arg("--undefined-only").arg(library()));
+    assert!(undefined.contains(" U memcpy"), "{undefined}");
+    assert!(!undefined.contains("a_panic_can_be_reached"));
+}
+
 /// Steps of the program that misuses every function; `WSG_WHOLE=1` runs more.
 fn misuse_steps(few: u32, many: u32) -> String {
     let steps = if std::env::var_os("WSG_WHOLE").is_some() { many } else { few };

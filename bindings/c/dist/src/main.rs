@@ -22,14 +22,16 @@ const TARGETS: [&str; 8] = [
 ];
 
 /// Files and folders of the archive, and where they come from, relative to `bindings/c`. `@VERSION@` in `package` is replaced.
-const FILES: [(&str, &str); 14] = [
+const FILES: [(&str, &str); 16] = [
     ("README.md", "README.md"),
     ("LICENSE-APACHE", "../../LICENSE-APACHE"),
     ("LICENSE-MIT", "../../LICENSE-MIT"),
     ("CHANGELOG.md", "../../CHANGELOG.md"),
     ("include/wsg.h", "include/wsg.h"),
     ("include/wsg.hpp", "include/wsg.hpp"),
+    ("include/wsg_host.h", "../c-host/include/wsg_host.h"),
     ("examples", "examples"),
+    ("examples/host.c", "../c-host/examples/host.c"),
     ("lib/cmake/wsg/wsg-config.cmake", "package/wsg-config.cmake"),
     ("lib/cmake/wsg/wsg-config-version.cmake", "package/wsg-config-version.cmake"),
     ("lib/pkgconfig/wsg.pc", "package/wsg.pc"),
@@ -78,13 +80,13 @@ fn run() -> Result<()> {
         Some(chosen) => {
             for triple in chosen.split(',') {
                 ensure!(TARGETS.contains(&triple), "unknown target {triple}; expected one of {TARGETS:?}");
-                library(&sources, &to, &folder, triple)?;
+                libraries(&sources, &to, &folder, triple)?;
             }
         }
         None => {
             for triple in TARGETS {
                 if provide(triple) {
-                    library(&sources, &to, &folder, triple)?;
+                    libraries(&sources, &to, &folder, triple)?;
                 } else {
                     missing.push(triple);
                 }
@@ -128,14 +130,30 @@ fn provide(triple: &str) -> bool {
         && (!is_forbidden || String::from_utf8_lossy(&output.stdout).lines().any(|line| line == triple))
 }
 
-/// Builds the static library for a target and puts it into the folder, without debug information and bitcode.
-fn library(sources: &Path, to: &Path, folder: &Path, triple: &str) -> Result<()> {
+/// Builds the static libraries for a target: the session, and on an operating system the blocking calls.
+fn libraries(sources: &Path, to: &Path, folder: &Path, triple: &str) -> Result<()> {
+    library(sources, to, folder, triple, "libwsg.a", &["--features", "static-library"])?;
+    if triple.contains("linux") || triple.contains("windows") {
+        library(&sources.join("../c-host"), to, folder, triple, "libwsg_host.a", &[])?;
+    }
+    Ok(())
+}
+
+/// Builds one static library and puts it into the folder, without debug information and bitcode.
+fn library(
+    package: &Path,
+    to: &Path,
+    folder: &Path,
+    triple: &str,
+    name: &str,
+    features: &[&str],
+) -> Result<()> {
     let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.current_dir(sources).args(["rustc", "--locked", "--quiet", "--lib", "--profile", "c-library"]);
-    cargo.args(["--crate-type", "staticlib", "--features", "static-library", "--target", triple]);
+    cargo.current_dir(package).args(["rustc", "--locked", "--quiet", "--lib", "--profile", "c-library"]);
+    cargo.args(["--crate-type", "staticlib", "--target", triple]).args(features);
     succeed(cargo.arg("--target-dir").arg(to.join("build")))?;
-    let built = to.join("build").join(triple).join("c-library/libwsg.a");
-    let target = folder.join("lib").join(triple).join("libwsg.a");
+    let built = to.join("build").join(triple).join("c-library").join(name);
+    let target = folder.join("lib").join(triple).join(name);
     fs::create_dir_all(target.parent().context("it has a folder")?)?;
     // LLVM's tool, which comes with rustc and reads every target's objects.
     let mut sysroot = Command::new(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()));
