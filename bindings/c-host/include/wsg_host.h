@@ -306,7 +306,7 @@ void wsg_host_stop_free(wsg_host_stop_t *handle);
 
 /*
  Starts to stream at `rate_hz` set-points per second, 1 to 500. The fingers must be referenced. The stream takes over the
- gripper, which must not be used any more, whatever this function returns; wsg_host_stream_end() gives it back.
+ gripper, which must not be used any more, even after an error; wsg_host_stream_end() gives it back.
  */
 int32_t wsg_host_stream_start(wsg_host_t *gripper, uint16_t rate_hz, wsg_host_stream_t **stream);
 

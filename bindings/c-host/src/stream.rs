@@ -63,7 +63,7 @@ fn of_rejected(rejected: Rejected) -> i32 {
 }
 
 /// Starts to stream at `rate_hz` set-points per second, 1 to 500. The fingers must be referenced. The stream takes over the
-/// gripper, which must not be used any more, whatever this function returns; wsg_host_stream_end() gives it back.
+/// gripper, which must not be used any more, even after an error; wsg_host_stream_end() gives it back.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_host_stream_start(
     gripper: *mut wsg_host_t,

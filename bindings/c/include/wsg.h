@@ -456,7 +456,7 @@ typedef struct {
     uint16_t update_period_ms;
     /* Number of times a repeatable request is sent before the connection counts as lost, at least 1. Default: 3. */
     uint8_t attempts;
-    /* Values to subscribe to besides the two states: WSG_UPDATE_WIDTH, WSG_UPDATE_SPEED, WSG_UPDATE_FORCE. Default: 0. */
+    /* Values to subscribe to in addition to the two states: WSG_UPDATE_WIDTH, WSG_UPDATE_SPEED, WSG_UPDATE_FORCE. Default: 0. */
     uint8_t updates;
     /*
      1 to read Set Acceleration, Set Force Limit and Set Soft Limits back, 0 (default) to trust their replies. A

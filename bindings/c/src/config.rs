@@ -48,7 +48,7 @@ pub struct wsg_config_t {
     pub update_period_ms: u16,
     /// Number of times a repeatable request is sent before the connection counts as lost, at least 1. Default: 3.
     pub attempts: u8,
-    /// Values to subscribe to besides the two states: WSG_UPDATE_WIDTH, WSG_UPDATE_SPEED, WSG_UPDATE_FORCE. Default: 0.
+    /// Values to subscribe to in addition to the two states: WSG_UPDATE_WIDTH, WSG_UPDATE_SPEED, WSG_UPDATE_FORCE. Default: 0.
     pub updates: u8,
     /// 1 to read Set Acceleration, Set Force Limit and Set Soft Limits back, 0 (default) to trust their replies. A
     /// different value is reported as WSG_E_WRITE_ERROR.

@@ -43,7 +43,7 @@ fn compile() -> PathBuf {
 #[test]
 #[ignore = "needs QEMU, arm-none-eabi-gcc and the library: run `cargo xtask test`"]
 fn arm_none_eabi_gcc_program_grips_loses_the_part_releases_and_stops() {
-    // The pins are those of the bridge's wires to the PLC; READY shows the end of the program.
+    // The pins are the wires between bridge and PLC. READY shows the end of the program.
     let mut board = Emulator::start_with(&compile(), Extras::default()).unwrap();
     let trace = Trace::new(vec![]);
     let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
