@@ -96,6 +96,11 @@ impl Fieldbus {
         &self.written
     }
 
+    /// Returns the master that wrote the output image last, while it is connected.
+    pub(crate) const fn writer(&self) -> Option<PortId> {
+        self.writer
+    }
+
     /// Sets OF from a script on the gripper.
     pub(crate) const fn set_user_outputs(&mut self, flags: u8) {
         self.controller.set_user_outputs(flags);

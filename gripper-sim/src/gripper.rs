@@ -7,6 +7,7 @@ use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
 use crate::fieldbus::Fieldbus;
 use crate::finger::{Finger, Jaw};
+use crate::journal::{Cause, Journal, JournalEvent};
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
 use crate::script::{ScriptRequest, ScriptState};
 use crate::time::{Time, earlier};
@@ -48,6 +49,7 @@ pub struct VirtualGripper<const PORTS: usize = DEFAULT_PORTS> {
     fieldbus: Fieldbus,
     clients: [Option<Client>; PORTS],
     connections: u32,
+    journal: Journal,
     now: Time,
 }
 
@@ -95,7 +97,14 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     pub fn with_ports(config: Config) -> Self {
         let device = Device::new(config);
         let fieldbus = Fieldbus::new(&device);
-        Self { device, fieldbus, clients: [const { None }; PORTS], connections: 0, now: Time::ZERO }
+        Self {
+            device,
+            fieldbus,
+            clients: [const { None }; PORTS],
+            connections: 0,
+            journal: Journal::default(),
+            now: Time::ZERO,
+        }
     }
 
     /// Connects a client. Returns `None` if all `PORTS` places are taken.
@@ -119,7 +128,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             *slot = None;
         }
         if is_error && self.device.config().disconnect_error {
-            self.device.fast_stop();
+            self.device.fast_stop(Cause::Disconnected(id));
         }
         if has_cyclic_outputs {
             self.fieldbus.end_outputs(&self.device, id, reaction);
@@ -127,6 +136,18 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             self.fieldbus.leave(&self.device, id, reaction);
         }
         self.settle();
+    }
+
+    /// Returns whether the end of this client's connection would be an error: the client sent data and did not announce
+    /// the end (command set, 3.1.2).
+    #[must_use]
+    pub fn is_missed(&self, id: PortId) -> bool {
+        self.client(id).is_some_and(Client::is_missed)
+    }
+
+    /// Takes the next event for the system log. The queue keeps the latest events.
+    pub fn take_journal_event(&mut self) -> Option<JournalEvent> {
+        self.journal.take()
     }
 
     /// Ends the automatic updates of a client. For lines such as UDP, on which another sender takes over.
@@ -388,7 +409,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
 
     /// Sends the results of the last event: second answers first, then updates.
     fn settle(&mut self) {
-        let Self { device, fieldbus, clients, now, .. } = self;
+        let Self { device, fieldbus, clients, journal, now, .. } = self;
         loop {
             while let Some(done) = device.take_completion(*now) {
                 if done.port == PortId::FIELDBUS {
@@ -405,6 +426,11 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
         device.note_load();
         let readings = device.readings();
+        let cause = match device.cause() {
+            Cause::Fieldbus(_) => Cause::Fieldbus(fieldbus.writer()),
+            cause => cause,
+        };
+        journal.observe(*now, readings.flags, cause);
         for client in clients.iter_mut().flatten() {
             client.publish(*now, &readings);
         }

@@ -39,6 +39,7 @@ mod fieldbus;
 mod finger;
 mod gcl;
 mod gripper;
+mod journal;
 mod modbus;
 mod model;
 mod motion;
@@ -59,6 +60,7 @@ pub use config::{Config, Tag};
 pub use faults::Fault;
 pub use finger::{Finger, Jaw};
 pub use gripper::{DEFAULT_PORTS, State, VirtualGripper};
+pub use journal::{Cause, JournalEvent};
 pub use model::{Model, Parameters};
 pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
 #[cfg(feature = "rig")]

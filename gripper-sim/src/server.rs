@@ -21,6 +21,7 @@ mod script;
 mod serial;
 mod slcan;
 mod stream;
+mod system_log;
 mod tcp;
 mod thread;
 mod udp;
@@ -40,6 +41,7 @@ use std::future::Future;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
+use system_log::{Severity, SystemLog};
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::task::{JoinSet, LocalSet};
 use wsg_protocol::can::Identifiers;
@@ -111,7 +113,12 @@ impl Server {
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
         // Pages show the log even if it is written nowhere.
         let log = log.or_else(|| control.is_some().then(Log::to_nowhere));
-        let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log));
+        let system_log = match &lines.system_log {
+            Some(path) => SystemLog::to_file(path)?,
+            None => SystemLog::default(),
+        };
+        let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log, system_log));
+        hub.report_event(Severity::Info, "gripper", &format!("started as {}", config.model));
         Ok(Self {
             hub,
             tcp,

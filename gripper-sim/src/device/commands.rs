@@ -3,6 +3,7 @@
 use super::{Device, FINGER_START_UP_MS};
 use crate::config::Tag;
 use crate::finger::{Jaw, NoData, PowerOutcome};
+use crate::journal::Cause;
 use crate::port::Request;
 use crate::updates::Quantity;
 use wsg_protocol::{
@@ -19,6 +20,7 @@ impl Device {
     /// Executes a command and returns its first answer.
     pub(crate) fn execute<'a>(&'a mut self, request: Request, command: &Command<'a>) -> Reply<'a> {
         let id = command.id();
+        self.cause = Cause::of(request.port);
         let status = match *command {
             Command::Loop { data } => return Reply::success(Value::Loop(data)),
             // Connections handle this command; it does not concern the device.
@@ -33,7 +35,7 @@ impl Device {
                 Status::Success
             }
             Command::FastStop => {
-                self.fast_stop();
+                self.fast_stop(Cause::of(request.port));
                 Status::Success
             }
             Command::Acknowledge { .. } => {

@@ -1,14 +1,20 @@
 //! The gripper in real time, shared by the tasks of its lines and the thread of its script.
 
-use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Pace, Passage};
+mod client;
+
+pub(super) use client::Client;
+
+use super::faulty_line::{FaultyLine, LineCounts, LineFaults, Pace};
 use super::lines::Profile;
 use super::log::{Log, Watched};
 use super::request_line::RequestLine;
+use super::system_log::{Severity, SystemLog};
 use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
 use crate::gripper::{State, VirtualGripper};
-use crate::port::{FrameBuffer, PortCounters, PortId, PortKind, Protocol};
+use crate::journal::{Cause, JournalEvent};
+use crate::port::{PortCounters, PortId, PortKind, Protocol};
 #[cfg(feature = "script")]
 use crate::script::ScriptRequest;
 use crate::time::Time;
@@ -21,9 +27,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
 use wsg_fieldbus::{InputImage, OutputImage};
-#[cfg(all(feature = "profinet", target_os = "linux"))]
-use wsg_protocol::SystemFlags;
-use wsg_protocol::{Command, Status};
+use wsg_protocol::{Command, Status, SystemFlags};
 
 /// The maximum number of simultaneous clients of a server.
 const MAX_CLIENTS: usize = 128;
@@ -33,6 +37,11 @@ const IDLE_LIMIT: Duration = Duration::from_secs(300);
 /// Latency of a real gripper's command interface. Field reports: three requests in turn are answered 15 times a second.
 /// The split between the two figures is assumed.
 const REAL_PACE: Pace = Pace { delay_ms: 22, gap_ms: 5 };
+
+/// Source of entries of the system log: the page or a program at the control interface.
+pub(super) const PAGE: &str = "page";
+/// Source of entries of the system log: a script on the gripper.
+pub(super) const SCRIPT: &str = "script";
 
 /// The gripper, its clock, and the clients that wait for frames.
 #[derive(Debug)]
@@ -44,6 +53,7 @@ pub(super) struct Hub {
     config: Config,
     profile: Profile,
     seed: u64,
+    system_log: SystemLog,
     /// Signals that a request for the script may have arrived, or that the gripper was switched off.
     #[cfg(feature = "script")]
     script_waits: Condvar,
@@ -92,7 +102,13 @@ pub(super) struct Report {
 }
 
 impl Hub {
-    pub(super) fn new(config: Config, profile: Profile, seed: u64, log: Option<Log>) -> Self {
+    pub(super) fn new(
+        config: Config,
+        profile: Profile,
+        seed: u64,
+        log: Option<Log>,
+        system_log: SystemLog,
+    ) -> Self {
         Self {
             shared: Mutex::new(Shared {
                 gripper: Box::new(VirtualGripper::with_ports(config)),
@@ -110,6 +126,7 @@ impl Hub {
             config,
             profile,
             seed,
+            system_log,
             #[cfg(feature = "script")]
             script_waits: Condvar::new(),
         }
@@ -183,12 +200,13 @@ impl Hub {
         });
         shared.clients.insert(number, Arc::clone(&connected));
         drop(shared);
+        self.report_event(Severity::Info, &connected.name, "connected");
         let is_paced =
             self.profile == Profile::Real && matches!(kind.protocol(), Protocol::Binary | Protocol::Text);
         let pace = if is_paced { REAL_PACE } else { Pace::NONE };
         let line = RefCell::new(FaultyLine::new(self.seed, number).paced(pace));
         let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
-        Some(Client { hub: Arc::clone(self), connected, line, requests })
+        Some(Client::new(Arc::clone(self), connected, line, requests))
     }
 
     /// Disconnects the Modbus/TCP client that has been idle longest to free its place. Clients of other protocols stay,
@@ -206,13 +224,23 @@ impl Hub {
 
     /// Disconnects a client; does nothing if it is already disconnected.
     fn disconnect(&self, client: &Connected) {
+        let is_missed = self.lock().gripper.is_missed(client.id);
+        self.act(|gripper, now| gripper.disconnect(client.id, now));
         let mut shared = self.lock();
-        shared.clients.remove(&client.number);
         if let Some(log) = &mut shared.log {
             log.disconnect(client.id);
         }
+        let is_first = shared.clients.remove(&client.number).is_some();
+        let is_off = shared.is_off;
         drop(shared);
-        self.act(|gripper, now| gripper.disconnect(client.id, now));
+        if is_first && !is_off {
+            let (severity, how) = if is_missed {
+                (Severity::Warning, "the connection ended without a Disconnect Announcement")
+            } else {
+                (Severity::Info, "disconnected")
+            };
+            self.report_event(severity, &client.name, how);
+        }
     }
 
     /// Returns the settings of the gripper.
@@ -254,12 +282,15 @@ impl Hub {
             shared.faults.push(fault);
         }
         drop(shared);
+        let text = format!("fault {fault:?} {}", if on { "injected" } else { "removed" });
+        self.report_event(Severity::Info, PAGE, &text);
         self.act(|gripper, now| gripper.set_fault(fault, on, now));
     }
 
     /// Executes a command of an operator and returns its first status.
     pub(super) fn command(&self, command: &Command<'_>) -> Status {
-        let status = self.act(|gripper, now| gripper.command(command, now));
+        let status = self.with_gripper_by(PAGE, |gripper, now| gripper.command(command, now));
+        self.rescheduled.notify_one();
         self.note(format_args!("{command}: {status}"));
         status
     }
@@ -336,6 +367,16 @@ impl Hub {
         client.map(|client| client.kind.to_string())
     }
 
+    /// Returns the system log.
+    pub(super) const fn system_log(&self) -> &SystemLog {
+        &self.system_log
+    }
+
+    /// Writes an entry to the system log.
+    pub(super) fn report_event(&self, severity: Severity, source: &str, text: &str) {
+        self.system_log.write(self.now(), severity, source, text);
+    }
+
     fn note(&self, what: std::fmt::Arguments<'_>) {
         self.note_of("control", what);
     }
@@ -356,6 +397,15 @@ impl Hub {
 
     /// Calls `act` with the gripper at the current time and wakes the affected clients.
     fn with_gripper<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
+        self.with_gripper_by(SCRIPT, act)
+    }
+
+    /// The same, with the source that the system log names for commands without a client.
+    fn with_gripper_by<T>(
+        &self,
+        operator: &str,
+        act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T,
+    ) -> T {
         let mut shared = self.lock();
         let Shared { gripper, clients, log, .. } = &mut *shared;
         // Read under the lock, so that the gripper's time never runs backwards.
@@ -369,7 +419,45 @@ impl Hub {
         if let Some(log) = log {
             log.expire(now);
         }
+        while let Some(event) = gripper.take_journal_event() {
+            self.report_change(&event, operator, clients);
+        }
         result
+    }
+
+    /// Writes a change of the system state to the system log.
+    fn report_change(&self, event: &JournalEvent, operator: &str, clients: &BTreeMap<u64, Arc<Connected>>) {
+        let name = |id: PortId| {
+            let client = clients.values().find(|client| client.id == id);
+            client.map_or_else(|| "a client that has left".to_owned(), |client| client.name.to_string())
+        };
+        let (source, reason) = match event.cause {
+            Cause::Fault => ("gripper".to_owned(), " by a fault"),
+            Cause::SoftLimit => ("gripper".to_owned(), " by fingers beyond a soft limit"),
+            Cause::Client(id) => (name(id), " by command"),
+            Cause::Disconnected(id) => (name(id), " by a lost connection"),
+            Cause::Fieldbus(master) => {
+                (master.map_or_else(|| "fieldbus".to_owned(), name), " by the register interface")
+            }
+            Cause::Operator => (operator.to_owned(), " by command"),
+        };
+        let name = event.flag.iter_names().next().map_or("", |(name, _)| name);
+        let (severity, text) = match (event.flag, event.is_set) {
+            (SystemFlags::FAST_STOP, true) if matches!(event.cause, Cause::Client(_) | Cause::Operator) => {
+                (Severity::Warning, format!("FAST STOP{reason}"))
+            }
+            (SystemFlags::FAST_STOP, true) => (Severity::Error, format!("FAST STOP{reason}")),
+            (SystemFlags::FAST_STOP, false) => (Severity::Info, format!("FAST STOP acknowledged{reason}")),
+            (SystemFlags::OVERDRIVE_MODE, is_set) => {
+                (Severity::Info, format!("overdrive mode {}", if is_set { "entered" } else { "left" }))
+            }
+            (SystemFlags::TEMP_WARNING, true) => (Severity::Warning, format!("{name} set")),
+            (_, true) => (Severity::Error, format!("{name} set")),
+            (_, false) => (Severity::Info, format!("{name} cleared")),
+        };
+        let is_about_device = !matches!(event.flag, SystemFlags::FAST_STOP | SystemFlags::OVERDRIVE_MODE);
+        let source = if is_about_device { "gripper" } else { &source };
+        self.system_log.write(event.at, severity, source, &text);
     }
 }
 
@@ -378,181 +466,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A client of the gripper; dropping it disconnects the client.
-#[derive(Debug)]
-pub(super) struct Client {
-    hub: Arc<Hub>,
-    connected: Arc<Connected>,
-    line: RefCell<FaultyLine>,
-    requests: RefCell<RequestLine>,
-}
-
-impl Client {
-    pub(super) fn receive(&self, bytes: &[u8]) {
-        let Self { hub, requests, connected, .. } = self;
-        *lock(&connected.heard_at) = Instant::now();
-        let mut shared = hub.lock();
-        let now = hub.now();
-        let Shared { log, line_faults, request_counts, .. } = &mut *shared;
-        if let Some(log) = log {
-            log.received(connected.id, now, bytes);
-        }
-        let faults = line_faults.of_requests();
-        let mut requests = requests.borrow_mut();
-        if faults.are_none() && requests.is_empty() {
-            drop(shared);
-            return self.hear(bytes);
-        }
-        requests.take(&faults, now, bytes, |fate| {
-            request_counts.count(fate);
-            if !fate.is_harmless()
-                && let Some(log) = log
-            {
-                log.note(now, &connected.name, format_args!("-> line fault: {fate}"));
-            }
-        });
-    }
-
-    /// Takes an output image written by the master.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
-    pub(super) fn write_image(&self, image: &OutputImage, is_first: bool) {
-        *lock(&self.connected.heard_at) = Instant::now();
-        self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
-    }
-
-    /// Reports that the master that writes images has stopped or is silent.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
-    pub(super) fn end_images(&self) {
-        self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
-    }
-
-    /// Ends the subscriptions, because another sender uses the line now.
-    pub(super) fn end_updates(&self) {
-        self.hub.with_gripper(|gripper, now| gripper.end_updates(self.connected.id, now));
-    }
-
-    /// Ready when a request may reach the gripper over a faulty line.
-    pub(super) async fn request_waits(&self) {
-        let arrival = self.requests.borrow().next_arrival();
-        match arrival {
-            Some(at) => self.hub.reached(at).await,
-            None => std::future::pending().await,
-        }
-    }
-
-    /// Passes the next request that arrives over a faulty line to the gripper.
-    pub(super) fn arrive(&self) {
-        let arrived = self.requests.borrow_mut().arrive(self.hub.now());
-        if let Some(bytes) = arrived {
-            self.hear(&bytes);
-        }
-    }
-
-    fn hear(&self, bytes: &[u8]) {
-        self.hub.act(|gripper, now| gripper.receive(self.connected.id, now, bytes));
-        #[cfg(feature = "script")]
-        self.hub.script_waits.notify_all();
-    }
-
-    /// Returns whether the connection is over: synchronization is lost, and all frames for the client are sent.
-    pub(super) fn is_over(&self) -> bool {
-        let shared = self.hub.lock();
-        shared.gripper.is_lost(self.connected.id)
-            && !shared.gripper.has_frame(self.connected.id)
-            && self.line.borrow().next_arrival().is_none()
-    }
-
-    /// Ready when a Modbus/TCP connection must be closed, because it is idle for too long or its place is needed. Never
-    /// ready for other protocols.
-    pub(super) async fn dismissed(&self) {
-        let Connected { kind, name, heard_at, displaced, .. } = &*self.connected;
-        if *kind != PortKind::ModbusTcp {
-            return std::future::pending().await;
-        }
-        let heard_at = *lock(heard_at);
-        tokio::select! {
-            () = displaced.notified() => {}
-            () = sleep_until(heard_at + IDLE_LIMIT) => {
-                self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
-            }
-        }
-    }
-
-    /// Returns whether there is room for answers: a slow line holds a bounded number of frames.
-    pub(super) fn has_room(&self) -> bool {
-        self.line.borrow().has_room()
-    }
-
-    /// Returns whether there is room for answers and requests.
-    pub(super) fn takes_more(&self) -> bool {
-        self.has_room() && self.requests.borrow().has_room()
-    }
-
-    /// Returns the next frame that arrives at this client.
-    pub(super) fn transmit<'a>(&self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let len = self.next_frame(buffer)?;
-        buffer.get(..len)
-    }
-
-    /// Ready when there may be a frame.
-    pub(super) async fn frame_waits(&self) {
-        let arrival = self.line.borrow().next_arrival();
-        let arrived = async {
-            match arrival {
-                Some(at) => self.hub.reached(at).await,
-                None => std::future::pending().await,
-            }
-        };
-        tokio::select! {
-            () = arrived => {}
-            () = self.connected.frames.notified() => {}
-        }
-    }
-
-    fn next_frame(&self, buffer: &mut FrameBuffer) -> Option<usize> {
-        let Self { hub, line, .. } = self;
-        let mut line = line.borrow_mut();
-        while line.has_room() {
-            let mut shared = hub.lock();
-            let Shared { gripper, log, line_faults, reply_counts, .. } = &mut *shared;
-            let Some(frame) = gripper.transmit(self.connected.id, buffer) else { break };
-            let now = hub.now();
-            let passage = line.pass(&line_faults.of_replies(), now, frame);
-            let fate = match passage {
-                Passage::Through => Fate::default(),
-                Passage::Held(fate) => fate,
-            };
-            reply_counts.count(&fate);
-            if let Some(log) = log {
-                log.sent(now, self.connected.id, &self.connected.name, frame);
-                if !fate.is_harmless() {
-                    log.note(now, &self.connected.name, format_args!("<- line fault: {fate}"));
-                }
-            }
-            if passage == Passage::Through {
-                return Some(frame.len());
-            }
-        }
-        let arrived = line.arrive(hub.now())?;
-        let place = buffer.get_mut(..arrived.len())?;
-        place.copy_from_slice(&arrived);
-        Some(place.len())
-    }
-}
-
-impl Drop for Client {
-    fn drop(&mut self) {
-        self.hub.disconnect(&self.connected);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use tokio::time::advance;
 
     fn hub() -> Arc<Hub> {
-        Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None))
+        Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None, SystemLog::default()))
     }
 
     async fn is_dismissed(client: &Client) -> bool {

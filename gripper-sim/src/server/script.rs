@@ -5,7 +5,8 @@
 
 mod calls;
 
-use super::hub::Hub;
+use super::hub::{Hub, SCRIPT};
+use super::system_log::Severity;
 use crate::script::ScriptState;
 use anyhow::{Context, Result};
 use mlua::chunk::ChunkMode;
@@ -60,6 +61,8 @@ impl Script {
     /// # Errors
     /// Returns an error if the system cannot create a thread.
     pub(super) fn start(self, hub: Arc<Hub>) -> Result<()> {
+        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
+        hub.report_event(Severity::Info, SCRIPT, &format!("{name} started"));
         set_state(&hub, ScriptState::Running);
         let thread = thread::Builder::new().name("wsg-sim script".to_owned()).stack_size(STACK_SIZE);
         thread.spawn(move || self.run(&hub))?;
@@ -110,14 +113,16 @@ impl Script {
 fn end(hub: &Hub, error: Option<String>) {
     match error {
         None => {
-            hub.note_of("script", format_args!("ended"));
+            hub.note_of(SCRIPT, format_args!("ended"));
+            hub.report_event(Severity::Info, SCRIPT, "ended");
             set_state(hub, ScriptState::None);
         }
         Some(error) => {
             let error = clipped(&error);
             // Without a log, this message is the only explanation for missing answers.
             eprintln!("wsg-sim: the script failed: {error}");
-            hub.note_of("script", format_args!("failed: {error}"));
+            hub.note_of(SCRIPT, format_args!("failed: {error}"));
+            hub.report_event(Severity::Error, SCRIPT, &format!("failed: {error}"));
             set_state(hub, ScriptState::Failed);
         }
     }
@@ -156,6 +161,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::server::lines::Profile;
+    use crate::server::system_log::SystemLog;
     use std::sync::mpsc::channel;
 
     /// Maximum time that a script may continue after its gripper is powered off.
@@ -171,7 +177,7 @@ mod tests {
             "while true do pcall(sleep, 1e9) end",
         ] {
             let script = Script { path: PathBuf::from("endless.lua"), source: source.into() };
-            let hub = Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None));
+            let hub = Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None, SystemLog::default()));
             let (ended, ends) = channel();
             let seen = Arc::clone(&hub);
             thread::spawn(move || {

@@ -17,5 +17,6 @@ mod profibus;
 mod python;
 #[cfg(feature = "script")]
 mod scripts;
+mod system_log;
 #[cfg(unix)]
 mod unix;

@@ -212,6 +212,9 @@ struct Arguments {
     /// wait for a slow reader of the log: it omits lines and logs how many
     #[arg(long, value_name = "FILE")]
     log: Option<PathBuf>,
+    /// Appends the system log to a file: starts, connections, FAST STOPs with their source, faults, settings and scripts
+    #[arg(long, value_name = "FILE")]
+    system_log: Option<PathBuf>,
 }
 
 /// The options for PROFINET.
@@ -411,6 +414,7 @@ impl Arguments {
             tcp: if is_default_line { Some(DEFAULT_TCP) } else { self.tcp },
             udp: self.udp.map(|address| UdpLine { address, remote_port }),
             serial: self.serial,
+            system_log: self.system_log,
             can: can_bus.map(|bus| CanLine { bus, identifiers }),
             gcl: self.gcl,
             gcl_udp: self.gcl_udp,
