@@ -78,6 +78,35 @@ pub struct Config {
 }
 
 impl Config {
+    /// Returns these settings with those of `new` that a running gripper can take over. The others keep the values that
+    /// they had at power-up: model, fingers, Modbus byte order, PROFIBUS address, and what applies at power-up only.
+    #[must_use]
+    pub const fn at_run_time(&self, new: &Self) -> Self {
+        Self {
+            model: self.model,
+            fingers: self.fingers,
+            homing_at_start: self.homing_at_start,
+            soft_limits: self.soft_limits,
+            force_limit: self.force_limit,
+            acceleration: self.acceleration,
+            modbus_swap_bytes: self.modbus_swap_bytes,
+            profibus_address: self.profibus_address,
+            frame_timeout_ms: self.frame_timeout_ms,
+            ..*new
+        }
+    }
+
+    /// Returns whether the motions of both differ.
+    pub(crate) fn moves_differently(&self, other: &Self) -> bool {
+        let of = |config: &Self| {
+            let Self {
+                homing_default, time_scale, clamping_travel, part_width_tolerance, homing_speed, ..
+            } = *config;
+            (homing_default, time_scale, clamping_travel, part_width_tolerance, homing_speed)
+        };
+        of(self) != of(other)
+    }
+
     /// Smallest permitted `time_scale`.
     pub const MIN_TIME_SCALE: f32 = 0.01;
     /// Largest permitted `time_scale`.

@@ -69,6 +69,25 @@ impl Device {
         &self.config
     }
 
+    /// Takes over the settings. Returns false, and changes nothing, while a motion runs whose settings would change.
+    pub(crate) fn reconfigure(&mut self, config: Config) -> bool {
+        let before = self.config;
+        if before.moves_differently(&config) {
+            if self.motion.is_running() {
+                return false;
+            }
+            self.motion.reconfigure(&config);
+        }
+        self.config = config;
+        if before.part != config.part {
+            self.set_part(config.part);
+        }
+        if before.tag != config.tag {
+            self.tag = config.tag;
+        }
+        true
+    }
+
     pub(crate) const fn limits(&self) -> &'static SystemLimits {
         &self.config.model.parameters().limits
     }

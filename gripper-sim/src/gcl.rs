@@ -68,6 +68,11 @@ impl Client {
         }
     }
 
+    /// Takes over the settings that the client cannot change itself.
+    pub(crate) const fn reconfigure(&mut self, config: &Config) {
+        self.line.silence.reconfigure(self.line.kind, config);
+    }
+
     pub(crate) const fn id(&self) -> PortId {
         self.line.id
     }

@@ -5,7 +5,7 @@ use crate::client::Client;
 use crate::config::Config;
 use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
-use crate::fieldbus::Fieldbus;
+use crate::fieldbus::{Exchange, Fieldbus};
 use crate::finger::{Finger, Jaw};
 use crate::journal::{Cause, Journal, JournalEvent};
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
@@ -240,6 +240,31 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.now
     }
 
+    /// Returns the current settings.
+    #[must_use]
+    pub const fn config(&self) -> &Config {
+        self.device.config()
+    }
+
+    /// Takes over the settings that a running gripper can take over ([`Config::at_run_time`]). Reference, latched state and
+    /// connections stay. A part or a tag that differs from the last settings is set. Clients of the text protocol keep
+    /// their part width tolerance and clamping travel, which they can set themselves.
+    ///
+    /// Returns E_ALREADY_RUNNING, and changes nothing, while a motion runs whose settings would change.
+    pub fn reconfigure(&mut self, config: &Config, now: Time) -> Status {
+        self.advance(now);
+        let before = *self.config();
+        let config = before.at_run_time(config);
+        if !self.device.reconfigure(config) {
+            return Status::AlreadyRunning;
+        }
+        for client in self.clients.iter_mut().flatten() {
+            client.reconfigure(&before, &config);
+        }
+        self.settle();
+        Status::Success
+    }
+
     /// Places a part between the fingers, or removes it. A part wider than the opening enters once the fingers have
     /// opened far enough.
     pub fn set_part(&mut self, part: Option<Part>, now: Time) {
@@ -354,6 +379,22 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     #[must_use]
     pub fn fieldbus_images(&self) -> (OutputImage, InputImage) {
         (*self.fieldbus.written(), self.fieldbus.input(&self.device))
+    }
+
+    /// Returns how data exchange with the masters of the register interface stands.
+    #[must_use]
+    pub const fn exchange(&self) -> Exchange {
+        self.fieldbus.exchange_state()
+    }
+
+    /// Returns the address of the PROFIBUS master that has locked the slave, if any.
+    #[must_use]
+    pub fn profibus_master(&self) -> Option<u8> {
+        let slave = self.clients.iter().flatten().find_map(|client| match client {
+            Client::Profibus(slave) => Some(slave),
+            _ => None,
+        });
+        slave.and_then(crate::profibus::Client::master)
     }
 
     /// Writes a complete output image from a bus with image transfer ([`PortKind::Profinet`]). `is_first` marks the

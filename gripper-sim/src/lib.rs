@@ -58,6 +58,7 @@ mod updates;
 pub use axis::{Direction, Part};
 pub use config::{Config, Tag};
 pub use faults::Fault;
+pub use fieldbus::{Exchange, ExchangeState};
 pub use finger::{Finger, Jaw};
 pub use gripper::{DEFAULT_PORTS, State, VirtualGripper};
 pub use journal::{Cause, JournalEvent};

@@ -8,9 +8,12 @@
 mod access;
 mod answer;
 mod commands;
+mod editor;
 mod events;
+mod history;
 mod injected;
 mod page;
+mod settings;
 mod state;
 
 use super::accept::{Accepted, Acceptor};
@@ -19,7 +22,9 @@ use access::{check_host, check_origin};
 use answer::{Answer, HttpError, json, whole};
 use anyhow::Result;
 use commands::{COMMAND_EXPECTED, CommandBody};
+use editor::{Editor, FRAME_EXPECTED};
 use events::{Link, MAX_STREAMS, Watchers, event};
+use history::History;
 use http_body_util::{BodyExt, Either, LengthLimitError, Limited};
 use hyper::body::Incoming;
 use hyper::header::{
@@ -32,6 +37,7 @@ use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
 use injected::{FAULT_EXPECTED, FaultBody, LINE_EXPECTED, PART_EXPECTED, line_faults, part, which_fault};
 use serde::Deserialize;
+use settings::{SETTINGS_EXPECTED, change, settings};
 use state::{HelloBody, StateBody};
 use std::collections::VecDeque;
 use std::convert::Infallible;
@@ -58,6 +64,8 @@ const TIME_LIMIT: Duration = Duration::from_secs(5);
 const PERIOD: Duration = Duration::from_millis(50);
 /// Interval of the heartbeat to pages while nothing changes.
 const HEARTBEAT: Duration = Duration::from_millis(500);
+/// Time from the answer to a request for a restart to the restart.
+const RESTART_DELAY: Duration = Duration::from_millis(100);
 /// How long a rejected connection may take to read the reason.
 const REFUSAL_TIME: Duration = Duration::from_millis(100);
 /// The reason: the system has no file descriptor left to serve the connection.
@@ -71,15 +79,17 @@ const NO_ROOM: &[u8] =
 pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
     let names: Rc<[String]> = names.into();
     let watchers = Rc::new(Watchers::default());
-    spawn_local(publish(Arc::clone(&hub), Rc::clone(&watchers)));
+    let (history, editor) = (Rc::new(History::default()), Editor::new(Arc::clone(&hub)));
+    spawn_local(Rc::clone(&history).record(Arc::clone(&hub)));
+    spawn_local(publish(Arc::clone(&hub), Rc::clone(&editor), Rc::clone(&watchers)));
+    let site = Site { hub, names, watchers, history, editor };
     let mut connections = Connections::default();
     let mut acceptor = Acceptor::new(listener);
     loop {
         match acceptor.accept().await {
             Accepted::Client(stream, _) => {
                 let link = Link::new();
-                let site =
-                    Site { hub: Arc::clone(&hub), names: Rc::clone(&names), watchers: Rc::clone(&watchers) };
+                let site = site.clone();
                 connections.open(Rc::clone(&link), async move {
                     tokio::select! {
                         // Ends a connection that does not speak HTTP.
@@ -114,6 +124,8 @@ struct Site {
     hub: Arc<Hub>,
     names: Rc<[String]>,
     watchers: Rc<Watchers>,
+    history: Rc<History>,
+    editor: Rc<Editor>,
 }
 
 /// Ready when a connection has lasted too long: a request exceeds the time limit, or a stream is no longer read.
@@ -125,14 +137,15 @@ async fn run_out(link: &Link) {
 }
 
 /// Sends changes of the state to pages while any are open.
-async fn publish(hub: Arc<Hub>, watchers: Rc<Watchers>) {
+async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
+    // The next entry of the system log, and the next frame of the editor.
+    let (mut next_entry, mut next_frame) = (0, 0);
     loop {
         watchers.come().await;
         hub.watch_log(true);
         let mut ticks = interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut told = (String::new(), Instant::now());
-        let mut next_entry = hub.system_log().next();
         while !watchers.are_none() {
             ticks.tick().await;
             let report = hub.report();
@@ -149,6 +162,12 @@ async fn publish(hub: Arc<Hub>, watchers: Rc<Watchers>) {
                 next_entry = latest.number + 1;
                 let entries = serde_json::json!({ "entries": entries });
                 watchers.send(&event("system_log", &entries.to_string()));
+            }
+            let frames = editor.frames_from(next_frame);
+            if let Some(latest) = frames.last() {
+                next_frame = latest.number + 1;
+                let frames = serde_json::json!({ "frames": frames });
+                watchers.send(&event("editor", &frames.to_string()));
             }
             let log = hub.take_watched();
             if !log.lines.is_empty() {
@@ -205,8 +224,8 @@ async fn answer(
     let mut response = answer.await.unwrap_or_else(|HttpError { status, error, allowed }| {
         let mut response = json(&serde_json::json!({ "error": error }).to_string());
         *response.status_mut() = status;
-        if let Some(method) = allowed {
-            response.headers_mut().insert(ALLOW, HeaderValue::from_static(method));
+        if let Some(method) = allowed.and_then(|allowed| HeaderValue::from_str(&allowed).ok()) {
+            response.headers_mut().insert(ALLOW, method);
         }
         response
     });
@@ -249,7 +268,7 @@ fn show_page() -> Result<Answer, HttpError> {
 
 /// Returns the event stream of a page, which begins with its static data.
 fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
-    let hello = HelloBody::of(&site.hub);
+    let hello = HelloBody::of(&site.hub, &site.history);
     let hello = serde_json::to_string(&hello).unwrap_or_default();
     let events = site.watchers.open(event("hello", &hello), link).ok_or_else(|| {
         let error = format!("{MAX_STREAMS} pages are open already; close one of them first");
@@ -261,12 +280,17 @@ fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
 }
 
 /// Each path and its method.
-const PATHS: [(&str, Method); 9] = [
+const PATHS: [(&str, Method); 14] = [
     ("/", Method::GET),
     ("/events", Method::GET),
     ("/state", Method::GET),
     ("/log", Method::GET),
+    ("/settings", Method::GET),
+    ("/settings", Method::POST),
+    ("/restart", Method::POST),
     ("/log.txt", Method::GET),
+    ("/frames", Method::GET),
+    ("/frame", Method::POST),
     ("/command", Method::POST),
     ("/part", Method::POST),
     ("/fault", Method::POST),
@@ -277,15 +301,17 @@ const PATHS: [(&str, Method); 9] = [
 async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<Answer, HttpError> {
     let hub = &site.hub;
     let path = request.uri().path().to_owned();
-    let Some((_, method)) = PATHS.iter().find(|(known, _)| *known == path) else {
+    let methods: Vec<&Method> =
+        PATHS.iter().filter(|(known, _)| *known == path).map(|(_, method)| method).collect();
+    if methods.is_empty() {
         let known = PATHS.map(|(path, method)| format!("{method} {path}")).join(", ");
         let error = format!("the path {path:?} is unknown; expected one of {known}");
         return Err(HttpError::new(StatusCode::NOT_FOUND, error));
-    };
-    if request.method() != method {
-        let error = format!("{path} does not support {}; expected {method}", request.method());
-        let allowed = Some(if *method == Method::GET { "GET" } else { "POST" });
-        return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed });
+    }
+    if !methods.contains(&request.method()) {
+        let allowed = methods.iter().map(|method| method.as_str()).collect::<Vec<_>>().join(", ");
+        let error = format!("{path} does not support {}; expected {allowed}", request.method());
+        return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed: Some(allowed) });
     }
     match path.as_str() {
         "/" => return show_page(),
@@ -294,6 +320,23 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
             return Ok(json(&serde_json::json!({ "entries": entries }).to_string()));
         }
         "/log.txt" => return Ok(system_log_file(hub)),
+        "/frames" => {
+            let frames = site.editor.frames_from(0);
+            return Ok(json(&serde_json::json!({ "frames": frames }).to_string()));
+        }
+        "/frame" => {
+            let frame = site.editor.take(&read(request, FRAME_EXPECTED).await?)?;
+            return Ok(json(&serde_json::json!(frame).to_string()));
+        }
+        "/settings" => {
+            if request.method() == Method::POST {
+                change(hub, read(request, SETTINGS_EXPECTED).await?)?;
+            }
+            return Ok(json(&serde_json::json!(settings(hub)?).to_string()));
+        }
+        "/restart" => {
+            restart(hub)?;
+        }
         "/events" => return show_events(site, link),
         "/command" => command(hub, &read(request, COMMAND_EXPECTED).await?)?,
         "/part" => hub.set_part(part(read(request, PART_EXPECTED).await?)?),
@@ -309,7 +352,7 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
 
 /// Executes the command of a button. The gripper may reject it.
 fn command(hub: &Hub, body: &CommandBody) -> Result<(), HttpError> {
-    let commands = body.commands(hub.config()).ok_or_else(|| {
+    let commands = body.commands(&hub.config()).ok_or_else(|| {
         HttpError::wrong(format!("the command has missing or invalid numbers; expected {COMMAND_EXPECTED}"))
     })?;
     for command in &commands {
@@ -319,6 +362,17 @@ fn command(hub: &Hub, body: &CommandBody) -> Result<(), HttpError> {
             return Err(HttpError::new(StatusCode::CONFLICT, error));
         }
     }
+    Ok(())
+}
+
+/// Restarts the gripper once this request is answered.
+fn restart(hub: &Arc<Hub>) -> Result<(), HttpError> {
+    settings(hub)?;
+    let hub = Arc::clone(hub);
+    spawn_local(async move {
+        sleep(RESTART_DELAY).await;
+        hub.restart();
+    });
     Ok(())
 }
 

@@ -1,17 +1,22 @@
 //! The gripper in real time, shared by the tasks of its lines and the thread of its script.
 
 mod client;
+mod settings;
 
 pub(super) use client::Client;
+pub(super) use settings::{Changes, Refused, SettingState};
 
 use super::faulty_line::{FaultyLine, LineCounts, LineFaults, Pace};
 use super::lines::Profile;
 use super::log::{Log, Watched};
+use super::options::Options;
 use super::request_line::RequestLine;
+use super::restart::{Bound, Restart};
 use super::system_log::{Severity, SystemLog};
 use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
+use crate::fieldbus::Exchange;
 use crate::gripper::{State, VirtualGripper};
 use crate::journal::{Cause, JournalEvent};
 use crate::port::{PortCounters, PortId, PortKind, Protocol};
@@ -19,6 +24,7 @@ use crate::port::{PortCounters, PortId, PortKind, Protocol};
 use crate::script::ScriptRequest;
 use crate::time::Time;
 use anyhow::Result;
+use settings::Running;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 #[cfg(feature = "script")]
@@ -50,7 +56,11 @@ pub(super) struct Hub {
     started: Instant,
     /// Signals that the gripper's next wake may have changed.
     rescheduled: Notify,
-    config: Config,
+    /// The options, if there are any; a server of another program has none.
+    running: Option<Mutex<Running>>,
+    /// Signals that a restart is requested.
+    restart: Notify,
+    buses: Mutex<Vec<BusLine>>,
     profile: Profile,
     seed: u64,
     system_log: SystemLog,
@@ -87,12 +97,30 @@ struct Connected {
     displaced: Notify,
 }
 
+/// A bus that carries the register interface.
+#[derive(Clone, Debug, serde::Serialize)]
+pub(super) struct BusLine {
+    /// The bus: Modbus/TCP, PROFIBUS or PROFINET.
+    pub(super) bus: &'static str,
+    /// Where it is served: an address, a line or an interface.
+    pub(super) line: String,
+    /// The gripper's address on the bus: station address or IP address.
+    pub(super) address: String,
+    /// The station name, if the bus has one.
+    pub(super) name: String,
+}
+
 /// The state of gripper and lines, for observers.
 #[derive(Debug)]
 pub(super) struct Report {
     pub(super) now: Time,
     pub(super) state: State,
     pub(super) images: (OutputImage, InputImage),
+    pub(super) buses: Vec<BusLine>,
+    pub(super) exchange: Exchange,
+    /// The master that wrote last, by name.
+    pub(super) master: Option<Arc<str>>,
+    pub(super) profibus_master: Option<u8>,
     /// The faults that have been injected.
     pub(super) faults: Vec<Fault>,
     pub(super) line_faults: LineFaults,
@@ -108,6 +136,7 @@ impl Hub {
         seed: u64,
         log: Option<Log>,
         system_log: SystemLog,
+        options: Option<&Options>,
     ) -> Self {
         Self {
             shared: Mutex::new(Shared {
@@ -123,7 +152,9 @@ impl Hub {
             }),
             started: Instant::now(),
             rescheduled: Notify::new(),
-            config,
+            running: options.map(|options| Mutex::new(Running::new(options))),
+            restart: Notify::new(),
+            buses: Mutex::default(),
             profile,
             seed,
             system_log,
@@ -132,15 +163,33 @@ impl Hub {
         }
     }
 
+    /// Returns a hub without log and options.
+    #[cfg(test)]
+    pub(super) fn of_test() -> Arc<Self> {
+        let (config, log) = (Config::default(), SystemLog::default());
+        Arc::new(Self::new(config, Profile::Instant, 0, None, log, None))
+    }
+
     /// Powers the gripper off: ends the script at its next call and writes the rest of the log.
     pub(super) fn switch_off(&self) {
-        let mut shared = self.lock();
-        shared.is_off = true;
-        let log = shared.log.take();
-        drop(shared);
+        self.set_off();
+        let log = self.lock().log.take();
+        drop(log);
+    }
+
+    /// Ends the script at its next call. The log stays open.
+    pub(super) fn set_off(&self) {
+        self.lock().is_off = true;
         #[cfg(feature = "script")]
         self.script_waits.notify_all();
-        drop(log);
+    }
+
+    /// Returns what a restart takes over; `None` without options.
+    pub(super) fn end(&self, bound: Bound) -> Option<Box<Restart>> {
+        let running = lock(self.running.as_ref()?);
+        let (options, before) = (running.options.clone(), running.at_start.clone());
+        let log = self.lock().log.take();
+        Some(Box::new(Restart { options, before, log, system_log: self.system_log.clone(), bound }))
     }
 
     #[cfg(feature = "script")]
@@ -186,8 +235,9 @@ impl Hub {
         let mut shared = self.lock();
         let number = shared.connections;
         shared.connections = number.wrapping_add(1);
-        if let Some(log) = &mut shared.log {
-            log.connect(id, kind, Arc::clone(&name), &self.config);
+        let shared_now = &mut *shared;
+        if let Some(log) = &mut shared_now.log {
+            log.connect(id, kind, Arc::clone(&name), shared_now.gripper.config());
         }
         let connected = Arc::new(Connected {
             id,
@@ -244,8 +294,8 @@ impl Hub {
     }
 
     /// Returns the settings of the gripper.
-    pub(super) const fn config(&self) -> &Config {
-        &self.config
+    pub(super) fn config(&self) -> Config {
+        *self.lock().gripper.config()
     }
 
     pub(super) fn report(&self) -> Report {
@@ -254,16 +304,30 @@ impl Hub {
         let Shared { gripper, clients, faults, line_faults, request_counts, reply_counts, .. } = &*shared;
         let counters =
             |client: &Arc<Connected>| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
+        let exchange = gripper.exchange();
+        let is_master = |client: &&Arc<Connected>| Some(client.id) == exchange.master;
+        let master = clients.values().find(is_master).map(|client| Arc::clone(&client.name));
         Report {
             now,
             state,
             images: gripper.fieldbus_images(),
+            buses: lock(&self.buses).clone(),
+            exchange,
+            master,
+            profibus_master: gripper.profibus_master(),
             faults: faults.clone(),
             line_faults: *line_faults,
             request_counts: *request_counts,
             reply_counts: *reply_counts,
             clients: clients.values().filter_map(counters).collect(),
         }
+    }
+
+    /// Sets the data of a bus, which replace those of the same bus.
+    pub(super) fn set_bus(&self, line: BusLine) {
+        let mut buses = lock(&self.buses);
+        buses.retain(|known| known.bus != line.bus);
+        buses.push(line);
     }
 
     pub(super) fn set_part(&self, part: Option<Part>) {
@@ -407,7 +471,7 @@ impl Hub {
         act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T,
     ) -> T {
         let mut shared = self.lock();
-        let Shared { gripper, clients, log, .. } = &mut *shared;
+        let Shared { gripper, clients, log, is_off, .. } = &mut *shared;
         // Read under the lock, so that the gripper's time never runs backwards.
         let now = self.now();
         let result = act(gripper, now);
@@ -419,7 +483,7 @@ impl Hub {
         if let Some(log) = log {
             log.expire(now);
         }
-        while let Some(event) = gripper.take_journal_event() {
+        while let Some(event) = gripper.take_journal_event().filter(|_| !*is_off) {
             self.report_change(&event, operator, clients);
         }
         result
@@ -472,7 +536,7 @@ mod tests {
     use tokio::time::advance;
 
     fn hub() -> Arc<Hub> {
-        Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None, SystemLog::default()))
+        Hub::of_test()
     }
 
     async fn is_dismissed(client: &Client) -> bool {

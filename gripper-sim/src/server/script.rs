@@ -159,9 +159,6 @@ fn switched_off() -> mlua::Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
-    use crate::server::lines::Profile;
-    use crate::server::system_log::SystemLog;
     use std::sync::mpsc::channel;
 
     /// Maximum time that a script may continue after its gripper is powered off.
@@ -177,7 +174,7 @@ mod tests {
             "while true do pcall(sleep, 1e9) end",
         ] {
             let script = Script { path: PathBuf::from("endless.lua"), source: source.into() };
-            let hub = Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None, SystemLog::default()));
+            let hub = Hub::of_test();
             let (ended, ends) = channel();
             let seen = Arc::clone(&hub);
             thread::spawn(move || {

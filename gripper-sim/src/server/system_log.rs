@@ -73,11 +73,12 @@ struct Entries {
 }
 
 impl SystemLog {
-    /// Creates a log that also appends its entries to this file.
+    /// Creates a log that also appends its entries to this file, if one is given.
     ///
     /// # Errors
     /// Returns an error if the file cannot be opened.
-    pub(super) fn to_file(path: &Path) -> Result<Self> {
+    pub(super) fn open(path: Option<&Path>) -> Result<Self> {
+        let Some(path) = path else { return Ok(Self::default()) };
         let file = OpenOptions::new().create(true).append(true).open(path);
         let file = file.with_context(|| format!("the system log {} cannot be written", path.display()))?;
         let entries = Entries { file: Some(LogWriter::new(file)), ..Entries::default() };
@@ -111,11 +112,6 @@ impl SystemLog {
         self.lock().entries.iter().filter(|entry| entry.number >= number).cloned().collect()
     }
 
-    /// Returns the number of the next entry.
-    pub(super) fn next(&self) -> u64 {
-        self.lock().next
-    }
-
     fn lock(&self) -> MutexGuard<'_, Entries> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -138,8 +134,8 @@ mod tests {
             log.write(Time::from_millis(number), Severity::Info, "page", &format!("entry {number}"));
         }
         let entries = log.entries_from(0);
-        assert_eq!((entries.len(), entries[0].number, log.next()), (MAX_ENTRIES, 3, MAX_ENTRIES as u64 + 3));
-        let latest = log.entries_from(log.next() - 1);
+        assert_eq!((entries.len(), entries[0].number), (MAX_ENTRIES, 3));
+        let latest = log.entries_from(MAX_ENTRIES as u64 + 2);
         assert_eq!((latest.len(), &latest[0].text[..]), (1, "entry 502"));
     }
 
@@ -147,7 +143,7 @@ mod tests {
     fn file_is_appended_to_and_holds_one_line_for_each_entry() {
         let path = std::env::temp_dir().join(format!("wsg-system-log-{}", std::process::id()));
         std::fs::write(&path, "before\n").unwrap();
-        let log = SystemLog::to_file(&path).unwrap();
+        let log = SystemLog::open(Some(&path)).unwrap();
         log.write(Time::from_millis(1_500), Severity::Warning, "script", "two\nlines");
         // Dropping the log writes the rest.
         drop(log);
@@ -156,6 +152,6 @@ mod tests {
         let (before, line) = text.split_once('\n').unwrap();
         assert_eq!(before, "before");
         assert!(line.ends_with("Z 1.500 s warning script: two lines\n"), "{line}");
-        assert!(SystemLog::to_file(Path::new("/no/such/folder/log")).is_err());
+        assert!(SystemLog::open(Some(Path::new("/no/such/folder/log"))).is_err());
     }
 }

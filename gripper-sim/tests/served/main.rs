@@ -17,6 +17,7 @@ mod profibus;
 mod python;
 #[cfg(feature = "script")]
 mod scripts;
+mod settings;
 mod system_log;
 #[cfg(unix)]
 mod unix;

@@ -23,8 +23,8 @@ pub(super) fn whole(body: String, content_type: HeaderValue) -> Answer {
 pub(super) struct HttpError {
     pub(super) status: StatusCode,
     pub(super) error: String,
-    /// The method that the path supports, for the header `Allow`.
-    pub(super) allowed: Option<&'static str>,
+    /// The methods that the path supports, for the header `Allow`.
+    pub(super) allowed: Option<String>,
 }
 
 impl HttpError {

@@ -1,13 +1,15 @@
 //! The state as JSON: the answer to requests, and the data of the event stream.
 
+use super::history::{History, Sample};
 use super::injected::{DirectionName, FaultName, LineBody, PartBody};
 use crate::faults::Fault;
-use crate::finger::Jaw;
+use crate::fieldbus::ExchangeState;
+use crate::finger::{Finger, Jaw};
 use crate::server::faulty_line::{Direction, LineCounts, LineFaults};
-use crate::server::hub::{Hub, Report};
+use crate::server::hub::{BusLine, Hub, Report};
 use serde::Serialize;
 use wsg_fieldbus::{CommandFlags, GripperFlags};
-use wsg_protocol::SystemFlags;
+use wsg_protocol::{CommandId, SystemFlags};
 
 /// The answer to every accepted request.
 #[derive(Debug, Serialize)]
@@ -27,7 +29,7 @@ pub(super) struct StateBody<'a> {
     gripping_statistics: StatisticsBody,
     part: Option<PartBody>,
     part_is_between: bool,
-    fieldbus: FieldbusBody,
+    fieldbus: FieldbusBody<'a>,
     faults: Vec<ActiveFaultBody>,
     line: LineBody,
     line_counts: LineCountsByDirection,
@@ -40,6 +42,14 @@ pub(super) struct HelloBody {
     model: &'static str,
     limits: LimitsBody,
     names: NamesBody,
+    /// The commands of the manual: id and name.
+    commands: Vec<(u8, &'static str)>,
+    /// The device tag; empty if none is set.
+    tag: String,
+    /// The kinds of both fingers.
+    fingers: [&'static str; 2],
+    /// Time, width, speed and force of the last 30 s.
+    history: Vec<Sample>,
 }
 
 #[derive(Debug, Serialize)]
@@ -61,7 +71,7 @@ struct NamesBody {
 }
 
 impl HelloBody {
-    pub(super) fn of(hub: &Hub) -> Self {
+    pub(super) fn of(hub: &Hub, history: &History) -> Self {
         let model = hub.config().model;
         let limits = &model.parameters().limits;
         let names_by_bit = |names: &mut dyn Iterator<Item = (&'static str, u32)>| {
@@ -83,6 +93,10 @@ impl HelloBody {
                 nominal_force_n: limits.nominal_force,
                 overdrive_force_n: limits.overdrive_force,
             },
+            commands: CommandId::ALL.iter().map(|id| (id.code(), id.name())).collect(),
+            fingers: hub.config().fingers.map(Finger::name),
+            tag: hub.config().tag.as_str().to_owned(),
+            history: history.samples(),
             names: NamesBody {
                 command: names_by_bit(
                     &mut CommandFlags::all().iter_names().map(|(name, flag)| (name, flag.bits().into())),
@@ -98,9 +112,16 @@ impl HelloBody {
     }
 }
 
-/// Both images, byte by byte (fieldbus, 5).
+/// Both images, byte by byte (fieldbus, 5), and the buses that carry them.
 #[derive(Debug, Serialize)]
-struct FieldbusBody {
+struct FieldbusBody<'a> {
+    buses: &'a [BusLine],
+    exchange: &'static str,
+    master: Option<&'a str>,
+    profibus_master: Option<u8>,
+    outputs_received: u32,
+    watchdog_expired: u32,
+    watchdog_ms: u16,
     output: [u8; 8],
     input: [u8; 12],
     status: String,
@@ -165,6 +186,10 @@ impl<'a> StateBody<'a> {
             now,
             state,
             images: (output, input),
+            buses,
+            exchange,
+            master,
+            profibus_master,
             faults,
             line_faults,
             request_counts,
@@ -193,6 +218,18 @@ impl<'a> StateBody<'a> {
                 .map(|part| PartBody { width_mm: part.width(), stiffness_n_per_mm: Some(part.stiffness()) }),
             part_is_between: state.part_is_between,
             fieldbus: FieldbusBody {
+                buses,
+                exchange: match exchange.state {
+                    ExchangeState::Waiting => "waiting for a master",
+                    ExchangeState::DataExchange => "data exchange",
+                    ExchangeState::WatchdogExpired => "watchdog expired",
+                    ExchangeState::Left => "the master has left",
+                },
+                master: master.as_deref(),
+                profibus_master: *profibus_master,
+                outputs_received: exchange.outputs,
+                watchdog_expired: exchange.timeouts,
+                watchdog_ms: hub.config().bus_timeout_ms,
                 output: output.to_bytes(),
                 input: input.to_bytes(),
                 status: input.status.to_string(),
