@@ -13,6 +13,8 @@ mod events;
 mod history;
 mod injected;
 mod page;
+#[cfg(feature = "script")]
+mod scripts;
 mod settings;
 mod state;
 
@@ -140,6 +142,8 @@ async fn run_out(link: &Link) {
 async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
     // The next entry of the system log, and the next frame of the editor.
     let (mut next_entry, mut next_frame) = (0, 0);
+    #[cfg(feature = "script")]
+    let (mut next_line, mut told_script) = (0, None);
     loop {
         watchers.come().await;
         hub.watch_log(true);
@@ -168,6 +172,16 @@ async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
                 next_frame = latest.number + 1;
                 let frames = serde_json::json!({ "frames": frames });
                 watchers.send(&event("editor", &frames.to_string()));
+            }
+            #[cfg(feature = "script")]
+            {
+                let (report, lines) = hub.script_report(next_line);
+                if !lines.is_empty() || told_script.as_ref() != Some(&report) {
+                    next_line = lines.last().map_or(next_line, |line| line.number + 1);
+                    let script = serde_json::json!({ "latest": report, "lines": lines });
+                    watchers.send(&event("script", &script.to_string()));
+                    told_script = Some(report);
+                }
             }
             let log = hub.take_watched();
             if !log.lines.is_empty() {
@@ -280,7 +294,7 @@ fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
 }
 
 /// Each path and its method.
-const PATHS: [(&str, Method); 14] = [
+const PATHS: [(&str, Method); 16] = [
     ("/", Method::GET),
     ("/events", Method::GET),
     ("/state", Method::GET),
@@ -289,6 +303,8 @@ const PATHS: [(&str, Method); 14] = [
     ("/settings", Method::POST),
     ("/restart", Method::POST),
     ("/log.txt", Method::GET),
+    ("/scripts", Method::GET),
+    ("/scripts", Method::POST),
     ("/frames", Method::GET),
     ("/frame", Method::POST),
     ("/command", Method::POST),
@@ -320,6 +336,17 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
             return Ok(json(&serde_json::json!({ "entries": entries }).to_string()));
         }
         "/log.txt" => return Ok(system_log_file(hub)),
+        #[cfg(feature = "script")]
+        "/scripts" => {
+            let answer = if request.method() == Method::POST {
+                let body =
+                    read_up_to(request, scripts::MAX_SCRIPT_BODY_LEN, scripts::SCRIPT_EXPECTED).await?;
+                scripts::execute(hub, body)?
+            } else {
+                scripts::scripts(hub, None)?
+            };
+            return Ok(json(&serde_json::json!(answer).to_string()));
+        }
         "/frames" => {
             let frames = site.editor.frames_from(0);
             return Ok(json(&serde_json::json!({ "frames": frames }).to_string()));
@@ -381,10 +408,19 @@ async fn read<T: for<'a> Deserialize<'a>>(
     request: Request<Incoming>,
     expected: &str,
 ) -> Result<T, HttpError> {
-    let body = match Limited::new(request.into_body(), MAX_BODY_LEN).collect().await {
+    read_up_to(request, MAX_BODY_LEN, expected).await
+}
+
+/// The same for a body of at most this length.
+async fn read_up_to<T: for<'a> Deserialize<'a>>(
+    request: Request<Incoming>,
+    limit: usize,
+    expected: &str,
+) -> Result<T, HttpError> {
+    let body = match Limited::new(request.into_body(), limit).collect().await {
         Ok(body) => body.to_bytes(),
         Err(error) if error.is::<LengthLimitError>() => {
-            let error = format!("the body is too long; expected at most {MAX_BODY_LEN} bytes");
+            let error = format!("the body is too long; expected at most {limit} bytes");
             return Err(HttpError::new(StatusCode::PAYLOAD_TOO_LARGE, error));
         }
         Err(error) => {

@@ -1,9 +1,13 @@
 //! The gripper in real time, shared by the tasks of its lines and the thread of its script.
 
 mod client;
+#[cfg(feature = "script")]
+mod scripts;
 mod settings;
 
 pub(super) use client::Client;
+#[cfg(feature = "script")]
+pub(super) use scripts::{OutputLine, Run, ScriptReport};
 pub(super) use settings::{Changes, Refused, SettingState};
 
 use super::faulty_line::{FaultyLine, LineCounts, LineFaults, Pace};
@@ -20,8 +24,6 @@ use crate::fieldbus::Exchange;
 use crate::gripper::{State, VirtualGripper};
 use crate::journal::{Cause, JournalEvent};
 use crate::port::{PortCounters, PortId, PortKind, Protocol};
-#[cfg(feature = "script")]
-use crate::script::ScriptRequest;
 use crate::time::Time;
 use anyhow::Result;
 use settings::Running;
@@ -74,6 +76,8 @@ pub(super) struct Hub {
 struct Shared {
     gripper: Box<VirtualGripper<MAX_CLIENTS>>,
     is_off: bool,
+    #[cfg(feature = "script")]
+    script: scripts::LatestScript,
     /// The clients in order of connection.
     clients: BTreeMap<u64, Arc<Connected>>,
     connections: u64,
@@ -142,6 +146,8 @@ impl Hub {
             shared: Mutex::new(Shared {
                 gripper: Box::new(VirtualGripper::with_ports(config)),
                 is_off: false,
+                #[cfg(feature = "script")]
+                script: scripts::LatestScript::default(),
                 clients: BTreeMap::new(),
                 connections: 0,
                 log,
@@ -190,11 +196,6 @@ impl Hub {
         let (options, before) = (running.options.clone(), running.at_start.clone());
         let log = self.lock().log.take();
         Some(Box::new(Restart { options, before, log, system_log: self.system_log.clone(), bound }))
-    }
-
-    #[cfg(feature = "script")]
-    pub(super) fn is_off(&self) -> bool {
-        self.lock().is_off
     }
 
     fn lock(&self) -> MutexGuard<'_, Shared> {
@@ -396,39 +397,6 @@ impl Hub {
             gripper.advance(now);
             look(gripper)
         })
-    }
-
-    /// Blocks until there is a request for the script; `None` once the gripper is powered off.
-    #[cfg(feature = "script")]
-    pub(super) fn script_request(&self) -> Option<ScriptRequest> {
-        let mut shared = self.lock();
-        loop {
-            if shared.is_off {
-                return None;
-            }
-            if let Some(request) = shared.gripper.take_script_request() {
-                return Some(request);
-            }
-            shared = self.script_waits.wait(shared).unwrap_or_else(PoisonError::into_inner);
-        }
-    }
-
-    /// Blocks for `duration`, or until the gripper is powered off.
-    #[cfg(feature = "script")]
-    pub(super) fn script_sleeps(&self, duration: Duration) {
-        let is_on = |shared: &mut Shared| !shared.is_off;
-        // Neither the guard nor the time-out flag is needed.
-        drop(self.script_waits.wait_timeout_while(self.lock(), duration, is_on));
-    }
-
-    /// Returns the interface of the client, or, after its end, of the first client of the binary protocol.
-    #[cfg(feature = "script")]
-    pub(super) fn interface(&self, id: Option<PortId>) -> Option<String> {
-        let shared = self.lock();
-        let mut clients = shared.clients.values();
-        let client = clients.clone().find(|client| Some(client.id) == id);
-        let client = client.or_else(|| clients.find(|client| client.kind.is_binary()));
-        client.map(|client| client.kind.to_string())
     }
 
     /// Returns the system log.

@@ -222,6 +222,10 @@ struct Arguments {
     #[cfg(feature = "script")]
     #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
     script: Option<PathBuf>,
+    /// Lists, edits and runs the scripts of this folder on the page ([scripts.md](scripts.md#on-the-page))
+    #[cfg(feature = "script")]
+    #[arg(long, help_heading = PROGRAM, value_name = "FOLDER")]
+    scripts: Option<PathBuf>,
     /// Serves the page and the control interface; a port without an address listens on this machine only
     #[arg(long, help_heading = NETWORK, value_name = "ADDR")]
     #[arg(value_parser = expected("an address with a port, such as 127.0.0.1:8080, or a port", control))]
@@ -445,6 +449,8 @@ impl Arguments {
             control_hosts: self.control_host,
             #[cfg(feature = "script")]
             script: self.script,
+            #[cfg(feature = "script")]
+            scripts: self.scripts,
             profile: self.profile,
             seed: self.seed,
         };

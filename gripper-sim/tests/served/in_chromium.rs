@@ -22,7 +22,7 @@ const OPENING: &str = "(() => {
 })()";
 
 /// The pages of the page, by their links.
-const PAGES: [&str; 6] = ["operate", "settings", "fieldbus", "editor", "logs", "diagnosis"];
+const PAGES: [&str; 7] = ["operate", "settings", "fieldbus", "editor", "scripts", "logs", "diagnosis"];
 
 const STATE: &str = "document.getElementById('state').textContent";
 
@@ -194,7 +194,7 @@ fn keyboard_alone_reaches_and_operates_everything() {
     let mut tab = gripper.open();
     let mark =
         "document.activeElement.dataset.reached = getComputedStyle(document.activeElement).outlineWidth";
-    let all = "[...document.querySelectorAll('button, input, select, a, summary, [tabindex]')].filter(control => control.checkVisibility())";
+    let all = "[...document.querySelectorAll('button, input, select, textarea, a, summary, [tabindex]')].filter(control => control.checkVisibility())";
     for page in PAGES.into_iter().rev() {
         tab.show(page);
         tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
@@ -229,7 +229,7 @@ fn every_control_has_a_name_for_a_screen_reader() {
     for page in PAGES {
         tab.show(page);
         let controls = tab.eval(
-            "[...document.querySelectorAll('button, input, select, svg, ul, ol')].filter(control => control.checkVisibility()).length",
+            "[...document.querySelectorAll('button, input, select, textarea, svg, ul, ol')].filter(control => control.checkVisibility()).length",
         );
         let tree = tab.call("Accessibility.getFullAXTree", &json!({}));
         let mut names = Vec::new();
@@ -242,6 +242,7 @@ fn every_control_has_a_name_for_a_screen_reader() {
                 "textbox",
                 "checkbox",
                 "combobox",
+                "listbox",
                 "log",
                 "image",
                 "img",

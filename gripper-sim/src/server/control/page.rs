@@ -5,13 +5,14 @@ use std::hash::{BuildHasher, RandomState};
 const PAGE: &str = include_str!("page/index.html");
 const STYLE: &str = include_str!("page/style.css");
 /// The parts of the script, in order: `core.js` defines what the others use, and `logs.js` starts the page.
-const SCRIPT: [&str; 7] = [
+const SCRIPT: [&str; 8] = [
     include_str!("page/core.js"),
     include_str!("page/operate.js"),
     include_str!("page/plot.js"),
     include_str!("page/settings.js"),
     include_str!("page/fieldbus.js"),
     include_str!("page/editor.js"),
+    include_str!("page/scripts.js"),
     include_str!("page/logs.js"),
 ];
 /// Placeholder for the nonce in the page.

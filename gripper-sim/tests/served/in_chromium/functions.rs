@@ -235,3 +235,45 @@ fn fieldbus_monitor_shows_the_master_and_marks_the_last_change() {
         tab.until(&format!("{}.includes('the master has left')", text("exchange")));
     });
 }
+
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn scripts_are_written_run_and_stopped_and_an_error_selects_its_line() {
+    let folder = std::env::temp_dir().join(format!("wsg-page-scripts-{}", std::process::id()));
+    for (width, height) in SIZES {
+        std::fs::create_dir_all(&folder).unwrap();
+        let config = folder.join("wsg.toml");
+        std::fs::write(&config, "").unwrap();
+        let options = ["--config", config.to_str().unwrap(), "--scripts", folder.to_str().unwrap()];
+        let gripper = Gripper::new(&options);
+        let mut tab = gripper.open();
+        tab.look(width, height, "light");
+        fill(&mut tab, "#script-name", "demo.lua");
+        fill(&mut tab, "#script-source", "print('running')\nwhile true do sleep(1) end\n");
+        tab.click("#script-save");
+        tab.until(&format!("{} === 'demo.lua is saved.'", text("script-message")));
+        assert!(folder.join("demo.lua").exists());
+        tab.click("#script-run");
+        tab.until(&format!("{} === 'demo.lua: running'", text("script-state")));
+        tab.until(&format!("{} === 'running'", text("script-output")));
+        tab.until(&flag_is_on("SCRIPT_RUNNING"));
+        tab.click("#script-stop");
+        tab.until(&format!("{} === 'demo.lua: stopped'", text("script-state")));
+        tab.click("#script-start");
+        tab.until("document.querySelector('#script-list option').textContent.endsWith('runs at the start')");
+        assert!(std::fs::read_to_string(&config).unwrap().starts_with("script = "));
+
+        fill(&mut tab, "#script-source", "local x = 1\nx()\n");
+        tab.click("#script-save");
+        tab.until(&format!("{} === 'demo.lua is saved.'", text("script-message")));
+        tab.click("#script-run");
+        tab.until(&format!(
+            "{} && {}.includes('failed, demo.lua:2: ')",
+            is_refused("script-state"),
+            text("script-state")
+        ));
+        let source = "document.getElementById('script-source')";
+        tab.until(&format!("{source}.value.slice({source}.selectionStart, {source}.selectionEnd) === 'x()'"));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

@@ -124,7 +124,8 @@ fn pages_are_short_on_a_telephone() {
 fn documents_have_pictures_of_the_page() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
     let text = std::fs::read_to_string(docs.join("simulator.md")).unwrap();
-    let gripper = Gripper::new(&["--finger1", "fmf"]);
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
+    let gripper = Gripper::new(&["--finger1", "fmf", "--scripts", examples.to_str().unwrap()]);
     let mut tab = gripper.open();
     let _client = gripper.acknowledge();
     if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
@@ -147,6 +148,7 @@ fn documents_have_pictures_of_the_page() {
         }
         show_something(&gripper, &mut tab);
         look(&mut tab, LOOKS[0]);
+        tab.eval("document.getElementById('script-folder').textContent = 'gripper-sim/examples'");
         for page in PICTURED {
             tab.show(page);
             tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
@@ -169,7 +171,7 @@ fn documents_have_pictures_of_the_page() {
 }
 
 /// The pages beside the first that the document shows.
-const PICTURED: [&str; 4] = ["settings", "fieldbus", "editor", "logs"];
+const PICTURED: [&str; 5] = ["settings", "fieldbus", "editor", "scripts", "logs"];
 
 /// Fills these pages: a master that writes, a packet of the editor, and a lost connection.
 fn show_something(gripper: &Gripper, tab: &mut Tab) {
@@ -188,6 +190,14 @@ fn show_something(gripper: &Gripper, tab: &mut Tab) {
     tab.press("Enter");
     tab.click("#frames li:last-child button");
     fill(tab, "#to", "11");
+    tab.show("scripts");
+    tab.until("document.getElementById('script-list').childElementCount > 0");
+    tab.eval(
+        "(() => { const list = document.getElementById('script-list'); list.value = 'remote.lua'; list.dispatchEvent(new Event('change')); })()",
+    );
+    tab.until("document.getElementById('script-source').value !== ''");
+    tab.click("#script-run");
+    tab.until("document.getElementById('script-state').textContent === 'remote.lua: running'");
     // The master stays until the end of the program.
     std::mem::forget(master);
 }

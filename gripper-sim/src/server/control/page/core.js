@@ -6,7 +6,7 @@ const SILENT_MS = 3000;
 const MAX_LINES = 500;
 let hello = null, now = 0, seenAt = 0;
 // What the parts of the page do with the first data, with each state, and with each kind of event.
-const onHello = [], onState = [], onEvent = { log: [], system_log: [], editor: [] };
+const onHello = [], onState = [], onEvent = { log: [], system_log: [], editor: [], script: [] };
 
 function node(parent, kind, attributes, text) {
   const made = parent instanceof SVGElement ? document.createElementNS(SVG, kind) : document.createElement(kind);

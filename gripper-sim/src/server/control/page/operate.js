@@ -1,6 +1,5 @@
 // Commands, part and faults.
 const FAULT_FLAGS = ["FAST_STOP", "TEMP_FAULT", "POWER_FAULT", "CURR_FAULT", "FINGER_FAULT", "CMD_FAILURE", "SCRIPT_FAILURE"];
-const UNITS = { width_mm: "mm", speed_mm_per_s: "mm/s", force_n: "N" };
 const MOVING = ["GRIPPING", "RELEASING", "POSITIONING"];
 // The command whose result is awaited: its line in the list, and when it was sent.
 let awaited = null;
@@ -11,7 +10,7 @@ function result(text) {
   return item;
 }
 async function command(name, numbers) {
-  const text = name.replace("_", " ") + Object.entries(numbers || {}).map(([key, number]) => ` ${number} ${UNITS[key]}`).join(",");
+  const text = name.replace("_", " ") + (numbers ? ` ${numbers.width_mm} mm` : "");
   const answer = await ask("message", "/command", { command: name, ...numbers });
   if (!answer) { result(text + ": refused").className = "bad"; return; }
   say("message", "");

@@ -40,8 +40,8 @@ function strip(svg, box, { kind, name, unit, index, low, high }, x, end) {
   const points = [];
   series.forEach((sample, at) => {
     if (sample[0] > end) return;
-    // A value that did not change was not sent: it stays until the next.
-    if (at > 0) points.push(`${x(sample[0]).toFixed(1)},${y(series[at - 1][index]).toFixed(1)}`);
+    // A value that did not change was not sent: it stays until shortly before the next.
+    if (at > 0 && sample[0] - series[at - 1][0] > 0.15) points.push(`${x(sample[0]).toFixed(1)},${y(series[at - 1][index]).toFixed(1)}`);
     points.push(`${x(sample[0]).toFixed(1)},${y(sample[index]).toFixed(1)}`);
   });
   const last = valuesAt(end);

@@ -26,7 +26,7 @@ function field(row, place) {
     if (row.unit) node(line, "span", { class: "name" }, row.unit);
   }
   input.setAttribute("aria-describedby", id + "-about");
-  const about = node(box, "p", { class: "name", id: id + "-about" }, `${plain(row.meaning)}${row.expected ? "; " + row.expected : ""}. ${title(row.effect)}.`);
+  const about = node(box, "p", { class: "name", id: id + "-about" }, `${plain(row.meaning)}${row.expected ? "; " + row.expected : ""}. Takes effect ${row.effect}.`);
   if (row.pending) node(about, "span", { class: "pending" }, " Waits for a restart.");
   const first = valueOf(row, input);
   input.addEventListener("input", () => input.classList.toggle("dirty", JSON.stringify(valueOf(row, input)) !== JSON.stringify(first)));
