@@ -60,6 +60,8 @@ pub struct Config {
     pub release_distance: f32,
     /// Default speed in mm/s of RELEASE of the text protocol; `None`: the maximum.
     pub release_speed: Option<f32>,
+    /// Whether a connection of the text protocol begins in verbose mode (GCL, 2.1.1).
+    pub gcl_verbose: bool,
     /// Whether to swap the two bytes of each number in the Modbus registers, for PLCs that take "low byte first"
     /// (fieldbus, 4) literally. Flags are not swapped.
     pub modbus_swap_bytes: bool,
@@ -78,8 +80,8 @@ pub struct Config {
 }
 
 impl Config {
-    /// Returns these settings with those of `new` that a running gripper can take over. The others keep the values that
-    /// they had at power-up: model, fingers, Modbus byte order, PROFIBUS address, and what applies at power-up only.
+    /// Returns these settings with each setting of `new` that a running gripper can take over. The others keep the values
+    /// that they had at power-up: model, fingers, Modbus byte order, PROFIBUS address, and what applies at power-up only.
     #[must_use]
     pub const fn at_run_time(&self, new: &Self) -> Self {
         Self {
@@ -136,6 +138,7 @@ impl Default for Config {
             speed: 100.0,
             release_distance: 10.0,
             release_speed: None,
+            gcl_verbose: false,
             modbus_swap_bytes: false,
             bus_timeout_ms: 0,
             bus_reaction: SilenceReaction::Stop,

@@ -56,7 +56,7 @@ impl Client {
                 id,
                 kind,
                 announced: false,
-                verbose: false,
+                verbose: config.gcl_verbose,
                 part_width_tolerance: config.part_width_tolerance,
                 clamping_travel: config.clamping_travel,
                 autosends: Autosends::default(),

@@ -68,7 +68,7 @@ pub(crate) struct Journal {
 }
 
 impl Journal {
-    /// Compares the flags with those of the last call and queues an event for each logged change. A full queue drops
+    /// Compares the flags with the flags of the last call and queues an event for each logged change. A full queue drops
     /// its oldest event: only a caller that takes none fills it.
     pub(crate) fn observe(&mut self, at: Time, flags: SystemFlags, cause: Cause) {
         let changed = self.flags.symmetric_difference(flags).intersection(LOGGED);

@@ -8,6 +8,7 @@
 mod access;
 mod answer;
 mod commands;
+mod documents;
 mod editor;
 mod events;
 mod history;
@@ -24,6 +25,7 @@ use access::{check_host, check_origin};
 use answer::{Answer, HttpError, json, whole};
 use anyhow::Result;
 use commands::{COMMAND_EXPECTED, CommandBody};
+use documents::DOCUMENTS;
 use editor::{Editor, FRAME_EXPECTED};
 use events::{Link, MAX_STREAMS, Watchers, event};
 use history::History;
@@ -264,9 +266,13 @@ fn state(hub: &Hub) -> Result<Answer, HttpError> {
 /// Returns the system log as a file of text.
 fn system_log_file(hub: &Hub) -> Answer {
     let lines = hub.system_log().entries_from(0).into_iter().map(|entry| format!("{entry}\n"));
-    let mut response = whole(lines.collect(), HeaderValue::from_static("text/plain; charset=utf-8"));
-    let name = HeaderValue::from_static("attachment; filename=\"wsg-system-log.txt\"");
-    response.headers_mut().insert(CONTENT_DISPOSITION, name);
+    file(lines.collect(), HeaderValue::from_static("attachment; filename=\"wsg-system-log.txt\""))
+}
+
+/// Returns a text that a browser saves as a file.
+fn file(text: String, disposition: HeaderValue) -> Answer {
+    let mut response = whole(text, HeaderValue::from_static("text/plain; charset=utf-8"));
+    response.headers_mut().insert(CONTENT_DISPOSITION, disposition);
     response
 }
 
@@ -294,7 +300,7 @@ fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
 }
 
 /// Each path and its method.
-const PATHS: [(&str, Method); 16] = [
+const PATHS: [(&str, Method); 18] = [
     ("/", Method::GET),
     ("/events", Method::GET),
     ("/state", Method::GET),
@@ -303,6 +309,8 @@ const PATHS: [(&str, Method); 16] = [
     ("/settings", Method::POST),
     ("/restart", Method::POST),
     ("/log.txt", Method::GET),
+    (DOCUMENTS[0].0, Method::GET),
+    (DOCUMENTS[1].0, Method::GET),
     ("/scripts", Method::GET),
     ("/scripts", Method::POST),
     ("/frames", Method::GET),
@@ -347,6 +355,11 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
             };
             return Ok(json(&serde_json::json!(answer).to_string()));
         }
+        #[cfg(not(feature = "script"))]
+        "/scripts" => {
+            let error = "this program has no scripts; expected one with the feature `script`";
+            return Err(HttpError::new(StatusCode::CONFLICT, error.to_owned()));
+        }
         "/frames" => {
             let frames = site.editor.frames_from(0);
             return Ok(json(&serde_json::json!({ "frames": frames }).to_string()));
@@ -372,7 +385,11 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
             hub.set_fault(which_fault(hub, fault, finger)?, on);
         }
         "/line" => hub.set_line_faults(line_faults(&read(request, LINE_EXPECTED).await?)?),
-        _ => {}
+        path => {
+            if let Some((_, text)) = DOCUMENTS.iter().find(|(known, _)| *known == path) {
+                return Ok(file((*text).to_owned(), HeaderValue::from_static("attachment")));
+            }
+        }
     }
     state(hub)
 }

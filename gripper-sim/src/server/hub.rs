@@ -324,7 +324,7 @@ impl Hub {
         }
     }
 
-    /// Sets the data of a bus, which replace those of the same bus.
+    /// Sets the data of a bus. They replace earlier data of the same bus.
     pub(super) fn set_bus(&self, line: BusLine) {
         let mut buses = lock(&self.buses);
         buses.retain(|known| known.bus != line.bus);

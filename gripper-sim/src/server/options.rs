@@ -93,6 +93,9 @@ struct Arguments {
     /// Listens for the text protocol over UDP; answers go to the source port of the request
     #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
     gcl_udp: Option<SocketAddr>,
+    /// Begins each new connection of the text protocol in verbose mode, with a description of each error (GCL, 2.1.1)
+    #[arg(long, help_heading = COMMAND)]
+    gcl_verbose: bool,
     /// Ends the automatic updates of a UDP client on another machine after this many datagrams without one from the client; 0:
     /// never [default: 1000]
     #[arg(long, help_heading = COMMAND, value_name = "NUMBER", value_parser = expected("a number of datagrams; 0: any number", parsed::<u32>))]
@@ -372,27 +375,35 @@ fn check(option: &str, is_given: bool, has_effect: bool, others: &str) -> Result
 }
 
 impl Arguments {
-    /// Combines related options and checks them against each other.
-    fn options(self, file: Option<PathBuf>, given: Given) -> Result<Options> {
-        #[cfg(feature = "profinet")]
-        let profinet = self.profinet.line(file.clone())?;
-        #[cfg(feature = "profinet")]
-        let has_profinet = profinet.is_some();
-        #[cfg(not(feature = "profinet"))]
-        let has_profinet = false;
-        let can_bus = self.can.map(CanBus::Interface).or(self.slcan.map(CanBus::Slcan));
+    /// Rejects options that have no effect without another.
+    fn check_effects(&self, has_can: bool, has_profinet: bool) -> Result<()> {
         let has_profibus = self.profibus.is_some();
         let has_watch = self.bus_timeout > 0 || has_profibus || has_profinet;
         check("udp-remote-port", self.udp_remote_port.is_some(), self.udp.is_some(), "--udp ADDR")?;
         let has_udp = self.udp.is_some() || self.gcl_udp.is_some();
         check("udp-unanswered", self.udp_unanswered.is_some(), has_udp, "--udp ADDR or --gcl-udp ADDR")?;
-        check("can-id", self.can_id.is_some(), can_bus.is_some(), "--can IFACE or --slcan LINE")?;
+        let has_gcl = self.gcl.is_some() || self.gcl_udp.is_some();
+        check("gcl-verbose", self.gcl_verbose, has_gcl, "--gcl ADDR or --gcl-udp ADDR")?;
+        check("can-id", self.can_id.is_some(), has_can, "--can IFACE or --slcan LINE")?;
         check("modbus-swap-bytes", self.modbus_swap_bytes, self.modbus.is_some(), "--modbus ADDR")?;
         check("bus-timeout", self.bus_timeout > 0, self.modbus.is_some(), "--modbus ADDR")?;
         let watched = "--bus-timeout MS, --profibus LINE or --profinet IFACE";
         check("bus-reaction", self.bus_reaction.is_some(), has_watch, watched)?;
         check("profibus-address", self.profibus_address.is_some(), has_profibus, "--profibus LINE")?;
-        check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")?;
+        check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")
+    }
+
+    /// Combines related options and checks them against each other.
+    fn options(self, file: Option<PathBuf>, given: Given) -> Result<Options> {
+        #[cfg(feature = "profinet")]
+        let has_profinet = self.profinet.profinet.is_some();
+        #[cfg(not(feature = "profinet"))]
+        let has_profinet = false;
+        let has_profibus = self.profibus.is_some();
+        self.check_effects(self.can.is_some() || self.slcan.is_some(), has_profinet)?;
+        let can_bus = self.can.map(CanBus::Interface).or(self.slcan.map(CanBus::Slcan));
+        #[cfg(feature = "profinet")]
+        let profinet = self.profinet.line(file.clone())?;
         let remote_port = self.udp_remote_port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
         if let Some(address) = self.udp.filter(|address| address.port() == remote_port) {
             bail!(
@@ -424,6 +435,7 @@ impl Arguments {
             speed: self.speed,
             release_distance: self.release_distance,
             release_speed: self.release_speed,
+            gcl_verbose: self.gcl_verbose,
             modbus_swap_bytes: self.modbus_swap_bytes,
             bus_timeout_ms: self.bus_timeout,
             bus_reaction: self.bus_reaction.unwrap_or(default.bus_reaction),

@@ -182,20 +182,7 @@ impl<'a> StateBody<'a> {
     }
 
     pub(super) fn of(hub: &Hub, report: &'a Report) -> Self {
-        let Report {
-            now,
-            state,
-            images: (output, input),
-            buses,
-            exchange,
-            master,
-            profibus_master,
-            faults,
-            line_faults,
-            request_counts,
-            reply_counts,
-            clients,
-        } = report;
+        let Report { now, state, faults, line_faults, request_counts, reply_counts, clients, .. } = report;
         let LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *line_faults;
         Self {
             model: hub.config().model.name(),
@@ -217,23 +204,7 @@ impl<'a> StateBody<'a> {
                 .part
                 .map(|part| PartBody { width_mm: part.width(), stiffness_n_per_mm: Some(part.stiffness()) }),
             part_is_between: state.part_is_between,
-            fieldbus: FieldbusBody {
-                buses,
-                exchange: match exchange.state {
-                    ExchangeState::Waiting => "waiting for a master",
-                    ExchangeState::DataExchange => "data exchange",
-                    ExchangeState::WatchdogExpired => "watchdog expired",
-                    ExchangeState::Left => "the master has left",
-                },
-                master: master.as_deref(),
-                profibus_master: *profibus_master,
-                outputs_received: exchange.outputs,
-                watchdog_expired: exchange.timeouts,
-                watchdog_ms: hub.config().bus_timeout_ms,
-                output: output.to_bytes(),
-                input: input.to_bytes(),
-                status: input.status.to_string(),
-            },
+            fieldbus: FieldbusBody::of(hub, report),
             faults: faults.iter().map(active_fault).collect(),
             line: LineBody {
                 direction: match direction {
@@ -263,6 +234,29 @@ impl<'a> StateBody<'a> {
                     replies_lost: counters.replies_lost,
                 })
                 .collect(),
+        }
+    }
+}
+
+impl<'a> FieldbusBody<'a> {
+    fn of(hub: &Hub, report: &'a Report) -> Self {
+        let Report { images: (output, input), buses, exchange, master, profibus_master, .. } = report;
+        Self {
+            buses,
+            exchange: match exchange.state {
+                ExchangeState::Waiting => "waiting for a master",
+                ExchangeState::DataExchange => "data exchange",
+                ExchangeState::WatchdogExpired => "watchdog expired",
+                ExchangeState::Left => "the master has left",
+            },
+            master: master.as_deref(),
+            profibus_master: *profibus_master,
+            outputs_received: exchange.outputs,
+            watchdog_expired: exchange.timeouts,
+            watchdog_ms: hub.config().bus_timeout_ms,
+            output: output.to_bytes(),
+            input: input.to_bytes(),
+            status: input.status.to_string(),
         }
     }
 }

@@ -8,7 +8,8 @@ use clap::{Arg, ArgAction, Command};
 pub(in crate::server) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE];
 
 /// The settings that take effect without a restart. Most lines and the values at power-up need one.
-pub(super) const AT_ONCE: [&str; 17] = [
+pub(super) const AT_ONCE: [&str; 18] = [
+    "gcl-verbose",
     "no-checksum-check",
     "answer-bad-checksum",
     "updates-idle",

@@ -189,6 +189,7 @@ fn errors_of_options_name_the_value_and_the_expected_ones() {
         (&["--can", ""], "'' for '--can", "can0"),
         (&["--modbus", "502"], "'502' for '--modbus", "127.0.0.1:1000"),
         (&["--modbus-swap-bytes"], "--modbus-swap-bytes", "--modbus ADDR"),
+        (&["--gcl-verbose"], "--gcl-verbose", "--gcl ADDR"),
         (&["--profibus", "unix:"], "'unix:' for '--profibus", "unix:PATH"),
         (&["--profibus", "pty", "--profibus-address", "126"], "'126' for '--profibus-address", "125"),
         (&["--profibus-address", "9"], "--profibus-address", "--profibus LINE"),

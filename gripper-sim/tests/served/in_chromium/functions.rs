@@ -233,6 +233,15 @@ fn fieldbus_monitor_shows_the_master_and_marks_the_last_change() {
         tab.until(&format!("{marked} === 'WIDTH (2..3)'"));
         drop(master);
         tab.until(&format!("{}.includes('the master has left')", text("exchange")));
+        // Both device files can be downloaded.
+        let files = "Promise.all([...document.querySelectorAll('main[data-page=fieldbus] a[download]')]
+            .map(link => fetch(link.href).then(answer => answer.text()))).then(texts => texts.map(text => text.slice(0, 20)))";
+        let files = tab.eval(files);
+        assert!(
+            files[0].as_str().unwrap().contains("#Profibus_DP")
+                && files[1].as_str().unwrap().starts_with("<?xml"),
+            "{files}"
+        );
     });
 }
 
