@@ -136,10 +136,15 @@ fn endless_script_is_stopped_and_replaced() {
         assert!(!flags().contains("SCRIPT_RUNNING"));
     }
     // The next one replaces the one that runs, whose end changes nothing any more.
-    rig.run("endless.lua");
-    rig.run("waiting.lua");
-    rig.until("waiting.lua", "running");
-    assert!(flags().contains("SCRIPT_RUNNING"));
+    rig.save(
+        "writes.lua",
+        "while true do pcall(function() while true do fieldbus.outputs(255) end end) end\n",
+    );
+    rig.save("reads.lua", "fieldbus.outputs(1)\nfor _ = 1, 20 do sleep(5) assert(fieldbus.outputs() == 1) end\nprint('alone')\n");
+    rig.run("writes.lua");
+    rig.run("reads.lua");
+    let answer = rig.until("reads.lua", "ended");
+    assert_eq!(answer["output"][0]["text"], "alone");
 }
 
 #[test]
