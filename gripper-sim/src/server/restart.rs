@@ -1,7 +1,7 @@
 //! A server that its page can restart with other settings.
 
 use super::log::Log;
-use super::options::{Given, Options};
+use super::options::{Given, Options, settings};
 use super::system_log::{Severity, SystemLog};
 use super::{Lines, Server};
 use crate::time::Time;
@@ -77,6 +77,8 @@ impl Server {
     /// # Errors
     /// Returns an error that names the line that cannot be opened.
     pub async fn bind_options(options: &Options, log: Option<Log>) -> Result<Self> {
+        // Built before any line waits for this thread.
+        let _ = settings();
         let system_log = SystemLog::open(options.lines.system_log.as_deref())?;
         Self::open(options.config, &options.lines, &mut { log }, system_log, Some(options)).await
     }

@@ -26,15 +26,15 @@ pub(super) struct SettingsAnswer {
 
 #[derive(Debug, Serialize)]
 struct SettingBody {
-    name: String,
+    name: &'static str,
     group: &'static str,
-    meaning: String,
+    meaning: &'static str,
     /// `switch`, `choice`, `list`, or `text` for numbers and texts.
     kind: &'static str,
     unit: &'static str,
-    choices: Vec<String>,
-    default: String,
-    expected: String,
+    choices: &'static [String],
+    default: &'static str,
+    expected: &'static str,
     /// The given value; null for the default.
     value: Value,
     effect: &'static str,
@@ -57,14 +57,14 @@ impl SettingBody {
             Some(words) => words.into_iter().next().map_or(Value::Bool(true), Value::String),
         };
         Self {
-            name: row.name,
+            name: &row.name,
             group: row.group,
-            meaning: row.meaning,
+            meaning: &row.meaning,
             kind,
             unit: row.unit.unwrap_or(""),
-            choices: row.choices,
-            default: row.default,
-            expected: row.expected,
+            choices: &row.choices,
+            default: &row.default,
+            expected: &row.expected,
             value,
             effect: if row.is_at_once { "at once" } else { "after a restart" },
             pending: is_pending,

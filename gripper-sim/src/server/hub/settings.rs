@@ -24,7 +24,7 @@ impl Running {
 /// A setting with its value.
 #[derive(Debug)]
 pub(in crate::server) struct SettingState {
-    pub(in crate::server) row: Setting,
+    pub(in crate::server) row: &'static Setting,
     /// The given words; `None` for the default.
     pub(in crate::server) given: Option<Vec<String>>,
     /// Whether the value counts after the next restart only.
@@ -52,12 +52,12 @@ impl Hub {
     pub(in crate::server) fn settings(&self) -> Option<Vec<SettingState>> {
         let running = lock(self.running.as_ref()?);
         let Running { options, at_start } = &*running;
-        let state = |row: Setting| {
+        let state = |row: &'static Setting| {
             let given = options.given.get(&row.name).cloned();
             let is_pending = !row.is_at_once && given.as_ref() != at_start.given.get(&row.name);
             SettingState { row, given, is_pending }
         };
-        Some(settings().into_iter().map(state).collect())
+        Some(settings().iter().map(state).collect())
     }
 
     /// Returns the file in which settings are saved.

@@ -3,6 +3,7 @@
 
 use super::{COMMAND, DEVICE, FIELDBUS, MOTION, NETWORK, command, one_line, value_name};
 use clap::{Arg, ArgAction, Command};
+use std::sync::LazyLock;
 
 /// The groups of settings on the page, in order.
 pub(in crate::server) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE];
@@ -48,8 +49,13 @@ pub(in crate::server) struct Setting {
     pub(in crate::server) is_list: bool,
 }
 
-/// Returns the table of settings, which is that of the options without the program's own.
-pub(in crate::server) fn settings() -> Vec<Setting> {
+/// Returns the table of settings, which is built once: it takes longer than a line may wait.
+pub(in crate::server) fn settings() -> &'static [Setting] {
+    static TABLE: LazyLock<Vec<Setting>> = LazyLock::new(table);
+    &TABLE
+}
+
+fn table() -> Vec<Setting> {
     let command = command();
     let mut settings: Vec<Setting> =
         command.get_arguments().filter_map(|arg| setting(&command, arg)).collect();
