@@ -239,4 +239,24 @@ mod tests {
             assert_eq!(command_id(wrong), Err(EditorError::Command(wrong)));
         }
     }
+
+    proptest::proptest! {
+        #[test]
+        fn any_text_is_parsed_or_refused_within_the_buffer(text in ".{0,40}", limit in 0_usize..12) {
+            let mut buffer = [0; 12];
+            match payload(&text, &mut buffer[..limit]) {
+                Ok(len) => assert!(len <= limit),
+                Err(error) => assert!(!error.to_string().contains('\n')),
+            }
+            let _ = command_id(&text);
+        }
+
+        #[test]
+        fn bytes_and_floats_come_back(bytes in proptest::collection::vec(proptest::num::u8::ANY, 0..6), float in -1e6_f32..1e6) {
+            let words: std::vec::Vec<String> = bytes.iter().map(|byte| std::format!("{byte:#04x}")).collect();
+            let text = std::format!("{}, {float:?}f", words.join(" "));
+            let expected: std::vec::Vec<u8> = bytes.into_iter().chain(float.to_le_bytes()).collect();
+            assert_eq!(parsed(&text), Ok(expected));
+        }
+    }
 }
