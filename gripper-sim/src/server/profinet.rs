@@ -224,6 +224,9 @@ mod interface {
                         ProfinetLine::ip_text(self.device.ip())
                     ));
                     hub.set_bus(bus_line(&self.line.interface, self.device.stored()));
+                    let words = |text: String| (!text.is_empty()).then(|| vec![text]);
+                    let kept = ProfinetLine::kept(self.device.stored());
+                    hub.remember(&kept.map(|(name, text)| (name.to_owned(), words(text))).into());
                     if let Some(path) = &self.line.keep
                         && let Err(error) = keep(path, self.device.stored())
                     {

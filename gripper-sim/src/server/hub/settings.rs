@@ -103,6 +103,20 @@ impl Hub {
         })
     }
 
+    /// Takes over settings that are in effect already, such as a station name that a controller has set, so that they
+    /// outlast a restart.
+    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    pub(in crate::server) fn remember(&self, changes: &Changes) {
+        let Some(running) = &self.running else { return };
+        let Running { options, at_start } = &mut *lock(running);
+        for options in [options, at_start] {
+            // The values come from the device, so they are valid.
+            if let Ok(changed) = options.with(changes) {
+                *options = changed;
+            }
+        }
+    }
+
     /// Restarts the gripper with its current settings, as after a power cycle. Returns false without options.
     pub(in crate::server) fn restart(&self) -> bool {
         if self.running.is_some() {
@@ -115,5 +129,24 @@ impl Hub {
     /// Ready when a restart is requested.
     pub(in crate::server) async fn restart_requested(&self) {
         self.restart.notified().await;
+    }
+}
+
+#[cfg(all(test, feature = "profinet", target_os = "linux"))]
+mod tests {
+    use super::*;
+    use crate::server::lines::Profile;
+    use crate::server::system_log::SystemLog;
+
+    #[test]
+    fn station_name_of_a_controller_outlasts_a_restart_and_is_no_pending_change() {
+        let options = Options::parse(vec!["--profinet".into(), "eth0".into()]).unwrap();
+        let hub = Hub::new(options.config, Profile::Instant, 0, None, SystemLog::default(), Some(&options));
+        hub.remember(&Changes::from([("station".to_owned(), Some(vec!["wsg-7".to_owned()]))]));
+        let settings = hub.settings().unwrap();
+        let station = settings.iter().find(|setting| setting.row.name == "station").unwrap();
+        assert_eq!((&station.given, station.is_pending), (&Some(vec!["wsg-7".to_owned()]), false));
+        let running = lock(hub.running.as_ref().unwrap());
+        assert_eq!(running.options.lines.profinet.as_ref().unwrap().stored.name.as_str(), "wsg-7");
     }
 }
