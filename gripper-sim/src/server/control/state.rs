@@ -8,7 +8,7 @@ use crate::finger::{Finger, Jaw};
 use crate::server::faulty_line::{Direction, LineCounts, LineFaults};
 use crate::server::hub::{BusLine, Hub, Report};
 use serde::Serialize;
-use wsg_fieldbus::{CommandFlags, GripperFlags};
+use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags};
 use wsg_protocol::{CommandId, SystemFlags};
 
 /// The answer to every accepted request.
@@ -42,6 +42,8 @@ pub(super) struct HelloBody {
     model: &'static str,
     limits: LimitsBody,
     names: NamesBody,
+    /// Steps of the force registers in a newton.
+    force_steps_per_n: f32,
     /// The commands of the manual: id and name.
     commands: Vec<(u8, &'static str)>,
     /// The device tag; empty if none is set.
@@ -93,6 +95,7 @@ impl HelloBody {
                 nominal_force_n: limits.nominal_force,
                 overdrive_force_n: limits.overdrive_force,
             },
+            force_steps_per_n: ForceUnit::of(model.parameters().device).per_newton(),
             commands: CommandId::ALL.iter().map(|id| (id.code(), id.name())).collect(),
             fingers: hub.config().fingers.map(Finger::name),
             tag: hub.config().tag.as_str().to_owned(),

@@ -286,3 +286,17 @@ fn scripts_are_written_run_and_stopped_and_an_error_selects_its_line() {
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }
+
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn forces_of_a_wsg_70_are_tenths_of_a_newton_in_the_registers() {
+    in_each_size(&["--model", "wsg70"], |gripper, tab| {
+        let mut master = TcpStream::connect(&gripper.modbus).unwrap();
+        master.set_read_timeout(Some(BOUND)).unwrap();
+        // Write Single Register (FC 6): FORCELIMIT, 1500.
+        master.write_all(&[0, 1, 0, 0, 0, 6, 1, 6, 0, 3, 0x05, 0xDC]).unwrap();
+        master.read_exact(&mut [0; 12]).expect("an answer in time");
+        tab.show("fieldbus");
+        tab.until(&format!("{}.includes('150.00 N05 DC')", text("output_registers")));
+    });
+}

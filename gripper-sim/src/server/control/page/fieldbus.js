@@ -39,10 +39,10 @@ onState.push((state, time) => {
   image("output_registers", [["CMDFLAGS (0)", hello.names.command.filter((name, bit) => output[0] >> bit & 1).join(" ") || "none", raw(output, 0, 0)],
     ["IF (1)", user("IF", output[1]), raw(output, 1, 1)], ["WIDTH (2..3)", (int(output, 2) / 100).toFixed(2) + " mm", raw(output, 2, 3)],
     ["SPEED (4..5)", (word(output, 4) / 100).toFixed(2) + " mm/s", raw(output, 4, 5)],
-    ["FORCELIMIT (6..7)", (int(output, 6) / 100).toFixed(2) + " N", raw(output, 6, 7)]], time);
+    ["FORCELIMIT (6..7)", (int(output, 6) / hello.force_steps_per_n).toFixed(2) + " N", raw(output, 6, 7)]], time);
   image("input_registers", [["GSTATE (0)", hello.names.gripper.filter((name, bit) => input[0] >> bit & 1).join(" ") || "none", raw(input, 0, 0)],
     ["OF (1)", user("OF", input[1]), raw(input, 1, 1)], ["SYSSTATE (2..5)", state.system_state.length + " set", raw(input, 2, 5)],
     ["WIDTH (6..7)", (int(input, 6) / 100).toFixed(2) + " mm", raw(input, 6, 7)],
-    ["FORCE (8..9)", (int(input, 8) / 100).toFixed(2) + " N", raw(input, 8, 9)],
+    ["FORCE (8..9)", (int(input, 8) / hello.force_steps_per_n).toFixed(2) + " N", raw(input, 8, 9)],
     ["STATUS (10..11)", `${word(input, 10)} ${status}`, raw(input, 10, 11)]], time);
 });
