@@ -59,6 +59,16 @@ impl Client {
         }
     }
 
+    /// Takes over the settings, and keeps the subscriptions.
+    pub(crate) fn reconfigure(&mut self, before: &Config, config: &Config) {
+        let Self { deframer, line } = self;
+        if before.check_checksum != config.check_checksum {
+            *deframer = Deframer::new(line.kind, config);
+        }
+        line.answer_bad_checksum = config.answer_bad_checksum;
+        line.silence.reconfigure(line.kind, config);
+    }
+
     pub(crate) const fn id(&self) -> PortId {
         self.line.id
     }

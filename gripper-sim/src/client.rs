@@ -26,6 +26,15 @@ pub(crate) enum Client {
 }
 
 impl Client {
+    /// Takes over the settings of a running gripper.
+    pub(crate) fn reconfigure(&mut self, before: &Config, config: &Config) {
+        match self {
+            Self::Binary(client) => client.reconfigure(before, config),
+            Self::Text(client) => client.reconfigure(config),
+            Self::Modbus(_) | Self::Profibus(_) | Self::Images(_) => {}
+        }
+    }
+
     pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
         match kind.protocol() {
             Protocol::Binary => Self::Binary(binary::Client::new(id, kind, config)),

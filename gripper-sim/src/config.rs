@@ -60,6 +60,8 @@ pub struct Config {
     pub release_distance: f32,
     /// Default speed in mm/s of RELEASE of the text protocol; `None`: the maximum.
     pub release_speed: Option<f32>,
+    /// Whether a connection of the text protocol begins in verbose mode (GCL, 2.1.1).
+    pub gcl_verbose: bool,
     /// Whether to swap the two bytes of each number in the Modbus registers, for PLCs that take "low byte first"
     /// (fieldbus, 4) literally. Flags are not swapped.
     pub modbus_swap_bytes: bool,
@@ -78,6 +80,35 @@ pub struct Config {
 }
 
 impl Config {
+    /// Returns these settings with each setting of `new` that a running gripper can take over. The others keep the values
+    /// that they had at power-up: model, fingers, Modbus byte order, PROFIBUS address, and what applies at power-up only.
+    #[must_use]
+    pub const fn at_run_time(&self, new: &Self) -> Self {
+        Self {
+            model: self.model,
+            fingers: self.fingers,
+            homing_at_start: self.homing_at_start,
+            soft_limits: self.soft_limits,
+            force_limit: self.force_limit,
+            acceleration: self.acceleration,
+            modbus_swap_bytes: self.modbus_swap_bytes,
+            profibus_address: self.profibus_address,
+            frame_timeout_ms: self.frame_timeout_ms,
+            ..*new
+        }
+    }
+
+    /// Returns whether the motions of both differ.
+    pub(crate) fn moves_differently(&self, other: &Self) -> bool {
+        let of = |config: &Self| {
+            let Self {
+                homing_default, time_scale, clamping_travel, part_width_tolerance, homing_speed, ..
+            } = *config;
+            (homing_default, time_scale, clamping_travel, part_width_tolerance, homing_speed)
+        };
+        of(self) != of(other)
+    }
+
     /// Smallest permitted `time_scale`.
     pub const MIN_TIME_SCALE: f32 = 0.01;
     /// Largest permitted `time_scale`.
@@ -107,6 +138,7 @@ impl Default for Config {
             speed: 100.0,
             release_distance: 10.0,
             release_speed: None,
+            gcl_verbose: false,
             modbus_swap_bytes: false,
             bus_timeout_ms: 0,
             bus_reaction: SilenceReaction::Stop,

@@ -8,6 +8,7 @@ use crate::axis::Part;
 use crate::config::{Config, Tag};
 use crate::faults::Fault;
 use crate::finger::{Finger, FingerPort, Jaw};
+use crate::journal::Cause;
 use crate::motion::{GripOrder, MotionControl};
 use crate::port::{Completion, PortId, Request};
 use crate::script::{Script, ScriptState};
@@ -38,6 +39,8 @@ pub(crate) struct Device {
     command_failure: bool,
     /// Whether the last command was a Stop or FAST STOP. A motion that it ended has not failed.
     was_stopped: bool,
+    /// The cause of the latest change, for the system log.
+    cause: Cause,
     tag: Tag,
     script: Script,
 }
@@ -54,6 +57,7 @@ impl Device {
             motor_fault: false,
             command_failure: false,
             was_stopped: false,
+            cause: Cause::default(),
             tag: config.tag,
             script: Script::default(),
             config,
@@ -63,6 +67,25 @@ impl Device {
     /// Returns the settings made before power-up. The tag may have changed since; see [`tag`](Self::tag).
     pub(crate) const fn config(&self) -> &Config {
         &self.config
+    }
+
+    /// Takes over the settings. Returns false, and changes nothing, while a motion runs whose settings would change.
+    pub(crate) fn reconfigure(&mut self, config: Config) -> bool {
+        let before = self.config;
+        if before.moves_differently(&config) {
+            if self.motion.is_running() {
+                return false;
+            }
+            self.motion.reconfigure(&config);
+        }
+        self.config = config;
+        if before.part != config.part {
+            self.set_part(config.part);
+        }
+        if before.tag != config.tag {
+            self.tag = config.tag;
+        }
+        true
     }
 
     pub(crate) const fn limits(&self) -> &'static SystemLimits {
@@ -214,8 +237,14 @@ impl Device {
         self.motion.abort();
     }
 
+    /// Returns the cause of the latest change.
+    pub(crate) const fn cause(&self) -> Cause {
+        self.cause
+    }
+
     /// Executes FAST STOP, or the same on a fault. A motion that it ends is answered with E_CMD_ABORTED.
-    pub(crate) fn fast_stop(&mut self) {
+    pub(crate) fn fast_stop(&mut self, cause: Cause) {
+        self.cause = cause;
         self.motion.fast_stop(Status::CmdAborted);
     }
 
@@ -225,6 +254,7 @@ impl Device {
     }
 
     pub(crate) fn set_fault(&mut self, fault: Fault, on: bool) {
+        self.cause = Cause::Fault;
         match fault {
             Fault::AxisBlocked => self.motion.set_jammed(on),
             Fault::OverTemperature => self.thermal.inject_over_temperature(on),
@@ -250,6 +280,8 @@ impl Device {
 
     /// Processes the events due at `now`; `before` is the time up to which all events have been processed.
     pub(crate) fn run_due(&mut self, before: Time, now: Time) {
+        // The only change that a motion causes by itself.
+        self.cause = Cause::SoftLimit;
         self.motion.run_due(before, now);
         self.note_load();
         if self.thermal.next_step(before).is_some_and(|at| at <= now) {
@@ -312,7 +344,7 @@ impl Device {
     /// Latches FAST STOP while a fault persists, so that motions need no further check.
     fn stop_on_lasting_fault(&mut self) {
         if self.has_lasting_fault() && !self.motion.is_fast_stopped() {
-            self.fast_stop();
+            self.fast_stop(Cause::Fault);
         }
     }
 }

@@ -21,6 +21,33 @@ const IDENTIFICATION: Identification = Identification {
     regular: None,
 };
 
+/// The data exchange of the register interface with its masters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Exchange {
+    /// How the exchange stands.
+    pub state: ExchangeState,
+    /// The master that wrote the outputs last, while it is connected.
+    pub master: Option<PortId>,
+    /// Number of output images received, repeated ones included.
+    pub outputs: u32,
+    /// Number of expired watchdogs: the time-out of Modbus masters, and that of a PROFIBUS master.
+    pub timeouts: u32,
+}
+
+/// How data exchange with the masters stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ExchangeState {
+    /// No master has written since power-up.
+    #[default]
+    Waiting,
+    /// A master exchanges data.
+    DataExchange,
+    /// The watchdog of the last master has expired.
+    WatchdogExpired,
+    /// The last master has stopped or disconnected.
+    Left,
+}
+
 /// The register interface of the gripper.
 #[derive(Clone, Debug)]
 pub(crate) struct Fieldbus {
@@ -39,6 +66,7 @@ pub(crate) struct Fieldbus {
     /// Time of the last Modbus request since a Modbus master has written.
     heard: Option<Time>,
     masked: MaskedFlags,
+    exchange: Exchange,
     /// Whether the next write of a Modbus master is the first after a silence.
     is_new: bool,
 }
@@ -59,6 +87,7 @@ impl Fieldbus {
             modbus_fast_stop: false,
             heard: None,
             masked: MaskedFlags::NONE,
+            exchange: Exchange::default(),
             is_new: false,
         }
     }
@@ -79,11 +108,23 @@ impl Fieldbus {
             self.heard = Some(asked.now);
         }
         if let Some(image) = written {
+            self.exchange.outputs = self.exchange.outputs.saturating_add(1);
             let is_first = core::mem::take(&mut self.is_new);
             self.modbus_fast_stop = image.flags.contains(CommandFlags::FASTSTOP);
             self.write(device, asked.port, &image, is_first);
         }
         len
+    }
+
+    /// Counts an expired watchdog of a master.
+    pub(crate) const fn note_timeout(&mut self) {
+        self.exchange.state = ExchangeState::WatchdogExpired;
+        self.exchange.timeouts = self.exchange.timeouts.saturating_add(1);
+    }
+
+    /// Returns how data exchange with the masters stands.
+    pub(crate) const fn exchange_state(&self) -> Exchange {
+        Exchange { master: self.writer, ..self.exchange }
     }
 
     /// Returns the current inputs.
@@ -96,6 +137,11 @@ impl Fieldbus {
         &self.written
     }
 
+    /// Returns the master that wrote the output image last, while it is connected.
+    pub(crate) const fn writer(&self) -> Option<PortId> {
+        self.writer
+    }
+
     /// Sets OF from a script on the gripper.
     pub(crate) const fn set_user_outputs(&mut self, flags: u8) {
         self.controller.set_user_outputs(flags);
@@ -105,6 +151,7 @@ impl Fieldbus {
     /// undo a write of another client, or repeat it as an edge. The resulting commands are executed by the next
     /// [`follow`](Self::follow).
     pub(crate) fn exchange(&mut self, device: &Device, client: PortId, image: &OutputImage, is_first: bool) {
+        self.exchange.outputs = self.exchange.outputs.saturating_add(1);
         let before = self.cyclic.replace((client, *image));
         if is_first || before != Some((client, *image)) {
             self.write(device, client, image, is_first);
@@ -122,6 +169,7 @@ impl Fieldbus {
         let counting = OutputImage { flags, ..*image };
         self.controller.set_output(&counting, &known(device));
         self.writer = Some(client);
+        self.exchange.state = ExchangeState::DataExchange;
         self.in_use = true;
     }
 
@@ -130,6 +178,7 @@ impl Fieldbus {
     pub(crate) fn leave(&mut self, device: &Device, client: PortId, reaction: SilenceReaction) {
         if self.writer == Some(client) {
             self.writer = None;
+            self.exchange.state = ExchangeState::Left;
             // FASTSTOP of the client stays set until the next master writes.
             self.modbus_fast_stop = false;
             self.controller.silence(reaction, &known(device));
@@ -159,6 +208,7 @@ impl Fieldbus {
             self.is_new = true;
             self.modbus_fast_stop = false;
             self.heard = None;
+            self.note_timeout();
             // A master with cyclic data exchange that has taken over stays in control.
             if self.cyclic.is_none_or(|(cyclic, _)| self.writer != Some(cyclic)) {
                 self.writer = None;

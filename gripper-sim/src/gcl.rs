@@ -56,7 +56,7 @@ impl Client {
                 id,
                 kind,
                 announced: false,
-                verbose: false,
+                verbose: config.gcl_verbose,
                 part_width_tolerance: config.part_width_tolerance,
                 clamping_travel: config.clamping_travel,
                 autosends: Autosends::default(),
@@ -66,6 +66,11 @@ impl Client {
                 replies_lost: 0,
             },
         }
+    }
+
+    /// Takes over the settings that the client cannot change itself.
+    pub(crate) const fn reconfigure(&mut self, config: &Config) {
+        self.line.silence.reconfigure(self.line.kind, config);
     }
 
     pub(crate) const fn id(&self) -> PortId {

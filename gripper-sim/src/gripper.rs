@@ -5,8 +5,9 @@ use crate::client::Client;
 use crate::config::Config;
 use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
-use crate::fieldbus::Fieldbus;
+use crate::fieldbus::{Exchange, Fieldbus};
 use crate::finger::{Finger, Jaw};
+use crate::journal::{Cause, Journal, JournalEvent};
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
 use crate::script::{ScriptRequest, ScriptState};
 use crate::time::{Time, earlier};
@@ -48,6 +49,7 @@ pub struct VirtualGripper<const PORTS: usize = DEFAULT_PORTS> {
     fieldbus: Fieldbus,
     clients: [Option<Client>; PORTS],
     connections: u32,
+    journal: Journal,
     now: Time,
 }
 
@@ -95,7 +97,14 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     pub fn with_ports(config: Config) -> Self {
         let device = Device::new(config);
         let fieldbus = Fieldbus::new(&device);
-        Self { device, fieldbus, clients: [const { None }; PORTS], connections: 0, now: Time::ZERO }
+        Self {
+            device,
+            fieldbus,
+            clients: [const { None }; PORTS],
+            connections: 0,
+            journal: Journal::default(),
+            now: Time::ZERO,
+        }
     }
 
     /// Connects a client. Returns `None` if all `PORTS` places are taken.
@@ -119,7 +128,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             *slot = None;
         }
         if is_error && self.device.config().disconnect_error {
-            self.device.fast_stop();
+            self.device.fast_stop(Cause::Disconnected(id));
         }
         if has_cyclic_outputs {
             self.fieldbus.end_outputs(&self.device, id, reaction);
@@ -127,6 +136,18 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             self.fieldbus.leave(&self.device, id, reaction);
         }
         self.settle();
+    }
+
+    /// Returns whether the end of this client's connection would be an error: the client sent data and did not announce
+    /// the end (command set, 3.1.2).
+    #[must_use]
+    pub fn is_missed(&self, id: PortId) -> bool {
+        self.client(id).is_some_and(Client::is_missed)
+    }
+
+    /// Takes the next event for the system log. The queue keeps the latest events.
+    pub fn take_journal_event(&mut self) -> Option<JournalEvent> {
+        self.journal.take()
     }
 
     /// Ends the automatic updates of a client. For lines such as UDP, on which another sender takes over.
@@ -217,6 +238,31 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     #[must_use]
     pub const fn now(&self) -> Time {
         self.now
+    }
+
+    /// Returns the current settings.
+    #[must_use]
+    pub const fn config(&self) -> &Config {
+        self.device.config()
+    }
+
+    /// Takes over the settings that a running gripper can take over ([`Config::at_run_time`]). Reference, latched state and
+    /// connections stay. A part or a tag that differs from the last settings is set. Clients of the text protocol keep
+    /// their part width tolerance and clamping travel, which they can set themselves.
+    ///
+    /// Returns E_ALREADY_RUNNING, and changes nothing, while a motion runs whose settings would change.
+    pub fn reconfigure(&mut self, config: &Config, now: Time) -> Status {
+        self.advance(now);
+        let before = *self.config();
+        let config = before.at_run_time(config);
+        if !self.device.reconfigure(config) {
+            return Status::AlreadyRunning;
+        }
+        for client in self.clients.iter_mut().flatten() {
+            client.reconfigure(&before, &config);
+        }
+        self.settle();
+        Status::Success
     }
 
     /// Places a part between the fingers, or removes it. A part wider than the opening enters once the fingers have
@@ -335,6 +381,22 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         (*self.fieldbus.written(), self.fieldbus.input(&self.device))
     }
 
+    /// Returns how data exchange with the masters of the register interface stands.
+    #[must_use]
+    pub const fn exchange(&self) -> Exchange {
+        self.fieldbus.exchange_state()
+    }
+
+    /// Returns the address of the PROFIBUS master that has locked the slave, if any.
+    #[must_use]
+    pub fn profibus_master(&self) -> Option<u8> {
+        let slave = self.clients.iter().flatten().find_map(|client| match client {
+            Client::Profibus(slave) => Some(slave),
+            _ => None,
+        });
+        slave.and_then(crate::profibus::Client::master)
+    }
+
     /// Writes a complete output image from a bus with image transfer ([`PortKind::Profinet`]). `is_first` marks the
     /// first image since the master began to write. A flag set in that image takes effect only after it has been 0, except
     /// FASTSTOP.
@@ -388,7 +450,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
 
     /// Sends the results of the last event: second answers first, then updates.
     fn settle(&mut self) {
-        let Self { device, fieldbus, clients, now, .. } = self;
+        let Self { device, fieldbus, clients, journal, now, .. } = self;
         loop {
             while let Some(done) = device.take_completion(*now) {
                 if done.port == PortId::FIELDBUS {
@@ -405,6 +467,11 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         }
         device.note_load();
         let readings = device.readings();
+        let cause = match device.cause() {
+            Cause::Fieldbus(_) => Cause::Fieldbus(fieldbus.writer()),
+            cause => cause,
+        };
+        journal.observe(*now, readings.flags, cause);
         for client in clients.iter_mut().flatten() {
             client.publish(*now, &readings);
         }

@@ -40,6 +40,7 @@ mod fieldbus;
 mod finger;
 mod gcl;
 mod gripper;
+mod journal;
 mod modbus;
 mod model;
 mod motion;
@@ -60,8 +61,10 @@ mod updates;
 pub use axis::{Direction, Part};
 pub use config::{Config, Tag};
 pub use faults::Fault;
+pub use fieldbus::{Exchange, ExchangeState};
 pub use finger::{Finger, Jaw};
 pub use gripper::{DEFAULT_PORTS, State, VirtualGripper};
+pub use journal::{Cause, JournalEvent};
 pub use model::{Model, Parameters};
 pub use port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
 #[cfg(feature = "rig")]

@@ -132,17 +132,13 @@ impl MotionControl {
     fn at_rest(config: &Config) -> Self {
         let parameters = config.model.parameters();
         let limits = &parameters.limits;
-        let time_scale = config.time_scale.clamp(Config::MIN_TIME_SCALE, Config::MAX_TIME_SCALE);
-        Self {
+        let mut control = Self {
             parameters,
             homing_default: config.homing_default,
-            homing_speed: config
-                .homing_speed
-                .map_or(parameters.homing_speed, |speed| speed.clamp(limits.min_speed, limits.max_speed))
-                .into(),
-            clamping_travel: config.clamping_travel.into(),
-            part_width_tolerance: config.part_width_tolerance.into(),
-            time_scale: time_scale.into(),
+            homing_speed: 0.0,
+            clamping_travel: 0.0,
+            part_width_tolerance: 0.0,
+            time_scale: 1.0,
             settings: Settings::new(config),
             axis: Axis::new(limits.stroke.into(), limits.max_speed.into(), config.part),
             origin: 0.0,
@@ -156,7 +152,28 @@ impl MotionControl {
             fast_stop_latched: false,
             axis_stopped: false,
             target_reached: false,
-        }
+        };
+        control.reconfigure(config);
+        control
+    }
+
+    /// Takes over the settings of the following motions. Reference and state stay.
+    pub(crate) fn reconfigure(&mut self, config: &Config) {
+        let limits = &self.parameters.limits;
+        let time_scale = config.time_scale.clamp(Config::MIN_TIME_SCALE, Config::MAX_TIME_SCALE);
+        self.homing_default = config.homing_default;
+        self.homing_speed = config
+            .homing_speed
+            .map_or(self.parameters.homing_speed, |speed| speed.clamp(limits.min_speed, limits.max_speed))
+            .into();
+        self.clamping_travel = config.clamping_travel.into();
+        self.part_width_tolerance = config.part_width_tolerance.into();
+        self.time_scale = time_scale.into();
+    }
+
+    /// Returns whether a motion command is in progress or the fingers move.
+    pub(crate) fn is_running(&self) -> bool {
+        self.motion.is_some() || self.axis.is_moving()
     }
 
     pub(crate) const fn settings(&self) -> &Settings {

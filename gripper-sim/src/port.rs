@@ -33,6 +33,8 @@ pub enum PortKind {
     ModbusTcp,
     /// PROFIBUS DP over a line that hides the silence between characters; a pause of some milliseconds counts as silence.
     Profibus,
+    /// The command editor of the page: the binary protocol, without a line.
+    Page,
     /// PROFINET: the caller handles its frames and passes images to
     /// [`write_image`](crate::VirtualGripper::write_image).
     Profinet,
@@ -58,7 +60,7 @@ impl PortKind {
     /// Returns the protocol of the line.
     pub(crate) const fn protocol(self) -> Protocol {
         match self {
-            Self::Tcp | Self::Udp | Self::Serial | Self::Can => Protocol::Binary,
+            Self::Tcp | Self::Udp | Self::Serial | Self::Can | Self::Page => Protocol::Binary,
             Self::GclTcp | Self::GclUdp => Protocol::Text,
             Self::ModbusTcp => Protocol::Modbus,
             Self::Profibus => Protocol::Profibus,
@@ -93,6 +95,7 @@ impl core::fmt::Display for PortKind {
             Self::GclUdp => "gcl-udp",
             Self::ModbusTcp => "modbus",
             Self::Profibus => "profibus",
+            Self::Page => "page",
             Self::Profinet => "profinet",
         })
     }

@@ -5,7 +5,7 @@ use crate::device::Device;
 use crate::fieldbus::Fieldbus;
 use crate::port::{FrameBuffer, PortCounters, PortId};
 use crate::time::Time;
-use bus_profibus::{Address, Character, Event, SYNC_BITS};
+use bus_profibus::{Address, Cause, Character, Event, SYNC_BITS};
 use heapless::Vec;
 use wsg_fieldbus::profibus::{PROFILE, Slave};
 use wsg_fieldbus::{Diagnosis, OutputImage};
@@ -49,6 +49,11 @@ impl Client {
 
     pub(crate) const fn id(&self) -> PortId {
         self.id
+    }
+
+    /// Returns the address of the master that has locked the slave.
+    pub(crate) fn master(&self) -> Option<u8> {
+        self.slave.master()
     }
 
     pub(crate) fn counters(&self) -> PortCounters {
@@ -138,6 +143,9 @@ impl Client {
             Event::Cleared | Event::Left(_) => {
                 self.has_outputs = false;
                 fieldbus.end_outputs(device, self.id, device.config().bus_reaction);
+                if event == Event::Left(Cause::Watchdog) {
+                    fieldbus.note_timeout();
+                }
             }
             // The profile does not let a master change the address.
             Event::Address(_) => {}

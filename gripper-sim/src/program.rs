@@ -1,10 +1,7 @@
 //! The virtual gripper as a program; see `wsg-sim --help` (feature `std`).
 
-mod options;
-
-use crate::server::{CanBus, CanLine, Log, Server};
+use crate::server::{Ending, Log, Options, Server};
 use anyhow::{Context, Result};
-pub use options::{Options, parse};
 use std::ffi::OsString;
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
@@ -20,7 +17,7 @@ const UNPRIVILEGED_TCP: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::
 ///
 /// Reports an error in one line with status 1, or 2 for an invalid option. `--help` and `--version` end the process.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
-    let options = match parse(arguments.into_iter().collect()) {
+    let options = match Options::parse(arguments.into_iter().collect()) {
         Ok(options) => options,
         Err(error) => return fail(&error, WRONG_USE),
     };
@@ -38,9 +35,15 @@ fn serve(options: Options) -> Result<()> {
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
-        let server = bind(&options, log).await?;
-        announce(&options, &server).context("standard output cannot be written")?;
-        server.run(end()?).await
+        let mut server = bind(options, log).await?;
+        let mut end = std::pin::pin!(end()?);
+        loop {
+            announce(&server).context("standard output cannot be written")?;
+            match server.run_to_restart(&mut end).await? {
+                Ending::Stopped => return Ok(()),
+                Ending::Restart(restart) => server = Server::restart(restart).await?,
+            }
+        }
     })
 }
 
@@ -72,21 +75,20 @@ fn end() -> io::Result<impl Future<Output = ()>> {
 }
 
 /// Opens the lines. On many systems, the gripper's own port requires privileges. If no line is given, another port replaces it.
-async fn bind(options: &Options, log: Option<Log>) -> Result<Server> {
-    let mut lines = options.lines.clone();
+async fn bind(mut options: Options, log: Option<Log>) -> Result<Server> {
     if options.is_default_line
-        && let Some(address) = lines.tcp
+        && let Some(address) = options.lines.tcp
         && !may_listen(address).await
     {
-        lines.tcp = Some(UNPRIVILEGED_TCP);
+        options.lines.tcp = Some(UNPRIVILEGED_TCP);
         eprintln!(
             "wsg-sim: port {} requires privileges that you lack: serving {UNPRIVILEGED_TCP} instead, \
              as --tcp {UNPRIVILEGED_TCP} does",
             address.port()
         );
     }
-    let is_low = lines.tcp.is_some_and(|address| address.port() < 1_024);
-    Server::bind(options.config, &lines, log).await.map_err(|error| {
+    let is_low = options.lines.tcp.is_some_and(|address| address.port() < 1_024);
+    Server::bind_options(&options, log).await.map_err(|error| {
         let is_denied = error
             .downcast_ref::<io::Error>()
             .is_some_and(|error| error.kind() == io::ErrorKind::PermissionDenied);
@@ -107,17 +109,16 @@ async fn may_listen(address: SocketAddr) -> bool {
 }
 
 /// Prints each served line, for people and for scripts that wait for it.
-fn announce(options: &Options, server: &Server) -> io::Result<()> {
+fn announce(server: &Server) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    writeln!(out, "model {}", options.config.model)?;
-    let is_slcan = matches!(&options.lines.can, Some(CanLine { bus: CanBus::Slcan(_), .. }));
+    writeln!(out, "model {}", server.model())?;
     let address = |address: Option<SocketAddr>| address.map(|address| address.to_string());
     let path = |path: Option<&Path>| path.map(|path| path.display().to_string());
     for (line, place) in [
         ("tcp", address(server.tcp_address())),
         ("udp", address(server.udp_address())),
         ("serial", path(server.serial_path())),
-        (if is_slcan { "slcan" } else { "can" }, path(server.can_path())),
+        (if server.is_slcan() { "slcan" } else { "can" }, path(server.can_path())),
         ("gcl", address(server.gcl_address())),
         ("gcl-udp", address(server.gcl_udp_address())),
         ("modbus", address(server.modbus_address())),

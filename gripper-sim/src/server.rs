@@ -13,14 +13,17 @@ mod hub;
 mod lines;
 mod log;
 mod log_writer;
+mod options;
 #[cfg(feature = "profinet")]
 mod profinet;
 mod request_line;
+mod restart;
 #[cfg(feature = "script")]
 mod script;
 mod serial;
 mod slcan;
 mod stream;
+mod system_log;
 mod tcp;
 mod thread;
 mod udp;
@@ -29,17 +32,21 @@ mod udp;
 pub use lines::ProfinetLine;
 pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 pub use log::Log;
+pub use options::Options;
+pub use restart::{Ending, Restart};
 pub use thread::ServerThread;
 
 use crate::config::Config;
+use crate::model::Model;
 use crate::port::PortKind;
 use anyhow::{Context, Result};
-use hub::Hub;
+use hub::{BusLine, Hub};
+use restart::Bound;
 use serial::{Carried, SerialPort};
-use std::future::Future;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
+use system_log::{Severity, SystemLog};
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::task::{JoinSet, LocalSet};
 use wsg_protocol::can::Identifiers;
@@ -86,6 +93,18 @@ impl Server {
     /// # Errors
     /// Returns an error that names the line that cannot be opened.
     pub async fn bind(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
+        let system_log = SystemLog::open(lines.system_log.as_deref())?;
+        Self::open(config, lines, &mut { log }, system_log, None).await
+    }
+
+    /// Opens the lines. Takes the log once nothing can fail any more.
+    async fn open(
+        config: Config,
+        lines: &Lines,
+        log: &mut Option<Log>,
+        system_log: SystemLog,
+        options: Option<&Options>,
+    ) -> Result<Self> {
         let tcp = listen(lines.tcp, "TCP").await?;
         let udp = match lines.udp {
             Some(line) => Some((bind_udp(line.address, "UDP").await?, line.remote_port)),
@@ -110,9 +129,10 @@ impl Server {
         #[cfg(feature = "script")]
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
         // Pages show the log even if it is written nowhere.
-        let log = log.or_else(|| control.is_some().then(Log::to_nowhere));
-        let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log));
-        Ok(Self {
+        let log = log.take().or_else(|| control.is_some().then(Log::to_nowhere));
+        let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log, system_log, options));
+        hub.report_event(Severity::Info, "gripper", &format!("started as {}", config.model));
+        let server = Self {
             hub,
             tcp,
             udp,
@@ -128,7 +148,37 @@ impl Server {
             control,
             #[cfg(feature = "script")]
             script,
-        })
+        };
+        server.report_buses(&config);
+        Ok(server)
+    }
+
+    /// Passes the buses of the register interface to the hub, for the fieldbus monitor.
+    fn report_buses(&self, config: &Config) {
+        let line = |bus, line: String, address| BusLine { bus, line, address, name: String::new() };
+        if let Some(address) = self.modbus_address() {
+            self.hub.set_bus(line("Modbus/TCP", address.to_string(), address.ip().to_string()));
+        }
+        if let Some(path) = self.profibus_path() {
+            let address = config.profibus_address.to_string();
+            self.hub.set_bus(line("PROFIBUS", path.display().to_string(), address));
+        }
+        #[cfg(feature = "profinet")]
+        if let Some(interface) = &self.profinet {
+            self.hub.set_bus(interface.bus_line());
+        }
+    }
+
+    /// Returns the model.
+    #[must_use]
+    pub fn model(&self) -> Model {
+        self.hub.config().model
+    }
+
+    /// Returns whether CAN uses SLCAN, on a serial line.
+    #[must_use]
+    pub const fn is_slcan(&self) -> bool {
+        matches!(self.can, Some(CanPort::Slcan(..)))
     }
 
     /// Returns the TCP address.
@@ -199,6 +249,24 @@ impl Server {
     /// # Errors
     /// Returns the error of the failed line.
     pub async fn run(self, end: impl Future<Output = ()>) -> Result<()> {
+        self.run_to_restart(end).await.map(drop)
+    }
+
+    /// Serves until `end` is ready, a line fails permanently, or the page requests a restart.
+    ///
+    /// # Errors
+    /// Returns the error of the failed line.
+    pub async fn run_to_restart(self, end: impl Future<Output = ()>) -> Result<Ending> {
+        let bound = Bound::of(&self);
+        let hub = Arc::clone(&self.hub);
+        // Declared before the tasks of the lines, so that it is dropped after them.
+        let _powered = Powered(Arc::clone(&hub));
+        let is_restart = self.serve(end).await?;
+        Ok(hub.end(bound).filter(|_| is_restart).map_or(Ending::Stopped, Ending::Restart))
+    }
+
+    /// Serves, and returns whether a restart is requested.
+    async fn serve(self, end: impl Future<Output = ()>) -> Result<bool> {
         let Self {
             hub, tcp, udp, serial, can, gcl, gcl_udp, udp_unanswered, modbus, profibus, control, ..
         } = self;
@@ -206,8 +274,7 @@ impl Server {
         let script = self.script;
         #[cfg(feature = "profinet")]
         let profinet = self.profinet;
-        // Declared before the tasks of the lines, so that it is dropped after them.
-        let _powered = Powered(Arc::clone(&hub));
+        let ending = Arc::clone(&hub);
         let local = LocalSet::new();
         local
             .run_until(async move {
@@ -267,10 +334,14 @@ impl Server {
                 if let Some((listener, hosts)) = control {
                     tasks.spawn_local(control::serve(hub, listener, hosts));
                 }
-                tokio::select! {
-                    () = end => Ok(()),
-                    Some(ended) = tasks.join_next() => ended?,
-                }
+                let ended = tokio::select! {
+                    () = end => Ok(false),
+                    () = ending.restart_requested() => Ok(true),
+                    Some(ended) = tasks.join_next() => ended?.map(|()| false),
+                };
+                // From here on, the end of a connection is no event.
+                ending.set_off();
+                ended
             })
             .await
     }

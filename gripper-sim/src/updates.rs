@@ -161,6 +161,10 @@ impl Silence {
         Self { limit_s, heard: Time::ZERO }
     }
 
+    pub(crate) const fn reconfigure(&mut self, kind: PortKind, config: &Config) {
+        self.limit_s = Self::new(kind, config).limit_s;
+    }
+
     /// Restarts the time-out when the client sends.
     pub(crate) const fn end(&mut self, now: Time) {
         self.heard = now;

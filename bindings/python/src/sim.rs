@@ -8,7 +8,7 @@ use std::{io, mem, process};
 
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
-use wsg_sim::program::{Options, parse};
+use wsg_sim::server::Options;
 use wsg_sim::server::{ServerThread, UdpLine};
 use wsg_sim::{Fault, Jaw, Part, PortKind, State, VirtualRig};
 
@@ -18,7 +18,7 @@ use crate::line::{Clock, VirtualWire};
 
 /// Parses options of `wsg-sim`.
 fn options(py: Python<'_>, words: Vec<OsString>) -> PyResult<Options> {
-    parse(words).map_err(|error| error::exception(py, "InvalidError", &format!("{error:#}"), None))
+    Options::parse(words).map_err(|error| error::exception(py, "InvalidError", &format!("{error:#}"), None))
 }
 
 /// Returns a part of this width and stiffness.

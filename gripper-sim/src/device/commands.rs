@@ -3,6 +3,7 @@
 use super::{Device, FINGER_START_UP_MS};
 use crate::config::Tag;
 use crate::finger::{Jaw, NoData, PowerOutcome};
+use crate::journal::Cause;
 use crate::port::Request;
 use crate::updates::Quantity;
 use wsg_protocol::{
@@ -20,6 +21,7 @@ impl Device {
     pub(crate) fn execute<'a>(&'a mut self, request: Request, command: &Command<'a>) -> Reply<'a> {
         let id = command.id();
         let [one, two] = [Jaw::One, Jaw::Two];
+        self.cause = Cause::of(request.port);
         let status = match *command {
             Command::Loop { data } => return Reply::success(Value::Loop(data)),
             // Connections handle this command; it does not concern the device.
@@ -34,7 +36,7 @@ impl Device {
                 Status::Success
             }
             Command::FastStop => {
-                self.fast_stop();
+                self.fast_stop(Cause::of(request.port));
                 Status::Success
             }
             Command::Acknowledge { .. } => self.acknowledge(),

@@ -1,18 +1,32 @@
 //! The gripper in real time, shared by the tasks of its lines and the thread of its script.
 
-use super::faulty_line::{Fate, FaultyLine, LineCounts, LineFaults, Pace, Passage};
+mod client;
+#[cfg(feature = "script")]
+mod scripts;
+mod settings;
+
+pub(super) use client::Client;
+#[cfg(feature = "script")]
+pub(super) use scripts::{OutputLine, Run, ScriptReport};
+pub(super) use settings::{Changes, Refused, SettingState};
+
+use super::faulty_line::{FaultyLine, LineCounts, LineFaults, Pace};
 use super::lines::Profile;
 use super::log::{Log, Watched};
+use super::options::Options;
 use super::request_line::RequestLine;
+use super::restart::{Bound, Restart};
+use super::system_log::{Severity, SystemLog};
 use crate::axis::Part;
 use crate::config::Config;
 use crate::faults::Fault;
+use crate::fieldbus::Exchange;
 use crate::gripper::{State, VirtualGripper};
-use crate::port::{FrameBuffer, PortCounters, PortId, PortKind, Protocol};
-#[cfg(feature = "script")]
-use crate::script::ScriptRequest;
+use crate::journal::{Cause, JournalEvent};
+use crate::port::{PortCounters, PortId, PortKind, Protocol};
 use crate::time::Time;
 use anyhow::Result;
+use settings::Running;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 #[cfg(feature = "script")]
@@ -21,9 +35,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
 use wsg_fieldbus::{InputImage, OutputImage};
-#[cfg(all(feature = "profinet", target_os = "linux"))]
-use wsg_protocol::SystemFlags;
-use wsg_protocol::{Command, Status};
+use wsg_protocol::{Command, Status, SystemFlags};
 
 /// The maximum number of simultaneous clients of a server.
 const MAX_CLIENTS: usize = 128;
@@ -34,6 +46,11 @@ const IDLE_LIMIT: Duration = Duration::from_secs(300);
 /// The split between the two figures is assumed.
 const REAL_PACE: Pace = Pace { delay_ms: 22, gap_ms: 5 };
 
+/// Source of entries of the system log: the page or a program at the control interface.
+pub(super) const PAGE: &str = "page";
+/// Source of entries of the system log: a script on the gripper.
+pub(super) const SCRIPT: &str = "script";
+
 /// The gripper, its clock, and the clients that wait for frames.
 #[derive(Debug)]
 pub(super) struct Hub {
@@ -41,9 +58,14 @@ pub(super) struct Hub {
     started: Instant,
     /// Signals that the gripper's next wake may have changed.
     rescheduled: Notify,
-    config: Config,
+    /// The options, if there are any; a server of another program has none.
+    running: Option<Mutex<Running>>,
+    /// Signals that a restart is requested.
+    restart: Notify,
+    buses: Mutex<Vec<BusLine>>,
     profile: Profile,
     seed: u64,
+    system_log: SystemLog,
     /// Signals that a request for the script may have arrived, or that the gripper was switched off.
     #[cfg(feature = "script")]
     script_waits: Condvar,
@@ -54,6 +76,8 @@ pub(super) struct Hub {
 struct Shared {
     gripper: Box<VirtualGripper<MAX_CLIENTS>>,
     is_off: bool,
+    #[cfg(feature = "script")]
+    script: scripts::LatestScript,
     /// The clients in order of connection.
     clients: BTreeMap<u64, Arc<Connected>>,
     connections: u64,
@@ -77,12 +101,30 @@ struct Connected {
     displaced: Notify,
 }
 
+/// A bus that carries the register interface.
+#[derive(Clone, Debug, serde::Serialize)]
+pub(super) struct BusLine {
+    /// The bus: Modbus/TCP, PROFIBUS or PROFINET.
+    pub(super) bus: &'static str,
+    /// Where it is served: an address, a line or an interface.
+    pub(super) line: String,
+    /// The gripper's address on the bus: station address or IP address.
+    pub(super) address: String,
+    /// The station name, if the bus has one.
+    pub(super) name: String,
+}
+
 /// The state of gripper and lines, for observers.
 #[derive(Debug)]
 pub(super) struct Report {
     pub(super) now: Time,
     pub(super) state: State,
     pub(super) images: (OutputImage, InputImage),
+    pub(super) buses: Vec<BusLine>,
+    pub(super) exchange: Exchange,
+    /// The master that wrote last, by name.
+    pub(super) master: Option<Arc<str>>,
+    pub(super) profibus_master: Option<u8>,
     /// The faults that have been injected.
     pub(super) faults: Vec<Fault>,
     pub(super) line_faults: LineFaults,
@@ -92,11 +134,20 @@ pub(super) struct Report {
 }
 
 impl Hub {
-    pub(super) fn new(config: Config, profile: Profile, seed: u64, log: Option<Log>) -> Self {
+    pub(super) fn new(
+        config: Config,
+        profile: Profile,
+        seed: u64,
+        log: Option<Log>,
+        system_log: SystemLog,
+        options: Option<&Options>,
+    ) -> Self {
         Self {
             shared: Mutex::new(Shared {
                 gripper: Box::new(VirtualGripper::with_ports(config)),
                 is_off: false,
+                #[cfg(feature = "script")]
+                script: scripts::LatestScript::default(),
                 clients: BTreeMap::new(),
                 connections: 0,
                 log,
@@ -107,28 +158,44 @@ impl Hub {
             }),
             started: Instant::now(),
             rescheduled: Notify::new(),
-            config,
+            running: options.map(|options| Mutex::new(Running::new(options))),
+            restart: Notify::new(),
+            buses: Mutex::default(),
             profile,
             seed,
+            system_log,
             #[cfg(feature = "script")]
             script_waits: Condvar::new(),
         }
     }
 
+    /// Returns a hub without log and options.
+    #[cfg(test)]
+    pub(super) fn of_test() -> Arc<Self> {
+        let (config, log) = (Config::default(), SystemLog::default());
+        Arc::new(Self::new(config, Profile::Instant, 0, None, log, None))
+    }
+
     /// Powers the gripper off: ends the script at its next call and writes the rest of the log.
     pub(super) fn switch_off(&self) {
-        let mut shared = self.lock();
-        shared.is_off = true;
-        let log = shared.log.take();
-        drop(shared);
-        #[cfg(feature = "script")]
-        self.script_waits.notify_all();
+        self.set_off();
+        let log = self.lock().log.take();
         drop(log);
     }
 
-    #[cfg(feature = "script")]
-    pub(super) fn is_off(&self) -> bool {
-        self.lock().is_off
+    /// Ends the script at its next call. The log stays open.
+    pub(super) fn set_off(&self) {
+        self.lock().is_off = true;
+        #[cfg(feature = "script")]
+        self.script_waits.notify_all();
+    }
+
+    /// Returns what a restart takes over; `None` without options.
+    pub(super) fn end(&self, bound: Bound) -> Option<Box<Restart>> {
+        let running = lock(self.running.as_ref()?);
+        let (options, before) = (running.options.clone(), running.at_start.clone());
+        let log = self.lock().log.take();
+        Some(Box::new(Restart { options, before, log, system_log: self.system_log.clone(), bound }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Shared> {
@@ -169,8 +236,9 @@ impl Hub {
         let mut shared = self.lock();
         let number = shared.connections;
         shared.connections = number.wrapping_add(1);
-        if let Some(log) = &mut shared.log {
-            log.connect(id, kind, Arc::clone(&name), &self.config);
+        let shared_now = &mut *shared;
+        if let Some(log) = &mut shared_now.log {
+            log.connect(id, kind, Arc::clone(&name), shared_now.gripper.config());
         }
         let connected = Arc::new(Connected {
             id,
@@ -183,12 +251,13 @@ impl Hub {
         });
         shared.clients.insert(number, Arc::clone(&connected));
         drop(shared);
+        self.report_event(Severity::Info, &connected.name, "connected");
         let is_paced =
             self.profile == Profile::Real && matches!(kind.protocol(), Protocol::Binary | Protocol::Text);
         let pace = if is_paced { REAL_PACE } else { Pace::NONE };
         let line = RefCell::new(FaultyLine::new(self.seed, number).paced(pace));
         let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
-        Some(Client { hub: Arc::clone(self), connected, line, requests })
+        Some(Client::new(Arc::clone(self), connected, line, requests))
     }
 
     /// Disconnects the Modbus/TCP client that has been idle longest to free its place. Clients of other protocols stay,
@@ -206,18 +275,28 @@ impl Hub {
 
     /// Disconnects a client; does nothing if it is already disconnected.
     fn disconnect(&self, client: &Connected) {
+        let is_missed = self.lock().gripper.is_missed(client.id);
+        self.act(|gripper, now| gripper.disconnect(client.id, now));
         let mut shared = self.lock();
-        shared.clients.remove(&client.number);
         if let Some(log) = &mut shared.log {
             log.disconnect(client.id);
         }
+        let is_first = shared.clients.remove(&client.number).is_some();
+        let is_off = shared.is_off;
         drop(shared);
-        self.act(|gripper, now| gripper.disconnect(client.id, now));
+        if is_first && !is_off {
+            let (severity, how) = if is_missed {
+                (Severity::Warning, "the connection ended without a Disconnect Announcement")
+            } else {
+                (Severity::Info, "disconnected")
+            };
+            self.report_event(severity, &client.name, how);
+        }
     }
 
     /// Returns the settings of the gripper.
-    pub(super) const fn config(&self) -> &Config {
-        &self.config
+    pub(super) fn config(&self) -> Config {
+        *self.lock().gripper.config()
     }
 
     pub(super) fn report(&self) -> Report {
@@ -226,16 +305,30 @@ impl Hub {
         let Shared { gripper, clients, faults, line_faults, request_counts, reply_counts, .. } = &*shared;
         let counters =
             |client: &Arc<Connected>| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
+        let exchange = gripper.exchange();
+        let is_master = |client: &&Arc<Connected>| Some(client.id) == exchange.master;
+        let master = clients.values().find(is_master).map(|client| Arc::clone(&client.name));
         Report {
             now,
             state,
             images: gripper.fieldbus_images(),
+            buses: lock(&self.buses).clone(),
+            exchange,
+            master,
+            profibus_master: gripper.profibus_master(),
             faults: faults.clone(),
             line_faults: *line_faults,
             request_counts: *request_counts,
             reply_counts: *reply_counts,
             clients: clients.values().filter_map(counters).collect(),
         }
+    }
+
+    /// Sets the data of a bus. They replace earlier data of the same bus.
+    pub(super) fn set_bus(&self, line: BusLine) {
+        let mut buses = lock(&self.buses);
+        buses.retain(|known| known.bus != line.bus);
+        buses.push(line);
     }
 
     pub(super) fn set_part(&self, part: Option<Part>) {
@@ -254,12 +347,15 @@ impl Hub {
             shared.faults.push(fault);
         }
         drop(shared);
+        let text = format!("fault {fault:?} {}", if on { "injected" } else { "removed" });
+        self.report_event(Severity::Info, PAGE, &text);
         self.act(|gripper, now| gripper.set_fault(fault, on, now));
     }
 
     /// Executes a command of an operator and returns its first status.
     pub(super) fn command(&self, command: &Command<'_>) -> Status {
-        let status = self.act(|gripper, now| gripper.command(command, now));
+        let status = self.with_gripper_by(PAGE, |gripper, now| gripper.command(command, now));
+        self.rescheduled.notify_one();
         self.note(format_args!("{command}: {status}"));
         status
     }
@@ -303,37 +399,14 @@ impl Hub {
         })
     }
 
-    /// Blocks until there is a request for the script; `None` once the gripper is powered off.
-    #[cfg(feature = "script")]
-    pub(super) fn script_request(&self) -> Option<ScriptRequest> {
-        let mut shared = self.lock();
-        loop {
-            if shared.is_off {
-                return None;
-            }
-            if let Some(request) = shared.gripper.take_script_request() {
-                return Some(request);
-            }
-            shared = self.script_waits.wait(shared).unwrap_or_else(PoisonError::into_inner);
-        }
+    /// Returns the system log.
+    pub(super) const fn system_log(&self) -> &SystemLog {
+        &self.system_log
     }
 
-    /// Blocks for `duration`, or until the gripper is powered off.
-    #[cfg(feature = "script")]
-    pub(super) fn script_sleeps(&self, duration: Duration) {
-        let is_on = |shared: &mut Shared| !shared.is_off;
-        // Neither the guard nor the time-out flag is needed.
-        drop(self.script_waits.wait_timeout_while(self.lock(), duration, is_on));
-    }
-
-    /// Returns the interface of the client, or, after its end, of the first client of the binary protocol.
-    #[cfg(feature = "script")]
-    pub(super) fn interface(&self, id: Option<PortId>) -> Option<String> {
-        let shared = self.lock();
-        let mut clients = shared.clients.values();
-        let client = clients.clone().find(|client| Some(client.id) == id);
-        let client = client.or_else(|| clients.find(|client| client.kind.is_binary()));
-        client.map(|client| client.kind.to_string())
+    /// Writes an entry to the system log.
+    pub(super) fn report_event(&self, severity: Severity, source: &str, text: &str) {
+        self.system_log.write(self.now(), severity, source, text);
     }
 
     fn note(&self, what: std::fmt::Arguments<'_>) {
@@ -356,8 +429,17 @@ impl Hub {
 
     /// Calls `act` with the gripper at the current time and wakes the affected clients.
     fn with_gripper<T>(&self, act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T) -> T {
+        self.with_gripper_by(SCRIPT, act)
+    }
+
+    /// The same, with the source that the system log names for commands without a client.
+    fn with_gripper_by<T>(
+        &self,
+        operator: &str,
+        act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T,
+    ) -> T {
         let mut shared = self.lock();
-        let Shared { gripper, clients, log, .. } = &mut *shared;
+        let Shared { gripper, clients, log, is_off, .. } = &mut *shared;
         // Read under the lock, so that the gripper's time never runs backwards.
         let now = self.now();
         let result = act(gripper, now);
@@ -369,7 +451,45 @@ impl Hub {
         if let Some(log) = log {
             log.expire(now);
         }
+        while let Some(event) = gripper.take_journal_event().filter(|_| !*is_off) {
+            self.report_change(&event, operator, clients);
+        }
         result
+    }
+
+    /// Writes a change of the system state to the system log.
+    fn report_change(&self, event: &JournalEvent, operator: &str, clients: &BTreeMap<u64, Arc<Connected>>) {
+        let name = |id: PortId| {
+            let client = clients.values().find(|client| client.id == id);
+            client.map_or_else(|| "a client that has left".to_owned(), |client| client.name.to_string())
+        };
+        let (source, reason) = match event.cause {
+            Cause::Fault => ("gripper".to_owned(), " by a fault"),
+            Cause::SoftLimit => ("gripper".to_owned(), " by fingers beyond a soft limit"),
+            Cause::Client(id) => (name(id), " by command"),
+            Cause::Disconnected(id) => (name(id), " by a lost connection"),
+            Cause::Fieldbus(master) => {
+                (master.map_or_else(|| "fieldbus".to_owned(), name), " by the register interface")
+            }
+            Cause::Operator => (operator.to_owned(), " by command"),
+        };
+        let name = event.flag.iter_names().next().map_or("", |(name, _)| name);
+        let (severity, text) = match (event.flag, event.is_set) {
+            (SystemFlags::FAST_STOP, true) if matches!(event.cause, Cause::Client(_) | Cause::Operator) => {
+                (Severity::Warning, format!("FAST STOP{reason}"))
+            }
+            (SystemFlags::FAST_STOP, true) => (Severity::Error, format!("FAST STOP{reason}")),
+            (SystemFlags::FAST_STOP, false) => (Severity::Info, format!("FAST STOP acknowledged{reason}")),
+            (SystemFlags::OVERDRIVE_MODE, is_set) => {
+                (Severity::Info, format!("overdrive mode {}", if is_set { "entered" } else { "left" }))
+            }
+            (SystemFlags::TEMP_WARNING, true) => (Severity::Warning, format!("{name} set")),
+            (_, true) => (Severity::Error, format!("{name} set")),
+            (_, false) => (Severity::Info, format!("{name} cleared")),
+        };
+        let is_about_device = !matches!(event.flag, SystemFlags::FAST_STOP | SystemFlags::OVERDRIVE_MODE);
+        let source = if is_about_device { "gripper" } else { &source };
+        self.system_log.write(event.at, severity, source, &text);
     }
 }
 
@@ -378,181 +498,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A client of the gripper; dropping it disconnects the client.
-#[derive(Debug)]
-pub(super) struct Client {
-    hub: Arc<Hub>,
-    connected: Arc<Connected>,
-    line: RefCell<FaultyLine>,
-    requests: RefCell<RequestLine>,
-}
-
-impl Client {
-    pub(super) fn receive(&self, bytes: &[u8]) {
-        let Self { hub, requests, connected, .. } = self;
-        *lock(&connected.heard_at) = Instant::now();
-        let mut shared = hub.lock();
-        let now = hub.now();
-        let Shared { log, line_faults, request_counts, .. } = &mut *shared;
-        if let Some(log) = log {
-            log.received(connected.id, now, bytes);
-        }
-        let faults = line_faults.of_requests();
-        let mut requests = requests.borrow_mut();
-        if faults.are_none() && requests.is_empty() {
-            drop(shared);
-            return self.hear(bytes);
-        }
-        requests.take(&faults, now, bytes, |fate| {
-            request_counts.count(fate);
-            if !fate.is_harmless()
-                && let Some(log) = log
-            {
-                log.note(now, &connected.name, format_args!("-> line fault: {fate}"));
-            }
-        });
-    }
-
-    /// Takes an output image written by the master.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
-    pub(super) fn write_image(&self, image: &OutputImage, is_first: bool) {
-        *lock(&self.connected.heard_at) = Instant::now();
-        self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
-    }
-
-    /// Reports that the master that writes images has stopped or is silent.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
-    pub(super) fn end_images(&self) {
-        self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
-    }
-
-    /// Ends the subscriptions, because another sender uses the line now.
-    pub(super) fn end_updates(&self) {
-        self.hub.with_gripper(|gripper, now| gripper.end_updates(self.connected.id, now));
-    }
-
-    /// Ready when a request may reach the gripper over a faulty line.
-    pub(super) async fn request_waits(&self) {
-        let arrival = self.requests.borrow().next_arrival();
-        match arrival {
-            Some(at) => self.hub.reached(at).await,
-            None => std::future::pending().await,
-        }
-    }
-
-    /// Passes the next request that arrives over a faulty line to the gripper.
-    pub(super) fn arrive(&self) {
-        let arrived = self.requests.borrow_mut().arrive(self.hub.now());
-        if let Some(bytes) = arrived {
-            self.hear(&bytes);
-        }
-    }
-
-    fn hear(&self, bytes: &[u8]) {
-        self.hub.act(|gripper, now| gripper.receive(self.connected.id, now, bytes));
-        #[cfg(feature = "script")]
-        self.hub.script_waits.notify_all();
-    }
-
-    /// Returns whether the connection is over: synchronization is lost, and all frames for the client are sent.
-    pub(super) fn is_over(&self) -> bool {
-        let shared = self.hub.lock();
-        shared.gripper.is_lost(self.connected.id)
-            && !shared.gripper.has_frame(self.connected.id)
-            && self.line.borrow().next_arrival().is_none()
-    }
-
-    /// Ready when a Modbus/TCP connection must be closed, because it is idle for too long or its place is needed. Never
-    /// ready for other protocols.
-    pub(super) async fn dismissed(&self) {
-        let Connected { kind, name, heard_at, displaced, .. } = &*self.connected;
-        if *kind != PortKind::ModbusTcp {
-            return std::future::pending().await;
-        }
-        let heard_at = *lock(heard_at);
-        tokio::select! {
-            () = displaced.notified() => {}
-            () = sleep_until(heard_at + IDLE_LIMIT) => {
-                self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
-            }
-        }
-    }
-
-    /// Returns whether there is room for answers: a slow line holds a bounded number of frames.
-    pub(super) fn has_room(&self) -> bool {
-        self.line.borrow().has_room()
-    }
-
-    /// Returns whether there is room for answers and requests.
-    pub(super) fn takes_more(&self) -> bool {
-        self.has_room() && self.requests.borrow().has_room()
-    }
-
-    /// Returns the next frame that arrives at this client.
-    pub(super) fn transmit<'a>(&self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let len = self.next_frame(buffer)?;
-        buffer.get(..len)
-    }
-
-    /// Ready when there may be a frame.
-    pub(super) async fn frame_waits(&self) {
-        let arrival = self.line.borrow().next_arrival();
-        let arrived = async {
-            match arrival {
-                Some(at) => self.hub.reached(at).await,
-                None => std::future::pending().await,
-            }
-        };
-        tokio::select! {
-            () = arrived => {}
-            () = self.connected.frames.notified() => {}
-        }
-    }
-
-    fn next_frame(&self, buffer: &mut FrameBuffer) -> Option<usize> {
-        let Self { hub, line, .. } = self;
-        let mut line = line.borrow_mut();
-        while line.has_room() {
-            let mut shared = hub.lock();
-            let Shared { gripper, log, line_faults, reply_counts, .. } = &mut *shared;
-            let Some(frame) = gripper.transmit(self.connected.id, buffer) else { break };
-            let now = hub.now();
-            let passage = line.pass(&line_faults.of_replies(), now, frame);
-            let fate = match passage {
-                Passage::Through => Fate::default(),
-                Passage::Held(fate) => fate,
-            };
-            reply_counts.count(&fate);
-            if let Some(log) = log {
-                log.sent(now, self.connected.id, &self.connected.name, frame);
-                if !fate.is_harmless() {
-                    log.note(now, &self.connected.name, format_args!("<- line fault: {fate}"));
-                }
-            }
-            if passage == Passage::Through {
-                return Some(frame.len());
-            }
-        }
-        let arrived = line.arrive(hub.now())?;
-        let place = buffer.get_mut(..arrived.len())?;
-        place.copy_from_slice(&arrived);
-        Some(place.len())
-    }
-}
-
-impl Drop for Client {
-    fn drop(&mut self) {
-        self.hub.disconnect(&self.connected);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use tokio::time::advance;
 
     fn hub() -> Arc<Hub> {
-        Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None))
+        Hub::of_test()
     }
 
     async fn is_dismissed(client: &Client) -> bool {

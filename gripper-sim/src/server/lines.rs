@@ -17,6 +17,11 @@ pub struct Lines {
     pub udp: Option<UdpLine>,
     /// RS-232, on a real or emulated serial line.
     pub serial: Option<SerialLine>,
+    /// The folder with the scripts that the page lists, edits and runs.
+    #[cfg(feature = "script")]
+    pub scripts: Option<PathBuf>,
+    /// The file to which the system log is appended.
+    pub system_log: Option<PathBuf>,
     /// The CAN bus and the gripper's identifiers on it.
     pub can: Option<CanLine>,
     /// The text protocol (GCL) over TCP: the address to listen on.

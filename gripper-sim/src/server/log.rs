@@ -40,7 +40,7 @@ pub struct Log {
 /// A client whose requests are logged. The log decodes its frames a second time.
 struct Client {
     name: Arc<str>,
-    is_datagram: bool,
+    kind: PortKind,
     requests: Requests,
 }
 
@@ -152,7 +152,18 @@ impl Log {
             Protocol::Modbus => Requests::Registers(Box::default()),
             Protocol::Profibus | Protocol::Images => Requests::Telegrams,
         };
-        self.clients.insert(id, Client { name, is_datagram: kind.is_datagram(), requests });
+        self.clients.insert(id, Client { name, kind, requests });
+    }
+
+    /// Decodes requests as a gripper with these settings does.
+    pub(super) fn reconfigure(&mut self, config: &Config) {
+        for client in self.clients.values_mut() {
+            if let Requests::Frames(frames) = &mut client.requests
+                && frames.is_unchecked == config.check_checksum
+            {
+                **frames = Frames::new(client.kind, config);
+            }
+        }
     }
 
     pub(super) fn disconnect(&mut self, id: PortId) {
@@ -188,7 +199,7 @@ impl Log {
                 self.expire(now);
             }
             Requests::Lines(line) => {
-                for byte in bytes.iter().chain(client.is_datagram.then_some(&b'\n')) {
+                for byte in bytes.iter().chain(client.kind.is_datagram().then_some(&b'\n')) {
                     if !matches!(byte, b'\n' | b'\r') && line.len() < LINE_LEN {
                         line.push(*byte);
                     } else if !line.is_empty() {

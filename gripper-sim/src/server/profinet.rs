@@ -5,44 +5,21 @@
 mod ip;
 
 use super::lines::ProfinetLine;
+#[cfg(target_os = "linux")]
+use super::options::{save, toml_value};
 use anyhow::Result;
 #[cfg(target_os = "linux")]
 use bus_profinet::Stored;
-use std::path::Path;
 #[cfg(target_os = "linux")]
-use std::{fs, io};
+use std::io;
+use std::path::Path;
 
-/// Saves name, address and I&M in the configuration file that they came from. Replaces their lines and keeps all others.
+/// Saves name, address and I&M in the configuration file that they came from.
 #[cfg(target_os = "linux")]
 fn keep(path: &Path, stored: &Stored) -> io::Result<()> {
-    let text = fs::read_to_string(path)?;
     let stored = ProfinetLine::kept(stored);
-    let is_other = |line: &&str| {
-        let key = line.split('=').next().unwrap_or("").trim();
-        stored.iter().all(|(name, _)| *name != key)
-    };
-    let mut kept: Vec<String> = text.lines().filter(is_other).map(str::to_owned).collect();
-    let set = stored.iter().filter(|(_, text)| !text.is_empty());
-    kept.extend(set.map(|(name, text)| format!("{name} = {}", quoted(text))));
-    // Written to a new file that then replaces the old one, so that no failure leaves half a file.
-    let mut new = path.as_os_str().to_owned();
-    new.push(".new");
-    fs::write(&new, kept.join("\n") + "\n")?;
-    fs::rename(&new, path)
-}
-
-/// Quotes a text as a TOML string.
-#[cfg(target_os = "linux")]
-fn quoted(text: &str) -> String {
-    let mut quoted = String::from("\"");
-    for letter in text.chars() {
-        match letter {
-            '"' | '\\' => quoted.extend(['\\', letter]),
-            letter if letter.is_control() => quoted.push_str(&format!("\\u{:04X}", u32::from(letter))),
-            letter => quoted.push(letter),
-        }
-    }
-    quoted + "\""
+    let value = |text: &String| (!text.is_empty()).then(|| toml_value(std::slice::from_ref(text), false));
+    save(path, &stored.each_ref().map(|(name, text)| (*name, value(text))))
 }
 
 #[cfg(target_os = "linux")]
@@ -50,7 +27,7 @@ mod interface {
     use super::ip::IpStack;
     use super::*;
     use crate::port::PortKind;
-    use crate::server::hub::{Client, Hub};
+    use crate::server::hub::{BusLine, Client, Hub};
     use anyhow::{Context, bail};
     use bus_profinet::{Event, MAX_FRAME_LEN, MacAddress, Profile, Transmit};
     use nix::errno::Errno;
@@ -106,6 +83,11 @@ mod interface {
             Path::new(&self.line.interface)
         }
 
+        /// Returns the data of the bus with the stored name and address.
+        pub(in crate::server) fn bus_line(&self) -> BusLine {
+            bus_line(&self.line.interface, &self.line.stored)
+        }
+
         pub(in crate::server) async fn serve(self, hub: Arc<Hub>) -> Result<()> {
             let Self { socket, mac, line } = self;
             let client = hub
@@ -143,6 +125,16 @@ mod interface {
                     }
                 }
             }
+        }
+    }
+
+    fn bus_line(interface: &str, stored: &Stored) -> BusLine {
+        let address = if stored.ip.is_set() { ProfinetLine::ip_text(&stored.ip) } else { String::new() };
+        BusLine {
+            bus: "PROFINET",
+            line: interface.to_owned(),
+            address,
+            name: stored.name.as_str().to_owned(),
         }
     }
 
@@ -231,6 +223,10 @@ mod interface {
                         self.device.name(),
                         ProfinetLine::ip_text(self.device.ip())
                     ));
+                    hub.set_bus(bus_line(&self.line.interface, self.device.stored()));
+                    let words = |text: String| (!text.is_empty()).then(|| vec![text]);
+                    let kept = ProfinetLine::kept(self.device.stored());
+                    hub.remember(&kept.map(|(name, text)| (name.to_owned(), words(text))).into());
                     if let Some(path) = &self.line.keep
                         && let Err(error) = keep(path, self.device.stored())
                     {
@@ -270,7 +266,7 @@ pub(super) use interface::Interface;
 #[cfg(not(target_os = "linux"))]
 mod no_interface {
     use super::*;
-    use crate::server::hub::Hub;
+    use crate::server::hub::{BusLine, Hub};
     use std::sync::Arc;
 
     /// Stands in for packet sockets, which this system does not have.
@@ -283,6 +279,10 @@ mod no_interface {
         }
 
         pub(in crate::server) fn path(&self) -> &Path {
+            match *self {}
+        }
+
+        pub(in crate::server) fn bus_line(&self) -> BusLine {
             match *self {}
         }
 
@@ -299,6 +299,7 @@ pub(super) use no_interface::Interface;
 mod tests {
     use super::*;
     use bus_profinet::{Maintenance, StationName};
+    use std::fs;
 
     #[test]
     fn stored_values_replace_their_lines_in_the_file_and_all_others_stay() {

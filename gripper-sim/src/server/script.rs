@@ -5,8 +5,7 @@
 
 mod calls;
 
-use super::hub::Hub;
-use crate::script::ScriptState;
+use super::hub::{Hub, Run};
 use anyhow::{Context, Result};
 use mlua::chunk::ChunkMode;
 use mlua::{HookTriggers, Lua, LuaOptions, StdLib, VmState};
@@ -60,33 +59,42 @@ impl Script {
     /// # Errors
     /// Returns an error if the system cannot create a thread.
     pub(super) fn start(self, hub: Arc<Hub>) -> Result<()> {
-        set_state(&hub, ScriptState::Running);
+        let run = hub.begin_script(&self.name());
         let thread = thread::Builder::new().name("wsg-sim script".to_owned()).stack_size(STACK_SIZE);
-        thread.spawn(move || self.run(&hub))?;
+        thread.spawn(move || self.run(&hub, run))?;
         Ok(())
     }
 
-    fn run(&self, hub: &Arc<Hub>) {
-        let executed = catch_unwind(AssertUnwindSafe(|| self.execute(hub)));
-        if hub.is_off() {
-            return;
-        }
-        match executed {
-            Ok(result) => end(hub, result.err().map(|error| first_line(&error))),
-            Err(_) => end(hub, Some("its thread panicked".to_owned())),
-        }
+    fn name(&self) -> String {
+        self.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
     }
 
-    fn execute(&self, hub: &Arc<Hub>) -> mlua::Result<()> {
+    fn run(&self, hub: &Arc<Hub>, run: Run) {
+        let executed = catch_unwind(AssertUnwindSafe(|| self.execute(hub, run)));
+        if hub.script_is_over(run) {
+            return;
+        }
+        let error = match executed {
+            Ok(result) => result.err().map(|error| clipped(&first_line(&error))),
+            Err(_) => Some("its thread panicked".to_owned()),
+        };
+        if let Some(error) = &error {
+            // Without a log, this message is the only explanation for missing answers.
+            eprintln!("wsg-sim: the script failed: {error}");
+        }
+        hub.end_script(run, error.as_deref());
+    }
+
+    fn execute(&self, hub: &Arc<Hub>, run: Run) -> mlua::Result<()> {
         let libraries = StdLib::TABLE | StdLib::STRING | StdLib::MATH;
         let lua = Lua::new_with(libraries, LuaOptions::default())?;
         lua.set_memory_limit(MAX_MEMORY)?;
         let looks = Rc::new(Cell::new(0));
-        calls::install(&lua, hub, &looks, self.path.parent().unwrap_or(Path::new("")))?;
+        calls::install(&lua, hub, run, &looks, self.path.parent().unwrap_or(Path::new("")))?;
         let hub = Arc::clone(hub);
         let every = HookTriggers::new().every_nth_instruction(LOOK_EVERY);
         lua.set_global_hook(every, move |lua, _| {
-            if hub.is_off() {
+            if hub.script_is_over(run) {
                 // Interrupts every instruction from here on: a script that catches the error is interrupted again at
                 // the next one.
                 let always = HookTriggers::new().every_nth_instruction(1);
@@ -102,29 +110,8 @@ impl Script {
             }
             Ok(VmState::Continue)
         })?;
-        let name = self.path.file_name().unwrap_or_default().to_string_lossy();
-        lua.load(&self.source).set_name(format!("@{name}")).set_mode(ChunkMode::Text).exec()
+        lua.load(&self.source).set_name(format!("@{}", self.name())).set_mode(ChunkMode::Text).exec()
     }
-}
-
-fn end(hub: &Hub, error: Option<String>) {
-    match error {
-        None => {
-            hub.note_of("script", format_args!("ended"));
-            set_state(hub, ScriptState::None);
-        }
-        Some(error) => {
-            let error = clipped(&error);
-            // Without a log, this message is the only explanation for missing answers.
-            eprintln!("wsg-sim: the script failed: {error}");
-            hub.note_of("script", format_args!("failed: {error}"));
-            set_state(hub, ScriptState::Failed);
-        }
-    }
-}
-
-fn set_state(hub: &Hub, state: ScriptState) {
-    hub.act(|gripper, now| gripper.set_script_state(state, now));
 }
 
 /// Returns the message of a Lua error without its traceback.
@@ -146,16 +133,14 @@ fn clipped(text: &str) -> String {
     line
 }
 
-/// Returns the error that ends a script after power-off.
+/// Returns the error that ends a stopped script.
 fn switched_off() -> mlua::Error {
-    mlua::Error::runtime("the gripper was switched off")
+    mlua::Error::runtime("the script was stopped")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
-    use crate::server::lines::Profile;
     use std::sync::mpsc::channel;
 
     /// Maximum time that a script may continue after its gripper is powered off.
@@ -171,11 +156,12 @@ mod tests {
             "while true do pcall(sleep, 1e9) end",
         ] {
             let script = Script { path: PathBuf::from("endless.lua"), source: source.into() };
-            let hub = Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None));
+            let hub = Hub::of_test();
             let (ended, ends) = channel();
+            let run = hub.begin_script("endless.lua");
             let seen = Arc::clone(&hub);
             thread::spawn(move || {
-                script.run(&seen);
+                script.run(&seen, run);
                 let _ = ended.send(());
             });
             hub.switch_off();

@@ -97,12 +97,9 @@ pub(super) async fn write(writer: &mut (impl AsyncWrite + Unpin), bytes: &[u8]) 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
     use crate::port::PortKind;
     use crate::server::hub::Hub;
-    use crate::server::lines::Profile;
     use std::pin::Pin;
-    use std::sync::Arc;
     use std::task::{Context, Poll};
     use tokio::io::ReadBuf;
     use wsg_protocol::{Command, FrameEncoder, Reply, Status};
@@ -159,7 +156,7 @@ mod tests {
 
     #[tokio::test]
     async fn signals_and_calls_that_move_one_byte_lose_nothing() {
-        let hub = Arc::new(Hub::new(Config::default(), Profile::Instant, 0, None));
+        let hub = Hub::of_test();
         let client = hub.connect(PortKind::Tcp, "nervous").unwrap();
         let stop = Command::Stop;
         let says = FrameEncoder::new(stop.id().code(), stop).collect();

@@ -363,6 +363,14 @@ fn datagrams_have_no_bye_and_end_their_line() {
     assert!(!desk.flags().contains(SystemFlags::FAST_STOP));
 }
 
+/// The session command of 2.1.1, as a setting.
+#[test]
+fn connection_begins_in_verbose_mode_if_that_is_set() {
+    let mut desk = Desk::new(Config { gcl_verbose: true, ..Config::default() });
+    let refused = desk.one("MOVE(20)");
+    assert!(refused.starts_with("ERR MOVE 3 "), "{refused}");
+}
+
 /// 1.3: "eine textuelle Beschreibung des aufgetretenen Fehlers".
 #[test]
 fn verbose_mode_adds_a_text_on_this_connection() {

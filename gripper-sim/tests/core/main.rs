@@ -8,6 +8,7 @@ mod gcl;
 mod gcl_session;
 mod images;
 mod motion;
+mod observed;
 mod profibus;
 mod script;
 mod settings;

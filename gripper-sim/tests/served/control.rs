@@ -14,13 +14,13 @@ use wsg_sim::{Config, Finger, MAX_FRAME_LEN};
 const BOUND: Duration = Duration::from_secs(60);
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
-struct Rig {
-    server: ServerThread,
-    client: TcpStream,
+pub(crate) struct Rig {
+    pub(crate) server: ServerThread,
+    pub(crate) client: TcpStream,
 }
 
 impl Rig {
-    fn new(config: Config) -> Self {
+    pub(crate) fn new(config: Config) -> Self {
         Self::with_seed(config, 0)
     }
 
@@ -38,7 +38,7 @@ impl Rig {
         Self { server, client }
     }
 
-    fn homed() -> Self {
+    pub(crate) fn homed() -> Self {
         let mut rig = Self::new(Config { time_scale: 20.0, ..Config::default() });
         assert_eq!(rig.run(HOMING), Status::Success);
         rig
@@ -51,7 +51,7 @@ impl Rig {
     }
 
     /// Sends a raw request and returns the status, head and body of the answer.
-    fn http(&self, request: &str) -> (u16, String, String) {
+    pub(crate) fn http(&self, request: &str) -> (u16, String, String) {
         let mut stream = self.control();
         stream.write_all(request.as_bytes()).unwrap();
         let mut answer = String::new();
@@ -61,7 +61,7 @@ impl Rig {
         (status, head.to_owned(), body.to_owned())
     }
 
-    fn request(&self, method: &str, path: &str, body: &str) -> (u16, Value) {
+    pub(crate) fn request(&self, method: &str, path: &str, body: &str) -> (u16, Value) {
         let len = body.len();
         let (status, _, body) = self.http(&format!(
             "{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n{body}"
@@ -79,13 +79,13 @@ impl Rig {
     }
 
     /// Sends a request that must succeed and returns the state.
-    fn post(&self, path: &str, body: &Value) -> Value {
+    pub(crate) fn post(&self, path: &str, body: &Value) -> Value {
         let (status, state) = self.request("POST", path, &body.to_string());
         assert_eq!(status, 200, "{path} {body}: {state}");
         state
     }
 
-    fn state(&self) -> Value {
+    pub(crate) fn state(&self) -> Value {
         let (status, state) = self.request("GET", "/state", "");
         assert_eq!(status, 200);
         state
@@ -103,7 +103,7 @@ impl Rig {
         serde_json::from_value(self.state()["system_state"].clone()).unwrap()
     }
 
-    fn send(&mut self, command: Command<'_>) {
+    pub(crate) fn send(&mut self, command: Command<'_>) {
         self.client.write_all(&frame(command)).unwrap();
     }
 
@@ -113,18 +113,18 @@ impl Rig {
         buffer[..len].to_vec()
     }
 
-    fn recv_status(&mut self) -> Status {
+    pub(crate) fn recv_status(&mut self) -> Status {
         let mut answer = [0; 10];
         self.client.read_exact(&mut answer).expect("an answer in time");
         Status::from_code(u16::from_le_bytes([answer[6], answer[7]]))
     }
 
-    fn ask(&mut self, command: Command<'_>) -> Status {
+    pub(crate) fn ask(&mut self, command: Command<'_>) -> Status {
         self.send(command);
         self.recv_status()
     }
 
-    fn run(&mut self, command: Command<'_>) -> Status {
+    pub(crate) fn run(&mut self, command: Command<'_>) -> Status {
         assert_eq!(self.ask(command), Status::CmdPending);
         self.recv_status()
     }

@@ -1,13 +1,14 @@
 //! The page in Chromium, which `cargo xtask test` installs. The tests click, type and inspect like a user.
 
 mod browser;
+mod functions;
+mod look;
 
 use crate::common::program::Program;
 use browser::Tab;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
@@ -19,6 +20,9 @@ const OPENING: &str = "(() => {
     const [left, right] = [...document.querySelectorAll('#drawing .finger')].map(finger => finger.getBoundingClientRect());
     return (right.left - left.right) / document.getElementById('drawing').getScreenCTM().a;
 })()";
+
+/// The pages of the page, by their links.
+const PAGES: [&str; 7] = ["operate", "settings", "fieldbus", "editor", "scripts", "logs", "diagnosis"];
 
 const STATE: &str = "document.getElementById('state').textContent";
 
@@ -82,7 +86,7 @@ fn grip(tab: &mut Tab) {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn fingers_home_and_grip_by_clicks_and_the_drawing_moves_with_them() {
     let gripper = Gripper::new(&["--time-scale", "2"]);
     let mut tab = gripper.open();
@@ -120,7 +124,7 @@ fn fingers_home_and_grip_by_clicks_and_the_drawing_moves_with_them() {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn field_without_a_number_sends_nothing() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
@@ -147,7 +151,7 @@ fn is_red(selector: &str, property: &str) -> String {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn fast_stop_is_red_on_every_page_in_light_and_dark_until_one_acknowledges() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let [mut light, mut dark] = [gripper.open(), gripper.open()];
@@ -174,7 +178,7 @@ fn fast_stop_is_red_on_every_page_in_light_and_dark_until_one_acknowledges() {
 
 /// Presses Tab until the element with this id has the focus.
 fn tab_to(tab: &mut Tab, id: &str) {
-    for _ in 0..60 {
+    for _ in 0..120 {
         tab.press("Tab");
         if tab.eval("document.activeElement.id") == id {
             return;
@@ -184,22 +188,26 @@ fn tab_to(tab: &mut Tab, id: &str) {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn keyboard_alone_reaches_and_operates_everything() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
     let mark =
         "document.activeElement.dataset.reached = getComputedStyle(document.activeElement).outlineWidth";
-    let all = "[...document.querySelectorAll('button, input, [tabindex]')]";
-    let count = tab.eval(&format!("{all}.length")).as_u64().unwrap();
-    assert!(count >= 20, "{count}");
-    for _ in 0..count {
-        tab.press("Tab");
-        assert_ne!(tab.eval(mark), "0px", "{}", tab.eval("document.activeElement.outerHTML"));
+    let all = "[...document.querySelectorAll('button, input, select, textarea, a, summary, [tabindex]')].filter(control => control.checkVisibility())";
+    for page in PAGES.into_iter().rev() {
+        tab.show(page);
+        tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
+        let count = tab.eval(&format!("{all}.length")).as_u64().unwrap();
+        assert!(count >= 8, "{page}: {count}");
+        for _ in 0..count + 1 {
+            tab.press("Tab");
+            assert_ne!(tab.eval(mark), "0px", "{page}: {}", tab.eval("document.activeElement.outerHTML"));
+        }
+        let missed =
+            format!("{all}.filter(control => !control.dataset.reached).map(control => control.outerHTML)");
+        assert_eq!(tab.eval(&missed), json!([]), "{page}: Tab must reach each element");
     }
-    let missed =
-        format!("{all}.filter(control => !control.dataset.reached).map(control => control.outerHTML)");
-    assert_eq!(tab.eval(&missed), json!([]), "Tab must reach each element exactly once");
 
     tab_to(&mut tab, "home");
     tab.press("Enter");
@@ -214,38 +222,66 @@ fn keyboard_alone_reaches_and_operates_everything() {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn every_control_has_a_name_for_a_screen_reader() {
     let mut tab = Gripper::new(&[]).open();
-    let controls = tab.eval("document.querySelectorAll('button, input, [tabindex], svg, ul').length");
     tab.call("Accessibility.enable", &json!({}));
-    let tree = tab.call("Accessibility.getFullAXTree", &json!({}));
-    let mut names = Vec::new();
-    for node in tree["nodes"].as_array().unwrap() {
-        let role = node["role"]["value"].as_str().unwrap_or_default();
-        let has_name =
-            ["button", "spinbutton", "searchbox", "textbox", "checkbox", "log", "image", "img", "list"];
-        if node["ignored"] == false && has_name.contains(&role) {
-            let name = node["name"]["value"].as_str().unwrap_or_default();
-            assert!(!name.trim().is_empty(), "{node}");
-            names.push(format!("{role} {name}"));
+    for page in PAGES {
+        tab.show(page);
+        let controls = tab.eval(
+            "[...document.querySelectorAll('button, input, select, textarea, svg, ul, ol')].filter(control => control.checkVisibility()).length",
+        );
+        let tree = tab.call("Accessibility.getFullAXTree", &json!({}));
+        let mut names = Vec::new();
+        for node in tree["nodes"].as_array().unwrap() {
+            let role = node["role"]["value"].as_str().unwrap_or_default();
+            let has_name = [
+                "button",
+                "spinbutton",
+                "searchbox",
+                "textbox",
+                "checkbox",
+                "combobox",
+                "listbox",
+                "log",
+                "image",
+                "img",
+                "list",
+            ];
+            if node["ignored"] == false && has_name.contains(&role) {
+                let name = node["name"]["value"].as_str().unwrap_or_default();
+                assert!(!name.trim().is_empty(), "{page}: {node}");
+                names.push(format!("{role} {name}"));
+            }
         }
+        assert_eq!(json!(names.len()), controls, "{page}: {names:#?}");
+        let count = names.len();
+        names.sort();
+        names.dedup();
+        assert_eq!(names.len(), count, "{page}: duplicate names: {names:#?}");
     }
-    assert_eq!(json!(names.len()), controls, "{names:#?}");
-    let count = names.len();
-    names.sort();
-    names.dedup();
-    assert_eq!(names.len(), count, "duplicate names: {names:#?}");
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn page_asks_its_own_server_alone_and_the_console_stays_empty() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);
     grip(&mut tab);
-    for selector in ["#release", "#stop", "#part_out", "#part_in", "#line", "#mend", "#clear", "#pause"] {
+    for selector in [
+        "#release",
+        "#stop",
+        "#part_out",
+        "#part_in",
+        "#line",
+        "#mend",
+        "#clear",
+        "#pause",
+        "#send",
+        "#apply",
+        "#undo",
+    ] {
         tab.click(selector);
     }
     for fault in ["axis_blocked", "supply_out_of_range", "over_temperature", "motor_current"] {
@@ -286,7 +322,7 @@ fn foreign_page() -> String {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn page_of_another_origin_can_neither_command_nor_watch() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut own = gripper.open();
@@ -312,17 +348,17 @@ fn page_of_another_origin_can_neither_command_nor_watch() {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn plot_shows_width_speed_and_force_and_goes_on() {
     let gripper = Gripper::new(&["--time-scale", "2"]);
     let mut tab = gripper.open();
     home(&mut tab);
     grip(&mut tab);
-    // The points of each curve: horizontal and vertical position as fractions of the axes.
+    // The points of each curve: horizontal and vertical position as fractions of the axes of its strip.
     let curve = |kind: &str| {
         format!(
-            "(() => {{ const axes = document.querySelector('#plot .axis').getBBox();
-               const points = document.querySelector('#plot .{kind}').getAttribute('points').trim().split(' ');
+            "(() => {{ const strip = document.querySelector('#plot [data-strip={kind}]'), axes = strip.querySelector('.axis').getBBox();
+               const points = strip.querySelector('polyline').getAttribute('points').trim().split(' ');
                return points.map(point => point.split(',').map(Number))
                  .map(([x, y]) => [(x - axes.x) / axes.width, 1 - (y - axes.y) / axes.height]); }})()"
         )
@@ -351,7 +387,7 @@ fn plot_shows_width_speed_and_force_and_goes_on() {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn fieldbus_monitor_shows_every_bit_of_both_images() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
@@ -401,23 +437,24 @@ fn fieldbus_monitor_shows_every_bit_of_both_images() {
         let shown = tab.eval(&format!("[{}]", shown.join(", ")));
         assert!(shown[0] == shown[1] && shown[1] == shown[2], "byte {at} of SYSSTATE: {shown}");
     }
-    let values = "Object.fromEntries([...document.querySelectorAll('#registers dt')]
-        .map(name => [name.textContent, name.nextSibling.textContent]))";
+    let values = "Object.fromEntries([...document.querySelectorAll('main[data-page=fieldbus] tbody:not(#buses) tr')]
+        .map(row => [row.parentElement.id + ' ' + row.children[0].textContent, row.children[1].textContent]))";
     let values = tab.eval(values);
     for (name, value) in [
-        ("IF (output 1)", "165"),
-        ("WIDTH (output 2..3)", "2200"),
-        ("SPEED (output 4..5)", "5000"),
-        ("FORCELIMIT (output 6..7)", "4000"),
-        ("WIDTH (input 6..7)", "11000"),
-        ("Status Code (input 10..11)", "0 E_SUCCESS"),
+        ("output_registers IF (1)", "IF1 IF3 IF6 IF8"),
+        ("output_registers CMDFLAGS (0)", "HOMING"),
+        ("output_registers WIDTH (2..3)", "22.00 mm"),
+        ("output_registers SPEED (4..5)", "50.00 mm/s"),
+        ("output_registers FORCELIMIT (6..7)", "40.00 N"),
+        ("input_registers WIDTH (6..7)", "110.00 mm"),
+        ("input_registers STATUS (10..11)", "0 E_SUCCESS"),
     ] {
         assert_eq!(values[name], value, "{name}");
     }
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn frames_are_filtered_and_paused() {
     let gripper = Gripper::new(&[]);
     let mut tab = gripper.open();
@@ -425,11 +462,16 @@ fn frames_are_filtered_and_paused() {
     let client = gripper.acknowledge();
     let place = client.local_addr().unwrap();
     tab.until(&format!("document.getElementById('clients').textContent.includes('tcp {place}')"));
-    tab.until(&format!("{log}.includes('-> AA AA AA 24') && {log}.includes('<- AA AA AA 24')"));
+    let rows = "[...document.querySelectorAll('#log li')]";
+    for arrow in ["->", "<-"] {
+        tab.until(&format!(
+            "{rows}.some(row => row.querySelector('.what').textContent.startsWith('{arrow} 24h Acknowledge FAST STOP')
+               && row.querySelector('.bytes').textContent.startsWith('AA AA AA 24'))"
+        ));
+    }
 
     fill(&mut tab, "#filter", "ACKNOWLEDGE FAST STOP E_");
-    let shown = tab.eval(log);
-    assert_eq!(shown.as_str().unwrap().lines().count(), 1, "{shown}");
+    assert_eq!(tab.eval(&format!("{rows}.length")), 1, "{}", tab.eval(log));
     fill(&mut tab, "#filter", "no line has this");
     assert_eq!(tab.eval(log), "");
     fill(&mut tab, "#filter", "");
@@ -451,7 +493,7 @@ fn frames_are_filtered_and_paused() {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn page_says_that_its_gripper_is_gone_and_goes_on_when_it_is_back() {
     // No other server gets ports on this address, so this port will be free again.
     let gripper = Gripper::on("127.0.0.2:0", &["--time-scale", "20"]);
@@ -478,7 +520,7 @@ fn page_says_that_its_gripper_is_gone_and_goes_on_when_it_is_back() {
 }
 
 #[test]
-#[ignore = "needs Chromium: see the top of this file"]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
     let gripper = Gripper::new(&[]);
     let address = gripper.page.trim_start_matches("http://");
@@ -499,142 +541,4 @@ fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
     drop(others);
 
     tab.until(&format!("{STATE} === 'IDLE'"));
-}
-
-/// Layout defects of the page: elements that overflow, are cut off, overlap, or are hard to read.
-const PROBLEMS: &str = r#"(() => {
-    const problems = [], root = document.documentElement;
-    if (root.scrollWidth > root.clientWidth) problems.push("the page is wider than the window");
-    const name = element => element.tagName + " " + (element.id || element.textContent.trim().slice(0, 40));
-    const shown = [...document.querySelectorAll("header, section, h1, h2, p, li, dt, dd, th, td, button, input, label, svg, text, pre, span")]
-        .filter(element => !element.closest(".hidden"))
-        .map(element => ({ element, box: element.getBoundingClientRect() }))
-        .filter(({ box }) => box.width > 0 && box.height > 0);
-    for (const { element, box } of shown) {
-        const around = element.parentElement.closest("svg, section, header, body").getBoundingClientRect();
-        if (box.left < around.left - 1 || box.right > around.right + 1 || box.top < around.top - 1 || box.bottom > around.bottom + 1)
-            problems.push(name(element) + " sticks out");
-        if (element.id !== "log" && element instanceof HTMLElement && element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0)
-            problems.push(name(element) + " is cut off");
-    }
-    shown.forEach(({ element: one, box: a }, at) => {
-        for (const { element: other, box: b } of shown.slice(at + 1)) {
-            const overlap = Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
-            if (overlap && !one.contains(other) && !other.contains(one)) problems.push(name(one) + " and " + name(other) + " overlap");
-        }
-    });
-    const light = colour => {
-        const [red, green, blue] = colour.match(/[\d.]+/g).map(part => part / 255).map(part => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4);
-        return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
-    };
-    for (const { element } of shown) {
-        const hasText = element.value || [...element.childNodes].some(child => child.nodeType === 3 && child.data.trim());
-        if (!hasText) continue;
-        let behind = element;
-        while (/, 0\)$|transparent/.test(getComputedStyle(behind).backgroundColor)) behind = behind.parentElement;
-        const style = getComputedStyle(element);
-        const lights = [light(element instanceof SVGElement ? style.fill : style.color), light(getComputedStyle(behind).backgroundColor)].sort();
-        const contrast = (Math.max(...lights) + 0.05) / (Math.min(...lights) + 0.05);
-        if (contrast < 4.5) problems.push(name(element) + " has a contrast of " + contrast.toFixed(1));
-    }
-    return problems;
-})()"#;
-
-/// Window sizes and colour schemes that the page supports.
-const LOOKS: [(u32, u32, &str); 4] =
-    [(1280, 800, "light"), (1280, 800, "dark"), (400, 800, "light"), (400, 800, "dark")];
-
-/// Changes the window and waits until the plot has been redrawn in the new size.
-fn look(tab: &mut Tab, (width, height, scheme): (u32, u32, &str)) {
-    tab.look(width, height, scheme);
-    tab.until(
-        "(() => { const plot = document.getElementById('plot'), axes = plot.querySelector('.axis').getBBox();
-           return Math.abs(axes.x + axes.width - plot.clientWidth) < 5; })()",
-    );
-}
-
-/// Returns these sizes and more, down to the smallest phones.
-fn sizes() -> impl Iterator<Item = (u32, u32, &'static str)> {
-    LOOKS.into_iter().chain([320, 360, 810, 1920].map(|width| (width, 800, "light")))
-}
-
-#[test]
-#[ignore = "needs Chromium: see the top of this file"]
-fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() {
-    let gripper = Gripper::new(&["--time-scale", "20"]);
-    let mut tab = gripper.open();
-    home(&mut tab);
-    grip(&mut tab);
-    let _client = gripper.acknowledge();
-    tab.until("document.getElementById('clients').childElementCount > 0");
-    for size in sizes() {
-        look(&mut tab, size);
-        assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}");
-    }
-    tab.click("#fast_stop");
-    tab.until(&flag_is_on("FAST_STOP"));
-    tab.click("#home");
-    tab.until("document.getElementById('message').textContent !== ''");
-    for size in sizes() {
-        look(&mut tab, size);
-        assert_eq!(tab.eval(PROBLEMS), json!([]), "{size:?}, after a FAST STOP");
-    }
-}
-
-/// Compares the pictures of `docs/simulator.md`; `WSG_UPDATE_DOCS=1` takes them again. Their content depends on the
-/// fonts of the machine, so only the sizes are compared.
-#[test]
-#[ignore = "needs Chromium: see the top of this file"]
-fn documents_have_pictures_of_the_page() {
-    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
-    let text = std::fs::read_to_string(docs.join("simulator.md")).unwrap();
-    let gripper = Gripper::new(&["--finger1", "fmf"]);
-    let mut tab = gripper.open();
-    let _client = gripper.acknowledge();
-    if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
-        home(&mut tab);
-        grip(&mut tab);
-        for _ in 0..5 {
-            fill(&mut tab, "#width", "80");
-            tab.click("#release");
-            tab.until(&format!("{STATE} === 'IDLE'"));
-            grip(&mut tab);
-        }
-        tab.call("Emulation.setScrollbarsHidden", &json!({"hidden": true}));
-        for size in LOOKS {
-            look(&mut tab, size);
-            tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
-            tab.call("Input.dispatchMouseEvent", &json!({"type": "mouseMoved", "x": 0, "y": 0}));
-            let shot = tab.call("Page.captureScreenshot", &json!({"format": "png"}));
-            let png = from_base64(shot["data"].as_str().unwrap());
-            std::fs::write(docs.join(picture(size)), png).unwrap();
-        }
-    }
-    for (width, height, scheme) in LOOKS {
-        let name = picture((width, height, scheme));
-        assert!(text.contains(&name), "docs/simulator.md must show {name}");
-        let png = std::fs::read(docs.join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
-        let size = [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()));
-        assert_eq!(size, [width, height], "{name}");
-    }
-}
-
-fn picture((width, height, scheme): (u32, u32, &str)) -> String {
-    format!("page-{width}x{height}-{scheme}.png")
-}
-
-fn from_base64(text: &str) -> Vec<u8> {
-    const DIGITS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    let digits = text.bytes().filter_map(|byte| DIGITS.iter().position(|digit| *digit == byte));
-    let mut bytes = Vec::new();
-    let (mut bits, mut count) = (0, 0);
-    for digit in digits {
-        (bits, count) = (bits << 6 | digit, count + 6);
-        if count >= 8 {
-            count -= 8;
-            bytes.push((bits >> count) as u8);
-            bits &= (1 << count) - 1;
-        }
-    }
-    bytes
 }

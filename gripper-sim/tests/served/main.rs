@@ -17,5 +17,9 @@ mod profibus;
 mod python;
 #[cfg(feature = "script")]
 mod scripts;
+#[cfg(feature = "script")]
+mod scripts_of_the_page;
+mod settings;
+mod system_log;
 #[cfg(unix)]
 mod unix;

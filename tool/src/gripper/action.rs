@@ -2,7 +2,7 @@
 
 use clap::{ArgMatches, Command, FromArgMatches, Subcommand, ValueEnum};
 use wsg_protocol::driver::{Finger, OnBlock};
-use wsg_protocol::{CommandId, HomingDirection};
+use wsg_protocol::{CommandId, HomingDirection, LoopData, editor};
 
 /// A gripper command with its parameters.
 #[derive(Clone, Debug, Subcommand)]
@@ -169,17 +169,17 @@ pub(crate) enum Action {
 
     /// Sends bytes that the gripper must echo unchanged
     Loop {
-        /// Bytes in hex, such as `01 02` or 0102
-        #[arg(value_parser = hex, required = true)]
+        /// Bytes such as 32 or 0x20, floats such as 150.0f, and texts such as '"text"'
+        #[arg(value_parser = values, required = true)]
         bytes: Vec<Bytes>,
     },
     /// Sends any command, such as one defined by a script on the gripper
     Raw {
-        /// Command ID in hex, such as B0
+        /// Command name such as 'Grip Part', or ID such as 0x25 or 37
         #[arg(value_parser = id)]
         id: u8,
-        /// Payload in hex, such as `01 02` or 0102
-        #[arg(value_parser = hex)]
+        /// Payload: bytes such as 32 or 0x20, floats such as 150.0f, and texts such as '"text"'
+        #[arg(value_parser = values)]
         payload: Vec<Bytes>,
     },
     /// Announces the end of the connection, as `wsg` does whenever it exits
@@ -342,11 +342,10 @@ fn finger(text: &str) -> Result<Finger, String> {
 }
 
 fn id(text: &str) -> Result<u8, String> {
-    let digits = text.trim_start_matches("0x").trim_end_matches('h');
-    u8::from_str_radix(digits, 16).map_err(|_| "expected one or two hex digits, such as B0".to_owned())
+    editor::command_id(text).map(CommandId::code).map_err(|error| error.to_string())
 }
 
-/// The bytes of one hex word.
+/// The bytes of one word of the editor's language.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Bytes(Vec<u8>);
 
@@ -357,14 +356,11 @@ impl Bytes {
     }
 }
 
-fn hex(text: &str) -> Result<Bytes, String> {
-    let byte = |pair: &[u8]| {
-        let pair = std::str::from_utf8(pair).ok().filter(|pair| pair.len() == 2 && !pair.starts_with('+'));
-        pair.and_then(|pair| u8::from_str_radix(pair, 16).ok())
-    };
-    let bytes: Option<Vec<u8>> = text.as_bytes().chunks(2).map(byte).collect();
-    let bytes = bytes.filter(|bytes| !bytes.is_empty());
-    bytes.map(Bytes).ok_or_else(|| "expected pairs of hex digits, such as 0A FF".to_owned())
+/// Parses one word of a payload.
+fn values(text: &str) -> Result<Bytes, String> {
+    let mut buffer = [0; LoopData::MAX_LEN];
+    let len = editor::payload(text, &mut buffer).map_err(|error| error.to_string())?;
+    Ok(Bytes(buffer[..len].to_vec()))
 }
 
 #[cfg(test)]
@@ -394,12 +390,14 @@ mod tests {
     }
 
     #[test]
-    fn bytes_are_pairs_of_digits() {
-        assert_eq!(hex("0aFF"), Ok(Bytes(vec![0x0A, 0xFF])));
-        for wrong in ["", "0", "0x", "+1", "ä", "123"] {
-            assert!(hex(wrong).is_err(), "{wrong}");
+    fn payloads_and_commands_are_those_of_the_editor() {
+        assert_eq!(values("10 0xff"), Ok(Bytes(vec![10, 0xFF])));
+        assert_eq!(values("150.0f"), Ok(Bytes(vec![0, 0, 0x16, 0x43])));
+        assert_eq!(values("\"a b\""), Ok(Bytes(b"a b".to_vec())));
+        for wrong in ["FF", "256", "\u{e4}"] {
+            assert!(values(wrong).is_err(), "{wrong}");
         }
-        assert_eq!((id("B0"), id("0xb0"), id("B0h")), (Ok(0xB0), Ok(0xB0), Ok(0xB0)));
-        assert!(id("100").is_err() && id("").is_err());
+        assert_eq!((id("0xB0"), id("176"), id("grip-part")), (Ok(0xB0), Ok(0xB0), Ok(0x25)));
+        assert!(id("B0").is_err() && id("256").is_err() && id("").is_err());
     }
 }

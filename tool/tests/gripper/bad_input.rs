@@ -27,8 +27,8 @@ fn invalid_command_line_is_rejected_with_what_was_expected() {
         (&[CLOSED_PORT, "soft-limits", "10"], "<TO>"),
         (&[CLOSED_PORT, "finger-info", "3"], "finger 1 or 2"),
         (&[CLOSED_PORT, "overdrive", "maybe"], "on, off"),
-        (&[CLOSED_PORT, "raw", "1B0"], "two hex digits"),
-        (&[CLOSED_PORT, "loop", "0x1"], "pairs of hex digits"),
+        (&[CLOSED_PORT, "raw", "1B0"], "an id from 0 to 255"),
+        (&[CLOSED_PORT, "loop", "0x100"], "0x00 to 0xFF"),
         (&[CLOSED_PORT, "pause", "-1"], "unexpected argument"),
     ] {
         assert_refused(arguments, 2, expected);

@@ -45,10 +45,10 @@ finger-info 1
 finger-flags 2
 finger-power 1 on
 finger-data 1
-loop 01 02FF
-raw 33
-raw B0 01
-raw 25 00
+loop 1 0x02 0xFF
+raw 0x33
+raw 0xB0 1
+raw grip-part 0
 stop
 fast-stop
 move 50 100

@@ -1,8 +1,20 @@
-//! The page: one file with its script, and its content security policy.
+//! The page: plain files, delivered as one document with its style and script, and its content security policy.
 
 use std::hash::{BuildHasher, RandomState};
 
-const PAGE: &str = include_str!("page.html");
+const PAGE: &str = include_str!("page/index.html");
+const STYLE: &str = include_str!("page/style.css");
+/// The parts of the script, in order: `core.js` defines what the others use, and `logs.js` starts the page.
+const SCRIPT: [&str; 8] = [
+    include_str!("page/core.js"),
+    include_str!("page/operate.js"),
+    include_str!("page/plot.js"),
+    include_str!("page/settings.js"),
+    include_str!("page/fieldbus.js"),
+    include_str!("page/editor.js"),
+    include_str!("page/scripts.js"),
+    include_str!("page/logs.js"),
+];
 /// Placeholder for the nonce in the page.
 const PLACE: &str = "{{nonce}}";
 
@@ -15,7 +27,9 @@ pub(super) fn page() -> (String, String) {
         "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     );
-    (PAGE.replace(PLACE, &nonce), policy)
+    let page =
+        PAGE.replace(PLACE, &nonce).replace("{{style}}", STYLE).replace("{{script}}", &SCRIPT.concat());
+    (page, policy)
 }
 
 #[cfg(test)]
@@ -31,7 +45,7 @@ mod tests {
             let page = page.replace("http://www.w3.org/2000/svg", "");
             assert!(!page.contains(foreign), "{foreign}");
         }
-        assert!(!page.contains(PLACE));
+        assert!(!page.contains("{{"), "each placeholder is replaced");
         let (_, other) = super::page();
         assert_ne!(policy, other, "each nonce is used only once");
     }

@@ -5,7 +5,7 @@ use crate::finger::{Finger, Jaw};
 use crate::gripper::State;
 use crate::port::{MAX_FRAME_LEN, PortId};
 use crate::script::SCRIPT_IDS;
-use crate::server::hub::Hub;
+use crate::server::hub::{Hub, Run};
 use mlua::chunk::ChunkMode;
 use mlua::{Function, IntoLuaMulti, Lua, LuaString, MultiValue, Result, Table, Value};
 use std::cell::{Cell, RefCell};
@@ -48,6 +48,7 @@ const SANDBOX: &str = include_str!("sandbox.lua");
 /// The access of a script to the gripper.
 struct Caller {
     hub: Arc<Hub>,
+    run: Run,
     /// Number of checks since the script last waited.
     looks: Rc<Cell<u32>>,
     /// The latest client by command.
@@ -91,9 +92,16 @@ impl Printed {
 /// Installs all functions that a script can call, and removes those that could harm the host.
 ///
 /// `directory` contains the files that the script may `require`.
-pub(super) fn install(lua: &Lua, hub: &Arc<Hub>, looks: &Rc<Cell<u32>>, directory: &Path) -> Result<()> {
+pub(super) fn install(
+    lua: &Lua,
+    hub: &Arc<Hub>,
+    run: Run,
+    looks: &Rc<Cell<u32>>,
+    directory: &Path,
+) -> Result<()> {
     let caller = Rc::new(Caller {
         hub: Arc::clone(hub),
+        run,
         looks: Rc::clone(looks),
         clients: RefCell::default(),
         client: Cell::default(),
@@ -131,9 +139,9 @@ impl Caller {
     /// Calls `act` with the gripper.
     ///
     /// # Errors
-    /// Returns an error if the gripper is powered off.
+    /// Returns an error if the script was stopped or the gripper is powered off.
     fn ask<T>(&self, act: impl FnOnce(&Hub) -> T) -> Result<T> {
-        if self.hub.is_off() {
+        if self.hub.script_is_over(self.run) {
             return Err(switched_off());
         }
         Ok(act(&self.hub))
@@ -149,7 +157,7 @@ impl Caller {
     fn log(&self, lines: Vec<String>) -> Result<()> {
         self.ask(|hub| {
             for line in lines {
-                hub.note_of("script", format_args!("{line}"));
+                hub.script_output(&line);
             }
         })
     }
@@ -194,7 +202,7 @@ impl Caller {
             if start.elapsed() > MAX_MOTION {
                 return Ok(false);
             }
-            self.wait(|hub| hub.script_sleeps(LOOK_AT_MOTION))?;
+            self.wait(|hub| hub.script_sleeps(self.run, LOOK_AT_MOTION))?;
         }
         Ok(true)
     }
@@ -313,7 +321,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             caller.ask(|hub| hub.interface(last))
         })?
         .function("read", |lua, caller, ()| {
-            let request = caller.wait(Hub::script_request)?.ok_or_else(switched_off)?;
+            let request = caller.wait(|hub| hub.script_request(caller.run))?.ok_or_else(switched_off)?;
             caller.clients.borrow_mut().insert(request.id, request.port);
             caller.client.set(Some(request.port));
             Ok((request.id, lua.create_sequence_from(request.payload)?))
@@ -666,7 +674,7 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             // A negative time does not wait.
             let duration = Duration::try_from_secs_f64(milliseconds.max(0.0) / 1_000.0)
                 .map_err(|_| wrong(format_args!("sleep: expected a time in ms")))?;
-            caller.wait(|hub| hub.script_sleeps(duration))
+            caller.wait(|hub| hub.script_sleeps(caller.run, duration))
         })?
         .function("print", move |_, caller, values: MultiValue| {
             let texts = values.iter().map(|value| Ok(to_string.call::<LuaString>(value)?.to_string_lossy()));

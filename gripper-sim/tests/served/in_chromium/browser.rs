@@ -192,8 +192,15 @@ impl Tab {
         found
     }
 
-    /// Clicks the centre of the element that a selector finds.
+    /// Clicks the centre of the element that a selector finds, on the page that shows it.
     pub(super) fn click(&mut self, selector: &str) {
+        let page = self.until(&format!(
+            "(() => {{ const page = document.querySelector({selector:?}).closest('main');
+               return page && page.hidden ? page.dataset.page : 'shown'; }})()"
+        ));
+        if page != "shown" {
+            self.show(page.as_str().unwrap());
+        }
         let middle = self.until(&format!(
             "(() => {{ const found = document.querySelector({selector:?}); found.scrollIntoView({{ block: 'center' }});
                const {{ x, y, width, height }} = found.getBoundingClientRect(); return [x + width / 2, y + height / 2]; }})()"
@@ -205,12 +212,19 @@ impl Tab {
         }
     }
 
+    /// Shows one of the pages by its link.
+    pub(super) fn show(&mut self, page: &str) {
+        self.click(&format!("nav a[href='#{page}']"));
+        self.until(&format!("!document.querySelector('main[data-page={page}]').hidden"));
+    }
+
     /// Presses a key that types no text except, for Enter, a line break.
     pub(super) fn press(&mut self, key: &str) {
         let code = match key {
             "Tab" => 9,
             "Enter" => 13,
             "Escape" => 27,
+            "ArrowLeft" => 37,
             _ => panic!("no key code is known for {key}"),
         };
         let text = if key == "Enter" { "\r" } else { "" };

@@ -1,0 +1,146 @@
+//! What the operator injects: the part, faults of the device, and faults of the lines.
+
+use super::answer::HttpError;
+use crate::axis::Part;
+use crate::faults::Fault;
+use crate::finger::{Finger, Jaw};
+use crate::server::faulty_line::{Direction, LineFaults};
+use crate::server::hub::Hub;
+use hyper::StatusCode;
+use serde::{Deserialize, Serialize};
+
+pub(super) const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), or null for no part"#;
+pub(super) const FAULT_EXPECTED: &str =
+    r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
+pub(super) const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and omitted values are 0, and "direction":"requests", "replies" or "both""#;
+
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct PartBody {
+    pub(super) width_mm: f32,
+    pub(super) stiffness_n_per_mm: Option<f32>,
+}
+
+pub(super) fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
+    let Some(PartBody { width_mm, stiffness_n_per_mm }) = body else { return Ok(None) };
+    let stiffness = stiffness_n_per_mm.unwrap_or(Part::DEFAULT_STIFFNESS);
+    Part::new(width_mm, stiffness).map(Some).ok_or_else(|| {
+        HttpError::wrong(format!(
+            "a part {width_mm} mm wide with {stiffness} N/mm is invalid; expected {PART_EXPECTED}"
+        ))
+    })
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FaultBody {
+    pub(super) fault: FaultName,
+    pub(super) finger: Option<u8>,
+    pub(super) on: bool,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum FaultName {
+    AxisBlocked,
+    OverTemperature,
+    SupplyOutOfRange,
+    MotorCurrent,
+    FingerShortCircuit,
+    FingerCommunication,
+}
+
+pub(super) fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Result<Fault, HttpError> {
+    let of_a_finger = |fault: fn(Jaw) -> Fault, is_possible: fn(Finger) -> bool, needs: &str| {
+        let [one, two] = hub.config().fingers;
+        let (jaw, mounted) = match finger {
+            Some(1) => (Jaw::One, one),
+            Some(2) => (Jaw::Two, two),
+            Some(other) => {
+                return Err(HttpError::wrong(format!("there is no finger {other}; expected 1 or 2")));
+            }
+            None => {
+                return Err(HttpError::wrong(format!(
+                    "the fault requires a finger; expected {FAULT_EXPECTED}"
+                )));
+            }
+        };
+        if is_possible(mounted) {
+            return Ok(fault(jaw));
+        }
+        let error =
+            format!("the finger is {:?}, which cannot have this fault; expected {needs}", mounted.name());
+        Err(HttpError::new(StatusCode::CONFLICT, error))
+    };
+    let fault = match name {
+        FaultName::AxisBlocked => Fault::AxisBlocked,
+        FaultName::OverTemperature => Fault::OverTemperature,
+        FaultName::SupplyOutOfRange => Fault::SupplyOutOfRange,
+        FaultName::MotorCurrent => Fault::MotorCurrent,
+        FaultName::FingerShortCircuit => {
+            let is_possible = |finger| finger != Finger::None;
+            return of_a_finger(Fault::FingerShortCircuit, is_possible, "generic, fmf or dsa");
+        }
+        FaultName::FingerCommunication => {
+            let is_possible = |finger| matches!(finger, Finger::Fmf | Finger::Dsa);
+            return of_a_finger(Fault::FingerCommunication, is_possible, "fmf or dsa");
+        }
+    };
+    match finger {
+        None => Ok(fault),
+        Some(_) => Err(HttpError::wrong(
+            "the fault does not concern a finger; expected it without \"finger\"".to_owned(),
+        )),
+    }
+}
+
+#[derive(Debug, Default, Deserialize, Serialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct LineBody {
+    pub(super) direction: DirectionName,
+    pub(super) drop: f64,
+    pub(super) delay: Option<f64>,
+    pub(super) delay_ms: Option<u32>,
+    pub(super) corrupt: f64,
+    pub(super) truncate: f64,
+    pub(super) duplicate: f64,
+}
+
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum DirectionName {
+    Requests,
+    Replies,
+    #[default]
+    Both,
+}
+
+/// Returns the requested faults. A delay without a rate hits every frame.
+pub(super) fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
+    let LineBody { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *body;
+    if delay.is_some_and(|rate| rate > 0.0) && delay_ms.is_none() {
+        return Err(HttpError::wrong(format!("delay lacks delay_ms; expected {LINE_EXPECTED}")));
+    }
+    let delay_ms = delay_ms.unwrap_or(0);
+    let delay = delay.unwrap_or(if delay_ms > 0 { 1.0 } else { 0.0 });
+    for (name, rate) in [
+        ("drop", drop),
+        ("delay", delay),
+        ("corrupt", corrupt),
+        ("truncate", truncate),
+        ("duplicate", duplicate),
+    ] {
+        if !(0.0..=1.0).contains(&rate) {
+            return Err(HttpError::wrong(format!("{name} is {rate}; expected {LINE_EXPECTED}")));
+        }
+    }
+    if delay_ms > LineFaults::MAX_DELAY_MS {
+        return Err(HttpError::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
+    }
+    let direction = match direction {
+        DirectionName::Requests => Direction::Requests,
+        DirectionName::Replies => Direction::Replies,
+        DirectionName::Both => Direction::Both,
+    };
+    Ok(LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate })
+}

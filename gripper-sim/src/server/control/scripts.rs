@@ -1,0 +1,200 @@
+//! The scripts in the folder of `--scripts`: list, read, save, delete, run, stop, and the script that runs at the start.
+
+use super::answer::HttpError;
+use crate::server::hub::{Changes, Hub, OutputLine, Refused, ScriptReport};
+use crate::server::script::Script;
+use hyper::StatusCode;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::{fs, io};
+
+pub(super) const SCRIPT_EXPECTED: &str = r#"{"action":"save","name":"x.lua","source":"..."}, or "read", "run", "delete" or "start_up" with a name, or "stop""#;
+
+/// The longest script in bytes.
+const MAX_SOURCE_LEN: usize = 65_536;
+/// The longest body of a request: JSON may write a byte with six characters.
+pub(super) const MAX_SCRIPT_BODY_LEN: usize = 6 * MAX_SOURCE_LEN + 1_024;
+/// Maximum number of scripts in the folder.
+const MAX_SCRIPTS: usize = 100;
+/// The longest name of a script.
+const MAX_NAME_LEN: usize = 60;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ScriptBody {
+    action: Action,
+    name: Option<String>,
+    source: Option<String>,
+}
+
+#[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
+#[serde(rename_all = "snake_case")]
+enum Action {
+    Read,
+    Save,
+    Delete,
+    Run,
+    Stop,
+    /// Runs the script at each start; without a name, none.
+    StartUp,
+}
+
+/// The answer to requests about scripts.
+#[derive(Debug, Serialize)]
+pub(super) struct ScriptsAnswer {
+    /// Null without `--scripts`.
+    folder: Option<String>,
+    list: Vec<ScriptFile>,
+    /// The script in the folder that runs at the start.
+    start_up: Option<String>,
+    latest: ScriptReport,
+    output: Vec<OutputLine>,
+    /// The source, for the action `read`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct ScriptFile {
+    name: String,
+    bytes: u64,
+}
+
+/// Returns the scripts of the folder.
+pub(super) fn scripts(hub: &Hub, source: Option<String>) -> Result<ScriptsAnswer, HttpError> {
+    let folder = hub.script_folder();
+    let start_up = hub.start_up_script().filter(|path| path.parent() == folder.as_deref());
+    let (latest, output) = hub.script_report(0);
+    let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned());
+    Ok(ScriptsAnswer {
+        list: folder.as_deref().map_or_else(|| Ok(vec![]), list).map_err(|error| failed("read", &error))?,
+        folder: folder.map(|folder| folder.display().to_string()),
+        start_up: start_up.as_deref().and_then(name),
+        latest,
+        output,
+        source,
+    })
+}
+
+fn list(folder: &Path) -> io::Result<Vec<ScriptFile>> {
+    let mut list = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        // Not by a link, which could lead out of the folder.
+        let (name, file) = (entry.file_name().to_string_lossy().into_owned(), entry.file_type()?);
+        if file.is_file() && is_name(&name) {
+            list.push(ScriptFile { name, bytes: entry.metadata()?.len() });
+        }
+    }
+    list.sort_by(|one, next| one.name.cmp(&next.name));
+    Ok(list)
+}
+
+/// Executes an action, and returns the scripts.
+pub(super) fn execute(hub: &Arc<Hub>, body: ScriptBody) -> Result<ScriptsAnswer, HttpError> {
+    let ScriptBody { action, name, source } = body;
+    if action == Action::Stop {
+        hub.stop_script();
+        return scripts(hub, None);
+    }
+    let folder = hub.script_folder().ok_or_else(|| {
+        let error = "there is no folder for scripts; expected wsg-sim with --scripts FOLDER";
+        HttpError::new(StatusCode::CONFLICT, error.to_owned())
+    })?;
+    if action == Action::StartUp && name.is_none() {
+        set_start_up(hub, None)?;
+        return scripts(hub, None);
+    }
+    let name = name.filter(|name| is_name(name)).ok_or_else(|| {
+        HttpError::wrong(format!(
+            "the name of the script is invalid; expected at most {MAX_NAME_LEN} letters, digits, _ and -, then .lua"
+        ))
+    })?;
+    let path = folder.join(&name);
+    if action != Action::Save && !fs::symlink_metadata(&path).is_ok_and(|file| file.is_file()) {
+        return Err(HttpError::new(StatusCode::NOT_FOUND, format!("there is no script {name}")));
+    }
+    let mut read = None;
+    match action {
+        Action::Read => read = Some(source_of(&path)?),
+        Action::Save => {
+            let source = source.filter(|source| source.len() <= MAX_SOURCE_LEN).ok_or_else(|| {
+                HttpError::wrong(format!("expected a source of at most {MAX_SOURCE_LEN} bytes"))
+            })?;
+            save(&folder, &path, &source)?;
+        }
+        Action::Delete => fs::remove_file(&path).map_err(|error| failed("deleted", &error))?,
+        Action::Run => {
+            let script = Script::read(&path)
+                .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, format!("{error:#}")))?;
+            script.start(Arc::clone(hub)).map_err(|error| {
+                HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, format!("the script cannot start: {error}"))
+            })?;
+        }
+        Action::StartUp => set_start_up(hub, Some(&path))?,
+        Action::Stop => {}
+    }
+    scripts(hub, read)
+}
+
+fn source_of(path: &Path) -> Result<String, HttpError> {
+    let source = fs::read(path).map_err(|error| failed("read", &error))?;
+    if source.len() > MAX_SOURCE_LEN {
+        let error = format!("the script is too long for the page; expected at most {MAX_SOURCE_LEN} bytes");
+        return Err(HttpError::new(StatusCode::CONFLICT, error));
+    }
+    Ok(String::from_utf8_lossy(&source).into_owned())
+}
+
+/// Writes a new file that then replaces the old one, so that no failure leaves half a script.
+fn save(folder: &Path, path: &Path, source: &str) -> Result<(), HttpError> {
+    let known = list(folder).map_err(|error| failed("read", &error))?;
+    if known.len() >= MAX_SCRIPTS && !path.exists() {
+        let error = format!("the folder has {MAX_SCRIPTS} scripts already; delete one first");
+        return Err(HttpError::new(StatusCode::CONFLICT, error));
+    }
+    let new = PathBuf::from(format!("{}.new", path.display()));
+    fs::write(&new, source).and_then(|()| fs::rename(&new, path)).map_err(|error| failed("written", &error))
+}
+
+fn set_start_up(hub: &Hub, path: Option<&Path>) -> Result<(), HttpError> {
+    let words = path.map(|path| vec![path.display().to_string()]);
+    let changes = Changes::from([("script".to_owned(), words)]);
+    hub.change_settings(&changes).map_err(|refused| {
+        let error = match refused {
+            Refused::Invalid(error) | Refused::NotSaved(error) => error,
+            Refused::NoOptions | Refused::Moving => "the setting cannot change now".to_owned(),
+        };
+        HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error)
+    })
+}
+
+fn failed(what: &str, error: &io::Error) -> HttpError {
+    HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, format!("the script cannot be {what}: {error}"))
+}
+
+/// Returns whether this is the name of a script: no path, no hidden file, nothing that a file system treats specially.
+fn is_name(name: &str) -> bool {
+    let stem = name.strip_suffix(".lua").unwrap_or("");
+    let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'_' | b'-');
+    !stem.is_empty() && name.len() <= MAX_NAME_LEN && stem.bytes().all(is_letter)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_name;
+
+    #[test]
+    fn names_of_scripts_lead_out_of_no_folder() {
+        for name in ["a.lua", "remote_2.lua", "B-1.lua"] {
+            assert!(is_name(name), "{name}");
+        }
+        for name in
+            ["", ".lua", "a", "a.LUA", "../a.lua", "a/b.lua", "a\\b.lua", "a..lua", "a\0.lua", "\u{e4}.lua"]
+        {
+            assert!(!is_name(name), "{name}");
+        }
+        assert!(!is_name(&format!("{}.lua", "a".repeat(60))));
+    }
+}

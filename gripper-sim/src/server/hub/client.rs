@@ -1,0 +1,188 @@
+//! One client of the gripper, as the tasks of the lines hold it.
+
+use super::{Connected, Hub, IDLE_LIMIT, Shared, lock};
+use crate::port::{FrameBuffer, PortKind};
+use crate::server::faulty_line::{Fate, FaultyLine, Passage};
+use crate::server::request_line::RequestLine;
+use std::cell::RefCell;
+use std::sync::Arc;
+use tokio::time::{Instant, sleep_until};
+#[cfg(all(feature = "profinet", target_os = "linux"))]
+use wsg_fieldbus::OutputImage;
+
+/// A client of the gripper; dropping it disconnects the client.
+#[derive(Debug)]
+pub(in crate::server) struct Client {
+    hub: Arc<Hub>,
+    connected: Arc<Connected>,
+    line: RefCell<FaultyLine>,
+    requests: RefCell<RequestLine>,
+}
+
+impl Client {
+    pub(super) const fn new(
+        hub: Arc<Hub>,
+        connected: Arc<Connected>,
+        line: RefCell<FaultyLine>,
+        requests: RefCell<RequestLine>,
+    ) -> Self {
+        Self { hub, connected, line, requests }
+    }
+
+    pub(in crate::server) fn receive(&self, bytes: &[u8]) {
+        let Self { hub, requests, connected, .. } = self;
+        *lock(&connected.heard_at) = Instant::now();
+        let mut shared = hub.lock();
+        let now = hub.now();
+        let Shared { log, line_faults, request_counts, .. } = &mut *shared;
+        if let Some(log) = log {
+            log.received(connected.id, now, bytes);
+        }
+        let faults = line_faults.of_requests();
+        let mut requests = requests.borrow_mut();
+        if faults.are_none() && requests.is_empty() {
+            drop(shared);
+            return self.hear(bytes);
+        }
+        requests.take(&faults, now, bytes, |fate| {
+            request_counts.count(fate);
+            if !fate.is_harmless()
+                && let Some(log) = log
+            {
+                log.note(now, &connected.name, format_args!("-> line fault: {fate}"));
+            }
+        });
+    }
+
+    /// Takes an output image written by the master.
+    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    pub(in crate::server) fn write_image(&self, image: &OutputImage, is_first: bool) {
+        *lock(&self.connected.heard_at) = Instant::now();
+        self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
+    }
+
+    /// Reports that the master that writes images has stopped or is silent.
+    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    pub(in crate::server) fn end_images(&self) {
+        self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
+    }
+
+    /// Ends the subscriptions, because another sender uses the line now.
+    pub(in crate::server) fn end_updates(&self) {
+        self.hub.with_gripper(|gripper, now| gripper.end_updates(self.connected.id, now));
+    }
+
+    /// Ready when a request may reach the gripper over a faulty line.
+    pub(in crate::server) async fn request_waits(&self) {
+        let arrival = self.requests.borrow().next_arrival();
+        match arrival {
+            Some(at) => self.hub.reached(at).await,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Passes the next request that arrives over a faulty line to the gripper.
+    pub(in crate::server) fn arrive(&self) {
+        let arrived = self.requests.borrow_mut().arrive(self.hub.now());
+        if let Some(bytes) = arrived {
+            self.hear(&bytes);
+        }
+    }
+
+    fn hear(&self, bytes: &[u8]) {
+        self.hub.act(|gripper, now| gripper.receive(self.connected.id, now, bytes));
+        #[cfg(feature = "script")]
+        self.hub.script_waits.notify_all();
+    }
+
+    /// Returns whether the connection is over: synchronization is lost, and all frames for the client are sent.
+    pub(in crate::server) fn is_over(&self) -> bool {
+        let shared = self.hub.lock();
+        shared.gripper.is_lost(self.connected.id)
+            && !shared.gripper.has_frame(self.connected.id)
+            && self.line.borrow().next_arrival().is_none()
+    }
+
+    /// Ready when a Modbus/TCP connection must be closed, because it is idle for too long or its place is needed. Never
+    /// ready for other protocols.
+    pub(in crate::server) async fn dismissed(&self) {
+        let Connected { kind, name, heard_at, displaced, .. } = &*self.connected;
+        if *kind != PortKind::ModbusTcp {
+            return std::future::pending().await;
+        }
+        let heard_at = *lock(heard_at);
+        tokio::select! {
+            () = displaced.notified() => {}
+            () = sleep_until(heard_at + IDLE_LIMIT) => {
+                self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
+            }
+        }
+    }
+
+    /// Returns whether there is room for answers: a slow line holds a bounded number of frames.
+    pub(in crate::server) fn has_room(&self) -> bool {
+        self.line.borrow().has_room()
+    }
+
+    /// Returns whether there is room for answers and requests.
+    pub(in crate::server) fn takes_more(&self) -> bool {
+        self.has_room() && self.requests.borrow().has_room()
+    }
+
+    /// Returns the next frame that arrives at this client.
+    pub(in crate::server) fn transmit<'a>(&self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let len = self.next_frame(buffer)?;
+        buffer.get(..len)
+    }
+
+    /// Ready when there may be a frame.
+    pub(in crate::server) async fn frame_waits(&self) {
+        let arrival = self.line.borrow().next_arrival();
+        let arrived = async {
+            match arrival {
+                Some(at) => self.hub.reached(at).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            () = arrived => {}
+            () = self.connected.frames.notified() => {}
+        }
+    }
+
+    fn next_frame(&self, buffer: &mut FrameBuffer) -> Option<usize> {
+        let Self { hub, line, .. } = self;
+        let mut line = line.borrow_mut();
+        while line.has_room() {
+            let mut shared = hub.lock();
+            let Shared { gripper, log, line_faults, reply_counts, .. } = &mut *shared;
+            let Some(frame) = gripper.transmit(self.connected.id, buffer) else { break };
+            let now = hub.now();
+            let passage = line.pass(&line_faults.of_replies(), now, frame);
+            let fate = match passage {
+                Passage::Through => Fate::default(),
+                Passage::Held(fate) => fate,
+            };
+            reply_counts.count(&fate);
+            if let Some(log) = log {
+                log.sent(now, self.connected.id, &self.connected.name, frame);
+                if !fate.is_harmless() {
+                    log.note(now, &self.connected.name, format_args!("<- line fault: {fate}"));
+                }
+            }
+            if passage == Passage::Through {
+                return Some(frame.len());
+            }
+        }
+        let arrived = line.arrive(hub.now())?;
+        let place = buffer.get_mut(..arrived.len())?;
+        place.copy_from_slice(&arrived);
+        Some(place.len())
+    }
+}
+
+impl Drop for Client {
+    fn drop(&mut self) {
+        self.hub.disconnect(&self.connected);
+    }
+}

@@ -1,0 +1,152 @@
+//! Settings that change while the gripper runs, and its restart.
+
+use super::{Hub, PAGE, lock};
+use crate::server::options::{Options, Setting, save, settings, toml_value};
+use crate::server::system_log::Severity;
+use std::collections::BTreeMap;
+use wsg_protocol::Status;
+
+/// The options with which the gripper runs.
+#[derive(Debug)]
+pub(in crate::server) struct Running {
+    /// The options including all changes.
+    pub(in crate::server) options: Options,
+    /// The options at power-up, to which settings that need a restart refer.
+    pub(in crate::server) at_start: Options,
+}
+
+impl Running {
+    pub(super) fn new(options: &Options) -> Self {
+        Self { options: options.clone(), at_start: options.clone() }
+    }
+}
+
+/// A setting with its value.
+#[derive(Debug)]
+pub(in crate::server) struct SettingState {
+    pub(in crate::server) row: &'static Setting,
+    /// The given words; `None` for the default.
+    pub(in crate::server) given: Option<Vec<String>>,
+    /// Whether the value counts after the next restart only.
+    pub(in crate::server) is_pending: bool,
+}
+
+/// Changed settings: new words, none for a switch that is on, `None` for the default.
+pub(in crate::server) type Changes = BTreeMap<String, Option<Vec<String>>>;
+
+/// Why settings cannot change.
+#[derive(Debug)]
+pub(in crate::server) enum Refused {
+    /// The server was started by a program of its own, without options.
+    NoOptions,
+    /// A value is invalid, in one line.
+    Invalid(String),
+    /// A motion runs whose settings would change.
+    Moving,
+    /// The settings are in effect, but the file cannot be written.
+    NotSaved(String),
+}
+
+impl Hub {
+    /// Returns every setting; `None` for a server without options.
+    pub(in crate::server) fn settings(&self) -> Option<Vec<SettingState>> {
+        let running = lock(self.running.as_ref()?);
+        let Running { options, at_start } = &*running;
+        let state = |row: &'static Setting| {
+            let given = options.given.get(&row.name).cloned();
+            let is_pending = !row.is_at_once && given.as_ref() != at_start.given.get(&row.name);
+            SettingState { row, given, is_pending }
+        };
+        Some(settings().iter().map(state).collect())
+    }
+
+    /// Returns the file in which settings are saved.
+    pub(in crate::server) fn settings_file(&self) -> Option<String> {
+        let running = lock(self.running.as_ref()?);
+        running.options.file.as_ref().map(|file| file.display().to_string())
+    }
+
+    /// Changes settings, all or none, and saves them in the file of `--config`.
+    pub(in crate::server) fn change_settings(&self, changes: &Changes) -> Result<(), Refused> {
+        let running = self.running.as_ref().ok_or(Refused::NoOptions)?;
+        let mut running = lock(running);
+        let invalid = |error: anyhow::Error| Refused::Invalid(format!("{error:#}"));
+        let options = running.options.with(changes).map_err(invalid)?;
+        let status = self.act(|gripper, now| gripper.reconfigure(&options.config, now));
+        if status != Status::Success {
+            return Err(Refused::Moving);
+        }
+        let config = self.config();
+        if let Some(log) = &mut self.lock().log {
+            log.reconfigure(&config);
+        }
+        let value = |words: &Vec<String>| if words.is_empty() { "on".to_owned() } else { words.join(", ") };
+        let text = |words: Option<&Vec<String>>| words.map_or_else(|| "default".to_owned(), value);
+        let changed: Vec<&String> = changes
+            .keys()
+            .filter(|name| running.options.given.get(*name) != options.given.get(*name))
+            .collect();
+        for name in &changed {
+            let [before, now] = [&running.options, &options].map(|options| text(options.given.get(*name)));
+            self.report_event(Severity::Info, PAGE, &format!("setting {name}: {before} -> {now}"));
+        }
+        let saved = options.file.as_ref().map_or(Ok(()), |file| {
+            let is_list = |name: &str| settings().iter().any(|row| row.name == name && row.is_list);
+            let value = |name: &str| options.given.get(name).map(|words| toml_value(words, is_list(name)));
+            let lines: Vec<_> = changed.iter().map(|name| (name.as_str(), value(name))).collect();
+            save(file, &lines).map_err(|error| format!("{} cannot be written: {error}", file.display()))
+        });
+        running.options = options;
+        saved.map_err(|error| {
+            self.report_event(Severity::Error, "gripper", &error);
+            Refused::NotSaved(error)
+        })
+    }
+
+    /// Takes over settings that are in effect already, such as a station name that a controller has set, so that they
+    /// outlast a restart.
+    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    pub(in crate::server) fn remember(&self, changes: &Changes) {
+        let Some(running) = &self.running else { return };
+        let Running { options, at_start } = &mut *lock(running);
+        for options in [options, at_start] {
+            // The values come from the device, so they are valid.
+            if let Ok(changed) = options.with(changes) {
+                *options = changed;
+            }
+        }
+    }
+
+    /// Restarts the gripper with its current settings, as after a power cycle. Returns false without options.
+    pub(in crate::server) fn restart(&self) -> bool {
+        if self.running.is_some() {
+            self.report_event(Severity::Warning, PAGE, "restart");
+            self.restart.notify_one();
+        }
+        self.running.is_some()
+    }
+
+    /// Ready when a restart is requested.
+    pub(in crate::server) async fn restart_requested(&self) {
+        self.restart.notified().await;
+    }
+}
+
+#[cfg(all(test, feature = "profinet", target_os = "linux"))]
+mod tests {
+    use super::*;
+    use crate::server::lines::Profile;
+    use crate::server::system_log::SystemLog;
+
+    #[test]
+    fn station_name_of_a_controller_outlasts_a_restart_and_is_no_pending_change() {
+        let options = Options::parse(vec!["--profinet".into(), "eth0".into()]).unwrap();
+        let hub = Hub::new(options.config, Profile::Instant, 0, None, SystemLog::default(), Some(&options));
+        hub.remember(&Changes::from([("station".to_owned(), Some(vec!["wsg-7".to_owned()]))]));
+        let settings = hub.settings().unwrap();
+        let station = settings.iter().find(|setting| setting.row.name == "station").unwrap();
+        assert_eq!((&station.given, station.is_pending), (&Some(vec!["wsg-7".to_owned()]), false));
+        let running = lock(hub.running.as_ref().unwrap());
+        assert_eq!(running.options.lines.profinet.as_ref().unwrap().stored.name.as_str(), "wsg-7");
+    }
+}

@@ -1,0 +1,585 @@
+//! The options: the command line, the configuration file, `--help` and the table of `docs/simulator.md` share them.
+
+mod file;
+mod table;
+
+pub(in crate::server) use file::{save, toml_value};
+pub(in crate::server) use table::{GROUPS, Setting, settings};
+
+#[cfg(feature = "profinet")]
+use super::lines::ProfinetLine;
+use super::lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
+use crate::axis::{Direction, Part};
+use crate::config::{Config, Tag};
+use crate::finger::Finger;
+use crate::model::Model;
+use anyhow::{Context, Result, anyhow, bail, ensure};
+#[cfg(feature = "profinet")]
+use bus_profinet::{IpParameters, Maintenance, StationName, Stored};
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::error::ErrorKind;
+use clap::parser::ValueSource;
+use clap::{Arg, ArgMatches, Command, CommandFactory, FromArgMatches, Parser};
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+use std::str::FromStr;
+use wsg_fieldbus::SilenceReaction;
+use wsg_protocol::SoftLimits;
+use wsg_protocol::can::Identifiers;
+
+const LOOPBACK: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+/// The default TCP address if no line is given: the gripper's own port, on this machine only.
+const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
+const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
+
+/// Heading of the options that are no settings of the gripper: the page does not show them.
+const PROGRAM: &str = "Program";
+const COMMAND: &str = "Command interface";
+const MOTION: &str = "Motion configuration";
+const NETWORK: &str = "Network";
+const FIELDBUS: &str = "Fieldbus";
+const DEVICE: &str = "Device";
+/// The words given for each option, without its hyphens: none for a switch, several for an option that may be repeated.
+pub(in crate::server) type Given = BTreeMap<String, Vec<String>>;
+
+/// All options, in the form that the server takes.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The settings of the gripper.
+    pub config: Config,
+    /// The lines to serve.
+    pub lines: Lines,
+    /// Whether no line is given, so that the gripper's own is served.
+    pub is_default_line: bool,
+    /// The log file; `-` means standard output.
+    pub log: Option<PathBuf>,
+    /// The configuration file, in which changed settings are saved.
+    pub(in crate::server) file: Option<PathBuf>,
+    /// What the command line and the file give.
+    pub(in crate::server) given: Given,
+}
+
+const ADDRESS: &str = "an address with a port, such as 127.0.0.1:1000";
+const LINE: &str = "pty, unix:PATH or a device such as /dev/ttyUSB0 or COM3";
+const U16: &str = "a number from 0 to 65535";
+const LENGTH: &str = "a number from 0 to 1000";
+const POSITIVE: &str = "a number above 0";
+
+/// The part between the fingers, for an option that always has a value.
+type MaybePart = Option<Part>;
+
+/// A virtual gripper of the WSG series.
+#[derive(Debug, Parser)]
+#[command(version, no_binary_name = true, args_override_self = true, next_line_help = true)]
+struct Arguments {
+    /// Reads options from a TOML file, `name = value` with the names of this table; the command line takes precedence
+    #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Listens for TCP [default: 127.0.0.1:1000 (or 11000, see above), if no other line is given]
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    tcp: Option<SocketAddr>,
+    /// Listens for UDP; grippers in the field use port 1500
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    udp: Option<SocketAddr>,
+    /// Sends answers to this port of the latest client, regardless of its source port; not the port of `--udp` [default: 1501]
+    #[arg(long, help_heading = COMMAND, value_name = "PORT")]
+    #[arg(value_parser = expected("a port from 1 to 65535", |text| parsed(text).filter(|port: &u16| *port > 0)))]
+    udp_remote_port: Option<u16>,
+    /// Listens for the text protocol over TCP, beside the binary one or alone ([gcl.md](gcl.md))
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    gcl: Option<SocketAddr>,
+    /// Listens for the text protocol over UDP; answers go to the source port of the request
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    gcl_udp: Option<SocketAddr>,
+    /// Begins each new connection of the text protocol in verbose mode, with a description of each error (GCL, 2.1.1)
+    #[arg(long, help_heading = COMMAND)]
+    gcl_verbose: bool,
+    /// Ends the automatic updates of a UDP client on another machine after this many datagrams without one from the client; 0:
+    /// never [default: 1000]
+    #[arg(long, help_heading = COMMAND, value_name = "NUMBER", value_parser = expected("a number of datagrams; 0: any number", parsed::<u32>))]
+    udp_unanswered: Option<u32>,
+    /// Opens a serial line: `pty` creates a pseudo terminal and prints its path, `unix:PATH` listens on a Unix socket as
+    /// emulators provide it for a UART, any other path is a terminal device or a port such as COM3, set to 115200 8N1
+    #[arg(long, help_heading = COMMAND, value_name = "LINE", value_parser = expected(LINE, serial))]
+    serial: Option<SerialLine>,
+    /// Opens CAN on an interface of Linux SocketCAN
+    #[arg(long, help_heading = COMMAND, value_name = "IFACE", value_parser = expected("an interface, such as can0", not_empty))]
+    can: Option<String>,
+    /// Opens CAN by SLCAN: with `pty` and `unix:PATH` the gripper is on the bus of the adapter that a host opens there; a
+    /// terminal device or a port leads to an adapter, 500 kbit/s
+    #[arg(long, help_heading = COMMAND, value_name = "LINE", overrides_with = "can", value_parser = expected(LINE, serial))]
+    slcan: Option<SerialLine>,
+    /// Listens to this identifier and sends on the next [default: 0x120]
+    #[arg(long, help_heading = COMMAND, value_name = "NUMBER", value_parser = expected("an identifier from 0 to 0x7FE", identifiers))]
+    can_id: Option<Identifiers>,
+    /// Listens for Modbus/TCP; port 502 on the real gripper
+    #[arg(long, help_heading = FIELDBUS, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    modbus: Option<SocketAddr>,
+    /// Sends numbers in the registers low byte first; flags are unaffected
+    #[arg(long, help_heading = FIELDBUS)]
+    modbus_swap_bytes: bool,
+    /// Sets the time-out of a Modbus master that has written; 0: none
+    #[arg(long, help_heading = FIELDBUS, value_name = "MS", default_value = "0", value_parser = expected(U16, parsed::<u16>))]
+    bus_timeout: u16,
+    /// Reaction to that time-out, and to the loss of the PROFIBUS or PROFINET master; a jog ends in any case [default: stop]
+    #[arg(long, help_heading = FIELDBUS, value_name = "WHAT", value_parser = one_of(vec![
+        ("hold", SilenceReaction::Hold),
+        ("stop", SilenceReaction::Stop),
+        ("fast-stop", SilenceReaction::FastStop),
+    ]))]
+    bus_reaction: Option<SilenceReaction>,
+    /// Opens a PROFIBUS DP slave on a serial line, as for `--serial`
+    #[arg(long, help_heading = FIELDBUS, value_name = "LINE", value_parser = expected(LINE, serial))]
+    profibus: Option<SerialLine>,
+    /// Address on PROFIBUS, 0 to 125 [default: 7]
+    #[arg(long, help_heading = FIELDBUS, value_name = "NUMBER")]
+    #[arg(value_parser = expected("an address from 0 to 125", |text| parsed(text).filter(|n: &u8| *n <= 125)))]
+    profibus_address: Option<u8>,
+    #[cfg(feature = "profinet")]
+    #[command(flatten)]
+    profinet: Profinet,
+    /// Accepts frames with any checksum; the two bytes must be present
+    #[arg(long, help_heading = COMMAND)]
+    no_checksum_check: bool,
+    /// Answers E_CHECKSUM_ERROR to a wrong checksum instead of ignoring the frame
+    #[arg(long, help_heading = COMMAND)]
+    answer_bad_checksum: bool,
+    /// Ends the automatic updates of a client by UDP, serial line or CAN after this silence; 0: never
+    #[arg(long, help_heading = COMMAND, value_name = "SECONDS", default_value = "0", value_parser = expected(U16, parsed::<u16>))]
+    updates_idle: u16,
+    /// Suppresses the FAST STOP after a TCP connection that ends unannounced
+    #[arg(long, help_heading = COMMAND)]
+    no_disconnect_error: bool,
+    /// Latency of the command interface: none, or that of real grippers by field reports
+    #[arg(long, help_heading = COMMAND, value_name = "PROFILE", default_value = "instant")]
+    #[arg(value_parser = one_of(vec![("instant", Profile::Instant), ("real", Profile::Real)]))]
+    profile: Profile,
+    /// Model; [models.md](models.md) has the figures
+    #[arg(long, help_heading = DEVICE, value_name = "MODEL", default_value = "wsg50-110")]
+    #[arg(value_parser = one_of(Model::ALL.iter().map(|model| (model.name(), *model)).collect()))]
+    model: Model,
+    /// Serial number in the answer to Get System Information
+    #[arg(long, help_heading = DEVICE, value_name = "NUMBER", default_value = "1")]
+    #[arg(value_parser = expected("a number from 0 to 4294967295", parsed::<u32>))]
+    serial_number: u32,
+    /// Text of the answer to Get Device Tag, up to 64 ASCII characters [default: none]
+    #[arg(long, help_heading = DEVICE, value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 64 printable ASCII characters", |text| Tag::new(text).ok()))]
+    tag: Option<Tag>,
+    /// Kind of finger 1
+    #[arg(long, help_heading = DEVICE, value_name = "KIND", default_value = "none", value_parser = finger())]
+    finger1: Finger,
+    /// Kind of finger 2
+    #[arg(long, help_heading = DEVICE, value_name = "KIND", default_value = "none", value_parser = finger())]
+    finger2: Finger,
+    /// Direction of homing if the request does not specify one
+    #[arg(long, help_heading = MOTION, value_name = "DIR", default_value = "out")]
+    #[arg(value_parser = one_of(vec![("out", Direction::Plus), ("in", Direction::Minus)]))]
+    homing_default: Direction,
+    /// Homes after power-up without a command, in the direction of `--homing-default`
+    #[arg(long, help_heading = MOTION)]
+    homing_at_start: bool,
+    /// Soft limits after power-up in mm, such as `10:90`; Set Soft Limits and Clear Soft Limits change them for the
+    /// session [default: none]
+    #[arg(long, help_heading = MOTION, value_name = "MINUS:PLUS", value_parser = expected(
+        "two widths in mm from 0 to 1000, the smaller one first, such as 10:90",
+        soft_limits,
+    ))]
+    soft_limits: Option<SoftLimits>,
+    /// Speed of homing, within the model's limits [default: the model's]
+    #[arg(long, help_heading = MOTION, value_name = "MM_S", value_parser = expected(POSITIVE, positive))]
+    homing_speed: Option<f32>,
+    /// Distance before the nominal width of a grip within which a part is accepted; a part met earlier is the wrong one
+    #[arg(long, help_heading = MOTION, value_name = "MM", default_value = "5", value_parser = expected(LENGTH, length))]
+    part_width_tolerance: f32,
+    /// Distance beyond the nominal width in which a grip builds up its force; with the stroke or more, any part is
+    /// accepted, so a grip at 0 mm holds it
+    #[arg(long, help_heading = MOTION, value_name = "MM", default_value = "5", value_parser = expected(LENGTH, length))]
+    clamping_travel: f32,
+    /// Force limit after power-up, within the model's limits [default: the model's]
+    #[arg(long, help_heading = MOTION, value_name = "N", value_parser = expected(POSITIVE, positive))]
+    force: Option<f32>,
+    /// Acceleration after power-up, within the model's limits [default: the model's]
+    #[arg(long, help_heading = MOTION, value_name = "MM_S2", value_parser = expected(POSITIVE, positive))]
+    acceleration: Option<f32>,
+    /// Speed of MOVE and GRIP of the text protocol, and of the page, if none is given
+    #[arg(long, help_heading = MOTION, value_name = "MM_S", default_value = "100", value_parser = expected(POSITIVE, positive))]
+    speed: f32,
+    /// Distance of RELEASE of the text protocol if none is given
+    #[arg(long, help_heading = MOTION, value_name = "MM", default_value = "10", value_parser = expected(LENGTH, length))]
+    release_distance: f32,
+    /// Speed of RELEASE of the text protocol if none is given [default: the model's maximum]
+    #[arg(long, help_heading = MOTION, value_name = "MM_S", value_parser = expected(POSITIVE, positive))]
+    release_speed: Option<f32>,
+    /// Part between the fingers, in mm and N/mm, or `none`
+    #[arg(long, help_heading = DEVICE, value_name = "WIDTH[:STIFFNESS]", default_value = "none")]
+    #[arg(value_parser = expected("none, or WIDTH_MM[:STIFFNESS_N_PER_MM] with numbers above 0", part))]
+    part: MaybePart,
+    /// Factor on the speed of the fingers, 0.01 to 1000; periods and time-outs are unaffected
+    #[arg(long, help_heading = DEVICE, value_name = "X", default_value = "1")]
+    #[arg(value_parser = expected("a number from 0.01 to 1000", time_scale))]
+    time_scale: f32,
+    /// Runs a Lua script on the gripper ([scripts.md](scripts.md))
+    #[cfg(feature = "script")]
+    #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
+    script: Option<PathBuf>,
+    /// Lists, edits and runs the scripts of this folder on the page ([scripts.md](scripts.md#on-the-page))
+    #[cfg(feature = "script")]
+    #[arg(long, help_heading = PROGRAM, value_name = "FOLDER")]
+    scripts: Option<PathBuf>,
+    /// Serves the page and the control interface; a port without an address listens on this machine only
+    #[arg(long, help_heading = NETWORK, value_name = "ADDR")]
+    #[arg(value_parser = expected("an address with a port, such as 127.0.0.1:8080, or a port", control))]
+    control: Option<SocketAddr>,
+    /// Accepts this host name in requests to `--control`, beside `localhost` and the machine's address; may be repeated, in a
+    /// file as a list
+    #[arg(long, help_heading = NETWORK, value_name = "HOST")]
+    #[arg(value_parser = expected("a name or address without a port, such as bench.example", host))]
+    control_host: Vec<String>,
+    /// Selects the frames that line faults hit
+    #[arg(long, help_heading = PROGRAM, value_name = "NUMBER", default_value = "0")]
+    #[arg(value_parser = expected("a number from 0 to 18446744073709551615", parsed::<u64>))]
+    seed: u64,
+    /// Logs each frame with time, line, direction, bytes and meaning, at once; `-` is standard output. The gripper does not
+    /// wait for a slow reader of the log: it omits lines and logs how many
+    #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
+    log: Option<PathBuf>,
+    /// Appends the system log to a file: starts, connections, FAST STOPs with their source, faults, settings and scripts
+    #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
+    system_log: Option<PathBuf>,
+}
+
+/// The options for PROFINET.
+#[cfg(feature = "profinet")]
+#[derive(Debug, clap::Args)]
+struct Profinet {
+    /// Opens a PROFINET IO device on a network interface, Linux only ([profinet.md](profinet.md))
+    #[arg(long, help_heading = FIELDBUS, value_name = "IFACE", value_parser = expected("a network interface, such as eth0", not_empty))]
+    profinet: Option<String>,
+    /// Station name; a name set by a controller is saved in the file of `--config` [default: none: a controller assigns it]
+    #[arg(long = ProfinetLine::STATION, help_heading = FIELDBUS, value_name = "NAME")]
+    #[arg(value_parser = expected("a name of a to z, 0 to 9, hyphens and dots", StationName::new))]
+    station: Option<StationName>,
+    /// IP address, which must not be the interface's; saved likewise [default: none: a controller assigns it]
+    #[arg(long = ProfinetLine::IP, help_heading = NETWORK, value_name = "IP/BITS[,ROUTER]", value_parser = expected(
+        "an address such as 192.168.0.5/24, with a router 192.168.0.5/24,192.168.0.1",
+        ProfinetLine::ip_of_text,
+    ))]
+    ip: Option<IpParameters>,
+    /// Function of the station, in its records (I&M 1); saved likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[0], help_heading = FIELDBUS, value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 32 letters of Latin-1", ProfinetLine::maintenance_of_text::<32>))]
+    function: Option<[u8; 32]>,
+    /// Location (I&M 1); saved likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[1], help_heading = FIELDBUS, value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 22 letters of Latin-1", ProfinetLine::maintenance_of_text::<22>))]
+    location: Option<[u8; 22]>,
+    /// Date of installation (I&M 2); saved likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[2], help_heading = FIELDBUS, value_name = "TEXT", value_parser = expected(
+        "up to 16 letters of Latin-1, such as \"2026-11-23 16:00\"",
+        ProfinetLine::maintenance_of_text::<16>,
+    ))]
+    date: Option<[u8; 16]>,
+    /// Any description (I&M 3); saved likewise
+    #[arg(long = ProfinetLine::MAINTENANCE[3], help_heading = FIELDBUS, value_name = "TEXT")]
+    #[arg(value_parser = expected("up to 54 letters of Latin-1", ProfinetLine::maintenance_of_text::<54>))]
+    descriptor: Option<[u8; 54]>,
+}
+
+/// Returns the name of an option's value; a switch has none.
+fn value_name(arg: &Arg) -> Option<&str> {
+    arg.get_value_names().filter(|_| arg.get_action().takes_values()).map(|names| names[0].as_str())
+}
+
+/// Returns the command line definition for clap. Values may begin with a hyphen, such as the plant designation `-K1`.
+fn command() -> Command {
+    Arguments::command().mut_args(|arg| {
+        let has_value = value_name(&arg).is_some();
+        arg.allow_hyphen_values(has_value)
+    })
+}
+
+impl Options {
+    /// Parses the command line, without the program's name, and the configuration file that it names. Help and version
+    /// end the program.
+    ///
+    /// # Errors
+    /// Returns one line that names the option and the expected values.
+    pub fn parse(arguments: Vec<OsString>) -> Result<Self> {
+        let mut matches = command().try_get_matches_from(&arguments).map_err(one_line)?;
+        let file = matches.get_one::<PathBuf>("config").cloned();
+        if let Some(path) = &file {
+            let arguments = [file::words_of_file(path)?, arguments].concat();
+            matches = command().try_get_matches_from(arguments).map_err(one_line)?;
+        }
+        Self::of(&matches, file)
+    }
+
+    /// Returns the same options with these settings changed: new words, or `None` for the default.
+    ///
+    /// # Errors
+    /// Returns one line that names the setting and the expected values.
+    pub(in crate::server) fn with(&self, changes: &BTreeMap<String, Option<Vec<String>>>) -> Result<Self> {
+        let mut given = self.given.clone();
+        for (name, words) in changes {
+            match words {
+                Some(words) => given.insert(name.clone(), words.clone()),
+                None => given.remove(name),
+            };
+        }
+        let words = given.iter().flat_map(|(name, words)| {
+            let values: Vec<String> = words.iter().map(|word| format!("--{name}={word}")).collect();
+            if values.is_empty() { vec![format!("--{name}")] } else { values }
+        });
+        let matches = command().try_get_matches_from(words).map_err(one_line)?;
+        Self::of(&matches, self.file.clone())
+    }
+
+    fn of(matches: &ArgMatches, file: Option<PathBuf>) -> Result<Self> {
+        let given = command().get_arguments().filter_map(|arg| given_words(matches, arg)).collect();
+        Arguments::from_arg_matches(matches)?.options(file, given)
+    }
+}
+
+/// Returns the name of an option and its words, if it is given.
+fn given_words(matches: &ArgMatches, arg: &Arg) -> Option<(String, Vec<String>)> {
+    let (id, name) = (arg.get_id().as_str(), arg.get_long()?);
+    if matches.value_source(id) != Some(ValueSource::CommandLine) || name == "config" {
+        return None;
+    }
+    let words = matches.get_raw(id).into_iter().flatten().map(|word| word.to_string_lossy().into_owned());
+    Some((name.to_owned(), if value_name(arg).is_some() { words.collect() } else { vec![] }))
+}
+
+/// Reduces clap's message to one line without the usage. Help and version are not errors: they end the program.
+fn one_line(error: clap::Error) -> anyhow::Error {
+    if !error.use_stderr() {
+        error.exit();
+    }
+    let text = error.to_string();
+    let lines = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
+    let lines: Vec<_> = lines.map(str::trim).filter(|line| !line.is_empty()).collect();
+    let hint = match error.kind() {
+        ErrorKind::InvalidValue | ErrorKind::UnknownArgument => "; expected options as --help lists them",
+        _ => "",
+    };
+    anyhow!("{}{hint}", lines.join("; ").trim_start_matches("error: "))
+}
+
+/// Rejects an option that has no effect without another.
+fn check(option: &str, is_given: bool, has_effect: bool, others: &str) -> Result<()> {
+    ensure!(has_effect || !is_given, "--{option} has no effect without {others}");
+    Ok(())
+}
+
+impl Arguments {
+    /// Rejects options that have no effect without another.
+    fn check_effects(&self, has_can: bool, has_profinet: bool) -> Result<()> {
+        let has_profibus = self.profibus.is_some();
+        let has_watch = self.bus_timeout > 0 || has_profibus || has_profinet;
+        check("udp-remote-port", self.udp_remote_port.is_some(), self.udp.is_some(), "--udp ADDR")?;
+        let has_udp = self.udp.is_some() || self.gcl_udp.is_some();
+        check("udp-unanswered", self.udp_unanswered.is_some(), has_udp, "--udp ADDR or --gcl-udp ADDR")?;
+        let has_gcl = self.gcl.is_some() || self.gcl_udp.is_some();
+        check("gcl-verbose", self.gcl_verbose, has_gcl, "--gcl ADDR or --gcl-udp ADDR")?;
+        check("can-id", self.can_id.is_some(), has_can, "--can IFACE or --slcan LINE")?;
+        check("modbus-swap-bytes", self.modbus_swap_bytes, self.modbus.is_some(), "--modbus ADDR")?;
+        check("bus-timeout", self.bus_timeout > 0, self.modbus.is_some(), "--modbus ADDR")?;
+        let watched = "--bus-timeout MS, --profibus LINE or --profinet IFACE";
+        check("bus-reaction", self.bus_reaction.is_some(), has_watch, watched)?;
+        check("profibus-address", self.profibus_address.is_some(), has_profibus, "--profibus LINE")?;
+        check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")
+    }
+
+    /// Combines related options and checks them against each other.
+    fn options(self, file: Option<PathBuf>, given: Given) -> Result<Options> {
+        #[cfg(feature = "profinet")]
+        let has_profinet = self.profinet.profinet.is_some();
+        #[cfg(not(feature = "profinet"))]
+        let has_profinet = false;
+        let has_profibus = self.profibus.is_some();
+        self.check_effects(self.can.is_some() || self.slcan.is_some(), has_profinet)?;
+        let can_bus = self.can.map(CanBus::Interface).or(self.slcan.map(CanBus::Slcan));
+        #[cfg(feature = "profinet")]
+        let profinet = self.profinet.line(file.clone())?;
+        let remote_port = self.udp_remote_port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
+        if let Some(address) = self.udp.filter(|address| address.port() == remote_port) {
+            bail!(
+                "--udp {address} uses the port of the answers; expected another port, or --udp-remote-port"
+            );
+        }
+        let addresses = [self.tcp, self.udp, self.gcl, self.gcl_udp, self.modbus];
+        let has_bus = self.serial.is_some() || can_bus.is_some() || has_profibus || has_profinet;
+        let is_default_line = !has_bus && addresses.iter().all(Option::is_none);
+        let default = Config::default();
+        let config = Config {
+            model: self.model,
+            serial_number: self.serial_number,
+            tag: self.tag.unwrap_or(default.tag),
+            homing_default: self.homing_default,
+            homing_at_start: self.homing_at_start,
+            soft_limits: self.soft_limits,
+            part: self.part,
+            time_scale: self.time_scale,
+            check_checksum: !self.no_checksum_check,
+            answer_bad_checksum: self.answer_bad_checksum,
+            disconnect_error: !self.no_disconnect_error,
+            fingers: [self.finger1, self.finger2],
+            clamping_travel: self.clamping_travel,
+            part_width_tolerance: self.part_width_tolerance,
+            force_limit: self.force,
+            acceleration: self.acceleration,
+            homing_speed: self.homing_speed,
+            speed: self.speed,
+            release_distance: self.release_distance,
+            release_speed: self.release_speed,
+            gcl_verbose: self.gcl_verbose,
+            modbus_swap_bytes: self.modbus_swap_bytes,
+            bus_timeout_ms: self.bus_timeout,
+            bus_reaction: self.bus_reaction.unwrap_or(default.bus_reaction),
+            profibus_address: self.profibus_address.unwrap_or(default.profibus_address),
+            updates_idle_s: self.updates_idle,
+            ..default
+        };
+        let identifiers = self.can_id.unwrap_or(Identifiers::DEFAULT);
+        let lines = Lines {
+            tcp: if is_default_line { Some(DEFAULT_TCP) } else { self.tcp },
+            udp: self.udp.map(|address| UdpLine { address, remote_port }),
+            serial: self.serial,
+            system_log: self.system_log,
+            can: can_bus.map(|bus| CanLine { bus, identifiers }),
+            gcl: self.gcl,
+            gcl_udp: self.gcl_udp,
+            udp_unanswered: self.udp_unanswered,
+            modbus: self.modbus,
+            profibus: self.profibus,
+            #[cfg(feature = "profinet")]
+            profinet,
+            control: self.control,
+            control_hosts: self.control_host,
+            #[cfg(feature = "script")]
+            script: self.script,
+            #[cfg(feature = "script")]
+            scripts: self.scripts,
+            profile: self.profile,
+            seed: self.seed,
+        };
+        Ok(Options { config, lines, is_default_line, log: self.log, file, given })
+    }
+}
+
+#[cfg(feature = "profinet")]
+impl Profinet {
+    /// Returns the line on the interface, and the file in which its data is saved.
+    fn line(self, keep: Option<PathBuf>) -> Result<Option<ProfinetLine>> {
+        let none = Stored::NONE;
+        let maintenance = Maintenance {
+            function: self.function.unwrap_or(none.maintenance.function),
+            location: self.location.unwrap_or(none.maintenance.location),
+            date: self.date.unwrap_or(none.maintenance.date),
+            descriptor: self.descriptor.unwrap_or(none.maintenance.descriptor),
+        };
+        let stored =
+            Stored { name: self.station.unwrap_or(none.name), ip: self.ip.unwrap_or(none.ip), maintenance };
+        for (option, text) in ProfinetLine::kept(&stored) {
+            check(option, !text.is_empty(), self.profinet.is_some(), "--profinet IFACE")?;
+        }
+        Ok(self.profinet.map(|interface| ProfinetLine { interface, stored, keep }))
+    }
+}
+
+/// Returns a parser whose errors name the expected values.
+fn expected<T: Clone + Send + Sync + 'static>(
+    what: &'static str,
+    take: fn(&str) -> Option<T>,
+) -> impl TypedValueParser<Value = T> {
+    move |text: &str| take(text).ok_or_else(|| format!("expected {what}"))
+}
+
+/// Returns a parser of names.
+fn one_of<T: Copy + Send + Sync + 'static>(
+    values: Vec<(&'static str, T)>,
+) -> impl TypedValueParser<Value = T> {
+    let names = PossibleValuesParser::new(values.iter().map(|(name, _)| *name));
+    names.try_map(move |text| {
+        values.iter().find_map(|(name, value)| (*name == text).then_some(*value)).context("unknown")
+    })
+}
+
+fn finger() -> impl TypedValueParser<Value = Finger> {
+    one_of(Finger::ALL.iter().map(|finger| (finger.name(), *finger)).collect())
+}
+
+fn parsed<T: FromStr>(text: &str) -> Option<T> {
+    text.parse().ok()
+}
+
+fn not_empty(text: &str) -> Option<String> {
+    (!text.is_empty()).then(|| text.to_owned())
+}
+
+/// Parses the address of the control interface. A port without an address listens on this machine only.
+fn control(text: &str) -> Option<SocketAddr> {
+    parsed(text).or_else(|| Some(SocketAddr::new(LOOPBACK, parsed(text)?)))
+}
+
+fn host(text: &str) -> Option<String> {
+    let is_address = parsed::<IpAddr>(text).is_some();
+    not_empty(text).filter(|text| !text.contains(['/', '[']) && (is_address || !text.contains(':')))
+}
+
+fn serial(text: &str) -> Option<SerialLine> {
+    match text.strip_prefix("unix:") {
+        Some("") => None,
+        Some(path) => Some(SerialLine::Unix(path.into())),
+        None if text == "pty" => Some(SerialLine::Pty),
+        None => not_empty(text).map(|path| SerialLine::Device(path.into())),
+    }
+}
+
+/// Parses N in decimal or, after 0x, in hexadecimal.
+fn identifiers(text: &str) -> Option<Identifiers> {
+    let n = match text.strip_prefix("0x") {
+        Some(digits) => u16::from_str_radix(digits, 16).ok()?,
+        None => parsed(text)?,
+    };
+    Identifiers::from_base(n)
+}
+
+/// Parses a part; `none` is a valid value.
+fn part(text: &str) -> Option<MaybePart> {
+    if text == "none" {
+        return Some(None);
+    }
+    let part = match text.split_once(':') {
+        Some((width, stiffness)) => Part::new(parsed(width)?, parsed(stiffness)?),
+        None => Part::of_width(parsed(text)?),
+    };
+    part.map(Some)
+}
+
+fn time_scale(text: &str) -> Option<f32> {
+    parsed(text).filter(|scale| (Config::MIN_TIME_SCALE..=Config::MAX_TIME_SCALE).contains(scale))
+}
+
+/// Parses a finite number above 0.
+fn positive(text: &str) -> Option<f32> {
+    parsed(text).filter(|value: &f32| value.is_finite() && *value > 0.0)
+}
+
+/// Parses a length in mm.
+fn length(text: &str) -> Option<f32> {
+    parsed(text).filter(|value| (0.0..=1_000.0).contains(value))
+}
+
+/// Parses soft limits in mm.
+fn soft_limits(text: &str) -> Option<SoftLimits> {
+    let (minus, plus) = text.split_once(':')?;
+    let limits = SoftLimits { minus: length(minus)?, plus: length(plus)? };
+    (limits.minus <= limits.plus).then_some(limits)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,101 @@
+//! The table of settings: the options of the command line without the program's own. The page and the control interface
+//! are derived from it.
+
+use super::{COMMAND, DEVICE, FIELDBUS, MOTION, NETWORK, command, one_line, value_name};
+use clap::{Arg, ArgAction, Command};
+use std::sync::LazyLock;
+
+/// The groups of settings on the page, in order.
+pub(in crate::server) const GROUPS: [&str; 5] = [COMMAND, MOTION, NETWORK, FIELDBUS, DEVICE];
+
+/// The settings that take effect without a restart. Most lines and the values at power-up need one.
+pub(super) const AT_ONCE: [&str; 18] = [
+    "gcl-verbose",
+    "no-checksum-check",
+    "answer-bad-checksum",
+    "updates-idle",
+    "no-disconnect-error",
+    "bus-timeout",
+    "bus-reaction",
+    "homing-default",
+    "homing-speed",
+    "part-width-tolerance",
+    "clamping-travel",
+    "speed",
+    "release-distance",
+    "release-speed",
+    "serial-number",
+    "tag",
+    "part",
+    "time-scale",
+];
+
+/// One row of the table of settings.
+#[derive(Debug)]
+pub(in crate::server) struct Setting {
+    pub(in crate::server) name: String,
+    pub(in crate::server) group: &'static str,
+    pub(in crate::server) meaning: String,
+    /// The default, as the help writes it; empty without one.
+    pub(in crate::server) default: String,
+    /// The unit, or the form of the value. `None` for a switch.
+    pub(in crate::server) unit: Option<&'static str>,
+    /// The possible values, if they are few.
+    pub(in crate::server) choices: Vec<String>,
+    /// The accepted values, in the words of the error; empty if there is none.
+    pub(in crate::server) expected: String,
+    pub(in crate::server) is_at_once: bool,
+    /// Whether the value is a list.
+    pub(in crate::server) is_list: bool,
+}
+
+/// Returns the table of settings, which is built once: it takes longer than a line may wait.
+pub(in crate::server) fn settings() -> &'static [Setting] {
+    static TABLE: LazyLock<Vec<Setting>> = LazyLock::new(table);
+    &TABLE
+}
+
+fn table() -> Vec<Setting> {
+    let command = command();
+    let mut settings: Vec<Setting> =
+        command.get_arguments().filter_map(|arg| setting(&command, arg)).collect();
+    settings.sort_by_key(|setting| GROUPS.iter().position(|group| *group == setting.group));
+    settings
+}
+
+fn setting(command: &Command, arg: &Arg) -> Option<Setting> {
+    let name = arg.get_long()?;
+    let group = GROUPS.iter().find(|group| arg.get_help_heading() == Some(group))?;
+    let help = arg.get_help().map(ToString::to_string).unwrap_or_default();
+    let (meaning, default) = help.trim_end_matches(']').split_once(" [default: ").unwrap_or((&help, ""));
+    let given = arg.get_default_values().first().and_then(|value| value.to_str());
+    let unit = value_name(arg).map(|name| match name {
+        "MM" => "mm",
+        "MM_S" => "mm/s",
+        "MM_S2" => "mm/s²",
+        "MS" => "ms",
+        "SECONDS" => "s",
+        "N" => "N",
+        "ADDR" => "address",
+        "LINE" => "line",
+        "WIDTH[:STIFFNESS]" => "mm[:N/mm]",
+        "MINUS:PLUS" => "mm:mm",
+        _ => "",
+    });
+    // No option accepts this value, so the parser says which values it accepts.
+    let refused = unit.and_then(|_| command.clone().try_get_matches_from([format!("--{name}=\u{1}")]).err());
+    let refused = refused.map(|error| one_line(error).to_string()).unwrap_or_default();
+    let expected = refused.split_once(": expected ").map_or("", |(_, expected)| expected);
+    let choices = arg.get_possible_values();
+    Some(Setting {
+        name: name.to_owned(),
+        group,
+        meaning: meaning.to_owned(),
+        default: given.unwrap_or(default).to_owned(),
+        unit,
+        choices: choices.iter().filter(|_| unit.is_some()).map(|value| value.get_name().to_owned()).collect(),
+        expected: expected.to_owned(),
+        is_at_once: AT_ONCE.contains(&name),
+        is_list: matches!(arg.get_action(), ArgAction::Append),
+    })
+}

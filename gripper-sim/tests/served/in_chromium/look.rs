@@ -1,0 +1,223 @@
+//! The look of the page: layout, contrast, and the pictures of the document.
+
+use super::browser::Tab;
+use super::{BOUND, Gripper, PAGES, STATE, fill, flag_is_on, grip, home};
+use serde_json::json;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+
+/// Layout defects of the page: elements that overflow, are cut off, overlap, or are hard to read.
+const PROBLEMS: &str = r#"(() => {
+    const problems = [], root = document.documentElement;
+    if (root.scrollWidth > root.clientWidth) problems.push("the page is wider than the window");
+    const name = element => element.tagName + " " + (element.id || element.textContent.trim().slice(0, 40));
+    const shown = [...document.querySelectorAll("header, section, h1, h2, p, li, dt, dd, th, td, button, input, select, summary, a, label, svg, text, ol, span")]
+        .filter(element => element.checkVisibility() && !element.closest(".hidden, datalist") && !element.closest("ol[tabindex]")?.contains(element.parentElement))
+        .map(element => ({ element, box: element.getBoundingClientRect() }))
+        .filter(({ box }) => box.width > 0 && box.height > 0);
+    for (const { element, box } of shown) {
+        const around = element.parentElement.closest("svg, section, header, body").getBoundingClientRect();
+        if (box.left < around.left - 1 || box.right > around.right + 1 || box.top < around.top - 1 || box.bottom > around.bottom + 1)
+            problems.push(name(element) + " sticks out");
+        if (!element.matches("ol[tabindex], input, select") && element instanceof HTMLElement && element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0)
+            problems.push(name(element) + " is cut off");
+    }
+    shown.forEach(({ element: one, box: a }, at) => {
+        for (const { element: other, box: b } of shown.slice(at + 1)) {
+            const overlap = Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1 && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+            if (overlap && !one.contains(other) && !other.contains(one)) problems.push(name(one) + " and " + name(other) + " overlap");
+        }
+    });
+    const light = colour => {
+        const [red, green, blue] = colour.match(/[\d.]+/g).map(part => part / 255).map(part => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4);
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+    };
+    for (const { element } of shown) {
+        const hasText = element.value || [...element.childNodes].some(child => child.nodeType === 3 && child.data.trim());
+        if (!hasText) continue;
+        let behind = element;
+        while (/, 0\)$|transparent/.test(getComputedStyle(behind).backgroundColor)) behind = behind.parentElement;
+        const style = getComputedStyle(element);
+        const lights = [light(element instanceof SVGElement ? style.fill : style.color), light(getComputedStyle(behind).backgroundColor)].sort();
+        const contrast = (Math.max(...lights) + 0.05) / (Math.min(...lights) + 0.05);
+        if (contrast < 4.5) problems.push(name(element) + " has a contrast of " + contrast.toFixed(1));
+    }
+    return problems;
+})()"#;
+
+/// Window sizes and colour schemes that the page supports.
+const LOOKS: [(u32, u32, &str); 4] =
+    [(1280, 800, "light"), (1280, 800, "dark"), (390, 844, "light"), (390, 844, "dark")];
+
+/// Changes the window and waits until the plot has been redrawn in the new size.
+fn look(tab: &mut Tab, (width, height, scheme): (u32, u32, &str)) {
+    tab.show("operate");
+    tab.look(width, height, scheme);
+    tab.until(
+        "(() => { const plot = document.getElementById('plot'), axes = plot.querySelector('.axis').getBBox(); scrollTo(0, 0);
+           return Math.abs(axes.x + axes.width - plot.clientWidth) < 5; })()",
+    );
+}
+
+/// Returns these sizes and more, down to the smallest phones.
+fn sizes() -> impl Iterator<Item = (u32, u32, &'static str)> {
+    LOOKS.into_iter().chain([320, 360, 810, 1920].map(|width| (width, 800, "light")))
+}
+
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    home(&mut tab);
+    grip(&mut tab);
+    let _client = gripper.acknowledge();
+    tab.until("document.getElementById('clients').childElementCount > 0");
+    for size in sizes() {
+        check(&mut tab, size, "");
+    }
+    tab.click("#fast_stop");
+    tab.until(&flag_is_on("FAST_STOP"));
+    tab.click("#home");
+    tab.until("document.getElementById('message').textContent !== ''");
+    for size in sizes() {
+        check(&mut tab, size, "after a FAST STOP");
+    }
+}
+
+/// Checks every page in this size: its layout, and that FAST STOP is in view.
+fn check(tab: &mut Tab, size: (u32, u32, &str), when: &str) {
+    look(tab, size);
+    for page in PAGES {
+        tab.show(page);
+        tab.eval("scrollTo(0, 0)");
+        assert_eq!(tab.eval(PROBLEMS), json!([]), "{page} {size:?} {when}");
+        tab.eval("scrollTo(0, document.body.scrollHeight)");
+        let in_view = "(() => { const { top, bottom, left, right } = document.getElementById('fast_stop').getBoundingClientRect();
+            return top >= 0 && left >= 0 && bottom <= innerHeight && right <= innerWidth; })()";
+        assert_eq!(tab.eval(in_view), true, "{page} {size:?}: FAST STOP must stay in view");
+    }
+}
+
+/// A page on a telephone has at most this height in pixels, with all groups of settings but the first closed.
+const MOST_HEIGHT: u64 = 2_400;
+
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn pages_are_short_on_a_telephone() {
+    let gripper = Gripper::new(&[]);
+    let mut tab = gripper.open();
+    tab.look(390, 844, "light");
+    for page in PAGES.into_iter().filter(|page| *page != "settings") {
+        tab.show(page);
+        let height = tab.eval("document.documentElement.scrollHeight").as_u64().unwrap();
+        println!("{page}: {height} px");
+        assert!(height <= MOST_HEIGHT, "{page}: {height} px");
+    }
+}
+
+/// Compares the pictures of `docs/simulator.md`; `WSG_UPDATE_DOCS=1` takes them again. Their content depends on the
+/// fonts of the machine, so only the sizes are compared.
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn documents_have_pictures_of_the_page() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let text = std::fs::read_to_string(docs.join("simulator.md")).unwrap();
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
+    let gripper = Gripper::new(&["--finger1", "fmf", "--scripts", examples.to_str().unwrap()]);
+    let mut tab = gripper.open();
+    let _client = gripper.acknowledge();
+    if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
+        home(&mut tab);
+        grip(&mut tab);
+        for _ in 0..5 {
+            fill(&mut tab, "#width", "80");
+            tab.click("#release");
+            tab.until(&format!("{STATE} === 'IDLE'"));
+            grip(&mut tab);
+        }
+        tab.call("Emulation.setScrollbarsHidden", &json!({"hidden": true}));
+        for size in LOOKS {
+            look(&mut tab, size);
+            tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
+            tab.call("Input.dispatchMouseEvent", &json!({"type": "mouseMoved", "x": 0, "y": 0}));
+            let shot = tab.call("Page.captureScreenshot", &json!({"format": "png"}));
+            let png = from_base64(shot["data"].as_str().unwrap());
+            std::fs::write(docs.join(picture(size)), png).unwrap();
+        }
+        show_something(&gripper, &mut tab);
+        look(&mut tab, LOOKS[0]);
+        tab.eval("document.getElementById('script-folder').textContent = 'gripper-sim/examples'");
+        for page in PICTURED {
+            tab.show(page);
+            tab.eval("document.activeElement.blur(); scrollTo(0, 0)");
+            let shot = tab.call("Page.captureScreenshot", &json!({"format": "png"}));
+            let png = from_base64(shot["data"].as_str().unwrap());
+            std::fs::write(docs.join(format!("page-{page}.png")), png).unwrap();
+        }
+    }
+    for page in PICTURED {
+        let name = format!("page-{page}.png");
+        assert!(text.contains(&name) && docs.join(&name).exists(), "docs/simulator.md must show {name}");
+    }
+    for (width, height, scheme) in LOOKS {
+        let name = picture((width, height, scheme));
+        assert!(text.contains(&name), "docs/simulator.md must show {name}");
+        let png = std::fs::read(docs.join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let size = [16, 20].map(|at| u32::from_be_bytes(png[at..at + 4].try_into().unwrap()));
+        assert_eq!(size, [width, height], "{name}");
+    }
+}
+
+/// The pages beside the first that the document shows.
+const PICTURED: [&str; 5] = ["settings", "fieldbus", "editor", "scripts", "logs"];
+
+/// Fills these pages: a master that writes, a packet of the editor, and a lost connection.
+fn show_something(gripper: &Gripper, tab: &mut Tab) {
+    let mut master = TcpStream::connect(&gripper.modbus).unwrap();
+    master.set_read_timeout(Some(BOUND)).unwrap();
+    for frame in [[0, 1, 0, 0, 0, 6, 1, 6, 0, 1, 0x08, 0x98], [0, 2, 0, 0, 0, 6, 1, 6, 0, 2, 0x13, 0x88]] {
+        master.write_all(&frame).unwrap();
+        master.read_exact(&mut [0; 12]).expect("an answer in time");
+    }
+    drop(gripper.acknowledge());
+    tab.until(&flag_is_on("FAST_STOP"));
+    tab.click("#acknowledge");
+    tab.until(&format!("{STATE} === 'IDLE'"));
+    fill(tab, "#frame-command", "Get System Limits");
+    fill(tab, "#frame-payload", "");
+    tab.press("Enter");
+    tab.click("#frames li:last-child button");
+    fill(tab, "#to", "11");
+    tab.show("scripts");
+    tab.until("document.getElementById('script-list').childElementCount > 0");
+    tab.eval(
+        "(() => { const list = document.getElementById('script-list'); list.value = 'remote.lua'; list.dispatchEvent(new Event('change')); })()",
+    );
+    tab.until("document.getElementById('script-source').value !== ''");
+    tab.click("#script-run");
+    tab.until("document.getElementById('script-state').textContent === 'remote.lua: running'");
+    // The master stays until the end of the program.
+    std::mem::forget(master);
+}
+
+fn picture((width, height, scheme): (u32, u32, &str)) -> String {
+    format!("page-{width}x{height}-{scheme}.png")
+}
+
+fn from_base64(text: &str) -> Vec<u8> {
+    const DIGITS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let digits = text.bytes().filter_map(|byte| DIGITS.iter().position(|digit| *digit == byte));
+    let mut bytes = Vec::new();
+    let (mut bits, mut count) = (0, 0);
+    for digit in digits {
+        (bits, count) = (bits << 6 | digit, count + 6);
+        if count >= 8 {
+            count -= 8;
+            bytes.push((bits >> count) as u8);
+            bits &= (1 << count) - 1;
+        }
+    }
+    bytes
+}

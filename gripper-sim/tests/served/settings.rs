@@ -1,0 +1,251 @@
+//! Settings that change while the gripper runs, their file, and the restart.
+
+use crate::common::program::Program;
+use crate::common::{go_to, grip};
+use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use wsg_protocol::{Command, FrameEncoder, HomingDirection, Status};
+
+/// Maximum duration of any wait.
+const BOUND: Duration = Duration::from_secs(60);
+
+/// The program with a configuration file.
+struct Rig {
+    program: Program,
+    tcp: String,
+    control: String,
+    file: PathBuf,
+    client: TcpStream,
+}
+
+impl Rig {
+    fn new(name: &str, text: &str) -> Self {
+        let file = std::env::temp_dir().join(format!("wsg-settings-{}-{name}.toml", std::process::id()));
+        std::fs::write(&file, text).unwrap();
+        Self::of_file(file)
+    }
+
+    fn of_file(file: PathBuf) -> Self {
+        let arguments =
+            ["--config", file.to_str().unwrap(), "--tcp", "127.0.0.1:0", "--control", "127.0.0.1:0"];
+        let mut program = Program::start(&arguments);
+        let [_, tcp, control, _] = ["model", "tcp", "control", "page"].map(|name| program.place_of(name));
+        let client = connect(&tcp);
+        Self { program, tcp, control, file, client }
+    }
+
+    fn request(&self, method: &str, path: &str, body: &str) -> (u16, Value) {
+        let mut stream = connect(&self.control);
+        let len = body.len();
+        let head = format!("{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n");
+        stream.write_all((head + body).as_bytes()).unwrap();
+        let mut answer = String::new();
+        stream.read_to_string(&mut answer).expect("an answer in time");
+        let (head, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
+        (head.split(' ').nth(1).unwrap().parse().unwrap(), serde_json::from_str(body).unwrap())
+    }
+
+    /// Changes settings, which must succeed.
+    fn set(&self, changes: &Value) -> Value {
+        let (status, answer) = self.request("POST", "/settings", &changes.to_string());
+        assert_eq!(status, 200, "{answer}");
+        answer
+    }
+
+    /// Changes settings, which must fail, and returns the error.
+    fn refused(&self, changes: &Value) -> (u16, String) {
+        let (status, answer) = self.request("POST", "/settings", &changes.to_string());
+        (status, answer["error"].as_str().expect("an error").to_owned())
+    }
+
+    fn setting(&self, name: &str) -> Value {
+        let (_, answer) = self.request("GET", "/settings", "");
+        let settings = answer["settings"].as_array().unwrap();
+        settings.iter().find(|setting| setting["name"] == name).unwrap().clone()
+    }
+
+    fn state(&self) -> Value {
+        self.request("GET", "/state", "").1
+    }
+
+    fn flags(&self) -> Vec<String> {
+        serde_json::from_value(self.state()["system_state"].clone()).unwrap()
+    }
+
+    fn ask(&mut self, command: Command<'_>) -> Status {
+        let frame: Vec<u8> = FrameEncoder::new(command.id().code(), command).collect();
+        self.client.write_all(&frame).unwrap();
+        self.status()
+    }
+
+    fn status(&mut self) -> Status {
+        let mut answer = [0; 10];
+        self.client.read_exact(&mut answer).expect("an answer in time");
+        Status::from_code(u16::from_le_bytes([answer[6], answer[7]]))
+    }
+
+    fn run(&mut self, command: Command<'_>) -> Status {
+        assert_eq!(self.ask(command), Status::CmdPending);
+        self.status()
+    }
+
+    fn home(&mut self) {
+        assert_eq!(self.run(Command::Homing { direction: HomingDirection::Default }), Status::Success);
+    }
+
+    fn text(&self) -> String {
+        std::fs::read_to_string(&self.file).unwrap()
+    }
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.file);
+    }
+}
+
+fn connect(address: &str) -> TcpStream {
+    let stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    stream
+}
+
+#[test]
+fn settings_change_at_once_and_reference_and_latched_state_stay() {
+    let mut rig = Rig::new("at_once", "time-scale = 20\npart = \"20\"\n");
+    rig.home();
+    // A part of 20 mm is 15 mm too early for a nominal width of 5 mm.
+    assert_eq!(rig.run(grip(5.0)), Status::CmdFailed);
+    rig.set(&json!({"part-width-tolerance": 20, "clamping-travel": "7.5"}));
+    assert_eq!(rig.run(go_to(60.0)), Status::Success);
+    assert_eq!(rig.run(grip(5.0)), Status::Success);
+    assert!(rig.flags().contains(&"REFERENCED".to_owned()));
+
+    assert_eq!(rig.ask(Command::FastStop), Status::Success);
+    rig.set(&json!({"no-disconnect-error": true, "homing-default": "in", "part": "none"}));
+    assert!(rig.flags().contains(&"FAST_STOP".to_owned()), "{:?}", rig.flags());
+    assert_eq!(rig.ask(Command::ACKNOWLEDGE), Status::Success);
+    // The end of the connection is no error any more.
+    rig.client = connect(&rig.tcp);
+    rig.home();
+    assert!(!rig.flags().contains(&"FAST_STOP".to_owned()));
+    assert_eq!(rig.state()["width_mm"], json!(0.0), "homed inwards");
+    let setting = rig.setting("clamping-travel");
+    assert_eq!(
+        [&setting["value"], &setting["default"], &setting["unit"], &setting["effect"], &setting["group"]],
+        ["7.5", "5", "mm", "at once", "Motion configuration"]
+    );
+}
+
+#[test]
+fn checksum_evaluation_changes_for_a_connected_client() {
+    let mut rig = Rig::new("checksum", "");
+    let stop = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0, 0];
+    rig.set(&json!({"answer-bad-checksum": true}));
+    rig.client.write_all(&stop).unwrap();
+    assert_eq!(rig.status(), Status::ChecksumError);
+    rig.set(&json!({"no-checksum-check": true}));
+    rig.client.write_all(&stop).unwrap();
+    assert_eq!(rig.status(), Status::Success);
+    rig.set(&json!({"no-checksum-check": null}));
+    rig.client.write_all(&stop).unwrap();
+    assert_eq!(rig.status(), Status::ChecksumError);
+}
+
+#[test]
+fn motion_configuration_is_refused_while_the_fingers_move_and_the_rest_is_not() {
+    let mut rig = Rig::new("moving", "");
+    assert_eq!(rig.ask(Command::Homing { direction: HomingDirection::Default }), Status::CmdPending);
+    let (status, error) = rig.refused(&json!({"clamping-travel": 9, "tag": "x"}));
+    assert_eq!((status, error.contains("the fingers move")), (409, true), "{error}");
+    assert_eq!(
+        [rig.setting("clamping-travel")["value"].clone(), rig.setting("tag")["value"].clone()],
+        [json!(null), json!(null)]
+    );
+    rig.set(&json!({"tag": "x"}));
+    assert_eq!(rig.text(), "tag = \"x\"\n");
+}
+
+#[test]
+fn wrong_settings_are_refused_in_a_sentence_and_change_nothing() {
+    let rig = Rig::new("wrong", "# A cell\n");
+    for (changes, expected) in [
+        (json!({"clamping-travl": 5}), "\"clamping-travl\" is unknown"),
+        (json!({"log": "/tmp/x"}), "\"log\" is unknown"),
+        (json!({"script": "/tmp/x"}), "\"script\" is unknown"),
+        (json!({"clamping-travel": -1}), "expected a number from 0 to 1000"),
+        (json!({"clamping-travel": true}), "expected a number, a text or null"),
+        (json!({"no-checksum-check": 1}), "expected true or false"),
+        (json!({"control-host": "bench"}), "expected a list of texts"),
+        (json!({"can-id": 9}), "--can-id has no effect without"),
+        (json!({"tag": "x", "force": 0}), "expected a number above 0"),
+        (json!({"tag": "\n"}), "expected up to 64 printable ASCII characters"),
+    ] {
+        let (status, error) = rig.refused(&changes);
+        assert!(
+            status == 400 && error.contains(expected) && !error.contains('\n'),
+            "{changes}: {status} {error}"
+        );
+    }
+    assert_eq!(rig.text(), "# A cell\n");
+    assert_eq!(rig.setting("tag")["value"], json!(null));
+}
+
+#[test]
+fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
+    let mut rig = Rig::new("restart", "# A cell\nmodel = \"wsg32\"\nhoming-at-start = false\n");
+    rig.home();
+    let answer = rig.set(&json!({"model": "wsg25", "homing-at-start": true, "modbus": "127.0.0.1:0"}));
+    assert_eq!(answer["restart_pending"], json!(true));
+    assert_eq!((&rig.state()["model"], &rig.setting("model")["pending"]), (&json!("wsg32"), &json!(true)));
+    assert!(rig.flags().contains(&"REFERENCED".to_owned()));
+    let (status, _) = rig.request("POST", "/restart", "");
+    assert_eq!(status, 200);
+    // The program announces its lines again: the same addresses, and the new line.
+    assert_eq!(rig.program.line(), "model wsg25");
+    assert_eq!(rig.program.place_of("tcp"), rig.tcp);
+    let modbus = rig.program.place_of("modbus");
+    assert_eq!(rig.program.place_of("control"), rig.control);
+    connect(&modbus);
+    assert_eq!(rig.setting("model")["pending"], json!(false));
+    let start = Instant::now();
+    while !rig.flags().contains(&"REFERENCED".to_owned()) {
+        assert!(start.elapsed() < BOUND, "it must home at the start");
+    }
+    let (_, log) = rig.request("GET", "/log", "");
+    let texts: Vec<&str> =
+        log["entries"].as_array().unwrap().iter().map(|entry| entry["text"].as_str().unwrap()).collect();
+    for text in ["started as wsg32", "setting model: wsg32 -> wsg25", "restart", "started as wsg25"] {
+        assert!(texts.contains(&text), "{text}: {texts:?}");
+    }
+    assert!(
+        !texts.iter().any(|text| text.contains("FAST STOP")),
+        "a restart is no lost connection: {texts:?}"
+    );
+
+    let text = rig.text();
+    assert_eq!(text, "# A cell\nhoming-at-start = true\nmodbus = \"127.0.0.1:0\"\nmodel = \"wsg25\"\n");
+    let file = rig.file.with_extension("second.toml");
+    std::fs::write(&file, text).unwrap();
+    let mut program = Program::start(&["--config", file.to_str().unwrap(), "--tcp", "127.0.0.1:0"]);
+    assert_eq!(program.line(), "model wsg25");
+    std::fs::remove_file(&file).unwrap();
+}
+
+#[test]
+fn restart_that_cannot_open_a_line_returns_to_the_earlier_settings() {
+    let mut rig = Rig::new("bad_restart", "");
+    rig.set(&json!({"model": "wsg25", "udp": "203.0.113.9:1500"}));
+    assert_eq!(rig.request("POST", "/restart", "").0, 200);
+    assert_eq!(rig.program.line(), "model wsg50-110");
+    assert_eq!(rig.program.place_of("tcp"), rig.tcp);
+    assert_eq!(rig.program.place_of("control"), rig.control);
+    let (_, log) = rig.request("GET", "/log", "");
+    assert!(
+        log.to_string().contains("the restart failed, and the earlier settings count: UDP cannot listen"),
+        "{log}"
+    );
+}
