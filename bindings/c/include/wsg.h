@@ -390,7 +390,7 @@ typedef enum {
 typedef enum {
     /* The gripper replies, and all subscribed values are known. */
     WSG_EVENT_CONNECTED = 1,
-    /* The gripper does not reply, and its state is unknown from now on. Discard bytes that are not sent yet. */
+    /* The gripper does not reply, and its state is unknown from now on. Discard unsent bytes, except a FAST STOP. */
     WSG_EVENT_DISCONNECTED = 2,
     /* A requested motion has begun. */
     WSG_EVENT_PENDING = 3,
@@ -588,8 +588,8 @@ typedef struct {
 /*
  Receives each event. `event` is valid until the function returns.
 
- The function may call every wsg_ function of the same session except wsg_receive(), wsg_tick(), wsg_transmit(),
- wsg_expire() and wsg_init(). Requests made here are sent by the next wsg_tick() and wsg_transmit().
+ The function may make requests, which the next wsg_tick() and wsg_transmit() send, and read the known state. Functions
+ that receive, tick, transmit or disconnect return WSG_ERROR_IN_CALLBACK.
  */
 typedef void (*wsg_callback_t)(void *context, const wsg_event_t *event);
 

@@ -11,7 +11,7 @@ use wsg_protocol::{CommandId, Reply, Status};
 pub enum wsg_event {
     /// The gripper replies, and all subscribed values are known.
     Connected = 1,
-    /// The gripper does not reply, and its state is unknown from now on. Discard bytes that are not sent yet.
+    /// The gripper does not reply, and its state is unknown from now on. Discard unsent bytes, except a FAST STOP.
     Disconnected = 2,
     /// A requested motion has begun.
     Pending = 3,

@@ -37,8 +37,8 @@ pub struct wsg_t {
 
 /// Receives each event. `event` is valid until the function returns.
 ///
-/// The function may call every wsg_ function of the same session except wsg_receive(), wsg_tick(), wsg_transmit(),
-/// wsg_expire() and wsg_init(). Requests made here are sent by the next wsg_tick() and wsg_transmit().
+/// The function may make requests, which the next wsg_tick() and wsg_transmit() send, and read the known state. Functions
+/// that receive, tick, transmit or disconnect return WSG_ERROR_IN_CALLBACK.
 pub type wsg_callback_t = Option<unsafe extern "C" fn(context: *mut c_void, event: *const wsg_event_t)>;
 
 /// Length of the status at the start of a reply.
