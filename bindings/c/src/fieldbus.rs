@@ -4,7 +4,6 @@
 
 use core::ffi::c_void;
 use core::mem::MaybeUninit;
-use core::ptr;
 
 use wsg_fieldbus::{Controller, InputImage, OutputImage, SilenceReaction};
 use wsg_protocol::AutoUpdate;
@@ -56,18 +55,15 @@ struct Contents {
     context: *mut c_void,
 }
 
-impl wsg_fieldbus_t {
-    /// Returns initialized contents.
-    fn open(fieldbus: Option<&mut Self>) -> Result<&mut Contents, wsg_error> {
-        let contents: *mut Contents = ptr::from_mut(fieldbus.ok_or(wsg_error::NullPointer)?).cast();
-        // SAFETY: `wsg_fieldbus_t` is as large and as aligned as the contents; the mark is read as an integer.
-        unsafe {
-            if (&raw const (*contents).ready).read() != READY {
-                return Err(wsg_error::NotInitialized);
-            }
-            Ok(&mut *contents)
-        }
+/// Returns the place of initialized contents. The session has its address, so it is borrowed for a single call only.
+fn at(fieldbus: *mut wsg_fieldbus_t) -> Result<*mut Contents, wsg_error> {
+    if fieldbus.is_null() {
+        return Err(wsg_error::NullPointer);
     }
+    let contents: *mut Contents = fieldbus.cast();
+    // SAFETY: `wsg_fieldbus_t` is as large and as aligned as the contents; the mark is read as an integer.
+    let ready = unsafe { (&raw const (*contents).ready).read() };
+    if ready == READY { Ok(contents) } else { Err(wsg_error::NotInitialized) }
 }
 
 /// Passes events to the controller, and its commands to the session.
@@ -100,13 +96,13 @@ unsafe fn follow(
 ///
 /// The controller must stay at its place as long as the session is used. Do not send motions of your own.
 #[unsafe(no_mangle)]
-pub extern "C" fn wsg_fieldbus_attach(
-    fieldbus: Option<&mut MaybeUninit<wsg_fieldbus_t>>,
-    wsg: Option<&mut wsg_t>,
-) -> i32 {
+pub unsafe extern "C" fn wsg_fieldbus_attach(fieldbus: *mut wsg_fieldbus_t, wsg: Option<&mut wsg_t>) -> i32 {
     let attach = || -> Outcome {
         let inner = wsg_t::open(wsg)?;
-        let contents: *mut Contents = fieldbus.ok_or(wsg_error::NullPointer)?.as_mut_ptr().cast();
+        if fieldbus.is_null() {
+            return Err(wsg_error::NullPointer);
+        }
+        let contents: *mut Contents = fieldbus.cast();
         if inner.has_hook() || inner.session.is_connected() {
             return Err(wsg_error::Argument);
         }
@@ -126,17 +122,18 @@ pub extern "C" fn wsg_fieldbus_attach(
 /// no edge is lost; the next wsg_tick() requests the commands.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_fieldbus_write(
-    fieldbus: Option<&mut wsg_fieldbus_t>,
+    fieldbus: *mut wsg_fieldbus_t,
     wsg: Option<&wsg_t>,
     image: *const u8,
     image_length: usize,
 ) -> i32 {
     let write = || -> Outcome {
-        let (contents, inner) = (wsg_fieldbus_t::open(fieldbus)?, wsg_t::look(wsg)?);
+        let (contents, inner) = (at(fieldbus)?, wsg_t::look(wsg)?);
         // SAFETY: the rules of the crate's documentation.
         let image = unsafe { memory::bytes(image, image_length) }?;
         let image = OutputImage::from_bytes(image.try_into().map_err(|_| wsg_error::Argument)?);
-        contents.controller.set_output(&image, inner.session.known());
+        // SAFETY: initialized.
+        unsafe { (*contents).controller.set_output(&image, inner.session.known()) };
         DONE
     };
     code(write())
@@ -145,16 +142,17 @@ pub unsafe extern "C" fn wsg_fieldbus_write(
 /// Writes the input image for the PLC to `image` and returns its length, WSG_FIELDBUS_INPUT_LEN.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_fieldbus_read(
-    fieldbus: Option<&mut wsg_fieldbus_t>,
+    fieldbus: *mut wsg_fieldbus_t,
     wsg: Option<&wsg_t>,
     image: *mut u8,
     size: usize,
 ) -> i32 {
     let read = || -> Outcome {
-        let (contents, inner) = (wsg_fieldbus_t::open(fieldbus)?, wsg_t::look(wsg)?);
+        let (contents, inner) = (at(fieldbus)?, wsg_t::look(wsg)?);
         // SAFETY: the rules of the crate's documentation.
         let buffer = unsafe { memory::buffer(image, size) }?;
-        let bytes = contents.controller.input(inner.session.known()).to_bytes();
+        // SAFETY: initialized.
+        let bytes = unsafe { (*contents).controller.input(inner.session.known()) }.to_bytes();
         let target = buffer.get_mut(..bytes.len()).ok_or(wsg_error::BufferTooSmall)?;
         target.iter_mut().zip(bytes).for_each(|(slot, byte)| *slot = byte);
         length(bytes.len())
@@ -164,20 +162,21 @@ pub unsafe extern "C" fn wsg_fieldbus_read(
 
 /// Reports that the PLC has become silent. `reaction` is WSG_SILENCE_... A jog ends in any case.
 #[unsafe(no_mangle)]
-pub extern "C" fn wsg_fieldbus_silence(
-    fieldbus: Option<&mut wsg_fieldbus_t>,
+pub unsafe extern "C" fn wsg_fieldbus_silence(
+    fieldbus: *mut wsg_fieldbus_t,
     wsg: Option<&wsg_t>,
     reaction: u8,
 ) -> i32 {
     let silence = || -> Outcome {
-        let (contents, inner) = (wsg_fieldbus_t::open(fieldbus)?, wsg_t::look(wsg)?);
+        let (contents, inner) = (at(fieldbus)?, wsg_t::look(wsg)?);
         let reaction = match reaction {
             WSG_SILENCE_HOLD => SilenceReaction::Hold,
             WSG_SILENCE_STOP => SilenceReaction::Stop,
             WSG_SILENCE_FAST_STOP => SilenceReaction::FastStop,
             _ => return Err(wsg_error::Argument),
         };
-        contents.controller.silence(reaction, inner.session.known());
+        // SAFETY: initialized.
+        unsafe { (*contents).controller.silence(reaction, inner.session.known()) };
         DONE
     };
     code(silence())
