@@ -1,16 +1,19 @@
 //! Converts edges in the output image to commands, and the gripper's answers to the input image (fieldbus, chapter 6).
 
+mod fast_stop;
 mod jogging;
+mod outcome;
 
+use self::fast_stop::FastStop;
 use super::image::to_register;
-use super::jog::{Jog, Stage};
+use super::jog::Jog;
 use super::{Cause, CommandFlags, ForceUnit, GripperFlags, Incident, InputImage, OutputImage};
 use wsg_protocol::command::{Command, CommandId, Kind};
 use wsg_protocol::queue::Queue;
-use wsg_protocol::reply::{Reply, Value};
-use wsg_protocol::session::{Event, Known, RequestError};
+use wsg_protocol::reply::Value;
+use wsg_protocol::session::{Event, Known};
 use wsg_protocol::types::{
-    AutoUpdate, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
+    GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
 };
 
 /// Capacity for commands to fetch. A FAST STOP replaces all others, so the maximum is the two commands of one motion.
@@ -93,26 +96,6 @@ pub struct Controller {
     user_outputs: u8,
     outgoing: Queue<Command<'static>, OUTGOING_LEN>,
     incidents: Queue<Incident, INCIDENTS_LEN>,
-}
-
-/// The controller's own record of a FAST STOP, in addition to the gripper's flag.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-enum FastStop {
-    /// None, or acknowledged.
-    Clear,
-    /// Requested and not answered yet.
-    Asked,
-    /// Requested again before the first answer. That answer may precede the second request, with a third party's
-    /// acknowledgement in between, so another FAST STOP follows the answer.
-    AskedTwice,
-    /// Answered while an acknowledgement was open, which may have undone it. Sent again after the acknowledgement's outcome.
-    Undone,
-    /// Answered, but not yet shown by the system flags.
-    Answered,
-    /// Confirmed; awaits STOP/ACK.
-    Latched,
-    /// Confirmed, and an acknowledgement was sent.
-    Acknowledged,
 }
 
 /// Whether a motion may have started since the last report. Until then, a report of fingers at rest proves nothing.
@@ -292,13 +275,7 @@ impl Controller {
                 self.connected = false;
                 self.settled = None;
                 self.jog.disarm(self.image.as_ref());
-                let is_answered = match self.fast_stop {
-                    FastStop::Clear | FastStop::Asked | FastStop::AskedTwice => false,
-                    FastStop::Undone | FastStop::Answered | FastStop::Latched | FastStop::Acknowledged => {
-                        true
-                    }
-                };
-                if is_answered {
+                if !matches!(self.fast_stop, FastStop::Clear | FastStop::Asked | FastStop::AskedTwice) {
                     // The gripper may restart and lose the FAST STOP, so send it first after a reconnect.
                     self.give_fast_stop();
                 } else if self.jog.is_on() {
@@ -326,107 +303,14 @@ impl Controller {
         }
     }
 
-    /// Counts the open commands of which the outcome matters.
-    fn note_outcome(&mut self, event: &Event<'_>) {
-        let id = match event {
-            Event::Answered(reply) => reply.id(),
-            Event::Unanswered(id) | Event::Withdrawn(id) => *id,
-            Event::Disconnected => {
-                self.acknowledgements_open = 0;
-                self.force_limits_open = 0;
-                return;
-            }
-            _ => return,
-        };
-        match id {
-            CommandId::Acknowledge => {
-                self.acknowledgements_open = self.acknowledgements_open.saturating_sub(1);
-                if self.acknowledgements_open == 0 && self.fast_stop == FastStop::Undone {
-                    self.fast_stop = FastStop::Asked;
-                    self.send(Command::FastStop);
-                }
-            }
-            CommandId::SetForceLimit => self.force_limits_open = self.force_limits_open.saturating_sub(1),
-            _ => {}
-        }
-    }
-
-    /// Tracks whether the reports cover the last motion.
-    fn note_motion(&mut self, event: &Event<'_>, known: &Known) {
-        let is_motion = |id: CommandId| id.kind() == Kind::Motion;
-        let tells_states = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
-        self.unseen = match event {
-            Event::Pending(id) if is_motion(*id) => Unseen::Begun,
-            Event::Unanswered(id) if is_motion(*id) && !self.stands(known) => Unseen::Begun,
-            Event::Withdrawn(id) if is_motion(*id) => Unseen::No,
-            Event::Answered(reply) if is_motion(reply.id()) => Unseen::No,
-            Event::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
-            Event::Reported(value) if self.unseen == Unseen::Begun && tells_states(value.id()) => Unseen::No,
-            // The states were queried after the motion.
-            Event::Connected => Unseen::No,
-            _ => return,
-        };
-    }
-
     /// Returns whether the gripper has reported its fingers at rest and has received no motion since.
     fn stands(&self, known: &Known) -> bool {
         self.unseen == Unseen::No && known.flags.is_some() && !known.is_moving()
     }
 
-    /// Compares the gripper's system flags with the FAST STOP that it answered.
-    fn supervise_fast_stop(&mut self, flags: SystemFlags) {
-        match (self.fast_stop, flags.contains(SystemFlags::FAST_STOP)) {
-            // A third party acknowledged it, or the gripper restarted.
-            (FastStop::Latched, false) if self.holds(CommandFlags::FASTSTOP) => {
-                self.fast_stop(Cause::Flag, 0)
-            }
-            // The same, before an earlier acknowledgement has its outcome.
-            (FastStop::Undone, false) if self.holds(CommandFlags::FASTSTOP) => self.give_fast_stop(),
-            (FastStop::Latched, false) => self.fast_stop = FastStop::Clear,
-            // The answer belonged to an earlier FAST STOP.
-            (FastStop::Answered, false) => self.give_fast_stop(),
-            (FastStop::Answered, true) => {
-                self.fast_stop = FastStop::Latched;
-                if self.shown == Some(CommandId::FastStop) {
-                    self.status = Status::Success;
-                }
-            }
-            // It was acknowledged, but the answer was lost or damaged.
-            (FastStop::Acknowledged, false) if self.acknowledgements_open == 0 => {
-                self.fast_stop = FastStop::Clear
-            }
-            _ => {}
-        }
-    }
-
     /// Returns whether one of these flags is 1 in the last image.
     fn holds(&self, any_of: CommandFlags) -> bool {
         self.image.is_some_and(|image| image.flags.intersects(any_of))
-    }
-
-    /// Returns whether a FAST STOP requested by the controller is in effect.
-    #[must_use]
-    pub fn asks_fast_stop(&self) -> bool {
-        self.fast_stop != FastStop::Clear
-    }
-
-    /// Takes back a command that the session refused.
-    pub fn refused(&mut self, id: CommandId, error: RequestError) {
-        self.note_outcome(&Event::Withdrawn(id));
-        if self.unseen == Unseen::Given {
-            // An earlier motion may be the reason.
-            self.unseen = Unseen::Begun;
-        }
-        let (status, cause) = match error {
-            RequestError::NotConnected => (Status::IoError, Cause::NotConnected),
-            RequestError::MotionRunning => (Status::AlreadyRunning, Cause::MotionRuns),
-            RequestError::FastStopRunning => (Status::AccessDenied, Cause::FastStopLasts),
-            RequestError::Invalid(_) => (Status::InvalidParameter, Cause::OutsideLimits),
-            // The session's queue is full.
-            _ => (Status::InsufficientResources, Cause::Withdrawn),
-        };
-        // Known data matters only to a Stop, and a session refuses a Stop only without a connection.
-        self.came_to_nothing(id, status, cause, &Known::NOTHING);
     }
 
     /// Returns the oldest incident. When the queue is full, a new incident replaces the oldest.
@@ -523,12 +407,6 @@ impl Controller {
         }
     }
 
-    // Not inlined: it has many callers.
-    #[inline(never)]
-    fn is_fast_stopped(&self, known: &Known) -> bool {
-        self.fast_stop != FastStop::Clear || has_flag(known, SystemFlags::FAST_STOP)
-    }
-
     /// Returns whether a motion runs or the fingers move for another reason. Then motions are refused and parameter
     /// changes are a FAST STOP.
     #[must_use]
@@ -546,46 +424,6 @@ impl Controller {
     pub fn ignores_motions(&self, known: &Known) -> bool {
         let held = CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP);
         self.is_moving(known) || self.holds(held)
-    }
-
-    fn fast_stop(&mut self, cause: Cause, value: u16) {
-        self.note(cause, self.motion.map(|motion| motion.command.id()), value);
-        let is_open = matches!(self.fast_stop, FastStop::Asked | FastStop::AskedTwice);
-        self.give_fast_stop();
-        if is_open {
-            self.fast_stop = FastStop::AskedTwice;
-        }
-    }
-
-    /// Sends a FAST STOP, for the first time or again.
-    fn give_fast_stop(&mut self) {
-        self.fast_stop = FastStop::Asked;
-        self.jog.stage = Stage::Off;
-        self.jog.disarm(self.image.as_ref());
-        self.send_alone(Command::FastStop);
-    }
-
-    fn stop_or_acknowledge(&mut self, known: &Known) {
-        let is_confirmed =
-            matches!(self.fast_stop, FastStop::Clear | FastStop::Latched | FastStop::Acknowledged);
-        if !is_confirmed {
-            // The gripper has not confirmed it yet. The pending FAST STOP would undo an acknowledgement sent now.
-            self.show(Status::AccessDenied, Cause::FastStopLasts);
-        } else if !self.connected {
-            self.show(Status::IoError, Cause::NotConnected);
-        } else if self.is_fast_stopped(known) {
-            if self.fast_stop == FastStop::Latched {
-                self.fast_stop = FastStop::Acknowledged;
-            }
-            self.send_alone(Command::ACKNOWLEDGE);
-        } else {
-            let failed = self.failed || known.state == Some(GripperState::Error);
-            self.stop();
-            if failed {
-                // A Stop does not change the state; Acknowledge leads to IDLE (command set, 3.2.5 and appendix C).
-                self.send(Command::ACKNOWLEDGE);
-            }
-        }
     }
 
     /// Sends a command that ends or overrides a motion. Later answers to that motion are ignored.
@@ -690,149 +528,11 @@ impl Controller {
         }
         let _ = self.incidents.push_back(Incident { cause, command, value });
     }
-
-    /// Requests the FAST STOP for SPEED or FORCELIMIT outside the limits, and records the value at fault.
-    fn outside_limits(&mut self, image: &OutputImage, known: &Known) {
-        let least_force = known.limits.map_or(0.0, |limits| limits.min_force);
-        let is_force = within_limits(image.speed_mm_s(), least_force, known);
-        let value = if is_force { image.force_limit.cast_unsigned() } else { image.speed };
-        self.fast_stop(Cause::OutsideLimits, value);
-    }
-
-    fn answered(&mut self, reply: &Reply<'_>, known: &Known) {
-        let (id, status) = (reply.id(), reply.status());
-        if let Some(Value::GetSystemState(flags)) = reply.value() {
-            self.supervise_fast_stop(flags);
-            return self.show_held_back(known);
-        }
-        if self.is_of_earlier_motion(id) {
-            return;
-        }
-        if let Some(motion) = self.motion.filter(|motion| motion.awaits == Some(id)) {
-            if let Some(Value::GetSoftLimits(limits)) = reply.value() {
-                self.jog_within(limits, known);
-            } else if status == Status::Success {
-                self.motion = Some(Motion { awaits: None, ..motion });
-                self.send(motion.command);
-            } else {
-                self.came_to_nothing(id, status, Cause::Gripper, known);
-            }
-            return;
-        }
-        let ends_motion = id == CommandId::Stop || self.is_result_of_motion(id);
-        if ends_motion && implied_state(id, status).is_some() && has_flag(known, SystemFlags::MOVING) {
-            self.held_back = Some((id, status));
-        } else {
-            self.show_outcome(id, status, known);
-        }
-    }
-
-    /// Returns whether this answer is the result of the motion.
-    fn is_result_of_motion(&self, id: CommandId) -> bool {
-        self.motion.is_some_and(|motion| motion.awaits.is_none() && id == motion.command.id())
-    }
-
-    /// Returns whether the outcome belongs to an earlier command: a motion of the same kind as one not sent yet, or a
-    /// force limit whose motion was dropped.
-    fn is_of_earlier_motion(&self, id: CommandId) -> bool {
-        let is_unsent = |motion: Motion| motion.awaits.is_some() && id == motion.command.id();
-        self.motion.is_some_and(is_unsent) || (id == CommandId::SetForceLimit && self.force_limits_open > 0)
-    }
-
-    fn show_held_back(&mut self, known: &Known) {
-        if let Some((id, status)) = self.held_back.take() {
-            self.show_outcome(id, status, known);
-        }
-    }
-
-    /// Shows the outcome of a command to the PLC.
-    fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
-        let is_result = self.is_result_of_motion(id);
-        if is_result && self.jog_meets_soft_limit(status) {
-            return;
-        }
-        // NO_PART is a result, not an error.
-        if (is_result || self.shown == Some(id)) && implied_state(id, status).is_none() {
-            self.note(Cause::Gripper, Some(id), status.code());
-        }
-        if is_result {
-            if self.jog.is_on() {
-                return self.end_jog(status);
-            }
-            self.motion = None;
-            self.settled = implied_state(id, status);
-            self.failed = self.settled.is_none();
-            self.status = status;
-            return;
-        }
-        match (id, status, self.fast_stop) {
-            (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
-            (CommandId::FastStop, Status::Success, FastStop::Asked | FastStop::AskedTwice) => {
-                return self.fast_stop_answered();
-            }
-            // A FAST STOP requested in the meantime stays in effect, regardless of the order of the two answers.
-            (CommandId::Acknowledge, Status::Success, FastStop::Acknowledged | FastStop::Clear) => {
-                self.fast_stop = FastStop::Clear;
-                self.settled = implied_state(id, status);
-            }
-            _ => {}
-        }
-        if self.shown == Some(id) {
-            self.status = status;
-        }
-        self.jog_stopped(id, status, known);
-    }
-
-    /// Handles the answer to a FAST STOP, which may be an earlier one. The flags decide.
-    fn fast_stop_answered(&mut self) {
-        if self.acknowledgements_open > 0 {
-            self.fast_stop = FastStop::Undone;
-        } else if self.fast_stop == FastStop::AskedTwice {
-            self.fast_stop = FastStop::Asked;
-            self.send(Command::FastStop);
-        } else {
-            self.fast_stop = FastStop::Answered;
-            self.send(Command::GetSystemState { update: AutoUpdate::once() });
-        }
-    }
-
-    /// Handles a command that was not carried out, or whose outcome is unknown.
-    fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause, known: &Known) {
-        if self.is_of_earlier_motion(id) {
-            return;
-        }
-        let of_motion =
-            self.motion.is_some_and(|motion| id == motion.command.id() || motion.awaits == Some(id));
-        if of_motion || self.shown == Some(id) {
-            self.note(cause, Some(id), if cause == Cause::Gripper { status.code() } else { 0 });
-        }
-        if of_motion && self.jog.is_on() {
-            return self.end_jog(status);
-        }
-        if of_motion {
-            self.motion = None;
-            self.failed = true;
-        }
-        if of_motion || self.shown == Some(id) {
-            self.status = status;
-        }
-        self.jog_stopped(id, status, known);
-    }
 }
 
 impl Default for Controller {
     fn default() -> Self {
         Self::new()
-    }
-}
-
-/// Returns the gripper state that the end of a command implies; `None` if it failed.
-const fn implied_state(id: CommandId, status: Status) -> Option<GripperState> {
-    match (id, status) {
-        (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
-        (CommandId::GripPart, Status::CmdFailed) => Some(GripperState::NoPart),
-        (_, Status::Success) => Some(GripperState::Idle),
-        _ => None,
     }
 }
 

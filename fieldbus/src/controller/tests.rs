@@ -3,8 +3,9 @@
 use super::*;
 use std::vec;
 use std::vec::Vec;
-use wsg_protocol::session::Known;
-use wsg_protocol::types::{DeviceType, FirmwareVersion, SystemInfo};
+use wsg_protocol::reply::Reply;
+use wsg_protocol::session::{Known, RequestError};
+use wsg_protocol::types::{AutoUpdate, DeviceType, FirmwareVersion, SystemInfo};
 
 const LIMITS: SystemLimits = SystemLimits {
     stroke: 110.0,

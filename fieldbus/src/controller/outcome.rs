@@ -1,0 +1,189 @@
+//! Outcomes of commands: which motion or command an answer belongs to, and what it changes.
+
+use super::fast_stop::FastStop;
+use super::{Controller, Motion, Unseen, has_flag};
+use crate::Cause;
+use wsg_protocol::command::{Command, CommandId, Kind};
+use wsg_protocol::reply::{Reply, Value};
+use wsg_protocol::session::{Event, Known, RequestError};
+use wsg_protocol::types::{GripperState, Status, SystemFlags};
+
+impl Controller {
+    /// Counts the open commands of which the outcome matters.
+    pub(super) fn note_outcome(&mut self, event: &Event<'_>) {
+        let id = match event {
+            Event::Answered(reply) => reply.id(),
+            Event::Unanswered(id) | Event::Withdrawn(id) => *id,
+            Event::Disconnected => {
+                self.acknowledgements_open = 0;
+                self.force_limits_open = 0;
+                return;
+            }
+            _ => return,
+        };
+        match id {
+            CommandId::Acknowledge => {
+                self.acknowledgements_open = self.acknowledgements_open.saturating_sub(1);
+                if self.acknowledgements_open == 0 && self.fast_stop == FastStop::Undone {
+                    self.fast_stop = FastStop::Asked;
+                    self.send(Command::FastStop);
+                }
+            }
+            CommandId::SetForceLimit => self.force_limits_open = self.force_limits_open.saturating_sub(1),
+            _ => {}
+        }
+    }
+
+    /// Tracks whether the reports cover the last motion.
+    pub(super) fn note_motion(&mut self, event: &Event<'_>, known: &Known) {
+        let is_motion = |id: CommandId| id.kind() == Kind::Motion;
+        let tells_states = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
+        self.unseen = match event {
+            Event::Pending(id) if is_motion(*id) => Unseen::Begun,
+            Event::Unanswered(id) if is_motion(*id) && !self.stands(known) => Unseen::Begun,
+            Event::Withdrawn(id) if is_motion(*id) => Unseen::No,
+            Event::Answered(reply) if is_motion(reply.id()) => Unseen::No,
+            Event::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
+            Event::Reported(value) if self.unseen == Unseen::Begun && tells_states(value.id()) => Unseen::No,
+            // The states were queried after the motion.
+            Event::Connected => Unseen::No,
+            _ => return,
+        };
+    }
+
+    /// Takes back a command that the session refused.
+    pub fn refused(&mut self, id: CommandId, error: RequestError) {
+        self.note_outcome(&Event::Withdrawn(id));
+        if self.unseen == Unseen::Given {
+            // An earlier motion may be the reason.
+            self.unseen = Unseen::Begun;
+        }
+        let (status, cause) = match error {
+            RequestError::NotConnected => (Status::IoError, Cause::NotConnected),
+            RequestError::MotionRunning => (Status::AlreadyRunning, Cause::MotionRuns),
+            RequestError::FastStopRunning => (Status::AccessDenied, Cause::FastStopLasts),
+            RequestError::Invalid(_) => (Status::InvalidParameter, Cause::OutsideLimits),
+            // The session's queue is full.
+            _ => (Status::InsufficientResources, Cause::Withdrawn),
+        };
+        // Known data matters only to a Stop, and a session refuses a Stop only without a connection.
+        self.came_to_nothing(id, status, cause, &Known::NOTHING);
+    }
+
+    pub(super) fn answered(&mut self, reply: &Reply<'_>, known: &Known) {
+        let (id, status) = (reply.id(), reply.status());
+        if let Some(Value::GetSystemState(flags)) = reply.value() {
+            self.supervise_fast_stop(flags);
+            return self.show_held_back(known);
+        }
+        if self.is_of_earlier_motion(id) {
+            return;
+        }
+        if let Some(motion) = self.motion.filter(|motion| motion.awaits == Some(id)) {
+            if let Some(Value::GetSoftLimits(limits)) = reply.value() {
+                self.jog_within(limits, known);
+            } else if status == Status::Success {
+                self.motion = Some(Motion { awaits: None, ..motion });
+                self.send(motion.command);
+            } else {
+                self.came_to_nothing(id, status, Cause::Gripper, known);
+            }
+            return;
+        }
+        let ends_motion = id == CommandId::Stop || self.is_result_of_motion(id);
+        if ends_motion && implied_state(id, status).is_some() && has_flag(known, SystemFlags::MOVING) {
+            self.held_back = Some((id, status));
+        } else {
+            self.show_outcome(id, status, known);
+        }
+    }
+
+    /// Returns whether this answer is the result of the motion.
+    fn is_result_of_motion(&self, id: CommandId) -> bool {
+        self.motion.is_some_and(|motion| motion.awaits.is_none() && id == motion.command.id())
+    }
+
+    /// Returns whether the outcome belongs to an earlier command: a motion of the same kind as one not sent yet, or a
+    /// force limit whose motion was dropped.
+    fn is_of_earlier_motion(&self, id: CommandId) -> bool {
+        let is_unsent = |motion: Motion| motion.awaits.is_some() && id == motion.command.id();
+        self.motion.is_some_and(is_unsent) || (id == CommandId::SetForceLimit && self.force_limits_open > 0)
+    }
+
+    pub(super) fn show_held_back(&mut self, known: &Known) {
+        if let Some((id, status)) = self.held_back.take() {
+            self.show_outcome(id, status, known);
+        }
+    }
+
+    /// Shows the outcome of a command to the PLC.
+    fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
+        let is_result = self.is_result_of_motion(id);
+        if is_result && self.jog_meets_soft_limit(status) {
+            return;
+        }
+        // NO_PART is a result, not an error.
+        if (is_result || self.shown == Some(id)) && implied_state(id, status).is_none() {
+            self.note(Cause::Gripper, Some(id), status.code());
+        }
+        if is_result {
+            if self.jog.is_on() {
+                return self.end_jog(status);
+            }
+            self.motion = None;
+            self.settled = implied_state(id, status);
+            self.failed = self.settled.is_none();
+            self.status = status;
+            return;
+        }
+        match (id, status, self.fast_stop) {
+            (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
+            (CommandId::FastStop, Status::Success, FastStop::Asked | FastStop::AskedTwice) => {
+                return self.fast_stop_answered();
+            }
+            // A FAST STOP requested in the meantime stays in effect, regardless of the order of the two answers.
+            (CommandId::Acknowledge, Status::Success, FastStop::Acknowledged | FastStop::Clear) => {
+                self.fast_stop = FastStop::Clear;
+                self.settled = implied_state(id, status);
+            }
+            _ => {}
+        }
+        if self.shown == Some(id) {
+            self.status = status;
+        }
+        self.jog_stopped(id, status, known);
+    }
+
+    /// Handles a command that was not carried out, or whose outcome is unknown.
+    pub(super) fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause, known: &Known) {
+        if self.is_of_earlier_motion(id) {
+            return;
+        }
+        let of_motion =
+            self.motion.is_some_and(|motion| id == motion.command.id() || motion.awaits == Some(id));
+        if of_motion || self.shown == Some(id) {
+            self.note(cause, Some(id), if cause == Cause::Gripper { status.code() } else { 0 });
+        }
+        if of_motion && self.jog.is_on() {
+            return self.end_jog(status);
+        }
+        if of_motion {
+            self.motion = None;
+            self.failed = true;
+        }
+        if of_motion || self.shown == Some(id) {
+            self.status = status;
+        }
+        self.jog_stopped(id, status, known);
+    }
+}
+
+/// Returns the gripper state that the end of a command implies; `None` if it failed.
+const fn implied_state(id: CommandId, status: Status) -> Option<GripperState> {
+    match (id, status) {
+        (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
+        (CommandId::GripPart, Status::CmdFailed) => Some(GripperState::NoPart),
+        (_, Status::Success) => Some(GripperState::Idle),
+        _ => None,
+    }
+}
