@@ -1,16 +1,18 @@
 //! The engine common to all dialects: queueing, time-outs, retries, Stop and FAST STOP, reconnecting, subscriptions.
 
+mod routing;
+mod schedule;
+
+use self::routing::Routed;
 use super::config::Timing;
-use super::dialect::{Dialect, NameOf, Role};
+use super::dialect::{Dialect, NameOf};
 use super::event::{EventOf, RequestError, SessionCounters};
 use super::fast_stop::FastStop;
 use super::message::{Message, Name};
-use super::subscriptions::List;
 use super::transaction::{Expired, Outgoing, Request, Transaction};
 use crate::command::Kind;
 use crate::queue::Queue;
 use crate::time::Instant;
-use crate::types::Status;
 
 /// An event in the types of a dialect.
 pub(crate) type EventIn<'a, D> = EventOf<NameOf<D>, <D as Dialect>::Answer<'a>, <D as Dialect>::Value<'a>>;
@@ -411,159 +413,6 @@ impl<D: Dialect> Engine<D> {
         self.motion().is_some() || self.queue.iter().any(|request| request.name().kind() == Kind::Motion)
     }
 
-    /// Determines the recipient of a reply.
-    fn route(&mut self, now: Instant, answer: &D::Answer<'_>) -> Routed<D::Request> {
-        let Some(name) = D::name(answer) else { return Routed::Unsolicited };
-        let value = D::value(answer);
-        if let Some(value) = value {
-            self.learn(now, value);
-        }
-        let has_value = value.is_some();
-        match D::role(answer) {
-            Role::Update if self.wants(name, has_value) => {
-                // Updates already arrive while the next setup step is in progress.
-                if self.is_connected() { Routed::Reported } else { Routed::Taken }
-            }
-            Role::Update => Routed::Unsolicited,
-            Role::Result if self.end_running(name) => Routed::Answered,
-            // Without a preceding E_CMD_PENDING, this is the late result of an earlier motion.
-            Role::Result => Routed::Unsolicited,
-            Role::Answer => self.route_answer(now, name, answer).unwrap_or(Routed::Unsolicited),
-            Role::Any => match self.route_answer(now, name, answer) {
-                Some(routed) => routed,
-                None if self.is_connected() && self.wants(name, has_value) => Routed::Reported,
-                None => Routed::Unsolicited,
-            },
-        }
-    }
-
-    /// Returns whether a value is present and a subscription with this name exists.
-    fn wants(&self, name: NameOf<D>, has_value: bool) -> bool {
-        has_value && self.subscriptions.wants(name)
-    }
-
-    /// Matches a reply with the open requests; `None` if it matches none.
-    fn route_answer(
-        &mut self,
-        now: Instant,
-        name: NameOf<D>,
-        answer: &D::Answer<'_>,
-    ) -> Option<Routed<D::Request>> {
-        let status = D::status(answer);
-        let answers_fast_stop = name == D::Request::FAST_STOP.name() && self.fast_stop.was_sent();
-        // A FAST STOP is complete only when the gripper confirms it.
-        if answers_fast_stop && status != Status::Success {
-            return Some(Routed::Unsolicited);
-        }
-        if answers_fast_stop || (self.stop.awaits_answer(name) && status.is_final()) {
-            if answers_fast_stop {
-                self.fast_stop.close();
-            } else {
-                self.stop.close();
-            }
-            if matches!(self.link, Link::Down { .. }) {
-                self.link = Link::Down { retry_at: None };
-            }
-            return Some(Routed::Answered);
-        }
-        if D::UPKEEP == Some(name) && self.upkeep_is_sent() {
-            // Before a setting's read-back, because the first reply may predate the setting.
-            self.refresh.close();
-            self.confirm(self.upkeep_opened);
-            if status != Status::Success {
-                D::forget_settings(&mut self.known);
-            }
-            return Some(Routed::Taken);
-        }
-        if self.request.awaits_answer(name) && self.request.own().is_none_or(|own| D::fits(own, answer)) {
-            return Some(self.route_first_answer(now, name, status));
-        }
-        if status.is_final() && self.end_running(name) {
-            return Some(Routed::Answered);
-        }
-        let is_step = self.refresh.awaits_answer(name)
-            && self.refresh.own().is_some_and(|own| D::fits(own, answer))
-            && D::completes_step(name, status);
-        is_step.then(|| self.route_refresh(now))
-    }
-
-    /// Processes the first reply to a request.
-    fn route_first_answer(&mut self, now: Instant, name: NameOf<D>, status: Status) -> Routed<D::Request> {
-        if D::is_late_result(name, status, self.given_up == Some(name)) {
-            self.given_up = None;
-            return Routed::Unsolicited;
-        }
-        if status != Status::CmdPending {
-            return self.finish_request(now, name, status);
-        }
-        if !D::is_asynchronous(name) {
-            return Routed::Unsolicited;
-        }
-        self.request.close();
-        self.given_up = None;
-        // A slot is free: only one motion is accepted, and the supply of each finger once.
-        if let Some(place) = self.running.iter_mut().find(|place| place.is_none()) {
-            *place = Some(Running { name, begun: now, still_since: None });
-        }
-        Routed::Pending(name)
-    }
-
-    /// Completes the current request, or starts the read-back of a setting.
-    fn finish_request(&mut self, now: Instant, name: NameOf<D>, status: Status) -> Routed<D::Request> {
-        let request = self.request.own().copied();
-        self.doubled = self.request.doubled().or(self.doubled);
-        self.request.close();
-        if let Some(setting) = self.reading_back.take() {
-            return Routed::ReadBack(setting);
-        }
-        if status == Status::Success
-            && let Some(setting) = request
-            && let Some(query) = self.dialect.read_back(&setting)
-        {
-            self.reading_back = Some(setting);
-            self.confirmed = now;
-            self.request.open(Request::Own(query), self.timing.reply_timeout(query.name()));
-            return Routed::Taken;
-        }
-        if status == Status::Success && D::is_farewell(name) {
-            self.link = Link::Closing { farewell: true };
-        }
-        Routed::Answered
-    }
-
-    /// Processes the reply to one of the session's own requests.
-    fn route_refresh(&mut self, now: Instant) -> Routed<D::Request> {
-        if let Some(request) = self.refresh.own() {
-            self.subscriptions.confirm(request);
-        }
-        self.refresh.close();
-        match self.link {
-            Link::Connecting { step } => {
-                let next = step.saturating_add(1);
-                if self.dialect.setup(next, &self.subscriptions).is_some() {
-                    self.link = Link::Connecting { step: next };
-                    Routed::Taken
-                } else {
-                    self.link = Link::Up;
-                    self.refresh_step = 0;
-                    self.refresh_at = now.plus(self.refresh_interval_ms());
-                    Routed::Connected
-                }
-            }
-            // Delivered to the subscriber if it contains a value.
-            _ => Routed::Reported,
-        }
-    }
-
-    /// Stores a reported value and updates the standstill time of a running motion.
-    fn learn(&mut self, now: Instant, value: &D::Value<'_>) {
-        let Some(moves) = D::learn(&mut self.known, value) else { return };
-        for motion in self.running.iter_mut().flatten().filter(|running| running.name.kind() == Kind::Motion)
-        {
-            motion.still_since = if moves { None } else { motion.still_since.or(Some(now)) };
-        }
-    }
-
     #[inline(never)]
     fn take_expired(&mut self, now: Instant, expired: [Expired; 3]) {
         for expired in expired {
@@ -694,139 +543,12 @@ impl<D: Dialect> Engine<D> {
         Some(late)
     }
 
-    /// Removes a running command and returns whether it was running.
-    fn end_running(&mut self, name: NameOf<D>) -> bool {
-        let place = self.running.iter_mut().find(|place| place.is_some_and(|running| running.name == name));
-        place.is_some_and(|place| place.take().is_some())
-    }
-
     /// Returns when the result of a running command is overdue.
     fn result_deadline(&self, running: &Running<NameOf<D>>) -> Instant {
         let longest = running.begun.plus(self.timing.result_timeout(running.name));
         let grace = running.still_since.map(|since| since.plus(self.timing.result_grace_ms));
         grace.map_or(longest, |grace| grace.earlier_of(longest))
     }
-
-    /// Opens the next request that is due: from the queue, a setup step or a refresh.
-    fn advance(&mut self, now: Instant) {
-        if self.is_connected()
-            && !self.is_urgent()
-            && self.request.is_idle()
-            && !self.may_take_a_doubled_answer()
-            && let Some(request) = self.queue.pop_front()
-        {
-            self.request.open(request, self.timing.reply_timeout(request.name()));
-        }
-        if !self.refresh.is_idle() {
-            return;
-        }
-        if self.link == Link::Up
-            && let Some(changed) = self.subscriptions.changed()
-        {
-            self.open_refresh(changed);
-            return;
-        }
-        match self.link {
-            // A pending FAST STOP or Stop is the first message to the gripper.
-            Link::Down { retry_at } => {
-                if !self.is_urgent() && retry_at.is_none_or(|at| now.has_reached(at)) {
-                    self.link = Link::Connecting { step: 0 };
-                    self.open_step(0);
-                }
-            }
-            Link::Connecting { step } => self.open_step(step),
-            Link::Up if now.has_reached(self.refresh_at) => {
-                let step = self.refresh_step;
-                if let Some(request) = self.dialect.refresh(step, &self.subscriptions) {
-                    self.open_refresh(request);
-                    self.refresh_at = now.plus(self.refresh_interval_ms());
-                }
-                let next = step.saturating_add(1);
-                let goes_on = self.dialect.refresh(next, &self.subscriptions).is_some();
-                self.refresh_step = if goes_on { next } else { 0 };
-            }
-            Link::Up | Link::Closing { .. } | Link::Ended => {}
-        }
-    }
-
-    /// Returns the interval between two refreshes, in milliseconds. Within `refresh_ms` each value is requested once.
-    fn refresh_interval_ms(&self) -> u32 {
-        let is_value = |step: &u8| self.dialect.refresh(*step, &self.subscriptions).is_some();
-        let values = (0..=u8::MAX).take_while(is_value).fold(0u32, |count, _| count.saturating_add(1));
-        self.timing.refresh_ms.checked_div(values).unwrap_or(self.timing.refresh_ms)
-    }
-
-    /// Returns whether an upkeep query was sent and its reply is outstanding. It is sent only once.
-    fn upkeep_is_sent(&self) -> bool {
-        self.refresh.deadline().is_some() && self.refresh.own().is_some_and(D::is_upkeep)
-    }
-
-    /// Records when the query was opened that confirmed the known settings. The next query is due after half of their
-    /// lifetime.
-    fn confirm(&mut self, opened: Instant) {
-        self.confirmed = opened;
-        self.upkeep_at = Some(opened.plus(self.timing.refresh_ms / 2));
-    }
-
-    /// Queries the known settings again, and forgets them if they were not confirmed in time.
-    // Rarely due.
-    #[inline(never)]
-    fn keep_up(&mut self, now: Instant) {
-        let is_late = self.upkeep_is_sent() && self.refresh.is_overdue(now);
-        if is_late {
-            // Not repeated: of two replies the later one could be mistaken for a read-back.
-            self.refresh.close();
-        }
-        if is_late || now.has_reached(self.confirmed.plus(self.timing.refresh_ms)) {
-            D::forget_settings(&mut self.known);
-        }
-        match D::upkeep(&self.known) {
-            Some(query) if self.refresh.is_idle() => {
-                self.upkeep_opened = now;
-                self.open_refresh(query);
-            }
-            None if !self.refresh.own().is_some_and(D::is_upkeep) => self.upkeep_at = None,
-            _ => {}
-        }
-    }
-
-    /// Returns whether the next queued request could be answered by the second reply to an earlier request of the same
-    /// name.
-    fn may_take_a_doubled_answer(&self) -> bool {
-        self.doubled.is_some_and(|(name, _)| self.queue.front().map(Request::name) == Some(name))
-    }
-
-    fn open_step(&mut self, step: u8) {
-        if let Some(request) = self.dialect.setup(step, &self.subscriptions) {
-            self.open_refresh(request);
-        }
-    }
-
-    /// Opens one of the session's own requests. While connected, it uses a short time-out so that a lost reply does not
-    /// leave a state outdated.
-    fn open_refresh(&mut self, request: D::Request) {
-        let reply_ms = self.timing.reply_timeout(request.name());
-        let timeout_ms = if self.is_connected() { (reply_ms / REFRESH_REPEATS).max(1) } else { reply_ms };
-        self.refresh.open(Request::Own(request), timeout_ms);
-    }
-}
-
-/// The recipient of a reply and its meaning.
-enum Routed<M: Message> {
-    /// No recipient: the reply is unsolicited or too late.
-    Unsolicited,
-    /// The session itself.
-    Taken,
-    /// The session; all setup steps are complete.
-    Connected,
-    /// A request that has begun.
-    Pending(M::Name),
-    /// A request; this is its final reply.
-    Answered,
-    /// This setting, which was read back.
-    ReadBack(M),
-    /// A subscriber, if the reply contains a value.
-    Reported,
 }
 
 /// Returns the earlier of two times, of which either may be absent.

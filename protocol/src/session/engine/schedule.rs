@@ -1,0 +1,113 @@
+//! Which request is due next: from the queue, a setup step, a refresh, or the upkeep of known settings.
+
+use super::{Engine, Link, REFRESH_REPEATS};
+use crate::session::dialect::Dialect;
+use crate::session::message::Message;
+use crate::session::subscriptions::List;
+use crate::session::transaction::Request;
+use crate::time::Instant;
+
+impl<D: Dialect> Engine<D> {
+    /// Opens the next request that is due: from the queue, a setup step or a refresh.
+    pub(super) fn advance(&mut self, now: Instant) {
+        if self.is_connected()
+            && !self.is_urgent()
+            && self.request.is_idle()
+            && !self.may_take_a_doubled_answer()
+            && let Some(request) = self.queue.pop_front()
+        {
+            self.request.open(request, self.timing.reply_timeout(request.name()));
+        }
+        if !self.refresh.is_idle() {
+            return;
+        }
+        if self.link == Link::Up
+            && let Some(changed) = self.subscriptions.changed()
+        {
+            self.open_refresh(changed);
+            return;
+        }
+        match self.link {
+            // A pending FAST STOP or Stop is the first message to the gripper.
+            Link::Down { retry_at } => {
+                if !self.is_urgent() && retry_at.is_none_or(|at| now.has_reached(at)) {
+                    self.link = Link::Connecting { step: 0 };
+                    self.open_step(0);
+                }
+            }
+            Link::Connecting { step } => self.open_step(step),
+            Link::Up if now.has_reached(self.refresh_at) => {
+                let step = self.refresh_step;
+                if let Some(request) = self.dialect.refresh(step, &self.subscriptions) {
+                    self.open_refresh(request);
+                    self.refresh_at = now.plus(self.refresh_interval_ms());
+                }
+                let next = step.saturating_add(1);
+                let goes_on = self.dialect.refresh(next, &self.subscriptions).is_some();
+                self.refresh_step = if goes_on { next } else { 0 };
+            }
+            Link::Up | Link::Closing { .. } | Link::Ended => {}
+        }
+    }
+
+    /// Returns the interval between two refreshes, in milliseconds. Within `refresh_ms` each value is requested once.
+    pub(super) fn refresh_interval_ms(&self) -> u32 {
+        let is_value = |step: &u8| self.dialect.refresh(*step, &self.subscriptions).is_some();
+        let values = (0..=u8::MAX).take_while(is_value).fold(0u32, |count, _| count.saturating_add(1));
+        self.timing.refresh_ms.checked_div(values).unwrap_or(self.timing.refresh_ms)
+    }
+
+    /// Returns whether an upkeep query was sent and its reply is outstanding. It is sent only once.
+    pub(super) fn upkeep_is_sent(&self) -> bool {
+        self.refresh.deadline().is_some() && self.refresh.own().is_some_and(D::is_upkeep)
+    }
+
+    /// Records when the query was opened that confirmed the known settings. The next query is due after half of their
+    /// lifetime.
+    pub(super) fn confirm(&mut self, opened: Instant) {
+        self.confirmed = opened;
+        self.upkeep_at = Some(opened.plus(self.timing.refresh_ms / 2));
+    }
+
+    /// Queries the known settings again, and forgets them if they were not confirmed in time.
+    // Rarely due.
+    #[inline(never)]
+    pub(super) fn keep_up(&mut self, now: Instant) {
+        let is_late = self.upkeep_is_sent() && self.refresh.is_overdue(now);
+        if is_late {
+            // Not repeated: of two replies the later one could be mistaken for a read-back.
+            self.refresh.close();
+        }
+        if is_late || now.has_reached(self.confirmed.plus(self.timing.refresh_ms)) {
+            D::forget_settings(&mut self.known);
+        }
+        match D::upkeep(&self.known) {
+            Some(query) if self.refresh.is_idle() => {
+                self.upkeep_opened = now;
+                self.open_refresh(query);
+            }
+            None if !self.refresh.own().is_some_and(D::is_upkeep) => self.upkeep_at = None,
+            _ => {}
+        }
+    }
+
+    /// Returns whether the next queued request could be answered by the second reply to an earlier request of the same
+    /// name.
+    fn may_take_a_doubled_answer(&self) -> bool {
+        self.doubled.is_some_and(|(name, _)| self.queue.front().map(Request::name) == Some(name))
+    }
+
+    fn open_step(&mut self, step: u8) {
+        if let Some(request) = self.dialect.setup(step, &self.subscriptions) {
+            self.open_refresh(request);
+        }
+    }
+
+    /// Opens one of the session's own requests. While connected, it uses a short time-out so that a lost reply does not
+    /// leave a state outdated.
+    fn open_refresh(&mut self, request: D::Request) {
+        let reply_ms = self.timing.reply_timeout(request.name());
+        let timeout_ms = if self.is_connected() { (reply_ms / REFRESH_REPEATS).max(1) } else { reply_ms };
+        self.refresh.open(Request::Own(request), timeout_ms);
+    }
+}
