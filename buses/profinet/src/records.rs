@@ -155,35 +155,31 @@ pub(crate) fn write(
     if what.api != 0 || profile.submodule(what.slot, what.subslot).is_none() {
         return Err(access::INVALID_SLOT);
     }
-    let mut reader = Reader::new(data);
-    let kind = match what.index {
-        index::IM1 => block::IM1,
-        index::IM2 => block::IM2,
-        index::IM3 => block::IM3,
-        index::IM0 => return Err(access::DENIED),
-        _ => return Err(access::INVALID_INDEX),
-    };
-    let header = (reader.u16(), reader.u16(), reader.u16());
-    let len = reader.rest().len();
-    // The length of a block includes the version, but not type and length.
-    if header != (Some(kind), u16::try_from(len.saturating_add(2)).ok(), Some(0x0100)) {
-        return Err(access::WRITE_LENGTH);
-    }
     match what.index {
+        index::IM0 => return Err(access::DENIED),
         index::IM1 => {
-            let (Some(function), Some(location)) = (reader.array(), reader.array()) else {
+            let mut reader = contents(block::IM1, data)?;
+            let (Some(function), Some(location), []) = (reader.array(), reader.array(), reader.rest()) else {
                 return Err(access::WRITE_LENGTH);
             };
-            if !reader.rest().is_empty() {
-                return Err(access::WRITE_LENGTH);
-            }
             maintenance.function = function;
             maintenance.location = location;
         }
-        index::IM2 => maintenance.date = whole(reader)?,
-        _ => maintenance.descriptor = whole(reader)?,
+        index::IM2 => maintenance.date = whole(contents(block::IM2, data)?)?,
+        index::IM3 => maintenance.descriptor = whole(contents(block::IM3, data)?)?,
+        _ => return Err(access::INVALID_INDEX),
     }
     Ok(())
+}
+
+/// Returns the contents of the block of this type.
+fn contents(kind: u16, data: &[u8]) -> Result<Reader<'_>, u8> {
+    let mut reader = Reader::new(data);
+    let header = (reader.u16(), reader.u16(), reader.u16());
+    let len = reader.rest().len();
+    // The length of a block includes the version, but not type and length.
+    let expected = (Some(kind), u16::try_from(len.saturating_add(2)).ok(), Some(0x0100));
+    if header == expected { Ok(reader) } else { Err(access::WRITE_LENGTH) }
 }
 
 fn whole<const N: usize>(reader: Reader<'_>) -> Result<[u8; N], u8> {
