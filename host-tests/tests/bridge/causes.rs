@@ -76,32 +76,45 @@ impl Plant {
         plant
     }
 
-    fn ready(plc_bus: PlcBus, gripper: wsg_sim::Config) -> Self {
-        Self::new(Config { plc_bus, ..Config::DEFAULT }, gripper, FlashModel::new())
+    fn ready(plc_bus: PlcBus) -> Self {
+        Self::new(Config { plc_bus, ..Config::DEFAULT }, quick(), FlashModel::new())
     }
 
     /// Returns a plant with referenced fingers, homed over the bus.
-    fn homed(plc_bus: PlcBus, gripper: wsg_sim::Config) -> Self {
-        let mut plant = Self::ready(plc_bus, gripper);
+    fn homed_with(plc_bus: PlcBus, gripper: wsg_sim::Config) -> Self {
+        let mut plant = Self::new(Config { plc_bus, ..Config::DEFAULT }, gripper, FlashModel::new());
         plant.command(Cmd::HOMING, [0; 3]);
         plant
     }
 
+    fn homed(plc_bus: PlcBus) -> Self {
+        Self::homed_with(plc_bus, quick())
+    }
+
+    fn with_part(plc_bus: PlcBus) -> Self {
+        Self::homed_with(plc_bus, wsg_sim::Config { part: Part::of_width(20.0), ..quick() })
+    }
+
+    fn with_fmf(plc_bus: PlcBus) -> Self {
+        Self::homed_with(plc_bus, wsg_sim::Config { fingers: [Finger::Fmf; 2], ..quick() })
+    }
+
+    /// Returns a plant at the gripper's normal speed.
+    fn at_rest(plc_bus: PlcBus) -> Self {
+        Self::homed_with(plc_bus, wsg_sim::Config::default())
+    }
+
     /// Returns a plant during a MOVE of the bus.
     fn moving(plc_bus: PlcBus) -> Self {
-        let mut plant = Self::homed(plc_bus, wsg_sim::Config::default());
+        let mut plant = Self::at_rest(plc_bus);
         plant.write(Cmd::MOVE, SLOWLY);
         plant.pass(300);
         plant
     }
 
-    fn with_fault(plc_bus: PlcBus, fault: Fault) -> Self {
-        let fingers = [Finger::Fmf, Finger::Fmf];
-        let mut plant = Self::homed(plc_bus, wsg_sim::Config { fingers, ..quick() });
-        let now = Time::from_millis(plant.now_ms.into());
-        plant.gripper.gripper.set_fault(fault, true, now);
-        plant.pass(100);
-        plant
+    fn fail(&mut self, fault: Fault) {
+        self.gripper.gripper.set_fault(fault, true, Time::from_millis(self.now_ms.into()));
+        self.pass(100);
     }
 
     /// Resets only the bridge.
@@ -281,8 +294,14 @@ struct Told {
     emergency: Option<(u16, Option<EventCode>)>,
 }
 
-/// Provokes the event on a station with its PLC on this bus.
-type Provoke = fn(PlcBus) -> Plant;
+impl Told {
+    const fn with_error(self, error: Option<EventCode>) -> Self {
+        Self { error, ..self }
+    }
+}
+
+/// An event's reports, a station with its PLC on a bus, and what provokes the event on it.
+type Case = (Told, fn(PlcBus) -> Plant, fn(&mut Plant));
 
 const MOVED: Option<CommandId> = Some(CommandId::PrePosition);
 const FAST_STOP: u16 = 0xFF01;
@@ -302,141 +321,107 @@ const fn refusal(code: EventCode, command: Option<CommandId>, value: u16) -> Tol
     Told { code, command, value, error: Some(code), emergency: None }
 }
 
-fn causes() -> Vec<(Told, Provoke)> {
+const CASES: &[Case] = {
     use EventCode as E;
-    vec![
-        (Told { error: None, ..refusal(E::Start, None, ResetCause::Watchdog as u16) }, |bus| {
-            Plant::ready(bus, quick())
-        }),
-        (fast_stop(E::Wire, MOVED, 0), |bus| {
-            let mut plant = Plant::moving(bus);
+    &[
+        (refusal(E::Start, None, ResetCause::Watchdog as u16).with_error(None), Plant::ready, |_| {}),
+        (fast_stop(E::Wire, MOVED, 0), Plant::moving, |plant| {
             plant.inputs -= Inputs::FAST_STOP_OK;
             plant.pass(200);
-            plant
         }),
-        (fast_stop(E::BusFlag, MOVED, 0), |bus| {
-            let mut plant = Plant::moving(bus);
+        (fast_stop(E::BusFlag, MOVED, 0), Plant::moving, |plant| {
             plant.write(Cmd::FASTSTOP, SLOWLY);
             plant.pass(200);
-            plant
         }),
-        (fast_stop(E::ParameterChanged, MOVED, 11_00), |bus| {
-            let mut plant = Plant::moving(bus);
+        (fast_stop(E::ParameterChanged, MOVED, 11_00), Plant::moving, |plant| {
             plant.write(Cmd::MOVE, [11_00, 20_00, 40_00]);
             plant.pass(200);
-            plant
         }),
-        (fast_stop(E::OutsideLimits, None, 60_000), |bus| {
-            let mut plant = Plant::homed(bus, quick());
+        (fast_stop(E::OutsideLimits, None, 60_000), Plant::homed, |plant| {
             plant.write(Cmd::GRIP, [20_00, 60_000, 40_00]);
             plant.pass(200);
-            plant
         }),
-        (fast_stop(E::PlcSilent, MOVED, 0), |bus| {
-            let mut plant = Plant::moving(bus);
+        (fast_stop(E::PlcSilent, MOVED, 0), Plant::moving, |plant| {
             plant.command(Cmd::STOP_ACK, SLOWLY);
             plant.set(setting("BUS_REACTION"), 2);
             plant.write(Cmd::MOVE, [60_00, 20_00, 40_00]);
             plant.talks = false;
             plant.pass(1_500);
-            plant
         }),
-        (fast_stop(E::StopFailed, None, Status::Timeout.code()), |bus| {
-            let mut plant = Plant::moving(bus);
+        (fast_stop(E::StopFailed, None, Status::Timeout.code()), Plant::moving, |plant| {
             plant.cut();
             plant.write(Cmd::STOP_ACK, SLOWLY);
             plant.pass(200);
-            plant
         }),
-        (fast_stop(E::ConnectionLost, MOVED, 0), |bus| {
-            let mut plant = Plant::homed(bus, wsg_sim::Config::default());
+        (fast_stop(E::ConnectionLost, MOVED, 0), Plant::at_rest, |plant| {
             plant.write(Cmd::JOG_MINUS, SLOWLY);
             plant.pass(300);
             plant.cut();
             plant.pass(1_500);
-            plant
         }),
-        (fault(E::GripperFastStop, FAST_STOP, E::GripperFastStop), |bus| {
-            Plant::with_fault(bus, Fault::MotorCurrent)
+        (fault(E::GripperFastStop, FAST_STOP, E::GripperFastStop), Plant::with_fmf, |plant| {
+            plant.fail(Fault::MotorCurrent)
         }),
-        (fault(E::CurrFault, 0x2000, E::GripperFastStop), |bus| Plant::with_fault(bus, Fault::MotorCurrent)),
-        (fault(E::TempFault, 0x4200, E::GripperFastStop), |bus| {
-            Plant::with_fault(bus, Fault::OverTemperature)
+        (fault(E::CurrFault, 0x2000, E::GripperFastStop), Plant::with_fmf, |plant| {
+            plant.fail(Fault::MotorCurrent)
         }),
-        (fault(E::PowerFault, 0x3000, E::GripperFastStop), |bus| {
-            Plant::with_fault(bus, Fault::SupplyOutOfRange)
+        (fault(E::TempFault, 0x4200, E::GripperFastStop), Plant::with_fmf, |plant| {
+            plant.fail(Fault::OverTemperature)
         }),
-        (fault(E::FingerFault, 0x7000, E::FingerFault), |bus| {
-            Plant::with_fault(bus, Fault::FingerShortCircuit(Jaw::One))
+        (fault(E::PowerFault, 0x3000, E::GripperFastStop), Plant::with_fmf, |plant| {
+            plant.fail(Fault::SupplyOutOfRange)
         }),
-        (fault(E::GripperSilent, 0xFF02, E::GripperSilent), |bus| {
-            let mut plant = Plant::homed(bus, quick());
+        (fault(E::FingerFault, 0x7000, E::FingerFault), Plant::with_fmf, |plant| {
+            plant.fail(Fault::FingerShortCircuit(Jaw::One))
+        }),
+        (fault(E::GripperSilent, 0xFF02, E::GripperSilent), Plant::homed, |plant| {
             plant.cut();
             plant.pass(3_000);
-            plant
         }),
-        (Told { error: Some(E::GripperSilent), ..refusal(E::NotConnected, None, 0) }, |bus| {
-            let mut plant = Plant::homed(bus, quick());
+        (refusal(E::NotConnected, None, 0).with_error(Some(E::GripperSilent)), Plant::homed, |plant| {
             plant.cut();
             plant.pass(3_000);
             plant.write(Cmd::empty(), SLOWLY);
             plant.write(Cmd::MOVE, SLOWLY);
-            plant
         }),
-        (Told { error: Some(E::BusFlag), ..refusal(E::FastStopLasts, None, 0) }, |bus| {
-            let mut plant = Plant::homed(bus, quick());
+        (refusal(E::FastStopLasts, None, 0).with_error(Some(E::BusFlag)), Plant::homed, |plant| {
             plant.write(Cmd::FASTSTOP, SLOWLY);
             plant.pass(50);
             plant.write(Cmd::empty(), SLOWLY);
             plant.write(Cmd::MOVE, SLOWLY);
-            plant
         }),
-        (refusal(E::MotionRuns, MOVED, 0), |bus| {
-            let mut plant = Plant::moving(bus);
+        (refusal(E::MotionRuns, MOVED, 0), Plant::moving, |plant| {
             plant.write(Cmd::MOVE | Cmd::RELEASE, SLOWLY);
-            plant
         }),
-        (refusal(E::NotReady, None, 0), |bus| {
+        (refusal(E::NotReady, None, 0), Plant::homed, |plant| {
             // The fingers stop before the end of BUSY.
-            let mut plant = Plant::homed(bus, quick());
             plant.set(setting("MIN_BUSY"), 10_000);
             plant.pulse(Inputs::MOVE);
             plant.pass(3_000);
             plant.pulse(Inputs::MOVE);
-            plant
         }),
-        (refusal(E::PartHeld, None, 0), |bus| {
-            let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
-            let mut plant = Plant::homed(bus, gripper);
+        (refusal(E::PartHeld, None, 0), Plant::with_part, |plant| {
             plant.command(Cmd::GRIP, [20_00, 50_00, 40_00]);
             plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);
-            plant
         }),
-        (refusal(E::NotIdle, None, 0), |bus| {
-            let mut plant = Plant::homed(bus, quick());
+        (refusal(E::NotIdle, None, 0), Plant::homed, |plant| {
             plant.command(Cmd::GRIP, [20_00, 50_00, 40_00]);
             plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);
-            plant
         }),
-        (refusal(E::Refused, MOVED, Status::NotInitialized.code()), |bus| {
-            let mut plant = Plant::ready(bus, quick());
+        (refusal(E::Refused, MOVED, Status::NotInitialized.code()), Plant::ready, |plant| {
             plant.write(Cmd::MOVE, [20_00, 50_00, 40_00]);
             plant.pass(100);
-            plant
         }),
-        (Told { error: Some(E::GripperSilent), ..refusal(E::Unanswered, MOVED, 0) }, |bus| {
-            let mut plant = Plant::moving(bus);
+        (refusal(E::Unanswered, MOVED, 0).with_error(Some(E::GripperSilent)), Plant::moving, |plant| {
             plant.cut();
             plant.pass(3_000);
-            plant
         }),
         (
-            Told { error: Some(E::GripperSilent), ..refusal(E::Withdrawn, Some(CommandId::ReleasePart), 0) },
-            |bus| {
+            refusal(E::Withdrawn, Some(CommandId::ReleasePart), 0).with_error(Some(E::GripperSilent)),
+            Plant::with_part,
+            |plant| {
                 // Only the reply to a Stop reaches the bridge. The connection is lost for lack of reports while a motion
                 // waits for the reply to the Acknowledge that follows the Stop after an error.
-                let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
-                let mut plant = Plant::homed(bus, gripper);
                 plant.command(Cmd::MOVE, [10_00, 50_00, 40_00]);
                 let mut parser = FrameParser::<MAX_MESSAGE_LEN>::new();
                 plant.gripper.to_bridge = Some(Box::new(move |bytes| {
@@ -454,45 +439,54 @@ fn causes() -> Vec<(Told, Provoke)> {
                     plant.write(flags, [20_00, 50_00, 40_00]);
                 }
                 plant.pass(3_000);
-                plant
             },
         ),
-        (refusal(E::MovedAtStart, None, 0), |bus| Plant::moving(bus).reset()),
-        (Told { error: None, emergency: Some((0x8130, None)), ..refusal(E::BusSilent, None, 1) }, |bus| {
-            let mut plant = Plant::moving(bus);
-            plant.talks = false;
-            plant.pass(2_000);
-            plant
-        }),
-        (fault(E::BusOff, 0x8140, E::GripperSilent), |plc_bus| {
-            // CAN needs a participant: a gripper that does not answer.
-            let config = Config { plc_bus, gripper_line: GripperLine::Can, ..Config::DEFAULT };
-            let mut plant = Plant::new(config, quick(), FlashModel::new());
-            plant.can.go_off(0);
-            plant.pass(1_000);
-            plant
-        }),
-        (refusal(E::SettingsRefused, None, 3), |plc_bus| {
-            let config = Config { plc_bus, ..Config::DEFAULT };
-            Plant::new(config, quick(), of_later_firmware(&config.record()))
-        }),
+        (refusal(E::MovedAtStart, None, 0), |bus| Plant::moving(bus).reset(), |_| {}),
+        (
+            Told { error: None, emergency: Some((0x8130, None)), ..refusal(E::BusSilent, None, 1) },
+            Plant::moving,
+            |plant| {
+                plant.talks = false;
+                plant.pass(2_000);
+            },
+        ),
+        (
+            fault(E::BusOff, 0x8140, E::GripperSilent),
+            |plc_bus| {
+                // CAN needs a participant: a gripper that does not answer.
+                let config = Config { plc_bus, gripper_line: GripperLine::Can, ..Config::DEFAULT };
+                Plant::new(config, quick(), FlashModel::new())
+            },
+            |plant| {
+                plant.can.go_off(0);
+                plant.pass(1_000);
+            },
+        ),
+        (
+            refusal(E::SettingsRefused, None, 3),
+            |plc_bus| {
+                let config = Config { plc_bus, ..Config::DEFAULT };
+                Plant::new(config, quick(), of_later_firmware(&config.record()))
+            },
+            |_| {},
+        ),
         // 2: write-protected.
-        (Told { error: None, ..refusal(E::SaveFailed, None, 2) }, |bus| {
-            let mut plant = Plant::homed(bus, quick());
+        (refusal(E::SaveFailed, None, 2).with_error(None), Plant::homed, |plant| {
             plant.flash.fault = Some(FlashFault::Protected);
             plant.set(FIRST_COMMAND, COMMAND_KEY);
             plant.pass(1_000);
-            plant
         }),
     ]
-}
+};
 
 #[test]
 fn every_event_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
     let mut provoked = BTreeSet::new();
-    for (told, provoke) in causes() {
+    for (told, start, provoke) in CASES {
         for plc_bus in [PlcBus::Modbus, PlcBus::Canopen] {
-            assert_told(&told, &mut provoke(plc_bus), plc_bus);
+            let mut plant = start(plc_bus);
+            provoke(&mut plant);
+            assert_told(told, &mut plant, plc_bus);
         }
         provoked.insert(told.code as u8);
     }
