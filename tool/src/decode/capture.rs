@@ -6,8 +6,8 @@ use std::net::{IpAddr, SocketAddr};
 
 use anyhow::{Context, Result, bail};
 use etherparse::{EtherType, LaxNetSlice, LaxSlicedPacket, TransportSlice};
-use pcap_parser::traits::{PcapNGPacketBlock, PcapReaderIterator};
-use pcap_parser::{Block, LegacyPcapReader, Linktype, PcapBlockOwned, PcapError, PcapNGReader};
+use pcap_parser::traits::PcapNGPacketBlock;
+use pcap_parser::{Block, Linktype, PcapBlockOwned, PcapError, create_reader};
 use wsg_protocol::Direction;
 use wsg_protocol::frame::{PREAMBLE_BYTE, PREAMBLE_LEN};
 use wsg_protocol::gcl::{Answer, Request};
@@ -115,19 +115,10 @@ fn packets(file: Vec<u8>) -> Result<(Vec<Packet>, Option<String>)> {
     // Buffer the whole file, so that only its end can be incomplete.
     let capacity = file.len() + 1;
     let is_ng = file.starts_with(&BEGINNINGS[0]);
-    let mut reader: Box<dyn PcapReaderIterator> = if is_ng {
-        Box::new(
-            PcapNGReader::new(capacity, Cursor::new(file))
-                .ok()
-                .context("the first block of the capture is corrupted")?,
-        )
-    } else {
-        Box::new(
-            LegacyPcapReader::new(capacity, Cursor::new(file))
-                .ok()
-                .context("the header of the capture is corrupted")?,
-        )
-    };
+    let beginning = if is_ng { "first block" } else { "header" };
+    let mut reader = create_reader(capacity, Cursor::new(file))
+        .ok()
+        .with_context(|| format!("the {beginning} of the capture is corrupted"))?;
     let mut packets = Vec::new();
     let mut link = Linktype::NULL;
     let mut fraction = 1e-6;
