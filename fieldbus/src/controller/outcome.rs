@@ -37,14 +37,14 @@ impl Controller {
     /// Tracks whether the reports cover the last motion.
     pub(super) fn note_motion(&mut self, event: &Event<'_>, known: &Known) {
         let is_motion = |id: CommandId| id.kind() == Kind::Motion;
-        let tells_states = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
+        let reports_state = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
         self.unseen = match event {
             Event::Pending(id) if is_motion(*id) => Unseen::Begun,
             Event::Unanswered(id) if is_motion(*id) && !self.stands(known) => Unseen::Begun,
             Event::Withdrawn(id) if is_motion(*id) => Unseen::No,
             Event::Answered(reply) if is_motion(reply.id()) => Unseen::No,
-            Event::Answered(reply) if self.unseen == Unseen::Begun && tells_states(reply.id()) => Unseen::No,
-            Event::Reported(value) if self.unseen == Unseen::Begun && tells_states(value.id()) => Unseen::No,
+            Event::Answered(reply) if self.unseen == Unseen::Begun && reports_state(reply.id()) => Unseen::No,
+            Event::Reported(value) if self.unseen == Unseen::Begun && reports_state(value.id()) => Unseen::No,
             // The states were queried after the motion.
             Event::Connected => Unseen::No,
             _ => return,
