@@ -8,17 +8,9 @@
 //! `profinet` each add a module of that name with the device profile for `bus_profibus` or `bus_profinet`.
 #![no_std]
 #![forbid(unsafe_code)]
-#![deny(missing_docs)]
-#![deny(
-    clippy::indexing_slicing,
-    clippy::unwrap_used,
-    clippy::expect_used,
-    clippy::panic,
-    clippy::arithmetic_side_effects
-)]
 #![cfg_attr(
-    test,
-    allow(
+    not(test),
+    deny(
         clippy::indexing_slicing,
         clippy::unwrap_used,
         clippy::expect_used,
