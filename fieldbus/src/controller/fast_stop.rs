@@ -70,6 +70,10 @@ impl Controller {
 
     /// Compares the gripper's system flags with the FAST STOP that it answered.
     pub(super) fn supervise_fast_stop(&mut self, flags: SystemFlags) {
+        if flags.contains(SystemFlags::FAST_STOP) {
+            // It ends the last result, which must not reappear after an acknowledgement by a third party.
+            self.settled = Some(GripperState::Idle);
+        }
         match (self.fast_stop, flags.contains(SystemFlags::FAST_STOP)) {
             // A third party acknowledged it, or the gripper restarted.
             (FastStop::Latched, false) if self.holds(CommandFlags::FASTSTOP) => {

@@ -450,6 +450,26 @@ fn fast_stop_that_is_requested_again_before_its_answer_is_sent_again_after_it() 
 
 /// Fieldbus, 6.6.
 #[test]
+fn held_part_is_not_shown_again_after_a_fast_stop() {
+    for own in [true, false] {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::GRIP);
+        plc.answer(CommandId::SetForceLimit, Status::Success);
+        plc.answer(CommandId::GripPart, Status::Success);
+        assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Success), "before the report of the state");
+        if own {
+            plc.raise(CommandFlags::FASTSTOP);
+            plc.confirm_fast_stop();
+            plc.lower(CommandFlags::FASTSTOP);
+        } else {
+            plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        }
+        plc.report_flags(SystemFlags::REFERENCED);
+        assert_eq!(plc.shows().0, GripperFlags::IDLE, "acknowledged by a third party, state not reported yet");
+    }
+}
+
+#[test]
 fn third_party_that_acknowledges_after_faststop_is_0_again_unlocks_motion() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
