@@ -5,9 +5,12 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
-from wsg_gripper import SystemFlags
+import pytest
+
+from wsg_gripper import Gripper, StoppedError, SystemFlags
 from wsg_gripper.sim import Simulator
 
 WSG, WSG_SIM = (str(Path(sys.executable).parent / name) for name in ("wsg", "wsg-sim"))
@@ -39,6 +42,33 @@ def test_wsg_sim_serves_a_gripper_until_ctrl_c() -> None:
         assert subprocess.run(gripper).returncode == 0
         program.send_signal(signal.SIGINT)
         assert program.wait(timeout=10) == 0
+
+
+@pytest.mark.parametrize(("line", "scheme"), [("--serial", "serial"), ("--slcan", "slcan")])
+def test_stop_of_another_thread_ends_a_grip_over_a_serial_port(line: str, scheme: str) -> None:
+    command = [WSG_SIM, line, "pty", "--homing-speed", "400"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        program.stdout.readline()
+        device = program.stdout.readline().split()[1]
+        with Gripper(f"{scheme}:{device}") as gripper:
+            gripper.home()
+            raised: list[BaseException] = []
+
+            def move() -> None:
+                with pytest.raises(StoppedError) as stopped:
+                    gripper.move(10, speed=5)
+                raised.append(stopped.value)
+
+            thread = threading.Thread(target=move)
+            thread.start()
+            while SystemFlags.MOVING not in gripper.flags():
+                pass
+            gripper.stop()
+            assert SystemFlags.MOVING not in gripper.flags()
+            thread.join()
+            assert raised and gripper.width() > 100
+        program.terminate()
 
 
 def test_ctrl_c_stops_the_fingers_without_a_traceback(simulator: Simulator) -> None:
