@@ -1,6 +1,6 @@
 //! The table of supported boards.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 
 /// A board supported by the firmware.
 #[derive(Debug, PartialEq)]
@@ -61,6 +61,18 @@ impl Board {
     /// Returns the name of a figure of this board. The default board has no suffix.
     pub(crate) fn figure(&self, what: &str) -> String {
         if self == <&Self>::default() { what.to_owned() } else { format!("{what}, {}", self.name) }
+    }
+
+    /// Returns the name of the default board.
+    pub(crate) fn default_name() -> &'static str {
+        BOARDS[0].name
+    }
+
+    /// Finds an emulated board by name.
+    pub(crate) fn emulated(name: &str) -> Result<&'static Self> {
+        let board = Self::named(name)?;
+        ensure!(board.emulated.is_some(), "the board {name} is not emulated");
+        Ok(board)
     }
 
     /// Finds a board by name.

@@ -38,13 +38,16 @@ pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 6] = [
 ];
 
 /// A variant of the image. The default has no additional features or settings.
-#[derive(Default)]
+#[derive(Default, clap::Args)]
 pub(crate) struct Variant {
-    /// The board to build for.
+    /// Board to build for (pico also builds a UF2 file; nucleo-g474re is not emulated, so its image has never been executed)
+    #[arg(long, value_name = "NAME", value_parser = Board::named, default_value = Board::default_name())]
     pub(crate) board: &'static Board,
-    /// Features in addition to the board's.
+    /// Additional features. Such an image gets a separate name
+    #[arg(long, value_name = "X", value_delimiter = ',')]
     pub(crate) features: Vec<String>,
-    /// Settings that differ from the defaults.
+    /// Change a default setting (docs/registers.md)
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = Change::parse)]
     pub(crate) settings: Vec<Change>,
 }
 

@@ -10,15 +10,15 @@ use crate::{
     workspace::Workspace,
 };
 
-/// Default run time per target in seconds.
-pub(crate) const SECONDS: u32 = 60;
-
 /// How much to fuzz.
-pub(crate) enum Extent {
-    /// Run time per target in seconds.
-    Seconds(u32),
-    /// Number of generated inputs per body.
-    Inputs(u32),
+#[derive(clap::Args)]
+pub(crate) struct Extent {
+    /// Run time per target in seconds
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    seconds: u32,
+    /// Run the bodies of the targets on N generated inputs each instead, on stable Rust
+    #[arg(long, value_name = "N", conflicts_with = "seconds")]
+    inputs: Option<u32>,
 }
 
 const FOLDER: &str = "host-tests/fuzz";
@@ -28,9 +28,9 @@ const HANG_SECONDS: u32 = 10;
 
 /// Fuzzes to the given extent.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
-    match extent {
-        Extent::Seconds(seconds) => run_targets(workspace, *seconds),
-        Extent::Inputs(count) => run_inputs(workspace, *count),
+    match extent.inputs {
+        Some(count) => run_inputs(workspace, count),
+        None => run_targets(workspace, extent.seconds),
     }
 }
 

@@ -5,19 +5,14 @@
 mod bench;
 mod board;
 mod book;
-mod coverage;
+mod checks;
 mod demo;
-mod dependencies;
-mod explore;
-mod fast_stop;
 mod figures;
 mod firmware;
 mod flash;
 mod fuzz;
 mod gate;
-mod interleavings;
 mod matrix;
-mod measure;
 mod mutants;
 mod panics;
 mod platforms;
@@ -28,80 +23,29 @@ mod recording;
 mod settings;
 mod setup;
 mod size;
-mod soak;
 mod stack;
 mod test;
 mod tool;
-mod undefined_behaviour;
 mod workspace;
 
 use std::{
     ffi::OsString,
+    path::PathBuf,
     process::{ExitCode, ExitStatus},
 };
 
-use anyhow::{Context, Result, ensure};
-use lexopt::{Arg, Parser, ValueExt};
+use anyhow::Result;
+use clap::{Parser, Subcommand};
 
 use board::Board;
-use firmware::Variant;
+use firmware::{Image, Variant};
 use matrix::Extent;
-use settings::Change;
+use probe::Probes;
+use setup::ThumbToolchain;
 use workspace::Workspace;
 
-const HELP: &str = "\
-cargo xtask <command>
-
-Commands
-  setup              install the prerequisites of build, demo and test: Rust for the thumb targets, QEMU, and
-                     the third-party masters for the tests (mbpoll, Python and Node.js packages)
-  build              build the firmware image; print its path and SHA-256
-                     [--board NAME]: b-l475e-iot01a (default), pico (also builds a UF2 file), or
-                     nucleo-g474re (not emulated; its image has never been executed);
-                     [--set NAME=VALUE]: change a default setting (docs/registers.md);
-                     [--features X]: enable additional features. Such an image gets a separate name
-  demo [ARGS]        run the image in an emulator between a PLC and a virtual gripper;
-                     [--board NAME] comes first and must be emulated; ARGS: --part none|WIDTH_MM, --speed-up X, --trace FILE;
-                     --record FILE.svg instead of ARGS: also write an animated picture of the run (docs/demo.svg)
-  test [FILTER]      run all checks of the workspace, including the emulator tests;
-                     with FILTER, only the tests whose names match; with --strict before FILTER,
-                     checks that had to be skipped are failures instead of being listed
-  matrix             check the protocol crate with every combination of features on three targets, the
-                     workspace on the oldest supported Rust, and the packages for crates.io
-  ci                 release checks: deny, test --strict with the long tests in full, platforms, a
-                     short soak, fast-stop, explore, loom and Miri
-  platforms          run wsg-sim.exe under Wine; compile everything that `cargo test` builds for Windows and macOS
-  deny               check licences, bans and sources of all dependencies against deny.toml (cargo-deny)
-  size               check flash and static RAM of each board's image, and of the protocol relative to
-                     an empty program, against their limits
-  stack              determine the firmware's worst-case stack by walking its calls and by painting
-                     the stack in the emulator
-  panics             prove by linking that firmware, protocol and buses cannot reach a panic
-  bench              count instructions in the emulator and compare them with a committed baseline
-                     [--update: rewrite it]; measure throughput and latency on this machine
-  fast-stop          measure the stopping time with every byte around the request corrupted in turn, in
-                     virtual time, against the limits in docs/wiring.md; about two minutes
-  explore            explore every order of events on the bridge up to 10^8 states; about ten
-                     minutes on two cores [--states N]
-  fuzz               run the fuzz targets [--seconds N per target, default 60]; needs nightly Rust and cargo-fuzz.
-                     --inputs N: run their bodies on N generated inputs each, on stable Rust
-  soak               send 10 000 commands in the emulator while one byte in 10 000 is corrupted; about
-                     15 minutes [--commands N] [--seed N]
-  mutants [FILE...]  find changes of protocol, buses and bridge library, or of the given files, that no
-                     test detects; takes hours in full [--jobs N: run N in parallel, default 1] [--shard K/N: test
-                     every N-th only] [--again: skip those caught by the previous run]; cargo-mutants
-  loom               check data shared by interrupt handlers and the main loop under every order of events
-  miri               run the bridge's host tests under Miri; needs nightly Rust
-  coverage           report the lines of protocol and buses that their tests cover (cargo-llvm-cov)
-  figures            measure all figures of docs/figures.md and update the file
-  dist               build the delivery folder for PLC engineers (reproducible)
-  docs               build the documents as a book in target/book (mdbook), and print it to target/book.pdf
-                     (Chromium; without it, there is no PDF)
-  flash              write the image to a board with probe-rs and start it
-                     [--board NAME] [--set NAME=VALUE] [--features X] as for build
-  help               print this page
-
-Environment
+const ENVIRONMENT: &str = "\
+Environment:
   WSG_NO_INSTALL=1   install nothing: if something is missing, print the commands and stop
   WSG_NO_RUSTUP=1    work as if rustup's server were unreachable: do not call rustup, ignore thumb
                      targets that it installed, and build for them with Debian's Rust packages
@@ -119,11 +63,101 @@ Environment
 
 Set-up does nothing if all prerequisites are present. As root, it installs missing packages without
 asking, on Debian bookworm from backports. If necessary, it adds the backports to the apt sources
-(/etc/apt/sources.list.d/wsg-bookworm-backports.sources).
-";
+(/etc/apt/sources.list.d/wsg-bookworm-backports.sources).";
+
+/// Set-up, build, demo, test, measurement and flashing for this workspace.
+#[derive(Parser)]
+#[command(bin_name = "cargo xtask", after_help = ENVIRONMENT)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Install the prerequisites of build, demo and test: Rust for the thumb targets, QEMU, and the third-party masters for the
+    /// tests (mbpoll, Python and Node.js packages)
+    Setup,
+    /// Build the firmware image; print its path and SHA-256
+    Build(Variant),
+    /// Run the image in an emulator between a PLC and a virtual gripper
+    Demo {
+        /// Board to run; it must be emulated, and this option comes first
+        #[arg(long, value_name = "NAME", value_parser = Board::emulated, default_value = Board::default_name())]
+        board: &'static Board,
+        /// Also write an animated picture of the run (docs/demo.svg)
+        #[arg(long, value_name = "FILE.svg", conflicts_with = "arguments")]
+        record: Option<PathBuf>,
+        /// --part none|WIDTH_MM, --speed-up X, --trace FILE
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
+        arguments: Vec<OsString>,
+    },
+    /// Run all checks of the workspace, including the emulator tests
+    Test {
+        /// Fail if a check had to be skipped, instead of listing it
+        #[arg(long)]
+        strict: bool,
+        /// Run only the tests whose names match
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        filter: Vec<OsString>,
+    },
+    /// Check the protocol crate with every combination of features on three targets, the workspace on the oldest supported
+    /// Rust, and the packages for crates.io
+    Matrix,
+    /// Release checks: deny, test --strict with the long tests in full, platforms, a short soak, fast-stop, explore, loom and
+    /// Miri
+    Ci,
+    /// Run wsg-sim.exe under Wine; compile everything that `cargo test` builds for Windows and macOS
+    Platforms,
+    /// Check licences, bans and sources of all dependencies against deny.toml (cargo-deny)
+    Deny,
+    /// Check flash and static RAM of each board's image, and of the protocol relative to an empty program, against their limits
+    Size,
+    /// Determine the firmware's worst-case stack by walking its calls and by painting the stack in the emulator
+    Stack,
+    /// Prove by linking that firmware, protocol and buses cannot reach a panic
+    Panics,
+    /// Count instructions in the emulator and compare them with a committed baseline; measure throughput and latency on this
+    /// machine
+    Bench {
+        /// Rewrite the baseline
+        #[arg(long)]
+        update: bool,
+    },
+    /// Measure the stopping time with every byte around the request corrupted in turn, in virtual time, against the limits in
+    /// docs/wiring.md; about two minutes
+    FastStop,
+    /// Explore every order of events on the bridge; about ten minutes on two cores
+    Explore {
+        /// Number of states to explore
+        #[arg(long, value_name = "N", default_value_t = checks::STATES)]
+        states: u64,
+    },
+    /// Run the fuzz targets; needs nightly Rust and cargo-fuzz
+    Fuzz(fuzz::Extent),
+    /// Send commands in the emulator while one byte in 10 000 is corrupted; about 15 minutes
+    Soak(checks::Soak),
+    /// Find changes of protocol, buses and bridge library that no test detects; takes hours in full (cargo-mutants)
+    Mutants(mutants::Extent),
+    /// Check data shared by interrupt handlers and the main loop under every order of events
+    Loom,
+    /// Run the bridge's host tests under Miri; needs nightly Rust
+    Miri,
+    /// Report the lines of protocol and buses that their tests cover (cargo-llvm-cov)
+    Coverage,
+    /// Measure all figures of docs/figures.md and update the file
+    Figures,
+    /// Build the delivery folder for PLC engineers (reproducible)
+    Dist,
+    /// Build the documents as a book in target/book (mdbook), and print it to target/book.pdf (Chromium; without it, there is
+    /// no PDF)
+    Docs,
+    /// Write the image to a board with probe-rs and start it
+    Flash(Variant),
+}
 
 fn main() -> ExitCode {
-    match run() {
+    match run(Arguments::parse().command) {
         Ok(code) => code,
         Err(error) => {
             // Not `{:?}`, because a backtrace of xtask would not help the user.
@@ -133,89 +167,112 @@ fn main() -> ExitCode {
     }
 }
 
-fn run() -> Result<ExitCode> {
-    let mut arguments = Parser::from_env();
-    let command = match arguments.next()? {
-        None | Some(Arg::Short('h') | Arg::Long("help")) => "help".to_owned(),
-        Some(Arg::Value(command)) => command.string()?,
-        Some(other) => return Err(other.unexpected()).context("see `cargo xtask help`"),
-    };
-    match command.as_str() {
-        "help" => print!("{HELP}"),
-        "setup" => {
-            no_more(arguments)?;
-            let workspace = Workspace::from_env()?;
-            setup::thumb_and_qemu(&workspace)?;
-            match &setup::masters(&workspace).missing[..] {
-                [] => println!("setup: all prerequisites are present"),
-                missing => println!("setup: test will skip checks that need {}", missing.join(", ")),
-            }
+fn run(command: Command) -> Result<ExitCode> {
+    let workspace = &Workspace::from_env()?;
+    match command {
+        Command::Setup => setup::all(workspace)?,
+        Command::Build(variant) => print_image(&build(workspace, &variant)?),
+        Command::Demo { board, record, arguments } => {
+            let toolchain = setup::thumb_and_qemu(workspace)?;
+            let image = firmware::build(workspace, &toolchain, &Variant { board, ..Variant::default() })?;
+            return Ok(exit_code(match record {
+                Some(file) => demo::record(workspace, &image, &file)?,
+                None => demo::run(workspace, &image, &arguments)?,
+            }));
         }
-        "build" => {
-            let variant = variant(arguments)?;
-            let workspace = Workspace::from_env()?;
-            let toolchain = setup::thumb(&workspace)?;
-            print_image(&firmware::build(&workspace, &toolchain, &variant)?);
-        }
-        "demo" => {
-            let workspace = Workspace::from_env()?;
-            let mut arguments = rest(arguments)?;
-            let mut board = <&Board>::default();
-            if let [option, name, ..] = &arguments[..]
-                && option == "--board"
-            {
-                board = Board::named(&name.to_string_lossy())?;
-                ensure!(board.emulated.is_some(), "the board {} is not emulated", board.name);
-                arguments.drain(..2);
-            }
-            let toolchain = setup::thumb_and_qemu(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &Variant { board, ..Variant::default() })?;
-            if let [option, file] = &arguments[..]
-                && option == "--record"
-            {
-                return Ok(exit_code(demo::record(&workspace, &image, file.as_ref())?));
-            }
-            return Ok(exit_code(demo::run(&workspace, &image, &arguments)?));
-        }
-        "test" => {
-            let workspace = Workspace::from_env()?;
-            let toolchain = setup::thumb_and_qemu(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &Variant::default())?;
+        Command::Test { strict, filter } => {
+            let Built { toolchain, image, .. } = Built::new(workspace)?;
             print_image(&image);
-            let mut filter = rest(arguments)?;
-            let is_strict = filter.first().is_some_and(|first| first == "--strict");
-            filter.drain(..usize::from(is_strict));
-            test::run(&workspace, &toolchain, &filter, Extent::Quick, is_strict)?;
+            test::run(workspace, &toolchain, &filter, Extent::Quick, strict)?;
         }
-        "dist" => {
-            no_more(arguments)?;
-            let workspace = Workspace::from_env()?;
-            let image = firmware::build(&workspace, &setup::thumb(&workspace)?, &Variant::default())?;
-            demo::dist(&workspace, &image)?;
+        Command::Matrix => matrix::run(workspace)?,
+        Command::Ci => release_checks(&Built::new(workspace)?)?,
+        Command::Platforms => platforms::run(workspace)?,
+        Command::Deny => checks::dependencies(workspace)?,
+        Command::Size => {
+            let built = Built::new(workspace)?;
+            gate::check(&[size::of_images(&built.images()?)?, size::of_protocol(&built.probes())?].concat())?;
         }
-        "docs" => {
-            no_more(arguments)?;
-            book::build(&Workspace::from_env()?)?;
+        Command::Stack => {
+            let built = Built::new(workspace)?;
+            let images = built.images()?;
+            let walked = stack::walked(workspace, &built.toolchain, &images)?;
+            gate::check(&[walked, stack::painted(workspace, &images)?].concat())?;
         }
-        "matrix" => {
-            no_more(arguments)?;
-            matrix::run(&Workspace::from_env()?)?;
+        Command::Panics => panics::check(&Built::new(workspace)?.probes())?,
+        Command::Bench { update } => {
+            let mut gates = bench::counted(&Built::new(workspace)?.probes(), update)?.gates;
+            gates.extend(bench::throughput(workspace)?);
+            gates.extend(bench::latency(workspace)?);
+            gate::check(&gates)?;
         }
-        "flash" => {
-            let variant = variant(arguments)?;
+        Command::FastStop => drop(checks::fast_stop(workspace)?),
+        Command::Explore { states } => checks::explore(workspace, states)?,
+        Command::Fuzz(extent) => fuzz::run(workspace, &extent)?,
+        Command::Soak(extent) => checks::soak(workspace, &Built::new(workspace)?.image, &extent)?,
+        Command::Mutants(extent) => mutants::run(workspace, &extent)?,
+        Command::Loom => checks::loom(workspace)?,
+        Command::Miri => checks::miri(workspace)?,
+        Command::Coverage => checks::coverage(workspace)?,
+        Command::Figures => {
+            let built = Built::new(workspace)?;
+            gate::check(&figures::write(&built.probes(), &built.images()?)?)?;
+        }
+        Command::Dist => demo::dist(workspace, &build(workspace, &Variant::default())?)?,
+        Command::Docs => book::build(workspace)?,
+        Command::Flash(variant) => {
             flash::require_probe_rs()?;
-            let workspace = Workspace::from_env()?;
-            let toolchain = setup::thumb(&workspace)?;
-            let image = firmware::build(&workspace, &toolchain, &variant)?;
+            let image = build(workspace, &variant)?;
             print_image(&image);
             flash::run(&image)?;
         }
-        other => measure::run(other, arguments)?,
     }
     Ok(ExitCode::SUCCESS)
 }
 
-fn print_image(image: &firmware::Image) {
+fn release_checks(Built { workspace, toolchain, image }: &Built<'_>) -> Result<()> {
+    checks::dependencies(workspace)?;
+    test::run(workspace, toolchain, &[], Extent::Whole, true)?;
+    checks::telemetry(workspace)?;
+    platforms::run(workspace)?;
+    checks::soak(workspace, image, &checks::Soak::CI)?;
+    checks::fast_stop(workspace)?;
+    checks::explore(workspace, checks::STATES)?;
+    checks::loom(workspace)?;
+    checks::miri(workspace)
+}
+
+/// Builds an image to give away or to flash, which requires no emulator.
+fn build(workspace: &Workspace, variant: &Variant) -> Result<Image> {
+    settings::check(&variant.settings)?;
+    firmware::build(workspace, &setup::thumb(workspace)?, variant)
+}
+
+/// The subject of a measurement: the default image and the tool chain.
+struct Built<'a> {
+    workspace: &'a Workspace,
+    toolchain: ThumbToolchain,
+    image: Image,
+}
+
+impl<'a> Built<'a> {
+    fn new(workspace: &'a Workspace) -> Result<Self> {
+        let toolchain = setup::thumb_and_qemu(workspace)?;
+        let image = firmware::build(workspace, &toolchain, &Variant::default())?;
+        Ok(Self { workspace, toolchain, image })
+    }
+
+    /// Builds the images of all boards.
+    fn images(&self) -> Result<Vec<Image>> {
+        firmware::build_all(self.workspace, &self.toolchain)
+    }
+
+    fn probes(&self) -> Probes<'_> {
+        Probes { workspace: self.workspace, toolchain: &self.toolchain }
+    }
+}
+
+fn print_image(image: &Image) {
     println!("{}\nsha256 {}", image.path.display(), image.sha256);
     if image.board.emulated.is_none() {
         println!(
@@ -225,41 +282,37 @@ fn print_image(image: &firmware::Image) {
     }
 }
 
-/// Parses `--board NAME`, and any number of `--features X` and `--set NAME=VALUE`.
-fn variant(mut arguments: Parser) -> Result<Variant> {
-    let mut variant = Variant::default();
-    while let Some(argument) = arguments.next()? {
-        match argument {
-            Arg::Long("features") => {
-                let list = arguments.value()?.string()?;
-                variant
-                    .features
-                    .extend(list.split([',', ' ']).filter(|it| !it.is_empty()).map(str::to_owned));
-            }
-            Arg::Long("board") => variant.board = Board::named(&arguments.value()?.string()?)?,
-            Arg::Long("set") => variant.settings.push(Change::parse(&arguments.value()?.string()?)?),
-            other => return Err(other.unexpected()).context("see `cargo xtask help`"),
-        }
-    }
-    settings::check(&variant.settings)?;
-    Ok(variant)
-}
-
-fn no_more(mut arguments: Parser) -> Result<()> {
-    match arguments.next()? {
-        None => Ok(()),
-        Some(argument) => Err(argument.unexpected()).context("see `cargo xtask help`"),
-    }
-}
-
-fn rest(mut arguments: Parser) -> Result<Vec<OsString>> {
-    Ok(arguments.raw_args()?.collect())
-}
-
 /// Returns the exit code of a program, or a failure if a signal ended it.
 fn exit_code(status: ExitStatus) -> ExitCode {
     match status.code() {
         Some(code) => ExitCode::from(u8::try_from(code).unwrap_or(1)),
         None => ExitCode::FAILURE,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn command_line_definition_is_valid() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn options_after_the_filter_reach_the_tests_and_those_of_the_demonstration_reach_it() {
+        let passed = |line: &str| match Arguments::try_parse_from(line.split(' ')).unwrap().command {
+            Command::Test { strict, filter } => (strict, filter),
+            Command::Demo { board, arguments, .. } => (board.name == "pico", arguments),
+            _ => unreachable!("{line}"),
+        };
+        assert_eq!(
+            passed("xtask test --strict wires --exact"),
+            (true, vec!["wires".into(), "--exact".into()])
+        );
+        assert_eq!(passed("xtask test wires --strict"), (false, vec!["wires".into(), "--strict".into()]));
+        assert_eq!(passed("xtask demo --board pico --part 5"), (true, vec!["--part".into(), "5".into()]));
     }
 }

@@ -149,16 +149,20 @@ struct Outcome {
 }
 
 /// Which mutants to test.
-#[derive(Debug, Default, PartialEq)]
+#[derive(clap::Args)]
 pub(crate) struct Extent {
-    /// Files or file patterns; empty for all.
-    pub(crate) files: Vec<String>,
-    /// `K/N`: a sample of every N-th mutant, starting with the K-th.
-    pub(crate) shard: Option<String>,
-    /// Skips mutants caught by the previous run.
-    pub(crate) again: bool,
-    /// Number of parallel jobs; 1 if not given.
-    pub(crate) jobs: Option<usize>,
+    /// Mutate only these files (or file patterns)
+    #[arg(value_name = "FILE")]
+    files: Vec<String>,
+    /// Test a sample: every N-th mutant, starting with the K-th
+    #[arg(long, value_name = "K/N")]
+    shard: Option<String>,
+    /// Skip mutants caught by the previous run
+    #[arg(long)]
+    again: bool,
+    /// Run N in parallel
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    jobs: usize,
 }
 
 /// Tests the mutants and compares the survivors with the accepted ones.
@@ -186,7 +190,7 @@ fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) 
     let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", part.package, "--no-shuffle"]);
     mutants.args(["--profile", "mutants", "--cargo-arg=--locked"]).envs(ENVIRONMENT);
     mutants.arg("--output").arg(&output).args(["--colors", "never"]);
-    mutants.args(["--jobs", &extent.jobs.unwrap_or(1).to_string()]);
+    mutants.args(["--jobs", &extent.jobs.to_string()]);
     // A generous time-out, so that a busy machine is not mistaken for a hanging mutant.
     mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));

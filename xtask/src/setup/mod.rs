@@ -30,6 +30,16 @@ pub(crate) fn thumb_and_qemu(workspace: &Workspace) -> Result<ThumbToolchain> {
     run(workspace, true)
 }
 
+/// Provides all prerequisites of build, demo and test.
+pub(crate) fn all(workspace: &Workspace) -> Result<()> {
+    thumb_and_qemu(workspace)?;
+    match &masters(workspace).missing[..] {
+        [] => println!("setup: all prerequisites are present"),
+        missing => println!("setup: test will skip checks that need {}", missing.join(", ")),
+    }
+    Ok(())
+}
+
 fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
     let mut lacks = Vec::new();
     let mut wanted = Vec::new();

@@ -1,0 +1,117 @@
+//! Checks that consist of one run of another program.
+
+use anyhow::{Context, Result, ensure};
+
+use crate::{
+    firmware::{self, IMAGE_VARIABLE, Image},
+    process,
+    tool::{self, CARGO_DENY, CARGO_LLVM_COV, MIRI, NIGHTLY},
+    workspace::{TARGET_CRATES, Workspace},
+};
+
+/// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.
+pub(crate) fn dependencies(workspace: &Workspace) -> Result<()> {
+    CARGO_DENY.require(workspace, "licences, bans and sources of the dependencies")?;
+    let words = ["cargo", "deny", "--locked", "check", "licenses", "bans", "sources"];
+    process::run(&mut tool::plain(workspace, &words))
+}
+
+/// Measures the stopping time of the gripper on a disturbed line in virtual time, and returns the rows of the table. Fails if a case
+/// exceeds its limit.
+pub(crate) fn fast_stop(workspace: &Workspace) -> Result<String> {
+    let mut cargo = workspace.cargo("run");
+    cargo.args(["--quiet", "--release", "-p", "host-tests", "--example", "fast_stop"]);
+    let table = process::output(&mut cargo).context("the gripper did not stop in time")?;
+    print!("{table}");
+    Ok(table)
+}
+
+/// Default number of states to explore.
+pub(crate) const STATES: u64 = 100_000_000;
+
+/// Explores every order of events on the bridge, up to this number of states. Fails if a property is violated, and prints the
+/// shortest violation.
+pub(crate) fn explore(workspace: &Workspace, states: u64) -> Result<()> {
+    let mut cargo = workspace.cargo("run");
+    cargo.args(["--quiet", "--release", "-p", "host-tests", "--example", "explore", "--"]);
+    process::run(cargo.arg(states.to_string())).context("a property is violated; see the output above")
+}
+
+/// The length and seed of a soak test.
+#[derive(clap::Args)]
+pub(crate) struct Soak {
+    /// Number of commands to send
+    #[arg(long, value_name = "N", default_value_t = 10_000)]
+    commands: u64,
+    /// Seed of the corrupted bytes
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+impl Soak {
+    /// The extent for `ci`, about 90 s.
+    pub(crate) const CI: Self = Self { commands: 700, seed: 1 };
+}
+
+/// Runs the test that sends commands to the image in the emulator on a faulty line. Its last line summarizes the results.
+pub(crate) fn soak(workspace: &Workspace, image: &Image, extent: &Soak) -> Result<()> {
+    let mut cargo = workspace.cargo("test");
+    cargo.args(["-q", "-p", "host-tests", "--test", "end_to_end", "soak_on_a_faulty_line"]);
+    cargo.args(["--", "--include-ignored", "--nocapture"]);
+    cargo.env(IMAGE_VARIABLE, &image.path);
+    cargo.env("WSG_SOAK_COMMANDS", extent.commands.to_string());
+    cargo.env("WSG_SOAK_SEED", extent.seed.to_string());
+    process::run(&mut cargo)
+}
+
+/// Runs the load test of `wsg telemetry` with 500 virtual grippers, separately from all other tests.
+pub(crate) fn telemetry(workspace: &Workspace) -> Result<()> {
+    let test = ["--release", "-p", "wsg-tool", "--test", "telemetry", "five_hundred", "--", "--nocapture"];
+    process::run(workspace.cargo("test").args(test).env("WSG_LOAD", "1"))
+}
+
+/// Checks data shared by interrupt handlers and the main loop under every order that the memory model allows, with `loom`.
+pub(crate) fn loom(workspace: &Workspace) -> Result<()> {
+    let mut models = workspace.cargo("test");
+    models.args(["--release", "-p", firmware::BRIDGE, "--lib", "::model::"]);
+    // A separate build folder, because the flag would cause a full rebuild of everything else.
+    models.env("RUSTFLAGS", "--cfg loom").env("CARGO_TARGET_DIR", workspace.target_dir.join("loom"));
+    let said = process::output(&mut models)?;
+    print!("{said}");
+    ensure!(!said.contains("running 0 tests"), "no loom models were run");
+    println!(
+        "loom: bytes, frames, images and silences stay whole, in order and current under every order of events"
+    );
+    Ok(())
+}
+
+/// Runs the tests of the bridge's library, which contains the firmware's static queues, under Miri.
+pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
+    let what_for = "the bridge's host tests under Miri";
+    NIGHTLY.require(workspace, what_for)?;
+    MIRI.require(workspace, what_for)?;
+    let words = ["miri", "test", "--locked", "-p", firmware::BRIDGE, "--lib"];
+    let mut miri = tool::nightly_cargo(workspace, &words);
+    miri.env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
+    // Property tests write failures to files, which Miri's isolation prevents. Few cases, to save time.
+    miri.env("MIRIFLAGS", "-Zmiri-disable-isolation").env("PROPTEST_CASES", "4");
+    process::run(&mut miri)?;
+    println!(
+        "miri: no undefined behaviour in the bridge's host tests (board code, which only the target has, is not among them)"
+    );
+    Ok(())
+}
+
+/// Prints the line coverage of the library crates per file and in total, by the tests without doc examples.
+pub(crate) fn coverage(workspace: &Workspace) -> Result<()> {
+    CARGO_LLVM_COV.require(workspace, "the coverage of protocol and buses")?;
+    // CARGO_LLVM_COV_SETUP lets it install missing LLVM tools with rustup without asking.
+    let mut coverage = tool::plain(workspace, &["cargo", "llvm-cov", "--locked", "--lib", "--tests"]);
+    coverage.env("CARGO_LLVM_COV_SETUP", "yes");
+    coverage.args(["--ignore-filename-regex", r"tests\.rs|/tests/|gripper-sim|host-tests|boards/"]);
+    coverage.args(TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package]));
+    // The tests of the bridge in virtual time.
+    coverage.args(["-p", "host-tests"]);
+    coverage.env("CARGO_LLVM_COV_TARGET_DIR", workspace.target_dir.join("coverage"));
+    process::run(&mut coverage)
+}
