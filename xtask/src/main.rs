@@ -19,7 +19,6 @@ mod platforms;
 mod probe;
 mod process;
 mod public_functions;
-mod recording;
 mod settings;
 mod setup;
 mod size;
@@ -30,7 +29,6 @@ mod workspace;
 
 use std::{
     ffi::OsString,
-    path::PathBuf,
     process::{ExitCode, ExitStatus},
 };
 
@@ -85,10 +83,7 @@ enum Command {
         /// Board to run; it must be emulated, and this option comes first
         #[arg(long, value_name = "NAME", value_parser = Board::emulated, default_value = Board::default_name())]
         board: &'static Board,
-        /// Also write an animated picture of the run (docs/demo.svg)
-        #[arg(long, value_name = "FILE.svg", conflicts_with = "arguments")]
-        record: Option<PathBuf>,
-        /// --part none|WIDTH_MM, --speed-up X, --trace FILE
+        /// --part none|WIDTH_MM, --speed-up X, --trace FILE, --record FILE.svg: see `cargo xtask demo -- --help`
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         arguments: Vec<OsString>,
     },
@@ -172,13 +167,10 @@ fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Setup => setup::all(workspace)?,
         Command::Build(variant) => print_image(&build(workspace, &variant)?),
-        Command::Demo { board, record, arguments } => {
+        Command::Demo { board, arguments } => {
             let toolchain = setup::thumb_and_qemu(workspace)?;
             let image = firmware::build(workspace, &toolchain, &Variant { board, ..Variant::default() })?;
-            return Ok(exit_code(match record {
-                Some(file) => demo::record(workspace, &image, &file)?,
-                None => demo::run(workspace, &image, &arguments)?,
-            }));
+            return Ok(exit_code(demo::run(workspace, &image, &arguments)?));
         }
         Command::Test { strict, filter } => {
             let Built { toolchain, image, .. } = Built::new(workspace)?;
