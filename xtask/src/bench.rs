@@ -1,8 +1,8 @@
 //! Benchmarks: instruction counts per core in the emulator, compared with a committed baseline; throughput and latency on the host.
 
-use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
+use std::{collections::BTreeMap, fs, process::Command};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 
 use crate::{
     board::{BOARDS, Board, MACHINE},
@@ -25,25 +25,25 @@ const TOLERANCE: u64 = 2;
 const LIMITS: [(&str, Unit, &str, [f64; 2]); 4] = [
     (
         "instructions per byte, byte by byte at 64 B of payload, as flashed",
-        Unit::InstructionsPerByte,
+        Unit::INSTRUCTIONS_PER_BYTE,
         "Os/byte-path/64",
         [32.0, 40.0],
     ),
     (
         "instructions per byte, in bulk at 64 B of payload, opt-level 3",
-        Unit::InstructionsPerByte,
+        Unit::INSTRUCTIONS_PER_BYTE,
         "O3/bulk-path/64",
         [10.0, 16.0],
     ),
     (
         "instructions of a MODBUS request for 8 registers",
-        Unit::Instructions,
+        Unit::INSTRUCTIONS,
         "O3/modbus-8-registers",
         [600.0, 830.0],
     ),
     (
         "instructions of PROFIBUS Data_Exchange to answer, as flashed",
-        Unit::Instructions,
+        Unit::INSTRUCTIONS,
         "Os/profibus-data-exchange",
         [4_000.0; 2],
     ),
@@ -98,8 +98,7 @@ pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Counted> {
             first == process::output(&mut qemu)?,
             "two runs differ; this emulator does not count instructions reliably"
         );
-        let level = profile.opt_level().replace("opt-level ", "O");
-        let named = |name| count_name(board, &format!("{level}/{name}"));
+        let named = |name| count_name(board, &format!("O{}/{name}", profile.level));
         counts.extend(parse(&first)?.into_iter().map(|(name, count)| (named(name), count)));
     }
     for (name, count) in &counts {
@@ -120,40 +119,54 @@ fn count_name(board: &Board, name: &str) -> String {
     if board == <&Board>::default() { name.to_owned() } else { format!("{}/{name}", board.name) }
 }
 
-/// Measures bulk throughput on this machine, absolute and relative to a plain loop, which depends less on the machine.
-///
-/// Uses the best of several runs, because other load only slows a run down.
-pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
-    let mut best = BTreeMap::new();
-    let mut gates = throughput_gates(&best);
-    for _ in 0..ATTEMPTS {
+/// Figures of a program by name.
+type Figures = BTreeMap<String, f64>;
+
+/// Runs a program on this machine until its gates hold, and uses the best of its runs, because other load only makes a figure worse.
+fn best_of_runs<G: AsRef<[Gate]>>(
+    workspace: &Workspace,
+    program: &str,
+    at_least: usize,
+    better: fn(f64, f64) -> f64,
+    gates: fn(&Figures) -> G,
+) -> Result<G> {
+    let mut best = Figures::new();
+    for run in 1.. {
         let mut cargo = workspace.cargo("run");
-        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "throughput"]);
-        for line in process::output(cargo.args(["--bin", "throughput"]))?.lines() {
-            println!("  {line} GB/s");
+        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", program, "--bin", program]);
+        for line in process::output(&mut cargo)?.lines() {
+            println!("  {line}");
             let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
             let figure: f64 = figure.parse().with_context(|| format!("`{line}` is not a figure"))?;
-            let known = best.entry(name.to_owned()).or_insert(figure);
-            *known = known.max(figure);
+            best.entry(name.to_owned()).and_modify(|known| *known = better(*known, figure)).or_insert(figure);
         }
-        gates = throughput_gates(&best);
-        if gates.iter().all(Gate::holds) {
+        if run >= ATTEMPTS || run >= at_least && gates(&best).as_ref().iter().all(Gate::holds) {
             break;
         }
     }
-    Ok(gates)
+    Ok(gates(&best))
 }
 
-fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
+/// Measures bulk throughput on this machine in GB/s, absolute and relative to a plain loop, which depends less on the machine.
+pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
+    best_of_runs(workspace, "throughput", 1, f64::max, throughput_gates)
+}
+
+fn throughput_gates(best: &Figures) -> [Gate; 2] {
     let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
     let bulk = of("bulk-path");
     [
-        Gate::new("host throughput in bulk, 64 B payloads", bulk, THROUGHPUT_LIMIT, Unit::GigabytesPerSecond),
+        Gate::new(
+            "host throughput in bulk, 64 B payloads",
+            bulk,
+            THROUGHPUT_LIMIT,
+            Unit::GIGABYTES_PER_SECOND,
+        ),
         Gate::new(
             "the same beside a plain table loop",
             bulk / of("table-loop"),
             SPEED_UP_LIMIT,
-            Unit::TimesAsFast,
+            Unit::TIMES_AS_FAST,
         ),
     ]
 }
@@ -180,52 +193,29 @@ const FAST_STOP_LIMITS: [(&str, &str, f64); 2] = [
 /// instead of 20.
 const LATENCY_RUNS: usize = 3;
 
-/// Measures the latency of the drivers over loopback TCP.
-///
-/// Uses the best of several runs, because other load only increases a figure. Figures under load are printed without a limit,
-/// because they depend on the scheduler.
+/// Measures the latency of the drivers over loopback TCP. Figures under load are printed without a limit, because they depend on the
+/// scheduler.
 pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
-    let mut best = BTreeMap::new();
-    let mut gates = latency_gates(&best);
-    for run in 1..=ATTEMPTS {
-        let mut cargo = workspace.cargo("run");
-        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "latency"]);
-        for line in process::output(cargo.args(["--bin", "latency"]))?.lines() {
-            println!("  {line}");
-            let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
-            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is not a figure"))?;
-            let known = best.entry(name.to_owned()).or_insert(figure);
-            *known = known.min(figure);
-        }
-        gates = latency_gates(&best);
-        if run >= LATENCY_RUNS && gates.iter().all(Gate::holds) {
-            break;
-        }
-    }
-    Ok(gates)
+    best_of_runs(workspace, "latency", LATENCY_RUNS, f64::min, latency_gates)
 }
 
-fn latency_gates(best: &BTreeMap<String, f64>) -> Vec<Gate> {
+fn latency_gates(best: &Figures) -> Vec<Gate> {
     let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
     let mut gates = Vec::new();
     for (what, client, beside) in CLIENTS {
+        let query = format!("query over loopback TCP, {what}, median");
         let median = of(&format!("query-{client}-median-load-0"));
-        gates.push(Gate::new(
-            format!("query over loopback TCP, {what}, median"),
-            median,
-            f64::INFINITY,
-            Unit::Microseconds,
-        ));
+        gates.push(Gate::new(query, median, f64::INFINITY, Unit::MICROSECONDS));
         for (statistic, limit) in QUERY_LIMITS {
             let [it, bare] = [client, beside].map(|name| of(&format!("query-{name}-{statistic}-load-0")));
             let what = format!("the same beside a bare socket, {what}, {statistic}");
-            gates.push(Gate::new(what, it / bare, limit, Unit::TimesAsLong));
+            gates.push(Gate::new(what, it / bare, limit, Unit::TIMES_AS_LONG));
         }
     }
     for (what, name, limit) in FAST_STOP_LIMITS {
-        gates.push(Gate::new(what, of(name), limit, Unit::Microseconds));
+        gates.push(Gate::new(what, of(name), limit, Unit::MICROSECONDS));
     }
-    gates.push(Gate::new("a driver that waits for a motion", of("cpu"), 1.0, Unit::PercentOfCore));
+    gates.push(Gate::new("a driver that waits for a motion", of("cpu"), 1.0, Unit::PERCENT_OF_CORE));
     gates
 }
 
@@ -240,12 +230,13 @@ fn qemu(elf: &std::path::Path) -> Command {
 fn gates(counts: &Counts) -> Result<Vec<Gate>> {
     let of = |name: &str| {
         let found = counts.iter().filter(|(counted, _)| counted.starts_with(name)).map(|(_, count)| *count);
-        found
-            .max_by_key(|count| count.instructions)
-            .with_context(|| format!("the benchmark did not count {name}"))
+        let longest = found.max_by_key(|count| count.instructions);
+        longest.with_context(|| format!("the benchmark did not count {name}"))
     };
-    let us =
-        |count: Count| (count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES) / CORE_MHZ;
+    let us = |count: Count| {
+        let cycles = count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES;
+        cycles / CORE_MHZ
+    };
     let mut gates = Vec::new();
     for (core, board) in cores().enumerate() {
         for (what, unit, name, limits) in LIMITS {
@@ -257,18 +248,18 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
     let grip = "PLC edge to the last byte of GRIP at 115 200 bit/s, debounced, force limit known";
     let grip_us = us(of(GRIP)?) + of(GRIP)?.of as f64 * BYTE_US;
     let edge_us = us(of(EDGES)?);
-    gates.push(Gate::new("PLC edge to first byte, debounced", edge_us, EDGE_LIMIT_US, Unit::Microseconds));
-    gates.push(Gate::new(grip, grip_us, GRIP_LIMIT_US, Unit::Microseconds));
+    gates.push(Gate::new("PLC edge to first byte, debounced", edge_us, EDGE_LIMIT_US, Unit::MICROSECONDS));
+    gates.push(Gate::new(grip, grip_us, GRIP_LIMIT_US, Unit::MICROSECONDS));
     Ok(gates)
 }
 
 /// Compares the counts with the baseline. Returns the reason if it was created with another compiler.
 fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<String>> {
-    let path: PathBuf = probes.workspace.root.join(BASELINE);
+    let path = probes.workspace.root.join(BASELINE);
     let compiler = compiler(probes)?;
     if update {
-        fs::write(&path, baseline_text(&compiler, counts))
-            .with_context(|| format!("cannot write {BASELINE}"))?;
+        let text = baseline_text(&compiler, counts);
+        fs::write(&path, text).with_context(|| format!("cannot write {BASELINE}"))?;
         println!("  {BASELINE} updated");
         return Ok(None);
     }
@@ -281,9 +272,7 @@ fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<Str
         return Ok(Some(why));
     }
     let worse = worse_than(&parse(&text)?, counts);
-    if !worse.is_empty() {
-        bail!("slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
-    }
+    ensure!(worse.is_empty(), "slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
     println!("  within {TOLERANCE} % of {BASELINE} (update it with `cargo xtask bench --update`)");
     Ok(None)
 }
@@ -293,10 +282,8 @@ fn compiler(probes: &Probes<'_>) -> Result<String> {
         ThumbToolchain::Active => probes.workspace.rustc(),
         ThumbToolchain::Debian { .. } => Command::new("/usr/bin/rustc"),
     };
-    Ok(process::answer(rustc.arg("--version"))
-        .context("rustc does not report its version")?
-        .trim()
-        .to_owned())
+    let version = process::answer(rustc.arg("--version")).context("rustc does not report its version")?;
+    Ok(version.trim().to_owned())
 }
 
 fn baseline_text(compiler: &str, counts: &Counts) -> String {
@@ -324,15 +311,12 @@ fn parse(text: &str) -> Result<Counts> {
 
 /// Returns the counts that exceed the baseline or are missing from it.
 fn worse_than(baseline: &Counts, counts: &Counts) -> Vec<String> {
-    let is_worse = |(name, count): &(&String, &Count)| match baseline.get(*name) {
-        Some(before) => count.instructions * 100 > before.instructions * (100 + TOLERANCE),
-        None => true,
+    let worse = |(name, count): (&String, &Count)| match baseline.get(name) {
+        Some(before) if count.instructions * 100 <= before.instructions * (100 + TOLERANCE) => None,
+        Some(before) => Some(format!("{name} {} instead of {}", count.instructions, before.instructions)),
+        None => Some(format!("{name} is missing from it")),
     };
-    let told = |(name, count): (&String, &Count)| match baseline.get(name) {
-        Some(before) => format!("{name} {} instead of {}", count.instructions, before.instructions),
-        None => format!("{name} is missing from it"),
-    };
-    counts.iter().filter(is_worse).map(told).collect()
+    counts.iter().filter_map(worse).collect()
 }
 
 #[cfg(test)]
@@ -410,7 +394,7 @@ mod tests {
                 "the same beside a bare socket, tokio, p99"
             ]
         );
-        assert_eq!(failing("").len(), latency_gates(&BTreeMap::new()).len());
+        assert_eq!(failing("").len(), latency_gates(&Figures::new()).len());
     }
 
     #[test]

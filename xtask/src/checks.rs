@@ -12,8 +12,7 @@ use crate::{
 /// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.
 pub(crate) fn dependencies(workspace: &Workspace) -> Result<()> {
     CARGO_DENY.require(workspace, "licences, bans and sources of the dependencies")?;
-    let words = ["cargo", "deny", "--locked", "check", "licenses", "bans", "sources"];
-    process::run(&mut tool::plain(workspace, &words))
+    process::run(&mut tool::plain(workspace, "cargo deny --locked check licenses bans sources"))
 }
 
 /// Measures the stopping time of the gripper on a disturbed line in virtual time, and returns the rows of the table. Fails if a case
@@ -90,8 +89,8 @@ pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
     let what_for = "the bridge's host tests under Miri";
     NIGHTLY.require(workspace, what_for)?;
     MIRI.require(workspace, what_for)?;
-    let words = ["miri", "test", "--locked", "-p", firmware::BRIDGE, "--lib"];
-    let mut miri = tool::nightly_cargo(workspace, &words);
+    let mut miri = tool::plain(workspace, "rustup run nightly cargo miri test --locked --lib -p");
+    miri.arg(firmware::BRIDGE);
     miri.env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
     // Property tests write failures to files, which Miri's isolation prevents. Few cases, to save time.
     miri.env("MIRIFLAGS", "-Zmiri-disable-isolation").env("PROPTEST_CASES", "4");
@@ -106,10 +105,10 @@ pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
 pub(crate) fn coverage(workspace: &Workspace) -> Result<()> {
     CARGO_LLVM_COV.require(workspace, "the coverage of protocol and buses")?;
     // CARGO_LLVM_COV_SETUP lets it install missing LLVM tools with rustup without asking.
-    let mut coverage = tool::plain(workspace, &["cargo", "llvm-cov", "--locked", "--lib", "--tests"]);
+    let mut coverage = tool::plain(workspace, "cargo llvm-cov --locked --lib --tests");
     coverage.env("CARGO_LLVM_COV_SETUP", "yes");
     coverage.args(["--ignore-filename-regex", r"tests\.rs|/tests/|gripper-sim|host-tests|boards/"]);
-    coverage.args(TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package]));
+    coverage.args(TARGET_CRATES.into_iter().flat_map(|package| ["-p", package]));
     // The tests of the bridge in virtual time.
     coverage.args(["-p", "host-tests"]);
     coverage.env("CARGO_LLVM_COV_TARGET_DIR", workspace.target_dir.join("coverage"));

@@ -53,17 +53,20 @@ fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     let work = workspace.target_dir.join("fuzz");
     // cargo-fuzz has no `--locked`, so check the lock file beforehand.
     let manifest = format!("{FOLDER}/Cargo.toml");
-    process::run(&mut tool::nightly_cargo(
-        workspace,
-        &["fetch", "--quiet", "--locked", "--manifest-path", &manifest],
-    ))?;
+    let mut fetch = tool::plain(workspace, "rustup run nightly cargo fetch --quiet --locked --manifest-path");
+    process::run(fetch.arg(manifest))?;
     for target in &targets {
         let (corpus, artifacts) = (work.join("corpus").join(target), work.join("artifacts").join(target));
         for folder in [&corpus, &artifacts] {
             fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         }
-        let mut fuzz = tool::nightly_cargo(workspace, &["fuzz", "run", "--fuzz-dir", FOLDER, "--target-dir"]);
-        fuzz.arg(work.join("build")).arg(target).arg(&corpus).arg(format!("{FOLDER}/seeds/{target}"));
+        let mut fuzz = tool::plain(workspace, "rustup run nightly cargo fuzz run --fuzz-dir");
+        fuzz.arg(FOLDER)
+            .arg("--target-dir")
+            .arg(work.join("build"))
+            .arg(target)
+            .arg(&corpus)
+            .arg(format!("{FOLDER}/seeds/{target}"));
         fuzz.args(["--", &format!("-max_total_time={seconds}"), &format!("-timeout={HANG_SECONDS}")]);
         fuzz.args([&format!("-dict={FOLDER}/wsg.dict"), "-print_final_stats=1", "-verbosity=0"]);
         fuzz.arg(format!("-artifact_prefix={}/", artifacts.display()));

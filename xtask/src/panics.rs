@@ -38,16 +38,16 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
         missing.join(", ")
     );
     for profile in Profile::ALL {
-        let level = profile.opt_level();
+        let level = format!("opt-level {}", profile.level);
         let control = outcome(&mut probes.cargo(TRIPLE, "panics", "on-target", profile))?;
         ensure!(
             control == Outcome::Panics,
             "the control program with a panic links at {level}: the check is ineffective"
         );
         let what = "protocol and buses, every public function";
-        hold(what, level, &mut probes.cargo(TRIPLE, FUNCTIONS, FEATURES, profile))?;
+        hold(what, &level, &mut probes.cargo(TRIPLE, FUNCTIONS, FEATURES, profile))?;
         for board in &BOARDS {
-            hold(board.name, level, &mut firmware_build(probes, board, profile))?;
+            hold(board.name, &level, &mut firmware_build(probes, board, profile))?;
         }
     }
     println!(
@@ -68,7 +68,7 @@ fn hold(what: &str, level: &str, build: &mut Command) -> Result<()> {
 
 fn firmware_build(probes: &Probes<'_>, board: &Board, profile: Profile) -> Command {
     let mut cargo = probes.toolchain.cargo(probes.workspace, "build", board.triple);
-    cargo.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name()));
+    cargo.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name));
     cargo
 }
 

@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 
 use crate::{
     process,
@@ -28,16 +28,15 @@ const FROM_DEBIAN: [Program; 2] =
 /// Checks everything for each target, and runs the tests with Wine.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     for target in TARGETS {
-        if !setup::has_target(workspace, target) && !setup::rustup(workspace, &["target", "add", target]) {
-            bail!("NOT CHECKED: {target}. rustup could not install it");
-        }
+        ensure!(
+            setup::provide_target(workspace, target),
+            "NOT CHECKED: {target}. rustup could not install it"
+        );
     }
     if let Some(missing) = setup::lacking(&FROM_DEBIAN).first() {
         bail!("NOT CHECKED: wsg-sim on Windows. {missing} is missing");
     }
-    if !CLIPPY.provide(workspace) {
-        bail!("NOT CHECKED: Windows and macOS. clippy is missing");
-    }
+    ensure!(CLIPPY.provide(workspace), "NOT CHECKED: Windows and macOS. clippy is missing");
     for target in TARGETS {
         let mut clippy = workspace.cargo("clippy");
         if target != WINDOWS {

@@ -13,34 +13,21 @@ use crate::{
 
 const PACKAGE: &str = "wsg-probes";
 
-/// The optimisation level of a program.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Profile {
-    /// opt-level s, as used for the firmware.
-    Size,
-    /// opt-level 3, optimised for speed.
-    Speed,
+/// A profile of cargo for programs.
+#[derive(Clone, Copy)]
+pub(crate) struct Profile {
+    /// Name of the profile.
+    pub(crate) name: &'static str,
+    /// Its optimisation level, as for the option of rustc.
+    pub(crate) level: char,
 }
 
 impl Profile {
-    /// Both profiles, for checks at each optimisation level.
-    pub(crate) const ALL: [Self; 2] = [Self::Size, Self::Speed];
+    /// Optimised for size, as the firmware.
+    const SIZE: Self = Self { name: "firmware", level: 's' };
 
-    /// Returns the name of the cargo profile.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Size => "firmware",
-            Self::Speed => "firmware-o3",
-        }
-    }
-
-    /// Returns the optimisation level as text for messages.
-    pub(crate) fn opt_level(self) -> &'static str {
-        match self {
-            Self::Size => "opt-level s",
-            Self::Speed => "opt-level 3",
-        }
-    }
+    /// Both profiles, for checks at each optimisation level: the other one is optimised for speed.
+    pub(crate) const ALL: [Self; 2] = [Self::SIZE, Self { name: "firmware-o3", level: '3' }];
 }
 
 /// Builds probes for thumb targets.
@@ -55,7 +42,7 @@ impl Probes<'_> {
     /// Returns the `cargo build` command of a program for a target.
     pub(crate) fn cargo(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
         let mut cargo = self.toolchain.cargo(self.workspace, "build", triple);
-        cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name()]);
+        cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name]);
         cargo
     }
 
@@ -68,12 +55,12 @@ impl Probes<'_> {
         profile: Profile,
     ) -> Result<PathBuf> {
         process::run(&mut self.cargo(triple, name, features, profile))?;
-        Ok(self.toolchain.output_dir(self.workspace, triple, profile.name()).join(name))
+        Ok(self.toolchain.output_dir(self.workspace, triple, profile.name).join(name))
     }
 
     /// Returns the flash and RAM footprint of a program at opt-level s.
     pub(crate) fn footprint(&self, name: &str, features: &str) -> Result<Footprint> {
-        let path = self.build(TRIPLE, name, features, Profile::Size)?;
+        let path = self.build(TRIPLE, name, features, Profile::SIZE)?;
         let what_failed = || format!("cannot read the sections of {}", path.display());
         let bytes = fs::read(&path).with_context(what_failed)?;
         Ok(Footprint::of(&footprint::sections_of(&bytes).with_context(what_failed)?))

@@ -18,8 +18,9 @@ pub(crate) type Functions = BTreeMap<String, usize>;
 /// Returns the public functions of all library crates.
 pub(crate) fn of_crates(workspace: &Workspace) -> Result<Functions> {
     let mut all = Functions::new();
-    for (package, folder) in TARGET_CRATES {
-        let features = matrix::features(&workspace.root.join(folder).join("Cargo.toml"))?;
+    let packages = workspace.packages()?;
+    for package in TARGET_CRATES {
+        let features = matrix::features(&packages, package)?;
         all.extend(of_crate(workspace, package, &features.join(","))?);
     }
     Ok(all)
@@ -103,35 +104,15 @@ fn of_rustdoc(crate_docs: &Value) -> Functions {
 
 /// Extracts the path from a compiler-generated name: `a::T<X>::f`, `a::<impl b::T<X>>::f` or `<a::T<X> as Trait>::f`.
 fn path_of(name: &str) -> String {
-    let at = if name.starts_with('<') { Some(0) } else { name.find("<impl ") };
-    let Some(at) = at else { return without_parameters(name) };
-    let (of, function) = name.split_at(at + length_of_parameters(&name[at..]));
-    let of = without_parameters(&of[at + 1..of.len() - 1]);
-    let of = of.trim_start_matches("impl ").split(" as ").next().unwrap_or_default();
-    format!("{of}{}", without_parameters(function))
-}
-
-/// Removes each `<...>` from a name.
-fn without_parameters(name: &str) -> String {
-    let mut rest = name;
-    let mut path = String::new();
-    while let Some(at) = rest.find('<') {
-        path.push_str(&rest[..at]);
-        rest = &rest[at + length_of_parameters(&rest[at..])..];
+    // The `>` of `->` closes nothing.
+    let mut path = name.replace("->", "");
+    // Replaces the innermost `<...>` by the type of an implementation, or removes it.
+    while let Some((before, rest)) = path.split_once('>') {
+        let (outer, inner) = before.rsplit_once('<').unwrap_or((before, ""));
+        let of = inner.strip_prefix("impl ").or_else(|| Some(inner.split_once(" as ")?.0));
+        path = of.unwrap_or(outer).to_owned() + rest;
     }
-    path + rest
-}
-
-/// Returns the length of the `<...>` at the start of the text. The `>` of `->` closes nothing.
-fn length_of_parameters(text: &str) -> usize {
-    let mut depth = 0_i32;
-    let mut before = ' ';
-    let end = text.find(|c| {
-        depth += i32::from(c == '<') - i32::from(c == '>' && before != '-');
-        before = c;
-        depth == 0
-    });
-    end.map_or(text.len(), |end| end + 1)
+    path
 }
 
 #[cfg(test)]

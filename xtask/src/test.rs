@@ -233,11 +233,7 @@ mod tests {
     /// `cargo test --tests` silently ignores examples without `test = true`.
     #[test]
     fn examples_with_tests_say_so_in_their_manifest() {
-        let mut cargo = Command::new(env!("CARGO"));
-        cargo.args(["metadata", "--no-deps", "--format-version", "1", "--locked", "--offline"]);
-        let text = process::answer(cargo.current_dir(env!("CARGO_MANIFEST_DIR"))).unwrap();
-        let metadata: Value = serde_json::from_str(&text).unwrap();
-        let packages = metadata["packages"].as_array().unwrap();
+        let packages = Workspace::from_env().unwrap().packages().unwrap();
         let targets = packages.iter().flat_map(|package| package["targets"].as_array().unwrap());
         let examples: Vec<&Value> =
             targets.filter(|target| target["kind"] == serde_json::json!(["example"])).collect();

@@ -8,17 +8,19 @@ use std::{
 };
 
 use anyhow::{Context, Result};
+use serde_json::Value;
 
-/// The library crates for boards, by package and folder: built for each target, panic-free, published as packages. Each crate
-/// follows its dependencies.
-pub(crate) const TARGET_CRATES: [(&str, &str); 7] = [
-    ("bus-modbus", "buses/modbus"),
-    ("bus-slcan", "buses/slcan"),
-    ("bus-canopen", "buses/canopen"),
-    ("bus-profibus", "buses/profibus"),
-    ("bus-profinet", "buses/profinet"),
-    ("wsg-protocol", "protocol"),
-    ("wsg-fieldbus", "fieldbus"),
+use crate::process;
+
+/// Packages of the library crates for boards: built for each target, panic-free, published. Each crate follows its dependencies.
+pub(crate) const TARGET_CRATES: [&str; 7] = [
+    "bus-modbus",
+    "bus-slcan",
+    "bus-canopen",
+    "bus-profibus",
+    "bus-profinet",
+    "wsg-protocol",
+    "wsg-fieldbus",
 ];
 
 /// The workspace in which `cargo xtask` was called.
@@ -44,12 +46,6 @@ impl Workspace {
         Ok(Self { root, target_dir, cargo })
     }
 
-    /// Creates a workspace for tests that build nothing.
-    #[cfg(test)]
-    pub(crate) fn for_tests() -> Self {
-        Self { root: env::temp_dir(), target_dir: env::temp_dir(), cargo: "cargo".into() }
-    }
-
     /// Returns `cargo <subcommand>` with the calling tool chain, run in the workspace root.
     pub(crate) fn cargo(&self, subcommand: &str) -> Command {
         let mut command = self.cargo_in_current_dir(subcommand);
@@ -70,6 +66,14 @@ impl Workspace {
             command.env("CARGO_INCREMENTAL", "0");
         }
         command
+    }
+
+    /// Returns the packages of the workspace, as cargo describes them.
+    pub(crate) fn packages(&self) -> Result<Vec<Value>> {
+        let mut metadata = self.cargo("metadata");
+        let text = process::output(metadata.args(["--no-deps", "--format-version", "1", "--offline"]))?;
+        let mut metadata: Value = serde_json::from_str(&text)?;
+        Ok(serde_json::from_value(metadata["packages"].take())?)
     }
 
     /// Returns whether the calling cargo is the one at `path`.

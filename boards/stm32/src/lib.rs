@@ -49,10 +49,7 @@ mod run;
 #[cfg(target_os = "none")]
 pub mod tick;
 #[cfg(target_os = "none")]
-#[expect(
-    unsafe_code,
-    reason = "unmasking interrupts is safe only with regard to their handlers"
-)]
+#[expect(unsafe_code, reason = "unmasking interrupts is safe only with regard to their handlers")]
 pub mod uart;
 #[cfg(target_os = "none")]
 mod unique_id;

@@ -7,7 +7,7 @@ use std::{
     process::Command,
 };
 
-use super::{apt::Packages, is_set};
+use super::{apt::Packages, is_set, report};
 use crate::{process, workspace::Workspace};
 
 /// Target of the default board (Cortex-M4F), on which the probes are measured.
@@ -16,15 +16,14 @@ pub(crate) const TRIPLE: &str = "thumbv7em-none-eabihf";
 /// The targets of all boards.
 pub(crate) const TRIPLES: [&str; 2] = [TRIPLE, "thumbv6m-none-eabi"];
 
-/// Command that adds the targets if rustup can reach its server.
-pub(crate) const RUSTUP_LINE: &str = "rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi";
+/// Arguments with which rustup adds the targets.
+pub(super) const RUSTUP_ARGUMENTS: [&str; 4] = ["target", "add", TRIPLES[0], TRIPLES[1]];
 
 /// Oldest supported Rust version.
 pub(crate) const MINIMUM_RUST: &str = env!("CARGO_PKG_RUST_VERSION");
 
 pub(super) const DEBIAN_CARGO: &str = "/usr/bin/cargo";
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
-pub(super) const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 const DEBIAN_LINKER: &str = "/usr/bin/ld.lld";
 
 /// A tool chain for the thumb targets.
@@ -50,18 +49,18 @@ pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
     linker(workspace).map(|linker| ThumbToolchain::Debian { linker })
 }
 
-/// Adds the targets with rustup. Returns whether that succeeded.
-pub(crate) fn add_by_rustup(workspace: &Workspace) -> bool {
-    rustup(workspace, &[&["target", "add"][..], &TRIPLES].concat())
-}
-
 /// Returns whether the tool chain of the calling cargo has `core` for `target` and may use it.
-pub(crate) fn has_target(workspace: &Workspace, target: &str) -> bool {
+fn has_target(workspace: &Workspace, target: &str) -> bool {
     if is_set("WSG_NO_RUSTUP") {
         return false;
     }
     let answer = process::answer(workspace.rustc().args(["--print", "target-libdir", "--target", target]));
     answer.is_some_and(|dir| holds_core(Path::new(dir.trim())))
+}
+
+/// Adds a target with rustup if necessary. Returns whether it is available.
+pub(crate) fn provide_target(workspace: &Workspace, target: &str) -> bool {
+    has_target(workspace, target) || rustup(workspace, &["target", "add", target])
 }
 
 /// Runs rustup if permitted. Returns whether that succeeded.
@@ -72,13 +71,7 @@ pub(crate) fn rustup(workspace: &Workspace, arguments: &[&str]) -> bool {
     let mut rustup = Command::new("rustup");
     // Its own message on a failed download is sufficient. A backtrace would hide the next steps.
     rustup.current_dir(&workspace.root).env_remove("RUST_BACKTRACE").args(arguments);
-    match process::run(&mut rustup) {
-        Ok(()) => true,
-        Err(error) => {
-            eprintln!("{error:#}; continuing without it");
-            false
-        }
-    }
+    report(process::run(&mut rustup))
 }
 
 /// Returns whether rustup exists and `WSG_NO_RUSTUP` does not forbid it.
@@ -92,7 +85,7 @@ pub(crate) fn packages(workspace: &Workspace) -> Packages {
     if linker(workspace).is_none() {
         names.push("lld");
     }
-    Packages { names, release: None, source: None }
+    Packages::of(names)
 }
 
 impl ThumbToolchain {
@@ -128,8 +121,8 @@ fn variable(triple: &str, setting: &str) -> String {
 
 fn debian_cargo(workspace: &Workspace, subcommand: &str, triple: &str, linker: &Path) -> Command {
     // Called directly, because cargo would first find rustup's shim for `cargo-clippy` in its home folder.
-    let program = if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO };
-    let mut command = Command::new(program);
+    let of_clippy = if subcommand == "clippy" { "-clippy" } else { "" };
+    let mut command = Command::new(format!("{DEBIAN_CARGO}{of_clippy}"));
     command.current_dir(&workspace.root).args([subcommand, "--locked", "-Z", "build-std=core"]);
     command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
     command.env(variable(triple, "LINKER"), linker);
@@ -150,15 +143,9 @@ fn remap_config(workspace: &Workspace, triple: &str) -> String {
     // rustc uses the last match, and the target folder may lie within the checkout.
     let mut places = vec![(workspace.root.clone(), "."), (workspace.target_dir.clone(), "target")];
     places.extend(workspace.cargo_home().map(|home| (home, "cargo")));
-    let flags: Vec<String> = places
-        .iter()
-        .map(|(place, name)| toml_string(&format!("--remap-path-prefix={}={name}", place.display())))
-        .collect();
-    format!("target.{triple}.rustflags=[{}]", flags.join(", "))
-}
-
-fn toml_string(text: &str) -> String {
-    format!("\"{}\"", text.replace('\\', r"\\").replace('"', "\\\""))
+    let flag = |(place, name): &(PathBuf, &str)| format!("--remap-path-prefix={}={name}", place.display());
+    // TOML escapes quotes and backslashes as Rust does.
+    format!("target.{triple}.rustflags={:?}", places.iter().map(flag).collect::<Vec<_>>())
 }
 
 /// Returns whether the folder contains `core`. rustc prints its path even if the target is not installed.
@@ -197,10 +184,8 @@ fn is_new_enough(rustc_version: &str, minimum: &str) -> bool {
         let mut parts = version.split('.').map(|part| part.parse::<u32>().ok());
         Some((parts.next()??, parts.next()??))
     };
-    match (rustc_version.split_whitespace().nth(1).and_then(numbers), numbers(minimum)) {
-        (Some(version), Some(minimum)) => version >= minimum,
-        _ => false,
-    }
+    // Text without a version is older than any.
+    rustc_version.split_whitespace().nth(1).and_then(numbers) >= numbers(minimum)
 }
 
 #[cfg(test)]
@@ -230,10 +215,5 @@ mod tests {
         fs::remove_dir_all(&dir).unwrap();
         assert!(!before && after);
         assert!(!holds_core(&dir));
-    }
-
-    #[test]
-    fn a_remap_survives_quotes_and_backslashes() {
-        assert_eq!(toml_string(r#"a"b\c"#), r#""a\"b\\c""#);
     }
 }
