@@ -18,35 +18,15 @@ const BASELINE: &str = "host-tests/probes/baseline.txt";
 /// Permitted increase over the baseline in percent.
 const TOLERANCE: u64 = 2;
 
-/// Instruction limits: name, unit, count, and one limit per core.
+/// Instruction limits per byte or per request: figure, count, and one limit per core.
 ///
 /// Per frame byte: byte by byte at the released opt-level, and in bulk at opt-level 3. Per bus request with its response, for
 /// PROFIBUS from the last character of the request to the first of the response.
-const LIMITS: [(&str, Unit, &str, [f64; 2]); 4] = [
-    (
-        "instructions per byte, byte by byte at 64 B of payload, as flashed",
-        Unit::INSTRUCTIONS_PER_BYTE,
-        "Os/byte-path/64",
-        [32.0, 40.0],
-    ),
-    (
-        "instructions per byte, in bulk at 64 B of payload, opt-level 3",
-        Unit::INSTRUCTIONS_PER_BYTE,
-        "O3/bulk-path/64",
-        [10.0, 16.0],
-    ),
-    (
-        "instructions of a MODBUS request for 8 registers",
-        Unit::INSTRUCTIONS,
-        "O3/modbus-8-registers",
-        [600.0, 830.0],
-    ),
-    (
-        "instructions of PROFIBUS Data_Exchange to answer, as flashed",
-        Unit::INSTRUCTIONS,
-        "Os/profibus-data-exchange",
-        [4_000.0; 2],
-    ),
+const LIMITS: [(&str, &str, [f64; 2]); 4] = [
+    ("per byte, byte by byte at 64 B of payload, as flashed", "Os/byte-path/64", [32.0, 40.0]),
+    ("per byte, in bulk at 64 B of payload, opt-level 3", "O3/bulk-path/64", [10.0, 16.0]),
+    ("of a MODBUS request for 8 registers", "O3/modbus-8-registers", [600.0, 830.0]),
+    ("of PROFIBUS Data_Exchange to answer, as flashed", "Os/profibus-data-exchange", [4_000.0; 2]),
 ];
 
 /// From the main-loop turn in which an edge is accepted to the first byte sent, in the released firmware, for each wire.
@@ -132,8 +112,8 @@ fn best_of_runs<G: AsRef<[Gate]>>(
 ) -> Result<G> {
     let mut best = Figures::new();
     for run in 1.. {
-        let mut cargo = workspace.cargo("run");
-        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", program, "--bin", program]);
+        let mut cargo = workspace.cargo("run -q --release -p wsg-probes");
+        cargo.args(["--features", program, "--bin", program]);
         for line in process::output(&mut cargo)?.lines() {
             println!("  {line}");
             let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
@@ -239,10 +219,11 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
     };
     let mut gates = Vec::new();
     for (core, board) in cores().enumerate() {
-        for (what, unit, name, limits) in LIMITS {
-            let count = of(&count_name(board, name))?;
-            let each = count.instructions as f64 / count.of as f64;
-            gates.push(Gate::new(board.figure(what), each, limits[core], unit));
+        for (what, name, limits) in LIMITS {
+            let Count { instructions, of } = of(&count_name(board, name))?;
+            let unit = if of > 1 { Unit::INSTRUCTIONS_PER_BYTE } else { Unit::INSTRUCTIONS };
+            let what = board.figure(&format!("instructions {what}"));
+            gates.push(Gate::new(what, instructions as f64 / of as f64, limits[core], unit));
         }
     }
     let grip = "PLC edge to the last byte of GRIP at 115 200 bit/s, debounced, force limit known";

@@ -4,7 +4,7 @@ use std::fs;
 
 use anyhow::{Context, Result};
 
-use crate::{bench, checks, firmware::Image, gate::Gate, panics, probe::Probes, size, stack};
+use crate::{bench, commands, firmware::Image, gate::Gate, panics, probe::Probes, size, stack};
 
 const DOCUMENT: &str = "docs/figures.md";
 
@@ -22,7 +22,7 @@ pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> 
     let path = probes.workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
     let text = with_part(&text, "figures", &table(&gates))?;
-    let text = with_part(&text, "fast-stop", &checks::fast_stop(probes.workspace)?)?;
+    let text = with_part(&text, "fast-stop", &commands::fast_stop(probes.workspace)?)?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
     println!("{DOCUMENT} updated");
     Ok(gates)

@@ -93,7 +93,7 @@ pub(crate) fn selection(board: &Board, features: &[String]) -> Vec<String> {
 /// The same with another profile.
 pub(crate) fn selection_for(board: &Board, features: &[String], profile: &str) -> Vec<String> {
     let features = [&[FIRMWARE.to_owned()], features].concat().join(",");
-    ["-p", board.package, "--bin", board.name, "--features", &features, "--profile", profile]
+    ["-p", &format!("wsg-{}", board.name), "--bin", board.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)
         .to_vec()
 }

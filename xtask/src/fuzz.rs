@@ -37,9 +37,8 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
 /// Runs each body on `count` generated inputs, on stable Rust. There is no coverage feedback, but without a sanitizer about a
 /// hundred times as many inputs run in the same time.
 fn run_inputs(workspace: &Workspace, count: u32) -> Result<()> {
-    let mut inputs = workspace.cargo("run");
     // The `mutants` profile is optimised and keeps all checks.
-    inputs.args(["--quiet", "--profile", "mutants", "-p", "host-tests", "--example", "inputs", "--"]);
+    let mut inputs = workspace.cargo("run --quiet --profile mutants -p host-tests --example inputs --");
     process::run(inputs.arg(count.to_string()))
         .context("a body failed; its input is printed after the message above")
 }

@@ -5,8 +5,7 @@
 mod bench;
 mod board;
 mod book;
-mod checks;
-mod demo;
+mod commands;
 mod figures;
 mod firmware;
 mod flash;
@@ -125,13 +124,13 @@ enum Command {
     /// Explore every order of events on the bridge; about ten minutes on two cores
     Explore {
         /// Number of states to explore
-        #[arg(long, value_name = "N", default_value_t = checks::STATES)]
+        #[arg(long, value_name = "N", default_value_t = commands::STATES)]
         states: u64,
     },
     /// Run the fuzz targets; needs nightly Rust and cargo-fuzz
     Fuzz(fuzz::Extent),
     /// Send commands in the emulator while one byte in 10 000 is corrupted; about 15 minutes
-    Soak(checks::Soak),
+    Soak(commands::Soak),
     /// Find changes of protocol, buses and bridge library that no test detects; takes hours in full (cargo-mutants)
     Mutants(mutants::Extent),
     /// Check data shared by interrupt handlers and the main loop under every order of events
@@ -170,7 +169,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Demo { board, arguments } => {
             let toolchain = setup::thumb_and_qemu(workspace)?;
             let image = firmware::build(workspace, &toolchain, &Variant { board, ..Variant::default() })?;
-            return Ok(exit_code(demo::run(workspace, &image, &arguments)?));
+            return Ok(exit_code(commands::demo(workspace, &image, &arguments)?));
         }
         Command::Test { strict, filter } => {
             let Built { toolchain, image, .. } = Built::new(workspace)?;
@@ -180,7 +179,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Matrix => matrix::run(workspace)?,
         Command::Ci => release_checks(&Built::new(workspace)?)?,
         Command::Platforms => platforms::run(workspace)?,
-        Command::Deny => checks::dependencies(workspace)?,
+        Command::Deny => commands::dependencies(workspace)?,
         Command::Size => {
             let built = Built::new(workspace)?;
             gate::check(&[size::of_images(&built.images()?)?, size::of_protocol(&built.probes())?].concat())?;
@@ -198,19 +197,19 @@ fn run(command: Command) -> Result<ExitCode> {
             gates.extend(bench::latency(workspace)?);
             gate::check(&gates)?;
         }
-        Command::FastStop => drop(checks::fast_stop(workspace)?),
-        Command::Explore { states } => checks::explore(workspace, states)?,
+        Command::FastStop => drop(commands::fast_stop(workspace)?),
+        Command::Explore { states } => commands::explore(workspace, states)?,
         Command::Fuzz(extent) => fuzz::run(workspace, &extent)?,
-        Command::Soak(extent) => checks::soak(workspace, &Built::new(workspace)?.image, &extent)?,
+        Command::Soak(extent) => commands::soak(workspace, &Built::new(workspace)?.image, &extent)?,
         Command::Mutants(extent) => mutants::run(workspace, &extent)?,
-        Command::Loom => checks::loom(workspace)?,
-        Command::Miri => checks::miri(workspace)?,
-        Command::Coverage => checks::coverage(workspace)?,
+        Command::Loom => commands::loom(workspace)?,
+        Command::Miri => commands::miri(workspace)?,
+        Command::Coverage => commands::coverage(workspace)?,
         Command::Figures => {
             let built = Built::new(workspace)?;
             gate::check(&figures::write(&built.probes(), &built.images()?)?)?;
         }
-        Command::Dist => demo::dist(workspace, &build(workspace, &Variant::default())?)?,
+        Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
         Command::Docs => book::build(workspace)?,
         Command::Flash(variant) => {
             flash::require_probe_rs()?;
@@ -223,15 +222,15 @@ fn run(command: Command) -> Result<ExitCode> {
 }
 
 fn release_checks(Built { workspace, toolchain, image }: &Built<'_>) -> Result<()> {
-    checks::dependencies(workspace)?;
+    commands::dependencies(workspace)?;
     test::run(workspace, toolchain, &[], Extent::Whole, true)?;
-    checks::telemetry(workspace)?;
+    commands::telemetry(workspace)?;
     platforms::run(workspace)?;
-    checks::soak(workspace, image, &checks::Soak::CI)?;
-    checks::fast_stop(workspace)?;
-    checks::explore(workspace, checks::STATES)?;
-    checks::loom(workspace)?;
-    checks::miri(workspace)
+    commands::soak(workspace, image, &commands::Soak::CI)?;
+    commands::fast_stop(workspace)?;
+    commands::explore(workspace, commands::STATES)?;
+    commands::loom(workspace)?;
+    commands::miri(workspace)
 }
 
 /// Builds an image to give away or to flash, which requires no emulator.

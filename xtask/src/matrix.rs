@@ -19,8 +19,7 @@ const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "risc
 const HOST_FEATURES: [&str; 2] = ["std", "tokio"];
 
 /// The `no_std` example for boards.
-const BOARD_EXAMPLE: [&str; 6] =
-    ["-p", "wsg-protocol", "--example", "no_std_board", "--features", "embedded-io"];
+const BOARD_EXAMPLE: &str = "build --quiet -p wsg-protocol --example no_std_board --features embedded-io";
 
 /// Which combinations to build.
 #[derive(Clone, Copy, PartialEq)]
@@ -63,8 +62,8 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
             if targets.is_empty() {
                 continue;
             }
-            let mut check = workspace.cargo("check");
-            check.args(["--quiet", "-p", package, "--no-default-features", "--features", &combination]);
+            let mut check = workspace.cargo("check --quiet --no-default-features");
+            check.args(["-p", package, "--features", &combination]);
             // One call for all targets, which run in parallel.
             process::run(check.args(targets.iter().flat_map(|target| ["--target", target])))?;
             outcome.passed += targets.len();
@@ -72,14 +71,12 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
     }
     if extent == Extent::Whole {
         // Checked but not linked, because this workspace's flags would be added to its own.
-        let mut template = workspace.cargo("check");
-        template.args(["--quiet", "--target", setup::TRIPLE]);
-        process::run(template.args(["--manifest-path", "boards/template/Cargo.toml"]))?;
+        let mut template = workspace.cargo("check --quiet --manifest-path boards/template/Cargo.toml");
+        process::run(template.args(["--target", setup::TRIPLE]))?;
         outcome.passed += 1;
     }
     for target in targets.into_iter().filter(|target| extent == Extent::Whole || *target == TARGETS[0]) {
-        let mut example = workspace.cargo("build");
-        process::run(example.args(["--quiet", "--target", target]).args(BOARD_EXAMPLE))?;
+        process::run(workspace.cargo(BOARD_EXAMPLE).args(["--target", target]))?;
         outcome.passed += 1;
     }
 
@@ -93,9 +90,8 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
         outcome.not_checked.push(format!("Rust {oldest} (rustup could not install it)"));
     }
 
-    let mut package = workspace.cargo("package");
     // One call for all packages, so that each is verified against the local versions of the others.
-    process::run(package.args(["--quiet", "--allow-dirty"]).args(packages()))?;
+    process::run(workspace.cargo("package --quiet --allow-dirty").args(packages()))?;
     outcome.passed += 1;
     Ok(outcome)
 }

@@ -29,10 +29,9 @@ pub(crate) fn of_crates(workspace: &Workspace) -> Result<Functions> {
 /// Returns the public functions of a crate with these features.
 fn of_crate(workspace: &Workspace, package: &str, features: &str) -> Result<Functions> {
     let target_dir = workspace.target_dir.join("functions");
-    let mut rustdoc = workspace.cargo("rustdoc");
-    rustdoc.args(["--quiet", "-p", package, "--lib", "--no-default-features", "--features", features]);
-    rustdoc.arg("--target-dir").arg(&target_dir).args(["--", "-Z", "unstable-options"]);
-    rustdoc.args(["--output-format", "json", "--document-hidden-items"]);
+    let mut rustdoc = workspace.cargo("rustdoc --quiet --lib --no-default-features");
+    rustdoc.args(["-p", package, "--features", features, "--target-dir"]).arg(&target_dir);
+    rustdoc.args("-- -Z unstable-options --output-format json --document-hidden-items".split(' '));
     // rustdoc's JSON is unstable. A changed format is reported below instead of being ignored.
     process::run(rustdoc.env("RUSTC_BOOTSTRAP", "1"))?;
     let path = target_dir.join(format!("doc/{}.json", package.replace('-', "_")));
@@ -47,9 +46,7 @@ fn of_crate(workspace: &Workspace, package: &str, features: &str) -> Result<Func
 
 /// Returns the functions listed by the probe.
 pub(crate) fn of_probe(workspace: &Workspace) -> Result<Functions> {
-    let mut probe = workspace.cargo("run");
-    probe.args(["--quiet", "-p", "wsg-probes"]);
-    probe.args(["--features", "every-function", "--bin", "functions"]);
+    let mut probe = workspace.cargo("run --quiet -p wsg-probes --features every-function --bin functions");
     Ok(counted(process::output(&mut probe)?.lines().map(path_of)))
 }
 

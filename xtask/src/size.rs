@@ -57,20 +57,13 @@ pub(crate) fn of_protocol(probes: &Probes<'_>) -> Result<Vec<Gate>> {
     let small_frame = probes.footprint("frame", "on-target,small-table")?.over(small_empty);
     println!("  drivers, every method of both protocols, with dependencies: {} B", driver.flash);
     println!("  human-readable text (Display of commands and replies, core::fmt): {} B", text.flash);
-    Ok(vec![
-        Gate::bytes("parser and encoder, flash with table", frame.flash, FRAME_LIMIT),
-        Gate::bytes("parser and encoder, flash with `small-table`", small_frame.flash, SMALL_FRAME_LIMIT),
-        Gate::bytes(
-            "parser for 64 bytes of payload, RAM",
-            frame.static_ram,
-            PARSER_PAYLOAD + PARSER_OVERHEAD_LIMIT,
-        ),
-        Gate::bytes(
-            "whole protocol crate (no `gcl`, `modbus`, drivers), flash",
-            protocol.flash,
-            PROTOCOL_LIMIT,
-        ),
-        Gate::bytes("`gcl`, every public function, flash", gcl.flash, GCL_LIMIT),
-        Gate::bytes("`modbus`, every public function, flash", modbus.flash, MODBUS_LIMIT),
-    ])
+    let gates = [
+        ("parser and encoder, flash with table", frame.flash, FRAME_LIMIT),
+        ("parser and encoder, flash with `small-table`", small_frame.flash, SMALL_FRAME_LIMIT),
+        ("parser for 64 bytes of payload, RAM", frame.static_ram, PARSER_PAYLOAD + PARSER_OVERHEAD_LIMIT),
+        ("whole protocol crate (no `gcl`, `modbus`, drivers), flash", protocol.flash, PROTOCOL_LIMIT),
+        ("`gcl`, every public function, flash", gcl.flash, GCL_LIMIT),
+        ("`modbus`, every public function, flash", modbus.flash, MODBUS_LIMIT),
+    ];
+    Ok(gates.map(|(what, measured, limit)| Gate::bytes(what, measured, limit)).to_vec())
 }

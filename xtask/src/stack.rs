@@ -70,7 +70,7 @@ fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Res
 /// checks how much paint is left.
 pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gate>> {
     // Build with `--workspace`, because the tests use the same features and nothing is then built twice.
-    process::run(workspace.cargo("build").args(["-q", "--workspace", "--example", "painted_stack"]))?;
+    process::run(&mut workspace.cargo("build -q --workspace --example painted_stack"))?;
     let emulated = images.iter().filter(|image| image.board.emulated.is_some());
     emulated.map(|image| paint(workspace, image)).collect()
 }

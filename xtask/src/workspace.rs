@@ -46,15 +46,16 @@ impl Workspace {
         Ok(Self { root, target_dir, cargo })
     }
 
-    /// Returns `cargo <subcommand>` with the calling tool chain, run in the workspace root.
-    pub(crate) fn cargo(&self, subcommand: &str) -> Command {
-        let mut command = self.cargo_in_current_dir(subcommand);
+    /// Returns `cargo` with a subcommand and options, separated by spaces, with the calling tool chain, run in the workspace root.
+    pub(crate) fn cargo(&self, line: &str) -> Command {
+        let mut command = self.cargo_in_current_dir(line);
         command.current_dir(&self.root);
         command
     }
 
     /// The same, run in the current folder, for programs whose arguments may be file names.
-    pub(crate) fn cargo_in_current_dir(&self, subcommand: &str) -> Command {
+    pub(crate) fn cargo_in_current_dir(&self, line: &str) -> Command {
+        let (subcommand, options) = line.split_once(' ').unwrap_or((line, ""));
         let mut command = Command::new(&self.cargo);
         command.env("CARGO_TARGET_DIR", &self.target_dir).arg(subcommand);
         // Never build with versions other than those in Cargo.lock. The formatter does not support this option.
@@ -65,13 +66,13 @@ impl Workspace {
         if env::var_os("CI").is_some() {
             command.env("CARGO_INCREMENTAL", "0");
         }
+        command.args(options.split_whitespace());
         command
     }
 
     /// Returns the packages of the workspace, as cargo describes them.
     pub(crate) fn packages(&self) -> Result<Vec<Value>> {
-        let mut metadata = self.cargo("metadata");
-        let text = process::output(metadata.args(["--no-deps", "--format-version", "1", "--offline"]))?;
+        let text = process::output(&mut self.cargo("metadata --no-deps --format-version 1 --offline"))?;
         let mut metadata: Value = serde_json::from_str(&text)?;
         Ok(serde_json::from_value(metadata["packages"].take())?)
     }

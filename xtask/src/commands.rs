@@ -1,13 +1,29 @@
-//! Checks that consist of one run of another program.
+//! Commands that consist of one run of another program of the workspace or of a tool.
+
+use std::{ffi::OsString, process::ExitStatus};
 
 use anyhow::{Context, Result, ensure};
 
 use crate::{
     firmware::{self, IMAGE_VARIABLE, Image},
-    process,
+    process, setup,
     tool::{self, CARGO_DENY, CARGO_LLVM_COV, MIRI, NIGHTLY},
     workspace::{TARGET_CRATES, Workspace},
 };
+
+/// Runs the demonstration of an image with its own `arguments`, and returns its exit status.
+pub(crate) fn demo(workspace: &Workspace, image: &Image, arguments: &[OsString]) -> Result<ExitStatus> {
+    let mut cargo = workspace.cargo_in_current_dir("run -q -p host-tests --bin demo -- --elf");
+    cargo.arg(&image.path).args(arguments);
+    setup::tell_emulator(workspace, image.board, &mut cargo)?;
+    process::run_for_status(&mut cargo)
+}
+
+/// Builds the delivery folder for PLC engineers with `image`.
+pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
+    let mut cargo = workspace.cargo("run -q -p dist -- --elf");
+    process::run(cargo.arg(&image.path).arg("--to").arg(workspace.target_dir.join("dist")))
+}
 
 /// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.
 pub(crate) fn dependencies(workspace: &Workspace) -> Result<()> {
@@ -18,8 +34,7 @@ pub(crate) fn dependencies(workspace: &Workspace) -> Result<()> {
 /// Measures the stopping time of the gripper on a disturbed line in virtual time, and returns the rows of the table. Fails if a case
 /// exceeds its limit.
 pub(crate) fn fast_stop(workspace: &Workspace) -> Result<String> {
-    let mut cargo = workspace.cargo("run");
-    cargo.args(["--quiet", "--release", "-p", "host-tests", "--example", "fast_stop"]);
+    let mut cargo = workspace.cargo("run --quiet --release -p host-tests --example fast_stop");
     let table = process::output(&mut cargo).context("the gripper did not stop in time")?;
     print!("{table}");
     Ok(table)
@@ -31,8 +46,7 @@ pub(crate) const STATES: u64 = 100_000_000;
 /// Explores every order of events on the bridge, up to this number of states. Fails if a property is violated, and prints the
 /// shortest violation.
 pub(crate) fn explore(workspace: &Workspace, states: u64) -> Result<()> {
-    let mut cargo = workspace.cargo("run");
-    cargo.args(["--quiet", "--release", "-p", "host-tests", "--example", "explore", "--"]);
+    let mut cargo = workspace.cargo("run --quiet --release -p host-tests --example explore --");
     process::run(cargo.arg(states.to_string())).context("a property is violated; see the output above")
 }
 
@@ -54,9 +68,8 @@ impl Soak {
 
 /// Runs the test that sends commands to the image in the emulator on a faulty line. Its last line summarizes the results.
 pub(crate) fn soak(workspace: &Workspace, image: &Image, extent: &Soak) -> Result<()> {
-    let mut cargo = workspace.cargo("test");
-    cargo.args(["-q", "-p", "host-tests", "--test", "end_to_end", "soak_on_a_faulty_line"]);
-    cargo.args(["--", "--include-ignored", "--nocapture"]);
+    let mut cargo = workspace.cargo("test -q -p host-tests --test end_to_end soak_on_a_faulty_line --");
+    cargo.args(["--include-ignored", "--nocapture"]);
     cargo.env(IMAGE_VARIABLE, &image.path);
     cargo.env("WSG_SOAK_COMMANDS", extent.commands.to_string());
     cargo.env("WSG_SOAK_SEED", extent.seed.to_string());
@@ -65,14 +78,15 @@ pub(crate) fn soak(workspace: &Workspace, image: &Image, extent: &Soak) -> Resul
 
 /// Runs the load test of `wsg telemetry` with 500 virtual grippers, separately from all other tests.
 pub(crate) fn telemetry(workspace: &Workspace) -> Result<()> {
-    let test = ["--release", "-p", "wsg-tool", "--test", "telemetry", "five_hundred", "--", "--nocapture"];
-    process::run(workspace.cargo("test").args(test).env("WSG_LOAD", "1"))
+    let mut cargo =
+        workspace.cargo("test --release -p wsg-tool --test telemetry five_hundred -- --nocapture");
+    process::run(cargo.env("WSG_LOAD", "1"))
 }
 
 /// Checks data shared by interrupt handlers and the main loop under every order that the memory model allows, with `loom`.
 pub(crate) fn loom(workspace: &Workspace) -> Result<()> {
-    let mut models = workspace.cargo("test");
-    models.args(["--release", "-p", firmware::BRIDGE, "--lib", "::model::"]);
+    let mut models = workspace.cargo("test --release --lib ::model:: -p");
+    models.arg(firmware::BRIDGE);
     // A separate build folder, because the flag would cause a full rebuild of everything else.
     models.env("RUSTFLAGS", "--cfg loom").env("CARGO_TARGET_DIR", workspace.target_dir.join("loom"));
     let said = process::output(&mut models)?;
