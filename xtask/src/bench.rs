@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     board::{BOARDS, Board, MACHINE},
     gate::{Gate, Unit},
-    probe::{Probes, Profile},
+    probe::Profile,
     process,
     setup::ThumbToolchain,
     workspace::Workspace,
@@ -65,13 +65,13 @@ pub(crate) struct Counted {
 }
 
 /// Counts instructions in the emulator, and compares them with the baseline or updates it.
-pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Counted> {
+pub(crate) fn counted(toolchain: &ThumbToolchain<'_>, update: bool) -> Result<Counted> {
     let mut counts = Counts::new();
     for (board, profile) in cores().flat_map(|board| Profile::ALL.map(|profile| (board, profile))) {
         // Edges use the drivers of the default board. Its core also runs programs for the other cores, with the same number of
         // instructions.
         let features = if board == <&Board>::default() { "edges" } else { "bench" };
-        let elf = probes.build(board.triple, "bench", features, profile)?;
+        let elf = toolchain.build_probe(board.triple, "bench", features, profile)?;
         let mut qemu = qemu(&elf);
         let first = process::output(&mut qemu)?;
         ensure!(
@@ -85,7 +85,7 @@ pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Counted> {
         let each = count.instructions as f64 / count.of as f64;
         println!("  {name:<32} {:>7} instructions, {each:.1} each", count.instructions);
     }
-    Ok(Counted { not_compared: hold(probes, &counts, update)?, gates: gates(&counts)? })
+    Ok(Counted { not_compared: hold(toolchain, &counts, update)?, gates: gates(&counts)? })
 }
 
 /// Returns the first board of each core, which represents the others with that core.
@@ -235,9 +235,10 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
 }
 
 /// Compares the counts with the baseline. Returns the reason if it was created with another compiler.
-fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<String>> {
-    let path = probes.workspace.root.join(BASELINE);
-    let compiler = compiler(probes)?;
+fn hold(toolchain: &ThumbToolchain<'_>, counts: &Counts, update: bool) -> Result<Option<String>> {
+    let path = toolchain.workspace.root.join(BASELINE);
+    let version = process::answer(toolchain.rustc().arg("--version"));
+    let compiler = version.context("rustc does not report its version")?.trim().to_owned();
     if update {
         let text = baseline_text(&compiler, counts);
         fs::write(&path, text).with_context(|| format!("cannot write {BASELINE}"))?;
@@ -256,15 +257,6 @@ fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<Str
     ensure!(worse.is_empty(), "slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
     println!("  within {TOLERANCE} % of {BASELINE} (update it with `cargo xtask bench --update`)");
     Ok(None)
-}
-
-fn compiler(probes: &Probes<'_>) -> Result<String> {
-    let mut rustc = match probes.toolchain {
-        ThumbToolchain::Active => probes.workspace.rustc(),
-        ThumbToolchain::Debian { .. } => Command::new("/usr/bin/rustc"),
-    };
-    let version = process::answer(rustc.arg("--version")).context("rustc does not report its version")?;
-    Ok(version.trim().to_owned())
 }
 
 fn baseline_text(compiler: &str, counts: &Counts) -> String {

@@ -4,25 +4,25 @@ use std::fs;
 
 use anyhow::{Context, Result};
 
-use crate::{bench, commands, firmware::Image, gate::Gate, panics, probe::Probes, size, stack};
+use crate::{bench, commands, firmware::Image, gate::Gate, panics, setup::ThumbToolchain, size, stack};
 
 const DOCUMENT: &str = "docs/figures.md";
 
 /// Measures all figures, writes them to `docs/figures.md`, and returns the gates.
-pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> {
-    panics::check(probes)?;
+pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
+    panics::check(toolchain)?;
     let mut gates = size::of_images(images)?;
-    gates.extend(size::of_protocol(probes)?);
-    gates.extend(stack::walked(probes.workspace, probes.toolchain, images)?);
-    gates.extend(stack::painted(probes.workspace, images)?);
-    gates.extend(bench::counted(probes, false)?.gates);
-    gates.extend(bench::throughput(probes.workspace)?);
-    gates.extend(bench::latency(probes.workspace)?);
+    gates.extend(size::of_protocol(toolchain)?);
+    gates.extend(stack::walked(toolchain, images)?);
+    gates.extend(stack::painted(toolchain.workspace, images)?);
+    gates.extend(bench::counted(toolchain, false)?.gates);
+    gates.extend(bench::throughput(toolchain.workspace)?);
+    gates.extend(bench::latency(toolchain.workspace)?);
 
-    let path = probes.workspace.root.join(DOCUMENT);
+    let path = toolchain.workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
     let text = with_part(&text, "figures", &table(&gates))?;
-    let text = with_part(&text, "fast-stop", &commands::fast_stop(probes.workspace)?)?;
+    let text = with_part(&text, "fast-stop", &commands::fast_stop(toolchain.workspace)?)?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
     println!("{DOCUMENT} updated");
     Ok(gates)

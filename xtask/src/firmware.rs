@@ -13,7 +13,6 @@ use crate::{
     process,
     settings::{self, Change},
     setup::ThumbToolchain,
-    workspace::Workspace,
 };
 
 /// Package of the board-independent bridge library.
@@ -65,15 +64,15 @@ pub(crate) struct Image {
 }
 
 /// Builds a board's image.
-pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: &Variant) -> Result<Image> {
+pub(crate) fn build(toolchain: &ThumbToolchain<'_>, variant: &Variant) -> Result<Image> {
     let board = variant.board;
-    let mut cargo = toolchain.cargo(workspace, "build", board.triple);
+    let mut cargo = toolchain.cargo("build", board.triple);
     cargo.args(selection(board, &variant.features));
     process::run(&mut cargo)?;
-    let built = toolchain.output_dir(workspace, board.triple, PROFILE).join(board.name);
+    let built = toolchain.output_dir(board.triple, PROFILE).join(board.name);
     let mut elf = fs::read(&built).with_context(|| format!("cannot read the image {}", built.display()))?;
     settings::apply(&mut elf, &variant.settings)?;
-    let kept = workspace.target_dir.join("firmware").join(file_name(variant));
+    let kept = toolchain.workspace.target_dir.join("firmware").join(file_name(variant));
     if board.takes_uf2 {
         keep(board, &footprint::uf2(&elf)?, &kept.with_extension("uf2"))?;
     }
@@ -81,8 +80,8 @@ pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: 
 }
 
 /// Builds the default images of all boards, the default board's first.
-pub(crate) fn build_all(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<Vec<Image>> {
-    BOARDS.iter().map(|board| build(workspace, toolchain, &Variant { board, ..Variant::default() })).collect()
+pub(crate) fn build_all(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Image>> {
+    BOARDS.iter().map(|board| build(toolchain, &Variant { board, ..Variant::default() })).collect()
 }
 
 /// Returns cargo's arguments that select the firmware's binary, features and profile.

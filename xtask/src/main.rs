@@ -37,7 +37,6 @@ use clap::{Parser, Subcommand};
 use board::Board;
 use firmware::{Image, Variant};
 use matrix::Extent;
-use probe::Probes;
 use setup::ThumbToolchain;
 use workspace::Workspace;
 
@@ -168,13 +167,13 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Build(variant) => print_image(&build(workspace, &variant)?),
         Command::Demo { board, arguments } => {
             let toolchain = setup::thumb_and_qemu(workspace)?;
-            let image = firmware::build(workspace, &toolchain, &Variant { board, ..Variant::default() })?;
+            let image = firmware::build(&toolchain, &Variant { board, ..Variant::default() })?;
             return Ok(exit_code(commands::demo(workspace, &image, &arguments)?));
         }
         Command::Test { strict, filter } => {
-            let Built { toolchain, image, .. } = Built::new(workspace)?;
-            print_image(&image);
-            test::run(workspace, &toolchain, &filter, Extent::Quick, strict)?;
+            let built = Built::new(workspace)?;
+            print_image(&built.image);
+            test::run(&built.toolchain, &filter, Extent::Quick, strict)?;
         }
         Command::Matrix => matrix::run(workspace)?,
         Command::Ci => release_checks(&Built::new(workspace)?)?,
@@ -182,17 +181,19 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Deny => commands::dependencies(workspace)?,
         Command::Size => {
             let built = Built::new(workspace)?;
-            gate::check(&[size::of_images(&built.images()?)?, size::of_protocol(&built.probes())?].concat())?;
+            gate::check(
+                &[size::of_images(&built.images()?)?, size::of_protocol(&built.toolchain)?].concat(),
+            )?;
         }
         Command::Stack => {
             let built = Built::new(workspace)?;
             let images = built.images()?;
-            let walked = stack::walked(workspace, &built.toolchain, &images)?;
+            let walked = stack::walked(&built.toolchain, &images)?;
             gate::check(&[walked, stack::painted(workspace, &images)?].concat())?;
         }
-        Command::Panics => panics::check(&Built::new(workspace)?.probes())?,
+        Command::Panics => panics::check(&Built::new(workspace)?.toolchain)?,
         Command::Bench { update } => {
-            let mut gates = bench::counted(&Built::new(workspace)?.probes(), update)?.gates;
+            let mut gates = bench::counted(&Built::new(workspace)?.toolchain, update)?.gates;
             gates.extend(bench::throughput(workspace)?);
             gates.extend(bench::latency(workspace)?);
             gate::check(&gates)?;
@@ -207,7 +208,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Coverage => commands::coverage(workspace)?,
         Command::Figures => {
             let built = Built::new(workspace)?;
-            gate::check(&figures::write(&built.probes(), &built.images()?)?)?;
+            gate::check(&figures::write(&built.toolchain, &built.images()?)?)?;
         }
         Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
         Command::Docs => book::build(workspace)?,
@@ -221,9 +222,10 @@ fn run(command: Command) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn release_checks(Built { workspace, toolchain, image }: &Built<'_>) -> Result<()> {
+fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
+    let workspace = toolchain.workspace;
     commands::dependencies(workspace)?;
-    test::run(workspace, toolchain, &[], Extent::Whole, true)?;
+    test::run(toolchain, &[], Extent::Whole, true)?;
     commands::telemetry(workspace)?;
     platforms::run(workspace)?;
     commands::soak(workspace, image, &commands::Soak::CI)?;
@@ -236,30 +238,25 @@ fn release_checks(Built { workspace, toolchain, image }: &Built<'_>) -> Result<(
 /// Builds an image to give away or to flash, which requires no emulator.
 fn build(workspace: &Workspace, variant: &Variant) -> Result<Image> {
     settings::check(&variant.settings)?;
-    firmware::build(workspace, &setup::thumb(workspace)?, variant)
+    firmware::build(&setup::thumb(workspace)?, variant)
 }
 
 /// The subject of a measurement: the default image and the tool chain.
 struct Built<'a> {
-    workspace: &'a Workspace,
-    toolchain: ThumbToolchain,
+    toolchain: ThumbToolchain<'a>,
     image: Image,
 }
 
 impl<'a> Built<'a> {
     fn new(workspace: &'a Workspace) -> Result<Self> {
         let toolchain = setup::thumb_and_qemu(workspace)?;
-        let image = firmware::build(workspace, &toolchain, &Variant::default())?;
-        Ok(Self { workspace, toolchain, image })
+        let image = firmware::build(&toolchain, &Variant::default())?;
+        Ok(Self { toolchain, image })
     }
 
     /// Builds the images of all boards.
     fn images(&self) -> Result<Vec<Image>> {
-        firmware::build_all(self.workspace, &self.toolchain)
-    }
-
-    fn probes(&self) -> Probes<'_> {
-        Probes { workspace: self.workspace, toolchain: &self.toolchain }
+        firmware::build_all(&self.toolchain)
     }
 }
 

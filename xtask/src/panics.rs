@@ -7,9 +7,9 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     board::{BOARDS, Board},
     firmware,
-    probe::{Probes, Profile},
+    probe::Profile,
     process, public_functions,
-    setup::TRIPLE,
+    setup::{TRIPLE, ThumbToolchain},
 };
 
 /// Name of the undefined function that the panic handler calls.
@@ -20,9 +20,9 @@ const FUNCTIONS: &str = "functions";
 const FEATURES: &str = "every-function,on-target";
 
 /// Checks firmware and crates at both opt-levels. A program that panics verifies the check itself.
-pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
-    let functions = public_functions::of_crates(probes.workspace)?;
-    let missing = public_functions::missing(&functions, &public_functions::of_probe(probes.workspace)?);
+pub(crate) fn check(toolchain: &ThumbToolchain<'_>) -> Result<()> {
+    let functions = public_functions::of_crates(toolchain.workspace)?;
+    let missing = public_functions::missing(&functions, &public_functions::of_probe(toolchain.workspace)?);
     ensure!(
         missing.is_empty(),
         "public functions missing from host-tests/probes/src/bin/functions, so their panics are not checked: {}",
@@ -31,13 +31,13 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
     for profile in Profile::ALL {
         let level = format!("opt-level {}", profile.level);
         ensure!(
-            panics(&mut probes.cargo(TRIPLE, "panics", "on-target", profile))?,
+            panics(&mut toolchain.probe(TRIPLE, "panics", "on-target", profile))?,
             "the control program with a panic links at {level}: the check is ineffective"
         );
         let what = "protocol and buses, every public function";
-        hold(what, &level, &mut probes.cargo(TRIPLE, FUNCTIONS, FEATURES, profile))?;
+        hold(what, &level, &mut toolchain.probe(TRIPLE, FUNCTIONS, FEATURES, profile))?;
         for board in &BOARDS {
-            hold(board.name, &level, &mut firmware_build(probes, board, profile))?;
+            hold(board.name, &level, &mut firmware_build(toolchain, board, profile))?;
         }
     }
     println!(
@@ -54,8 +54,8 @@ fn hold(what: &str, level: &str, build: &mut Command) -> Result<()> {
     Ok(())
 }
 
-fn firmware_build(probes: &Probes<'_>, board: &Board, profile: Profile) -> Command {
-    let mut cargo = probes.toolchain.cargo(probes.workspace, "build", board.triple);
+fn firmware_build(toolchain: &ThumbToolchain<'_>, board: &Board, profile: Profile) -> Command {
+    let mut cargo = toolchain.cargo("build", board.triple);
     cargo.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name));
     cargo
 }

@@ -8,7 +8,6 @@ use footprint::Footprint;
 use crate::{
     process,
     setup::{TRIPLE, ThumbToolchain},
-    workspace::Workspace,
 };
 
 const PACKAGE: &str = "wsg-probes";
@@ -30,37 +29,29 @@ impl Profile {
     pub(crate) const ALL: [Self; 2] = [Self::SIZE, Self { name: "firmware-o3", level: '3' }];
 }
 
-/// Builds probes for thumb targets.
-pub(crate) struct Probes<'a> {
-    /// The workspace that contains the probes.
-    pub(crate) workspace: &'a Workspace,
-    /// The tool chain that builds the probes.
-    pub(crate) toolchain: &'a ThumbToolchain,
-}
-
-impl Probes<'_> {
+impl ThumbToolchain<'_> {
     /// Returns the `cargo build` command of a program for a target.
-    pub(crate) fn cargo(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
-        let mut cargo = self.toolchain.cargo(self.workspace, "build", triple);
+    pub(crate) fn probe(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
+        let mut cargo = self.cargo("build", triple);
         cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name]);
         cargo
     }
 
     /// Builds a program and returns its path. The next build of the same program overwrites it.
-    pub(crate) fn build(
+    pub(crate) fn build_probe(
         &self,
         triple: &str,
         name: &str,
         features: &str,
         profile: Profile,
     ) -> Result<PathBuf> {
-        process::run(&mut self.cargo(triple, name, features, profile))?;
-        Ok(self.toolchain.output_dir(self.workspace, triple, profile.name).join(name))
+        process::run(&mut self.probe(triple, name, features, profile))?;
+        Ok(self.output_dir(triple, profile.name).join(name))
     }
 
     /// Returns the flash and RAM footprint of a program at opt-level s.
     pub(crate) fn footprint(&self, name: &str, features: &str) -> Result<Footprint> {
-        let path = self.build(TRIPLE, name, features, Profile::SIZE)?;
+        let path = self.build_probe(TRIPLE, name, features, Profile::SIZE)?;
         let what_failed = || format!("cannot read the sections of {}", path.display());
         let bytes = fs::read(&path).with_context(what_failed)?;
         Ok(Footprint::of(&footprint::sections_of(&bytes).with_context(what_failed)?))

@@ -5,7 +5,7 @@ use std::fs;
 use anyhow::{Context, Result};
 use footprint::Footprint;
 
-use crate::{firmware::Image, gate::Gate, probe::Probes};
+use crate::{firmware::Image, gate::Gate, setup::ThumbToolchain};
 
 const STATIC_RAM_LIMIT: u64 = 12 * 1024;
 
@@ -45,16 +45,16 @@ fn of_image(image: &Image) -> Result<Vec<Gate>> {
 }
 
 /// Returns the gates of the protocol crate, from the sizes of programs minus that of an empty one.
-pub(crate) fn of_protocol(probes: &Probes<'_>) -> Result<Vec<Gate>> {
-    let empty = probes.footprint("empty", "on-target")?;
-    let frame = probes.footprint("frame", "on-target")?.over(empty);
-    let protocol = probes.footprint("functions", "protocol,on-target")?.over(empty);
-    let text = probes.footprint("text", "text")?.over(empty);
-    let gcl = probes.footprint("functions", "gcl,on-target")?.over(empty);
-    let modbus = probes.footprint("functions", "modbus,on-target")?.over(empty);
-    let driver = probes.footprint("functions", "drivers,on-target")?.over(empty);
-    let small_empty = probes.footprint("empty", "on-target,small-table")?;
-    let small_frame = probes.footprint("frame", "on-target,small-table")?.over(small_empty);
+pub(crate) fn of_protocol(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Gate>> {
+    let empty = toolchain.footprint("empty", "on-target")?;
+    let frame = toolchain.footprint("frame", "on-target")?.over(empty);
+    let protocol = toolchain.footprint("functions", "protocol,on-target")?.over(empty);
+    let text = toolchain.footprint("text", "text")?.over(empty);
+    let gcl = toolchain.footprint("functions", "gcl,on-target")?.over(empty);
+    let modbus = toolchain.footprint("functions", "modbus,on-target")?.over(empty);
+    let driver = toolchain.footprint("functions", "drivers,on-target")?.over(empty);
+    let small_empty = toolchain.footprint("empty", "on-target,small-table")?;
+    let small_frame = toolchain.footprint("frame", "on-target,small-table")?.over(small_empty);
     println!("  drivers, every method of both protocols, with dependencies: {} B", driver.flash);
     println!("  human-readable text (Display of commands and replies, core::fmt): {} B", text.flash);
     let gates = [

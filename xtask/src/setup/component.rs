@@ -40,9 +40,9 @@ impl Component {
     }
 
     /// Like [`Self::provide`], for the cargo that builds for the thumb targets.
-    pub(crate) fn provide_for_thumb(&self, workspace: &Workspace, toolchain: &ThumbToolchain) -> bool {
-        if *toolchain == ThumbToolchain::Active {
-            return self.provide(workspace);
+    pub(crate) fn provide_for_thumb(&self, toolchain: &ThumbToolchain<'_>) -> bool {
+        if !toolchain.is_debian() {
+            return self.provide(toolchain.workspace);
         }
         let program = format!("{}-{}", rust_target::DEBIAN_CARGO, self.subcommand);
         let is_available = || Path::new(&program).exists();

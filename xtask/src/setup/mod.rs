@@ -22,12 +22,12 @@ use apt::Packages;
 use crate::{board::MACHINE, process, workspace::Workspace};
 
 /// Provides a tool chain for the thumb targets.
-pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain> {
+pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain<'_>> {
     run(workspace, false)
 }
 
 /// Provides the tool chain like [`thumb`], and QEMU.
-pub(crate) fn thumb_and_qemu(workspace: &Workspace) -> Result<ThumbToolchain> {
+pub(crate) fn thumb_and_qemu(workspace: &Workspace) -> Result<ThumbToolchain<'_>> {
     run(workspace, true)
 }
 
@@ -41,7 +41,7 @@ pub(crate) fn all(workspace: &Workspace) -> Result<()> {
     Ok(())
 }
 
-fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
+fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain<'_>> {
     let mut lacks = Vec::new();
     let mut wanted = Vec::new();
     let mut toolchain = rust_target::find(workspace);

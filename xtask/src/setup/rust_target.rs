@@ -25,28 +25,25 @@ pub(crate) const MINIMUM_RUST: &str = env!("CARGO_PKG_RUST_VERSION");
 pub(super) const DEBIAN_CARGO: &str = "/usr/bin/cargo";
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
 const DEBIAN_LINKER: &str = "/usr/bin/ld.lld";
+/// A separate build folder, so that the tool chains neither block nor overwrite each other.
+const DEBIAN_FOLDER: &str = "debian";
 
-/// A tool chain for the thumb targets.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum ThumbToolchain {
-    /// The tool chain of the calling cargo.
-    Active,
-    /// Debian's `cargo-web`, `rustc-web` and `rust-web-src`.
-    Debian {
-        /// Full path of the linker.
-        linker: PathBuf,
-    },
+/// A tool chain that builds the workspace for the thumb targets.
+pub(crate) struct ThumbToolchain<'a> {
+    /// The workspace that it builds.
+    pub(crate) workspace: &'a Workspace,
+    /// Full path of the linker for Debian's `cargo-web`, `rustc-web` and `rust-web-src`, or `None` for the tool chain of the calling
+    /// cargo.
+    debian_linker: Option<PathBuf>,
 }
 
 /// Finds an installed tool chain for the targets.
-pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
+pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain<'_>> {
     if TRIPLES.iter().all(|triple| has_target(workspace, triple)) {
-        return Some(ThumbToolchain::Active);
+        return Some(ThumbToolchain { workspace, debian_linker: None });
     }
-    if !debian_can_build_core() {
-        return None;
-    }
-    linker(workspace).map(|linker| ThumbToolchain::Debian { linker })
+    let debian_linker = Some(linker(workspace).filter(|_| debian_can_build_core())?);
+    Some(ThumbToolchain { workspace, debian_linker })
 }
 
 /// Returns whether the tool chain of the calling cargo has `core` for `target` and may use it.
@@ -88,14 +85,24 @@ pub(crate) fn packages(workspace: &Workspace) -> Packages {
     Packages::of(names)
 }
 
-impl ThumbToolchain {
+impl ThumbToolchain<'_> {
+    /// Returns whether Debian's packages are the tool chain.
+    pub(crate) fn is_debian(&self) -> bool {
+        self.debian_linker.is_some()
+    }
+
+    /// Returns its compiler.
+    pub(crate) fn rustc(&self) -> Command {
+        if self.is_debian() { Command::new(DEBIAN_RUSTC) } else { self.workspace.rustc() }
+    }
+
     /// Returns `cargo <subcommand>` for one of [`TRIPLES`], with all options that the tool chain needs.
-    pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str, triple: &str) -> Command {
-        let mut command = match self {
-            Self::Active => workspace.cargo(subcommand),
-            Self::Debian { linker } => debian_cargo(workspace, subcommand, triple, linker),
+    pub(crate) fn cargo(&self, subcommand: &str, triple: &str) -> Command {
+        let mut command = match &self.debian_linker {
+            None => self.workspace.cargo(subcommand),
+            Some(linker) => debian_cargo(self.workspace, subcommand, triple, linker),
         };
-        command.args(["--target", triple, "--config", &remap_config(workspace, triple)]);
+        command.args(["--target", triple, "--config", &remap_config(self.workspace, triple)]);
         // Flags from the environment would replace those in .cargo/config.toml, such as the linker script, and the image would not
         // be reproducible.
         for name in ["RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", &variable(triple, "RUSTFLAGS")] {
@@ -105,11 +112,9 @@ impl ThumbToolchain {
     }
 
     /// Returns the output folder of builds with `profile`.
-    pub(crate) fn output_dir(&self, workspace: &Workspace, triple: &str, profile: &str) -> PathBuf {
-        let target_dir = match self {
-            Self::Active => workspace.target_dir.clone(),
-            Self::Debian { .. } => debian_target_dir(workspace),
-        };
+    pub(crate) fn output_dir(&self, triple: &str, profile: &str) -> PathBuf {
+        let target_dir = &self.workspace.target_dir;
+        let target_dir = if self.is_debian() { target_dir.join(DEBIAN_FOLDER) } else { target_dir.clone() };
         target_dir.join(triple).join(profile)
     }
 }
@@ -126,15 +131,10 @@ fn debian_cargo(workspace: &Workspace, subcommand: &str, triple: &str, linker: &
     command.current_dir(&workspace.root).args([subcommand, "--locked", "-Z", "build-std=core"]);
     command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
     command.env(variable(triple, "LINKER"), linker);
-    command.env("CARGO_TARGET_DIR", debian_target_dir(workspace));
+    command.env("CARGO_TARGET_DIR", workspace.target_dir.join(DEBIAN_FOLDER));
     // Remove the outer cargo's variables, which would lead Debian's programs to rustup's tool chain and libraries.
     command.env_remove("RUSTUP_TOOLCHAIN").env_remove("LD_LIBRARY_PATH").env_remove("RUSTDOC");
     command
-}
-
-/// Returns a separate build folder, so that the tool chains neither block nor overwrite each other.
-fn debian_target_dir(workspace: &Workspace) -> PathBuf {
-    workspace.target_dir.join("debian")
 }
 
 /// Removes the paths of the checkout, the target folder and cargo's home from the debug information, so that the image is
