@@ -133,22 +133,18 @@ pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
 }
 
 fn throughput_gates(best: &Figures) -> [Gate; 2] {
-    let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
-    let bulk = of("bulk-path");
+    let [bulk, table_loop] = ["bulk-path", "table-loop"].map(|name| of(best, name));
+    let what = "host throughput in bulk, 64 B payloads";
+    let relative = bulk / table_loop;
     [
-        Gate::new(
-            "host throughput in bulk, 64 B payloads",
-            bulk,
-            THROUGHPUT_LIMIT,
-            Unit::GIGABYTES_PER_SECOND,
-        ),
-        Gate::new(
-            "the same beside a plain table loop",
-            bulk / of("table-loop"),
-            SPEED_UP_LIMIT,
-            Unit::TIMES_AS_FAST,
-        ),
+        Gate::new(what, bulk, THROUGHPUT_LIMIT, Unit::GIGABYTES_PER_SECOND),
+        Gate::new("the same beside a plain table loop", relative, SPEED_UP_LIMIT, Unit::TIMES_AS_FAST),
     ]
+}
+
+/// Returns a figure, or one that exceeds every limit if it was not measured.
+fn of(best: &Figures, name: &str) -> f64 {
+    best.get(name).copied().unwrap_or(f64::NAN)
 }
 
 /// Clients whose query is compared with a bare socket: description, name in the program, and name of the bare socket.
@@ -180,7 +176,7 @@ pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
 }
 
 fn latency_gates(best: &Figures) -> Vec<Gate> {
-    let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
+    let of = |name: &str| of(best, name);
     let mut gates = Vec::new();
     for (what, client, beside) in CLIENTS {
         let query = format!("query over loopback TCP, {what}, median");
@@ -260,26 +256,20 @@ fn hold(toolchain: &ThumbToolchain<'_>, counts: &Counts, update: bool) -> Result
 }
 
 fn baseline_text(compiler: &str, counts: &Counts) -> String {
-    let mut text = format!("# {compiler}\n");
-    for (name, Count { instructions, of }) in counts {
-        text.push_str(&format!("{name} {instructions} {of}\n"));
-    }
-    text
+    let lines =
+        counts.iter().map(|(name, Count { instructions, of })| format!("{name} {instructions} {of}\n"));
+    [format!("# {compiler}\n")].into_iter().chain(lines).collect()
 }
 
 /// Parses lines of a name, a number of instructions and what they cover.
 fn parse(text: &str) -> Result<Counts> {
-    let mut counts = Counts::new();
-    for line in text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty()) {
+    let count = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let count = match words[..] {
-            [name, instructions, of] => instructions.parse().ok().zip(of.parse().ok()).map(|it| (name, it)),
-            _ => None,
-        };
-        let (name, (instructions, of)) = count.with_context(|| format!("`{line}` is not a count"))?;
-        counts.insert(name.to_owned(), Count { instructions, of });
-    }
-    Ok(counts)
+        let [name, instructions, of] = words[..] else { return None };
+        Some((name.to_owned(), Count { instructions: instructions.parse().ok()?, of: of.parse().ok()? }))
+    };
+    let lines = text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty());
+    lines.map(|line| count(line).with_context(|| format!("`{line}` is not a count"))).collect()
 }
 
 /// Returns the counts that exceed the baseline or are missing from it.
@@ -325,48 +315,40 @@ mod tests {
         assert!(parse("nonsense").is_err());
     }
 
+    /// Returns the figures that a program prints.
+    fn figures(output: &str) -> Figures {
+        let figures = output.lines().map(|line| line.split_once(' ').unwrap());
+        figures.map(|(name, figure)| (name.to_owned(), figure.parse().unwrap())).collect()
+    }
+
     #[test]
     fn throughput_that_was_not_measured_or_is_too_low_is_past_its_limit() {
-        let holds = |figures: &[(&str, f64)]| {
-            let best = figures.iter().map(|(name, figure)| ((*name).to_owned(), *figure)).collect();
-            throughput_gates(&best).map(|gate| gate.holds())
-        };
+        let holds = |output| throughput_gates(&figures(output)).map(|gate| gate.holds());
 
-        assert_eq!(holds(&[]), [false, false]);
-        assert_eq!(holds(&[("bulk-path", 1.0), ("table-loop", 0.4)]), [true, true]);
-        assert_eq!(holds(&[("bulk-path", 0.9), ("table-loop", 0.3)]), [false, true]);
-        assert_eq!(holds(&[("bulk-path", 1.2), ("table-loop", 0.5)]), [true, false]);
+        assert_eq!(holds(""), [false, false]);
+        assert_eq!(holds("bulk-path 1.0\ntable-loop 0.4"), [true, true]);
+        assert_eq!(holds("bulk-path 0.9\ntable-loop 0.3"), [false, true]);
+        assert_eq!(holds("bulk-path 1.2\ntable-loop 0.5"), [true, false]);
     }
 
     #[test]
     fn latency_past_its_limit_or_not_measured_fails() {
         let failing = |output: &str| {
-            let figures = output.lines().map(|line| line.split_once(' ').unwrap());
-            let best = figures.map(|(name, figure)| (name.to_owned(), figure.parse().unwrap())).collect();
-            latency_gates(&best)
-                .into_iter()
-                .filter(|gate| !gate.holds())
-                .map(|gate| gate.what)
-                .collect::<Vec<_>>()
+            let gates = latency_gates(&figures(output)).into_iter().filter(|gate| !gate.holds());
+            gates.map(|gate| gate.what).collect::<Vec<_>>()
         };
         let of = |client: &str, median, p99| {
             format!("query-{client}-median-load-0 {median}\nquery-{client}-p99-load-0 {p99}\n")
         };
         let rest = "fast-stop-idle-median 99\nfast-stop-handle-median 999\ncpu 0.5\n";
         let bare = of("bare", 10.0, 20.0) + &of("bare-gcl", 10.0, 20.0) + rest;
+        let within = ["blocking", "tokio", "gcl"].map(|client| of(client, 15.0, 60.0)).concat();
+        let slow = of("blocking", 16.0, 20.0) + &of("tokio", 10.0, 61.0) + &of("gcl", 10.0, 20.0);
 
-        assert_eq!(
-            failing(&(bare.clone() + &["blocking", "tokio", "gcl"].map(|it| of(it, 15.0, 60.0)).concat())),
-            [""; 0]
-        );
-        let slow = bare + &of("blocking", 16.0, 20.0) + &of("tokio", 10.0, 61.0) + &of("gcl", 10.0, 20.0);
-        assert_eq!(
-            failing(&slow),
-            [
-                "the same beside a bare socket, blocking driver, median",
-                "the same beside a bare socket, tokio, p99"
-            ]
-        );
+        assert_eq!(failing(&(bare.clone() + &within)), [""; 0]);
+        let beside = "the same beside a bare socket";
+        let expected = [format!("{beside}, blocking driver, median"), format!("{beside}, tokio, p99")];
+        assert_eq!(failing(&(bare + &slow)), expected);
         assert_eq!(failing("").len(), latency_gates(&Figures::new()).len());
     }
 

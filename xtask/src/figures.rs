@@ -41,21 +41,3 @@ fn table(gates: &[Gate]) -> String {
 fn with_part(text: &str, name: &str, part: &str) -> Result<String> {
     document::with_part(text, name, part).with_context(|| format!("{DOCUMENT} has no part `{name}`"))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_generated_part_is_replaced_and_nothing_else() {
-        let text = "# Figures\n\n<!-- generated: figures -->\nold\n<!-- end -->\n\nText.\n";
-        let gates = [Gate::bytes("flash", 90, 100), Gate::bytes("RAM", 99, 100)];
-
-        let written = with_part(text, "figures", &table(&gates)).unwrap();
-
-        assert!(written.starts_with("# Figures\n") && written.ends_with("<!-- end -->\n\nText.\n"));
-        assert!(written.contains("| flash | 90 B | 100 B |\n| RAM | 99 B | 100 B |\n"));
-        assert!(!written.contains("old"));
-        assert!(with_part("no part", "figures", "").is_err());
-    }
-}

@@ -136,13 +136,6 @@ mod tests {
     }
 
     #[test]
-    fn the_boards_crate_is_always_built_as_a_program() {
-        let board = <&Board>::default();
-        assert!(selection(board, &["defmt".into()]).contains(&"firmware,defmt".to_owned()));
-        assert!(selection(board, &[]).contains(&"firmware".to_owned()));
-    }
-
-    #[test]
     fn a_kept_image_is_the_built_one_and_is_named_by_its_hash() {
         let dir = std::env::temp_dir().join(format!("wsg-xtask-image-{}", std::process::id()));
 

@@ -27,87 +27,74 @@ const ALL_CAUGHT_IN: [&str; 7] = [
 /// Minimum share of caught and accepted mutants in percent.
 const CAUGHT_PERCENT: usize = 95;
 
-/// One run of cargo-mutants: the mutants and the tests to run on them.
+/// One run of cargo-mutants: the mutants and the tests to run on them. Lists are separated by spaces.
 struct Part {
     name: &'static str,
-    packages: &'static [&'static str],
+    packages: &'static str,
     /// Folder of the files to mutate.
     folder: &'static str,
     /// Options for cargo-mutants that select the mutants and their features.
-    options: &'static [&'static str],
+    options: &'static str,
     /// Arguments for `cargo test`. Doc examples detect no further mutants and would double the time.
-    tests: &'static [&'static str],
+    tests: &'static str,
 }
-
-/// The parser of decimal fractions. It has a separate part, because its tests take as long as all others and detect nothing
-/// elsewhere.
-const DECIMAL: &str = "^protocol/src/gcl/decimal";
-
-/// The session. Its tests are all in the crate itself, so no other crate needs to be linked.
-const SESSION: &str = "^protocol/src/session";
 
 const PARTS: [Part; 7] = [
     Part {
         name: "protocol",
-        packages: &["wsg-protocol"],
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--exclude-re", DECIMAL, "--exclude-re", SESSION],
-        tests: &["--lib", "--test=drivers", "--test=gcl", "--test=hashes", "--", "--skip", "gcl::decimal"],
+        options: "--exclude-re ^protocol/src/gcl/decimal --exclude-re ^protocol/src/session",
+        tests: "--lib --test=drivers --test=gcl --test=hashes -- --skip gcl::decimal",
     },
+    // The session's tests are all in the crate itself, so no other crate needs to be linked. Includes the tests of the GCL session,
+    // which uses the same engine.
     Part {
         name: "session",
-        packages: &["wsg-protocol"],
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--re", SESSION],
-        // Includes the tests of the GCL session, which uses the same engine.
-        tests: &["--lib", "--test=hashes", "--", "--skip", "gcl::decimal"],
+        options: "--re ^protocol/src/session",
+        tests: "--lib --test=hashes -- --skip gcl::decimal",
     },
+    // The parser of decimal fractions: its tests take as long as all others and detect nothing elsewhere.
     Part {
         name: "decimal",
-        packages: &["wsg-protocol"],
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--re", DECIMAL],
-        tests: &["--lib", "--test=gcl"],
+        options: "--re ^protocol/src/gcl/decimal",
+        tests: "--lib --test=gcl",
     },
     // Code specific to the feature. A mutant caught in either run counts as caught.
     Part {
         name: "small-table",
-        packages: &["wsg-protocol"],
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--features", "small-table", "--re", "^protocol/src/checksum.*(lookup|chunk)::"],
-        tests: &["--lib"],
+        options: "--features small-table --re ^protocol/src/checksum.*(lookup|chunk)::",
+        tests: "--lib",
     },
     Part {
         name: "fieldbus",
-        packages: &["wsg-fieldbus"],
+        packages: "wsg-fieldbus",
         folder: "fieldbus/",
-        options: &[],
-        tests: &["--lib", "--tests"],
+        options: "",
+        tests: "--lib --tests",
     },
     // For each mutant, cargo-mutants runs the tests of its own package.
     Part {
         name: "buses",
-        packages: &["bus-modbus", "bus-slcan", "bus-canopen", "bus-profibus", "bus-profinet"],
+        packages: "bus-modbus bus-slcan bus-canopen bus-profibus bus-profinet",
         folder: "buses/",
-        options: &[],
-        tests: &["--lib"],
+        options: "",
+        tests: "--lib",
     },
     // The board crates are tested only by their images in the emulator.
     Part {
         name: "bridge-fw",
-        packages: &["wsg-bridge-fw"],
+        packages: "wsg-bridge-fw",
         folder: "bridge-fw/",
         // Only `cargo xtask loom` compiles the models. The harness has the tests in virtual time.
-        options: &["--exclude", "**/model.rs", "--test-package", "wsg-bridge-fw,host-tests"],
-        tests: &[
-            "--lib",
-            "--test=bridge",
-            "--test=can_bus",
-            "--test=gripper_link",
-            "--test=register_table",
-            "--test=rtu_port",
-            "--test=uart_*",
-        ],
+        options: "--exclude **/model.rs --test-package wsg-bridge-fw,host-tests",
+        tests: "--lib --test=bridge --test=can_bus --test=gripper_link --test=register_table --test=rtu_port --test=uart_*",
     },
 ];
 
@@ -162,11 +149,10 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
 fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) -> Result<Outcome> {
     let output = workspace.target_dir.join("mutants").join(part.name);
     fs::create_dir_all(&output).with_context(|| format!("cannot create {}", output.display()))?;
-    let mut mutants = tool::plain(workspace, "cargo mutants --no-shuffle");
-    mutants.args(part.packages.iter().flat_map(|package| ["-p", package]));
-    mutants.args(["--profile", "mutants", "--cargo-arg=--locked"]).envs(ENVIRONMENT);
-    mutants.arg("--output").arg(&output).args(["--colors", "never"]);
-    mutants.args(["--jobs", &extent.jobs.to_string()]);
+    let mut mutants =
+        tool::plain(workspace, "cargo mutants --no-shuffle --profile mutants --cargo-arg=--locked");
+    mutants.args(part.packages.split(' ').flat_map(|package| ["-p", package])).envs(ENVIRONMENT);
+    mutants.args(["--colors", "never", "--jobs", &extent.jobs.to_string(), "--output"]).arg(&output);
     // A generous time-out, so that a busy machine is not mistaken for a hanging mutant.
     mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
@@ -177,8 +163,9 @@ fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) 
         mutants.arg("--iterate");
     }
     // Exclude test code.
-    mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(part.options);
-    let status = process::run_for_status(mutants.arg("--").args(part.tests))?;
+    mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]);
+    mutants.args(part.options.split_whitespace()).arg("--").args(part.tests.split(' '));
+    let status = process::run_for_status(&mut mutants)?;
     // 2: mutants survived. 3: some timed out, which counts as caught.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants itself failed ({status})");
     outcome(&output.join("mutants.out"))

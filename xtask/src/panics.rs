@@ -5,7 +5,7 @@ use std::process::{Command, Stdio};
 use anyhow::{Context, Result, ensure};
 
 use crate::{
-    board::{BOARDS, Board},
+    board::BOARDS,
     firmware,
     probe::Profile,
     process, public_functions,
@@ -37,7 +37,9 @@ pub(crate) fn check(toolchain: &ThumbToolchain<'_>) -> Result<()> {
         let what = "protocol and buses, every public function";
         hold(what, &level, &mut toolchain.probe(TRIPLE, FUNCTIONS, FEATURES, profile))?;
         for board in &BOARDS {
-            hold(board.name, &level, &mut firmware_build(toolchain, board, profile))?;
+            let mut firmware = toolchain.cargo("build", board.triple);
+            firmware.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name));
+            hold(board.name, &level, &mut firmware)?;
         }
     }
     println!(
@@ -52,12 +54,6 @@ pub(crate) fn check(toolchain: &ThumbToolchain<'_>) -> Result<()> {
 fn hold(what: &str, level: &str, build: &mut Command) -> Result<()> {
     ensure!(!panics(build)?, "a panic can be reached: {what}, {level}");
     Ok(())
-}
-
-fn firmware_build(toolchain: &ThumbToolchain<'_>, board: &Board, profile: Profile) -> Command {
-    let mut cargo = toolchain.cargo("build", board.triple);
-    cargo.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name));
-    cargo
 }
 
 /// Builds a program. Returns whether linking fails only because of the undefined function.

@@ -1,13 +1,14 @@
 //! The programs in host-tests/probes, which are measured relative to an empty one or run in the emulator.
 
-use std::{fs, path::PathBuf, process::Command};
+use std::{path::PathBuf, process::Command};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use footprint::Footprint;
 
 use crate::{
     process,
     setup::{TRIPLE, ThumbToolchain},
+    size,
 };
 
 const PACKAGE: &str = "wsg-probes";
@@ -52,8 +53,6 @@ impl ThumbToolchain<'_> {
     /// Returns the flash and RAM footprint of a program at opt-level s.
     pub(crate) fn footprint(&self, name: &str, features: &str) -> Result<Footprint> {
         let path = self.build_probe(TRIPLE, name, features, Profile::SIZE)?;
-        let what_failed = || format!("cannot read the sections of {}", path.display());
-        let bytes = fs::read(&path).with_context(what_failed)?;
-        Ok(Footprint::of(&footprint::sections_of(&bytes).with_context(what_failed)?))
+        Ok(Footprint::of(&size::sections_of(&path)?))
     }
 }

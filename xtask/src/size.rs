@@ -1,9 +1,9 @@
 //! Size gates: flash and RAM of the images and the protocol, compared with their limits.
 
-use std::fs;
+use std::{fs, path::Path};
 
 use anyhow::{Context, Result};
-use footprint::Footprint;
+use footprint::{Footprint, Section};
 
 use crate::{firmware::Image, gate::Gate, setup::ThumbToolchain};
 
@@ -31,9 +31,7 @@ pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
 }
 
 fn of_image(image: &Image) -> Result<Vec<Gate>> {
-    let what_failed = || format!("cannot read the sections of {}", image.path.display());
-    let bytes = fs::read(&image.path).with_context(what_failed)?;
-    let sections = footprint::sections_of(&bytes).with_context(what_failed)?;
+    let sections = sections_of(&image.path)?;
     for section in sections.iter().filter(|section| section.size > 0) {
         println!("  {:<16} {:>7} B  {}", section.name, section.size, section.place());
     }
@@ -42,6 +40,12 @@ fn of_image(image: &Image) -> Result<Vec<Gate>> {
         Gate::bytes(image.board.figure("firmware image, flash"), flash, image.board.flash_limit),
         Gate::bytes(image.board.figure("firmware image, static RAM"), static_ram, STATIC_RAM_LIMIT),
     ])
+}
+
+/// Reads the sections of a program.
+pub(crate) fn sections_of(path: &Path) -> Result<Vec<Section>> {
+    let what_failed = || format!("cannot read the sections of {}", path.display());
+    footprint::sections_of(&fs::read(path).with_context(what_failed)?).with_context(what_failed)
 }
 
 /// Returns the gates of the protocol crate, from the sizes of programs minus that of an empty one.

@@ -29,7 +29,8 @@ pub(crate) struct Workspace {
     pub(crate) root: PathBuf,
     /// Build folder: `CARGO_TARGET_DIR`, or `target` in the root.
     pub(crate) target_dir: PathBuf,
-    cargo: OsString,
+    /// The calling cargo.
+    pub(crate) cargo: OsString,
 }
 
 impl Workspace {
@@ -75,11 +76,6 @@ impl Workspace {
         let text = process::output(&mut self.cargo("metadata --no-deps --format-version 1 --offline"))?;
         let mut metadata: Value = serde_json::from_str(&text)?;
         Ok(serde_json::from_value(metadata["packages"].take())?)
-    }
-
-    /// Returns whether the calling cargo is the one at `path`.
-    pub(crate) fn cargo_is(&self, path: &str) -> bool {
-        Path::new(&self.cargo) == Path::new(path)
     }
 
     /// Returns the compiler of the calling cargo.

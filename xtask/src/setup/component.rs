@@ -31,7 +31,7 @@ impl Component {
         if is_available() {
             return true;
         }
-        if workspace.cargo_is(rust_target::DEBIAN_CARGO) {
+        if workspace.cargo == rust_target::DEBIAN_CARGO {
             self.install_debian_package();
         } else {
             rust_target::rustup(workspace, &["component", "add", self.rustup_name]);

@@ -158,17 +158,14 @@ fn holds_core(libdir: &Path) -> bool {
 }
 
 fn debian_can_build_core() -> bool {
-    if !Path::new(DEBIAN_CARGO).exists() {
-        return false;
-    }
-    let ask = |question: [&str; 1]| {
+    let ask = |question| {
         // The outer cargo's library path would make Debian's rustc load rustup's libraries.
-        process::answer(Command::new(DEBIAN_RUSTC).env_remove("LD_LIBRARY_PATH").args(question))
+        process::answer(Command::new(DEBIAN_RUSTC).env_remove("LD_LIBRARY_PATH").arg(question))
     };
-    let new_enough = ask(["--version"]).is_some_and(|version| is_new_enough(&version, MINIMUM_RUST));
     let core = Path::new("lib/rustlib/src/rust/library/core/Cargo.toml");
-    new_enough
-        && ask(["--print=sysroot"]).is_some_and(|sysroot| Path::new(sysroot.trim()).join(core).exists())
+    Path::new(DEBIAN_CARGO).exists()
+        && ask("--version").is_some_and(|version| is_new_enough(&version, MINIMUM_RUST))
+        && ask("--print=sysroot").is_some_and(|sysroot| Path::new(sysroot.trim()).join(core).exists())
 }
 
 /// Finds `rust-lld` in the active tool chain, or Debian's `lld`.
