@@ -1,13 +1,13 @@
 //! Benchmarks: instruction counts per core in the emulator, compared with a committed baseline; throughput and latency on the host.
 
-use std::{collections::BTreeMap, fs, path::PathBuf, process::Command};
+use std::{collections::BTreeMap, fs, process::Command};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 
 use crate::{
     board::{BOARDS, Board, MACHINE},
     gate::{Gate, Unit},
-    probe::{Probes, Profile},
+    probe::Profile,
     process,
     setup::ThumbToolchain,
     workspace::Workspace,
@@ -18,35 +18,15 @@ const BASELINE: &str = "host-tests/probes/baseline.txt";
 /// Permitted increase over the baseline in percent.
 const TOLERANCE: u64 = 2;
 
-/// Instruction limits: name, unit, count, and one limit per core.
+/// Instruction limits per byte or per request: figure, count, and one limit per core.
 ///
 /// Per frame byte: byte by byte at the released opt-level, and in bulk at opt-level 3. Per bus request with its response, for
 /// PROFIBUS from the last character of the request to the first of the response.
-const LIMITS: [(&str, Unit, &str, [f64; 2]); 4] = [
-    (
-        "instructions per byte, byte by byte at 64 B of payload, as flashed",
-        Unit::InstructionsPerByte,
-        "Os/byte-path/64",
-        [32.0, 40.0],
-    ),
-    (
-        "instructions per byte, in bulk at 64 B of payload, opt-level 3",
-        Unit::InstructionsPerByte,
-        "O3/bulk-path/64",
-        [10.0, 16.0],
-    ),
-    (
-        "instructions of a MODBUS request for 8 registers",
-        Unit::Instructions,
-        "O3/modbus-8-registers",
-        [600.0, 830.0],
-    ),
-    (
-        "instructions of PROFIBUS Data_Exchange to answer, as flashed",
-        Unit::Instructions,
-        "Os/profibus-data-exchange",
-        [4_000.0; 2],
-    ),
+const LIMITS: [(&str, &str, [f64; 2]); 4] = [
+    ("per byte, byte by byte at 64 B of payload, as flashed", "Os/byte-path/64", [32.0, 40.0]),
+    ("per byte, in bulk at 64 B of payload, opt-level 3", "O3/bulk-path/64", [10.0, 16.0]),
+    ("of a MODBUS request for 8 registers", "O3/modbus-8-registers", [600.0, 830.0]),
+    ("of PROFIBUS Data_Exchange to answer, as flashed", "Os/profibus-data-exchange", [4_000.0; 2]),
 ];
 
 /// From the main-loop turn in which an edge is accepted to the first byte sent, in the released firmware, for each wire.
@@ -85,28 +65,27 @@ pub(crate) struct Counted {
 }
 
 /// Counts instructions in the emulator, and compares them with the baseline or updates it.
-pub(crate) fn counted(probes: &Probes<'_>, update: bool) -> Result<Counted> {
+pub(crate) fn counted(toolchain: &ThumbToolchain<'_>, update: bool) -> Result<Counted> {
     let mut counts = Counts::new();
     for (board, profile) in cores().flat_map(|board| Profile::ALL.map(|profile| (board, profile))) {
         // Edges use the drivers of the default board. Its core also runs programs for the other cores, with the same number of
         // instructions.
         let features = if board == <&Board>::default() { "edges" } else { "bench" };
-        let elf = probes.build(board.triple, "bench", features, profile)?;
+        let elf = toolchain.build_probe(board.triple, "bench", features, profile)?;
         let mut qemu = qemu(&elf);
         let first = process::output(&mut qemu)?;
         ensure!(
             first == process::output(&mut qemu)?,
             "two runs differ; this emulator does not count instructions reliably"
         );
-        let level = profile.opt_level().replace("opt-level ", "O");
-        let named = |name| count_name(board, &format!("{level}/{name}"));
+        let named = |name| count_name(board, &format!("O{}/{name}", profile.level));
         counts.extend(parse(&first)?.into_iter().map(|(name, count)| (named(name), count)));
     }
     for (name, count) in &counts {
         let each = count.instructions as f64 / count.of as f64;
         println!("  {name:<32} {:>7} instructions, {each:.1} each", count.instructions);
     }
-    Ok(Counted { not_compared: hold(probes, &counts, update)?, gates: gates(&counts)? })
+    Ok(Counted { not_compared: hold(toolchain, &counts, update)?, gates: gates(&counts)? })
 }
 
 /// Returns the first board of each core, which represents the others with that core.
@@ -120,37 +99,52 @@ fn count_name(board: &Board, name: &str) -> String {
     if board == <&Board>::default() { name.to_owned() } else { format!("{}/{name}", board.name) }
 }
 
-/// Measures bulk throughput on this machine, absolute and relative to a plain loop, which depends less on the machine.
-///
-/// Uses the best of several runs, because other load only slows a run down.
-pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
-    let mut best = BTreeMap::new();
-    let mut gates = throughput_gates(&best);
-    for _ in 0..ATTEMPTS {
-        let mut cargo = workspace.cargo("run");
-        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "throughput"]);
-        for line in process::output(cargo.args(["--bin", "throughput"]))?.lines() {
-            println!("  {line} GB/s");
+/// Figures of a program by name.
+type Figures = BTreeMap<String, f64>;
+
+/// Runs a program on this machine until its gates hold, and uses the best of its runs, because other load only makes a figure worse.
+fn best_of_runs<G: AsRef<[Gate]>>(
+    workspace: &Workspace,
+    program: &str,
+    at_least: usize,
+    better: fn(f64, f64) -> f64,
+    gates: fn(&Figures) -> G,
+) -> Result<G> {
+    let mut best = Figures::new();
+    for run in 1.. {
+        let mut cargo = workspace.cargo("run -q --release -p wsg-probes");
+        cargo.args(["--features", program, "--bin", program]);
+        for line in process::output(&mut cargo)?.lines() {
+            println!("  {line}");
             let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
             let figure: f64 = figure.parse().with_context(|| format!("`{line}` is not a figure"))?;
-            let known = best.entry(name.to_owned()).or_insert(figure);
-            *known = known.max(figure);
+            best.entry(name.to_owned()).and_modify(|known| *known = better(*known, figure)).or_insert(figure);
         }
-        gates = throughput_gates(&best);
-        if gates.iter().all(Gate::holds) {
+        if run >= ATTEMPTS || run >= at_least && gates(&best).as_ref().iter().all(Gate::holds) {
             break;
         }
     }
-    Ok(gates)
+    Ok(gates(&best))
 }
 
-fn throughput_gates(best: &BTreeMap<String, f64>) -> [Gate; 2] {
-    let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
-    let bulk = of("bulk-path");
+/// Measures bulk throughput on this machine in GB/s, absolute and relative to a plain loop, which depends less on the machine.
+pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
+    best_of_runs(workspace, "throughput", 1, f64::max, throughput_gates)
+}
+
+fn throughput_gates(best: &Figures) -> [Gate; 2] {
+    let [bulk, table_loop] = ["bulk-path", "table-loop"].map(|name| of(best, name));
+    let what = "host throughput in bulk, 64 B payloads";
+    let relative = bulk / table_loop;
     [
-        Gate::new("host throughput in bulk, 64 B payloads", bulk, THROUGHPUT_LIMIT, Unit::GigabytesPerSecond),
-        Gate::new("ratio to a plain table loop", bulk / of("table-loop"), SPEED_UP_LIMIT, Unit::TimesAsFast),
+        Gate::new(what, bulk, THROUGHPUT_LIMIT, Unit::GIGABYTES_PER_SECOND),
+        Gate::new("ratio to a plain table loop", relative, SPEED_UP_LIMIT, Unit::TIMES_AS_FAST),
     ]
+}
+
+/// Returns a figure, or one that exceeds every limit if it was not measured.
+fn of(best: &Figures, name: &str) -> f64 {
+    best.get(name).copied().unwrap_or(f64::NAN)
 }
 
 /// Clients whose query is compared with a bare socket: description, name in the program, and name of the bare socket.
@@ -175,56 +169,33 @@ const FAST_STOP_LIMITS: [(&str, &str, f64); 2] = [
 /// instead of 20.
 const LATENCY_RUNS: usize = 3;
 
-/// Measures the latency of the drivers over loopback TCP.
-///
-/// Uses the best of several runs, because other load only increases a figure. Figures under load are printed without a limit,
-/// because they depend on the scheduler.
+/// Measures the latency of the drivers over loopback TCP. Figures under load are printed without a limit, because they depend on the
+/// scheduler.
 pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
-    let mut best = BTreeMap::new();
-    let mut gates = latency_gates(&best);
-    for run in 1..=ATTEMPTS {
-        let mut cargo = workspace.cargo("run");
-        cargo.args(["-q", "--release", "-p", "wsg-probes", "--features", "latency"]);
-        for line in process::output(cargo.args(["--bin", "latency"]))?.lines() {
-            println!("  {line}");
-            let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
-            let figure: f64 = figure.parse().with_context(|| format!("`{line}` is not a figure"))?;
-            let known = best.entry(name.to_owned()).or_insert(figure);
-            *known = known.min(figure);
-        }
-        gates = latency_gates(&best);
-        if run >= LATENCY_RUNS && gates.iter().all(Gate::holds) {
-            break;
-        }
-    }
-    Ok(gates)
+    best_of_runs(workspace, "latency", LATENCY_RUNS, f64::min, latency_gates)
 }
 
-fn latency_gates(best: &BTreeMap<String, f64>) -> Vec<Gate> {
-    let of = |name: &str| best.get(name).copied().unwrap_or(f64::NAN);
+fn latency_gates(best: &Figures) -> Vec<Gate> {
+    let of = |name: &str| of(best, name);
     let mut gates = Vec::new();
     for (what, client, beside) in CLIENTS {
+        let query = format!("query over loopback TCP, {what}, median");
         let median = of(&format!("query-{client}-median-load-0"));
-        gates.push(Gate::new(
-            format!("query over loopback TCP, {what}, median"),
-            median,
-            f64::INFINITY,
-            Unit::Microseconds,
-        ));
+        gates.push(Gate::new(query, median, f64::INFINITY, Unit::MICROSECONDS));
         for (statistic, limit) in QUERY_LIMITS {
             let [it, bare] = [client, beside].map(|name| of(&format!("query-{name}-{statistic}-load-0")));
             let what = format!("ratio to a bare socket, {what}, {statistic}");
-            gates.push(Gate::new(what, it / bare, limit, Unit::TimesAsLong));
+            gates.push(Gate::new(what, it / bare, limit, Unit::TIMES_AS_LONG));
         }
     }
     for (what, name, limit) in FAST_STOP_LIMITS {
-        gates.push(Gate::new(what, of(name), limit, Unit::Microseconds));
+        gates.push(Gate::new(what, of(name), limit, Unit::MICROSECONDS));
     }
     gates.push(Gate::new(
         "processor time of a driver that waits for a motion",
         of("cpu"),
         1.0,
-        Unit::PercentOfCore,
+        Unit::PERCENT_OF_CORE,
     ));
     gates
 }
@@ -240,35 +211,38 @@ fn qemu(elf: &std::path::Path) -> Command {
 fn gates(counts: &Counts) -> Result<Vec<Gate>> {
     let of = |name: &str| {
         let found = counts.iter().filter(|(counted, _)| counted.starts_with(name)).map(|(_, count)| *count);
-        found
-            .max_by_key(|count| count.instructions)
-            .with_context(|| format!("the benchmark did not count {name}"))
+        let longest = found.max_by_key(|count| count.instructions);
+        longest.with_context(|| format!("the benchmark did not count {name}"))
     };
-    let us =
-        |count: Count| (count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES) / CORE_MHZ;
+    let us = |count: Count| {
+        let cycles = count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES;
+        cycles / CORE_MHZ
+    };
     let mut gates = Vec::new();
     for (core, board) in cores().enumerate() {
-        for (what, unit, name, limits) in LIMITS {
-            let count = of(&count_name(board, name))?;
-            let each = count.instructions as f64 / count.of as f64;
-            gates.push(Gate::new(board.figure(what), each, limits[core], unit));
+        for (what, name, limits) in LIMITS {
+            let Count { instructions, of } = of(&count_name(board, name))?;
+            let unit = if of > 1 { Unit::INSTRUCTIONS_PER_BYTE } else { Unit::INSTRUCTIONS };
+            let what = board.figure(&format!("instructions {what}"));
+            gates.push(Gate::new(what, instructions as f64 / of as f64, limits[core], unit));
         }
     }
     let grip = "PLC edge to the last byte of GRIP at 115 200 bit/s, debounced, force limit known";
     let grip_us = us(of(GRIP)?) + of(GRIP)?.of as f64 * BYTE_US;
     let edge_us = us(of(EDGES)?);
-    gates.push(Gate::new("PLC edge to first byte, debounced", edge_us, EDGE_LIMIT_US, Unit::Microseconds));
-    gates.push(Gate::new(grip, grip_us, GRIP_LIMIT_US, Unit::Microseconds));
+    gates.push(Gate::new("PLC edge to first byte, debounced", edge_us, EDGE_LIMIT_US, Unit::MICROSECONDS));
+    gates.push(Gate::new(grip, grip_us, GRIP_LIMIT_US, Unit::MICROSECONDS));
     Ok(gates)
 }
 
 /// Compares the counts with the baseline. Returns the reason if it was created with another compiler.
-fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<String>> {
-    let path: PathBuf = probes.workspace.root.join(BASELINE);
-    let compiler = compiler(probes)?;
+fn hold(toolchain: &ThumbToolchain<'_>, counts: &Counts, update: bool) -> Result<Option<String>> {
+    let path = toolchain.workspace.root.join(BASELINE);
+    let version = process::answer(toolchain.rustc().arg("--version"));
+    let compiler = version.context("rustc does not report its version")?.trim().to_owned();
     if update {
-        fs::write(&path, baseline_text(&compiler, counts))
-            .with_context(|| format!("cannot write {BASELINE}"))?;
+        let text = baseline_text(&compiler, counts);
+        fs::write(&path, text).with_context(|| format!("cannot write {BASELINE}"))?;
         println!("  {BASELINE} updated");
         return Ok(None);
     }
@@ -281,58 +255,36 @@ fn hold(probes: &Probes<'_>, counts: &Counts, update: bool) -> Result<Option<Str
         return Ok(Some(why));
     }
     let worse = worse_than(&parse(&text)?, counts);
-    if !worse.is_empty() {
-        bail!("slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
-    }
+    ensure!(worse.is_empty(), "slower than {BASELINE} by more than {TOLERANCE} %: {}", worse.join(", "));
     println!("  within {TOLERANCE} % of {BASELINE} (update it with `cargo xtask bench --update`)");
     Ok(None)
 }
 
-fn compiler(probes: &Probes<'_>) -> Result<String> {
-    let mut rustc = match probes.toolchain {
-        ThumbToolchain::Active => probes.workspace.rustc(),
-        ThumbToolchain::Debian { .. } => Command::new("/usr/bin/rustc"),
-    };
-    Ok(process::answer(rustc.arg("--version"))
-        .context("rustc does not report its version")?
-        .trim()
-        .to_owned())
-}
-
 fn baseline_text(compiler: &str, counts: &Counts) -> String {
-    let mut text = format!("# {compiler}\n");
-    for (name, Count { instructions, of }) in counts {
-        text.push_str(&format!("{name} {instructions} {of}\n"));
-    }
-    text
+    let lines =
+        counts.iter().map(|(name, Count { instructions, of })| format!("{name} {instructions} {of}\n"));
+    [format!("# {compiler}\n")].into_iter().chain(lines).collect()
 }
 
 /// Parses lines of a name, a number of instructions and what they cover.
 fn parse(text: &str) -> Result<Counts> {
-    let mut counts = Counts::new();
-    for line in text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty()) {
+    let count = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().collect();
-        let count = match words[..] {
-            [name, instructions, of] => instructions.parse().ok().zip(of.parse().ok()).map(|it| (name, it)),
-            _ => None,
-        };
-        let (name, (instructions, of)) = count.with_context(|| format!("`{line}` is not a count"))?;
-        counts.insert(name.to_owned(), Count { instructions, of });
-    }
-    Ok(counts)
+        let [name, instructions, of] = words[..] else { return None };
+        Some((name.to_owned(), Count { instructions: instructions.parse().ok()?, of: of.parse().ok()? }))
+    };
+    let lines = text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty());
+    lines.map(|line| count(line).with_context(|| format!("`{line}` is not a count"))).collect()
 }
 
 /// Returns the counts that exceed the baseline or are missing from it.
 fn worse_than(baseline: &Counts, counts: &Counts) -> Vec<String> {
-    let is_worse = |(name, count): &(&String, &Count)| match baseline.get(*name) {
-        Some(before) => count.instructions * 100 > before.instructions * (100 + TOLERANCE),
-        None => true,
+    let worse = |(name, count): (&String, &Count)| match baseline.get(name) {
+        Some(before) if count.instructions * 100 <= before.instructions * (100 + TOLERANCE) => None,
+        Some(before) => Some(format!("{name} {} instead of {}", count.instructions, before.instructions)),
+        None => Some(format!("{name} is missing from it")),
     };
-    let told = |(name, count): (&String, &Count)| match baseline.get(name) {
-        Some(before) => format!("{name} {} instead of {}", count.instructions, before.instructions),
-        None => format!("{name} is missing from it"),
-    };
-    counts.iter().filter(is_worse).map(told).collect()
+    counts.iter().filter_map(worse).collect()
 }
 
 #[cfg(test)]
@@ -368,46 +320,41 @@ mod tests {
         assert!(parse("nonsense").is_err());
     }
 
+    /// Returns the figures that a program prints.
+    fn figures(output: &str) -> Figures {
+        let figures = output.lines().map(|line| line.split_once(' ').unwrap());
+        figures.map(|(name, figure)| (name.to_owned(), figure.parse().unwrap())).collect()
+    }
+
     #[test]
     fn throughput_that_was_not_measured_or_is_too_low_is_past_its_limit() {
-        let holds = |figures: &[(&str, f64)]| {
-            let best = figures.iter().map(|(name, figure)| ((*name).to_owned(), *figure)).collect();
-            throughput_gates(&best).map(|gate| gate.holds())
-        };
+        let holds = |output| throughput_gates(&figures(output)).map(|gate| gate.holds());
 
-        assert_eq!(holds(&[]), [false, false]);
-        assert_eq!(holds(&[("bulk-path", 1.0), ("table-loop", 0.4)]), [true, true]);
-        assert_eq!(holds(&[("bulk-path", 0.9), ("table-loop", 0.3)]), [false, true]);
-        assert_eq!(holds(&[("bulk-path", 1.2), ("table-loop", 0.5)]), [true, false]);
+        assert_eq!(holds(""), [false, false]);
+        assert_eq!(holds("bulk-path 1.0\ntable-loop 0.4"), [true, true]);
+        assert_eq!(holds("bulk-path 0.9\ntable-loop 0.3"), [false, true]);
+        assert_eq!(holds("bulk-path 1.2\ntable-loop 0.5"), [true, false]);
     }
 
     #[test]
     fn latency_past_its_limit_or_not_measured_fails() {
         let failing = |output: &str| {
-            let figures = output.lines().map(|line| line.split_once(' ').unwrap());
-            let best = figures.map(|(name, figure)| (name.to_owned(), figure.parse().unwrap())).collect();
-            latency_gates(&best)
-                .into_iter()
-                .filter(|gate| !gate.holds())
-                .map(|gate| gate.what)
-                .collect::<Vec<_>>()
+            let gates = latency_gates(&figures(output)).into_iter().filter(|gate| !gate.holds());
+            gates.map(|gate| gate.what).collect::<Vec<_>>()
         };
         let of = |client: &str, median, p99| {
             format!("query-{client}-median-load-0 {median}\nquery-{client}-p99-load-0 {p99}\n")
         };
         let rest = "fast-stop-idle-median 99\nfast-stop-handle-median 999\ncpu 0.5\n";
         let bare = of("bare", 10.0, 20.0) + &of("bare-gcl", 10.0, 20.0) + rest;
+        let within = ["blocking", "tokio", "gcl"].map(|client| of(client, 15.0, 60.0)).concat();
+        let slow = of("blocking", 16.0, 20.0) + &of("tokio", 10.0, 61.0) + &of("gcl", 10.0, 20.0);
 
-        assert_eq!(
-            failing(&(bare.clone() + &["blocking", "tokio", "gcl"].map(|it| of(it, 15.0, 60.0)).concat())),
-            [""; 0]
-        );
-        let slow = bare + &of("blocking", 16.0, 20.0) + &of("tokio", 10.0, 61.0) + &of("gcl", 10.0, 20.0);
-        assert_eq!(
-            failing(&slow),
-            ["ratio to a bare socket, blocking driver, median", "ratio to a bare socket, tokio, p99"]
-        );
-        assert_eq!(failing("").len(), latency_gates(&BTreeMap::new()).len());
+        assert_eq!(failing(&(bare.clone() + &within)), [""; 0]);
+        let beside = "ratio to a bare socket";
+        let expected = [format!("{beside}, blocking driver, median"), format!("{beside}, tokio, p99")];
+        assert_eq!(failing(&(bare + &slow)), expected);
+        assert_eq!(failing("").len(), latency_gates(&Figures::new()).len());
     }
 
     #[test]

@@ -5,10 +5,8 @@ use anyhow::{Context, Result, ensure};
 /// A board supported by the firmware.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Board {
-    /// Name of the board, its binary and its image.
+    /// Name of the board, its binary and its image. The package of its crate has the prefix `wsg-`.
     pub(crate) name: &'static str,
-    /// Package of the board's crate.
-    pub(crate) package: &'static str,
     /// Target triple of its core.
     pub(crate) triple: &'static str,
     /// Microcontroller, as named by probe-rs.
@@ -25,7 +23,6 @@ pub(crate) struct Board {
 pub(crate) static BOARDS: [Board; 3] = [
     Board {
         name: "b-l475e-iot01a",
-        package: "wsg-b-l475e-iot01a",
         triple: "thumbv7em-none-eabihf",
         chip: "STM32L475VG",
         emulated: Some(""),
@@ -35,7 +32,6 @@ pub(crate) static BOARDS: [Board; 3] = [
     },
     Board {
         name: "pico",
-        package: "wsg-pico",
         triple: "thumbv6m-none-eabi",
         chip: "RP2040",
         emulated: Some("_PICO"),
@@ -45,7 +41,6 @@ pub(crate) static BOARDS: [Board; 3] = [
     },
     Board {
         name: "nucleo-g474re",
-        package: "wsg-nucleo-g474re",
         triple: "thumbv7em-none-eabihf",
         chip: "STM32G474RE",
         emulated: None,

@@ -6,15 +6,8 @@ use anyhow::{Context, Result};
 
 use crate::{
     process, setup,
-    tool::{Tool, plain},
+    tool::{MDBOOK, plain},
     workspace::Workspace,
-};
-
-/// mdBook, without its web server.
-const MDBOOK: Tool = Tool {
-    name: "mdbook",
-    probe: &["mdbook", "--version"],
-    install: &["cargo", "install", "mdbook", "--locked", "--no-default-features", "--features", "search"],
 };
 
 /// Folder of the book, as in `book.toml`.
@@ -23,7 +16,7 @@ const FOLDER: &str = "target/book";
 /// Builds `target/book`, and prints it to `target/book.pdf` unless Chromium is missing.
 pub(crate) fn build(workspace: &Workspace) -> Result<()> {
     MDBOOK.require(workspace, "the book")?;
-    process::run(plain(workspace, &["mdbook", "build"]).current_dir(&workspace.root))?;
+    process::run(&mut plain(workspace, "mdbook build"))?;
     let folder = workspace.root.join(FOLDER);
     let contents = fs::read_to_string(workspace.root.join("docs/SUMMARY.md")).context("docs/SUMMARY.md")?;
     for entry in fs::read_dir(&folder)? {

@@ -4,26 +4,26 @@ use std::fs;
 
 use anyhow::{Context, Result};
 
-use crate::{bench, checks, firmware::Image, gate::Gate, panics, probe::Probes, size, stack};
+use crate::{bench, commands, firmware::Image, gate::Gate, panics, setup::ThumbToolchain, size, stack};
 
 const DOCUMENT: &str = "docs/figures.md";
 
 /// Measures all figures, writes them to `docs/figures.md`, and returns the gates.
-pub(crate) fn write(probes: &Probes<'_>, images: &[Image]) -> Result<Vec<Gate>> {
-    panics::check(probes)?;
+pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
+    panics::check(toolchain)?;
     let mut gates = size::of_images(images)?;
-    gates.extend(size::of_protocol(probes)?);
-    gates.extend(size::of_c_library(probes)?);
-    gates.extend(stack::walked(probes.workspace, probes.toolchain, images)?);
-    gates.extend(stack::painted(probes.workspace, images)?);
-    gates.extend(bench::counted(probes, false)?.gates);
-    gates.extend(bench::throughput(probes.workspace)?);
-    gates.extend(bench::latency(probes.workspace)?);
+    gates.extend(size::of_protocol(toolchain)?);
+    gates.extend(size::of_c_library(toolchain)?);
+    gates.extend(stack::walked(toolchain, images)?);
+    gates.extend(stack::painted(toolchain.workspace, images)?);
+    gates.extend(bench::counted(toolchain, false)?.gates);
+    gates.extend(bench::throughput(toolchain.workspace)?);
+    gates.extend(bench::latency(toolchain.workspace)?);
 
-    let path = probes.workspace.root.join(DOCUMENT);
+    let path = toolchain.workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
     let text = with_part(&text, "figures", &table(&gates))?;
-    let text = with_part(&text, "fast-stop", &checks::fast_stop(probes.workspace)?)?;
+    let text = with_part(&text, "fast-stop", &commands::fast_stop(toolchain.workspace)?)?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
     println!("{DOCUMENT} updated");
     Ok(gates)
@@ -33,7 +33,7 @@ fn table(gates: &[Gate]) -> String {
     let panic_paths = "panic paths, firmware and every public function of the protocol";
     let rows = gates.iter().map(|gate| [gate.what.clone(), gate.measured_text(), gate.limit_text()]);
     document::table(
-        ["figure", "measured", "limit"],
+        ["what", "measured", "limit"],
         rows.chain([[panic_paths.to_owned(), "0".to_owned(), "0".to_owned()]]),
     )
 }
@@ -41,22 +41,4 @@ fn table(gates: &[Gate]) -> String {
 /// Replaces a generated part in the text of docs/figures.md.
 fn with_part(text: &str, name: &str, part: &str) -> Result<String> {
     document::with_part(text, name, part).with_context(|| format!("{DOCUMENT} has no part `{name}`"))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_generated_part_is_replaced_and_nothing_else() {
-        let text = "# Figures\n\n<!-- generated: figures -->\nold\n<!-- end -->\n\nText.\n";
-        let gates = [Gate::bytes("flash", 90, 100), Gate::bytes("RAM", 99, 100)];
-
-        let written = with_part(text, "figures", &table(&gates)).unwrap();
-
-        assert!(written.starts_with("# Figures\n") && written.ends_with("<!-- end -->\n\nText.\n"));
-        assert!(written.contains("| flash | 90 B | 100 B |\n| RAM | 99 B | 100 B |\n"));
-        assert!(!written.contains("old"));
-        assert!(with_part("no part", "figures", "").is_err());
-    }
 }

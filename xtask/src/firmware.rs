@@ -13,7 +13,6 @@ use crate::{
     process,
     settings::{self, Change},
     setup::ThumbToolchain,
-    workspace::Workspace,
 };
 
 /// Package of the board-independent bridge library.
@@ -65,15 +64,15 @@ pub(crate) struct Image {
 }
 
 /// Builds a board's image.
-pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: &Variant) -> Result<Image> {
+pub(crate) fn build(toolchain: &ThumbToolchain<'_>, variant: &Variant) -> Result<Image> {
     let board = variant.board;
-    let mut cargo = toolchain.cargo(workspace, "build", board.triple);
+    let mut cargo = toolchain.cargo("build", board.triple);
     cargo.args(selection(board, &variant.features));
     process::run(&mut cargo)?;
-    let built = toolchain.output_dir(workspace, board.triple, PROFILE).join(board.name);
+    let built = toolchain.output_dir(board.triple, PROFILE).join(board.name);
     let mut elf = fs::read(&built).with_context(|| format!("cannot read the image {}", built.display()))?;
     settings::apply(&mut elf, &variant.settings)?;
-    let kept = workspace.target_dir.join("firmware").join(file_name(variant));
+    let kept = toolchain.workspace.target_dir.join("firmware").join(file_name(variant));
     if board.takes_uf2 {
         keep(board, &footprint::uf2(&elf)?, &kept.with_extension("uf2"))?;
     }
@@ -81,16 +80,16 @@ pub(crate) fn build(workspace: &Workspace, toolchain: &ThumbToolchain, variant: 
 }
 
 /// Builds the default images of all boards, the default board's first.
-pub(crate) fn build_all(workspace: &Workspace, toolchain: &ThumbToolchain) -> Result<Vec<Image>> {
-    BOARDS.iter().map(|board| build(workspace, toolchain, &Variant { board, ..Variant::default() })).collect()
+pub(crate) fn build_all(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Image>> {
+    BOARDS.iter().map(|board| build(toolchain, &Variant { board, ..Variant::default() })).collect()
 }
 
 /// Builds the static library for C programs on a target. A program with a panic path fails to link with it.
-pub(crate) fn c_library(workspace: &Workspace, toolchain: &ThumbToolchain, triple: &str) -> Result<PathBuf> {
-    let mut cargo = toolchain.cargo(workspace, "rustc", triple);
+pub(crate) fn c_library(toolchain: &ThumbToolchain<'_>, triple: &str) -> Result<PathBuf> {
+    let mut cargo = toolchain.cargo("rustc", triple);
     cargo.args(["-p", "wsg-c", "--lib", "--crate-type", "staticlib", "--features", "prove-panic-free"]);
     process::run(cargo.args(["--profile", "c-library"]))?;
-    Ok(toolchain.output_dir(workspace, triple, "c-library").join("libwsg.a"))
+    Ok(toolchain.output_dir(triple, "c-library").join("libwsg.a"))
 }
 
 /// Returns cargo's arguments that select the firmware's binary, features and profile.
@@ -101,7 +100,7 @@ pub(crate) fn selection(board: &Board, features: &[String]) -> Vec<String> {
 /// The same with another profile.
 pub(crate) fn selection_for(board: &Board, features: &[String], profile: &str) -> Vec<String> {
     let features = [&[FIRMWARE.to_owned()], features].concat().join(",");
-    ["-p", board.package, "--bin", board.name, "--features", &features, "--profile", profile]
+    ["-p", &format!("wsg-{}", board.name), "--bin", board.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)
         .to_vec()
 }
@@ -142,13 +141,6 @@ mod tests {
             file_name(&Variant { features, settings, ..Variant::default() }),
             "b-l475e-iot01a+defmt+heapless-defmt+UNIT=5.elf"
         );
-    }
-
-    #[test]
-    fn the_boards_crate_is_always_built_as_a_program() {
-        let board = <&Board>::default();
-        assert!(selection(board, &["defmt".into()]).contains(&"firmware,defmt".to_owned()));
-        assert!(selection(board, &[]).contains(&"firmware".to_owned()));
     }
 
     #[test]

@@ -26,20 +26,12 @@ const FOLDER: &str = "host-tests/fuzz";
 /// Time-out per input in seconds. Bodies are bounded, so a longer run is a hang.
 const HANG_SECONDS: u32 = 10;
 
-/// Fuzzes to the given extent.
+/// Fuzzes to the given extent. Generated inputs give no coverage feedback, but without a sanitizer about a hundred times as many run
+/// in the same time.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
-    match extent.inputs {
-        Some(count) => run_inputs(workspace, count),
-        None => run_targets(workspace, extent.seconds),
-    }
-}
-
-/// Runs each body on `count` generated inputs, on stable Rust. There is no coverage feedback, but without a sanitizer about a
-/// hundred times as many inputs run in the same time.
-fn run_inputs(workspace: &Workspace, count: u32) -> Result<()> {
-    let mut inputs = workspace.cargo("run");
+    let Some(count) = extent.inputs else { return run_targets(workspace, extent.seconds) };
     // The `mutants` profile is optimised and keeps all checks.
-    inputs.args(["--quiet", "--profile", "mutants", "-p", "host-tests", "--example", "inputs", "--"]);
+    let mut inputs = workspace.cargo("run --quiet --profile mutants -p host-tests --example inputs --");
     process::run(inputs.arg(count.to_string()))
         .context("a body failed; its input is printed after the message above")
 }
@@ -53,39 +45,36 @@ fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     let work = workspace.target_dir.join("fuzz");
     // cargo-fuzz has no `--locked`, so check the lock file beforehand.
     let manifest = format!("{FOLDER}/Cargo.toml");
-    process::run(&mut tool::nightly_cargo(
-        workspace,
-        &["fetch", "--quiet", "--locked", "--manifest-path", &manifest],
-    ))?;
+    let mut fetch = tool::plain(workspace, "rustup run nightly cargo fetch --quiet --locked --manifest-path");
+    process::run(fetch.arg(manifest))?;
     for target in &targets {
         let (corpus, artifacts) = (work.join("corpus").join(target), work.join("artifacts").join(target));
         for folder in [&corpus, &artifacts] {
             fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
         }
-        let mut fuzz = tool::nightly_cargo(workspace, &["fuzz", "run", "--fuzz-dir", FOLDER, "--target-dir"]);
-        fuzz.arg(work.join("build")).arg(target).arg(&corpus).arg(format!("{FOLDER}/seeds/{target}"));
+        let mut fuzz = tool::plain(workspace, "rustup run nightly cargo fuzz run --fuzz-dir");
+        fuzz.arg(FOLDER)
+            .arg("--target-dir")
+            .arg(work.join("build"))
+            .arg(target)
+            .arg(&corpus)
+            .arg(format!("{FOLDER}/seeds/{target}"));
         fuzz.args(["--", &format!("-max_total_time={seconds}"), &format!("-timeout={HANG_SECONDS}")]);
         fuzz.args([&format!("-dict={FOLDER}/wsg.dict"), "-print_final_stats=1", "-verbosity=0"]);
         fuzz.arg(format!("-artifact_prefix={}/", artifacts.display()));
         process::run(&mut fuzz)
             .with_context(|| format!("fuzz target {target}: the input is in {}", artifacts.display()))?;
     }
-    println!(
-        "fuzz: {} targets, {seconds} s each, no crash and no hang: {}",
-        targets.len(),
-        targets.join(", ")
-    );
+    let names = targets.join(", ");
+    println!("fuzz: {} targets, {seconds} s each, no crash and no hang: {names}", targets.len());
     Ok(())
 }
 
 /// Returns the sorted names of the fuzz targets.
 fn targets(folder: &Path) -> Result<Vec<String>> {
     let entries = fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
-    let mut names = Vec::new();
-    for entry in entries {
-        let path = entry?.path();
-        names.extend(path.file_stem().map(|name| name.to_string_lossy().into_owned()));
-    }
+    let names = entries.map(|entry| Ok(entry?.path().file_stem().unwrap_or_default().display().to_string()));
+    let mut names = names.collect::<Result<Vec<_>>>()?;
     names.sort();
     ensure!(!names.is_empty(), "no fuzz targets in {}", folder.display());
     Ok(names)

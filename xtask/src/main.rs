@@ -5,8 +5,7 @@
 mod bench;
 mod board;
 mod book;
-mod checks;
-mod demo;
+mod commands;
 mod figures;
 mod firmware;
 mod flash;
@@ -20,7 +19,6 @@ mod probe;
 mod process;
 mod public_functions;
 mod python;
-mod recording;
 mod settings;
 mod setup;
 mod size;
@@ -41,7 +39,6 @@ use clap::{Parser, Subcommand};
 use board::Board;
 use firmware::{Image, Variant};
 use matrix::Extent;
-use probe::Probes;
 use setup::ThumbToolchain;
 use workspace::Workspace;
 
@@ -86,10 +83,7 @@ enum Command {
         /// Board to run; it must be emulated, and this option comes first
         #[arg(long, value_name = "NAME", value_parser = Board::emulated, default_value = Board::default_name())]
         board: &'static Board,
-        /// Also write an animated picture of the run (docs/demo.svg)
-        #[arg(long, value_name = "FILE.svg", conflicts_with = "arguments")]
-        record: Option<PathBuf>,
-        /// --part none|WIDTH_MM, --speed-up X, --trace FILE
+        /// --part none|WIDTH_MM, --speed-up X, --trace FILE, --record FILE.svg: see `cargo xtask demo -- --help`
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         arguments: Vec<OsString>,
     },
@@ -131,13 +125,13 @@ enum Command {
     /// Explore every order of events on the bridge; about ten minutes on two cores
     Explore {
         /// Number of states to explore
-        #[arg(long, value_name = "N", default_value_t = checks::STATES)]
+        #[arg(long, value_name = "N", default_value_t = commands::STATES)]
         states: u64,
     },
     /// Run the fuzz targets; needs nightly Rust and cargo-fuzz
     Fuzz(fuzz::Extent),
     /// Send commands in the emulator while one byte in 10 000 is corrupted; about 15 minutes
-    Soak(checks::Soak),
+    Soak(commands::Soak),
     /// Find changes of protocol, buses and bridge library that no test detects; takes hours in full (cargo-mutants)
     Mutants(mutants::Extent),
     /// Check data shared by interrupt handlers and the main loop under every order of events
@@ -184,30 +178,27 @@ fn run(command: Command) -> Result<ExitCode> {
     match command {
         Command::Setup => setup::all(workspace)?,
         Command::Build(variant) => print_image(&build(workspace, &variant)?),
-        Command::Demo { board, record, arguments } => {
+        Command::Demo { board, arguments } => {
             let toolchain = setup::thumb_and_qemu(workspace)?;
-            let image = firmware::build(workspace, &toolchain, &Variant { board, ..Variant::default() })?;
-            return Ok(exit_code(match record {
-                Some(file) => demo::record(workspace, &image, &file)?,
-                None => demo::run(workspace, &image, &arguments)?,
-            }));
+            let image = firmware::build(&toolchain, &Variant { board, ..Variant::default() })?;
+            return Ok(exit_code(commands::demo(workspace, &image, &arguments)?));
         }
         Command::Test { strict, filter } => {
-            let Built { toolchain, image, .. } = Built::new(workspace)?;
-            print_image(&image);
-            test::run(workspace, &toolchain, &filter, Extent::Quick, strict)?;
+            let built = Built::new(workspace)?;
+            print_image(&built.image);
+            test::run(&built.toolchain, &filter, Extent::Quick, strict)?;
         }
         Command::Matrix => matrix::run(workspace)?,
         Command::Ci => release_checks(&Built::new(workspace)?)?,
         Command::Platforms => platforms::run(workspace)?,
-        Command::Deny => checks::dependencies(workspace)?,
+        Command::Deny => commands::dependencies(workspace)?,
         Command::Size => {
             let built = Built::new(workspace)?;
             gate::check(
                 &[
                     size::of_images(&built.images()?)?,
-                    size::of_protocol(&built.probes())?,
-                    size::of_c_library(&built.probes())?,
+                    size::of_protocol(&built.toolchain)?,
+                    size::of_c_library(&built.toolchain)?,
                 ]
                 .concat(),
             )?;
@@ -215,35 +206,34 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Stack => {
             let built = Built::new(workspace)?;
             let images = built.images()?;
-            let walked = stack::walked(workspace, &built.toolchain, &images)?;
+            let walked = stack::walked(&built.toolchain, &images)?;
             gate::check(&[walked, stack::painted(workspace, &images)?].concat())?;
         }
-        Command::Panics => panics::check(&Built::new(workspace)?.probes())?,
+        Command::Panics => panics::check(&Built::new(workspace)?.toolchain)?,
         Command::Bench { update } => {
-            let mut gates = bench::counted(&Built::new(workspace)?.probes(), update)?.gates;
+            let mut gates = bench::counted(&Built::new(workspace)?.toolchain, update)?.gates;
             gates.extend(bench::throughput(workspace)?);
             gates.extend(bench::latency(workspace)?);
             gate::check(&gates)?;
         }
-        Command::FastStop => drop(checks::fast_stop(workspace)?),
-        Command::Explore { states } => checks::explore(workspace, states)?,
+        Command::FastStop => drop(commands::fast_stop(workspace)?),
+        Command::Explore { states } => commands::explore(workspace, states)?,
         Command::Fuzz(extent) => fuzz::run(workspace, &extent)?,
-        Command::Soak(extent) => checks::soak(workspace, &Built::new(workspace)?.image, &extent)?,
+        Command::Soak(extent) => commands::soak(workspace, &Built::new(workspace)?.image, &extent)?,
         Command::Mutants(extent) => mutants::run(workspace, &extent)?,
-        Command::Loom => checks::loom(workspace)?,
-        Command::Miri => checks::miri(workspace)?,
-        Command::Coverage => checks::coverage(workspace)?,
+        Command::Loom => commands::loom(workspace)?,
+        Command::Miri => commands::miri(workspace)?,
+        Command::Coverage => commands::coverage(workspace)?,
         Command::Figures => {
             let built = Built::new(workspace)?;
-            gate::check(&figures::write(&built.probes(), &built.images()?)?)?;
+            gate::check(&figures::write(&built.toolchain, &built.images()?)?)?;
         }
         Command::Python => python::test(workspace, &python(workspace)?)?,
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
-        Command::Dist => demo::dist(workspace, &build(workspace, &Variant::default())?)?,
+        Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
         Command::DistC { arguments } => {
-            let mut dist = workspace.cargo("run");
-            dist.args(["--quiet", "-p", "dist-c", "--", "--to"]).arg(workspace.target_dir.join("dist-c"));
-            process::run(dist.args(arguments))?;
+            let mut dist = workspace.cargo("run --quiet -p dist-c -- --to");
+            process::run(dist.arg(workspace.target_dir.join("dist-c")).args(arguments))?;
         }
         Command::Docs => book::build(workspace)?,
         Command::Flash(variant) => {
@@ -256,45 +246,41 @@ fn run(command: Command) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn release_checks(Built { workspace, toolchain, image }: &Built<'_>) -> Result<()> {
-    checks::dependencies(workspace)?;
-    test::run(workspace, toolchain, &[], Extent::Whole, true)?;
-    checks::telemetry(workspace)?;
+fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
+    let workspace = toolchain.workspace;
+    commands::dependencies(workspace)?;
+    test::run(toolchain, &[], Extent::Whole, true)?;
+    commands::telemetry(workspace)?;
     platforms::run(workspace)?;
-    checks::soak(workspace, image, &checks::Soak::CI)?;
-    checks::fast_stop(workspace)?;
-    checks::explore(workspace, checks::STATES)?;
-    checks::loom(workspace)?;
-    checks::miri(workspace)
+    commands::soak(workspace, image, &commands::Soak::CI)?;
+    commands::fast_stop(workspace)?;
+    commands::explore(workspace, commands::STATES)?;
+    commands::loom(workspace)?;
+    commands::miri(workspace)
 }
 
 /// Builds an image to give away or to flash, which requires no emulator.
 fn build(workspace: &Workspace, variant: &Variant) -> Result<Image> {
     settings::check(&variant.settings)?;
-    firmware::build(workspace, &setup::thumb(workspace)?, variant)
+    firmware::build(&setup::thumb(workspace)?, variant)
 }
 
 /// The subject of a measurement: the default image and the tool chain.
 struct Built<'a> {
-    workspace: &'a Workspace,
-    toolchain: ThumbToolchain,
+    toolchain: ThumbToolchain<'a>,
     image: Image,
 }
 
 impl<'a> Built<'a> {
     fn new(workspace: &'a Workspace) -> Result<Self> {
         let toolchain = setup::thumb_and_qemu(workspace)?;
-        let image = firmware::build(workspace, &toolchain, &Variant::default())?;
-        Ok(Self { workspace, toolchain, image })
+        let image = firmware::build(&toolchain, &Variant::default())?;
+        Ok(Self { toolchain, image })
     }
 
     /// Builds the images of all boards.
     fn images(&self) -> Result<Vec<Image>> {
-        firmware::build_all(self.workspace, &self.toolchain)
-    }
-
-    fn probes(&self) -> Probes<'_> {
-        Probes { workspace: self.workspace, toolchain: &self.toolchain }
+        firmware::build_all(&self.toolchain)
     }
 }
 

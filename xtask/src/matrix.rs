@@ -1,9 +1,10 @@
 //! Builds the library crates as users will: every combination of features on targets with and without atomics, with the oldest
 //! supported Rust, and as published packages.
 
-use std::{fs, process::Command};
+use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
+use serde_json::Value;
 
 use crate::{
     process,
@@ -18,8 +19,7 @@ const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "risc
 const HOST_FEATURES: [&str; 2] = ["std", "tokio"];
 
 /// The `no_std` example for boards.
-const BOARD_EXAMPLE: [&str; 6] =
-    ["-p", "wsg-protocol", "--example", "no_std_board", "--features", "embedded-io"];
+const BOARD_EXAMPLE: &str = "build --quiet -p wsg-protocol --example no_std_board --features embedded-io";
 
 /// Which combinations to build.
 #[derive(Clone, Copy, PartialEq)]
@@ -40,9 +40,7 @@ pub(crate) struct Outcome {
 /// Builds the whole matrix. Fails at the end if any build was skipped.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let Outcome { passed, not_checked } = build(workspace, Extent::Whole)?;
-    if !not_checked.is_empty() {
-        bail!("{passed} builds passed; NOT CHECKED: {}", not_checked.join("; "));
-    }
+    ensure!(not_checked.is_empty(), "{passed} builds passed; NOT CHECKED: {}", not_checked.join("; "));
     println!("matrix: {passed} builds passed");
     Ok(())
 }
@@ -51,21 +49,21 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
 pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
     let mut outcome = Outcome { passed: 0, not_checked: Vec::new() };
 
-    let (targets, missing): (Vec<&str>, Vec<&str>) = TARGETS.into_iter().partition(|target| {
-        setup::has_target(workspace, target) || setup::rustup(workspace, &["target", "add", target])
-    });
+    let (targets, missing): (Vec<&str>, Vec<&str>) =
+        TARGETS.into_iter().partition(|target| setup::provide_target(workspace, target));
     let not_checked = |target| format!("the crates on {target} (rustup could not install the target)");
     outcome.not_checked.extend(missing.into_iter().map(not_checked));
-    for (package, folder) in TARGET_CRATES {
-        let features = features(&workspace.root.join(folder).join("Cargo.toml"))?;
+    let metadata = workspace.packages()?;
+    for package in TARGET_CRATES {
+        let features = features(&metadata, package)?;
         for (combination, is_everywhere) in combinations(&features, extent) {
             let targets: Vec<&str> =
                 targets.iter().copied().filter(|target| is_everywhere || *target == TARGETS[0]).collect();
             if targets.is_empty() {
                 continue;
             }
-            let mut check = workspace.cargo("check");
-            check.args(["--quiet", "-p", package, "--no-default-features", "--features", &combination]);
+            let mut check = workspace.cargo("check --quiet --no-default-features");
+            check.args(["-p", package, "--features", &combination]);
             // One call for all targets, which run in parallel.
             process::run(check.args(targets.iter().flat_map(|target| ["--target", target])))?;
             outcome.passed += targets.len();
@@ -73,39 +71,27 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
     }
     if extent == Extent::Whole {
         // Checked but not linked, because this workspace's flags would be added to its own.
-        let mut template = workspace.cargo("check");
-        template.args([
-            "--quiet",
-            "--manifest-path",
-            "boards/template/Cargo.toml",
-            "--target",
-            setup::TRIPLE,
-        ]);
-        process::run(&mut template)?;
+        let mut template = workspace.cargo("check --quiet --manifest-path boards/template/Cargo.toml");
+        process::run(template.args(["--target", setup::TRIPLE]))?;
         outcome.passed += 1;
     }
     for target in targets.into_iter().filter(|target| extent == Extent::Whole || *target == TARGETS[0]) {
-        let mut example = workspace.cargo("build");
-        process::run(example.args(["--quiet", "--target", target]).args(BOARD_EXAMPLE))?;
+        process::run(workspace.cargo(BOARD_EXAMPLE).args(["--target", target]))?;
         outcome.passed += 1;
     }
 
     let oldest = format!("{MINIMUM_RUST}.0");
-    if has_toolchain(&oldest)
-        || setup::rustup(
-            workspace,
-            &["toolchain", "install", &oldest, "--profile", "minimal", "--no-self-update"],
-        )
-    {
+    let rustc = ["run", &oldest, "rustc", "--version"];
+    let install = ["toolchain", "install", &oldest, "--profile", "minimal", "--no-self-update"];
+    if process::answer(Command::new("rustup").args(rustc)).is_some() || setup::rustup(workspace, &install) {
         process::run(&mut check_with(workspace, &oldest, extent))?;
         outcome.passed += 1;
     } else {
         outcome.not_checked.push(format!("Rust {oldest} (rustup could not install it)"));
     }
 
-    let mut package = workspace.cargo("package");
     // One call for all packages, so that each is verified against the local versions of the others.
-    process::run(package.args(["--quiet", "--allow-dirty"]).args(packages()))?;
+    process::run(workspace.cargo("package --quiet --allow-dirty").args(packages()))?;
     outcome.passed += 1;
     Ok(outcome)
 }
@@ -124,23 +110,15 @@ fn check_with(workspace: &Workspace, toolchain: &str, extent: Extent) -> Command
 
 /// The crates for boards, and the one that makes a part of `wsg-protocol` while it is compiled.
 fn packages() -> impl Iterator<Item = &'static str> {
-    let packages = TARGET_CRATES.into_iter().map(|(package, _)| package);
-    packages.chain(["wsg-protocol-macros"]).flat_map(|package| ["-p", package])
+    TARGET_CRATES.into_iter().chain(["wsg-protocol-macros"]).flat_map(|package| ["-p", package])
 }
 
-/// Reads the features for boards from a manifest. A crate may have none.
-pub(crate) fn features(manifest: &std::path::Path) -> Result<Vec<String>> {
-    let text = fs::read_to_string(manifest).with_context(|| format!("cannot read {}", manifest.display()))?;
-    let features: Vec<String> = text
-        .lines()
-        .skip_while(|line| *line != "[features]")
-        .skip(1)
-        .take_while(|line| !line.starts_with('['))
-        .filter(|line| !line.starts_with('#'))
-        .filter_map(|line| Some(line.split_once('=')?.0.trim().to_owned()))
-        .filter(|name| name != "default" && !HOST_FEATURES.contains(&name.as_str()))
-        .collect();
-    Ok(features)
+/// Returns the features for boards of a library crate, which may have none.
+pub(crate) fn features(packages: &[Value], name: &str) -> Result<Vec<String>> {
+    let features = packages.iter().find(|package| package["name"] == name).map(|it| &it["features"]);
+    let features = features.and_then(Value::as_object).with_context(|| format!("no package {name}"))?;
+    let is_for_boards = |name: &&String| *name != "default" && !HOST_FEATURES.contains(&name.as_str());
+    Ok(features.keys().filter(is_for_boards).cloned().collect())
 }
 
 /// Returns comma-separated combinations, the empty one first, and whether to build each on every target. With [`Extent::Quick`],
@@ -158,36 +136,27 @@ fn combinations(features: &[String], extent: Extent) -> Vec<(String, bool)> {
         .collect()
 }
 
-fn has_toolchain(version: &str) -> bool {
-    process::answer(Command::new("rustup").args(["run", version, "rustc", "--version"])).is_some()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn every_combination_occurs_once() {
-        let names = ["a", "b", "c"].map(str::to_owned);
-        let whole = combinations(&names, Extent::Whole);
-        let whole: Vec<(&str, bool)> = whole.iter().map(|(names, all)| (names.as_str(), *all)).collect();
-        assert_eq!(whole, ["", "a", "b", "a,b", "c", "a,c", "b,c", "a,b,c"].map(|names| (names, true)));
-    }
-
-    #[test]
-    fn quick_takes_a_feature_alone_on_the_first_target_only() {
-        let names = ["a", "b", "c"].map(str::to_owned);
+    fn every_combination_occurs_once_and_quick_takes_a_feature_alone_on_the_first_target_only() {
+        let of = |extent| combinations(&["a", "b", "c"].map(str::to_owned), extent);
+        let whole = ["", "a", "b", "a,b", "c", "a,c", "b,c", "a,b,c"];
+        assert_eq!(of(Extent::Whole), whole.map(|names| (names.to_owned(), true)));
         let quick = [("", true), ("a", false), ("b", false), ("c", false), ("a,b,c", true)];
-        assert_eq!(combinations(&names, Extent::Quick), quick.map(|(names, all)| (names.to_owned(), all)));
+        assert_eq!(of(Extent::Quick), quick.map(|(names, all)| (names.to_owned(), all)));
     }
 
     #[test]
-    fn features_are_read_from_the_manifest() {
-        let manifest = concat!(env!("CARGO_MANIFEST_DIR"), "/../protocol/Cargo.toml");
-        let features = features(manifest.as_ref()).unwrap();
-        assert!(features.contains(&"small-table".to_owned()), "{features:?}");
-        assert!(!features.iter().any(|name| name == "default" || name.contains('#')), "{features:?}");
+    fn features_for_boards_are_neither_the_default_nor_for_the_host() {
+        let packages = Workspace::from_env().unwrap().packages().unwrap();
+        let of = |name: &str| features(&packages, name).unwrap();
+        assert!(of("wsg-protocol").contains(&"small-table".to_owned()), "{:?}", of("wsg-protocol"));
+        assert!(!of("wsg-protocol").iter().any(|name| ["default", "std", "tokio"].contains(&name.as_str())));
         let once = [(String::new(), true)];
-        assert_eq!(combinations(&[], Extent::Whole), once, "a crate without features is built once");
+        assert_eq!(combinations(&of("bus-slcan"), Extent::Whole), once);
+        assert!(features(&packages, "no-such-package").is_err());
     }
 }

@@ -2,11 +2,7 @@
 
 mod accepted;
 
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    fs,
-    path::Path,
-};
+use std::{collections::BTreeSet, fs, path::Path};
 
 use anyhow::{Context, Result, bail, ensure};
 
@@ -31,102 +27,74 @@ const ALL_CAUGHT_IN: [&str; 7] = [
 /// Minimum share of caught and accepted mutants in percent.
 const CAUGHT_PERCENT: usize = 95;
 
-/// One run of cargo-mutants: the mutants and the tests to run on them.
+/// One run of cargo-mutants: the mutants and the tests to run on them. Lists are separated by spaces.
 struct Part {
     name: &'static str,
-    package: &'static str,
+    packages: &'static str,
     /// Folder of the files to mutate.
     folder: &'static str,
     /// Options for cargo-mutants that select the mutants and their features.
-    options: &'static [&'static str],
+    options: &'static str,
     /// Arguments for `cargo test`. Doc examples detect no further mutants and would double the time.
-    tests: &'static [&'static str],
+    tests: &'static str,
 }
 
-/// The parser of decimal fractions. It has a separate part, because its tests take as long as all others and detect nothing
-/// elsewhere.
-const DECIMAL: &str = "^protocol/src/gcl/decimal";
-
-/// The session. Its tests are all in the crate itself, so no other crate needs to be linked.
-const SESSION: &str = "^protocol/src/session";
-
-const PARTS: [Part; 11] = [
+const PARTS: [Part; 7] = [
     Part {
         name: "protocol",
-        package: "wsg-protocol",
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--exclude-re", DECIMAL, "--exclude-re", SESSION],
-        tests: &["--lib", "--test=drivers", "--test=gcl", "--test=hashes", "--", "--skip", "gcl::decimal"],
+        options: "--exclude-re ^protocol/src/gcl/decimal --exclude-re ^protocol/src/session",
+        tests: "--lib --test=drivers --test=gcl --test=hashes -- --skip gcl::decimal",
     },
+    // The session's tests are all in the crate itself, so no other crate needs to be linked. Includes the tests of the GCL session,
+    // which uses the same engine.
     Part {
         name: "session",
-        package: "wsg-protocol",
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--re", SESSION],
-        // Includes the tests of the GCL session, which uses the same engine.
-        tests: &["--lib", "--test=hashes", "--", "--skip", "gcl::decimal"],
+        options: "--re ^protocol/src/session",
+        tests: "--lib --test=hashes -- --skip gcl::decimal",
     },
+    // The parser of decimal fractions: its tests take as long as all others and detect nothing elsewhere.
     Part {
         name: "decimal",
-        package: "wsg-protocol",
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--re", DECIMAL],
-        tests: &["--lib", "--test=gcl"],
+        options: "--re ^protocol/src/gcl/decimal",
+        tests: "--lib --test=gcl",
     },
     // Code specific to the feature. A mutant caught in either run counts as caught.
     Part {
         name: "small-table",
-        package: "wsg-protocol",
+        packages: "wsg-protocol",
         folder: "protocol/",
-        options: &["--features", "small-table", "--re", "^protocol/src/checksum.*(lookup|chunk)::"],
-        tests: &["--lib"],
+        options: "--features small-table --re ^protocol/src/checksum.*(lookup|chunk)::",
+        tests: "--lib",
     },
     Part {
         name: "fieldbus",
-        package: "wsg-fieldbus",
+        packages: "wsg-fieldbus",
         folder: "fieldbus/",
-        options: &[],
-        tests: &["--lib", "--tests"],
+        options: "",
+        tests: "--lib --tests",
     },
-    Part { name: "modbus", package: "bus-modbus", folder: "buses/modbus/", options: &[], tests: &["--lib"] },
-    Part { name: "slcan", package: "bus-slcan", folder: "buses/slcan/", options: &[], tests: &["--lib"] },
+    // For each mutant, cargo-mutants runs the tests of its own package.
     Part {
-        name: "canopen",
-        package: "bus-canopen",
-        folder: "buses/canopen/",
-        options: &[],
-        tests: &["--lib"],
-    },
-    Part {
-        name: "profibus",
-        package: "bus-profibus",
-        folder: "buses/profibus/",
-        options: &[],
-        tests: &["--lib"],
-    },
-    Part {
-        name: "profinet",
-        package: "bus-profinet",
-        folder: "buses/profinet/",
-        options: &[],
-        tests: &["--lib"],
+        name: "buses",
+        packages: "bus-modbus bus-slcan bus-canopen bus-profibus bus-profinet",
+        folder: "buses/",
+        options: "",
+        tests: "--lib",
     },
     // The board crates are tested only by their images in the emulator.
     Part {
         name: "bridge-fw",
-        package: "wsg-bridge-fw",
+        packages: "wsg-bridge-fw",
         folder: "bridge-fw/",
         // Only `cargo xtask loom` compiles the models. The harness has the tests in virtual time.
-        options: &["--exclude", "**/model.rs", "--test-package", "wsg-bridge-fw,host-tests"],
-        tests: &[
-            "--lib",
-            "--test=bridge",
-            "--test=can_bus",
-            "--test=gripper_link",
-            "--test=register_table",
-            "--test=rtu_port",
-            "--test=uart_*",
-        ],
+        options: "--exclude **/model.rs --test-package wsg-bridge-fw,host-tests",
+        tests: "--lib --test=bridge --test=can_bus --test=gripper_link --test=register_table --test=rtu_port --test=uart_*",
     },
 ];
 
@@ -137,9 +105,6 @@ const ENVIRONMENT: [(&str, &str); 4] = [
     ("PROPTEST_DISABLE_FAILURE_PERSISTENCE", "true"),
     ("CARGO_INCREMENTAL", "1"),
 ];
-
-/// Source files by path relative to the root, as of the start of the run.
-type Sources = BTreeMap<String, String>;
 
 /// Results of the mutants, each identified by a line of cargo-mutants.
 #[derive(Debug, Default, PartialEq)]
@@ -168,9 +133,6 @@ pub(crate) struct Extent {
 /// Tests the mutants and compares the survivors with the accepted ones.
 pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
     let accepted = Accepted::read(&workspace.root)?;
-    // Read the sources first, because they may be edited during a run of several hours.
-    let sources = accepted::sources(&workspace.root)?;
-    accepted.hold_to(&sources)?;
     CARGO_MUTANTS.require(workspace, "the mutants of protocol, buses and bridge")?;
     let mut outcome = Outcome::default();
     for part in &PARTS {
@@ -180,17 +142,17 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
         }
     }
     let is_whole = extent.files.is_empty() && extent.shard.is_none();
-    judge(&outcome, &accepted, &sources, is_whole)
+    judge(&outcome, &accepted, is_whole)
 }
 
 /// Runs cargo-mutants for one part.
 fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) -> Result<Outcome> {
     let output = workspace.target_dir.join("mutants").join(part.name);
     fs::create_dir_all(&output).with_context(|| format!("cannot create {}", output.display()))?;
-    let mut mutants = tool::plain(workspace, &["cargo", "mutants", "-p", part.package, "--no-shuffle"]);
-    mutants.args(["--profile", "mutants", "--cargo-arg=--locked"]).envs(ENVIRONMENT);
-    mutants.arg("--output").arg(&output).args(["--colors", "never"]);
-    mutants.args(["--jobs", &extent.jobs.to_string()]);
+    let mut mutants =
+        tool::plain(workspace, "cargo mutants --no-shuffle --profile mutants --cargo-arg=--locked");
+    mutants.args(part.packages.split(' ').flat_map(|package| ["-p", package])).envs(ENVIRONMENT);
+    mutants.args(["--colors", "never", "--jobs", &extent.jobs.to_string(), "--output"]).arg(&output);
     // A generous time-out, so that a busy machine is not mistaken for a hanging mutant.
     mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
@@ -201,28 +163,27 @@ fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) 
         mutants.arg("--iterate");
     }
     // Exclude test code.
-    mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]).args(part.options);
-    let status = process::run_for_status(mutants.arg("--").args(part.tests))?;
+    mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]);
+    mutants.args(part.options.split_whitespace()).arg("--").args(part.tests.split(' '));
+    let status = process::run_for_status(&mut mutants)?;
     // 2: mutants survived. 3: some timed out, which counts as caught.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants itself failed ({status})");
     outcome(&output.join("mutants.out"))
 }
 
+/// Reads the results. A file is missing if there were no mutants.
 fn outcome(folder: &Path) -> Result<Outcome> {
-    let mut caught = BTreeSet::new();
-    for name in ["caught.txt", "timeout.txt", "previously_caught.txt"] {
-        caught.extend(lines(&folder.join(name))?);
+    let mut outcome = Outcome::default();
+    for name in ["caught.txt", "timeout.txt", "previously_caught.txt", "missed.txt"] {
+        let path = folder.join(name);
+        if path.exists() {
+            let text =
+                fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+            let of = if name == "missed.txt" { &mut outcome.survived } else { &mut outcome.caught };
+            of.extend(text.lines().map(str::to_owned));
+        }
     }
-    Ok(Outcome { caught, survived: lines(&folder.join("missed.txt"))?.into_iter().collect() })
-}
-
-/// Returns the lines of a file, or none if it is missing because there were no mutants.
-fn lines(path: &Path) -> Result<Vec<String>> {
-    if !path.exists() {
-        return Ok(Vec::new());
-    }
-    let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    Ok(text.lines().map(str::to_owned).collect())
+    Ok(outcome)
 }
 
 impl Outcome {
@@ -234,10 +195,10 @@ impl Outcome {
     }
 }
 
-fn judge(outcome: &Outcome, accepted: &Accepted, sources: &Sources, is_whole: bool) -> Result<()> {
+fn judge(outcome: &Outcome, accepted: &Accepted, is_whole: bool) -> Result<()> {
     let mut open = Vec::new();
     for mutant in &outcome.survived {
-        match accepted.reason(mutant, sources) {
+        match accepted.reason(mutant) {
             Some(reason) => println!("  accepted: {mutant} ({reason})"),
             None => {
                 println!("  SURVIVED: {mutant}");
@@ -251,7 +212,7 @@ fn judge(outcome: &Outcome, accepted: &Accepted, sources: &Sources, is_whole: bo
     let settled = made - open.len();
     println!("mutants: {caught} of {made} caught, {} accepted, {} survived", settled - caught, open.len());
     if is_whole {
-        for entry in accepted.unused(&outcome.survived, sources) {
+        for entry in accepted.unused(&outcome.survived) {
             println!("  STALE: {entry} no longer survives; remove it from the accepted mutants");
         }
     }
@@ -276,7 +237,7 @@ mod tests {
     }
 
     fn is_fine(outcome: &Outcome, is_whole: bool) -> bool {
-        judge(outcome, &Accepted::default(), &Sources::new(), is_whole).is_ok()
+        judge(outcome, &Accepted::default(), is_whole).is_ok()
     }
 
     #[test]

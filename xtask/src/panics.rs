@@ -2,14 +2,14 @@
 
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 
 use crate::{
-    board::{BOARDS, Board},
+    board::BOARDS,
     firmware,
-    probe::{Probes, Profile},
+    probe::Profile,
     process, public_functions,
-    setup::TRIPLE,
+    setup::{TRIPLE, ThumbToolchain},
 };
 
 /// Name of the undefined function that the panic handler calls.
@@ -19,35 +19,27 @@ const UNDEFINED: &str = "a_panic_can_be_reached";
 const FUNCTIONS: &str = "functions";
 const FEATURES: &str = "every-function,on-target";
 
-/// The result of linking a program.
-#[derive(Debug, PartialEq)]
-enum Outcome {
-    /// The program links.
-    PanicFree,
-    /// Linking fails only because of the undefined function.
-    Panics,
-}
-
 /// Checks firmware and crates at both opt-levels. A program that panics verifies the check itself.
-pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
-    let functions = public_functions::of_crates(probes.workspace)?;
-    let missing = public_functions::missing(&functions, &public_functions::of_probe(probes.workspace)?);
+pub(crate) fn check(toolchain: &ThumbToolchain<'_>) -> Result<()> {
+    let functions = public_functions::of_crates(toolchain.workspace)?;
+    let missing = public_functions::missing(&functions, &public_functions::of_probe(toolchain.workspace)?);
     ensure!(
         missing.is_empty(),
         "public functions missing from host-tests/probes/src/bin/functions, so their panics are not checked: {}",
         missing.join(", ")
     );
     for profile in Profile::ALL {
-        let level = profile.opt_level();
-        let control = outcome(&mut probes.cargo(TRIPLE, "panics", "on-target", profile))?;
+        let level = format!("opt-level {}", profile.level);
         ensure!(
-            control == Outcome::Panics,
+            panics(&mut toolchain.probe(TRIPLE, "panics", "on-target", profile))?,
             "the control program with a panic links at {level}: the check is ineffective"
         );
         let what = "protocol and buses, every public function";
-        hold(what, level, &mut probes.cargo(TRIPLE, FUNCTIONS, FEATURES, profile))?;
+        hold(what, &level, &mut toolchain.probe(TRIPLE, FUNCTIONS, FEATURES, profile))?;
         for board in &BOARDS {
-            hold(board.name, level, &mut firmware_build(probes, board, profile))?;
+            let mut firmware = toolchain.cargo("build", board.triple);
+            firmware.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name));
+            hold(board.name, &level, &mut firmware)?;
         }
     }
     println!(
@@ -60,45 +52,34 @@ pub(crate) fn check(probes: &Probes<'_>) -> Result<()> {
 }
 
 fn hold(what: &str, level: &str, build: &mut Command) -> Result<()> {
-    if outcome(build)? == Outcome::Panics {
-        bail!("a panic can be reached: {what}, {level}");
-    }
+    ensure!(!panics(build)?, "a panic can be reached: {what}, {level}");
     Ok(())
 }
 
-fn firmware_build(probes: &Probes<'_>, board: &Board, profile: Profile) -> Command {
-    let mut cargo = probes.toolchain.cargo(probes.workspace, "build", board.triple);
-    cargo.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name()));
-    cargo
-}
-
-/// Builds a program. Distinguishes a panic path from every other failure.
-fn outcome(build: &mut Command) -> Result<Outcome> {
+/// Builds a program. Returns whether linking fails only because of the undefined function.
+fn panics(build: &mut Command) -> Result<bool> {
     eprintln!("+ {}", process::shell_line(build));
     let output = build.stdin(Stdio::null()).output().context("cannot run cargo")?;
-    if output.status.success() {
-        return Ok(Outcome::PanicFree);
-    }
     let said = String::from_utf8_lossy(&output.stderr);
-    if said.contains(UNDEFINED) && said.contains("undefined symbol") {
-        return Ok(Outcome::Panics);
-    }
-    bail!("the build failed for a reason other than a panic:\n{said}");
+    let is_undefined = said.contains(UNDEFINED) && said.contains("undefined symbol");
+    let is_known = output.status.success() || is_undefined;
+    ensure!(is_known, "the build failed for a reason other than a panic:\n{said}");
+    Ok(!output.status.success())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn says(script: &str) -> Result<Outcome> {
-        outcome(Command::new("/bin/sh").args(["-c", script]))
+    fn says(script: &str) -> Result<bool> {
+        panics(Command::new("/bin/sh").args(["-c", script]))
     }
 
     #[test]
     fn only_the_undefined_symbol_counts_as_a_panic_path() {
-        assert_eq!(says("exit 0").unwrap(), Outcome::PanicFree);
+        assert!(!says("exit 0").unwrap());
         let undefined = "echo 'rust-lld: error: undefined symbol: a_panic_can_be_reached' >&2; exit 1";
-        assert_eq!(says(undefined).unwrap(), Outcome::Panics);
+        assert!(says(undefined).unwrap());
         assert!(says("echo 'error[E0425]: no such function' >&2; exit 1").is_err());
     }
 }

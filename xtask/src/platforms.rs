@@ -6,7 +6,7 @@ use std::{
     process::{Command, Stdio},
 };
 
-use anyhow::{Result, bail};
+use anyhow::{Result, bail, ensure};
 
 use crate::{
     process,
@@ -28,37 +28,32 @@ const FROM_DEBIAN: [Program; 2] =
 /// Checks everything for each target, and runs the tests with Wine.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     for target in TARGETS {
-        if !setup::has_target(workspace, target) && !setup::rustup(workspace, &["target", "add", target]) {
-            bail!("NOT CHECKED: {target}. rustup could not install it");
-        }
+        ensure!(
+            setup::provide_target(workspace, target),
+            "NOT CHECKED: {target}. rustup could not install it"
+        );
     }
     if let Some(missing) = setup::lacking(&FROM_DEBIAN).first() {
         bail!("NOT CHECKED: wsg-sim on Windows. {missing} is missing");
     }
-    if !CLIPPY.provide(workspace) {
-        bail!("NOT CHECKED: Windows and macOS. clippy is missing");
-    }
+    ensure!(CLIPPY.provide(workspace), "NOT CHECKED: Windows and macOS. clippy is missing");
     for target in TARGETS {
-        let mut clippy = workspace.cargo("clippy");
+        let mut clippy = workspace.cargo("clippy --all-targets --target");
+        clippy.args([target, "--", "-D", "warnings"]);
         if target != WINDOWS {
             // Without an SDK, Lua's C code cannot be compiled. `true` as the compiler skips it.
             let target = target.replace('-', "_");
             clippy.env(format!("CC_{target}"), "true").env(format!("AR_{target}"), "true");
         }
-        process::run(clippy.args(["--all-targets", "--target", target, "--", "-D", "warnings"]))?;
+        process::run(&mut clippy)?;
     }
-    let mut build = workspace.cargo("build");
-    process::run(build.args(["-p", "wsg-sim", "--target", WINDOWS]))?;
+    process::run(workspace.cargo("build -p wsg-sim --target").arg(WINDOWS))?;
     let folder = workspace.target_dir.join(WINDOWS).join("debug");
     let mut library = Command::new(C_COMPILER);
     library.args(["-shared", "-o"]).arg(folder.join("bcryptprimitives.dll"));
     process::run(library.arg(workspace.root.join("xtask/src/platforms.c")).arg("-ladvapi32"))?;
 
-    let tests = || {
-        let mut cargo = workspace.cargo("test");
-        cargo.args(["-p", "host-tests", "--test", "end_to_end"]);
-        cargo
-    };
+    let tests = || workspace.cargo("test -p host-tests --test end_to_end");
     process::run(tests().arg("--no-run"))?;
     let (exe, prefix) = (folder.join("wsg-sim.exe"), workspace.target_dir.join("wine"));
     fs::create_dir_all(&prefix)?;

@@ -1,81 +1,58 @@
 //! The programs in host-tests/probes, which are measured relative to an empty one or run in the emulator.
 
-use std::{fs, path::PathBuf, process::Command};
+use std::{path::PathBuf, process::Command};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use footprint::Footprint;
 
 use crate::{
     process,
     setup::{TRIPLE, ThumbToolchain},
-    workspace::Workspace,
+    size,
 };
 
 const PACKAGE: &str = "wsg-probes";
 
-/// The optimisation level of a program.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Profile {
-    /// opt-level s, as used for the firmware.
-    Size,
-    /// opt-level 3, optimised for speed.
-    Speed,
+/// A profile of cargo for programs.
+#[derive(Clone, Copy)]
+pub(crate) struct Profile {
+    /// Name of the profile.
+    pub(crate) name: &'static str,
+    /// Its optimisation level, as for the option of rustc.
+    pub(crate) level: char,
 }
 
 impl Profile {
-    /// Both profiles, for checks at each optimisation level.
-    pub(crate) const ALL: [Self; 2] = [Self::Size, Self::Speed];
+    /// Optimised for size, as the firmware.
+    const SIZE: Self = Self { name: "firmware", level: 's' };
 
-    /// Returns the name of the cargo profile.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Size => "firmware",
-            Self::Speed => "firmware-o3",
-        }
-    }
-
-    /// Returns the optimisation level as text for messages.
-    pub(crate) fn opt_level(self) -> &'static str {
-        match self {
-            Self::Size => "opt-level s",
-            Self::Speed => "opt-level 3",
-        }
-    }
+    /// Both profiles, for checks at each optimisation level: the other one is optimised for speed.
+    pub(crate) const ALL: [Self; 2] = [Self::SIZE, Self { name: "firmware-o3", level: '3' }];
 }
 
-/// Builds probes for thumb targets.
-pub(crate) struct Probes<'a> {
-    /// The workspace that contains the probes.
-    pub(crate) workspace: &'a Workspace,
-    /// The tool chain that builds the probes.
-    pub(crate) toolchain: &'a ThumbToolchain,
-}
-
-impl Probes<'_> {
+impl ThumbToolchain<'_> {
     /// Returns the `cargo build` command of a program for a target.
-    pub(crate) fn cargo(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
-        let mut cargo = self.toolchain.cargo(self.workspace, "build", triple);
-        cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name()]);
+    pub(crate) fn probe(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
+        let mut cargo = self.cargo("build", triple);
+        cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name]);
         cargo
     }
 
     /// Builds a program and returns its path. The next build of the same program overwrites it.
-    pub(crate) fn build(
+    pub(crate) fn build_probe(
         &self,
         triple: &str,
         name: &str,
         features: &str,
         profile: Profile,
     ) -> Result<PathBuf> {
-        process::run(&mut self.cargo(triple, name, features, profile))?;
-        Ok(self.toolchain.output_dir(self.workspace, triple, profile.name()).join(name))
+        process::run(&mut self.probe(triple, name, features, profile))?;
+        Ok(self.output_dir(triple, profile.name).join(name))
     }
 
     /// Returns the flash and RAM footprint of a program at opt-level s.
     pub(crate) fn footprint(&self, name: &str, features: &str) -> Result<Footprint> {
-        let path = self.build(TRIPLE, name, features, Profile::Size)?;
-        let what_failed = || format!("cannot read the sections of {}", path.display());
-        let bytes = fs::read(&path).with_context(what_failed)?;
-        Ok(Footprint::of(&footprint::sections_of(&bytes).with_context(what_failed)?))
+        let path = self.build_probe(TRIPLE, name, features, Profile::SIZE)?;
+        Ok(Footprint::of(&size::sections_of(&path)?))
     }
 }

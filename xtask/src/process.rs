@@ -49,40 +49,25 @@ pub(crate) fn exists(program: &str) -> bool {
 
 /// Formats the command as shell input, with the environment variables that it sets.
 pub(crate) fn shell_line(command: &Command) -> String {
-    let mut words = Vec::new();
-    for (name, value) in command.get_envs() {
-        if let Some(value) = value {
-            words.push(format!("{}={}", name.to_string_lossy(), quoted(value)));
-        }
-    }
-    words.push(quoted(command.get_program()));
-    words.extend(command.get_args().map(quoted));
-    words.join(" ")
+    let set = command.get_envs().filter_map(|(name, value)| Some((name, value?)));
+    let set = set.map(|(name, value)| format!("{}={}", name.to_string_lossy(), quoted(value)));
+    let words = [command.get_program()].into_iter().chain(command.get_args()).map(quoted);
+    set.chain(words).collect::<Vec<_>>().join(" ")
 }
 
 /// Abbreviates a command, which has already been printed in full, to the words before its first option.
 fn gist(command: &Command) -> String {
     let program = Path::new(command.get_program()).file_name().unwrap_or(command.get_program());
-    let mut words = vec![program.to_string_lossy().into_owned()];
-    for argument in command.get_args() {
-        if argument.to_string_lossy().starts_with('-') {
-            words.push("...".to_owned());
-            break;
-        }
-        words.push(quoted(argument));
-    }
-    words.join(" ")
+    let arguments = command.get_args().take_while(|argument| !argument.to_string_lossy().starts_with('-'));
+    let words: Vec<_> = [program].into_iter().chain(arguments).map(quoted).collect();
+    words.join(" ") + if words.len() <= command.get_args().len() { " ..." } else { "" }
 }
 
-/// Formats a shell word, in single quotes if necessary.
-pub(crate) fn quoted(word: impl AsRef<OsStr>) -> String {
-    let word = word.as_ref().to_string_lossy();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
-    if !word.is_empty() && word.chars().all(plain) {
-        word.into_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
+/// Formats a shell word, in quotes if necessary.
+fn quoted(word: &OsStr) -> String {
+    let word = word.to_string_lossy();
+    // A null character, which cannot be quoted, would also prevent the program from starting.
+    shlex::try_quote(&word).unwrap_or_default().into_owned()
 }
 
 #[cfg(test)]
@@ -94,10 +79,7 @@ mod tests {
         let mut command = Command::new("apt-get");
         command.env("DEBIAN_FRONTEND", "noninteractive").args(["install", "it's", "", "a b"]);
 
-        assert_eq!(
-            shell_line(&command),
-            r"DEBIAN_FRONTEND=noninteractive apt-get install 'it'\''s' '' 'a b'"
-        );
+        assert_eq!(shell_line(&command), r#"DEBIAN_FRONTEND=noninteractive apt-get install "it's" '' 'a b'"#);
     }
 
     #[test]

@@ -26,20 +26,12 @@ const MAX_WHEEL: u64 = 6_000_000;
 pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
     let python = environment.join("bin/python");
     let mut pip = Command::new(&python);
-    pip.args([
-        "-m",
-        "pip",
-        "--disable-pip-version-check",
-        "install",
-        "--quiet",
-        "--require-hashes",
-        "--requirement",
-    ]);
+    pip.args("-m pip --disable-pip-version-check install --quiet --require-hashes --requirement".split(' '));
     process::run(pip.arg(workspace.root.join(PYTHON_PACKAGE).join("wheels/requirements.txt")))?;
     let path = env::var_os("PATH").unwrap_or_default();
     let path = env::join_paths([environment.join("bin")].into_iter().chain(env::split_paths(&path)))?;
     for (target, tag) in WHEELS {
-        if !setup::has_target(workspace, target) && !setup::rustup(workspace, &["target", "add", target]) {
+        if !setup::provide_target(workspace, target) {
             println!("NOT BUILT: {target}. rustup could not install it");
             continue;
         }

@@ -59,10 +59,7 @@ pub(crate) fn apply(elf: &mut [u8], changes: &[Change]) -> Result<()> {
     let bytes =
         elf.get_mut(offset..offset + 2 * SETTINGS.len()).context("the settings record is truncated")?;
     let words = bytes.as_chunks_mut::<2>().0;
-    let mut record = [0; SETTINGS.len()];
-    for (value, word) in record.iter_mut().zip(words.iter()) {
-        *value = u16::from_le_bytes(*word);
-    }
+    let record = std::array::from_fn(|n| u16::from_le_bytes(words[n]));
     for (word, value) in words.iter_mut().zip(changed(record, changes)?) {
         *word = value.to_le_bytes();
     }

@@ -1,16 +1,15 @@
 //! Size gates: flash and RAM of the images and the protocol, compared with their limits.
 
-use std::{fs, process::Command};
+use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result};
-use footprint::Footprint;
+use footprint::{Footprint, Section};
 
 use crate::{
     firmware::{self, Image},
     gate::Gate,
-    probe::Probes,
     process,
-    setup::TRIPLE,
+    setup::{TRIPLE, ThumbToolchain},
 };
 
 const STATIC_RAM_LIMIT: u64 = 12 * 1024;
@@ -45,9 +44,7 @@ pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
 }
 
 fn of_image(image: &Image) -> Result<Vec<Gate>> {
-    let what_failed = || format!("cannot read the sections of {}", image.path.display());
-    let bytes = fs::read(&image.path).with_context(what_failed)?;
-    let sections = footprint::sections_of(&bytes).with_context(what_failed)?;
+    let sections = sections_of(&image.path)?;
     for section in sections.iter().filter(|section| section.size > 0) {
         println!("  {:<16} {:>7} B  {}", section.name, section.size, section.place());
     }
@@ -58,59 +55,49 @@ fn of_image(image: &Image) -> Result<Vec<Gate>> {
     ])
 }
 
+/// Reads the sections of a program.
+pub(crate) fn sections_of(path: &Path) -> Result<Vec<Section>> {
+    let what_failed = || format!("cannot read the sections of {}", path.display());
+    footprint::sections_of(&fs::read(path).with_context(what_failed)?).with_context(what_failed)
+}
+
 /// Returns the gates of the protocol crate, from the sizes of programs minus that of an empty one.
-pub(crate) fn of_protocol(probes: &Probes<'_>) -> Result<Vec<Gate>> {
-    let empty = probes.footprint("empty", "on-target")?;
-    let frame = probes.footprint("frame", "on-target")?.over(empty);
-    let protocol = probes.footprint("functions", "protocol,on-target")?.over(empty);
-    let text = probes.footprint("text", "text")?.over(empty);
-    let gcl = probes.footprint("functions", "gcl,on-target")?.over(empty);
-    let modbus = probes.footprint("functions", "modbus,on-target")?.over(empty);
-    let driver = probes.footprint("functions", "drivers,on-target")?.over(empty);
-    let small_empty = probes.footprint("empty", "on-target,small-table")?;
-    let small_frame = probes.footprint("frame", "on-target,small-table")?.over(small_empty);
+pub(crate) fn of_protocol(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Gate>> {
+    let empty = toolchain.footprint("empty", "on-target")?;
+    let frame = toolchain.footprint("frame", "on-target")?.over(empty);
+    let protocol = toolchain.footprint("functions", "protocol,on-target")?.over(empty);
+    let text = toolchain.footprint("text", "text")?.over(empty);
+    let gcl = toolchain.footprint("functions", "gcl,on-target")?.over(empty);
+    let modbus = toolchain.footprint("functions", "modbus,on-target")?.over(empty);
+    let driver = toolchain.footprint("functions", "drivers,on-target")?.over(empty);
+    let small_empty = toolchain.footprint("empty", "on-target,small-table")?;
+    let small_frame = toolchain.footprint("frame", "on-target,small-table")?.over(small_empty);
     println!("  drivers, every method of both protocols, with dependencies: {} B", driver.flash);
     println!("  human-readable text (Display of commands and replies, core::fmt): {} B", text.flash);
-    Ok(vec![
-        Gate::bytes("parser and encoder, flash with table", frame.flash, FRAME_LIMIT),
-        Gate::bytes("parser and encoder, flash with `small-table`", small_frame.flash, SMALL_FRAME_LIMIT),
-        Gate::bytes(
-            "parser for 64 bytes of payload, RAM",
-            frame.static_ram,
-            PARSER_PAYLOAD + PARSER_OVERHEAD_LIMIT,
-        ),
-        Gate::bytes(
-            "whole protocol crate (no `gcl`, `modbus`, drivers), flash",
-            protocol.flash,
-            PROTOCOL_LIMIT,
-        ),
-        Gate::bytes("`gcl`, every public function, flash", gcl.flash, GCL_LIMIT),
-        Gate::bytes("`modbus`, every public function, flash", modbus.flash, MODBUS_LIMIT),
-    ])
+    let gates = [
+        ("parser and encoder, flash with table", frame.flash, FRAME_LIMIT),
+        ("parser and encoder, flash with `small-table`", small_frame.flash, SMALL_FRAME_LIMIT),
+        ("parser for 64 bytes of payload, RAM", frame.static_ram, PARSER_PAYLOAD + PARSER_OVERHEAD_LIMIT),
+        ("whole protocol crate (no `gcl`, `modbus`, drivers), flash", protocol.flash, PROTOCOL_LIMIT),
+        ("`gcl`, every public function, flash", gcl.flash, GCL_LIMIT),
+        ("`modbus`, every public function, flash", modbus.flash, MODBUS_LIMIT),
+    ];
+    Ok(gates.map(|(what, measured, limit)| Gate::bytes(what, measured, limit)).to_vec())
 }
 
 /// Returns the gates of the C library: a C program with the whole session minus the same program without it.
-pub(crate) fn of_c_library(probes: &Probes<'_>) -> Result<Vec<Gate>> {
+pub(crate) fn of_c_library(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Gate>> {
     let mut gates = Vec::new();
     for (triple, options, limit) in C_LIBRARY {
-        let library = firmware::c_library(probes.workspace, probes.toolchain, triple)?;
+        let library = firmware::c_library(toolchain, triple)?;
         let program = |definition: &str| {
             let elf = library.with_file_name("c-size.elf");
             let mut gcc = Command::new("arm-none-eabi-gcc");
-            gcc.current_dir(probes.workspace.root.join("bindings/c"));
-            gcc.args([
-                "-mthumb",
-                "-Os",
-                "-ffreestanding",
-                "-nostdlib",
-                "-z",
-                "noexecstack",
-                "-Wl,--gc-sections",
-            ]);
+            gcc.current_dir(toolchain.workspace.root.join("bindings/c"));
+            gcc.args("-mthumb -Os -ffreestanding -nostdlib -z noexecstack -Wl,--gc-sections".split(' '));
             gcc.args(options).args([definition, "-I", "include", "size/size.c"]).arg(&library);
             process::run(gcc.args(["-T", "examples/bare_metal.ld", "-o"]).arg(&elf))?;
-            let sections = footprint::sections_of(&fs::read(&elf)?)?;
-            anyhow::Ok(Footprint::of(&sections))
+            anyhow::Ok(Footprint::of(&sections_of(&elf)?))
         };
         let library = program("-DWSG_WHOLE")?.over(program("-DWSG_EMPTY")?);
         gates.push(Gate::bytes(format!("C library, whole session, flash, {triple}"), library.flash, limit));

@@ -24,16 +24,12 @@ const EXCEPTION_FRAME: u64 = 4 * (8 + 1);
 const FLOAT_FRAME: u64 = 4 * 18;
 
 /// Walks the calls in each board's firmware.
-pub(crate) fn walked(
-    workspace: &Workspace,
-    toolchain: &ThumbToolchain,
-    images: &[Image],
-) -> Result<Vec<Gate>> {
-    images.iter().map(|image| walk(workspace, toolchain, image)).collect()
+pub(crate) fn walked(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
+    images.iter().map(|image| walk(toolchain, image)).collect()
 }
 
-fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Result<Gate> {
-    let elf = build_with_sizes(workspace, toolchain, image.board)?;
+fn walk(toolchain: &ThumbToolchain<'_>, image: &Image) -> Result<Gate> {
+    let elf = build_with_sizes(toolchain, image.board)?;
     let what_failed = || format!("cannot walk the calls of {}", image.path.display());
     let program = Program::of(&elf).with_context(what_failed)?;
     // The option changes symbol hashes, and thereby the order of functions and the padding between them.
@@ -70,7 +66,7 @@ fn walk(workspace: &Workspace, toolchain: &ThumbToolchain, image: &Image) -> Res
 /// checks how much paint is left.
 pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gate>> {
     // Build with `--workspace`, because the tests use the same features and nothing is then built twice.
-    process::run(workspace.cargo("build").args(["-q", "--workspace", "--example", "painted_stack"]))?;
+    process::run(&mut workspace.cargo("build -q --workspace --example painted_stack"))?;
     let emulated = images.iter().filter(|image| image.board.emulated.is_some());
     emulated.map(|image| paint(workspace, image)).collect()
 }
@@ -85,15 +81,16 @@ fn paint(workspace: &Workspace, image: &Image) -> Result<Gate> {
 }
 
 /// Builds the image with an additional section of stack sizes, which occupies no memory on the target.
-fn build_with_sizes(workspace: &Workspace, toolchain: &ThumbToolchain, board: &Board) -> Result<Vec<u8>> {
-    let mut cargo = toolchain.cargo(workspace, "build", board.triple);
+fn build_with_sizes(toolchain: &ThumbToolchain<'_>, board: &Board) -> Result<Vec<u8>> {
+    let mut cargo = toolchain.cargo("build", board.triple);
     cargo.args(firmware::selection(board, &[]));
     cargo.args(["--config", &format!("target.{}.rustflags=[\"-Zemit-stack-sizes\"]", board.triple)]);
     // A separate build folder keeps the tested image. The option is unstable; the section that it writes is defined by LLVM.
+    let workspace = toolchain.workspace;
     let target_dir = workspace.target_dir.join("stack");
     cargo.env("CARGO_TARGET_DIR", &target_dir).env("RUSTC_BOOTSTRAP", "1");
     process::run(&mut cargo)?;
-    let output_dir = toolchain.output_dir(workspace, board.triple, "firmware");
+    let output_dir = toolchain.output_dir(board.triple, "firmware");
     let below = output_dir.strip_prefix(&workspace.target_dir).unwrap_or(&output_dir);
     // CARGO_TARGET_DIR also replaces the subfolder of Debian's tool chain.
     let below = below.strip_prefix("debian").unwrap_or(below);

@@ -10,9 +10,7 @@ use crate::{
     firmware::{self, Variant},
     gate,
     matrix::{self, Extent},
-    panics, platforms,
-    probe::Probes,
-    process, python,
+    panics, platforms, process, python,
     settings::Change,
     setup::{self, CLIPPY, Masters, NODE_VARIABLE, PYTHON_VARIABLE, RUSTFMT, ThumbToolchain},
     size, stack,
@@ -23,12 +21,12 @@ const TESTS: &str = "tests, emulator included";
 
 /// Runs all checks, or with `filter` only the matching tests. Skipped checks are listed at the end, and fail a strict run.
 pub(crate) fn run(
-    workspace: &Workspace,
-    toolchain: &ThumbToolchain,
+    toolchain: &ThumbToolchain<'_>,
     filter: &[OsString],
     extent: Extent,
     is_strict: bool,
 ) -> Result<()> {
+    let workspace = toolchain.workspace;
     let masters = setup::masters(workspace);
     let mut chosen = Vec::new();
     let emulated = BOARDS.iter().filter_map(|board| Some((board, board.emulated?)));
@@ -39,9 +37,9 @@ pub(crate) fn run(
             settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
         let variant = Variant { board, settings, ..Variant::default() };
         let variable = format!("{variable}{ending}");
-        chosen.push((variable, firmware::build(workspace, toolchain, &variant)?.path));
+        chosen.push((variable, firmware::build(toolchain, &variant)?.path));
     }
-    chosen.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(workspace, toolchain, setup::TRIPLE)?));
+    chosen.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(toolchain, setup::TRIPLE)?));
     let mut record = Record::default();
     for program in &masters.missing {
         record.not_checked(&format!("tests with {program} (it is not installed)"));
@@ -59,7 +57,7 @@ pub(crate) fn run(
 
 struct Checks<'a> {
     workspace: &'a Workspace,
-    toolchain: &'a ThumbToolchain,
+    toolchain: &'a ThumbToolchain<'a>,
     /// Images of all emulated boards and settings, and the C library, by the environment variable for the tests.
     chosen: Vec<(String, PathBuf)>,
     masters: &'a Masters,
@@ -86,7 +84,7 @@ impl Checks<'_> {
         } else {
             record.not_checked("clippy, host (no clippy)");
         }
-        if CLIPPY.provide_for_thumb(workspace, toolchain) {
+        if CLIPPY.provide_for_thumb(toolchain) {
             record.check("clippy, firmware", || {
                 BOARDS.iter().try_for_each(|board| process::run(&mut self.firmware_clippy(board)))
             })?;
@@ -110,23 +108,22 @@ impl Checks<'_> {
         record.check("docs", || {
             process::run(cargo("doc", &["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
         })?;
-        let probes = Probes { workspace, toolchain };
-        let images = firmware::build_all(workspace, toolchain)?;
+        let images = firmware::build_all(toolchain)?;
         record.check("size", || {
-            gate::check(&[size::of_images(&images)?, size::of_protocol(&probes)?].concat())
+            gate::check(&[size::of_images(&images)?, size::of_protocol(toolchain)?].concat())
         })?;
         if self.masters.missing.contains(&"arm_none_eabi_gcc") {
             record.not_checked("size of the C library (no arm-none-eabi-gcc)");
         } else {
-            record.check("size of the C library", || gate::check(&size::of_c_library(&probes)?))?;
+            record.check("size of the C library", || gate::check(&size::of_c_library(toolchain)?))?;
         }
-        record.check("stack, walked", || gate::check(&stack::walked(workspace, toolchain, &images)?))?;
+        record.check("stack, walked", || gate::check(&stack::walked(toolchain, &images)?))?;
         // Without rp2040js, only the default board's image, which is the first, can be emulated.
         let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { &images };
         record.check("stack, painted", || gate::check(&stack::painted(workspace, emulated)?))?;
         let mut not_compared = None;
         record.check("instructions", || {
-            let counted = bench::counted(&probes, false)?;
+            let counted = bench::counted(toolchain, false)?;
             not_compared = counted.not_compared;
             gate::check(&counted.gates)
         })?;
@@ -136,17 +133,17 @@ impl Checks<'_> {
             let [_, beside_a_loop] = bench::throughput(workspace)?;
             gate::check(&[beside_a_loop])
         })?;
-        record.check("panic paths", || panics::check(&probes))
+        record.check("panic paths", || panics::check(toolchain))
     }
 
     fn firmware_clippy(&self, board: &Board) -> Command {
-        let mut clippy = self.toolchain.cargo(self.workspace, "clippy", board.triple);
+        let mut clippy = self.toolchain.cargo("clippy", board.triple);
         clippy.args(firmware::selection(board, &[])).args(["--", "-D", "warnings"]);
         clippy
     }
 
     fn probes_clippy(&self) -> Command {
-        let mut clippy = self.toolchain.cargo(self.workspace, "clippy", setup::TRIPLE);
+        let mut clippy = self.toolchain.cargo("clippy", setup::TRIPLE);
         clippy.args(["-p", "wsg-probes", "--bins", "--features", "edges,every-function"]);
         clippy.args(["--profile", "firmware", "--", "-D", "warnings"]);
         clippy
@@ -167,8 +164,8 @@ impl Checks<'_> {
         if self.extent == Extent::Whole {
             tests.env("WSG_WHOLE", "1");
         }
-        for (variable, file) in &self.chosen {
-            tests.env(variable, file);
+        for (variable, image) in &self.chosen {
+            tests.env(variable, image);
         }
         for skipped in self.masters.missing.iter().chain([&platforms::TESTS]) {
             tests.args(["--skip", skipped]);
@@ -243,11 +240,7 @@ mod tests {
     /// `cargo test --tests` silently ignores examples without `test = true`.
     #[test]
     fn examples_with_tests_say_so_in_their_manifest() {
-        let mut cargo = Command::new(env!("CARGO"));
-        cargo.args(["metadata", "--no-deps", "--format-version", "1", "--locked", "--offline"]);
-        let text = process::answer(cargo.current_dir(env!("CARGO_MANIFEST_DIR"))).unwrap();
-        let metadata: Value = serde_json::from_str(&text).unwrap();
-        let packages = metadata["packages"].as_array().unwrap();
+        let packages = Workspace::from_env().unwrap().packages().unwrap();
         let targets = packages.iter().flat_map(|package| package["targets"].as_array().unwrap());
         let examples: Vec<&Value> =
             targets.filter(|target| target["kind"] == serde_json::json!(["example"])).collect();

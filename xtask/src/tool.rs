@@ -2,81 +2,79 @@
 
 use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, ensure};
 
 use crate::{process, setup, workspace::Workspace};
 
 /// A tool and how to install it.
 pub(crate) struct Tool {
     /// Name for messages.
-    pub(crate) name: &'static str,
+    name: &'static str,
     /// Command that succeeds if the tool is installed.
-    pub(crate) probe: &'static [&'static str],
+    probe: &'static str,
     /// Command that installs the tool.
-    pub(crate) install: &'static [&'static str],
+    install: &'static str,
 }
 
 /// cargo-fuzz, for the fuzz targets.
-pub(crate) const CARGO_FUZZ: Tool = Tool {
-    name: "cargo-fuzz",
-    probe: &["cargo", "fuzz", "--version"],
-    install: &["cargo", "install", "cargo-fuzz", "--locked"],
-};
+pub(crate) const CARGO_FUZZ: Tool =
+    Tool::new("cargo-fuzz", "cargo fuzz --version", "cargo install cargo-fuzz --locked");
 
 /// cargo-mutants, for mutation testing.
-pub(crate) const CARGO_MUTANTS: Tool = Tool {
-    name: "cargo-mutants",
-    probe: &["cargo", "mutants", "--version"],
-    install: &["cargo", "install", "cargo-mutants", "--locked"],
-};
+pub(crate) const CARGO_MUTANTS: Tool =
+    Tool::new("cargo-mutants", "cargo mutants --version", "cargo install cargo-mutants --locked");
 
 /// cargo-deny, for checks of the dependencies.
-pub(crate) const CARGO_DENY: Tool = Tool {
-    name: "cargo-deny",
-    probe: &["cargo", "deny", "--version"],
-    install: &["cargo", "install", "cargo-deny", "--locked"],
-};
+pub(crate) const CARGO_DENY: Tool =
+    Tool::new("cargo-deny", "cargo deny --version", "cargo install cargo-deny --locked");
 
 /// cargo-llvm-cov, for line coverage.
-pub(crate) const CARGO_LLVM_COV: Tool = Tool {
-    name: "cargo-llvm-cov",
-    probe: &["cargo", "llvm-cov", "--version"],
-    install: &["cargo", "install", "cargo-llvm-cov", "--locked"],
-};
+pub(crate) const CARGO_LLVM_COV: Tool =
+    Tool::new("cargo-llvm-cov", "cargo llvm-cov --version", "cargo install cargo-llvm-cov --locked");
+
+/// mdBook, without its web server.
+pub(crate) const MDBOOK: Tool = Tool::new(
+    "mdbook",
+    "mdbook --version",
+    "cargo install mdbook --locked --no-default-features --features search",
+);
 
 /// The nightly tool chain, for Miri and cargo-fuzz.
-pub(crate) const NIGHTLY: Tool = Tool {
-    name: "nightly Rust",
-    probe: &["rustup", "run", "nightly", "rustc", "--version"],
-    install: &["rustup", "toolchain", "install", "nightly", "--profile", "minimal"],
-};
+pub(crate) const NIGHTLY: Tool = Tool::new(
+    "nightly Rust",
+    "rustup run nightly rustc --version",
+    "rustup toolchain install nightly --profile minimal",
+);
 
 /// Miri, with the sources of the standard library.
-pub(crate) const MIRI: Tool = Tool {
-    name: "Miri",
-    probe: &["rustup", "run", "nightly", "cargo", "miri", "--version"],
-    install: &["rustup", "component", "add", "--toolchain", "nightly", "miri", "rust-src"],
-};
+pub(crate) const MIRI: Tool = Tool::new(
+    "Miri",
+    "rustup run nightly cargo miri --version",
+    "rustup component add --toolchain nightly miri rust-src",
+);
 
 impl Tool {
+    const fn new(name: &'static str, probe: &'static str, install: &'static str) -> Self {
+        Self { name, probe, install }
+    }
+
     /// Installs the tool if necessary. Fails with a note of the missing check.
     pub(crate) fn require(&self, workspace: &Workspace, what_for: &str) -> Result<()> {
         if self.is_there(workspace) {
             return Ok(());
         }
-        let line = self.install.join(" ");
-        if setup::installing_is_forbidden() {
-            bail!(
-                "NOT CHECKED: {what_for}. {} is missing, and WSG_NO_INSTALL=1 forbids installation; run `{line}`",
-                self.name
-            );
-        }
-        process::run(&mut plain(workspace, self.install)).with_context(|| {
-            format!("NOT CHECKED: {what_for}. {} cannot be installed with `{line}`", self.name)
+        let Self { name, install, .. } = self;
+        ensure!(
+            !setup::installing_is_forbidden(),
+            "NOT CHECKED: {what_for}. {name} is missing, and WSG_NO_INSTALL=1 forbids installation; run `{install}`"
+        );
+        process::run(&mut plain(workspace, install)).with_context(|| {
+            format!("NOT CHECKED: {what_for}. {name} cannot be installed with `{install}`")
         })?;
-        if !self.is_there(workspace) {
-            bail!("NOT CHECKED: {what_for}. {} is still missing after `{line}`", self.name);
-        }
+        ensure!(
+            self.is_there(workspace),
+            "NOT CHECKED: {what_for}. {name} is still missing after `{install}`"
+        );
         Ok(())
     }
 
@@ -85,18 +83,12 @@ impl Tool {
     }
 }
 
-/// Returns `cargo` of the nightly tool chain, run in the workspace root.
-pub(crate) fn nightly_cargo(workspace: &Workspace, arguments: &[&str]) -> Command {
-    let mut command = plain(workspace, &["rustup", "run", "nightly", "cargo"]);
-    command.args(arguments);
-    command
-}
-
-/// Returns a command without the outer cargo's environment variables, which would make rustup use the outer tool chain.
-pub(crate) fn plain(workspace: &Workspace, words: &[&str]) -> Command {
-    let (program, arguments) = words.split_first().unwrap_or((&"true", &[]));
-    let mut command = Command::new(program);
-    command.args(arguments).current_dir(&workspace.root);
+/// Returns a command, whose words are separated by spaces, run in the workspace root without the outer cargo's environment
+/// variables, which would make rustup use the outer tool chain.
+pub(crate) fn plain(workspace: &Workspace, line: &str) -> Command {
+    let mut words = line.split(' ');
+    let mut command = Command::new(words.next().unwrap_or_default());
+    command.args(words).current_dir(&workspace.root);
     for name in ["RUSTUP_TOOLCHAIN", "CARGO", "RUSTC", "RUSTDOC", "LD_LIBRARY_PATH", "CARGO_TARGET_DIR"] {
         command.env_remove(name);
     }
@@ -109,9 +101,9 @@ mod tests {
 
     #[test]
     fn a_tool_that_cannot_be_installed_reports_what_was_not_checked() {
-        let tool = Tool { name: "nothing", probe: &["/bin/false"], install: &["/bin/false"] };
+        let tool = Tool { name: "nothing", probe: "/bin/false", install: "/bin/false" };
 
-        let error = format!("{:#}", tool.require(&Workspace::for_tests(), "the moon").unwrap_err());
+        let error = format!("{:#}", tool.require(&Workspace::from_env().unwrap(), "the moon").unwrap_err());
 
         assert!(error.starts_with("NOT CHECKED: the moon. nothing "), "{error}");
     }

@@ -8,17 +8,19 @@ use std::{
 };
 
 use anyhow::{Context, Result};
+use serde_json::Value;
 
-/// The library crates for boards, by package and folder: built for each target, panic-free, published as packages. Each crate
-/// follows its dependencies.
-pub(crate) const TARGET_CRATES: [(&str, &str); 7] = [
-    ("bus-modbus", "buses/modbus"),
-    ("bus-slcan", "buses/slcan"),
-    ("bus-canopen", "buses/canopen"),
-    ("bus-profibus", "buses/profibus"),
-    ("bus-profinet", "buses/profinet"),
-    ("wsg-protocol", "protocol"),
-    ("wsg-fieldbus", "fieldbus"),
+use crate::process;
+
+/// Packages of the library crates for boards: built for each target, panic-free, published. Each crate follows its dependencies.
+pub(crate) const TARGET_CRATES: [&str; 7] = [
+    "bus-modbus",
+    "bus-slcan",
+    "bus-canopen",
+    "bus-profibus",
+    "bus-profinet",
+    "wsg-protocol",
+    "wsg-fieldbus",
 ];
 
 /// The workspace in which `cargo xtask` was called.
@@ -27,7 +29,8 @@ pub(crate) struct Workspace {
     pub(crate) root: PathBuf,
     /// Build folder: `CARGO_TARGET_DIR`, or `target` in the root.
     pub(crate) target_dir: PathBuf,
-    cargo: OsString,
+    /// The calling cargo.
+    pub(crate) cargo: OsString,
 }
 
 impl Workspace {
@@ -44,21 +47,16 @@ impl Workspace {
         Ok(Self { root, target_dir, cargo })
     }
 
-    /// Creates a workspace for tests that build nothing.
-    #[cfg(test)]
-    pub(crate) fn for_tests() -> Self {
-        Self { root: env::temp_dir(), target_dir: env::temp_dir(), cargo: "cargo".into() }
-    }
-
-    /// Returns `cargo <subcommand>` with the calling tool chain, run in the workspace root.
-    pub(crate) fn cargo(&self, subcommand: &str) -> Command {
-        let mut command = self.cargo_in_current_dir(subcommand);
+    /// Returns `cargo` with a subcommand and options, separated by spaces, with the calling tool chain, run in the workspace root.
+    pub(crate) fn cargo(&self, line: &str) -> Command {
+        let mut command = self.cargo_in_current_dir(line);
         command.current_dir(&self.root);
         command
     }
 
     /// The same, run in the current folder, for programs whose arguments may be file names.
-    pub(crate) fn cargo_in_current_dir(&self, subcommand: &str) -> Command {
+    pub(crate) fn cargo_in_current_dir(&self, line: &str) -> Command {
+        let (subcommand, options) = line.split_once(' ').unwrap_or((line, ""));
         let mut command = Command::new(&self.cargo);
         command.env("CARGO_TARGET_DIR", &self.target_dir).arg(subcommand);
         // Never build with versions other than those in Cargo.lock. The formatter does not support this option.
@@ -69,12 +67,15 @@ impl Workspace {
         if env::var_os("CI").is_some() {
             command.env("CARGO_INCREMENTAL", "0");
         }
+        command.args(options.split_whitespace());
         command
     }
 
-    /// Returns whether the calling cargo is the one at `path`.
-    pub(crate) fn cargo_is(&self, path: &str) -> bool {
-        Path::new(&self.cargo) == Path::new(path)
+    /// Returns the packages of the workspace, as cargo describes them.
+    pub(crate) fn packages(&self) -> Result<Vec<Value>> {
+        let text = process::output(&mut self.cargo("metadata --no-deps --format-version 1 --offline"))?;
+        let mut metadata: Value = serde_json::from_str(&text)?;
+        Ok(serde_json::from_value(metadata["packages"].take())?)
     }
 
     /// Returns the compiler of the calling cargo.

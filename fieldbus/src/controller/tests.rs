@@ -465,7 +465,11 @@ fn held_part_is_not_shown_again_after_a_fast_stop() {
             plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
         }
         plc.report_flags(SystemFlags::REFERENCED);
-        assert_eq!(plc.shows().0, GripperFlags::IDLE, "acknowledged by a third party, state not reported yet");
+        assert_eq!(
+            plc.shows().0,
+            GripperFlags::IDLE,
+            "acknowledged by a third party, state not reported yet"
+        );
     }
 }
 

@@ -16,22 +16,49 @@ mod noise;
 mod sim;
 mod updates;
 
-use anyhow::{Context, Result, bail};
-use lexopt::{Arg, Parser, ValueExt};
+use anyhow::{Context, Result};
+use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use std::time::Duration;
 
-const USAGE: &str = "\
-Puts load on the servers of the virtual gripper.
+/// Puts load on the servers of the virtual gripper
+#[derive(Parser)]
+struct Arguments {
+    #[command(subcommand)]
+    mode: Mode,
+}
 
-Usage: load updates|flood|noise [--seconds N] [--pages N]
+#[derive(Subcommand)]
+enum Mode {
+    /// 100 connections with updates of four values every 10 ms, while the fingers travel
+    Updates {
+        /// Duration in seconds
+        #[arg(long, value_name = "N", default_value = "30", value_parser = seconds)]
+        seconds: Duration,
+        /// Number of pages that watch meanwhile
+        #[arg(long, value_name = "N", default_value_t = 0)]
+        pages: usize,
+    },
+    /// Clients that flood, hold incomplete frames, never read, connect and disconnect; how the others fare
+    Flood {
+        /// Duration in seconds
+        #[arg(long, value_name = "N", default_value = "15", value_parser = seconds)]
+        seconds: Duration,
+    },
+    /// Random bytes on every port; whether it still answers
+    Noise {
+        /// Duration in seconds
+        #[arg(long, value_name = "N", default_value = "60", value_parser = seconds)]
+        seconds: Duration,
+    },
+    /// The gripper process that the other modes start
+    #[command(name = sim::SERVE, hide = true)]
+    Serve,
+}
 
-  updates   100 connections with updates of four values every 10 ms, while the fingers travel (30 s)
-  flood     clients that flood, hold half frames, never read, come and go; how the others fare (15 s)
-  noise     random bytes on every port; whether it still answers (60 s)
-
-  --pages N with updates: so many pages watch meanwhile (0)
-";
+fn seconds(text: &str) -> Result<Duration> {
+    Ok(Duration::from_secs(text.parse::<u64>().context("expected a number of seconds")?.max(1)))
+}
 
 fn main() -> ExitCode {
     match run() {
@@ -44,31 +71,10 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<()> {
-    let mut parser = Parser::from_env();
-    let mut seconds = None;
-    let mut mode = None;
-    let mut pages = 0;
-    while let Some(argument) = parser.next()? {
-        match argument {
-            Arg::Long("seconds") => {
-                seconds = Some(parser.value()?.parse().context("--seconds expects a number")?)
-            }
-            Arg::Long("pages") => pages = parser.value()?.parse().context("--pages expects a number")?,
-            Arg::Long("help") => {
-                print!("{USAGE}");
-                return Ok(());
-            }
-            Arg::Value(value) if mode.is_none() => mode = Some(value.string()?),
-            _ => return Err(argument.unexpected().into()),
-        }
-    }
-    let lasting = |usual: u64| Duration::from_secs(seconds.unwrap_or(usual).max(1));
-    match mode.as_deref() {
-        Some("updates") => updates::run(lasting(30), pages),
-        Some("flood") => flood::run(lasting(15)),
-        Some("noise") => noise::run(lasting(60)),
-        // The gripper process started by the modes above.
-        Some(sim::SERVE) => sim::serve(),
-        _ => bail!("expected updates, flood or noise; --help says more"),
+    match Arguments::parse().mode {
+        Mode::Updates { seconds, pages } => updates::run(seconds, pages),
+        Mode::Flood { seconds } => flood::run(seconds),
+        Mode::Noise { seconds } => noise::run(seconds),
+        Mode::Serve => sim::serve(),
     }
 }

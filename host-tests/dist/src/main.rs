@@ -16,9 +16,9 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
+use clap::Parser;
 use document::root;
 use host_tests::device_files::GSD;
-use lexopt::{Arg, Parser};
 use sha2::{Digest, Sha256};
 
 /// Files of `docs` that are copied unchanged.
@@ -52,8 +52,19 @@ LICENCES.txt         third-party parts of the image and their licences
 SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
 ";
 
+/// Builds the release folder for PLC engineers
+#[derive(Parser)]
+struct Arguments {
+    /// Firmware image
+    #[arg(long, value_name = "IMAGE")]
+    elf: PathBuf,
+    /// Folder to write
+    #[arg(long, value_name = "FOLDER")]
+    to: PathBuf,
+}
+
 fn main() -> ExitCode {
-    match run(Parser::from_env()) {
+    match run(&Arguments::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -62,20 +73,10 @@ fn main() -> ExitCode {
     }
 }
 
-/// Parses `--elf IMAGE --to FOLDER` and writes the folder.
-fn run(mut arguments: Parser) -> Result<()> {
-    let (mut elf, mut folder) = (None, None);
-    while let Some(argument) = arguments.next()? {
-        match argument {
-            Arg::Long("elf") => elf = Some(PathBuf::from(arguments.value()?)),
-            Arg::Long("to") => folder = Some(PathBuf::from(arguments.value()?)),
-            other => return Err(other.unexpected().into()),
-        }
-    }
-    let (elf, folder) = elf.zip(folder).context("expected --elf IMAGE and --to FOLDER")?;
-    let elf = fs::read(&elf).with_context(|| format!("cannot read {}", elf.display()))?;
-    write(&folder, &contents(elf)?)?;
-    println!("{}", folder.display());
+fn run(Arguments { elf, to }: &Arguments) -> Result<()> {
+    let elf = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
+    write(to, &contents(elf)?)?;
+    println!("{}", to.display());
     Ok(())
 }
 

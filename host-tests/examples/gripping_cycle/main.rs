@@ -4,53 +4,57 @@
 mod cycle;
 mod master;
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, bail};
+use clap::{ArgGroup, Parser};
 use cycle::{Cycle, Phase};
-use lexopt::{Arg, Parser, ValueExt};
 use master::{Master, Target};
+use std::net::SocketAddr;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-
-const USAGE: &str = "\
-The gripping cycle of the fieldbus manual, as a Modbus master.
-
-Usage: gripping_cycle --tcp ADDR | --rtu DEVICE [OPTION]...
-
-  --tcp ADDR      Modbus/TCP address of a real or virtual gripper, such as 127.0.0.1:1502
-  --rtu DEVICE    serial line to the bridge, 8N1, such as /dev/ttyUSB0
-  --baud N        bit rate of the serial line in bit/s (default 19200)
-  --unit N        unit address, 1 to 247 (default 1)
-  --cycles N      number of cycles (default 3)
-  --help          show this
-";
 
 /// Scan interval.
 const SCAN: Duration = Duration::from_millis(10);
 
+/// The gripping cycle of the fieldbus manual, as a Modbus master
+#[derive(Parser)]
+#[command(group = ArgGroup::new("target").required(true).args(["tcp", "rtu"]))]
 struct Options {
-    target: Target,
+    /// Modbus/TCP address of a real or virtual gripper, such as 127.0.0.1:1502
+    #[arg(long, value_name = "ADDR", conflicts_with = "baud")]
+    tcp: Option<SocketAddr>,
+    /// Serial line to the bridge, 8N1, such as /dev/ttyUSB0
+    #[arg(long, value_name = "DEVICE")]
+    rtu: Option<String>,
+    /// Bit rate of the serial line in bit/s
+    #[arg(long, value_name = "N", default_value_t = 19_200)]
+    baud: u32,
+    /// Unit address
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=247))]
     unit: u8,
+    /// Number of cycles
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     cycles: u32,
 }
 
 fn main() -> ExitCode {
-    let options = match parse(Parser::from_env()) {
-        Ok(Some(options)) => options,
-        Ok(None) => {
-            print!("{USAGE}");
-            return ExitCode::SUCCESS;
-        }
-        Err(error) => return fail(&error, 2),
-    };
+    let options = Options::parse();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let done =
         runtime.context("cannot start the async runtime").and_then(|runtime| runtime.block_on(run(options)));
-    done.map_or_else(|error| fail(&error, 1), |()| ExitCode::SUCCESS)
+    done.map_or_else(
+        |error| {
+            eprintln!("gripping_cycle: {error:#}");
+            ExitCode::FAILURE
+        },
+        |()| ExitCode::SUCCESS,
+    )
 }
 
 async fn run(options: Options) -> Result<()> {
-    let mut master = Master::new(options.target, options.unit);
-    let mut cycle = Cycle::new(options.cycles);
+    let Options { tcp, rtu, baud, unit, cycles } = options;
+    let target = tcp.map(Target::Tcp).or(rtu.map(|device| Target::Rtu { device, baud }));
+    let mut master = Master::new(target.context("expected one of --tcp ADDR and --rtu DEVICE")?, unit);
+    let mut cycle = Cycle::new(cycles);
     let begin = Instant::now();
     let outcome = scan(&mut master, &mut cycle, begin).await;
     let (counters, traffic) = (cycle.counters(), master.traffic());
@@ -94,40 +98,4 @@ async fn scan(master: &mut Master, cycle: &mut Cycle, begin: Instant) -> Result<
             _ => tokio::time::sleep(SCAN).await,
         }
     }
-}
-
-fn parse(mut parser: Parser) -> Result<Option<Options>> {
-    let (mut tcp, mut device, mut baud) = (None, None, None);
-    let (mut unit, mut cycles) = (1, 3);
-    while let Some(argument) = parser.next()? {
-        match argument {
-            Arg::Long("tcp") => {
-                tcp = Some(parser.value()?.parse().context("--tcp expects an address with a port")?)
-            }
-            Arg::Long("rtu") => device = Some(parser.value()?.string()?),
-            Arg::Long("baud") => {
-                baud = Some(parser.value()?.parse().context("--baud expects a rate in bit/s")?)
-            }
-            Arg::Long("unit") => unit = parser.value()?.parse().context("--unit expects 1 to 247")?,
-            Arg::Long("cycles") => {
-                cycles = parser.value()?.parse().context("--cycles expects a number above 0")?
-            }
-            Arg::Long("help") => return Ok(None),
-            _ => return Err(anyhow!(argument.unexpected()).context("expected options as --help lists them")),
-        }
-    }
-    ensure!((1..=247).contains(&unit), "--unit is {unit}; expected 1 to 247");
-    ensure!(cycles > 0, "--cycles is 0; expected a number above 0");
-    let target = match (tcp, device, baud) {
-        (Some(address), None, None) => Target::Tcp(address),
-        (None, Some(device), baud) => Target::Rtu { device, baud: baud.unwrap_or(19_200) },
-        (Some(_), None, Some(_)) => bail!("--baud requires --rtu DEVICE"),
-        _ => bail!("expected one of --tcp ADDR and --rtu DEVICE"),
-    };
-    Ok(Some(Options { target, unit, cycles }))
-}
-
-fn fail(error: &anyhow::Error, status: u8) -> ExitCode {
-    eprintln!("gripping_cycle: {error:#}");
-    ExitCode::from(status)
 }

@@ -3,8 +3,9 @@
 use bus_slcan::{self as slcan, ClassicFrame, Line};
 use embedded_can::{Frame as _, StandardId};
 use wsg_protocol::can::{FULL, HALF_MESSAGE_MS, Reassembler, Segments};
-use wsg_protocol::{Event, FrameEncoder, Instant, checksum};
+use wsg_protocol::{FrameEncoder, Instant, checksum};
 
+use super::frames::Seen;
 use super::input::Input;
 
 /// Reassembler capacity in CAN frames; small, so that messages often exceed it.
@@ -12,24 +13,6 @@ const LIMIT: usize = 5;
 
 const OURS: Option<StandardId> = StandardId::new(0x21);
 const FOREIGN: Option<StandardId> = StandardId::new(0x20);
-
-/// Events by value, for comparison.
-#[derive(Clone, Debug, PartialEq)]
-enum Seen {
-    Message(u8, Vec<u8>),
-    BadChecksum(u8, u16),
-    Oversize(u8, u16),
-}
-
-impl From<Event<'_>> for Seen {
-    fn from(event: Event<'_>) -> Self {
-        match event {
-            Event::Frame(frame) => Self::Message(frame.id, frame.payload.to_vec()),
-            Event::BadChecksum { id, size } => Self::BadChecksum(id, size),
-            Event::Oversize { id, size } => Self::Oversize(id, size),
-        }
-    }
-}
 
 /// Each op is a byte with parameter bytes: a message with a fault of its frames, or any frame.
 pub fn can(data: &[u8]) {
@@ -122,7 +105,7 @@ fn found_at(rest: &[Vec<u8>]) -> (Option<Seen>, usize) {
     if checksum::of(covered).to_le_bytes() != received {
         return (Some(Seen::BadChecksum(id, size)), 0);
     }
-    (Some(Seen::Message(id, covered[6..].to_vec())), frames)
+    (Some(Seen::Frame(id, covered[6..].to_vec())), frames)
 }
 
 /// Checks that a frame survives encoding as an SLCAN line.

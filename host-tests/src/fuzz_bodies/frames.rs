@@ -9,7 +9,7 @@ const LIMIT: usize = 16;
 
 /// Events by value, for comparison.
 #[derive(Clone, Debug, PartialEq)]
-enum Seen {
+pub(super) enum Seen {
     Frame(u8, Vec<u8>),
     BadChecksum(u8, u16),
     Oversize(u8, u16),

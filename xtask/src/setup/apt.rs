@@ -1,129 +1,97 @@
 //! Debian packages: finds the apt sources of this machine, and installs missing packages.
 
-use std::{fs, path::PathBuf, process::Command};
+use std::{fs, process::Command};
 
 use anyhow::{Context, Result};
 
 use crate::process;
 
+/// The release whose own QEMU lacks the machine, its backports, which have it, and the file that adds them to the apt sources.
+const BOOKWORM: &str = "bookworm";
+const BACKPORTS: &str = "bookworm-backports";
+const SOURCE: &str = "/etc/apt/sources.list.d/wsg-bookworm-backports.sources";
+
 /// Keyring that signs all Debian mirrors.
 const KEYRING: &str = "/usr/share/keyrings/debian-archive-keyring.gpg";
 
-/// Missing packages and the release to install them from.
-pub(crate) struct Packages {
+/// Missing packages and where to install them from.
+pub(super) struct Packages {
     /// Names of the packages.
-    pub(crate) names: Vec<&'static str>,
-    /// Release for `apt-get install -t`, or `None` for the machine's own release.
-    pub(crate) release: Option<String>,
-    /// Apt source to add first, if the machine does not have that release.
-    pub(crate) source: Option<SourceFile>,
+    names: Vec<&'static str>,
+    /// Whether to install them from the backports instead of the machine's own release.
+    from_backports: bool,
+    /// Mirror of the backports, if the machine's apt sources lack them.
+    mirror: Option<String>,
 }
 
 impl Packages {
-    /// Returns a package from the machine's own release.
-    pub(super) fn of(name: &'static str) -> Self {
-        Self { names: vec![name], release: None, source: None }
+    /// Returns packages of the machine's own release.
+    pub(super) fn of(names: Vec<&'static str>) -> Self {
+        Self { names, from_backports: false, mirror: None }
+    }
+
+    /// Returns QEMU, on Debian bookworm from its backports.
+    pub(super) fn qemu() -> Result<Self> {
+        let names = vec!["qemu-system-arm"];
+        let mut release = Command::new("sh");
+        release.args(["-c", ". /etc/os-release && echo $ID $VERSION_CODENAME"]);
+        if process::answer(&mut release).is_none_or(|it| it.trim() != format!("debian {BOOKWORM}")) {
+            return Ok(Self::of(names));
+        }
+        let mut sources = Command::new("apt-get");
+        // Works without package lists, which a fresh machine does not have.
+        sources.args(["indextargets", "--no-release-info", "--format", "$(RELEASE) $(REPO_URI)"]);
+        sources.args(["Created-By: Packages", "Component: main"]);
+        let listed = process::answer(&mut sources).context("`apt-get indextargets` lists no sources")?;
+        Ok(Self { names, from_backports: true, mirror: missing_mirror(&listed)? })
     }
 }
 
-/// An additional file in `/etc/apt/sources.list.d`.
-#[derive(Debug, PartialEq)]
-pub(crate) struct SourceFile {
-    path: PathBuf,
-    lines: Vec<String>,
-}
-
-impl SourceFile {
-    fn shell_line(&self) -> String {
-        let lines: Vec<String> = self.lines.iter().map(process::quoted).collect();
-        format!(r"printf '%s\n' {} > {}", lines.join(" "), self.path.display())
+/// Returns the mirror from which to add the backports, or `None` if the machine already has them. Uses the mirror of the release, so
+/// that a machine with a local mirror keeps using it. The list has a suite and a mirror per line.
+fn missing_mirror(listed: &str) -> Result<Option<String>> {
+    let mut sources = listed.lines().filter_map(|line| line.split_once(' '));
+    if sources.clone().any(|(suite, _)| suite == BACKPORTS) {
+        return Ok(None);
     }
-
-    fn write(&self) -> Result<()> {
-        eprintln!("+ {}", self.shell_line());
-        fs::write(&self.path, self.lines.join("\n") + "\n")
-            .with_context(|| format!("cannot write the apt source {}", self.path.display()))
-    }
+    // A CD does not contain the backports.
+    let found = sources.find(|(suite, uri)| *suite == BOOKWORM && !uri.starts_with("cdrom:"));
+    let (_, uri) = found.with_context(|| {
+        format!(
+            "no apt source serves {BOOKWORM} main, so the mirror for {BACKPORTS} is unknown; \
+             add {BACKPORTS} to the apt sources manually"
+        )
+    })?;
+    Ok(Some(uri.to_owned()))
 }
 
 /// Installs the packages, printing each command first.
-pub(crate) fn install(wanted: &[Packages]) -> Result<()> {
-    let added: Vec<&SourceFile> = wanted.iter().filter_map(|packages| packages.source.as_ref()).collect();
-    for source in &added {
-        source.write()?;
+pub(super) fn install(wanted: &[Packages]) -> Result<()> {
+    let run = |line: &String| {
+        process::run(Command::new("sh").args(["-c", line]))
+            .with_context(|| format!("correct what apt reports above, or run `{line}` yourself"))
+    };
+    let outcome = shell_lines(wanted).iter().try_for_each(run);
+    if outcome.is_err() && wanted.iter().any(|packages| packages.mirror.is_some()) {
+        // A broken source would fail every later `apt-get update` on this machine.
+        fs::remove_file(SOURCE).with_context(|| format!("cannot remove {SOURCE}"))?;
     }
-    if let Err(error) = process::run(&mut update()) {
-        // Remove the new source, because a broken one would fail every later `apt-get update` on this machine.
-        for source in &added {
-            fs::remove_file(&source.path)
-                .with_context(|| format!("cannot remove {}", source.path.display()))?;
-        }
-        return Err(error.context("apt cannot read its sources; repair them and run the command again"));
-    }
-    wanted.iter().try_for_each(|packages| process::run(&mut packages.install_command()))
+    outcome
 }
 
-/// Returns the commands that [`install`] would run, for the user to type.
-pub(crate) fn shell_lines(wanted: &[Packages]) -> Vec<String> {
-    let sources = wanted.iter().filter_map(|packages| packages.source.as_ref()).map(SourceFile::shell_line);
-    let installs = wanted.iter().map(|packages| process::shell_line(&packages.install_command()));
-    sources.chain([process::shell_line(&update())]).chain(installs).collect()
-}
-
-impl Packages {
-    fn install_command(&self) -> Command {
-        let mut command = Command::new("apt-get");
-        command.env("DEBIAN_FRONTEND", "noninteractive");
-        command.args(["install", "--yes", "--no-install-recommends"]);
-        if let Some(release) = &self.release {
-            command.args(["-t", release]);
-        }
-        command.args(&self.names);
-        command
-    }
-}
-
-fn update() -> Command {
-    let mut command = Command::new("apt-get");
-    command.arg("update");
-    command
-}
-
-/// Returns the source file to add for `suite`, or `None` if the machine already has it.
-///
-/// Uses the mirror of `base_suite`, so that a machine with a local mirror keeps using it.
-pub(crate) fn source_for(base_suite: &str, suite: &str) -> Result<Option<SourceFile>> {
-    let mut sources = Command::new("apt-get");
-    // Works without package lists, which a fresh machine does not have.
-    sources.args(["indextargets", "--no-release-info", "--format", "$(RELEASE) $(REPO_URI)"]);
-    sources.args(["Created-By: Packages", "Component: main"]);
-    let listed = process::answer(&mut sources).context("`apt-get indextargets` lists no sources")?;
-    source_beside(&listed, base_suite, suite)
-}
-
-/// The same for a list of apt sources, with a suite and a mirror per line.
-fn source_beside(listed: &str, base_suite: &str, suite: &str) -> Result<Option<SourceFile>> {
-    // A CD does not contain the backports.
-    let mut sources =
-        listed.lines().filter_map(|line| line.split_once(' ')).filter(|(_, uri)| !uri.starts_with("cdrom:"));
-    if sources.clone().any(|(its, _)| its == suite) {
-        return Ok(None);
-    }
-    let (_, uri) = sources.find(|(its, _)| *its == base_suite).with_context(|| {
+/// Returns the commands that install the packages.
+pub(super) fn shell_lines(wanted: &[Packages]) -> Vec<String> {
+    let sources = wanted.iter().filter_map(|packages| packages.mirror.as_ref()).map(|mirror| {
         format!(
-            "no apt source serves {base_suite} main, so the mirror for {suite} is unknown; \
-             add {suite} to the apt sources manually"
+            r"printf '%s\n' 'Types: deb' 'URIs: {mirror}' 'Suites: {BACKPORTS}' 'Components: main' 'Signed-By: {KEYRING}' > {SOURCE}"
         )
-    })?;
-    let lines = vec![
-        "Types: deb".to_owned(),
-        format!("URIs: {uri}"),
-        format!("Suites: {suite}"),
-        "Components: main".to_owned(),
-        format!("Signed-By: {KEYRING}"),
-    ];
-    let path = PathBuf::from(format!("/etc/apt/sources.list.d/wsg-{suite}.sources"));
-    Ok(Some(SourceFile { path, lines }))
+    });
+    let installs = wanted.iter().map(|Packages { names, from_backports, .. }| {
+        let release = if *from_backports { format!("-t {BACKPORTS} ") } else { String::new() };
+        let install = "DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends";
+        format!("{install} {release}{}", names.join(" "))
+    });
+    sources.chain(["apt-get update".to_owned()]).chain(installs).collect()
 }
 
 #[cfg(test)]
@@ -131,43 +99,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn backports_come_from_the_mirror_that_the_machine_uses() {
+    fn backports_are_added_from_the_mirror_that_the_machine_uses() {
         let listed = "bookworm cdrom:[Debian]/\nbookworm-security http://b.example/security/\n\
                       bookworm http://a.example/debian/\n";
 
-        let source = source_beside(listed, "bookworm", "bookworm-backports").unwrap().unwrap();
-
-        assert!(source.lines.contains(&"URIs: http://a.example/debian/".to_owned()), "{source:?}");
-        assert!(source.path.ends_with("wsg-bookworm-backports.sources"));
+        assert_eq!(missing_mirror(listed).unwrap().unwrap(), "http://a.example/debian/");
+        assert_eq!(missing_mirror(&format!("{listed}bookworm-backports http://a.example/\n")).unwrap(), None);
+        let error = missing_mirror("").unwrap_err().to_string();
+        assert!(error.contains("add bookworm-backports to the apt sources manually"), "{error}");
     }
 
     #[test]
-    fn backports_that_the_machine_has_are_not_added() {
-        let listed = "bookworm http://a.example/debian/\nbookworm-backports http://a.example/debian/\n";
-        assert_eq!(source_beside(listed, "bookworm", "bookworm-backports").unwrap(), None);
-    }
+    fn steps_write_the_source_update_once_and_install() {
+        let mirror = Some("http://a.example/debian/".to_owned());
+        let qemu = Packages { names: vec!["qemu"], from_backports: true, mirror };
 
-    #[test]
-    fn steps_for_a_person_write_the_source_update_once_and_install() {
-        let source = SourceFile { path: "/etc/x.sources".into(), lines: vec!["Types: deb".into()] };
-        let wanted = [
-            Packages { names: vec!["lld"], release: None, source: None },
-            Packages { names: vec!["qemu"], release: Some("r-backports".into()), source: Some(source) },
-        ];
+        let lines = shell_lines(&[Packages::of(vec!["lld", "rustc-web"]), qemu]);
 
         let install = "DEBIAN_FRONTEND=noninteractive apt-get install --yes --no-install-recommends";
         let expected = [
-            r"printf '%s\n' 'Types: deb' > /etc/x.sources".to_owned(),
             "apt-get update".to_owned(),
-            format!("{install} lld"),
-            format!("{install} -t r-backports qemu"),
+            format!("{install} lld rustc-web"),
+            format!("{install} -t bookworm-backports qemu"),
         ];
-        assert_eq!(shell_lines(&wanted), expected);
-    }
-
-    #[test]
-    fn without_a_mirror_the_user_is_told_what_to_add() {
-        let error = source_beside("", "bookworm", "bookworm-backports").unwrap_err().to_string();
-        assert!(error.contains("add bookworm-backports to the apt sources manually"), "{error}");
+        assert!(lines[0].contains("'URIs: http://a.example/debian/'") && lines[0].ends_with(SOURCE));
+        assert_eq!(lines[1..], expected);
     }
 }

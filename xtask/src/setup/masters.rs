@@ -146,7 +146,7 @@ pub(crate) fn lacking(programs: &[Program]) -> Vec<&'static str> {
     let lacking = || programs.iter().filter(|(_, program, _)| !process::exists(program));
     let names: Vec<_> = lacking().map(|(_, _, package)| *package).collect();
     if !names.is_empty() && obstacle_to_installing().is_none() {
-        report(apt::install(&[Packages { names, release: None, source: None }]));
+        report(apt::install(&[Packages::of(names)]));
     }
     lacking().map(|(name, ..)| *name).collect()
 }
@@ -163,7 +163,7 @@ fn fill(environment: &Path, lists: &Path) -> Result<()> {
             obstacle_to_installing().is_none(),
             "python3 cannot create a virtual environment; install python3-venv"
         );
-        apt::install(&[Packages::of("python3-venv")])?;
+        apt::install(&[Packages::of(vec!["python3-venv"])])?;
         make("/usr/bin/python3")?;
     }
     let mut pip = Command::new(environment.join("bin/python"));

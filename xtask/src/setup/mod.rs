@@ -5,29 +5,30 @@
 mod apt;
 mod component;
 mod masters;
-mod qemu;
 mod rust_target;
 
 use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{
     Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, lacking, provide as masters, python,
     tell_emulator,
 };
-pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, has_target, rustup};
+pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, provide_target, rustup};
+
+use apt::Packages;
 
 use crate::{board::MACHINE, process, workspace::Workspace};
 
 /// Provides a tool chain for the thumb targets.
-pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain> {
+pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain<'_>> {
     run(workspace, false)
 }
 
 /// Provides the tool chain like [`thumb`], and QEMU.
-pub(crate) fn thumb_and_qemu(workspace: &Workspace) -> Result<ThumbToolchain> {
+pub(crate) fn thumb_and_qemu(workspace: &Workspace) -> Result<ThumbToolchain<'_>> {
     run(workspace, true)
 }
 
@@ -41,20 +42,20 @@ pub(crate) fn all(workspace: &Workspace) -> Result<()> {
     Ok(())
 }
 
-fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
+fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain<'_>> {
     let mut lacks = Vec::new();
     let mut wanted = Vec::new();
     let mut toolchain = rust_target::find(workspace);
-    if toolchain.is_none() && rust_target::add_by_rustup(workspace) {
+    if toolchain.is_none() && rust_target::rustup(workspace, &rust_target::RUSTUP_ARGUMENTS) {
         toolchain = rust_target::find(workspace);
     }
     if toolchain.is_none() {
         lacks.push(format!("a Rust tool chain for {}", rust_target::TRIPLES.join(" and ")));
         wanted.push(rust_target::packages(workspace));
     }
-    if with_qemu && !qemu::has_machine() {
-        lacks.push(format!("QEMU with the machine {}", MACHINE));
-        wanted.push(qemu::packages()?);
+    if with_qemu && !has_machine() {
+        lacks.push(format!("QEMU with the machine {MACHINE}"));
+        wanted.push(Packages::qemu()?);
     }
     let lacks = lacks.join(" and ");
     if !wanted.is_empty() {
@@ -63,43 +64,46 @@ fn run(workspace: &Workspace, with_qemu: bool) -> Result<ThumbToolchain> {
         }
         apt::install(&wanted).with_context(|| format!("cannot install {lacks}"))?;
     }
-    if with_qemu && !qemu::has_machine() {
-        bail!(
-            "the installed qemu-system-arm lacks the machine {}; put a newer one, such as QEMU 10, on PATH",
-            MACHINE
-        );
-    }
-    match toolchain.or_else(|| rust_target::find(workspace)) {
-        Some(toolchain) => Ok(toolchain),
-        None => bail!(
-            "the installed Rust packages cannot build for {}, which requires Rust {} or newer; if rustup can reach its server, run: {}",
+    ensure!(
+        !with_qemu || has_machine(),
+        "the installed qemu-system-arm lacks the machine {MACHINE}; put a newer one, such as QEMU 10, on PATH"
+    );
+    toolchain.or_else(|| rust_target::find(workspace)).with_context(|| {
+        format!(
+            "the installed Rust packages cannot build for {}, which requires Rust {MINIMUM_RUST} or newer; if rustup can reach \
+             its server, run: {}",
             rust_target::TRIPLES.join(" and "),
-            rust_target::MINIMUM_RUST,
-            rust_target::RUSTUP_LINE
-        ),
-    }
+            rustup_line()
+        )
+    })
 }
 
-fn how_to_install(wanted: &[apt::Packages], rustup_would_do: bool) -> String {
-    let mut text = String::from("Run as root, then try again:");
-    for line in apt::shell_lines(wanted) {
-        text.push_str("\n  ");
-        text.push_str(&line);
-    }
+/// Returns whether the `qemu-system-arm` on PATH supports the machine. It lists each machine in a line, by name and description.
+fn has_machine() -> bool {
+    process::answer(Command::new("qemu-system-arm").args(["-machine", "help"]))
+        .is_some_and(|help| help.contains(&format!("\n{MACHINE} ")))
+}
+
+fn how_to_install(wanted: &[Packages], rustup_would_do: bool) -> String {
+    let mut text = format!("Run as root, then try again:\n  {}", apt::shell_lines(wanted).join("\n  "));
     if rustup_would_do && rust_target::rustup_may_be_called() {
-        text.push_str(&format!(
-            "\nIf rustup can reach its server, run this instead of installing the Rust packages:\n  {}",
-            rust_target::RUSTUP_LINE
-        ));
+        text += "\nIf rustup can reach its server, run this instead of installing the Rust packages:\n  ";
+        text += &rustup_line();
     }
     text
 }
 
-/// Reports a failure that does not prevent the remaining steps.
-fn report(outcome: Result<()>) {
-    if let Err(error) = outcome {
+/// Returns the command that adds the targets if rustup can reach its server.
+fn rustup_line() -> String {
+    format!("rustup {}", rust_target::RUSTUP_ARGUMENTS.join(" "))
+}
+
+/// Reports a failure that does not prevent the remaining steps. Returns whether there was none.
+fn report(outcome: Result<()>) -> bool {
+    if let Err(error) = &outcome {
         eprintln!("{error:#}; continuing without it");
     }
+    outcome.is_ok()
 }
 
 /// Returns why packages cannot be installed, or `None` if they can.

@@ -7,7 +7,7 @@ use std::{
     process::Command,
 };
 
-use super::{apt::Packages, is_set};
+use super::{apt::Packages, is_set, report};
 use crate::{process, workspace::Workspace};
 
 /// Target of the default board (Cortex-M4F), on which the probes are measured.
@@ -16,52 +16,48 @@ pub(crate) const TRIPLE: &str = "thumbv7em-none-eabihf";
 /// The targets of all boards.
 pub(crate) const TRIPLES: [&str; 2] = [TRIPLE, "thumbv6m-none-eabi"];
 
-/// Command that adds the targets if rustup can reach its server.
-pub(crate) const RUSTUP_LINE: &str = "rustup target add thumbv7em-none-eabihf thumbv6m-none-eabi";
+/// Arguments with which rustup adds the targets.
+pub(super) const RUSTUP_ARGUMENTS: [&str; 4] = ["target", "add", TRIPLES[0], TRIPLES[1]];
 
 /// Oldest supported Rust version.
 pub(crate) const MINIMUM_RUST: &str = env!("CARGO_PKG_RUST_VERSION");
 
 pub(super) const DEBIAN_CARGO: &str = "/usr/bin/cargo";
 const DEBIAN_RUSTC: &str = "/usr/bin/rustc";
-pub(super) const DEBIAN_CLIPPY: &str = "/usr/bin/cargo-clippy";
 const DEBIAN_LINKER: &str = "/usr/bin/ld.lld";
+/// A separate build folder, so that the tool chains neither block nor overwrite each other.
+const DEBIAN_FOLDER: &str = "debian";
 
-/// A tool chain for the thumb targets.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum ThumbToolchain {
-    /// The tool chain of the calling cargo.
-    Active,
-    /// Debian's `cargo-web`, `rustc-web` and `rust-web-src`.
-    Debian {
-        /// Full path of the linker.
-        linker: PathBuf,
-    },
+/// A tool chain that builds the workspace for the thumb targets.
+pub(crate) struct ThumbToolchain<'a> {
+    /// The workspace that it builds.
+    pub(crate) workspace: &'a Workspace,
+    /// Full path of the linker for Debian's `cargo-web`, `rustc-web` and `rust-web-src`, or `None` for the tool chain of the calling
+    /// cargo.
+    debian_linker: Option<PathBuf>,
 }
 
 /// Finds an installed tool chain for the targets.
-pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain> {
+pub(crate) fn find(workspace: &Workspace) -> Option<ThumbToolchain<'_>> {
     if TRIPLES.iter().all(|triple| has_target(workspace, triple)) {
-        return Some(ThumbToolchain::Active);
+        return Some(ThumbToolchain { workspace, debian_linker: None });
     }
-    if !debian_can_build_core() {
-        return None;
-    }
-    linker(workspace).map(|linker| ThumbToolchain::Debian { linker })
-}
-
-/// Adds the targets with rustup. Returns whether that succeeded.
-pub(crate) fn add_by_rustup(workspace: &Workspace) -> bool {
-    rustup(workspace, &[&["target", "add"][..], &TRIPLES].concat())
+    let debian_linker = Some(linker(workspace).filter(|_| debian_can_build_core())?);
+    Some(ThumbToolchain { workspace, debian_linker })
 }
 
 /// Returns whether the tool chain of the calling cargo has `core` for `target` and may use it.
-pub(crate) fn has_target(workspace: &Workspace, target: &str) -> bool {
+fn has_target(workspace: &Workspace, target: &str) -> bool {
     if is_set("WSG_NO_RUSTUP") {
         return false;
     }
     let answer = process::answer(workspace.rustc().args(["--print", "target-libdir", "--target", target]));
     answer.is_some_and(|dir| holds_core(Path::new(dir.trim())))
+}
+
+/// Adds a target with rustup if necessary. Returns whether it is available.
+pub(crate) fn provide_target(workspace: &Workspace, target: &str) -> bool {
+    has_target(workspace, target) || rustup(workspace, &["target", "add", target])
 }
 
 /// Runs rustup if permitted. Returns whether that succeeded.
@@ -72,13 +68,7 @@ pub(crate) fn rustup(workspace: &Workspace, arguments: &[&str]) -> bool {
     let mut rustup = Command::new("rustup");
     // Its own message on a failed download is sufficient. A backtrace would hide the next steps.
     rustup.current_dir(&workspace.root).env_remove("RUST_BACKTRACE").args(arguments);
-    match process::run(&mut rustup) {
-        Ok(()) => true,
-        Err(error) => {
-            eprintln!("{error:#}; continuing without it");
-            false
-        }
-    }
+    report(process::run(&mut rustup))
 }
 
 /// Returns whether rustup exists and `WSG_NO_RUSTUP` does not forbid it.
@@ -92,17 +82,27 @@ pub(crate) fn packages(workspace: &Workspace) -> Packages {
     if linker(workspace).is_none() {
         names.push("lld");
     }
-    Packages { names, release: None, source: None }
+    Packages::of(names)
 }
 
-impl ThumbToolchain {
+impl ThumbToolchain<'_> {
+    /// Returns whether Debian's packages are the tool chain.
+    pub(crate) fn is_debian(&self) -> bool {
+        self.debian_linker.is_some()
+    }
+
+    /// Returns its compiler.
+    pub(crate) fn rustc(&self) -> Command {
+        if self.is_debian() { Command::new(DEBIAN_RUSTC) } else { self.workspace.rustc() }
+    }
+
     /// Returns `cargo <subcommand>` for one of [`TRIPLES`], with all options that the tool chain needs.
-    pub(crate) fn cargo(&self, workspace: &Workspace, subcommand: &str, triple: &str) -> Command {
-        let mut command = match self {
-            Self::Active => workspace.cargo(subcommand),
-            Self::Debian { linker } => debian_cargo(workspace, subcommand, triple, linker),
+    pub(crate) fn cargo(&self, subcommand: &str, triple: &str) -> Command {
+        let mut command = match &self.debian_linker {
+            None => self.workspace.cargo(subcommand),
+            Some(linker) => debian_cargo(self.workspace, subcommand, triple, linker),
         };
-        command.args(["--target", triple, "--config", &remap_config(workspace, triple)]);
+        command.args(["--target", triple, "--config", &remap_config(self.workspace, triple)]);
         // Flags from the environment would replace those in .cargo/config.toml, such as the linker script, and the image would not
         // be reproducible.
         for name in ["RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", &variable(triple, "RUSTFLAGS")] {
@@ -112,11 +112,9 @@ impl ThumbToolchain {
     }
 
     /// Returns the output folder of builds with `profile`.
-    pub(crate) fn output_dir(&self, workspace: &Workspace, triple: &str, profile: &str) -> PathBuf {
-        let target_dir = match self {
-            Self::Active => workspace.target_dir.clone(),
-            Self::Debian { .. } => debian_target_dir(workspace),
-        };
+    pub(crate) fn output_dir(&self, triple: &str, profile: &str) -> PathBuf {
+        let target_dir = &self.workspace.target_dir;
+        let target_dir = if self.is_debian() { target_dir.join(DEBIAN_FOLDER) } else { target_dir.clone() };
         target_dir.join(triple).join(profile)
     }
 }
@@ -128,20 +126,15 @@ fn variable(triple: &str, setting: &str) -> String {
 
 fn debian_cargo(workspace: &Workspace, subcommand: &str, triple: &str, linker: &Path) -> Command {
     // Called directly, because cargo would first find rustup's shim for `cargo-clippy` in its home folder.
-    let program = if subcommand == "clippy" { DEBIAN_CLIPPY } else { DEBIAN_CARGO };
-    let mut command = Command::new(program);
+    let of_clippy = if subcommand == "clippy" { "-clippy" } else { "" };
+    let mut command = Command::new(format!("{DEBIAN_CARGO}{of_clippy}"));
     command.current_dir(&workspace.root).args([subcommand, "--locked", "-Z", "build-std=core"]);
     command.env("CARGO", DEBIAN_CARGO).env("RUSTC", DEBIAN_RUSTC).env("RUSTC_BOOTSTRAP", "1");
     command.env(variable(triple, "LINKER"), linker);
-    command.env("CARGO_TARGET_DIR", debian_target_dir(workspace));
+    command.env("CARGO_TARGET_DIR", workspace.target_dir.join(DEBIAN_FOLDER));
     // Remove the outer cargo's variables, which would lead Debian's programs to rustup's tool chain and libraries.
     command.env_remove("RUSTUP_TOOLCHAIN").env_remove("LD_LIBRARY_PATH").env_remove("RUSTDOC");
     command
-}
-
-/// Returns a separate build folder, so that the tool chains neither block nor overwrite each other.
-fn debian_target_dir(workspace: &Workspace) -> PathBuf {
-    workspace.target_dir.join("debian")
 }
 
 /// Removes the paths of the checkout, the target folder and cargo's home from the debug information, so that the image is
@@ -150,15 +143,9 @@ fn remap_config(workspace: &Workspace, triple: &str) -> String {
     // rustc uses the last match, and the target folder may lie within the checkout.
     let mut places = vec![(workspace.root.clone(), "."), (workspace.target_dir.clone(), "target")];
     places.extend(workspace.cargo_home().map(|home| (home, "cargo")));
-    let flags: Vec<String> = places
-        .iter()
-        .map(|(place, name)| toml_string(&format!("--remap-path-prefix={}={name}", place.display())))
-        .collect();
-    format!("target.{triple}.rustflags=[{}]", flags.join(", "))
-}
-
-fn toml_string(text: &str) -> String {
-    format!("\"{}\"", text.replace('\\', r"\\").replace('"', "\\\""))
+    let flag = |(place, name): &(PathBuf, &str)| format!("--remap-path-prefix={}={name}", place.display());
+    // TOML escapes quotes and backslashes as Rust does.
+    format!("target.{triple}.rustflags={:?}", places.iter().map(flag).collect::<Vec<_>>())
 }
 
 /// Returns whether the folder contains `core`. rustc prints its path even if the target is not installed.
@@ -171,17 +158,14 @@ fn holds_core(libdir: &Path) -> bool {
 }
 
 fn debian_can_build_core() -> bool {
-    if !Path::new(DEBIAN_CARGO).exists() {
-        return false;
-    }
-    let ask = |question: [&str; 1]| {
+    let ask = |question| {
         // The outer cargo's library path would make Debian's rustc load rustup's libraries.
-        process::answer(Command::new(DEBIAN_RUSTC).env_remove("LD_LIBRARY_PATH").args(question))
+        process::answer(Command::new(DEBIAN_RUSTC).env_remove("LD_LIBRARY_PATH").arg(question))
     };
-    let new_enough = ask(["--version"]).is_some_and(|version| is_new_enough(&version, MINIMUM_RUST));
     let core = Path::new("lib/rustlib/src/rust/library/core/Cargo.toml");
-    new_enough
-        && ask(["--print=sysroot"]).is_some_and(|sysroot| Path::new(sysroot.trim()).join(core).exists())
+    Path::new(DEBIAN_CARGO).exists()
+        && ask("--version").is_some_and(|version| is_new_enough(&version, MINIMUM_RUST))
+        && ask("--print=sysroot").is_some_and(|sysroot| Path::new(sysroot.trim()).join(core).exists())
 }
 
 /// Finds `rust-lld` in the active tool chain, or Debian's `lld`.
@@ -197,10 +181,8 @@ fn is_new_enough(rustc_version: &str, minimum: &str) -> bool {
         let mut parts = version.split('.').map(|part| part.parse::<u32>().ok());
         Some((parts.next()??, parts.next()??))
     };
-    match (rustc_version.split_whitespace().nth(1).and_then(numbers), numbers(minimum)) {
-        (Some(version), Some(minimum)) => version >= minimum,
-        _ => false,
-    }
+    // Text without a version is older than any.
+    rustc_version.split_whitespace().nth(1).and_then(numbers) >= numbers(minimum)
 }
 
 #[cfg(test)]
@@ -230,10 +212,5 @@ mod tests {
         fs::remove_dir_all(&dir).unwrap();
         assert!(!before && after);
         assert!(!holds_core(&dir));
-    }
-
-    #[test]
-    fn a_remap_survives_quotes_and_backslashes() {
-        assert_eq!(toml_string(r#"a"b\c"#), r#""a\"b\\c""#);
     }
 }

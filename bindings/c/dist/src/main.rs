@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 use std::{env, fs};
 
 use anyhow::{Context, Result, bail, ensure};
-use lexopt::prelude::*;
+use clap::Parser;
 
 /// The targets of the static library.
 const TARGETS: [&str; 8] = [
@@ -43,6 +43,17 @@ const FILES: [(&str, &str); 16] = [
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
+/// Builds the archive for C and C++ programmers.
+#[derive(Parser)]
+struct Arguments {
+    /// Targets of the libraries, separated by commas [default: all]
+    #[arg(long, value_name = "TRIPLE,...")]
+    targets: Option<String>,
+    /// Folder of the archive
+    #[arg(long, value_name = "FOLDER", default_value = "target/dist-c")]
+    to: PathBuf,
+}
+
 fn main() -> ExitCode {
     match run() {
         Ok(()) => ExitCode::SUCCESS,
@@ -54,17 +65,7 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<()> {
-    let (mut chosen, mut to) = (None, PathBuf::from("target/dist-c"));
-    let mut arguments = lexopt::Parser::from_env();
-    while let Some(argument) = arguments.next()? {
-        match argument {
-            Long("targets") => chosen = Some(arguments.value()?.string()?),
-            Long("to") => to = arguments.value()?.into(),
-            other => {
-                return Err(other.unexpected()).context("usage: dist-c [--targets TRIPLE,...] [--to FOLDER]");
-            }
-        }
-    }
+    let Arguments { targets: chosen, to } = Arguments::parse();
     let to = std::path::absolute(to)?;
     let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let name = format!("libwsg-{VERSION}");

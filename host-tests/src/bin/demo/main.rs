@@ -4,20 +4,15 @@
 #[cfg(unix)]
 mod options;
 #[cfg(unix)]
+mod recording;
+#[cfg(unix)]
 mod scenario;
 
 #[cfg(unix)]
 fn main() -> std::process::ExitCode {
     use std::process::ExitCode;
 
-    let run = options::Options::from_arguments().and_then(|options| match options {
-        Some(options) => scenario::play(&options),
-        None => {
-            println!("{}", options::HELP);
-            Ok(true)
-        }
-    });
-    match run {
+    match recording::play(<options::Options as clap::Parser>::parse()) {
         Ok(true) => ExitCode::SUCCESS,
         Ok(false) => ExitCode::FAILURE,
         Err(error) => {

@@ -1,74 +1,50 @@
 //! Command-line options.
 
-use std::ffi::OsString;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
-use anyhow::{Context, Result, bail};
-use lexopt::prelude::*;
+use anyhow::{Result, bail};
+use clap::Parser;
 use wsg_sim::Part;
 
-/// Text of `--help`.
-pub(crate) const HELP: &str = "\
-Runs the released image against a simulated PLC and a virtual gripper, and prints a trace.
-
-  --part none|WIDTH_MM   part between the fingers for the first grip (default 20)
-  --speed-up X           speed factor of the fingers, 0.1 to 20 (default 1)
-  --trace FILE           also write the trace to FILE
-  --elf FILE             firmware image (`cargo xtask demo` builds it and passes it)";
-
+/// Runs the released image against a simulated PLC and a virtual gripper, and prints a trace.
+#[derive(Parser)]
+#[command(bin_name = "cargo xtask demo")]
 pub(crate) struct Options {
-    pub(crate) elf: PathBuf,
-    /// Part between the fingers for the first grip.
-    pub(crate) part: Option<Part>,
-    /// Speed factor of the fingers.
-    pub(crate) speed_up: f32,
-    /// Additional destination of the trace.
+    /// Part between the fingers for the first grip
+    #[arg(long, value_name = "none|WIDTH_MM", value_parser = parse_part, default_value = "20")]
+    pub(crate) part: MaybePart,
+    /// Speed factor of the fingers, 0.1 to 20 (default 1, or 4 with --record)
+    #[arg(long, value_name = "X", value_parser = parse_speed_up)]
+    pub(crate) speed_up: Option<f32>,
+    /// Also write the trace to FILE
+    #[arg(long, value_name = "FILE")]
     pub(crate) trace: Option<PathBuf>,
+    /// Also write an animated picture of the trace, unless a step fails (docs/demo.svg)
+    #[arg(long, value_name = "FILE.svg", conflicts_with = "trace")]
+    pub(crate) record: Option<PathBuf>,
+    /// Firmware image (`cargo xtask demo` builds it and passes it)
+    #[arg(long, value_name = "FILE")]
+    pub(crate) elf: PathBuf,
 }
+
+/// A part, or none. clap would take `Option` for an option without a default.
+pub(crate) type MaybePart = Option<Part>;
 
 /// Above 20 the fingers arrive before a PLC could stop them.
-const SPEED_UPS: std::ops::RangeInclusive<f32> = 0.1..=20.0;
+const SPEED_UPS: RangeInclusive<f32> = 0.1..=20.0;
 
-impl Options {
-    /// Returns the options of this process; `None` for `--help`.
-    pub(crate) fn from_arguments() -> Result<Option<Self>> {
-        let (mut elf, mut part, mut speed_up, mut trace) = (None, Part::of_width(20.0), 1.0, None);
-        let mut parser = lexopt::Parser::from_env();
-        while let Some(argument) = parser.next()? {
-            match argument {
-                Long("part") => part = parse_part(parser.value()?)?,
-                Long("speed-up") => speed_up = parse_speed_up(parser.value()?)?,
-                Long("trace") => trace = Some(parser.value()?.into()),
-                Long("elf") => elf = Some(parser.value()?.into()),
-                Long("help") | Short('h') => return Ok(None),
-                other => return Err(other.unexpected().into()),
-            }
-        }
-        let elf = elf.context("--elf FILE is missing; `cargo xtask demo` builds the image and passes it")?;
-        Ok(Some(Self { elf, part, speed_up, trace }))
-    }
-}
-
-fn parse_part(value: OsString) -> Result<Option<Part>> {
-    let text = value.to_string_lossy();
-    if text == "none" {
-        return Ok(None);
-    }
-    let part = text.parse().ok().and_then(Part::of_width);
-    match part {
+fn parse_part(text: &str) -> Result<MaybePart> {
+    match text.parse().ok().and_then(Part::of_width) {
+        _ if text == "none" => Ok(None),
         Some(part) => Ok(Some(part)),
-        None => bail!("--part is \"{text}\"; expected \"none\" or a width in mm greater than 0, such as 20"),
+        None => bail!("expected \"none\" or a width in mm greater than 0, such as 20"),
     }
 }
 
-fn parse_speed_up(value: OsString) -> Result<f32> {
-    let text = value.to_string_lossy();
+fn parse_speed_up(text: &str) -> Result<f32> {
     match text.parse() {
         Ok(factor) if SPEED_UPS.contains(&factor) => Ok(factor),
-        _ => bail!(
-            "--speed-up is \"{text}\"; expected a factor from {} to {}",
-            SPEED_UPS.start(),
-            SPEED_UPS.end()
-        ),
+        _ => bail!("expected a factor from {} to {}", SPEED_UPS.start(), SPEED_UPS.end()),
     }
 }

@@ -68,7 +68,7 @@ pub(crate) fn play(options: &Options) -> Result<bool> {
     let trace = Trace::new(sinks);
     trace.headline("  seconds  PLC: its wires; bridge: its wires; -> to the gripper; <- from the gripper");
     // The part is placed only before the grip, because homing must not hit it.
-    let config = Config { time_scale: options.speed_up, ..Config::default() };
+    let config = Config { time_scale: options.speed_up.unwrap_or(1.0), ..Config::default() };
     let rig = Rig::power_up(&options.elf, config, trace.clone())?;
     let (recipe, fits) = recipe_for(options.part, &config);
     let bench = Bench { rig, part: options.part, recipe, fits };

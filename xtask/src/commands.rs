@@ -1,26 +1,40 @@
-//! Checks that consist of one run of another program.
+//! Commands that consist of one run of another program of the workspace or of a tool.
+
+use std::{ffi::OsString, process::ExitStatus};
 
 use anyhow::{Context, Result, ensure};
 
 use crate::{
     firmware::{self, IMAGE_VARIABLE, Image},
-    process,
+    process, setup,
     tool::{self, CARGO_DENY, CARGO_LLVM_COV, MIRI, NIGHTLY},
     workspace::{TARGET_CRATES, Workspace},
 };
 
+/// Runs the demonstration of an image with its own `arguments`, and returns its exit status.
+pub(crate) fn demo(workspace: &Workspace, image: &Image, arguments: &[OsString]) -> Result<ExitStatus> {
+    let mut cargo = workspace.cargo_in_current_dir("run -q -p host-tests --bin demo -- --elf");
+    cargo.arg(&image.path).args(arguments);
+    setup::tell_emulator(workspace, image.board, &mut cargo)?;
+    process::run_for_status(&mut cargo)
+}
+
+/// Builds the delivery folder for PLC engineers with `image`.
+pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
+    let mut cargo = workspace.cargo("run -q -p dist -- --elf");
+    process::run(cargo.arg(&image.path).arg("--to").arg(workspace.target_dir.join("dist")))
+}
+
 /// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.
 pub(crate) fn dependencies(workspace: &Workspace) -> Result<()> {
     CARGO_DENY.require(workspace, "licences, bans and sources of the dependencies")?;
-    let words = ["cargo", "deny", "--locked", "check", "licenses", "bans", "sources"];
-    process::run(&mut tool::plain(workspace, &words))
+    process::run(&mut tool::plain(workspace, "cargo deny --locked check licenses bans sources"))
 }
 
 /// Measures the stopping time of the gripper on a disturbed line in virtual time, and returns the rows of the table. Fails if a case
 /// exceeds its limit.
 pub(crate) fn fast_stop(workspace: &Workspace) -> Result<String> {
-    let mut cargo = workspace.cargo("run");
-    cargo.args(["--quiet", "--release", "-p", "host-tests", "--example", "fast_stop"]);
+    let mut cargo = workspace.cargo("run --quiet --release -p host-tests --example fast_stop");
     let table = process::output(&mut cargo).context("the gripper did not stop in time")?;
     print!("{table}");
     Ok(table)
@@ -32,8 +46,7 @@ pub(crate) const STATES: u64 = 100_000_000;
 /// Explores every order of events on the bridge, up to this number of states. Fails if a property is violated, and prints the
 /// shortest violation.
 pub(crate) fn explore(workspace: &Workspace, states: u64) -> Result<()> {
-    let mut cargo = workspace.cargo("run");
-    cargo.args(["--quiet", "--release", "-p", "host-tests", "--example", "explore", "--"]);
+    let mut cargo = workspace.cargo("run --quiet --release -p host-tests --example explore --");
     process::run(cargo.arg(states.to_string())).context("a property is violated; see the output above")
 }
 
@@ -55,9 +68,8 @@ impl Soak {
 
 /// Runs the test that sends commands to the image in the emulator on a faulty line. Its last line summarizes the results.
 pub(crate) fn soak(workspace: &Workspace, image: &Image, extent: &Soak) -> Result<()> {
-    let mut cargo = workspace.cargo("test");
-    cargo.args(["-q", "-p", "host-tests", "--test", "end_to_end", "soak_on_a_faulty_line"]);
-    cargo.args(["--", "--include-ignored", "--nocapture"]);
+    let mut cargo = workspace.cargo("test -q -p host-tests --test end_to_end soak_on_a_faulty_line --");
+    cargo.args(["--include-ignored", "--nocapture"]);
     cargo.env(IMAGE_VARIABLE, &image.path);
     cargo.env("WSG_SOAK_COMMANDS", extent.commands.to_string());
     cargo.env("WSG_SOAK_SEED", extent.seed.to_string());
@@ -66,14 +78,15 @@ pub(crate) fn soak(workspace: &Workspace, image: &Image, extent: &Soak) -> Resul
 
 /// Runs the load test of `wsg telemetry` with 500 virtual grippers, separately from all other tests.
 pub(crate) fn telemetry(workspace: &Workspace) -> Result<()> {
-    let test = ["--release", "-p", "wsg-tool", "--test", "telemetry", "five_hundred", "--", "--nocapture"];
-    process::run(workspace.cargo("test").args(test).env("WSG_LOAD", "1"))
+    let mut cargo =
+        workspace.cargo("test --release -p wsg-tool --test telemetry five_hundred -- --nocapture");
+    process::run(cargo.env("WSG_LOAD", "1"))
 }
 
 /// Checks data shared by interrupt handlers and the main loop under every order that the memory model allows, with `loom`.
 pub(crate) fn loom(workspace: &Workspace) -> Result<()> {
-    let mut models = workspace.cargo("test");
-    models.args(["--release", "-p", firmware::BRIDGE, "--lib", "::model::"]);
+    let mut models = workspace.cargo("test --release --lib ::model:: -p");
+    models.arg(firmware::BRIDGE);
     // A separate build folder, because the flag would cause a full rebuild of everything else.
     models.env("RUSTFLAGS", "--cfg loom").env("CARGO_TARGET_DIR", workspace.target_dir.join("loom"));
     let said = process::output(&mut models)?;
@@ -90,8 +103,8 @@ pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
     let what_for = "the bridge's host tests under Miri";
     NIGHTLY.require(workspace, what_for)?;
     MIRI.require(workspace, what_for)?;
-    let words = ["miri", "test", "--locked", "-p", firmware::BRIDGE, "--lib"];
-    let mut miri = tool::nightly_cargo(workspace, &words);
+    let mut miri = tool::plain(workspace, "rustup run nightly cargo miri test --locked --lib -p");
+    miri.arg(firmware::BRIDGE);
     miri.env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
     // Property tests write failures to files, which Miri's isolation prevents. Few cases, to save time.
     miri.env("MIRIFLAGS", "-Zmiri-disable-isolation").env("PROPTEST_CASES", "4");
@@ -106,10 +119,10 @@ pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
 pub(crate) fn coverage(workspace: &Workspace) -> Result<()> {
     CARGO_LLVM_COV.require(workspace, "the coverage of protocol and buses")?;
     // CARGO_LLVM_COV_SETUP lets it install missing LLVM tools with rustup without asking.
-    let mut coverage = tool::plain(workspace, &["cargo", "llvm-cov", "--locked", "--lib", "--tests"]);
+    let mut coverage = tool::plain(workspace, "cargo llvm-cov --locked --lib --tests");
     coverage.env("CARGO_LLVM_COV_SETUP", "yes");
     coverage.args(["--ignore-filename-regex", r"tests\.rs|/tests/|gripper-sim|host-tests|boards/"]);
-    coverage.args(TARGET_CRATES.into_iter().flat_map(|(package, _)| ["-p", package]));
+    coverage.args(TARGET_CRATES.into_iter().flat_map(|package| ["-p", package]));
     // The tests of the bridge in virtual time.
     coverage.args(["-p", "host-tests"]);
     coverage.env("CARGO_LLVM_COV_TARGET_DIR", workspace.target_dir.join("coverage"));

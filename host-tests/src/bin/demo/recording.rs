@@ -2,6 +2,11 @@
 //! at the beginning.
 
 use std::fmt::Write as _;
+use std::fs;
+
+use anyhow::{Context, Result};
+
+use crate::{options::Options, scenario};
 
 /// Columns of the terminal. Longer lines end there: the bytes of frames are left out.
 const COLUMNS: usize = 73;
@@ -18,8 +23,23 @@ const SHORTEST_PAUSE: f64 = 0.12;
 const LONGEST_PAUSE: f64 = 0.7;
 const PAUSE_AT_END: f64 = 5.0;
 
+/// Plays the scenario, and writes the picture of its trace if that is requested. Returns whether all steps succeeded.
+pub(crate) fn play(mut options: Options) -> Result<bool> {
+    let Some(file) = options.record.take() else { return scenario::play(&options) };
+    options.speed_up.get_or_insert(4.0);
+    let trace = std::env::temp_dir().join(format!("wsg-demo-{}.trace", std::process::id()));
+    options.trace = Some(trace.clone());
+    let has_passed = scenario::play(&options)?;
+    let text = fs::read_to_string(&trace).with_context(|| format!("cannot read {}", trace.display()))?;
+    fs::remove_file(&trace).with_context(|| format!("cannot remove {}", trace.display()))?;
+    if has_passed {
+        fs::write(&file, picture(&text)).with_context(|| format!("cannot write {}", file.display()))?;
+    }
+    Ok(has_passed)
+}
+
 /// Returns the picture of a trace.
-pub(crate) fn picture(trace: &str) -> String {
+fn picture(trace: &str) -> String {
     let (mut last, mut at) = (0.0, 0.0);
     let mut lines = Vec::new();
     for line in trace.lines() {
