@@ -5,7 +5,7 @@ use crate::can::CanReports;
 use crate::gripper::MAX_REPLY_LEN;
 use crate::indicator::Indication;
 use crate::io::{Inputs, Outputs};
-use crate::liveness::{Liveness, Looked};
+use crate::liveness::{Liveness, Served};
 use crate::log;
 use crate::plc::wires::{self, Wires};
 use crate::plc::{
@@ -115,7 +115,7 @@ impl Bridge {
     /// Takes the requested action on the settings. The fingers were at rest at the request, and later input of that turn
     /// starts no motion.
     pub(crate) const fn take_store_command(&mut self) -> Option<StoreCommand> {
-        self.settings.take_asked()
+        self.settings.take_requested()
     }
 
     /// Applies these settings without storing them.
@@ -157,7 +157,7 @@ impl Bridge {
         bus.report(&mut self.facts.sides);
         let has_heard = self.receive(now, link) | self.expire_half_frame(now);
         // Before a lost connection invalidates this state.
-        self.controller.get_acquainted(self.session.known());
+        self.controller.adopt_known(self.session.known());
         self.tick(now);
         self.facts.was_connected |= self.session.is_connected();
         self.take_wires(now, inputs, has_heard);
@@ -191,7 +191,7 @@ impl Bridge {
         self.facts.error_cause = shown.error_cause;
         bus.show(now, &Shown { image: self.facts.motion_end.shown(shown.image), ..shown });
         self.wires.read(inputs).show(now, &shown);
-        self.liveness.look(Looked::OUTPUTS);
+        self.liveness.serve(Served::OUTPUTS);
         self.wires.shown()
     }
 
@@ -299,7 +299,7 @@ impl Bridge {
         let mut received = 0;
         while received < MAX_RECEIVED_PER_POLL {
             let Ok(is_ready) = link.read_ready() else { break };
-            self.liveness.look(Looked::LINE);
+            self.liveness.serve(Served::LINE);
             if !is_ready {
                 break;
             }
@@ -344,7 +344,7 @@ impl Bridge {
     }
 
     fn take_wires(&mut self, now: Instant, inputs: Inputs, has_heard: bool) {
-        self.liveness.look(Looked::WIRES);
+        self.liveness.serve(Served::WIRES);
         let is_ready = self.wires.is_ready();
         let Self { wires, controller, session, parser, arbiter, facts, settings, .. } = self;
         let mut view = View { controller, session, parser, arbiter, facts, settings };
@@ -386,7 +386,7 @@ impl Bridge {
                 }
                 PlcEvent::Configured => {
                     self.wires.configure(&self.settings);
-                    if self.settings.is_asked() {
+                    if self.settings.is_requested() {
                         // The store command is executed before any further event.
                         break;
                     }
@@ -395,7 +395,7 @@ impl Bridge {
                 PlcEvent::Served => {}
             }
         }
-        self.liveness.look(Looked::BUS);
+        self.liveness.serve(Served::BUS);
     }
 
     /// Subscribes to the values that only registers show.

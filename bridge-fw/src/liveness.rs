@@ -6,7 +6,7 @@ use wsg_protocol::Instant;
 bitflags! {
     /// Parts that each turn must serve.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-    pub(crate) struct Looked: u8 {
+    pub(crate) struct Served: u8 {
         /// Input wires.
         const WIRES = 1 << 0;
         /// Gripper line: it has reported whether bytes are available.
@@ -21,24 +21,24 @@ bitflags! {
 /// Parts served since the watchdog was last fed, and the time of that.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct Liveness {
-    looked: Looked,
+    served: Served,
     fed_at: Option<Instant>,
 }
 
 impl Liveness {
     pub(crate) const fn new() -> Self {
-        Self { looked: Looked::empty(), fed_at: None }
+        Self { served: Served::empty(), fed_at: None }
     }
 
-    pub(crate) fn look(&mut self, at: Looked) {
-        self.looked |= at;
+    pub(crate) fn serve(&mut self, part: Served) {
+        self.served |= part;
     }
 
     /// Returns whether all parts were served and time has passed since the last `true`.
     pub(crate) fn take(&mut self, now: Instant) -> bool {
-        let is_alive = self.looked.is_all() && self.fed_at != Some(now);
+        let is_alive = self.served.is_all() && self.fed_at != Some(now);
         if is_alive {
-            *self = Self { looked: Looked::empty(), fed_at: Some(now) };
+            *self = Self { served: Served::empty(), fed_at: Some(now) };
         }
         is_alive
     }
@@ -55,10 +55,10 @@ mod tests {
     #[test]
     fn stopped_clock_is_not_alive() {
         let mut liveness = Liveness::new();
-        liveness.look(Looked::all());
+        liveness.serve(Served::all());
         assert!(liveness.take(at(7)));
         for _ in 0..1_000 {
-            liveness.look(Looked::all());
+            liveness.serve(Served::all());
             assert!(!liveness.take(at(7)));
         }
         assert!(liveness.take(at(8)));
@@ -66,13 +66,13 @@ mod tests {
 
     #[test]
     fn each_part_must_be_served_again() {
-        for missed in Looked::all().iter() {
+        for missed in Served::all().iter() {
             let mut liveness = Liveness::new();
-            liveness.look(Looked::all());
+            liveness.serve(Served::all());
             assert!(liveness.take(at(1)));
-            liveness.look(Looked::all() - missed);
+            liveness.serve(Served::all() - missed);
             assert!(!liveness.take(at(2)), "{missed:?}");
-            liveness.look(missed);
+            liveness.serve(missed);
             assert!(liveness.take(at(3)), "{missed:?}");
         }
     }

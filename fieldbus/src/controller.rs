@@ -241,7 +241,7 @@ impl Controller {
     /// from before a reset, so they are stopped and the PLC sees E_CMD_ABORTED. A held part stays held. Call this
     /// whenever new data may be known; later calls do nothing.
     #[inline(always)]
-    pub fn get_acquainted(&mut self, known: &Known) {
+    pub fn adopt_known(&mut self, known: &Known) {
         if !self.is_acquainted {
             self.make_acquaintance(known);
         }
@@ -275,7 +275,8 @@ impl Controller {
                 self.connected = false;
                 self.settled = None;
                 self.jog.disarm(self.image.as_ref());
-                if !matches!(self.fast_stop, FastStop::Clear | FastStop::Asked | FastStop::AskedTwice) {
+                if !matches!(self.fast_stop, FastStop::Clear | FastStop::Requested | FastStop::RequestedTwice)
+                {
                     // The gripper may restart and lose the FAST STOP, so send it first after a reconnect.
                     self.give_fast_stop();
                 } else if self.jog.is_on() {

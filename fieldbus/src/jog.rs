@@ -24,7 +24,7 @@ pub(super) struct Drive {
 
 impl Drive {
     /// Returns the jog that this image requests; both flags together request a stop.
-    fn asked_by(image: &OutputImage) -> Option<Self> {
+    fn requested_by(image: &OutputImage) -> Option<Self> {
         let direction = match image.flags.intersection(CommandFlags::JOG) {
             CommandFlags::JOG_PLUS => Direction::Plus,
             CommandFlags::JOG_MINUS => Direction::Minus,
@@ -71,9 +71,9 @@ impl Jog {
 
     pub(super) fn see(&mut self, image: &OutputImage) {
         let overruled = image.flags.intersects(CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP));
-        let is_asked = image.flags.intersects(CommandFlags::JOG);
-        self.armed = !is_asked || (self.armed && !overruled);
-        self.soft_limits = self.soft_limits.filter(|_| is_asked);
+        let is_requested = image.flags.intersects(CommandFlags::JOG);
+        self.armed = !is_requested || (self.armed && !overruled);
+        self.soft_limits = self.soft_limits.filter(|_| is_requested);
     }
 
     /// Disables the current JOG flags until both were 0.
@@ -83,6 +83,6 @@ impl Jog {
 
     /// Returns the requested jog if the flags are effective.
     pub(super) fn asked(&self, image: Option<&OutputImage>) -> Option<Drive> {
-        image.and_then(Drive::asked_by).filter(|_| self.armed)
+        image.and_then(Drive::requested_by).filter(|_| self.armed)
     }
 }

@@ -22,7 +22,7 @@ fn differ<T: Hash>(states: &[T]) -> bool {
 }
 
 #[test]
-fn images_differ_by_what_is_written_and_not_by_what_is_shown() {
+fn images_differ_by_written_and_not_by_displayed_values() {
     let nothing = Images::new(false);
     let mut shown = nothing.clone();
     shown.set_input(&InputImage {

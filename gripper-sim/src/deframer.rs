@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_behind_a_lost_can_frame_are_found_one_by_one_when_the_cut_proves_wrong() {
+    fn messages_after_a_lost_can_frame_are_found_one_by_one_when_the_cut_proves_wrong() {
         let mut deframer = deframer(PortKind::Can, true);
         let (beginning, [stop, state]) = held_back();
         for bytes in [&beginning, &stop] {

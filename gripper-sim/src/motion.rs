@@ -319,7 +319,7 @@ impl MotionControl {
         }
         let clamping_travel = self.clamping_travel;
         let direction = match self.grip_direction {
-            Some(direction) if self.lies_behind(direction, nominal) => return Status::RangeError,
+            Some(direction) if self.lies_beyond(direction, nominal) => return Status::RangeError,
             Some(direction) => direction,
             None => Direction::of(nominal - self.width()),
         };
@@ -494,7 +494,7 @@ impl MotionControl {
     }
 
     /// Returns whether a grip in this direction has already passed `nominal`.
-    fn lies_behind(&self, direction: Direction, nominal: f64) -> bool {
+    fn lies_beyond(&self, direction: Direction, nominal: f64) -> bool {
         let end = self.clamping_end(direction, nominal, self.clamping_travel);
         (end - self.width()) * direction.sign() < -NOTHING
     }

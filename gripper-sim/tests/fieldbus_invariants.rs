@@ -163,7 +163,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 150, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn whatever_masters_write_the_rules_hold(ops in proptest::collection::vec(op(), 1..80)) {
+    fn rules_hold_for_arbitrary_writes_of_masters(ops in proptest::collection::vec(op(), 1..80)) {
         let mut trial = Trial::new();
         for op in ops {
             trial.step(op);

@@ -301,7 +301,7 @@ impl Trial {
             Op::Reconnect => self.reconnect(false),
         }
         while let Some(frame) = self.next_frame() {
-            self.take_unasked(&frame);
+            self.take_unsolicited(&frame);
         }
         let state = self.gripper.state();
         self.tells_of_motions |= !state.gripper.is_motion();
@@ -332,7 +332,7 @@ impl Trial {
         if command == Ok(Command::DisconnectAnnouncement) && self.kind == PortKind::Tcp {
             assert_eq!(frame.status(), Status::Success);
             while let Some(frame) = self.next_frame() {
-                self.take_unasked(&frame);
+                self.take_unsolicited(&frame);
             }
             self.reconnect(true);
         }
@@ -347,7 +347,7 @@ impl Trial {
     }
 
     /// Takes a frame that is not a first answer: a second answer or an update.
-    fn take_unasked(&mut self, frame: &Sent) {
+    fn take_unsolicited(&mut self, frame: &Sent) {
         let (id, status) = (CommandId::from_code(frame.id()), frame.status());
         match self.pending.get_mut(&id) {
             Some(count) if *count > 0 && id.completion_statuses().contains(&status) => {
@@ -392,7 +392,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn whatever_comes_the_invariants_hold(ops in ops(), tcp in any::<bool>()) {
+    fn invariants_hold_for_arbitrary_requests(ops in ops(), tcp in any::<bool>()) {
         run(&ops, if tcp { PortKind::Tcp } else { PortKind::Serial });
     }
 

@@ -101,7 +101,7 @@ fn fault_locks_the_fingers_until_it_ends_and_is_acknowledged() {
 }
 
 #[test]
-fn restarted_gripper_is_not_referenced_and_its_time_begins_anew() {
+fn restarted_gripper_is_not_referenced_and_its_time_restarts() {
     let (rig, mut gripper) = homed(Config::default());
     rig.restart();
     assert_eq!(rig.access(|_, now| now), Time::ZERO);

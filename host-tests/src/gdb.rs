@@ -55,7 +55,7 @@ impl Gdb {
     /// Fails when QEMU does not return them.
     pub fn core_registers(&mut self) -> Result<CoreRegisters> {
         self.send(&["g"])?;
-        self.core_registers_told()
+        self.reported_core_registers()
     }
 
     /// Reads the core registers and pieces of memory (address, length) consistently, in one round trip.
@@ -70,10 +70,10 @@ impl Gdb {
         let mut packets = vec!["g"];
         packets.extend(questions.iter().map(String::as_str));
         self.send(&packets)?;
-        let registers = self.core_registers_told()?;
+        let registers = self.reported_core_registers()?;
         let mut pieces = [const { Vec::new() }; N];
         for (piece, (address, len)) in pieces.iter_mut().zip(places) {
-            *piece = self.memory_told(address, len)?;
+            *piece = self.reported_memory(address, len)?;
         }
         Ok((registers, pieces))
     }
@@ -84,7 +84,7 @@ impl Gdb {
     /// Fails when the address is invalid or QEMU does not answer.
     pub fn read_memory(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
         self.send(&[&format!("m{address:x},{len:x}")])?;
-        self.memory_told(address, len)
+        self.reported_memory(address, len)
     }
 
     /// Resumes the machine.
@@ -149,7 +149,7 @@ impl Gdb {
         Ok(())
     }
 
-    fn core_registers_told(&mut self) -> Result<CoreRegisters> {
+    fn reported_core_registers(&mut self) -> Result<CoreRegisters> {
         let bytes = from_hex(&self.answer()?)?;
         let words = bytes.as_chunks::<4>().0;
         ensure!(words.len() >= CORE_REGISTERS, "QEMU's GDB stub returned {} registers", words.len());
@@ -160,7 +160,7 @@ impl Gdb {
         Ok(CoreRegisters { r, xpsr: u32::from_le_bytes(words[CORE_REGISTERS - 1]) })
     }
 
-    fn memory_told(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
+    fn reported_memory(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
         let bytes = from_hex(&self.answer()?).with_context(|| format!("memory at {address:#010X}"))?;
         ensure!(
             bytes.len() == len,

@@ -291,7 +291,7 @@ impl Registers {
             }
         }
         registers.r[15] = pc.wrapping_add(len);
-        registers.xpsr = behind_one_instruction(registers.xpsr);
+        registers.xpsr = after_one_instruction(registers.xpsr);
         Ok(registers)
     }
 
@@ -324,7 +324,7 @@ fn derail(how: Derailment, registers: &mut CoreRegisters, machine: &mut impl Mac
 }
 
 /// Returns xPSR after an instruction that changes no flag: the IT block advances by one (ARMv7-M, A7.3.3).
-fn behind_one_instruction(xpsr: u32) -> u32 {
+fn after_one_instruction(xpsr: u32) -> u32 {
     const IT: u32 = 0b11 << 25 | 0x3F << 10;
     let state = xpsr >> 25 & 0b11 | (xpsr >> 10 & 0x3F) << 2;
     let state = if state & 0b111 == 0 { 0 } else { state & 0xE0 | state << 1 & 0x1F };

@@ -6,7 +6,7 @@ use host_tests::fault_sweep::Sweep;
 const STRIDE: usize = 97;
 
 #[test]
-fn gripper_stops_in_time_whatever_bytes_are_damaged() {
+fn gripper_stops_in_time_with_any_bytes_damaged() {
     for sweep in Sweep::all(STRIDE, false) {
         let times = sweep.run();
         let (worst_ms, case) = times.worst().expect("at least one case");

@@ -77,7 +77,7 @@ mod udp;
 mod units;
 
 pub use binary::Binary;
-pub use error::{Culprit, Error};
+pub use error::{Cause, Error};
 #[cfg(feature = "gcl")]
 pub use gcl::{GCL_LINE_LEN, Gcl};
 pub use link::Protocol;

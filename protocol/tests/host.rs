@@ -107,7 +107,7 @@ fn in_motion(address: SocketAddr) -> Gripper<Tcp, StdClock> {
 }
 
 #[test]
-fn driver_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
+fn driver_dropped_in_mid_travel_causes_no_fast_stop() {
     let (_server, address) = on_tcp();
     drop(in_motion(address));
     let flags = flags_at_rest(address);
@@ -116,7 +116,7 @@ fn driver_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
 }
 
 #[test]
-fn driver_over_gcl_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
+fn driver_over_gcl_dropped_in_mid_travel_causes_no_fast_stop() {
     let server = serve(&Lines { tcp: Some(loopback()), gcl: Some(loopback()), ..Lines::default() });
     let line = Tcp::connect(server.gcl_address().unwrap()).unwrap();
     let mut gripper = GclGripper::new(line, StdClock::new());
@@ -129,7 +129,7 @@ fn driver_over_gcl_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
 }
 
 #[test]
-fn program_that_leaves_early_leaves_no_fast_stop() {
+fn program_that_ends_early_causes_no_fast_stop() {
     let (_server, address) = on_tcp();
     let program = |gripper: &mut Gripper<Tcp, StdClock>| {
         gripper.home(HomingDirection::Positive)?;
@@ -425,7 +425,7 @@ mod on_tokio {
     }
 
     #[test]
-    fn future_that_is_dropped_in_mid_travel_leaves_no_fast_stop() {
+    fn future_dropped_in_mid_travel_causes_no_fast_stop() {
         let (_server, address) = on_tcp();
         run(async {
             let (moves, moving) = oneshot::channel();

@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_names_what_ran_what_failed_and_what_was_not_checked() {
+    fn the_summary_names_passed_failed_and_skipped_checks() {
         let mut record = Record::default();
         record.not_checked("format (no rustfmt)");
         record.check("size", || Ok(())).unwrap();

@@ -100,7 +100,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tool_that_cannot_be_installed_reports_what_was_not_checked() {
+    fn a_tool_that_cannot_be_installed_reports_the_skipped_check() {
         let tool = Tool { name: "nothing", probe: "/bin/false", install: "/bin/false" };
 
         let error = format!("{:#}", tool.require(&Workspace::from_env().unwrap(), "the moon").unwrap_err());

@@ -81,7 +81,7 @@ unsafe fn follow(
     if let Some(event) = event {
         controller.handle(event, session.known());
     } else {
-        controller.get_acquainted(session.known());
+        controller.adopt_known(session.known());
         while let Some(command) = controller.poll_command() {
             if let Err(error) = session.request(command) {
                 controller.refused(command.id(), error);

@@ -121,7 +121,7 @@ fn register_interface_gives_the_images_and_messages_of_the_controller() {
             let at = Instant::from_millis(now);
             assert_eq!(unsafe { wsg_tick(wsg, now) }, 0);
             for _ in 0..2 {
-                controller.get_acquainted(session.known());
+                controller.adopt_known(session.known());
                 while let Some(command) = controller.poll_command() {
                     if let Err(error) = session.request(command) {
                         controller.refused(command.id(), error);

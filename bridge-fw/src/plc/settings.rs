@@ -100,11 +100,11 @@ impl Settings {
         self.asked = Some(command);
     }
 
-    pub(crate) const fn is_asked(&self) -> bool {
+    pub(crate) const fn is_requested(&self) -> bool {
         self.asked.is_some()
     }
 
-    pub(crate) const fn take_asked(&mut self) -> Option<StoreCommand> {
+    pub(crate) const fn take_requested(&mut self) -> Option<StoreCommand> {
         self.asked.take()
     }
 

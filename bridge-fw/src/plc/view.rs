@@ -158,7 +158,7 @@ impl View<'_> {
 
     /// Returns the state of the last save. A save that is scheduled for the end of this turn counts as running.
     pub(crate) const fn save_state(&self) -> SaveState {
-        if self.settings.is_asked() { SaveState::Saving } else { self.facts.store.save }
+        if self.settings.is_requested() { SaveState::Saving } else { self.facts.store.save }
     }
 
     fn may_change_settings(&self) -> Result<(), RegisterError> {
@@ -217,7 +217,7 @@ report_rows! { View<'_> as it:
     111 "LINE_DROPPED" "bytes from the gripper outside of intact frames" it.parser.counters().dropped;
     112 "LINE_CHECKSUM" "frames from the gripper with a wrong checksum" it.parser.counters().bad_checksum;
     113 "LINE_OVERSIZE" "frames from the gripper that were too long" it.parser.counters().oversize;
-    114 "UNASKED" "unsolicited or late replies from the gripper"
+    114 "UNSOLICITED" "unsolicited or late replies from the gripper"
         it.session.counters().unsolicited;
     115 "REFUSED" "replies from the gripper that violate the manual" it.session.counters().refused;
     116 "REPEATED" "requests to the gripper that were repeated" it.session.counters().repeated;

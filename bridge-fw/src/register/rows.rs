@@ -34,7 +34,7 @@ macro_rules! setting_rows {
     ($config:ty: $(
         $register:literal $name:literal $unit:literal ($least:expr, $most:expr) $meaning:tt
         $($field:ident).+: |$is:ident| $read:expr, |$value:ident| $write:expr;
-    )* $(together $culprit:literal: |$all:ident| $fits:expr;)?) => {
+    )* $(together $cause:literal: |$all:ident| $fits:expr;)?) => {
         impl $config {
             pub(crate) const SETTINGS: $crate::register::Rows<$crate::register::Setting> = &[$(($register, $crate::register::Setting {
                 name: $name,
@@ -63,7 +63,7 @@ macro_rules! setting_rows {
                 $(
                     let $all = &*self;
                     if !$fits {
-                        return Err($culprit);
+                        return Err($cause);
                     }
                 )?
                 Ok(())

@@ -63,7 +63,7 @@ enum State {
 
 /// Result of a received frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Heard {
+pub(crate) enum AlarmEvent {
     /// The controller has acknowledged the alarm.
     Acknowledged(Alarm),
     /// The controller has aborted the connection.
@@ -110,7 +110,7 @@ impl Alarms {
     }
 
     /// Processes a frame after its frame identifier.
-    pub(crate) fn receive(&mut self, payload: &[u8], ends: &Ends) -> Option<Heard> {
+    pub(crate) fn receive(&mut self, payload: &[u8], ends: &Ends) -> Option<AlarmEvent> {
         let mut reader = Reader::new(payload);
         let destination = reader.u16()?;
         let source = reader.u16()?;
@@ -124,7 +124,7 @@ impl Alarms {
             return None;
         }
         match kind {
-            pdu::ERR => return Some(Heard::Aborted),
+            pdu::ERR => return Some(AlarmEvent::Aborted),
             pdu::ACK | pdu::DATA if acknowledged == following(self.arrived) => {
                 if let State::Sending { alarm, tries, .. } = self.state
                     && tries <= ends.cr.retries
@@ -151,7 +151,7 @@ impl Alarms {
             // A negative status is an answer, too: repeating the alarm would change nothing.
             State::Sent(alarm) if kind == self.ack_block() && specifier & 0x07FF == alarm.number => {
                 self.state = State::Idle;
-                Some(Heard::Acknowledged(alarm))
+                Some(AlarmEvent::Acknowledged(alarm))
             }
             _ => None,
         }

@@ -6,7 +6,7 @@ mod context_manager;
 
 use self::connection::{Connection, Phase};
 use self::context_manager::Response;
-use crate::alarm::{self, Ends, Heard};
+use crate::alarm::{self, AlarmEvent, Ends};
 use crate::connect::Relation;
 use crate::cursor::Reader;
 use crate::cyclic::{self, Inputs, Received};
@@ -317,12 +317,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             self.connection.as_mut().filter(|connection| connection.relation.mac == frame.source)?;
         let alarms = if frame_id == alarm::HIGH { &mut connection.high } else { &mut connection.low };
         match alarms.receive(payload, &connection.ends)? {
-            Heard::Acknowledged(alarm) => {
+            AlarmEvent::Acknowledged(alarm) => {
                 let bit = 1_u32.checked_shl(alarm.fault.into()).unwrap_or(0);
                 connection.told = if alarm.appears { connection.told | bit } else { connection.told & !bit };
                 None
             }
-            Heard::Aborted => self.leave(Cause::Aborted),
+            AlarmEvent::Aborted => self.leave(Cause::Aborted),
         }
     }
 

@@ -215,13 +215,15 @@ fn real(profile: &Profile) -> impl Iterator<Item = (u16, u32, u16, u32)> + Clone
 fn identification(
     writer: &mut Writer<'_>,
     all: impl Iterator<Item = (u16, u32, u16, u32)>,
-    is_asked: impl Fn(u16, u16) -> bool,
+    is_requested: impl Fn(u16, u16) -> bool,
 ) {
     writer.u16(1);
     writer.u32(0);
     let slots = writer.begin_count();
     let (mut subslots, mut last_slot) = (slots, None);
-    for (slot, module, subslot, submodule) in all.filter(|(slot, _, subslot, _)| is_asked(*slot, *subslot)) {
+    for (slot, module, subslot, submodule) in
+        all.filter(|(slot, _, subslot, _)| is_requested(*slot, *subslot))
+    {
         if last_slot != Some(slot) {
             last_slot = Some(slot);
             writer.count_one(slots);

@@ -13,10 +13,10 @@ pub(super) enum FastStop {
     /// None, or acknowledged.
     Clear,
     /// Requested and not answered yet.
-    Asked,
+    Requested,
     /// Requested again before the first answer. That answer may precede the second request, with a third party's
     /// acknowledgement in between, so another FAST STOP follows the answer.
-    AskedTwice,
+    RequestedTwice,
     /// Answered while an acknowledgement was open, which may have undone it. Sent again after the acknowledgement's outcome.
     Undone,
     /// Answered, but not yet shown by the system flags.
@@ -30,16 +30,16 @@ pub(super) enum FastStop {
 impl Controller {
     pub(super) fn fast_stop(&mut self, cause: Cause, value: u16) {
         self.note(cause, self.motion.map(|motion| motion.command.id()), value);
-        let is_open = matches!(self.fast_stop, FastStop::Asked | FastStop::AskedTwice);
+        let is_open = matches!(self.fast_stop, FastStop::Requested | FastStop::RequestedTwice);
         self.give_fast_stop();
         if is_open {
-            self.fast_stop = FastStop::AskedTwice;
+            self.fast_stop = FastStop::RequestedTwice;
         }
     }
 
     /// Sends a FAST STOP, for the first time or again.
     pub(super) fn give_fast_stop(&mut self) {
-        self.fast_stop = FastStop::Asked;
+        self.fast_stop = FastStop::Requested;
         self.jog.stage = Stage::Off;
         self.jog.disarm(self.image.as_ref());
         self.send_alone(Command::FastStop);
@@ -102,8 +102,8 @@ impl Controller {
     pub(super) fn fast_stop_answered(&mut self) {
         if self.acknowledgements_open > 0 {
             self.fast_stop = FastStop::Undone;
-        } else if self.fast_stop == FastStop::AskedTwice {
-            self.fast_stop = FastStop::Asked;
+        } else if self.fast_stop == FastStop::RequestedTwice {
+            self.fast_stop = FastStop::Requested;
             self.send(Command::FastStop);
         } else {
             self.fast_stop = FastStop::Answered;

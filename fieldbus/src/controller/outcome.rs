@@ -25,7 +25,7 @@ impl Controller {
             CommandId::Acknowledge => {
                 self.acknowledgements_open = self.acknowledgements_open.saturating_sub(1);
                 if self.acknowledgements_open == 0 && self.fast_stop == FastStop::Undone {
-                    self.fast_stop = FastStop::Asked;
+                    self.fast_stop = FastStop::Requested;
                     self.send(Command::FastStop);
                 }
             }
@@ -138,7 +138,7 @@ impl Controller {
         }
         match (id, status, self.fast_stop) {
             (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
-            (CommandId::FastStop, Status::Success, FastStop::Asked | FastStop::AskedTwice) => {
+            (CommandId::FastStop, Status::Success, FastStop::Requested | FastStop::RequestedTwice) => {
                 return self.fast_stop_answered();
             }
             // A FAST STOP requested in the meantime stays in effect, regardless of the order of the two answers.

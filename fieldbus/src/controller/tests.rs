@@ -717,7 +717,7 @@ fn acknowledgement_that_overtakes_another_keeps_the_fast_stop_until_both_are_ans
 }
 
 #[test]
-fn fast_stop_is_given_again_to_a_gripper_that_comes_back() {
+fn fast_stop_is_repeated_to_a_gripper_that_returns() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
     plc.confirm_fast_stop();
@@ -1115,7 +1115,7 @@ fn stop_that_is_late_becomes_a_fast_stop_unless_the_fingers_stand() {
 fn after_a_reset(flags: SystemFlags, state: GripperState) -> Plc {
     let mut plc = Plc::with_first_image(PARAMETERS);
     plc.known = Known { flags: Some(flags), state: Some(state), ..Known::NOTHING };
-    plc.controller.get_acquainted(&plc.known);
+    plc.controller.adopt_known(&plc.known);
     plc
 }
 
@@ -1123,7 +1123,7 @@ fn after_a_reset(flags: SystemFlags, state: GripperState) -> Plc {
 fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
     let mut plc = after_a_reset(SystemFlags::REFERENCED | SystemFlags::MOVING, GripperState::Positioning);
     assert_eq!(plc.commands(), [Command::Stop]);
-    plc.controller.get_acquainted(&plc.known);
+    plc.controller.adopt_known(&plc.known);
     assert_eq!(plc.commands(), [], "sent only once");
     plc.answer(CommandId::Stop, Status::Success);
     plc.connect();
@@ -1136,9 +1136,9 @@ fn gripper_that_holds_a_part_at_the_first_contact_keeps_it() {
     let mut plc = after_a_reset(SystemFlags::REFERENCED, GripperState::Holding);
     assert_eq!(plc.commands(), []);
     plc.connect();
-    plc.controller.get_acquainted(&plc.known);
+    plc.controller.adopt_known(&plc.known);
     plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
-    plc.controller.get_acquainted(&plc.known);
+    plc.controller.adopt_known(&plc.known);
     assert_eq!(plc.commands(), [], "a later motion has another reason");
 }
 

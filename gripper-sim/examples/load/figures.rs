@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn load_of_the_machine_excuses_what_comes_late_and_nothing_else() {
+    fn machine_load_excuses_late_data_only() {
         assert!(verdict(None, [true, true]).is_ok());
         assert_eq!(verdict(None, [true, false]).unwrap_err().to_string(), "too late");
         assert!(verdict(Some("others"), [true, false]).is_ok());

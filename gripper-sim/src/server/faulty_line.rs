@@ -417,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn truncated_frame_lacks_its_end_and_duplicated_one_comes_twice() {
+    fn truncated_frame_lacks_its_end_and_duplicated_frame_arrives_twice() {
         let mut line = FaultyLine::new(1, 0);
         for _ in 0..40 {
             let faults = LineFaults { truncate: 1.0, duplicate: 1.0, ..LineFaults::default() };

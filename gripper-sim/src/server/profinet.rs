@@ -328,7 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn fields_of_maintenance_come_back_from_their_text_whatever_a_controller_wrote() {
+    fn maintenance_fields_survive_the_round_trip_through_text() {
         let mut stored = Stored::NONE;
         for (at, byte) in stored.maintenance.descriptor.iter_mut().enumerate() {
             *byte = (at * 5) as u8;

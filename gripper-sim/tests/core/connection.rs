@@ -94,7 +94,7 @@ fn disconnect_announcement_is_for_tcp_only() {
 }
 
 #[test]
-fn result_of_a_motion_goes_to_the_client_that_asked_for_it() {
+fn result_of_a_motion_goes_to_the_client_that_requested_it() {
     let mut rig = Rig::homed(None);
     let other = rig.gripper.connect(PortKind::Serial).unwrap();
     rig.status(go_to(30.0));
@@ -258,7 +258,7 @@ fn clients_are_bounded_and_places_are_used_again() {
 }
 
 #[test]
-fn nothing_is_sent_that_was_not_asked_for() {
+fn nothing_is_sent_without_a_request() {
     let mut rig = Rig::new(Config::default());
     assert!(rig.wait(1_000).is_empty());
     rig.home();

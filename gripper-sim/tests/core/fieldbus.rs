@@ -191,7 +191,7 @@ fn command_runs_on_its_rising_edge_only() {
 }
 
 #[test]
-fn what_is_written_first_gives_no_edge_but_fast_stop_counts() {
+fn first_write_gives_no_edge_but_fast_stop_counts() {
     let first = |flags| {
         let mut gripper = VirtualGripper::new(Config::default());
         let port = gripper.connect(PortKind::ModbusTcp).unwrap();
@@ -597,7 +597,7 @@ fn connection_that_only_reads_may_go_at_any_time() {
 }
 
 #[test]
-fn motion_goes_on_when_the_last_master_is_gone() {
+fn motion_continues_when_the_last_master_disconnects() {
     let mut plc = Plc::homed(None);
     plc.raise(Flag::MOVE);
     plc.wait(100);
@@ -612,7 +612,7 @@ fn motion_goes_on_when_the_last_master_is_gone() {
 }
 
 #[test]
-fn silent_master_ends_a_jog_whatever_the_reaction_is_and_nothing_begins_when_it_is_back() {
+fn silent_master_ends_a_jog_at_any_reaction_and_nothing_starts_when_it_returns() {
     for reaction in [SilenceReaction::Hold, SilenceReaction::Stop] {
         let mut plc = Plc::watched(reaction);
         plc.change(|image| image.speed = 10_00);

@@ -458,7 +458,7 @@ fn width_is_not_sent_while_not_referenced() {
 }
 
 #[test]
-fn fingers_are_asked_one_by_one_and_together() {
+fn fingers_are_queried_one_by_one_and_together() {
     let mut desk =
         Desk::new(Config { fingers: [Finger::Fmf, Finger::None], part: part(20.0), ..Config::default() });
     assert_eq!(desk.one("FTYPE?"), "FTYPE=[\"WSG-FMF\",\"\"]");

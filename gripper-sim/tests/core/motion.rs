@@ -198,7 +198,7 @@ fn grip_without_a_part_ends_at_the_clamping_travel() {
 }
 
 #[test]
-fn grip_without_a_part_ends_at_the_end_stop_when_that_comes_first() {
+fn grip_without_a_part_ends_at_the_end_stop_if_reached_first() {
     let mut rig = Rig::homed(None);
     assert_eq!(rig.run(grip(2.0)), Status::CmdFailed);
     assert_eq!((rig.state(), rig.width()), (GripperState::NoPart, 0.0));
@@ -264,7 +264,7 @@ fn part_pulled_out_of_jammed_fingers_is_lost() {
 }
 
 #[test]
-fn release_opens_and_leaves_the_part_behind() {
+fn release_opens_and_drops_the_part() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.run(grip(20.0));
     assert_eq!(rig.status(release(50.0)), Status::CmdPending);
@@ -389,7 +389,7 @@ fn presets_of_force_acceleration_and_homing_count_within_the_models_limits() {
 }
 
 #[test]
-fn force_is_0_when_it_is_asked_for_right_behind_what_switches_the_motor_off() {
+fn force_queried_directly_after_the_motor_is_switched_off_is_0() {
     const FORCE: Command<'_> = Command::GetForce { update: AutoUpdate::once() };
     for fingers in [[Finger::None; 2], [Finger::Fmf; 2]] {
         let config = Config { part: Part::new(20.0, 10.0), fingers, ..Config::default() };
@@ -447,7 +447,7 @@ fn fast_stop_latches_until_acknowledged() {
 }
 
 #[test]
-fn fast_stop_is_obeyed_whatever_its_payload() {
+fn fast_stop_is_executed_with_any_payload() {
     let mut rig = Rig::homed(None);
     let frame: Vec<u8> = wsg_protocol::FrameEncoder::new(0x23, &[1, 2, 3][..]).collect();
     rig.send_bytes(&frame);
@@ -582,7 +582,7 @@ fn forces(rig: &mut Rig, millis: u64) -> Vec<f32> {
 /// Fieldbus, 6.3: "Zum Loslassen wird die Nennkraft des Greifers verwendet", reached "durch sukzessives Erhöhen der internen
 /// Kraftgrenze".
 #[test]
-fn release_raises_its_force_step_by_step_to_the_nominal_force_whatever_the_limit_is() {
+fn release_raises_its_force_in_steps_to_the_nominal_force_at_any_limit() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.status(Command::SetForceLimit { force: 10.0 });
     assert_eq!(rig.run(grip(20.0)), Status::Success);

@@ -166,7 +166,7 @@ fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
 }
 
 #[test]
-fn master_that_leaves_ends_its_motion_as_it_is_configured_and_a_jog_in_any_case() {
+fn disconnecting_master_ends_its_motion_as_configured_and_always_a_jog() {
     let falls_silent = |master: &mut Master| master.fall_silent(WATCHDOG_MS + 5);
     let clears = |master: &mut Master| {
         // Global_Control to all stations: Clear_Data.

@@ -42,7 +42,7 @@ fn claimed_commands_wait_for_the_script_and_all_others_are_answered_as_ever() {
 }
 
 #[test]
-fn commands_that_find_no_room_are_answered_and_a_script_that_ended_leaves_none() {
+fn commands_without_room_are_answered_and_an_ended_script_keeps_none() {
     let mut rig = running(None);
     rig.gripper.claim_for_script(0xB0);
     let mut waiting = 0;
@@ -71,7 +71,7 @@ fn commands_that_find_no_room_are_answered_and_a_script_that_ended_leaves_none()
 }
 
 #[test]
-fn velocity_mode_runs_at_its_speed_until_it_is_told_another() {
+fn velocity_mode_keeps_its_speed_until_a_new_one_is_set() {
     let mut rig = running(None);
     assert_eq!(run(&mut rig, -50.0), Status::CmdPending);
     rig.wait(200);

@@ -92,7 +92,7 @@ fn soft_limits_can_be_read_only_while_set() {
 }
 
 #[test]
-fn device_tells_model_serial_number_and_limits() {
+fn device_reports_model_serial_number_and_limits() {
     let config = Config { model: Model::Wsg32, serial_number: 4_711, ..Config::default() };
     let mut rig = Rig::new(config);
     assert_eq!(
@@ -271,7 +271,7 @@ fn finger_faults_show_in_flags_and_answers() {
 
 /// GCL, appendix C, bit 10: "Während der Initialisierung des Fingers ist ein Fehler aufgetreten"; bit 9: "Während der Laufzeit".
 #[test]
-fn finger_that_does_not_answer_when_its_supply_comes_on_shows_init_fault_until_it_does() {
+fn finger_silent_at_power_on_shows_init_fault_until_it_answers() {
     let flags = |rig: &mut Rig| {
         let frame = rig.ask(Command::GetFinger1Flags).frame;
         FingerFlags::from_bits_retain(u16::from_le_bytes([frame[8], frame[9]]))

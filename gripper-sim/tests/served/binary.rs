@@ -241,7 +241,7 @@ fn tcp_updates_arrive_by_themselves() {
 }
 
 #[test]
-fn udp_answers_go_to_the_fixed_remote_port_whatever_port_asked() {
+fn udp_answers_go_to_the_fixed_remote_port_for_any_source_port() {
     let listener = UdpSocket::bind("127.0.0.1:0").unwrap();
     listener.set_read_timeout(Some(BOUND)).unwrap();
     let udp = UdpLine {

@@ -358,7 +358,7 @@ impl Watching {
 }
 
 #[test]
-fn page_comes_with_a_policy_and_its_script_has_the_policys_nonce() {
+fn page_has_a_policy_and_its_script_has_the_nonce_of_the_policy() {
     let (status, head, body) = Rig::new(Config::default()).http("GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
     assert_eq!(status, 200);
     let policy = head.lines().find_map(|line| line.strip_prefix("content-security-policy: ")).unwrap();
@@ -618,7 +618,7 @@ fn delayed_frames_come_late_and_in_order() {
 }
 
 #[test]
-fn slow_line_loses_no_answer_however_many_are_asked_for() {
+fn slow_line_loses_no_answer_at_any_number_of_requests() {
     let mut rig = Rig::new(Config::default());
     rig.post("/line", &json!({ "delay_ms": 20 }));
     rig.client.write_all(&frame(Command::GetForceLimit).repeat(2_000)).unwrap();
@@ -694,7 +694,7 @@ fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
 }
 
 #[test]
-fn request_that_comes_twice_is_answered_twice_and_moves_once() {
+fn duplicate_request_is_answered_twice_and_moves_once() {
     let mut rig = Rig::new(Config::default());
     rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));
     rig.send(Command::Homing { direction: HomingDirection::Positive });

@@ -96,7 +96,7 @@ fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
 }
 
 #[test]
-fn datagrams_are_answered_to_the_port_that_asked() {
+fn datagrams_are_answered_to_their_source_port() {
     let served = serve(Config::default(), None);
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     socket.set_read_timeout(Some(BOUND)).unwrap();
@@ -111,7 +111,7 @@ fn datagrams_are_answered_to_the_port_that_asked() {
 }
 
 #[test]
-fn datagram_of_somebody_else_ends_the_updates_of_who_asked_before() {
+fn datagram_from_another_peer_ends_the_updates_of_the_previous_one() {
     let lines = Lines { gcl_udp: any_port(), ..Lines::default() };
     let served = ServerThread::start(Config::default(), &lines, None).expect("the server starts");
     let gripper = served.gcl_udp_address().unwrap();

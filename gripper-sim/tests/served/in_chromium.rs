@@ -349,7 +349,7 @@ fn page_of_another_origin_can_neither_command_nor_watch() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn plot_shows_width_speed_and_force_and_goes_on() {
+fn plot_shows_width_speed_and_force_and_continues() {
     let gripper = Gripper::new(&["--time-scale", "2"]);
     let mut tab = gripper.open();
     home(&mut tab);
@@ -494,7 +494,7 @@ fn frames_are_filtered_and_paused() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn page_says_that_its_gripper_is_gone_and_goes_on_when_it_is_back() {
+fn page_reports_a_lost_gripper_and_continues_when_it_returns() {
     // No other server gets ports on this address, so this port will be free again.
     let gripper = Gripper::on("127.0.0.2:0", &["--time-scale", "20"]);
     let mut tab = gripper.open();
@@ -536,7 +536,7 @@ fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
     let mut tab = Tab::open(&gripper.page);
     tab.until(&format!("document.readyState === 'complete' && {STATE} === 'no connection'"));
     // Rejected, not just delayed.
-    tab.until_told("Network.responseReceivedExtraInfo", |answer| answer["statusCode"] == 503);
+    tab.wait_for_event("Network.responseReceivedExtraInfo", |answer| answer["statusCode"] == 503);
 
     drop(others);
 

@@ -178,7 +178,7 @@ fn flags_tell_that_a_script_runs_and_that_it_failed_and_why_is_in_the_log() {
 }
 
 #[test]
-fn script_that_loops_for_ever_or_eats_memory_harms_nobody_else() {
+fn script_that_loops_forever_or_exhausts_memory_harms_no_client() {
     for (name, source, fails) in [
         ("loops", "while true do end", false),
         ("loops-in-pcall", "while true do pcall(function() while true do end end) end", false),
@@ -203,7 +203,7 @@ fn script_that_loops_for_ever_or_eats_memory_harms_nobody_else() {
 }
 
 #[test]
-fn script_that_claims_a_command_of_the_manual_is_told_so() {
+fn script_that_claims_a_command_of_the_manual_receives_an_error() {
     let script = File::new("claims", "cmd.register(0x20)");
     let log = std::env::temp_dir().join(format!("wsg-sim-{}-claims-log", std::process::id()));
     let served = ServerThread::start(
@@ -298,7 +298,7 @@ fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
 }
 
 #[test]
-fn whatever_is_asked_of_the_example_it_answers_and_goes_on() {
+fn example_answers_every_request_and_continues() {
     let config = Config { part: Part::of_width(20.0), time_scale: QUICK, ..Config::default() };
     let served = ServerThread::start(config, &lines(&remote()), None).unwrap();
     let mut client = connect(&served);
@@ -650,7 +650,7 @@ mod unix {
     use wsg_sim::server::{SerialLine, UdpLine};
 
     #[test]
-    fn script_answers_whoever_asked_over_udp_and_a_serial_line() {
+    fn script_answers_the_requester_over_udp_and_a_serial_line() {
         let [answers, asks] = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
         answers.set_read_timeout(Some(BOUND)).unwrap();
         let remote_port = answers.local_addr().unwrap().port();

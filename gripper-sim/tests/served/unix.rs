@@ -116,7 +116,7 @@ fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
 }
 
 #[test]
-fn port_1000_is_replaced_for_an_ordinary_user_and_a_low_port_that_is_asked_for_says_what_to_do() {
+fn port_1000_is_replaced_for_an_ordinary_user_and_an_explicit_low_port_says_what_to_do() {
     let lowest = std::fs::read_to_string("/proc/sys/net/ipv4/ip_unprivileged_port_start");
     if lowest.is_ok_and(|port| port.trim().parse().is_ok_and(|port: u16| port <= 1_000)) {
         // This user may listen on any port.

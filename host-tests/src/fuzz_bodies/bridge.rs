@@ -243,8 +243,8 @@ impl WholeBridge for Model {
         if was_connected && !self.station.bridge().is_connected() {
             ends.line.cut();
         }
-        let patience_ms = if ends.line.is_slow() { SLOW_PATIENCE_MS } else { 1 };
-        ends.end_turn(outputs, patience_ms);
+        let char_timeout_ms = if ends.line.is_slow() { SLOW_PATIENCE_MS } else { 1 };
+        ends.end_turn(outputs, char_timeout_ms);
         self.serve();
     }
 

@@ -21,7 +21,7 @@ pub(super) struct Oracle {
     is_latched: bool,
     now_ms: u32,
     /// Maximum wait of a frame for the previous one, in milliseconds; `None` while the gripper is unreachable.
-    patience_ms: Option<u32>,
+    char_timeout_ms: Option<u32>,
 }
 
 impl Oracle {
@@ -34,7 +34,7 @@ impl Oracle {
             stops: Stops::new(),
             is_latched: false,
             now_ms: 0,
-            patience_ms: None,
+            char_timeout_ms: None,
         }
     }
 
@@ -59,15 +59,15 @@ impl Oracle {
     }
 
     /// Ends the inputs of this turn; commands follow.
-    pub(super) fn begin_leaving(&mut self, patience_ms: Option<u32>) {
-        self.patience_ms = patience_ms;
+    pub(super) fn begin_leaving(&mut self, char_timeout_ms: Option<u32>) {
+        self.char_timeout_ms = char_timeout_ms;
         self.stops.begin_turn(self.now_ms, &self.told, &self.asked);
     }
 
     /// Checks a command to the gripper; `command` is `None` while only its id is known.
     pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, gripper: &Gripper) {
         self.asked.leaves(id, command, gripper.force_limit());
-        self.stops.leaves(self.now_ms, id, &self.told, self.patience_ms);
+        self.stops.leaves(self.now_ms, id, &self.told, self.char_timeout_ms);
         if id.kind() == Kind::Motion {
             self.told.grip = None;
         }
@@ -84,7 +84,7 @@ impl Oracle {
         }
         self.shown.show(self.now_ms, outputs, &self.told, &self.asked);
         self.asked.is_ready = outputs.contains(Outputs::READY);
-        self.stops.end_turn(self.now_ms, outputs, &self.told, self.patience_ms);
+        self.stops.end_turn(self.now_ms, outputs, &self.told, self.char_timeout_ms);
         if let Some(since_ms) = self.asked.stopped_ms {
             let is_held = self.asked.holds_fast_stop();
             assert!(

@@ -108,8 +108,8 @@ impl Stops {
         }
     }
 
-    /// Checks a command, which may be delayed by up to `patience_ms`, if known.
-    pub(super) fn leaves(&mut self, now_ms: u32, id: CommandId, told: &Told, patience_ms: Option<u32>) {
+    /// Checks a command, which may be delayed by up to `char_timeout_ms`, if known.
+    pub(super) fn leaves(&mut self, now_ms: u32, id: CommandId, told: &Told, char_timeout_ms: Option<u32>) {
         let is_query_of_state = matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
         let is_stop = matches!(id, CommandId::Stop | CommandId::FastStop);
         let knows_states = told.flags.is_some() && told.state.is_some();
@@ -120,14 +120,15 @@ impl Stops {
         self.acknowledges |= id == CommandId::Acknowledge;
         if id == CommandId::FastStop {
             self.stop_ms = None;
-            return self.fast_stop = self.fast_stop.leaves(now_ms, patience_ms);
+            return self.fast_stop = self.fast_stop.leaves(now_ms, char_timeout_ms);
         }
         let is_alone = matches!(self.fast_stop, FastStop::Answered | FastStop::Unknown);
         assert!(is_alone, "{id} before the answer to a FAST STOP");
         if id == CommandId::Stop {
             // The repetition may have been queued before the fingers began to move.
             let is_late = self.moves_since_ms.is_some_and(|since_ms| {
-                self.has_stood && patience_ms.is_none_or(|patience_ms| now_ms - since_ms <= patience_ms)
+                self.has_stood
+                    && char_timeout_ms.is_none_or(|char_timeout_ms| now_ms - since_ms <= char_timeout_ms)
             });
             let is_first = self.stop_ms.is_none();
             assert!(is_first || is_late || told.stands(), "a repeated Stop while the fingers move");
@@ -137,14 +138,20 @@ impl Stops {
     }
 
     /// Checks the deadlines at the end of a turn.
-    pub(super) fn end_turn(&mut self, now_ms: u32, outputs: Outputs, told: &Told, patience_ms: Option<u32>) {
+    pub(super) fn end_turn(
+        &mut self,
+        now_ms: u32,
+        outputs: Outputs,
+        told: &Told,
+        char_timeout_ms: Option<u32>,
+    ) {
         self.may_be_stopped &= !outputs.contains(Outputs::READY);
         if outputs.contains(Outputs::LINK_OK) {
             self.is_acquainted = true;
         } else {
             (self.stop_due_ms, self.acknowledges) = (None, false);
         }
-        let Some(patience_ms) = patience_ms else {
+        let Some(char_timeout_ms) = char_timeout_ms else {
             // The gripper is unreachable, so deadlines are deferred.
             for moment in
                 [&mut self.stop_due_ms, &mut self.stop_ms, &mut self.runaway_ms].into_iter().flatten()
@@ -165,14 +172,14 @@ impl Stops {
             FastStop::Burst(_, left_ms) => left_ms,
             FastStop::Pause(since_ms) => since_ms + PATTERN.pause_ms,
         };
-        assert!(now_ms <= latest_ms + patience_ms, "FAST STOP was not sent in time");
+        assert!(now_ms <= latest_ms + char_timeout_ms, "FAST STOP was not sent in time");
         assert!(
-            self.stop_due_ms.is_none_or(|since_ms| now_ms <= since_ms + patience_ms),
+            self.stop_due_ms.is_none_or(|since_ms| now_ms <= since_ms + char_timeout_ms),
             "Stop was not sent in time"
         );
         if let Some(since_ms) = self.runaway_ms {
             assert!(outputs.contains(Outputs::ERROR), "the fingers move without ERROR");
-            assert!(now_ms <= since_ms + patience_ms, "no Stop for fingers that move at power-up");
+            assert!(now_ms <= since_ms + char_timeout_ms, "no Stop for fingers that move at power-up");
         }
         if let Some(left_ms) = self.stop_ms
             && now_ms >= left_ms + STOP_MS
@@ -180,7 +187,10 @@ impl Stops {
             if told.stands() {
                 self.stop_ms = None;
             } else {
-                assert!(now_ms <= left_ms + STOP_MS + patience_ms, "no FAST STOP after an unanswered Stop");
+                assert!(
+                    now_ms <= left_ms + STOP_MS + char_timeout_ms,
+                    "no FAST STOP after an unanswered Stop"
+                );
             }
         }
     }
@@ -188,13 +198,13 @@ impl Stops {
 
 impl FastStop {
     /// Advances after sending a frame.
-    fn leaves(self, now_ms: u32, patience_ms: Option<u32>) -> Self {
+    fn leaves(self, now_ms: u32, char_timeout_ms: Option<u32>) -> Self {
         let silence_of = |left_ms: u32| now_ms - left_ms;
-        let patience_ms = patience_ms.unwrap_or(u32::MAX);
+        let char_timeout_ms = char_timeout_ms.unwrap_or(u32::MAX);
         match self {
             Self::Answered | Self::Due(_) => Self::Once(now_ms),
             // After an unanswered Stop the burst comes first.
-            Self::Once(left_ms) if silence_of(left_ms) <= patience_ms => Self::Burst(2, now_ms),
+            Self::Once(left_ms) if silence_of(left_ms) <= char_timeout_ms => Self::Burst(2, now_ms),
             Self::Once(left_ms) => {
                 assert!(
                     silence_of(left_ms) >= PATTERN.answer_ms,

@@ -73,9 +73,9 @@ impl Ends {
     }
 
     /// Ends a turn with these outputs: delivers the bridge's commands to the gripper, and its answers.
-    pub(super) fn end_turn(&mut self, outputs: Outputs, patience_ms: u32) {
+    pub(super) fn end_turn(&mut self, outputs: Outputs, char_timeout_ms: u32) {
         let Self { now_ms, gripper, line, oracle, .. } = self;
-        oracle.begin_leaving(Some(patience_ms));
+        oracle.begin_leaving(Some(char_timeout_ms));
         for id in line.take_begun() {
             oracle.leaves(id, None, gripper);
         }

@@ -7,10 +7,10 @@ use super::*;
 fn an_it_block_shrinks_with_each_instruction() {
     // ITTE EQ: 0000 1101 after IT.
     let xpsr = |state: u32| 0x4100_0010 | (state & 0b11) << 25 | (state >> 2) << 10;
-    assert_eq!(behind_one_instruction(xpsr(0b0000_0110)), xpsr(0b0000_1100));
-    assert_eq!(behind_one_instruction(xpsr(0b0000_1100)), xpsr(0b0001_1000));
-    assert_eq!(behind_one_instruction(xpsr(0b0001_1000)), xpsr(0));
-    assert_eq!(behind_one_instruction(xpsr(0)), xpsr(0));
+    assert_eq!(after_one_instruction(xpsr(0b0000_0110)), xpsr(0b0000_1100));
+    assert_eq!(after_one_instruction(xpsr(0b0000_1100)), xpsr(0b0001_1000));
+    assert_eq!(after_one_instruction(xpsr(0b0001_1000)), xpsr(0));
+    assert_eq!(after_one_instruction(xpsr(0)), xpsr(0));
 }
 
 #[test]

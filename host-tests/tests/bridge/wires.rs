@@ -367,7 +367,7 @@ fn fast_stop_ends_a_motion_within_milliseconds() {
 }
 
 #[test]
-fn gripper_that_never_answers_is_asked_and_never_told_to_move() {
+fn silent_gripper_is_polled_and_receives_no_motion() {
     let mut bench = Bench::new(quick());
     bench.far.to_bridge = Some(Box::new(Vec::clear));
     bench.set(Inputs::FAST_STOP_OK, true);
@@ -439,7 +439,7 @@ fn result_with_a_wrong_checksum_is_detected_and_recovered() {
 }
 
 #[test]
-fn answers_to_nothing_ever_asked_change_nothing() {
+fn unsolicited_answers_change_nothing() {
     let mut bench = Bench::homed(quick());
     let outputs = bench.outputs();
     bench.take_sent();

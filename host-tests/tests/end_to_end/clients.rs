@@ -256,7 +256,7 @@ fn frame_in_pieces_is_one_frame() {
 }
 
 #[test]
-fn ack_comes_first_and_needs_its_key() {
+fn ack_precedes_everything_and_needs_its_key() {
     let server = serve(config());
     let mut client = OneFramePerRecv::connect(&server);
     client.ask(ACK, ACK_DONE);
@@ -338,7 +338,7 @@ fn unannounced_close_changes_nothing_where_that_is_set() {
 }
 
 #[test]
-fn announced_client_is_refused_until_it_comes_again() {
+fn announced_client_is_refused_until_it_reconnects() {
     let server = serve(config());
     let mut client = OneFramePerRecv::connect(&server);
     client.ask(&frame(0x07, &[]), &status(0x07, Status::Success));

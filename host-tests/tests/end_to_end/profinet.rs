@@ -263,7 +263,7 @@ fn passes(config: Config, arguments: &[&str]) {
 
 #[test]
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
-fn profinet_py_comes_back_in_namespaces_after_a_cut_cable_and_the_motion_has_stopped() {
+fn profinet_py_reconnects_in_namespaces_after_a_cut_cable_and_the_motion_has_stopped() {
     if extent::is_whole() {
         passes(Config { time_scale: 1.0, ..config() }, &["cut"]);
     }
@@ -310,7 +310,7 @@ fn profinet_py_finds_in_namespaces_after_a_restart_what_it_has_written() {
 
 #[test]
 #[ignore = "needs tshark and root: run `cargo xtask test`"]
-fn endpoint_mapper_tells_in_namespaces_of_the_device_as_tshark_reads_it() {
+fn endpoint_mapper_in_namespaces_describes_the_device_as_tshark_reads_it() {
     let stored = Stored { ip: ProfinetLine::ip_of_text("192.168.7.5/24").unwrap(), ..Stored::NONE };
     let network = Network::new();
     let capture = network.capture();

@@ -83,7 +83,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_decoded_from_random_bytes_stands_for_exactly_those_bytes(
+    fn values_decoded_from_random_bytes_encode_to_the_same_bytes(
         id in proptest::sample::select(CommandId::ALL.to_vec()),
         payload in prop_oneof![
             proptest::collection::vec(any::<u8>(), 0..12),

@@ -59,7 +59,7 @@ pub enum Error<E> {
 /// The party that can resolve an [`Error`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 #[non_exhaustive]
-pub enum Culprit {
+pub enum Cause {
     /// The caller, whose request is invalid now or in general.
     Caller,
     /// The buffers, which are too small.
@@ -74,12 +74,12 @@ impl<E> Error<E> {
     /// Returns which party can resolve the error.
     ///
     /// ```
-    /// use wsg_protocol::driver::{Culprit, Error};
+    /// use wsg_protocol::driver::{Cause, Error};
     ///
-    /// assert_eq!(Error::<()>::Blocked.culprit(), Culprit::Peer);
+    /// assert_eq!(Error::<()>::Blocked.cause(), Cause::Peer);
     /// ```
     #[must_use]
-    pub const fn culprit(&self) -> Culprit {
+    pub const fn cause(&self) -> Cause {
         match self {
             Self::NotConnected
             | Self::MotionRunning
@@ -88,15 +88,15 @@ impl<E> Error<E> {
             | Self::Superseded
             | Self::NotInGcl
             | Self::NoForceLimit
-            | Self::Stopped(_) => Culprit::Caller,
-            Self::TooLong { .. } => Culprit::Capacity,
+            | Self::Stopped(_) => Cause::Caller,
+            Self::TooLong { .. } => Cause::Capacity,
             Self::Refused(_)
             | Self::Blocked
             | Self::Aborted
             | Self::Failed(_)
             | Self::Mismatch
-            | Self::Unanswered => Culprit::Peer,
-            Self::Transport(_) | Self::Closed => Culprit::Transport,
+            | Self::Unanswered => Cause::Peer,
+            Self::Transport(_) | Self::Closed => Cause::Transport,
         }
     }
 }

@@ -341,7 +341,7 @@ fn motion_of_a_line_that_was_replaced_is_unanswered() {
     let rig = Rig::new();
     let mut gripper = connected(&rig);
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
-    rig.world(|world| world.drop_what_comes());
+    rig.world(|world| world.drop_received());
     gripper.replace_io(rig.clone());
     assert_eq!(gripper.wait(&grip), Err(Error::Unanswered));
     gripper.connect().unwrap();
@@ -443,30 +443,30 @@ fn closure_is_a_clock() {
 
 #[test]
 fn every_error_names_its_cause() {
-    for (error, culprit, text) in [
-        (Error::NotConnected, Culprit::Caller, "no connection"),
-        (Error::MotionRunning, Culprit::Caller, "motion is running"),
-        (Error::FastStopRunning, Culprit::Caller, "FAST STOP"),
-        (Error::Invalid(DecodeError::NotFinite), Culprit::Caller, "invalid parameter: "),
-        (Error::Superseded, Culprit::Caller, "a later motion"),
-        (Error::NotInGcl, Culprit::Caller, "GCL"),
-        (Error::NoForceLimit, Culprit::Caller, "force limit"),
-        (Error::Stopped(StopKind::Stop), Culprit::Caller, "stop handle"),
-        (Error::Stopped(StopKind::FastStop), Culprit::Caller, "FAST STOP"),
-        (Error::TooLong { needed: 18 }, Culprit::Capacity, "18 bytes"),
-        (Error::Refused(Status::RangeError), Culprit::Peer, "refused: E_RANGE_ERROR"),
-        (Error::Refused(Status::AccessDenied), Culprit::Peer, "refused: E_ACCESS_DENIED"),
-        (Error::Refused(Status::AccessDenied), Culprit::Peer, "FAST STOP"),
-        (Error::Refused(Status::AccessDenied), Culprit::Peer, "`acknowledge`"),
-        (Error::Blocked, Culprit::Peer, "blocked"),
-        (Error::Aborted, Culprit::Peer, "aborted"),
-        (Error::Failed(Status::Timeout), Culprit::Peer, "failed: "),
-        (Error::Mismatch, Culprit::Peer, "read back"),
-        (Error::Unanswered, Culprit::Peer, "no answer"),
-        (Error::Transport(Noise), Culprit::Transport, "transport: noise"),
-        (Error::Closed, Culprit::Transport, "closed"),
+    for (error, cause, text) in [
+        (Error::NotConnected, Cause::Caller, "no connection"),
+        (Error::MotionRunning, Cause::Caller, "motion is running"),
+        (Error::FastStopRunning, Cause::Caller, "FAST STOP"),
+        (Error::Invalid(DecodeError::NotFinite), Cause::Caller, "invalid parameter: "),
+        (Error::Superseded, Cause::Caller, "a later motion"),
+        (Error::NotInGcl, Cause::Caller, "GCL"),
+        (Error::NoForceLimit, Cause::Caller, "force limit"),
+        (Error::Stopped(StopKind::Stop), Cause::Caller, "stop handle"),
+        (Error::Stopped(StopKind::FastStop), Cause::Caller, "FAST STOP"),
+        (Error::TooLong { needed: 18 }, Cause::Capacity, "18 bytes"),
+        (Error::Refused(Status::RangeError), Cause::Peer, "refused: E_RANGE_ERROR"),
+        (Error::Refused(Status::AccessDenied), Cause::Peer, "refused: E_ACCESS_DENIED"),
+        (Error::Refused(Status::AccessDenied), Cause::Peer, "FAST STOP"),
+        (Error::Refused(Status::AccessDenied), Cause::Peer, "`acknowledge`"),
+        (Error::Blocked, Cause::Peer, "blocked"),
+        (Error::Aborted, Cause::Peer, "aborted"),
+        (Error::Failed(Status::Timeout), Cause::Peer, "failed: "),
+        (Error::Mismatch, Cause::Peer, "read back"),
+        (Error::Unanswered, Cause::Peer, "no answer"),
+        (Error::Transport(Noise), Cause::Transport, "transport: noise"),
+        (Error::Closed, Cause::Transport, "closed"),
     ] {
-        assert_eq!(error.culprit(), culprit, "{error:?}");
+        assert_eq!(error.cause(), cause, "{error:?}");
         let said = std::format!("{error}");
         assert!(said.contains(text), "{said}");
     }

@@ -211,12 +211,12 @@ impl<const N: usize> FrameParser<N> {
 
     /// Processes one byte after all bytes that wait to be scanned, up to the next event.
     fn step(&mut self, byte: u8) -> Option<Found> {
-        if self.is_draining() { self.step_behind(byte) } else { self.receive(byte) }
+        if self.is_draining() { self.step_draining(byte) } else { self.receive(byte) }
     }
 
     /// Processes one byte while held bytes wait to be scanned.
     #[cold]
-    fn step_behind(&mut self, byte: u8) -> Option<Found> {
+    fn step_draining(&mut self, byte: u8) -> Option<Found> {
         let found = self.drain();
         self.receive_after(found, byte)
     }

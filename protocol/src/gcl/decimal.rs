@@ -101,10 +101,10 @@ impl Digits<'_> {
         let point = zeros.saturating_add(distance.max(0) as usize);
         // Shift the fraction in from its last digit to the first.
         for index in (point..self.len()).rev() {
-            value.put_behind_the_point(self.at(index));
+            value.push_fraction_digit(self.at(index));
         }
         for _ in distance..0 {
-            value.put_behind_the_point(0);
+            value.push_fraction_digit(0);
         }
         for index in zeros..point {
             if value.append_before_the_point(self.at(index)).is_none() {
@@ -129,7 +129,7 @@ impl Fixed {
     /// Replaces the fraction by (digit + fraction) / 10, while the integer part is 0.
     ///
     /// The remainder of a division cannot change a later quotient, so only its being non-zero is recorded.
-    fn put_behind_the_point(&mut self, digit: u32) {
+    fn push_fraction_digit(&mut self, digit: u32) {
         let mut remainder = u64::from(digit);
         for word in self.words.iter_mut().take(FRACTION_WORDS).rev() {
             let dividend = (remainder << 32) | u64::from(*word);

@@ -194,7 +194,7 @@ impl Dialect for Gcl {
             Answer::Value(value) => element_of(value),
             _ => None,
         };
-        element_asked_for(request) == element
+        requested_element(request) == element
     }
 
     fn is_asynchronous(name: CommandName) -> bool {
@@ -246,7 +246,7 @@ impl Name for CommandName {
 }
 
 /// Returns the vector element that a request queries.
-const fn element_asked_for(request: &Request) -> Option<u8> {
+const fn requested_element(request: &Request) -> Option<u8> {
     match *request {
         Request::Sysflags(Select::One(index))
         | Request::Gripstats(Select::One(index))

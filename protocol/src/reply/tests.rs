@@ -169,7 +169,7 @@ fn replies_read_as_a_person_would_write_them() {
 }
 
 #[test]
-fn version_is_told_in_its_parts() {
+fn version_is_reported_in_its_parts() {
     let version = FirmwareVersion::new(1, 2, 3, 4);
     assert_eq!(version.bits(), 0x1234);
     assert_eq!(version.parts(), (1, 2, 3, 4));

@@ -191,7 +191,7 @@ fn gripper_that_refuses_its_states_is_not_connected() {
 }
 
 #[test]
-fn updates_are_asked_for_in_the_period_of_the_configuration_but_10_ms_at_the_least() {
+fn updates_are_requested_at_the_configured_period_but_at_least_10_ms() {
     for (update_period_ms, asked_ms) in [(1, 10), (9, 10), (10, 10), (11, 11), (500, 500)] {
         let mut rig = Rig::with(Config { update_period_ms, ..Config::DEFAULT });
         let update = AutoUpdate::on_change(asked_ms);

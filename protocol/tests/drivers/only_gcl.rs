@@ -3,7 +3,7 @@
 use std::future::poll_fn;
 use std::pin::pin;
 
-use wsg_protocol::driver::{Culprit, Finger, Grip, Mm, MmPerS, N, OnBlock};
+use wsg_protocol::driver::{Cause, Finger, Grip, Mm, MmPerS, N, OnBlock};
 use wsg_protocol::{HomingDirection, SoftLimits, Status};
 use wsg_sim::{Config, Part, PortKind};
 
@@ -50,7 +50,7 @@ fn requests_without_a_gcl_equivalent_are_refused_and_not_sent() {
     assert_eq!(gripper.loop_back(&[1, 2, 3]), no);
     assert_eq!(gripper.raw(0xB0, &[1], &mut []).map(drop), no);
     assert_eq!(sent(&bench), Vec::<String>::new());
-    assert_eq!(Error::NotInGcl.culprit(), Culprit::Caller);
+    assert_eq!(Error::NotInGcl.cause(), Cause::Caller);
     assert_eq!(
         gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop),
         Ok(()),
@@ -164,10 +164,10 @@ fn tolerance_and_clamping_travel_are_read_and_set() {
 fn told<T>(bench: &Bench, call: impl Future<Output = T>, answer: &[u8]) -> T {
     bench.world(|world| world.mute = true);
     let mut call = pin!(call);
-    let mut is_asked = false;
+    let mut is_requested = false;
     bench.run(poll_fn(|context| {
         let polled = call.as_mut().poll(context);
-        if polled.is_pending() && !std::mem::replace(&mut is_asked, true) {
+        if polled.is_pending() && !std::mem::replace(&mut is_requested, true) {
             bench.inject(answer);
         }
         polled

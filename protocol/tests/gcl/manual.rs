@@ -280,7 +280,7 @@ fn errors_of_chapter_1_3_with_and_without_a_text() {
 }
 
 #[test]
-fn every_status_code_of_appendix_a_comes_in_an_error() {
+fn every_status_code_of_appendix_a_occurs_in_an_error() {
     for status in Status::ALL {
         answer(&format!("ERR MOVE {}", status.code()), Answer::failed(CommandName::Move, *status));
     }

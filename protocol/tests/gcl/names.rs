@@ -28,7 +28,7 @@ fn other_name_is_kept_as_it_was_spelled_and_shown_in_upper_case() {
 }
 
 #[test]
-fn names_are_equal_whatever_their_case_and_to_no_other() {
+fn names_are_equal_in_any_case_and_to_no_other() {
     let names = ["move", "stop", "dance", "hello", ""];
     for (at, one) in names.into_iter().enumerate() {
         assert_eq!(named(one), named(&one.to_uppercase()));

@@ -165,7 +165,7 @@ proptest! {
     }
 
     #[test]
-    fn grammar_and_parser_agree_on_what_is_a_request(
+    fn grammar_and_parser_agree_on_requests(
         line in request().prop_flat_map(|request| mutated(request.to_string())),
     ) {
         let Ok(text) = String::from_utf8(line) else { return Ok(()) };

@@ -14,7 +14,7 @@ fn assert_refused(arguments: &[&str], status: i32, expected: &str) {
 }
 
 #[test]
-fn invalid_command_line_is_rejected_with_what_was_expected() {
+fn invalid_command_line_is_rejected_and_names_the_expected_value() {
     for (arguments, expected) in [
         (&["192.168.1.20", "info"][..], "tcp://HOST"),
         (&["serial:/dev/ttyS9?rate=fast", "info"], "a rate in bit/s"),

@@ -72,16 +72,16 @@ pub(super) struct Tpdo {
     /// Number of SYNCs since the last transmission.
     syncs: u8,
     /// Whether the last SYNC requested a transmission.
-    is_asked: bool,
+    is_requested: bool,
 }
 
 impl Tpdo {
     pub(super) const NEW: Self =
-        Self { setup: Setup::NEW, shown: [0; 8], sent: [0; 8], sent_at: None, syncs: 0, is_asked: false };
+        Self { setup: Setup::NEW, shown: [0; 8], sent: [0; 8], sent_at: None, syncs: 0, is_requested: false };
 
     /// Resets the transmission state, as if the TPDO had never been sent.
     pub(super) const fn send_again(&mut self) {
-        (self.sent_at, self.syncs, self.is_asked) = (None, 0, false);
+        (self.sent_at, self.syncs, self.is_requested) = (None, 0, false);
     }
 
     pub(super) fn on_sync(&mut self) {
@@ -89,7 +89,7 @@ impl Tpdo {
             return;
         }
         self.syncs = self.syncs.saturating_add(1);
-        self.is_asked = match self.setup.transmission {
+        self.is_requested = match self.setup.transmission {
             0 => self.sent_at.is_none() || self.sent != self.shown,
             every => self.syncs >= every,
         };
@@ -98,7 +98,7 @@ impl Tpdo {
     /// Returns the data to send now, if any.
     pub(super) fn due(&mut self, now_ms: u32, inhibit_ms: u32, event_ms: u32) -> Option<[u8; 8]> {
         let is_due = if self.setup.waits_for_sync() {
-            self.is_asked
+            self.is_requested
         } else {
             self.sent_at.is_none_or(|at| {
                 let passed_ms = since(now_ms, at);
@@ -109,7 +109,7 @@ impl Tpdo {
         if !self.setup.is_enabled || !is_due {
             return None;
         }
-        (self.syncs, self.is_asked) = (0, false);
+        (self.syncs, self.is_requested) = (0, false);
         (self.sent, self.sent_at) = (self.shown, Some(now_ms));
         Some(self.sent)
     }

@@ -82,7 +82,7 @@ fn lengths_from_2_to_254_are_accepted() {
 }
 
 #[test]
-fn half_a_frame_is_nothing_until_the_rest_comes() {
+fn partial_frame_waits_for_its_rest() {
     let bytes = frame(5, 0, 1, &[6, 0, 0, 1, 0x20]);
     let (last, head) = bytes.split_last().unwrap();
     let mut receiver = Receiver::new();

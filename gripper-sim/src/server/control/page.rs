@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn page_asks_nobody_else_for_anything_and_runs_nothing_inline() {
+    fn page_loads_nothing_from_elsewhere_and_runs_no_inline_script() {
         let (page, policy) = page();
         for foreign in
             ["http:", "https:", "//cdn", "@import", "url(", " onclick=", " style=\"", "innerHTML", "eval("]

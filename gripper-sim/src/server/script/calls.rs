@@ -130,9 +130,9 @@ pub(super) fn install(
     for name in
         ["cmd", "mc", "grasping", "gripper", "finger", "fieldbus", "math", "string", "table", "socket"]
     {
-        name_what_is_missing(lua, &caller, &globals.raw_get(name)?, &format!("{name}."))?;
+        name_missing(lua, &caller, &globals.raw_get(name)?, &format!("{name}."))?;
     }
-    name_what_is_missing(lua, &caller, &globals, "")
+    name_missing(lua, &caller, &globals, "")
 }
 
 impl Caller {
@@ -716,7 +716,7 @@ fn module_loader(lua: &Lua, directory: &Path) -> Result<Function> {
 }
 
 /// Logs accesses to functions that do not exist.
-fn name_what_is_missing(lua: &Lua, caller: &Rc<Caller>, table: &Table, prefix: &str) -> Result<()> {
+fn name_missing(lua: &Lua, caller: &Rc<Caller>, table: &Table, prefix: &str) -> Result<()> {
     let metatable = lua.create_table()?;
     let (caller, prefix) = (Rc::clone(caller), prefix.to_owned());
     metatable.raw_set(

@@ -251,7 +251,7 @@ impl Tab {
 
     /// Waits for an event that matches.
     #[track_caller]
-    pub(super) fn until_told(&mut self, method: &str, is_it: impl Fn(&Value) -> bool) {
+    pub(super) fn wait_for_event(&mut self, method: &str, is_it: impl Fn(&Value) -> bool) {
         let start = Instant::now();
         while !self.told(method).iter().any(&is_it) {
             assert!(start.elapsed() < BOUND, "no matching event {method}");

@@ -120,7 +120,7 @@ fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
     assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
 }
 
-fn a_gripper_line_with_errors_is_told_and_moves_nothing(board: Board) {
+fn a_gripper_line_with_errors_is_reported_and_moves_nothing(board: Board) {
     let mut plant = Plant::start(board);
     if plant.told().contains(&LineError::Noise) {
         // The checksum decides about bytes with noise.
@@ -148,5 +148,5 @@ fn a_gripper_line_with_errors_is_told_and_moves_nothing(board: Board) {
 
 on_both_boards!(
     a_bus_with_line_errors_moves_nothing_and_counts,
-    a_gripper_line_with_errors_is_told_and_moves_nothing,
+    a_gripper_line_with_errors_is_reported_and_moves_nothing,
 );

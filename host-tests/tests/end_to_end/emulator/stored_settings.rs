@@ -323,7 +323,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn each_fault_of_the_flash_is_reported_and_leaves_what_was_stored() {
+fn each_fault_of_the_flash_is_reported_and_keeps_the_stored_settings() {
     let mut plant = Plant::power_up(FlashController::new());
     plant.set_debounce(7);
     assert_eq!(plant.save(), SAVED);

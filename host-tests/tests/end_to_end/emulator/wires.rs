@@ -215,7 +215,7 @@ fn reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from
     }
 }
 
-fn answers_to_nothing_ever_asked_change_nothing(board: Board) {
+fn unsolicited_answers_change_nothing(board: Board) {
     let rig = homed(board, quick());
     let (mark, changes) = (rig.trace().mark(), rig.board().output_changes());
     let before = changes.try_iter().count();
@@ -231,7 +231,7 @@ fn answers_to_nothing_ever_asked_change_nothing(board: Board) {
     assert_eq!(rig.motions_since(mark).unwrap(), []);
 }
 
-fn gripper_that_never_answers_is_asked_and_never_told_to_move(board: Board) {
+fn silent_gripper_is_polled_and_receives_no_motion(board: Board) {
     let rig = powered(board, quick());
     rig.gripper().tamper(Some(Box::new(|_| vec![])));
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();
@@ -249,7 +249,7 @@ fn gripper_that_never_answers_is_asked_and_never_told_to_move(board: Board) {
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
 }
 
-fn line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done(board: Board) {
+fn line_cut_and_restored_is_shown_and_requests_in_between_are_discarded(board: Board) {
     let rig = homed(board, quick());
     rig.gripper().cut(true);
     rig.await_outputs(PATIENCE, |outputs| outputs == Outputs::ERROR).unwrap();
@@ -341,9 +341,9 @@ on_both_boards!(
     command_wire_that_is_high_at_power_up_starts_nothing,
     noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from,
     reply_with_a_wrong_checksum_shows_as_error_or_lost_link_and_is_recovered_from,
-    answers_to_nothing_ever_asked_change_nothing,
-    gripper_that_never_answers_is_asked_and_never_told_to_move,
-    line_cut_and_restored_shows_and_nothing_asked_for_meanwhile_is_done,
+    unsolicited_answers_change_nothing,
+    silent_gripper_is_polled_and_receives_no_motion,
+    line_cut_and_restored_is_shown_and_requests_in_between_are_discarded,
     restarted_gripper_shows_that_homing_is_due,
     fast_stop_wire_that_is_low_outlasts_third_parties_and_a_restart,
     fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist,

@@ -8,7 +8,7 @@ use std::rc::Rc;
 use embedded_io::{ErrorType, Read, ReadReady, Write};
 use host_tests::faulty_link::{FaultyLink, FaultyWay, Rates};
 use wsg_protocol::driver::blocking::{Gripper, Transport};
-use wsg_protocol::driver::{Clock, Culprit, Error, Grip, Mm, MmPerS, OnBlock};
+use wsg_protocol::driver::{Cause, Clock, Error, Grip, Mm, MmPerS, OnBlock};
 use wsg_protocol::{CommandId, Event, FrameParser, GripperState, HomingDirection, Instant, Kind};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
 
@@ -201,7 +201,7 @@ fn soak(byte_errors: f64) -> u32 {
             Err(Error::Unanswered) => not_known += 1,
             Err(error) => {
                 assert!(
-                    left == 0 || error.culprit() != Culprit::Caller,
+                    left == 0 || error.cause() != Cause::Caller,
                     "command {number}: {error:?}, but the command was sent"
                 );
                 refused += 1;

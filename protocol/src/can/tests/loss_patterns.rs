@@ -118,7 +118,7 @@ fn every_fate_of_every_frame_of_three_messages_costs_at_most_the_messages_it_bel
 }
 
 #[test]
-fn message_behind_any_damage_is_delivered_at_once_unless_a_false_beginning_holds_it_back() {
+fn message_after_any_damage_is_delivered_at_once_unless_a_false_start_delays_it() {
     let next = Message::command(Command::GripPart { width: 77.7, speed: 11.1 });
     for first in &kinds(0)[..3] {
         for second in &kinds(1)[..3] {
@@ -157,7 +157,7 @@ fn each_interleaving(ours: &[CanFrame], others: &[CanFrame], check: &mut impl Fn
 }
 
 #[test]
-fn traffic_of_the_other_direction_changes_nothing_in_whatever_order_it_lies_between() {
+fn traffic_of_the_other_direction_changes_nothing_in_any_order() {
     let grip = Command::GripPart { width: 20.3, speed: 50.7 };
     let script = [Message::command(grip), Message::command(Command::Stop), Message::new(6, &[7; 9])];
     let ours = frames_of(&script);

@@ -82,7 +82,7 @@ fn half_a_message_is_given_up_by_the_next_frame_of_a_caller_that_never_looks_at_
 }
 
 #[test]
-fn time_runs_from_the_last_frame_of_the_message_whatever_else_is_on_the_bus() {
+fn time_runs_from_the_last_frame_of_the_message_despite_other_traffic() {
     let mut wire = Wire::<4>::new();
     let message = Message::new(6, &[3; 16]);
     let frames = message.frames();

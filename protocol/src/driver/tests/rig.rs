@@ -257,7 +257,7 @@ impl World {
         self.parser.counters().dropped
     }
 
-    pub(super) fn drop_what_comes(&mut self) {
+    pub(super) fn drop_received(&mut self) {
         self.coming.clear();
     }
 

@@ -237,7 +237,7 @@ fn loop_reply_of_258_bytes_fits_a_parser_that_size() {
 }
 
 #[test]
-fn full_store_still_takes_the_byte_that_comes_during_a_rescan() {
+fn full_store_still_accepts_a_byte_during_a_rescan() {
     // A false frame of maximum size whose payload is a run of frames, so every held byte is needed.
     let inner = [frame(1, &[]), frame(2, &[])].concat();
     let mut bytes = frame(0xAA, &inner);

@@ -45,7 +45,7 @@ impl Rig {
     }
 
     /// Advances until the session queries the force limit. Returns the elapsed time in ms.
-    fn until_asked(&mut self) -> u32 {
+    fn until_queried(&mut self) -> u32 {
         for ms in 1..REFRESH_MS {
             for command in self.pass(1) {
                 if command == Command::GetForceLimit {
@@ -127,9 +127,9 @@ fn time_of_the_next_query_is_announced() {
     let asked = (0..REFRESH_MS).any(|_| {
         due = rig.session.poll_timeout();
         let sent = rig.pass(1);
-        let is_asked = sent.contains(&Command::GetForceLimit);
-        sent.iter().filter(|_| !is_asked).for_each(|command| rig.answer(command.id()));
-        is_asked
+        let is_requested = sent.contains(&Command::GetForceLimit);
+        sent.iter().filter(|_| !is_requested).for_each(|command| rig.answer(command.id()));
+        is_requested
     });
     assert_eq!((asked, due), (true, Some(rig.now)));
     rig.tell(40.0);
@@ -274,7 +274,7 @@ fn reading_a_different_limit_makes_it_unknown() {
     assert_eq!(rig.limit(), None, "unsolicited");
 
     let mut rig = limited();
-    rig.until_asked();
+    rig.until_queried();
     rig.tell(39.9);
     assert_eq!(rig.limit(), None, "queried by the session");
     rig.tell(40.0);
@@ -282,7 +282,7 @@ fn reading_a_different_limit_makes_it_unknown() {
     assert_eq!(rig.limit(), None);
 
     let mut rig = limited();
-    rig.until_asked();
+    rig.until_queried();
     rig.status(CommandId::GetForceLimit, Status::AccessDenied);
     assert_eq!(rig.limit(), None, "refused");
 }
@@ -290,7 +290,7 @@ fn reading_a_different_limit_makes_it_unknown() {
 #[test]
 fn limit_not_refreshed_in_time_becomes_unknown() {
     let mut rig = limited();
-    let opened = rig.until_asked();
+    let opened = rig.until_queried();
     assert_eq!(opened, REFRESH_MS / 2);
     rig.pass(REFRESH_REPLY_MS - 1);
     assert_eq!(rig.limit(), Some(40.0));
@@ -299,10 +299,10 @@ fn limit_not_refreshed_in_time_becomes_unknown() {
 
     // The time starts at the query, not at the answer.
     let mut rig = limited();
-    let opened = rig.until_asked();
+    let opened = rig.until_queried();
     rig.pass(40);
     rig.tell(40.0);
-    let asked = rig.until_asked();
+    let asked = rig.until_queried();
     assert_eq!(opened + 40 + asked, REFRESH_MS);
     rig.pass(REFRESH_REPLY_MS - 1);
     assert_eq!(rig.limit(), Some(40.0));
@@ -320,7 +320,7 @@ fn time_of_a_read_back_starts_at_its_query_too() {
     rig.pass(40);
     rig.tell(40.0);
     assert_eq!(rig.limit(), Some(40.0));
-    assert_eq!(rig.until_asked(), REFRESH_MS / 2 - 40);
+    assert_eq!(rig.until_queried(), REFRESH_MS / 2 - 40);
 }
 
 #[test]
@@ -336,7 +336,7 @@ fn limit_becomes_unknown_while_the_line_accepts_no_data() {
 #[test]
 fn unanswered_query_is_not_repeated_and_other_queries_continue() {
     let mut rig = limited();
-    rig.until_asked();
+    rig.until_queried();
     let mut others = 0;
     for _ in 0..4 * REFRESH_MS {
         for command in rig.pass(1) {
@@ -356,7 +356,7 @@ fn short_answer_time_ends_it_earlier() {
     let mut rig = Rig::with(Config { verify_settings: true, reply_timeout_ms: 80, ..Config::DEFAULT });
     rig.connect();
     rig.set(40.0, 40.0);
-    rig.until_asked();
+    rig.until_queried();
     rig.pass(19);
     assert_eq!(rig.limit(), Some(40.0));
     rig.pass(1);
@@ -367,7 +367,7 @@ fn short_answer_time_ends_it_earlier() {
 fn late_answer_to_an_earlier_query_does_not_answer_a_read_back() {
     for first in [40.0, 10.0] {
         let mut rig = limited();
-        rig.until_asked();
+        rig.until_queried();
         rig.session.request(Command::SetForceLimit { force: 10.0 }).unwrap();
         assert_eq!(rig.sent(), [Command::SetForceLimit { force: 10.0 }]);
         rig.status(CommandId::SetForceLimit, Status::Success);

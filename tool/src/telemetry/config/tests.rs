@@ -63,7 +63,7 @@ fn addresses_have_the_default_port_of_their_kind() {
 }
 
 #[test]
-fn every_mistake_is_reported_in_one_line_with_its_place_and_what_was_expected() {
+fn every_mistake_is_reported_in_one_line_with_its_place_and_the_expected_value() {
     let in_broker = |line: &str| [BROKER, line, "\n", NODE, GRIPPER].concat();
     for (text, place, expected) in [
         (String::new(), "cell.toml", "missing section [broker]"),

@@ -93,7 +93,7 @@ fn blocking() {
         OverBinary: new, with_config;
         OverGcl: new, with_config;
         OverGcl: clamping_travel, set_clamping_travel, part_width_tolerance, set_part_width_tolerance;
-        Error<Infallible>: culprit;
+        Error<Infallible>: cause;
         Pending<()>: id, clone;
         Grip: from_status;
         Config: default;

@@ -79,7 +79,7 @@ fn session() {
 fn fieldbus() {
     functions! {
         Controller: new, default, handle, set_output, poll_command, refused, silence, input, is_moving;
-        Controller: set_user_outputs, user_inputs, get_acquainted, set_output_refusing_motions, has_refused_meanwhile, refuse, poll_incident, asks_fast_stop, ignores_motions;
+        Controller: set_user_outputs, user_inputs, adopt_known, set_output_refusing_motions, has_refused_meanwhile, refuse, poll_incident, asks_fast_stop, ignores_motions;
         Diagnosis: is_due, to_bytes, device_part;
         CommandFlags: lowest;
         Cause: is_fast_stop, is_refusal;

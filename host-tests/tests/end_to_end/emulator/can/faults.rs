@@ -128,7 +128,7 @@ impl Drop for Storm {
     }
 }
 
-fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it<C: CanBoard>() {
+fn bus_off_during_a_motion_is_reported_and_a_fast_stop_meanwhile_is_sent_first_after_it<C: CanBoard>() {
     // At the real gripper's speed, homing takes longer than bus-off.
     let mut plant = plant::<C>(GRIPPER_ON_CAN, Config::default());
     let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
@@ -161,7 +161,7 @@ fn bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_
     C::assert_set_up(&plant.board, &plant.bus, GRIPPER_ON_CAN.1);
 }
 
-fn a_command_that_nobody_acknowledges_does_not_leave_later<C: CanBoard>() {
+fn a_command_without_an_acknowledgement_is_not_sent_later<C: CanBoard>() {
     let mut plant = plant::<C>(GRIPPER_ON_CAN, config());
     let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
 
@@ -326,8 +326,8 @@ const fn id(raw: u16) -> Id {
 }
 
 on_both_boards!(
-    bus_off_during_a_motion_is_told_and_a_fast_stop_meanwhile_is_the_first_thing_after_it,
-    a_command_that_nobody_acknowledges_does_not_leave_later,
+    bus_off_during_a_motion_is_reported_and_a_fast_stop_meanwhile_is_sent_first_after_it,
+    a_command_without_an_acknowledgement_is_not_sent_later,
     a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop,
     an_overrun_is_counted_and_moves_nothing,
     a_full_bus_of_foreign_frames_disturbs_nothing,
