@@ -42,7 +42,7 @@ pub(in crate::server) struct Setting {
     pub(in crate::server) unit: Option<&'static str>,
     /// The possible values, if they are few.
     pub(in crate::server) choices: Vec<String>,
-    /// The accepted values, in the words of the error; empty if there is none.
+    /// The accepted values, in the words of the error; empty for a free text.
     pub(in crate::server) expected: String,
     pub(in crate::server) is_at_once: bool,
     /// Whether the value is a list.
