@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -10,7 +11,9 @@ import pytest
 from wsg_gripper import Gripper
 from wsg_gripper.sim import Simulator, VirtualGripper
 
-faulthandler.dump_traceback_later(240, exit=True)
+faulthandler.dump_traceback_later(600, exit=True)
+# A shell starts background jobs with SIGINT ignored, and Python then raises no KeyboardInterrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
