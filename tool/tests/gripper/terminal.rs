@@ -175,6 +175,8 @@ fn control_c_in_mid_travel_stops_the_fingers_and_returns_to_the_prompt() {
     bench.assert_stopped();
     terminal.press(&format!("state{ENTER}"));
     terminal.until("state IDLE");
+    // Only the prompt reads Ctrl-D. Before, the terminal is not in raw mode.
+    terminal.until("> ");
     terminal.press(CONTROL_D);
     assert_eq!(terminal.end().code(), Some(0));
     bench.assert_stopped();
