@@ -147,7 +147,7 @@ impl Inner {
     }
 }
 
-/// Takes what a parser has found, and passes the resulting event to the callback.
+/// Handles an event of the parser, and passes the resulting event to the callback.
 ///
 /// # Safety
 /// `inner` is initialized, and no reference to it exists except in `found`.

@@ -9,7 +9,7 @@ from wsg_gripper.sim import Fault, Simulator, VirtualGripper
 
 
 def pick(gripper: Gripper) -> bool:
-    """The program under test: grips a part of 20 mm, and opens the fingers if there is none."""
+    """The program under test: grips a part of 20 mm, and opens the fingers if no part is there."""
     if gripper.grip(20, speed=100):
         return True
     gripper.release(60, speed=200)

@@ -4,7 +4,7 @@ use crate::common::{go_to, grip, parse};
 use crate::modbus::Master;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
 use wsg_protocol::{Command, FrameEncoder, HomingDirection, LoopData, Status};
 use wsg_sim::server::{Lines, Log, ServerThread, UdpLine};
@@ -13,6 +13,34 @@ use wsg_sim::{Config, Finger, MAX_FRAME_LEN};
 /// Maximum duration of any wait.
 const BOUND: Duration = Duration::from_secs(60);
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
+
+/// Connects with a time-out for every wait.
+pub(crate) fn connect(address: impl ToSocketAddrs) -> TcpStream {
+    let stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(BOUND)).unwrap();
+    stream
+}
+
+/// Sends a raw request and returns the status, head and body of the answer.
+fn http(control: impl ToSocketAddrs, request: &str) -> (u16, String, String) {
+    let mut stream = connect(control);
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("an answer in time");
+    let (head, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, head.to_owned(), body.to_owned())
+}
+
+/// Sends a request and returns the status and the JSON of the answer.
+pub(crate) fn request(control: impl ToSocketAddrs, method: &str, path: &str, body: &str) -> (u16, Value) {
+    let len = body.len();
+    let (status, _, body) = http(
+        control,
+        &format!("{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n{body}"),
+    );
+    (status, serde_json::from_str(&body).expect("every answer is JSON"))
+}
 
 pub(crate) struct Rig {
     pub(crate) server: ServerThread,
@@ -45,28 +73,15 @@ impl Rig {
     }
 
     fn control(&self) -> TcpStream {
-        let stream = TcpStream::connect(self.server.control_address().unwrap()).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        stream
+        connect(self.server.control_address().unwrap())
     }
 
-    /// Sends a raw request and returns the status, head and body of the answer.
     pub(crate) fn http(&self, request: &str) -> (u16, String, String) {
-        let mut stream = self.control();
-        stream.write_all(request.as_bytes()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).expect("an answer in time");
-        let (head, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
-        let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-        (status, head.to_owned(), body.to_owned())
+        http(self.server.control_address().unwrap(), request)
     }
 
     pub(crate) fn request(&self, method: &str, path: &str, body: &str) -> (u16, Value) {
-        let len = body.len();
-        let (status, _, body) = self.http(&format!(
-            "{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n{body}"
-        ));
-        (status, serde_json::from_str(&body).expect("every answer is JSON"))
+        request(self.server.control_address().unwrap(), method, path, body)
     }
 
     /// Returns the status of an answer that may have no end.

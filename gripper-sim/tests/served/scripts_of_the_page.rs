@@ -1,9 +1,8 @@
 //! Scripts by the control interface: the folder, the runs, the errors, and the script that runs at the start.
 
 use crate::common::program::Program;
+use crate::control::request;
 use serde_json::{Value, json};
-use std::io::{Read, Write};
-use std::net::TcpStream;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -39,15 +38,7 @@ impl Rig {
     }
 
     fn request(&self, method: &str, path: &str, body: &str) -> (u16, Value) {
-        let mut stream = TcpStream::connect(&self.control).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        let len = body.len();
-        let head = format!("{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len}\r\n\r\n");
-        stream.write_all((head + body).as_bytes()).unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).expect("an answer in time");
-        let (head, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
-        (head.split(' ').nth(1).unwrap().parse().unwrap(), serde_json::from_str(body).unwrap())
+        request(&self.control, method, path, body)
     }
 
     fn act(&self, body: &Value) -> Value {
