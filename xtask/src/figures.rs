@@ -33,7 +33,7 @@ fn table(gates: &[Gate]) -> String {
     let panic_paths = "panic paths, firmware and every public function of the protocol";
     let rows = gates.iter().map(|gate| [gate.what.clone(), gate.measured_text(), gate.limit_text()]);
     document::table(
-        ["what", "measured", "limit"],
+        ["figure", "measured", "limit"],
         rows.chain([[panic_paths.to_owned(), "0".to_owned(), "0".to_owned()]]),
     )
 }
