@@ -221,11 +221,11 @@ struct Arguments {
     #[arg(long, help_heading = DEVICE, value_name = "X", default_value = "1")]
     #[arg(value_parser = expected("a number from 0.01 to 1000", time_scale))]
     time_scale: f32,
-    /// Runs a Lua script on the gripper ([scripts.md](scripts.md))
+    /// Runs a Lua script on the gripper ([Lua scripts](#lua-scripts))
     #[cfg(feature = "script")]
     #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
     script: Option<PathBuf>,
-    /// Lists, edits and runs the scripts of this folder on the page ([scripts.md](scripts.md#on-the-page))
+    /// Lists, edits and runs the scripts of this folder on the page ([Scripts on the page](#scripts-on-the-page))
     #[cfg(feature = "script")]
     #[arg(long, help_heading = PROGRAM, value_name = "FOLDER")]
     scripts: Option<PathBuf>,

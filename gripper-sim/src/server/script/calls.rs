@@ -1,4 +1,4 @@
-//! The functions that a script can call (`docs/scripts.md`).
+//! The functions that a script can call (`docs/simulator.md`).
 
 use super::{clipped, first_line, switched_off};
 use crate::finger::{Finger, Jaw};
