@@ -1,6 +1,10 @@
 //! The documents as a book: HTML by mdBook, and a PDF printed by Chromium.
 
-use std::{fs, path::Path, process::Command};
+use std::{
+    fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
 
 use anyhow::{Context, Result};
 
@@ -13,8 +17,8 @@ use crate::{
 /// Folder of the book, as in `book.toml`.
 const FOLDER: &str = "target/book";
 
-/// Builds `target/book`, and prints it to `target/book.pdf` unless Chromium is missing.
-pub(crate) fn build(workspace: &Workspace) -> Result<()> {
+/// Builds `target/book`, prints it to `target/book.pdf` unless Chromium is missing, and returns its folder.
+pub(crate) fn build(workspace: &Workspace) -> Result<PathBuf> {
     MDBOOK.require(workspace, "the book")?;
     process::run(&mut plain(workspace, "mdbook build"))?;
     let folder = workspace.root.join(FOLDER);
@@ -28,16 +32,19 @@ pub(crate) fn build(workspace: &Workspace) -> Result<()> {
         }
     }
     println!("{}", folder.join("index.html").display());
-    print(&folder)
+    print(&folder)?;
+    Ok(folder)
 }
 
 /// Prints the book's `print.html` beside its folder.
 fn print(folder: &Path) -> Result<()> {
+    let pdf = folder.with_extension("pdf");
+    // An older PDF must not be delivered with a newer book.
+    let _ = fs::remove_file(&pdf);
     if !setup::lacking(&[("the PDF", "chromium", "chromium")]).is_empty() {
         println!("no PDF of the book: Chromium is missing");
         return Ok(());
     }
-    let pdf = folder.with_extension("pdf");
     let profile = folder.with_extension("profile");
     let mut chromium = Command::new("chromium");
     // Root and containers cannot use the sandbox, and Chromium opens only the book.

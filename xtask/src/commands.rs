@@ -5,6 +5,7 @@ use std::{ffi::OsString, process::ExitStatus};
 use anyhow::{Context, Result, ensure};
 
 use crate::{
+    book,
     firmware::{self, IMAGE_VARIABLE, Image},
     process, setup,
     tool::{self, CARGO_DENY, CARGO_LLVM_COV, MIRI, NIGHTLY},
@@ -19,10 +20,12 @@ pub(crate) fn demo(workspace: &Workspace, image: &Image, arguments: &[OsString])
     process::run_for_status(&mut cargo)
 }
 
-/// Builds the delivery folder for PLC engineers with `image`.
+/// Builds the delivery folder for PLC engineers with `image` and the book.
 pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
+    let book = book::build(workspace)?;
     let mut cargo = workspace.cargo("run -q -p dist -- --elf");
-    process::run(cargo.arg(&image.path).arg("--to").arg(workspace.target_dir.join("dist")))
+    cargo.arg(&image.path).arg("--book").arg(book);
+    process::run(cargo.arg("--to").arg(workspace.target_dir.join("dist")))
 }
 
 /// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.

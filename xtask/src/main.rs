@@ -146,7 +146,7 @@ enum Command {
     Python,
     /// Build the wheels for users by zig, and check their size; test the one for this machine
     Wheels,
-    /// Build the delivery folder for PLC engineers (reproducible)
+    /// Build the delivery folder for PLC engineers, with the book (reproducible except for the date in its PDF)
     Dist,
     /// Build the archive for C and C++ programmers: headers, static libraries for eight targets, CMake and pkg-config files,
     /// examples
@@ -235,7 +235,7 @@ fn run(command: Command) -> Result<ExitCode> {
             let mut dist = workspace.cargo("run --quiet -p dist-c -- --to");
             process::run(dist.arg(workspace.target_dir.join("dist-c")).args(arguments))?;
         }
-        Command::Docs => book::build(workspace)?,
+        Command::Docs => drop(book::build(workspace)?),
         Command::Flash(variant) => {
             flash::require_probe_rs()?;
             let image = build(workspace, &variant)?;

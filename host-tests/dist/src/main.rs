@@ -1,8 +1,9 @@
-//! Builds the release folder for PLC engineers: image, device files, manual, licences. Run it with `cargo xtask
-//! dist`. The same sources give the same bytes in any location.
+//! Builds the release folder for PLC engineers: image, device files, manual, book, licences. Run it with `cargo xtask
+//! dist`. The same sources give the same bytes in any location, except for the date in the book's PDF.
 
 mod archive;
 mod bitmap;
+mod book;
 mod device_archives;
 mod image;
 mod licences;
@@ -39,6 +40,8 @@ Start with manual.html, \"Quick start\". Open it in any browser; no network is n
 wsg-bridge.bin       the image: copy it to the USB drive that the board provides
 wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer
 manual.html          the manual
+book/index.html      all pages, with those about the virtual gripper, Python, C and the tool wsg
+book.pdf             the same pages for printing
 registers.csv        all Modbus registers, coils and discrete inputs
 wsg-bridge.eds       CANopen: device file for a master's tool
 WSGB5555.gsd         PROFIBUS: device file for a master's tool
@@ -58,6 +61,9 @@ struct Arguments {
     /// Firmware image
     #[arg(long, value_name = "IMAGE")]
     elf: PathBuf,
+    /// Folder of the book that mdBook built; a PDF of the same name beside it is delivered, too
+    #[arg(long, value_name = "FOLDER")]
+    book: PathBuf,
     /// Folder to write
     #[arg(long, value_name = "FOLDER")]
     to: PathBuf,
@@ -73,16 +79,16 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(Arguments { elf, to }: &Arguments) -> Result<()> {
+fn run(Arguments { elf, book, to }: &Arguments) -> Result<()> {
     let elf = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
-    write(to, &contents(elf)?)?;
+    write(to, &contents(elf, book)?)?;
     println!("{}", to.display());
     Ok(())
 }
 
 /// Returns the named files, with the checksums last.
-fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
-    let mut files = vec![
+fn contents(elf: Vec<u8>, book: &Path) -> Result<Vec<(String, Vec<u8>)>> {
+    let single = [
         ("README.txt", README.replace('\n', "\r\n").into_bytes()),
         ("wsg-bridge.bin", image::bytes_of_flash(&elf)?),
         ("wsg-bridge.elf", elf),
@@ -90,22 +96,27 @@ fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
         (REGISTERS, register_map::csv().into_bytes()),
         ("LICENCES.txt", licences::text()?.into_bytes()),
     ];
+    let mut files: Vec<_> = single.map(|(name, bytes)| (name.to_owned(), bytes)).into();
     for name in COPIED {
-        files.push((name, fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?));
+        files.push((
+            name.to_owned(),
+            fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?,
+        ));
     }
-    files.extend(device_archives::archives()?);
+    files.extend(device_archives::archives()?.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)));
+    files.extend(book::files(book)?);
     files.sort();
     let mut sums = String::new();
     for (name, bytes) in &files {
         let sum: String = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
         sums.push_str(&format!("{sum}  {name}\n"));
     }
-    files.push((SUMS, sums.into_bytes()));
+    files.push((SUMS.to_owned(), sums.into_bytes()));
     Ok(files)
 }
 
 /// Replaces the contents of the folder with these files.
-fn write(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<()> {
+fn write(folder: &Path, files: &[(String, Vec<u8>)]) -> Result<()> {
     if folder.exists() {
         ensure!(
             folder.join(SUMS).exists(),
@@ -116,7 +127,9 @@ fn write(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<()> {
     }
     fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
     for (name, bytes) in files {
-        fs::write(folder.join(name), bytes).with_context(|| format!("cannot write {name}"))?;
+        let path = folder.join(name);
+        fs::create_dir_all(path.parent().unwrap_or(folder))?;
+        fs::write(path, bytes).with_context(|| format!("cannot write {name}"))?;
     }
     Ok(())
 }
@@ -129,10 +142,11 @@ mod tests {
     #[test]
     fn folder_holds_the_files_and_nothing_from_before() {
         let folder = std::env::temp_dir().join(format!("wsg-dist-{}", std::process::id()));
-        write(&folder, &[("old", b"1".to_vec()), (SUMS, b"2".to_vec())]).unwrap();
-        write(&folder, &[("new", b"3".to_vec())]).unwrap();
+        let file = |name: &str| (name.to_owned(), b"1".to_vec());
+        write(&folder, &[file("old"), file(SUMS)]).unwrap();
+        write(&folder, &[file("new")]).unwrap();
         // A folder without checksums may belong to someone else.
-        let refused = write(&folder, &[(SUMS, b"4".to_vec())]).is_err();
+        let refused = write(&folder, &[file(SUMS)]).is_err();
         let left: Vec<_> = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
 
         fs::remove_dir_all(&folder).unwrap();
