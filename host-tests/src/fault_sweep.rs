@@ -12,7 +12,7 @@ use wsg_sim::Part;
 
 use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
-use crate::modbus_bench::{JOG_PLUS, ModbusLines};
+use crate::modbus_rig::{JOG_PLUS, ModbusLines};
 use crate::serial_gripper::{Carry, SerialGripper};
 use crate::wires::Wires;
 use crate::world::World;

@@ -25,7 +25,6 @@ use std::thread;
 
 use generate::Pieces::{Hex, Text};
 
-mod asked;
 mod bridge;
 mod bridge_can;
 mod bridge_profibus;
@@ -39,15 +38,16 @@ mod input;
 mod modbus;
 mod oracle;
 mod outputs;
-mod overheard;
 mod profibus;
 mod profinet;
+mod reported;
+mod requested;
 mod rtu_line;
 mod session;
 mod stops;
 mod storage;
 mod tap;
-mod told;
+mod tracked;
 mod typed;
 mod whole;
 

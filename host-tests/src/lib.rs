@@ -4,9 +4,9 @@
 //! | module | content |
 //! |---|---|
 //! | [`addresses`] | register addresses of the bridge, by name |
-//! | [`mod@bench`] | a [`world`] whose PLC uses wires only |
+//! | [`wires_rig`] | a [`world`] whose PLC uses wires only |
 //! | [`bxcan`] | model of the STM32L4's CAN controller, per its manual |
-//! | [`can_bench`] | bridge and virtual gripper on a CAN bus, with a controller that goes bus-off on request |
+//! | [`can_rig`] | bridge and virtual gripper on a CAN bus, with a controller that goes bus-off on request |
 //! | [`can_bus`] | model of a CAN bus: arbitration, acknowledgement, faults |
 //! | [`can_controller`] | interface between a CAN bus and a controller model |
 //! | [`can_hub`] | other participants on that bus: a gripper, a master |
@@ -30,14 +30,14 @@
 //! | [`load_store`] | decoder for Thumb-2 loads and stores |
 //! | [`masters`] | third-party masters for Modbus and CANopen |
 //! | [`mcp2515`] | model of the SPI CAN controller, per its data sheet |
-//! | [`modbus_bench`] | a [`world`] with a Modbus master |
+//! | [`modbus_rig`] | a [`world`] with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
 //! | [`plc_names`] | names of flags, states and status codes, for the documents |
-//! | [`profibus_bench`] | a [`world`] with a PROFIBUS master |
+//! | [`profibus_rig`] | a [`world`] with a PROFIBUS master |
 //! | [`registers`] | models of peripherals that QEMU lacks |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper on a serial line in virtual time |
-//! | [`service_bench`] | bridge library and virtual gripper, with the service port on a stream |
+//! | [`service_rig`] | bridge library and virtual gripper, with the service port on a stream |
 //! | [`terminal`] | a pseudo-terminal connected to the board's bus |
 //! | [`trace`] | event recording, readable by people and comparable by tests |
 //! | [`wires`] | PLC actions on the wires |
@@ -46,14 +46,13 @@
 //! The emulator requires QEMU and the image (`cargo xtask test` provides both), and a system with Unix sockets.
 
 pub mod addresses;
-pub mod bench;
 pub mod bxcan;
-pub mod can_bench;
 #[cfg(unix)]
 pub mod can_bus;
 pub mod can_controller;
 #[cfg(unix)]
 pub mod can_hub;
+pub mod can_rig;
 pub mod can_wire;
 pub mod chance;
 pub mod clock;
@@ -83,11 +82,11 @@ pub mod load_store;
 pub mod masters;
 #[cfg(unix)]
 pub mod mcp2515;
-pub mod modbus_bench;
 #[cfg(unix)]
 pub mod modbus_master;
+pub mod modbus_rig;
 pub mod plc_names;
-pub mod profibus_bench;
+pub mod profibus_rig;
 #[cfg(unix)]
 pub mod qtest;
 #[cfg(unix)]
@@ -97,11 +96,12 @@ pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
 #[cfg(unix)]
-pub mod service_bench;
+pub mod service_rig;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;
 pub mod wires;
+pub mod wires_rig;
 pub mod world;
 
 /// Compiles the example in the README.

@@ -4,7 +4,7 @@
 
 use bus_modbus::Function;
 use document::{hold, table};
-use host_tests::modbus_bench::Bench;
+use host_tests::modbus_rig::TestRig;
 use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
@@ -185,8 +185,8 @@ fn settings_table(settings: impl IntoIterator<Item = ((u16, &'static Setting), u
 
 /// Returns all settings with their default register values.
 fn delivered() -> Vec<((u16, &'static Setting), u16)> {
-    let mut bench = Bench::ready();
-    let delivered = (FIRST_SETTING..).zip(&SETTINGS).map(|it| (it, bench.holding(it.0, 1).unwrap()[0]));
+    let mut rig = TestRig::ready();
+    let delivered = (FIRST_SETTING..).zip(&SETTINGS).map(|it| (it, rig.holding(it.0, 1).unwrap()[0]));
     delivered.collect()
 }
 

@@ -247,8 +247,8 @@ fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
                 let bytes = text.clone();
                 entries.push(Entry { place: place(), direction, kind: EntryKind::Line, words, bytes });
             }
-            sim_log::Content::Told(told) => {
-                let words = format!("log: {told}");
+            sim_log::Content::Remark(remark) => {
+                let words = format!("log: {remark}");
                 let (place, kind) = (place(), EntryKind::Dropped);
                 entries.push(Entry { place, direction, kind, words, bytes: Vec::new() });
             }

@@ -36,7 +36,7 @@ use line::Line;
 use lines::Script;
 use output::Output;
 use record::Recorder;
-use run::{Dialect, Gripper};
+use run::{Gripper, ProtocolCommands};
 use signals::{Caught, Signals};
 use trouble::{EXIT_STATUSES, Trouble};
 
@@ -162,7 +162,7 @@ fn recorder(address: &Address, record: Option<&Path>, task: Option<&Task>) -> Re
 /// Connects, runs a program, and closes the connection without causing a FAST STOP.
 ///
 /// Even if the program fails or panics, its motions are stopped and the end of the connection is announced.
-fn guarded<P: Dialect>(
+fn guarded<P: ProtocolCommands>(
     gripper: &mut Gripper<P>,
     signals: &Signals,
     program: impl FnOnce(&mut Gripper<P>) -> Result<u8, Trouble>,
@@ -192,12 +192,12 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    fn on<P: Dialect>(self, mut gripper: Gripper<P>) -> Result<u8, Trouble> {
+    fn on<P: ProtocolCommands>(self, mut gripper: Gripper<P>) -> Result<u8, Trouble> {
         let signals = self.signals.clone();
         guarded(&mut gripper, &signals, |gripper| self.do_it(gripper))
     }
 
-    fn do_it<P: Dialect>(self, gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
+    fn do_it<P: ProtocolCommands>(self, gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
         match self.task {
             // `doctor` and an unknown command never get here.
             None | Some(Task::Unknown(_) | Task::Doctor) => prompt::run(gripper, self.output, &self.signals),
@@ -222,7 +222,7 @@ impl Work<'_> {
 const LOG_PERIOD_MS: u16 = 100;
 
 /// Receives until Ctrl-C. The line itself writes the log.
-fn log<P: Dialect>(gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
+fn log<P: ProtocolCommands>(gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
     run::subscribe(gripper, LOG_PERIOD_MS);
     loop {
         match gripper.next_update(LOOK_MS).map_err(Trouble::from) {

@@ -6,7 +6,7 @@ use crate::config::Config;
 use crate::device::Device;
 use crate::finger::Jaw;
 use crate::motion::GripOrder;
-use crate::port::Request as Asked;
+use crate::port::Request as Requester;
 use crate::time::Time;
 use core::fmt::Write;
 use heapless::String;
@@ -55,7 +55,7 @@ pub(super) fn carry_out<'a>(
     request: Request,
     text: &'a mut TextBuffer,
 ) -> Outcome<'a> {
-    let asked = Asked { port: line.id, now };
+    let requester = Requester { port: line.id, now };
     let jaws = [Jaw::One, Jaw::Two];
     match request {
         Request::Verbose(on) => {
@@ -76,18 +76,18 @@ pub(super) fn carry_out<'a>(
             Status::Success.into()
         }
 
-        Request::Home(direction) => device.execute(asked, &Command::Homing { direction }).status().into(),
+        Request::Home(direction) => device.execute(requester, &Command::Homing { direction }).status().into(),
         Request::Move(to) => {
             let flags = PrePositionFlags::STOP_ON_BLOCK;
             let speed = to.speed.unwrap_or(device.config().speed);
-            device.execute(asked, &Command::PrePosition { flags, width: to.width, speed }).status().into()
+            device.execute(requester, &Command::PrePosition { flags, width: to.width, speed }).status().into()
         }
-        Request::Grip(grip) => start_grip(device, line, asked, grip).into(),
-        Request::Release(release) => start_release(device, asked, release).into(),
-        Request::Stop => device.execute(asked, &Command::Stop).status().into(),
-        Request::Faststop => device.execute(asked, &Command::FastStop).status().into(),
-        Request::Fsack => device.execute(asked, &Command::ACKNOWLEDGE).status().into(),
-        Request::Tare(Tare::All) => device.execute(asked, &Command::TareForceSensor).status().into(),
+        Request::Grip(grip) => start_grip(device, line, requester, grip).into(),
+        Request::Release(release) => start_release(device, requester, release).into(),
+        Request::Stop => device.execute(requester, &Command::Stop).status().into(),
+        Request::Faststop => device.execute(requester, &Command::FastStop).status().into(),
+        Request::Fsack => device.execute(requester, &Command::ACKNOWLEDGE).status().into(),
+        Request::Tare(Tare::All) => device.execute(requester, &Command::TareForceSensor).status().into(),
         Request::Tare(Tare::Finger(index)) => device.tare(&[jaw(index)]).into(),
 
         Request::Pos => Value::Pos(device.reported_width()).into(),
@@ -125,7 +125,7 @@ pub(super) fn carry_out<'a>(
             let of = |jaw| device.finger(jaw).flags();
             Value::Fflags(selected(select, jaws.map(of), |index| of(jaw(index)))).into()
         }
-        Request::Fdata(select) => finger_readings(device, asked, select).map(Value::Fdata).into(),
+        Request::Fdata(select) => finger_readings(device, requester, select).map(Value::Fdata).into(),
     }
 }
 
@@ -141,7 +141,7 @@ fn selected<All, One, const LEN: u8>(
     }
 }
 
-fn start_release(device: &mut Device, asked: Asked, release: Release) -> Status {
+fn start_release(device: &mut Device, requester: Requester, release: Release) -> Status {
     let Config { release_distance, release_speed, .. } = *device.config();
     let preset = release_speed.unwrap_or(device.limits().max_speed);
     let (distance, speed) = match release {
@@ -149,10 +149,10 @@ fn start_release(device: &mut Device, asked: Asked, release: Release) -> Status 
         Release::By { distance } => (distance, preset),
         Release::ByAtSpeed { distance, speed } => (distance, speed),
     };
-    device.release_by(asked, distance, speed)
+    device.release_by(requester, distance, speed)
 }
 
-fn start_grip(device: &mut Device, line: &Line, asked: Asked, grip: Grip) -> Status {
+fn start_grip(device: &mut Device, line: &Line, requester: Requester, grip: Grip) -> Status {
     let (force, width, speed) = match grip {
         Grip::Preset => (None, None, None),
         Grip::Force { force } => (Some(force), None, None),
@@ -167,7 +167,7 @@ fn start_grip(device: &mut Device, line: &Line, asked: Asked, grip: Grip) -> Sta
         tolerance: line.part_width_tolerance,
         clamping_travel: line.clamping_travel,
     };
-    device.grip_by(asked, order)
+    device.grip_by(requester, order)
 }
 
 fn finger_type(device: &Device, jaw: Jaw) -> Text<'static> {
@@ -180,24 +180,26 @@ fn finger_type(device: &Device, jaw: Jaw) -> Text<'static> {
 }
 
 /// Returns the readings of the selected fingers. Of two, a missing one is an empty vector.
-fn finger_readings(device: &mut Device, asked: Asked, select: Select<2>) -> Result<Readings, Status> {
+fn finger_readings(device: &mut Device, requester: Requester, select: Select<2>) -> Result<Readings, Status> {
     Ok(match select {
-        Select::All => {
-            Selected::All([Jaw::One, Jaw::Two].map(|jaw| {
-                finger_reading(device, asked, jaw).unwrap_or(FingerReading::Vector(Vector::EMPTY))
-            }))
-        }
-        Select::One(index) => Selected::One(index, finger_reading(device, asked, jaw(index))?),
+        Select::All => Selected::All([Jaw::One, Jaw::Two].map(|jaw| {
+            finger_reading(device, requester, jaw).unwrap_or(FingerReading::Vector(Vector::EMPTY))
+        })),
+        Select::One(index) => Selected::One(index, finger_reading(device, requester, jaw(index))?),
     })
 }
 
 /// Returns the reading of the finger, one number as in the frame of the binary protocol.
-fn finger_reading(device: &mut Device, asked: Asked, jaw: Jaw) -> Result<FingerReading<'static>, Status> {
+fn finger_reading(
+    device: &mut Device,
+    requester: Requester,
+    jaw: Jaw,
+) -> Result<FingerReading<'static>, Status> {
     let command = match jaw {
         Jaw::One => Command::GetFinger1Data,
         Jaw::Two => Command::GetFinger2Data,
     };
-    let reply = device.execute(asked, &command);
+    let reply = device.execute(requester, &command);
     match reply.value() {
         Some(Reading::GetFinger1Data(data) | Reading::GetFinger2Data(data)) => {
             let bytes = data.bytes().first_chunk::<4>().copied().unwrap_or_default();

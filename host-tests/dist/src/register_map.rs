@@ -128,16 +128,16 @@ fn line(row: &Row) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use host_tests::modbus_bench::Bench;
+    use host_tests::modbus_rig::TestRig;
 
     #[test]
     fn settings_are_those_that_a_master_reads() {
-        let mut bench = Bench::ready();
+        let mut rig = TestRig::ready();
         let settings: Vec<Row> = rows().into_iter().filter(|row| !row[8].is_empty()).collect();
         assert_eq!(settings.len(), SETTINGS.len());
         for row in settings {
             let address = row[1].parse().unwrap();
-            let read = bench.holding(address, 1).unwrap();
+            let read = rig.holding(address, 1).unwrap();
             assert_eq!(read[0].to_string(), row[8], "{}", row[3]);
         }
     }

@@ -13,7 +13,7 @@ use super::key::key;
 use super::promises::{Kept, Motion, Promise, Promises, keep};
 use super::search::Model;
 use crate::gripper_states::{Answer, States, messages};
-use crate::modbus_bench::UNIT;
+use crate::modbus_rig::UNIT;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
 

@@ -7,7 +7,7 @@
 //!   are true
 //! - the watchdog may be fed
 //! - every frame sent on any line has a correct checksum
-//! - each answer on the bus and the service port belongs to an intact request for the bridge's unit ([`Overheard`]);
+//! - each answer on the bus and the service port belongs to an intact request for the bridge's unit ([`Tracked`]);
 //!   damaged requests and those for others have no effect
 //! - the service port commands nothing. Settings from either port are equivalent: they read back as written, recipes
 //!   apply to commands, and saved settings are loaded at the next start
@@ -26,9 +26,9 @@ use wsg_fieldbus::CommandFlags;
 use super::frames::repair_checksums;
 use super::input::Input;
 use super::modbus::sealed;
-use super::overheard::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Overheard, Port};
+use super::tracked::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Port, Tracked};
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
-use crate::can_bench::{Double, NO_PROFIBUS};
+use crate::can_rig::{Double, NO_PROFIBUS};
 use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
@@ -53,9 +53,9 @@ struct Model {
     delivered: Record,
     bus: RtuDouble,
     service: RtuDouble,
-    overheard: Overheard,
+    tracked: Tracked,
     /// Time of the PLC's last activity on the bus; `None` while it is inactive.
-    heard_ms: Option<u32>,
+    received_ms: Option<u32>,
     ends: Ends,
 }
 
@@ -104,22 +104,22 @@ impl Model {
         let config = station.load(&delivered, &flash).expect("the default settings are valid");
         station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
         let mut ends = Ends::new(&config, slow.then_some(BYTES_PER_MS));
-        ends.oracle.asked.refuses = is_damaged;
+        ends.oracle.requested.refuses = is_damaged;
         Self {
             station,
             flash,
             delivered,
             bus: RtuDouble::overheard(),
             service: RtuDouble::overheard(),
-            overheard: Overheard::new(&delivered),
-            heard_ms: None,
+            tracked: Tracked::new(&delivered),
+            received_ms: None,
             ends,
         }
     }
 
     /// Returns a write of registers 0 to 3.
     fn image_frame(&self, port: Port, flags: CommandFlags, parameters: [u16; 3]) -> Vec<u8> {
-        let head = [self.overheard.unit(port), 16, 0, 0, 0, 4, 8, flags.bits(), 0];
+        let head = [self.tracked.unit(port), 16, 0, 0, 0, 4, 8, flags.bits(), 0];
         sealed(&[&head[..], &parameters.map(u16::to_be_bytes).concat()].concat())
     }
 
@@ -164,29 +164,29 @@ impl Model {
     /// Processes the service port, which runs last in a turn and takes effect from the next turn on.
     fn serve(&mut self) {
         for event in self.service.take_events() {
-            match self.overheard.take(Port::Service, &event) {
-                None | Some(Done::Heard) => {}
+            match self.tracked.take(Port::Service, &event) {
+                None | Some(Done::Activity) => {}
                 Some(Done::Image(..)) => unreachable!("the service port does not command"),
                 Some(Done::Unknown) => self.ends.is_over = true,
             }
         }
-        self.ends.is_over |= matches!(self.overheard.end_turn(), Done::Unknown);
-        let Self { ends: Ends { oracle, .. }, overheard, .. } = self;
-        oracle.told.frame_timeout_ms = overheard.frame_timeout_ms();
-        oracle.asked.debounce_ms = overheard.debounce_ms();
-        oracle.asked.recipes = overheard.recipes();
-        oracle.asked.refuses &= overheard.saved().is_none();
+        self.ends.is_over |= matches!(self.tracked.end_turn(), Done::Unknown);
+        let Self { ends: Ends { oracle, .. }, tracked, .. } = self;
+        oracle.reported.frame_timeout_ms = tracked.frame_timeout_ms();
+        oracle.requested.debounce_ms = tracked.debounce_ms();
+        oracle.requested.recipes = tracked.recipes();
+        oracle.requested.refuses &= tracked.saved().is_none();
     }
 
     /// Checks that the next start loads the saved settings.
     fn check_saved(&mut self) {
-        if self.ends.is_over || self.overheard.saved().is_none() {
+        if self.ends.is_over || self.tracked.saved().is_none() {
             return;
         }
         self.pass(SAVE_MS);
         let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let found = station.load(&self.delivered, &self.flash).map(|config| config.record());
-        assert_eq!(found.as_ref().ok(), self.overheard.saved());
+        assert_eq!(found.as_ref().ok(), self.tracked.saved());
     }
 }
 
@@ -223,22 +223,22 @@ impl WholeBridge for Model {
         ends.begin_turn();
         let Ends { oracle, is_over, .. } = ends;
         for event in self.bus.take_events() {
-            match self.overheard.take(Port::Bus, &event) {
+            match self.tracked.take(Port::Bus, &event) {
                 None => continue,
-                Some(Done::Heard) => {}
-                Some(Done::Image(image, recipe)) => oracle.asked.take_image(image, recipe),
+                Some(Done::Activity) => {}
+                Some(Done::Image(image, recipe)) => oracle.requested.take_image(image, recipe),
                 Some(Done::Unknown) => *is_over = true,
             }
-            self.heard_ms = Some(now_ms);
+            self.received_ms = Some(now_ms);
         }
         if *is_over {
             return;
         }
-        oracle.shown.min_busy_ms = self.overheard.min_busy_ms();
-        let timeout_ms = self.overheard.timeout_ms();
-        if timeout_ms > 0 && self.heard_ms.is_some_and(|heard_ms| now_ms - heard_ms >= timeout_ms) {
-            self.heard_ms = None;
-            oracle.asked.lose_bus();
+        oracle.shown.min_busy_ms = self.tracked.min_busy_ms();
+        let timeout_ms = self.tracked.timeout_ms();
+        if timeout_ms > 0 && self.received_ms.is_some_and(|received_ms| now_ms - received_ms >= timeout_ms) {
+            self.received_ms = None;
+            oracle.requested.lose_bus();
         }
         if was_connected && !self.station.bridge().is_connected() {
             ends.line.cut();
@@ -269,7 +269,7 @@ impl WholeBridge for Model {
                 }
             }
             9 => {
-                let unit = input.pick(&[self.overheard.unit(port), BROADCAST, 5]);
+                let unit = input.pick(&[self.tracked.unit(port), BROADCAST, 5]);
                 let frame = [&[unit], input.fewer_than(24)].concat();
                 self.send(port, &sealed(&frame), input);
             }
@@ -278,23 +278,23 @@ impl WholeBridge for Model {
                 self.send(port, &frame, input);
             }
             11 => {
-                let unit = input.pick(&[self.overheard.unit(port), BROADCAST]);
+                let unit = input.pick(&[self.tracked.unit(port), BROADCAST]);
                 let pdu = settings_pdu(op >> 5 & 3, input);
                 self.send(port, &sealed(&[&[unit], &pdu[..]].concat()), input);
             }
             12 => {
-                let unit = input.pick(&[self.overheard.unit(port), BROADCAST]);
+                let unit = input.pick(&[self.tracked.unit(port), BROADCAST]);
                 let (coil, value) = (input.byte() % 66, input.pick(&[0, 0xFF, 1]));
                 self.send(port, &sealed(&[unit, 5, 0, coil, value, 0]), input);
             }
             13 if input.byte() & 7 == 0 => {
                 let first = input.byte() & 1;
-                let frame = [self.overheard.unit(port), 3, 0, first, 0, 1 + input.byte() % 4];
+                let frame = [self.tracked.unit(port), 3, 0, first, 0, 1 + input.byte() % 4];
                 self.send(port, &sealed(&frame), input);
             }
             13 => {
                 let [and, or] = [input.pick(&FLAGS).bits(), input.pick(&FLAGS).bits()];
-                let frame = [self.overheard.unit(port), 22, 0, 0, and, 0xFF, or, 0];
+                let frame = [self.tracked.unit(port), 22, 0, 0, and, 0xFF, or, 0];
                 self.send(port, &sealed(&frame), input);
             }
             _ => {

@@ -31,7 +31,7 @@ use super::input::Input;
 use super::oracle::Oracle;
 use super::tap::Tap;
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
-use crate::can_bench::Double;
+use crate::can_rig::Double;
 use crate::gripper_states::Message;
 
 const NODE: u16 = DEFAULT_NODE.node as u16;
@@ -89,7 +89,7 @@ const BURST: usize = 8;
 struct Device {
     state: NmtState,
     master: u16,
-    heard_ms: Option<u32>,
+    received_ms: Option<u32>,
     has_heartbeat: bool,
     /// Whether the master's heartbeat is monitored.
     watches: bool,
@@ -102,12 +102,12 @@ struct Device {
     timeout_ms: u32,
     debounce_ms: u32,
     /// Events in this turn: images, loss of control, a reset.
-    heard: Vec<Heard>,
+    events: Vec<BusEvent>,
     /// The pending SDO request.
     request: Option<[u8; 8]>,
 }
 
-enum Heard {
+enum BusEvent {
     Image(OutputImage),
     Left,
     Reset { whole: bool },
@@ -125,7 +125,7 @@ struct Model {
     said: Vec<(Message, u32)>,
     /// Reassembles sent messages.
     left: Reassembler<8>,
-    /// Whether the controller was asked to discard frames, or rejected some.
+    /// Whether the controller was requested to discard frames, or rejected some.
     is_troubled: bool,
     /// Whether a message was withdrawn, so that its rest may be sent spoilt.
     is_spoilt: bool,
@@ -170,7 +170,7 @@ impl Device {
         Self {
             state: NmtState::Initialising,
             master: DEFAULT_NODE.master.into(),
-            heard_ms: None,
+            received_ms: None,
             has_heartbeat: false,
             watches: true,
             is_enabled: true,
@@ -179,7 +179,7 @@ impl Device {
             behaviour: NmtState::PreOperational,
             timeout_ms: BusConfig::DEFAULT.timeout_ms.into(),
             debounce_ms: Config::DEFAULT.wires.debounce_ms,
-            heard: Vec::new(),
+            events: Vec::new(),
             request: None,
         }
     }
@@ -194,7 +194,7 @@ impl Device {
             (NMT, &[command, whom]) if u16::from(whom) == NODE || whom == 0 => self.command(command),
             (RPDO, &[flags, user, w0, w1, s0, s1, f0, f1]) if operational && self.is_enabled => {
                 if !self.has_heartbeat {
-                    self.heard_ms = Some(now_ms);
+                    self.received_ms = Some(now_ms);
                 }
                 let image = OutputImage {
                     flags: CommandFlags::from_bits_retain(flags),
@@ -207,19 +207,19 @@ impl Device {
                     self.waiting = Some(image);
                 } else {
                     self.waiting = None;
-                    self.heard.push(Heard::Image(image));
+                    self.events.push(BusEvent::Image(image));
                 }
             }
-            (SYNC, &[] | &[_]) if operational => self.heard.extend(self.waiting.take().map(Heard::Image)),
+            (SYNC, &[] | &[_]) if operational => self.events.extend(self.waiting.take().map(BusEvent::Image)),
             (SDO_REQUEST, data) if operational || self.state == NmtState::PreOperational => {
                 self.request = data.try_into().ok().or(self.request);
             }
             (id, _) if id == HEARTBEAT | self.master && !self.watches => {}
-            // A boot-up message counts as a restart if the master was heard before.
-            (id, &[0]) if id == HEARTBEAT | self.master && self.heard_ms.is_some() => self.fall_back(),
+            // A boot-up message counts as a restart if the master was seen before.
+            (id, &[0]) if id == HEARTBEAT | self.master && self.received_ms.is_some() => self.fall_back(),
             (id, &[0]) if id == HEARTBEAT | self.master => {}
             (id, &[_]) if id == HEARTBEAT | self.master => {
-                (self.heard_ms, self.has_heartbeat) = (Some(now_ms), true);
+                (self.received_ms, self.has_heartbeat) = (Some(now_ms), true);
             }
             _ => {}
         }
@@ -232,7 +232,7 @@ impl Device {
             0x80 => NmtState::PreOperational,
             0x81 | 0x82 => {
                 self.enter(NmtState::Initialising);
-                self.heard.push(Heard::Reset { whole: command == 0x81 });
+                self.events.push(BusEvent::Reset { whole: command == 0x81 });
                 return;
             }
             _ => return,
@@ -244,7 +244,7 @@ impl Device {
 
     fn enter(&mut self, state: NmtState) {
         if self.state == NmtState::Operational && state != NmtState::Operational {
-            self.heard.push(Heard::Left);
+            self.events.push(BusEvent::Left);
             self.waiting = None;
         }
         self.state = state;
@@ -253,7 +253,7 @@ impl Device {
     /// Ends control from the bus, whether or not the device is operational.
     fn fall_back(&mut self) {
         if self.state == NmtState::Operational {
-            self.heard.push(Heard::Left);
+            self.events.push(BusEvent::Left);
             self.end_operation();
         }
         self.forget_master();
@@ -280,7 +280,7 @@ impl Device {
     }
 
     fn forget_master(&mut self) {
-        (self.heard_ms, self.has_heartbeat) = (None, false);
+        (self.received_ms, self.has_heartbeat) = (None, false);
     }
 
     /// Applies an SDO request according to the device's answer. Returns whether its effect is known.
@@ -307,7 +307,7 @@ impl Device {
                             self.timeout_ms = value;
                         }
                         if !self.watches || self.master == u16::from(c) {
-                            self.heard_ms = self.heard_ms.map(|_| now_ms);
+                            self.received_ms = self.received_ms.map(|_| now_ms);
                             self.has_heartbeat &= self.watches;
                         } else {
                             self.master = c.into();
@@ -338,8 +338,8 @@ impl Device {
     /// Enables or disables the RPDO; a disabled one has no control.
     fn enable(&mut self, is_enabled: bool) {
         if self.is_enabled && !is_enabled && self.state == NmtState::Operational {
-            self.heard.push(Heard::Left);
-            self.heard_ms = self.heard_ms.filter(|_| self.has_heartbeat);
+            self.events.push(BusEvent::Left);
+            self.received_ms = self.received_ms.filter(|_| self.has_heartbeat);
         }
         self.waiting = self.waiting.take().filter(|_| is_enabled == self.is_enabled);
         self.is_enabled = is_enabled;
@@ -514,19 +514,19 @@ impl Model {
     /// Applies received frames and time to the reference model.
     fn follow(&mut self, said: &[ClassicFrame]) {
         let Ends { now_ms, wires, line, oracle, is_over, .. } = &mut self.ends;
-        let heard = if self.is_on_rs_232 { line.take_heard() } else { self.link.take_heard() };
-        oracle.begin_turn(*now_ms, &heard, *wires);
-        let (now_ms, Oracle { asked, .. }, device) = (*now_ms, oracle, &mut self.device);
+        let received = if self.is_on_rs_232 { line.take_received() } else { self.link.take_received() };
+        oracle.begin_turn(*now_ms, &received, *wires);
+        let (now_ms, Oracle { requested, .. }, device) = (*now_ms, oracle, &mut self.device);
         let was_lost = std::mem::replace(&mut self.was_lost, self.bus.is_lost());
         if self.was_lost && !was_lost {
             device.lose_bus();
         }
         let mut reset = false;
-        for heard in std::mem::take(&mut device.heard) {
-            match heard {
-                Heard::Image(image) => asked.take_image(image, None),
-                Heard::Left => asked.lose_bus(),
-                Heard::Reset { whole } => {
+        for event in std::mem::take(&mut device.events) {
+            match event {
+                BusEvent::Image(image) => requested.take_image(image, None),
+                BusEvent::Left => requested.lose_bus(),
+                BusEvent::Reset { whole } => {
                     reset = true;
                     if whole {
                         let new = Device::new();
@@ -539,15 +539,15 @@ impl Model {
             device.reset();
         }
         *is_over = !device.configure(now_ms, said);
-        if device.heard.drain(..).any(|heard| matches!(heard, Heard::Left)) {
-            asked.lose_bus();
+        if device.events.drain(..).any(|event| matches!(event, BusEvent::Left)) {
+            requested.lose_bus();
         }
-        let is_silent = |heard_ms| device.timeout_ms > 0 && now_ms - heard_ms >= device.timeout_ms;
-        if device.heard_ms.is_some_and(is_silent) {
+        let is_silent = |received_ms| device.timeout_ms > 0 && now_ms - received_ms >= device.timeout_ms;
+        if device.received_ms.is_some_and(is_silent) {
             device.forget_master();
             if device.state == NmtState::Operational {
                 device.end_operation();
-                asked.lose_bus();
+                requested.lose_bus();
             }
         }
         if device.state == NmtState::Initialising && self.node.state() == NmtState::PreOperational {
@@ -557,10 +557,10 @@ impl Model {
         if !*is_over {
             assert_eq!(self.node.state(), device.state);
         }
-        asked.debounce_ms = device.debounce_ms;
+        requested.debounce_ms = device.debounce_ms;
     }
 
-    /// Discards the queue if the controller was asked to abort.
+    /// Discards the queue if the controller was requested to abort.
     fn forget_if(&mut self, aborts_before: u32) {
         if self.double.aborts() != aborts_before {
             self.forget();

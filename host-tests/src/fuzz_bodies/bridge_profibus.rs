@@ -23,10 +23,10 @@ use wsg_protocol::{Instant, SystemFlags};
 
 use super::input::Input;
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
-use crate::profibus_bench::points::{
+use crate::profibus_rig::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
-use crate::profibus_bench::{sd2, sum};
+use crate::profibus_rig::{sd2, sum};
 
 const STATION: u8 = 7;
 const BROADCAST: u8 = 127;
@@ -84,13 +84,13 @@ struct Model {
     flags: SystemFlags,
     /// Whether the master has control, and its last outputs passed to the main loop.
     commands: bool,
-    told: Option<[u8; OutputImage::LEN]>,
+    reported: Option<[u8; OutputImage::LEN]>,
     /// Events pending for the main loop, and whether the master has written since its last turn.
     done: Vec<Done>,
     exchanged: bool,
     /// Outputs known to the main loop, and the time of the master's last activity; `None` after silence.
     written: Option<OutputImage>,
-    heard_ms: Option<u32>,
+    received_ms: Option<u32>,
     /// The masters' frame count bit and the last telegram.
     fcb: bool,
     last: Vec<u8>,
@@ -140,11 +140,11 @@ impl Model {
             inputs: None,
             flags: SystemFlags::empty(),
             commands: false,
-            told: None,
+            reported: None,
             done: Vec::new(),
             exchanged: false,
             written: None,
-            heard_ms: None,
+            received_ms: None,
             fcb: false,
             last: Vec::new(),
             ends: Ends::new(&config, None),
@@ -339,13 +339,13 @@ impl Model {
             Event::Outputs => {
                 (self.commands, self.exchanged) = (true, true);
                 let outputs = *self.slave.outputs();
-                if self.told.replace(outputs) != Some(outputs) {
+                if self.reported.replace(outputs) != Some(outputs) {
                     self.done.push(Done::Wrote(OutputImage::from_bytes(outputs)));
                 }
             }
             Event::Cleared | Event::Left(_) => {
                 if std::mem::take(&mut self.commands) {
-                    self.told = None;
+                    self.reported = None;
                     self.done.push(Done::Left { silent: event == Event::Left(Cause::Watchdog) });
                 }
             }
@@ -359,12 +359,12 @@ impl Model {
         for done in self.done.drain(..) {
             match done {
                 Done::Wrote(image) => {
-                    (self.written, self.heard_ms) = (Some(image), Some(now_ms));
+                    (self.written, self.received_ms) = (Some(image), Some(now_ms));
                     events.push(PlcEvent::Output(image));
                 }
                 Done::Left { silent } => {
                     self.written = None;
-                    if self.heard_ms.take().is_some() {
+                    if self.received_ms.take().is_some() {
                         events.push(PlcEvent::Left { silent });
                     }
                 }
@@ -372,14 +372,14 @@ impl Model {
         }
         if std::mem::take(&mut self.exchanged)
             && let Some(image) = self.written
-            && self.heard_ms.replace(now_ms).is_none()
+            && self.received_ms.replace(now_ms).is_none()
         {
             // The master returns after silence for BUS_TIMEOUT.
             events.push(PlcEvent::Output(image));
         }
         let timeout_ms = u32::from(Config::DEFAULT.bus.timeout_ms);
-        if self.heard_ms.is_some_and(|heard_ms| now_ms - heard_ms >= timeout_ms) {
-            self.heard_ms = None;
+        if self.received_ms.is_some_and(|received_ms| now_ms - received_ms >= timeout_ms) {
+            self.received_ms = None;
             events.push(PlcEvent::Left { silent: true });
         }
         events
@@ -413,8 +413,8 @@ impl WholeBridge for Model {
         assert_eq!(events, self.events(now_ms));
         for event in events {
             match event {
-                PlcEvent::Output(image) => self.ends.oracle.asked.take_image(image, None),
-                PlcEvent::Left { .. } => self.ends.oracle.asked.lose_bus(),
+                PlcEvent::Output(image) => self.ends.oracle.requested.take_image(image, None),
+                PlcEvent::Left { .. } => self.ends.oracle.requested.lose_bus(),
                 PlcEvent::Configured | PlcEvent::Served => unreachable!("PROFIBUS has no registers"),
             }
         }

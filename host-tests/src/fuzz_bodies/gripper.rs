@@ -223,7 +223,7 @@ impl Gripper {
         // The bridge depends on a report, which may be late or lost.
         if let Some(left_ms) = self.left_ms.filter(|left_ms| is_held && *left_ms > asked_ms) {
             let healthy_ms = self.faults[0].map_or(left_ms, |fault_ms| fault_ms.max(left_ms));
-            let has_heard = self.fast_stop_ms.is_some_and(|heard_ms| heard_ms >= left_ms);
+            let has_heard = self.fast_stop_ms.is_some_and(|received_ms| received_ms >= left_ms);
             return has_heard || !self.answers || self.is_forged || now_ms <= healthy_ms + HEALTHY_MS;
         }
         let latest_ms = match self.faults {
@@ -232,7 +232,7 @@ impl Gripper {
             }
             _ => asked_ms + ONE_FAULT_MS,
         };
-        let has_heard = self.fast_stop_ms.is_some_and(|heard_ms| heard_ms >= asked_ms);
+        let has_heard = self.fast_stop_ms.is_some_and(|received_ms| received_ms >= asked_ms);
         has_heard || !self.answers || self.is_forged || now_ms <= latest_ms
     }
 

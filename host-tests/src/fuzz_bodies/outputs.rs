@@ -4,8 +4,8 @@
 use wsg_bridge_fw::io::Outputs;
 use wsg_protocol::{GripperState, Status, SystemFlags};
 
-use super::asked::Asked;
-use super::told::Told;
+use super::reported::Reported;
+use super::requested::Requested;
 
 /// Maximum time of LINK_OK after the gripper's last intact frame, in milliseconds.
 const SILENCE_MS: u32 = 1_000;
@@ -27,35 +27,35 @@ impl Shown {
     }
 
     /// Checks the outputs at the end of a turn.
-    pub(super) fn show(&mut self, now_ms: u32, outputs: Outputs, told: &Told, asked: &Asked) {
+    pub(super) fn show(&mut self, now_ms: u32, outputs: Outputs, reported: &Reported, requested: &Requested) {
         let before = std::mem::replace(&mut self.outputs, outputs);
         let has = |wires| outputs.intersects(wires);
-        self.edge_ms = if asked.has_edge { Some(now_ms) } else { self.edge_ms };
+        self.edge_ms = if requested.has_edge { Some(now_ms) } else { self.edge_ms };
         let error = has(Outputs::ERROR);
         if !has(Outputs::LINK_OK) {
             assert!(Outputs::ERROR.contains(outputs), "{outputs:?}");
-            assert!(error || asked.stopped_ms.is_none(), "FAST STOP without ERROR");
+            assert!(error || requested.stopped_ms.is_none(), "FAST STOP without ERROR");
             self.edge_ms = None;
             return;
         }
-        let (Some(flags), Some(state)) = (told.flags, told.state) else {
+        let (Some(flags), Some(state)) = (reported.flags, reported.state) else {
             panic!("LINK_OK without the states")
         };
-        let what = || format!("{outputs:?}, {flags:?}, {state:?}, {:?}", told.grip);
-        assert!(now_ms - told.heard_ms <= SILENCE_MS, "silence: {}", what());
+        let what = || format!("{outputs:?}, {flags:?}, {state:?}, {:?}", reported.grip);
+        assert!(now_ms - reported.received_ms <= SILENCE_MS, "silence: {}", what());
 
-        let locked = asked.stopped_ms.is_some() || flags.intersects(SystemFlags::LOCKS);
-        let is_at_fault = locked || asked.is_refused || flags.contains(SystemFlags::FINGER_FAULT);
+        let locked = requested.stopped_ms.is_some() || flags.intersects(SystemFlags::LOCKS);
+        let is_at_fault = locked || requested.is_refused || flags.contains(SystemFlags::FINGER_FAULT);
         assert!(
             error || !is_at_fault,
             "{} stopped {:?} refused {}",
             what(),
-            asked.stopped_ms,
-            asked.is_refused
+            requested.stopped_ms,
+            requested.is_refused
         );
 
         let (ready, busy) = (has(Outputs::READY), has(Outputs::BUSY));
-        let may_be_ready = asked.is_released() && !locked && !busy;
+        let may_be_ready = requested.is_released() && !locked && !busy;
         assert!(ready == may_be_ready || error && !ready, "{}", what());
         assert!(busy || !flags.contains(SystemFlags::MOVING), "{}", what());
         if busy && !before.contains(Outputs::BUSY) {
@@ -75,12 +75,12 @@ impl Shown {
         let is_kept = before.contains(Outputs::HOLDING) && !flags.contains(SystemFlags::MOVING);
         assert!(!holding || !busy || is_kept, "{}", what());
         assert!(
-            !holding || state == GripperState::Holding || told.grip == Some(Status::Success),
+            !holding || state == GripperState::Holding || reported.grip == Some(Status::Success),
             "{}",
             what()
         );
         let is_gone = matches!(state, GripperState::NoPart | GripperState::PartLost);
-        assert!(!fault || is_gone || told.grip == Some(Status::CmdFailed), "{}", what());
+        assert!(!fault || is_gone || reported.grip == Some(Status::CmdFailed), "{}", what());
         assert_eq!(has(Outputs::REFERENCED), flags.contains(SystemFlags::REFERENCED), "{}", what());
     }
 }

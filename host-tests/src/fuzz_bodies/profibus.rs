@@ -3,10 +3,10 @@
 use bus_profibus::{Address, Cause, Character, Event, Profile, Slave, State};
 
 use super::input::Input;
-use crate::profibus_bench::points::{
+use crate::profibus_rig::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
-use crate::profibus_bench::sum;
+use crate::profibus_rig::sum;
 
 const STATION: u8 = 7;
 const OTHER_STATION: u8 = 9;
@@ -54,7 +54,7 @@ struct Owner {
     freeze: bool,
     watchdog_ms: Option<u32>,
     groups: u8,
-    heard_ms: u32,
+    received_ms: u32,
     configured: bool,
 }
 
@@ -331,7 +331,7 @@ impl Model {
 
     fn is_expired(&self) -> bool {
         self.owner.is_some_and(|owner| {
-            owner.watchdog_ms.is_some_and(|limit_ms| self.now_ms - owner.heard_ms > limit_ms)
+            owner.watchdog_ms.is_some_and(|limit_ms| self.now_ms - owner.received_ms > limit_ms)
         })
     }
 
@@ -386,7 +386,7 @@ impl Model {
                     };
                 }
                 if let Some(owner) = self.owner.as_mut().filter(|owner| owner.address == source) {
-                    owner.heard_ms = self.now_ms;
+                    owner.received_ms = self.now_ms;
                 }
                 (event, Some(self.stored.clone()))
             }
@@ -504,7 +504,7 @@ impl Model {
                 freeze: status & 0x10 != 0,
                 watchdog_ms: watched.then_some(watchdog_ms),
                 groups,
-                heard_ms: self.now_ms,
+                received_ms: self.now_ms,
                 configured: false,
             });
             if min_tsdr != 0 {

@@ -5,8 +5,8 @@ use wsg_bridge_fw::io::Outputs;
 use wsg_protocol::session::FastStopPattern;
 use wsg_protocol::{CommandId, SystemFlags};
 
-use super::asked::Asked;
-use super::told::Told;
+use super::reported::Reported;
+use super::requested::Requested;
 
 const PATTERN: FastStopPattern = FastStopPattern::DEFAULT;
 
@@ -81,38 +81,44 @@ impl Stops {
     }
 
     /// Processes the inputs of this turn, before any command is sent.
-    pub(super) fn begin_turn(&mut self, now_ms: u32, told: &Told, asked: &Asked) {
-        self.has_stood |= told.stands();
-        self.moves_since_ms = told.moves().then(|| self.moves_since_ms.unwrap_or(now_ms));
+    pub(super) fn begin_turn(&mut self, now_ms: u32, reported: &Reported, requested: &Requested) {
+        self.has_stood |= reported.stands();
+        self.moves_since_ms = reported.moves().then(|| self.moves_since_ms.unwrap_or(now_ms));
         let was_sent = !matches!(self.fast_stop, FastStop::Answered | FastStop::Due(_));
-        if was_sent && told.is_answered(CommandId::FastStop) {
+        if was_sent && reported.is_answered(CommandId::FastStop) {
             self.fast_stop = FastStop::Answered;
         }
-        if asked.asks_fast_stop && matches!(self.fast_stop, FastStop::Answered) {
+        if requested.asks_fast_stop && matches!(self.fast_stop, FastStop::Answered) {
             self.fast_stop = FastStop::Due(now_ms);
         }
-        if told.is_answered(CommandId::Stop) {
+        if reported.is_answered(CommandId::Stop) {
             self.stop_ms = None;
         }
-        self.acknowledges &= !told.is_answered(CommandId::Acknowledge);
-        let is_stopped = asked.stopped_ms.is_some()
+        self.acknowledges &= !reported.is_answered(CommandId::Acknowledge);
+        let is_stopped = requested.stopped_ms.is_some()
             || self.may_be_stopped
-            || told.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP));
-        let must_stop = asked.asks_stop || asked.ends_jog && !told.stands();
+            || reported.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP));
+        let must_stop = requested.asks_stop || requested.ends_jog && !reported.stands();
         if must_stop && !is_stopped && !self.acknowledges && self.stop_ms.is_none() {
             self.stop_due_ms = Some(now_ms);
         }
-        if !self.is_acquainted && told.moves() && !is_stopped {
+        if !self.is_acquainted && reported.moves() && !is_stopped {
             self.is_acquainted = true;
             self.runaway_ms = Some(now_ms);
         }
     }
 
     /// Checks a command, which may be delayed by up to `char_timeout_ms`, if known.
-    pub(super) fn leaves(&mut self, now_ms: u32, id: CommandId, told: &Told, char_timeout_ms: Option<u32>) {
+    pub(super) fn leaves(
+        &mut self,
+        now_ms: u32,
+        id: CommandId,
+        reported: &Reported,
+        char_timeout_ms: Option<u32>,
+    ) {
         let is_query_of_state = matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
         let is_stop = matches!(id, CommandId::Stop | CommandId::FastStop);
-        let knows_states = told.flags.is_some() && told.state.is_some();
+        let knows_states = reported.flags.is_some() && reported.state.is_some();
         assert!(knows_states || is_query_of_state || is_stop, "{id} before the states are known");
         if is_stop {
             (self.runaway_ms, self.stop_due_ms) = (None, None);
@@ -131,7 +137,7 @@ impl Stops {
                     && char_timeout_ms.is_none_or(|char_timeout_ms| now_ms - since_ms <= char_timeout_ms)
             });
             let is_first = self.stop_ms.is_none();
-            assert!(is_first || is_late || told.stands(), "a repeated Stop while the fingers move");
+            assert!(is_first || is_late || reported.stands(), "a repeated Stop while the fingers move");
             self.has_stood &= !is_first;
             self.stop_ms = Some(now_ms);
         }
@@ -142,7 +148,7 @@ impl Stops {
         &mut self,
         now_ms: u32,
         outputs: Outputs,
-        told: &Told,
+        reported: &Reported,
         char_timeout_ms: Option<u32>,
     ) {
         self.may_be_stopped &= !outputs.contains(Outputs::READY);
@@ -184,7 +190,7 @@ impl Stops {
         if let Some(left_ms) = self.stop_ms
             && now_ms >= left_ms + STOP_MS
         {
-            if told.stands() {
+            if reported.stands() {
                 self.stop_ms = None;
             } else {
                 assert!(

@@ -19,7 +19,7 @@ pub(super) struct Tap<L> {
     left: usize,
     /// The frame in transmission on a slow link.
     frame: Vec<u8>,
-    heard: Vec<u8>,
+    received: Vec<u8>,
     begun: Vec<CommandId>,
     /// Complete frames, and their parser.
     whole: Vec<u8>,
@@ -33,7 +33,7 @@ impl<L> Tap<L> {
             per_ms,
             left: 0,
             frame: Vec::new(),
-            heard: Vec::new(),
+            received: Vec::new(),
             begun: Vec::new(),
             whole: Vec::new(),
             parser: FrameParser::new(),
@@ -51,8 +51,8 @@ impl<L> Tap<L> {
     }
 
     /// Returns the bytes that the bridge has read.
-    pub(super) fn take_heard(&mut self) -> Vec<u8> {
-        std::mem::take(&mut self.heard)
+    pub(super) fn take_received(&mut self) -> Vec<u8> {
+        std::mem::take(&mut self.received)
     }
 
     /// Returns the commands whose transmission has started on a slow link.
@@ -98,7 +98,7 @@ impl<L: ReadReady> ReadReady for Tap<L> {
 impl<L: Read> Read for Tap<L> {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Self::Error> {
         let count = self.link.read(buffer)?;
-        self.heard.extend_from_slice(&buffer[..count]);
+        self.received.extend_from_slice(&buffer[..count]);
         Ok(count)
     }
 }

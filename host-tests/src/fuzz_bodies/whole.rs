@@ -68,8 +68,8 @@ impl Ends {
 
     /// Passes the bytes read in this turn and the wires to the oracle.
     pub(super) fn begin_turn(&mut self) {
-        let heard = self.line.take_heard();
-        self.oracle.begin_turn(self.now_ms, &heard, self.wires);
+        let received = self.line.take_received();
+        self.oracle.begin_turn(self.now_ms, &received, self.wires);
     }
 
     /// Ends a turn with these outputs: delivers the bridge's commands to the gripper, and its answers.
@@ -150,8 +150,8 @@ pub(super) trait WholeBridge {
         self.write_zeros();
         self.ends().wires = Inputs::FAST_STOP_OK;
         self.pass(4);
-        let Oracle { asked, shown, .. } = &self.ends().oracle;
-        assert_eq!(shown.outputs, if asked.refuses { REFUSED } else { READY });
+        let Oracle { requested, shown, .. } = &self.ends().oracle;
+        assert_eq!(shown.outputs, if requested.refuses { REFUSED } else { READY });
     }
 
     /// Plays a case. The first byte selects a ready bridge (bit 0) and moving fingers at power-up (bit 4).

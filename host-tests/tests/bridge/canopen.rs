@@ -6,7 +6,7 @@ use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sd
 use document::hold_file;
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::addresses;
-use host_tests::can_bench::{BOARD, CanBench, Double};
+use host_tests::can_rig::{BOARD, CanRig, Double};
 use host_tests::flash_model::Fault;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use host_tests::wires::Wires;
@@ -30,7 +30,7 @@ const TIMEOUT_MS: u32 = 1_000;
 
 /// A master on the bus.
 struct Master {
-    bench: CanBench,
+    rig: CanRig,
     /// The last image sent.
     image: [u8; 8],
     heard: Vec<(u32, u16, Vec<u8>)>,
@@ -40,8 +40,8 @@ struct Master {
 
 impl Master {
     fn new(config: Config) -> Self {
-        let bench = CanBench::with_node(config, NODE);
-        Self { bench, image: [0; 8], heard: Vec::new(), beats: false }
+        let rig = CanRig::with_node(config, NODE);
+        Self { rig, image: [0; 8], heard: Vec::new(), beats: false }
     }
 
     /// Returns a master of an operational node: connected, FAST STOP acknowledged, homed. The heartbeat is sent
@@ -65,11 +65,11 @@ impl Master {
 
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
-            if self.beats && self.bench.now_ms().is_multiple_of(200) {
+            if self.beats && self.rig.now_ms().is_multiple_of(200) {
                 self.send(0x700 | u16::from(NODE.master), &[5]);
             }
-            self.bench.pass(1);
-            for (at, frame) in self.bench.take_heard() {
+            self.rig.pass(1);
+            for (at, frame) in self.rig.take_heard() {
                 let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
                 let controller = Identifiers::DEFAULT.controller();
                 if id != controller.transmit {
@@ -90,7 +90,7 @@ impl Master {
     }
 
     fn send(&mut self, id: u16, data: &[u8]) {
-        self.bench.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+        self.rig.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
     }
 
     fn nmt(&mut self, command: NmtCommand) {
@@ -204,7 +204,7 @@ impl Master {
     }
 
     fn take_motions(&mut self) -> Vec<CommandId> {
-        self.bench.take_motions()
+        self.rig.take_motions()
     }
 }
 
@@ -238,7 +238,7 @@ fn node_sends_its_boot_up_message_and_heartbeats() {
     );
     assert_eq!(master.tpdo(0x180), None, "no PDOs yet");
     master.nmt(NmtCommand::StartRemoteNode);
-    assert_eq!(master.bench.node().state(), NmtState::Operational);
+    assert_eq!(master.rig.node().state(), NmtState::Operational);
     assert!(master.tpdo(0x180).is_some() && master.tpdo(0x280).is_some());
     master.take(0x700);
     master.pass(500);
@@ -252,14 +252,14 @@ fn nmt_commands_for_other_nodes_and_invalid_ones_change_nothing() {
     for data in [&[1, NODE.node + 1][..], &[1], &[1, NODE.node, 0], &[9, NODE.node], &[]] {
         master.send(0, data);
         master.pass(5);
-        assert_eq!(master.bench.node().state(), NmtState::PreOperational, "{data:?}");
+        assert_eq!(master.rig.node().state(), NmtState::PreOperational, "{data:?}");
     }
     for (specifier, state) in
         [(1, NmtState::Operational), (2, NmtState::Stopped), (128, NmtState::PreOperational)]
     {
         master.send(0, &[specifier, 0]);
         master.pass(5);
-        assert_eq!(master.bench.node().state(), state, "by broadcast");
+        assert_eq!(master.rig.node().state(), state, "by broadcast");
     }
 }
 
@@ -346,11 +346,11 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
         master.command(Cmd::MOVE);
         master.pass(95);
     }
-    assert_eq!(master.bench.node().state(), NmtState::Operational, "not before the time-out");
+    assert_eq!(master.rig.node().state(), NmtState::Operational, "not before the time-out");
     master.pass(400);
-    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
     assert_eq!(master.emergencies(), [(code_of("the master is silent"), 0x11)]);
-    assert!(master.bench.take_sent().contains(&CommandId::Stop), "default of BUS_REACTION");
+    assert!(master.rig.take_sent().contains(&CommandId::Stop), "default of BUS_REACTION");
     let timeouts = master.read_u16(REPORTS_INDEX, report("BUS_TIMEOUTS"));
     assert_eq!(timeouts, 1);
 
@@ -374,11 +374,11 @@ fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
         master.command(Cmd::empty());
         master.pass(95);
     }
-    assert_eq!(master.bench.node().state(), NmtState::Operational);
+    assert_eq!(master.rig.node().state(), NmtState::Operational);
     master.command(Cmd::MOVE);
     master.pass(TIMEOUT_MS + 10);
-    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
-    assert!(master.bench.take_sent().contains(&CommandId::Stop));
+    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
+    assert!(master.rig.take_sent().contains(&CommandId::Stop));
 }
 
 #[test]
@@ -386,11 +386,11 @@ fn restarted_master_no_longer_commands() {
     let mut master = Master::homed(None, 1.0);
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.bench.take_sent();
+    master.rig.take_sent();
     master.send(0x700 | u16::from(NODE.master), &[0]);
     master.pass(20);
-    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
-    assert!(master.bench.take_sent().contains(&CommandId::Stop));
+    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
+    assert!(master.rig.take_sent().contains(&CommandId::Stop));
 }
 
 #[test]
@@ -404,10 +404,10 @@ fn nmt_stop_and_resets_stop_a_motion() {
         let mut master = Master::homed(None, 1.0);
         master.command(Cmd::MOVE);
         master.until(1_000, |master| master.is(SystemFlags::MOVING));
-        master.bench.take_sent();
+        master.rig.take_sent();
         master.nmt(command);
         master.pass(20);
-        assert!(master.bench.take_sent().contains(&CommandId::Stop), "{command:?}");
+        assert!(master.rig.take_sent().contains(&CommandId::Stop), "{command:?}");
     }
 }
 
@@ -436,7 +436,7 @@ fn two_resets_in_one_turn_are_both_executed() {
         master.download(SETTINGS_INDEX, recipe, Value::Unsigned16(1_234)).unwrap();
         for specifier in specifiers {
             let frame = ClassicFrame::new(StandardId::ZERO, &[specifier, NODE.node]).unwrap();
-            master.bench.double().bring(frame);
+            master.rig.double().bring(frame);
         }
         master.pass(5);
         assert_eq!(master.read_u16(SETTINGS_INDEX, recipe), 1_000, "{specifiers:02X?}");
@@ -477,7 +477,7 @@ fn each_fault_sets_the_bit_of_its_class_in_the_error_register() {
 fn silent_gripper_is_reported() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
-    master.bench.to_gripper = Some(Box::new(|_| vec![]));
+    master.rig.to_gripper = Some(Box::new(|_| vec![]));
     master.pass(2_000);
     assert_eq!(master.emergencies(), [(code_of("gripper does not answer"), 0x11)]);
 }
@@ -486,7 +486,7 @@ fn silent_gripper_is_reported() {
 fn bus_off_is_reported_after_the_recovery() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
-    master.bench.double().go_off(0);
+    master.rig.double().go_off(0);
     master.pass(2_000);
     let codes: Vec<u16> = master.emergencies().into_iter().map(|(code, _)| code).collect();
     assert!(codes.contains(&0x8140), "{codes:04X?}");
@@ -498,9 +498,9 @@ fn bus_off_is_reported_after_the_recovery() {
 #[test]
 fn bus_off_ends_operation_until_the_master_starts_it_again() {
     let mut master = Master::homed(None, 10.0);
-    master.bench.double().go_off(0);
+    master.rig.double().go_off(0);
     master.pass(2);
-    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
     master.pass(2_000);
     assert_eq!(master.take(0x700).last().map(|(_, state)| state.clone()), Some(vec![0x7F]));
     master.command(Cmd::MOVE);
@@ -566,7 +566,7 @@ fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
 #[test]
 fn error_counters_are_those_of_the_controller() {
     let mut master = Master::homed(None, 10.0);
-    master.bench.double().set_health(Health {
+    master.rig.double().set_health(Health {
         is_off: false,
         is_passive: true,
         transmit_errors: 130,
@@ -588,10 +588,10 @@ fn recipe_is_read_written_and_used_by_the_wires() {
     assert_eq!(master.read_u16(SETTINGS_INDEX, width), 2_000);
     assert_eq!(master.download(SETTINGS_INDEX, width, Value::Unsigned16(3_300)), Ok(()));
     assert_eq!(master.read_u16(SETTINGS_INDEX, width), 3_300);
-    master.bench.set(Inputs::MOVE, true);
+    master.rig.set(Inputs::MOVE, true);
     master.pass(20);
     master.until(10_000, |master| master.state() == GripperFlags::IDLE);
-    assert!((master.bench.gripper().state().width - 33.0).abs() < 0.05);
+    assert!((master.rig.gripper().state().width - 33.0).abs() < 0.05);
 }
 
 #[test]
@@ -792,7 +792,7 @@ fn failed_or_late_save_is_reported_by_its_sdo() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let slow = 20;
-    master.bench.flash().busy_polls = slow;
+    master.rig.flash().busy_polls = slow;
     master.send(0x600 | u16::from(NODE.node), &sdo_request(0x1010, SAVE));
     master.pass(slow);
     assert_eq!(master.take(0x580), [], "the save is running");
@@ -808,7 +808,7 @@ fn failed_or_late_save_is_reported_by_its_sdo() {
         for (object, signature) in [(0x1010, SAVE), (0x1011, LOAD)] {
             let mut master = Master::new(Config::default());
             master.pass(500);
-            master.bench.flash().fault = Some(fault);
+            master.rig.flash().fault = Some(fault);
             let sub = setting("DEBOUNCE");
             assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
             assert_eq!(master.store(object, signature), Err(0x0606_0000), "{object:X}h, {fault:?}");
@@ -850,10 +850,10 @@ fn disabled_rpdo_commands_nothing_and_stops_its_motion() {
     let mut master = Master::homed(None, 1.0);
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.bench.take_sent();
+    master.rig.take_sent();
     master.download(0x1400, 1, RPDO_OFF).unwrap();
     master.pass(10);
-    assert!(master.bench.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
+    assert!(master.rig.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
     master.until(1_000, |master| !master.is(SystemFlags::MOVING));
     master.take_motions();
     master.command(Cmd::empty());
@@ -893,7 +893,7 @@ fn grip_cycle_with_sync() {
     assert_eq!(master.take_motions(), [CommandId::GripPart]);
     // A FAST STOP does not wait for SYNC.
     master.command(Cmd::FASTSTOP);
-    assert!(master.bench.take_sent().contains(&CommandId::FastStop));
+    assert!(master.rig.take_sent().contains(&CommandId::FastStop));
 }
 
 #[test]
@@ -904,18 +904,18 @@ fn rpdos_are_monitored_without_a_heartbeat_consumer() {
     assert_eq!(u32::from(master.read_u16(SETTINGS_INDEX, setting("BUS_TIMEOUT"))), TIMEOUT_MS);
     master.command(Cmd::MOVE);
     master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.bench.take_sent();
+    master.rig.take_sent();
     // The heartbeat continues without an effect.
     master.pass(TIMEOUT_MS + 10);
-    assert!(master.bench.take_sent().contains(&CommandId::Stop));
+    assert!(master.rig.take_sent().contains(&CommandId::Stop));
 }
 
 #[test]
 fn silent_gripper_is_an_error_in_the_tpdo_also_at_rest() {
     let mut master = Master::homed(None, 10.0);
     assert_eq!((master.state(), master.status()), (GripperFlags::IDLE, Status::Success));
-    master.bench.to_gripper = Some(Box::new(|_| vec![]));
-    master.bench.to_bridge = Some(Box::new(|_| vec![]));
+    master.rig.to_gripper = Some(Box::new(|_| vec![]));
+    master.rig.to_bridge = Some(Box::new(|_| vec![]));
     master.pass(2_000);
     assert_eq!((master.state(), master.status()), (GripperFlags::ERROR, Status::IoError));
 }
@@ -979,17 +979,17 @@ fn consumer_heartbeat_object_selects_the_master_and_changes_the_setting() {
     master.nmt(NmtCommand::StartRemoteNode);
     master.send(0x705, &[5]);
     master.pass(290);
-    assert_eq!(master.bench.node().state(), NmtState::Operational);
+    assert_eq!(master.rig.node().state(), NmtState::Operational);
     master.pass(20);
-    assert_eq!(master.bench.node().state(), NmtState::PreOperational);
+    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
 }
 
 #[test]
 fn wires_keep_their_priority_over_a_plc_on_the_bus() {
     let mut master = Master::homed(None, 1.0);
-    master.bench.set(Inputs::FAST_STOP_OK, false);
+    master.rig.set(Inputs::FAST_STOP_OK, false);
     master.until(500, |master| master.is(SystemFlags::FAST_STOP));
-    assert!(master.bench.outputs().contains(Outputs::ERROR));
+    assert!(master.rig.outputs().contains(Outputs::ERROR));
     master.command(Cmd::STOP_ACK);
     master.pass(100);
     assert!(master.is(SystemFlags::FAST_STOP), "the wire is still low");
@@ -1008,8 +1008,8 @@ fn traffic_of_the_node_does_not_delay_messages_to_the_gripper() {
     master.download(0x1017, 0, Value::Unsigned16(1)).unwrap();
     master.command(Cmd::GRIP);
     master.until(10_000, |master| master.state() == GripperFlags::HOLDING);
-    assert_eq!(master.bench.broken(), 0);
-    assert_eq!(master.bench.bus().counters().refused, 0);
+    assert_eq!(master.rig.broken(), 0);
+    assert_eq!(master.rig.bus().counters().refused, 0);
 }
 
 #[test]
@@ -1035,13 +1035,13 @@ fn rejected_frames_are_sent_again() {
         master.pass(1);
     }
     // The controller rejects the next frames. Without a change, they are due 100 ms after these, and again every 100 ms.
-    master.bench.double().refuse(true);
+    master.rig.double().refuse(true);
     for pdo in PDOS {
         master.take(pdo);
     }
     master.pass(120);
     assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [0, 0]);
-    master.bench.double().refuse(false);
+    master.rig.double().refuse(false);
     master.pass(5);
     assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [1, 1]);
 }
@@ -1120,13 +1120,13 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             } else {
                 master.command(Cmd::MOVE);
             }
-            master.bench.take_sent();
+            master.rig.take_sent();
             let mut pass = |ms: u32| {
                 for _ in 0..ms / 10 {
-                    master.bench.say(*frame);
+                    master.rig.say(*frame);
                     master.pass(10);
                 }
-                (master.bench.node().state(), master.bench.take_sent().contains(&CommandId::Stop))
+                (master.rig.node().state(), master.rig.take_sent().contains(&CommandId::Stop))
             };
             assert_eq!(pass(TIMEOUT_MS - 20), (NmtState::Operational, false), "too early with {what}");
             assert_eq!(pass(40), (NmtState::PreOperational, true), "with {what}, heartbeat: {beats}");

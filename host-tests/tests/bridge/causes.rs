@@ -7,7 +7,7 @@ use bus_slcan::ClassicFrame;
 use canopen_rs::{Address, DataType, Value, sdo};
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::addresses::{report, setting};
-use host_tests::can_bench::{Double, NO_PROFIBUS};
+use host_tests::can_rig::{Double, NO_PROFIBUS};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
 use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::SerialGripper;
@@ -284,7 +284,7 @@ fn of_later_firmware(record: &Record) -> FlashModel {
 }
 
 /// Expected reports on an event.
-struct Told {
+struct Expected {
     code: EventCode,
     command: Option<CommandId>,
     value: u16,
@@ -294,31 +294,31 @@ struct Told {
     emergency: Option<(u16, Option<EventCode>)>,
 }
 
-impl Told {
+impl Expected {
     const fn with_error(self, error: Option<EventCode>) -> Self {
         Self { error, ..self }
     }
 }
 
 /// An event's reports, a station with its PLC on a bus, and what provokes the event on it.
-type Case = (Told, fn(PlcBus) -> Plant, fn(&mut Plant));
+type Case = (Expected, fn(PlcBus) -> Plant, fn(&mut Plant));
 
 const MOVED: Option<CommandId> = Some(CommandId::PrePosition);
 const FAST_STOP: u16 = 0xFF01;
 
 /// A FAST STOP of the bridge. EMCY reports it with its cause.
-const fn fast_stop(code: EventCode, command: Option<CommandId>, value: u16) -> Told {
-    Told { code, command, value, error: Some(code), emergency: Some((FAST_STOP, Some(code))) }
+const fn fast_stop(code: EventCode, command: Option<CommandId>, value: u16) -> Expected {
+    Expected { code, command, value, error: Some(code), emergency: Some((FAST_STOP, Some(code))) }
 }
 
 /// A fault with an EMCY of this code. ERROR may have another cause.
-const fn fault(code: EventCode, emergency: u16, error: EventCode) -> Told {
-    Told { emergency: Some((emergency, Some(error))), error: Some(error), ..refusal(code, None, 0) }
+const fn fault(code: EventCode, emergency: u16, error: EventCode) -> Expected {
+    Expected { emergency: Some((emergency, Some(error))), error: Some(error), ..refusal(code, None, 0) }
 }
 
 /// A refused or failed command. It is not a fault, so there is no EMCY.
-const fn refusal(code: EventCode, command: Option<CommandId>, value: u16) -> Told {
-    Told { code, command, value, error: Some(code), emergency: None }
+const fn refusal(code: EventCode, command: Option<CommandId>, value: u16) -> Expected {
+    Expected { code, command, value, error: Some(code), emergency: None }
 }
 
 const CASES: &[Case] = {
@@ -443,7 +443,7 @@ const CASES: &[Case] = {
         ),
         (refusal(E::MovedAtStart, None, 0), |bus| Plant::moving(bus).reset(), |_| {}),
         (
-            Told { error: None, emergency: Some((0x8130, None)), ..refusal(E::BusSilent, None, 1) },
+            Expected { error: None, emergency: Some((0x8130, None)), ..refusal(E::BusSilent, None, 1) },
             Plant::moving,
             |plant| {
                 plant.talks = false;
@@ -482,13 +482,13 @@ const CASES: &[Case] = {
 #[test]
 fn every_event_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
     let mut provoked = BTreeSet::new();
-    for (told, start, provoke) in CASES {
+    for (expected, start, provoke) in CASES {
         for plc_bus in [PlcBus::Modbus, PlcBus::Canopen] {
             let mut plant = start(plc_bus);
             provoke(&mut plant);
-            assert_told(told, &mut plant, plc_bus);
+            assert_reports(expected, &mut plant, plc_bus);
         }
-        provoked.insert(told.code as u8);
+        provoked.insert(expected.code as u8);
     }
     let missing: Vec<&str> = EVENTS
         .iter()
@@ -499,8 +499,8 @@ fn every_event_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
 }
 
 /// Asserts that this bus and the service port report the event identically.
-fn assert_told(told: &Told, plant: &mut Plant, plc_bus: PlcBus) {
-    let what = format!("{:?} with {plc_bus:?}", told.code);
+fn assert_reports(expected: &Expected, plant: &mut Plant, plc_bus: PlcBus) {
+    let what = format!("{:?} with {plc_bus:?}", expected.code);
     let (first, last) = (report("ERROR_CAUSE"), report("EVENT16_AGE"));
     let count = (last - first + 1) as u8;
     let by_service = plant.over_service(4, first, count);
@@ -511,17 +511,17 @@ fn assert_told(told: &Told, plant: &mut Plant, plc_bus: PlcBus) {
     }
 
     let at = |name: &str| usize::from(report(name) - first);
-    let event = [told.code as u16, told.command.map_or(0, |id| id.code().into()), told.value];
+    let event = [expected.code as u16, expected.command.map_or(0, |id| id.code().into()), expected.value];
     let ring = by_bus[at("EVENT1_CODE")..].chunks_exact(4).take_while(|event| event[0] != 0);
     let ring: Vec<_> = ring.map(|event| event[..3].to_vec()).collect();
     assert!(ring.contains(&event.to_vec()), "{what}: {ring:?}");
     assert_eq!(usize::from(by_bus[at("EVENTS")]), ring.len(), "{what}: {ring:?}");
-    let error = told.error.map_or(0, |code| code as u16);
+    let error = expected.error.map_or(0, |code| code as u16);
     assert_eq!(by_bus[at("ERROR_CAUSE")], error, "{what}: {ring:?}");
-    if matches!(told.emergency, Some((FAST_STOP, _))) {
+    if matches!(expected.emergency, Some((FAST_STOP, _))) {
         assert_eq!(by_bus[at("FAST_STOP_CAUSE")..][..3], event, "{what}");
     }
-    if let (PlcBus::Canopen, Some((code, cause))) = (plc_bus, told.emergency) {
+    if let (PlcBus::Canopen, Some((code, cause))) = (plc_bus, expected.emergency) {
         let emergency = (code, cause.map_or(0, |code| code as u8));
         let emergencies = plant.emergencies();
         assert!(emergencies.contains(&emergency), "{what}: {emergencies:04X?}");

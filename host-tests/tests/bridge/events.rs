@@ -1,7 +1,7 @@
 //! Tests of the causes of ERROR and of the last FAST STOP. causes.rs covers every single event.
 
 use host_tests::addresses::report;
-use host_tests::modbus_bench::*;
+use host_tests::modbus_rig::*;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::Outputs;
@@ -9,63 +9,63 @@ use wsg_bridge_fw::registers::EventCode;
 use wsg_protocol::CommandId;
 
 /// Returns code, command and value of the events, latest first.
-fn events(bench: &mut Bench) -> Vec<[u16; 3]> {
+fn events(rig: &mut TestRig) -> Vec<[u16; 3]> {
     let first = report("EVENT1_CODE");
-    let registers = bench.input(first, 64).unwrap();
+    let registers = rig.input(first, 64).unwrap();
     let all = registers.chunks_exact(4).map(|event| [event[0], event[1], event[2]]);
     all.take_while(|[code, ..]| *code != 0).collect()
 }
 
-fn cause(bench: &mut Bench) -> u16 {
-    bench.input(report("ERROR_CAUSE"), 1).unwrap()[0]
+fn cause(rig: &mut TestRig) -> u16 {
+    rig.input(report("ERROR_CAUSE"), 1).unwrap()[0]
 }
 
-fn fast_stop(bench: &mut Bench) -> [u16; 3] {
-    bench.input(report("FAST_STOP_CAUSE"), 3).unwrap().try_into().unwrap()
+fn fast_stop(rig: &mut TestRig) -> [u16; 3] {
+    rig.input(report("FAST_STOP_CAUSE"), 3).unwrap().try_into().unwrap()
 }
 
-fn moving() -> Bench {
-    let mut bench = Bench::homed(wsg_sim::Config::default());
-    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
-    bench.pass(300);
-    bench
+fn moving() -> TestRig {
+    let mut rig = TestRig::homed(wsg_sim::Config::default());
+    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
+    rig.pass(300);
+    rig
 }
 
 #[test]
 fn cause_of_error_is_the_fast_stop_while_it_is_active() {
-    let mut bench = moving();
-    assert_eq!(cause(&mut bench), 0);
-    bench.write(1, &[11_00]);
-    bench.pass(20);
-    assert!(bench.outputs().contains(Outputs::ERROR));
-    assert_eq!(cause(&mut bench), EventCode::ParameterChanged as u16);
+    let mut rig = moving();
+    assert_eq!(cause(&mut rig), 0);
+    rig.write(1, &[11_00]);
+    rig.pass(20);
+    assert!(rig.outputs().contains(Outputs::ERROR));
+    assert_eq!(cause(&mut rig), EventCode::ParameterChanged as u16);
     let pre_position = u16::from(CommandId::PrePosition.code());
-    assert_eq!(fast_stop(&mut bench), [EventCode::ParameterChanged as u16, pre_position, 11_00]);
-    bench.write(0, &[0]);
-    bench.write(0, &[u16::from(GRIP) << 8]);
-    bench.pass(10);
-    assert_eq!(events(&mut bench)[0][0], EventCode::FastStopLasts as u16);
-    assert_eq!(cause(&mut bench), EventCode::ParameterChanged as u16, "the cause to remove");
-    bench.write(0, &[0]);
-    bench.write(0, &[u16::from(STOP_ACK) << 8]);
-    bench.pass(50);
-    assert_eq!(cause(&mut bench), 0);
-    assert_eq!(fast_stop(&mut bench)[0], EventCode::ParameterChanged as u16, "the last FAST STOP");
-    bench.pass(900);
-    bench.write(0, &[0]);
-    bench.pass(900);
-    let age = bench.input(report("FAST_STOP_AGE"), 1).unwrap()[0];
+    assert_eq!(fast_stop(&mut rig), [EventCode::ParameterChanged as u16, pre_position, 11_00]);
+    rig.write(0, &[0]);
+    rig.write(0, &[u16::from(GRIP) << 8]);
+    rig.pass(10);
+    assert_eq!(events(&mut rig)[0][0], EventCode::FastStopLasts as u16);
+    assert_eq!(cause(&mut rig), EventCode::ParameterChanged as u16, "the cause to remove");
+    rig.write(0, &[0]);
+    rig.write(0, &[u16::from(STOP_ACK) << 8]);
+    rig.pass(50);
+    assert_eq!(cause(&mut rig), 0);
+    assert_eq!(fast_stop(&mut rig)[0], EventCode::ParameterChanged as u16, "the last FAST STOP");
+    rig.pass(900);
+    rig.write(0, &[0]);
+    rig.pass(900);
+    let age = rig.input(report("FAST_STOP_AGE"), 1).unwrap()[0];
     assert!((1..=3).contains(&age), "{age} s");
 }
 
 #[test]
 fn cause_of_error_without_a_fast_stop_is_the_last_event() {
-    let mut bench = Bench::ready_with(Config::DEFAULT, quick());
-    bench.write(0, &[0, 20_00, 50_00, 40_00]);
-    bench.write(0, &[u16::from(MOVE) << 8, 20_00, 50_00, 40_00]);
-    bench.pass(50);
-    assert_eq!(cause(&mut bench), EventCode::Refused as u16);
-    bench.set_cut(true);
-    bench.pass(3_000);
-    assert_eq!(cause(&mut bench), EventCode::GripperSilent as u16);
+    let mut rig = TestRig::ready_with(Config::DEFAULT, quick());
+    rig.write(0, &[0, 20_00, 50_00, 40_00]);
+    rig.write(0, &[u16::from(MOVE) << 8, 20_00, 50_00, 40_00]);
+    rig.pass(50);
+    assert_eq!(cause(&mut rig), EventCode::Refused as u16);
+    rig.set_cut(true);
+    rig.pass(3_000);
+    assert_eq!(cause(&mut rig), EventCode::GripperSilent as u16);
 }

@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
-use host_tests::can_bench::{CanBench, Disturbance};
+use host_tests::can_rig::{CanRig, Disturbance};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{BusOffPolicy, BusState, DEFAULT_NODE};
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -22,28 +22,28 @@ fn with_part(width: f32) -> Config {
     Config { part: Part::of_width(width), time_scale: 10.0, ..Config::default() }
 }
 
-fn homed() -> CanBench {
-    CanBench::homed(with_part(20.0), POLICY)
+fn homed() -> CanRig {
+    CanRig::homed(with_part(20.0), POLICY)
 }
 
 #[test]
 fn grip_cycle_over_can_shows_what_the_gripper_does() {
-    let mut bench = homed();
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
-    assert_eq!(bench.command(Inputs::RELEASE), IDLE);
-    assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
-    assert_eq!(bench.broken(), 0);
-    let counters = bench.link().counters();
+    let mut rig = homed();
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    assert_eq!(rig.command(Inputs::RELEASE), IDLE);
+    assert_eq!(rig.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
+    assert_eq!(rig.broken(), 0);
+    let counters = rig.link().counters();
     assert_eq!((counters.overflows, counters.broken), (0, 0));
     assert_eq!(counters.frames, wsg_protocol::can::ReassemblerCounters::default());
 }
 
 #[test]
 fn frames_of_other_nodes_have_no_effect() {
-    let mut bench = homed();
+    let mut rig = homed();
     let base = Identifiers::DEFAULT.controller();
     let mut count = 0u32;
-    bench.to_bridge = Some(Box::new(move |frame| {
+    rig.to_bridge = Some(Box::new(move |frame| {
         count += 1;
         let id = base.receive.as_raw();
         let other = StandardId::new(id + (count % 5) as u16 + 1).unwrap();
@@ -55,16 +55,16 @@ fn frames_of_other_nodes_have_no_effect() {
             ClassicFrame::new_remote(base.receive, 8).unwrap(),
         ]
     }));
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
-    assert!(bench.link().counters().frames.foreign > 10);
-    assert_eq!(bench.link().counters().frames.dropped, 0);
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    assert!(rig.link().counters().frames.foreign > 10);
+    assert_eq!(rig.link().counters().frames.dropped, 0);
 }
 
 #[test]
 fn every_seventh_frame_lost_or_repeated_causes_no_motion_and_a_defined_state() {
     for doubled in [false, true] {
-        let mut bench = homed();
-        bench.take_sent();
+        let mut rig = homed();
+        rig.take_sent();
         let disturbance = move || {
             let mut count = 0u32;
             Box::new(move |frame: ClassicFrame| {
@@ -76,81 +76,81 @@ fn every_seventh_frame_lost_or_repeated_causes_no_motion_and_a_defined_state() {
                 }
             })
         };
-        bench.to_gripper = Some(disturbance());
-        bench.to_bridge = Some(disturbance());
-        bench.set(Inputs::GRIP, true);
-        bench.pass(5);
-        bench.set(Inputs::GRIP, false);
-        bench.pass(5_000);
-        (bench.to_gripper, bench.to_bridge) = (None, None);
-        bench.pass(2_000);
-        let motions = bench.take_motions();
+        rig.to_gripper = Some(disturbance());
+        rig.to_bridge = Some(disturbance());
+        rig.set(Inputs::GRIP, true);
+        rig.pass(5);
+        rig.set(Inputs::GRIP, false);
+        rig.pass(5_000);
+        (rig.to_gripper, rig.to_bridge) = (None, None);
+        rig.pass(2_000);
+        let motions = rig.take_motions();
         assert!(motions.len() <= 1 && motions.iter().all(|id| *id == CommandId::GripPart), "{motions:?}");
-        let outputs = bench.outputs();
+        let outputs = rig.outputs();
         assert!(outputs.contains(Outputs::LINK_OK) && !outputs.contains(Outputs::BUSY), "{outputs:?}");
     }
 }
 
 #[test]
 fn bus_off_is_shown_at_once_and_the_bridge_recovers() {
-    let mut bench = homed();
-    bench.double().go_off(0);
-    bench.pass(1);
-    assert_eq!(bench.outputs(), Outputs::ERROR, "no LINK_OK, and no other state is known");
-    assert_eq!(bench.bus().state(), BusState::Off);
-    assert_eq!(bench.bus().health().transmit_errors, 255);
+    let mut rig = homed();
+    rig.double().go_off(0);
+    rig.pass(1);
+    assert_eq!(rig.outputs(), Outputs::ERROR, "no LINK_OK, and no other state is known");
+    assert_eq!(rig.bus().state(), BusState::Off);
+    assert_eq!(rig.bus().health().transmit_errors, 255);
 
-    bench.pass(POLICY.delay_ms - 2);
-    assert_eq!(bench.double().recoveries(), 0, "not before the delay");
-    assert!(bench.until(2_000, |outputs| outputs == IDLE), "{:?}", bench.outputs());
-    assert_eq!((bench.double().recoveries(), bench.bus().counters().bus_offs), (1, 1));
-    assert_eq!(bench.bus().state(), BusState::On);
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    rig.pass(POLICY.delay_ms - 2);
+    assert_eq!(rig.double().recoveries(), 0, "not before the delay");
+    assert!(rig.until(2_000, |outputs| outputs == IDLE), "{:?}", rig.outputs());
+    assert_eq!((rig.double().recoveries(), rig.bus().counters().bus_offs), (1, 1));
+    assert_eq!(rig.bus().state(), BusState::On);
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
 }
 
 #[test]
 fn motion_commanded_during_bus_off_is_never_sent() {
-    let mut bench = homed();
-    bench.take_sent();
-    bench.double().go_off(0);
+    let mut rig = homed();
+    rig.take_sent();
+    rig.double().go_off(0);
     // In the millisecond of bus-off, and during it.
-    bench.set(Inputs::GRIP, true);
-    bench.pass(20);
-    bench.set(Inputs::GRIP, false);
-    bench.pass(20);
-    bench.pulse(Inputs::MOVE);
-    assert!(bench.until(2_000, |outputs| outputs.contains(Outputs::LINK_OK)));
-    bench.pass(2_000);
-    assert_eq!(bench.take_motions(), []);
-    assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
+    rig.set(Inputs::GRIP, true);
+    rig.pass(20);
+    rig.set(Inputs::GRIP, false);
+    rig.pass(20);
+    rig.pulse(Inputs::MOVE);
+    assert!(rig.until(2_000, |outputs| outputs.contains(Outputs::LINK_OK)));
+    rig.pass(2_000);
+    assert_eq!(rig.take_motions(), []);
+    assert!(rig.outputs().contains(Outputs::ERROR), "{:?}", rig.outputs());
 }
 
 #[test]
 fn message_cut_by_bus_off_is_not_continued_after_it() {
     // Bus-off directly after the first of the two frames of Grip Part, or of the three of Pre-position.
     for (wire, id) in [(Inputs::GRIP, 0x25), (Inputs::MOVE, 0x21)] {
-        let mut bench = homed();
-        bench.take_sent();
-        let double = bench.double().clone();
+        let mut rig = homed();
+        rig.take_sent();
+        let double = rig.double().clone();
         let mut cut = false;
-        bench.to_gripper = Some(Box::new(move |frame| {
+        rig.to_gripper = Some(Box::new(move |frame| {
             if !cut && frame.data().starts_with(&[0xAA, 0xAA, 0xAA, id]) {
                 cut = true;
                 double.go_off(0);
             }
             vec![frame]
         }));
-        bench.set(wire, true);
-        assert!(bench.until(100, |outputs| outputs == Outputs::ERROR), "{:?}", bench.outputs());
-        bench.set(wire, false);
-        assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)));
-        bench.pass(3_000);
-        assert_eq!(bench.take_motions(), []);
-        assert!(bench.outputs().contains(Outputs::ERROR), "unknown outcome: {:?}", bench.outputs());
-        assert_eq!(bench.broken(), 1, "the truncated message");
-        assert_eq!(bench.double().aborts(), 2, "at bus-off and after the recovery");
+        rig.set(wire, true);
+        assert!(rig.until(100, |outputs| outputs == Outputs::ERROR), "{:?}", rig.outputs());
+        rig.set(wire, false);
+        assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)));
+        rig.pass(3_000);
+        assert_eq!(rig.take_motions(), []);
+        assert!(rig.outputs().contains(Outputs::ERROR), "unknown outcome: {:?}", rig.outputs());
+        assert_eq!(rig.broken(), 1, "the truncated message");
+        assert_eq!(rig.double().aborts(), 2, "at bus-off and after the recovery");
         assert_eq!(
-            bench.link().counters().broken,
+            rig.link().counters().broken,
             u16::from(wire == Inputs::MOVE),
             "one frame was still in the link"
         );
@@ -159,149 +159,149 @@ fn message_cut_by_bus_off_is_not_continued_after_it() {
 
 #[test]
 fn motion_during_bus_off_has_an_unknown_outcome_and_shows_error() {
-    let mut bench = CanBench::homed(Config { time_scale: 1.0, ..with_part(20.0) }, POLICY);
-    bench.set(Inputs::GRIP, true);
-    assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
-    bench.set(Inputs::GRIP, false);
-    bench.pass(100);
-    bench.double().go_off(0);
-    assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)));
-    assert!(bench.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
-    assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
+    let mut rig = CanRig::homed(Config { time_scale: 1.0, ..with_part(20.0) }, POLICY);
+    rig.set(Inputs::GRIP, true);
+    assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    rig.set(Inputs::GRIP, false);
+    rig.pass(100);
+    rig.double().go_off(0);
+    assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)));
+    assert!(rig.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
+    assert!(rig.outputs().contains(Outputs::ERROR), "{:?}", rig.outputs());
 }
 
 #[test]
 fn fast_stop_during_bus_off_is_the_first_command_after_it() {
-    let mut bench = homed();
-    bench.double().go_off(0);
-    bench.pass(10);
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.pass(20);
-    bench.take_sent();
-    assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", bench.outputs());
-    bench.pass(100);
-    let sent = bench.take_sent();
+    let mut rig = homed();
+    rig.double().go_off(0);
+    rig.pass(10);
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.pass(20);
+    rig.take_sent();
+    assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
+    rig.pass(100);
+    let sent = rig.take_sent();
     let commands: Vec<CommandId> =
         sent.into_iter().filter(|id| id.kind() != wsg_protocol::Kind::Query).collect();
     assert_eq!(commands.first(), Some(&CommandId::FastStop));
-    assert!(bench.gripper().state().flags.contains(wsg_protocol::SystemFlags::FAST_STOP));
+    assert!(rig.gripper().state().flags.contains(wsg_protocol::SystemFlags::FAST_STOP));
 }
 
 #[test]
 fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
-    let mut bench = homed();
-    bench.double().go_off(0);
-    bench.pass(10);
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.take_sent();
-    while bench.bus().state() != BusState::On {
-        bench.pass(1);
+    let mut rig = homed();
+    rig.double().go_off(0);
+    rig.pass(10);
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.take_sent();
+    while rig.bus().state() != BusState::On {
+        rig.pass(1);
     }
-    bench.pass(2);
-    assert_eq!(bench.take_sent().first(), Some(&CommandId::FastStop));
+    rig.pass(2);
+    assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop));
 }
 
 #[test]
 fn fast_stop_in_the_controller_at_bus_off_is_sent_with_the_first_frames_after_it() {
-    let mut bench = homed();
-    bench.double().set_unheard(true);
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.pass(5);
-    bench.double().go_off(0);
-    bench.double().set_unheard(false);
-    bench.take_sent();
-    bench.pass(1);
-    while bench.bus().state() != BusState::On {
-        bench.pass(1);
+    let mut rig = homed();
+    rig.double().set_unheard(true);
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.pass(5);
+    rig.double().go_off(0);
+    rig.double().set_unheard(false);
+    rig.take_sent();
+    rig.pass(1);
+    while rig.bus().state() != BusState::On {
+        rig.pass(1);
     }
-    bench.pass(2);
-    assert_eq!(bench.take_sent().first(), Some(&CommandId::FastStop));
+    rig.pass(2);
+    assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop));
 }
 
 #[test]
 fn fast_stop_is_sent_at_once_in_any_turn_around_the_loss_of_the_connection() {
     /// A gripper that receives everything, but answers no longer.
-    fn falling_silent() -> CanBench {
-        let mut bench = homed();
-        bench.to_bridge = Some(Box::new(|_| vec![]));
-        bench
+    fn falling_silent() -> CanRig {
+        let mut rig = homed();
+        rig.to_bridge = Some(Box::new(|_| vec![]));
+        rig
     }
-    let mut bench = falling_silent();
+    let mut rig = falling_silent();
     let mut given_up = 0;
-    while bench.outputs().contains(Outputs::LINK_OK) {
-        bench.pass(1);
+    while rig.outputs().contains(Outputs::LINK_OK) {
+        rig.pass(1);
         given_up += 1;
     }
     for asked in given_up - 10..given_up + 5 {
-        let mut bench = falling_silent();
-        bench.pass(asked);
-        bench.take_sent();
-        bench.set(Inputs::FAST_STOP_OK, false);
-        bench.pass(wsg_bridge_fw::Config::DEFAULT.wires.debounce_ms + 5);
-        assert!(bench.take_sent().contains(&CommandId::FastStop), "{asked} of {given_up} ms");
+        let mut rig = falling_silent();
+        rig.pass(asked);
+        rig.take_sent();
+        rig.set(Inputs::FAST_STOP_OK, false);
+        rig.pass(wsg_bridge_fw::Config::DEFAULT.wires.debounce_ms + 5);
+        assert!(rig.take_sent().contains(&CommandId::FastStop), "{asked} of {given_up} ms");
     }
 }
 
 #[test]
 fn repeated_bus_off_is_given_up() {
     let policy = BusOffPolicy { limit: 3, ..POLICY };
-    let mut bench = CanBench::homed(with_part(20.0), policy);
-    bench.double().go_off(u32::MAX);
-    bench.pass(10 * (policy.delay_ms + policy.recovery_ms));
-    assert_eq!(bench.bus().state(), BusState::GivenUp);
-    assert_eq!(bench.double().recoveries(), 2, "the third failure is the last");
-    assert_eq!(bench.outputs(), Outputs::ERROR);
+    let mut rig = CanRig::homed(with_part(20.0), policy);
+    rig.double().go_off(u32::MAX);
+    rig.pass(10 * (policy.delay_ms + policy.recovery_ms));
+    assert_eq!(rig.bus().state(), BusState::GivenUp);
+    assert_eq!(rig.double().recoveries(), 2, "the third failure is the last");
+    assert_eq!(rig.outputs(), Outputs::ERROR);
 
     // The controller's own recovery has no effect.
-    bench.double().go_off(0);
-    bench.pass(60_000);
-    assert_eq!((bench.bus().state(), bench.double().recoveries()), (BusState::GivenUp, 2));
+    rig.double().go_off(0);
+    rig.pass(60_000);
+    assert_eq!((rig.bus().state(), rig.double().recoveries()), (BusState::GivenUp, 2));
 
-    let now = wsg_protocol::Instant::from_millis(bench.now_ms());
-    bench.bus().retry(now);
-    assert!(bench.until(3_000, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    let now = wsg_protocol::Instant::from_millis(rig.now_ms());
+    rig.bus().retry(now);
+    assert!(rig.until(3_000, |outputs| outputs == IDLE), "{:?}", rig.outputs());
 }
 
 #[test]
 fn failures_are_reset_only_after_a_stable_time() {
     let policy = BusOffPolicy { limit: 3, stable_ms: 5_000, ..POLICY };
     for (pause, given_up) in [(4_000, true), (7_000, false)] {
-        let mut bench = CanBench::homed(with_part(20.0), policy);
+        let mut rig = CanRig::homed(with_part(20.0), policy);
         for _ in 0..3 {
-            bench.double().go_off(0);
-            bench.pass(pause);
+            rig.double().go_off(0);
+            rig.pass(pause);
         }
-        assert_eq!(bench.bus().state() == BusState::GivenUp, given_up, "{pause} ms apart");
+        assert_eq!(rig.bus().state() == BusState::GivenUp, given_up, "{pause} ms apart");
     }
 }
 
 #[test]
 fn limit_of_zero_never_gives_up() {
-    let mut bench = CanBench::homed(with_part(20.0), BusOffPolicy { limit: 0, ..POLICY });
-    bench.double().go_off(400);
-    bench.pass(401 * (POLICY.delay_ms + POLICY.recovery_ms));
-    assert!(bench.until(3_000, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    let mut rig = CanRig::homed(with_part(20.0), BusOffPolicy { limit: 0, ..POLICY });
+    rig.double().go_off(400);
+    rig.pass(401 * (POLICY.delay_ms + POLICY.recovery_ms));
+    assert!(rig.until(3_000, |outputs| outputs == IDLE), "{:?}", rig.outputs());
 }
 
 #[test]
 fn unacknowledged_motion_is_not_sent_when_a_node_joins() {
     for wire in [Inputs::GRIP, Inputs::MOVE] {
-        let mut bench = homed();
-        bench.take_sent();
+        let mut rig = homed();
+        rig.take_sent();
         // The gripper is unplugged, so frames stay in the controller's mailboxes.
-        bench.double().set_unheard(true);
-        bench.to_bridge = Some(Box::new(|_| vec![]));
-        bench.set(wire, true);
-        bench.pass(20);
-        bench.set(wire, false);
-        assert!(bench.until(2_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{:?}", bench.outputs());
-        bench.pass(60_000);
-        bench.double().set_unheard(false);
-        bench.to_bridge = None;
-        assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", bench.outputs());
-        bench.pass(3_000);
-        assert_eq!(bench.take_motions(), []);
-        assert!(bench.outputs().contains(Outputs::ERROR), "unknown outcome: {:?}", bench.outputs());
+        rig.double().set_unheard(true);
+        rig.to_bridge = Some(Box::new(|_| vec![]));
+        rig.set(wire, true);
+        rig.pass(20);
+        rig.set(wire, false);
+        assert!(rig.until(2_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
+        rig.pass(60_000);
+        rig.double().set_unheard(false);
+        rig.to_bridge = None;
+        assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
+        rig.pass(3_000);
+        assert_eq!(rig.take_motions(), []);
+        assert!(rig.outputs().contains(Outputs::ERROR), "unknown outcome: {:?}", rig.outputs());
     }
 }
 
@@ -309,45 +309,45 @@ fn unacknowledged_motion_is_not_sent_when_a_node_joins() {
 #[test]
 fn link_ok_falls_within_a_second_of_the_last_answer_whenever_the_plug_is_pulled() {
     for offset_ms in 0..150 {
-        let mut bench = homed();
-        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
-        assert_eq!(bench.command(Inputs::RELEASE), IDLE);
-        bench.pass(offset_ms);
-        bench.double().set_unheard(true);
-        bench.to_bridge = Some(Box::new(|_| vec![]));
-        assert!(bench.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{offset_ms}");
+        let mut rig = homed();
+        assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+        assert_eq!(rig.command(Inputs::RELEASE), IDLE);
+        rig.pass(offset_ms);
+        rig.double().set_unheard(true);
+        rig.to_bridge = Some(Box::new(|_| vec![]));
+        assert!(rig.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{offset_ms}");
     }
 }
 
 #[test]
 fn unsent_message_is_withdrawn_before_its_time_out() {
     // Frames are received, but none is sent, as with only a listening node on the bus.
-    let mut bench = homed();
-    bench.take_sent();
-    bench.double().set_unheard(true);
-    bench.set(Inputs::GRIP, true);
-    bench.pass(20);
-    bench.set(Inputs::GRIP, false);
-    bench.pass(1_000);
-    assert!(bench.double().withdrawn() > 0 && bench.link().counters().broken > 0);
-    bench.double().set_unheard(false);
-    bench.pass(3_000);
-    assert_eq!(bench.take_motions(), []);
-    assert!(bench.outputs().contains(Outputs::ERROR | Outputs::LINK_OK), "{:?}", bench.outputs());
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    let mut rig = homed();
+    rig.take_sent();
+    rig.double().set_unheard(true);
+    rig.set(Inputs::GRIP, true);
+    rig.pass(20);
+    rig.set(Inputs::GRIP, false);
+    rig.pass(1_000);
+    assert!(rig.double().withdrawn() > 0 && rig.link().counters().broken > 0);
+    rig.double().set_unheard(false);
+    rig.pass(3_000);
+    assert_eq!(rig.take_motions(), []);
+    assert!(rig.outputs().contains(Outputs::ERROR | Outputs::LINK_OK), "{:?}", rig.outputs());
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
 }
 
 #[test]
 fn overruns_and_refusals_of_the_controller_are_counted_and_overcome() {
-    let mut bench = homed();
-    bench.double().overrun();
-    bench.pass(500);
-    bench.double().refuse(true);
-    bench.pass(3_000);
-    assert!(!bench.outputs().contains(Outputs::LINK_OK));
-    bench.double().refuse(false);
-    assert!(bench.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", bench.outputs());
-    let counters = bench.bus().counters();
+    let mut rig = homed();
+    rig.double().overrun();
+    rig.pass(500);
+    rig.double().refuse(true);
+    rig.pass(3_000);
+    assert!(!rig.outputs().contains(Outputs::LINK_OK));
+    rig.double().refuse(false);
+    assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
+    let counters = rig.bus().counters();
     assert_eq!(counters.overruns, 1);
     assert!(counters.refused > 0);
 }
@@ -381,7 +381,7 @@ fn hit(fault: FrameFault, number: usize) -> Disturbance {
 #[test]
 fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_foreign() {
     const FRAMES: usize = 12;
-    let mut bench = CanBench::homed(Config { time_scale: 10.0, ..Config::default() }, BusOffPolicy::DEFAULT);
+    let mut rig = CanRig::homed(Config { time_scale: 10.0, ..Config::default() }, BusOffPolicy::DEFAULT);
     let mut worst = 0;
     let mut case = 0;
     for fault in [FrameFault::Lost, FrameFault::Doubled, FrameFault::Misled] {
@@ -389,19 +389,19 @@ fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_fore
             for number in 0..FRAMES {
                 for low_after in [0, 2, 4, 12] {
                     case += 1;
-                    bench.set(Inputs::RECIPE0, case % 2 == 0);
-                    bench.set(Inputs::GRIP, true);
+                    rig.set(Inputs::RECIPE0, case % 2 == 0);
+                    rig.set(Inputs::GRIP, true);
                     let disturbance = Some(hit(fault, number));
                     if to_gripper {
-                        bench.to_gripper = disturbance;
+                        rig.to_gripper = disturbance;
                     } else {
-                        bench.to_bridge = disturbance;
+                        rig.to_bridge = disturbance;
                     }
-                    bench.pass(low_after);
-                    bench.set(Inputs::FAST_STOP_OK, false);
+                    rig.pass(low_after);
+                    rig.set(Inputs::FAST_STOP_OK, false);
                     let stopped = (1..=1_000).find(|_| {
-                        bench.pass(1);
-                        bench.gripper().state().flags.contains(SystemFlags::FAST_STOP)
+                        rig.pass(1);
+                        rig.gripper().state().flags.contains(SystemFlags::FAST_STOP)
                     });
                     let ms = stopped.unwrap_or(1_001);
                     worst = worst.max(ms);
@@ -409,11 +409,11 @@ fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_fore
                         ms <= 250,
                         "{fault:?} of frame {number}, to the gripper: {to_gripper}, {low_after} ms: {ms} ms"
                     );
-                    (bench.to_gripper, bench.to_bridge) = (None, None);
-                    bench.set(Inputs::GRIP, false);
-                    bench.set(Inputs::FAST_STOP_OK, true);
-                    bench.pass(700);
-                    bench.get_ready();
+                    (rig.to_gripper, rig.to_bridge) = (None, None);
+                    rig.set(Inputs::GRIP, false);
+                    rig.set(Inputs::FAST_STOP_OK, true);
+                    rig.pass(700);
+                    rig.get_ready();
                 }
             }
         }
@@ -440,9 +440,9 @@ const STOPS: [(Inputs, bool); 2] = [(Inputs::STOP_ACK, true), (Inputs::FAST_STOP
 /// SDO response of the bridge to a PLC.
 const SDO_ANSWER: u16 = 0x580 | DEFAULT_NODE.node as u16;
 
-/// A bench with gripper and PLC on one bus, which blocks during a motion command.
+/// A rig with gripper and PLC on one bus, which blocks during a motion command.
 struct Blocked {
-    bench: CanBench,
+    rig: CanRig,
     motion: Motion,
     /// All bytes that the gripper has received since the motion command.
     bytes: Rc<RefCell<Vec<u8>>>,
@@ -452,23 +452,23 @@ struct Blocked {
 impl Blocked {
     /// Sends `sent` frames of the motion, then blocks the bus. An SDO response waits as well.
     fn after(motion: Motion, sent: usize) -> Self {
-        let mut bench = CanBench::with_node(with_part(20.0), DEFAULT_NODE);
-        bench.get_homed();
+        let mut rig = CanRig::with_node(with_part(20.0), DEFAULT_NODE);
+        rig.get_homed();
         // The gripper already has the recipe's force limit, so GRIP is sent without setting it.
-        bench.command(Inputs::GRIP);
-        bench.command(Inputs::RELEASE);
-        bench.pass(500);
-        bench.take_sent();
-        bench.take_heard();
-        let width = bench.gripper().state().width;
+        rig.command(Inputs::GRIP);
+        rig.command(Inputs::RELEASE);
+        rig.pass(500);
+        rig.take_sent();
+        rig.take_heard();
+        let width = rig.gripper().state().width;
         if sent == 0 {
-            bench.double().set_unheard(true);
+            rig.double().set_unheard(true);
         }
         let bytes = Rc::new(RefCell::new(Vec::new()));
-        let (double, got) = (bench.double().clone(), Rc::clone(&bytes));
+        let (double, got) = (rig.double().clone(), Rc::clone(&bytes));
         let own = Id::Standard(Identifiers::DEFAULT.controller().transmit);
         let mut frames_of_it = 0;
-        bench.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
+        rig.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
             if frame.id() == own {
                 got.borrow_mut().extend_from_slice(frame.data());
                 let begins = frame.data().starts_with(&[0xAA, 0xAA, 0xAA, motion.id.code()]);
@@ -483,24 +483,24 @@ impl Blocked {
         let request = ClassicFrame::new(request, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]).unwrap();
         // In a mailbox before the motion, or waiting for one after it.
         if sent == 0 {
-            bench.say(request);
-            bench.pass(2);
+            rig.say(request);
+            rig.pass(2);
         }
-        bench.set(motion.wire, true);
-        bench.pass(10);
-        bench.set(motion.wire, false);
+        rig.set(motion.wire, true);
+        rig.pass(10);
+        rig.set(motion.wire, false);
         if sent > 0 {
-            bench.say(request);
+            rig.say(request);
         }
-        bench.pass(2);
-        Self { bench, motion, bytes, width }
+        rig.pass(2);
+        Self { rig, motion, bytes, width }
     }
 
     /// Stops the fingers, and frees the bus 15 ms later. Returns the first command that the gripper then receives, and after
     /// how many milliseconds.
     fn stop_and_unblock(&mut self, (wire, level): (Inputs, bool)) -> (CommandId, u32) {
-        self.bench.set(wire, level);
-        self.bench.pass(15);
+        self.rig.set(wire, level);
+        self.rig.pass(15);
         self.unblock()
     }
 
@@ -508,23 +508,23 @@ impl Blocked {
     fn begin_frame(&mut self, is_first: bool) {
         let head = [0xAA, 0xAA, 0xAA, self.motion.id.code()];
         loop {
-            let frame = self.bench.double().begin_frame().expect("a frame of the motion waits");
+            let frame = self.rig.double().begin_frame().expect("a frame of the motion waits");
             if !is_first || frame.data().starts_with(&head) {
                 return;
             }
-            self.bench.end_frame(true);
-            self.bench.pass(1);
+            self.rig.end_frame(true);
+            self.rig.pass(1);
         }
     }
 
     fn unblock(&mut self) -> (CommandId, u32) {
-        let earlier = self.bench.take_sent().into_iter().find(|id| id.kind() == Kind::Motion);
+        let earlier = self.rig.take_sent().into_iter().find(|id| id.kind() == Kind::Motion);
         assert_eq!(earlier, None, "{:?}", self.motion);
-        self.bench.double().set_unheard(false);
+        self.rig.double().set_unheard(false);
         for ms in 1..=50 {
-            self.bench.step();
+            self.rig.step();
             // A query may precede it.
-            if let Some(first) = self.bench.take_sent().into_iter().find(|id| id.kind() != Kind::Query) {
+            if let Some(first) = self.rig.take_sent().into_iter().find(|id| id.kind() != Kind::Query) {
                 return (first, ms);
             }
         }
@@ -557,27 +557,23 @@ impl Blocked {
 
     /// Checks the state after the stop, regardless of the point of interruption.
     fn check_that_it_is_over(mut self, (wire, level): (Inputs, bool), context: &str) {
-        self.bench.pass(200);
-        let Self { bench, motion, width, .. } = &mut self;
-        assert!(bench.outputs().contains(Outputs::LINK_OK), "{context}: {:?}", bench.outputs());
-        assert_eq!(bench.take_motions(), [], "{context}: sent later");
-        assert_eq!(bench.gripper().state().width, *width, "{context}: the fingers have moved");
-        let answers = bench.take_heard();
+        self.rig.pass(200);
+        let Self { rig, motion, width, .. } = &mut self;
+        assert!(rig.outputs().contains(Outputs::LINK_OK), "{context}: {:?}", rig.outputs());
+        assert_eq!(rig.take_motions(), [], "{context}: sent later");
+        assert_eq!(rig.gripper().state().width, *width, "{context}: the fingers have moved");
+        let answers = rig.take_heard();
         let answers = answers
             .iter()
             .filter(|(_, frame)| frame.id() == Id::Standard(StandardId::new(SDO_ANSWER).unwrap()));
         assert_eq!(answers.count(), 1, "{context}: the SDO answer");
-        bench.set(wire, !level);
-        bench.pass(20);
-        bench.pulse(Inputs::STOP_ACK);
-        assert!(
-            bench.until(200, |outputs| outputs.contains(Outputs::READY)),
-            "{context}: {:?}",
-            bench.outputs()
-        );
-        assert_eq!(bench.take_motions(), [], "{context}");
-        bench.command(motion.wire);
-        assert_eq!(bench.take_motions(), [motion.id], "{context}");
+        rig.set(wire, !level);
+        rig.pass(20);
+        rig.pulse(Inputs::STOP_ACK);
+        assert!(rig.until(200, |outputs| outputs.contains(Outputs::READY)), "{context}: {:?}", rig.outputs());
+        assert_eq!(rig.take_motions(), [], "{context}");
+        rig.command(motion.wire);
+        assert_eq!(rig.take_motions(), [motion.id], "{context}");
         let heard = self.heard_by_the_simplest_gripper();
         let commands: Vec<CommandId> = heard.into_iter().filter(|id| id.kind() != Kind::Query).collect();
         assert_eq!(commands.first().map(|id| id.kind()), Some(Kind::Stop), "{context}: {commands:?}");
@@ -593,7 +589,7 @@ fn stop_and_fast_stop_withdraw_a_motion_with_unsent_frames() {
             for stop in STOPS {
                 let context = format!("{motion:?}, {sent} sent, {stop:?}");
                 let mut blocked = Blocked::after(motion, sent);
-                let waits = blocked.bench.double().waiting();
+                let waits = blocked.rig.double().waiting();
                 assert!(
                     waits
                         .iter()
@@ -605,7 +601,7 @@ fn stop_and_fast_stop_withdraw_a_motion_with_unsent_frames() {
                 let expected = if stop.0 == Inputs::STOP_ACK { CommandId::Stop } else { CommandId::FastStop };
                 assert_eq!(first, expected, "{context}");
                 assert!(ms <= 2, "{context}: after {ms} ms");
-                assert_eq!(blocked.bench.broken(), u16::from(sent > 0), "{context}: spoilt if partly sent");
+                assert_eq!(blocked.rig.broken(), u16::from(sent > 0), "{context}: spoilt if partly sent");
                 blocked.check_that_it_is_over(stop, &context);
             }
         }
@@ -617,15 +613,15 @@ fn completely_sent_motion_is_sent_once_and_stopped() {
     for motion in MOTIONS {
         for stop in STOPS {
             let mut blocked = Blocked::after(motion, motion.frames);
-            assert_eq!(blocked.bench.take_motions(), [motion.id]);
+            assert_eq!(blocked.rig.take_motions(), [motion.id]);
 
             let (first, ms) = blocked.stop_and_unblock(stop);
 
             assert!(matches!(first, CommandId::Stop | CommandId::FastStop), "{motion:?}, {stop:?}: {first}");
             assert!(ms <= 2, "{motion:?}, {stop:?}: after {ms} ms");
-            blocked.bench.pass(1_000);
-            assert_eq!(blocked.bench.take_motions(), []);
-            assert_eq!(blocked.bench.broken(), 0);
+            blocked.rig.pass(1_000);
+            assert_eq!(blocked.rig.take_motions(), []);
+            assert_eq!(blocked.rig.broken(), 0);
         }
     }
 }
@@ -640,16 +636,16 @@ fn late_reply_to_an_earlier_motion_does_not_prevent_a_withdrawal() {
                 let answer = Reply::status_only(motion.id, status);
                 for segment in Segments::new(FrameEncoder::new(motion.id.code(), answer)) {
                     let from_gripper = Identifiers::DEFAULT.controller().receive;
-                    blocked.bench.double().bring(segment.frame(from_gripper).unwrap());
+                    blocked.rig.double().bring(segment.frame(from_gripper).unwrap());
                 }
-                blocked.bench.pass(2);
+                blocked.rig.pass(2);
 
                 let (first, ms) = blocked.stop_and_unblock(stop);
 
                 assert_eq!((first.kind(), ms <= 2), (Kind::Stop, true), "{context}: {first} after {ms} ms");
-                blocked.bench.pass(1_000);
-                assert_eq!(blocked.bench.take_motions(), [], "{context}");
-                assert_eq!(blocked.bench.gripper().state().width, blocked.width, "{context}");
+                blocked.rig.pass(1_000);
+                assert_eq!(blocked.rig.take_motions(), [], "{context}");
+                assert_eq!(blocked.rig.gripper().state().width, blocked.width, "{context}");
             }
         }
     }
@@ -665,15 +661,15 @@ fn withdrawal_is_decided_after_the_end_of_the_frame_on_the_bus() {
                         format!("{motion:?}, {sent} sent, one acknowledged: {is_acknowledged}, {stop:?}");
                     let mut blocked = Blocked::after(motion, sent);
                     blocked.begin_frame(sent == 0);
-                    blocked.bench.set(stop.0, stop.1);
-                    blocked.bench.pass(15);
-                    assert_eq!(blocked.bench.double().withdrawn(), 0, "{context}");
+                    blocked.rig.set(stop.0, stop.1);
+                    blocked.rig.pass(15);
+                    assert_eq!(blocked.rig.double().withdrawn(), 0, "{context}");
 
-                    blocked.bench.end_frame(is_acknowledged);
+                    blocked.rig.end_frame(is_acknowledged);
 
                     let is_whole = is_acknowledged && sent + 1 == motion.frames;
                     if is_whole {
-                        assert_eq!(blocked.bench.take_motions(), [motion.id], "{context}");
+                        assert_eq!(blocked.rig.take_motions(), [motion.id], "{context}");
                     }
                     let (first, ms) = blocked.unblock();
                     let expected =
@@ -681,7 +677,7 @@ fn withdrawal_is_decided_after_the_end_of_the_frame_on_the_bus() {
                     assert_eq!(first, expected, "{context}");
                     assert!(ms <= 2, "{context}: after {ms} ms");
                     let is_begun = sent > 0 || is_acknowledged;
-                    assert_eq!(blocked.bench.broken(), u16::from(is_begun && !is_whole), "{context}");
+                    assert_eq!(blocked.rig.broken(), u16::from(is_begun && !is_whole), "{context}");
                     if !is_whole {
                         blocked.check_that_it_is_over(stop, &context);
                     }
@@ -694,34 +690,34 @@ fn withdrawal_is_decided_after_the_end_of_the_frame_on_the_bus() {
 #[test]
 fn acknowledgement_is_withdrawn_when_fast_stop_ok_falls_again() {
     for sent in 0..2 {
-        let mut bench = CanBench::with_node(with_part(20.0), DEFAULT_NODE);
-        bench.get_homed();
-        bench.set(Inputs::FAST_STOP_OK, false);
-        bench.pass(100);
-        bench.set(Inputs::FAST_STOP_OK, true);
-        bench.pass(100);
-        bench.take_sent();
-        let double = bench.double().clone();
-        bench.double().set_unheard(sent == 0);
-        bench.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
+        let mut rig = CanRig::with_node(with_part(20.0), DEFAULT_NODE);
+        rig.get_homed();
+        rig.set(Inputs::FAST_STOP_OK, false);
+        rig.pass(100);
+        rig.set(Inputs::FAST_STOP_OK, true);
+        rig.pass(100);
+        rig.take_sent();
+        let double = rig.double().clone();
+        rig.double().set_unheard(sent == 0);
+        rig.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
             let is_head = frame.data().starts_with(&[0xAA, 0xAA, 0xAA, CommandId::Acknowledge.code()]);
             double.set_unheard(sent > 0 && is_head);
             vec![frame]
         }));
-        bench.set(Inputs::STOP_ACK, true);
-        bench.pass(10);
-        assert_eq!(bench.take_sent(), []);
+        rig.set(Inputs::STOP_ACK, true);
+        rig.pass(10);
+        assert_eq!(rig.take_sent(), []);
 
-        bench.set(Inputs::FAST_STOP_OK, false);
-        bench.pass(15);
-        bench.to_gripper = None;
-        bench.double().set_unheard(false);
-        bench.pass(2);
+        rig.set(Inputs::FAST_STOP_OK, false);
+        rig.pass(15);
+        rig.to_gripper = None;
+        rig.double().set_unheard(false);
+        rig.pass(2);
 
-        assert_eq!(bench.take_sent().first(), Some(&CommandId::FastStop), "{sent} sent");
-        bench.pass(1_000);
-        assert!(!bench.take_sent().contains(&CommandId::Acknowledge), "{sent} sent");
-        assert!(bench.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{sent} sent");
-        assert!(bench.outputs().contains(Outputs::LINK_OK), "{sent} sent: {:?}", bench.outputs());
+        assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop), "{sent} sent");
+        rig.pass(1_000);
+        assert!(!rig.take_sent().contains(&CommandId::Acknowledge), "{sent} sent");
+        assert!(rig.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{sent} sent");
+        assert!(rig.outputs().contains(Outputs::LINK_OK), "{sent} sent: {:?}", rig.outputs());
     }
 }

@@ -1,8 +1,8 @@
 //! The LED, in virtual time, read like a person does: by counting flashes between longer pauses.
 
-use host_tests::bench::Bench;
-use host_tests::modbus_bench::{self, quick};
+use host_tests::modbus_rig::{self, quick};
 use host_tests::wires::Wires;
+use host_tests::wires_rig::TestRig;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::indicator::{INDICATIONS, Indication};
 use wsg_bridge_fw::io::Inputs;
@@ -31,21 +31,21 @@ fn seen(levels: &[bool]) -> String {
     }
 }
 
-/// Observes the LED of a bench for 10 s.
-fn look<B: Wires>(bench: &mut B, indication: impl Fn(&B) -> Indication) -> String {
+/// Observes the LED of a rig for 10 s.
+fn look<B: Wires>(rig: &mut B, indication: impl Fn(&B) -> Indication) -> String {
     let level = |ms| {
-        bench.step();
-        indication(bench).is_lit(ms)
+        rig.step();
+        indication(rig).is_lit(ms)
     };
     seen(&(0..10_000).map(level).collect::<Vec<_>>())
 }
 
-fn look_at_wires(bench: &mut Bench) -> String {
-    look(bench, Bench::indication)
+fn look_at_wires(rig: &mut TestRig) -> String {
+    look(rig, TestRig::indication)
 }
 
-fn look_at_modbus(bench: &mut modbus_bench::Bench) -> String {
-    look(bench, |bench| bench.bridge().indication())
+fn look_at_modbus(rig: &mut modbus_rig::TestRig) -> String {
+    look(rig, |rig| rig.bridge().indication())
 }
 
 #[test]
@@ -60,52 +60,52 @@ fn each_pattern_looks_as_in_the_table() {
 
 #[test]
 fn power_up_homing_and_a_cut_line_are_shown() {
-    let mut bench = Bench::new(quick());
-    bench.far.to_bridge = Some(Box::new(Vec::clear));
-    assert_eq!(look_at_wires(&mut bench), "1 flash");
+    let mut rig = TestRig::new(quick());
+    rig.far.to_bridge = Some(Box::new(Vec::clear));
+    assert_eq!(look_at_wires(&mut rig), "1 flash");
 
-    bench.far.to_bridge = None;
-    bench.set(Inputs::FAST_STOP_OK, true);
-    bench.pass(1_000);
-    assert_eq!(look_at_wires(&mut bench), "4 flashes", "the FAST STOP of power-up");
+    rig.far.to_bridge = None;
+    rig.set(Inputs::FAST_STOP_OK, true);
+    rig.pass(1_000);
+    assert_eq!(look_at_wires(&mut rig), "4 flashes", "the FAST STOP of power-up");
 
-    bench.get_homed();
-    assert_eq!(look_at_wires(&mut bench), "lit, with a short gap");
+    rig.get_homed();
+    assert_eq!(look_at_wires(&mut rig), "lit, with a short gap");
 
-    bench.far.to_bridge = Some(Box::new(Vec::clear));
-    bench.pass(3_000);
-    assert_eq!(look_at_wires(&mut bench), "2 flashes");
+    rig.far.to_bridge = Some(Box::new(Vec::clear));
+    rig.pass(3_000);
+    assert_eq!(look_at_wires(&mut rig), "2 flashes");
 }
 
 #[test]
 fn silent_master_is_shown_until_it_resumes() {
-    let mut bench = modbus_bench::Bench::homed(quick());
-    bench.pass(u32::from(Config::DEFAULT.bus.timeout_ms) + 100);
-    assert_eq!(look_at_modbus(&mut bench), "3 flashes");
+    let mut rig = modbus_rig::TestRig::homed(quick());
+    rig.pass(u32::from(Config::DEFAULT.bus.timeout_ms) + 100);
+    assert_eq!(look_at_modbus(&mut rig), "3 flashes");
 
-    bench.write(0, &[0, 0, 0, 0]);
-    assert_ne!(bench.bridge().indication(), Indication::BusLost);
+    rig.write(0, &[0, 0, 0, 0]);
+    assert_ne!(rig.bridge().indication(), Indication::BusLost);
 }
 
 #[test]
 fn absent_master_is_not_shown_if_never_connected_or_while_the_wires_command() {
-    let mut bench = modbus_bench::Bench::new(Config::DEFAULT, quick());
-    bench.get_homed();
-    assert_eq!(look_at_modbus(&mut bench), "lit, with a short gap");
+    let mut rig = modbus_rig::TestRig::new(Config::DEFAULT, quick());
+    rig.get_homed();
+    assert_eq!(look_at_modbus(&mut rig), "lit, with a short gap");
 
-    bench.write(0, &[0, 0, 0, 0]);
-    assert_eq!(look_at_modbus(&mut bench), "lit, with a short gap");
+    rig.write(0, &[0, 0, 0, 0]);
+    assert_eq!(look_at_modbus(&mut rig), "lit, with a short gap");
 }
 
 #[test]
 fn controller_off_the_bus_is_shown_until_the_recovery() {
-    let mut bench = modbus_bench::Bench::new(Config::DEFAULT, quick());
-    bench.get_homed();
+    let mut rig = modbus_rig::TestRig::new(Config::DEFAULT, quick());
+    rig.get_homed();
     for state in [1, 2, 3] {
-        bench.bridge_mut().set_can_reports(CanReports([state, 0, 0, 1, 0, 0]));
-        assert_eq!(bench.bridge().indication(), Indication::BusLost, "CAN_STATE {state}");
+        rig.bridge_mut().set_can_reports(CanReports([state, 0, 0, 1, 0, 0]));
+        assert_eq!(rig.bridge().indication(), Indication::BusLost, "CAN_STATE {state}");
     }
     // Error passive is not bus-off.
-    bench.bridge_mut().set_can_reports(CanReports([128, 0, 0, 1, 0, 0]));
-    assert_eq!(bench.bridge().indication(), Indication::Running);
+    rig.bridge_mut().set_can_reports(CanReports([128, 0, 0, 1, 0, 0]));
+    assert_eq!(rig.bridge().indication(), Indication::Running);
 }

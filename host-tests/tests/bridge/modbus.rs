@@ -1,7 +1,7 @@
 //! The bridge over Modbus RTU, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use host_tests::addresses::{report, setting};
-use host_tests::modbus_bench::*;
+use host_tests::modbus_rig::*;
 use host_tests::wires::Wires;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -18,118 +18,114 @@ fn with_part() -> wsg_sim::Config {
 
 #[test]
 fn grip_cycle_over_the_bus() {
-    let mut bench = Bench::homed(with_part());
-    bench.take_motions();
+    let mut rig = TestRig::homed(with_part());
+    rig.take_motions();
     for _ in 0..20 {
-        bench.command(MOVE, 80_00, 200_00, 40_00);
-        assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
-        bench.pass(20);
-        assert_eq!(bench.input(3, 1).unwrap(), [80_00]);
-        bench.command(GRIP, 20_00, 50_00, 40_00);
-        assert_eq!((bench.state(), bench.status()), (HOLDING, SUCCESS));
-        bench.pass(30);
-        let measured = bench.input(3, 2).unwrap();
+        rig.command(MOVE, 80_00, 200_00, 40_00);
+        assert_eq!((rig.state(), rig.status()), (IDLE, SUCCESS));
+        rig.pass(20);
+        assert_eq!(rig.input(3, 1).unwrap(), [80_00]);
+        rig.command(GRIP, 20_00, 50_00, 40_00);
+        assert_eq!((rig.state(), rig.status()), (HOLDING, SUCCESS));
+        rig.pass(30);
+        let measured = rig.input(3, 2).unwrap();
         assert!(measured[0].abs_diff(20_00) <= 50 && measured[1].abs_diff(40_00) <= 1_00, "{measured:?}");
-        bench.command(RELEASE, 40_00, 50_00, 40_00);
-        assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
+        rig.command(RELEASE, 40_00, 50_00, 40_00);
+        assert_eq!((rig.state(), rig.status()), (IDLE, SUCCESS));
     }
     let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(bench.take_motions(), cycle.repeat(20));
-    assert_eq!(bench.bridge().counters(), wsg_bridge_fw::Counters::default());
+    assert_eq!(rig.take_motions(), cycle.repeat(20));
+    assert_eq!(rig.bridge().counters(), wsg_bridge_fw::Counters::default());
 }
 
 #[test]
 fn missing_and_lost_parts_are_shown_in_gstate() {
-    let mut bench = Bench::homed(quick());
-    bench.command(GRIP, 20_00, 50_00, 40_00);
-    assert_eq!((bench.state(), bench.status()), (NO_PART, 18), "E_CMD_FAILED");
-    let mut bench = Bench::homed(with_part());
-    bench.command(GRIP, 20_00, 50_00, 40_00);
-    let now = bench.now();
-    bench.gripper().set_part(None, now);
-    bench.pass(100);
-    assert_eq!(bench.state(), PART_LOST);
+    let mut rig = TestRig::homed(quick());
+    rig.command(GRIP, 20_00, 50_00, 40_00);
+    assert_eq!((rig.state(), rig.status()), (NO_PART, 18), "E_CMD_FAILED");
+    let mut rig = TestRig::homed(with_part());
+    rig.command(GRIP, 20_00, 50_00, 40_00);
+    let now = rig.now();
+    rig.gripper().set_part(None, now);
+    rig.pass(100);
+    assert_eq!(rig.state(), PART_LOST);
 }
 
 #[test]
 fn lowest_of_simultaneous_edges_is_executed() {
-    let mut bench = Bench::homed(quick());
-    bench.take_motions();
-    bench.command(MOVE | GRIP | HOMING, 40_00, 50_00, 40_00);
-    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+    let mut rig = TestRig::homed(quick());
+    rig.take_motions();
+    rig.command(MOVE | GRIP | HOMING, 40_00, 50_00, 40_00);
+    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
 fn parameter_change_during_a_motion_and_speed_out_of_range_are_a_fast_stop() {
     for second in [[u16::from(MOVE) << 8, 30_01, 50_00, 40_00], [u16::from(MOVE) << 8, 30_00, 51_00, 40_00]] {
-        let mut bench = Bench::homed(quick());
-        bench.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
-        bench.pass(10);
-        bench.write(0, &second);
-        bench.pass(20);
-        assert!(bench.bit(16 + 12), "FAST_STOP");
-        assert_eq!(bench.state(), IDLE);
+        let mut rig = TestRig::homed(quick());
+        rig.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
+        rig.pass(10);
+        rig.write(0, &second);
+        rig.pass(20);
+        assert!(rig.bit(16 + 12), "FAST_STOP");
+        assert_eq!(rig.state(), IDLE);
     }
-    let mut bench = Bench::homed(quick());
-    bench.write(0, &[u16::from(MOVE) << 8, 30_00, 1, 40_00]);
-    bench.pass(20);
-    assert!(bench.bit(16 + 12));
-    bench.write(0, &[0, 30_00, 50_00, 40_00]);
-    bench.command(STOP_ACK, 30_00, 50_00, 40_00);
-    assert!(!bench.bit(16 + 12));
-    bench.command(MOVE, 30_00, 50_00, 40_00);
-    assert_eq!(bench.status(), SUCCESS);
+    let mut rig = TestRig::homed(quick());
+    rig.write(0, &[u16::from(MOVE) << 8, 30_00, 1, 40_00]);
+    rig.pass(20);
+    assert!(rig.bit(16 + 12));
+    rig.write(0, &[0, 30_00, 50_00, 40_00]);
+    rig.command(STOP_ACK, 30_00, 50_00, 40_00);
+    assert!(!rig.bit(16 + 12));
+    rig.command(MOVE, 30_00, 50_00, 40_00);
+    assert_eq!(rig.status(), SUCCESS);
 }
 
 #[test]
 fn jog_moves_while_its_coil_is_set() {
-    let mut bench = Bench::homed(quick());
-    bench.command(MOVE, 30_00, 400_00, 40_00);
-    bench.write(2, &[20_00, 40_00]);
-    assert_eq!(bench.ask(&[5, 0, 6, 0xFF, 0]), [5, 0, 6, 0xFF, 0]);
-    bench.pass(100);
-    assert_eq!(bench.state(), RELEASING);
-    let from = bench.gripper().state().width;
-    bench.write(2, &[40_00]);
-    bench.pass(100);
-    assert_eq!(bench.state(), RELEASING, "the speed may change during a jog");
-    assert_eq!(bench.ask(&[5, 0, 6, 0, 0]), [5, 0, 6, 0, 0]);
-    bench.pass(100);
-    assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
-    let stands = bench.gripper().state().width;
+    let mut rig = TestRig::homed(quick());
+    rig.command(MOVE, 30_00, 400_00, 40_00);
+    rig.write(2, &[20_00, 40_00]);
+    assert_eq!(rig.ask(&[5, 0, 6, 0xFF, 0]), [5, 0, 6, 0xFF, 0]);
+    rig.pass(100);
+    assert_eq!(rig.state(), RELEASING);
+    let from = rig.gripper().state().width;
+    rig.write(2, &[40_00]);
+    rig.pass(100);
+    assert_eq!(rig.state(), RELEASING, "the speed may change during a jog");
+    assert_eq!(rig.ask(&[5, 0, 6, 0, 0]), [5, 0, 6, 0, 0]);
+    rig.pass(100);
+    assert_eq!((rig.state(), rig.status()), (IDLE, SUCCESS));
+    let stands = rig.gripper().state().width;
     assert!(stands > from && stands < 109.0, "{stands}");
-    bench.pass(500);
-    assert_eq!(bench.gripper().state().width, stands);
+    rig.pass(500);
+    assert_eq!(rig.gripper().state().width, stands);
 }
 
 /// Fieldbus, 6.7; command set, 3.3.5: limits at 40 and 80 mm, over the bridge's own session.
 #[test]
 fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
     let parameters = [0, 40_00, 40_00];
-    let mut bench = Bench::homed(quick());
-    bench.command(MOVE, 60_00, 400_00, 40_00);
-    let now = bench.now();
+    let mut rig = TestRig::homed(quick());
+    rig.command(MOVE, 60_00, 400_00, 40_00);
+    let now = rig.now();
     let limits = Command::SetSoftLimits { limits: SoftLimits { minus: 40.0, plus: 80.0 } };
-    assert_eq!(bench.gripper().command(&limits, now), Status::Success);
+    assert_eq!(rig.gripper().command(&limits, now), Status::Success);
     for (flag, limit, reached) in
         [(JOG_PLUS, 80.0, SystemFlags::SOFT_LIMIT_PLUS), (JOG_MINUS, 40.0, SystemFlags::SOFT_LIMIT_MINUS)]
     {
-        bench.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
-        bench.pass(2_000);
-        let state = bench.gripper().state();
+        rig.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
+        rig.pass(2_000);
+        let state = rig.gripper().state();
         assert!((state.width - limit).abs() < 0.05 && state.flags.contains(reached), "{state:?}");
-        assert_eq!((bench.state(), bench.status()), (IDLE, SUCCESS));
-        assert!(bench.bit(16 + reached.bits().trailing_zeros() as u16), "SYSSTATE");
-        bench.write(0, &[&[0], &parameters[..]].concat());
-        bench.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
-        bench.pass(500);
-        assert_eq!(
-            (bench.state(), bench.status()),
-            (IDLE, Status::RangeError.code()),
-            "already at the limit"
-        );
-        assert!((bench.gripper().state().width - limit).abs() < 0.05);
-        bench.write(0, &[&[0], &parameters[..]].concat());
+        assert_eq!((rig.state(), rig.status()), (IDLE, SUCCESS));
+        assert!(rig.bit(16 + reached.bits().trailing_zeros() as u16), "SYSSTATE");
+        rig.write(0, &[&[0], &parameters[..]].concat());
+        rig.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
+        rig.pass(500);
+        assert_eq!((rig.state(), rig.status()), (IDLE, Status::RangeError.code()), "already at the limit");
+        assert!((rig.gripper().state().width - limit).abs() < 0.05);
+        rig.write(0, &[&[0], &parameters[..]].concat());
     }
 }
 
@@ -137,49 +133,49 @@ fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
 #[test]
 fn restart_of_the_gripper_is_shown_on_the_bus_as_unreferenced_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
-        let mut bench = Bench::homed(quick());
-        bench.pass(offset_ms);
-        bench.restart_gripper(quick());
-        bench.pass(250);
+        let mut rig = TestRig::homed(quick());
+        rig.pass(offset_ms);
+        rig.restart_gripper(quick());
+        rig.pass(250);
         // SYSSTATE, byte 2 and bit 0, in the high byte of the second register.
-        assert_eq!(bench.input(1, 1).unwrap()[0] >> 8 & 1, 0, "REFERENCED, {offset_ms}");
+        assert_eq!(rig.input(1, 1).unwrap()[0] >> 8 & 1, 0, "REFERENCED, {offset_ms}");
     }
 }
 
 /// STOP/ACK in a master's first image is no edge, but its level blocks motions (fieldbus, table 1).
 #[test]
 fn stop_in_the_first_image_of_the_bus_keeps_ready_low_and_refuses_the_wires() {
-    let mut bench = Bench::new(Config::DEFAULT, quick());
-    bench.pass(200);
-    bench.write(0, &[u16::from(STOP_ACK) << 8, 0, 0, 0]);
-    bench.pass(100);
+    let mut rig = TestRig::new(Config::DEFAULT, quick());
+    rig.pass(200);
+    rig.write(0, &[u16::from(STOP_ACK) << 8, 0, 0, 0]);
+    rig.pass(100);
     let held = Outputs::LINK_OK;
-    assert_eq!(bench.outputs(), held, "no READY");
-    bench.set(Inputs::HOME, true);
-    bench.pass(100);
-    assert_eq!((bench.outputs(), bench.take_motions()), (held | Outputs::ERROR, vec![]));
-    bench.set(Inputs::HOME, false);
-    bench.write(0, &[0, 0, 0, 0]);
-    bench.pass(20);
-    assert!(bench.outputs().contains(Outputs::READY), "{:?}", bench.outputs());
-    assert_eq!(Wires::command(&mut bench, Inputs::HOME), held | Outputs::READY | Outputs::REFERENCED);
+    assert_eq!(rig.outputs(), held, "no READY");
+    rig.set(Inputs::HOME, true);
+    rig.pass(100);
+    assert_eq!((rig.outputs(), rig.take_motions()), (held | Outputs::ERROR, vec![]));
+    rig.set(Inputs::HOME, false);
+    rig.write(0, &[0, 0, 0, 0]);
+    rig.pass(20);
+    assert!(rig.outputs().contains(Outputs::READY), "{:?}", rig.outputs());
+    assert_eq!(Wires::command(&mut rig, Inputs::HOME), held | Outputs::READY | Outputs::REFERENCED);
 }
 
 #[test]
 fn silent_master_ends_a_jog_even_with_reaction_hold() {
     let bus = BusConfig { reaction: SilenceReaction::Hold, ..BusConfig::DEFAULT };
-    let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
-    bench.command(HOMING, 0, 0, 0);
-    bench.command(MOVE, 10_00, 400_00, 40_00);
-    bench.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
-    bench.take_sent();
-    bench.pass(1_100);
-    assert!(bench.take_sent().contains(&CommandId::Stop));
-    let stands = bench.gripper().state().width;
+    let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, quick());
+    rig.command(HOMING, 0, 0, 0);
+    rig.command(MOVE, 10_00, 400_00, 40_00);
+    rig.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
+    rig.take_sent();
+    rig.pass(1_100);
+    assert!(rig.take_sent().contains(&CommandId::Stop));
+    let stands = rig.gripper().state().width;
     // The PLC resumes with its button still pressed.
-    bench.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
-    bench.pass(200);
-    assert_eq!(bench.gripper().state().width, stands);
+    rig.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
+    rig.pass(200);
+    assert_eq!(rig.gripper().state().width, stands);
 }
 
 #[test]
@@ -190,43 +186,43 @@ fn silent_master_holds_stops_or_fast_stops_its_motion() {
         (SilenceReaction::FastStop, Some(CommandId::FastStop)),
     ] {
         let bus = BusConfig { reaction, timeout_ms: 300, ..BusConfig::DEFAULT };
-        let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
-        bench.command(HOMING, 0, 0, 0);
-        bench.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
-        bench.take_sent();
-        bench.pass(250);
-        let stops = |bench: &mut Bench| {
-            bench.take_sent().into_iter().find(|id| matches!(id, CommandId::Stop | CommandId::FastStop))
+        let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+        rig.command(HOMING, 0, 0, 0);
+        rig.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
+        rig.take_sent();
+        rig.pass(250);
+        let stops = |rig: &mut TestRig| {
+            rig.take_sent().into_iter().find(|id| matches!(id, CommandId::Stop | CommandId::FastStop))
         };
-        assert_eq!(stops(&mut bench), None, "too early");
-        bench.pass(100);
-        assert_eq!(stops(&mut bench), expected, "{reaction:?}");
-        bench.pass(1_000);
-        assert_eq!(stops(&mut bench), None, "only once");
-        assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![1]));
+        assert_eq!(stops(&mut rig), None, "too early");
+        rig.pass(100);
+        assert_eq!(stops(&mut rig), expected, "{reaction:?}");
+        rig.pass(1_000);
+        assert_eq!(stops(&mut rig), None, "only once");
+        assert_eq!(rig.input(report("BUS_TIMEOUTS"), 1), Ok(vec![1]));
     }
 }
 
 #[test]
 fn bus_timeout_of_0_is_unlimited() {
     let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
-    let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
-    bench.command(HOMING, 0, 0, 0);
-    bench.take_sent();
-    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 5_00, 40_00]);
-    bench.pass(5_000);
-    let sent = bench.take_sent();
+    let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+    rig.command(HOMING, 0, 0, 0);
+    rig.take_sent();
+    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 5_00, 40_00]);
+    rig.pass(5_000);
+    let sent = rig.take_sent();
     assert!(sent.contains(&CommandId::PrePosition));
     assert!(!sent.iter().any(|id| matches!(id, CommandId::Stop | CommandId::FastStop)));
-    assert_eq!(bench.input(report("BUS_TIMEOUTS"), 1), Ok(vec![0]));
+    assert_eq!(rig.input(report("BUS_TIMEOUTS"), 1), Ok(vec![0]));
 }
 
 #[test]
 fn coils_read_as_they_were_written() {
-    let mut bench = Bench::ready();
-    assert_eq!(bench.ask(&[1, 0, 0, 0, 8]), [1, 1, 0]);
-    bench.write(0, &[u16::from(MOVE) << 8]);
-    let flags = bench.ask(&[1, 0, 0, 0, 16]);
+    let mut rig = TestRig::ready();
+    assert_eq!(rig.ask(&[1, 0, 0, 0, 8]), [1, 1, 0]);
+    rig.write(0, &[u16::from(MOVE) << 8]);
+    let flags = rig.ask(&[1, 0, 0, 0, 16]);
     assert_eq!(flags[2..].iter().map(|byte| byte.count_ones()).sum::<u32>(), 1, "{flags:?}");
 }
 
@@ -237,86 +233,86 @@ fn pause_inside_a_request_is_limited_by_the_setting() {
         [(50, 40_000, true), (50, 51_000, false), (2, 40_000, false)]
     {
         let bus = BusConfig { character_timeout_ms, ..BusConfig::DEFAULT };
-        let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, quick());
-        bench.pass(100);
-        bench.answers();
-        let frame = Bench::frame(1, &[4, 0, 0, 0, 1]);
+        let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, quick());
+        rig.pass(100);
+        rig.answers();
+        let frame = TestRig::frame(1, &[4, 0, 0, 0, 1]);
         let (first, second) = frame.split_at(4);
-        bench.send_raw(first);
-        bench.send_after(pause_us, second);
-        bench.pass(100);
-        assert_eq!(bench.answers() == 1, is_answered, "{pause_us} us of {character_timeout_ms} ms");
+        rig.send_raw(first);
+        rig.send_after(pause_us, second);
+        rig.pass(100);
+        assert_eq!(rig.answers() == 1, is_answered, "{pause_us} us of {character_timeout_ms} ms");
     }
 }
 
 #[test]
 fn silent_master_that_only_read_stops_no_motion() {
-    let mut bench = Bench::ready();
-    bench.input(0, 1).unwrap();
-    bench.set(Inputs::HOME, true);
-    bench.take_sent();
-    bench.pass(2_000);
-    let sent = bench.take_sent();
+    let mut rig = TestRig::ready();
+    rig.input(0, 1).unwrap();
+    rig.set(Inputs::HOME, true);
+    rig.take_sent();
+    rig.pass(2_000);
+    let sent = rig.take_sent();
     assert!(sent.contains(&CommandId::Homing));
     assert!(!sent.iter().any(|id| matches!(id, CommandId::Stop | CommandId::FastStop)));
 }
 
 #[test]
 fn part_stays_held_while_the_master_is_silent() {
-    let mut bench = Bench::homed(with_part());
-    bench.command(GRIP, 20_00, 50_00, 40_00);
-    bench.pass(5_000);
-    assert_eq!(bench.state(), HOLDING);
+    let mut rig = TestRig::homed(with_part());
+    rig.command(GRIP, 20_00, 50_00, 40_00);
+    rig.pass(5_000);
+    assert_eq!(rig.state(), HOLDING);
 }
 
 #[test]
 fn first_write_of_a_master_starts_nothing() {
-    let mut bench = Bench::new(Config::DEFAULT, quick());
-    bench.pass(200);
-    bench.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
-    bench.pass(100);
-    bench.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
-    bench.pass(100);
-    assert_eq!(bench.take_motions(), []);
-    bench.write(0, &[0, 0, 50_00, 40_00]);
-    bench.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-    bench.pass(10);
-    assert_eq!(bench.take_motions(), [CommandId::Homing]);
+    let mut rig = TestRig::new(Config::DEFAULT, quick());
+    rig.pass(200);
+    rig.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
+    rig.pass(100);
+    rig.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
+    rig.pass(100);
+    assert_eq!(rig.take_motions(), []);
+    rig.write(0, &[0, 0, 50_00, 40_00]);
+    rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
+    rig.pass(10);
+    assert_eq!(rig.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
 fn held_flag_gives_no_edge_after_a_reset_regardless_of_reads() {
     // The bridge has just restarted, but the PLC has not. Its cycle continues to read and write with HOMING set.
-    let mut bench = Bench::new(Config::DEFAULT, quick());
-    bench.pass(200);
+    let mut rig = TestRig::new(Config::DEFAULT, quick());
+    rig.pass(200);
     for _ in 0..5 {
-        assert_eq!(bench.holding(0, 1).map(|registers| registers.len()), Ok(1));
-        bench.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-        bench.pass(100);
+        assert_eq!(rig.holding(0, 1).map(|registers| registers.len()), Ok(1));
+        rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
+        rig.pass(100);
     }
-    assert_eq!(bench.take_motions(), []);
-    bench.write(0, &[0, 0, 50_00, 40_00]);
-    bench.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-    bench.pass(10);
-    assert_eq!(bench.take_motions(), [CommandId::Homing]);
+    assert_eq!(rig.take_motions(), []);
+    rig.write(0, &[0, 0, 50_00, 40_00]);
+    rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
+    rig.pass(10);
+    assert_eq!(rig.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
 fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
     for phase_ms in 0..5 {
-        let mut bench = Bench::homed(with_part());
-        bench.pass(2 * phase_ms);
+        let mut rig = TestRig::homed(with_part());
+        rig.pass(2 * phase_ms);
         for (flag, width, state, force) in [(GRIP, 20_00, HOLDING, 40_00), (RELEASE, 40_00, IDLE, 0)] {
-            bench.write(0, &[0, width, 50_00, 40_00]);
-            bench.write(0, &[u16::from(flag) << 8, width, 50_00, 40_00]);
-            let mut image = bench.input(0, 6).unwrap();
-            let start = bench.now().as_micros();
+            rig.write(0, &[0, width, 50_00, 40_00]);
+            rig.write(0, &[u16::from(flag) << 8, width, 50_00, 40_00]);
+            let mut image = rig.input(0, 6).unwrap();
+            let start = rig.now().as_micros();
             while image[5] == Status::CmdPending.code() {
-                assert!(bench.now().as_micros() - start < 20_000_000, "{image:?}");
-                image = bench.input(0, 6).unwrap();
+                assert!(rig.now().as_micros() - start < 20_000_000, "{image:?}");
+                image = rig.input(0, 6).unwrap();
             }
-            bench.pass(2_000);
-            let later = bench.input(0, 6).unwrap();
+            rig.pass(2_000);
+            let later = rig.input(0, 6).unwrap();
             assert_eq!(image, later, "nothing changes after the end");
             assert_eq!((image[0] >> 8, image[4]), (u16::from(state), force));
         }
@@ -328,21 +324,21 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
     /// Returns the turns from the write to the motion, `after_ms` after the end of a grip. Replies are lost for `lost_ms`
     /// from the end on.
     fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
-        let mut bench = Bench::homed(with_part());
-        bench.write(0, &[u16::from(GRIP) << 8, 20_00, 50_00, 40_00]);
-        bench.write(0, &[0, 20_00, 50_00, 40_00]);
-        assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::HOLDING)));
+        let mut rig = TestRig::homed(with_part());
+        rig.write(0, &[u16::from(GRIP) << 8, 20_00, 50_00, 40_00]);
+        rig.write(0, &[0, 20_00, 50_00, 40_00]);
+        assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::HOLDING)));
         for ms in 0..after_ms {
-            bench.set_cut(ms < lost_ms);
-            bench.pass(1);
+            rig.set_cut(ms < lost_ms);
+            rig.pass(1);
         }
-        bench.take_sent();
+        rig.take_sent();
         let release = [16, 0, 0, 0, 4, 8, RELEASE, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0];
-        bench.send_raw(&Bench::frame(1, &release));
+        rig.send_raw(&TestRig::frame(1, &release));
         (1..100)
             .find(|_| {
-                bench.pass(1);
-                bench.take_sent().contains(&CommandId::ReleasePart)
+                rig.pass(1);
+                rig.take_sent().contains(&CommandId::ReleasePart)
             })
             .expect("the motion is sent")
     }
@@ -360,20 +356,20 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
 #[test]
 fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
     let blocked = || {
-        let mut bench = Bench::homed(with_part());
-        bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
-        bench
+        let mut rig = TestRig::homed(with_part());
+        rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
+        rig
     };
-    let mut bench = blocked();
+    let mut rig = blocked();
     let is_shown = |outputs: Outputs| outputs.contains(Outputs::ERROR);
-    let shown_after = (1..20_000).find(|_| bench.until(1, is_shown)).unwrap();
-    let shown_at = bench.now();
+    let shown_after = (1..20_000).find(|_| rig.until(1, is_shown)).unwrap();
+    let shown_at = rig.now();
     let mut answers = 0;
     for ahead_ms in 0..10 {
-        let mut bench = blocked();
-        bench.pass(shown_after - ahead_ms);
-        let status = bench.status();
-        if bench.now() == shown_at {
+        let mut rig = blocked();
+        rig.pass(shown_after - ahead_ms);
+        let status = rig.status();
+        if rig.now() == shown_at {
             answers += 1;
             assert_eq!(status, Status::AxisBlocked.code());
         }
@@ -383,230 +379,230 @@ fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
 
 #[test]
 fn fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge() {
-    let mut bench = Bench::homed(quick());
-    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
-    bench.pass(10);
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.pass(20);
-    assert!(bench.bit(28), "FAST_STOP");
-    bench.write(0, &[0, 10_00, 50_00, 40_00]);
-    bench.command(STOP_ACK, 10_00, 50_00, 40_00);
-    assert!(bench.bit(28), "not while the wire is low");
-    bench.set(Inputs::FAST_STOP_OK, true);
-    bench.pass(10);
-    bench.command(STOP_ACK, 10_00, 50_00, 40_00);
-    assert!(!bench.bit(28));
+    let mut rig = TestRig::homed(quick());
+    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
+    rig.pass(10);
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.pass(20);
+    assert!(rig.bit(28), "FAST_STOP");
+    rig.write(0, &[0, 10_00, 50_00, 40_00]);
+    rig.command(STOP_ACK, 10_00, 50_00, 40_00);
+    assert!(rig.bit(28), "not while the wire is low");
+    rig.set(Inputs::FAST_STOP_OK, true);
+    rig.pass(10);
+    rig.command(STOP_ACK, 10_00, 50_00, 40_00);
+    assert!(!rig.bit(28));
 }
 
 #[test]
 fn fast_stop_of_the_bus_stops_a_motion_of_the_wires() {
-    let mut bench = Bench::homed(quick());
-    bench.pulse(Inputs::MOVE);
-    bench.write(0, &[u16::from(FASTSTOP) << 8, 0, 0, 0]);
-    bench.pass(20);
-    assert!(bench.outputs().contains(Outputs::ERROR) && bench.bit(28));
-    bench.pulse(Inputs::STOP_ACK);
-    assert!(bench.bit(28), "the bus's FASTSTOP is still 1");
+    let mut rig = TestRig::homed(quick());
+    rig.pulse(Inputs::MOVE);
+    rig.write(0, &[u16::from(FASTSTOP) << 8, 0, 0, 0]);
+    rig.pass(20);
+    assert!(rig.outputs().contains(Outputs::ERROR) && rig.bit(28));
+    rig.pulse(Inputs::STOP_ACK);
+    assert!(rig.bit(28), "the bus's FASTSTOP is still 1");
 }
 
 #[test]
 fn wires_command_while_one_of_them_is_high_and_the_bus_afterwards() {
-    let mut bench = Bench::homed(quick());
-    bench.set(Inputs::MOVE, true);
-    bench.pass(3_000);
-    bench.take_motions();
-    bench.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
-    bench.pass(50);
-    assert_eq!(bench.take_motions(), [], "the wire is high");
-    bench.set(Inputs::MOVE, false);
-    bench.pass(50);
-    assert_eq!(bench.take_motions(), [], "the bus's command is not executed later");
-    assert_eq!(bench.bridge().control_source(), ControlSource::Wires);
-    bench.write(0, &[0, 30_00, 50_00, 40_00]);
-    bench.command(MOVE, 30_00, 50_00, 40_00);
-    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
-    assert_eq!(bench.bridge().control_source(), ControlSource::Bus);
-    assert!((bench.gripper().state().width - 30.0).abs() < 0.05);
+    let mut rig = TestRig::homed(quick());
+    rig.set(Inputs::MOVE, true);
+    rig.pass(3_000);
+    rig.take_motions();
+    rig.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
+    rig.pass(50);
+    assert_eq!(rig.take_motions(), [], "the wire is high");
+    rig.set(Inputs::MOVE, false);
+    rig.pass(50);
+    assert_eq!(rig.take_motions(), [], "the bus's command is not executed later");
+    assert_eq!(rig.bridge().control_source(), ControlSource::Wires);
+    rig.write(0, &[0, 30_00, 50_00, 40_00]);
+    rig.command(MOVE, 30_00, 50_00, 40_00);
+    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(rig.bridge().control_source(), ControlSource::Bus);
+    assert!((rig.gripper().state().width - 30.0).abs() < 0.05);
 }
 
 #[test]
 fn parameters_on_the_bus_do_not_disturb_a_motion_of_the_wires() {
-    let mut bench = Bench::homed(quick());
-    bench.set(Inputs::MOVE, true);
-    bench.pass(20);
-    bench.write(0, &[0, 12_34, 100_00, 20_00]);
-    bench.pass(3_000);
-    assert!(!bench.bit(28), "no FAST STOP");
-    assert!((bench.gripper().state().width - 20.0).abs() < 0.05, "{}", bench.gripper().state().width);
+    let mut rig = TestRig::homed(quick());
+    rig.set(Inputs::MOVE, true);
+    rig.pass(20);
+    rig.write(0, &[0, 12_34, 100_00, 20_00]);
+    rig.pass(3_000);
+    assert!(!rig.bit(28), "no FAST STOP");
+    assert!((rig.gripper().state().width - 20.0).abs() < 0.05, "{}", rig.gripper().state().width);
 }
 
 #[test]
 fn second_motion_is_refused_and_the_first_still_ends() {
-    let mut bench = Bench::homed(quick());
-    bench.take_motions();
-    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
-    bench.write(0, &[u16::from(MOVE | RELEASE) << 8, 10_00, 50_00, 40_00]);
-    assert_eq!(bench.status(), ALREADY_RUNNING);
-    bench.pass(3_000);
-    assert_eq!(bench.status(), SUCCESS);
-    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+    let mut rig = TestRig::homed(quick());
+    rig.take_motions();
+    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
+    rig.write(0, &[u16::from(MOVE | RELEASE) << 8, 10_00, 50_00, 40_00]);
+    assert_eq!(rig.status(), ALREADY_RUNNING);
+    rig.pass(3_000);
+    assert_eq!(rig.status(), SUCCESS);
+    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
 fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() {
-    let mut bench = Bench::homed(with_part());
-    bench.command(GRIP, 20_00, 50_00, 40_00);
-    let refused = |bench: &mut Bench| bench.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
-    assert_eq!(refused(&mut bench), 0);
+    let mut rig = TestRig::homed(with_part());
+    rig.command(GRIP, 20_00, 50_00, 40_00);
+    let refused = |rig: &mut TestRig| rig.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
+    assert_eq!(refused(&mut rig), 0);
     for count in 1..=3 {
-        bench.write(0, &[u16::from(MOVE) << 8, 80_00, 50_00, 40_00]);
-        bench.write(0, &[0, 80_00, 50_00, 40_00]);
-        assert_eq!((bench.state(), bench.status()), (HOLDING, Status::AccessDenied.code()), "{count}");
-        assert_eq!(refused(&mut bench), count);
+        rig.write(0, &[u16::from(MOVE) << 8, 80_00, 50_00, 40_00]);
+        rig.write(0, &[0, 80_00, 50_00, 40_00]);
+        assert_eq!((rig.state(), rig.status()), (HOLDING, Status::AccessDenied.code()), "{count}");
+        assert_eq!(refused(&mut rig), count);
     }
-    bench.command(RELEASE, 40_00, 50_00, 40_00);
-    bench.take_motions();
-    bench.set(Inputs::HOME, true);
-    assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
-    assert!(bench.until(60_000, |outputs| outputs.contains(Outputs::READY)));
-    bench.write(0, &[u16::from(MOVE) << 8, 80_00, 50_00, 40_00]);
-    bench.pass(20);
-    assert_eq!(bench.take_motions(), [CommandId::Homing], "the wire is high");
-    assert_eq!((bench.status(), refused(&mut bench)), (Status::AccessDenied.code(), 4));
+    rig.command(RELEASE, 40_00, 50_00, 40_00);
+    rig.take_motions();
+    rig.set(Inputs::HOME, true);
+    assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
+    assert!(rig.until(60_000, |outputs| outputs.contains(Outputs::READY)));
+    rig.write(0, &[u16::from(MOVE) << 8, 80_00, 50_00, 40_00]);
+    rig.pass(20);
+    assert_eq!(rig.take_motions(), [CommandId::Homing], "the wire is high");
+    assert_eq!((rig.status(), refused(&mut rig)), (Status::AccessDenied.code(), 4));
 }
 
 #[test]
 fn exception_is_0a_for_a_gripper_that_never_answered_and_0b_for_a_lost_one() {
-    let mut bench = Bench::new(Config::DEFAULT, quick());
-    bench.set_cut(true);
-    bench.pass(500);
-    assert_eq!(bench.input(0, 6), Err(0x0A));
-    assert_eq!(bench.ask(&[2, 0, 0, 0, 1]), [0x82, 0x0A]);
-    assert_eq!(bench.input(6, 1), Err(2), "register 6 never exists");
-    assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![0]));
-    bench.set_cut(false);
-    bench.pass(1_000);
-    assert!(bench.input(0, 6).is_ok());
-    assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![2]));
-    bench.set_cut(true);
-    bench.pass(2_000);
-    assert_eq!(bench.input(0, 6), Err(0x0B));
-    assert_eq!(bench.input(report("GRIPPER_LINK"), 1), Ok(vec![1]));
-    assert!(bench.holding(0, 4).is_ok(), "the output image is local");
+    let mut rig = TestRig::new(Config::DEFAULT, quick());
+    rig.set_cut(true);
+    rig.pass(500);
+    assert_eq!(rig.input(0, 6), Err(0x0A));
+    assert_eq!(rig.ask(&[2, 0, 0, 0, 1]), [0x82, 0x0A]);
+    assert_eq!(rig.input(6, 1), Err(2), "register 6 never exists");
+    assert_eq!(rig.input(report("GRIPPER_LINK"), 1), Ok(vec![0]));
+    rig.set_cut(false);
+    rig.pass(1_000);
+    assert!(rig.input(0, 6).is_ok());
+    assert_eq!(rig.input(report("GRIPPER_LINK"), 1), Ok(vec![2]));
+    rig.set_cut(true);
+    rig.pass(2_000);
+    assert_eq!(rig.input(0, 6), Err(0x0B));
+    assert_eq!(rig.input(report("GRIPPER_LINK"), 1), Ok(vec![1]));
+    assert!(rig.holding(0, 4).is_ok(), "the output image is local");
     // Commands in the meantime are not executed after the gripper's return.
-    bench.write(0, &[u16::from(HOMING) << 8, 0, 0, 0]);
-    bench.take_motions();
-    bench.set_cut(false);
-    bench.pass(2_000);
-    assert!(bench.input(0, 6).is_ok());
-    assert_eq!(bench.take_motions(), []);
+    rig.write(0, &[u16::from(HOMING) << 8, 0, 0, 0]);
+    rig.take_motions();
+    rig.set_cut(false);
+    rig.pass(2_000);
+    assert!(rig.input(0, 6).is_ok());
+    assert_eq!(rig.take_motions(), []);
 }
 
 #[test]
 fn settings_read_as_built_and_take_effect_when_written() {
-    let mut bench = Bench::homed(quick());
+    let mut rig = TestRig::homed(quick());
     let recipe = setting("RECIPE0_WIDTH");
     let Some(first) = RECIPES.first() else { unreachable!() };
     let values = [first.width as u16, first.speed, first.force as u16, first.release_width as u16];
-    assert_eq!(bench.holding(recipe, 4), Ok(values.to_vec()));
-    bench.write(recipe, &[33_00]);
-    bench.pulse(Inputs::MOVE);
-    bench.pass(3_000);
-    assert!((bench.gripper().state().width - 33.0).abs() < 0.05, "{}", bench.gripper().state().width);
+    assert_eq!(rig.holding(recipe, 4), Ok(values.to_vec()));
+    rig.write(recipe, &[33_00]);
+    rig.pulse(Inputs::MOVE);
+    rig.pass(3_000);
+    assert!((rig.gripper().state().width - 33.0).abs() < 0.05, "{}", rig.gripper().state().width);
 
-    bench.write(setting("DEBOUNCE"), &[20]);
-    bench.take_motions();
-    bench.pulse(Inputs::GRIP);
-    assert_eq!(bench.take_motions(), [], "5 ms are too short now");
+    rig.write(setting("DEBOUNCE"), &[20]);
+    rig.take_motions();
+    rig.pulse(Inputs::GRIP);
+    assert_eq!(rig.take_motions(), [], "5 ms are too short now");
 
-    bench.write(setting("SWAP_BYTES"), &[1]);
-    assert_eq!(bench.input(3, 1).map(|width| width[0].swap_bytes()), Ok(33_00));
+    rig.write(setting("SWAP_BYTES"), &[1]);
+    assert_eq!(rig.input(3, 1).map(|width| width[0].swap_bytes()), Ok(33_00));
 
     let unit = setting("UNIT").to_be_bytes();
-    let answer = bench.ask(&[6, unit[0], unit[1], 0, 9]);
+    let answer = rig.ask(&[6, unit[0], unit[1], 0, 9]);
     assert_eq!(answer, [6, unit[0], unit[1], 0, 9], "answered with the old address");
-    assert!(bench.ask(&[4, 0, 0, 0, 1]).is_empty(), "the old address is no longer served");
-    bench.send_raw(&Bench::frame(9, &[4, 0, 0, 0, 1]));
-    bench.pass(5);
-    assert_eq!(bench.answers(), 1);
+    assert!(rig.ask(&[4, 0, 0, 0, 1]).is_empty(), "the old address is no longer served");
+    rig.send_raw(&TestRig::frame(9, &[4, 0, 0, 0, 1]));
+    rig.pass(5);
+    assert_eq!(rig.answers(), 1);
 }
 
 #[test]
 fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06() {
-    let mut bench = Bench::homed(quick());
-    assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3));
-    assert_eq!(bench.try_write(setting("UNIT"), &[248]), Some(3));
-    assert_eq!(bench.try_write(setting("BUS_REACTION"), &[1, 2_000]), Some(3), "all or none");
-    assert_eq!(bench.try_write(99, &[1]), Some(2));
+    let mut rig = TestRig::homed(quick());
+    assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3));
+    assert_eq!(rig.try_write(setting("UNIT"), &[248]), Some(3));
+    assert_eq!(rig.try_write(setting("BUS_REACTION"), &[1, 2_000]), Some(3), "all or none");
+    assert_eq!(rig.try_write(99, &[1]), Some(2));
     let last = FIRST_SETTING + SETTINGS.len() as u16 - 1;
-    assert_eq!(bench.try_write(last, &[1, 1]), Some(2));
-    assert_eq!(bench.try_write(3, &[40_00, 0]), Some(2), "no write across the gap");
-    bench.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
-    assert_eq!(bench.try_write(setting("DEBOUNCE"), &[5]), Some(6));
-    assert_eq!(bench.try_write(setting("UNIT"), &[0]), Some(3), "an invalid value is reported with priority");
-    let counters = bench.input(report("SERVER_BUSY"), 1);
+    assert_eq!(rig.try_write(last, &[1, 1]), Some(2));
+    assert_eq!(rig.try_write(3, &[40_00, 0]), Some(2), "no write across the gap");
+    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
+    assert_eq!(rig.try_write(setting("DEBOUNCE"), &[5]), Some(6));
+    assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3), "an invalid value is reported with priority");
+    let counters = rig.input(report("SERVER_BUSY"), 1);
     assert_eq!(counters, Ok(vec![1]));
 }
 
 #[test]
 fn reset_cause_of_the_board_is_a_report() {
-    let mut bench = Bench::ready();
-    assert_eq!(bench.input(report("RESET_CAUSE"), 1), Ok(vec![0]));
-    bench.bridge_mut().set_reset_cause(ResetCause::Watchdog);
-    assert_eq!(bench.input(report("RESET_CAUSE"), 1), Ok(vec![3]));
+    let mut rig = TestRig::ready();
+    assert_eq!(rig.input(report("RESET_CAUSE"), 1), Ok(vec![0]));
+    rig.bridge_mut().set_reset_cause(ResetCause::Watchdog);
+    assert_eq!(rig.input(report("RESET_CAUSE"), 1), Ok(vec![3]));
 }
 
 #[test]
 fn reports_name_versions_and_the_gripper() {
     let gripper = wsg_sim::Config { serial_number: 0x0003_0002, ..quick() };
-    let mut bench = Bench::ready_with(Config::DEFAULT, gripper);
-    let reports = bench.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
+    let mut rig = TestRig::ready_with(Config::DEFAULT, gripper);
+    let reports = rig.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
     let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
     assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (7, 0x0001));
     assert_eq!((of("GRIPPER_TYPE"), of("GRIPPER_LINK")), (1, 2));
     assert_eq!((of("SERIAL_HIGH"), of("SERIAL_LOW")), (3, 2));
     assert_eq!((of("BUS_RATE"), of("BUS_FORMAT")), (192, 0));
     assert_eq!(of("SERVER_MESSAGES"), 1, "before this request");
-    assert_eq!(bench.input(FIRST_REPORT + REPORTS.len() as u16, 1), Err(2));
+    assert_eq!(rig.input(FIRST_REPORT + REPORTS.len() as u16, 1), Err(2));
 }
 
 #[test]
 fn device_identification_names_the_bridge() {
-    let mut bench = Bench::ready();
-    let answer = bench.ask(&[43, 14, 1, 0]);
+    let mut rig = TestRig::ready();
+    let answer = rig.ask(&[43, 14, 1, 0]);
     let text = String::from_utf8_lossy(&answer);
     assert!(text.contains("wsg-bridge-fw") && text.contains("V0.1.0"), "{text}");
-    assert_eq!(bench.ask(&[17]), [&[17, 22, 1, 0xFF][..], b"wsg-bridge-fw V0.1.0"].concat());
-    let extended = bench.ask(&[43, 14, 3, 0x80]);
+    assert_eq!(rig.ask(&[17]), [&[17, 22, 1, 0xFF][..], b"wsg-bridge-fw V0.1.0"].concat());
+    let extended = rig.ask(&[43, 14, 3, 0x80]);
     assert_eq!((&extended[..7], &extended[7..]), (&[43, 14, 3, 0x81, 0, 0, 3][..], &answer[7..]));
 }
 
 #[test]
 fn width_and_force_are_queried_only_once_a_master_communicates() {
-    let mut bench = Bench::new(Config::DEFAULT, quick());
-    bench.pass(1_000);
+    let mut rig = TestRig::new(Config::DEFAULT, quick());
+    rig.pass(1_000);
     let asks = |sent: Vec<CommandId>| {
         sent.iter().any(|id| matches!(id, CommandId::GetOpeningWidth | CommandId::GetForce))
     };
-    assert!(!asks(bench.take_sent()));
-    bench.input(0, 1).unwrap();
-    bench.pass(100);
-    assert!(asks(bench.take_sent()));
+    assert!(!asks(rig.take_sent()));
+    rig.input(0, 1).unwrap();
+    rig.pass(100);
+    assert!(asks(rig.take_sent()));
 }
 
 #[test]
 fn broadcast_takes_effect_only_if_enabled() {
-    let stop = Bench::frame(0, &[6, 0, 0, FASTSTOP, 0]);
-    let mut bench = Bench::homed(quick());
-    bench.send_raw(&stop);
-    bench.pass(20);
-    assert!(!bench.bit(28));
-    bench.write(setting("BROADCAST"), &[1]);
-    bench.pass(5);
-    bench.send_raw(&stop);
-    bench.pass(20);
-    assert_eq!(bench.answers(), 0);
-    assert!(bench.bit(28));
+    let stop = TestRig::frame(0, &[6, 0, 0, FASTSTOP, 0]);
+    let mut rig = TestRig::homed(quick());
+    rig.send_raw(&stop);
+    rig.pass(20);
+    assert!(!rig.bit(28));
+    rig.write(setting("BROADCAST"), &[1]);
+    rig.pass(5);
+    rig.send_raw(&stop);
+    rig.pass(20);
+    assert_eq!(rig.answers(), 0);
+    assert!(rig.bit(28));
 }
 
 /// Traffic on the bus that is no request of the PLC.
@@ -637,39 +633,39 @@ proptest! {
 
     #[test]
     fn nothing_but_an_intact_request_for_this_unit_moves_fingers(happenings in proptest::collection::vec(happening(), 1..40)) {
-        let mut bench = Bench::homed(quick());
-        bench.take_motions();
+        let mut rig = TestRig::homed(quick());
+        rig.take_motions();
         let moves = |unit: u8, flags: u8| {
-            Bench::frame(unit, &[16, 0, 0, 0, 4, 8, flags, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0])
+            TestRig::frame(unit, &[16, 0, 0, 0, 4, 8, flags, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0])
         };
         for happening in happenings {
             match happening {
-                Happening::Noise(bytes) => bench.send_raw(&bytes),
+                Happening::Noise(bytes) => rig.send_raw(&bytes),
                 Happening::Damaged(flags, bit) => {
                     let mut frame = moves(UNIT, flags);
                     frame[bit / 8] ^= 1 << (bit % 8);
-                    bench.pass(55);
-                    bench.send_raw(&frame);
-                    bench.pass(55);
+                    rig.pass(55);
+                    rig.send_raw(&frame);
+                    rig.pass(55);
                 }
                 Happening::Half(flags, len) => {
-                    bench.pass(55);
-                    bench.send_raw(&moves(UNIT, flags)[..len.min(16)]);
-                    bench.pass(55);
+                    rig.pass(55);
+                    rig.send_raw(&moves(UNIT, flags)[..len.min(16)]);
+                    rig.pass(55);
                 }
                 Happening::Foreign(flags, unit) => {
-                    bench.pass(55);
-                    bench.send_raw(&moves(unit, flags));
-                    bench.pass(5);
+                    rig.pass(55);
+                    rig.send_raw(&moves(unit, flags));
+                    rig.pass(5);
                 }
-                Happening::Pass(ms) => bench.pass(ms),
+                Happening::Pass(ms) => rig.pass(ms),
             }
         }
-        bench.pass(50);
-        prop_assert_eq!(bench.take_motions(), []);
-        bench.write(0, &[0, 0, 50_00, 40_00]);
-        bench.command(MOVE, 40_00, 50_00, 40_00);
-        prop_assert_eq!(bench.status(), SUCCESS);
+        rig.pass(50);
+        prop_assert_eq!(rig.take_motions(), []);
+        rig.write(0, &[0, 0, 50_00, 40_00]);
+        rig.command(MOVE, 40_00, 50_00, 40_00);
+        prop_assert_eq!(rig.status(), SUCCESS);
     }
 }
 
@@ -677,29 +673,29 @@ proptest! {
 #[test]
 fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
     let read = [4, 0, 0, 0, 1];
-    let request = Bench::frame(UNIT, &read);
+    let request = TestRig::frame(UNIT, &read);
     let mut wrong_checksum = request.clone();
     wrong_checksum[6] ^= 1;
     let traffic = [
-        ("a request for another unit", Bench::frame(UNIT + 1, &read)),
-        ("the response of another unit", Bench::frame(UNIT + 1, &[4, 2, 0, 0])),
-        ("a broadcast that is switched off", Bench::frame(0, &[6, 0, 1, 0, 0])),
+        ("a request for another unit", TestRig::frame(UNIT + 1, &read)),
+        ("the response of another unit", TestRig::frame(UNIT + 1, &[4, 2, 0, 0])),
+        ("a broadcast that is switched off", TestRig::frame(0, &[6, 0, 1, 0, 0])),
         ("a request with a wrong checksum", wrong_checksum),
         ("half a request", request[..4].to_vec()),
         ("noise", vec![0xFF]),
     ];
     for (what, bytes) in traffic {
         let bus = BusConfig { timeout_ms: 300, broadcast: false, ..BusConfig::DEFAULT };
-        let mut bench = Bench::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
-        bench.command(HOMING, 0, 0, 0);
-        bench.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
-        bench.take_sent();
+        let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+        rig.command(HOMING, 0, 0, 0);
+        rig.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
+        rig.take_sent();
         let mut pass = |ms: u32| {
             for _ in 0..ms / 10 {
-                bench.send_raw(&bytes);
-                bench.pass(10);
+                rig.send_raw(&bytes);
+                rig.pass(10);
             }
-            bench.take_sent().contains(&CommandId::Stop)
+            rig.take_sent().contains(&CommandId::Stop)
         };
         assert!(!pass(280), "too early with {what}");
         assert!(pass(50), "not detected with {what}");

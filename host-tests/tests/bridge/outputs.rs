@@ -1,8 +1,8 @@
 //! Output levels compared with the table of docs/wiring.md, in cases that need a particular gripper, flag or time.
 
-use host_tests::bench::Bench;
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
 use host_tests::wires::Wires;
+use host_tests::wires_rig::TestRig;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus, RECIPES};
 use wsg_protocol::CommandId;
@@ -17,32 +17,32 @@ fn quick() -> wsg_sim::Config {
 #[test]
 fn persistent_fault_keeps_ready_low_despite_acknowledgements() {
     for fault in [Fault::OverTemperature, Fault::SupplyOutOfRange, Fault::MotorCurrent] {
-        let mut bench = Bench::homed(quick());
-        let now = bench.now();
-        bench.gripper().set_fault(fault, true, now);
-        assert!(bench.until(100, |outputs| !outputs.contains(Outputs::READY)), "{fault:?}");
+        let mut rig = TestRig::homed(quick());
+        let now = rig.now();
+        rig.gripper().set_fault(fault, true, now);
+        assert!(rig.until(100, |outputs| !outputs.contains(Outputs::READY)), "{fault:?}");
         for _ in 0..3 {
-            bench.pulse(Inputs::STOP_ACK);
+            rig.pulse(Inputs::STOP_ACK);
             let shown = |outputs: Outputs| {
                 outputs.contains(Outputs::READY) || !outputs.contains(Outputs::ERROR | Outputs::LINK_OK)
             };
-            assert!(!bench.until(200, shown), "{fault:?}: {:?}", bench.outputs());
+            assert!(!rig.until(200, shown), "{fault:?}: {:?}", rig.outputs());
         }
-        let now = bench.now();
-        bench.gripper().set_fault(fault, false, now);
-        bench.pulse(Inputs::STOP_ACK);
-        assert!(bench.until(200, |outputs| outputs == IDLE), "{fault:?}: {:?}", bench.outputs());
+        let now = rig.now();
+        rig.gripper().set_fault(fault, false, now);
+        rig.pulse(Inputs::STOP_ACK);
+        assert!(rig.until(200, |outputs| outputs == IDLE), "{fault:?}: {:?}", rig.outputs());
     }
 }
 
 #[test]
 fn ready_is_low_while_stop_ack_is_high() {
-    let mut bench = Bench::homed(quick());
-    bench.set(Inputs::STOP_ACK, true);
-    assert!(bench.until(5, |outputs| !outputs.contains(Outputs::READY)));
-    assert!(!bench.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", bench.outputs());
-    bench.set(Inputs::STOP_ACK, false);
-    assert!(bench.until(5, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    let mut rig = TestRig::homed(quick());
+    rig.set(Inputs::STOP_ACK, true);
+    assert!(rig.until(5, |outputs| !outputs.contains(Outputs::READY)));
+    assert!(!rig.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", rig.outputs());
+    rig.set(Inputs::STOP_ACK, false);
+    assert!(rig.until(5, |outputs| outputs == IDLE), "{:?}", rig.outputs());
 }
 
 #[test]
@@ -52,12 +52,12 @@ fn recipe_grips_with_its_force_on_a_wsg_70() {
         let recipe = RECIPES[number];
         let width = f32::from(recipe.width) / 100.0;
         let config = wsg_sim::Config { model: Model::Wsg70, part: Part::of_width(width), ..quick() };
-        let mut bench = Bench::homed(config);
-        bench.set(Inputs::RECIPE0, number & 1 != 0);
-        bench.set(Inputs::RECIPE1, number & 2 != 0);
-        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING, "recipe {number}");
+        let mut rig = TestRig::homed(config);
+        rig.set(Inputs::RECIPE0, number & 1 != 0);
+        rig.set(Inputs::RECIPE1, number & 2 != 0);
+        assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING, "recipe {number}");
         let force = f32::from(recipe.force) / 100.0;
-        let state = bench.gripper().state();
+        let state = rig.gripper().state();
         assert_eq!((state.force_limit, state.force), (force, force), "recipe {number}");
     }
 }
@@ -85,19 +85,19 @@ fn incomplete_frame_is_discarded_20_ms_after_its_last_byte() {
 
 #[test]
 fn incomplete_frame_does_not_swallow_later_reports() {
-    let mut bench = Bench::homed(wsg_sim::Config { part: Part::of_width(20.0), ..quick() });
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    let mut rig = TestRig::homed(wsg_sim::Config { part: Part::of_width(20.0), ..quick() });
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     // Until the line has been idle for longer than the time-out of an incomplete frame.
     let mut silent_ms = 0;
     while silent_ms < 3 {
-        silent_ms = if bench.take_sent().is_empty() { silent_ms + 1 } else { 0 };
-        bench.step();
+        silent_ms = if rig.take_sent().is_empty() { silent_ms + 1 } else { 0 };
+        rig.step();
     }
-    bench.far.inject(&HALF_FRAME);
-    bench.pass(21);
-    let now = bench.now();
-    bench.gripper().set_part(None, now);
-    assert!(bench.until(15, |outputs| outputs.contains(Outputs::PART_FAULT)), "{:?}", bench.outputs());
+    rig.far.inject(&HALF_FRAME);
+    rig.pass(21);
+    let now = rig.now();
+    rig.gripper().set_part(None, now);
+    assert!(rig.until(15, |outputs| outputs.contains(Outputs::PART_FAULT)), "{:?}", rig.outputs());
 }
 
 #[test]
@@ -115,42 +115,42 @@ fn at_most_256_bytes_are_read_per_turn() {
 fn recipe_takes_effect_with_its_command_while_the_gripper_sends() {
     let recipe = RECIPES[3];
     let width = f32::from(recipe.width) / 100.0;
-    let mut bench = Bench::homed(wsg_sim::Config { part: Part::of_width(width), ..quick() });
-    *bench.inputs() |= Inputs::RECIPE0 | Inputs::RECIPE1 | Inputs::GRIP;
+    let mut rig = TestRig::homed(wsg_sim::Config { part: Part::of_width(width), ..quick() });
+    *rig.inputs() |= Inputs::RECIPE0 | Inputs::RECIPE1 | Inputs::GRIP;
     for _ in 0..10 {
-        bench.far.inject(&[0]);
-        bench.step();
+        rig.far.inject(&[0]);
+        rig.step();
     }
-    bench.set(Inputs::GRIP, false);
-    assert!(bench.until(5_000, |outputs| outputs == IDLE | Outputs::HOLDING), "{:?}", bench.outputs());
-    assert_eq!(bench.gripper().state().force_limit, f32::from(recipe.force) / 100.0);
+    rig.set(Inputs::GRIP, false);
+    assert!(rig.until(5_000, |outputs| outputs == IDLE | Outputs::HOLDING), "{:?}", rig.outputs());
+    assert_eq!(rig.gripper().state().force_limit, f32::from(recipe.force) / 100.0);
 }
 
 #[test]
 fn fast_stop_is_sent_in_the_turn_that_reads_its_wire_low() {
-    let mut bench = Bench::homed(quick());
+    let mut rig = TestRig::homed(quick());
     // Until the line is free.
-    bench.until(100, |_| false);
-    while !bench.take_sent().is_empty() {
-        bench.step();
+    rig.until(100, |_| false);
+    while !rig.take_sent().is_empty() {
+        rig.step();
     }
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.step();
-    assert_eq!(bench.take_sent(), [CommandId::FastStop]);
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.step();
+    assert_eq!(rig.take_sent(), [CommandId::FastStop]);
 }
 
 #[test]
 fn busy_lasts_50_ms_for_a_motion_already_at_its_target() {
-    let mut bench = Bench::homed(quick());
-    bench.command(Inputs::MOVE);
-    bench.set(Inputs::MOVE, true);
-    let busy = |bench: &mut Bench| {
-        bench.step();
-        bench.outputs().contains(Outputs::BUSY)
+    let mut rig = TestRig::homed(quick());
+    rig.command(Inputs::MOVE);
+    rig.set(Inputs::MOVE, true);
+    let busy = |rig: &mut TestRig| {
+        rig.step();
+        rig.outputs().contains(Outputs::BUSY)
     };
-    assert!((0..20).any(|_| busy(&mut bench)));
+    assert!((0..20).any(|_| busy(&mut rig)));
     let mut lasted_ms = 1;
-    while busy(&mut bench) {
+    while busy(&mut rig) {
         lasted_ms += 1;
     }
     assert_eq!(lasted_ms, Config::DEFAULT.wires.min_busy_ms);

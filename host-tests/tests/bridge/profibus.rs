@@ -1,8 +1,8 @@
 //! The bridge over PROFIBUS, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use bus_profibus::{Baud, Character};
-use host_tests::modbus_bench::quick;
-use host_tests::profibus_bench::*;
+use host_tests::modbus_rig::quick;
+use host_tests::profibus_rig::*;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
 use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction};
@@ -23,26 +23,26 @@ fn with_reaction(reaction: SilenceReaction) -> Config {
     Config { bus: BusConfig { reaction, ..AT_500K.bus }, ..AT_500K }
 }
 
-/// Returns a bench during a long MOVE.
-fn moving(reaction: SilenceReaction) -> Bench {
+/// Returns a rig during a long MOVE.
+fn moving(reaction: SilenceReaction) -> TestRig {
     moving_with(reaction, WATCHDOG)
 }
 
-/// Returns a bench during a long MOVE of a master with this watchdog.
-fn moving_with(reaction: SilenceReaction, watchdog: u8) -> Bench {
+/// Returns a rig during a long MOVE of a master with this watchdog.
+fn moving_with(reaction: SilenceReaction, watchdog: u8) -> TestRig {
     let slow = wsg_sim::Config::default();
-    let mut bench = Bench::exchanging(with_reaction(reaction), slow, watchdog);
-    bench.command(Flag::HOMING);
-    bench.image.width = 10_00;
-    bench.image.speed = 10_00;
-    bench.set(Flag::MOVE);
-    bench.pass(50);
-    assert_eq!(bench.board.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
-    bench
+    let mut rig = TestRig::exchanging(with_reaction(reaction), slow, watchdog);
+    rig.command(Flag::HOMING);
+    rig.image.width = 10_00;
+    rig.image.speed = 10_00;
+    rig.set(Flag::MOVE);
+    rig.pass(50);
+    assert_eq!(rig.board.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
+    rig
 }
 
-fn stops(bench: &mut Bench) -> Vec<CommandId> {
-    let sent = bench.board.take_sent().into_iter();
+fn stops(rig: &mut TestRig) -> Vec<CommandId> {
+    let sent = rig.board.take_sent().into_iter();
     sent.filter(|id| matches!(id, CommandId::Stop | CommandId::FastStop)).collect()
 }
 
@@ -55,235 +55,229 @@ const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
 
 #[test]
 fn grip_cycle_over_profibus() {
-    let mut bench = Bench::homed(with_part());
+    let mut rig = TestRig::homed(with_part());
     for _ in 0..10 {
-        bench.image = OutputImage { width: 80_00, speed: 200_00, ..bench.image };
-        bench.command(Flag::MOVE);
-        let input = bench.input();
+        rig.image = OutputImage { width: 80_00, speed: 200_00, ..rig.image };
+        rig.command(Flag::MOVE);
+        let input = rig.input();
         assert_eq!((input.state, input.status, input.width), (Shown::IDLE, Status::Success, 80_00));
-        bench.image = OutputImage { width: 20_00, speed: 50_00, ..bench.image };
-        bench.command(Flag::GRIP);
-        let input = bench.input();
+        rig.image = OutputImage { width: 20_00, speed: 50_00, ..rig.image };
+        rig.command(Flag::GRIP);
+        let input = rig.input();
         assert_eq!((input.state, input.status), (Shown::HOLDING, Status::Success));
         assert!(input.width.abs_diff(20_00) <= 50 && input.force.abs_diff(40_00) <= 1_00, "{input:?}");
-        bench.image.width = 40_00;
-        bench.command(Flag::RELEASE);
-        let input = bench.input();
+        rig.image.width = 40_00;
+        rig.command(Flag::RELEASE);
+        let input = rig.input();
         assert_eq!((input.state, input.status), (Shown::IDLE, Status::Success));
     }
     let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(bench.board.take_motions(), cycle.repeat(10));
-    assert_eq!(bench.board.bridge().counters(), wsg_bridge_fw::Counters::default());
-    assert_eq!(bench.board.bridge().control_source(), ControlSource::Bus);
+    assert_eq!(rig.board.take_motions(), cycle.repeat(10));
+    assert_eq!(rig.board.bridge().counters(), wsg_bridge_fw::Counters::default());
+    assert_eq!(rig.board.bridge().control_source(), ControlSource::Bus);
 }
 
 #[test]
 fn watchdog_of_the_master_stops_its_motion_in_time() {
     for (reaction, expected) in REACTIONS {
-        let mut bench = moving(reaction);
-        bench.exchange();
-        bench.pass_silent(WATCHDOG_MS - 3);
-        assert_eq!(stops(&mut bench), [], "too early");
-        bench.pass_silent(6);
-        assert_eq!(stops(&mut bench), expected, "{reaction:?}");
-        bench.pass_silent(3_000);
-        assert_eq!(stops(&mut bench), [], "only once");
+        let mut rig = moving(reaction);
+        rig.exchange();
+        rig.pass_silent(WATCHDOG_MS - 3);
+        assert_eq!(stops(&mut rig), [], "too early");
+        rig.pass_silent(6);
+        assert_eq!(stops(&mut rig), expected, "{reaction:?}");
+        rig.pass_silent(3_000);
+        assert_eq!(stops(&mut rig), [], "only once");
     }
 }
 
 #[test]
 fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
-    let clear = |bench: &mut Bench, function: u8, number: u8| {
+    let clear = |rig: &mut TestRig, function: u8, number: u8| {
         if number == 0 {
-            bench.control(0x02, 0);
+            rig.control(0x02, 0);
         } else {
             let answer =
-                bench.send(&[0x10, STATION, MASTER, function, sum(&[STATION, MASTER, function]), 0x16]);
+                rig.send(&[0x10, STATION, MASTER, function, sum(&[STATION, MASTER, function]), 0x16]);
             assert_eq!(answer[..4], [0x68, 15, 15, 0x68], "Fail_Safe: {answer:02X?}");
         }
     };
     for (reaction, expected) in REACTIONS {
         for number in 0..2 {
-            let mut bench = moving(reaction);
+            let mut rig = moving(reaction);
             // Repeatedly, as a master in the operating mode Clear does.
             for function in [0x5D, 0x7D].into_iter().cycle().take(40) {
-                clear(&mut bench, function, number);
-                bench.pass_silent(5);
+                clear(&mut rig, function, number);
+                rig.pass_silent(5);
             }
-            assert_eq!(stops(&mut bench), expected, "{reaction:?}, only once");
+            assert_eq!(stops(&mut rig), expected, "{reaction:?}, only once");
         }
     }
 }
 
 #[test]
 fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
-    let mut bench = Bench::homed(quick());
-    bench.control(0x02, 0);
-    bench.pass_silent(10);
-    bench.set(Flag::GRIP);
-    bench.pass(20);
-    assert_eq!(bench.board.take_motions(), []);
-    bench.set(Flag::empty());
-    bench.set(Flag::GRIP);
-    bench.pass(20);
-    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+    let mut rig = TestRig::homed(quick());
+    rig.control(0x02, 0);
+    rig.pass_silent(10);
+    rig.set(Flag::GRIP);
+    rig.pass(20);
+    assert_eq!(rig.board.take_motions(), []);
+    rig.set(Flag::empty());
+    rig.set(Flag::GRIP);
+    rig.pass(20);
+    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
 }
 
 #[test]
 fn unchanged_outputs_after_clear_make_the_next_flag_an_edge() {
-    let mut bench = Bench::homed(quick());
-    bench.control(0x02, 0);
-    bench.pass_silent(10);
-    bench.exchange();
-    bench.pass(3);
-    bench.set(Flag::GRIP);
-    bench.pass(20);
-    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+    let mut rig = TestRig::homed(quick());
+    rig.control(0x02, 0);
+    rig.pass_silent(10);
+    rig.exchange();
+    rig.pass(3);
+    rig.set(Flag::GRIP);
+    rig.pass(20);
+    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
 }
 
 #[test]
 fn first_outputs_after_power_up_start_nothing() {
-    let mut bench = Bench::new(AT_500K, quick());
-    bench.pass_silent(200);
-    bench.start(WATCHDOG);
+    let mut rig = TestRig::new(AT_500K, quick());
+    rig.pass_silent(200);
+    rig.start(WATCHDOG);
     for _ in 0..5 {
-        bench.set(Flag::HOMING | Flag::JOG_PLUS);
-        bench.pass(20);
+        rig.set(Flag::HOMING | Flag::JOG_PLUS);
+        rig.pass(20);
     }
-    assert_eq!(bench.board.take_motions(), []);
-    bench.set(Flag::empty());
-    bench.set(Flag::HOMING);
-    bench.pass(20);
-    assert_eq!(bench.board.take_motions(), [CommandId::Homing]);
+    assert_eq!(rig.board.take_motions(), []);
+    rig.set(Flag::empty());
+    rig.set(Flag::HOMING);
+    rig.pass(20);
+    assert_eq!(rig.board.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
 fn outputs_without_parameters_and_configuration_are_refused() {
-    let mut bench = Bench::new(AT_500K, quick());
-    bench.pass_silent(200);
+    let mut rig = TestRig::new(AT_500K, quick());
+    rig.pass_silent(200);
     for flags in [Flag::empty(), Flag::HOMING, Flag::empty(), Flag::FASTSTOP] {
-        bench.image.flags = flags;
-        let refused = bench.exchange_of(MASTER);
+        rig.image.flags = flags;
+        let refused = rig.exchange_of(MASTER);
         assert_eq!(refused, [0x10, MASTER, STATION, 0x03, 0x0C, 0x16], "no service");
     }
-    bench.board.take_sent();
-    bench.pass_silent(100);
-    assert_eq!(bench.board.take_motions(), []);
-    assert_eq!(bench.board.bridge().control_source(), ControlSource::Nobody);
+    rig.board.take_sent();
+    rig.pass_silent(100);
+    assert_eq!(rig.board.take_motions(), []);
+    assert_eq!(rig.board.bridge().control_source(), ControlSource::Nobody);
 }
 
 #[test]
 fn jog_ends_when_the_master_leaves_at_any_reaction() {
-    type Leave = fn(&mut Bench);
+    type Leave = fn(&mut TestRig);
     let ways: [(&str, Leave); 5] = [
-        ("times out", |bench| bench.pass_silent(WATCHDOG_MS)),
-        ("clears", |bench| bench.control(0x02, 0)),
-        ("unlocks", |bench| assert_eq!(bench.service(points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
-        ("sends parameters again", |bench| bench.start(WATCHDOG)),
-        ("sends outputs of another length", |bench| drop(bench.send(&sd2(&[STATION, MASTER, 0x6D, 1, 2])))),
+        ("times out", |rig| rig.pass_silent(WATCHDOG_MS)),
+        ("clears", |rig| rig.control(0x02, 0)),
+        ("unlocks", |rig| assert_eq!(rig.service(points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
+        ("sends parameters again", |rig| rig.start(WATCHDOG)),
+        ("sends outputs of another length", |rig| drop(rig.send(&sd2(&[STATION, MASTER, 0x6D, 1, 2])))),
     ];
     for (way, leave) in ways {
-        let mut bench = Bench::exchanging(with_reaction(SilenceReaction::Hold), quick(), WATCHDOG);
-        bench.command(Flag::HOMING);
-        bench.command(Flag::MOVE);
-        bench.image.speed = 5_00;
-        bench.set(Flag::JOG_PLUS);
-        bench.pass(50);
-        assert_eq!(bench.exchange().1.state, Shown::RELEASING);
-        assert_eq!(stops(&mut bench), []);
-        leave(&mut bench);
-        bench.pass_silent(20);
-        assert_eq!(stops(&mut bench), [CommandId::Stop], "a master that {way}");
+        let mut rig = TestRig::exchanging(with_reaction(SilenceReaction::Hold), quick(), WATCHDOG);
+        rig.command(Flag::HOMING);
+        rig.command(Flag::MOVE);
+        rig.image.speed = 5_00;
+        rig.set(Flag::JOG_PLUS);
+        rig.pass(50);
+        assert_eq!(rig.exchange().1.state, Shown::RELEASING);
+        assert_eq!(stops(&mut rig), []);
+        leave(&mut rig);
+        rig.pass_silent(20);
+        assert_eq!(stops(&mut rig), [CommandId::Stop], "a master that {way}");
         // The master resumes with its button still pressed.
-        bench.start(WATCHDOG);
-        bench.pass(100);
-        assert_eq!(bench.board.take_motions(), [], "{way}");
+        rig.start(WATCHDOG);
+        rig.pass(100);
+        assert_eq!(rig.board.take_motions(), [], "{way}");
     }
 }
 
 #[test]
 fn master_without_a_watchdog_times_out_by_bus_timeout_and_may_resume() {
-    let mut bench = Bench::exchanging(AT_500K, quick(), 0);
-    bench.command(Flag::HOMING);
-    bench.image.speed = 5_00;
-    bench.set(Flag::JOG_MINUS);
-    bench.pass(50);
-    bench.board.take_sent();
-    bench.exchange();
-    bench.pass_silent(Config::DEFAULT.bus.timeout_ms as u32 - 5);
-    assert_eq!(stops(&mut bench), [], "too early");
-    bench.pass_silent(10);
-    assert_eq!(stops(&mut bench), [CommandId::Stop]);
-    bench.pass(100);
-    assert_eq!(bench.board.take_motions(), [], "the flag is unchanged");
-    bench.set(Flag::empty());
-    bench.pass(3);
-    bench.set(Flag::JOG_MINUS);
-    bench.pass(20);
-    assert_eq!(bench.board.take_motions(), [CommandId::PrePosition]);
+    let mut rig = TestRig::exchanging(AT_500K, quick(), 0);
+    rig.command(Flag::HOMING);
+    rig.image.speed = 5_00;
+    rig.set(Flag::JOG_MINUS);
+    rig.pass(50);
+    rig.board.take_sent();
+    rig.exchange();
+    rig.pass_silent(Config::DEFAULT.bus.timeout_ms as u32 - 5);
+    assert_eq!(stops(&mut rig), [], "too early");
+    rig.pass_silent(10);
+    assert_eq!(stops(&mut rig), [CommandId::Stop]);
+    rig.pass(100);
+    assert_eq!(rig.board.take_motions(), [], "the flag is unchanged");
+    rig.set(Flag::empty());
+    rig.pass(3);
+    rig.set(Flag::JOG_MINUS);
+    rig.pass(20);
+    assert_eq!(rig.board.take_motions(), [CommandId::PrePosition]);
     // The outputs were 0 before the time-out, and are 0 when the master resumes. So the next flag is an edge.
-    bench.set(Flag::empty());
-    bench.pass(500);
-    bench.pass_silent(2_000);
-    bench.pass(5);
-    bench.board.take_sent();
-    bench.image.speed = 50_00;
-    bench.set(Flag::MOVE);
-    bench.pass(5);
-    assert_eq!(bench.board.take_motions(), [CommandId::PrePosition]);
+    rig.set(Flag::empty());
+    rig.pass(500);
+    rig.pass_silent(2_000);
+    rig.pass(5);
+    rig.board.take_sent();
+    rig.image.speed = 50_00;
+    rig.set(Flag::MOVE);
+    rig.pass(5);
+    assert_eq!(rig.board.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
 fn master_without_a_watchdog_never_times_out_with_a_bus_timeout_of_0() {
     let bus = BusConfig { timeout_ms: 0, ..AT_500K.bus };
-    let mut bench = Bench::exchanging(Config { bus, ..AT_500K }, quick(), 0);
-    bench.command(Flag::HOMING);
-    bench.image.speed = 5_00;
-    bench.set(Flag::JOG_MINUS);
-    bench.pass(50);
-    assert_eq!(bench.board.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
-    bench.pass_silent(5_000);
-    assert_eq!(stops(&mut bench), []);
+    let mut rig = TestRig::exchanging(Config { bus, ..AT_500K }, quick(), 0);
+    rig.command(Flag::HOMING);
+    rig.image.speed = 5_00;
+    rig.set(Flag::JOG_MINUS);
+    rig.pass(50);
+    assert_eq!(rig.board.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
+    rig.pass_silent(5_000);
+    assert_eq!(stops(&mut rig), []);
 }
 
 #[test]
 fn bus_timeout_and_watchdog_count_as_one_time_out() {
-    let mut bench = moving(SilenceReaction::Stop);
+    let mut rig = moving(SilenceReaction::Stop);
     // A watchdog of 2.5 s, longer than BUS_TIMEOUT.
-    bench.start(250);
-    bench.set(Flag::empty());
-    bench.set(Flag::MOVE);
-    bench.pass(50);
-    bench.board.take_sent();
-    bench.pass_silent(1_100);
-    assert_eq!(stops(&mut bench), [CommandId::Stop]);
-    bench.pass_silent(3_000);
-    assert_eq!(stops(&mut bench), [], "only once");
+    rig.start(250);
+    rig.set(Flag::empty());
+    rig.set(Flag::MOVE);
+    rig.pass(50);
+    rig.board.take_sent();
+    rig.pass_silent(1_100);
+    assert_eq!(stops(&mut rig), [CommandId::Stop]);
+    rig.pass_silent(3_000);
+    assert_eq!(stops(&mut rig), [], "only once");
 }
 
 #[test]
 fn second_master_is_refused_and_changes_nothing() {
-    let mut bench = moving(SilenceReaction::FastStop);
+    let mut rig = moving(SilenceReaction::FastStop);
     let refused = [0x10, SECOND_MASTER, STATION, 0x03, 0x0D, 0x16];
-    let image = bench.image;
+    let image = rig.image;
     for _ in 0..20 {
-        assert_eq!(
-            bench.service_of(SECOND_MASTER, points::SET_PRM, &[0x88, 1, 1, 11, 0x55, 0x55, 0]),
-            refused
-        );
-        assert_eq!(
-            bench.service_of(SECOND_MASTER, points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]),
-            refused
-        );
-        assert_eq!(bench.service_of(SECOND_MASTER, points::CHK_CFG, &[0xA7, 0x9B]), refused);
-        bench.image = OutputImage { flags: Flag::FASTSTOP, ..image };
-        assert_eq!(bench.exchange_of(SECOND_MASTER), refused);
-        bench.image = image;
-        bench.exchange();
+        assert_eq!(rig.service_of(SECOND_MASTER, points::SET_PRM, &[0x88, 1, 1, 11, 0x55, 0x55, 0]), refused);
+        assert_eq!(rig.service_of(SECOND_MASTER, points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), refused);
+        assert_eq!(rig.service_of(SECOND_MASTER, points::CHK_CFG, &[0xA7, 0x9B]), refused);
+        rig.image = OutputImage { flags: Flag::FASTSTOP, ..image };
+        assert_eq!(rig.exchange_of(SECOND_MASTER), refused);
+        rig.image = image;
+        rig.exchange();
     }
-    bench.pass(20);
-    assert_eq!(stops(&mut bench), []);
-    assert_eq!(bench.exchange().1.state, Shown::POSITIONING);
+    rig.pass(20);
+    assert_eq!(stops(&mut rig), []);
+    assert_eq!(rig.exchange().1.state, Shown::POSITIONING);
 }
 
 #[test]
@@ -298,35 +292,31 @@ fn wrong_parameters_or_configuration_are_reported_and_prevent_commands() {
         ("configuration", right.0, [0xA7, 0x9A], cfg_fault),
     ];
     for (what, parameters, config, fault) in wrong {
-        let mut bench = moving(SilenceReaction::Stop);
+        let mut rig = moving(SilenceReaction::Stop);
         // During data exchange, they end it. Otherwise, they prevent it.
-        assert_eq!(bench.service(points::SET_PRM, &parameters), SC);
-        bench.service(points::CHK_CFG, &config);
-        assert_eq!(bench.diagnosis()[0] & 0x56, 0x02 | fault, "{what}: not ready");
-        bench.image.flags = Flag::RELEASE;
-        assert_eq!(
-            bench.exchange_of(MASTER),
-            [0x10, MASTER, STATION, 0x03, 0x0C, 0x16],
-            "{what}: no service"
-        );
-        bench.pass_silent(20);
-        assert_eq!(stops(&mut bench), [CommandId::Stop], "{what}");
-        assert_eq!(bench.board.take_motions(), [], "{what}");
-        bench.start_with(&right.0, &right.1);
-        bench.image.flags = Flag::MOVE;
-        assert_eq!((bench.exchange().0, bench.diagnosis()[0] & 0x56), (0x08, 0), "{what}, resolved");
+        assert_eq!(rig.service(points::SET_PRM, &parameters), SC);
+        rig.service(points::CHK_CFG, &config);
+        assert_eq!(rig.diagnosis()[0] & 0x56, 0x02 | fault, "{what}: not ready");
+        rig.image.flags = Flag::RELEASE;
+        assert_eq!(rig.exchange_of(MASTER), [0x10, MASTER, STATION, 0x03, 0x0C, 0x16], "{what}: no service");
+        rig.pass_silent(20);
+        assert_eq!(stops(&mut rig), [CommandId::Stop], "{what}");
+        assert_eq!(rig.board.take_motions(), [], "{what}");
+        rig.start_with(&right.0, &right.1);
+        rig.image.flags = Flag::MOVE;
+        assert_eq!((rig.exchange().0, rig.diagnosis()[0] & 0x56), (0x08, 0), "{what}, resolved");
     }
 }
 
 #[test]
 fn sync_delays_no_outputs_and_freeze_no_inputs() {
-    let mut bench = moving(SilenceReaction::Hold);
+    let mut rig = moving(SilenceReaction::Hold);
     // The parameters have not enabled them. Parameters that do are refused.
-    bench.control(0x20 | 0x08, 0);
-    bench.set(Flag::MOVE | Flag::FASTSTOP);
-    bench.pass_silent(10);
-    assert_eq!(stops(&mut bench), [CommandId::FastStop], "without another Sync");
-    assert!(bench.exchange().1.system.contains(SystemFlags::FAST_STOP), "without another Freeze");
+    rig.control(0x20 | 0x08, 0);
+    rig.set(Flag::MOVE | Flag::FASTSTOP);
+    rig.pass_silent(10);
+    assert_eq!(stops(&mut rig), [CommandId::FastStop], "without another Sync");
+    assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP), "without another Freeze");
 }
 
 #[test]
@@ -337,81 +327,81 @@ fn clear_of_another_group_is_ignored() {
         (0x03, 0x02, &[CommandId::Stop]),
         (0x01, 0x00, &[CommandId::Stop]),
     ] {
-        let mut bench = moving(SilenceReaction::Stop);
-        bench.start_with(&[0x88, 1, WATCHDOG, 11, 0x55, 0x55, group], &[0xA7, 0x9B]);
-        bench.pass_silent(10);
+        let mut rig = moving(SilenceReaction::Stop);
+        rig.start_with(&[0x88, 1, WATCHDOG, 11, 0x55, 0x55, group], &[0xA7, 0x9B]);
+        rig.pass_silent(10);
         // The new parameters ended the motion.
-        bench.set(Flag::empty());
-        bench.set(Flag::MOVE);
-        bench.pass(50);
-        bench.board.take_sent();
-        bench.control(0x02, groups);
-        bench.pass_silent(10);
-        assert_eq!(stops(&mut bench), expected, "group {group:02X}h, of groups {groups:02X}h");
+        rig.set(Flag::empty());
+        rig.set(Flag::MOVE);
+        rig.pass(50);
+        rig.board.take_sent();
+        rig.control(0x02, groups);
+        rig.pass_silent(10);
+        assert_eq!(stops(&mut rig), expected, "group {group:02X}h, of groups {groups:02X}h");
     }
 }
 
 #[test]
 fn configuration_inputs_and_outputs_are_readable_and_the_address_is_fixed() {
-    let mut bench = Bench::homed(quick());
-    bench.image.width = 33_00;
-    let input = bench.input();
+    let mut rig = TestRig::homed(quick());
+    rig.image.width = 33_00;
+    let input = rig.input();
     let data = |answer: Vec<u8>| answer[9..answer.len() - 2].to_vec();
     for master in [MASTER, SECOND_MASTER] {
-        assert_eq!(data(bench.service_of(master, points::GET_CFG, &[])), [0xA7, 0x9B], "Get_Cfg");
-        assert_eq!(data(bench.service_of(master, points::RD_INP, &[])), input.to_bytes(), "RD_Inp");
-        assert_eq!(data(bench.service_of(master, points::RD_OUTP, &[])), bench.image.to_bytes(), "RD_Outp");
+        assert_eq!(data(rig.service_of(master, points::GET_CFG, &[])), [0xA7, 0x9B], "Get_Cfg");
+        assert_eq!(data(rig.service_of(master, points::RD_INP, &[])), input.to_bytes(), "RD_Inp");
+        assert_eq!(data(rig.service_of(master, points::RD_OUTP, &[])), rig.image.to_bytes(), "RD_Outp");
     }
     // Set_Slave_Address is refused from both masters, during data exchange and without it.
     let refused = [0x10, MASTER, STATION, 0x03, 0x0C, 0x16];
-    assert_eq!(bench.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
-    bench.exchange();
-    let mut bench = Bench::new(AT_500K, quick());
-    bench.pass_silent(10);
-    assert_eq!(bench.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
-    bench.start(WATCHDOG);
-    bench.exchange();
+    assert_eq!(rig.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
+    rig.exchange();
+    let mut rig = TestRig::new(AT_500K, quick());
+    rig.pass_silent(10);
+    assert_eq!(rig.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
+    rig.start(WATCHDOG);
+    rig.exchange();
 }
 
 #[test]
 fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
-    let mut bench = Bench::exchanging(AT_500K, quick(), WATCHDOG);
-    assert_eq!(bench.exchange().0, 0x08, "low priority");
-    let now = Time::from_millis(bench.board.now_ms().into());
-    bench.board.gripper().set_fault(Fault::OverTemperature, true, now);
-    bench.pass(100);
-    let (function, input) = bench.exchange();
+    let mut rig = TestRig::exchanging(AT_500K, quick(), WATCHDOG);
+    assert_eq!(rig.exchange().0, 0x08, "low priority");
+    let now = Time::from_millis(rig.board.now_ms().into());
+    rig.board.gripper().set_fault(Fault::OverTemperature, true, now);
+    rig.pass(100);
+    let (function, input) = rig.exchange();
     assert!(input.system.contains(SystemFlags::TEMP_FAULT));
     assert_eq!(function, 0x0A, "high priority: diagnosis available");
-    let answer = bench.service(points::SLAVE_DIAG, &[]);
+    let answer = rig.service(points::SLAVE_DIAG, &[]);
     let expected = Diagnosis { standard: [0x08, 0x0C, 0x00, MASTER], system: input.system }.to_bytes();
     assert_eq!(answer[9..25], expected);
-    assert_eq!(bench.exchange().0, 0x08, "read");
+    assert_eq!(rig.exchange().0, 0x08, "read");
     // The end of a fault is not announced. Without any fault, Diag.Ext_Diag is 0.
-    let now = Time::from_millis(bench.board.now_ms().into());
-    bench.board.gripper().set_fault(Fault::OverTemperature, false, now);
-    bench.pass(100);
-    bench.command(Flag::STOP_ACK);
-    bench.pass(100);
-    let (function, input) = bench.exchange();
+    let now = Time::from_millis(rig.board.now_ms().into());
+    rig.board.gripper().set_fault(Fault::OverTemperature, false, now);
+    rig.pass(100);
+    rig.command(Flag::STOP_ACK);
+    rig.pass(100);
+    let (function, input) = rig.exchange();
     assert!(!input.system.intersects(Diagnosis::TRIGGERS), "{input:?}");
-    assert_eq!((function, bench.service(points::SLAVE_DIAG, &[])[9]), (0x08, 0x00));
+    assert_eq!((function, rig.service(points::SLAVE_DIAG, &[])[9]), (0x08, 0x00));
 }
 
 #[test]
 fn diagnosis_has_16_bytes_even_while_no_flag_is_known() {
-    let mut bench = Bench::new(AT_500K, quick());
-    bench.board.set_cut(true);
-    bench.pass_silent(10);
-    assert_eq!(bench.diagnosis(), [0x02, 0x05, 0x00, 0xFF]);
+    let mut rig = TestRig::new(AT_500K, quick());
+    rig.board.set_cut(true);
+    rig.pass_silent(10);
+    assert_eq!(rig.diagnosis(), [0x02, 0x05, 0x00, 0xFF]);
 }
 
 #[test]
 fn missing_gripper_is_shown_as_an_error() {
-    let mut bench = Bench::homed(quick());
-    bench.board.set_cut(true);
-    bench.pass(2_000);
-    let input = bench.exchange().1;
+    let mut rig = TestRig::homed(quick());
+    rig.board.set_cut(true);
+    rig.pass(2_000);
+    let input = rig.exchange().1;
     assert_eq!((input.state, input.status), (Shown::ERROR, Status::IoError));
 }
 
@@ -419,105 +409,105 @@ fn missing_gripper_is_shown_as_an_error() {
 fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
     let profibus = ProfibusConfig { rate: Some(Baud::M1_5), ..ProfibusConfig::DEFAULT };
     let slow = wsg_sim::Config::default();
-    let mut bench = Bench::exchanging(Config { profibus, ..AT_500K }, slow, WATCHDOG);
-    bench.command(Flag::HOMING);
-    bench.image.speed = 10_00;
-    bench.set(Flag::MOVE);
-    bench.pass(20);
-    let turn = bench.board.now_ms();
-    bench.set(Flag::MOVE | Flag::FASTSTOP);
-    bench.set(Flag::empty());
-    assert!(bench.board.now_ms() - turn <= 1, "both within one millisecond");
-    bench.pass(20);
-    assert_eq!(stops(&mut bench), [CommandId::FastStop]);
-    assert!(bench.exchange().1.system.contains(SystemFlags::FAST_STOP));
+    let mut rig = TestRig::exchanging(Config { profibus, ..AT_500K }, slow, WATCHDOG);
+    rig.command(Flag::HOMING);
+    rig.image.speed = 10_00;
+    rig.set(Flag::MOVE);
+    rig.pass(20);
+    let turn = rig.board.now_ms();
+    rig.set(Flag::MOVE | Flag::FASTSTOP);
+    rig.set(Flag::empty());
+    assert!(rig.board.now_ms() - turn <= 1, "both within one millisecond");
+    rig.pass(20);
+    assert_eq!(stops(&mut rig), [CommandId::FastStop]);
+    assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP));
 }
 
 #[test]
 fn repeated_outputs_are_one_edge() {
-    let mut bench = Bench::homed(quick());
-    bench.image.flags = Flag::GRIP;
-    let body = [&[STATION, MASTER, 0x7D][..], &bench.image.to_bytes()].concat();
+    let mut rig = TestRig::homed(quick());
+    rig.image.flags = Flag::GRIP;
+    let body = [&[STATION, MASTER, 0x7D][..], &rig.image.to_bytes()].concat();
     let telegram = [&[0xA2], &body[..], &[sum(&body), 0x16]].concat();
     // Another request in between defines the frame count bit.
-    assert_eq!(bench.send(&sd2(&[STATION | 0x80, MASTER | 0x80, 0x5D, 60, 62])).len(), 27);
-    let first = bench.send(&telegram);
+    assert_eq!(rig.send(&sd2(&[STATION | 0x80, MASTER | 0x80, 0x5D, 60, 62])).len(), 27);
+    let first = rig.send(&telegram);
     for _ in 0..5 {
-        assert_eq!(bench.send(&telegram), first, "the stored response");
+        assert_eq!(rig.send(&telegram), first, "the stored response");
     }
-    bench.pass_silent(20);
-    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+    rig.pass_silent(20);
+    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
 }
 
 #[test]
 fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
-    let mut bench = Bench::homed(quick());
-    bench.image.flags = Flag::GRIP;
-    let body = [&[STATION, MASTER, 0x5D][..], &bench.image.to_bytes()].concat();
+    let mut rig = TestRig::homed(quick());
+    rig.image.flags = Flag::GRIP;
+    let body = [&[STATION, MASTER, 0x5D][..], &rig.image.to_bytes()].concat();
     let telegram = [&[0xA2], &body[..], &[sum(&body), 0x16]].concat();
     for damaged in 0..telegram.len() {
         let mut characters: Vec<_> = telegram.iter().map(|byte| Character::Byte(*byte)).collect();
         characters[damaged] = Character::Damaged;
-        assert_eq!(bench.send_characters(&characters), NOTHING, "character {damaged}");
+        assert_eq!(rig.send_characters(&characters), NOTHING, "character {damaged}");
         let mut changed = telegram.clone();
         changed[damaged] ^= 0x10;
-        assert_eq!(bench.send(&changed), NOTHING, "byte {damaged}");
+        assert_eq!(rig.send(&changed), NOTHING, "byte {damaged}");
     }
-    bench.pass_silent(10);
-    assert_eq!(bench.board.take_motions(), []);
-    bench.image.flags = Flag::empty();
-    bench.exchange();
-    bench.set(Flag::GRIP);
-    bench.pass(10);
-    assert_eq!(bench.board.take_motions(), [CommandId::GripPart]);
+    rig.pass_silent(10);
+    assert_eq!(rig.board.take_motions(), []);
+    rig.image.flags = Flag::empty();
+    rig.exchange();
+    rig.set(Flag::GRIP);
+    rig.pass(10);
+    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
 }
 
 #[test]
 fn wires_command_in_parallel_with_profibus() {
-    let mut bench = Bench::homed(quick());
-    bench.board.inputs().insert(Inputs::MOVE);
-    bench.pass(20);
-    assert_eq!(bench.board.take_motions(), [CommandId::PrePosition]);
-    bench.pass(2_000);
-    bench.set(Flag::GRIP);
-    bench.pass(20);
-    assert_eq!(bench.board.take_motions(), [], "a command wire is high");
-    assert_eq!(bench.board.bridge().control_source(), ControlSource::Wires);
-    bench.board.inputs().remove(Inputs::FAST_STOP_OK);
-    bench.pass(20);
-    assert!(bench.exchange().1.system.contains(SystemFlags::FAST_STOP));
+    let mut rig = TestRig::homed(quick());
+    rig.board.inputs().insert(Inputs::MOVE);
+    rig.pass(20);
+    assert_eq!(rig.board.take_motions(), [CommandId::PrePosition]);
+    rig.pass(2_000);
+    rig.set(Flag::GRIP);
+    rig.pass(20);
+    assert_eq!(rig.board.take_motions(), [], "a command wire is high");
+    assert_eq!(rig.board.bridge().control_source(), ControlSource::Wires);
+    rig.board.inputs().remove(Inputs::FAST_STOP_OK);
+    rig.pass(20);
+    assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP));
 }
 
 #[test]
 fn bridge_has_the_address_of_its_setting() {
     let profibus = ProfibusConfig { address: 125, ..AT_500K.profibus };
-    let mut bench = Bench::new(Config { profibus, ..AT_500K }, quick());
-    bench.pass_silent(10);
+    let mut rig = TestRig::new(Config { profibus, ..AT_500K }, quick());
+    rig.pass_silent(10);
     let status = |station: u8| [0x10, station, MASTER, 0x49, sum(&[station, MASTER, 0x49]), 0x16];
-    assert_eq!(bench.send(&status(7)), NOTHING);
-    assert_eq!(bench.send(&status(125)), [0x10, MASTER, 125, 0x00, 127, 0x16]);
+    assert_eq!(rig.send(&status(7)), NOTHING);
+    assert_eq!(rig.send(&status(125)), [0x10, MASTER, 125, 0x00, 127, 0x16]);
 }
 
 #[test]
 fn rate_is_searched_until_telegrams_are_received() {
-    let mut bench = Bench::new(Config { profibus: ProfibusConfig::DEFAULT, ..AT_500K }, quick());
-    assert_eq!(bench.board.rate(), Some(Baud::K9_6));
+    let mut rig = TestRig::new(Config { profibus: ProfibusConfig::DEFAULT, ..AT_500K }, quick());
+    assert_eq!(rig.board.rate(), Some(Baud::K9_6));
     let mut tried = vec![];
-    while bench.board.rate() != Some(Baud::K500) {
-        if tried.last() != Some(&bench.board.rate()) {
-            tried.push(bench.board.rate());
+    while rig.board.rate() != Some(Baud::K500) {
+        if tried.last() != Some(&rig.board.rate()) {
+            tried.push(rig.board.rate());
         }
-        bench.pass_silent(1);
-        assert!(bench.board.now_ms() < 5_000, "{tried:?}");
+        rig.pass_silent(1);
+        assert!(rig.board.now_ms() < 5_000, "{tried:?}");
     }
     let slower = &ProfibusConfig::RATES[..5];
     assert_eq!(tried, slower.iter().copied().map(Some).collect::<Vec<_>>(), "in ascending order");
-    bench.start(WATCHDOG);
-    bench.pass(6_000);
-    assert_eq!(bench.board.rate(), Some(Baud::K500));
+    rig.start(WATCHDOG);
+    rig.pass(6_000);
+    assert_eq!(rig.board.rate(), Some(Baud::K500));
     // After five seconds of silence, the search continues.
-    bench.pass_silent(5_010);
-    assert_eq!(bench.board.rate(), Some(Baud::M1_5));
+    rig.pass_silent(5_010);
+    assert_eq!(rig.board.rate(), Some(Baud::M1_5));
 }
 
 /// The watchdog (IEC 61158-6-3) and BUS_TIMEOUT (docs/registers.md) start with the last request of the commanding master.
@@ -546,15 +536,15 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_line() {
     let bus_timeout_ms = u32::from(Config::DEFAULT.bus.timeout_ms);
     for (watchdog, limit_ms) in [(WATCHDOG, WATCHDOG_MS), (0, bus_timeout_ms)] {
         for (what, telegram) in &traffic {
-            let mut bench = moving_with(SilenceReaction::Stop, watchdog);
-            bench.exchange();
-            let from = bench.board.now_ms();
+            let mut rig = moving_with(SilenceReaction::Stop, watchdog);
+            rig.exchange();
+            let from = rig.board.now_ms();
             let mut pass = |until_ms: u32| {
-                while bench.board.now_ms() - from < until_ms {
-                    bench.send(telegram);
-                    bench.pass_silent(3);
+                while rig.board.now_ms() - from < until_ms {
+                    rig.send(telegram);
+                    rig.pass_silent(3);
                 }
-                stops(&mut bench)
+                stops(&mut rig)
             };
             assert_eq!(pass(limit_ms - 15), [], "too early with {what}");
             assert_eq!(pass(limit_ms + 15), [CommandId::Stop], "with {what}, watchdog {watchdog}");

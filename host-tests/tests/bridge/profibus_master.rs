@@ -2,8 +2,8 @@
 //! response starts earlier than 11 bit times after its request.
 
 use bus_profibus::Character;
-use host_tests::modbus_bench::quick;
-use host_tests::profibus_bench::{AT_500K, Board, STATION, Wires};
+use host_tests::modbus_rig::quick;
+use host_tests::profibus_rig::{AT_500K, Board, STATION, Wires};
 use profirust::Baudrate;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};

@@ -1,7 +1,7 @@
 //! Persistent settings: SAVE, RESTORE, DEFAULTS, the selection at a start, and recipes for the bus.
 
 use host_tests::addresses::{place, report, setting};
-use host_tests::can_bench::{Double, NO_PROFIBUS};
+use host_tests::can_rig::{Double, NO_PROFIBUS};
 use host_tests::chance::Chance;
 use host_tests::flash_model::{Fault, FlashModel, Tear};
 use host_tests::rtu_double::RtuDouble;

@@ -3,9 +3,9 @@
 use bus_profibus::{Baud, Character};
 use embedded_can::{Frame, Id};
 use host_tests::addresses::{place, report, setting};
-use host_tests::can_bench::Double;
+use host_tests::can_rig::Double;
 use host_tests::flash_model::FlashModel;
-use host_tests::profibus_bench::sd2;
+use host_tests::profibus_rig::sd2;
 use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE};
@@ -18,7 +18,7 @@ use wsg_protocol::CommandId;
 use wsg_protocol::can::Identifiers;
 use wsg_sim::Time;
 
-struct Bench {
+struct TestRig {
     station: Station<Double>,
     /// PROFIBUS handler, and its last requested rate.
     handler: DpResponder,
@@ -33,7 +33,7 @@ struct Bench {
     on_can: Vec<u16>,
 }
 
-impl Bench {
+impl TestRig {
     fn new(config: &Config) -> Self {
         let can = Double::default();
         let buffers: &'static DpBuffers = Box::leak(Box::default());
@@ -124,20 +124,20 @@ fn only_the_lines_that_the_settings_select_are_used() {
     let boot_up = 0x700 | u16::from(DEFAULT_NODE.node);
     for gripper_line in [GripperLine::Serial, GripperLine::Can] {
         for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen, PlcBus::Profibus] {
-            let mut bench = Bench::new(&Config { gripper_line, plc_bus, ..Config::DEFAULT });
-            bench.pass(50);
+            let mut rig = TestRig::new(&Config { gripper_line, plc_bus, ..Config::DEFAULT });
+            rig.pass(50);
             let is_on_can = gripper_line == GripperLine::Can;
             let is_canopen = plc_bus == PlcBus::Canopen;
             let what = format!("{gripper_line:?}, {plc_bus:?}");
-            assert_eq!(bench.serial.take_sent().is_empty(), is_on_can, "{what}");
-            assert_eq!(bench.on_can.contains(&to_gripper), is_on_can, "{what}");
-            assert_eq!(bench.on_can.contains(&boot_up), is_canopen, "{what}");
-            assert_eq!(bench.station.node().state() == NmtState::PreOperational, is_canopen, "{what}");
-            assert_eq!(bench.station.uses_can(), is_on_can || is_canopen, "{what}");
-            let is_answered = bench.register(1, 3, FIRST_SETTING).is_some();
+            assert_eq!(rig.serial.take_sent().is_empty(), is_on_can, "{what}");
+            assert_eq!(rig.on_can.contains(&to_gripper), is_on_can, "{what}");
+            assert_eq!(rig.on_can.contains(&boot_up), is_canopen, "{what}");
+            assert_eq!(rig.station.node().state() == NmtState::PreOperational, is_canopen, "{what}");
+            assert_eq!(rig.station.uses_can(), is_on_can || is_canopen, "{what}");
+            let is_answered = rig.register(1, 3, FIRST_SETTING).is_some();
             let is_profibus = plc_bus == PlcBus::Profibus;
             assert_eq!(is_answered, plc_bus == PlcBus::Modbus, "{what}");
-            assert_eq!((bench.station.uses_profibus(), bench.rate.is_some()), (is_profibus, is_profibus));
+            assert_eq!((rig.station.uses_profibus(), rig.rate.is_some()), (is_profibus, is_profibus));
         }
     }
 }
@@ -148,78 +148,78 @@ fn service_port_is_available_with_any_settings() {
         for plc_bus in [PlcBus::Off, PlcBus::Modbus, PlcBus::Canopen, PlcBus::Profibus] {
             let changes = [("UNIT", 9), ("BUS_CHAR_TIMEOUT", 0), ("SWAP_BYTES", 1), ("MODBUS_RATE", 12)];
             let config = Config { gripper_line, plc_bus, ..with(&changes) };
-            let mut bench = Bench::new(&config);
+            let mut rig = TestRig::new(&config);
             let what = format!("{gripper_line:?}, {plc_bus:?}");
-            assert_eq!(bench.service(&[1, 3, 0, 100, 0, 1]), Some(9), "{what}");
-            bench.service(&[1, 6, 0, 100, 0, 7]);
-            assert_eq!(bench.service(&[1, 3, 0, 100, 0, 1]), Some(7), "{what}");
-            assert_eq!(bench.service(&[9, 3, 0, 100, 0, 1]), None, "{what}: the port's address is 1");
+            assert_eq!(rig.service(&[1, 3, 0, 100, 0, 1]), Some(9), "{what}");
+            rig.service(&[1, 6, 0, 100, 0, 7]);
+            assert_eq!(rig.service(&[1, 3, 0, 100, 0, 1]), Some(7), "{what}");
+            assert_eq!(rig.service(&[9, 3, 0, 100, 0, 1]), None, "{what}: the port's address is 1");
         }
     }
 }
 
 #[test]
 fn settings_of_the_record_apply_from_the_start() {
-    let mut bench = Bench::new(&with(&[("UNIT", 5), ("MODBUS_RATE", 1_152), ("RECIPE2_WIDTH", 33_00)]));
-    bench.pass(10);
-    assert_eq!(bench.register(1, 3, FIRST_SETTING), None, "address of another unit");
-    assert_eq!(bench.register(5, 3, FIRST_SETTING), Some(5));
-    assert_eq!(bench.register(5, 3, setting("RECIPE2_WIDTH")), Some(33_00));
-    assert_eq!(bench.register(5, 4, report("BUS_RATE")), Some(1_152));
-    assert_eq!(bench.register(5, 4, report("RESET_CAUSE")), Some(ResetCause::Pin as u16));
+    let mut rig = TestRig::new(&with(&[("UNIT", 5), ("MODBUS_RATE", 1_152), ("RECIPE2_WIDTH", 33_00)]));
+    rig.pass(10);
+    assert_eq!(rig.register(1, 3, FIRST_SETTING), None, "address of another unit");
+    assert_eq!(rig.register(5, 3, FIRST_SETTING), Some(5));
+    assert_eq!(rig.register(5, 3, setting("RECIPE2_WIDTH")), Some(33_00));
+    assert_eq!(rig.register(5, 4, report("BUS_RATE")), Some(1_152));
+    assert_eq!(rig.register(5, 4, report("RESET_CAUSE")), Some(ResetCause::Pin as u16));
 }
 
 #[test]
 fn identifiers_and_nodes_of_the_record_are_used_on_the_bus() {
     let changes = [("GRIPPER_LINE", 1), ("PLC_BUS", 2), ("CAN_ID", 0x140), ("CAN_NODE", 5)];
-    let mut bench = Bench::new(&with(&changes));
-    bench.pass(50);
-    bench.on_can.sort_unstable();
-    bench.on_can.dedup();
-    assert!(bench.on_can.starts_with(&[0x140]) && bench.on_can.contains(&0x705), "{:x?}", bench.on_can);
+    let mut rig = TestRig::new(&with(&changes));
+    rig.pass(50);
+    rig.on_can.sort_unstable();
+    rig.on_can.dedup();
+    assert!(rig.on_can.starts_with(&[0x140]) && rig.on_can.contains(&0x705), "{:x?}", rig.on_can);
 }
 
 #[test]
 fn address_and_rate_of_the_record_are_used_on_profibus() {
     let changes = [("PLC_BUS", 3), ("PROFIBUS_ADDRESS", 9), ("PROFIBUS_RATE", 192)];
-    let mut bench = Bench::new(&with(&changes));
-    bench.pass(1_000);
-    assert_eq!(bench.rate, Some(Baud::K19_2), "no other rate is tried");
-    assert!(!bench.is_on_profibus(7) && bench.is_on_profibus(9));
+    let mut rig = TestRig::new(&with(&changes));
+    rig.pass(1_000);
+    assert_eq!(rig.rate, Some(Baud::K19_2), "no other rate is tried");
+    assert!(!rig.is_on_profibus(7) && rig.is_on_profibus(9));
 }
 
 #[test]
 fn service_port_reports_the_state_of_profibus() {
-    let mut bench = Bench::new(&with(&[("PLC_BUS", 3), ("PROFIBUS_RATE", 192)]));
-    bench.pass(10);
+    let mut rig = TestRig::new(&with(&[("PLC_BUS", 3), ("PROFIBUS_RATE", 192)]));
+    rig.pass(10);
     let first = report("PROFIBUS_STATE");
-    let tell = |bench: &mut Bench| {
-        bench.pass(2);
+    let tell = |rig: &mut TestRig| {
+        rig.pass(2);
         [0, 1, 2, 3].map(|n| {
             let [high, low] = (first + n).to_be_bytes();
-            bench.service(&[1, 4, high, low, 0, 1]).unwrap()
+            rig.service(&[1, 4, high, low, 0, 1]).unwrap()
         })
     };
-    assert_eq!(tell(&mut bench), [1, 192, 0, 0], "no telegrams received");
-    assert!(bench.is_on_profibus(7));
-    assert_eq!(tell(&mut bench), [2, 192, 1, 0]);
-    assert!(!bench.telegram(&[0x10, 7, 2, 0x49, 0x53, 0x16]), "a wrong checksum");
-    assert_eq!(tell(&mut bench), [2, 192, 1, 1]);
-    assert!(bench.telegram(&sd2(&[0x87, 0x82, 0x6D, 61, 62, 0x80, 0, 0, 11, 0x55, 0x55, 0])));
-    assert_eq!(tell(&mut bench), [3, 192, 2, 1]);
-    assert!(bench.telegram(&sd2(&[0x87, 0x82, 0x5D, 62, 62, 0xA7, 0x9B])));
-    assert_eq!(tell(&mut bench), [4, 192, 3, 1]);
-    bench.pass(6_000);
-    assert_eq!(tell(&mut bench)[0], 1, "no more telegrams");
-    let mut bench = Bench::new(&Config::DEFAULT);
-    assert_eq!(tell(&mut bench), [0; 4], "another bus");
+    assert_eq!(tell(&mut rig), [1, 192, 0, 0], "no telegrams received");
+    assert!(rig.is_on_profibus(7));
+    assert_eq!(tell(&mut rig), [2, 192, 1, 0]);
+    assert!(!rig.telegram(&[0x10, 7, 2, 0x49, 0x53, 0x16]), "a wrong checksum");
+    assert_eq!(tell(&mut rig), [2, 192, 1, 1]);
+    assert!(rig.telegram(&sd2(&[0x87, 0x82, 0x6D, 61, 62, 0x80, 0, 0, 11, 0x55, 0x55, 0])));
+    assert_eq!(tell(&mut rig), [3, 192, 2, 1]);
+    assert!(rig.telegram(&sd2(&[0x87, 0x82, 0x5D, 62, 62, 0xA7, 0x9B])));
+    assert_eq!(tell(&mut rig), [4, 192, 3, 1]);
+    rig.pass(6_000);
+    assert_eq!(tell(&mut rig)[0], 1, "no more telegrams");
+    let mut rig = TestRig::new(&Config::DEFAULT);
+    assert_eq!(tell(&mut rig), [0; 4], "another bus");
 }
 
 #[test]
 fn wires_are_debounced_with_the_time_of_the_record() {
     for (debounce_ms, bounds) in [(2, 2..10), (200, 200..210)] {
-        let Bench { mut station, mut modbus, mut service, mut flash, .. } =
-            Bench::new(&with(&[("DEBOUNCE", debounce_ms)]));
+        let TestRig { mut station, mut modbus, mut service, mut flash, .. } =
+            TestRig::new(&with(&[("DEBOUNCE", debounce_ms)]));
         let mut far = SerialGripper::new(wsg_sim::Config::default());
         let mut sent = |now_ms: u32| {
             // Acknowledges the FAST STOP of power-up from 1000 ms on. From 2000 ms on, the only effect is a Stop.

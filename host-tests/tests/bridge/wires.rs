@@ -1,8 +1,8 @@
 //! The bridge library with wires and a virtual gripper, in virtual time: output levels and safety.
 
-use host_tests::bench::Bench;
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
 use host_tests::wires::Wires;
+use host_tests::wires_rig::TestRig;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus, WiresConfig};
@@ -29,21 +29,21 @@ fn frame(reply: Reply<'_>) -> Vec<u8> {
 
 #[test]
 fn grip_cycle_shows_what_the_gripper_does() {
-    let mut bench = Bench::homed(with_part(20.0));
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
-    assert_eq!(bench.command(Inputs::RELEASE), IDLE);
-    assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
+    let mut rig = TestRig::homed(with_part(20.0));
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    assert_eq!(rig.command(Inputs::RELEASE), IDLE);
+    assert_eq!(rig.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
 }
 
 /// Raises a command wire. Returns the number of turns until the frame of this motion is complete, and the commands sent until
 /// then.
-fn raise(bench: &mut Bench, wire: Inputs, motion: CommandId) -> (u32, Vec<CommandId>) {
-    bench.take_sent();
-    bench.set(wire, true);
+fn raise(rig: &mut TestRig, wire: Inputs, motion: CommandId) -> (u32, Vec<CommandId>) {
+    rig.take_sent();
+    rig.set(wire, true);
     let mut sent = vec![];
     for turn in 1..100 {
-        bench.step();
-        sent.extend(bench.take_sent());
+        rig.step();
+        sent.extend(rig.take_sent());
         if sent.contains(&motion) {
             return (turn, sent);
         }
@@ -52,210 +52,210 @@ fn raise(bench: &mut Bench, wire: Inputs, motion: CommandId) -> (u32, Vec<Comman
 }
 
 /// Lowers the wire, and waits for the end of the motion.
-fn finish(bench: &mut Bench, wire: Inputs) {
-    bench.set(wire, false);
-    assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
-    assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::READY)));
+fn finish(rig: &mut TestRig, wire: Inputs) {
+    rig.set(wire, false);
+    assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
+    assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::READY)));
 }
 
 #[test]
 fn grip_is_sent_at_once_if_its_force_limit_is_known() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.command(Inputs::GRIP);
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.command(Inputs::GRIP);
     for pause_ms in 0..300 {
-        let (release_turns, _) = raise(&mut bench, Inputs::RELEASE, CommandId::ReleasePart);
-        finish(&mut bench, Inputs::RELEASE);
-        bench.pass(pause_ms);
-        let (turns, sent) = raise(&mut bench, Inputs::GRIP, CommandId::GripPart);
+        let (release_turns, _) = raise(&mut rig, Inputs::RELEASE, CommandId::ReleasePart);
+        finish(&mut rig, Inputs::RELEASE);
+        rig.pass(pause_ms);
+        let (turns, sent) = raise(&mut rig, Inputs::GRIP, CommandId::GripPart);
         assert!(!sent.contains(&CommandId::SetForceLimit), "after {pause_ms} ms: {sent:?}");
         // The frame is as long as the frame of RELEASE. One of the session's own requests may be on the line.
         assert!(turns <= release_turns, "after {pause_ms} ms: {turns} turns instead of {release_turns}");
-        finish(&mut bench, Inputs::GRIP);
+        finish(&mut rig, Inputs::GRIP);
     }
 }
 
 #[test]
 fn force_limit_changed_by_a_third_party_is_set_again() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.command(Inputs::GRIP);
-    bench.command(Inputs::RELEASE);
-    let force = bench.gripper().state().force_limit;
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.command(Inputs::GRIP);
+    rig.command(Inputs::RELEASE);
+    let force = rig.gripper().state().force_limit;
     let other = Command::SetForceLimit { force: force + 1.0 };
     let mut bytes = FrameEncoder::new(other.id().code(), other).collect::<Vec<u8>>();
     // Between two of the bridge's frames.
-    bench.far.to_gripper = Some(Box::new(move |line| {
+    rig.far.to_gripper = Some(Box::new(move |line| {
         if line.is_empty() {
             line.append(&mut bytes);
         }
     }));
-    bench.pass(150);
-    assert_eq!(bench.gripper().state().force_limit, force + 1.0);
-    let (_, sent) = raise(&mut bench, Inputs::GRIP, CommandId::GripPart);
+    rig.pass(150);
+    assert_eq!(rig.gripper().state().force_limit, force + 1.0);
+    let (_, sent) = raise(&mut rig, Inputs::GRIP, CommandId::GripPart);
     assert!(sent.contains(&CommandId::SetForceLimit), "{sent:?}");
-    assert_eq!(bench.gripper().state().force_limit, force);
+    assert_eq!(rig.gripper().state().force_limit, force);
 }
 
 #[test]
 fn lost_part_is_a_part_fault() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.command(Inputs::GRIP);
-    let now = bench.now();
-    bench.gripper().set_part(None, now);
-    assert!(bench.until(50, |outputs| outputs == IDLE | Outputs::PART_FAULT), "{:?}", bench.outputs());
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.command(Inputs::GRIP);
+    let now = rig.now();
+    rig.gripper().set_part(None, now);
+    assert!(rig.until(50, |outputs| outputs == IDLE | Outputs::PART_FAULT), "{:?}", rig.outputs());
 }
 
 #[test]
 fn grip_without_a_part_is_a_part_fault_and_no_error() {
-    let mut bench = Bench::homed(quick());
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
+    let mut rig = TestRig::homed(quick());
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
 }
 
 #[test]
 fn recipe_wires_choose_the_width() {
     for (number, width) in [(0u8, 20.0), (1, 80.0), (2, 10.0), (3, 50.0)] {
-        let mut bench = Bench::homed(quick());
-        bench.set(Inputs::RECIPE0, number & 1 != 0);
-        bench.set(Inputs::RECIPE1, number & 2 != 0);
-        bench.command(Inputs::MOVE);
-        let stands = bench.gripper().state().width;
+        let mut rig = TestRig::homed(quick());
+        rig.set(Inputs::RECIPE0, number & 1 != 0);
+        rig.set(Inputs::RECIPE1, number & 2 != 0);
+        rig.command(Inputs::MOVE);
+        let stands = rig.gripper().state().width;
         assert!((stands - width).abs() < 0.05, "recipe {number}: {stands}");
     }
 }
 
 #[test]
 fn busy_lasts_long_enough_for_a_plc_even_if_the_target_is_already_reached() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.command(Inputs::MOVE);
-    bench.set(Inputs::MOVE, true);
-    assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
-    assert!(!bench.until(49, |outputs| !outputs.contains(Outputs::BUSY)), "shorter than 50 ms");
-    assert!(bench.until(10, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.command(Inputs::MOVE);
+    rig.set(Inputs::MOVE, true);
+    assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    assert!(!rig.until(49, |outputs| !outputs.contains(Outputs::BUSY)), "shorter than 50 ms");
+    assert!(rig.until(10, |outputs| outputs == IDLE), "{:?}", rig.outputs());
 }
 
 #[test]
 fn fast_stop_ends_busy_at_once() {
-    let mut bench = Bench::homed(quick());
-    bench.set(Inputs::MOVE, true);
-    assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
-    bench.set(Inputs::FAST_STOP_OK, false);
-    assert!(bench.until(20, |outputs| outputs == Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK));
+    let mut rig = TestRig::homed(quick());
+    rig.set(Inputs::MOVE, true);
+    assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    rig.set(Inputs::FAST_STOP_OK, false);
+    assert!(rig.until(20, |outputs| outputs == Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK));
 }
 
 #[test]
 fn motion_before_homing_is_refused_by_the_gripper_and_shows_error() {
-    let mut bench = Bench::ready(quick());
-    bench.pulse(Inputs::MOVE);
-    assert!(bench.until(100, |outputs| outputs.contains(Outputs::ERROR)));
-    assert!(bench.until(60, |outputs| outputs.contains(Outputs::READY)));
-    assert_eq!(bench.command(Inputs::HOME), IDLE, "homing clears the error");
+    let mut rig = TestRig::ready(quick());
+    rig.pulse(Inputs::MOVE);
+    assert!(rig.until(100, |outputs| outputs.contains(Outputs::ERROR)));
+    assert!(rig.until(60, |outputs| outputs.contains(Outputs::READY)));
+    assert_eq!(rig.command(Inputs::HOME), IDLE, "homing clears the error");
 }
 
 /// Gives an edge at READY. Returns the duration of BUSY, and the outputs after it.
-fn edge_at_ready(bench: &mut Bench, wire: Inputs) -> (u32, Outputs) {
-    assert!(bench.outputs().contains(Outputs::READY), "{:?}", bench.outputs());
-    bench.set(wire, true);
-    assert!(bench.until(5, |outputs| outputs.contains(Outputs::BUSY)), "{wire:?}: {:?}", bench.outputs());
-    let begun = bench.now();
-    assert!(bench.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
-    let busy_ms = (bench.now().as_micros() - begun.as_micros()) / 1_000;
-    bench.set(wire, false);
-    bench.pass(5);
-    (busy_ms as u32, bench.outputs())
+fn edge_at_ready(rig: &mut TestRig, wire: Inputs) -> (u32, Outputs) {
+    assert!(rig.outputs().contains(Outputs::READY), "{:?}", rig.outputs());
+    rig.set(wire, true);
+    assert!(rig.until(5, |outputs| outputs.contains(Outputs::BUSY)), "{wire:?}: {:?}", rig.outputs());
+    let begun = rig.now();
+    assert!(rig.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
+    let busy_ms = (rig.now().as_micros() - begun.as_micros()) / 1_000;
+    rig.set(wire, false);
+    rig.pass(5);
+    (busy_ms as u32, rig.outputs())
 }
 
 #[test]
 fn edge_refused_at_ready_shows_busy_for_50_ms_even_if_error_was_high_before() {
     // The gripper ends a motion with an error, so GSTATE is ERROR and READY is high.
-    let mut bench = Bench::homed(quick());
-    let now = bench.now();
-    bench.gripper().set_part(Part::of_width(90.0), now);
-    let (_, outputs) = edge_at_ready(&mut bench, Inputs::MOVE);
+    let mut rig = TestRig::homed(quick());
+    let now = rig.now();
+    rig.gripper().set_part(Part::of_width(90.0), now);
+    let (_, outputs) = edge_at_ready(&mut rig, Inputs::MOVE);
     let in_error = IDLE | Outputs::ERROR;
     assert_eq!(outputs, in_error, "blocked");
-    bench.take_sent();
+    rig.take_sent();
     for _ in 0..3 {
-        let (busy_ms, outputs) = edge_at_ready(&mut bench, Inputs::MOVE);
+        let (busy_ms, outputs) = edge_at_ready(&mut rig, Inputs::MOVE);
         assert!((50..=52).contains(&busy_ms), "{busy_ms} ms");
         assert_eq!(outputs, in_error);
-        assert_eq!(bench.take_motions(), []);
+        assert_eq!(rig.take_motions(), []);
     }
     // Recovery by wires alone.
-    let now = bench.now();
-    bench.gripper().set_part(None, now);
-    bench.pulse(Inputs::STOP_ACK);
-    assert!(bench.until(100, |outputs| outputs == IDLE), "{:?}", bench.outputs());
-    assert_eq!(bench.command(Inputs::MOVE), IDLE);
+    let now = rig.now();
+    rig.gripper().set_part(None, now);
+    rig.pulse(Inputs::STOP_ACK);
+    assert!(rig.until(100, |outputs| outputs == IDLE), "{:?}", rig.outputs());
+    assert_eq!(rig.command(Inputs::MOVE), IDLE);
 }
 
 #[test]
 fn move_is_refused_after_no_part_until_a_release() {
-    let mut bench = Bench::homed(quick());
-    let (_, no_part) = edge_at_ready(&mut bench, Inputs::GRIP);
+    let mut rig = TestRig::homed(quick());
+    let (_, no_part) = edge_at_ready(&mut rig, Inputs::GRIP);
     assert_eq!(no_part, IDLE | Outputs::PART_FAULT);
-    let (busy_ms, refused) = edge_at_ready(&mut bench, Inputs::MOVE);
+    let (busy_ms, refused) = edge_at_ready(&mut rig, Inputs::MOVE);
     assert!((50..=52).contains(&busy_ms), "{busy_ms} ms");
     assert_eq!(refused, no_part | Outputs::ERROR);
-    assert_eq!(bench.command(Inputs::RELEASE), IDLE);
-    assert_eq!(bench.command(Inputs::MOVE), IDLE);
+    assert_eq!(rig.command(Inputs::RELEASE), IDLE);
+    assert_eq!(rig.command(Inputs::MOVE), IDLE);
 }
 
 /// A PLC that monitors HOLDING must not take a refusal for a lost part.
 #[test]
 fn refused_edge_does_not_change_holding_and_part_fault() {
     for (config, result) in [(with_part(20.0), Outputs::HOLDING), (quick(), Outputs::PART_FAULT)] {
-        let mut bench = Bench::homed(config);
-        assert_eq!(bench.command(Inputs::GRIP), IDLE | result);
-        bench.set(Inputs::MOVE, true);
-        assert!(bench.until(5, |outputs| outputs.contains(Outputs::BUSY)));
-        assert!(!bench.until(100, |outputs| !outputs.contains(result)), "{:?}", bench.outputs());
-        assert_eq!(bench.outputs(), IDLE | result | Outputs::ERROR);
+        let mut rig = TestRig::homed(config);
+        assert_eq!(rig.command(Inputs::GRIP), IDLE | result);
+        rig.set(Inputs::MOVE, true);
+        assert!(rig.until(5, |outputs| outputs.contains(Outputs::BUSY)));
+        assert!(!rig.until(100, |outputs| !outputs.contains(result)), "{:?}", rig.outputs());
+        assert_eq!(rig.outputs(), IDLE | result | Outputs::ERROR);
     }
 }
 
 #[test]
 fn lost_part_is_released_or_gripped_again_by_wires_alone() {
     for way_out in [Inputs::RELEASE, Inputs::GRIP] {
-        let mut bench = Bench::homed(with_part(20.0));
-        bench.command(Inputs::GRIP);
-        let now = bench.now();
-        bench.gripper().set_part(None, now);
-        assert!(bench.until(50, |outputs| outputs == IDLE | Outputs::PART_FAULT), "{:?}", bench.outputs());
-        let (_, refused) = edge_at_ready(&mut bench, Inputs::MOVE);
+        let mut rig = TestRig::homed(with_part(20.0));
+        rig.command(Inputs::GRIP);
+        let now = rig.now();
+        rig.gripper().set_part(None, now);
+        assert!(rig.until(50, |outputs| outputs == IDLE | Outputs::PART_FAULT), "{:?}", rig.outputs());
+        let (_, refused) = edge_at_ready(&mut rig, Inputs::MOVE);
         assert_eq!(refused, IDLE | Outputs::PART_FAULT | Outputs::ERROR);
-        let taken = bench.command(way_out);
+        let taken = rig.command(way_out);
         assert!(!taken.contains(Outputs::ERROR), "{way_out:?}: {taken:?}");
         if way_out == Inputs::GRIP {
             assert_eq!(taken, IDLE | Outputs::PART_FAULT, "the part is gone");
-            bench.command(Inputs::RELEASE);
+            rig.command(Inputs::RELEASE);
         }
-        let now = bench.now();
-        bench.gripper().set_part(Part::of_width(20.0), now);
-        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+        let now = rig.now();
+        rig.gripper().set_part(Part::of_width(20.0), now);
+        assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     }
 }
 
 #[test]
 fn refusal_shows_busy_for_at_least_50_ms_at_any_min_busy() {
     for (min_busy_ms, expected) in [(0, 50..=52), (70, 70..=72)] {
-        let mut bench = Bench::with_bridge(
+        let mut rig = TestRig::with_bridge(
             BridgeConfig {
                 wires: WiresConfig { min_busy_ms, ..WiresConfig::DEFAULT },
                 ..BridgeConfig::DEFAULT
             },
             quick(),
         );
-        bench.get_homed();
-        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
-        let (busy_ms, _) = edge_at_ready(&mut bench, Inputs::MOVE);
+        rig.get_homed();
+        assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
+        let (busy_ms, _) = edge_at_ready(&mut rig, Inputs::MOVE);
         assert!(expected.contains(&busy_ms), "MIN_BUSY {min_busy_ms}: {busy_ms} ms");
     }
 }
 
 #[test]
 fn motion_refused_by_the_gripper_shows_busy_for_50_ms() {
-    let mut bench = Bench::ready(quick());
+    let mut rig = TestRig::ready(quick());
     for _ in 0..2 {
-        let (busy_ms, outputs) = edge_at_ready(&mut bench, Inputs::GRIP);
+        let (busy_ms, outputs) = edge_at_ready(&mut rig, Inputs::GRIP);
         assert!((50..=52).contains(&busy_ms), "{busy_ms} ms");
         assert_eq!(outputs, Outputs::READY | Outputs::ERROR | Outputs::LINK_OK, "not referenced");
     }
@@ -263,205 +263,197 @@ fn motion_refused_by_the_gripper_shows_busy_for_50_ms() {
 
 #[test]
 fn recipe_change_during_a_motion_has_no_effect() {
-    let mut bench = Bench::homed(quick());
-    bench.set(Inputs::MOVE, true);
-    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
-    bench.set(Inputs::RECIPE0 | Inputs::RECIPE1, true);
-    assert!(bench.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
-    assert_eq!(bench.outputs(), IDLE, "no FAST STOP");
+    let mut rig = TestRig::homed(quick());
+    rig.set(Inputs::MOVE, true);
+    rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    rig.set(Inputs::RECIPE0 | Inputs::RECIPE1, true);
+    assert!(rig.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
+    assert_eq!(rig.outputs(), IDLE, "no FAST STOP");
 }
 
 #[test]
 fn second_command_during_a_motion_shows_error_and_does_not_reach_the_gripper() {
-    let mut bench = Bench::homed(quick());
-    bench.take_sent();
-    bench.set(Inputs::MOVE, true);
-    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
-    bench.pulse(Inputs::RELEASE);
-    assert!(bench.outputs().contains(Outputs::ERROR | Outputs::BUSY));
-    assert!(bench.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
-    assert_eq!(bench.outputs(), IDLE, "the motion's own result counts");
-    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+    let mut rig = TestRig::homed(quick());
+    rig.take_sent();
+    rig.set(Inputs::MOVE, true);
+    rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    rig.pulse(Inputs::RELEASE);
+    assert!(rig.outputs().contains(Outputs::ERROR | Outputs::BUSY));
+    assert!(rig.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
+    assert_eq!(rig.outputs(), IDLE, "the motion's own result counts");
+    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
 fn stop_while_holding_releases_the_force() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.command(Inputs::GRIP);
-    bench.pulse(Inputs::STOP_ACK);
-    assert!(bench.until(100, |outputs| outputs == IDLE), "{:?}", bench.outputs());
-    assert_eq!(bench.gripper().state().force, 0.0);
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.command(Inputs::GRIP);
+    rig.pulse(Inputs::STOP_ACK);
+    assert!(rig.until(100, |outputs| outputs == IDLE), "{:?}", rig.outputs());
+    assert_eq!(rig.gripper().state().force, 0.0);
 }
 
 #[test]
 fn fast_stop_wire_low_at_power_up_blocks_motions_until_high_and_acknowledged() {
-    let mut bench = Bench::new(quick());
+    let mut rig = TestRig::new(quick());
     let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
-    let try_all = |bench: &mut Bench| {
+    let try_all = |rig: &mut TestRig| {
         for wire in commands {
-            bench.pulse(wire);
-            bench.pass(50);
+            rig.pulse(wire);
+            rig.pass(50);
         }
     };
-    bench.pass(500);
-    assert!(bench.outputs().contains(Outputs::LINK_OK | Outputs::ERROR));
-    try_all(&mut bench);
-    bench.pulse(Inputs::STOP_ACK);
-    try_all(&mut bench);
-    bench.set(Inputs::FAST_STOP_OK, true);
-    bench.pass(20);
-    try_all(&mut bench);
-    assert_eq!(bench.take_motions(), []);
-    bench.pulse(Inputs::STOP_ACK);
-    assert!(
-        bench.until(100, |outputs| outputs == Outputs::READY | Outputs::LINK_OK),
-        "{:?}",
-        bench.outputs()
-    );
-    bench.command(Inputs::HOME);
-    assert_eq!(bench.take_motions(), [CommandId::Homing]);
+    rig.pass(500);
+    assert!(rig.outputs().contains(Outputs::LINK_OK | Outputs::ERROR));
+    try_all(&mut rig);
+    rig.pulse(Inputs::STOP_ACK);
+    try_all(&mut rig);
+    rig.set(Inputs::FAST_STOP_OK, true);
+    rig.pass(20);
+    try_all(&mut rig);
+    assert_eq!(rig.take_motions(), []);
+    rig.pulse(Inputs::STOP_ACK);
+    assert!(rig.until(100, |outputs| outputs == Outputs::READY | Outputs::LINK_OK), "{:?}", rig.outputs());
+    rig.command(Inputs::HOME);
+    assert_eq!(rig.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
 fn fast_stop_wire_low_at_power_up_takes_effect_despite_a_bouncing_command_wire() {
-    let mut bench = Bench::new(quick());
-    let chatter = |bench: &mut Bench, ms: u32| {
+    let mut rig = TestRig::new(quick());
+    let chatter = |rig: &mut TestRig, ms: u32| {
         for n in 0..ms {
-            bench.set(Inputs::GRIP, n % 2 == 0);
-            bench.pass(1);
+            rig.set(Inputs::GRIP, n % 2 == 0);
+            rig.pass(1);
         }
     };
-    bench.set(Inputs::STOP_ACK, true);
-    chatter(&mut bench, 300);
-    assert!(bench.take_sent().contains(&CommandId::FastStop));
-    bench.set(Inputs::FAST_STOP_OK, true);
-    chatter(&mut bench, 300);
-    bench.set(Inputs::GRIP, true);
-    bench.pass(300);
-    let sent = bench.take_sent();
+    rig.set(Inputs::STOP_ACK, true);
+    chatter(&mut rig, 300);
+    assert!(rig.take_sent().contains(&CommandId::FastStop));
+    rig.set(Inputs::FAST_STOP_OK, true);
+    chatter(&mut rig, 300);
+    rig.set(Inputs::GRIP, true);
+    rig.pass(300);
+    let sent = rig.take_sent();
     assert!(!sent.contains(&CommandId::Acknowledge), "STOP/ACK was high from the start: {sent:?}");
     assert!(sent.iter().all(|id| id.kind() != Kind::Motion), "and so was GRIP: {sent:?}");
-    assert!(bench.outputs().contains(Outputs::ERROR));
-    bench.set(Inputs::STOP_ACK | Inputs::GRIP, false);
-    bench.pass(10);
-    bench.pulse(Inputs::STOP_ACK);
-    assert!(
-        bench.until(100, |outputs| outputs == Outputs::READY | Outputs::LINK_OK),
-        "{:?}",
-        bench.outputs()
-    );
+    assert!(rig.outputs().contains(Outputs::ERROR));
+    rig.set(Inputs::STOP_ACK | Inputs::GRIP, false);
+    rig.pass(10);
+    rig.pulse(Inputs::STOP_ACK);
+    assert!(rig.until(100, |outputs| outputs == Outputs::READY | Outputs::LINK_OK), "{:?}", rig.outputs());
 }
 
 #[test]
 fn fast_stop_ends_a_motion_within_milliseconds() {
-    let mut bench = Bench::homed(Config::default());
-    bench.set(Inputs::MOVE, true);
-    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
-    bench.pass(300);
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.pass(6);
-    let stands = bench.gripper().state().width;
-    bench.pass(500);
-    assert_eq!(bench.gripper().state().width, stands);
-    assert!(bench.outputs().contains(Outputs::ERROR) && !bench.outputs().contains(Outputs::READY));
+    let mut rig = TestRig::homed(Config::default());
+    rig.set(Inputs::MOVE, true);
+    rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    rig.pass(300);
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.pass(6);
+    let stands = rig.gripper().state().width;
+    rig.pass(500);
+    assert_eq!(rig.gripper().state().width, stands);
+    assert!(rig.outputs().contains(Outputs::ERROR) && !rig.outputs().contains(Outputs::READY));
 }
 
 #[test]
 fn silent_gripper_is_polled_and_receives_no_motion() {
-    let mut bench = Bench::new(quick());
-    bench.far.to_bridge = Some(Box::new(Vec::clear));
-    bench.set(Inputs::FAST_STOP_OK, true);
+    let mut rig = TestRig::new(quick());
+    rig.far.to_bridge = Some(Box::new(Vec::clear));
+    rig.set(Inputs::FAST_STOP_OK, true);
     for _ in 0..20 {
         for wire in [Inputs::STOP_ACK, Inputs::HOME, Inputs::GRIP] {
-            bench.pulse(wire);
-            bench.pass(100);
+            rig.pulse(wire);
+            rig.pass(100);
         }
     }
-    assert!(!bench.outputs().intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY));
-    assert_eq!(bench.take_motions(), []);
+    assert!(!rig.outputs().intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY));
+    assert_eq!(rig.take_motions(), []);
 }
 
 #[test]
 fn command_while_the_line_is_cut_is_not_executed_after_the_repair() {
-    let mut bench = Bench::homed(quick());
-    bench.take_sent();
-    bench.far.to_bridge = Some(Box::new(Vec::clear));
-    bench.far.to_gripper = Some(Box::new(Vec::clear));
+    let mut rig = TestRig::homed(quick());
+    rig.take_sent();
+    rig.far.to_bridge = Some(Box::new(Vec::clear));
+    rig.far.to_gripper = Some(Box::new(Vec::clear));
     assert!(
-        bench.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)),
+        rig.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)),
         "the cut is shown within a second"
     );
-    bench.pulse(Inputs::MOVE);
-    bench.far.to_bridge = None;
-    bench.far.to_gripper = None;
-    assert!(bench.until(1_000, |outputs| outputs.contains(Outputs::LINK_OK)));
-    bench.pass(1_000);
-    assert_eq!(bench.take_motions(), []);
+    rig.pulse(Inputs::MOVE);
+    rig.far.to_bridge = None;
+    rig.far.to_gripper = None;
+    assert!(rig.until(1_000, |outputs| outputs.contains(Outputs::LINK_OK)));
+    rig.pass(1_000);
+    assert_eq!(rig.take_motions(), []);
 }
 
 #[test]
 fn line_cut_during_a_motion_reports_an_unknown_outcome() {
-    let mut bench = Bench::homed(Config::default());
-    bench.set(Inputs::MOVE, true);
-    bench.until(100, |outputs| outputs.contains(Outputs::BUSY));
-    bench.set(Inputs::MOVE, false);
-    bench.far.to_bridge = Some(Box::new(Vec::clear));
-    assert!(bench.until(1_000, |outputs| outputs == Outputs::ERROR), "{:?}", bench.outputs());
-    bench.far.to_bridge = None;
-    assert!(bench.until(5_000, |outputs| outputs.contains(Outputs::READY)));
-    assert!(bench.outputs().contains(Outputs::ERROR), "the outcome is still unknown");
-    bench.set(Inputs::RECIPE0, true);
-    bench.pulse(Inputs::STOP_ACK);
-    assert_eq!(bench.command(Inputs::MOVE), IDLE, "an acknowledgement clears it");
+    let mut rig = TestRig::homed(Config::default());
+    rig.set(Inputs::MOVE, true);
+    rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
+    rig.set(Inputs::MOVE, false);
+    rig.far.to_bridge = Some(Box::new(Vec::clear));
+    assert!(rig.until(1_000, |outputs| outputs == Outputs::ERROR), "{:?}", rig.outputs());
+    rig.far.to_bridge = None;
+    assert!(rig.until(5_000, |outputs| outputs.contains(Outputs::READY)));
+    assert!(rig.outputs().contains(Outputs::ERROR), "the outcome is still unknown");
+    rig.set(Inputs::RECIPE0, true);
+    rig.pulse(Inputs::STOP_ACK);
+    assert_eq!(rig.command(Inputs::MOVE), IDLE, "an acknowledgement clears it");
 }
 
 #[test]
 fn result_with_a_wrong_checksum_is_detected_and_recovered() {
-    let mut bench = Bench::homed(quick());
-    bench.take_sent();
+    let mut rig = TestRig::homed(quick());
+    rig.take_sent();
     // The second reply to Pre-position (21h, E_SUCCESS) is damaged once.
     let result = frame(Reply::status_only(CommandId::PrePosition, Status::Success));
     let mut done = false;
-    bench.far.to_bridge = Some(Box::new(move |bytes| {
+    rig.far.to_bridge = Some(Box::new(move |bytes| {
         if let Some(at) = bytes.windows(result.len()).position(|window| window == result).filter(|_| !done) {
             bytes[at + 6] ^= 0x10;
             done = true;
         }
     }));
-    bench.set(Inputs::RECIPE0, true);
-    let outputs = bench.command(Inputs::MOVE);
+    rig.set(Inputs::RECIPE0, true);
+    let outputs = rig.command(Inputs::MOVE);
     assert!(outputs.contains(Outputs::ERROR | Outputs::LINK_OK), "{outputs:?}");
-    assert_eq!(bench.counters().line.bad_checksum, 1);
-    bench.set(Inputs::RECIPE0, false);
-    bench.pulse(Inputs::STOP_ACK);
-    assert_eq!(bench.command(Inputs::MOVE), IDLE);
-    assert_eq!(bench.take_motions(), [CommandId::PrePosition; 2], "one for each edge");
+    assert_eq!(rig.counters().line.bad_checksum, 1);
+    rig.set(Inputs::RECIPE0, false);
+    rig.pulse(Inputs::STOP_ACK);
+    assert_eq!(rig.command(Inputs::MOVE), IDLE);
+    assert_eq!(rig.take_motions(), [CommandId::PrePosition; 2], "one for each edge");
 }
 
 #[test]
 fn unsolicited_answers_change_nothing() {
-    let mut bench = Bench::homed(quick());
-    let outputs = bench.outputs();
-    bench.take_sent();
+    let mut rig = TestRig::homed(quick());
+    let outputs = rig.outputs();
+    rig.take_sent();
     for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
         for status in [Status::Success, Status::CmdPending, Status::CmdFailed] {
-            bench.far.inject(&frame(Reply::status_only(*id, status)));
+            rig.far.inject(&frame(Reply::status_only(*id, status)));
         }
     }
-    bench.pass(300);
-    assert_eq!(bench.outputs(), outputs);
-    assert_eq!(bench.take_motions(), []);
-    assert!(bench.counters().session.unsolicited > 50, "the replies are counted: {:?}", bench.counters());
+    rig.pass(300);
+    assert_eq!(rig.outputs(), outputs);
+    assert_eq!(rig.take_motions(), []);
+    assert!(rig.counters().session.unsolicited > 50, "the replies are counted: {:?}", rig.counters());
 }
 
 #[test]
 fn restart_of_the_gripper_is_shown_as_unreferenced_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
-        let mut bench = Bench::homed(quick());
-        bench.pass(offset_ms);
-        bench.restart_gripper(quick());
-        let shown = bench.until(250, |outputs| outputs == Outputs::READY | Outputs::LINK_OK);
-        assert!(shown, "{offset_ms}: {:?}", bench.outputs());
+        let mut rig = TestRig::homed(quick());
+        rig.pass(offset_ms);
+        rig.restart_gripper(quick());
+        let shown = rig.until(250, |outputs| outputs == Outputs::READY | Outputs::LINK_OK);
+        assert!(shown, "{offset_ms}: {:?}", rig.outputs());
     }
 }
 
@@ -469,42 +461,42 @@ fn restart_of_the_gripper_is_shown_as_unreferenced_within_250_ms() {
 #[test]
 fn power_cycle_of_200_ms_is_shown_as_unreferenced_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
-        let mut bench = Bench::homed(quick());
-        bench.pass(offset_ms);
-        bench.far.to_gripper = Some(Box::new(Vec::clear));
-        bench.far.to_bridge = Some(Box::new(Vec::clear));
-        bench.pass(200);
-        (bench.far.to_gripper, bench.far.to_bridge) = (None, None);
-        bench.restart_gripper(quick());
-        let shown = bench.until(250, |outputs| outputs == Outputs::READY | Outputs::LINK_OK);
-        assert!(shown, "{offset_ms}: {:?}", bench.outputs());
+        let mut rig = TestRig::homed(quick());
+        rig.pass(offset_ms);
+        rig.far.to_gripper = Some(Box::new(Vec::clear));
+        rig.far.to_bridge = Some(Box::new(Vec::clear));
+        rig.pass(200);
+        (rig.far.to_gripper, rig.far.to_bridge) = (None, None);
+        rig.restart_gripper(quick());
+        let shown = rig.until(250, |outputs| outputs == Outputs::READY | Outputs::LINK_OK);
+        assert!(shown, "{offset_ms}: {:?}", rig.outputs());
     }
 }
 
-/// Returns a bench in a FAST STOP confirmed by the gripper, with `FAST_STOP_OK` low.
-fn held_in_fast_stop() -> Bench {
-    let mut bench = Bench::homed(quick());
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.pass(100);
-    assert!(bench.gripper().state().flags.contains(SystemFlags::FAST_STOP));
-    bench
+/// Returns a rig in a FAST STOP confirmed by the gripper, with `FAST_STOP_OK` low.
+fn held_in_fast_stop() -> TestRig {
+    let mut rig = TestRig::homed(quick());
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.pass(100);
+    assert!(rig.gripper().state().flags.contains(SystemFlags::FAST_STOP));
+    rig
 }
 
 /// Fieldbus, 6.6: FASTSTOP is a level.
 #[test]
 fn low_fast_stop_wire_stops_fingers_acknowledged_and_moved_by_a_third_party() {
     for offset_ms in 0..40 {
-        let mut bench = held_in_fast_stop();
+        let mut rig = held_in_fast_stop();
         for _ in 0..3 {
-            bench.pass(offset_ms);
-            let now = bench.now();
-            bench.gripper().command(&Command::ACKNOWLEDGE, now);
-            bench.gripper().command(&Command::Homing { direction: HomingDirection::Default }, now);
-            bench.pass(250);
-            let state = bench.gripper().state();
+            rig.pass(offset_ms);
+            let now = rig.now();
+            rig.gripper().command(&Command::ACKNOWLEDGE, now);
+            rig.gripper().command(&Command::Homing { direction: HomingDirection::Default }, now);
+            rig.pass(250);
+            let state = rig.gripper().state();
             assert!(state.flags.contains(SystemFlags::FAST_STOP), "{offset_ms}: {state:?}");
             assert_eq!(state.speed, 0.0, "{offset_ms}");
-            assert_eq!(bench.outputs() & (Outputs::ERROR | Outputs::READY), Outputs::ERROR);
+            assert_eq!(rig.outputs() & (Outputs::ERROR | Outputs::READY), Outputs::ERROR);
         }
     }
 }
@@ -512,46 +504,44 @@ fn low_fast_stop_wire_stops_fingers_acknowledged_and_moved_by_a_third_party() {
 /// Fieldbus, 6.6.
 #[test]
 fn third_party_may_acknowledge_after_the_fast_stop_wire_is_high() {
-    let mut bench = held_in_fast_stop();
-    bench.set(Inputs::FAST_STOP_OK, true);
-    bench.pass(100);
-    assert!(bench.outputs().contains(Outputs::ERROR), "not acknowledged");
-    let now = bench.now();
-    bench.gripper().command(&Command::ACKNOWLEDGE, now);
-    assert!(bench.until(250, |outputs| outputs == IDLE), "{:?}", bench.outputs());
-    assert_eq!(bench.command(Inputs::MOVE), IDLE);
+    let mut rig = held_in_fast_stop();
+    rig.set(Inputs::FAST_STOP_OK, true);
+    rig.pass(100);
+    assert!(rig.outputs().contains(Outputs::ERROR), "not acknowledged");
+    let now = rig.now();
+    rig.gripper().command(&Command::ACKNOWLEDGE, now);
+    assert!(rig.until(250, |outputs| outputs == IDLE), "{:?}", rig.outputs());
+    assert_eq!(rig.command(Inputs::MOVE), IDLE);
 }
 
 /// Fieldbus, 6.6.
 #[test]
 fn gripper_restarted_while_the_fast_stop_wire_is_low_is_in_fast_stop_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
-        let mut bench = held_in_fast_stop();
-        bench.pass(offset_ms);
-        bench.restart_gripper(quick());
-        bench.pass(250);
-        assert!(bench.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{offset_ms}");
-        assert_eq!(bench.outputs(), Outputs::ERROR | Outputs::LINK_OK, "{offset_ms}");
+        let mut rig = held_in_fast_stop();
+        rig.pass(offset_ms);
+        rig.restart_gripper(quick());
+        rig.pass(250);
+        assert!(rig.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{offset_ms}");
+        assert_eq!(rig.outputs(), Outputs::ERROR | Outputs::LINK_OK, "{offset_ms}");
     }
 }
 
 #[test]
 fn fault_of_the_gripper_shows_error_until_acknowledged() {
-    let mut bench = Bench::homed(quick());
-    let now = bench.now();
-    bench.gripper().set_fault(Fault::SupplyOutOfRange, true, now);
-    assert!(
-        bench.until(100, |outputs| outputs.contains(Outputs::ERROR) && !outputs.contains(Outputs::READY))
-    );
-    let now = bench.now();
-    bench.gripper().set_fault(Fault::SupplyOutOfRange, false, now);
-    bench.pass(100);
-    assert!(bench.outputs().contains(Outputs::ERROR), "not cleared automatically");
-    bench.pulse(Inputs::STOP_ACK);
-    assert!(bench.until(100, |outputs| outputs == IDLE), "{:?}", bench.outputs());
+    let mut rig = TestRig::homed(quick());
+    let now = rig.now();
+    rig.gripper().set_fault(Fault::SupplyOutOfRange, true, now);
+    assert!(rig.until(100, |outputs| outputs.contains(Outputs::ERROR) && !outputs.contains(Outputs::READY)));
+    let now = rig.now();
+    rig.gripper().set_fault(Fault::SupplyOutOfRange, false, now);
+    rig.pass(100);
+    assert!(rig.outputs().contains(Outputs::ERROR), "not cleared automatically");
+    rig.pulse(Inputs::STOP_ACK);
+    assert!(rig.until(100, |outputs| outputs == IDLE), "{:?}", rig.outputs());
 }
 
-/// External influence on the bench.
+/// External influence on the rig.
 #[derive(Clone, Debug)]
 enum Happening {
     /// Bytes to the bridge on the line.
@@ -590,41 +580,41 @@ proptest! {
 
     #[test]
     fn no_motion_is_sent_without_an_edge_on_a_command_wire(happenings in proptest::collection::vec(happening(), 1..40)) {
-        let mut bench = Bench::homed(with_part(20.0));
-        bench.take_sent();
+        let mut rig = TestRig::homed(with_part(20.0));
+        rig.take_sent();
         for happening in happenings {
             match happening {
-                Happening::Bytes(bytes) => bench.far.inject(&bytes),
-                Happening::Wire(wire, high) => bench.set(OTHERS[wire], high),
+                Happening::Bytes(bytes) => rig.far.inject(&bytes),
+                Happening::Wire(wire, high) => rig.set(OTHERS[wire], high),
                 Happening::Spike(wire) => {
-                    bench.set(COMMANDS[wire], true);
-                    bench.pass(1);
-                    bench.set(COMMANDS[wire], false);
-                    bench.pass(1);
+                    rig.set(COMMANDS[wire], true);
+                    rig.pass(1);
+                    rig.set(COMMANDS[wire], false);
+                    rig.pass(1);
                 }
-                Happening::Cut(true) => bench.far.to_bridge = Some(Box::new(Vec::clear)),
-                Happening::Cut(false) => bench.far.to_bridge = None,
+                Happening::Cut(true) => rig.far.to_bridge = Some(Box::new(Vec::clear)),
+                Happening::Cut(false) => rig.far.to_bridge = None,
                 Happening::Fault(on) => {
-                    let now = bench.now();
-                    bench.gripper().set_fault(Fault::SupplyOutOfRange, on, now);
+                    let now = rig.now();
+                    rig.gripper().set_fault(Fault::SupplyOutOfRange, on, now);
                 }
-                Happening::Pass(ms) => bench.pass(ms),
+                Happening::Pass(ms) => rig.pass(ms),
             }
         }
-        bench.pass(50);
-        prop_assert_eq!(bench.take_motions(), []);
+        rig.pass(50);
+        prop_assert_eq!(rig.take_motions(), []);
     }
 
     #[test]
     fn after_any_noise_the_bridge_works_again(noise in proptest::collection::vec(prop_oneof![Just(0xAAu8), any::<u8>()], 0..200)) {
-        let mut bench = Bench::homed(with_part(20.0));
-        bench.far.inject(&noise);
-        bench.pass(2_000);
-        if !bench.outputs().contains(Outputs::READY) {
+        let mut rig = TestRig::homed(with_part(20.0));
+        rig.far.inject(&noise);
+        rig.pass(2_000);
+        if !rig.outputs().contains(Outputs::READY) {
             // Noise may contain a valid report by chance, of a FAST STOP for example. The next periodic query corrects it.
-            bench.pass(2_000);
+            rig.pass(2_000);
         }
-        prop_assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+        prop_assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     }
 }
 
@@ -689,72 +679,71 @@ fn watchdog_is_not_fed_while_the_line_returns_errors() {
 
 #[test]
 fn fast_stop_is_sent_with_a_stopped_clock() {
-    let mut bench = Bench::homed(quick());
-    bench.take_sent();
-    bench.set(Inputs::FAST_STOP_OK, false);
-    bench.freeze();
-    bench.pass(3);
-    assert_eq!(bench.take_sent().first(), Some(&CommandId::FastStop));
+    let mut rig = TestRig::homed(quick());
+    rig.take_sent();
+    rig.set(Inputs::FAST_STOP_OK, false);
+    rig.freeze();
+    rig.pass(3);
+    assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop));
 }
 
 #[test]
 fn fast_stop_wire_low_for_2_of_3_ms_or_1_of_5_ms_stops_the_gripper() {
     for (period, low) in [(3, 2), (5, 1)] {
-        let mut bench = Bench::homed(quick());
-        bench.set(Inputs::MOVE, true);
-        assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+        let mut rig = TestRig::homed(quick());
+        rig.set(Inputs::MOVE, true);
+        assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
         for ms in 0..50 {
-            bench.set(Inputs::FAST_STOP_OK, ms % period >= low);
-            bench.pass(1);
+            rig.set(Inputs::FAST_STOP_OK, ms % period >= low);
+            rig.pass(1);
         }
-        assert!(bench.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{low} of {period} ms");
+        assert!(rig.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{low} of {period} ms");
     }
 }
 
 #[test]
 fn edge_while_ready_is_low_is_refused_even_if_only_busy_is_still_high() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.command(Inputs::MOVE);
-    bench.take_sent();
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.command(Inputs::MOVE);
+    rig.take_sent();
     // The fingers are already at the target, but BUSY lasts 50 ms.
-    bench.set(Inputs::MOVE, true);
-    assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
-    bench.pass(20);
-    assert_eq!(bench.take_motions(), [CommandId::PrePosition]);
+    rig.set(Inputs::MOVE, true);
+    assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+    rig.pass(20);
+    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
     assert!(
-        bench.outputs().contains(Outputs::BUSY)
-            && !bench.gripper().state().flags.contains(SystemFlags::MOVING)
+        rig.outputs().contains(Outputs::BUSY) && !rig.gripper().state().flags.contains(SystemFlags::MOVING)
     );
-    bench.set(Inputs::RELEASE, true);
-    bench.pass(100);
-    assert_eq!(bench.take_motions(), []);
-    assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
-    bench.set(Inputs::MOVE | Inputs::RELEASE, false);
-    bench.pass(10);
-    assert_eq!(bench.command(Inputs::RELEASE), IDLE, "the refusal does not lock");
+    rig.set(Inputs::RELEASE, true);
+    rig.pass(100);
+    assert_eq!(rig.take_motions(), []);
+    assert!(rig.outputs().contains(Outputs::ERROR), "{:?}", rig.outputs());
+    rig.set(Inputs::MOVE | Inputs::RELEASE, false);
+    rig.pass(10);
+    assert_eq!(rig.command(Inputs::RELEASE), IDLE, "the refusal does not lock");
 }
 
 #[test]
 fn stop_unanswered_for_100_ms_becomes_a_fast_stop() {
-    let mut bench = Bench::homed(Config::default());
-    bench.set(Inputs::MOVE, true);
-    bench.pass(50);
-    bench.far.to_bridge = Some(Box::new(Vec::clear));
-    bench.set(Inputs::STOP_ACK, true);
-    bench.pass(5);
-    let sent = bench.take_sent();
+    let mut rig = TestRig::homed(Config::default());
+    rig.set(Inputs::MOVE, true);
+    rig.pass(50);
+    rig.far.to_bridge = Some(Box::new(Vec::clear));
+    rig.set(Inputs::STOP_ACK, true);
+    rig.pass(5);
+    let sent = rig.take_sent();
     assert!(sent.contains(&CommandId::Stop) && !sent.contains(&CommandId::FastStop), "{sent:?}");
-    bench.pass(110);
-    assert!(bench.take_sent().contains(&CommandId::FastStop));
+    rig.pass(110);
+    assert!(rig.take_sent().contains(&CommandId::FastStop));
 }
 
 #[test]
 fn force_limit_is_read_back_before_the_grip_is_sent() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.take_sent();
-    bench.set(Inputs::GRIP, true);
-    bench.pass(20);
-    let sent = bench.take_sent();
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.take_sent();
+    rig.set(Inputs::GRIP, true);
+    rig.pass(20);
+    let sent = rig.take_sent();
     let place = |id| sent.iter().position(|sent| *sent == id);
     let [set, read, grip] =
         [CommandId::SetForceLimit, CommandId::GetForceLimit, CommandId::GripPart].map(place);
@@ -763,30 +752,30 @@ fn force_limit_is_read_back_before_the_grip_is_sent() {
 
 #[test]
 fn longest_reply_of_a_gripper_is_not_oversize() {
-    let mut bench = Bench::ready(quick());
+    let mut rig = TestRig::ready(quick());
     let tag = [b'T'; DeviceTag::MAX_LEN];
     let reply = [&Status::Success.code().to_le_bytes()[..], &tag].concat();
-    bench.far.inject(&FrameEncoder::new(CommandId::GetDeviceTag.code(), &reply[..]).collect::<Vec<u8>>());
-    bench.pass(10);
-    let counters = bench.counters();
+    rig.far.inject(&FrameEncoder::new(CommandId::GetDeviceTag.code(), &reply[..]).collect::<Vec<u8>>());
+    rig.pass(10);
+    let counters = rig.counters();
     assert_eq!((counters.line.oversize, counters.session.unsolicited), (0, 1));
 }
 
 #[test]
 fn edge_in_the_turn_of_a_report_of_motion_is_refused_with_its_parameters() {
-    let mut bench = Bench::homed(quick());
-    bench.set(Inputs::RECIPE0, true);
-    bench.pass(20);
-    let flags = bench.gripper().state().flags | SystemFlags::MOVING;
-    bench.take_sent();
-    bench.set(Inputs::MOVE, true);
+    let mut rig = TestRig::homed(quick());
+    rig.set(Inputs::RECIPE0, true);
+    rig.pass(20);
+    let flags = rig.gripper().state().flags | SystemFlags::MOVING;
+    rig.take_sent();
+    rig.set(Inputs::MOVE, true);
     // The wire takes effect in the third turn.
-    bench.pass(2);
-    assert!(bench.outputs().contains(Outputs::READY));
+    rig.pass(2);
+    assert!(rig.outputs().contains(Outputs::READY));
     let report = Reply::success(Value::GetSystemState(flags));
-    bench.far.inject(&frame(report));
-    bench.pass(6);
-    let sent = bench.take_sent();
+    rig.far.inject(&frame(report));
+    rig.pass(6);
+    let sent = rig.take_sent();
     assert!(!sent.contains(&CommandId::FastStop) && !sent.contains(&CommandId::PrePosition), "{sent:?}");
 }
 
@@ -805,71 +794,67 @@ fn lost_link_ends_the_connection_at_once() {
 
 #[test]
 fn ready_stays_low_until_the_stopped_motion_is_answered() {
-    let mut bench = Bench::homed(quick());
-    bench.far.to_bridge = Some(Box::new(Vec::clear));
+    let mut rig = TestRig::homed(quick());
+    rig.far.to_bridge = Some(Box::new(Vec::clear));
     for (wire, high) in [(Inputs::MOVE, true), (Inputs::STOP_ACK, true), (Inputs::STOP_ACK, false)] {
-        bench.set(wire, high);
-        bench.pass(5);
+        rig.set(wire, high);
+        rig.pass(5);
     }
-    bench.pass(60);
-    assert_eq!(
-        bench.outputs(),
-        Outputs::BUSY | Outputs::REFERENCED | Outputs::LINK_OK,
-        "MIN_BUSY has passed"
-    );
+    rig.pass(60);
+    assert_eq!(rig.outputs(), Outputs::BUSY | Outputs::REFERENCED | Outputs::LINK_OK, "MIN_BUSY has passed");
     // The refusal ends BUSY after its minimum duration.
-    bench.set(Inputs::GRIP, true);
-    bench.pass(60);
-    assert_eq!(bench.outputs(), Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK);
+    rig.set(Inputs::GRIP, true);
+    rig.pass(60);
+    assert_eq!(rig.outputs(), Outputs::ERROR | Outputs::REFERENCED | Outputs::LINK_OK);
 }
 
 #[test]
 fn bridge_reset_during_a_motion_stops_it_and_shows_error() {
     for time_scale in [1.0, 10.0] {
-        let mut bench = Bench::homed(Config { time_scale, ..Config::default() });
-        bench.set(Inputs::MOVE, true);
-        assert!(bench.until(100, |outputs| outputs.contains(Outputs::BUSY)));
-        bench.pass(20);
-        bench.set(Inputs::MOVE, false);
-        bench.restart_bridge();
-        bench.take_sent();
-        bench.pass(30);
-        let sent = bench.take_sent();
+        let mut rig = TestRig::homed(Config { time_scale, ..Config::default() });
+        rig.set(Inputs::MOVE, true);
+        assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
+        rig.pass(20);
+        rig.set(Inputs::MOVE, false);
+        rig.restart_bridge();
+        rig.take_sent();
+        rig.pass(30);
+        let sent = rig.take_sent();
         assert_eq!(sent.iter().find(|id| id.kind() != Kind::Query), Some(&CommandId::Stop), "{sent:?}");
-        assert!(!bench.gripper().state().flags.contains(SystemFlags::MOVING));
-        let stands = bench.gripper().state().width;
-        assert!(bench.until(500, |outputs| outputs.contains(Outputs::LINK_OK)));
-        bench.pass(100);
-        assert!(bench.outputs().contains(Outputs::ERROR), "{:?}", bench.outputs());
-        assert_eq!(bench.gripper().state().width, stands);
-        bench.pulse(Inputs::STOP_ACK);
-        assert_eq!(bench.command(Inputs::MOVE), IDLE);
+        assert!(!rig.gripper().state().flags.contains(SystemFlags::MOVING));
+        let stands = rig.gripper().state().width;
+        assert!(rig.until(500, |outputs| outputs.contains(Outputs::LINK_OK)));
+        rig.pass(100);
+        assert!(rig.outputs().contains(Outputs::ERROR), "{:?}", rig.outputs());
+        assert_eq!(rig.gripper().state().width, stands);
+        rig.pulse(Inputs::STOP_ACK);
+        assert_eq!(rig.command(Inputs::MOVE), IDLE);
     }
 }
 
 #[test]
 fn bridge_reset_while_a_part_is_held_keeps_it() {
-    let mut bench = Bench::homed(with_part(20.0));
-    assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
-    bench.restart_bridge();
-    bench.take_sent();
-    assert!(bench.until(500, |outputs| outputs == IDLE | Outputs::HOLDING), "{:?}", bench.outputs());
-    assert!(bench.take_sent().iter().all(|id| id.kind() == Kind::Query));
+    let mut rig = TestRig::homed(with_part(20.0));
+    assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
+    rig.restart_bridge();
+    rig.take_sent();
+    assert!(rig.until(500, |outputs| outputs == IDLE | Outputs::HOLDING), "{:?}", rig.outputs());
+    assert!(rig.take_sent().iter().all(|id| id.kind() == Kind::Query));
 }
 
 #[test]
 fn force_limit_of_a_withdrawn_motion_is_not_repeated() {
     for drops in [Inputs::STOP_ACK, Inputs::FAST_STOP_OK] {
-        let mut bench = Bench::homed(with_part(20.0));
-        bench.take_sent();
-        bench.far.to_gripper = Some(Box::new(Vec::clear));
-        bench.set(Inputs::GRIP, true);
-        bench.pass(10);
-        bench.set(drops, drops == Inputs::STOP_ACK);
-        bench.pass(50);
-        bench.far.to_gripper = None;
-        bench.pass(1_000);
-        let sent = bench.take_sent();
+        let mut rig = TestRig::homed(with_part(20.0));
+        rig.take_sent();
+        rig.far.to_gripper = Some(Box::new(Vec::clear));
+        rig.set(Inputs::GRIP, true);
+        rig.pass(10);
+        rig.set(drops, drops == Inputs::STOP_ACK);
+        rig.pass(50);
+        rig.far.to_gripper = None;
+        rig.pass(1_000);
+        let sent = rig.take_sent();
         assert_eq!(
             sent.iter().filter(|id| **id == CommandId::SetForceLimit).count(),
             1,
@@ -880,20 +865,20 @@ fn force_limit_of_a_withdrawn_motion_is_not_repeated() {
 
 #[test]
 fn two_hundred_cycles_have_identical_results() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.take_sent();
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.take_sent();
     for cycle in 0..200 {
-        bench.set(Inputs::RECIPE0, true);
-        assert_eq!(bench.command(Inputs::MOVE), IDLE, "cycle {cycle}");
-        bench.set(Inputs::RECIPE0, false);
-        assert_eq!(bench.command(Inputs::GRIP), IDLE | Outputs::HOLDING, "cycle {cycle}");
-        assert_eq!(bench.command(Inputs::RELEASE), IDLE, "cycle {cycle}");
+        rig.set(Inputs::RECIPE0, true);
+        assert_eq!(rig.command(Inputs::MOVE), IDLE, "cycle {cycle}");
+        rig.set(Inputs::RECIPE0, false);
+        assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING, "cycle {cycle}");
+        assert_eq!(rig.command(Inputs::RELEASE), IDLE, "cycle {cycle}");
         let expected = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
-        assert_eq!(bench.take_motions(), expected, "cycle {cycle}");
+        assert_eq!(rig.take_motions(), expected, "cycle {cycle}");
     }
-    assert_eq!(bench.gripper().state().statistics.total, 200);
+    assert_eq!(rig.gripper().state().statistics.total, 200);
     assert_eq!(
-        bench.counters(),
+        rig.counters(),
         wsg_bridge_fw::Counters::default(),
         "no message was lost, repeated or unsolicited"
     );
@@ -902,15 +887,15 @@ fn two_hundred_cycles_have_identical_results() {
 /// Fieldbus manual, 6.2: a lost part is a fault immediately, regardless of later motion.
 #[test]
 fn lost_part_is_shown_at_once_and_a_missing_part_at_the_end_of_busy() {
-    let mut bench = Bench::homed(with_part(20.0));
-    bench.command(Inputs::GRIP);
-    let flags = bench.gripper().state().flags | SystemFlags::MOVING;
+    let mut rig = TestRig::homed(with_part(20.0));
+    rig.command(Inputs::GRIP);
+    let flags = rig.gripper().state().flags | SystemFlags::MOVING;
     for (state, is_shown) in [(GripperState::PartLost, true), (GripperState::NoPart, false)] {
         for value in [Value::GetSystemState(flags), Value::GetGripperState(state)] {
-            bench.far.inject(&frame(Reply::success(value)));
+            rig.far.inject(&frame(Reply::success(value)));
         }
-        bench.pass(1);
-        let outputs = bench.outputs();
+        rig.pass(1);
+        let outputs = rig.outputs();
         assert!(outputs.contains(Outputs::BUSY), "{state:?}: {outputs:?}");
         assert_eq!(outputs.contains(Outputs::PART_FAULT), is_shown, "{state:?}");
     }

@@ -3,7 +3,7 @@
 use bus_slcan::ClassicFrame;
 use document::{can_frames, read};
 use embedded_can::{Frame, Id, StandardId};
-use host_tests::can_bench::CanBench;
+use host_tests::can_rig::CanRig;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;
@@ -73,36 +73,36 @@ fn commands_of_the_quick_start_name_their_register_and_write_what_it_takes() {
 fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
     const NODE: NodeConfig = NodeConfig { node: 5, ..DEFAULT_NODE };
     let part = Part::of_width(20.0);
-    let mut bench = CanBench::with_node(Config { part, time_scale: 10.0, ..Config::default() }, NODE);
-    let say = |bench: &mut CanBench, id: u16, data: &[u8]| {
-        bench.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+    let mut rig = CanRig::with_node(Config { part, time_scale: 10.0, ..Config::default() }, NODE);
+    let say = |rig: &mut CanRig, id: u16, data: &[u8]| {
+        rig.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
     };
-    let pass = |bench: &mut CanBench| {
-        if bench.now_ms().is_multiple_of(200) {
-            say(bench, 0x700 | u16::from(NODE.master), &[5]);
+    let pass = |rig: &mut CanRig| {
+        if rig.now_ms().is_multiple_of(200) {
+            say(rig, 0x700 | u16::from(NODE.master), &[5]);
         }
-        bench.pass(1);
-        bench.take_heard()
+        rig.pass(1);
+        rig.take_heard()
     };
     // The wire is low at power-up.
-    bench.set(Inputs::FAST_STOP_OK, false);
-    (0..300).for_each(|_| drop(pass(&mut bench)));
-    bench.set(Inputs::FAST_STOP_OK, true);
-    (0..100).for_each(|_| drop(pass(&mut bench)));
+    rig.set(Inputs::FAST_STOP_OK, false);
+    (0..300).for_each(|_| drop(pass(&mut rig)));
+    rig.set(Inputs::FAST_STOP_OK, true);
+    (0..100).for_each(|_| drop(pass(&mut rig)));
     let frames = can_frames(&read(DOCUMENT));
     assert!(frames.len() > 10, "{frames:02X?}");
     for (id, data) in frames {
         if id != 0x180 | u16::from(NODE.node) {
-            say(&mut bench, id, &data);
-            (0..50).for_each(|_| drop(pass(&mut bench)));
+            say(&mut rig, id, &data);
+            (0..50).for_each(|_| drop(pass(&mut rig)));
             continue;
         }
         let is_told = (0..5_000).any(|_| {
-            let heard = pass(&mut bench);
+            let heard = pass(&mut rig);
             let mut frames = heard.iter().map(|(_, frame)| (frame.id(), frame.data()));
             frames.any(|frame| frame == (Id::from(StandardId::new(id).unwrap()), &data[..]))
         });
         assert!(is_told, "{id:03X} {data:02X?} was not received");
     }
-    assert_eq!(bench.take_motions(), [CommandId::Homing, CommandId::GripPart]);
+    assert_eq!(rig.take_motions(), [CommandId::Homing, CommandId::GripPart]);
 }

@@ -8,8 +8,8 @@ use std::collections::BTreeSet;
 use bus_slcan::ClassicFrame;
 use document::{hold, read, table};
 use embedded_can::{Frame, Id, StandardId};
-use host_tests::can_bench::CanBench;
-use host_tests::modbus_bench::{Bench, quick};
+use host_tests::can_rig::CanRig;
+use host_tests::modbus_rig::{TestRig, quick};
 use host_tests::wires::Wires;
 use structured_text::{Instance, Unit, Value};
 use wsg_bridge_fw::Config;
@@ -28,7 +28,7 @@ fn units() -> [Unit; 2] {
 /// A PLC that runs the program, with a Modbus master that exchanges the registers in its own cycle.
 struct Plc {
     program: Instance,
-    bench: Bench,
+    rig: TestRig,
     now_ms: i64,
     /// Period of the exchange, in cycles of the PLC.
     exchange_every: i64,
@@ -39,13 +39,13 @@ impl Plc {
     fn new(part: Option<f32>, exchange_every: i64) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let gripper = wsg_sim::Config { part, ..quick() };
-        let mut bench = Bench::new(Config::DEFAULT, gripper);
+        let mut rig = TestRig::new(Config::DEFAULT, gripper);
         // The wire is low until the plant is ready, so there is a FAST STOP at power-up.
-        bench.set(Inputs::FAST_STOP_OK, false);
-        bench.pass(300);
-        bench.set(Inputs::FAST_STOP_OK, true);
+        rig.set(Inputs::FAST_STOP_OK, false);
+        rig.pass(300);
+        rig.set(Inputs::FAST_STOP_OK, true);
         let program = Instance::new(&units(), "PRG_WSG_MODBUS");
-        Self { program, bench, now_ms: 0, exchange_every, is_unplugged: false }
+        Self { program, rig, now_ms: 0, exchange_every, is_unplugged: false }
     }
 
     /// Like `new`, but acknowledged and homed.
@@ -56,12 +56,12 @@ impl Plc {
         plc.until("Ready");
         plc.press("Home");
         plc.until("Done");
-        plc.bench.take_sent();
+        plc.rig.take_sent();
         plc
     }
 
     fn exchange(&mut self) {
-        let answer = self.bench.ask(&[4, 0, 0, 0, 6]);
+        let answer = self.rig.ask(&[4, 0, 0, 0, 6]);
         // After an exception, a master keeps its previous registers.
         if answer[0] == 4 {
             for (name, word) in ["In0", "In1", "In2", "In3", "In4", "In5"].iter().zip(answer[2..].chunks(2)) {
@@ -70,7 +70,7 @@ impl Plc {
             }
         }
         let image: Vec<u16> = ["Out0", "Out1", "Out2", "Out3"].map(|name| self.word(name)).to_vec();
-        self.bench.write(0, &image);
+        self.rig.write(0, &image);
     }
 
     fn word(&self, name: &str) -> u16 {
@@ -80,14 +80,14 @@ impl Plc {
 
     /// Runs one cycle of the PLC.
     fn scan(&mut self) {
-        let before = self.bench.now().as_micros();
+        let before = self.rig.now().as_micros();
         if !self.is_unplugged && (self.now_ms / SCAN_MS) % self.exchange_every == 0 {
             self.exchange();
         }
         self.program.scan(self.now_ms);
-        let took_ms = i64::try_from((self.bench.now().as_micros() - before) / 1_000).unwrap();
+        let took_ms = i64::try_from((self.rig.now().as_micros() - before) / 1_000).unwrap();
         assert!(took_ms <= SCAN_MS);
-        self.bench.pass(u32::try_from(SCAN_MS - took_ms).unwrap());
+        self.rig.pass(u32::try_from(SCAN_MS - took_ms).unwrap());
         self.now_ms += SCAN_MS;
     }
 
@@ -131,12 +131,12 @@ impl Plc {
     }
 
     fn set_fault(&mut self, fault: Fault, on: bool) {
-        let now = self.bench.now();
-        self.bench.gripper().set_fault(fault, on, now);
+        let now = self.rig.now();
+        self.rig.gripper().set_fault(fault, on, now);
     }
 
     fn width(&mut self) -> f32 {
-        self.bench.gripper().state().width
+        self.rig.gripper().state().width
     }
 
     /// Returns the executed lines of the function block.
@@ -151,7 +151,7 @@ const EXCHANGES: [i64; 2] = [1, 5];
 fn grip_cycle(exchange_every: i64) -> Plc {
     let mut plc = Plc::new(Some(20.0), exchange_every);
     plc.until("Error");
-    assert_eq!(plc.bench.take_motions(), []);
+    assert_eq!(plc.rig.take_motions(), []);
     plc.press("StopAck");
     plc.until("Ready");
     assert!(!plc.is("Error"));
@@ -170,7 +170,7 @@ fn grip_cycle(exchange_every: i64) -> Plc {
         assert!(!plc.is("Holding") && (plc.width() - 40.0).abs() < 0.5);
     }
     let cycle = [CommandId::GripPart, CommandId::ReleasePart].repeat(3);
-    assert_eq!(plc.bench.take_motions(), [&[CommandId::Homing], &cycle[..]].concat());
+    assert_eq!(plc.rig.take_motions(), [&[CommandId::Homing], &cycle[..]].concat());
     plc
 }
 
@@ -185,13 +185,13 @@ fn no_part() -> Plc {
     plc.until("Done");
     assert!(plc.is("NoPart") && !plc.is("Holding") && !plc.is("Error"));
     // The fingers are already at the target of GRIP, so the motion ends before a poll sees it. Every GRIP is still sent.
-    plc.bench.take_motions();
+    plc.rig.take_motions();
     for _ in 0..4 {
         plc.press("Grip");
         plc.until("Done");
         assert!(plc.is("NoPart"));
     }
-    assert_eq!(plc.bench.take_motions(), [CommandId::GripPart; 4]);
+    assert_eq!(plc.rig.take_motions(), [CommandId::GripPart; 4]);
     plc.press("Release");
     plc.until("Done");
     assert!(!plc.is("NoPart"));
@@ -203,8 +203,8 @@ fn part_lost() -> Plc {
     plc.press("Grip");
     plc.until("Holding");
     plc.until("Done");
-    let now = plc.bench.now();
-    plc.bench.gripper().set_part(None, now);
+    let now = plc.rig.now();
+    plc.rig.gripper().set_part(None, now);
     plc.until("PartLost");
     assert!(!plc.is("Holding") && !plc.is("Error") && plc.is("Ready"));
     plc.press("Release");
@@ -244,7 +244,7 @@ fn not_referenced() -> Plc {
     // Without Ready, the edge is ignored.
     plc.press("Home");
     plc.pass(1_000);
-    assert_eq!(plc.bench.take_motions(), [CommandId::GripPart]);
+    assert_eq!(plc.rig.take_motions(), [CommandId::GripPart]);
     plc.press("StopAck");
     plc.until("Ready");
     plc.press("Home");
@@ -259,23 +259,23 @@ fn fast_stop() -> Plc {
     plc.until("Error");
     plc.press("StopAck");
     plc.until("Ready");
-    plc.bench.take_sent();
+    plc.rig.take_sent();
     plc.press("Release");
     plc.until("Done");
     plc.press("Home");
     plc.set("FastStop", true);
     plc.pass(100);
-    assert!(!plc.is("Ready") && plc.bench.take_sent().contains(&CommandId::FastStop));
+    assert!(!plc.is("Ready") && plc.rig.take_sent().contains(&CommandId::FastStop));
     // No acknowledgement is sent while FastStop is set.
     plc.press("StopAck");
     plc.pass(1_000);
-    assert!(!plc.bench.take_sent().contains(&CommandId::Acknowledge));
+    assert!(!plc.rig.take_sent().contains(&CommandId::Acknowledge));
     plc.set("FastStop", false);
     plc.until("Error");
     plc.press("StopAck");
     plc.until("Ready");
     // A pulse shorter than the bus cycle, directly after an exchange.
-    plc.bench.take_sent();
+    plc.rig.take_sent();
     while plc.now_ms % 50 != SCAN_MS {
         plc.scan();
     }
@@ -283,7 +283,7 @@ fn fast_stop() -> Plc {
     plc.scan();
     plc.set("FastStop", false);
     plc.until("Error");
-    assert!(plc.bench.take_sent().contains(&CommandId::FastStop));
+    assert!(plc.rig.take_sent().contains(&CommandId::FastStop));
     plc.press("StopAck");
     plc.until("Ready");
     plc
@@ -301,13 +301,13 @@ fn stop() -> Plc {
     assert!(plc.is("Busy") && plc.word("Out0") == 0);
     plc.until("Ready");
     assert!(!plc.is("Holding") && !plc.is("Done") && !plc.is("Error"));
-    let stops = plc.bench.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count();
+    let stops = plc.rig.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count();
     assert_eq!(stops, 2);
     // Repeat as soon as the block is Ready, on a slow bus.
     for _ in 0..3 {
         plc.press("StopAck");
         plc.until("Ready");
-        assert_eq!(plc.bench.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count(), 1);
+        assert_eq!(plc.rig.take_sent().into_iter().filter(|id| *id == CommandId::Stop).count(), 1);
     }
     plc
 }
@@ -320,7 +320,7 @@ fn parameters_change() -> Plc {
         plc.program.set(dial, Value::Int(15_00));
     }
     plc.until("Done");
-    assert!(!plc.bench.take_sent().contains(&CommandId::FastStop));
+    assert!(!plc.rig.take_sent().contains(&CommandId::FastStop));
     plc
 }
 
@@ -333,9 +333,9 @@ fn bus_is_cut() -> Plc {
     plc.is_unplugged = false;
     plc.pass(500);
     // The bridge stopped the motion when polling ceased. No motion starts without a command.
-    plc.bench.take_motions();
+    plc.rig.take_motions();
     plc.pass(2_000);
-    assert_eq!(plc.bench.take_motions(), []);
+    assert_eq!(plc.rig.take_motions(), []);
     plc.press("StopAck");
     plc.until("Ready");
     plc
@@ -346,9 +346,9 @@ fn wrong_place() -> Plc {
     // A wire stops the motion without the function block. The fingers stand in a wrong position without an error.
     for motion in ["Grip", "Release", "Home"] {
         plc.press(motion);
-        plc.bench.set(Inputs::STOP_ACK, true);
+        plc.rig.set(Inputs::STOP_ACK, true);
         plc.pass(50);
-        plc.bench.set(Inputs::STOP_ACK, false);
+        plc.rig.set(Inputs::STOP_ACK, false);
         plc.until("Error");
         plc.press("StopAck");
         plc.until("Ready");
@@ -364,7 +364,7 @@ fn buttons_that_stay() -> Plc {
         ("Home", "Done", CommandId::Homing),
         ("StopAck", "Ready", CommandId::Stop),
     ] {
-        plc.bench.take_sent();
+        plc.rig.take_sent();
         plc.set(button, true);
         plc.pass(2 * SCAN_MS);
         plc.until(output);
@@ -372,7 +372,7 @@ fn buttons_that_stay() -> Plc {
         plc.set(button, false);
         plc.pass(SCAN_MS);
         assert!(plc.is("Ready"));
-        let sent = plc.bench.take_sent().into_iter().filter(|sent| *sent == id).count();
+        let sent = plc.rig.take_sent().into_iter().filter(|sent| *sent == id).count();
         assert_eq!(sent, 1, "{button}");
     }
     plc
@@ -382,12 +382,12 @@ fn refused_meanwhile() -> Plc {
     let mut plc = Plc::homed(None, 1);
     plc.press("Release");
     // The edge of another source is refused. Its status code does not belong to the motion.
-    plc.bench.set(Inputs::HOME, true);
+    plc.rig.set(Inputs::HOME, true);
     plc.pass(50);
-    plc.bench.set(Inputs::HOME, false);
+    plc.rig.set(Inputs::HOME, false);
     plc.until("Done");
     assert!((plc.width() - 40.0).abs() < 0.5 && !plc.is("Error"));
-    assert_eq!(plc.bench.take_motions(), [CommandId::ReleasePart]);
+    assert_eq!(plc.rig.take_motions(), [CommandId::ReleasePart]);
     plc
 }
 
@@ -395,12 +395,12 @@ fn refused_meanwhile() -> Plc {
 #[test]
 fn grip_cycle_over_canopen() {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
-    let mut bench = CanBench::with_node(gripper, DEFAULT_NODE);
+    let mut rig = CanRig::with_node(gripper, DEFAULT_NODE);
     let mut block = Instance::new(&units(), "FB_WSG_GRIP");
     let node = u16::from(DEFAULT_NODE.node);
     let frame = |id, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
-    bench.pass(500);
-    bench.say(frame(0, &[1, DEFAULT_NODE.node]));
+    rig.pass(500);
+    rig.say(frame(0, &[1, DEFAULT_NODE.node]));
     let bits = |block: &Instance, name: &str| {
         let Value::Bits(8, value) = block.get(name) else { panic!("{name}") };
         u8::try_from(value).unwrap()
@@ -410,8 +410,8 @@ fn grip_cycle_over_canopen() {
         (value as u16).to_le_bytes()
     };
     let mut now_ms = 0;
-    let mut scan = |bench: &mut CanBench, block: &mut Instance| {
-        for (_, heard) in bench.take_heard() {
+    let mut scan = |rig: &mut CanRig, block: &mut Instance| {
+        for (_, heard) in rig.take_heard() {
             let Id::Standard(id) = heard.id() else { panic!("{heard:?}") };
             let word = |at: usize| u16::from_le_bytes([heard.data()[at], heard.data()[at + 1]]);
             if id.as_raw() == 0x180 | node {
@@ -428,8 +428,8 @@ fn grip_cycle_over_canopen() {
         let [w0, w1] = number(block, "WidthOut");
         let [s0, s1] = number(block, "SpeedOut");
         let [f0, f1] = number(block, "ForceOut");
-        bench.say(frame(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]));
-        bench.pass(u32::try_from(SCAN_MS).unwrap());
+        rig.say(frame(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]));
+        rig.pass(u32::try_from(SCAN_MS).unwrap());
     };
     let steps = [
         ("StopAck", "Ready", false),
@@ -440,17 +440,17 @@ fn grip_cycle_over_canopen() {
     ];
     for (button, output, holds) in steps {
         block.set(button, Value::Bool(true));
-        scan(&mut bench, &mut block);
+        scan(&mut rig, &mut block);
         block.set(button, Value::Bool(false));
         let ended = (0..5_000).any(|_| {
-            scan(&mut bench, &mut block);
+            scan(&mut rig, &mut block);
             block.get(output) == Value::Bool(true)
         });
         assert!(ended, "{button}: {block:?}");
         assert_eq!((block.get("Error"), block.get("Holding")), (Value::Bool(false), Value::Bool(holds)));
     }
     let motions = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart, CommandId::GripPart];
-    assert_eq!(bench.take_motions(), motions);
+    assert_eq!(rig.take_motions(), motions);
 }
 
 /// Generates a test for each scenario, and the list of all scenarios with their descriptions in the document.

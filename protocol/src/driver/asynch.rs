@@ -1,6 +1,6 @@
 //! The async driver, over `embedded-io-async`.
 
-use super::engine::{Awaited, CHUNK_LEN, Engine, Goal, MAX_CHUNKS};
+use super::engine::{Awaited, CHUNK_LEN, DriverState, Goal, MAX_CHUNKS};
 use super::gate::Gate;
 use super::{Binary, Error, MAX_FRAME_LEN, MAX_REPLY_LEN, Protocol, Timer};
 #[cfg(feature = "gcl")]
@@ -78,7 +78,7 @@ pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, 
 pub struct GripperOver<IO, C, P: Protocol> {
     pub(super) io: IO,
     pub(super) clock: C,
-    pub(super) engine: Engine<P>,
+    pub(super) engine: DriverState<P>,
 }
 
 /// The first of two futures to complete.

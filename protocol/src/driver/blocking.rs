@@ -1,6 +1,6 @@
 //! The blocking driver, over `embedded-io`.
 
-use super::engine::{Awaited, CHUNK_LEN, Engine, Goal, MAX_CHUNKS};
+use super::engine::{Awaited, CHUNK_LEN, DriverState, Goal, MAX_CHUNKS};
 use super::{Binary, Clock, Error, MAX_FRAME_LEN, MAX_REPLY_LEN, Protocol};
 #[cfg(feature = "gcl")]
 use super::{GCL_LINE_LEN, Gcl};
@@ -162,7 +162,7 @@ pub type GclGripper<IO, C, const RX: usize = GCL_LINE_LEN> = GripperOver<IO, C, 
 pub struct GripperOver<IO, C, P: Protocol> {
     pub(super) io: IO,
     pub(super) clock: C,
-    pub(super) engine: Engine<P>,
+    pub(super) engine: DriverState<P>,
 }
 
 impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {

@@ -97,7 +97,7 @@ impl<'p> Awaited<'p> {
 
 /// The protocol, the progress of the current message, and the state of motion and updates.
 #[derive(Debug)]
-pub(super) struct Engine<P> {
+pub(super) struct DriverState<P> {
     link: P,
     received_at: Instant,
     outbox: Outbox,
@@ -108,7 +108,7 @@ pub(super) struct Engine<P> {
     config: Config,
 }
 
-impl<P: Protocol> Engine<P> {
+impl<P: Protocol> DriverState<P> {
     pub(super) const fn new(link: P, config: Config) -> Self {
         Self {
             link,

@@ -3,7 +3,7 @@
 //!
 //! Each driver has its own `drive`, which moves bytes and time until a goal or a moment is reached.
 
-use super::engine::{Awaited, Copied, Engine, Goal};
+use super::engine::{Awaited, Copied, DriverState, Goal};
 use super::{
     Binary, Config, DriverCounters, Error, Finger, Grip, Mm, MmPerS, MotionResult, N, OnBlock, Pending,
     Protocol, StopKind, Update,
@@ -89,7 +89,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, const RX: usize, const TX: u
     /// ```
     #[must_use]
     pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
-        Self { io, clock, engine: Engine::new(Binary::new(config.session), config) }
+        Self { io, clock, engine: DriverState::new(Binary::new(config.session), config) }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The settings that only the text protocol has.
 
-use crate::driver::engine::{Awaited, Engine, Goal};
+use crate::driver::engine::{Awaited, DriverState, Goal};
 use crate::driver::{Config, Error, Gcl, Mm};
 use crate::gcl::{Request, Setting};
 use wsg_protocol_macros::also_blocking;
@@ -31,7 +31,7 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
     /// ```
     #[must_use]
     pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
-        Self { io, clock, engine: Engine::new(Gcl::new(config.session), config) }
+        Self { io, clock, engine: DriverState::new(Gcl::new(config.session), config) }
     }
 
     /// Returns how far before the nominal width a grip may meet its part (PWT; GCL, 2.2.5).

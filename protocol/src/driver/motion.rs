@@ -77,7 +77,7 @@ pub(super) struct Motion {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     /// Requested, without a reply yet.
-    Asked,
+    Requested,
     /// Begun (E_CMD_PENDING).
     Runs,
     /// Did not begin.
@@ -117,21 +117,21 @@ impl Motion {
 
     /// Records the request of another motion.
     pub(super) const fn ask(&mut self, id: CommandId) {
-        *self = Self { id, serial: self.serial.wrapping_add(1), stage: Stage::Asked };
+        *self = Self { id, serial: self.serial.wrapping_add(1), stage: Stage::Requested };
     }
 
     pub(super) fn note(&mut self, event: &Event<'_>) {
         match (self.stage, Verdict::of(event, self.id)) {
-            (Stage::Asked, Some(verdict)) => self.stage = Stage::NotBegun(verdict),
+            (Stage::Requested, Some(verdict)) => self.stage = Stage::NotBegun(verdict),
             (Stage::Runs, Some(verdict)) => self.stage = Stage::Over(verdict),
-            (Stage::Asked, None) if *event == Event::Pending(self.id) => self.stage = Stage::Runs,
+            (Stage::Requested, None) if *event == Event::Pending(self.id) => self.stage = Stage::Runs,
             _ => {}
         }
     }
 
     /// Returns whether the motion is known to have begun or failed to begin.
     pub(super) const fn is_decided(&self) -> bool {
-        !matches!(self.stage, Stage::Asked)
+        !matches!(self.stage, Stage::Requested)
     }
 
     pub(super) const fn is_over(&self) -> bool {
@@ -143,7 +143,7 @@ impl Motion {
         match self.stage {
             Stage::NotBegun(Verdict::Answered(status)) => Err(Error::Refused(status)),
             Stage::NotBegun(Verdict::Withdrawn) => Err(Error::NotConnected),
-            Stage::NotBegun(Verdict::Unanswered) | Stage::Asked => Err(Error::Unanswered),
+            Stage::NotBegun(Verdict::Unanswered) | Stage::Requested => Err(Error::Unanswered),
             Stage::Runs | Stage::Over(_) => {
                 Ok(Pending { id: self.id, serial: self.serial, result: PhantomData })
             }

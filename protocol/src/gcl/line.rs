@@ -54,7 +54,7 @@ enum State {
     /// Collecting a line in the buffer.
     Reading = 0,
     /// The line in the buffer was reported, so the next byte starts a new line.
-    Told,
+    Reported,
     /// Discarding a line that is too long, up to its end.
     Skipping,
 }
@@ -134,7 +134,7 @@ impl<const N: usize> LineReader<N> {
     }
 
     fn step(&mut self, byte: u8) -> Step {
-        if self.state == State::Told {
+        if self.state == State::Reported {
             self.reset();
         }
         let skipping = self.state == State::Skipping;
@@ -145,7 +145,7 @@ impl<const N: usize> LineReader<N> {
             if self.len == 0 {
                 return Step::Nothing;
             }
-            self.state = State::Told;
+            self.state = State::Reported;
             return Step::Line;
         }
         if skipping {

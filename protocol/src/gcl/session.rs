@@ -54,7 +54,7 @@ use crate::time::Instant;
 use crate::types::Status;
 
 /// The controller's side of a GCL connection.
-pub type Session = Engine<Gcl>;
+pub type Session = Engine<GclDialect>;
 
 /// An event of a GCL session.
 pub type Event<'a> = EventOf<CommandName, Answer<'a>, Value<'a>>;
@@ -64,7 +64,7 @@ pub type RequestError = crate::session::RequestError<ParseError>;
 
 /// The dialect of the text protocol (GCL).
 #[derive(Clone, Copy, Debug)]
-pub struct Gcl {
+pub struct GclDialect {
     /// Whether error replies include a text.
     verbose: bool,
 }
@@ -76,7 +76,7 @@ impl Session {
     /// Creates a disconnected session, which begins to connect immediately.
     #[must_use]
     pub const fn new(config: Config) -> Self {
-        Self::over(Gcl { verbose: config.verbose }, config.timing(), subscriptions::of_config(&config))
+        Self::over(GclDialect { verbose: config.verbose }, config.timing(), subscriptions::of_config(&config))
     }
 
     /// Requests a command. Its outcome is reported as an [`Event`].
@@ -137,7 +137,7 @@ impl Session {
     }
 }
 
-impl Dialect for Gcl {
+impl Dialect for GclDialect {
     type Request = Request;
     type Invalid = ParseError;
     type Answer<'a> = Answer<'a>;

@@ -20,7 +20,7 @@ use crate::time::Instant;
 use crate::types::{AutoUpdate, Status};
 
 /// The controller's side of a binary-protocol connection.
-pub type Session = Engine<Binary>;
+pub type Session = Engine<BinaryDialect>;
 
 /// An event of a binary-protocol session.
 pub type Event<'a> = EventOf<CommandId, Reply<'a>, Value<'a>>;
@@ -48,7 +48,7 @@ pub const MISMATCH: Status = Status::WriteError;
 
 /// The dialect of the binary protocol (command set).
 #[derive(Clone, Copy, Debug, Hash)]
-pub struct Binary {
+pub struct BinaryDialect {
     verify_settings: bool,
 }
 
@@ -59,7 +59,7 @@ impl Session {
     /// Creates a disconnected session, which begins to connect immediately.
     #[must_use]
     pub const fn new(config: Config) -> Self {
-        let dialect = Binary { verify_settings: config.verify_settings };
+        let dialect = BinaryDialect { verify_settings: config.verify_settings };
         Self::over(dialect, config.timing(), topic::of_config(&config))
     }
 
@@ -156,7 +156,7 @@ impl Session {
     }
 }
 
-impl Dialect for Binary {
+impl Dialect for BinaryDialect {
     type Request = Command<'static>;
     type Invalid = DecodeError;
     type Answer<'a> = Reply<'a>;

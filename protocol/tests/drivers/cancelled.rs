@@ -12,13 +12,13 @@ fn dropping_a_call_at_any_moment_confuses_no_answers() {
     fn check<S: Speech>() {
         for polls in 0..60 {
             let mut client = Asynch::<S>::homed(Config { part: Part::of_width(105.0), ..Config::default() });
-            let Asynch { bench, gripper } = &mut client;
+            let Asynch { rig, gripper } = &mut client;
             // A grip of about 40 ms.
-            let _ = bench.run_for(polls, gripper.grip(Mm(105.0), MmPerS(400.0)));
+            let _ = rig.run_for(polls, gripper.grip(Mm(105.0), MmPerS(400.0)));
             assert_eq!(client.force_limit(), Ok(N(40.0)), "{polls}");
             let width = client.width().unwrap().0;
             assert!((104.0..=110.0).contains(&width), "{polls}: {width}");
-            client.bench.pass(3_000);
+            client.rig.pass(3_000);
             let state = client.gripper_state().unwrap();
             assert!(matches!(state, GripperState::Idle | GripperState::Holding), "{polls}: {state}");
             assert_eq!(client.stop(), Ok(()), "{polls}");
@@ -44,12 +44,12 @@ fn dropping_a_call_at_any_moment_confuses_no_answers() {
 fn cancelled_motion_that_was_not_sent_is_never_sent() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
-        let Asynch { bench, gripper } = &mut client;
-        bench.world(|world| world.room = 0);
-        assert!(bench.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
-        bench.world(|world| world.room = usize::MAX);
+        let Asynch { rig, gripper } = &mut client;
+        rig.world(|world| world.room = 0);
+        assert!(rig.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
+        rig.world(|world| world.room = usize::MAX);
         assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
-        client.bench.pass(2_000);
+        client.rig.pass(2_000);
         assert!(client.width().unwrap().0 > 109.0);
     }
     check::<Frames>();
@@ -60,15 +60,15 @@ fn cancelled_motion_that_was_not_sent_is_never_sent() {
 fn cancelled_motion_queued_after_another_message_is_never_sent() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
-        let Asynch { bench, gripper } = &mut client;
+        let Asynch { rig, gripper } = &mut client;
         // A query of the session itself is only partly sent.
-        bench.world(|world| world.room = 3);
-        bench.run_for(300, async { while gripper.next_update(1_000).await.is_ok() {} });
-        assert_eq!(bench.world(|world| world.room), 0);
-        assert!(bench.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
-        bench.world(|world| world.room = usize::MAX);
+        rig.world(|world| world.room = 3);
+        rig.run_for(300, async { while gripper.next_update(1_000).await.is_ok() {} });
+        assert_eq!(rig.world(|world| world.room), 0);
+        assert!(rig.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
+        rig.world(|world| world.room = usize::MAX);
         assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
-        client.bench.pass(2_000);
+        client.rig.pass(2_000);
         assert!(client.width().unwrap().0 > 109.0);
     }
     check::<Frames>();
@@ -79,13 +79,13 @@ fn cancelled_motion_queued_after_another_message_is_never_sent() {
 fn motion_queued_after_a_stop_is_not_sent() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
-        let Asynch { bench, gripper } = &mut client;
-        bench.world(|world| world.room = 0);
-        assert!(bench.run_for(10, gripper.stop()).is_none());
-        assert!(bench.run_for(10, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
-        bench.world(|world| world.room = usize::MAX);
+        let Asynch { rig, gripper } = &mut client;
+        rig.world(|world| world.room = 0);
+        assert!(rig.run_for(10, gripper.stop()).is_none());
+        assert!(rig.run_for(10, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
+        rig.world(|world| world.room = usize::MAX);
         assert!(client.system_state().unwrap().contains(SystemFlags::AXIS_STOPPED));
-        client.bench.pass(2_000);
+        client.rig.pass(2_000);
         assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
         assert!(client.width().unwrap().0 > 109.0);
     }
@@ -97,13 +97,13 @@ fn motion_queued_after_a_stop_is_not_sent() {
 fn partly_sent_message_is_completed() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
-        let Asynch { bench, gripper } = &mut client;
-        bench.world(|world| world.room = 3);
-        assert!(bench.run_for(50, gripper.move_to(Mm(50.0), MmPerS(400.0), OnBlock::Stop)).is_none());
-        bench.world(|world| world.room = usize::MAX);
+        let Asynch { rig, gripper } = &mut client;
+        rig.world(|world| world.room = 3);
+        assert!(rig.run_for(50, gripper.move_to(Mm(50.0), MmPerS(400.0), OnBlock::Stop)).is_none());
+        rig.world(|world| world.room = usize::MAX);
         // A message that was started is completed, because a partial one would damage the next.
         client.gripper_state().unwrap();
-        client.bench.pass(2_000);
+        client.rig.pass(2_000);
         assert!((client.width().unwrap().0 - 50.0).abs() < 0.1);
         assert_eq!(client.counters().session.disconnects, 0);
     }
@@ -117,15 +117,15 @@ fn cancelled_stop_and_fast_stop_are_still_sent() {
         for fast in [false, true] {
             let mut client = Asynch::<S>::homed(Config::default());
             let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
-            let Asynch { bench, gripper } = &mut client;
-            bench.world(|world| world.room = 0);
+            let Asynch { rig, gripper } = &mut client;
+            rig.world(|world| world.room = 0);
             let gave_up = if fast {
-                bench.run_for(10, gripper.fast_stop()).is_none()
+                rig.run_for(10, gripper.fast_stop()).is_none()
             } else {
-                bench.run_for(10, gripper.stop()).is_none()
+                rig.run_for(10, gripper.stop()).is_none()
             };
             assert!(gave_up);
-            bench.world(|world| world.room = usize::MAX);
+            rig.world(|world| world.room = usize::MAX);
             assert_eq!(client.wait(&motion), Err(Error::Aborted), "fast: {fast}");
         }
     }
@@ -138,8 +138,8 @@ fn motion_of_a_cancelled_call_continues_and_can_be_awaited() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config { part: Part::of_width(20.0), ..Config::default() });
         let grip = client.begin_grip(Mm(20.0), MmPerS(100.0)).unwrap();
-        let Asynch { bench, gripper } = &mut client;
-        assert!(bench.run_for(100, gripper.wait(&grip)).is_none());
+        let Asynch { rig, gripper } = &mut client;
+        assert!(rig.run_for(100, gripper.wait(&grip)).is_none());
         assert!(client.motion().is_some());
         assert_eq!(client.wait(&grip), Ok(Grip::Held));
     }
@@ -151,13 +151,13 @@ fn motion_of_a_cancelled_call_continues_and_can_be_awaited() {
 fn blocked_line_does_not_block_the_caller() {
     fn check<S: Speech>() {
         let mut client = Asynch::<S>::homed(Config::default());
-        let Asynch { bench, gripper } = &mut client;
-        bench.run(async { while let Ok(Some(_)) = gripper.next_update(0).await {} });
-        bench.world(|world| (world.room, world.mute) = (0, true));
-        assert!(bench.run_for(10, gripper.stop()).is_none());
-        let before = bench.millis();
-        assert_eq!(bench.run(gripper.next_update(50)), Ok(None));
-        assert!(bench.millis() - before < 60, "an unsent STOP does not block the call");
+        let Asynch { rig, gripper } = &mut client;
+        rig.run(async { while let Ok(Some(_)) = gripper.next_update(0).await {} });
+        rig.world(|world| (world.room, world.mute) = (0, true));
+        assert!(rig.run_for(10, gripper.stop()).is_none());
+        let before = rig.millis();
+        assert_eq!(rig.run(gripper.next_update(50)), Ok(None));
+        assert!(rig.millis() - before < 60, "an unsent STOP does not block the call");
     }
     check::<Frames>();
     check::<Lines>();

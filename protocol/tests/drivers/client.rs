@@ -13,7 +13,7 @@ use wsg_protocol::{
 };
 use wsg_sim::{Config, PortKind};
 
-use crate::bench::Bench;
+use crate::rig::TestRig;
 
 pub(crate) type Error = driver::Error<Infallible>;
 type Result<T> = std::result::Result<T, Error>;
@@ -40,8 +40,8 @@ pub(crate) trait Speech {
     const PORT: PortKind;
     /// Input that a driver of this protocol must ignore.
     const GARBAGE: &[u8];
-    fn blocking(bench: &Bench) -> blocking::GripperOver<Bench, Bench, Self::Protocol>;
-    fn asynch(bench: &Bench) -> asynch::GripperOver<Bench, Bench, Self::Protocol>;
+    fn blocking(rig: &TestRig) -> blocking::GripperOver<TestRig, TestRig, Self::Protocol>;
+    fn asynch(rig: &TestRig) -> asynch::GripperOver<TestRig, TestRig, Self::Protocol>;
 }
 
 /// The binary protocol.
@@ -57,12 +57,12 @@ impl Speech for Frames {
     const GARBAGE: &[u8] =
         b"\xAA\xAA\x00noise\xAA\xAA\xAA\x43\x02\x00\x00\x00\x00\x00\xAA\xAA\xAA\x20\x02\x00\x00\x00\xB3\xFD";
 
-    fn blocking(bench: &Bench) -> blocking::GripperOver<Bench, Bench, Self::Protocol> {
-        blocking::Gripper::new(bench.clone(), bench.clone())
+    fn blocking(rig: &TestRig) -> blocking::GripperOver<TestRig, TestRig, Self::Protocol> {
+        blocking::Gripper::new(rig.clone(), rig.clone())
     }
 
-    fn asynch(bench: &Bench) -> asynch::GripperOver<Bench, Bench, Self::Protocol> {
-        asynch::Gripper::new(bench.clone(), bench.clone())
+    fn asynch(rig: &TestRig) -> asynch::GripperOver<TestRig, TestRig, Self::Protocol> {
+        asynch::Gripper::new(rig.clone(), rig.clone())
     }
 }
 
@@ -71,25 +71,25 @@ impl Speech for Lines {
     const PORT: PortKind = PortKind::GclTcp;
     const GARBAGE: &[u8] = b"\xFF\x00noise\nPOS=\nFIN HOME\nERR DANCE 14\nACK\r\n@TAG=\"x\"\n\n";
 
-    fn blocking(bench: &Bench) -> blocking::GripperOver<Bench, Bench, Self::Protocol> {
-        blocking::GclGripper::new(bench.clone(), bench.clone())
+    fn blocking(rig: &TestRig) -> blocking::GripperOver<TestRig, TestRig, Self::Protocol> {
+        blocking::GclGripper::new(rig.clone(), rig.clone())
     }
 
-    fn asynch(bench: &Bench) -> asynch::GripperOver<Bench, Bench, Self::Protocol> {
-        asynch::GclGripper::new(bench.clone(), bench.clone())
+    fn asynch(rig: &TestRig) -> asynch::GripperOver<TestRig, TestRig, Self::Protocol> {
+        asynch::GclGripper::new(rig.clone(), rig.clone())
     }
 }
 
 /// The blocking driver.
 pub(crate) struct Blocking<S: Speech> {
-    pub(crate) bench: Bench,
-    pub(crate) gripper: blocking::GripperOver<Bench, Bench, S::Protocol>,
+    pub(crate) rig: TestRig,
+    pub(crate) gripper: blocking::GripperOver<TestRig, TestRig, S::Protocol>,
 }
 
 /// The async driver; each call runs to completion.
 pub(crate) struct Asynch<S: Speech> {
-    pub(crate) bench: Bench,
-    pub(crate) gripper: asynch::GripperOver<Bench, Bench, S::Protocol>,
+    pub(crate) rig: TestRig,
+    pub(crate) gripper: asynch::GripperOver<TestRig, TestRig, S::Protocol>,
 }
 
 /// The interface that every test uses.
@@ -97,13 +97,13 @@ pub(crate) trait Client: Calls + Sized {
     type Speech: Speech;
 
     /// Returns a driver that is not connected, with its gripper.
-    fn at(bench: Bench) -> Self;
+    fn at(rig: TestRig) -> Self;
 
     fn new(config: Config) -> Self {
-        Self::at(Bench::new(Self::Speech::PORT, config))
+        Self::at(TestRig::new(Self::Speech::PORT, config))
     }
 
-    fn bench(&self) -> Bench;
+    fn rig(&self) -> TestRig;
 
     /// Returns a connected driver.
     fn connected(config: Config) -> Self {
@@ -124,24 +124,24 @@ pub(crate) trait Client: Calls + Sized {
 impl<S: Speech> Client for Blocking<S> {
     type Speech = S;
 
-    fn at(bench: Bench) -> Self {
-        Self { gripper: S::blocking(&bench), bench }
+    fn at(rig: TestRig) -> Self {
+        Self { gripper: S::blocking(&rig), rig }
     }
 
-    fn bench(&self) -> Bench {
-        self.bench.clone()
+    fn rig(&self) -> TestRig {
+        self.rig.clone()
     }
 }
 
 impl<S: Speech> Client for Asynch<S> {
     type Speech = S;
 
-    fn at(bench: Bench) -> Self {
-        Self { gripper: S::asynch(&bench), bench }
+    fn at(rig: TestRig) -> Self {
+        Self { gripper: S::asynch(&rig), rig }
     }
 
-    fn bench(&self) -> Bench {
-        self.bench.clone()
+    fn rig(&self) -> TestRig {
+        self.rig.clone()
     }
 }
 
@@ -190,19 +190,19 @@ macro_rules! calls {
 
         impl<S: Speech> Calls for Asynch<S> {
             $(fn $name $(<$T: $bound>)? (&mut self, $($arg: $type),*) -> Result<$result> {
-                self.bench.run(self.gripper.$name($($arg),*))
+                self.rig.run(self.gripper.$name($($arg),*))
             })*
 
             fn tag(&mut self) -> Result<String> {
-                self.bench.run(self.gripper.tag(&mut [0; DeviceTag::MAX_LEN])).map(str::to_owned)
+                self.rig.run(self.gripper.tag(&mut [0; DeviceTag::MAX_LEN])).map(str::to_owned)
             }
 
             fn finger_data(&mut self, finger: Finger) -> Result<Vec<u8>> {
-                self.bench.run(self.gripper.finger_data(finger, &mut [0; 16])).map(<[u8]>::to_vec)
+                self.rig.run(self.gripper.finger_data(finger, &mut [0; 16])).map(<[u8]>::to_vec)
             }
 
             fn with_connection(&mut self, end: impl FnOnce() -> Outcome) -> Outcome {
-                self.bench.run(self.gripper.with_connection(async |gripper| {
+                self.rig.run(self.gripper.with_connection(async |gripper| {
                     gripper.home(HomingDirection::Default).await?;
                     let _ = gripper.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).await?;
                     end()
@@ -238,8 +238,8 @@ macro_rules! calls {
         }
 
         fn take_new_line(&mut self) {
-            self.bench.reconnect();
-            self.gripper.replace_io(self.bench.clone());
+            self.rig.reconnect();
+            self.gripper.replace_io(self.rig.clone());
         }
     };
 }

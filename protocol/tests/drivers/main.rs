@@ -1,7 +1,7 @@
 //! The drivers with the virtual gripper in virtual time. Each behaviour has one test body for both protocols and both drivers.
 
-mod bench;
 mod cancelled;
 mod client;
 mod only_gcl;
+mod rig;
 mod same;

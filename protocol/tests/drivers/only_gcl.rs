@@ -7,16 +7,16 @@ use wsg_protocol::driver::{Cause, Finger, Grip, Mm, MmPerS, N, OnBlock};
 use wsg_protocol::{HomingDirection, SoftLimits, Status};
 use wsg_sim::{Config, Part, PortKind};
 
-use crate::bench::Bench;
 use crate::client::{Asynch, Blocking, Calls, Client, Error, Lines};
+use crate::rig::TestRig;
 
 fn homed(part: f32) -> Blocking<Lines> {
     Blocking::homed(Config { part: Part::of_width(part), ..Config::default() })
 }
 
 /// Returns the lines sent since the last call, without the session's own queries.
-fn sent(bench: &Bench) -> Vec<String> {
-    let writes = bench.world(|world| std::mem::take(&mut world.writes));
+fn sent(rig: &TestRig) -> Vec<String> {
+    let writes = rig.world(|world| std::mem::take(&mut world.writes));
     let lines = writes.into_iter().map(|bytes| String::from_utf8(bytes).unwrap().trim_end().to_owned());
     lines
         .filter(|line| !["AUTOSEND", "GRIPSTATE", "SYSFLAGS"].iter().any(|own| line.starts_with(own)))
@@ -31,8 +31,8 @@ fn hear(client: &mut Blocking<Lines>) {
 #[test]
 fn requests_without_a_gcl_equivalent_are_refused_and_not_sent() {
     let mut client = homed(20.0);
-    let bench = client.bench();
-    sent(&bench);
+    let rig = client.rig();
+    sent(&rig);
     let gripper = &mut client.gripper;
     let no = Err(Error::NotInGcl);
     assert_eq!(gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Clamp), no);
@@ -49,7 +49,7 @@ fn requests_without_a_gcl_equivalent_are_refused_and_not_sent() {
     assert_eq!(gripper.set_finger_power(Finger::One, true), no);
     assert_eq!(gripper.loop_back(&[1, 2, 3]), no);
     assert_eq!(gripper.raw(0xB0, &[1], &mut []).map(drop), no);
-    assert_eq!(sent(&bench), Vec::<String>::new());
+    assert_eq!(sent(&rig), Vec::<String>::new());
     assert_eq!(Error::NotInGcl.cause(), Cause::Caller);
     assert_eq!(
         gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop),
@@ -61,16 +61,16 @@ fn requests_without_a_gcl_equivalent_are_refused_and_not_sent() {
 #[test]
 fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
     let mut client = Blocking::<Lines>::connected(Config { part: Part::of_width(20.0), ..Config::default() });
-    let bench = client.bench();
+    let rig = client.rig();
     client.home(HomingDirection::Default).unwrap();
-    sent(&bench);
+    sent(&rig);
     assert_eq!(client.force_limit(), Err(Error::NoForceLimit));
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NoForceLimit));
-    assert_eq!(sent(&bench), Vec::<String>::new());
+    assert_eq!(sent(&rig), Vec::<String>::new());
     client.set_force_limit(N(33.5)).unwrap();
-    assert_eq!(sent(&bench), Vec::<String>::new(), "GCL has no request for this");
+    assert_eq!(sent(&rig), Vec::<String>::new(), "GCL has no request for this");
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
-    assert_eq!(sent(&bench), ["POS?", "GRIP(33.5,20.0,100.0)"]);
+    assert_eq!(sent(&rig), ["POS?", "GRIP(33.5,20.0,100.0)"]);
     // The driver keeps it.
     client.take_new_line();
     client.connect().unwrap();
@@ -80,43 +80,43 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
 #[test]
 fn release_is_a_distance_from_the_last_requested_width() {
     let mut client = homed(20.0);
-    let bench = client.bench();
+    let rig = client.rig();
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
     let held = client.width().unwrap().0;
-    sent(&bench);
+    sent(&rig);
     client.release(Mm(60.0), MmPerS(150.0)).unwrap();
-    assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},150.0)", 60.0 - held)]);
+    assert_eq!(sent(&rig), ["POS?".to_owned(), format!("RELEASE({:?},150.0)", 60.0 - held)]);
 }
 
 #[test]
 fn release_by_nothing_and_grip_at_the_width_that_is_are_no_step_the_other_way() {
     let mut client = homed(20.0);
-    let bench = client.bench();
+    let rig = client.rig();
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
     let held = client.width().unwrap().0;
-    sent(&bench);
+    sent(&rig);
     let _ = client.release(Mm(held), MmPerS(100.0));
-    assert_eq!(sent(&bench), ["POS?", "RELEASE(0.0,100.0)"]);
+    assert_eq!(sent(&rig), ["POS?", "RELEASE(0.0,100.0)"]);
 
     let mut client = Blocking::<Lines>::homed(Config::default());
-    let bench = client.bench();
+    let rig = client.rig();
     client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop).unwrap();
     let width = client.width().unwrap().0;
     let _ = client.grip(Mm(width), MmPerS(100.0));
     let now = client.width().unwrap().0;
-    sent(&bench);
+    sent(&rig);
     let _ = client.release(Mm(width + 10.0), MmPerS(100.0));
-    assert_eq!(sent(&bench), ["POS?".to_owned(), format!("RELEASE({:?},100.0)", width + 10.0 - now)]);
+    assert_eq!(sent(&rig), ["POS?".to_owned(), format!("RELEASE({:?},100.0)", width + 10.0 - now)]);
 }
 
 #[test]
 fn release_towards_the_part_is_refused_and_not_sent() {
     let mut client = homed(20.0);
-    let bench = client.bench();
+    let rig = client.rig();
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
-    sent(&bench);
+    sent(&rig);
     assert_eq!(client.release(Mm(10.0), MmPerS(100.0)), Err(Error::NotInGcl));
-    assert_eq!(sent(&bench), ["POS?"]);
+    assert_eq!(sent(&rig), ["POS?"]);
     assert_eq!(client.release(Mm(60.0), MmPerS(100.0)), Ok(()));
 }
 
@@ -149,26 +149,26 @@ fn tolerance_and_clamping_travel_are_read_and_set() {
     assert_eq!(client.gripper.clamping_travel(), Err(Error::NotConnected));
     client.connect().unwrap();
     assert_eq!(client.gripper.part_width_tolerance(), Ok(Mm(5.0)), "the settings end with the connection");
-    client.bench().world(|world| world.mute = true);
+    client.rig().world(|world| world.mute = true);
     assert_eq!(client.gripper.clamping_travel(), Err(Error::Unanswered));
 
     let mut client = Asynch::<Lines>::connected(Config::default());
-    let Asynch { bench, gripper } = &mut client;
-    assert_eq!(bench.run(gripper.set_part_width_tolerance(Mm(1.5))), Ok(Mm(1.5)));
-    assert_eq!(bench.run(gripper.part_width_tolerance()), Ok(Mm(1.5)));
-    assert_eq!(bench.run(gripper.set_clamping_travel(Mm(0.5))), Ok(Mm(0.5)));
-    assert_eq!(bench.run(gripper.clamping_travel()), Ok(Mm(0.5)));
+    let Asynch { rig, gripper } = &mut client;
+    assert_eq!(rig.run(gripper.set_part_width_tolerance(Mm(1.5))), Ok(Mm(1.5)));
+    assert_eq!(rig.run(gripper.part_width_tolerance()), Ok(Mm(1.5)));
+    assert_eq!(rig.run(gripper.set_clamping_travel(Mm(0.5))), Ok(Mm(0.5)));
+    assert_eq!(rig.run(gripper.clamping_travel()), Ok(Mm(0.5)));
 }
 
 /// Returns the outcome of a call that is answered by these bytes after its request was sent.
-fn told<T>(bench: &Bench, call: impl Future<Output = T>, answer: &[u8]) -> T {
-    bench.world(|world| world.mute = true);
+fn told<T>(rig: &TestRig, call: impl Future<Output = T>, answer: &[u8]) -> T {
+    rig.world(|world| world.mute = true);
     let mut call = pin!(call);
     let mut is_requested = false;
-    bench.run(poll_fn(|context| {
+    rig.run(poll_fn(|context| {
         let polled = call.as_mut().poll(context);
         if polled.is_pending() && !std::mem::replace(&mut is_requested, true) {
-            bench.inject(answer);
+            rig.inject(answer);
         }
         polled
     }))
@@ -178,25 +178,25 @@ fn told<T>(bench: &Bench, call: impl Future<Output = T>, answer: &[u8]) -> T {
 fn end_of_a_motion_after_the_answer_to_a_setting_is_not_taken_for_its_answer() {
     let mut client = Asynch::<Lines>::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
-    let Asynch { bench, gripper } = &mut client;
-    assert_eq!(told(bench, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(Mm(2.5)));
-    assert_eq!(bench.run(gripper.wait(&motion)), Err(Error::Aborted));
+    let Asynch { rig, gripper } = &mut client;
+    assert_eq!(told(rig, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(Mm(2.5)));
+    assert_eq!(rig.run(gripper.wait(&motion)), Err(Error::Aborted));
 }
 
 #[test]
 fn setting_queued_after_a_stop_is_withdrawn_with_the_connection() {
     let mut client = Asynch::<Lines>::homed(Config::default());
-    let Asynch { bench, gripper } = &mut client;
-    bench.world(|world| world.mute = true);
-    assert!(bench.run_for(5, gripper.stop()).is_none());
-    assert_eq!(bench.run(gripper.part_width_tolerance()), Err(Error::NotConnected));
+    let Asynch { rig, gripper } = &mut client;
+    rig.world(|world| world.mute = true);
+    assert!(rig.run_for(5, gripper.stop()).is_none());
+    assert_eq!(rig.run(gripper.part_width_tolerance()), Err(Error::NotConnected));
 }
 
 #[test]
 fn lines_that_are_too_long_and_stray_bytes_are_counted() {
     let mut client = homed(20.0);
-    client.bench().inject(&[b'x'; 300]);
-    client.bench().inject(b"\n");
+    client.rig().inject(&[b'x'; 300]);
+    client.rig().inject(b"\n");
     hear(&mut client);
     let line = client.counters().line;
     assert_eq!((line.oversize, line.bad_checksum), (1, 0));
@@ -206,13 +206,13 @@ fn lines_that_are_too_long_and_stray_bytes_are_counted() {
 #[test]
 fn line_received_in_pieces_is_awaited() {
     let mut client = homed(20.0);
-    let bench = client.bench();
-    bench.inject(b"@PO");
-    bench.world(|world| world.mute = true);
-    bench.pass(1_000);
+    let rig = client.rig();
+    rig.inject(b"@PO");
+    rig.world(|world| world.mute = true);
+    rig.pass(1_000);
     hear(&mut client);
     assert_eq!(client.known().width, None);
-    bench.inject(b"S=31.5\n");
+    rig.inject(b"S=31.5\n");
     hear(&mut client);
     assert_eq!(client.known().width, Some(31.5));
 }
@@ -220,7 +220,7 @@ fn line_received_in_pieces_is_awaited() {
 #[test]
 fn incomplete_line_of_a_broken_connection_is_discarded() {
     let mut client = homed(20.0);
-    client.bench().inject(b"@PO");
+    client.rig().inject(b"@PO");
     hear(&mut client);
     client.take_new_line();
     client.connect().unwrap();
@@ -230,7 +230,7 @@ fn incomplete_line_of_a_broken_connection_is_discarded() {
 
 #[test]
 fn end_over_datagrams_cannot_be_announced() {
-    let mut client = Blocking::<Lines>::at(Bench::new(PortKind::GclUdp, Config::default()));
+    let mut client = Blocking::<Lines>::at(TestRig::new(PortKind::GclUdp, Config::default()));
     client.connect().unwrap();
     assert_eq!(client.announce_disconnect(), Err(Error::Refused(Status::NotAvailable)));
     assert_eq!(client.home(HomingDirection::Default), Ok(()));

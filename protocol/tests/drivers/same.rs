@@ -8,8 +8,8 @@ use wsg_protocol::{
 };
 use wsg_sim::{Config, Part, PortKind, Tag};
 
-use crate::bench::Bench;
 use crate::client::{Asynch, Blocking, Calls, Client, Error, Frames, Lines, ProgramError, Speech};
+use crate::rig::TestRig;
 
 /// Defines a test for each body, protocol and driver.
 macro_rules! for_all {
@@ -101,9 +101,9 @@ fn device_information_is_returned<C: Client>() {
 
 fn gripper_that_is_silent_is_not_connected_and_time_is_bounded<C: Client>() {
     let mut client = C::new(Config::default());
-    client.bench().world(|world| world.mute = true);
+    client.rig().world(|world| world.mute = true);
     assert_eq!(client.connect(), Err(Error::NotConnected));
-    let took = client.bench().millis();
+    let took = client.rig().millis();
     assert!((3_000..3_010).contains(&took), "{took} ms");
     assert_eq!(client.home(HomingDirection::Default), Err(Error::NotConnected));
     assert_eq!(client.width(), Err(Error::NotConnected));
@@ -188,7 +188,7 @@ fn stop_aborts_a_motion_and_lets_a_part_go<C: Client>() {
 
     assert_eq!(client.grip(Mm(20.0), MmPerS(200.0)), Ok(Grip::Held));
     client.stop().unwrap();
-    client.bench().pass(10);
+    client.rig().pass(10);
     assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
     assert_eq!(client.force(), Ok(N(0.0)));
 }
@@ -210,14 +210,14 @@ fn fast_stop_aborts_and_locks_until_it_is_acknowledged<C: Client>() {
 
 fn unconfirmed_fast_stop_is_pending_until_it_is_confirmed<C: Client>() {
     let mut client = C::homed(Config::default());
-    let bench = client.bench();
-    bench.world(|world| (world.mute, world.deaf) = (true, true));
+    let rig = client.rig();
+    rig.world(|world| (world.mute, world.deaf) = (true, true));
     assert_eq!(client.fast_stop(), Err(Error::Unanswered));
     assert!(client.fast_stop_pending());
     assert_eq!(client.acknowledge(), Err(Error::NotConnected));
-    bench.world(|world| (world.mute, world.deaf) = (false, false));
+    rig.world(|world| (world.mute, world.deaf) = (false, false));
     let locked = |client: &C| {
-        let flags = client.bench().world(|world| world.gripper.state().flags);
+        let flags = client.rig().world(|world| world.gripper.state().flags);
         flags.contains(SystemFlags::FAST_STOP)
     };
     assert!(!locked(&client));
@@ -236,7 +236,7 @@ fn state_is_reported_while_a_motion_runs<C: Client>() {
     assert!(client.system_state().unwrap().contains(SystemFlags::MOVING));
     let mut widths = vec![];
     while client.poll(&motion).unwrap().is_none() {
-        client.bench().pass(5);
+        client.rig().pass(5);
         widths.push(client.width().unwrap().0);
     }
     assert!(widths.len() > 100, "{}", widths.len());
@@ -259,14 +259,14 @@ fn one_motion_at_a_time<C: Client>() {
 fn result_received_meanwhile_is_kept<C: Client>() {
     let mut client = C::homed(Config::default());
     let grip = client.begin_grip(Mm(100.0), MmPerS(200.0)).unwrap();
-    client.bench().pass(5_000);
+    client.rig().pass(5_000);
     assert_near(client.width().unwrap().0, 95.0);
     assert_eq!(client.wait(&grip), Ok(Grip::NoPart));
 }
 
 fn query_whose_answer_is_lost_is_repeated<C: Client>() {
     let mut client = C::homed(Config::default());
-    client.bench().world(|world| world.lose = 1);
+    client.rig().world(|world| world.lose = 1);
     assert_near(client.width().unwrap().0, 110.0);
     assert_eq!(client.counters().session.repeated, 1);
     assert!(client.is_connected());
@@ -274,30 +274,30 @@ fn query_whose_answer_is_lost_is_repeated<C: Client>() {
 
 fn motion_whose_answer_is_lost_is_unanswered_and_was_sent_once<C: Client>() {
     let mut client = C::homed(Config::default());
-    let bench = client.bench();
-    bench.world(|world| (world.mute, world.writes) = (true, vec![]));
+    let rig = client.rig();
+    rig.world(|world| (world.mute, world.writes) = (true, vec![]));
     assert_eq!(client.home(HomingDirection::Default), Err(Error::Unanswered));
     assert!(!client.is_connected());
-    bench.pass(5_000);
-    bench.world(|world| world.mute = false);
+    rig.pass(5_000);
+    rig.world(|world| world.mute = false);
     client.connect().unwrap();
     let homing = |bytes: &Vec<u8>| bytes.starts_with(b"HOME") || bytes.get(3) == Some(&0x20);
-    assert_eq!(bench.world(|world| world.writes.iter().filter(|bytes| homing(bytes)).count()), 1);
+    assert_eq!(rig.world(|world| world.writes.iter().filter(|bytes| homing(bytes)).count()), 1);
     assert_eq!(client.move_to(Mm(50.0), MmPerS(200.0), OnBlock::Stop), Ok(()));
 }
 
 fn silence_during_a_motion_is_unanswered<C: Client>() {
     let mut client = C::homed(Config::default());
-    let bench = client.bench();
+    let rig = client.rig();
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
-    bench.world(|world| (world.mute, world.deaf) = (true, true));
-    let begun = bench.millis();
+    rig.world(|world| (world.mute, world.deaf) = (true, true));
+    let begun = rig.millis();
     assert_eq!(client.wait(&motion), Err(Error::Unanswered));
-    let took = bench.millis() - begun;
+    let took = rig.millis() - begun;
     assert!(took < 1_500, "{took} ms");
     assert_eq!(client.known(), Known::NOTHING);
     assert_eq!(client.width(), Err(Error::NotConnected));
-    bench.world(|world| (world.mute, world.deaf) = (false, false));
+    rig.world(|world| (world.mute, world.deaf) = (false, false));
     client.connect().unwrap();
     assert_eq!(client.stop(), Ok(()));
 }
@@ -305,7 +305,7 @@ fn silence_during_a_motion_is_unanswered<C: Client>() {
 fn closed_connection_is_reported_and_can_be_replaced<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
-    client.bench().world(|world| world.closed = true);
+    client.rig().world(|world| world.closed = true);
     assert_eq!(client.wait(&motion), Err(Error::Closed));
     assert!(!client.is_connected());
     assert_eq!(client.known(), Known::NOTHING);
@@ -343,11 +343,11 @@ fn end_without_announcement_is_reported_to_the_next_program<C: Client>() {
 fn program_may_leave_early_without_causing_a_fast_stop<C: Client>() {
     for end in [|| Ok(7), || Err(ProgramError::Own), || Err(Error::Blocked.into())] {
         let mut client = C::new(Config::default());
-        let bench = client.bench();
+        let rig = client.rig();
         assert_eq!(client.with_connection(end), end());
-        bench.reconnect();
-        bench.pass(1_000);
-        let state = bench.world(|world| world.gripper.state());
+        rig.reconnect();
+        rig.pass(1_000);
+        let state = rig.world(|world| world.gripper.state());
         assert!(!state.flags.contains(SystemFlags::FAST_STOP));
         assert!(state.speed == 0.0 && state.width > 100.0, "the motion has ended: {state:?}");
     }
@@ -355,7 +355,7 @@ fn program_may_leave_early_without_causing_a_fast_stop<C: Client>() {
 
 fn program_without_a_connection_is_not_run<C: Client>() {
     let mut client = C::new(Config::default());
-    client.bench().world(|world| world.mute = true);
+    client.rig().world(|world| world.mute = true);
     let outcome = client.with_connection(|| panic!("the program must not run without a gripper"));
     assert_eq!(outcome, Err(Error::NotConnected.into()));
 }
@@ -363,9 +363,9 @@ fn program_without_a_connection_is_not_run<C: Client>() {
 fn unanswered_announcement_is_reported_unless_the_program_failed<C: Client>() {
     for (end, told) in [(Ok(7), Error::Unanswered.into()), (Err(ProgramError::Own), ProgramError::Own)] {
         let mut client = C::new(Config::default());
-        let bench = client.bench();
+        let rig = client.rig();
         let outcome = client.with_connection(|| {
-            bench.world(|world| world.mute = true);
+            rig.world(|world| world.mute = true);
             end
         });
         assert_eq!(outcome, Err(told));
@@ -374,9 +374,9 @@ fn unanswered_announcement_is_reported_unless_the_program_failed<C: Client>() {
 
 fn closed_line_is_reported_to_the_program<C: Client>() {
     let mut client = C::new(Config::default());
-    let bench = client.bench();
+    let rig = client.rig();
     let outcome = client.with_connection(|| {
-        bench.world(|world| world.closed = true);
+        rig.world(|world| world.closed = true);
         Ok(7)
     });
     assert_eq!(outcome, Err(Error::Closed.into()));
@@ -386,7 +386,7 @@ fn garbage_is_only_counted<C: Client>() {
     let mut client = C::homed(Config::default());
     let motion = client.begin_move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let (before, known) = (client.counters(), client.known());
-    client.bench().inject(C::Speech::GARBAGE);
+    client.rig().inject(C::Speech::GARBAGE);
     assert_eq!(client.poll(&motion), Ok(None));
     let after = client.counters();
     let sum = |counters: DriverCounters| {
@@ -403,15 +403,15 @@ fn garbage_is_only_counted<C: Client>() {
 
 fn invalid_number_is_refused_before_anything_is_sent<C: Client>() {
     let mut client = C::homed(Config::default());
-    let bench = client.bench();
-    bench.world(|world| world.writes.clear());
+    let rig = client.rig();
+    rig.world(|world| world.writes.clear());
     let invalid = Error::Invalid(DecodeError::NotFinite);
     assert_eq!(client.grip(Mm(f32::NAN), MmPerS(50.0)), Err(invalid));
     assert_eq!(client.move_to(Mm(50.0), MmPerS(f32::INFINITY), OnBlock::Stop), Err(invalid));
     assert_eq!(client.move_by(Mm(f32::NAN), MmPerS(50.0), OnBlock::Stop), Err(invalid));
     assert_eq!(client.release(Mm(f32::NEG_INFINITY), MmPerS(50.0)), Err(invalid));
     assert_eq!(client.set_force_limit(N(f32::NAN)), Err(invalid));
-    assert_eq!(bench.world(|world| world.writes.len()), 0);
+    assert_eq!(rig.world(|world| world.writes.len()), 0);
     assert_eq!(client.force_limit(), Ok(N(40.0)));
 }
 
@@ -431,9 +431,9 @@ fn updates_are_received_while_the_fingers_travel<C: Client>() {
 
     client.subscribe(Topic::Width, AutoUpdate::once());
     while client.next_update(0).unwrap().is_some() {}
-    client.bench().pass(100);
+    client.rig().pass(100);
     while client.next_update(0).unwrap().is_some() {}
-    client.bench().pass(500);
+    client.rig().pass(500);
     let mut came = vec![];
     while let Some(update) = client.next_update(0).unwrap() {
         came.push(update);
@@ -447,14 +447,14 @@ fn every_value_is_returned_or_counted_as_lost<C: Client>() {
     while !matches!(client.next_update(50), Ok(Some(Update::Width(_)))) {}
     while client.next_update(0).unwrap().is_some() {}
     let lost_before = client.counters().updates_lost;
-    client.bench().pass(1_000);
+    client.rig().pass(1_000);
     client.tare().unwrap_err();
 
-    let begun = client.bench().millis();
+    let begun = client.rig().millis();
     for _ in 0..UPDATES_LEN {
         assert!(client.next_update(50).unwrap().is_some());
     }
-    assert_eq!(client.bench().millis(), begun, "queued updates are returned without delay");
+    assert_eq!(client.rig().millis(), begun, "queued updates are returned without delay");
     let lost = usize::from(client.counters().updates_lost - lost_before);
     let returned = UPDATES_LEN;
     assert!(
@@ -470,11 +470,11 @@ fn latest_speed_is_known_while_it_is_subscribed_to<C: Client>() {
     let motion = client.begin_move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let mut fastest: f32 = 0.0;
     while client.poll(&motion).unwrap().is_none() {
-        client.bench().pass(10);
+        client.rig().pass(10);
         fastest = fastest.max(client.known().speed.map_or(0.0, f32::abs));
     }
     assert_near(fastest, 100.0);
-    client.bench().pass(50);
+    client.rig().pass(50);
     while client.next_update(0).unwrap().is_some() {}
     assert_eq!(client.known().speed, Some(0.0));
 }
@@ -495,14 +495,14 @@ fn finger_types_are_returned<C: Client>() {
     assert_eq!(client.finger_data(Finger::Two), Err(Error::Refused(Status::NotAvailable)));
     for finger in [Finger::One, Finger::Two] {
         for question in 0..3 {
-            client.bench().world(|world| world.mute = true);
+            client.rig().world(|world| world.mute = true);
             let unanswered = match question {
                 0 => client.finger_info(finger).map(drop),
                 1 => client.finger_flags(finger).map(drop),
                 _ => client.finger_data(finger).map(drop),
             };
             assert_eq!(unanswered, Err(Error::Unanswered), "{finger:?} {question}");
-            client.bench().world(|world| world.mute = false);
+            client.rig().world(|world| world.mute = false);
             client.connect().unwrap();
         }
     }
@@ -513,7 +513,7 @@ fn message_is_one_write<C: Client>() {
     let mut client = C::homed(with_part(20.0));
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
     client.release(Mm(60.0), MmPerS(100.0)).unwrap();
-    let writes = client.bench().world(|world| world.writes.clone());
+    let writes = client.rig().world(|world| world.writes.clone());
     for bytes in writes {
         let is_line = bytes.iter().filter(|byte| **byte == b'\n').count() == 1 && bytes.ends_with(b"\n");
         let is_frame = bytes.starts_with(&[0xAA; 3]) && bytes.len() == 8 + usize::from(bytes[4]);
@@ -523,17 +523,17 @@ fn message_is_one_write<C: Client>() {
 
 fn nothing_is_sent_without_a_connection<C: Client>() {
     let mut client = C::homed(Config::default());
-    let bench = client.bench();
-    bench.world(|world| (world.mute, world.deaf) = (true, true));
+    let rig = client.rig();
+    rig.world(|world| (world.mute, world.deaf) = (true, true));
     while client.is_connected() {
         client.next_update(50).unwrap();
     }
     assert_eq!(client.move_to(Mm(10.0), MmPerS(100.0), OnBlock::Stop), Err(Error::NotConnected));
     assert_eq!(client.set_force_limit(N(20.0)), Err(Error::NotConnected));
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NotConnected));
-    bench.world(|world| (world.mute, world.deaf) = (false, false));
+    rig.world(|world| (world.mute, world.deaf) = (false, false));
     client.connect().unwrap();
-    bench.pass(2_000);
+    rig.pass(2_000);
     assert_near(client.width().unwrap().0, 110.0);
 }
 
@@ -541,14 +541,14 @@ fn motion_of_a_closed_connection_is_not_sent_when_the_line_accepts_bytes_again<C
     // The message is unsent or partly sent.
     for room in [0, 3, 5] {
         let mut client = C::homed(Config::default());
-        client.bench().world(|world| world.room = room);
+        client.rig().world(|world| world.room = room);
         assert!(client.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop).is_err());
-        client.bench().pass(1_000);
+        client.rig().pass(1_000);
         while let Ok(Some(_)) = client.next_update(0) {}
         assert!(!client.is_connected(), "{room}");
-        client.bench().world(|world| world.room = usize::MAX);
+        client.rig().world(|world| world.room = usize::MAX);
         client.connect().unwrap();
-        client.bench().pass(2_000);
+        client.rig().pass(2_000);
         assert_near(client.width().unwrap().0, 110.0);
     }
 }
@@ -568,7 +568,7 @@ fn program_may_announce_its_end_itself() {
 #[test]
 fn line_without_an_announcement_is_left_as_it_is() {
     fn check<S: Speech>(kind: PortKind) {
-        let mut client = Blocking::<S>::at(Bench::new(kind, Config::default()));
+        let mut client = Blocking::<S>::at(TestRig::new(kind, Config::default()));
         let outcome: Result<GripperState, Error> =
             client.gripper.with_connection(|gripper| gripper.gripper_state());
         assert_eq!(outcome, Ok(GripperState::Idle));

@@ -19,7 +19,7 @@ pub(crate) enum Content<'a> {
     /// A line of GCL.
     Text(Vec<u8>),
     /// A remark on data that the log does not show in full.
-    Told(&'a str),
+    Remark(&'a str),
     /// Bytes of Modbus/TCP or PROFIBUS.
     OfABus,
 }
@@ -46,11 +46,11 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     let content = if rest.starts_with("AA AA AA ") {
         // `?? ??` stands for an unknown checksum, so the frame cannot be checked and is passed on as text.
         let bytes: Vec<u8> = words().map(|(_, byte)| byte).collect();
-        if rest.contains(" ?? ?? ") { Content::Told(rest) } else { Content::Frame(bytes) }
+        if rest.contains(" ?? ?? ") { Content::Remark(rest) } else { Content::Frame(bytes) }
     } else if words().nth(1).is_some() {
         Content::OfABus
     } else if TOLD.iter().any(|(begin, end)| rest.starts_with(begin) && rest.ends_with(end)) {
-        Content::Told(rest)
+        Content::Remark(rest)
     } else {
         Content::Text(unescaped(rest))
     };
@@ -106,9 +106,9 @@ mod tests {
             parse_line("0.000001 s modbus 127.0.0.1:1 <- 00 01 00 00 00 03 01 84 0A FC 4, exception 10")
                 .unwrap();
         assert_eq!(bus.content, Content::OfABus);
-        let told = "wrong checksum: 25h Grip Part with 8 bytes of payload";
-        let line = format!("0.000001 s tcp 127.0.0.1:1 -> {told}");
-        assert_eq!(parse_line(&line).unwrap().content, Content::Told(told));
+        let remark = "wrong checksum: 25h Grip Part with 8 bytes of payload";
+        let line = format!("0.000001 s tcp 127.0.0.1:1 -> {remark}");
+        assert_eq!(parse_line(&line).unwrap().content, Content::Remark(remark));
         let quoted = parse_line(r#"0.000001 s gcl 127.0.0.1:1 <- TAG=\"a\\b\xe4\x\""#).unwrap();
         assert_eq!(quoted.content, Content::Text(b"TAG=\"a\\b\xE4\\x\"".to_vec()));
         assert_eq!(parse_line("0.000001 s tcp 127.0.0.1:1 connected"), None);

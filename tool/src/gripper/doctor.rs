@@ -20,7 +20,7 @@ use super::address::Address;
 use super::line::Line;
 use super::output::Output;
 use super::record::Recorder;
-use super::run::{Dialect, Gripper};
+use super::run::{Gripper, ProtocolCommands};
 use super::signals::Signals;
 use super::trouble::Trouble;
 use probe::{Checksums, Peer, Speech};
@@ -147,7 +147,7 @@ fn no_line(address: &Address, error: &anyhow::Error, report: &mut Report) -> Res
 }
 
 /// Runs the checks that need a responding gripper, and always announces the end of the connection.
-fn examine<P: Dialect>(
+fn examine<P: ProtocolCommands>(
     mut gripper: Gripper<P>,
     signals: &Signals,
     report: &mut Report,
@@ -203,7 +203,7 @@ fn of_flags(flags: SystemFlags, report: &mut Report) -> Result<(), Trouble> {
     }
 }
 
-fn time_queries<P: Dialect>(gripper: &mut Gripper<P>, report: &mut Report) -> Result<(), Trouble> {
+fn time_queries<P: ProtocolCommands>(gripper: &mut Gripper<P>, report: &mut Report) -> Result<(), Trouble> {
     let mut times = Vec::with_capacity(QUERIES);
     for _ in 0..QUERIES {
         let begin = Instant::now();
@@ -227,7 +227,7 @@ fn millis(time: Duration) -> String {
     format!("{:.2}", time.as_secs_f64() * 1e3)
 }
 
-fn count_updates<P: Dialect>(gripper: &mut Gripper<P>, report: &mut Report) -> Result<(), Trouble> {
+fn count_updates<P: ProtocolCommands>(gripper: &mut Gripper<P>, report: &mut Report) -> Result<(), Trouble> {
     let period_ms = AutoUpdate::MIN_PERIOD_MS;
     // Unlike the width, the force is also sent while the fingers are not referenced.
     gripper.subscribe(Topic::Force, AutoUpdate::every(period_ms));
@@ -246,7 +246,7 @@ fn count_updates<P: Dialect>(gripper: &mut Gripper<P>, report: &mut Report) -> R
     }
 }
 
-fn count_forces<P: Dialect>(gripper: &mut Gripper<P>) -> Result<f64, Error<io::Error>> {
+fn count_forces<P: ProtocolCommands>(gripper: &mut Gripper<P>) -> Result<f64, Error<io::Error>> {
     // This query also sends the subscription.
     gripper.system_state()?;
     let begin = Instant::now();

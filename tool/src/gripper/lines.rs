@@ -9,7 +9,7 @@ use clap::{Parser, Subcommand};
 use super::action::Named;
 use super::answer::{Answer, Outcome};
 use super::output::Output;
-use super::run::{self, Dialect, Gripper};
+use super::run::{self, Gripper, ProtocolCommands};
 use super::trouble::Trouble;
 
 /// A command line of the prompt or a script.
@@ -101,7 +101,11 @@ impl Script {
     }
 
     /// Runs the commands up to the first that fails, and returns the exit status. A grip without a part counts as failed.
-    pub(crate) fn run<P: Dialect>(&self, gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Trouble> {
+    pub(crate) fn run<P: ProtocolCommands>(
+        &self,
+        gripper: &mut Gripper<P>,
+        output: &Output,
+    ) -> Result<u8, Trouble> {
         for (number, said) in &self.lines {
             let Said::Action(Named { name, action }) = said else { break };
             let place = Some((*number, self.file.as_str()));

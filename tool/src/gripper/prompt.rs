@@ -18,7 +18,7 @@ use super::editor::{Complete, Editor, Step};
 use super::line::LOOK_MS;
 use super::lines::{self, Line, Said, Wrong};
 use super::output::Output;
-use super::run::{self, Dialect, Gripper};
+use super::run::{self, Gripper, ProtocolCommands};
 use super::signals::Signals;
 use super::trouble::Trouble;
 
@@ -27,7 +27,7 @@ const STATE_PERIOD_MS: u16 = 100;
 const PROMPT: &str = "> ";
 
 /// Runs commands until the input ends, and returns the exit status of the last one. Input is interactive on a terminal.
-pub(crate) fn run<P: Dialect>(
+pub(crate) fn run<P: ProtocolCommands>(
     gripper: &mut Gripper<P>,
     output: &Output,
     signals: &Signals,
@@ -39,7 +39,11 @@ pub(crate) fn run<P: Dialect>(
     }
 }
 
-fn typed<P: Dialect>(gripper: &mut Gripper<P>, output: &Output, signals: &Signals) -> Result<u8, Trouble> {
+fn typed<P: ProtocolCommands>(
+    gripper: &mut Gripper<P>,
+    output: &Output,
+    signals: &Signals,
+) -> Result<u8, Trouble> {
     let words = Words(Line::command());
     let mut editor = Editor::default();
     let mut status = 0;
@@ -83,7 +87,7 @@ fn typed<P: Dialect>(gripper: &mut Gripper<P>, output: &Output, signals: &Signal
 }
 
 /// Runs commands from a pipe or file. Each is answered before the next one is executed, and errors do not end the input.
-fn piped<P: Dialect>(gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Trouble> {
+fn piped<P: ProtocolCommands>(gripper: &mut Gripper<P>, output: &Output) -> Result<u8, Trouble> {
     let (sender, receiver) = mpsc::channel();
     // A thread of its own, so that the gripper is polled meanwhile. It runs until the process ends, because nothing
     // interrupts a blocked read.
@@ -192,7 +196,7 @@ impl Drop for RawMode {
 }
 
 /// Reads a line while polling the gripper and showing its state. Returns `None` at the end of the input.
-fn read_line<P: Dialect>(
+fn read_line<P: ProtocolCommands>(
     gripper: &mut Gripper<P>,
     editor: &mut Editor,
     complete: &impl Complete,

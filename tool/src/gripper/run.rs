@@ -28,7 +28,7 @@ const MAX_ANSWER: usize = 1_024;
 pub(crate) type Live<'a> = &'a mut dyn FnMut(&Known) -> io::Result<()>;
 
 /// Commands that only one of the protocols supports.
-pub(crate) trait Dialect: Protocol + Sized {
+pub(crate) trait ProtocolCommands: Protocol + Sized {
     /// Sets the part width tolerance in mm if one is given, and returns the value in effect.
     fn part_width_tolerance(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble>;
 
@@ -40,7 +40,7 @@ fn only_in_gcl<T>() -> Result<T, Trouble> {
     Err(Trouble::Usage("not supported by the binary protocol; use GCL (gcl://HOST)".to_owned()))
 }
 
-impl Dialect for Binary {
+impl ProtocolCommands for Binary {
     fn part_width_tolerance(_: &mut Gripper<Self>, _: Option<f32>) -> Result<f32, Trouble> {
         only_in_gcl()
     }
@@ -50,7 +50,7 @@ impl Dialect for Binary {
     }
 }
 
-impl Dialect for Gcl {
+impl ProtocolCommands for Gcl {
     fn part_width_tolerance(gripper: &mut Gripper<Self>, set: Option<f32>) -> Result<f32, Trouble> {
         Ok(match set {
             Some(tolerance) => gripper.set_part_width_tolerance(Mm(tolerance))?.0,
@@ -67,7 +67,7 @@ impl Dialect for Gcl {
 }
 
 /// Executes a command. Motions are awaited to their end.
-pub(crate) fn carry_out<P: Dialect>(
+pub(crate) fn carry_out<P: ProtocolCommands>(
     gripper: &mut Gripper<P>,
     action: &Action,
     live: Live<'_>,

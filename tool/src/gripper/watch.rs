@@ -15,7 +15,7 @@ use wsg_protocol::session::Known;
 
 use super::line::LOOK_MS;
 use super::prompt::state_line;
-use super::run::{self, Dialect, Gripper};
+use super::run::{self, Gripper, ProtocolCommands};
 use super::trouble::Trouble;
 
 /// Shortest interval between two updates of a value, in ms.
@@ -63,7 +63,7 @@ impl View {
 }
 
 /// Shows the gripper until `q`, Esc or Ctrl-C is pressed.
-pub(crate) fn run<P: Dialect>(gripper: &mut Gripper<P>, title: String) -> Result<u8, Trouble> {
+pub(crate) fn run<P: ProtocolCommands>(gripper: &mut Gripper<P>, title: String) -> Result<u8, Trouble> {
     if !io::stdout().is_terminal() {
         return Err(Trouble::Usage("`watch` requires a terminal; use `log` instead".to_owned()));
     }

@@ -1,6 +1,6 @@
 //! Invalid input is rejected with a message that states the expectation, before anything is sent.
 
-use crate::bench::{Bench, Program, Scratch, quick};
+use crate::rig::{Program, Scratch, TestRig, quick};
 use wsg_sim::{Config, Finger};
 
 /// An address with no listener: a program that gets as far as connecting exits with 6.
@@ -61,14 +61,14 @@ fn files_that_cannot_be_read_or_written_are_named() {
 
 #[test]
 fn script_ends_at_the_first_line_that_fails_and_names_it() {
-    let bench = Bench::new(quick());
+    let rig = TestRig::new(quick());
     let script = Scratch::new("fails.wsg", "home\nmove 90 400\n\ngrip 50 400\nwidth\n");
-    let ended = Program::run(&[&bench.tcp(), "script", script.path()]);
+    let ended = Program::run(&[&rig.tcp(), "script", script.path()]);
     let place = format!("wsg: {}:4: grip: no part\n", script.path());
     assert_eq!((ended.status, ended.stdout.as_str(), ended.stderr), (3, "done\ndone\n", place));
 
     let ended = Program::run_with_lines(
-        &[&bench.tcp(), "script", "-", "--json"],
+        &[&rig.tcp(), "script", "-", "--json"],
         "soft-limits 10 90\n\nmove 5 10\nwidth\n",
     );
     assert_eq!(ended.status, 4, "{ended:?}");
@@ -81,8 +81,8 @@ fn script_ends_at_the_first_line_that_fails_and_names_it() {
 /// Command set manual, 3.6.3: the supply of this finger cannot be switched.
 #[test]
 fn refused_finger_power_names_the_commands_that_explain_it() {
-    let bench = Bench::new(Config { fingers: [Finger::Fmf, Finger::None], ..quick() });
-    let ended = Program::run(&[&bench.tcp(), "finger-power", "1", "off"]);
+    let rig = TestRig::new(Config { fingers: [Finger::Fmf, Finger::None], ..quick() });
+    let ended = Program::run(&[&rig.tcp(), "finger-power", "1", "off"]);
     assert_eq!(ended.status, 4, "{ended:?}");
     assert!(
         ended.stderr.contains("refused: E_CMD_FAILED; ") && ended.stderr.contains("`finger-info`"),
@@ -93,8 +93,8 @@ fn refused_finger_power_names_the_commands_that_explain_it() {
 
 #[test]
 fn invalid_line_of_standard_input_is_reported_and_the_next_one_is_executed() {
-    let bench = Bench::new(quick());
-    let ended = Program::run_with_lines(&[&bench.tcp()], "dance\n'\nhelp grip\nstate\n");
+    let rig = TestRig::new(quick());
+    let ended = Program::run_with_lines(&[&rig.tcp()], "dance\n'\nhelp grip\nstate\n");
     assert!(ended.stdout.ends_with("state IDLE\n") && ended.stdout.contains("--force"), "{ended:?}");
     assert!(ended.stderr.starts_with("wsg: dance: unrecognized subcommand"), "{ended:?}");
     assert_eq!((ended.status, ended.stderr.lines().count()), (0, 2), "{ended:?}");

@@ -9,16 +9,16 @@ use serde_json::Value;
 use wsg_protocol::SystemFlags;
 use wsg_sim::Config;
 
-use crate::bench::{Bench, Ended, Program, quick};
+use crate::rig::{Ended, Program, TestRig, quick};
 
 /// Exceeds the sum of all time-outs, even on a busy machine.
 const LIMIT: Duration = Duration::from_secs(20);
 
 /// Starts a gripper that homes at start-up, and waits until it is referenced.
-fn homed(config: Config) -> Bench {
-    let mut bench = Bench::new(Config { homing_at_start: true, ..config });
-    bench.until(|flags| flags.contains(SystemFlags::REFERENCED) && !flags.contains(SystemFlags::MOVING));
-    bench
+fn homed(config: Config) -> TestRig {
+    let mut rig = TestRig::new(Config { homing_at_start: true, ..config });
+    rig.until(|flags| flags.contains(SystemFlags::REFERENCED) && !flags.contains(SystemFlags::MOVING));
+    rig
 }
 
 fn doctor(address: &str) -> Ended {
@@ -42,9 +42,9 @@ fn assert_check(ended: &Ended, check: &str, verdict: &str, text: &str) {
 
 #[test]
 fn healthy_gripper_passes_every_check_over_each_line_and_is_unchanged() {
-    let mut bench = homed(quick());
-    let before = bench.flags();
-    for address in [bench.tcp(), bench.gcl(), bench.serial(), bench.slcan(), bench.gcl_udp()] {
+    let mut rig = homed(quick());
+    let before = rig.flags();
+    for address in [rig.tcp(), rig.gcl(), rig.serial(), rig.slcan(), rig.gcl_udp()] {
         let ended = doctor(&address);
         assert_eq!(ended.status, 0, "{address}: {ended:?}");
         // On a busy machine these two may end with a warning.
@@ -53,14 +53,14 @@ fn healthy_gripper_passes_every_check_over_each_line_and_is_unchanged() {
         assert_eq!(timed.len(), 2, "{ended:?}");
         assert_eq!(others.iter().filter(|line| line.starts_with("ok ")).count(), 10, "{ended:?}");
         assert!(ended.stdout.ends_with("the gripper is usable\n"), "{ended:?}");
-        assert_eq!(bench.flags() - SystemFlags::CMD_FAILURE, before, "{address}");
+        assert_eq!(rig.flags() - SystemFlags::CMD_FAILURE, before, "{address}");
     }
 }
 
 #[test]
 fn json_is_one_object_with_every_check_and_the_figures() {
-    let bench = homed(quick());
-    let ended = Program::run(&[&bench.tcp(), "doctor", "--json"]);
+    let rig = homed(quick());
+    let ended = Program::run(&[&rig.tcp(), "doctor", "--json"]);
     assert_eq!((ended.status, ended.stdout.lines().count()), (0, 1), "{ended:?}");
     let report: Value = serde_json::from_str(&ended.stdout).unwrap();
     assert_eq!((&report["command"], &report["result"]), (&"doctor".into(), &"done".into()));
@@ -93,16 +93,16 @@ fn missing_device_and_unknown_host_are_unreachable() {
 
 #[test]
 fn wrong_protocol_is_recognized_and_the_connection_ends_without_a_fast_stop() {
-    let mut bench = homed(quick());
+    let mut rig = homed(quick());
     for (address, found) in [
-        (bench.gcl().replace("gcl:", "tcp:"), "the text protocol (GCL), which is not"),
-        (bench.tcp().replace("tcp:", "gcl:"), "the binary protocol, which is not"),
+        (rig.gcl().replace("gcl:", "tcp:"), "the text protocol (GCL), which is not"),
+        (rig.tcp().replace("tcp:", "gcl:"), "the binary protocol, which is not"),
     ] {
         let ended = doctor(&address);
         assert_eq!(ended.status, 6, "{ended:?}");
         assert_check(&ended, "protocol", "failed", found);
         assert!(line_of(&ended, "update rate").1.contains("updates/s"), "{ended:?}");
-        assert!(!bench.flags().contains(SystemFlags::FAST_STOP), "{address}");
+        assert!(!rig.flags().contains(SystemFlags::FAST_STOP), "{address}");
     }
 }
 
@@ -113,8 +113,8 @@ fn checksum_setting_is_found_either_way() {
         (Config { answer_bad_checksum: true, ..quick() }, "ok", "evaluated"),
         (Config { check_checksum: false, ..quick() }, "warning", "not evaluated"),
     ] {
-        let bench = homed(config);
-        let ended = doctor(&bench.tcp());
+        let rig = homed(config);
+        let ended = doctor(&rig.tcp());
         assert_eq!(ended.status, 0, "{ended:?}");
         assert_check(&ended, "checksum", verdict, text);
     }
@@ -122,24 +122,24 @@ fn checksum_setting_is_found_either_way() {
 
 #[test]
 fn unreferenced_gripper_is_usable_with_a_warning_and_is_not_homed() {
-    let mut bench = Bench::new(quick());
-    let ended = doctor(&bench.tcp());
+    let mut rig = TestRig::new(quick());
+    let ended = doctor(&rig.tcp());
     assert_eq!(ended.status, 0, "{ended:?}");
     assert_check(&ended, "referenced", "warning", "run `home`");
-    let flags = bench.flags();
+    let flags = rig.flags();
     assert!(!flags.intersects(SystemFlags::REFERENCED | SystemFlags::MOVING), "{flags}");
 }
 
 #[test]
 fn latched_fast_stop_is_reported_and_not_acknowledged() {
-    let mut bench = homed(quick());
-    assert_eq!(Program::run(&[&bench.serial(), "fast-stop"]).status, 0);
-    for address in [bench.tcp(), bench.gcl()] {
+    let mut rig = homed(quick());
+    assert_eq!(Program::run(&[&rig.serial(), "fast-stop"]).status, 0);
+    for address in [rig.tcp(), rig.gcl()] {
         let ended = doctor(&address);
         assert_eq!(ended.status, 4, "{ended:?}");
         assert_check(&ended, "FAST STOP", "failed", "run `ack`");
         assert!(ended.stdout.ends_with("refuses motions\n"), "{ended:?}");
-        assert!(bench.flags().contains(SystemFlags::FAST_STOP), "{address}");
+        assert!(rig.flags().contains(SystemFlags::FAST_STOP), "{address}");
     }
 }
 
@@ -196,11 +196,11 @@ fn peer_that_closes_at_once_is_reported_as_busy() {
 
 #[test]
 fn motion_of_another_client_is_reported_and_continues() {
-    let mut bench = homed(Config { time_scale: 1.0, ..quick() });
-    let mut mover = Program::start(&[&bench.gcl()]);
+    let mut rig = homed(Config { time_scale: 1.0, ..quick() });
+    let mut mover = Program::start(&[&rig.gcl()]);
     mover.say("move 60 30\nwidth\n");
-    bench.until_moving();
-    let ended = doctor(&bench.tcp());
+    rig.until_moving();
+    let ended = doctor(&rig.tcp());
     assert_eq!(ended.status, 0, "{ended:?}");
     assert_check(&ended, "other clients", "warning", "the fingers are moving");
     assert_eq!((mover.line(), mover.line()), ("done\n".to_owned(), "width 60.00 mm\n".to_owned()));

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::bench::{Bench, Program, quick};
+use crate::rig::{Program, TestRig, quick};
 
 /// The commands of the transcript.
 const COMMANDS: &str = "\
@@ -96,15 +96,15 @@ fn assert_golden(name: &str, text: &str) {
 
 #[test]
 fn text_output_matches_the_golden_transcript() {
-    assert_golden("words.txt", &transcript(&Bench::new(quick()).tcp(), &[]));
+    assert_golden("words.txt", &transcript(&TestRig::new(quick()).tcp(), &[]));
 }
 
 #[test]
 fn json_output_matches_the_golden_transcript() {
-    assert_golden("json.txt", &transcript(&Bench::new(quick()).tcp(), &["--json"]));
+    assert_golden("json.txt", &transcript(&TestRig::new(quick()).tcp(), &["--json"]));
 }
 
 #[test]
 fn gcl_output_matches_the_golden_transcript() {
-    assert_golden("gcl.txt", &transcript(&Bench::new(quick()).gcl(), &[]));
+    assert_golden("gcl.txt", &transcript(&TestRig::new(quick()).gcl(), &[]));
 }

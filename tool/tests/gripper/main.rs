@@ -2,10 +2,10 @@
 #![cfg(unix)]
 
 mod bad_input;
-mod bench;
 mod doctor;
 mod ends;
 mod golden;
+mod rig;
 // Requires `setsid --ctty`, which only Linux has.
 #[cfg(target_os = "linux")]
 mod terminal;

@@ -12,7 +12,7 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{Winsize, tcsetwinsize};
 use wsg_protocol::SystemFlags;
 
-use crate::bench::{Bench, PATIENCE, real};
+use crate::rig::{PATIENCE, TestRig, real};
 
 /// A program on a pseudo terminal of its own. It is killed when dropped.
 struct Terminal {
@@ -63,8 +63,8 @@ impl Terminal {
     }
 
     /// Starts a prompt and homes the gripper.
-    fn homed(bench: &Bench) -> Self {
-        let mut terminal = Self::start(&[&bench.tcp()]);
+    fn homed(rig: &TestRig) -> Self {
+        let mut terminal = Self::start(&[&rig.tcp()]);
         terminal.until("> ");
         terminal.press(&format!("home{ENTER}"));
         terminal.until("done");
@@ -137,8 +137,8 @@ const CONTROL_D: &str = "\x04";
 
 #[test]
 fn prompt_completes_shows_the_state_and_remembers() {
-    let mut bench = Bench::new(real());
-    let mut terminal = Terminal::start(&[&bench.tcp()]);
+    let mut rig = TestRig::new(real());
+    let mut terminal = Terminal::start(&[&rig.tcp()]);
     terminal.until("[IDLE  ");
     terminal.until("> ");
     terminal.press(&format!("hom{TAB}pos{TAB}{ENTER}"));
@@ -159,63 +159,63 @@ fn prompt_completes_shows_the_state_and_remembers() {
     terminal.press(&format!("move 5{CONTROL_C}{CONTROL_D}"));
     let status = terminal.end();
     assert_eq!(status.code(), Some(0));
-    let flags = bench.flags();
+    let flags = rig.flags();
     assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
 }
 
 #[test]
 fn control_c_in_mid_travel_stops_the_fingers_and_returns_to_the_prompt() {
-    let mut bench = Bench::new(real());
-    let mut terminal = Terminal::homed(&bench);
+    let mut rig = TestRig::new(real());
+    let mut terminal = Terminal::homed(&rig);
     terminal.press(&format!("move 5 5{ENTER}"));
     terminal.until("[POSITIONING  1");
-    bench.until_moving();
+    rig.until_moving();
     terminal.press(CONTROL_C);
     terminal.until("stopped\r\n");
-    bench.assert_stopped();
+    rig.assert_stopped();
     terminal.press(&format!("state{ENTER}"));
     terminal.until("state IDLE");
     // Only the prompt reads Ctrl-D. Before, the terminal is not in raw mode.
     terminal.until("> ");
     terminal.press(CONTROL_D);
     assert_eq!(terminal.end().code(), Some(0));
-    bench.assert_stopped();
+    rig.assert_stopped();
 }
 
 #[test]
 fn control_c_in_mid_travel_of_one_command_stops_it_and_ends() {
-    let mut bench = Bench::new(real());
-    let mut terminal = Terminal::start(&[&bench.tcp(), "home"]);
+    let mut rig = TestRig::new(real());
+    let mut terminal = Terminal::start(&[&rig.tcp(), "home"]);
     terminal.until("done");
     assert_eq!(terminal.end().code(), Some(0));
-    let mut terminal = Terminal::start(&[&bench.tcp(), "move", "5", "5"]);
-    bench.until_moving();
+    let mut terminal = Terminal::start(&[&rig.tcp(), "move", "5", "5"]);
+    rig.until_moving();
     terminal.press(CONTROL_C);
     assert_eq!(terminal.end().code(), Some(130));
-    bench.assert_stopped();
+    rig.assert_stopped();
 }
 
 #[test]
 fn closing_the_terminal_in_mid_travel_stops_the_fingers() {
-    let mut bench = Bench::new(real());
-    let mut terminal = Terminal::homed(&bench);
+    let mut rig = TestRig::new(real());
+    let mut terminal = Terminal::homed(&rig);
     terminal.press(&format!("move 5 5{ENTER}"));
-    bench.until_moving();
+    rig.until_moving();
     // The program receives SIGHUP, and every further write fails.
     terminal.hang_up();
-    bench.assert_stopped();
+    rig.assert_stopped();
 }
 
 #[test]
 fn full_screen_shows_the_gripper_until_q() {
-    let mut bench = Bench::new(real());
-    let mut terminal = Terminal::start(&[&bench.tcp(), "watch"]);
+    let mut rig = TestRig::new(real());
+    let mut terminal = Terminal::start(&[&rig.tcp(), "watch"]);
     terminal.until("\x1b[?1049h");
     terminal.until("width,");
     terminal.until("force,");
     terminal.press("q");
     terminal.until("\x1b[?1049l");
     assert_eq!(terminal.end().code(), Some(0));
-    let flags = bench.flags();
+    let flags = rig.flags();
     assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
 }

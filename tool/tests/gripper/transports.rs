@@ -1,30 +1,30 @@
 //! Runs the same commands over every kind of line.
 
-use crate::bench::{Bench, Program, quick};
+use crate::rig::{Program, TestRig, quick};
 use wsg_protocol::SystemFlags;
 
 const LINES: &str = "home\ngrip 20 200 --force 40\nstate\nrelease 60 200\nwidth\n";
 const ANSWERS: &str =
     "done\na part is held: width 19.60 mm, force 40.0 N\nstate HOLDING\ndone\nwidth 60.00 mm\n";
 
-fn assert_grips(bench: &mut Bench, address: &str) {
+fn assert_grips(rig: &mut TestRig, address: &str) {
     let ended = Program::run_with_lines(&[address], LINES);
     assert_eq!((ended.status, ended.stdout.as_str(), ended.stderr.as_str()), (0, ANSWERS, ""), "{address}");
-    assert!(!bench.flags().contains(SystemFlags::FAST_STOP), "{address}");
+    assert!(!rig.flags().contains(SystemFlags::FAST_STOP), "{address}");
 }
 
 #[test]
 fn commands_are_carried_out_over_tcp_serial_and_can() {
-    let mut bench = Bench::new(quick());
-    for address in [bench.tcp(), bench.serial(), bench.slcan()] {
-        assert_grips(&mut bench, &address);
+    let mut rig = TestRig::new(quick());
+    for address in [rig.tcp(), rig.serial(), rig.slcan()] {
+        assert_grips(&mut rig, &address);
     }
 }
 
 #[test]
 fn commands_are_carried_out_over_gcl() {
-    let mut bench = Bench::new(quick());
-    for address in [bench.gcl(), bench.gcl_udp()] {
-        assert_grips(&mut bench, &address);
+    let mut rig = TestRig::new(quick());
+    for address in [rig.gcl(), rig.gcl_udp()] {
+        assert_grips(&mut rig, &address);
     }
 }

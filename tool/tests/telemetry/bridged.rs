@@ -9,7 +9,7 @@ use std::{
 };
 
 use host_tests::{
-    service_bench::{ServiceBench, ServiceLine},
+    service_rig::{ServiceLine, ServiceRig},
     terminal::Terminal,
 };
 
@@ -55,18 +55,17 @@ impl Drop for Bridged {
 }
 
 fn serve(mut line: ServiceLine, faults: &Faults) {
-    let mut bench =
-        ServiceBench::new(wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() });
+    let mut rig = ServiceRig::new(wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() });
     while !faults.end.load(Ordering::SeqCst) {
         line.read();
         if faults.bridge.load(Ordering::SeqCst) {
             line.clear();
         } else if faults.gripper.load(Ordering::SeqCst) {
-            bench.turn_alone(&mut line);
+            rig.turn_alone(&mut line);
             // Discard what the bridge sends.
-            bench.gripper.line.take_sent();
+            rig.gripper.line.take_sent();
         } else {
-            bench.turn(&mut line);
+            rig.turn(&mut line);
         }
     }
 }

@@ -21,9 +21,9 @@ use crate::{
 
 /// The log of a virtual gripper.
 #[derive(Clone, Default)]
-struct Heard(Arc<Mutex<Vec<u8>>>);
+struct FrameLog(Arc<Mutex<Vec<u8>>>);
 
-impl Write for Heard {
+impl Write for FrameLog {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         self.0.lock().unwrap().extend_from_slice(bytes);
         Ok(bytes.len())
@@ -34,7 +34,7 @@ impl Write for Heard {
     }
 }
 
-impl Heard {
+impl FrameLog {
     /// Returns the IDs of requests that move, stop or unlock the fingers or set the force limit, in order.
     fn commands(&self) -> Vec<String> {
         let text = String::from_utf8(self.0.lock().unwrap().clone()).unwrap();
@@ -52,13 +52,13 @@ impl Heard {
 }
 
 /// Starts a gripper with a part of 20 mm. Also returns its log.
-fn gripper(time_scale: f32) -> (ServerThread, SocketAddr, Heard) {
-    let heard = Heard::default();
+fn gripper(time_scale: f32) -> (ServerThread, SocketAddr, FrameLog) {
+    let log = FrameLog::default();
     let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
     let config = Config { time_scale, part: Part::of_width(20.0), ..Config::default() };
-    let server = ServerThread::start(config, &lines, Some(Log::to(heard.clone()))).unwrap();
+    let server = ServerThread::start(config, &lines, Some(Log::to(log.clone()))).unwrap();
     let address = server.tcp_address().unwrap();
-    (server, address, heard)
+    (server, address, log)
 }
 
 fn now_ms() -> u64 {
@@ -131,7 +131,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
         return;
     }
     let folder = Folder::new();
-    let ((_server, address, heard), (closed, closed_address, untouched)) = (gripper(20.0), gripper(20.0));
+    let ((_server, address, log), (closed, closed_address, untouched)) = (gripper(20.0), gripper(20.0));
     let broker = Broker::start(&folder);
     // A retained command with a valid timestamp.
     let kept = payload(now_ms() + 30_000, &[command("Home")]);
@@ -167,7 +167,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     commander.order(&[command("Release"), number("Width", 60.0), number("Speed", 100.0)]);
     commander.wait_for_result("Release: done");
     let done = ["25", "20", "32", "25", "26"];
-    heard.expect(&done);
+    log.expect(&done);
 
     // None of these commands reaches the gripper.
     commander.send(&home);
@@ -193,7 +193,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
     commander.wait_for_result("Home: refused, E_ACCESS_DENIED");
     commander.order(&[command("Acknowledge")]);
     commander.wait_for_result("Acknowledge: done");
-    heard.expect(&[&done[..], &["23", "20", "24"]].concat());
+    log.expect(&[&done[..], &["23", "20", "24"]].concat());
     telemetry.end();
     closed.stop().unwrap();
     assert_eq!(untouched.commands(), [""; 0]);
@@ -205,7 +205,7 @@ fn stop_ends_a_motion_during_which_values_are_reported_by_mosquitto_and_sparkplu
         return;
     }
     let folder = Folder::new();
-    let (_server, address, heard) = gripper(1.0);
+    let (_server, address, log) = gripper(1.0);
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
     let (telemetry, mut commander) = commanded(&folder, &broker, &host, address);
@@ -227,7 +227,7 @@ fn stop_ends_a_motion_during_which_values_are_reported_by_mosquitto_and_sparkplu
     // Motions are accepted again.
     commander.order(&[command("Home")]);
     commander.wait_for_result("Home: done");
-    heard.expect(&["20", "21", "22", "20"]);
+    log.expect(&["20", "21", "22", "20"]);
     telemetry.end();
 }
 
@@ -238,17 +238,17 @@ fn gripper_lost_during_a_motion_is_not_commanded_again_by_mosquitto_and_sparkplu
     }
     let folder = Folder::new();
     // So slow that the gripper is gone before the motion ends.
-    let (server, address, heard) = gripper(0.05);
+    let (server, address, log) = gripper(0.05);
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
     let (telemetry, mut commander) = commanded(&folder, &broker, &host, address);
     commander.order(&[command("Home")]);
-    wait_for("the motion", || (heard.commands() == ["20"]).then_some(()));
+    wait_for("the motion", || (log.commands() == ["20"]).then_some(()));
 
     server.stop().unwrap();
     commander.wait_for_result("known");
     let lines = Lines { tcp: Some(address), ..Lines::default() };
-    let again = Heard::default();
+    let again = FrameLog::default();
     let _server = wait_for("the address", || {
         ServerThread::start(Config::default(), &lines, Some(Log::to(again.clone()))).ok()
     });

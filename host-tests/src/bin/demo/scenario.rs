@@ -23,7 +23,7 @@ const SLOW: u8 = 2;
 const TOLERANCE: f32 = 0.1;
 
 /// Name and action of a step.
-type Step = (&'static str, fn(&Bench) -> Result<Outcome>);
+type Step = (&'static str, fn(&Run) -> Result<Outcome>);
 
 /// Outcome of a step that did not fail.
 enum Outcome {
@@ -33,7 +33,7 @@ enum Outcome {
 }
 
 /// The rig and the parameters of this run.
-struct Bench {
+struct Run {
     rig: Rig,
     part: Option<Part>,
     /// The recipe closest to the part's width.
@@ -71,12 +71,12 @@ pub(crate) fn play(options: &Options) -> Result<bool> {
     let config = Config { time_scale: options.speed_up.unwrap_or(1.0), ..Config::default() };
     let rig = Rig::power_up(&options.elf, config, trace.clone())?;
     let (recipe, fits) = recipe_for(options.part, &config);
-    let bench = Bench { rig, part: options.part, recipe, fits };
+    let run = Run { rig, part: options.part, recipe, fits };
 
     let (mut passed, mut failed) = (0, 0);
     for (number, (name, step)) in (1..).zip(STEPS) {
         trace.headline(&format!("\n=== {number}. {name}"));
-        match step(&bench) {
+        match step(&run) {
             Ok(Outcome::Passed) => {
                 passed += 1;
                 trace.headline("    passed");
@@ -101,8 +101,8 @@ fn recipe_for(part: Option<Part>, config: &Config) -> (u8, bool) {
     (number, off(recipe) > -config.clamping_travel && off(recipe) <= config.part_width_tolerance)
 }
 
-fn power_up(bench: &Bench) -> Result<Outcome> {
-    let rig = &bench.rig;
+fn power_up(run: &Run) -> Result<Outcome> {
+    let rig = &run.rig;
     let outputs = rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK))?;
     ensure!(
         !outputs.contains(Outputs::READY),
@@ -115,58 +115,58 @@ fn power_up(bench: &Bench) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
-fn acknowledge_power_up(bench: &Bench) -> Result<Outcome> {
-    bench.rig.release_fast_stop()?;
+fn acknowledge_power_up(run: &Run) -> Result<Outcome> {
+    run.rig.release_fast_stop()?;
     Ok(Outcome::Passed)
 }
 
-fn home(bench: &Bench) -> Result<Outcome> {
-    let outputs = bench.rig.command(Inputs::HOME)?;
+fn home(run: &Run) -> Result<Outcome> {
+    let outputs = run.rig.command(Inputs::HOME)?;
     expect(outputs, Outputs::READY | Outputs::REFERENCED | Outputs::LINK_OK)?;
     Ok(Outcome::Passed)
 }
 
-fn move_wide(bench: &Bench) -> Result<Outcome> {
-    bench.rig.select_recipe(WIDE)?;
-    let outputs = bench.rig.command(Inputs::MOVE)?;
+fn move_wide(run: &Run) -> Result<Outcome> {
+    run.rig.select_recipe(WIDE)?;
+    let outputs = run.rig.command(Inputs::MOVE)?;
     expect(outputs, Outputs::READY | Outputs::REFERENCED | Outputs::LINK_OK)?;
-    bench.stands_at(f32::from(RECIPES[usize::from(WIDE)].width) / 100.0)
+    run.stands_at(f32::from(RECIPES[usize::from(WIDE)].width) / 100.0)
 }
 
-fn grip(bench: &Bench) -> Result<Outcome> {
-    bench.rig.gripper().set_part(bench.part);
-    bench.rig.select_recipe(bench.recipe)?;
-    let outputs = bench.rig.command(Inputs::GRIP)?;
-    let found = if bench.fits { Outputs::HOLDING } else { Outputs::PART_FAULT };
+fn grip(run: &Run) -> Result<Outcome> {
+    run.rig.gripper().set_part(run.part);
+    run.rig.select_recipe(run.recipe)?;
+    let outputs = run.rig.command(Inputs::GRIP)?;
+    let found = if run.fits { Outputs::HOLDING } else { Outputs::PART_FAULT };
     expect(outputs, found | Outputs::READY | Outputs::REFERENCED | Outputs::LINK_OK)?;
     Ok(Outcome::Passed)
 }
 
-fn pull_out(bench: &Bench) -> Result<Outcome> {
-    if !bench.fits {
+fn pull_out(run: &Run) -> Result<Outcome> {
+    if !run.fits {
         return Ok(Outcome::LeftOut("no part is held"));
     }
-    bench.rig.gripper().set_part(None);
-    let outputs = bench.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::PART_FAULT))?;
+    run.rig.gripper().set_part(None);
+    let outputs = run.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::PART_FAULT))?;
     ensure!(!outputs.contains(Outputs::HOLDING), "still HOLDING");
     Ok(Outcome::Passed)
 }
 
-fn release(bench: &Bench) -> Result<Outcome> {
-    bench.rig.gripper().set_part(None);
-    let outputs = bench.rig.command(Inputs::RELEASE)?;
+fn release(run: &Run) -> Result<Outcome> {
+    run.rig.gripper().set_part(None);
+    let outputs = run.rig.command(Inputs::RELEASE)?;
     expect(outputs, Outputs::READY | Outputs::REFERENCED | Outputs::LINK_OK)?;
-    bench.stands_at(f32::from(RECIPES[usize::from(bench.recipe)].release_width) / 100.0)
+    run.stands_at(f32::from(RECIPES[usize::from(run.recipe)].release_width) / 100.0)
 }
 
-fn grip_nothing(bench: &Bench) -> Result<Outcome> {
-    let outputs = bench.rig.command(Inputs::GRIP)?;
+fn grip_nothing(run: &Run) -> Result<Outcome> {
+    let outputs = run.rig.command(Inputs::GRIP)?;
     expect(outputs, Outputs::PART_FAULT | Outputs::READY | Outputs::REFERENCED | Outputs::LINK_OK)?;
     Ok(Outcome::Passed)
 }
 
-fn stop_in_mid_travel(bench: &Bench) -> Result<Outcome> {
-    let rig = &bench.rig;
+fn stop_in_mid_travel(run: &Run) -> Result<Outcome> {
+    let rig = &run.rig;
     rig.select_recipe(WIDE)?;
     rig.command(Inputs::MOVE)?;
     rig.select_recipe(SLOW)?;
@@ -192,8 +192,8 @@ fn stop_in_mid_travel(bench: &Bench) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
-fn break_fast_stop_wire(bench: &Bench) -> Result<Outcome> {
-    let rig = &bench.rig;
+fn break_fast_stop_wire(run: &Run) -> Result<Outcome> {
+    let rig = &run.rig;
     rig.set(Inputs::FAST_STOP_OK, false)?;
     rig.await_outputs(PATIENCE, |outputs| {
         !outputs.contains(Outputs::READY) && outputs.contains(Outputs::ERROR)
@@ -210,8 +210,8 @@ fn break_fast_stop_wire(bench: &Bench) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
-fn cut_line(bench: &Bench) -> Result<Outcome> {
-    let rig = &bench.rig;
+fn cut_line(run: &Run) -> Result<Outcome> {
+    let rig = &run.rig;
     rig.gripper().cut(true);
     let cut_at = Instant::now();
     rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK))
@@ -224,7 +224,7 @@ fn cut_line(bench: &Bench) -> Result<Outcome> {
     Ok(Outcome::Passed)
 }
 
-impl Bench {
+impl Run {
     fn stands_at(&self, width: f32) -> Result<Outcome> {
         let stands = self.rig.gripper().state().width;
         ensure!(

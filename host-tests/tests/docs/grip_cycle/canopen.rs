@@ -3,7 +3,7 @@
 use bus_slcan::ClassicFrame;
 use document::{hold, table};
 use embedded_can::{Frame, Id, StandardId};
-use host_tests::can_bench::CanBench;
+use host_tests::can_rig::CanRig;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;
@@ -32,7 +32,7 @@ struct Row {
 }
 
 struct Recording {
-    bench: CanBench,
+    rig: CanRig,
     heard: Vec<(u16, Vec<u8>)>,
     rows: Vec<Row>,
 }
@@ -40,11 +40,11 @@ struct Recording {
 impl Recording {
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
-            if self.bench.now_ms().is_multiple_of(200) {
+            if self.rig.now_ms().is_multiple_of(200) {
                 self.say(MASTER_HEARTBEAT, &[5]);
             }
-            self.bench.pass(1);
-            for (_, frame) in self.bench.take_heard() {
+            self.rig.pass(1);
+            for (_, frame) in self.rig.take_heard() {
                 let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
                 self.heard.push((id.as_raw(), frame.data().to_vec()));
             }
@@ -52,7 +52,7 @@ impl Recording {
     }
 
     fn say(&mut self, id: u16, data: &[u8]) {
-        self.bench.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+        self.rig.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
     }
 
     fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], says: impl Into<String>) {
@@ -105,11 +105,11 @@ fn rpdo1(image: &OutputImage) -> [u8; 8] {
 /// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Row> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
-    let bench = CanBench::with_node(gripper, NODE);
-    let mut recording = Recording { bench, heard: Vec::new(), rows: Vec::new() };
-    recording.bench.set(Inputs::FAST_STOP_OK, false);
+    let rig = CanRig::with_node(gripper, NODE);
+    let mut recording = Recording { rig, heard: Vec::new(), rows: Vec::new() };
+    recording.rig.set(Inputs::FAST_STOP_OK, false);
     recording.pass(1_000);
-    recording.bench.set(Inputs::FAST_STOP_OK, true);
+    recording.rig.set(Inputs::FAST_STOP_OK, true);
     recording.pass(500);
     let of_node = |recording: &Recording, wanted: &[u8]| {
         assert!(recording.heard.contains(&(HEARTBEAT, wanted.to_vec())));

@@ -1,7 +1,7 @@
 //! The grip cycle over Modbus RTU.
 
 use document::{hold, table};
-use host_tests::modbus_bench::{Bench, UNIT};
+use host_tests::modbus_rig::{TestRig, UNIT};
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::{InputImage, OutputImage};
@@ -21,27 +21,27 @@ struct Exchange {
 }
 
 struct Recording {
-    bench: Bench,
+    rig: TestRig,
     exchanges: Vec<Exchange>,
 }
 
 impl Recording {
     fn note(&mut self, step: impl Into<String>, request: &[u8], answer: &[u8]) {
-        // The bench has already checked the answer's unit and checksum.
-        let [request, answer] = [request, answer].map(|pdu| Bench::frame(UNIT, pdu));
+        // The rig has already checked the answer's unit and checksum.
+        let [request, answer] = [request, answer].map(|pdu| TestRig::frame(UNIT, pdu));
         self.exchanges.push(Exchange { step: step.into(), request, answer });
     }
 
     fn write(&mut self, step: &str, image: &OutputImage) {
         let pdu = [&[16, 0, 0, 0, 4, 8], &image.to_bytes()[..]].concat();
-        let answer = self.bench.ask(&pdu);
+        let answer = self.rig.ask(&pdu);
         assert_eq!(answer, pdu[..5]);
         self.note(step, &pdu, &answer);
     }
 
     fn read(&mut self, step: Option<&str>) -> InputImage {
         let pdu = [4, 0, 0, 0, 6];
-        let answer = self.bench.ask(&pdu);
+        let answer = self.rig.ask(&pdu);
         assert_eq!(answer[..2], [4, 12]);
         if let Some(step) = step {
             self.note(step, &pdu, &answer);
@@ -53,12 +53,12 @@ impl Recording {
     fn settle(&mut self) {
         for _ in 0..500 {
             let image = self.read(None);
-            self.bench.pass(20);
+            self.rig.pass(20);
             let moves = image.system.contains(SystemFlags::MOVING) || image.status == Status::CmdPending;
             if !moves {
                 for _ in 0..20 {
                     self.read(None);
-                    self.bench.pass(20);
+                    self.rig.pass(20);
                 }
                 return;
             }
@@ -74,16 +74,16 @@ fn input(bytes: &[u8]) -> InputImage {
 /// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Exchange> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
-    let bench = Bench::new(wsg_bridge_fw::Config::DEFAULT, gripper);
-    let mut recording = Recording { bench, exchanges: Vec::new() };
-    recording.bench.set(Inputs::FAST_STOP_OK, false);
-    recording.bench.pass(500);
-    recording.bench.set(Inputs::FAST_STOP_OK, true);
-    recording.bench.pass(500);
+    let rig = TestRig::new(wsg_bridge_fw::Config::DEFAULT, gripper);
+    let mut recording = Recording { rig, exchanges: Vec::new() };
+    recording.rig.set(Inputs::FAST_STOP_OK, false);
+    recording.rig.pass(500);
+    recording.rig.set(Inputs::FAST_STOP_OK, true);
+    recording.rig.pass(500);
     for step in steps() {
         recording.write(step.name, &step.image);
         match step.then {
-            Then::Nothing => recording.bench.pass(20),
+            Then::Nothing => recording.rig.pass(20),
             Then::Look | Then::Begin => {
                 recording.read(Some(step.then.name()));
             }

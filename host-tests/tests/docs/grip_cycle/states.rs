@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use document::{hold, table};
-use host_tests::modbus_bench::{Bench, FASTSTOP, GRIP, HOMING, JOG_PLUS, MOVE, RELEASE, STOP_ACK, quick};
+use host_tests::modbus_rig::{FASTSTOP, GRIP, HOMING, JOG_PLUS, MOVE, RELEASE, STOP_ACK, TestRig, quick};
 use wsg_fieldbus::InputImage;
 use wsg_protocol::SystemFlags;
 use wsg_sim::{Fault, Part};
@@ -13,7 +13,7 @@ type Transition = (&'static str, &'static str, &'static str);
 
 /// A PLC that records transitions between states.
 struct Watch {
-    bench: Bench,
+    rig: TestRig,
     state: &'static str,
     seen: BTreeSet<Transition>,
 }
@@ -21,14 +21,14 @@ struct Watch {
 impl Watch {
     fn new(part: Option<f32>) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
-        let bench = Bench::ready_with(wsg_bridge_fw::Config::DEFAULT, wsg_sim::Config { part, ..quick() });
-        let mut watch = Self { bench, state: "", seen: BTreeSet::new() };
+        let rig = TestRig::ready_with(wsg_bridge_fw::Config::DEFAULT, wsg_sim::Config { part, ..quick() });
+        let mut watch = Self { rig, state: "", seen: BTreeSet::new() };
         watch.state = watch.look();
         watch
     }
 
     fn look(&mut self) -> &'static str {
-        let answer = self.bench.ask(&[4, 0, 0, 0, 6]);
+        let answer = self.rig.ask(&[4, 0, 0, 0, 6]);
         let image = InputImage::from_bytes(answer[2..].try_into().unwrap());
         if image.system.contains(SystemFlags::FAST_STOP) {
             return FAST_STOP;
@@ -53,7 +53,7 @@ impl Watch {
     }
 
     fn write(&mut self, flag: u8, width: u16) {
-        self.bench.write(0, &[u16::from(flag) << 8, width, 50_00, 40_00]);
+        self.rig.write(0, &[u16::from(flag) << 8, width, 50_00, 40_00]);
     }
 
     /// Issues a command and resets its flag.
@@ -70,8 +70,8 @@ impl Watch {
     }
 
     fn set_fault(&mut self, fault: Fault, on: bool) {
-        let now = self.bench.now();
-        self.bench.gripper().set_fault(fault, on, now);
+        let now = self.rig.now();
+        self.rig.gripper().set_fault(fault, on, now);
     }
 }
 
@@ -121,8 +121,8 @@ const WAYS: [Way; 6] = [
     (Some(20.0), grip),
     (Some(20.0), |watch| {
         grip(watch);
-        let now = watch.bench.now();
-        watch.bench.gripper().set_part(None, now);
+        let now = watch.rig.now();
+        watch.rig.gripper().set_part(None, now);
         watch.go_on(Some("part removed"));
     }),
     (None, |watch| {

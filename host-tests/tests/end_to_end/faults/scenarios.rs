@@ -6,9 +6,9 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 
-use host_tests::bench::{Bench, Disturbance};
 use host_tests::faulty_link::{Fault, FaultyWay};
 use host_tests::wires::Wires;
+use host_tests::wires_rig::{Disturbance, TestRig};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, GripperState};
 use wsg_sim::{Config, Part};
@@ -97,33 +97,33 @@ fn frames_of(id: CommandId, bytes: &[u8]) -> Vec<usize> {
 fn scenario(place: Place, fault: Fault, offset: u64, expected: Shown) {
     let what = format!("{fault:?} in {place:?}");
     let config = Config { part: Part::of_width(20.0), ..Config::default() };
-    let mut bench = Bench::homed(config);
-    assert_eq!(bench.command(Inputs::RELEASE) & Outputs::ERROR, Outputs::empty(), "{what}");
+    let mut rig = TestRig::homed(config);
+    assert_eq!(rig.command(Inputs::RELEASE) & Outputs::ERROR, Outputs::empty(), "{what}");
     let armed = Rc::new(RefCell::new(false));
     let disturbance = Some(hit(place, fault, offset, Rc::clone(&armed)));
     if place.is_to_gripper() {
-        bench.far.to_gripper = disturbance;
+        rig.far.to_gripper = disturbance;
     } else {
-        bench.far.to_bridge = disturbance;
+        rig.far.to_bridge = disturbance;
     }
-    bench.take_sent();
-    let before = bench.gripper().state();
+    rig.take_sent();
+    let before = rig.gripper().state();
     *armed.borrow_mut() = true;
 
     let mut without_link_ms = 0;
-    bench.set(Inputs::GRIP, true);
-    bench.pass(10);
-    bench.set(Inputs::GRIP, false);
+    rig.set(Inputs::GRIP, true);
+    rig.pass(10);
+    rig.set(Inputs::GRIP, false);
     for _ in 0..20_000 {
-        bench.pass(1);
-        without_link_ms += u32::from(!bench.outputs().contains(Outputs::LINK_OK));
+        rig.pass(1);
+        without_link_ms += u32::from(!rig.outputs().contains(Outputs::LINK_OK));
     }
 
     assert!(without_link_ms <= LONGEST_OUTAGE_MS, "{what}: no link for {without_link_ms} ms");
     let lost_link = without_link_ms > 0;
-    let shown = bench.outputs();
-    let state = bench.gripper().state();
-    let sent = bench.take_motions();
+    let shown = rig.outputs();
+    let state = rig.gripper().state();
+    let sent = rig.take_motions();
     assert!(sent.len() <= 1 && sent.iter().all(|id| *id == CommandId::GripPart), "{what}: {sent:?}");
     assert!(!shown.contains(Outputs::BUSY), "{what}: {shown:?}");
     let moved = (state.width - before.width).abs() > 0.01;
@@ -144,9 +144,9 @@ fn scenario(place: Place, fault: Fault, offset: u64, expected: Shown) {
     assert_eq!(if trouble { Trouble } else { Held }, expected, "{what}: {shown:?}, lost link {lost_link}");
 
     *armed.borrow_mut() = false;
-    assert!(bench.until(10_000, |outputs| outputs.contains(Outputs::READY)), "{what}: {shown:?}");
-    bench.command(Inputs::RELEASE);
-    let outputs = bench.command(Inputs::GRIP);
+    assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::READY)), "{what}: {shown:?}");
+    rig.command(Inputs::RELEASE);
+    let outputs = rig.command(Inputs::GRIP);
     assert!(outputs.contains(Outputs::HOLDING) && !outputs.contains(Outputs::ERROR), "{what}: {outputs:?}");
 }
 

@@ -37,7 +37,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Results that the PLC has read.
 #[derive(Debug, Default)]
-struct Told {
+struct Tally {
     done: usize,
     trouble: usize,
     /// The link was lost at the time of the edge.
@@ -53,23 +53,23 @@ fn soak_on_a_faulty_line_loses_nothing_and_does_nothing_twice() {
     let rate = if asked.is_some() { BYTE_ERRORS } else { BYTE_ERRORS_SHORT };
     let seed = number(SEED_VARIABLE).unwrap_or(1);
 
-    let (told, counts, seconds) = soak(commands, rate, seed).unwrap();
+    let (tally, counts, seconds) = soak(commands, rate, seed).unwrap();
 
     println!(
         "soak: {commands} commands at {rate:e} wrong bytes, seed {seed}, in {seconds} s: {} done, {} reported as failed, \
          {} refused; {} of {} bytes damaged; no command repeated, sent without an edge, or lost without a report",
-        told.done,
-        told.trouble,
-        told.not_taken,
+        tally.done,
+        tally.trouble,
+        tally.not_taken,
         counts.iter().map(Counts::faults).sum::<u64>(),
         counts.iter().map(|way| way.bytes).sum::<u64>(),
     );
-    assert_eq!(told.done + told.trouble + told.not_taken, commands);
+    assert_eq!(tally.done + tally.trouble + tally.not_taken, commands);
     assert!(counts.iter().all(|way| way.faults() > 0), "{counts:?}");
-    assert!(told.done * 100 >= commands * DONE_PERCENT, "fewer than {DONE_PERCENT} % done: {told:?}");
+    assert!(tally.done * 100 >= commands * DONE_PERCENT, "fewer than {DONE_PERCENT} % done: {tally:?}");
 }
 
-fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64)> {
+fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Tally, [Counts; 2], u64)> {
     let start = Instant::now();
     let elf = std::env::var_os("WSG_FIRMWARE_ELF")
         .context("WSG_FIRMWARE_ELF must hold the path of the firmware image")?;
@@ -82,7 +82,7 @@ fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64
     let rates = Rates::of_bytes(rate);
     rig.gripper().disturb(Some((FaultyWay::new(rates, seed), FaultyWay::new(rates, !seed))));
 
-    let mut told = Told::default();
+    let mut tally = Tally::default();
     let mut rest = rig.gripper().state().width;
     for number in 0..commands {
         let before = rig.gripper().state();
@@ -96,13 +96,13 @@ fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Told, [Counts; 2], u64
             (false, 0) => MOVE,
             (false, _) => GRIP,
         };
-        command(&rig, job, &mut told).with_context(|| format!("command {number}, {:?}", job.0))?;
+        command(&rig, job, &mut tally).with_context(|| format!("command {number}, {:?}", job.0))?;
         rest = settle(&rig).with_context(|| format!("after command {number}, {:?}", job.0))?;
     }
     let ways = rig.gripper().disturb(None).context("the disturbance is still installed")?;
     rig.catch_up()?;
     once_for_each_edge(&rig.trace().since(mark))?;
-    Ok((told, [ways.0.counts(), ways.1.counts()], start.elapsed().as_secs()))
+    Ok((tally, [ways.0.counts(), ways.1.counts()], start.elapsed().as_secs()))
 }
 
 /// Reaches READY without ERROR through the wires alone, as docs/wiring.md describes: STOP_ACK ends an error.
@@ -120,7 +120,7 @@ fn recover(rig: &Rig) -> Result<Outputs> {
 }
 
 /// Issues a command as a PLC does, and compares the reported result with the gripper.
-fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
+fn command(rig: &Rig, (wire, _, is_done): Job, tally: &mut Tally) -> Result<()> {
     rig.select_recipe(if wire == Inputs::MOVE { WIDE } else { 0 })?;
     rig.set(wire, true)?;
     // If the link is lost at this time, READY goes low.
@@ -128,12 +128,12 @@ fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
     let taken = rig.await_outputs(PATIENCE, shown).context("neither BUSY nor READY low")?;
     rig.set(wire, false)?;
     if !taken.contains(Outputs::BUSY) {
-        told.not_taken += 1;
+        tally.not_taken += 1;
         return Ok(());
     }
     let end = rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::BUSY))?;
     if end.intersects(Outputs::ERROR | Outputs::PART_FAULT) || !end.contains(Outputs::LINK_OK) {
-        told.trouble += 1;
+        tally.trouble += 1;
         return Ok(());
     }
     let state = rig.gripper().state();
@@ -141,7 +141,7 @@ fn command(rig: &Rig, (wire, _, is_done): Job, told: &mut Told) -> Result<()> {
     if !is_shown || !is_done(&state) {
         bail!("{} is shown, but the gripper is {state:?}", names(end));
     }
-    told.done += 1;
+    tally.done += 1;
     Ok(())
 }
 

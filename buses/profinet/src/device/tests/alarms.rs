@@ -28,18 +28,18 @@ fn alarm_ack(is_high: bool, kind: u8, number: u16) -> Vec<u8> {
 }
 
 /// Returns the RTA frames sent now, from the frame identifier on.
-fn alarms(bench: &mut Bench) -> Vec<Vec<u8>> {
-    let mut all = bench.acyclic();
+fn alarms(rig: &mut TestRig) -> Vec<Vec<u8>> {
+    let mut all = rig.acyclic();
     all.retain(|frame| frame[12..14] == [0x81, 0] && matches!(frame[18..20], [0xFE | 0xFC, 1]));
     all.into_iter().map(|frame| frame[18..].to_vec()).collect()
 }
 
 #[test]
 fn fault_is_reported_acknowledged_twice_and_cleared() {
-    let mut bench = Bench::in_data();
-    bench.device.show_faults(0b001);
-    assert_eq!(bench.poll(), None);
-    let sent = alarms(&mut bench);
+    let mut rig = TestRig::in_data();
+    rig.device.show_faults(0b001);
+    assert_eq!(rig.poll(), None);
+    let sent = alarms(&mut rig);
     let expected = [
         // References, data, window and immediate acknowledgement, sequence numbers, length.
         &[0xFE, 1, 0, 3, 0, 1, 0x11, 0x11, 0xFF, 0xFF, 0xFF, 0xFE, 0, 34][..],
@@ -51,15 +51,15 @@ fn fault_is_reported_acknowledged_twice_and_cleared() {
     assert_eq!(sent, [expected]);
 
     // The transport's acknowledgement stops the retries. The alarm's own acknowledgement is acknowledged in turn.
-    let now = bench.now;
-    assert_eq!(bench.device.receive(now, &rta(false, 0x13, 0xFFFE, 0xFFFF, &[])), None);
-    assert_eq!(bench.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0))), None);
-    assert_eq!(alarms(&mut bench)[0][..14], [0xFE, 1, 0, 3, 0, 1, 0x13, 1, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0]);
-    assert_eq!((bench.poll(), alarms(&mut bench)), (None, vec![]), "reported once");
+    let now = rig.now;
+    assert_eq!(rig.device.receive(now, &rta(false, 0x13, 0xFFFE, 0xFFFF, &[])), None);
+    assert_eq!(rig.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0))), None);
+    assert_eq!(alarms(&mut rig)[0][..14], [0xFE, 1, 0, 3, 0, 1, 0x13, 1, 0xFF, 0xFF, 0xFF, 0xFF, 0, 0]);
+    assert_eq!((rig.poll(), alarms(&mut rig)), (None, vec![]), "reported once");
 
-    bench.device.show_faults(0);
-    bench.poll();
-    let sent = alarms(&mut bench);
+    rig.device.show_faults(0);
+    rig.poll();
+    let sent = alarms(&mut rig);
     // The next sequence number; disappears, with the next alarm number, and no fault left.
     assert_eq!(sent[0][8..12], [0, 0, 0xFF, 0xFF]);
     assert_eq!(sent[0][20..22], [0, 0x0C]);
@@ -68,7 +68,7 @@ fn fault_is_reported_acknowledged_twice_and_cleared() {
 
 #[test]
 fn each_fault_is_reported_once_when_it_appears_and_disappears() {
-    let mut bench = Bench::in_data();
+    let mut rig = TestRig::in_data();
     let (mut sequence, mut number, mut ours) = (0xFFFF_u16, 0, 0xFFFF_u16);
     let following = |number: u16| number.wrapping_add(1) & 0x7FFF;
     // Present faults, and the expected alarm: fault, and whether it appears.
@@ -83,9 +83,9 @@ fn each_fault_is_reported_once_when_it_appears_and_disappears() {
         (0b000, Some((0x0100, false))),
         (0b000, None),
     ] {
-        bench.device.show_faults(faults);
-        assert_eq!(bench.poll(), None);
-        let sent = alarms(&mut bench);
+        rig.device.show_faults(faults);
+        assert_eq!(rig.poll(), None);
+        let sent = alarms(&mut rig);
         let found = sent.first().map(|alarm| {
             let word = |at: usize| u16::from_be_bytes([alarm[at], alarm[at + 1]]);
             assert_eq!(word(8), ours, "sequence number of the transport");
@@ -97,9 +97,9 @@ fn each_fault_is_reported_once_when_it_appears_and_disappears() {
         assert_eq!((sent.len(), found), (usize::from(told.is_some()), told), "{faults:b}");
         if let Some((_, appears)) = told {
             let ack = alarm_ack(false, if appears { 1 } else { 0x0C }, number);
-            bench.device.receive(bench.now, &rta(false, 0x11, sequence, ours, &ack));
-            assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "the acknowledgement is due");
-            assert_eq!(alarms(&mut bench).len(), 1);
+            rig.device.receive(rig.now, &rta(false, 0x11, sequence, ours, &ack));
+            assert_eq!(rig.device.poll_timeout(rig.now), rig.now, "the acknowledgement is due");
+            assert_eq!(alarms(&mut rig).len(), 1);
             (sequence, ours, number) = (following(sequence), following(ours), number + 1);
         }
     }
@@ -107,120 +107,120 @@ fn each_fault_is_reported_once_when_it_appears_and_disappears() {
 
 #[test]
 fn alarm_is_due_at_once_and_again_after_its_time_out() {
-    let mut bench =
-        Bench::in_data_as(&Wanted { send_clock: 128, reduction: 128, hold: 3, ..Wanted::default() });
-    bench.sent();
-    bench.device.show_faults(1);
-    bench.poll();
-    assert_eq!(bench.device.poll_timeout(bench.now), bench.now);
-    assert_eq!(alarms(&mut bench).len(), 1);
-    assert_eq!(bench.device.poll_timeout(bench.now), bench.now + 100_000);
+    let mut rig =
+        TestRig::in_data_as(&Wanted { send_clock: 128, reduction: 128, hold: 3, ..Wanted::default() });
+    rig.sent();
+    rig.device.show_faults(1);
+    rig.poll();
+    assert_eq!(rig.device.poll_timeout(rig.now), rig.now);
+    assert_eq!(alarms(&mut rig).len(), 1);
+    assert_eq!(rig.device.poll_timeout(rig.now), rig.now + 100_000);
 }
 
 #[test]
 fn only_the_acknowledgement_of_the_reported_alarm_ends_it() {
-    let mut bench = Bench::in_data();
-    bench.device.show_faults(1);
-    bench.poll();
-    assert_eq!(alarms(&mut bench).len(), 1);
+    let mut rig = TestRig::in_data();
+    rig.device.show_faults(1);
+    rig.poll();
+    assert_eq!(alarms(&mut rig).len(), 1);
     let mut sequence = 0xFFFF_u16;
     // Of the other priority, of another alarm, or none: the frame is acknowledged, but the alarm stays pending.
     for ack in [alarm_ack(true, 1, 0), alarm_ack(false, 1, 1), block(0x8002, &[0; 4]), vec![]] {
-        bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
-        assert_eq!(alarms(&mut bench)[0][6], 0x13);
+        rig.device.receive(rig.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
+        assert_eq!(alarms(&mut rig)[0][6], 0x13);
         // A repeated frame is acknowledged again, one out of sequence is not.
-        bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
-        assert_eq!(alarms(&mut bench).len(), 1);
+        rig.device.receive(rig.now, &rta(false, 0x11, sequence, 0xFFFF, &ack));
+        assert_eq!(alarms(&mut rig).len(), 1);
         let ahead = rta(false, 0x11, sequence.wrapping_add(2) & 0x7FFF, 0xFFFF, &alarm_ack(false, 1, 0));
-        bench.device.receive(bench.now, &ahead);
-        assert_eq!(alarms(&mut bench).len(), 0);
-        bench.device.show_faults(0);
-        bench.poll();
-        assert_eq!(alarms(&mut bench).len(), 0, "the alarm for the cleared fault waits");
+        rig.device.receive(rig.now, &ahead);
+        assert_eq!(alarms(&mut rig).len(), 0);
+        rig.device.show_faults(0);
+        rig.poll();
+        assert_eq!(alarms(&mut rig).len(), 0, "the alarm for the cleared fault waits");
         sequence = sequence.wrapping_add(1) & 0x7FFF;
     }
-    bench.device.receive(bench.now, &rta(false, 0x11, sequence, 0xFFFF, &alarm_ack(false, 1, 0)));
-    bench.poll();
-    assert_eq!(alarms(&mut bench).len(), 2, "the acknowledgement, and the alarm for the cleared fault");
+    rig.device.receive(rig.now, &rta(false, 0x11, sequence, 0xFFFF, &alarm_ack(false, 1, 0)));
+    rig.poll();
+    assert_eq!(alarms(&mut rig).len(), 2, "the acknowledgement, and the alarm for the cleared fault");
 }
 
 #[test]
 fn high_priority_alarm_does_not_wait_for_a_low_priority_one() {
-    let mut bench = Bench::in_data();
-    bench.device.show_faults(0b101);
-    bench.poll();
-    assert_eq!(alarms(&mut bench).len(), 1, "one at a time");
-    bench.device.show_faults(0b111);
-    bench.poll();
-    let sent = alarms(&mut bench);
+    let mut rig = TestRig::in_data();
+    rig.device.show_faults(0b101);
+    rig.poll();
+    assert_eq!(alarms(&mut rig).len(), 1, "one at a time");
+    rig.device.show_faults(0b111);
+    rig.poll();
+    let sent = alarms(&mut rig);
     assert_eq!((sent.len(), &sent[0][..2], &sent[0][14..16]), (1, &[0xFC, 1][..], &[0, 1][..]));
-    let now = bench.now;
-    bench.device.receive(now, &rta(true, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(true, 1, 0)));
-    assert_eq!(alarms(&mut bench)[0][6], 0x13);
+    let now = rig.now;
+    rig.device.receive(now, &rta(true, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(true, 1, 0)));
+    assert_eq!(alarms(&mut rig)[0][6], 0x13);
     // The low-priority acknowledgement, and the next low-priority alarm.
-    bench.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0)));
-    bench.poll();
-    let sent = alarms(&mut bench);
+    rig.device.receive(now, &rta(false, 0x11, 0xFFFF, 0xFFFF, &alarm_ack(false, 1, 0)));
+    rig.poll();
+    let sent = alarms(&mut rig);
     assert_eq!((sent.len(), sent[1][46..].to_vec()), (2, vec![0x01, 0x02]));
 }
 
 #[test]
 fn all_alarms_are_low_if_the_controller_requests_it() {
-    let mut bench = Bench::in_data_as(&Wanted { alarm_properties: 1, ..Wanted::default() });
-    bench.device.show_faults(0b010);
-    bench.poll();
-    assert_eq!(alarms(&mut bench)[0][..2], [0xFE, 1]);
+    let mut rig = TestRig::in_data_as(&Wanted { alarm_properties: 1, ..Wanted::default() });
+    rig.device.show_faults(0b010);
+    rig.poll();
+    assert_eq!(alarms(&mut rig)[0][..2], [0xFE, 1]);
 }
 
 #[test]
 fn unacknowledged_alarm_is_repeated_and_ends_the_connection() {
-    let mut bench = Bench::in_data();
-    bench.device.show_faults(1);
-    let start = bench.now;
+    let mut rig = TestRig::in_data();
+    rig.device.show_faults(1);
+    let start = rig.now;
     let mut sent = 0;
     let event = loop {
         // The controller keeps sending outputs.
-        bench.outputs([0; 3]);
-        if let Some(event) = bench.poll() {
+        rig.outputs([0; 3]);
+        if let Some(event) = rig.poll() {
             break event;
         }
-        sent += alarms(&mut bench).len();
-        bench.now += 4_000;
-        assert!(bench.now < start + 10_000_000);
+        sent += alarms(&mut rig).len();
+        rig.now += 4_000;
+        assert!(rig.now < start + 10_000_000);
     };
     // Three retries, at intervals of 100 ms.
-    assert_eq!((event, sent, bench.now - start), (Event::Left(Cause::AlarmFailed), 4, 400_000));
-    assert_eq!(bench.acyclic()[0][35], 8);
+    assert_eq!((event, sent, rig.now - start), (Event::Left(Cause::AlarmFailed), 4, 400_000));
+    assert_eq!(rig.acyclic()[0][35], 8);
 }
 
 #[test]
 fn foreign_rta_frames_and_wrong_numbers_change_nothing() {
-    let mut bench = Bench::in_data();
-    bench.device.show_faults(1);
-    bench.poll();
-    assert_eq!(alarms(&mut bench).len(), 1);
+    let mut rig = TestRig::in_data();
+    rig.device.show_faults(1);
+    rig.poll();
+    assert_eq!(alarms(&mut rig).len(), 1);
     let good = rta(false, 0x13, 0xFFFE, 0xFFFF, &[]);
     for (at, value) in [(6, 0x12), (17, 9), (19, 9), (24, 0x12)] {
         let mut other = good.clone();
         other[at] = value;
-        assert_eq!(bench.device.receive(bench.now, &other), None);
+        assert_eq!(rig.device.receive(rig.now, &other), None);
     }
     for len in 0..good.len() {
-        assert_eq!(bench.device.receive(bench.now, &good[..len]), None);
+        assert_eq!(rig.device.receive(rig.now, &good[..len]), None);
     }
     for _ in 0..30 {
-        bench.now += 4_000;
-        bench.outputs([0; 3]);
+        rig.now += 4_000;
+        rig.outputs([0; 3]);
     }
-    assert_eq!(alarms(&mut bench).len(), 1, "still retried");
+    assert_eq!(alarms(&mut rig).len(), 1, "still retried");
 }
 
 #[test]
 fn abort_by_the_controller_ends_the_connection() {
-    let mut bench = Bench::in_data();
-    bench.outputs([1, 2, 3]);
+    let mut rig = TestRig::in_data();
+    rig.outputs([1, 2, 3]);
     let abort = rta(false, 0x14, 0xFFFE, 0xFFFE, &[0xCF, 0x81, 0xFD, 0x0F]);
-    assert_eq!(bench.device.receive(bench.now, &abort), Some(Event::Left(Cause::Aborted)));
-    assert_eq!(bench.device.outputs(), &[0; 3]);
-    assert_eq!(bench.acyclic(), Vec::<Vec<u8>>::new(), "no answer to an abort");
+    assert_eq!(rig.device.receive(rig.now, &abort), Some(Event::Left(Cause::Aborted)));
+    assert_eq!(rig.device.outputs(), &[0; 3]);
+    assert_eq!(rig.acyclic(), Vec::<Vec<u8>>::new(), "no answer to an abort");
 }

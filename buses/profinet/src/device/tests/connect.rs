@@ -5,8 +5,8 @@ use super::*;
 
 #[test]
 fn controller_connects_without_parameters_and_exchanges_data() {
-    let mut bench = Bench::new();
-    let answer = bench.call(0, &Wanted::default().blocks());
+    let mut rig = TestRig::new();
+    let answer = rig.call(0, &Wanted::default().blocks());
     assert_eq!((answer.event, answer.kind, answer.status), (None, 2, 0));
     let expected = [
         (0x8101, [&[0, 1][..], &AR, &[0, 7], &DEVICE.0, &[0x88, 0x92]].concat()),
@@ -15,14 +15,14 @@ fn controller_connects_without_parameters_and_exchanges_data() {
         (0x8103, vec![0, 1, 0, 1, 0, 200]),
     ];
     assert_eq!(blocks_of(&answer.blocks), expected);
-    assert_eq!(bench.device.state(), State::Parameters);
+    assert_eq!(rig.device.state(), State::Parameters);
 
-    let answer = bench.call(4, &control(0x0110, AR, 1));
+    let answer = rig.call(4, &control(0x0110, AR, 1));
     assert_eq!((answer.event, answer.status), (None, 0));
     assert_eq!(answer.blocks, control(0x8110, AR, 8));
-    assert_eq!(bench.device.state(), State::Ready);
+    assert_eq!(rig.device.state(), State::Ready);
 
-    let calls = bench.calls();
+    let calls = rig.calls();
     let [call] = &calls[..] else { panic!("{calls:?}") };
     assert_eq!((call[0], call[1], &call[68..70]), (4, 0, &[0, 4][..]));
     assert_eq!(call[8..24], PLC_OBJECT, "object UUID of the controller");
@@ -31,12 +31,12 @@ fn controller_connects_without_parameters_and_exchanges_data() {
     assert_eq!(call[40..56], [0, 0, 0xB0, 7, 0, 0, 0x10, 0, 0x80, 0, 0x02, 0, 0, 0, 0, 0x10]);
     assert_eq!(call[100..], control(0x0112, AR, 2));
     // Outputs do not count before the controller's confirmation.
-    assert_eq!(bench.outputs([1, 2, 3]), None);
-    assert_eq!(bench.confirm(call), Some(Event::Connected));
-    assert_eq!(bench.device.state(), State::Data);
-    assert_eq!(bench.confirm(call), None, "only once");
-    assert_eq!(bench.outputs([1, 2, 3]), Some(Event::Outputs));
-    assert_eq!(bench.device.outputs(), &[1, 2, 3]);
+    assert_eq!(rig.outputs([1, 2, 3]), None);
+    assert_eq!(rig.confirm(call), Some(Event::Connected));
+    assert_eq!(rig.device.state(), State::Data);
+    assert_eq!(rig.confirm(call), None, "only once");
+    assert_eq!(rig.outputs([1, 2, 3]), Some(Event::Outputs));
+    assert_eq!(rig.device.outputs(), &[1, 2, 3]);
 }
 
 #[test]
@@ -87,13 +87,13 @@ fn errors_in_a_connect_are_located_and_nothing_is_connected() {
         (Wanted { more: again, ..default() }, 1, 0),
         (Wanted { more: vec![1], ..default() }, 0x40, 0),
     ] {
-        let mut bench = Bench::new();
-        let answer = bench.call(0, &wanted.blocks());
+        let mut rig = TestRig::new();
+        let answer = rig.call(0, &wanted.blocks());
         assert_eq!(answer.status, u32::from_be_bytes([0xDB, 0x81, code1, code2]), "{wanted:?}");
-        assert_eq!((answer.blocks, bench.device.state()), (vec![], State::Unconnected));
+        assert_eq!((answer.blocks, rig.device.state()), (vec![], State::Unconnected));
         // And no inputs are sent.
-        bench.now += CYCLE_US;
-        assert_eq!(bench.sent().len(), 0);
+        rig.now += CYCLE_US;
+        assert_eq!(rig.sent().len(), 0);
     }
 }
 
@@ -104,16 +104,16 @@ fn connect_for_the_object_of_another_device_is_rejected() {
     for is_low_first in [true, false] {
         // A byte of the vendor, device and instance number.
         for at in [22, 20, 19] {
-            let mut bench = Bench::new();
+            let mut rig = TestRig::new();
             let mut request = datagram(is_low_first, 0, 1, 0, &arguments(is_low_first, &blocks));
             request[at] ^= 1;
-            assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
-            let [(Some(HOST), answer)] = &bench.transmitted()[..] else { panic!("{at}") };
+            assert_eq!(rig.device.receive_datagram(rig.now, HOST, &request), None);
+            let [(Some(HOST), answer)] = &rig.transmitted()[..] else { panic!("{at}") };
             let status: [u8; 4] = answer[80..].try_into().unwrap();
             let status = if is_low_first { u32::from_le_bytes(status) } else { u32::from_be_bytes(status) };
             assert_eq!((answer[1], status), (6, 0x1C01_0017), "{at}");
-            assert_eq!(bench.device.state(), State::Unconnected);
-            assert_eq!(bench.device.counters().rpc_refused, 1);
+            assert_eq!(rig.device.state(), State::Unconnected);
+            assert_eq!(rig.device.counters().rpc_refused, 1);
         }
     }
 }
@@ -134,20 +134,20 @@ fn cycles_hold_times_and_addresses_at_their_limits_are_accepted() {
         Wanted { retries: 15, ..default() },
         Wanted { mac: MacAddress([0, 0, 0, 0, 0, 1]), ..default() },
     ] {
-        assert_eq!(Bench::new().call(0, &wanted.blocks()).status, 0, "{wanted:?}");
+        assert_eq!(TestRig::new().call(0, &wanted.blocks()).status, 0, "{wanted:?}");
     }
 }
 
 #[test]
 fn data_without_a_place_in_its_frame_is_an_error() {
     for placed in [[false, true, true], [true, false, true], [true, true, false]] {
-        let mut bench = Bench::new();
-        let answer = bench.call(0, &Wanted { placed, ..Wanted::default() }.blocks());
-        assert_eq!((answer.status, bench.device.state()), (0xDB81_0215, State::Unconnected), "{placed:?}");
+        let mut rig = TestRig::new();
+        let answer = rig.call(0, &Wanted { placed, ..Wanted::default() }.blocks());
+        assert_eq!((answer.status, rig.device.state()), (0xDB81_0215, State::Unconnected), "{placed:?}");
     }
     // The data of a missing module needs no place.
     let wanted = Wanted { placed: [true, true, false], modules: [0x20, 0x99], ..Wanted::default() };
-    assert_eq!(Bench::new().call(0, &wanted.blocks()).status, 0);
+    assert_eq!(TestRig::new().call(0, &wanted.blocks()).status, 0);
 }
 
 /// Otherwise data could be mistaken for its own status.
@@ -175,7 +175,7 @@ fn overlapping_parts_of_a_frame_are_rejected() {
     ] {
         let mut changed = blocks.clone();
         changed[at + 1] = offset;
-        assert_eq!(Bench::new().call(0, &changed).status, status, "{at} {offset}");
+        assert_eq!(TestRig::new().call(0, &changed).status, status, "{at} {offset}");
     }
 }
 
@@ -184,8 +184,8 @@ fn overlapping_parts_of_a_frame_are_rejected() {
 fn frame_has_at_most_32_parts() {
     // The status of a missing module may be repeated.
     let wanted = |statuses| Wanted { modules: [0x20, 0x99], statuses, ..Wanted::default() };
-    assert_eq!(Bench::new().call(0, &wanted(26).blocks()).status, 0);
-    assert_eq!(Bench::new().call(0, &wanted(27).blocks()).status, 0xDB81_021C);
+    assert_eq!(TestRig::new().call(0, &wanted(26).blocks()).status, 0);
+    assert_eq!(TestRig::new().call(0, &wanted(27).blocks()).status, 0xDB81_021C);
 }
 
 #[test]
@@ -201,21 +201,21 @@ fn missing_blocks_are_reported() {
     for (missing, status) in [(0, 0xDB81_0100), (1, 0xDB81_4002), (2, 0xDB81_4002), (3, 0xDB81_4003)] {
         let mut some = cut.clone();
         some.remove(missing);
-        assert_eq!(Bench::new().call(0, &some.concat()).status, status, "{missing}");
+        assert_eq!(TestRig::new().call(0, &some.concat()).status, status, "{missing}");
     }
     // A place in a frame for a submodule that is not expected.
     cut.remove(5);
-    assert_eq!(Bench::new().call(0, &cut.concat()).status, 0xDB81_0216);
-    assert_eq!(Bench::new().call(0, &[]).status, 0xDB81_0100);
+    assert_eq!(TestRig::new().call(0, &cut.concat()).status, 0xDB81_0216);
+    assert_eq!(TestRig::new().call(0, &[]).status, 0xDB81_0100);
 }
 
 #[test]
 fn truncated_connect_is_rejected() {
     let blocks = Wanted::default().blocks();
     for len in 0..blocks.len() {
-        let mut bench = Bench::new();
-        assert_ne!(bench.call(0, &blocks[..len]).status, 0, "{len}");
-        assert_eq!(bench.device.state(), State::Unconnected);
+        let mut rig = TestRig::new();
+        assert_ne!(rig.call(0, &blocks[..len]).status, 0, "{len}");
+        assert_eq!(rig.device.state(), State::Unconnected);
     }
 }
 
@@ -230,7 +230,7 @@ fn frame_identifiers_of_both_ranges_are_accepted_and_chosen_if_left_open() {
         (2, 0xFFFF, 0x8000),
     ] {
         let wanted = Wanted { class, input_id: asked, output_id: asked, ..Wanted::default() };
-        let answer = Bench::new().call(0, &wanted.blocks());
+        let answer = TestRig::new().call(0, &wanted.blocks());
         let ids: Vec<u16> = blocks_of(&answer.blocks)
             .iter()
             .filter(|(kind, _)| *kind == 0x8102)
@@ -278,55 +278,55 @@ fn mismatching_modules_are_reported_as_differences() {
             &[0, 1, 0, 0, 0, 0, 0, 1, 0, 2, 0, 0, 0, 0x30, 0, 2, 0, 1, 0, 1, 0, 0, 0, 0x31, 0x90, 0],
         ),
     ] {
-        let mut bench = Bench::new();
-        let answer = bench.call(0, &wanted.blocks());
+        let mut rig = TestRig::new();
+        let answer = rig.call(0, &wanted.blocks());
         let blocks = blocks_of(&answer.blocks);
         assert_eq!(blocks.last(), Some(&(0x8104, expected.to_vec())), "{wanted:?}");
         // Without a place for all outputs, none of them count.
-        bench.call(4, &control(0x0110, AR, 1));
-        let calls = bench.calls();
-        assert_eq!(bench.confirm(&calls[0]), Some(Event::Connected));
-        assert_eq!(bench.outputs([1, 2, 3]), None);
-        assert_eq!(bench.device.outputs(), &[0; 3]);
+        rig.call(4, &control(0x0110, AR, 1));
+        let calls = rig.calls();
+        assert_eq!(rig.confirm(&calls[0]), Some(Event::Connected));
+        assert_eq!(rig.outputs([1, 2, 3]), None);
+        assert_eq!(rig.device.outputs(), &[0; 3]);
     }
 }
 
 #[test]
 fn second_controller_is_rejected_and_the_first_continues() {
-    let mut bench = Bench::in_data();
+    let mut rig = TestRig::in_data();
     let second = Wanted { uuid: [0xB6; 16], mac: OTHER, ..Wanted::default() };
-    assert_eq!(bench.call(0, &second.blocks()).status, 0xDB81_4004);
-    assert_eq!(bench.outputs([1, 2, 3]), Some(Event::Outputs));
+    assert_eq!(rig.call(0, &second.blocks()).status, 0xDB81_4004);
+    assert_eq!(rig.outputs([1, 2, 3]), Some(Event::Outputs));
     // It cannot release, end parameters or send outputs either.
-    assert_eq!(bench.call(1, &control(0x0114, [0xB6; 16], 4)).status, 0xDC81_4005);
-    assert_eq!(bench.call(4, &control(0x0110, [0xB6; 16], 1)).status, 0xDD81_4005);
+    assert_eq!(rig.call(1, &control(0x0114, [0xB6; 16], 4)).status, 0xDC81_4005);
+    assert_eq!(rig.call(4, &control(0x0110, [0xB6; 16], 1)).status, 0xDD81_4005);
     let mut frame = outputs_frame([9; 3], 0x7000, [0x80; 2], 0x35);
     frame[6..12].copy_from_slice(&OTHER.0);
-    assert_eq!(bench.device.receive(bench.now, &frame), None);
-    assert_eq!(bench.device.outputs(), &[1, 2, 3]);
+    assert_eq!(rig.device.receive(rig.now, &frame), None);
+    assert_eq!(rig.device.outputs(), &[1, 2, 3]);
 }
 
 #[test]
 fn reconnecting_controller_starts_again() {
-    let mut bench = Bench::in_data();
-    bench.outputs([1, 2, 3]);
-    let answer = bench.call(0, &Wanted::default().blocks());
+    let mut rig = TestRig::in_data();
+    rig.outputs([1, 2, 3]);
+    let answer = rig.call(0, &Wanted::default().blocks());
     assert_eq!((answer.event, answer.status), (Some(Event::Left(Cause::Aborted)), 0));
-    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Parameters));
+    assert_eq!((rig.device.outputs(), rig.device.state()), (&[0; 3], State::Parameters));
     // The alarm connection has a new reference.
     assert_eq!(blocks_of(&answer.blocks)[3].1, [0, 1, 0, 2, 0, 200]);
 }
 
 #[test]
 fn repeated_call_is_executed_once_and_gets_the_same_answer() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     let request = datagram(false, 0, 5, 0, &arguments(false, &Wanted::default().blocks()));
-    assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
-    assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "the answer is due");
+    assert_eq!(rig.device.receive_datagram(rig.now, HOST, &request), None);
+    assert_eq!(rig.device.poll_timeout(rig.now), rig.now, "the answer is due");
     let is_answer = |(to, _): &(Option<Endpoint>, Vec<u8>)| *to == Some(HOST);
-    let first: Vec<_> = bench.transmitted().into_iter().filter(is_answer).collect();
-    assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
-    let second: Vec<_> = bench.transmitted().into_iter().filter(is_answer).collect();
+    let first: Vec<_> = rig.transmitted().into_iter().filter(is_answer).collect();
+    assert_eq!(rig.device.receive_datagram(rig.now, HOST, &request), None);
+    let second: Vec<_> = rig.transmitted().into_iter().filter(is_answer).collect();
     assert_eq!((first.len(), &second), (1, &first));
     // Big-endian, like the request.
     assert_eq!(first[0].1[68..74], [0, 0, 0xFF, 0xFF, 0xFF, 0xFF]);
@@ -340,20 +340,20 @@ fn first_call_is_served_for_any_endpoint_and_activity() {
     let unset = Endpoint { address: [0; 4], port: 0 };
     let mut request = datagram(true, 0, 0, 5, &arguments(true, &record(9, [0; 16], 0, 1, 0xAFF0, 64)));
     request[40..56].fill(0);
-    let mut bench = Bench::new();
-    bench.device.receive_datagram(bench.now, unset, &request);
-    let sent = bench.transmitted();
+    let mut rig = TestRig::new();
+    rig.device.receive_datagram(rig.now, unset, &request);
+    let sent = rig.transmitted();
     let answer = Answer::of(None, &sent[0].1);
     assert_eq!((answer.kind, answer.status, answer.blocks.len()), (2, 0, 64 + 60));
 }
 
 #[test]
 fn only_identification_can_be_read_without_a_connection() {
-    let mut bench = Bench::new();
-    let answer = bench.call(5, &record(9, [0; 16], 0, 1, 0xAFF0, 64));
+    let mut rig = TestRig::new();
+    let answer = rig.call(5, &record(9, [0; 16], 0, 1, 0xAFF0, 64));
     assert_eq!((answer.status, answer.blocks.len()), (0, 64 + 60));
-    assert_eq!(bench.call(5, &record(9, [0; 16], 0, 0, 0xE000, 4_096)).status, 0xDE80_A900);
-    assert_eq!(bench.call(2, &record(9, [0; 16], 0, 1, 0xAFF0, 64)).status, 0xDE80_B600);
+    assert_eq!(rig.call(5, &record(9, [0; 16], 0, 0, 0xE000, 4_096)).status, 0xDE80_A900);
+    assert_eq!(rig.call(2, &record(9, [0; 16], 0, 1, 0xAFF0, 64)).status, 0xDE80_B600);
 }
 
 #[test]
@@ -382,120 +382,120 @@ fn invalid_calls_are_rejected_or_ignored() {
         (good[..79].to_vec(), None),
     ];
     for (request, expected) in cases {
-        let mut bench = Bench::new();
-        assert_eq!(bench.device.receive_datagram(bench.now, HOST, &request), None);
-        let answers = bench.transmitted();
+        let mut rig = TestRig::new();
+        assert_eq!(rig.device.receive_datagram(rig.now, HOST, &request), None);
+        let answers = rig.transmitted();
         let said = answers.first().map(|(_, bytes)| {
             let answer = Answer::of(None, bytes);
             (answer.kind, answer.status)
         });
         assert_eq!(said, expected, "{:02X?}", &request[..80.min(request.len())]);
-        assert_eq!(bench.device.counters().rpc_refused, expected.is_some().into());
-        assert_eq!(bench.device.state(), State::Unconnected);
+        assert_eq!(rig.device.counters().rpc_refused, expected.is_some().into());
+        assert_eq!(rig.device.state(), State::Unconnected);
     }
 }
 
 #[test]
 fn ping_repeats_the_answer_to_a_known_call_and_reports_an_unknown_one() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     let request = datagram(true, 0, 9, 5, &arguments(true, &record(9, [0; 16], 0, 1, 0xAFF0, 64)));
-    bench.device.receive_datagram(bench.now, HOST, &request);
-    let first = bench.transmitted();
-    bench.device.receive_datagram(bench.now, HOST, &datagram(true, 1, 9, 5, &[]));
-    assert_eq!(bench.transmitted(), first);
-    bench.device.receive_datagram(bench.now, HOST, &datagram(true, 1, 10, 5, &[]));
-    let answers = bench.transmitted();
+    rig.device.receive_datagram(rig.now, HOST, &request);
+    let first = rig.transmitted();
+    rig.device.receive_datagram(rig.now, HOST, &datagram(true, 1, 9, 5, &[]));
+    assert_eq!(rig.transmitted(), first);
+    rig.device.receive_datagram(rig.now, HOST, &datagram(true, 1, 10, 5, &[]));
+    let answers = rig.transmitted();
     assert_eq!((answers[0].1[1], answers[0].1.len()), (5, 80));
 }
 
 #[test]
 fn unfinished_parameters_time_out() {
-    let mut bench = Bench::new();
-    bench.call(0, &Wanted::default().blocks());
-    bench.now += 900_000;
+    let mut rig = TestRig::new();
+    rig.call(0, &Wanted::default().blocks());
+    rig.now += 900_000;
     // A write or a read restarts the time-out.
-    bench.call(2, &record(9, AR, 0, 1, 0xAFF0, 64));
-    bench.now += 999_999;
-    assert_eq!(bench.poll(), None);
-    bench.now += 1;
-    assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)));
-    let frames = bench.acyclic();
+    rig.call(2, &record(9, AR, 0, 1, 0xAFF0, 64));
+    rig.now += 999_999;
+    assert_eq!(rig.poll(), None);
+    rig.now += 1;
+    assert_eq!(rig.poll(), Some(Event::Left(Cause::Silence)));
+    let frames = rig.acyclic();
     assert_eq!(frames[0][18..20], [0xFE, 0x01], "sent to the controller");
     assert_eq!(frames[0][32..36], [0xCF, 0x81, 0xFD, 5]);
 }
 
 #[test]
 fn missing_confirmation_is_requested_five_times() {
-    let mut bench = Bench::new();
-    bench.call(0, &Wanted::default().blocks());
-    bench.call(4, &control(0x0110, AR, 1));
+    let mut rig = TestRig::new();
+    rig.call(0, &Wanted::default().blocks());
+    rig.call(4, &control(0x0110, AR, 1));
     let mut calls = 0;
-    let start = bench.now;
+    let start = rig.now;
     let event = loop {
-        calls += bench.calls().len();
-        if let Some(event) = bench.poll() {
+        calls += rig.calls().len();
+        if let Some(event) = rig.poll() {
             break event;
         }
-        bench.now += 100_000;
-        assert!(bench.now < start + 60_000_000);
+        rig.now += 100_000;
+        assert!(rig.now < start + 60_000_000);
     };
-    assert_eq!((event, calls, bench.now - start), (Event::Left(Cause::NotConfirmed), 5, 10_000_000));
+    assert_eq!((event, calls, rig.now - start), (Event::Left(Cause::NotConfirmed), 5, 10_000_000));
 }
 
 #[test]
 fn only_the_controllers_own_confirmation_counts() {
     let ready = || {
-        let mut bench = Bench::new();
-        bench.call(0, &Wanted::default().blocks());
-        bench.call(4, &control(0x0110, AR, 1));
-        let call = bench.calls().remove(0);
-        (bench, call)
+        let mut rig = TestRig::new();
+        rig.call(0, &Wanted::default().blocks());
+        rig.call(4, &control(0x0110, AR, 1));
+        let call = rig.calls().remove(0);
+        (rig, call)
     };
-    let (mut bench, call) = ready();
-    assert_eq!(bench.confirm_as(&call, [1; 16], 8, 0), None);
-    assert_eq!(bench.confirm_as(&call, AR, 2, 0), None);
-    assert_eq!(bench.confirm_as(&call, AR, 8, 1), None);
+    let (mut rig, call) = ready();
+    assert_eq!(rig.confirm_as(&call, [1; 16], 8, 0), None);
+    assert_eq!(rig.confirm_as(&call, AR, 2, 0), None);
+    assert_eq!(rig.confirm_as(&call, AR, 8, 1), None);
     let mut other = call.clone();
     other[64] ^= 1;
-    assert_eq!(bench.confirm(&other), None, "another call");
+    assert_eq!(rig.confirm(&other), None, "another call");
     other = call.clone();
     other[40] ^= 1;
-    assert_eq!(bench.confirm(&other), None, "another activity");
-    assert_eq!(bench.confirm(&call), Some(Event::Connected));
+    assert_eq!(rig.confirm(&other), None, "another activity");
+    assert_eq!(rig.confirm(&call), Some(Event::Connected));
     // There is nothing to confirm before the call has been sent.
-    let mut bench = Bench::new();
-    bench.call(0, &Wanted::default().blocks());
-    assert_eq!(bench.confirm(&call), None);
-    assert_eq!(bench.device.state(), State::Parameters);
+    let mut rig = TestRig::new();
+    rig.call(0, &Wanted::default().blocks());
+    assert_eq!(rig.confirm(&call), None);
+    assert_eq!(rig.device.state(), State::Parameters);
     let end = datagram(true, 0, 9, 4, &arguments(true, &control(0x0110, AR, 1)));
-    bench.device.receive_datagram(bench.now, HOST, &end);
-    assert_eq!(bench.confirm(&call), None);
-    assert_eq!(bench.device.state(), State::Ready);
-    assert_eq!(bench.calls(), [&call[..]]);
-    assert_eq!(bench.confirm(&call), Some(Event::Connected));
+    rig.device.receive_datagram(rig.now, HOST, &end);
+    assert_eq!(rig.confirm(&call), None);
+    assert_eq!(rig.device.state(), State::Ready);
+    assert_eq!(rig.calls(), [&call[..]]);
+    assert_eq!(rig.confirm(&call), Some(Event::Connected));
 }
 
 #[test]
 fn end_of_parameters_is_accepted_once_and_only_with_its_command() {
-    let mut bench = Bench::new();
-    bench.call(0, &Wanted::default().blocks());
-    assert_eq!(bench.call(4, &control(0x0110, AR, 2)).status, 0xDD81_1608);
-    assert_eq!(bench.call(4, &control(0x0111, AR, 1)).status, 0xDD81_4005);
-    assert_eq!(bench.call(4, &[]).status, 0xDD81_4005);
-    assert_eq!(bench.call(4, &control(0x0110, AR, 1)).status, 0);
-    assert_eq!(bench.call(4, &control(0x0110, AR, 1)).status, 0xDD81_4006);
+    let mut rig = TestRig::new();
+    rig.call(0, &Wanted::default().blocks());
+    assert_eq!(rig.call(4, &control(0x0110, AR, 2)).status, 0xDD81_1608);
+    assert_eq!(rig.call(4, &control(0x0111, AR, 1)).status, 0xDD81_4005);
+    assert_eq!(rig.call(4, &[]).status, 0xDD81_4005);
+    assert_eq!(rig.call(4, &control(0x0110, AR, 1)).status, 0);
+    assert_eq!(rig.call(4, &control(0x0110, AR, 1)).status, 0xDD81_4006);
 }
 
 #[test]
 fn release_ends_the_connection_and_is_reported() {
-    let mut bench = Bench::in_data();
-    bench.outputs([1, 2, 3]);
-    assert_eq!(bench.call(1, &control(0x0114, AR, 1)).status, 0xDC81_2808);
-    let answer = bench.call(1, &control(0x0114, AR, 4));
+    let mut rig = TestRig::in_data();
+    rig.outputs([1, 2, 3]);
+    assert_eq!(rig.call(1, &control(0x0114, AR, 1)).status, 0xDC81_2808);
+    let answer = rig.call(1, &control(0x0114, AR, 4));
     assert_eq!((answer.event, answer.status), (Some(Event::Left(Cause::Released)), 0));
     assert_eq!(answer.blocks, control(0x8114, AR, 8));
-    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
-    bench.now += 100_000;
-    assert_eq!(bench.sent().len(), 0, "neither inputs nor RTA-ERR");
-    assert_eq!(bench.call(1, &control(0x0114, AR, 4)).status, 0xDC81_4005);
+    assert_eq!((rig.device.outputs(), rig.device.state()), (&[0; 3], State::Unconnected));
+    rig.now += 100_000;
+    assert_eq!(rig.sent().len(), 0, "neither inputs nor RTA-ERR");
+    assert_eq!(rig.call(1, &control(0x0114, AR, 4)).status, 0xDC81_4005);
 }

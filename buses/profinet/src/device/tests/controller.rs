@@ -301,7 +301,7 @@ pub(super) fn arguments(is_low_first: bool, blocks: &[u8]) -> Vec<u8> {
 }
 
 /// The device and its peers.
-pub(super) struct Bench {
+pub(super) struct TestRig {
     pub(super) device: Device<3, 2>,
     pub(super) now: u64,
     pub(super) sequence: u32,
@@ -316,10 +316,10 @@ pub(super) const NAMED: Stored = Stored {
     maintenance: Maintenance::NONE,
 };
 
-impl Bench {
+impl TestRig {
     pub(super) fn new() -> Self {
         let stored = Stored { name: StationName::new("example-1").unwrap(), ..NAMED };
-        let mut bench = Self {
+        let mut rig = Self {
             device: Device::new(&PROFILE, DEVICE, stored, 0xB007),
             now: 1_000_000,
             sequence: 0,
@@ -327,8 +327,8 @@ impl Bench {
             kept: vec![],
         };
         // Discards the LLDP announcement sent at the start.
-        assert_eq!(bench.sent().len(), 1);
-        bench
+        assert_eq!(rig.sent().len(), 1);
+        rig
     }
 
     /// Creates a device in data exchange.
@@ -337,13 +337,13 @@ impl Bench {
     }
 
     pub(super) fn in_data_as(wanted: &Wanted) -> Self {
-        let mut bench = Self::new();
-        let answer = bench.call(0, &wanted.blocks());
+        let mut rig = Self::new();
+        let answer = rig.call(0, &wanted.blocks());
         assert_eq!(answer.status, 0, "{answer:?}");
-        assert_eq!(bench.call(4, &control(0x0110, wanted.uuid, 1)).status, 0);
-        let ready = bench.calls();
-        assert_eq!(bench.confirm(&ready[0]), Some(Event::Connected));
-        bench
+        assert_eq!(rig.call(4, &control(0x0110, wanted.uuid, 1)).status, 0);
+        let ready = rig.calls();
+        assert_eq!(rig.confirm(&ready[0]), Some(Event::Connected));
+        rig
     }
 
     /// Returns everything the device sends now or has sent with the answer to a call.

@@ -2,18 +2,18 @@
 
 use super::*;
 
-fn input_frames(bench: &mut Bench) -> Vec<Vec<u8>> {
-    let frames = bench.sent().into_iter();
+fn input_frames(rig: &mut TestRig) -> Vec<Vec<u8>> {
+    let frames = rig.sent().into_iter();
     frames.filter(|frame| frame[12..14] == [0x81, 0] && frame[18..20] == INPUT_ID.to_be_bytes()).collect()
 }
 
 #[test]
 fn inputs_are_sent_each_cycle_with_statuses_and_a_counter_of_31_us() {
-    let mut bench = Bench::in_data();
-    bench.device.show_inputs(&[0xAA, 0xBB]);
-    let start = bench.device.poll_timeout(bench.now);
-    bench.now = start;
-    let frames = input_frames(&mut bench);
+    let mut rig = TestRig::in_data();
+    rig.device.show_inputs(&[0xAA, 0xBB]);
+    let start = rig.device.poll_timeout(rig.now);
+    rig.now = start;
+    let frames = input_frames(&mut rig);
     let [frame] = &frames[..] else { panic!("{frames:?}") };
     assert_eq!(frame[..20], [&PLC.0[..], &DEVICE.0, &[0x81, 0, 0xC0, 0, 0x88, 0x92, 0xC0, 1]].concat());
     // Statuses of the three submodules of slot 0, data and status of slot 1, consumer statuses.
@@ -23,35 +23,35 @@ fn inputs_are_sent_each_cycle_with_statuses_and_a_counter_of_31_us() {
     let counter = |frame: &[u8]| u16::from_be_bytes([frame[60], frame[61]]);
     let first = counter(frame);
     for cycle in 1..=20_u16 {
-        bench.now += CYCLE_US - 1;
-        assert_eq!(input_frames(&mut bench).len(), 0);
-        assert_eq!(bench.device.poll_timeout(bench.now), bench.now + 1);
-        bench.now += 1;
-        let frames = input_frames(&mut bench);
+        rig.now += CYCLE_US - 1;
+        assert_eq!(input_frames(&mut rig).len(), 0);
+        assert_eq!(rig.device.poll_timeout(rig.now), rig.now + 1);
+        rig.now += 1;
+        let frames = input_frames(&mut rig);
         assert_eq!(counter(&frames[0]), first.wrapping_add(128 * cycle));
-        bench.outputs([0; 3]);
+        rig.outputs([0; 3]);
     }
     // Late by two and a half cycles: one frame is sent, and the counter skips the missed cycles.
-    bench.now += CYCLE_US * 7 / 2;
-    let frames = input_frames(&mut bench);
+    rig.now += CYCLE_US * 7 / 2;
+    let frames = input_frames(&mut rig);
     assert_eq!((frames.len(), counter(&frames[0])), (1, first.wrapping_add(128 * 21)));
     assert_eq!(
-        bench.device.poll_timeout(bench.now).min(bench.now + CYCLE_US / 2),
-        bench.now + HOLD_US - CYCLE_US * 7 / 2
+        rig.device.poll_timeout(rig.now).min(rig.now + CYCLE_US / 2),
+        rig.now + HOLD_US - CYCLE_US * 7 / 2
     );
 }
 
 #[test]
 fn inputs_are_bad_until_parameters_end_and_faults_show_in_the_data_status() {
-    let mut bench = Bench::new();
-    bench.call(0, &Wanted::default().blocks());
-    bench.now += CYCLE_US;
-    let frames = input_frames(&mut bench);
+    let mut rig = TestRig::new();
+    rig.call(0, &Wanted::default().blocks());
+    rig.now += CYCLE_US;
+    let frames = input_frames(&mut rig);
     assert_eq!(frames[0][20..28], [0, 0, 0, 0, 0, 0, 0, 0]);
-    bench.call(4, &control(0x0110, AR, 1));
-    bench.device.show_faults(1);
-    bench.now += CYCLE_US;
-    let frames = input_frames(&mut bench);
+    rig.call(4, &control(0x0110, AR, 1));
+    rig.device.show_faults(1);
+    rig.now += CYCLE_US;
+    let frames = input_frames(&mut rig);
     assert_eq!((&frames[0][25..28], frames[0][62]), (&[0x80; 3][..], 0x15));
 }
 
@@ -69,27 +69,27 @@ fn outputs_count_only_with_good_statuses() {
         // Not valid: ignored.
         ([0x80, 0x80], 0x31, None),
     ] {
-        let mut bench = Bench::in_data();
-        bench.outputs([1, 2, 3]);
+        let mut rig = TestRig::in_data();
+        rig.outputs([1, 2, 3]);
         let frame = outputs_frame([4, 5, 6], 0x4000, statuses, status);
-        assert_eq!(bench.device.receive(bench.now, &frame), expected, "{statuses:?} {status:X}");
+        assert_eq!(rig.device.receive(rig.now, &frame), expected, "{statuses:?} {status:X}");
         let outputs = match expected {
             Some(Event::Outputs) => [4, 5, 6],
             Some(_) => [0; 3],
             None => [1, 2, 3],
         };
-        assert_eq!(bench.device.outputs(), &outputs);
+        assert_eq!(rig.device.outputs(), &outputs);
         // Reported once.
         let again = outputs_frame([4, 5, 6], 0x4080, statuses, status);
         let expected = expected.filter(|event| *event == Event::Outputs);
-        assert_eq!(bench.device.receive(bench.now, &again), expected);
+        assert_eq!(rig.device.receive(rig.now, &again), expected);
     }
 }
 
 #[test]
 fn old_repeated_and_foreign_frames_are_ignored() {
-    let mut bench = Bench::in_data();
-    let mut take = |frame: &[u8]| bench.device.receive(bench.now, frame);
+    let mut rig = TestRig::in_data();
+    let mut take = |frame: &[u8]| rig.device.receive(rig.now, frame);
     let at = |counter| outputs_frame([1, 2, 3], counter, [0x80; 2], 0x35);
     assert_eq!(take(&at(0x1000)), Some(Event::Outputs));
     assert_eq!(take(&at(0x1000)), None, "repeated");
@@ -114,45 +114,45 @@ fn old_repeated_and_foreign_frames_are_ignored() {
 
 #[test]
 fn silent_controller_times_out_after_its_hold_time() {
-    let mut bench = Bench::in_data();
-    bench.outputs([1, 2, 3]);
-    bench.now += HOLD_US - 1;
-    assert_eq!((bench.poll(), bench.device.outputs()), (None, &[1, 2, 3]));
-    bench.now += 1;
-    assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)));
-    assert_eq!(bench.device.poll_timeout(bench.now), bench.now, "RTA-ERR is due");
-    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
+    let mut rig = TestRig::in_data();
+    rig.outputs([1, 2, 3]);
+    rig.now += HOLD_US - 1;
+    assert_eq!((rig.poll(), rig.device.outputs()), (None, &[1, 2, 3]));
+    rig.now += 1;
+    assert_eq!(rig.poll(), Some(Event::Left(Cause::Silence)));
+    assert_eq!(rig.device.poll_timeout(rig.now), rig.now, "RTA-ERR is due");
+    assert_eq!((rig.device.outputs(), rig.device.state()), (&[0; 3], State::Unconnected));
     assert_eq!(
-        bench.acyclic()[0][18..34],
+        rig.acyclic()[0][18..34],
         [0xFE, 1, 0, 3, 0, 1, 0x14, 1, 0xFF, 0xFE, 0xFF, 0xFE, 0, 4, 0xCF, 0x81]
     );
     // The controller can connect again.
-    assert_eq!(bench.call(0, &Wanted::default().blocks()).status, 0);
+    assert_eq!(rig.call(0, &Wanted::default().blocks()).status, 0);
 }
 
 #[test]
 fn ignored_frames_do_not_restart_the_hold_time() {
     for (counter, status) in [(0x1000, 0x35), (0x0F80, 0x35), (0x1080, 0x31)] {
-        let mut bench = Bench::in_data();
+        let mut rig = TestRig::in_data();
         let good = outputs_frame([1, 2, 3], 0x1000, [0x80; 2], 0x35);
-        assert_eq!(bench.device.receive(bench.now, &good), Some(Event::Outputs));
-        bench.now += HOLD_US - 1;
+        assert_eq!(rig.device.receive(rig.now, &good), Some(Event::Outputs));
+        rig.now += HOLD_US - 1;
         let other = outputs_frame([4, 5, 6], counter, [0x80; 2], status);
-        assert_eq!(bench.device.receive(bench.now, &other), None);
-        assert_eq!(bench.device.outputs(), &[1, 2, 3]);
-        bench.now += 1;
-        assert_eq!(bench.poll(), Some(Event::Left(Cause::Silence)), "{counter:X} {status:X}");
+        assert_eq!(rig.device.receive(rig.now, &other), None);
+        assert_eq!(rig.device.outputs(), &[1, 2, 3]);
+        rig.now += 1;
+        assert_eq!(rig.poll(), Some(Event::Left(Cause::Silence)), "{counter:X} {status:X}");
     }
 }
 
 /// Frames may queue up while the caller is busy.
 #[test]
 fn outputs_after_the_hold_time_do_not_count_even_without_a_poll() {
-    let mut bench = Bench::in_data();
-    bench.outputs([1, 2, 3]);
-    bench.now += HOLD_US - 1;
-    assert_eq!(bench.outputs([4, 5, 6]), Some(Event::Outputs));
-    bench.now += HOLD_US;
-    assert_eq!(bench.outputs([7, 8, 9]), Some(Event::Left(Cause::Silence)));
-    assert_eq!((bench.outputs([7, 8, 9]), bench.device.outputs()), (None, &[0; 3]));
+    let mut rig = TestRig::in_data();
+    rig.outputs([1, 2, 3]);
+    rig.now += HOLD_US - 1;
+    assert_eq!(rig.outputs([4, 5, 6]), Some(Event::Outputs));
+    rig.now += HOLD_US;
+    assert_eq!(rig.outputs([7, 8, 9]), Some(Event::Left(Cause::Silence)));
+    assert_eq!((rig.outputs([7, 8, 9]), rig.device.outputs()), (None, &[0; 3]));
 }

@@ -18,35 +18,35 @@ fn dcp_block(what: [u8; 2], data: &[u8]) -> Vec<u8> {
 }
 
 /// Sets an option, permanently or not. Returns the event and the block error.
-fn set(bench: &mut Bench, is_permanent: bool, what: [u8; 2], data: &[u8]) -> (Option<Event>, u8) {
+fn set(rig: &mut TestRig, is_permanent: bool, what: [u8; 2], data: &[u8]) -> (Option<Event>, u8) {
     let block = dcp_block(what, &[&[0, is_permanent.into()], data].concat());
-    let event = bench.device.receive(bench.now, &dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &block));
-    let answers = bench.acyclic();
+    let event = rig.device.receive(rig.now, &dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &block));
+    let answers = rig.acyclic();
     let [answer] = &answers[..] else { panic!("{answers:?}") };
     let [control, response, 0, 3, option, suboption, fault, 0] = answer[26..34] else { panic!("{answer:?}") };
     assert_eq!(([control, response], [option, suboption]), ([5, 4], what));
     (event, fault)
 }
 
-fn identify(bench: &mut Bench, delay: u16, blocks: &[u8]) {
+fn identify(rig: &mut TestRig, delay: u16, blocks: &[u8]) {
     let request = dcp_frame(MULTICAST, 0xFEFE, [5, 0], delay, blocks);
-    assert_eq!(bench.device.receive(bench.now, &request), None);
+    assert_eq!(rig.device.receive(rig.now, &request), None);
 }
 
 #[test]
 fn identify_for_this_station_only_is_answered() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     let request = dcp_frame(DEVICE, 0xFEFE, [5, 0], 1, &dcp_block([0xFF, 0xFF], &[]));
-    assert_eq!(bench.device.receive(bench.now, &request), None);
-    assert_eq!(bench.sent().len(), 1);
+    assert_eq!(rig.device.receive(rig.now, &request), None);
+    assert_eq!(rig.sent().len(), 1);
 }
 
 /// Compares the complete answer to an Identify request for all options.
 #[test]
 fn identify_is_answered_with_all_options_for_a_controller() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
 
-    identify(&mut bench, 1, &dcp_block([0xFF, 0xFF], &[]));
+    identify(&mut rig, 1, &dcp_block([0xFF, 0xFF], &[]));
 
     let expected = [
         &PLC.0[..],
@@ -63,7 +63,7 @@ fn identify_is_answered_with_all_options_for_a_controller() {
         &[2, 7, 0, 4, 0, 0, 0, 1],
     ]
     .concat();
-    assert_eq!(bench.sent(), [expected]);
+    assert_eq!(rig.sent(), [expected]);
 }
 
 #[test]
@@ -86,60 +86,60 @@ fn identify_is_answered_if_all_filters_match() {
         // A truncated block.
         (vec![2, 2, 0, 9, b'e'], false),
     ] {
-        let mut bench = Bench::new();
-        identify(&mut bench, 1, &blocks);
-        assert_eq!(bench.sent().len(), usize::from(is_answered), "{blocks:?}");
+        let mut rig = TestRig::new();
+        identify(&mut rig, 1, &blocks);
+        assert_eq!(rig.sent().len(), usize::from(is_answered), "{blocks:?}");
     }
 }
 
 #[test]
 fn answer_to_identify_is_delayed_by_address_and_delay_factor() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     // 0010h modulo 7 is 2: two units of 10 ms.
-    identify(&mut bench, 7, &dcp_block([0xFF, 0xFF], &[]));
-    let due = bench.now + 20_000;
-    assert_eq!(bench.device.poll_timeout(bench.now), due);
-    bench.now = due - 1;
-    assert_eq!(bench.sent().len(), 0);
-    bench.now = due;
-    assert_eq!(bench.sent().len(), 1);
+    identify(&mut rig, 7, &dcp_block([0xFF, 0xFF], &[]));
+    let due = rig.now + 20_000;
+    assert_eq!(rig.device.poll_timeout(rig.now), due);
+    rig.now = due - 1;
+    assert_eq!(rig.sent().len(), 0);
+    rig.now = due;
+    assert_eq!(rig.sent().len(), 1);
 }
 
 #[test]
 fn pending_answers_are_limited_and_lost_ones_are_counted() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     for _ in 0..6 {
-        identify(&mut bench, 0x1900, &dcp_block([0xFF, 0xFF], &[]));
+        identify(&mut rig, 0x1900, &dcp_block([0xFF, 0xFF], &[]));
     }
-    assert_eq!(bench.device.counters().dcp_lost, 2);
-    bench.now += 64_000_000;
-    let answers = bench.sent().into_iter().filter(|frame| frame[14..16] == [0xFE, 0xFF]);
+    assert_eq!(rig.device.counters().dcp_lost, 2);
+    rig.now += 64_000_000;
+    let answers = rig.sent().into_iter().filter(|frame| frame[14..16] == [0xFE, 0xFF]);
     assert_eq!(answers.count(), 4);
 }
 
 #[test]
 fn name_and_address_take_effect_at_once_and_persist_if_permanent() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     let ip = [10, 0, 0, 7, 255, 0, 0, 0, 10, 0, 0, 1];
 
-    assert_eq!(set(&mut bench, true, [2, 2], b"gripper"), (Some(Event::Stored), 0));
-    assert_eq!(set(&mut bench, true, [1, 2], &ip), (Some(Event::Stored), 0));
+    assert_eq!(set(&mut rig, true, [2, 2], b"gripper"), (Some(Event::Stored), 0));
+    assert_eq!(set(&mut rig, true, [1, 2], &ip), (Some(Event::Stored), 0));
 
-    let stored = *bench.device.stored();
+    let stored = *rig.device.stored();
     assert_eq!((stored.name.as_str(), stored.ip.address), ("gripper", [10, 0, 0, 7]));
-    assert_eq!((bench.device.name(), bench.device.ip()), (&stored.name, &stored.ip));
+    assert_eq!((rig.device.name(), rig.device.ip()), (&stored.name, &stored.ip));
     assert_eq!((stored.ip.gateway, stored.ip.prefix_len()), ([10, 0, 0, 1], 8));
 
     // Temporary: none after the next start.
-    assert_eq!(set(&mut bench, false, [2, 2], b"other"), (Some(Event::Stored), 0));
-    assert_eq!(set(&mut bench, false, [1, 2], &[0; 12]), (Some(Event::Stored), 0));
-    assert_eq!((bench.device.name().as_str(), bench.device.stored().name), ("other", StationName::NONE));
-    assert_eq!((bench.device.ip().is_set(), bench.device.stored().ip), (false, IpParameters::NONE));
+    assert_eq!(set(&mut rig, false, [2, 2], b"other"), (Some(Event::Stored), 0));
+    assert_eq!(set(&mut rig, false, [1, 2], &[0; 12]), (Some(Event::Stored), 0));
+    assert_eq!((rig.device.name().as_str(), rig.device.stored().name), ("other", StationName::NONE));
+    assert_eq!((rig.device.ip().is_set(), rig.device.stored().ip), (false, IpParameters::NONE));
 }
 
 #[test]
 fn each_change_of_present_or_stored_data_is_reported_and_repetitions_are_not() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     let (first, second) = ([10, 0, 0, 7, 255, 0, 0, 0, 0, 0, 0, 0], [10, 0, 0, 8, 255, 0, 0, 0, 0, 0, 0, 0]);
     for (is_permanent, what, data, is_told) in [
         (false, [2, 2], &b"one"[..], true),
@@ -156,14 +156,14 @@ fn each_change_of_present_or_stored_data_is_reported_and_repetitions_are_not() {
         (true, [1, 2], &second, false),
     ] {
         let expected = (is_told.then_some(Event::Stored), 0);
-        assert_eq!(set(&mut bench, is_permanent, what, data), expected, "{what:?} {is_permanent} {data:?}");
+        assert_eq!(set(&mut rig, is_permanent, what, data), expected, "{what:?} {is_permanent} {data:?}");
     }
 }
 
 #[test]
 fn invalid_settings_are_rejected_without_a_change() {
-    let mut bench = Bench::new();
-    let before = *bench.device.stored();
+    let mut rig = TestRig::new();
+    let before = *rig.device.stored();
     for (what, data, fault) in [
         ([2, 2], &b"Example"[..], 3),
         ([2, 2], &[b'a'; 241][..], 3),
@@ -179,20 +179,20 @@ fn invalid_settings_are_rejected_without_a_change() {
         ([9, 1], &[0; 4], 1),
         ([5, 3], &[0, 0], 3),
     ] {
-        assert_eq!(set(&mut bench, true, what, data), (None, fault), "{what:?} {data:?}");
+        assert_eq!(set(&mut rig, true, what, data), (None, fault), "{what:?} {data:?}");
     }
-    assert_eq!(*bench.device.stored(), before);
-    assert_eq!(set(&mut bench, false, [5, 3], &[1, 0]), (Some(Event::Signal), 0));
+    assert_eq!(*rig.device.stored(), before);
+    assert_eq!(set(&mut rig, false, [5, 3], &[1, 0]), (Some(Event::Signal), 0));
 }
 
 #[test]
 fn name_and_address_stay_while_a_controller_uses_them() {
-    let mut bench = Bench::in_data();
+    let mut rig = TestRig::in_data();
     let ip = [192, 168, 0, 5, 255, 255, 255, 0, 0, 0, 0, 0];
-    assert_eq!(set(&mut bench, true, [2, 2], b"gripper"), (None, 6));
-    assert_eq!(set(&mut bench, true, [2, 2], b"example-1"), (None, 0));
-    assert_eq!(set(&mut bench, true, [1, 2], &ip), (None, 0));
-    assert_eq!(set(&mut bench, true, [1, 2], &[0; 12]), (None, 6));
+    assert_eq!(set(&mut rig, true, [2, 2], b"gripper"), (None, 6));
+    assert_eq!(set(&mut rig, true, [2, 2], b"example-1"), (None, 0));
+    assert_eq!(set(&mut rig, true, [1, 2], &ip), (None, 0));
+    assert_eq!(set(&mut rig, true, [1, 2], &[0; 12]), (None, 6));
 }
 
 #[test]
@@ -206,18 +206,18 @@ fn reset_ends_the_connection_and_clears_stored_data() {
         ([5, 6], 2, 2),
         ([5, 6], 6, 2),
     ] {
-        let mut bench = Bench::in_data();
+        let mut rig = TestRig::in_data();
         let request = dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &dcp_block(what, &[0, qualifier]));
-        let event = bench.device.receive(bench.now, &request);
-        let frames = bench.acyclic();
+        let event = rig.device.receive(rig.now, &request);
+        let frames = rig.acyclic();
         let answer = frames.iter().find(|frame| frame[14..16] == [0xFE, 0xFD]).unwrap();
         assert_eq!(answer[32], fault, "{what:?} {qualifier}");
         let is_reset = fault == 0;
         assert_eq!(event, is_reset.then_some(Event::Left(Cause::Reset)));
-        assert!(!is_reset || bench.device.poll_timeout(bench.now) == bench.now);
-        assert_eq!((bench.poll(), bench.poll()), (is_reset.then_some(Event::Stored), None));
-        assert_eq!(*bench.device.stored() == Stored::NONE, is_reset);
-        assert_eq!(bench.device.state(), if is_reset { State::Unconnected } else { State::Data });
+        assert!(!is_reset || rig.device.poll_timeout(rig.now) == rig.now);
+        assert_eq!((rig.poll(), rig.poll()), (is_reset.then_some(Event::Stored), None));
+        assert_eq!(*rig.device.stored() == Stored::NONE, is_reset);
+        assert_eq!(rig.device.state(), if is_reset { State::Unconnected } else { State::Data });
     }
 }
 
@@ -226,37 +226,37 @@ fn reset_of_communication_keeps_the_maintenance_data() {
     for (what, qualifier, leaves_it) in
         [([5, 6], 4, true), ([5, 6], 8, false), ([5, 6], 16, false), ([5, 5], 0, false)]
     {
-        let mut bench = Bench::in_data();
+        let mut rig = TestRig::in_data();
         let date = block(0x22, b"2026-11-23 16:00");
-        bench.call(3, &[&record(8, AR, 0, 1, 0xAFF2, date.len() as u32)[..], &date].concat());
-        let before = bench.device.stored().maintenance;
+        rig.call(3, &[&record(8, AR, 0, 1, 0xAFF2, date.len() as u32)[..], &date].concat());
+        let before = rig.device.stored().maintenance;
         assert_eq!(before.date, *b"2026-11-23 16:00");
         let request = dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &dcp_block(what, &[0, qualifier]));
-        bench.device.receive(bench.now, &request);
+        rig.device.receive(rig.now, &request);
         let maintenance = if leaves_it { before } else { Maintenance::NONE };
-        assert_eq!(*bench.device.stored(), Stored { maintenance, ..Stored::NONE }, "{what:?} {qualifier}");
+        assert_eq!(*rig.device.stored(), Stored { maintenance, ..Stored::NONE }, "{what:?} {qualifier}");
     }
 }
 
 /// The application learns about the end of outputs even if more frames arrive before it polls.
 #[test]
 fn reset_is_reported_before_a_name_set_directly_after_it() {
-    let mut bench = Bench::in_data();
-    bench.outputs([1, 2, 3]);
+    let mut rig = TestRig::in_data();
+    rig.outputs([1, 2, 3]);
     let reset = dcp_frame(DEVICE, 0xFEFD, [4, 0], 0, &dcp_block([5, 6], &[0, 4]));
-    assert_eq!(bench.device.receive(bench.now, &reset), Some(Event::Left(Cause::Reset)));
-    bench.acyclic();
-    assert_eq!(set(&mut bench, true, [2, 2], b"gripper"), (Some(Event::Stored), 0));
-    assert_eq!((bench.device.outputs(), bench.device.state()), (&[0; 3], State::Unconnected));
-    assert_eq!((bench.poll(), bench.poll()), (Some(Event::Stored), None));
+    assert_eq!(rig.device.receive(rig.now, &reset), Some(Event::Left(Cause::Reset)));
+    rig.acyclic();
+    assert_eq!(set(&mut rig, true, [2, 2], b"gripper"), (Some(Event::Stored), 0));
+    assert_eq!((rig.device.outputs(), rig.device.state()), (&[0; 3], State::Unconnected));
+    assert_eq!((rig.poll(), rig.poll()), (Some(Event::Stored), None));
 }
 
 #[test]
 fn get_returns_requested_options_and_errors_for_unknown_ones() {
-    let mut bench = Bench::new();
+    let mut rig = TestRig::new();
     let request = dcp_frame(DEVICE, 0xFEFD, [3, 0], 0, &[2, 2, 1, 1, 9, 9, 2, 6, 2]);
-    assert_eq!(bench.device.receive(bench.now, &request), None);
-    let answers = bench.sent();
+    assert_eq!(rig.device.receive(rig.now, &request), None);
+    let answers = rig.sent();
     let expected = [
         &[2, 2, 0, 11, 0, 0][..],
         b"example-1\0",
@@ -283,18 +283,18 @@ fn dcp_for_another_station_or_of_another_type_is_not_answered() {
         (DEVICE, 0xFEFD, [9, 0], &[2, 2]),
         (DEVICE, 0xFEFF, [5, 1], &all),
     ] {
-        let mut bench = Bench::new();
-        assert_eq!(bench.device.receive(bench.now, &dcp_frame(to, id, service, 1, blocks)), None);
-        assert_eq!(bench.sent().len(), 0, "{to} {id:X} {service:?}");
-        assert_eq!(bench.device.name().as_str(), "example-1");
+        let mut rig = TestRig::new();
+        assert_eq!(rig.device.receive(rig.now, &dcp_frame(to, id, service, 1, blocks)), None);
+        assert_eq!(rig.sent().len(), 0, "{to} {id:X} {service:?}");
+        assert_eq!(rig.device.name().as_str(), "example-1");
     }
 }
 
 #[test]
 fn lldp_announces_name_port_and_address_every_5_s() {
-    let mut bench = Bench::new();
-    assert_eq!(bench.device.poll_timeout(bench.now), 6_000_000);
-    bench.now = 6_000_000;
+    let mut rig = TestRig::new();
+    assert_eq!(rig.device.poll_timeout(rig.now), 6_000_000);
+    rig.now = 6_000_000;
     let expected = [
         &[1, 0x80, 0xC2, 0, 0, 0x0E][..],
         &DEVICE.0,
@@ -310,8 +310,8 @@ fn lldp_announces_name_port_and_address_every_5_s() {
         &[0, 0],
     ]
     .concat();
-    assert_eq!(bench.sent(), [expected]);
-    assert_eq!(bench.device.poll_timeout(bench.now), 11_000_000);
+    assert_eq!(rig.sent(), [expected]);
+    assert_eq!(rig.device.poll_timeout(rig.now), 11_000_000);
 }
 
 #[test]
@@ -325,7 +325,7 @@ fn lldp_without_name_and_address_uses_the_mac_address() {
 #[test]
 fn endpoint_mapper_lists_one_interface_and_then_none_and_refuses_a_truncated_request() {
     for is_low_first in [true, false] {
-        let mut bench = Bench::new();
+        let mut rig = TestRig::new();
         let order = |value: u32| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };
         let epm: [u8; 16] = if is_low_first {
             [8, 0x83, 0xAF, 0xE1, 0x1F, 0x5D, 0xC9, 0x11, 0x91, 0xA4, 8, 0, 0x2B, 0x14, 0xA0, 0xFA]
@@ -335,11 +335,11 @@ fn endpoint_mapper_lists_one_interface_and_then_none_and_refuses_a_truncated_req
         let mut lookup = |handle: (&[u8], u32)| {
             let (handle, max_entries) = handle;
             let body = [&order(0)[..], &order(0), &order(0), &order(1), handle, &order(max_entries)].concat();
-            bench.sequence += 1;
-            let mut request = datagram(is_low_first, 0, bench.sequence, 2, &body);
+            rig.sequence += 1;
+            let mut request = datagram(is_low_first, 0, rig.sequence, 2, &body);
             request[24..40].copy_from_slice(&epm);
-            bench.device.receive_datagram(bench.now, HOST, &request);
-            bench.transmitted().remove(0).1[80..].to_vec()
+            rig.device.receive_datagram(rig.now, HOST, &request);
+            rig.transmitted().remove(0).1[80..].to_vec()
         };
         let first = lookup((&[0; 20], 1));
         assert_eq!(first[20..24], order(1));
@@ -374,11 +374,11 @@ fn endpoint_mapper_lists_one_interface_and_then_none_and_refuses_a_truncated_req
         // The handle can be released, and a truncated request is a fault.
         let fault = order(0x1C01_000B);
         for (operation, body, answer) in [(4, &[0; 20][..], (2, &[0; 24][..])), (2, &[0; 8], (3, &fault))] {
-            bench.sequence += 1;
-            let mut request = datagram(is_low_first, 0, bench.sequence, operation, body);
+            rig.sequence += 1;
+            let mut request = datagram(is_low_first, 0, rig.sequence, operation, body);
             request[24..40].copy_from_slice(&epm);
-            bench.device.receive_datagram(bench.now, HOST, &request);
-            let sent = bench.transmitted();
+            rig.device.receive_datagram(rig.now, HOST, &request);
+            let sent = rig.transmitted();
             assert_eq!((sent[0].1[1], &sent[0].1[80..]), answer);
         }
     }

@@ -18,7 +18,7 @@ pub const UNIT: u8 = 1;
 pub struct ModbusLines {
     modbus: Modbus,
     service: Modbus,
-    /// The master's current line: the bus, except inside [`Bench::by_service`].
+    /// The master's current line: the bus, except inside [`TestRig::by_service`].
     line: RtuDouble,
     /// The other line.
     other: RtuDouble,
@@ -74,7 +74,7 @@ impl Bus for ModbusLines {
 }
 
 /// A [`World`] with a Modbus PLC.
-pub type Bench = World<ModbusLines>;
+pub type TestRig = World<ModbusLines>;
 
 /// Returns an FC 16 request with unit address, without checksum.
 pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
@@ -83,32 +83,32 @@ pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
     head.into_iter().chain(values.iter().flat_map(|value| value.to_be_bytes())).collect()
 }
 
-impl Bench {
-    /// Creates a bench with all wires low except FAST_STOP_OK.
+impl TestRig {
+    /// Creates a rig with all wires low except FAST_STOP_OK.
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
         Self::with(config, ModbusLines::new(&config), SerialGripper::new(gripper), Inputs::FAST_STOP_OK)
     }
 
-    /// Creates a bench with a responding gripper and a master that has written zeros.
+    /// Creates a rig with a responding gripper and a master that has written zeros.
     pub fn ready() -> Self {
         Self::ready_with(Config::DEFAULT, quick())
     }
 
     /// Does the same as [`ready`](Self::ready), with these settings of bridge and gripper.
     pub fn ready_with(config: Config, gripper: wsg_sim::Config) -> Self {
-        let mut bench = Self::new(config, gripper);
-        bench.pass(200);
-        bench.write(0, &[0, 0, 0, 0]);
-        bench
+        let mut rig = Self::new(config, gripper);
+        rig.pass(200);
+        rig.write(0, &[0, 0, 0, 0]);
+        rig
     }
 
-    /// Creates a bench whose fingers were referenced over the bus.
+    /// Creates a rig whose fingers were referenced over the bus.
     pub fn homed(gripper: wsg_sim::Config) -> Self {
-        let mut bench = Self::ready_with(Config::DEFAULT, gripper);
-        bench.command(HOMING, 0, 0, 0);
-        assert_eq!(bench.state(), IDLE);
-        assert!(bench.bit(16), "REFERENCED");
-        bench
+        let mut rig = Self::ready_with(Config::DEFAULT, gripper);
+        rig.command(HOMING, 0, 0, 0);
+        assert_eq!(rig.state(), IDLE);
+        assert!(rig.bit(16), "REFERENCED");
+        rig
     }
 
     /// Runs `test` over the service port instead of the bus.

@@ -25,7 +25,7 @@ fn loopback() -> SocketAddr {
 }
 
 /// A virtual gripper with a 20 mm part in its way, reachable over every line.
-pub(crate) struct Bench {
+pub(crate) struct TestRig {
     server: ServerThread,
     /// A second client over UDP, which needs no disconnect announcement. An announcement would stop motions.
     observer: Gripper<Udp, StdClock>,
@@ -41,7 +41,7 @@ pub(crate) fn quick() -> Config {
     Config { time_scale: 50.0, ..real() }
 }
 
-impl Bench {
+impl TestRig {
     pub(crate) fn new(config: Config) -> Self {
         let socket = UdpSocket::bind(loopback()).unwrap();
         let remote_port = socket.local_addr().unwrap().port();

@@ -59,7 +59,7 @@ struct Edge {
 }
 
 /// Requests and their outcomes so far.
-pub(super) struct Asked {
+pub(super) struct Requested {
     now_ms: u32,
     pub(super) debounce_ms: u32,
     pub(super) recipes: [Recipe; RECIPE_COUNT],
@@ -103,7 +103,7 @@ struct Group {
     counts: Option<Inputs>,
 }
 
-impl Asked {
+impl Requested {
     /// Creates the state without requests, with this debounce time.
     pub(super) fn new(debounce_ms: u32) -> Self {
         let command_group = Inputs::all().difference(Inputs::STOP_ACK | Inputs::FAST_STOP_OK);
@@ -250,8 +250,8 @@ impl Asked {
             kind => {
                 assert_eq!(id, CommandId::SetForceLimit, "{id} ({kind:?}) is not a PLC command");
                 if let Some(Command::SetForceLimit { force }) = command {
-                    let is_recent = |(asked, at_ms, _): &(i32, u32, bool)| {
-                        *asked == hundredths(*force) && self.now_ms - at_ms < LATE_MS
+                    let is_recent = |(requested, at_ms, _): &(i32, u32, bool)| {
+                        *requested == hundredths(*force) && self.now_ms - at_ms < LATE_MS
                     };
                     assert!(self.forces.iter().any(is_recent), "{force} N without a request");
                 }
@@ -285,8 +285,8 @@ impl Asked {
         let (Some((flags, speed, _)), true) = self.jog else { return false };
         let Some(Command::PrePosition { flags: how, width, speed: goes }) = command else { return true };
         let end = if flags == CommandFlags::JOG_PLUS { STROKE } else { 0.0 };
-        let asked = if speed == 0 { hundredths(LEAST_SPEED) } else { speed.into() };
-        *how == PrePositionFlags::STOP_ON_BLOCK && *width == end && hundredths(*goes) == asked
+        let wanted = if speed == 0 { hundredths(LEAST_SPEED) } else { speed.into() };
+        *how == PrePositionFlags::STOP_ON_BLOCK && *width == end && hundredths(*goes) == wanted
     }
 
     /// Returns the parameters for an edge of this command from a wire or from the bus.

@@ -90,7 +90,7 @@ impl Board {
 }
 
 /// A master connected to a board, and the current time.
-pub struct Bench {
+pub struct TestRig {
     /// The board.
     pub board: Board,
     /// The master's output image.
@@ -100,7 +100,7 @@ pub struct Bench {
     rate: u32,
 }
 
-impl Bench {
+impl TestRig {
     /// Creates a board and a master that has sent nothing yet.
     #[must_use]
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
@@ -115,12 +115,12 @@ impl Bench {
     /// The master has written parameters and no command flag.
     #[must_use]
     pub fn exchanging(config: Config, gripper: wsg_sim::Config, watchdog: u8) -> Self {
-        let mut bench = Self::new(config, gripper);
-        bench.pass_silent(200);
-        bench.start(watchdog);
-        bench.exchange();
-        bench.pass(10);
-        bench
+        let mut rig = Self::new(config, gripper);
+        rig.pass_silent(200);
+        rig.start(watchdog);
+        rig.exchange();
+        rig.pass(10);
+        rig
     }
 
     /// Does the same as [`exchanging`](Self::exchanging), with referenced fingers.
@@ -129,13 +129,13 @@ impl Bench {
     /// Panics when homing fails.
     #[must_use]
     pub fn homed(gripper: wsg_sim::Config) -> Self {
-        let mut bench = Self::exchanging(AT_500K, gripper, 20);
-        bench.command(CommandFlags::HOMING);
-        let input = bench.exchange().1;
+        let mut rig = Self::exchanging(AT_500K, gripper, 20);
+        rig.command(CommandFlags::HOMING);
+        let input = rig.exchange().1;
         assert_eq!(input.state, GripperFlags::IDLE);
         assert!(input.system.contains(wsg_protocol::SystemFlags::REFERENCED));
-        bench.board.take_sent();
-        bench
+        rig.board.take_sent();
+        rig
     }
 
     /// Advances time. The main loop runs every millisecond, followed by the handler.

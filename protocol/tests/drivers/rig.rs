@@ -17,7 +17,7 @@ const LONGEST_MS: u32 = 90_000;
 
 /// A line to a virtual gripper, shared by both ends and the test.
 #[derive(Clone)]
-pub(crate) struct Bench(Rc<RefCell<World>>);
+pub(crate) struct TestRig(Rc<RefCell<World>>);
 
 pub(crate) struct World {
     pub(crate) gripper: VirtualGripper,
@@ -39,7 +39,7 @@ pub(crate) struct World {
     pub(crate) lose: usize,
 }
 
-impl Bench {
+impl TestRig {
     pub(crate) fn new(kind: PortKind, config: Config) -> Self {
         let mut gripper = VirtualGripper::new(config);
         let port = gripper.connect(kind).expect("a new gripper accepts a client");
@@ -147,30 +147,30 @@ impl World {
     }
 }
 
-impl Clock for Bench {
+impl Clock for TestRig {
     fn now(&mut self) -> Instant {
         // Close to the end of the clock's range, so that every script also covers the wraparound.
         Instant::from_millis(self.millis().wrapping_sub(300))
     }
 }
 
-impl Timer for Bench {
+impl Timer for TestRig {
     async fn wait_until(&mut self, moment: Instant) {
         poll_fn(|_| if self.now().has_reached(moment) { Poll::Ready(()) } else { Poll::Pending }).await;
     }
 }
 
-impl embedded_io::ErrorType for Bench {
+impl embedded_io::ErrorType for TestRig {
     type Error = Infallible;
 }
 
-impl embedded_io::ReadReady for Bench {
+impl embedded_io::ReadReady for TestRig {
     fn read_ready(&mut self) -> Result<bool, Infallible> {
         Ok(self.world(|world| !world.to_driver.is_empty() || world.closed))
     }
 }
 
-impl Transport for Bench {
+impl Transport for TestRig {
     /// Advances the time until data is available.
     fn wait(&mut self, at_most_ms: u32) -> Result<(), Infallible> {
         self.world(|world| {
@@ -185,13 +185,13 @@ impl Transport for Bench {
     }
 }
 
-impl embedded_io::Read for Bench {
+impl embedded_io::Read for TestRig {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
         Ok(self.world(|world| world.give(buffer)))
     }
 }
 
-impl embedded_io::Write for Bench {
+impl embedded_io::Write for TestRig {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         Ok(self.world(|world| world.take(bytes)))
     }
@@ -201,7 +201,7 @@ impl embedded_io::Write for Bench {
     }
 }
 
-impl embedded_io_async::Read for Bench {
+impl embedded_io_async::Read for TestRig {
     async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
         poll_fn(|_| {
             self.world(|world| match world.give(buffer) {
@@ -213,7 +213,7 @@ impl embedded_io_async::Read for Bench {
     }
 }
 
-impl embedded_io_async::Write for Bench {
+impl embedded_io_async::Write for TestRig {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         poll_fn(|_| {
             self.world(|world| match world.take(bytes) {

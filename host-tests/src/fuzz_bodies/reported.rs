@@ -4,13 +4,13 @@ use wsg_bridge_fw::MAX_REPLY_LEN;
 use wsg_protocol::{CommandId, Event, FrameParser, GripperState, Kind, Reply, Status, SystemFlags, Value};
 
 /// State of the gripper as known to the bridge.
-pub(super) struct Told {
+pub(super) struct Reported {
     /// Time-out of an incomplete frame, in milliseconds.
     pub(super) frame_timeout_ms: u32,
     parser: FrameParser<MAX_REPLY_LEN>,
     read_ms: u32,
     /// End of the last intact frame.
-    pub(super) heard_ms: u32,
+    pub(super) received_ms: u32,
     /// Last reported states since the connection was lost.
     pub(super) flags: Option<SystemFlags>,
     pub(super) state: Option<GripperState>,
@@ -22,13 +22,13 @@ pub(super) struct Told {
     answered: Vec<(CommandId, Status)>,
 }
 
-impl Told {
+impl Reported {
     pub(super) const fn new(frame_timeout_ms: u32) -> Self {
         Self {
             frame_timeout_ms,
             parser: FrameParser::new(),
             read_ms: 0,
-            heard_ms: 0,
+            received_ms: 0,
             flags: None,
             state: None,
             grip: None,
@@ -73,25 +73,25 @@ impl Told {
             let (taken, event) = self.parser.push_slice(bytes);
             bytes = &bytes[taken..];
             let Some(event) = event else { break };
-            let heard = heard(&event);
-            self.take(now_ms, heard);
+            let report = report(&event);
+            self.take(now_ms, report);
         }
         if self.parser.is_mid_frame() && now_ms - self.read_ms >= self.frame_timeout_ms {
-            while let Some(heard) = self.parser.expire().map(|event| heard(&event)) {
-                self.take(now_ms, heard);
+            while let Some(report) = self.parser.expire().map(|event| report(&event)) {
+                self.take(now_ms, report);
             }
         }
     }
 
-    fn take(&mut self, now_ms: u32, heard: Heard) {
-        match heard {
-            Heard::Nothing => return,
-            Heard::Flags(flags) => {
+    fn take(&mut self, now_ms: u32, report: Report) {
+        match report {
+            Report::Nothing => return,
+            Report::Flags(flags) => {
                 let before = self.flags.replace(flags).unwrap_or_default();
                 self.has_left_fast_stop |= (before - flags).contains(SystemFlags::FAST_STOP);
             }
-            Heard::State(state) => self.state = Some(state),
-            Heard::Status(id, status) => {
+            Report::State(state) => self.state = Some(state),
+            Report::Status(id, status) => {
                 self.answered.push((id, status));
                 // A further E_CMD_PENDING after the result has no effect.
                 if id == CommandId::GripPart && status.is_final() {
@@ -100,13 +100,13 @@ impl Told {
                     self.grip = None;
                 }
             }
-            Heard::Other => {}
+            Report::Other => {}
         }
-        self.heard_ms = now_ms;
+        self.received_ms = now_ms;
     }
 }
 
-enum Heard {
+enum Report {
     /// A damaged frame.
     Nothing,
     Flags(SystemFlags),
@@ -116,14 +116,14 @@ enum Heard {
     Other,
 }
 
-fn heard(event: &Event<'_>) -> Heard {
-    let Event::Frame(frame) = event else { return Heard::Nothing };
+fn report(event: &Event<'_>) -> Report {
+    let Event::Frame(frame) = event else { return Report::Nothing };
     match Reply::decode(frame) {
-        Err(_) => Heard::Other,
+        Err(_) => Report::Other,
         Ok(reply) => match reply.value() {
-            Some(Value::GetSystemState(flags)) => Heard::Flags(flags),
-            Some(Value::GetGripperState(state)) => Heard::State(state),
-            _ => Heard::Status(reply.id(), reply.status()),
+            Some(Value::GetSystemState(flags)) => Report::Flags(flags),
+            Some(Value::GetGripperState(state)) => Report::State(state),
+            _ => Report::Status(reply.id(), reply.status()),
         },
     }
 }

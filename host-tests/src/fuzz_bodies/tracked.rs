@@ -61,7 +61,7 @@ impl Port {
 /// Effect of an executed request.
 pub(super) enum Done {
     /// Only activity of the requester.
-    Heard,
+    Activity,
     /// The PLC wrote this image; its commands use the recipe's values, if any.
     Image(OutputImage, Option<Recipe>),
     /// An effect that is not tracked.
@@ -69,7 +69,7 @@ pub(super) enum Done {
 }
 
 /// The registers as known on both lines.
-pub(super) struct Overheard {
+pub(super) struct Tracked {
     /// The image as read over the bus.
     image: [u8; OutputImage::LEN],
     settings: Record,
@@ -84,7 +84,7 @@ pub(super) struct Overheard {
     service: Requests,
 }
 
-impl Overheard {
+impl Tracked {
     /// Creates the state of a bridge with these default settings.
     pub(super) fn new(delivered: &Record) -> Self {
         Self {
@@ -139,7 +139,7 @@ impl Overheard {
     /// Ends the turn.
     pub(super) fn end_turn(&mut self) -> Done {
         if !std::mem::take(&mut self.resets) {
-            return Done::Heard;
+            return Done::Activity;
         }
         self.change_settings(|it| {
             it.settings = it.delivered;
@@ -192,7 +192,7 @@ impl Overheard {
         if self.bus.may_go_on() || write.as_ref().is_some_and(|write| !write.is_of_image()) {
             return Some(Done::Unknown);
         }
-        Some(self.carry_out(write).unwrap_or(Done::Heard))
+        Some(self.carry_out(write).unwrap_or(Done::Activity))
     }
 
     fn take_answer(&mut self, port: Port, request: &[u8], answer: &[u8]) -> Done {
@@ -204,12 +204,12 @@ impl Overheard {
             let done = self.carry_out(write);
             assert!(done.is_some() || !WRITES.contains(&request[0]), "carried out: {}", what());
             self.check_read(port, request, answer);
-            return done.unwrap_or(Done::Heard);
+            return done.unwrap_or(Done::Activity);
         }
         // Settings are also rejected while the fingers move.
         assert!(port == Port::Service || !is_of_image, "refused: {}", what());
         assert!(!is_of_image || answer[1] == ILLEGAL_FUNCTION, "{}", what());
-        Done::Heard
+        Done::Activity
     }
 
     /// Checks that holding registers read back as written.
@@ -313,7 +313,7 @@ impl Overheard {
             _ => self.resets = true,
         }
         self.is_saved = true;
-        Done::Heard
+        Done::Activity
     }
 
     fn change_settings(&mut self, change: impl FnOnce(&mut Self)) -> Done {
@@ -324,7 +324,7 @@ impl Overheard {
             swap(&mut self.image);
         }
         let is_followed = self.setting(BROADCASTS) == 0 || self.way(Port::Bus).is_strict();
-        if is_followed { Done::Heard } else { Done::Unknown }
+        if is_followed { Done::Activity } else { Done::Unknown }
     }
 }
 

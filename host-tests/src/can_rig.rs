@@ -244,7 +244,7 @@ fn priority(frame: &ClassicFrame) -> u32 {
 }
 
 /// Bridge and gripper on a CAN bus, and a PLC on wires driven by the test.
-pub struct CanBench {
+pub struct CanRig {
     station: Station<Double>,
     flash: FlashModel,
     double: Double,
@@ -267,11 +267,11 @@ pub struct CanBench {
     pub to_bridge: Option<Disturbance>,
 }
 
-/// Board identity of the bench.
-pub const BOARD: BoardId = BoardId { name: "bench", serial: 0x1234_5678 };
+/// Board identity of the rig.
+pub const BOARD: BoardId = BoardId { name: "rig", serial: 0x1234_5678 };
 
-impl CanBench {
-    /// Creates a bench with all PLC wires low.
+impl CanRig {
+    /// Creates a rig with all PLC wires low.
     ///
     /// # Panics
     /// Never: a new gripper accepts a client, and the default settings are valid.
@@ -309,25 +309,25 @@ impl CanBench {
         }
     }
 
-    /// Creates a bench that is READY and REFERENCED.
+    /// Creates a rig that is READY and REFERENCED.
     ///
     /// # Panics
     /// Panics when homing fails.
     #[must_use]
     pub fn homed(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
-        let mut bench = Self::new(config, policy);
-        bench.get_homed();
-        bench
+        let mut rig = Self::new(config, policy);
+        rig.get_homed();
+        rig
     }
 
-    /// Creates a bench with a PLC on the bus and FAST_STOP_OK high.
+    /// Creates a rig with a PLC on the bus and FAST_STOP_OK high.
     #[must_use]
     pub fn with_node(config: wsg_sim::Config, node: NodeConfig) -> Self {
         let can = CanConfig { node, ..CanConfig::DEFAULT };
         let bridge = Config { plc_bus: PlcBus::Canopen, can, ..Config::DEFAULT };
-        let mut bench = Self::with(config, BusOffPolicy::DEFAULT, bridge);
-        bench.set(Inputs::FAST_STOP_OK, true);
-        bench
+        let mut rig = Self::with(config, BusOffPolicy::DEFAULT, bridge);
+        rig.set(Inputs::FAST_STOP_OK, true);
+        rig
     }
 
     /// Returns the bridge's CANopen node; it is silent without a PLC on the bus.
@@ -418,7 +418,7 @@ impl CanBench {
     }
 }
 
-impl Wires for CanBench {
+impl Wires for CanRig {
     fn inputs(&mut self) -> &mut Inputs {
         &mut self.inputs
     }
@@ -465,9 +465,9 @@ fn disturbed(disturbance: &mut Option<Disturbance>, frame: ClassicFrame) -> Vec<
     }
 }
 
-impl std::fmt::Debug for CanBench {
+impl std::fmt::Debug for CanRig {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("CanBench")
+        f.debug_struct("CanRig")
             .field("now_ms", &self.now_ms)
             .field("outputs", &self.outputs)
             .finish_non_exhaustive()

@@ -14,9 +14,9 @@ use wsg_bridge_fw::{BoardId, BusPort, Config, NoBus, ResetCause, Station};
 use wsg_sim::Time;
 
 use crate::addresses::setting;
-use crate::can_bench::Double;
+use crate::can_rig::Double;
 use crate::flash_model::FlashModel;
-use crate::modbus_bench::write_request;
+use crate::modbus_rig::write_request;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialGripper;
 
@@ -81,7 +81,7 @@ impl BusPort for ServiceLine {
 }
 
 /// A bridge with a gripper on RS-232, flash and a Modbus bus. Time advances by one millisecond per turn.
-pub struct ServiceBench {
+pub struct ServiceRig {
     /// The bridge.
     pub station: Station<Double>,
     /// The gripper and its line.
@@ -92,19 +92,19 @@ pub struct ServiceBench {
     now_ms: u32,
 }
 
-impl ServiceBench {
+impl ServiceRig {
     /// Powers up bridge and gripper for the first time.
     #[must_use]
     pub fn new(gripper: wsg_sim::Config) -> Self {
-        let mut bench = Self {
+        let mut rig = Self {
             station: station(),
             gripper: SerialGripper::new(gripper),
             flash: FlashModel::new(),
             bus: RtuDouble::default(),
             now_ms: 0,
         };
-        bench.start();
-        bench
+        rig.start();
+        rig
     }
 
     /// Powers up the bridge with the settings in the flash.
