@@ -52,7 +52,6 @@ pub struct Bridge {
     /// Width and force are subscribed to, because a bus or the service port shows them. The wires alone do not need them.
     is_measured: bool,
     liveness: Liveness,
-    /// Frame in transmission.
     sending: Option<FrameEncoder<Command<'static>>>,
     /// The connection was lost in this turn, so nothing more is sent in it. The link must first discard its pending bytes,
     /// and would discard a FAST STOP with them.

@@ -37,7 +37,7 @@ pub enum Indication {
 pub struct IndicationText {
     /// Status that the pattern shows.
     pub indication: Indication,
-    /// Visible pattern.
+    /// Pattern of the LED as a person describes it.
     pub seen: &'static str,
     /// Meaning of the pattern.
     pub meaning: &'static str,

@@ -7,13 +7,13 @@ bitflags! {
     /// Parts that each turn must serve.
     #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
     pub(crate) struct Served: u8 {
-        /// Input wires.
+        /// The input wires were read in this turn.
         const WIRES = 1 << 0;
         /// Gripper line: it has reported whether bytes are available.
         const LINE = 1 << 1;
         /// The PLC's bus, or its absence.
         const BUS = 1 << 2;
-        /// Output wires.
+        /// The output wires were written in this turn.
         const OUTPUTS = 1 << 3;
     }
 }

@@ -229,7 +229,7 @@ pub struct Config {
     pub session: session::Config,
     /// Interface to the gripper.
     pub gripper_line: GripperLine,
-    /// Selected PLC bus.
+    /// Bus over which the PLC commands the bridge.
     pub plc_bus: PlcBus,
     /// Settings shared by all buses, and the line of Modbus RTU.
     pub bus: BusConfig,

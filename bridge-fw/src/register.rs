@@ -31,7 +31,7 @@ pub enum Link {
     Never,
     /// The gripper has stopped answering.
     Silent,
-    /// The gripper answers.
+    /// The gripper answers within the time-out.
     Up,
 }
 
@@ -56,9 +56,9 @@ pub enum ResetCause {
 pub struct BusCounts {
     /// Intact messages on the bus, for any device.
     pub messages: u16,
-    /// Damaged messages.
+    /// Messages discarded because of a wrong checksum or length.
     pub errors: u16,
-    /// Rejected requests.
+    /// Requests that were answered with an exception.
     pub exceptions: u16,
     /// Messages for this device.
     pub own_messages: u16,

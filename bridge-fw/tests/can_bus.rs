@@ -10,13 +10,11 @@ use wsg_protocol::Instant;
 /// Response of the controller to a frame.
 #[derive(Clone, Copy, Debug)]
 enum Takes {
-    /// Accepts the frame.
     It,
     /// Has no room for this identifier.
     No,
     /// Accepts the frame, and returns an earlier one.
     Instead(ClassicFrame),
-    /// Rejects the frame.
     Never,
 }
 

@@ -60,7 +60,7 @@ impl Diagnosis {
         after.difference(before).intersects(Self::TRIGGERS)
     }
 
-    /// Encodes the block.
+    /// Encodes the whole diagnosis: standard, ident number and device part.
     #[must_use]
     pub const fn to_bytes(self) -> [u8; Self::LEN] {
         let [s0, s1, s2, s3] = self.standard;

@@ -51,7 +51,7 @@ impl CommandFlags {
     /// The flags that start a motion on their rising edge.
     pub const MOTIONS: Self = Self::MOVE.union(Self::GRIP).union(Self::RELEASE).union(Self::HOMING);
 
-    /// Both JOG flags.
+    /// JOG+ and JOG-, of which at most one has an effect.
     pub const JOG: Self = Self::JOG_PLUS.union(Self::JOG_MINUS);
 
     /// Returns the set flag with the lowest bit number, which has priority when several rise at once.
@@ -168,7 +168,7 @@ impl ForceUnit {
         }
     }
 
-    /// Steps per newton.
+    /// Returns the register steps per newton: 100, or 10 for the WSG 70.
     #[must_use]
     pub const fn per_newton(self) -> f32 {
         match self {
@@ -207,7 +207,7 @@ impl OutputImage {
     /// Length of the image in bytes.
     pub const LEN: usize = 8;
 
-    /// All registers 0.
+    /// The image after power-up: no command and all parameters 0.
     pub const ZERO: Self = Self { flags: CommandFlags::empty(), user: 0, width: 0, speed: 0, force_limit: 0 };
 
     /// Decodes an image. Every byte pattern is valid.
@@ -223,7 +223,7 @@ impl OutputImage {
         }
     }
 
-    /// Encodes the image.
+    /// Encodes the image in the byte order of the bus.
     #[must_use]
     pub const fn to_bytes(self) -> [u8; Self::LEN] {
         let [w1, w0] = self.width.to_be_bytes();
@@ -309,7 +309,7 @@ impl InputImage {
         }
     }
 
-    /// Encodes the image.
+    /// Encodes the image in the byte order of the bus.
     #[must_use]
     pub const fn to_bytes(self) -> [u8; Self::LEN] {
         let [y0, y1, y2, y3] = self.system.bits().to_le_bytes();

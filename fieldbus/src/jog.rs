@@ -6,9 +6,9 @@ use wsg_protocol::types::SoftLimits;
 /// The direction of the fingers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Direction {
-    /// Opening.
+    /// Opens the fingers (JOG+).
     Plus,
-    /// Closing.
+    /// Closes the fingers (JOG-).
     Minus,
 }
 

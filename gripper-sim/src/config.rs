@@ -109,9 +109,9 @@ impl Config {
         of(self) != of(other)
     }
 
-    /// Smallest permitted `time_scale`.
+    /// Smallest permitted `time_scale`: a hundredth of the real speed.
     pub const MIN_TIME_SCALE: f32 = 0.01;
-    /// Largest permitted `time_scale`.
+    /// Largest permitted `time_scale`: a thousand times the real speed.
     pub const MAX_TIME_SCALE: f32 = 1_000.0;
 }
 

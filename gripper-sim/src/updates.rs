@@ -112,7 +112,6 @@ impl Subscriptions {
         }
     }
 
-    /// Ends all subscriptions.
     pub(crate) fn clear(&mut self) {
         *self = Self::default();
     }

@@ -40,7 +40,6 @@ use crate::registers::{Derailment, RegisterModel};
 /// Time limit on a very busy host. Normally an emulator starts within tens of milliseconds and answers faster still.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// An emulated board.
 trait Chip: fmt::Debug + Send + Sync {
     /// Drives a single wire.
     fn set_input(&self, wire: Inputs, high: bool) -> Result<()>;

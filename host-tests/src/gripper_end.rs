@@ -48,7 +48,6 @@ struct World {
     traced_width: f32,
     config: Config,
     clock: Clock,
-    /// Time of power-up.
     start: Duration,
     trace: Trace,
 }

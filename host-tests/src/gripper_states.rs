@@ -37,7 +37,6 @@ pub(crate) struct Message {
 }
 
 impl Message {
-    /// Decodes the command.
     pub(crate) fn command(&self) -> Command<'_> {
         let frame = Frame { id: self.id.code(), payload: &self.payload };
         Command::decode(&frame).expect("the bridge sends valid commands")
@@ -87,7 +86,6 @@ impl Answer {
         (self.id == CommandId::GetSystemState).then(|| SystemFlags::from_bits_retain(self.value))
     }
 
-    /// Encodes the frame.
     pub(crate) fn bytes(self) -> impl Iterator<Item = u8> + use<> {
         let value = match self.id {
             CommandId::GetSystemInfo => Some(Value::GetSystemInfo(INFO)),

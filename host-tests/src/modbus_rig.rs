@@ -20,7 +20,6 @@ pub struct ModbusLines {
     service: Modbus,
     /// The master's current line: the bus, except inside [`TestRig::by_service`].
     line: RtuDouble,
-    /// The other line.
     other: RtuDouble,
     is_by_service: bool,
     /// Image that the master writes every 20 ms to registers 0 to 3 (CMDFLAGS to FORCELIMIT).

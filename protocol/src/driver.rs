@@ -151,7 +151,7 @@ pub trait Timer: Clock {
     fn wait_until(&mut self, moment: Instant) -> impl Future<Output = ()>;
 }
 
-/// Driver settings.
+/// Settings of a driver: time-outs, checks and subscriptions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub struct Config {
     /// Time-outs, subscriptions and read-back.
@@ -265,7 +265,7 @@ pub enum Finger {
 pub enum Update {
     /// The system state flags.
     SystemState(SystemFlags),
-    /// The gripper state.
+    /// The gripper state changed (41h).
     GripperState(GripperState),
     /// The opening width in mm.
     Width(f32),

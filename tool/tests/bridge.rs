@@ -38,10 +38,8 @@ struct Line {
     has_written: bool,
 }
 
-/// Injected faults.
 #[derive(Default)]
 struct Faults {
-    /// Suppresses every response.
     is_silent: AtomicBool,
     /// Suppresses the next response to FC 16.
     loses_answer: AtomicBool,

@@ -15,7 +15,6 @@ use crate::{
 /// A target without compare-and-swap, the default board's target, and one without any atomics.
 const TARGETS: [&str; 3] = ["thumbv6m-none-eabi", "thumbv7em-none-eabihf", "riscv32i-unknown-none-elf"];
 
-/// Host-only features.
 const HOST_FEATURES: [&str; 2] = ["std", "tokio"];
 
 /// The `no_std` example for boards.

@@ -607,7 +607,7 @@ typedef struct {
     float force_limit;
     /* Device type, versions and serial number. */
     wsg_system_info_t info;
-    /* Physical limits. */
+    /* Physical limits of the gripper (53h). */
     wsg_system_limits_t limits;
     /* The known values: WSG_KNOWN_... Unknown values are 0. */
     uint8_t valid;
@@ -637,7 +637,7 @@ typedef struct {
     uint16_t refused;
     /* Requests sent again after a time-out. */
     uint16_t repeated;
-    /* Lost connections. */
+    /* Lost connections since wsg_init; stops at 65535. */
     uint16_t disconnects;
 } wsg_counters_t;
 
@@ -691,11 +691,11 @@ typedef struct {
 
 /* A classic CAN data frame with an 11-bit identifier. */
 typedef struct {
-    /* The identifier. */
+    /* Identifier, 11 bits. */
     uint16_t id;
     /* Number of data bytes, up to 8. */
     uint8_t length;
-    /* The data. */
+    /* Data bytes; only the first `length` are sent. */
     uint8_t data[8];
 } wsg_can_frame_t;
 
@@ -931,7 +931,7 @@ int32_t wsg_queue_pop(wsg_queue_t *queue, wsg_event_t *event);
 /* Returns the number of events and of data of events that were lost, up to 65 535. */
 int32_t wsg_queue_lost(const wsg_queue_t *queue);
 
-/* Initializes a parser. */
+/* Initializes a parser, or resets one that holds part of a frame. */
 int32_t wsg_parser_init(wsg_parser_t *parser);
 
 /*
@@ -976,7 +976,7 @@ int32_t wsg_can_receive(wsg_can_t *can, wsg_t *wsg, uint32_t now_ms, const wsg_c
 /* Discards an incomplete message after its time-out. Call it with each wsg_tick(). */
 int32_t wsg_can_tick(wsg_can_t *can, wsg_t *wsg, uint32_t now_ms);
 
-/* Writes the counters. */
+/* Writes the counters of discarded frames and messages. */
 int32_t wsg_can_counters(wsg_can_t *can, wsg_can_counters_t *counters);
 
 /*

@@ -34,11 +34,11 @@ const _: () = assert!(
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct wsg_can_frame_t {
-    /// The identifier.
+    /// Identifier, 11 bits.
     pub id: u16,
     /// Number of data bytes, up to 8.
     pub length: u8,
-    /// The data.
+    /// Data bytes; only the first `length` are sent.
     pub data: [u8; 8],
 }
 
@@ -204,7 +204,7 @@ pub unsafe extern "C" fn wsg_can_tick(can: *mut wsg_can_t, wsg: *mut wsg_t, now_
     code(tick())
 }
 
-/// Writes the counters.
+/// Writes the counters of discarded frames and messages.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_can_counters(
     can: *mut wsg_can_t,

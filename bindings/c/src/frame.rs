@@ -71,7 +71,7 @@ impl wsg_parser_t {
     }
 }
 
-/// Initializes a parser.
+/// Initializes a parser, or resets one that holds part of a frame.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_parser_init(parser: Option<&mut MaybeUninit<wsg_parser_t>>) -> i32 {
     let init = || -> Outcome {

@@ -40,7 +40,7 @@ pub struct wsg_known_t {
     pub force_limit: f32,
     /// Device type, versions and serial number.
     pub info: wsg_system_info_t,
-    /// Physical limits.
+    /// Physical limits of the gripper (53h).
     pub limits: wsg_system_limits_t,
     /// The known values: WSG_KNOWN_... Unknown values are 0.
     pub valid: u8,
@@ -72,7 +72,7 @@ pub struct wsg_counters_t {
     pub refused: u16,
     /// Requests sent again after a time-out.
     pub repeated: u16,
-    /// Lost connections.
+    /// Lost connections since wsg_init; stops at 65535.
     pub disconnects: u16,
 }
 

@@ -173,7 +173,6 @@ fn plain_bytes(event: &wsg_event_t) -> Vec<u8> {
     }
 }
 
-/// Both sides.
 struct Pair {
     c: Box<MaybeUninit<wsg_t>>,
     // Boxed, because C has its address.

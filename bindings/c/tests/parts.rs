@@ -171,7 +171,6 @@ fn register_interface_rejects_wrong_lengths_and_a_second_controller() {
     }
 }
 
-/// Counts replies.
 unsafe extern "C" fn count(context: *mut c_void, _: *const wsg_event_t) {
     unsafe { *context.cast::<u32>() += 1 };
 }

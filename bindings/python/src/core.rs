@@ -51,7 +51,6 @@ pub(crate) trait Close: Send + Sync {
     fn close_at_exit(&self);
 }
 
-/// The open connections.
 static OPEN: Mutex<Vec<Weak<dyn Close>>> = Mutex::new(Vec::new());
 
 /// Registers a connection that the interpreter's end closes.
@@ -73,7 +72,6 @@ enum Stage {
     Wait,
 }
 
-/// A failed call.
 pub(crate) enum Failed {
     Driver(Failure),
     /// A signal handler raised this exception.
@@ -99,7 +97,6 @@ impl From<Failure> for Failed {
 }
 
 impl Core {
-    /// Connects a driver.
     pub(crate) fn connect(mut driver: Driver, calls: Arc<Calls>) -> Result<Arc<Self>, Failed> {
         let handle = each!(&mut driver, gripper => gripper.stop_handle()).map_err(Error::Transport)?;
         let core = Arc::new(Self {
@@ -163,7 +160,6 @@ impl Core {
         result
     }
 
-    /// Begins a motion.
     pub(crate) fn begin<T>(
         &self,
         handles_signals: bool,

@@ -87,7 +87,6 @@ impl Rig {
         })
     }
 
-    /// Connects a driver.
     fn connect(&self, py: Python<'_>) -> PyResult<Driver> {
         let Self { rig, is_connected, .. } = self;
         if is_connected.swap(true, SeqCst) {

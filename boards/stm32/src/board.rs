@@ -33,7 +33,6 @@ pub trait Stm32Board: Sized {
     type BusUart: Uart;
     /// The UART of the service port.
     type ServiceUart: Uart;
-    /// The CAN controller.
     type Can: CanController;
 
     /// Driver enable time of the bus before and after the bits, in units of DEAT and DEDT.

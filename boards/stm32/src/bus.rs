@@ -21,7 +21,6 @@ use crate::uart::{self, Uart};
 
 pub use dp_timer::on_interrupt as on_timer_interrupt;
 
-/// The PLC's bus.
 pub static BUS: BusLine = BusLine::new();
 
 static SERVICE: RtuBuffers = RtuBuffers::new();

@@ -14,10 +14,8 @@ use crate::{Divider, chip};
 pub trait Uart {
     /// Its registers. An LPUART has a USART's layout except for two registers, which this crate does not use.
     const REGISTERS: Lpuart;
-    /// Its interrupt.
     const INTERRUPT: Interrupt;
 
-    /// Enables its clock.
     fn enable();
 }
 

@@ -142,7 +142,7 @@ impl<C: CanController> CanBus<C> {
         self.health
     }
 
-    /// Returns the counters.
+    /// Returns the error counters of the bus.
     pub const fn counters(&self) -> BusCounters {
         self.counters
     }

@@ -11,7 +11,7 @@ pub struct Health {
     pub is_passive: bool,
     /// Transmit error counter, saturating at 255.
     pub transmit_errors: u8,
-    /// Receive error counter.
+    /// Receive error counter (REC) of the controller.
     pub receive_errors: u8,
 }
 

@@ -8,7 +8,7 @@ use crate::register::report_rows;
 /// Faults of the bus since power-up. Each count saturates at 65 535.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusCounters {
-    /// Transitions to bus-off.
+    /// Transitions to bus-off since power-up; stops at 65 535.
     pub bus_offs: u16,
     /// Received frames for which the controller had no room.
     pub overruns: u16,

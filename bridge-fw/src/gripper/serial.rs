@@ -68,7 +68,7 @@ pub struct LostBytes {
 }
 
 impl<const RX: usize, const TX: usize> UartBuffers<RX, TX> {
-    /// Creates empty queues.
+    /// Creates the line with empty queues in both directions.
     #[must_use]
     pub const fn new() -> Self {
         Self {

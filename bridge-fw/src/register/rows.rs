@@ -7,9 +7,9 @@ pub struct Setting {
     pub name: &'static str,
     /// Unit; empty for a plain number.
     pub unit: &'static str,
-    /// Least valid value.
+    /// Least value that a write may have; lower ones are refused.
     pub least: u16,
-    /// Greatest valid value.
+    /// Greatest value that a write may have; higher ones are refused.
     pub most: u16,
     /// Effect of the value, short enough for a table cell.
     pub meaning: &'static str,

@@ -77,7 +77,7 @@ enum Step {
 pub struct Record<'a> {
     /// Version of the payload's format, as saved.
     pub version: u16,
-    /// Saved payload.
+    /// Payload as it was saved; its layout depends on the version.
     pub payload: &'a [u8],
 }
 

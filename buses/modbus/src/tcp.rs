@@ -117,7 +117,7 @@ impl Receiver {
         Self { frame: [0; MAX_FRAME_LEN], len: 0, lost: false }
     }
 
-    /// Processes one byte.
+    /// Processes one byte of the stream, and returns the request or error that it completes.
     pub fn push(&mut self, byte: u8) -> Option<Event<'_>> {
         let step = self.step(byte);
         self.event(step)

@@ -22,7 +22,6 @@ mod pdu {
 const WINDOW: u8 = 0x01;
 const ACK_AT_ONCE: u8 = 0x10;
 
-/// Alarm types.
 const DIAGNOSIS: u16 = 0x0001;
 const DIAGNOSIS_GONE: u16 = 0x000C;
 

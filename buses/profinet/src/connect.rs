@@ -142,7 +142,6 @@ pub(crate) struct AlarmCr {
     pub(crate) tag_low: u16,
 }
 
-/// A valid request.
 #[expect(clippy::large_enum_variant, reason = "short-lived: the caller destructures it immediately")]
 #[derive(Clone, Debug)]
 pub(crate) enum Request {

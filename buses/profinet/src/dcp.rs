@@ -13,14 +13,12 @@ pub(crate) const GET_SET: u16 = 0xFEFD;
 pub(crate) const IDENTIFY: u16 = 0xFEFE;
 const IDENTIFY_ANSWER: u16 = 0xFEFF;
 
-/// Service identifiers.
 mod service {
     pub(super) const GET: u8 = 3;
     pub(super) const SET: u8 = 4;
     pub(super) const IDENTIFY: u8 = 5;
 }
 
-/// Service types.
 const REQUEST: u8 = 0;
 const SUCCESS: u8 = 1;
 
@@ -125,7 +123,6 @@ struct Answer {
 #[derive(Clone, Copy, Debug)]
 enum Kind {
     Identify,
-    /// Requested options.
     Get([(u8, u8); MAX_BLOCKS], usize),
     /// Options to set, with their results.
     Set([((u8, u8), Fault); MAX_BLOCKS], usize),

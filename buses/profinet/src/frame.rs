@@ -12,7 +12,6 @@ pub(crate) const MIN_FRAME_LEN: usize = 60;
 
 /// Ethertype of PROFINET: DCP, cyclic data and alarms.
 pub(crate) const ETHERTYPE_PROFINET: u16 = 0x8892;
-/// Ethertype of LLDP.
 pub(crate) const ETHERTYPE_LLDP: u16 = 0x88CC;
 /// Ethertype of a VLAN tag, IEEE 802.1Q.
 const ETHERTYPE_VLAN: u16 = 0x8100;

@@ -17,7 +17,6 @@ pub(crate) const PORT_ID: &[u8] = b"port-001";
 /// 100BASE-TX in full duplex.
 pub(crate) const MAU_TYPE: u16 = 16;
 
-/// TLV types.
 mod field {
     pub(super) const CHASSIS: u16 = 1;
     pub(super) const PORT: u16 = 2;

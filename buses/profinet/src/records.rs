@@ -54,7 +54,6 @@ mod index {
     pub(super) const DEVICE_DIAGNOSIS: u16 = 0xF80C;
 }
 
-/// Block types.
 mod block {
     pub(super) const DIAGNOSIS: u16 = 0x0010;
     pub(super) const EXPECTED: u16 = 0x0012;

@@ -8,7 +8,6 @@ pub const RPC_PORT: u16 = 0x8894;
 /// Length of a datagram header in bytes.
 pub(crate) const HEADER_LEN: usize = 80;
 
-/// Datagram types.
 pub(crate) mod kind {
     pub(crate) const REQUEST: u8 = 0;
     pub(crate) const PING: u8 = 1;

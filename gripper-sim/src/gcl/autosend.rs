@@ -34,7 +34,6 @@ impl Autosends {
         }
     }
 
-    /// Ends all subscriptions.
     pub(super) fn clear(&mut self) {
         *self = Self::default();
     }

@@ -39,7 +39,6 @@ impl Severity {
     }
 }
 
-/// One entry.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Entry {
     /// Counts all entries since the start of the program.

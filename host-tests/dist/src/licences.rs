@@ -27,7 +27,6 @@ struct Part {
     version: String,
     licence: String,
     authors: String,
-    /// Source folder.
     folder: PathBuf,
 }
 

@@ -96,7 +96,6 @@ struct Chapter<'a> {
 
 /// Target of a link.
 enum Target {
-    /// An address.
     To(String),
     /// Content outside the manual.
     Elsewhere,

@@ -60,7 +60,6 @@ impl Motion {
     }
 }
 
-/// Results so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counters {
     pub(crate) cycles: u32,
@@ -92,7 +91,6 @@ pub(crate) enum Phase {
     GivenUp,
 }
 
-/// The gripping cycle.
 #[derive(Debug)]
 pub(crate) struct Cycle {
     output: OutputImage,

@@ -47,7 +47,6 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Holding time of a wire and arrival time of noise, in milliseconds of board time.
 const HOLD_MS: u32 = 60;
 
-/// Board and gripper.
 struct Rig {
     board: Emulator,
     gripper: GripperEnd,

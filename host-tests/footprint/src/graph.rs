@@ -53,7 +53,6 @@ impl Program {
 struct Walk<'a> {
     program: &'a Program,
     known: BTreeMap<u32, Path>,
-    /// The current path.
     open: Vec<u32>,
 }
 

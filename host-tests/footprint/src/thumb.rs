@@ -13,8 +13,11 @@ pub(super) enum Effect {
     /// Uses this many bytes of stack.
     Push(u32),
     /// Sets half of a register.
-    Half { register: u8, high: bool, value: u16 },
-    /// No relevant effect.
+    Half {
+        register: u8,
+        high: bool,
+        value: u16,
+    },
     Other,
 }
 

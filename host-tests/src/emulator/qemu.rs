@@ -23,7 +23,6 @@ use crate::registers::{Machine, Registers};
 
 pub(super) const QEMU: &str = "qemu-system-arm";
 
-/// Socket names.
 const GRIPPER_LINE: &str = "uart4";
 const MODBUS_LINE: &str = "lpuart1";
 const SERVICE_LINE: &str = "usart1";

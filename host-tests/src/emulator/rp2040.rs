@@ -29,7 +29,6 @@ pub(super) const NODE: &str = "node with rp2040js";
 /// Address range of the flash, where an RP2040 image starts.
 pub(super) const FLASH: std::ops::Range<u64> = 0x1000_0000..0x1100_0000;
 
-/// Socket names.
 const CONTROL: &str = "control";
 const GRIPPER_LINE: &str = "gripper";
 const BUS_LINE: &str = "bus";

@@ -35,7 +35,6 @@ pub(super) enum Action {
     Refuse,
     /// The line is cut or restored. Messages in transit are lost.
     ToggleLine,
-    /// The motion succeeds.
     Finish,
     /// The motion fails or finds no part.
     Fail,

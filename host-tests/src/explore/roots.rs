@@ -3,7 +3,6 @@
 use super::action::{Action, Image, Wire};
 use super::plant::Plant;
 
-/// An initial state.
 #[derive(Debug)]
 pub(super) struct Root {
     pub(super) name: &'static str,

@@ -73,7 +73,6 @@ impl Path {
     }
 }
 
-/// A broken promise.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Broken<P> {
     pub(super) promise: P,

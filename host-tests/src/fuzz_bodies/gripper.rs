@@ -24,7 +24,6 @@ enum Delivery {
     Twice(u32),
     /// Executed without an answer.
     Unanswered,
-    /// Rejected.
     Refused,
     /// Lost, together with all following bytes until this many have been received or the frame times out.
     Unheard(u32),
@@ -168,7 +167,6 @@ impl Gripper {
         self.send(now_ms, Delivery::Late(0), &said);
     }
 
-    /// Receives a command.
     pub(super) fn hear(&mut self, now_ms: u32, message: &Message) {
         let delivery = self.delivery();
         if !matches!(delivery, Delivery::Late(_)) || !self.answers {

@@ -21,7 +21,6 @@ const REPORT_SERVER_ID: u8 = 17;
 const IDENTIFICATION: u8 = 43;
 const MAY_BE_BROADCAST: [u8; 5] = [5, 6, 15, 16, 22];
 
-/// The four tables.
 #[derive(Clone, Debug, PartialEq)]
 struct Tables {
     coils: [bool; 20],

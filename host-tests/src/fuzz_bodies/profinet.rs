@@ -260,7 +260,6 @@ impl Network {
     }
 }
 
-/// Picks a controller.
 fn who(input: &mut Input<'_>) -> usize {
     usize::from(input.byte()) % 2
 }

@@ -107,7 +107,6 @@ impl Reported {
 }
 
 enum Report {
-    /// A damaged frame.
     Nothing,
     Flags(SystemFlags),
     State(GripperState),

@@ -354,7 +354,6 @@ impl Requested {
         self.stopped_ms = self.stopped_ms.or(Some(self.now_ms));
     }
 
-    /// Cancels all requests.
     fn undo(&mut self) {
         self.may_leave.clear();
         self.forces.clear();

@@ -29,7 +29,6 @@ const STATUSES: [Status; 6] = [
     Status::AxisBlocked,
 ];
 
-/// An accepted request.
 #[derive(Debug)]
 struct Accepted {
     id: CommandId,

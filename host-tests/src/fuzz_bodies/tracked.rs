@@ -44,7 +44,6 @@ const ILLEGAL_FUNCTION: u8 = 1;
 /// A Modbus RTU line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Port {
-    /// The PLC's bus.
     Bus,
     Service,
 }
@@ -136,7 +135,6 @@ impl Tracked {
         self.is_saved.then_some(&self.stored)
     }
 
-    /// Ends the turn.
     pub(super) fn end_turn(&mut self) -> Done {
         if !std::mem::take(&mut self.resets) {
             return Done::Activity;

@@ -10,7 +10,6 @@ pub(crate) enum Value {
     Bool(bool),
     Bits(u32, u64),
     Int(i64),
-    /// Duration in milliseconds.
     Time(i64),
 }
 
@@ -399,7 +398,6 @@ struct Timer {
 pub(crate) struct Instance {
     unit: Unit,
     slots: BTreeMap<String, Slot>,
-    /// Executed lines.
     pub(crate) covered: BTreeSet<usize>,
 }
 

@@ -48,7 +48,6 @@ pub(super) struct Awaited<'p> {
     /// The command, if the caller keeps it because it borrows its payload.
     borrowed: Option<Command<'p>>,
     verdict: Option<Verdict>,
-    /// Inspects the reply.
     look: Option<&'p mut (dyn FnMut(&Reply<'_>) + Send)>,
 }
 

@@ -78,7 +78,7 @@ pub const SCRIPT: &str = include_str!("../../scripts/wsg_stream.lua");
 /// Number of samples in [`SetPointStream::history`]: 10 s at 100 Hz.
 pub const HISTORY_LEN: usize = 1_024;
 
-/// Stream settings.
+/// Settings of a stream, fixed at its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Set-points per second, 1 to 500. Each request is sent after the previous reply, so a line with a longer round
@@ -153,7 +153,7 @@ pub enum Cause {
     Unanswered,
     /// The gripper closed the connection.
     Closed,
-    /// The transport failed.
+    /// The transport failed; the fingers may move until the gripper notices the loss.
     Transport(embedded_io::ErrorKind),
 }
 
@@ -468,7 +468,6 @@ impl Shared {
         Some(self.trajectory.clone()?.advance(moment, self.speed_limit))
     }
 
-    /// Records a measurement.
     fn record(&mut self, received_at: Instant, measured: &Measured, set_point: Option<f32>) {
         let Measured { flags, position, speed, force, measured_ms } = *measured;
         let measured_at = self.exchanges.estimate().measured_at(received_at, measured_ms);

@@ -14,7 +14,6 @@ pub(super) trait Form<'a>: Sized {
     /// Parses the form from the line.
     fn read(input: &mut Scanner<'a>) -> Result<Self, ParseError>;
 
-    /// Writes the form.
     fn write(&self, to: &mut impl Write) -> Written;
 
     /// Checks that the written form parses to the same value.

@@ -79,7 +79,7 @@ impl<const N: usize> LineReader<N> {
         }
     }
 
-    /// Processes one byte.
+    /// Processes one byte, and returns the line or error that it completes.
     pub fn push(&mut self, byte: u8) -> Option<LineEvent<'_>> {
         let step = self.step(byte);
         self.event(step)

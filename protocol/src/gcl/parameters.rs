@@ -186,7 +186,7 @@ impl Form<'_> for Release {
 /// Reads or writes a setting: PWT and CLT (GCL, 2.2.5 and 2.2.6).
 #[derive(Clone, Copy, Debug, PartialEq, crate::Format)]
 pub enum Setting {
-    /// Queries the value.
+    /// Queries the value without changing it (`?`).
     Ask,
     /// Sets the value in mm, until the connection ends.
     Set(f32),

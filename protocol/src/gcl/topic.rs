@@ -14,9 +14,9 @@ pub enum Topic {
     Speed,
     /// Gripping force in N.
     Force,
-    /// Gripper state.
+    /// Gripper state (GRIPSTATE).
     Gripstate,
-    /// System state flags.
+    /// System state flags (SYSFLAGS).
     Sysflags,
     /// Temperature of the device in °C.
     Temp,

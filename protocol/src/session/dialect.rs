@@ -18,7 +18,6 @@ pub trait Dialect: Copy + Debug {
     type Value<'a>: Copy;
     /// The known state of the gripper.
     type Known;
-    /// The possible subscriptions.
     type Subscriptions: List<Request = Self::Request>;
 
     /// The known state before the first reply.

@@ -52,7 +52,7 @@ pub struct SessionCounters {
     pub refused: u16,
     /// Requests sent again after a time-out.
     pub repeated: u16,
-    /// Lost connections.
+    /// Lost connections since the session was created; stops at its maximum.
     pub disconnects: u16,
 }
 

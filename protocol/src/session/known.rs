@@ -22,9 +22,9 @@ pub struct Known {
     pub info: Option<SystemInfo>,
     /// Physical limits of the gripper.
     pub limits: Option<SystemLimits>,
-    /// System state flags.
+    /// System state flags (40h), from answers and updates.
     pub flags: Option<SystemFlags>,
-    /// Gripper state.
+    /// Gripper state (41h), from answers and updates.
     pub state: Option<GripperState>,
     /// Opening width in mm.
     pub width: Option<f32>,

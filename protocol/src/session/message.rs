@@ -14,12 +14,12 @@ pub trait Name: Copy + PartialEq + Debug + Hash + 'static {
     fn is_repeatable(self) -> bool;
 }
 
-/// A complete request.
+/// A request with its parameters, ready to be encoded.
 pub trait Message: Copy + PartialEq + Debug + 'static {
     /// The names of the dialect's commands.
     type Name: Name;
 
-    /// The Stop request.
+    /// The request that ends a motion (22h, STOP).
     const STOP: Self;
     /// The FAST STOP request.
     const FAST_STOP: Self;

@@ -116,7 +116,7 @@ impl core::fmt::Display for FirmwareVersion {
 /// Device type, hardware revision, firmware version and serial number (command set, 3.5.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, crate::Format)]
 pub struct SystemInfo {
-    /// The product type.
+    /// Product type (50h), which determines the units of the fieldbus registers.
     pub device: DeviceType,
     /// The hardware revision of the device.
     pub hardware_revision: u8,

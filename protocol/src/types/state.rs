@@ -93,7 +93,7 @@ byte_enum! {
 /// Whether a value is queried once or updated periodically (command set, 3.4.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, crate::Format)]
 pub struct AutoUpdate {
-    /// The update mode.
+    /// Whether updates follow and whether only changes are sent; empty for a single reply.
     pub flags: UpdateFlags,
     /// The minimum time between two updates, in milliseconds. The manual's minimum is 10.
     pub period_ms: u16,

@@ -44,7 +44,6 @@ pub(crate) trait Speech {
     fn asynch(rig: &TestRig) -> asynch::GripperOver<TestRig, TestRig, Self::Protocol>;
 }
 
-/// The binary protocol.
 pub(crate) enum Frames {}
 
 /// GCL.
@@ -80,7 +79,6 @@ impl Speech for Lines {
     }
 }
 
-/// The blocking driver.
 pub(crate) struct Blocking<S: Speech> {
     pub(crate) rig: TestRig,
     pub(crate) gripper: blocking::GripperOver<TestRig, TestRig, S::Protocol>,

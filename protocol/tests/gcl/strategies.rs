@@ -9,7 +9,6 @@ use wsg_protocol::{
     DeviceTag, FingerFlags, GripperState, GrippingStatistics, HomingDirection, Status, SystemFlags,
 };
 
-/// Generates finite numbers.
 pub(crate) fn number() -> impl Strategy<Value = f32> {
     any::<u32>().prop_map(f32::from_bits).prop_filter("finite", |number| number.is_finite())
 }
@@ -39,7 +38,6 @@ fn autosend() -> impl Strategy<Value = Autosend> {
     )
 }
 
-/// Generates requests.
 pub(crate) fn request() -> BoxedStrategy<Request> {
     prop_oneof![
         any::<bool>().prop_map(Request::Verbose),
@@ -99,7 +97,6 @@ pub(crate) struct Texts {
     name: String,
 }
 
-/// Generates texts.
 pub(crate) fn texts() -> impl Strategy<Value = Texts> {
     (
         "[ -~]{0,64}",

@@ -28,7 +28,6 @@ pub(crate) struct Entry {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum EntryKind {
-    /// An intact frame.
     Frame,
     /// A complete frame with a wrong checksum.
     BadChecksum,

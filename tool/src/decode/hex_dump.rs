@@ -3,7 +3,6 @@
 /// Maximum number of bytes that a `*` may stand for.
 const MAX_REPEATED: u64 = 1 << 24;
 
-/// A parsed dump.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Dump {
     /// Offset of the first byte, as stated in the dump.

@@ -26,7 +26,6 @@ pub(crate) struct Run {
 /// The kind of a run of bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// An intact frame.
     Frame,
     /// A whole frame with a wrong checksum, and the expected one.
     BadChecksum([u8; CHECKSUM_LEN]),

@@ -32,7 +32,6 @@ pub(crate) enum Trouble {
     Caught(Caught),
     /// The fingers may still be moving: the stop at the end failed.
     NotStopped(Error<io::Error>),
-    /// The program panicked.
     Panicked(Box<dyn Any + Send>),
 }
 

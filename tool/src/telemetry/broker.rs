@@ -229,7 +229,6 @@ struct Link {
     /// The pending PINGREQ: when it was sent, and the store position before it.
     ping: Option<(Instant, u64)>,
     last_ping: Instant,
-    /// Reports refused commands.
     refusals: Teller,
 }
 

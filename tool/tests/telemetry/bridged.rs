@@ -18,7 +18,6 @@ use crate::{
     rig::{Broker, Folder, Host, Telemetry, metric},
 };
 
-/// Simulated failures.
 #[derive(Default)]
 struct Faults {
     /// The gripper has no power.

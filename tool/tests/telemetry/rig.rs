@@ -88,7 +88,6 @@ pub(crate) fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T 
     }
 }
 
-/// A mosquitto broker.
 pub(crate) struct Broker {
     pub(crate) port: u16,
     settings: PathBuf,

@@ -91,7 +91,6 @@ impl ThumbToolchain<'_> {
         self.debian_linker.is_some()
     }
 
-    /// Returns its compiler.
     pub(crate) fn rustc(&self) -> Command {
         if self.is_debian() { Command::new(DEBIAN_RUSTC) } else { self.workspace.rustc() }
     }

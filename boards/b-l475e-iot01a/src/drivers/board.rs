@@ -22,7 +22,6 @@ const AF_UART4: u8 = 8;
 const AF_LPUART1: u8 = 8;
 const AF_CAN1: u8 = 9;
 
-/// The board's clock.
 pub static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 
 /// The board B-L475E-IOT01A.

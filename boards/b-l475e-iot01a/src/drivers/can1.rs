@@ -32,7 +32,6 @@ const ABRQ0: u32 = 1 << 7;
 /// Maximum number of status reads while the controller changes its mode, which takes a few cycles of the bus clock.
 const MAX_LOOKS: u32 = 10_000;
 
-/// The bxCAN controller.
 #[derive(Debug)]
 pub struct Can1 {
     config: Option<CanConfig>,

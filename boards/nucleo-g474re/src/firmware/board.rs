@@ -22,7 +22,6 @@ use crate::clock::{self, HCLK_HZ};
 const AF_USART: u8 = 7;
 const AF_FDCAN1: u8 = 9;
 
-/// The board's clock.
 pub(crate) static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 
 /// The board NUCLEO-G474RE.

@@ -25,7 +25,6 @@ const ALL_BUFFERS: u32 = (1 << ELEMENTS) - 1;
 /// Maximum number of status reads while the controller changes its mode, which takes a few cycles of the crystal.
 const MAX_LOOKS: u32 = 10_000;
 
-/// The FDCAN controller.
 #[derive(Debug)]
 pub(crate) struct Can {
     config: Option<CanConfig>,

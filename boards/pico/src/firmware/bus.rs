@@ -15,7 +15,6 @@ use crate::registers::{peripheral, reset, reset_bit, write};
 use crate::tick;
 use crate::uart::Port;
 
-/// The PLC's bus.
 pub(crate) static BUS: BusLine = BusLine::new();
 
 /// The driver enable pin in the registers of SIO.

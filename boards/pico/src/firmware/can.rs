@@ -12,10 +12,8 @@ use wsg_bridge_fw::can::{CanConfig, Mcp2515, Mcp2515Buffers};
 use crate::clock::SYS_HZ;
 use crate::registers::{peripheral, reset, reset_bit, write};
 
-/// The CAN controller.
 pub(crate) type Can = Mcp2515<MainLoopSpi, ClassicFrame>;
 
-/// The received frames.
 pub(crate) static BUFFERS: Mcp2515Buffers = Mcp2515Buffers::new();
 
 /// The MCP2515's crystal.
@@ -177,7 +175,6 @@ fn run(operation: &mut Operation<'_, u8>) -> Result<(), Stuck> {
     }
 }
 
-/// Exchanges one byte.
 fn exchange(byte: u8) -> Result<u8, Stuck> {
     let spi = peripheral!(SPI0);
     write(spi.sspdr(), byte.into());

@@ -50,7 +50,6 @@ const UNIQUE_ID: core::ops::Range<usize> = 5..13;
 /// The interface's FIFOs hold the complete exchange.
 const _: () = assert!(UNIQUE_ID.end <= 16);
 
-/// A pending operation.
 #[derive(Clone, Copy)]
 enum Operation {
     Nothing,

@@ -10,7 +10,6 @@ use rp2040_hal::gpio::{
 use rp2040_hal::pac::Peripherals;
 use wsg_bridge_fw::io::{HalInputs, HalOutputs};
 
-/// The PLC's wires.
 pub(crate) type Wires = (
     HalInputs<Pin<DynPinId, FunctionSioInput, PullDown>>,
     HalOutputs<Pin<DynPinId, FunctionSioOutput, PullNone>>,

@@ -32,7 +32,7 @@ impl Setup {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rpdo {
     pub(super) setup: Setup,
-    /// Data in effect.
+    /// Data in effect: of the last PDO, or of the last SYNC for synchronous ones.
     pub(super) taken: [u8; 8],
     /// Data received and pending until the next SYNC.
     pub(super) waiting: Option<[u8; 8]>,

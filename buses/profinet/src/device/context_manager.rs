@@ -76,7 +76,6 @@ struct Call {
 }
 
 impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
-    /// Queues an answer.
     pub(super) fn answer(&mut self, to: Endpoint, header: &Header, body: impl FnOnce(&mut Writer<'_>)) {
         let response = &mut self.response;
         let mut writer = Writer::new(&mut response.bytes);

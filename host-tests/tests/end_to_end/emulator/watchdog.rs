@@ -18,7 +18,6 @@ use super::{Board, image};
 /// Input register RESET_CAUSE (docs/registers.md).
 const RESET_CAUSE: u8 = 132;
 
-/// The watchdog's time-out.
 const TIMEOUT: Duration = Duration::from_millis(100);
 
 /// Time without a reset for running firmware, in milliseconds of board time: ten times the time-out.

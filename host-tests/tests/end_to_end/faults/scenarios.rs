@@ -18,7 +18,6 @@ use wsg_sim::{Config, Part};
 enum Place {
     /// The preceding command that sets the force limit.
     ForceLimit,
-    /// The GRIP command.
     Command,
     /// The answer that reports the start of the motion.
     Pending,

@@ -289,7 +289,6 @@ pub(super) const fn session_config(config: &session::Config) -> lines::Config {
     }
 }
 
-/// Translates a subscription.
 pub(super) const fn autosend(topic: Topic, update: AutoUpdate) -> Autosend {
     let topic = match topic {
         Topic::SystemState => LineTopic::Sysflags,

@@ -2,7 +2,6 @@
 
 use crate::time::Instant;
 
-/// Milliseconds per second.
 const SECOND_MS: u32 = 1_000;
 
 /// Periods of a fixed rate, counted from a common start so that fractions of a millisecond do not accumulate.

@@ -12,7 +12,7 @@ pub struct Known {
     pub firmware: Option<FirmwareVersion>,
     /// Serial number of the gripper.
     pub serial_number: Option<u32>,
-    /// System state flags.
+    /// System state flags (SYSFLAGS), from answers and AUTOSEND.
     pub flags: Option<SystemFlags>,
     /// State of the gripping process.
     pub state: Option<GripperState>,

@@ -1,5 +1,3 @@
-//! Alarms.
-
 use super::*;
 
 /// Returns an RTA frame of the controller: type, sequence numbers, data.

@@ -1,5 +1,3 @@
-//! Cyclic data.
-
 use super::*;
 
 fn input_frames(rig: &mut TestRig) -> Vec<Vec<u8>> {

@@ -1,5 +1,3 @@
-//! Records.
-
 use super::*;
 
 fn read(rig: &mut TestRig, uuid: [u8; 16], slot: u16, subslot: u16, index: u16) -> Result<Vec<u8>, u32> {

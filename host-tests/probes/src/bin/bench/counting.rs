@@ -16,7 +16,6 @@ const MASK: u32 = 0x00FF_FFFF;
 /// Cost of two readings in ticks, measured once.
 static LOOKING: AtomicU32 = AtomicU32::new(0);
 
-/// The instruction counter.
 pub(crate) struct Counter(());
 
 /// A reading, in ticks of a clock that counts down.
@@ -24,7 +23,6 @@ pub(crate) struct Counter(());
 pub(crate) struct Moment(u32);
 
 impl Counter {
-    /// Starts counting.
     pub(crate) fn start(mut systick: SYST) -> Self {
         systick.set_clock_source(SystClkSource::Core);
         systick.set_reload(MASK);
@@ -36,7 +34,6 @@ impl Counter {
         counter
     }
 
-    /// Reads the counter.
     #[inline(always)]
     pub(crate) fn now(&self) -> Moment {
         now()
@@ -67,7 +64,6 @@ impl Counter {
     }
 }
 
-/// Reads the counter.
 #[inline(always)]
 pub(crate) fn now() -> Moment {
     Moment(SYST::get_current())

@@ -14,7 +14,6 @@ use wsg_protocol::{DecodeError, Instant};
 use crate::transport::Line;
 use crate::{function, functions};
 
-/// An opaque clock.
 struct Time;
 
 impl Clock for Time {
@@ -62,7 +61,6 @@ macro_rules! without_waiting {
     };
 }
 
-/// The waiting methods.
 macro_rules! waiting {
     ($($gripper:ty),+) => {
         functions! { $(

@@ -1,5 +1,3 @@
-//! An opaque transport.
-
 use core::convert::Infallible;
 use core::hint::black_box;
 
