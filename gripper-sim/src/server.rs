@@ -155,13 +155,19 @@ impl Server {
 
     /// Passes the buses of the register interface to the hub, for the fieldbus monitor.
     fn report_buses(&self, config: &Config) {
-        let line = |bus, line: String, address| BusLine { bus, line, address, name: String::new() };
         if let Some(address) = self.modbus_address() {
-            self.hub.set_bus(line("Modbus/TCP", address.to_string(), address.ip().to_string()));
+            let (line, address) = (address.to_string(), address.ip().to_string());
+            self.hub.set_bus(BusLine { bus: "Modbus/TCP", line, address, ..BusLine::default() });
         }
-        if let Some(path) = self.profibus_path() {
-            let address = config.profibus_address.to_string();
-            self.hub.set_bus(line("PROFIBUS", path.display().to_string(), address));
+        if let Some(port) = &self.profibus {
+            let (line, address) = (port.path().display().to_string(), config.profibus_address.to_string());
+            self.hub.set_bus(BusLine {
+                bus: "PROFIBUS",
+                line,
+                address,
+                rate: port.rate(),
+                ..BusLine::default()
+            });
         }
         #[cfg(feature = "profinet")]
         if let Some(interface) = &self.profinet {

@@ -102,7 +102,7 @@ struct Connected {
 }
 
 /// A bus that carries the register interface.
-#[derive(Clone, Debug, serde::Serialize)]
+#[derive(Clone, Debug, Default, serde::Serialize)]
 pub(super) struct BusLine {
     /// The bus: Modbus/TCP, PROFIBUS or PROFINET.
     pub(super) bus: &'static str,
@@ -110,6 +110,8 @@ pub(super) struct BusLine {
     pub(super) line: String,
     /// The gripper's address on the bus: station address or IP address.
     pub(super) address: String,
+    /// The bit rate of the line, or empty for a line that has none, such as TCP or a pseudo terminal.
+    pub(super) rate: String,
     /// The station name, if the bus has one.
     pub(super) name: String,
 }

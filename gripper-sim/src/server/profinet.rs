@@ -128,12 +128,20 @@ mod interface {
         }
     }
 
+    /// Returns the bit rate of an interface as Linux reports it, or nothing without a link.
+    fn interface_rate(interface: &str) -> String {
+        let speed = std::fs::read_to_string(format!("/sys/class/net/{interface}/speed")).unwrap_or_default();
+        // -1: no link.
+        speed.trim().parse::<u32>().map(|mbit| format!("{mbit} Mbit/s")).unwrap_or_default()
+    }
+
     fn bus_line(interface: &str, stored: &Stored) -> BusLine {
         let address = if stored.ip.is_set() { ProfinetLine::ip_text(&stored.ip) } else { String::new() };
         BusLine {
             bus: "PROFINET",
             line: interface.to_owned(),
             address,
+            rate: interface_rate(interface),
             name: stored.name.as_str().to_owned(),
         }
     }

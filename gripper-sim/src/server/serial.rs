@@ -68,6 +68,15 @@ impl SerialPort {
         }
     }
 
+    /// Returns the bit rate of a device. Terminals and sockets have none.
+    pub(super) fn rate(&self) -> String {
+        match self.line {
+            Open::Device(_) => format!("{BIT_RATE} bit/s"),
+            #[cfg(unix)]
+            Open::Pty(_) | Open::Socket(_) => String::new(),
+        }
+    }
+
     /// Returns the path that a client opens.
     pub(super) fn path(&self) -> &Path {
         &self.path

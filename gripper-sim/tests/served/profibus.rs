@@ -11,7 +11,7 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use serde_json::Value;
 use std::fs::File;
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::TcpStream;
 use std::path::Path;
 use std::time::{Duration, Instant as RealInstant};
 use wsg_fieldbus::profibus::PROFILE;
@@ -145,7 +145,9 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     plc.command(Flag::empty(), shows(Shown::HOLDING));
     plc.command(Flag::RELEASE, shows(Shown::IDLE));
 
-    let outputs = || state_outputs(server.control_address().expect("the control interface is served"));
+    let outputs = || -> [u8; OutputImage::LEN] {
+        serde_json::from_value(fieldbus(&server)["output"].clone()).expect("an image")
+    };
     assert_eq!(outputs(), plc.image.to_bytes());
     // Global_Control to all stations: Clear_Data, sent in place of the silent profirust master.
     plc.line.line.write_all(&[0x68, 7, 7, 0x68, 0xFF, 0x82, 0x46, 58, 62, 2, 0, 0x41, 0x16]).unwrap();
@@ -155,16 +157,35 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     }
 }
 
-/// Returns the output image that the control server shows.
-fn state_outputs(control: SocketAddr) -> [u8; OutputImage::LEN] {
+/// Fieldbus manual, 7: the monitor shows the bit rate of a line that has one.
+#[test]
+fn monitor_shows_address_and_bit_rate_of_a_device_but_no_rate_of_a_pseudo_terminal() {
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+    let adapter = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&adapter).unwrap();
+    unlockpt(&adapter).unwrap();
+    let path = ptsname(&adapter, Vec::new()).unwrap().into_string().unwrap();
+    for (line, rate) in [(SerialLine::Device(path.into()), "115200 bit/s"), (SerialLine::Pty, "")] {
+        let lines = Lines { profibus: Some(line), control: "127.0.0.1:0".parse().ok(), ..Lines::default() };
+        let config = Config { profibus_address: STATION, ..Config::default() };
+        let server = ServerThread::start(config, &lines, None).expect("the server starts");
+        let bus = &fieldbus(&server)["buses"][0];
+        assert_eq!((&bus["address"], &bus["rate"]), (&Value::from("7"), &Value::from(rate)));
+    }
+}
+
+/// Returns the fieldbus part of the control interface's state.
+fn fieldbus(server: &ServerThread) -> Value {
+    let control = server.control_address().expect("the control interface is served");
     let mut stream = TcpStream::connect(control).unwrap();
     stream.set_read_timeout(Some(BOUND)).unwrap();
     stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
     let mut answer = String::new();
     stream.read_to_string(&mut answer).expect("an answer in time");
     let (_, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
-    let state: Value = serde_json::from_str(body).expect("every answer is JSON");
-    serde_json::from_value(state["fieldbus"]["output"].clone()).expect("an image")
+    let mut state: Value = serde_json::from_str(body).expect("every answer is JSON");
+    state["fieldbus"].take()
 }
 
 /// Fieldbus manual, 5.1.1: the user flags.
