@@ -1,13 +1,12 @@
--- Reads and moves the gripper at a rate that a control loop asks for.
+-- Measures and moves the gripper at the rate of a control loop.
 --
--- B0h  measure. Its payload does not matter.
--- B1h  move, and measure. 9 bytes: a flag, the width in mm, the speed in mm/s: goes there.
---      25 bytes: a flag, the width in mm, the speed in mm/s, kp in 1/s, kd, and force limits in N for the way in and out:
---      runs at the speed that takes the fingers to that width, until the next command.
---      Flag 0: only measures.
+-- B0h: measures. The payload is ignored.
+-- B1h: moves and measures. The payload has 9 bytes (flag, width in mm, speed in mm/s) or 25 bytes (flag, width in mm,
+--      speed in mm/s, kp in 1/s, kd, and the force limits in N for closing and opening). With 25 bytes, the fingers run
+--      at the speed that controls this width until the next command. With flag 0, it only measures.
 --
--- Both answer: status, the lowest byte of the system state flags, width in mm, speed in mm/s, force in N, time in s. Numbers
--- are IEEE 754 single, low byte first.
+-- Both answer with status, lowest byte of the system state flags, width in mm, speed in mm/s, force in N and time in s.
+-- Numbers are IEEE 754 singles, low byte first.
 local socket = require "socket"
 
 cmd.register(0xB0)

@@ -98,7 +98,7 @@ struct Arguments {
     gcl_verbose: bool,
     /// Ends the automatic updates of a UDP client on another machine after this many datagrams without one from the client; 0:
     /// never [default: 1000]
-    #[arg(long, help_heading = COMMAND, value_name = "NUMBER", value_parser = expected("a number of datagrams; 0: any number", parsed::<u32>))]
+    #[arg(long, help_heading = COMMAND, value_name = "NUMBER", value_parser = expected("a number of datagrams, or 0", parsed::<u32>))]
     udp_unanswered: Option<u32>,
     /// Opens a serial line: `pty` creates a pseudo terminal and prints its path, `unix:PATH` listens on a Unix socket as
     /// emulators provide it for a UART, any other path is a terminal device or a port such as COM3, set to 115200 8N1
