@@ -8,6 +8,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::process::{Command, Stdio};
 
+use document::read;
 use program::{said, wsg};
 use rustix::process::{Pid, Signal, kill_process};
 
@@ -38,6 +39,15 @@ fn demo_plays_a_cycle_with_a_lost_part() {
             "cycle 1 is complete",
         ]
     );
+    // The quick start shows the first lines, with default addresses and real times.
+    let text = read("docs/quick-start.md");
+    let (_, block) = text.split_once("```console\n   page ").unwrap();
+    let shown: Vec<_> = shown.lines().collect();
+    let documented: Vec<_> = block.split("```").next().unwrap().lines().collect();
+    assert_eq!(documented[3].trim(), shown[3]);
+    let steps: Vec<_> = documented[4..].iter().filter_map(|line| line.get(11..)).collect();
+    assert_eq!(steps, lines[..steps.len()]);
+    assert_eq!(steps.len(), 3);
 }
 
 #[test]
