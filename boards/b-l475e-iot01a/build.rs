@@ -12,6 +12,10 @@ fn main() {
     let board = PathBuf::from(env!("CARGO_MANIFEST_DIR"));
     println!("cargo:rerun-if-changed={}", board.join("board-memory.x").display());
     println!("cargo:rustc-link-search={}", board.display());
+    // Fails the link of an image that does not fit into a slot for updates.
+    let slot = board.join("../update-slot.x");
+    println!("cargo:rerun-if-changed={}", slot.display());
+    println!("cargo:rustc-link-arg-bins=-T{}", slot.display());
     if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
         println!("cargo:rustc-link-arg-bins=-Tdefmt.x");
     }

@@ -25,6 +25,7 @@
 //! | [`mod@example`] | location of compiled examples |
 //! | [`gdb`] | client of the GDB remote protocol |
 //! | [`gripper_end`] | the virtual gripper on an emulated board's line, with line faults |
+//! | [`gripping_cycle`] | the demo cycle of the fieldbus manual, scan by scan |
 //! | [`iwdg`] | model of the STM32L4's watchdog and reset flags |
 //! | [`line_errors`] | framing, parity, noise and overrun errors on a UART |
 //! | [`load_store`] | decoder for Thumb-2 loads and stores |
@@ -74,6 +75,7 @@ pub mod gdb;
 #[cfg(unix)]
 pub mod gripper_end;
 mod gripper_states;
+pub mod gripping_cycle;
 #[cfg(unix)]
 pub mod iwdg;
 #[cfg(unix)]

@@ -32,12 +32,13 @@ pub use wire::{Wire, open};
 
 use action::Named;
 use line::LOOK_MS;
-use line::Line;
+pub(crate) use line::Line;
 use lines::Script;
 use output::Output;
 use record::Recorder;
 use run::{Gripper, ProtocolCommands};
-use signals::{Caught, Signals};
+use signals::Caught;
+pub(crate) use signals::Signals;
 use trouble::{EXIT_STATUSES, Trouble};
 
 /// Commands or monitors a gripper; opens a prompt if no command is given

@@ -1,10 +1,13 @@
-//! `wsg`: commands grippers, sets up bridges, decodes recordings, and publishes telemetry over MQTT.
+//! `wsg`: commands grippers, sets up bridges, decodes recordings, publishes telemetry over MQTT, and demonstrates a virtual
+//! gripper.
 //!
 //! A library, so that other programs, such as the Python package, can run the whole program with [`run`], or open a
 //! gripper at any of its addresses with [`Address`] and [`open`].
 
 mod bridge;
 mod decode;
+#[cfg(feature = "demo")]
+mod demo;
 mod gripper;
 #[cfg(feature = "telemetry")]
 mod telemetry;
@@ -29,6 +32,8 @@ struct Arguments {
 enum Command {
     Bridge(bridge::Arguments),
     Decode(decode::Arguments),
+    #[cfg(feature = "demo")]
+    Demo(demo::Arguments),
     Gripper(gripper::Arguments),
     #[cfg(feature = "telemetry")]
     Telemetry(telemetry::Arguments),
@@ -46,6 +51,8 @@ pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
     let result = match Arguments::parse_from(command_line).command {
         Command::Bridge(arguments) => bridge::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
+        #[cfg(feature = "demo")]
+        Command::Demo(arguments) => demo::run(&arguments),
         Command::Gripper(arguments) => gripper::run(arguments),
         #[cfg(feature = "telemetry")]
         Command::Telemetry(arguments) => telemetry::run(&arguments),

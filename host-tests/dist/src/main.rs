@@ -23,13 +23,23 @@ use host_tests::device_files::GSD;
 use sha2::{Digest, Sha256};
 
 /// Files of `docs` that are copied unchanged.
-const COPIED: [&str; 4] = ["wsg-bridge.eds", GSD, "FB_WSG_GRIP.st", "PRG_WSG_MODBUS.st"];
+const COPIED: [&str; 7] = [
+    "wsg-bridge.eds",
+    GSD,
+    "FB_WSG_GRIP.st",
+    "PRG_WSG_MODBUS.st",
+    "PRG_WSG_DEMO.st",
+    "wsg-blocks.xml",
+    "wsg-blocks.scl",
+];
 
 const REGISTERS: &str = "registers.csv";
 const SUMS: &str = "SHA256SUMS";
 
-/// Files to which the manual may link.
-const FILES: [&str; 5] = [COPIED[0], COPIED[1], COPIED[2], COPIED[3], REGISTERS];
+/// Returns the files to which the manual may link.
+fn linked() -> Vec<&'static str> {
+    COPIED.into_iter().chain([REGISTERS]).collect()
+}
 
 const README: &str = "\
 wsg-bridge: a bridge between a PLC and a servo gripper of the WSG series.
@@ -51,6 +61,9 @@ GSDML-WSG.zip        PROFINET: the virtual gripper (wsg-sim) for a controller's 
                      PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG
 FB_WSG_GRIP.st       a function block in IEC 61131-3 structured text
 PRG_WSG_MODBUS.st    a program that connects it to Modbus registers
+PRG_WSG_DEMO.st      the demo cycle of the fieldbus manual (appendix D)
+wsg-blocks.xml       the three blocks as PLCopen XML, for CODESYS and TwinCAT
+wsg-blocks.scl       the three blocks as SCL source, for TIA Portal
 LICENCES.txt         third-party parts of the image and their licences
 SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
 ";
@@ -92,7 +105,7 @@ fn contents(elf: Vec<u8>, book: &Path) -> Result<Vec<(String, Vec<u8>)>> {
         ("README.txt", README.replace('\n', "\r\n").into_bytes()),
         ("wsg-bridge.bin", image::bytes_of_flash(&elf)?),
         ("wsg-bridge.elf", elf),
-        ("manual.html", manual::html(&FILES)?.into_bytes()),
+        ("manual.html", manual::html(&linked())?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
         ("LICENCES.txt", licences::text()?.into_bytes()),
     ];
@@ -156,7 +169,7 @@ mod tests {
 
     #[test]
     fn readme_names_every_file() {
-        for name in FILES.into_iter().chain([GSD_ARCHIVE, GSDML_ARCHIVE]) {
+        for name in linked().into_iter().chain([GSD_ARCHIVE, GSDML_ARCHIVE]) {
             assert!(README.contains(&format!("\n{name} ")), "{name}");
         }
     }

@@ -1,12 +1,11 @@
 //! The demo program of the fieldbus manual (appendix D) as a Modbus master for the virtual gripper or the bridge.
 //! Homes, then repeats pre-position, grip, hold, release and start position.
 
-mod cycle;
 mod master;
 
 use anyhow::{Context, Result, bail};
 use clap::{ArgGroup, Parser};
-use cycle::{Cycle, Phase};
+use host_tests::gripping_cycle::{Cycle, Phase};
 use master::{Master, Target};
 use std::net::SocketAddr;
 use std::process::ExitCode;

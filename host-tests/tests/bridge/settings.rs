@@ -353,6 +353,43 @@ fn settings_of_older_firmware_are_used_and_completed_from_the_image() {
     assert_eq!(plant.setting("CAN_NODE"), 0x10);
 }
 
+/// Records of released and earlier images: the double words of the flash, and the settings that they hold. A new
+/// MAP_VERSION adds a file.
+const RECORDED: [&str; 2] = [include_str!("records/map-5.txt"), include_str!("records/map-7.txt")];
+
+#[test]
+fn recorded_settings_of_each_map_version_are_read_and_stored_again() {
+    for recorded in RECORDED {
+        let mut flash = FlashModel::new();
+        let mut next = 0;
+        let mut settings = Vec::new();
+        for line in recorded.lines() {
+            match line.split(' ').collect::<Vec<_>>()[..] {
+                ["flash", "1", word] => {
+                    flash.set(Page::First, next, Some(u64::from_str_radix(word, 16).unwrap()));
+                    next += 1;
+                }
+                ["setting", name, value] => settings.push((name, value.parse::<u16>().unwrap())),
+                _ => assert!(line.starts_with("# "), "{line}"),
+            }
+        }
+        assert!(next > 20 && settings.len() > 80);
+        let mut plant = Plant::start(flash);
+        // 1: stored; 2: stored by older firmware.
+        let from = if settings.len() == Config::DEFAULT.record().len() { 1 } else { 2 };
+        assert_eq!(plant.report("SETTINGS_FROM"), from);
+        for (name, value) in &settings {
+            assert_eq!(plant.setting(name), *value, "{name}");
+        }
+        plant.set("DEBOUNCE", 8);
+        assert_eq!(plant.command("SAVE"), Ok(()));
+        plant.pass(500);
+        let mut plant = plant.restart();
+        assert_eq!((plant.report("SETTINGS_FROM"), plant.setting("DEBOUNCE")), (1, 8));
+        assert_eq!(plant.setting("RECIPE15_RELEASE"), 1_072);
+    }
+}
+
 #[test]
 fn settings_of_map_version_5_are_used_and_profibus_settings_come_from_the_image() {
     let at = |name| place(name);

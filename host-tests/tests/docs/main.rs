@@ -13,6 +13,7 @@ mod leds;
 mod pictures;
 mod pointers;
 mod quick_start;
+mod security;
 mod states;
 mod trace_excerpt;
 mod wiring;

@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use document::{anchor_of, read, root};
 
 /// Documents outside `docs/`, and the contents of `docs/`.
-const DOCUMENTS: [&str; 12] = [
+const DOCUMENTS: [&str; 13] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
     "CHANGELOG.md",
+    "SECURITY.md",
     "docs/SUMMARY.md",
     "protocol/README.md",
     "fieldbus/README.md",

@@ -167,7 +167,7 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
     let (_gripper, address) = gripper();
     let port = format!("-p {}", address.port());
     let status = format!("mbpoll -0 -1 -q {port} -t 3 -r 5 -c 1 127.0.0.1");
-    let said = paste(&read("docs/simulator.md"), "mbpoll", &[("-p 1502", &port)], &status);
+    let said = paste(&read("docs/quick-start.md"), "-p 1502", &[("-p 1502", &port)], &status);
     // The part between the fingers has 20 mm, the part of the document 22 mm.
     for answer in ["[0]: \t0x1000", "[1]: \t0x0500", "[4]: \t0x0FA0", "[5]: \t0x0000"] {
         assert!(said.contains(answer), "{answer}: {said}");

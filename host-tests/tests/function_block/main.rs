@@ -1,6 +1,8 @@
 //! Runs the function block of docs/FB_WSG_GRIP.st in an interpreter with a simulated PLC, against the bridge and the virtual
 //! gripper in virtual time.
 
+mod demo;
+mod formats;
 mod structured_text;
 
 use std::collections::BTreeSet;

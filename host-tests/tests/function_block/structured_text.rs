@@ -1,6 +1,6 @@
-//! An interpreter for the subset of IEC 61131-3 structured text that docs/*.st uses. It is strict: anything that a PLC compiler
-//! could reject or interpret differently is a panic here, such as an unknown name, a wrong type, a number out of range, or a
-//! write to an input.
+//! An interpreter for the subset of IEC 61131-3 structured text that docs/*.st uses, and for the same subset of Siemens SCL.
+//! It is strict: anything that a PLC compiler could reject or interpret differently is a panic here, such as an unknown name,
+//! a wrong type, a number out of range, a write to an input, or a mixture of the two dialects.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -16,6 +16,10 @@ pub(crate) enum Value {
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Token {
     Name(String),
+    /// `#NAME`: a variable of an SCL block.
+    Local(String),
+    /// `"NAME"`: a block of an SCL source.
+    Quoted(String),
     Value(Value),
     Symbol(&'static str),
 }
@@ -40,6 +44,16 @@ fn tokens(text: &str) -> Vec<Placed> {
             rest = &comment[end + 2..];
             continue;
         }
+        if let Some(attributes) = rest.strip_prefix('{') {
+            (_, rest) = attributes.split_once('}').unwrap_or_else(|| panic!("line {line}: missing }}"));
+            continue;
+        }
+        if let Some(quoted) = rest.strip_prefix('"') {
+            let name;
+            (name, rest) = quoted.split_once('"').unwrap_or_else(|| panic!("line {line}: missing \""));
+            found.push((line, Token::Quoted(name.to_owned())));
+            continue;
+        }
         let word: &str = {
             let is_word = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '#';
             &rest[..rest.find(|c| !is_word(c)).unwrap_or(rest.len())]
@@ -47,6 +61,8 @@ fn tokens(text: &str) -> Vec<Placed> {
         let token = if word.is_empty() {
             let symbol = SYMBOLS.iter().find(|symbol| rest.starts_with(**symbol));
             Token::Symbol(symbol.unwrap_or_else(|| panic!("line {line}: {}", &rest[..1])))
+        } else if let Some(name) = word.strip_prefix('#') {
+            Token::Local(name.to_owned())
         } else if let Some((kind, literal)) = word.split_once('#') {
             Token::Value(typed_literal(kind, literal).unwrap_or_else(|| panic!("line {line}: {word}")))
         } else if word.starts_with(|c: char| c.is_ascii_digit()) {
@@ -105,14 +121,14 @@ enum Section {
     Local,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 struct Variable {
     section: Section,
     kind: String,
     begins: Option<Value>,
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 enum Expression {
     Literal(Value),
     Variable(Vec<String>),
@@ -121,14 +137,20 @@ enum Expression {
     Call(String, Vec<Expression>),
 }
 
-/// A statement with its line number.
+/// A statement with its line number, which comparisons ignore.
 #[derive(Clone, Debug)]
 struct Statement {
     line: usize,
     what: What,
 }
 
-#[derive(Clone, Debug)]
+impl PartialEq for Statement {
+    fn eq(&self, other: &Self) -> bool {
+        self.what == other.what
+    }
+}
+
+#[derive(Clone, Debug, PartialEq)]
 enum What {
     Assign(String, Expression),
     If(Vec<(Expression, Vec<Statement>)>),
@@ -136,8 +158,8 @@ enum What {
     Invoke(String, Vec<(String, Expression)>),
 }
 
-/// A function block or program.
-#[derive(Clone, Debug)]
+/// A function block or program. Two of them are equal if they have the same variables and statements.
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Unit {
     pub(crate) name: String,
     variables: BTreeMap<String, Variable>,
@@ -147,15 +169,14 @@ pub(crate) struct Unit {
 impl Unit {
     /// Parses a text with exactly one function block or program.
     pub(crate) fn parse(text: &str) -> Self {
-        let mut parser = Parser { tokens: tokens(text), at: 0 };
-        let kind = parser.name();
-        assert!(["FUNCTION_BLOCK", "PROGRAM"].contains(&&kind[..]), "{kind}");
-        let name = parser.name();
-        let variables = parser.variables();
-        let body = parser.statements();
-        parser.word(&format!("END_{kind}"));
-        assert_eq!(parser.at, parser.tokens.len(), "unexpected text after END_{kind}");
-        Self { name, variables, body }
+        let mut all = Parser { tokens: tokens(text), at: 0, is_scl: false }.units();
+        assert_eq!(all.len(), 1, "expected one unit");
+        all.remove(0)
+    }
+
+    /// Parses a text with any number of function blocks of SCL.
+    pub(crate) fn parse_scl(text: &str) -> Vec<Self> {
+        Parser { tokens: tokens(text), at: 0, is_scl: true }.units()
     }
 
     /// Returns the lines of all statements with an effect of their own.
@@ -178,9 +199,72 @@ impl Unit {
 struct Parser {
     tokens: Vec<Placed>,
     at: usize,
+    is_scl: bool,
 }
 
 impl Parser {
+    fn units(mut self) -> Vec<Unit> {
+        let mut all = Vec::new();
+        while self.at < self.tokens.len() {
+            all.push(self.unit());
+        }
+        all
+    }
+
+    fn unit(&mut self) -> Unit {
+        let kind = self.name();
+        let kinds: &[&str] = if self.is_scl { &["FUNCTION_BLOCK"] } else { &["FUNCTION_BLOCK", "PROGRAM"] };
+        assert!(kinds.contains(&&kind[..]), "{kind}");
+        let name = self.block_name();
+        if self.is_scl {
+            self.word("VERSION");
+            self.symbol(":");
+            self.literal();
+            self.symbol(".");
+            self.literal();
+        }
+        let variables = self.variables();
+        if self.is_scl {
+            self.word("BEGIN");
+        }
+        let body = self.statements();
+        self.word(&format!("END_{kind}"));
+        Unit { name, variables, body }
+    }
+
+    /// Consumes the name of a block, which is in quotation marks in SCL.
+    fn block_name(&mut self) -> String {
+        match self.peek().cloned() {
+            Some(Token::Quoted(name)) if self.is_scl => {
+                self.at += 1;
+                name
+            }
+            _ if self.is_scl => self.fail("a name in quotation marks"),
+            _ => self.name(),
+        }
+    }
+
+    /// Consumes the name of a type. SCL names its timer differently.
+    fn kind(&mut self) -> String {
+        if matches!(self.peek(), Some(Token::Quoted(_))) {
+            return self.block_name();
+        }
+        let name = self.name();
+        if self.is_scl && name == "TON_TIME" { "TON".to_owned() } else { name }
+    }
+
+    /// Consumes the name of a variable in a statement, which begins with # in SCL.
+    fn variable(&mut self) -> String {
+        match self.peek().cloned() {
+            Some(Token::Local(name)) if self.is_scl => {
+                self.at += 1;
+                name
+            }
+            _ if self.is_scl => self.fail("a name with #"),
+            _ => self.name(),
+        }
+    }
+
     fn peek(&self) -> Option<&Token> {
         self.tokens.get(self.at).map(|(_, token)| token)
     }
@@ -248,7 +332,7 @@ impl Parser {
             while !self.takes_word("END_VAR") {
                 let name = self.name();
                 self.symbol(":");
-                let kind = self.name();
+                let kind = self.kind();
                 let begins = self.takes(":=").then(|| self.literal());
                 self.symbol(";");
                 // Names are case-insensitive.
@@ -264,13 +348,15 @@ impl Parser {
     /// Parses statements up to a word that ends them, without consuming it.
     fn statements(&mut self) -> Vec<Statement> {
         let mut all = Vec::new();
-        while let Some(Token::Name(name)) = self.peek() {
-            if name.starts_with("END_") || name == "ELSIF" || name == "ELSE" {
-                break;
+        loop {
+            match self.peek() {
+                Some(Token::Name(name))
+                    if !(name.starts_with("END_") || name == "ELSIF" || name == "ELSE") => {}
+                Some(Token::Local(_)) => {}
+                _ => return all,
             }
             all.push(self.statement());
         }
-        all
     }
 
     fn statement(&mut self) -> Statement {
@@ -302,7 +388,7 @@ impl Parser {
             self.word("END_CASE");
             What::Case(selector, arms)
         } else {
-            let name = self.name();
+            let name = self.variable();
             if self.takes(":=") {
                 What::Assign(name, self.expression())
             } else {
@@ -342,6 +428,15 @@ impl Parser {
         left
     }
 
+    /// Parses an argument of a function. Some functions of SCL require the parameter's name.
+    fn argument(&mut self, function: &str, parameter: &str) -> Expression {
+        if self.is_scl && SHIFTS.contains(&function) {
+            self.word(parameter);
+            self.symbol(":=");
+        }
+        self.expression()
+    }
+
     fn primary(&mut self) -> Expression {
         if self.takes("(") {
             let inner = self.expression();
@@ -357,17 +452,18 @@ impl Parser {
                 self.at += 1;
                 Expression::Literal(Value::Bool(is_true))
             }
-            Some(Token::Name(_)) => {
+            Some(Token::Name(_)) if matches!(self.tokens.get(self.at + 1), Some((_, Token::Symbol("(")))) => {
                 let name = self.name();
-                if self.takes("(") {
-                    let mut arguments = vec![self.expression()];
-                    while self.takes(",") {
-                        arguments.push(self.expression());
-                    }
-                    self.symbol(")");
-                    return Expression::Call(name, arguments);
+                self.symbol("(");
+                let mut arguments = vec![self.argument(&name, "IN")];
+                while self.takes(",") {
+                    arguments.push(self.argument(&name, "N"));
                 }
-                let mut path = vec![name];
+                self.symbol(")");
+                Expression::Call(name, arguments)
+            }
+            Some(Token::Name(_) | Token::Local(_)) => {
+                let mut path = vec![self.variable()];
                 while self.takes(".") {
                     path.push(self.name());
                 }
@@ -377,6 +473,9 @@ impl Parser {
         }
     }
 }
+
+/// Functions whose parameters have names in SCL.
+const SHIFTS: [&str; 3] = ["SHL", "SHR", "ROL"];
 
 #[derive(Clone, Debug)]
 enum Slot {
@@ -644,6 +743,14 @@ mod tests {
     #[should_panic(expected = "does not accept")]
     fn bit_strings_and_numbers_do_not_mix() {
         run("w := 3;");
+    }
+
+    #[test]
+    #[should_panic(expected = "expected a name with #")]
+    fn scl_variable_without_its_mark_is_refused() {
+        Unit::parse_scl(
+            "FUNCTION_BLOCK \"P\" VERSION : 0.1 VAR a : INT; END_VAR BEGIN #a := a; END_FUNCTION_BLOCK",
+        );
     }
 
     #[test]

@@ -27,18 +27,8 @@ const REQUIREMENTS: [&str; 1] = ["requirements.txt"];
 const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The PyPI packages, as named in the tests that need them.
-const FROM_PYPI: [&str; 10] = [
-    "pymodbus",
-    "minimalmodbus",
-    "modbus_tk",
-    "canopen",
-    "pyprofibus",
-    "pytest",
-    "profinet_py",
-    "pnio_dcp",
-    "scapy",
-    "typos",
-];
+const FROM_PYPI: &str = "pymodbus minimalmodbus modbus_tk canopen pyprofibus pytest profinet_py pnio_dcp scapy typos \
+                         xmlschema";
 
 /// The npm packages, as named in the tests that need them.
 const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
@@ -82,7 +72,7 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     let python = environment.join("bin/python");
     let mut missing = Vec::new();
     if !has_environment(&environment, &lists, "pymodbus") {
-        missing.extend(FROM_PYPI);
+        missing.extend(FROM_PYPI.split(' '));
     }
     let node = node(workspace);
     if node.is_none() {

@@ -22,11 +22,16 @@ const MAX_ERRORS_IN_A_ROW: u32 = 3;
 
 /// A motion of the cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Motion {
+pub enum Motion {
+    /// Homing.
     Home,
+    /// Move to the width before a grip.
     PrePosition,
+    /// Grip.
     Grip,
+    /// Release.
     Release,
+    /// Move to the width between two cycles.
     Start,
 }
 
@@ -61,18 +66,24 @@ impl Motion {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Counters {
-    pub(crate) cycles: u32,
-    pub(crate) held: u32,
-    pub(crate) not_found: u32,
-    pub(crate) lost: u32,
-    pub(crate) homings: u32,
-    pub(crate) errors: u32,
+pub struct Counters {
+    /// Completed cycles.
+    pub cycles: u32,
+    /// Parts held for the holding time.
+    pub held: u32,
+    /// Grips without a part.
+    pub not_found: u32,
+    /// Parts lost while they were held.
+    pub lost: u32,
+    /// Successful homings.
+    pub homings: u32,
+    /// Errors.
+    pub errors: u32,
 }
 
 /// State of the cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Phase {
+pub enum Phase {
     /// Nothing has been written.
     Off,
     /// All command flags are 0, because the first write raises no edge.
@@ -92,7 +103,7 @@ pub(crate) enum Phase {
 }
 
 #[derive(Debug)]
-pub(crate) struct Cycle {
+pub struct Cycle {
     output: OutputImage,
     phase: Phase,
     since_ms: u64,
@@ -104,7 +115,7 @@ pub(crate) struct Cycle {
 
 impl Cycle {
     /// Creates a cycle that repeats this many times.
-    pub(crate) const fn new(wanted: u32) -> Self {
+    pub const fn new(wanted: u32) -> Self {
         Self {
             output: OutputImage::ZERO,
             phase: Phase::Off,
@@ -116,21 +127,23 @@ impl Cycle {
         }
     }
 
-    pub(crate) const fn phase(&self) -> Phase {
+    /// Returns the current phase.
+    pub const fn phase(&self) -> Phase {
         self.phase
     }
 
-    pub(crate) const fn counters(&self) -> Counters {
+    /// Returns the results so far.
+    pub const fn counters(&self) -> Counters {
         self.counters
     }
 
     /// Returns the last error.
-    pub(crate) fn last_error(&self) -> Option<&str> {
+    pub fn last_error(&self) -> Option<&str> {
         self.last_error.as_deref()
     }
 
     /// Performs one scan: processes the input image and returns the output image.
-    pub(crate) fn scan(&mut self, now_ms: u64, input: &InputImage) -> OutputImage {
+    pub fn scan(&mut self, now_ms: u64, input: &InputImage) -> OutputImage {
         let lasted_ms = now_ms.saturating_sub(self.since_ms);
         let next = match self.next(lasted_ms, input) {
             Ok(next) => next,
