@@ -45,6 +45,8 @@ impl<C: CanController> Station<C> {
     }
 
     /// Creates a station like [`new`](Self::new), for a board without PROFIBUS.
+    // loom's cells are not `Sync`, so a static cannot hold them.
+    #[cfg(not(all(loom, test)))]
     pub const fn without_profibus(can: CanBus<C>) -> Self {
         static NO_PROFIBUS: DpBuffers = DpBuffers::new();
         Self::new(can, &NO_PROFIBUS)

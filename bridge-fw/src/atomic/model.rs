@@ -39,6 +39,12 @@ macro_rules! atomics {
             }
         }
 
+        impl Default for $name {
+            fn default() -> Self {
+                Self::new(<$value>::default())
+            }
+        }
+
         impl Debug for $name {
             fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
                 self.made();
