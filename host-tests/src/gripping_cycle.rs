@@ -65,6 +65,7 @@ impl Motion {
     }
 }
 
+/// Results since the start of the cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Completed cycles.
@@ -102,6 +103,7 @@ pub enum Phase {
     GivenUp,
 }
 
+/// The gripping cycle, scanned once in each cycle of the PLC.
 #[derive(Debug)]
 pub struct Cycle {
     output: OutputImage,
