@@ -5,7 +5,6 @@ mod archive;
 mod bitmap;
 mod device_archives;
 mod image;
-mod licences;
 mod manual;
 mod register_map;
 
@@ -23,6 +22,10 @@ use sha2::{Digest, Sha256};
 
 /// Files of `docs` that are copied unchanged.
 const COPIED: [&str; 4] = ["wsg-bridge.eds", GSD, "FB_WSG_GRIP.st", "PRG_WSG_MODBUS.st"];
+
+/// Cargo arguments that select the image's crate, features and target.
+const IMAGE: [&str; 6] =
+    ["--package", "wsg-b-l475e-iot01a", "--features", "firmware", "--target", "thumbv7em-none-eabihf"];
 
 const REGISTERS: &str = "registers.csv";
 const SUMS: &str = "SHA256SUMS";
@@ -88,7 +91,7 @@ fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(&FILES)?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
-        ("LICENCES.txt", licences::text()?.into_bytes()),
+        ("LICENCES.txt", licences::text(&IMAGE.map(str::to_owned))?.into_bytes()),
     ];
     for name in COPIED {
         files.push((name, fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?));
