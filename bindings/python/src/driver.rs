@@ -17,6 +17,7 @@ use wsg_tool::{Address, Wire};
 
 use crate::core::{self, Core, Failed, each};
 use crate::error::{self, Failure};
+use crate::interpreter::detach;
 use crate::line::{Calls, Clock, Line};
 use crate::queue::{Queue, Reply};
 
@@ -79,7 +80,7 @@ pub(crate) struct Motion {
 impl Motion {
     /// Waits for the end of the motion. Returns whether a part is held; None for motions other than a grip.
     fn wait(&self, py: Python<'_>) -> PyResult<Option<bool>> {
-        py.detach(|| self.begun.wait(&self.core, self.stops, true))
+        detach(py, || self.begun.wait(&self.core, self.stops, true))
             .map_err(|failed| failed.into_exception(py))
     }
 
@@ -88,7 +89,7 @@ impl Motion {
         fn poll<T: MotionResult>(core: &Core, pending: &Pending<T>) -> Result<Option<T>, Failed> {
             core.with(true, |driver| each!(driver, gripper => gripper.poll(pending)))
         }
-        let polled = py.detach(|| match &self.begun {
+        let polled = detach(py, || match &self.begun {
             Begun::Grip(pending) => {
                 poll(&self.core, pending).map(|done| done.map(|grip| (Some(grip == Grip::Held),)))
             }
@@ -171,7 +172,7 @@ driver_methods! {
         fn new(py: Python<'_>, address: &str) -> PyResult<Self> {
             let address: Address =
                 address.parse().map_err(|text: String| error::exception(py, "InvalidError", &text, None))?;
-            py.detach(|| {
+            detach(py, || {
                 let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
                 connect(wire, Clock::Real(Instant::now()), address.is_gcl())
             })
@@ -183,7 +184,7 @@ driver_methods! {
 
         /// Announces the end of the connection and closes it.
         fn close(&self, py: Python<'_>) {
-            py.detach(|| self.core.close());
+            detach(py, || self.core.close());
         }
 
         fn is_open(&self) -> bool {
@@ -200,7 +201,7 @@ driver_methods! {
             let kind = if is_fast { StopKind::FastStop } else { StopKind::Stop };
             if reply.is_some() {
                 // Sent before the requests in the queue.
-                let _ = py.detach(|| self.core.send_stop(kind));
+                let _ = detach(py, || self.core.send_stop(kind));
             }
             let handles_signals = reply.is_none();
             self.make(py, reply, &self.queries, false, move |core| core.stop(handles_signals, kind))
@@ -308,7 +309,7 @@ impl Driver {
         match reply {
             Some(reply) => queue.push(py, reply, &self.core, is_motion, act)?.into_py_any(py),
             None => {
-                let made = py.detach(|| act(&self.core));
+                let made = detach(py, || act(&self.core));
                 made.map_err(|failed| failed.into_exception(py))?.into_py_any(py)
             }
         }
@@ -342,7 +343,7 @@ impl Driver {
             });
         }
         let stops = self.core.stops();
-        let moved = py.detach(|| {
+        let moved = detach(py, || {
             let begun = self.core.begin(true, act)?;
             let result = if waits { Some(begun.wait(&self.core, stops, true)?) } else { None };
             Ok((begun, result))

@@ -14,6 +14,7 @@ use wsg_sim::{Fault, Jaw, Part, PortKind, State, VirtualRig};
 
 use crate::driver::{self, Driver};
 use crate::error;
+use crate::interpreter::detach;
 use crate::line::{Clock, VirtualWire};
 
 /// Parses options of `wsg-sim`.
@@ -97,7 +98,7 @@ impl Rig {
         let wire = VirtualWire(rig.clone(), Arc::clone(is_connected));
         rig.restore_line();
         let clock = Clock::Virtual(rig.clone());
-        py.detach(|| driver::connect(Box::new(wire), clock, self.is_gcl))
+        detach(py, || driver::connect(Box::new(wire), clock, self.is_gcl))
             .map_err(|failed| failed.into_exception(py))
     }
 
@@ -181,8 +182,7 @@ impl Server {
             None => UdpLine { address: ANY_PORT, remote_port: free_udp_port()? },
         };
         lines.udp = Some(udp);
-        let server = py
-            .detach(|| ServerThread::start(config, &lines, None))
+        let server = detach(py, || ServerThread::start(config, &lines, None))
             .map_err(|error| PyOSError::new_err(format!("{error:#}")))?;
         let server = Mutex::new(Some(server));
         Ok(Self { server, udp_answers: udp.remote_port, process: process::id() })
@@ -223,7 +223,7 @@ impl Server {
             return Ok(());
         }
         let server = self.server.lock().unwrap_or_else(PoisonError::into_inner).take();
-        py.detach(|| server.map_or(Ok(()), ServerThread::stop))
+        detach(py, || server.map_or(Ok(()), ServerThread::stop))
             .map_err(|error| PyOSError::new_err(format!("{error:#}")))
     }
 }
@@ -234,7 +234,7 @@ impl Server {
         if self.process != process::id() {
             return Err(closed());
         }
-        let acted = py.detach(|| {
+        let acted = detach(py, || {
             let server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
             server.as_ref().map(act)
         });

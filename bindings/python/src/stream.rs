@@ -16,6 +16,7 @@ use wsg_tool::Address;
 
 use crate::core::{Close, close_at_exit};
 use crate::error;
+use crate::interpreter::detach;
 use crate::line::{Calls, Clock, Line};
 
 type Running = SetPointStream<Line, Clock>;
@@ -53,7 +54,7 @@ impl Stream {
         let calls = Arc::new(Calls::default());
         calls.handles_signals.store(true, SeqCst);
         let start = Instant::now();
-        let started = py.detach(|| {
+        let started = detach(py, || {
             let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
             let mut gripper = Gripper::new(Line::new(wire, Arc::clone(&calls)), Clock::Real(start));
             gripper.connect()?;
@@ -152,13 +153,13 @@ impl Stream {
             State::Running(stream) => stream.stop_handle(),
             State::Ended(..) => return Ok(()),
         };
-        py.detach(|| if is_fast { handle.fast_stop() } else { handle.stop() })?;
+        detach(py, || if is_fast { handle.fast_stop() } else { handle.stop() })?;
         Ok(())
     }
 
     /// Stops the fingers and closes the connection. Returns whether the gripper confirmed the stop.
     fn close(&self, py: Python<'_>) -> bool {
-        py.detach(|| self.0.close())
+        detach(py, || self.0.close())
     }
 }
 
