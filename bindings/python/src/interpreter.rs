@@ -1,4 +1,4 @@
-//! Leaving and entering the interpreter, and its end.
+//! Leaving and entering the interpreter, its end, and its forks.
 //!
 //! An interpreter that ends terminates each thread that attaches to it. The termination unwinds the frames of Rust, which can
 //! crash the process. So threads that are detached when the end begins stay detached.
@@ -61,4 +61,17 @@ pub(crate) fn end() {
     while ATTACHING.load(SeqCst) > 0 && begin.elapsed() < TIMEOUT {
         thread::yield_now();
     }
+}
+
+/// Number of forks between the first process and this one.
+static FORKS: AtomicUsize = AtomicUsize::new(0);
+
+/// Identifies this process among its ancestors, without a system call.
+pub(crate) fn process() -> usize {
+    FORKS.load(SeqCst)
+}
+
+/// Counts a fork. Python calls it in each child.
+pub(crate) fn count_fork() {
+    FORKS.fetch_add(1, SeqCst);
 }

@@ -45,6 +45,12 @@ mod _native {
         });
     }
 
+    /// Invalidates the connections of the parent in a forked child.
+    #[pyfunction]
+    fn count_fork() {
+        interpreter::count_fork();
+    }
+
     /// Runs the program `wsg` and returns its exit status. The first word is the name of the program.
     #[pyfunction]
     fn run_wsg(py: Python<'_>, words: Vec<OsString>) -> u8 {

@@ -1,9 +1,9 @@
 //! Set-point streaming: the worker of `driver::stream`, with times of the system clock.
 
+use std::mem;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant, SystemTime};
-use std::{mem, process};
 
 use pyo3::prelude::*;
 use wsg_protocol::HomingDirection;
@@ -16,7 +16,7 @@ use wsg_tool::Address;
 
 use crate::core::{Close, close_at_exit};
 use crate::error;
-use crate::interpreter::detach;
+use crate::interpreter::{detach, process};
 use crate::line::{Calls, Clock, Line};
 
 type Running = SetPointStream<Line, Clock>;
@@ -32,7 +32,7 @@ struct Inner {
     /// The zero point of the driver's clock.
     start: Instant,
     backend: Backend,
-    process: u32,
+    process: usize,
 }
 
 enum State {
@@ -75,7 +75,7 @@ impl Stream {
         })?;
         let backend = stream.backend();
         let state = Mutex::new(State::Running(stream));
-        let inner = Arc::new(Inner { state, start, backend, process: process::id() });
+        let inner = Arc::new(Inner { state, start, backend, process: process() });
         let weak = Arc::downgrade(&inner);
         close_at_exit(weak);
         Ok(Self(inner))
@@ -187,7 +187,7 @@ fn unix_now() -> f64 {
 impl Inner {
     /// Locks the state. A forked child has no worker and may not.
     fn state(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, State>> {
-        if self.process != process::id() {
+        if self.process != process() {
             return Err(error::not_connected(py, "another process started the stream"));
         }
         Ok(self.state.lock().unwrap_or_else(PoisonError::into_inner))
@@ -206,7 +206,7 @@ impl Inner {
     }
 
     fn close(&self) -> bool {
-        if self.process != process::id() {
+        if self.process != process() {
             return false;
         }
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
@@ -241,7 +241,7 @@ impl Drop for Inner {
 
 impl Drop for Stream {
     fn drop(&mut self) {
-        if self.0.process != process::id() {
+        if self.0.process != process() {
             // A forked child has no worker to join, and the parent still uses the connection.
             mem::forget(Arc::clone(&self.0));
         }
