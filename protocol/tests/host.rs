@@ -319,6 +319,24 @@ fn closed_port_is_an_error_of_the_transport() {
 }
 
 #[test]
+fn bytes_after_an_emptying_read_are_noticed_without_a_wait() {
+    use embedded_io::{Read, ReadReady};
+    let listener = TcpListener::bind(loopback()).unwrap();
+    let mut line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
+    let (mut gripper, _) = listener.accept().unwrap();
+    for byte in [1, 2] {
+        io::Write::write_all(&mut gripper, &[byte]).unwrap();
+        let begin = Instant::now();
+        while !line.read_ready().unwrap() {
+            assert!(begin.elapsed() < PATIENCE);
+        }
+        let mut read = [0; 2];
+        assert_eq!((line.read(&mut read).unwrap(), read[0]), (1, byte));
+        assert!(!line.read_ready().unwrap());
+    }
+}
+
+#[test]
 fn udp_ignores_other_hosts_and_empty_datagrams() {
     use embedded_io::{Read, ReadReady};
     let gripper = UdpSocket::bind(loopback()).unwrap();

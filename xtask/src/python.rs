@@ -78,9 +78,12 @@ fn build(
 ) -> Result<PathBuf> {
     let out = workspace.target_dir.join("wheels").join(folder);
     let _ = fs::remove_dir_all(&out);
+    let package = workspace.root.join(PYTHON_PACKAGE);
+    // maturin adds files of this name to the wheel.
+    let licences = licences::text(&["--package".to_owned(), "wsg-python".to_owned()])?;
+    fs::write(package.join("LICENCES.txt"), licences)?;
     let mut maturin = Command::new(environment.join("bin/maturin"));
-    maturin.current_dir(workspace.root.join(PYTHON_PACKAGE)).env("CARGO_TARGET_DIR", &workspace.target_dir);
-    maturin.env("PATH", path);
+    maturin.current_dir(package).env("CARGO_TARGET_DIR", &workspace.target_dir).env("PATH", path);
     maturin.args(["build", "--locked", "--profile", profile, "--out"]).arg(&out).args(options);
     process::run(&mut maturin)?;
     let wheel = fs::read_dir(&out)?.next().context("maturin built no wheel")?;

@@ -20,6 +20,7 @@ from pathlib import Path
 from wsg_gripper import AsyncGripper, Gripper, StreamingGripper
 
 NUMBER = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
+ROUNDS = 20
 
 CRC = []
 for byte in range(256):
@@ -62,13 +63,17 @@ def report(name: str, times: list[float]) -> None:
     print(f"{name:48} median {median * 1e6:8.1f} us   p99 {late * 1e6:8.1f} us   longest {times[-1] * 1e6:8.1f} us")
 
 
-def measure(name: str, call: Callable[[], object]) -> None:
-    times = []
-    for _ in range(NUMBER):
-        begin = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - begin)
-    report(name, times)
+def measure(calls: dict[str, Callable[[], object]]) -> None:
+    """Alternate between the calls, so that other programs of the computer affect all of them."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for _ in range(ROUNDS):
+        for name, call in calls.items():
+            for _ in range(NUMBER // ROUNDS):
+                begin = time.perf_counter()
+                call()
+                times[name].append(time.perf_counter() - begin)
+    for name, of_call in times.items():
+        report(name, of_call)
 
 
 async def measure_async(name: str, call: Callable[[], Awaitable[object]]) -> None:
@@ -103,19 +108,16 @@ def main() -> None:
             simulator.stdout.readline()
             address = f"tcp://{simulator.stdout.readline().split()[1]}"
             plain = Plain(address)
-            measure("pure Python", plain.width)
             with Gripper(address) as gripper:
-                measure("Gripper", gripper.width)
-                measure("pure Python, again", plain.width)
-                measure("Gripper, again", gripper.width)
+                measure({"pure Python": plain.width, "Gripper": gripper.width})
             asyncio.run(measure_both(address))
             with StreamingGripper(address) as stream:
                 print(f"back-end: {stream.backend}")
-                measure("StreamingGripper.latest", stream.latest)
+                measure({"StreamingGripper.latest": stream.latest})
                 ended = threading.Event()
                 thread = threading.Thread(target=compute, args=(ended,))
                 thread.start()
-                measure("StreamingGripper.latest, beside a computing thread", stream.latest)
+                measure({"StreamingGripper.latest, beside a computing thread": stream.latest})
                 ended.set()
                 thread.join()
             simulator.terminate()

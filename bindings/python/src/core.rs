@@ -3,16 +3,17 @@
 //! A request locks the driver. A motion yields it within [`Line`]'s time-out when another request waits, so state queries
 //! pass while the fingers move. Stop and FAST STOP do not wait: the [`StopHandle`] sends them at once.
 
+use std::mem;
 use std::sync::atomic::{AtomicUsize, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread::{self, ThreadId};
-use std::{mem, process};
 
 use pyo3::prelude::*;
 use wsg_protocol::driver::blocking::{GclGripper, Gripper};
 use wsg_protocol::driver::{Error, MotionResult, Pending, StopHandle, StopKind};
 
 use crate::error::{self, Failure};
+use crate::interpreter::process;
 use crate::line::{Calls, Clock, Line};
 
 /// A driver of either protocol.
@@ -42,7 +43,7 @@ pub(crate) struct Core {
     /// The thread that uses the driver.
     owner: Mutex<Option<ThreadId>>,
     /// The process that opened the line. A forked child must not use it.
-    process: u32,
+    process: usize,
 }
 
 /// A connection that the interpreter's end closes.
@@ -105,7 +106,7 @@ impl Core {
             handle,
             stops: AtomicUsize::new(0),
             owner: Mutex::new(None),
-            process: process::id(),
+            process: process(),
         });
         core.with(true, |driver| each!(driver, gripper => gripper.connect()))?;
         let open = Arc::downgrade(&core);
@@ -255,7 +256,7 @@ impl Core {
 
     /// Returns whether another process opened the line.
     fn is_foreign(&self) -> bool {
-        self.process != process::id()
+        self.process != process()
     }
 
     fn is_called_by_this_thread(&self) -> bool {

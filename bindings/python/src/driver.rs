@@ -12,11 +12,12 @@ use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
 use wsg_protocol::driver::blocking::{GclGripper, Gripper};
 use wsg_protocol::driver::{Error, Finger, Grip, Mm, MmPerS, MotionResult, N, OnBlock, Pending, StopKind};
-use wsg_protocol::{DecodeError, DeviceTag, HomingDirection, SoftLimits, Status};
+use wsg_protocol::{DecodeError, DeviceTag, HomingDirection, SoftLimits, Status, SystemLimits};
 use wsg_tool::{Address, Wire};
 
 use crate::core::{self, Core, Failed, each};
 use crate::error::{self, Failure};
+use crate::interpreter::detach;
 use crate::line::{Calls, Clock, Line};
 use crate::queue::{Queue, Reply};
 
@@ -73,18 +74,13 @@ pub(crate) struct Motion {
     begun: Begun,
     /// Number of stops before it began.
     stops: usize,
-    /// The result, if the call that began the motion has waited for it.
-    result: Option<Option<bool>>,
 }
 
 #[pymethods]
 impl Motion {
     /// Waits for the end of the motion. Returns whether a part is held; None for motions other than a grip.
     fn wait(&self, py: Python<'_>) -> PyResult<Option<bool>> {
-        if let Some(result) = self.result {
-            return Ok(result);
-        }
-        py.detach(|| self.begun.wait(&self.core, self.stops, true))
+        detach(py, || self.begun.wait(&self.core, self.stops, true))
             .map_err(|failed| failed.into_exception(py))
     }
 
@@ -93,7 +89,7 @@ impl Motion {
         fn poll<T: MotionResult>(core: &Core, pending: &Pending<T>) -> Result<Option<T>, Failed> {
             core.with(true, |driver| each!(driver, gripper => gripper.poll(pending)))
         }
-        let polled = py.detach(|| match &self.begun {
+        let polled = detach(py, || match &self.begun {
             Begun::Grip(pending) => {
                 poll(&self.core, pending).map(|done| done.map(|grip| (Some(grip == Grip::Held),)))
             }
@@ -119,361 +115,181 @@ fn finger(number: u8) -> Result<Finger, Failure> {
     }
 }
 
-#[pymethods]
-impl Driver {
-    /// Opens the line to an address and connects.
-    #[new]
-    fn new(py: Python<'_>, address: &str) -> PyResult<Self> {
-        let address: Address =
-            address.parse().map_err(|text: String| error::exception(py, "InvalidError", &text, None))?;
-        py.detach(|| {
-            let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
-            connect(wire, Clock::Real(Instant::now()), address.is_gcl())
-        })
-        .map_err(|failed| match failed {
-            Failed::Driver(failure) => error::not_connected(py, &format!("{address}: {failure}")),
-            failed => failed.into_exception(py),
-        })
-    }
+/// Returns the limits of speed, acceleration and force with the stroke, in the order of the Python class `Limits`.
+const fn limits_as_tuple(it: SystemLimits) -> (f32, f32, f32, f32, f32, f32, f32, f32) {
+    let (nominal, overdrive) = (it.nominal_force, it.overdrive_force);
+    (
+        it.stroke,
+        it.min_speed,
+        it.max_speed,
+        it.min_acceleration,
+        it.max_acceleration,
+        it.min_force,
+        nominal,
+        overdrive,
+    )
+}
 
-    /// Announces the end of the connection and closes it.
-    fn close(&self, py: Python<'_>) {
-        py.detach(|| self.core.close());
-    }
+/// Implements the methods of [`Driver`]: the given ones, motions, and requests with one reply. Each expression is for a
+/// driver of either protocol.
+macro_rules! driver_methods {
+    (
+        { $($given:tt)* }
+        motions { $($motion:ident($($given_to:ident: $of:ty),*) => |$moved:ident| $begin:expr;)* }
+        requests { $($request:ident($($parameter:ident: $type:ty),*) => |$gripper:ident| $ask:expr;)* }
+    ) => {
+        #[pymethods]
+        impl Driver {
+            $($given)*
 
-    fn is_open(&self) -> bool {
-        self.core.is_open()
-    }
+            $(
+                #[pyo3(signature = ($($given_to,)* waits, reply=None))]
+                fn $motion(
+                    &self,
+                    py: Python<'_>,
+                    $($given_to: $of,)*
+                    waits: bool,
+                    reply: Option<Reply>,
+                ) -> PyResult<Py<PyAny>> {
+                    self.begin(py, waits, reply, move |driver| each!(driver, $moved => $begin))
+                }
+            )*
 
-    /// Returns whether the connection uses the text protocol (GCL).
-    fn is_gcl(&self) -> bool {
-        self.is_gcl
-    }
-
-    #[pyo3(signature = (is_fast, reply=None))]
-    fn stop(&self, py: Python<'_>, is_fast: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        let kind = if is_fast { StopKind::FastStop } else { StopKind::Stop };
-        if reply.is_some() {
-            // Sent before the requests in the queue.
-            let _ = py.detach(|| self.core.send_stop(kind));
+            $(
+                #[pyo3(signature = ($($parameter,)* reply=None))]
+                fn $request(&self, py: Python<'_>, $($parameter: $type,)* reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+                    self.request(py, reply, move |driver| each!(driver, $gripper => $ask))
+                }
+            )*
         }
-        let handles_signals = reply.is_none();
-        self.make(py, reply, &self.queries, false, move |core| core.stop(handles_signals, kind))
-    }
+    };
+}
 
-    #[pyo3(signature = (direction, waits, reply=None))]
-    fn home(&self, py: Python<'_>, direction: u8, waits: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.begin(py, waits, reply, move |driver| {
-            let direction = homing(direction)?;
-            each!(driver, gripper => gripper.begin_home(direction)).map(Begun::Other)
-        })
-    }
+driver_methods! {
+    {
+        /// Opens the line to an address and connects.
+        #[new]
+        fn new(py: Python<'_>, address: &str) -> PyResult<Self> {
+            let address: Address =
+                address.parse().map_err(|text: String| error::exception(py, "InvalidError", &text, None))?;
+            detach(py, || {
+                let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
+                connect(wire, Clock::Real(Instant::now()), address.is_gcl())
+            })
+            .map_err(|failed| match failed {
+                Failed::Driver(failure) => error::not_connected(py, &format!("{address}: {failure}")),
+                failed => failed.into_exception(py),
+            })
+        }
 
-    #[pyo3(signature = (width, speed, clamps, waits, reply=None))]
-    fn move_to(
-        &self,
-        py: Python<'_>,
-        width: f32,
-        speed: f32,
-        clamps: bool,
-        waits: bool,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.begin(py, waits, reply, move |driver| {
-            each!(driver, gripper => gripper.begin_move_to(Mm(width), MmPerS(speed), on_block(clamps)))
-                .map(Begun::Other)
-        })
-    }
+        /// Announces the end of the connection and closes it.
+        fn close(&self, py: Python<'_>) {
+            detach(py, || self.core.close());
+        }
 
-    #[pyo3(signature = (offset, speed, clamps, waits, reply=None))]
-    fn move_by(
-        &self,
-        py: Python<'_>,
-        offset: f32,
-        speed: f32,
-        clamps: bool,
-        waits: bool,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.begin(py, waits, reply, move |driver| {
-            each!(driver, gripper => gripper.begin_move_by(Mm(offset), MmPerS(speed), on_block(clamps)))
-                .map(Begun::Other)
-        })
-    }
+        fn is_open(&self) -> bool {
+            self.core.is_open()
+        }
 
-    #[pyo3(signature = (width, speed, force, waits, reply=None))]
-    fn grip(
-        &self,
-        py: Python<'_>,
-        width: f32,
-        speed: f32,
-        force: Option<f32>,
-        waits: bool,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.begin(py, waits, reply, move |driver| {
+        /// Returns whether the connection uses the text protocol (GCL).
+        fn is_gcl(&self) -> bool {
+            self.is_gcl
+        }
+
+        #[pyo3(signature = (is_fast, reply=None))]
+        fn stop(&self, py: Python<'_>, is_fast: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+            let kind = if is_fast { StopKind::FastStop } else { StopKind::Stop };
+            if reply.is_some() {
+                // Sent before the requests in the queue.
+                let _ = detach(py, || self.core.send_stop(kind));
+            }
+            let handles_signals = reply.is_none();
+            self.make(py, reply, &self.queries, false, move |core| core.stop(handles_signals, kind))
+        }
+
+        #[pyo3(signature = (tolerance, reply=None))]
+        fn part_width_tolerance(
+            &self,
+            py: Python<'_>,
+            tolerance: Option<f32>,
+            reply: Option<Reply>,
+        ) -> PyResult<Py<PyAny>> {
+            self.request(py, reply, move |driver| {
+                only_gcl(driver, |gripper| match tolerance {
+                    Some(tolerance) => gripper.set_part_width_tolerance(Mm(tolerance)),
+                    None => gripper.part_width_tolerance(),
+                })
+            })
+        }
+
+        #[pyo3(signature = (travel, reply=None))]
+        fn clamping_travel(
+            &self,
+            py: Python<'_>,
+            travel: Option<f32>,
+            reply: Option<Reply>,
+        ) -> PyResult<Py<PyAny>> {
+            self.request(py, reply, move |driver| {
+                only_gcl(driver, |gripper| match travel {
+                    Some(travel) => gripper.set_clamping_travel(Mm(travel)),
+                    None => gripper.clamping_travel(),
+                })
+            })
+        }
+    }
+    motions {
+        home(direction: u8) => |gripper| gripper.begin_home(homing(direction)?).map(Begun::Other);
+        move_to(width: f32, speed: f32, clamps: bool) => |gripper|
+            gripper.begin_move_to(Mm(width), MmPerS(speed), on_block(clamps)).map(Begun::Other);
+        move_by(offset: f32, speed: f32, clamps: bool) => |gripper|
+            gripper.begin_move_by(Mm(offset), MmPerS(speed), on_block(clamps)).map(Begun::Other);
+        grip(width: f32, speed: f32, force: Option<f32>) => |gripper| {
             if let Some(force) = force {
-                each!(driver, gripper => gripper.set_force_limit(N(force)))?;
+                gripper.set_force_limit(N(force))?;
             }
-            each!(driver, gripper => gripper.begin_grip(Mm(width), MmPerS(speed))).map(Begun::Grip)
-        })
+            gripper.begin_grip(Mm(width), MmPerS(speed)).map(Begun::Grip)
+        };
+        release(width: f32, speed: f32) => |gripper|
+            gripper.begin_release(Mm(width), MmPerS(speed)).map(Begun::Other);
     }
-
-    #[pyo3(signature = (width, speed, waits, reply=None))]
-    fn release(
-        &self,
-        py: Python<'_>,
-        width: f32,
-        speed: f32,
-        waits: bool,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.begin(py, waits, reply, move |driver| {
-            each!(driver, gripper => gripper.begin_release(Mm(width), MmPerS(speed))).map(Begun::Other)
-        })
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn acknowledge(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.acknowledge()))
-    }
-
-    #[pyo3(signature = (acceleration, reply=None))]
-    fn set_acceleration(
-        &self,
-        py: Python<'_>,
-        acceleration: f32,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.request(
-            py,
-            reply,
-            move |driver| each!(driver, gripper => gripper.set_acceleration(acceleration)),
-        )
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn acceleration(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.acceleration()))
-    }
-
-    #[pyo3(signature = (force, reply=None))]
-    fn set_force_limit(&self, py: Python<'_>, force: f32, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.set_force_limit(N(force))))
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn force_limit(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.force_limit()).map(|force| force.0)
-        })
-    }
-
-    #[pyo3(signature = (minus, plus, reply=None))]
-    fn set_soft_limits(
-        &self,
-        py: Python<'_>,
-        minus: f32,
-        plus: f32,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.request(
-            py,
-            reply,
-            move |driver| each!(driver, gripper => gripper.set_soft_limits(SoftLimits { minus, plus })),
-        )
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn soft_limits(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.soft_limits()).map(|limits| limits.map(|it| (it.minus, it.plus)))
-        })
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn clear_soft_limits(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.clear_soft_limits()))
-    }
-
-    #[pyo3(signature = (enabled, reply=None))]
-    fn set_overdrive(&self, py: Python<'_>, enabled: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.set_overdrive(enabled)))
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn tare(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.tare()))
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn flags(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.system_state()).map(|flags| flags.bits())
-        })
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn state(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.gripper_state()).map(|state| state.code())
-        })
-    }
-
-    #[pyo3(signature = (reset, reply=None))]
-    fn statistics(&self, py: Python<'_>, reset: bool, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.statistics(reset)).map(|it| (it.total, it.no_part, it.part_lost))
-        })
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn width(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.width()).map(|width| width.0))
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn speed(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.speed()).map(|speed| speed.0))
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn force(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.force()).map(|force| force.0))
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn temperature(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.temperature()).map(|it| f32::from(it.0) / 10.0)
-        })
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn limits(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.limits()).map(|it| {
-                let force = (it.min_force, it.nominal_force, it.overdrive_force);
-                (
-                    it.stroke,
-                    it.min_speed,
-                    it.max_speed,
-                    it.min_acceleration,
-                    it.max_acceleration,
-                    force.0,
-                    force.1,
-                    force.2,
-                )
-            })
-        })
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn info(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            each!(driver, gripper => gripper.system_info()).map(|it| {
-                (it.device.to_string(), it.hardware_revision, it.firmware.to_string(), it.serial_number)
-            })
-        })
-    }
-
-    #[pyo3(signature = (tag, reply=None))]
-    fn set_tag(&self, py: Python<'_>, tag: String, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.set_tag(&tag)))
-    }
-
-    #[pyo3(signature = (reply=None))]
-    fn tag(&self, py: Python<'_>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            let mut buffer = [0; DeviceTag::MAX_LEN];
-            match each!(driver, gripper => gripper.tag(&mut buffer).map(str::to_owned)) {
-                Err(Error::Refused(Status::NotAvailable)) => Ok(String::new()),
-                tag => tag,
-            }
-        })
-    }
-
-    #[pyo3(signature = (number, reply=None))]
-    fn finger_info(&self, py: Python<'_>, number: u8, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            let finger = finger(number)?;
-            each!(driver, gripper => gripper.finger_info(finger))
-                .map(|it| (it.finger.to_string(), it.data_len))
-        })
-    }
-
-    #[pyo3(signature = (number, reply=None))]
-    fn finger_flags(&self, py: Python<'_>, number: u8, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            let finger = finger(number)?;
-            each!(driver, gripper => gripper.finger_flags(finger)).map(|flags| flags.bits())
-        })
-    }
-
-    #[pyo3(signature = (number, enabled, reply=None))]
-    fn set_finger_power(
-        &self,
-        py: Python<'_>,
-        number: u8,
-        enabled: bool,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            let finger = finger(number)?;
-            each!(driver, gripper => gripper.set_finger_power(finger, enabled))
-        })
-    }
-
-    #[pyo3(signature = (number, reply=None))]
-    fn finger_data(&self, py: Python<'_>, number: u8, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            let finger = finger(number)?;
-            let mut buffer = [0; MAX_REPLY];
-            each!(driver, gripper => gripper.finger_data(finger, &mut buffer).map(|bytes| Bytes::from(bytes.to_vec())))
-        })
-    }
-
-    #[pyo3(signature = (data, reply=None))]
-    fn loop_back(&self, py: Python<'_>, data: Vec<u8>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| each!(driver, gripper => gripper.loop_back(&data)))
-    }
-
-    #[pyo3(signature = (id, payload, reply=None))]
-    fn raw(&self, py: Python<'_>, id: u8, payload: Vec<u8>, reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            let mut buffer = [0; MAX_REPLY];
-            each!(driver, gripper => gripper.raw(id, &payload, &mut buffer).map(|bytes| Bytes::from(bytes.to_vec())))
-        })
-    }
-
-    #[pyo3(signature = (tolerance, reply=None))]
-    fn part_width_tolerance(
-        &self,
-        py: Python<'_>,
-        tolerance: Option<f32>,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            only_gcl(driver, |gripper| match tolerance {
-                Some(tolerance) => gripper.set_part_width_tolerance(Mm(tolerance)),
-                None => gripper.part_width_tolerance(),
-            })
-        })
-    }
-
-    #[pyo3(signature = (travel, reply=None))]
-    fn clamping_travel(
-        &self,
-        py: Python<'_>,
-        travel: Option<f32>,
-        reply: Option<Reply>,
-    ) -> PyResult<Py<PyAny>> {
-        self.request(py, reply, move |driver| {
-            only_gcl(driver, |gripper| match travel {
-                Some(travel) => gripper.set_clamping_travel(Mm(travel)),
-                None => gripper.clamping_travel(),
-            })
-        })
+    requests {
+        acknowledge() => |gripper| gripper.acknowledge();
+        set_acceleration(acceleration: f32) => |gripper| gripper.set_acceleration(acceleration);
+        acceleration() => |gripper| gripper.acceleration();
+        set_force_limit(force: f32) => |gripper| gripper.set_force_limit(N(force));
+        force_limit() => |gripper| gripper.force_limit().map(|force| force.0);
+        set_soft_limits(minus: f32, plus: f32) => |gripper| gripper.set_soft_limits(SoftLimits { minus, plus });
+        soft_limits() => |gripper| gripper.soft_limits().map(|limits| limits.map(|it| (it.minus, it.plus)));
+        clear_soft_limits() => |gripper| gripper.clear_soft_limits();
+        set_overdrive(enabled: bool) => |gripper| gripper.set_overdrive(enabled);
+        tare() => |gripper| gripper.tare();
+        flags() => |gripper| gripper.system_state().map(|flags| flags.bits());
+        state() => |gripper| gripper.gripper_state().map(|state| state.code());
+        statistics(reset: bool) => |gripper|
+            gripper.statistics(reset).map(|it| (it.total, it.no_part, it.part_lost));
+        width() => |gripper| gripper.width().map(|width| width.0);
+        speed() => |gripper| gripper.speed().map(|speed| speed.0);
+        force() => |gripper| gripper.force().map(|force| force.0);
+        temperature() => |gripper| gripper.temperature().map(|it| f32::from(it.0) / 10.0);
+        limits() => |gripper| gripper.limits().map(limits_as_tuple);
+        info() => |gripper| gripper.system_info().map(|it| {
+            (it.device.to_string(), it.hardware_revision, it.firmware.to_string(), it.serial_number)
+        });
+        set_tag(tag: String) => |gripper| gripper.set_tag(&tag);
+        tag() => |gripper| match gripper.tag(&mut [0; DeviceTag::MAX_LEN]).map(str::to_owned) {
+            Err(Error::Refused(Status::NotAvailable)) => Ok(String::new()),
+            tag => tag,
+        };
+        finger_info(number: u8) => |gripper|
+            gripper.finger_info(finger(number)?).map(|it| (it.finger.to_string(), it.data_len));
+        finger_flags(number: u8) => |gripper| gripper.finger_flags(finger(number)?).map(|flags| flags.bits());
+        set_finger_power(number: u8, enabled: bool) => |gripper|
+            gripper.set_finger_power(finger(number)?, enabled);
+        finger_data(number: u8) => |gripper|
+            gripper.finger_data(finger(number)?, &mut [0; MAX_REPLY]).map(|bytes| Bytes::from(bytes.to_vec()));
+        loop_back(data: Vec<u8>) => |gripper| gripper.loop_back(&data);
+        raw(id: u8, payload: Vec<u8>) => |gripper|
+            gripper.raw(id, &payload, &mut [0; MAX_REPLY]).map(|bytes| Bytes::from(bytes.to_vec()));
     }
 }
 
@@ -493,7 +309,7 @@ impl Driver {
         match reply {
             Some(reply) => queue.push(py, reply, &self.core, is_motion, act)?.into_py_any(py),
             None => {
-                let made = py.detach(|| act(&self.core));
+                let made = detach(py, || act(&self.core));
                 made.map_err(|failed| failed.into_exception(py))?.into_py_any(py)
             }
         }
@@ -512,7 +328,7 @@ impl Driver {
         self.make(py, reply, &self.queries, false, move |core| core.with(handles_signals, act))
     }
 
-    /// Begins a motion and returns it. With `waits`, which a `reply` implies, also waits for its end.
+    /// Begins a motion and returns it. With `waits`, which a `reply` implies, returns its result instead.
     fn begin(
         &self,
         py: Python<'_>,
@@ -527,13 +343,16 @@ impl Driver {
             });
         }
         let stops = self.core.stops();
-        let moved = py.detach(|| {
+        let moved = detach(py, || {
             let begun = self.core.begin(true, act)?;
             let result = if waits { Some(begun.wait(&self.core, stops, true)?) } else { None };
             Ok((begun, result))
         });
         let (begun, result) = moved.map_err(|failed: Failed| failed.into_exception(py))?;
-        Motion { core: Arc::clone(&self.core), begun, stops, result }.into_py_any(py)
+        match result {
+            Some(result) => result.into_py_any(py),
+            None => Motion { core: Arc::clone(&self.core), begun, stops }.into_py_any(py),
+        }
     }
 }
 

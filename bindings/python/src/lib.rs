@@ -6,6 +6,7 @@
 mod core;
 mod driver;
 mod error;
+mod interpreter;
 mod line;
 mod protocol;
 mod queue;
@@ -19,7 +20,7 @@ use pyo3::prelude::*;
 use wsg_protocol::{FingerFlags, GripperState, Status, SystemFlags};
 
 /// The native part of `wsg_gripper`; see the modules of the package.
-#[pymodule]
+#[pymodule(gil_used = true)]
 mod _native {
     #[pymodule_export]
     use super::driver::{Driver, Motion};
@@ -33,23 +34,33 @@ mod _native {
     use super::stream::Stream;
 
     use super::*;
+    use crate::interpreter::{self, detach};
 
     /// Closes all open connections.
     #[pyfunction]
     fn close_all(py: Python<'_>) {
-        py.detach(crate::core::close_all);
+        py.detach(|| {
+            interpreter::end();
+            crate::core::close_all();
+        });
+    }
+
+    /// Invalidates the connections of the parent in a forked child.
+    #[pyfunction]
+    fn count_fork() {
+        interpreter::count_fork();
     }
 
     /// Runs the program `wsg` and returns its exit status. The first word is the name of the program.
     #[pyfunction]
     fn run_wsg(py: Python<'_>, words: Vec<OsString>) -> u8 {
-        py.detach(|| wsg_tool::run(words))
+        detach(py, || wsg_tool::run(words))
     }
 
     /// Runs the program `wsg-sim` and returns its exit status. The first word is the name of the program.
     #[pyfunction]
     fn run_wsg_sim(py: Python<'_>, words: Vec<OsString>) -> u8 {
-        py.detach(|| wsg_sim::program::run(words.into_iter().skip(1)))
+        detach(py, || wsg_sim::program::run(words.into_iter().skip(1)))
     }
 
     /// Returns the source of the script for set-point streaming.

@@ -13,6 +13,8 @@ use wsg_protocol::driver::{self, StopLine, Stoppable};
 use wsg_sim::VirtualRig;
 use wsg_tool::Wire;
 
+use crate::interpreter::try_attach;
+
 /// Interval at which a waiting call handles Python's signals, and with them Ctrl-C.
 const SIGNALS: Duration = Duration::from_millis(50);
 /// Longest wait of a motion before it lets the requests of other threads pass, in ms.
@@ -47,7 +49,7 @@ impl Calls {
     /// Runs the handlers of pending signals. Fails if one raised an exception.
     fn handle_signals(&self) -> io::Result<()> {
         // There is nothing to handle once the interpreter has ended.
-        let Some(Err(raised)) = Python::try_attach(|py| py.check_signals()) else { return Ok(()) };
+        let Some(Err(raised)) = try_attach(|py| py.check_signals()) else { return Ok(()) };
         *self.raised.lock().unwrap_or_else(PoisonError::into_inner) = Some(raised);
         Err(io::Error::other("a signal handler raised an exception"))
     }

@@ -9,6 +9,7 @@ use wsg_protocol::driver::StopKind;
 
 use crate::core::{Core, Failed};
 use crate::error;
+use crate::interpreter::{detach, try_attach};
 
 /// Receives the result of a request: a callable that takes a value and an exception, called on any thread.
 pub(crate) type Reply = Py<PyAny>;
@@ -44,7 +45,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Ticket {
     /// Withdraws the request. A motion that has begun is stopped, any other request completes without a reply.
     fn cancel(&self, py: Python<'_>) {
-        py.detach(|| {
+        detach(py, || {
             let mut stage = lock(&self.stage);
             if *stage == Stage::Running && self.is_motion {
                 let _ = self.core.send_stop(StopKind::Stop);
@@ -96,7 +97,7 @@ impl Queue {
             *stage = Stage::Done;
             drop(stage);
             // There is no one to reply to once the interpreter has ended.
-            Python::try_attach(|py| deliver(py, &reply, result));
+            try_attach(|py| deliver(py, &reply, result));
         });
         self.send(job)?;
         Ok(ticket)

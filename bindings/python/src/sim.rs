@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering::SeqCst};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::{io, mem, process};
+use std::{io, mem};
 
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
@@ -14,6 +14,7 @@ use wsg_sim::{Fault, Jaw, Part, PortKind, State, VirtualRig};
 
 use crate::driver::{self, Driver};
 use crate::error;
+use crate::interpreter::{detach, process};
 use crate::line::{Clock, VirtualWire};
 
 /// Parses options of `wsg-sim`.
@@ -96,7 +97,7 @@ impl Rig {
         let wire = VirtualWire(rig.clone(), Arc::clone(is_connected));
         rig.restore_line();
         let clock = Clock::Virtual(rig.clone());
-        py.detach(|| driver::connect(Box::new(wire), clock, self.is_gcl))
+        detach(py, || driver::connect(Box::new(wire), clock, self.is_gcl))
             .map_err(|failed| failed.into_exception(py))
     }
 
@@ -151,7 +152,7 @@ pub(crate) struct Server {
     server: Mutex<Option<ServerThread>>,
     udp_answers: u16,
     /// The process that started the thread. A forked child does not have it.
-    process: u32,
+    process: usize,
 }
 
 const ANY_PORT: SocketAddr = SocketAddr::new(std::net::IpAddr::V4(Ipv4Addr::LOCALHOST), 0);
@@ -180,11 +181,10 @@ impl Server {
             None => UdpLine { address: ANY_PORT, remote_port: free_udp_port()? },
         };
         lines.udp = Some(udp);
-        let server = py
-            .detach(|| ServerThread::start(config, &lines, None))
+        let server = detach(py, || ServerThread::start(config, &lines, None))
             .map_err(|error| PyOSError::new_err(format!("{error:#}")))?;
         let server = Mutex::new(Some(server));
-        Ok(Self { server, udp_answers: udp.remote_port, process: process::id() })
+        Ok(Self { server, udp_answers: udp.remote_port, process: process() })
     }
 
     /// Returns the addresses by line: TCP, UDP, GCL, GCL over UDP, Modbus and the page; and the port of answers over UDP.
@@ -218,11 +218,11 @@ impl Server {
 
     /// Powers the gripper off and closes its lines.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
-        if self.process != process::id() {
+        if self.process != process() {
             return Ok(());
         }
         let server = self.server.lock().unwrap_or_else(PoisonError::into_inner).take();
-        py.detach(|| server.map_or(Ok(()), ServerThread::stop))
+        detach(py, || server.map_or(Ok(()), ServerThread::stop))
             .map_err(|error| PyOSError::new_err(format!("{error:#}")))
     }
 }
@@ -230,10 +230,10 @@ impl Server {
 impl Server {
     fn with<T: Send>(&self, py: Python<'_>, act: impl FnOnce(&ServerThread) -> T + Send) -> PyResult<T> {
         let closed = || error::not_connected(py, "the simulator is closed, or another process started it");
-        if self.process != process::id() {
+        if self.process != process() {
             return Err(closed());
         }
-        let acted = py.detach(|| {
+        let acted = detach(py, || {
             let server = self.server.lock().unwrap_or_else(PoisonError::into_inner);
             server.as_ref().map(act)
         });
@@ -243,7 +243,7 @@ impl Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        if self.process != process::id() {
+        if self.process != process() {
             // Its thread exists in the parent only, so it cannot be joined.
             mem::forget(self.server.get_mut().unwrap_or_else(PoisonError::into_inner).take());
         }

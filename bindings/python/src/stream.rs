@@ -1,9 +1,9 @@
 //! Set-point streaming: the worker of `driver::stream`, with times of the system clock.
 
+use std::mem;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Instant, SystemTime};
-use std::{mem, process};
 
 use pyo3::prelude::*;
 use wsg_protocol::HomingDirection;
@@ -16,6 +16,7 @@ use wsg_tool::Address;
 
 use crate::core::{Close, close_at_exit};
 use crate::error;
+use crate::interpreter::{detach, process};
 use crate::line::{Calls, Clock, Line};
 
 type Running = SetPointStream<Line, Clock>;
@@ -31,7 +32,7 @@ struct Inner {
     /// The zero point of the driver's clock.
     start: Instant,
     backend: Backend,
-    process: u32,
+    process: usize,
 }
 
 enum State {
@@ -53,7 +54,7 @@ impl Stream {
         let calls = Arc::new(Calls::default());
         calls.handles_signals.store(true, SeqCst);
         let start = Instant::now();
-        let started = py.detach(|| {
+        let started = detach(py, || {
             let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
             let mut gripper = Gripper::new(Line::new(wire, Arc::clone(&calls)), Clock::Real(start));
             gripper.connect()?;
@@ -74,7 +75,7 @@ impl Stream {
         })?;
         let backend = stream.backend();
         let state = Mutex::new(State::Running(stream));
-        let inner = Arc::new(Inner { state, start, backend, process: process::id() });
+        let inner = Arc::new(Inner { state, start, backend, process: process() });
         let weak = Arc::downgrade(&inner);
         close_at_exit(weak);
         Ok(Self(inner))
@@ -152,13 +153,13 @@ impl Stream {
             State::Running(stream) => stream.stop_handle(),
             State::Ended(..) => return Ok(()),
         };
-        py.detach(|| if is_fast { handle.fast_stop() } else { handle.stop() })?;
+        detach(py, || if is_fast { handle.fast_stop() } else { handle.stop() })?;
         Ok(())
     }
 
     /// Stops the fingers and closes the connection. Returns whether the gripper confirmed the stop.
     fn close(&self, py: Python<'_>) -> bool {
-        py.detach(|| self.0.close())
+        detach(py, || self.0.close())
     }
 }
 
@@ -186,7 +187,7 @@ fn unix_now() -> f64 {
 impl Inner {
     /// Locks the state. A forked child has no worker and may not.
     fn state(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, State>> {
-        if self.process != process::id() {
+        if self.process != process() {
             return Err(error::not_connected(py, "another process started the stream"));
         }
         Ok(self.state.lock().unwrap_or_else(PoisonError::into_inner))
@@ -205,7 +206,7 @@ impl Inner {
     }
 
     fn close(&self) -> bool {
-        if self.process != process::id() {
+        if self.process != process() {
             return false;
         }
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
@@ -240,7 +241,7 @@ impl Drop for Inner {
 
 impl Drop for Stream {
     fn drop(&mut self) {
-        if self.0.process != process::id() {
+        if self.0.process != process() {
             // A forked child has no worker to join, and the parent still uses the connection.
             mem::forget(Arc::clone(&self.0));
         }

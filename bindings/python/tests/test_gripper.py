@@ -218,28 +218,6 @@ def test_every_line_of_the_simulator_is_an_address(line: str) -> None:
         assert simulator.observe().state is GripperState.HOLDING
 
 
-def test_stop_of_another_thread_ends_a_grip(simulator: Simulator) -> None:
-    with Gripper(simulator.tcp) as gripper:
-        gripper.home()
-        raised: list[BaseException] = []
-
-        def grip() -> None:
-            with pytest.raises(StoppedError) as stopped:
-                gripper.grip(20, speed=5)
-            raised.append(stopped.value)
-
-        thread = threading.Thread(target=grip)
-        thread.start()
-        while SystemFlags.MOVING not in gripper.flags():
-            pass
-        gripper.stop()
-        assert SystemFlags.MOVING not in gripper.flags()
-        thread.join()
-        assert raised
-        assert simulator.observe().width > 100
-        gripper.move(100, speed=400)
-
-
 def test_queries_of_another_thread_pass_a_grip(simulator: Simulator) -> None:
     with Gripper(simulator.tcp) as gripper:
         gripper.home()

@@ -44,23 +44,26 @@ def test_wsg_sim_serves_a_gripper_until_ctrl_c() -> None:
         assert program.wait(timeout=10) == 0
 
 
-@pytest.mark.parametrize(("line", "scheme"), [("--serial", "serial"), ("--slcan", "slcan")])
-def test_stop_of_another_thread_ends_a_grip_over_a_serial_port(line: str, scheme: str) -> None:
-    command = [WSG_SIM, line, "pty", "--homing-speed", "400"]
+@pytest.mark.parametrize(
+    ("line", "place", "scheme"),
+    [("--tcp", "127.0.0.1:0", "tcp://"), ("--serial", "pty", "serial:"), ("--slcan", "pty", "slcan:")],
+)
+def test_stop_of_another_thread_ends_a_grip(line: str, place: str, scheme: str) -> None:
+    command = [WSG_SIM, line, place, "--homing-speed", "400"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
         assert program.stdout is not None
         program.stdout.readline()
-        device = program.stdout.readline().split()[1]
-        with Gripper(f"{scheme}:{device}") as gripper:
+        address = scheme + program.stdout.readline().split()[1]
+        with Gripper(address) as gripper:
             gripper.home()
             raised: list[BaseException] = []
 
-            def move() -> None:
+            def grip() -> None:
                 with pytest.raises(StoppedError) as stopped:
-                    gripper.move(10, speed=5)
+                    gripper.grip(20, speed=5)
                 raised.append(stopped.value)
 
-            thread = threading.Thread(target=move)
+            thread = threading.Thread(target=grip)
             thread.start()
             while SystemFlags.MOVING not in gripper.flags():
                 pass
@@ -68,6 +71,7 @@ def test_stop_of_another_thread_ends_a_grip_over_a_serial_port(line: str, scheme
             assert SystemFlags.MOVING not in gripper.flags()
             thread.join()
             assert raised and gripper.width() > 100
+            gripper.move(100, speed=400)
         program.terminate()
 
 

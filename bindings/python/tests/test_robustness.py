@@ -126,6 +126,13 @@ def test_spawned_process_uses_a_gripper(wsg_sim: Simulator) -> None:
         threading.Thread(target=move, daemon=True).start()
         while w.SystemFlags.MOVING not in keep.flags(): pass
         """,
+        """
+        import sys, threading, wsg_gripper as w
+        keep = w.Gripper(sys.argv[1])
+        def query():
+            while True: keep.width()
+        for _ in range(8): threading.Thread(target=query, daemon=True).start()
+        """,
         "import sys, wsg_gripper as w; keep = w.StreamingGripper(sys.argv[1]); keep.start(); keep.set_target(10)",
         """
         import asyncio, sys, wsg_gripper as w
@@ -138,7 +145,7 @@ def test_spawned_process_uses_a_gripper(wsg_sim: Simulator) -> None:
         asyncio.run(main())
         """,
     ],
-    ids=["motion", "cycle", "exit", "thread", "stream", "asyncio"],
+    ids=["motion", "cycle", "exit", "thread", "threads", "stream", "asyncio"],
 )
 def test_end_of_the_interpreter_announces_the_end_of_the_connection(wsg_sim: Simulator, script: str) -> None:
     done = run_script(script, wsg_sim.tcp)

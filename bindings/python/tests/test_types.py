@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import inspect
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +35,20 @@ def test_mypy_accepts_package_examples_and_tests(target: list[str]) -> None:
     environment = {**os.environ, "MYPYPATH": str(Path(__file__).parent / "standin")}
     done = subprocess.run([*mypy, *target], capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_pyright_accepts_examples() -> None:
+    # basedpyright is pyright with its JavaScript in the wheel, so the test needs no network.
+    done = subprocess.run([sys.executable, "-m", "basedpyright"], capture_output=True, text=True, cwd=EXAMPLES.parent)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_wheel_has_the_licences_of_its_parts() -> None:
+    [licences] = [it for it in importlib.metadata.files("wsg-gripper") or [] if it.name == "LICENCES.txt"]
+    parts, *texts = licences.read_text().split("=" * 80)
+    for part in ("pyo3", "lua-src", "tokio"):
+        [named] = re.findall(rf"^  ({part} [0-9.]+\S*): ", parts, re.MULTILINE)
+        assert any(named in text for text in texts), named
 
 
 def public(thing: object) -> list[tuple[str, object]]:

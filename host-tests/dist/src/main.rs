@@ -6,7 +6,6 @@ mod bitmap;
 mod book;
 mod device_archives;
 mod image;
-mod licences;
 mod manual;
 mod register_map;
 
@@ -32,6 +31,10 @@ const COPIED: [&str; 7] = [
     "wsg-blocks.xml",
     "wsg-blocks.scl",
 ];
+
+/// Cargo arguments that select the image's crate, features and target.
+const IMAGE: [&str; 6] =
+    ["--package", "wsg-b-l475e-iot01a", "--features", "firmware", "--target", "thumbv7em-none-eabihf"];
 
 const REGISTERS: &str = "registers.csv";
 const SUMS: &str = "SHA256SUMS";
@@ -107,7 +110,7 @@ fn contents(elf: Vec<u8>, book: &Path) -> Result<Vec<(String, Vec<u8>)>> {
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(&linked())?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
-        ("LICENCES.txt", licences::text()?.into_bytes()),
+        ("LICENCES.txt", licences::text(&IMAGE.map(str::to_owned))?.into_bytes()),
     ];
     let mut files: Vec<_> = single.map(|(name, bytes)| (name.to_owned(), bytes)).into();
     for name in COPIED {

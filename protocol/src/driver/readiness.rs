@@ -4,6 +4,7 @@ use core::time::Duration;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::io;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// A source that the operating system can poll: on Unix any file descriptor, on Windows a socket.
 #[cfg(unix)]
@@ -26,9 +27,13 @@ enum Seen {
     Nothing,
     /// Bytes or the end of the stream are available.
     Bytes,
-    /// The last read emptied the source.
-    Silence,
+    /// A read emptied the source at this time.
+    Silence(Instant),
 }
+
+/// Time for which an emptied source counts as silent without a check, less than the resolution of time-outs. A burst of
+/// requests thereby saves a system call or two for each of them.
+const SILENCE: Duration = Duration::from_micros(500);
 
 /// Maximum duration of a single wait without a deadline, in milliseconds.
 pub(super) const LONG_MS: u32 = 60_000;
@@ -47,16 +52,18 @@ impl Readiness {
 
     /// Returns whether a read would return immediately.
     pub(super) fn may_read(&mut self, source: &impl AsPollable) -> io::Result<bool> {
+        if matches!(self.seen, Seen::Silence(since) if since.elapsed() < SILENCE) {
+            return Ok(false);
+        }
         match core::mem::take(&mut self.seen) {
-            Seen::Nothing => is_readable_within(source, 0),
+            Seen::Nothing | Seen::Silence(_) => is_readable_within(source, 0),
             Seen::Bytes => Ok(true),
-            Seen::Silence => Ok(false),
         }
     }
 
-    /// Records a read that did not fill its buffer, so the next check needs no system call.
-    pub(super) const fn is_emptied(&mut self) {
-        self.seen = Seen::Silence;
+    /// Records a read that did not fill its buffer, so that the next checks need no system call.
+    pub(super) fn is_emptied(&mut self) {
+        self.seen = Seen::Silence(Instant::now());
     }
 
     /// Waits up to `at_most_ms` milliseconds for bytes or the end of the stream. A signal or the waker also ends the

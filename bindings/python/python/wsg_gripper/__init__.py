@@ -9,6 +9,7 @@
 """
 
 import atexit as _atexit
+import os as _os
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from . import _native
@@ -79,6 +80,8 @@ __all__ = [
 ]
 
 _atexit.register(_native.close_all)
+if hasattr(_os, "register_at_fork"):  # not on Windows
+    _os.register_at_fork(after_in_child=_native.count_fork)
 
 
 def __getattr__(name: str) -> object:

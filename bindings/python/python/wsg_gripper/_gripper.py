@@ -22,6 +22,7 @@ from ._types import (
 )
 
 T = TypeVar("T")
+U = TypeVar("U")
 Self = TypeVar("Self", bound="Gripper")
 
 
@@ -116,6 +117,11 @@ class Gripper:
         gripper._core = core
         return gripper
 
+    @staticmethod
+    def _then(value: T, convert: Callable[[T], U]) -> U:
+        """Convert the result of a request. ``AsyncGripper`` awaits it first."""
+        return convert(value)
+
     def __enter__(self: Self) -> Self:
         return self
 
@@ -143,7 +149,7 @@ class Gripper:
 
         Raises ``BlockedError`` if the fingers reach no end stop.
         """
-        self._core.home(direction, True)
+        return self._then(self._core.home(direction, True), nothing)
 
     def move(self, width: float, speed: float, *, clamp: bool = False) -> None:
         """Move the fingers to an opening width in mm at a speed in mm/s (command set, 3.2.2).
@@ -151,11 +157,11 @@ class Gripper:
         At an obstacle the motor is turned off. With ``clamp`` the fingers push with half of the nominal force and
         continue when the obstacle is gone. Raises ``BlockedError`` if an obstacle blocks the fingers.
         """
-        self._core.move_to(width, speed, clamp, True)
+        return self._then(self._core.move_to(width, speed, clamp, True), nothing)
 
     def move_by(self, offset: float, speed: float, *, clamp: bool = False) -> None:
         """Open the fingers by an offset in mm, or close them by a negative one. Otherwise like :meth:`move`."""
-        self._core.move_by(offset, speed, clamp, True)
+        return self._then(self._core.move_by(offset, speed, clamp, True), nothing)
 
     def grip(self, width: float, speed: float, force: Optional[float] = None) -> GripResult:
         """Grip a part of a nominal width in mm at a speed in mm/s (command set, 3.2.6).
@@ -163,11 +169,11 @@ class Gripper:
         ``force`` sets the force limit in N first, see :meth:`set_force_limit`. A missing part is a result, not an error:
         ``GripResult.NO_PART``, which is false.
         """
-        return grip_result(self._core.grip(width, speed, force, True).wait())
+        return self._then(self._core.grip(width, speed, force, True), grip_result)
 
     def release(self, width: float, speed: float) -> None:
         """Open the fingers to a width in mm at a speed in mm/s, to release a part (command set, 3.2.7)."""
-        self._core.release(width, speed, True)
+        return self._then(self._core.release(width, speed, True), nothing)
 
     def begin_home(self, direction: HomingDirection = HomingDirection.DEFAULT) -> Motion[None]:
         """Begin :meth:`home` and return when the gripper reports E_CMD_PENDING."""
@@ -194,21 +200,21 @@ class Gripper:
 
         It is sent at once, even while another thread waits in a motion, which then raises ``StoppedError``.
         """
-        self._core.stop(False)
+        return self._core.stop(False)
 
     def fast_stop(self) -> None:
         """Stop the fingers as fast as possible and lock them until :meth:`acknowledge` (command set, 3.2.4).
 
         It is sent like :meth:`stop`, and repeated until the gripper confirms it.
         """
-        self._core.stop(True)
+        return self._core.stop(True)
 
     def acknowledge(self) -> None:
         """Acknowledge a FAST STOP or a fault, which unlocks the fingers (command set, 3.2.5).
 
         No other method does so. Make sure that the fingers may move.
         """
-        self._core.acknowledge()
+        return self._core.acknowledge()
 
     # Settings (command set, 3.3)
 
@@ -221,7 +227,7 @@ class Gripper:
 
         It is clamped to the limits of the gripper and read back. Raises ``MismatchError`` if the values differ.
         """
-        self._core.set_acceleration(acceleration)
+        return self._core.set_acceleration(acceleration)
 
     def force_limit(self) -> float:
         """Return the force limit in N (command set, 3.3.4)."""
@@ -232,30 +238,30 @@ class Gripper:
 
         It is clamped to the limits of the gripper and read back. Raises ``MismatchError`` if the values differ.
         """
-        self._core.set_force_limit(force)
+        return self._core.set_force_limit(force)
 
     def soft_limits(self) -> Optional[SoftLimits]:
         """Return the range of permitted opening widths in mm, or ``None`` if none is set (command set, 3.3.6)."""
-        return soft_limits(self._core.soft_limits())
+        return self._then(self._core.soft_limits(), soft_limits)
 
     def set_soft_limits(self, minus: float, plus: float) -> None:
         """Permit opening widths from ``minus`` to ``plus`` in mm only (command set, 3.3.5)."""
-        self._core.set_soft_limits(minus, plus)
+        return self._core.set_soft_limits(minus, plus)
 
     def clear_soft_limits(self) -> None:
         """Remove the soft limits (command set, 3.3.7)."""
-        self._core.clear_soft_limits()
+        return self._core.clear_soft_limits()
 
     def set_overdrive(self, enabled: bool) -> None:
         """Allow or forbid forces up to the overdrive limit (command set, 3.3.8)."""
-        self._core.set_overdrive(enabled)
+        return self._core.set_overdrive(enabled)
 
     def tare(self) -> None:
         """Zero the force sensor (command set, 3.3.9).
 
         Raises ``RefusedError`` with E_NOT_AVAILABLE if there is no sensor, and with E_ACCESS_DENIED while a part is held.
         """
-        self._core.tare()
+        return self._core.tare()
 
     def part_width_tolerance(self) -> float:
         """Return how far before the nominal width a grip may meet its part, in mm (GCL, 2.2.5). GCL only."""
@@ -277,15 +283,15 @@ class Gripper:
 
     def flags(self) -> SystemFlags:
         """Return the system state flags (command set, 3.4.1)."""
-        return SystemFlags(self._core.flags())
+        return self._then(self._core.flags(), SystemFlags)
 
     def state(self) -> GripperState:
         """Return the state of the gripping process (command set, 3.4.2)."""
-        return GripperState(self._core.state())
+        return self._then(self._core.state(), GripperState)
 
     def statistics(self, reset: bool = False) -> Statistics:
         """Return the counts of grips, and restart them at 0 if ``reset`` is true (command set, 3.4.3)."""
-        return Statistics(*self._core.statistics(reset))
+        return self._then(self._core.statistics(reset), Statistics._make)
 
     def width(self) -> float:
         """Return the opening width in mm (command set, 3.4.4)."""
@@ -307,11 +313,11 @@ class Gripper:
 
     def info(self) -> SystemInfo:
         """Return device type, versions and serial number (command set, 3.5.1)."""
-        return SystemInfo(*self._core.info())
+        return self._then(self._core.info(), SystemInfo._make)
 
     def limits(self) -> Limits:
         """Return the physical limits (command set, 3.5.4)."""
-        return Limits(*self._core.limits())
+        return self._then(self._core.limits(), Limits._make)
 
     def tag(self) -> str:
         """Return the device tag, which is empty if none is set (command set, 3.5.3)."""
@@ -319,21 +325,21 @@ class Gripper:
 
     def set_tag(self, tag: str) -> None:
         """Set the device tag, up to 64 printable ASCII characters (command set, 3.5.2)."""
-        self._core.set_tag(tag)
+        return self._core.set_tag(tag)
 
     # Fingers (command set, 3.6); ``finger`` is the port, 1 or 2
 
     def finger_info(self, finger: int) -> FingerInfo:
         """Return the electronics at a finger port (command set, 3.6.1 and 3.6.5)."""
-        return FingerInfo(*self._core.finger_info(finger))
+        return self._then(self._core.finger_info(finger), FingerInfo._make)
 
     def finger_flags(self, finger: int) -> FingerFlags:
         """Return the state flags of a finger (command set, 3.6.2 and 3.6.6)."""
-        return FingerFlags(self._core.finger_flags(finger))
+        return self._then(self._core.finger_flags(finger), FingerFlags)
 
     def set_finger_power(self, finger: int, enabled: bool) -> None:
         """Switch the supply of a finger on, which takes about 500 ms, or off (command set, 3.6.3 and 3.6.7)."""
-        self._core.set_finger_power(finger, enabled)
+        return self._core.set_finger_power(finger, enabled)
 
     def finger_data(self, finger: int) -> bytes:
         """Return one data frame of a finger (command set, 3.6.4 and 3.6.8). A WSG-FMF sends one float in N."""
@@ -346,7 +352,7 @@ class Gripper:
 
         Raises ``MismatchError`` if it returns other bytes.
         """
-        self._core.loop_back(data)
+        return self._core.loop_back(data)
 
     def raw(self, command: int, payload: bytes = b"") -> bytes:
         """Send a command that a script on the gripper serves, usually A0h to BFh; return its payload after the status.
