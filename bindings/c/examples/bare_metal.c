@@ -5,7 +5,8 @@
  * FAST STOP. The pins of port A show the state: see show().
  *
  *     arm-none-eabi-gcc -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard -Os -ffreestanding -nostdlib -z noexecstack \
- *         -I include examples/bare_metal.c -L lib/thumbv7em-none-eabihf -lwsg -T examples/bare_metal.ld -o bare_metal.elf
+ *         -Wl,--gc-sections -I include examples/bare_metal.c -L lib/thumbv7em-none-eabihf -lwsg -T examples/bare_metal.ld \
+ *         -o bare_metal.elf
  *
  * Registers: RM0351.
  */

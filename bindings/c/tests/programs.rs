@@ -27,7 +27,7 @@ fn library() -> &'static Path {
             "c-library",
         ]);
         cargo
-            .args(["--crate-type", "staticlib", "--features", "prove-panic-free", "--target-dir"])
+            .args(["--crate-type", "staticlib", "--features", "static-library", "--target-dir"])
             .arg(&target);
         assert!(cargo.status().unwrap().success());
         target.join("c-library/libwsg.a")
