@@ -165,10 +165,19 @@ fn archive_is_used_with_pkg_config() {
 }
 
 #[test]
-fn shared_library_is_named_after_its_abi_and_exports_only_its_functions() {
+fn program_of_the_recorded_abi_grips_with_the_shared_library_which_is_named_after_it() {
     let root = unpacked("archive-shared", HOST);
-    let link = "cc -I include examples/host.c -L $LIB -lwsg_host -lpthread -lm -o host && readelf -d host";
-    let needed = shell(&root, &format!("LIB=lib/{HOST}/shared; {link}"));
+    // Compiled with the recorded headers, whose include guards replace the present ones.
+    let version = env!("CARGO_PKG_VERSION").rsplit_once('.').unwrap().0;
+    let link = format!(
+        "C={}/..; H=$C/../c-host
+         cc -D_POSIX_C_SOURCE=200809L -include $C/abi/wsg-{version}.h -include $H/abi/wsg_host-{version}.h -I include \\
+             -I $C/tests/shared examples/host.c $C/abi/wsg-{version}.c $H/abi/wsg_host-{version}.c \\
+             -L lib/{HOST}/shared -lwsg_host -lpthread -lm -o host
+         readelf -d host",
+        env!("CARGO_MANIFEST_DIR")
+    );
+    let needed = shell(&root, &link);
     assert!(needed.contains("Shared library: [libwsg_host.so.0]"), "{needed}");
     let shared = root.join("lib").join(HOST).join("shared");
     grips(Command::new(root.join("host")).env("LD_LIBRARY_PATH", &shared), HOST_END);
