@@ -174,6 +174,9 @@ int32_t wsg_host_info(wsg_host_t *gripper, wsg_system_info_t *info);
 /*
  Sends any command with a payload, and waits for its final reply. Writes the payload of the reply after its status to `reply`,
  and its length to `reply_length`, which holds the size of `reply` before. The lengths may be 0.
+
+ WSG_HOST_ERROR_TOO_LONG: `payload` has more than 256 bytes, or the reply does not fit into `reply`. A reply with more than 256
+ bytes after its status is not received: WSG_HOST_ERROR_UNANSWERED, as without a reply.
  */
 int32_t wsg_host_raw(wsg_host_t *gripper,
                      uint8_t command,

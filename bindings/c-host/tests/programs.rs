@@ -1,10 +1,15 @@
 //! The example in C, linked with the static library, against the virtual gripper over every line.
 
+use std::mem::MaybeUninit;
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::ptr;
 use std::sync::OnceLock;
 
+use wsg_host::gripper::{wsg_host_close, wsg_host_open_tcp, wsg_host_raw};
+use wsg_host::wsg_host_error;
+use wsg_protocol::Status;
 use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, Part};
 
@@ -77,4 +82,22 @@ fn host_example_runs_over_a_pseudo_terminal() {
     runs(&Lines { serial: Some(SerialLine::Pty), ..Lines::default() }, |server| {
         vec![server.serial_path().unwrap().to_str().unwrap().to_owned()]
     });
+}
+
+#[test]
+fn only_payloads_up_to_256_bytes_are_sent() {
+    let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
+    let server = ServerThread::start(Config::default(), &lines, None).unwrap();
+    let port = server.tcp_address().unwrap().port();
+    let mut gripper = MaybeUninit::uninit();
+    assert_eq!(unsafe { wsg_host_open_tcp(c"127.0.0.1".as_ptr(), port, Some(&mut gripper)) }, 0);
+    let gripper = unsafe { gripper.assume_init() };
+    let raw = |payload: &[u8]| unsafe {
+        let (reply, mut reply_length) = (ptr::null_mut(), 0);
+        wsg_host_raw(gripper.as_mut(), 0xA0, payload.as_ptr(), payload.len(), reply, Some(&mut reply_length))
+    };
+    assert_eq!(raw(&[0; 257]), wsg_host_error::TooLong as i32);
+    // No script serves the command.
+    assert_eq!(raw(&[0; 256]), i32::from(Status::CmdUnknown.code()));
+    unsafe { wsg_host_close(gripper) };
 }
