@@ -21,6 +21,9 @@ use document::root;
 use host_tests::device_files::GSD;
 use sha2::{Digest, Sha256};
 
+/// Cargo arguments that select the image's crate, features and target.
+const IMAGE: &str = "--package wsg-b-l475e-iot01a --features firmware --target thumbv7em-none-eabihf";
+
 /// Files of `docs` that are copied unchanged.
 const COPIED: [&str; 4] = ["wsg-bridge.eds", GSD, "FB_WSG_GRIP.st", "PRG_WSG_MODBUS.st"];
 
@@ -88,7 +91,7 @@ fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(&FILES)?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
-        ("LICENCES.txt", licences::text()?.into_bytes()),
+        ("LICENCES.txt", licences::text("The image contains", &[IMAGE])?.into_bytes()),
     ];
     for name in COPIED {
         files.push((name, fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?));
@@ -145,5 +148,20 @@ mod tests {
         for name in FILES.into_iter().chain([GSD_ARCHIVE, GSDML_ARCHIVE]) {
             assert!(README.contains(&format!("\n{name} ")), "{name}");
         }
+    }
+
+    #[test]
+    fn every_part_of_the_image_is_named_and_has_a_text() {
+        let text = licences::text("The image contains", &[IMAGE]).unwrap();
+
+        for part in ["cortex-m ", "heapless ", "embedded-io ", "stm32-metapac ", "crc "] {
+            assert!(text.contains(&format!("\n  {part}")), "{part}");
+        }
+        // Used only at build time or only on the host.
+        for other in ["syn ", "proptest ", "anyhow ", "object "] {
+            assert!(!text.contains(&format!("\n  {other}")), "{other}");
+        }
+        assert!(text.contains("Permission is hereby granted") && text.contains("Apache License"));
+        assert!(!text.contains(root().to_str().unwrap()));
     }
 }

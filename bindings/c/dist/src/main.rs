@@ -3,6 +3,8 @@
 //! `cargo xtask dist-c` calls it, and then tests the archive. Without `--targets` it builds all of [`TARGETS`] that rustup can
 //! provide, names the rest, and adds the virtual gripper.
 
+#[path = "../../../../host-tests/dist/src/licences.rs"]
+mod licences;
 mod symbols;
 
 use std::path::{Path, PathBuf};
@@ -50,6 +52,14 @@ const FILES: [(&str, &str); 18] = [
 
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
+/// Cargo arguments that select the libraries and the virtual gripper.
+const LINKED: [&str; 4] = [
+    "--package wsg-c --features static-library --target thumbv7em-none-eabihf",
+    "--package wsg-c-host --target x86_64-unknown-linux-gnu",
+    "--package wsg-c-host --target x86_64-pc-windows-gnu",
+    "--package wsg-sim",
+];
+
 /// The folder `bindings/c`.
 const SOURCES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
@@ -86,6 +96,8 @@ fn run() -> Result<()> {
     for (target, source) in FILES {
         copy(&Path::new(SOURCES).join(source), &archive.folder.join(target))?;
     }
+    let licences = licences::text("Libraries and virtual gripper contain", &LINKED)?;
+    fs::write(archive.folder.join("LICENCES.txt"), licences)?;
     let mut missing = Vec::new();
     match &chosen {
         Some(chosen) => {
