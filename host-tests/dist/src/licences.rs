@@ -63,9 +63,6 @@ fn text_of(what: &str, parts: &[Part]) -> Result<String> {
         "  standard library and compiler_builtins of Rust: MIT OR Apache-2.0 (by the Rust project's contributors; parts of \
          compiler_builtins: Apache-2.0 WITH LLVM-exception)\n",
     );
-    if parts.iter().any(|part| part.name == "lua-src") {
-        text.push_str("  Lua 5.1.5, in lua-src: MIT (Copyright (C) 1994-2012 Lua.org, PUC-Rio)\n");
-    }
     for (licence, names) in used {
         let names: Vec<_> = names.into_iter().collect();
         write!(text, "\n{}\n{}\n\n{licence}\n", "=".repeat(80), names.join(", "))?;
