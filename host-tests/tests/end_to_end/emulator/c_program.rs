@@ -16,6 +16,10 @@ use wsg_sim::{Config, Part};
 fn compile(name: &str, others: &[PathBuf], includes: &[PathBuf]) -> PathBuf {
     let library = std::env::var_os("WSG_C_LIBRARY")
         .expect("WSG_C_LIBRARY names no static library: run `cargo xtask test`");
+    // A reachable panic in any function would call an undefined function; see the library's panic handler.
+    let nm = Command::new("arm-none-eabi-nm").arg("--undefined-only").arg(&library).output().unwrap();
+    let undefined = String::from_utf8_lossy(&nm.stdout);
+    assert!(undefined.contains(" U __aeabi_memcpy") && !undefined.contains("a_panic_can_be_reached"));
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../bindings/c/examples");
     let elf = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name).with_extension("elf");
     let mut gcc = Command::new("arm-none-eabi-gcc");
