@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     book,
     firmware::{self, IMAGE_VARIABLE, Image},
-    process, setup,
+    platforms, process, setup,
     tool::{self, CARGO_DENY, CARGO_LLVM_COV, MIRI, NIGHTLY},
     workspace::{TARGET_CRATES, Workspace},
 };
@@ -26,6 +26,24 @@ pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
     let mut cargo = workspace.cargo("run -q -p dist -- --elf");
     cargo.arg(&image.path).arg("--book").arg(book);
     process::run(cargo.arg("--to").arg(workspace.target_dir.join("dist")))
+}
+
+/// Name prefix of the tests of the C library that need the archive with all targets.
+pub(crate) const WHOLE_ARCHIVE: &str = "whole::";
+
+/// Builds the archive for C and C++ programmers. An archive with all targets is tested.
+pub(crate) fn dist_c(workspace: &Workspace, arguments: &[OsString]) -> Result<()> {
+    setup::thumb_and_qemu(workspace)?;
+    let missing = setup::lacking(&setup::FOR_C);
+    let folder = workspace.target_dir.join("dist-c");
+    process::run(workspace.cargo("run --quiet -p dist-c -- --to").arg(&folder).args(arguments))?;
+    if arguments.is_empty() {
+        let mut tests = workspace.cargo("test -p dist-c -- --include-ignored --skip");
+        tests.arg(platforms::TESTS).env("WSG_C_ARCHIVE", folder);
+        process::run(tests.args(missing.iter().flat_map(|name| ["--skip", name])))?;
+        ensure!(missing.is_empty(), "NOT CHECKED: the archive, {}", missing.join(", "));
+    }
+    Ok(())
 }
 
 /// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.

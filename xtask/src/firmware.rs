@@ -21,7 +21,8 @@ pub(crate) const BRIDGE: &str = "wsg-bridge-fw";
 /// Environment variable that names the image for the emulator tests.
 pub(crate) const IMAGE_VARIABLE: &str = "WSG_FIRMWARE_ELF";
 
-const PROFILE: &str = "firmware";
+/// Profile of the released images.
+pub(crate) const PROFILE: &str = "firmware";
 
 /// Images for the emulator tests: environment variable and settings, the defaults first.
 ///
@@ -67,7 +68,7 @@ pub(crate) struct Image {
 pub(crate) fn build(toolchain: &ThumbToolchain<'_>, variant: &Variant) -> Result<Image> {
     let board = variant.board;
     let mut cargo = toolchain.cargo("build", board.triple);
-    cargo.args(selection(board, &variant.features));
+    cargo.args(selection(board, &variant.features, PROFILE));
     process::run(&mut cargo)?;
     let built = toolchain.output_dir(board.triple, PROFILE).join(board.name);
     let mut elf = fs::read(&built).with_context(|| format!("cannot read the image {}", built.display()))?;
@@ -86,19 +87,13 @@ pub(crate) fn build_all(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Image>> {
 
 /// Builds the static library for C programs on a target. A program with a panic path fails to link with it.
 pub(crate) fn c_library(toolchain: &ThumbToolchain<'_>, triple: &str) -> Result<PathBuf> {
-    let mut cargo = toolchain.cargo("rustc", triple);
-    cargo.args(["-p", "wsg-c", "--lib", "--crate-type", "staticlib", "--features", "prove-panic-free"]);
-    process::run(cargo.args(["--profile", "c-library"]))?;
+    let options = "-p wsg-c --lib --crate-type staticlib --features static-library --profile c-library";
+    process::run(toolchain.cargo("rustc", triple).args(options.split(' ')))?;
     Ok(toolchain.output_dir(triple, "c-library").join("libwsg.a"))
 }
 
 /// Returns cargo's arguments that select the firmware's binary, features and profile.
-pub(crate) fn selection(board: &Board, features: &[String]) -> Vec<String> {
-    selection_for(board, features, PROFILE)
-}
-
-/// The same with another profile.
-pub(crate) fn selection_for(board: &Board, features: &[String], profile: &str) -> Vec<String> {
+pub(crate) fn selection(board: &Board, features: &[String], profile: &str) -> Vec<String> {
     let features = [&[FIRMWARE.to_owned()], features].concat().join(",");
     ["-p", &format!("wsg-{}", board.name), "--bin", board.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)

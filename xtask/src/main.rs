@@ -148,8 +148,7 @@ enum Command {
     Wheels,
     /// Build the delivery folder for PLC engineers, with the book (reproducible except for the date in its PDF)
     Dist,
-    /// Build the archive for C and C++ programmers: headers, static libraries for eight targets, CMake and pkg-config files,
-    /// examples
+    /// Build the archive for C and C++ programmers: headers, libraries for eight targets, examples; test it
     DistC {
         /// --targets TRIPLE,...
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
@@ -231,10 +230,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Python => python::test(workspace, &python(workspace)?)?,
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
         Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
-        Command::DistC { arguments } => {
-            let mut dist = workspace.cargo("run --quiet -p dist-c -- --to");
-            process::run(dist.arg(workspace.target_dir.join("dist-c")).args(arguments))?;
-        }
+        Command::DistC { arguments } => commands::dist_c(workspace, &arguments)?,
         Command::Docs => drop(book::build(workspace)?),
         Command::Flash(variant) => {
             flash::require_probe_rs()?;
@@ -252,6 +248,7 @@ fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
     test::run(toolchain, &[], Extent::Whole, true)?;
     commands::telemetry(workspace)?;
     platforms::run(workspace)?;
+    commands::dist_c(workspace, &[])?;
     commands::soak(workspace, image, &commands::Soak::CI)?;
     commands::fast_stop(workspace)?;
     commands::explore(workspace, commands::STATES)?;

@@ -38,7 +38,7 @@ pub(crate) fn check(toolchain: &ThumbToolchain<'_>) -> Result<()> {
         hold(what, &level, &mut toolchain.probe(TRIPLE, FUNCTIONS, FEATURES, profile))?;
         for board in &BOARDS {
             let mut firmware = toolchain.cargo("build", board.triple);
-            firmware.args(firmware::selection_for(board, &["prove-panic-free".to_owned()], profile.name));
+            firmware.args(firmware::selection(board, &["prove-panic-free".to_owned()], profile.name));
             hold(board.name, &level, &mut firmware)?;
         }
     }

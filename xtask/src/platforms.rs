@@ -53,7 +53,7 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     library.args(["-shared", "-o"]).arg(folder.join("bcryptprimitives.dll"));
     process::run(library.arg(workspace.root.join("xtask/src/platforms.c")).arg("-ladvapi32"))?;
 
-    let tests = || workspace.cargo("test -p host-tests --test end_to_end");
+    let tests = || workspace.cargo("test -p host-tests -p dist-c --test end_to_end --test archive");
     process::run(tests().arg("--no-run"))?;
     let (exe, prefix) = (folder.join("wsg-sim.exe"), workspace.target_dir.join("wine"));
     fs::create_dir_all(&prefix)?;

@@ -80,7 +80,7 @@ fn build(
     let _ = fs::remove_dir_all(&out);
     let package = workspace.root.join(PYTHON_PACKAGE);
     // maturin adds files of this name to the wheel.
-    let licences = licences::text(&["--package".to_owned(), "wsg-python".to_owned()])?;
+    let licences = licences::text(&["--package wsg-python"])?;
     fs::write(package.join("LICENCES.txt"), licences)?;
     let mut maturin = Command::new(environment.join("bin/maturin"));
     maturin.current_dir(package).env("CARGO_TARGET_DIR", &workspace.target_dir).env("PATH", path);

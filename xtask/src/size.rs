@@ -96,7 +96,7 @@ pub(crate) fn of_c_library(toolchain: &ThumbToolchain<'_>) -> Result<Vec<Gate>> 
             gcc.current_dir(toolchain.workspace.root.join("bindings/c"));
             gcc.args("-mthumb -Os -ffreestanding -nostdlib -z noexecstack -Wl,--gc-sections".split(' '));
             gcc.args(options).args([definition, "-I", "include", "size/size.c"]).arg(&library);
-            process::run(gcc.args(["-T", "examples/bare_metal.ld", "-o"]).arg(&elf))?;
+            process::run(gcc.args(["-T", "examples/board.ld", "-o"]).arg(&elf))?;
             anyhow::Ok(Footprint::of(&sections_of(&elf)?))
         };
         let library = program("-DWSG_WHOLE")?.over(program("-DWSG_EMPTY")?);

@@ -83,7 +83,7 @@ fn paint(workspace: &Workspace, image: &Image) -> Result<Gate> {
 /// Builds the image with an additional section of stack sizes, which occupies no memory on the target.
 fn build_with_sizes(toolchain: &ThumbToolchain<'_>, board: &Board) -> Result<Vec<u8>> {
     let mut cargo = toolchain.cargo("build", board.triple);
-    cargo.args(firmware::selection(board, &[]));
+    cargo.args(firmware::selection(board, &[], firmware::PROFILE));
     cargo.args(["--config", &format!("target.{}.rustflags=[\"-Zemit-stack-sizes\"]", board.triple)]);
     // A separate build folder keeps the tested image. The option is unstable; the section that it writes is defined by LLVM.
     let workspace = toolchain.workspace;

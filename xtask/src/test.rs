@@ -7,6 +7,7 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     bench,
     board::{BOARDS, Board},
+    commands,
     firmware::{self, Variant},
     gate,
     matrix::{self, Extent},
@@ -138,7 +139,7 @@ impl Checks<'_> {
 
     fn firmware_clippy(&self, board: &Board) -> Command {
         let mut clippy = self.toolchain.cargo("clippy", board.triple);
-        clippy.args(firmware::selection(board, &[])).args(["--", "-D", "warnings"]);
+        clippy.args(firmware::selection(board, &[], firmware::PROFILE)).args(["--", "-D", "warnings"]);
         clippy
     }
 
@@ -167,10 +168,8 @@ impl Checks<'_> {
         for (variable, image) in &self.chosen {
             tests.env(variable, image);
         }
-        for skipped in self.masters.missing.iter().chain([&platforms::TESTS]) {
-            tests.args(["--skip", skipped]);
-        }
-        process::run(tests.args(filter))
+        let skipped = self.masters.missing.iter().chain([&platforms::TESTS, &commands::WHOLE_ARCHIVE]);
+        process::run(tests.args(skipped.flat_map(|name| ["--skip", name])).args(filter))
     }
 }
 

@@ -1,8 +1,15 @@
 /*
- * Grips a part, stops a motion from another thread, and follows set-points, over TCP.
+ * Grips a part, stops a motion from another thread, and follows set-points, over TCP, UDP or a serial port.
  *
  *     cc -I include examples/host.c -L lib/x86_64-unknown-linux-gnu -lwsg_host -lpthread -ldl -lm -o host
- *     ./host 127.0.0.1 1000
+ *     ./host 192.168.1.20 1000              (TCP)
+ *     ./host 192.168.1.20 1500 1501         (UDP, and the port for the replies)
+ *     ./host /dev/ttyUSB0
+ *
+ * On Windows with MinGW:
+ *
+ *     gcc -I include examples/host.c -L lib/x86_64-pc-windows-gnu -lwsg_host -lws2_32 -luserenv -lntdll -lpthread -static -o host
+ *     host COM3
  */
 #define _POSIX_C_SOURCE 200809L
 
@@ -37,6 +44,23 @@ static void *press_button(void *handle)
     return wsg_host_stop_now(handle, 0) == 0 ? handle : NULL;
 }
 
+static int32_t open_line(int count, char **arguments, wsg_host_t **gripper)
+{
+    uint16_t port = (uint16_t)(count > 2 ? atoi(arguments[2]) : 0);
+
+    switch (count) {
+    case 2:
+        return wsg_host_open_serial(arguments[1], 115200, gripper);
+    case 3:
+        return wsg_host_open_tcp(arguments[1], port, gripper);
+    case 4:
+        return wsg_host_open_udp(arguments[1], port, (uint16_t)atoi(arguments[3]), gripper);
+    default:
+        fprintf(stderr, "usage: host HOST PORT | host HOST PORT REPLY_PORT | host DEVICE\n");
+        exit(2);
+    }
+}
+
 int main(int count, char **arguments)
 {
     wsg_host_t *gripper;
@@ -48,11 +72,7 @@ int main(int count, char **arguments)
     float width = 0;
     int tries;
 
-    if (count != 3) {
-        fprintf(stderr, "usage: host HOST PORT\n");
-        return 2;
-    }
-    expect("open", wsg_host_open_tcp(arguments[1], (uint16_t)atoi(arguments[2]), &gripper), 0);
+    expect("open", open_line(count, arguments, &gripper), 0);
     expect("home", wsg_host_home(gripper, WSG_HOMING_DEFAULT), 0);
     expect("grip", wsg_host_grip(gripper, 20.0f, 100.0f, &held), 0);
     expect("width", wsg_host_width(gripper, &width), 0);

@@ -248,6 +248,9 @@ pub extern "C" fn wsg_host_info(
 
 /// Sends any command with a payload, and waits for its final reply. Writes the payload of the reply after its status to `reply`,
 /// and its length to `reply_length`, which holds the size of `reply` before. The lengths may be 0.
+///
+/// WSG_HOST_ERROR_TOO_LONG: `payload` has more than 256 bytes, or the reply does not fit into `reply`. A reply with more than 256
+/// bytes after its status is not received: WSG_HOST_ERROR_UNANSWERED, as without a reply.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_host_raw(
     gripper: Option<&mut wsg_host_t>,

@@ -1,10 +1,11 @@
 //! `include/wsg_host.h` is the output of cbindgen, and compilers accept it.
 
-use std::fs;
-use std::path::Path;
-use std::process::Command;
+#[path = "../../c/tests/shared/mod.rs"]
+mod shared;
 
-const HEADER: &str = "include/wsg_host.h";
+use shared::Header;
+
+const HEADER: Header = Header { name: "wsg_host", folder: env!("CARGO_MANIFEST_DIR") };
 
 const PREAMBLE: &str = "\
 /*
@@ -26,60 +27,19 @@ const PREAMBLE: &str = "\
 #include \"wsg.h\"
 ";
 
-fn crate_dir() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-fn header() -> String {
-    let mut config = cbindgen::Config::from_file(crate_dir().join("cbindgen.toml")).unwrap();
-    config.after_includes = Some(PREAMBLE.to_owned());
-    let bindings = cbindgen::Builder::new().with_crate(crate_dir()).with_config(config).generate().unwrap();
-    let mut text = Vec::new();
-    bindings.write(&mut text);
-    String::from_utf8(text).unwrap()
+#[test]
+fn the_header_is_generated_from_the_crate_and_its_abi_is_recorded() {
+    HEADER.is_generated(PREAMBLE.to_owned());
+    HEADER.is_recorded();
 }
 
 #[test]
-fn the_header_is_generated_from_the_crate() {
-    let (path, header) = (crate_dir().join(HEADER), header());
-    if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
-        fs::write(&path, &header).unwrap();
-    }
-    assert!(
-        fs::read_to_string(&path).unwrap_or_default() == header,
-        "{HEADER} is outdated; run `WSG_UPDATE_DOCS=1 cargo test -p wsg-c-host --test header`"
-    );
-}
-
-fn compile(compiler: &str) {
-    for (language, standard) in [("c", "c99"), ("c", "c11"), ("c++", "c++17")] {
-        let mut command = Command::new(compiler);
-        command.args([
-            "-x",
-            language,
-            &format!("-std={standard}"),
-            "-Wall",
-            "-Wextra",
-            "-Wpedantic",
-            "-Werror",
-        ]);
-        command.args(["-fsyntax-only", "-I"]).arg(crate_dir().join("../c/include"));
-        let output = command.arg(crate_dir().join(HEADER)).output().unwrap();
-        assert!(
-            output.status.success(),
-            "{compiler} as {standard}:\n{}",
-            String::from_utf8_lossy(&output.stderr)
-        );
-    }
-}
-
-#[test]
-fn header_compiles_with_gcc() {
-    compile("gcc");
+fn header_and_recorded_abi_compile_with_gcc() {
+    HEADER.compiles("gcc", &[]);
 }
 
 #[test]
 #[ignore = "needs clang: run `cargo xtask test`"]
-fn header_compiles_with_clang() {
-    compile("clang");
+fn header_and_recorded_abi_compile_with_clang() {
+    HEADER.compiles("clang", &[]);
 }

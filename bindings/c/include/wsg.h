@@ -271,7 +271,11 @@ enum wsg_finger_flag {
 /* Maximum of every time in the configuration: one hour. */
 #define WSG_CONFIG_MAX_MS 3600000
 
-/* Maximum payload of a received frame in bytes: a status and a device tag. Longer frames are counted as oversize. */
+/*
+ Maximum payload of a received frame in bytes: a status and a device tag. The protocol permits 65 535: longer replies, which
+ only scripts, fingers and Loop have, are not received. They are counted as `oversize` in wsg_counters_t, and their request
+ ends with WSG_EVENT_UNANSWERED after its time-out.
+ */
 #define WSG_MAX_PAYLOAD 66
 
 /* Buffer length for wsg_transmit() that holds every request without caller-owned data. */
@@ -888,14 +892,18 @@ int32_t wsg_get_finger_flags(wsg_t *wsg, uint8_t finger);
 /* Finger Power Control (62h, 72h): switches the supply of `finger` 1 or 2 on (1) or off (0). */
 int32_t wsg_finger_power(wsg_t *wsg, uint8_t finger, uint8_t enabled);
 
-/* Get Finger Data (63h, 73h) of `finger` 1 or 2: WSG_VALUE_BYTES. Data frames of more than 64 bytes are not received. */
+/*
+ Get Finger Data (63h, 73h) of `finger` 1 or 2: WSG_VALUE_BYTES. Data frames of more than 64 bytes are not received; see
+ WSG_MAX_PAYLOAD.
+ */
 int32_t wsg_get_finger_data(wsg_t *wsg, uint8_t finger);
 
 /*
  A command of a script on the gripper, with up to 64 bytes of payload: WSG_VALUE_BYTES. The session treats it as a motion
  and never repeats it. The data must stay valid as described at wsg_loop().
 
- Returns WSG_ERROR_ARGUMENT for the id of a command of the manual.
+ Returns WSG_ERROR_ARGUMENT for the id of a command of the manual, and WSG_ERROR_TOO_LONG for more data. A reply with more
+ than 64 bytes after its status is not received; see WSG_MAX_PAYLOAD.
  */
 int32_t wsg_custom(wsg_t *wsg, uint8_t id, const uint8_t *data, size_t length);
 

@@ -1,4 +1,5 @@
-# find_package(wsg) defines the target wsg::wsg, and on a computer wsg::host, which contains it.
+# find_package(wsg) defines the target wsg::wsg, and on a computer wsg::host, which contains it. On Linux, wsg::host_shared is the shared
+# library.
 #
 # On a computer the library is chosen by system and processor. For a board set WSG_TARGET, such as thumbv7em-none-eabihf, to one of
 # the folders in lib.
@@ -39,4 +40,12 @@ if(EXISTS "${wsg_host_library}" AND NOT TARGET wsg::host)
         IMPORTED_LOCATION "${wsg_host_library}"
         INTERFACE_INCLUDE_DIRECTORIES "${wsg_root}/include"
         INTERFACE_LINK_LIBRARIES "${wsg_host_system}")
+endif()
+
+set(wsg_shared_library "${wsg_root}/lib/${WSG_TARGET}/shared/libwsg_host.so")
+if(EXISTS "${wsg_shared_library}" AND NOT TARGET wsg::host_shared)
+    add_library(wsg::host_shared SHARED IMPORTED)
+    set_target_properties(wsg::host_shared PROPERTIES
+        IMPORTED_LOCATION "${wsg_shared_library}"
+        INTERFACE_INCLUDE_DIRECTORIES "${wsg_root}/include")
 endif()

@@ -279,7 +279,8 @@ pub extern "C" fn wsg_finger_power(wsg: Option<&mut wsg_t>, finger: u8, enabled:
     }
 }
 
-/// Get Finger Data (63h, 73h) of `finger` 1 or 2: WSG_VALUE_BYTES. Data frames of more than 64 bytes are not received.
+/// Get Finger Data (63h, 73h) of `finger` 1 or 2: WSG_VALUE_BYTES. Data frames of more than 64 bytes are not received; see
+/// WSG_MAX_PAYLOAD.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_get_finger_data(wsg: Option<&mut wsg_t>, finger: u8) -> i32 {
     of_finger(wsg, finger, [Command::GetFinger1Data, Command::GetFinger2Data])
@@ -288,7 +289,8 @@ pub extern "C" fn wsg_get_finger_data(wsg: Option<&mut wsg_t>, finger: u8) -> i3
 /// A command of a script on the gripper, with up to 64 bytes of payload: WSG_VALUE_BYTES. The session treats it as a motion
 /// and never repeats it. The data must stay valid as described at wsg_loop().
 ///
-/// Returns WSG_ERROR_ARGUMENT for the id of a command of the manual.
+/// Returns WSG_ERROR_ARGUMENT for the id of a command of the manual, and WSG_ERROR_TOO_LONG for more data. A reply with more
+/// than 64 bytes after its status is not received; see WSG_MAX_PAYLOAD.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn wsg_custom(wsg: Option<&mut wsg_t>, id: u8, data: *const u8, length: usize) -> i32 {
     match CommandId::from_code(id) {

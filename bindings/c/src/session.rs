@@ -12,7 +12,9 @@ use crate::error::{DONE, Outcome, code, length, wsg_error};
 use crate::event::wsg_event_t;
 use crate::memory::{self, give};
 
-/// Maximum payload of a received frame in bytes: a status and a device tag. Longer frames are counted as oversize.
+/// Maximum payload of a received frame in bytes: a status and a device tag. The protocol permits 65 535: longer replies, which
+/// only scripts, fingers and Loop have, are not received. They are counted as `oversize` in wsg_counters_t, and their request
+/// ends with WSG_EVENT_UNANSWERED after its time-out.
 pub const WSG_MAX_PAYLOAD: usize = 66;
 
 /// Buffer length for wsg_transmit() that holds every request without caller-owned data.

@@ -364,6 +364,45 @@ fn full_queue_drops_reports_before_answers_and_keeps_one_payload() {
 }
 
 #[test]
+fn payloads_above_the_limit_are_rejected_and_longer_replies_leave_the_request_unanswered() {
+    unsafe extern "C" fn keep(context: *mut c_void, event: *const wsg_event_t) {
+        unsafe { (*context.cast::<Vec<(u8, u8)>>()).push(((*event).kind, (*event).command)) };
+    }
+    const ID: u8 = 0xA0;
+    let mut events: Vec<(u8, u8)> = Vec::new();
+    let events_place = &raw mut events;
+    let mut wsg = MaybeUninit::uninit();
+    unsafe { wsg_init(Some(&mut wsg), None, Some(keep), events_place.cast()) };
+    let wsg = unsafe { wsg.assume_init_mut() };
+    let data = [0; WSG_MAX_PAYLOAD - 1];
+    let mut below = generator(1);
+    for now in 0..100_000 {
+        unsafe { wsg_tick(wsg, now) };
+        let mut message = [0; WSG_MAX_PAYLOAD + 8];
+        if unsafe { wsg_transmit(wsg, now, message.as_mut_ptr(), message.len()) } > 0 {
+            let payload = match CommandId::from_code(message[3]) {
+                CommandId::Unknown(ID) => vec![0; WSG_MAX_PAYLOAD + 1],
+                id => std::iter::repeat_with(|| reply(&mut below, id)).find(|it| it[..2] == [0, 0]).unwrap(),
+            };
+            let answer: Vec<u8> = FrameEncoder::new(message[3], &payload[..]).collect();
+            unsafe { wsg_receive(wsg, now, answer.as_ptr(), answer.len()) };
+        }
+        if now == 1_000 {
+            let custom =
+                |wsg: &mut wsg_t, length| unsafe { wsg_custom(Some(wsg), ID, data.as_ptr(), length) };
+            assert_eq!(custom(wsg, data.len()), wsg_error::TooLong as i32);
+            assert_eq!(custom(wsg, data.len() - 1), 0);
+        }
+    }
+    let mut counters = MaybeUninit::uninit();
+    wsg::known::wsg_counters(Some(wsg), Some(&mut counters));
+    assert_eq!(unsafe { counters.assume_init() }.oversize, 1);
+    let of_custom: Vec<u8> =
+        unsafe { &*events_place }.iter().filter(|it| it.1 == ID).map(|it| it.0).collect();
+    assert_eq!(of_custom, [wsg_event::Unanswered as u8]);
+}
+
+#[test]
 fn requests_are_accepted_in_the_callback_and_other_calls_are_not() {
     struct Seen {
         wsg: *mut wsg_t,

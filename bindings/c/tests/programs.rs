@@ -27,7 +27,7 @@ fn library() -> &'static Path {
             "c-library",
         ]);
         cargo
-            .args(["--crate-type", "staticlib", "--features", "prove-panic-free", "--target-dir"])
+            .args(["--crate-type", "staticlib", "--features", "static-library", "--target-dir"])
             .arg(&target);
         assert!(cargo.status().unwrap().success());
         target.join("c-library/libwsg.a")
@@ -70,6 +70,30 @@ fn posix_example_grips_over_tcp() {
     let port = server.tcp_address().unwrap().port().to_string();
     let posix = program("examples/posix.c", "posix-tcp", &["-fsanitize=address,undefined"]);
     assert_eq!(passes(Command::new(posix).args(["127.0.0.1", &port])), CYCLE);
+}
+
+#[test]
+fn program_compiled_with_a_recorded_header_links_and_grips() {
+    let abi_version = |header: &Path| {
+        let header = std::fs::read_to_string(header).unwrap();
+        header.lines().find(|line| line.contains("WSG_ABI_VERSION")).unwrap().to_owned()
+    };
+    let current = abi_version(&crate_dir().join("include/wsg.h"));
+    let files = std::fs::read_dir(crate_dir().join("abi")).unwrap().map(|entry| entry.unwrap().path());
+    let of_this_abi = |path: &PathBuf| path.extension().unwrap() == "h" && abi_version(path) == current;
+    let headers: Vec<PathBuf> = files.filter(of_this_abi).collect();
+    assert!(!headers.is_empty(), "no recorded header with {current}");
+    for header in headers {
+        let include = format!("-I{}", crate_dir().join("tests/shared").display());
+        let [header, record] =
+            [header.clone(), header.with_extension("c")].map(|it| it.display().to_string());
+        // The include guard replaces the present header with the recorded one.
+        let options = ["-D_POSIX_C_SOURCE=200809L", "-include", &header, &include, &record];
+        let posix = program("examples/posix.c", "posix-recorded", &options);
+        let server = gripper(&Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() });
+        let port = server.tcp_address().unwrap().port().to_string();
+        assert_eq!(passes(Command::new(posix).args(["127.0.0.1", &port])), CYCLE);
+    }
 }
 
 #[test]

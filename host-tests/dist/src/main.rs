@@ -21,6 +21,9 @@ use document::root;
 use host_tests::device_files::GSD;
 use sha2::{Digest, Sha256};
 
+/// Cargo arguments that select the image's crate, features and target.
+const IMAGE: &str = "--package wsg-b-l475e-iot01a --features firmware --target thumbv7em-none-eabihf";
+
 /// Files of `docs` that are copied unchanged.
 const COPIED: [&str; 7] = [
     "wsg-bridge.eds",
@@ -31,10 +34,6 @@ const COPIED: [&str; 7] = [
     "wsg-blocks.xml",
     "wsg-blocks.scl",
 ];
-
-/// Cargo arguments that select the image's crate, features and target.
-const IMAGE: [&str; 6] =
-    ["--package", "wsg-b-l475e-iot01a", "--features", "firmware", "--target", "thumbv7em-none-eabihf"];
 
 const REGISTERS: &str = "registers.csv";
 const SUMS: &str = "SHA256SUMS";
@@ -110,7 +109,7 @@ fn contents(elf: Vec<u8>, book: &Path) -> Result<Vec<(String, Vec<u8>)>> {
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(&linked())?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
-        ("LICENCES.txt", licences::text(&IMAGE.map(str::to_owned))?.into_bytes()),
+        ("LICENCES.txt", licences::text(&[IMAGE])?.into_bytes()),
     ];
     let mut files: Vec<_> = single.map(|(name, bytes)| (name.to_owned(), bytes)).into();
     for name in COPIED {

@@ -33,13 +33,13 @@ struct Part {
     folder: PathBuf,
 }
 
-/// Lists all crates in an image or in programs, selected by cargo's arguments, with their licences, followed by the
-/// licence texts.
+/// Lists all crates in an image, in libraries or in programs with their licences, followed by the licence texts. Each
+/// selection has cargo's arguments for packages, features and target.
 ///
 /// # Errors
 /// Fails when cargo fails or a crate has no licence.
-pub fn text(selection: &[String]) -> Result<String> {
-    text_of(&parts(selection)?)
+pub fn text(selections: &[&str]) -> Result<String> {
+    text_of(&parts(selections)?)
 }
 
 fn text_of(parts: &[Part]) -> Result<String> {
@@ -74,25 +74,31 @@ fn text_of(parts: &[Part]) -> Result<String> {
 }
 
 /// Returns the third-party crates, sorted by name.
-fn parts(selection: &[String]) -> Result<Vec<Part>> {
-    // Only `cargo tree` applies features and leaves out build-time dependencies.
-    let tree = |edges: &str| {
-        let mut tree = vec!["tree", "--prefix", "none", "--format", "{p}", "--edges", edges];
-        tree.extend(selection.iter().map(String::as_str));
-        cargo(&tree)
-    };
-    let (linked, with_build) = (tree("normal,no-proc-macro")?, tree("normal,build,no-proc-macro")?);
-    let crates = |tree| str::lines(tree).filter_map(|line| line.split_once(" v"));
-    let by_build = crates(&with_build).filter(|(name, _)| LINKED_BY_BUILD.contains(name));
-    let linked: BTreeSet<(&str, &str)> =
-        crates(&linked).chain(by_build).map(|(name, rest)| (name, word(rest))).collect();
+fn parts(selections: &[&str]) -> Result<Vec<Part>> {
+    let mut linked = BTreeSet::new();
+    for selection in selections {
+        // Only `cargo tree` applies features and leaves out build-time dependencies.
+        let crates = |edges: &str| -> Result<Vec<(String, String)>> {
+            let mut tree = vec!["tree", "--prefix", "none", "--format", "{p}", "--edges", edges];
+            tree.extend(selection.split(' '));
+            let tree = cargo(&tree)?;
+            let crates = tree.lines().filter_map(|line| line.split_once(" v"));
+            Ok(crates.map(|(name, rest)| (name.to_owned(), word(rest).to_owned())).collect())
+        };
+        linked.extend(crates("normal,no-proc-macro")?);
+        let mut by_build = crates("normal,build,no-proc-macro")?;
+        by_build.retain(|(name, _)| LINKED_BY_BUILD.contains(&name.as_str()));
+        linked.extend(by_build);
+    }
     let metadata: Value = serde_json::from_str(&cargo(&["metadata", "--format-version", "1"])?)?;
     let packages = metadata["packages"].as_array().context("cargo metadata lists no packages")?;
     let mut parts = Vec::new();
     for package in packages {
         let field = |name: &str| package[name].as_str().unwrap_or_default();
         // Packages without a source belong to this project.
-        if package["source"].is_null() || !linked.contains(&(field("name"), field("version"))) {
+        if package["source"].is_null()
+            || !linked.contains(&(field("name").to_owned(), field("version").to_owned()))
+        {
             continue;
         }
         ensure!(!field("license").is_empty(), "{} declares no licence", field("name"));
@@ -158,15 +164,9 @@ fn cargo(arguments: &[&str]) -> Result<String> {
 mod tests {
     use super::*;
 
-    fn selection(words: &str) -> Vec<String> {
-        words.split(' ').map(str::to_owned).collect()
-    }
-
     #[test]
     fn every_part_of_the_image_is_named_and_has_a_text() {
-        let text = text(&selection(
-            "--package wsg-b-l475e-iot01a --features firmware --target thumbv7em-none-eabihf",
-        ));
+        let text = text(&["--package wsg-b-l475e-iot01a --features firmware --target thumbv7em-none-eabihf"]);
         let text = text.unwrap();
 
         for part in ["cortex-m ", "heapless ", "embedded-io ", "stm32-metapac ", "crc "] {
@@ -182,7 +182,7 @@ mod tests {
 
     #[test]
     fn programs_name_the_library_in_c_that_a_build_script_compiles() {
-        let text = text(&selection("--package wsg-python")).unwrap();
+        let text = text(&["--package wsg-python"]).unwrap();
         assert!(text.contains("\n  lua-src ") && text.contains("Lua.org, PUC-Rio"));
         assert!(text.contains("\n  pyo3 "));
         assert!(!text.contains("\n  cc "));

@@ -36,14 +36,23 @@ const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
 /// A Debian program: its name in tests and messages, its executable, and its package.
 pub(crate) type Program = (&'static str, &'static str, &'static str);
 
+/// The Debian programs for the archive of the C library, as named in its tests.
+pub(crate) const FOR_C: [Program; 5] = [
+    ("arm_none_eabi_gcc", "arm-none-eabi-gcc", "gcc-arm-none-eabi"),
+    ("with_cmake", "cmake", "cmake"),
+    ("with_pkg_config", "pkg-config", "pkg-config"),
+    ("on_aarch64", "aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu libc6-dev-arm64-cross"),
+    ("on_aarch64", "qemu-aarch64-static", "qemu-user-static"),
+];
+
 /// The Debian programs, as named in the tests that need them.
 const FROM_DEBIAN: [Program; 12] = [
     (NAMESPACES, "ip", "iproute2"),
     ("mbpoll", "mbpoll", "mbpoll"),
-    ("arm_none_eabi_gcc", "arm-none-eabi-gcc", "gcc-arm-none-eabi"),
+    FOR_C[0],
+    FOR_C[1],
+    FOR_C[2],
     ("with_clang", "clang", "clang"),
-    ("with_cmake", "cmake", "cmake"),
-    ("with_pkg_config", "pkg-config", "pkg-config"),
     ("under_valgrind", "valgrind", "valgrind"),
     ("by_hand_with_nc", "nc", "netcat-openbsd"),
     ("in_chromium", "chromium", "chromium"),

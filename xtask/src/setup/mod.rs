@@ -13,8 +13,8 @@ use anyhow::{Context, Result, bail, ensure};
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{
-    Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, lacking, provide as masters, python,
-    tell_emulator,
+    FOR_C, Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, lacking, provide as masters,
+    python, tell_emulator,
 };
 pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, provide_target, rustup};
 
