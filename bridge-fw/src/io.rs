@@ -263,9 +263,10 @@ mod tests {
         shown.into_inner()
     }
 
-    /// Calls `check` with the shown states of each change from one state to another.
+    /// Calls `check` with the shown states of each change from one state to another. Miri, which is slow, checks a sample.
     fn for_each_change(check: impl Fn(&[Outputs], [Outputs; 2])) {
-        let states = || (0..=Outputs::all().bits()).map(Outputs::from_bits_retain);
+        let step = if cfg!(miri) { 17 } else { 1 };
+        let states = || (0..=Outputs::all().bits()).step_by(step).map(Outputs::from_bits_retain);
         for before in states() {
             states().for_each(|after| check(&shown(before, after), [before, after]));
         }
@@ -296,9 +297,9 @@ mod tests {
 
     #[test]
     fn error_is_high_without_link_ok_in_intermediate_states() {
-        let is_told = |state: &Outputs| state.intersects(Outputs::LINK_OK | Outputs::ERROR);
+        let is_reported = |state: &Outputs| state.intersects(Outputs::LINK_OK | Outputs::ERROR);
         for_each_change(|shown, ends| {
-            assert!(shown.iter().all(is_told) || !ends.iter().all(is_told), "{shown:?}");
+            assert!(shown.iter().all(is_reported) || !ends.iter().all(is_reported), "{shown:?}");
         });
     }
 
