@@ -90,11 +90,9 @@ impl Soak {
 /// Runs the test that sends commands to the image in the emulator on a faulty line. Its last line summarizes the results.
 pub(crate) fn soak(workspace: &Workspace, image: &Image, extent: &Soak) -> Result<()> {
     let mut cargo = workspace.cargo("test -q -p host-tests --test end_to_end soak_on_a_faulty_line --");
-    cargo.args(["--include-ignored", "--nocapture"]);
-    cargo.env(IMAGE_VARIABLE, &image.path);
+    cargo.args(["--include-ignored", "--nocapture"]).env(IMAGE_VARIABLE, &image.path);
     cargo.env("WSG_SOAK_COMMANDS", extent.commands.to_string());
-    cargo.env("WSG_SOAK_SEED", extent.seed.to_string());
-    process::run(&mut cargo)
+    process::run(cargo.env("WSG_SOAK_SEED", extent.seed.to_string()))
 }
 
 /// Runs the load test of `wsg telemetry` with 500 virtual grippers, separately from all other tests.
@@ -125,8 +123,7 @@ pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
     NIGHTLY.require(workspace, what_for)?;
     MIRI.require(workspace, what_for)?;
     let mut miri = tool::plain(workspace, "rustup run nightly cargo miri test --locked --lib -p");
-    miri.arg(firmware::BRIDGE);
-    miri.env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
+    miri.arg(firmware::BRIDGE).env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
     // Property tests write failures to files, which Miri's isolation prevents. Few cases, to save time.
     miri.env("MIRIFLAGS", "-Zmiri-disable-isolation").env("PROPTEST_CASES", "4");
     process::run(&mut miri)?;

@@ -193,14 +193,10 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Deny => commands::dependencies(workspace)?,
         Command::Size => {
             let built = Built::new(workspace)?;
-            gate::check(
-                &[
-                    size::of_images(&built.images()?)?,
-                    size::of_protocol(&built.toolchain)?,
-                    size::of_c_library(&built.toolchain)?,
-                ]
-                .concat(),
-            )?;
+            let mut gates = size::of_images(&built.images()?)?;
+            gates.extend(size::of_protocol(&built.toolchain)?);
+            gates.extend(size::of_c_library(&built.toolchain)?);
+            gate::check(&gates)?;
         }
         Command::Stack => {
             let built = Built::new(workspace)?;

@@ -110,6 +110,14 @@ fn pages_of_the_archive_point_only_at_its_files() {
 }
 
 #[test]
+fn archive_names_no_folder_of_the_computer_that_built_it() {
+    let root = unpacked("archive-paths", HOST);
+    let repository = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(3).unwrap();
+    let script = format!("! grep -rlF -e '{}/' -e '/.cargo/registry' .", repository.display());
+    shell(&root, &script);
+}
+
+#[test]
 #[ignore = "needs CMake: run `cargo xtask test`"]
 fn archive_is_used_with_cmake() {
     let root = unpacked("archive-cmake", HOST);
