@@ -24,8 +24,7 @@ const MAX_WHEEL: u64 = 6_000_000;
 
 /// Builds the wheels for users, checks their sizes, and tests the wheel of this machine.
 pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
-    let python = environment.join("bin/python");
-    let mut pip = Command::new(&python);
+    let mut pip = Command::new(environment.join("bin/python"));
     pip.args("-m pip --disable-pip-version-check install --quiet --require-hashes --requirement".split(' '));
     process::run(pip.arg(workspace.root.join(PYTHON_PACKAGE).join("wheels/requirements.txt")))?;
     let path = env::var_os("PATH").unwrap_or_default();
@@ -80,8 +79,7 @@ fn build(
     let _ = fs::remove_dir_all(&out);
     let package = workspace.root.join(PYTHON_PACKAGE);
     // maturin adds files of this name to the wheel.
-    let licences = licences::text(&["--package wsg-python"])?;
-    fs::write(package.join("LICENCES.txt"), licences)?;
+    fs::write(package.join("LICENCES.txt"), licences::text(&["--package wsg-python"])?)?;
     let mut maturin = Command::new(environment.join("bin/maturin"));
     maturin.current_dir(package).env("CARGO_TARGET_DIR", &workspace.target_dir).env("PATH", path);
     maturin.args(["build", "--locked", "--profile", profile, "--out"]).arg(&out).args(options);
