@@ -28,6 +28,18 @@ pub(crate) const CARGO_MUTANTS: Tool =
 pub(crate) const CARGO_DENY: Tool =
     Tool::new("cargo-deny", "cargo deny --version", "cargo install cargo-deny --locked");
 
+/// For a release: lists of the parts of a program in it and beside it, and Debian packages.
+pub(crate) const CARGO_AUDITABLE: Tool =
+    Tool::new("cargo-auditable", "cargo auditable --version", "cargo install cargo-auditable --locked");
+pub(crate) const CARGO_CYCLONEDX: Tool =
+    Tool::new("cargo-cyclonedx", "cargo cyclonedx --version", "cargo install cargo-cyclonedx --locked");
+pub(crate) const CARGO_DEB: Tool =
+    Tool::new("cargo-deb", "cargo deb --version", "cargo install cargo-deb --locked");
+
+/// For the records of public APIs.
+pub(crate) const CARGO_PUBLIC_API: Tool =
+    Tool::new("cargo-public-api", "cargo public-api --version", "cargo install cargo-public-api --locked");
+
 /// cargo-llvm-cov, for line coverage.
 pub(crate) const CARGO_LLVM_COV: Tool =
     Tool::new("cargo-llvm-cov", "cargo llvm-cov --version", "cargo install cargo-llvm-cov --locked");

@@ -13,14 +13,17 @@ use anyhow::{Context, Result, ensure};
 use document::root;
 use serde_json::Value;
 
-/// Cargo arguments that select the image's crate, features and target.
-const IMAGE: [&str; 6] =
-    ["--package", "wsg-b-l475e-iot01a", "--features", "firmware", "--target", "thumbv7em-none-eabihf"];
+/// Crates with sources in C that their build script compiles into a program.
+const LINKED_BY_BUILD: [&str; 1] = ["lua-src"];
+
+/// Parts of the standard library in every program.
+const STANDARD: &str = "  Rust's standard library (an image contains only core and compiler_builtins): MIT OR Apache-2.0 (by the Rust \
+                        project's contributors; parts of compiler_builtins: Apache-2.0 WITH LLVM-exception)\n";
 
 /// Beginnings of the names of licence and notice files.
 const FILES: [&str; 4] = ["LICENSE", "COPYING", "UNLICENSE", "NOTICE"];
 
-/// A crate in the image.
+/// A crate in a program.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Part {
     name: String,
@@ -31,18 +34,19 @@ struct Part {
     folder: PathBuf,
 }
 
-/// Lists all crates in the image with their licences, followed by the licence texts.
+/// Lists all crates in an image or in programs, selected by cargo's arguments, with their licences, followed by the
+/// licence texts.
 ///
 /// # Errors
 /// Fails when cargo fails or a crate has no licence.
-pub(crate) fn text() -> Result<String> {
-    text_of(&parts()?)
+pub(crate) fn text(selection: &[String]) -> Result<String> {
+    text_of(&parts(selection)?)
 }
 
 fn text_of(parts: &[Part]) -> Result<String> {
     let mut text = String::from(
         "This folder is licensed under the MIT licence or the Apache License 2.0, at your option. The texts follow.\n\n\
-         The image contains these third-party parts. Where \"OR\" appears, either licence applies, at your option.\n\n",
+         It contains these third-party parts. Where \"OR\" appears, either licence applies, at your option.\n\n",
     );
     let mut used: BTreeMap<String, BTreeSet<String>> = BTreeMap::new();
     let mut texts = |name: &str, folder: &Path| -> Result<bool> {
@@ -62,10 +66,7 @@ fn text_of(parts: &[Part]) -> Result<String> {
         }
         text.push('\n');
     }
-    text.push_str(
-        "  core and compiler_builtins of Rust: MIT OR Apache-2.0 (by the Rust project's contributors; parts of \
-         compiler_builtins: Apache-2.0 WITH LLVM-exception)\n",
-    );
+    text.push_str(STANDARD);
     for (licence, names) in used {
         let names: Vec<_> = names.into_iter().collect();
         write!(text, "\n{}\n{}\n\n{licence}\n", "=".repeat(80), names.join(", "))?;
@@ -73,17 +74,19 @@ fn text_of(parts: &[Part]) -> Result<String> {
     Ok(text)
 }
 
-/// Returns the third-party crates in the image, sorted by name.
-fn parts() -> Result<Vec<Part>> {
-    // Only `cargo tree` applies the image's features and leaves out build-time dependencies.
-    let mut tree = vec!["tree", "--prefix", "none", "--edges", "normal,no-proc-macro", "--format", "{p}"];
-    tree.extend(IMAGE);
-    let tree = cargo(&tree)?;
-    let linked: BTreeSet<(&str, &str)> = tree
-        .lines()
-        .filter_map(|line| line.split_once(" v"))
-        .map(|(name, rest)| (name, word(rest)))
-        .collect();
+/// Returns the third-party crates, sorted by name.
+fn parts(selection: &[String]) -> Result<Vec<Part>> {
+    // Only `cargo tree` applies features and leaves out build-time dependencies.
+    let tree = |edges: &str| {
+        let mut tree = vec!["tree", "--prefix", "none", "--format", "{p}", "--edges", edges];
+        tree.extend(selection.iter().map(String::as_str));
+        cargo(&tree)
+    };
+    let (linked, with_build) = (tree("normal,no-proc-macro")?, tree("normal,build,no-proc-macro")?);
+    let crates = |tree| str::lines(tree).filter_map(|line| line.split_once(" v"));
+    let by_build = crates(&with_build).filter(|(name, _)| LINKED_BY_BUILD.contains(name));
+    let linked: BTreeSet<(&str, &str)> =
+        crates(&linked).chain(by_build).map(|(name, rest)| (name, word(rest))).collect();
     let metadata: Value = serde_json::from_str(&cargo(&["metadata", "--format-version", "1"])?)?;
     let packages = metadata["packages"].as_array().context("cargo metadata lists no packages")?;
     let mut parts = Vec::new();
@@ -128,6 +131,12 @@ fn licence_files(folder: &Path) -> Result<Vec<String>> {
             texts.push(fs::read_to_string(&path)?);
         }
     }
+    // Lua's own notice ends its header.
+    if let Ok(header) = fs::read_to_string(folder.join("lua-5.1.5/lua.h")) {
+        let notice = header.rfind("* Copyright (C)").context("lua.h has no copyright notice")?;
+        let notice = header[notice..].split("\n***").next().unwrap_or_default();
+        texts.push(notice.replace("\n* ", "\n").replace("\n*\n", "\n\n").replace("* Copy", "Copy"));
+    }
     Ok(texts.iter().map(|text| tidy(text)).collect())
 }
 
@@ -152,7 +161,7 @@ mod tests {
 
     #[test]
     fn every_part_of_the_image_is_named_and_has_a_text() {
-        let text = text().unwrap();
+        let text = text(&crate::board::BOARDS[0].selection()).unwrap();
 
         for part in ["cortex-m ", "heapless ", "embedded-io ", "stm32-metapac ", "crc "] {
             assert!(text.contains(&format!("\n  {part}")), "{part}");
@@ -163,6 +172,15 @@ mod tests {
         }
         assert!(text.contains("Permission is hereby granted") && text.contains("Apache License"));
         assert!(!text.contains(root().to_str().unwrap()));
+    }
+
+    #[test]
+    fn programs_name_the_library_in_c_that_a_build_script_compiles() {
+        let text =
+            text(&["--package", "wsg-sim", "--target", "x86_64-unknown-linux-musl"].map(str::to_owned));
+        let text = text.unwrap();
+        assert!(text.contains("\n  lua-src ") && text.contains("Lua.org, PUC-Rio"));
+        assert!(!text.contains("\n  cc "));
     }
 
     #[test]

@@ -1,13 +1,17 @@
-//! Builds the release folder for PLC engineers: image, device files, manual, licences. Run it with `cargo xtask
-//! dist`. The same sources give the same bytes in any location.
+//! Builds the folder for PLC engineers: image, device files, manual, licences. Run it with `cargo xtask dist`. The same
+//! sources give the same bytes in any location. `cargo xtask release` runs it for each board, and makes every other file
+//! to upload.
 
+mod api;
 mod archive;
 mod bitmap;
+mod board;
 mod device_archives;
 mod image;
 mod licences;
 mod manual;
 mod register_map;
+mod release;
 
 use std::{
     fs,
@@ -16,6 +20,7 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
+use board::Board;
 use clap::Parser;
 use document::root;
 use host_tests::device_files::GSD;
@@ -36,8 +41,7 @@ It is not a safety device.
 
 Start with manual.html, \"Quick start\". Open it in any browser; no network is needed.
 
-wsg-bridge.bin       the image: copy it to the USB drive that the board provides
-wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer
+IMAGE
 manual.html          the manual
 registers.csv        all Modbus registers, coils and discrete inputs
 wsg-bridge.eds       CANopen: device file for a master's tool
@@ -52,19 +56,35 @@ LICENCES.txt         third-party parts of the image and their licences
 SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
 ";
 
-/// Builds the release folder for PLC engineers
+/// Builds what a release consists of
 #[derive(Parser)]
-struct Arguments {
+enum Arguments {
+    Folder(Folder),
+    Release(release::Arguments),
+    Api(api::Arguments),
+}
+
+/// Builds the folder for PLC engineers
+#[derive(clap::Args)]
+struct Folder {
     /// Firmware image
     #[arg(long, value_name = "IMAGE")]
     elf: PathBuf,
+    /// Board of the image
+    #[arg(long, value_name = "NAME", value_parser = Board::named, default_value = board::BOARDS[0].name)]
+    board: &'static Board,
     /// Folder to write
     #[arg(long, value_name = "FOLDER")]
     to: PathBuf,
 }
 
 fn main() -> ExitCode {
-    match run(&Arguments::parse()) {
+    let outcome = match Arguments::parse() {
+        Arguments::Folder(folder) => run(&folder),
+        Arguments::Release(release) => release::run(&release),
+        Arguments::Api(api) => api::run(&api),
+    };
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -73,35 +93,45 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(Arguments { elf, to }: &Arguments) -> Result<()> {
+fn run(Folder { elf, board, to }: &Folder) -> Result<()> {
     let elf = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
-    write(to, &contents(elf)?)?;
+    write(to, &contents(board, elf)?)?;
     println!("{}", to.display());
     Ok(())
 }
 
 /// Returns the named files, with the checksums last.
-fn contents(elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
+fn contents(board: &Board, elf: Vec<u8>) -> Result<Vec<(&'static str, Vec<u8>)>> {
+    let readme = README.replace("IMAGE", board.files).replace('\n', "\r\n");
     let mut files = vec![
-        ("README.txt", README.replace('\n', "\r\n").into_bytes()),
+        ("README.txt", readme.into_bytes()),
         ("wsg-bridge.bin", image::bytes_of_flash(&elf)?),
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(&FILES)?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
-        ("LICENCES.txt", licences::text()?.into_bytes()),
+        ("LICENCES.txt", licences::text(&board.selection())?.into_bytes()),
     ];
+    if board.takes_uf2 {
+        let elf = &files[2].1;
+        files.push(("wsg-bridge.uf2", footprint::uf2(elf)?));
+    }
     for name in COPIED {
         files.push((name, fs::read(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?));
     }
     files.extend(device_archives::archives()?);
     files.sort();
-    let mut sums = String::new();
-    for (name, bytes) in &files {
-        let sum: String = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        sums.push_str(&format!("{sum}  {name}\n"));
-    }
-    files.push((SUMS, sums.into_bytes()));
+    files.push((SUMS, sums(&files).into_bytes()));
     Ok(files)
+}
+
+/// Returns the checksums of these named files, as `sha256sum` prints them.
+fn sums(files: &[(impl AsRef<str>, Vec<u8>)]) -> String {
+    let mut sums = String::new();
+    for (name, bytes) in files {
+        let sum: String = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        sums.push_str(&format!("{sum}  {}\n", name.as_ref()));
+    }
+    sums
 }
 
 /// Replaces the contents of the folder with these files.
