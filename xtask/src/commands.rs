@@ -10,7 +10,7 @@ use crate::{
     platforms, process, setup,
     tool::{
         self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DEB, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
-        MIRI, NIGHTLY,
+        MDBOOK, MIRI, NIGHTLY,
     },
     workspace::{TARGET_CRATES, Workspace},
 };
@@ -27,6 +27,18 @@ pub(crate) fn demo(workspace: &Workspace, image: &Image, arguments: &[OsString])
 pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
     let mut cargo = workspace.cargo("run -q -p dist -- folder --elf");
     process::run(cargo.arg(&image.path).arg("--to").arg(workspace.target_dir.join("dist")))
+}
+
+/// Builds the documents as a book.
+pub(crate) fn docs(workspace: &Workspace) -> Result<()> {
+    tools_of_book(workspace)?;
+    process::run(&mut workspace.cargo("run -q -p dist -- book"))
+}
+
+/// Installs mdBook and Chromium. Without Chromium, there is no PDF.
+fn tools_of_book(workspace: &Workspace) -> Result<()> {
+    setup::lacking(&[("the PDF", "chromium", "chromium")]);
+    MDBOOK.require(workspace, "the book")
 }
 
 /// Compares public APIs and command lines with their records, or writes the records.
@@ -47,6 +59,7 @@ pub(crate) fn release(workspace: &Workspace, parts: &[OsString]) -> Result<()> {
     setup::lacking(&[("aarch64", "qemu-aarch64-static", "qemu-user-static")]);
     let zig = setup::zig(workspace).context("zig cannot be installed")?.join("bin");
     let path = env::var_os("PATH").unwrap_or_default();
+    tools_of_book(workspace)?;
     let mut release = workspace.cargo("run -q -p dist -- release --to");
     release.arg(workspace.target_dir.join(concat!("release-", env!("CARGO_PKG_VERSION")))).args(parts);
     release.env("PATH", env::join_paths([zig].into_iter().chain(env::split_paths(&path)))?);

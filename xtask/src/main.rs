@@ -4,7 +4,6 @@
 
 mod bench;
 mod board;
-mod book;
 mod commands;
 mod figures;
 mod firmware;
@@ -249,7 +248,7 @@ fn run(command: Command) -> Result<ExitCode> {
         }
         Command::Api { update } => commands::api(workspace, update)?,
         Command::Release { parts } => commands::release(workspace, &parts)?,
-        Command::Docs => book::build(workspace)?,
+        Command::Docs => commands::docs(workspace)?,
         Command::Flash(variant) => {
             flash::require_probe_rs()?;
             let image = build(workspace, &variant)?;

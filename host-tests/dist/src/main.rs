@@ -6,6 +6,7 @@ mod api;
 mod archive;
 mod bitmap;
 mod board;
+mod book;
 mod device_archives;
 mod image;
 mod licences;
@@ -62,6 +63,7 @@ enum Arguments {
     Folder(Folder),
     Release(release::Arguments),
     Api(api::Arguments),
+    Book(book::Arguments),
 }
 
 /// Builds the folder for PLC engineers
@@ -83,6 +85,7 @@ fn main() -> ExitCode {
         Arguments::Folder(folder) => run(&folder),
         Arguments::Release(release) => release::run(&release),
         Arguments::Api(api) => api::run(&api),
+        Arguments::Book(_) => book::build(),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -4,6 +4,8 @@ use std::{fs, process::Command};
 
 use anyhow::{Context, Result, ensure};
 
+use crate::book::{self, without_links};
+
 use super::{Release, VERSION, cargo, published, run_program, sbom, tar, trial};
 
 /// Packages the crates. cargo unpacks and builds each alone, with the others as dependencies from a registry.
@@ -95,15 +97,31 @@ pub(super) fn c(release: &mut Release) -> Result<()> {
 
 /// Adds the book, as HTML and as PDF.
 pub(super) fn book(release: &mut Release) -> Result<()> {
-    release.xtask("docs")?;
+    book::build()?;
     let name = format!("wsg-book-{VERSION}");
     let folder = release.folder("packed-book")?.join(&name);
     let built = document::root().join("target/book");
     run_program(Command::new("cp").arg("-r").arg(&built).arg(&folder), "")?;
-    let pages = fs::read_dir(&folder)?.count();
-    release.add(&format!("{name}.tar.gz"), &tar(&folder)?, format!("{pages} files"))?;
+    let mut pages = 0;
+    for entry in fs::read_dir(&folder)? {
+        let path = entry?.path();
+        if path.extension().is_some_and(|extension| extension == "html") {
+            // The archive does not contain the sources.
+            let html = without_links(&fs::read_to_string(&path)?, |link| link.starts_with("../"));
+            fs::write(&path, html)?;
+            pages += 1;
+        }
+    }
+    let bytes = tar(&folder)?;
+    let place = release.folder("book")?;
+    trial::untar(&place, &bytes)?;
+    let mut browser = trial::isolated(&[], "chromium".as_ref(), &place);
+    browser.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]);
+    browser.arg("--dump-dom").arg(format!("file://{}", place.join(&name).join("quick-start.html").display()));
+    run_program(browser, "<h1 id=\"quick-start\">")?;
+    release.add(&format!("{name}.tar.gz"), &bytes, format!("{pages} pages; Chromium opens one"))?;
     let pdf = fs::read(built.with_extension("pdf"));
     let pdf = pdf.context("there is no PDF of the book: Chromium is missing")?;
     ensure!(pdf.starts_with(b"%PDF-"), "the PDF of the book is none");
-    release.add(&format!("{name}.pdf"), &pdf, "begins as a PDF file")
+    release.add(&format!("{name}.pdf"), &pdf, "a PDF file, not opened")
 }

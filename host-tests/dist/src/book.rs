@@ -3,27 +3,27 @@
 use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result};
+use document::root;
 
-use crate::{
-    process, setup,
-    tool::{MDBOOK, plain},
-    workspace::Workspace,
-};
+use crate::release::run_program;
 
 /// Folder of the book, as in `book.toml`.
 const FOLDER: &str = "target/book";
 
+/// Builds the documents as a book in target/book, and prints it to target/book.pdf
+#[derive(clap::Args)]
+pub(crate) struct Arguments {}
+
 /// Builds `target/book`, and prints it to `target/book.pdf` unless Chromium is missing.
-pub(crate) fn build(workspace: &Workspace) -> Result<()> {
-    MDBOOK.require(workspace, "the book")?;
-    process::run(&mut plain(workspace, "mdbook build"))?;
-    let folder = workspace.root.join(FOLDER);
-    let contents = fs::read_to_string(workspace.root.join("docs/SUMMARY.md")).context("docs/SUMMARY.md")?;
+pub(crate) fn build() -> Result<()> {
+    run_program(Command::new("mdbook").current_dir(root()).arg("build"), "")?;
+    let folder = root().join(FOLDER);
+    let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).context("docs/SUMMARY.md")?;
     for entry in fs::read_dir(&folder)? {
         let path = entry?.path();
         if path.extension().is_some_and(|extension| extension == "html") {
             let html = fs::read_to_string(&path)?;
-            let html = with_links_to_sources(&html, |file| workspace.root.join(file).exists());
+            let html = with_links_to_sources(&html, |file| root().join(file).exists());
             fs::write(&path, with_titles(html, &contents))?;
         }
     }
@@ -31,9 +31,9 @@ pub(crate) fn build(workspace: &Workspace) -> Result<()> {
     print(&folder)
 }
 
-/// Prints the book's `print.html` beside its folder.
+/// Prints the book's `print.html` beside its folder, without links to files, which would contain paths of this machine.
 fn print(folder: &Path) -> Result<()> {
-    if !setup::lacking(&[("the PDF", "chromium", "chromium")]).is_empty() {
+    if Command::new("chromium").arg("--version").output().is_err() {
         println!("no PDF of the book: Chromium is missing");
         return Ok(());
     }
@@ -49,14 +49,47 @@ fn print(folder: &Path) -> Result<()> {
         "--log-level=3",
     ]);
     chromium.args(["--no-pdf-header-footer", "--generate-pdf-document-outline"]);
+    // Otherwise, an animated picture has a different state in each run.
+    chromium.arg("--force-prefers-reduced-motion");
     chromium.arg(format!("--user-data-dir={}", profile.display()));
     chromium.arg(format!("--print-to-pdf={}", pdf.display()));
-    let printed = process::output(chromium.arg(format!("file://{}", folder.join("print.html").display())));
+    let html = fs::read_to_string(folder.join("print.html"))?;
+    let page = folder.join("printed.html");
+    let is_file = |link: &str| !link.starts_with(['#', '?']) && !link.contains("://");
+    fs::write(&page, without_links(&html, is_file))?;
+    let printed = run_program(chromium.arg(format!("file://{}", page.display())), "");
     // The profile exists only if Chromium started.
     let _ = fs::remove_dir_all(profile);
+    fs::remove_file(page)?;
     printed?;
+    fs::write(&pdf, with_fixed_dates(fs::read(&pdf)?))?;
     println!("{}", pdf.display());
     Ok(())
+}
+
+/// Replaces the dates of creation and change, which Chromium takes from the clock.
+fn with_fixed_dates(mut pdf: Vec<u8>) -> Vec<u8> {
+    const NAME: &[u8] = b"Date (D:";
+    const DATE: &[u8] = b"19800101000000";
+    for at in 0..pdf.len().saturating_sub(NAME.len() + DATE.len()) {
+        if pdf[at..].starts_with(NAME) {
+            pdf[at + NAME.len()..][..DATE.len()].copy_from_slice(DATE);
+        }
+    }
+    pdf
+}
+
+/// Removes the targets of these links; their text remains.
+pub(crate) fn without_links(html: &str, is_removed: impl Fn(&str) -> bool) -> String {
+    const LINK: &str = "<a href=\"";
+    let mut parts = html.split(LINK);
+    let mut changed = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let target = part.split('"').next().unwrap_or_default();
+        changed.push_str(if is_removed(target) { "<a data-source=\"" } else { LINK });
+        changed.push_str(part);
+    }
+    changed
 }
 
 /// Makes links from `docs` to other files of the repository lead from the book to these files. mdBook has changed the
@@ -94,6 +127,15 @@ mod tests {
         let wanted = "<a href=\"../../ARCHITECTURE.md\">a</a> <a href=\"../../x/y.rs\">b</a> <a href=\"can.html\">c</a>";
         assert_eq!(changed, wanted);
         assert_eq!(with_links_to_sources(html, |_| false), html);
+    }
+
+    #[test]
+    fn links_to_files_and_dates_are_removed() {
+        let html = "<link href=\"a\"><a href=\"../../b.rs\">b</a> <a href=\"c.html\">c</a>";
+        let wanted = "<link href=\"a\"><a data-source=\"../../b.rs\">b</a> <a href=\"c.html\">c</a>";
+        assert_eq!(without_links(html, |link| link.starts_with("../")), wanted);
+        let pdf = |date: &str| format!("/ModDate (D:{date}+00'00')>> and more text").into_bytes();
+        assert_eq!(with_fixed_dates(pdf("20261126003419")), pdf("19800101000000"));
     }
 
     #[test]
