@@ -32,7 +32,7 @@ Version VERSION of wsg-bridge, wsg, wsg-sim, their libraries and their documents
 
 wsg-bridge-VERSION-BOARD.zip     for PLC engineers: image, manual, device files
 wsg-VERSION-SYSTEM               the programs wsg and wsg-sim, manual pages, completions
-wsg-tools_VERSION_CPU.deb        the same for Debian and Ubuntu
+wsg-tools_VERSION-1_CPU.deb      the same for Debian and Ubuntu
 wsg_gripper-VERSION-....whl      for Python
 libwsg-VERSION.tar.gz            for C and C++
 wsg-book-VERSION                 the documents, as HTML and PDF
@@ -99,15 +99,33 @@ pub(crate) fn run(Arguments { to, parts }: &Arguments) -> Result<()> {
 impl Release {
     /// Adds a file, and the result of its trial.
     fn add(&mut self, name: &str, bytes: &[u8], trial: impl Into<String>) -> Result<()> {
-        // A path would differ between machines.
+        self.names_no_path(name, bytes)?;
+        fs::write(self.to.join(name), bytes).with_context(|| format!("cannot write {name}"))?;
+        println!("{name}");
+        self.made.push((name.to_owned(), trial.into()));
+        Ok(())
+    }
+
+    /// Fails if a file contains a path of this machine, which would differ on others.
+    fn names_no_path(&self, name: &str, bytes: &[u8]) -> Result<()> {
         let places = [root(), self.target_dir.clone(), env::home_dir().unwrap_or_default().join(".cargo")];
         for place in places.iter().filter_map(|place| place.to_str()) {
             let found = bytes.windows(place.len()).position(|part| part == place.as_bytes());
             ensure!(found.is_none(), "{name} contains the path {place}, at byte {}", found.unwrap_or(0));
         }
-        fs::write(self.to.join(name), bytes).with_context(|| format!("cannot write {name}"))?;
-        println!("{name}");
-        self.made.push((name.to_owned(), trial.into()));
+        Ok(())
+    }
+
+    /// Fails if a file of an unpacked archive contains a path of this machine.
+    fn folder_names_no_path(&self, folder: &Path) -> Result<()> {
+        for entry in fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))? {
+            let path = entry?.path();
+            if path.is_dir() {
+                self.folder_names_no_path(&path)?;
+            } else {
+                self.names_no_path(&path.display().to_string(), &fs::read(&path)?)?;
+            }
+        }
         Ok(())
     }
 

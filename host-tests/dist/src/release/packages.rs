@@ -45,6 +45,9 @@ pub(super) fn wheels(release: &mut Release) -> Result<()> {
         }
         let wheel = fs::read_dir(&target)?.next().context("a folder without a wheel")??.path();
         let name = wheel.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let place = release.folder("wheel-unpacked")?;
+        trial::unzip(&place, &fs::read(&wheel)?)?;
+        release.folder_names_no_path(&place)?;
         let trial = if name.contains(std::env::consts::ARCH) {
             let place = release.folder("wheel")?;
             run_program(Command::new("python3").current_dir(&place).args(["-m", "venv", "."]), "")?;
@@ -82,6 +85,7 @@ pub(super) fn c(release: &mut Release) -> Result<()> {
     let bytes = fs::read(release.target_dir.join(format!("dist-c/{name}.tar.gz")))?;
     let place = release.folder("c")?;
     trial::untar(&place, &bytes)?;
+    release.folder_names_no_path(&place)?;
     let place = place.join(&name);
     let mut gcc = trial::isolated(&[], "gcc".as_ref(), &place);
     gcc.args("-I include examples/posix.c -L lib/x86_64-unknown-linux-gnu -lwsg -o posix".split(' '));
@@ -115,6 +119,7 @@ pub(super) fn book(release: &mut Release) -> Result<()> {
     let bytes = tar(&folder)?;
     let place = release.folder("book")?;
     trial::untar(&place, &bytes)?;
+    release.folder_names_no_path(&place)?;
     let mut browser = trial::isolated(&[], "chromium".as_ref(), &place);
     browser.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]);
     browser.arg("--dump-dom").arg(format!("file://{}", place.join(&name).join("quick-start.html").display()));

@@ -72,6 +72,7 @@ pub(super) fn make(release: &mut Release) -> Result<()> {
             trial::unzip(&trials, &bytes)?;
             bytes
         };
+        release.folder_names_no_path(&trials)?;
         let trial = is_used(system, &trials.join(&name))?;
         let extension = if system.ending.is_empty() { "tar.gz" } else { "zip" };
         release.add(&format!("{name}.{extension}"), &bytes, trial)?;
