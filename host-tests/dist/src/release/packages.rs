@@ -47,7 +47,7 @@ pub(super) fn wheels(release: &mut Release) -> Result<()> {
         let name = wheel.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let place = release.folder("wheel-unpacked")?;
         trial::unzip(&place, &fs::read(&wheel)?)?;
-        release.folder_names_no_path(&place)?;
+        let remark = release.remark(&place);
         let trial = if name.contains(std::env::consts::ARCH) {
             let place = release.folder("wheel")?;
             run_program(Command::new("python3").current_dir(&place).args(["-m", "venv", "."]), "")?;
@@ -59,7 +59,7 @@ pub(super) fn wheels(release: &mut Release) -> Result<()> {
         } else {
             "linked only"
         };
-        release.add(&name, &fs::read(&wheel)?, trial)?;
+        release.add(&name, &fs::read(&wheel)?, format!("{trial}{remark}"))?;
     }
     sbom::add(
         release,
@@ -85,7 +85,7 @@ pub(super) fn c(release: &mut Release) -> Result<()> {
     let bytes = fs::read(release.target_dir.join(format!("dist-c/{name}.tar.gz")))?;
     let place = release.folder("c")?;
     trial::untar(&place, &bytes)?;
-    release.folder_names_no_path(&place)?;
+    let trial = format!("grips on wsg-sim: examples/posix.c, by gcc{}", release.remark(&place));
     let place = place.join(&name);
     let mut gcc = trial::isolated(&[], "gcc".as_ref(), &place);
     gcc.args("-I include examples/posix.c -L lib/x86_64-unknown-linux-gnu -lwsg -o posix".split(' '));
@@ -95,7 +95,7 @@ pub(super) fn c(release: &mut Release) -> Result<()> {
     let (host, port) = sim.address.split_once(':').context("an address has a port")?;
     let mut grip = trial::isolated(&[], &place.join("posix"), &place);
     run_program(grip.args([host, port]), "Release Part: no error\ndone\n")?;
-    release.add(&format!("{name}.tar.gz"), &bytes, "grips on wsg-sim: examples/posix.c, by gcc")?;
+    release.add(&format!("{name}.tar.gz"), &bytes, trial)?;
     sbom::add(release, &name, "bindings/c-host", "x86_64-unknown-linux-gnu", "default")
 }
 
