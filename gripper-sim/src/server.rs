@@ -32,7 +32,7 @@ mod udp;
 pub use lines::ProfinetLine;
 pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 pub use log::Log;
-pub use options::Options;
+pub use options::{Options, command};
 pub use restart::{Ending, Restart};
 pub use thread::ServerThread;
 

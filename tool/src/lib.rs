@@ -22,7 +22,7 @@ pub use gripper::{Address, Wire, open};
 
 /// Commands and monitors WSG grippers and their fieldbus bridges.
 #[derive(Parser)]
-#[command(version)]
+#[command(name = "wsg", version)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -58,7 +58,7 @@ pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Telemetry(arguments) => telemetry::run(&arguments),
         Command::Completions { shell } => {
             let mut script = Vec::new();
-            clap_complete::generate(shell, &mut Arguments::command(), "wsg", &mut script);
+            clap_complete::generate(shell, &mut command(), "wsg", &mut script);
             io::stdout().write_all(&script).map(|()| 0).map_err(anyhow::Error::from)
         }
     };
@@ -68,12 +68,18 @@ pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
     })
 }
 
+/// Returns the definition of the command line, for manual pages and other descriptions.
+#[must_use]
+pub fn command() -> clap::Command {
+    Arguments::command()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn command_line_definition_is_valid() {
-        Arguments::command().debug_assert();
+        command().debug_assert();
     }
 }

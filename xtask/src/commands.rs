@@ -1,14 +1,17 @@
 //! Commands that consist of one run of another program of the workspace or of a tool.
 
-use std::{ffi::OsString, process::ExitStatus};
+use std::{env, ffi::OsString, process::ExitStatus};
 
 use anyhow::{Context, Result, ensure};
 
 use crate::{
-    book,
+    board::Board,
     firmware::{self, IMAGE_VARIABLE, Image},
     platforms, process, setup,
-    tool::{self, CARGO_DENY, CARGO_LLVM_COV, MIRI, NIGHTLY},
+    tool::{
+        self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DEB, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
+        MDBOOK, MIRI, NIGHTLY,
+    },
     workspace::{TARGET_CRATES, Workspace},
 };
 
@@ -22,10 +25,9 @@ pub(crate) fn demo(workspace: &Workspace, image: &Image, arguments: &[OsString])
 
 /// Builds the delivery folder for PLC engineers with `image` and the book.
 pub(crate) fn dist(workspace: &Workspace, image: &Image) -> Result<()> {
-    let book = book::build(workspace)?;
-    let mut cargo = workspace.cargo("run -q -p dist -- --elf");
-    cargo.arg(&image.path).arg("--book").arg(book);
-    process::run(cargo.arg("--to").arg(workspace.target_dir.join("dist")))
+    tools_of_book(workspace)?;
+    let mut cargo = workspace.cargo("run -q -p dist -- folder --book --elf");
+    process::run(cargo.arg(&image.path).arg("--to").arg(workspace.target_dir.join("dist")))
 }
 
 /// Name prefix of the tests of the C library that need the archive with all targets.
@@ -44,6 +46,44 @@ pub(crate) fn dist_c(workspace: &Workspace, arguments: &[OsString]) -> Result<()
         ensure!(missing.is_empty(), "NOT CHECKED: the archive, {}", missing.join(", "));
     }
     Ok(())
+}
+
+/// Builds the documents as a book.
+pub(crate) fn docs(workspace: &Workspace) -> Result<()> {
+    tools_of_book(workspace)?;
+    process::run(&mut workspace.cargo("run -q -p dist -- book"))
+}
+
+/// Installs mdBook and Chromium. Without Chromium, there is no PDF.
+fn tools_of_book(workspace: &Workspace) -> Result<()> {
+    setup::lacking(&[("the PDF", "chromium", "chromium")]);
+    MDBOOK.require(workspace, "the book")
+}
+
+/// Compares public APIs and command lines with their records, or writes the records.
+pub(crate) fn api(workspace: &Workspace, update: bool) -> Result<()> {
+    [NIGHTLY, CARGO_PUBLIC_API].iter().try_for_each(|tool| tool.require(workspace, "public APIs"))?;
+    process::run(workspace.cargo("run -q -p dist -- api").args(update.then_some("--update")))
+}
+
+/// Makes the files to upload, all or some `parts`, and tries them. Programs for systems without an emulator here are only linked.
+pub(crate) fn release(workspace: &Workspace, parts: &[OsString]) -> Result<()> {
+    for target in ["x86_64-unknown-linux-musl", "aarch64-unknown-linux-musl", platforms::WINDOWS] {
+        ensure!(setup::provide_target(workspace, target), "rustup could not install {target}");
+    }
+    [CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DEB]
+        .iter()
+        .try_for_each(|tool| tool.require(workspace, "the release"))?;
+    setup::lacking(&platforms::FROM_DEBIAN);
+    setup::lacking(&[("aarch64", "qemu-aarch64-static", "qemu-user-static")]);
+    let zig = setup::zig(workspace).context("zig cannot be installed")?.join("bin");
+    let path = env::var_os("PATH").unwrap_or_default();
+    tools_of_book(workspace)?;
+    let mut release = workspace.cargo("run -q -p dist -- release --to");
+    release.arg(workspace.target_dir.join(concat!("release-", env!("CARGO_PKG_VERSION")))).args(parts);
+    release.env("PATH", env::join_paths([zig].into_iter().chain(env::split_paths(&path)))?);
+    setup::tell_emulator(workspace, Board::named("pico")?, &mut release)?;
+    process::run(&mut release)
 }
 
 /// Checks licences, bans and sources of the dependencies against deny.toml. Advisories are not checked, because they need a network.

@@ -4,7 +4,6 @@
 
 mod bench;
 mod board;
-mod book;
 mod commands;
 mod figures;
 mod firmware;
@@ -52,6 +51,7 @@ Environment:
   WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH,
   WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
                      the same for images with other bus settings; with the suffix _PICO for the Pico
+  WSG_SIGNING_KEY    key of gpg with which release signs the checksums
   WSG_WHOLE=1        set by ci: run long tests in full
   WSG_LOAD=1         set by ci: run the load test with 500 grippers
   WSG_SIM_EXE        set by platforms for its tests: the simulator's Windows executable
@@ -99,8 +99,8 @@ enum Command {
     /// Check the protocol crate with every combination of features on three targets, the workspace on the oldest supported
     /// Rust, and the packages for crates.io
     Matrix,
-    /// Release checks: deny, test --strict with the long tests in full, platforms, a short soak, fast-stop, explore, loom and
-    /// Miri
+    /// Release checks: deny, test --strict with the long tests in full, api, release, platforms, a short soak, fast-stop, explore,
+    /// loom and Miri
     Ci,
     /// Run wsg-sim.exe under Wine; compile everything that `cargo test` builds for Windows and macOS
     Platforms,
@@ -153,6 +153,17 @@ enum Command {
         /// --targets TRIPLE,...
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         arguments: Vec<OsString>,
+    },
+    /// Compare public APIs and command lines with the records in api; needs nightly Rust and cargo-public-api
+    Api {
+        /// Write the records
+        #[arg(long)]
+        update: bool,
+    },
+    /// Make every file to upload in target/release-VERSION, and try each as its user would
+    Release {
+        /// Parts: firmware, programs, crates, wheels, c, book [default: all]
+        parts: Vec<OsString>,
     },
     /// Build the documents as a book in target/book (mdbook), and print it to target/book.pdf (Chromium; without it, there is
     /// no PDF)
@@ -227,7 +238,9 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
         Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
         Command::DistC { arguments } => commands::dist_c(workspace, &arguments)?,
-        Command::Docs => drop(book::build(workspace)?),
+        Command::Api { update } => commands::api(workspace, update)?,
+        Command::Release { parts } => commands::release(workspace, &parts)?,
+        Command::Docs => commands::docs(workspace)?,
         Command::Flash(variant) => {
             flash::require_probe_rs()?;
             let image = build(workspace, &variant)?;
@@ -242,6 +255,8 @@ fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
     let workspace = toolchain.workspace;
     commands::dependencies(workspace)?;
     test::run(toolchain, &[], Extent::Whole, true)?;
+    commands::api(workspace, false)?;
+    commands::release(workspace, &[])?;
     commands::telemetry(workspace)?;
     platforms::run(workspace)?;
     commands::dist_c(workspace, &[])?;

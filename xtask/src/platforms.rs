@@ -17,12 +17,12 @@ use crate::{
 /// Name prefix of the tests that need Wine. `test` skips them.
 pub(crate) const TESTS: &str = "wine::";
 
-const WINDOWS: &str = "x86_64-pc-windows-gnu";
+pub(crate) const WINDOWS: &str = "x86_64-pc-windows-gnu";
 const TARGETS: [&str; 3] = [WINDOWS, "x86_64-apple-darwin", "aarch64-apple-darwin"];
 const C_COMPILER: &str = "x86_64-w64-mingw32-gcc";
 
 /// Wine, and the C compiler for Windows.
-const FROM_DEBIAN: [Program; 2] =
+pub(crate) const FROM_DEBIAN: [Program; 2] =
     [("Wine", "wine", "wine"), ("C compiler for Windows", C_COMPILER, "gcc-mingw-w64-x86-64-win32")];
 
 /// Checks everything for each target, and runs the tests with Wine.

@@ -16,21 +16,26 @@ pub(crate) struct Tool {
     install: &'static str,
 }
 
-/// cargo-fuzz, for the fuzz targets.
-pub(crate) const CARGO_FUZZ: Tool =
-    Tool::new("cargo-fuzz", "cargo fuzz --version", "cargo install cargo-fuzz --locked");
+macro_rules! of_cargo {
+    ($name:literal) => {
+        Tool::new(
+            concat!("cargo-", $name),
+            concat!("cargo ", $name, " --version"),
+            concat!("cargo install cargo-", $name, " --locked"),
+        )
+    };
+}
 
-/// cargo-mutants, for mutation testing.
-pub(crate) const CARGO_MUTANTS: Tool =
-    Tool::new("cargo-mutants", "cargo mutants --version", "cargo install cargo-mutants --locked");
-
-/// cargo-deny, for checks of the dependencies.
-pub(crate) const CARGO_DENY: Tool =
-    Tool::new("cargo-deny", "cargo deny --version", "cargo install cargo-deny --locked");
-
-/// cargo-llvm-cov, for line coverage.
-pub(crate) const CARGO_LLVM_COV: Tool =
-    Tool::new("cargo-llvm-cov", "cargo llvm-cov --version", "cargo install cargo-llvm-cov --locked");
+// For the fuzz targets, mutation testing, checks of the dependencies, and line coverage.
+pub(crate) const CARGO_FUZZ: Tool = of_cargo!("fuzz");
+pub(crate) const CARGO_MUTANTS: Tool = of_cargo!("mutants");
+pub(crate) const CARGO_DENY: Tool = of_cargo!("deny");
+pub(crate) const CARGO_LLVM_COV: Tool = of_cargo!("llvm-cov");
+// For a release: lists of the parts of a program in it and beside it, Debian packages, and the records of public APIs.
+pub(crate) const CARGO_AUDITABLE: Tool = of_cargo!("auditable");
+pub(crate) const CARGO_CYCLONEDX: Tool = of_cargo!("cyclonedx");
+pub(crate) const CARGO_DEB: Tool = of_cargo!("deb");
+pub(crate) const CARGO_PUBLIC_API: Tool = of_cargo!("public-api");
 
 /// mdBook, without its web server.
 pub(crate) const MDBOOK: Tool = Tool::new(

@@ -294,7 +294,8 @@ fn value_name(arg: &Arg) -> Option<&str> {
 }
 
 /// Returns the command line definition for clap. Values may begin with a hyphen, such as the plant designation `-K1`.
-fn command() -> Command {
+#[must_use]
+pub fn command() -> Command {
     Arguments::command().mut_args(|arg| {
         let has_value = value_name(&arg).is_some();
         arg.allow_hyphen_values(has_value)

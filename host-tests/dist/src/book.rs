@@ -1,16 +1,78 @@
-//! The book in the release folder: without links to files that are only in the repository.
+//! The documents as a book: HTML by mdBook, and a PDF printed by Chromium.
 
-use std::{fs, path::Path};
+use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result};
+use document::root;
 
-/// Start of a link out of the book's folder.
-const LINK_OUT: &str = "<a href=\"../../";
+use crate::release::run_program;
 
-/// Returns the files of a book as `book/...`, and its PDF as `book.pdf` if there is one.
-pub(crate) fn files(folder: &Path) -> Result<Vec<(String, Vec<u8>)>> {
-    let mut files = Vec::new();
-    read(folder, "book", &mut files)?;
+/// Folder of the book, as in `book.toml`.
+const FOLDER: &str = "target/book";
+
+/// Builds the documents as a book in target/book, and prints it to target/book.pdf
+#[derive(clap::Args)]
+pub(crate) struct Arguments {}
+
+/// Builds `target/book`, and prints it to `target/book.pdf` unless Chromium is missing.
+pub(crate) fn build() -> Result<()> {
+    run_program(Command::new("mdbook").current_dir(root()).arg("build"), "")?;
+    let folder = root().join(FOLDER);
+    let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).context("docs/SUMMARY.md")?;
+    for entry in fs::read_dir(&folder)? {
+        let path = entry?.path();
+        if path.extension().is_some_and(|extension| extension == "html") {
+            let html = fs::read_to_string(&path)?;
+            let html = with_links_to_sources(&html, |file| root().join(file).exists());
+            fs::write(&path, with_titles(html, &contents))?;
+        }
+    }
+    println!("{}", folder.join("index.html").display());
+    print(&folder)
+}
+
+/// Prints the book's `print.html` beside its folder, without links to files, which would contain paths of this machine.
+fn print(folder: &Path) -> Result<()> {
+    let pdf = folder.with_extension("pdf");
+    // An older PDF must not be delivered with a newer book.
+    let _ = fs::remove_file(&pdf);
+    if Command::new("chromium").arg("--version").output().is_err() {
+        println!("no PDF of the book: Chromium is missing");
+        return Ok(());
+    }
+    let profile = folder.with_extension("profile");
+    let mut chromium = Command::new("chromium");
+    // Root and containers cannot use the sandbox, and Chromium opens only the book.
+    chromium.args([
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-background-networking",
+        "--log-level=3",
+    ]);
+    chromium.args(["--no-pdf-header-footer", "--generate-pdf-document-outline"]);
+    // Otherwise, an animated picture has a different state in each run.
+    chromium.arg("--force-prefers-reduced-motion");
+    chromium.arg(format!("--user-data-dir={}", profile.display()));
+    chromium.arg(format!("--print-to-pdf={}", pdf.display()));
+    let html = fs::read_to_string(folder.join("print.html"))?;
+    let page = folder.join("printed.html");
+    let is_file = |link: &str| !link.starts_with(['#', '?']) && !link.contains("://");
+    fs::write(&page, without_links(&html, is_file))?;
+    let printed = run_program(chromium.arg(format!("file://{}", page.display())), "");
+    // The profile exists only if Chromium started.
+    let _ = fs::remove_dir_all(profile);
+    fs::remove_file(page)?;
+    printed?;
+    fs::write(&pdf, with_fixed_dates(fs::read(&pdf)?))?;
+    println!("{}", pdf.display());
+    Ok(())
+}
+
+/// Returns the files of the built book as `book/...` and its PDF as `book.pdf`, without links out of the book.
+pub(crate) fn files() -> Result<Vec<(String, Vec<u8>)>> {
+    let (folder, mut files) = (root().join(FOLDER), Vec::new());
+    read(&folder, "book", &mut files)?;
     if let Ok(pdf) = fs::read(folder.with_extension("pdf")) {
         files.push(("book.pdf".to_owned(), pdf));
     }
@@ -24,7 +86,8 @@ fn read(folder: &Path, name: &str, files: &mut Vec<(String, Vec<u8>)>) -> Result
         if path.is_dir() {
             read(&path, &name, files)?;
         } else if name.ends_with(".html") {
-            files.push((name, without_links_out(&fs::read_to_string(&path)?).into_bytes()));
+            let html = without_links(&fs::read_to_string(&path)?, |link| link.starts_with("../../"));
+            files.push((name, html.into_bytes()));
         } else {
             files.push((name, fs::read(&path)?));
         }
@@ -32,17 +95,52 @@ fn read(folder: &Path, name: &str, files: &mut Vec<(String, Vec<u8>)>) -> Result
     Ok(())
 }
 
-/// Replaces each link out of the book with its text.
-fn without_links_out(html: &str) -> String {
-    let mut parts = html.split(LINK_OUT);
+/// Replaces the dates of creation and change, which Chromium takes from the clock.
+fn with_fixed_dates(mut pdf: Vec<u8>) -> Vec<u8> {
+    const NAME: &[u8] = b"Date (D:";
+    const DATE: &[u8] = b"19800101000000";
+    for at in 0..pdf.len().saturating_sub(NAME.len() + DATE.len()) {
+        if pdf[at..].starts_with(NAME) {
+            pdf[at + NAME.len()..][..DATE.len()].copy_from_slice(DATE);
+        }
+    }
+    pdf
+}
+
+/// Removes the targets of these links; their text remains.
+pub(crate) fn without_links(html: &str, is_removed: impl Fn(&str) -> bool) -> String {
+    const LINK: &str = "<a href=\"";
+    let mut parts = html.split(LINK);
     let mut changed = parts.next().unwrap_or_default().to_owned();
     for part in parts {
-        let (_, link) = part.split_once('>').unwrap_or(("", part));
-        let (text, rest) = link.split_once("</a>").unwrap_or((link, ""));
-        changed.push_str(text);
-        changed.push_str(rest);
+        let target = part.split('"').next().unwrap_or_default();
+        changed.push_str(if is_removed(target) { "<a data-source=\"" } else { LINK });
+        changed.push_str(part);
     }
     changed
+}
+
+/// Makes links from `docs` to other files of the repository lead from the book to these files. mdBook has changed the
+/// extension `.md` to `.html`.
+fn with_links_to_sources(html: &str, exists: impl Fn(&str) -> bool) -> String {
+    const LINK: &str = "href=\"../";
+    let mut parts = html.split(LINK);
+    let mut changed = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let (target, rest) = part.split_once('"').unwrap_or((part, ""));
+        let source = target.replace(".html", ".md");
+        let target = if exists(&source) { format!("../{source}") } else { target.to_owned() };
+        changed.push_str(&format!("{LINK}{target}\"{rest}"));
+    }
+    changed
+}
+
+/// Shows the title of a page, as in the table of contents, where a link shows its file name.
+fn with_titles(html: String, contents: &str) -> String {
+    let pages = contents
+        .lines()
+        .filter_map(|line| line.trim_start().strip_prefix("- [")?.strip_suffix(')')?.split_once("]("));
+    pages.fold(html, |html, (title, file)| html.replace(&format!(">{file}</a>"), &format!(">{title}</a>")))
 }
 
 #[cfg(test)]
@@ -50,8 +148,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_links_out_of_the_book_become_text() {
-        let html = "see <a href=\"../../x.md\"><code>x</code></a> and <a href=\"can.html\">CAN</a>.";
-        assert_eq!(without_links_out(html), "see <code>x</code> and <a href=\"can.html\">CAN</a>.");
+    fn links_out_of_the_documents_lead_to_the_sources() {
+        let html =
+            "<a href=\"../ARCHITECTURE.html\">a</a> <a href=\"../x/y.rs\">b</a> <a href=\"can.html\">c</a>";
+        let changed = with_links_to_sources(html, |file| ["ARCHITECTURE.md", "x/y.rs"].contains(&file));
+        let wanted = "<a href=\"../../ARCHITECTURE.md\">a</a> <a href=\"../../x/y.rs\">b</a> <a href=\"can.html\">c</a>";
+        assert_eq!(changed, wanted);
+        assert_eq!(with_links_to_sources(html, |_| false), html);
+    }
+
+    #[test]
+    fn links_to_files_and_dates_are_removed() {
+        let html = "<link href=\"a\"><a href=\"../../b.rs\">b</a> <a href=\"c.html\">c</a>";
+        let wanted = "<link href=\"a\"><a data-source=\"../../b.rs\">b</a> <a href=\"c.html\">c</a>";
+        assert_eq!(without_links(html, |link| link.starts_with("../")), wanted);
+        let pdf = |date: &str| format!("/ModDate (D:{date}+00'00')>> and more text").into_bytes();
+        assert_eq!(with_fixed_dates(pdf("20261126003419")), pdf("19800101000000"));
+    }
+
+    #[test]
+    fn links_show_titles_instead_of_file_names() {
+        let html = "<a href=\"can.html\">can.md</a>, <a href=\"can.html\">on CAN</a>, can.md".to_owned();
+        let wanted = "<a href=\"can.html\">CAN and CANopen</a>, <a href=\"can.html\">on CAN</a>, can.md";
+        assert_eq!(with_titles(html, "# A\n\n- [CAN and CANopen](can.md)\n"), wanted);
     }
 }

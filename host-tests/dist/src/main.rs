@@ -1,13 +1,17 @@
-//! Builds the release folder for PLC engineers: image, device files, manual, book, licences. Run it with `cargo xtask
-//! dist`. The same sources give the same bytes in any location, except for the date in the book's PDF.
+//! Builds the folder for PLC engineers: image, device files, manual, book, licences. Run it with `cargo xtask dist`. The
+//! same sources give the same bytes in any location. `cargo xtask release` runs it for each board, and makes every other
+//! file to upload.
 
+mod api;
 mod archive;
 mod bitmap;
+mod board;
 mod book;
 mod device_archives;
 mod image;
 mod manual;
 mod register_map;
+mod release;
 
 use std::{
     fs,
@@ -16,6 +20,7 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
+use board::Board;
 use clap::Parser;
 use document::root;
 use host_tests::device_files::GSD;
@@ -49,12 +54,9 @@ It is not a safety device.
 
 Start with manual.html, \"Quick start\". Open it in any browser; no network is needed.
 
-wsg-bridge.bin       the image: copy it to the USB drive that the board provides
-wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer
+IMAGE
 manual.html          the manual
-book/index.html      all pages, with those about the virtual gripper, Python, C and the tool wsg
-book.pdf             the same pages for printing
-registers.csv        all Modbus registers, coils and discrete inputs
+BOOKregisters.csv        all Modbus registers, coils and discrete inputs
 wsg-bridge.eds       CANopen: device file for a master's tool
 WSGB5555.gsd         PROFIBUS: device file for a master's tool
 WSGB5555.zip         the same file with its bitmaps, for installation
@@ -70,22 +72,46 @@ LICENCES.txt         third-party parts of the image and their licences
 SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
 ";
 
-/// Builds the release folder for PLC engineers
+/// Lines of the README about the book.
+const BOOK: &str = "\
+book/index.html      all pages, with those about the virtual gripper, Python, C and the tool wsg
+book.pdf             the same pages for printing
+";
+
+/// Builds what a release consists of
 #[derive(Parser)]
-struct Arguments {
+enum Arguments {
+    Folder(Folder),
+    Release(release::Arguments),
+    Api(api::Arguments),
+    Book(book::Arguments),
+}
+
+/// Builds the folder for PLC engineers
+#[derive(clap::Args)]
+struct Folder {
     /// Firmware image
     #[arg(long, value_name = "IMAGE")]
     elf: PathBuf,
-    /// Folder of the book that mdBook built; a PDF of the same name beside it is delivered, too
-    #[arg(long, value_name = "FOLDER")]
-    book: PathBuf,
+    /// Board of the image
+    #[arg(long, value_name = "NAME", value_parser = Board::named, default_value = board::BOARDS[0].name)]
+    board: &'static Board,
+    /// Builds the book and adds it
+    #[arg(long)]
+    book: bool,
     /// Folder to write
     #[arg(long, value_name = "FOLDER")]
     to: PathBuf,
 }
 
 fn main() -> ExitCode {
-    match run(&Arguments::parse()) {
+    let outcome = match Arguments::parse() {
+        Arguments::Folder(folder) => run(&folder),
+        Arguments::Release(release) => release::run(&release),
+        Arguments::Api(api) => api::run(&api),
+        Arguments::Book(_) => book::build(),
+    };
+    match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
@@ -94,24 +120,31 @@ fn main() -> ExitCode {
     }
 }
 
-fn run(Arguments { elf, book, to }: &Arguments) -> Result<()> {
+fn run(Folder { elf, board, book, to }: &Folder) -> Result<()> {
     let elf = fs::read(elf).with_context(|| format!("cannot read {}", elf.display()))?;
-    write(to, &contents(elf, book)?)?;
+    let book = if *book { book::build().and_then(|()| book::files())? } else { Vec::new() };
+    write(to, &contents(board, elf, book)?)?;
     println!("{}", to.display());
     Ok(())
 }
 
 /// Returns the named files, with the checksums last.
-fn contents(elf: Vec<u8>, book: &Path) -> Result<Vec<(String, Vec<u8>)>> {
-    let single = [
-        ("README.txt", README.replace('\n', "\r\n").into_bytes()),
+fn contents(board: &Board, elf: Vec<u8>, book: Vec<(String, Vec<u8>)>) -> Result<Vec<(String, Vec<u8>)>> {
+    let readme =
+        README.replace("IMAGE", board.files).replace("BOOK", if book.is_empty() { "" } else { BOOK });
+    let mut single = vec![
+        ("README.txt", readme.replace('\n', "\r\n").into_bytes()),
         ("wsg-bridge.bin", image::bytes_of_flash(&elf)?),
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(&linked())?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
-        ("LICENCES.txt", licences::text(&[IMAGE])?.into_bytes()),
+        ("LICENCES.txt", licences::text(&[&board.selection()])?.into_bytes()),
     ];
-    let mut files: Vec<_> = single.map(|(name, bytes)| (name.to_owned(), bytes)).into();
+    if board.takes_uf2 {
+        let elf = &single[2].1;
+        single.push(("wsg-bridge.uf2", footprint::uf2(elf)?));
+    }
+    let mut files: Vec<_> = single.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect();
     for name in COPIED {
         files.push((
             name.to_owned(),
@@ -119,15 +152,20 @@ fn contents(elf: Vec<u8>, book: &Path) -> Result<Vec<(String, Vec<u8>)>> {
         ));
     }
     files.extend(device_archives::archives()?.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)));
-    files.extend(book::files(book)?);
+    files.extend(book);
     files.sort();
-    let mut sums = String::new();
-    for (name, bytes) in &files {
-        let sum: String = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
-        sums.push_str(&format!("{sum}  {name}\n"));
-    }
-    files.push((SUMS.to_owned(), sums.into_bytes()));
+    files.push((SUMS.to_owned(), sums(&files).into_bytes()));
     Ok(files)
+}
+
+/// Returns the checksums of these named files, as `sha256sum` prints them.
+fn sums(files: &[(impl AsRef<str>, Vec<u8>)]) -> String {
+    let mut sums = String::new();
+    for (name, bytes) in files {
+        let sum: String = Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+        sums.push_str(&format!("{sum}  {}\n", name.as_ref()));
+    }
+    sums
 }
 
 /// Replaces the contents of the folder with these files.

@@ -13,7 +13,7 @@ const IMAGE: &str = "WSG_FIRMWARE_ELF";
 /// Runs the program. Returns the named files.
 fn folder(elf: &Path, to: &Path) -> Vec<(String, Vec<u8>)> {
     let mut dist = Command::new(env!("CARGO_BIN_EXE_dist"));
-    assert!(dist.arg("--elf").arg(elf).arg("--to").arg(to).status().unwrap().success());
+    assert!(dist.args(["folder", "--elf"]).arg(elf).arg("--to").arg(to).status().unwrap().success());
     files(to)
 }
 

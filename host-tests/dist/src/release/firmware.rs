@@ -1,0 +1,49 @@
+//! The folders for PLC engineers, tried in the emulators.
+
+use std::{fs, process::Command};
+
+use anyhow::{Context, Result};
+
+use super::{Release, VERSION, cargo, run_program, sbom, trial};
+use crate::{
+    archive,
+    board::{BOARDS, Board},
+    contents,
+};
+
+/// Boards with an emulator.
+const EMULATED: [&str; 2] = ["b-l475e-iot01a", "pico"];
+
+pub(super) fn make(release: &mut Release) -> Result<()> {
+    run_program(cargo("build --quiet --locked -p host-tests --bin demo"), "")?;
+    for board in &BOARDS {
+        release.xtask(&format!("build --board {}", board.name))?;
+        let elf = release.target_dir.join(format!("firmware/{}.elf", board.name));
+        let files =
+            contents(board, fs::read(&elf).with_context(|| format!("{}", elf.display()))?, Vec::new())?;
+        let folder = format!("wsg-bridge-{VERSION}-{}", board.name);
+        let files: Vec<_> = files.iter().map(|(name, bytes)| (format!("{folder}/{name}"), bytes)).collect();
+        let files: Vec<_> = files.iter().map(|(name, bytes)| (name.as_str(), &bytes[..])).collect();
+        let archive = archive::zip(&files)?;
+        let name = format!("{folder}.zip");
+        let trial = is_used(release, board, &folder, &archive)?;
+        release.add(&name, &archive, trial)?;
+        sbom::add(release, &folder, &format!("boards/{}", board.name), board.target, "firmware")?;
+    }
+    Ok(())
+}
+
+/// Unpacks the archive, checks its sums, and grips with its image in the emulator.
+fn is_used(release: &Release, board: &Board, folder: &str, archive: &[u8]) -> Result<&'static str> {
+    let place = release.folder(board.name)?;
+    trial::unzip(&place, archive)?;
+    let place = place.join(folder);
+    run_program(Command::new("sha256sum").current_dir(&place).args(["--quiet", "-c", "SHA256SUMS"]), "")?;
+    if !EMULATED.contains(&board.name) {
+        return Ok("linked only: no emulator");
+    }
+    let mut demo = trial::isolated(&[], &release.target_dir.join("debug/demo"), &place);
+    demo.args(["--speed-up", "8", "--elf"]).arg(place.join("wsg-bridge.elf"));
+    run_program(demo, "")?;
+    Ok("sums; demonstration in the emulator")
+}

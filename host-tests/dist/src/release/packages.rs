@@ -1,0 +1,132 @@
+//! Packages for programmers, and the book. Other commands of `cargo xtask` build most of them.
+
+use std::{fs, process::Command};
+
+use anyhow::{Context, Result, ensure};
+
+use crate::book::{self, without_links};
+
+use super::{Release, VERSION, cargo, published, run_program, sbom, tar, trial};
+
+/// Packages the crates. cargo unpacks and builds each alone, with the others as dependencies from a registry.
+pub(super) fn crates(release: &mut Release) -> Result<()> {
+    let folder = release.target_dir.join("package");
+    let _ = fs::remove_dir_all(&folder);
+    let published = published()?;
+    let mut package = cargo("package --locked --allow-dirty");
+    let said = run_program(package.args(published.iter().flat_map(|name| ["-p", name.as_str()])), "")?;
+    let files_of = |word: &str| -> Vec<String> {
+        let lines = said.lines().filter_map(|line| line.trim_start().strip_prefix(word));
+        lines
+            .filter_map(|line| line.split(" (").next())
+            .map(|it| format!("{}.crate", it.replace(" v", "-")))
+            .collect()
+    };
+    // cargo packages each crate after its dependencies.
+    let (files, verified) = (files_of("Packaging "), files_of("Verifying "));
+    ensure!(files.len() == published.len(), "cargo packaged {files:?}; expected {published:?}");
+    ensure!(files == verified, "cargo verified {verified:?}; expected {files:?}");
+    release.add("ORDER.txt", (files.join("\n") + "\n").as_bytes(), "")?;
+    for file in files {
+        let bytes = fs::read(folder.join(&file)).with_context(|| format!("cannot read {file}"))?;
+        release.add(&file, &bytes, "built from its package alone")?;
+    }
+    Ok(())
+}
+
+/// Adds the wheels, whose tests run without Rust on the path, and grips with one in an environment of its own.
+pub(super) fn wheels(release: &mut Release) -> Result<()> {
+    let folder = release.target_dir.join("wheels");
+    release.xtask("wheels")?;
+    for target in fs::read_dir(&folder)? {
+        let target = target?.path();
+        if target.ends_with("dev") {
+            continue;
+        }
+        let wheel = fs::read_dir(&target)?.next().context("a folder without a wheel")??.path();
+        let name = wheel.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let place = release.folder("wheel-unpacked")?;
+        trial::unzip(&place, &fs::read(&wheel)?)?;
+        let remark = release.remark(&place);
+        let trial = if name.contains(std::env::consts::ARCH) {
+            let place = release.folder("wheel")?;
+            run_program(Command::new("python3").current_dir(&place).args(["-m", "venv", "."]), "")?;
+            let mut pip = trial::isolated(&[], &place.join("bin/python"), &place);
+            run_program(pip.args(["-m", "pip", "install", "--quiet", "--no-index"]).arg(&wheel), "")?;
+            let mut python = trial::isolated(&[], &place.join("bin/python"), &place);
+            run_program(python.args(["-c", PYTHON_GRIP]), "held")?;
+            "its tests; grips in a virtual environment"
+        } else {
+            "linked only"
+        };
+        release.add(&name, &fs::read(&wheel)?, format!("{trial}{remark}"))?;
+    }
+    sbom::add(
+        release,
+        &format!("wsg_gripper-{VERSION}"),
+        "bindings/python",
+        "x86_64-unknown-linux-gnu",
+        "default",
+    )
+}
+
+const PYTHON_GRIP: &str = "\
+from wsg_gripper import Gripper
+from wsg_gripper.sim import Simulator
+with Simulator(part=20) as simulator, Gripper(simulator.tcp) as gripper:
+    gripper.home()
+    print('held' if gripper.grip(20, speed=100, force=40) else 'no part')
+";
+
+/// Adds the archive for C, and grips with its example, compiled by gcc.
+pub(super) fn c(release: &mut Release) -> Result<()> {
+    release.xtask("dist-c")?;
+    let name = format!("libwsg-{VERSION}");
+    let bytes = fs::read(release.target_dir.join(format!("dist-c/{name}.tar.gz")))?;
+    let place = release.folder("c")?;
+    trial::untar(&place, &bytes)?;
+    let trial = format!("grips on wsg-sim: examples/posix.c, by gcc{}", release.remark(&place));
+    let place = place.join(&name);
+    let mut gcc = trial::isolated(&[], "gcc".as_ref(), &place);
+    gcc.args("-I include examples/posix.c -L lib/x86_64-unknown-linux-gnu -lwsg -o posix".split(' '));
+    run_program(gcc, "")?;
+    let programs = super::programs::built(release, "x86_64-unknown-linux-musl")?;
+    let sim = trial::Sim::start(&[], &programs.join("wsg-sim"), &place)?;
+    let (host, port) = sim.address.split_once(':').context("an address has a port")?;
+    let mut grip = trial::isolated(&[], &place.join("posix"), &place);
+    run_program(grip.args([host, port]), "Release Part: no error\ndone\n")?;
+    release.add(&format!("{name}.tar.gz"), &bytes, trial)?;
+    sbom::add(release, &name, "bindings/c-host", "x86_64-unknown-linux-gnu", "default")
+}
+
+/// Adds the book, as HTML and as PDF.
+pub(super) fn book(release: &mut Release) -> Result<()> {
+    book::build()?;
+    let name = format!("wsg-book-{VERSION}");
+    let folder = release.folder("packed-book")?.join(&name);
+    let built = document::root().join("target/book");
+    run_program(Command::new("cp").arg("-r").arg(&built).arg(&folder), "")?;
+    let mut pages = 0;
+    for entry in fs::read_dir(&folder)? {
+        let path = entry?.path();
+        if path.extension().is_some_and(|extension| extension == "html") {
+            // The archive does not contain the sources.
+            let html = without_links(&fs::read_to_string(&path)?, |link| link.starts_with("../"));
+            fs::write(&path, html)?;
+            pages += 1;
+        }
+    }
+    let bytes = tar(&folder)?;
+    let place = release.folder("book")?;
+    trial::untar(&place, &bytes)?;
+    release.folder_names_no_path(&place)?;
+    let mut browser = trial::isolated(&[], "chromium".as_ref(), &place);
+    browser.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]);
+    browser.arg("--dump-dom").arg(format!("file://{}", place.join(&name).join("quick-start.html").display()));
+    run_program(browser, "<h1 id=\"quick-start\">")?;
+    release.add(&format!("{name}.tar.gz"), &bytes, format!("{pages} pages; Chromium opens one"))?;
+    let pdf = fs::read(built.with_extension("pdf"));
+    let pdf = pdf.context("there is no PDF of the book: Chromium is missing")?;
+    ensure!(pdf.starts_with(b"%PDF-"), "the PDF of the book is none");
+    release.add(&format!("{name}.pdf"), &pdf, "a PDF file, not opened")
+}

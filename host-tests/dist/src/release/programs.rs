@@ -1,0 +1,208 @@
+//! `wsg` and `wsg-sim` for each system, with manual pages and completions, and the Debian packages.
+
+use std::{
+    env, fs,
+    path::{Path, PathBuf},
+    process::Command,
+};
+
+use anyhow::{Context, Result, ensure};
+use clap_complete::Shell;
+use document::root;
+
+use super::{Release, VERSION, cargo, empty, run_program, sbom, tar, trial};
+use crate::archive;
+
+/// A system that the programs are built for.
+struct System {
+    target: &'static str,
+    /// End of the archive's name.
+    name: &'static str,
+    /// Extension of programs.
+    ending: &'static str,
+    /// Program that starts them here, if they do not start alone.
+    launcher: Option<&'static str>,
+}
+
+const SYSTEMS: [System; 3] = [
+    System { target: "x86_64-unknown-linux-musl", name: "linux-x86_64", ending: "", launcher: None },
+    System {
+        target: "aarch64-unknown-linux-musl",
+        name: "linux-aarch64",
+        ending: "",
+        launcher: Some("qemu-aarch64-static"),
+    },
+    System {
+        target: "x86_64-pc-windows-gnu",
+        name: "windows-x86_64",
+        ending: ".exe",
+        launcher: Some("wine"),
+    },
+];
+
+const PACKAGES: [&str; 4] = ["--package", "wsg-tool", "--package", "wsg-sim"];
+const PROFILE: &str = "wheel";
+
+const README: &str = "\
+wsg      commands a gripper, configures the bridge, decodes recordings, publishes telemetry
+wsg-sim  a virtual gripper
+
+Try them:
+
+  wsg-sim --tcp 127.0.0.1:11000 --part 20
+  wsg gripper tcp://127.0.0.1:11000 home
+  wsg gripper tcp://127.0.0.1:11000 grip 20 100 --force 40
+
+On Linux, manual pages are in man (man -l man/wsg.1), completions in completions.
+";
+
+pub(super) fn make(release: &mut Release) -> Result<()> {
+    for system in &SYSTEMS {
+        let folder = release.folder(&format!("packed-{}", system.name))?;
+        let name = format!("wsg-{VERSION}-{}", system.name);
+        let folder = folder.join(&name);
+        fill(release, system, &folder)?;
+        let trials = release.folder(system.name)?;
+        let bytes = if system.ending.is_empty() {
+            let bytes = tar(&folder)?;
+            trial::untar(&trials, &bytes)?;
+            bytes
+        } else {
+            let bytes = zip(&folder, &name)?;
+            trial::unzip(&trials, &bytes)?;
+            bytes
+        };
+        release.folder_names_no_path(&trials)?;
+        let trial = is_used(system, &trials.join(&name))?;
+        let extension = if system.ending.is_empty() { "tar.gz" } else { "zip" };
+        release.add(&format!("{name}.{extension}"), &bytes, trial)?;
+        if system.ending.is_empty() {
+            debian(release, system, &trials.join(&name))?;
+        }
+        for (program, package) in [("wsg", "tool"), ("wsg-sim", "gripper-sim")] {
+            let name = format!("{program}-{VERSION}-{}", system.name);
+            sbom::add(release, &name, package, system.target, "default")?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns the folder of the programs for a system, and builds them if necessary.
+pub(super) fn built(release: &Release, target: &str) -> Result<PathBuf> {
+    let is_windows = target.contains("windows");
+    let mut cargo = cargo(if is_windows { "auditable build" } else { "auditable zigbuild" });
+    cargo.args(["--quiet", "--locked", "--bins", "--profile", PROFILE, "--target", target]).args(PACKAGES);
+    // rustc uses the last match, and the target folder may lie within the checkout.
+    let home = env::var_os("CARGO_HOME").map(PathBuf::from).or_else(|| Some(env::home_dir()?.join(".cargo")));
+    let home = home.context("there is no home folder")?;
+    let places = [(root(), "."), (release.target_dir.clone(), "target"), (home, "cargo")];
+    let mut flags: Vec<String> = places
+        .iter()
+        .map(|(place, name)| format!("--remap-path-prefix={}={name}", place.display()))
+        .collect();
+    if is_windows {
+        flags.push("-Clink-arg=-Wl,--no-insert-timestamp".to_owned());
+    }
+    run_program(cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\u{1f}")), "")?;
+    Ok(release.target_dir.join(target).join(PROFILE))
+}
+
+/// Fills a folder with programs, licences, manual pages and completions.
+fn fill(release: &Release, system: &System, folder: &Path) -> Result<()> {
+    let built = built(release, system.target)?;
+    empty(folder)?;
+    for program in ["wsg", "wsg-sim"] {
+        let file = format!("{program}{}", system.ending);
+        fs::copy(built.join(&file), folder.join(&file)).with_context(|| format!("cannot copy {file}"))?;
+    }
+    let selection = [&PACKAGES[..], &["--target", system.target]].concat().join(" ");
+    fs::write(folder.join("LICENCES.txt"), licences::text(&[&selection])?)?;
+    fs::write(folder.join("README.txt"), README)?;
+    fs::copy(root().join("CHANGELOG.md"), folder.join("CHANGELOG.md"))?;
+    if system.ending.is_empty() {
+        manual_pages_and_completions(folder)?;
+    }
+    Ok(())
+}
+
+/// Writes the folders `man` and `completions`.
+fn manual_pages_and_completions(folder: &Path) -> Result<()> {
+    let (pages, completions) = (folder.join("man"), folder.join("completions"));
+    empty(&pages)?;
+    empty(&completions)?;
+    for command in [wsg_tool::command(), wsg_sim::server::command()] {
+        let name = command.get_name().to_owned();
+        for shell in [Shell::Bash, Shell::Fish, Shell::Zsh] {
+            clap_complete::generate_to(shell, &mut command.clone(), &name, &completions)?;
+        }
+        clap_mangen::generate_to(command, &pages)?;
+    }
+    Ok(())
+}
+
+/// Adds the Debian package of the programs, which is installed below a folder, used and removed.
+fn debian(release: &mut Release, system: &System, files: &Path) -> Result<()> {
+    let built = release.target_dir.join(system.target).join(PROFILE).join("files");
+    empty(&built)?;
+    let parts = ["LICENCES.txt", "completions", "man"].map(|name| files.join(name));
+    run_program(Command::new("cp").arg("-r").args(parts).arg(&built), "")?;
+    let place = release.folder(&format!("debian-{}", system.name))?;
+    let mut deb = cargo("deb --locked --no-build --no-strip -p wsg-tool --profile");
+    run_program(deb.args([PROFILE, "--target", system.target, "--output"]).arg(&place), "")?;
+    let package = fs::read_dir(&place)?.next().context("cargo-deb wrote no package")??.path();
+    let name = package.file_name().unwrap_or_default().to_string_lossy().into_owned();
+
+    for folder in ["info", "updates"] {
+        fs::create_dir_all(place.join("var/lib/dpkg").join(folder))?;
+    }
+    fs::write(place.join("var/lib/dpkg/status"), "")?;
+    let dpkg = |action| {
+        let mut dpkg = Command::new("dpkg");
+        dpkg.arg(format!("--root={}", place.display()));
+        dpkg.args(["--force-not-root", "--force-script-chrootless", "--force-architecture", action]);
+        dpkg
+    };
+    run_program(dpkg("--install").arg(&package), "")?;
+    let bytes = fs::read(&package)?;
+    let trial = is_used(system, &place.join("usr/bin"))?;
+    run_program(dpkg("--remove").arg("wsg-tools"), "")?;
+    ensure!(!place.join("usr/bin/wsg").exists(), "dpkg left files of {name}");
+    release.add(&name, &bytes, format!("installed, {trial}, removed"))
+}
+
+/// Packs the files of a folder without subfolders.
+fn zip(folder: &Path, name: &str) -> Result<Vec<u8>> {
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        files.push((format!("{name}/{}", entry.file_name().to_string_lossy()), fs::read(entry.path())?));
+    }
+    files.sort();
+    let files: Vec<_> = files.iter().map(|(name, bytes)| (name.as_str(), &bytes[..])).collect();
+    archive::zip(&files)
+}
+
+/// Grips with the unpacked programs, if they start here.
+fn is_used(system: &System, folder: &Path) -> Result<String> {
+    let Some(launcher) = system.launcher else {
+        trial::grip(&[], folder, system.ending)?;
+        return Ok("grips on wsg-sim".to_owned());
+    };
+    if Command::new(launcher).arg("--version").output().is_err() {
+        return Ok(format!("linked only: no {launcher}"));
+    }
+    if launcher != "wine" {
+        trial::grip(&[launcher], folder, system.ending)?;
+        return Ok(format!("grips on wsg-sim, by {launcher}"));
+    }
+    // Debian's Wine lacks this library of Windows.
+    let mut library = Command::new("x86_64-w64-mingw32-gcc");
+    library.args(["-shared", "-o"]).arg(folder.join("bcryptprimitives.dll"));
+    run_program(library.arg(root().join("xtask/src/platforms.c")).arg("-ladvapi32"), "")?;
+    // Wine's settings are in the folder, too. Programs that start its server at the same time may fail.
+    let server = |option| trial::isolated(&[], "wineserver".as_ref(), folder).arg(option).status();
+    server("-p60")?;
+    let outcome = trial::grip(&[launcher], folder, system.ending);
+    server("-k")?;
+    outcome.map(|()| "grips on wsg-sim, by Wine".to_owned())
+}
