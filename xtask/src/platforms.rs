@@ -21,9 +21,10 @@ pub(crate) const WINDOWS: &str = "x86_64-pc-windows-gnu";
 const TARGETS: [&str; 3] = [WINDOWS, "x86_64-apple-darwin", "aarch64-apple-darwin"];
 const C_COMPILER: &str = "x86_64-w64-mingw32-gcc";
 
+/// The C compiler for Windows.
+pub(crate) const MINGW: Program = ("C compiler for Windows", C_COMPILER, "gcc-mingw-w64-x86-64-win32");
 /// Wine, and the C compiler for Windows.
-pub(crate) const FROM_DEBIAN: [Program; 2] =
-    [("Wine", "wine", "wine"), ("C compiler for Windows", C_COMPILER, "gcc-mingw-w64-x86-64-win32")];
+pub(crate) const FROM_DEBIAN: [Program; 2] = [("Wine", "wine", "wine"), MINGW];
 
 /// Checks everything for each target, and runs the tests with Wine.
 pub(crate) fn run(workspace: &Workspace) -> Result<()> {

@@ -1,9 +1,7 @@
 //! The Python package: builds the wheel, and tests it in a virtual environment without Rust on the path.
 
 use std::{
-    env,
-    ffi::OsStr,
-    fs,
+    env, fs,
     path::{Path, PathBuf},
     process::Command,
 };
@@ -11,14 +9,20 @@ use std::{
 use anyhow::{Context, Result, ensure};
 
 use crate::{
+    platforms::MINGW,
     process,
     setup::{self, PYTHON_PACKAGE},
     workspace::Workspace,
 };
 
-/// The targets of wheels with their platform tags. zig links all of them, against an old glibc.
-const WHEELS: [(&str, &str); 2] =
-    [("aarch64-unknown-linux-gnu", "manylinux_2_28"), ("x86_64-unknown-linux-gnu", "manylinux_2_28")];
+/// zig links wheels for Linux, against an old glibc.
+const LINUX: &[&str] = &["--zig", "--compatibility", "manylinux_2_28"];
+/// The targets of wheels with maturin's options.
+const WHEELS: [(&str, &[&str]); 3] = [
+    ("aarch64-unknown-linux-gnu", LINUX),
+    ("x86_64-unknown-linux-gnu", LINUX),
+    ("x86_64-pc-windows-gnu", &[]),
+];
 /// Limit for the size of a wheel, in bytes.
 const MAX_WHEEL: u64 = 6_000_000;
 
@@ -27,30 +31,28 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
     let mut pip = Command::new(environment.join("bin/python"));
     pip.args("-m pip --disable-pip-version-check install --quiet --require-hashes --requirement".split(' '));
     process::run(pip.arg(workspace.root.join(PYTHON_PACKAGE).join("wheels/requirements.txt")))?;
-    let path = env::var_os("PATH").unwrap_or_default();
-    let path = env::join_paths([environment.join("bin")].into_iter().chain(env::split_paths(&path)))?;
-    for (target, tag) in WHEELS {
-        if !setup::provide_target(workspace, target) {
-            println!("NOT BUILT: {target}. rustup could not install it");
+    for (target, options) in WHEELS {
+        let has_linker = options == LINUX || setup::lacking(&[MINGW]).is_empty();
+        if !has_linker || !setup::provide_target(workspace, target) {
+            println!("NOT BUILT: {target}. Its standard library or its linker could not be installed");
             continue;
         }
-        let options = ["--zig", "--target", target, "--compatibility", tag];
-        let wheel = build(workspace, environment, "wheel", target, &options, &path)?;
+        let arguments = [&["--target", target], options].concat();
+        let wheel = build(workspace, environment, "wheel", target, &arguments)?;
         let size = fs::metadata(&wheel)?.len();
         ensure!(size <= MAX_WHEEL, "{} has {size} bytes, more than {MAX_WHEEL}", wheel.display());
-        let is_here = target.starts_with(env::consts::ARCH);
+        let is_here = options == LINUX && target.starts_with(env::consts::ARCH);
         if is_here {
             test_wheel(workspace, environment, &wheel)?;
         }
-        println!("{}: {size} bytes, {}", wheel.display(), if is_here { "tested" } else { "not run" });
+        println!("{}: {size} bytes, {}", wheel.display(), if is_here { "tested" } else { "linked, not run" });
     }
     Ok(())
 }
 
 /// Builds the wheel, installs it in the environment and runs the tests of the package there.
 pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
-    let path = env::var_os("PATH").unwrap_or_default();
-    let wheel = build(workspace, environment, "dev", "dev", &["--compatibility", "linux"], &path)?;
+    let wheel = build(workspace, environment, "dev", "dev", &["--compatibility", "linux"])?;
     test_wheel(workspace, environment, &wheel)
 }
 
@@ -73,14 +75,17 @@ fn build(
     profile: &str,
     folder: &str,
     options: &[&str],
-    path: &OsStr,
 ) -> Result<PathBuf> {
     let out = workspace.target_dir.join("wheels").join(folder);
     let _ = fs::remove_dir_all(&out);
     let package = workspace.root.join(PYTHON_PACKAGE);
     // maturin adds files of this name to the wheel.
-    fs::write(package.join("LICENCES.txt"), licences::text(&["--package wsg-python"])?)?;
-    let mut maturin = Command::new(environment.join("bin/maturin"));
+    let licences = licences::text(&["--package wsg-python"])?;
+    fs::write(package.join("LICENCES.txt"), licences)?;
+    let (bin, path) = (environment.join("bin"), env::var_os("PATH").unwrap_or_default());
+    let mut maturin = Command::new(bin.join("maturin"));
+    // maturin finds zig by the Python on the path.
+    let path = env::join_paths([bin].into_iter().chain(env::split_paths(&path)))?;
     maturin.current_dir(package).env("CARGO_TARGET_DIR", &workspace.target_dir).env("PATH", path);
     maturin.args(["build", "--locked", "--profile", profile, "--out"]).arg(&out).args(options);
     process::run(&mut maturin)?;
