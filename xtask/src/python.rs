@@ -80,8 +80,9 @@ fn build(
     let _ = fs::remove_dir_all(&out);
     let package = workspace.root.join(PYTHON_PACKAGE);
     // maturin adds files of this name to the wheel.
-    let licences = licences::text(&["--package wsg-python"])?;
-    fs::write(package.join("LICENCES.txt"), licences)?;
+    let target = options.iter().skip_while(|option| **option != "--target").take(2);
+    let selection = ["--package", "wsg-python"].iter().chain(target).copied().collect::<Vec<_>>().join(" ");
+    fs::write(package.join("LICENCES.txt"), licences::text(&[&selection])?)?;
     let (bin, path) = (environment.join("bin"), env::var_os("PATH").unwrap_or_default());
     let mut maturin = Command::new(bin.join("maturin"));
     // maturin finds zig by the Python on the path.
