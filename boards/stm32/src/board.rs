@@ -33,6 +33,7 @@ pub trait Stm32Board: Sized {
     type BusUart: Uart;
     /// The UART of the service port.
     type ServiceUart: Uart;
+    /// The controller on the CAN bus of gripper or PLC.
     type Can: CanController;
 
     /// Driver enable time of the bus before and after the bits, in units of DEAT and DEDT.

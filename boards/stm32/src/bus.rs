@@ -21,6 +21,7 @@ use crate::uart::{self, Uart};
 
 pub use dp_timer::on_interrupt as on_timer_interrupt;
 
+/// The line of the PLC's bus, shared with its interrupt handler.
 pub static BUS: BusLine = BusLine::new();
 
 static SERVICE: RtuBuffers = RtuBuffers::new();

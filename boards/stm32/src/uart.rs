@@ -14,8 +14,10 @@ use crate::{Divider, chip};
 pub trait Uart {
     /// Its registers. An LPUART has a USART's layout except for two registers, which this crate does not use.
     const REGISTERS: Lpuart;
+    /// The interrupt of the UART in the vector table.
     const INTERRUPT: Interrupt;
 
+    /// Enables the clock of the UART.
     fn enable();
 }
 

@@ -22,6 +22,7 @@ const AF_UART4: u8 = 8;
 const AF_LPUART1: u8 = 8;
 const AF_CAN1: u8 = 9;
 
+/// The clock of the board, counted by SysTick.
 pub static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 
 /// The board B-L475E-IOT01A.

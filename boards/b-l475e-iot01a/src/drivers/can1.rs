@@ -32,6 +32,7 @@ const ABRQ0: u32 = 1 << 7;
 /// Maximum number of status reads while the controller changes its mode, which takes a few cycles of the bus clock.
 const MAX_LOOKS: u32 = 10_000;
 
+/// The driver of the bxCAN controller CAN1.
 #[derive(Debug)]
 pub struct Can1 {
     config: Option<CanConfig>,
