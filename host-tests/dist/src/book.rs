@@ -5,7 +5,7 @@ use std::{fs, path::Path, process::Command};
 use anyhow::{Context, Result};
 use document::root;
 
-use crate::release::run_program;
+use crate::program::run_program;
 
 /// Folder of the book, as in `book.toml`.
 const FOLDER: &str = "target/book";

@@ -10,6 +10,7 @@ mod book;
 mod device_archives;
 mod image;
 mod manual;
+mod program;
 mod register_map;
 mod release;
 

@@ -17,7 +17,7 @@ use clap::ValueEnum;
 use document::root;
 use serde_json::Value;
 
-use crate::{SUMS, sums};
+use crate::{SUMS, program::run_program, sums};
 
 pub(crate) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
@@ -192,22 +192,6 @@ pub(crate) fn cargo(line: &str) -> Command {
     let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     cargo.current_dir(root()).args(line.split(' ')).env("SOURCE_DATE_EPOCH", TIME);
     cargo
-}
-
-/// Runs a program and returns its output, which must contain `expected`.
-pub(crate) fn run_program(
-    mut command: impl std::borrow::BorrowMut<Command>,
-    expected: &str,
-) -> Result<String> {
-    let command = command.borrow_mut();
-    let line = format!("{command:?}");
-    let line = line.rsplit('\u{1f}').next().unwrap_or_default();
-    println!("+ {line}");
-    let output = command.output().with_context(|| format!("cannot run {line}"))?;
-    let said = String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned();
-    ensure!(output.status.success(), "{line} failed ({}): {}", output.status, said.trim());
-    ensure!(said.contains(expected), "{line} printed no {expected:?}: {}", said.trim());
-    Ok(said)
 }
 
 /// Empties a folder, or creates it.

@@ -4,7 +4,8 @@ use std::{fs, process::Command};
 
 use anyhow::{Context, Result};
 
-use super::{Release, VERSION, cargo, run_program, sbom, trial};
+use super::{Release, VERSION, cargo, sbom, trial};
+use crate::program::run_program;
 use crate::{
     archive,
     board::{BOARDS, Board},

@@ -6,7 +6,8 @@ use anyhow::{Context, Result, ensure};
 
 use crate::book::{self, without_links};
 
-use super::{Release, VERSION, cargo, published, run_program, sbom, tar, trial};
+use super::{Release, VERSION, cargo, published, sbom, tar, trial};
+use crate::program::run_program;
 
 /// Packages the crates. cargo unpacks and builds each alone, with the others as dependencies from a registry.
 pub(super) fn crates(release: &mut Release) -> Result<()> {

@@ -10,8 +10,9 @@ use anyhow::{Context, Result, ensure};
 use clap_complete::Shell;
 use document::root;
 
-use super::{Release, VERSION, cargo, empty, run_program, sbom, tar, trial};
+use super::{Release, VERSION, cargo, empty, sbom, tar, trial};
 use crate::archive;
+use crate::program::run_program;
 
 /// A system that the programs are built for.
 struct System {

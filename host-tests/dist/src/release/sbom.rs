@@ -5,7 +5,8 @@ use std::fs;
 use anyhow::{Context, Result, ensure};
 use document::root;
 
-use super::{Release, cargo, run_program};
+use super::{Release, cargo};
+use crate::program::run_program;
 
 /// Name of the lists that cargo-cyclonedx writes beside the manifest of every package of the workspace.
 const LIST: &str = "release-parts";

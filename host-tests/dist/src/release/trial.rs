@@ -9,7 +9,7 @@ use std::{
 
 use anyhow::{Context, Result};
 
-use super::run_program;
+use crate::program::run_program;
 
 /// Variable with the emulator of the Pico.
 const EMULATOR: &str = "WSG_MODBUS_NODE";
