@@ -128,6 +128,6 @@ pub(super) fn book(release: &mut Release) -> Result<()> {
     release.add(&format!("{name}.tar.gz"), &bytes, format!("{pages} pages; Chromium opens one"))?;
     let pdf = fs::read(built.with_extension("pdf"));
     let pdf = pdf.context("there is no PDF of the book: Chromium is missing")?;
-    ensure!(pdf.starts_with(b"%PDF-"), "the PDF of the book is none");
+    ensure!(pdf.starts_with(b"%PDF-"), "the PDF of the book does not begin with %PDF-");
     release.add(&format!("{name}.pdf"), &pdf, "a PDF file, not opened")
 }
