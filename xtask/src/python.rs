@@ -82,13 +82,17 @@ fn build(
     // maturin adds files of this name to the wheel.
     let target = options.iter().skip_while(|option| **option != "--target").take(2);
     let selection = ["--package", "wsg-python"].iter().chain(target).copied().collect::<Vec<_>>().join(" ");
-    fs::write(package.join("LICENCES.txt"), licences::text(&[&selection])?)?;
+    fs::write(package.join("LICENCES.txt"), provenance::licences(&[&selection])?)?;
     let (bin, path) = (environment.join("bin"), env::var_os("PATH").unwrap_or_default());
     let mut maturin = Command::new(bin.join("maturin"));
     // maturin finds zig by the Python on the path.
     let path = env::join_paths([bin].into_iter().chain(env::split_paths(&path)))?;
     maturin.current_dir(package).env("CARGO_TARGET_DIR", &workspace.target_dir).env("PATH", path);
     maturin.args(["build", "--locked", "--profile", profile, "--out"]).arg(&out).args(options);
+    if profile != "dev" {
+        // With other flags, the tests of a wheel would rebuild everything.
+        provenance::remove_paths(&mut maturin, &workspace.target_dir, &[])?;
+    }
     process::run(&mut maturin)?;
     let wheel = fs::read_dir(&out)?.next().context("maturin built no wheel")?;
     Ok(wheel?.path())

@@ -91,9 +91,4 @@ impl Workspace {
         command.current_dir(&self.root);
         command
     }
-
-    /// Returns the folder in which cargo keeps the sources of dependencies.
-    pub(crate) fn cargo_home(&self) -> Option<PathBuf> {
-        env::var_os("CARGO_HOME").map(PathBuf::from).or_else(|| Some(env::home_dir()?.join(".cargo")))
-    }
 }

@@ -136,7 +136,7 @@ fn contents(board: &Board, elf: Vec<u8>, book: Vec<(String, Vec<u8>)>) -> Result
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(&linked())?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
-        ("LICENCES.txt", licences::text(&[&board.selection()])?.into_bytes()),
+        ("LICENCES.txt", provenance::licences(&[&board.selection()])?.into_bytes()),
     ];
     if board.takes_uf2 {
         let elf = &single[2].1;

@@ -129,12 +129,6 @@ impl Release {
         Ok(())
     }
 
-    /// Returns a remark for the table if a file of an unpacked archive contains a path of this machine.
-    fn remark(&self, folder: &Path) -> &'static str {
-        let is_without = self.folder_names_no_path(folder).is_ok();
-        if is_without { "" } else { "; DIFFERS between machines: contains a path" }
-    }
-
     /// Returns a new empty folder to try a file in.
     fn folder(&self, name: &str) -> Result<PathBuf> {
         let folder = self.target_dir.join("release-trials").join(name);

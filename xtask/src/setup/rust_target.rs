@@ -101,7 +101,9 @@ impl ThumbToolchain<'_> {
             None => self.workspace.cargo(subcommand),
             Some(linker) => debian_cargo(self.workspace, subcommand, triple, linker),
         };
-        command.args(["--target", triple, "--config", &remap_config(self.workspace, triple)]);
+        // `--config` adds to the flags in .cargo/config.toml. TOML escapes quotes and backslashes as Rust does.
+        let flags = provenance::path_flags(&self.workspace.target_dir).unwrap_or_default();
+        command.args(["--target", triple, "--config", &format!("target.{triple}.rustflags={flags:?}")]);
         // Flags from the environment would replace those in .cargo/config.toml, such as the linker script, and the image would not
         // be reproducible.
         for name in ["RUSTFLAGS", "CARGO_ENCODED_RUSTFLAGS", &variable(triple, "RUSTFLAGS")] {
@@ -134,17 +136,6 @@ fn debian_cargo(workspace: &Workspace, subcommand: &str, triple: &str, linker: &
     // Remove the outer cargo's variables, which would lead Debian's programs to rustup's tool chain and libraries.
     command.env_remove("RUSTUP_TOOLCHAIN").env_remove("LD_LIBRARY_PATH").env_remove("RUSTDOC");
     command
-}
-
-/// Removes the paths of the checkout, the target folder and cargo's home from the debug information, so that the image is
-/// reproducible. `--config` adds to the flags in .cargo/config.toml.
-fn remap_config(workspace: &Workspace, triple: &str) -> String {
-    // rustc uses the last match, and the target folder may lie within the checkout.
-    let mut places = vec![(workspace.root.clone(), "."), (workspace.target_dir.clone(), "target")];
-    places.extend(workspace.cargo_home().map(|home| (home, "cargo")));
-    let flag = |(place, name): &(PathBuf, &str)| format!("--remap-path-prefix={}={name}", place.display());
-    // TOML escapes quotes and backslashes as Rust does.
-    format!("target.{triple}.rustflags={:?}", places.iter().map(flag).collect::<Vec<_>>())
 }
 
 /// Returns whether the folder contains `core`. rustc prints its path even if the target is not installed.

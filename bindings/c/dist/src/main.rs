@@ -94,7 +94,7 @@ fn run() -> Result<()> {
     for (target, source) in FILES {
         copy(&Path::new(SOURCES).join(source), &archive.folder.join(target))?;
     }
-    let licences = licences::text(&LINKED)?;
+    let licences = provenance::licences(&LINKED)?;
     fs::write(archive.folder.join("LICENCES.txt"), licences)?;
     let mut missing = Vec::new();
     match &chosen {
@@ -179,6 +179,13 @@ struct Archive {
 }
 
 impl Archive {
+    /// Returns cargo, whose output does not name the folders of this computer.
+    fn cargo(&self) -> Result<Command> {
+        let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        provenance::remove_paths(&mut cargo, &self.build, &[])?.env("CARGO_TARGET_DIR", &self.build);
+        Ok(cargo)
+    }
+
     /// Builds the libraries for a target: the session, and on an operating system the blocking calls.
     fn add_libraries(&self, triple: &str) -> Result<()> {
         let session = ["--crate-type", "staticlib", "--features", "static-library"];
@@ -209,13 +216,12 @@ impl Archive {
         name: &str,
         options: &[&str],
     ) -> Result<PathBuf> {
-        let mut cargo = cargo();
+        let mut cargo = self.cargo()?;
         cargo.current_dir(Path::new(SOURCES).join(package)).args(["rustc", "--locked", "--quiet", "--lib"]);
         if let Some(linker) = linker(triple) {
             cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", linker);
         }
-        cargo.args(["--profile", "c-library", "--target", triple, "--target-dir"]).arg(&self.build);
-        succeed(cargo.args(options))?;
+        succeed(cargo.args(["--profile", "c-library", "--target", triple]).args(options))?;
         let target = self.folder.join("lib").join(triple).join(name);
         fs::create_dir_all(target.parent().context("it has a folder")?)?;
         // LLVM's tool, which comes with rustc and reads every target's objects.
@@ -233,9 +239,9 @@ impl Archive {
 
     /// Builds the virtual gripper for this computer.
     fn add_simulator(&self) -> Result<()> {
-        let mut cargo = cargo();
+        let mut cargo = self.cargo()?;
         cargo.current_dir(SOURCES).args(["build", "--locked", "--quiet", "--package", "wsg-sim"]);
-        succeed(cargo.args(["--profile", "wheel", "--target-dir"]).arg(&self.build))?;
+        succeed(cargo.args(["--profile", "wheel"]))?;
         fs::create_dir_all(self.folder.join("bin"))?;
         fs::copy(self.build.join("wheel/wsg-sim"), self.folder.join("bin/wsg-sim"))?;
         Ok(())
@@ -249,17 +255,6 @@ fn linker(triple: &str) -> Option<&'static str> {
 
 fn runs(program: &str) -> bool {
     Command::new(program).arg("--version").output().is_ok_and(|output| output.status.success())
-}
-
-/// Returns cargo, whose output does not name the folders of this computer.
-fn cargo() -> Command {
-    let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    let home = || env::home_dir().unwrap_or_default().join(".cargo");
-    let home = env::var_os("CARGO_HOME").map_or_else(home, PathBuf::from);
-    let flags = [(home, "cargo"), (document::root(), "wsg")];
-    let flags = flags.map(|(folder, name)| format!("--remap-path-prefix={}={name}", folder.display()));
-    cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\x1f"));
-    cargo
 }
 
 /// Returns the ABI version in the header, which is part of the shared library's name.

@@ -9,14 +9,16 @@ use crate::book::{self, without_links};
 use super::{Release, VERSION, cargo, published, sbom, tar, trial};
 use crate::program::run_program;
 
-/// Packages the crates. cargo unpacks and builds each alone, with the others as dependencies from a registry.
+/// Packages the crates. A trial of publishing builds each from its package alone, with the others as dependencies from a registry.
 pub(super) fn crates(release: &mut Release) -> Result<()> {
     let folder = release.target_dir.join("package");
     let _ = fs::remove_dir_all(&folder);
     let published = published()?;
-    let mut package = cargo("package --locked --allow-dirty");
-    let said = run_program(package.args(published.iter().flat_map(|name| ["-p", name.as_str()])), "")?;
-    let files_of = |word: &str| -> Vec<String> {
+    let run = |line: &str| {
+        let mut cargo = cargo(line);
+        run_program(cargo.args(published.iter().flat_map(|name| ["-p", name.as_str()])), "")
+    };
+    let files_of = |said: &str, word: &str| -> Vec<String> {
         let lines = said.lines().filter_map(|line| line.trim_start().strip_prefix(word));
         lines
             .filter_map(|line| line.split(" (").next())
@@ -24,13 +26,17 @@ pub(super) fn crates(release: &mut Release) -> Result<()> {
             .collect()
     };
     // cargo packages each crate after its dependencies.
-    let (files, verified) = (files_of("Packaging "), files_of("Verifying "));
+    let files = files_of(&run("package --locked --allow-dirty --no-verify")?, "Packaging ");
     ensure!(files.len() == published.len(), "cargo packaged {files:?}; expected {published:?}");
-    ensure!(files == verified, "cargo verified {verified:?}; expected {files:?}");
+    let said = run("publish --dry-run --locked --allow-dirty")?;
+    for word in ["Verifying ", "Uploading "] {
+        let of = files_of(&said, word);
+        ensure!(of == files, "cargo publish: {word}{of:?}; expected {files:?}");
+    }
     release.add("ORDER.txt", (files.join("\n") + "\n").as_bytes(), "")?;
     for file in files {
         let bytes = fs::read(folder.join(&file)).with_context(|| format!("cannot read {file}"))?;
-        release.add(&file, &bytes, "built from its package alone")?;
+        release.add(&file, &bytes, "built from its package alone by cargo publish --dry-run")?;
     }
     Ok(())
 }
@@ -48,7 +54,7 @@ pub(super) fn wheels(release: &mut Release) -> Result<()> {
         let name = wheel.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let place = release.folder("wheel-unpacked")?;
         trial::unzip(&place, &fs::read(&wheel)?)?;
-        let remark = release.remark(&place);
+        release.folder_names_no_path(&place)?;
         let trial = if name.contains(std::env::consts::ARCH) {
             let place = release.folder("wheel")?;
             run_program(Command::new("python3").current_dir(&place).args(["-m", "venv", "."]), "")?;
@@ -60,7 +66,7 @@ pub(super) fn wheels(release: &mut Release) -> Result<()> {
         } else {
             "linked only"
         };
-        release.add(&name, &fs::read(&wheel)?, format!("{trial}{remark}"))?;
+        release.add(&name, &fs::read(&wheel)?, trial)?;
     }
     sbom::add(
         release,
@@ -86,7 +92,7 @@ pub(super) fn c(release: &mut Release) -> Result<()> {
     let bytes = fs::read(release.target_dir.join(format!("dist-c/{name}.tar.gz")))?;
     let place = release.folder("c")?;
     trial::untar(&place, &bytes)?;
-    let trial = format!("grips on wsg-sim: examples/posix.c, by gcc{}", release.remark(&place));
+    release.folder_names_no_path(&place)?;
     let place = place.join(&name);
     let mut gcc = trial::isolated(&[], "gcc".as_ref(), &place);
     gcc.args("-I include examples/posix.c -L lib/x86_64-unknown-linux-gnu -lwsg -o posix".split(' '));
@@ -96,7 +102,7 @@ pub(super) fn c(release: &mut Release) -> Result<()> {
     let (host, port) = sim.address.split_once(':').context("an address has a port")?;
     let mut grip = trial::isolated(&[], &place.join("posix"), &place);
     run_program(grip.args([host, port]), "Release Part: no error\ndone\n")?;
-    release.add(&format!("{name}.tar.gz"), &bytes, trial)?;
+    release.add(&format!("{name}.tar.gz"), &bytes, "grips on wsg-sim: examples/posix.c, by gcc")?;
     sbom::add(release, &name, "bindings/c-host", "x86_64-unknown-linux-gnu", "default")
 }
 

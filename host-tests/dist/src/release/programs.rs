@@ -1,7 +1,7 @@
 //! `wsg` and `wsg-sim` for each system, with manual pages and completions, and the Debian packages.
 
 use std::{
-    env, fs,
+    fs,
     path::{Path, PathBuf},
     process::Command,
 };
@@ -93,18 +93,9 @@ pub(super) fn built(release: &Release, target: &str) -> Result<PathBuf> {
     let is_windows = target.contains("windows");
     let mut cargo = cargo(if is_windows { "auditable build" } else { "auditable zigbuild" });
     cargo.args(["--quiet", "--locked", "--bins", "--profile", PROFILE, "--target", target]).args(PACKAGES);
-    // rustc uses the last match, and the target folder may lie within the checkout.
-    let home = env::var_os("CARGO_HOME").map(PathBuf::from).or_else(|| Some(env::home_dir()?.join(".cargo")));
-    let home = home.context("there is no home folder")?;
-    let places = [(root(), "."), (release.target_dir.clone(), "target"), (home, "cargo")];
-    let mut flags: Vec<String> = places
-        .iter()
-        .map(|(place, name)| format!("--remap-path-prefix={}={name}", place.display()))
-        .collect();
-    if is_windows {
-        flags.push("-Clink-arg=-Wl,--no-insert-timestamp".to_owned());
-    }
-    run_program(cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\u{1f}")), "")?;
+    let without_time: &[&str] = if is_windows { &["-Clink-arg=-Wl,--no-insert-timestamp"] } else { &[] };
+    provenance::remove_paths(&mut cargo, &release.target_dir, without_time)?;
+    run_program(cargo, "")?;
     Ok(release.target_dir.join(target).join(PROFILE))
 }
 
@@ -117,7 +108,7 @@ fn fill(release: &Release, system: &System, folder: &Path) -> Result<()> {
         fs::copy(built.join(&file), folder.join(&file)).with_context(|| format!("cannot copy {file}"))?;
     }
     let selection = [&PACKAGES[..], &["--target", system.target]].concat().join(" ");
-    fs::write(folder.join("LICENCES.txt"), licences::text(&[&selection])?)?;
+    fs::write(folder.join("LICENCES.txt"), provenance::licences(&[&selection])?)?;
     fs::write(folder.join("README.txt"), README)?;
     fs::copy(root().join("CHANGELOG.md"), folder.join("CHANGELOG.md"))?;
     if system.ending.is_empty() {

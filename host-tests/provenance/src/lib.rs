@@ -1,4 +1,5 @@
-//! Licences of everything linked into an image, a program or a Python wheel.
+//! What a delivered file is made of: the licences of everything linked into it, and flags that keep the paths of this
+//! machine out of it.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -38,8 +39,31 @@ struct Part {
 ///
 /// # Errors
 /// Fails when cargo fails or a crate has no licence.
-pub fn text(selections: &[&str]) -> Result<String> {
+pub fn licences(selections: &[&str]) -> Result<String> {
     text_of(&parts(selections)?)
+}
+
+/// Returns rustc's flags that shorten the paths of this machine in everything that it builds, so that two machines
+/// build the same file.
+///
+/// # Errors
+/// Fails when the home folder is unknown.
+pub fn path_flags(target_dir: &Path) -> Result<Vec<String>> {
+    let home = env::var_os("CARGO_HOME").map(PathBuf::from).or_else(|| Some(env::home_dir()?.join(".cargo")));
+    let home = home.context("cargo's home folder is unknown: set CARGO_HOME")?;
+    // rustc uses the last match, and the target folder may lie within the checkout.
+    let places = [(root(), "."), (target_dir.to_owned(), "target"), (home, "cargo")];
+    Ok(places.map(|(place, name)| format!("--remap-path-prefix={}={name}", place.display())).into())
+}
+
+/// Sets the flags of a build for [`path_flags`].
+///
+/// # Errors
+/// Fails when the home folder is unknown.
+pub fn remove_paths<'a>(cargo: &'a mut Command, target_dir: &Path, more: &[&str]) -> Result<&'a mut Command> {
+    let flags = path_flags(target_dir)?;
+    let flags: Vec<&str> = flags.iter().map(String::as_str).chain(more.iter().copied()).collect();
+    Ok(cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\u{1f}")))
 }
 
 fn text_of(parts: &[Part]) -> Result<String> {
@@ -166,7 +190,8 @@ mod tests {
 
     #[test]
     fn every_part_of_the_image_is_named_and_has_a_text() {
-        let text = text(&["--package wsg-b-l475e-iot01a --features firmware --target thumbv7em-none-eabihf"]);
+        let text =
+            licences(&["--package wsg-b-l475e-iot01a --features firmware --target thumbv7em-none-eabihf"]);
         let text = text.unwrap();
 
         for part in ["cortex-m ", "heapless ", "embedded-io ", "stm32-metapac ", "crc "] {
@@ -182,7 +207,7 @@ mod tests {
 
     #[test]
     fn programs_name_the_library_in_c_that_a_build_script_compiles() {
-        let text = text(&["--package wsg-python"]).unwrap();
+        let text = licences(&["--package wsg-python"]).unwrap();
         assert!(text.contains("\n  lua-src ") && text.contains("Lua.org, PUC-Rio"));
         assert!(text.contains("\n  pyo3 "));
         assert!(!text.contains("\n  cc "));
