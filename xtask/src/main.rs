@@ -47,16 +47,7 @@ Environment:
   WSG_NO_RUSTUP=1    work as if rustup's server were unreachable: do not call rustup, ignore thumb
                      targets that it installed, and build for them with Debian's Rust packages
   CI                 if set, disables incremental compilation (CARGO_INCREMENTAL=0)
-  WSG_FIRMWARE_ELF   set by test for the emulator tests: the image to boot
-  WSG_FIRMWARE_ELF_CAN_GRIPPER, WSG_FIRMWARE_ELF_CAN_PLC, WSG_FIRMWARE_ELF_CAN_BOTH,
-  WSG_FIRMWARE_ELF_NO_BUS, WSG_FIRMWARE_ELF_PROFIBUS
-                     the same for images with other bus settings; with the suffix _PICO for the Pico
   WSG_SIGNING_KEY    key of gpg with which release signs the checksums
-  WSG_WHOLE=1        set by ci: run long tests in full
-  WSG_LOAD=1         set by ci: run the load test with 500 grippers
-  WSG_SIM_EXE        set by platforms for its tests: the simulator's Windows executable
-  WSG_MODBUS_PYTHON, WSG_MODBUS_NODE
-                     set by test for tests with third-party masters: their Python, and their Node.js packages
   CARGO_TARGET_DIR   build folder (default: target); images are in its subfolder firmware
 
 Set-up does nothing if all prerequisites are present. As root, it installs missing packages without
@@ -259,7 +250,6 @@ fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
     commands::release(workspace, &[])?;
     commands::telemetry(workspace)?;
     platforms::run(workspace)?;
-    commands::dist_c(workspace, &[])?;
     commands::soak(workspace, image, &commands::Soak::CI)?;
     commands::fast_stop(workspace)?;
     commands::explore(workspace, commands::STATES)?;

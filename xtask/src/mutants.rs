@@ -119,15 +119,9 @@ pub(crate) struct Extent {
     /// Mutate only these files (or file patterns)
     #[arg(value_name = "FILE")]
     files: Vec<String>,
-    /// Test a sample: every N-th mutant, starting with the K-th
-    #[arg(long, value_name = "K/N")]
-    shard: Option<String>,
-    /// Skip mutants caught by the previous run
-    #[arg(long)]
-    again: bool,
-    /// Run N in parallel
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    jobs: usize,
+    /// Options for cargo-mutants, such as --shard K/N --sharding round-robin for a sample, --iterate, or --jobs N
+    #[arg(last = true, value_name = "OPTIONS")]
+    options: Vec<String>,
 }
 
 /// Tests the mutants and compares the survivors with the accepted ones.
@@ -141,7 +135,7 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
             outcome.join(make(workspace, part, &files, extent)?);
         }
     }
-    let is_whole = extent.files.is_empty() && extent.shard.is_none();
+    let is_whole = extent.files.is_empty() && extent.options.is_empty();
     judge(&outcome, &accepted, is_whole)
 }
 
@@ -152,16 +146,10 @@ fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) 
     let mut mutants =
         tool::plain(workspace, "cargo mutants --no-shuffle --profile mutants --cargo-arg=--locked");
     mutants.args(part.packages.split(' ').flat_map(|package| ["-p", package])).envs(ENVIRONMENT);
-    mutants.args(["--colors", "never", "--jobs", &extent.jobs.to_string(), "--output"]).arg(&output);
+    mutants.args(["--colors", "never", "--output"]).arg(&output).args(&extent.options);
     // A generous time-out, so that a busy machine is not mistaken for a hanging mutant.
     mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
     mutants.args(files.iter().flat_map(|file| ["--file", file]));
-    if let Some(shard) = &extent.shard {
-        mutants.args(["--sharding", "round-robin", "--shard", shard]);
-    }
-    if extent.again {
-        mutants.arg("--iterate");
-    }
     // Exclude test code.
     mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]);
     mutants.args(part.options.split_whitespace()).arg("--").args(part.tests.split(' '));
