@@ -17,11 +17,14 @@ use crate::{
 
 /// zig links wheels for Linux, against an old glibc.
 const LINUX: &[&str] = &["--zig", "--compatibility", "manylinux_2_28"];
-/// The targets of wheels with maturin's options.
-const WHEELS: [(&str, &[&str]); 3] = [
-    ("aarch64-unknown-linux-gnu", LINUX),
-    ("x86_64-unknown-linux-gnu", LINUX),
-    ("x86_64-pc-windows-gnu", &[]),
+/// The free-threaded Python, which cannot load wheels for the stable ABI.
+const FREE_THREADED: &str = "python3.14t";
+/// Folder, target and maturin's options of each wheel.
+const WHEELS: [(&str, &str, &[&str]); 4] = [
+    ("aarch64", "aarch64-unknown-linux-gnu", &[]),
+    ("x86_64", "x86_64-unknown-linux-gnu", &[]),
+    (FREE_THREADED, "x86_64-unknown-linux-gnu", &["--interpreter", FREE_THREADED]),
+    ("windows", "x86_64-pc-windows-gnu", &[]),
 ];
 /// Limit for the size of a wheel, in bytes.
 const MAX_WHEEL: u64 = 6_000_000;
@@ -31,17 +34,21 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
     let mut pip = Command::new(environment.join("bin/python"));
     pip.args("-m pip --disable-pip-version-check install --quiet --require-hashes --requirement".split(' '));
     process::run(pip.arg(workspace.root.join(PYTHON_PACKAGE).join("wheels/requirements.txt")))?;
-    for (target, options) in WHEELS {
-        let has_linker = options == LINUX || setup::lacking(&[MINGW]).is_empty();
+    // A release contains every wheel there.
+    let _ = fs::remove_dir_all(workspace.target_dir.join("wheels"));
+    for (folder, target, options) in WHEELS {
+        let is_linux = target.contains("linux");
+        let has_linker = is_linux || setup::lacking(&[MINGW]).is_empty();
         if !has_linker || !setup::provide_target(workspace, target) {
             println!("NOT BUILT: {target}. Its standard library or its linker could not be installed");
             continue;
         }
-        let arguments = [&["--target", target], options].concat();
-        let wheel = build(workspace, environment, "wheel", target, &arguments)?;
+        let linker = if is_linux { LINUX } else { &[] };
+        let arguments = [&["--target", target], linker, options].concat();
+        let wheel = build(workspace, environment, "wheel", folder, &arguments)?;
         let size = fs::metadata(&wheel)?.len();
         ensure!(size <= MAX_WHEEL, "{} has {size} bytes, more than {MAX_WHEEL}", wheel.display());
-        let is_here = options == LINUX && target.starts_with(env::consts::ARCH);
+        let is_here = folder == env::consts::ARCH;
         if is_here {
             test_wheel(workspace, environment, &wheel)?;
         }

@@ -55,7 +55,7 @@ pub(super) fn wheels(release: &mut Release) -> Result<()> {
         let place = release.folder("wheel-unpacked")?;
         trial::unzip(&place, &fs::read(&wheel)?)?;
         release.folder_names_no_path(&place)?;
-        let trial = if name.contains(std::env::consts::ARCH) {
+        let trial = if target.ends_with(std::env::consts::ARCH) {
             let place = release.folder("wheel")?;
             run_program(Command::new("python3").current_dir(&place).args(["-m", "venv", "."]), "")?;
             let mut pip = trial::isolated(&[], &place.join("bin/python"), &place);
