@@ -5,7 +5,6 @@ mod common;
 mod connection;
 mod fieldbus;
 mod gcl;
-mod gcl_session;
 mod images;
 mod motion;
 mod observed;

@@ -974,20 +974,25 @@ fn announced_timeout_is_in_the_future_with_and_without_answers() {
     }
 }
 
+/// Returns a session whose next command is a motion.
+fn about_to_grip() -> Rig {
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    assert_eq!(rig.session.tick(rig.now), None);
+    rig
+}
+
 #[test]
 fn motion_that_is_next_to_be_sent_is_withdrawn() {
-    let next = || {
-        let mut rig = Rig::connected();
-        rig.session.request(GRIP).unwrap();
-        assert_eq!(rig.session.tick(rig.now), None);
-        rig
-    };
-    let mut rig = next();
+    let mut rig = about_to_grip();
     rig.session.withdraw();
     assert_eq!(rig.sent(), []);
     assert!(!rig.session.is_busy());
+}
 
-    let mut rig = next();
+#[test]
+fn motion_that_is_next_to_be_sent_is_withdrawn_by_an_acknowledgement() {
+    let mut rig = about_to_grip();
     rig.send(Command::ACKNOWLEDGE);
     assert_eq!(rig.events, ["Withdrawn(GripPart)"]);
 }
@@ -1151,7 +1156,7 @@ fn burst_of_fast_stops_ends_with_its_confirmation_and_queued_commands_continue()
 }
 
 #[test]
-fn fast_stop_after_a_stop_without_an_answer_in_time_starts_with_a_burst() {
+fn fast_stop_after_a_stop_without_an_answer_starts_with_a_burst() {
     let mut rig = Rig::connected();
     rig.send(Command::Stop);
     rig.send(Command::FastStop);

@@ -1,4 +1,4 @@
-//! The session in virtual time: what is specific to GCL. The tests of [`crate::session`] cover the common engine. Each test plays the
+//! The session in virtual time: the parts specific to GCL. The tests of [`crate::session`] cover the common engine. Each test plays the
 //! gripper.
 
 use super::*;
