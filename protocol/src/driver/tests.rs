@@ -66,12 +66,9 @@ fn grip_distinguishes_held_no_part_and_every_failure() {
 #[test]
 fn immediate_refusal_returns_its_status() {
     let (rig, mut gripper) = connected();
-    rig.script(CommandId::Homing, vec![(1, status(CommandId::Homing, Status::AccessDenied))]);
+    rig.script_status(CommandId::Homing, Status::AccessDenied);
     assert_eq!(gripper.home(HomingDirection::Default), Err(Error::Refused(Status::AccessDenied)));
-    rig.script(
-        CommandId::TareForceSensor,
-        vec![(1, status(CommandId::TareForceSensor, Status::NotAvailable))],
-    );
+    rig.script_status(CommandId::TareForceSensor, Status::NotAvailable);
     assert_eq!(gripper.tare(), Err(Error::Refused(Status::NotAvailable)));
 }
 
@@ -101,7 +98,7 @@ fn setting_is_read_back_and_clamping_is_no_mismatch() {
 fn mismatch_status_counts_only_for_a_setting() {
     let (rig, mut gripper) = connected();
     let id = CommandId::GetOpeningWidth;
-    rig.script(id, vec![(1, status(id, crate::session::MISMATCH))]);
+    rig.script_status(id, crate::session::MISMATCH);
     assert_eq!(gripper.width(), Err(Error::Refused(crate::session::MISMATCH)));
 }
 
@@ -134,7 +131,7 @@ fn script_command_is_sent_once_and_its_answer_returned_unchanged() {
     rig.script(id, vec![(1, status(id, Status::CmdPending)), (50, frame(Reply::success(value)))]);
     assert_eq!(gripper.raw(0xB0, &[7; 100], &mut [0; 8]), Ok(&[1, 2, 3][..]));
     assert_eq!(rig.world(|world| world.heard.last().cloned()), Some((0xB0, vec![7; 100])));
-    rig.script(id, vec![(1, status(id, Status::CmdUnknown))]);
+    rig.script_status(id, Status::CmdUnknown);
     assert_eq!(gripper.raw(0xB0, &[], &mut []), Err(Error::Refused(Status::CmdUnknown)));
     rig.script(id, vec![(1, frame(Reply::success(value)))]);
     assert_eq!(gripper.raw(0xB0, &[], &mut [0; 2]), Err(Error::TooLong { needed: 3 }));
@@ -169,55 +166,6 @@ fn loop_back_detects_different_bytes() {
 }
 
 #[test]
-fn updates_are_kept_and_subscriptions_restored_after_a_reconnect() {
-    let (rig, mut gripper) = connected();
-    while gripper.next_update(0).unwrap().is_some() {}
-    gripper.subscribe(Topic::Width, AutoUpdate::every(2));
-    assert_eq!(gripper.next_update(50), Ok(Some(Update::Width(42.5))));
-    let subscription = Some(vec![0b01, 10, 0]);
-    assert_eq!(rig.world(|world| world.width_update.take()), subscription, "not below 10 ms");
-    rig.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
-    assert_eq!(gripper.width(), Ok(Mm(42.5)), "the answer to the query");
-    assert_eq!(
-        rig.world(|world| world.width_update.take()),
-        subscription,
-        "a query does not end the subscription"
-    );
-    assert_eq!(gripper.next_update(0), Ok(Some(Update::Width(41.0))), "the update received meanwhile");
-
-    rig.world(|world| world.silent = true);
-    for _ in 0..20 {
-        gripper.next_update(100).unwrap();
-    }
-    assert!(!gripper.is_connected());
-    rig.world(|world| world.silent = false);
-    gripper.connect().unwrap();
-    assert_eq!(rig.world(|world| world.width_update.take()), subscription);
-
-    gripper.subscribe(Topic::Width, AutoUpdate::once());
-    gripper.next_update(20).unwrap();
-    assert_eq!(rig.world(|world| world.width_update.take()), Some(vec![0, 0, 0]));
-}
-
-#[test]
-fn newest_updates_are_kept_and_lost_ones_counted() {
-    let (rig, mut gripper) = connected();
-    gripper.subscribe(Topic::Force, AutoUpdate::every(10));
-    while gripper.next_update(50).unwrap().is_some() {}
-    let before = gripper.counters().updates_lost;
-    for force in 1..=10u8 {
-        rig.inject(&frame(Reply::success(Value::GetForce(force.into()))));
-    }
-    let updates: Vec<Update> = core::iter::from_fn(|| gripper.next_update(0).unwrap()).collect();
-    let forces: Vec<f32> = updates
-        .iter()
-        .filter_map(|update| if let Update::Force(force) = update { Some(*force) } else { None })
-        .collect();
-    assert_eq!(forces, (3..=10u8).map(f32::from).collect::<Vec<_>>());
-    assert_eq!(gripper.counters().updates_lost, before + 2);
-}
-
-#[test]
 fn error_of_the_transport_is_returned_and_the_motion_can_be_awaited_again() {
     let (rig, mut gripper) = connected();
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
@@ -246,7 +194,7 @@ fn finger_supply_takes_its_time() {
     let before = rig.world(|world| world.now);
     assert_eq!(gripper.set_finger_power(Finger::One, true), Ok(()));
     assert!(rig.world(|world| world.now).since(before) >= 500);
-    rig.script(id, vec![(1, status(id, Status::CmdPending))]);
+    rig.script_status(id, Status::CmdPending);
     assert_eq!(gripper.set_finger_power(Finger::One, true), Err(Error::Unanswered));
     assert!(gripper.is_connected());
 }

@@ -23,7 +23,7 @@ fn answer_to_a_cancelled_setting_is_not_taken_for_that_of_the_next() {
     let id = CommandId::SetForceLimit;
     rig.script(id, vec![(50, status(id, Status::Success))]);
     assert_eq!(rig.run_for(5, gripper.set_force_limit(N(40.0))), None);
-    rig.script(id, vec![(1, status(id, Status::CmdFormatError))]);
+    rig.script_status(id, Status::CmdFormatError);
     assert_eq!(rig.run(gripper.set_force_limit(N(60.0))), Err(Error::Refused(Status::CmdFormatError)));
     assert_eq!(rig.run(gripper.set_force_limit(N(60.0))), Ok(()));
     assert_eq!(rig.world(|world| world.force_limit), 60.0);
@@ -51,17 +51,6 @@ fn cancelled_stop_is_still_sent() {
     assert!(!gripper.fast_stop_pending());
     let first: Vec<u8> = rig.world(|world| world.heard.iter().map(|(id, _)| *id).take(2).collect());
     assert_eq!(first, [0x22, 0x23]);
-}
-
-#[test]
-fn blocked_line_is_an_error() {
-    let (rig, mut gripper) = connected_async();
-    rig.world(|world| world.room = 0);
-    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Err(Error::Unanswered));
-    assert!(!gripper.is_connected());
-    rig.world(|world| world.room = usize::MAX);
-    rig.run(gripper.connect()).unwrap();
-    assert_eq!(rig.heard(CommandId::GripPart), 0, "and is not sent when the line accepts bytes again");
 }
 
 #[test]
@@ -130,7 +119,7 @@ fn partly_sent_frame_is_completed_after_a_motion_timeout() {
     /// Starts a motion that never ends.
     fn endless(rig: &Rig) -> (Asynch, Pending<Grip>) {
         let mut gripper = connect_async(rig);
-        rig.script(CommandId::GripPart, vec![(1, status(CommandId::GripPart, Status::CmdPending))]);
+        rig.script_status(CommandId::GripPart, Status::CmdPending);
         let grip = rig.run(gripper.begin_grip(Mm(20.0), MmPerS(50.0))).unwrap();
         (gripper, grip)
     }

@@ -2,7 +2,7 @@
 //! a payload.
 
 use super::*;
-use crate::{LoopData, SystemFlags};
+use crate::LoopData;
 
 /// Returns frames that a gripper may send unsolicited: an update subscribed to by an earlier client, a late result, an unknown
 /// ID.
@@ -32,22 +32,6 @@ fn unsolicited_frames_before_every_answer_do_not_desynchronize_the_driver() {
     }
     assert_eq!(gripper.counters().line.dropped, 0);
     assert!(gripper.counters().session.unsolicited >= 36);
-}
-
-#[test]
-fn update_between_pending_and_result_is_not_the_result() {
-    let (rig, mut gripper) = connected_async();
-    let id = CommandId::GripPart;
-    rig.script(
-        id,
-        vec![
-            (1, status(id, Status::CmdPending)),
-            (2, frame(Reply::success(Value::GetGripperState(crate::GripperState::Gripping)))),
-            (3, frame(Reply::success(Value::GetSystemState(SystemFlags::MOVING)))),
-            (40, status(id, Status::CmdFailed)),
-        ],
-    );
-    assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::NoPart));
 }
 
 #[test]

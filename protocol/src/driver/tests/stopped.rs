@@ -6,7 +6,7 @@ use std::io::ErrorKind;
 /// Scripts a motion that ends only by Stop or FAST STOP.
 fn script_endless(rig: &Rig, motion: CommandId) {
     rig.world(|world| world.flags |= SystemFlags::MOVING);
-    rig.script(motion, vec![(1, status(motion, Status::CmdPending))]);
+    rig.script_status(motion, Status::CmdPending);
     for id in [CommandId::Stop, CommandId::FastStop] {
         rig.script(id, vec![(1, status(motion, Status::CmdAborted)), (1, status(id, Status::Success))]);
     }

@@ -426,22 +426,6 @@ fn updates_are_reported_once_subscribed_to() {
 }
 
 #[test]
-fn each_changed_subscription_is_sent_to_the_gripper_once() {
-    let mut rig = Rig::connected();
-    for topic in [Topic::Temp, Topic::Force] {
-        rig.session.subscribe(Autosend::every(topic, 50));
-    }
-    let mut told = vec![];
-    for _ in 0..100 {
-        for request in rig.pass(1) {
-            told.extend(matches!(request, Request::Autosend(_)).then(|| request.to_string()));
-            rig.answer(request);
-        }
-    }
-    assert_eq!(told, ["AUTOSEND(\"FORCE\",50)", "AUTOSEND(\"TEMP\",50)"]);
-}
-
-#[test]
 fn values_in_answers_become_known() {
     let mut rig = Rig::connected();
     for line in ["POS=20.5", "SPEED=1.5", "FORCE=2.5", "TEMP=35.5", "PWT=3.5", "CLT=4.5", "TAG=\"x\""] {
