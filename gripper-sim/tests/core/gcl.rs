@@ -118,17 +118,6 @@ fn gripper_says_what_it_is() {
 }
 
 #[test]
-fn motions_need_a_reference_first() {
-    let mut desk = Desk::new(Config::default());
-    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
-    assert_eq!(desk.one("GRIP()"), "ERR GRIP 3");
-    assert_eq!(desk.one("SYSFLAGS[0]?"), "SYSFLAGS[0]=0");
-    assert_eq!(desk.run("HOME(0)"), "FIN HOME");
-    assert_eq!(desk.one("SYSFLAGS[0]?"), "SYSFLAGS[0]=1");
-    assert_eq!(desk.one("POS?"), "POS=0.0");
-}
-
-#[test]
 fn motion_is_acknowledged_and_finished_while_questions_are_answered() {
     let mut desk = Desk::homed(None);
     assert_eq!(desk.ask("MOVE(50,100)"), ["ACK MOVE"]);

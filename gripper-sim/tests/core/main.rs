@@ -4,6 +4,7 @@
 mod common;
 mod connection;
 mod fieldbus;
+mod fieldbus_invariants;
 mod gcl;
 mod images;
 mod motion;

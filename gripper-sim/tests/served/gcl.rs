@@ -1,9 +1,8 @@
 //! The text protocol on real sockets, and the binary. Every wait is bounded by a socket time-out.
 
-use crate::common::program::Program;
 use crate::rig::{BOUND, Logged, READABLE, any_port, connect, serve};
 use std::io::Write;
-use std::net::{Shutdown, SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
+use std::net::{Shutdown, TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
 use wsg_sim::server::Lines;
 use wsg_sim::{Config, Part};
@@ -153,17 +152,4 @@ fn peer_that_echoes_answers_is_not_answered_forever() {
     let mut buffer = [0; 1_024];
     let (len, _) = uninterrupted::recv_from(&peer, &mut buffer).expect("a query is answered");
     assert_eq!(&buffer[..len], b"SN=1\n");
-}
-
-#[test]
-fn program_serves_the_text_protocol_and_says_where() {
-    let arguments = ["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "0.5"];
-    let mut program = Program::start(&arguments);
-    assert_eq!(program.line(), "model wsg50-110");
-    let address = program.place_of("gcl");
-    program.place_of("gcl-udp").parse::<SocketAddr>().unwrap();
-    // The commands of chapter 1.4 of the manual.
-    let mut client = Client::new(address);
-    assert_eq!(client.run("HOME()\r"), "FIN HOME");
-    assert_eq!(client.ask("BYE()\r"), "ACK BYE");
 }

@@ -183,14 +183,14 @@ fn leave_descriptors(program: &Program, more: u64) {
 #[test]
 fn without_a_descriptor_left_the_control_port_answers_503_and_every_port_recovers() {
     let path = scratch("descriptors");
-    let arguments = ["--tcp", "127.0.0.1:0", "--gcl", "127.0.0.1:0", "--modbus", "127.0.0.1:0"];
+    let arguments = ["--tcp", "127.0.0.1:0", "--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0"];
     let serial = format!("unix:{}", path.display());
-    let more = ["--serial", &serial, "--control", "127.0.0.1:0"];
+    let more = ["--serial", &serial, "--modbus", "127.0.0.1:0", "--control", "127.0.0.1:0"];
     let mut program = Program::start(&[&arguments[..], &more].concat());
     program.place_of("model");
     let tcp = program.place_of("tcp");
     program.place_of("serial");
-    let (gcl, modbus) = (program.place_of("gcl"), program.place_of("modbus"));
+    let [gcl, _, modbus] = ["gcl", "gcl-udp", "modbus"].map(|name| program.place_of(name));
     let control = program.place_of("control");
     let state = || http(&control, GET_STATE);
     assert_eq!(state().0, 200);
