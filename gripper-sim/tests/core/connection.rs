@@ -194,7 +194,8 @@ fn frame_held_inside_a_false_one_is_obeyed_when_that_times_out() {
 #[test]
 fn datagram_that_ends_inside_a_frame_spoils_none_that_follows() {
     let mut rig = Rig::on(PortKind::Udp, Config::default());
-    rig.send_bytes(&frame(Command::GetForceLimit)[..7]);
+    // The header announces more bytes than the next frame has.
+    rig.send_bytes(&frame(Command::Loop { data: LoopData::new(&[7; 40]).unwrap() })[..7]);
     assert_eq!(rig.status(Command::GetForceLimit), Status::Success);
 }
 
