@@ -180,19 +180,12 @@ mod tests {
 
     const TIMEOUT_MS: u16 = 500;
 
-    fn deframer(kind: PortKind, check_checksum: bool) -> Deframer {
-        Deframer::new(kind, &Config { check_checksum, frame_timeout_ms: TIMEOUT_MS, ..Config::default() })
+    fn on_can() -> Deframer {
+        Deframer::new(PortKind::Can, &Config { frame_timeout_ms: TIMEOUT_MS, ..Config::default() })
     }
 
-    fn unchecked() -> Deframer {
-        deframer(PortKind::Serial, false)
-    }
-
-    /// Returns a frame with the first `checksum` bytes of its checksum.
-    fn frame(id: u8, payload: &[u8], checksum: usize) -> heapless::Vec<u8, 64> {
-        let mut frame: heapless::Vec<u8, 64> = FrameEncoder::new(id, payload).collect();
-        frame.truncate(frame.len() - 2 + checksum);
-        frame
+    fn frame(id: u8, payload: &[u8]) -> heapless::Vec<u8, 64> {
+        FrameEncoder::new(id, payload).collect()
     }
 
     /// Returns the ids of the frames found in these bytes.
@@ -221,70 +214,16 @@ mod tests {
         ids
     }
 
-    #[test]
-    fn checksum_that_is_left_out_is_taken_from_the_next_frame() {
-        let mut deframer = unchecked();
-        let segment = [frame(0x24, b"ack", 0), frame(0x40, &[0, 0, 0], 0), frame(0x22, &[], 2)].concat();
-        // The first frame takes two preamble bytes of the second as its checksum, which invalidates the second. The
-        // third is intact.
-        assert_eq!(take(&mut deframer, &segment), [0x24, 0x22]);
-        deframer.pause(Time::ZERO);
-        assert_eq!(deframer.due(), None);
-    }
-
-    #[test]
-    fn frame_that_lacks_a_byte_of_its_checksum_or_payload_waits_and_is_given_up() {
-        for lacking in
-            [&frame(0x22, &[], 0)[..], &frame(0x22, &[], 1)[..], &[0xAA, 0xAA, 0xAA, 0x24, 3, 0, b'a', b'c']]
-        {
-            let mut deframer = unchecked();
-            assert!(take(&mut deframer, lacking).is_empty());
-            deframer.pause(Time::ZERO);
-            assert_eq!(deframer.due(), Some(Time::from_millis(TIMEOUT_MS.into())));
-            assert!(ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into())).is_empty());
-            assert_eq!(deframer.due(), None);
-            assert_eq!(take(&mut deframer, &frame(0x22, &[], 2)), [0x22]);
-        }
-    }
-
-    #[test]
-    fn preamble_inside_a_payload_is_payload() {
-        let mut deframer = unchecked();
-        let payload = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 7, 7];
-        assert_eq!(take(&mut deframer, &frame(0x06, &payload, 2)), [0x06]);
-    }
-
-    #[test]
-    fn frames_with_any_checksum_are_accepted_without_checking() {
-        let mut deframer = unchecked();
-        let mut zero = frame(0x22, &[], 0);
-        zero.extend_from_slice(&[0, 0]).unwrap();
-        assert_eq!(take(&mut deframer, &[zero.clone(), zero].concat()), [0x22, 0x22]);
-        deframer.pause(Time::ZERO);
-        assert_eq!(deframer.due(), None);
-    }
-
-    #[test]
-    fn frame_without_a_checksum_is_refused_where_checksums_count() {
-        let mut deframer = deframer(PortKind::Serial, true);
-        let segment = [frame(0x22, &[], 0), frame(0x24, b"ack", 2)].concat();
-        assert_eq!(take(&mut deframer, &segment), [0x24]);
-        assert!(take(&mut deframer, &frame(0x22, &[], 0)).is_empty());
-        deframer.pause(Time::ZERO);
-        assert_eq!(deframer.due(), Some(Time::from_millis(TIMEOUT_MS.into())));
-        assert!(ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into())).is_empty());
-    }
-
     /// Returns the bytes received around a lost CAN frame: the start of a message without its rest, and complete messages.
     fn held_back() -> (heapless::Vec<u8, 64>, [heapless::Vec<u8, 64>; 2]) {
-        let mut beginning = frame(0x06, &[7; 40], 2);
+        let mut beginning = frame(0x06, &[7; 40]);
         beginning.truncate(FULL);
-        (beginning, [frame(0x22, &[], 2), frame(0x40, &[0, 0, 0], 2)])
+        (beginning, [frame(0x22, &[]), frame(0x40, &[0, 0, 0])])
     }
 
     #[test]
     fn messages_after_a_lost_can_frame_are_found_one_by_one_when_the_cut_proves_wrong() {
-        let mut deframer = deframer(PortKind::Can, true);
+        let mut deframer = on_can();
         let (beginning, [stop, state]) = held_back();
         for bytes in [&beginning, &stop] {
             assert!(take(&mut deframer, bytes).is_empty());
@@ -295,7 +234,7 @@ mod tests {
 
     #[test]
     fn half_a_message_over_can_is_given_up_and_what_it_held_back_is_found() {
-        let mut deframer = deframer(PortKind::Can, true);
+        let mut deframer = on_can();
         let (beginning, [stop, _]) = held_back();
         for bytes in [&beginning, &stop, &stop] {
             assert!(take(&mut deframer, bytes).is_empty());
@@ -309,14 +248,14 @@ mod tests {
 
     #[test]
     fn message_over_can_that_is_cut_otherwise_is_none() {
-        let mut deframer = deframer(PortKind::Can, true);
-        let message = frame(0x40, &[0, 0, 0], 2);
+        let mut deframer = on_can();
+        let message = frame(0x40, &[0, 0, 0]);
         for cut in 1..message.len() {
             let (one, other) = message.split_at(cut);
             let ids = [take(&mut deframer, one), take(&mut deframer, other)].concat();
             assert_eq!(ids.is_empty(), cut != FULL, "{cut}");
             // A complete message after it is always found.
-            take(&mut deframer, &frame(0x22, &[], 2));
+            take(&mut deframer, &frame(0x22, &[]));
             deframer.pause(Time::ZERO);
             ids_at(&mut deframer, Time::from_millis(TIMEOUT_MS.into()));
         }

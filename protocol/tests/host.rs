@@ -54,25 +54,9 @@ where
 }
 
 #[test]
-fn blocking_driver_grips_over_tcp() {
-    let (_server, address) = on_tcp();
-    grips(&mut Gripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
-}
-
-#[test]
 fn blocking_driver_grips_over_gcl() {
     let (_server, address) = on_gcl();
     grips(&mut GclGripper::new(Tcp::connect(address).unwrap(), StdClock::new()));
-}
-
-#[test]
-fn blocking_driver_grips_over_udp() {
-    let socket = UdpSocket::bind(loopback()).unwrap();
-    let remote_port = socket.local_addr().unwrap().port();
-    let udp = UdpLine { address: loopback(), remote_port };
-    let server = serve(&Lines { udp: Some(udp), ..Lines::default() });
-    let line = Udp::new(socket, server.udp_address().unwrap()).unwrap();
-    grips(&mut Gripper::new(line, StdClock::new()));
 }
 
 #[test]
@@ -143,16 +127,19 @@ fn program_that_ends_early_causes_no_fast_stop() {
 }
 
 #[test]
-fn program_that_panics_stops_the_fingers_by_fast_stop() {
-    let (_server, address) = on_tcp();
-    let gripper = in_motion(address);
-    let panicked = catch_unwind(AssertUnwindSafe(move || {
-        let _gripper = gripper;
-        std::panic::resume_unwind(Box::new("an intended panic"));
-    }));
-    assert!(panicked.is_err());
-    let flags = flags_at_rest(address);
-    assert!(flags.contains(SystemFlags::FAST_STOP), "{flags}");
+fn program_that_panics_stops_the_fingers_by_fast_stop_even_if_a_handle_is_left() {
+    for has_handle in [false, true] {
+        let (_server, address) = on_tcp();
+        let mut gripper = in_motion(address);
+        let _handle = has_handle.then(|| gripper.stop_handle().unwrap());
+        let panicked = catch_unwind(AssertUnwindSafe(move || {
+            let _gripper = gripper;
+            std::panic::resume_unwind(Box::new("an intended panic"));
+        }));
+        assert!(panicked.is_err());
+        let flags = flags_at_rest(address);
+        assert!(flags.contains(SystemFlags::FAST_STOP), "{flags}");
+    }
 }
 
 #[test]
@@ -221,35 +208,6 @@ fn fast_stop_of_a_handle_stays_in_effect_when_the_driver_is_dropped() {
     drop(gripper);
     assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
     assert_eq!(handle.stop().unwrap_err().kind(), io::ErrorKind::NotConnected);
-}
-
-#[test]
-fn handle_does_not_keep_the_connection_of_a_program_that_panics() {
-    let (_server, address) = on_tcp();
-    let mut gripper = in_motion(address);
-    let handle = gripper.stop_handle().unwrap();
-    let panicked = catch_unwind(AssertUnwindSafe(move || {
-        let _gripper = gripper;
-        std::panic::resume_unwind(Box::new("an intended panic"));
-    }));
-    assert!(panicked.is_err());
-    assert!(flags_at_rest(address).contains(SystemFlags::FAST_STOP));
-    drop(handle);
-}
-
-#[test]
-fn every_end_of_a_scope_announces_the_end_of_the_connection() {
-    fn leave_early(address: SocketAddr) -> Result<(), Error<io::Error>> {
-        let mut gripper = host::connect(address)?;
-        gripper.home(HomingDirection::Positive)?;
-        let _ = gripper.begin_move_to(Mm(5.0), MmPerS(5.0), OnBlock::Stop)?;
-        gripper.grip(Mm(20.0), MmPerS(50.0)).map(drop)
-    }
-    let (_server, address) = on_tcp();
-    let left = leave_early(address);
-    assert!(matches!(left, Err(Error::MotionRunning)), "{left:?}");
-    let flags = flags_at_rest(address);
-    assert!(!flags.contains(SystemFlags::FAST_STOP), "{flags}");
 }
 
 /// Counts the bytes outside of frames and the frames with bad checksums on a socket.
@@ -481,12 +439,6 @@ mod on_unix {
         let path = server.serial_path().unwrap().to_str().unwrap().to_owned();
         let port = serialport::new(path, 115_200).timeout(Duration::from_millis(1)).open().unwrap();
         grips(&mut Gripper::new(host::Stream::new(port), StdClock::new()));
-    }
-
-    #[test]
-    fn blocking_driver_grips_over_a_unix_socket() {
-        let (_server, stream) = unix_socket("blocking");
-        grips(&mut Gripper::new(host::PolledStream::new(stream), StdClock::new()));
     }
 
     fn unix_socket(name: &str) -> (ServerThread, std::os::unix::net::UnixStream) {

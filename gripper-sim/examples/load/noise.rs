@@ -1,8 +1,8 @@
 //! Random bytes on every port, with and without checksum evaluation: the server must not fail and must still answer.
 
 use crate::sim::{PATIENCE, Random, Setup, Sim, frame};
-use anyhow::{Context, Result, anyhow, ensure};
-use std::io::{BufRead, BufReader, Read, Write};
+use anyhow::{Context, Result, anyhow};
+use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::sync::mpsc;
 use std::thread;
@@ -22,6 +22,8 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
     let remote = UdpSocket::bind("127.0.0.1:0")?;
     remote.set_read_timeout(Some(RETRY))?;
     let udp_remote_port = remote.local_addr()?.port();
+    let data = LoopData::new(SOUGHT).map_err(|refusal| anyhow!("{refusal}"))?;
+    let question = frame(Command::Loop { data });
     for (name, setup) in [
         ("checksums evaluated, pseudo terminal", Setup { udp_remote_port, ..Setup::default() }),
         (
@@ -32,13 +34,27 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
         let sim = Sim::start(setup)?;
         let bytes = disturb(&sim, seed, lasting / 2)?;
         println!("{name}: {bytes} bytes");
-        answers_tcp(&sim).context("TCP")?;
-        answers_udp(&sim, &remote).context("UDP")?;
-        answers_serial(&sim).context("the serial line")?;
-        answers_gcl(&sim).context("GCL over TCP")?;
-        answers_gcl_udp(&sim).context("GCL over UDP")?;
-        answers_modbus(&sim).context("Modbus/TCP")?;
-        answers_control(sim.control).context("the control interface")?;
+        let state = b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n";
+        for (name, address, request, answer) in [
+            ("TCP", sim.tcp, &question[..], SOUGHT),
+            ("GCL over TCP", sim.gcl, b"DEVTYPE?\n", b"DEVTYPE="),
+            // Read Discrete Inputs: GSTATE.
+            (
+                "Modbus/TCP",
+                sim.modbus,
+                &[0, 7, 0, 0, 0, 6, 0xFF, 2, 0, 0, 0, 8],
+                &[0, 7, 0, 0, 0, 4, 0xFF, 2, 1],
+            ),
+            ("the control interface", sim.control, state, b"HTTP/1.1 200"),
+        ] {
+            answers_stream(address, request, answer).context(name)?;
+        }
+        answers_datagrams(&remote, sim.udp, &question, SOUGHT).context("UDP")?;
+        // A separate socket receives no answers to the noise.
+        let socket = UdpSocket::bind("127.0.0.1:0")?;
+        socket.set_read_timeout(Some(RETRY))?;
+        answers_datagrams(&socket, sim.gcl_udp, b"DEVTYPE?\n", b"DEVTYPE=").context("GCL over UDP")?;
+        answers_serial(&sim, &question).context("the serial line")?;
         sim.stop()?;
     }
     println!("every port still answers");
@@ -132,28 +148,29 @@ fn say_and_leave(to: SocketAddr, run: &[u8]) -> Result<()> {
     Ok(())
 }
 
-fn question() -> Result<Vec<u8>> {
-    let data = LoopData::new(SOUGHT).map_err(|refusal| anyhow!("{refusal}"))?;
-    Ok(frame(Command::Loop { data }))
-}
-
-fn answers_tcp(sim: &Sim) -> Result<()> {
-    let mut stream = sim.connect()?;
-    stream.write_all(&question()?)?;
-    let mut answer = vec![0; question()?.len() + 2];
-    stream.read_exact(&mut answer)?;
-    ensure!(contains(&answer, SOUGHT), "unexpected answer: {answer:02X?}");
+/// Sends a request over a new connection and reads up to the start of the expected answer.
+fn answers_stream(address: SocketAddr, request: &[u8], expected: &[u8]) -> Result<()> {
+    let mut stream = TcpStream::connect(address)?;
+    stream.set_read_timeout(Some(PATIENCE))?;
+    stream.write_all(request)?;
+    let mut answer = Vec::new();
+    while !contains(&answer, expected) {
+        let mut byte = [0];
+        stream.read_exact(&mut byte).with_context(|| format!("unexpected answer: {answer:02X?}"))?;
+        answer.extend(byte);
+    }
     Ok(())
 }
 
-fn answers_udp(sim: &Sim, remote: &UdpSocket) -> Result<()> {
+/// Repeats a request until the expected answer arrives. Answers to the noise arrive first, and the line's buffers may
+/// still be full of it.
+fn answers_datagrams(socket: &UdpSocket, to: SocketAddr, request: &[u8], expected: &[u8]) -> Result<()> {
     let start = Instant::now();
     let mut datagram = [0; 2_048];
     while start.elapsed() < PATIENCE {
-        uninterrupted::send_to(remote, &question()?, sim.udp)?;
-        // Answers to the noise arrive first.
-        while let Ok((len, _)) = uninterrupted::recv_from(remote, &mut datagram) {
-            if contains(&datagram[..len], SOUGHT) {
+        uninterrupted::send_to(socket, request, to)?;
+        while let Ok((len, _)) = uninterrupted::recv_from(socket, &mut datagram) {
+            if contains(&datagram[..len], expected) {
                 return Ok(());
             }
         }
@@ -161,49 +178,8 @@ fn answers_udp(sim: &Sim, remote: &UdpSocket) -> Result<()> {
     Err(anyhow!("no answer"))
 }
 
-fn answers_gcl(sim: &Sim) -> Result<()> {
-    let mut stream = TcpStream::connect(sim.gcl)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.write_all(b"DEVTYPE?\n")?;
-    let mut line = String::new();
-    BufReader::new(stream).read_line(&mut line)?;
-    ensure!(line.starts_with("DEVTYPE="), "unexpected answer: {line:?}");
-    Ok(())
-}
-
-fn answers_modbus(sim: &Sim) -> Result<()> {
-    let mut stream = TcpStream::connect(sim.modbus)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    // Read Discrete Inputs: GSTATE, in which exactly one bit is set.
-    stream.write_all(&[0, 7, 0, 0, 0, 6, 0xFF, 2, 0, 0, 0, 8])?;
-    let mut answer = [0; 10];
-    stream.read_exact(&mut answer)?;
-    let [head @ .., state] = answer;
-    ensure!(
-        head == [0, 7, 0, 0, 0, 4, 0xFF, 2, 1] && state.is_power_of_two(),
-        "unexpected answer: {answer:02X?}"
-    );
-    Ok(())
-}
-
-/// Uses a separate socket, which receives no answers to the noise. The line's buffers may still be full of noise.
-fn answers_gcl_udp(sim: &Sim) -> Result<()> {
-    let socket = UdpSocket::bind("127.0.0.1:0")?;
-    socket.set_read_timeout(Some(RETRY))?;
-    let start = Instant::now();
-    let mut datagram = [0; 2_048];
-    while start.elapsed() < PATIENCE {
-        uninterrupted::send_to(&socket, b"DEVTYPE?\n", sim.gcl_udp)?;
-        if let Ok((len, _)) = uninterrupted::recv_from(&socket, &mut datagram) {
-            ensure!(datagram[..len].starts_with(b"DEVTYPE="), "unexpected answer: {:02X?}", &datagram[..len]);
-            return Ok(());
-        }
-    }
-    Err(anyhow!("no answer"))
-}
-
 /// Repeats the request, because the gripper may be waiting for the rest of an incomplete frame of the noise.
-fn answers_serial(sim: &Sim) -> Result<()> {
+fn answers_serial(sim: &Sim, question: &[u8]) -> Result<()> {
     let (mut reader, mut writer) = sim.open_serial()?;
     // A terminal has no read time-out, so a separate thread reads.
     let (bytes, incoming) = mpsc::channel();
@@ -218,7 +194,7 @@ fn answers_serial(sim: &Sim) -> Result<()> {
     let start = Instant::now();
     let mut seen = Vec::new();
     while start.elapsed() < PATIENCE {
-        writer.write_all(&question()?)?;
+        writer.write_all(question)?;
         let asked = Instant::now();
         while let Ok(more) = incoming.recv_timeout(RETRY.saturating_sub(asked.elapsed())) {
             seen.extend_from_slice(&more);
@@ -228,16 +204,6 @@ fn answers_serial(sim: &Sim) -> Result<()> {
         }
     }
     Err(anyhow!("no answer"))
-}
-
-fn answers_control(control: SocketAddr) -> Result<()> {
-    let mut stream = TcpStream::connect(control)?;
-    stream.set_read_timeout(Some(PATIENCE))?;
-    stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n")?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer)?;
-    ensure!(answer.starts_with("HTTP/1.1 200"), "{answer}");
-    Ok(())
 }
 
 fn contains(bytes: &[u8], sought: &[u8]) -> bool {

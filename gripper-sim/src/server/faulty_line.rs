@@ -4,6 +4,7 @@
 //! frame on it, and the rates. Runs are therefore repeatable, and changing one rate does not affect the frames hit by the others.
 
 use crate::time::Time;
+use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
 /// Capacity of the line for a client with flow control, in frames.
@@ -14,7 +15,8 @@ const MAX_HELD: usize = 512;
 const MAX_COPIES: usize = 2;
 
 /// The direction in which a line is faulty.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub(super) enum Direction {
     /// Only frames to the gripper.
     Requests,
@@ -25,7 +27,7 @@ pub(super) enum Direction {
 }
 
 /// How often each fault hits a frame, from 0 (never) to 1 (always).
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct LineFaults {
     pub(super) direction: Direction,
     pub(super) drop: f64,
@@ -153,7 +155,7 @@ impl std::fmt::Display for Fate {
 }
 
 /// Number of frames on the lines, and of frames hit by each fault.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub(super) struct LineCounts {
     pub(super) frames: u64,
     pub(super) dropped: u64,

@@ -115,21 +115,6 @@ fn queries_are_answered_while_a_motion_runs() {
 }
 
 #[test]
-fn several_frames_in_one_piece_and_one_frame_in_many_are_the_same() {
-    let commands = [Command::ACKNOWLEDGE, Command::GetForceLimit, Command::GetSystemLimits];
-    let bytes: Vec<u8> = commands.iter().flat_map(|command| frame(*command)).collect();
-    let mut whole = Rig::new(Config::default());
-    whole.send_bytes(&bytes);
-    let whole = texts(&whole.frames());
-    assert_eq!(whole.len(), 3);
-    let mut split = Rig::new(Config::default());
-    for byte in bytes {
-        split.send_bytes(&[byte]);
-    }
-    assert_eq!(texts(&split.frames()), whole);
-}
-
-#[test]
 fn wrong_checksum_is_met_with_silence_or_an_answer_as_configured() {
     let mut bad = frame(Command::FastStop);
     *bad.last_mut().unwrap() ^= 1;
@@ -160,9 +145,11 @@ fn checksum_of_zero_is_taken_when_checking_is_off_and_answers_carry_a_right_one(
 fn frames_without_a_checksum_are_recovered_from() {
     let mut rig = Rig::new(Config { check_checksum: false, ..Config::default() });
     let bytes = frame(Command::Stop);
-    rig.send_bytes(&bytes[..bytes.len() - 2]);
-    assert!(rig.wait(600).is_empty(), "an incomplete frame is discarded");
-    assert_eq!(rig.status(Command::GetForceLimit), Status::Success);
+    for lacking in [2, 1] {
+        rig.send_bytes(&bytes[..bytes.len() - lacking]);
+        assert!(rig.wait(600).is_empty(), "an incomplete frame is discarded");
+        assert_eq!(rig.status(Command::GetForceLimit), Status::Success);
+    }
 }
 
 #[test]
@@ -207,7 +194,8 @@ fn frame_held_inside_a_false_one_is_obeyed_when_that_times_out() {
 #[test]
 fn datagram_that_ends_inside_a_frame_spoils_none_that_follows() {
     let mut rig = Rig::on(PortKind::Udp, Config::default());
-    rig.send_bytes(&frame(Command::GetForceLimit)[..7]);
+    // The header announces more bytes than the next frame has.
+    rig.send_bytes(&frame(Command::Loop { data: LoopData::new(&[7; 40]).unwrap() })[..7]);
     assert_eq!(rig.status(Command::GetForceLimit), Status::Success);
 }
 

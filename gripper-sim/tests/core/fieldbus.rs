@@ -12,19 +12,24 @@ const PARAMETERS: OutputImage =
     OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
 
 /// A PLC connected to a gripper, with virtual time.
-struct Plc {
-    gripper: VirtualGripper,
-    port: PortId,
-    image: OutputImage,
-    now: Time,
+pub(crate) struct Plc {
+    pub(crate) gripper: VirtualGripper,
+    pub(crate) port: PortId,
+    pub(crate) image: OutputImage,
+    pub(crate) now: Time,
 }
 
 impl Plc {
-    /// Powers up; the PLC has written its parameters with all flags 0.
-    fn new(config: Config) -> Self {
+    /// Powers up; the PLC has not written these flags and its parameters yet.
+    fn before_its_first_write(config: Config, flags: Flag) -> Self {
         let mut gripper = VirtualGripper::new(config);
         let port = gripper.connect(PortKind::ModbusTcp).expect("a port is free");
-        let mut plc = Self { gripper, port, image: PARAMETERS, now: Time::ZERO };
+        Self { gripper, port, image: OutputImage { flags, ..PARAMETERS }, now: Time::ZERO }
+    }
+
+    /// Powers up; the PLC has written its parameters with all flags 0.
+    pub(crate) fn new(config: Config) -> Self {
+        let mut plc = Self::before_its_first_write(config, Flag::empty());
         plc.write();
         plc
     }
@@ -84,7 +89,7 @@ impl Plc {
     }
 
     /// Writes the entire output image.
-    fn write(&mut self) {
+    pub(crate) fn write(&mut self) {
         let answer = self.ask(&[&[16, 0, 0, 0, 4, 8][..], &self.image.to_bytes()].concat());
         assert_eq!(answer, [16, 0, 0, 0, 4]);
     }
@@ -94,7 +99,7 @@ impl Plc {
         self.write();
     }
 
-    fn raise(&mut self, flags: Flag) {
+    pub(crate) fn raise(&mut self, flags: Flag) {
         self.change(|image| image.flags |= flags);
     }
 
@@ -102,8 +107,23 @@ impl Plc {
         self.change(|image| image.flags &= !flags);
     }
 
+    /// Runs a motion, and asserts the shown state while it runs, and state and status at its end.
+    #[track_caller]
+    fn run(&mut self, flag: Flag, during: Shown, end: (Shown, Status)) {
+        self.raise(flag);
+        assert_eq!(self.shows(), (during, Status::CmdPending));
+        self.wait(4_000);
+        assert_eq!(self.shows(), end);
+    }
+
+    fn move_to(&mut self, width: i16) {
+        self.change(|image| image.width = width);
+        self.run(Flag::MOVE, Shown::POSITIONING, (Shown::IDLE, Status::Success));
+        self.lower(Flag::MOVE);
+    }
+
     /// Reads the entire input image.
-    fn read(&mut self) -> InputImage {
+    pub(crate) fn read(&mut self) -> InputImage {
         let answer = self.ask(&[4, 0, 0, 0, 6]);
         assert_eq!(answer[..2], [4, 12]);
         InputImage::from_bytes(answer[2..].try_into().unwrap())
@@ -123,7 +143,7 @@ impl Plc {
         self.gripper.state().width
     }
 
-    fn wait(&mut self, millis: u64) {
+    pub(crate) fn wait(&mut self, millis: u64) {
         self.now = self.now.plus_millis(millis);
         self.gripper.advance(self.now);
     }
@@ -193,10 +213,7 @@ fn command_runs_on_its_rising_edge_only() {
 #[test]
 fn first_write_gives_no_edge_but_fast_stop_counts() {
     let first = |flags| {
-        let mut gripper = VirtualGripper::new(Config::default());
-        let port = gripper.connect(PortKind::ModbusTcp).unwrap();
-        let image = OutputImage { flags, ..PARAMETERS };
-        let mut plc = Plc { gripper, port, image, now: Time::ZERO };
+        let mut plc = Plc::before_its_first_write(Config::default(), flags);
         plc.write();
         plc
     };
@@ -210,11 +227,8 @@ fn first_write_gives_no_edge_but_fast_stop_counts() {
 
 #[test]
 fn reading_before_the_first_write_gives_it_no_edge() {
-    let mut gripper = VirtualGripper::new(Config::default());
-    let port = gripper.connect(PortKind::ModbusTcp).unwrap();
-    let image = OutputImage { flags: Flag::HOMING, ..PARAMETERS };
-    let mut plc = Plc { gripper, port, image, now: Time::ZERO };
-    plc.ask_from(port, &[3, 0, 0, 0, 4]);
+    let mut plc = Plc::before_its_first_write(Config::default(), Flag::HOMING);
+    plc.ask(&[3, 0, 0, 0, 4]);
     plc.write();
     plc.assert_stands();
 }
@@ -223,10 +237,7 @@ fn reading_before_the_first_write_gives_it_no_edge() {
 fn of_two_edges_at_once_the_lower_bit_runs_alone() {
     let mut plc = Plc::homed(Part::of_width(20.0));
     plc.change(|image| image.width = 60_00);
-    plc.raise(Flag::MOVE | Flag::GRIP);
-    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
-    plc.wait(3_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    plc.run(Flag::MOVE | Flag::GRIP, Shown::POSITIONING, (Shown::IDLE, Status::Success));
     assert_eq!(plc.read().width, 60_00);
     assert_eq!(plc.gripper.state().statistics.total, 0, "no grip was started");
 }
@@ -379,10 +390,7 @@ fn stop_while_holding_ends_the_watch_over_the_part_and_the_force() {
 fn grip_is_gripping_and_then_holding_with_the_force_limit_of_its_register() {
     let mut plc = Plc::homed(Part::of_width(20.0));
     plc.change(|image| image.force_limit = 25_00);
-    plc.raise(Flag::GRIP);
-    assert_eq!(plc.shows(), (Shown::GRIPPING, Status::CmdPending));
-    plc.wait(3_000);
-    assert_eq!(plc.shows(), (Shown::HOLDING, Status::Success));
+    plc.run(Flag::GRIP, Shown::GRIPPING, (Shown::HOLDING, Status::Success));
     assert_eq!(plc.read().force, 25_00);
     assert_eq!(plc.gripper.state().force_limit, 25.0);
 }
@@ -395,10 +403,7 @@ fn grip_without_a_part_is_no_part_and_e_cmd_failed() {
     assert_eq!(plc.shows(), (Shown::NO_PART, Status::CmdFailed));
     plc.lower(Flag::GRIP);
     plc.change(|image| image.width = 60_00);
-    plc.raise(Flag::RELEASE);
-    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
-    plc.wait(3_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    plc.run(Flag::RELEASE, Shown::RELEASING, (Shown::IDLE, Status::Success));
 }
 
 #[test]
@@ -408,20 +413,14 @@ fn part_that_goes_while_it_is_held_is_lost_until_the_release() {
     plc.wait(10);
     assert_eq!(plc.shows(), (Shown::PART_LOST, Status::Success), "the status of the grip");
     plc.change(|image| image.width = 60_00);
-    plc.raise(Flag::RELEASE);
-    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
-    plc.wait(3_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    plc.run(Flag::RELEASE, Shown::RELEASING, (Shown::IDLE, Status::Success));
 }
 
 #[test]
 fn release_is_releasing_and_then_idle() {
     let mut plc = Plc::holding();
     plc.change(|image| image.width = 40_00);
-    plc.raise(Flag::RELEASE);
-    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
-    plc.wait(2_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
+    plc.run(Flag::RELEASE, Shown::RELEASING, (Shown::IDLE, Status::Success));
     assert_eq!(plc.read().width, 40_00);
 }
 
@@ -429,10 +428,7 @@ fn release_is_releasing_and_then_idle() {
 fn jog_moves_as_long_as_its_flag_is_set() {
     for (flag, sign) in [(Flag::JOG_MINUS, -1.0), (Flag::JOG_PLUS, 1.0)] {
         let mut plc = Plc::homed(None);
-        plc.change(|image| image.width = 50_00);
-        plc.raise(Flag::MOVE);
-        plc.wait(2_000);
-        plc.lower(Flag::MOVE);
+        plc.move_to(50_00);
         plc.raise(flag);
         assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
         plc.wait(200);
@@ -483,10 +479,7 @@ fn jog_runs_to_the_soft_limit_and_sets_its_flag() {
     ];
     for (flag, limit, reached) in both {
         let mut plc = Plc::homed(None);
-        plc.change(|image| image.width = 50_00);
-        plc.raise(Flag::MOVE);
-        plc.wait(2_000);
-        plc.lower(Flag::MOVE);
+        plc.move_to(50_00);
         let now = plc.now;
         let limits = SoftLimits { minus: 30.0, plus: 80.0 };
         assert_eq!(plc.gripper.command(&Command::SetSoftLimits { limits }, now), Status::Success);
@@ -661,13 +654,8 @@ fn silent_master_holds_stops_or_fast_stops_a_motion_as_set() {
 
 #[test]
 fn master_that_never_wrote_or_is_not_watched_is_not_missed() {
-    let mut gripper = VirtualGripper::new(Config {
-        bus_timeout_ms: 500,
-        bus_reaction: SilenceReaction::FastStop,
-        ..Config::default()
-    });
-    let port = gripper.connect(PortKind::ModbusTcp).unwrap();
-    let mut plc = Plc { gripper, port, image: PARAMETERS, now: Time::ZERO };
+    let config = Config { bus_timeout_ms: 500, bus_reaction: SilenceReaction::FastStop, ..Config::default() };
+    let mut plc = Plc::before_its_first_write(config, Flag::empty());
     plc.read();
     plc.wait(5_000);
     assert_eq!(plc.flags(), SystemFlags::empty());
@@ -750,9 +738,9 @@ fn force_registers_of_a_wsg_70_count_tenths_of_a_newton() {
 fn swapped_bytes_are_those_of_the_numbers_alone() {
     let mut plc = Plc::homed_with(Config::default());
     assert_eq!(plc.ask(&[4, 0, 3, 0, 1]), [4, 2, 0x2A, 0xF8], "110.00 mm");
-    let mut gripper = VirtualGripper::new(Config { modbus_swap_bytes: true, ..Config::default() });
-    let port = gripper.connect(PortKind::ModbusTcp).unwrap();
-    let mut plc = Plc { gripper, port, image: OutputImage::ZERO, now: Time::ZERO };
+    let config = Config { modbus_swap_bytes: true, ..Config::default() };
+    let mut plc = Plc::before_its_first_write(config, Flag::empty());
+    plc.image = OutputImage::ZERO;
     plc.write();
     plc.raise(Flag::HOMING);
     plc.wait(4_000);

@@ -1,7 +1,7 @@
 //! The text protocol at the virtual gripper in virtual time: effect and answers of each request.
 
 use crate::common::Rig;
-use wsg_protocol::{Command, GripperState, SystemFlags};
+use wsg_protocol::{Command, SystemFlags};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
 /// A gripper with a GCL client and virtual time.
@@ -115,17 +115,6 @@ fn gripper_says_what_it_is() {
     assert_eq!(desk.one("gripstats?"), "GRIPSTATS=[0,0,0]");
     let mut small = Desk::new(Config { model: wsg_sim::Model::Wsg32, ..Config::default() });
     assert_eq!(small.one("DEVTYPE?"), "DEVTYPE=\"WSG 32-068\"");
-}
-
-#[test]
-fn motions_need_a_reference_first() {
-    let mut desk = Desk::new(Config::default());
-    assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
-    assert_eq!(desk.one("GRIP()"), "ERR GRIP 3");
-    assert_eq!(desk.one("SYSFLAGS[0]?"), "SYSFLAGS[0]=0");
-    assert_eq!(desk.run("HOME(0)"), "FIN HOME");
-    assert_eq!(desk.one("SYSFLAGS[0]?"), "SYSFLAGS[0]=1");
-    assert_eq!(desk.one("POS?"), "POS=0.0");
 }
 
 #[test]
@@ -475,33 +464,6 @@ fn fingers_are_queried_one_by_one_and_together() {
     assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
     assert_eq!(desk.one("FDATA[0]?"), "FDATA[0]=20.0");
     assert_eq!(desk.one("TARE(0)"), "ERR TARE 16");
-}
-
-#[test]
-fn binary_and_text_clients_see_the_same_gripper() {
-    let mut rig = Rig::homed(part(20.0));
-    let port = rig.gripper.connect(PortKind::GclTcp).unwrap();
-    let mut buffer = [0; MAX_FRAME_LEN];
-    let mut line = |rig: &mut Rig, text: &str| {
-        rig.gripper.receive(port, rig.now, format!("{text}\n").as_bytes());
-        let line = rig.gripper.transmit(port, &mut buffer).expect("an answer");
-        str::from_utf8(line).unwrap().trim_end().to_owned()
-    };
-    // The text client sees the actions of the binary client.
-    rig.run(Command::PrePosition {
-        flags: wsg_protocol::PrePositionFlags::empty(),
-        width: 60.0,
-        speed: 100.0,
-    });
-    assert_eq!(line(&mut rig, "POS?"), "POS=60.0");
-    // And vice versa.
-    assert_eq!(line(&mut rig, "GRIP(40,20)"), "ACK GRIP");
-    rig.wait(3_000);
-    let state = rig.gripper.state();
-    assert_eq!((state.gripper, state.force), (GripperState::Holding, 40.0));
-    let frame = rig.ask(Command::GetForce { update: wsg_protocol::AutoUpdate::once() });
-    assert_eq!(frame.f32(), 40.0);
-    assert_eq!(frame.at, rig.now, "the binary client gets no answer to GRIP");
 }
 
 #[test]

@@ -46,16 +46,6 @@ impl Bus {
 }
 
 #[test]
-fn edges_move_the_fingers() {
-    let mut bus = Bus::homed(Config::default());
-    bus.write(Flag::MOVE, false);
-    bus.wait(100);
-    assert!(bus.is_moving());
-    bus.wait(5_000);
-    assert_eq!((bus.gripper.state().width, bus.shows()), (20.0, (Shown::IDLE, Status::Success)));
-}
-
-#[test]
 fn flag_in_the_first_image_counts_after_it_was_0_but_fast_stop_at_once() {
     let mut bus = Bus::homed(Config::default());
     bus.write(Flag::MOVE, true);
@@ -74,14 +64,16 @@ fn flag_in_the_first_image_counts_after_it_was_0_but_fast_stop_at_once() {
 
 #[test]
 fn master_that_falls_silent_ends_its_motion_as_it_is_configured() {
-    for (bus_reaction, goes_on, stops_fast) in [
-        (SilenceReaction::Hold, true, false),
-        (SilenceReaction::Stop, false, false),
-        (SilenceReaction::FastStop, false, true),
+    for (bus_reaction, flag, goes_on, stops_fast) in [
+        (SilenceReaction::Hold, Flag::MOVE, true, false),
+        (SilenceReaction::Hold, Flag::JOG_MINUS, false, false),
+        (SilenceReaction::Stop, Flag::MOVE, false, false),
+        (SilenceReaction::FastStop, Flag::MOVE, false, true),
     ] {
         let mut bus = Bus::homed(Config { bus_reaction, ..Config::default() });
-        bus.write(Flag::MOVE, false);
+        bus.write(flag, false);
         bus.wait(100);
+        assert!(bus.is_moving());
         bus.gripper.end_images(bus.port, bus.now);
         bus.wait(10);
         let flags = bus.gripper.state().flags;
@@ -109,17 +101,6 @@ fn outputs_are_zeros_after_their_master_has_left_and_those_of_another_stay() {
         }
         assert_eq!(bus.gripper.fieldbus_images().0, OutputImage::ZERO);
     }
-}
-
-#[test]
-fn jog_ends_with_its_master_in_any_case() {
-    let config = Config { bus_reaction: SilenceReaction::Hold, ..Config::default() };
-    let mut bus = Bus::homed(config);
-    bus.write(Flag::JOG_MINUS, false);
-    bus.wait(100);
-    assert!(bus.is_moving());
-    bus.gripper.end_images(bus.port, bus.now);
-    assert!(!bus.is_moving());
 }
 
 #[test]

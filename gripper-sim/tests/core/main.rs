@@ -4,8 +4,8 @@
 mod common;
 mod connection;
 mod fieldbus;
+mod fieldbus_invariants;
 mod gcl;
-mod gcl_session;
 mod images;
 mod motion;
 mod observed;

@@ -101,15 +101,6 @@ fn motion_to_where_the_fingers_are_succeeds_at_once() {
 }
 
 #[test]
-fn relative_moves_count_from_where_the_fingers_are() {
-    let mut rig = Rig::homed(None);
-    assert_eq!(rig.run(go_by(-40.0)), Status::Success);
-    assert_eq!(rig.width(), 70.0);
-    assert_eq!(rig.run(go_by(5.5)), Status::Success);
-    assert_eq!(rig.width(), 75.5);
-}
-
-#[test]
 fn position_and_speed_are_clamped_to_the_limits_of_the_gripper() {
     let mut rig = Rig::homed(None);
     assert_eq!(rig.run(go_to(-30.0)), Status::Success);
@@ -186,58 +177,40 @@ fn grip_on_a_part_of_the_nominal_width_holds_it_with_the_force_limit() {
 }
 
 #[test]
-fn grip_without_a_part_ends_at_the_clamping_travel() {
-    let mut rig = Rig::homed(None);
-    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
-    assert_eq!(rig.state(), GripperState::NoPart);
-    assert!((rig.width() - 15.0).abs() < 1e-3, "{}", rig.width());
-    assert!(!rig.flags().contains(SystemFlags::MOVING));
-    // The state stays until the next motion.
-    rig.wait(1_000);
-    assert_eq!(rig.state(), GripperState::NoPart);
-}
-
-#[test]
-fn grip_without_a_part_ends_at_the_end_stop_if_reached_first() {
-    let mut rig = Rig::homed(None);
-    assert_eq!(rig.run(grip(2.0)), Status::CmdFailed);
-    assert_eq!((rig.state(), rig.width()), (GripperState::NoPart, 0.0));
-}
-
-#[test]
-fn grip_on_a_part_too_soft_for_the_force_finds_no_part() {
-    let mut rig = Rig::homed(Part::new(20.0, 2.0));
-    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
-    assert_eq!(rig.state(), GripperState::NoPart);
-}
-
-#[test]
-fn clamping_travel_counts_from_where_a_part_is_met_before_the_nominal_width() {
+fn grip_that_finds_no_part_says_so_until_the_next_motion() {
+    let soft = |width, stiffness| Part::new(width, stiffness);
+    // Start, part, nominal width, width at the end.
+    for (start, part, nominal, end, why) in [
+        (110.0, None, 20.0, 15.0, "no part within the clamping travel"),
+        (110.0, None, 2.0, 0.0, "no part before the end stop"),
+        (20.0, None, 40.0, 45.0, "no part, outward"),
+        (110.0, soft(20.0, 2.0), 20.0, 20.0, "too soft for the force"),
+        // 40 N at 7 N/mm need 5.7 mm; the clamping travel counts from the part's width.
+        (110.0, soft(23.0, 7.0), 20.0, 23.0, "too soft for the force, met before the nominal width"),
+        (110.0, Part::of_width(40.0), 20.0, 40.0, "beyond the width tolerance"),
+    ] {
+        let mut rig = Rig::homed(part);
+        rig.run(go_to(start));
+        assert_eq!(rig.run(grip(nominal)), Status::CmdFailed, "{why}");
+        rig.wait(1_000);
+        assert_eq!((rig.state(), rig.force()), (GripperState::NoPart, 0.0), "{why}");
+        assert!((rig.width() - end).abs() < 1e-3, "{why}: {}", rig.width());
+        assert!(!rig.flags().contains(SystemFlags::MOVING), "{why}");
+    }
     // 40 N at 10 N/mm need 4 mm. That suffices from 23 mm on, although it ends 1 mm before the nominal width.
-    let mut rig = Rig::homed(Part::new(23.0, 10.0));
-    assert_eq!(rig.run(grip(20.0)), Status::Success);
-    // 40 N at 7 N/mm need 5.7 mm.
-    let mut rig = Rig::homed(Part::new(23.0, 7.0));
-    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
-    assert!((17.9..18.1).contains(&rig.width()), "{}", rig.width());
+    assert_eq!(Rig::homed(soft(23.0, 10.0)).run(grip(20.0)), Status::Success);
 }
 
 #[test]
-fn grip_on_a_part_beyond_the_width_tolerance_finds_no_part() {
-    let mut rig = Rig::homed(Part::of_width(40.0));
-    assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
-    assert_eq!(rig.state(), GripperState::NoPart);
-    rig.wait(20);
-    assert_eq!((rig.width(), rig.force()), (40.0, 0.0));
-}
-
-#[test]
-fn grip_on_a_jammed_axis_times_out() {
-    let mut rig = Rig::homed(None);
+fn grip_and_release_on_a_jammed_axis_time_out() {
+    let mut rig = Rig::homed(Part::of_width(20.0));
     rig.set_fault(Fault::AxisBlocked, true);
     assert_eq!(rig.run(grip(20.0)), Status::Timeout);
-    assert_eq!(rig.state(), GripperState::Error);
-    assert_eq!(rig.force(), 0.0);
+    assert_eq!((rig.state(), rig.force()), (GripperState::Error, 0.0));
+    rig.set_fault(Fault::AxisBlocked, false);
+    rig.run(grip(20.0));
+    rig.set_fault(Fault::AxisBlocked, true);
+    assert_eq!(rig.run(release(50.0)), Status::Timeout);
 }
 
 #[test]
@@ -275,14 +248,6 @@ fn release_opens_and_drops_the_part() {
 }
 
 #[test]
-fn release_that_cannot_open_times_out() {
-    let mut rig = Rig::homed(Part::of_width(20.0));
-    rig.run(grip(20.0));
-    rig.set_fault(Fault::AxisBlocked, true);
-    assert_eq!(rig.run(release(50.0)), Status::Timeout);
-}
-
-#[test]
 fn grip_again_is_allowed_in_the_same_direction_only() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     assert_eq!(rig.run(grip(40.0)), Status::CmdFailed);
@@ -298,14 +263,6 @@ fn grip_again_is_allowed_in_the_same_direction_only() {
     assert_eq!(rig.state(), GripperState::Holding);
     rig.run(release(50.0));
     assert_eq!(rig.status(grip(60.0)), Status::CmdPending);
-}
-
-#[test]
-fn grip_outward_moves_outward() {
-    let mut rig = Rig::homed(None);
-    rig.run(go_to(20.0));
-    assert_eq!(rig.run(grip(40.0)), Status::CmdFailed);
-    assert!((rig.width() - 45.0).abs() < 1e-3);
 }
 
 #[test]

@@ -126,19 +126,6 @@ impl Master {
 }
 
 #[test]
-fn part_is_gripped_and_released_over_profibus() {
-    let mut master = Master::homed(Part::of_width(20.0));
-    master.set(Flag::GRIP);
-    assert_eq!(master.shows(), (Shown::GRIPPING, Status::CmdPending));
-    master.wait(3_000);
-    master.set(Flag::empty());
-    assert_eq!(master.shows(), (Shown::HOLDING, Status::Success));
-    master.set(Flag::RELEASE);
-    master.wait(3_000);
-    assert_eq!(master.shows(), (Shown::IDLE, Status::Success));
-}
-
-#[test]
 fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
     let mut master = Master::homed(None);
     master.image.speed = 10_00;

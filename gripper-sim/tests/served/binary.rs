@@ -1,104 +1,28 @@
 //! The servers on real sockets and terminals, and the binary. Every wait is bounded by a socket time-out.
 
 use crate::common::{grip, parse};
+use crate::rig::{BOUND, Client, HOMING, Logged, QUICK, READABLE, frame, scratch, serve, tcp_lines};
 use std::io::{self, Read, Write};
-use std::net::{TcpStream, UdpSocket};
-use std::path::PathBuf;
+use std::net::UdpSocket;
 use std::process::Command as Process;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
-use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, LoopData, Status, SystemFlags};
+use wsg_protocol::{AutoUpdate, Command, LoopData, Status};
 use wsg_sim::server::{Lines, Log, Profile, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
-/// Maximum duration of any wait.
-pub(crate) const BOUND: Duration = Duration::from_secs(60);
-/// Time scale at which motions take negligible time.
-pub(crate) const QUICK: f32 = 100.0;
-/// Time scale at which a motion takes more than a second, so that its start can be read before its end even on a busy machine.
-pub(crate) const READABLE: f32 = 0.5;
-
-pub(crate) const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
-
-pub(crate) fn serve(config: Config, lines: Lines) -> ServerThread {
-    ServerThread::start(config, &lines, None).expect("the server starts")
-}
-
 fn serve_tcp(config: Config) -> ServerThread {
     serve(config, tcp_lines())
-}
-
-pub(crate) fn tcp_lines() -> Lines {
-    Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() }
-}
-
-pub(crate) fn connect(served: &ServerThread) -> Client<TcpStream> {
-    let stream = TcpStream::connect_timeout(&served.tcp_address().expect("TCP is served"), BOUND).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    stream.set_write_timeout(Some(BOUND)).unwrap();
-    stream.set_nodelay(true).unwrap();
-    Client(stream)
-}
-
-/// A client that, like several in the field, treats the result of one read as one frame.
-pub(crate) struct Client<S>(pub(crate) S);
-
-impl<S: Read + Write> Client<S> {
-    pub(crate) fn send(&mut self, command: Command<'_>) {
-        self.0.write_all(&frame(command)).unwrap();
-    }
-
-    /// Returns the id and status of the only frame in one read.
-    fn recv(&mut self) -> (u8, Status) {
-        let (id, payload) = self.recv_payload();
-        (id, Status::from_code(u16::from_le_bytes([payload[0], payload[1]])))
-    }
-
-    fn recv_payload(&mut self) -> (u8, Vec<u8>) {
-        let mut buffer = [0; 4 * MAX_FRAME_LEN];
-        let len = uninterrupted::read(&mut self.0, &mut buffer).expect("an answer in time");
-        let frames = parse(&buffer[..len]);
-        assert_eq!(frames.len(), 1, "one read must return exactly one frame: {:02X?}", &buffer[..len]);
-        assert_eq!(frames[0].1.len() + 8, len, "the read must not contain other bytes");
-        frames.into_iter().next().unwrap()
-    }
-
-    pub(crate) fn ask(&mut self, command: Command<'_>) -> Status {
-        self.send(command);
-        let (id, status) = self.recv();
-        assert_eq!(id, command.id().code());
-        status
-    }
-
-    pub(crate) fn run(&mut self, command: Command<'_>) -> Status {
-        assert_eq!(self.ask(command), Status::CmdPending);
-        self.recv().1
-    }
-
-    fn flags(&mut self) -> SystemFlags {
-        self.send(Command::GetSystemState { update: AutoUpdate::once() });
-        let (_, payload) = self.recv_payload();
-        SystemFlags::from_bits_retain(u32::from_le_bytes(payload[2..6].try_into().unwrap()))
-    }
-}
-
-pub(crate) fn frame(command: Command<'_>) -> Vec<u8> {
-    FrameEncoder::new(command.id().code(), command).collect()
-}
-
-/// Returns a path in the temporary directory that no other test uses.
-pub(crate) fn scratch(name: &str) -> PathBuf {
-    std::env::temp_dir().join(format!("wsg-sim-{}-{name}", std::process::id()))
 }
 
 #[test]
 fn tcp_pending_and_result_are_separate_segments() {
     let part = Part::of_width(20.0);
     let served = serve_tcp(Config { time_scale: READABLE, part, ..Config::default() });
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     assert_eq!(client.ask(Command::ACKNOWLEDGE), Status::Success);
-    assert_eq!(client.run(HOMING), Status::Success);
-    assert_eq!(client.run(grip(20.0)), Status::Success);
+    assert_eq!(client.run_in_segments(HOMING), Status::Success);
+    assert_eq!(client.run_in_segments(grip(20.0)), Status::Success);
     assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::Success);
 }
 
@@ -106,7 +30,7 @@ fn tcp_pending_and_result_are_separate_segments() {
 fn real_profile_answers_three_requests_in_turn_15_times_a_second_at_the_most() {
     let lines = Lines { profile: Profile::Real, ..tcp_lines() };
     let served = serve(Config::default(), lines);
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     let start = Instant::now();
     for _ in 0..5 {
         for query in [Command::GetForceLimit, Command::GetSystemLimits, Command::GetTemperature] {
@@ -119,48 +43,20 @@ fn real_profile_answers_three_requests_in_turn_15_times_a_second_at_the_most() {
 #[test]
 fn tcp_loop_of_eight_ff_is_a_handshake() {
     let served = serve_tcp(Config::default());
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     client.send(Command::Loop { data: LoopData::new(&[0xFF; 8]).unwrap() });
-    let (id, payload) = client.recv_payload();
+    let (id, payload) = client.recv();
     assert_eq!((id, &payload[2..]), (0x06, &[0xFF; 8][..]));
-}
-
-#[test]
-fn tcp_close_without_announcement_latches_fast_stop_for_the_next_client() {
-    let served = serve_tcp(Config::default());
-    drop(connect(&served));
-    let mut next = connect(&served);
-    // The server may notice the close slightly after the next connection.
-    let start = Instant::now();
-    while !next.flags().contains(SystemFlags::FAST_STOP) {
-        assert!(start.elapsed() < BOUND, "no FAST STOP");
-    }
-    assert_eq!(next.ask(HOMING), Status::AccessDenied);
-    assert_eq!(next.ask(Command::ACKNOWLEDGE), Status::Success);
-    assert_eq!(next.ask(HOMING), Status::CmdPending);
-}
-
-#[test]
-fn tcp_announced_close_latches_nothing() {
-    let served = serve_tcp(Config::default());
-    let mut watcher = connect(&served);
-    let mut client = connect(&served);
-    assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::Success);
-    assert_eq!(client.ask(Command::Stop), Status::AccessDenied);
-    // The server closes its end after noticing ours.
-    client.0.shutdown(std::net::Shutdown::Write).unwrap();
-    assert_eq!(uninterrupted::read(&client.0, &mut [0]).unwrap(), 0);
-    assert!(!watcher.flags().contains(SystemFlags::FAST_STOP));
 }
 
 #[test]
 fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
     let served = serve_tcp(Config { disconnect_error: false, ..Config::default() });
-    let flood = connect(&served);
+    let flood = Client::of(&served);
     flood.0.set_nonblocking(true).unwrap();
     let requests = frame(Command::GetSystemLimits).repeat(1_000);
     let mut stuck = 0;
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     let start = Instant::now();
     while stuck < 20 {
         match uninterrupted::write(&flood.0, &requests) {
@@ -178,13 +74,13 @@ fn tcp_clients_that_hold_half_frames_or_never_read_leave_the_others_alone() {
     let served = serve_tcp(Config::default());
     let mut held = Vec::new();
     for _ in 0..20 {
-        let mut half = connect(&served);
+        let mut half = Client::of(&served);
         half.0.write_all(&frame(Command::GetSystemLimits)[..5]).unwrap();
-        let mut unread = connect(&served);
+        let mut unread = Client::of(&served);
         unread.send(Command::GetForce { update: AutoUpdate::every(10) });
         held.push((half, unread));
     }
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     for _ in 0..200 {
         assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
     }
@@ -193,15 +89,15 @@ fn tcp_clients_that_hold_half_frames_or_never_read_leave_the_others_alone() {
 #[test]
 fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again() {
     let served = serve_tcp(Config { disconnect_error: false, ..Config::default() });
-    let mut clients: Vec<_> = (0..128).map(|_| connect(&served)).collect();
+    let mut clients: Vec<_> = (0..128).map(|_| Client::of(&served)).collect();
     for client in &mut clients {
         assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
     }
-    assert_eq!(uninterrupted::read(connect(&served).0, &mut [0]).unwrap(), 0);
+    assert_eq!(uninterrupted::read(Client::of(&served).0, &mut [0]).unwrap(), 0);
     drop(clients.pop());
     let start = Instant::now();
     loop {
-        let mut next = connect(&served);
+        let mut next = Client::of(&served);
         next.send(Command::GetForceLimit);
         // The attempt may precede the release of the place; the server then closes it, too.
         if matches!(uninterrupted::read(&next.0, &mut [0; MAX_FRAME_LEN]), Ok(1..)) {
@@ -214,7 +110,7 @@ fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again()
 #[test]
 fn tcp_pipelined_requests_are_all_answered_in_order() {
     let served = serve_tcp(Config::default());
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     let one = [frame(Command::GetSystemLimits), frame(Command::Stop)].concat();
     client.0.write_all(&one.repeat(500)).unwrap();
     let mut bytes = Vec::new();
@@ -231,7 +127,7 @@ fn tcp_pipelined_requests_are_all_answered_in_order() {
 #[test]
 fn tcp_updates_arrive_by_themselves() {
     let served = serve_tcp(Config::default());
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     client.send(Command::GetForce { update: AutoUpdate::every(10) });
     // Several updates may be queued before this thread reads.
     let mut answers = [0; 6 * 14];
@@ -307,19 +203,15 @@ fn udp_peer_that_sends_nothing_is_sent_a_bounded_number_of_datagrams() {
 
 #[test]
 fn log_shows_time_direction_line_bytes_and_meaning() {
-    let path = scratch("log");
-    let log = Log::to_file(&path).unwrap();
-    let served = ServerThread::start(Config::default(), &tcp_lines(), Some(log)).unwrap();
-    let mut client = connect(&served);
+    let logged = Logged::new("tcp", Config::default(), &tcp_lines());
+    let mut client = Client::of(&logged.served);
     assert_eq!(client.ask(Command::Stop), Status::Success);
     let mut bad = frame(Command::Stop);
     bad[6] ^= 1;
     client.0.write_all(&bad).unwrap();
     assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
     drop(client);
-    served.stop().unwrap();
-    let log = std::fs::read_to_string(&path).unwrap();
-    std::fs::remove_file(&path).unwrap();
+    let log = logged.stop();
     let lines: Vec<&str> = log.lines().collect();
     assert_eq!(lines.len(), 5, "{log}");
     assert!(lines[0].contains(" s tcp 127.0.0.1:"), "{log}");
@@ -334,23 +226,19 @@ fn log_shows_time_direction_line_bytes_and_meaning() {
 
 #[test]
 fn log_shows_the_checksum_that_was_sent_and_no_other() {
-    let path = scratch("unchecked-log");
-    let log = Log::to_file(&path).unwrap();
     let config = Config { check_checksum: false, ..Config::default() };
-    let served = ServerThread::start(config, &tcp_lines(), Some(log)).unwrap();
-    let mut client = connect(&served);
+    let logged = Logged::new("unchecked", config, &tcp_lines());
+    let mut client = Client::of(&logged.served);
     // One frame without a checksum, then one with a checksum of zeros. Two preamble bytes of the second become the
     // checksum of the first.
     let mut stop = frame(Command::Stop);
     stop.truncate(6);
     for request in [[&stop[..], &stop, &[0, 0]].concat(), [&stop[..], &[0x12, 0x34]].concat()] {
         client.0.write_all(&request).unwrap();
-        assert_eq!(client.recv(), (0x22, Status::Success));
+        assert_eq!(client.recv(), (0x22, vec![0, 0]));
     }
     drop(client);
-    served.stop().unwrap();
-    let log = std::fs::read_to_string(&path).unwrap();
-    std::fs::remove_file(&path).unwrap();
+    let log = logged.stop();
     let sent: Vec<&str> =
         log.lines().filter_map(|line| line.split_once(" -> ")).map(|(_, sent)| sent).collect();
     assert_eq!(sent, ["AA AA AA 22 00 00 AA AA  22h Stop", "AA AA AA 22 00 00 12 34  22h Stop"], "{log}");
@@ -387,18 +275,10 @@ fn binary_refuses_what_cannot_be_served_in_one_line() {
 
 #[test]
 fn log_file_shows_a_frame_while_its_client_is_still_there() {
-    let path = scratch("log-at-once");
-    let served =
-        ServerThread::start(Config::default(), &tcp_lines(), Some(Log::to_file(&path).unwrap())).unwrap();
-    let mut client = connect(&served);
+    let logged = Logged::new("at-once", Config::default(), &tcp_lines());
+    let mut client = Client::of(&logged.served);
     assert_eq!(client.ask(Command::Stop), Status::Success);
-    let start = Instant::now();
-    let shown = || std::fs::read_to_string(&path).unwrap().contains("22h Stop E_SUCCESS\n");
-    while !shown() {
-        assert!(start.elapsed() < BOUND, "the frame was not logged");
-        assert_eq!(client.ask(Command::GetForceLimit), Status::Success);
-    }
-    std::fs::remove_file(&path).unwrap();
+    logged.until(|log| log.contains("22h Stop E_SUCCESS\n").then_some(()));
 }
 
 /// A log output that blocks until released.
@@ -425,7 +305,7 @@ fn unread_log_does_not_delay_the_gripper_and_reports_lost_lines() {
     let (taken, log) = mpsc::channel();
     let stuck = Log::to(Stuck { gate, taken });
     let served = ServerThread::start(Config::default(), &tcp_lines(), Some(stuck)).unwrap();
-    let mut client = connect(&served);
+    let mut client = Client::of(&served);
     for _ in 0..6_000 {
         assert_eq!(client.ask(Command::Stop), Status::Success);
     }
@@ -445,7 +325,7 @@ fn unread_log_does_not_delay_the_shutdown() {
     let (taken, _log) = mpsc::channel();
     let stuck = Log::to(Stuck { gate, taken });
     let served = ServerThread::start(Config::default(), &tcp_lines(), Some(stuck)).unwrap();
-    assert_eq!(connect(&served).ask(Command::Stop), Status::Success);
+    assert_eq!(Client::of(&served).ask(Command::Stop), Status::Success);
     let start = Instant::now();
     served.stop().unwrap();
     assert!(start.elapsed() < BOUND);

@@ -3,10 +3,9 @@
 
 use crate::common::grip;
 use crate::common::program::Program;
+use crate::rig::{BOUND, HOMING, QUICK, open_adapter, open_terminal, scratch};
 use bus_slcan::{ClassicFrame, Decoder, Line, encode};
 use embedded_can::{Frame, Id, StandardId};
-use rustix::fs::{Mode, OFlags};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
@@ -14,17 +13,10 @@ use std::path::Path;
 use std::process::Command as Process;
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
-use std::time::Duration;
 use wsg_protocol::can::{Identifiers, Reassembler, Segments};
-use wsg_protocol::{Command, Event, FrameEncoder, HomingDirection, Instant, LoopData, Status};
+use wsg_protocol::{Command, Event, FrameEncoder, Instant, LoopData, Status};
 use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, ServerThread};
 use wsg_sim::{Config, Part};
-
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
-/// Time scale at which motions take negligible time.
-const QUICK: f32 = 100.0;
-const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
 
 fn identifiers() -> Identifiers {
     Identifiers::from_base(0x345).unwrap()
@@ -32,15 +24,7 @@ fn identifiers() -> Identifiers {
 
 fn serve(config: Config, line: SerialLine) -> ServerThread {
     let can = Some(CanLine { bus: CanBus::Slcan(line), identifiers: identifiers() });
-    ServerThread::start(config, &Lines { can, ..Lines::default() }, None).expect("the server starts")
-}
-
-fn open_terminal(path: &Path) -> File {
-    let terminal = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
-    let mut settings = tcgetattr(&terminal).unwrap();
-    settings.make_raw();
-    tcsetattr(&terminal, OptionalActions::Now, &settings).unwrap();
-    terminal.into()
+    crate::rig::serve(config, Lines { can, ..Lines::default() })
 }
 
 /// A controller on a serial line, with the received SLCAN lines.
@@ -217,16 +201,8 @@ fn slcan_channel_that_is_closed_lets_nothing_through() {
 }
 
 #[test]
-fn slcan_disconnect_announcement_is_not_available() {
-    let served = serve(Config::default(), SerialLine::Pty);
-    let mut controller = controller(&served);
-    controller.send(Command::DisconnectAnnouncement);
-    assert_eq!(controller.status(Command::DisconnectAnnouncement), Status::NotAvailable);
-}
-
-#[test]
 fn slcan_over_a_unix_socket_takes_hosts_one_after_the_other() {
-    let path = std::env::temp_dir().join(format!("wsg-sim-{}-slcan", std::process::id()));
+    let path = scratch("slcan");
     let served = serve(Config::default(), SerialLine::Unix(path.clone()));
     for _ in 0..2 {
         let stream = UnixStream::connect(served.can_path().unwrap()).unwrap();
@@ -240,17 +216,11 @@ fn slcan_over_a_unix_socket_takes_hosts_one_after_the_other() {
 
 #[test]
 fn slcan_on_a_device_makes_the_gripper_the_host_that_opens_the_channel() {
-    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-
+    let (adapter, path) = open_adapter();
     // The adapter's end must be raw before the gripper opens the other end, because nothing may be echoed.
-    let adapter = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&adapter).unwrap();
-    unlockpt(&adapter).unwrap();
-    let path = ptsname(&adapter, Vec::new()).unwrap().into_string().unwrap();
-    let _device = open_terminal(Path::new(&path));
-    let served = serve(Config::default(), SerialLine::Device(path.into()));
+    let _device = open_terminal(&path);
+    let served = serve(Config::default(), SerialLine::Device(path));
 
-    let adapter = File::from(adapter);
     let mut controller = Controller::new(adapter.try_clone().unwrap(), adapter);
     for expected in
         [Line::Done, Line::Command(b'C', None), Line::Command(b'S', Some(b'6')), Line::Command(b'O', None)]

@@ -2,35 +2,14 @@
 
 use crate::common::{go_to, grip, parse};
 use crate::modbus::Master;
+use crate::rig::{BOUND, Client, HOMING, Logged, any_port, connect, frame, http, serve};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
+use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
-use wsg_protocol::{Command, FrameEncoder, HomingDirection, LoopData, Status};
-use wsg_sim::server::{Lines, Log, ServerThread, UdpLine};
+use wsg_protocol::{Command, FrameEncoder, LoopData, Status};
+use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN};
-
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
-const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
-
-/// Connects with a time-out for every wait.
-pub(crate) fn connect(address: impl ToSocketAddrs) -> TcpStream {
-    let stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    stream
-}
-
-/// Sends a raw request and returns the status, head and body of the answer.
-fn http(control: impl ToSocketAddrs, request: &str) -> (u16, String, String) {
-    let mut stream = connect(control);
-    stream.write_all(request.as_bytes()).unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("an answer in time");
-    let (head, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
-    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
-    (status, head.to_owned(), body.to_owned())
-}
 
 /// Sends a request and returns the status and the JSON of the answer.
 pub(crate) fn request(control: impl ToSocketAddrs, method: &str, path: &str, body: &str) -> (u16, Value) {
@@ -42,9 +21,12 @@ pub(crate) fn request(control: impl ToSocketAddrs, method: &str, path: &str, bod
     (status, serde_json::from_str(&body).expect("every answer is JSON"))
 }
 
+/// The data of the Loop that a client sends over a line without faults.
+const MARK: &[u8] = b"the line is whole again";
+
 pub(crate) struct Rig {
     pub(crate) server: ServerThread,
-    pub(crate) client: TcpStream,
+    pub(crate) client: Client<TcpStream>,
 }
 
 impl Rig {
@@ -53,22 +35,18 @@ impl Rig {
     }
 
     fn with_seed(config: Config, seed: u64) -> Self {
-        Self::with_log(config, seed, None)
+        let lines =
+            Lines { tcp: any_port(), control: any_port(), modbus: any_port(), seed, ..Lines::default() };
+        Self::of(serve(config, lines))
     }
 
-    fn with_log(config: Config, seed: u64, log: Option<Log>) -> Self {
-        let any = "127.0.0.1:0".parse().ok();
-        let lines = Lines { tcp: any, control: any, modbus: any, seed, ..Lines::default() };
-        let server = ServerThread::start(config, &lines, log).expect("the server starts");
-        let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
-        client.set_read_timeout(Some(BOUND)).unwrap();
-        client.set_nodelay(true).unwrap();
-        Self { server, client }
+    fn of(server: ServerThread) -> Self {
+        Self { client: Client::of(&server), server }
     }
 
     pub(crate) fn homed() -> Self {
         let mut rig = Self::new(Config { time_scale: 20.0, ..Config::default() });
-        assert_eq!(rig.run(HOMING), Status::Success);
+        assert_eq!(rig.client.run(HOMING), Status::Success);
         rig
     }
 
@@ -106,10 +84,10 @@ impl Rig {
         state
     }
 
-    /// Waits until this number of frames has been sent to clients or dropped on the way.
-    fn await_frames(&self, count: u64) {
+    /// Waits until this number of frames of a direction has passed the line or was dropped on it.
+    fn await_frames(&self, direction: &str, count: u64) {
         let start = Instant::now();
-        while self.state()["line_counts"]["replies"]["frames"] != json!(count) {
+        while self.state()["line_counts"][direction]["frames"] != json!(count) {
             assert!(start.elapsed() < BOUND, "{}", self.state());
         }
     }
@@ -118,54 +96,28 @@ impl Rig {
         serde_json::from_value(self.state()["system_state"].clone()).unwrap()
     }
 
-    pub(crate) fn send(&mut self, command: Command<'_>) {
-        self.client.write_all(&frame(command)).unwrap();
-    }
-
     fn recv(&mut self) -> Vec<u8> {
         let mut buffer = [0; 2 * MAX_FRAME_LEN];
-        let len = uninterrupted::read(&self.client, &mut buffer).expect("an answer in time");
+        let len = uninterrupted::read(&self.client.0, &mut buffer).expect("an answer in time");
         buffer[..len].to_vec()
-    }
-
-    pub(crate) fn recv_status(&mut self) -> Status {
-        let mut answer = [0; 10];
-        self.client.read_exact(&mut answer).expect("an answer in time");
-        Status::from_code(u16::from_le_bytes([answer[6], answer[7]]))
-    }
-
-    pub(crate) fn ask(&mut self, command: Command<'_>) -> Status {
-        self.send(command);
-        self.recv_status()
-    }
-
-    pub(crate) fn run(&mut self, command: Command<'_>) -> Status {
-        assert_eq!(self.ask(command), Status::CmdPending);
-        self.recv_status()
     }
 
     /// Clears all line faults and returns all bytes up to the answer to a Loop.
     fn bytes_until_mended(&mut self) -> Vec<u8> {
-        let mark = Command::Loop { data: LoopData::new(b"the line is whole again").unwrap() };
         self.post("/line", &json!({}));
-        self.send(mark);
-        let end = b"the line is whole again";
+        self.client.send(Command::Loop { data: LoopData::new(MARK).unwrap() });
         let mut bytes = Vec::new();
-        while !bytes.windows(end.len()).any(|window| window == end) {
+        while !bytes.windows(MARK.len()).any(|window| window == MARK) {
             bytes.extend_from_slice(&self.recv());
         }
         bytes
     }
 }
 
-fn frame(command: Command<'_>) -> Vec<u8> {
-    FrameEncoder::new(command.id().code(), command).collect()
-}
-
 #[test]
 fn state_shows_how_the_gripper_stands() {
     let mut rig = Rig::homed();
-    assert_eq!(rig.run(go_to(42.0)), Status::Success);
+    assert_eq!(rig.client.run(go_to(42.0)), Status::Success);
     let state = rig.state();
     assert_eq!(state["model"], "wsg50-110");
     assert_eq!((&state["width_mm"], &state["reported_width_mm"]), (&json!(42.0), &json!(42.0)));
@@ -173,7 +125,7 @@ fn state_shows_how_the_gripper_stands() {
     assert_eq!(state["system_state"], json!(["REFERENCED", "TARGET_POS_REACHED"]));
     assert_eq!(state["force_limit_n"], json!(40.0));
     assert_eq!((&state["part"], &state["faults"]), (&Value::Null, &json!([])));
-    let name = format!("tcp {}", rig.client.local_addr().unwrap());
+    let name = format!("tcp {}", rig.client.0.local_addr().unwrap());
     assert_eq!(state["clients"][0]["name"], json!(name));
 }
 
@@ -182,7 +134,7 @@ fn part_is_put_in_and_gripped_and_lost_when_it_is_taken_away() {
     let mut rig = Rig::homed();
     let state = rig.post("/part", &json!({ "width_mm": 20, "stiffness_n_per_mm": 50 }));
     assert_eq!(state["part"], json!({ "width_mm": 20.0, "stiffness_n_per_mm": 50.0 }));
-    assert_eq!(rig.run(grip(20.0)), Status::Success);
+    assert_eq!(rig.client.run(grip(20.0)), Status::Success);
     let state = rig.state();
     // 40 N squeeze the part by 0.8 mm.
     assert_eq!((&state["gripper_state"], &state["width_mm"]), (&json!("HOLDING"), &json!(19.2)));
@@ -220,10 +172,10 @@ fn each_fault_begins_and_ends() {
 fn jammed_axis_blocks_a_motion_until_it_is_free_again() {
     let mut rig = Rig::homed();
     rig.post("/fault", &json!({ "fault": "axis_blocked", "on": true }));
-    assert_eq!(rig.run(go_to(42.0)), Status::AxisBlocked);
+    assert_eq!(rig.client.run(go_to(42.0)), Status::AxisBlocked);
     rig.post("/fault", &json!({ "fault": "axis_blocked", "on": false }));
-    assert_eq!(rig.ask(Command::Stop), Status::Success);
-    assert_eq!(rig.run(go_to(42.0)), Status::Success);
+    assert_eq!(rig.client.ask(Command::Stop), Status::Success);
+    assert_eq!(rig.client.run(go_to(42.0)), Status::Success);
 }
 
 #[test]
@@ -462,7 +414,7 @@ fn page_shows_decoded_frames_of_clients_without_a_log_file() {
     let mut rig = Rig::new(Config::default());
     let mut page = Watching::new(&rig);
     page.until(|kind, _| kind == "state");
-    assert_eq!(rig.ask(Command::GetForceLimit), Status::Success);
+    assert_eq!(rig.client.ask(Command::GetForceLimit), Status::Success);
     let shown = |text: &str| {
         let text = text.to_owned();
         move |kind: &str, data: &Value| kind == "log" && data["lines"].to_string().contains(&text)
@@ -500,11 +452,9 @@ fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
 
 #[test]
 fn requests_for_another_host_are_refused() {
-    let any = "127.0.0.1:0".parse().ok();
-    let lines = Lines { tcp: any, control: any, control_hosts: vec!["bench".to_owned()], ..Lines::default() };
-    let server = ServerThread::start(Config::default(), &lines, None).unwrap();
-    let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
-    let rig = Rig { server, client };
+    let control_hosts = vec!["bench".to_owned()];
+    let lines = Lines { tcp: any_port(), control: any_port(), control_hosts, ..Lines::default() };
+    let rig = Rig::of(serve(Config::default(), lines));
     let address = rig.server.control_address().unwrap().to_string();
     let state = |host: &str| rig.http(&format!("GET /state HTTP/1.1\r\n{host}\r\n"));
     for host in ["localhost", &address, "BENCH:80"] {
@@ -575,105 +525,68 @@ fn connection_with_a_partial_request_is_closed() {
 }
 
 #[test]
-fn dropped_frames_do_not_arrive() {
-    let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "direction": "replies", "drop": 1 }));
-    rig.send(Command::GetForceLimit);
-    rig.send(Command::GetAcceleration);
-    rig.await_frames(2);
-    let arrived = rig.bytes_until_mended();
-    assert_eq!(parse(&arrived).into_iter().map(|(id, _)| id).collect::<Vec<u8>>(), [0x06]);
-}
-
-#[test]
-fn corrupted_frames_fail_their_checksum_and_the_next_whole_one_is_found() {
-    let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "direction": "replies", "corrupt": 1 }));
-    for _ in 0..20 {
-        rig.send(Command::GetForceLimit);
+fn dropped_corrupted_and_truncated_answers_are_lost_and_the_next_whole_one_is_found() {
+    let whole = frame_of_force_limit().len();
+    // The bytes of an answer that arrive.
+    for (fault, arriving) in [("drop", 0..=0), ("corrupt", whole..=whole), ("truncate", 1..=whole - 1)] {
+        let mut rig = Rig::new(Config::default());
+        rig.post("/line", &json!({ "direction": "replies", fault: 1 }));
+        for _ in 0..20 {
+            rig.client.send(Command::GetForceLimit);
+        }
+        rig.await_frames("replies", 20);
+        let mut arrived = rig.bytes_until_mended();
+        let ids: Vec<u8> = parse(&arrived).into_iter().map(|(id, _)| id).collect();
+        assert_eq!(ids, [0x06], "{fault}");
+        arrived.truncate(arrived.len() - 10 - MARK.len());
+        assert!(
+            (20 * arriving.start()..=20 * arriving.end()).contains(&arrived.len()),
+            "{fault}: {arrived:02X?}"
+        );
     }
-    rig.await_frames(20);
-    let arrived = rig.bytes_until_mended();
-    let ids: Vec<u8> = parse(&arrived).into_iter().map(|(id, _)| id).collect();
-    assert_eq!(ids, [0x06]);
-    assert_eq!(arrived.len(), 20 * 14 + 10 + "the line is whole again".len());
-}
-
-#[test]
-fn truncated_frames_lack_their_end() {
-    let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "direction": "replies", "truncate": 1 }));
-    rig.send(Command::GetForceLimit);
-    let whole = frame_of_force_limit();
-    let arrived = rig.recv();
-    assert!(arrived.len() < whole.len() && whole.starts_with(&arrived), "{arrived:02X?}");
-}
-
-#[test]
-fn duplicated_frames_come_twice() {
-    let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "direction": "replies", "duplicate": 1 }));
-    rig.send(Command::GetForceLimit);
-    let mut arrived = vec![0; 28];
-    rig.client.read_exact(&mut arrived).expect("two answers in time");
-    assert_eq!(arrived, frame_of_force_limit().repeat(2));
-}
-
-#[test]
-fn delayed_frames_come_late_and_in_order() {
-    let mut rig = Rig::new(Config::default());
-    rig.post("/line", &json!({ "delay_ms": 300 }));
-    let start = Instant::now();
-    rig.send(Command::GetForceLimit);
-    rig.send(Command::GetAcceleration);
-    let mut arrived = vec![0; 28];
-    rig.client.read_exact(&mut arrived).expect("two answers in time");
-    assert!(start.elapsed() >= Duration::from_millis(300), "{:?}", start.elapsed());
-    assert_eq!(parse(&arrived).into_iter().map(|(id, _)| id).collect::<Vec<u8>>(), [0x33, 0x31]);
 }
 
 #[test]
 fn slow_line_loses_no_answer_at_any_number_of_requests() {
     let mut rig = Rig::new(Config::default());
     rig.post("/line", &json!({ "delay_ms": 20 }));
-    rig.client.write_all(&frame(Command::GetForceLimit).repeat(2_000)).unwrap();
+    rig.client.0.write_all(&frame(Command::GetForceLimit).repeat(2_000)).unwrap();
     let mut arrived = vec![0; 2_000 * 14];
-    rig.client.read_exact(&mut arrived).expect("all answers in time");
+    rig.client.0.read_exact(&mut arrived).expect("all answers in time");
     assert_eq!(arrived, frame_of_force_limit().repeat(2_000));
     assert_eq!(rig.state()["clients"][0]["replies_lost"], json!(0));
 }
 
 #[test]
 fn same_seed_hits_the_same_frames() {
-    let bytes = |seed| {
-        let mut rig = Rig::with_seed(Config::default(), seed);
-        rig.post("/line", &json!({ "direction": "replies", "drop": 0.2, "corrupt": 0.2, "truncate": 0.2, "duplicate": 0.2 }));
-        for _ in 0..100 {
-            rig.send(Command::GetForceLimit);
-        }
-        rig.await_frames(100);
-        rig.bytes_until_mended()
-    };
-    let first = bytes(7);
-    assert_eq!(first, bytes(7));
-    assert_ne!(first, bytes(8));
+    for direction in ["requests", "replies"] {
+        let bytes = |seed| {
+            let mut rig = Rig::with_seed(Config::default(), seed);
+            let mut faults = json!({ "direction": direction, "drop": 0.2, "duplicate": 0.2 });
+            if direction == "replies" {
+                (faults["corrupt"], faults["truncate"]) = (json!(0.2), json!(0.2));
+            }
+            rig.post("/line", &faults);
+            for n in 0..100u8 {
+                rig.client.send(Command::Loop { data: LoopData::new(&[n]).unwrap() });
+            }
+            rig.await_frames(direction, 100);
+            rig.bytes_until_mended()
+        };
+        let first = bytes(7);
+        assert_eq!(first, bytes(7), "{direction}");
+        assert_ne!(first, bytes(8), "{direction}");
+    }
 }
 
 #[test]
 fn datagrams_are_hit_as_well() {
     let remote = UdpSocket::bind("127.0.0.1:0").unwrap();
     remote.set_read_timeout(Some(BOUND)).unwrap();
-    let any = "127.0.0.1:0".parse().unwrap();
     let remote_port = remote.local_addr().unwrap().port();
-    let lines = Lines {
-        tcp: Some(any),
-        udp: Some(UdpLine { address: any, remote_port }),
-        control: Some(any),
-        ..Lines::default()
-    };
-    let server = ServerThread::start(Config::default(), &lines, None).unwrap();
-    let client = TcpStream::connect(server.tcp_address().unwrap()).unwrap();
-    let rig = Rig { server, client };
+    let udp = any_port().map(|address| UdpLine { address, remote_port });
+    let lines = Lines { tcp: any_port(), udp, control: any_port(), ..Lines::default() };
+    let rig = Rig::of(serve(Config::default(), lines));
     rig.post("/line", &json!({ "direction": "replies", "duplicate": 1, "delay_ms": 30 }));
     let asked = Instant::now();
     let to = rig.server.udp_address().unwrap();
@@ -692,7 +605,7 @@ fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
         let mut rig = Rig::new(Config::default());
         rig.post("/line", &json!({ "direction": "requests", fault: 1 }));
         for _ in 0..20 {
-            rig.send(Command::GetForceLimit);
+            rig.client.send(Command::GetForceLimit);
         }
         let start = Instant::now();
         while rig.state()["line_counts"]["requests"][counted] != json!(20) {
@@ -712,8 +625,8 @@ fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
 fn duplicate_request_is_answered_twice_and_moves_once() {
     let mut rig = Rig::new(Config::default());
     rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));
-    rig.send(Command::Homing { direction: HomingDirection::Positive });
-    let statuses = [rig.recv_status(), rig.recv_status(), rig.recv_status()];
+    rig.client.send(HOMING);
+    let statuses = [rig.client.status(), rig.client.status(), rig.client.status()];
     assert_eq!(statuses, [Status::CmdPending, Status::AlreadyRunning, Status::Success]);
 }
 
@@ -722,39 +635,20 @@ fn delayed_requests_keep_their_order_and_pass_when_the_faults_end() {
     let mut rig = Rig::new(Config::default());
     rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
     let start = Instant::now();
-    rig.send(Command::GetForceLimit);
+    rig.client.send(Command::GetForceLimit);
     rig.post("/line", &json!({}));
-    rig.send(Command::GetAcceleration);
+    rig.client.send(Command::GetAcceleration);
     let mut arrived = vec![0; 28];
-    rig.client.read_exact(&mut arrived).expect("two answers in time");
+    rig.client.0.read_exact(&mut arrived).expect("two answers in time");
     assert!(start.elapsed() >= Duration::from_millis(300), "{:?}", start.elapsed());
     assert_eq!(parse(&arrived).into_iter().map(|(id, _)| id).collect::<Vec<u8>>(), [0x33, 0x31]);
     // A partial request completes once the line has no faults.
     rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
     let stop = frame(Command::Stop);
-    rig.client.write_all(&stop[..4]).unwrap();
+    rig.client.0.write_all(&stop[..4]).unwrap();
     rig.post("/line", &json!({}));
-    rig.client.write_all(&stop[4..]).unwrap();
-    assert_eq!(rig.recv_status(), Status::Success);
-}
-
-#[test]
-fn same_seed_hits_the_same_requests() {
-    let bytes = |seed| {
-        let mut rig = Rig::with_seed(Config::default(), seed);
-        rig.post("/line", &json!({ "direction": "requests", "drop": 0.3, "duplicate": 0.3 }));
-        for n in 0..100u8 {
-            rig.send(Command::Loop { data: LoopData::new(&[n]).unwrap() });
-        }
-        let start = Instant::now();
-        while rig.state()["line_counts"]["requests"]["frames"] != json!(100) {
-            assert!(start.elapsed() < BOUND, "{}", rig.state());
-        }
-        rig.bytes_until_mended()
-    };
-    let first = bytes(7);
-    assert_eq!(first, bytes(7));
-    assert_ne!(first, bytes(8));
+    rig.client.0.write_all(&stop[4..]).unwrap();
+    assert_eq!(rig.client.status(), Status::Success);
 }
 
 #[test]
@@ -767,9 +661,9 @@ fn faults_of_replies_leave_requests_alone_and_by_default_both_are_hit() {
     ] {
         let mut rig = Rig::new(Config::default());
         rig.post("/line", &body);
-        rig.send(Command::GetForceLimit);
+        rig.client.send(Command::GetForceLimit);
         let mut arrived = vec![0; frame_of_force_limit().len() * (1 << (requests + replies.min(1)))];
-        rig.client.read_exact(&mut arrived).expect("all answers in time");
+        rig.client.0.read_exact(&mut arrived).expect("all answers in time");
         let counts = rig.state()["line_counts"].clone();
         assert_eq!(counts["requests"]["duplicated"], json!(requests), "{body}");
         assert_eq!(counts["replies"]["duplicated"], json!(replies), "{body}");
@@ -780,17 +674,11 @@ fn faults_of_replies_leave_requests_alone_and_by_default_both_are_hit() {
 fn datagrams_text_and_modbus_to_the_gripper_are_hit_as_well() {
     let remote = UdpSocket::bind("127.0.0.1:0").unwrap();
     remote.set_read_timeout(Some(BOUND)).unwrap();
-    let any = "127.0.0.1:0".parse().ok();
+    let any = any_port();
     let lines = Lines { tcp: any, gcl: any, gcl_udp: any, modbus: any, control: any, ..Lines::default() };
-    let server = ServerThread::start(Config::default(), &lines, None).unwrap();
-    let connect = |address: Option<SocketAddr>| {
-        let stream = TcpStream::connect(address.unwrap()).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        stream
-    };
-    let (client, mut gcl) = (connect(server.tcp_address()), connect(server.gcl_address()));
-    let mut modbus = connect(server.modbus_address());
-    let rig = Rig { server, client };
+    let rig = Rig::of(serve(Config::default(), lines));
+    let mut gcl = connect(rig.server.gcl_address().unwrap());
+    let mut modbus = connect(rig.server.modbus_address().unwrap());
     rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));
     uninterrupted::send_to(&remote, b"VERBOSE?", rig.server.gcl_udp_address().unwrap()).unwrap();
     for _ in 0..2 {
@@ -810,15 +698,18 @@ fn datagrams_text_and_modbus_to_the_gripper_are_hit_as_well() {
 
 #[test]
 fn log_shows_operator_actions_and_line_faults() {
-    let path = std::env::temp_dir().join(format!("wsg-sim-{}-control-log", std::process::id()));
-    let mut rig = Rig::with_log(Config::default(), 0, Some(Log::to_file(&path).unwrap()));
-    rig.post("/fault", &json!({ "fault": "motor_current", "on": true }));
-    rig.post("/line", &json!({ "direction": "replies", "duplicate": 1 }));
-    rig.send(Command::GetForceLimit);
-    rig.client.read_exact(&mut [0; 28]).expect("two answers in time");
-    rig.server.stop().unwrap();
-    let log = std::fs::read_to_string(&path).unwrap();
-    std::fs::remove_file(&path).unwrap();
+    let lines = Lines { tcp: any_port(), control: any_port(), ..Lines::default() };
+    let logged = Logged::new("control", Config::default(), &lines);
+    let mut client = Client::of(&logged.served);
+    let post = |path, body: Value| {
+        let control = logged.served.control_address().unwrap();
+        assert_eq!(request(control, "POST", path, &body.to_string()).0, 200);
+    };
+    post("/fault", json!({ "fault": "motor_current", "on": true }));
+    post("/line", json!({ "direction": "replies", "duplicate": 1 }));
+    client.send(Command::GetForceLimit);
+    client.0.read_exact(&mut [0; 28]).expect("two answers in time");
+    let log = logged.stop();
     let lines: Vec<&str> = log.lines().collect();
     assert_eq!(lines.len(), 5, "{log}");
     assert!(lines[0].ends_with(" s control fault MotorCurrent begins"), "{log}");

@@ -1,42 +1,29 @@
 //! The text protocol on real sockets, and the binary. Every wait is bounded by a socket time-out.
 
-use crate::common::program::Program;
+use crate::rig::{BOUND, Logged, READABLE, any_port, connect, serve};
 use std::io::Write;
-use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
+use std::net::{Shutdown, TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
-use wsg_sim::server::{Lines, Log, ServerThread};
+use wsg_sim::server::Lines;
 use wsg_sim::{Config, Part};
 
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
-
-fn any_port() -> Option<SocketAddr> {
-    "127.0.0.1:0".parse().ok()
+fn lines() -> Lines {
+    Lines { gcl: any_port(), gcl_udp: any_port(), ..Lines::default() }
 }
 
-/// Time scale at which motions take negligible time.
-const QUICK: f32 = 100.0;
-/// Time scale at which a motion takes more than a second, so that its start can be read before its end even on a busy machine.
-const READABLE: f32 = 0.5;
-
-fn serve(config: Config, log: Option<Log>) -> ServerThread {
-    serve_at(QUICK, config, log)
-}
-
-fn serve_at(time_scale: f32, config: Config, log: Option<Log>) -> ServerThread {
-    let lines = Lines { gcl: any_port(), gcl_udp: any_port(), ..Lines::default() };
-    ServerThread::start(Config { time_scale, ..config }, &lines, log).expect("the server starts")
+/// Returns a socket with a time-out for every wait.
+fn udp_socket() -> UdpSocket {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(BOUND)).unwrap();
+    socket
 }
 
 /// A client that treats the result of one read as one line.
 struct Client(TcpStream);
 
 impl Client {
-    fn new(address: SocketAddr) -> Self {
-        let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        stream.set_nodelay(true).unwrap();
-        Self(stream)
+    fn new(address: impl ToSocketAddrs) -> Self {
+        Self(connect(address))
     }
 
     fn send(&mut self, line: &str) {
@@ -67,7 +54,8 @@ impl Client {
 
 #[test]
 fn ack_and_fin_are_separate_segments() {
-    let served = serve_at(READABLE, Config { part: Part::of_width(20.0), ..Config::default() }, None);
+    let served =
+        serve(Config { time_scale: READABLE, part: Part::of_width(20.0), ..Config::default() }, lines());
     let mut client = Client::new(served.gcl_address().unwrap());
     assert_eq!(client.run("home()"), "FIN HOME");
     assert_eq!(client.run("grip(40, 20)"), "FIN GRIP");
@@ -78,7 +66,7 @@ fn ack_and_fin_are_separate_segments() {
 
 #[test]
 fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
-    let served = serve(Config::default(), None);
+    let served = serve(Config::default(), lines());
     let address = served.gcl_address().unwrap();
     let mut first = Client::new(address);
     let mut watcher = Client::new(address);
@@ -97,9 +85,8 @@ fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
 
 #[test]
 fn datagrams_are_answered_to_their_source_port() {
-    let served = serve(Config::default(), None);
-    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    socket.set_read_timeout(Some(BOUND)).unwrap();
+    let served = serve(Config::default(), lines());
+    let socket = udp_socket();
     let mut buffer = [0; 1_024];
     // With and without a line end.
     for line in ["devtype?\r\n", "devtype?"] {
@@ -112,14 +99,9 @@ fn datagrams_are_answered_to_their_source_port() {
 
 #[test]
 fn datagram_from_another_peer_ends_the_updates_of_the_previous_one() {
-    let lines = Lines { gcl_udp: any_port(), ..Lines::default() };
-    let served = ServerThread::start(Config::default(), &lines, None).expect("the server starts");
+    let served = serve(Config::default(), lines());
     let gripper = served.gcl_udp_address().unwrap();
-    let [before, behind] = [(); 2].map(|()| {
-        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        socket.set_read_timeout(Some(BOUND)).unwrap();
-        socket
-    });
+    let [before, behind] = [udp_socket(), udp_socket()];
     let mut buffer = [0; 512];
     uninterrupted::send_to(&before, b"AUTOSEND(\"FORCE\",10)", gripper).unwrap();
     // The acknowledgement and some updates.
@@ -136,16 +118,13 @@ fn datagram_from_another_peer_ends_the_updates_of_the_previous_one() {
 
 #[test]
 fn log_shows_lines_as_they_are() {
-    let path = std::env::temp_dir().join(format!("wsg-sim-gcl-{}.log", std::process::id()));
-    let served = serve(Config::default(), Some(Log::to_file(&path).unwrap()));
-    let mut client = Client::new(served.gcl_address().unwrap());
+    let logged = Logged::new("gcl", Config::default(), &lines());
+    let mut client = Client::new(logged.served.gcl_address().unwrap());
     client.ask("pos?");
     client.ask("d\u{fc}nn");
     client.ask("bye()");
     drop(client);
-    served.stop().unwrap();
-    let log = std::fs::read_to_string(&path).unwrap();
-    std::fs::remove_file(&path).unwrap();
+    let log = logged.stop();
     for line in ["-> pos?", "<- POS=0.0", "-> d\\xc3\\xbcnn", "<- ERR D 14", "<- ACK BYE"] {
         assert!(log.contains(line), "{line} in {log}");
     }
@@ -153,7 +132,7 @@ fn log_shows_lines_as_they_are() {
 
 #[test]
 fn peer_that_echoes_answers_is_not_answered_forever() {
-    let served = serve(Config::default(), None);
+    let served = serve(Config::default(), lines());
     let gripper = served.gcl_udp_address().unwrap();
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
     peer.set_read_timeout(Some(Duration::from_millis(500))).unwrap();
@@ -173,17 +152,4 @@ fn peer_that_echoes_answers_is_not_answered_forever() {
     let mut buffer = [0; 1_024];
     let (len, _) = uninterrupted::recv_from(&peer, &mut buffer).expect("a query is answered");
     assert_eq!(&buffer[..len], b"SN=1\n");
-}
-
-#[test]
-fn program_serves_the_text_protocol_and_says_where() {
-    let arguments = ["--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0", "--time-scale", "0.5"];
-    let mut program = Program::start(&arguments);
-    assert_eq!(program.line(), "model wsg50-110");
-    let address = program.place_of("gcl").parse().unwrap();
-    program.place_of("gcl-udp").parse::<SocketAddr>().unwrap();
-    // The commands of chapter 1.4 of the manual.
-    let mut client = Client::new(address);
-    assert_eq!(client.run("HOME()\r"), "FIN HOME");
-    assert_eq!(client.ask("BYE()\r"), "ACK BYE");
 }

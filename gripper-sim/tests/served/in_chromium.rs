@@ -5,15 +5,12 @@ mod functions;
 mod look;
 
 use crate::common::program::Program;
+use crate::rig::{BOUND, connect};
 use browser::Tab;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::thread;
-use std::time::Duration;
-
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
 
 /// Distance of the fingers on the screen, in mm of the drawing.
 const OPENING: &str = "(() => {
@@ -56,8 +53,7 @@ impl Gripper {
 
     /// Sends Acknowledge (24h) from a client, which stays connected.
     fn acknowledge(&self) -> TcpStream {
-        let mut client = TcpStream::connect(&self.tcp).unwrap();
-        client.set_read_timeout(Some(BOUND)).unwrap();
+        let mut client = connect(&self.tcp);
         client.write_all(&[0xAA, 0xAA, 0xAA, 0x24, 0x03, 0x00, 0x61, 0x63, 0x6B, 0xDC, 0xB9]).unwrap();
         client.read_exact(&mut [0; 10]).expect("an answer in time");
         client
@@ -409,8 +405,7 @@ fn fieldbus_monitor_shows_every_bit_of_both_images() {
         )
     };
     let bytes = |image: &str| format!("document.getElementById('{image}').textContent.split(' ')");
-    let mut master = TcpStream::connect(&gripper.modbus).unwrap();
-    master.set_read_timeout(Some(BOUND)).unwrap();
+    let mut master = connect(&gripper.modbus);
     // Write Multiple Registers (FC 16) with the output image: 22 mm, 50 mm/s, 40 N.
     let mut write = |flags: u8| {
         let image = [flags, 0xA5, 0x08, 0x98, 0x13, 0x88, 0x0F, 0xA0];
@@ -525,8 +520,7 @@ fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
     let gripper = Gripper::new(&[]);
     let address = gripper.page.trim_start_matches("http://");
     let watch = |_| {
-        let mut stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
+        let mut stream = connect(address);
         stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
         // Wait for the answers, so that later requests do not displace the pages.
         stream.read_exact(&mut [0; 15]).expect("an answer in time");

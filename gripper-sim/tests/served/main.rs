@@ -15,6 +15,7 @@ mod modbus;
 #[cfg(unix)]
 mod profibus;
 mod python;
+mod rig;
 #[cfg(feature = "script")]
 mod scripts;
 #[cfg(feature = "script")]

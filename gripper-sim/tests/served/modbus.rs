@@ -2,30 +2,22 @@
 //!
 //! The expected behaviour is that of the MODBUS application protocol specification and the messaging implementation guide.
 
-use crate::common::parse;
 use crate::common::program::Program;
+use crate::rig::{BOUND, Client, Logged, QUICK, any_port, connect};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpStream};
-use std::time::{Duration, Instant};
-use wsg_protocol::{Command, FrameEncoder};
-use wsg_sim::server::{Lines, Log, ServerThread};
+use std::net::{TcpStream, ToSocketAddrs};
+use std::time::Instant;
+use wsg_protocol::{Command, Status};
+use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
-
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
 
 const GSTATE: [u8; 5] = [4, 0, 0, 0, 1];
 const IDLE: u8 = 0x01;
 const HOLDING: u8 = 0x10;
 
-fn any_port() -> Option<SocketAddr> {
-    "127.0.0.1:0".parse().ok()
-}
-
 fn serve(lines: Lines) -> ServerThread {
-    // Motions take negligible time.
-    let config = Config { time_scale: 100.0, part: Part::of_width(20.0), ..Config::default() };
-    ServerThread::start(config, &Lines { modbus: any_port(), ..lines }, None).expect("the server starts")
+    let config = Config { time_scale: QUICK, part: Part::of_width(20.0), ..Config::default() };
+    crate::rig::serve(config, Lines { modbus: any_port(), ..lines })
 }
 
 fn frame(transaction: u16, unit: u8, pdu: &[u8]) -> Vec<u8> {
@@ -39,12 +31,8 @@ pub(crate) struct Master {
 }
 
 impl Master {
-    fn new(address: SocketAddr) -> Self {
-        let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        stream.set_write_timeout(Some(BOUND)).unwrap();
-        stream.set_nodelay(true).unwrap();
-        Self { stream, transaction: 0 }
+    fn new(address: impl ToSocketAddrs) -> Self {
+        Self { stream: connect(address), transaction: 0 }
     }
 
     pub(crate) fn of(served: &ServerThread) -> Self {
@@ -273,11 +261,7 @@ fn idle_connections_give_way_to_new_ones_of_any_kind() {
     }
     let mut newcomer = Master::of(&served);
     assert_eq!(newcomer.gstate(), IDLE);
-    let mut binary = TcpStream::connect_timeout(&served.tcp_address().unwrap(), BOUND).unwrap();
-    binary.set_read_timeout(Some(BOUND)).unwrap();
-    let stop = Command::Stop;
-    binary.write_all(&FrameEncoder::new(stop.id().code(), stop).collect::<Vec<u8>>()).unwrap();
-    binary.read_exact(&mut [0; 10]).expect("an answer in time");
+    assert_eq!(Client::of(&served).ask(Command::Stop), Status::Success);
     for master in &mut masters[1..3] {
         assert!(master.rest().is_empty());
     }
@@ -288,45 +272,11 @@ fn idle_connections_give_way_to_new_ones_of_any_kind() {
 }
 
 #[test]
-fn random_bytes_leave_it_answering() {
-    let served = serve(Lines::default());
-    let mut random = 0x2545_F491_4F6C_DD1D_u64;
-    let mut next = move || {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        random
-    };
-    for round in 0..300 {
-        let mut master = Master::of(&served);
-        let mut bytes: Vec<u8> = (0..next() % 600).map(|_| next() as u8).collect();
-        // Two in three begin with a plausible header.
-        if round % 3 > 0 && bytes.len() > 8 {
-            bytes[2..5].fill(0);
-            bytes[7] = next() as u8 % 3;
-        }
-        // The gripper may close the connection at any time.
-        let _ = master.stream.write_all(&bytes);
-        let _ = master.stream.shutdown(std::net::Shutdown::Write);
-        match master.stream.read_to_end(&mut vec![]) {
-            Ok(_) => {}
-            Err(error) => assert_eq!(error.kind(), ErrorKind::ConnectionReset, "round {round}"),
-        }
-    }
-    assert_eq!(Master::of(&served).ask(&GSTATE), [4, 2, IDLE, 0]);
-}
-
-#[test]
 fn binary_text_and_modbus_clients_see_one_gripper() {
     let served = serve(Lines { tcp: any_port(), gcl: any_port(), ..Lines::default() });
     let mut master = Master::of(&served);
     let mut watcher = Master::of(&served);
-    let connect = |address: SocketAddr| {
-        let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        stream
-    };
-    let mut binary = connect(served.tcp_address().unwrap());
+    let mut binary = Client::of(&served);
     let mut text = connect(served.gcl_address().unwrap());
     let mut lines = BufReader::new(text.try_clone().unwrap()).lines().map(Result::unwrap);
     let mut says = |line: &str| {
@@ -334,10 +284,8 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
         lines.next().unwrap()
     };
     let mut answers = |command: Command<'_>| {
-        binary.write_all(&FrameEncoder::new(command.id().code(), command).collect::<Vec<u8>>()).unwrap();
-        let mut buffer = [0; 256];
-        let len = uninterrupted::read(&binary, &mut buffer).unwrap();
-        parse(&buffer[..len]).remove(0).1
+        binary.send(command);
+        binary.recv().1
     };
     const STATE: Command<'static> = Command::GetGripperState { update: wsg_protocol::AutoUpdate::once() };
 
@@ -371,10 +319,9 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
 
 #[test]
 fn log_shows_frames_with_their_function_and_exception() {
-    let path = std::env::temp_dir().join(format!("wsg-sim-modbus-{}.log", std::process::id()));
     let lines = Lines { modbus: any_port(), ..Lines::default() };
-    let served = ServerThread::start(Config::default(), &lines, Some(Log::to_file(&path).unwrap())).unwrap();
-    let mut master = Master::of(&served);
+    let logged = Logged::new("modbus", Config::default(), &lines);
+    let mut master = Master::of(&logged.served);
     master.ask(&[3, 0, 0, 0, 1]);
     master.ask(&[3, 0, 4, 0, 1]);
     let mut wrong = frame(3, 1, &[7]);
@@ -383,9 +330,7 @@ fn log_shows_frames_with_their_function_and_exception() {
     wrong[2..6].fill(0);
     master.send(&wrong);
     master.rest();
-    served.stop().unwrap();
-    let log = std::fs::read_to_string(&path).unwrap();
-    std::fs::remove_file(&path).unwrap();
+    let log = logged.stop();
     let lines: Vec<&str> = log.lines().collect();
     assert_eq!(lines.len(), 6, "{log}");
     for (line, end) in lines.iter().zip([
@@ -405,7 +350,7 @@ fn program_serves_modbus_and_says_where() {
     let arguments = ["--modbus", "127.0.0.1:0", "--modbus-swap-bytes", "--time-scale", "100"];
     let mut program = Program::start(&arguments);
     assert_eq!(program.line(), "model wsg50-110");
-    let mut master = Master::new(program.place_of("modbus").parse().unwrap());
+    let mut master = Master::new(program.place_of("modbus"));
     master.ask(&[6, 0, 0, 0, 0]);
     master.ask(&[6, 0, 0, 0x08, 0]);
     let start = Instant::now();
@@ -419,9 +364,9 @@ fn program_serves_modbus_and_says_where() {
 #[cfg(feature = "script")]
 #[test]
 fn user_flags_reach_a_script_and_come_from_it() {
-    use crate::scripts::{MIRRORS_USER_FLAGS, script_file};
-    let (_file, path) = script_file("modbus-flags", MIRRORS_USER_FLAGS);
-    let served = serve(Lines { script: Some(path), ..Lines::default() });
+    use crate::scripts::{MIRRORS_USER_FLAGS, script};
+    let script = script("modbus-flags", MIRRORS_USER_FLAGS);
+    let served = serve(Lines { script: Some(script.0.clone()), ..Lines::default() });
     let mut master = Master::of(&served);
     // IF1 is coil 8, OF1 input 8.
     for (inputs, outputs) in [(0b0000_0001, 0b0100_0000), (0b1000_0110, 0b1011_0000), (0, 0)] {

@@ -1,29 +1,24 @@
 //! The gripper as a PROFIBUS slave on a pseudo terminal, with the `profirust` master. Every wait is bounded.
 
+use crate::control::request;
+use crate::rig::{BOUND, QUICK, any_port, open_adapter, open_terminal, serve};
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::ProfibusPhy;
 use profirust::time::Instant;
 use profirust::{Address, Baudrate};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::fs::{Mode, OFlags};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use serde_json::Value;
 use std::fs::File;
-use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::io::Write;
 use std::path::Path;
-use std::time::{Duration, Instant as RealInstant};
+use std::time::Instant as RealInstant;
 use wsg_fieldbus::profibus::PROFILE;
 use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::server::{Lines, SerialLine, ServerThread};
 use wsg_sim::{Config, Part};
 
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
-/// Time scale at which motions take negligible time.
-const QUICK: f32 = 100.0;
 const STATION: Address = 7;
 
 /// A terminal used as the master's line.
@@ -33,14 +28,6 @@ struct Terminal {
 }
 
 impl Terminal {
-    fn open(path: &Path) -> Self {
-        let line = rustix::fs::open(path, OFlags::RDWR | OFlags::NOCTTY, Mode::empty()).unwrap();
-        let mut settings = tcgetattr(&line).unwrap();
-        settings.make_raw();
-        tcsetattr(&line, OptionalActions::Now, &settings).unwrap();
-        Self { line: line.into(), received: vec![] }
-    }
-
     /// Reads the available bytes, or waits for bytes for up to a millisecond.
     fn listen(&mut self) {
         let wait = Timespec { tv_sec: 0, tv_nsec: 1_000_000 };
@@ -104,7 +91,7 @@ impl Plc {
         fdl.set_online();
         let image =
             OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
-        Self { line: Terminal::open(path), fdl, master, gripper, image }
+        Self { line: Terminal { line: open_terminal(path), received: vec![] }, fdl, master, gripper, image }
     }
 
     /// Exchanges outputs with these flags until `is_done` returns `true` for the inputs.
@@ -130,9 +117,8 @@ impl Plc {
 #[test]
 fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     let config = Config { time_scale: QUICK, part: Part::of_width(20.0), ..Config::default() };
-    let control = "127.0.0.1:0".parse().ok();
-    let lines = Lines { profibus: Some(SerialLine::Pty), control, ..Lines::default() };
-    let server = ServerThread::start(config, &lines, None).expect("the server starts");
+    let lines = Lines { profibus: Some(SerialLine::Pty), control: any_port(), ..Lines::default() };
+    let server = serve(config, lines);
     let mut plc = Plc::new(server.profibus_path().expect("PROFIBUS is served"));
 
     let shows = |state| move |input: &InputImage| (input.state, input.status) == (state, Status::Success);
@@ -160,16 +146,10 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
 /// Fieldbus manual, 7: the monitor shows the bit rate of a line that has one.
 #[test]
 fn monitor_shows_address_and_bit_rate_of_a_device_but_no_rate_of_a_pseudo_terminal() {
-    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-
-    let adapter = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&adapter).unwrap();
-    unlockpt(&adapter).unwrap();
-    let path = ptsname(&adapter, Vec::new()).unwrap().into_string().unwrap();
-    for (line, rate) in [(SerialLine::Device(path.into()), "115200 bit/s"), (SerialLine::Pty, "")] {
-        let lines = Lines { profibus: Some(line), control: "127.0.0.1:0".parse().ok(), ..Lines::default() };
-        let config = Config { profibus_address: STATION, ..Config::default() };
-        let server = ServerThread::start(config, &lines, None).expect("the server starts");
+    let (_adapter, path) = open_adapter();
+    for (line, rate) in [(SerialLine::Device(path), "115200 bit/s"), (SerialLine::Pty, "")] {
+        let lines = Lines { profibus: Some(line), control: any_port(), ..Lines::default() };
+        let server = serve(Config { profibus_address: STATION, ..Config::default() }, lines);
         let bus = &fieldbus(&server)["buses"][0];
         assert_eq!((&bus["address"], &bus["rate"]), (&Value::from("7"), &Value::from(rate)));
     }
@@ -178,24 +158,17 @@ fn monitor_shows_address_and_bit_rate_of_a_device_but_no_rate_of_a_pseudo_termin
 /// Returns the fieldbus part of the control interface's state.
 fn fieldbus(server: &ServerThread) -> Value {
     let control = server.control_address().expect("the control interface is served");
-    let mut stream = TcpStream::connect(control).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).expect("an answer in time");
-    let (_, body) = answer.split_once("\r\n\r\n").expect("an answer with a head");
-    let mut state: Value = serde_json::from_str(body).expect("every answer is JSON");
-    state["fieldbus"].take()
+    request(control, "GET", "/state", "").1["fieldbus"].take()
 }
 
 /// Fieldbus manual, 5.1.1: the user flags.
 #[cfg(feature = "script")]
 #[test]
 fn user_flags_reach_a_script_and_come_from_it_over_profibus() {
-    use crate::scripts::{MIRRORS_USER_FLAGS, script_file};
-    let (_file, path) = script_file("profibus-flags", MIRRORS_USER_FLAGS);
-    let lines = Lines { profibus: Some(SerialLine::Pty), script: Some(path), ..Lines::default() };
-    let server = ServerThread::start(Config::default(), &lines, None).expect("the server starts");
+    use crate::scripts::{MIRRORS_USER_FLAGS, script};
+    let script = script("profibus-flags", MIRRORS_USER_FLAGS);
+    let lines = Lines { profibus: Some(SerialLine::Pty), script: Some(script.0.clone()), ..Lines::default() };
+    let server = serve(Config::default(), lines);
     let mut plc = Plc::new(server.profibus_path().expect("PROFIBUS is served"));
     for (inputs, outputs) in [(0b0000_0001, 0b0100_0000), (0b1000_0110, 0b1011_0000), (0, 0)] {
         plc.image.user = inputs;

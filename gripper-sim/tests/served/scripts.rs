@@ -1,36 +1,18 @@
 //! Lua scripts on the gripper. Every wait is bounded by a socket time-out.
 
-use crate::common::parse;
 use crate::common::program::Program;
+use crate::rig::{BOUND, Client, File, HOMING, Logged, QUICK, connect, serve, tcp_lines};
 use std::io::{Read, Write};
-use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command as Process;
-use std::time::{Duration, Instant};
-use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, Status, SystemFlags};
-use wsg_sim::server::{Lines, Log, ServerThread};
-use wsg_sim::{Config, MAX_FRAME_LEN, Part};
+use std::time::Instant;
+use wsg_protocol::{FrameEncoder, Status, SystemFlags};
+use wsg_sim::server::Lines;
+use wsg_sim::{Config, Part};
 
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
-/// Time scale at which homing takes negligible time.
-const QUICK: f32 = 100.0;
-
-/// A script in a file, which is deleted on drop.
-struct File(PathBuf);
-
-impl File {
-    fn new(name: &str, source: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("wsg-sim-{}-{name}.lua", std::process::id()));
-        std::fs::write(&path, source).unwrap();
-        Self(path)
-    }
-}
-
-impl Drop for File {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
+/// Creates a script file, which is deleted on drop.
+pub(super) fn script(name: &str, source: &str) -> File {
+    File::new(&format!("{name}.lua"), source)
 }
 
 fn remote() -> PathBuf {
@@ -38,29 +20,10 @@ fn remote() -> PathBuf {
 }
 
 fn lines(script: &Path) -> Lines {
-    Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), script: Some(script.to_owned()), ..Lines::default() }
+    Lines { script: Some(script.to_owned()), ..tcp_lines() }
 }
 
-struct Client<S>(S, Vec<u8>);
-
 impl<S: Read + Write> Client<S> {
-    /// Returns the id and payload of the next frame.
-    fn recv(&mut self) -> (u8, Vec<u8>) {
-        loop {
-            if let Some(size) = self.1.get(4..6) {
-                let len = 8 + usize::from(u16::from_le_bytes(size.try_into().unwrap()));
-                if self.1.len() >= len {
-                    let frame: Vec<u8> = self.1.drain(..len).collect();
-                    return parse(&frame).pop().expect("an intact frame");
-                }
-            }
-            let mut chunk = [0; MAX_FRAME_LEN];
-            let len = uninterrupted::read(&mut self.0, &mut chunk).expect("an answer in time");
-            assert_ne!(len, 0, "the line closed");
-            self.1.extend_from_slice(&chunk[..len]);
-        }
-    }
-
     fn call(&mut self, id: u8, payload: &[u8]) -> (Status, Vec<u8>) {
         let frame: Vec<u8> = FrameEncoder::new(id, payload).collect();
         self.0.write_all(&frame).unwrap();
@@ -69,24 +32,8 @@ impl<S: Read + Write> Client<S> {
         (Status::from_code(u16::from_le_bytes([payload[0], payload[1]])), payload[2..].to_vec())
     }
 
-    fn run(&mut self, command: Command<'_>) {
-        let frame: Vec<u8> = FrameEncoder::new(command.id().code(), command).collect();
-        self.0.write_all(&frame).unwrap();
-        assert_eq!(self.recv().1[..2], [26, 0], "pending");
-        assert_eq!(self.recv().1[..2], [0, 0], "done");
-    }
-
     fn home(&mut self) {
-        self.run(Command::Homing { direction: HomingDirection::Positive });
-    }
-
-    fn flags(&mut self) -> SystemFlags {
-        let frame: Vec<u8> =
-            FrameEncoder::new(0x40, Command::GetSystemState { update: AutoUpdate::once() }).collect();
-        self.0.write_all(&frame).unwrap();
-        let (id, payload) = self.recv();
-        assert_eq!(id, 0x40);
-        SystemFlags::from_bits_retain(u32::from_le_bytes(payload[2..6].try_into().unwrap()))
+        assert_eq!(self.run(HOMING), Status::Success);
     }
 
     /// Repeats a call until the script has claimed the command.
@@ -108,13 +55,6 @@ impl<S: Read + Write> Client<S> {
     }
 }
 
-fn connect(served: &ServerThread) -> Client<TcpStream> {
-    let stream = TcpStream::connect_timeout(&served.tcp_address().expect("TCP is served"), BOUND).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    stream.set_nodelay(true).unwrap();
-    Client(stream, Vec::new())
-}
-
 /// Decodes width, speed and force from an answer of `remote.lua`.
 fn measured(values: &[u8]) -> [f32; 3] {
     assert_eq!(values.len(), 1 + 4 * 4, "a state byte and four numbers");
@@ -129,11 +69,9 @@ fn floats(flag: u8, numbers: &[f32]) -> Vec<u8> {
 
 #[test]
 fn script_measures_moves_and_controls_position_and_force_over_tcp() {
-    let part = Part::of_width(20.0);
-    let config = Config { part, ..Config::default() };
-    let served =
-        ServerThread::start(Config { time_scale: QUICK, ..config }, &lines(&remote()), None).unwrap();
-    let mut client = connect(&served);
+    let config = Config { part: Part::of_width(20.0), time_scale: QUICK, ..Config::default() };
+    let served = serve(config, lines(&remote()));
+    let mut client = Client::of(&served);
     client.home();
     let (status, values) = client.call_when_claimed(0xB0, &[]);
     assert_eq!(status, Status::Success);
@@ -157,11 +95,9 @@ fn script_measures_moves_and_controls_position_and_force_over_tcp() {
 #[test]
 fn flags_tell_that_a_script_runs_and_that_it_failed_and_why_is_in_the_log() {
     let script =
-        File::new("fails", "cmd.register(0xB0)\ncmd.send(cmd.read(), etob(0))\nlocal t = nil\nt.x = 1\n");
-    let log = std::env::temp_dir().join(format!("wsg-sim-{}-script-log", std::process::id()));
-    let served =
-        ServerThread::start(Config::default(), &lines(&script.0), Some(Log::to_file(&log).unwrap())).unwrap();
-    let mut client = connect(&served);
+        script("fails", "cmd.register(0xB0)\ncmd.send(cmd.read(), etob(0))\nlocal t = nil\nt.x = 1\n");
+    let logged = Logged::new("script", Config::default(), &lines(&script.0));
+    let mut client = Client::of(&logged.served);
     client.until(|client| client.flags().contains(SystemFlags::SCRIPT_RUNNING).then_some(()));
     assert_eq!(client.call_when_claimed(0xB0, &[]).0, Status::Success);
     client.until(|client| {
@@ -171,9 +107,7 @@ fn flags_tell_that_a_script_runs_and_that_it_failed_and_why_is_in_the_log() {
         is_over.then_some(())
     });
     assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "the commands of the script are unknown again");
-    served.stop().unwrap();
-    let text = std::fs::read_to_string(&log).unwrap();
-    let _ = std::fs::remove_file(&log);
+    let text = logged.stop();
     assert!(text.contains("failed") && text.contains("fails.lua:4:"), "{text}");
 }
 
@@ -187,11 +121,9 @@ fn script_that_loops_forever_or_exhausts_memory_harms_no_client() {
         ("hogs-at-once", "local t = string.rep('x', 2 ^ 30)", true),
         ("loops-in-a-coroutine", "coroutine.wrap(function() while true do end end)()", false),
     ] {
-        let script = File::new(name, source);
-        let served =
-            ServerThread::start(Config { time_scale: QUICK, ..Config::default() }, &lines(&script.0), None)
-                .unwrap();
-        let mut client = connect(&served);
+        let script = script(name, source);
+        let served = serve(Config { time_scale: QUICK, ..Config::default() }, lines(&script.0));
+        let mut client = Client::of(&served);
         client.home();
         if fails {
             client.until(|client| client.flags().contains(SystemFlags::SCRIPT_FAILURE).then_some(()));
@@ -204,20 +136,12 @@ fn script_that_loops_forever_or_exhausts_memory_harms_no_client() {
 
 #[test]
 fn script_that_claims_a_command_of_the_manual_receives_an_error() {
-    let script = File::new("claims", "cmd.register(0x20)");
-    let log = std::env::temp_dir().join(format!("wsg-sim-{}-claims-log", std::process::id()));
-    let served = ServerThread::start(
-        Config { time_scale: QUICK, ..Config::default() },
-        &lines(&script.0),
-        Some(Log::to_file(&log).unwrap()),
-    )
-    .unwrap();
-    let mut client = connect(&served);
+    let script = script("claims", "cmd.register(0x20)");
+    let logged = Logged::new("claims", Config { time_scale: QUICK, ..Config::default() }, &lines(&script.0));
+    let mut client = Client::of(&logged.served);
     client.until(|client| client.flags().contains(SystemFlags::SCRIPT_FAILURE).then_some(()));
     client.home();
-    served.stop().unwrap();
-    let text = std::fs::read_to_string(&log).unwrap();
-    let _ = std::fs::remove_file(&log);
+    let text = logged.stop();
     assert!(text.contains("20h is not an id for scripts; expected A0h to BFh"), "{text}");
 }
 
@@ -225,22 +149,9 @@ fn script_that_claims_a_command_of_the_manual_receives_an_error() {
 fn calls_that_are_not_there_and_motions_that_are_refused_are_named_once() {
     let source =
         "for _ = 1, 3 do\n  local there = mc.grip\n  mc.move(50, 100)\nend\nprint('end', 7)\nsleep(1e9)";
-    let script = File::new("misses", source);
-    let log = std::env::temp_dir().join(format!("wsg-sim-{}-misses-log", std::process::id()));
-    let served =
-        ServerThread::start(Config::default(), &lines(&script.0), Some(Log::to_file(&log).unwrap())).unwrap();
-    let start = Instant::now();
-    let text = loop {
-        let text = std::fs::read_to_string(&log).unwrap();
-        if text.contains("end\t7") {
-            break text;
-        }
-        assert!(start.elapsed() < BOUND, "{text}");
-    };
+    let text = log_of("misses", Config::default(), &script("misses", source).0, "end\t7");
     assert_eq!(text.matches("line 2: mc.grip does not exist").count(), 1, "{text}");
     assert_eq!(text.matches("line 3: mc.move: E_NOT_INITIALIZED").count(), 1, "{text}");
-    served.stop().unwrap();
-    let _ = std::fs::remove_file(&log);
 }
 
 #[test]
@@ -260,10 +171,10 @@ fn values_cross_as_the_calls_say() {
               finger.data(0) == nil and 1 or 0, math.nan ~= math.nan and 1 or 0, cmd.online() and 1 or 0)
           else cmd.send(id, etob(E_SUCCESS), payload) end
         end"#;
-    let script = File::new("values", source);
+    let script = script("values", source);
     let config = Config { fingers: [wsg_sim::Finger::None, wsg_sim::Finger::Fmf], ..Config::default() };
-    let served = ServerThread::start(config, &lines(&script.0), None).unwrap();
-    let mut client = connect(&served);
+    let served = serve(config, lines(&script.0));
+    let mut client = Client::of(&served);
     let (status, values) = client.call_when_claimed(0xBF, &[1]);
     assert_eq!(status, Status::RangeError);
     assert_eq!(values, [&(-10.0f32).to_le_bytes()[..], &[1, 2, 3, 4]].concat());
@@ -286,9 +197,8 @@ fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
     let script = remote();
     let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--script", script.to_str().unwrap()]);
     program.place_of("model");
-    let stream = TcpStream::connect(program.place_of("tcp")).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    assert_eq!(Client(stream, Vec::new()).call_when_claimed(0xB0, &[]).0, Status::Success);
+    let mut client = Client(connect(program.place_of("tcp")));
+    assert_eq!(client.call_when_claimed(0xB0, &[]).0, Status::Success);
 
     let output =
         Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(["--script", "/nowhere.lua"]).output().unwrap();
@@ -300,8 +210,8 @@ fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
 #[test]
 fn example_answers_every_request_and_continues() {
     let config = Config { part: Part::of_width(20.0), time_scale: QUICK, ..Config::default() };
-    let served = ServerThread::start(config, &lines(&remote()), None).unwrap();
-    let mut client = connect(&served);
+    let served = serve(config, lines(&remote()));
+    let mut client = Client::of(&served);
     client.home();
     client.call_when_claimed(0xB0, &[]);
     let mut runner = proptest::test_runner::TestRunner::new(proptest::test_runner::Config {
@@ -334,25 +244,14 @@ fn example_answers_every_request_and_continues() {
 
 /// Runs a script until its log has a line that ends with `last`; returns the log.
 fn log_of(name: &str, config: Config, script: &Path, last: &str) -> String {
-    let log = std::env::temp_dir().join(format!("wsg-sim-{}-{name}-log", std::process::id()));
-    let served = ServerThread::start(config, &lines(script), Some(Log::to_file(&log).unwrap())).unwrap();
-    let start = Instant::now();
-    let text = loop {
-        let text = std::fs::read_to_string(&log).unwrap();
-        if text.lines().any(|line| line.ends_with(last)) {
-            break text;
-        }
-        assert!(start.elapsed() < BOUND, "{name}: {text}");
-        std::thread::yield_now();
-    };
-    served.stop().unwrap();
-    let _ = std::fs::remove_file(&log);
-    text
+    let logged = Logged::new(name, config, &lines(script));
+    logged.until(|text| text.lines().any(|line| line.ends_with(last)).then_some(()));
+    logged.stop()
 }
 
 /// Returns the log of a script that prints `end` last.
 fn printed(name: &str, source: &str) -> String {
-    log_of(name, Config { time_scale: QUICK, ..Config::default() }, &File::new(name, source).0, " script end")
+    log_of(name, Config { time_scale: QUICK, ..Config::default() }, &script(name, source).0, " script end")
 }
 
 #[test]
@@ -447,7 +346,7 @@ fn script_is_text_and_has_no_way_to_bytecode() {
     assert_eq!(log.matches(" nil\ta script is text; expected no bytecode\n").count(), 2, "{log}");
     assert!(log.contains(" script 2\n"), "{log}");
 
-    let bytecode = File::new("bytecode", "\u{1b}LuaQ");
+    let bytecode = script("bytecode", "\u{1b}LuaQ");
     let log = log_of("bytecode", Config::default(), &bytecode.0, ")");
     assert!(log.contains("failed: ") && log.contains("binary"), "{log}");
 }
@@ -474,13 +373,13 @@ fn script_that_prints_without_end_fills_no_disk() {
 #[test]
 fn module_beside_the_script_is_loaded_once_and_nothing_else_is() {
     let module = format!("wsg-sim-{}-module", std::process::id());
-    let _module = File::new(
+    let _module = script(
         "module",
         "local NAME = ...\nlocal M = {}\nfunction M.name() return NAME end\nloads = (loads or 0) + 1\nreturn M",
     );
-    let _wrong = File::new("wrong", "local a = = 1");
-    let _raising = File::new("raising", "error('own')");
-    let _circular = File::new("circular", &format!("require '{}'", module.replace("module", "circular")));
+    let _wrong = script("wrong", "local a = = 1");
+    let _raising = script("raising", "error('own')");
+    let _circular = script("circular", &format!("require '{}'", module.replace("module", "circular")));
     let source = r#"
         local M = require "MODULE"
         print(M.name(), M == require "MODULE", loads, require "socket" == socket)
@@ -530,24 +429,19 @@ fn calls_that_public_scripts_make_are_there() {
         cmd.unregister(0xB0)
         print("end")
         cmd.read()"#;
-    let script = File::new("public", source);
-    let log = std::env::temp_dir().join(format!("wsg-sim-{}-public-log", std::process::id()));
+    let script = script("public", source);
     let config = Config { fingers: [wsg_sim::Finger::Generic, wsg_sim::Finger::Fmf], ..Config::default() };
-    let served = ServerThread::start(config, &lines(&script.0), Some(Log::to_file(&log).unwrap())).unwrap();
-    let mut client = connect(&served);
+    let logged = Logged::new("public", config, &lines(&script.0));
+    let mut client = Client::of(&logged.served);
     let answer = client.call_when_claimed(0xB0, &[]);
     assert_eq!(
         (answer.0.code(), answer.1),
         (0x0001, b"ab\x01c\x02".to_vec()),
         "true and false as bytes 1 and 0"
     );
-    let text = client.until(|_| {
-        let text = std::fs::read_to_string(&log).unwrap();
-        text.contains(" script end\n").then_some(text)
-    });
+    logged.until(|text| text.contains(" script end\n").then_some(()));
     assert_eq!(client.call(0xB0, &[]).0, Status::CmdUnknown, "the command was released");
-    served.stop().unwrap();
-    let _ = std::fs::remove_file(&log);
+    let text = logged.stop();
     for line in [
         "pid\t1\t0\t0",
         "pid\t0.1\t2\t3",
@@ -584,7 +478,7 @@ fn grasping_waits_for_the_end_of_its_motions() {
         print("refused", grasping.move(500, 100))
         print("end")"#;
     let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
-    let log = log_of("grasping", config, &File::new("grasping", source).0, " script end");
+    let log = log_of("grasping", config, &script("grasping", source).0, " script end");
     for line in [
         "open\t0\t60\t0",
         "grasped\t0\t30\t4",
@@ -601,29 +495,6 @@ fn grasping_waits_for_the_end_of_its_motions() {
     }
 }
 
-/// The control loop of public force controllers, which repeats a speed against a part (command set, appendix B, D2 and D3).
-#[test]
-fn speed_that_a_script_repeats_against_a_part_leaves_the_fingers_blocked_and_not_busy() {
-    let source = r#"
-        while mc.busy() do sleep(1) end
-        mc.homing(1)
-        while mc.busy() do sleep(1) end
-        mc.speed(-400)
-        while not mc.blocked() do sleep(1) end
-        local blocked, busy = 0, 0
-        for _ = 1, 60 do
-          mc.speed(-50)
-          if mc.blocked() then blocked = blocked + 1 end
-          if mc.busy() then busy = busy + 1 end
-          sleep(2)
-        end
-        print("cycles", blocked, busy)
-        print("end")"#;
-    let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
-    let log = log_of("blocked", config, &File::new("blocked", source).0, " script end");
-    assert!(log.contains(" script cycles\t60\t0\n"), "{log}");
-}
-
 /// A script that mirrors each user flag of the PLC to the flag on the opposite side, and sets OF8 by its number.
 pub(super) const MIRRORS_USER_FLAGS: &str = "
     while true do
@@ -634,19 +505,15 @@ pub(super) const MIRRORS_USER_FLAGS: &str = "
       sleep(1)
     end";
 
-/// Creates a script file, which is deleted on drop.
-pub(super) fn script_file(name: &str, source: &str) -> (impl Sized, PathBuf) {
-    let file = File::new(name, source);
-    let path = file.0.clone();
-    (file, path)
-}
-
 /// A Unix socket used as a serial line.
 #[cfg(unix)]
 mod unix {
     use super::*;
+    use crate::common::parse;
+    use crate::rig::{any_port, scratch};
     use std::net::UdpSocket;
     use std::os::unix::net::UnixStream;
+    use wsg_sim::MAX_FRAME_LEN;
     use wsg_sim::server::{SerialLine, UdpLine};
 
     #[test]
@@ -654,16 +521,16 @@ mod unix {
         let [answers, asks] = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
         answers.set_read_timeout(Some(BOUND)).unwrap();
         let remote_port = answers.local_addr().unwrap().port();
-        let path = std::env::temp_dir().join(format!("wsg-sim-{}-script-serial", std::process::id()));
+        let path = scratch("script-serial");
         let lines = Lines {
-            udp: Some(UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port }),
+            udp: any_port().map(|address| UdpLine { address, remote_port }),
             serial: Some(SerialLine::Unix(path.clone())),
             ..lines(&remote())
         };
-        let served = ServerThread::start(Config::default(), &lines, None).unwrap();
+        let served = serve(Config::default(), lines);
         let stream = UnixStream::connect(&path).unwrap();
         stream.set_read_timeout(Some(BOUND)).unwrap();
-        let mut serial = Client(stream, Vec::new());
+        let mut serial = Client(stream);
         assert_eq!(serial.call_when_claimed(0xB0, &[]).0, Status::Success);
 
         let request: Vec<u8> = FrameEncoder::new(0xB0, &[0][..]).collect();

@@ -2,12 +2,10 @@
 
 use crate::common::program::Program;
 use crate::control::request;
+use crate::rig::BOUND;
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
-
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
+use std::time::Instant;
 
 struct Rig {
     program: Program,

@@ -2,39 +2,31 @@
 
 use crate::common::program::Program;
 use crate::common::{go_to, grip};
-use crate::control::{connect, request};
+use crate::control::request;
+use crate::rig::{BOUND, Client, File, connect};
 use serde_json::{Value, json};
-use std::io::{Read, Write};
+use std::io::Write;
 use std::net::TcpStream;
-use std::path::PathBuf;
-use std::time::{Duration, Instant};
-use wsg_protocol::{Command, FrameEncoder, HomingDirection, Status};
-
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
+use std::time::Instant;
+use wsg_protocol::{Command, HomingDirection, Status};
 
 /// The program with a configuration file.
 struct Rig {
     program: Program,
     tcp: String,
     control: String,
-    file: PathBuf,
-    client: TcpStream,
+    file: File,
+    client: Client<TcpStream>,
 }
 
 impl Rig {
     fn new(name: &str, text: &str) -> Self {
-        let file = std::env::temp_dir().join(format!("wsg-settings-{}-{name}.toml", std::process::id()));
-        std::fs::write(&file, text).unwrap();
-        Self::of_file(file)
-    }
-
-    fn of_file(file: PathBuf) -> Self {
-        let arguments =
-            ["--config", file.to_str().unwrap(), "--tcp", "127.0.0.1:0", "--control", "127.0.0.1:0"];
+        let file = File::new(&format!("{name}.toml"), text);
+        let path = file.0.to_str().unwrap();
+        let arguments = ["--config", path, "--tcp", "127.0.0.1:0", "--control", "127.0.0.1:0"];
         let mut program = Program::start(&arguments);
         let [_, tcp, control, _] = ["model", "tcp", "control", "page"].map(|name| program.place_of(name));
-        let client = connect(&tcp);
+        let client = Client(connect(&tcp));
         Self { program, tcp, control, file, client }
     }
 
@@ -69,35 +61,8 @@ impl Rig {
         serde_json::from_value(self.state()["system_state"].clone()).unwrap()
     }
 
-    fn ask(&mut self, command: Command<'_>) -> Status {
-        let frame: Vec<u8> = FrameEncoder::new(command.id().code(), command).collect();
-        self.client.write_all(&frame).unwrap();
-        self.status()
-    }
-
-    fn status(&mut self) -> Status {
-        let mut answer = [0; 10];
-        self.client.read_exact(&mut answer).expect("an answer in time");
-        Status::from_code(u16::from_le_bytes([answer[6], answer[7]]))
-    }
-
-    fn run(&mut self, command: Command<'_>) -> Status {
-        assert_eq!(self.ask(command), Status::CmdPending);
-        self.status()
-    }
-
     fn home(&mut self) {
-        assert_eq!(self.run(Command::Homing { direction: HomingDirection::Default }), Status::Success);
-    }
-
-    fn text(&self) -> String {
-        std::fs::read_to_string(&self.file).unwrap()
-    }
-}
-
-impl Drop for Rig {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.file);
+        assert_eq!(self.client.run(Command::Homing { direction: HomingDirection::Default }), Status::Success);
     }
 }
 
@@ -106,18 +71,18 @@ fn settings_change_at_once_and_reference_and_latched_state_stay() {
     let mut rig = Rig::new("at_once", "time-scale = 20\npart = \"20\"\n");
     rig.home();
     // A part of 20 mm is 15 mm too early for a nominal width of 5 mm.
-    assert_eq!(rig.run(grip(5.0)), Status::CmdFailed);
+    assert_eq!(rig.client.run(grip(5.0)), Status::CmdFailed);
     rig.set(&json!({"part-width-tolerance": 20, "clamping-travel": "7.5"}));
-    assert_eq!(rig.run(go_to(60.0)), Status::Success);
-    assert_eq!(rig.run(grip(5.0)), Status::Success);
+    assert_eq!(rig.client.run(go_to(60.0)), Status::Success);
+    assert_eq!(rig.client.run(grip(5.0)), Status::Success);
     assert!(rig.flags().contains(&"REFERENCED".to_owned()));
 
-    assert_eq!(rig.ask(Command::FastStop), Status::Success);
+    assert_eq!(rig.client.ask(Command::FastStop), Status::Success);
     rig.set(&json!({"no-disconnect-error": true, "homing-default": "in", "part": "none"}));
     assert!(rig.flags().contains(&"FAST_STOP".to_owned()), "{:?}", rig.flags());
-    assert_eq!(rig.ask(Command::ACKNOWLEDGE), Status::Success);
+    assert_eq!(rig.client.ask(Command::ACKNOWLEDGE), Status::Success);
     // The end of the connection is no error any more.
-    rig.client = connect(&rig.tcp);
+    rig.client = Client(connect(&rig.tcp));
     rig.home();
     assert!(!rig.flags().contains(&"FAST_STOP".to_owned()));
     assert_eq!(rig.state()["width_mm"], json!(0.0), "homed inwards");
@@ -133,20 +98,20 @@ fn checksum_evaluation_changes_for_a_connected_client() {
     let mut rig = Rig::new("checksum", "");
     let stop = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0, 0];
     rig.set(&json!({"answer-bad-checksum": true}));
-    rig.client.write_all(&stop).unwrap();
-    assert_eq!(rig.status(), Status::ChecksumError);
+    rig.client.0.write_all(&stop).unwrap();
+    assert_eq!(rig.client.status(), Status::ChecksumError);
     rig.set(&json!({"no-checksum-check": true}));
-    rig.client.write_all(&stop).unwrap();
-    assert_eq!(rig.status(), Status::Success);
+    rig.client.0.write_all(&stop).unwrap();
+    assert_eq!(rig.client.status(), Status::Success);
     rig.set(&json!({"no-checksum-check": null}));
-    rig.client.write_all(&stop).unwrap();
-    assert_eq!(rig.status(), Status::ChecksumError);
+    rig.client.0.write_all(&stop).unwrap();
+    assert_eq!(rig.client.status(), Status::ChecksumError);
 }
 
 #[test]
 fn motion_configuration_is_refused_while_the_fingers_move_and_the_rest_is_not() {
     let mut rig = Rig::new("moving", "");
-    assert_eq!(rig.ask(Command::Homing { direction: HomingDirection::Default }), Status::CmdPending);
+    assert_eq!(rig.client.ask(Command::Homing { direction: HomingDirection::Default }), Status::CmdPending);
     let (status, error) = rig.refused(&json!({"clamping-travel": 9, "tag": "x"}));
     assert_eq!((status, error.contains("the fingers move")), (409, true), "{error}");
     assert_eq!(
@@ -154,7 +119,7 @@ fn motion_configuration_is_refused_while_the_fingers_move_and_the_rest_is_not() 
         [json!(null), json!(null)]
     );
     rig.set(&json!({"tag": "x"}));
-    assert_eq!(rig.text(), "tag = \"x\"\n");
+    assert_eq!(rig.file.text(), "tag = \"x\"\n");
 }
 
 #[test]
@@ -178,7 +143,7 @@ fn wrong_settings_are_refused_in_a_sentence_and_change_nothing() {
             "{changes}: {status} {error}"
         );
     }
-    assert_eq!(rig.text(), "# A cell\n");
+    assert_eq!(rig.file.text(), "# A cell\n");
     assert_eq!(rig.setting("tag")["value"], json!(null));
 }
 
@@ -214,13 +179,11 @@ fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
         "a restart is no lost connection: {texts:?}"
     );
 
-    let text = rig.text();
+    let text = rig.file.text();
     assert_eq!(text, "# A cell\nhoming-at-start = true\nmodbus = \"127.0.0.1:0\"\nmodel = \"wsg25\"\n");
-    let file = rig.file.with_extension("second.toml");
-    std::fs::write(&file, text).unwrap();
-    let mut program = Program::start(&["--config", file.to_str().unwrap(), "--tcp", "127.0.0.1:0"]);
+    let file = File::new("second.toml", &text);
+    let mut program = Program::start(&["--config", file.0.to_str().unwrap(), "--tcp", "127.0.0.1:0"]);
     assert_eq!(program.line(), "model wsg25");
-    std::fs::remove_file(&file).unwrap();
 }
 
 #[test]

@@ -2,15 +2,12 @@
 
 use crate::common::program::Program;
 use crate::control::Rig;
+use crate::rig::{BOUND, Client};
 use serde_json::{Value, json};
-use std::net::TcpStream;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use wsg_protocol::types::AckKey;
 use wsg_protocol::{Command, Status};
 use wsg_sim::Config;
-
-/// Maximum duration of any wait.
-const BOUND: Duration = Duration::from_secs(60);
 
 /// Returns severity, source and text of each entry.
 fn entries(rig: &Rig) -> Vec<[String; 3]> {
@@ -37,11 +34,11 @@ fn until(rig: &Rig, text: &str) -> [String; 2] {
 fn lost_connection_leaves_a_line_and_its_fast_stop_another() {
     let mut rig = Rig::new(Config::default());
     assert_eq!(until(&rig, "started as wsg50-110"), ["info", "gripper"]);
-    assert_eq!(rig.ask(Command::Stop), Status::Success);
-    let name = format!("tcp {}", rig.client.local_addr().unwrap());
+    assert_eq!(rig.client.ask(Command::Stop), Status::Success);
+    let name = format!("tcp {}", rig.client.0.local_addr().unwrap());
     assert_eq!(until(&rig, "connected"), ["info", &name]);
 
-    rig.client = TcpStream::connect(rig.server.tcp_address().unwrap()).unwrap();
+    rig.client = Client::of(&rig.server);
 
     assert_eq!(until(&rig, "FAST STOP by a lost connection"), ["error", &name]);
     let lost = "the connection ended without a Disconnect Announcement";
@@ -53,9 +50,9 @@ fn lost_connection_leaves_a_line_and_its_fast_stop_another() {
 #[test]
 fn announced_end_of_a_connection_is_no_warning() {
     let mut rig = Rig::new(Config::default());
-    assert_eq!(rig.ask(Command::DisconnectAnnouncement), Status::Success);
-    let name = format!("tcp {}", rig.client.local_addr().unwrap());
-    rig.client = TcpStream::connect(rig.server.tcp_address().unwrap()).unwrap();
+    assert_eq!(rig.client.ask(Command::DisconnectAnnouncement), Status::Success);
+    let name = format!("tcp {}", rig.client.0.local_addr().unwrap());
+    rig.client = Client::of(&rig.server);
     assert_eq!(until(&rig, "disconnected"), ["info", &name]);
     assert!(entries(&rig).iter().all(|[severity, ..]| severity == "info"));
 }
@@ -63,14 +60,14 @@ fn announced_end_of_a_connection_is_no_warning() {
 #[test]
 fn fast_stop_and_overdrive_name_the_client_that_sent_them() {
     let mut rig = Rig::new(Config::default());
-    let name = format!("tcp {}", rig.client.local_addr().unwrap());
+    let name = format!("tcp {}", rig.client.0.local_addr().unwrap());
     for command in [
         Command::FastStop,
         Command::Acknowledge { key: AckKey },
         Command::OverdriveMode { enabled: true },
         Command::OverdriveMode { enabled: false },
     ] {
-        assert_eq!(rig.ask(command), Status::Success);
+        assert_eq!(rig.client.ask(command), Status::Success);
     }
     rig.post("/command", &json!({"command": "fast_stop"}));
     let all = entries(&rig);

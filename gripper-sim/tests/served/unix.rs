@@ -1,9 +1,10 @@
 //! Features that require Unix: Unix sockets and pseudo terminals as serial lines, unprivileged users, signals. On
 //! Windows `wsg-sim` reports that they are missing.
 
-use super::binary::{BOUND, Client, HOMING, QUICK, READABLE, connect, frame, scratch, serve};
 use crate::common::parse;
 use crate::common::program::Program;
+use crate::modbus::Master;
+use crate::rig::{BOUND, Client, HOMING, QUICK, READABLE, any_port, connect, frame, http, scratch, serve};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
@@ -15,16 +16,19 @@ use wsg_protocol::{Command, Status};
 use wsg_sim::Config;
 use wsg_sim::server::{Lines, SerialLine, UdpLine};
 
+const GET_STATE: &str = "GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n";
+
 #[test]
 fn random_bytes_on_every_port_leave_it_answering() {
     for check_checksum in [true, false] {
         let path = scratch(if check_checksum { "noise-checked" } else { "noise-unchecked" });
-        let any = "127.0.0.1:0".parse().unwrap();
         let lines = Lines {
-            tcp: Some(any),
-            udp: Some(UdpLine { address: any, remote_port: 9 }),
+            tcp: any_port(),
+            udp: any_port().map(|address| UdpLine { address, remote_port: 9 }),
             serial: Some(SerialLine::Unix(path)),
-            control: Some(any),
+            gcl: any_port(),
+            modbus: any_port(),
+            control: any_port(),
             ..Lines::default()
         };
         let served = serve(Config { check_checksum, disconnect_error: false, ..Config::default() }, lines);
@@ -47,23 +51,26 @@ fn random_bytes_on_every_port_leave_it_answering() {
         let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
         for _ in 0..4 {
             // The server may close any of them because of the noise.
-            let _ = connect(&served).0.write_all(&noise());
-            let _ = TcpStream::connect(served.control_address().unwrap()).unwrap().write_all(&noise());
+            let _ = Client::of(&served).0.write_all(&noise());
+            for address in [served.control_address(), served.gcl_address(), served.modbus_address()] {
+                let _ = TcpStream::connect(address.unwrap()).unwrap().write_all(&noise());
+            }
             let _ = UnixStream::connect(served.serial_path().unwrap()).unwrap().write_all(&noise());
             for datagram in noise().chunks(700) {
                 uninterrupted::send_to(&udp, datagram, served.udp_address().unwrap()).unwrap();
             }
         }
-        assert_eq!(connect(&served).ask(Command::GetForceLimit), Status::Success);
+        assert_eq!(Client::of(&served).ask(Command::GetForceLimit), Status::Success);
         let serial = UnixStream::connect(served.serial_path().unwrap()).unwrap();
         serial.set_read_timeout(Some(BOUND)).unwrap();
         assert_eq!(Client(serial).ask(Command::GetForceLimit), Status::Success);
-        let mut control = TcpStream::connect(served.control_address().unwrap()).unwrap();
-        control.set_read_timeout(Some(BOUND)).unwrap();
-        control.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        control.read_to_string(&mut answer).unwrap();
-        assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
+        let (status, _, answer) = http(served.control_address().unwrap(), GET_STATE);
+        assert_eq!(status, 200, "{answer}");
+        let input_bits = Master::of(&served).ask(&[2, 0, 0, 0, 8]);
+        assert!(input_bits[..2] == [2, 1] && input_bits[2].is_power_of_two(), "one state: {input_bits:02X?}");
+        let mut text = connect(served.gcl_address().unwrap());
+        text.write_all(b"DEVTYPE?\n").unwrap();
+        text.read_exact(&mut [0; 21]).expect("an answer in time");
         served.stop().unwrap();
     }
 }
@@ -77,7 +84,7 @@ fn unix_socket_is_a_serial_line() {
     let stream = UnixStream::connect(served.serial_path().unwrap()).unwrap();
     stream.set_read_timeout(Some(BOUND)).unwrap();
     let mut client = Client(stream);
-    assert_eq!(client.run(HOMING), Status::Success);
+    assert_eq!(client.run_in_segments(HOMING), Status::Success);
     assert_eq!(client.ask(Command::DisconnectAnnouncement), Status::NotAvailable);
     drop(served);
     assert!(!path.exists(), "the server deletes its socket");
@@ -156,10 +163,8 @@ fn port_1000_is_replaced_for_an_ordinary_user_and_an_explicit_low_port_says_what
 fn binary_serves_until_it_is_interrupted() {
     let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--model", "wsg32", "--time-scale", "50"]);
     assert_eq!(program.line(), "model wsg32");
-    let address = program.place_of("tcp").parse().unwrap();
-    let stream = TcpStream::connect_timeout(&address, BOUND).unwrap();
-    stream.set_read_timeout(Some(BOUND)).unwrap();
-    assert_eq!(Client(&stream).ask(Command::GetSystemInfo), Status::Success);
+    let mut client = Client(connect(program.place_of("tcp")));
+    assert_eq!(client.ask(Command::GetSystemInfo), Status::Success);
     assert!(program.interrupt().success());
 }
 
@@ -178,31 +183,23 @@ fn leave_descriptors(program: &Program, more: u64) {
 #[test]
 fn without_a_descriptor_left_the_control_port_answers_503_and_every_port_recovers() {
     let path = scratch("descriptors");
-    let arguments = ["--tcp", "127.0.0.1:0", "--gcl", "127.0.0.1:0", "--modbus", "127.0.0.1:0"];
+    let arguments = ["--tcp", "127.0.0.1:0", "--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0"];
     let serial = format!("unix:{}", path.display());
-    let more = ["--serial", &serial, "--control", "127.0.0.1:0"];
+    let more = ["--serial", &serial, "--modbus", "127.0.0.1:0", "--control", "127.0.0.1:0"];
     let mut program = Program::start(&[&arguments[..], &more].concat());
     program.place_of("model");
     let tcp = program.place_of("tcp");
     program.place_of("serial");
-    let (gcl, modbus) = (program.place_of("gcl"), program.place_of("modbus"));
+    let [gcl, _, modbus] = ["gcl", "gcl-udp", "modbus"].map(|name| program.place_of(name));
     let control = program.place_of("control");
-    let state = || {
-        let mut stream = TcpStream::connect(&control).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        stream.write_all(b"GET /state HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
-        let mut answer = String::new();
-        stream.read_to_string(&mut answer).unwrap();
-        answer
-    };
-    assert!(state().starts_with("HTTP/1.1 200 "));
+    let state = || http(&control, GET_STATE);
+    assert_eq!(state().0, 200);
 
     leave_descriptors(&program, 8);
     // Served connections get their answers, however many others are rejected.
     let served: Vec<TcpStream> = (0..40)
-        .map(|_| TcpStream::connect(&tcp).unwrap())
+        .map(|_| connect(&tcp))
         .filter_map(|mut stream| {
-            stream.set_read_timeout(Some(BOUND)).unwrap();
             let is_served =
                 stream.write_all(&frame(Command::Stop)).and_then(|()| stream.read_exact(&mut [0; 10]));
             is_served.is_ok().then_some(stream)
@@ -210,31 +207,26 @@ fn without_a_descriptor_left_the_control_port_answers_503_and_every_port_recover
         .collect();
     assert!((1..40).contains(&served.len()), "{}", served.len());
     for port in [&gcl, &modbus] {
-        let mut refused = TcpStream::connect(port).unwrap();
-        refused.set_read_timeout(Some(BOUND)).unwrap();
+        let mut refused = connect(port);
         // End of stream or a reset.
         assert!(
             !matches!(uninterrupted::read(&mut refused, &mut [0; 1]), Ok(1..)),
             "the connection is closed"
         );
     }
-    let answer = state();
-    assert!(answer.starts_with("HTTP/1.1 503 ") && answer.ends_with("close connections\"}\n"), "{answer}");
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    assert!(head.contains(&format!("Content-Length: {}\r\n", body.len())), "{answer}");
+    let (status, head, body) = state();
+    assert!(status == 503 && body.ends_with("close connections\"}\n"), "{status} {body}");
+    assert!(format!("{head}\r\n").contains(&format!("Content-Length: {}\r\n", body.len())), "{head}");
     // This client waits for a descriptor.
     let serial = UnixStream::connect(&path).unwrap();
     serial.set_read_timeout(Some(BOUND)).unwrap();
-    assert!(state().starts_with("HTTP/1.1 503 "));
+    assert_eq!(state().0, 503);
 
     drop(served);
     assert_eq!(
         Client(serial).ask(Command::Acknowledge { key: wsg_protocol::types::AckKey }),
         Status::Success
     );
-    while !state().starts_with("HTTP/1.1 200 ") {}
-    let mut again = TcpStream::connect(&tcp).unwrap();
-    again.set_read_timeout(Some(BOUND)).unwrap();
-    again.write_all(&frame(Command::Stop)).unwrap();
-    again.read_exact(&mut [0; 10]).unwrap();
+    while state().0 != 200 {}
+    assert_eq!(Client(connect(&tcp)).ask(Command::Stop), Status::Success);
 }

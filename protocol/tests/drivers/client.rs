@@ -33,11 +33,34 @@ impl From<Error> for ProgramError {
 
 pub(crate) type Outcome = std::result::Result<u8, ProgramError>;
 
+/// Defines a test for each body and type: protocols, or drivers over a protocol.
+macro_rules! for_all {
+    ($($module:ident $client:ty),*; $(fn $name:ident;)*) => {
+        for_all!(@modules [$($name)*] $($module $client),*);
+    };
+    (@modules $names:tt $($module:ident $client:ty),*) => {
+        $(for_all!(@module $module $client, $names);)*
+    };
+    (@module $module:ident $client:ty, [$($name:ident)*]) => {
+        mod $module {
+            use super::*;
+
+            $(#[test]
+            fn $name() {
+                super::$name::<$client>();
+            })*
+        }
+    };
+}
+pub(crate) use for_all;
+
 /// A protocol and its drivers.
 pub(crate) trait Speech {
     type Protocol: Protocol;
     /// The port of the virtual gripper for this protocol, over a connection that detects its end.
     const PORT: PortKind;
+    /// A port on a line whose end is not announced.
+    const ANONYMOUS_PORT: PortKind;
     /// Input that a driver of this protocol must ignore.
     const GARBAGE: &[u8];
     fn blocking(rig: &TestRig) -> blocking::GripperOver<TestRig, TestRig, Self::Protocol>;
@@ -52,6 +75,7 @@ pub(crate) enum Lines {}
 impl Speech for Frames {
     type Protocol = driver::Binary;
     const PORT: PortKind = PortKind::Tcp;
+    const ANONYMOUS_PORT: PortKind = PortKind::Serial;
     // A truncated preamble, a frame with a wrong checksum, and an unsolicited answer.
     const GARBAGE: &[u8] =
         b"\xAA\xAA\x00noise\xAA\xAA\xAA\x43\x02\x00\x00\x00\x00\x00\xAA\xAA\xAA\x20\x02\x00\x00\x00\xB3\xFD";
@@ -68,6 +92,7 @@ impl Speech for Frames {
 impl Speech for Lines {
     type Protocol = driver::Gcl;
     const PORT: PortKind = PortKind::GclTcp;
+    const ANONYMOUS_PORT: PortKind = PortKind::GclUdp;
     const GARBAGE: &[u8] = b"\xFF\x00noise\nPOS=\nFIN HOME\nERR DANCE 14\nACK\r\n@TAG=\"x\"\n\n";
 
     fn blocking(rig: &TestRig) -> blocking::GripperOver<TestRig, TestRig, Self::Protocol> {

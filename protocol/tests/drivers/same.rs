@@ -6,34 +6,14 @@ use wsg_protocol::{
     AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
     HomingDirection, Status, SystemFlags,
 };
-use wsg_sim::{Config, Part, PortKind, Tag};
+use wsg_sim::{Config, Part, Tag};
 
-use crate::client::{Asynch, Blocking, Calls, Client, Error, Frames, Lines, ProgramError, Speech};
+use crate::client::{Asynch, Blocking, Calls, Client, Error, Frames, Lines, ProgramError, Speech, for_all};
 use crate::rig::TestRig;
 
-/// Defines a test for each body, protocol and driver.
-macro_rules! for_all {
-    ($(fn $name:ident;)*) => {
-        for_all!(@modules [$($name)*]
-            blocking_over_frames Blocking<Frames>, blocking_over_lines Blocking<Lines>,
-            async_over_frames Asynch<Frames>, async_over_lines Asynch<Lines>);
-    };
-    (@modules $names:tt $($module:ident $client:ty),*) => {
-        $(for_all!(@module $module $client, $names);)*
-    };
-    (@module $module:ident $client:ty, [$($name:ident)*]) => {
-        mod $module {
-            use super::*;
-
-            $(#[test]
-            fn $name() {
-                super::$name::<$client>();
-            })*
-        }
-    };
-}
-
 for_all! {
+    blocking_over_frames Blocking<Frames>, blocking_over_lines Blocking<Lines>, async_over_frames Asynch<Frames>,
+    async_over_lines Asynch<Lines>;
     fn device_information_is_returned;
     fn gripper_that_is_silent_is_not_connected_and_time_is_bounded;
     fn motion_before_homing_is_refused;
@@ -553,27 +533,22 @@ fn motion_of_a_closed_connection_is_not_sent_when_the_line_accepts_bytes_again<C
     }
 }
 
-#[test]
-fn program_may_announce_its_end_itself() {
-    fn check<S: Speech>() {
-        let mut client = Blocking::<S>::new(Config::default());
-        let outcome: Result<(), Error> =
-            client.gripper.with_connection(|gripper| gripper.announce_disconnect());
-        assert_eq!(outcome, Ok(()));
-    }
-    check::<Frames>();
-    check::<Lines>();
+for_all! {
+    over_frames Frames, over_lines Lines;
+    fn program_may_announce_its_end_itself;
+    fn line_without_an_announcement_is_left_as_it_is;
 }
 
-#[test]
-fn line_without_an_announcement_is_left_as_it_is() {
-    fn check<S: Speech>(kind: PortKind) {
-        let mut client = Blocking::<S>::at(TestRig::new(kind, Config::default()));
-        let outcome: Result<GripperState, Error> =
-            client.gripper.with_connection(|gripper| gripper.gripper_state());
-        assert_eq!(outcome, Ok(GripperState::Idle));
-        assert!(client.is_connected());
-    }
-    check::<Frames>(PortKind::Serial);
-    check::<Lines>(PortKind::GclUdp);
+fn program_may_announce_its_end_itself<S: Speech>() {
+    let mut client = Blocking::<S>::new(Config::default());
+    let outcome: Result<(), Error> = client.gripper.with_connection(|gripper| gripper.announce_disconnect());
+    assert_eq!(outcome, Ok(()));
+}
+
+fn line_without_an_announcement_is_left_as_it_is<S: Speech>() {
+    let mut client = Blocking::<S>::at(TestRig::new(S::ANONYMOUS_PORT, Config::default()));
+    let outcome: Result<GripperState, Error> =
+        client.gripper.with_connection(|gripper| gripper.gripper_state());
+    assert_eq!(outcome, Ok(GripperState::Idle));
+    assert!(client.is_connected());
 }

@@ -80,14 +80,3 @@ proptest! {
         prop_assert_eq!(&reference(&stream), &expected.0);
     }
 }
-
-#[test]
-fn every_single_cut_of_a_conversation_gives_the_same_events() {
-    let stream = b"home()\r\nmove(50,5)\rgrip( 20 , 3.5 , 100 )\n\npos?\n";
-    let whole = in_slices([&stream[..]]);
-    assert_eq!(whole.1.too_long, 1);
-    for at in 0..=stream.len() {
-        let (head, tail) = stream.split_at(at);
-        assert_eq!(in_slices([head, tail]), whole, "{at}");
-    }
-}

@@ -94,25 +94,16 @@ pub(super) fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Res
     }
 }
 
-#[derive(Debug, Default, Deserialize, Serialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct LineBody {
-    pub(super) direction: DirectionName,
-    pub(super) drop: f64,
-    pub(super) delay: Option<f64>,
-    pub(super) delay_ms: Option<u32>,
-    pub(super) corrupt: f64,
-    pub(super) truncate: f64,
-    pub(super) duplicate: f64,
-}
-
-#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum DirectionName {
-    Requests,
-    Replies,
-    #[default]
-    Both,
+    direction: Direction,
+    drop: f64,
+    delay: Option<f64>,
+    delay_ms: Option<u32>,
+    corrupt: f64,
+    truncate: f64,
+    duplicate: f64,
 }
 
 /// Returns the requested faults. A delay without a rate hits every frame.
@@ -137,10 +128,5 @@ pub(super) fn line_faults(body: &LineBody) -> Result<LineFaults, HttpError> {
     if delay_ms > LineFaults::MAX_DELAY_MS {
         return Err(HttpError::wrong(format!("delay_ms is {delay_ms}; expected {LINE_EXPECTED}")));
     }
-    let direction = match direction {
-        DirectionName::Requests => Direction::Requests,
-        DirectionName::Replies => Direction::Replies,
-        DirectionName::Both => Direction::Both,
-    };
     Ok(LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate })
 }

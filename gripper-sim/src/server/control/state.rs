@@ -1,11 +1,11 @@
 //! The state as JSON: the answer to requests, and the data of the event stream.
 
 use super::history::{History, Sample};
-use super::injected::{DirectionName, FaultName, LineBody, PartBody};
+use super::injected::{FaultName, PartBody};
 use crate::faults::Fault;
 use crate::fieldbus::ExchangeState;
 use crate::finger::{Finger, Jaw};
-use crate::server::faulty_line::{Direction, LineCounts, LineFaults};
+use crate::server::faulty_line::{LineCounts, LineFaults};
 use crate::server::hub::{BusLine, Hub, Report};
 use serde::Serialize;
 use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags};
@@ -31,7 +31,7 @@ pub(super) struct StateBody<'a> {
     part_is_between: bool,
     fieldbus: FieldbusBody<'a>,
     faults: Vec<ActiveFaultBody>,
-    line: LineBody,
+    line: LineFaults,
     line_counts: LineCountsByDirection,
     clients: Vec<ClientBody<'a>>,
 }
@@ -146,18 +146,8 @@ struct ActiveFaultBody {
 
 #[derive(Debug, Serialize)]
 struct LineCountsByDirection {
-    requests: LineCountsBody,
-    replies: LineCountsBody,
-}
-
-#[derive(Debug, Serialize)]
-struct LineCountsBody {
-    frames: u64,
-    dropped: u64,
-    delayed: u64,
-    corrupted: u64,
-    truncated: u64,
-    duplicated: u64,
+    requests: LineCounts,
+    replies: LineCounts,
 }
 
 #[derive(Debug, Serialize)]
@@ -170,13 +160,6 @@ struct ClientBody<'a> {
     replies_lost: u32,
 }
 
-impl LineCountsBody {
-    pub(super) const fn of(counts: &LineCounts) -> Self {
-        let LineCounts { frames, dropped, delayed, corrupted, truncated, duplicated } = *counts;
-        Self { frames, dropped, delayed, corrupted, truncated, duplicated }
-    }
-}
-
 impl<'a> StateBody<'a> {
     /// Omits the time, which changes while nothing else does.
     pub(super) fn without_time(mut self) -> Self {
@@ -186,7 +169,6 @@ impl<'a> StateBody<'a> {
 
     pub(super) fn of(hub: &Hub, report: &'a Report) -> Self {
         let Report { now, state, faults, line_faults, request_counts, reply_counts, clients, .. } = report;
-        let LineFaults { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = *line_faults;
         Self {
             model: hub.config().model.name(),
             time_s: Some(now.as_micros() as f64 / 1e6),
@@ -209,23 +191,8 @@ impl<'a> StateBody<'a> {
             part_is_between: state.part_is_between,
             fieldbus: FieldbusBody::of(hub, report),
             faults: faults.iter().map(active_fault).collect(),
-            line: LineBody {
-                direction: match direction {
-                    Direction::Requests => DirectionName::Requests,
-                    Direction::Replies => DirectionName::Replies,
-                    Direction::Both => DirectionName::Both,
-                },
-                drop,
-                delay: Some(delay),
-                delay_ms: Some(delay_ms),
-                corrupt,
-                truncate,
-                duplicate,
-            },
-            line_counts: LineCountsByDirection {
-                requests: LineCountsBody::of(request_counts),
-                replies: LineCountsBody::of(reply_counts),
-            },
+            line: *line_faults,
+            line_counts: LineCountsByDirection { requests: *request_counts, replies: *reply_counts },
             clients: clients
                 .iter()
                 .map(|(name, counters)| ClientBody {

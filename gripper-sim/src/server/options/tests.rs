@@ -19,35 +19,45 @@ fn without_any_line_tcp_is_served_on_this_machine() {
 }
 
 #[test]
-fn another_line_replaces_the_default_one() {
-    let lines = options(&["--serial", "unix:/run/wsg"]).unwrap().lines;
-    assert_eq!(lines, Lines { serial: Some(SerialLine::Unix("/run/wsg".into())), ..Lines::default() });
-    let lines = options(&["--udp", "127.0.0.1:1500"]).unwrap().lines;
-    assert_eq!((lines.tcp, lines.udp.unwrap().remote_port), (None, 1_501));
+fn any_other_line_replaces_the_default_one() {
+    let none = Lines::default;
+    let address = |text: &str| text.parse::<SocketAddr>().ok();
+    let can = |bus, n| Identifiers::from_base(n).map(|identifiers| CanLine { bus, identifiers });
+    let can0 = || CanBus::Interface("can0".to_owned());
+    let udp = address("127.0.0.1:1500").map(|address| UdpLine { address, remote_port: 1_501 });
+    let (gcl, gcl_udp) = (address("127.0.0.1:1001"), address("127.0.0.1:1501"));
+    for (line, lines) in [
+        ("--serial unix:/run/wsg", Lines { serial: Some(SerialLine::Unix("/run/wsg".into())), ..none() }),
+        ("--udp 127.0.0.1:1500", Lines { udp, ..none() }),
+        ("--slcan pty --can-id 0x7FE", Lines { can: can(CanBus::Slcan(SerialLine::Pty), 0x7FE), ..none() }),
+        ("--can can0", Lines { can: can(can0(), 0x120), ..none() }),
+        ("--can can0 --can-id 288", Lines { can: can(can0(), 0x120), ..none() }),
+        ("--can can0 --slcan pty", Lines { can: can(CanBus::Slcan(SerialLine::Pty), 0x120), ..none() }),
+        ("--profibus pty", Lines { profibus: Some(SerialLine::Pty), ..none() }),
+        ("--gcl 127.0.0.1:1001 --gcl-udp 127.0.0.1:1501", Lines { gcl, gcl_udp, ..none() }),
+        ("--modbus 127.0.0.1:1502", Lines { modbus: address("127.0.0.1:1502"), ..none() }),
+    ] {
+        assert_eq!(options_of(line).lines, lines, "{line}");
+    }
 }
 
 #[test]
-fn can_replaces_the_default_line() {
-    let lines = options_of("--slcan pty --can-id 0x7FE").lines;
-    let identifiers = Identifiers::from_base(0x7FE).unwrap();
-    let bus = CanBus::Slcan(SerialLine::Pty);
-    assert_eq!(lines, Lines { can: Some(CanLine { bus, identifiers }), ..Lines::default() });
-    let can = options_of("--can can0").lines.can.unwrap();
-    assert_eq!(can.bus, CanBus::Interface("can0".to_owned()));
-    assert_eq!(can.identifiers.controller().transmit.as_raw(), 0x120);
-    assert_eq!(options_of("--can can0 --can-id 288").lines.can, Some(can));
-    let last = options_of("--can can0 --slcan pty").lines.can.unwrap();
-    assert_eq!(last.bus, CanBus::Slcan(SerialLine::Pty));
-}
-
-#[test]
-fn profibus_replaces_the_default_line() {
-    let options = options_of("--profibus pty --profibus-address 12");
-    assert_eq!(options.lines, Lines { profibus: Some(SerialLine::Pty), ..Lines::default() });
-    assert_eq!(options.config.profibus_address, 12);
-    assert_eq!(options_of("--profibus pty").config.profibus_address, 7);
-    let given = options_of("--profibus pty --bus-reaction fast-stop");
-    assert_eq!(given.config.bus_reaction, SilenceReaction::FastStop);
+fn options_of_the_fieldbuses_arrive() {
+    let default = Config::default;
+    let bus_reaction = SilenceReaction::FastStop;
+    for (line, config) in [
+        ("--profibus pty --profibus-address 12", Config { profibus_address: 12, ..default() }),
+        ("--profibus pty", Config { profibus_address: 7, ..default() }),
+        ("--profibus pty --bus-reaction fast-stop", Config { bus_reaction, ..default() }),
+        ("--modbus 127.0.0.1:1502 --modbus-swap-bytes", Config { modbus_swap_bytes: true, ..default() }),
+        ("--modbus 127.0.0.1:1502", Config { modbus_swap_bytes: false, ..default() }),
+        (
+            "--modbus 127.0.0.1:1502 --bus-timeout 500 --bus-reaction fast-stop",
+            Config { bus_timeout_ms: 500, bus_reaction, ..default() },
+        ),
+    ] {
+        assert_eq!(options_of(line).config, config, "{line}");
+    }
 }
 
 #[cfg(feature = "profinet")]
@@ -87,24 +97,6 @@ fn what_a_file_has_of_a_station_is_kept_there() {
     let kept = ProfinetLine::kept(&line.stored).map(|(_, text)| text);
     assert_eq!(kept, ["wsg-1", "10.0.0.5/8", "gr\u{FC}n", "+B", "2026-11-23 16:00", "\"x\""]);
     assert!(line.keep.unwrap().to_str().unwrap().ends_with("profinet.toml"));
-}
-
-#[test]
-fn text_protocol_replaces_the_default_line() {
-    let lines = options_of("--gcl 127.0.0.1:1001 --gcl-udp 127.0.0.1:1501").lines;
-    assert_eq!((lines.tcp, lines.udp), (None, None));
-    assert_eq!(lines.gcl, "127.0.0.1:1001".parse().ok());
-    assert_eq!(lines.gcl_udp, "127.0.0.1:1501".parse().ok());
-}
-
-#[test]
-fn modbus_replaces_the_default_line() {
-    let options = options_of("--modbus 127.0.0.1:1502 --modbus-swap-bytes");
-    assert_eq!((options.lines.tcp, options.lines.modbus), (None, "127.0.0.1:1502".parse().ok()));
-    assert!(options.config.modbus_swap_bytes);
-    assert!(!options_of("--modbus 127.0.0.1:1502").config.modbus_swap_bytes);
-    let config = options_of("--modbus 127.0.0.1:1502 --bus-timeout 500 --bus-reaction fast-stop").config;
-    assert_eq!((config.bus_timeout_ms, config.bus_reaction), (500, SilenceReaction::FastStop));
 }
 
 #[test]

@@ -2,10 +2,10 @@
 //! system log, fieldbus monitor.
 
 use super::browser::Tab;
-use super::{BOUND, Gripper, STATE, fill, flag_is_on, grip, home};
+use super::{Gripper, STATE, fill, flag_is_on, grip, home};
+use crate::rig::connect;
 use serde_json::json;
 use std::io::{Read, Write};
-use std::net::TcpStream;
 
 /// A screen and a telephone.
 const SIZES: [(u32, u32); 2] = [(1280, 800), (390, 844)];
@@ -217,8 +217,7 @@ fn fieldbus_monitor_shows_the_master_and_marks_the_last_change() {
         tab.show("fieldbus");
         tab.until(&format!("{}.includes('waiting for a master')", text("exchange")));
         tab.until(&format!("{}.includes('Modbus/TCP{}')", text("buses"), gripper.modbus));
-        let mut master = TcpStream::connect(&gripper.modbus).unwrap();
-        master.set_read_timeout(Some(BOUND)).unwrap();
+        let mut master = connect(&gripper.modbus);
         // Write Single Register (FC 6): WIDTH, 22 mm.
         master.write_all(&[0, 1, 0, 0, 0, 6, 1, 6, 0, 1, 0x08, 0x98]).unwrap();
         master.read_exact(&mut [0; 12]).expect("an answer in time");
@@ -291,8 +290,7 @@ fn scripts_are_written_run_and_stopped_and_an_error_selects_its_line() {
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn forces_of_a_wsg_70_are_tenths_of_a_newton_in_the_registers() {
     in_each_size(&["--model", "wsg70"], |gripper, tab| {
-        let mut master = TcpStream::connect(&gripper.modbus).unwrap();
-        master.set_read_timeout(Some(BOUND)).unwrap();
+        let mut master = connect(&gripper.modbus);
         // Write Single Register (FC 6): FORCELIMIT, 1500.
         master.write_all(&[0, 1, 0, 0, 0, 6, 1, 6, 0, 3, 0x05, 0xDC]).unwrap();
         master.read_exact(&mut [0; 12]).expect("an answer in time");

@@ -1,10 +1,10 @@
 //! The look of the page: layout, contrast, and the pictures of the document.
 
 use super::browser::Tab;
-use super::{BOUND, Gripper, PAGES, STATE, fill, flag_is_on, grip, home};
+use super::{Gripper, PAGES, STATE, fill, flag_is_on, grip, home};
+use crate::rig::connect;
 use serde_json::json;
 use std::io::{Read, Write};
-use std::net::TcpStream;
 use std::path::Path;
 
 /// Layout defects of the page: elements that overflow, are cut off, overlap, or are hard to read.
@@ -175,8 +175,7 @@ const PICTURED: [&str; 5] = ["settings", "fieldbus", "editor", "scripts", "logs"
 
 /// Fills these pages: a master that writes, a packet of the editor, and a lost connection.
 fn show_something(gripper: &Gripper, tab: &mut Tab) {
-    let mut master = TcpStream::connect(&gripper.modbus).unwrap();
-    master.set_read_timeout(Some(BOUND)).unwrap();
+    let mut master = connect(&gripper.modbus);
     for frame in [[0, 1, 0, 0, 0, 6, 1, 6, 0, 1, 0x08, 0x98], [0, 2, 0, 0, 0, 6, 1, 6, 0, 2, 0x13, 0x88]] {
         master.write_all(&frame).unwrap();
         master.read_exact(&mut [0; 12]).expect("an answer in time");

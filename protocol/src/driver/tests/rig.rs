@@ -130,6 +130,11 @@ impl Rig {
         self.world(|world| world.scripted.push((id.code(), answer)));
     }
 
+    /// Sets the answer to the next request with this ID to a status.
+    pub(super) fn script_status(&self, id: CommandId, answer: Status) {
+        self.script(id, vec![(1, status(id, answer))]);
+    }
+
     /// Sets a motion's answers: E_CMD_PENDING at once, and `result` after 100 ms.
     pub(super) fn script_motion(&self, id: CommandId, result: Status) {
         self.script(id, vec![(1, status(id, Status::CmdPending)), (100, status(id, result))]);

@@ -6,7 +6,7 @@ use std::io::ErrorKind;
 /// Scripts a motion that ends only by Stop or FAST STOP.
 fn script_endless(rig: &Rig, motion: CommandId) {
     rig.world(|world| world.flags |= SystemFlags::MOVING);
-    rig.script(motion, vec![(1, status(motion, Status::CmdPending))]);
+    rig.script_status(motion, Status::CmdPending);
     for id in [CommandId::Stop, CommandId::FastStop] {
         rig.script(id, vec![(1, status(motion, Status::CmdAborted)), (1, status(id, Status::Success))]);
     }
@@ -25,8 +25,7 @@ fn request(handle: &StopHandle, kind: StopKind) -> std::io::Result<()> {
 #[test]
 fn handle_ends_an_awaited_motion() {
     for (kind, id) in KINDS {
-        let rig = Rig::new();
-        let mut gripper = connected(&rig);
+        let (rig, mut gripper) = connected();
         script_endless(&rig, CommandId::PrePosition);
         let handle = gripper.stop_handle().unwrap();
         let begun = rig.world(|world| world.now);
@@ -43,8 +42,7 @@ fn handle_ends_an_awaited_motion() {
 #[test]
 fn handle_of_an_idle_driver_sends_at_once_and_the_next_call_reports_it() {
     for (kind, id) in KINDS {
-        let rig = Rig::new();
-        let mut gripper = connected(&rig);
+        let (rig, mut gripper) = connected();
         let handle = gripper.stop_handle().unwrap();
         request(&handle, kind).unwrap();
         assert_eq!(rig.heard(id), 1);
@@ -57,8 +55,7 @@ fn handle_of_an_idle_driver_sends_at_once_and_the_next_call_reports_it() {
 
 #[test]
 fn fast_stop_is_reported_before_it_can_be_acknowledged() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     gripper.stop_handle().unwrap().fast_stop().unwrap();
     assert_eq!(gripper.acknowledge(), Err(Error::Stopped(StopKind::FastStop)));
     assert_eq!(rig.heard(CommandId::Acknowledge), 0);
@@ -66,8 +63,7 @@ fn fast_stop_is_reported_before_it_can_be_acknowledged() {
 
 #[test]
 fn fast_stop_outranks_a_stop() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     let handle = gripper.stop_handle().unwrap();
     handle.stop().unwrap();
     handle.fast_stop().unwrap();
@@ -84,8 +80,7 @@ fn own_stop_replaces_that_of_a_handle_unless_the_latter_is_a_fast_stop() {
         (StopKind::FastStop, StopKind::FastStop, Ok(())),
         (StopKind::FastStop, StopKind::Stop, Err(Error::Stopped(StopKind::FastStop))),
     ] {
-        let rig = Rig::new();
-        let mut gripper = connected(&rig);
+        let (_rig, mut gripper) = connected();
         request(&gripper.stop_handle().unwrap(), by_handle).unwrap();
         let result = if own == StopKind::Stop { gripper.stop() } else { gripper.fast_stop() };
         assert_eq!(result, outcome, "{by_handle} and {own}");
@@ -95,8 +90,7 @@ fn own_stop_replaces_that_of_a_handle_unless_the_latter_is_a_fast_stop() {
 
 #[test]
 fn unconfirmed_fast_stop_ends_the_call_in_time_and_stays_pending() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     script_endless(&rig, CommandId::GripPart);
     let handle = gripper.stop_handle().unwrap();
     let silent = rig.clone();
@@ -117,8 +111,7 @@ fn unconfirmed_fast_stop_ends_the_call_in_time_and_stays_pending() {
 #[test]
 fn handle_writes_nothing_into_a_partly_sent_message() {
     for room in 1..16 {
-        let rig = Rig::new();
-        let mut gripper = connected_async(&rig);
+        let (rig, mut gripper) = connected_async();
         let handle = gripper.stop_handle().unwrap();
         rig.world(|world| world.room = room);
         assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
@@ -133,8 +126,7 @@ fn handle_writes_nothing_into_a_partly_sent_message() {
 
 #[test]
 fn motion_waiting_for_the_line_is_not_sent_after_a_stop() {
-    let rig = Rig::new();
-    let mut gripper = connected_async(&rig);
+    let (rig, mut gripper) = connected_async();
     let handle = gripper.stop_handle().unwrap();
     rig.world(|world| world.room = 0);
     {
@@ -152,8 +144,7 @@ fn motion_waiting_for_the_line_is_not_sent_after_a_stop() {
 #[test]
 fn stop_rejected_by_a_full_line_is_sent_by_the_driver() {
     for (kind, id) in KINDS {
-        let rig = Rig::new();
-        let mut gripper = connected(&rig);
+        let (rig, mut gripper) = connected();
         let handle = gripper.stop_handle().unwrap();
         rig.world(|world| world.direct.lock().unwrap().is_full = true);
         assert_eq!(request(&handle, kind).unwrap_err().kind(), ErrorKind::WouldBlock);
@@ -171,8 +162,7 @@ fn handle_wakes_the_task_of_the_async_driver() {
             self.0.store(true, core::sync::atomic::Ordering::Relaxed);
         }
     }
-    let rig = Rig::new();
-    let mut gripper = connected_async(&rig);
+    let (rig, mut gripper) = connected_async();
     script_endless(&rig, CommandId::GripPart);
     let handle = gripper.stop_handle().unwrap();
     let woken = std::sync::Arc::new(Woken(false.into()));
@@ -191,8 +181,7 @@ fn handle_wakes_the_task_of_the_async_driver() {
 
 #[test]
 fn handle_of_a_dropped_driver_returns_an_error_and_sends_nothing() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     let first = gripper.stop_handle().unwrap();
     gripper.replace_io(rig.clone());
     let second = gripper.stop_handle().unwrap();

@@ -13,8 +13,7 @@ fn inject_three(rig: &Rig) {
 
 #[test]
 fn queued_updates_are_returned_before_reading_the_transport() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while gripper.next_update(50).unwrap().is_some() {}
     inject_three(&rig);
@@ -30,8 +29,7 @@ fn queued_updates_are_returned_before_reading_the_transport() {
 
 #[test]
 fn async_driver_returns_queued_updates_before_reading_the_transport() {
-    let rig = Rig::new();
-    let mut gripper = connected_async(&rig);
+    let (rig, mut gripper) = connected_async();
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while rig.run(gripper.next_update(50)).unwrap().is_some() {}
     inject_three(&rig);
@@ -46,8 +44,7 @@ fn async_driver_returns_queued_updates_before_reading_the_transport() {
 #[test]
 fn cancelled_stop_and_fast_stop_are_sent_before_queued_updates_are_returned() {
     for fast in [false, true] {
-        let rig = Rig::new();
-        let mut gripper = connected_async(&rig);
+        let (rig, mut gripper) = connected_async();
         gripper.subscribe(Topic::Force, AutoUpdate::every(10));
         while rig.run(gripper.next_update(50)).unwrap().is_some() {}
         rig.world(|world| world.room = 0);
@@ -67,8 +64,7 @@ fn cancelled_stop_and_fast_stop_are_sent_before_queued_updates_are_returned() {
 
 #[test]
 fn due_requests_are_sent_while_updates_are_received() {
-    let rig = Rig::new();
-    let mut gripper = connected_async(&rig);
+    let (rig, mut gripper) = connected_async();
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while rig.run(gripper.next_update(50)).unwrap().is_some() {}
     gripper.subscribe(Topic::Width, AutoUpdate::every(10));
@@ -79,8 +75,7 @@ fn due_requests_are_sent_while_updates_are_received() {
 
 #[test]
 fn count_of_lost_updates_saturates() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while gripper.next_update(50).unwrap().is_some() {}
     for _ in 0..=u16::MAX.into() {

@@ -11,16 +11,14 @@ fn waits(rig: &Rig, call: impl FnOnce()) -> u32 {
 
 #[test]
 fn query_needs_a_single_wait_after_sending() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     assert_eq!(waits(&rig, || assert_eq!(gripper.width(), Ok(Mm(42.5)))), 1);
 }
 
 #[test]
 fn stop_and_fast_stop_are_sent_before_anything_is_read() {
     for id in [CommandId::Stop, CommandId::FastStop] {
-        let rig = Rig::new();
-        let mut gripper = connected(&rig);
+        let (rig, mut gripper) = connected();
         rig.world(|world| world.noise = true);
         let result = if id == CommandId::Stop { gripper.stop() } else { gripper.fast_stop() };
         assert_eq!(result, Err(Error::Transport(Noise)), "the first read fails");
@@ -31,8 +29,7 @@ fn stop_and_fast_stop_are_sent_before_anything_is_read() {
 #[test]
 fn motion_is_awaited_with_few_wake_ups() {
     const SECONDS: u32 = 20;
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     let id = CommandId::PrePosition;
     let end = (SECONDS * 1_000, status(id, Status::Success));
     rig.script(id, vec![(1, status(id, Status::CmdPending)), end]);
@@ -44,8 +41,7 @@ fn motion_is_awaited_with_few_wake_ups() {
 
 #[test]
 fn poll_and_next_update_without_a_timeout_do_not_wait() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     while gripper.next_update(0).unwrap().is_some() {}
     let idle = waits(&rig, || {
@@ -56,19 +52,8 @@ fn poll_and_next_update_without_a_timeout_do_not_wait() {
 }
 
 #[test]
-fn gripper_that_is_off_is_given_up_in_time() {
-    let rig = Rig::new();
-    rig.world(|world| world.silent = true);
-    let begun = rig.world(|world| world.now);
-    let mut gripper = Blocking::new(rig.clone(), Watch(rig.clone()));
-    assert_eq!(gripper.connect(), Err(Error::NotConnected));
-    assert_eq!(rig.world(|world| world.now).since(begun), Config::DEFAULT.connect_timeout_ms);
-}
-
-#[test]
 fn silence_of_the_gripper_is_detected_in_time() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     rig.world(|world| world.silent = true);
     let begun = rig.world(|world| world.now);
     assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Err(Error::Unanswered));
@@ -77,8 +62,7 @@ fn silence_of_the_gripper_is_detected_in_time() {
 
 #[test]
 fn missing_update_is_awaited_until_the_timeout() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     while gripper.next_update(0).unwrap().is_some() {}
     let begun = rig.world(|world| world.now);
     assert_eq!(gripper.next_update(30), Ok(None));
@@ -87,8 +71,7 @@ fn missing_update_is_awaited_until_the_timeout() {
 
 #[test]
 fn answers_received_while_the_program_was_busy_are_in_time() {
-    let rig = Rig::new();
-    let mut gripper = connected(&rig);
+    let (rig, mut gripper) = connected();
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     rig.pass(60_000);
     assert_eq!(gripper.wait(&grip), Ok(Grip::Held));

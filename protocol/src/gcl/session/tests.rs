@@ -1,4 +1,5 @@
-//! The session in virtual time. Each test plays the gripper.
+//! The session in virtual time: the parts specific to GCL. The tests of [`crate::session`] cover the common engine. Each test plays the
+//! gripper.
 
 use super::*;
 use crate::gcl::{Grip, Move, Select, Setting};
@@ -34,12 +35,18 @@ impl Rig {
         rig
     }
 
+    /// Requests a command, which is sent at once and alone, and answers it with a line.
+    #[track_caller]
+    fn exchange(&mut self, request: Request, line: &str) {
+        self.session.request(request).unwrap();
+        assert_eq!(self.lines(0), [request.to_string()]);
+        self.hear(line);
+    }
+
     /// Returns a session that gave up waiting for the result of a GRIP.
     fn with_a_lost_result() -> Self {
         let mut rig = Self::connected();
-        rig.session.request(GRIP).unwrap();
-        rig.lines(0);
-        rig.hear("ACK GRIP");
+        rig.exchange(GRIP, "ACK GRIP");
         rig.hear("GRIPSTATE=4");
         rig.pass_answered(1_300);
         rig
@@ -266,36 +273,11 @@ fn motion_is_acknowledged_and_finished_while_queries_continue() {
 #[test]
 fn motion_fails_before_or_after_its_acknowledgement() {
     let mut rig = Rig::connected();
-    rig.session.request(GRIP).unwrap();
-    rig.lines(0);
-    rig.hear("ERR GRIP 3");
-    rig.session.request(GRIP).unwrap();
-    rig.lines(0);
-    rig.hear("ACK GRIP");
+    rig.exchange(GRIP, "ERR GRIP 3");
+    rig.exchange(GRIP, "ACK GRIP");
     rig.hear("ERR GRIP 18 E_CMD_FAILED");
     assert_eq!(rig.happened(), ["Answered ERR GRIP 3", "Pending GRIP", "Answered ERR GRIP 18 E_CMD_FAILED"]);
     assert_eq!(rig.session.motion(), None);
-}
-
-#[test]
-fn second_motion_is_refused_while_one_runs_or_waits() {
-    let mut rig = Rig::connected();
-    rig.session.request(HOME).unwrap();
-    assert_eq!(rig.session.request(GRIP), Err(RequestError::MotionRunning));
-    rig.lines(0);
-    assert_eq!(rig.session.request(GRIP), Err(RequestError::MotionRunning));
-    rig.hear("ACK HOME");
-    assert_eq!(rig.session.request(GRIP), Err(RequestError::MotionRunning));
-    rig.hear("FIN HOME");
-    assert_eq!(rig.session.request(GRIP), Ok(()));
-}
-
-#[test]
-fn motion_without_an_answer_is_never_sent_again() {
-    let mut rig = Rig::connected();
-    rig.session.request(GRIP).unwrap();
-    assert_eq!(rig.lines(5_000), ["GRIP(40.0,20.0)"]);
-    assert_eq!(rig.happened()[..2], ["Unanswered GRIP", "Disconnected"]);
 }
 
 #[test]
@@ -318,36 +300,20 @@ fn only_the_last_request_sent_once_is_taken_back() {
 }
 
 #[test]
-fn fsack_and_bye_are_never_sent_again() {
-    for (request, line) in [(Request::Fsack, "FSACK()"), (Request::Bye, "BYE()")] {
+fn only_queries_and_settings_are_sent_again_until_the_connection_counts_as_lost() {
+    for (request, times) in [
+        (Request::Pos, 3),
+        (Request::Pwt(Setting::Set(1.0)), 3),
+        (GRIP, 1),
+        (Request::Fsack, 1),
+        (Request::Bye, 1),
+    ] {
         let mut rig = Rig::connected();
         rig.session.request(request).unwrap();
-        assert_eq!(rig.lines(5_000), [line]);
+        assert_eq!(rig.lines(5_000), vec![request.to_string(); times]);
+        let unanswered = std::format!("Unanswered {}", request.name());
+        assert_eq!(rig.happened()[..2], [&unanswered[..], "Disconnected"]);
     }
-}
-
-#[test]
-fn queries_and_settings_are_sent_again_until_the_connection_counts_as_lost() {
-    for request in [Request::Pos, Request::Pwt(Setting::Set(1.0))] {
-        let mut rig = Rig::connected();
-        rig.session.request(request).unwrap();
-        assert_eq!(rig.lines(3_000), vec![request.to_string(); 3]);
-        let happened = rig.happened();
-        assert_eq!(happened[0], std::format!("Unanswered {}", request.name()));
-        assert_eq!(happened[1], "Disconnected");
-        assert_eq!(rig.session.counters().repeated, 2);
-    }
-}
-
-#[test]
-fn silence_is_detected_within_a_second_and_a_returning_gripper_is_found() {
-    let mut rig = Rig::connected();
-    rig.pass(1_000);
-    assert_eq!(rig.happened(), ["Disconnected"]);
-    assert_eq!(*rig.session.known(), Known::NOTHING);
-    assert_eq!(rig.session.request(Request::Pos), Err(RequestError::NotConnected));
-    rig.connect();
-    assert_eq!(rig.happened(), ["Connected"]);
 }
 
 #[test]
@@ -358,62 +324,6 @@ fn lost_connection_is_tried_again_after_its_time_and_not_before() {
     }
     assert_eq!(rig.pass(Config::DEFAULT.reconnect_ms - 1), []);
     assert_eq!(rig.pass(2), [Request::Verbose(false)]);
-}
-
-#[test]
-fn requests_pending_at_a_disconnect_are_never_sent_later() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Tag).unwrap();
-    rig.session.request(GRIP).unwrap();
-    rig.pass(1_000);
-    assert_eq!(rig.happened(), ["Unanswered TAG", "Withdrawn GRIP", "Disconnected"]);
-    rig.connect();
-    assert_eq!(rig.lines(1_000), Vec::<String>::new());
-}
-
-#[test]
-fn stop_overtakes_queued_requests_and_ends_the_motion() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Move(Move { width: 50.0, speed: None })).unwrap();
-    rig.lines(0);
-    rig.hear("ACK MOVE");
-    rig.session.request(Request::Tag).unwrap();
-    rig.lines(0);
-    rig.session.request(Request::Pos).unwrap();
-    rig.session.request(Request::Stop).unwrap();
-    assert_eq!(rig.lines(0), ["STOP()"]);
-    rig.hear("ERR MOVE 19");
-    rig.hear("ACK STOP");
-    rig.hear("TAG=\"\"");
-    assert_eq!(
-        rig.happened(),
-        ["Pending MOVE", "Withdrawn POS", "Answered ERR MOVE 19", "Answered ACK STOP", "Answered TAG=\"\""]
-    );
-}
-
-#[test]
-fn stop_without_a_connection_is_sent_once_and_never_later() {
-    let mut rig = Rig::connected();
-    rig.pass(1_000);
-    rig.happened();
-    rig.session.request(Request::Stop).unwrap();
-    assert_eq!(rig.sent()[0], Request::Stop);
-    rig.pass(300);
-    assert_eq!(rig.happened(), ["Unanswered STOP"]);
-    rig.connect();
-    assert_eq!(rig.lines(1_000), Vec::<String>::new());
-}
-
-#[test]
-fn stop_open_at_a_disconnect_is_reported_and_never_repeated() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Stop).unwrap();
-    assert_eq!(rig.lines(0), ["STOP()"]);
-    rig.session.disconnect();
-    rig.pass(1);
-    assert_eq!(rig.happened(), ["Unanswered STOP", "Disconnected"]);
-    rig.connect();
-    assert_eq!(rig.lines(1_000), Vec::<String>::new());
 }
 
 #[test]
@@ -437,14 +347,6 @@ fn fast_stop_goes_out_first_and_is_repeated_until_it_is_confirmed() {
 }
 
 #[test]
-fn nothing_but_fast_stop_is_sent_until_it_is_confirmed() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Faststop).unwrap();
-    let sent = rig.pass(Config::DEFAULT.reply_timeout_ms * 2 + 1);
-    assert_eq!(sent, [Request::Faststop; 3]);
-}
-
-#[test]
 fn fsack_withdraws_earlier_requests() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Tag).unwrap();
@@ -457,62 +359,9 @@ fn fsack_withdraws_earlier_requests() {
 }
 
 #[test]
-fn stop_that_is_not_answered_in_time_is_reported_and_repeated() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Stop).unwrap();
-    assert_eq!(rig.lines(Config::DEFAULT.reply_timeout_ms), ["STOP()", "STOP()"]);
-    assert_eq!(rig.happened(), ["Late STOP"]);
-}
-
-#[test]
-fn fast_stop_survives_a_reconnect_and_is_sent_first() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Faststop).unwrap();
-    let silent = rig.pass(3_000);
-    assert!(silent.iter().filter(|request| **request == Request::Faststop).count() > 5);
-    assert_eq!(rig.happened(), ["Disconnected"]);
-    let silent = rig.pass(2 * Config::DEFAULT.reconnect_ms);
-    assert!(silent.len() > 1 && silent.iter().all(|request| *request == Request::Faststop), "{silent:?}");
-    rig.hear("ACK FASTSTOP");
-    rig.connect();
-    assert_eq!(rig.happened(), ["Answered ACK FASTSTOP", "Connected"]);
-}
-
-#[test]
-fn fast_stop_is_never_acknowledged_by_the_session() {
-    let mut rig = Rig::connected();
-    rig.hear("@SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
-    assert!(rig.session.known().flags.unwrap().contains(SystemFlags::FAST_STOP));
-    for _ in 0..5_000 {
-        for request in rig.pass(1) {
-            assert_ne!(request, Request::Fsack);
-            rig.answer(request);
-        }
-    }
-}
-
-#[test]
-fn lost_result_is_given_up_once_the_gripper_stands_still() {
-    let mut rig = Rig::connected();
-    rig.session.request(GRIP).unwrap();
-    rig.lines(0);
-    rig.hear("ACK GRIP");
-    rig.hear("@GRIPSTATE=1");
-    rig.hear("@GRIPSTATE=4");
-    rig.pass_answered(900);
-    assert_eq!(rig.happened(), ["Pending GRIP"]);
-    rig.pass_answered(200);
-    assert_eq!(rig.happened(), ["Unanswered GRIP"]);
-    assert_eq!(rig.session.motion(), None);
-    assert!(rig.session.is_connected());
-}
-
-#[test]
 fn motion_that_never_ends_is_given_up_after_its_time() {
     let mut rig = Rig::connected();
-    rig.session.request(HOME).unwrap();
-    rig.lines(0);
-    rig.hear("ACK HOME");
+    rig.exchange(HOME, "ACK HOME");
     for _ in 0..60_100 {
         for request in rig.pass(1) {
             match request {
@@ -527,9 +376,7 @@ fn motion_that_never_ends_is_given_up_after_its_time() {
 #[test]
 fn late_result_is_not_taken_for_that_of_the_next_motion() {
     let mut rig = Rig::with_a_lost_result();
-    rig.session.request(GRIP).unwrap();
-    assert_eq!(rig.lines(0), ["GRIP(40.0,20.0)"]);
-    rig.hear("FIN GRIP");
+    rig.exchange(GRIP, "FIN GRIP");
     rig.hear("ERR GRIP 19");
     assert_eq!(rig.happened(), ["Pending GRIP", "Unanswered GRIP"]);
     rig.hear("ACK GRIP");
@@ -540,13 +387,9 @@ fn late_result_is_not_taken_for_that_of_the_next_motion() {
 #[test]
 fn refusal_after_a_lost_result_belongs_to_the_new_request() {
     let mut rig = Rig::with_a_lost_result();
-    rig.session.request(GRIP).unwrap();
-    rig.lines(0);
-    rig.hear("ERR GRIP 3");
+    rig.exchange(GRIP, "ERR GRIP 3");
     // A status that ends a motion may also refuse another request.
-    rig.session.request(Request::Pwt(Setting::Set(1.0))).unwrap();
-    rig.lines(0);
-    rig.hear("ERR PWT 18");
+    rig.exchange(Request::Pwt(Setting::Set(1.0)), "ERR PWT 18");
     assert_eq!(
         rig.happened(),
         ["Pending GRIP", "Unanswered GRIP", "Answered ERR GRIP 3", "Answered ERR PWT 18"]
@@ -583,22 +426,6 @@ fn updates_are_reported_once_subscribed_to() {
 }
 
 #[test]
-fn each_changed_subscription_is_sent_to_the_gripper_once() {
-    let mut rig = Rig::connected();
-    for topic in [Topic::Temp, Topic::Force] {
-        rig.session.subscribe(Autosend::every(topic, 50));
-    }
-    let mut told = vec![];
-    for _ in 0..100 {
-        for request in rig.pass(1) {
-            told.extend(matches!(request, Request::Autosend(_)).then(|| request.to_string()));
-            rig.answer(request);
-        }
-    }
-    assert_eq!(told, ["AUTOSEND(\"FORCE\",50)", "AUTOSEND(\"TEMP\",50)"]);
-}
-
-#[test]
 fn values_in_answers_become_known() {
     let mut rig = Rig::connected();
     for line in ["POS=20.5", "SPEED=1.5", "FORCE=2.5", "TEMP=35.5", "PWT=3.5", "CLT=4.5", "TAG=\"x\""] {
@@ -608,16 +435,6 @@ fn values_in_answers_become_known() {
     assert_eq!((known.width, known.speed, known.force), (Some(20.5), Some(1.5), Some(2.5)));
     assert_eq!(known.temperature, Some(35.5));
     assert_eq!((known.part_width_tolerance, known.clamping_travel), (Some(3.5), Some(4.5)));
-}
-
-#[test]
-fn answer_received_before_its_request_was_sent_is_ignored() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Tag).unwrap();
-    while rig.session.tick(rig.now).is_some() {}
-    rig.hear("TAG=\"left\"");
-    assert_eq!(rig.happened(), Vec::<String>::new());
-    assert_eq!(rig.lines(0), ["TAG?"]);
 }
 
 #[test]
@@ -659,12 +476,8 @@ fn one_flag_and_all_flags_are_not_confused() {
 #[test]
 fn bye_silences_the_session_until_a_new_connection() {
     let mut rig = Rig::connected();
-    rig.session.request(GRIP).unwrap();
-    rig.lines(0);
-    rig.hear("ACK GRIP");
-    rig.session.request(Request::Bye).unwrap();
-    assert_eq!(rig.lines(0), ["BYE()"]);
-    rig.hear("ACK BYE");
+    rig.exchange(GRIP, "ACK GRIP");
+    rig.exchange(Request::Bye, "ACK BYE");
     assert_eq!(rig.pass(5_000), []);
     assert_eq!(rig.happened(), ["Pending GRIP", "Answered ACK BYE", "Unanswered GRIP", "Disconnected"]);
     assert_eq!(rig.session.counters().disconnects, 0);
@@ -678,9 +491,7 @@ fn bye_silences_the_session_until_a_new_connection() {
 #[test]
 fn stop_after_bye_is_refused_and_not_sent_over_the_next_connection() {
     let mut rig = Rig::connected();
-    rig.session.request(Request::Bye).unwrap();
-    assert_eq!(rig.lines(0), ["BYE()"]);
-    rig.hear("ACK BYE");
+    rig.exchange(Request::Bye, "ACK BYE");
     rig.pass(1);
     assert_eq!(rig.session.request(Request::Stop), Err(RequestError::NotConnected));
     rig.session.disconnect();
@@ -693,9 +504,7 @@ fn fast_stop_pending_at_bye_waits_for_the_next_connection() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Bye).unwrap();
     assert_eq!(rig.lines(0), ["BYE()"]);
-    rig.session.request(Request::Faststop).unwrap();
-    assert_eq!(rig.lines(0), ["FASTSTOP()"]);
-    rig.hear("ACK BYE");
+    rig.exchange(Request::Faststop, "ACK BYE");
     assert_eq!(rig.pass(5_000), []);
     rig.session.disconnect();
     assert_eq!(rig.pass(1), [Request::Faststop]);
@@ -723,16 +532,6 @@ fn invalid_request_is_refused_before_it_is_sent() {
     assert_eq!(rig.session.request(request), Err(RequestError::Invalid(ParseError::Range)));
     rig.session.subscribe(Autosend::by(Topic::Sysflags, 10, 1.0));
     assert_eq!(rig.lines(100), Vec::<String>::new());
-}
-
-#[test]
-fn more_requests_than_fit_are_refused() {
-    let mut rig = Rig::connected();
-    for _ in 0..QUEUE_LEN {
-        rig.session.request(Request::Pos).unwrap();
-    }
-    assert_eq!(rig.session.request(Request::Pos), Err(RequestError::QueueFull));
-    assert!(rig.session.is_busy());
 }
 
 #[test]

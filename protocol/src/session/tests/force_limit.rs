@@ -2,7 +2,6 @@
 
 use super::*;
 
-const FORCE_40: Command<'static> = Command::SetForceLimit { force: 40.0 };
 const REFRESH_MS: u32 = Config::DEFAULT.refresh_ms;
 /// Time-out of the answer to a refresh.
 const REFRESH_REPLY_MS: u32 = Config::DEFAULT.reply_timeout_ms / 4;
@@ -71,9 +70,7 @@ fn limited() -> Rig {
 fn force_limit_is_known_as_it_was_read_back() {
     let mut rig = verifying();
     assert_eq!(rig.limit(), None);
-    rig.session.request(FORCE_40).unwrap();
-    rig.sent();
-    rig.status(CommandId::SetForceLimit, Status::Success);
+    rig.exchange(FORCE_40, Status::Success);
     assert_eq!(rig.limit(), None, "confirmed, but not read back");
     rig.sent();
     rig.tell(40.0);
@@ -89,26 +86,21 @@ fn force_limit_is_known_as_it_was_read_back() {
 #[test]
 fn force_limit_that_was_not_set_or_not_read_back_is_not_known() {
     let mut rig = verifying();
-    rig.session.request(Command::GetForceLimit).unwrap();
-    rig.sent();
+    rig.send(Command::GetForceLimit);
     rig.tell(40.0);
     assert_eq!(rig.limit(), None, "queried without a setting");
     rig.tell(40.0);
     assert_eq!(rig.limit(), None, "unsolicited");
 
     let mut rig = Rig::connected();
-    rig.session.request(FORCE_40).unwrap();
-    rig.sent();
-    rig.status(CommandId::SetForceLimit, Status::Success);
+    rig.exchange(FORCE_40, Status::Success);
     assert_eq!(rig.limit(), None, "settings are not read back");
 }
 
 #[test]
 fn force_limit_is_queried_periodically_and_stays_known_beside_motions_and_other_values() {
     let mut rig = limited();
-    rig.session.request(GRIP).unwrap();
-    rig.sent();
-    rig.status(CommandId::GripPart, Status::CmdPending);
+    rig.exchange(GRIP, Status::CmdPending);
     let mut asked = rig.pass_with(2 * REFRESH_MS, 40.0);
     rig.status(CommandId::GripPart, Status::Success);
     asked += rig.pass_with(18 * REFRESH_MS, 40.0);
@@ -187,43 +179,29 @@ fn every_request_except_a_motion_other_than_homing_makes_it_unknown() {
     for motion in [GRIP, Command::ReleasePart { width, speed }, Command::PrePosition { flags, width, speed }]
     {
         let mut rig = limited();
-        rig.session.request(motion).unwrap();
-        assert_eq!(rig.sent(), [motion]);
+        rig.send(motion);
         assert_eq!(rig.limit(), Some(40.0), "{motion:?}");
     }
 }
 
 #[test]
 fn it_stays_unknown_while_a_request_that_may_change_it_is_queued() {
-    // Another limit, which is sent after the read-back.
-    let mut rig = verifying();
-    rig.session.request(FORCE_40).unwrap();
-    rig.sent();
-    rig.status(CommandId::SetForceLimit, Status::Success);
-    rig.session.request(Command::SetForceLimit { force: 10.0 }).unwrap();
-    rig.sent();
-    rig.tell(40.0);
-    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1);
-    assert_eq!(rig.limit(), None);
-
-    // A Stop, which delays the requests after it.
-    let mut rig = verifying();
-    rig.session.request(FORCE_40).unwrap();
-    rig.sent();
-    rig.status(CommandId::SetForceLimit, Status::Success);
-    rig.session.request(Command::Stop).unwrap();
-    rig.sent();
-    rig.tell(40.0);
-    assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1);
-    assert_eq!(rig.limit(), None);
+    // Another limit, which is sent after the read-back, and a Stop, which delays the requests after it.
+    for queued in [Command::SetForceLimit { force: 10.0 }, Command::Stop] {
+        let mut rig = verifying();
+        rig.exchange(FORCE_40, Status::Success);
+        rig.session.request(queued).unwrap();
+        rig.sent();
+        rig.tell(40.0);
+        assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1, "{queued:?}");
+        assert_eq!(rig.limit(), None, "{queued:?}");
+    }
 }
 
 #[test]
 fn it_stays_unknown_if_one_of_two_answers_may_precede_the_setting() {
     let mut rig = verifying();
-    rig.session.request(FORCE_40).unwrap();
-    rig.sent();
-    rig.status(CommandId::SetForceLimit, Status::Success);
+    rig.exchange(FORCE_40, Status::Success);
     let asked = rig.pass(Config::DEFAULT.reply_timeout_ms).into_iter();
     assert_eq!(asked.filter(|command| *command == Command::GetForceLimit).count(), 2);
     rig.tell(40.0);
@@ -313,9 +291,7 @@ fn limit_not_refreshed_in_time_becomes_unknown() {
 #[test]
 fn time_of_a_read_back_starts_at_its_query_too() {
     let mut rig = verifying();
-    rig.session.request(FORCE_40).unwrap();
-    rig.sent();
-    rig.status(CommandId::SetForceLimit, Status::Success);
+    rig.exchange(FORCE_40, Status::Success);
     assert_eq!(rig.sent(), [Command::GetForceLimit]);
     rig.pass(40);
     rig.tell(40.0);
@@ -368,9 +344,7 @@ fn late_answer_to_an_earlier_query_does_not_answer_a_read_back() {
     for first in [40.0, 10.0] {
         let mut rig = limited();
         rig.until_queried();
-        rig.session.request(Command::SetForceLimit { force: 10.0 }).unwrap();
-        assert_eq!(rig.sent(), [Command::SetForceLimit { force: 10.0 }]);
-        rig.status(CommandId::SetForceLimit, Status::Success);
+        rig.exchange(Command::SetForceLimit { force: 10.0 }, Status::Success);
         assert_eq!(rig.sent(), [Command::GetForceLimit]);
         rig.tell(first);
         assert_eq!(rig.events, [""; 0], "{first} N may precede the setting");
@@ -417,9 +391,7 @@ fn force_limit_becomes_unknown_with_the_connection() {
 fn read_back_waiting_for_a_fast_stop_does_not_delay_the_detection_of_a_lost_line() {
     for fast_stop_at in [100, 300, 500] {
         let mut rig = verifying();
-        rig.session.request(FORCE_40).unwrap();
-        rig.sent();
-        rig.status(CommandId::SetForceLimit, Status::Success);
+        rig.exchange(FORCE_40, Status::Success);
         assert_eq!(rig.sent(), [Command::GetForceLimit]);
         rig.pass(fast_stop_at);
         rig.session.request(Command::FastStop).unwrap();

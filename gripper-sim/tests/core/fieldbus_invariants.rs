@@ -1,10 +1,11 @@
 //! Random images from one or two masters, parts, faults, connections and pauses, after which these rules of the
 //! fieldbus manual must hold.
 
+use crate::fieldbus::Plc;
 use proptest::prelude::*;
-use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags, GripperFlags, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
-use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+use wsg_sim::{Config, Fault, Part, PortKind};
 
 #[derive(Clone, Copy, Debug)]
 enum Op {
@@ -47,81 +48,53 @@ fn op() -> impl Strategy<Value = Op> {
     ]
 }
 
-struct Trial {
-    gripper: VirtualGripper,
-    port: PortId,
-    image: OutputImage,
-    now: Time,
-}
+/// A PLC that homes, writes random images and checks the rules after each.
+struct Trial(Plc);
 
 impl Trial {
     fn new() -> Self {
-        let mut gripper = VirtualGripper::new(Config::default());
-        let port = gripper.connect(PortKind::ModbusTcp).unwrap();
-        let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
-        let mut trial = Self { gripper, port, image, now: Time::ZERO };
         // With valid parameters, most sequences cause motion.
-        trial.write();
-        trial.image.flags = CommandFlags::HOMING;
-        trial.write();
-        trial.wait(4_000);
-        trial
-    }
-
-    fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
-        let header = [0, 1, 0, 0, 0, pdu.len() as u8 + 1, 1];
-        self.gripper.receive(self.port, self.now, &[&header, pdu].concat());
-        let mut buffer = [0; MAX_FRAME_LEN];
-        self.gripper.transmit(self.port, &mut buffer).expect("every request is answered")[7..].to_vec()
-    }
-
-    fn write(&mut self) {
-        self.ask(&[&[16, 0, 0, 0, 4, 8][..], &self.image.to_bytes()].concat());
-    }
-
-    fn read(&mut self) -> InputImage {
-        InputImage::from_bytes(self.ask(&[4, 0, 0, 0, 6])[2..].try_into().unwrap())
-    }
-
-    fn wait(&mut self, millis: u64) {
-        self.now = self.now.plus_millis(millis);
-        self.gripper.advance(self.now);
+        let mut plc = Plc::new(Config::default());
+        plc.raise(CommandFlags::HOMING);
+        plc.wait(4_000);
+        Self(plc)
     }
 
     fn moves(&self) -> bool {
-        let state = self.gripper.state();
+        let state = self.0.gripper.state();
         state.gripper.is_motion() || state.flags.contains(SystemFlags::MOVING)
     }
 
     fn step(&mut self, op: Op) {
-        let before = (self.moves(), self.image);
+        let before = (self.moves(), self.0.image);
         match op {
             Op::Write { flags, parameters } => {
                 let jog = CommandFlags::JOG_PLUS | CommandFlags::JOG_MINUS;
-                self.image.flags = flags.difference(jog) | self.image.flags.intersection(jog);
+                self.0.image.flags = flags.difference(jog) | self.0.image.flags.intersection(jog);
                 if let Some((width, speed, force_limit)) = parameters {
-                    self.image = OutputImage { width, speed, force_limit, ..self.image };
+                    self.0.image = OutputImage { width, speed, force_limit, ..self.0.image };
                 }
-                self.write();
+                self.0.write();
             }
             Op::Jog(both) => {
-                self.image.flags = CommandFlags::from_bits_retain(self.image.flags.bits() & 0x3F | both << 6);
-                self.write();
+                self.0.image.flags =
+                    CommandFlags::from_bits_retain(self.0.image.flags.bits() & 0x3F | both << 6);
+                self.0.write();
             }
-            Op::SetPart(width) => self.gripper.set_part(width.and_then(Part::of_width), self.now),
-            Op::SetFault(fault, on) => self.gripper.set_fault(fault, on, self.now),
-            Op::Wait { millis } => self.wait(millis.into()),
+            Op::SetPart(width) => self.0.gripper.set_part(width.and_then(Part::of_width), self.0.now),
+            Op::SetFault(fault, on) => self.0.gripper.set_fault(fault, on, self.0.now),
+            Op::Wait { millis } => self.0.wait(millis.into()),
             Op::Reconnect => {
-                self.gripper.disconnect(self.port, self.now);
-                self.port = self.gripper.connect(PortKind::ModbusTcp).unwrap();
+                self.0.gripper.disconnect(self.0.port, self.0.now);
+                self.0.port = self.0.gripper.connect(PortKind::ModbusTcp).unwrap();
             }
         }
         self.check(op, before);
     }
 
     fn check(&mut self, op: Op, (moved, image): (bool, OutputImage)) {
-        let shown = self.read();
-        let flags = self.image.flags;
+        let shown = self.0.read();
+        let flags = self.0.image.flags;
         let rising = flags.difference(image.flags);
         assert_eq!(shown.state.bits().count_ones(), 1, "{shown:?}");
         // No motion without a command: a motion starts with a write, on an edge or with a jog.
@@ -145,16 +118,16 @@ impl Trial {
         if fast_stopped {
             assert_eq!((shown.state, self.moves()), (GripperFlags::IDLE, false), "{op:?}");
         }
-        if moved && image.parameters_differ(&self.image) && image.flags.bits() >> 6 == 0 {
+        if moved && image.parameters_differ(&self.0.image) && image.flags.bits() >> 6 == 0 {
             assert!(fast_stopped, "a parameter changed while the fingers moved: {op:?} {shown:?}");
         }
         if shown.status == Status::CmdPending {
             assert!(self.moves(), "{op:?} {shown:?}");
         }
         if shown.state == GripperFlags::HOLDING {
-            assert!(self.gripper.state().force > 0.0);
+            assert!(self.0.gripper.state().force > 0.0);
         }
-        let force_limit = self.gripper.state().force_limit;
+        let force_limit = self.0.gripper.state().force_limit;
         assert!((5.0..=80.0).contains(&force_limit), "{force_limit} N");
     }
 }
@@ -169,7 +142,7 @@ proptest! {
             trial.step(op);
         }
         // Every motion must end.
-        trial.wait(60_000);
+        trial.0.wait(60_000);
         prop_assert!(!trial.moves());
     }
 }
