@@ -206,9 +206,15 @@ fn frame_held_inside_a_false_one_is_obeyed_when_that_times_out() {
 
 #[test]
 fn datagram_that_ends_inside_a_frame_spoils_none_that_follows() {
-    let mut rig = Rig::on(PortKind::Udp, Config::default());
-    rig.send_bytes(&frame(Command::GetForceLimit)[..7]);
-    assert_eq!(rig.status(Command::GetForceLimit), Status::Success);
+    for check_checksum in [true, false] {
+        let mut rig = Rig::on(PortKind::Udp, Config { check_checksum, ..Config::default() });
+        let request = frame(Command::GetForceLimit);
+        // Without its checksum, or its second half.
+        for len in [request.len() - 2, request.len() - 1, 5] {
+            rig.send_bytes(&request[..len]);
+            assert_eq!(rig.status(Command::GetForceLimit), Status::Success, "{check_checksum}, {len}");
+        }
+    }
 }
 
 #[test]
