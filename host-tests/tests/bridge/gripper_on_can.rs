@@ -170,52 +170,34 @@ fn motion_during_bus_off_has_an_unknown_outcome_and_shows_error() {
     assert!(rig.outputs().contains(Outputs::ERROR), "{:?}", rig.outputs());
 }
 
-#[test]
-fn fast_stop_during_bus_off_is_the_first_command_after_it() {
-    let mut rig = homed();
-    rig.double().go_off(0);
-    rig.pass(10);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.pass(20);
-    rig.take_sent();
-    assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
-    rig.pass(100);
-    let sent = rig.take_sent();
-    let commands: Vec<CommandId> =
-        sent.into_iter().filter(|id| id.kind() != wsg_protocol::Kind::Query).collect();
-    assert_eq!(commands.first(), Some(&CommandId::FastStop));
-    assert!(rig.gripper().state().flags.contains(wsg_protocol::SystemFlags::FAST_STOP));
-}
-
+/// Requested during bus-off, before the gripper stops answering, or waiting in the controller at bus-off.
 #[test]
 fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
-    let mut rig = homed();
-    rig.double().go_off(0);
-    rig.pass(10);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.take_sent();
-    while rig.bus().state() != BusState::On {
+    for (is_in_controller, low_ms) in [(false, 0), (false, 20), (true, 5)] {
+        let mut rig = homed();
+        if !is_in_controller {
+            rig.double().go_off(0);
+            rig.pass(10);
+        }
+        rig.double().set_unheard(is_in_controller);
+        rig.set(Inputs::FAST_STOP_OK, false);
+        rig.pass(low_ms);
+        if is_in_controller {
+            rig.double().go_off(0);
+            rig.double().set_unheard(false);
+        }
+        rig.take_sent();
         rig.pass(1);
+        while rig.bus().state() != BusState::On {
+            rig.pass(1);
+        }
+        rig.pass(2);
+        let context = format!("in the controller: {is_in_controller}, low for {low_ms} ms");
+        assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop), "{context}");
+        assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{context}");
+        rig.pass(100);
+        assert!(rig.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{context}");
     }
-    rig.pass(2);
-    assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop));
-}
-
-#[test]
-fn fast_stop_in_the_controller_at_bus_off_is_sent_with_the_first_frames_after_it() {
-    let mut rig = homed();
-    rig.double().set_unheard(true);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.pass(5);
-    rig.double().go_off(0);
-    rig.double().set_unheard(false);
-    rig.take_sent();
-    rig.pass(1);
-    while rig.bus().state() != BusState::On {
-        rig.pass(1);
-    }
-    rig.pass(2);
-    assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop));
 }
 
 #[test]

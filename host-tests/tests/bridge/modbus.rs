@@ -3,7 +3,6 @@
 use host_tests::addresses::{report, setting};
 use host_tests::modbus_rig::*;
 use host_tests::wires::Wires;
-use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES, ResetCause};
@@ -266,35 +265,24 @@ fn part_stays_held_while_the_master_is_silent() {
 }
 
 #[test]
-fn first_write_of_a_master_starts_nothing() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(200);
-    rig.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
-    rig.pass(100);
-    rig.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
-    rig.pass(100);
-    assert_eq!(rig.take_motions(), []);
-    rig.write(0, &[0, 0, 50_00, 40_00]);
-    rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-    rig.pass(10);
-    assert_eq!(rig.take_motions(), [CommandId::Homing]);
-}
-
-#[test]
-fn held_flag_gives_no_edge_after_a_reset_regardless_of_reads() {
-    // The bridge has just restarted, but the PLC has not. Its cycle continues to read and write with HOMING set.
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(200);
-    for _ in 0..5 {
-        assert_eq!(rig.holding(0, 1).map(|registers| registers.len()), Ok(1));
+fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
+    // The bridge has just started, but the cycle of the PLC continues with its flags set.
+    for (flags, reads) in [(HOMING | JOG_PLUS, false), (HOMING, true)] {
+        let mut rig = TestRig::new(Config::DEFAULT, quick());
+        rig.pass(200);
+        for _ in 0..5 {
+            if reads {
+                assert_eq!(rig.holding(0, 1).map(|registers| registers.len()), Ok(1));
+            }
+            rig.write(0, &[u16::from(flags) << 8, 0, 50_00, 40_00]);
+            rig.pass(100);
+        }
+        assert_eq!(rig.take_motions(), [], "reads: {reads}");
+        rig.write(0, &[0, 0, 50_00, 40_00]);
         rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-        rig.pass(100);
+        rig.pass(10);
+        assert_eq!(rig.take_motions(), [CommandId::Homing], "reads: {reads}");
     }
-    assert_eq!(rig.take_motions(), []);
-    rig.write(0, &[0, 0, 50_00, 40_00]);
-    rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-    rig.pass(10);
-    assert_eq!(rig.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
@@ -579,15 +567,21 @@ fn device_identification_names_the_bridge() {
 
 #[test]
 fn width_and_force_are_queried_only_once_a_master_communicates() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(1_000);
-    let asks = |sent: Vec<CommandId>| {
-        sent.iter().any(|id| matches!(id, CommandId::GetOpeningWidth | CommandId::GetForce))
-    };
-    assert!(!asks(rig.take_sent()));
-    rig.input(0, 1).unwrap();
-    rig.pass(100);
-    assert!(asks(rig.take_sent()));
+    for by_service in [false, true] {
+        let mut rig = TestRig::new(Config::DEFAULT, quick());
+        rig.pass(1_000);
+        let asks = |sent: Vec<CommandId>| {
+            sent.iter().any(|id| matches!(id, CommandId::GetOpeningWidth | CommandId::GetForce))
+        };
+        assert!(!asks(rig.take_sent()));
+        if by_service {
+            rig.by_service(|rig| rig.input(0, 1)).unwrap();
+        } else {
+            rig.input(0, 1).unwrap();
+        }
+        rig.pass(100);
+        assert!(asks(rig.take_sent()), "by the service port: {by_service}");
+    }
 }
 
 #[test]
@@ -603,70 +597,6 @@ fn broadcast_takes_effect_only_if_enabled() {
     rig.pass(20);
     assert_eq!(rig.answers(), 0);
     assert!(rig.bit(28));
-}
-
-/// Traffic on the bus that is no request of the PLC.
-#[derive(Clone, Debug)]
-enum Happening {
-    Noise(Vec<u8>),
-    /// A frame that commands a motion, with one inverted bit.
-    Damaged(u8, usize),
-    /// The start of such a frame.
-    Half(u8, usize),
-    /// Such a frame for another unit.
-    Foreign(u8, u8),
-    Pass(u32),
-}
-
-fn happening() -> impl Strategy<Value = Happening> {
-    prop_oneof![
-        3 => proptest::collection::vec(any::<u8>(), 1..40).prop_map(Happening::Noise),
-        3 => (any::<u8>(), 0..17usize * 8).prop_map(|(flags, bit)| Happening::Damaged(flags, bit)),
-        2 => (any::<u8>(), 1..17usize).prop_map(|(flags, len)| Happening::Half(flags, len)),
-        2 => (any::<u8>(), 2..=247u8).prop_map(|(flags, unit)| Happening::Foreign(flags, unit)),
-        3 => (0..60u32).prop_map(Happening::Pass),
-    ]
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
-
-    #[test]
-    fn nothing_but_an_intact_request_for_this_unit_moves_fingers(happenings in proptest::collection::vec(happening(), 1..40)) {
-        let mut rig = TestRig::homed(quick());
-        rig.take_motions();
-        let moves = |unit: u8, flags: u8| {
-            TestRig::frame(unit, &[16, 0, 0, 0, 4, 8, flags, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0])
-        };
-        for happening in happenings {
-            match happening {
-                Happening::Noise(bytes) => rig.send_raw(&bytes),
-                Happening::Damaged(flags, bit) => {
-                    let mut frame = moves(UNIT, flags);
-                    frame[bit / 8] ^= 1 << (bit % 8);
-                    rig.pass(55);
-                    rig.send_raw(&frame);
-                    rig.pass(55);
-                }
-                Happening::Half(flags, len) => {
-                    rig.pass(55);
-                    rig.send_raw(&moves(UNIT, flags)[..len.min(16)]);
-                    rig.pass(55);
-                }
-                Happening::Foreign(flags, unit) => {
-                    rig.pass(55);
-                    rig.send_raw(&moves(unit, flags));
-                    rig.pass(5);
-                }
-                Happening::Pass(ms) => rig.pass(ms),
-            }
-        }
-        rig.pass(50);
-        prop_assert_eq!(rig.take_motions(), []);
-        rig.write(0, &[0, 0, 50_00, 40_00]);
-        rig.command(MOVE, 40_00, 50_00, 40_00);
-        prop_assert_eq!(rig.status(), SUCCESS);
-    }
 }
 
 /// BUS_TIMEOUT (docs/registers.md) starts with the last intact request for this unit.

@@ -30,6 +30,8 @@ fn persistent_fault_keeps_ready_low_despite_acknowledgements() {
         }
         let now = rig.now();
         rig.gripper().set_fault(fault, false, now);
+        rig.pass(100);
+        assert!(rig.outputs().contains(Outputs::ERROR), "{fault:?}: not cleared automatically");
         rig.pulse(Inputs::STOP_ACK);
         assert!(rig.until(200, |outputs| outputs == IDLE), "{fault:?}: {:?}", rig.outputs());
     }

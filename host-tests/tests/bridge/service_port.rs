@@ -71,16 +71,6 @@ fn service_port_reads_what_the_bus_reads() {
 }
 
 #[test]
-fn width_and_force_are_queried_once_the_service_port_is_used() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(1_000);
-    assert!(!rig.take_sent().contains(&CommandId::GetForce));
-    rig.by_service(|rig| rig.input(0, 1)).unwrap();
-    rig.pass(100);
-    assert!(rig.take_sent().contains(&CommandId::GetForce));
-}
-
-#[test]
 fn setting_written_by_the_service_port_applies_to_bus_and_wires_at_once() {
     let mut rig = TestRig::homed(quick());
     rig.by_service(|rig| rig.write(setting("UNIT"), &[9]));
