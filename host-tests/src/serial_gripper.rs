@@ -150,6 +150,12 @@ impl<W: Carry> SerialGripper<W> {
         self.gripper.advance(now);
     }
 
+    /// Returns the commands that the bridge has sent since the last [`take_sent`](Self::take_sent).
+    #[must_use]
+    pub fn sent(&self) -> &[CommandId] {
+        &self.sent
+    }
+
     /// Returns the commands that the bridge has sent since the last call.
     pub fn take_sent(&mut self) -> Vec<CommandId> {
         std::mem::take(&mut self.sent)

@@ -6,23 +6,22 @@ use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sd
 use document::hold_file;
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::addresses;
-use host_tests::can_rig::{BOARD, CanRig, Double};
-use host_tests::flash_model::Fault;
+use host_tests::can_rig::{BOARD, CanRig};
+use host_tests::flash_model::{Fault, FlashModel};
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
+use host_tests::station_rig::StationRig;
 use host_tests::wires::Wires;
-use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanNode, DEFAULT_NODE, Health, NodeConfig, collides_with_canopen,
-};
+use wsg_bridge_fw::can::{CanNode, DEFAULT_NODE, Health, NodeConfig, collides_with_canopen};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::canopen::{
     DataType, FAULTS, NmtState, Node, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, SETTINGS};
-use wsg_bridge_fw::{Bridge, ControlSource};
+use wsg_bridge_fw::{Bridge, ControlSource, PlcBus, ResetCause};
 use wsg_fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
-use wsg_sim::{Config, Part, Time};
+use wsg_sim::{Config, Part};
 
 const NODE: NodeConfig = DEFAULT_NODE;
 /// Default of BUS_TIMEOUT.
@@ -517,48 +516,34 @@ fn bus_off_ends_operation_until_the_master_starts_it_again() {
 #[test]
 fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
     for (flags, is_commander) in [(Cmd::MOVE, true), (Cmd::JOG_MINUS, true), (Cmd::empty(), false)] {
-        let mut far = SerialGripper::new(Config::default());
-        let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
-        let double = Double::default();
-        let mut bus = CanBus::new(double.clone(), BusOffPolicy::DEFAULT);
-        let mut node = Node::new(NODE);
-        let (mut now_ms, mut wires) = (0, Inputs::FAST_STOP_OK);
-        let mut pass = |ms: u32, wires: Inputs, frames: &[(u16, &[u8])]| {
+        let delivered = wsg_bridge_fw::Config { plc_bus: PlcBus::Canopen, ..wsg_bridge_fw::Config::DEFAULT };
+        let gripper = SerialGripper::new(Config::default());
+        let mut rig = StationRig::with(&delivered.record(), gripper, FlashModel::new(), ResetCause::PowerOn);
+        rig.get_homed();
+        let double = rig.can.clone();
+        let mut pass = |ms: u32, frames: &[(u16, &[u8])]| {
             for (id, data) in frames {
                 double.bring(ClassicFrame::new(StandardId::new(*id).unwrap(), data).unwrap());
             }
             for _ in 0..ms {
-                now_ms += 1;
-                let now = Instant::from_millis(now_ms);
-                bus.listen(now, &mut None::<&mut Node>, &mut node);
-                bridge.poll(now_ms, wires, &mut far.line, &mut node);
-                bus.talk(now, &mut None::<&mut Node>, &mut node);
+                rig.step();
                 while double.take_winner().is_some() {}
-                far.advance(Time::from_millis(now_ms.into()));
             }
-            far.take_sent()
+            rig.take_sent()
         };
-        pass(200, wires, &[]);
-        wires |= Inputs::STOP_ACK;
-        pass(10, wires, &[(0, &[1, NODE.node])]);
-        wires -= Inputs::STOP_ACK;
-        pass(10, wires, &[]);
-        wires |= Inputs::HOME;
-        pass(10, wires, &[]);
-        wires -= Inputs::HOME;
-        pass(20_000, wires, &[]);
-
+        pass(10, &[]);
+        pass(10, &[(0, &[1, NODE.node])]);
         let rpdo = 0x200 | u16::from(NODE.node);
         let image = [flags.bits(), 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F];
-        pass(5, wires, &[(rpdo, &[0; 8])]);
-        let sent = pass(50, wires, &[(rpdo, &image)]);
+        pass(5, &[(rpdo, &[0; 8])]);
+        let sent = pass(50, &[(rpdo, &image)]);
         assert_eq!(sent.contains(&CommandId::PrePosition), is_commander, "{flags:?}: {sent:?}");
         // After as many frames as a turn handles.
         for _ in 0..24 {
             double.bring(ClassicFrame::new(StandardId::new(rpdo).unwrap(), &image).unwrap());
         }
         double.go_off(0);
-        let sent = pass(10, wires, &[]);
+        let sent = pass(10, &[]);
         assert_eq!(sent.contains(&CommandId::Stop), is_commander, "{flags:?}: {sent:?}");
     }
 }
