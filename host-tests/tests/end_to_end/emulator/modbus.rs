@@ -90,17 +90,12 @@ const MOVE: u8 = 0;
 const GRIP: u8 = 1;
 const RELEASE: u8 = 2;
 const HOMING: u8 = 3;
-const STOP_ACK: u8 = 4;
 /// In input register 1, whose low byte is the second byte of SYSSTATE.
 const FAST_STOP: u16 = 1 << 4;
-const ACCESS_DENIED: u16 = Status::AccessDenied.code();
-const TIMEOUT: u16 = Status::Timeout.code();
 const PENDING: u16 = Status::CmdPending.code();
 const IDLE: u16 = 1 << 0;
-const PART_LOST: u16 = 1 << 3;
 const HOLDING: u16 = 1 << 4;
 const RELEASING: u16 = 1 << 5;
-const POSITIONING: u16 = 1 << 6;
 
 fn quick() -> Config {
     Config { time_scale: 10.0, ..Config::default() }
@@ -116,57 +111,6 @@ fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
     }
     let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing][..], &cycle.repeat(10)].concat();
-    assert_eq!(motions(&plant.trace.since(0)), expected);
-}
-
-fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board(board: Board) {
-    let mut plant = Plant::start(board, Config { part: Part::of_width(20.0), ..Config::default() });
-    let fast_stopped = |plant: &mut Plant| plant.input()[1] & FAST_STOP != 0;
-    let stops = |plant: &mut Plant| plant.wait("a FAST STOP", |input| input[1] & FAST_STOP != 0);
-    let acknowledge = |plant: &mut Plant| {
-        plant.write(&[0, 30_00, 50_00, 40_00]);
-        // On a busy host, the gripper's confirmation of the FAST STOP may be late. The bridge reports this, and the PLC
-        // retries.
-        let mut tries = 0;
-        loop {
-            match plant.command(STOP_ACK, [30_00, 50_00, 40_00]) {
-                (IDLE, ACCESS_DENIED | TIMEOUT) if tries < 100 => tries += 1,
-                ended => break assert_eq!(ended, (IDLE, 0)),
-            }
-        }
-        // The gripper reports its flags slightly after its answer.
-        plant.wait("FAST STOP to end", |input| input[1] & FAST_STOP == 0);
-    };
-    assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
-
-    // Two simultaneous edges, MOVE and GRIP: the lowest bit is executed. Then a parameter changes during the motion.
-    plant.write(&[0b11 << 8, 30_00, 50_00, 40_00]);
-    assert_eq!(plant.input()[0] >> 8, POSITIONING);
-    plant.write(&[0b11 << 8, 30_00, 50_01, 40_00]);
-    stops(&mut plant);
-    assert_eq!(plant.input()[0] >> 8, IDLE);
-    acknowledge(&mut plant);
-
-    // SPEED is out of range.
-    plant.write(&[1 << 8, 30_00, 1, 40_00]);
-    stops(&mut plant);
-    acknowledge(&mut plant);
-
-    // FASTSTOP during the motion. It cannot be acknowledged while it is 1.
-    plant.write(&[1 << 8, 30_00, 50_00, 40_00]);
-    plant.write(&[1 << 13, 30_00, 50_00, 40_00]);
-    stops(&mut plant);
-    plant.write(&[0b11 << 12, 30_00, 50_00, 40_00]);
-    for _ in 0..20 {
-        assert!(fast_stopped(&mut plant));
-    }
-    acknowledge(&mut plant);
-
-    // The part is gripped, and lost.
-    assert_eq!(plant.command(GRIP, [20_00, 200_00, 40_00]), (HOLDING, 0));
-    plant.gripper.set_part(None);
-    plant.wait("PART_LOST", |input| input[0] >> 8 == PART_LOST);
-    let expected = [CommandId::Homing, CommandId::PrePosition, CommandId::PrePosition, CommandId::GripPart];
     assert_eq!(motions(&plant.trace.since(0)), expected);
 }
 
@@ -271,7 +215,6 @@ fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(boa
 
 on_both_boards!(
     grip_cycles_over_the_bus_of_the_emulated_board,
-    rules_of_the_fieldbus_manual_hold_on_the_emulated_board,
     jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence,
     noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered,
     requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line,
