@@ -4,7 +4,7 @@ use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use document::hold_file;
-use embedded_can::{Frame, Id, StandardId};
+use embedded_can::{Frame, StandardId};
 use host_tests::addresses;
 use host_tests::can_rig::{BOARD, CanRig};
 use host_tests::flash_model::{Fault, FlashModel};
@@ -33,14 +33,12 @@ struct Master {
     /// The last image sent.
     image: [u8; 8],
     heard: Vec<(u32, u16, Vec<u8>)>,
-    /// Whether the master sends its heartbeat every 200 ms.
-    beats: bool,
 }
 
 impl Master {
     fn new(config: Config) -> Self {
         let rig = CanRig::with_node(config, NODE);
-        Self { rig, image: [0; 8], heard: Vec::new(), beats: false }
+        Self { rig, image: [0; 8], heard: Vec::new() }
     }
 
     /// Returns a master of an operational node: connected, FAST STOP acknowledged, homed. The heartbeat is sent
@@ -48,7 +46,7 @@ impl Master {
     fn homed(part: Option<f32>, time_scale: f32) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let mut master = Self::new(Config { part, time_scale, ..Config::default() });
-        master.beats = true;
+        master.rig.beats = true;
         master.pass(500);
         master.nmt(NmtCommand::StartRemoteNode);
         master.command(Cmd::empty());
@@ -62,20 +60,19 @@ impl Master {
         master
     }
 
+    /// Returns a master like [`homed`](Self::homed), during a MOVE.
+    fn moving() -> Self {
+        let mut master = Self::homed(None, 1.0);
+        master.command(Cmd::MOVE);
+        master.until(1_000, |master| master.is(SystemFlags::MOVING));
+        master.rig.take_sent();
+        master
+    }
+
     fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            if self.beats && self.rig.now_ms().is_multiple_of(200) {
-                self.send(0x700 | u16::from(NODE.master), &[5]);
-            }
-            self.rig.pass(1);
-            for (at, frame) in self.rig.take_heard() {
-                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
-                let controller = Identifiers::DEFAULT.controller();
-                if id != controller.transmit {
-                    self.heard.push((at, id.as_raw(), frame.data().to_vec()));
-                }
-            }
-        }
+        self.rig.pass(ms);
+        let to_gripper = Identifiers::DEFAULT.controller().transmit.as_raw();
+        self.heard.extend(self.rig.take_heard().into_iter().filter(|(_, id, _)| *id != to_gripper));
     }
 
     fn until(&mut self, bound_ms: u32, wanted: impl Fn(&Self) -> bool) {
@@ -89,7 +86,7 @@ impl Master {
     }
 
     fn send(&mut self, id: u16, data: &[u8]) {
-        self.rig.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+        self.rig.send(id, data);
     }
 
     fn nmt(&mut self, command: NmtCommand) {
@@ -335,11 +332,9 @@ fn all_edges_within_one_millisecond_take_effect() {
 
 #[test]
 fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
-    let mut master = Master::homed(None, 1.0);
+    let mut master = Master::moving();
     master.emergencies();
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.beats = false;
+    master.rig.beats = false;
     // RPDOs do not replace a heartbeat that was received before.
     for _ in 0..TIMEOUT_MS / 100 - 3 {
         master.command(Cmd::MOVE);
@@ -354,7 +349,7 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
     assert_eq!(timeouts, 1);
 
     // The fault ends when the master starts the node again.
-    master.beats = true;
+    master.rig.beats = true;
     master.nmt(NmtCommand::StartRemoteNode);
     assert_eq!(master.emergencies(), [(0, 0)]);
     master.command(Cmd::empty());
@@ -365,7 +360,7 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
 #[test]
 fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
     let mut master = Master::homed(None, 1.0);
-    master.beats = false;
+    master.rig.beats = false;
     master.pass(2 * TIMEOUT_MS);
     master.nmt(NmtCommand::StartRemoteNode);
     master.take_motions();
@@ -382,10 +377,7 @@ fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
 
 #[test]
 fn restarted_master_no_longer_commands() {
-    let mut master = Master::homed(None, 1.0);
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.rig.take_sent();
+    let mut master = Master::moving();
     master.send(0x700 | u16::from(NODE.master), &[0]);
     master.pass(20);
     assert_eq!(master.rig.node().state(), NmtState::PreOperational);
@@ -400,10 +392,7 @@ fn nmt_stop_and_resets_stop_a_motion() {
         NmtCommand::ResetNode,
         NmtCommand::ResetCommunication,
     ] {
-        let mut master = Master::homed(None, 1.0);
-        master.command(Cmd::MOVE);
-        master.until(1_000, |master| master.is(SystemFlags::MOVING));
-        master.rig.take_sent();
+        let mut master = Master::moving();
         master.nmt(command);
         master.pass(20);
         assert!(master.rig.take_sent().contains(&CommandId::Stop), "{command:?}");
@@ -470,15 +459,6 @@ fn each_fault_sets_the_bit_of_its_class_in_the_error_register() {
         };
         assert_eq!(fault.register, 1 << bit, "{}", fault.meaning);
     }
-}
-
-#[test]
-fn silent_gripper_is_reported() {
-    let mut master = Master::homed(None, 10.0);
-    master.emergencies();
-    master.rig.to_gripper = Some(Box::new(|_| vec![]));
-    master.pass(2_000);
-    assert_eq!(master.emergencies(), [(code_of("gripper does not answer"), 0x11)]);
 }
 
 #[test]
@@ -832,10 +812,7 @@ const RPDO_ON: Value = Value::Unsigned32(0x210);
 
 #[test]
 fn disabled_rpdo_commands_nothing_and_stops_its_motion() {
-    let mut master = Master::homed(None, 1.0);
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.rig.take_sent();
+    let mut master = Master::moving();
     master.download(0x1400, 1, RPDO_OFF).unwrap();
     master.pass(10);
     assert!(master.rig.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
@@ -929,9 +906,7 @@ fn pdo_mappings_match_the_transmitted_objects() {
 
 #[test]
 fn tpdos_keep_their_inhibit_time_and_are_also_sent_without_a_change() {
-    let mut master = Master::homed(None, 1.0);
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    let mut master = Master::moving();
     master.take(0x280);
     master.pass(300);
     let moments: Vec<u32> = master.take(0x280).iter().map(|(at, _)| *at).collect();
@@ -1092,7 +1067,7 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             let mut master = Master::homed(None, 1.0);
             if !beats {
                 // Without the heartbeat received so far.
-                master.beats = false;
+                master.rig.beats = false;
                 master.pass(2 * TIMEOUT_MS);
                 master.nmt(NmtCommand::StartRemoteNode);
                 master.command(Cmd::empty());
@@ -1101,7 +1076,7 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             master.until(1_000, |master| master.is(SystemFlags::MOVING));
             if beats {
                 master.send(of_master, &[5]);
-                master.beats = false;
+                master.rig.beats = false;
             } else {
                 master.command(Cmd::MOVE);
             }

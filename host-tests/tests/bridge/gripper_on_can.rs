@@ -544,10 +544,7 @@ impl Blocked {
         assert!(rig.outputs().contains(Outputs::LINK_OK), "{context}: {:?}", rig.outputs());
         assert_eq!(rig.take_motions(), [], "{context}: sent later");
         assert_eq!(rig.gripper().state().width, *width, "{context}: the fingers have moved");
-        let answers = rig.take_heard();
-        let answers = answers
-            .iter()
-            .filter(|(_, frame)| frame.id() == Id::Standard(StandardId::new(SDO_ANSWER).unwrap()));
+        let answers = rig.take_heard().into_iter().filter(|(_, id, _)| *id == SDO_ANSWER);
         assert_eq!(answers.count(), 1, "{context}: the SDO answer");
         rig.set(wire, !level);
         rig.pass(20);
