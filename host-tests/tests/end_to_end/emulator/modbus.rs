@@ -2,11 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use host_tests::emulator::Emulator;
 use host_tests::extent;
-use host_tests::gripper_end::GripperEnd;
 use host_tests::modbus_master::{Failed, Master};
-use host_tests::rig::motions;
+use host_tests::rig::{Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
@@ -17,22 +15,18 @@ use super::Board;
 const UNIT: u8 = 1;
 
 struct Plant {
-    board: Emulator,
-    gripper: GripperEnd,
-    trace: Trace,
+    rig: Rig,
     master: Master,
 }
 
 impl Plant {
     /// A board with a high FAST STOP wire, a responding gripper, and a master that has written zeros.
     fn start(board: Board, config: Config) -> Self {
-        let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
-        board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-        let trace = Trace::new(vec![]);
-        let gripper =
-            GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-        let master = Master::new(board.take_modbus_line().unwrap(), board.clock(), UNIT);
-        let mut plant = Self { board, gripper, trace, master };
+        let elf = board.image("WSG_FIRMWARE_ELF");
+        let mut rig = Rig::power_up(&elf, config, Trace::new(vec![])).unwrap();
+        rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+        let master = rig.master(UNIT).unwrap();
+        let mut plant = Self { rig, master };
         let bound = Instant::now() + Duration::from_secs(60);
         while plant.ask(&[4, 0, 0, 0, 6])[0] != 4 {
             assert!(Instant::now() < bound, "the gripper does not respond");
@@ -111,7 +105,7 @@ fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
     }
     let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing][..], &cycle.repeat(10)].concat();
-    assert_eq!(motions(&plant.trace.since(0)), expected);
+    assert_eq!(motions(&plant.rig.trace().since(0)), expected);
 }
 
 fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence(board: Board) {
@@ -123,15 +117,15 @@ fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_maste
     plant.wait("a jog that moves", |input| input[0] >> 8 == RELEASING && input[3] > 21_00);
     plant.write(&[0, 20_00, 5_00, 40_00]);
     plant.wait("the jog to end", |input| input[0] >> 8 == IDLE);
-    let stands = plant.gripper.state().width;
+    let stands = plant.rig.gripper().state().width;
     assert!(stands > 20.5 && stands < 100.0, "{stands}");
 
-    let mark = plant.trace.mark();
+    let mark = plant.rig.trace().mark();
     plant.write(&jog_plus);
     // Without further requests, the bridge stops the jog in board time. On a busy host the gripper's time may run ahead,
     // so the motion is long.
     let is_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(frame) if frame_id(frame) == Some(CommandId::Stop.code()));
-    assert!(plant.trace.wait(mark, Duration::from_secs(60), is_stop), "no Stop");
+    assert!(plant.rig.trace().wait(mark, Duration::from_secs(60), is_stop), "no Stop");
     let input = plant.wait("the fingers to stand", |input| input[0] >> 8 == IDLE);
     assert!(input[3] < 100_00, "{input:?}");
 }
@@ -158,14 +152,14 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
         assert!(plant.master.is_silent(quiet).unwrap(), "{bytes:02X?}");
         assert_eq!(plant.ask(&read), value, "after {bytes:02X?}");
     }
-    assert_eq!(motions(&plant.trace.since(0)), []);
+    assert_eq!(motions(&plant.rig.trace().since(0)), []);
     // The bridge tolerates pauses inside a request, which a USB adapter causes: 5 ms and the rest of a millisecond.
     const PAUSE_MS: u32 = 6;
     let frame = Master::frame(UNIT, &read);
     let mut in_two_pieces = |cut: usize| {
         plant.master.send(&frame[..cut]).unwrap();
-        let start = plant.board.now_ms().unwrap();
-        while plant.board.now_ms().unwrap().wrapping_sub(start) < PAUSE_MS {}
+        let start = plant.rig.board().now_ms().unwrap();
+        while plant.rig.board().now_ms().unwrap().wrapping_sub(start) < PAUSE_MS {}
         plant.master.send(&frame[cut..]).unwrap();
         plant.master.answer(&mut |byte| byte).unwrap()
     };
@@ -177,7 +171,7 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
     // After a failed attempt the bus was silent, and flags in the first image after silence are not edges.
     plant.write(&[0; 4]);
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
-    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
+    assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing]);
 }
 
 fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(board: Board) {
@@ -210,7 +204,7 @@ fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(boa
     // A damaged byte costs at most one request. A very busy host may also pause inside a frame for longer than the
     // character time-out. Both can coincide once, but not twice.
     assert!(failed.after_damage <= 1, "{damaged} damaged bytes: {failed:?}");
-    assert_eq!(motions(&plant.trace.since(0)), []);
+    assert_eq!(motions(&plant.rig.trace().since(0)), []);
 }
 
 on_both_boards!(
