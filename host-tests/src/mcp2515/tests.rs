@@ -100,17 +100,6 @@ fn registers_in_use_take_no_write_and_record_a_violation() {
 }
 
 #[test]
-fn it_takes_part_after_eleven_recessive_bits() {
-    let mut can = configured();
-    write(&mut can, CANCTRL, &[0]);
-    assert_eq!(read(&mut can, CANSTAT), 0);
-    can.idle(10);
-    assert!(!can.takes_part());
-    can.idle(1);
-    assert!(can.takes_part());
-}
-
-#[test]
 fn a_message_is_aborted_at_once_unless_in_transmission() {
     let mut can = normal();
     load_and_request(&mut can, 0, 0x100, &[]);
