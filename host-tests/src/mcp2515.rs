@@ -328,6 +328,7 @@ impl Mcp2515 {
                 self.receive[usize::from(address / 0x10 - 6)].store_control(value);
             }
             RECEIVE.. => self.forbidden(format!("4.0: write to a receive buffer, at {address:#04X}")),
+            0x20..CNF3 if address & 0b11 > 1 => ensure!(value == 0, "masks of data bytes are not modelled"),
             _ if is_configuration => self.filters.store(address, value),
             _ => self.forbidden(format!("10.1: write to {address:#04X} outside Configuration mode")),
         }

@@ -143,20 +143,6 @@ fn filters_choose_the_buffer_and_keep_others_out() {
 }
 
 #[test]
-fn a_filter_of_a_standard_identifier_sees_two_bytes_of_data() {
-    let mut can = configured();
-    write(&mut can, 0x20, &[0, 0, 0xFF, 0]);
-    write(&mut can, 0x00, &[0, 0, 0x55, 0]);
-    write(&mut can, 0x04, &[0, 0, 0x55, 0]);
-    write(&mut can, 0x24, &[0xFF, 0xE0, 0, 0]);
-    start(&mut can);
-    receive(&mut can, &WireFrame::standard(0x123, &[0x54]));
-    assert_eq!(read(&mut can, CANINTF), 0);
-    receive(&mut can, &WireFrame::standard(0x123, &[0x55]));
-    assert_eq!(read(&mut can, CANINTF), 1);
-}
-
-#[test]
 fn bus_off_ends_by_itself_after_128_times_11_recessive_bits_and_the_message_is_still_pending() {
     let mut can = normal();
     load_and_request(&mut can, 0, 0x100, &[]);

@@ -10,7 +10,7 @@ use host_tests::addresses::{report, setting};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
 use host_tests::serial_gripper::SerialGripper;
 use host_tests::station_rig::StationRig;
-use host_tests::wires::Wires;
+use host_tests::wires::{Wires, quick, with_part};
 use wsg_bridge_fw::can::DEFAULT_NODE;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::canopen::REPORTS_INDEX;
@@ -19,7 +19,7 @@ use wsg_bridge_fw::{Config, GripperLine, PlcBus, ResetCause};
 use wsg_fieldbus::CommandFlags as Cmd;
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Status};
-use wsg_sim::{Fault, Finger, Jaw, Part, Time};
+use wsg_sim::{Fault, Finger, Jaw, Time};
 
 /// 10.00 mm, 20.00 mm/s, 40.00 N.
 const SLOWLY: [u16; 3] = [10_00, 20_00, 40_00];
@@ -73,7 +73,7 @@ impl Plant {
     }
 
     fn with_part(plc_bus: PlcBus) -> Self {
-        Self::homed_with(plc_bus, wsg_sim::Config { part: Part::of_width(20.0), ..quick() })
+        Self::homed_with(plc_bus, with_part(20.0))
     }
 
     fn with_fmf(plc_bus: PlcBus) -> Self {
@@ -227,11 +227,6 @@ fn registers(answer: &[u8], count: u8) -> Vec<u16> {
         .take(count.into())
         .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
         .collect()
-}
-
-/// Returns a gripper whose fingers move ten times as fast.
-fn quick() -> wsg_sim::Config {
-    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
 }
 
 /// Expected reports on an event.

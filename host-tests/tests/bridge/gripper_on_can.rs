@@ -7,20 +7,15 @@ use std::rc::Rc;
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
 use host_tests::can_rig::{CanRig, Disturbance};
-use host_tests::wires::Wires;
+use host_tests::wires::{IDLE, Wires, quick, with_part};
 use wsg_bridge_fw::can::{BusOffPolicy, BusState, DEFAULT_NODE};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::can::{Identifiers, Segments};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{CommandId, FrameEncoder, Kind, Reply, Status, SystemFlags, checksum};
-use wsg_sim::{Config, Part};
+use wsg_sim::Config;
 
-const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 const POLICY: BusOffPolicy = BusOffPolicy::DEFAULT;
-
-fn with_part(width: f32) -> Config {
-    Config { part: Part::of_width(width), time_scale: 10.0, ..Config::default() }
-}
 
 fn homed() -> CanRig {
     CanRig::homed(with_part(20.0), POLICY)
@@ -363,7 +358,7 @@ fn hit(fault: FrameFault, number: usize) -> Disturbance {
 #[test]
 fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_foreign() {
     const FRAMES: usize = 12;
-    let mut rig = CanRig::homed(Config { time_scale: 10.0, ..Config::default() }, BusOffPolicy::DEFAULT);
+    let mut rig = CanRig::homed(quick(), BusOffPolicy::DEFAULT);
     let mut worst = 0;
     let mut case = 0;
     for fault in [FrameFault::Lost, FrameFault::Doubled, FrameFault::Misled] {

@@ -5,19 +5,14 @@ use host_tests::modbus_rig::*;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
-use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES, ResetCause};
+use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES};
 use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::types::SoftLimits;
 use wsg_protocol::{Command, CommandId, Status, SystemFlags};
-use wsg_sim::Part;
-
-fn with_part() -> wsg_sim::Config {
-    wsg_sim::Config { part: Part::of_width(20.0), ..quick() }
-}
 
 #[test]
 fn grip_cycle_over_the_bus() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.take_motions();
     for _ in 0..20 {
         rig.command(MOVE, 80_00, 200_00, 40_00);
@@ -42,7 +37,7 @@ fn missing_and_lost_parts_are_shown_in_gstate() {
     let mut rig = TestRig::homed(quick());
     rig.command(GRIP, 20_00, 50_00, 40_00);
     assert_eq!((rig.state(), rig.status()), (NO_PART, 18), "E_CMD_FAILED");
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     let now = rig.now();
     rig.gripper().set_part(None, now);
@@ -258,7 +253,7 @@ fn silent_master_that_only_read_stops_no_motion() {
 
 #[test]
 fn part_stays_held_while_the_master_is_silent() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     rig.pass(5_000);
     assert_eq!(rig.state(), HOLDING);
@@ -288,7 +283,7 @@ fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
 #[test]
 fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
     for phase_ms in 0..5 {
-        let mut rig = TestRig::homed(with_part());
+        let mut rig = TestRig::homed(with_part(20.0));
         rig.pass(2 * phase_ms);
         for (flag, width, state, force) in [(GRIP, 20_00, HOLDING, 40_00), (RELEASE, 40_00, IDLE, 0)] {
             rig.write(0, &[0, width, 50_00, 40_00]);
@@ -312,7 +307,7 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
     /// Returns the turns from the write to the motion, `after_ms` after the end of a grip. Replies are lost for `lost_ms`
     /// from the end on.
     fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
-        let mut rig = TestRig::homed(with_part());
+        let mut rig = TestRig::homed(with_part(20.0));
         rig.write(0, &[u16::from(GRIP) << 8, 20_00, 50_00, 40_00]);
         rig.write(0, &[0, 20_00, 50_00, 40_00]);
         assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::HOLDING)));
@@ -344,7 +339,7 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
 #[test]
 fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
     let blocked = || {
-        let mut rig = TestRig::homed(with_part());
+        let mut rig = TestRig::homed(with_part(20.0));
         rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
         rig
     };
@@ -438,7 +433,7 @@ fn second_motion_is_refused_and_the_first_still_ends() {
 
 #[test]
 fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     let refused = |rig: &mut TestRig| rig.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
     assert_eq!(refused(&mut rig), 0);
@@ -530,14 +525,6 @@ fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06(
     assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3), "an invalid value is reported with priority");
     let counters = rig.input(report("SERVER_BUSY"), 1);
     assert_eq!(counters, Ok(vec![1]));
-}
-
-#[test]
-fn reset_cause_of_the_board_is_a_report() {
-    let mut rig = TestRig::ready();
-    assert_eq!(rig.input(report("RESET_CAUSE"), 1), Ok(vec![0]));
-    rig.bridge_mut().set_reset_cause(ResetCause::Watchdog);
-    assert_eq!(rig.input(report("RESET_CAUSE"), 1), Ok(vec![3]));
 }
 
 #[test]

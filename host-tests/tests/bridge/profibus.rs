@@ -1,23 +1,19 @@
 //! The bridge over PROFIBUS, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use bus_profibus::{Baud, Character};
-use host_tests::modbus_rig::quick;
 use host_tests::profibus_rig::*;
+use host_tests::wires::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
 use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction};
 use wsg_protocol::{CommandId, Status, SystemFlags};
-use wsg_sim::{Fault, Part, Time};
+use wsg_sim::{Fault, Time};
 
 /// Watchdog factor for 200 ms.
 const WATCHDOG: u8 = 20;
 const WATCHDOG_MS: u32 = 200;
 
 const NOTHING: [u8; 0] = [];
-
-fn with_part() -> wsg_sim::Config {
-    wsg_sim::Config { part: Part::of_width(20.0), ..quick() }
-}
 
 fn with_reaction(reaction: SilenceReaction) -> Config {
     Config { bus: BusConfig { reaction, ..AT_500K.bus }, ..AT_500K }
@@ -55,7 +51,7 @@ const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
 
 #[test]
 fn grip_cycle_over_profibus() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     for _ in 0..10 {
         rig.image = OutputImage { width: 80_00, speed: 200_00, ..rig.image };
         rig.command(Flag::MOVE);

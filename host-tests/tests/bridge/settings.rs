@@ -3,14 +3,13 @@
 use std::ops::{Deref, DerefMut};
 
 use host_tests::addresses::{place, report, setting};
-use host_tests::chance::Chance;
 use host_tests::flash_model::{Fault, FlashModel, Tear};
 use host_tests::serial_gripper::SerialGripper;
 use host_tests::station_rig::StationRig;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, Record};
-use wsg_bridge_fw::storage::{NorFlash, Page};
+use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config, ResetCause};
 use wsg_fieldbus::CommandFlags;
 use wsg_protocol::{CommandId, Kind};
@@ -381,33 +380,6 @@ fn flash_failure_is_reported_and_the_settings_in_ram_stay() {
         let event = (plant.report("EVENT1_CODE"), plant.report("EVENT1_VALUE"));
         assert_eq!(event, (EventCode::SaveFailed as u16, why), "{fault:?}");
     }
-}
-
-#[test]
-fn random_writes_leave_valid_settings_and_cause_no_motion() {
-    let mut plant = Plant::start(FlashModel::new());
-    let mut chance = Chance::new(18);
-    for round in 0..2_000 {
-        let address = 95 + chance.below(115) as u16;
-        let value = match chance.below(4) {
-            0 => COMMAND_KEY,
-            1 => chance.below(20) as u16,
-            2 => chance.below(2_000) as u16,
-            _ => chance.number() as u16,
-        };
-        let _ = plant.set_register(address, value);
-        if round % 50 == 0 {
-            plant.pass(100);
-            let _ = plant.command("SAVE");
-            plant.pass(200);
-            let from = plant.restart();
-            plant = from;
-            assert!([0, 1].contains(&plant.report("SETTINGS_FROM")));
-        }
-        assert!(!plant.has_moved());
-    }
-    assert!(plant.flash.operations > 100);
-    assert_eq!(FlashModel::PAGE_LEN, 256);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The bridge library with wires and a virtual gripper, in virtual time: output levels and safety.
 
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
-use host_tests::wires::Wires;
+use host_tests::wires::{IDLE, Wires, quick, with_part};
 use host_tests::wires_rig::TestRig;
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -12,16 +12,6 @@ use wsg_protocol::{
     Reply, Status, SystemFlags, Value,
 };
 use wsg_sim::{Config, Part, Time};
-
-const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
-
-fn with_part(width: f32) -> Config {
-    Config { part: Part::of_width(width), time_scale: 10.0, ..Config::default() }
-}
-
-fn quick() -> Config {
-    Config { time_scale: 10.0, ..Config::default() }
-}
 
 fn frame(reply: Reply<'_>) -> Vec<u8> {
     FrameEncoder::new(reply.id().code(), reply).collect()
@@ -493,41 +483,6 @@ proptest! {
     }
 }
 
-/// A line that only returns errors.
-struct DeadLine;
-
-impl embedded_io::ErrorType for DeadLine {
-    type Error = embedded_io::ErrorKind;
-}
-
-impl embedded_io::ReadReady for DeadLine {
-    fn read_ready(&mut self) -> Result<bool, Self::Error> {
-        Err(embedded_io::ErrorKind::Other)
-    }
-}
-
-impl embedded_io::Read for DeadLine {
-    fn read(&mut self, _: &mut [u8]) -> Result<usize, Self::Error> {
-        Err(embedded_io::ErrorKind::Other)
-    }
-}
-
-impl embedded_io::WriteReady for DeadLine {
-    fn write_ready(&mut self) -> Result<bool, Self::Error> {
-        Err(embedded_io::ErrorKind::Other)
-    }
-}
-
-impl embedded_io::Write for DeadLine {
-    fn write(&mut self, _: &[u8]) -> Result<usize, Self::Error> {
-        Err(embedded_io::ErrorKind::Other)
-    }
-
-    fn flush(&mut self) -> Result<(), Self::Error> {
-        Err(embedded_io::ErrorKind::Other)
-    }
-}
-
 #[test]
 fn watchdog_is_fed_once_per_turn_if_time_has_passed() {
     let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
@@ -546,8 +501,9 @@ fn watchdog_is_fed_once_per_turn_if_time_has_passed() {
 #[test]
 fn watchdog_is_not_fed_while_the_line_returns_errors() {
     let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
+    let mut line = SerialLine::failing();
     for now_ms in 1..100 {
-        bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut DeadLine, &mut NoBus);
+        bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut line, &mut NoBus);
         assert!(!bridge.may_feed_watchdog(now_ms));
     }
 }

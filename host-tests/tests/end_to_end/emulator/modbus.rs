@@ -6,9 +6,10 @@ use host_tests::extent;
 use host_tests::modbus_master::{Failed, Master};
 use host_tests::rig::{Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
+use host_tests::wires::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
-use wsg_sim::{Config, Part};
+use wsg_sim::Config;
 
 use super::Board;
 
@@ -91,12 +92,8 @@ const IDLE: u16 = 1 << 0;
 const HOLDING: u16 = 1 << 4;
 const RELEASING: u16 = 1 << 5;
 
-fn quick() -> Config {
-    Config { time_scale: 10.0, ..Config::default() }
-}
-
 fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
-    let mut plant = Plant::start(board, Config { part: Part::of_width(20.0), ..quick() });
+    let mut plant = Plant::start(board, with_part(20.0));
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     for _ in 0..10 {
         assert_eq!(plant.command(MOVE, [80_00, 200_00, 40_00]), (IDLE, 0));

@@ -12,6 +12,7 @@ use host_tests::masters::{self, said};
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::ProfibusPhy;
@@ -19,7 +20,6 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::profibus::PROFILE;
 use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{CommandId, Status, SystemFlags};
-use wsg_sim::{Config, Part};
 
 use super::Board;
 use crate::profibus::gsd_file;
@@ -80,9 +80,8 @@ struct Plant {
 
 /// Starts a board on PROFIBUS and a gripper with a part of 20 mm. Also returns the master's end of the bus.
 fn power_up(board: Board) -> (Rig, UnixStream) {
-    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
     let elf = board.image("WSG_FIRMWARE_ELF_PROFIBUS");
-    let mut rig = Rig::power_up(&elf, config, Trace::new(vec![])).unwrap();
+    let mut rig = Rig::power_up(&elf, with_part(20.0), Trace::new(vec![])).unwrap();
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     let line = rig.board_mut().take_modbus_line().unwrap();
     (rig, line)

@@ -13,9 +13,9 @@ use host_tests::registers::RegisterModel;
 use host_tests::rig::{MOTION_PATIENCE, PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
-use wsg_sim::{Config, Part};
 
 use super::image;
 use super::service_port::poll;
@@ -38,8 +38,7 @@ impl Plant {
         let models = flash.models().into_iter().chain(more).collect();
         let extras = Extras { models, ..Extras::default() };
         let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
-        let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-        let mut rig = Rig::of(board, None, config, Trace::new(vec![])).unwrap();
+        let mut rig = Rig::of(board, None, with_part(20.0), Trace::new(vec![])).unwrap();
         let cable = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
         let plant = Self { rig, cable };
         plant.wait(107, 2);

@@ -6,29 +6,18 @@ use host_tests::emulator::Emulator;
 use host_tests::extent;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
+use host_tests::wires::{IDLE, quick, with_part};
 use wsg_b_l475e_iot01a::INDICATOR;
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::session::FastStopPattern;
 use wsg_protocol::{CommandId, SystemFlags};
-use wsg_sim::{Config, Part};
+use wsg_sim::Config;
 
 use super::{Board, image};
 
-const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
-
 /// The recipe with a large width.
 const WIDE: u8 = 1;
-
-/// A gripper with fingers ten times as fast as usual. Every phase of a motion still exceeds the 10 ms period of the reports
-/// by far.
-fn quick() -> Config {
-    Config { time_scale: 10.0, ..Config::default() }
-}
-
-fn with_part() -> Config {
-    Config { part: Part::of_width(20.0), ..quick() }
-}
 
 fn powered(board: Board, config: Config) -> Rig {
     Rig::power_up(&board.image("WSG_FIRMWARE_ELF"), config, Trace::new(vec![])).unwrap()
@@ -57,7 +46,7 @@ fn cycle(rig: &Rig, number: usize) {
 
 fn grip_cycles_without_one_deviation(board: Board) {
     let cycles = extent::of(200);
-    let rig = homed(board, with_part());
+    let rig = homed(board, with_part(20.0));
     rig.catch_up().unwrap();
     let mark = rig.trace().mark();
 
@@ -112,7 +101,7 @@ fn command_wire_that_is_high_at_power_up_starts_nothing(board: Board) {
 }
 
 fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from(board: Board) {
-    let rig = homed(board, with_part());
+    let rig = homed(board, with_part(20.0));
     let mark = rig.trace().mark();
     let false_starts: [&[u8]; 4] = [
         &[0x00, 0xFF, 0xAA],

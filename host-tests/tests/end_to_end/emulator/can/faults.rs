@@ -13,11 +13,12 @@ use host_tests::mcp2515::Mcp2515;
 use host_tests::modbus_master::Master;
 use host_tests::rig::{PATIENCE, motions};
 use host_tests::trace::{Entry, frame_id};
+use host_tests::wires::with_part;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
-use super::{BOTH_ON_CAN, CanBoard, GRIPPER_ON_CAN, Plant, READY, assert_one_cycle, config};
+use super::{BOTH_ON_CAN, CanBoard, GRIPPER_ON_CAN, Plant, READY, assert_one_cycle};
 
 /// Identifiers with default settings: the gripper's messages, and the bridge's TPDO1.
 const FROM_GRIPPER: u16 = 0x121;
@@ -126,7 +127,7 @@ fn bus_off_during_a_motion_is_reported_and_a_fast_stop_meanwhile_is_sent_first_a
 }
 
 fn a_command_without_an_acknowledgement_is_not_sent_later<C: CanBoard>() {
-    let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, config());
+    let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     let mut master = plant.rig.master(1).unwrap();
 
     plant.bus.set_fault(Fault::Cut);
@@ -155,7 +156,7 @@ fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanB
     for (wire, high, command) in
         [(Inputs::STOP_ACK, true, CommandId::Stop), (Inputs::FAST_STOP_OK, false, CommandId::FastStop)]
     {
-        let plant = Plant::<C>::ready(GRIPPER_ON_CAN, config());
+        let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
         let mark = plant.rig.trace().mark();
         plant.bus.set_fault(Fault::Cut);
         plant.rig.set(Inputs::HOME, true).unwrap();
@@ -174,7 +175,7 @@ fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanB
 #[test]
 #[ignore = "needs QEMU and the firmware image with both on CAN: run `cargo xtask test`"]
 fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
-    let plant = Plant::<Bxcan>::ready(BOTH_ON_CAN, config());
+    let plant = Plant::<Bxcan>::ready(BOTH_ON_CAN, with_part(20.0));
     let master = plant.bus.join();
     // Lower priority than messages to the gripper, higher than frames to the PLC.
     static BETWEEN: [WireFrame; 1] = [WireFrame { id: id(0x150), is_remote: false, dlc: 8, data: [0; 8] }];
@@ -219,7 +220,7 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
 }
 
 fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
-    let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, config());
+    let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     let mut master = plant.rig.master(1).unwrap();
     assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 0);
     let mark = plant.rig.trace().mark();
@@ -240,7 +241,7 @@ fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
 #[ignore = "needs rp2040js and the firmware image with the gripper on CAN: run `cargo xtask test`"]
 fn frames_without_a_pause_between_them_are_all_heard_in_rp2040js() {
     const FRAMES: usize = 200;
-    let plant = Plant::<Mcp2515>::ready(GRIPPER_ON_CAN, config());
+    let plant = Plant::<Mcp2515>::ready(GRIPPER_ON_CAN, with_part(20.0));
     // The shortest frames, with the identifier of another node's heartbeat, which passes the filters.
     static HEARTBEAT: WireFrame = WireFrame { id: id(0x701), is_remote: false, dlc: 0, data: [0; 8] };
     let node = plant.bus.join();
@@ -255,7 +256,7 @@ fn frames_without_a_pause_between_them_are_all_heard_in_rp2040js() {
 }
 
 fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
-    let plant = Plant::<C>::ready(GRIPPER_ON_CAN, config());
+    let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     let wanted = [0x000, FROM_GRIPPER, 0x210, 0x610, 0x701];
     // Unused identifiers, 29-bit identifiers that begin with used ones, and remote frames of used ones.
     let foreign = [0x122, 0x300, 0x7FF].map(|id| WireFrame::standard(id, &[0xAA; 8]));

@@ -42,9 +42,10 @@ use host_tests::mcp2515::Mcp2515;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
-use wsg_sim::{Config, Part};
+use wsg_sim::Config;
 
 use super::Board;
 
@@ -182,10 +183,6 @@ fn assert_peripheral_set_up(board: &Emulator, bus: &CanBus) {
     assert_eq!(controller.load(CAN_MCR.0).unwrap(), CAN_MCR.1);
 }
 
-fn config() -> Config {
-    Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() }
-}
-
 /// A board with its gripper on a bus.
 struct Plant<C> {
     rig: Rig,
@@ -215,7 +212,7 @@ fn assert_one_cycle(rig: &Rig) {
 }
 
 fn gripper_on_can_runs_a_grip_cycle_by_wires<C: CanBoard>() {
-    let plant = Plant::<C>::ready(GRIPPER_ON_CAN, config());
+    let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
     plant.command(Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
     plant.command(Inputs::RELEASE, READY | Outputs::REFERENCED);
@@ -227,7 +224,7 @@ fn gripper_on_can_runs_a_grip_cycle_by_wires<C: CanBoard>() {
 fn run_master<C: CanBoard>(settings: (&str, u32), gripper_on_bus: bool) {
     let (board, bus, hub) = power_up::<C>(settings);
     let line = gripper_on_bus.then_some(hub.gripper);
-    let rig = Rig::of(board, line, config(), Trace::new(vec![])).unwrap();
+    let rig = Rig::of(board, line, with_part(20.0), Trace::new(vec![])).unwrap();
     // The gripper confirms the FAST STOP of power-up.
     rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();

@@ -10,12 +10,12 @@ use host_tests::masters::{self, said};
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use tokio_modbus::ExceptionCode;
 use tokio_modbus::client::{Context, rtu};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
-use wsg_sim::{Config, Part};
 
 use super::Board;
 
@@ -26,9 +26,8 @@ struct Plant {
 
 /// A board with a responding gripper. The FAST STOP of power-up is not acknowledged.
 fn plant(board: Board) -> Plant {
-    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
     let elf = board.image("WSG_FIRMWARE_ELF");
-    let mut rig = Rig::power_up(&elf, config, Trace::new(vec![])).unwrap();
+    let mut rig = Rig::power_up(&elf, with_part(20.0), Trace::new(vec![])).unwrap();
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     let mut master = rig.master(1).unwrap();
     let bound = Instant::now() + Duration::from_secs(60);
