@@ -56,7 +56,7 @@ impl Master {
             master.state() == GripperFlags::IDLE && master.is(SystemFlags::REFERENCED)
         });
         master.command(Cmd::empty());
-        master.take_motions();
+        master.rig.take_motions();
         master
     }
 
@@ -198,10 +198,6 @@ impl Master {
         }
         panic!("no answer")
     }
-
-    fn take_motions(&mut self) -> Vec<CommandId> {
-        self.rig.take_motions()
-    }
 }
 
 /// Returns a write to subindex 1.
@@ -273,7 +269,7 @@ fn grip_cycle_by_pdo() {
 
     master.command(Cmd::RELEASE);
     master.until(10_000, |master| master.state() == GripperFlags::IDLE);
-    assert_eq!(master.take_motions(), [CommandId::GripPart, CommandId::ReleasePart]);
+    assert_eq!(master.rig.take_motions(), [CommandId::GripPart, CommandId::ReleasePart]);
 }
 
 #[test]
@@ -297,7 +293,7 @@ fn rpdo_takes_effect_only_in_operation_and_only_complete() {
     master.nmt(NmtCommand::StopRemoteNode);
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
 }
 
 #[test]
@@ -307,10 +303,10 @@ fn first_image_after_the_start_gives_no_edge_but_fast_stop() {
     master.nmt(NmtCommand::StartRemoteNode);
     master.command(Cmd::MOVE | Cmd::JOG_PLUS);
     master.pass(200);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
-    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
 
     master.nmt(NmtCommand::EnterPreOperational);
     master.nmt(NmtCommand::StartRemoteNode);
@@ -363,7 +359,7 @@ fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
     master.rig.beats = false;
     master.pass(2 * TIMEOUT_MS);
     master.nmt(NmtCommand::StartRemoteNode);
-    master.take_motions();
+    master.rig.take_motions();
     for _ in 0..2 * TIMEOUT_MS / 100 {
         master.command(Cmd::empty());
         master.pass(95);
@@ -484,13 +480,13 @@ fn bus_off_ends_operation_until_the_master_starts_it_again() {
     assert_eq!(master.take(0x700).last().map(|(_, state)| state.clone()), Some(vec![0x7F]));
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
     master.nmt(NmtCommand::StartRemoteNode);
     master.command(Cmd::empty());
     master.command(Cmd::STOP_ACK);
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
@@ -817,19 +813,19 @@ fn disabled_rpdo_commands_nothing_and_stops_its_motion() {
     master.pass(10);
     assert!(master.rig.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
     master.until(1_000, |master| !master.is(SystemFlags::MOVING));
-    master.take_motions();
+    master.rig.take_motions();
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
     master.command(Cmd::FASTSTOP);
     master.pass(100);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
     master.download(0x1400, 1, RPDO_ON).unwrap();
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), [], "the first image gives no edge");
+    assert_eq!(master.rig.take_motions(), [], "the first image gives no edge");
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
-    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
@@ -842,7 +838,7 @@ fn grip_cycle_with_sync() {
     master.take(0x180);
     master.command(Cmd::GRIP);
     master.pass(100);
-    assert_eq!((master.take(0x180), master.take_motions()), (vec![], vec![]), "not without a SYNC");
+    assert_eq!((master.take(0x180), master.rig.take_motions()), (vec![], vec![]), "not without a SYNC");
     let mut holding = false;
     for _ in 0..1_000 {
         master.send(0x080, &[]);
@@ -852,7 +848,7 @@ fn grip_cycle_with_sync() {
         holding |= tpdos[0].1[0] == GripperFlags::HOLDING.bits();
     }
     assert!(holding);
-    assert_eq!(master.take_motions(), [CommandId::GripPart]);
+    assert_eq!(master.rig.take_motions(), [CommandId::GripPart]);
     // A FAST STOP does not wait for SYNC.
     master.command(Cmd::FASTSTOP);
     assert!(master.rig.take_sent().contains(&CommandId::FastStop));

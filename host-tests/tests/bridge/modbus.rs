@@ -519,10 +519,14 @@ fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06(
     assert_eq!(rig.try_write(99, &[1]), Some(2));
     let last = FIRST_SETTING + SETTINGS.len() as u16 - 1;
     assert_eq!(rig.try_write(last, &[1, 1]), Some(2));
+    rig.by_service(|rig| {
+        assert_eq!((rig.try_write(setting("UNIT"), &[0]), rig.try_write(last + 1, &[1])), (Some(3), Some(2)));
+    });
     assert_eq!(rig.try_write(3, &[40_00, 0]), Some(2), "no write across the gap");
     rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
     assert_eq!(rig.try_write(setting("DEBOUNCE"), &[5]), Some(6));
     assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3), "an invalid value is reported with priority");
+    assert_eq!(rig.by_service(|rig| rig.try_write(setting("DEBOUNCE"), &[5])), Some(6));
     let counters = rig.input(report("SERVER_BUSY"), 1);
     assert_eq!(counters, Ok(vec![1]));
 }

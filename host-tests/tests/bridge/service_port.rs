@@ -123,17 +123,6 @@ fn setting_written_by_the_service_port_applies_to_bus_and_wires_at_once() {
 }
 
 #[test]
-fn service_port_refuses_settings_like_the_bus() {
-    let mut rig = TestRig::homed(quick());
-    rig.by_service(|rig| {
-        assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3));
-        assert_eq!(rig.try_write(FIRST_SETTING + SETTINGS.len() as u16, &[1]), Some(2));
-    });
-    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
-    assert_eq!(rig.by_service(|rig| rig.try_write(setting("DEBOUNCE"), &[5])), Some(6));
-}
-
-#[test]
 fn all_recipes_can_be_written_by_one_request_that_takes_several_turns() {
     let mut rig = TestRig::homed(quick());
     let first = setting("RECIPE0_WIDTH");

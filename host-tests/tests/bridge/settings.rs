@@ -295,15 +295,6 @@ fn unusable_settings_block_motions_until_others_are_stored() {
     }
 }
 
-#[test]
-fn settings_of_older_firmware_are_used_and_completed_from_the_image() {
-    let mut older = Config::DEFAULT.record();
-    older[0] = 44;
-    let mut plant = Plant::start(FlashModel::with_record(1, &older[..50]));
-    assert_eq!((plant.setting("UNIT"), plant.report("SETTINGS_FROM")), (44, 2));
-    assert_eq!(plant.setting("CAN_NODE"), 0x10);
-}
-
 /// Records of released and earlier images: the double words of the flash, and the settings that they hold. A new
 /// MAP_VERSION adds a file.
 const RECORDED: [&str; 2] = [include_str!("records/map-5.txt"), include_str!("records/map-7.txt")];

@@ -294,20 +294,6 @@ fn fast_stop_wire_low_at_power_up_takes_effect_despite_a_bouncing_command_wire()
 }
 
 #[test]
-fn fast_stop_ends_a_motion_within_milliseconds() {
-    let mut rig = TestRig::homed(Config::default());
-    rig.set(Inputs::MOVE, true);
-    rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
-    rig.pass(300);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.pass(6);
-    let stands = rig.gripper().state().width;
-    rig.pass(500);
-    assert_eq!(rig.gripper().state().width, stands);
-    assert!(rig.outputs().contains(Outputs::ERROR) && !rig.outputs().contains(Outputs::READY));
-}
-
-#[test]
 fn silent_gripper_is_polled_and_receives_no_motion() {
     let mut rig = TestRig::new(quick());
     rig.far.to_bridge = Some(Box::new(Vec::clear));

@@ -120,8 +120,7 @@ fn a_gripper_line_with_errors_is_reported_and_moves_nothing(board: Board) {
     if plant.told().contains(&LineError::Noise) {
         // The checksum decides about bytes with noise.
         plant.set(Line::Gripper, Some((LineError::Noise, 1)));
-        let start = plant.rig.board().now_ms().unwrap();
-        while plant.rig.board().now_ms().unwrap().wrapping_sub(start) < 1_000 {}
+        plant.rig.pass(1_000).unwrap();
         assert!(plant.rig.board().outputs().contains(Outputs::LINK_OK | Outputs::READY));
         assert_eq!(plant.register(DISCONNECTS), 0);
     }

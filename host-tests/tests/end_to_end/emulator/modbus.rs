@@ -155,8 +155,7 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
     let frame = Master::frame(UNIT, &read);
     let mut in_two_pieces = |cut: usize| {
         plant.master.send(&frame[..cut]).unwrap();
-        let start = plant.rig.board().now_ms().unwrap();
-        while plant.rig.board().now_ms().unwrap().wrapping_sub(start) < PAUSE_MS {}
+        plant.rig.pass(PAUSE_MS - 1).unwrap();
         plant.master.send(&frame[cut..]).unwrap();
         plant.master.answer(&mut |byte| byte).unwrap()
     };
