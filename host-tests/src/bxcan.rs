@@ -132,7 +132,7 @@ impl Bxcan {
             mailboxes: Mailboxes::default(),
             fifo: Fifo::new(),
             filters: Filters::new(),
-            faults: Faults::new(),
+            faults: Faults::default(),
             accepted: Vec::new(),
             violations: Vec::new(),
         }
@@ -281,7 +281,7 @@ impl Bxcan {
             self.recessive = 0;
             if from == INAK {
                 // 46.7.6: setting and clearing INRQ starts the recovery from bus-off.
-                self.faults.begin_recovery();
+                self.faults.confinement.begin_recovery();
             }
         }
         self.mode = mode;
@@ -302,7 +302,7 @@ impl BusController for Bxcan {
     }
 
     fn takes_part(&self) -> bool {
-        self.mode == Mode::Normal && !self.faults.is_off()
+        self.mode == Mode::Normal && !self.faults.confinement.is_off
     }
 
     fn next_transmission(&self) -> Option<Transmission> {
@@ -364,7 +364,7 @@ impl BusController for Bxcan {
         }
         if self.mode == Mode::Normal {
             let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
-            self.faults.heard_recessive(sequences);
+            self.faults.confinement.heard_recessive(sequences);
         }
     }
 }

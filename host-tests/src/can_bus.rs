@@ -340,6 +340,3 @@ impl<C: BusController> Bus<C> {
         }
     }
 }
-
-#[cfg(test)]
-mod tests;

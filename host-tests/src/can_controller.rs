@@ -62,3 +62,71 @@ pub trait BusController: Clone + Debug + Send + 'static {
     /// Handles idle bits of a free bus.
     fn idle(&mut self, bits: u32);
 }
+
+/// Error counters and fault confinement (ISO 11898-1).
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Confinement {
+    pub(crate) transmit: u16,
+    pub(crate) receive: u16,
+    pub(crate) is_off: bool,
+    /// Remaining sequences of 11 recessive bits until bus-off ends; `None` while no recovery is requested.
+    to_recover: Option<u32>,
+}
+
+/// Last value of an error-active controller, and last value before bus-off.
+const LAST_ACTIVE: u16 = 127;
+const LAST_ON: u16 = 255;
+
+/// Value of the receive counter after a success while error passive (ISO 11898-1: 119 to 127).
+const PASSIVE_RETURN: u16 = 120;
+
+/// Sequences of 11 recessive bits that end bus-off.
+const RECOVERY: u32 = 128;
+
+impl Confinement {
+    /// Returns whether a counter has reached its warning limit.
+    pub(crate) const fn warns(counter: u16) -> bool {
+        counter >= 96
+    }
+
+    pub(crate) const fn is_passive(counter: u16) -> bool {
+        counter > LAST_ACTIVE
+    }
+
+    pub(crate) fn transmitted(&mut self) {
+        self.transmit = self.transmit.saturating_sub(1);
+    }
+
+    pub(crate) fn received(&mut self) {
+        self.receive =
+            if Self::is_passive(self.receive) { PASSIVE_RETURN } else { self.receive.saturating_sub(1) };
+    }
+
+    pub(crate) fn transmit_error(&mut self, why: ErrorCode) {
+        // An error-passive transmitter does not count missing acknowledgements.
+        if why != ErrorCode::Acknowledgement || !Self::is_passive(self.transmit) {
+            self.transmit += 8;
+        }
+        self.is_off |= self.transmit > LAST_ON;
+    }
+
+    pub(crate) fn receive_error(&mut self) {
+        self.receive = (self.receive + 1).min(LAST_ON);
+    }
+
+    /// Requests the recovery from bus-off.
+    pub(crate) fn begin_recovery(&mut self) {
+        if self.is_off {
+            self.to_recover = Some(RECOVERY);
+        }
+    }
+
+    /// Counts received sequences of 11 recessive bits.
+    pub(crate) fn heard_recessive(&mut self, sequences: u32) {
+        let Some(left) = &mut self.to_recover else { return };
+        *left = left.saturating_sub(sequences);
+        if *left == 0 {
+            *self = Self::default();
+        }
+    }
+}

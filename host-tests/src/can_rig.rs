@@ -5,8 +5,10 @@ use std::collections::VecDeque;
 use std::rc::Rc;
 
 use bus_slcan::ClassicFrame;
-use embedded_can::{Frame, Id};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, CanConfig, CanController, Health, NodeConfig, Withdrawal};
+use embedded_can::{Frame, Id, StandardId};
+use wsg_bridge_fw::can::{
+    BusOffPolicy, CanBus, CanConfig, CanController, DEFAULT_NODE, Health, NodeConfig, Withdrawal,
+};
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::DpBuffers;
@@ -261,6 +263,8 @@ pub struct CanRig {
     /// Reassembles messages from the bridge.
     seen: Reassembler<128>,
     sent: Vec<CommandId>,
+    /// Whether the PLC sends its heartbeat every 200 ms.
+    pub beats: bool,
     /// Disturbance on the way to the gripper.
     pub to_gripper: Option<Disturbance>,
     /// Disturbance on the way to the bridge.
@@ -304,6 +308,7 @@ impl CanRig {
             outputs: Outputs::empty(),
             seen: Reassembler::new(identifiers.gripper().receive, 1_000),
             sent: Vec::new(),
+            beats: false,
             to_gripper: None,
             to_bridge: None,
         }
@@ -341,9 +346,25 @@ impl CanRig {
         self.from_plc.push_back(frame);
     }
 
-    /// Returns the frames sent to the PLC since the last call, with their times in milliseconds.
-    pub fn take_heard(&mut self) -> Vec<(u32, ClassicFrame)> {
-        std::mem::take(&mut self.to_plc)
+    /// Queues a data frame from the PLC on the bus.
+    ///
+    /// # Panics
+    /// Panics when the identifier has more than 11 bits, or the data more than 8 bytes.
+    pub fn send(&mut self, id: u16, data: &[u8]) {
+        let id = StandardId::new(id).expect("11 bits");
+        self.say(ClassicFrame::new(id, data).expect("up to 8 bytes"));
+    }
+
+    /// Returns the frames sent to the PLC since the last call: time in milliseconds, identifier and data.
+    ///
+    /// # Panics
+    /// Panics when a frame has 29 bits.
+    pub fn take_heard(&mut self) -> Vec<(u32, u16, Vec<u8>)> {
+        let heard = std::mem::take(&mut self.to_plc).into_iter().map(|(at, frame)| {
+            let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
+            (at, id.as_raw(), frame.data().to_vec())
+        });
+        heard.collect()
     }
 
     /// Returns the controller.
@@ -432,6 +453,9 @@ impl Wires for CanRig {
     }
 
     fn step(&mut self) {
+        if self.beats && self.now_ms.is_multiple_of(200) {
+            self.send(0x700 | u16::from(DEFAULT_NODE.master), &[5]);
+        }
         self.now_ms += 1;
         self.turn();
         let time = Time::from_millis(self.now_ms.into());

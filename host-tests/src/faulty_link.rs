@@ -1,8 +1,7 @@
 //! Fault injection for any byte link, to test programs that use a gripper.
 //!
 //! [`FaultyWay`] is one direction: bytes and a time in, arriving bytes out. It has no clock and no I/O. Faults are
-//! random with a seed or scripted byte by byte, so every run is reproducible. [`FaultyLink`] wraps a transport in two
-//! of them.
+//! random with a seed or scripted byte by byte, so every run is reproducible.
 //!
 //! The servers of `wsg-sim` inject faults into whole frames; these faults hit bytes at any position.
 //!
@@ -17,8 +16,6 @@
 //! ```
 
 use std::collections::{BTreeMap, VecDeque};
-
-use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 
 use crate::chance::Chance;
 
@@ -220,110 +217,6 @@ impl FaultyWay {
             _ => due,
         };
         self.waiting.push_back((due, byte));
-    }
-}
-
-/// A transport with fault injection for users of `embedded_io`. `clock` returns milliseconds.
-///
-/// Call [`read_ready`](ReadReady::read_ready) before reading, because it delivers delayed bytes.
-#[derive(Debug)]
-pub struct FaultyLink<L, C> {
-    link: L,
-    clock: C,
-    /// Direction of written bytes.
-    pub outgoing: FaultyWay,
-    /// Direction of read bytes.
-    pub incoming: FaultyWay,
-    /// Bytes that have arrived at this end and are unread.
-    arrived: VecDeque<u8>,
-    /// Bytes that have arrived at the other end and wait for the transport.
-    to_write: Vec<u8>,
-}
-
-impl<L, C> FaultyLink<L, C> {
-    /// Wraps this transport with these directions.
-    pub const fn new(link: L, clock: C, outgoing: FaultyWay, incoming: FaultyWay) -> Self {
-        Self { link, clock, outgoing, incoming, arrived: VecDeque::new(), to_write: Vec::new() }
-    }
-
-    /// Returns the transport.
-    pub const fn inner(&mut self) -> &mut L {
-        &mut self.link
-    }
-
-    /// Returns the transport and discards bytes in transit.
-    pub fn into_inner(self) -> L {
-        self.link
-    }
-}
-
-impl<L: ErrorType, C> ErrorType for FaultyLink<L, C> {
-    type Error = L::Error;
-}
-
-impl<L: Write, C: FnMut() -> u32> FaultyLink<L, C> {
-    /// Passes arrived bytes to the transport.
-    fn push(&mut self) -> Result<(), L::Error> {
-        let now_ms = (self.clock)();
-        self.to_write.extend(self.outgoing.arrive(now_ms));
-        while !self.to_write.is_empty() {
-            let taken = self.link.write(&self.to_write)?;
-            self.to_write.drain(..taken);
-            if taken == 0 {
-                break;
-            }
-        }
-        Ok(())
-    }
-}
-
-impl<L: Read + ReadReady + Write, C: FnMut() -> u32> ReadReady for FaultyLink<L, C> {
-    fn read_ready(&mut self) -> Result<bool, L::Error> {
-        self.push()?;
-        let mut chunk = [0; 64];
-        while self.link.read_ready()? {
-            let count = self.link.read(&mut chunk)?;
-            if count == 0 {
-                break;
-            }
-            let now_ms = (self.clock)();
-            self.incoming.pass(now_ms, &chunk[..count]);
-        }
-        let now_ms = (self.clock)();
-        self.arrived.extend(self.incoming.arrive(now_ms));
-        Ok(!self.arrived.is_empty())
-    }
-}
-
-impl<L: Read + ReadReady + Write, C: FnMut() -> u32> Read for FaultyLink<L, C> {
-    /// Waits for bytes by polling [`read_ready`](ReadReady::read_ready).
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, L::Error> {
-        while !buffer.is_empty() && !self.read_ready()? {}
-        let count = buffer.len().min(self.arrived.len());
-        for (slot, byte) in buffer.iter_mut().zip(self.arrived.drain(..count)) {
-            *slot = byte;
-        }
-        Ok(count)
-    }
-}
-
-impl<L: Write, C: FnMut() -> u32> Write for FaultyLink<L, C> {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, L::Error> {
-        let now_ms = (self.clock)();
-        self.outgoing.pass(now_ms, bytes);
-        self.push()?;
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> Result<(), L::Error> {
-        self.push()?;
-        self.link.flush()
-    }
-}
-
-impl<L: WriteReady, C> WriteReady for FaultyLink<L, C> {
-    fn write_ready(&mut self) -> Result<bool, L::Error> {
-        self.link.write_ready()
     }
 }
 

@@ -2,7 +2,8 @@
 
 use std::cell::RefCell;
 
-use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
+use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Progress, Store, Unreadable};
+use wsg_protocol::Instant;
 
 use crate::flash_pages::{FlashPages, Operation};
 pub use crate::flash_pages::{PAGE_LEN, Tear};
@@ -57,6 +58,21 @@ impl FlashModel {
             erases: [0; 2],
             refused: 0,
         }
+    }
+
+    /// Creates flash with a record of this version.
+    ///
+    /// # Panics
+    /// Panics when the record is too long.
+    #[must_use]
+    pub fn with_record(version: u16, words: &[u16]) -> Self {
+        let mut flash = Self::new();
+        let mut store = Store::<400>::new();
+        let _ = store.load(&flash);
+        let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        store.begin(version, &bytes).expect("the record fits");
+        while store.poll(&mut flash, Instant::from_millis(0)) == Progress::Saving {}
+        flash
     }
 
     /// Returns whether the power was cut, after which no operation ends.

@@ -49,15 +49,6 @@ impl Gdb {
         self.command(&format!("Z4,{first:x},{len:x}"))
     }
 
-    /// Reads the core registers.
-    ///
-    /// # Errors
-    /// Fails when QEMU does not return them.
-    pub fn core_registers(&mut self) -> Result<CoreRegisters> {
-        self.send(&["g"])?;
-        self.reported_core_registers()
-    }
-
     /// Reads the core registers and pieces of memory (address, length) consistently, in one round trip.
     ///
     /// # Errors

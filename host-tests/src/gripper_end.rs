@@ -8,8 +8,8 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use wsg_protocol::{Command, Event, FrameParser, Status, frame::MAX_MESSAGE_LEN};
-use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
+use wsg_protocol::{Event, FrameParser, frame::MAX_MESSAGE_LEN};
+use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
 
 use crate::clock::Clock;
 use crate::faulty_link::FaultyWay;
@@ -46,7 +46,6 @@ struct World {
     /// Parses frames from the bridge, for the trace only.
     seen: FrameParser<MAX_MESSAGE_LEN>,
     traced_width: f32,
-    config: Config,
     clock: Clock,
     start: Duration,
     trace: Trace,
@@ -69,7 +68,6 @@ impl GripperEnd {
             ways: None,
             seen: FrameParser::new(),
             traced_width: f32::NAN,
-            config,
             start: clock.now(),
             clock: clock.clone(),
             trace: trace.clone(),
@@ -102,38 +100,9 @@ impl GripperEnd {
         world.turn(&[]);
     }
 
-    /// Starts or ends a fault.
-    pub fn set_fault(&self, fault: Fault, on: bool) {
-        let mut world = self.world();
-        let now = world.now();
-        world.gripper.set_fault(fault, on, now);
-        world.turn(&[]);
-    }
-
     /// Cuts or restores both directions of the line.
     pub fn cut(&self, cut: bool) {
         self.world().is_cut = cut;
-    }
-
-    /// Power-cycles the gripper; it loses all state.
-    ///
-    /// # Errors
-    /// Never, because a new gripper accepts a client.
-    pub fn restart(&self) -> Result<()> {
-        let mut world = self.world();
-        let (gripper, port) = switch_on(world.config)?;
-        (world.gripper, world.port) = (gripper, port);
-        world.start = world.clock.now();
-        Ok(())
-    }
-
-    /// Executes a third-party command, as from the gripper's web page. Returns its first status.
-    pub fn command(&self, command: &Command<'_>) -> Status {
-        let mut world = self.world();
-        let now = world.now();
-        let status = world.gripper.command(command, now);
-        world.turn(&[]);
-        status
     }
 
     /// Passes every further frame from the gripper to `tampering`; `None` delivers frames unmodified.

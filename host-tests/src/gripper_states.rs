@@ -18,7 +18,7 @@ const INFO: SystemInfo = SystemInfo {
     serial_number: 1,
 };
 
-const LIMITS: SystemLimits = SystemLimits {
+pub(crate) const LIMITS: SystemLimits = SystemLimits {
     stroke: STROKE,
     min_speed: LEAST_SPEED,
     max_speed: 420.0,

@@ -38,7 +38,7 @@
 //! | [`registers`] | models of peripherals that QEMU lacks |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper on a serial line in virtual time |
-//! | [`service_rig`] | bridge library and virtual gripper, with the service port on a stream |
+//! | [`station_rig`] | a station with all of its lines, its flash and a virtual gripper |
 //! | [`terminal`] | a pseudo-terminal connected to the board's bus |
 //! | [`trace`] | event recording, readable by people and comparable by tests |
 //! | [`wires`] | PLC actions on the wires |
@@ -98,7 +98,7 @@ pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
 #[cfg(unix)]
-pub mod service_rig;
+pub mod station_rig;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;

@@ -12,8 +12,7 @@ use anyhow::{Result, bail, ensure};
 
 pub use self::buffers::TRANSMIT_BUFFERS;
 use self::buffers::{ReceiveBuffer, TransmitBuffer};
-use self::faults::Faults;
-use crate::can_controller::{BusController, ErrorCode, Transmission};
+use crate::can_controller::{BusController, Confinement, ErrorCode, Transmission};
 use crate::can_wire::WireFrame;
 
 /// Register addresses (table 11-1). CANSTAT and CANCTRL occupy these columns of every row.
@@ -105,7 +104,7 @@ pub struct Mcp2515 {
     filters: filters::Filters,
     transmit: [TransmitBuffer; TRANSMIT_BUFFERS],
     receive: [ReceiveBuffer; 2],
-    faults: Faults,
+    faults: Confinement,
     /// Recessive bits since normal mode was requested, or since the last frame.
     recessive: u32,
     is_synchronised: bool,
@@ -133,7 +132,7 @@ impl Mcp2515 {
             filters: filters::Filters::default(),
             transmit: Default::default(),
             receive: Default::default(),
-            faults: Faults::default(),
+            faults: Confinement::default(),
             recessive: 0,
             is_synchronised: false,
             sending: None,
@@ -290,12 +289,12 @@ impl Mcp2515 {
             _ if address & 0xF == CANSTAT => (self.mode as u8) << 5 | self.interrupt_code() << 1,
             _ if address & 0xF == CANCTRL => self.canctrl,
             BFPCTRL | TXRTSCTRL => 0,
-            TEC => self.faults.transmit(),
-            REC => self.faults.receive(),
+            TEC => self.faults.transmit.min(255) as u8,
+            REC => self.faults.receive as u8,
             CNF3..=CNF1 => self.timing[usize::from(CNF1 - address)],
             CANINTE => self.enabled,
             CANINTF => self.flags,
-            EFLG => self.overflows | self.faults.flags(),
+            EFLG => self.overflows | faults::flags(&self.faults),
             TRANSMIT..RECEIVE => self.transmit[usize::from(address / 0x10 - 3)].load(address & 0xF),
             RECEIVE.. => {
                 let buffer = usize::from(address / 0x10 - 6);
@@ -329,6 +328,7 @@ impl Mcp2515 {
                 self.receive[usize::from(address / 0x10 - 6)].store_control(value);
             }
             RECEIVE.. => self.forbidden(format!("4.0: write to a receive buffer, at {address:#04X}")),
+            0x20..CNF3 if address & 0b11 > 1 => ensure!(value == 0, "masks of data bytes are not modelled"),
             _ if is_configuration => self.filters.store(address, value),
             _ => self.forbidden(format!("10.1: write to {address:#04X} outside Configuration mode")),
         }
@@ -362,7 +362,7 @@ impl Mcp2515 {
         (self.recessive, self.is_synchronised) = (0, false);
         if wanted == Mode::Configuration {
             // 10.1
-            self.faults = Faults::default();
+            self.faults = Confinement::default();
         }
     }
 
@@ -386,7 +386,7 @@ impl Mcp2515 {
     }
 
     fn has_changed(&mut self, before: u8) {
-        if self.faults.flags() != before {
+        if faults::flags(&self.faults) != before {
             self.flags |= ERRIF;
         }
     }
@@ -423,7 +423,7 @@ impl BusController for Mcp2515 {
     }
 
     fn takes_part(&self) -> bool {
-        self.mode == Mode::Normal && self.is_synchronised && !self.faults.is_off()
+        self.mode == Mode::Normal && self.is_synchronised && !self.faults.is_off
     }
 
     fn next_transmission(&self) -> Option<Transmission> {
@@ -452,7 +452,7 @@ impl BusController for Mcp2515 {
     fn end_transmission(&mut self, mailbox: usize) {
         self.transmit[mailbox].complete();
         self.flags |= TX0IF << mailbox;
-        let before = self.faults.flags();
+        let before = faults::flags(&self.faults);
         self.faults.transmitted();
         self.has_changed(before);
         self.end_activity();
@@ -461,15 +461,17 @@ impl BusController for Mcp2515 {
     fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
         self.transmit[mailbox].fail(self.canctrl & ABAT != 0);
         self.flags |= MERRF;
-        let before = self.faults.flags();
+        let before = faults::flags(&self.faults);
         self.faults.transmit_error(why);
+        // 6.6: the chip recovers without a request.
+        self.faults.begin_recovery();
         self.has_changed(before);
         self.end_activity();
     }
 
     fn end_reception(&mut self, frame: &WireFrame) {
         if self.is_receiving {
-            let before = self.faults.flags();
+            let before = faults::flags(&self.faults);
             self.faults.received();
             self.has_changed(before);
             let modes = [&self.receive[0], &self.receive[1]].map(ReceiveBuffer::takes_any);
@@ -494,7 +496,7 @@ impl BusController for Mcp2515 {
     fn fail_reception(&mut self, _: ErrorCode) {
         if self.is_receiving {
             self.flags |= MERRF;
-            let before = self.faults.flags();
+            let before = faults::flags(&self.faults);
             self.faults.receive_error();
             self.has_changed(before);
         }
@@ -507,7 +509,7 @@ impl BusController for Mcp2515 {
         if self.mode == Mode::Normal {
             self.is_synchronised |= self.recessive >= BITS_TO_SYNCHRONISE;
             let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
-            let flags = self.faults.flags();
+            let flags = faults::flags(&self.faults);
             self.faults.heard_recessive(sequences);
             self.has_changed(flags);
         }

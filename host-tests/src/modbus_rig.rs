@@ -8,6 +8,7 @@ use wsg_bridge_fw::{Bridge, Config};
 use crate::rtu_double::{RtuDouble, sealed};
 use crate::serial_gripper::{SerialGripper, SerialLine};
 use crate::wires::Wires;
+pub use crate::wires::{quick, with_part};
 use crate::world::{Bus, World};
 
 /// The bridge's default unit address.
@@ -230,11 +231,6 @@ impl TestRig {
         }
         panic!("the command does not complete");
     }
-}
-
-/// Returns the configuration of a gripper that moves ten times as fast.
-pub fn quick() -> wsg_sim::Config {
-    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
 }
 
 macro_rules! named {

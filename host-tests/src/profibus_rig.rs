@@ -274,7 +274,7 @@ impl TestRig {
     /// Performs Data_Exchange (SD3) from this master and returns the answer.
     pub fn exchange_of(&mut self, master: u8) -> Vec<u8> {
         let body = [&[STATION, master, self.next()][..], &self.image.to_bytes()].concat();
-        self.send(&[&[0xA2], &body[..], &[sum(&body), 0x16]].concat())
+        self.send(&sd3(&body))
     }
 
     /// Performs Data_Exchange. Returns the answer's function code and the input image.
@@ -345,4 +345,16 @@ pub fn sum(body: &[u8]) -> u8 {
 pub fn sd2(body: &[u8]) -> Vec<u8> {
     let len = body.len() as u8;
     [&[0x68, len, len, 0x68], body, &[sum(body), 0x16]].concat()
+}
+
+/// Returns a telegram with start delimiter SD3: eight bytes of data.
+#[must_use]
+pub fn sd3(body: &[u8]) -> Vec<u8> {
+    [&[0xA2], body, &[sum(body), 0x16]].concat()
+}
+
+/// Returns a telegram with start delimiter SD1: no data.
+#[must_use]
+pub fn sd1(body: &[u8]) -> Vec<u8> {
+    [&[0x10], body, &[sum(body), 0x16]].concat()
 }

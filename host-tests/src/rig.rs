@@ -1,5 +1,6 @@
 //! Emulated board, gripper and PLC together, as on a machine builder's desk.
 
+use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Mutex, PoisonError};
@@ -13,6 +14,7 @@ use wsg_sim::Config;
 
 use crate::emulator::{Emulator, OutputChange};
 use crate::gripper_end::GripperEnd;
+use crate::modbus_master::Master;
 use crate::trace::{Entry, Trace, frame_id};
 
 /// Time limit for everything except motions: connecting, reconnecting, acknowledging.
@@ -50,8 +52,16 @@ impl Rig {
     /// # Errors
     /// Fails when the emulator does not start.
     pub fn power_up(elf: &Path, config: Config, trace: Trace) -> Result<Self> {
-        let mut board = Emulator::start(elf)?;
-        let line = board.take_gripper_line().context("the board's line is already taken")?;
+        Self::of(Emulator::start(elf)?, None, config, trace)
+    }
+
+    /// Does the same as [`power_up`](Self::power_up) with a board that is on, and a gripper on this line instead of the
+    /// board's serial line.
+    ///
+    /// # Errors
+    /// Fails when the board's line is already taken.
+    pub fn of(mut board: Emulator, line: Option<UnixStream>, config: Config, trace: Trace) -> Result<Self> {
+        let line = line.or_else(|| board.take_gripper_line()).context("the board's line is already taken")?;
         let gripper = GripperEnd::start(line, board.clock(), config, &trace)?;
         let changes = Mutex::new((board.output_changes(), Outputs::empty()));
         let (traced, watched) = (trace.clone(), board.output_changes());
@@ -69,6 +79,20 @@ impl Rig {
     #[must_use]
     pub fn board(&self) -> &Emulator {
         &self.board
+    }
+
+    /// Returns the board, to take a line.
+    pub fn board_mut(&mut self) -> &mut Emulator {
+        &mut self.board
+    }
+
+    /// Returns a Modbus master on the board's bus, for this unit.
+    ///
+    /// # Errors
+    /// Fails when the bus is already taken.
+    pub fn master(&mut self, unit: u8) -> Result<Master> {
+        let line = self.board.take_modbus_line().context("the board's bus is already taken")?;
+        Ok(Master::new(line, self.board.clock(), unit))
     }
 
     /// Returns the gripper and its line.

@@ -1,9 +1,8 @@
 //! The virtual gripper on a serial line in virtual time, and the commands that a bridge sends to it.
 
 use std::collections::VecDeque;
-use std::convert::Infallible;
 
-use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
+use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
 use wsg_protocol::{CommandId, Event, FrameParser, Kind, frame::MAX_MESSAGE_LEN};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
@@ -20,13 +19,25 @@ pub struct SerialLine {
     from_bridge: Vec<u8>,
     /// Capacity of `from_bridge`, in bytes.
     room: usize,
+    /// Whether every access returns an error.
+    fails: bool,
 }
 
 impl SerialLine {
     /// Creates a line that accepts `room` bytes until they are fetched.
     #[must_use]
     pub fn with_room(room: usize) -> Self {
-        Self { to_bridge: VecDeque::new(), from_bridge: Vec::new(), room }
+        Self { to_bridge: VecDeque::new(), from_bridge: Vec::new(), room, fails: false }
+    }
+
+    /// Creates a line that only returns errors.
+    #[must_use]
+    pub fn failing() -> Self {
+        Self { fails: true, ..Self::with_room(0) }
+    }
+
+    fn check(&self) -> Result<(), ErrorKind> {
+        if self.fails { Err(ErrorKind::Other) } else { Ok(()) }
     }
 
     /// Delivers bytes to the bridge.
@@ -41,17 +52,18 @@ impl SerialLine {
 }
 
 impl ErrorType for SerialLine {
-    type Error = Infallible;
+    type Error = ErrorKind;
 }
 
 impl ReadReady for SerialLine {
-    fn read_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(!self.to_bridge.is_empty())
+    fn read_ready(&mut self) -> Result<bool, ErrorKind> {
+        self.check().map(|()| !self.to_bridge.is_empty())
     }
 }
 
 impl Read for SerialLine {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ErrorKind> {
+        self.check()?;
         let count = buffer.len().min(self.to_bridge.len());
         for (slot, byte) in buffer.iter_mut().zip(self.to_bridge.drain(..count)) {
             *slot = byte;
@@ -61,20 +73,21 @@ impl Read for SerialLine {
 }
 
 impl WriteReady for SerialLine {
-    fn write_ready(&mut self) -> Result<bool, Infallible> {
-        Ok(self.from_bridge.len() < self.room)
+    fn write_ready(&mut self) -> Result<bool, ErrorKind> {
+        self.check().map(|()| self.from_bridge.len() < self.room)
     }
 }
 
 impl Write for SerialLine {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, ErrorKind> {
+        self.check()?;
         let taken = bytes.len().min(self.room.saturating_sub(self.from_bridge.len()));
         self.from_bridge.extend_from_slice(&bytes[..taken]);
         Ok(taken)
     }
 
-    fn flush(&mut self) -> Result<(), Infallible> {
-        Ok(())
+    fn flush(&mut self) -> Result<(), ErrorKind> {
+        self.check()
     }
 }
 
@@ -148,6 +161,12 @@ impl<W: Carry> SerialGripper<W> {
     pub fn restart(&mut self, config: wsg_sim::Config, now: Time) {
         (self.gripper, self.port) = switch_on(config);
         self.gripper.advance(now);
+    }
+
+    /// Returns the commands that the bridge has sent since the last [`take_sent`](Self::take_sent).
+    #[must_use]
+    pub fn sent(&self) -> &[CommandId] {
+        &self.sent
     }
 
     /// Returns the commands that the bridge has sent since the last call.

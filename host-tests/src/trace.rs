@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{CommandId, Direction, Event, FrameParser, Meaning, frame::MAX_MESSAGE_LEN};
+use wsg_protocol::{Direction, Event, FrameParser, Meaning, frame::MAX_MESSAGE_LEN};
 
 /// A recorded event.
 #[derive(Clone, Debug, PartialEq)]
@@ -130,86 +130,8 @@ impl Trace {
     }
 }
 
-/// Event sequences without times, to compare two runs.
-///
-/// There are five because their interleaving depends on timing. Wires and line reach the harness separately, and the
-/// gripper paces reports of each value independently (at least 10 ms apart, with the bridge's polls in between).
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Sequences {
-    /// Edges on the PLC's wires.
-    pub edges: Vec<(Inputs, Inputs)>,
-    /// Changes of the bridge's wires.
-    pub outputs: Vec<(Outputs, Outputs)>,
-    /// Frames on the gripper's line in both directions. Excludes the two values below and periodic reads of the force
-    /// limit, which have their own pace.
-    pub frames: Vec<String>,
-    /// Distinct consecutive system states reported by the gripper.
-    pub system_states: Vec<String>,
-    /// Distinct consecutive gripper states reported by the gripper.
-    pub gripper_states: Vec<String>,
-}
-
 /// Offset of the id in a frame.
 const ID_AT: usize = 3;
-
-impl Sequences {
-    /// Returns the edges of the bridge's wires, wire by wire. The order between wires depends on timing when they
-    /// follow different reports: REFERENCED follows one value, BUSY and READY the other.
-    #[must_use]
-    pub fn output_edges(&self) -> Vec<(Outputs, bool)> {
-        let edges = |wire: Outputs| {
-            let changes =
-                self.outputs.iter().filter(move |(before, after)| (*before ^ *after).contains(wire));
-            changes.map(move |(_, after)| (wire, after.contains(wire)))
-        };
-        Outputs::all().iter().flat_map(edges).collect()
-    }
-
-    /// Extracts the sequences of a recording from the entry `mark` on. Repetitions of earlier reports are left out.
-    #[must_use]
-    pub fn of(entries: &[Entry], mark: usize) -> Self {
-        let mut sequences = Self::default();
-        let mut last_reports = [None, None];
-        let mut last_frame = None;
-        for (at, entry) in entries.iter().enumerate() {
-            let counts = at >= mark;
-            match entry {
-                Entry::Plc(before, after) if counts => sequences.edges.push((*before, *after)),
-                Entry::Bridge(before, after) if counts => sequences.outputs.push((*before, *after)),
-                Entry::ToGripper(bytes) | Entry::FromGripper(bytes) => {
-                    let [last_system_state, last_gripper_state] = &mut last_reports;
-                    let (last, reports) = match frame_id(bytes).map(CommandId::from_code) {
-                        Some(CommandId::GetSystemState) => (last_system_state, &mut sequences.system_states),
-                        Some(CommandId::GetGripperState) => {
-                            (last_gripper_state, &mut sequences.gripper_states)
-                        }
-                        id => {
-                            let is_answer = matches!(entry, Entry::FromGripper(_));
-                            // The read-back after a write is kept.
-                            let follows =
-                                [(CommandId::SetForceLimit, true), (CommandId::GetForceLimit, false)];
-                            let is_upkeep = id == Some(CommandId::GetForceLimit)
-                                && last_frame != Some(follows[usize::from(is_answer)]);
-                            if counts && !is_upkeep {
-                                sequences.frames.push(entry.to_string());
-                            }
-                            if !is_upkeep {
-                                last_frame = id.map(|id| (id, is_answer));
-                            }
-                            continue;
-                        }
-                    };
-                    let is_report = matches!(entry, Entry::FromGripper(_));
-                    if is_report && last.replace(bytes) != Some(bytes) && counts {
-                        reports.push(entry.to_string());
-                    }
-                }
-                _ => {}
-            }
-        }
-        sequences
-    }
-}
 
 /// Returns the id of a frame, if the bytes are long enough.
 #[must_use]
@@ -292,32 +214,6 @@ mod tests {
         assert!(line.ends_with(" AA AA AA 21 02 00 1A 00 67 CB"), "{line}");
         let edge = Entry::Plc(Inputs::RECIPE0, Inputs::GRIP).to_string();
         assert_eq!(edge, "PLC     GRIP ↑  RECIPE0 ↓");
-    }
-
-    #[test]
-    fn sequences_exclude_timing_dependent_events() {
-        let state = |byte| Entry::FromGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 0, 0, byte]);
-        let question = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x41, 3, 0, 3, 10, 0]);
-        let stop = Entry::ToGripper(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0]);
-        let entries = [question.clone(), state(0), question, state(0), stop.clone(), state(6), state(0)];
-        let sequences = Sequences::of(&entries, 0);
-        assert_eq!(sequences.frames, [stop.to_string()]);
-        assert_eq!(sequences.gripper_states, [state(0), state(6), state(0)].map(|entry| entry.to_string()));
-        let later = Sequences::of(&entries, 3);
-        assert_eq!(later.gripper_states, [state(6), state(0)].map(|entry| entry.to_string()));
-    }
-
-    #[test]
-    fn edges_of_a_wire_are_the_same_whichever_wire_changes_first() {
-        let of = |outputs: &[(Outputs, Outputs)]| {
-            let outputs = outputs.to_vec();
-            Sequences { outputs, ..Sequences::default() }.output_edges()
-        };
-        let (busy, both) = (Outputs::BUSY, Outputs::BUSY | Outputs::REFERENCED);
-        let at_once = of(&[(Outputs::empty(), busy), (busy, Outputs::REFERENCED)]);
-        let one_by_one = of(&[(Outputs::empty(), busy), (busy, both), (both, Outputs::REFERENCED)]);
-        assert_eq!(at_once, [(busy, true), (busy, false), (Outputs::REFERENCED, true)]);
-        assert_eq!(at_once, one_by_one);
     }
 
     #[test]

@@ -2,8 +2,25 @@
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
+use wsg_sim::Part;
 
 use crate::serial_gripper::motions;
+
+/// Outputs at rest, with referenced fingers.
+pub const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
+
+/// Returns the configuration of a gripper that moves ten times as fast. Every phase of a motion still exceeds the 10 ms
+/// period of its reports by far.
+#[must_use]
+pub fn quick() -> wsg_sim::Config {
+    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
+}
+
+/// Returns the configuration of a quick gripper with a part of this width in mm.
+#[must_use]
+pub fn with_part(width: f32) -> wsg_sim::Config {
+    wsg_sim::Config { part: Part::of_width(width), ..quick() }
+}
 
 /// A test fixture with wires, and the PLC's actions on them.
 pub trait Wires {

@@ -1,7 +1,6 @@
 //! The board in isolation: wiring, start-up, and no motion without a command.
 #![cfg(unix)]
 
-use std::io::Write;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
@@ -14,13 +13,6 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 
 /// Several hundred turns of the firmware's main loop, in milliseconds of board time.
 const A_WHILE_MS: u32 = 500;
-
-/// Time to wait for bytes on the line before the board's clock is read again.
-const LOOK_AROUND: Duration = Duration::from_millis(10);
-
-/// Commands that move the fingers: Homing, Pre-position, Grip Part and Release Part.
-const MOTION_COMMANDS: [u8; 4] = [0x20, 0x21, 0x25, 0x26];
-const PREAMBLE: [u8; 3] = [0xAA; 3];
 
 /// Base address of GPIO port A, spacing of the ports, and offset of the input data register (RM0351, 2.2.2 and 8.4.5).
 const GPIOA: u32 = 0x4800_0000;
@@ -67,36 +59,6 @@ fn each_input_wire_reaches_its_pin_and_is_low_when_broken() {
         board.set_inputs(wire).unwrap();
         assert_eq!(levels(), wire);
     }
-}
-
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn no_motion_command_is_sent_without_a_request() {
-    let mut board = board();
-    let gripper_line = board.take_gripper_line().unwrap();
-    // Request neither a FAST STOP nor a motion.
-    board.set_inputs(Inputs::FAST_STOP_OK).unwrap();
-
-    let sent = received_within(&board, &gripper_line, A_WHILE_MS);
-
-    let moves = |frame: &[u8]| frame.starts_with(&PREAMBLE) && MOTION_COMMANDS.contains(&frame[3]);
-    assert!(!sent.windows(4).any(moves), "{sent:02X?}");
-}
-
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn board_survives_noise_on_the_gripper_line() {
-    let mut board = board();
-    let mut gripper_line = board.take_gripper_line().unwrap();
-    // The byte values of a simple generator, preambles among them.
-    let noise: Vec<u8> =
-        (0..4096_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8 | (n as u8 & 0xAA)).collect();
-
-    gripper_line.write_all(&noise).unwrap();
-    let _ = received_within(&board, &gripper_line, A_WHILE_MS);
-
-    board.set_inputs(Inputs::FAST_STOP_OK).unwrap();
-    assert!(!board.outputs().intersects(Outputs::LINK_OK | Outputs::READY | Outputs::BUSY));
 }
 
 /// Environment variable that enables [`harness_that_waits_to_be_killed`].
@@ -155,20 +117,4 @@ fn harness_that_waits_to_be_killed() {
 fn missing_image_is_refused_in_one_line() {
     let refusal = format!("{:#}", Emulator::start("Cargo.toml.missing".as_ref()).unwrap_err());
     assert!(refusal.contains("Cargo.toml.missing") && !refusal.contains('\n'), "{refusal}");
-}
-
-/// Returns the bytes sent on `line` within `ms` milliseconds of board time.
-fn received_within(board: &Emulator, line: &UnixStream, ms: u32) -> Vec<u8> {
-    let mut received = Vec::new();
-    let mut chunk = [0; 256];
-    let start = board.now_ms().unwrap();
-    loop {
-        let is_over = board.now_ms().unwrap().wrapping_sub(start) > ms;
-        match uninterrupted::read_within(line, &mut chunk, LOOK_AROUND).unwrap() {
-            Some(0) => panic!("the board closed the line"),
-            Some(count) => received.extend_from_slice(&chunk[..count]),
-            None if is_over => return received,
-            None => {}
-        }
-    }
 }

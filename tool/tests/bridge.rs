@@ -23,7 +23,7 @@ use host_tests::flash_controller::FlashController;
 use host_tests::flash_model::Fault;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::rig::motions;
-use host_tests::service_rig::{ServiceLine, ServiceRig};
+use host_tests::station_rig::{ServiceLine, StationRig};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use program::{said, wsg, wsg_with};
@@ -66,7 +66,7 @@ impl BusPort for Line {
     }
 }
 
-type Act = Box<dyn FnOnce(&mut ServiceRig) + Send>;
+type Act = Box<dyn FnOnce(&mut StationRig) + Send>;
 
 /// A bridge that runs in a thread. Its time never runs slower than the wall clock.
 struct Served {
@@ -91,7 +91,7 @@ impl Served {
         let (acts, to_do) = mpsc::channel::<Act>();
         let is_ended = Arc::clone(&end);
         let plant = thread::spawn(move || {
-            let mut plant = ServiceRig::new(wsg_sim::Config {
+            let mut plant = StationRig::new(wsg_sim::Config {
                 homing_speed: Some(homing_speed),
                 ..wsg_sim::Config::default()
             });
@@ -112,13 +112,13 @@ impl Served {
     }
 
     /// Runs a closure on the bridge between two turns.
-    fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut ServiceRig) -> T + Send + 'static) -> T {
+    fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut StationRig) -> T + Send + 'static) -> T {
         let (done, doing) = mpsc::channel();
         self.acts.send(Box::new(move |plant| done.send(act(plant)).expect("the caller waits"))).unwrap();
         doing.recv_timeout(BOUND).expect("the plant is running")
     }
 
-    fn wait(&self, is_so: impl Fn(&mut ServiceRig) -> bool + Send + Clone + 'static) {
+    fn wait(&self, is_so: impl Fn(&mut StationRig) -> bool + Send + Clone + 'static) {
         let end = Instant::now() + BOUND;
         while !self.act(is_so.clone()) {
             assert!(Instant::now() < end, "the condition was not met");
@@ -126,7 +126,7 @@ impl Served {
     }
 
     fn settings(&self) -> Vec<u16> {
-        self.act(ServiceRig::settings)
+        self.act(StationRig::settings)
     }
 
     /// Runs `wsg bridge PORT ...` and returns exit status and output.
@@ -202,7 +202,7 @@ fn show_describes_bridge_and_gripper() {
 #[test]
 fn width_is_shown_once_the_fingers_are_referenced() {
     let served = Served::with(300.0);
-    served.act(ServiceRig::begin_to_move);
+    served.act(StationRig::begin_to_move);
     // IDLE, and the width has been reported.
     served.wait(|plant| {
         let image = plant.ask(&[1, 4, 0, 0, 0, 4]);
@@ -261,7 +261,7 @@ fn settings_are_changed_stored_restored_and_reset() {
     assert_eq!(served.settings(), delivered);
     served.done(&["set", "RECIPE0_WIDTH", "1600"]);
     assert_eq!(served.done(&["save"]), "stored\n");
-    served.act(ServiceRig::start);
+    served.act(StationRig::start);
     assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 16_00);
     assert!(served.done(&["show"]).contains("settings   source: stored; no unsaved changes"));
 
@@ -269,7 +269,7 @@ fn settings_are_changed_stored_restored_and_reset() {
     assert!(
         served.done(&["defaults", "--yes"]).ends_with("16.00 mm becomes 20.00 mm (1600 -> 2000)\nstored\n")
     );
-    served.act(ServiceRig::start);
+    served.act(StationRig::start);
     assert_eq!(served.settings(), delivered);
 
     served.act(|plant| plant.flash.fault = Some(Fault::Protected));
@@ -293,7 +293,7 @@ fn commands_of_the_quick_start_set_up_the_bridge() {
     for command in commands {
         if command.starts_with("show SETTINGS_FROM") {
             // The restart of the board.
-            served.act(ServiceRig::start);
+            served.act(StationRig::start);
         }
         answers.push_str(&served.done(&command.split(' ').collect::<Vec<_>>()));
     }
@@ -315,7 +315,7 @@ fn invalid_values_are_rejected_in_one_line_before_anything_is_written() {
     served.refused(&["set", "UNIT", "5", "CAN_NODE"], "missing value for CAN_NODE");
     served.refused(&["set", "CAN_NODE", "127"], "invalid configuration: CAN_NODE takes 1 to 127");
     served.done(&["set", "CAN_NODE", "127", "CAN_MASTER", "16"]);
-    served.act(ServiceRig::begin_to_move);
+    served.act(StationRig::begin_to_move);
     served.refused(&["set", "RECIPE0_WIDTH", "1500"], "nothing was changed: the fingers are moving");
 }
 
@@ -339,7 +339,7 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
     assert_eq!(served.settings(), before);
     let said = served.done(&["import", "--save", path]);
     assert_eq!(said, described + "stored\n");
-    served.act(ServiceRig::start);
+    served.act(StationRig::start);
     assert_eq!(
         (served.settings()[place("RECIPE0_WIDTH")], served.settings()[place("RECIPE15_SPEED")]),
         (15_00, 40_00)
@@ -358,7 +358,7 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
         &format!("{path}: line 3: the file is for register map version {other}, "),
     );
     fs::write(&file, changed.replace("\"15 mm\"", "1800")).unwrap();
-    served.act(ServiceRig::begin_to_move);
+    served.act(StationRig::begin_to_move);
     served.refused(&["import", path], "nothing was changed: the fingers are moving");
     served.refused(&["import", "no/such/file"], "cannot read no/such/file: ");
 }
@@ -491,7 +491,7 @@ fn image_is_written_by_the_matching_method_and_not_while_the_fingers_move() {
     fs::write(bin, b"GRIP(20)").unwrap();
     let (_, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
     assert!(said.contains("is not a valid image: no vector table for this board at the start"), "{said}");
-    served.act(ServiceRig::begin_to_move);
+    served.act(StationRig::begin_to_move);
     let (code, said) = flash(&[elf, "--yes"]);
     assert_eq!(
         (code, said.as_str()),

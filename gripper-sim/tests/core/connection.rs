@@ -193,10 +193,19 @@ fn frame_held_inside_a_false_one_is_obeyed_when_that_times_out() {
 
 #[test]
 fn datagram_that_ends_inside_a_frame_spoils_none_that_follows() {
-    let mut rig = Rig::on(PortKind::Udp, Config::default());
+    let request = frame(Command::GetForceLimit);
     // The header announces more bytes than the next frame has.
-    rig.send_bytes(&frame(Command::Loop { data: LoopData::new(&[7; 40]).unwrap() })[..7]);
-    assert_eq!(rig.status(Command::GetForceLimit), Status::Success);
+    let longer = frame(Command::Loop { data: LoopData::new(&[7; 40]).unwrap() });
+    for check_checksum in [true, false] {
+        let mut rig = Rig::on(PortKind::Udp, Config { check_checksum, ..Config::default() });
+        // Without its checksum, half of it, the end of its header, or its payload.
+        for part in
+            [&request[..request.len() - 2], &request[..request.len() - 1], &request[..5], &longer[..7]]
+        {
+            rig.send_bytes(part);
+            assert_eq!(rig.status(Command::GetForceLimit), Status::Success, "{check_checksum}, {part:02x?}");
+        }
+    }
 }
 
 #[test]

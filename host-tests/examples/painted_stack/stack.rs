@@ -7,12 +7,13 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use host_tests::emulator::{Emulator, Extras, is_for_pico};
-use host_tests::gripper_end::GripperEnd;
+use host_tests::rig::Rig;
 use host_tests::trace::Trace;
+use host_tests::wires::quick;
 use object::{Object, ObjectSection, ObjectSymbol};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};
-use wsg_sim::{Config, Part};
+use wsg_sim::Part;
 
 /// Start of RAM on every board, and cortex-m-rt's symbol for its end, where the stack starts.
 const RAM: u32 = 0x2000_0000;
@@ -29,11 +30,11 @@ pub(crate) fn deepest_of_image() -> Result<u32> {
     let elf: PathBuf = std::env::args_os().nth(1).context("expected the path of an image")?.into();
     let stack = room_for_stack(&elf)?;
     let rig = if is_for_pico(&elf) {
-        Rig::power_up(&elf, Extras { ram: Some(PAINT), ..Extras::default() })?
+        power_up(&elf, Extras { ram: Some(PAINT), ..Extras::default() })?
     } else {
         let paint = Paint::new(&stack)?;
         let loader = format!("loader,file={}", paint.path.display());
-        Rig::power_up(&elf, Extras { qemu_arguments: &["-device", &loader], ..Extras::default() })?
+        power_up(&elf, Extras { qemu_arguments: &["-device", &loader], ..Extras::default() })?
     };
 
     worst(&rig)?;
@@ -47,73 +48,58 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// Holding time of a wire and arrival time of noise, in milliseconds of board time.
 const HOLD_MS: u32 = 60;
 
-struct Rig {
-    board: Emulator,
-    gripper: GripperEnd,
+fn power_up(elf: &Path, extras: Extras<'_>) -> Result<Rig> {
+    Rig::of(Emulator::start_with(elf, extras)?, None, quick(), Trace::new(vec![]))
 }
 
-impl Rig {
-    fn power_up(elf: &Path, extras: Extras<'_>) -> Result<Self> {
-        let mut board = Emulator::start_with(elf, extras)?;
-        let line = board.take_gripper_line().context("the board's line is already taken")?;
-        let config = Config { time_scale: 10.0, ..Config::default() };
-        let gripper = GripperEnd::start(line, board.clock(), config, &Trace::new(vec![]))?;
-        Ok(Self { board, gripper })
+/// Holds a wire for longer than the rig does, because noise may be on the line.
+fn pulse(rig: &Rig, wire: Inputs) -> Result<()> {
+    for high in [true, false] {
+        rig.set(wire, high)?;
+        rig.pass(HOLD_MS)?;
     }
+    Ok(())
+}
 
-    fn pass(&self, ms: u32) -> Result<()> {
-        let start = self.board.now_ms()?;
-        while self.board.now_ms()?.wrapping_sub(start) <= ms {}
-        Ok(())
-    }
+fn wait(rig: &Rig, what: &str, wanted: impl Fn(Outputs) -> bool) -> Result<()> {
+    rig.board()
+        .wait_outputs(PATIENCE, wanted)
+        .map(drop)
+        .with_context(|| format!("timed out waiting for {what}"))
+}
 
-    fn pulse(&self, wire: Inputs) -> Result<()> {
-        self.board.set_input(wire, true)?;
-        self.pass(HOLD_MS)?;
-        self.board.set_input(wire, false)?;
-        self.pass(HOLD_MS)
-    }
+/// Starts a motion; it may fail, because only its use of the stack matters.
+fn motion(rig: &Rig, wire: Inputs) -> Result<()> {
+    wait(rig, "READY", |outputs| outputs.contains(Outputs::READY))?;
+    pulse(rig, wire)
+}
 
-    fn wait(&self, what: &str, wanted: impl Fn(Outputs) -> bool) -> Result<()> {
-        self.board
-            .wait_outputs(PATIENCE, wanted)
-            .map(drop)
-            .with_context(|| format!("timed out waiting for {what}"))
-    }
-
-    /// Starts a motion; it may fail, because only its use of the stack matters.
-    fn motion(&self, wire: Inputs) -> Result<()> {
-        self.wait("READY", |outputs| outputs.contains(Outputs::READY))?;
-        self.pulse(wire)
-    }
-
-    fn release_fast_stop(&self) -> Result<()> {
-        self.wait("LINK_OK", |outputs| outputs.contains(Outputs::LINK_OK))?;
-        self.board.set_input(Inputs::FAST_STOP_OK, true)?;
-        self.pass(HOLD_MS)?;
-        self.pulse(Inputs::STOP_ACK)
-    }
+fn release_fast_stop(rig: &Rig) -> Result<()> {
+    wait(rig, "LINK_OK", |outputs| outputs.contains(Outputs::LINK_OK))?;
+    rig.set(Inputs::FAST_STOP_OK, true)?;
+    rig.pass(HOLD_MS)?;
+    pulse(rig, Inputs::STOP_ACK)
 }
 
 /// Applies the worst-case load: motions, faults, noise at every stage, line cut and restored, FAST STOP.
 fn worst(rig: &Rig) -> Result<()> {
-    rig.release_fast_stop()?;
-    rig.motion(Inputs::HOME)?;
+    release_fast_stop(rig)?;
+    motion(rig, Inputs::HOME)?;
     for turn in 0..3_u8 {
-        rig.gripper.set_part(if turn == 1 { None } else { Part::of_width(20.0) });
+        rig.gripper().set_part(if turn == 1 { None } else { Part::of_width(20.0) });
         noise(rig, turn)?;
-        rig.motion(Inputs::GRIP)?;
+        motion(rig, Inputs::GRIP)?;
         noise(rig, turn.wrapping_add(7))?;
-        rig.motion(Inputs::RELEASE)?;
+        motion(rig, Inputs::RELEASE)?;
     }
-    rig.motion(Inputs::MOVE)?;
-    rig.board.set_input(Inputs::FAST_STOP_OK, false)?;
+    motion(rig, Inputs::MOVE)?;
+    rig.board().set_input(Inputs::FAST_STOP_OK, false)?;
     noise(rig, 1)?;
-    rig.gripper.cut(true);
-    rig.wait("no LINK_OK", |outputs| !outputs.contains(Outputs::LINK_OK))?;
-    rig.gripper.cut(false);
-    rig.release_fast_stop()?;
-    rig.motion(Inputs::HOME)
+    rig.gripper().cut(true);
+    wait(rig, "no LINK_OK", |outputs| !outputs.contains(Outputs::LINK_OK))?;
+    rig.gripper().cut(false);
+    release_fast_stop(rig)?;
+    motion(rig, Inputs::HOME)
 }
 
 /// Injects unsolicited answers, false preambles, wrong checksums around valid frames, and excessive lengths.
@@ -127,12 +113,12 @@ fn noise(rig: &Rig, seed: u8) -> Result<()> {
             {
                 *last ^= 0x40;
             }
-            rig.gripper.inject(&bytes);
+            rig.gripper().inject(&bytes);
         }
     }
     for size in [0_u16, 1, 6, 66, 67, 1024, u16::MAX] {
         let [low, high] = size.to_le_bytes();
-        rig.gripper.inject(&[0xAA, 0xAA, 0xAA, 0xAA, seed, low, high, 0xAA, 0xAA, 0xAA, 0x40, 6, 0]);
+        rig.gripper().inject(&[0xAA, 0xAA, 0xAA, 0xAA, seed, low, high, 0xAA, 0xAA, 0xAA, 0x40, 6, 0]);
         rig.pass(30)?;
     }
     let inner: Vec<u8> = FrameEncoder::new(0x25, &[0, 0][..]).collect();
@@ -140,7 +126,7 @@ fn noise(rig: &Rig, seed: u8) -> Result<()> {
     if let Some(last) = outer.last_mut() {
         *last ^= 1;
     }
-    rig.gripper.inject(&outer);
+    rig.gripper().inject(&outer);
     rig.pass(HOLD_MS)
 }
 
@@ -149,7 +135,7 @@ fn deepest(rig: &Rig, stack: &Range<u32>) -> Result<u32> {
     let mut address = stack.start;
     while address < stack.end {
         let length = CHUNK.min(stack.end - address);
-        let bytes = rig.board.read_memory(address, length as usize)?;
+        let bytes = rig.board().read_memory(address, length as usize)?;
         if let Some(at) = bytes.iter().position(|&byte| byte != PAINT) {
             ensure!(address + at as u32 > stack.start, "the stack has reached the static variables");
             return Ok(address + at as u32);

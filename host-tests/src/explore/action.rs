@@ -79,71 +79,59 @@ pub(super) enum Image {
     FastStop,
 }
 
+/// Appends the actions of line, gripper and bridge to the actions of a PLC.
+macro_rules! with_common {
+    ($($action:expr),+ $(,)?) => {{
+        use Action::*;
+        [
+            $($action,)+
+            AnswersAll,
+            Answer,
+            AnswerTwice,
+            AnswerLost,
+            AnswerCut,
+            AnswerWithNext,
+            Refuse,
+            ToggleLine,
+            Finish,
+            Fail,
+            LosePart,
+            GripperStopsFast,
+            ThirdPartyAcknowledges,
+            RestartGripper,
+            RestartBridge,
+            Wait,
+        ]
+    }};
+}
+
 /// Actions with a PLC on wires.
-pub(super) const WIRES: [Action; 25] = {
-    use Action::*;
-    [
-        Toggle(Wire::Grip),
-        Toggle(Wire::Move),
-        Toggle(Wire::Release),
-        Toggle(Wire::Home),
-        Toggle(Wire::StopAck),
-        Toggle(Wire::FastStopOk),
-        Toggle(Wire::Recipe),
-        GripAndStop,
-        MoveAndFastStop,
-        AnswersAll,
-        Answer,
-        AnswerTwice,
-        AnswerLost,
-        AnswerCut,
-        AnswerWithNext,
-        Refuse,
-        ToggleLine,
-        Finish,
-        Fail,
-        LosePart,
-        GripperStopsFast,
-        ThirdPartyAcknowledges,
-        RestartGripper,
-        RestartBridge,
-        Wait,
-    ]
-};
+pub(super) const WIRES: [Action; 25] = with_common![
+    Toggle(Wire::Grip),
+    Toggle(Wire::Move),
+    Toggle(Wire::Release),
+    Toggle(Wire::Home),
+    Toggle(Wire::StopAck),
+    Toggle(Wire::FastStopOk),
+    Toggle(Wire::Recipe),
+    GripAndStop,
+    MoveAndFastStop,
+];
 
 /// Actions with a PLC on a bus and three wires.
-pub(super) const BUS: [Action; 27] = {
-    use Action::*;
-    [
-        Write(Image::Zero),
-        Write(Image::Move),
-        Write(Image::Grip),
-        Write(Image::GripGently),
-        Write(Image::JogPlus),
-        Write(Image::StopAck),
-        Write(Image::FastStop),
-        FallSilent,
-        Toggle(Wire::Grip),
-        Toggle(Wire::StopAck),
-        Toggle(Wire::FastStopOk),
-        AnswersAll,
-        Answer,
-        AnswerTwice,
-        AnswerLost,
-        AnswerCut,
-        AnswerWithNext,
-        Refuse,
-        ToggleLine,
-        Finish,
-        Fail,
-        LosePart,
-        GripperStopsFast,
-        ThirdPartyAcknowledges,
-        RestartGripper,
-        RestartBridge,
-        Wait,
-    ]
-};
+pub(super) const BUS: [Action; 27] = with_common![
+    Write(Image::Zero),
+    Write(Image::Move),
+    Write(Image::Grip),
+    Write(Image::GripGently),
+    Write(Image::JogPlus),
+    Write(Image::StopAck),
+    Write(Image::FastStop),
+    FallSilent,
+    Toggle(Wire::Grip),
+    Toggle(Wire::StopAck),
+    Toggle(Wire::FastStopOk),
+];
 
 impl Wire {
     pub(super) const fn input(self) -> Inputs {

@@ -26,7 +26,7 @@ use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::profibus_rig::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
-use crate::profibus_rig::{sd2, sum};
+use crate::profibus_rig::{sd1, sd2, sd3};
 
 const STATION: u8 = 7;
 const BROADCAST: u8 = 127;
@@ -178,8 +178,8 @@ impl Model {
     fn exchange(&mut self, master: u8, outputs: &[u8]) -> Vec<u8> {
         let body = [&[STATION, master, self.next()], outputs].concat();
         match outputs.len() {
-            0 => [&[0x10], &body[..], &[sum(&body), 0x16]].concat(),
-            8 => [&[0xA2], &body[..], &[sum(&body), 0x16]].concat(),
+            0 => sd1(&body),
+            8 => sd3(&body),
             _ => sd2(&body),
         }
     }
@@ -480,7 +480,7 @@ impl WholeBridge for Model {
             }
             _ => {
                 let body = [STATION, input.pick(&MASTERS), input.pick(&[0x49, 0x4C, 0x43, 0x4E])];
-                self.put(&[&[0x10], &body[..], &[sum(&body), 0x16]].concat());
+                self.put(&sd1(&body));
             }
         }
     }

@@ -2,28 +2,11 @@
 
 use wsg_fieldbus::{CommandFlags, Controller, OutputImage};
 use wsg_protocol::session::{Event, Known, RequestError};
-use wsg_protocol::{Command, CommandId, GripperState, Kind, Reply, Status, SystemFlags, SystemLimits, Value};
+use wsg_protocol::{Command, CommandId, GripperState, Kind, Reply, Status, SystemFlags, Value};
 
 use super::input::Input;
-
-/// Motion flags, lowest bit first, and their commands.
-const MOTIONS: [(CommandFlags, CommandId); 4] = [
-    (CommandFlags::MOVE, CommandId::PrePosition),
-    (CommandFlags::GRIP, CommandId::GripPart),
-    (CommandFlags::RELEASE, CommandId::ReleasePart),
-    (CommandFlags::HOMING, CommandId::Homing),
-];
-
-const LIMITS: SystemLimits = SystemLimits {
-    stroke: 110.0,
-    min_speed: 5.0,
-    max_speed: 420.0,
-    min_acceleration: 100.0,
-    max_acceleration: 5_000.0,
-    min_force: 5.0,
-    nominal_force: 80.0,
-    overdrive_force: 120.0,
-};
+use super::requested::MOTIONS;
+use crate::gripper_states::LIMITS;
 
 /// Lock on motions: after FAST STOP until an acknowledgement has succeeded.
 #[derive(PartialEq)]

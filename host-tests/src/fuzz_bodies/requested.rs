@@ -33,7 +33,7 @@ const COMMAND_WIRES: [(Inputs, CommandFlags); 4] = [
 ];
 
 /// Motion flags in order of precedence, and their commands.
-const MOTIONS: [(CommandFlags, CommandId); 4] = [
+pub(super) const MOTIONS: [(CommandFlags, CommandId); 4] = [
     (CommandFlags::MOVE, CommandId::PrePosition),
     (CommandFlags::GRIP, CommandId::GripPart),
     (CommandFlags::RELEASE, CommandId::ReleasePart),

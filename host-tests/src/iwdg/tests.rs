@@ -64,9 +64,3 @@ fn a_new_value_takes_five_cycles_of_its_clock() {
     store(&mut iwdg, RLR, 5);
     assert_eq!(load(&mut iwdg, RLR), 5);
 }
-
-#[test]
-fn unknown_keys_and_the_window_are_rejected() {
-    assert!(Iwdg::new().store(IWDG, Width::Word, 1).is_err());
-    assert!(Iwdg::new().store(IWDG + WINR, Width::Word, 1).is_err());
-}

@@ -24,30 +24,22 @@ fn assert_decodes(code: [u16; 2], direction: Move, width: Width, address: u32) {
 // The encodings come from an assembler (llvm-mc).
 
 #[test]
-fn narrow_instructions_have_an_offset_or_a_register() {
+fn narrow_and_wide_instructions_have_an_offset_or_a_register() {
     for (code, direction, width, address) in [
-        (0x6001, Move::Store, Width::Word, 0x4000_6400),
-        (0x6FC1, LOAD, Width::Word, 0x4000_6400 + 124),
-        (0x77C1, Move::Store, Width::Byte, 0x4000_6400 + 31),
-        (0x7FC1, LOAD, Width::Byte, 0x4000_6400 + 31),
-        (0x87C1, Move::Store, Width::Halfword, 0x4000_6400 + 62),
-        (0x8FC1, LOAD, Width::Halfword, 0x4000_6400 + 62),
-        (0x5081, Move::Store, Width::Word, 0x4000_6421),
-        (0x5281, Move::Store, Width::Halfword, 0x4000_6421),
-        (0x5481, Move::Store, Width::Byte, 0x4000_6421),
-        (0x5681, LOAD_SIGNED, Width::Byte, 0x4000_6421),
-        (0x5881, LOAD, Width::Word, 0x4000_6421),
-        (0x5A81, LOAD, Width::Halfword, 0x4000_6421),
-        (0x5C81, LOAD, Width::Byte, 0x4000_6421),
-        (0x5E81, LOAD_SIGNED, Width::Halfword, 0x4000_6421),
-    ] {
-        assert_decodes([code, 0], direction, width, address);
-    }
-}
-
-#[test]
-fn wide_instructions_have_a_longer_offset_or_a_shifted_register() {
-    for (code, direction, width, address) in [
+        ([0x6001, 0], Move::Store, Width::Word, 0x4000_6400),
+        ([0x6FC1, 0], LOAD, Width::Word, 0x4000_6400 + 124),
+        ([0x77C1, 0], Move::Store, Width::Byte, 0x4000_6400 + 31),
+        ([0x7FC1, 0], LOAD, Width::Byte, 0x4000_6400 + 31),
+        ([0x87C1, 0], Move::Store, Width::Halfword, 0x4000_6400 + 62),
+        ([0x8FC1, 0], LOAD, Width::Halfword, 0x4000_6400 + 62),
+        ([0x5081, 0], Move::Store, Width::Word, 0x4000_6421),
+        ([0x5281, 0], Move::Store, Width::Halfword, 0x4000_6421),
+        ([0x5481, 0], Move::Store, Width::Byte, 0x4000_6421),
+        ([0x5681, 0], LOAD_SIGNED, Width::Byte, 0x4000_6421),
+        ([0x5881, 0], LOAD, Width::Word, 0x4000_6421),
+        ([0x5A81, 0], LOAD, Width::Halfword, 0x4000_6421),
+        ([0x5C81, 0], LOAD, Width::Byte, 0x4000_6421),
+        ([0x5E81, 0], LOAD_SIGNED, Width::Halfword, 0x4000_6421),
         ([0xF8D8, 0x9ABC], LOAD, Width::Word, 0x4000_6800 + 0xABC),
         ([0xF8C8, 0x9ABC], Move::Store, Width::Word, 0x4000_6800 + 0xABC),
         ([0xF898, 0x9ABC], LOAD, Width::Byte, 0x4000_6800 + 0xABC),

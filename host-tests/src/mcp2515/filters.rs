@@ -59,21 +59,13 @@ fn place(address: u8) -> Option<(u8, usize, usize)> {
     Some((row, number, column % 4))
 }
 
-/// 4.5: for standard identifiers, the extended identifier bits apply to the first two data bytes.
+/// Masks of data bytes, which the lower bits of a mask are for standard identifiers (4.5), are not modelled.
 fn matches(filter: [u8; 4], mask: [u8; 4], frame: &WireFrame) -> bool {
-    let value = match frame.id {
-        Id::Standard(id) => {
-            u32::from(id.as_raw()) << 18 | u32::from(frame.data[0]) << 8 | u32::from(frame.data[1])
-        }
-        Id::Extended(id) => id.as_raw(),
+    let (value, is_extended) = match frame.id {
+        Id::Standard(id) => (u32::from(id.as_raw()) << 18, false),
+        Id::Extended(id) => (id.as_raw(), true),
     };
-    let is_extended = matches!(frame.id, Id::Extended(_));
-    let mut mask = identifier(mask);
-    if !is_extended {
-        // EID17 and EID16 correspond to no data byte.
-        mask &= !(0b11 << 16);
-    }
-    (filter[1] & EXIDE != 0) == is_extended && (identifier(filter) ^ value) & mask == 0
+    (filter[1] & EXIDE != 0) == is_extended && (identifier(filter) ^ value) & identifier(mask) == 0
 }
 
 /// Returns 29 bits, with the standard identifier in the upper 11.

@@ -4,25 +4,24 @@ use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
 use document::hold_file;
-use embedded_can::{Frame, Id, StandardId};
+use embedded_can::{Frame, StandardId};
 use host_tests::addresses;
-use host_tests::can_rig::{BOARD, CanRig, Double};
-use host_tests::flash_model::Fault;
+use host_tests::can_rig::{BOARD, CanRig};
+use host_tests::flash_model::{Fault, FlashModel};
 use host_tests::serial_gripper::{SerialGripper, SerialLine};
+use host_tests::station_rig::StationRig;
 use host_tests::wires::Wires;
-use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanNode, DEFAULT_NODE, Health, NodeConfig, collides_with_canopen,
-};
+use wsg_bridge_fw::can::{CanNode, DEFAULT_NODE, Health, NodeConfig, collides_with_canopen};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::canopen::{
     DataType, FAULTS, NmtState, Node, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, SETTINGS};
-use wsg_bridge_fw::{Bridge, ControlSource};
+use wsg_bridge_fw::{Bridge, ControlSource, PlcBus, ResetCause};
 use wsg_fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
-use wsg_sim::{Config, Part, Time};
+use wsg_sim::{Config, Part};
 
 const NODE: NodeConfig = DEFAULT_NODE;
 /// Default of BUS_TIMEOUT.
@@ -34,14 +33,12 @@ struct Master {
     /// The last image sent.
     image: [u8; 8],
     heard: Vec<(u32, u16, Vec<u8>)>,
-    /// Whether the master sends its heartbeat every 200 ms.
-    beats: bool,
 }
 
 impl Master {
     fn new(config: Config) -> Self {
         let rig = CanRig::with_node(config, NODE);
-        Self { rig, image: [0; 8], heard: Vec::new(), beats: false }
+        Self { rig, image: [0; 8], heard: Vec::new() }
     }
 
     /// Returns a master of an operational node: connected, FAST STOP acknowledged, homed. The heartbeat is sent
@@ -49,7 +46,7 @@ impl Master {
     fn homed(part: Option<f32>, time_scale: f32) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let mut master = Self::new(Config { part, time_scale, ..Config::default() });
-        master.beats = true;
+        master.rig.beats = true;
         master.pass(500);
         master.nmt(NmtCommand::StartRemoteNode);
         master.command(Cmd::empty());
@@ -59,24 +56,23 @@ impl Master {
             master.state() == GripperFlags::IDLE && master.is(SystemFlags::REFERENCED)
         });
         master.command(Cmd::empty());
-        master.take_motions();
+        master.rig.take_motions();
+        master
+    }
+
+    /// Returns a master like [`homed`](Self::homed), during a MOVE.
+    fn moving() -> Self {
+        let mut master = Self::homed(None, 1.0);
+        master.command(Cmd::MOVE);
+        master.until(1_000, |master| master.is(SystemFlags::MOVING));
+        master.rig.take_sent();
         master
     }
 
     fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            if self.beats && self.rig.now_ms().is_multiple_of(200) {
-                self.send(0x700 | u16::from(NODE.master), &[5]);
-            }
-            self.rig.pass(1);
-            for (at, frame) in self.rig.take_heard() {
-                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
-                let controller = Identifiers::DEFAULT.controller();
-                if id != controller.transmit {
-                    self.heard.push((at, id.as_raw(), frame.data().to_vec()));
-                }
-            }
-        }
+        self.rig.pass(ms);
+        let to_gripper = Identifiers::DEFAULT.controller().transmit.as_raw();
+        self.heard.extend(self.rig.take_heard().into_iter().filter(|(_, id, _)| *id != to_gripper));
     }
 
     fn until(&mut self, bound_ms: u32, wanted: impl Fn(&Self) -> bool) {
@@ -90,7 +86,7 @@ impl Master {
     }
 
     fn send(&mut self, id: u16, data: &[u8]) {
-        self.rig.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+        self.rig.send(id, data);
     }
 
     fn nmt(&mut self, command: NmtCommand) {
@@ -202,10 +198,6 @@ impl Master {
         }
         panic!("no answer")
     }
-
-    fn take_motions(&mut self) -> Vec<CommandId> {
-        self.rig.take_motions()
-    }
 }
 
 /// Returns a write to subindex 1.
@@ -277,7 +269,7 @@ fn grip_cycle_by_pdo() {
 
     master.command(Cmd::RELEASE);
     master.until(10_000, |master| master.state() == GripperFlags::IDLE);
-    assert_eq!(master.take_motions(), [CommandId::GripPart, CommandId::ReleasePart]);
+    assert_eq!(master.rig.take_motions(), [CommandId::GripPart, CommandId::ReleasePart]);
 }
 
 #[test]
@@ -301,7 +293,7 @@ fn rpdo_takes_effect_only_in_operation_and_only_complete() {
     master.nmt(NmtCommand::StopRemoteNode);
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
 }
 
 #[test]
@@ -311,10 +303,10 @@ fn first_image_after_the_start_gives_no_edge_but_fast_stop() {
     master.nmt(NmtCommand::StartRemoteNode);
     master.command(Cmd::MOVE | Cmd::JOG_PLUS);
     master.pass(200);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
-    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
 
     master.nmt(NmtCommand::EnterPreOperational);
     master.nmt(NmtCommand::StartRemoteNode);
@@ -336,11 +328,9 @@ fn all_edges_within_one_millisecond_take_effect() {
 
 #[test]
 fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
-    let mut master = Master::homed(None, 1.0);
+    let mut master = Master::moving();
     master.emergencies();
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.beats = false;
+    master.rig.beats = false;
     // RPDOs do not replace a heartbeat that was received before.
     for _ in 0..TIMEOUT_MS / 100 - 3 {
         master.command(Cmd::MOVE);
@@ -355,7 +345,7 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
     assert_eq!(timeouts, 1);
 
     // The fault ends when the master starts the node again.
-    master.beats = true;
+    master.rig.beats = true;
     master.nmt(NmtCommand::StartRemoteNode);
     assert_eq!(master.emergencies(), [(0, 0)]);
     master.command(Cmd::empty());
@@ -366,10 +356,10 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
 #[test]
 fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
     let mut master = Master::homed(None, 1.0);
-    master.beats = false;
+    master.rig.beats = false;
     master.pass(2 * TIMEOUT_MS);
     master.nmt(NmtCommand::StartRemoteNode);
-    master.take_motions();
+    master.rig.take_motions();
     for _ in 0..2 * TIMEOUT_MS / 100 {
         master.command(Cmd::empty());
         master.pass(95);
@@ -383,10 +373,7 @@ fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
 
 #[test]
 fn restarted_master_no_longer_commands() {
-    let mut master = Master::homed(None, 1.0);
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.rig.take_sent();
+    let mut master = Master::moving();
     master.send(0x700 | u16::from(NODE.master), &[0]);
     master.pass(20);
     assert_eq!(master.rig.node().state(), NmtState::PreOperational);
@@ -401,10 +388,7 @@ fn nmt_stop_and_resets_stop_a_motion() {
         NmtCommand::ResetNode,
         NmtCommand::ResetCommunication,
     ] {
-        let mut master = Master::homed(None, 1.0);
-        master.command(Cmd::MOVE);
-        master.until(1_000, |master| master.is(SystemFlags::MOVING));
-        master.rig.take_sent();
+        let mut master = Master::moving();
         master.nmt(command);
         master.pass(20);
         assert!(master.rig.take_sent().contains(&CommandId::Stop), "{command:?}");
@@ -474,15 +458,6 @@ fn each_fault_sets_the_bit_of_its_class_in_the_error_register() {
 }
 
 #[test]
-fn silent_gripper_is_reported() {
-    let mut master = Master::homed(None, 10.0);
-    master.emergencies();
-    master.rig.to_gripper = Some(Box::new(|_| vec![]));
-    master.pass(2_000);
-    assert_eq!(master.emergencies(), [(code_of("gripper does not answer"), 0x11)]);
-}
-
-#[test]
 fn bus_off_is_reported_after_the_recovery() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
@@ -505,60 +480,46 @@ fn bus_off_ends_operation_until_the_master_starts_it_again() {
     assert_eq!(master.take(0x700).last().map(|(_, state)| state.clone()), Some(vec![0x7F]));
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
     master.nmt(NmtCommand::StartRemoteNode);
     master.command(Cmd::empty());
     master.command(Cmd::STOP_ACK);
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
 fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
     for (flags, is_commander) in [(Cmd::MOVE, true), (Cmd::JOG_MINUS, true), (Cmd::empty(), false)] {
-        let mut far = SerialGripper::new(Config::default());
-        let mut bridge = Bridge::new(wsg_bridge_fw::Config::DEFAULT);
-        let double = Double::default();
-        let mut bus = CanBus::new(double.clone(), BusOffPolicy::DEFAULT);
-        let mut node = Node::new(NODE);
-        let (mut now_ms, mut wires) = (0, Inputs::FAST_STOP_OK);
-        let mut pass = |ms: u32, wires: Inputs, frames: &[(u16, &[u8])]| {
+        let delivered = wsg_bridge_fw::Config { plc_bus: PlcBus::Canopen, ..wsg_bridge_fw::Config::DEFAULT };
+        let gripper = SerialGripper::new(Config::default());
+        let mut rig = StationRig::with(&delivered.record(), gripper, FlashModel::new(), ResetCause::PowerOn);
+        rig.get_homed();
+        let double = rig.can.clone();
+        let mut pass = |ms: u32, frames: &[(u16, &[u8])]| {
             for (id, data) in frames {
                 double.bring(ClassicFrame::new(StandardId::new(*id).unwrap(), data).unwrap());
             }
             for _ in 0..ms {
-                now_ms += 1;
-                let now = Instant::from_millis(now_ms);
-                bus.listen(now, &mut None::<&mut Node>, &mut node);
-                bridge.poll(now_ms, wires, &mut far.line, &mut node);
-                bus.talk(now, &mut None::<&mut Node>, &mut node);
+                rig.step();
                 while double.take_winner().is_some() {}
-                far.advance(Time::from_millis(now_ms.into()));
             }
-            far.take_sent()
+            rig.take_sent()
         };
-        pass(200, wires, &[]);
-        wires |= Inputs::STOP_ACK;
-        pass(10, wires, &[(0, &[1, NODE.node])]);
-        wires -= Inputs::STOP_ACK;
-        pass(10, wires, &[]);
-        wires |= Inputs::HOME;
-        pass(10, wires, &[]);
-        wires -= Inputs::HOME;
-        pass(20_000, wires, &[]);
-
+        pass(10, &[]);
+        pass(10, &[(0, &[1, NODE.node])]);
         let rpdo = 0x200 | u16::from(NODE.node);
         let image = [flags.bits(), 0, 0xD0, 0x07, 0x88, 0x13, 0xA0, 0x0F];
-        pass(5, wires, &[(rpdo, &[0; 8])]);
-        let sent = pass(50, wires, &[(rpdo, &image)]);
+        pass(5, &[(rpdo, &[0; 8])]);
+        let sent = pass(50, &[(rpdo, &image)]);
         assert_eq!(sent.contains(&CommandId::PrePosition), is_commander, "{flags:?}: {sent:?}");
         // After as many frames as a turn handles.
         for _ in 0..24 {
             double.bring(ClassicFrame::new(StandardId::new(rpdo).unwrap(), &image).unwrap());
         }
         double.go_off(0);
-        let sent = pass(10, wires, &[]);
+        let sent = pass(10, &[]);
         assert_eq!(sent.contains(&CommandId::Stop), is_commander, "{flags:?}: {sent:?}");
     }
 }
@@ -847,27 +808,24 @@ const RPDO_ON: Value = Value::Unsigned32(0x210);
 
 #[test]
 fn disabled_rpdo_commands_nothing_and_stops_its_motion() {
-    let mut master = Master::homed(None, 1.0);
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.rig.take_sent();
+    let mut master = Master::moving();
     master.download(0x1400, 1, RPDO_OFF).unwrap();
     master.pass(10);
     assert!(master.rig.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
     master.until(1_000, |master| !master.is(SystemFlags::MOVING));
-    master.take_motions();
+    master.rig.take_motions();
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
     master.command(Cmd::FASTSTOP);
     master.pass(100);
-    assert_eq!(master.take_motions(), []);
+    assert_eq!(master.rig.take_motions(), []);
     master.download(0x1400, 1, RPDO_ON).unwrap();
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.take_motions(), [], "the first image gives no edge");
+    assert_eq!(master.rig.take_motions(), [], "the first image gives no edge");
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
-    assert_eq!(master.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
@@ -880,7 +838,7 @@ fn grip_cycle_with_sync() {
     master.take(0x180);
     master.command(Cmd::GRIP);
     master.pass(100);
-    assert_eq!((master.take(0x180), master.take_motions()), (vec![], vec![]), "not without a SYNC");
+    assert_eq!((master.take(0x180), master.rig.take_motions()), (vec![], vec![]), "not without a SYNC");
     let mut holding = false;
     for _ in 0..1_000 {
         master.send(0x080, &[]);
@@ -890,7 +848,7 @@ fn grip_cycle_with_sync() {
         holding |= tpdos[0].1[0] == GripperFlags::HOLDING.bits();
     }
     assert!(holding);
-    assert_eq!(master.take_motions(), [CommandId::GripPart]);
+    assert_eq!(master.rig.take_motions(), [CommandId::GripPart]);
     // A FAST STOP does not wait for SYNC.
     master.command(Cmd::FASTSTOP);
     assert!(master.rig.take_sent().contains(&CommandId::FastStop));
@@ -944,9 +902,7 @@ fn pdo_mappings_match_the_transmitted_objects() {
 
 #[test]
 fn tpdos_keep_their_inhibit_time_and_are_also_sent_without_a_change() {
-    let mut master = Master::homed(None, 1.0);
-    master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    let mut master = Master::moving();
     master.take(0x280);
     master.pass(300);
     let moments: Vec<u32> = master.take(0x280).iter().map(|(at, _)| *at).collect();
@@ -1107,7 +1063,7 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             let mut master = Master::homed(None, 1.0);
             if !beats {
                 // Without the heartbeat received so far.
-                master.beats = false;
+                master.rig.beats = false;
                 master.pass(2 * TIMEOUT_MS);
                 master.nmt(NmtCommand::StartRemoteNode);
                 master.command(Cmd::empty());
@@ -1116,7 +1072,7 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             master.until(1_000, |master| master.is(SystemFlags::MOVING));
             if beats {
                 master.send(of_master, &[5]);
-                master.beats = false;
+                master.rig.beats = false;
             } else {
                 master.command(Cmd::MOVE);
             }

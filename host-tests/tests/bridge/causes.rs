@@ -7,22 +7,19 @@ use bus_slcan::ClassicFrame;
 use canopen_rs::{Address, DataType, Value, sdo};
 use embedded_can::{Frame, Id, StandardId};
 use host_tests::addresses::{report, setting};
-use host_tests::can_rig::{Double, NO_PROFIBUS};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
-use host_tests::rtu_double::RtuDouble;
 use host_tests::serial_gripper::SerialGripper;
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE};
+use host_tests::station_rig::StationRig;
+use host_tests::wires::{Wires, quick, with_part};
+use wsg_bridge_fw::can::DEFAULT_NODE;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::canopen::REPORTS_INDEX;
-use wsg_bridge_fw::registers::{
-    COMMAND_KEY, EVENTS, EventCode, FIRST_COMMAND, FIRST_REPORT, REPORTS, Record,
-};
-use wsg_bridge_fw::storage::{Progress, Store};
-use wsg_bridge_fw::{BoardId, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::registers::{COMMAND_KEY, EVENTS, EventCode, FIRST_COMMAND, FIRST_REPORT, REPORTS};
+use wsg_bridge_fw::{Config, GripperLine, PlcBus, ResetCause};
 use wsg_fieldbus::CommandFlags as Cmd;
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
-use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Instant, Status};
-use wsg_sim::{Fault, Finger, Jaw, Part, Time};
+use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Status};
+use wsg_sim::{Fault, Finger, Jaw, Time};
 
 /// 10.00 mm, 20.00 mm/s, 40.00 N.
 const SLOWLY: [u16; 3] = [10_00, 20_00, 40_00];
@@ -30,14 +27,7 @@ const SLOWLY: [u16; 3] = [10_00, 20_00, 40_00];
 /// A station, its gripper, and a PLC that writes its image cyclically.
 struct Plant {
     plc_bus: PlcBus,
-    station: Station<Double>,
-    gripper: SerialGripper,
-    flash: FlashModel,
-    modbus: RtuDouble,
-    service: RtuDouble,
-    can: Double,
-    inputs: Inputs,
-    now_ms: u32,
+    rig: StationRig,
     /// CMDFLAGS, WIDTH, SPEED, FORCELIMIT.
     image: (Cmd, [u16; 3]),
     talks: bool,
@@ -51,20 +41,11 @@ impl Plant {
     }
 
     fn with_gripper(delivered: Config, gripper: SerialGripper, flash: FlashModel, now_ms: u32) -> Self {
-        let can = Double::default();
-        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
-        let config = station.load(&delivered.record(), &flash).unwrap();
-        station.start(&config, BoardId::UNKNOWN, ResetCause::Watchdog);
+        let mut rig = StationRig::with(&delivered.record(), gripper, flash, ResetCause::Watchdog);
+        rig.now_ms = now_ms;
         let mut plant = Self {
-            plc_bus: config.plc_bus,
-            station,
-            gripper,
-            flash,
-            modbus: RtuDouble::default(),
-            service: RtuDouble::default(),
-            can,
-            inputs: Inputs::FAST_STOP_OK,
-            now_ms,
+            plc_bus: rig.config.plc_bus,
+            rig,
             image: (Cmd::empty(), [0; 3]),
             talks: false,
             heard: Vec::new(),
@@ -92,7 +73,7 @@ impl Plant {
     }
 
     fn with_part(plc_bus: PlcBus) -> Self {
-        Self::homed_with(plc_bus, wsg_sim::Config { part: Part::of_width(20.0), ..quick() })
+        Self::homed_with(plc_bus, with_part(20.0))
     }
 
     fn with_fmf(plc_bus: PlcBus) -> Self {
@@ -113,26 +94,25 @@ impl Plant {
     }
 
     fn fail(&mut self, fault: Fault) {
-        self.gripper.gripper.set_fault(fault, true, Time::from_millis(self.now_ms.into()));
+        let now = Time::from_millis(self.rig.now_ms.into());
+        self.rig.gripper.gripper.set_fault(fault, true, now);
         self.pass(100);
     }
 
     /// Resets only the bridge.
     fn reset(self) -> Self {
         let config = Config { plc_bus: self.plc_bus, ..Config::DEFAULT };
-        Self::with_gripper(config, self.gripper, self.flash, self.now_ms)
+        let StationRig { gripper, flash, now_ms, .. } = self.rig;
+        Self::with_gripper(config, gripper, flash, now_ms)
     }
 
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
-            self.now_ms += 1;
-            if self.talks && self.now_ms.is_multiple_of(50) {
+            if self.talks && (self.rig.now_ms + 1).is_multiple_of(50) {
                 self.send_image();
             }
-            let Self { station, gripper, flash, modbus, service, inputs, now_ms, .. } = self;
-            station.turn(*now_ms, *inputs, &mut gripper.line, modbus, service, flash);
-            gripper.advance(Time::from_millis((*now_ms).into()));
-            while let Some(frame) = self.can.take_winner() {
+            self.rig.step();
+            while let Some(frame) = self.rig.can.take_winner() {
                 let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
                 self.heard.push((id.as_raw(), frame.data().to_vec()));
             }
@@ -141,7 +121,7 @@ impl Plant {
 
     fn bring(&mut self, id: u16, data: &[u8]) {
         if self.plc_bus == PlcBus::Canopen {
-            self.can.bring(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+            self.rig.can.bring(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
         }
     }
 
@@ -156,7 +136,7 @@ impl Plant {
             _ => {
                 let mut request = vec![1, 16, 0, 0, 0, 4, 8, flags.bits(), 0];
                 request.extend(numbers.into_iter().flat_map(u16::to_be_bytes));
-                self.modbus.ask(&request);
+                self.rig.bus.ask(&request);
             }
         }
     }
@@ -173,7 +153,7 @@ impl Plant {
         self.write(flags, numbers);
         self.write(Cmd::empty(), numbers);
         for _ in 0..2_000 {
-            if self.over_service(4, 5, 1) != [Status::CmdPending.code()] {
+            if self.rig.served(4, 5, 1) != [Status::CmdPending.code()] {
                 return;
             }
             self.pass(10);
@@ -181,31 +161,13 @@ impl Plant {
         panic!("the command did not end");
     }
 
-    fn pulse(&mut self, wire: Inputs) {
-        self.inputs |= wire;
-        self.pass(10);
-        self.inputs -= wire;
-        self.pass(10);
-    }
-
     fn cut(&mut self) {
-        self.gripper.to_bridge = Some(Box::new(Vec::clear));
+        self.rig.gripper.to_bridge = Some(Box::new(Vec::clear));
     }
 
-    /// Reads registers with FC 3 or 4 over the service port.
-    fn over_service(&mut self, function: u8, first: u16, count: u8) -> Vec<u16> {
-        let [high, low] = first.to_be_bytes();
-        self.service.ask(&[1, function, high, low, 0, count]);
-        self.pass(5);
-        registers(&self.service.answer().expect("the service port answers"), count)
-    }
-
-    /// Writes a register with FC 6 over the service port.
+    /// Writes a register over the service port.
     fn set(&mut self, address: u16, value: u16) {
-        let request = [&[1, 6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
-        self.service.ask(&request);
-        self.pass(5);
-        assert_eq!(self.service.answer().unwrap()[..6], request, "accepted");
+        assert_eq!(self.rig.set_register(address, value), Ok(()), "accepted");
     }
 
     /// Reads reports over the PLC's bus.
@@ -220,10 +182,10 @@ impl Plant {
         // Wait for the end of an image in transmission.
         let talks = std::mem::take(&mut self.talks);
         self.pass(5);
-        self.modbus.ask(&[1, 4, high, low, 0, count]);
+        self.rig.bus.ask(&[1, 4, high, low, 0, count]);
         self.pass(5);
         self.talks = talks;
-        registers(&self.modbus.answer().expect("the bus answers"), count)
+        registers(&self.rig.bus.answer().expect("the bus answers"), count)
     }
 
     /// Reads an object with an SDO upload.
@@ -265,22 +227,6 @@ fn registers(answer: &[u8], count: u8) -> Vec<u16> {
         .take(count.into())
         .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
         .collect()
-}
-
-/// Returns a gripper whose fingers move ten times as fast.
-fn quick() -> wsg_sim::Config {
-    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
-}
-
-/// Returns flash with a record of a later firmware.
-fn of_later_firmware(record: &Record) -> FlashModel {
-    let mut flash = FlashModel::new();
-    let mut store = Store::<400>::new();
-    let _ = store.load(&flash);
-    let bytes: Vec<u8> = record.iter().flat_map(|word| word.to_le_bytes()).collect();
-    store.begin(u16::MAX, &bytes).unwrap();
-    while store.poll(&mut flash, Instant::from_millis(0)) == Progress::Saving {}
-    flash
 }
 
 /// Expected reports on an event.
@@ -326,7 +272,7 @@ const CASES: &[Case] = {
     &[
         (refusal(E::Start, None, ResetCause::Watchdog as u16).with_error(None), Plant::ready, |_| {}),
         (fast_stop(E::Wire, MOVED, 0), Plant::moving, |plant| {
-            plant.inputs -= Inputs::FAST_STOP_OK;
+            plant.rig.inputs -= Inputs::FAST_STOP_OK;
             plant.pass(200);
         }),
         (fast_stop(E::BusFlag, MOVED, 0), Plant::moving, |plant| {
@@ -396,9 +342,9 @@ const CASES: &[Case] = {
         (refusal(E::NotReady, None, 0), Plant::homed, |plant| {
             // The fingers stop before the end of BUSY.
             plant.set(setting("MIN_BUSY"), 10_000);
-            plant.pulse(Inputs::MOVE);
+            plant.rig.pulse(Inputs::MOVE);
             plant.pass(3_000);
-            plant.pulse(Inputs::MOVE);
+            plant.rig.pulse(Inputs::MOVE);
         }),
         (refusal(E::PartHeld, None, 0), Plant::with_part, |plant| {
             plant.command(Cmd::GRIP, [20_00, 50_00, 40_00]);
@@ -424,7 +370,7 @@ const CASES: &[Case] = {
                 // waits for the reply to the Acknowledge that follows the Stop after an error.
                 plant.command(Cmd::MOVE, [10_00, 50_00, 40_00]);
                 let mut parser = FrameParser::<MAX_MESSAGE_LEN>::new();
-                plant.gripper.to_bridge = Some(Box::new(move |bytes| {
+                plant.rig.gripper.to_bridge = Some(Box::new(move |bytes| {
                     let mut through = Vec::new();
                     for byte in bytes.drain(..) {
                         if let Some(Event::Frame(frame)) = parser.push(byte)
@@ -458,7 +404,7 @@ const CASES: &[Case] = {
                 Plant::new(config, quick(), FlashModel::new())
             },
             |plant| {
-                plant.can.go_off(0);
+                plant.rig.can.go_off(0);
                 plant.pass(1_000);
             },
         ),
@@ -466,13 +412,13 @@ const CASES: &[Case] = {
             refusal(E::SettingsRefused, None, 3),
             |plc_bus| {
                 let config = Config { plc_bus, ..Config::DEFAULT };
-                Plant::new(config, quick(), of_later_firmware(&config.record()))
+                Plant::new(config, quick(), FlashModel::with_record(u16::MAX, &config.record()))
             },
             |_| {},
         ),
         // 2: write-protected.
         (refusal(E::SaveFailed, None, 2).with_error(None), Plant::homed, |plant| {
-            plant.flash.fault = Some(FlashFault::Protected);
+            plant.rig.flash.fault = Some(FlashFault::Protected);
             plant.set(FIRST_COMMAND, COMMAND_KEY);
             plant.pass(1_000);
         }),
@@ -503,7 +449,7 @@ fn assert_reports(expected: &Expected, plant: &mut Plant, plc_bus: PlcBus) {
     let what = format!("{:?} with {plc_bus:?}", expected.code);
     let (first, last) = (report("ERROR_CAUSE"), report("EVENT16_AGE"));
     let count = (last - first + 1) as u8;
-    let by_service = plant.over_service(4, first, count);
+    let by_service = plant.rig.served(4, first, count);
     let by_bus = plant.over_bus(first, count);
     let is_age = |at: usize| REPORTS[usize::from(first - FIRST_REPORT) + at].name.ends_with("_AGE");
     for (at, pair) in by_service.iter().zip(&by_bus).enumerate() {

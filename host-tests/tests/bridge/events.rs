@@ -3,7 +3,6 @@
 use host_tests::addresses::report;
 use host_tests::modbus_rig::*;
 use host_tests::wires::Wires;
-use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::registers::EventCode;
 use wsg_protocol::CommandId;
@@ -24,16 +23,11 @@ fn fast_stop(rig: &mut TestRig) -> [u16; 3] {
     rig.input(report("FAST_STOP_CAUSE"), 3).unwrap().try_into().unwrap()
 }
 
-fn moving() -> TestRig {
+#[test]
+fn cause_of_error_is_the_fast_stop_while_it_is_active() {
     let mut rig = TestRig::homed(wsg_sim::Config::default());
     rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
     rig.pass(300);
-    rig
-}
-
-#[test]
-fn cause_of_error_is_the_fast_stop_while_it_is_active() {
-    let mut rig = moving();
     assert_eq!(cause(&mut rig), 0);
     rig.write(1, &[11_00]);
     rig.pass(20);
@@ -56,16 +50,4 @@ fn cause_of_error_is_the_fast_stop_while_it_is_active() {
     rig.pass(900);
     let age = rig.input(report("FAST_STOP_AGE"), 1).unwrap()[0];
     assert!((1..=3).contains(&age), "{age} s");
-}
-
-#[test]
-fn cause_of_error_without_a_fast_stop_is_the_last_event() {
-    let mut rig = TestRig::ready_with(Config::DEFAULT, quick());
-    rig.write(0, &[0, 20_00, 50_00, 40_00]);
-    rig.write(0, &[u16::from(MOVE) << 8, 20_00, 50_00, 40_00]);
-    rig.pass(50);
-    assert_eq!(cause(&mut rig), EventCode::Refused as u16);
-    rig.set_cut(true);
-    rig.pass(3_000);
-    assert_eq!(cause(&mut rig), EventCode::GripperSilent as u16);
 }

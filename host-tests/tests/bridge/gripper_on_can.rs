@@ -7,20 +7,15 @@ use std::rc::Rc;
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
 use host_tests::can_rig::{CanRig, Disturbance};
-use host_tests::wires::Wires;
+use host_tests::wires::{IDLE, Wires, quick, with_part};
 use wsg_bridge_fw::can::{BusOffPolicy, BusState, DEFAULT_NODE};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::can::{Identifiers, Segments};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{CommandId, FrameEncoder, Kind, Reply, Status, SystemFlags, checksum};
-use wsg_sim::{Config, Part};
+use wsg_sim::Config;
 
-const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
 const POLICY: BusOffPolicy = BusOffPolicy::DEFAULT;
-
-fn with_part(width: f32) -> Config {
-    Config { part: Part::of_width(width), time_scale: 10.0, ..Config::default() }
-}
 
 fn homed() -> CanRig {
     CanRig::homed(with_part(20.0), POLICY)
@@ -170,52 +165,34 @@ fn motion_during_bus_off_has_an_unknown_outcome_and_shows_error() {
     assert!(rig.outputs().contains(Outputs::ERROR), "{:?}", rig.outputs());
 }
 
-#[test]
-fn fast_stop_during_bus_off_is_the_first_command_after_it() {
-    let mut rig = homed();
-    rig.double().go_off(0);
-    rig.pass(10);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.pass(20);
-    rig.take_sent();
-    assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
-    rig.pass(100);
-    let sent = rig.take_sent();
-    let commands: Vec<CommandId> =
-        sent.into_iter().filter(|id| id.kind() != wsg_protocol::Kind::Query).collect();
-    assert_eq!(commands.first(), Some(&CommandId::FastStop));
-    assert!(rig.gripper().state().flags.contains(wsg_protocol::SystemFlags::FAST_STOP));
-}
-
+/// Requested during bus-off, before the gripper stops answering, or waiting in the controller at bus-off.
 #[test]
 fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
-    let mut rig = homed();
-    rig.double().go_off(0);
-    rig.pass(10);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.take_sent();
-    while rig.bus().state() != BusState::On {
+    for (is_in_controller, low_ms) in [(false, 0), (false, 20), (true, 5)] {
+        let mut rig = homed();
+        if !is_in_controller {
+            rig.double().go_off(0);
+            rig.pass(10);
+        }
+        rig.double().set_unheard(is_in_controller);
+        rig.set(Inputs::FAST_STOP_OK, false);
+        rig.pass(low_ms);
+        if is_in_controller {
+            rig.double().go_off(0);
+            rig.double().set_unheard(false);
+        }
+        rig.take_sent();
         rig.pass(1);
+        while rig.bus().state() != BusState::On {
+            rig.pass(1);
+        }
+        rig.pass(2);
+        let context = format!("in the controller: {is_in_controller}, low for {low_ms} ms");
+        assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop), "{context}");
+        assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{context}");
+        rig.pass(100);
+        assert!(rig.gripper().state().flags.contains(SystemFlags::FAST_STOP), "{context}");
     }
-    rig.pass(2);
-    assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop));
-}
-
-#[test]
-fn fast_stop_in_the_controller_at_bus_off_is_sent_with_the_first_frames_after_it() {
-    let mut rig = homed();
-    rig.double().set_unheard(true);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.pass(5);
-    rig.double().go_off(0);
-    rig.double().set_unheard(false);
-    rig.take_sent();
-    rig.pass(1);
-    while rig.bus().state() != BusState::On {
-        rig.pass(1);
-    }
-    rig.pass(2);
-    assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop));
 }
 
 #[test]
@@ -381,7 +358,7 @@ fn hit(fault: FrameFault, number: usize) -> Disturbance {
 #[test]
 fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_foreign() {
     const FRAMES: usize = 12;
-    let mut rig = CanRig::homed(Config { time_scale: 10.0, ..Config::default() }, BusOffPolicy::DEFAULT);
+    let mut rig = CanRig::homed(quick(), BusOffPolicy::DEFAULT);
     let mut worst = 0;
     let mut case = 0;
     for fault in [FrameFault::Lost, FrameFault::Doubled, FrameFault::Misled] {
@@ -562,10 +539,7 @@ impl Blocked {
         assert!(rig.outputs().contains(Outputs::LINK_OK), "{context}: {:?}", rig.outputs());
         assert_eq!(rig.take_motions(), [], "{context}: sent later");
         assert_eq!(rig.gripper().state().width, *width, "{context}: the fingers have moved");
-        let answers = rig.take_heard();
-        let answers = answers
-            .iter()
-            .filter(|(_, frame)| frame.id() == Id::Standard(StandardId::new(SDO_ANSWER).unwrap()));
+        let answers = rig.take_heard().into_iter().filter(|(_, id, _)| *id == SDO_ANSWER);
         assert_eq!(answers.count(), 1, "{context}: the SDO answer");
         rig.set(wire, !level);
         rig.pass(20);

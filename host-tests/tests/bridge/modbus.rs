@@ -3,22 +3,16 @@
 use host_tests::addresses::{report, setting};
 use host_tests::modbus_rig::*;
 use host_tests::wires::Wires;
-use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
-use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES, ResetCause};
+use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES};
 use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::types::SoftLimits;
 use wsg_protocol::{Command, CommandId, Status, SystemFlags};
-use wsg_sim::Part;
-
-fn with_part() -> wsg_sim::Config {
-    wsg_sim::Config { part: Part::of_width(20.0), ..quick() }
-}
 
 #[test]
 fn grip_cycle_over_the_bus() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.take_motions();
     for _ in 0..20 {
         rig.command(MOVE, 80_00, 200_00, 40_00);
@@ -43,7 +37,7 @@ fn missing_and_lost_parts_are_shown_in_gstate() {
     let mut rig = TestRig::homed(quick());
     rig.command(GRIP, 20_00, 50_00, 40_00);
     assert_eq!((rig.state(), rig.status()), (NO_PART, 18), "E_CMD_FAILED");
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     let now = rig.now();
     rig.gripper().set_part(None, now);
@@ -259,48 +253,37 @@ fn silent_master_that_only_read_stops_no_motion() {
 
 #[test]
 fn part_stays_held_while_the_master_is_silent() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     rig.pass(5_000);
     assert_eq!(rig.state(), HOLDING);
 }
 
 #[test]
-fn first_write_of_a_master_starts_nothing() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(200);
-    rig.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
-    rig.pass(100);
-    rig.write(0, &[u16::from(HOMING | JOG_PLUS) << 8, 0, 50_00, 40_00]);
-    rig.pass(100);
-    assert_eq!(rig.take_motions(), []);
-    rig.write(0, &[0, 0, 50_00, 40_00]);
-    rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-    rig.pass(10);
-    assert_eq!(rig.take_motions(), [CommandId::Homing]);
-}
-
-#[test]
-fn held_flag_gives_no_edge_after_a_reset_regardless_of_reads() {
-    // The bridge has just restarted, but the PLC has not. Its cycle continues to read and write with HOMING set.
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(200);
-    for _ in 0..5 {
-        assert_eq!(rig.holding(0, 1).map(|registers| registers.len()), Ok(1));
+fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
+    // The bridge has just started, but the cycle of the PLC continues with its flags set.
+    for (flags, reads) in [(HOMING | JOG_PLUS, false), (HOMING, true)] {
+        let mut rig = TestRig::new(Config::DEFAULT, quick());
+        rig.pass(200);
+        for _ in 0..5 {
+            if reads {
+                assert_eq!(rig.holding(0, 1).map(|registers| registers.len()), Ok(1));
+            }
+            rig.write(0, &[u16::from(flags) << 8, 0, 50_00, 40_00]);
+            rig.pass(100);
+        }
+        assert_eq!(rig.take_motions(), [], "reads: {reads}");
+        rig.write(0, &[0, 0, 50_00, 40_00]);
         rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-        rig.pass(100);
+        rig.pass(10);
+        assert_eq!(rig.take_motions(), [CommandId::Homing], "reads: {reads}");
     }
-    assert_eq!(rig.take_motions(), []);
-    rig.write(0, &[0, 0, 50_00, 40_00]);
-    rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
-    rig.pass(10);
-    assert_eq!(rig.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
 fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
     for phase_ms in 0..5 {
-        let mut rig = TestRig::homed(with_part());
+        let mut rig = TestRig::homed(with_part(20.0));
         rig.pass(2 * phase_ms);
         for (flag, width, state, force) in [(GRIP, 20_00, HOLDING, 40_00), (RELEASE, 40_00, IDLE, 0)] {
             rig.write(0, &[0, width, 50_00, 40_00]);
@@ -324,7 +307,7 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
     /// Returns the turns from the write to the motion, `after_ms` after the end of a grip. Replies are lost for `lost_ms`
     /// from the end on.
     fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
-        let mut rig = TestRig::homed(with_part());
+        let mut rig = TestRig::homed(with_part(20.0));
         rig.write(0, &[u16::from(GRIP) << 8, 20_00, 50_00, 40_00]);
         rig.write(0, &[0, 20_00, 50_00, 40_00]);
         assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::HOLDING)));
@@ -356,7 +339,7 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
 #[test]
 fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
     let blocked = || {
-        let mut rig = TestRig::homed(with_part());
+        let mut rig = TestRig::homed(with_part(20.0));
         rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
         rig
     };
@@ -450,7 +433,7 @@ fn second_motion_is_refused_and_the_first_still_ends() {
 
 #[test]
 fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     let refused = |rig: &mut TestRig| rig.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
     assert_eq!(refused(&mut rig), 0);
@@ -536,20 +519,16 @@ fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06(
     assert_eq!(rig.try_write(99, &[1]), Some(2));
     let last = FIRST_SETTING + SETTINGS.len() as u16 - 1;
     assert_eq!(rig.try_write(last, &[1, 1]), Some(2));
+    rig.by_service(|rig| {
+        assert_eq!((rig.try_write(setting("UNIT"), &[0]), rig.try_write(last + 1, &[1])), (Some(3), Some(2)));
+    });
     assert_eq!(rig.try_write(3, &[40_00, 0]), Some(2), "no write across the gap");
     rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
     assert_eq!(rig.try_write(setting("DEBOUNCE"), &[5]), Some(6));
     assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3), "an invalid value is reported with priority");
+    assert_eq!(rig.by_service(|rig| rig.try_write(setting("DEBOUNCE"), &[5])), Some(6));
     let counters = rig.input(report("SERVER_BUSY"), 1);
     assert_eq!(counters, Ok(vec![1]));
-}
-
-#[test]
-fn reset_cause_of_the_board_is_a_report() {
-    let mut rig = TestRig::ready();
-    assert_eq!(rig.input(report("RESET_CAUSE"), 1), Ok(vec![0]));
-    rig.bridge_mut().set_reset_cause(ResetCause::Watchdog);
-    assert_eq!(rig.input(report("RESET_CAUSE"), 1), Ok(vec![3]));
 }
 
 #[test]
@@ -579,15 +558,21 @@ fn device_identification_names_the_bridge() {
 
 #[test]
 fn width_and_force_are_queried_only_once_a_master_communicates() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(1_000);
-    let asks = |sent: Vec<CommandId>| {
-        sent.iter().any(|id| matches!(id, CommandId::GetOpeningWidth | CommandId::GetForce))
-    };
-    assert!(!asks(rig.take_sent()));
-    rig.input(0, 1).unwrap();
-    rig.pass(100);
-    assert!(asks(rig.take_sent()));
+    for by_service in [false, true] {
+        let mut rig = TestRig::new(Config::DEFAULT, quick());
+        rig.pass(1_000);
+        let asks = |sent: Vec<CommandId>| {
+            sent.iter().any(|id| matches!(id, CommandId::GetOpeningWidth | CommandId::GetForce))
+        };
+        assert!(!asks(rig.take_sent()));
+        if by_service {
+            rig.by_service(|rig| rig.input(0, 1)).unwrap();
+        } else {
+            rig.input(0, 1).unwrap();
+        }
+        rig.pass(100);
+        assert!(asks(rig.take_sent()), "by the service port: {by_service}");
+    }
 }
 
 #[test]
@@ -603,70 +588,6 @@ fn broadcast_takes_effect_only_if_enabled() {
     rig.pass(20);
     assert_eq!(rig.answers(), 0);
     assert!(rig.bit(28));
-}
-
-/// Traffic on the bus that is no request of the PLC.
-#[derive(Clone, Debug)]
-enum Happening {
-    Noise(Vec<u8>),
-    /// A frame that commands a motion, with one inverted bit.
-    Damaged(u8, usize),
-    /// The start of such a frame.
-    Half(u8, usize),
-    /// Such a frame for another unit.
-    Foreign(u8, u8),
-    Pass(u32),
-}
-
-fn happening() -> impl Strategy<Value = Happening> {
-    prop_oneof![
-        3 => proptest::collection::vec(any::<u8>(), 1..40).prop_map(Happening::Noise),
-        3 => (any::<u8>(), 0..17usize * 8).prop_map(|(flags, bit)| Happening::Damaged(flags, bit)),
-        2 => (any::<u8>(), 1..17usize).prop_map(|(flags, len)| Happening::Half(flags, len)),
-        2 => (any::<u8>(), 2..=247u8).prop_map(|(flags, unit)| Happening::Foreign(flags, unit)),
-        3 => (0..60u32).prop_map(Happening::Pass),
-    ]
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
-
-    #[test]
-    fn nothing_but_an_intact_request_for_this_unit_moves_fingers(happenings in proptest::collection::vec(happening(), 1..40)) {
-        let mut rig = TestRig::homed(quick());
-        rig.take_motions();
-        let moves = |unit: u8, flags: u8| {
-            TestRig::frame(unit, &[16, 0, 0, 0, 4, 8, flags, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0])
-        };
-        for happening in happenings {
-            match happening {
-                Happening::Noise(bytes) => rig.send_raw(&bytes),
-                Happening::Damaged(flags, bit) => {
-                    let mut frame = moves(UNIT, flags);
-                    frame[bit / 8] ^= 1 << (bit % 8);
-                    rig.pass(55);
-                    rig.send_raw(&frame);
-                    rig.pass(55);
-                }
-                Happening::Half(flags, len) => {
-                    rig.pass(55);
-                    rig.send_raw(&moves(UNIT, flags)[..len.min(16)]);
-                    rig.pass(55);
-                }
-                Happening::Foreign(flags, unit) => {
-                    rig.pass(55);
-                    rig.send_raw(&moves(unit, flags));
-                    rig.pass(5);
-                }
-                Happening::Pass(ms) => rig.pass(ms),
-            }
-        }
-        rig.pass(50);
-        prop_assert_eq!(rig.take_motions(), []);
-        rig.write(0, &[0, 0, 50_00, 40_00]);
-        rig.command(MOVE, 40_00, 50_00, 40_00);
-        prop_assert_eq!(rig.status(), SUCCESS);
-    }
 }
 
 /// BUS_TIMEOUT (docs/registers.md) starts with the last intact request for this unit.

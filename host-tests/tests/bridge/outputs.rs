@@ -1,18 +1,12 @@
 //! Output levels compared with the table of docs/wiring.md, in cases that need a particular gripper, flag or time.
 
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
-use host_tests::wires::Wires;
+use host_tests::wires::{IDLE, Wires, quick, with_part};
 use host_tests::wires_rig::TestRig;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus, RECIPES};
 use wsg_protocol::CommandId;
 use wsg_sim::{Fault, Model, Part};
-
-const IDLE: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
-
-fn quick() -> wsg_sim::Config {
-    wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }
-}
 
 #[test]
 fn persistent_fault_keeps_ready_low_despite_acknowledgements() {
@@ -30,6 +24,8 @@ fn persistent_fault_keeps_ready_low_despite_acknowledgements() {
         }
         let now = rig.now();
         rig.gripper().set_fault(fault, false, now);
+        rig.pass(100);
+        assert!(rig.outputs().contains(Outputs::ERROR), "{fault:?}: not cleared automatically");
         rig.pulse(Inputs::STOP_ACK);
         assert!(rig.until(200, |outputs| outputs == IDLE), "{fault:?}: {:?}", rig.outputs());
     }
@@ -85,7 +81,7 @@ fn incomplete_frame_is_discarded_20_ms_after_its_last_byte() {
 
 #[test]
 fn incomplete_frame_does_not_swallow_later_reports() {
-    let mut rig = TestRig::homed(wsg_sim::Config { part: Part::of_width(20.0), ..quick() });
+    let mut rig = TestRig::homed(with_part(20.0));
     assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     // Until the line has been idle for longer than the time-out of an incomplete frame.
     let mut silent_ms = 0;
@@ -115,7 +111,7 @@ fn at_most_256_bytes_are_read_per_turn() {
 fn recipe_takes_effect_with_its_command_while_the_gripper_sends() {
     let recipe = RECIPES[3];
     let width = f32::from(recipe.width) / 100.0;
-    let mut rig = TestRig::homed(wsg_sim::Config { part: Part::of_width(width), ..quick() });
+    let mut rig = TestRig::homed(with_part(width));
     *rig.inputs() |= Inputs::RECIPE0 | Inputs::RECIPE1 | Inputs::GRIP;
     for _ in 0..10 {
         rig.far.inject(&[0]);

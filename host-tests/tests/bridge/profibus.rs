@@ -1,23 +1,19 @@
 //! The bridge over PROFIBUS, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use bus_profibus::{Baud, Character};
-use host_tests::modbus_rig::quick;
 use host_tests::profibus_rig::*;
+use host_tests::wires::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
 use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction};
 use wsg_protocol::{CommandId, Status, SystemFlags};
-use wsg_sim::{Fault, Part, Time};
+use wsg_sim::{Fault, Time};
 
 /// Watchdog factor for 200 ms.
 const WATCHDOG: u8 = 20;
 const WATCHDOG_MS: u32 = 200;
 
 const NOTHING: [u8; 0] = [];
-
-fn with_part() -> wsg_sim::Config {
-    wsg_sim::Config { part: Part::of_width(20.0), ..quick() }
-}
 
 fn with_reaction(reaction: SilenceReaction) -> Config {
     Config { bus: BusConfig { reaction, ..AT_500K.bus }, ..AT_500K }
@@ -55,7 +51,7 @@ const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
 
 #[test]
 fn grip_cycle_over_profibus() {
-    let mut rig = TestRig::homed(with_part());
+    let mut rig = TestRig::homed(with_part(20.0));
     for _ in 0..10 {
         rig.image = OutputImage { width: 80_00, speed: 200_00, ..rig.image };
         rig.command(Flag::MOVE);
@@ -97,8 +93,7 @@ fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
         if number == 0 {
             rig.control(0x02, 0);
         } else {
-            let answer =
-                rig.send(&[0x10, STATION, MASTER, function, sum(&[STATION, MASTER, function]), 0x16]);
+            let answer = rig.send(&sd1(&[STATION, MASTER, function]));
             assert_eq!(answer[..4], [0x68, 15, 15, 0x68], "Fail_Safe: {answer:02X?}");
         }
     };
@@ -117,28 +112,21 @@ fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
 
 #[test]
 fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
-    let mut rig = TestRig::homed(quick());
-    rig.control(0x02, 0);
-    rig.pass_silent(10);
-    rig.set(Flag::GRIP);
-    rig.pass(20);
-    assert_eq!(rig.board.take_motions(), []);
-    rig.set(Flag::empty());
-    rig.set(Flag::GRIP);
-    rig.pass(20);
-    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
-}
-
-#[test]
-fn unchanged_outputs_after_clear_make_the_next_flag_an_edge() {
-    let mut rig = TestRig::homed(quick());
-    rig.control(0x02, 0);
-    rig.pass_silent(10);
-    rig.exchange();
-    rig.pass(3);
-    rig.set(Flag::GRIP);
-    rig.pass(20);
-    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
+    // The first outputs after Clear are those before it, with the flag 0, or have the flag.
+    for is_unchanged in [false, true] {
+        let mut rig = TestRig::homed(quick());
+        rig.control(0x02, 0);
+        rig.pass_silent(10);
+        rig.set(if is_unchanged { Flag::empty() } else { Flag::GRIP });
+        rig.pass(20);
+        assert_eq!(rig.board.take_motions(), [], "unchanged: {is_unchanged}");
+        if !is_unchanged {
+            rig.set(Flag::empty());
+        }
+        rig.set(Flag::GRIP);
+        rig.pass(20);
+        assert_eq!(rig.board.take_motions(), [CommandId::GripPart], "unchanged: {is_unchanged}");
+    }
 }
 
 #[test]
@@ -428,7 +416,7 @@ fn repeated_outputs_are_one_edge() {
     let mut rig = TestRig::homed(quick());
     rig.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x7D][..], &rig.image.to_bytes()].concat();
-    let telegram = [&[0xA2], &body[..], &[sum(&body), 0x16]].concat();
+    let telegram = sd3(&body);
     // Another request in between defines the frame count bit.
     assert_eq!(rig.send(&sd2(&[STATION | 0x80, MASTER | 0x80, 0x5D, 60, 62])).len(), 27);
     let first = rig.send(&telegram);
@@ -444,7 +432,7 @@ fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
     let mut rig = TestRig::homed(quick());
     rig.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x5D][..], &rig.image.to_bytes()].concat();
-    let telegram = [&[0xA2], &body[..], &[sum(&body), 0x16]].concat();
+    let telegram = sd3(&body);
     for damaged in 0..telegram.len() {
         let mut characters: Vec<_> = telegram.iter().map(|byte| Character::Byte(*byte)).collect();
         characters[damaged] = Character::Damaged;
@@ -483,7 +471,7 @@ fn bridge_has_the_address_of_its_setting() {
     let profibus = ProfibusConfig { address: 125, ..AT_500K.profibus };
     let mut rig = TestRig::new(Config { profibus, ..AT_500K }, quick());
     rig.pass_silent(10);
-    let status = |station: u8| [0x10, station, MASTER, 0x49, sum(&[station, MASTER, 0x49]), 0x16];
+    let status = |station: u8| sd1(&[station, MASTER, 0x49]);
     assert_eq!(rig.send(&status(7)), NOTHING);
     assert_eq!(rig.send(&status(125)), [0x10, MASTER, 125, 0x00, 127, 0x16]);
 }
@@ -514,24 +502,19 @@ fn rate_is_searched_until_telegrams_are_received() {
 #[test]
 fn silent_master_is_detected_in_time_despite_other_traffic_on_the_line() {
     let image = [&[Flag::MOVE.bits(), 0][..], &[0; 6]].concat();
-    let sd1 =
-        |station: u8, master: u8| vec![0x10, station, master, 0x49, sum(&[station, master, 0x49]), 0x16];
-    let sd3 = |station: u8, master: u8| {
-        let body = [&[station, master, 0x5D][..], &image].concat();
-        [&[0xA2], &body[..], &[sum(&body), 0x16]].concat()
-    };
-    let mut wrong_sum = sd3(STATION, MASTER);
+    let exchange = |station: u8, master: u8| sd3(&[&[station, master, 0x5D][..], &image].concat());
+    let mut wrong_sum = exchange(STATION, MASTER);
     wrong_sum[11] ^= 1;
     let diagnosis = [STATION | 0x80, SECOND_MASTER | 0x80, 0x5D, points::SLAVE_DIAG, points::MASTER];
     let traffic = [
-        ("the master's exchange with another slave", sd3(STATION + 1, MASTER)),
+        ("the master's exchange with another slave", exchange(STATION + 1, MASTER)),
         ("the answer of another slave", sd2(&[&[MASTER, STATION + 1, 0x08][..], &[0; 12]].concat())),
         ("a token", vec![0xDC, SECOND_MASTER, MASTER]),
         ("an exchange with a wrong checksum", wrong_sum),
-        ("half an exchange", sd3(STATION, MASTER)[..7].to_vec()),
-        ("another master's exchange", sd3(STATION, SECOND_MASTER)),
+        ("half an exchange", exchange(STATION, MASTER)[..7].to_vec()),
+        ("another master's exchange", exchange(STATION, SECOND_MASTER)),
         ("another master that reads the diagnosis", sd2(&diagnosis)),
-        ("another master that looks for stations", sd1(STATION, SECOND_MASTER)),
+        ("another master that looks for stations", sd1(&[STATION, SECOND_MASTER, 0x49])),
     ];
     let bus_timeout_ms = u32::from(Config::DEFAULT.bus.timeout_ms);
     for (watchdog, limit_ms) in [(WATCHDOG, WATCHDOG_MS), (0, bus_timeout_ms)] {

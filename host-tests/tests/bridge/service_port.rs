@@ -71,16 +71,6 @@ fn service_port_reads_what_the_bus_reads() {
 }
 
 #[test]
-fn width_and_force_are_queried_once_the_service_port_is_used() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
-    rig.pass(1_000);
-    assert!(!rig.take_sent().contains(&CommandId::GetForce));
-    rig.by_service(|rig| rig.input(0, 1)).unwrap();
-    rig.pass(100);
-    assert!(rig.take_sent().contains(&CommandId::GetForce));
-}
-
-#[test]
 fn setting_written_by_the_service_port_applies_to_bus_and_wires_at_once() {
     let mut rig = TestRig::homed(quick());
     rig.by_service(|rig| rig.write(setting("UNIT"), &[9]));
@@ -130,17 +120,6 @@ fn setting_written_by_the_service_port_applies_to_bus_and_wires_at_once() {
     rig.take_motions();
     rig.pulse(Inputs::GRIP);
     assert_eq!(rig.take_motions(), [], "5 ms are too short now");
-}
-
-#[test]
-fn service_port_refuses_settings_like_the_bus() {
-    let mut rig = TestRig::homed(quick());
-    rig.by_service(|rig| {
-        assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3));
-        assert_eq!(rig.try_write(FIRST_SETTING + SETTINGS.len() as u16, &[1]), Some(2));
-    });
-    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
-    assert_eq!(rig.by_service(|rig| rig.try_write(setting("DEBOUNCE"), &[5])), Some(6));
 }
 
 #[test]

@@ -1,32 +1,34 @@
 //! Persistent settings: SAVE, RESTORE, DEFAULTS, the selection at a start, and recipes for the bus.
 
+use std::ops::{Deref, DerefMut};
+
 use host_tests::addresses::{place, report, setting};
-use host_tests::can_rig::{Double, NO_PROFIBUS};
-use host_tests::chance::Chance;
 use host_tests::flash_model::{Fault, FlashModel, Tear};
-use host_tests::rtu_double::RtuDouble;
-use host_tests::serial_gripper::{SerialGripper, motions};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use host_tests::serial_gripper::SerialGripper;
+use host_tests::station_rig::StationRig;
+use host_tests::wires::Wires;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, Record};
-use wsg_bridge_fw::storage::{NorFlash, Page, Progress, Store};
-use wsg_bridge_fw::{BoardId, Config, ResetCause, Station};
+use wsg_bridge_fw::storage::Page;
+use wsg_bridge_fw::{Config, ResetCause};
 use wsg_fieldbus::CommandFlags;
-use wsg_protocol::{CommandId, Instant};
-use wsg_sim::Time;
+use wsg_protocol::{CommandId, Kind};
 
-/// A bridge with its flash, a gripper, and masters on the service port and the PLC's bus.
-struct Plant {
-    station: Station<Double>,
-    gripper: SerialGripper,
-    flash: FlashModel,
-    service: RtuDouble,
-    bus: RtuDouble,
-    inputs: Inputs,
-    outputs: Outputs,
-    now_ms: u32,
-    sent: Vec<CommandId>,
-    config: Config,
+/// A station with a master on the service port and one on the PLC's bus.
+struct Plant(StationRig);
+
+impl Deref for Plant {
+    type Target = StationRig;
+
+    fn deref(&self) -> &StationRig {
+        &self.0
+    }
+}
+
+impl DerefMut for Plant {
+    fn deref_mut(&mut self) -> &mut StationRig {
+        &mut self.0
+    }
 }
 
 impl Plant {
@@ -34,58 +36,18 @@ impl Plant {
         Self::delivered_with(&Config::DEFAULT.record(), flash)
     }
 
-    fn delivered_with(delivered: &Record, mut flash: FlashModel) -> Self {
-        flash.reboot();
-        let can = CanBus::new(Double::default(), BusOffPolicy::DEFAULT);
-        let mut station = Station::new(can, &NO_PROFIBUS);
-        let config = station.load(delivered, &flash).unwrap();
-        station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
-        Self {
-            station,
-            gripper: SerialGripper::new(wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() }),
-            flash,
-            service: RtuDouble::default(),
-            bus: RtuDouble::default(),
-            inputs: Inputs::FAST_STOP_OK,
-            outputs: Outputs::empty(),
-            now_ms: 0,
-            sent: Vec::new(),
-            config,
-        }
+    fn delivered_with(delivered: &Record, flash: FlashModel) -> Self {
+        let gripper = wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() };
+        Self(StationRig::with(delivered, SerialGripper::new(gripper), flash, ResetCause::PowerOn))
     }
 
     /// Restarts the board after a power cycle. The gripper restarts, too.
     fn restart(self) -> Self {
-        Self::start(self.flash)
-    }
-
-    fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            self.now_ms += 1;
-            let Self { station, gripper, flash, service, bus, inputs, now_ms, .. } = self;
-            self.outputs = station.turn(*now_ms, *inputs, &mut gripper.line, bus, service, flash);
-            gripper.advance(Time::from_millis((*now_ms).into()));
-            self.sent.extend(gripper.take_sent());
-        }
-    }
-
-    /// Sends a read or write request over the service port. Returns the exception if it is refused.
-    fn ask(&mut self, request: &[u8]) -> Result<Vec<u8>, u8> {
-        self.service.ask(&[&[1], request].concat());
-        self.pass(5);
-        let answer = self.service.answer().expect("a response");
-        if answer[1] & 0x80 == 0 { Ok(answer[2..answer.len() - 2].to_vec()) } else { Err(answer[2]) }
+        Self::start(self.0.flash)
     }
 
     fn read(&mut self, function: u8, address: u16) -> u16 {
-        let [high, low] = address.to_be_bytes();
-        let answer = self.ask(&[function, high, low, 0, 1]).unwrap();
-        u16::from_be_bytes([answer[1], answer[2]])
-    }
-
-    fn write(&mut self, address: u16, value: u16) -> Result<(), u8> {
-        let ([a1, a0], [v1, v0]) = (address.to_be_bytes(), value.to_be_bytes());
-        self.ask(&[6, a1, a0, v1, v0]).map(drop)
+        self.served(function, address, 1)[0]
     }
 
     fn setting(&mut self, name: &str) -> u16 {
@@ -93,7 +55,7 @@ impl Plant {
     }
 
     fn set(&mut self, name: &str, value: u16) {
-        assert_eq!(self.write(setting(name), value), Ok(()), "{name}");
+        assert_eq!(self.set_register(setting(name), value), Ok(()), "{name}");
     }
 
     fn report(&mut self, name: &str) -> u16 {
@@ -101,7 +63,7 @@ impl Plant {
     }
 
     fn command(&mut self, name: &str) -> Result<(), u8> {
-        self.write(command(name), COMMAND_KEY)
+        self.set_register(command(name), COMMAND_KEY)
     }
 
     /// Writes the output image over the PLC's bus.
@@ -122,28 +84,17 @@ impl Plant {
             self.inputs -= wire;
             self.pass(1_500);
         }
-        assert!(self.outputs.contains(Outputs::READY | Outputs::REFERENCED), "{:?}", self.outputs);
-        self.sent.clear();
+        assert!(self.outputs().contains(Outputs::READY | Outputs::REFERENCED), "{:?}", self.outputs());
+        self.take_sent();
     }
 
     fn has_moved(&self) -> bool {
-        !motions(self.sent.clone()).is_empty()
+        self.gripper.sent().iter().any(|id| id.kind() == Kind::Motion)
     }
 }
 
 fn command(name: &str) -> u16 {
     FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).expect("a command") as u16
-}
-
-/// Returns flash with this record.
-fn with_record(version: u16, words: &[u16]) -> FlashModel {
-    let mut flash = FlashModel::new();
-    let mut store = Store::<400>::new();
-    let _ = store.load(&flash);
-    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-    store.begin(version, &bytes).unwrap();
-    while store.poll(&mut flash, Instant::from_millis(0)) == Progress::Saving {}
-    flash
 }
 
 #[test]
@@ -152,7 +103,7 @@ fn only_saved_settings_apply_after_a_power_cycle() {
     assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SAVE_STATE")), (0, 0));
     let recipes: Vec<u16> = (0..64).map(|n| 1_000 + n).collect();
     for (n, value) in recipes.iter().enumerate() {
-        assert_eq!(plant.write(setting("RECIPE0_WIDTH") + n as u16, *value), Ok(()));
+        assert_eq!(plant.set_register(setting("RECIPE0_WIDTH") + n as u16, *value), Ok(()));
     }
     plant.set("PLC_BUS", 2);
     plant.set("CAN_RATE", 250);
@@ -189,7 +140,7 @@ fn restore_applies_the_stored_settings_and_defaults_those_of_the_image() {
     assert_eq!(plant.command("DEFAULTS"), Ok(()));
     plant.pass(500);
     assert_eq!((plant.setting("DEBOUNCE"), plant.report("SAVE_STATE")), (9, 2));
-    let mut plant = Plant::delivered_with(&Config::DEFAULT.record(), plant.flash);
+    let mut plant = Plant::delivered_with(&Config::DEFAULT.record(), plant.0.flash);
     assert_eq!((plant.setting("DEBOUNCE"), plant.report("SETTINGS_FROM")), (9, 1), "the defaults are stored");
 }
 
@@ -200,17 +151,17 @@ fn command_registers_accept_only_their_key_and_only_at_rest() {
     for name in ["SAVE", "RESTORE", "DEFAULTS"] {
         assert_eq!(plant.read(3, command(name)), 0);
         for wrong in [0, 1, COMMAND_KEY - 1, COMMAND_KEY.swap_bytes(), u16::MAX] {
-            assert_eq!(plant.write(command(name), wrong), Err(3), "{name} {wrong}");
+            assert_eq!(plant.set_register(command(name), wrong), Err(3), "{name} {wrong}");
         }
     }
     let [high, low] = command("SAVE").to_be_bytes();
     let [k1, k0] = COMMAND_KEY.to_be_bytes();
-    assert_eq!(plant.ask(&[16, high, low, 0, 2, 4, k1, k0, k1, k0]), Err(3), "two commands at once");
+    assert_eq!(plant.serve(&[16, high, low, 0, 2, 4, k1, k0, k1, k0]), Err(3), "two commands at once");
     assert_eq!(plant.report("SAVE_STATE"), 0);
 
     plant.inputs |= Inputs::MOVE;
     plant.pass(20);
-    assert!(plant.outputs.contains(Outputs::BUSY));
+    assert!(plant.outputs().contains(Outputs::BUSY));
     for name in ["SAVE", "RESTORE", "DEFAULTS"] {
         assert_eq!(plant.command(name), Err(6), "{name} during a motion");
     }
@@ -220,7 +171,7 @@ fn command_registers_accept_only_their_key_and_only_at_rest() {
     assert_eq!(plant.command("SAVE"), Ok(()));
     assert_eq!(plant.report("SAVE_STATE"), 1);
     assert_eq!(plant.command("SAVE"), Err(6));
-    assert_eq!(plant.write(setting("DEBOUNCE"), 3), Err(6));
+    assert_eq!(plant.set_register(setting("DEBOUNCE"), 3), Err(6));
     plant.pass(3_000);
     assert_eq!(plant.report("SAVE_STATE"), 2);
     assert_eq!(plant.flash.erases, [1, 0], "saved only once");
@@ -261,7 +212,7 @@ fn save_does_not_delay_a_fast_stop() {
         plant.inputs -= Inputs::FAST_STOP_OK;
         let ms = (0..50).find(|_| {
             plant.pass(1);
-            plant.sent.contains(&CommandId::FastStop)
+            plant.gripper.sent().contains(&CommandId::FastStop)
         });
         assert_eq!(plant.report("SAVE_STATE"), u16::from(save), "the save is still running");
         ms.expect("FAST STOP")
@@ -276,7 +227,7 @@ fn power_cut_leaves_the_old_or_the_new_settings_and_causes_no_motion() {
     saved.set("RECIPE15_RELEASE", 1_111);
     assert_eq!(saved.command("SAVE"), Ok(()));
     saved.pass(500);
-    let first = saved.flash;
+    let first = saved.0.flash;
     for tear in Tear::ALL {
         for cut in 0..40 {
             let mut plant = Plant::start(first.clone());
@@ -306,9 +257,9 @@ fn unusable_settings_block_motions_until_others_are_stored() {
     damaged.set(Page::First, 3, None);
     let longer = [&delivered[..], &[1]].concat();
     for (flash, from) in [
-        (with_record(2, &delivered), 3),
-        (with_record(1, &longer), 3),
-        (with_record(1, &wrong), 4),
+        (FlashModel::with_record(2, &delivered), 3),
+        (FlashModel::with_record(1, &longer), 3),
+        (FlashModel::with_record(1, &wrong), 4),
         (damaged, 5),
     ] {
         let mut plant = Plant::start(flash);
@@ -319,15 +270,15 @@ fn unusable_settings_block_motions_until_others_are_stored() {
         plant.pass(200);
         assert_eq!(plant.report("SETTINGS_FROM"), from);
         assert_eq!(plant.report("ERROR_CAUSE"), EventCode::SettingsRefused as u16);
-        assert_eq!(plant.outputs & (Outputs::READY | Outputs::ERROR), Outputs::ERROR);
+        assert_eq!(plant.outputs() & (Outputs::READY | Outputs::ERROR), Outputs::ERROR);
         // By the bus alone, then by both.
         plant.write_image(CommandFlags::empty(), [20_00, 50_00, 40_00]);
         plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
         plant.pass(200);
-        assert!(!plant.has_moved(), "{:?}", plant.sent);
+        assert!(!plant.has_moved(), "{:?}", plant.gripper.sent());
         plant.inputs |= Inputs::HOME;
         plant.pass(200);
-        assert!(!plant.has_moved(), "{:?}", plant.sent);
+        assert!(!plant.has_moved(), "{:?}", plant.gripper.sent());
 
         // DEFAULTS ends the block. Flags and wires held in the meantime give no edge.
         assert_eq!(plant.command("DEFAULTS"), Ok(()));
@@ -335,22 +286,13 @@ fn unusable_settings_block_motions_until_others_are_stored() {
         assert_eq!((plant.report("SAVE_STATE"), plant.report("SETTINGS_FROM")), (2, 1));
         plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
         plant.pass(500);
-        assert!(!plant.has_moved(), "{:?}", plant.sent);
+        assert!(!plant.has_moved(), "{:?}", plant.gripper.sent());
         plant.inputs -= Inputs::HOME;
         plant.pass(200);
         plant.inputs |= Inputs::HOME;
         plant.pass(200);
-        assert!(plant.sent.contains(&CommandId::Homing), "a new edge takes effect");
+        assert!(plant.gripper.sent().contains(&CommandId::Homing), "a new edge takes effect");
     }
-}
-
-#[test]
-fn settings_of_older_firmware_are_used_and_completed_from_the_image() {
-    let mut older = Config::DEFAULT.record();
-    older[0] = 44;
-    let mut plant = Plant::start(with_record(1, &older[..50]));
-    assert_eq!((plant.setting("UNIT"), plant.report("SETTINGS_FROM")), (44, 2));
-    assert_eq!(plant.setting("CAN_NODE"), 0x10);
 }
 
 /// Records of released and earlier images: the double words of the flash, and the settings that they hold. A new
@@ -399,7 +341,7 @@ fn settings_of_map_version_5_are_used_and_profibus_settings_come_from_the_image(
     let mut older = Config::DEFAULT.record();
     older[at("CAN_MASTER")] = 0x7E;
     // Registers 100 to 181.
-    let mut plant = Plant::delivered_with(&delivered, with_record(1, &older[..82]));
+    let mut plant = Plant::delivered_with(&delivered, FlashModel::with_record(1, &older[..82]));
     assert_eq!((plant.setting("CAN_MASTER"), plant.report("SETTINGS_FROM")), (0x7E, 2));
     assert_eq!((plant.setting("PROFIBUS_ADDRESS"), plant.setting("PROFIBUS_RATE")), (9, 5_000));
     assert_eq!(plant.command("SAVE"), Ok(()));
@@ -432,33 +374,6 @@ fn flash_failure_is_reported_and_the_settings_in_ram_stay() {
 }
 
 #[test]
-fn random_writes_leave_valid_settings_and_cause_no_motion() {
-    let mut plant = Plant::start(FlashModel::new());
-    let mut chance = Chance::new(18);
-    for round in 0..2_000 {
-        let address = 95 + chance.below(115) as u16;
-        let value = match chance.below(4) {
-            0 => COMMAND_KEY,
-            1 => chance.below(20) as u16,
-            2 => chance.below(2_000) as u16,
-            _ => chance.number() as u16,
-        };
-        let _ = plant.write(address, value);
-        if round % 50 == 0 {
-            plant.pass(100);
-            let _ = plant.command("SAVE");
-            plant.pass(200);
-            let from = plant.restart();
-            plant = from;
-            assert!([0, 1].contains(&plant.report("SETTINGS_FROM")));
-        }
-        assert!(!plant.has_moved());
-    }
-    assert!(plant.flash.operations > 100);
-    assert_eq!(FlashModel::PAGE_LEN, 256);
-}
-
-#[test]
 fn bus_commands_use_the_selected_recipe() {
     let mut plant = Plant::start(FlashModel::new());
     plant.get_ready();
@@ -485,7 +400,7 @@ fn bus_commands_use_the_selected_recipe() {
     plant.write_image(CommandFlags::empty(), [0; 3]);
     plant.pass(2_000);
     assert_eq!(width(&mut plant), 66_00);
-    assert!(!plant.sent.contains(&CommandId::FastStop), "{:?}", plant.sent);
+    assert!(!plant.gripper.sent().contains(&CommandId::FastStop), "{:?}", plant.gripper.sent());
     plant.set("BUS_RECIPE", 16);
     plant.write_image(CommandFlags::MOVE, [44_00, 50_00, 40_00]);
     plant.pass(2_000);
@@ -500,7 +415,7 @@ fn motion_in_the_turn_of_a_store_command_begins_after_it() {
     plant.set("BUS_TIMEOUT", 0);
     plant.set("BUS_RECIPE", 12);
     plant.write_image(CommandFlags::empty(), [44_00, 50_00, 40_00]);
-    plant.sent.clear();
+    plant.take_sent();
     let [high, low] = command("DEFAULTS").to_be_bytes();
     let [key_high, key_low] = COMMAND_KEY.to_be_bytes();
     plant.bus.ask(&[1, 6, high, low, key_high, key_low]);
@@ -510,6 +425,6 @@ fn motion_in_the_turn_of_a_store_command_begins_after_it() {
     plant.pass(1);
     assert!(!plant.has_moved(), "settings never change during a motion");
     plant.pass(2_000);
-    assert_eq!(motions(plant.sent.clone()), [CommandId::PrePosition]);
+    assert_eq!(plant.take_motions(), [CommandId::PrePosition]);
     assert_eq!(plant.read(4, 3), 44_00, "by default, no recipe applies to the bus");
 }

@@ -3,67 +3,44 @@
 use bus_profibus::{Baud, Character};
 use embedded_can::{Frame, Id};
 use host_tests::addresses::{place, report, setting};
-use host_tests::can_rig::Double;
 use host_tests::flash_model::FlashModel;
 use host_tests::profibus_rig::sd2;
-use host_tests::rtu_double::RtuDouble;
-use host_tests::serial_gripper::{SerialGripper, SerialLine};
-use wsg_bridge_fw::can::{BusOffPolicy, CanBus, DEFAULT_NODE};
+use host_tests::serial_gripper::SerialGripper;
+use host_tests::station_rig::StationRig;
+use host_tests::wires::Wires;
+use wsg_bridge_fw::can::DEFAULT_NODE;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::canopen::NmtState;
-use wsg_bridge_fw::plc::{Action, DpBuffers, DpResponder, UartStatus};
+use wsg_bridge_fw::plc::{Action, DpResponder, UartStatus};
 use wsg_bridge_fw::registers::{FIRST_SETTING, Record};
-use wsg_bridge_fw::{BoardId, Config, GripperLine, PlcBus, ResetCause, Station};
+use wsg_bridge_fw::{Config, GripperLine, PlcBus, ResetCause};
 use wsg_protocol::CommandId;
 use wsg_protocol::can::Identifiers;
-use wsg_sim::Time;
 
 struct TestRig {
-    station: Station<Double>,
+    rig: StationRig,
     /// PROFIBUS handler, and its last requested rate.
     handler: DpResponder,
     rate: Option<Baud>,
-    can: Double,
-    serial: SerialLine,
-    modbus: RtuDouble,
-    service: RtuDouble,
-    flash: FlashModel,
-    now_ms: u32,
     /// Identifiers of the frames sent on CAN.
     on_can: Vec<u16>,
 }
 
 impl TestRig {
     fn new(config: &Config) -> Self {
-        let can = Double::default();
-        let buffers: &'static DpBuffers = Box::leak(Box::default());
-        let mut station = Station::new(CanBus::new(can.clone(), BusOffPolicy::DEFAULT), buffers);
-        station.start(config, BoardId::UNKNOWN, ResetCause::Pin);
-        let serial = SerialLine::with_room(1_000);
-        Self {
-            station,
-            handler: DpResponder::new(buffers),
-            rate: None,
-            can,
-            serial,
-            modbus: RtuDouble::default(),
-            service: RtuDouble::default(),
-            flash: FlashModel::new(),
-            now_ms: 0,
-            on_can: Vec::new(),
-        }
+        let gripper = SerialGripper::new(wsg_sim::Config::default());
+        let rig = StationRig::with(&config.record(), gripper, FlashModel::new(), ResetCause::Pin);
+        Self { handler: DpResponder::new(rig.buffers), rig, rate: None, on_can: Vec::new() }
     }
 
     /// Advances the time, with the wires at rest.
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
-            self.now_ms += 1;
-            let Self { station, serial, modbus, service, flash, now_ms, .. } = self;
-            station.turn(*now_ms, Inputs::FAST_STOP_OK, serial, modbus, service, flash);
-            if self.station.uses_profibus() {
-                self.rate = self.handle(None, self.now_ms * 1_000).rate.or(self.rate);
+            self.rig.step();
+            if self.rig.station.uses_profibus() {
+                self.rate = self.handle(None, self.rig.now_ms * 1_000).rate.or(self.rate);
             }
-            while let Some(frame) = self.can.take_winner() {
+            while let Some(frame) = self.rig.can.take_winner() {
                 let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
                 self.on_can.push(id.as_raw());
             }
@@ -71,7 +48,8 @@ impl TestRig {
     }
 
     fn handle(&mut self, received: Option<Character>, now_us: u32) -> Action {
-        self.handler.step(UartStatus { received, has_room: true, is_complete: true }, self.now_ms, now_us)
+        let status = UartStatus { received, has_room: true, is_complete: true };
+        self.handler.step(status, self.rig.now_ms, now_us)
     }
 
     /// Returns whether this station responds to FDL_Status.
@@ -81,8 +59,8 @@ impl TestRig {
 
     /// Sends a telegram at 19 200 bit/s after a silence. Returns whether it is answered.
     fn telegram(&mut self, bytes: &[u8]) -> bool {
-        self.now_ms += 1_000;
-        let mut now_us = self.now_ms * 1_000;
+        self.rig.now_ms += 1_000;
+        let mut now_us = self.rig.now_ms * 1_000;
         let mut wait_us = None;
         for byte in bytes {
             now_us += 573;
@@ -97,16 +75,16 @@ impl TestRig {
     /// Reads a unit's register over Modbus RTU with FC 3 or 4.
     fn register(&mut self, unit: u8, function: u8, address: u16) -> Option<u16> {
         let [high, low] = address.to_be_bytes();
-        self.modbus.ask(&[unit, function, high, low, 0, 1]);
+        self.rig.bus.ask(&[unit, function, high, low, 0, 1]);
         self.pass(3);
-        self.modbus.answered()
+        self.rig.bus.answered()
     }
 
     /// Sends a request over the service port.
     fn service(&mut self, request: &[u8]) -> Option<u16> {
-        self.service.ask(request);
+        self.rig.service.ask(request);
         self.pass(3);
-        self.service.answered()
+        self.rig.service.answered()
     }
 }
 
@@ -129,15 +107,15 @@ fn only_the_lines_that_the_settings_select_are_used() {
             let is_on_can = gripper_line == GripperLine::Can;
             let is_canopen = plc_bus == PlcBus::Canopen;
             let what = format!("{gripper_line:?}, {plc_bus:?}");
-            assert_eq!(rig.serial.take_sent().is_empty(), is_on_can, "{what}");
+            assert_eq!(rig.rig.take_sent().is_empty(), is_on_can, "{what}");
             assert_eq!(rig.on_can.contains(&to_gripper), is_on_can, "{what}");
             assert_eq!(rig.on_can.contains(&boot_up), is_canopen, "{what}");
-            assert_eq!(rig.station.node().state() == NmtState::PreOperational, is_canopen, "{what}");
-            assert_eq!(rig.station.uses_can(), is_on_can || is_canopen, "{what}");
+            assert_eq!(rig.rig.station.node().state() == NmtState::PreOperational, is_canopen, "{what}");
+            assert_eq!(rig.rig.station.uses_can(), is_on_can || is_canopen, "{what}");
             let is_answered = rig.register(1, 3, FIRST_SETTING).is_some();
             let is_profibus = plc_bus == PlcBus::Profibus;
             assert_eq!(is_answered, plc_bus == PlcBus::Modbus, "{what}");
-            assert_eq!((rig.station.uses_profibus(), rig.rate.is_some()), (is_profibus, is_profibus));
+            assert_eq!((rig.rig.station.uses_profibus(), rig.rate.is_some()), (is_profibus, is_profibus));
         }
     }
 }
@@ -218,23 +196,16 @@ fn service_port_reports_the_state_of_profibus() {
 #[test]
 fn wires_are_debounced_with_the_time_of_the_record() {
     for (debounce_ms, bounds) in [(2, 2..10), (200, 200..210)] {
-        let TestRig { mut station, mut modbus, mut service, mut flash, .. } =
-            TestRig::new(&with(&[("DEBOUNCE", debounce_ms)]));
-        let mut far = SerialGripper::new(wsg_sim::Config::default());
-        let mut sent = |now_ms: u32| {
-            // Acknowledges the FAST STOP of power-up from 1000 ms on. From 2000 ms on, the only effect is a Stop.
-            let acknowledges = (1_000..1_500).contains(&now_ms) || now_ms >= 2_000;
-            let wires =
-                if acknowledges { Inputs::FAST_STOP_OK | Inputs::STOP_ACK } else { Inputs::FAST_STOP_OK };
-            station.turn(now_ms, wires, &mut far.line, &mut modbus, &mut service, &mut flash);
-            far.advance(Time::from_millis(now_ms.into()));
-            far.take_sent()
-        };
-        (1..2_000).for_each(|now_ms| drop(sent(now_ms)));
-        let stopped = (2_000..2_500).find(|now_ms| sent(*now_ms).contains(&CommandId::Stop));
-        assert!(
-            stopped.is_some_and(|ms| bounds.contains(&(ms - 2_000))),
-            "after {debounce_ms} ms: {stopped:?}"
-        );
+        let mut rig = TestRig::new(&with(&[("DEBOUNCE", debounce_ms)])).rig;
+        rig.get_ready();
+        // The only effect of a further STOP/ACK is a Stop.
+        rig.pass(500);
+        rig.take_sent();
+        rig.set(Inputs::STOP_ACK, true);
+        let stopped = (0..500).find(|_| {
+            rig.step();
+            rig.take_sent().contains(&CommandId::Stop)
+        });
+        assert!(stopped.is_some_and(|ms| bounds.contains(&ms)), "after {debounce_ms} ms: {stopped:?}");
     }
 }

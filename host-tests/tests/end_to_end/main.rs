@@ -3,7 +3,6 @@
 //!
 //! They form one program because they mostly wait, so several run in parallel.
 
-mod both_protocols;
 mod clients;
 mod eds;
 #[cfg(unix)]

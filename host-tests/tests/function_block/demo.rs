@@ -1,5 +1,5 @@
 //! Runs PRG_WSG_DEMO of the SCL source against the virtual gripper, and compares its registers with the Rust version of the
-//! same cycle, scan by scan.
+//! same cycle, scan by scan. These are the tests of both versions.
 
 use std::collections::BTreeSet;
 
@@ -102,7 +102,11 @@ impl Plc {
 
 fn cycles_with_a_part() -> BTreeSet<usize> {
     let expected = Counters { cycles: 3, held: 3, homings: 1, ..Counters::default() };
-    Plc::new(Part::of_width(22.0), 3).ends(Phase::Finished, expected)
+    let mut plc = Plc::new(Part::of_width(22.0), 3);
+    plc.until(Phase::Finished);
+    assert_eq!(plc.cycle.last_error(), None);
+    assert_eq!((plc.gripper.state().width, plc.gripper.state().statistics.total), (60.0, 3));
+    plc.ends(Phase::Finished, expected)
 }
 
 fn cycles_without_a_part() -> BTreeSet<usize> {
@@ -129,11 +133,12 @@ fn lost_part() -> BTreeSet<usize> {
 
 fn fault_in_a_cycle() -> BTreeSet<usize> {
     let mut lines = BTreeSet::new();
-    for fault in [Fault::AxisBlocked, Fault::MotorCurrent] {
+    for (fault, named) in [(Fault::AxisBlocked, "E_AXIS_BLOCKED"), (Fault::MotorCurrent, "FAST STOP")] {
         let mut plc = Plc::new(Part::of_width(22.0), 2);
         plc.until(Phase::Run(Motion::Start));
         plc.gripper.set_fault(fault, true, plc.now);
         plc.until(Phase::Clear);
+        assert!(plc.cycle.last_error().unwrap().contains(named), "{:?}", plc.cycle.last_error());
         plc.gripper.set_fault(fault, false, plc.now);
         let expected = Counters { cycles: 2, held: 3, homings: 2, errors: 1, ..Counters::default() };
         lines.extend(plc.ends(Phase::Finished, expected));
@@ -144,7 +149,18 @@ fn fault_in_a_cycle() -> BTreeSet<usize> {
 fn lasting_fault() -> BTreeSet<usize> {
     let mut plc = Plc::new(None, 1);
     plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
+    plc.until(Phase::GivenUp);
+    plc.scan();
+    assert_eq!(plc.ask(&[3, 0, 0, 0, 1]), [3, 2, 0, 0], "all flags are 0");
     plc.ends(Phase::GivenUp, Counters { errors: 3, ..Counters::default() })
+}
+
+fn latched_fast_stop() -> BTreeSet<usize> {
+    let mut plc = Plc::new(None, 1);
+    plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
+    plc.gripper.set_fault(Fault::MotorCurrent, false, plc.now);
+    let expected = Counters { cycles: 1, not_found: 1, homings: 1, ..Counters::default() };
+    plc.ends(Phase::Finished, expected)
 }
 
 /// Another Modbus master sets STOP/ACK.
@@ -161,12 +177,13 @@ fn stop_by_another_master() -> BTreeSet<usize> {
     lines
 }
 
-const SCENARIOS: [fn() -> BTreeSet<usize>; 6] = [
+const SCENARIOS: [fn() -> BTreeSet<usize>; 7] = [
     cycles_with_a_part,
     cycles_without_a_part,
     lost_part,
     fault_in_a_cycle,
     lasting_fault,
+    latched_fast_stop,
     stop_by_another_master,
 ];
 

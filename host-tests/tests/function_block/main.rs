@@ -7,9 +7,7 @@ mod structured_text;
 
 use std::collections::BTreeSet;
 
-use bus_slcan::ClassicFrame;
 use document::{hold, read, table};
-use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_rig::CanRig;
 use host_tests::modbus_rig::{TestRig, quick};
 use host_tests::wires::Wires;
@@ -400,9 +398,8 @@ fn grip_cycle_over_canopen() {
     let mut rig = CanRig::with_node(gripper, DEFAULT_NODE);
     let mut block = Instance::new(&units(), "FB_WSG_GRIP");
     let node = u16::from(DEFAULT_NODE.node);
-    let frame = |id, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
     rig.pass(500);
-    rig.say(frame(0, &[1, DEFAULT_NODE.node]));
+    rig.send(0, &[1, DEFAULT_NODE.node]);
     let bits = |block: &Instance, name: &str| {
         let Value::Bits(8, value) = block.get(name) else { panic!("{name}") };
         u8::try_from(value).unwrap()
@@ -413,15 +410,14 @@ fn grip_cycle_over_canopen() {
     };
     let mut now_ms = 0;
     let mut scan = |rig: &mut CanRig, block: &mut Instance| {
-        for (_, heard) in rig.take_heard() {
-            let Id::Standard(id) = heard.id() else { panic!("{heard:?}") };
-            let word = |at: usize| u16::from_le_bytes([heard.data()[at], heard.data()[at + 1]]);
-            if id.as_raw() == 0x180 | node {
-                block.set("GState", Value::Bits(8, heard.data()[0].into()));
+        for (_, id, data) in rig.take_heard() {
+            let word = |at: usize| u16::from_le_bytes([data[at], data[at + 1]]);
+            if id == 0x180 | node {
+                block.set("GState", Value::Bits(8, data[0].into()));
                 let system = u64::from(word(2)) | u64::from(word(4)) << 16;
                 block.set("SysState", Value::Bits(32, system));
                 block.set("StatusCode", Value::Int(word(6).into()));
-            } else if id.as_raw() == 0x280 | node {
+            } else if id == 0x280 | node {
                 block.set("Width", Value::Int(word(0).cast_signed().into()));
             }
         }
@@ -430,7 +426,7 @@ fn grip_cycle_over_canopen() {
         let [w0, w1] = number(block, "WidthOut");
         let [s0, s1] = number(block, "SpeedOut");
         let [f0, f1] = number(block, "ForceOut");
-        rig.say(frame(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]));
+        rig.send(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]);
         rig.pass(u32::try_from(SCAN_MS).unwrap());
     };
     let steps = [

@@ -9,7 +9,7 @@ use std::{
 };
 
 use host_tests::{
-    service_rig::{ServiceLine, ServiceRig},
+    station_rig::{ServiceLine, StationRig},
     terminal::Terminal,
 };
 
@@ -54,7 +54,7 @@ impl Drop for Bridged {
 }
 
 fn serve(mut line: ServiceLine, faults: &Faults) {
-    let mut rig = ServiceRig::new(wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() });
+    let mut rig = StationRig::new(wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() });
     while !faults.end.load(Ordering::SeqCst) {
         line.read();
         if faults.bridge.load(Ordering::SeqCst) {

@@ -1,8 +1,6 @@
 //! The grip cycle over CANopen.
 
-use bus_slcan::ClassicFrame;
 use document::{hold, table};
-use embedded_can::{Frame, Id, StandardId};
 use host_tests::can_rig::CanRig;
 use host_tests::wires::Wires;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
@@ -39,20 +37,8 @@ struct Recording {
 
 impl Recording {
     fn pass(&mut self, ms: u32) {
-        for _ in 0..ms {
-            if self.rig.now_ms().is_multiple_of(200) {
-                self.say(MASTER_HEARTBEAT, &[5]);
-            }
-            self.rig.pass(1);
-            for (_, frame) in self.rig.take_heard() {
-                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
-                self.heard.push((id.as_raw(), frame.data().to_vec()));
-            }
-        }
-    }
-
-    fn say(&mut self, id: u16, data: &[u8]) {
-        self.rig.say(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+        self.rig.pass(ms);
+        self.heard.extend(self.rig.take_heard().into_iter().map(|(_, id, data)| (id, data)));
     }
 
     fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], says: impl Into<String>) {
@@ -61,7 +47,7 @@ impl Recording {
 
     /// Sends a frame as the master and records it.
     fn send(&mut self, step: &str, id: u16, data: &[u8], says: impl Into<String>) {
-        self.say(id, data);
+        self.rig.send(id, data);
         self.note(step, "master", id, data, says);
     }
 
@@ -105,7 +91,8 @@ fn rpdo1(image: &OutputImage) -> [u8; 8] {
 /// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Row> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
-    let rig = CanRig::with_node(gripper, NODE);
+    let mut rig = CanRig::with_node(gripper, NODE);
+    rig.beats = true;
     let mut recording = Recording { rig, heard: Vec::new(), rows: Vec::new() };
     recording.rig.set(Inputs::FAST_STOP_OK, false);
     recording.pass(1_000);

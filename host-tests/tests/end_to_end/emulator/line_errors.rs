@@ -3,10 +3,9 @@
 use std::time::{Duration, Instant};
 
 use host_tests::emulator::{Emulator, Extras, Line};
-use host_tests::gripper_end::GripperEnd;
 use host_tests::line_errors::{LPUART1, LineError, LineErrors, UART4};
 use host_tests::modbus_master::Master;
-use host_tests::rig::{PATIENCE, motions};
+use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::trace::Trace;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
@@ -30,10 +29,8 @@ struct Plant {
     kind: Board,
     /// Models of the default board: the gripper's line and the bus.
     models: [LineErrors; 2],
-    board: Emulator,
-    trace: Trace,
+    rig: Rig,
     master: Master,
-    _gripper: GripperEnd,
 }
 
 impl Plant {
@@ -43,14 +40,12 @@ impl Plant {
         let served = if kind == Board::DEFAULT { &models[..] } else { &[] };
         let served = served.iter().map(|line| Box::new(line.clone()) as _).collect();
         let extras = Extras { models: served, ..Extras::default() };
-        let mut board = Emulator::start_with(&kind.image("WSG_FIRMWARE_ELF"), extras).unwrap();
-        board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-        let trace = Trace::new(vec![]);
+        let board = Emulator::start_with(&kind.image("WSG_FIRMWARE_ELF"), extras).unwrap();
         let config = Config { time_scale: 10.0, ..Config::default() };
-        let gripper =
-            GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-        let master = Master::new(board.take_modbus_line().unwrap(), board.clock(), UNIT);
-        let mut plant = Self { kind, models, board, trace, master, _gripper: gripper };
+        let mut rig = Rig::of(board, None, config, Trace::new(vec![])).unwrap();
+        rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+        let master = rig.master(UNIT).unwrap();
+        let mut plant = Self { kind, models, rig, master };
         // Raise BUS_TIMEOUT and BUS_CHAR_TIMEOUT, because a host may pause inside frames.
         let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
         plant.ask(&[&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat());
@@ -60,7 +55,7 @@ impl Plant {
 
     fn set(&self, line: Line, error: Option<(LineError, u32)>) {
         if self.kind == Board::PICO {
-            return self.board.set_line_error(line, error).unwrap();
+            return self.rig.board().set_line_error(line, error).unwrap();
         }
         let [gripper, bus] = &self.models;
         match line {
@@ -92,7 +87,7 @@ impl Plant {
                 self.ask(&image);
             }
             let ready = |outputs: Outputs| outputs.contains(Outputs::READY);
-            match self.board.wait_outputs(Duration::from_secs(2), ready) {
+            match self.rig.board().wait_outputs(Duration::from_secs(2), ready) {
                 Ok(_) => return,
                 Err(error) => assert!(Instant::now() < bound, "{error:#}"),
             }
@@ -112,12 +107,12 @@ fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
         plant.set(Line::Bus, None);
         let after = plant.register(BUS_OVERRUNS);
         assert!(after > before, "{error:?} is not counted: {before}, {after}");
-        assert_eq!(motions(&plant.trace.since(0)), [], "{error:?}");
+        assert_eq!(motions(&plant.rig.trace().since(0)), [], "{error:?}");
     }
     plant.ask(&HOMING);
     let referenced = |outputs: Outputs| outputs.contains(Outputs::REFERENCED | Outputs::READY);
-    plant.board.wait_outputs(PATIENCE, referenced).unwrap();
-    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
+    plant.rig.board().wait_outputs(PATIENCE, referenced).unwrap();
+    assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing]);
 }
 
 fn a_gripper_line_with_errors_is_reported_and_moves_nothing(board: Board) {
@@ -125,25 +120,24 @@ fn a_gripper_line_with_errors_is_reported_and_moves_nothing(board: Board) {
     if plant.told().contains(&LineError::Noise) {
         // The checksum decides about bytes with noise.
         plant.set(Line::Gripper, Some((LineError::Noise, 1)));
-        let start = plant.board.now_ms().unwrap();
-        while plant.board.now_ms().unwrap().wrapping_sub(start) < 1_000 {}
-        assert!(plant.board.outputs().contains(Outputs::LINK_OK | Outputs::READY));
+        plant.rig.pass(1_000).unwrap();
+        assert!(plant.rig.board().outputs().contains(Outputs::LINK_OK | Outputs::READY));
         assert_eq!(plant.register(DISCONNECTS), 0);
     }
 
     for (disconnects, error) in (1..).zip([LineError::Framing, LineError::Overrun]) {
         let dropped = plant.register(LINE_DROPPED);
         plant.set(Line::Gripper, Some((error, 3)));
-        plant.board.wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
+        plant.rig.board().wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
         plant.ask(&HOMING);
         assert!(plant.register(LINE_DROPPED) > dropped, "{error:?}");
         plant.ask(&NOTHING);
         plant.set(Line::Gripper, None);
-        plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+        plant.rig.board().wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
         assert_eq!(plant.register(DISCONNECTS), disconnects, "{error:?}");
         plant.acknowledge();
     }
-    assert_eq!(motions(&plant.trace.since(0)), []);
+    assert_eq!(motions(&plant.rig.trace().since(0)), []);
 }
 
 on_both_boards!(

@@ -2,37 +2,32 @@
 
 use std::time::{Duration, Instant};
 
-use host_tests::emulator::Emulator;
 use host_tests::extent;
-use host_tests::gripper_end::GripperEnd;
 use host_tests::modbus_master::{Failed, Master};
-use host_tests::rig::motions;
+use host_tests::rig::{Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
+use host_tests::wires::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
-use wsg_sim::{Config, Part};
+use wsg_sim::Config;
 
 use super::Board;
 
 const UNIT: u8 = 1;
 
 struct Plant {
-    board: Emulator,
-    gripper: GripperEnd,
-    trace: Trace,
+    rig: Rig,
     master: Master,
 }
 
 impl Plant {
     /// A board with a high FAST STOP wire, a responding gripper, and a master that has written zeros.
     fn start(board: Board, config: Config) -> Self {
-        let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
-        board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-        let trace = Trace::new(vec![]);
-        let gripper =
-            GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-        let master = Master::new(board.take_modbus_line().unwrap(), board.clock(), UNIT);
-        let mut plant = Self { board, gripper, trace, master };
+        let elf = board.image("WSG_FIRMWARE_ELF");
+        let mut rig = Rig::power_up(&elf, config, Trace::new(vec![])).unwrap();
+        rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+        let master = rig.master(UNIT).unwrap();
+        let mut plant = Self { rig, master };
         let bound = Instant::now() + Duration::from_secs(60);
         while plant.ask(&[4, 0, 0, 0, 6])[0] != 4 {
             assert!(Instant::now() < bound, "the gripper does not respond");
@@ -90,24 +85,15 @@ const MOVE: u8 = 0;
 const GRIP: u8 = 1;
 const RELEASE: u8 = 2;
 const HOMING: u8 = 3;
-const STOP_ACK: u8 = 4;
 /// In input register 1, whose low byte is the second byte of SYSSTATE.
 const FAST_STOP: u16 = 1 << 4;
-const ACCESS_DENIED: u16 = Status::AccessDenied.code();
-const TIMEOUT: u16 = Status::Timeout.code();
 const PENDING: u16 = Status::CmdPending.code();
 const IDLE: u16 = 1 << 0;
-const PART_LOST: u16 = 1 << 3;
 const HOLDING: u16 = 1 << 4;
 const RELEASING: u16 = 1 << 5;
-const POSITIONING: u16 = 1 << 6;
-
-fn quick() -> Config {
-    Config { time_scale: 10.0, ..Config::default() }
-}
 
 fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
-    let mut plant = Plant::start(board, Config { part: Part::of_width(20.0), ..quick() });
+    let mut plant = Plant::start(board, with_part(20.0));
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     for _ in 0..10 {
         assert_eq!(plant.command(MOVE, [80_00, 200_00, 40_00]), (IDLE, 0));
@@ -116,58 +102,7 @@ fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
     }
     let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing][..], &cycle.repeat(10)].concat();
-    assert_eq!(motions(&plant.trace.since(0)), expected);
-}
-
-fn rules_of_the_fieldbus_manual_hold_on_the_emulated_board(board: Board) {
-    let mut plant = Plant::start(board, Config { part: Part::of_width(20.0), ..Config::default() });
-    let fast_stopped = |plant: &mut Plant| plant.input()[1] & FAST_STOP != 0;
-    let stops = |plant: &mut Plant| plant.wait("a FAST STOP", |input| input[1] & FAST_STOP != 0);
-    let acknowledge = |plant: &mut Plant| {
-        plant.write(&[0, 30_00, 50_00, 40_00]);
-        // On a busy host, the gripper's confirmation of the FAST STOP may be late. The bridge reports this, and the PLC
-        // retries.
-        let mut tries = 0;
-        loop {
-            match plant.command(STOP_ACK, [30_00, 50_00, 40_00]) {
-                (IDLE, ACCESS_DENIED | TIMEOUT) if tries < 100 => tries += 1,
-                ended => break assert_eq!(ended, (IDLE, 0)),
-            }
-        }
-        // The gripper reports its flags slightly after its answer.
-        plant.wait("FAST STOP to end", |input| input[1] & FAST_STOP == 0);
-    };
-    assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
-
-    // Two simultaneous edges, MOVE and GRIP: the lowest bit is executed. Then a parameter changes during the motion.
-    plant.write(&[0b11 << 8, 30_00, 50_00, 40_00]);
-    assert_eq!(plant.input()[0] >> 8, POSITIONING);
-    plant.write(&[0b11 << 8, 30_00, 50_01, 40_00]);
-    stops(&mut plant);
-    assert_eq!(plant.input()[0] >> 8, IDLE);
-    acknowledge(&mut plant);
-
-    // SPEED is out of range.
-    plant.write(&[1 << 8, 30_00, 1, 40_00]);
-    stops(&mut plant);
-    acknowledge(&mut plant);
-
-    // FASTSTOP during the motion. It cannot be acknowledged while it is 1.
-    plant.write(&[1 << 8, 30_00, 50_00, 40_00]);
-    plant.write(&[1 << 13, 30_00, 50_00, 40_00]);
-    stops(&mut plant);
-    plant.write(&[0b11 << 12, 30_00, 50_00, 40_00]);
-    for _ in 0..20 {
-        assert!(fast_stopped(&mut plant));
-    }
-    acknowledge(&mut plant);
-
-    // The part is gripped, and lost.
-    assert_eq!(plant.command(GRIP, [20_00, 200_00, 40_00]), (HOLDING, 0));
-    plant.gripper.set_part(None);
-    plant.wait("PART_LOST", |input| input[0] >> 8 == PART_LOST);
-    let expected = [CommandId::Homing, CommandId::PrePosition, CommandId::PrePosition, CommandId::GripPart];
-    assert_eq!(motions(&plant.trace.since(0)), expected);
+    assert_eq!(motions(&plant.rig.trace().since(0)), expected);
 }
 
 fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence(board: Board) {
@@ -179,15 +114,15 @@ fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_maste
     plant.wait("a jog that moves", |input| input[0] >> 8 == RELEASING && input[3] > 21_00);
     plant.write(&[0, 20_00, 5_00, 40_00]);
     plant.wait("the jog to end", |input| input[0] >> 8 == IDLE);
-    let stands = plant.gripper.state().width;
+    let stands = plant.rig.gripper().state().width;
     assert!(stands > 20.5 && stands < 100.0, "{stands}");
 
-    let mark = plant.trace.mark();
+    let mark = plant.rig.trace().mark();
     plant.write(&jog_plus);
     // Without further requests, the bridge stops the jog in board time. On a busy host the gripper's time may run ahead,
     // so the motion is long.
     let is_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(frame) if frame_id(frame) == Some(CommandId::Stop.code()));
-    assert!(plant.trace.wait(mark, Duration::from_secs(60), is_stop), "no Stop");
+    assert!(plant.rig.trace().wait(mark, Duration::from_secs(60), is_stop), "no Stop");
     let input = plant.wait("the fingers to stand", |input| input[0] >> 8 == IDLE);
     assert!(input[3] < 100_00, "{input:?}");
 }
@@ -214,14 +149,13 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
         assert!(plant.master.is_silent(quiet).unwrap(), "{bytes:02X?}");
         assert_eq!(plant.ask(&read), value, "after {bytes:02X?}");
     }
-    assert_eq!(motions(&plant.trace.since(0)), []);
+    assert_eq!(motions(&plant.rig.trace().since(0)), []);
     // The bridge tolerates pauses inside a request, which a USB adapter causes: 5 ms and the rest of a millisecond.
     const PAUSE_MS: u32 = 6;
     let frame = Master::frame(UNIT, &read);
     let mut in_two_pieces = |cut: usize| {
         plant.master.send(&frame[..cut]).unwrap();
-        let start = plant.board.now_ms().unwrap();
-        while plant.board.now_ms().unwrap().wrapping_sub(start) < PAUSE_MS {}
+        plant.rig.pass(PAUSE_MS - 1).unwrap();
         plant.master.send(&frame[cut..]).unwrap();
         plant.master.answer(&mut |byte| byte).unwrap()
     };
@@ -233,7 +167,7 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
     // After a failed attempt the bus was silent, and flags in the first image after silence are not edges.
     plant.write(&[0; 4]);
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
-    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
+    assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing]);
 }
 
 fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(board: Board) {
@@ -266,12 +200,11 @@ fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(boa
     // A damaged byte costs at most one request. A very busy host may also pause inside a frame for longer than the
     // character time-out. Both can coincide once, but not twice.
     assert!(failed.after_damage <= 1, "{damaged} damaged bytes: {failed:?}");
-    assert_eq!(motions(&plant.trace.since(0)), []);
+    assert_eq!(motions(&plant.rig.trace().since(0)), []);
 }
 
 on_both_boards!(
     grip_cycles_over_the_bus_of_the_emulated_board,
-    rules_of_the_fieldbus_manual_hold_on_the_emulated_board,
     jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence,
     noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered,
     requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line,

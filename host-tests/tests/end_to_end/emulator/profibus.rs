@@ -8,12 +8,11 @@ use std::io::{ErrorKind, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use host_tests::emulator::Emulator;
-use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
-use host_tests::rig::motions;
+use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::ProfibusPhy;
@@ -21,7 +20,6 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::profibus::PROFILE;
 use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{CommandId, Status, SystemFlags};
-use wsg_sim::{Config, Part};
 
 use super::Board;
 use crate::profibus::gsd_file;
@@ -72,9 +70,7 @@ impl ProfibusPhy for Line {
 }
 
 struct Plant {
-    _board: Emulator,
-    trace: Trace,
-    _gripper: GripperEnd,
+    rig: Rig,
     line: Line,
     fdl: FdlActiveStation,
     master: DpMaster<'static>,
@@ -83,20 +79,17 @@ struct Plant {
 }
 
 /// Starts a board on PROFIBUS and a gripper with a part of 20 mm. Also returns the master's end of the bus.
-fn power_up(board: Board) -> (Emulator, Trace, GripperEnd, UnixStream) {
-    let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF_PROFIBUS")).unwrap();
-    board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-    let trace = Trace::new(vec![]);
-    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-    let gripper =
-        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-    let line = board.take_modbus_line().unwrap();
-    (board, trace, gripper, line)
+fn power_up(board: Board) -> (Rig, UnixStream) {
+    let elf = board.image("WSG_FIRMWARE_ELF_PROFIBUS");
+    let mut rig = Rig::power_up(&elf, with_part(20.0), Trace::new(vec![])).unwrap();
+    rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+    let line = rig.board_mut().take_modbus_line().unwrap();
+    (rig, line)
 }
 
 impl Plant {
     fn start(board: Board) -> Self {
-        let (board, trace, gripper, line) = power_up(board);
+        let (rig, line) = power_up(board);
         line.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
         let options = PeripheralOptions {
             ident_number: PROFILE.ident,
@@ -117,7 +110,7 @@ impl Plant {
         fdl.set_online();
         let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
         let line = Line { line, received: vec![] };
-        Self { _board: board, trace, _gripper: gripper, line, fdl, master, station, image }
+        Self { rig, line, fdl, master, station, image }
     }
 
     /// Exchanges outputs with these flags until the inputs meet the condition.
@@ -165,16 +158,16 @@ fn master_of_profirust_runs_grip_cycles_on_the_emulated_board(board: Board) {
     }
     let cycle = [CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing][..], &cycle.repeat(3)].concat();
-    assert_eq!(motions(&plant.trace.since(0)), expected);
+    assert_eq!(motions(&plant.rig.trace().since(0)), expected);
 }
 
 fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board(board: Board) {
-    let (_board, trace, _gripper, line) = power_up(board);
+    let (rig, line) = power_up(board);
     let terminal = Terminal::to(line).unwrap();
     let output = masters::python(include_str!("../pyprofibus.py"), &[&terminal.path, &gsd_file()]);
     assert!(output.status.success(), "{}", said(&output));
     let printed = String::from_utf8_lossy(&output.stdout);
-    let mut commands = motions(&trace.since(0));
+    let mut commands = motions(&rig.trace().since(0));
     for (edge, command) in [
         ("edge 08", CommandId::Homing),
         ("edge 02", CommandId::GripPart),

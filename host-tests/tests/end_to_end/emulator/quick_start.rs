@@ -8,15 +8,14 @@ use host_tests::can_bus::{CanBus, Station};
 use host_tests::can_wire::WireFrame;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
-use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::paste;
 use host_tests::registers::RegisterModel;
-use host_tests::rig::{MOTION_PATIENCE, PATIENCE, motions};
+use host_tests::rig::{MOTION_PATIENCE, PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
-use wsg_sim::{Config, Part};
 
 use super::image;
 use super::service_port::poll;
@@ -28,10 +27,8 @@ const TPDO1: u16 = 0x185;
 
 /// A board with a gripper and a cable at its service port.
 struct Plant {
-    board: Emulator,
-    _gripper: GripperEnd,
+    rig: Rig,
     cable: Terminal,
-    trace: Trace,
 }
 
 impl Plant {
@@ -40,13 +37,10 @@ impl Plant {
         flash.power_cycle();
         let models = flash.models().into_iter().chain(more).collect();
         let extras = Extras { models, ..Extras::default() };
-        let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
-        let trace = Trace::new(vec![]);
-        let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-        let gripper =
-            GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-        let cable = Terminal::to(board.take_service_line().unwrap()).unwrap();
-        let plant = Self { board, _gripper: gripper, cable, trace };
+        let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+        let mut rig = Rig::of(board, None, with_part(20.0), Trace::new(vec![])).unwrap();
+        let cable = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
+        let plant = Self { rig, cable };
         plant.wait(107, 2);
         plant
     }
@@ -92,17 +86,16 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_setting
     assert_eq!(said.matches("Written 1 references").count(), 8, "{said}");
     plant.wait(204, 2);
     plant.wait(205, 0);
-    assert_eq!(motions(&plant.trace.since(0)), []);
+    assert_eq!(motions(&plant.rig.trace().since(0)), []);
     drop(plant);
 
     let can = CanBus::new(250_000);
     let master = can.join();
     let plant = Plant::power_up(&flash, vec![Box::new(can)]);
     hears(&master, &WireFrame::standard(0x705, &[0]));
-    plant.board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+    plant.rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     // Wait for the debounce time of the wire.
-    let start = plant.board.now_ms().unwrap();
-    while plant.board.now_ms().unwrap().wrapping_sub(start) < 50 {}
+    plant.rig.pass(50).unwrap();
     // A master on a busy machine is less punctual than a PLC.
     let written = poll(&plant.cable, &["-t", "4", "-r", "101"], &["60000"]);
     assert!(written.contains("Written 1 references"), "{written}");
@@ -118,6 +111,6 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_setting
     for answer in ["[203]: \t1", "[174]: \t2", "[133]: \t0"] {
         assert!(said.contains(answer), "{answer}: {said}");
     }
-    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing, CommandId::GripPart]);
+    assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing, CommandId::GripPart]);
     assert!(flash.violations().is_empty(), "{:?}", flash.violations());
 }

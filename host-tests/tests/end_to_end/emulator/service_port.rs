@@ -3,9 +3,8 @@
 use document::read;
 use host_tests::can_bus::CanBus;
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
-use host_tests::rig::motions;
+use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use wsg_sim::Config;
@@ -25,12 +24,9 @@ pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> 
 }
 
 /// Reads and changes settings over the USB cable of a board with its gripper on RS-232.
-fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
-    let trace = Trace::new(vec![]);
-    let gripper =
-        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), Config::default(), &trace)
-            .unwrap();
-    let terminal = Terminal::to(board.take_service_line().unwrap()).unwrap();
+fn reads_and_sets(board: Emulator, plc_bus: &str) {
+    let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
+    let terminal = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
     let poll = |arguments: &[&str], values: &[&str]| poll(&terminal, arguments, values);
 
     let version = poll(&["-t", "3", "-r", "100", "-c", "1"], &[]);
@@ -54,8 +50,7 @@ fn reads_and_sets(mut board: Emulator, plc_bus: &str) {
         let refused = poll(&["-t", table, "-r", if table == "0" { "3" } else { "0" }], values);
         assert!(refused.contains("Illegal function"), "{plc_bus}: {refused}");
     }
-    assert_eq!(motions(&trace.since(0)), [], "{plc_bus}");
-    drop(gripper);
+    assert_eq!(motions(&rig.trace().since(0)), [], "{plc_bus}");
 }
 
 fn mbpoll_reads_and_sets_over_the_service_port_without_a_plc_bus(board: Board) {
@@ -76,12 +71,9 @@ fn mbpoll_reads_and_sets_over_the_service_port_beside_canopen() {
 }
 
 fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
-    let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
-    let trace = Trace::new(vec![]);
-    let gripper =
-        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), Config::default(), &trace)
-            .unwrap();
-    let terminal = Terminal::to(board.take_service_line().unwrap()).unwrap();
+    let board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
+    let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
+    let terminal = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
     let answers = (0..50)
         .map(|_| poll(&terminal, &["-t", "3", "-r", "107", "-c", "1"], &[]))
         .any(|it| it.contains("\t2"));
@@ -100,8 +92,7 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
     ] {
         assert!(said.contains(answer), "{answer}: {said}");
     }
-    assert_eq!(motions(&trace.since(0)), []);
-    drop(gripper);
+    assert_eq!(motions(&rig.trace().since(0)), []);
 }
 
 on_both_boards!(

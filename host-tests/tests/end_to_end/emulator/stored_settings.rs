@@ -13,10 +13,9 @@ use host_tests::emulator::{Emulator, Extras};
 use host_tests::extent;
 use host_tests::flash_controller::{ErrorFlag, Fault, FlashController};
 use host_tests::flash_pages::{PAGE_LEN, Tear};
-use host_tests::gripper_end::GripperEnd;
 use host_tests::modbus_master::Master;
 use host_tests::registers::RegisterModel;
-use host_tests::rig::{PATIENCE, motions};
+use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use wsg_bridge_fw::io::Inputs;
@@ -45,11 +44,9 @@ const RECIPE_REGISTERS: usize = 4 * RECIPE_COUNT;
 
 /// A board with its flash, a gripper, and a master on the service port.
 struct Plant {
-    board: Emulator,
+    rig: Rig,
     flash: FlashController,
     service: Master,
-    _gripper: GripperEnd,
-    trace: Trace,
 }
 
 impl Plant {
@@ -63,17 +60,16 @@ impl Plant {
         flash.power_cycle();
         let models = flash.models().into_iter().chain(more).collect();
         let extras = Extras { models, ..Extras::default() };
-        let mut board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
-        let trace = Trace::new(vec![]);
-        let line = board.take_gripper_line().unwrap();
-        let gripper = GripperEnd::start(line, board.clock(), Config::default(), &trace).unwrap();
-        let service = Master::new(board.take_service_line().unwrap(), board.clock(), 1);
-        Self { board, flash, service, _gripper: gripper, trace }
+        let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+        let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
+        let line = rig.board_mut().take_service_line().unwrap();
+        let service = Master::new(line, rig.board().clock(), 1);
+        Self { rig, flash, service }
     }
 
     /// Switches the power off. Checks that no motion was sent and that the driver violated no rule of the flash.
     fn power_down(self) -> FlashController {
-        assert_eq!(motions(&self.trace.since(0)), []);
+        assert_eq!(motions(&self.rig.trace().since(0)), []);
         assert!(self.flash.violations().is_empty(), "{:?}", self.flash.violations());
         self.flash
     }
@@ -228,7 +224,7 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
 
     let (mut plant, cable) = plant.power_cycle().on_cable();
     assert!(are_there(&cable, &recipes));
-    assert_bus_runs(&mut plant.board, 9, 38_400);
+    assert_bus_runs(plant.rig.board_mut(), 9, 38_400);
     write(&cable, setting("PLC_BUS"), &[2]);
     write(&cable, setting("CAN_RATE"), &[250]);
     write(&cable, setting("CAN_NODE"), &[5]);
@@ -254,7 +250,7 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
     let delivered = BridgeConfig::DEFAULT;
     assert_eq!(plant.settings(), delivered.record());
     assert_eq!(plant.report("SETTINGS_FROM"), STORED);
-    assert_bus_runs(&mut plant.board, delivered.bus.unit, delivered.bus.baud);
+    assert_bus_runs(plant.rig.board_mut(), delivered.bus.unit, delivered.bus.baud);
     plant.power_down();
 }
 
@@ -294,7 +290,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
     for (n, (operation, tear)) in (1_000..).zip(cuts()) {
         let what = format!("operation {operation}, {tear:?}");
         // Wires that are high at start-up are not edges.
-        plant.board.set_inputs(Inputs::FAST_STOP_OK | Inputs::HOME | Inputs::GRIP).unwrap();
+        plant.rig.board().set_inputs(Inputs::FAST_STOP_OK | Inputs::HOME | Inputs::GRIP).unwrap();
         plant.set_recipes(n);
         let new = plant.settings();
         plant.flash.cut(operation, tear);
@@ -416,7 +412,7 @@ fn a_program_that_cannot_be_read_resets_the_board() {
     plant.command("SAVE");
     let bound = Instant::now() + PATIENCE;
     // QEMU exits when the firmware resets itself.
-    while plant.board.now_ms().is_ok() {
+    while plant.rig.board().now_ms().is_ok() {
         assert!(Instant::now() < bound, "the board must reset");
     }
 }

@@ -3,11 +3,9 @@
 use std::time::{Duration, Instant};
 
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::gripper_end::GripperEnd;
 use host_tests::iwdg::Iwdg;
-use host_tests::modbus_master::Master;
 use host_tests::registers::Derailment;
-use host_tests::rig::PATIENCE;
+use host_tests::rig::{PATIENCE, Rig};
 use host_tests::trace::Trace;
 use wsg_bridge_fw::ResetCause;
 use wsg_bridge_fw::io::Outputs;
@@ -25,11 +23,10 @@ const WELL_MS: u32 = 1_000;
 
 /// Checks that hung firmware is reset, its outputs go low, and RESET_CAUSE reports the watchdog. `derail` hangs the firmware,
 /// and `resets` returns the number of resets.
-fn is_reset(mut board: Emulator, derail: impl Fn(&Emulator, Derailment), resets: impl Fn(&Emulator) -> u32) {
-    let trace = Trace::new(vec![]);
-    let line = board.take_gripper_line().unwrap();
-    let _gripper = GripperEnd::start(line, board.clock(), Config::default(), &trace).unwrap();
-    let mut master = Master::new(board.take_modbus_line().unwrap(), board.clock(), 1);
+fn is_reset(board: Emulator, derail: impl Fn(&Emulator, Derailment), resets: impl Fn(&Emulator) -> u32) {
+    let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
+    let mut master = rig.master(1).unwrap();
+    let board = rig.board();
     let mut reset_cause = || u16::from(*master.ask(&[4, 0, RESET_CAUSE, 0, 1]).unwrap().last().unwrap());
     let has_link = |outputs: Outputs| outputs.contains(Outputs::LINK_OK);
     board.wait_outputs(PATIENCE, has_link).unwrap();
@@ -38,22 +35,22 @@ fn is_reset(mut board: Emulator, derail: impl Fn(&Emulator, Derailment), resets:
     while board.now_ms().unwrap() < WELL_MS {
         assert!(Instant::now() < bound, "the board's clock does not advance");
     }
-    assert_eq!(resets(&board), 0);
+    assert_eq!(resets(board), 0);
 
     for (expected, how) in (1..).zip([Derailment::Loop, Derailment::Masked, Derailment::Handler]) {
         let changes = board.output_changes();
         let seen = changes.try_iter().count();
-        derail(&board, how);
+        derail(board, how);
         // The outputs go low and return after the restart.
         let went_low =
             || board.output_changes().try_iter().skip(seen).any(|change| change.outputs.is_empty());
         let bound = Instant::now() + PATIENCE;
-        while resets(&board) < expected || !went_low() {
-            assert!(Instant::now() < bound, "{how:?}: {} resets, {:?}", resets(&board), board.outputs());
+        while resets(board) < expected || !went_low() {
+            assert!(Instant::now() < bound, "{how:?}: {} resets, {:?}", resets(board), board.outputs());
         }
         board.wait_outputs(PATIENCE, has_link).unwrap();
         assert_eq!(reset_cause(), ResetCause::Watchdog as u16, "{how:?}");
-        assert_eq!(resets(&board), expected, "{how:?}");
+        assert_eq!(resets(board), expected, "{how:?}");
     }
 }
 

@@ -8,22 +8,17 @@ use std::time::{Duration, Instant};
 use embedded_can::Id;
 use host_tests::bxcan::Bxcan;
 use host_tests::can_bus::{CanBus, Fault};
-use host_tests::can_hub::CanHub;
 use host_tests::can_wire::WireFrame;
-use host_tests::emulator::Emulator;
-use host_tests::gripper_end::GripperEnd;
 use host_tests::mcp2515::Mcp2515;
 use host_tests::modbus_master::Master;
-use host_tests::rig::{ACKNOWLEDGED_WITHIN, PATIENCE, motions};
-use host_tests::trace::{Entry, Trace, frame_id};
+use host_tests::rig::{PATIENCE, motions};
+use host_tests::trace::{Entry, frame_id};
+use host_tests::wires::with_part;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
-use super::{
-    BOTH_ON_CAN, CanBoard, GRIPPER_ON_CAN, READY, assert_one_cycle, command, config, make_ready, pass,
-    power_up, pulse, wait,
-};
+use super::{BOTH_ON_CAN, CanBoard, GRIPPER_ON_CAN, Plant, READY, assert_one_cycle};
 
 /// Identifiers with default settings: the gripper's messages, and the bridge's TPDO1.
 const FROM_GRIPPER: u16 = 0x121;
@@ -36,24 +31,6 @@ const TSR: u32 = 0x08;
 const CAN_STATE: u16 = 126;
 const CAN_BUS_OFFS: u16 = 129;
 const CAN_OVERRUNS: u16 = 130;
-
-/// A board that is READY, with a gripper on its bus.
-struct Plant<C> {
-    board: Emulator,
-    bus: CanBus<C>,
-    gripper: GripperEnd,
-    trace: Trace,
-    _master: std::os::unix::net::UnixStream,
-}
-
-fn plant<C: CanBoard>(image: (&str, u32), config: Config) -> Plant<C> {
-    let (board, bus, hub) = power_up::<C>(image);
-    let CanHub { gripper, master } = hub;
-    let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(gripper, board.clock(), config, &trace).unwrap();
-    make_ready(&board);
-    Plant { board, bus, gripper, trace, _master: master }
-}
 
 impl<C: CanBoard> Plant<C> {
     /// Reads an input register of the bridge over Modbus.
@@ -68,24 +45,12 @@ impl<C: CanBoard> Plant<C> {
 
     /// Returns the commands that the gripper has received since the mark.
     fn heard_since(&self, mark: usize) -> Vec<CommandId> {
-        let entries = self.trace.since(mark);
+        let entries = self.rig.trace().since(mark);
         let to_gripper = entries.iter().filter_map(|entry| match entry {
             Entry::ToGripper(bytes) => frame_id(bytes).map(CommandId::from_code),
             _ => None,
         });
         to_gripper.collect()
-    }
-
-    /// Acknowledges a FAST STOP and waits for READY.
-    fn acknowledge(&self) {
-        let bound = Instant::now() + PATIENCE;
-        loop {
-            pulse(&self.board, Inputs::STOP_ACK);
-            match self.board.wait_outputs(ACKNOWLEDGED_WITHIN, |outputs| outputs.contains(READY)) {
-                Ok(_) => return,
-                Err(error) => assert!(Instant::now() < bound, "{error:#}"),
-            }
-        }
     }
 }
 
@@ -130,46 +95,46 @@ impl Drop for Storm {
 
 fn bus_off_during_a_motion_is_reported_and_a_fast_stop_meanwhile_is_sent_first_after_it<C: CanBoard>() {
     // At the real gripper's speed, homing takes longer than bus-off.
-    let mut plant = plant::<C>(GRIPPER_ON_CAN, Config::default());
-    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
-    plant.board.set_input(Inputs::HOME, true).unwrap();
-    plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
-    plant.board.set_input(Inputs::HOME, false).unwrap();
+    let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, Config::default());
+    let mut master = plant.rig.master(1).unwrap();
+    plant.rig.set(Inputs::HOME, true).unwrap();
+    plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
+    plant.rig.set(Inputs::HOME, false).unwrap();
 
     plant.bus.set_fault(Fault::ShortCircuit);
     let lost = |outputs: Outputs| outputs.contains(Outputs::ERROR) && !outputs.contains(Outputs::LINK_OK);
-    plant.board.wait_outputs(PATIENCE, lost).unwrap();
+    plant.rig.await_outputs(PATIENCE, lost).unwrap();
     // On a busy host the gripper may have stopped responding shortly before.
     let bound = Instant::now() + PATIENCE;
     while plant.register(&mut master, CAN_STATE) & 0x7F == 0 {
         assert!(Instant::now() < bound, "neither bus-off nor recovering");
     }
-    plant.board.set_input(Inputs::FAST_STOP_OK, false).unwrap();
-    pass(&plant.board, 20);
-    let mark = plant.trace.mark();
+    plant.rig.set(Inputs::FAST_STOP_OK, false).unwrap();
+    plant.rig.pass(20).unwrap();
+    let mark = plant.rig.trace().mark();
     plant.bus.set_fault(Fault::None);
-    plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+    plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
 
     assert_eq!(plant.heard_since(mark).first(), Some(&CommandId::FastStop), "{:?}", plant.heard_since(mark));
-    plant.board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-    plant.acknowledge();
-    assert_eq!(motions(&plant.trace.since(mark)), [], "the motion must not continue");
+    plant.rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+    plant.rig.release_fast_stop().unwrap();
+    assert_eq!(motions(&plant.rig.trace().since(mark)), [], "the motion must not continue");
     assert_eq!(plant.faults(), (false, false, false), "the bus must have recovered");
     assert_eq!(plant.register(&mut master, CAN_STATE), 0);
     assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 1);
-    assert!(plant.gripper.state().speed.abs() < 0.001);
-    C::assert_set_up(&plant.board, &plant.bus, GRIPPER_ON_CAN.1);
+    assert!(plant.rig.gripper().state().speed.abs() < 0.001);
+    C::assert_set_up(plant.rig.board(), &plant.bus, GRIPPER_ON_CAN.1);
 }
 
 fn a_command_without_an_acknowledgement_is_not_sent_later<C: CanBoard>() {
-    let mut plant = plant::<C>(GRIPPER_ON_CAN, config());
-    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
+    let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
+    let mut master = plant.rig.master(1).unwrap();
 
     plant.bus.set_fault(Fault::Cut);
-    let mark = plant.trace.mark();
-    plant.board.set_input(Inputs::HOME, true).unwrap();
-    plant.board.wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
-    plant.board.set_input(Inputs::HOME, false).unwrap();
+    let mark = plant.rig.trace().mark();
+    plant.rig.set(Inputs::HOME, true).unwrap();
+    plant.rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
+    plant.rig.set(Inputs::HOME, false).unwrap();
     assert_eq!(
         plant.register(&mut master, CAN_STATE),
         0x80,
@@ -177,13 +142,13 @@ fn a_command_without_an_acknowledgement_is_not_sent_later<C: CanBoard>() {
     );
     assert_eq!(plant.faults(), (false, true, true));
     plant.bus.set_fault(Fault::None);
-    plant.board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+    plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
 
-    plant.acknowledge();
-    assert_eq!(motions(&plant.trace.since(mark)), []);
+    plant.rig.release_fast_stop().unwrap();
+    assert_eq!(motions(&plant.rig.trace().since(mark)), []);
     assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 0);
-    command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
-    assert_eq!(motions(&plant.trace.since(mark)), [CommandId::Homing]);
+    plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
+    assert_eq!(motions(&plant.rig.trace().since(mark)), [CommandId::Homing]);
 }
 
 /// Without an acknowledgement, the motion waits in a mailbox until it is withdrawn. The bus recovers before LINK_OK falls.
@@ -191,26 +156,26 @@ fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanB
     for (wire, high, command) in
         [(Inputs::STOP_ACK, true, CommandId::Stop), (Inputs::FAST_STOP_OK, false, CommandId::FastStop)]
     {
-        let plant = plant::<C>(GRIPPER_ON_CAN, config());
-        let mark = plant.trace.mark();
+        let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
+        let mark = plant.rig.trace().mark();
         plant.bus.set_fault(Fault::Cut);
-        plant.board.set_input(Inputs::HOME, true).unwrap();
-        pass(&plant.board, 20);
-        plant.board.set_input(wire, high).unwrap();
-        pass(&plant.board, 20);
-        assert_eq!(motions(&plant.trace.since(mark)), [], "nothing is sent over the cut bus");
+        plant.rig.set(Inputs::HOME, true).unwrap();
+        plant.rig.pass(20).unwrap();
+        plant.rig.set(wire, high).unwrap();
+        plant.rig.pass(20).unwrap();
+        assert_eq!(motions(&plant.rig.trace().since(mark)), [], "nothing is sent over the cut bus");
         plant.bus.set_fault(Fault::None);
         let is_heard = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(command));
-        assert!(plant.trace.wait(mark, PATIENCE, is_heard), "{command}: {:?}", plant.heard_since(mark));
-        pass(&plant.board, 300);
-        assert_eq!(motions(&plant.trace.since(mark)), [], "{command}: {:?}", plant.heard_since(mark));
+        assert!(plant.rig.trace().wait(mark, PATIENCE, is_heard), "{command}: {:?}", plant.heard_since(mark));
+        plant.rig.pass(300).unwrap();
+        assert_eq!(motions(&plant.rig.trace().since(mark)), [], "{command}: {:?}", plant.heard_since(mark));
     }
 }
 
 #[test]
 #[ignore = "needs QEMU and the firmware image with both on CAN: run `cargo xtask test`"]
 fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
-    let plant = plant::<Bxcan>(BOTH_ON_CAN, config());
+    let plant = Plant::<Bxcan>::ready(BOTH_ON_CAN, with_part(20.0));
     let master = plant.bus.join();
     // Lower priority than messages to the gripper, higher than frames to the PLC.
     static BETWEEN: [WireFrame; 1] = [WireFrame { id: id(0x150), is_remote: false, dlc: 8, data: [0; 8] }];
@@ -228,21 +193,21 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
     // A second heartbeat, half a second after the first, could be sent first from another mailbox.
     let storm = Storm::on(&plant.bus, &BETWEEN);
     wait_for("one holds a heartbeat", &|empty| empty & 0b010 == 0);
-    pass(&plant.board, 1_100);
+    plant.rig.pass(1_100).unwrap();
     assert_eq!(empty_mailboxes() & 0b100, 0b100, "at most one frame per identifier in the mailboxes");
     drop(storm);
     // The queued frames are sent, and the next heartbeat is alone.
-    pass(&plant.board, 600);
+    plant.rig.pass(600).unwrap();
     let storm = Storm::on(&plant.bus, &BETWEEN);
     wait_for("one holds a heartbeat", &|empty| empty & 0b010 == 0);
     // Start the node by NMT before the next heartbeat, so that it sends PDOs.
     master.send(WireFrame::standard(0, &[1, 0x10]));
     wait_for("full", &|empty| empty & 0b110 == 0);
 
-    let (mark, sent) = (plant.trace.mark(), plant.bus.sent().len());
-    plant.board.set_input(Inputs::FAST_STOP_OK, false).unwrap();
+    let (mark, sent) = (plant.rig.trace().mark(), plant.bus.sent().len());
+    plant.rig.set(Inputs::FAST_STOP_OK, false).unwrap();
     let is_fast_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(CommandId::FastStop));
-    assert!(plant.trace.wait(mark, PATIENCE, is_fast_stop));
+    assert!(plant.rig.trace().wait(mark, PATIENCE, is_fast_stop));
 
     assert_eq!(empty_mailboxes() & 0b110, 0, "the earlier frames must still be in the mailboxes");
     let pdos = plant.bus.sent().iter().skip(sent).filter(|frame| frame.id == id(TPDO1)).count();
@@ -255,10 +220,10 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
 }
 
 fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
-    let mut plant = plant::<C>(GRIPPER_ON_CAN, config());
-    let mut master = Master::new(plant.board.take_modbus_line().unwrap(), plant.board.clock(), 1);
+    let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
+    let mut master = plant.rig.master(1).unwrap();
     assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 0);
-    let mark = plant.trace.mark();
+    let mark = plant.rig.trace().mark();
 
     // Heartbeats of another node, which pass the filters.
     plant.bus.burst(&[WireFrame::standard(0x701, &[5]); 5]);
@@ -268,15 +233,15 @@ fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
         assert!(Instant::now() < bound, "the overrun counter did not increase");
     }
     assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 1);
-    assert_eq!(motions(&plant.trace.since(mark)), []);
-    command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
+    assert_eq!(motions(&plant.rig.trace().since(mark)), []);
+    plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
 }
 
 #[test]
 #[ignore = "needs rp2040js and the firmware image with the gripper on CAN: run `cargo xtask test`"]
 fn frames_without_a_pause_between_them_are_all_heard_in_rp2040js() {
     const FRAMES: usize = 200;
-    let plant = plant::<Mcp2515>(GRIPPER_ON_CAN, config());
+    let plant = Plant::<Mcp2515>::ready(GRIPPER_ON_CAN, with_part(20.0));
     // The shortest frames, with the identifier of another node's heartbeat, which passes the filters.
     static HEARTBEAT: WireFrame = WireFrame { id: id(0x701), is_remote: false, dlc: 0, data: [0; 8] };
     let node = plant.bus.join();
@@ -286,12 +251,12 @@ fn frames_without_a_pause_between_them_are_all_heard_in_rp2040js() {
     while plant.bus.controller().accepted().iter().filter(is_heartbeat).count() < FRAMES {
         assert!(Instant::now() < bound, "{} frames are still queued", node.waiting());
     }
-    command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
+    plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
     assert_eq!(plant.bus.controller().lost(), []);
 }
 
 fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
-    let plant = plant::<C>(GRIPPER_ON_CAN, config());
+    let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     let wanted = [0x000, FROM_GRIPPER, 0x210, 0x610, 0x701];
     // Unused identifiers, 29-bit identifiers that begin with used ones, and remote frames of used ones.
     let foreign = [0x122, 0x300, 0x7FF].map(|id| WireFrame::standard(id, &[0xAA; 8]));
@@ -306,16 +271,16 @@ fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
     urgent.into_iter().for_each(|frame| once.send(frame));
     let storm = Storm::on(&plant.bus, others.leak());
 
-    command(&plant.board, Inputs::HOME, READY | Outputs::REFERENCED);
-    command(&plant.board, Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
-    command(&plant.board, Inputs::RELEASE, READY | Outputs::REFERENCED);
+    plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
+    plant.command(Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
+    plant.command(Inputs::RELEASE, READY | Outputs::REFERENCED);
 
     drop(storm);
-    assert_one_cycle(&plant.gripper, &plant.trace);
+    assert_one_cycle(&plant.rig);
     assert_eq!(once.waiting(), 0);
     let wanted = id(FROM_GRIPPER);
     assert!(plant.bus.controller().filters_hold(|frame| frame.id == wanted && !frame.is_remote));
-    wait(&plant.board, READY | Outputs::REFERENCED);
+    assert_eq!(plant.rig.board().outputs(), READY | Outputs::REFERENCED);
 }
 
 const fn id(raw: u16) -> Id {

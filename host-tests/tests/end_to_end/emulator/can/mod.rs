@@ -28,6 +28,7 @@ macro_rules! on_both_boards {
 
 mod faults;
 
+use std::os::unix::net::UnixStream;
 use std::time::Instant;
 
 use host_tests::bxcan::Bxcan;
@@ -36,15 +37,15 @@ use host_tests::can_controller::BusController;
 use host_tests::can_hub::CanHub;
 use host_tests::can_wire::WireFrame;
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
 use host_tests::mcp2515::Mcp2515;
-use host_tests::rig::{ACKNOWLEDGED_WITHIN, MOTION_PATIENCE, PATIENCE, motions};
+use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
-use wsg_sim::{Config, Part};
+use wsg_sim::Config;
 
 use super::Board;
 
@@ -182,87 +183,59 @@ fn assert_peripheral_set_up(board: &Emulator, bus: &CanBus) {
     assert_eq!(controller.load(CAN_MCR.0).unwrap(), CAN_MCR.1);
 }
 
-fn config() -> Config {
-    Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() }
+/// A board with its gripper on a bus.
+struct Plant<C> {
+    rig: Rig,
+    bus: CanBus<C>,
+    _master: UnixStream,
 }
 
-/// Waits until the outputs are exactly these, at the end of a command.
-fn wait(board: &Emulator, wanted: Outputs) {
-    board.wait_outputs(MOTION_PATIENCE, |outputs| outputs == wanted).unwrap();
-}
+impl<C: CanBoard> Plant<C> {
+    /// Starts a board, and waits for READY.
+    fn ready(image: (&str, u32), config: Config) -> Self {
+        let (board, bus, CanHub { gripper, master }) = power_up::<C>(image);
+        let rig = Rig::of(board, Some(gripper), config, Trace::new(vec![])).unwrap();
+        rig.release_fast_stop().unwrap();
+        Self { rig, bus, _master: master }
+    }
 
-/// Waits for some milliseconds of board time.
-fn pass(board: &Emulator, ms: u32) {
-    let start = board.now_ms().unwrap();
-    while board.now_ms().unwrap().wrapping_sub(start) < ms {}
-}
-
-fn pulse(board: &Emulator, wire: Inputs) {
-    for high in [true, false] {
-        board.set_input(wire, high).unwrap();
-        pass(board, 5);
+    /// Issues a command by a wire, and checks the outputs at its end.
+    fn command(&self, wire: Inputs, wanted: Outputs) {
+        assert_eq!(self.rig.command(wire).unwrap(), wanted);
     }
 }
 
-/// Reaches READY from power-up through the wires.
-fn make_ready(board: &Emulator) {
-    board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
-    board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-    // The gripper must confirm the FAST STOP of power-up before it can be acknowledged.
-    let bound = Instant::now() + PATIENCE;
-    while Instant::now() < bound {
-        pulse(board, Inputs::STOP_ACK);
-        if board.wait_outputs(ACKNOWLEDGED_WITHIN, |outputs| outputs == READY).is_ok() {
-            return;
-        }
-    }
-    panic!("not READY: {:?}", board.outputs());
-}
-
-/// Issues a command by a wire: waits for BUSY, then for these outputs.
-fn command(board: &Emulator, wire: Inputs, wanted: Outputs) {
-    board.set_input(wire, true).unwrap();
-    board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
-    board.set_input(wire, false).unwrap();
-    wait(board, wanted);
-}
-
-fn assert_one_cycle(gripper: &GripperEnd, trace: &Trace) {
+fn assert_one_cycle(rig: &Rig) {
     let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(motions(&trace.since(0)), expected);
-    assert!(gripper.state().width > 25.0, "{}", gripper.state().width);
+    assert_eq!(motions(&rig.trace().since(0)), expected);
+    assert!(rig.gripper().state().width > 25.0, "{}", rig.gripper().state().width);
 }
 
 fn gripper_on_can_runs_a_grip_cycle_by_wires<C: CanBoard>() {
-    let (board, bus, hub) = power_up::<C>(GRIPPER_ON_CAN);
-    let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(hub.gripper, board.clock(), config(), &trace).unwrap();
-    make_ready(&board);
-    command(&board, Inputs::HOME, READY | Outputs::REFERENCED);
-    command(&board, Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
-    command(&board, Inputs::RELEASE, READY | Outputs::REFERENCED);
-    assert_one_cycle(&gripper, &trace);
-    C::assert_set_up(&board, &bus, GRIPPER_ON_CAN.1);
+    let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
+    plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
+    plant.command(Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
+    plant.command(Inputs::RELEASE, READY | Outputs::REFERENCED);
+    assert_one_cycle(&plant.rig);
+    C::assert_set_up(plant.rig.board(), &plant.bus, GRIPPER_ON_CAN.1);
 }
 
 /// Runs the master against a board, with the gripper on the same bus or on a serial line.
 fn run_master<C: CanBoard>(settings: (&str, u32), gripper_on_bus: bool) {
-    let (mut board, bus, hub) = power_up::<C>(settings);
-    let line = if gripper_on_bus { hub.gripper } else { board.take_gripper_line().unwrap() };
-    let trace = Trace::new(vec![]);
-    let gripper = GripperEnd::start(line, board.clock(), config(), &trace).unwrap();
+    let (board, bus, hub) = power_up::<C>(settings);
+    let line = gripper_on_bus.then_some(hub.gripper);
+    let rig = Rig::of(board, line, with_part(20.0), Trace::new(vec![])).unwrap();
     // The gripper confirms the FAST STOP of power-up.
-    board.wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
-    board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
+    rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+    rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     let terminal = Terminal::to(hub.master).unwrap();
     let eds = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/wsg-bridge.eds");
     let output = masters::python(include_str!("master.py"), &[&terminal.path, eds]);
     assert!(output.status.success() && said(&output).contains("passed"), "{}", said(&output));
     let cycle = [CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing], &cycle[..], &cycle].concat();
-    assert_eq!(motions(&trace.since(0)), expected, "{}", said(&output));
-    C::assert_set_up(&board, &bus, settings.1);
-    drop(gripper);
+    assert_eq!(motions(&rig.trace().since(0)), expected, "{}", said(&output));
+    C::assert_set_up(rig.board(), &bus, settings.1);
 }
 
 /// Number of the flash chip that `emulators/rp2040/flash.js` models.

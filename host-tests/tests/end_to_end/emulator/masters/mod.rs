@@ -6,38 +6,30 @@
 use std::time::{Duration, Instant};
 
 use document::read;
-use host_tests::emulator::Emulator;
-use host_tests::gripper_end::GripperEnd;
 use host_tests::masters::{self, said};
-use host_tests::modbus_master::Master;
-use host_tests::rig::motions;
+use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::wires::with_part;
 use tokio_modbus::ExceptionCode;
 use tokio_modbus::client::{Context, rtu};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
-use wsg_sim::{Config, Part};
 
 use super::Board;
 
 struct Plant {
-    _board: Emulator,
-    gripper: GripperEnd,
-    trace: Trace,
+    rig: Rig,
     terminal: Terminal,
 }
 
 /// A board with a responding gripper. The FAST STOP of power-up is not acknowledged.
 fn plant(board: Board) -> Plant {
-    let mut board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
-    board.set_input(Inputs::FAST_STOP_OK, true).unwrap();
-    let trace = Trace::new(vec![]);
-    let config = Config { time_scale: 10.0, part: Part::of_width(20.0), ..Config::default() };
-    let gripper =
-        GripperEnd::start(board.take_gripper_line().unwrap(), board.clock(), config, &trace).unwrap();
-    let mut master = Master::new(board.take_modbus_line().unwrap(), board.clock(), 1);
+    let elf = board.image("WSG_FIRMWARE_ELF");
+    let mut rig = Rig::power_up(&elf, with_part(20.0), Trace::new(vec![])).unwrap();
+    rig.set(Inputs::FAST_STOP_OK, true).unwrap();
+    let mut master = rig.master(1).unwrap();
     let bound = Instant::now() + Duration::from_secs(60);
     while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
         assert!(Instant::now() < bound, "the gripper does not respond");
@@ -46,14 +38,14 @@ fn plant(board: Board) -> Plant {
     let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
     let settings = [&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat();
     assert_eq!(master.ask(&settings).unwrap(), [16, 0, 101, 0, 3]);
-    Plant { _board: board, gripper, trace, terminal: Terminal::to(master.into_line().unwrap()).unwrap() }
+    Plant { rig, terminal: Terminal::to(master.into_line().unwrap()).unwrap() }
 }
 
 /// Checks that the bridge has sent homing, a grip and a release once each, and the final width.
 fn assert_one_cycle(plant: &Plant, said: &str) {
     let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(motions(&plant.trace.since(0)), expected, "{said}");
-    let width = plant.gripper.state().width;
+    assert_eq!(motions(&plant.rig.trace().since(0)), expected, "{said}");
+    let width = plant.rig.gripper().state().width;
     assert!((width - 40.0).abs() < 0.5, "{width}");
 }
 
@@ -116,7 +108,7 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
     while !referenced() {
         assert!(Instant::now() < bound, "REFERENCED is not set within the time limit");
     }
-    assert_eq!(motions(&plant.trace.since(0)), [CommandId::Homing]);
+    assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing]);
     let unit = poll(&["-t", "4", "-r", "100", "-c", "1"], &[]);
     assert!(unit.contains("[100]: \t1"), "{unit}");
     let server_id = poll(&["-u"], &[]);
