@@ -5,7 +5,7 @@ use std::vec;
 use std::vec::Vec;
 use wsg_protocol::reply::Reply;
 use wsg_protocol::session::{Known, RequestError};
-use wsg_protocol::types::{AutoUpdate, DeviceType, FirmwareVersion, SystemInfo};
+use wsg_protocol::types::{AutoUpdate, DeviceType, FirmwareVersion, SystemInfo, SystemLimits};
 
 const LIMITS: SystemLimits = SystemLimits {
     stroke: 110.0,
