@@ -488,26 +488,26 @@ impl Informed<'_> {
         if self.refuses(lowest) {
             return;
         }
-        let state = self.own.state(self.known.state);
-        let (width, speed) = (image.width_mm(), image.speed_mm_s());
-        let force = image.force_limit_n(force_unit(self.known));
         if !may_begin {
             let is_locked = self.known.flags.unwrap_or_default().intersects(SystemFlags::LOCKS);
             let status = if is_locked { Status::AccessDenied } else { Status::AlreadyRunning };
-            self.own.show(status, Cause::NotReady);
-        } else if lowest == CommandFlags::MOVE && state != GripperFlags::IDLE {
-            let is_held = state == GripperFlags::HOLDING;
+            return self.own.show(status, Cause::NotReady);
+        }
+        if lowest == CommandFlags::HOMING {
+            return self.begin_motion(Command::Homing { direction: HomingDirection::Default }, None);
+        }
+        let (width, speed) = (image.width_mm(), image.speed_mm_s());
+        let force = image.force_limit_n(force_unit(self.known));
+        if lowest == CommandFlags::MOVE && self.own.state(self.known.state) != GripperFlags::IDLE {
+            let is_held = self.own.state(self.known.state) == GripperFlags::HOLDING;
             self.own.show(Status::AccessDenied, if is_held { Cause::PartHeld } else { Cause::NotIdle });
-        } else if lowest != CommandFlags::HOMING && !self.within_limits(speed, force) {
+        } else if !self.within_limits(speed, force) {
             self.outside_limits(image);
         } else {
             let command = match lowest {
-                CommandFlags::MOVE => {
-                    Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed }
-                }
                 CommandFlags::GRIP => Command::GripPart { width, speed },
                 CommandFlags::RELEASE => Command::ReleasePart { width, speed },
-                _ => Command::Homing { direction: HomingDirection::Default },
+                _ => Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed },
             };
             self.begin_motion(command, (lowest == CommandFlags::GRIP).then_some(force));
         }
