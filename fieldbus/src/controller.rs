@@ -12,9 +12,7 @@ use wsg_protocol::command::{Command, CommandId, Kind};
 use wsg_protocol::queue::Queue;
 use wsg_protocol::reply::Value;
 use wsg_protocol::session::{Event, Known};
-use wsg_protocol::types::{
-    GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags, SystemLimits,
-};
+use wsg_protocol::types::{GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags};
 
 /// Capacity for commands to fetch. A FAST STOP replaces all others, so the maximum is the two commands of one motion.
 const OUTGOING_LEN: usize = 2;
@@ -98,6 +96,12 @@ pub struct Controller {
     incidents: Queue<Incident, INCIDENTS_LEN>,
 }
 
+/// A controller with the known state of its gripper, for the duration of one call.
+struct Informed<'a> {
+    own: &'a mut Controller,
+    known: &'a Known,
+}
+
 /// Whether a motion may have started since the last report. Until then, a report of fingers at rest proves nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Unseen {
@@ -160,49 +164,13 @@ impl Controller {
 
     /// Takes a complete image that the PLC wrote.
     pub fn set_output(&mut self, image: &OutputImage, known: &Known) {
-        self.take_output(image, known, true);
+        Informed { own: self, known }.take_output(image, true);
     }
 
     /// Takes an image like [`set_output`](Self::set_output), but refuses every motion whose flag rises. Use it while
     /// the PLC sees READY low, even if the gripper would accept the motion.
     pub fn set_output_refusing_motions(&mut self, image: &OutputImage, known: &Known) {
-        self.take_output(image, known, false);
-    }
-
-    fn take_output(&mut self, image: &OutputImage, known: &Known, may_begin: bool) {
-        let previous = self.image.replace(*image);
-        let rising =
-            previous.map_or(CommandFlags::empty(), |previous| image.flags.difference(previous.flags));
-        self.jog.see(image);
-        self.refused = self.refused.map(|refused| refused.intersection(image.flags));
-        if image.flags.contains(CommandFlags::FASTSTOP) {
-            if previous.is_none() || rising.contains(CommandFlags::FASTSTOP) {
-                self.fast_stop(Cause::Flag, 0);
-            }
-            return;
-        }
-        let changed = previous.is_some_and(|previous| {
-            // A jog follows its dial. WIDTH is not one of its parameters.
-            if self.jog.is_on() { image.width != previous.width } else { image.parameters_differ(&previous) }
-        });
-        if changed && self.is_moving(known) {
-            let before = previous.unwrap_or_default();
-            let value = if image.width != before.width {
-                image.width.cast_unsigned()
-            } else if image.speed != before.speed {
-                image.speed
-            } else {
-                image.force_limit.cast_unsigned()
-            };
-            self.fast_stop(Cause::ParameterChanged, value);
-        } else if rising.contains(CommandFlags::STOP_ACK) {
-            self.stop_or_acknowledge(known);
-        } else {
-            if !image.flags.contains(CommandFlags::STOP_ACK) {
-                self.begin_lowest(rising.intersection(CommandFlags::MOTIONS), image, known, may_begin);
-            }
-            self.follow_jog(known);
-        }
+        Informed { own: self, known }.take_output(image, false);
     }
 
     /// Reports that the PLC no longer communicates, for a bus that detects this.
@@ -210,20 +178,7 @@ impl Controller {
     /// The image is kept, so its flags give no edge when the PLC returns. JOG becomes effective after both of its
     /// flags were 0.
     pub fn silence(&mut self, reaction: SilenceReaction, known: &Known) {
-        self.jog.disarm(self.image.as_ref());
-        match reaction {
-            SilenceReaction::FastStop => self.fast_stop(Cause::PlcSilent, 0),
-            SilenceReaction::Stop
-                if self.connected && self.is_moving(known) && !self.is_fast_stopped(known) =>
-            {
-                self.stop();
-            }
-            // Without a connection, an unfinished motion continues and a Stop would be lost.
-            SilenceReaction::Stop if !self.connected && self.unseen != Unseen::No => {
-                self.fast_stop(Cause::PlcSilent, 0);
-            }
-            SilenceReaction::Stop | SilenceReaction::Hold => self.follow_jog(known),
-        }
+        Informed { own: self, known }.silence(reaction);
     }
 
     /// Returns IF as last written by the PLC: user flags IF1 (bit 0) to IF8, for a script on the gripper.
@@ -243,75 +198,13 @@ impl Controller {
     #[inline(always)]
     pub fn adopt_known(&mut self, known: &Known) {
         if !self.is_acquainted {
-            self.make_acquaintance(known);
-        }
-    }
-
-    #[inline(never)]
-    fn make_acquaintance(&mut self, known: &Known) {
-        self.is_acquainted = self.connected;
-        if known.is_moving() && !self.is_fast_stopped(known) {
-            self.is_acquainted = true;
-            self.stop();
-            self.failed = true;
-            self.show(Status::CmdAborted, Cause::MovedAtStart);
+            Informed { own: self, known }.make_acquaintance();
         }
     }
 
     /// Takes an event of the session, and the gripper data known after it.
     pub fn handle(&mut self, event: &Event<'_>, known: &Known) {
-        self.note_outcome(event);
-        self.note_motion(event, known);
-        match event {
-            Event::Connected => {
-                self.connected = true;
-                // The flags were requested after a FAST STOP that was answered earlier.
-                if let Some(flags) = known.flags {
-                    self.supervise_fast_stop(flags);
-                }
-            }
-            Event::Disconnected => {
-                self.show_held_back(known);
-                self.connected = false;
-                self.settled = None;
-                self.jog.disarm(self.image.as_ref());
-                if !matches!(self.fast_stop, FastStop::Clear | FastStop::Requested | FastStop::RequestedTwice)
-                {
-                    // The gripper may restart and lose the FAST STOP, so send it first after a reconnect.
-                    self.give_fast_stop();
-                } else if self.jog.is_on() {
-                    self.fast_stop(Cause::ConnectionLost, 0);
-                }
-            }
-            Event::Answered(reply) => self.answered(reply, known),
-            Event::Late(CommandId::Stop) | Event::Unanswered(CommandId::Stop) if !self.stands(known) => {
-                self.fast_stop(Cause::StopFailed, Status::Timeout.code());
-            }
-            Event::Unanswered(id) if self.jog_may_move(*id, known) => {
-                self.fast_stop(Cause::ConnectionLost, 0)
-            }
-            Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, Cause::Unanswered, known),
-            Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, Cause::Withdrawn, known),
-            // A jog ends in IDLE even if the gripper reports its error as a state (fieldbus, 6.7).
-            Event::Reported(Value::GetGripperState(GripperState::Error)) if self.jog.failed => {}
-            Event::Reported(Value::GetGripperState(_)) => self.settled = None,
-            Event::Reported(Value::GetSystemState(flags)) => {
-                self.supervise_fast_stop(*flags);
-                self.show_held_back(known);
-            }
-            // Pending and late answers, and reports of values that are only displayed.
-            _ => {}
-        }
-    }
-
-    /// Returns whether the gripper has reported its fingers at rest and has received no motion since.
-    fn stands(&self, known: &Known) -> bool {
-        self.unseen == Unseen::No && known.flags.is_some() && !known.is_moving()
-    }
-
-    /// Returns whether one of these flags is 1 in the last image.
-    fn holds(&self, any_of: CommandFlags) -> bool {
-        self.image.is_some_and(|image| image.flags.intersects(any_of))
+        Informed { own: self, known }.handle(event);
     }
 
     /// Returns the oldest incident. When the queue is full, a new incident replaces the oldest.
@@ -329,13 +222,14 @@ impl Controller {
     pub fn input(&self, known: &Known) -> InputImage {
         let unit = force_unit(known);
         let mut system = known.flags.unwrap_or_default();
-        system.set(SystemFlags::FAST_STOP, self.is_fast_stopped(known));
+        if self.asks_fast_stop() {
+            system.insert(SystemFlags::FAST_STOP);
+        }
+        let is_stopped = system.contains(SystemFlags::FAST_STOP);
+        let state = if is_stopped { GripperFlags::IDLE } else { self.state(known.state) };
         // Without a connection, an image of zeros would look like a gripper at rest.
-        let (state, status) = if self.connected {
-            (self.state(known), self.shown_status())
-        } else {
-            (GripperFlags::ERROR, Status::IoError)
-        };
+        let not_connected = (GripperFlags::ERROR, Status::IoError);
+        let (state, status) = if self.connected { (state, self.shown_status()) } else { not_connected };
         InputImage {
             state,
             user: self.user_outputs,
@@ -346,15 +240,33 @@ impl Controller {
         }
     }
 
+    /// Returns GSTATE of a connected gripper without FAST STOP, which shows as IDLE (SYSSTATE has the flag): a motion
+    /// from its edge on, a failure as ERROR. No bit is set before the gripper has reported its state.
+    fn state(&self, reported: Option<GripperState>) -> GripperFlags {
+        if self.jog.is_on() {
+            return GripperFlags::RELEASING;
+        }
+        if let Some(motion) = &self.motion {
+            return GripperFlags::from(match motion.command.id() {
+                CommandId::GripPart => GripperState::Gripping,
+                CommandId::ReleasePart => GripperState::Releasing,
+                _ => GripperState::Positioning,
+            });
+        }
+        match self.settled.or(reported) {
+            // A held part matters more than a failed command, which the status register shows.
+            Some(GripperState::Holding) => GripperFlags::HOLDING,
+            _ if self.failed => GripperFlags::ERROR,
+            Some(state) => state.into(),
+            None => GripperFlags::empty(),
+        }
+    }
+
     /// Returns the status to show: E_ALREADY_RUNNING while a flag refused during a pending command is 1, the stored
     /// status otherwise.
     fn shown_status(&self) -> Status {
-        match self.refused {
-            Some(refused) if self.status == Status::CmdPending && !refused.is_empty() => {
-                Status::AlreadyRunning
-            }
-            _ => self.status,
-        }
+        let is_refused = self.refused.is_some_and(|refused| !refused.is_empty());
+        if is_refused && self.status == Status::CmdPending { Status::AlreadyRunning } else { self.status }
     }
 
     /// Returns whether a motion was refused because of the command now pending, even if its flag has fallen since.
@@ -376,35 +288,10 @@ impl Controller {
     fn refuse_beside_motion(&mut self, flags: CommandFlags) {
         self.note(Cause::MotionRuns, self.motion.map(|motion| motion.command.id()), 0);
         if self.status == Status::CmdPending {
-            self.refused = Some(flags.union(self.refused.unwrap_or_default()));
+            self.refused = Some(flags | self.refused.unwrap_or_default());
         } else {
             // They move for another reason, which the status register does not show.
             self.status = Status::AlreadyRunning;
-        }
-    }
-
-    /// Returns GSTATE of a connected gripper. FAST STOP shows as IDLE (SYSSTATE has the flag), a motion from its edge
-    /// on, a failure as ERROR. No bit is set before the gripper has reported its state.
-    fn state(&self, known: &Known) -> GripperFlags {
-        if self.is_fast_stopped(known) {
-            return GripperFlags::IDLE;
-        }
-        if self.jog.is_on() {
-            return GripperFlags::RELEASING;
-        }
-        if let Some(motion) = &self.motion {
-            return GripperFlags::from(match motion.command.id() {
-                CommandId::GripPart => GripperState::Gripping,
-                CommandId::ReleasePart => GripperState::Releasing,
-                _ => GripperState::Positioning,
-            });
-        }
-        match self.settled.or(known.state) {
-            // A held part matters more than a failed command, which the status register shows.
-            Some(GripperState::Holding) => GripperFlags::HOLDING,
-            _ if self.failed => GripperFlags::ERROR,
-            Some(state) => state.into(),
-            None => GripperFlags::empty(),
         }
     }
 
@@ -416,15 +303,19 @@ impl Controller {
         let state = self.settled.or(known.state);
         self.motion.is_some()
             || self.jog.is_on()
-            || has_flag(known, SystemFlags::MOVING)
+            || known.flags.unwrap_or_default().intersects(SystemFlags::MOVING)
             || state.is_some_and(GripperState::is_motion)
     }
 
     /// Returns whether a motion flag that rises now has no effect: the fingers move, or STOP/ACK or FASTSTOP is 1.
     #[must_use]
     pub fn ignores_motions(&self, known: &Known) -> bool {
-        let held = CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP);
-        self.is_moving(known) || self.holds(held)
+        self.is_moving(known) || self.holds(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP)
+    }
+
+    /// Returns whether one of these flags is 1 in the last image.
+    fn holds(&self, any_of: CommandFlags) -> bool {
+        self.image.is_some_and(|image| image.flags.intersects(any_of))
     }
 
     /// Sends a command that ends or overrides a motion. Later answers to that motion are ignored.
@@ -437,69 +328,12 @@ impl Controller {
         // The session never received these, so they have no outcome.
         while let Some(unsent) = self.outgoing.pop_front() {
             self.note_outcome(&Event::Withdrawn(unsent.id()));
-            // Known data matters only to commands that were sent.
-            self.note_motion(&Event::Withdrawn(unsent.id()), &Known::NOTHING);
+            if unsent.id().kind() == Kind::Motion {
+                self.unseen = Unseen::No;
+            }
         }
         self.send(command);
-        self.shown = Some(command.id());
-        (self.status, self.refused) = (Status::CmdPending, None);
-    }
-
-    fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, known: &Known, may_begin: bool) {
-        let Some(lowest) = rising.lowest() else { return };
-        if !self.jog.is_on() {
-            // The JOG flags have the highest bits and lose against any motion.
-            self.jog.disarm(Some(image));
-        }
-        if !self.connected {
-            self.show(Status::IoError, Cause::NotConnected);
-        } else if self.is_fast_stopped(known) {
-            self.show(Status::AccessDenied, Cause::FastStopLasts);
-        } else if self.is_moving(known) {
-            self.refuse_beside_motion(lowest);
-        } else if !may_begin {
-            let is_locked = has_flag(known, SystemFlags::LOCKS);
-            let status = if is_locked { Status::AccessDenied } else { Status::AlreadyRunning };
-            self.show(status, Cause::NotReady);
-        } else if lowest == CommandFlags::MOVE && self.state(known) != GripperFlags::IDLE {
-            let is_held = self.state(known) == GripperFlags::HOLDING;
-            self.show(Status::AccessDenied, if is_held { Cause::PartHeld } else { Cause::NotIdle });
-        } else if lowest != CommandFlags::HOMING
-            && !within_limits(image.speed_mm_s(), image.force_limit_n(force_unit(known)), known)
-        {
-            self.outside_limits(image, known);
-        } else {
-            self.begin(lowest, image, known);
-        }
-    }
-
-    fn begin(&mut self, flag: CommandFlags, image: &OutputImage, known: &Known) {
-        let (width, speed) = (image.width_mm(), image.speed_mm_s());
-        let command = match flag {
-            CommandFlags::MOVE => {
-                Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed }
-            }
-            CommandFlags::GRIP => Command::GripPart { width, speed },
-            CommandFlags::RELEASE => Command::ReleasePart { width, speed },
-            _ => Command::Homing { direction: HomingDirection::Default },
-        };
-        let force = (flag == CommandFlags::GRIP).then(|| image.force_limit_n(force_unit(known)));
-        self.begin_motion(command, force, known);
-    }
-
-    /// Sends a motion, after its force limit unless the gripper is known to have it. A queued command may change the limit.
-    fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>, known: &Known) {
-        let force = force.filter(|_| known.force_limit != force || !self.outgoing.is_empty());
-        if force.is_some() {
-            self.force_limits_open = self.force_limits_open.saturating_add(1);
-        }
-        self.send(force.map_or(command, |force| Command::SetForceLimit { force }));
-        self.motion = Some(Motion { command, awaits: force.map(|_| CommandId::SetForceLimit) });
-        self.shown = Some(command.id());
-        (self.status, self.refused) = (Status::CmdPending, None);
-        self.failed = false;
-        self.jog.failed = false;
-        self.settled = None;
+        (self.shown, self.status, self.refused) = (Some(command.id()), Status::CmdPending, None);
     }
 
     #[inline(never)]
@@ -518,8 +352,7 @@ impl Controller {
     #[inline(never)]
     fn show(&mut self, status: Status, cause: Cause) {
         self.note(cause, None, 0);
-        self.shown = None;
-        self.status = status;
+        (self.shown, self.status) = (None, status);
     }
 
     #[inline(never)]
@@ -537,30 +370,192 @@ impl Default for Controller {
     }
 }
 
+impl Informed<'_> {
+    fn take_output(&mut self, image: &OutputImage, may_begin: bool) {
+        let previous = self.own.image.replace(*image);
+        let before = previous.unwrap_or(*image);
+        let rising = image.flags.difference(before.flags);
+        self.own.jog.see(image);
+        self.own.refused = self.own.refused.map(|refused| refused.intersection(image.flags));
+        if image.flags.contains(CommandFlags::FASTSTOP) {
+            if previous.is_none() || rising.contains(CommandFlags::FASTSTOP) {
+                self.own.fast_stop(Cause::Flag, 0);
+            }
+            return;
+        }
+        // A jog follows its dial. WIDTH is not one of its parameters.
+        let follows = self.own.jog.is_on() && image.width == before.width;
+        if image.parameters_differ(&before) && !follows && self.own.is_moving(self.known) {
+            let value = if image.width != before.width {
+                image.width.cast_unsigned()
+            } else if image.speed != before.speed {
+                image.speed
+            } else {
+                image.force_limit.cast_unsigned()
+            };
+            self.own.fast_stop(Cause::ParameterChanged, value);
+        } else if rising.contains(CommandFlags::STOP_ACK) {
+            self.stop_or_acknowledge();
+        } else {
+            if !image.flags.contains(CommandFlags::STOP_ACK) {
+                self.begin_lowest(rising.intersection(CommandFlags::MOTIONS), image, may_begin);
+            }
+            self.follow_jog();
+        }
+    }
+
+    fn silence(&mut self, reaction: SilenceReaction) {
+        let Self { own, known } = self;
+        own.jog.disarm(own.image.as_ref());
+        let stops = reaction == SilenceReaction::Stop;
+        // Without a connection, an unfinished motion continues and a Stop would be lost.
+        let is_unstoppable = stops && !own.connected && own.unseen != Unseen::No;
+        if reaction == SilenceReaction::FastStop || is_unstoppable {
+            own.fast_stop(Cause::PlcSilent, 0);
+        } else if stops && own.connected && own.is_moving(known) && !self.is_fast_stopped() {
+            self.own.stop();
+        } else {
+            self.follow_jog();
+        }
+    }
+
+    #[inline(never)]
+    fn make_acquaintance(&mut self) {
+        let stops = self.known.is_moving() && !self.is_fast_stopped();
+        self.own.is_acquainted = self.own.connected || stops;
+        if stops {
+            self.own.stop();
+            self.own.failed = true;
+            self.own.show(Status::CmdAborted, Cause::MovedAtStart);
+        }
+    }
+
+    fn handle(&mut self, event: &Event<'_>) {
+        self.own.note_outcome(event);
+        self.note_motion(event);
+        match event {
+            Event::Connected => {
+                self.own.connected = true;
+                // The flags were requested after a FAST STOP that was answered earlier.
+                if let Some(flags) = self.known.flags {
+                    self.own.supervise_fast_stop(flags);
+                }
+            }
+            Event::Disconnected => {
+                self.show_held_back();
+                self.own.connected = false;
+                self.own.settled = None;
+                self.own.jog.disarm(self.own.image.as_ref());
+                if !matches!(self.own.fast_stop, FastStop::Clear | FastStop::Requested { .. }) {
+                    // The gripper may restart and lose the FAST STOP, so send it first after a reconnect.
+                    self.own.give_fast_stop();
+                } else if self.own.jog.is_on() {
+                    self.own.fast_stop(Cause::ConnectionLost, 0);
+                }
+            }
+            Event::Answered(reply) => self.answered(reply),
+            Event::Late(CommandId::Stop) | Event::Unanswered(CommandId::Stop) if !self.stands() => {
+                self.own.fast_stop(Cause::StopFailed, Status::Timeout.code());
+            }
+            Event::Unanswered(CommandId::PrePosition) if self.own.jog.is_on() && !self.stands() => {
+                self.own.fast_stop(Cause::ConnectionLost, 0);
+            }
+            Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, Cause::Unanswered),
+            Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, Cause::Withdrawn),
+            // A jog ends in IDLE even if the gripper reports its error as a state (fieldbus, 6.7).
+            Event::Reported(Value::GetGripperState(GripperState::Error)) if self.own.jog.failed => {}
+            Event::Reported(Value::GetGripperState(_)) => self.own.settled = None,
+            Event::Reported(Value::GetSystemState(flags)) => {
+                self.own.supervise_fast_stop(*flags);
+                self.show_held_back();
+            }
+            // Pending and late answers, and reports of values that are only displayed.
+            _ => {}
+        }
+    }
+
+    /// Returns whether the gripper has reported its fingers at rest and has received no motion since.
+    fn stands(&self) -> bool {
+        self.own.unseen == Unseen::No && self.known.flags.is_some() && !self.known.is_moving()
+    }
+
+    fn begin_lowest(&mut self, rising: CommandFlags, image: &OutputImage, may_begin: bool) {
+        let Some(lowest) = rising.lowest() else { return };
+        if !self.own.jog.is_on() {
+            // The JOG flags have the highest bits and lose against any motion.
+            self.own.jog.disarm(self.own.image.as_ref());
+        }
+        if self.refuses(lowest) {
+            return;
+        }
+        if !may_begin {
+            let is_locked = self.known.flags.unwrap_or_default().intersects(SystemFlags::LOCKS);
+            let status = if is_locked { Status::AccessDenied } else { Status::AlreadyRunning };
+            return self.own.show(status, Cause::NotReady);
+        }
+        if lowest == CommandFlags::HOMING {
+            return self.begin_motion(Command::Homing { direction: HomingDirection::Default }, None);
+        }
+        let (width, speed) = (image.width_mm(), image.speed_mm_s());
+        let force = image.force_limit_n(force_unit(self.known));
+        if lowest == CommandFlags::MOVE && self.own.state(self.known.state) != GripperFlags::IDLE {
+            let is_held = self.own.state(self.known.state) == GripperFlags::HOLDING;
+            self.own.show(Status::AccessDenied, if is_held { Cause::PartHeld } else { Cause::NotIdle });
+        } else if !self.within_limits(speed, force) {
+            self.outside_limits(image);
+        } else {
+            let command = match lowest {
+                CommandFlags::GRIP => Command::GripPart { width, speed },
+                CommandFlags::RELEASE => Command::ReleasePart { width, speed },
+                _ => Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed },
+            };
+            self.begin_motion(command, (lowest == CommandFlags::GRIP).then_some(force));
+        }
+    }
+
+    /// Refuses a motion or jog that cannot start now. Returns whether it does.
+    fn refuses(&mut self, flags: CommandFlags) -> bool {
+        if !self.own.connected {
+            self.own.show(Status::IoError, Cause::NotConnected);
+        } else if self.is_fast_stopped() {
+            self.own.show(Status::AccessDenied, Cause::FastStopLasts);
+        } else if self.own.is_moving(self.known) {
+            self.own.refuse_beside_motion(flags);
+        } else {
+            return false;
+        }
+        true
+    }
+
+    /// Sends a motion, after its force limit unless the gripper is known to have it. A queued command may change the limit.
+    fn begin_motion(&mut self, command: Command<'static>, force: Option<f32>) {
+        let force = force.filter(|_| self.known.force_limit != force || !self.own.outgoing.is_empty());
+        let own = &mut *self.own;
+        if force.is_some() {
+            own.force_limits_open = own.force_limits_open.saturating_add(1);
+        }
+        own.send(force.map_or(command, |force| Command::SetForceLimit { force }));
+        own.motion = Some(Motion { command, awaits: force.map(|_| CommandId::SetForceLimit) });
+        (own.shown, own.status, own.refused) = (Some(command.id()), Status::CmdPending, None);
+        own.failed = false;
+        own.jog.failed = false;
+        own.settled = None;
+    }
+
+    /// Returns whether a speed in mm/s and a force in N are inside the gripper's limits. Unknown limits permit nothing.
+    fn within_limits(&self, speed: f32, force: f32) -> bool {
+        let Some(limits) = self.known.limits else { return false };
+        let overdrive = self.known.flags.unwrap_or_default().intersects(SystemFlags::OVERDRIVE_MODE);
+        let max_force = if overdrive { limits.overdrive_force } else { limits.nominal_force };
+        // The register value nearest to a limit is inside.
+        let inside = |value, from: f32, to: f32, half| (from - half..=to + half).contains(&value);
+        inside(speed, limits.min_speed, limits.max_speed, 0.005)
+            && inside(force, limits.min_force, max_force, 0.5 / force_unit(self.known).per_newton())
+    }
+}
+
 fn force_unit(known: &Known) -> ForceUnit {
     known.info.map_or(ForceUnit::default(), |info| ForceUnit::of(info.device))
-}
-
-// Not inlined: it has many callers.
-#[inline(never)]
-fn has_flag(known: &Known, any_of: SystemFlags) -> bool {
-    known.flags.is_some_and(|flags| flags.intersects(any_of))
-}
-
-/// Returns whether a speed in mm/s and a force in N are inside the gripper's limits. Unknown limits permit nothing.
-fn within_limits(speed: f32, force: f32, known: &Known) -> bool {
-    let Some(SystemLimits { min_speed, max_speed, min_force, nominal_force, overdrive_force, .. }) =
-        known.limits
-    else {
-        return false;
-    };
-    let overdrive = has_flag(known, SystemFlags::OVERDRIVE_MODE);
-    let max_force = if overdrive { overdrive_force } else { nominal_force };
-    // The register value nearest to a limit is inside.
-    let inside =
-        |value: f32, from: f32, to: f32, half_step: f32| value >= from - half_step && value <= to + half_step;
-    inside(speed, min_speed, max_speed, 0.005)
-        && inside(force, min_force, max_force, 0.5 / force_unit(known).per_newton())
 }
 
 #[cfg(test)]

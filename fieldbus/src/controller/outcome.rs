@@ -1,7 +1,7 @@
 //! Outcomes of commands: which motion or command an answer belongs to, and what it changes.
 
 use super::fast_stop::FastStop;
-use super::{Controller, Motion, Unseen, has_flag};
+use super::{Controller, Informed, Motion, Unseen};
 use crate::Cause;
 use wsg_protocol::command::{Command, CommandId, Kind};
 use wsg_protocol::reply::{Reply, Value};
@@ -25,30 +25,13 @@ impl Controller {
             CommandId::Acknowledge => {
                 self.acknowledgements_open = self.acknowledgements_open.saturating_sub(1);
                 if self.acknowledgements_open == 0 && self.fast_stop == FastStop::Undone {
-                    self.fast_stop = FastStop::Requested;
+                    self.fast_stop = FastStop::Requested { again: false };
                     self.send(Command::FastStop);
                 }
             }
             CommandId::SetForceLimit => self.force_limits_open = self.force_limits_open.saturating_sub(1),
             _ => {}
         }
-    }
-
-    /// Tracks whether the reports cover the last motion.
-    pub(super) fn note_motion(&mut self, event: &Event<'_>, known: &Known) {
-        let is_motion = |id: CommandId| id.kind() == Kind::Motion;
-        let reports_state = |id| matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
-        self.unseen = match event {
-            Event::Pending(id) if is_motion(*id) => Unseen::Begun,
-            Event::Unanswered(id) if is_motion(*id) && !self.stands(known) => Unseen::Begun,
-            Event::Withdrawn(id) if is_motion(*id) => Unseen::No,
-            Event::Answered(reply) if is_motion(reply.id()) => Unseen::No,
-            Event::Answered(reply) if self.unseen == Unseen::Begun && reports_state(reply.id()) => Unseen::No,
-            Event::Reported(value) if self.unseen == Unseen::Begun && reports_state(value.id()) => Unseen::No,
-            // The states were queried after the motion.
-            Event::Connected => Unseen::No,
-            _ => return,
-        };
     }
 
     /// Takes back a command that the session refused.
@@ -67,35 +50,7 @@ impl Controller {
             _ => (Status::InsufficientResources, Cause::Withdrawn),
         };
         // Known data matters only to a Stop, and a session refuses a Stop only without a connection.
-        self.came_to_nothing(id, status, cause, &Known::NOTHING);
-    }
-
-    pub(super) fn answered(&mut self, reply: &Reply<'_>, known: &Known) {
-        let (id, status) = (reply.id(), reply.status());
-        if let Some(Value::GetSystemState(flags)) = reply.value() {
-            self.supervise_fast_stop(flags);
-            return self.show_held_back(known);
-        }
-        if self.is_of_earlier_motion(id) {
-            return;
-        }
-        if let Some(motion) = self.motion.filter(|motion| motion.awaits == Some(id)) {
-            if let Some(Value::GetSoftLimits(limits)) = reply.value() {
-                self.jog_within(limits, known);
-            } else if status == Status::Success {
-                self.motion = Some(Motion { awaits: None, ..motion });
-                self.send(motion.command);
-            } else {
-                self.came_to_nothing(id, status, Cause::Gripper, known);
-            }
-            return;
-        }
-        let ends_motion = id == CommandId::Stop || self.is_result_of_motion(id);
-        if ends_motion && implied_state(id, status).is_some() && has_flag(known, SystemFlags::MOVING) {
-            self.held_back = Some((id, status));
-        } else {
-            self.show_outcome(id, status, known);
-        }
+        Informed { own: self, known: &Known::NOTHING }.came_to_nothing(id, status, cause);
     }
 
     /// Returns whether this answer is the result of the motion.
@@ -109,72 +64,122 @@ impl Controller {
         let is_unsent = |motion: Motion| motion.awaits.is_some() && id == motion.command.id();
         self.motion.is_some_and(is_unsent) || (id == CommandId::SetForceLimit && self.force_limits_open > 0)
     }
+}
 
-    pub(super) fn show_held_back(&mut self, known: &Known) {
-        if let Some((id, status)) = self.held_back.take() {
-            self.show_outcome(id, status, known);
+impl Informed<'_> {
+    /// Tracks whether the reports cover the last motion.
+    pub(super) fn note_motion(&mut self, event: &Event<'_>) {
+        let is_motion = |id: CommandId| id.kind() == Kind::Motion;
+        let is_begun = self.own.unseen == Unseen::Begun;
+        let covers = |id| is_begun && matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
+        self.own.unseen = match event {
+            Event::Pending(id) if is_motion(*id) => Unseen::Begun,
+            Event::Unanswered(id) if is_motion(*id) && !self.stands() => Unseen::Begun,
+            Event::Withdrawn(id) if is_motion(*id) => Unseen::No,
+            Event::Answered(reply) if is_motion(reply.id()) || covers(reply.id()) => Unseen::No,
+            Event::Reported(value) if covers(value.id()) => Unseen::No,
+            // The states were queried after the motion.
+            Event::Connected => Unseen::No,
+            _ => return,
+        };
+    }
+
+    pub(super) fn answered(&mut self, reply: &Reply<'_>) {
+        let (id, status) = (reply.id(), reply.status());
+        if let Some(Value::GetSystemState(flags)) = reply.value() {
+            self.own.supervise_fast_stop(flags);
+            return self.show_held_back();
+        }
+        if self.own.is_of_earlier_motion(id) {
+            return;
+        }
+        if let Some(motion) = self.own.motion.filter(|motion| motion.awaits == Some(id)) {
+            if let Some(Value::GetSoftLimits(limits)) = reply.value() {
+                self.jog_within(limits);
+            } else if status == Status::Success {
+                self.own.motion = Some(Motion { awaits: None, ..motion });
+                self.own.send(motion.command);
+            } else {
+                self.came_to_nothing(id, status, Cause::Gripper);
+            }
+            return;
+        }
+        let ends_motion = id == CommandId::Stop || self.own.is_result_of_motion(id);
+        if ends_motion
+            && implied_state(id, status).is_some()
+            && self.known.flags.unwrap_or_default().intersects(SystemFlags::MOVING)
+        {
+            self.own.held_back = Some((id, status));
+        } else {
+            self.show_outcome(id, status);
+        }
+    }
+
+    pub(super) fn show_held_back(&mut self) {
+        if let Some((id, status)) = self.own.held_back.take() {
+            self.show_outcome(id, status);
         }
     }
 
     /// Shows the outcome of a command to the PLC.
-    fn show_outcome(&mut self, id: CommandId, status: Status, known: &Known) {
-        let is_result = self.is_result_of_motion(id);
-        if is_result && self.jog_meets_soft_limit(status) {
+    fn show_outcome(&mut self, id: CommandId, status: Status) {
+        let own = &mut *self.own;
+        let (is_result, is_shown) = (own.is_result_of_motion(id), own.shown == Some(id));
+        if is_result && own.jog_meets_soft_limit(status) {
             return;
         }
+        let implied = implied_state(id, status);
         // NO_PART is a result, not an error.
-        if (is_result || self.shown == Some(id)) && implied_state(id, status).is_none() {
-            self.note(Cause::Gripper, Some(id), status.code());
+        if (is_result || is_shown) && implied.is_none() {
+            own.note(Cause::Gripper, Some(id), status.code());
         }
         if is_result {
-            if self.jog.is_on() {
-                return self.end_jog(status);
+            if own.jog.is_on() {
+                return own.end_jog(status);
             }
-            self.motion = None;
-            self.settled = implied_state(id, status);
-            self.failed = self.settled.is_none();
-            self.status = status;
+            own.motion = None;
+            own.settled = implied;
+            own.failed = implied.is_none();
+            own.status = status;
             return;
         }
-        match (id, status, self.fast_stop) {
-            (CommandId::Stop, Status::Success, _) => self.settled = implied_state(id, status),
-            (CommandId::FastStop, Status::Success, FastStop::Requested | FastStop::RequestedTwice) => {
-                return self.fast_stop_answered();
-            }
+        match (id, own.fast_stop) {
+            _ if status != Status::Success => {}
+            (CommandId::Stop, _) => own.settled = implied,
+            (CommandId::FastStop, FastStop::Requested { .. }) => return own.fast_stop_answered(),
             // A FAST STOP requested in the meantime stays in effect, regardless of the order of the two answers.
-            (CommandId::Acknowledge, Status::Success, FastStop::Acknowledged | FastStop::Clear) => {
-                self.fast_stop = FastStop::Clear;
-                self.settled = implied_state(id, status);
+            (CommandId::Acknowledge, FastStop::Acknowledged | FastStop::Clear) => {
+                own.fast_stop = FastStop::Clear;
+                own.settled = implied;
             }
             _ => {}
         }
-        if self.shown == Some(id) {
-            self.status = status;
+        if is_shown {
+            own.status = status;
         }
-        self.jog_stopped(id, status, known);
+        self.jog_stopped(id, status);
     }
 
     /// Handles a command that was not carried out, or whose outcome is unknown.
-    pub(super) fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause, known: &Known) {
-        if self.is_of_earlier_motion(id) {
+    pub(super) fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause) {
+        let own = &mut *self.own;
+        if own.is_of_earlier_motion(id) {
             return;
         }
         let of_motion =
-            self.motion.is_some_and(|motion| id == motion.command.id() || motion.awaits == Some(id));
-        if of_motion || self.shown == Some(id) {
-            self.note(cause, Some(id), if cause == Cause::Gripper { status.code() } else { 0 });
-        }
-        if of_motion && self.jog.is_on() {
-            return self.end_jog(status);
+            own.motion.is_some_and(|motion| id == motion.command.id() || motion.awaits == Some(id));
+        if of_motion || own.shown == Some(id) {
+            own.note(cause, Some(id), if cause == Cause::Gripper { status.code() } else { 0 });
+            if of_motion && own.jog.is_on() {
+                return own.end_jog(status);
+            }
+            own.status = status;
         }
         if of_motion {
-            self.motion = None;
-            self.failed = true;
+            own.motion = None;
+            own.failed = true;
         }
-        if of_motion || self.shown == Some(id) {
-            self.status = status;
-        }
-        self.jog_stopped(id, status, known);
+        self.jog_stopped(id, status);
     }
 }
 

@@ -5,7 +5,7 @@ use std::vec;
 use std::vec::Vec;
 use wsg_protocol::reply::Reply;
 use wsg_protocol::session::{Known, RequestError};
-use wsg_protocol::types::{AutoUpdate, DeviceType, FirmwareVersion, SystemInfo};
+use wsg_protocol::types::{AutoUpdate, DeviceType, FirmwareVersion, SystemInfo, SystemLimits};
 
 const LIMITS: SystemLimits = SystemLimits {
     stroke: 110.0,
@@ -29,6 +29,9 @@ const FORCE: Command<'static> = Command::SetForceLimit { force: 40.0 };
 const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Default };
 const FLAGS: Command<'static> = Command::GetSystemState { update: AutoUpdate::once() };
 
+const MOVING: SystemFlags = SystemFlags::REFERENCED.union(SystemFlags::MOVING);
+const FAST_STOPPED: SystemFlags = SystemFlags::REFERENCED.union(SystemFlags::FAST_STOP);
+
 struct Plc {
     controller: Controller,
     known: Known,
@@ -46,6 +49,22 @@ impl Plc {
     fn with_first_image(image: OutputImage) -> Self {
         let mut plc = Self { controller: Controller::new(), known: Known::NOTHING, image };
         plc.write(|_| {});
+        plc
+    }
+
+    /// Returns a PLC whose FASTSTOP is 1, after the gripper has confirmed the FAST STOP.
+    fn fast_stopped() -> Self {
+        let mut plc = Self::ready();
+        plc.raise(CommandFlags::FASTSTOP);
+        plc.confirm_fast_stop();
+        plc
+    }
+
+    /// Returns a PLC whose GRIP is 1, after the gripper has gripped a part.
+    fn holding() -> Self {
+        let mut plc = Self::ready();
+        plc.grip();
+        plc.answer(CommandId::GripPart, Status::Success);
         plc
     }
 
@@ -85,9 +104,7 @@ impl Plc {
 
     /// Returns a PLC after a confirmed FAST STOP: FASTSTOP is 0 again, STOP/ACK is 1, and the acknowledgement has been sent.
     fn acknowledging_a_fast_stop() -> Self {
-        let mut plc = Self::ready();
-        plc.raise(CommandFlags::FASTSTOP);
-        plc.confirm_fast_stop();
+        let mut plc = Self::fast_stopped();
         plc.lower(CommandFlags::FASTSTOP);
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
         plc
@@ -106,6 +123,12 @@ impl Plc {
         self.commands()
     }
 
+    /// Reports that the answer to a Stop is late.
+    fn stop_is_late(&mut self) -> Vec<Command<'static>> {
+        self.controller.handle(&Event::Late(CommandId::Stop), &self.known);
+        self.commands()
+    }
+
     /// Reports the start of a motion: E_CMD_PENDING.
     fn begins(&mut self, id: CommandId) {
         self.controller.handle(&Event::Pending(id), &self.known);
@@ -119,7 +142,7 @@ impl Plc {
     /// Answers a FAST STOP and the query of the flags that follows it.
     fn confirm_fast_stop(&mut self) {
         assert_eq!(self.answer(CommandId::FastStop, Status::Success), [FLAGS]);
-        self.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        self.answer_flags(FAST_STOPPED);
     }
 
     /// Answers an acknowledgement with success.
@@ -223,7 +246,7 @@ fn stop_and_acknowledgement_that_are_not_answered_show_e_timeout() {
     assert_eq!(plc.shows().1, Status::Timeout);
 
     let mut plc = Plc::ready();
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.report_flags(FAST_STOPPED);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
     plc.controller.handle(&Event::Unanswered(CommandId::Acknowledge), &plc.known);
     assert_eq!(plc.shows().1, Status::Timeout);
@@ -239,9 +262,7 @@ fn grip_without_a_part_shows_no_part_and_e_cmd_failed() {
 
 #[test]
 fn part_that_goes_while_held_is_shown_lost() {
-    let mut plc = Plc::ready();
-    plc.grip();
-    plc.answer(CommandId::GripPart, Status::Success);
+    let mut plc = Plc::holding();
     plc.report(GripperState::PartLost);
     assert_eq!(plc.shows(), (GripperFlags::PART_LOST, Status::Success));
 }
@@ -327,9 +348,7 @@ fn stop_beats_a_motion_that_rises_with_it() {
 
 #[test]
 fn stop_while_holding_ends_in_idle() {
-    let mut plc = Plc::ready();
-    plc.grip();
-    plc.answer(CommandId::GripPart, Status::Success);
+    let mut plc = Plc::holding();
     plc.report(GripperState::Holding);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
     plc.answer(CommandId::Stop, Status::Success);
@@ -368,7 +387,7 @@ fn fast_stop_shows_idle_and_the_flag_and_is_left_by_an_acknowledgement_only() {
     plc.confirm_fast_stop();
     plc.report(GripperState::Error);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
-    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    assert!(plc.is_fast_stopped());
 
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [], "FASTSTOP is still 1");
     assert_eq!(plc.lower(CommandFlags::FASTSTOP), [], "STOP/ACK is 1 but does not rise");
@@ -405,9 +424,7 @@ fn fast_stop_at_power_up_locks_motion_until_it_is_acknowledged() {
 /// Fieldbus, 6.6.
 #[test]
 fn fast_stop_flag_that_disappears_while_faststop_is_1_is_answered_with_fast_stop_each_time() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
+    let mut plc = Plc::fast_stopped();
     for times in 0..3 {
         plc.report_flags(SystemFlags::REFERENCED);
         assert!(plc.is_fast_stopped());
@@ -462,7 +479,7 @@ fn held_part_is_not_shown_again_after_a_fast_stop() {
             plc.confirm_fast_stop();
             plc.lower(CommandFlags::FASTSTOP);
         } else {
-            plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+            plc.report_flags(FAST_STOPPED);
         }
         plc.report_flags(SystemFlags::REFERENCED);
         assert_eq!(
@@ -475,9 +492,7 @@ fn held_part_is_not_shown_again_after_a_fast_stop() {
 
 #[test]
 fn third_party_that_acknowledges_after_faststop_is_0_again_unlocks_motion() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
+    let mut plc = Plc::fast_stopped();
     plc.lower(CommandFlags::FASTSTOP);
     assert!(plc.is_fast_stopped());
 
@@ -499,7 +514,7 @@ fn fast_stop_that_the_gripper_has_not_confirmed_cannot_be_acknowledged() {
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [], "its flags do not show it yet");
-    plc.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.answer_flags(FAST_STOPPED);
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
 }
@@ -509,7 +524,7 @@ fn fast_stop_that_the_flags_of_the_gripper_do_not_show_is_given_again() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
-    assert_eq!(plc.answer_flags(SystemFlags::REFERENCED | SystemFlags::MOVING), [Command::FastStop]);
+    assert_eq!(plc.answer_flags(MOVING), [Command::FastStop]);
     plc.confirm_fast_stop();
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
 }
@@ -520,7 +535,7 @@ fn fast_stop_that_was_answered_without_a_connection_is_confirmed_by_the_flags_of
     plc.raise(CommandFlags::FASTSTOP);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
     plc.controller.refused(CommandId::GetSystemState, RequestError::NotConnected);
-    plc.connect_with(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.connect_with(FAST_STOPPED);
     plc.lower(CommandFlags::FASTSTOP);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
 }
@@ -530,9 +545,7 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
     for answers in
         [[CommandId::FastStop, CommandId::Acknowledge], [CommandId::Acknowledge, CommandId::FastStop]]
     {
-        let mut plc = Plc::ready();
-        plc.raise(CommandFlags::FASTSTOP);
-        plc.confirm_fast_stop();
+        let mut plc = Plc::fast_stopped();
         plc.lower(CommandFlags::FASTSTOP);
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
         plc.lower(CommandFlags::STOP_ACK);
@@ -543,10 +556,10 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
             assert_eq!((first, second), (vec![], vec![Command::FastStop]));
             assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
         }
-        plc.answer_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        plc.answer_flags(FAST_STOPPED);
         plc.lower(CommandFlags::FASTSTOP);
         assert_eq!(plc.raise(CommandFlags::MOVE), [], "{answers:?}");
-        assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+        assert!(plc.is_fast_stopped());
         plc.lower(CommandFlags::MOVE);
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
         plc.acknowledged();
@@ -569,22 +582,18 @@ fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_ack
 fn fast_stop_ends_when_the_flag_disappears_after_an_acknowledgement_even_if_the_answer_was_an_error() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.report_flags(SystemFlags::REFERENCED);
-    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP), "not answered yet");
+    assert!(plc.is_fast_stopped(), "not answered yet");
     plc.answer(CommandId::Acknowledge, Status::AccessDenied);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
-    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    plc.report_flags(FAST_STOPPED);
+    assert!(plc.is_fast_stopped());
     plc.report_flags(SystemFlags::REFERENCED);
-    assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    assert!(!plc.is_fast_stopped());
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
 }
 
 #[test]
 fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_reported_at_rest_after_the_motion() {
-    let late = |plc: &mut Plc| {
-        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
-        plc.commands()
-    };
     for begins in [false, true] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
@@ -594,14 +603,14 @@ fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_reported_at_res
             plc.begins(CommandId::PrePosition);
         }
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
-        assert_eq!(late(&mut plc), [Command::FastStop], "started: {begins}");
+        assert_eq!(plc.stop_is_late(), [Command::FastStop], "started: {begins}");
     }
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     plc.begins(CommandId::PrePosition);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
     plc.report_flags(SystemFlags::REFERENCED);
-    assert_eq!(late(&mut plc), []);
+    assert_eq!(plc.stop_is_late(), []);
 }
 
 /// Lists the events that prove the fingers at rest after a motion. Without one, a late Stop becomes a FAST STOP.
@@ -655,8 +664,7 @@ fn only_a_report_sent_after_a_motion_proves_the_fingers_at_rest() {
             plc.controller.handle(&event, &plc.known);
         }
         plc.commands();
-        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
-        assert_eq!(plc.commands() == [Command::FastStop], is_fast_stop, "{what}");
+        assert_eq!(plc.stop_is_late() == [Command::FastStop], is_fast_stop, "{what}");
     }
 }
 
@@ -666,8 +674,7 @@ fn switching_a_finger_supply_is_no_motion() {
     let supply = CommandId::Finger1Power;
     plc.controller.handle(&Event::Pending(supply), &plc.known);
     plc.controller.handle(&Event::Unanswered(supply), &plc.known);
-    plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
-    assert_eq!(plc.commands(), []);
+    assert_eq!(plc.stop_is_late(), []);
 }
 
 #[test]
@@ -680,30 +687,24 @@ fn acknowledgement_sent_before_a_disconnect_is_not_awaited() {
     plc.confirm_fast_stop();
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
     plc.acknowledged();
-    assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    assert!(!plc.is_fast_stopped());
 }
 
 #[test]
 fn motion_refused_by_the_session_leaves_only_an_earlier_motion_in_doubt() {
-    let late = |plc: &mut Plc| {
-        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
-        plc.commands()
-    };
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning);
-    assert_eq!(late(&mut plc), [Command::FastStop], "an earlier one may be the reason");
+    assert_eq!(plc.stop_is_late(), [Command::FastStop], "an earlier one may be the reason");
 
     let mut plc = Plc::ready();
     plc.controller.refused(CommandId::SetForceLimit, RequestError::QueueFull);
-    assert_eq!(late(&mut plc), [], "there is no motion");
+    assert_eq!(plc.stop_is_late(), [], "there is no motion");
 }
 
 #[test]
 fn acknowledgement_that_overtakes_another_keeps_the_fast_stop_until_both_are_answered() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
+    let mut plc = Plc::fast_stopped();
     plc.lower(CommandFlags::FASTSTOP);
     for _ in 0..2 {
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
@@ -711,16 +712,14 @@ fn acknowledgement_that_overtakes_another_keeps_the_fast_stop_until_both_are_ans
     }
     plc.controller.handle(&Event::Withdrawn(CommandId::Acknowledge), &plc.known);
     plc.report_flags(SystemFlags::REFERENCED);
-    assert!(plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    assert!(plc.is_fast_stopped());
     plc.answer(CommandId::Acknowledge, Status::Success);
-    assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+    assert!(!plc.is_fast_stopped());
 }
 
 #[test]
 fn fast_stop_is_repeated_to_a_gripper_that_returns() {
-    let mut plc = Plc::ready();
-    plc.raise(CommandFlags::FASTSTOP);
-    plc.confirm_fast_stop();
+    let mut plc = Plc::fast_stopped();
     plc.disconnect();
     assert_eq!(plc.commands(), [Command::FastStop], "the session keeps it until the gripper answers");
     plc.connect();
@@ -731,7 +730,7 @@ fn fast_stop_is_repeated_to_a_gripper_that_returns() {
 #[test]
 fn fast_stop_of_the_gripper_itself_is_acknowledged_in_the_same_way() {
     let mut plc = Plc::ready();
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.report_flags(FAST_STOPPED);
     assert_eq!(plc.raise(CommandFlags::MOVE), []);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AccessDenied));
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
@@ -748,7 +747,7 @@ fn parameter_that_changes_while_the_fingers_move_is_a_fast_stop() {
         assert_eq!(plc.write(change), [Command::FastStop]);
     }
     let mut plc = Plc::ready();
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     assert_eq!(plc.write(changes[0]), [Command::FastStop], "moved by another party");
 }
 
@@ -787,7 +786,7 @@ fn parameters_at_the_limits_are_inside() {
         plc.write(|image| (image.speed, image.force_limit) = (speed, force_limit));
         assert_eq!(plc.raise(CommandFlags::MOVE).len(), 1);
         assert_ne!(plc.shows().1, Status::Success);
-        assert!(!plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP));
+        assert!(!plc.is_fast_stopped());
     }
 }
 
@@ -828,7 +827,7 @@ fn second_motion_while_one_runs_is_refused_and_the_first_still_ends() {
 #[test]
 fn motion_while_the_fingers_move_by_themselves_is_refused_for_good() {
     let mut plc = Plc::ready();
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     assert_eq!(plc.raise(CommandFlags::MOVE), []);
     assert_eq!(plc.lower(CommandFlags::MOVE), []);
     assert_eq!(plc.shows().1, Status::AlreadyRunning);
@@ -836,9 +835,7 @@ fn motion_while_the_fingers_move_by_themselves_is_refused_for_good() {
 
 #[test]
 fn move_is_refused_while_a_part_is_held() {
-    let mut plc = Plc::ready();
-    plc.grip();
-    plc.answer(CommandId::GripPart, Status::Success);
+    let mut plc = Plc::holding();
     plc.lower(CommandFlags::GRIP);
     assert_eq!(plc.raise(CommandFlags::MOVE), []);
     assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::AccessDenied));
@@ -899,9 +896,7 @@ fn disconnected_gripper_shows_as_an_error_regardless_of_its_last_state() {
     plc.connect();
     assert_eq!(plc.shows().1, Status::Success, "again");
 
-    let mut plc = Plc::ready();
-    plc.grip();
-    plc.answer(CommandId::GripPart, Status::Success);
+    let mut plc = Plc::holding();
     plc.report(GripperState::Holding);
     plc.disconnect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError), "while it held a part");
@@ -910,8 +905,7 @@ fn disconnected_gripper_shows_as_an_error_regardless_of_its_last_state() {
     plc.raise(CommandFlags::FASTSTOP);
     plc.disconnect();
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError));
-    let system = plc.controller.input(&plc.known).system;
-    assert!(system.contains(SystemFlags::FAST_STOP), "still in effect");
+    assert!(plc.is_fast_stopped(), "still in effect");
 }
 
 #[test]
@@ -929,7 +923,7 @@ fn motion_whose_outcome_is_not_known_shows_error_and_e_timeout() {
 fn motion_that_is_given_up_with_the_connection_is_no_fast_stop() {
     let mut plc = Plc::ready();
     plc.grip();
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     plc.known = Known::NOTHING;
     plc.controller.handle(&Event::Unanswered(CommandId::GripPart), &plc.known);
     plc.disconnect();
@@ -968,7 +962,7 @@ fn success_shows_together_with_the_report_that_the_fingers_stand() {
     let mut plc = Plc::ready();
     plc.grip();
     plc.report(GripperState::Gripping);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     plc.answer(CommandId::GripPart, Status::Success);
     assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending), "not yet");
     plc.report_flags(SystemFlags::REFERENCED);
@@ -985,7 +979,7 @@ fn success_shows_together_with_the_report_that_the_fingers_stand() {
 fn failure_shows_at_once_even_while_the_fingers_are_reported_to_move() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     plc.answer(CommandId::PrePosition, Status::AxisBlocked);
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::AxisBlocked));
 }
@@ -994,7 +988,7 @@ fn failure_shows_at_once_even_while_the_fingers_are_reported_to_move() {
 fn success_that_is_held_back_is_not_lost_with_the_connection() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     plc.answer(CommandId::PrePosition, Status::Success);
     plc.disconnect();
     plc.connect();
@@ -1005,10 +999,10 @@ fn success_that_is_held_back_is_not_lost_with_the_connection() {
 fn fast_stop_wins_over_a_success_that_is_held_back() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     plc.answer(CommandId::PrePosition, Status::Success);
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.report_flags(FAST_STOPPED);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdPending));
 }
 
@@ -1099,15 +1093,11 @@ fn force_limit_that_was_never_handed_over_is_not_waited_for() {
 
 #[test]
 fn stop_that_is_late_becomes_a_fast_stop_unless_the_fingers_stand() {
-    for (flags, becomes) in [
-        (SystemFlags::REFERENCED | SystemFlags::MOVING, vec![Command::FastStop]),
-        (SystemFlags::REFERENCED, vec![]),
-    ] {
+    for (flags, becomes) in [(MOVING, vec![Command::FastStop]), (SystemFlags::REFERENCED, vec![])] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
         plc.report_flags(flags);
-        plc.controller.handle(&Event::Late(CommandId::Stop), &plc.known);
-        assert_eq!(plc.commands(), becomes);
+        assert_eq!(plc.stop_is_late(), becomes);
     }
 }
 
@@ -1121,7 +1111,7 @@ fn after_a_reset(flags: SystemFlags, state: GripperState) -> Plc {
 
 #[test]
 fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
-    let mut plc = after_a_reset(SystemFlags::REFERENCED | SystemFlags::MOVING, GripperState::Positioning);
+    let mut plc = after_a_reset(MOVING, GripperState::Positioning);
     assert_eq!(plc.commands(), [Command::Stop]);
     plc.controller.adopt_known(&plc.known);
     assert_eq!(plc.commands(), [], "sent only once");
@@ -1137,7 +1127,7 @@ fn gripper_that_holds_a_part_at_the_first_contact_keeps_it() {
     assert_eq!(plc.commands(), []);
     plc.connect();
     plc.controller.adopt_known(&plc.known);
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     plc.controller.adopt_known(&plc.known);
     assert_eq!(plc.commands(), [], "a later motion has another reason");
 }
@@ -1188,7 +1178,7 @@ fn motions_are_ignored_while_stop_or_fast_stop_is_set_and_while_the_fingers_move
         assert!(plc.controller.ignores_motions(&plc.known), "{flag:?}");
         plc.lower(flag);
     }
-    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+    plc.report_flags(MOVING);
     assert!(plc.controller.ignores_motions(&plc.known));
 }
 
@@ -1202,7 +1192,6 @@ fn incident(cause: Cause, command: Option<CommandId>, value: u16) -> Vec<Inciden
 
 #[test]
 fn every_fast_stop_reports_its_cause() {
-    let moving = SystemFlags::REFERENCED | SystemFlags::MOVING;
     type Act = fn(&mut Plc);
     let acts: [(Act, Cause, Option<CommandId>, u16); 8] = [
         (|plc| drop(plc.raise(CommandFlags::FASTSTOP)), Cause::Flag, Some(CommandId::PrePosition), 0),
@@ -1266,13 +1255,11 @@ fn every_fast_stop_reports_its_cause() {
     for (number, (act, cause, command, value)) in acts.into_iter().enumerate() {
         let mut plc = Plc::ready();
         plc.raise(CommandFlags::MOVE);
-        plc.report_flags(moving);
+        plc.report_flags(MOVING);
         assert_eq!(incidents(&mut plc), [], "{number}");
         act(&mut plc);
         assert_eq!(incidents(&mut plc), incident(cause, command, value), "{number}");
-        assert!(
-            cause.is_fast_stop() && plc.controller.input(&plc.known).system.contains(SystemFlags::FAST_STOP)
-        );
+        assert!(cause.is_fast_stop() && plc.is_fast_stopped());
     }
 }
 
@@ -1324,9 +1311,7 @@ fn every_failed_command_reports_its_cause() {
     plc.raise(CommandFlags::MOVE);
     assert_eq!(refusals(&mut plc), incident(Cause::FastStopLasts, None, 0));
 
-    let mut plc = Plc::ready();
-    plc.grip();
-    plc.answer(CommandId::GripPart, Status::Success);
+    let mut plc = Plc::holding();
     plc.lower(CommandFlags::GRIP);
     plc.raise(CommandFlags::MOVE);
     assert_eq!(refusals(&mut plc), incident(Cause::PartHeld, None, 0));
@@ -1336,7 +1321,7 @@ fn every_failed_command_reports_its_cause() {
     plc.controller.set_output_refusing_motions(&plc.image, &plc.known);
     assert_eq!(refusals(&mut plc), incident(Cause::NotReady, None, 0));
 
-    let mut plc = after_a_reset(SystemFlags::REFERENCED | SystemFlags::MOVING, GripperState::Positioning);
+    let mut plc = after_a_reset(MOVING, GripperState::Positioning);
     assert_eq!(refusals(&mut plc), incident(Cause::MovedAtStart, None, 0));
 }
 

@@ -17,7 +17,7 @@ impl Plc {
         assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
         assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [PLUS]);
         plc.begins(CommandId::PrePosition);
-        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+        plc.report_flags(MOVING);
         plc
     }
 
@@ -549,7 +549,7 @@ fn silence_of_the_plc_during_a_disconnect_queues_a_fast_stop_for_fingers_that_ma
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::MOVE).len(), 1);
         plc.begins(CommandId::PrePosition);
-        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::MOVING);
+        plc.report_flags(MOVING);
         if ends {
             plc.answer(CommandId::PrePosition, Status::Success);
             plc.known = Known::NOTHING;
