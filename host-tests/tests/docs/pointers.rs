@@ -97,6 +97,7 @@ fn environment_variables_are_known_to_the_code() {
     // Constants of the C library have the same prefix.
     let code = [
         "xtask/src/main.rs",
+        "xtask/src/commands.rs",
         "xtask/src/firmware.rs",
         "host-tests/document/src/lib.rs",
         "bindings/c/include/wsg.h",
