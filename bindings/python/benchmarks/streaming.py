@@ -28,10 +28,12 @@ Times = numpy.ndarray[tuple[int], numpy.dtype[numpy.float64]]
 
 SLEEP = f"""
 import time
+times = []
 begin = time.perf_counter()
 for tick in range(int({SECONDS * RATE})):
     time.sleep(max(0, begin + tick / {RATE} - time.perf_counter()))
-    print(time.perf_counter())
+    times.append(time.perf_counter())
+print(*times)
 """
 
 
@@ -84,7 +86,7 @@ def main() -> None:
                     report("stream", received(gripper))
                     ended.set()
                     assert sleeping.stdout is not None
-                    report("sleep", numpy.array([float(line) for line in sleeping.stdout]))
+                    report("sleep", numpy.array([float(word) for word in sleeping.stdout.read().split()]))
             simulator.terminate()
     thread.join()
 
