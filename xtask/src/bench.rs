@@ -3,9 +3,9 @@
 use std::{collections::BTreeMap, fs, process::Command};
 
 use anyhow::{Context, Result, ensure};
+use boards::{BOARDS, Board, MACHINE};
 
 use crate::{
-    board::{BOARDS, Board, MACHINE},
     gate::{Gate, Unit},
     probe::Profile,
     process,

@@ -3,9 +3,9 @@
 use std::{env, ffi::OsString, process::ExitStatus};
 
 use anyhow::{Context, Result, ensure};
+use boards::Board;
 
 use crate::{
-    board::Board,
     firmware::{self, IMAGE_VARIABLE, Image},
     platforms, process, setup,
     tool::{

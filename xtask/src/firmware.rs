@@ -6,10 +6,10 @@ use std::{
 };
 
 use anyhow::{Context, Result};
+use boards::{BOARDS, Board};
 use sha2::{Digest, Sha256};
 
 use crate::{
-    board::{BOARDS, Board},
     process,
     settings::{self, Change},
     setup::ThumbToolchain,

@@ -3,7 +3,6 @@
 //! Each command first installs its prerequisites. Every program that it runs is printed beforehand.
 
 mod bench;
-mod board;
 mod commands;
 mod figures;
 mod firmware;
@@ -33,9 +32,9 @@ use std::{
 };
 
 use anyhow::{Context, Result};
+use boards::Board;
 use clap::{Parser, Subcommand};
 
-use board::Board;
 use firmware::{Image, Variant};
 use matrix::Extent;
 use setup::ThumbToolchain;

@@ -3,9 +3,9 @@
 use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, bail, ensure};
+use boards::BOARDS;
 
 use crate::{
-    board::BOARDS,
     firmware,
     probe::Profile,
     process, public_functions,

@@ -114,8 +114,6 @@ fn path_of(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     fn functions(names: &[&str]) -> Functions {
@@ -139,35 +137,5 @@ mod tests {
 
         assert_eq!(missing(&of_crate, &of_probe), ["p::Driver::new", "p::Limits::push"]);
         assert_eq!(missing(&of_crate, &of_crate), [""; 0]);
-    }
-
-    #[test]
-    fn functions_written_in_the_crate_are_found_with_their_type() {
-        let function = |id: u32, name: &str, is_async: bool, line: u32| {
-            let function = json!({"header": {"is_async": is_async}});
-            json!({"id": id, "name": name, "attrs": [], "span": line, "inner": {"function": function}})
-        };
-        let implementation = |of: u32, of_trait: Value, items: Value, attrs: Value| {
-            let inner = json!({"for": {"resolved_path": {"id": of}}, "trait": of_trait, "items": items});
-            json!({"attrs": attrs, "span": 90, "inner": {"impl": inner}})
-        };
-        let found = of_rustdoc(&json!({
-            "paths": {"1": {"path": ["p", "update"]}, "2": {"path": ["p", "frame", "Parser"]}},
-            "index": {
-                "1": function(1, "update", false, 1),
-                "3": function(3, "push", false, 3),
-                "4": function(4, "wait", true, 4),
-                "5": function(5, "clone", false, 5),
-                "6": function(6, "bits", false, 90),
-                "7": function(7, "fmt", false, 7),
-                "8": function(8, "next", false, 8),
-                "10": implementation(2, json!(null), json!([3, 4, 6]), json!([])),
-                "11": implementation(2, json!({"path": "Clone"}), json!([5]), json!(["automatically_derived"])),
-                "12": implementation(2, json!({"path": "Flags"}), json!([]), json!([])),
-                "13": implementation(2, json!({"path": "Iterator"}), json!([7, 8]), json!([])),
-            },
-        }));
-
-        assert_eq!(found, functions(&["p::update", "p::frame::Parser::push", "p::frame::Parser::next"]));
     }
 }

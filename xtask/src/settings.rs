@@ -2,8 +2,7 @@
 
 use std::fmt;
 
-use anyhow::{Context, Result, anyhow, bail};
-use object::{Object, ObjectSection, ObjectSymbol, read::elf::ElfFile32};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use wsg_bridge_fw::{
     Config,
     registers::{Record, SETTINGS},
@@ -55,9 +54,10 @@ pub(crate) fn apply(elf: &mut [u8], changes: &[Change]) -> Result<()> {
     if changes.is_empty() {
         return Ok(());
     }
-    let offset = offset_of_record(elf)?;
-    let bytes =
-        elf.get_mut(offset..offset + 2 * SETTINGS.len()).context("the settings record is truncated")?;
+    let place = footprint::place_of(SYMBOL, elf).context("the image has no settings")?;
+    let bytes = elf.get_mut(place).context("the settings record is truncated")?;
+    let expected = 2 * SETTINGS.len();
+    ensure!(bytes.len() == expected, "the image has {} bytes of settings; expected {expected}", bytes.len());
     let words = bytes.as_chunks_mut::<2>().0;
     let record = std::array::from_fn(|n| u16::from_le_bytes(words[n]));
     for (word, value) in words.iter_mut().zip(changed(record, changes)?) {
@@ -79,22 +79,6 @@ fn changed(mut record: Record, changes: &[Change]) -> Result<Record> {
         Ok(_) => Ok(record),
         Err(wrong) => bail!("invalid value {}: {wrong}", record[wrong.at]),
     }
-}
-
-/// Returns the offset of the record in the file.
-fn offset_of_record(elf: &[u8]) -> Result<usize> {
-    let file = ElfFile32::<object::Endianness>::parse(elf)?;
-    let symbol = file
-        .symbol_by_name(SYMBOL)
-        .with_context(|| format!("the image has no settings: missing symbol {SYMBOL}"))?;
-    let len = 2 * SETTINGS.len() as u64;
-    if symbol.size() != len {
-        bail!("the image has {} bytes of settings; expected {len}", symbol.size());
-    }
-    let section =
-        file.section_by_index(symbol.section_index().context("the settings belong to no section")?)?;
-    let (start, _) = section.file_range().context("the settings are not in the file")?;
-    Ok(usize::try_from(start + (symbol.address() - section.address()))?)
 }
 
 #[cfg(test)]

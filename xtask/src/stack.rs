@@ -6,10 +6,10 @@
 use std::{fs, process::Command};
 
 use anyhow::{Context, Result, ensure};
+use boards::Board;
 use footprint::Program;
 
 use crate::{
-    board::Board,
     firmware::{self, Image},
     gate::Gate,
     process,

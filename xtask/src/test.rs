@@ -3,11 +3,10 @@
 use std::{ffi::OsString, num::NonZero, path::PathBuf, process::Command, thread, time::Instant};
 
 use anyhow::{Context, Result, ensure};
+use boards::{BOARDS, Board};
 
 use crate::{
-    bench,
-    board::{BOARDS, Board},
-    commands,
+    bench, commands,
     firmware::{self, Variant},
     gate,
     matrix::{self, Extent},

@@ -5,7 +5,6 @@
 mod api;
 mod archive;
 mod bitmap;
-mod board;
 mod book;
 mod device_archives;
 mod image;
@@ -21,7 +20,7 @@ use std::{
 };
 
 use anyhow::{Context, Result, ensure};
-use board::Board;
+use boards::Board;
 use clap::Parser;
 use document::root;
 use host_tests::device_files::GSD;
@@ -92,7 +91,7 @@ struct Folder {
     #[arg(long, value_name = "IMAGE")]
     elf: PathBuf,
     /// Board of the image
-    #[arg(long, value_name = "NAME", value_parser = Board::named, default_value = board::BOARDS[0].name)]
+    #[arg(long, value_name = "NAME", value_parser = Board::named, default_value = Board::default_name())]
     board: &'static Board,
     /// Builds the book and adds it
     #[arg(long)]

@@ -1,6 +1,6 @@
 //! Memory use of a Cortex-M image from its ELF file: flash, static RAM, and maximum stack depth.
 //!
-//! [`uf2`] converts the image for the RP2040.
+//! [`uf2`] converts the image for the RP2040, and [`place_of`] finds a symbol's bytes.
 //!
 //! The stack depth results from a walk over all calls. Every path counts as possible, and an indirect call as one of
 //! any function whose address is taken. Frame sizes come from the compiler's section `.stack_sizes`
@@ -15,5 +15,5 @@ mod uf2;
 
 pub use calls::Program;
 pub use graph::{Deepest, Path};
-pub use sections::{Footprint, Section, sections_of};
+pub use sections::{Footprint, Section, place_of, sections_of};
 pub use uf2::uf2;

@@ -1,8 +1,10 @@
 //! The sections of an image and their memory use.
 
-use anyhow::Result;
+use std::ops::Range;
+
+use anyhow::{Context, Result};
 use object::{
-    Object, ObjectSection, SectionFlags,
+    Object, ObjectSection, ObjectSymbol, SectionFlags,
     elf::{SHF_ALLOC, SHF_WRITE, SHT_NOBITS},
     read::elf::ElfFile32,
 };
@@ -82,6 +84,20 @@ pub fn sections_of(elf: &[u8]) -> Result<Vec<Section>> {
         });
     }
     Ok(sections)
+}
+
+/// Returns the place of a symbol's bytes in the file.
+///
+/// # Errors
+/// Fails when the file is not a 32-bit ELF file, or does not contain the symbol.
+pub fn place_of(symbol: &str, elf: &[u8]) -> Result<Range<usize>> {
+    let elf = ElfFile32::<object::Endianness>::parse(elf)?;
+    let found = elf.symbol_by_name(symbol).with_context(|| format!("missing symbol {symbol}"))?;
+    let section = found.section_index().with_context(|| format!("{symbol} belongs to no section"))?;
+    let section = elf.section_by_index(section)?;
+    let (start, _) = section.file_range().with_context(|| format!("{symbol} is not in the file"))?;
+    let start = usize::try_from(start + (found.address() - section.address()))?;
+    Ok(start..start + usize::try_from(found.size())?)
 }
 
 #[cfg(test)]

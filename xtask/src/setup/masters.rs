@@ -8,12 +8,13 @@ use std::{
 };
 
 use anyhow::{Context, Result};
+use boards::Board;
 
 use super::{
     apt::{self, Packages},
     installing_is_forbidden, obstacle_to_installing, report,
 };
-use crate::{board::Board, process, workspace::Workspace};
+use crate::{process, workspace::Workspace};
 
 /// Environment variables for the tests: the Python with the masters, and the folder of the npm packages.
 pub(crate) const PYTHON_VARIABLE: &str = "WSG_MODBUS_PYTHON";

@@ -10,6 +10,7 @@ mod rust_target;
 use std::process::Command;
 
 use anyhow::{Context, Result, bail, ensure};
+use boards::MACHINE;
 
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{
@@ -20,7 +21,7 @@ pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, provide_targe
 
 use apt::Packages;
 
-use crate::{board::MACHINE, process, workspace::Workspace};
+use crate::{process, workspace::Workspace};
 
 /// Provides a tool chain for the thumb targets.
 pub(crate) fn thumb(workspace: &Workspace) -> Result<ThumbToolchain<'_>> {

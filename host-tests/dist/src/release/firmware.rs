@@ -3,17 +3,10 @@
 use std::{fs, process::Command};
 
 use anyhow::{Context, Result};
+use boards::{BOARDS, Board};
 
 use super::{Release, VERSION, cargo, sbom, trial};
-use crate::program::run_program;
-use crate::{
-    archive,
-    board::{BOARDS, Board},
-    contents,
-};
-
-/// Boards with an emulator.
-const EMULATED: [&str; 2] = ["b-l475e-iot01a", "pico"];
+use crate::{archive, contents, program::run_program};
 
 pub(super) fn make(release: &mut Release) -> Result<()> {
     run_program(cargo("build --quiet --locked -p host-tests --bin demo"), "")?;
@@ -29,7 +22,7 @@ pub(super) fn make(release: &mut Release) -> Result<()> {
         let name = format!("{folder}.zip");
         let trial = is_used(release, board, &folder, &archive)?;
         release.add(&name, &archive, trial)?;
-        sbom::add(release, &folder, &format!("boards/{}", board.name), board.target, "firmware")?;
+        sbom::add(release, &folder, &format!("boards/{}", board.name), board.triple, "firmware")?;
     }
     Ok(())
 }
@@ -40,7 +33,7 @@ fn is_used(release: &Release, board: &Board, folder: &str, archive: &[u8]) -> Re
     trial::unzip(&place, archive)?;
     let place = place.join(folder);
     run_program(Command::new("sha256sum").current_dir(&place).args(["--quiet", "-c", "SHA256SUMS"]), "")?;
-    if !EMULATED.contains(&board.name) {
+    if board.emulated.is_none() {
         return Ok("linked only: no emulator");
     }
     let mut demo = trial::isolated(&[], &release.target_dir.join("debug/demo"), &place);

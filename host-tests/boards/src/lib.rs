@@ -1,26 +1,28 @@
-//! The table of supported boards.
+//! The table of boards, from which images are built, tested and delivered.
 
 use anyhow::{Context, Result, ensure};
 
 /// A board supported by the firmware.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Board {
+pub struct Board {
     /// Name of the board, its binary and its image. The package of its crate has the prefix `wsg-`.
-    pub(crate) name: &'static str,
+    pub name: &'static str,
     /// Target triple of its core.
-    pub(crate) triple: &'static str,
+    pub triple: &'static str,
     /// Microcontroller, as named by probe-rs.
-    pub(crate) chip: &'static str,
+    pub chip: &'static str,
     /// Suffix of the environment variables for its tests, or `None` if the board is not emulated.
-    pub(crate) emulated: Option<&'static str>,
+    pub emulated: Option<&'static str>,
     /// Whether its boot ROM accepts UF2 files. If so, one is built in addition to the ELF file.
-    pub(crate) takes_uf2: bool,
+    pub takes_uf2: bool,
     /// Flash limit of the image in bytes.
-    pub(crate) flash_limit: u64,
+    pub flash_limit: u64,
+    /// Lines of the delivered README about the files of the image.
+    pub files: &'static str,
 }
 
 /// All boards, the default board first.
-pub(crate) static BOARDS: [Board; 3] = [
+pub static BOARDS: [Board; 3] = [
     Board {
         name: "b-l475e-iot01a",
         triple: "thumbv7em-none-eabihf",
@@ -29,6 +31,9 @@ pub(crate) static BOARDS: [Board; 3] = [
         takes_uf2: false,
         // 64 KiB before persistent settings and the service port were added. 4 KB hold the initial values of the static RAM.
         flash_limit: 80 * 1024,
+        files: "\
+wsg-bridge.bin       the image: copy it to the USB drive that the board provides
+wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer",
     },
     Board {
         name: "pico",
@@ -38,6 +43,11 @@ pub(crate) static BOARDS: [Board; 3] = [
         takes_uf2: true,
         // Of 2 MiB. A Cortex-M0+ needs more instructions, and the image contains a USB device.
         flash_limit: 96 * 1024,
+        files: "\
+wsg-bridge.uf2       the image: hold BOOTSEL while you connect USB, and copy it to the
+                     drive that appears
+wsg-bridge.elf       the same image for debug probes
+wsg-bridge.bin       the same image as bytes of the flash, from 10000000h",
     },
     Board {
         name: "nucleo-g474re",
@@ -46,32 +56,51 @@ pub(crate) static BOARDS: [Board; 3] = [
         emulated: None,
         takes_uf2: false,
         flash_limit: 80 * 1024,
+        files: "\
+This image has never been executed: no emulator has the board NUCLEO-G474RE.
+
+wsg-bridge.bin       the image: copy it to the USB drive that the board provides
+wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer",
     },
 ];
 
 /// QEMU's name for the default board. Set-up checks for this machine and not for QEMU's version, because distributions backport.
-pub(crate) const MACHINE: &str = "b-l475e-iot01a";
+pub const MACHINE: &str = "b-l475e-iot01a";
 
 impl Board {
     /// Returns the name of a figure of this board. The default board has no suffix.
-    pub(crate) fn figure(&self, what: &str) -> String {
+    #[must_use]
+    pub fn figure(&self, what: &str) -> String {
         if self == <&Self>::default() { what.to_owned() } else { format!("{what}, {}", self.name) }
     }
 
     /// Returns the name of the default board.
-    pub(crate) fn default_name() -> &'static str {
+    #[must_use]
+    pub fn default_name() -> &'static str {
         BOARDS[0].name
     }
 
+    /// Returns cargo's arguments that select the crate, features and target of the image.
+    #[must_use]
+    pub fn selection(&self) -> String {
+        format!("--package wsg-{} --features firmware --target {}", self.name, self.triple)
+    }
+
     /// Finds an emulated board by name.
-    pub(crate) fn emulated(name: &str) -> Result<&'static Self> {
+    ///
+    /// # Errors
+    /// Fails if there is no such board, or no emulator has it.
+    pub fn emulated(name: &str) -> Result<&'static Self> {
         let board = Self::named(name)?;
         ensure!(board.emulated.is_some(), "the board {name} is not emulated");
         Ok(board)
     }
 
     /// Finds a board by name.
-    pub(crate) fn named(name: &str) -> Result<&'static Self> {
+    ///
+    /// # Errors
+    /// Fails if there is no such board; the message lists the boards.
+    pub fn named(name: &str) -> Result<&'static Self> {
         BOARDS.iter().find(|board| board.name == name).with_context(|| {
             let names = BOARDS.each_ref().map(|board| board.name);
             format!("unknown board {name}; expected one of {}", names.join(", "))
