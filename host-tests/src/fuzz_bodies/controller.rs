@@ -8,11 +8,15 @@ use super::input::Input;
 use super::requested::MOTIONS;
 use crate::gripper_states::LIMITS;
 
-/// Lock on motions: after FAST STOP until an acknowledgement has succeeded.
-#[derive(PartialEq)]
+/// Lock on motions: after FAST STOP until an acknowledgement has succeeded. The gripper's flag also disappears when a
+/// third party acknowledges the FAST STOP, or when the gripper restarts.
+#[derive(Clone, Copy, PartialEq)]
 enum Lock {
     Open,
     FastStopped,
+    Answered,
+    /// The gripper's flag has been seen since the answer.
+    Latched,
     Acknowledged,
 }
 
@@ -127,12 +131,23 @@ impl Model {
     }
 
     fn event(&mut self, event: &Event<'_>) {
-        if self.lock == Lock::Acknowledged
-            && let Event::Answered(reply) = event
-            && (reply.id(), reply.status()) == (CommandId::Acknowledge, Status::Success)
-        {
-            self.lock = Lock::Open;
-        }
+        let is_stopped = |flags: SystemFlags| flags.contains(SystemFlags::FAST_STOP);
+        let seen = match event {
+            Event::Connected => self.known.flags.map(is_stopped),
+            Event::Reported(Value::GetSystemState(flags)) => Some(is_stopped(*flags)),
+            _ => None,
+        };
+        let succeeded = match event {
+            Event::Answered(reply) if reply.status() == Status::Success => Some(reply.id()),
+            _ => None,
+        };
+        self.lock = match (self.lock, succeeded, seen) {
+            (Lock::Acknowledged, Some(CommandId::Acknowledge), _) => Lock::Open,
+            (Lock::FastStopped, Some(CommandId::FastStop), _) => Lock::Answered,
+            (Lock::Answered, _, Some(true)) => Lock::Latched,
+            (Lock::Latched | Lock::Acknowledged, _, Some(false)) => Lock::Open,
+            (lock, ..) => lock,
+        };
         self.controller.handle(event, &self.known);
         self.fetch();
         self.shown();
@@ -166,7 +181,7 @@ impl Model {
                 Kind::Acknowledge => {
                     assert!(std::mem::take(&mut self.stop_risen), "an acknowledgement without STOP/ACK");
                     self.prepared = None;
-                    if self.lock == Lock::FastStopped {
+                    if self.lock != Lock::Open {
                         self.lock = Lock::Acknowledged;
                     }
                 }
@@ -180,7 +195,7 @@ impl Model {
                 // Checks whether the gripper reports the FAST STOP that it has confirmed.
                 Kind::Query => {
                     assert_eq!(id, CommandId::GetSystemState);
-                    assert!(self.lock == Lock::FastStopped, "an unexpected query");
+                    assert!(self.lock == Lock::Answered, "an unexpected query");
                 }
                 kind => panic!("{id} ({kind:?}) is not a PLC command"),
             }

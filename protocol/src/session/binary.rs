@@ -245,15 +245,13 @@ impl Dialect for BinaryDialect {
         known.force_limit.map(|_| Command::GetForceLimit)
     }
 
-    fn is_upkeep(request: &Command<'static>) -> bool {
-        matches!(request, Command::GetForceLimit)
-    }
-
     /// Motions are the only requests that do not wait for other replies: not even a query may come between a known
     /// setting and the motion that relies on it. An unknown command may be for a script. A restarted gripper has lost
     /// its settings and needs homing.
-    fn leaves_settings(id: CommandId) -> bool {
-        matches!(id, CommandId::PrePosition | CommandId::GripPart | CommandId::ReleasePart)
+    fn forget_changed(known: &mut Known, id: CommandId) {
+        if !matches!(id, CommandId::PrePosition | CommandId::GripPart | CommandId::ReleasePart) {
+            Self::forget_settings(known);
+        }
     }
 
     fn forget_settings(known: &mut Known) {

@@ -83,15 +83,8 @@ pub trait Dialect: Copy + Debug {
         None
     }
 
-    /// Returns whether this is an [`upkeep`](Self::upkeep) query.
-    fn is_upkeep(_request: &Self::Request) -> bool {
-        false
-    }
-
-    /// Returns whether a request of this name changes no setting and does not delay the requests after it.
-    fn leaves_settings(_name: NameOf<Self>) -> bool {
-        true
-    }
+    /// Forgets the known settings that a request of this name may change or delay.
+    fn forget_changed(_known: &mut Self::Known, _name: NameOf<Self>) {}
 
     /// Forgets all known settings.
     fn forget_settings(_known: &mut Self::Known) {}

@@ -185,9 +185,7 @@ impl<D: Dialect> Engine<D> {
     /// Queues a checked request. Its outcome is reported as an [`EventOf`].
     pub(crate) fn enqueue(&mut self, request: Request<D::Request>) -> Result<(), RequestError<D::Invalid>> {
         let name = request.name();
-        if !D::leaves_settings(name) {
-            D::forget_settings(&mut self.known);
-        }
+        D::forget_changed(&mut self.known, name);
         if name == D::Request::FAST_STOP.name() {
             // Stays pending until the gripper confirms it, connected or not.
             let stop_failed = self.stop.was_late();

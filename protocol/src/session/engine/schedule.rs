@@ -59,7 +59,11 @@ impl<D: Dialect> Engine<D> {
 
     /// Returns whether an upkeep query was sent and its reply is outstanding. It is sent only once.
     pub(super) fn upkeep_is_sent(&self) -> bool {
-        self.refresh.deadline().is_some() && self.refresh.own().is_some_and(D::is_upkeep)
+        self.refresh.deadline().is_some() && self.holds_upkeep()
+    }
+
+    fn holds_upkeep(&self) -> bool {
+        self.refresh.own().is_some_and(|request| D::UPKEEP == Some(request.name()))
     }
 
     /// Records when the query was opened that confirmed the known settings. The next query is due after half of their
@@ -86,7 +90,7 @@ impl<D: Dialect> Engine<D> {
                 self.upkeep_opened = now;
                 self.open_refresh(query);
             }
-            None if !self.refresh.own().is_some_and(D::is_upkeep) => self.upkeep_at = None,
+            None if !self.holds_upkeep() => self.upkeep_at = None,
             _ => {}
         }
     }

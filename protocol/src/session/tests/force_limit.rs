@@ -399,3 +399,27 @@ fn read_back_waiting_for_a_fast_stop_does_not_delay_the_detection_of_a_lost_line
         assert_eq!(rig.noticed("Disconnected"), 1, "FAST STOP after {fast_stop_at} ms of silence");
     }
 }
+
+#[test]
+fn lost_answer_to_another_query_does_not_make_it_unknown() {
+    // The lost answer may be due before, at and after the query of the force limit.
+    for (lost, phase) in (1..=2).flat_map(|lost| (0..REFRESH_MS).step_by(10).map(move |ms| (lost, ms))) {
+        let mut rig = verifying();
+        rig.pass_healthy(phase);
+        rig.set(40.0, 40.0);
+        let mut others = 0;
+        for _ in 0..2 * REFRESH_MS {
+            for command in rig.pass(1) {
+                if command == Command::GetForceLimit {
+                    rig.tell(40.0);
+                    continue;
+                }
+                others += 1;
+                if others != lost {
+                    rig.answer(command.id());
+                }
+            }
+            assert_eq!(rig.limit(), Some(40.0), "answer {lost} lost, set after {phase} ms");
+        }
+    }
+}
