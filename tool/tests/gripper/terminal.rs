@@ -91,7 +91,7 @@ impl Terminal {
                 let rest = self.text.split_off(at + text.len());
                 return std::mem::replace(&mut self.text, rest);
             }
-            assert!(begin.elapsed() < PATIENCE, "{text:?} is not shown");
+            assert!(begin.elapsed() < PATIENCE, "{text:?} is not shown: {}", self.text);
             match self.shown.as_ref().expect("the terminal is open").recv_timeout(PATIENCE) {
                 Ok(bytes) => self.text += &String::from_utf8_lossy(&bytes),
                 Err(_) => panic!("{text:?} is not shown: {}", self.text),
@@ -173,9 +173,10 @@ fn control_c_in_mid_travel_stops_the_fingers_and_returns_to_the_prompt() {
     terminal.press(CONTROL_C);
     terminal.until("stopped\r\n");
     rig.assert_stopped();
+    // Only the prompt reads Enter and Ctrl-D. Before, the terminal is not in raw mode.
+    terminal.until("> ");
     terminal.press(&format!("state{ENTER}"));
     terminal.until("state IDLE");
-    // Only the prompt reads Ctrl-D. Before, the terminal is not in raw mode.
     terminal.until("> ");
     terminal.press(CONTROL_D);
     assert_eq!(terminal.end().code(), Some(0));
