@@ -21,6 +21,8 @@ pub fn storage(data: &[u8]) {
         let op = input.byte();
         let page = Page::ALL[usize::from(op >> 7)];
         match op & 7 {
+            // The store never writes beside double words whose reads vary, so no record follows one.
+            0..=3 if may_change => {}
             0 => {
                 let index = usize::from(input.byte());
                 for index in index..(index + usize::from(op >> 3 & 7) + 1).min(PAGE_LEN) {
