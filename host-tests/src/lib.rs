@@ -38,6 +38,7 @@
 //! | [`registers`] | models of peripherals that QEMU lacks |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper on a serial line in virtual time |
+//! | [`service_line`] | the service port in virtual time, connected to a program by a socket |
 //! | [`station_rig`] | a station with all of its lines, its flash and a virtual gripper |
 //! | [`terminal`] | a pseudo-terminal connected to the board's bus |
 //! | [`trace`] | event recording, readable by people and comparable by tests |
@@ -98,6 +99,7 @@ pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
 #[cfg(unix)]
+pub mod service_line;
 pub mod station_rig;
 #[cfg(unix)]
 pub mod terminal;

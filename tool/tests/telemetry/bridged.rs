@@ -8,10 +8,7 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use host_tests::{
-    station_rig::{ServiceLine, StationRig},
-    terminal::Terminal,
-};
+use host_tests::{service_line::ServiceLine, station_rig::StationRig, terminal::Terminal};
 
 use crate::{
     is_whole, latest,
