@@ -101,17 +101,17 @@ fn datagrams_are_answered_to_their_source_port() {
 fn datagram_from_another_peer_ends_the_updates_of_the_previous_one() {
     let served = serve(Config::default(), lines());
     let gripper = served.gcl_udp_address().unwrap();
-    let [before, behind] = [udp_socket(), udp_socket()];
+    let [first, second] = [udp_socket(), udp_socket()];
     let mut buffer = [0; 512];
-    uninterrupted::send_to(&before, b"AUTOSEND(\"FORCE\",10)", gripper).unwrap();
+    uninterrupted::send_to(&first, b"AUTOSEND(\"FORCE\",10)", gripper).unwrap();
     // The acknowledgement and some updates.
     for _ in 0..3 {
-        uninterrupted::recv_from(&before, &mut buffer).expect("a datagram in time");
+        uninterrupted::recv_from(&first, &mut buffer).expect("a datagram in time");
     }
     let start = Instant::now();
     while start.elapsed() < Duration::from_millis(100) {
-        uninterrupted::send_to(&behind, b"SN?", gripper).unwrap();
-        let (len, _) = uninterrupted::recv_from(&behind, &mut buffer).expect("an answer in time");
+        uninterrupted::send_to(&second, b"SN?", gripper).unwrap();
+        let (len, _) = uninterrupted::recv_from(&second, &mut buffer).expect("an answer in time");
         assert_eq!(buffer[..len].trim_ascii_end(), b"SN=1");
     }
 }

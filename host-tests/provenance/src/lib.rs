@@ -45,25 +45,20 @@ pub fn licences(selections: &[&str]) -> Result<String> {
 
 /// Returns rustc's flags that shorten the paths of this machine in everything that it builds, so that two machines
 /// build the same file.
-///
-/// # Errors
-/// Fails when the home folder is unknown.
-pub fn path_flags(target_dir: &Path) -> Result<Vec<String>> {
+#[must_use]
+pub fn path_flags(target_dir: &Path) -> Vec<String> {
     let home = env::var_os("CARGO_HOME").map(PathBuf::from).or_else(|| Some(env::home_dir()?.join(".cargo")));
-    let home = home.context("cargo's home folder is unknown: set CARGO_HOME")?;
     // rustc uses the last match, and the target folder may lie within the checkout.
-    let places = [(root(), "."), (target_dir.to_owned(), "target"), (home, "cargo")];
-    Ok(places.map(|(place, name)| format!("--remap-path-prefix={}={name}", place.display())).into())
+    let places = [(Some(root()), "."), (Some(target_dir.to_owned()), "target"), (home, "cargo")];
+    let known = places.into_iter().filter_map(|(place, name)| Some((place?, name)));
+    known.map(|(place, name)| format!("--remap-path-prefix={}={name}", place.display())).collect()
 }
 
-/// Sets the flags of a build for [`path_flags`].
-///
-/// # Errors
-/// Fails when the home folder is unknown.
-pub fn remove_paths<'a>(cargo: &'a mut Command, target_dir: &Path, more: &[&str]) -> Result<&'a mut Command> {
-    let flags = path_flags(target_dir)?;
-    let flags: Vec<&str> = flags.iter().map(String::as_str).chain(more.iter().copied()).collect();
-    Ok(cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\u{1f}")))
+/// Sets the flags of a build to [`path_flags`] and `more`.
+pub fn remove_paths(cargo: &mut Command, target_dir: &Path, more: &[&str]) {
+    let mut flags = path_flags(target_dir);
+    flags.extend(more.iter().map(|flag| (*flag).to_owned()));
+    cargo.env("CARGO_ENCODED_RUSTFLAGS", flags.join("\u{1f}"));
 }
 
 fn text_of(parts: &[Part]) -> Result<String> {

@@ -7,6 +7,16 @@ use wsg_sim::{Config, Part};
 
 use crate::client::{Asynch, Calls, Client, Error, Frames, Lines, Speech, for_all};
 
+/// Cancels a motion while the line has no room for it, and checks that it is not sent later.
+fn cancelled_motion_stays_unsent<S: Speech>(client: &mut Asynch<S>) {
+    let Asynch { rig, gripper } = client;
+    assert!(rig.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
+    rig.world(|world| world.room = usize::MAX);
+    assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
+    client.rig.pass(2_000);
+    assert!(client.width().unwrap().0 > 109.0);
+}
+
 for_all! {
     over_frames Frames, over_lines Lines;
     fn dropping_a_call_at_any_moment_confuses_no_answers;
@@ -41,13 +51,8 @@ fn dropping_a_call_at_any_moment_confuses_no_answers<S: Speech>() {
 
 fn cancelled_motion_that_was_not_sent_is_never_sent<S: Speech>() {
     let mut client = Asynch::<S>::homed(Config::default());
-    let Asynch { rig, gripper } = &mut client;
-    rig.world(|world| world.room = 0);
-    assert!(rig.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
-    rig.world(|world| world.room = usize::MAX);
-    assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
-    client.rig.pass(2_000);
-    assert!(client.width().unwrap().0 > 109.0);
+    client.rig.world(|world| world.room = 0);
+    cancelled_motion_stays_unsent(&mut client);
 }
 
 fn cancelled_motion_queued_after_another_message_is_never_sent<S: Speech>() {
@@ -57,11 +62,7 @@ fn cancelled_motion_queued_after_another_message_is_never_sent<S: Speech>() {
     rig.world(|world| world.room = 3);
     rig.run_for(300, async { while gripper.next_update(1_000).await.is_ok() {} });
     assert_eq!(rig.world(|world| world.room), 0);
-    assert!(rig.run_for(50, gripper.move_to(Mm(10.0), MmPerS(400.0), OnBlock::Stop)).is_none());
-    rig.world(|world| world.room = usize::MAX);
-    assert_eq!(client.gripper_state(), Ok(GripperState::Idle));
-    client.rig.pass(2_000);
-    assert!(client.width().unwrap().0 > 109.0);
+    cancelled_motion_stays_unsent(&mut client);
 }
 
 fn motion_queued_after_a_stop_is_not_sent<S: Speech>() {

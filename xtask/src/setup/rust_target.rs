@@ -102,7 +102,7 @@ impl ThumbToolchain<'_> {
             Some(linker) => debian_cargo(self.workspace, subcommand, triple, linker),
         };
         // `--config` adds to the flags in .cargo/config.toml. TOML escapes quotes and backslashes as Rust does.
-        let flags = provenance::path_flags(&self.workspace.target_dir).unwrap_or_default();
+        let flags = provenance::path_flags(&self.workspace.target_dir);
         command.args(["--target", triple, "--config", &format!("target.{triple}.rustflags={flags:?}")]);
         // Flags from the environment would replace those in .cargo/config.toml, such as the linker script, and the image would not
         // be reproducible.

@@ -180,10 +180,11 @@ struct Archive {
 
 impl Archive {
     /// Returns cargo, whose output does not name the folders of this computer.
-    fn cargo(&self) -> Result<Command> {
+    fn cargo(&self) -> Command {
         let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        provenance::remove_paths(&mut cargo, &self.build, &[])?.env("CARGO_TARGET_DIR", &self.build);
-        Ok(cargo)
+        provenance::remove_paths(&mut cargo, &self.build, &[]);
+        cargo.env("CARGO_TARGET_DIR", &self.build);
+        cargo
     }
 
     /// Builds the libraries for a target: the session, and on an operating system the blocking calls.
@@ -216,7 +217,7 @@ impl Archive {
         name: &str,
         options: &[&str],
     ) -> Result<PathBuf> {
-        let mut cargo = self.cargo()?;
+        let mut cargo = self.cargo();
         cargo.current_dir(Path::new(SOURCES).join(package)).args(["rustc", "--locked", "--quiet", "--lib"]);
         if let Some(linker) = linker(triple) {
             cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", linker);
@@ -239,7 +240,7 @@ impl Archive {
 
     /// Builds the virtual gripper for this computer.
     fn add_simulator(&self) -> Result<()> {
-        let mut cargo = self.cargo()?;
+        let mut cargo = self.cargo();
         cargo.current_dir(SOURCES).args(["build", "--locked", "--quiet", "--package", "wsg-sim"]);
         succeed(cargo.args(["--profile", "wheel"]))?;
         fs::create_dir_all(self.folder.join("bin"))?;
