@@ -290,10 +290,11 @@ class Pico {
         return performance.now() * 1e6 - this.offset;
     }
 
-    // Advances a sleeping machine to now.
+    // Advances a sleeping machine to now, unless an interrupt has ended the sleep: its handler runs first. Otherwise a
+    // byte could arrive before the firmware has taken the one before it.
     wakeUp() {
         const { clock } = this;
-        if (!this.rp2040.core.waiting) return;
+        if (!this.rp2040.core.waiting || this.mayWake()) return;
         const until = Math.min(this.wall(), clock.nextAlarm?.nanos ?? Infinity, this.untilNanos);
         if (until > clock.nanosCounter) clock.tick(until - clock.nanosCounter);
     }
