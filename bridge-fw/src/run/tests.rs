@@ -6,7 +6,7 @@ use super::*;
 use crate::can::{BusOffPolicy, CanBus, NoCan};
 use crate::gripper::UartBuffers;
 use crate::io::Inputs;
-use crate::plc::NoBus;
+use crate::plc::{NoBus, SETTINGS};
 use crate::storage::NoFlash;
 
 /// UART of a missing gripper.
@@ -58,7 +58,7 @@ impl<const IN_RANGE: bool> Hardware for Double<IN_RANGE> {
     type Flash = NoFlash;
 
     fn delivered() -> Record {
-        if IN_RANGE { Config::DEFAULT.record() } else { [u16::MAX; _] }
+        if IN_RANGE { Config::DEFAULT.record() } else { [u16::MAX; SETTINGS.len()] }
     }
 
     records! {
