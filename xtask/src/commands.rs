@@ -1,6 +1,10 @@
 //! Commands that consist of one run of another program of the workspace or of a tool.
 
-use std::{env, ffi::OsString, process::ExitStatus};
+use std::{
+    env,
+    ffi::OsString,
+    process::{Command, ExitStatus},
+};
 
 use anyhow::{Context, Result, ensure};
 use boards::Board;
@@ -185,4 +189,17 @@ pub(crate) fn coverage(workspace: &Workspace) -> Result<()> {
     coverage.args(["-p", "host-tests"]);
     coverage.env("CARGO_LLVM_COV_TARGET_DIR", workspace.target_dir.join("coverage"));
     process::run(&mut coverage)
+}
+
+/// Fails with installation instructions if probe-rs is missing. Called before the build, which takes longer.
+pub(crate) fn require_probe_rs() -> Result<()> {
+    let version = process::answer(Command::new("probe-rs").arg("--version"));
+    ensure!(version.is_some(), "probe-rs not found; install it with: cargo install probe-rs-tools --locked");
+    Ok(())
+}
+
+/// Writes the image to the board's flash over its debug probe, and starts it.
+pub(crate) fn flash(image: &Image) -> Result<()> {
+    process::run(Command::new("probe-rs").args(["download", "--chip", image.board.chip]).arg(&image.path))?;
+    process::run(Command::new("probe-rs").args(["reset", "--chip", image.board.chip]))
 }

@@ -6,7 +6,6 @@ mod bench;
 mod commands;
 mod figures;
 mod firmware;
-mod flash;
 mod fuzz;
 mod gate;
 mod matrix;
@@ -232,10 +231,10 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Release { parts } => commands::release(workspace, &parts)?,
         Command::Docs => commands::docs(workspace)?,
         Command::Flash(variant) => {
-            flash::require_probe_rs()?;
+            commands::require_probe_rs()?;
             let image = build(workspace, &variant)?;
             print_image(&image);
-            flash::run(&image)?;
+            commands::flash(&image)?;
         }
     }
     Ok(ExitCode::SUCCESS)

@@ -4,10 +4,11 @@
 use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
+use boards::BOARDS;
 use serde_json::Value;
 
 use crate::{
-    process,
+    firmware, process,
     setup::{self, MINIMUM_RUST},
     workspace::{TARGET_CRATES, Workspace},
 };
@@ -23,7 +24,7 @@ const BOARD_EXAMPLE: &str = "build --quiet -p wsg-protocol --example no_std_boar
 /// Which combinations to build.
 #[derive(Clone, Copy, PartialEq)]
 pub(crate) enum Extent {
-    /// All combinations, and the whole workspace on the oldest Rust. Takes minutes.
+    /// All combinations, and the whole workspace with the images on the oldest Rust. Takes minutes.
     Whole,
     /// No features and all features on every target. Each feature alone and the example on the first target. Only the library
     /// crates on the oldest Rust.
@@ -68,12 +69,12 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
             outcome.passed += targets.len();
         }
     }
-    if extent == Extent::Whole {
-        // Checked but not linked, because this workspace's flags would be added to its own.
-        let mut template = workspace.cargo("check --quiet --manifest-path boards/template/Cargo.toml");
-        process::run(template.args(["--target", setup::TRIPLE]))?;
-        outcome.passed += 1;
-    }
+    // Never linked, because this workspace's flags would be added to its own. `update` only compares the lock file.
+    let check = format!("check --target {}", setup::TRIPLE);
+    let line = if extent == Extent::Whole { &check } else { "update --workspace" };
+    let mut template = workspace.cargo(line);
+    process::run(template.args(["--quiet", "--manifest-path", "boards/template/Cargo.toml"]))?;
+    outcome.passed += 1;
     for target in targets.into_iter().filter(|target| extent == Extent::Whole || *target == TARGETS[0]) {
         process::run(workspace.cargo(BOARD_EXAMPLE).args(["--target", target]))?;
         outcome.passed += 1;
@@ -83,8 +84,21 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
     let rustc = ["run", &oldest, "rustc", "--version"];
     let install = ["toolchain", "install", &oldest, "--profile", "minimal", "--no-self-update"];
     if process::answer(Command::new("rustup").args(rustc)).is_some() || setup::rustup(workspace, &install) {
-        process::run(&mut check_with(workspace, &oldest, extent))?;
+        let mut check = check_with(workspace, &oldest);
+        process::run(match extent {
+            Extent::Whole => check.args(["--workspace", "--all-targets"]),
+            Extent::Quick => check.args(packages()).arg("--all-features"),
+        })?;
         outcome.passed += 1;
+        if extent == Extent::Whole {
+            for board in &BOARDS {
+                setup::rustup(workspace, &["target", "add", "--toolchain", &oldest, board.triple]);
+                let mut image = check_with(workspace, &oldest);
+                image.args(firmware::selection(board, &[], firmware::PROFILE));
+                process::run(image.args(["--target", board.triple]))?;
+                outcome.passed += 1;
+            }
+        }
     } else {
         outcome.not_checked.push(format!("Rust {oldest} (rustup could not install it)"));
     }
@@ -95,15 +109,11 @@ pub(crate) fn build(workspace: &Workspace, extent: Extent) -> Result<Outcome> {
     Ok(outcome)
 }
 
-fn check_with(workspace: &Workspace, toolchain: &str, extent: Extent) -> Command {
+fn check_with(workspace: &Workspace, toolchain: &str) -> Command {
     let mut check = Command::new("rustup");
     // A separate build folder, so that the tool chains do not invalidate each other's builds.
     check.current_dir(&workspace.root).env("CARGO_TARGET_DIR", workspace.target_dir.join("oldest-rust"));
     check.args(["run", toolchain, "cargo", "check", "--locked", "--quiet"]);
-    match extent {
-        Extent::Whole => check.args(["--workspace", "--all-targets"]),
-        Extent::Quick => check.args(packages()).arg("--all-features"),
-    };
     check
 }
 

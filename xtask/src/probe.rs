@@ -11,8 +11,6 @@ use crate::{
     size,
 };
 
-const PACKAGE: &str = "wsg-probes";
-
 /// A profile of cargo for programs.
 #[derive(Clone, Copy)]
 pub(crate) struct Profile {
@@ -34,7 +32,7 @@ impl ThumbToolchain<'_> {
     /// Returns the `cargo build` command of a program for a target.
     pub(crate) fn probe(&self, triple: &str, name: &str, features: &str, profile: Profile) -> Command {
         let mut cargo = self.cargo("build", triple);
-        cargo.args(["-p", PACKAGE, "--bin", name, "--features", features, "--profile", profile.name]);
+        cargo.args(["-p", "wsg-probes", "--bin", name, "--features", features, "--profile", profile.name]);
         cargo
     }
 

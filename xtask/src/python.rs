@@ -72,7 +72,8 @@ fn test_wheel(workspace: &Workspace, environment: &Path, wheel: &Path) -> Result
     let path = env::join_paths([bin.as_path(), Path::new("/usr/bin"), Path::new("/bin")])?;
     let mut pytest = Command::new(bin.join("python"));
     pytest.env_clear().env("PATH", path).current_dir(workspace.root.join(PYTHON_PACKAGE));
-    process::run(pytest.args(["-m", "pytest", "-q", "-p", "no:cacheprovider"]))
+    // In several processes, because the tests mostly wait for fingers.
+    process::run(pytest.args(["-m", "pytest", "-q", "-p", "no:cacheprovider", "-n", "8"]))
 }
 
 /// Builds a wheel and returns its path.

@@ -40,19 +40,17 @@ const C_RAM_LIMIT: u64 = 640;
 
 /// Returns the gates of the boards' images.
 pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
-    images.iter().map(of_image).collect::<Result<Vec<_>>>().map(|gates| gates.concat())
-}
-
-fn of_image(image: &Image) -> Result<Vec<Gate>> {
-    let sections = sections_of(&image.path)?;
-    for section in sections.iter().filter(|section| section.size > 0) {
-        println!("  {:<16} {:>7} B  {}", section.name, section.size, section.place());
+    let mut gates = Vec::new();
+    for Image { board, path, .. } in images {
+        let sections = sections_of(path)?;
+        for section in sections.iter().filter(|section| section.size > 0) {
+            println!("  {:<16} {:>7} B  {}", section.name, section.size, section.place());
+        }
+        let Footprint { flash, static_ram } = Footprint::of(&sections);
+        gates.push(Gate::bytes(board.figure("firmware image, flash"), flash, board.flash_limit));
+        gates.push(Gate::bytes(board.figure("firmware image, static RAM"), static_ram, STATIC_RAM_LIMIT));
     }
-    let Footprint { flash, static_ram } = Footprint::of(&sections);
-    Ok(vec![
-        Gate::bytes(image.board.figure("firmware image, flash"), flash, image.board.flash_limit),
-        Gate::bytes(image.board.figure("firmware image, static RAM"), static_ram, STATIC_RAM_LIMIT),
-    ])
+    Ok(gates)
 }
 
 /// Reads the sections of a program.

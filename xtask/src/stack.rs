@@ -67,17 +67,15 @@ fn walk(toolchain: &ThumbToolchain<'_>, image: &Image) -> Result<Gate> {
 pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gate>> {
     // Build with `--workspace`, because the tests use the same features and nothing is then built twice.
     process::run(&mut workspace.cargo("build -q --workspace --example painted_stack"))?;
-    let emulated = images.iter().filter(|image| image.board.emulated.is_some());
-    emulated.map(|image| paint(workspace, image)).collect()
-}
-
-fn paint(workspace: &Workspace, image: &Image) -> Result<Gate> {
-    let mut program = Command::new(workspace.target_dir.join("debug/examples/painted_stack"));
-    setup::tell_emulator(workspace, image.board, &mut program)?;
-    let said = process::output(program.arg(&image.path))?;
-    let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
-    let bytes = bytes.context("painted_stack printed no figure")?;
-    Ok(Gate::bytes(image.board.figure("worst-case stack, painted in the emulator"), bytes, LIMIT))
+    let paint = |image: &Image| {
+        let mut program = Command::new(workspace.target_dir.join("debug/examples/painted_stack"));
+        setup::tell_emulator(workspace, image.board, &mut program)?;
+        let said = process::output(program.arg(&image.path))?;
+        let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
+        let bytes = bytes.context("painted_stack printed no figure")?;
+        Ok(Gate::bytes(image.board.figure("worst-case stack, painted in the emulator"), bytes, LIMIT))
+    };
+    images.iter().filter(|image| image.board.emulated.is_some()).map(paint).collect()
 }
 
 /// Builds the image with an additional section of stack sizes, which occupies no memory on the target.
