@@ -825,6 +825,25 @@ fn second_motion_while_one_runs_is_refused_and_the_first_still_ends() {
 }
 
 #[test]
+fn motion_withheld_by_the_caller_is_refused_as_one_of_the_plc() {
+    let mut plc = Plc::ready();
+    plc.controller.refuse(CommandFlags::MOVE);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AccessDenied));
+
+    plc.raise(CommandFlags::MOVE);
+    assert!(!plc.controller.has_refused_meanwhile());
+    for _ in 0..2 {
+        plc.controller.refuse(CommandFlags::RELEASE);
+        assert_eq!(plc.shows().1, Status::AlreadyRunning);
+    }
+    plc.lower(CommandFlags::RELEASE);
+    assert_eq!(plc.shows().1, Status::CmdPending);
+    assert!(plc.controller.has_refused_meanwhile(), "although its flag has fallen");
+    plc.answer(CommandId::PrePosition, Status::Success);
+    assert!(!plc.controller.has_refused_meanwhile());
+}
+
+#[test]
 fn motion_while_the_fingers_move_by_themselves_is_refused_for_good() {
     let mut plc = Plc::ready();
     plc.report_flags(MOVING);
