@@ -310,7 +310,7 @@ impl Controller {
     /// Returns whether a motion flag that rises now has no effect: the fingers move, or STOP/ACK or FASTSTOP is 1.
     #[must_use]
     pub fn ignores_motions(&self, known: &Known) -> bool {
-        self.is_moving(known) || self.holds(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP)
+        self.is_moving(known) || self.holds(CommandFlags::STOP_ACK.union(CommandFlags::FASTSTOP))
     }
 
     /// Returns whether one of these flags is 1 in the last image.

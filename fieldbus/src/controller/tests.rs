@@ -613,6 +613,15 @@ fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_reported_at_res
     assert_eq!(plc.stop_is_late(), []);
 }
 
+#[test]
+fn late_stop_is_no_fast_stop_if_it_overtook_a_motion_that_was_not_sent() {
+    let mut plc = Plc::ready();
+    plc.image.flags |= CommandFlags::MOVE;
+    plc.controller.set_output(&plc.image, &plc.known);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    assert_eq!(plc.stop_is_late(), []);
+}
+
 /// Lists the events that prove the fingers at rest after a motion. Without one, a late Stop becomes a FAST STOP.
 #[test]
 fn only_a_report_sent_after_a_motion_proves_the_fingers_at_rest() {
