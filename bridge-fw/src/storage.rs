@@ -23,7 +23,7 @@
 //!
 //! # Wear
 //! A record of `len` bytes occupies `2 + len / 8` double words, rounded up. A page of an STM32L4 has 256 double words and
-//! endures 10 000 erases. Saving unchanged settings writes nothing.
+//! endures 10 000 erases. Saving unchanged settings writes nothing, except after an interrupted save.
 //!
 //! | payload | records per page | erases per save | saves until both pages are worn |
 //! |---|---|---|---|

@@ -330,7 +330,9 @@ impl<const N: usize> Store<N> {
     fn place<F: NorFlash>(&mut self, flash: &F) -> Step {
         let Header { len, version, .. } = self.target.header;
         let payload = self.payload.get(..usize::from(len)).unwrap_or(&[]);
+        // After an interrupted save it is stored again, because the record of that save may read complete another time.
         if let Some(newest) = self.newest()
+            && newest.header.sequence == self.sequence
             && (newest.header.len, newest.header.version) == (len, version)
             && newest.is_stored(flash, payload)
         {

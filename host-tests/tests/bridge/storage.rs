@@ -218,6 +218,24 @@ fn power_cut_in_any_operation_leaves_the_old_or_the_new_record_and_the_next_save
     }
 }
 
+/// The interrupted record may read complete later, although the settings to save are those that were loaded.
+#[test]
+fn old_settings_saved_again_after_a_power_cut_stay() {
+    let (flash, old) = history(3, 40);
+    let Ok(old) = old else { panic!("three saves were made") };
+    let new = settings(1_000, 40);
+    for at in operations_of_next(&flash, &new) {
+        for tear in Tear::ALL {
+            let mut flash = cut(&flash, &new, at, tear);
+            let mut store = boot(&mut flash).0;
+            assert_eq!(save(&mut store, &mut flash, &old), Some(Ok(())));
+            for _ in 0..30 {
+                assert_eq!(boot(&mut flash).1, Ok(old.clone()), "{at} {tear:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn second_power_cut_during_the_repair_does_no_further_harm() {
     let len = 40;
