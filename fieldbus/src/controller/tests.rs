@@ -3,6 +3,7 @@
 use super::*;
 use std::vec;
 use std::vec::Vec;
+use wsg_protocol::DecodeError;
 use wsg_protocol::reply::Reply;
 use wsg_protocol::session::{Known, RequestError};
 use wsg_protocol::types::{AutoUpdate, DeviceType, FirmwareVersion, SystemInfo, SystemLimits};
@@ -194,6 +195,13 @@ fn grip_sets_the_force_limit_and_then_grips() {
     assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdPending));
     assert_eq!(plc.answer(CommandId::GripPart, Status::Success), []);
     assert_eq!(plc.shows(), (GripperFlags::HOLDING, Status::Success));
+}
+
+#[test]
+fn error_that_the_gripper_reports_replaces_the_last_result() {
+    let mut plc = Plc::holding();
+    plc.report(GripperState::Error);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Success));
 }
 
 #[test]
@@ -566,6 +574,18 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
         plc.lower(CommandFlags::STOP_ACK);
         assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
     }
+}
+
+#[test]
+fn fast_stop_whose_flag_has_gone_is_given_again_only_after_the_answer_to_the_acknowledgement() {
+    let mut plc = Plc::acknowledging_a_fast_stop();
+    plc.lower(CommandFlags::STOP_ACK);
+    assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::Success), []);
+    plc.lower(CommandFlags::FASTSTOP);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.commands(), []);
+    assert_eq!(plc.answer(CommandId::Acknowledge, Status::Success), [Command::FastStop]);
 }
 
 #[test]
@@ -1332,6 +1352,20 @@ fn every_failed_command_reports_its_cause() {
         plc.raise(CommandFlags::MOVE);
         plc.controller.handle(&event, &plc.known);
         assert_eq!(refusals(&mut plc), incident(cause, moved, 0));
+    }
+
+    let invalid = RequestError::Invalid(DecodeError::NotFinite);
+    for (error, status, cause) in [
+        (RequestError::NotConnected, Status::IoError, Cause::NotConnected),
+        (RequestError::FastStopRunning, Status::AccessDenied, Cause::FastStopLasts),
+        (invalid, Status::InvalidParameter, Cause::OutsideLimits),
+        (RequestError::QueueFull, Status::InsufficientResources, Cause::Withdrawn),
+    ] {
+        let mut plc = Plc::ready();
+        plc.raise(CommandFlags::MOVE);
+        plc.controller.refused(CommandId::PrePosition, error);
+        assert_eq!(plc.shows(), (GripperFlags::ERROR, status), "{error:?}");
+        assert_eq!(incidents(&mut plc), incident(cause, moved, 0), "{error:?}");
     }
 
     let mut plc = Plc::ready();

@@ -111,8 +111,9 @@ fn jog_of_a_gripper_with_soft_limits_runs_to_the_limit_in_its_direction() {
 
 #[test]
 fn jog_at_a_soft_limit_or_beyond_it_moves_nothing_and_shows_e_range_error() {
-    for width in [80.0, 81.0] {
-        let mut plc = Plc::jogging_into_soft_limits(CommandFlags::JOG_PLUS);
+    let (plus, minus) = (CommandFlags::JOG_PLUS, CommandFlags::JOG_MINUS);
+    for (flag, width) in [(plus, 80.0), (plus, 81.0), (minus, 30.0), (minus, 29.0)] {
+        let mut plc = Plc::jogging_into_soft_limits(flag);
         plc.known.width = Some(width);
         assert_eq!(plc.answer_soft_limits(), [], "at {width} mm");
         assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::RangeError));
@@ -295,17 +296,23 @@ fn jog_at_speed_0_runs_at_the_least_speed() {
 
 #[test]
 fn jog_outside_the_limits_is_a_fast_stop_at_its_begin_and_on_its_way() {
-    let changes: [fn(&mut OutputImage); 4] = [
-        |image| image.speed = 4_99,
-        |image| image.speed = 420_01,
-        |image| image.force_limit = 80_01,
-        |image| image.force_limit = 0,
+    type Change = fn(&mut OutputImage);
+    // Changes, and the value to report: the speed, or with a speed inside the limits the force limit.
+    let changes: [(Change, u16); 5] = [
+        (|image| image.speed = 4_99, 4_99),
+        (|image| image.speed = 420_01, 420_01),
+        (|image| image.force_limit = 80_01, 80_01),
+        (|image| image.force_limit = 0, 0),
+        (|image| (image.speed, image.force_limit) = (0, 80_02), 80_02),
     ];
-    for change in changes {
+    for (change, value) in changes {
         let mut plc = Plc::ready();
         plc.write(change);
         assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [Command::FastStop]);
-        assert_eq!(Plc::jogging().write(change), [Command::FastStop]);
+        assert_eq!(incidents(&mut plc), incident(Cause::OutsideLimits, None, value));
+        let mut plc = Plc::jogging();
+        assert_eq!(plc.write(change), [Command::FastStop]);
+        assert_eq!(incidents(&mut plc), incident(Cause::OutsideLimits, Some(CommandId::PrePosition), value));
     }
 }
 
