@@ -577,6 +577,16 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
 }
 
 #[test]
+fn fast_stop_or_acknowledgement_that_the_gripper_refuses_changes_nothing() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::FASTSTOP);
+    assert_eq!(plc.answer(CommandId::FastStop, Status::AccessDenied), []);
+    let mut plc = Plc::acknowledging_a_fast_stop();
+    plc.answer(CommandId::Acknowledge, Status::AccessDenied);
+    assert!(plc.controller.asks_fast_stop());
+}
+
+#[test]
 fn fast_stop_whose_flag_has_gone_is_given_again_only_after_the_answer_to_the_acknowledgement() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.lower(CommandFlags::STOP_ACK);
@@ -1353,6 +1363,12 @@ fn every_failed_command_reports_its_cause() {
         plc.controller.handle(&event, &plc.known);
         assert_eq!(refusals(&mut plc), incident(cause, moved, 0));
     }
+
+    let mut plc = Plc::ready();
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+    plc.answer(CommandId::Stop, Status::CmdFailed);
+    let failed = incident(Cause::Gripper, Some(CommandId::Stop), Status::CmdFailed.code());
+    assert_eq!(refusals(&mut plc), failed);
 
     let invalid = RequestError::Invalid(DecodeError::NotFinite);
     for (error, status, cause) in [
