@@ -538,13 +538,15 @@ enum Op {
 }
 
 fn ops() -> impl Strategy<Value = Vec<Op>> {
-    let len = prop_oneof![Just(MAX_LEN), 0..=MAX_LEN];
+    // Few settings, so that the same are saved again.
+    let number = 0..3u32;
+    let len = prop_oneof![4 => Just(MAX_LEN), 1 => 0..=MAX_LEN];
     let tear = proptest::sample::select(Tear::ALL.to_vec());
     let page = proptest::sample::select(Page::ALL.to_vec());
     let op = prop_oneof![
-        4 => (any::<u32>(), len.clone()).prop_map(|(n, len)| Op::Save(n, len)),
-        4 => (any::<u32>(), len.clone(), 0..60u32, tear).prop_map(|(n, len, at, tear)| Op::CutSave(n, len, at, tear)),
-        1 => (any::<u32>(), len, page, 0..PAGE_LEN).prop_map(|(n, len, page, at)| Op::FailedSave(n, len, page, at)),
+        4 => (number.clone(), len.clone()).prop_map(|(n, len)| Op::Save(n, len)),
+        4 => (number.clone(), len.clone(), 0..60u32, tear).prop_map(|(n, len, at, tear)| Op::CutSave(n, len, at, tear)),
+        1 => (number, len, page, 0..PAGE_LEN).prop_map(|(n, len, page, at)| Op::FailedSave(n, len, page, at)),
         1 => Just(Op::Reboot),
         1 => Just(Op::Reload),
     ];
