@@ -14,7 +14,7 @@ pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<
     let mut gates = size::of_images(images)?;
     gates.extend(size::of_protocol(toolchain)?);
     gates.extend(size::of_c_library(toolchain)?);
-    gates.extend(stack::walked(toolchain, images)?);
+    gates.extend(stack::walked(images)?);
     gates.extend(stack::painted(toolchain.workspace, images)?);
     gates.extend(bench::counted(toolchain, false)?.gates);
     gates.extend(bench::throughput(toolchain.workspace)?);

@@ -201,7 +201,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Stack => {
             let built = Built::new(workspace)?;
             let images = built.images()?;
-            let walked = stack::walked(&built.toolchain, &images)?;
+            let walked = stack::walked(&images)?;
             gate::check(&[walked, stack::painted(workspace, &images)?].concat())?;
         }
         Command::Panics => panics::check(&Built::new(workspace)?.toolchain)?,

@@ -5,17 +5,10 @@
 
 use std::{fs, process::Command};
 
-use anyhow::{Context, Result, ensure};
-use boards::Board;
+use anyhow::{Context, Result};
 use footprint::Program;
 
-use crate::{
-    firmware::{self, Image},
-    gate::Gate,
-    process,
-    setup::{self, ThumbToolchain},
-    workspace::Workspace,
-};
+use crate::{firmware::Image, gate::Gate, process, setup, workspace::Workspace};
 
 const LIMIT: u64 = 3 * 1024;
 
@@ -24,27 +17,14 @@ const EXCEPTION_FRAME: u64 = 4 * (8 + 1);
 const FLOAT_FRAME: u64 = 4 * 18;
 
 /// Walks the calls in each board's firmware.
-pub(crate) fn walked(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
-    images.iter().map(|image| walk(toolchain, image)).collect()
+pub(crate) fn walked(images: &[Image]) -> Result<Vec<Gate>> {
+    images.iter().map(walk).collect()
 }
 
-fn walk(toolchain: &ThumbToolchain<'_>, image: &Image) -> Result<Gate> {
-    let elf = build_with_sizes(toolchain, image.board)?;
+fn walk(image: &Image) -> Result<Gate> {
     let what_failed = || format!("cannot walk the calls of {}", image.path.display());
-    let program = Program::of(&elf).with_context(what_failed)?;
-    // The option changes symbol hashes, and thereby the order of functions and the padding between them.
-    let tested = Program::of(&fs::read(&image.path)?).with_context(what_failed)?;
-    ensure!(
-        program.code_len.abs_diff(tested.code_len) * 100 <= tested.code_len
-            && program.function_count() == tested.function_count(),
-        "the image with stack sizes has different code ({} B) than the image ({} B)",
-        program.code_len,
-        tested.code_len
-    );
+    let program = Program::of(&fs::read(&image.path)?).with_context(what_failed)?;
     let deepest = program.deepest().with_context(what_failed)?;
-    for function in &deepest.by_prologue {
-        println!("  no stack size from the compiler, derived from the code: {function}");
-    }
     for function in &deepest.indirect {
         println!("  indirect call, assumed to reach any function whose address is taken: {function}");
     }
@@ -76,22 +56,4 @@ pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gat
         Ok(Gate::bytes(image.board.figure("worst-case stack, painted in the emulator"), bytes, LIMIT))
     };
     images.iter().filter(|image| image.board.emulated.is_some()).map(paint).collect()
-}
-
-/// Builds the image with an additional section of stack sizes, which occupies no memory on the target.
-fn build_with_sizes(toolchain: &ThumbToolchain<'_>, board: &Board) -> Result<Vec<u8>> {
-    let mut cargo = toolchain.cargo("build", board.triple);
-    cargo.args(firmware::selection(board, &[], firmware::PROFILE));
-    cargo.args(["--config", &format!("target.{}.rustflags=[\"-Zemit-stack-sizes\"]", board.triple)]);
-    // A separate build folder keeps the tested image. The option is unstable; the section that it writes is defined by LLVM.
-    let workspace = toolchain.workspace;
-    let target_dir = workspace.target_dir.join("stack");
-    cargo.env("CARGO_TARGET_DIR", &target_dir).env("RUSTC_BOOTSTRAP", "1");
-    process::run(&mut cargo)?;
-    let output_dir = toolchain.output_dir(board.triple, "firmware");
-    let below = output_dir.strip_prefix(&workspace.target_dir).unwrap_or(&output_dir);
-    // CARGO_TARGET_DIR also replaces the subfolder of Debian's tool chain.
-    let below = below.strip_prefix("debian").unwrap_or(below);
-    let path = target_dir.join(below).join(board.name);
-    fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
 }

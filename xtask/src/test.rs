@@ -117,7 +117,7 @@ impl Checks<'_> {
         } else {
             record.check("size of the C library", || gate::check(&size::of_c_library(toolchain)?))?;
         }
-        record.check("stack, walked", || gate::check(&stack::walked(toolchain, &images)?))?;
+        record.check("stack, walked", || gate::check(&stack::walked(&images)?))?;
         // Without rp2040js, only the default board's image, which is the first, can be emulated.
         let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { &images };
         record.check("stack, painted", || gate::check(&stack::painted(workspace, emulated)?))?;

@@ -5,19 +5,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use anyhow::{Context, Result, ensure};
 use object::{Object, ObjectSection, ObjectSymbol, SectionKind, SymbolKind, read::elf::ElfFile32};
 
-use super::{
-    frames,
-    thumb::{Effect, decode},
-};
+use super::thumb::{Effect, decode};
 
 /// A function, identified by its first address.
 #[derive(Debug, Default, PartialEq)]
 pub(super) struct Function {
     pub(super) name: String,
-    /// Stack frame in bytes according to the compiler, if it compiled the function.
+    /// Stack frame in bytes: the total of all pushes in the code. `None` if the code sets the stack pointer in another way.
     pub(super) frame: Option<u64>,
-    /// Total bytes of all pushes in the code.
-    pub(super) pushed: u64,
     /// Functions that it calls or jumps to.
     pub(super) calls: BTreeSet<u32>,
     /// Whether it has indirect calls.
@@ -34,14 +29,12 @@ pub struct Program {
     pub(super) reset: u32,
     /// Handlers of exceptions and interrupts.
     pub(super) handlers: BTreeSet<u32>,
-    /// Length of the code in bytes.
-    pub code_len: usize,
 }
 
-/// The code section, including embedded data.
-struct Text<'a> {
-    address: u32,
-    bytes: &'a [u8],
+/// The code, including embedded data.
+struct Code<'a> {
+    /// The sections with code, and those of data, because functions may be placed in RAM: address and bytes.
+    sections: Vec<(u32, &'a [u8])>,
     /// Boundaries of data within the code.
     data: BTreeMap<u32, bool>,
 }
@@ -50,26 +43,20 @@ impl Program {
     /// Reads an ELF file with symbols.
     ///
     /// # Errors
-    /// Fails when it is not a 32-bit ELF file, or has no code, no function symbols or no `.vector_table`.
+    /// Fails when it is not a 32-bit ELF file, has no function symbols or no `.vector_table`, or lacks the code of a function.
     pub fn of(elf: &[u8]) -> Result<Self> {
         let elf = ElfFile32::<object::Endianness>::parse(elf)?;
         let mut program = Self::default();
-        let text = Text::of(&elf)?;
-        program.code_len = text.bytes.len();
-        let frames = match elf.section_by_name(".stack_sizes") {
-            Some(section) => {
-                frames::parse(section.data()?).context("the section .stack_sizes is malformed")?
-            }
-            None => BTreeMap::new(),
-        };
+        let code = Code::of(&elf)?;
         let starts = starts_of(&elf);
         ensure!(!starts.is_empty(), "no function symbols");
         for (&start, (name, size)) in &starts {
-            let next = starts.range(start + 1..).next().map_or(text.end(), |(next, _)| *next);
+            let end = code.end(start).with_context(|| format!("no code of {name} at {start:#x}"))?;
+            let next = starts.range(start + 1..end).next().map_or(end, |(next, _)| *next);
             // Some assembly functions have no size. After other functions there may be padding.
             let behind = if *size == 0 { next } else { next.min(start + size) };
-            let function = text.function(name.clone(), start..behind, &mut program.taken);
-            program.functions.insert(start, Function { frame: frames.get(&start).copied(), ..function });
+            let function = code.function(name.clone(), start..behind, &mut program.taken);
+            program.functions.insert(start, function);
         }
         // A call's target is the function that contains the address, so jumps within a function are no calls.
         let holders: Vec<u32> = program.functions.keys().copied().collect();
@@ -91,12 +78,6 @@ impl Program {
         Ok(program)
     }
 
-    /// Returns the number of functions.
-    #[must_use]
-    pub fn function_count(&self) -> usize {
-        self.functions.len()
-    }
-
     /// Reads the vector table: initial stack pointer, Reset, then the handlers.
     fn read_vectors(&mut self, elf: &ElfFile32<'_>) -> Result<()> {
         let vectors = elf.section_by_name(".vector_table").context("no section .vector_table")?;
@@ -107,9 +88,11 @@ impl Program {
     }
 }
 
-impl<'a> Text<'a> {
+impl<'a> Code<'a> {
     fn of(elf: &ElfFile32<'a>) -> Result<Self> {
-        let section = elf.section_by_name(".text").context("no section .text")?;
+        let holds_code = |kind| matches!(kind, SectionKind::Text | SectionKind::Data);
+        let sections = elf.sections().filter(|section| holds_code(section.kind()));
+        let sections = sections.map(|section| Ok((section.address() as u32, section.data()?)));
         let mut data = BTreeMap::new();
         for symbol in elf.symbols() {
             // Mapping symbols (ELF for the Arm Architecture, 5.5.5): $t before code, $d before data.
@@ -119,11 +102,13 @@ impl<'a> Text<'a> {
                 _ => None,
             };
         }
-        Ok(Self { address: section.address() as u32, bytes: section.data()?, data })
+        Ok(Self { sections: sections.collect::<Result<_>>()?, data })
     }
 
-    fn end(&self) -> u32 {
-        self.address + self.bytes.len() as u32
+    /// Returns the end of the section that contains the address.
+    fn end(&self, address: u32) -> Option<u32> {
+        let mut ranges = self.sections.iter().map(|(start, bytes)| *start..start + bytes.len() as u32);
+        ranges.find(|range| range.contains(&address)).map(|range| range.end)
     }
 
     fn is_data(&self, address: u32) -> bool {
@@ -131,13 +116,15 @@ impl<'a> Text<'a> {
     }
 
     fn halfword(&self, address: u32) -> Option<u16> {
-        let at = address.checked_sub(self.address)? as usize;
-        Some(u16::from_le_bytes(self.bytes.get(at..at + 2)?.try_into().ok()?))
+        self.sections.iter().find_map(|(start, bytes)| {
+            let at = address.checked_sub(*start)? as usize;
+            Some(u16::from_le_bytes(bytes.get(at..at + 2)?.try_into().ok()?))
+        })
     }
 
     /// Decodes the code of a function; addresses that it builds or contains are added to `taken`.
     fn function(&self, name: String, range: std::ops::Range<u32>, taken: &mut BTreeSet<u32>) -> Function {
-        let mut function = Function { name, ..Function::default() };
+        let mut function = Function { name, frame: Some(0), ..Function::default() };
         let mut low_halves = [0_u16; 16];
         let mut address = range.start;
         while address < range.end {
@@ -145,7 +132,10 @@ impl<'a> Text<'a> {
             let second = self.halfword(address + 2).unwrap_or(0);
             if self.is_data(address) {
                 let word = u32::from(second) << 16 | u32::from(first);
-                taken.extend((word & 1 == 1).then_some(word & !1));
+                // The linker's thunk continues at the address that it contains, such as that of a function in RAM.
+                let is_thunk = function.name.starts_with("__Thumb");
+                let found = if is_thunk { &mut function.calls } else { &mut *taken };
+                found.extend((word & 1 == 1).then_some(word & !1));
                 address += 2;
                 continue;
             }
@@ -158,7 +148,8 @@ impl<'a> Text<'a> {
                     function.calls.insert(to);
                 }
                 Effect::IndirectCall => function.is_indirect = true,
-                Effect::Push(bytes) => function.pushed += u64::from(bytes),
+                Effect::Push(bytes) => function.frame = function.frame.map(|it| it + u64::from(bytes)),
+                Effect::SetStack => function.frame = None,
                 Effect::Half { register, high: false, value } => {
                     low_halves[usize::from(register & 0xF)] = value;
                 }
@@ -214,11 +205,11 @@ fn words(bytes: &[u8]) -> impl Iterator<Item = u32> {
 mod tests {
     use super::*;
 
-    fn follow(code: &[u16], range: std::ops::Range<u32>) -> (Function, BTreeSet<u32>) {
+    fn follow(name: &str, code: &[u16], range: std::ops::Range<u32>) -> (Function, BTreeSet<u32>) {
         let bytes: Vec<u8> = code.iter().flat_map(|it| it.to_le_bytes()).collect();
-        let text = Text { address: 0x100, bytes: &bytes, data: BTreeMap::from([(0x10C, true)]) };
+        let code = Code { sections: vec![(0x100, &bytes)], data: BTreeMap::from([(0x10C, true)]) };
         let mut taken = BTreeSet::new();
-        (text.function("f".into(), range, &mut taken), taken)
+        (code.function(name.into(), range, &mut taken), taken)
     }
 
     #[test]
@@ -226,11 +217,29 @@ mod tests {
         // push {r7, lr}; sub sp, #56; bl 0x200; blx r3; followed by a word that resembles an address
         let code = [0xB580, 0xB08E, 0xF000, 0xF87C, 0x4798, 0xBF00, 0x0301, 0x0000];
 
-        let (function, taken) = follow(&code, 0x100..0x110);
+        let (function, taken) = follow("f", &code, 0x100..0x110);
 
-        assert_eq!((function.pushed, function.is_indirect), (64, true));
+        assert_eq!((function.frame, function.is_indirect), (Some(64), true));
         assert_eq!(function.calls, BTreeSet::from([0x200]));
         assert_eq!(taken, BTreeSet::from([0x300]));
+    }
+
+    #[test]
+    fn a_function_that_sets_the_stack_pointer_has_no_known_frame() {
+        // push {r7, lr}; add sp, r6; push {r7, lr}
+        let (function, _) = follow("f", &[0xB580, 0x44B5, 0xB580], 0x100..0x106);
+
+        assert_eq!(function.frame, None);
+    }
+
+    #[test]
+    fn a_thunk_continues_at_the_address_that_it_contains() {
+        // push {r0, r1}; ldr r0, [pc]; str r0, [sp, #4]; pop {r0, pc}; alignment; the address
+        let code = [0xB403, 0x4801, 0x9001, 0xBD01, 0xBF00, 0xBF00, 0x0301, 0x2000];
+
+        let (thunk, taken) = follow("__Thumbv6MABSLongThunk_f", &code, 0x100..0x110);
+
+        assert_eq!((thunk.calls, taken), (BTreeSet::from([0x2000_0300]), BTreeSet::new()));
     }
 
     #[test]

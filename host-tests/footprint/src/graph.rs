@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 
-use super::calls::{Function, Program};
+use super::calls::Program;
 
 /// A call path and its stack use.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -22,8 +22,6 @@ pub struct Deepest {
     pub program: Path,
     /// Deepest path of each handler.
     pub handlers: Vec<Path>,
-    /// Functions whose frame size was derived from their code.
-    pub by_prologue: BTreeSet<String>,
     /// Functions with indirect calls.
     pub indirect: BTreeSet<String>,
 }
@@ -32,21 +30,15 @@ impl Program {
     /// Walks all paths from Reset and from each handler.
     ///
     /// # Errors
-    /// Fails when a function calls itself directly or indirectly, because its stack is unbounded.
+    /// Fails when a function calls itself directly or indirectly, because its stack is unbounded, and when a function sets the
+    /// stack pointer in a way that is not understood.
     pub fn deepest(&self) -> Result<Deepest> {
         let mut walk = Walk { program: self, known: BTreeMap::new(), open: Vec::new() };
         let deepest = walk.from(self.reset)?;
         let handlers = self.handlers.iter().map(|handler| walk.from(*handler)).collect::<Result<Vec<_>>>()?;
-        let reached = || walk.known.keys().filter_map(|address| self.functions.get(address));
-        let names = |of: &dyn Fn(&Function) -> bool| {
-            reached().filter(|it| of(it)).map(|it| it.name.clone()).collect()
-        };
-        Ok(Deepest {
-            program: deepest,
-            handlers,
-            by_prologue: names(&|function| function.frame.is_none() && function.pushed > 0),
-            indirect: names(&|function| function.is_indirect),
-        })
+        let reached = walk.known.keys().filter_map(|address| self.functions.get(address));
+        let indirect = reached.filter(|it| it.is_indirect).map(|it| it.name.clone()).collect();
+        Ok(Deepest { program: deepest, handlers, indirect })
     }
 }
 
@@ -77,8 +69,8 @@ impl Walk<'_> {
             }
         }
         self.open.pop();
-        // Uses the larger of the compiler's and the decoded frame size.
-        let frame = function.frame.unwrap_or(0).max(function.pushed);
+        let what_failed = || format!("{} sets the stack pointer; its frame is unknown", function.name);
+        let frame = function.frame.with_context(what_failed)?;
         let mut path = vec![format!("{} ({frame} B)", function.name)];
         path.extend(below.path);
         let deepest = Path { bytes: frame + below.bytes, path };
@@ -89,6 +81,7 @@ impl Walk<'_> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::calls::Function;
     use super::*;
 
     fn function(name: &str, frame: u64, calls: &[u32]) -> Function {
@@ -149,14 +142,12 @@ mod tests {
     }
 
     #[test]
-    fn code_that_pushes_more_than_the_compiler_says_counts() {
-        let mut asm = function("asm", 0, &[]);
-        asm.frame = None;
-        asm.pushed = 24;
+    fn a_frame_that_the_code_does_not_show_fails_the_walk() {
+        let mut odd = function("odd", 0, &[]);
+        odd.frame = None;
 
-        let deepest = program(vec![(1, asm), (9, function("h", 0, &[]))]).deepest().unwrap();
+        let said = program(vec![(1, odd), (9, function("h", 0, &[]))]).deepest().unwrap_err().to_string();
 
-        assert_eq!(deepest.program.bytes, 24);
-        assert_eq!(deepest.by_prologue, BTreeSet::from(["asm".to_owned()]));
+        assert!(said.contains("odd sets the stack pointer"), "{said}");
     }
 }

@@ -3,11 +3,9 @@
 //! [`uf2`] converts the image for the RP2040, and [`place_of`] finds a symbol's bytes.
 //!
 //! The stack depth results from a walk over all calls. Every path counts as possible, and an indirect call as one of
-//! any function whose address is taken. Frame sizes come from the compiler's section `.stack_sizes`
-//! (`-Zemit-stack-sizes`), otherwise from the code.
+//! any function whose address is taken. A frame is the total of all pushes in the function's code.
 
 mod calls;
-mod frames;
 mod graph;
 mod sections;
 mod thumb;

@@ -12,6 +12,8 @@ pub(super) enum Effect {
     IndirectCall,
     /// Uses this many bytes of stack.
     Push(u32),
+    /// Sets the stack pointer in another way. Instructions that only free stack are [`Effect::Other`].
+    SetStack,
     /// Sets half of a register.
     Half {
         register: u8,
@@ -46,6 +48,8 @@ fn narrow(address: u32, code: u16) -> Effect {
         _ if code & 0xFE00 == 0xB400 => Effect::Push((code & 0x1FF).count_ones() * 4),
         // SUB SP, immediate
         _ if code & 0xFF80 == 0xB080 => Effect::Push(u32::from(code & 0x7F) * 4),
+        // ADD SP, register and MOV SP, register
+        _ if code & 0xFF87 == 0x4485 || code & 0xFF87 == 0x4685 => Effect::SetStack,
         _ => Effect::Other,
     }
 }
@@ -86,6 +90,14 @@ fn wide(address: u32, first: u16, second: u16) -> Effect {
         }
         // SUBW SP, SP, #imm12 (T3)
         _ if first & 0xFBFF == 0xF2AD && second & 0x8F00 == 0x0D00 => Effect::Push(modified_immediate()),
+        // ADD.W and ADDW SP, SP, #imm free stack. Any other result of data processing, and a load
+        _ if first & 0xFBEF == 0xF10D || first & 0xFBFF == 0xF20D => Effect::Other,
+        _ if (first >> 9 == 0b111_0101 || first >> 11 == 0b11110 && second >> 15 == 0)
+            && second & 0x0F00 == 0x0D00 =>
+        {
+            Effect::SetStack
+        }
+        _ if first & 0xFF70 == 0xF850 && second >> 12 == 13 => Effect::SetStack,
         // VPUSH of double and of single registers
         _ if first & 0xFFBF == 0xED2D && second & 0x0E00 == 0x0A00 => Effect::Push((two & 0xFF) * 4),
         // MOVW and MOVT
@@ -142,6 +154,18 @@ mod tests {
             (0, [0xF5AD, 0x7D66], (4, Effect::Push(920))),
             (0, [0xF6AD, 0x0D04], (4, Effect::Push(2052))),
             (0, [0xED2D, 0x8B02], (4, Effect::Push(8))),
+            (0, [0x44B5, 0x0000], (2, Effect::SetStack)),
+            (0, [0x46A5, 0x0000], (2, Effect::SetStack)),
+            (0, [0x466F, 0x0000], (2, Effect::Other)),
+            (0, [0xEBAD, 0x0D03], (4, Effect::SetStack)),
+            (0, [0xEA4F, 0x0D07], (4, Effect::SetStack)),
+            (0, [0xF8D0, 0xD000], (4, Effect::SetStack)),
+            (0, [0xF850, 0xDF04], (4, Effect::SetStack)),
+            (0, [0xF8DD, 0x1400], (4, Effect::Other)),
+            (0, [0xF50D, 0x7D66], (4, Effect::Other)),
+            (0, [0xF60D, 0x0D04], (4, Effect::Other)),
+            (0, [0xEBBD, 0x0F01], (4, Effect::Other)),
+            (0, [0xF1AD, 0x010C], (4, Effect::Other)),
             (0, [0xF240, 0x0A98], (4, Effect::Half { register: 10, high: false, value: 0x0098 })),
             (0, [0xF6C0, 0x0000], (4, Effect::Half { register: 0, high: true, value: 0x0800 })),
         ] {
