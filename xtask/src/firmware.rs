@@ -54,6 +54,9 @@ pub(crate) struct Variant {
 /// The feature of a board's crate that makes it a program.
 const FIRMWARE: &str = "firmware";
 
+/// The feature with which an image links only if no panic is reachable. Additional features, such as logging, may panic.
+const PANIC_FREE: &str = "prove-panic-free";
+
 /// A built firmware image and its hash.
 pub(crate) struct Image {
     /// The board that the image is for.
@@ -94,7 +97,8 @@ pub(crate) fn c_library(toolchain: &ThumbToolchain<'_>, triple: &str) -> Result<
 
 /// Returns cargo's arguments that select the firmware's binary, features and profile.
 pub(crate) fn selection(board: &Board, features: &[String], profile: &str) -> Vec<String> {
-    let features = [&[FIRMWARE.to_owned()], features].concat().join(",");
+    let features = if features.is_empty() { PANIC_FREE } else { &features.join(",") };
+    let features = format!("{FIRMWARE},{features}");
     ["-p", &format!("wsg-{}", board.name), "--bin", board.name, "--features", &features, "--profile", profile]
         .map(str::to_owned)
         .to_vec()
