@@ -45,7 +45,7 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
         }
         let linker = if is_linux { LINUX } else { &[] };
         let arguments = [&["--target", target], linker, options].concat();
-        let wheel = build(workspace, environment, "wheel", folder, &arguments)?;
+        let wheel = build(workspace, environment, folder, &arguments)?;
         let size = fs::metadata(&wheel)?.len();
         ensure!(size <= MAX_WHEEL, "{} has {size} bytes, more than {MAX_WHEEL}", wheel.display());
         let is_here = folder == env::consts::ARCH;
@@ -57,10 +57,25 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Builds the wheel, installs it in the environment and runs the tests of the package there.
+/// Packs a wheel with the library as the workspace's tests build it, and tests it. maturin would spend a minute on compiling the
+/// dependencies again, with fewer features.
 pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
-    let wheel = build(workspace, environment, "dev", "dev", &["--compatibility", "linux"])?;
-    test_wheel(workspace, environment, &wheel)
+    // The example selects the features of the tests.
+    process::run(&mut workspace.cargo("build -q --workspace --lib --example painted_stack"))?;
+    let out = emptied(workspace, "dev")?;
+    let content = out.join("content");
+    let mut maturin = maturin(workspace, environment, &[])?;
+    process::run(maturin.args(["pep517", "write-dist-info", "--metadata-directory"]).arg(&content))?;
+    let package = workspace.root.join(PYTHON_PACKAGE).join("python/wsg_gripper");
+    process::run(Command::new("cp").arg("-r").arg(package).arg(&content))?;
+    let library = format!("debug/{}wsg_gripper{}", env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX);
+    let library = workspace.target_dir.join(library);
+    fs::copy(&library, content.join("wsg_gripper/_native.abi3.so"))
+        .with_context(|| format!("cannot copy {}", library.display()))?;
+    let mut pack = Command::new(environment.join("bin/python"));
+    process::run(pack.args(["-m", "wheel", "pack", "--dest-dir"]).arg(&out).arg(&content))?;
+    fs::remove_dir_all(&content)?;
+    test_wheel(workspace, environment, &only_file(&out)?)
 }
 
 /// Installs a wheel in the environment and runs the tests there.
@@ -77,31 +92,37 @@ fn test_wheel(workspace: &Workspace, environment: &Path, wheel: &Path) -> Result
 }
 
 /// Builds a wheel and returns its path.
-fn build(
-    workspace: &Workspace,
-    environment: &Path,
-    profile: &str,
-    folder: &str,
-    options: &[&str],
-) -> Result<PathBuf> {
-    let out = workspace.target_dir.join("wheels").join(folder);
-    let _ = fs::remove_dir_all(&out);
+fn build(workspace: &Workspace, environment: &Path, folder: &str, options: &[&str]) -> Result<PathBuf> {
+    let out = emptied(workspace, folder)?;
+    let mut maturin = maturin(workspace, environment, options)?;
+    maturin.args(["build", "--locked", "--profile", "wheel", "--out"]).arg(&out).args(options);
+    provenance::remove_paths(&mut maturin, &workspace.target_dir, &[]);
+    process::run(&mut maturin)?;
+    only_file(&out)
+}
+
+/// Returns maturin's command for the package, and writes the licences, which it adds to the wheel.
+fn maturin(workspace: &Workspace, environment: &Path, options: &[&str]) -> Result<Command> {
     let package = workspace.root.join(PYTHON_PACKAGE);
-    // maturin adds files of this name to the wheel.
     let target = options.iter().skip_while(|option| **option != "--target").take(2);
     let selection = ["--package", "wsg-python"].iter().chain(target).copied().collect::<Vec<_>>().join(" ");
     fs::write(package.join("LICENCES.txt"), provenance::licences(&[&selection])?)?;
     let (bin, path) = (environment.join("bin"), env::var_os("PATH").unwrap_or_default());
     let mut maturin = Command::new(bin.join("maturin"));
-    // maturin finds zig by the Python on the path.
+    // maturin finds Python and zig by the path.
     let path = env::join_paths([bin].into_iter().chain(env::split_paths(&path)))?;
     maturin.current_dir(package).env("CARGO_TARGET_DIR", &workspace.target_dir).env("PATH", path);
-    maturin.args(["build", "--locked", "--profile", profile, "--out"]).arg(&out).args(options);
-    if profile != "dev" {
-        // With other flags, the tests of a wheel would rebuild everything.
-        provenance::remove_paths(&mut maturin, &workspace.target_dir, &[]);
-    }
-    process::run(&mut maturin)?;
-    let wheel = fs::read_dir(&out)?.next().context("maturin built no wheel")?;
-    Ok(wheel?.path())
+    Ok(maturin)
+}
+
+/// Returns an empty folder for a wheel.
+fn emptied(workspace: &Workspace, folder: &str) -> Result<PathBuf> {
+    let out = workspace.target_dir.join("wheels").join(folder);
+    let _ = fs::remove_dir_all(&out);
+    fs::create_dir_all(&out)?;
+    Ok(out)
+}
+
+fn only_file(folder: &Path) -> Result<PathBuf> {
+    Ok(fs::read_dir(folder)?.next().context("there is no wheel")??.path())
 }
