@@ -33,7 +33,7 @@ pub struct Program {
 
 /// The code, including embedded data.
 struct Code<'a> {
-    /// The sections with code, and those of data, because functions may be placed in RAM: address and bytes.
+    /// Address and bytes of the sections with code or data, because functions may be placed in RAM.
     sections: Vec<(u32, &'a [u8])>,
     /// Boundaries of data within the code.
     data: BTreeMap<u32, bool>,

@@ -459,10 +459,6 @@ impl<D: Dialect> Engine<D> {
         if !matches!(expired, [Expired::No, Expired::No, Expired::No]) {
             self.take_expired(now, expired);
         }
-        if !self.fast_stop.is_idle() {
-            self.request.hold(now);
-            self.refresh.hold(now);
-        }
         if matches!(self.link, Link::Down { .. }) {
             self.refresh.close();
         }

@@ -381,6 +381,12 @@ fn motion_is_overtaken_by_an_acknowledgement_until_it_is_taken_back_and_a_query_
     rig.send(Command::GetTemperature);
     rig.session.request(acknowledge).unwrap();
     assert!(!rig.session.has_overtaken());
+
+    let mut rig = Rig::connected();
+    rig.session.request(GRIP).unwrap();
+    assert_eq!(rig.session.tick(rig.now), None);
+    rig.session.request(acknowledge).unwrap();
+    assert!(!rig.session.has_overtaken(), "nothing of it has been sent");
 }
 
 #[test]
@@ -1182,6 +1188,19 @@ fn query_due_during_a_fast_stop_is_sent_right_after_it() {
     let sent = rig.sent();
     assert_eq!(sent.len(), 1, "{sent:?}");
     assert!(sent.iter().all(|command| command.id().kind() == Kind::Query));
+}
+
+#[test]
+fn query_overdue_during_a_fast_stop_is_repeated_right_after_it() {
+    let mut rig = Rig::connected();
+    rig.now = rig.session.poll_timeout().unwrap();
+    let query = rig.sent();
+    assert_eq!(query.len(), 1);
+    rig.session.request(Command::FastStop).unwrap();
+    let during = rig.pass(150);
+    assert!(during.iter().all(|command| *command == Command::FastStop), "{during:?}");
+    rig.status(CommandId::FastStop, Status::Success);
+    assert_eq!(rig.sent(), query);
 }
 
 #[test]

@@ -141,14 +141,6 @@ impl<M: Message> Transaction<M> {
         Some(outgoing)
     }
 
-    /// Counts a due repetition as sent without sending it, while something else has exclusive use of the line.
-    pub(super) fn hold(&mut self, now: Instant) {
-        if self.deadline.is_none() && self.sent > 0 && self.request.is_some() {
-            self.deadline = Some(now.plus(self.timeout_ms));
-            self.sent = self.sent.saturating_add(1);
-        }
-    }
-
     /// Forbids repetitions. A request that is still unsent is not affected.
     pub(super) const fn forbid_repeat(&mut self) {
         self.only_once = true;
@@ -190,7 +182,7 @@ impl<M: Message> Transaction<M> {
     /// Processes a time-out that is due at `now`. A repeatable request is sent up to `attempts` times in total. A
     /// blocked line does not extend the total time.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
-        let is_due = self.sent > 0 && self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
+        let is_due = self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
         if is_due { self.take_time_out(now, attempts) } else { Expired::No }
     }
 
@@ -207,7 +199,7 @@ impl<M: Message> Transaction<M> {
         if is_repeatable && self.only_once {
             return Expired::Overtaken;
         }
-        if is_repeatable && self.sent < attempts && !is_over {
+        if is_repeatable && !is_over {
             self.deadline = None;
             Expired::Repeated
         } else {

@@ -328,6 +328,16 @@ fn unanswered_query_is_not_repeated_and_other_queries_continue() {
 }
 
 #[test]
+fn unanswered_query_is_not_repeated_beside_a_read_back_either() {
+    let mut rig = limited();
+    rig.until_queried();
+    rig.exchange(Command::SetForceLimit { force: 10.0 }, Status::Success);
+    assert_eq!(rig.sent(), [Command::GetForceLimit], "the read-back");
+    let sent = rig.pass(REFRESH_REPLY_MS + 1);
+    assert!(!sent.contains(&Command::GetForceLimit), "{sent:?}");
+}
+
+#[test]
 fn short_answer_time_ends_it_earlier() {
     let mut rig = Rig::with(Config { verify_settings: true, reply_timeout_ms: 80, ..Config::DEFAULT });
     rig.connect();
