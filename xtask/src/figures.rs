@@ -11,9 +11,7 @@ const DOCUMENT: &str = "docs/figures.md";
 /// Measures all figures, writes them to `docs/figures.md`, and returns the gates.
 pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
     panics::check(toolchain)?;
-    let mut gates = size::of_images(images)?;
-    gates.extend(size::of_protocol(toolchain)?);
-    gates.extend(size::of_c_library(toolchain)?);
+    let mut gates = size::of_all(toolchain, images)?;
     gates.extend(stack::walked(images)?);
     gates.extend(stack::painted(toolchain.workspace, images)?);
     gates.extend(bench::counted(toolchain, false)?.gates);

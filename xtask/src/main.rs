@@ -193,10 +193,7 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Deny => commands::dependencies(workspace)?,
         Command::Size => {
             let built = Built::new(workspace)?;
-            let mut gates = size::of_images(&built.images()?)?;
-            gates.extend(size::of_protocol(&built.toolchain)?);
-            gates.extend(size::of_c_library(&built.toolchain)?);
-            gate::check(&gates)?;
+            gate::check(&size::of_all(&built.toolchain, &built.images()?)?)?;
         }
         Command::Stack => {
             let built = Built::new(workspace)?;

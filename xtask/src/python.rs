@@ -69,13 +69,12 @@ pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
     let package = workspace.root.join(PYTHON_PACKAGE).join("python/wsg_gripper");
     process::run(Command::new("cp").arg("-r").arg(package).arg(&content))?;
     let library = format!("debug/{}wsg_gripper{}", env::consts::DLL_PREFIX, env::consts::DLL_SUFFIX);
-    let library = workspace.target_dir.join(library);
-    fs::copy(&library, content.join("wsg_gripper/_native.abi3.so"))
-        .with_context(|| format!("cannot copy {}", library.display()))?;
+    let (library, native) = (workspace.target_dir.join(library), content.join("wsg_gripper/_native.abi3.so"));
+    fs::copy(library, native).context("cannot copy the library")?;
     let mut pack = Command::new(environment.join("bin/python"));
     process::run(pack.args(["-m", "wheel", "pack", "--dest-dir"]).arg(&out).arg(&content))?;
     fs::remove_dir_all(&content)?;
-    test_wheel(workspace, environment, &only_file(&out)?)
+    test_wheel(workspace, environment, &fs::read_dir(out)?.next().context("there is no wheel")??.path())
 }
 
 /// Installs a wheel in the environment and runs the tests there.
@@ -98,7 +97,7 @@ fn build(workspace: &Workspace, environment: &Path, folder: &str, options: &[&st
     maturin.args(["build", "--locked", "--profile", "wheel", "--out"]).arg(&out).args(options);
     provenance::remove_paths(&mut maturin, &workspace.target_dir, &[]);
     process::run(&mut maturin)?;
-    only_file(&out)
+    Ok(fs::read_dir(out)?.next().context("there is no wheel")??.path())
 }
 
 /// Returns maturin's command for the package, and writes the licences, which it adds to the wheel.
@@ -121,8 +120,4 @@ fn emptied(workspace: &Workspace, folder: &str) -> Result<PathBuf> {
     let _ = fs::remove_dir_all(&out);
     fs::create_dir_all(&out)?;
     Ok(out)
-}
-
-fn only_file(folder: &Path) -> Result<PathBuf> {
-    Ok(fs::read_dir(folder)?.next().context("there is no wheel")??.path())
 }

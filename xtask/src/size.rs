@@ -38,6 +38,11 @@ const C_LIBRARY: [(&str, &[&str], u64); 2] = [
 ];
 const C_RAM_LIMIT: u64 = 640;
 
+/// Returns all gates.
+pub(crate) fn of_all(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<Vec<Gate>> {
+    Ok([of_images(images)?, of_protocol(toolchain)?, of_c_library(toolchain)?].concat())
+}
+
 /// Returns the gates of the boards' images.
 pub(crate) fn of_images(images: &[Image]) -> Result<Vec<Gate>> {
     let mut gates = Vec::new();

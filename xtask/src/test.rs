@@ -1,13 +1,13 @@
 //! Runs all checks of the workspace in order, up to the first failure.
 
-use std::{ffi::OsString, num::NonZero, path::PathBuf, process::Command, thread, time::Instant};
+use std::{ffi::OsString, num::NonZero, path::PathBuf, thread, time::Instant};
 
 use anyhow::{Context, Result, ensure};
 use boards::{BOARDS, Board};
 
 use crate::{
     bench, commands,
-    firmware::{self, Variant},
+    firmware::{self, Image, Variant},
     gate,
     matrix::{self, Extent},
     panics, platforms, process, python,
@@ -41,9 +41,8 @@ pub(crate) fn run(
     }
     chosen.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(toolchain, setup::TRIPLE)?));
     let mut record = Record::default();
-    for program in &masters.missing {
-        record.not_checked(&format!("tests with {program} (it is not installed)"));
-    }
+    let missing = masters.missing.iter();
+    missing.for_each(|program| record.not_checked(&format!("tests with {program} (it is not installed)")));
     let checks = Checks { workspace, toolchain, chosen, masters: &masters, extent };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
@@ -67,86 +66,80 @@ struct Checks<'a> {
 impl Checks<'_> {
     fn run_all(&self, record: &mut Record) -> Result<()> {
         let Self { workspace, toolchain, .. } = self;
-        let cargo = |subcommand: &str, arguments: &[&str]| {
-            let mut cargo = workspace.cargo(subcommand);
-            cargo.args(arguments);
-            cargo
-        };
-
         if RUSTFMT.provide(workspace) {
-            record.check("format", || process::run(&mut cargo("fmt", &["--all", "--", "--check"])))?;
+            record.check("format", || process::run(&mut workspace.cargo("fmt --all -- --check")))?;
         } else {
             record.not_checked("format (no rustfmt)");
         }
         if CLIPPY.provide(workspace) {
-            let arguments = ["--workspace", "--all-targets", "--", "-D", "warnings"];
-            record.check("clippy, host", || process::run(&mut cargo("clippy", &arguments)))?;
+            let clippy = "clippy --workspace --all-targets -- -D warnings";
+            record.check("clippy, host", || process::run(&mut workspace.cargo(clippy)))?;
         } else {
             record.not_checked("clippy, host (no clippy)");
         }
         if CLIPPY.provide_for_thumb(toolchain) {
+            let lint = |triple, selection: &[String]| {
+                let mut clippy = toolchain.cargo("clippy", triple);
+                process::run(clippy.args(selection).args(["--", "-D", "warnings"]))
+            };
             record.check("clippy, firmware", || {
-                BOARDS.iter().try_for_each(|board| process::run(&mut self.firmware_clippy(board)))
+                let lint = |it: &Board| lint(it.triple, &firmware::selection(it, &[], firmware::PROFILE));
+                BOARDS.iter().try_for_each(lint)
             })?;
-            record.check("clippy, probes", || process::run(&mut self.probes_clippy()))?;
+            let probes = "-p wsg-probes --bins --features edges,every-function --profile firmware";
+            let probes: Vec<_> = probes.split(' ').map(str::to_owned).collect();
+            record.check("clippy, probes", || lint(setup::TRIPLE, &probes))?;
         } else {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
         }
         record.check(TESTS, || self.tests(&[]))?;
+        let images = firmware::build_all(toolchain)?;
+        record.both(|it| self.on_the_host(it, &images), |it| self.of_the_images(it, &images))?;
+        record.check("host throughput", || {
+            // Check only the ratio: the absolute throughput depends on the machine.
+            let [_, beside_a_loop] = bench::throughput(workspace)?;
+            gate::check(&[beside_a_loop])
+        })
+    }
+
+    /// The checks that mostly build with the development profile.
+    fn on_the_host(&self, record: &mut Record, images: &[Image]) -> Result<()> {
+        let workspace = self.workspace;
         match setup::python(workspace) {
             Some(environment) => record.check("Python package", || python::test(workspace, &environment))?,
             None => record.not_checked("Python package (its tools are not installed)"),
         }
-        let mut not_built = Vec::new();
-        record.check("protocol on other targets, oldest Rust, package", || {
-            not_built = matrix::build(workspace, self.extent)?.not_checked;
-            Ok(())
+        let built = record.check("protocol on other targets, oldest Rust, package", || {
+            matrix::build(workspace, self.extent)
         })?;
-        not_built.iter().for_each(|what| record.not_checked(what));
-        record
-            .check("examples in the docs", || process::run(&mut cargo("test", &["--workspace", "--doc"])))?;
+        built.not_checked.iter().for_each(|what| record.not_checked(what));
+        let mut examples = workspace.cargo("test --workspace --doc");
+        record.check("examples in the docs", || process::run(&mut examples))?;
         record.check("docs", || {
-            process::run(cargo("doc", &["--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
+            process::run(workspace.cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-D warnings"))
         })?;
-        let images = firmware::build_all(toolchain)?;
-        record.check("size", || {
-            gate::check(&[size::of_images(&images)?, size::of_protocol(toolchain)?].concat())
-        })?;
+        // Without rp2040js, only the default board's image, which is the first, can be emulated.
+        let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { images };
+        record.check("stack, painted", || gate::check(&stack::painted(workspace, emulated)?))
+    }
+
+    /// The checks that mostly build with the profiles of the firmware, whose linking uses one core.
+    fn of_the_images(&self, record: &mut Record, images: &[Image]) -> Result<()> {
+        let toolchain = self.toolchain;
+        let sizes = || anyhow::Ok([size::of_images(images)?, size::of_protocol(toolchain)?].concat());
+        record.check("size", || gate::check(&sizes()?))?;
         if self.masters.missing.contains(&"arm_none_eabi_gcc") {
             record.not_checked("size of the C library (no arm-none-eabi-gcc)");
         } else {
             record.check("size of the C library", || gate::check(&size::of_c_library(toolchain)?))?;
         }
-        record.check("stack, walked", || gate::check(&stack::walked(&images)?))?;
-        // Without rp2040js, only the default board's image, which is the first, can be emulated.
-        let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { &images };
-        record.check("stack, painted", || gate::check(&stack::painted(workspace, emulated)?))?;
-        let mut not_compared = None;
-        record.check("instructions", || {
+        record.check("stack, walked", || gate::check(&stack::walked(images)?))?;
+        let not_compared = record.check("instructions", || {
             let counted = bench::counted(toolchain, false)?;
-            not_compared = counted.not_compared;
-            gate::check(&counted.gates)
+            gate::check(&counted.gates).map(|()| counted.not_compared)
         })?;
         not_compared.iter().for_each(|why| record.not_checked(&format!("instructions, {why}")));
-        record.check("host throughput", || {
-            // Check only the ratio: the absolute throughput depends on the machine.
-            let [_, beside_a_loop] = bench::throughput(workspace)?;
-            gate::check(&[beside_a_loop])
-        })?;
         record.check("panic paths", || panics::check(toolchain))
-    }
-
-    fn firmware_clippy(&self, board: &Board) -> Command {
-        let mut clippy = self.toolchain.cargo("clippy", board.triple);
-        clippy.args(firmware::selection(board, &[], firmware::PROFILE)).args(["--", "-D", "warnings"]);
-        clippy
-    }
-
-    fn probes_clippy(&self) -> Command {
-        let mut clippy = self.toolchain.cargo("clippy", setup::TRIPLE);
-        clippy.args(["-p", "wsg-probes", "--bins", "--features", "edges,every-function"]);
-        clippy.args(["--profile", "firmware", "--", "-D", "warnings"]);
-        clippy
     }
 
     /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
@@ -180,13 +173,30 @@ struct Record {
 }
 
 impl Record {
-    fn check(&mut self, name: &'static str, check: impl FnOnce() -> Result<()>) -> Result<()> {
+    fn check<T>(&mut self, name: &'static str, check: impl FnOnce() -> Result<T>) -> Result<T> {
         println!("== {name}");
         let start = Instant::now();
-        check().with_context(|| format!("check \"{name}\""))?;
+        let value = check().with_context(|| format!("check \"{name}\""))?;
         println!("== {name}: passed in {} s", start.elapsed().as_secs());
         self.passed.push(name);
-        Ok(())
+        Ok(value)
+    }
+
+    /// Runs two lists of checks at the same time, each up to its first failure.
+    fn both(
+        &mut self,
+        one: impl FnOnce(&mut Self) -> Result<()> + Send,
+        other: impl FnOnce(&mut Self) -> Result<()>,
+    ) -> Result<()> {
+        let mut beside = Self::default();
+        let outcomes = thread::scope(|scope| {
+            let one = scope.spawn(|| one(&mut beside).inspect_err(|error| eprintln!("error: {error:#}")));
+            let other = other(self);
+            [one.join().expect("a panic is a defect, and was printed"), other]
+        });
+        self.passed.append(&mut beside.passed);
+        self.not_checked.append(&mut beside.not_checked);
+        outcomes.into_iter().collect()
     }
 
     fn not_checked(&mut self, name: &str) {
@@ -197,14 +207,11 @@ impl Record {
     fn summary(&self, failed: bool) -> String {
         let mut text = format!("test: {} passed ({})", self.passed.len(), self.passed.join("; "));
         if failed {
-            text.push_str(", then one FAILED; the remaining checks did not run");
+            text.push_str(", then one FAILED; the remaining checks did not all run");
         }
         if !self.not_checked.is_empty() {
-            text.push_str(&format!(
-                "; {} NOT CHECKED ({})",
-                self.not_checked.len(),
-                self.not_checked.join("; ")
-            ));
+            let (count, names) = (self.not_checked.len(), self.not_checked.join("; "));
+            text += &format!("; {count} NOT CHECKED ({names})");
         }
         text
     }
@@ -260,11 +267,22 @@ mod tests {
         let mut record = Record::default();
         record.not_checked("format (no rustfmt)");
         record.check("size", || Ok(())).unwrap();
-        let failed = record.check("docs", || bail!("x")).is_err();
+        let failed = record.check("docs", || -> Result<()> { bail!("x") }).is_err();
 
-        let expected = "test: 1 passed (size), then one FAILED; the remaining checks did not run; \
+        let expected = "test: 1 passed (size), then one FAILED; the remaining checks did not all run; \
                         1 NOT CHECKED (format (no rustfmt))";
         assert_eq!(record.summary(failed), expected);
+    }
+
+    #[test]
+    fn two_lists_are_recorded_together_and_either_can_fail() {
+        let mut record = Record::default();
+        let mut fails = |[one, other]: [bool; 2]| {
+            let check = |is_ok: bool| is_ok.then_some(()).context("x");
+            record.both(|it| it.check("one", || check(one)), |it| it.check("other", || check(other))).is_err()
+        };
+        assert_eq!([[false, true], [true, false], [true, true]].map(&mut fails), [true, true, false]);
+        assert_eq!(record.passed, ["other", "one", "other", "one"]);
     }
 
     #[test]
