@@ -154,7 +154,7 @@ impl Bridge {
     ) -> Outputs {
         let now = Instant::from_millis(now_ms);
         bus.report(&mut self.facts.sides);
-        let has_heard = self.receive(now, link) | self.expire_half_frame(now);
+        let has_heard = self.receive(now, link) || self.expire_half_frame(now);
         // Before a lost connection invalidates this state.
         self.controller.adopt_known(self.session.known());
         self.tick(now);

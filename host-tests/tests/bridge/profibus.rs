@@ -74,6 +74,19 @@ fn grip_cycle_over_profibus() {
 }
 
 #[test]
+fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
+    for phase_ms in 0..5 {
+        let mut rig = TestRig::homed(with_part(20.0));
+        rig.pass(2 * phase_ms);
+        rig.image = OutputImage { width: 20_00, speed: 50_00, ..rig.image };
+        rig.set(Flag::GRIP);
+        let shown = (0..10_000).map(|_| rig.input()).find(|input| input.state == Shown::HOLDING);
+        rig.pass(2_000);
+        assert_eq!(shown, Some(rig.input()), "nothing changes after the end");
+    }
+}
+
+#[test]
 fn watchdog_of_the_master_stops_its_motion_in_time() {
     for (reaction, expected) in REACTIONS {
         let mut rig = moving(reaction);

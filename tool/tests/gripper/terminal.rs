@@ -66,8 +66,7 @@ impl Terminal {
     fn homed(rig: &TestRig) -> Self {
         let mut terminal = Self::start(&[&rig.tcp()]);
         terminal.until("> ");
-        terminal.press(&format!("home{ENTER}"));
-        terminal.until("done");
+        terminal.command("home", "done");
         terminal
     }
 
@@ -76,6 +75,13 @@ impl Terminal {
         (self.keys, self.shown) = (None, None);
         let status = self.child.wait().expect("the program exits");
         assert!(!status.success(), "{status}");
+    }
+
+    /// Runs a command, and waits for the next prompt. Before it, the terminal would turn Enter into another key.
+    fn command(&mut self, keys: &str, shown: &str) {
+        self.press(&format!("{keys}{ENTER}"));
+        self.until(shown);
+        self.until("> ");
     }
 
     fn press(&mut self, keys: &str) {
@@ -144,16 +150,19 @@ fn prompt_completes_shows_the_state_and_remembers() {
     terminal.press(&format!("hom{TAB}pos{TAB}{ENTER}"));
     terminal.until("> home positive \r\n");
     terminal.until("done");
+    terminal.until("> ");
     terminal.press(&format!("gri{TAB}20 400 --f{TAB}40{ENTER}"));
     terminal.until("> grip 20 400 --force 40\r\n");
     terminal.until("[GRIPPING  ");
     terminal.until("a part is held: width 19.");
     terminal.until("[HOLDING  19.");
+    terminal.until("> ");
     terminal.press(&format!("fo{TAB}{TAB}"));
     terminal.until("force  force-limit\r\n");
     terminal.press(&format!("\x15{UP}{UP}{ENTER}"));
     terminal.until("> home positive \r\n");
     terminal.until("done");
+    terminal.until("> ");
     terminal.press(&format!("grip{ENTER}"));
     terminal.until("required arguments were not provided");
     terminal.press(&format!("move 5{CONTROL_C}{CONTROL_D}"));
