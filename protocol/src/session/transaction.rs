@@ -182,7 +182,7 @@ impl<M: Message> Transaction<M> {
     /// Processes a time-out that is due at `now`. A repeatable request is sent up to `attempts` times in total. A
     /// blocked line does not extend the total time.
     pub(super) fn expire(&mut self, now: Instant, attempts: u8) -> Expired {
-        let is_due = self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
+        let is_due = self.sent > 0 && self.expires_at(attempts).is_some_and(|at| now.has_reached(at));
         if is_due { self.take_time_out(now, attempts) } else { Expired::No }
     }
 
