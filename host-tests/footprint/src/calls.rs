@@ -51,11 +51,11 @@ impl Program {
         let starts = starts_of(&elf);
         ensure!(!starts.is_empty(), "no function symbols");
         for (&start, (name, size)) in &starts {
-            let end = code.end(start).with_context(|| format!("no code of {name} at {start:#x}"))?;
-            let next = starts.range(start + 1..end).next().map_or(end, |(next, _)| *next);
+            let section_end = code.end(start).with_context(|| format!("no code of {name} at {start:#x}"))?;
+            let next = starts.range(start + 1..section_end).next().map_or(section_end, |(next, _)| *next);
             // Some assembly functions have no size. After other functions there may be padding.
-            let behind = if *size == 0 { next } else { next.min(start + size) };
-            let function = code.function(name.clone(), start..behind, &mut program.taken);
+            let end = if *size == 0 { next } else { next.min(start + size) };
+            let function = code.function(name.clone(), start..end, &mut program.taken);
             program.functions.insert(start, function);
         }
         // A call's target is the function that contains the address, so jumps within a function are no calls.

@@ -81,8 +81,8 @@ impl Walk<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::calls::Function;
     use super::*;
+    use crate::calls::Function;
 
     fn function(name: &str, frame: u64, calls: &[u32]) -> Function {
         Function {

@@ -90,13 +90,15 @@ fn wide(address: u32, first: u16, second: u16) -> Effect {
         }
         // SUBW SP, SP, #imm12 (T3)
         _ if first & 0xFBFF == 0xF2AD && second & 0x8F00 == 0x0D00 => Effect::Push(modified_immediate()),
-        // ADD.W and ADDW SP, SP, #imm free stack. Any other result of data processing, and a load
+        // ADD.W and ADDW SP, SP, #imm: they free stack.
         _ if first & 0xFBEF == 0xF10D || first & 0xFBFF == 0xF20D => Effect::Other,
+        // Other data processing with SP as the result.
         _ if (first >> 9 == 0b111_0101 || first >> 11 == 0b11110 && second >> 15 == 0)
             && second & 0x0F00 == 0x0D00 =>
         {
             Effect::SetStack
         }
+        // LDR.W SP
         _ if first & 0xFF70 == 0xF850 && second >> 12 == 13 => Effect::SetStack,
         // VPUSH of double and of single registers
         _ if first & 0xFFBF == 0xED2D && second & 0x0E00 == 0x0A00 => Effect::Push((two & 0xFF) * 4),
