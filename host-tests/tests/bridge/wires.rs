@@ -612,6 +612,8 @@ fn ready_stays_low_until_the_stopped_motion_is_answered() {
         rig.set(wire, high);
         rig.pass(5);
     }
+    // Without an answer, the STOP would become a FAST STOP, which keeps READY low by itself.
+    rig.far.inject(&frame(Reply::success(Value::Stop)));
     rig.pass(60);
     assert_eq!(rig.outputs(), Outputs::BUSY | Outputs::REFERENCED | Outputs::LINK_OK, "MIN_BUSY has passed");
     // The refusal ends BUSY after its minimum duration.
