@@ -163,9 +163,7 @@ pub(crate) fn loom(workspace: &Workspace) -> Result<()> {
 
 /// Runs the tests of the bridge's library, which contains the firmware's static queues, under Miri.
 pub(crate) fn miri(workspace: &Workspace) -> Result<()> {
-    let what_for = "the bridge's host tests under Miri";
-    NIGHTLY.require(workspace, what_for)?;
-    MIRI.require(workspace, what_for)?;
+    [NIGHTLY, MIRI].iter().try_for_each(|tool| tool.require(workspace, "the bridge's tests in Miri"))?;
     let mut miri = tool::plain(workspace, "rustup run nightly cargo miri test --locked --lib -p");
     miri.arg(firmware::BRIDGE).env("CARGO_TARGET_DIR", workspace.target_dir.join("miri"));
     // Property tests write failures to files, which Miri's isolation prevents. Buffers that are statics on a board are leaked here.

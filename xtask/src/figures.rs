@@ -20,8 +20,9 @@ pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<
 
     let path = toolchain.workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;
-    let text = with_part(&text, "figures", &table(&gates))?;
-    let text = with_part(&text, "fast-stop", &commands::fast_stop(toolchain.workspace)?)?;
+    let parts = [("figures", table(&gates)), ("fast-stop", commands::fast_stop(toolchain.workspace)?)];
+    let text = parts.iter().try_fold(text, |text, (name, part)| document::with_part(&text, name, part));
+    let text = text.with_context(|| format!("{DOCUMENT} lacks a generated part"))?;
     fs::write(&path, text).with_context(|| format!("cannot write {DOCUMENT}"))?;
     println!("{DOCUMENT} updated");
     Ok(gates)
@@ -34,9 +35,4 @@ fn table(gates: &[Gate]) -> String {
         ["figure", "measured", "limit"],
         rows.chain([[panic_paths.to_owned(), "0".to_owned(), "0".to_owned()]]),
     )
-}
-
-/// Replaces a generated part in the text of docs/figures.md.
-fn with_part(text: &str, name: &str, part: &str) -> Result<String> {
-    document::with_part(text, name, part).with_context(|| format!("{DOCUMENT} has no part `{name}`"))
 }

@@ -40,8 +40,7 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
 fn run_targets(workspace: &Workspace, seconds: u32) -> Result<()> {
     let targets = targets(&workspace.root.join(FOLDER).join("fuzz_targets"))?;
     let what_for = format!("the fuzz targets {}", targets.join(", "));
-    NIGHTLY.require(workspace, &what_for)?;
-    CARGO_FUZZ.require(workspace, &what_for)?;
+    [NIGHTLY, CARGO_FUZZ].iter().try_for_each(|tool| tool.require(workspace, &what_for))?;
     let work = workspace.target_dir.join("fuzz");
     // The targets are no part of the workspace, but use the same versions.
     let lock = workspace.root.join(FOLDER).join("Cargo.lock");

@@ -199,11 +199,6 @@ fn judge(outcome: &Outcome, accepted: &Accepted, is_whole: bool) -> Result<()> {
     ensure!(made > 0, "no mutants; check that the files belong to protocol, buses or bridge-fw");
     let settled = made - open.len();
     println!("mutants: {caught} of {made} caught, {} accepted, {} survived", settled - caught, open.len());
-    if is_whole {
-        for entry in accepted.unused(&outcome.survived) {
-            println!("  STALE: {entry} no longer survives; remove it from the accepted mutants");
-        }
-    }
     let must = |mutant: &&&String| ALL_CAUGHT_IN.iter().any(|place| mutant.starts_with(place));
     let count = open.iter().filter(must).count();
     if let Some(first) = open.iter().find(must) {

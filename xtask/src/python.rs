@@ -60,8 +60,9 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
 /// Packs a wheel with the library as the workspace's tests build it, and tests it. maturin would spend a minute on compiling the
 /// dependencies again, with fewer features.
 pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
-    // The example selects the features of the tests.
-    process::run(&mut workspace.cargo("build -q --workspace --lib --example painted_stack"))?;
+    process::run(
+        &mut workspace.cargo(&format!("build -q --workspace --lib {}", Workspace::FEATURES_OF_TESTS)),
+    )?;
     let out = emptied(workspace, "dev")?;
     let content = out.join("content");
     let mut maturin = maturin(workspace, environment, &[])?;

@@ -45,8 +45,7 @@ fn walk(image: &Image) -> Result<Gate> {
 /// Measures the observed stack depth of each image. An example of host-tests boots it on painted memory, runs a demanding load, and
 /// checks how much paint is left.
 pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gate>> {
-    // Build with `--workspace`, because the tests use the same features and nothing is then built twice.
-    process::run(&mut workspace.cargo("build -q --workspace --example painted_stack"))?;
+    process::run(&mut workspace.cargo(&format!("build -q --workspace {}", Workspace::FEATURES_OF_TESTS)))?;
     let paint = |image: &Image| {
         let mut program = Command::new(workspace.target_dir.join("debug/examples/painted_stack"));
         setup::tell_emulator(workspace, image.board, &mut program)?;

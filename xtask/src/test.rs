@@ -19,6 +19,8 @@ use crate::{
 
 const TESTS: &str = "tests, emulator included";
 
+const TARGETS: [&str; 4] = ["--workspace", "--lib", "--bins", "--tests"];
+
 /// Runs all checks, or with `filter` only the matching tests. Skipped checks are listed at the end, and fail a strict run.
 pub(crate) fn run(
     toolchain: &ThumbToolchain<'_>,
@@ -28,27 +30,16 @@ pub(crate) fn run(
 ) -> Result<()> {
     let workspace = toolchain.workspace;
     let masters = setup::masters(workspace);
-    let mut chosen = Vec::new();
-    let emulated = BOARDS.iter().filter_map(|board| Some((board, board.emulated?)));
-    for ((board, ending), (variable, settings)) in
-        emulated.flat_map(|it| firmware::CHOICES.map(|of| (it, of)))
-    {
-        let settings =
-            settings.iter().map(|(name, value)| Change::new(name, *value)).collect::<Result<_>>()?;
-        let variant = Variant { board, settings, ..Variant::default() };
-        let variable = format!("{variable}{ending}");
-        chosen.push((variable, firmware::build(toolchain, &variant)?.path));
-    }
-    chosen.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(toolchain, setup::TRIPLE)?));
     let mut record = Record::default();
     let missing = masters.missing.iter();
     missing.for_each(|program| record.not_checked(&format!("tests with {program} (it is not installed)")));
-    let checks = Checks { workspace, toolchain, chosen, masters: &masters, extent };
+    let checks = Checks { workspace, toolchain, masters: &masters, extent };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
         println!("test: running only tests that match {filter:?}; omit the filter to run all checks");
-        record.check(TESTS, || checks.tests(filter))
+        let emulated = checks.emulated()?;
+        record.check(TESTS, || checks.build_tests().and_then(|()| checks.tests(&emulated, filter)))
     };
     println!("{}", record.summary(outcome.is_err()));
     outcome.and_then(|()| record.verdict(is_strict))
@@ -57,48 +48,79 @@ pub(crate) fn run(
 struct Checks<'a> {
     workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain<'a>,
-    /// Images of all emulated boards and settings, and the C library, by the environment variable for the tests.
-    chosen: Vec<(String, PathBuf)>,
     masters: &'a Masters,
     extent: Extent,
 }
 
 impl Checks<'_> {
     fn run_all(&self, record: &mut Record) -> Result<()> {
-        let Self { workspace, toolchain, .. } = self;
-        if RUSTFMT.provide(workspace) {
-            record.check("format", || process::run(&mut workspace.cargo("fmt --all -- --check")))?;
+        let (mut emulated, mut images) = (Vec::new(), Vec::new());
+        record.both(
+            |it| self.lint_and_build(it),
+            |it| {
+                let build = || anyhow::Ok((self.emulated()?, firmware::build_all(self.toolchain)?));
+                (emulated, images) = it.check("images", build)?;
+                self.lint_firmware(it)
+            },
+        )?;
+        record.both(
+            |it| {
+                it.check(TESTS, || self.tests(&emulated, &[]))?;
+                self.on_the_host(it, &images)
+            },
+            |it| self.of_the_images(it, &images),
+        )?;
+        record.check("host throughput", || {
+            // Check only the ratio: the absolute throughput depends on the machine.
+            let [_, beside_a_loop] = bench::throughput(self.workspace)?;
+            gate::check(&[beside_a_loop])
+        })
+    }
+
+    /// Builds the images of all emulated boards and settings, and the C library. Returns each with the environment variable for
+    /// the tests.
+    fn emulated(&self) -> Result<Vec<(String, PathBuf)>> {
+        let mut paths = Vec::new();
+        let emulated = BOARDS.iter().filter_map(|board| Some((board, board.emulated?)));
+        for ((board, ending), (variable, settings)) in
+            emulated.flat_map(|it| firmware::CHOICES.map(|of| (it, of)))
+        {
+            let settings = settings.iter().map(|(name, value)| Change::new(name, *value));
+            let variant = Variant { board, settings: settings.collect::<Result<_>>()?, ..Variant::default() };
+            paths.push((format!("{variable}{ending}"), firmware::build(self.toolchain, &variant)?.path));
+        }
+        paths.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(self.toolchain, setup::TRIPLE)?));
+        Ok(paths)
+    }
+
+    fn lint_and_build(&self, record: &mut Record) -> Result<()> {
+        if RUSTFMT.provide(self.workspace) {
+            record.check("format", || process::run(&mut self.workspace.cargo("fmt --all -- --check")))?;
         } else {
             record.not_checked("format (no rustfmt)");
         }
-        if CLIPPY.provide(workspace) {
+        if CLIPPY.provide(self.workspace) {
             let clippy = "clippy --workspace --all-targets -- -D warnings";
-            record.check("clippy, host", || process::run(&mut workspace.cargo(clippy)))?;
+            record.check("clippy, host", || process::run(&mut self.workspace.cargo(clippy)))?;
         } else {
             record.not_checked("clippy, host (no clippy)");
         }
-        if CLIPPY.provide_for_thumb(toolchain) {
-            let lint = |triple, selection: &[String]| {
-                let mut clippy = toolchain.cargo("clippy", triple);
-                process::run(clippy.args(selection).args(["--", "-D", "warnings"]))
-            };
-            record.check("clippy, firmware", || {
-                let lint = |it: &Board| lint(it.triple, &firmware::selection(it, &[], firmware::PROFILE));
-                BOARDS.iter().try_for_each(lint)
-            })?;
-            let probes = "-p wsg-probes --bins --features edges,every-function --profile firmware";
-            let probes: Vec<_> = probes.split(' ').map(str::to_owned).collect();
-            record.check("clippy, probes", || lint(setup::TRIPLE, &probes))?;
-        } else {
+        record.check("build", || self.build_tests())
+    }
+
+    fn lint_firmware(&self, record: &mut Record) -> Result<()> {
+        let probes = "-p wsg-probes --bins --features edges,every-function --profile firmware";
+        let probes = (setup::TRIPLE, probes.split(' ').map(str::to_owned).collect());
+        let image = |it: &Board| (it.triple, firmware::selection(it, &[], firmware::PROFILE));
+        if !CLIPPY.provide_for_thumb(self.toolchain) {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
+            return Ok(());
         }
-        record.check(TESTS, || self.tests(&[]))?;
-        let images = firmware::build_all(toolchain)?;
-        record.both(|it| self.on_the_host(it, &images), |it| self.of_the_images(it, &images))?;
-        record.check("host throughput", || {
-            // Check only the ratio: the absolute throughput depends on the machine.
-            let [_, beside_a_loop] = bench::throughput(workspace)?;
-            gate::check(&[beside_a_loop])
+        record.check("clippy, firmware and probes", || {
+            BOARDS.iter().map(image).chain([probes]).try_for_each(|(triple, selection)| {
+                let mut clippy = self.toolchain.cargo("clippy", triple);
+                process::run(clippy.args(selection).args(["--", "-D", "warnings"]))
+            })
         })
     }
 
@@ -116,15 +138,19 @@ impl Checks<'_> {
         let mut examples = workspace.cargo("test --workspace --doc");
         record.check("examples in the docs", || process::run(&mut examples))?;
         record.check("docs", || {
-            process::run(workspace.cargo("doc --workspace --no-deps").env("RUSTDOCFLAGS", "-D warnings"))
+            let doc = format!("doc --workspace --no-deps --lib --bins {}", Workspace::FEATURES_OF_TESTS);
+            process::run(workspace.cargo(&doc).env("RUSTDOCFLAGS", "-D warnings"))
         })?;
         // Without rp2040js, only the default board's image, which is the first, can be emulated.
         let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { images };
         record.check("stack, painted", || gate::check(&stack::painted(workspace, emulated)?))
     }
 
-    /// The checks that mostly build with the profiles of the firmware, whose linking uses one core.
+    /// The checks that mostly build with the profiles of the firmware, whose linking uses one core. They run in a thread of their own,
+    /// and leave the processor to the tests.
     fn of_the_images(&self, record: &mut Record, images: &[Image]) -> Result<()> {
+        #[cfg(unix)]
+        rustix::process::nice(10)?;
         let toolchain = self.toolchain;
         let sizes = || anyhow::Ok([size::of_images(images)?, size::of_protocol(toolchain)?].concat());
         record.check("size", || gate::check(&sizes()?))?;
@@ -142,23 +168,22 @@ impl Checks<'_> {
         record.check("panic paths", || panics::check(toolchain))
     }
 
-    /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
-    fn tests(&self, filter: &[OsString]) -> Result<()> {
-        let targets = ["--workspace", "--lib", "--bins", "--tests"];
+    fn build_tests(&self) -> Result<()> {
         // Tests execute the examples. `cargo test --examples` would link each a second time, and most contain no tests. Those that
         // do have `test = true` in the manifest.
-        process::run(self.workspace.cargo("build").args(targets).arg("--examples"))?;
+        process::run(self.workspace.cargo("build --examples").args(TARGETS))
+    }
+
+    /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
+    fn tests(&self, emulated: &[(String, PathBuf)], filter: &[OsString]) -> Result<()> {
         let mut tests = self.workspace.cargo("test");
         tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
-        tests.args(targets).args(["--", "--include-ignored"]);
+        tests.args(TARGETS).args(["--", "--include-ignored"]).envs(emulated.iter().cloned());
         // Emulator tests mostly wait. With two threads per core, the machine would be idle half of the time.
         let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(4);
         tests.env("RUST_TEST_THREADS", threads.to_string());
         if self.extent == Extent::Whole {
             tests.env("WSG_WHOLE", "1");
-        }
-        for (variable, image) in &self.chosen {
-            tests.env(variable, image);
         }
         let skipped = self.masters.missing.iter().chain([&platforms::TESTS, &commands::WHOLE_ARCHIVE]);
         process::run(tests.args(skipped.flat_map(|name| ["--skip", name])).args(filter))
@@ -185,14 +210,14 @@ impl Record {
     /// Runs two lists of checks at the same time, each up to its first failure.
     fn both(
         &mut self,
-        one: impl FnOnce(&mut Self) -> Result<()> + Send,
-        other: impl FnOnce(&mut Self) -> Result<()>,
+        one: impl FnOnce(&mut Self) -> Result<()>,
+        other: impl FnOnce(&mut Self) -> Result<()> + Send,
     ) -> Result<()> {
         let mut beside = Self::default();
         let outcomes = thread::scope(|scope| {
-            let one = scope.spawn(|| one(&mut beside).inspect_err(|error| eprintln!("error: {error:#}")));
-            let other = other(self);
-            [one.join().expect("a panic is a defect, and was printed"), other]
+            let other = scope.spawn(|| other(&mut beside).inspect_err(|error| eprintln!("error: {error:#}")));
+            let one = one(self);
+            [one, other.join().expect("a panic is a defect, and was printed")]
         });
         self.passed.append(&mut beside.passed);
         self.not_checked.append(&mut beside.not_checked);
@@ -282,7 +307,7 @@ mod tests {
             record.both(|it| it.check("one", || check(one)), |it| it.check("other", || check(other))).is_err()
         };
         assert_eq!([[false, true], [true, false], [true, true]].map(&mut fails), [true, true, false]);
-        assert_eq!(record.passed, ["other", "one", "other", "one"]);
+        assert_eq!(record.passed, ["other", "one", "one", "other"]);
     }
 
     #[test]

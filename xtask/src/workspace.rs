@@ -34,6 +34,10 @@ pub(crate) struct Workspace {
 }
 
 impl Workspace {
+    /// Selects an example of host-tests, and with it the features that the tests select of other crates, so that those are not
+    /// compiled again with fewer.
+    pub(crate) const FEATURES_OF_TESTS: &str = "--example painted_stack";
+
     /// Reads the environment set by `cargo run`.
     pub(crate) fn from_env() -> Result<Self> {
         let started_by_cargo = "run this program as `cargo xtask`";

@@ -3,7 +3,7 @@
 //! A mutant is accepted if file, name and text of the line match. The line number is informative, because lines may move. A mutant
 //! with the same name in another line is not accepted.
 
-use std::{collections::BTreeSet, fs, path::Path};
+use std::{fs, path::Path};
 
 use anyhow::{Context, Result, ensure};
 
@@ -12,8 +12,6 @@ const DOCUMENT: &str = "xtask/mutants-accepted.txt";
 /// An accepted surviving mutant.
 #[derive(Debug)]
 struct Entry {
-    /// Title in the form `FILE:LINE: NAME`.
-    title: String,
     file: String,
     name: String,
     reason: String,
@@ -54,8 +52,8 @@ impl Accepted {
                 Some(_) => {}
                 None => stale.push(title),
             }
-            let [title, file, name, reason, text] = [title, file, name, reason, text].map(str::to_owned);
-            entries.push(Entry { title, file, name, reason, text, source });
+            let [file, name, reason, text] = [file, name, reason, text].map(str::to_owned);
+            entries.push(Entry { file, name, reason, text, source });
         }
         ensure!(
             stale.is_empty(),
@@ -68,12 +66,6 @@ impl Accepted {
     /// Returns the reason why a mutant is accepted, if it is.
     pub(super) fn reason(&self, mutant: &str) -> Option<&str> {
         self.0.iter().find(|entry| entry.is(mutant)).map(|entry| entry.reason.as_str())
-    }
-
-    /// Returns the entries that match none of the survivors.
-    pub(super) fn unused(&self, survived: &BTreeSet<String>) -> Vec<&str> {
-        let is_unused = |entry: &&Entry| !survived.iter().any(|mutant| entry.is(mutant));
-        self.0.iter().filter(is_unused).map(|entry| entry.title.as_str()).collect()
     }
 }
 
@@ -120,15 +112,6 @@ mod tests {
         assert!(refused("x.rs:1: replace + with - -- why\n").contains("missing source line"));
         let gone = refused("x.rs:1: replace + with - -- why\n a + b");
         assert!(gone.ends_with("no longer in their files: x.rs:1: replace + with -"), "{gone}");
-    }
-
-    #[test]
-    fn an_entry_without_a_survivor_is_unused() {
-        let accepted = accepted("a | b").unwrap();
-        let survived = BTreeSet::from(["protocol/src/x.rs:1:3: replace | with ^ in f".to_owned()]);
-
-        assert_eq!(accepted.unused(&survived), [""; 0]);
-        assert_eq!(accepted.unused(&BTreeSet::new()), ["protocol/src/x.rs:2: replace | with ^ in f"]);
     }
 
     /// Detects stale entries here rather than hours later in a run of the mutants.
