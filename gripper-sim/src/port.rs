@@ -52,7 +52,7 @@ impl PortKind {
     }
 
     /// Returns whether the line carries the binary protocol, to which the commands of scripts belong.
-    #[cfg(feature = "script")]
+    #[cfg(feature = "std")]
     pub(crate) fn is_binary(self) -> bool {
         self.protocol() == Protocol::Binary
     }

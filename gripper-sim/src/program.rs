@@ -123,7 +123,6 @@ fn announce(server: &Server) -> io::Result<()> {
         ("gcl-udp", address(server.gcl_udp_address())),
         ("modbus", address(server.modbus_address())),
         ("profibus", path(server.profibus_path())),
-        #[cfg(feature = "profinet")]
         ("profinet", path(server.profinet_path())),
         ("control", address(server.control_address())),
         ("page", server.control_address().map(|address| format!("http://{address}/"))),

@@ -14,11 +14,9 @@ mod lines;
 mod log;
 mod log_writer;
 mod options;
-#[cfg(feature = "profinet")]
 mod profinet;
 mod request_line;
 mod restart;
-#[cfg(feature = "script")]
 mod script;
 mod serial;
 mod slcan;
@@ -28,7 +26,6 @@ mod tcp;
 mod thread;
 mod udp;
 
-#[cfg(feature = "profinet")]
 pub use lines::ProfinetLine;
 pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 pub use log::Log;
@@ -80,10 +77,8 @@ pub struct Server {
     udp_unanswered: Option<u32>,
     modbus: Option<TcpListener>,
     profibus: Option<SerialPort>,
-    #[cfg(feature = "profinet")]
     profinet: Option<profinet::Interface>,
     control: Option<(TcpListener, Vec<String>)>,
-    #[cfg(feature = "script")]
     script: Option<script::Script>,
 }
 
@@ -122,11 +117,9 @@ impl Server {
         };
         let modbus = listen(lines.modbus, "Modbus/TCP").await?;
         let profibus = lines.profibus.as_ref().map(SerialPort::open).transpose()?;
-        #[cfg(feature = "profinet")]
         let profinet = lines.profinet.as_ref().map(profinet::Interface::open).transpose()?;
         let control = listen(lines.control, "the control interface").await?;
         let control = control.map(|listener| (listener, lines.control_hosts.clone()));
-        #[cfg(feature = "script")]
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
         // Pages show the log even if it is written nowhere.
         let log = log.take().or_else(|| control.is_some().then(Log::to_nowhere));
@@ -143,10 +136,8 @@ impl Server {
             udp_unanswered: lines.udp_unanswered,
             modbus,
             profibus,
-            #[cfg(feature = "profinet")]
             profinet,
             control,
-            #[cfg(feature = "script")]
             script,
         };
         server.report_buses(&config);
@@ -169,7 +160,6 @@ impl Server {
                 ..BusLine::default()
             });
         }
-        #[cfg(feature = "profinet")]
         if let Some(interface) = &self.profinet {
             self.hub.set_bus(interface.bus_line());
         }
@@ -238,7 +228,6 @@ impl Server {
     }
 
     /// Returns the network interface of the PROFINET device.
-    #[cfg(feature = "profinet")]
     #[must_use]
     pub fn profinet_path(&self) -> Option<&Path> {
         self.profinet.as_ref().map(profinet::Interface::path)
@@ -274,12 +263,20 @@ impl Server {
     /// Serves, and returns whether a restart is requested.
     async fn serve(self, end: impl Future<Output = ()>) -> Result<bool> {
         let Self {
-            hub, tcp, udp, serial, can, gcl, gcl_udp, udp_unanswered, modbus, profibus, control, ..
+            hub,
+            tcp,
+            udp,
+            serial,
+            can,
+            gcl,
+            gcl_udp,
+            udp_unanswered,
+            modbus,
+            profibus,
+            profinet,
+            control,
+            script,
         } = self;
-        #[cfg(feature = "script")]
-        let script = self.script;
-        #[cfg(feature = "profinet")]
-        let profinet = self.profinet;
         let ending = Arc::clone(&hub);
         let local = LocalSet::new();
         local
@@ -329,11 +326,9 @@ impl Server {
                 if let Some(port) = profibus {
                     tasks.spawn_local(port.serve(Arc::clone(&hub), Carried::Profibus));
                 }
-                #[cfg(feature = "profinet")]
                 if let Some(interface) = profinet {
                     tasks.spawn_local(interface.serve(Arc::clone(&hub)));
                 }
-                #[cfg(feature = "script")]
                 if let Some(script) = script {
                     script.start(Arc::clone(&hub))?;
                 }

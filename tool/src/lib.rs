@@ -6,7 +6,6 @@
 
 mod bridge;
 mod decode;
-#[cfg(feature = "demo")]
 mod demo;
 mod gripper;
 #[cfg(feature = "telemetry")]
@@ -32,7 +31,6 @@ struct Arguments {
 enum Command {
     Bridge(bridge::Arguments),
     Decode(decode::Arguments),
-    #[cfg(feature = "demo")]
     Demo(demo::Arguments),
     Gripper(gripper::Arguments),
     #[cfg(feature = "telemetry")]
@@ -51,7 +49,6 @@ pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
     let result = match Arguments::parse_from(command_line).command {
         Command::Bridge(arguments) => bridge::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
-        #[cfg(feature = "demo")]
         Command::Demo(arguments) => demo::run(&arguments),
         Command::Gripper(arguments) => gripper::run(arguments),
         #[cfg(feature = "telemetry")]

@@ -1,5 +1,5 @@
 //! Runs `wsg demo` on ports that the system chooses.
-#![cfg(all(unix, feature = "demo"))]
+#![cfg(unix)]
 
 #[path = "common/program.rs"]
 mod program;

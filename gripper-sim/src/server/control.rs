@@ -14,7 +14,6 @@ mod events;
 mod history;
 mod injected;
 mod page;
-#[cfg(feature = "script")]
 mod scripts;
 mod settings;
 mod state;
@@ -144,7 +143,6 @@ async fn run_out(link: &Link) {
 async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
     // The next entry of the system log, and the next frame of the editor.
     let (mut next_entry, mut next_frame) = (0, 0);
-    #[cfg(feature = "script")]
     let (mut next_line, mut told_script) = (0, None);
     loop {
         watchers.come().await;
@@ -175,15 +173,12 @@ async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
                 let frames = serde_json::json!({ "frames": frames });
                 watchers.send(&event("editor", &frames.to_string()));
             }
-            #[cfg(feature = "script")]
-            {
-                let (report, lines) = hub.script_report(next_line);
-                if !lines.is_empty() || told_script.as_ref() != Some(&report) {
-                    next_line = lines.last().map_or(next_line, |line| line.number + 1);
-                    let script = serde_json::json!({ "latest": report, "lines": lines });
-                    watchers.send(&event("script", &script.to_string()));
-                    told_script = Some(report);
-                }
+            let (report, lines) = hub.script_report(next_line);
+            if !lines.is_empty() || told_script.as_ref() != Some(&report) {
+                next_line = lines.last().map_or(next_line, |line| line.number + 1);
+                let script = serde_json::json!({ "latest": report, "lines": lines });
+                watchers.send(&event("script", &script.to_string()));
+                told_script = Some(report);
             }
             let log = hub.take_watched();
             if !log.lines.is_empty() {
@@ -344,7 +339,6 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
             return Ok(json(&serde_json::json!({ "entries": entries }).to_string()));
         }
         "/log.txt" => return Ok(system_log_file(hub)),
-        #[cfg(feature = "script")]
         "/scripts" => {
             let answer = if request.method() == Method::POST {
                 let body =
@@ -354,11 +348,6 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
                 scripts::scripts(hub, None)?
             };
             return Ok(json(&serde_json::json!(answer).to_string()));
-        }
-        #[cfg(not(feature = "script"))]
-        "/scripts" => {
-            let error = "this program has no scripts; expected one with the feature `script`";
-            return Err(HttpError::new(StatusCode::CONFLICT, error.to_owned()));
         }
         "/frames" => {
             let frames = site.editor.frames_from(0);

@@ -1,12 +1,10 @@
 //! The gripper in real time, shared by the tasks of its lines and the thread of its script.
 
 mod client;
-#[cfg(feature = "script")]
 mod scripts;
 mod settings;
 
 pub(super) use client::Client;
-#[cfg(feature = "script")]
 pub(super) use scripts::{OutputLine, Run, ScriptReport};
 pub(super) use settings::{Changes, Refused, SettingState};
 
@@ -29,7 +27,6 @@ use anyhow::Result;
 use settings::Running;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-#[cfg(feature = "script")]
 use std::sync::Condvar;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
@@ -67,7 +64,6 @@ pub(super) struct Hub {
     seed: u64,
     system_log: SystemLog,
     /// Signals that a request for the script may have arrived, or that the gripper was switched off.
-    #[cfg(feature = "script")]
     script_waits: Condvar,
 }
 
@@ -76,7 +72,6 @@ pub(super) struct Hub {
 struct Shared {
     gripper: Box<VirtualGripper<MAX_CLIENTS>>,
     is_off: bool,
-    #[cfg(feature = "script")]
     script: scripts::LatestScript,
     /// The clients in order of connection.
     clients: BTreeMap<u64, Arc<Connected>>,
@@ -148,7 +143,6 @@ impl Hub {
             shared: Mutex::new(Shared {
                 gripper: Box::new(VirtualGripper::with_ports(config)),
                 is_off: false,
-                #[cfg(feature = "script")]
                 script: scripts::LatestScript::default(),
                 clients: BTreeMap::new(),
                 connections: 0,
@@ -166,7 +160,6 @@ impl Hub {
             profile,
             seed,
             system_log,
-            #[cfg(feature = "script")]
             script_waits: Condvar::new(),
         }
     }
@@ -188,7 +181,6 @@ impl Hub {
     /// Ends the script at its next call. The log stays open.
     pub(super) fn set_off(&self) {
         self.lock().is_off = true;
-        #[cfg(feature = "script")]
         self.script_waits.notify_all();
     }
 
@@ -388,7 +380,7 @@ impl Hub {
     }
 
     /// Returns the current inputs and the system state.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    #[cfg(target_os = "linux")]
     pub(super) fn shown(&self) -> (InputImage, SystemFlags) {
         self.look(|gripper| (gripper.fieldbus_images().1, gripper.state().flags))
     }

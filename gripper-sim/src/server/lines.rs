@@ -1,8 +1,6 @@
 //! The lines of a gripper: addresses, serial lines and CAN buses, as the user specifies them.
 
-#[cfg(feature = "profinet")]
 use bus_profinet::{IpParameters, Maintenance, Stored};
-#[cfg(feature = "profinet")]
 use std::net::Ipv4Addr;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -18,7 +16,6 @@ pub struct Lines {
     /// RS-232, on a real or emulated serial line.
     pub serial: Option<SerialLine>,
     /// The folder with the scripts that the page lists, edits and runs.
-    #[cfg(feature = "script")]
     pub scripts: Option<PathBuf>,
     /// The file to which the system log is appended.
     pub system_log: Option<PathBuf>,
@@ -36,7 +33,6 @@ pub struct Lines {
     /// PROFIBUS DP over a serial line. A device is set to 115200 8N1, a rate that no real PROFIBUS uses.
     pub profibus: Option<SerialLine>,
     /// PROFINET IO on a network interface.
-    #[cfg(feature = "profinet")]
     pub profinet: Option<ProfinetLine>,
     /// The control interface, HTTP with JSON: the address to listen on. A client has the same control as an operator
     /// beside the gripper, so keep it on the loopback interface.
@@ -45,7 +41,6 @@ pub struct Lines {
     /// address that received the request. Other hosts are rejected as a protection against DNS rebinding.
     pub control_hosts: Vec<String>,
     /// A Lua script that runs on the gripper from power-up.
-    #[cfg(feature = "script")]
     pub script: Option<PathBuf>,
     /// The latency of the command interface.
     pub profile: Profile,
@@ -74,7 +69,6 @@ pub struct UdpLine {
 }
 
 /// The network interface of a PROFINET device.
-#[cfg(feature = "profinet")]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ProfinetLine {
     /// The network interface, such as `eth0`. The gripper uses its Ethernet address but must have a different IP address.
@@ -85,7 +79,6 @@ pub struct ProfinetLine {
     pub keep: Option<PathBuf>,
 }
 
-#[cfg(feature = "profinet")]
 impl ProfinetLine {
     /// The key of the station name in the configuration file.
     pub const STATION: &str = "station";

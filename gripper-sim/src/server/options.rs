@@ -6,7 +6,6 @@ mod table;
 pub(in crate::server) use file::{save, toml_value};
 pub(in crate::server) use table::{GROUPS, Setting, settings};
 
-#[cfg(feature = "profinet")]
 use super::lines::ProfinetLine;
 use super::lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use crate::axis::{Direction, Part};
@@ -14,7 +13,6 @@ use crate::config::{Config, Tag};
 use crate::finger::Finger;
 use crate::model::Model;
 use anyhow::{Context, Result, anyhow, bail, ensure};
-#[cfg(feature = "profinet")]
 use bus_profinet::{IpParameters, Maintenance, StationName, Stored};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
@@ -137,7 +135,6 @@ struct Arguments {
     #[arg(long, help_heading = FIELDBUS, value_name = "NUMBER")]
     #[arg(value_parser = expected("an address from 0 to 125", |text| parsed(text).filter(|n: &u8| *n <= 125)))]
     profibus_address: Option<u8>,
-    #[cfg(feature = "profinet")]
     #[command(flatten)]
     profinet: Profinet,
     /// Accepts frames with any checksum; the two bytes must be present
@@ -222,11 +219,9 @@ struct Arguments {
     #[arg(value_parser = expected("a number from 0.01 to 1000", time_scale))]
     time_scale: f32,
     /// Runs a Lua script on the gripper ([Lua scripts](#lua-scripts))
-    #[cfg(feature = "script")]
     #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
     script: Option<PathBuf>,
     /// Lists, edits and runs the scripts of this folder on the page ([Scripts on the page](#scripts-on-the-page))
-    #[cfg(feature = "script")]
     #[arg(long, help_heading = PROGRAM, value_name = "FOLDER")]
     scripts: Option<PathBuf>,
     /// Serves the page and the control interface; a port without an address listens on this machine only
@@ -252,7 +247,6 @@ struct Arguments {
 }
 
 /// The options for PROFINET.
-#[cfg(feature = "profinet")]
 #[derive(Debug, clap::Args)]
 struct Profinet {
     /// Opens a PROFINET IO device on a network interface, Linux only ([profinet.md](profinet.md))
@@ -377,9 +371,10 @@ fn check(option: &str, is_given: bool, has_effect: bool, others: &str) -> Result
 
 impl Arguments {
     /// Rejects options that have no effect without another.
-    fn check_effects(&self, has_can: bool, has_profinet: bool) -> Result<()> {
+    fn check_effects(&self) -> Result<()> {
+        let has_can = self.can.is_some() || self.slcan.is_some();
         let has_profibus = self.profibus.is_some();
-        let has_watch = self.bus_timeout > 0 || has_profibus || has_profinet;
+        let has_watch = self.bus_timeout > 0 || has_profibus || self.profinet.profinet.is_some();
         check("udp-remote-port", self.udp_remote_port.is_some(), self.udp.is_some(), "--udp ADDR")?;
         let has_udp = self.udp.is_some() || self.gcl_udp.is_some();
         check("udp-unanswered", self.udp_unanswered.is_some(), has_udp, "--udp ADDR or --gcl-udp ADDR")?;
@@ -396,14 +391,8 @@ impl Arguments {
 
     /// Combines related options and checks them against each other.
     fn options(self, file: Option<PathBuf>, given: Given) -> Result<Options> {
-        #[cfg(feature = "profinet")]
-        let has_profinet = self.profinet.profinet.is_some();
-        #[cfg(not(feature = "profinet"))]
-        let has_profinet = false;
-        let has_profibus = self.profibus.is_some();
-        self.check_effects(self.can.is_some() || self.slcan.is_some(), has_profinet)?;
+        self.check_effects()?;
         let can_bus = self.can.map(CanBus::Interface).or(self.slcan.map(CanBus::Slcan));
-        #[cfg(feature = "profinet")]
         let profinet = self.profinet.line(file.clone())?;
         let remote_port = self.udp_remote_port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
         if let Some(address) = self.udp.filter(|address| address.port() == remote_port) {
@@ -412,7 +401,8 @@ impl Arguments {
             );
         }
         let addresses = [self.tcp, self.udp, self.gcl, self.gcl_udp, self.modbus];
-        let has_bus = self.serial.is_some() || can_bus.is_some() || has_profibus || has_profinet;
+        let has_bus =
+            self.serial.is_some() || can_bus.is_some() || self.profibus.is_some() || profinet.is_some();
         let is_default_line = !has_bus && addresses.iter().all(Option::is_none);
         let default = Config::default();
         let config = Config {
@@ -456,13 +446,10 @@ impl Arguments {
             udp_unanswered: self.udp_unanswered,
             modbus: self.modbus,
             profibus: self.profibus,
-            #[cfg(feature = "profinet")]
             profinet,
             control: self.control,
             control_hosts: self.control_host,
-            #[cfg(feature = "script")]
             script: self.script,
-            #[cfg(feature = "script")]
             scripts: self.scripts,
             profile: self.profile,
             seed: self.seed,
@@ -471,7 +458,6 @@ impl Arguments {
     }
 }
 
-#[cfg(feature = "profinet")]
 impl Profinet {
     /// Returns the line on the interface, and the file in which its data is saved.
     fn line(self, keep: Option<PathBuf>) -> Result<Option<ProfinetLine>> {

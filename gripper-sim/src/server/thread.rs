@@ -51,7 +51,6 @@ struct Addresses {
     gcl_udp: Option<SocketAddr>,
     modbus: Option<SocketAddr>,
     profibus: Option<PathBuf>,
-    #[cfg(feature = "profinet")]
     profinet: Option<PathBuf>,
     control: Option<SocketAddr>,
 }
@@ -78,7 +77,6 @@ impl ServerThread {
                     gcl_udp: server.gcl_udp_address(),
                     modbus: server.modbus_address(),
                     profibus: server.profibus_path().map(Path::to_owned),
-                    #[cfg(feature = "profinet")]
                     profinet: server.profinet_path().map(Path::to_owned),
                     control: server.control_address(),
                 };
@@ -150,7 +148,6 @@ impl ServerThread {
     }
 
     /// Returns the network interface of the PROFINET device.
-    #[cfg(feature = "profinet")]
     #[must_use]
     pub fn profinet_path(&self) -> Option<&Path> {
         self.addresses.profinet.as_deref()

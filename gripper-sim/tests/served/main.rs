@@ -16,9 +16,7 @@ mod modbus;
 mod profibus;
 mod python;
 mod rig;
-#[cfg(feature = "script")]
 mod scripts;
-#[cfg(feature = "script")]
 mod scripts_of_the_page;
 mod settings;
 mod system_log;

@@ -361,7 +361,6 @@ fn program_serves_modbus_and_says_where() {
 }
 
 /// Fieldbus manual, 5.1.1: the user flags.
-#[cfg(feature = "script")]
 #[test]
 fn user_flags_reach_a_script_and_come_from_it() {
     use crate::scripts::{MIRRORS_USER_FLAGS, script};

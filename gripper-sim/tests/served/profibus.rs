@@ -162,7 +162,6 @@ fn fieldbus(server: &ServerThread) -> Value {
 }
 
 /// Fieldbus manual, 5.1.1: the user flags.
-#[cfg(feature = "script")]
 #[test]
 fn user_flags_reach_a_script_and_come_from_it_over_profibus() {
     use crate::scripts::{MIRRORS_USER_FLAGS, script};

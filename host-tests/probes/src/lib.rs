@@ -7,7 +7,4 @@
 #[cfg(feature = "modbus")]
 pub mod gripper;
 #[cfg(feature = "on-target")]
-mod on_target;
-
-#[cfg(feature = "on-target")]
-pub use on_target::{bytes, keep, opaque};
+pub mod on_target;

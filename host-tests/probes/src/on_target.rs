@@ -9,12 +9,6 @@ pub fn opaque<T>(value: T) -> T {
     black_box(value)
 }
 
-/// Keeps the code that computes this value, without a copy of it.
-#[inline(always)]
-pub fn keep<T: ?Sized>(value: &T) {
-    black_box(value);
-}
-
 /// Returns bytes of unknown number and values.
 #[inline(always)]
 pub fn bytes() -> &'static [u8] {

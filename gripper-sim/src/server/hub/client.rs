@@ -7,7 +7,7 @@ use crate::server::request_line::RequestLine;
 use std::cell::RefCell;
 use std::sync::Arc;
 use tokio::time::{Instant, sleep_until};
-#[cfg(all(feature = "profinet", target_os = "linux"))]
+#[cfg(target_os = "linux")]
 use wsg_fieldbus::OutputImage;
 
 /// A client of the gripper; dropping it disconnects the client.
@@ -55,14 +55,14 @@ impl Client {
     }
 
     /// Takes an output image written by the master.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    #[cfg(target_os = "linux")]
     pub(in crate::server) fn write_image(&self, image: &OutputImage, is_first: bool) {
         *lock(&self.connected.heard_at) = Instant::now();
         self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
     }
 
     /// Reports that the master that writes images has stopped or is silent.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    #[cfg(target_os = "linux")]
     pub(in crate::server) fn end_images(&self) {
         self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
     }
@@ -91,7 +91,6 @@ impl Client {
 
     fn hear(&self, bytes: &[u8]) {
         self.hub.act(|gripper, now| gripper.receive(self.connected.id, now, bytes));
-        #[cfg(feature = "script")]
         self.hub.script_waits.notify_all();
     }
 

@@ -105,7 +105,7 @@ impl Hub {
 
     /// Takes over settings that are in effect already, such as a station name that a controller has set, so that they
     /// outlast a restart.
-    #[cfg(all(feature = "profinet", target_os = "linux"))]
+    #[cfg(target_os = "linux")]
     pub(in crate::server) fn remember(&self, changes: &Changes) {
         let Some(running) = &self.running else { return };
         let Running { options, at_start } = &mut *lock(running);
@@ -132,7 +132,7 @@ impl Hub {
     }
 }
 
-#[cfg(all(test, feature = "profinet", target_os = "linux"))]
+#[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
     use crate::server::lines::Profile;

@@ -60,7 +60,6 @@ fn options_of_the_fieldbuses_arrive() {
     }
 }
 
-#[cfg(feature = "profinet")]
 #[test]
 fn profinet_replaces_the_default_line() {
     let given = options_of("--profinet eth0 --bus-reaction hold");
@@ -88,7 +87,6 @@ fn profinet_replaces_the_default_line() {
     }
 }
 
-#[cfg(feature = "profinet")]
 #[test]
 fn what_a_file_has_of_a_station_is_kept_there() {
     let text = "profinet = \"eth0\"\nstation = \"wsg-1\"\nprofinet-ip = \"10.0.0.5/8\"\nim-function = \"gr\u{FC}n\"\n\

@@ -3,7 +3,7 @@
 #![no_main]
 
 use cortex_m_rt::entry;
-use wsg_probes::{bytes, opaque};
+use wsg_probes::on_target::{bytes, opaque};
 
 #[entry]
 fn main() -> ! {

@@ -5,7 +5,7 @@
 use core::fmt::Write;
 
 use cortex_m_rt::entry;
-use wsg_probes::{bytes, opaque};
+use wsg_probes::on_target::{bytes, opaque};
 use wsg_protocol::{Command, Frame, Reply};
 
 struct Sink;
