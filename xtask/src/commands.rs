@@ -10,8 +10,9 @@ use anyhow::{Context, Result, ensure};
 use boards::Board;
 
 use crate::{
-    firmware::{self, IMAGE_VARIABLE, Image},
-    platforms, process, setup,
+    firmware::{self, IMAGE_VARIABLE, Image, Variant},
+    platforms, process,
+    setup::{self, ThumbToolchain},
     tool::{
         self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DEB, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
         MDBOOK, MIRI, NIGHTLY,
@@ -132,8 +133,10 @@ impl Soak {
 }
 
 /// Runs the test that sends commands to the image in the emulator on a faulty line. Its last line summarizes the results.
-pub(crate) fn soak(workspace: &Workspace, image: &Image, extent: &Soak) -> Result<()> {
-    let mut cargo = workspace.cargo("test -q -p host-tests --test end_to_end soak_on_a_faulty_line --");
+pub(crate) fn soak(toolchain: &ThumbToolchain<'_>, extent: &Soak) -> Result<()> {
+    let image = firmware::build(toolchain, &Variant::default())?;
+    let mut cargo =
+        toolchain.workspace.cargo("test -q -p host-tests --test end_to_end soak_on_a_faulty_line --");
     cargo.args(["--include-ignored", "--nocapture"]).env(IMAGE_VARIABLE, &image.path);
     cargo.env("WSG_SOAK_COMMANDS", extent.commands.to_string());
     process::run(cargo.env("WSG_SOAK_SEED", extent.seed.to_string()))

@@ -183,27 +183,24 @@ fn run(command: Command) -> Result<ExitCode> {
             return Ok(exit_code(commands::demo(workspace, &image, &arguments)?));
         }
         Command::Test { strict, filter } => {
-            let built = Built::new(workspace)?;
-            print_image(&built.image);
-            test::run(&built.toolchain, &filter, Extent::Quick, strict)?;
+            test::run(&setup::thumb_and_qemu(workspace)?, &filter, Extent::Quick, strict)?;
         }
         Command::Matrix => matrix::run(workspace)?,
-        Command::Ci => release_checks(&Built::new(workspace)?)?,
+        Command::Ci => release_checks(&setup::thumb_and_qemu(workspace)?)?,
         Command::Platforms => platforms::run(workspace)?,
         Command::Deny => commands::dependencies(workspace)?,
         Command::Size => {
-            let built = Built::new(workspace)?;
-            gate::check(&size::of_all(&built.toolchain, &built.images()?)?)?;
+            let toolchain = setup::thumb_and_qemu(workspace)?;
+            gate::check(&size::of_all(&toolchain, &firmware::build_all(&toolchain)?)?)?;
         }
         Command::Stack => {
-            let built = Built::new(workspace)?;
-            let images = built.images()?;
+            let images = firmware::build_all(&setup::thumb_and_qemu(workspace)?)?;
             let walked = stack::walked(&images)?;
             gate::check(&[walked, stack::painted(workspace, &images)?].concat())?;
         }
-        Command::Panics => panics::check(&Built::new(workspace)?.toolchain)?,
+        Command::Panics => panics::check(&setup::thumb_and_qemu(workspace)?)?,
         Command::Bench { update } => {
-            let mut gates = bench::counted(&Built::new(workspace)?.toolchain, update)?.gates;
+            let mut gates = bench::counted(&setup::thumb_and_qemu(workspace)?, update)?.gates;
             gates.extend(bench::throughput(workspace)?);
             gates.extend(bench::latency(workspace)?);
             gate::check(&gates)?;
@@ -211,14 +208,14 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::FastStop => drop(commands::fast_stop(workspace)?),
         Command::Explore { states } => commands::explore(workspace, states)?,
         Command::Fuzz(extent) => fuzz::run(workspace, &extent)?,
-        Command::Soak(extent) => commands::soak(workspace, &Built::new(workspace)?.image, &extent)?,
+        Command::Soak(extent) => commands::soak(&setup::thumb_and_qemu(workspace)?, &extent)?,
         Command::Mutants(extent) => mutants::run(workspace, &extent)?,
         Command::Loom => commands::loom(workspace)?,
         Command::Miri => commands::miri(workspace)?,
         Command::Coverage => commands::coverage(workspace)?,
         Command::Figures => {
-            let built = Built::new(workspace)?;
-            gate::check(&figures::write(&built.toolchain, &built.images()?)?)?;
+            let toolchain = setup::thumb_and_qemu(workspace)?;
+            gate::check(&figures::write(&toolchain, &firmware::build_all(&toolchain)?)?)?;
         }
         Command::Python => python::test(workspace, &python(workspace)?)?,
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
@@ -237,7 +234,7 @@ fn run(command: Command) -> Result<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
+fn release_checks(toolchain: &ThumbToolchain<'_>) -> Result<()> {
     let workspace = toolchain.workspace;
     commands::dependencies(workspace)?;
     test::run(toolchain, &[], Extent::Whole, true)?;
@@ -245,7 +242,7 @@ fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
     commands::release(workspace, &[])?;
     commands::telemetry(workspace)?;
     platforms::run(workspace)?;
-    commands::soak(workspace, image, &commands::Soak::CI)?;
+    commands::soak(toolchain, &commands::Soak::CI)?;
     commands::fast_stop(workspace)?;
     commands::explore(workspace, commands::STATES)?;
     commands::loom(workspace)?;
@@ -256,25 +253,6 @@ fn release_checks(Built { toolchain, image }: &Built<'_>) -> Result<()> {
 fn build(workspace: &Workspace, variant: &Variant) -> Result<Image> {
     settings::check(&variant.settings)?;
     firmware::build(&setup::thumb(workspace)?, variant)
-}
-
-/// The subject of a measurement: the default image and the tool chain.
-struct Built<'a> {
-    toolchain: ThumbToolchain<'a>,
-    image: Image,
-}
-
-impl<'a> Built<'a> {
-    fn new(workspace: &'a Workspace) -> Result<Self> {
-        let toolchain = setup::thumb_and_qemu(workspace)?;
-        let image = firmware::build(&toolchain, &Variant::default())?;
-        Ok(Self { toolchain, image })
-    }
-
-    /// Builds the images of all boards.
-    fn images(&self) -> Result<Vec<Image>> {
-        firmware::build_all(&self.toolchain)
-    }
 }
 
 /// Returns the environment with the tools of the Python package.

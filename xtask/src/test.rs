@@ -28,80 +28,90 @@ pub(crate) fn run(
     extent: Extent,
     is_strict: bool,
 ) -> Result<()> {
-    let workspace = toolchain.workspace;
-    let masters = setup::masters(workspace);
     let mut record = Record::default();
-    let missing = masters.missing.iter();
-    missing.for_each(|program| record.not_checked(&format!("tests with {program} (it is not installed)")));
-    let checks = Checks { workspace, toolchain, masters: &masters, extent };
+    let checks = Checks { toolchain, extent };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
         println!("test: running only tests that match {filter:?}; omit the filter to run all checks");
-        let emulated = checks.emulated()?;
-        record.check(TESTS, || checks.build_tests().and_then(|()| checks.tests(&emulated, filter)))
+        let peers = checks.peers(&mut record)?;
+        record.check(TESTS, || checks.build_tests().and_then(|()| checks.tests(&peers, filter)))
     };
     println!("{}", record.summary(outcome.is_err()));
     outcome.and_then(|()| record.verdict(is_strict))
 }
 
 struct Checks<'a> {
-    workspace: &'a Workspace,
     toolchain: &'a ThumbToolchain<'a>,
-    masters: &'a Masters,
     extent: Extent,
+}
+
+/// What the tests run against.
+struct Peers {
+    masters: Masters,
+    /// Images of all emulated boards and settings, and the C library, by the environment variable for the tests.
+    emulated: Vec<(String, PathBuf)>,
+    /// The default images of all boards.
+    images: Vec<Image>,
 }
 
 impl Checks<'_> {
     fn run_all(&self, record: &mut Record) -> Result<()> {
-        let (mut emulated, mut images) = (Vec::new(), Vec::new());
-        record.both(
+        let ((), peers) = record.both(
             |it| self.lint_and_build(it),
             |it| {
-                let build = || anyhow::Ok((self.emulated()?, firmware::build_all(self.toolchain)?));
-                (emulated, images) = it.check("images", build)?;
-                self.lint_firmware(it)
+                let peers = self.peers(it)?;
+                self.lint_firmware(it).map(|()| peers)
             },
         )?;
         record.both(
             |it| {
-                it.check(TESTS, || self.tests(&emulated, &[]))?;
-                self.on_the_host(it, &images)
+                it.check(TESTS, || self.tests(&peers, &[]))?;
+                self.on_the_host(it)
             },
-            |it| self.of_the_images(it, &images),
+            |it| self.of_the_images(it, &peers),
         )?;
         record.check("host throughput", || {
             // Check only the ratio: the absolute throughput depends on the machine.
-            let [_, beside_a_loop] = bench::throughput(self.workspace)?;
+            let [_, beside_a_loop] = bench::throughput(self.toolchain.workspace)?;
             gate::check(&[beside_a_loop])
         })
     }
 
-    /// Builds the images of all emulated boards and settings, and the C library. Returns each with the environment variable for
-    /// the tests.
-    fn emulated(&self) -> Result<Vec<(String, PathBuf)>> {
-        let mut paths = Vec::new();
-        let emulated = BOARDS.iter().filter_map(|board| Some((board, board.emulated?)));
-        for ((board, ending), (variable, settings)) in
-            emulated.flat_map(|it| firmware::CHOICES.map(|of| (it, of)))
-        {
-            let settings = settings.iter().map(|(name, value)| Change::new(name, *value));
-            let variant = Variant { board, settings: settings.collect::<Result<_>>()?, ..Variant::default() };
-            paths.push((format!("{variable}{ending}"), firmware::build(self.toolchain, &variant)?.path));
+    fn peers(&self, record: &mut Record) -> Result<Peers> {
+        let toolchain = self.toolchain;
+        let masters = setup::masters(toolchain.workspace);
+        for program in &masters.missing {
+            record.not_checked(&format!("tests with {program} (it is not installed)"));
         }
-        paths.push(("WSG_C_LIBRARY".to_owned(), firmware::c_library(self.toolchain, setup::TRIPLE)?));
-        Ok(paths)
+        record.check("images", || {
+            let library = firmware::c_library(toolchain, setup::TRIPLE)?;
+            let mut emulated = vec![("WSG_C_LIBRARY".to_owned(), library)];
+            for (board, ending) in BOARDS.iter().filter_map(|board| Some((board, board.emulated?))) {
+                for (variable, settings) in firmware::CHOICES {
+                    let settings = settings.iter().map(|(name, value)| Change::new(name, *value));
+                    let settings = settings.collect::<Result<_>>()?;
+                    let image =
+                        firmware::build(toolchain, &Variant { board, settings, ..Variant::default() })?;
+                    emulated.push((format!("{variable}{ending}"), image.path));
+                }
+            }
+            let images = firmware::build_all(toolchain)?;
+            images.iter().for_each(crate::print_image);
+            Ok(Peers { masters, emulated, images })
+        })
     }
 
     fn lint_and_build(&self, record: &mut Record) -> Result<()> {
-        if RUSTFMT.provide(self.workspace) {
-            record.check("format", || process::run(&mut self.workspace.cargo("fmt --all -- --check")))?;
+        let workspace = self.toolchain.workspace;
+        if RUSTFMT.provide(workspace) {
+            record.check("format", || process::run(&mut workspace.cargo("fmt --all -- --check")))?;
         } else {
             record.not_checked("format (no rustfmt)");
         }
-        if CLIPPY.provide(self.workspace) {
+        if CLIPPY.provide(workspace) {
             let clippy = "clippy --workspace --all-targets -- -D warnings";
-            record.check("clippy, host", || process::run(&mut self.workspace.cargo(clippy)))?;
+            record.check("clippy, host", || process::run(&mut workspace.cargo(clippy)))?;
         } else {
             record.not_checked("clippy, host (no clippy)");
         }
@@ -125,8 +135,8 @@ impl Checks<'_> {
     }
 
     /// The checks that mostly build with the development profile.
-    fn on_the_host(&self, record: &mut Record, images: &[Image]) -> Result<()> {
-        let workspace = self.workspace;
+    fn on_the_host(&self, record: &mut Record) -> Result<()> {
+        let workspace = self.toolchain.workspace;
         match setup::python(workspace) {
             Some(environment) => record.check("Python package", || python::test(workspace, &environment))?,
             None => record.not_checked("Python package (its tools are not installed)"),
@@ -140,21 +150,18 @@ impl Checks<'_> {
         record.check("docs", || {
             let doc = format!("doc --workspace --no-deps --lib --bins {}", Workspace::FEATURES_OF_TESTS);
             process::run(workspace.cargo(&doc).env("RUSTDOCFLAGS", "-D warnings"))
-        })?;
-        // Without rp2040js, only the default board's image, which is the first, can be emulated.
-        let emulated = if self.masters.missing.contains(&"rp2040js") { &images[..1] } else { images };
-        record.check("stack, painted", || gate::check(&stack::painted(workspace, emulated)?))
+        })
     }
 
     /// The checks that mostly build with the profiles of the firmware, whose linking uses one core. They run in a thread of their own,
     /// and leave the processor to the tests.
-    fn of_the_images(&self, record: &mut Record, images: &[Image]) -> Result<()> {
+    fn of_the_images(&self, record: &mut Record, Peers { masters, images, .. }: &Peers) -> Result<()> {
         #[cfg(unix)]
         rustix::process::nice(10)?;
         let toolchain = self.toolchain;
         let sizes = || anyhow::Ok([size::of_images(images)?, size::of_protocol(toolchain)?].concat());
         record.check("size", || gate::check(&sizes()?))?;
-        if self.masters.missing.contains(&"arm_none_eabi_gcc") {
+        if masters.missing.contains(&"arm_none_eabi_gcc") {
             record.not_checked("size of the C library (no arm-none-eabi-gcc)");
         } else {
             record.check("size of the C library", || gate::check(&size::of_c_library(toolchain)?))?;
@@ -165,19 +172,25 @@ impl Checks<'_> {
             gate::check(&counted.gates).map(|()| counted.not_compared)
         })?;
         not_compared.iter().for_each(|why| record.not_checked(&format!("instructions, {why}")));
-        record.check("panic paths", || panics::check(toolchain))
+        record.check("panic paths", || panics::check(toolchain))?;
+        // Without rp2040js, only the default board's image, which is the first, can be emulated.
+        let emulated = if masters.missing.contains(&"rp2040js") { &images[..1] } else { images };
+        record.check("stack, painted", || gate::check(&stack::painted(toolchain.workspace, emulated)?))?;
+        // The throughput is measured when nothing else runs.
+        let throughput = "build -q --release -p wsg-probes --features throughput --bin throughput";
+        process::run(&mut toolchain.workspace.cargo(throughput))
     }
 
     fn build_tests(&self) -> Result<()> {
         // Tests execute the examples. `cargo test --examples` would link each a second time, and most contain no tests. Those that
         // do have `test = true` in the manifest.
-        process::run(self.workspace.cargo("build --examples").args(TARGETS))
+        process::run(self.toolchain.workspace.cargo("build --examples").args(TARGETS))
     }
 
     /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
-    fn tests(&self, emulated: &[(String, PathBuf)], filter: &[OsString]) -> Result<()> {
-        let mut tests = self.workspace.cargo("test");
-        tests.env(PYTHON_VARIABLE, &self.masters.python).env(NODE_VARIABLE, &self.masters.node);
+    fn tests(&self, Peers { masters, emulated, .. }: &Peers, filter: &[OsString]) -> Result<()> {
+        let mut tests = self.toolchain.workspace.cargo("test");
+        tests.env(PYTHON_VARIABLE, &masters.python).env(NODE_VARIABLE, &masters.node);
         tests.args(TARGETS).args(["--", "--include-ignored"]).envs(emulated.iter().cloned());
         // Emulator tests mostly wait. With two threads per core, the machine would be idle half of the time.
         let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(4);
@@ -185,7 +198,7 @@ impl Checks<'_> {
         if self.extent == Extent::Whole {
             tests.env("WSG_WHOLE", "1");
         }
-        let skipped = self.masters.missing.iter().chain([&platforms::TESTS, &commands::WHOLE_ARCHIVE]);
+        let skipped = masters.missing.iter().chain([&platforms::TESTS, &commands::WHOLE_ARCHIVE]);
         process::run(tests.args(skipped.flat_map(|name| ["--skip", name])).args(filter))
     }
 }
@@ -208,20 +221,19 @@ impl Record {
     }
 
     /// Runs two lists of checks at the same time, each up to its first failure.
-    fn both(
+    fn both<T, U: Send>(
         &mut self,
-        one: impl FnOnce(&mut Self) -> Result<()>,
-        other: impl FnOnce(&mut Self) -> Result<()> + Send,
-    ) -> Result<()> {
+        one: impl FnOnce(&mut Self) -> Result<T>,
+        other: impl FnOnce(&mut Self) -> Result<U> + Send,
+    ) -> Result<(T, U)> {
         let mut beside = Self::default();
-        let outcomes = thread::scope(|scope| {
+        let (one, other) = thread::scope(|scope| {
             let other = scope.spawn(|| other(&mut beside).inspect_err(|error| eprintln!("error: {error:#}")));
-            let one = one(self);
-            [one, other.join().expect("a panic is a defect, and was printed")]
+            (one(self), other.join().expect("a panic is a defect, and was printed"))
         });
         self.passed.append(&mut beside.passed);
         self.not_checked.append(&mut beside.not_checked);
-        outcomes.into_iter().collect()
+        Ok((one?, other?))
     }
 
     fn not_checked(&mut self, name: &str) {
