@@ -175,8 +175,8 @@ impl Wires {
         let runs = is_moving(gripper) || (shown.motion_is_open && !is_error(gripper));
         let has_run = runs || self.has_run;
         let since = self.busy_since.or(runs.then_some(now));
-        let is_refused = !has_run || is_error(gripper);
-        let least_ms = if is_refused { self.min_busy_ms.max(REFUSAL_MS) } else { self.min_busy_ms };
+        // In its turn, an edge begins a motion or an error.
+        let least_ms = if is_error(gripper) { self.min_busy_ms.max(REFUSAL_MS) } else { self.min_busy_ms };
         let too_short = since.is_some_and(|since| now.since(since) < least_ms);
         let locked = gripper.system.intersects(SystemFlags::LOCKS);
         let busy = shown.link == Link::Up && (runs || (too_short && !locked));

@@ -182,21 +182,36 @@ fn lost_part_is_released_or_gripped_again_by_wires_alone() {
     }
 }
 
+fn homed_with_min_busy(min_busy_ms: u32) -> TestRig {
+    let wires = WiresConfig { min_busy_ms, ..WiresConfig::DEFAULT };
+    let mut rig = TestRig::with_bridge(BridgeConfig { wires, ..BridgeConfig::DEFAULT }, quick());
+    rig.get_homed();
+    rig
+}
+
 #[test]
 fn refusal_shows_busy_for_at_least_50_ms_at_any_min_busy() {
     for (min_busy_ms, expected) in [(0, 50..=52), (70, 70..=72)] {
-        let mut rig = TestRig::with_bridge(
-            BridgeConfig {
-                wires: WiresConfig { min_busy_ms, ..WiresConfig::DEFAULT },
-                ..BridgeConfig::DEFAULT
-            },
-            quick(),
-        );
-        rig.get_homed();
+        let mut rig = homed_with_min_busy(min_busy_ms);
         assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::PART_FAULT);
         let (busy_ms, _) = edge_at_ready(&mut rig, Inputs::MOVE);
         assert!(expected.contains(&busy_ms), "MIN_BUSY {min_busy_ms}: {busy_ms} ms");
     }
+}
+
+#[test]
+fn busy_shows_exactly_the_motion_without_a_min_busy() {
+    let mut rig = homed_with_min_busy(0);
+    rig.command(Inputs::MOVE);
+    // The fingers are already at the target.
+    let (busy_ms, _) = edge_at_ready(&mut rig, Inputs::MOVE);
+    assert!((1..50).contains(&busy_ms), "{busy_ms} ms");
+    // Until the force limit is set, no motion runs.
+    let (_, outputs) = edge_at_ready(&mut rig, Inputs::GRIP);
+    assert_eq!(
+        (rig.take_motions().last(), outputs),
+        (Some(&CommandId::GripPart), IDLE | Outputs::PART_FAULT)
+    );
 }
 
 #[test]
