@@ -57,11 +57,15 @@ struct Peers {
 
 impl Checks<'_> {
     fn run_all(&self, record: &mut Record) -> Result<()> {
+        let (toolchain, workspace) = (self.toolchain, self.toolchain.workspace);
+        // Here, because neither rustup nor apt can be called by both lists at the same time.
+        let (has_rustfmt, has_clippy) = (RUSTFMT.provide(workspace), CLIPPY.provide(workspace));
+        let has_thumb_clippy = CLIPPY.provide_for_thumb(toolchain);
         let ((), peers) = record.both(
-            |it| self.lint_and_build(it),
+            |it| self.lint_and_build(it, has_rustfmt, has_clippy),
             |it| {
                 let peers = self.peers(it)?;
-                self.lint_firmware(it).map(|()| peers)
+                self.lint_firmware(it, has_thumb_clippy).map(|()| peers)
             },
         )?;
         record.both(
@@ -73,7 +77,7 @@ impl Checks<'_> {
         )?;
         record.check("host throughput", || {
             // Check only the ratio: the absolute throughput depends on the machine.
-            let [_, beside_a_loop] = bench::throughput(self.toolchain.workspace)?;
+            let [_, beside_a_loop] = bench::throughput(workspace)?;
             gate::check(&[beside_a_loop])
         })
     }
@@ -102,14 +106,14 @@ impl Checks<'_> {
         })
     }
 
-    fn lint_and_build(&self, record: &mut Record) -> Result<()> {
+    fn lint_and_build(&self, record: &mut Record, has_rustfmt: bool, has_clippy: bool) -> Result<()> {
         let workspace = self.toolchain.workspace;
-        if RUSTFMT.provide(workspace) {
+        if has_rustfmt {
             record.check("format", || process::run(&mut workspace.cargo("fmt --all -- --check")))?;
         } else {
             record.not_checked("format (no rustfmt)");
         }
-        if CLIPPY.provide(workspace) {
+        if has_clippy {
             let clippy = "clippy --workspace --all-targets -- -D warnings";
             record.check("clippy, host", || process::run(&mut workspace.cargo(clippy)))?;
         } else {
@@ -118,11 +122,11 @@ impl Checks<'_> {
         record.check("build", || self.build_tests())
     }
 
-    fn lint_firmware(&self, record: &mut Record) -> Result<()> {
+    fn lint_firmware(&self, record: &mut Record, has_clippy: bool) -> Result<()> {
         let probes = "-p wsg-probes --bins --features edges,every-function --profile firmware";
         let probes = (setup::TRIPLE, probes.split(' ').map(str::to_owned).collect());
         let image = |it: &Board| (it.triple, firmware::selection(it, &[], firmware::PROFILE));
-        if !CLIPPY.provide_for_thumb(self.toolchain) {
+        if !has_clippy {
             record.not_checked("clippy, firmware and probes (no clippy for that tool chain)");
             return Ok(());
         }
