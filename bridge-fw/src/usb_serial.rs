@@ -224,4 +224,28 @@ mod tests {
         assert_eq!(ask(0x02, CLEAR_FEATURE, 0, 0x02, 0), Answer::Cleared { to_host: false });
         assert_eq!(ask(0x40, 1, 0, 0, 0), Answer::Stall);
     }
+
+    /// USB 2.0, 9.4: one configuration, one setting of each interface, no halted endpoint.
+    #[test]
+    fn host_reads_the_state_of_the_port() {
+        for (is_configured, expected) in [(false, [0]), (true, [1])] {
+            let state = answer([TO_HOST, GET_CONFIGURATION, 0, 0, 0, 0, 1, 0], is_configured);
+            assert!(matches!(state, Answer::Data(bytes) if bytes == expected), "{state:?}");
+        }
+        assert_eq!(ask(TO_HOST, GET_STATUS, 0, 0, 2), Answer::Data(&[0, 0]));
+        assert_eq!(ask(0x81, GET_INTERFACE, 0, 1, 1), Answer::Data(&[0]));
+        assert_eq!(ask(0x01, SET_INTERFACE, 0, 1, 0), Answer::Done);
+        assert_eq!(ask(0x01, SET_INTERFACE, 1, 1, 0), Answer::Stall);
+        assert_eq!(ask(0x02, CLEAR_FEATURE, 0, TO_HOST | NOTIFICATIONS, 0), Answer::Done);
+    }
+
+    #[test]
+    fn strings_are_utf_16() {
+        let Answer::Data([_, _, text @ ..]) = ask(TO_HOST, GET_DESCRIPTOR, 0x301, 0, 255) else { panic!() };
+        let units = text.as_chunks().0.iter().map(|unit| u16::from_le_bytes(*unit));
+        assert_eq!(
+            char::decode_utf16(units).collect::<Result<std::string::String, _>>().unwrap(),
+            "wsg-bridge"
+        );
+    }
 }

@@ -125,3 +125,13 @@ impl CanController for NoCan {
 
     fn recover(&mut self) {}
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn board_without_can_is_bus_off() {
+        assert!(NoCan.health().is_off);
+    }
+}

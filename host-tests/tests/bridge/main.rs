@@ -7,6 +7,7 @@ mod causes;
 mod events;
 mod gripper_on_can;
 mod indicator;
+mod mcp2515;
 mod modbus;
 mod outputs;
 mod profibus;

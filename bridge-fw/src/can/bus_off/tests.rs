@@ -35,6 +35,13 @@ fn slow_recovery_is_a_failure_and_the_last_failure_gives_up() {
 }
 
 #[test]
+fn without_a_limit_recovery_is_never_given_up() {
+    let mut bus = BusOff::new(BusOffPolicy { limit: 0, ..POLICY });
+    let steps = pass(&mut bus, 0, 60_000, true);
+    assert_eq!(steps.len(), 101, "every 600 ms: {steps:?}");
+}
+
+#[test]
 fn unnecessary_retry_changes_nothing() {
     let mut bus = BusOff::new(POLICY);
     bus.retry(Instant::from_millis(5));

@@ -246,11 +246,27 @@ fn every_rate_of_the_settings_is_met_if_the_crystal_divides_to_it() {
         (8_000_000, 1_000, None),
         (16_000_000, 300, None),
         (16_000_000, 0, None),
+        // The largest prescaler is 64.
+        (256_000_000, 125, Some((64, 14, 2))),
+        (512_000_000, 125, None),
     ] {
         assert_eq!(of(crystal, rate), expected, "{crystal} Hz, {rate} kbit/s");
         if let Some((prescaler, before, behind)) = expected {
             assert_eq!(crystal / (2 * prescaler * (before + behind)), u32::from(rate) * 1_000);
         }
+    }
+}
+
+#[test]
+fn every_bit_of_an_identifier_and_the_length_pass_through_the_registers() {
+    let standard = (0..11).map(|bit| Id::Standard(StandardId::new(1 << bit).unwrap()));
+    let extended = (0..29).map(|bit| Id::Extended(ExtendedId::new(1 << bit).unwrap()));
+    for (id, len) in standard.chain(extended).zip((0..=8).cycle()) {
+        let mut raw = RawFrame::default();
+        raw[..4].copy_from_slice(&id_registers(id));
+        raw[4] = len;
+        let decoded: ClassicFrame = super::frame(raw).unwrap();
+        assert_eq!((decoded.id(), decoded.dlc()), (id, usize::from(len)));
     }
 }
 
