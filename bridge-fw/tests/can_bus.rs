@@ -225,12 +225,16 @@ fn returned_frame_without_room_is_reported_to_both() {
 }
 
 #[test]
-fn returned_frame_of_the_second_keeps_its_owner() {
-    let mut bus = bus(Scripted::default());
-    let mut second = Speaker::new(standard(1), 1);
-    bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::Never]);
-    talk(&mut bus, &mut None::<&mut Speaker>, &mut second);
-    assert_eq!(second.losses, 1, "the later rejection is reported to it");
+fn returned_frame_keeps_its_owner() {
+    for is_of_the_first in [true, false] {
+        let mut bus = bus(Scripted::default());
+        let mut speaker = Speaker::new(standard(1), 1);
+        let (mut first, mut second) =
+            if is_of_the_first { (Some(&mut speaker), None) } else { (None, Some(&mut speaker)) };
+        bus.controller().answers.extend([Takes::Instead(frame(standard(1))), Takes::Never]);
+        talk(&mut bus, &mut first, &mut second);
+        assert_eq!(speaker.losses, 1, "the later rejection is reported to it");
+    }
 }
 
 #[test]
