@@ -474,6 +474,8 @@ fn lost_frame_is_reported_once() {
 #[test]
 fn after_bus_off_nothing_is_sent_or_received_until_recover() {
     let (chip, mut controller) = started();
+    let gripper = Id::Standard(standard(gripper_id()));
+    assert_eq!(controller.transmit(&frame(gripper_id(), &[])), Ok(None));
     chip.set(EFLG, TXBO | PASSIVE);
     let health = controller.health();
     assert!(health.is_off && health.is_passive && health.transmit_errors == 255);
@@ -482,8 +484,11 @@ fn after_bus_off_nothing_is_sent_or_received_until_recover() {
     chip.set(EFLG, 0);
     chip.receive(0, id_registers(Id::Standard(standard(0x121))), &[1]);
     assert!(interrupt(&chip, &controller));
+    assert_eq!(controller.receive(), Err(nb::Error::WouldBlock));
     assert!(controller.health().is_off);
     assert_eq!(controller.transmit(&frame(gripper_id(), &[])), Err(nb::Error::WouldBlock));
+    assert_eq!(controller.withdraw(gripper), Withdrawal::TooLate);
+    assert!(chip.sent(0).is_some());
     controller.recover();
 
     assert!(!controller.health().is_off);
