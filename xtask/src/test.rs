@@ -7,7 +7,7 @@ use boards::{BOARDS, Board};
 
 use crate::{
     bench, commands,
-    firmware::{self, Image, Variant},
+    firmware::{self, Variant},
     gate,
     matrix::{self, Extent},
     panics, platforms, process, python,
@@ -51,8 +51,6 @@ struct Peers {
     masters: Masters,
     /// Images of all emulated boards and settings, and the C library, by the environment variable for the tests.
     emulated: Vec<(String, PathBuf)>,
-    /// The default images of all boards.
-    images: Vec<Image>,
 }
 
 impl Checks<'_> {
@@ -73,7 +71,7 @@ impl Checks<'_> {
                 it.check(TESTS, || self.tests(&peers, &[]))?;
                 self.on_the_host(it)
             },
-            |it| self.of_the_images(it, &peers),
+            |it| self.of_the_images(it, &peers.masters),
         )?;
         record.check("host throughput", || {
             // Check only the ratio: the absolute throughput depends on the machine.
@@ -97,12 +95,13 @@ impl Checks<'_> {
                     let settings = settings.collect::<Result<_>>()?;
                     let image =
                         firmware::build(toolchain, &Variant { board, settings, ..Variant::default() })?;
+                    if variable == firmware::IMAGE_VARIABLE {
+                        crate::print_image(&image);
+                    }
                     emulated.push((format!("{variable}{ending}"), image.path));
                 }
             }
-            let images = firmware::build_all(toolchain)?;
-            images.iter().for_each(crate::print_image);
-            Ok(Peers { masters, emulated, images })
+            Ok(Peers { masters, emulated })
         })
     }
 
@@ -159,18 +158,19 @@ impl Checks<'_> {
 
     /// The checks that mostly build with the profiles of the firmware, whose linking uses one core. They run in a thread of their own,
     /// and leave the processor to the tests.
-    fn of_the_images(&self, record: &mut Record, Peers { masters, images, .. }: &Peers) -> Result<()> {
+    fn of_the_images(&self, record: &mut Record, masters: &Masters) -> Result<()> {
         #[cfg(unix)]
         rustix::process::nice(10)?;
         let toolchain = self.toolchain;
-        let sizes = || anyhow::Ok([size::of_images(images)?, size::of_protocol(toolchain)?].concat());
+        let images = firmware::build_all(toolchain)?;
+        let sizes = || anyhow::Ok([size::of_images(&images)?, size::of_protocol(toolchain)?].concat());
         record.check("size", || gate::check(&sizes()?))?;
         if masters.missing.contains(&"arm_none_eabi_gcc") {
             record.not_checked("size of the C library (no arm-none-eabi-gcc)");
         } else {
             record.check("size of the C library", || gate::check(&size::of_c_library(toolchain)?))?;
         }
-        record.check("stack, walked", || gate::check(&stack::walked(images)?))?;
+        record.check("stack, walked", || gate::check(&stack::walked(&images)?))?;
         let not_compared = record.check("instructions", || {
             let counted = bench::counted(toolchain, false)?;
             gate::check(&counted.gates).map(|()| counted.not_compared)
@@ -178,7 +178,7 @@ impl Checks<'_> {
         not_compared.iter().for_each(|why| record.not_checked(&format!("instructions, {why}")));
         record.check("panic paths", || panics::check(toolchain))?;
         // Without rp2040js, only the default board's image, which is the first, can be emulated.
-        let emulated = if masters.missing.contains(&"rp2040js") { &images[..1] } else { images };
+        let emulated = if masters.missing.contains(&"rp2040js") { &images[..1] } else { &images };
         record.check("stack, painted", || gate::check(&stack::painted(toolchain.workspace, emulated)?))?;
         // The throughput is measured when nothing else runs.
         let throughput = "build -q --release -p wsg-probes --features throughput --bin throughput";
@@ -192,7 +192,7 @@ impl Checks<'_> {
     }
 
     /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
-    fn tests(&self, Peers { masters, emulated, .. }: &Peers, filter: &[OsString]) -> Result<()> {
+    fn tests(&self, Peers { masters, emulated }: &Peers, filter: &[OsString]) -> Result<()> {
         let mut tests = self.toolchain.workspace.cargo("test");
         tests.env(PYTHON_VARIABLE, &masters.python).env(NODE_VARIABLE, &masters.node);
         tests.args(TARGETS).args(["--", "--include-ignored"]).envs(emulated.iter().cloned());
