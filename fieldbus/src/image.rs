@@ -100,7 +100,7 @@ impl MaskedFlags {
         if is_first {
             self.mask(written.difference(CommandFlags::FASTSTOP));
         }
-        if jog_was_masked || self.0.intersects(CommandFlags::JOG) {
+        if jog_was_masked {
             self.mask(written.intersection(CommandFlags::JOG));
         }
     }
@@ -356,5 +356,44 @@ mod tests {
             let input = [seed, 1, seed, !seed, 0x80, seed, !seed, seed, seed, 7, seed, seed ^ 0x11];
             assert_eq!(InputImage::from_bytes(input).to_bytes(), input);
         }
+    }
+
+    #[test]
+    fn flags_of_the_first_image_count_once_they_were_0() {
+        let moves = CommandFlags::MOVE | CommandFlags::GRIP;
+        let mut masked = MaskedFlags::NONE;
+        masked.see(moves | CommandFlags::FASTSTOP, true);
+        assert_eq!(masked.counting(moves | CommandFlags::FASTSTOP), CommandFlags::FASTSTOP);
+        masked.see(CommandFlags::GRIP, false);
+        assert_eq!(masked.counting(moves), CommandFlags::MOVE);
+    }
+
+    #[test]
+    fn jog_counts_once_both_directions_were_0_together() {
+        for [first, other] in [
+            [CommandFlags::JOG_PLUS, CommandFlags::JOG_MINUS],
+            [CommandFlags::JOG_MINUS, CommandFlags::JOG_PLUS],
+        ] {
+            let mut masked = MaskedFlags::NONE;
+            masked.see(first, true);
+            for written in [first, other, CommandFlags::JOG, first, first] {
+                masked.see(written, false);
+                assert_eq!(masked.counting(written), CommandFlags::empty(), "{written:?} after {first:?}");
+            }
+            masked.see(CommandFlags::empty(), false);
+            masked.see(other, false);
+            assert_eq!(masked.counting(CommandFlags::JOG), CommandFlags::JOG);
+        }
+    }
+
+    #[test]
+    fn masked_flags_add_up() {
+        let mut masked = MaskedFlags::NONE;
+        masked.mask(CommandFlags::MOVE);
+        masked.mask(CommandFlags::MOVE | CommandFlags::GRIP);
+        assert_eq!(
+            masked.counting(CommandFlags::all()),
+            CommandFlags::all() - CommandFlags::MOVE - CommandFlags::GRIP
+        );
     }
 }

@@ -82,3 +82,24 @@ pub struct Incident {
     /// The value that the cause defines; 0 for other causes.
     pub value: u16,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refused_command_neither_reached_the_gripper_nor_stopped_it() {
+        let refusals = [
+            Cause::NotConnected,
+            Cause::FastStopLasts,
+            Cause::MotionRuns,
+            Cause::NotReady,
+            Cause::PartHeld,
+            Cause::NotIdle,
+        ];
+        assert!(refusals.iter().all(|cause| cause.is_refusal() && !cause.is_fast_stop()));
+        assert!(
+            [Cause::Gripper, Cause::Unanswered, Cause::Withdrawn].iter().all(|cause| !cause.is_refusal())
+        );
+    }
+}

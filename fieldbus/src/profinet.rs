@@ -118,6 +118,8 @@ mod tests {
             if let Some(fault) = PROFILE.faults.get(shown.trailing_zeros() as usize) {
                 assert_eq!(fault.error_type, 0x0100 + bit);
                 assert_eq!(flag.iter_names().next().unwrap().0, fault.name);
+                let stopped_the_fingers = flag == SystemFlags::FAST_STOP;
+                assert_eq!(fault.priority, if stopped_the_fingers { Priority::High } else { Priority::Low });
             }
         }
     }
