@@ -15,7 +15,7 @@ use crate::{
     setup::{self, ThumbToolchain},
     tool::{
         self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DEB, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
-        MDBOOK, MIRI, NIGHTLY,
+        CARGO_SEMVER_CHECKS, MDBOOK, MIRI, NIGHTLY,
     },
     workspace::{TARGET_CRATES, Workspace},
 };
@@ -67,7 +67,9 @@ fn tools_of_book(workspace: &Workspace) -> Result<()> {
 
 /// Compares public APIs and command lines with their records, or writes the records.
 pub(crate) fn api(workspace: &Workspace, update: bool) -> Result<()> {
-    [NIGHTLY, CARGO_PUBLIC_API].iter().try_for_each(|tool| tool.require(workspace, "public APIs"))?;
+    [NIGHTLY, CARGO_PUBLIC_API, CARGO_SEMVER_CHECKS]
+        .iter()
+        .try_for_each(|tool| tool.require(workspace, "public APIs"))?;
     process::run(workspace.cargo("run -q -p dist -- api").args(update.then_some("--update")))
 }
 

@@ -143,7 +143,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         arguments: Vec<OsString>,
     },
-    /// Compare public APIs and command lines with the records in api; needs nightly Rust and cargo-public-api
+    /// Compare public APIs and command lines with the records in api; needs nightly Rust, cargo-public-api and cargo-semver-checks
     Api {
         /// Write the records
         #[arg(long)]

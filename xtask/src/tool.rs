@@ -36,6 +36,7 @@ pub(crate) const CARGO_AUDITABLE: Tool = of_cargo!("auditable");
 pub(crate) const CARGO_CYCLONEDX: Tool = of_cargo!("cyclonedx");
 pub(crate) const CARGO_DEB: Tool = of_cargo!("deb");
 pub(crate) const CARGO_PUBLIC_API: Tool = of_cargo!("public-api");
+pub(crate) const CARGO_SEMVER_CHECKS: Tool = of_cargo!("semver-checks");
 
 /// mdBook, without its web server.
 pub(crate) const MDBOOK: Tool = Tool::new(

@@ -6,7 +6,7 @@ use std::{collections::BTreeSet, fs, process::Command};
 use anyhow::{Context, Result, bail, ensure};
 use document::root;
 
-use crate::release::{VERSION, published, target_dir};
+use crate::release::{VERSION, cargo, published, target_dir};
 
 /// Folder of the records.
 const FOLDER: &str = "api";
@@ -59,6 +59,24 @@ pub(crate) fn run(Arguments { update }: &Arguments) -> Result<()> {
             differing.join(", ")
         );
     }
+    if *update { Ok(()) } else { compare_with_recorded() }
+}
+
+/// Compares the published crates with the crates in the commit that last changed the records. The records leave out
+/// derived implementations, and do not show which change breaks users.
+fn compare_with_recorded() -> Result<()> {
+    let mut log = Command::new("git");
+    let log = log.current_dir(root()).args(["log", "-1", "--format=%H", "--", FOLDER]).output();
+    let commit = String::from_utf8(log.context("cannot run git")?.stdout)?;
+    ensure!(!commit.is_empty(), "no commit contains {FOLDER}; expected a git repository with the records");
+    let mut checks = cargo("semver-checks --quiet --all-features --baseline-rev");
+    checks.arg(commit.trim()).args(published()?.iter().flat_map(|name| ["--package", name]));
+    ensure!(
+        checks.status().context("cannot run cargo")?.success(),
+        "a public interface breaks users of the one recorded in {}; expected a new minor version and an entry in CHANGELOG.md",
+        commit.trim()
+    );
+    println!("api: compatible with {}", commit.trim());
     Ok(())
 }
 
