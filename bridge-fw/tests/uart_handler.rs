@@ -218,8 +218,13 @@ fn driver_is_on_from_the_first_byte_of_a_modbus_frame_until_its_last_bit() {
 
     assert_eq!((&hal.sent[..], runs, hal.enabled), (&[1, 2][..], 3, Some(NOTHING)));
     hal.received.push_back(Ok(7));
+    hal.now_us = 10_573;
     handler.serve(line, &mut hal);
-    assert!(matches!(port.receive(), Some((Character::Byte(7), _))));
+    assert_eq!(
+        port.receive(),
+        Some((Character::Byte(7), 10_000)),
+        "the silence without the character's 573 us"
+    );
 }
 
 #[test]

@@ -148,6 +148,20 @@ fn settings_of_the_record_apply_from_the_start() {
 }
 
 #[test]
+fn request_ends_after_the_silence_of_the_records_rate() {
+    for (rate, silence_us) in [(96, 4_011), (192, 2_006), (384, 1_750)] {
+        let mut rig = TestRig::new(&with(&[("MODBUS_RATE", rate), ("BUS_CHAR_TIMEOUT", 0)]));
+        let mut is_answered_after = |silence_us| {
+            rig.rig.bus.ask(&[1, 3, 0, FIRST_SETTING as u8, 0, 1]);
+            rig.rig.bus.silence_us = silence_us;
+            rig.pass(3);
+            rig.rig.bus.answered().is_some()
+        };
+        assert!(!is_answered_after(silence_us - 10) && is_answered_after(silence_us), "{rate}00 bit/s");
+    }
+}
+
+#[test]
 fn identifiers_and_nodes_of_the_record_are_used_on_the_bus() {
     let changes = [("GRIPPER_LINE", 1), ("PLC_BUS", 2), ("CAN_ID", 0x140), ("CAN_NODE", 5)];
     let mut rig = TestRig::new(&with(&changes));
