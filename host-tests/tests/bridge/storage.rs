@@ -5,7 +5,9 @@ use std::collections::VecDeque;
 use host_tests::chance::Chance;
 use host_tests::flash_model::{Fault, FlashModel, PAGE_LEN, Tear};
 use proptest::prelude::*;
-use wsg_bridge_fw::storage::{BeginError, FlashError, LoadError, NorFlash, Page, Progress, SaveError, Store};
+use wsg_bridge_fw::storage::{
+    BeginError, FlashError, LoadError, NoFlash, NorFlash, Page, Progress, SaveError, Store,
+};
 use wsg_protocol::Instant;
 
 const MAX_LEN: usize = 200;
@@ -376,6 +378,17 @@ fn flash_that_ignores_writes_is_no_flash() {
             assert!(flash.operations - before <= 2 * 28, "no endless attempts");
         }
         assert_eq!(load(&mut store, &flash), Err(found));
+    }
+}
+
+#[test]
+fn board_without_flash_loads_nothing_and_every_operation_fails() {
+    assert_eq!(Settings::new().load(&NoFlash).unwrap_err(), LoadError::NoFlash);
+    let failed = FlashError::Failed;
+    for page in Page::ALL {
+        assert_eq!(NoFlash.start_erase(page), Err(failed));
+        assert_eq!(NoFlash.start_program(page, 0, 1), Err(failed));
+        assert_eq!(NoFlash.poll(), Err(failed.into()));
     }
 }
 
