@@ -378,7 +378,9 @@ fn full_queue_leaves_frames_in_the_controller() {
 
     assert!(interrupt(&chip, &controller));
 
+    assert!(controller.received.has_received());
     assert_eq!(data(received(&mut controller)), [came - 1]);
+    assert!(!controller.received.has_received());
     assert_eq!(controller.health(), Health::default());
 }
 
