@@ -54,3 +54,13 @@ fn profile_beyond_a_limit_fits_nothing() {
         assert!(!profile.fits(2, 3), "{what}");
     }
 }
+
+#[test]
+fn data_in_one_direction_has_its_status_there_and_the_consumers_in_the_other() {
+    for ((input_len, output_len), lens) in
+        [((3, 2), (5, 4)), ((12, 0), (13, 1)), ((0, 8), (1, 9)), ((0, 0), (1, 1))]
+    {
+        let submodule = Submodule { input_len, output_len, ..EMPTY };
+        assert_eq!(submodule.frame_lens(), lens, "{input_len} bytes in, {output_len} bytes out");
+    }
+}
