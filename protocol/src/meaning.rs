@@ -70,3 +70,24 @@ impl Display for Meaning<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::string::ToString;
+
+    use super::*;
+
+    #[test]
+    fn frame_is_decoded_by_its_direction_and_refused_frames_have_their_reason() {
+        let meaning =
+            |direction, id, payload| Meaning { direction, frame: Frame { id, payload } }.to_string();
+        let (to, from) = (Direction::ToGripper, Direction::FromGripper);
+        assert_eq!((to.to_string().as_str(), from.to_string().as_str()), ("->", "<-"));
+        assert_eq!(meaning(to, 0x22, &[]), "22h Stop");
+        assert_eq!(meaning(from, 0x22, &[0, 0]), "22h Stop E_SUCCESS");
+        assert_eq!(meaning(from, 0x22, &[0]), "22h Stop: payload too short");
+        for (id, len_is_shown) in [(0x9F, false), (0xA0, true), (0xBF, true), (0xC0, false)] {
+            assert_eq!(meaning(from, id, &[1, 0, 7]).ends_with(" 3 bytes"), len_is_shown, "{id:02X}h");
+        }
+    }
+}

@@ -38,3 +38,26 @@ impl<T: Hash, const N: usize> Hash for Queue<T, N> {
         self.iter().for_each(|item| item.hash(state));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::hash::DefaultHasher;
+
+    #[test]
+    fn equal_queues_have_equal_hashes_wherever_they_begin_and_others_differ() {
+        let hash = |items: &[u8], removed: usize| {
+            let mut queue = Queue::<u8, 4>::new();
+            for _ in 0..removed {
+                queue.push_back(9).unwrap();
+                queue.pop_front();
+            }
+            items.iter().for_each(|item| queue.push_back(*item).unwrap());
+            let mut hasher = DefaultHasher::new();
+            queue.hash(&mut hasher);
+            hasher.finish()
+        };
+        assert_eq!(hash(&[1, 2], 0), hash(&[1, 2], 3));
+        assert!([&[][..], &[1], &[2, 1], &[1, 2, 0]].iter().all(|other| hash(other, 0) != hash(&[1, 2], 0)));
+    }
+}

@@ -5,3 +5,4 @@ mod client;
 mod only_gcl;
 mod rig;
 mod same;
+mod transports;

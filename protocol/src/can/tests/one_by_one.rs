@@ -231,8 +231,21 @@ fn controller_sends_on_n_and_the_gripper_on_the_next_identifier() {
     let pair = Identifiers::from_base(0x7FE).unwrap();
     assert_eq!((pair.controller().transmit.as_raw(), pair.controller().receive.as_raw()), (0x7FE, 0x7FF));
     assert_eq!((pair.gripper().transmit.as_raw(), pair.gripper().receive.as_raw()), (0x7FF, 0x7FE));
+    assert_eq!(pair.base(), 0x7FE);
     assert_eq!(Identifiers::from_base(0x7FF), None);
     assert_eq!(Identifiers::from_base(u16::MAX), None);
+}
+
+#[test]
+fn spoilt_end_has_a_wrong_checksum_after_any_bytes() {
+    let homing = Command::Homing { direction: HomingDirection::Positive };
+    let last = Segments::new(FrameEncoder::new(homing.id().code(), homing)).last().unwrap();
+    for before in 0..=u16::MAX {
+        let mut spoilt = last.clone();
+        let after = spoilt.spoil(before, true);
+        assert_ne!(after, 0, "{before:04X}h");
+        assert_eq!(after, checksum::push_slice(before, spoilt.data()));
+    }
 }
 
 #[test]
