@@ -241,7 +241,7 @@ fn spoilt_end_has_a_wrong_checksum_after_any_bytes() {
     let homing = Command::Homing { direction: HomingDirection::Positive };
     let last = Segments::new(FrameEncoder::new(homing.id().code(), homing)).last().unwrap();
     for before in 0..=u16::MAX {
-        let mut spoilt = last.clone();
+        let mut spoilt = last;
         let after = spoilt.spoil(before, true);
         assert_ne!(after, 0, "{before:04X}h");
         assert_eq!(after, checksum::push_slice(before, spoilt.data()));
