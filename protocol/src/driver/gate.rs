@@ -21,10 +21,13 @@ pub(super) struct Gate {
     pub(super) shared: Option<std::sync::Arc<super::stop::Shared>>,
 }
 
-#[cfg(feature = "std")]
+#[cfg_attr(not(feature = "std"), expect(clippy::unused_self, reason = "there are no handles"))]
 impl Gate {
     /// A gate without handles.
-    pub(super) const OPEN: Self = Self { shared: None };
+    pub(super) const OPEN: Self = Self {
+        #[cfg(feature = "std")]
+        shared: None,
+    };
 
     /// Lets the driver write `len` bytes of a message. `is_first` marks its beginning. Returns `None` if the driver
     /// must first take over a stop request.
@@ -34,44 +37,31 @@ impl Gate {
         len: usize,
         write: impl FnOnce() -> Poll<Result<usize, E>>,
     ) -> Poll<Option<Result<usize, E>>> {
-        match &self.shared {
-            Some(shared) => shared.poll_write(is_first, len, write),
-            None => write().map(Some),
+        #[cfg(feature = "std")]
+        if let Some(shared) = &self.shared {
+            return shared.poll_write(is_first, len, write);
         }
+        let _ = (is_first, len);
+        write().map(Some)
     }
 
     /// Takes the pending stop request, if any.
     pub(super) fn take(&self) -> Option<StopRequest> {
-        self.shared.as_ref()?.take()
+        #[cfg(feature = "std")]
+        if let Some(shared) = &self.shared {
+            return shared.take();
+        }
+        None
     }
 
     /// Completes when a stop is requested.
     #[cfg(feature = "embedded-io-async")]
     pub(super) fn poll_request(&self, context: &mut Context<'_>) -> Poll<()> {
-        self.shared.as_ref().map_or(Poll::Pending, |shared| shared.poll_request(context))
-    }
-}
-
-#[cfg(not(feature = "std"))]
-#[expect(clippy::unused_self, reason = "there are no handles")]
-impl Gate {
-    pub(super) const OPEN: Self = Self {};
-
-    pub(super) fn poll_write<E>(
-        &self,
-        _is_first: bool,
-        _len: usize,
-        write: impl FnOnce() -> Poll<Result<usize, E>>,
-    ) -> Poll<Option<Result<usize, E>>> {
-        write().map(Some)
-    }
-
-    pub(super) const fn take(&self) -> Option<StopRequest> {
-        None
-    }
-
-    #[cfg(feature = "embedded-io-async")]
-    pub(super) const fn poll_request(&self, _context: &mut Context<'_>) -> Poll<()> {
+        #[cfg(feature = "std")]
+        if let Some(shared) = &self.shared {
+            return shared.poll_request(context);
+        }
+        let _ = context;
         Poll::Pending
     }
 }

@@ -197,3 +197,19 @@ fn handles_may_be_sent_and_shared() {
     fn is_sync<T: Send + Sync + Clone + 'static>() {}
     is_sync::<StopHandle>();
 }
+
+#[cfg(feature = "gcl")]
+#[test]
+fn gcl_has_a_line_for_each_stop_which_is_urgent_once_requested() {
+    use crate::driver::link::Link;
+    type Gcl = super::gcl::Gcl<76>;
+    for (kind, line) in [(StopKind::Stop, "STOP()\n"), (StopKind::FastStop, "FASTSTOP()\n")] {
+        let mut message = [0; MAX_STOP_LEN];
+        let len = Gcl::stop_message(kind, &mut message);
+        assert_eq!(core::str::from_utf8(&message[..len]), Ok(line));
+    }
+    let mut link = Gcl::new(crate::session::Config::DEFAULT);
+    assert!(!link.is_urgent());
+    link.request::<()>(Command::FastStop, None).unwrap();
+    assert!(link.is_urgent());
+}
