@@ -86,3 +86,14 @@ fn count_of_lost_updates_saturates() {
     assert_eq!(gripper.counters().updates_lost, u16::MAX);
     assert_eq!(gripper.next_update(0), Ok(Some(Update::Force(2.0))), "the newest are kept");
 }
+
+#[test]
+fn motion_refused_after_an_update_has_not_begun() {
+    let (rig, mut gripper) = connected();
+    gripper.subscribe(Topic::Force, AutoUpdate::every(10));
+    while gripper.next_update(50).unwrap().is_some() {}
+    let id = CommandId::GripPart;
+    rig.script(id, vec![(1, force(1)), (1, status(id, Status::AccessDenied))]);
+    let begun = gripper.begin_grip(Mm(20.0), MmPerS(50.0));
+    assert_eq!(begun.map(drop), Err(Error::Refused(Status::AccessDenied)));
+}
