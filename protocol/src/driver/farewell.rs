@@ -10,15 +10,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// Time-out for the gripper to close its end.
-const LINGER: Duration = Duration::from_millis(100);
+pub(super) const LINGER: Duration = Duration::from_millis(100);
 
 /// Reads until the gripper has closed its end or the time-out expires. Unread bytes would cause a reset of the
 /// connection, which may overtake the announcement.
-pub(super) fn linger(mut socket: &TcpStream) {
+pub(super) fn linger(mut socket: &TcpStream, at_most: Duration) {
     let begun = Instant::now();
     let mut unread = [0; 512];
     loop {
-        let left = LINGER.saturating_sub(begun.elapsed()).as_millis() as u32;
+        let left = at_most.saturating_sub(begun.elapsed()).as_millis() as u32;
         if left == 0 || !is_readable_within(socket, left).unwrap_or(false) {
             return;
         }
@@ -122,10 +122,29 @@ impl Spoken {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::driver::readiness::tests::connected;
     use std::vec::Vec;
 
     fn frame(command: Command<'_>) -> Vec<u8> {
         FrameEncoder::new(command.id().code(), command).collect()
+    }
+
+    #[test]
+    fn end_waits_until_the_gripper_has_closed_and_everything_is_read() {
+        use io::{Read, Write};
+        let forever = Duration::from_secs(60);
+        let (mut near, mut far) = connected();
+        far.write_all(&[1; 1_000]).unwrap();
+        drop(far);
+        linger(&near, forever);
+        assert_eq!(near.read_to_end(&mut Vec::new()).unwrap(), 0);
+
+        let (near, _far) = connected();
+        near.set_read_timeout(Some(forever)).unwrap();
+        let begun = Instant::now();
+        linger(&near, Duration::from_millis(20));
+        // The time is counted in whole milliseconds.
+        assert!((Duration::from_millis(19)..forever).contains(&begun.elapsed()));
     }
 
     fn due(messages: &[&[u8]]) -> Option<Vec<u8>> {

@@ -177,3 +177,54 @@ fn pair() -> io::Result<(Signal, Signal)> {
     receiver.connect(sender.local_addr()?)?;
     Ok((sender, receiver))
 }
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use std::io::Write;
+    use std::net::{Ipv4Addr, TcpListener, TcpStream};
+
+    /// Longer than a step of any test takes.
+    const FOREVER_MS: u32 = 60_000;
+
+    /// Returns both ends of a connection.
+    pub(in crate::driver) fn connected() -> (TcpStream, TcpStream) {
+        let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let near = TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        (near, listener.accept().unwrap().0)
+    }
+
+    #[test]
+    fn source_is_readable_with_bytes_and_at_its_end() {
+        let (near, mut far) = connected();
+        assert!(!is_readable_within(&near, 0).unwrap());
+        far.write_all(&[1]).unwrap();
+        assert!(is_readable_within(&near, FOREVER_MS).unwrap());
+        let (near, far) = connected();
+        drop(far);
+        assert!(is_readable_within(&near, FOREVER_MS).unwrap());
+    }
+
+    #[test]
+    fn full_source_is_not_writable() {
+        let (mut near, _far) = connected();
+        assert!(is_writable(&near).unwrap());
+        near.set_nonblocking(true).unwrap();
+        while near.write_all(&[0; 4096]).is_ok() {}
+        assert!(!is_writable(&near).unwrap());
+    }
+
+    #[test]
+    fn waker_ends_one_wait() {
+        let (near, _far) = connected();
+        let mut readiness = Readiness::new();
+        let begun = Instant::now();
+        readiness.waker().unwrap().wake();
+        readiness.wait(&near, FOREVER_MS).unwrap();
+        assert!(begun.elapsed() < Duration::from_millis(FOREVER_MS.into()));
+        let begun = Instant::now();
+        readiness.wait(&near, 20).unwrap();
+        assert!(begun.elapsed() >= Duration::from_millis(20));
+        assert!(!readiness.may_read(&near).unwrap());
+    }
+}

@@ -64,3 +64,45 @@ impl<const N: usize> Received<N> {
         count
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Moves pending bytes to a buffer of two.
+    fn take(received: &mut Received<4>) -> ([u8; 2], usize) {
+        let mut buffer = [0; 2];
+        let count = received.take(&mut buffer);
+        (buffer, count)
+    }
+
+    #[test]
+    fn bytes_are_taken_once_before_the_next_read() {
+        let mut received = Received::<4>::new();
+        assert!(received.is_empty());
+        let read = |bytes: &mut [u8]| {
+            bytes.copy_from_slice(&[1, 2, 3, 9]);
+            Ok(3)
+        };
+        assert!(received.fill(read).unwrap());
+        assert_eq!(received.len(), 3);
+        assert_eq!(take(&mut received), ([1, 2], 2));
+        assert!(received.fill(|_| panic!("a byte is pending")).unwrap());
+        assert_eq!(take(&mut received), ([3, 0], 1));
+        assert!(received.is_empty());
+        assert!(received.fill(|_| Ok(0)).unwrap());
+        assert!(!received.is_empty(), "the end is pending");
+        assert_eq!(take(&mut received), ([0, 0], 0));
+    }
+
+    #[test]
+    fn no_input_is_not_an_error_and_a_broken_line_is() {
+        let mut received = Received::<4>::new();
+        for kind in [ErrorKind::WouldBlock, ErrorKind::TimedOut, ErrorKind::Interrupted] {
+            assert!(!received.fill(|_| Err(kind.into())).unwrap());
+        }
+        let reset = ErrorKind::ConnectionReset;
+        assert_eq!(received.fill(|_| Err(reset.into())).unwrap_err().kind(), reset);
+        assert!(received.is_empty());
+    }
+}

@@ -2,7 +2,7 @@
 
 use super::{PolledStream, SPURIOUS};
 use crate::driver::blocking::Transport;
-use crate::driver::farewell::{Farewell, linger};
+use crate::driver::farewell::{Farewell, LINGER, linger};
 use crate::driver::readiness::duplicate;
 use crate::driver::{StopLine, Stoppable, second};
 use crate::frame::OVERHEAD;
@@ -115,7 +115,7 @@ impl Drop for Tcp {
         // A single attempt. There is no caller to report an error to.
         if stream.set_nonblocking(true).is_ok() && io::Write::write(&mut stream, message).is_ok() {
             let _ = stream.shutdown(Shutdown::Write);
-            linger(stream);
+            linger(stream, LINGER);
         }
     }
 }

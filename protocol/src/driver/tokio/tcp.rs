@@ -1,7 +1,7 @@
 //! A TCP transport that announces the end of its connection.
 
 use super::Stream;
-use crate::driver::farewell::{Farewell, linger};
+use crate::driver::farewell::{Farewell, LINGER, linger};
 use crate::driver::readiness::duplicate;
 use crate::driver::{StopLine, Stoppable, host, second};
 use crate::frame::OVERHEAD;
@@ -97,7 +97,7 @@ impl Drop for Tcp {
             let _ = Pin::new(&mut *stream).poll_shutdown(&mut Context::from_waker(Waker::noop()));
             // The runtime must not block.
             if let Ok(second) = duplicate(stream) {
-                let _ = std::thread::Builder::new().spawn(move || linger(&second.into()));
+                let _ = std::thread::Builder::new().spawn(move || linger(&second.into(), LINGER));
             }
         }
     }
