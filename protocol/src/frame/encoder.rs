@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn size_counts_down_to_none() {
         let mut encoder = FrameEncoder::new(6, &[1, 2, 3][..]);
-        assert_eq!(encoder.len(), 11);
+        assert_eq!((encoder.id(), encoder.len()), (6, 11));
         assert_eq!(encoder.by_ref().take(10).count(), 10);
         assert_eq!(encoder.len(), 1);
         assert!(encoder.next().is_some());
