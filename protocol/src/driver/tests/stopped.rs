@@ -110,11 +110,12 @@ fn unconfirmed_fast_stop_ends_the_call_in_time_and_stays_pending() {
 
 #[test]
 fn handle_writes_nothing_into_a_partly_sent_message() {
-    for room in 1..16 {
+    for (room, is_early) in (1..16).flat_map(|room| [(room, true), (room, false)]) {
         let (rig, mut gripper) = connected_async();
-        let handle = gripper.stop_handle().unwrap();
+        let early = is_early.then(|| gripper.stop_handle().unwrap());
         rig.world(|world| world.room = room);
         assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
+        let handle = early.unwrap_or_else(|| gripper.stop_handle().unwrap());
         assert_eq!(handle.stop().unwrap_err().kind(), ErrorKind::WouldBlock);
         assert_eq!(rig.heard(CommandId::Stop), 0);
         rig.world(|world| world.room = usize::MAX);
@@ -184,6 +185,7 @@ fn handle_of_a_dropped_driver_returns_an_error_and_sends_nothing() {
     let (rig, mut gripper) = connected();
     let first = gripper.stop_handle().unwrap();
     gripper.replace_io(rig.clone());
+    assert_eq!(first.stop().unwrap_err().kind(), ErrorKind::NotConnected, "its line was replaced");
     let second = gripper.stop_handle().unwrap();
     drop(gripper);
     for handle in [first, second] {
