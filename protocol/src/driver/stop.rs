@@ -151,7 +151,11 @@ impl Shared {
 
     fn request(&self, kind: StopKind) -> io::Result<()> {
         let mut state = self.lock();
-        let sent = if state.is_mid_message { Err(ErrorKind::WouldBlock.into()) } else { self.send(kind) };
+        let sent = if state.is_mid_message {
+            Err(ErrorKind::WouldBlock.into())
+        } else {
+            self.send(kind, REST_TIMEOUT)
+        };
         let is_sent = sent.is_ok();
         state.request = Some(match state.request {
             Some(earlier) if earlier.kind > kind => earlier,
@@ -169,8 +173,8 @@ impl Shared {
         sent
     }
 
-    /// Sends the stop message now, or fails.
-    fn send(&self, kind: StopKind) -> io::Result<()> {
+    /// Sends the stop message now, or fails. `rest_timeout` limits each pause within it.
+    fn send(&self, kind: StopKind, rest_timeout: Duration) -> io::Result<()> {
         let [stop, fast_stop] = &self.messages;
         let (message, len) = if kind == StopKind::Stop { stop } else { fast_stop };
         let mut rest = message.get(..*len).unwrap_or(&[]);
@@ -186,7 +190,7 @@ impl Shared {
                 // Nothing else may be sent before the rest of this message.
                 Err(error)
                     if error.kind() == ErrorKind::WouldBlock
-                        && begun.is_some_and(|begun| begun.elapsed() < REST_TIMEOUT) =>
+                        && begun.is_some_and(|begun| begun.elapsed() < rest_timeout) =>
                 {
                     std::thread::yield_now();
                 }
@@ -226,5 +230,58 @@ impl Shared {
         }
         state.task = Some(context.waker().clone());
         Poll::Pending
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::driver::binary::Binary;
+    use std::vec::Vec;
+
+    /// Longer than a test takes.
+    const FOREVER: Duration = Duration::from_secs(60);
+
+    /// Sends a Stop over a line with these results, then `WouldBlock` for ever. Returns the result and the bytes that
+    /// the line has accepted.
+    fn stop(results: Vec<io::Result<usize>>, rest_timeout: Duration) -> (Result<(), ErrorKind>, Vec<u8>) {
+        let state = Arc::new(Mutex::new((results, Vec::new())));
+        let line = Arc::clone(&state);
+        let write = move |bytes: &[u8]| {
+            let mut line = line.lock().unwrap();
+            let result = if line.0.is_empty() { Err(ErrorKind::WouldBlock.into()) } else { line.0.remove(0) };
+            if let Ok(count) = result {
+                line.1.extend(&bytes[..count]);
+            }
+            result
+        };
+        let shared = Shared::new::<Binary>(StopLine::new(write, || {}), false);
+        let stopped = shared.send(StopKind::Stop, rest_timeout);
+        let bytes = state.lock().unwrap().1.clone();
+        (stopped.map_err(|error| error.kind()), bytes)
+    }
+
+    #[test]
+    fn message_is_written_whole_over_interruptions_and_pauses() {
+        let fail = |kind: ErrorKind| Err(kind.into());
+        let (interrupted, full) = (ErrorKind::Interrupted, ErrorKind::WouldBlock);
+        let (stopped, whole) = stop(std::vec![Ok(8)], FOREVER);
+        assert_eq!((stopped, whole.len()), (Ok(()), 8));
+        for results in [
+            std::vec![fail(interrupted), Ok(8)],
+            std::vec![Ok(3), fail(full), fail(interrupted), Ok(4), fail(full), Ok(1)],
+        ] {
+            assert_eq!(stop(results, FOREVER), (Ok(()), whole.clone()));
+        }
+    }
+
+    #[test]
+    fn line_that_accepts_nothing_is_reported_and_the_rest_of_a_message_has_its_time() {
+        assert_eq!(stop(std::vec![], FOREVER), (Err(ErrorKind::WouldBlock), std::vec![]));
+        assert_eq!(stop(std::vec![Ok(0)], FOREVER).0, Err(ErrorKind::WriteZero));
+        let (begun, rest_timeout) = (Instant::now(), Duration::from_millis(20));
+        let (stopped, bytes) = stop(std::vec![Ok(3)], rest_timeout);
+        assert_eq!((stopped, bytes.len()), (Err(ErrorKind::WouldBlock), 3));
+        assert!(begun.elapsed() >= rest_timeout);
     }
 }

@@ -156,6 +156,30 @@ fn stop_rejected_by_a_full_line_is_sent_by_the_driver() {
 }
 
 #[test]
+fn of_several_stops_the_driver_sends_only_the_one_that_no_handle_has_sent() {
+    use StopKind::{FastStop, Stop};
+    // Kinds, and whether the line accepts each; numbers of Stop and FAST STOP that the gripper receives.
+    for (requests, heard) in [
+        ([(Stop, true), (Stop, false)], (1, 0)),
+        ([(Stop, false), (Stop, true)], (1, 0)),
+        ([(Stop, false), (Stop, false)], (1, 0)),
+        ([(Stop, true), (FastStop, false)], (1, 1)),
+        ([(FastStop, false), (Stop, true)], (1, 1)),
+        ([(FastStop, true), (Stop, false)], (0, 1)),
+    ] {
+        let (rig, mut gripper) = connected();
+        let handle = gripper.stop_handle().unwrap();
+        for (kind, is_accepted) in requests {
+            rig.world(|world| world.direct.lock().unwrap().is_full = !is_accepted);
+            assert_eq!(request(&handle, kind).is_ok(), is_accepted);
+        }
+        let strongest = requests.map(|(kind, _)| kind).into_iter().max().unwrap();
+        assert_eq!(gripper.width(), Err(Error::Stopped(strongest)), "{requests:?}");
+        assert_eq!((rig.heard(CommandId::Stop), rig.heard(CommandId::FastStop)), heard, "{requests:?}");
+    }
+}
+
+#[test]
 fn handle_wakes_the_task_of_the_async_driver() {
     struct Woken(core::sync::atomic::AtomicBool);
     impl std::task::Wake for Woken {
