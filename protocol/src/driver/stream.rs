@@ -489,3 +489,35 @@ fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
 fn limit(value: f32, least: f32, greatest: f32) -> Result<f32, Rejected> {
     if value.is_finite() && value > 0.0 { Ok(value.max(least).min(greatest)) } else { Err(Rejected::Invalid) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::string::ToString;
+
+    #[test]
+    fn each_end_and_each_refusal_has_its_own_text() {
+        let causes = [
+            (Cause::Requested, "the caller ended"),
+            (Cause::Stopped(StopKind::FastStop), "a stop handle stopped the gripper: FAST STOP"),
+            (Cause::FastStop, "acknowledge it"),
+            (Cause::StoppedByOther, "another client"),
+            (Cause::Script, "the gripper's log"),
+            (Cause::Watchdog, "500 ms"),
+            (Cause::Refused(Status::RangeError), "E_RANGE_ERROR"),
+            (Cause::Unanswered, "no answer"),
+            (Cause::Closed, "closed the connection"),
+            (Cause::Transport(embedded_io::ErrorKind::BrokenPipe), "transport: BrokenPipe"),
+        ];
+        for (cause, text) in causes {
+            let rejected = Rejected::Ended(cause).to_string();
+            assert!(rejected.contains("the stream has ended") && rejected.contains(text), "{rejected}");
+        }
+        assert!(Rejected::Invalid.to_string().contains("finite"));
+        assert!(Rejected::Full.to_string().contains(&MAX_SET_POINTS.to_string()));
+        let driver = StartError::<Cause>::Driver(Error::NotConnected);
+        assert_eq!(driver.to_string(), Error::<Cause>::NotConnected.to_string());
+        let system = || io::Error::from(io::ErrorKind::OutOfMemory);
+        assert_eq!(StartError::<Cause>::System(system()).to_string(), system().to_string());
+    }
+}
