@@ -55,6 +55,14 @@ mod tests {
     }
 
     #[test]
+    fn period_is_missed_when_the_next_one_is_due() {
+        for (late_ms, due_ms) in [(9, 10), (10, 20)] {
+            let mut pace = Pace::new(100, BEGIN);
+            assert_eq!(pace.next(BEGIN.plus(10 + late_ms)), BEGIN.plus(due_ms));
+        }
+    }
+
+    #[test]
     fn late_period_keeps_the_pace_and_missed_ones_are_skipped() {
         let mut pace = Pace::new(100, BEGIN);
         assert_eq!(pace.next(BEGIN.plus(4)), BEGIN.plus(10));
