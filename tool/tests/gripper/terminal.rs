@@ -165,6 +165,8 @@ fn prompt_completes_shows_the_state_and_remembers() {
     terminal.until("> ");
     terminal.press(&format!("grip{ENTER}"));
     terminal.until("required arguments were not provided");
+    // Not "> " alone, which is part of the usage as well. Only the prompt reads Ctrl-C as a key.
+    terminal.until("\r\n> ");
     terminal.press(&format!("move 5{CONTROL_C}{CONTROL_D}"));
     let status = terminal.end();
     assert_eq!(status.code(), Some(0));
