@@ -2,7 +2,7 @@
 
 mod cancelled;
 mod framing;
-mod rig;
+pub(super) mod rig;
 #[cfg(feature = "std")]
 mod stopped;
 mod updates;
@@ -16,10 +16,10 @@ use rig::{Noise, Rig, Segment, Watch, frame, status};
 use std::vec;
 use std::vec::Vec;
 
-type Blocking = blocking::Gripper<Rig, Watch>;
+pub(super) type Blocking = blocking::Gripper<Rig, Watch>;
 type Asynch = asynch::Gripper<Rig, Watch>;
 
-fn connect(rig: &Rig) -> Blocking {
+pub(super) fn connect(rig: &Rig) -> Blocking {
     let mut gripper = Blocking::new(rig.clone(), Watch(rig.clone()));
     gripper.connect().unwrap();
     gripper

@@ -163,16 +163,15 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Receives updates until `due`, but at least those available.
     fn rest(&mut self, due: Instant) -> Result<(), Cause> {
         loop {
-            let now = self.clock.now();
-            let update = self.gripper.next_update(due.since(now)).map_err(cause_of)?;
+            let rest_ms = due.since(self.clock.now());
+            let update = self.gripper.next_update(rest_ms).map_err(cause_of)?;
             self.check()?;
             match update {
                 Some(Update::Width(position)) if self.backend == Backend::PrePosition => {
                     self.record_update(position);
                 }
                 Some(_) => {}
-                None if now.has_reached(due) => return Ok(()),
-                None => {}
+                None => return Ok(()),
             }
         }
     }
@@ -322,5 +321,101 @@ fn cause_of<E: embedded_io::Error>(error: Error<E>) -> Cause {
         Error::Closed => Cause::Closed,
         Error::Transport(error) => Cause::Transport(error.kind()),
         _ => Cause::Unanswered,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::trajectory::Trajectory;
+    use super::*;
+    use crate::driver::tests::rig::{Rig, Watch, frame, payload};
+    use crate::{Command, CommandId, PrePositionFlags, Reply, Value};
+    use std::vec;
+
+    /// The opening width of the rig, in mm.
+    const HERE: f32 = 42.5;
+
+    /// Returns a worker that the test advances by hand. With [`Backend::Script`], the script has answered once.
+    fn worker(backend: Backend) -> (Rig, Worker<Rig, Watch>) {
+        let rig = Rig::new();
+        for id in [STREAM_ID, UMI_MEASURE_ID].map(CommandId::Unknown) {
+            if backend == Backend::Script {
+                let values = [0.0, HERE, 0.0, 0.0, 0.0].map(f32::to_le_bytes);
+                let parameters = [&[1], values.as_flattened()].concat();
+                let value = Value::Unknown { id: STREAM_ID, parameters: &parameters };
+                rig.script(id, vec![(1, frame(Reply::success(value)))]);
+                break;
+            }
+            rig.script_status(id, Status::CmdUnknown);
+        }
+        let gripper = crate::driver::tests::connect(&rig);
+        let worker = Worker::new(gripper, Config::DEFAULT).unwrap();
+        assert_eq!(worker.backend(), backend);
+        (rig, worker)
+    }
+
+    /// Orders a position, starting at the end of the last segment.
+    fn order(rig: &Rig, worker: &Worker<Rig, Watch>, position: f32, speed_limit: f32) {
+        let now = rig.world(|world| world.now);
+        let mut shared = lock(worker.shared());
+        let mut trajectory = Trajectory::at(worker.segment.end, now);
+        trajectory.set_target(now, position, speed_limit);
+        (shared.trajectory, shared.speed_limit) = (Some(trajectory), speed_limit);
+    }
+
+    #[test]
+    fn first_segment_without_a_script_goes_where_the_trajectory_is_at_its_end() {
+        let (rig, mut worker) = worker(Backend::PrePosition);
+        order(&rig, &worker, 80.0, 100.0);
+        worker.turn().unwrap();
+        let motion =
+            Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: HERE + 10.0, speed: 100.0 };
+        let last = rig.world(|world| world.heard.last().cloned());
+        assert_eq!(last, Some((CommandId::PrePosition.code(), payload(&motion))));
+    }
+
+    #[test]
+    fn shortest_way_is_sent_and_a_shorter_one_is_not() {
+        for (position, sent) in [(0.04, 0), (SHORTEST_WAY, 1)] {
+            let (rig, mut worker) = worker(Backend::PrePosition);
+            worker.segment.end = 0.0;
+            order(&rig, &worker, position, 100.0);
+            worker.turn().unwrap();
+            assert_eq!(rig.heard(CommandId::PrePosition), sent, "{position}");
+        }
+    }
+
+    #[test]
+    fn force_limit_is_sent_only_when_it_has_changed() {
+        let (rig, mut worker) = worker(Backend::PrePosition);
+        for (force_limit, sent) in [(80.0, 0), (40.0, 1), (40.0, 1)] {
+            lock(worker.shared()).force_limit = force_limit;
+            order(&rig, &worker, worker.segment.end + 5.0, 100.0);
+            worker.turn().unwrap();
+            assert_eq!(rig.heard(CommandId::SetForceLimit), sent);
+            // The end of the motion.
+            let pending = worker.segment.pending.take().unwrap();
+            worker.gripper.wait(&pending).unwrap();
+        }
+        assert_eq!(rig.heard(CommandId::PrePosition), 3);
+    }
+
+    #[test]
+    fn only_a_stream_without_a_script_takes_updates_of_the_width_as_samples() {
+        for (backend, position) in [(Backend::PrePosition, 41.0), (Backend::Script, HERE)] {
+            let (rig, mut worker) = worker(backend);
+            rig.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
+            worker.rest(rig.world(|world| world.now)).unwrap();
+            assert_eq!(lock(worker.shared()).latest.position, position);
+        }
+    }
+
+    #[test]
+    fn failure_of_a_script_ends_only_a_stream_that_uses_one() {
+        for (backend, rested) in [(Backend::PrePosition, Ok(())), (Backend::Script, Err(Cause::Script))] {
+            let (rig, mut worker) = worker(backend);
+            rig.inject(&frame(Reply::success(Value::GetSystemState(SystemFlags::SCRIPT_FAILURE))));
+            assert_eq!(worker.rest(rig.world(|world| world.now)), rested);
+        }
     }
 }

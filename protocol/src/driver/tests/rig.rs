@@ -19,11 +19,11 @@ use std::vec::Vec;
 const BEGIN: Instant = Instant::from_millis(u32::MAX - 300);
 
 /// Bytes received together, with their delay after the request in ms.
-pub(super) type Segment = (u32, Vec<u8>);
+pub(in crate::driver) type Segment = (u32, Vec<u8>);
 
 /// The error of the transport.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Noise;
+pub(in crate::driver) struct Noise;
 
 impl core::fmt::Display for Noise {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
@@ -39,64 +39,64 @@ impl embedded_io::Error for Noise {
     }
 }
 
-pub(super) struct World {
-    pub(super) now: Instant,
+pub(in crate::driver) struct World {
+    pub(in crate::driver) now: Instant,
     parser: FrameParser<300>,
     /// Bytes for the driver, in order of time.
     coming: VecDeque<(Instant, Vec<u8>)>,
     /// The answers to the next requests with an ID, in place of the healthy gripper's.
     scripted: Vec<(u8, Vec<Segment>)>,
     /// Requests received by the gripper, without the session's own.
-    pub(super) heard: Vec<(u8, Vec<u8>)>,
+    pub(in crate::driver) heard: Vec<(u8, Vec<u8>)>,
     /// Length of each write in bytes.
-    pub(super) writes: Vec<usize>,
+    pub(in crate::driver) writes: Vec<usize>,
     /// Number of waits of the blocking driver.
-    pub(super) waits: u32,
+    pub(in crate::driver) waits: u32,
     /// Keeps written bytes until the flush.
-    pub(super) holds_back: bool,
+    pub(in crate::driver) holds_back: bool,
     held_back: Vec<u8>,
     /// The time at which the last polled future requested a wake-up.
     wakes_at: Option<Instant>,
     /// Number of bytes that the transport still accepts.
-    pub(super) room: usize,
+    pub(in crate::driver) room: usize,
     /// The gripper does not answer.
-    pub(super) silent: bool,
-    pub(super) closed: bool,
-    pub(super) noise: bool,
+    pub(in crate::driver) silent: bool,
+    pub(in crate::driver) closed: bool,
+    pub(in crate::driver) noise: bool,
     /// The next write fails, and the gripper discards its incomplete frame.
-    pub(super) refuses: bool,
+    pub(in crate::driver) refuses: bool,
     /// The system state that the gripper reports.
-    pub(super) flags: SystemFlags,
-    pub(super) force_limit: f32,
+    pub(in crate::driver) flags: SystemFlags,
+    pub(in crate::driver) force_limit: f32,
     /// The line of the stop handles.
-    pub(super) direct: std::sync::Arc<std::sync::Mutex<Direct>>,
+    pub(in crate::driver) direct: std::sync::Arc<std::sync::Mutex<Direct>>,
     /// An action to run at a given time while the blocking driver waits.
     other: Option<(Instant, std::boxed::Box<dyn FnOnce()>)>,
     /// Payload of the last subscription to the width.
-    pub(super) width_update: Option<Vec<u8>>,
+    pub(in crate::driver) width_update: Option<Vec<u8>>,
 }
 
 /// The line as used by stop handles.
 #[derive(Debug, Default)]
-pub(super) struct Direct {
+pub(in crate::driver) struct Direct {
     bytes: Vec<u8>,
-    pub(super) is_full: bool,
+    pub(in crate::driver) is_full: bool,
 }
 
 /// Shared access to the world, for both ends and the test.
 #[derive(Clone)]
-pub(super) struct Rig(Rc<RefCell<World>>);
+pub(in crate::driver) struct Rig(Rc<RefCell<World>>);
 
-pub(super) fn frame(reply: Reply<'_>) -> Vec<u8> {
+pub(in crate::driver) fn frame(reply: Reply<'_>) -> Vec<u8> {
     FrameEncoder::new(reply.id().code(), reply).collect()
 }
 
-pub(super) fn status(id: CommandId, status: Status) -> Vec<u8> {
+pub(in crate::driver) fn status(id: CommandId, status: Status) -> Vec<u8> {
     frame(Reply::status_only(id, status))
 }
 
 impl Rig {
-    pub(super) fn new() -> Self {
+    pub(in crate::driver) fn new() -> Self {
         Self(Rc::new(RefCell::new(World {
             now: BEGIN,
             parser: FrameParser::new(),
@@ -121,51 +121,51 @@ impl Rig {
         })))
     }
 
-    pub(super) fn world<T>(&self, look: impl FnOnce(&mut World) -> T) -> T {
+    pub(in crate::driver) fn world<T>(&self, look: impl FnOnce(&mut World) -> T) -> T {
         look(&mut self.0.borrow_mut())
     }
 
     /// Sets the answer to the next request with this ID. An empty answer is silence.
-    pub(super) fn script(&self, id: CommandId, answer: Vec<Segment>) {
+    pub(in crate::driver) fn script(&self, id: CommandId, answer: Vec<Segment>) {
         self.world(|world| world.scripted.push((id.code(), answer)));
     }
 
     /// Sets the answer to the next request with this ID to a status.
-    pub(super) fn script_status(&self, id: CommandId, answer: Status) {
+    pub(in crate::driver) fn script_status(&self, id: CommandId, answer: Status) {
         self.script(id, vec![(1, status(id, answer))]);
     }
 
     /// Sets a motion's answers: E_CMD_PENDING at once, and `result` after 100 ms.
-    pub(super) fn script_motion(&self, id: CommandId, result: Status) {
+    pub(in crate::driver) fn script_motion(&self, id: CommandId, result: Status) {
         self.script(id, vec![(1, status(id, Status::CmdPending)), (100, status(id, result))]);
     }
 
     /// Runs an action after `ms`, while the blocking driver waits.
-    pub(super) fn later(&self, ms: u32, act: impl FnOnce() + 'static) {
+    pub(in crate::driver) fn later(&self, ms: u32, act: impl FnOnce() + 'static) {
         self.world(|world| world.other = Some((world.now.plus(ms), std::boxed::Box::new(act))));
     }
 
     /// Adds bytes to the input of the driver.
-    pub(super) fn inject(&self, bytes: &[u8]) {
+    pub(in crate::driver) fn inject(&self, bytes: &[u8]) {
         self.world(|world| world.coming.push_back((world.now, bytes.to_vec())));
     }
 
-    pub(super) fn heard(&self, id: CommandId) -> usize {
+    pub(in crate::driver) fn heard(&self, id: CommandId) -> usize {
         self.world(World::hear_handles);
         self.world(|world| world.heard.iter().filter(|(heard, _)| *heard == id.code()).count())
     }
 
-    pub(super) fn pass(&self, ms: u32) {
+    pub(in crate::driver) fn pass(&self, ms: u32) {
         self.world(|world| world.now = world.now.plus(ms));
     }
 
     /// Runs a future to completion in virtual time.
-    pub(super) fn run<T>(&self, future: impl Future<Output = T>) -> T {
+    pub(in crate::driver) fn run<T>(&self, future: impl Future<Output = T>) -> T {
         self.run_for(600_000, future).expect("the future completes within ten minutes")
     }
 
     /// Runs a future to completion like an executor: polls it again when bytes are due or at its requested wake-up time.
-    pub(super) fn run_woken<T>(&self, future: impl Future<Output = T>) -> T {
+    pub(in crate::driver) fn run_woken<T>(&self, future: impl Future<Output = T>) -> T {
         let mut future = pin!(future);
         let mut context = Context::from_waker(Waker::noop());
         for _ in 0..1_000 {
@@ -182,7 +182,7 @@ impl Rig {
     }
 
     /// Polls a future once per millisecond, at most `polls` times, and drops it.
-    pub(super) fn run_for<T>(&self, polls: u32, future: impl Future<Output = T>) -> Option<T> {
+    pub(in crate::driver) fn run_for<T>(&self, polls: u32, future: impl Future<Output = T>) -> Option<T> {
         let mut future = pin!(future);
         let mut context = Context::from_waker(Waker::noop());
         for _ in 0..polls {
@@ -247,6 +247,8 @@ impl World {
             Command::GetSystemState { .. } => Value::GetSystemState(self.flags),
             Command::GetGripperState { .. } => Value::GetGripperState(GripperState::Positioning),
             Command::GetOpeningWidth { .. } => Value::GetOpeningWidth(42.5),
+            Command::GetSpeed { .. } => Value::GetSpeed(0.0),
+            Command::GetForce { .. } => Value::GetForce(0.0),
             Command::GetForceLimit => Value::GetForceLimit(self.force_limit),
             Command::Loop { data } => Value::Loop(data),
             _ if id.kind() == crate::Kind::Motion && !id.completion_statuses().is_empty() => {
@@ -258,11 +260,11 @@ impl World {
     }
 
     /// Returns the number of bytes that the gripper received outside a frame.
-    pub(super) fn stray(&self) -> u16 {
+    pub(in crate::driver) fn stray(&self) -> u16 {
         self.parser.counters().dropped
     }
 
-    pub(super) fn drop_received(&mut self) {
+    pub(in crate::driver) fn drop_received(&mut self) {
         self.coming.clear();
     }
 
@@ -272,7 +274,7 @@ impl World {
         self.take(&bytes);
     }
 
-    pub(super) fn is_due(&mut self) -> bool {
+    pub(in crate::driver) fn is_due(&mut self) -> bool {
         self.hear_handles();
         self.closed || self.noise || self.coming.iter().any(|(at, _)| self.now.has_reached(*at))
     }
@@ -409,7 +411,8 @@ impl embedded_io_async::Write for Rig {
 }
 
 /// The clock of the rig.
-pub(super) struct Watch(pub(super) Rig);
+#[derive(Clone)]
+pub(in crate::driver) struct Watch(pub(in crate::driver) Rig);
 
 impl Clock for Watch {
     fn now(&mut self) -> Instant {
@@ -433,6 +436,6 @@ impl Timer for Watch {
 }
 
 /// Returns the payload of a request.
-pub(super) fn payload(command: &Command<'_>) -> Vec<u8> {
+pub(in crate::driver) fn payload(command: &Command<'_>) -> Vec<u8> {
     (0..command.len()).map(|at| command.byte(at)).collect()
 }
