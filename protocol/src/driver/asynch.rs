@@ -180,15 +180,14 @@ impl<IO: Transport, C: Timer, P: Protocol> GripperOver<IO, C, P> {
             return Ok(true);
         }
         let written = {
-            let (is_first, rest) = (engine.is_at_begin(), engine.rest());
+            let rest = engine.rest();
             let mut write = pin!(io.write(rest));
-            let write =
-                poll_fn(|context| gate.poll_write(is_first, rest.len(), || write.as_mut().poll(context)));
+            let write = poll_fn(|context| gate.poll_write(rest.len(), || write.as_mut().poll(context)));
             first(write, wait_until(clock, moment, gate)).await
         };
         match written {
             First::One(Some(written)) => engine.written(written, || clock.now(), awaited)?,
-            // A stop has priority over this message.
+            // A stop must be taken over first.
             First::One(None) => {}
             First::Other(()) => return Ok(false),
         }

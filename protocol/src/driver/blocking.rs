@@ -226,9 +226,9 @@ impl<IO: Transport, C: Clock, P: Protocol> GripperOver<IO, C, P> {
             }
             let rest = engine.rest();
             let write = || Poll::Ready(io.write(rest));
-            match engine.gate().poll_write(engine.is_at_begin(), rest.len(), write) {
+            match engine.gate().poll_write(rest.len(), write) {
                 Poll::Ready(Some(written)) => engine.written(written, || now, awaited)?,
-                // A stop has priority over this message.
+                // A stop must be taken over first.
                 Poll::Ready(None) | Poll::Pending => return Ok(()),
             }
         }

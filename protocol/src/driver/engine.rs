@@ -257,11 +257,6 @@ impl<P: Protocol> DriverState<P> {
         !self.outbox.is_empty()
     }
 
-    /// Returns whether no byte of the message was sent.
-    pub(super) const fn is_at_begin(&self) -> bool {
-        self.outbox.is_untouched()
-    }
-
     /// Returns the unsent rest of the message.
     pub(super) fn rest(&self) -> &[u8] {
         self.link.encoded().get(self.outbox.sent..self.outbox.len).unwrap_or(&[])

@@ -29,19 +29,18 @@ impl Gate {
         shared: None,
     };
 
-    /// Lets the driver write `len` bytes of a message. `is_first` marks its beginning. Returns `None` if the driver
-    /// must first take over a stop request.
+    /// Lets the driver write the last `len` bytes of a message. Returns `None` if the driver must first take over a
+    /// stop request. It then sends the rest of a begun message, and the stop after it.
     pub(super) fn poll_write<E>(
         &self,
-        is_first: bool,
         len: usize,
         write: impl FnOnce() -> Poll<Result<usize, E>>,
     ) -> Poll<Option<Result<usize, E>>> {
         #[cfg(feature = "std")]
         if let Some(shared) = &self.shared {
-            return shared.poll_write(is_first, len, write);
+            return shared.poll_write(len, write);
         }
-        let _ = (is_first, len);
+        let _ = len;
         write().map(Some)
     }
 

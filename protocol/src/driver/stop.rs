@@ -202,12 +202,11 @@ impl Shared {
 
     pub(super) fn poll_write<E>(
         &self,
-        is_first: bool,
         len: usize,
         write: impl FnOnce() -> Poll<Result<usize, E>>,
     ) -> Poll<Option<Result<usize, E>>> {
         let mut state = self.lock();
-        if is_first && state.request.is_some() {
+        if state.request.is_some() {
             return Poll::Ready(None);
         }
         let written = write();
