@@ -30,3 +30,18 @@ pub(super) fn is_silence(error: &io::Error) -> bool {
 pub(super) fn is_message(len: usize, sender: SocketAddr, gripper: SocketAddr) -> bool {
     len > 0 && sender.ip() == gripper.ip()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_closed_port_is_silence() {
+        for kind in [ErrorKind::ConnectionRefused, ErrorKind::ConnectionReset] {
+            assert!(is_silence(&kind.into()), "{kind}");
+        }
+        for kind in [ErrorKind::NetworkUnreachable, ErrorKind::WouldBlock, ErrorKind::BrokenPipe] {
+            assert!(!is_silence(&kind.into()), "{kind}");
+        }
+    }
+}
