@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use wsg_protocol::driver::blocking::{GclGripper, Gripper, GripperOver, Transport};
 use wsg_protocol::driver::host::{self, StdClock, Tcp, Udp};
 use wsg_protocol::driver::{self, Clock, Error, Grip, Mm, MmPerS, N, OnBlock, Protocol, StopKind, Stoppable};
-use wsg_protocol::{FrameParser, HomingDirection, SystemFlags};
+use wsg_protocol::{Command, CommandId, FrameEncoder, FrameParser, HomingDirection, SystemFlags};
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
@@ -295,6 +295,148 @@ fn bytes_after_an_emptying_read_are_noticed_without_a_wait() {
 }
 
 #[test]
+fn long_input_is_read_without_a_pause() {
+    use embedded_io::{Read, ReadReady};
+    let listener = TcpListener::bind(loopback()).unwrap();
+    let mut line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
+    let (mut gripper, _) = listener.accept().unwrap();
+    let mut chunk = [7; 4_096];
+    io::Write::write_all(&mut gripper, &chunk).unwrap();
+    let mut left = chunk.len();
+    while left > 0 {
+        // Over loopback, the bytes are in the socket already.
+        assert!(line.read_ready().unwrap(), "{left}");
+        left -= line.read(&mut chunk).unwrap();
+    }
+}
+
+/// Checks that a line waits while nothing comes, but not while it still holds bytes.
+fn waits(mut line: impl Transport<Error = io::Error>, send: impl FnOnce(&[u8])) {
+    let begin = Instant::now();
+    line.wait(20).unwrap();
+    assert!(begin.elapsed() >= Duration::from_millis(20));
+    send(&[1, 2]);
+    let begin = Instant::now();
+    while !line.read_ready().unwrap() {
+        assert!(begin.elapsed() < PATIENCE);
+    }
+    line.read_exact(&mut [0]).unwrap();
+    line.wait(PATIENCE.as_millis() as u32).unwrap();
+    assert!(begin.elapsed() < PATIENCE);
+    line.read_exact(&mut [0]).unwrap();
+}
+
+#[test]
+fn wait_ends_when_bytes_are_held() {
+    let listener = TcpListener::bind(loopback()).unwrap();
+    let line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
+    let (mut gripper, _) = listener.accept().unwrap();
+    waits(line, |bytes| io::Write::write_all(&mut gripper, bytes).unwrap());
+
+    let gripper = UdpSocket::bind(loopback()).unwrap();
+    let socket = UdpSocket::bind(loopback()).unwrap();
+    let here = socket.local_addr().unwrap();
+    let line = Udp::new(socket, gripper.local_addr().unwrap()).unwrap();
+    waits(line, |bytes| host_send(&gripper, bytes, here));
+}
+
+/// Returns the error of a write.
+fn refused(mut line: impl Transport<Error = io::Error>) -> io::ErrorKind {
+    line.write_all(&[1]).unwrap_err().kind()
+}
+
+#[test]
+fn datagram_that_may_not_be_sent_is_an_error() {
+    // A broadcast, for which the socket has no permission.
+    let line = Udp::connect("255.255.255.255:1500", 0).unwrap();
+    assert_eq!(refused(line), io::ErrorKind::PermissionDenied);
+}
+
+/// A port that reads as many bytes as planned, and counts the reads. Its writes fail with one error.
+struct Port {
+    plan: Vec<usize>,
+    reads: usize,
+    error: io::ErrorKind,
+}
+
+impl io::Read for Port {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        let len = self.plan[self.reads];
+        self.reads += 1;
+        if len == 0 { Err(io::ErrorKind::TimedOut.into()) } else { Ok(len) }
+    }
+}
+
+impl io::Write for Port {
+    fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+        Err(self.error.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn port_is_not_read_again_soon_after_a_read_that_did_not_fill_the_buffer() {
+    use embedded_io::{Read, ReadReady};
+    const FULL: usize = 512;
+    for (plan, reads) in [(vec![0, 1], 1), (vec![5, 1], 1), (vec![FULL, 1], 2), (vec![FULL, 0, 1], 2)] {
+        loop {
+            let mut line =
+                host::Stream::new(Port { plan: plan.clone(), reads: 0, error: io::ErrorKind::Other });
+            let begin = Instant::now();
+            for _ in &plan {
+                if line.read_ready().unwrap() {
+                    line.read(&mut [0; FULL]).unwrap();
+                }
+            }
+            // Later, the port may be read again.
+            if begin.elapsed() < Duration::from_millis(10) {
+                assert_eq!(line.into_inner().reads, reads, "{plan:?}");
+                break;
+            }
+        }
+    }
+}
+
+#[test]
+fn second_handle_that_times_out_accepts_no_bytes() {
+    use io::ErrorKind::{BrokenPipe, TimedOut, WouldBlock};
+    for (error, stopped) in [(TimedOut, WouldBlock), (BrokenPipe, BrokenPipe)] {
+        let [port, second] = [(); 2].map(|()| Port { plan: vec![], reads: 0, error });
+        let mut gripper = Gripper::<_, _>::new(host::Stream::with_second(port, second), StdClock::new());
+        assert_eq!(gripper.stop_handle().unwrap().stop().unwrap_err().kind(), stopped);
+    }
+}
+
+/// The bytes of a FAST STOP on the line.
+fn fast_stop() -> Vec<u8> {
+    FrameEncoder::new(CommandId::FastStop.code(), Command::FastStop).collect()
+}
+
+#[test]
+fn stop_of_a_handle_is_on_the_line_when_it_returns() {
+    let listener = TcpListener::bind(loopback()).unwrap();
+    let line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
+    let mut gripper = Gripper::<_, _>::new(line, StdClock::new());
+    let (mut peer, _) = listener.accept().unwrap();
+    peer.set_read_timeout(Some(PATIENCE)).unwrap();
+    // No call of the driver could send it.
+    gripper.stop_handle().unwrap().fast_stop().unwrap();
+    let mut received = vec![0; fast_stop().len()];
+    io::Read::read_exact(&mut peer, &mut received).unwrap();
+    assert_eq!(received, fast_stop());
+
+    let peer = UdpSocket::bind(loopback()).unwrap();
+    peer.set_read_timeout(Some(PATIENCE)).unwrap();
+    let line = Udp::connect(peer.local_addr().unwrap(), 0).unwrap();
+    let mut gripper = Gripper::<_, _>::new(line, StdClock::new());
+    gripper.stop_handle().unwrap().fast_stop().unwrap();
+    assert_eq!(host_received(&peer), fast_stop());
+}
+
+#[test]
 fn udp_ignores_other_hosts_and_empty_datagrams() {
     use embedded_io::{Read, ReadReady};
     let gripper = UdpSocket::bind(loopback()).unwrap();
@@ -329,6 +471,17 @@ fn host_send(socket: &UdpSocket, datagram: &[u8], to: SocketAddr) {
     #[expect(clippy::disallowed_methods, reason = "loopback takes a datagram at once")]
     let sent = socket.send_to(datagram, to).unwrap();
     assert_eq!(sent, datagram.len());
+}
+
+fn host_received(socket: &UdpSocket) -> Vec<u8> {
+    let mut datagram = [0; MAX_FRAME_LEN];
+    loop {
+        #[expect(clippy::disallowed_methods, reason = "made again after a signal")]
+        match socket.recv(&mut datagram) {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            len => return datagram[..len.unwrap()].to_vec(),
+        }
+    }
 }
 
 mod on_tokio {
@@ -449,15 +602,24 @@ mod on_unix {
         (server, stream)
     }
 
-    /// A stream whose calls are interrupted every other time and transfer at most three bytes.
+    #[test]
+    fn write_to_a_closed_stream_is_an_error() {
+        let closed = || std::os::unix::net::UnixStream::pair().unwrap().0;
+        assert_eq!(refused(host::PolledStream::new(closed())), io::ErrorKind::BrokenPipe);
+        assert_eq!(refused(host::Stream::new(closed())), io::ErrorKind::BrokenPipe);
+    }
+
+    /// A stream whose calls are interrupted every other time and transfer at most three bytes, and which sends at a
+    /// flush.
     struct Reluctant {
         stream: std::os::unix::net::UnixStream,
         is_interrupted: bool,
+        to_send: Vec<u8>,
     }
 
     impl Reluctant {
         fn new(stream: std::os::unix::net::UnixStream) -> Self {
-            Self { stream, is_interrupted: false }
+            Self { stream, is_interrupted: false, to_send: vec![] }
         }
 
         fn interrupt(&mut self) -> io::Result<()> {
@@ -478,12 +640,13 @@ mod on_unix {
     impl io::Write for Reluctant {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
             self.interrupt()?;
-            #[expect(clippy::disallowed_methods, reason = "the transport under test takes every error")]
-            self.stream.write(&bytes[..bytes.len().min(3)])
+            let len = bytes.len().min(3);
+            self.to_send.extend(&bytes[..len]);
+            Ok(len)
         }
 
         fn flush(&mut self) -> io::Result<()> {
-            Ok(())
+            self.stream.write_all(&std::mem::take(&mut self.to_send))
         }
     }
 
