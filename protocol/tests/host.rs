@@ -345,11 +345,36 @@ fn refused(mut line: impl Transport<Error = io::Error>) -> io::ErrorKind {
     line.write_all(&[1]).unwrap_err().kind()
 }
 
+/// For broadcasts, a socket has no permission.
+const BROADCAST: &str = "255.255.255.255:1500";
+
 #[test]
 fn datagram_that_may_not_be_sent_is_an_error() {
-    // A broadcast, for which the socket has no permission.
-    let line = Udp::connect("255.255.255.255:1500", 0).unwrap();
+    let line = Udp::connect(BROADCAST, 0).unwrap();
     assert_eq!(refused(line), io::ErrorKind::PermissionDenied);
+}
+
+/// Returns a socket that the system informs about the closed port to which it sends. Only Linux permits the driver to
+/// name the receiver again.
+#[cfg(target_os = "linux")]
+fn informed() -> (UdpSocket, SocketAddr) {
+    let [socket, closed] = [(); 2].map(|()| UdpSocket::bind(loopback()).unwrap());
+    let closed = closed.local_addr().unwrap();
+    socket.connect(closed).unwrap();
+    (socket, closed)
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn closed_port_of_a_gripper_on_udp_is_silence() {
+    use embedded_io::{ReadReady, Write};
+    let (socket, closed) = informed();
+    let mut line = Udp::new(socket, closed).unwrap();
+    // The second write is told of the first one, and the read of the third.
+    for _ in 0..3 {
+        line.write_all(&[1]).unwrap();
+    }
+    assert!(!line.read_ready().unwrap());
 }
 
 /// A port that reads as many bytes as planned, and counts the reads. Its writes fail with one error.
@@ -436,12 +461,15 @@ fn stop_of_a_handle_is_on_the_line_when_it_returns() {
     assert_eq!(host_received(&peer), fast_stop());
 }
 
+fn elsewhere() -> SocketAddr {
+    "127.0.0.2:1500".parse().unwrap()
+}
+
 #[test]
 fn udp_ignores_other_hosts_and_empty_datagrams() {
     use embedded_io::{Read, ReadReady};
     let gripper = UdpSocket::bind(loopback()).unwrap();
-    let elsewhere: SocketAddr = "127.0.0.2:1500".parse().unwrap();
-    for (address, is_heard) in [(gripper.local_addr().unwrap(), true), (elsewhere, false)] {
+    for (address, is_heard) in [(gripper.local_addr().unwrap(), true), (elsewhere(), false)] {
         let socket = UdpSocket::bind(loopback()).unwrap();
         let here = socket.local_addr().unwrap();
         let mut line = Udp::new(socket, address).unwrap();
@@ -488,8 +516,12 @@ mod on_tokio {
     use super::*;
     use tokio::net::UdpSocket;
     use tokio::sync::oneshot;
+    use tokio::time::timeout;
     use wsg_protocol::driver::asynch::{self, Gripper};
     use wsg_protocol::driver::tokio::{self as driver_on_tokio, Tcp, TokioTimer, Udp, with_gripper};
+
+    /// Wait for a read that must not return. Over loopback, what it could return is there already.
+    const SHORT: Duration = Duration::from_millis(20);
 
     pub(super) fn run<T>(program: impl Future<Output = T>) -> T {
         tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(program)
@@ -539,6 +571,51 @@ mod on_tokio {
     }
 
     #[test]
+    #[cfg(target_os = "linux")]
+    fn closed_port_of_a_gripper_on_udp_is_silence() {
+        use embedded_io_async::{Read, Write};
+        run(async {
+            let (socket, closed) = informed();
+            socket.set_nonblocking(true).unwrap();
+            let mut line = Udp::new(UdpSocket::from_std(socket).unwrap(), closed);
+            for _ in 0..3 {
+                line.write_all(&[1]).await.unwrap();
+            }
+            let mut byte = [0];
+            let read = timeout(SHORT, line.read(&mut byte)).await;
+            assert!(read.is_err(), "{read:?}");
+        });
+    }
+
+    #[test]
+    fn datagram_that_may_not_be_sent_is_an_error() {
+        use embedded_io_async::Write;
+        run(async {
+            let mut line = Udp::connect(BROADCAST, 0).await.unwrap();
+            assert_eq!(line.write_all(&[1]).await.unwrap_err().kind(), io::ErrorKind::PermissionDenied);
+        });
+    }
+
+    #[test]
+    fn udp_ignores_other_hosts_and_empty_datagrams() {
+        use embedded_io_async::Read;
+        run(async {
+            let gripper = super::UdpSocket::bind(loopback()).unwrap();
+            for (address, wait) in [(gripper.local_addr().unwrap(), PATIENCE), (elsewhere(), SHORT)] {
+                let socket = UdpSocket::bind(loopback()).await.unwrap();
+                let here = socket.local_addr().unwrap();
+                let mut line = Udp::new(socket, address);
+                for datagram in [&[][..], &[1, 2, 3]] {
+                    host_send(&gripper, datagram, here);
+                }
+                let mut two = [0; 2];
+                let read = timeout(wait, line.read(&mut two)).await.map(Result::unwrap).ok();
+                assert_eq!((read, two), if wait == SHORT { (None, [0, 0]) } else { (Some(2), [1, 2]) });
+            }
+        });
+    }
+
+    #[test]
     fn another_thread_stops_a_motion_of_the_async_driver() {
         let (_server, address) = on_tcp();
         run(async {
@@ -578,6 +655,7 @@ mod on_tokio {
 #[cfg(unix)]
 mod on_unix {
     use super::*;
+    use ::tokio::io::BufStream;
     use ::tokio::net::UnixStream;
     use wsg_protocol::driver::{asynch, tokio};
     use wsg_sim::server::SerialLine;
@@ -731,7 +809,8 @@ mod on_unix {
         let server = serve(&Lines { serial: Some(SerialLine::Unix(path)), ..Lines::default() });
         on_tokio::run(async {
             let stream = UnixStream::connect(server.serial_path().unwrap()).await.unwrap();
-            let line = tokio::Stream::new(stream);
+            // It sends at a flush.
+            let line = tokio::Stream::new(BufStream::new(stream));
             on_tokio::grips(&mut asynch::Gripper::new(line, tokio::TokioTimer::new())).await;
         });
     }
