@@ -404,6 +404,9 @@ mod tests {
     fn only_a_stream_without_a_script_takes_updates_of_the_width_as_samples() {
         for (backend, position) in [(Backend::PrePosition, 41.0), (Backend::Script, HERE)] {
             let (rig, mut worker) = worker(backend);
+            // The caller's subscription.
+            worker.gripper.subscribe(Topic::Width, AutoUpdate::every(10));
+            worker.rest(rig.world(|world| world.now.plus(50))).unwrap();
             rig.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
             worker.rest(rig.world(|world| world.now)).unwrap();
             assert_eq!(lock(worker.shared()).latest.position, position);
