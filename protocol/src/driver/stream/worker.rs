@@ -364,14 +364,16 @@ mod tests {
     }
 
     #[test]
-    fn first_segment_without_a_script_goes_where_the_trajectory_is_at_its_end() {
-        let (rig, mut worker) = worker(Backend::PrePosition);
-        order(&rig, &worker, 80.0, 100.0);
-        worker.turn().unwrap();
-        let motion =
-            Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: HERE + 10.0, speed: 100.0 };
-        let last = rig.world(|world| world.heard.last().cloned());
-        assert_eq!(last, Some((CommandId::PrePosition.code(), payload(&motion))));
+    fn segment_without_a_script_goes_where_the_trajectory_is_at_its_end() {
+        for (position, way, speed) in [(80.0, 10.0, 100.0), (HERE + 5.0, 5.0, 50.0)] {
+            let (rig, mut worker) = worker(Backend::PrePosition);
+            order(&rig, &worker, position, 100.0);
+            worker.turn().unwrap();
+            let flags = PrePositionFlags::STOP_ON_BLOCK;
+            let motion = Command::PrePosition { flags, width: HERE + way, speed };
+            let last = rig.world(|world| world.heard.last().cloned());
+            assert_eq!(last, Some((CommandId::PrePosition.code(), payload(&motion))));
+        }
     }
 
     #[test]
@@ -419,6 +421,37 @@ mod tests {
             let (rig, mut worker) = worker(backend);
             rig.inject(&frame(Reply::success(Value::GetSystemState(SystemFlags::SCRIPT_FAILURE))));
             assert_eq!(worker.rest(rig.world(|world| world.now)), rested);
+        }
+    }
+
+    #[test]
+    fn stop_of_the_caller_is_its_end_and_no_other_cause() {
+        let (stop, fast_stop) = (Cause::Stopped(StopKind::Stop), Cause::Stopped(StopKind::FastStop));
+        for (is_end_requested, cause, end) in
+            [(true, stop, Cause::Requested), (false, stop, stop), (true, fast_stop, fast_stop)]
+        {
+            let (_rig, worker) = worker(Backend::PrePosition);
+            let shared = Arc::clone(worker.shared());
+            lock(&shared).is_end_requested = is_end_requested;
+            let _gripper = worker.finish(cause);
+            assert_eq!(lock(&shared).end, Some(End { cause: end, is_stop_confirmed: true }));
+        }
+    }
+
+    #[test]
+    fn script_is_ended_only_after_a_confirmed_stop() {
+        for is_stop_confirmed in [true, false] {
+            let (rig, worker) = worker(Backend::Script);
+            let shared = Arc::clone(worker.shared());
+            if !is_stop_confirmed {
+                rig.script_status(CommandId::Stop, Status::CmdFailed);
+            }
+            let before = rig.heard(CommandId::Unknown(STREAM_ID));
+            let _gripper = worker.finish(Cause::Unanswered);
+            let end = End { cause: Cause::Unanswered, is_stop_confirmed };
+            assert_eq!(lock(&shared).end, Some(end));
+            let ended = rig.heard(CommandId::Unknown(STREAM_ID)) - before;
+            assert_eq!(ended, usize::from(is_stop_confirmed));
         }
     }
 }
