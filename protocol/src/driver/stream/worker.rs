@@ -454,4 +454,28 @@ mod tests {
             assert_eq!(ended, usize::from(is_stop_confirmed));
         }
     }
+
+    #[test]
+    fn each_refusal_of_a_script_is_a_cause() {
+        for (status, cause) in [
+            (Status::AccessDenied, Cause::FastStop),
+            (Status::CmdAborted, Cause::StoppedByOther),
+            (Status::Timeout, Cause::Watchdog),
+            (Status::CmdUnknown, Cause::Script),
+            (Status::CmdFailed, Cause::Script),
+            (Status::RangeError, Cause::Refused(Status::RangeError)),
+        ] {
+            let (rig, mut worker) = worker(Backend::Script);
+            rig.script_status(CommandId::Unknown(STREAM_ID), status);
+            assert_eq!(worker.turn(), Err(cause));
+        }
+    }
+
+    #[test]
+    fn motion_that_was_running_before_refuses_the_first_segment() {
+        let (rig, mut worker) = worker(Backend::PrePosition);
+        let _grip = worker.gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
+        order(&rig, &worker, 80.0, 100.0);
+        assert_eq!(worker.turn(), Err(Cause::Refused(Status::AlreadyRunning)));
+    }
 }
