@@ -370,7 +370,7 @@ fn closed_port_of_a_gripper_on_udp_is_silence() {
     use embedded_io::{ReadReady, Write};
     let (socket, closed) = informed();
     let mut line = Udp::new(socket, closed).unwrap();
-    // The second write is told of the first one, and the read of the third.
+    // The second write returns the error of the first one, and the read that of the third.
     for _ in 0..3 {
         line.write_all(&[1]).unwrap();
     }
