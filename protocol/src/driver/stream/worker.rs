@@ -478,4 +478,13 @@ mod tests {
         order(&rig, &worker, 80.0, 100.0);
         assert_eq!(worker.turn(), Err(Cause::Refused(Status::AlreadyRunning)));
     }
+
+    #[test]
+    fn loss_of_the_line_is_named() {
+        let (rig, mut worker) = worker(Backend::Script);
+        rig.world(|world| world.noise = true);
+        assert_eq!(worker.turn(), Err(Cause::Transport(embedded_io::ErrorKind::Other)));
+        rig.world(|world| world.closed = true);
+        assert_eq!(worker.turn(), Err(Cause::Closed));
+    }
 }
