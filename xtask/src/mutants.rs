@@ -35,7 +35,7 @@ struct Part {
     folder: &'static str,
     /// Options for cargo-mutants that select the mutants and their features.
     options: &'static str,
-    /// Arguments for `cargo test`. Doc examples detect no further mutants and would double the time.
+    /// The tests, and after `--` the arguments for them. Doc examples detect no further mutants and would double the time.
     tests: &'static str,
 }
 
@@ -135,24 +135,24 @@ pub(crate) fn run(workspace: &Workspace, extent: &Extent) -> Result<()> {
             outcome.join(make(workspace, part, &files, extent)?);
         }
     }
-    let is_whole = extent.files.is_empty() && extent.options.is_empty();
-    judge(&outcome, &accepted, is_whole)
+    judge(&outcome, &accepted, extent.files.is_empty() && extent.options.is_empty())
 }
 
 /// Runs cargo-mutants for one part.
 fn make(workspace: &Workspace, part: &Part, files: &[&String], extent: &Extent) -> Result<Outcome> {
     let output = workspace.target_dir.join("mutants").join(part.name);
     fs::create_dir_all(&output).with_context(|| format!("cannot create {}", output.display()))?;
-    let mut mutants =
-        tool::plain(workspace, "cargo mutants --no-shuffle --profile mutants --cargo-arg=--locked");
+    let mut mutants = tool::plain(workspace, "cargo mutants --no-shuffle --profile mutants --colors never");
     mutants.args(part.packages.split(' ').flat_map(|package| ["-p", package])).envs(ENVIRONMENT);
-    mutants.args(["--colors", "never", "--output"]).arg(&output).args(&extent.options);
+    mutants.arg("--output").arg(&output).args(&extent.options);
+    let (targets, arguments) = part.tests.split_once(" -- ").unwrap_or((part.tests, ""));
+    // As arguments for every call of Cargo. Otherwise each mutant would be built into all tests and examples.
+    mutants.args(targets.split(' ').map(|target| format!("--cargo-arg={target}")));
     // A generous time-out, so that a busy machine is not mistaken for a hanging mutant.
     mutants.args(["--timeout-multiplier", "6", "--minimum-test-timeout", "20"]);
-    mutants.args(files.iter().flat_map(|file| ["--file", file]));
-    // Exclude test code.
-    mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs"]);
-    mutants.args(part.options.split_whitespace()).arg("--").args(part.tests.split(' '));
+    mutants.args(["--exclude", "**/tests/**", "--exclude", "**/*tests.rs", "--cargo-arg=--locked"]);
+    mutants.args(files.iter().flat_map(|file| ["--file", file])).args(part.options.split_whitespace());
+    mutants.args(["--", "--"]).args(arguments.split_whitespace());
     let status = process::run_for_status(&mut mutants)?;
     // 2: mutants survived. 3: some timed out, which counts as caught.
     ensure!(matches!(status.code(), Some(0 | 2 | 3)), "cargo-mutants itself failed ({status})");
