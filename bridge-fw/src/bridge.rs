@@ -17,7 +17,9 @@ use crate::register::{
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_fieldbus::{Controller, InputImage};
 use wsg_protocol::session::{self, Event, Session, Topic};
-use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, SystemFlags, frame};
+use wsg_protocol::{
+    AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, Kind, SystemFlags, frame,
+};
 
 /// Maximum bytes read from the line in one turn of the main loop. A continuously sending line must not delay the wires. One
 /// millisecond at 115 200 bit/s is 12 bytes.
@@ -334,8 +336,12 @@ impl Bridge {
         while let Some(noticed) = self.session.tick(now) {
             if noticed == Event::Disconnected {
                 self.facts.events.happened(EventCode::GripperSilent, 0);
-                // Unsent commands must not be sent when the line recovers. The exception is a FAST STOP, which remains due.
-                self.sending = self.sending.take().filter(|frame| frame.id() == CommandId::FastStop.code());
+                // Unsent commands must not be sent when the line recovers. The exceptions are a FAST STOP, which remains due,
+                // and a query, which has no effect. The gripper would take the next message for its rest.
+                self.sending = self.sending.take().filter(|frame| {
+                    let id = CommandId::from_code(frame.id());
+                    id == CommandId::FastStop || id.kind() == Kind::Query
+                });
                 self.gave_up = true;
             }
             notify(&mut self.controller, &mut self.facts.motion_end, &self.session, Some(noticed));
