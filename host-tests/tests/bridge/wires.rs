@@ -739,12 +739,12 @@ fn id_of(event: Option<Event<'_>>) -> Option<CommandId> {
 
 /// Blocks the transmitter after `room` bytes of the next message, until the connection is lost. Returns these bytes, the
 /// commands that the gripper receives in full, and the number of broken frames.
-fn cut(wires: Inputs, room: usize) -> (Vec<u8>, Vec<CommandId>, u16) {
+fn cut(inputs: Inputs, room: usize) -> (Vec<u8>, Vec<CommandId>, u16) {
     let mut far = SerialGripper::new(quick());
     let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
     let mut now_ms = 0;
-    let inputs = Inputs::FAST_STOP_OK;
-    for (wires, ms) in [(inputs, 300), (inputs | Inputs::STOP_ACK, 10), (inputs, 200)] {
+    let idle = Inputs::FAST_STOP_OK;
+    for (wires, ms) in [(idle, 300), (idle | Inputs::STOP_ACK, 10), (idle, 200)] {
         for _ in 0..ms {
             now_ms += 1;
             bridge.poll(now_ms, wires, &mut far.line, &mut NoBus);
@@ -755,14 +755,14 @@ fn cut(wires: Inputs, room: usize) -> (Vec<u8>, Vec<CommandId>, u16) {
     let mut outputs = Outputs::empty();
     for _ in 0..620 {
         now_ms += 1;
-        outputs = bridge.poll(now_ms, inputs | wires, &mut line, &mut NoBus);
+        outputs = bridge.poll(now_ms, inputs, &mut line, &mut NoBus);
     }
     assert!(!outputs.contains(Outputs::LINK_OK), "{outputs:?}");
     let begun = line.take_sent();
     let mut bytes = begun.clone();
     for _ in 0..2_000 {
         now_ms += 1;
-        bridge.poll(now_ms, inputs | wires, &mut line, &mut NoBus);
+        bridge.poll(now_ms, inputs, &mut line, &mut NoBus);
         bytes.extend(line.take_sent());
     }
     let mut parser = FrameParser::<MAX_MESSAGE_LEN>::new();
@@ -782,7 +782,7 @@ fn cut(wires: Inputs, room: usize) -> (Vec<u8>, Vec<CommandId>, u16) {
 /// Completing the frame later would start a motion that was commanded over an earlier connection.
 #[test]
 fn motion_cut_by_a_blocked_transmitter_is_not_completed_after_the_connection_is_lost() {
-    let (begun, ids, _) = cut(Inputs::MOVE, BYTES_PER_MS);
+    let (begun, ids, _) = cut(Inputs::FAST_STOP_OK | Inputs::MOVE, BYTES_PER_MS);
     let whole = FrameEncoder::new(CommandId::PrePosition.code(), &[0; 9][..]).len();
     assert!(begun.starts_with(&[0xAA, 0xAA, 0xAA, CommandId::PrePosition.code()]) && begun.len() < whole);
     assert!(!ids.is_empty() && !ids.contains(&CommandId::PrePosition), "{ids:?}");
@@ -790,9 +790,12 @@ fn motion_cut_by_a_blocked_transmitter_is_not_completed_after_the_connection_is_
 
 /// Otherwise the gripper would take the beginning of the next message, such as a FAST STOP, for its rest.
 #[test]
-fn query_cut_by_a_blocked_transmitter_is_completed_after_the_connection_is_lost() {
-    let (begun, ids, broken) = cut(Inputs::empty(), 7);
-    assert_eq!(begun.len(), 7);
-    let query = CommandId::from_code(begun[3]);
-    assert_eq!((query.kind(), ids.first(), broken), (Kind::Query, Some(&query), 0), "{ids:?}");
+fn query_or_fast_stop_cut_by_a_blocked_transmitter_is_completed_after_the_connection_is_lost() {
+    for (inputs, id) in
+        [(Inputs::FAST_STOP_OK, CommandId::GetSystemState), (Inputs::empty(), CommandId::FastStop)]
+    {
+        let (begun, ids, broken) = cut(inputs, 7);
+        assert_eq!(begun[..4], [0xAA, 0xAA, 0xAA, id.code()]);
+        assert_eq!((begun.len(), ids.first(), broken), (7, Some(&id), 0), "{ids:?}");
+    }
 }
