@@ -239,8 +239,9 @@ impl<P: Protocol> DriverState<P> {
             link.give_up_half(now, &mut |event| note(motion, updates, updates_lost, awaited, event));
         }
         while let Some(event) = link.tick(now) {
-            if event == Event::Disconnected {
-                // Unsent bytes must not be sent when the line recovers. The gripper skips an incomplete message.
+            if event == Event::Disconnected && !link.outlives_connection() {
+                // Unsent bytes must not be sent when the line recovers. The exception is the rest of a query or a FAST
+                // STOP, for which the gripper would otherwise take the next message.
                 *outbox = Outbox::EMPTY;
             }
             note(motion, updates, updates_lost, awaited, &event);

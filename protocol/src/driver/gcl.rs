@@ -4,7 +4,7 @@ mod translate;
 
 use super::Error;
 use super::link::{Link, Protocol};
-use crate::command::{Command, CommandId};
+use crate::command::{Command, CommandId, Kind};
 use crate::field::DecodeError;
 use crate::frame;
 use crate::gcl::session::{Event as GclEvent, RequestError as LineError, Session};
@@ -194,6 +194,10 @@ impl<const RX: usize> Link for Gcl<RX> {
 
     fn take_back(&mut self) -> bool {
         self.session.take_back(self.name)
+    }
+
+    fn outlives_connection(&self) -> bool {
+        matches!(self.name, CommandName::Faststop | CommandName::Autosend) || self.name.kind() == Kind::Query
     }
 
     fn hang_up(&mut self) {

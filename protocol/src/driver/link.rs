@@ -71,6 +71,10 @@ pub trait Link: core::fmt::Debug {
     /// Cancels the last encoded message if none of its bytes was sent. Returns whether it was cancelled.
     fn take_back(&mut self) -> bool;
 
+    /// Returns whether the last encoded message is a FAST STOP, or asks for values only. The rest of any other must not be
+    /// sent after the loss of the connection.
+    fn outlives_connection(&self) -> bool;
+
     /// Handles the loss of the line.
     fn hang_up(&mut self);
 

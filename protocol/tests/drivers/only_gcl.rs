@@ -235,3 +235,29 @@ fn end_over_datagrams_cannot_be_announced() {
     assert_eq!(client.announce_disconnect(), Err(Error::Refused(Status::NotAvailable)));
     assert_eq!(client.home(HomingDirection::Default), Ok(()));
 }
+
+#[test]
+fn line_cut_by_a_full_buffer_is_completed_after_the_connection_is_lost_only_if_it_is_a_query() {
+    for is_query in [true, false] {
+        let mut client = Asynch::<Lines>::homed(Config::default());
+        let rig = client.rig();
+        let text = || String::from_utf8(rig.world(|world| world.writes.concat())).unwrap();
+        rig.pass(500);
+        rig.run(client.gripper.next_update(500)).unwrap();
+        let before = text();
+        rig.world(|world| world.room = 3);
+        if !is_query {
+            assert_eq!(rig.run_for(5, client.gripper.home(HomingDirection::Default)), None);
+        }
+        for _ in 0..40 {
+            let _ = rig.run_for(100, client.gripper.next_update(50));
+        }
+        assert!(!client.gripper.is_connected());
+        rig.world(|world| world.room = usize::MAX);
+        let _ = rig.run_for(200, client.gripper.next_update(100));
+        let after = text().split_off(before.len());
+        let cut = after.lines().next().unwrap();
+        assert_eq!(before.lines().any(|line| line == cut), is_query, "{cut}");
+        assert_eq!(after.starts_with("HOM"), !is_query, "{after}");
+    }
+}

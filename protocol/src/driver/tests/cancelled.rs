@@ -139,3 +139,28 @@ fn partly_sent_frame_is_completed_after_a_motion_timeout() {
     assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert_eq!((gripper.counters().session.disconnects, rig.world(|world| world.stray())), (0, 0));
 }
+
+#[test]
+fn frame_cut_by_a_full_line_is_completed_after_the_connection_is_lost_only_if_it_is_a_query() {
+    for is_query in [true, false] {
+        let (rig, mut gripper) = connected_async();
+        rig.world(|world| world.room = 7);
+        if !is_query {
+            assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
+        }
+        for _ in 0..20 {
+            let _ = rig.run_for(100, gripper.next_update(50));
+        }
+        assert!(!gripper.is_connected());
+        rig.world(|world| {
+            world.room = usize::MAX;
+            if !is_query {
+                world.restart();
+            }
+        });
+        rig.run(gripper.connect()).unwrap();
+        assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
+        // The rest of the motion would be stray bytes, and a query without its rest a broken frame.
+        assert_eq!((rig.heard(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
+    }
+}

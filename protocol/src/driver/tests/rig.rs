@@ -264,6 +264,11 @@ impl World {
         self.parser.counters().dropped
     }
 
+    /// Restarts the gripper, which loses an incomplete frame.
+    pub(in crate::driver) fn restart(&mut self) {
+        self.parser = FrameParser::new();
+    }
+
     pub(in crate::driver) fn drop_received(&mut self) {
         self.coming.clear();
     }
@@ -300,8 +305,7 @@ impl World {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
         self.hear_handles();
         if core::mem::take(&mut self.refuses) {
-            // The gripper then starts with an empty parser.
-            self.parser = FrameParser::new();
+            self.restart();
             return Err(Noise);
         }
         let count = bytes.len().min(self.room);
