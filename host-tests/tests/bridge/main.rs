@@ -7,6 +7,8 @@ mod causes;
 mod events;
 mod gripper_on_can;
 mod indicator;
+// Its model is a part of the emulated boards, which need Unix.
+#[cfg(unix)]
 mod mcp2515;
 mod modbus;
 mod outputs;
