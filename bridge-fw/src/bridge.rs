@@ -337,7 +337,7 @@ impl Bridge {
             if noticed == Event::Disconnected {
                 self.facts.events.happened(EventCode::GripperSilent, 0);
                 // Unsent commands must not be sent when the line recovers. The exceptions are a FAST STOP, which remains due,
-                // and a query, which has no effect. The gripper would take the next message for its rest.
+                // and a query, which has no effect: otherwise the gripper would take the next message for its rest.
                 self.sending = self.sending.take().filter(|frame| {
                     let id = CommandId::from_code(frame.id());
                     id == CommandId::FastStop || id.kind() == Kind::Query

@@ -1,7 +1,7 @@
 //! The drivers on a computer, over every transport, with the virtual gripper at the other end.
 
 use std::io;
-use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -276,12 +276,17 @@ fn closed_port_is_an_error_of_the_transport() {
     assert!(source.is_some());
 }
 
+/// Returns both ends of a connection.
+fn connected() -> (Tcp, TcpStream) {
+    let listener = TcpListener::bind(loopback()).unwrap();
+    let line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
+    (line, listener.accept().unwrap().0)
+}
+
 #[test]
 fn bytes_after_an_emptying_read_are_noticed_without_a_wait() {
     use embedded_io::{Read, ReadReady};
-    let listener = TcpListener::bind(loopback()).unwrap();
-    let mut line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
-    let (mut gripper, _) = listener.accept().unwrap();
+    let (mut line, mut gripper) = connected();
     for byte in [1, 2] {
         io::Write::write_all(&mut gripper, &[byte]).unwrap();
         let begin = Instant::now();
@@ -297,9 +302,7 @@ fn bytes_after_an_emptying_read_are_noticed_without_a_wait() {
 #[test]
 fn long_input_is_read_without_a_pause() {
     use embedded_io::{Read, ReadReady};
-    let listener = TcpListener::bind(loopback()).unwrap();
-    let mut line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
-    let (mut gripper, _) = listener.accept().unwrap();
+    let (mut line, mut gripper) = connected();
     let mut chunk = [7; 4_096];
     io::Write::write_all(&mut gripper, &chunk).unwrap();
     let mut left = chunk.len();
@@ -328,9 +331,7 @@ fn waits(mut line: impl Transport<Error = io::Error>, send: impl FnOnce(&[u8])) 
 
 #[test]
 fn wait_ends_when_bytes_are_held() {
-    let listener = TcpListener::bind(loopback()).unwrap();
-    let line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
-    let (mut gripper, _) = listener.accept().unwrap();
+    let (line, mut gripper) = connected();
     waits(line, |bytes| io::Write::write_all(&mut gripper, bytes).unwrap());
 
     let gripper = UdpSocket::bind(loopback()).unwrap();
@@ -442,10 +443,8 @@ fn fast_stop() -> Vec<u8> {
 
 #[test]
 fn stop_of_a_handle_is_on_the_line_when_it_returns() {
-    let listener = TcpListener::bind(loopback()).unwrap();
-    let line = Tcp::connect(listener.local_addr().unwrap()).unwrap();
+    let (line, mut peer) = connected();
     let mut gripper = Gripper::<_, _>::new(line, StdClock::new());
-    let (mut peer, _) = listener.accept().unwrap();
     peer.set_read_timeout(Some(PATIENCE)).unwrap();
     // No call of the driver could send it.
     gripper.stop_handle().unwrap().fast_stop().unwrap();

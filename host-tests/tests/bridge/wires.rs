@@ -737,9 +737,9 @@ fn id_of(event: Option<Event<'_>>) -> Option<CommandId> {
     }
 }
 
-/// Blocks the transmitter after `room` bytes of the next message, until the connection is lost. Returns these bytes, the
-/// commands that the gripper receives in full, and the number of broken frames.
-fn cut(inputs: Inputs, room: usize) -> (Vec<u8>, Vec<CommandId>, u16) {
+/// Blocks the transmitter after 7 bytes of the next message, until the connection is lost. Returns these bytes, the commands
+/// that the gripper receives in full, and the number of broken frames.
+fn cut(inputs: Inputs) -> (Vec<u8>, Vec<CommandId>, u16) {
     let mut far = SerialGripper::new(quick());
     let mut bridge = Bridge::new(BridgeConfig::DEFAULT);
     let mut now_ms = 0;
@@ -751,7 +751,7 @@ fn cut(inputs: Inputs, room: usize) -> (Vec<u8>, Vec<CommandId>, u16) {
             far.advance(Time::from_millis(now_ms.into()));
         }
     }
-    let mut line = SerialLine::with_room(room);
+    let mut line = SerialLine::with_room(7);
     let mut outputs = Outputs::empty();
     for _ in 0..620 {
         now_ms += 1;
@@ -782,7 +782,7 @@ fn cut(inputs: Inputs, room: usize) -> (Vec<u8>, Vec<CommandId>, u16) {
 /// Completing the frame later would start a motion that was commanded over an earlier connection.
 #[test]
 fn motion_cut_by_a_blocked_transmitter_is_not_completed_after_the_connection_is_lost() {
-    let (begun, ids, _) = cut(Inputs::FAST_STOP_OK | Inputs::MOVE, BYTES_PER_MS);
+    let (begun, ids, _) = cut(Inputs::FAST_STOP_OK | Inputs::MOVE);
     let whole = FrameEncoder::new(CommandId::PrePosition.code(), &[0; 9][..]).len();
     assert!(begun.starts_with(&[0xAA, 0xAA, 0xAA, CommandId::PrePosition.code()]) && begun.len() < whole);
     assert!(!ids.is_empty() && !ids.contains(&CommandId::PrePosition), "{ids:?}");
@@ -794,7 +794,7 @@ fn query_or_fast_stop_cut_by_a_blocked_transmitter_is_completed_after_the_connec
     for (inputs, id) in
         [(Inputs::FAST_STOP_OK, CommandId::GetSystemState), (Inputs::empty(), CommandId::FastStop)]
     {
-        let (begun, ids, broken) = cut(inputs, 7);
+        let (begun, ids, broken) = cut(inputs);
         assert_eq!(begun[..4], [0xAA, 0xAA, 0xAA, id.code()]);
         assert_eq!((begun.len(), ids.first(), broken), (7, Some(&id), 0), "{ids:?}");
     }
