@@ -17,9 +17,7 @@ use crate::register::{
 use embedded_io::{Read, ReadReady, Write, WriteReady};
 use wsg_fieldbus::{Controller, InputImage};
 use wsg_protocol::session::{self, Event, Session, Topic};
-use wsg_protocol::{
-    AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, Kind, SystemFlags, frame,
-};
+use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, SystemFlags, frame};
 
 /// Maximum bytes read from the line in one turn of the main loop. A continuously sending line must not delay the wires. One
 /// millisecond at 115 200 bit/s is 12 bytes.
@@ -336,12 +334,8 @@ impl Bridge {
         while let Some(noticed) = self.session.tick(now) {
             if noticed == Event::Disconnected {
                 self.facts.events.happened(EventCode::GripperSilent, 0);
-                // Unsent commands must not be sent when the line recovers. The exceptions are a FAST STOP, which remains due,
-                // and a query, which has no effect: otherwise the gripper would take the next message for its rest.
-                self.sending = self.sending.take().filter(|frame| {
-                    let id = CommandId::from_code(frame.id());
-                    id == CommandId::FastStop || id.kind() == Kind::Query
-                });
+                // Unsent commands must not be sent when the line recovers.
+                self.sending.take_if(|frame| !CommandId::from_code(frame.id()).outlives_connection());
                 self.gave_up = true;
             }
             notify(&mut self.controller, &mut self.facts.motion_end, &self.session, Some(noticed));

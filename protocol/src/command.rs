@@ -299,6 +299,22 @@ impl CommandId {
         }
     }
 
+    /// Returns whether the rest of a half-sent request is still sent after the loss of the connection, because the gripper
+    /// would otherwise take the next request for it. This applies to a FAST STOP, which remains due, and to queries, which
+    /// neither move the fingers nor change a setting. The rest of any other request must not be sent.
+    ///
+    /// ```
+    /// use wsg_protocol::CommandId;
+    ///
+    /// assert!(CommandId::FastStop.outlives_connection());
+    /// assert!(CommandId::GetForce.outlives_connection());
+    /// assert!(!CommandId::GripPart.outlives_connection());
+    /// ```
+    #[must_use]
+    pub const fn outlives_connection(self) -> bool {
+        matches!(self, Self::FastStop) || matches!(self.kind(), Kind::Query)
+    }
+
     /// Returns the status code with which a gripper rejects a request with this error, according to the manual.
     #[must_use]
     pub fn status_of(self, refusal: DecodeError) -> Status {

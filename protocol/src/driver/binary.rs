@@ -2,7 +2,7 @@
 
 use super::link::{Link, Protocol};
 use super::{Error, MAX_FRAME_LEN, MAX_REPLY_LEN};
-use crate::command::{Command, CommandId, Kind};
+use crate::command::{Command, CommandId};
 use crate::frame::{self, FrameEncoder, FrameParser, OVERHEAD, Payload};
 use crate::session::{self, Event, Known, Session, Topic};
 use crate::time::Instant;
@@ -106,7 +106,7 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
     }
 
     fn outlives_connection(&self) -> bool {
-        self.id == CommandId::FastStop || self.id.kind() == Kind::Query
+        self.id.outlives_connection()
     }
 
     fn hang_up(&mut self) {

@@ -71,8 +71,8 @@ pub trait Link: core::fmt::Debug {
     /// Cancels the last encoded message if none of its bytes was sent. Returns whether it was cancelled.
     fn take_back(&mut self) -> bool;
 
-    /// Returns whether the last encoded message is a FAST STOP, or asks for values only. The rest of any other must not be
-    /// sent after the loss of the connection.
+    /// Returns whether the rest of the last encoded message is still sent after the loss of the connection
+    /// ([`CommandId::outlives_connection`](crate::CommandId::outlives_connection)).
     fn outlives_connection(&self) -> bool;
 
     /// Handles the loss of the line.

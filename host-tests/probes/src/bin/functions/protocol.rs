@@ -43,7 +43,7 @@ fn frames() {
 fn messages() {
     functions! {
         Command<'_>: decode, check, id, is_repeatable, len, is_empty, byte;
-        CommandId: code, from_code, name, section, kind, is_repeatable, status_of;
+        CommandId: code, from_code, name, section, kind, is_repeatable, outlives_connection, status_of;
         CommandId: immediate_statuses, completion_statuses, may_answer;
         Reply<'_>: decode, id, status, status_only, success, value, len, is_empty, byte;
         Value<'_>: id;
