@@ -108,7 +108,11 @@ impl Release {
 
     /// Fails if a file contains a path of this machine, which would differ on others.
     fn names_no_path(&self, name: &str, bytes: &[u8]) -> Result<()> {
-        let places = [root(), self.target_dir.clone(), env::home_dir().unwrap_or_default().join(".cargo")];
+        // dlltool makes symbols of paths in the target folder.
+        let symbol =
+            self.target_dir.display().to_string().replace(|part: char| !part.is_ascii_alphanumeric(), "_");
+        let home = env::home_dir().unwrap_or_default();
+        let places = [root(), self.target_dir.clone(), home.join(".cargo"), symbol.into()];
         for place in places.iter().filter_map(|place| place.to_str()) {
             let found = bytes.windows(place.len()).position(|part| part == place.as_bytes());
             ensure!(found.is_none(), "{name} contains the path {place}, at byte {}", found.unwrap_or(0));

@@ -61,6 +61,9 @@ const LINKED: [&str; 4] = [
 /// The folder `bindings/c`.
 const SOURCES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
+/// The flag that makes import libraries for Windows reproducible.
+const DLLTOOL: &str = concat!("-Cdlltool=", env!("CARGO_MANIFEST_DIR"), "/dlltool");
+
 /// Builds the archive for C and C++ programmers.
 #[derive(Parser)]
 struct Arguments {
@@ -182,7 +185,7 @@ impl Archive {
     /// Returns cargo, whose output does not name the folders of this computer.
     fn cargo(&self) -> Command {
         let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        provenance::remove_paths(&mut cargo, &self.build, &[]);
+        provenance::remove_paths(&mut cargo, &self.build, &[DLLTOOL]);
         cargo.env("CARGO_TARGET_DIR", &self.build);
         cargo
     }
