@@ -64,7 +64,7 @@ fn print(folder: &Path) -> Result<()> {
     let _ = fs::remove_dir_all(profile);
     fs::remove_file(page)?;
     printed?;
-    fs::write(&pdf, with_fixed_dates(fs::read(&pdf)?))?;
+    fs::write(&pdf, reproducible(fs::read(&pdf)?))?;
     println!("{}", pdf.display());
     Ok(())
 }
@@ -95,16 +95,29 @@ fn read(folder: &Path, name: &str, files: &mut Vec<(String, Vec<u8>)>) -> Result
     Ok(())
 }
 
-/// Replaces the dates of creation and change, which Chromium takes from the clock.
-fn with_fixed_dates(mut pdf: Vec<u8>) -> Vec<u8> {
-    const NAME: &[u8] = b"Date (D:";
+/// Replaces what differs from print to print: the dates of creation and change, and the lowest number of an element, which
+/// depends on the elements that Chromium made before.
+fn reproducible(mut pdf: Vec<u8>) -> Vec<u8> {
     const DATE: &[u8] = b"19800101000000";
-    for at in 0..pdf.len().saturating_sub(NAME.len() + DATE.len()) {
-        if pdf[at..].starts_with(NAME) {
-            pdf[at + NAME.len()..][..DATE.len()].copy_from_slice(DATE);
+    for at in ends_of(&pdf, b"Date (D:") {
+        if let Some(date) = pdf.get_mut(at..at + DATE.len()) {
+            date.copy_from_slice(DATE);
         }
     }
+    let number = |at: usize| str::from_utf8(pdf.get(at..at + 8)?).ok()?.parse::<u32>().ok();
+    let elements: Vec<_> =
+        ends_of(&pdf, b"(node").into_iter().filter_map(|at| Some((at, number(at)?))).collect();
+    let lowest = elements.iter().map(|&(_, number)| number).min().unwrap_or(0);
+    for (at, number) in elements {
+        pdf[at..at + 8].copy_from_slice(format!("{:08}", number - lowest).as_bytes());
+    }
     pdf
+}
+
+/// Returns the position after each occurrence of `name`.
+fn ends_of(pdf: &[u8], name: &[u8]) -> Vec<usize> {
+    let parts = pdf.windows(name.len()).enumerate();
+    parts.filter(|(_, part)| *part == name).map(|(at, _)| at + name.len()).collect()
 }
 
 /// Removes the targets of these links; their text remains.
@@ -158,12 +171,14 @@ mod tests {
     }
 
     #[test]
-    fn links_to_files_and_dates_are_removed() {
+    fn links_to_files_dates_and_lowest_number_are_removed() {
         let html = "<link href=\"a\"><a href=\"../../b.rs\">b</a> <a href=\"c.html\">c</a>";
         let wanted = "<link href=\"a\"><a data-source=\"../../b.rs\">b</a> <a href=\"c.html\">c</a>";
         assert_eq!(without_links(html, |link| link.starts_with("../")), wanted);
-        let pdf = |date: &str| format!("/ModDate (D:{date}+00'00')>> and more text").into_bytes();
-        assert_eq!(with_fixed_dates(pdf("20261126003419")), pdf("19800101000000"));
+        let pdf = |date: &str, number: u32| {
+            format!("/ModDate (D:{date}+00'00')>> (node{number:08}) (node{:08})", number + 9).into_bytes()
+        };
+        assert_eq!(reproducible(pdf("20261126003419", 595)), pdf("19800101000000", 0));
     }
 
     #[test]
