@@ -9,6 +9,7 @@
 //! | [`frame`] | [`Frame`], [`FrameParser`], [`FrameEncoder`] | command set, 1.2 |
 //! | [`command`] | [`Command`], one variant per request; [`CommandId`] and its table | command set, chapter 3 |
 //! | [`reply`] | [`Reply`]: status and typed values | command set, 1.2.2 and chapter 3 |
+//! | [`limits`] | requests against the gripper's limits | command set, 3.5.4 |
 //! | [`Meaning`] | frames as readable text, for logs | |
 //! | `editor` | the input language of a command editor (feature `std`) | command set, 2 |
 //! | [`types`] | [`Status`], [`GripperState`], [`SystemFlags`], limits, units | command set, appendices A to C |
@@ -70,6 +71,7 @@ mod field;
 pub mod frame;
 #[cfg(feature = "gcl")]
 pub mod gcl;
+pub mod limits;
 mod meaning;
 #[doc(hidden)]
 pub mod queue;

@@ -3,12 +3,13 @@
 use wsg_fieldbus::{
     Cause, CommandFlags, Controller, Diagnosis, ForceUnit, GripperFlags, InputImage, MaskedFlags, OutputImage,
 };
+use wsg_protocol::limits::{OutOfLimits, Quantity};
 use wsg_protocol::queue::Queue;
 use wsg_protocol::session::{Known, Session, Topic};
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, DeviceTag, DeviceType, FingerData, FingerType, FirmwareVersion,
     FrameEncoder, FrameParser, GripperState, HomingDirection, Instant, LoopData, Payload, Reply, Status,
-    Value, checksum,
+    SystemLimits, Value, checksum,
 };
 
 use core::ops::{Deref, DerefMut};
@@ -42,11 +43,14 @@ fn frames() {
 
 fn messages() {
     functions! {
-        Command<'_>: decode, check, id, is_repeatable, len, is_empty, byte;
+        Command<'_>: decode, check, check_limits, id, is_repeatable, len, is_empty, byte;
         CommandId: code, from_code, name, section, kind, is_repeatable, outlives_connection, status_of;
         CommandId: immediate_statuses, completion_statuses, may_answer;
         Reply<'_>: decode, id, status, status_only, success, value, len, is_empty, byte;
         Value<'_>: id;
+        SystemLimits: range, check;
+        OutOfLimits: quantity, value, least, greatest;
+        Quantity: unit;
     }
 }
 
