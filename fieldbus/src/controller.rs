@@ -1,10 +1,14 @@
 //! Converts edges in the output image to commands, and the gripper's answers to the input image (fieldbus, chapter 6).
 
 mod fast_stop;
+mod gstate;
 mod jogging;
 mod outcome;
+mod status;
 
 use self::fast_stop::FastStop;
+use self::gstate::Gstate;
+use self::status::StatusRegister;
 use super::image::to_register;
 use super::jog::Jog;
 use super::{Cause, CommandFlags, ForceUnit, GripperFlags, Incident, InputImage, OutputImage};
@@ -45,6 +49,11 @@ const INCIDENTS_LEN: usize = 4;
 /// - MOVE starts only when GSTATE is IDLE (fieldbus, 6.1). Use RELEASE to open while a part is held, after NO_PART
 ///   and after PART_LOST. After an error, use STOP/ACK first.
 /// - MOVE stops on a block. Otherwise blocked fingers could later snap to the target without a command.
+/// - GSTATE is the state that the gripper reported last, with two exceptions. A motion shows from its edge on, and its
+///   result from the gripper's answer on. After a motion that failed, GSTATE is ERROR until the next command or
+///   until the gripper reports another state, which a third party's motion, stop or acknowledgement causes. If the
+///   outcome of the motion is unknown, the fingers may still be moving: then only a later motion or result counts.
+/// - A motion that a third party stops ends in IDLE, with E_CMD_ABORTED.
 /// - Without a connection a motion is refused and never kept for later.
 /// - A motion requested while another runs is refused. The status is E_ALREADY_RUNNING while its flag is 1, then the
 ///   running motion's status again.
@@ -77,16 +86,9 @@ pub struct Controller {
     motion: Option<Motion>,
     /// Whether the gripper's reports already cover the last motion, including one that was stopped since.
     unseen: Unseen,
-    /// The command whose outcome the status register shows.
-    shown: Option<CommandId>,
-    status: Status,
-    /// A motion was refused while the shown command is pending: the refused flags that are still 1.
-    refused: Option<CommandFlags>,
-    /// The last command failed, or its outcome is unknown.
-    failed: bool,
-    /// The state that the last result implies, until the gripper reports one.
-    settled: Option<GripperState>,
-    /// A success that is withheld until the gripper reports that its fingers are at rest. The PLC thus sees the end
+    status: StatusRegister,
+    gstate: Gstate,
+    /// An end that is withheld until the gripper reports that its fingers are at rest. The PLC thus sees the end
     /// of a motion, its result and its flags together.
     held_back: Option<(CommandId, Status)>,
     jog: Jog,
@@ -149,11 +151,8 @@ impl Controller {
             force_limits_open: 0,
             motion: None,
             unseen: Unseen::No,
-            shown: None,
-            status: Status::Success,
-            refused: None,
-            failed: false,
-            settled: None,
+            status: StatusRegister::Ended(Status::Success),
+            gstate: Gstate::Reported,
             held_back: None,
             jog: Jog::new(),
             user_outputs: 0,
@@ -229,7 +228,7 @@ impl Controller {
         let state = if is_stopped { GripperFlags::IDLE } else { self.state(known.state) };
         // Without a connection, an image of zeros would look like a gripper at rest.
         let not_connected = (GripperFlags::ERROR, Status::IoError);
-        let (state, status) = if self.connected { (state, self.shown_status()) } else { not_connected };
+        let (state, status) = if self.connected { (state, self.status.shown()) } else { not_connected };
         InputImage {
             state,
             user: self.user_outputs,
@@ -253,31 +252,18 @@ impl Controller {
                 _ => GripperState::Positioning,
             });
         }
-        match self.settled.or(reported) {
-            // A held part matters more than a failed command, which the status register shows.
-            Some(GripperState::Holding) => GripperFlags::HOLDING,
-            _ if self.failed => GripperFlags::ERROR,
-            Some(state) => state.into(),
-            None => GripperFlags::empty(),
-        }
-    }
-
-    /// Returns the status to show: E_ALREADY_RUNNING while a flag refused during a pending command is 1, the stored
-    /// status otherwise.
-    fn shown_status(&self) -> Status {
-        let is_refused = self.refused.is_some_and(|refused| !refused.is_empty());
-        if is_refused && self.status == Status::CmdPending { Status::AlreadyRunning } else { self.status }
+        self.gstate.shown(reported)
     }
 
     /// Returns whether a motion was refused because of the command now pending, even if its flag has fallen since.
     #[must_use]
     pub fn has_refused_meanwhile(&self) -> bool {
-        self.status == Status::CmdPending && self.refused.is_some()
+        matches!(self.status, StatusRegister::Pending { refused: Some(_), .. })
     }
 
     /// Refuses the motions or jog of these flags, for a caller that withholds them from the controller.
     pub fn refuse(&mut self, flags: CommandFlags) {
-        if self.status == Status::CmdPending {
+        if matches!(self.status, StatusRegister::Pending { .. }) {
             self.refuse_beside_motion(flags);
         } else {
             self.show(Status::AccessDenied, Cause::NotReady);
@@ -287,11 +273,10 @@ impl Controller {
     /// Refuses a motion or jog that was requested while the fingers move.
     fn refuse_beside_motion(&mut self, flags: CommandFlags) {
         self.note(Cause::MotionRuns, self.motion.map(|motion| motion.command.id()), 0);
-        if self.status == Status::CmdPending {
-            self.refused = Some(flags | self.refused.unwrap_or_default());
-        } else {
+        match &mut self.status {
+            StatusRegister::Pending { refused, .. } => *refused = Some(flags | refused.unwrap_or_default()),
             // They move for another reason, which the status register does not show.
-            self.status = Status::AlreadyRunning;
+            ended => *ended = StatusRegister::Ended(Status::AlreadyRunning),
         }
     }
 
@@ -300,7 +285,7 @@ impl Controller {
     #[must_use]
     pub fn is_moving(&self, known: &Known) -> bool {
         // A result arrives before the report of the state that it ends.
-        let state = self.settled.or(known.state);
+        let state = self.gstate.implied().or(known.state);
         self.motion.is_some()
             || self.jog.is_on()
             || known.flags.unwrap_or_default().intersects(SystemFlags::MOVING)
@@ -324,7 +309,7 @@ impl Controller {
     fn send_alone(&mut self, command: Command<'static>) {
         self.motion = None;
         self.held_back = None;
-        self.failed = false;
+        self.gstate.end_failure();
         // The session never received these, so they have no outcome.
         while let Some(unsent) = self.outgoing.pop_front() {
             self.note_outcome(&Event::Withdrawn(unsent.id()));
@@ -333,7 +318,7 @@ impl Controller {
             }
         }
         self.send(command);
-        (self.shown, self.status, self.refused) = (Some(command.id()), Status::CmdPending, None);
+        self.status = StatusRegister::pending(command.id());
     }
 
     #[inline(never)]
@@ -352,7 +337,7 @@ impl Controller {
     #[inline(never)]
     fn show(&mut self, status: Status, cause: Cause) {
         self.note(cause, None, 0);
-        (self.shown, self.status) = (None, status);
+        self.status = StatusRegister::Ended(status);
     }
 
     #[inline(never)]
@@ -376,7 +361,7 @@ impl Informed<'_> {
         let before = previous.unwrap_or(*image);
         let rising = image.flags.difference(before.flags);
         self.own.jog.see(image);
-        self.own.refused = self.own.refused.map(|refused| refused.intersection(image.flags));
+        self.own.status.see(image.flags);
         if image.flags.contains(CommandFlags::FASTSTOP) {
             if previous.is_none() || rising.contains(CommandFlags::FASTSTOP) {
                 self.own.fast_stop(Cause::Flag, 0);
@@ -425,7 +410,7 @@ impl Informed<'_> {
         self.own.is_acquainted = self.own.connected || stops;
         if stops {
             self.own.stop();
-            self.own.failed = true;
+            self.own.gstate = Gstate::unknown(self.known.state);
             self.own.show(Status::CmdAborted, Cause::MovedAtStart);
         }
     }
@@ -436,6 +421,9 @@ impl Informed<'_> {
         match event {
             Event::Connected => {
                 self.own.connected = true;
+                if let Some(state) = self.known.state {
+                    self.own.gstate.report(state);
+                }
                 // The flags were requested after a FAST STOP that was answered earlier.
                 if let Some(flags) = self.known.flags {
                     self.own.supervise_fast_stop(flags);
@@ -444,7 +432,7 @@ impl Informed<'_> {
             Event::Disconnected => {
                 self.show_held_back();
                 self.own.connected = false;
-                self.own.settled = None;
+                self.own.gstate.end_result();
                 self.own.jog.disarm(self.own.image.as_ref());
                 if !matches!(self.own.fast_stop, FastStop::Clear | FastStop::Requested { .. }) {
                     // The gripper may restart and lose the FAST STOP, so send it first after a reconnect.
@@ -462,9 +450,13 @@ impl Informed<'_> {
             }
             Event::Unanswered(id) => self.came_to_nothing(*id, Status::Timeout, Cause::Unanswered),
             Event::Withdrawn(id) => self.came_to_nothing(*id, Status::CmdAborted, Cause::Withdrawn),
-            // A jog ends in IDLE even if the gripper reports its error as a state (fieldbus, 6.7).
-            Event::Reported(Value::GetGripperState(GripperState::Error)) if self.own.jog.failed => {}
-            Event::Reported(Value::GetGripperState(_)) => self.own.settled = None,
+            Event::Reported(Value::GetGripperState(state)) => {
+                if state.is_motion() {
+                    // Another party's motion has begun. It must not delay the end of the PLC's.
+                    self.show_held_back();
+                }
+                self.own.gstate.report(*state);
+            }
             Event::Reported(Value::GetSystemState(flags)) => {
                 self.own.supervise_fast_stop(*flags);
                 self.show_held_back();
@@ -536,10 +528,8 @@ impl Informed<'_> {
         }
         own.send(force.map_or(command, |force| Command::SetForceLimit { force }));
         own.motion = Some(Motion { command, awaits: force.map(|_| CommandId::SetForceLimit) });
-        (own.shown, own.status, own.refused) = (Some(command.id()), Status::CmdPending, None);
-        own.failed = false;
-        own.jog.failed = false;
-        own.settled = None;
+        own.status = StatusRegister::pending(command.id());
+        own.gstate = Gstate::Reported;
     }
 
     /// Returns whether a speed in mm/s and a force in N are inside the gripper's limits. Unknown limits permit nothing.

@@ -53,8 +53,6 @@ pub(super) enum Stage {
 #[derive(Clone, Copy, Debug, PartialEq, Hash)]
 pub(super) struct Jog {
     pub(super) stage: Stage,
-    /// The last jog ended with an error and no command followed, so the gripper's ERROR state belongs to the jog.
-    pub(super) failed: bool,
     /// The soft limits, known after the gripper refused the end of the stroke, until both flags are 0.
     pub(super) soft_limits: Option<SoftLimits>,
     armed: bool,
@@ -62,7 +60,7 @@ pub(super) struct Jog {
 
 impl Jog {
     pub(super) const fn new() -> Self {
-        Self { stage: Stage::Off, failed: false, soft_limits: None, armed: false }
+        Self { stage: Stage::Off, soft_limits: None, armed: false }
     }
 
     pub(super) fn is_on(&self) -> bool {

@@ -1,6 +1,6 @@
 //! FAST STOP, its confirmation and its acknowledgement (fieldbus, 6.6).
 
-use super::{Controller, Informed};
+use super::{Controller, Gstate, Informed, StatusRegister};
 use crate::jog::Stage;
 use crate::{Cause, CommandFlags, OutputImage};
 use wsg_protocol::command::{Command, CommandId};
@@ -45,7 +45,7 @@ impl Controller {
         let is_stopped = flags.contains(SystemFlags::FAST_STOP);
         if is_stopped {
             // It ends the last result, which must not reappear after an acknowledgement by a third party.
-            self.settled = Some(GripperState::Idle);
+            self.gstate = Gstate::Result(GripperState::Idle);
         }
         let is_held = self.holds(CommandFlags::FASTSTOP);
         match (self.fast_stop, is_stopped) {
@@ -58,8 +58,8 @@ impl Controller {
             (FastStop::Answered, false) => self.give_fast_stop(),
             (FastStop::Answered, true) => {
                 self.fast_stop = FastStop::Latched;
-                if self.shown == Some(CommandId::FastStop) {
-                    self.status = Status::Success;
+                if self.status.is_of(CommandId::FastStop) {
+                    self.status = StatusRegister::Ended(Status::Success);
                 }
             }
             // It was acknowledged, but the answer was lost or damaged.
@@ -103,7 +103,7 @@ impl Informed<'_> {
             }
             self.own.send_alone(Command::ACKNOWLEDGE);
         } else {
-            let failed = self.own.failed || self.known.state == Some(GripperState::Error);
+            let failed = self.own.gstate.is_failed() || self.known.state == Some(GripperState::Error);
             self.own.stop();
             if failed {
                 // A Stop does not change the state; Acknowledge leads to IDLE (command set, 3.2.5 and appendix C).

@@ -1,6 +1,6 @@
 //! JOG as commands (fieldbus, 6.7): the force limit, a Pre-position to the end of the stroke or a soft limit, and a Stop.
 
-use super::{Controller, Informed, Motion, force_unit};
+use super::{Controller, Gstate, Informed, Motion, StatusRegister, force_unit};
 use crate::jog::{Direction, Drive, Stage};
 use crate::{Cause, CommandFlags, GripperFlags, OutputImage};
 use wsg_protocol::command::{Command, CommandId};
@@ -42,12 +42,13 @@ impl Controller {
     #[inline(never)]
     pub(super) fn end_jog(&mut self, status: Status) {
         self.jog.stage = Stage::Off;
-        self.jog.failed = status != Status::Success;
         self.jog.disarm(self.image.as_ref());
         self.motion = None;
-        self.settled = Some(GripperState::Idle);
-        self.failed = false;
-        self.status = status;
+        self.gstate = match status {
+            Status::Success => Gstate::Result(GripperState::Idle),
+            _ => Gstate::FailedJog,
+        };
+        self.status = StatusRegister::Ended(status);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Outcomes of commands: which motion or command an answer belongs to, and what it changes.
 
 use super::fast_stop::FastStop;
-use super::{Controller, Informed, Motion, Unseen};
+use super::{Controller, Gstate, Informed, Motion, StatusRegister, Unseen};
 use crate::Cause;
 use wsg_protocol::command::{Command, CommandId, Kind};
 use wsg_protocol::reply::{Reply, Value};
@@ -106,7 +106,7 @@ impl Informed<'_> {
         }
         let ends_motion = id == CommandId::Stop || self.own.is_result_of_motion(id);
         if ends_motion
-            && implied_state(id, status).is_some()
+            && self.implied_state(id, status).is_some()
             && self.known.flags.unwrap_or_default().intersects(SystemFlags::MOVING)
         {
             self.own.held_back = Some((id, status));
@@ -123,14 +123,14 @@ impl Informed<'_> {
 
     /// Shows the outcome of a command to the PLC.
     fn show_outcome(&mut self, id: CommandId, status: Status) {
+        let implied = self.implied_state(id, status);
         let own = &mut *self.own;
-        let (is_result, is_shown) = (own.is_result_of_motion(id), own.shown == Some(id));
+        let (is_result, is_shown) = (own.is_result_of_motion(id), own.status.is_of(id));
         if is_result && own.jog_meets_soft_limit(status) {
             return;
         }
-        let implied = implied_state(id, status);
         // NO_PART is a result, not an error.
-        if (is_result || is_shown) && implied.is_none() {
+        if (is_result || is_shown) && (implied.is_none() || status == Status::CmdAborted) {
             own.note(Cause::Gripper, Some(id), status.code());
         }
         if is_result {
@@ -138,24 +138,23 @@ impl Informed<'_> {
                 return own.end_jog(status);
             }
             own.motion = None;
-            own.settled = implied;
-            own.failed = implied.is_none();
-            own.status = status;
+            own.gstate = implied.map_or(Gstate::failed(self.known.state), Gstate::Result);
+            own.status = StatusRegister::Ended(status);
             return;
         }
         match (id, own.fast_stop) {
             _ if status != Status::Success => {}
-            (CommandId::Stop, _) => own.settled = implied,
+            (CommandId::Stop, _) => own.gstate.stand(),
             (CommandId::FastStop, FastStop::Requested { .. }) => return own.fast_stop_answered(),
             // A FAST STOP requested in the meantime stays in effect, regardless of the order of the two answers.
             (CommandId::Acknowledge, FastStop::Acknowledged | FastStop::Clear) => {
                 own.fast_stop = FastStop::Clear;
-                own.settled = implied;
+                own.gstate.stand();
             }
             _ => {}
         }
         if is_shown {
-            own.status = status;
+            own.status = StatusRegister::Ended(status);
         }
         self.jog_stopped(id, status);
     }
@@ -168,27 +167,34 @@ impl Informed<'_> {
         }
         let of_motion =
             own.motion.is_some_and(|motion| id == motion.command.id() || motion.awaits == Some(id));
-        if of_motion || own.shown == Some(id) {
+        if of_motion || own.status.is_of(id) {
             own.note(cause, Some(id), if cause == Cause::Gripper { status.code() } else { 0 });
             if of_motion && own.jog.is_on() {
                 return own.end_jog(status);
             }
-            own.status = status;
+            own.status = StatusRegister::Ended(status);
         }
         if of_motion {
             own.motion = None;
-            own.failed = true;
+            own.gstate = match cause {
+                Cause::Unanswered => Gstate::unknown(self.known.state),
+                _ => Gstate::failed(self.known.state),
+            };
         }
         self.jog_stopped(id, status);
     }
-}
 
-/// Returns the gripper state that the end of a command implies; `None` if it failed.
-const fn implied_state(id: CommandId, status: Status) -> Option<GripperState> {
-    match (id, status) {
-        (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
-        (CommandId::GripPart, Status::CmdFailed) => Some(GripperState::NoPart),
-        (_, Status::Success) => Some(GripperState::Idle),
-        _ => None,
+    /// Returns the gripper state that the end of a command implies; `None` if it failed.
+    fn implied_state(&self, id: CommandId, status: Status) -> Option<GripperState> {
+        match (id, status) {
+            (CommandId::GripPart, Status::Success) => Some(GripperState::Holding),
+            (CommandId::GripPart, Status::CmdFailed) => Some(GripperState::NoPart),
+            (_, Status::Success) => Some(GripperState::Idle),
+            // Another party's stop, unless the gripper has reported an error (GCL, 3.2.1).
+            (_, Status::CmdAborted) if id.kind() == Kind::Motion => {
+                Some(GripperState::Idle).filter(|_| self.known.state != Some(GripperState::Error))
+            }
+            _ => None,
+        }
     }
 }

@@ -512,6 +512,20 @@ fn third_party_that_acknowledges_after_faststop_is_0_again_unlocks_motion() {
     assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
 }
 
+/// An outdated report, replayed or reordered on the line, looks like an acknowledgement.
+#[test]
+fn fast_stop_that_an_outdated_report_hides_is_shown_again_and_locks_motion() {
+    let mut plc = Plc::fast_stopped();
+    plc.lower(CommandFlags::FASTSTOP);
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert!(!plc.is_fast_stopped());
+    plc.report_flags(FAST_STOPPED);
+    assert!(plc.is_fast_stopped());
+    assert_eq!(plc.raise(CommandFlags::MOVE), []);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AccessDenied));
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+}
+
 #[test]
 fn fast_stop_that_the_gripper_has_not_confirmed_cannot_be_acknowledged() {
     let mut plc = Plc::ready();
@@ -1064,6 +1078,7 @@ fn fast_stop_wins_over_a_success_that_is_held_back() {
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdPending));
 }
 
+mod gstate;
 mod jog;
 
 #[test]

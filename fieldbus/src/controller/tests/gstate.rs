@@ -1,0 +1,216 @@
+//! GSTATE follows the gripper, whoever commands it (fieldbus, 5.1.2 and appendix C). Each test plays the session and
+//! a third party.
+
+use super::*;
+
+const MOTIONS: [(CommandFlags, CommandId); 4] = [
+    (CommandFlags::MOVE, CommandId::PrePosition),
+    (CommandFlags::GRIP, CommandId::GripPart),
+    (CommandFlags::RELEASE, CommandId::ReleasePart),
+    (CommandFlags::HOMING, CommandId::Homing),
+];
+
+impl Plc {
+    /// Returns a PLC whose motion has begun, with flags that show it.
+    fn in_motion(flag: CommandFlags, id: CommandId) -> Self {
+        let mut plc = Self::ready();
+        plc.known.force_limit = Some(40.0);
+        assert_eq!(plc.raise(flag).len(), 1);
+        plc.begins(id);
+        plc.report(match id {
+            CommandId::GripPart => GripperState::Gripping,
+            CommandId::ReleasePart => GripperState::Releasing,
+            _ => GripperState::Positioning,
+        });
+        plc.report_flags(MOVING);
+        plc
+    }
+
+    /// Reports the states that other parties' motions cause, and expects each of them in GSTATE.
+    fn follows_others(&mut self, status: Status) {
+        for state in [
+            GripperState::Positioning,
+            GripperState::Idle,
+            GripperState::Gripping,
+            GripperState::NoPart,
+            GripperState::Gripping,
+            GripperState::Holding,
+            GripperState::PartLost,
+            GripperState::Releasing,
+            GripperState::Error,
+            GripperState::Idle,
+        ] {
+            // A refresh repeats every state.
+            for _ in 0..2 {
+                self.report(state);
+                assert_eq!(self.shows(), (state.into(), status), "41h = {}", state.code());
+            }
+        }
+    }
+}
+
+#[test]
+fn motion_that_a_third_party_stops_ends_in_idle_and_the_next_one_begins() {
+    for (flag, id) in MOTIONS {
+        for state_first in [false, true] {
+            let mut plc = Plc::in_motion(flag, id);
+            if state_first {
+                plc.report(GripperState::Idle);
+            }
+            plc.answer(id, Status::CmdAborted);
+            assert_eq!(plc.shows().1, Status::CmdPending, "until the fingers stand");
+            plc.report_flags(SystemFlags::REFERENCED | SystemFlags::AXIS_STOPPED);
+            assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::CmdAborted), "{id}");
+            let aborted = incident(Cause::Gripper, Some(id), Status::CmdAborted.code());
+            assert_eq!(incidents(&mut plc), aborted);
+            plc.report(GripperState::Idle);
+            plc.lower(flag);
+            assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE], "without STOP/ACK");
+        }
+    }
+}
+
+#[test]
+fn gstate_follows_other_parties_after_each_end_of_a_motion() {
+    let ends = [
+        (Status::Success, GripperState::Idle),
+        (Status::CmdAborted, GripperState::Idle),
+        (Status::AxisBlocked, GripperState::Error),
+        (Status::RangeError, GripperState::Error),
+        (Status::Timeout, GripperState::Error),
+    ];
+    for (status, state) in ends {
+        let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
+        plc.answer(CommandId::PrePosition, status);
+        plc.report_flags(SystemFlags::REFERENCED);
+        assert_eq!(plc.shows(), (state.into(), status), "before the report");
+        plc.report(state);
+        assert_eq!(plc.shows(), (state.into(), status));
+        plc.follows_others(status);
+    }
+}
+
+/// The gripper never began these motions, so it repeats its state from before them.
+#[test]
+fn refused_motion_shows_error_until_the_gripper_reports_another_state() {
+    let refuse: [(fn(&mut Plc), Status); 4] = [
+        (|plc| drop(plc.answer(CommandId::ReleasePart, Status::RangeError)), Status::RangeError),
+        (|plc| drop(plc.answer(CommandId::ReleasePart, Status::NotInitialized)), Status::NotInitialized),
+        (
+            |plc| plc.controller.handle(&Event::Withdrawn(CommandId::ReleasePart), &plc.known),
+            Status::CmdAborted,
+        ),
+        (
+            |plc| plc.controller.refused(CommandId::ReleasePart, RequestError::QueueFull),
+            Status::InsufficientResources,
+        ),
+    ];
+    for (refuse, status) in refuse {
+        for before in [GripperState::Idle, GripperState::NoPart] {
+            let mut plc = Plc::ready();
+            plc.report(before);
+            plc.raise(CommandFlags::RELEASE);
+            refuse(&mut plc);
+            for _ in 0..3 {
+                assert_eq!(plc.shows(), (GripperFlags::ERROR, status), "41h = {}", before.code());
+                plc.report(before);
+            }
+            plc.follows_others(status);
+        }
+    }
+}
+
+#[test]
+fn motion_refused_because_a_third_party_moves_the_fingers_shows_their_motion() {
+    let mut plc = Plc::ready();
+    plc.raise(CommandFlags::MOVE);
+    plc.answer(CommandId::PrePosition, Status::AlreadyRunning);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::AlreadyRunning), "its report follows");
+    plc.follows_others(Status::AlreadyRunning);
+}
+
+/// The reports from before the next rest may belong to the motion itself.
+#[test]
+fn motion_of_unknown_outcome_shows_error_until_a_later_motion_or_a_result_is_reported() {
+    let unknown = || {
+        let mut plc = Plc::in_motion(CommandFlags::RELEASE, CommandId::ReleasePart);
+        plc.controller.handle(&Event::Unanswered(CommandId::ReleasePart), &plc.known);
+        plc
+    };
+    let mut plc = unknown();
+    for state in [GripperState::Releasing, GripperState::Releasing, GripperState::Idle, GripperState::Idle] {
+        plc.report(state);
+        assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout), "41h = {}", state.code());
+    }
+    plc.follows_others(Status::Timeout);
+
+    for result in [GripperState::NoPart, GripperState::Holding, GripperState::PartLost] {
+        let mut plc = unknown();
+        plc.report(result);
+        assert_eq!(plc.shows(), (result.into(), Status::Timeout));
+    }
+
+    let mut plc = unknown();
+    plc.disconnect();
+    plc.connect();
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout), "still not known");
+    plc.follows_others(Status::Timeout);
+}
+
+#[test]
+fn failure_does_not_reappear_after_a_fast_stop_that_third_parties_request_and_acknowledge() {
+    let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
+    plc.answer(CommandId::PrePosition, Status::AxisBlocked);
+    plc.report(GripperState::Error);
+    plc.report_flags(FAST_STOPPED);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked));
+    plc.report_flags(SystemFlags::REFERENCED);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AxisBlocked), "state not reported yet");
+    plc.report(GripperState::Idle);
+    plc.lower(CommandFlags::MOVE);
+    assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
+}
+
+#[test]
+fn end_of_a_motion_does_not_wait_for_the_motion_that_a_third_party_starts_next() {
+    for status in [Status::Success, Status::CmdAborted] {
+        let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
+        plc.answer(CommandId::PrePosition, status);
+        plc.report(GripperState::Gripping);
+        assert_eq!(
+            plc.shows(),
+            (GripperFlags::GRIPPING, status),
+            "the flags report moving fingers throughout"
+        );
+    }
+}
+
+#[test]
+fn motion_that_a_fault_of_the_gripper_aborts_shows_the_error() {
+    let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
+    plc.report(GripperState::Error);
+    plc.answer(CommandId::PrePosition, Status::CmdAborted);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::CmdAborted));
+    plc.follows_others(Status::CmdAborted);
+}
+
+#[test]
+fn jog_that_a_third_party_stops_or_that_fails_ends_in_idle_also_after_a_reconnect() {
+    for (status, state) in
+        [(Status::CmdAborted, GripperState::Idle), (Status::AxisBlocked, GripperState::Error)]
+    {
+        let mut plc = Plc::ready();
+        plc.known.force_limit = Some(40.0);
+        plc.raise(CommandFlags::JOG_PLUS);
+        plc.begins(CommandId::PrePosition);
+        plc.answer(CommandId::PrePosition, status);
+        plc.report(state);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, status));
+        let known = plc.known;
+        plc.disconnect();
+        plc.known = known;
+        plc.controller.handle(&Event::Connected, &plc.known);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, status));
+        plc.follows_others(status);
+    }
+}
