@@ -178,9 +178,11 @@ impl Axis {
         self.block = self.block.filter(|block| stands && block.direction == direction);
     }
 
-    /// Sets the initial speed of a travel restarted in the same direction.
-    pub(crate) const fn keep_speed(&mut self, speed: f64) {
-        self.speed = speed;
+    /// Sets the speed at which the active travel begins, if it has this direction: it replaces another travel.
+    pub(crate) fn keep_speed(&mut self, speed: f64) {
+        if self.drive.is_some_and(|travel| (travel.target - self.width) * speed > 0.0) {
+            self.speed = speed;
+        }
     }
 
     /// Changes the target of the active travel.

@@ -228,6 +228,11 @@ impl Device {
         self.motion.run_at(request, speed)
     }
 
+    /// Sets the speed in mm/s at which a motion begins that replaces another one in the same direction.
+    pub(crate) fn keep_speed(&mut self, speed: f64) {
+        self.motion.keep_speed(speed);
+    }
+
     pub(crate) const fn script_mut(&mut self) -> &mut Script {
         &mut self.script
     }

@@ -9,9 +9,11 @@ use crate::device::Device;
 use crate::port::{Completion, PortId, Request};
 use crate::time::Time;
 use bus_modbus::{Bits, Exception, Identification, MAX_PDU_LEN, Words};
-use wsg_fieldbus::{CommandFlags, Controller, Images, InputImage, MaskedFlags, OutputImage, SilenceReaction};
+use wsg_fieldbus::{
+    CommandFlags, Controller, GripperFlags, Images, InputImage, MaskedFlags, OutputImage, SilenceReaction,
+};
 use wsg_protocol::session::{Event, Known};
-use wsg_protocol::{Reply, Status, Value};
+use wsg_protocol::{CommandId, Reply, Status, Value};
 
 /// Identification of the gripper (FC 43/14).
 const IDENTIFICATION: Identification = Identification {
@@ -67,6 +69,8 @@ pub(crate) struct Fieldbus {
     heard: Option<Time>,
     masked: MaskedFlags,
     exchange: Exchange,
+    /// The time of the controller's last Stop, and the speed in mm/s that it ended.
+    stopped: Option<(Time, f64)>,
     /// Whether the next write of a Modbus master is the first after a silence.
     is_new: bool,
 }
@@ -88,6 +92,7 @@ impl Fieldbus {
             heard: None,
             masked: MaskedFlags::NONE,
             exchange: Exchange::default(),
+            stopped: None,
             is_new: false,
         }
     }
@@ -238,6 +243,9 @@ impl Fieldbus {
         while let Some(command) = self.controller.poll_command() {
             asked = true;
             let id = command.id();
+            if id == CommandId::Stop {
+                self.stopped = Some((now, device.speed()));
+            }
             let reply = device.execute(Request { port: PortId::FIELDBUS, now }, &command);
             let status = reply.status();
             // The only value that the controller takes from an answer; all others are reported.
@@ -246,6 +254,9 @@ impl Fieldbus {
                 _ => Reply::status_only(id, status),
             };
             device.note_result(id.kind(), status);
+            if id == CommandId::PrePosition && status == Status::CmdPending {
+                self.follow_dial(device, now);
+            }
             let event = match status {
                 Status::CmdPending => Event::Pending(id),
                 _ => Event::Answered(answer),
@@ -253,6 +264,15 @@ impl Fieldbus {
             self.controller.handle(&event, &known(device));
         }
         asked
+    }
+
+    /// Lets the fingers continue at their speed if a jog was stopped just now in order to take over the values of the
+    /// PLC's dial (fieldbus, 6.7).
+    fn follow_dial(&mut self, device: &mut Device, now: Time) {
+        let jogs = self.input(device).state == GripperFlags::RELEASING;
+        if let Some((_, speed)) = self.stopped.take().filter(|(at, _)| jogs && *at == now) {
+            device.keep_speed(speed);
+        }
     }
 }
 

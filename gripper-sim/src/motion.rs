@@ -296,10 +296,11 @@ impl MotionControl {
             return Status::AlreadyRunning;
         }
         let from = if flags.contains(PrePositionFlags::RELATIVE) { self.width() } else { 0.0 };
-        let target = (from + f64::from(width)).clamp(0.0, self.stroke());
+        let target = from + f64::from(width);
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
+        let target = target.clamp(0.0, self.stroke());
         let stop_on_block = flags.contains(PrePositionFlags::STOP_ON_BLOCK);
         let force = if stop_on_block {
             self.settings.force_limit().into()
@@ -313,10 +314,10 @@ impl MotionControl {
 
     /// Executes Grip Part (25h).
     pub(crate) fn start_grip(&mut self, request: Request, width: f32, speed: f32) -> Status {
-        let nominal = f64::from(width).clamp(0.0, self.stroke());
-        if let Err(refused) = self.may_go_to(nominal) {
+        if let Err(refused) = self.may_go_to(width.into()) {
             return refused;
         }
+        let nominal = f64::from(width).clamp(0.0, self.stroke());
         let clamping_travel = self.clamping_travel;
         let direction = match self.grip_direction {
             Some(direction) if self.lies_beyond(direction, nominal) => return Status::RangeError,
@@ -342,10 +343,10 @@ impl MotionControl {
 
     /// Executes Release Part (26h).
     pub(crate) fn start_release(&mut self, request: Request, width: f32, speed: f32) -> Status {
-        let target = f64::from(width).clamp(0.0, self.stroke());
-        if let Err(refused) = self.may_go_to(target) {
+        if let Err(refused) = self.may_go_to(width.into()) {
             return refused;
         }
+        let target = f64::from(width).clamp(0.0, self.stroke());
         let travel = self.release_travel(target, speed);
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
@@ -378,10 +379,13 @@ impl MotionControl {
         let had = self.axis.speed();
         let status =
             self.start(request, CommandId::PrePosition, Task::Run, travel, GripperState::Positioning);
-        if had * f64::from(speed) > 0.0 {
-            self.axis.keep_speed(had);
-        }
+        self.axis.keep_speed(had);
         status
+    }
+
+    /// Sets the speed in mm/s at which a motion begins that replaces another one in the same direction.
+    pub(crate) fn keep_speed(&mut self, speed: f64) {
+        self.axis.keep_speed(speed);
     }
 
     /// Executes Stop (22h): ends any motion and the monitoring of a held part.
@@ -480,17 +484,18 @@ impl MotionControl {
         }
     }
 
+    /// Returns why the fingers may not go to this width: "an error for every motion command whose target lies outside"
+    /// the soft limits (command set, 3.3.5).
     fn may_go_to(&self, target: f64) -> Result<(), Status> {
         self.may_move()?;
         if !self.referenced {
             return Err(Status::NotInitialized);
         }
-        let Some(limits) = self.settings.soft_limits() else { return Ok(()) };
-        let here = self.width();
-        let (minus, plus) = (f64::from(limits.minus), f64::from(limits.plus));
-        // Fingers outside the soft limits may move towards them (command set, 3.3.5), all the way or part of it.
-        let allowed = (minus.min(here)..=plus.max(here)).contains(&target);
-        if allowed { Ok(()) } else { Err(Status::RangeError) }
+        // Also from outside the soft limits: only a target inside leads out of the restricted area.
+        let is_allowed = self.settings.soft_limits().is_none_or(|limits| {
+            target >= f64::from(limits.minus) - AT_LIMIT && target <= f64::from(limits.plus) + AT_LIMIT
+        });
+        if is_allowed { Ok(()) } else { Err(Status::RangeError) }
     }
 
     /// Returns whether a grip in this direction has already passed `nominal`.

@@ -32,10 +32,11 @@ impl MotionControl {
             return Status::AlreadyRunning;
         }
         let least = self.settings.soft_limits().map_or(0.0, |limits| f64::from(limits.minus).max(0.0));
-        let nominal = order.width.map_or(least, |width| f64::from(width).clamp(0.0, self.stroke()));
+        let nominal = order.width.map_or(least, f64::from);
         if let Err(refused) = self.may_go_to(nominal) {
             return refused;
         }
+        let nominal = nominal.clamp(0.0, self.stroke());
         let clamping_travel = f64::from(order.clamping_travel);
         let (direction, tolerance, end) = match order.width {
             Some(_) => {
@@ -75,10 +76,11 @@ impl MotionControl {
         if distance < 0.0 {
             return Status::RangeError;
         }
-        let target = (self.width() - direction.sign() * f64::from(distance)).clamp(0.0, self.stroke());
+        let target = self.width() - direction.sign() * f64::from(distance);
         if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
+        let target = target.clamp(0.0, self.stroke());
         let travel = self.release_travel(target, speed);
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }

@@ -148,6 +148,17 @@ impl Plc {
         self.gripper.advance(self.now);
     }
 
+    /// Executes a command of another client, and returns its first status.
+    fn other(&mut self, command: &Command<'_>) -> Status {
+        self.gripper.command(command, self.now)
+    }
+
+    /// Asserts 41h with GSTATE, and the status register.
+    #[track_caller]
+    fn follows(&mut self, (gripper, shown): (GripperState, Shown), status: Status) {
+        assert_eq!((self.gripper.state().gripper, self.shows()), (gripper, (shown, status)));
+    }
+
     #[track_caller]
     fn assert_fast_stopped(&mut self) {
         let input = self.read();
@@ -335,6 +346,71 @@ fn fast_stop_of_the_plc_is_left_by_an_edge_of_stop_while_its_flag_is_0() {
     assert_eq!(plc.read().width, 20_00);
 }
 
+/// Fieldbus, 5.1.2 and appendix C; GCL, 3.2.1. The other client speaks the binary protocol.
+#[test]
+fn gstate_follows_another_client_that_stops_the_motion_of_the_plc() {
+    let pre_position = Command::PrePosition { flags: PrePositionFlags::empty(), width: 60.0, speed: 100.0 };
+    let grip = Command::GripPart { width: 20.0, speed: 100.0 };
+    for flag in [Flag::MOVE, Flag::GRIP, Flag::RELEASE, Flag::HOMING] {
+        let mut plc = Plc::homed(None);
+        plc.raise(flag);
+        plc.wait(100);
+        assert_eq!(plc.other(&Command::Stop), Status::Success);
+        plc.follows((GripperState::Idle, Shown::IDLE), Status::CmdAborted);
+        plc.wait(1_000);
+        plc.follows((GripperState::Idle, Shown::IDLE), Status::CmdAborted);
+        if flag == Flag::HOMING {
+            continue; // Not referenced.
+        }
+        assert_eq!(plc.other(&pre_position), Status::CmdPending);
+        plc.follows((GripperState::Positioning, Shown::POSITIONING), Status::CmdAborted);
+        plc.wait(1_000);
+        plc.follows((GripperState::Idle, Shown::IDLE), Status::CmdAborted);
+        plc.other(&grip);
+        plc.follows((GripperState::Gripping, Shown::GRIPPING), Status::CmdAborted);
+        plc.wait(1_000);
+        plc.follows((GripperState::NoPart, Shown::NO_PART), Status::CmdAborted);
+        plc.other(&Command::Stop);
+        plc.follows((GripperState::Idle, Shown::IDLE), Status::CmdAborted);
+        plc.lower(flag);
+        plc.move_to(40_00);
+    }
+}
+
+#[test]
+fn gstate_follows_another_client_after_a_motion_of_the_plc_failed() {
+    // A part in the way: ERROR in the gripper as well.
+    let mut plc = Plc::homed(Part::of_width(50.0));
+    plc.raise(Flag::MOVE);
+    plc.wait(2_000);
+    plc.follows((GripperState::Error, Shown::ERROR), Status::AxisBlocked);
+    plc.other(&Command::ACKNOWLEDGE);
+    plc.follows((GripperState::Idle, Shown::IDLE), Status::AxisBlocked);
+    plc.lower(Flag::MOVE);
+    plc.move_to(80_00);
+
+    // A target that the gripper refuses: only the PLC's own command failed.
+    let limits = SoftLimits { minus: 30.0, plus: 110.0 };
+    assert_eq!(plc.other(&Command::SetSoftLimits { limits }), Status::Success);
+    plc.change(|image| image.width = 20_00);
+    plc.raise(Flag::MOVE);
+    for _ in 0..3 {
+        plc.follows((GripperState::Idle, Shown::ERROR), Status::RangeError);
+        plc.wait(1_000);
+    }
+    plc.other(&Command::GripPart { width: 50.0, speed: 100.0 });
+    plc.follows((GripperState::Gripping, Shown::GRIPPING), Status::RangeError);
+    plc.wait(1_000);
+    plc.follows((GripperState::Holding, Shown::HOLDING), Status::RangeError);
+    plc.gripper.set_part(None, plc.now);
+    plc.wait(100);
+    plc.follows((GripperState::PartLost, Shown::PART_LOST), Status::RangeError);
+    plc.other(&Command::ReleasePart { width: 90.0, speed: 100.0 });
+    plc.follows((GripperState::Releasing, Shown::RELEASING), Status::RangeError);
+    plc.wait(1_000);
+    plc.follows((GripperState::Idle, Shown::IDLE), Status::RangeError);
+}
+
 /// Fieldbus, 6.6: FASTSTOP is level-sensitive.
 #[test]
 fn faststop_that_is_1_outlasts_an_acknowledgement_by_a_third_party() {
@@ -454,19 +530,30 @@ fn jog_flags_together_stop() {
 }
 
 #[test]
-fn jog_follows_the_dial_without_a_fast_stop() {
+fn jog_follows_the_dial_without_a_halt() {
     let mut plc = Plc::homed(None);
     plc.raise(Flag::JOG_MINUS);
-    plc.wait(100);
-    plc.change(|image| image.speed = 30_00);
-    plc.wait(100);
-    assert_eq!(plc.gripper.state().speed, -30.0);
-    plc.change(|image| image.force_limit = 10_00);
-    plc.wait(100);
-    assert_eq!((plc.gripper.state().speed, plc.gripper.state().force_limit), (-30.0, 10.0));
-    plc.change(|image| image.speed = 0);
-    plc.wait(100);
-    assert_eq!(plc.gripper.state().speed, -5.0, "0 selects the minimum speed");
+    plc.wait(200);
+    let mut before = -100.0;
+    // Speed and force limit of the dial; 0 selects the minimum speed.
+    for (speed, force_limit) in [(30_00, 40_00), (30_00, 10_00), (60_00, 10_00), (90_00, 40_00), (0, 20_00)] {
+        plc.change(|image| (image.speed, image.force_limit) = (speed, force_limit));
+        let end = -f32::from(speed.max(5_00)) / 100.0;
+        for ms in 0..150 {
+            let state = plc.gripper.state();
+            let range = f32::min(before, end)..=f32::max(before, end);
+            assert!(
+                range.contains(&state.speed),
+                "{} mm/s {ms} ms after the dial went to {end}",
+                state.speed
+            );
+            plc.wait(1);
+        }
+        let state = plc.gripper.state();
+        assert_eq!((state.speed, state.force_limit), (end, f32::from(force_limit) / 100.0));
+        before = end;
+    }
+    assert_eq!(plc.flags() & SystemFlags::AXIS_STOPPED, SystemFlags::empty());
     assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
 }
 
@@ -492,6 +579,43 @@ fn jog_runs_to_the_soft_limit_and_sets_its_flag() {
         plc.raise(flag);
         plc.wait(500);
         assert_eq!((plc.shows(), plc.read().width), ((Shown::IDLE, Status::RangeError), limit));
+    }
+}
+
+/// Command set, 3.3.5: limits 20 to 80 mm with fingers at 10 mm, and limits 20 to 90 mm with fingers at 110 mm.
+#[test]
+fn plc_moves_fingers_outside_the_soft_limits_only_to_a_target_inside() {
+    for (begin, plus, targets, onward, back) in [
+        (10_00, 80.0, [18_00, 10_00, 5_00], Flag::JOG_MINUS, Flag::JOG_PLUS),
+        (110_00, 90.0, [95_00, 110_00, 109_99], Flag::JOG_PLUS, Flag::JOG_MINUS),
+    ] {
+        let mut plc = Plc::homed(None);
+        plc.move_to(begin);
+        let limits = SoftLimits { minus: 20.0, plus };
+        assert_eq!(plc.other(&Command::SetSoftLimits { limits }), Status::Success);
+        for (flag, width) in [Flag::MOVE, Flag::RELEASE, Flag::GRIP]
+            .into_iter()
+            .flat_map(|flag| targets.map(|width| (flag, width)))
+        {
+            plc.change(|image| image.width = width);
+            plc.raise(flag);
+            plc.wait(500);
+            assert_eq!(plc.shows(), (Shown::ERROR, Status::RangeError), "{flag:?} {width}");
+            assert_eq!(plc.read().width, begin);
+            plc.change(|image| image.flags = Flag::STOP_ACK);
+            plc.lower(Flag::STOP_ACK);
+        }
+        plc.raise(onward);
+        plc.wait(500);
+        assert_eq!((plc.shows(), plc.read().width), ((Shown::IDLE, Status::RangeError), begin), "{onward:?}");
+        plc.lower(onward);
+        plc.raise(back);
+        plc.wait(3_000);
+        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success), "{back:?}");
+        let end = if back == Flag::JOG_PLUS { plus * 100.0 } else { 20_00.0 };
+        assert_eq!(f32::from(plc.read().width), end);
+        plc.lower(back);
+        plc.move_to(50_00);
     }
 }
 

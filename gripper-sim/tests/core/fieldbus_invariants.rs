@@ -1,10 +1,10 @@
-//! Random images from one or two masters, parts, faults, connections and pauses, after which these rules of the
+//! Random images from one or two masters, commands of another client, parts, faults, connections and pauses, after which these rules of the
 //! fieldbus manual must hold.
 
 use crate::fieldbus::Plc;
 use proptest::prelude::*;
 use wsg_fieldbus::{CommandFlags, GripperFlags, OutputImage};
-use wsg_protocol::{Status, SystemFlags};
+use wsg_protocol::{Command, GripperState, PrePositionFlags, Status, SystemFlags};
 use wsg_sim::{Config, Fault, Part, PortKind};
 
 #[derive(Clone, Copy, Debug)]
@@ -23,7 +23,18 @@ enum Op {
     },
     /// Disconnects the master and connects another one.
     Reconnect,
+    /// Another client commands the gripper.
+    Other(Command<'static>),
 }
+
+const OTHERS: [Command<'static>; 6] = [
+    Command::Stop,
+    Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: 30.0, speed: 100.0 },
+    Command::GripPart { width: 20.0, speed: 100.0 },
+    Command::ReleasePart { width: 60.0, speed: 100.0 },
+    Command::FastStop,
+    Command::ACKNOWLEDGE,
+];
 
 fn op() -> impl Strategy<Value = Op> {
     let flags = prop_oneof![
@@ -45,11 +56,16 @@ fn op() -> impl Strategy<Value = Op> {
         1 => (faults, any::<bool>()).prop_map(|(fault, on)| Op::SetFault(fault, on)),
         8 => (0u16..1_500).prop_map(|millis| Op::Wait { millis }),
         1 => Just(Op::Reconnect),
+        4 => proptest::sample::select(OTHERS.to_vec()).prop_map(Op::Other),
     ]
 }
 
 /// A PLC that homes, writes random images and checks the rules after each.
-struct Trial(Plc);
+struct Trial {
+    plc: Plc,
+    /// The last motion is that of another client.
+    others_move: bool,
+}
 
 impl Trial {
     fn new() -> Self {
@@ -57,58 +73,67 @@ impl Trial {
         let mut plc = Plc::new(Config::default());
         plc.raise(CommandFlags::HOMING);
         plc.wait(4_000);
-        Self(plc)
+        Self { plc, others_move: false }
     }
 
     fn moves(&self) -> bool {
-        let state = self.0.gripper.state();
+        let state = self.plc.gripper.state();
         state.gripper.is_motion() || state.flags.contains(SystemFlags::MOVING)
     }
 
     fn step(&mut self, op: Op) {
-        let before = (self.moves(), self.0.image);
+        let before = (self.moves(), self.plc.image, self.plc.gripper.state().gripper);
         match op {
             Op::Write { flags, parameters } => {
                 let jog = CommandFlags::JOG_PLUS | CommandFlags::JOG_MINUS;
-                self.0.image.flags = flags.difference(jog) | self.0.image.flags.intersection(jog);
+                self.plc.image.flags = flags.difference(jog) | self.plc.image.flags.intersection(jog);
                 if let Some((width, speed, force_limit)) = parameters {
-                    self.0.image = OutputImage { width, speed, force_limit, ..self.0.image };
+                    self.plc.image = OutputImage { width, speed, force_limit, ..self.plc.image };
                 }
-                self.0.write();
+                self.plc.write();
             }
             Op::Jog(both) => {
-                self.0.image.flags =
-                    CommandFlags::from_bits_retain(self.0.image.flags.bits() & 0x3F | both << 6);
-                self.0.write();
+                self.plc.image.flags =
+                    CommandFlags::from_bits_retain(self.plc.image.flags.bits() & 0x3F | both << 6);
+                self.plc.write();
             }
-            Op::SetPart(width) => self.0.gripper.set_part(width.and_then(Part::of_width), self.0.now),
-            Op::SetFault(fault, on) => self.0.gripper.set_fault(fault, on, self.0.now),
-            Op::Wait { millis } => self.0.wait(millis.into()),
+            Op::SetPart(width) => self.plc.gripper.set_part(width.and_then(Part::of_width), self.plc.now),
+            Op::SetFault(fault, on) => self.plc.gripper.set_fault(fault, on, self.plc.now),
+            Op::Wait { millis } => self.plc.wait(millis.into()),
             Op::Reconnect => {
-                self.0.gripper.disconnect(self.0.port, self.0.now);
-                self.0.port = self.0.gripper.connect(PortKind::ModbusTcp).unwrap();
+                self.plc.gripper.disconnect(self.plc.port, self.plc.now);
+                self.plc.port = self.plc.gripper.connect(PortKind::ModbusTcp).unwrap();
+            }
+            Op::Other(command) => {
+                let begins = self.plc.gripper.command(&command, self.plc.now) == Status::CmdPending;
+                self.others_move = begins || (self.others_move && self.moves());
             }
         }
         self.check(op, before);
     }
 
-    fn check(&mut self, op: Op, (moved, image): (bool, OutputImage)) {
-        let shown = self.0.read();
-        let flags = self.0.image.flags;
+    fn check(&mut self, op: Op, (moved, image, gripper): (bool, OutputImage, GripperState)) {
+        let shown = self.plc.read();
+        self.others_move &= self.moves();
+        let flags = self.plc.image.flags;
         let rising = flags.difference(image.flags);
         assert_eq!(shown.state.bits().count_ones(), 1, "{shown:?}");
         // No motion without a command: a motion starts with a write, on an edge or with a jog.
         if self.moves() && !moved {
             let asked = CommandFlags::from_bits_retain(0x0F);
             let jogs = flags.bits() >> 6 == 1 || flags.bits() >> 6 == 2;
-            assert!(matches!(op, Op::Write { .. } | Op::Jog(_)), "{op:?} {shown:?}");
-            assert!(rising.intersects(asked) || jogs, "{op:?} {shown:?}");
+            assert!(self.others_move || matches!(op, Op::Write { .. } | Op::Jog(_)), "{op:?} {shown:?}");
+            assert!(self.others_move || rising.intersects(asked) || jogs, "{op:?} {shown:?}");
         }
         if flags.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP) {
-            assert!(!self.moves(), "{op:?} {shown:?}");
+            assert!(!self.moves() || self.others_move, "{op:?} {shown:?}");
         }
         // Only this controller jogs, so both flags, or neither, mean no jog.
-        if shown.state == GripperFlags::RELEASING && matches!(op, Op::Jog(0 | 3)) && !moved {
+        if shown.state == GripperFlags::RELEASING
+            && matches!(op, Op::Jog(0 | 3))
+            && !moved
+            && !self.others_move
+        {
             panic!("{op:?} {shown:?}");
         }
         let fast_stopped = shown.system.contains(SystemFlags::FAST_STOP);
@@ -118,16 +143,22 @@ impl Trial {
         if fast_stopped {
             assert_eq!((shown.state, self.moves()), (GripperFlags::IDLE, false), "{op:?}");
         }
-        if moved && image.parameters_differ(&self.0.image) && image.flags.bits() >> 6 == 0 {
+        // GSTATE follows every change of 41h while no command of the PLC runs. A jog ends in IDLE, even if it fails.
+        let now = self.plc.gripper.state().gripper;
+        if now != gripper && !fast_stopped && shown.status != Status::CmdPending {
+            let is_failed_jog = (shown.state, now) == (GripperFlags::IDLE, GripperState::Error);
+            assert!(shown.state == now.into() || is_failed_jog, "{op:?} {now:?} {shown:?}");
+        }
+        if moved && image.parameters_differ(&self.plc.image) && image.flags.bits() >> 6 == 0 {
             assert!(fast_stopped, "a parameter changed while the fingers moved: {op:?} {shown:?}");
         }
         if shown.status == Status::CmdPending {
             assert!(self.moves(), "{op:?} {shown:?}");
         }
         if shown.state == GripperFlags::HOLDING {
-            assert!(self.0.gripper.state().force > 0.0);
+            assert!(self.plc.gripper.state().force > 0.0);
         }
-        let force_limit = self.0.gripper.state().force_limit;
+        let force_limit = self.plc.gripper.state().force_limit;
         assert!((5.0..=80.0).contains(&force_limit), "{force_limit} N");
     }
 }
@@ -142,7 +173,7 @@ proptest! {
             trial.step(op);
         }
         // Every motion must end.
-        trial.0.wait(60_000);
+        trial.plc.wait(60_000);
         prop_assert!(!trial.moves());
     }
 }

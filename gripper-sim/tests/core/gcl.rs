@@ -1,7 +1,7 @@
 //! The text protocol at the virtual gripper in virtual time: effect and answers of each request.
 
 use crate::common::Rig;
-use wsg_protocol::{Command, SystemFlags};
+use wsg_protocol::{Command, SoftLimits, SystemFlags};
 use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
 /// A gripper with a GCL client and virtual time.
@@ -81,6 +81,21 @@ impl Desk {
 
 fn part(width: f32) -> Option<Part> {
     Part::of_width(width)
+}
+
+/// Command set, 3.3.5.
+#[test]
+fn motions_from_outside_the_soft_limits_need_a_target_inside() {
+    let mut desk = Desk::homed(None);
+    assert_eq!(desk.run("MOVE(10)"), "FIN MOVE");
+    let limits = SoftLimits { minus: 20.0, plus: 80.0 };
+    desk.gripper.command(&Command::SetSoftLimits { limits }, desk.now);
+    for line in ["MOVE(15)", "MOVE(10)", "MOVE(81)", "GRIP(40,19)"] {
+        let name = line.split('(').next().unwrap();
+        assert_eq!(desk.one(line), format!("ERR {name} 28"), "{line}");
+    }
+    assert_eq!(desk.gripper.state().width, 10.0);
+    assert_eq!(desk.run("MOVE(20)"), "FIN MOVE");
 }
 
 #[test]

@@ -456,16 +456,57 @@ fn soft_limits_refuse_targets_outside() {
     assert_eq!(rig.run(go_to(100.0)), Status::Success);
 }
 
+/// Command set, 3.3.5: "an error for every motion command whose target lies outside", wherever the fingers are.
 #[test]
-fn fingers_outside_the_soft_limits_may_only_come_back() {
-    let mut rig = Rig::homed(None);
+fn fingers_outside_the_soft_limits_may_only_go_to_a_target_inside() {
+    let cases = [
+        (
+            10.0,
+            vec![
+                go_to(15.0),
+                release(18.0),
+                grip(19.0),
+                go_by(5.0),
+                go_by(0.0),
+                go_to(5.0),
+                go_by(-1.0),
+                grip(0.0),
+            ],
+            [go_to(20.0), release(25.0), go_by(10.0), go_to(80.0)],
+            SystemFlags::SOFT_LIMIT_MINUS,
+        ),
+        (
+            110.0,
+            vec![go_to(95.0), go_by(1.0), go_by(0.0), release(81.0), grip(100.0), go_by(-29.0), go_to(120.0)],
+            [go_to(80.0), release(75.0), go_by(-30.0), go_to(20.0)],
+            SystemFlags::SOFT_LIMIT_PLUS,
+        ),
+    ];
+    for (begin, outside, inside, flag) in cases {
+        for back in inside {
+            let mut rig = Rig::homed(None);
+            rig.run(go_to(begin));
+            rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 20.0, plus: 80.0 } });
+            for command in &outside {
+                assert_eq!(rig.status(*command), Status::RangeError, "from {begin} mm: {command}");
+                assert_eq!((rig.width(), rig.state()), (begin, GripperState::Idle));
+                assert_eq!(rig.flags() & (flag | SystemFlags::MOVING), flag);
+            }
+            assert_eq!(rig.run(back), Status::Success, "from {begin} mm: {back}");
+            assert!((20.0..=80.0).contains(&rig.width()));
+            assert_eq!(rig.status(outside[0]), Status::RangeError, "and not back");
+        }
+    }
+}
+
+#[test]
+fn part_may_be_gripped_from_outside_the_soft_limits() {
+    let mut rig = Rig::homed(Part::of_width(50.0));
     rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 20.0, plus: 80.0 } });
-    assert!(rig.flags().contains(SystemFlags::SOFT_LIMIT_PLUS));
-    rig.run(go_to(95.0));
-    assert_eq!(rig.status(go_to(100.0)), Status::RangeError);
-    assert_eq!(rig.run(go_by(-5.0)), Status::Success);
-    assert_eq!(rig.run(go_to(60.0)), Status::Success);
-    assert!(!rig.flags().contains(SystemFlags::SOFT_LIMIT_PLUS));
+    assert_eq!(rig.run(grip(50.0)), Status::Success);
+    assert_eq!(rig.state(), GripperState::Holding);
+    assert_eq!(rig.status(release(90.0)), Status::RangeError);
+    assert_eq!(rig.state(), GripperState::Holding, "a refusal changes nothing");
 }
 
 #[test]
