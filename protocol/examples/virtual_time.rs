@@ -42,7 +42,7 @@ mod tests {
     use super::*;
     use wsg_protocol::driver::{Finger, N, Update};
     use wsg_protocol::session::Topic;
-    use wsg_protocol::{AutoUpdate, GripperState, SoftLimits, Status, SystemFlags};
+    use wsg_protocol::{AutoUpdate, CommandId, GripperState, SoftLimits, Status, SystemFlags};
     use wsg_sim::{Fault, Tag};
 
     fn homed(config: Config) -> (VirtualRig, Driver) {
@@ -112,24 +112,56 @@ mod tests {
     }
 
     #[test]
-    fn settings_read_back_as_set_or_clamped() {
+    fn settings_read_back_as_set_and_values_outside_the_limits_are_refused() {
         let (_rig, mut gripper) = homed(Config::default());
-        let limits = gripper.limits().unwrap();
-        gripper.set_force_limit(N(40.0)).unwrap();
-        assert_eq!(gripper.force_limit(), Ok(N(40.0)));
-        gripper.set_force_limit(N(1_000.0)).unwrap();
-        assert_eq!(gripper.force_limit(), Ok(N(limits.nominal_force)));
+        let refusal = |set: Result<(), Error<Infallible>>| set.unwrap_err().to_string();
+        gripper.set_force_limit(N(30.0)).unwrap();
+        let refused = refusal(gripper.set_force_limit(N(100.0)));
+        assert_eq!(refused, "force 100 N is outside the gripper's limits, 5 to 80 N");
+        assert_eq!(gripper.force_limit(), Ok(N(30.0)));
+
         gripper.set_overdrive(true).unwrap();
-        gripper.set_force_limit(N(1_000.0)).unwrap();
-        assert_eq!(gripper.force_limit(), Ok(N(limits.overdrive_force)));
-        gripper.set_acceleration(1.0).unwrap();
-        assert_eq!(gripper.acceleration(), Ok(limits.min_acceleration));
+        gripper.set_force_limit(N(120.0)).unwrap();
+        let refused = refusal(gripper.set_force_limit(N(121.0)));
+        assert_eq!(refused, "force 121 N is outside the gripper's limits, 5 to 120 N");
+        gripper.set_overdrive(false).unwrap();
+        assert_eq!(gripper.force_limit(), Ok(N(80.0)), "the gripper reduces it to the nominal force");
+        assert!(gripper.set_force_limit(N(100.0)).is_err(), "the driver knows the new mode");
+
+        let acceleration = gripper.acceleration();
+        for (value, refused) in [
+            (1.0, "acceleration 1 mm/s² is outside the gripper's limits, 100 to 5000 mm/s²"),
+            (99_999.0, "acceleration 99999 mm/s² is outside the gripper's limits, 100 to 5000 mm/s²"),
+        ] {
+            assert_eq!(refusal(gripper.set_acceleration(value)), refused);
+        }
+        assert_eq!(gripper.acceleration(), acceleration);
+        gripper.set_acceleration(250.0).unwrap();
+        assert_eq!(gripper.acceleration(), Ok(250.0));
+
+        for (minus, plus) in [(-5.0, 90.0), (10.0, 111.0), (90.0, 10.0)] {
+            assert!(matches!(
+                gripper.set_soft_limits(SoftLimits { minus, plus }),
+                Err(Error::OutOfLimits(_))
+            ));
+        }
         assert_eq!(gripper.soft_limits(), Ok(None));
         let range = SoftLimits { minus: 10.0, plus: 90.0 };
         gripper.set_soft_limits(range).unwrap();
         assert_eq!(gripper.soft_limits(), Ok(Some(range)));
+        let grip = gripper.grip_with_force(Mm(5.0), MmPerS(100.0), N(50.0));
+        assert_eq!(grip, Err(Error::Refused(Status::RangeError)), "the gripper checks soft limits");
+        assert_eq!(gripper.force_limit(), Ok(N(80.0)), "a refused grip changes nothing");
         gripper.clear_soft_limits().unwrap();
         assert_eq!(gripper.soft_limits(), Ok(None));
+    }
+
+    #[test]
+    fn raw_command_is_not_checked_against_the_limits() {
+        let (_rig, mut gripper) = homed(Config::default());
+        let force = 500.0_f32.to_le_bytes();
+        assert_eq!(gripper.raw(CommandId::SetForceLimit.code(), &force, &mut []), Ok(&[][..]));
+        assert_eq!(gripper.force_limit(), Ok(N(80.0)), "corrected by the gripper");
     }
 
     #[test]

@@ -113,7 +113,9 @@ impl From<wsg_host_error> for i32 {
 /// Returns the code of a driver's error.
 pub(crate) fn of(error: Error<io::Error>) -> i32 {
     let error = match error {
-        Error::Refused(status) | Error::Failed(status) => return i32::from(status.code()),
+        Error::Refused(status) | Error::NotSetBack(status) | Error::Failed(status) => {
+            return i32::from(status.code());
+        }
         Error::Blocked => return i32::from(Status::AxisBlocked.code()),
         Error::Aborted => return i32::from(Status::CmdAborted.code()),
         Error::NotConnected => wsg_host_error::NotConnected,
@@ -122,7 +124,7 @@ pub(crate) fn of(error: Error<io::Error>) -> i32 {
         Error::Invalid(DecodeError::TooLong | DecodeError::TagTooLong) | Error::TooLong { .. } => {
             wsg_host_error::TooLong
         }
-        Error::Invalid(_) => wsg_host_error::Argument,
+        Error::Invalid(_) | Error::OutOfLimits(_) => wsg_host_error::Argument,
         Error::Stopped(StopKind::Stop) => wsg_host_error::Stopped,
         Error::Stopped(StopKind::FastStop) => wsg_host_error::FastStopped,
         Error::Mismatch => wsg_host_error::Mismatch,

@@ -6,7 +6,7 @@ use crate::command::{Command, CommandId};
 use crate::frame::{self, FrameEncoder, FrameParser, OVERHEAD, Payload};
 use crate::session::{self, Event, Known, Session, Topic};
 use crate::time::Instant;
-use crate::types::AutoUpdate;
+use crate::types::{AutoUpdate, PrePositionFlags};
 
 /// The binary protocol (command set).
 ///
@@ -81,8 +81,8 @@ impl<const RX: usize, const TX: usize> Link for Binary<RX, TX> {
         self.session.subscribe(topic, update);
     }
 
-    fn wants_width(&self, _command: &Command<'_>) -> bool {
-        false
+    fn wants_width(&self, command: &Command<'_>) -> bool {
+        matches!(command, Command::PrePosition { flags, .. } if flags.contains(PrePositionFlags::RELATIVE))
     }
 
     fn request<E>(&mut self, command: Command<'static>, _width: Option<f32>) -> Result<(), Error<E>> {

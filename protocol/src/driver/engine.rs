@@ -9,12 +9,24 @@ use crate::frame::Payload;
 use crate::reply::Reply;
 use crate::session::{Event, MISMATCH};
 use crate::time::Instant;
-use crate::types::Status;
+use crate::types::{Status, SystemLimits};
 use heapless::Deque;
 
 /// Maximum wait for bytes. A driver without a deadline still checks once a second.
 #[cfg(feature = "embedded-io")]
 const LONGEST_WAIT_MS: u32 = 1_000;
+
+/// The limits of a gripper whose limits are unknown: no negative widths, speeds, accelerations and forces.
+const ANY_LIMITS: SystemLimits = SystemLimits {
+    stroke: f32::INFINITY,
+    min_speed: 0.0,
+    max_speed: f32::INFINITY,
+    min_acceleration: 0.0,
+    max_acceleration: f32::INFINITY,
+    min_force: 0.0,
+    nominal_force: f32::INFINITY,
+    overdrive_force: f32::INFINITY,
+};
 
 /// Number of bytes per read.
 pub(super) const CHUNK_LEN: usize = 64;
@@ -199,6 +211,28 @@ impl<P: Protocol> DriverState<P> {
     /// Detaches all handles, because the line has been replaced.
     pub(super) fn change_line(&mut self) {
         self.gate = Gate::OPEN;
+    }
+
+    /// Checks a command before any part of it is sent. `width` is the current opening width, for a relative motion.
+    pub(super) fn check<E>(&self, command: &Command<'_>, width: Option<f32>) -> Result<(), Error<E>> {
+        command.check()?;
+        let known = self.link.known();
+        let limits = known.limits.unwrap_or(ANY_LIMITS);
+        Ok(command.check_limits(&limits, known.flags.unwrap_or_default(), width)?)
+    }
+
+    /// Returns whether the limits permit this force in overdrive mode only.
+    pub(super) fn requires_overdrive(&self, force: f32) -> bool {
+        let limits = self.link.known().limits;
+        limits.is_some_and(|limits| limits.nominal_force < force && force <= limits.overdrive_force)
+    }
+
+    /// Returns whether a motion can begin: none is running, and no FAST STOP is unconfirmed.
+    pub(super) fn may_begin<E>(&self) -> Result<(), Error<E>> {
+        if self.link.fast_stop_pending() {
+            return Err(Error::FastStopRunning);
+        }
+        if self.link.motion().is_some() { Err(Error::MotionRunning) } else { Ok(()) }
     }
 
     /// Requests a motion. `width` is the current opening width if the protocol needs it.

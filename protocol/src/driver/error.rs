@@ -2,6 +2,7 @@
 
 use super::StopKind;
 use crate::field::DecodeError;
+use crate::limits::OutOfLimits;
 use crate::session::RequestError;
 use crate::types::Status;
 
@@ -17,6 +18,9 @@ pub enum Error<E> {
     FastStopRunning,
     /// Caller error: a parameter has a value that no gripper accepts. Nothing was sent.
     Invalid(DecodeError),
+    /// Caller error: a parameter is outside the physical limits of this gripper (command set, 3.5.4), which the gripper
+    /// would correct without an error or refuse. Nothing was changed.
+    OutOfLimits(OutOfLimits),
     /// Caller error: a later motion was begun, so the result of this one is no longer available.
     Superseded,
     /// Caller error: the text protocol does not support the request (see `Gcl`). Nothing was sent.
@@ -40,6 +44,9 @@ pub enum Error<E> {
     /// announcement. The gripper also denies `tare` while it holds a part, and everything after a Disconnect
     /// Announcement.
     Refused(Status),
+    /// Gripper error: it rejected a motion with this status, and the force limit that was set for the motion could not be
+    /// set back. Read it with `force_limit`.
+    NotSetBack(Status),
     /// Gripper error: an obstacle blocked the fingers (E_AXIS_BLOCKED).
     Blocked,
     /// Gripper error: Stop, FAST STOP or another client ended the motion (E_CMD_ABORTED).
@@ -85,12 +92,14 @@ impl<E> Error<E> {
             | Self::MotionRunning
             | Self::FastStopRunning
             | Self::Invalid(_)
+            | Self::OutOfLimits(_)
             | Self::Superseded
             | Self::NotInGcl
             | Self::NoForceLimit
             | Self::Stopped(_) => Cause::Caller,
             Self::TooLong { .. } => Cause::Capacity,
             Self::Refused(_)
+            | Self::NotSetBack(_)
             | Self::Blocked
             | Self::Aborted
             | Self::Failed(_)
@@ -119,6 +128,12 @@ impl<E> From<DecodeError> for Error<E> {
     }
 }
 
+impl<E> From<OutOfLimits> for Error<E> {
+    fn from(refusal: OutOfLimits) -> Self {
+        Self::OutOfLimits(refusal)
+    }
+}
+
 impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
@@ -126,6 +141,7 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
             Self::MotionRunning => f.write_str("a motion is running"),
             Self::FastStopRunning => f.write_str("a FAST STOP is not confirmed yet"),
             Self::Invalid(refusal) => write!(f, "invalid parameter: {refusal}"),
+            Self::OutOfLimits(refusal) => refusal.fmt(f),
             Self::Superseded => f.write_str("a later motion was begun, so this result is no longer available"),
             Self::NotInGcl => f.write_str("the text protocol (GCL) has no such request"),
             Self::NoForceLimit => f.write_str("no force limit is set; a grip over GCL needs one: call `set_force_limit` first"),
@@ -136,6 +152,9 @@ impl<E: core::fmt::Display> core::fmt::Display for Error<E> {
                  without Disconnect Announcement: make sure that the fingers may move, then call `acknowledge`",
             ),
             Self::Refused(status) => write!(f, "refused: {status}"),
+            Self::NotSetBack(status) => {
+                write!(f, "refused: {status}; the force limit that was set before could not be set back")
+            }
             Self::Blocked => f.write_str("the fingers are blocked"),
             Self::Aborted => f.write_str("the motion was aborted"),
             Self::Failed(status) => write!(f, "the motion failed: {status}"),

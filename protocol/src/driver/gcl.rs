@@ -12,7 +12,7 @@ use crate::gcl::{Answer, CommandName, LineReader, ParseError, Request, Value as 
 use crate::reply::{Reply, Value};
 use crate::session::{self, Event, Known, RequestError, Topic};
 use crate::time::Instant;
-use crate::types::{AutoUpdate, Status};
+use crate::types::{AutoUpdate, Status, SystemLimits};
 use translate::Terms;
 
 /// Default limit for a received line over GCL, in bytes.
@@ -27,8 +27,8 @@ const LONGEST_NEEDED: usize = "@SYSFLAGS=[]".len() + 2 * 32;
 ///
 /// | method | over GCL |
 /// |---|---|
-/// | `connect` | does not query the limits: `known().limits` stays `None` |
-/// | `set_force_limit`, `force_limit` | stored by the driver, not clamped, and sent with every GRIP; [`Error::NoForceLimit`] before the first setting |
+/// | limits | GCL has no query for them. `assume_limits` states them, and `known().limits` returns them. Without them, the driver refuses only negative widths, speeds and forces, and the gripper may correct other values without an error |
+/// | `set_force_limit`, `force_limit` | stored by the driver and sent with every GRIP; [`Error::NoForceLimit`] before the first setting |
 /// | `move_by` | queries the width, then sends `MOVE` to that width plus the offset |
 /// | `grip` | queries the width first to determine the direction; blocked outside the part width tolerance: [`Error::Blocked`] |
 /// | `release` | queries the width, then sends `RELEASE` by the distance from it; only after a grip (E_NOT_AVAILABLE), and only away from the part (otherwise [`Error::NotInGcl`]) |
@@ -53,6 +53,8 @@ pub struct Gcl<const RX: usize = GCL_LINE_LEN> {
     name: CommandName,
     terms: Terms,
     known: Known,
+    /// The limits stated by the program.
+    limits: Option<SystemLimits>,
     /// The reply to a request that the driver serves itself.
     own_answer: Option<Reply<'static>>,
     /// The state of a PWT or CLT request.
@@ -83,9 +85,16 @@ impl<const RX: usize> Gcl<RX> {
             name: CommandName::Verbose,
             terms: Terms::NONE,
             known: Known::NOTHING,
+            limits: None,
             own_answer: None,
             setting: Setting::Open,
         }
+    }
+
+    /// States the limits of the gripper.
+    pub(super) const fn assume_limits(&mut self, limits: SystemLimits) {
+        self.limits = Some(limits);
+        self.known.limits = if self.session.is_connected() { self.limits } else { None };
     }
 
     /// Requests or sets PWT or CLT.
@@ -179,6 +188,10 @@ impl<const RX: usize> Link for Gcl<RX> {
         command.check().is_ok() && self.terms.wants_width(command)
     }
 
+    fn forget_force_limit(&mut self) {
+        self.terms.force = None;
+    }
+
     fn request<E>(&mut self, command: Command<'static>, width: Option<f32>) -> Result<(), Error<E>> {
         self.ask(&command, width)
     }
@@ -206,14 +219,14 @@ impl<const RX: usize> Link for Gcl<RX> {
     }
 
     fn receive(&mut self, now: Instant, bytes: &[u8], note: &mut impl FnMut(&Event<'_>)) {
-        let Self { session, reader, terms, known, setting, .. } = self;
+        let Self { session, reader, terms, known, limits, setting, .. } = self;
         let mut rest = bytes;
         loop {
             let (taken, event) = reader.push_slice(rest);
             rest = rest.get(taken..).unwrap_or(&[]);
             let Some(event) = event else { return };
             let event = session.handle(now, &event);
-            *known = translate::known(session.known());
+            *known = translate::known(session.known(), limits.filter(|_| session.is_connected()));
             if let Some(event) = event {
                 setting.note(&event);
                 terms.tell(&event, known, note);
@@ -234,7 +247,8 @@ impl<const RX: usize> Link for Gcl<RX> {
         }
         loop {
             let event = self.session.tick(now);
-            self.known = translate::known(self.session.known());
+            let limits = self.limits.filter(|_| self.session.is_connected());
+            self.known = translate::known(self.session.known(), limits);
             let event = event?;
             self.setting.note(&event);
             if let Some(event) = self.terms.of_time(&event) {

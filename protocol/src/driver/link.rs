@@ -56,8 +56,11 @@ pub trait Link: core::fmt::Debug {
     /// Subscribes to a value, as in [`session::Session::subscribe`].
     fn subscribe(&mut self, topic: Topic, update: AutoUpdate);
 
-    /// Returns whether this command needs the current opening width.
+    /// Returns whether this motion requires the current opening width, to check its target or to translate it.
     fn wants_width(&self, command: &Command<'_>) -> bool;
+
+    /// Forgets a force limit that the protocol stores instead of the gripper.
+    fn forget_force_limit(&mut self) {}
 
     /// Requests a command. `width` is the current opening width if it is needed.
     fn request<E>(&mut self, command: Command<'static>, width: Option<f32>) -> Result<(), Error<E>>;

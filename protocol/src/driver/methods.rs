@@ -11,7 +11,7 @@ use super::{
 use crate::command::{Command, CommandId};
 use crate::frame::Frame;
 use crate::reply::{Reply, Value};
-use crate::session::{Known, Topic};
+use crate::session::{Known, MISMATCH, Topic};
 use crate::types::{
     AutoUpdate, DeviceTag, FingerFlags, FingerInfo, GripperState, GrippingStatistics, HomingDirection,
     LoopData, PrePositionFlags, SoftLimits, Status, SystemFlags, SystemInfo, SystemLimits, Temperature,
@@ -31,16 +31,41 @@ macro_rules! request_errors {
     };
 }
 
+/// Documents the errors of a setting.
+macro_rules! setting_errors {
+    () => {
+        "- [`OutOfLimits`](Error::OutOfLimits) or [`Invalid`](Error::Invalid): the value is outside the gripper's limits, \
+         or not finite. Nothing was changed.\n\
+         - [`Mismatch`](Error::Mismatch): settings are read back \
+         ([`verify_settings`](crate::session::Config::verify_settings)), and the gripper has another value.\n\
+         - [`NotConnected`](Error::NotConnected), [`FastStopRunning`](Error::FastStopRunning), \
+         [`Stopped`](Error::Stopped), [`Refused`](Error::Refused), [`Unanswered`](Error::Unanswered), \
+         [`Transport`](Error::Transport), [`Closed`](Error::Closed), [`NotInGcl`](Error::NotInGcl): as for any request."
+    };
+}
+
 /// Documents the errors of beginning a motion.
 macro_rules! begin_errors {
     () => {
-        "- [`Invalid`](Error::Invalid): a parameter is not finite, and nothing was sent.\n\
+        "- [`OutOfLimits`](Error::OutOfLimits) or [`Invalid`](Error::Invalid): a parameter is outside the gripper's \
+         limits, or not finite. Nothing moved or changed.\n\
          - [`MotionRunning`](Error::MotionRunning): another motion is running, and nothing was sent.\n\
          - [`Refused`](Error::Refused): E_NOT_INITIALIZED before `home`, E_ACCESS_DENIED in FAST STOP until `acknowledge`, or \
-         E_RANGE_ERROR outside the gripper's limits.\n\
+         E_RANGE_ERROR outside the soft limits.\n\
          - [`NotConnected`](Error::NotConnected), [`FastStopRunning`](Error::FastStopRunning), \
          [`Stopped`](Error::Stopped), [`Unanswered`](Error::Unanswered), [`Transport`](Error::Transport), \
          [`Closed`](Error::Closed), [`NotInGcl`](Error::NotInGcl): as for any request."
+    };
+}
+
+/// Documents the errors of a motion with a force limit.
+macro_rules! force_errors {
+    () => {
+        "- [`NotSetBack`](Error::NotSetBack): the gripper refused the motion, and the previous force limit could not be \
+         set back.\n\
+         - [`Mismatch`](Error::Mismatch): the gripper did not apply the force limit. Nothing moved.\n\
+         - After [`Stopped`](Error::Stopped), [`Unanswered`](Error::Unanswered) and errors of the line, the force limit \
+         may have changed."
     };
 }
 
@@ -290,7 +315,28 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.begin(Command::PrePosition { flags: block.flags(), width: width.0, speed: speed.0 }).await
     }
 
-    /// Opens the fingers by an offset, or closes them by a negative offset (command set, 3.2.2).
+    /// Sets the force limit and begins [`move_to`](Self::move_to). The limit remains set after the motion.
+    ///
+    /// The call checks force, width and speed before it changes anything. If the gripper refuses the motion, the previous
+    /// force limit is set back.
+    ///
+    /// # Errors
+    #[doc = force_errors!()]
+    ///
+    #[doc = begin_errors!()]
+    pub async fn begin_move_to_with_force(
+        &mut self,
+        width: Mm,
+        speed: MmPerS,
+        block: OnBlock,
+        force: N,
+    ) -> Result<Pending<()>, Error<IO::Error>> {
+        let command = Command::PrePosition { flags: block.flags(), width: width.0, speed: speed.0 };
+        self.begin_with_force(command, force).await
+    }
+
+    /// Opens the fingers by an offset, or closes them by a negative offset (command set, 3.2.2). Queries the width first:
+    /// the target must be inside the stroke, up to the accuracy of a measured width.
     ///
     /// # Errors
     #[doc = motion_errors!()]
@@ -336,6 +382,42 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     #[doc = begin_errors!()]
     pub async fn begin_grip(&mut self, width: Mm, speed: MmPerS) -> Result<Pending<Grip>, Error<IO::Error>> {
         self.begin(Command::GripPart { width: width.0, speed: speed.0 }).await
+    }
+
+    /// Sets the force limit and grips a part like [`grip`](Self::grip). The limit remains set after the grip.
+    ///
+    /// The call checks force, width and speed before it changes anything. If the gripper refuses the grip, the previous
+    /// force limit is set back.
+    ///
+    /// # Errors
+    /// A missing part is a result, not an error: [`Grip::NoPart`].
+    ///
+    #[doc = force_errors!()]
+    ///
+    #[doc = motion_errors!()]
+    pub async fn grip_with_force(
+        &mut self,
+        width: Mm,
+        speed: MmPerS,
+        force: N,
+    ) -> Result<Grip, Error<IO::Error>> {
+        let pending = self.begin_grip_with_force(width, speed, force).await?;
+        self.wait(&pending).await
+    }
+
+    /// Begins [`grip_with_force`](Self::grip_with_force) and returns when the gripper reports E_CMD_PENDING.
+    ///
+    /// # Errors
+    #[doc = force_errors!()]
+    ///
+    #[doc = begin_errors!()]
+    pub async fn begin_grip_with_force(
+        &mut self,
+        width: Mm,
+        speed: MmPerS,
+        force: N,
+    ) -> Result<Pending<Grip>, Error<IO::Error>> {
+        self.begin_with_force(Command::GripPart { width: width.0, speed: speed.0 }, force).await
     }
 
     /// Opens the fingers to a width to release a part (command set, 3.2.7).
@@ -421,14 +503,12 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.tell(Command::ACKNOWLEDGE).await
     }
 
-    /// Sets the acceleration of subsequent motions in mm/s². The gripper clamps it to its limits (command set, 3.3.1).
+    /// Sets the acceleration of subsequent motions in mm/s² (command set, 3.3.1).
     ///
     /// # Errors
-    /// [`Error::Mismatch`] if settings are read back and the value differs.
-    ///
-    #[doc = request_errors!()]
+    #[doc = setting_errors!()]
     pub async fn set_acceleration(&mut self, acceleration: f32) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::SetAcceleration { acceleration }).await
+        self.set(Command::SetAcceleration { acceleration }).await
     }
 
     /// Returns the acceleration in mm/s² (command set, 3.3.2).
@@ -439,15 +519,13 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetAcceleration, value!(GetAcceleration)).await
     }
 
-    /// Sets the maximum force of subsequent grips and pre-positions. The gripper clamps it to its limits (command set,
-    /// 3.3.3).
+    /// Sets the maximum force of subsequent grips and pre-positions (command set, 3.3.3). Forces above the nominal one
+    /// require overdrive mode, see [`set_overdrive`](Self::set_overdrive).
     ///
     /// # Errors
-    /// [`Error::Mismatch`] if settings are read back and the value differs.
-    ///
-    #[doc = request_errors!()]
+    #[doc = setting_errors!()]
     pub async fn set_force_limit(&mut self, force: N) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::SetForceLimit { force: force.0 }).await
+        self.set(Command::SetForceLimit { force: force.0 }).await
     }
 
     /// Returns the force limit (command set, 3.3.4).
@@ -458,14 +536,14 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.ask(Command::GetForceLimit, value!(GetForceLimit => N)).await
     }
 
-    /// Sets the range of permitted finger positions, in mm (command set, 3.3.5).
+    /// Sets the range of permitted finger positions, in mm (command set, 3.3.5). It must be inside the stroke. The gripper
+    /// then refuses every motion to a target outside the range with E_RANGE_ERROR. The driver leaves that check to the
+    /// gripper, because other clients may change the range at any time.
     ///
     /// # Errors
-    /// [`Error::Mismatch`] if settings are read back and the value differs.
-    ///
-    #[doc = request_errors!()]
+    #[doc = setting_errors!()]
     pub async fn set_soft_limits(&mut self, limits: SoftLimits) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::SetSoftLimits { limits }).await
+        self.set(Command::SetSoftLimits { limits }).await
     }
 
     /// Returns the range of permitted finger positions in mm, or `None` if no limits are set (command set, 3.3.6).
@@ -488,7 +566,8 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.tell(Command::ClearSoftLimits).await
     }
 
-    /// Allows or forbids forces up to the overdrive limit (command set, 3.3.8).
+    /// Allows or forbids forces up to the overdrive limit (command set, 3.3.8). If they are forbidden, the gripper reduces
+    /// a force limit above the nominal force to the nominal force.
     ///
     /// # Errors
     #[doc = request_errors!()]
@@ -682,7 +761,8 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     }
 
     /// Sends a command that a script on the gripper serves (usually ids A0h to BFh), and returns the payload of its
-    /// final answer after the status code, in the caller's buffer. An id from the manual is validated as that command.
+    /// final answer after the status code, in the caller's buffer. An id from the manual is validated as that command, but
+    /// its parameters are not checked against the gripper's limits: the gripper may correct them without an error.
     ///
     /// The command counts as a motion: it is never sent twice, no other motion may run meanwhile, and silence is
     /// treated as a lost connection. A script that takes longer than
@@ -748,13 +828,75 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         awaited.result()
     }
 
-    /// Sends a motion command and waits for its first answer.
+    /// Checks a setting and sends it.
+    async fn set(&mut self, command: Command<'static>) -> Result<(), Error<IO::Error>> {
+        self.check_setting(&command).await?;
+        self.tell(command).await
+    }
+
+    /// Checks a setting against the gripper's limits.
+    async fn check_setting(&mut self, command: &Command<'static>) -> Result<(), Error<IO::Error>> {
+        if let Command::SetForceLimit { force } = *command
+            && self.engine.requires_overdrive(force)
+        {
+            // This program or another client may have switched the mode since the last report.
+            self.system_state().await?;
+        }
+        self.engine.check(command, None)
+    }
+
+    /// Checks a motion against the gripper's limits, sends it and waits for its first answer.
     async fn begin<T>(&mut self, command: Command<'static>) -> Result<Pending<T>, Error<IO::Error>> {
         self.become_free().await?;
-        let width = if self.engine.link().wants_width(&command) { Some(self.width().await?.0) } else { None };
+        self.engine.check(&command, None)?;
+        let mut width = None;
+        if self.engine.link().wants_width(&command) {
+            self.engine.may_begin()?;
+            width = Some(self.width().await?.0);
+            self.engine.check(&command, width)?;
+        }
         self.engine.request_motion(command, width)?;
         self.drive(&mut Awaited::nothing(), Goal::MotionDecided, None).await?;
         self.engine.motion().begun()
+    }
+
+    /// Sets the force limit and begins a motion. Checks both first, and sets the limit back if the gripper refuses either.
+    async fn begin_with_force<T>(
+        &mut self,
+        command: Command<'static>,
+        force: N,
+    ) -> Result<Pending<T>, Error<IO::Error>> {
+        let limit = Command::SetForceLimit { force: force.0 };
+        self.become_free().await?;
+        self.engine.check(&command, None)?;
+        self.check_setting(&limit).await?;
+        self.engine.may_begin()?;
+        let before = match self.force_limit().await {
+            Ok(N(before)) => Some(before),
+            Err(Error::NoForceLimit) => None,
+            Err(error) => return Err(error),
+        };
+        let mut begun = Ok(());
+        if before != Some(force.0) {
+            begun = self.tell(limit).await;
+        }
+        let begun = match begun {
+            Ok(()) => self.begin(command).await,
+            Err(error) => Err(error),
+        };
+        let status = match begun {
+            Err(Error::Refused(status)) => status,
+            Err(Error::Mismatch) => MISMATCH,
+            begun => return begun,
+        };
+        let is_set_back = match before {
+            Some(force) => self.tell(Command::SetForceLimit { force }).await.is_ok(),
+            None => {
+                self.engine.link_mut().forget_force_limit();
+                true
+            }
+        };
+        if is_set_back { begun } else { Err(Error::NotSetBack(status)) }
     }
 
     /// Sends Stop or FAST STOP and waits for the confirmation.

@@ -3,6 +3,7 @@
 use crate::driver::engine::{Awaited, DriverState, Goal};
 use crate::driver::{Config, Error, Gcl, Mm};
 use crate::gcl::{Request, Setting};
+use crate::types::SystemLimits;
 use wsg_protocol_macros::also_blocking;
 
 #[also_blocking(asynch = blocking, Timer = Clock)]
@@ -32,6 +33,12 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
     #[must_use]
     pub const fn with_config(io: IO, clock: C, config: Config) -> Self {
         Self { io, clock, engine: DriverState::new(Gcl::new(config.session), config) }
+    }
+
+    /// States the limits of this gripper, from its data sheet or from Get System Limits (53h) over the binary protocol. GCL has
+    /// no query for them. All requests are then checked against them, as over the binary protocol.
+    pub fn assume_limits(&mut self, limits: SystemLimits) {
+        self.engine.link_mut().assume_limits(limits);
     }
 
     /// Returns how far before the nominal width a grip may meet its part (PWT; GCL, 2.2.5).

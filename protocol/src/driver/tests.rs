@@ -79,19 +79,51 @@ fn pre_position_flags_stand_as_in_the_manual() {
     gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     gripper.move_by(Mm(-5.0), MmPerS(100.0), OnBlock::Clamp).unwrap();
     gripper.move_by(Mm(-5.0), MmPerS(100.0), OnBlock::Stop).unwrap();
-    let flags: Vec<u8> = rig.world(|world| world.heard.iter().map(|(_, payload)| payload[0]).collect());
+    let id = CommandId::PrePosition.code();
+    let heard = rig.world(|world| core::mem::take(&mut world.heard));
+    let flags: Vec<u8> =
+        heard.iter().filter(|(heard, _)| *heard == id).map(|(_, payload)| payload[0]).collect();
     assert_eq!(flags, [0b00, 0b10, 0b01, 0b11]);
 }
 
 #[test]
-fn setting_is_read_back_and_clamping_is_no_mismatch() {
+fn setting_is_read_back_and_another_value_is_a_mismatch() {
     let (rig, mut gripper) = connected();
     assert_eq!(gripper.set_force_limit(N(40.0)), Ok(()));
-    assert_eq!(gripper.set_force_limit(N(500.0)), Ok(()));
-    assert_eq!(rig.heard(CommandId::GetForceLimit), 2);
+    assert_eq!(rig.heard(CommandId::GetForceLimit), 1);
     let other = frame(Reply::success(Value::GetForceLimit(8.0)));
     rig.script(CommandId::GetForceLimit, vec![(1, other)]);
     assert_eq!(gripper.set_force_limit(N(40.0)), Err(Error::Mismatch));
+}
+
+#[test]
+fn force_limit_of_a_refused_grip_is_set_back_or_the_error_says_that_it_is_not() {
+    let force_limit = |force| vec![(1, frame(Reply::success(Value::GetForceLimit(force))))];
+    let set = CommandId::SetForceLimit;
+    let read = CommandId::GetForceLimit;
+    for (is_set_back, is_read_as, error) in [
+        (true, 30.0, Error::Refused(Status::RangeError)),
+        (false, 30.0, Error::NotSetBack(Status::RangeError)),
+        (true, 25.0, Error::Mismatch),
+        (false, 25.0, Error::NotSetBack(crate::session::MISMATCH)),
+    ] {
+        let (rig, mut gripper) = connected();
+        rig.script(read, force_limit(40.0));
+        rig.script_status(set, Status::Success);
+        rig.script(read, force_limit(is_read_as));
+        rig.script_status(CommandId::GripPart, Status::RangeError);
+        if is_set_back {
+            rig.script_status(set, Status::Success);
+            rig.script(read, force_limit(40.0));
+        } else {
+            rig.script_status(set, Status::CmdFormatError);
+        }
+        assert_eq!(gripper.grip_with_force(Mm(20.0), MmPerS(50.0), N(30.0)), Err(error));
+        let heard = rig.world(|world| core::mem::take(&mut world.heard));
+        let limits: Vec<_> =
+            heard.iter().filter(|(id, _)| *id == set.code()).map(|(_, limit)| limit.clone()).collect();
+        assert_eq!(limits, [30.0_f32, 40.0].map(|limit| limit.to_le_bytes().to_vec()));
+    }
 }
 
 #[test]
@@ -276,11 +308,19 @@ fn closure_is_a_clock() {
 
 #[test]
 fn every_error_names_its_cause() {
+    let limits = crate::session::tests::LIMITS;
+    let out_of_limits =
+        limits.check(crate::limits::Quantity::Force, 500.0, SystemFlags::empty()).unwrap_err();
     for (error, cause, text) in [
         (Error::NotConnected, Cause::Caller, "no connection"),
         (Error::MotionRunning, Cause::Caller, "motion is running"),
         (Error::FastStopRunning, Cause::Caller, "FAST STOP"),
         (Error::Invalid(DecodeError::NotFinite), Cause::Caller, "invalid parameter: "),
+        (
+            Error::OutOfLimits(out_of_limits),
+            Cause::Caller,
+            "force 500 N is outside the gripper's limits, 5 to 80 N",
+        ),
         (Error::Superseded, Cause::Caller, "a later motion"),
         (Error::NotInGcl, Cause::Caller, "GCL"),
         (Error::NoForceLimit, Cause::Caller, "force limit"),
@@ -291,6 +331,7 @@ fn every_error_names_its_cause() {
         (Error::Refused(Status::AccessDenied), Cause::Peer, "refused: E_ACCESS_DENIED"),
         (Error::Refused(Status::AccessDenied), Cause::Peer, "FAST STOP"),
         (Error::Refused(Status::AccessDenied), Cause::Peer, "`acknowledge`"),
+        (Error::NotSetBack(Status::RangeError), Cause::Peer, "E_RANGE_ERROR; the force limit"),
         (Error::Blocked, Cause::Peer, "blocked"),
         (Error::Aborted, Cause::Peer, "aborted"),
         (Error::Failed(Status::Timeout), Cause::Peer, "failed: "),

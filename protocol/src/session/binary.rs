@@ -234,7 +234,7 @@ impl Dialect for BinaryDialect {
         read: &Self::Answer<'a>,
         known: &mut Known,
     ) -> Self::Answer<'a> {
-        let value = read.value().filter(|value| read_back::agrees(setting, value, known));
+        let value = read.value().filter(|value| read_back::agrees(setting, value));
         if let Some(Value::GetForceLimit(read)) = value {
             known.confirm_force_limit(read);
         }

@@ -32,8 +32,8 @@ pub struct Config {
     /// Whether to subscribe to the gripping force.
     pub force: bool,
     /// Whether Set Acceleration, Set Force Limit and Set Soft Limits are read back, because the checksum is weak. Such
-    /// a request counts as answered only after the read-back. A different value is reported as
-    /// [`MISMATCH`](super::MISMATCH).
+    /// a request counts as answered only after the read-back. A different value, such as one that the gripper corrected to
+    /// its limits, is reported as [`MISMATCH`](super::MISMATCH).
     pub verify_settings: bool,
     /// Repetition pattern of an unconfirmed FAST STOP.
     pub fast_stop: FastStopPattern,

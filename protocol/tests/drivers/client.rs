@@ -96,11 +96,15 @@ impl Speech for Lines {
     const GARBAGE: &[u8] = b"\xFF\x00noise\nPOS=\nFIN HOME\nERR DANCE 14\nACK\r\n@TAG=\"x\"\n\n";
 
     fn blocking(rig: &TestRig) -> blocking::GripperOver<TestRig, TestRig, Self::Protocol> {
-        blocking::GclGripper::new(rig.clone(), rig.clone())
+        let mut gripper = blocking::GclGripper::new(rig.clone(), rig.clone());
+        gripper.assume_limits(rig.limits());
+        gripper
     }
 
     fn asynch(rig: &TestRig) -> asynch::GripperOver<TestRig, TestRig, Self::Protocol> {
-        asynch::GclGripper::new(rig.clone(), rig.clone())
+        let mut gripper = asynch::GclGripper::new(rig.clone(), rig.clone());
+        gripper.assume_limits(rig.limits());
+        gripper
     }
 }
 
@@ -274,7 +278,9 @@ calls! {
     fn move_to(width: Mm, speed: MmPerS, block: OnBlock) -> ();
     fn begin_move_to(width: Mm, speed: MmPerS, block: OnBlock) -> Pending<()>;
     fn move_by(offset: Mm, speed: MmPerS, block: OnBlock) -> ();
+    fn begin_move_to_with_force(width: Mm, speed: MmPerS, block: OnBlock, force: N) -> Pending<()>;
     fn grip(width: Mm, speed: MmPerS) -> Grip;
+    fn grip_with_force(width: Mm, speed: MmPerS, force: N) -> Grip;
     fn begin_grip(width: Mm, speed: MmPerS) -> Pending<Grip>;
     fn release(width: Mm, speed: MmPerS) -> ();
     fn wait[T: MotionResult](pending: &Pending<T>) -> T;

@@ -3,6 +3,7 @@
 use std::future::poll_fn;
 use std::pin::pin;
 
+use wsg_protocol::driver::blocking::GclGripper;
 use wsg_protocol::driver::{Cause, Finger, Grip, Mm, MmPerS, N, OnBlock};
 use wsg_protocol::{HomingDirection, SoftLimits, Status};
 use wsg_sim::{Config, Part, PortKind};
@@ -64,7 +65,12 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
     let rig = client.rig();
     client.home(HomingDirection::Default).unwrap();
     sent(&rig);
-    assert_eq!(client.force_limit(), Err(Error::NoForceLimit));
+    client.fast_stop().unwrap();
+    let denied = Err(Error::Refused(Status::AccessDenied));
+    assert_eq!(client.grip_with_force(Mm(20.0), MmPerS(100.0), N(30.0)), denied);
+    client.acknowledge().unwrap();
+    sent(&rig);
+    assert_eq!(client.force_limit(), Err(Error::NoForceLimit), "as before the refused grip");
     assert_eq!(client.grip(Mm(20.0), MmPerS(100.0)), Err(Error::NoForceLimit));
     assert_eq!(sent(&rig), Vec::<String>::new());
     client.set_force_limit(N(33.5)).unwrap();
@@ -75,6 +81,29 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
     client.take_new_line();
     client.connect().unwrap();
     assert_eq!(client.force_limit(), Ok(N(33.5)));
+}
+
+#[test]
+fn without_known_limits_only_negative_values_are_refused_before_they_are_sent() {
+    let rig = TestRig::new(PortKind::GclTcp, Config::default());
+    let mut gripper = GclGripper::new(rig.clone(), rig.clone());
+    gripper.connect().unwrap();
+    gripper.home(HomingDirection::Default).unwrap();
+    sent(&rig);
+    for refused in [
+        gripper.move_to(Mm(-1.0), MmPerS(100.0), OnBlock::Stop),
+        gripper.move_to(Mm(50.0), MmPerS(-100.0), OnBlock::Stop),
+        gripper.set_force_limit(N(-1.0)),
+    ] {
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.contains("outside the gripper's limits, at least 0"), "{refused}");
+    }
+    assert_eq!(sent(&rig), Vec::<String>::new());
+    gripper.set_force_limit(N(500.0)).unwrap();
+    assert_eq!(gripper.known().limits, None);
+    gripper.assume_limits(rig.limits());
+    assert_eq!(gripper.known().limits, Some(rig.limits()));
+    assert!(matches!(gripper.set_force_limit(N(500.0)), Err(Error::OutOfLimits(_))));
 }
 
 #[test]

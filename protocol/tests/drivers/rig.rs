@@ -8,8 +8,8 @@ use std::pin::pin;
 use std::rc::Rc;
 use std::task::{Context, Poll, Waker};
 
-use wsg_protocol::Instant;
 use wsg_protocol::driver::{Clock, Timer, blocking::Transport};
+use wsg_protocol::{Instant, SystemLimits};
 use wsg_sim::{Config, MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
 
 /// 90 s; every motion takes less.
@@ -21,6 +21,7 @@ pub(crate) struct TestRig(Rc<RefCell<World>>);
 
 pub(crate) struct World {
     pub(crate) gripper: VirtualGripper,
+    limits: SystemLimits,
     kind: PortKind,
     port: PortId,
     now: Time,
@@ -41,10 +42,12 @@ pub(crate) struct World {
 
 impl TestRig {
     pub(crate) fn new(kind: PortKind, config: Config) -> Self {
+        let limits = config.model.parameters().limits;
         let mut gripper = VirtualGripper::new(config);
         let port = gripper.connect(kind).expect("a new gripper accepts a client");
         Self(Rc::new(RefCell::new(World {
             gripper,
+            limits,
             kind,
             port,
             now: Time::ZERO,
@@ -64,6 +67,11 @@ impl TestRig {
 
     pub(crate) fn millis(&self) -> u32 {
         self.world(|world| world.millis())
+    }
+
+    /// Returns the limits of the gripper.
+    pub(crate) fn limits(&self) -> SystemLimits {
+        self.world(|world| world.limits)
     }
 
     pub(crate) fn pass(&self, millis: u32) {

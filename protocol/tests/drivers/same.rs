@@ -1,6 +1,8 @@
 //! The behaviour common to both protocols and both drivers.
 
-use wsg_protocol::driver::{DriverCounters, Finger, Grip, Mm, MmPerS, N, OnBlock, UPDATES_LEN, Update};
+use wsg_protocol::driver::{
+    Cause, DriverCounters, Finger, Grip, Mm, MmPerS, N, OnBlock, UPDATES_LEN, Update,
+};
 use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
     AutoUpdate, CommandId, DecodeError, DeviceType, FingerFlags, FingerType, FirmwareVersion, GripperState,
@@ -42,6 +44,9 @@ for_all! {
     fn closed_line_is_reported_to_the_program;
     fn garbage_is_only_counted;
     fn invalid_number_is_refused_before_anything_is_sent;
+    fn value_outside_the_limits_is_refused_before_anything_is_sent;
+    fn offset_beyond_the_stroke_is_refused_and_nothing_moves;
+    fn refused_motion_leaves_the_force_limit_as_it_was;
     fn updates_are_received_while_the_fingers_travel;
     fn every_value_is_returned_or_counted_as_lost;
     fn latest_speed_is_known_while_it_is_subscribed_to;
@@ -393,6 +398,78 @@ fn invalid_number_is_refused_before_anything_is_sent<C: Client>() {
     assert_eq!(client.set_force_limit(N(f32::NAN)), Err(invalid));
     assert_eq!(rig.world(|world| world.writes.len()), 0);
     assert_eq!(client.force_limit(), Ok(N(40.0)));
+}
+
+fn value_outside_the_limits_is_refused_before_anything_is_sent<C: Client>() {
+    let mut client = C::homed(with_part(20.0));
+    let rig = client.rig();
+    rig.world(|world| world.writes.clear());
+    let (width, speed, force, stop) = (Mm(20.0), MmPerS(50.0), N(30.0), OnBlock::Stop);
+    let (force_text, speed_text, width_text) =
+        ("force {} N", "speed {} mm/s", "width {} mm is outside the gripper's limits, 0 to 110 mm");
+    let refusals = [
+        (client.move_to(Mm(-1.0), MmPerS(100.0), stop), width_text, "-1"),
+        (client.move_to(Mm(110.5), speed, stop), width_text, "110.5"),
+        (client.move_to(width, MmPerS(4.0), stop), speed_text, "4"),
+        (client.begin_move_to_with_force(width, speed, stop, N(4.0)).map(drop), force_text, "4"),
+        (client.begin_move_to_with_force(width, MmPerS(421.0), stop, force).map(drop), speed_text, "421"),
+        (client.move_by(Mm(-111.0), speed, stop), "offset {} mm", "-111"),
+        (client.move_by(Mm(-5.0), MmPerS(500.0), stop), speed_text, "500"),
+        (client.grip(Mm(120.0), speed).map(drop), width_text, "120"),
+        (client.grip_with_force(width, speed, N(500.0)).map(drop), force_text, "500"),
+        (client.grip_with_force(width, speed, N(-1.0)).map(drop), force_text, "-1"),
+        (client.grip_with_force(Mm(-5.0), speed, force).map(drop), width_text, "-5"),
+        (client.grip_with_force(width, MmPerS(0.0), force).map(drop), speed_text, "0"),
+        (client.release(Mm(111.0), speed), width_text, "111"),
+        (client.release(width, MmPerS(-50.0)), speed_text, "-50"),
+        (client.set_force_limit(N(130.5)), "force {} N is outside the gripper's limits, 5 to 80 N", "130.5"),
+    ];
+    assert_eq!(rig.world(|world| world.writes.clone()), Vec::<Vec<u8>>::new());
+    for (refusal, text, value) in refusals {
+        let refused = refusal.unwrap_err();
+        assert_eq!(refused.cause(), Cause::Caller);
+        let (text, refused) = (text.replace("{}", value), refused.to_string());
+        assert!(refused.starts_with(&text), "{refused}, not {text}");
+    }
+    assert_eq!(client.force_limit(), Ok(N(40.0)));
+    assert_near(client.width().unwrap().0, 110.0);
+}
+
+fn offset_beyond_the_stroke_is_refused_and_nothing_moves<C: Client>() {
+    let mut client = C::homed(Config::default());
+    client.move_by(Mm(-20.0), MmPerS(200.0), OnBlock::Stop).unwrap();
+    for offset in [20.5, -90.5] {
+        let refused = client.move_by(Mm(offset), MmPerS(200.0), OnBlock::Stop).unwrap_err();
+        assert!(matches!(refused, Error::OutOfLimits(_)), "{refused}");
+        assert_near(client.width().unwrap().0, 90.0);
+    }
+    let motion = client.begin_move_to(Mm(50.0), MmPerS(50.0), OnBlock::Stop).unwrap();
+    client.rig().world(|world| world.writes.clear());
+    assert_eq!(client.move_by(Mm(5.0), MmPerS(50.0), OnBlock::Stop), Err(Error::MotionRunning));
+    assert_eq!(client.grip_with_force(Mm(20.0), MmPerS(50.0), N(30.0)), Err(Error::MotionRunning));
+    assert_eq!(
+        client.rig().world(|world| world.writes.len()),
+        0,
+        "nothing is queried for a motion that cannot begin"
+    );
+    client.wait(&motion).unwrap();
+    client.move_by(Mm(60.0), MmPerS(200.0), OnBlock::Stop).unwrap();
+    assert_near(client.width().unwrap().0, 110.0);
+}
+
+fn refused_motion_leaves_the_force_limit_as_it_was<C: Client>() {
+    let mut client = C::homed(with_part(20.0));
+    client.fast_stop().unwrap();
+    let denied = Error::Refused(Status::AccessDenied);
+    assert_eq!(client.grip_with_force(Mm(20.0), MmPerS(100.0), N(30.0)), Err(denied));
+    assert_eq!(client.force_limit(), Ok(N(40.0)));
+    let moved = client.begin_move_to_with_force(Mm(50.0), MmPerS(100.0), OnBlock::Stop, N(30.0));
+    assert_eq!(moved.map(drop), Err(denied));
+    assert_eq!(client.force_limit(), Ok(N(40.0)));
+    client.acknowledge().unwrap();
+    assert_eq!(client.grip_with_force(Mm(20.0), MmPerS(100.0), N(30.0)), Ok(Grip::Held));
+    assert_eq!(client.force_limit(), Ok(N(30.0)), "the limit of a grip remains");
+    assert_near(client.force().unwrap().0, 30.0);
 }
 
 fn updates_are_received_while_the_fingers_travel<C: Client>() {

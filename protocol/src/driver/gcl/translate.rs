@@ -12,7 +12,7 @@ use crate::reply::{Reply, Value};
 use crate::session::{self, Event, Known, Topic};
 use crate::types::{
     AutoUpdate, DeviceType, FingerData, FingerInfo, FingerType, FirmwareVersion, PrePositionFlags, Status,
-    SystemInfo, Temperature, UpdateFlags,
+    SystemInfo, SystemLimits, Temperature, UpdateFlags,
 };
 
 /// State needed for the translation in addition to the current line.
@@ -253,7 +253,7 @@ fn tenths(celsius: f32) -> Temperature {
 }
 
 /// Translates the known state to the terms of the binary protocol.
-pub(super) fn known(lines: &lines::Known) -> Known {
+pub(super) fn known(lines: &lines::Known, limits: Option<SystemLimits>) -> Known {
     let info = lines.device.map(|device| SystemInfo {
         device,
         firmware: lines.firmware.unwrap_or(UNKNOWN_DEVICE.firmware),
@@ -262,7 +262,7 @@ pub(super) fn known(lines: &lines::Known) -> Known {
     });
     Known {
         info,
-        limits: None,
+        limits,
         flags: lines.flags,
         state: lines.state,
         width: lines.width,

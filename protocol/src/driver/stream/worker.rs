@@ -227,7 +227,10 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             self.segment.pending = None;
         }
         let Some(order) = order else { return Ok(()) };
-        let to = lock(&self.shared).position_at(now.plus(SEGMENT_MS)).unwrap_or(order.position);
+        let shared = lock(&self.shared);
+        let to = shared.position_at(now.plus(SEGMENT_MS)).unwrap_or(order.position);
+        let min_speed = shared.limits.min_speed;
+        drop(shared);
         let way = to - self.segment.end;
         if way.abs() < SHORTEST_WAY || way * self.segment.blocked > 0.0 {
             return Ok(());
@@ -239,7 +242,8 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
                 Err(error) => return Err(cause_of(error)),
             }
         }
-        let speed = (way.abs() * 1_000.0 / SEGMENT_MS as f32).min(order.speed_limit);
+        // A short way takes less time than a segment, because the driver refuses a speed below the gripper's minimum.
+        let speed = (way.abs() * 1_000.0 / SEGMENT_MS as f32).max(min_speed).min(order.speed_limit);
         let sent = self.clock.now();
         let pending = self.gripper.begin_move_to(Mm(to), MmPerS(speed), OnBlock::Stop).map_err(cause_of)?;
         lock(&self.shared).exchanges.add(sent, self.clock.now(), None);
@@ -317,6 +321,7 @@ fn cause_of<E: embedded_io::Error>(error: Error<E>) -> Cause {
         Error::Refused(Status::Timeout) => Cause::Watchdog,
         Error::Refused(Status::CmdUnknown | Status::CmdFailed) | Error::TooLong { .. } => Cause::Script,
         Error::Refused(status) | Error::Failed(status) => Cause::Refused(status),
+        Error::OutOfLimits(_) => Cause::Refused(Status::RangeError),
         Error::MotionRunning => Cause::Refused(Status::AlreadyRunning),
         Error::Closed => Cause::Closed,
         Error::Transport(error) => Cause::Transport(error.kind()),
