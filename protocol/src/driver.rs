@@ -295,7 +295,7 @@ pub struct DriverCounters {
     pub line: frame::FrameCounters,
     /// Errors in frames and requests.
     pub session: session::SessionCounters,
-    /// Updates replaced by newer ones because `next_update` was not called often enough.
+    /// Updates replaced by newer ones because `next_update` was not called often enough, or discarded with a lost connection.
     pub updates_lost: u16,
 }
 

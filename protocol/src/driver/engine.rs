@@ -6,8 +6,8 @@ use super::motion::{Motion, Verdict};
 use super::{Config, DriverCounters, Error, StopKind, StopRequest, UPDATES_LEN, Update};
 use crate::command::{Command, CommandId, Kind};
 use crate::frame::Payload;
-use crate::reply::Reply;
-use crate::session::{Event, MISMATCH};
+use crate::reply::{Reply, Value};
+use crate::session::{Event, MISMATCH, Topic};
 use crate::time::Instant;
 use crate::types::{Status, SystemLimits};
 use heapless::Deque;
@@ -113,9 +113,7 @@ pub(super) struct DriverState<P> {
     received_at: Instant,
     outbox: Outbox,
     gate: Gate,
-    motion: Motion,
-    updates: Deque<Update, UPDATES_LEN>,
-    updates_lost: u16,
+    reports: Reports,
     config: Config,
 }
 
@@ -126,9 +124,13 @@ impl<P: Protocol> DriverState<P> {
             received_at: Instant::from_millis(0),
             outbox: Outbox::EMPTY,
             gate: Gate::OPEN,
-            motion: Motion::none(),
-            updates: Deque::new(),
-            updates_lost: 0,
+            reports: Reports {
+                motion: Motion::none(),
+                updates: Deque::new(),
+                updates_lost: 0,
+                began_at: None,
+                reported_at: [Instant::from_millis(0); Topic::ALL.len()],
+            },
             config,
         }
     }
@@ -142,7 +144,7 @@ impl<P: Protocol> DriverState<P> {
     }
 
     pub(super) const fn motion(&self) -> &Motion {
-        &self.motion
+        &self.reports.motion
     }
 
     pub(super) const fn config(&self) -> &Config {
@@ -153,16 +155,30 @@ impl<P: Protocol> DriverState<P> {
         DriverCounters {
             line: self.link.line_counters(),
             session: self.link.session_counters(),
-            updates_lost: self.updates_lost,
+            updates_lost: self.reports.updates_lost,
         }
     }
 
     pub(super) fn has_update(&self) -> bool {
-        !self.updates.is_empty()
+        !self.reports.updates.is_empty()
     }
 
     pub(super) fn take_update(&mut self) -> Option<Update> {
-        self.updates.pop_front()
+        self.reports.updates.pop_front()
+    }
+
+    /// Returns the time since the last report of a known value, in milliseconds. It is right for 49 days.
+    pub(super) fn age_ms(&self, now: Instant, topic: Topic) -> Option<u32> {
+        let known = self.link.known();
+        let is_known = match topic {
+            Topic::SystemState => known.flags.is_some(),
+            Topic::GripperState => known.state.is_some(),
+            Topic::Width => known.width.is_some(),
+            Topic::Speed => known.speed.is_some(),
+            Topic::Force => known.force.is_some(),
+        };
+        let reported_at = self.reports.reported_at.get(topic as usize).filter(|_| is_known)?;
+        Some(now.as_millis().wrapping_sub(reported_at.as_millis()))
     }
 
     /// Withdraws the unsent requests of a dropped call.
@@ -242,7 +258,7 @@ impl<P: Protocol> DriverState<P> {
         width: Option<f32>,
     ) -> Result<(), Error<E>> {
         self.link.request(command, width)?;
-        self.motion.ask(command.id());
+        self.reports.motion.ask(command.id());
         Ok(())
     }
 
@@ -259,18 +275,22 @@ impl<P: Protocol> DriverState<P> {
             self.hang_up(now, awaited);
             return Err(Error::Closed);
         }
+        let is_after_silence = now.since(self.received_at) > self.config.session.reply_timeout_ms;
+        if is_after_silence || self.reports.began_at.is_none() {
+            self.reports.began_at = Some(now);
+        }
         self.received_at = now;
-        let Self { link, motion, updates, updates_lost, .. } = self;
+        let Self { link, reports, .. } = self;
         let bytes = chunk.get(..count).unwrap_or(&[]);
-        link.receive(now, bytes, &mut |event| note(motion, updates, updates_lost, awaited, event));
+        link.receive(now, bytes, &mut |event| reports.note(now, awaited, event));
         Ok(())
     }
 
     /// Processes elapsed time: time-outs and due events.
     pub(super) fn elapse(&mut self, now: Instant, awaited: &mut Awaited<'_>) {
-        let Self { link, motion, updates, updates_lost, outbox, config, .. } = self;
+        let Self { link, reports, outbox, config, .. } = self;
         if link.is_mid_message() && now.since(self.received_at) >= config.half_frame_ms {
-            link.give_up_half(now, &mut |event| note(motion, updates, updates_lost, awaited, event));
+            link.give_up_half(now, &mut |event| reports.note(now, awaited, event));
         }
         while let Some(event) = link.tick(now) {
             if event == Event::Disconnected && !link.outlives_connection() {
@@ -278,7 +298,7 @@ impl<P: Protocol> DriverState<P> {
                 // STOP, for which the gripper would otherwise take the next message.
                 *outbox = Outbox::EMPTY;
             }
-            note(motion, updates, updates_lost, awaited, &event);
+            reports.note(now, awaited, &event);
         }
     }
 
@@ -344,8 +364,8 @@ impl<P: Protocol> DriverState<P> {
             Goal::Connected => self.link.is_connected(),
             Goal::Free => !self.link.is_busy(),
             Goal::Answered => awaited.verdict.is_some(),
-            Goal::MotionDecided => self.motion.is_decided(),
-            Goal::MotionOver => self.motion.is_over(),
+            Goal::MotionDecided => self.reports.motion.is_decided(),
+            Goal::MotionOver => self.reports.motion.is_over(),
             Goal::Update => self.has_update(),
             Goal::NothingUrgent => !self.link.is_urgent(),
             Goal::Stopped => !self.link.is_urgent() && self.link.motion().is_none(),
@@ -365,24 +385,57 @@ impl<P: Protocol> DriverState<P> {
     }
 }
 
-fn note(
-    motion: &mut Motion,
-    updates: &mut Deque<Update, UPDATES_LEN>,
-    updates_lost: &mut u16,
-    awaited: &mut Awaited<'_>,
-    event: &Event<'_>,
-) {
-    motion.note(event);
-    awaited.note(event);
-    if let Event::Reported(value) = event
-        && let Some(update) = Update::of(value)
-    {
-        if updates.is_full() {
-            updates.pop_front();
-            *updates_lost = updates_lost.saturating_add(1);
+/// What the gripper has reported.
+#[derive(Debug)]
+struct Reports {
+    motion: Motion,
+    updates: Deque<Update, UPDATES_LEN>,
+    updates_lost: u16,
+    /// The time of the first byte after the last silence that was too long for an answer. All values that were reported while
+    /// the connection was established are younger.
+    began_at: Option<Instant>,
+    /// The time of the last report of each topic.
+    reported_at: [Instant; Topic::ALL.len()],
+}
+
+impl Reports {
+    fn note(&mut self, now: Instant, awaited: &mut Awaited<'_>, event: &Event<'_>) {
+        self.motion.note(event);
+        awaited.note(event);
+        match event {
+            Event::Connected => self.reported_at = [self.began_at.unwrap_or(now); Topic::ALL.len()],
+            Event::Disconnected => {
+                // An update from before the loss would look like a current one.
+                let lost = u16::try_from(self.updates.len()).unwrap_or(u16::MAX);
+                self.updates_lost = self.updates_lost.saturating_add(lost);
+                self.updates.clear();
+            }
+            Event::Answered(reply) => self.note_time(now, reply.value_ref()),
+            Event::Reported(value) => {
+                self.note_time(now, Some(value));
+                if let Some(update) = Update::of(value) {
+                    self.queue(update);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn note_time(&mut self, now: Instant, value: Option<&Value<'_>>) {
+        if let Some(topic) = value.and_then(|value| Topic::of(value.id()))
+            && let Some(reported_at) = self.reported_at.get_mut(topic as usize)
+        {
+            *reported_at = now;
+        }
+    }
+
+    fn queue(&mut self, update: Update) {
+        if self.updates.is_full() {
+            self.updates.pop_front();
+            self.updates_lost = self.updates_lost.saturating_add(1);
         }
         // The queue has room: the oldest update was removed.
-        let _ = updates.push_back(update);
+        let _ = self.updates.push_back(update);
     }
 }
 

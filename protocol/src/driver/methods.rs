@@ -128,9 +128,31 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
 
     /// Returns what the gripper has reported up to the latest call: its limits and states, and the latest width, speed
     /// and force. All of it is `None` without a connection.
+    ///
+    /// Without calls that receive from the gripper, and for width, speed and force also without a subscription, the values
+    /// become old. [`age_ms`](Self::age_ms) returns their age.
     #[must_use]
     pub fn known(&self) -> &Known {
         self.engine.link().known()
+    }
+
+    /// Returns how long ago the gripper reported the value of [`known`](Self::known), in milliseconds, or `None` if the value
+    /// is unknown. Just after `connect` the age may be too high, but it is never too low.
+    ///
+    /// ```
+    /// use wsg_protocol::driver::blocking::{Gripper, Transport};
+    /// use wsg_protocol::driver::{Clock, Error};
+    /// use wsg_protocol::session::Topic;
+    ///
+    /// /// Returns the width if it is not older than a quarter of a second.
+    /// fn current_width<IO: Transport, C: Clock>(gripper: &mut Gripper<IO, C>) -> Result<Option<f32>, Error<IO::Error>> {
+    ///     while gripper.next_update(0)?.is_some() {}
+    ///     let is_current = gripper.age_ms(Topic::Width).is_some_and(|age_ms| age_ms <= 250);
+    ///     Ok(gripper.known().width.filter(|_| is_current))
+    /// }
+    /// ```
+    pub fn age_ms(&mut self, topic: Topic) -> Option<u32> {
+        self.engine.age_ms(self.clock.now(), topic)
     }
 
     /// Returns the running motion, as far as it is known. It may belong to a cancelled call.
@@ -194,7 +216,8 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// Every method that receives from the gripper keeps the newest [`UPDATES_LEN`](super::UPDATES_LEN) updates. This
     /// method returns those first, without reading from the transport, and reads only when none is left. To get every
     /// update, call it until it returns `None` each time another method has returned.
-    /// [`updates_lost`](super::DriverCounters::updates_lost) counts the updates that newer ones have replaced.
+    /// [`updates_lost`](super::DriverCounters::updates_lost) counts the updates that newer ones have replaced, and those
+    /// from before a lost connection, which are discarded.
     ///
     /// # Errors
     /// Errors of the transport.

@@ -2,7 +2,7 @@
 
 use crate::driver::blocking::Transport;
 use crate::driver::{Clock, Timer};
-use crate::session::tests::{INFO, LIMITS};
+pub(in crate::driver) use crate::session::tests::{INFO, LIMITS};
 use crate::{
     Command, CommandId, Event, Frame, FrameEncoder, FrameParser, GripperState, Instant, Payload, Reply,
     Status, SystemFlags, Value,

@@ -97,3 +97,67 @@ fn motion_refused_after_an_update_has_not_begun() {
     let begun = gripper.begin_grip(Mm(20.0), MmPerS(50.0));
     assert_eq!(begun.map(drop), Err(Error::Refused(Status::AccessDenied)));
 }
+
+#[test]
+fn age_of_a_value_counts_from_its_last_report() {
+    let (rig, mut gripper) = connected();
+    assert_eq!(gripper.age_ms(Topic::Width), None, "never reported");
+    assert_eq!(gripper.width(), Ok(Mm(42.5)));
+    assert_eq!(gripper.age_ms(Topic::Width), Some(0));
+    rig.pass(40);
+    assert_eq!(gripper.acknowledge(), Ok(()));
+    assert_eq!(gripper.age_ms(Topic::Width), Some(41), "another request does not report it");
+    assert_eq!(gripper.age_ms(Topic::Force), None);
+
+    gripper.subscribe(Topic::Force, AutoUpdate::every(10));
+    while gripper.next_update(50).unwrap().is_some() {}
+    rig.inject(&force(7));
+    assert_eq!(gripper.next_update(0), Ok(Some(Update::Force(7.0))));
+    assert_eq!(gripper.age_ms(Topic::Force), Some(0));
+    rig.pass(300_000);
+    assert_eq!((gripper.known().force, gripper.age_ms(Topic::Force)), (Some(7.0), Some(300_000)));
+
+    rig.world(|world| world.silent = true);
+    while gripper.is_connected() {
+        gripper.next_update(50).unwrap();
+    }
+    for topic in Topic::ALL {
+        assert_eq!(gripper.age_ms(topic), None, "{topic:?} of a lost connection");
+    }
+}
+
+#[test]
+fn age_of_a_state_that_was_reported_before_the_last_answer_of_connecting_is_not_too_low() {
+    let rig = Rig::new();
+    // Each is an answer in time.
+    for value in [Value::GetSystemInfo(rig::INFO), Value::GetSystemLimits(rig::LIMITS)] {
+        rig.script(value.id(), vec![(150, frame(Reply::success(value)))]);
+    }
+    let mut gripper = connect(&rig);
+    for topic in [Topic::SystemState, Topic::GripperState] {
+        assert!((300..400).contains(&gripper.age_ms(topic).unwrap()), "{topic:?}");
+    }
+    let mut gripper = connect_async(&Rig::new());
+    assert!(gripper.age_ms(Topic::GripperState).unwrap() < 10);
+}
+
+#[test]
+fn update_from_before_a_lost_connection_is_not_returned_after_it() {
+    let (rig, mut gripper) = connected();
+    gripper.subscribe(Topic::Force, AutoUpdate::every(10));
+    while gripper.next_update(50).unwrap().is_some() {}
+    let lost_before = gripper.counters().updates_lost;
+    inject_three(&rig);
+    assert_eq!(gripper.width(), Ok(Mm(42.5)));
+    rig.world(|world| world.silent = true);
+    while gripper.is_connected() {
+        assert!(gripper.width().is_err());
+    }
+    assert_eq!(gripper.next_update(0), Ok(None));
+    assert_eq!(gripper.counters().updates_lost - lost_before, 3);
+    rig.world(|world| world.silent = false);
+    gripper.connect().unwrap();
+    while let Some(update) = gripper.next_update(50).unwrap() {
+        assert_ne!(update, Update::Force(3.0));
+    }
+}
