@@ -20,6 +20,7 @@
 //! | `gripper` | the contract with the caller |
 //! | `server` | servers on TCP, UDP, serial lines and CAN (feature `std`) |
 //! | `program` | the program `wsg-sim` and its options (feature `std`) |
+//! | `text`, `command_line` | text from outside, and what the command lines of all host programs share (feature `std`) |
 //! | `rig` | gripper, line and clock for unit tests of client programs (feature `rig`) |
 //!
 //! Module imports are acyclic.
@@ -32,6 +33,8 @@
 mod axis;
 mod binary;
 mod client;
+#[cfg(feature = "std")]
+pub mod command_line;
 mod config;
 mod deframer;
 mod device;
@@ -54,6 +57,8 @@ mod script;
 #[cfg(feature = "std")]
 pub mod server;
 mod settings;
+#[cfg(feature = "std")]
+pub mod text;
 mod thermal;
 mod time;
 mod updates;

@@ -1,6 +1,7 @@
 //! The virtual gripper as a program; see `wsg-sim --help` (feature `std`).
 
 use crate::server::{Ending, Log, Options, Server};
+use crate::text::one_line;
 use anyhow::{Context, Result};
 use std::ffi::OsString;
 use std::io::{self, Write};
@@ -128,7 +129,7 @@ fn announce(server: &Server) -> io::Result<()> {
         ("page", server.control_address().map(|address| format!("http://{address}/"))),
     ] {
         if let Some(place) = place {
-            writeln!(out, "{line} {place}")?;
+            writeln!(out, "{line} {}", one_line(&place))?;
         }
     }
     out.flush()
@@ -136,6 +137,6 @@ fn announce(server: &Server) -> io::Result<()> {
 
 /// Prints the error in one line and returns the exit status.
 fn fail(error: &anyhow::Error, status: u8) -> u8 {
-    eprintln!("wsg-sim: {error:#}");
+    eprintln!("wsg-sim: {}", one_line(&format!("{error:#}")));
     status
 }

@@ -4,6 +4,7 @@ use super::log_writer::LogWriter;
 use crate::config::Config;
 use crate::deframer::Deframer;
 use crate::port::{PortId, PortKind, Protocol};
+use crate::text::one_line;
 use crate::time::Time;
 use anyhow::{Context, Result};
 use bus_modbus::Function;
@@ -251,7 +252,7 @@ impl Log {
 
     /// Logs a note that is not a frame.
     pub(super) fn note(&mut self, now: Time, line: &str, what: std::fmt::Arguments<'_>) {
-        self.output.write(format_args!("{now} {line} {what}\n"));
+        self.output.write(format_args!("{now} {line} {what}"));
     }
 }
 
@@ -281,12 +282,12 @@ impl Output {
         let payload = bytes.get(PAYLOAD_AT..bytes.len().saturating_sub(CHECKSUM_LEN)).unwrap_or(&[]);
         let frame = Frame { id, payload };
         let meaning = Meaning { direction, frame };
-        self.write(format_args!("{now} {line} {direction} {hex} {meaning}\n"));
+        self.write(format_args!("{now} {line} {direction} {hex} {meaning}"));
     }
 
     fn line(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
         let text = bytes.trim_ascii_end().escape_ascii();
-        self.write(format_args!("{now} {line} {direction} {text}\n"));
+        self.write(format_args!("{now} {line} {direction} {text}"));
     }
 
     fn bytes(&mut self, now: Time, direction: Direction, line: &str, bytes: &[u8]) {
@@ -307,9 +308,9 @@ impl Output {
                 self.modbus(now, Direction::ToGripper, line, whole);
             }
             tcp::Event::Foreign { len } => {
-                self.write(format_args!("{now} {line} -> {len} bytes of another protocol\n"));
+                self.write(format_args!("{now} {line} -> {len} bytes of another protocol"));
             }
-            tcp::Event::Lost => self.write(format_args!("{now} {line} -> a length that no frame has\n")),
+            tcp::Event::Lost => self.write(format_args!("{now} {line} -> a length that no frame has")),
         }
     }
 
@@ -324,29 +325,30 @@ impl Output {
         let code = if exception.is_some() { code & 0x7F } else { code };
         let name = Function::from_code(code).map(|function| format!(" {function:?}")).unwrap_or_default();
         let refused = exception.map(|number| format!(", exception {number}")).unwrap_or_default();
-        self.write(format_args!("{now} {line} {direction} {hex} FC {code}{name}{refused}\n"));
+        self.write(format_args!("{now} {line} {direction} {hex} FC {code}{name}{refused}"));
     }
 
     fn refused(&mut self, now: Time, line: &str, why: &str, id: u8, size: u16) {
         let id = CommandId::from_code(id);
-        self.write(format_args!("{now} {line} -> {why}: {id} with {size} bytes of payload\n"));
+        self.write(format_args!("{now} {line} -> {why}: {id} with {size} bytes of payload"));
     }
 
-    /// Writes one line with its line end.
+    /// Writes one line. Names of lines and the output of scripts can contain anything.
     fn write(&mut self, text: std::fmt::Arguments<'_>) {
         if !self.is_wanted() {
             return;
         }
-        let line = text.to_string();
+        let text = text.to_string();
+        let text = one_line(text.trim_end());
         if let Some(Watched { lines, lost }) = &mut self.watched {
             if lines.len() < MAX_WATCHED {
-                lines.push(line.trim_end().to_owned());
+                lines.push(text.clone().into_owned());
             } else {
                 *lost += 1;
             }
         }
         if let Some(writer) = &mut self.writer {
-            writer.write(line);
+            writer.write(text.into_owned() + "\n");
         }
     }
 

@@ -9,6 +9,7 @@ pub(in crate::server) use table::{GROUPS, Setting, settings};
 use super::lines::ProfinetLine;
 use super::lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use crate::axis::{Direction, Part};
+use crate::command_line::{self, LOOPBACK, address, after_scheme, suggest};
 use crate::config::{Config, Tag};
 use crate::finger::Finger;
 use crate::model::Model;
@@ -20,14 +21,13 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Command, CommandFactory, FromArgMatches, Parser};
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
 use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::SoftLimits;
 use wsg_protocol::can::Identifiers;
 
-const LOOPBACK: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 /// The default TCP address if no line is given: the gripper's own port, on this machine only.
 const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
 const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
@@ -72,24 +72,24 @@ type MaybePart = Option<Part>;
 #[derive(Debug, Parser)]
 #[command(version, no_binary_name = true, args_override_self = true, next_line_help = true)]
 struct Arguments {
-    /// Reads options from a TOML file, `name = value` with the names of this table; the command line takes precedence
+    /// Reads options from a TOML file, `name = value` with the names of these options; the command line takes precedence
     #[arg(long, help_heading = PROGRAM, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Listens for TCP [default: 127.0.0.1:1000 (or 11000, see above), if no other line is given]
-    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    /// Listens for TCP [default: 127.0.0.1:1000 (or 11000 without the privileges for port 1000), if no other line is given]
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, address))]
     tcp: Option<SocketAddr>,
     /// Listens for UDP; grippers in the field use port 1500
-    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, address))]
     udp: Option<SocketAddr>,
     /// Sends answers to this port of the latest client, regardless of its source port; not the port of `--udp` [default: 1501]
     #[arg(long, help_heading = COMMAND, value_name = "PORT")]
     #[arg(value_parser = expected("a port from 1 to 65535", |text| parsed(text).filter(|port: &u16| *port > 0)))]
     udp_remote_port: Option<u16>,
     /// Listens for the text protocol over TCP, beside the binary one or alone ([gcl.md](gcl.md))
-    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, address))]
     gcl: Option<SocketAddr>,
     /// Listens for the text protocol over UDP; answers go to the source port of the request
-    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    #[arg(long, help_heading = COMMAND, value_name = "ADDR", value_parser = expected(ADDRESS, address))]
     gcl_udp: Option<SocketAddr>,
     /// Begins each new connection of the text protocol in verbose mode, with a description of each error (GCL, 2.1.1)
     #[arg(long, help_heading = COMMAND)]
@@ -113,7 +113,7 @@ struct Arguments {
     #[arg(long, help_heading = COMMAND, value_name = "NUMBER", value_parser = expected("an identifier from 0 to 0x7FE", identifiers))]
     can_id: Option<Identifiers>,
     /// Listens for Modbus/TCP; port 502 on the real gripper
-    #[arg(long, help_heading = FIELDBUS, value_name = "ADDR", value_parser = expected(ADDRESS, parsed::<SocketAddr>))]
+    #[arg(long, help_heading = FIELDBUS, value_name = "ADDR", value_parser = expected(ADDRESS, address))]
     modbus: Option<SocketAddr>,
     /// Sends numbers in the registers low byte first; flags are unaffected
     #[arg(long, help_heading = FIELDBUS)]
@@ -287,13 +287,23 @@ fn value_name(arg: &Arg) -> Option<&str> {
     arg.get_value_names().filter(|_| arg.get_action().takes_values()).map(|names| names[0].as_str())
 }
 
-/// Returns the command line definition for clap. Values may begin with a hyphen, such as the plant designation `-K1`.
+/// Returns the command line definition for clap, with help for a terminal.
 #[must_use]
 pub fn command() -> Command {
+    command_line::without_markdown(definition())
+}
+
+/// Returns the definition with help in Markdown. Values may begin with a hyphen, such as the plant designation `-K1`.
+fn definition() -> Command {
     Arguments::command().mut_args(|arg| {
         let has_value = value_name(&arg).is_some();
         arg.allow_hyphen_values(has_value)
     })
+}
+
+/// Parses words of the command line.
+fn matches_of(words: impl IntoIterator<Item: Into<OsString> + Clone>) -> Result<ArgMatches> {
+    definition().try_get_matches_from(words).map_err(one_line)
 }
 
 impl Options {
@@ -307,7 +317,7 @@ impl Options {
         let file = matches.get_one::<PathBuf>("config").cloned();
         if let Some(path) = &file {
             let arguments = [file::words_of_file(path)?, arguments].concat();
-            matches = command().try_get_matches_from(arguments).map_err(one_line)?;
+            matches = matches_of(arguments)?;
         }
         Self::of(&matches, file)
     }
@@ -328,12 +338,11 @@ impl Options {
             let values: Vec<String> = words.iter().map(|word| format!("--{name}={word}")).collect();
             if values.is_empty() { vec![format!("--{name}")] } else { values }
         });
-        let matches = command().try_get_matches_from(words).map_err(one_line)?;
-        Self::of(&matches, self.file.clone())
+        Self::of(&matches_of(words)?, self.file.clone())
     }
 
     fn of(matches: &ArgMatches, file: Option<PathBuf>) -> Result<Self> {
-        let given = command().get_arguments().filter_map(|arg| given_words(matches, arg)).collect();
+        let given = definition().get_arguments().filter_map(|arg| given_words(matches, arg)).collect();
         Arguments::from_arg_matches(matches)?.options(file, given)
     }
 }
@@ -353,6 +362,7 @@ fn one_line(error: clap::Error) -> anyhow::Error {
     if !error.use_stderr() {
         error.exit();
     }
+    let error = suggest(error, &definition(), &[""; 0]);
     let text = error.to_string();
     let lines = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let lines: Vec<_> = lines.map(str::trim).filter(|line| !line.is_empty()).collect();
@@ -509,7 +519,7 @@ fn not_empty(text: &str) -> Option<String> {
 
 /// Parses the address of the control interface. A port without an address listens on this machine only.
 fn control(text: &str) -> Option<SocketAddr> {
-    parsed(text).or_else(|| Some(SocketAddr::new(LOOPBACK, parsed(text)?)))
+    address(text).or_else(|| Some(SocketAddr::new(LOOPBACK, parsed(text)?)))
 }
 
 fn host(text: &str) -> Option<String> {
@@ -518,10 +528,10 @@ fn host(text: &str) -> Option<String> {
 }
 
 fn serial(text: &str) -> Option<SerialLine> {
-    match text.strip_prefix("unix:") {
+    match after_scheme(text, "unix:") {
         Some("") => None,
         Some(path) => Some(SerialLine::Unix(path.into())),
-        None if text == "pty" => Some(SerialLine::Pty),
+        None if text.eq_ignore_ascii_case("pty") => Some(SerialLine::Pty),
         None => not_empty(text).map(|path| SerialLine::Device(path.into())),
     }
 }

@@ -327,7 +327,7 @@ mod tests {
             },
         };
         keep(&path, &stored).unwrap();
-        let kept = "station = \"new\"\nprofinet-ip = \"10.0.0.5/8,10.0.0.1\"\n\
+        let kept = "station=\"new\"\nprofinet-ip = \"10.0.0.5/8,10.0.0.1\"\n\
                     im-function = \"+A \\\"1\\\" \\\\ gr\u{FC}n\\u0001\"\n";
         assert_eq!(fs::read_to_string(&path).unwrap(), others.to_owned() + kept);
         keep(&path, &Stored::NONE).unwrap();

@@ -3,6 +3,7 @@
 //! It holds operator events, not frames; those are in the [`Log`](super::Log).
 
 use super::log_writer::LogWriter;
+use crate::text::one_line;
 use crate::time::Time;
 use ::time::OffsetDateTime;
 use ::time::format_description::well_known::Rfc3339;
@@ -86,15 +87,14 @@ impl SystemLog {
 
     pub(super) fn write(&self, now: Time, severity: Severity, source: &str, text: &str) {
         let date = OffsetDateTime::now_utc().replace_nanosecond(0).unwrap_or(OffsetDateTime::UNIX_EPOCH);
-        let one_line = |char: char| if char.is_control() { ' ' } else { char };
         let mut entries = self.lock();
         let entry = Entry {
             number: entries.next,
             date: date.format(&Rfc3339).unwrap_or_default(),
             time_s: now.as_micros() as f64 / 1e6,
             severity,
-            source: source.to_owned(),
-            text: text.chars().take(MAX_TEXT_LEN).map(one_line).collect(),
+            source: one_line(source).into_owned(),
+            text: one_line(&text.chars().take(MAX_TEXT_LEN).collect::<String>()).into_owned(),
         };
         entries.next += 1;
         if let Some(file) = &mut entries.file {
@@ -143,14 +143,14 @@ mod tests {
         let path = std::env::temp_dir().join(format!("wsg-system-log-{}", std::process::id()));
         std::fs::write(&path, "before\n").unwrap();
         let log = SystemLog::open(Some(&path)).unwrap();
-        log.write(Time::from_millis(1_500), Severity::Warning, "script", "two\nlines");
+        log.write(Time::from_millis(1_500), Severity::Warning, "script", "two\nlines\u{1b}[2J");
         // Dropping the log writes the rest.
         drop(log);
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::remove_file(&path).unwrap();
         let (before, line) = text.split_once('\n').unwrap();
         assert_eq!(before, "before");
-        assert!(line.ends_with("Z 1.500 s warning script: two lines\n"), "{line}");
+        assert!(line.ends_with("Z 1.500 s warning script: two\\nlines\\u{1b}[2J\n"), "{line}");
         assert!(SystemLog::open(Some(Path::new("/no/such/folder/log"))).is_err());
     }
 }

@@ -180,7 +180,7 @@ fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
     );
 
     let text = rig.file.text();
-    assert_eq!(text, "# A cell\nhoming-at-start = true\nmodbus = \"127.0.0.1:0\"\nmodel = \"wsg25\"\n");
+    assert_eq!(text, "# A cell\nmodel = \"wsg25\"\nhoming-at-start = true\nmodbus = \"127.0.0.1:0\"\n");
     let file = File::new("second.toml", &text);
     let mut program = Program::start(&["--config", file.0.to_str().unwrap(), "--tcp", "127.0.0.1:0"]);
     assert_eq!(program.line(), "model wsg25");

@@ -1,7 +1,7 @@
 //! The table of settings: the options of the command line without the program's own. The page and the control interface
 //! are derived from it.
 
-use super::{COMMAND, DEVICE, FIELDBUS, MOTION, NETWORK, command, one_line, value_name};
+use super::{COMMAND, DEVICE, FIELDBUS, MOTION, NETWORK, definition, one_line, value_name};
 use clap::{Arg, ArgAction, Command};
 use std::sync::LazyLock;
 
@@ -56,7 +56,7 @@ pub(in crate::server) fn settings() -> &'static [Setting] {
 }
 
 fn table() -> Vec<Setting> {
-    let command = command();
+    let command = definition();
     let mut settings: Vec<Setting> =
         command.get_arguments().filter_map(|arg| setting(&command, arg)).collect();
     settings.sort_by_key(|setting| GROUPS.iter().position(|group| *group == setting.group));

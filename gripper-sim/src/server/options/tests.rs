@@ -36,6 +36,14 @@ fn any_other_line_replaces_the_default_one() {
         ("--profibus pty", Lines { profibus: Some(SerialLine::Pty), ..none() }),
         ("--gcl 127.0.0.1:1001 --gcl-udp 127.0.0.1:1501", Lines { gcl, gcl_udp, ..none() }),
         ("--modbus 127.0.0.1:1502", Lines { modbus: address("127.0.0.1:1502"), ..none() }),
+        ("--tcp localhost:0", Lines { tcp: address("127.0.0.1:0"), ..none() }),
+        ("--gcl LOCALHOST:1001", Lines { gcl, ..none() }),
+        (
+            "--tcp [::1]:0 --control localhost:8080",
+            Lines { tcp: address("[::1]:0"), control: address("127.0.0.1:8080"), ..none() },
+        ),
+        ("--serial UNIX:/Run/wsg", Lines { serial: Some(SerialLine::Unix("/Run/wsg".into())), ..none() }),
+        ("--slcan PTY", Lines { can: can(CanBus::Slcan(SerialLine::Pty), 0x120), ..none() }),
     ] {
         assert_eq!(options_of(line).lines, lines, "{line}");
     }
@@ -184,6 +192,13 @@ fn errors_of_options_name_the_value_and_the_expected_ones() {
         (&["--profibus", "pty", "--profibus-address", "126"], "'126' for '--profibus-address", "125"),
         (&["--profibus-address", "9"], "--profibus-address", "--profibus LINE"),
         (&["--fast"], "--fast", "--help"),
+        (&["--tpc", "localhost:0"], "'--tpc'", "tip: a similar argument exists: '--tcp'; "),
+        (&["--modbsu=localhost:0"], "'--modbsu'", "exists: '--modbus'; "),
+        (&["--finger"], "'--finger'", "arguments exist: '--finger1', '--finger2'; "),
+        (&["--model", "wsg50"], "'wsg50'", "tip: some similar values exist: 'wsg50-110', 'wsg50-210'; "),
+        (&["--model", "WSG 32"], "'WSG 32'", "tip: a similar value exists: 'wsg32'; "),
+        (&["--bus-reaction", "faststop", "--profibus", "pty"], "'faststop'", "exists: 'fast-stop'; "),
+        (&["--tcp", "bench:0"], "'bench:0' for '--tcp", "127.0.0.1:1000"),
         (&["stray"], "stray", "--help"),
     ] {
         let error = format!("{:#}", options(arguments).unwrap_err());
@@ -249,7 +264,7 @@ fn errors_in_a_file_are_one_line_with_their_position() {
     for (text, expected) in [
         (
             "\nclamping-travl = 5",
-            ", line 2: clamping-travl is unknown; expected options as --help lists them",
+            ", line 2: clamping-travl is unknown; expected options as --help lists them; did you mean clamping-travel?",
         ),
         (
             "clamping-travel = -1",
@@ -268,8 +283,19 @@ fn errors_in_a_file_are_one_line_with_their_position() {
         let error = format!("{:#}", options_of_file("wrong", text, &[]).unwrap_err());
         assert!(error.contains(expected) && error.lines().count() == 1, "{text:?}: {error}");
     }
+    let mark = options_of_file("mark", "\u{FEFF}model = \"wsg32\"\r\nforce = 9\r\n", &[]).unwrap();
+    assert_eq!((mark.config.model, mark.config.force_limit), (Model::Wsg32, Some(9.0)));
+    let error = format!("{:#}", options_of_file("wide", "m\0o\0", &[]).unwrap_err());
+    assert!(error.contains("cannot be read: the text is UTF-16"), "{error}");
     let error = format!("{:#}", options(&["--config", "/no/such/file"]).unwrap_err());
     assert!(error.contains("/no/such/file cannot be read"), "{error}");
+}
+
+#[test]
+fn help_is_for_a_terminal() {
+    let help = command().render_long_help().to_string();
+    assert!(help.contains("(docs/gcl.md)") && help.contains("'pty' creates"), "{help}");
+    assert!(!help.contains(['`', '#']) && !help.contains("]("), "{help}");
 }
 
 /// Checks that the document lists every option with its default and meaning.
@@ -282,7 +308,7 @@ fn options_in_the_document_are_those_of_the_program() {
     let (before, rest) = document.split_once(BEGIN).unwrap();
     let (shown, behind) = rest.split_once(END).unwrap();
     let mut table = "| option | default | meaning |\n|---|---|---|\n".to_owned();
-    for arg in command().get_arguments() {
+    for arg in definition().get_arguments() {
         let name = arg.get_long().unwrap();
         let help = arg.get_help().unwrap().to_string();
         let (value, default) =
