@@ -6,10 +6,12 @@
 mod calls;
 
 use super::hub::{Hub, Run};
+use crate::text::{self, one_line};
 use anyhow::{Context, Result};
 use mlua::chunk::ChunkMode;
 use mlua::{HookTriggers, Lua, LuaOptions, StdLib, VmState};
 use std::cell::Cell;
+use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -50,7 +52,7 @@ impl Script {
     /// Returns an error that names the file.
     pub(super) fn read(path: &Path) -> Result<Self> {
         let source =
-            std::fs::read(path).with_context(|| format!("the script {} cannot be read", path.display()))?;
+            source_of(path).with_context(|| format!("the script {} cannot be read", path.display()))?;
         Ok(Self { path: path.to_owned(), source })
     }
 
@@ -123,14 +125,21 @@ fn first_line(error: &mlua::Error) -> String {
     clipped(text.lines().next().unwrap_or_default())
 }
 
-/// Formats a text of a script as one log line: limited in length and without control characters.
+/// Formats a text of a script as one log line of limited length.
 fn clipped(text: &str) -> String {
-    let printable = |char: char| if char.is_control() && char != '\t' { '\u{FFFD}' } else { char };
-    let mut line: String = text.chars().take(MAX_LINE_LEN).map(printable).collect();
-    if line.len() < text.len() {
-        line.push('…');
+    let end = text.char_indices().nth(MAX_LINE_LEN).map_or(text.len(), |(at, _)| at);
+    let (line, rest) = text.split_at(end);
+    one_line(line).into_owned() + if rest.is_empty() { "" } else { "…" }
+}
+
+/// Reads a script or a module. A first line such as `#!/usr/bin/env lua` becomes a comment, as in Lua's own loader, and a byte
+/// order mark is removed. Lua takes any other bytes, in strings for example.
+fn source_of(path: &Path) -> io::Result<Vec<u8>> {
+    let mut source = text::unmarked(std::fs::read(path)?)?;
+    if source.starts_with(b"#") {
+        source.splice(..0, *b"--");
     }
-    line
+    Ok(source)
 }
 
 /// Returns the error that ends a stopped script.

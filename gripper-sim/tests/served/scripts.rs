@@ -200,11 +200,12 @@ fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
     let mut client = Client(connect(program.place_of("tcp")));
     assert_eq!(client.call_when_claimed(0xB0, &[]).0, Status::Success);
 
-    let output =
-        Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(["--script", "/nowhere.lua"]).output().unwrap();
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert!(!output.status.success() && error.lines().count() == 1, "{error}");
-    assert!(error.contains("the script /nowhere.lua cannot be read"), "{error}");
+    for (path, shown) in [("/nowhere.lua", "/nowhere.lua"), ("/no\nwh\u{1b}[2Jere.lua", "/no\\nwh\\u{1b}[2Jere.lua")] {
+        let output = Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(["--script", path]).output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert!(!output.status.success() && error.lines().count() == 1, "{error}");
+        assert!(error.contains(&format!("the script {shown} cannot be read")), "{error}");
+    }
 }
 
 #[test]
@@ -366,8 +367,45 @@ fn script_that_prints_without_end_fills_no_disk() {
     assert!(log.contains(" lines are omitted here: a script may write 100 a second\n"), "{log}");
     let longest = log.lines().map(str::len).max();
     assert!(longest.is_some_and(|len| len < 1_200), "{longest:?}");
-    assert!(log.contains(" script one\n") && log.contains(" script two\u{FFFD}[2J\n"), "{log}");
+    assert!(log.contains(" script one\n") && log.contains(" script two\\u{1b}[2J\n"), "{log}");
     assert!(log.contains(" script three\n"), "{log}");
+}
+
+#[test]
+fn pieces_of_a_line_are_one_line_of_the_log() {
+    let source =
+        "printf('%d of ', 1) printf('%d', 3) printf('\\nnext: ') print('a') printf('b\\r\\nc') print()
+        for _ = 1, 5000 do printf('long') end printf('\\n') print('end') printf('%s', 'rest')";
+    let log = log_of("pieces", Config::default(), &script("pieces", source).0, " script rest");
+    let lines: Vec<&str> = log.lines().filter_map(|line| Some(line.split_once(" script ")?.1)).collect();
+    let long = "long".repeat(256) + "…";
+    assert_eq!(lines, ["1 of 3", "next: a", "b", "c", &long, "end", "rest", "ended"]);
+}
+
+#[test]
+fn scripts_of_any_editor_run() {
+    // The line of an error must be that of the file.
+    for (name, start) in
+        [("mark", "\u{FEFF}"), ("shebang", "#!/usr/bin/env lua\n"), ("both", "\u{FEFF}#!/usr/bin/lua\n")]
+    {
+        let module = script(&format!("{name}-module"), &format!("{start}return 'module'"));
+        let module = module.0.file_stem().unwrap().to_string_lossy().into_owned();
+        let line = start.matches('\n').count() + 2;
+        let source = format!("{start}print(require '{module}')\r\nerror('own')");
+        let log = log_of(name, Config::default(), &script(name, &source).0, "own");
+        assert!(
+            log.contains(" script module\n") && log.contains(&format!("{name}.lua:{line}: own")),
+            "{log}"
+        );
+    }
+    let latin = script("latin", "");
+    std::fs::write(&latin.0, b"print(#'\xE4')").unwrap();
+    log_of("latin", Config::default(), &latin.0, " script 1");
+    let wide = script("wide", "");
+    std::fs::write(&wide.0, b"\xFF\xFEp\0").unwrap();
+    let output = Process::new(env!("CARGO_BIN_EXE_wsg-sim")).arg("--script").arg(&wide.0).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.contains("cannot be read: the text is UTF-16; save it as UTF-8"), "{error}");
 }
 
 #[test]

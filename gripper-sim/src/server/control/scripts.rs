@@ -3,6 +3,7 @@
 use super::answer::HttpError;
 use crate::server::hub::{Changes, Hub, OutputLine, Refused, ScriptReport};
 use crate::server::script::Script;
+use crate::text;
 use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -139,12 +140,12 @@ pub(super) fn execute(hub: &Arc<Hub>, body: ScriptBody) -> Result<ScriptsAnswer,
 }
 
 fn source_of(path: &Path) -> Result<String, HttpError> {
-    let source = fs::read(path).map_err(|error| failed("read", &error))?;
+    let source = text::read(path).map_err(|error| failed("read", &error))?;
     if source.len() > MAX_SOURCE_LEN {
         let error = format!("the script is too long for the page; expected at most {MAX_SOURCE_LEN} bytes");
         return Err(HttpError::new(StatusCode::CONFLICT, error));
     }
-    Ok(String::from_utf8_lossy(&source).into_owned())
+    Ok(source)
 }
 
 /// Writes a new file that then replaces the old one, so that no failure leaves half a script.

@@ -1,6 +1,6 @@
 //! The functions that a script can call (`docs/simulator.md`).
 
-use super::{clipped, first_line, switched_off};
+use super::{MAX_LINE_LEN, clipped, first_line, source_of, switched_off};
 use crate::finger::{Finger, Jaw};
 use crate::gripper::State;
 use crate::port::{MAX_FRAME_LEN, PortId};
@@ -11,6 +11,7 @@ use mlua::{Function, IntoLuaMulti, Lua, LuaString, MultiValue, Result, Table, Va
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -57,6 +58,8 @@ struct Caller {
     client: Cell<Option<PortId>>,
     noted: RefCell<BTreeSet<String>>,
     printed: Cell<Printed>,
+    /// The line that is printed so far, without its line end.
+    begun: RefCell<String>,
     /// The gains of the speed controller, which have no effect here.
     gains: Cell<[f64; 3]>,
 }
@@ -107,6 +110,7 @@ pub(super) fn install(
         client: Cell::default(),
         noted: RefCell::default(),
         printed: Cell::new(Printed::new()),
+        begun: RefCell::default(),
         gains: Cell::new([1.0, 0.0, 0.0]),
     });
     let globals = lua.globals();
@@ -162,11 +166,20 @@ impl Caller {
         })
     }
 
-    /// Logs a text printed by the script, within its limit.
+    /// Logs a text printed by the script, within its limit. The rest after the last line end is logged with the next text, or
+    /// at the end of the script.
     fn print(&self, text: &str) -> Result<()> {
         let mut printed = self.printed.get();
         let mut lines = Vec::new();
-        for line in if text.is_empty() { "\n" } else { text }.lines() {
+        for piece in text.split_inclusive('\n') {
+            let mut begun = self.begun.borrow_mut();
+            // One more, so that the line is marked as clipped.
+            let room = (MAX_LINE_LEN + 1).saturating_sub(begun.chars().count());
+            begun.extend(piece.strip_suffix('\n').unwrap_or(piece).chars().take(room));
+            if !piece.ends_with('\n') {
+                break;
+            }
+            let line = std::mem::take(&mut *begun);
             let lost = printed.lost;
             if !printed.takes_line() {
                 continue;
@@ -177,7 +190,7 @@ impl Caller {
                 ));
                 printed.lost = 0;
             }
-            lines.push(clipped(line));
+            lines.push(clipped(line.strip_suffix('\r').unwrap_or(&line)));
         }
         self.printed.set(printed);
         if lines.is_empty() { Ok(()) } else { self.log(lines) }
@@ -233,6 +246,15 @@ impl Caller {
         }
         self.note(lua, 2, format_args!("{call}: {status}"))?;
         Ok(status.code())
+    }
+}
+
+impl Drop for Caller {
+    fn drop(&mut self) {
+        if !self.begun.borrow().is_empty() {
+            // After a stop, nothing is logged any more.
+            let _ = self.print("\n");
+        }
     }
 }
 
@@ -678,7 +700,7 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
         })?
         .function("print", move |_, caller, values: MultiValue| {
             let texts = values.iter().map(|value| Ok(to_string.call::<LuaString>(value)?.to_string_lossy()));
-            caller.print(&texts.collect::<Result<Vec<_>>>()?.join("\t"))
+            caller.print(&(texts.collect::<Result<Vec<_>>>()?.join("\t") + "\n"))
         })?
         .function("printf", move |_, caller, values: MultiValue| {
             caller.print(&format.call::<LuaString>(values)?.to_string_lossy())
@@ -701,12 +723,16 @@ fn module_loader(lua: &Lua, directory: &Path) -> Result<Function> {
         let file = format!("{name}.lua");
         let path = directory.join(&file);
         let is_module = path.metadata().is_ok_and(|file| file.is_file() && file.len() <= MAX_MODULE_LEN);
-        let source = if is_module { std::fs::read(&path).ok() } else { None };
-        let Some(source) = source else {
-            return Ok((
-                None,
-                Some(format!("require: there is no {file:?} beside the script, or it cannot be read")),
-            ));
+        let source = if is_module { source_of(&path) } else { Err(ErrorKind::NotFound.into()) };
+        let source = match source {
+            Ok(source) => source,
+            Err(error) if error.kind() == ErrorKind::InvalidData => {
+                return Ok((None, Some(format!("require: {file:?}: {error}"))));
+            }
+            Err(_) => {
+                let why = format!("require: there is no {file:?} beside the script, or it cannot be read");
+                return Ok((None, Some(why)));
+            }
         };
         match lua.load(source).set_name(format!("@{file}")).set_mode(ChunkMode::Text).into_function() {
             Ok(run) => Ok((Some(run), None)),
