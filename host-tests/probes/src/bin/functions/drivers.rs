@@ -8,6 +8,7 @@ use wsg_protocol::driver::{
     Binary, Clock, Config, Error, Gcl, Grip, MotionResult, Pending, Timer, asynch, blocking,
 };
 use wsg_protocol::gcl::session::RequestError as GclRequestError;
+use wsg_protocol::limits::OutOfLimits;
 use wsg_protocol::session::RequestError;
 use wsg_protocol::{DecodeError, Instant};
 
@@ -56,7 +57,7 @@ pub(crate) fn every_function() {
 macro_rules! without_waiting {
     ($($gripper:ty),+) => {
         functions! { $(
-            $gripper: is_connected, known, motion, fast_stop_pending, counters, subscribe, replace_io, into_io;
+            $gripper: is_connected, known, age_ms, motion, fast_stop_pending, counters, subscribe, replace_io, into_io;
         )+ }
     };
 }
@@ -67,6 +68,7 @@ macro_rules! waiting {
             $gripper: connect, announce_disconnect, next_update, loop_back, raw;
             $gripper: home, move_to, move_by, grip, release, stop, fast_stop, acknowledge;
             $gripper: begin_home, begin_move_to, begin_move_by, begin_grip, begin_release;
+            $gripper: grip_with_force, begin_grip_with_force, begin_move_to_with_force;
             $gripper: acceleration, set_acceleration, force_limit, set_force_limit, soft_limits, set_soft_limits;
             $gripper: clear_soft_limits, set_overdrive, tare, tag, set_tag;
             $gripper: system_state, gripper_state, statistics, width, speed, force, temperature, system_info, limits;
@@ -89,7 +91,7 @@ fn blocking() {
     waiting!(OverBinary, OverGcl);
     functions! {
         OverBinary: new, with_config;
-        OverGcl: new, with_config;
+        OverGcl: new, with_config, assume_limits;
         OverGcl: clamping_travel, set_clamping_travel, part_width_tolerance, set_part_width_tolerance;
         Error<Infallible>: cause;
         Pending<()>: id, clone;
@@ -102,6 +104,7 @@ fn blocking() {
     function!(<Error<Infallible> as core::error::Error>::source);
     function!(<Error<Infallible> as From<RequestError>>::from);
     function!(<Error<Infallible> as From<DecodeError>>::from);
+    function!(<Error<Infallible> as From<OutOfLimits>>::from);
     function!(<Error<Infallible> as From<GclRequestError>>::from);
 }
 
@@ -111,6 +114,6 @@ fn asynch() {
     without_waiting!(OverBinary, OverGcl);
     functions! {
         OverBinary: new, with_config;
-        OverGcl: new, with_config;
+        OverGcl: new, with_config, assume_limits;
     }
 }
