@@ -108,3 +108,55 @@ const fn failure(error: SaveError) -> u16 {
         SaveError::NotWritten => 6,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoBus;
+    use crate::gripper::GripperLink;
+    use crate::io::Inputs;
+    use crate::plc::{PlcEvent, PlcSide, Shown, View, WiresConfig};
+    use crate::register::{BusCounts, FIRST_REPORT};
+    use crate::storage::NoFlash;
+    use wsg_protocol::can::Identifiers;
+
+    /// A service port that commands DEFAULTS once, and then reads COMMANDS_REFUSED.
+    struct Service {
+        is_new: bool,
+        refused: u16,
+    }
+
+    impl PlcSide for Service {
+        fn receive(&mut self, _: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+            if core::mem::take(&mut self.is_new) {
+                view.command_store(StoreCommand::Defaults).unwrap();
+                return Some(PlcEvent::Configured);
+            }
+            self.refused = view.report(210 - FIRST_REPORT, BusCounts::default()).unwrap();
+            Some(PlcEvent::Served)
+        }
+
+        fn show(&mut self, _: Instant, _: &Shown) {}
+    }
+
+    /// Without it, the wires keep a debounce time of a second, although the registers show 2 ms.
+    #[test]
+    fn defaults_apply_to_the_wires_at_once() {
+        let slow = WiresConfig { debounce_ms: 1_000, ..WiresConfig::DEFAULT };
+        let mut bridge = Bridge::new(Config { wires: slow, ..Config::DEFAULT });
+        let mut stored = StoredSettings::new();
+        stored.set_delivered(|| Config::DEFAULT.record());
+        stored.load(&NoFlash).unwrap();
+        let mut service = Service { is_new: true, refused: 0 };
+        bridge.serve(0, &mut service);
+        stored.turn(Instant::from_millis(0), &mut bridge, &mut NoFlash);
+
+        let mut line = GripperLink::new(Identifiers::DEFAULT);
+        for ms in 1..40 {
+            let command = if ms < 20 { Inputs::empty() } else { Inputs::MOVE };
+            bridge.poll(ms, Inputs::FAST_STOP_OK | command, &mut line, &mut NoBus);
+        }
+        bridge.serve(40, &mut service);
+        assert_eq!(service.refused, 1, "the edge of MOVE, without a gripper");
+    }
+}

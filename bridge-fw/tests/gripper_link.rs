@@ -206,13 +206,26 @@ fn frames_to_a_lost_gripper_are_withdrawn() {
     let mut link = link();
     link.set_connected(false);
     assert!(!takes_back(&link), "no connection was lost");
-    link.set_connected(true);
-    write_all(&mut link, &message(0));
-    link.set_connected(true);
-    assert!(!takes_back(&link));
-    link.set_connected(false);
-    assert!(takes_back(&link));
-    assert!(say(&mut link).is_none());
+    // Number of frames that the bus has taken of a message of three, and of its unsent ones among them.
+    for (taken, unsent) in [(0, 0), (1, 1), (2, 1), (2, 2), (3, 3)] {
+        let mut link = self::link();
+        link.set_connected(true);
+        write_all(&mut link, &message(10));
+        for _ in 0..taken {
+            assert!(say(&mut link).is_some());
+        }
+        link.set_connected(true);
+        assert!(!takes_back(&link));
+        link.set_connected(false);
+        assert!(takes_back(&link));
+        assert!(say(&mut link).is_none());
+        CanNode::<ClassicFrame>::taken_back(&mut link, unsent);
+        assert!(!takes_back(&link));
+        assert!(say(&mut link).is_none(), "nothing is sent to a gripper that returns: {taken} {unsent}");
+        write_all(&mut link, &message(0));
+        let sent = say(&mut link).expect("the first message of the next connection");
+        assert_eq!(sent.data(), message(0));
+    }
 }
 
 #[test]

@@ -44,15 +44,6 @@ struct Piece {
     is_last: bool,
 }
 
-/// Kind of unsent frames that the link withdraws from the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum TakesBack {
-    /// All frames, permanently.
-    All,
-    /// Frames of motions and acknowledgements. The others are sent later.
-    Motions,
-}
-
 /// The bridge's end of a gripper on CAN.
 ///
 /// It accepts the next message after the bus has taken all frames of the previous one. So a FAST STOP waits for the rest of
@@ -72,7 +63,8 @@ pub struct GripperLink {
     stuck_since: Option<Instant>,
     is_on: bool,
     is_connected: bool,
-    takes_back: Option<TakesBack>,
+    /// The link withdraws its unsent frames from the bus. Those that it still keeps are sent later.
+    takes_back: bool,
     /// Command that the gripper will not receive completely. Not yet reported to the bridge.
     withdrawn: Option<CommandId>,
     /// A message was truncated, and the next write must fail.
@@ -96,7 +88,7 @@ impl GripperLink {
             stuck_since: None,
             is_on: true,
             is_connected: false,
-            takes_back: None,
+            takes_back: false,
             withdrawn: None,
             is_broken: false,
             overflows: 0,
@@ -115,8 +107,7 @@ impl GripperLink {
     /// returns.
     pub fn set_connected(&mut self, is_connected: bool) {
         if self.is_connected && !is_connected {
-            self.abandon();
-            self.takes_back = Some(TakesBack::All);
+            self.withdraw_all();
         }
         self.is_connected = is_connected;
     }
@@ -128,9 +119,7 @@ impl GripperLink {
     /// A message whose first frame was sent cannot simply be cut, because the gripper would take the following FAST STOP for
     /// its rest. Its other frames are sent [spoilt](Segment::spoil), in at most two frames, followed by the FAST STOP.
     pub fn withdraw(&mut self) {
-        if self.takes_back.is_none() && self.frames.iter().any(|piece| piece.motion.is_some()) {
-            self.takes_back = Some(TakesBack::Motions);
-        }
+        self.takes_back |= self.frames.iter().any(|piece| piece.motion.is_some());
     }
 
     /// Returns the last withdrawn command, once.
@@ -144,8 +133,7 @@ impl GripperLink {
         if !self.has_frames_to_give() {
             self.stuck_since = None;
         } else if now.since(*self.stuck_since.get_or_insert(now)) >= STUCK_MS {
-            self.abandon();
-            self.takes_back = Some(TakesBack::All);
+            self.withdraw_all();
         }
         let Self { reassembler, received, overflows, .. } = self;
         reassembler.handle_timeout(now, |event| keep(received, overflows, event));
@@ -154,6 +142,12 @@ impl GripperLink {
     /// Returns whether frames are pending for the bus.
     fn has_frames_to_give(&self) -> bool {
         self.given < self.frames.len()
+    }
+
+    /// Withdraws all unsent frames permanently.
+    fn withdraw_all(&mut self) {
+        self.abandon();
+        self.takes_back = true;
     }
 
     /// Discards the message in transmission.
@@ -184,9 +178,7 @@ impl GripperLink {
     /// Handles the withdrawal of the last `count` frames by the bus.
     #[inline(never)]
     fn resume(&mut self, count: usize) {
-        if self.takes_back.take() != Some(TakesBack::Motions) {
-            return self.forget_frames();
-        }
+        self.takes_back = false;
         self.forget_sent(self.given.saturating_sub(count));
         self.given = 0;
         // Of a message that was partly sent, only the rest is left, before the other messages.
@@ -256,7 +248,7 @@ impl<F: Frame> CanNode<F> for GripperLink {
     }
 
     fn poll_transmit(&mut self, _: Instant) -> Option<F> {
-        if self.takes_back.is_some() {
+        if self.takes_back {
             return None;
         }
         self.stuck_since = None;
@@ -274,7 +266,7 @@ impl<F: Frame> CanNode<F> for GripperLink {
     }
 
     fn takes_back(&self) -> Option<Id> {
-        self.takes_back.map(|_| self.endpoint.transmit.into())
+        self.takes_back.then(|| self.endpoint.transmit.into())
     }
 
     fn taken_back(&mut self, count: usize) {
@@ -284,7 +276,7 @@ impl<F: Frame> CanNode<F> for GripperLink {
     fn bus_changed(&mut self, is_on: bool) {
         self.is_on = is_on;
         self.abandon();
-        self.takes_back = None;
+        self.takes_back = false;
         self.reassembler.reset();
         // Complete messages received before the loss stay: they were valid, and the session knows its pending requests.
     }
@@ -316,7 +308,7 @@ impl WriteReady for GripperLink {
     fn write_ready(&mut self) -> Result<bool, WouldBlock> {
         // Also true for a truncated message, because the write reports it.
         let goes_on = self.segmenter.is_mid_message() || !self.has_frames_to_give();
-        Ok(self.is_broken || (self.is_on && self.takes_back.is_none() && goes_on))
+        Ok(self.is_broken || (self.is_on && !self.takes_back && goes_on))
     }
 }
 
