@@ -5,6 +5,7 @@
 //! |---|---|
 //! | [`addresses`] | register addresses of the bridge, by name |
 //! | [`wires_rig`] | a [`world`] whose PLC uses wires only |
+//! | [`board_wiring`] | the pins of each board, for the documents, and the picture of them |
 //! | [`bxcan`] | model of the STM32L4's CAN controller, per its manual |
 //! | [`can_rig`] | bridge and virtual gripper on a CAN bus, with a controller that goes bus-off on request |
 //! | [`can_bus`] | model of a CAN bus: arbitration, acknowledgement, faults |
@@ -48,6 +49,7 @@
 //! The emulator requires QEMU and the image (`cargo xtask test` provides both), and a system with Unix sockets.
 
 pub mod addresses;
+pub mod board_wiring;
 pub mod bxcan;
 #[cfg(unix)]
 pub mod can_bus;

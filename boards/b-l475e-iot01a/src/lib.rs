@@ -1,10 +1,6 @@
 //! The pins of the PLC's wires on the board B-L475E-IOT01A (ST UM2153, Arduino connectors CN1 to CN4).
 //!
-//! The firmware and the test harness, which plays the PLC in the emulator, both use these tables. Other pins in use:
-//! - gripper: UART4 on PA0 (TX, D1) and PA1 (RX, D0)
-//! - bus: LPUART1 on PC1 (TX, A4), PC0 (RX, A5) and PB1 (driver enable, D6)
-//! - CAN1: PB8 (RX, D15) and PB9 (TX, D14)
-//! - service port: USART1 on PB6 (TX) and PB7 (RX), connected only to the ST-Link
+//! The firmware, the test harness, which plays the PLC in the emulator, and the documents use these tables.
 
 #![no_std]
 #![deny(unsafe_code)]
@@ -52,6 +48,19 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
     OutputWire { signal: Outputs::REFERENCED, pin: 15, connector: "D9" },
     // Also drives the board's green LED1.
     OutputWire { signal: Outputs::LINK_OK, pin: 5, connector: "D13" },
+];
+
+/// The pins of lines and buses: the pin on the board, the MCU's pin and its function, the connected part, and the part's pin.
+pub const LINE_PINS: [[&str; 4]; 9] = [
+    ["D1", "PA0, UART4 TX", "RS-232 transceiver", "driver input"],
+    ["D0", "PA1, UART4 RX", "RS-232 transceiver", "receiver output"],
+    ["A4", "PC1, LPUART1 TX", "RS-485 transceiver", "driver input (DI)"],
+    ["A5", "PC0, LPUART1 RX", "RS-485 transceiver", "receiver output (RO)"],
+    ["D6", "PB1, LPUART1 DE", "RS-485 transceiver", "driver enable (DE)"],
+    ["D14", "PB9, CAN1 TX", "CAN transceiver", "driver input (TXD)"],
+    ["D15", "PB8, CAN1 RX", "CAN transceiver", "receiver output (RXD)"],
+    ["USB", "PB6, USART1 TX", "computer", "via the ST-Link"],
+    ["USB", "PB7, USART1 RX", "computer", "via the ST-Link"],
 ];
 
 /// The pins of all [`OUTPUTS`], as a mask of [`OUTPUT_PORT`].

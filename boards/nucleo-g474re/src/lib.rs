@@ -1,10 +1,6 @@
 //! The pins of the PLC's wires on the board NUCLEO-G474RE (STM32G474RE; ST UM2505, connectors CN7 and CN10).
 //!
-//! The firmware and the documents use these tables. Other pins in use:
-//! - gripper: USART1 on PC4 (TX) and PC5 (RX)
-//! - bus: USART3 on PB10 (TX), PB11 (RX) and PB14 (driver enable)
-//! - FDCAN1: PA11 (RX) and PA12 (TX)
-//! - service port: USART2 on PA2 (TX) and PA3 (RX), connected to the ST-LINK
+//! The firmware and the documents use these tables.
 //!
 //! Unused on purpose: the debug port on PA13 to PA15, PB3 and PB4; PB4 and PB6, which the USB-C dead battery logic pulls down
 //! after a reset; PB8 (BOOT0); PC13 (button); PC14 and PC15 (32 kHz crystal).
@@ -47,6 +43,19 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
     OutputWire { signal: Outputs::ERROR, pin: 10, connector: "CN7-1" },
     OutputWire { signal: Outputs::REFERENCED, pin: 11, connector: "CN7-2" },
     OutputWire { signal: Outputs::LINK_OK, pin: 12, connector: "CN7-3" },
+];
+
+/// The pins of lines and buses: the pin on the board, the MCU's pin and its function, the connected part, and the part's pin.
+pub const LINE_PINS: [[&str; 4]; 9] = [
+    ["CN10-34", "PC4, USART1 TX", "RS-232 transceiver", "driver input"],
+    ["CN10-6", "PC5, USART1 RX", "RS-232 transceiver", "receiver output"],
+    ["CN10-25", "PB10, USART3 TX", "RS-485 transceiver", "driver input (DI)"],
+    ["CN10-18", "PB11, USART3 RX", "RS-485 transceiver", "receiver output (RO)"],
+    ["CN10-28", "PB14, USART3 DE", "RS-485 transceiver", "driver enable (DE)"],
+    ["CN10-12", "PA12, FDCAN1 TX", "CAN transceiver", "driver input (TXD)"],
+    ["CN10-14", "PA11, FDCAN1 RX", "CAN transceiver", "receiver output (RXD)"],
+    ["USB", "PA2, USART2 TX", "computer", "via the ST-Link"],
+    ["USB", "PA3, USART2 RX", "computer", "via the ST-Link"],
 ];
 
 /// The port and pin of the board's green LD2, lit when high. It shows the bridge's

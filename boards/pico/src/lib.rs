@@ -1,10 +1,6 @@
 //! The pins of the PLC's wires on the Raspberry Pi Pico (RP2040; data sheet of the Pico, figure 2).
 //!
-//! The firmware, the test harness, which plays the PLC in the emulator, and the documents use these tables. Other pins in use:
-//! - gripper: UART0 on GP0 (TX) and GP1 (RX)
-//! - bus: UART1 on GP4 (TX), GP5 (RX) and GP6 (driver enable)
-//! - MCP2515: SPI0 on GP16 (MISO), GP17 (CS), GP18 (SCK) and GP19 (MOSI), INT on GP20
-//! - service port: the USB connector
+//! The firmware, the test harness, which plays the PLC in the emulator, and the documents use these tables.
 
 #![no_std]
 #![forbid(unsafe_code)]
@@ -59,6 +55,21 @@ pub const OUTPUTS: [OutputWire; Outputs::COUNT] = [
     OutputWire { signal: Outputs::ERROR, gpio: 22, pin: 29 },
     OutputWire { signal: Outputs::REFERENCED, gpio: 26, pin: 31 },
     OutputWire { signal: Outputs::LINK_OK, gpio: 27, pin: 32 },
+];
+
+/// The pins of lines and buses: the pin on the board, the MCU's pin and its function, the connected part, and the part's pin.
+pub const LINE_PINS: [[&str; 4]; 11] = [
+    ["1", "GP0, UART0 TX", "RS-232 transceiver", "driver input"],
+    ["2", "GP1, UART0 RX", "RS-232 transceiver", "receiver output"],
+    ["6", "GP4, UART1 TX", "RS-485 transceiver", "driver input (DI)"],
+    ["7", "GP5, UART1 RX", "RS-485 transceiver", "receiver output (RO)"],
+    ["9", "GP6", "RS-485 transceiver", "driver enable (DE)"],
+    ["21", "GP16, SPI0 RX", "MCP2515", "SO"],
+    ["22", "GP17", "MCP2515", "CS"],
+    ["24", "GP18, SPI0 SCK", "MCP2515", "SCK"],
+    ["25", "GP19, SPI0 TX", "MCP2515", "SI"],
+    ["26", "GP20", "MCP2515", "INT"],
+    ["USB", "USB device", "computer", "CDC ACM"],
 ];
 
 /// The GPIO of the LED on the board, lit when high. It shows the bridge's

@@ -19,6 +19,9 @@ pub struct Board {
     pub flash_limit: u64,
     /// Lines of the delivered README about the files of the image.
     pub files: &'static str,
+    /// Words of its documents that name a part, a file or a program of this board. Documents of boards without such a word
+    /// must not contain it.
+    pub words: &'static [&'static str],
 }
 
 /// All boards, the default board first.
@@ -34,6 +37,17 @@ pub static BOARDS: [Board; 3] = [
         files: "\
 wsg-bridge.bin       the image: copy it to the USB drive that the board provides
 wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer",
+        words: &[
+            "ST",
+            "ST-Link",
+            "STM32CubeProgrammer",
+            "STM32_Programmer_CLI",
+            "st-flash",
+            "LED1",
+            "LED2",
+            "HSI16",
+            "RM0351",
+        ],
     },
     Board {
         name: "pico",
@@ -48,6 +62,7 @@ wsg-bridge.uf2       the image: hold BOOTSEL while you connect USB, and copy it 
                      drive that appears
 wsg-bridge.elf       the same image for debug probes
 wsg-bridge.bin       the same image as bytes of the flash, from 10000000h",
+        words: &["Pico", "wsg-bridge.uf2", "uf2", "BOOTSEL", "MCP2515", "CDC"],
     },
     Board {
         name: "nucleo-g474re",
@@ -61,6 +76,24 @@ This image has never been executed: no emulator has the board NUCLEO-G474RE.
 
 wsg-bridge.bin       the image: copy it to the USB drive that the board provides
 wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer",
+        words: &[
+            "ST",
+            "ST-Link",
+            "STM32CubeProgrammer",
+            "st-flash",
+            "LD2",
+            "Morpho",
+            "CN7",
+            "CN10",
+            "RM0440",
+            "PA13",
+            "PA15",
+            "PB3",
+            "PB4",
+            "PB6",
+            "PB8",
+            "PC13",
+        ],
     },
 ];
 

@@ -5,6 +5,7 @@
 mod api;
 mod archive;
 mod bitmap;
+mod board_names;
 mod book;
 mod device_archives;
 mod image;
@@ -23,7 +24,7 @@ use anyhow::{Context, Result, ensure};
 use boards::Board;
 use clap::Parser;
 use document::root;
-use host_tests::device_files::GSD;
+use host_tests::{board_wiring::BoardWiring, device_files::GSD};
 use sha2::{Digest, Sha256};
 
 /// Files of `docs` that are copied unchanged.
@@ -46,7 +47,7 @@ fn linked() -> Vec<&'static str> {
 }
 
 const README: &str = "\
-wsg-bridge: a bridge between a PLC and a servo gripper of the WSG series.
+wsg-bridge for the BOARD: a bridge between a PLC and a servo gripper of the WSG series.
 It is not a safety device.
 
 Start with manual.html, \"Quick start\". Open it in any browser; no network is needed.
@@ -127,13 +128,12 @@ fn run(Folder { elf, board, book, to }: &Folder) -> Result<()> {
 
 /// Returns the named files, with the checksums last.
 fn contents(board: &Board, elf: Vec<u8>, book: Vec<(String, Vec<u8>)>) -> Result<Vec<(String, Vec<u8>)>> {
-    let readme =
-        README.replace("IMAGE", board.files).replace("BOOK", if book.is_empty() { "" } else { BOOK });
+    let readme = readme(board, !book.is_empty());
     let mut single = vec![
         ("README.txt", readme.replace('\n', "\r\n").into_bytes()),
         ("wsg-bridge.bin", image::bytes_of_flash(&elf)?),
         ("wsg-bridge.elf", elf),
-        ("manual.html", manual::html(&linked())?.into_bytes()),
+        ("manual.html", manual::html(board, &linked())?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),
         ("LICENCES.txt", provenance::licences(&[&board.selection()])?.into_bytes()),
     ];
@@ -153,6 +153,11 @@ fn contents(board: &Board, elf: Vec<u8>, book: Vec<(String, Vec<u8>)>) -> Result
     files.sort();
     files.push((SUMS.to_owned(), sums(&files).into_bytes()));
     Ok(files)
+}
+
+fn readme(board: &Board, has_book: bool) -> String {
+    let readme = README.replace("IMAGE", board.files).replace("BOOK", if has_book { BOOK } else { "" });
+    readme.replace("BOARD", BoardWiring::of(board).name)
 }
 
 /// Returns the checksums of these named files, as `sha256sum` prints them.

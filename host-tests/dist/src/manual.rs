@@ -1,13 +1,16 @@
-//! The manual: the documents for PLC engineers as one self-contained HTML file.
+//! The manual of a board: the documents for PLC engineers as one self-contained HTML file.
 //!
 //! Links between these documents become internal links and show a document's title instead of its file name. Pictures
 //! are embedded. Links to other documents are reduced to their text. Text between `<!-- manual: off -->` and `<!--
-//! manual: on -->` is for people who build the image and is removed.
+//! manual: on -->` is for people who build the image and is removed. Text between `<!-- manual: NAME, NAME -->` and
+//! `<!-- manual: on -->` is only for the manuals of these boards.
 
 use std::{collections::BTreeMap, fmt::Write as _, fs};
 
 use anyhow::{Context, Result, bail, ensure};
+use boards::Board;
 use document::{anchor_of, root};
+use host_tests::board_wiring::BoardWiring;
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
 /// The documents, in reading order.
@@ -24,13 +27,18 @@ pub(crate) const DOCUMENTS: [&str; 10] = [
     "states.md",
 ];
 
-const OFF: &str = "<!-- manual: off -->";
+/// Begins a part that is left out (`off`), or a part for the named boards.
+const MARK: &str = "<!-- manual: ";
 const ON: &str = "<!-- manual: on -->";
+const OFF: &str = "off";
+
+/// The picture of the wiring, which differs by board.
+const WIRING: &str = "wiring.svg";
 
 const HEAD: &str = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
 <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
 <meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src 'unsafe-inline'\">\n\
-<title>wsg-bridge: manual</title>\n<style>\n\
+<title>TITLE</title>\n<style>\n\
 body { font: 16px/1.5 sans-serif; color: #222; background: #fff; max-width: 60em; margin: 0 auto; padding: 1em; }\n\
 section { border-top: 2px solid #444; margin-top: 3em; }\n\
 .wide { overflow-x: auto; }\n\
@@ -43,16 +51,17 @@ img { max-width: 100%; }\n\
 @media print { section { break-before: page; } body { max-width: none; font-size: 11px; } }\n\
 </style>\n</head>\n<body>\n";
 
-/// Returns the manual.
+/// Returns the manual of a board.
 ///
 /// # Errors
 /// Fails when a document or a picture cannot be read, or a link is broken.
-pub(crate) fn html(files: &[&str]) -> Result<String> {
+pub(crate) fn html(board: &Board, files: &[&str]) -> Result<String> {
+    let wiring = BoardWiring::of(board);
     let mut documents = BTreeMap::new();
     for name in DOCUMENTS {
         let text =
             fs::read_to_string(root().join("docs").join(name)).with_context(|| format!("docs/{name}"))?;
-        documents.insert(name, without_parts_for_builders(&text).with_context(|| format!("docs/{name}"))?);
+        documents.insert(name, parts_for(board.name, &text).with_context(|| format!("docs/{name}"))?);
     }
     let titles =
         documents.iter().filter_map(|(name, text)| Some((*name, text.lines().next()?.strip_prefix("# ")?)));
@@ -60,29 +69,39 @@ pub(crate) fn html(files: &[&str]) -> Result<String> {
     let mut contents = String::new();
     let mut chapters = String::new();
     for name in DOCUMENTS {
-        let chapter = Chapter { name, files, titles: &titles };
+        let chapter = Chapter { name, files, titles: &titles, wiring: &wiring };
         let events = chapter.events(documents.get(name).map_or("", String::as_str))?;
         chapter.list(&events, &mut contents)?;
         writeln!(chapters, "<section id=\"{}\">", chapter.id(""))?;
         html::push_html(&mut chapters, events.into_iter());
         chapters.push_str("</section>\n");
     }
-    let version = env!("CARGO_PKG_VERSION");
-    let manual = format!(
-        "{HEAD}<h1>wsg-bridge {version}: manual</h1>\n<nav>\n{contents}</nav>\n{chapters}</body>\n</html>\n"
-    );
+    let title = format!("wsg-bridge {} for the {}: manual", env!("CARGO_PKG_VERSION"), wiring.name);
+    let head = HEAD.replace("TITLE", &title);
+    let manual = format!("{head}<h1>{title}</h1>\n<nav>\n{contents}</nav>\n{chapters}</body>\n</html>\n");
     check(&manual, files)?;
     Ok(manual)
 }
 
-fn without_parts_for_builders(text: &str) -> Result<String> {
+/// Returns a document without the parts for people who build the image and for other boards.
+fn parts_for(board: &str, text: &str) -> Result<String> {
     let mut kept = String::new();
     let mut rest = text;
-    while let Some((before, after)) = rest.split_once(OFF) {
+    while let Some((before, after)) = rest.split_once(MARK) {
+        let (mark, after) = after.split_once(" -->").with_context(|| format!("{MARK} has no end"))?;
+        let names: Vec<&str> = mark.split(", ").collect();
+        for name in &names {
+            ensure!(*name == OFF || Board::named(name).is_ok(), "{name} of {MARK}{mark} --> is no board");
+        }
+        let (part, after) =
+            after.split_once(ON).with_context(|| format!("{MARK}{mark} --> has no closing {ON}"))?;
+        ensure!(!part.contains(MARK), "{MARK}{mark} --> contains another mark");
         kept.push_str(before);
-        (_, rest) = after.split_once(ON).with_context(|| format!("{OFF} has no closing {ON}"))?;
+        if names.contains(&board) {
+            kept.push_str(part.strip_prefix('\n').unwrap_or(part));
+        }
+        rest = after.strip_prefix('\n').unwrap_or(after);
     }
-    ensure!(!rest.contains(ON), "{ON} has no preceding {OFF}");
     Ok(kept + rest)
 }
 
@@ -92,6 +111,7 @@ struct Chapter<'a> {
     files: &'a [&'a str],
     /// Titles of all documents.
     titles: &'a BTreeMap<&'a str, &'a str>,
+    wiring: &'a BoardWiring,
 }
 
 /// Target of a link.
@@ -140,7 +160,7 @@ impl Chapter<'_> {
                     Event::Text(title.map_or(words, |title| format!("\u{201C}{title}\u{201D}").into()))
                 }
                 Event::Start(Tag::Image { link_type, dest_url, title, id }) => {
-                    let dest_url = picture(&dest_url)?.into();
+                    let dest_url = self.picture(&dest_url)?.into();
                     Event::Start(Tag::Image { link_type, dest_url, title, id })
                 }
                 Event::Start(Tag::Table(alignments)) => {
@@ -211,6 +231,25 @@ impl Chapter<'_> {
         );
         Ok(Target::Elsewhere)
     }
+
+    /// Returns a drawing as a data URL.
+    fn picture(&self, file: &str) -> Result<String> {
+        ensure!(file.ends_with(".svg"), "{file} is not an SVG drawing");
+        let drawing = if file == WIRING {
+            self.wiring.picture()
+        } else {
+            fs::read_to_string(root().join("docs").join(file)).with_context(|| format!("docs/{file}"))?
+        };
+        let mut address = String::from("data:image/svg+xml;charset=utf-8,");
+        for byte in drawing.bytes() {
+            if byte.is_ascii_alphanumeric() || b"-_.".contains(&byte) {
+                address.push(byte.into());
+            } else {
+                write!(address, "%{byte:02X}")?;
+            }
+        }
+        Ok(address)
+    }
 }
 
 fn id(document: &str, heading: &str) -> String {
@@ -229,21 +268,6 @@ fn heading(events: &[Event<'_>]) -> (usize, String) {
         }
     }
     (start, words)
-}
-
-/// Returns a drawing as a data URL.
-fn picture(file: &str) -> Result<String> {
-    ensure!(file.ends_with(".svg"), "{file} is not an SVG drawing");
-    let drawing = fs::read(root().join("docs").join(file)).with_context(|| format!("docs/{file}"))?;
-    let mut address = String::from("data:image/svg+xml;charset=utf-8,");
-    for byte in drawing {
-        if byte.is_ascii_alphanumeric() || b"-_.".contains(&byte) {
-            address.push(byte.into());
-        } else {
-            write!(address, "%{byte:02X}")?;
-        }
-    }
-    Ok(address)
 }
 
 fn escaped(text: &str) -> String {
@@ -282,10 +306,13 @@ fn attributes<'a>(html: &'a str, name: &'a str) -> impl Iterator<Item = &'a str>
 mod tests {
     use super::*;
     use crate::linked;
+    use boards::BOARDS;
 
     fn rendered(text: &str) -> Result<String> {
         let titles = BTreeMap::from([("wiring.md", "Wiring")]);
-        let events = Chapter { name: "states.md", files: &["a.eds"], titles: &titles }.events(text)?;
+        let wiring = BoardWiring::of(<&Board>::default());
+        let chapter = Chapter { name: "states.md", files: &["a.eds"], titles: &titles, wiring: &wiring };
+        let events = chapter.events(text)?;
         let mut html = String::new();
         html::push_html(&mut html, events.into_iter());
         Ok(html)
@@ -293,16 +320,18 @@ mod tests {
 
     #[test]
     fn manual_has_every_document_no_build_tools_and_is_reproducible() {
-        let manual = html(&linked()).unwrap();
+        for board in &BOARDS {
+            let manual = html(board, &linked()).unwrap();
 
-        for document in DOCUMENTS {
-            assert!(manual.contains(&format!("<section id=\"{}\">", id(document, ""))), "{document}");
+            for document in DOCUMENTS {
+                assert!(manual.contains(&format!("<section id=\"{}\">", id(document, ""))), "{document}");
+            }
+            for word in ["cargo", "xtask", "Rust", ".rs", "rustup", "crate", "host-tests", ".md"] {
+                assert!(!manual.contains(word), "the manual of the {} mentions {word}", board.name);
+            }
+            assert!(manual.contains("src=\"data:image/svg+xml;"));
+            assert!(manual == html(board, &linked()).unwrap());
         }
-        for word in ["cargo", "xtask", "Rust", ".rs", "rustup", "crate", "host-tests", ".md"] {
-            assert!(!manual.contains(word), "the manual mentions {word}");
-        }
-        assert!(manual.contains("src=\"data:image/svg+xml;"));
-        assert!(manual == html(&linked()).unwrap());
     }
 
     #[test]
@@ -340,10 +369,21 @@ mod tests {
     }
 
     #[test]
-    fn parts_for_builders_are_left_out() {
-        let text = format!("a {OFF} b {ON} c {OFF} d {ON} e");
-        assert_eq!(without_parts_for_builders(&text).unwrap(), "a  c  e");
-        assert!(without_parts_for_builders(&format!("a {OFF} b")).is_err());
-        assert!(without_parts_for_builders(&format!("a {ON} b")).is_err());
+    fn parts_for_builders_and_other_boards_are_left_out() {
+        let text = "a <!-- manual: off -->b<!-- manual: on -->c <!-- manual: pico -->d <!-- manual: on -->e \
+                    <!-- manual: pico, nucleo-g474re -->f<!-- manual: on -->";
+        assert_eq!(parts_for("pico", text).unwrap(), "a c d e f");
+        assert_eq!(parts_for("nucleo-g474re", text).unwrap(), "a c e f");
+        assert_eq!(parts_for("b-l475e-iot01a", text).unwrap(), "a c e ");
+        let lines = "- a\n<!-- manual: pico -->\n- b\n<!-- manual: on -->\n- c\n";
+        assert_eq!(parts_for("pico", lines).unwrap(), "- a\n- b\n- c\n");
+        for wrong in [
+            "<!-- manual: off -->b",
+            "a <!-- manual: on -->",
+            "<!-- manual: pcio -->b<!-- manual: on -->",
+            "<!-- manual: pico -->b<!-- manual: off -->c<!-- manual: on -->",
+        ] {
+            assert!(parts_for("pico", wrong).is_err(), "{wrong}");
+        }
     }
 }

@@ -101,6 +101,7 @@ fn environment_variables_are_known_to_the_code() {
         "xtask/src/firmware.rs",
         "host-tests/document/src/lib.rs",
         "bindings/c/include/wsg.h",
+        "bindings/c-host/include/wsg_host.h",
         "bindings/c/package/wsg-config.cmake",
     ]
     .map(read);

@@ -1,8 +1,9 @@
 //! Checks the wiring, recipes and times in docs/wiring.md.
 
-use document::{hold, table};
+use boards::BOARDS;
+use document::{hold, hold_file, table};
+use host_tests::board_wiring::BoardWiring;
 use host_tests::fault_sweep::Sweep;
-use wsg_b_l475e_iot01a::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Config, RECIPES, Recipe, WiresConfig};
 
@@ -40,42 +41,6 @@ fn wires() -> String {
     let outputs =
         OUTPUT_MEANINGS.map(|(wire, meaning)| row(name(wire.iter_names()), "bridge to PLC", meaning));
     table(["wire", "direction", "meaning"], inputs.into_iter().chain(outputs))
-}
-
-/// Returns the table of a board's wires with their pins on the board and on the MCU, in the order of the bits.
-fn pins(
-    inputs: [(Inputs, [String; 2]); Inputs::COUNT],
-    outputs: [(Outputs, [String; 2]); Outputs::COUNT],
-) -> String {
-    let row = |wire, [pin, on_mcu]: [String; 2]| [wire, pin, on_mcu];
-    let inputs = inputs.into_iter().map(|(wire, pins)| row(name(wire.iter_names()), pins));
-    let outputs = outputs.into_iter().map(|(wire, pins)| row(name(wire.iter_names()), pins));
-    table(["wire", "pin", "MCU pin"], inputs.chain(outputs))
-}
-
-fn pins_of_the_default_board() -> String {
-    let pins = |connector: &str, port: Port, pin| [connector.to_owned(), format!("P{}{pin}", port.letter())];
-    self::pins(
-        INPUTS.map(|wire| (wire.signal, pins(wire.connector, wire.port, wire.pin))),
-        OUTPUTS.map(|wire| (wire.signal, pins(wire.connector, OUTPUT_PORT, wire.pin))),
-    )
-}
-
-fn pins_of_the_pico() -> String {
-    let pins = |pin: u8, gpio: u8| [pin.to_string(), format!("GP{gpio}")];
-    self::pins(
-        wsg_pico::INPUTS.map(|wire| (wire.signal, pins(wire.pin, wire.gpio))),
-        wsg_pico::OUTPUTS.map(|wire| (wire.signal, pins(wire.pin, wire.gpio))),
-    )
-}
-
-fn pins_of_the_nucleo() -> String {
-    use wsg_nucleo_g474re::{INPUTS, OUTPUT_PORT, OUTPUTS, Port};
-    let pins = |connector: &str, port: Port, pin| [connector.to_owned(), format!("P{}{pin}", port.letter())];
-    self::pins(
-        INPUTS.map(|wire| (wire.signal, pins(wire.connector, wire.port, wire.pin))),
-        OUTPUTS.map(|wire| (wire.signal, pins(wire.connector, OUTPUT_PORT, wire.pin))),
-    )
 }
 
 fn recipes() -> String {
@@ -140,9 +105,15 @@ fn fast_stop() -> String {
 #[test]
 fn wiring_in_the_documents_is_that_of_the_board_files() {
     hold("docs/wiring.md", "wires", &wires());
-    hold("docs/wiring.md", "pins of the B-L475E-IOT01A", &pins_of_the_default_board());
-    hold("docs/wiring.md", "pins of the Pico", &pins_of_the_pico());
-    hold("docs/wiring.md", "pins of the NUCLEO-G474RE", &pins_of_the_nucleo());
+    for board in &BOARDS {
+        let wiring = BoardWiring::of(board);
+        let name = wiring.name;
+        let wires = table(["wire", "pin", "MCU pin"], wiring.wire_rows());
+        hold("docs/wiring.md", &format!("pins of the {name}"), &wires);
+        let lines = table(["pin", "MCU pin", "connected to"], wiring.line_rows());
+        hold("docs/wiring.md", &format!("lines of the {name}"), &lines);
+    }
+    hold_file("docs/wiring.svg", &BoardWiring::of(&BOARDS[0]).picture());
 }
 
 #[test]

@@ -6,7 +6,7 @@ use anyhow::{Context, Result};
 use boards::{BOARDS, Board};
 
 use super::{Release, VERSION, cargo, sbom, trial};
-use crate::{archive, contents, program::run_program};
+use crate::{archive, board_names, contents, program::run_program};
 
 pub(super) fn make(release: &mut Release) -> Result<()> {
     run_program(cargo("build --quiet --locked -p host-tests --bin demo"), "")?;
@@ -27,12 +27,14 @@ pub(super) fn make(release: &mut Release) -> Result<()> {
     Ok(())
 }
 
-/// Unpacks the archive, checks its sums, and grips with its image in the emulator.
+/// Unpacks the archive, checks its sums and that it describes this board, and grips with its image in the emulator.
 fn is_used(release: &Release, board: &Board, folder: &str, archive: &[u8]) -> Result<&'static str> {
     let place = release.folder(board.name)?;
     trial::unzip(&place, archive)?;
     let place = place.join(folder);
     run_program(Command::new("sha256sum").current_dir(&place).args(["--quiet", "-c", "SHA256SUMS"]), "")?;
+    let read = |name: &str| fs::read_to_string(place.join(name)).with_context(|| name.to_owned());
+    board_names::check(board, &read("manual.html")?, &read("README.txt")?)?;
     if board.emulated.is_none() {
         return Ok("linked only: no emulator");
     }
