@@ -24,7 +24,7 @@ use wsg_protocol::SystemFlags;
 use self::client::Client;
 use self::state::State;
 
-/// Monitors and configures a bridge over its service port (the USB cable of the ST-Link); never moves the fingers
+/// Monitors and configures a bridge over its service port (the USB connector of its board); never moves the fingers
 #[derive(Args, Debug)]
 pub(crate) struct Arguments {
     /// Serial port, such as /dev/ttyACM0 or COM3

@@ -24,6 +24,10 @@ use super::names::report;
 
 /// Response time-out. The bridge responds within milliseconds, but a busy computer may be slow.
 const PATIENCE: Duration = Duration::from_millis(1_500);
+/// Where the service port is. While a port does not answer, its board is unknown.
+const SERVICE_PORT: &str =
+    "the board's USB connector; on a board with two, such as the B-L475E-IOT01A, the one of the ST-Link";
+
 /// Number of attempts for a read request.
 const TRIES: u32 = 3;
 
@@ -82,8 +86,8 @@ impl Client {
         let version = match client.read_reports(1) {
             Ok(reports) => reports.first().copied().unwrap_or_default(),
             Err(Failure::NoAnswer) => bail!(
-                "no response at {port}; check that it is the bridge's service port (the USB cable of the ST-Link), that the board is \
-                 powered, and that no other program uses the port"
+                "no response at {port}; check that it is the bridge's service port ({SERVICE_PORT}), that the board is powered, and \
+                 that no other program uses the port"
             ),
             Err(Failure::Refused(exception)) => bail!("the device at {port} is not a bridge: {exception}"),
             Err(failure) => return Err(failure.into()),
@@ -252,7 +256,8 @@ fn not_opened(port: &str, error: &io::Error) -> String {
             let others: Vec<String> = others.iter().map(|port| port.display().to_string()).collect();
             let others = if others.is_empty() { "none".to_owned() } else { others.join(", ") };
             format!(
-                "port {port} not found; available ports: {others}. Check that the cable is in the USB connector of the ST-Link"
+                "port {port} not found; available ports: {others}. Check that the cable is in the connector of the service port \
+                 ({SERVICE_PORT})"
             )
         }
         ErrorKind::PermissionDenied => format!(
