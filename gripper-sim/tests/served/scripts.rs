@@ -200,7 +200,9 @@ fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
     let mut client = Client(connect(program.place_of("tcp")));
     assert_eq!(client.call_when_claimed(0xB0, &[]).0, Status::Success);
 
-    for (path, shown) in [("/nowhere.lua", "/nowhere.lua"), ("/no\nwh\u{1b}[2Jere.lua", "/no\\nwh\\u{1b}[2Jere.lua")] {
+    for (path, shown) in
+        [("/nowhere.lua", "/nowhere.lua"), ("/no\nwh\u{1b}[2Jere.lua", "/no\\nwh\\u{1b}[2Jere.lua")]
+    {
         let output = Process::new(env!("CARGO_BIN_EXE_wsg-sim")).args(["--script", path]).output().unwrap();
         let error = String::from_utf8(output.stderr).unwrap();
         assert!(!output.status.success() && error.lines().count() == 1, "{error}");

@@ -95,6 +95,23 @@ fn script_is_saved_listed_read_run_and_deleted() {
 }
 
 #[test]
+fn source_that_the_page_cannot_show_is_refused_and_not_replaced() {
+    let rig = Rig::new("encodings");
+    for (bytes, expected) in [
+        (&b"\xEF\xBB\xBFprint(1)"[..], Ok("print(1)")),
+        (b"print(1)\n-- gr\xFCn", Err("line 2 is not UTF-8")),
+        (b"\xFF\xFEp\0", Err("the text is UTF-16")),
+    ] {
+        std::fs::write(rig.folder.join("x.lua"), bytes).unwrap();
+        let (_, answer) = rig.request("POST", "/scripts", r#"{"action": "read", "name": "x.lua"}"#);
+        match expected {
+            Ok(source) => assert_eq!(answer["source"], source),
+            Err(error) => assert!(answer["error"].as_str().unwrap().contains(error), "{answer}"),
+        }
+    }
+}
+
+#[test]
 fn error_of_a_script_names_its_line() {
     let rig = Rig::new("error");
     rig.save("wrong.lua", "local x = 1\nx()\n");
