@@ -20,6 +20,9 @@ use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{Record, StoreCommand};
 use wsg_fieldbus::GripperFlags;
 use wsg_protocol::SystemFlags;
+use wsg_sim::text::{self, one_line};
+
+use crate::print_error;
 
 use self::client::Client;
 use self::state::State;
@@ -126,7 +129,7 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
     // Read the file before opening the port, so that an unreadable file never accesses the bridge.
     let file_text = match command {
         Command::Import { file, .. } => {
-            fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?
+            text::read(file).with_context(|| format!("cannot read {}", file.display()))?
         }
         _ => String::new(),
     };
@@ -245,7 +248,7 @@ fn confirm(question: &str, yes: bool) -> Result<()> {
     if !io::stdin().is_terminal() {
         bail!("confirmation requires a terminal; pass --yes to skip it");
     }
-    eprint!("{question}? [y/N] ");
+    eprint!("{}? [y/N] ", one_line(question));
     let mut answer = String::new();
     io::stdin().read_line(&mut answer).context("cannot read the answer")?;
     if !matches!(answer.trim().to_ascii_lowercase().as_str(), "y" | "yes") {
@@ -264,10 +267,12 @@ fn write_image(port: &str, arguments: &flash::Arguments, output: &mut impl Write
             bail!("the fingers are moving; flash again when they are at rest");
         }
         Ok(Some(image)) if image.state.contains(GripperFlags::HOLDING) => {
-            eprintln!("wsg: warning: a part is held; the PLC cannot monitor it while the bridge restarts");
+            print_error("warning: a part is held; the PLC cannot monitor it while the bridge restarts");
         }
         Ok(_) => {}
-        Err(error) => eprintln!("wsg: warning: cannot determine whether the fingers are moving: {error:#}"),
+        Err(error) => {
+            print_error(format_args!("warning: cannot determine whether the fingers are moving: {error:#}"))
+        }
     }
     confirm(&plan.question, arguments.yes)?;
     plan.run()?;
@@ -282,7 +287,7 @@ fn watch(client: &mut Client, every: Duration, times: Option<u64>, output: &mut 
     for _ in 0..times.unwrap_or(u64::MAX) {
         let text = match read(client) {
             Ok(state) => state.summary() + "\n" + &state.events_words(),
-            Err(error) => format!("{error:#}\n"),
+            Err(error) => one_line(&format!("{error:#}")).into_owned() + "\n",
         };
         if on_terminal {
             let (columns, rows) = terminal::size().ok().filter(|size| *size != (0, 0)).unwrap_or((80, 24));

@@ -11,7 +11,7 @@ use wsg_protocol::driver::host::StdClock;
 use wsg_protocol::driver::{Grip, Mm, MmPerS};
 use wsg_protocol::{GripperState, HomingDirection};
 use wsg_sim::server::{Lines, ServerThread};
-use wsg_sim::{Config, Part};
+use wsg_sim::{Config, Part, command_line};
 
 use crate::gripper::{Address, Line, Signals};
 
@@ -33,13 +33,13 @@ const POLL: Duration = Duration::from_millis(20);
 #[command(after_help = "With port 0, the system chooses a free port.")]
 pub(crate) struct Arguments {
     /// Address of the page
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
+    #[arg(long, value_name = "ADDR", value_parser = listen_address, default_value = "127.0.0.1:8080")]
     page: SocketAddr,
     /// Address of the binary protocol, which `wsg gripper` uses
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:11000")]
+    #[arg(long, value_name = "ADDR", value_parser = listen_address, default_value = "127.0.0.1:11000")]
     tcp: SocketAddr,
     /// Address of Modbus/TCP, for a PLC
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:1502")]
+    #[arg(long, value_name = "ADDR", value_parser = listen_address, default_value = "127.0.0.1:1502")]
     modbus: SocketAddr,
     /// Number of cycles, instead of until Ctrl-C
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..))]
@@ -47,6 +47,11 @@ pub(crate) struct Arguments {
     /// Makes fingers and pauses this many times as fast, 1 to 100
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u8).range(1..=100))]
     speed_up: u8,
+}
+
+fn listen_address(text: &str) -> Result<SocketAddr, String> {
+    command_line::address(text)
+        .ok_or_else(|| "expected an address with a port, such as 127.0.0.1:8080 or localhost:0".to_owned())
 }
 
 /// Runs the demonstration. Returns 0 after the last cycle and after Ctrl-C.

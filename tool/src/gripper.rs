@@ -99,7 +99,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<u8> {
     let output = Output { is_json: json };
     let name = match &task {
         None => "prompt",
-        Some(Task::Unknown(words)) => return Ok(lines::explain(words)),
+        Some(Task::Unknown(words)) => lines::explain(words.first().map_or("", String::as_str)),
         Some(Task::Action(named)) => &named.name,
         Some(Task::Doctor) => "doctor",
         Some(Task::Watch) => "watch",

@@ -12,10 +12,13 @@ mod gripper;
 mod telemetry;
 
 use std::ffi::OsString;
+use std::fmt::Display;
 use std::io::{self, Write};
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
+use wsg_sim::command_line::{suggest, without_markdown};
+use wsg_sim::text::one_line;
 
 pub use gripper::{Address, Wire, open};
 
@@ -46,7 +49,7 @@ enum Command {
 ///
 /// Reports an error in one line with status 1. An invalid command line ends the process with status 2.
 pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
-    let result = match Arguments::parse_from(command_line).command {
+    let result = match parsed(command_line.into_iter().collect()).command {
         Command::Bridge(arguments) => bridge::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
@@ -60,15 +63,29 @@ pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
         }
     };
     result.unwrap_or_else(|error| {
-        eprintln!("wsg: {error:#}");
+        print_error(format_args!("{error:#}"));
         1
     })
+}
+
+/// Parses the command line. Ends the process if it is invalid, or requests help.
+fn parsed(words: Vec<OsString>) -> Arguments {
+    let matches = command().try_get_matches_from(&words);
+    matches.and_then(|mut matches| Arguments::from_arg_matches_mut(&mut matches)).unwrap_or_else(|error| {
+        let words: Vec<_> = words.iter().skip(1).map(|word| word.to_string_lossy()).collect();
+        suggest(error, &command(), &words).exit()
+    })
+}
+
+/// Prints a message on standard error, in one line: it may contain text from outside, such as a topic or a file name.
+fn print_error(what: impl Display) {
+    eprintln!("wsg: {}", one_line(&what.to_string()));
 }
 
 /// Returns the definition of the command line, for manual pages and other descriptions.
 #[must_use]
 pub fn command() -> clap::Command {
-    Arguments::command()
+    without_markdown(Arguments::command())
 }
 
 #[cfg(test)]

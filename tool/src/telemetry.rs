@@ -30,6 +30,7 @@ use tokio::{
     sync::{mpsc, watch},
     task::{JoinSet, LocalSet},
 };
+use wsg_sim::text::one_line;
 
 use config::{Source, Telemetry};
 use metrics::{BRIDGE, GRIPPER, Metric};
@@ -64,7 +65,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let telemetry = Telemetry::read(path)?;
     let broker = broker::Broker::new(&telemetry.broker)?;
     if arguments.check {
-        println!(
+        let checked = format!(
             "{}: {} devices to {} as {}/{}",
             path.display(),
             telemetry.devices.len(),
@@ -72,6 +73,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
             telemetry.group,
             telemetry.node
         );
+        println!("{}", one_line(&checked));
         return Ok(0);
     }
     let mut sequence = Sequence::open(&telemetry.state_file)?;

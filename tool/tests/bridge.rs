@@ -330,6 +330,10 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
     hold("export.toml", &exported);
     assert_eq!(served.done(&["export", "-"]), exported);
     assert_eq!(served.done(&["import", path]), "no changes\n");
+    fs::write(&file, format!("\u{FEFF}{}", exported.replace('\n', "\r\n"))).unwrap();
+    assert_eq!(served.done(&["import", path]), "no changes\n", "saved by Notepad");
+    fs::write(&file, "\u{FEFF}s".encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<_>>()).unwrap();
+    served.refused(&["import", path], &format!("cannot read {path}: the text is UTF-16; save it as UTF-8"));
 
     let changed = exported
         .replace("RECIPE0_WIDTH = 2000", "RECIPE0_WIDTH = \"15 mm\"")

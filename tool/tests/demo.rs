@@ -12,7 +12,7 @@ use document::read;
 use program::{said, wsg};
 use rustix::process::{Pid, Signal, kill_process};
 
-const FREE: [&str; 6] = ["--page", "127.0.0.1:0", "--tcp", "127.0.0.1:0", "--modbus", "127.0.0.1:0"];
+const FREE: [&str; 6] = ["--page", "localhost:0", "--tcp", "127.0.0.1:0", "--modbus", "127.0.0.1:0"];
 
 #[test]
 fn demo_plays_a_cycle_with_a_lost_part() {
@@ -86,6 +86,18 @@ fn demo_serves_its_page_and_modbus_until_ctrl_c() {
     let last = lines.last().unwrap();
     assert!(last.ends_with("  ended"), "{last}");
     assert_eq!(demo.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn wrong_option_or_address_is_refused_with_a_hint() {
+    for (arguments, expected) in [
+        (["--tpc", "localhost:0"], "a similar argument exists: '--tcp'"),
+        (["--tcp", "bench:0"], "expected an address with a port, such as 127.0.0.1:8080 or localhost:0"),
+    ] {
+        let output = wsg(&[&["demo"], &arguments[..]].concat(), b"");
+        assert_eq!(output.status.code(), Some(2));
+        assert!(said(&output).contains(expected), "{}", said(&output));
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 
 use anyhow::{Context, Result, bail};
 use wsg_bridge_fw::registers::{REPORTS, SETTINGS, Setting};
+use wsg_sim::command_line::nearest;
 
 /// Finds a setting by name, in upper or lower case. Returns its index in a record as well.
 pub(crate) fn setting(name: &str) -> Result<(usize, &'static Setting)> {
@@ -22,11 +23,9 @@ pub(crate) fn report(name: &str) -> usize {
 
 /// Formats the error for an unknown name, with a suggestion if a similar name exists.
 pub(crate) fn unknown(name: &str, what: &str, names: &mut dyn Iterator<Item = &'static str>) -> String {
-    let upper = name.to_ascii_uppercase();
-    let nearest = names.map(|it| (strsim::damerau_levenshtein(&upper, it), it)).min();
-    match nearest.filter(|(distance, _)| *distance <= 3) {
-        Some((_, nearest)) => format!("unknown {what} `{name}`; did you mean {nearest}?"),
-        None => format!("unknown {what} `{name}`; run `show --json` for all names"),
+    match nearest(name, names)[..] {
+        [] => format!("unknown {what} `{name}`; run `show --json` for all names"),
+        ref near => format!("unknown {what} `{name}`; did you mean {}?", near.join(" or ")),
     }
 }
 

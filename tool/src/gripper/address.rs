@@ -81,7 +81,11 @@ impl FromStr for Address {
         let (scheme, rest) = text.split_once(':').ok_or_else(unknown)?;
         let (place, query) = rest.split_once('?').map_or((rest, None), |(place, query)| (place, Some(query)));
         let mut query = Query::new(query)?;
-        let host = |port| with_port(place.strip_prefix("//").unwrap_or(place), port);
+        let host = |port| {
+            let wrong =
+                || format!("wrong address `{text}`; expected {}://HOST[:PORT]", scheme.to_lowercase());
+            with_port(place.strip_prefix("//").unwrap_or(place), port, wrong)
+        };
         let device = || {
             let device = place.strip_prefix("//").unwrap_or(place);
             if device.is_empty() {
@@ -90,7 +94,8 @@ impl FromStr for Address {
                 Ok(device.to_owned())
             }
         };
-        let address = match scheme {
+        // Schemes are not case-sensitive (RFC 3986, 3.1).
+        let address = match scheme.to_ascii_lowercase().as_str() {
             "tcp" => Self::Tcp(host(TCP_PORT)?),
             "udp" => Self::Udp {
                 gripper: host(Udp::GRIPPER_PORT)?,
@@ -142,10 +147,15 @@ impl Display for Address {
     }
 }
 
-fn with_port(host: &str, port: u16) -> Result<String, String> {
-    let host = host.trim_end_matches('/');
-    if host.is_empty() {
+/// Appends the default port to a host without one.
+fn with_port(host: &str, port: u16, wrong: impl Fn() -> String) -> Result<String, String> {
+    if host.trim_end_matches('/').is_empty() {
         return Err("missing host; expected a name or address such as 192.168.1.20".to_owned());
+    }
+    let host = host.strip_suffix('/').unwrap_or(host);
+    let is_of_a_host = |char: char| char.is_alphanumeric() || "-._:[]%".contains(char);
+    if host.is_empty() || !host.chars().all(is_of_a_host) || host.starts_with('[') != host.contains(']') {
+        return Err(wrong());
     }
     // An IPv6 address contains colons, and needs brackets if a port follows.
     let has_port = match host.rsplit_once(':') {
@@ -223,6 +233,10 @@ mod tests {
             ("slcan:/dev/ttyACM0?kbit=1000&id=60", "slcan:/dev/ttyACM0"),
             ("gcl://10.0.0.1", "gcl://10.0.0.1:1000"),
             ("gcl+udp://10.0.0.1", "gcl+udp://10.0.0.1:1500"),
+            ("TCP://Gripper.local", "tcp://Gripper.local:1000"),
+            ("Serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
+            ("GCL+UDP://10.0.0.1", "gcl+udp://10.0.0.1:1500"),
+            ("tcp:10.0.0.1", "tcp://10.0.0.1:1000"),
         ] {
             assert_eq!(text.parse::<Address>().unwrap().to_string(), whole);
         }
@@ -242,6 +256,13 @@ mod tests {
             ("192.168.1.20", "tcp://HOST"),
             ("http://h", "tcp://HOST"),
             ("tcp://", "missing host"),
+            ("tcp:/127.0.0.1", "wrong address `tcp:/127.0.0.1`; expected tcp://HOST[:PORT]"),
+            ("tcp:///127.0.0.1", "wrong address"),
+            ("UDP://http://h", "expected udp://HOST[:PORT]"),
+            ("gcl://user@h", "wrong address `gcl://user@h`"),
+            ("tcp://[::1", "wrong address"),
+            ("tcp://h/x", "wrong address"),
+            ("tcp://h h", "wrong address"),
             ("tcp://h:port", "invalid port `port`"),
             ("tcp://h?rate=1", "parameter `rate`"),
             ("serial:", "missing device"),

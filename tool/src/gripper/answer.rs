@@ -3,6 +3,7 @@
 use std::fmt::{self, Display, Formatter};
 
 use serde_json::{Map, Value, json};
+use wsg_sim::text::one_line;
 
 /// The result of a command that was executed.
 #[derive(Debug)]
@@ -115,7 +116,7 @@ impl Display for Datum {
                 write!(f, "{number:.digits$} {text}")
             }
             Self::Count(count) => write!(f, "{count}"),
-            Self::Text(text) => f.write_str(text),
+            Self::Text(text) => f.write_str(&one_line(text)),
             Self::Names(names) if names.is_empty() => f.write_str("none"),
             Self::Names(names) => f.write_str(&names.join(" ")),
             Self::Nothing => f.write_str("none"),

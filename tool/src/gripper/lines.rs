@@ -1,10 +1,12 @@
 //! Commands as lines of text, from the prompt, a script or standard input.
 
-use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 
-use clap::{Parser, Subcommand};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Error, Parser, Subcommand};
+use wsg_sim::command_line::suggest;
+use wsg_sim::text::{self, one_line};
 
 use super::action::Named;
 use super::answer::{Answer, Outcome};
@@ -51,19 +53,24 @@ pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
     }
 }
 
-/// Prints clap's explanation of an invalid command and exits with clap's status.
-pub(crate) fn explain(words: &[String]) -> u8 {
-    match Line::try_parse_from(words) {
-        Ok(_) => 0,
-        Err(error) => error.exit(),
+/// Prints clap's explanation of an unknown command, with the usage of `wsg gripper`, and exits with clap's status.
+pub(crate) fn explain(word: &str) -> ! {
+    let mut wsg = crate::command();
+    wsg.build();
+    let mut error = Error::new(ErrorKind::InvalidSubcommand);
+    if let Some(gripper) = wsg.find_subcommand_mut("gripper") {
+        error = error.with_cmd(gripper);
+        error.insert(ContextKind::Usage, ContextValue::StyledStr(gripper.render_usage()));
     }
+    error.insert(ContextKind::InvalidSubcommand, ContextValue::String(word.to_owned()));
+    suggest(error, &wsg, &["gripper"]).exit()
 }
 
 /// Joins clap's error message into one line and removes the usage.
 fn in_one_line(text: &str) -> String {
     let lines = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
     let lines = lines.map(str::trim).filter(|line| !line.is_empty());
-    lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ").to_owned()
+    one_line(lines.collect::<Vec<_>>().join(" ").trim_start_matches("error: ")).into_owned()
 }
 
 /// A script: its file name, and its commands with their line numbers.
@@ -78,12 +85,12 @@ impl Script {
     /// # Errors
     /// The file cannot be read, or has invalid lines, all of which are listed.
     pub(crate) fn read(path: &Path) -> Result<Self, Trouble> {
-        let file = path.display().to_string();
+        let file = one_line(&path.display().to_string()).into_owned();
         let text = if file == "-" {
-            let mut text = String::new();
-            io::stdin().read_to_string(&mut text).map(|_| text)
+            let mut bytes = Vec::new();
+            io::stdin().read_to_end(&mut bytes).and_then(|_| text::decoded(bytes))
         } else {
-            fs::read_to_string(path)
+            text::read(path)
         };
         let text = text.map_err(|error| io::Error::new(error.kind(), format!("{file}: {error}")))?;
         let mut lines = Vec::new();

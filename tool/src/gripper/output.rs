@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use serde_json::{Value, json};
+use wsg_sim::text::one_line;
 
 use super::answer::Answer;
 use super::trouble::Trouble;
@@ -35,7 +36,15 @@ impl Output {
         } else {
             match result {
                 Ok(answer) => writeln!(stdout, "{answer}")?,
-                Err(trouble) => writeln!(io::stderr(), "wsg: {place}{command}: {trouble}")?,
+                Err(trouble) => {
+                    let text = trouble.to_string();
+                    // The mistakes of a script are one line each.
+                    let text = match trouble {
+                        Trouble::Usage(_) => text.split('\n').map(one_line).collect::<Vec<_>>().join("\n"),
+                        _ => one_line(&text).into_owned(),
+                    };
+                    writeln!(io::stderr(), "wsg: {place}{}: {text}", one_line(command))?;
+                }
             }
         }
         stdout.flush()?;

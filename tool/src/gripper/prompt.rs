@@ -12,6 +12,7 @@ use crossterm::style::Print;
 use crossterm::terminal::{self, Clear, ClearType};
 use crossterm::{execute, queue};
 use wsg_protocol::session::Known;
+use wsg_sim::text;
 
 use super::action::{Action, Named};
 use super::editor::{Complete, Editor, Step};
@@ -92,8 +93,9 @@ fn piped<P: ProtocolCommands>(gripper: &mut Gripper<P>, output: &Output) -> Resu
     // A thread of its own, so that the gripper is polled meanwhile. It runs until the process ends, because nothing
     // interrupts a blocked read.
     thread::spawn(move || {
-        for line in io::stdin().lock().lines() {
-            if sender.send(line).is_err() {
+        // Each line may begin with a byte order mark: programs can append files to each other.
+        for line in io::stdin().lock().split(b'\n') {
+            if sender.send(line.and_then(text::decoded)).is_err() {
                 break;
             }
         }
@@ -101,7 +103,9 @@ fn piped<P: ProtocolCommands>(gripper: &mut Gripper<P>, output: &Output) -> Resu
     let mut status = 0;
     loop {
         let line = match receiver.try_recv() {
-            Ok(line) => line?,
+            Ok(line) => {
+                line.map_err(|error| io::Error::new(error.kind(), format!("standard input: {error}")))?
+            }
             Err(TryRecvError::Disconnected) => return Ok(status),
             Err(TryRecvError::Empty) => {
                 gripper.next_update(LOOK_MS)?;

@@ -7,6 +7,7 @@ use std::time::Instant;
 use wsg_protocol::frame::{MAX_MESSAGE_LEN, OVERHEAD};
 use wsg_protocol::gcl::{LineEvent, LineReader};
 use wsg_protocol::{CommandId, Direction, Event, FrameEncoder, FrameParser, Meaning};
+use wsg_sim::text::one_line;
 
 /// Writes one line per message:
 ///
@@ -74,7 +75,7 @@ impl Recorder {
         Self {
             sinks,
             start: Instant::now(),
-            name,
+            name: one_line(&name).into_owned(),
             to_gripper: Finder::new(is_gcl),
             from_gripper: Finder::new(is_gcl),
         }

@@ -1,6 +1,6 @@
 //! The connection to the broker: MQTT 3.1.1 over TCP or TLS, with automatic reconnection.
 
-use std::{fs, future::pending, io, path::Path, pin::pin, sync::Arc, time::Duration};
+use std::{fmt::Display, fs, future::pending, io, path::Path, pin::pin, sync::Arc, time::Duration};
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use mqtt_protocol_core::mqtt::{
@@ -23,6 +23,9 @@ use tokio_rustls::{
         pki_types::{CertificateDer, PrivateKeyDer, ServerName, pem::PemObject},
     },
 };
+use wsg_sim::text;
+
+use crate::print_error;
 
 use super::{
     config,
@@ -181,8 +184,9 @@ fn tls_of(config: &config::Broker) -> Result<TlsConnector> {
         Some((certificate, key)) => {
             let chain = certificates(certificate)
                 .with_context(|| format!("broker.certificate_file {}", certificate.display()))?;
-            let secret = PrivateKeyDer::from_pem_file(key)
-                .map_err(|error| anyhow!("broker.key_file {}: {error}", key.display()))?;
+            let in_key = |error: &dyn Display| anyhow!("broker.key_file {}: {error}", key.display());
+            let pem = pem_of(key).map_err(|error| in_key(&error))?;
+            let secret = PrivateKeyDer::from_pem_slice(&pem).map_err(|error| in_key(&error))?;
             builder.with_client_auth_cert(chain, secret).context("broker.certificate_file and key_file")?
         }
     };
@@ -190,11 +194,15 @@ fn tls_of(config: &config::Broker) -> Result<TlsConnector> {
 }
 
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>> {
-    let text = fs::read(path)?;
-    let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
+    let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&pem_of(path)?).collect();
     let found = found.map_err(|error| anyhow!("{error}"))?;
     ensure!(!found.is_empty(), "no certificate (PEM) found");
     Ok(found)
+}
+
+/// Reads a file in PEM format, whose text around the blocks may have any encoding.
+fn pem_of(path: &Path) -> io::Result<Vec<u8>> {
+    text::unmarked(fs::read(path)?)
 }
 
 /// Queue of reports for the node.
@@ -395,7 +403,7 @@ impl Link {
             }
             Received::Command { topic, payload, is_retained } => {
                 match node.command(&topic, &payload, is_retained, now_ms()) {
-                    Ok(what) => eprintln!("wsg: command on {topic}: {what}"),
+                    Ok(what) => print_error(format_args!("command on {topic}: {what}")),
                     Err(why) => self.refusals.tell(format!("command on {topic} refused: {why}")),
                 }
             }

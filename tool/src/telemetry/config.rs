@@ -2,13 +2,14 @@
 
 use std::{
     collections::{BTreeMap, BTreeSet},
-    env, fmt, fs,
+    env, fmt,
     path::{Path, PathBuf},
     time::Duration,
 };
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use toml::de::{DeTable, DeValue};
+use wsg_sim::{command_line::after_scheme, text};
 
 use super::settings::{Place, REPEATED, SETTINGS, Setting, unknown};
 
@@ -133,7 +134,7 @@ impl Telemetry {
     /// The file cannot be read or is invalid. Reports the first mistake.
     pub(super) fn read(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
-        let text = fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+        let text = text::read(path).with_context(|| format!("cannot read {name}"))?;
         Self::parse(&name, &text)
     }
 
@@ -265,7 +266,7 @@ fn section_of(
 
 fn broker_of(section: &Section, group: &str, node: &str) -> Result<Broker> {
     let address = section.text("address");
-    let (rest, port, is_tls) = match (address.strip_prefix("mqtt://"), address.strip_prefix("mqtts://")) {
+    let (rest, port, is_tls) = match (after_scheme(address, "mqtt://"), after_scheme(address, "mqtts://")) {
         (Some(rest), _) => (rest, 1883, false),
         (_, Some(rest)) => (rest, 8883, true),
         _ => return Err(section.wrong("address", "expected mqtt://HOST[:PORT] or mqtts://HOST[:PORT]")),
@@ -306,7 +307,7 @@ fn password_of(section: &Section) -> Result<Option<Secret>> {
     let password = match (section.optional("password_file"), section.optional("password_env")) {
         (None, None) => return Ok(None),
         (Some(_), Some(_)) => return Err(section.wrong("password_env", "conflicts with password_file")),
-        (Some(file), None) => fs::read_to_string(&file)
+        (Some(file), None) => text::read(file.as_ref())
             .map_err(|error| section.wrong("password_file", error))?
             .lines()
             .next()
@@ -333,17 +334,17 @@ fn source_of(section: &Section) -> Result<Source> {
 }
 
 fn address_of(text: &str) -> Option<Address> {
-    if let Some(rest) = text.strip_prefix("tcp://") {
+    if let Some(rest) = after_scheme(text, "tcp://") {
         return Some(Address::Tcp(host_and_port(rest, 1000)?.1));
     }
-    if let Some(rest) = text.strip_prefix("udp://") {
+    if let Some(rest) = after_scheme(text, "udp://") {
         let (rest, local_port) = match rest.split_once("?local=") {
             Some((rest, port)) => (rest, port.parse().ok()?),
             None => (rest, 1501),
         };
         return Some(Address::Udp { host: host_and_port(rest, 1500)?.1, local_port });
     }
-    let device = text.strip_prefix("serial:")?;
+    let device = after_scheme(text, "serial:")?;
     (!device.is_empty()).then(|| Address::Serial(device.to_owned()))
 }
 

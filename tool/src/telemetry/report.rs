@@ -5,6 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use tokio::sync::{mpsc, watch};
 
 use super::metrics::{OfCommand, Value};
+use crate::print_error;
 
 /// A report from a device's reader.
 #[derive(Debug)]
@@ -59,7 +60,7 @@ pub(super) struct Teller {
 impl Teller {
     pub(super) fn tell(&mut self, text: String) {
         if text != self.last {
-            eprintln!("wsg: {text}");
+            print_error(&text);
             self.last = text;
         }
     }

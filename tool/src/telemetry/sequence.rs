@@ -7,6 +7,9 @@ use std::{
 };
 
 use anyhow::{Context, Result};
+use wsg_sim::text;
+
+use crate::print_error;
 
 /// Text before the number in the file.
 const KEY: &str = "bdSeq = ";
@@ -23,20 +26,21 @@ impl Sequence {
     /// # Errors
     /// An existing file cannot be read, or the file cannot be written.
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let next = match fs::read_to_string(path) {
+        let next = match text::read(path) {
             Ok(text) => last_of(&text).map_or_else(
                 || {
-                    eprintln!(
-                        "wsg: {} is not a valid state file (expected \"{KEY}0\" to 255); bdSeq starts at 0",
+                    print_error(format_args!(
+                        "{} is not a valid state file (expected \"{KEY}0\" to 255); bdSeq starts at 0",
                         path.display()
-                    );
+                    ));
                     0
                 },
                 |last| last.wrapping_add(1),
             ),
             Err(error) if error.kind() == ErrorKind::NotFound => 0,
             Err(error) if error.kind() == ErrorKind::InvalidData => {
-                eprintln!("wsg: {} is not a valid state file (not text); bdSeq starts at 0", path.display());
+                let path = path.display();
+                print_error(format_args!("{path} is not a valid state file ({error}); bdSeq starts at 0"));
                 0
             }
             Err(error) => {

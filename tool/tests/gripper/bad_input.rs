@@ -20,6 +20,10 @@ fn invalid_command_line_is_rejected_and_names_the_expected_value() {
         (&["serial:/dev/ttyS9?rate=fast", "info"], "a rate in bit/s"),
         (&[CLOSED_PORT, "dance"], "unrecognized subcommand 'dance'"),
         (&[CLOSED_PORT, "gripp", "20"], "'grip'"),
+        (&[CLOSED_PORT, "gripp", "20"], "\nUsage: wsg gripper [OPTIONS] <ADDRESS> [COMMAND]\n"),
+        (&[CLOSED_PORT, "wacth"], "a similar subcommand exists: 'watch'"),
+        (&[CLOSED_PORT, "grip", "20", "50", "--froce", "40"], "'--force'"),
+        (&["tcp:/127.0.0.1", "info"], "wrong address `tcp:/127.0.0.1`; expected tcp://HOST[:PORT]"),
         (&[CLOSED_PORT, "grip", "20"], "<SPEED>"),
         (&[CLOSED_PORT, "grip", "20", "fast"], "expected a number in mm/s"),
         (&[CLOSED_PORT, "grip", "nan", "50"], "expected a number in mm"),
@@ -51,6 +55,53 @@ fn errors_in_a_script_are_reported_with_their_lines_before_anything_is_sent() {
         let reported = ended.stderr.lines().find(|reported| reported.contains(&place)).unwrap_or_default();
         assert!(reported.contains(expected), "line {line}: {}", ended.stderr);
     }
+}
+
+/// Writes a script in bytes and returns its file.
+fn script_of_bytes(name: &str, bytes: &[u8]) -> Scratch {
+    let script = Scratch::new(name, "");
+    std::fs::write(script.path(), bytes).unwrap();
+    script
+}
+
+#[test]
+fn scripts_and_standard_input_of_any_editor_run() {
+    let rig = TestRig::new(quick());
+    let text = "\u{FEFF}#!/usr/bin/env wsg\r\nhome\r\n\r\nwidth\r\n";
+    let script = Scratch::new("notepad.wsg", text);
+    for ended in [
+        Program::run(&[&rig.tcp(), "script", script.path()]),
+        Program::run_with_lines(&[&rig.tcp(), "script", "-"], text),
+        Program::run_with_lines(&[&rig.tcp()], text),
+    ] {
+        assert_eq!((ended.status, ended.stdout.as_str()), (0, "done\nwidth 110.00 mm\n"), "{ended:?}");
+    }
+    let utf_16: Vec<u8> = "home\r\n".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let script = script_of_bytes("utf-16.wsg", &[&[0xFF, 0xFE][..], &utf_16].concat());
+    let expected = format!("{}: the text is UTF-16; save it as UTF-8", script.path());
+    assert_refused(&[CLOSED_PORT, "script", script.path()], 1, &expected);
+    let mut program = Program::start(&[&rig.tcp()]);
+    program.say_bytes(&utf_16);
+    let ended = program.end();
+    assert!(ended.stderr.contains("standard input: the text is UTF-16; save it as UTF-8"), "{ended:?}");
+    let latin = script_of_bytes("latin.wsg", b"home\ntag \xE4\n");
+    assert_refused(&[CLOSED_PORT, "script", latin.path()], 1, "line 2 is not UTF-8; save the text as UTF-8");
+}
+
+#[test]
+fn text_of_a_script_cannot_command_the_terminal_or_forge_a_line() {
+    let script = Scratch::new("forged.wsg", "home\nd\u{1b}[2Jance\nmove '5\u{85}wsg: 6' 5\n");
+    let ended = Program::run(&[CLOSED_PORT, "script", script.path()]);
+    assert!(ended.stderr.contains(r"5\u{85}wsg") && !ended.stderr.contains('\u{1b}'), "{ended:?}");
+    assert_refused(
+        &[CLOSED_PORT, "script", "/no/such\nwsg: done\u{1b}[1m"],
+        1,
+        r"/no/such\nwsg: done\u{1b}[1m: ",
+    );
+    assert_refused(&["serial:/dev/no\u{1b}[2J", "info"], 6, r"serial:/dev/no\u{1b}[2J: ");
+    let rig = TestRig::new(quick());
+    let ended = Program::run_with_lines(&[&rig.tcp()], "\u{1b}[2J\nstate\n");
+    assert!(ended.stderr.starts_with(r"wsg: \u{1b}[2J: ") && !ended.stderr.contains('\u{1b}'), "{ended:?}");
 }
 
 #[test]

@@ -169,8 +169,12 @@ impl Program {
     }
 
     pub(crate) fn say(&mut self, lines: &str) {
+        self.say_bytes(lines.as_bytes());
+    }
+
+    pub(crate) fn say_bytes(&mut self, bytes: &[u8]) {
         let stdin = self.stdin.as_mut().expect("standard input is open");
-        stdin.write_all(lines.as_bytes()).expect("the program reads its input");
+        stdin.write_all(bytes).expect("the program reads its input");
         stdin.flush().unwrap();
     }
 

@@ -4,6 +4,7 @@
 
 mod bridged;
 mod commanded;
+mod hostile;
 mod load;
 mod rig;
 

@@ -25,7 +25,7 @@ use wsg_sim::{
 };
 
 /// Time-out for every wait, even on a busy machine.
-const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Returns whether to run slow tests, as `cargo xtask ci` does.
 pub(crate) fn is_whole() -> bool {

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io::{self, Write};
 
 use serde_json::{Map, Value, json};
+use wsg_sim::text::one_line;
 
 use crate::gripper::trouble::Trouble;
 
@@ -160,7 +161,7 @@ impl Report {
             // All checks have run; the error occurred while closing the connection.
             None => {
                 self.status = 6;
-                writeln!(io::stderr(), "wsg: doctor: {error}")?;
+                writeln!(io::stderr(), "wsg: doctor: {}", one_line(&error.to_string()))?;
                 Ok(())
             }
         }
@@ -183,7 +184,8 @@ impl Report {
         if !self.is_json {
             let mut stdout = io::stdout().lock();
             let remedy = remedy.map(|remedy| format!("; {remedy}")).unwrap_or_default();
-            writeln!(stdout, "{:<8} {:<14} {found}{remedy}", verdict.name(), check.name())?;
+            let (verdict, found) = (verdict.name(), one_line(found));
+            writeln!(stdout, "{verdict:<8} {:<14} {found}{remedy}", check.name())?;
             stdout.flush()?;
         }
         Ok(())

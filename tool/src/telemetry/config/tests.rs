@@ -1,3 +1,5 @@
+use std::fs;
+
 use super::*;
 
 const BROKER: &str = "[broker]\naddress = \"mqtt://broker\"\n";
@@ -50,6 +52,9 @@ fn addresses_have_the_default_port_of_their_kind() {
         ("udp://left", Some(Address::Udp { host: "left:1500".to_owned(), local_port: 1501 })),
         ("udp://left:7?local=8", Some(Address::Udp { host: "left:7".to_owned(), local_port: 8 })),
         ("serial:/dev/ttyUSB0", Some(Address::Serial("/dev/ttyUSB0".to_owned()))),
+        ("TCP://Left", Some(Address::Tcp("Left:1000".to_owned()))),
+        ("Serial:COM3", Some(Address::Serial("COM3".to_owned()))),
+        ("tcp:/127.0.0.1", None),
         ("left", None),
         ("tcp://", None),
         ("tcp://left:x", None),
@@ -130,17 +135,44 @@ fn every_mistake_is_reported_in_one_line_with_its_place_and_the_expected_value()
 }
 
 #[test]
+fn file_of_any_editor_is_read_and_its_line_numbers_stay() {
+    let path = env::temp_dir().join(format!("wsg-config-{}", std::process::id()));
+    let text = ["\u{FEFF}", BROKER, NODE, GRIPPER].concat().replace('\n', "\r\n");
+    fs::write(&path, &text).unwrap();
+    let telemetry = Telemetry::read(&path).map(|telemetry| telemetry.node);
+    fs::write(&path, text.replace("group", "groop")).unwrap();
+    let mistake = Telemetry::read(&path).unwrap_err().to_string();
+    fs::remove_file(&path).unwrap();
+
+    assert_eq!(telemetry.unwrap(), "cell");
+    assert!(mistake.contains(", line 4: "), "{mistake}");
+}
+
+#[test]
+fn scheme_of_the_broker_may_be_in_upper_case() {
+    let telemetry = parsed(&[&BROKER.replace("mqtt://", "MQTTS://"), NODE, GRIPPER].concat()).unwrap();
+    assert_eq!((telemetry.broker.host.as_str(), telemetry.broker.tls_name.is_some()), ("broker:8883", true));
+}
+
+#[test]
 fn password_is_the_first_line_of_its_file_and_is_never_logged() {
     let path = env::temp_dir().join(format!("wsg-password-{}", std::process::id()));
     fs::write(&path, "secret word\nignored\n").unwrap();
     let text = [BROKER, &format!("user = \"cell\"\npassword_file = {path:?}\n"), NODE, GRIPPER].concat();
 
     let telemetry = parsed(&text).unwrap();
+    fs::write(&path, "\u{FEFF}secret word\r\n").unwrap();
+    let of_notepad = parsed(&text).unwrap();
+    fs::write(&path, b"\xFF\xFEs\0e\0\r\0\n\0").unwrap();
+    let wide = parsed(&text).unwrap_err().to_string();
     fs::write(&path, "\n").unwrap();
     let empty = parsed(&text).unwrap_err().to_string();
     fs::remove_file(&path).unwrap();
 
-    assert_eq!(telemetry.broker.password.as_ref().unwrap().0, "secret word");
+    for telemetry in [&telemetry, &of_notepad] {
+        assert_eq!(telemetry.broker.password.as_ref().unwrap().0, "secret word");
+    }
+    assert!(wide.contains("the text is UTF-16; save it as UTF-8"), "{wide}");
     assert!(!format!("{telemetry:?}").contains("secret word"));
     assert!(empty.contains("the password is empty"), "{empty}");
 }
