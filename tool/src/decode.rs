@@ -1,28 +1,40 @@
 //! `wsg decode`: prints a recording as annotated frames.
 
 mod candump;
-mod capture;
 mod entry;
 mod hex_dump;
 mod scan;
 mod sim_log;
-mod tcp;
 
 use std::fs;
 use std::io::{self, Read, Write};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::{Args, ValueEnum};
 use wsg_protocol::Direction;
 use wsg_protocol::can::Identifiers;
+use wsg_protocol::frame::{PREAMBLE_BYTE, PREAMBLE_LEN};
+use wsg_sim::text;
 
 use self::entry::{Entry, EntryKind};
 
 /// Number of leading lines examined to detect the format of a file.
 const LINES_LOOKED_AT: usize = 50;
-/// Maximum number of skipped lines listed by number.
-const NAMED: usize = 5;
+
+/// The first bytes of captures: pcapng, and pcap in either byte order with microsecond or nanosecond time stamps.
+const CAPTURES: [[u8; 4]; 5] = [
+    [0x0A, 0x0D, 0x0D, 0x0A],
+    [0xD4, 0xC3, 0xB2, 0xA1],
+    [0xA1, 0xB2, 0xC3, 0xD4],
+    [0x4D, 0x3C, 0xB2, 0xA1],
+    [0xA1, 0xB2, 0x3C, 0x4D],
+];
+
+/// The accepted recordings, for error messages.
+const EXPECTED: &str = "expected a hex dump, a candump log, a log of wsg-sim or wsg gripper, lines of GCL, or the bytes of the line; \
+                        --format selects one";
 
 /// Decodes a recording of a gripper's line: shows position, bytes, meaning and checksum of every frame, and why other bytes were
 /// dropped
@@ -39,9 +51,6 @@ pub(crate) struct Arguments {
     /// Direction of the bytes, if the recording holds only one
     #[arg(long, value_enum, default_value_t)]
     direction: Way,
-    /// For captures: TCP or UDP port of the gripper, if not 1000 or 1500
-    #[arg(long, value_name = "PORT")]
-    port: Option<u16>,
     /// For candump logs: identifier that the gripper receives on, such as 0x120; it sends on the next one
     #[arg(long, value_name = "ID", value_parser = can_id)]
     can_id: Option<Identifiers>,
@@ -52,14 +61,12 @@ enum Format {
     /// Detect by the contents
     #[default]
     Auto,
-    /// Hex dump: xxd, hexdump -C, od -A x -t x1, or plain hex digits
+    /// Hex dump: xxd, hexdump -C, od -t x1, Wireshark's Copy as Hex Dump, or plain hex digits
     Hex,
     /// Log of wsg-sim or wsg gripper
     Sim,
     /// Log of candump, from candump -l or a terminal
     Candump,
-    /// Ethernet or IP capture (pcap or pcapng)
-    Capture,
     /// Raw bytes of the line, or GCL text
     Raw,
 }
@@ -116,7 +123,8 @@ fn can_id(text: &str) -> Result<Identifiers, String> {
     })
 }
 
-/// Prints the recording. Returns a failure status if it holds no intact frame and no GCL line.
+/// Prints the recording. Returns a failure status if it holds no intact frame and no GCL line, or if a part of it could not be
+/// read.
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let bytes = match arguments.file.as_deref().filter(|file| file.as_os_str() != "-") {
         Some(file) => fs::read(file).with_context(|| format!("cannot read {}", file.display()))?,
@@ -141,88 +149,79 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
         written => written.context("cannot write standard output")?,
     }
-    let is_understood = |entry: &Entry| matches!(entry.kind, EntryKind::Frame | EntryKind::Line);
-    Ok(if entries.iter().any(is_understood) { 0 } else { 1 })
+    Ok(status(&entries))
+}
+
+/// Returns the exit status: 0 if something was understood and nothing was left unread.
+fn status(entries: &[Entry]) -> u8 {
+    let is_understood = entries.iter().any(|it| matches!(it.kind, EntryKind::Frame | EntryKind::Line));
+    let is_unread = entries.iter().any(|it| it.kind == EntryKind::Unread);
+    u8::from(!is_understood || is_unread)
 }
 
 /// Decodes the whole recording.
 fn decode(bytes: Vec<u8>, arguments: &Arguments) -> Result<Vec<Entry>> {
     let gcl = arguments.protocol.gcl();
     let direction = arguments.direction.direction();
+    let is_raw = match arguments.format {
+        Format::Auto if CAPTURES.iter().any(|start| bytes.starts_with(start)) => bail!(
+            "this is a capture (pcap); open it in Wireshark with the dissector tool/wireshark/wsg.lua (docs/tool.md)"
+        ),
+        // Text never contains a preamble.
+        Format::Auto => bytes.windows(PREAMBLE_LEN).any(|bytes| bytes == [PREAMBLE_BYTE; PREAMBLE_LEN]),
+        format => format == Format::Raw,
+    };
+    if is_raw {
+        return Ok(of_stream(&bytes, 0, gcl, direction));
+    }
+    let bytes = text::unmarked(bytes).context("cannot read the recording")?;
+    // A line with other bytes than UTF-8 is in no format.
+    let text = String::from_utf8_lossy(&bytes);
     let format = match arguments.format {
-        Format::Auto => format_of(&bytes),
+        Format::Auto => format_of(&text, gcl).with_context(|| format!("unknown format; {EXPECTED}"))?,
         format => format,
     };
-    let text = String::from_utf8_lossy(&bytes);
     Ok(match format {
-        Format::Capture => {
-            drop(text);
-            if !capture::is_capture(&bytes) {
-                bail!("not a capture file; expected pcap or pcapng");
-            }
-            capture::decode(bytes, arguments.port, gcl)?
-        }
-        Format::Candump => {
-            let (frames, strange) = lines(&text, candump::parse_line);
-            let mut entries = candump::decode(&frames, arguments.can_id);
-            entries.extend(skipped(&strange, "candump"));
-            entries
-        }
-        Format::Sim => {
-            let (lines, strange) = lines(&text, sim_log::parse_line);
-            let mut entries = of_sim_log(&lines);
-            entries.extend(skipped(&strange, "log"));
-            entries
-        }
-        Format::Hex => {
-            let dump = hex_dump::parse(&text);
-            let mut entries = of_stream(&dump.bytes, dump.offset, gcl, direction);
-            entries.extend(skipped(&dump.strange, "hex dump"));
-            entries
-        }
+        Format::Candump => candump::decode(&lines(&text, candump::parse_line), arguments.can_id),
+        Format::Sim => of_sim_log(&lines(&text, sim_log::parse_line)),
+        Format::Hex => of_hex_dump(&hex_dump::parse(&text), gcl, direction),
         Format::Raw | Format::Auto => of_stream(&bytes, 0, gcl, direction),
     })
 }
 
-/// Detects the format of a file by its contents.
-fn format_of(bytes: &[u8]) -> Format {
-    if capture::is_capture(bytes) {
-        return Format::Capture;
-    }
-    let Ok(text) = std::str::from_utf8(bytes) else { return Format::Raw };
-    let has = |is_line: fn(&str) -> bool| text.lines().take(LINES_LOOKED_AT).any(is_line);
+/// Detects the format of a text: at least half of its first lines are in that format.
+fn format_of(text: &str, gcl: Option<bool>) -> Option<Format> {
+    let first: Vec<&str> =
+        text.lines().filter(|line| !hex_dump::is_remark(line)).take(LINES_LOOKED_AT).collect();
+    let has = |is_line: fn(&str) -> bool| {
+        let count = first.iter().filter(|line| is_line(line)).count();
+        count > 0 && count >= first.len() - count
+    };
     if has(|line| candump::parse_line(line).is_some()) {
-        Format::Candump
+        Some(Format::Candump)
     } else if has(|line| sim_log::parse_line(line).is_some()) {
-        Format::Sim
+        Some(Format::Sim)
     } else if has(hex_dump::is_line) {
-        Format::Hex
+        Some(Format::Hex)
     } else {
-        Format::Raw
+        gcl.unwrap_or_else(|| entry::is_gcl(text.as_bytes())).then_some(Format::Raw)
     }
 }
 
-/// Parses all lines that are not blank. Returns the results, and the numbers of the lines that failed.
-fn lines<'a, T>(text: &'a str, parse: impl Fn(&'a str) -> Option<T>) -> (Vec<T>, Vec<usize>) {
-    let mut parsed = Vec::new();
-    let mut strange = Vec::new();
-    for (at, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
-        match parse(line) {
-            Some(line) => parsed.push(line),
-            None => strange.push(at + 1),
+/// Parses all lines that are not blank. Returns the results, or the numbers of consecutive lines that failed.
+fn lines<'a, T>(
+    text: &'a str,
+    parse: impl Fn(&'a str) -> Option<T>,
+) -> Vec<Result<T, RangeInclusive<usize>>> {
+    let mut lines: Vec<Result<T, RangeInclusive<usize>>> = Vec::new();
+    for (number, line) in (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty()) {
+        let parsed = parse(line);
+        match lines.last_mut() {
+            Some(Err(unread)) if parsed.is_none() => *unread = *unread.start()..=number,
+            _ => lines.push(parsed.ok_or(number..=number)),
         }
     }
-    (parsed, strange)
-}
-
-/// Lists skipped lines by number, or returns `None` if there are none.
-fn skipped(lines: &[usize], format: &str) -> Option<Entry> {
-    let named: Vec<String> = lines.iter().take(NAMED).map(usize::to_string).collect();
-    let more = lines.len().saturating_sub(NAMED);
-    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    let noun = if lines.len() == 1 { "line" } else { "lines" };
-    let words = || format!("skipped {noun} {}{more}: not in {format} format", named.join(", "));
-    (!lines.is_empty()).then(|| Entry::note(String::new(), words()))
+    lines
 }
 
 fn of_stream(bytes: &[u8], offset: u64, gcl: Option<bool>, direction: Option<Direction>) -> Vec<Entry> {
@@ -234,24 +233,41 @@ fn of_stream(bytes: &[u8], offset: u64, gcl: Option<bool>, direction: Option<Dir
     }
 }
 
-fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
+fn of_hex_dump(parts: &[hex_dump::Part], gcl: Option<bool>, direction: Option<Direction>) -> Vec<Entry> {
+    let entries = parts.iter().map(|part| match part {
+        hex_dump::Part::Bytes(offset, bytes) => of_stream(bytes, *offset, gcl, direction),
+        hex_dump::Part::Unread(lines) => vec![Entry::unread(lines, "hex dump")],
+    });
+    entries.flatten().collect()
+}
+
+fn of_sim_log(lines: &[Result<sim_log::Line<'_>, RangeInclusive<usize>>]) -> Vec<Entry> {
     let mut entries = Vec::new();
     let mut of_buses = 0;
-    for sim_log::Line { place, direction, content } in lines {
-        let place = || (*place).to_owned();
-        let direction = Some(*direction);
+    for line in lines {
+        let sim_log::Line { place, direction, content } = match line {
+            Ok(line) => line,
+            Err(unread) => {
+                entries.push(Entry::unread(unread, "log"));
+                continue;
+            }
+        };
+        let (place, direction) = ((*place).to_owned(), *direction);
         match content {
-            sim_log::Content::Frame(bytes) => entries.extend(entry::of_binary(bytes, direction, |_| place())),
+            sim_log::Content::Frame(bytes) => {
+                entries.extend(entry::of_binary(bytes, direction, |_| place.clone()));
+            }
             sim_log::Content::Text(text) => {
-                let (direction, words) = entry::gcl_meaning(text, direction);
-                let bytes = text.clone();
-                entries.push(Entry { place: place(), direction, kind: EntryKind::Line, words, bytes });
+                // The log shows what the gripper received, even if neither understands it.
+                let (direction, words) =
+                    entry::gcl_meaning(text, direction).unwrap_or_else(|words| (direction, words));
+                entries.push(Entry { place, direction, kind: EntryKind::Line, words, bytes: text.clone() });
             }
             sim_log::Content::Remark(remark) => {
                 let words = format!("log: {remark}");
-                let (place, kind) = (place(), EntryKind::Dropped);
-                entries.push(Entry { place, direction, kind, words, bytes: Vec::new() });
+                entries.push(Entry { place, direction, kind: EntryKind::Dropped, words, bytes: Vec::new() });
             }
+            sim_log::Content::Event(event) => entries.push(Entry::note(place, (*event).to_owned())),
             sim_log::Content::OfABus => of_buses += 1,
         }
     }
@@ -268,12 +284,14 @@ fn of_sim_log(lines: &[sim_log::Line<'_>]) -> Vec<Entry> {
 fn summary(entries: &[Entry]) -> String {
     let of = |kind| entries.iter().filter(move |entry| entry.kind == kind);
     let dropped: usize = of(EntryKind::Dropped).map(|entry| entry.bytes.len()).sum();
+    let unread = of(EntryKind::Unread).count();
     format!(
-        "{}, {} with a wrong checksum, {} of GCL, {} dropped",
+        "{}, {} with a wrong checksum, {} of GCL, {} dropped{}",
         entry::count(of(EntryKind::Frame).count(), "intact frame"),
         of(EntryKind::BadChecksum).count(),
         entry::count(of(EntryKind::Line).count(), "line"),
         entry::count(dropped, "byte"),
+        if unread > 0 { format!(", {} not read", entry::count(unread, "part")) } else { String::new() },
     )
 }
 

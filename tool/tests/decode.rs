@@ -104,7 +104,10 @@ fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
 fn input_without_a_frame_fails_with_an_explanation() {
     let output = wsg(&["decode", "-"], &[0x00, 0xFF, 0x01]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(said(&output).contains("dropped 3 bytes: no preamble"), "{}", said(&output));
+    assert!(said(&output).starts_with("wsg: unknown format; expected a hex dump, "), "{}", said(&output));
+    let raw = wsg(&["decode", "--format", "raw"], &[0x00, 0xFF, 0x01]);
+    assert_eq!(raw.status.code(), Some(1));
+    assert!(said(&raw).contains("dropped 3 bytes: no preamble"), "{}", said(&raw));
     let empty = wsg(&["decode"], b"");
     assert_eq!((empty.status.code(), said(&empty).as_str()), (Some(1), "wsg: the recording is empty\n"));
     let missing = wsg(&["decode", "no/such/file"], b"");

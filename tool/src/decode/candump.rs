@@ -1,5 +1,7 @@
 //! `candump` logs: the format of `candump -l` and the terminal output. For the mapping to CAN frames see `docs/can.md`.
 
+use std::ops::RangeInclusive;
+
 use embedded_can::{Frame as CanFrame, Id, StandardId};
 use wsg_protocol::can::{FULL, HALF_MESSAGE_MS, Identifiers, MAX_FRAMES, Reassembler};
 use wsg_protocol::frame::PREAMBLE_BYTE;
@@ -115,7 +117,7 @@ fn pairs(digits: &str) -> Option<Vec<u8>> {
 }
 
 /// Detects the gripper's identifiers: the pair of which at least one carries message beginnings. Prefers the default pair.
-fn identifiers(frames: &[Logged]) -> Option<Identifiers> {
+fn identifiers(frames: &[&Logged]) -> Option<Identifiers> {
     let begins = |id: u32| {
         frames.iter().any(|frame| {
             let is_beginning = frame.data().starts_with(&[PREAMBLE_BYTE; 3]) && frame.data().len() == FULL;
@@ -131,32 +133,51 @@ fn identifiers(frames: &[Logged]) -> Option<Identifiers> {
 }
 
 /// Decodes the messages among the CAN frames of a bus. The gripper's identifiers are detected if `asked` is `None`.
-pub(crate) fn decode(frames: &[Logged], asked: Option<Identifiers>) -> Vec<Entry> {
-    let Some(pair) = asked.or_else(|| identifiers(frames)) else {
-        let words = format!("none of the {} CAN frames starts a message", frames.len());
-        return vec![Entry::note(String::new(), words)];
-    };
-    let (to, from) = (pair.gripper().receive, pair.gripper().transmit);
+///
+/// A message is never joined across lines that could not be read.
+pub(crate) fn decode(
+    log: &[Result<Logged, RangeInclusive<usize>>],
+    asked: Option<Identifiers>,
+) -> Vec<Entry> {
+    let frames: Vec<&Logged> = log.iter().filter_map(|frame| frame.as_ref().ok()).collect();
+    let mut found = Vec::new();
+    let pair = asked.or_else(|| identifiers(&frames));
+    let ids = pair.map(|pair| (pair.gripper().receive, pair.gripper().transmit));
     let mut entries = vec![Entry::note(
         String::new(),
-        format!("{:03X}h to the gripper, {:03X}h from it", to.as_raw(), from.as_raw()),
+        match ids {
+            Some((to, from)) => {
+                format!("{:03X}h to the gripper, {:03X}h from it", to.as_raw(), from.as_raw())
+            }
+            None => format!("none of the {} CAN frames starts a message", frames.len()),
+        },
     )];
-    let mut lines = [(to, Direction::ToGripper), (from, Direction::FromGripper)]
-        .map(|(id, direction)| Line::new(id, direction));
+    let mut lines: Vec<Line> = ids
+        .into_iter()
+        .flat_map(|(to, from)| [(to, Direction::ToGripper), (from, Direction::FromGripper)])
+        .map(|(id, direction)| Line::new(id, direction))
+        .collect();
     let mut foreign = 0;
-    let mut found = Vec::new();
-    for (at, frame) in frames.iter().enumerate() {
-        match lines.iter_mut().find(|line| frame.id() == Id::Standard(line.id)) {
-            Some(line) => line.receive(at, frame, &mut found),
-            None => foreign += 1,
+    for (at, frame) in log.iter().enumerate() {
+        match frame {
+            Ok(frame) => match lines.iter_mut().find(|line| frame.id() == Id::Standard(line.id)) {
+                Some(line) => line.receive(at, frame, &mut found),
+                None => foreign += 1,
+            },
+            Err(unread) => {
+                for line in &mut lines {
+                    line.end(Some("its rest may be in a line that could not be read"), &mut found);
+                }
+                found.push((at, Entry::unread(unread, "candump")));
+            }
         }
     }
     for line in &mut lines {
-        line.end(&mut found);
+        line.end(None, &mut found);
     }
     found.sort_by_key(|(at, _)| *at);
     entries.extend(found.into_iter().map(|(_, entry)| entry));
-    if foreign > 0 {
+    if foreign > 0 && pair.is_some() {
         entries.push(Entry::note(
             String::new(),
             format!("skipped {} with other identifiers", count(foreign, "CAN frame")),
@@ -181,23 +202,24 @@ impl Line {
 
     fn receive(&mut self, at: usize, frame: &Logged, found: &mut Vec<(usize, Entry)>) {
         let now = Instant::from_millis((frame.time_us / 1_000) as u32);
-        self.step(found, |reassembler, deliver| reassembler.handle_timeout(now, deliver));
+        self.step(None, found, |reassembler, deliver| reassembler.handle_timeout(now, deliver));
         self.held.push((at, frame.clone()));
-        self.step(found, |reassembler, deliver| reassembler.receive(now, frame, deliver));
+        self.step(None, found, |reassembler, deliver| reassembler.receive(now, frame, deliver));
     }
 
-    /// Drops an incomplete message at the end of the log.
-    fn end(&mut self, found: &mut Vec<(usize, Entry)>) {
+    /// Drops an incomplete message, for this reason or because the log ends.
+    fn end(&mut self, reason: Option<&str>, found: &mut Vec<(usize, Entry)>) {
         if let Some(at) = self.reassembler.poll_timeout() {
-            self.step(found, |reassembler, deliver| reassembler.handle_timeout(at, deliver));
+            self.step(reason, found, |reassembler, deliver| reassembler.handle_timeout(at, deliver));
         }
     }
 
     /// Runs a step of the reassembler and reports its messages and dropped frames.
     ///
-    /// The reassembler consumes frames in order. The counter that it increments gives the reason for dropping them.
+    /// The reassembler consumes frames in order. Without a known reason for dropping them, the counter that it increments gives it.
     fn step(
         &mut self,
+        known_reason: Option<&str>,
         found: &mut Vec<(usize, Entry)>,
         step: impl FnOnce(&mut Reassembler<MAX_FRAMES>, &mut dyn FnMut(Event<'_>)),
     ) {
@@ -219,8 +241,8 @@ impl Line {
             (grew(|it| it.oversize), "the payload size exceeds the maximum"),
             (grew(|it| it.expired), "the rest of the message was not received in time"),
         ];
-        let reason =
-            reasons.iter().find(|(grew, _)| *grew).map_or("not the start of a message", |(_, why)| why);
+        let counted = reasons.iter().find(|(grew, _)| *grew).map(|(_, why)| *why);
+        let reason = known_reason.or(counted).unwrap_or("not the start of a message");
         let mut dropped = usize::from(after.dropped.saturating_sub(before.dropped));
         for message in messages {
             let frames = message.len().div_ceil(FULL);

@@ -1,9 +1,11 @@
 //! Entries of the output: one for each frame, each GCL line and each run of other bytes.
 
 use std::fmt::{self, Display, Formatter};
+use std::ops::RangeInclusive;
 
 use wsg_protocol::gcl::{Answer, CommandName, ParseError, Request};
 use wsg_protocol::{Command, Direction, Frame, Kind as CommandKind, Meaning, Reply, Status};
+use wsg_sim::text::one_line;
 
 use super::scan::{self, Kind, MAX_PAYLOAD_LEN};
 
@@ -35,6 +37,8 @@ pub(crate) enum EntryKind {
     Line,
     /// Bytes that belong to no frame or line.
     Dropped,
+    /// A part of the recording that could not be read.
+    Unread,
     /// A remark without bytes.
     Note,
 }
@@ -43,6 +47,14 @@ impl Entry {
     pub(crate) fn note(place: String, words: String) -> Self {
         Self { place, direction: None, kind: EntryKind::Note, words, bytes: Vec::new() }
     }
+
+    /// Names lines of the file that are not in its format.
+    pub(crate) fn unread(lines: &RangeInclusive<usize>, format: &str) -> Self {
+        let (first, last) = (lines.start(), lines.end());
+        let lines = if first == last { format!("line {first}") } else { format!("lines {first} to {last}") };
+        let words = format!("cannot read {lines}: not in {format} format");
+        Self { kind: EntryKind::Unread, ..Self::note(String::new(), words) }
+    }
 }
 
 impl Display for Entry {
@@ -50,13 +62,14 @@ impl Display for Entry {
         let Self { place, kind, words, bytes, .. } = self;
         let separator = if place.is_empty() { "" } else { "  " };
         let mark = match (kind, self.direction) {
-            (EntryKind::Dropped | EntryKind::BadChecksum, _) => "!!".to_owned(),
+            (EntryKind::Dropped | EntryKind::BadChecksum | EntryKind::Unread, _) => "!!".to_owned(),
             (EntryKind::Note, _) => "..".to_owned(),
             (_, Some(direction)) => direction.to_string(),
             (_, None) => "--".to_owned(),
         };
-        write!(f, "{place}{separator}{mark}  {words}")?;
-        if *kind == EntryKind::Line {
+        // Both may contain text of the recording.
+        write!(f, "{}{separator}{mark}  {}", one_line(place), one_line(words))?;
+        if matches!(kind, EntryKind::Line | EntryKind::Unread) && !bytes.is_empty() {
             return write!(f, "\n{INDENT}{}", bytes.escape_ascii());
         }
         for line in bytes.chunks(BYTES_A_LINE) {
@@ -69,10 +82,15 @@ impl Display for Entry {
     }
 }
 
-/// Returns whether a recording is in GCL, which is text. Frames of the binary protocol have a preamble, which is not.
+/// Returns whether a recording is in GCL: at least half of its lines can be parsed. Other text is not.
 pub(crate) fn is_gcl(bytes: &[u8]) -> bool {
-    let is_text = |byte: &u8| matches!(byte, b' '..=b'~' | b'\t' | b'\r' | b'\n');
-    bytes.iter().any(u8::is_ascii_alphabetic) && bytes.iter().all(is_text)
+    let lines = bytes.split(|byte| matches!(byte, b'\n' | b'\r')).map(<[u8]>::trim_ascii);
+    let (mut parsed, mut all) = (0_usize, 0_usize);
+    for line in lines.filter(|line| !line.is_empty()) {
+        all += 1;
+        parsed += usize::from(Request::parse(line).is_ok() || Answer::parse(line).is_ok());
+    }
+    parsed > 0 && parsed >= all - parsed
 }
 
 /// Decodes a recording in the binary protocol. `place` formats the position of a byte range.
@@ -162,27 +180,34 @@ pub(crate) fn of_gcl(
         start = range.end;
         let text = line.trim_ascii();
         if !text.is_empty() {
-            let (direction, words) = gcl_meaning(text, direction);
-            let place = place(range);
-            entries.push(Entry { place, direction, kind: EntryKind::Line, words, bytes: text.to_vec() });
+            let meaning = gcl_meaning(text, direction);
+            let kind = if meaning.is_ok() { EntryKind::Line } else { EntryKind::Unread };
+            let (direction, words) = meaning.unwrap_or_else(|words| (direction, words));
+            entries.push(Entry { place: place(range), direction, kind, words, bytes: text.to_vec() });
         }
     }
     entries
 }
 
 /// Describes a GCL line. Also returns its direction if given or evident from the line.
-pub(crate) fn gcl_meaning(line: &[u8], direction: Option<Direction>) -> (Option<Direction>, String) {
+///
+/// # Errors
+/// Neither a request nor an answer has this form. Returns the reason.
+pub(crate) fn gcl_meaning(
+    line: &[u8],
+    direction: Option<Direction>,
+) -> Result<(Option<Direction>, String), String> {
     let request =
         Request::parse(line).map(|request| request_words(&request)).map_err(|refused| refused.mistake);
     let answer = Answer::parse(line).map(|answer| answer_words(&answer));
     let refused = |mistake: ParseError| format!("not understood: {mistake}");
     match (direction, request, answer) {
-        (Some(Direction::ToGripper), request, _) => (direction, request.unwrap_or_else(refused)),
-        (Some(Direction::FromGripper), _, answer) => (direction, answer.unwrap_or_else(refused)),
-        (None, Err(_), Ok(answer)) => (Some(Direction::FromGripper), answer),
-        (None, Ok(request), Err(_)) => (Some(Direction::ToGripper), request),
-        (None, Ok(request), Ok(answer)) => (None, format!("{request}, or {answer}")),
-        (None, Err(mistake), Err(_)) => (None, refused(mistake)),
+        (Some(Direction::ToGripper), request, _) => request.map(|words| (direction, words)).map_err(refused),
+        (Some(Direction::FromGripper), _, answer) => answer.map(|words| (direction, words)).map_err(refused),
+        (None, Err(_), Ok(answer)) => Ok((Some(Direction::FromGripper), answer)),
+        (None, Ok(request), Err(_)) => Ok((Some(Direction::ToGripper), request)),
+        (None, Ok(request), Ok(answer)) => Ok((None, format!("{request}, or {answer}"))),
+        (None, Err(mistake), Err(_)) => Err(refused(mistake)),
     }
 }
 

@@ -2,16 +2,17 @@
 
 use wsg_protocol::Direction;
 
-/// A log line with a message, marked by an arrow.
+/// A log line: a message, marked by an arrow, or an event.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Line<'a> {
-    /// Time and line: `12.345678 s tcp 127.0.0.1:40000`.
+    /// Time and line: `12.345678 s tcp 127.0.0.1:40000`. Of an event, the time.
     pub(crate) place: &'a str,
-    pub(crate) direction: Direction,
+    /// `None` for an event.
+    pub(crate) direction: Option<Direction>,
     pub(crate) content: Content<'a>,
 }
 
-/// The text after the arrow.
+/// The text after the arrow, or after the time.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Content<'a> {
     /// Bytes of a frame.
@@ -22,6 +23,8 @@ pub(crate) enum Content<'a> {
     Remark(&'a str),
     /// Bytes of Modbus/TCP or PROFIBUS.
     OfABus,
+    /// An event, such as a connection or the output of a script.
+    Event(&'a str),
 }
 
 /// Beginning and end of the log's remarks on damaged or foreign data.
@@ -35,12 +38,17 @@ const TOLD: [(&str, &str); 5] = [
 
 pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     let line = line.trim();
-    let (time, _) = line.split_once(" s ")?;
-    let is_time = !time.is_empty() && time.bytes().all(|c| c.is_ascii_digit() || c == b'.');
+    let (time, event) = line.split_once(" s ")?;
+    if time.is_empty() || !time.bytes().all(|c| c.is_ascii_digit() || c == b'.') {
+        return None;
+    }
     let arrows = [(" -> ", Direction::ToGripper), (" <- ", Direction::FromGripper)];
     let found =
         arrows.into_iter().filter_map(|(arrow, direction)| Some((line.find(arrow)?, arrow, direction)));
-    let (at, arrow, direction) = found.min_by_key(|(at, ..)| *at).filter(|_| is_time)?;
+    let Some((at, arrow, direction)) = found.min_by_key(|(at, ..)| *at) else {
+        let place = line.get(..time.len() + " s".len())?;
+        return Some(Line { place, direction: None, content: Content::Event(event) });
+    };
     let (place, rest) = (line.get(..at)?, line.get(at + arrow.len()..)?);
     let words = || rest.split(' ').map_while(|word| byte_of(word).map(|byte| (word, byte)));
     let content = if rest.starts_with("AA AA AA ") {
@@ -54,7 +62,7 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     } else {
         Content::Text(unescaped(rest))
     };
-    Some(Line { place, direction, content })
+    Some(Line { place, direction: Some(direction), content })
 }
 
 /// Reverses `escape_ascii`, with which the log writes GCL lines.
@@ -95,12 +103,12 @@ mod tests {
         let stop =
             parse_line("12.345678 s tcp 127.0.0.1:40000 -> AA AA AA 22 00 00 0E 76 22h Stop\n").unwrap();
         assert_eq!(stop.place, "12.345678 s tcp 127.0.0.1:40000");
-        assert_eq!(stop.direction, Direction::ToGripper);
+        assert_eq!(stop.direction, Some(Direction::ToGripper));
         assert_eq!(stop.content, Content::Frame(vec![0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0x0E, 0x76]));
         let ack = parse_line("0.000001 s gcl 127.0.0.1:1 <- ACK HOME").unwrap();
         assert_eq!(
             (ack.direction, ack.content),
-            (Direction::FromGripper, Content::Text(b"ACK HOME".to_vec()))
+            (Some(Direction::FromGripper), Content::Text(b"ACK HOME".to_vec()))
         );
         let bus =
             parse_line("0.000001 s modbus 127.0.0.1:1 <- 00 01 00 00 00 03 01 84 0A FC 4, exception 10")
@@ -111,7 +119,8 @@ mod tests {
         assert_eq!(parse_line(&line).unwrap().content, Content::Remark(remark));
         let quoted = parse_line(r#"0.000001 s gcl 127.0.0.1:1 <- TAG=\"a\\b\xe4\x\""#).unwrap();
         assert_eq!(quoted.content, Content::Text(b"TAG=\"a\\b\xE4\\x\"".to_vec()));
-        assert_eq!(parse_line("0.000001 s tcp 127.0.0.1:1 connected"), None);
+        let event = parse_line("0.000001 s tcp 127.0.0.1:1 connected").unwrap();
+        assert_eq!((event.place, event.content), ("0.000001 s", Content::Event("tcp 127.0.0.1:1 connected")));
         assert_eq!(parse_line("later s tcp -> AA"), None);
     }
 }

@@ -5,11 +5,7 @@ use document::hold_file;
 use proptest::prelude::*;
 use wsg_protocol::{Command, FrameEncoder};
 
-use self::capture_file::{CLIENT, Capture, Connection, GRIPPER};
 use super::*;
-
-#[path = "../../tests/common/capture.rs"]
-mod capture_file;
 
 #[derive(Parser)]
 struct Line {
@@ -17,9 +13,13 @@ struct Line {
     arguments: Arguments,
 }
 
-fn shown(bytes: &[u8], options: &[&str]) -> String {
+fn decoded(bytes: &[u8], options: &[&str]) -> Result<Vec<Entry>> {
     let line = Line::try_parse_from([&["wsg"], options].concat()).unwrap();
-    let entries = decode(bytes.to_vec(), &line.arguments).unwrap();
+    decode(bytes.to_vec(), &line.arguments)
+}
+
+fn shown(bytes: &[u8], options: &[&str]) -> String {
+    let entries = decoded(bytes, options).unwrap();
     entries.iter().map(|entry| format!("{entry}\n")).collect::<String>() + &summary(&entries) + "\n"
 }
 
@@ -129,156 +129,95 @@ fn log_of_the_simulator() {
     hold("sim_log.txt", &shown(log.as_bytes(), &[]));
 }
 
-/// A capture of a TCP connection with split, reordered, retransmitted and missing segments, of datagrams and of other packets.
-fn capture() -> Vec<u8> {
-    let grip = request(GRIP);
-    let pending = reply(0x25, &[26, 0]);
-    let width = reply(0x43, &[0, 0, 0, 0, 0xA0, 0x41]);
-    let mut capture = Capture::new();
-    let connection = Connection::open(&mut capture, 1_000);
-    let mut tcp = |to_gripper, sequence, acknowledged, payload: &[u8]| {
-        connection.segment(&mut capture, to_gripper, sequence, Some(acknowledged), false, payload);
-    };
-    tcp(true, 1_000, 5_000, &grip[..5]);
-    tcp(true, 1_000, 5_000, &grip[..5]);
-    tcp(true, 1_005, 5_000, &grip[5..]);
-    tcp(false, 5_010, 1_016, &width);
-    tcp(false, 5_000, 1_016, &pending);
-    // 14 bytes from the gripper are missing.
-    tcp(false, 5_038, 1_016, &width);
-    tcp(true, 1_016, 5_052, &request(Command::Stop));
-    capture.udp((CLIENT, 50_000), (GRIPPER, 1_500), &request(Command::Stop));
-    capture.udp((GRIPPER, 1_500), (CLIENT, 1_501), &reply(0x22, &[0, 0]));
-    capture.udp((CLIENT, 50_001), (GRIPPER, 53), b"\x00\x01who is there");
-    capture.packet(&[0xFF; 20]);
-    capture.into_file()
+fn status_of(bytes: &[u8], options: &[&str]) -> u8 {
+    status(&decoded(bytes, options).unwrap())
 }
 
 #[test]
-fn tcp_is_shown_in_order_without_retransmissions_and_udp_by_datagram() {
-    hold("capture.txt", &shown(&capture(), &[]));
-    let by_port = shown(&capture(), &["--port", "53"]);
-    assert!(by_port.contains("without a gripper, on port 1000, 1500"), "{by_port}");
-}
-
-/// Splits a file made by [`Capture`] into packets: seconds, microseconds, bytes.
-fn packets(file: &[u8]) -> Vec<(u32, u32, Vec<u8>)> {
-    let mut rest = &file[24..];
-    let mut packets = Vec::new();
-    while !rest.is_empty() {
-        let word = |at: usize| u32::from_le_bytes(rest[at..at + 4].try_into().unwrap());
-        let len = word(8) as usize;
-        packets.push((word(0), word(4), rest[16..16 + len].to_vec()));
-        rest = &rest[16 + len..];
+fn text_in_no_known_format_is_rejected_with_the_accepted_ones() {
+    let syslog = "Nov 28 10:00:01 plc gripper: connected\nNov 28 10:00:02 plc gripper: GRIP(20,50) sent\n";
+    let mostly_prose = "POS=20.5\nthe gripper answers\nwidth is fine\nand the force as well\n";
+    let octal_words = "0000000 125252 021252 000000 073016\n0000010\n";
+    for text in [syslog, mostly_prose, octal_words, "\0\u{1}\u{2}", "x=1\ny=2\n"] {
+        let error = decoded(text.as_bytes(), &[]).unwrap_err().to_string();
+        assert!(error.starts_with("unknown format; expected a hex dump, a candump log, "), "{text}: {error}");
     }
-    packets
+    let utf_16: Vec<u8> = "AA AA".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let error = format!("{:#}", decoded(&[&[0xFF, 0xFE][..], &utf_16].concat(), &[]).unwrap_err());
+    assert_eq!(error, "cannot read the recording: the text is UTF-16; save it as UTF-8");
 }
 
 #[test]
-fn pcapng_and_pcap_of_either_byte_order_and_resolution_are_equivalent() {
-    let expected = shown(&capture(), &[]);
-    let packets = packets(&capture());
-    let padded = |bytes: &[u8]| [bytes, &vec![0; bytes.len().next_multiple_of(4) - bytes.len()]].concat();
-    let block = |kind: u32, body: &[u8]| {
-        let len = (12 + body.len() as u32).to_le_bytes();
-        [&kind.to_le_bytes()[..], &len, body, &len].concat()
-    };
-    let mut ng =
-        block(0x0A0D_0D0A, &[0x4D, 0x3C, 0x2B, 0x1A, 1, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255]);
-    // Ethernet, with nanosecond time stamps.
-    ng.extend(block(1, &[1, 0, 0, 0, 0, 0, 4, 0, 9, 0, 1, 0, 9, 0, 0, 0, 0, 0, 0, 0]));
-    let mut nanoseconds =
-        vec![0xA1, 0xB2, 0x3C, 0x4D, 0, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 4, 0, 0, 0, 0, 0, 1];
-    for (seconds, micros, bytes) in &packets {
-        let ticks = u64::from(*seconds) * 1_000_000_000 + u64::from(*micros) * 1_000;
-        let words = [0, (ticks >> 32) as u32, ticks as u32, bytes.len() as u32, bytes.len() as u32];
-        let head: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
-        ng.extend(block(6, &[head, padded(bytes)].concat()));
-        let words = [*seconds, micros * 1_000, bytes.len() as u32, bytes.len() as u32];
-        nanoseconds.extend(words.iter().flat_map(|word| word.to_be_bytes()));
-        nanoseconds.extend(bytes);
-    }
-    assert_eq!(shown(&ng, &[]), expected);
-    assert_eq!(shown(&nanoseconds, &[]), expected);
-}
-
-#[test]
-fn every_link_type_that_carries_ip_is_equivalent() {
-    let expected = shown(&capture(), &[]);
-    // The link-layer header that replaces the Ethernet header.
-    let links: [(u32, &[u8]); 5] = [
-        (0, &[2, 0, 0, 0]),
-        (101, &[]),
-        (108, &[0, 0, 0, 2]),
-        (113, &[0, 0, 0, 1, 0, 6, 2, 2, 2, 2, 2, 2, 0, 0, 0x08, 0x00]),
-        (276, &[0x08, 0x00, 0, 0, 0, 0, 0, 2, 0, 1, 0, 6, 2, 2, 2, 2, 2, 2, 0, 0]),
-    ];
-    for (link, before) in links {
-        let mut file = capture()[..20].to_vec();
-        file.extend(link.to_le_bytes());
-        for (seconds, micros, bytes) in packets(&capture()) {
-            let bytes = [before, &bytes[14..]].concat();
-            let len = bytes.len() as u32;
-            file.extend([seconds, micros, len, len].iter().flat_map(|word| word.to_le_bytes()));
-            file.extend(bytes);
-        }
-        assert_eq!(shown(&file, &[]), expected, "{link}");
+fn capture_is_left_to_wireshark() {
+    for start in CAPTURES {
+        let error = decoded(&[&start[..], &session()].concat(), &[]).unwrap_err().to_string();
+        assert!(error.contains("this is a capture (pcap); open it in Wireshark"), "{error}");
     }
 }
 
 #[test]
-fn truncated_capture_is_shown_up_to_its_end() {
-    let whole = capture();
-    for len in 0..whole.len() {
-        let Ok(entries) = decode(whole[..len].to_vec(), &arguments()) else { continue };
-        let last = entries.last().map_or(String::new(), |entry| entry.words.clone());
-        let is_reported = last.contains("truncated or corrupted after packet");
-        let is_between_packets = !is_reported && len > 24;
-        assert!(is_reported || is_between_packets || len <= 24, "{len}: {last}");
+fn nothing_is_joined_across_a_line_that_cannot_be_read() {
+    let hex = "AA AA AA 25 08 00\n00 00 what A0 41\n00 00 48 42 AA 1E\n";
+    let can = "can0 120#AAAAAA2508000000\ncan0 120#A0410Z\ncan0 120#A04100004842AA1E\n";
+    for (text, line) in [
+        (hex, "cannot read line 2: not in hex dump format"),
+        (can, "cannot read line 2: not in candump format"),
+    ] {
+        let output = shown(text.as_bytes(), &[]);
+        assert!(output.contains(line) && output.contains("0 intact frames"), "{output}");
+        assert!(output.trim_end().ends_with(", 1 part not read"), "{output}");
     }
+    assert!(shown(can.as_bytes(), &[]).contains("its rest may be in a line that could not be read"));
 }
 
 #[test]
-fn file_in_another_format_is_rejected_as_a_capture() {
-    let line = Line::try_parse_from(["wsg", "--format", "capture"]).unwrap();
-    let error = decode(session(), &line.arguments).unwrap_err();
-    assert_eq!(error.to_string(), "not a capture file; expected pcap or pcapng");
+fn status_is_success_only_if_everything_was_read() {
+    let stop = "AA AA AA 22 00 00 0E 76\n";
+    let can = "can0 120#AAAAAA2200000E76\n";
+    let log = "1.0 s tcp 127.0.0.1:1 connected\n1.1 s tcp 127.0.0.1:1 -> AA AA AA 22 00 00 0E 76  22h Stop\n";
+    for (text, expected) in [
+        (stop.to_owned(), 0),
+        (format!("# from the PLC\n{stop}\n{stop}"), 0),
+        (format!("{stop}what\n{stop}"), 1),
+        (format!("\u{FEFF}{stop}"), 0),
+        (can.to_owned(), 0),
+        (format!("{can}can0 120##1AA\n{can}"), 1),
+        (log.to_owned(), 0),
+        (format!("{log}panicked at main.rs\n"), 1),
+        ("POS?\nPOS=20.5\n".to_owned(), 0),
+        ("POS?\nPOS=20.5\nthe part is gone\n".to_owned(), 1),
+        ("00 01 02\n".to_owned(), 1),
+    ] {
+        assert_eq!(status_of(text.as_bytes(), &[]), expected, "{text}");
+    }
+    assert_eq!(status_of(b"hello\n", &["--protocol", "gcl"]), 1);
 }
 
-fn arguments() -> Arguments {
-    Line::try_parse_from(["wsg"]).unwrap().arguments
+#[test]
+fn text_of_a_recording_cannot_command_the_terminal() {
+    let log = "1.0 s \u{1b}[2J connected\n1.1 s x\u{1b}[1m -> wrong checksum: \u{7} bytes of payload\n";
+    let can = "(1.000000) c\u{1b}[2J 120#AAAAAA2200000E76\n";
+    for text in [log, can] {
+        let output = shown(text.as_bytes(), &[]);
+        assert!(output.contains("\\u{1b}[2J"), "{output}");
+        assert!(!output.contains(|char: char| char.is_control() && char != '\n'), "{output}");
+    }
 }
 
 proptest! {
     #[test]
     fn garbage_never_panics(bytes in prop::collection::vec(any::<u8>(), 1..600)) {
         for format in ["auto", "hex", "sim", "candump", "raw"] {
-            shown(&bytes, &["--format", format]);
+            // An error is acceptable as well.
+            let _ = decoded(&bytes, &["--format", format]);
         }
-        shown(&bytes, &["--protocol", "gcl"]);
-    }
-
-    #[test]
-    fn damaged_capture_never_panics(
-        damage in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..20),
-        is_ng in any::<bool>(),
-    ) {
-        let mut bytes = capture();
-        for (at, byte) in damage {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
-        if is_ng {
-            bytes[..4].copy_from_slice(&[0x0A, 0x0D, 0x0D, 0x0A]);
-        }
-        // An error is acceptable as well.
-        let _ = decode(bytes, &arguments());
+        let _ = decoded(&bytes, &["--protocol", "gcl"]);
     }
 
     #[test]
     fn arbitrary_text_never_panics(text in "([0-9A-Fa-fxR#\\[\\]():. <>s*|-]|can0 120#| -> AA AA AA |\n){1,200}") {
         for format in ["auto", "hex", "sim", "candump"] {
-            shown(text.as_bytes(), &["--format", format]);
+            let _ = decoded(text.as_bytes(), &["--format", format]);
         }
     }
 }
