@@ -16,24 +16,35 @@ pub enum Character {
     Damaged,
 }
 
+impl Character {
+    /// Returns whether a transceiver that switches over may have caused this character: 00h, FFh, or a break. Between
+    /// telegrams, such a character is no telegram of another station.
+    #[must_use]
+    pub const fn is_stray(self) -> bool {
+        matches!(self, Self::Byte(0x00 | 0xFF) | Self::Damaged)
+    }
+}
+
 /// Statistics of the receiver. Each counter wraps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Intact telegrams with start delimiter 1, 2 or 3, for any station.
     pub telegrams: u32,
     /// Damaged characters, wrong delimiters, lengths or check sums, and truncated telegrams. Counted once for
-    /// everything up to the next silence.
+    /// everything up to the next silence. [Strays](Character::is_stray) between telegrams count as well.
     pub damaged: u32,
 }
 
-/// Detects telegrams. A telegram ends with its last character. After anything else, the next one starts
-/// after a silence of [`SYNC_BITS`].
+/// Detects telegrams. A telegram ends with its last character. The next one starts after it, or after strays of a
+/// transceiver. After anything else, the next one starts after a silence of [`SYNC_BITS`].
 #[derive(Clone, Debug)]
 pub(crate) struct Receiver {
     bytes: [u8; MAX_TELEGRAM_LEN],
     len: usize,
     /// Ignores characters until the next silence.
     void: bool,
+    /// Damage since the last silence has been counted.
+    is_counted: bool,
     counters: Counters,
 }
 
@@ -41,7 +52,7 @@ impl Receiver {
     pub(crate) const fn new() -> Self {
         // The first characters may be the end of a telegram.
         let counters = Counters { telegrams: 0, damaged: 0 };
-        Self { bytes: [0; MAX_TELEGRAM_LEN], len: 0, void: true, counters }
+        Self { bytes: [0; MAX_TELEGRAM_LEN], len: 0, void: true, is_counted: false, counters }
     }
 
     pub(crate) const fn counters(&self) -> Counters {
@@ -53,12 +64,17 @@ impl Receiver {
     pub(crate) fn push(&mut self, character: Character, silence_bits: u32) -> Option<Telegram<'_>> {
         if silence_bits >= SYNC_BITS {
             if self.len > 0 {
-                self.counters.damaged = self.counters.damaged.wrapping_add(1);
+                self.count_damage();
             }
             self.len = 0;
             self.void = false;
+            self.is_counted = false;
         }
         if self.void {
+            return None;
+        }
+        if self.len == 0 && character.is_stray() {
+            self.count_damage();
             return None;
         }
         let (Character::Byte(byte), Some(place)) = (character, self.bytes.get_mut(self.len)) else {
@@ -102,7 +118,7 @@ impl Receiver {
             self.counters.telegrams = self.counters.telegrams.wrapping_add(1);
         } else {
             self.void = true;
-            self.counters.damaged = self.counters.damaged.wrapping_add(1);
+            count_once(&mut self.is_counted, &mut self.counters.damaged);
         }
         telegram
     }
@@ -110,7 +126,18 @@ impl Receiver {
     fn discard(&mut self) {
         self.len = 0;
         self.void = true;
-        self.counters.damaged = self.counters.damaged.wrapping_add(1);
+        self.count_damage();
+    }
+
+    const fn count_damage(&mut self) {
+        count_once(&mut self.is_counted, &mut self.counters.damaged);
+    }
+}
+
+const fn count_once(is_counted: &mut bool, counter: &mut u32) {
+    if !*is_counted {
+        *is_counted = true;
+        *counter = counter.wrapping_add(1);
     }
 }
 

@@ -237,8 +237,11 @@ impl Model {
         }
         let silence_bits = self.silence_us() / BIT_US;
         self.heard_us = self.now_us;
-        // A character on the line cancels the pending answer.
-        self.answer = None;
+        // A character of another station cancels the pending answer.
+        if !character.is_stray() {
+            self.answer = None;
+        }
+        let was_due = self.answer.is_some();
         let now_ms = self.now_ms();
         if let Some(outcome) = self.slave.push(character, silence_bits, now_ms) {
             let from_us = |bits: u32| self.now_us + (bits + STOP_BITS) * BIT_US;
@@ -253,7 +256,7 @@ impl Model {
         let status = UartStatus { received: Some(character), has_room: true, is_complete: true };
         let action = self.handler.step(status, now_ms, self.now_us);
         assert_eq!(action.send, None, "too early");
-        assert_eq!(action.wait_us.is_some(), self.answer.is_some(), "an answer is due");
+        assert_eq!(action.wait_us.is_some(), self.answer.is_some() && !was_due, "an answer is due");
         self.timer_us = action.wait_us.map(|wait_us| self.now_us + wait_us).or(self.timer_us);
     }
 

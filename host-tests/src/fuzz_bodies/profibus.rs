@@ -106,6 +106,7 @@ pub fn profibus(data: &[u8]) {
                 match trouble % 16 {
                     0 => telegram[at] ^= 1 << (trouble >> 5),
                     1 => telegram.truncate(at),
+                    4 => telegram.insert(0, if trouble & 16 == 0 { 0x00 } else { 0xFF }),
                     _ => {}
                 }
                 model.send(&telegram, (trouble % 16 == 2).then_some(at), (trouble % 16 == 3).then_some(at));
@@ -126,13 +127,15 @@ fn framed(body: &[u8], how: u8) -> Vec<u8> {
     [&head, body, &[sum(body), 0x16]].concat()
 }
 
-/// Returns the telegrams between two silences, each with the index of its last byte.
-fn read(line: &[u8]) -> Vec<(usize, Telegram)> {
+/// Returns the telegrams between two silences, each with the index of its last byte. Damaged characters are `None`.
+fn read(line: &[Option<u8>]) -> Vec<(usize, Telegram)> {
     let mut found = vec![];
     let mut at = 0;
     while at < line.len() {
-        let rest = &line[at..];
+        let rest: Vec<u8> = line[at..].iter().map_while(|byte| *byte).collect();
         let (head, len) = match *rest {
+            // Strays of a transceiver.
+            [] | [0x00 | 0xFF, ..] => (0, 1),
             [0xE5, ..] => (0, 1),
             [0xDC, ..] => (0, 3),
             [0x10, ..] => (1, 6),
@@ -142,7 +145,7 @@ fn read(line: &[u8]) -> Vec<(usize, Telegram)> {
             }
             _ => break,
         };
-        if rest.len() < len {
+        if rest.len() < len && !rest.is_empty() {
             break;
         }
         at += len;
@@ -280,8 +283,9 @@ impl Model {
 
     /// Sends a telegram after a silence, possibly with a damaged character or a pause.
     fn send(&mut self, line: &[u8], damaged_at: Option<usize>, pause_at: Option<usize>) {
-        let end = damaged_at.unwrap_or(line.len());
-        let (first, second) = line[..end].split_at(pause_at.unwrap_or(end).min(end));
+        let seen = |(at, byte): (usize, &u8)| (damaged_at != Some(at)).then_some(*byte);
+        let seen: Vec<Option<u8>> = line.iter().enumerate().map(seen).collect();
+        let (first, second) = seen.split_at(pause_at.unwrap_or(line.len()));
         let behind = read(second).into_iter().map(|(at, telegram)| (first.len() + at, telegram));
         let mut telegrams = read(first).into_iter().chain(behind);
         let mut next = telegrams.next();

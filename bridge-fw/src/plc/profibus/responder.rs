@@ -303,8 +303,11 @@ impl DpResponder {
         let distance_ns = distance_us.min(LONG_SILENCE_US).saturating_mul(1_000);
         let silence_bits =
             distance_ns.checked_div(self.bit_ns).unwrap_or_default().saturating_sub(CHARACTER_BITS);
-        // Cancels a pending response while another station sends.
-        self.phase = Phase::Listening;
+        // Cancels a pending response while another station sends. A stray of a transceiver is no station, and the timer is
+        // still running.
+        if !character.is_stray() {
+            self.phase = Phase::Listening;
+        }
         let Outcome { event, answer } = self.slave.push(character, silence_bits, now_ms)?;
         let mut wait_us = None;
         if let Some(answer) = answer {

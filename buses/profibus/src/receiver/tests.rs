@@ -92,7 +92,8 @@ fn any_wrong_bit_invalidates_a_telegram_but_not_the_next_one() {
 fn damaged_character_invalidates_everything_up_to_the_next_silence() {
     let (mut receiver, mut found) = (Receiver::new(), Found::default());
     let bytes = |telegram: &[u8]| telegram.iter().map(|byte| Character::Byte(*byte)).collect::<Vec<_>>();
-    push(&mut receiver, &mut found, Character::Damaged, SYNC_BITS);
+    push(&mut receiver, &mut found, Character::Byte(STATUS[0]), SYNC_BITS);
+    push(&mut receiver, &mut found, Character::Damaged, 0);
     for character in bytes(&STATUS) {
         push(&mut receiver, &mut found, character, SYNC_BITS - 1);
     }
@@ -108,6 +109,52 @@ fn damaged_character_invalidates_everything_up_to_the_next_silence() {
         push(&mut receiver, &mut found, character, if at == 0 { SYNC_BITS } else { 0 });
     }
     assert_eq!((found.telegrams.len(), found.damaged), (1, 2));
+}
+
+/// A transceiver that switches over adds characters after a telegram, and less than T_SYN before the next one.
+#[test]
+fn strays_between_telegrams_do_not_hide_the_next_one() {
+    let strays = [
+        Character::Byte(0x00),
+        Character::Byte(0xFF),
+        // A break.
+        Character::Damaged,
+    ];
+    for stray in strays {
+        for count in 1..=3 {
+            let (mut receiver, mut found) = (Receiver::new(), Found::default());
+            for at in 0..2 {
+                for (n, byte) in STATUS.into_iter().enumerate() {
+                    let silence_bits = if n > 0 {
+                        0
+                    } else if at == 0 {
+                        SYNC_BITS
+                    } else {
+                        SYNC_BITS - 12
+                    };
+                    push(&mut receiver, &mut found, Character::Byte(byte), silence_bits);
+                }
+                for _ in 0..count {
+                    push(&mut receiver, &mut found, stray, 1);
+                }
+            }
+            assert_eq!((found.telegrams.len(), found.damaged), (2, 1), "{count} times {stray:?}");
+        }
+    }
+    for wrong in [0x01, 0x55, 0x80] {
+        let line = [&STATUS[..], &[wrong], &STATUS].concat();
+        assert_eq!(find(&[&line]).telegrams.len(), 1, "{wrong:02X}h is no stray");
+    }
+}
+
+#[test]
+fn strays_inside_a_telegram_invalidate_it() {
+    for stray in [0x00, 0xFF] {
+        for at in 1..STATUS.len() {
+            let line = [&STATUS[..at], &[stray], &STATUS[at..]].concat();
+            assert_eq!(find(&[&line]), Found { telegrams: vec![], damaged: 1 }, "{stray:02X}h before {at}");
+        }
+    }
 }
 
 #[test]

@@ -82,10 +82,22 @@ fn pending_response_is_cancelled_when_another_station_sends() {
     assert_eq!(responder.step(IDLE, 1_001, 1_001_000).send, None);
 }
 
+/// A master's transceiver that switches off after the request adds a character.
+#[test]
+fn stray_after_a_request_neither_cancels_nor_defers_the_response() {
+    for stray in [Character::Byte(0x00), Character::Byte(0xFF), Character::Damaged] {
+        let (mut responder, _) = at(Baud::K500);
+        let wait_us = bring(&mut responder, &REQUEST, 22, 1_000_000).unwrap();
+        assert_eq!(receive(&mut responder, stray, 1_000_022).send, None);
+        assert_eq!(responder.step(IDLE, 1_000, 1_000_000 + wait_us - 1).send, None, "{stray:?}: too early");
+        assert_eq!(responder.step(IDLE, 1_000, 1_000_000 + wait_us).send, Some(0x10), "{stray:?}");
+    }
+}
+
 #[test]
 fn telegram_needs_a_preceding_silence_and_no_pauses() {
     let (mut responder, _) = at(Baud::K500);
-    receive(&mut responder, Character::Damaged, 990_000);
+    receive(&mut responder, Character::Byte(0x55), 990_000);
     // A gap of 32 bit times is 43 bit times or 86 us from end to end. With 33 it is 88 us.
     assert_eq!(bring(&mut responder, &REQUEST, 22, 990_000 + 5 * 22 + 86), None, "no silence");
     let end_us = 990_000 + 2 * (5 * 22) + 86 + 91;
