@@ -98,6 +98,30 @@ fn motions_from_outside_the_soft_limits_need_a_target_inside() {
     assert_eq!(desk.run("MOVE(20)"), "FIN MOVE");
 }
 
+/// Each command is sent as such a client sends it, and none spoils the next.
+#[test]
+fn bytes_between_lines_spoil_no_command() {
+    for (client, end) in [
+        ("telnet", &b"\r\0"[..]),
+        ("telnet with LF", b"\r\n"),
+        ("a C program with sizeof", b"\n\0"),
+        ("a C program with a fixed buffer", b"\n\0\0\0\0\0\0"),
+    ] {
+        let mut desk = Desk::new(Config::default());
+        for (request, answer) in [("HOME(1)", "ACK HOME"), ("STOP()", "ACK STOP"), ("FSACK()", "ACK FSACK")] {
+            desk.gripper.receive(desk.port, desk.now, &[request.as_bytes(), end].concat());
+            assert_eq!(desk.lines().first().map(String::as_str), Some(answer), "{client}: {request}");
+        }
+    }
+    // A datagram is a line without a line end.
+    let mut desk = Desk::new(Config::default());
+    desk.port = desk.gripper.connect(PortKind::GclUdp).unwrap();
+    for _ in 0..2 {
+        desk.gripper.receive(desk.port, desk.now, b"FSACK()\0");
+        assert_eq!(desk.lines(), ["ACK FSACK"]);
+    }
+}
+
 #[test]
 fn release_takes_the_presets_that_are_set() {
     let config = Config {

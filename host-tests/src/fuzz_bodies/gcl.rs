@@ -62,13 +62,17 @@ pub fn gcl(data: &[u8]) {
 /// Parses the whole capture naively, including its end.
 fn read_all(stream: &[u8]) -> Vec<Seen> {
     let lines = stream.split(|byte| matches!(byte, b'\r' | b'\n'));
+    let is_control = |byte: u8| byte.is_ascii_control() && byte != b'\t';
     let begun = lines.map(|line| {
-        let blanks = line.iter().take_while(|byte| matches!(byte, b' ' | b'\t')).count();
-        &line[blanks..]
+        let skipped = line.iter().take_while(|byte| matches!(byte, b' ' | b'\t') || is_control(**byte));
+        &line[skipped.count()..]
     });
     let found = begun.filter(|line| !line.is_empty()).map(|line| match line.get(..LIMIT) {
         Some(start) if line.len() > LIMIT => Seen::TooLong(start.to_vec()),
-        _ => Seen::Line(line.to_vec()),
+        _ => {
+            let after = line.iter().rev().take_while(|byte| is_control(**byte)).count();
+            Seen::Line(line[..line.len() - after].to_vec())
+        }
     });
     found.collect()
 }

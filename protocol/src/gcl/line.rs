@@ -9,7 +9,8 @@ pub const MAX_LINE_LEN: usize = 1024;
 /// An event of a [`LineReader`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, crate::Format)]
 pub enum LineEvent<'a> {
-    /// A line without its end and without leading blanks. It is never empty.
+    /// A line without its end, and without blanks and control characters before it and control characters after it. It is
+    /// never empty.
     Line(&'a [u8]),
     /// A line exceeds the reader's capacity and the rest of it is discarded. Holds the start of the line.
     TooLong(&'a [u8]),
@@ -28,6 +29,9 @@ pub struct LineCounters {
 ///
 /// A line ends with LF, CR or both: the manual prints LF with the code of CR, and terminals send either. Blank lines are
 /// ignored. After a line that is too long, the next line is found again.
+///
+/// Control characters between lines are ignored: telnet sends CR NUL, and C programs send the NUL that ends a string. Inside
+/// a line, they remain.
 ///
 /// ```
 /// use wsg_protocol::gcl::{LineEvent, LineReader};
@@ -142,6 +146,10 @@ impl<const N: usize> LineReader<N> {
             if skipping {
                 self.reset();
             }
+            // Ends at the first byte, which is no control character.
+            while self.buffer.get(self.len.wrapping_sub(1)).copied().is_some_and(is_control) {
+                self.len = self.len.wrapping_sub(1);
+            }
             if self.len == 0 {
                 return Step::Nothing;
             }
@@ -152,7 +160,7 @@ impl<const N: usize> LineReader<N> {
             self.drop_bytes(1);
             return Step::Nothing;
         }
-        if self.len == 0 && super::scanner::is_blank(byte) {
+        if self.len == 0 && (super::scanner::is_blank(byte) || is_control(byte)) {
             return Step::Nothing;
         }
         match self.buffer.get_mut(self.len) {
@@ -183,6 +191,11 @@ impl<const N: usize> LineReader<N> {
         let count = u16::try_from(count).unwrap_or(u16::MAX);
         self.counters.dropped = self.counters.dropped.saturating_add(count);
     }
+}
+
+/// Returns whether the byte is a control character other than a blank.
+const fn is_control(byte: u8) -> bool {
+    byte.is_ascii_control() && !super::scanner::is_blank(byte)
 }
 
 impl<const N: usize> Default for LineReader<N> {

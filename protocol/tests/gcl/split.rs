@@ -47,12 +47,14 @@ fn reference(stream: &[u8]) -> Vec<Found> {
     let mut lines = stream.split(is_end).peekable();
     while let Some(line) = lines.next() {
         let is_whole = lines.peek().is_some();
-        let blanks = line.iter().position(|byte| !matches!(byte, b' ' | b'\t')).unwrap_or(line.len());
-        let line = &line[blanks..];
+        let is_before = |byte: &u8| matches!(byte, b' ' | 0..0x20 | 0x7F);
+        let line = &line[line.iter().take_while(|byte| is_before(byte)).count()..];
         if line.len() > LEN {
             found.push(Found::TooLong(line[..LEN].to_vec()));
         } else if is_whole && !line.is_empty() {
-            found.push(Found::Line(line.to_vec()));
+            let is_after = |byte: &u8| is_before(byte) && !matches!(byte, b' ' | b'\t');
+            let after = line.iter().rev().take_while(|byte| is_after(byte)).count();
+            found.push(Found::Line(line[..line.len() - after].to_vec()));
         }
     }
     found
@@ -60,7 +62,7 @@ fn reference(stream: &[u8]) -> Vec<Found> {
 
 fn stream() -> impl Strategy<Value = Vec<u8>> {
     proptest::collection::vec(
-        prop_oneof![4 => proptest::sample::select(b"ab \t".to_vec()), 1 => Just(b'\n'), 1 => Just(b'\r'), 1 => any::<u8>()],
+        prop_oneof![4 => proptest::sample::select(b"ab \t\0".to_vec()), 1 => Just(b'\n'), 1 => Just(b'\r'), 1 => any::<u8>()],
         0..200,
     )
 }

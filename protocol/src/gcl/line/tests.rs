@@ -32,6 +32,29 @@ fn empty_and_blank_lines_are_ignored() {
 }
 
 #[test]
+fn control_characters_between_lines_are_ignored() {
+    for (stream, expected) in [
+        // Telnet ends a line with CR NUL, or with CR LF.
+        (&b"home()\r\0pos?\r\0"[..], &["home()", "pos?"][..]),
+        // C: send(s, "pos?\n", sizeof("pos?\n"), 0).
+        (b"pos?\n\0home()\n\0", &["pos?", "home()"]),
+        // The NUL is sent before the line end.
+        (b"pos?\0\nhome()\0\r\n", &["pos?", "home()"]),
+        (b"\0\0\n\x7F\0 \x01pos?\n\x1B\r", &["pos?"]),
+        // DEL and BEL of a terminal.
+        (b"bye()\n\x07\x7Fpos?\n", &["bye()", "pos?"]),
+    ] {
+        assert_eq!(lines(&mut LineReader::new(), stream), whole(expected), "{}", stream.escape_ascii());
+    }
+}
+
+#[test]
+fn control_characters_inside_a_line_remain() {
+    let mut reader = LineReader::new();
+    assert_eq!(lines(&mut reader, b"po\0s?\n a\x1B b\0 \n"), whole(&["po\0s?", "a\x1B b\0 "]));
+}
+
+#[test]
 fn line_of_maximum_length_is_delivered() {
     let mut reader = LineReader::new();
     assert_eq!(lines(&mut reader, b"12345678\n"), whole(&["12345678"]));
@@ -74,6 +97,15 @@ fn end_of_a_datagram_ends_the_line() {
     assert_eq!(reader.push_slice(b"123456789").1, Some(LineEvent::TooLong(b"12345678")));
     assert_eq!(reader.finish(), None);
     assert_eq!(reader.push_slice(b"a\n").1, Some(LineEvent::Line(b"a")));
+}
+
+#[test]
+fn string_terminator_at_the_end_of_a_datagram_is_ignored() {
+    let mut reader = LineReader::<8>::new();
+    reader.push_slice(b"pos?\0");
+    assert_eq!(reader.finish(), Some(LineEvent::Line(b"pos?")));
+    reader.push_slice(b"\0");
+    assert_eq!(reader.finish(), None);
 }
 
 #[test]
