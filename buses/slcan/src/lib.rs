@@ -94,7 +94,8 @@ impl Decoder {
         Self { held: [0; MAX_LINE_LEN], count: 0 }
     }
 
-    /// Processes a byte. Returns the line that it ends, if any. Line feeds, which some hosts send, are ignored.
+    /// Processes a byte. Returns the line that it ends, if any. Line feeds, which some hosts send, are ignored, and so are
+    /// NULs before a line, which a serial line may add when a port is opened, or a C program after a string.
     pub fn push<F: Frame>(&mut self, byte: u8) -> Option<Line<F>> {
         match byte {
             CR => {
@@ -106,6 +107,7 @@ impl Decoder {
                 Some(Line::Refused)
             }
             b'\n' => None,
+            0 if self.count == 0 => None,
             _ => {
                 match self.held.get_mut(usize::from(self.count)) {
                     Some(place) => {

@@ -70,6 +70,18 @@ fn line_after_noise_of_any_length_is_decoded() {
 }
 
 #[test]
+fn nul_before_a_line_is_ignored_and_invalidates_a_frame_inside_it() {
+    let expected = Line::Frame(frame(StandardId::new(0x120).unwrap(), &[]));
+    for line in [&b"\0t1200\r"[..], b"\0\0\0t1200\r", b"\n\0\nt1200\r"] {
+        assert_eq!(lines(line), [expected], "{}", line.escape_ascii());
+    }
+    assert_eq!(lines(b"O\r\0t1200\r\0"), [Line::Command(b'O', None), expected]);
+    for line in [&b"t12\x0000\r"[..], b"t1200\0\r", b"\xFFt1200\r\0"] {
+        assert_ne!(lines(line), [expected], "{}", line.escape_ascii());
+    }
+}
+
+#[test]
 fn responses_and_commands_are_distinguished() {
     let expected = [
         Line::Done,
