@@ -6,6 +6,7 @@ mod flash;
 mod names;
 mod settings_file;
 mod state;
+mod strays;
 
 use std::fs;
 use std::io::{self, IsTerminal, Write};

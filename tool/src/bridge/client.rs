@@ -21,6 +21,7 @@ use wsg_bridge_fw::registers::{
 use wsg_fieldbus::InputImage;
 
 use super::names::report;
+use super::strays::WithoutStrays;
 
 /// Response time-out. The bridge responds within milliseconds, but a busy computer may be slow.
 const PATIENCE: Duration = Duration::from_millis(1_500);
@@ -245,7 +246,7 @@ fn connect(runtime: &Runtime, port: &str) -> Result<Context> {
     let opened = opened.map_err(|error| anyhow::anyhow!(not_opened(port, &error)))?;
     // Discard bytes received earlier: they respond to another program.
     let _ = opened.discard_input_buffer();
-    Ok(rtu::attach_slave(opened, Slave(BusConfig::SERVICE.unit)))
+    Ok(rtu::attach_slave(WithoutStrays::new(opened), Slave(BusConfig::SERVICE.unit)))
 }
 
 /// Describes why a port cannot be opened, and what to do.
