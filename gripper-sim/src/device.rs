@@ -134,6 +134,12 @@ impl Device {
         self.motion.settings().force_limit()
     }
 
+    /// Sets the force limit in N, within the permitted forces.
+    #[cfg(feature = "std")]
+    pub(crate) const fn set_force_limit(&mut self, force: f32) {
+        self.motion.settings_mut().set_force_limit(force);
+    }
+
     /// Returns the permitted force in N that is closest to `force`.
     pub(crate) const fn possible_force(&self, force: f32) -> f32 {
         self.motion.settings().possible_force(force)

@@ -357,6 +357,22 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         status
     }
 
+    /// Sets the force limit and executes a command of an operator. A refused command leaves the force limit as it was, and
+    /// so does a force that the gripper would have to correct.
+    #[cfg(feature = "std")]
+    pub(crate) fn command_with_force(&mut self, force: f32, command: &Command<'_>, now: Time) -> Status {
+        let before = self.device.force_limit();
+        if self.device.possible_force(force) != force {
+            return Status::RangeError;
+        }
+        self.device.set_force_limit(force);
+        let status = self.command(command, now);
+        if !matches!(status, Status::Success | Status::CmdPending) {
+            self.device.set_force_limit(before);
+        }
+        status
+    }
+
     /// Starts the velocity mode of scripts at this speed in mm/s, negative to close the fingers. The fingers move until
     /// the next speed, 0 included, any other command, or the end of the stroke or of a soft limit. They push against an
     /// obstacle with the force limit. Returns E_CMD_PENDING when the motion starts.

@@ -1,11 +1,12 @@
 //! The control interface: operation of the gripper over HTTP with JSON, and a page that shows it. `docs/simulator.md`
 //! is the user documentation.
 //!
-//! Each connection serves one request. Size, time and number of requests are bounded. Event streams are unlimited in
-//! time, but bounded in number and backlog. `Host` and `Origin` decide who may send requests: the browser sets them,
-//! and a web page cannot.
+//! Each connection serves one request, or is the WebSocket of a page. Size, time and number of requests are bounded.
+//! Streams are unlimited in time, but bounded in number and backlog. `Host` and `Origin` decide who may send requests: the
+//! browser sets them, and a web page cannot.
 
 mod access;
+mod age;
 mod answer;
 mod commands;
 mod documents;
@@ -14,34 +15,41 @@ mod events;
 mod history;
 mod injected;
 mod page;
+mod peer;
 mod scripts;
 mod settings;
+mod socket;
 mod state;
 
 use super::accept::{Accepted, Acceptor};
 use super::hub::Hub;
 use access::{check_host, check_origin};
+use age::{Effect, Sender, Stalls, as_of, as_of_in};
 use answer::{Answer, HttpError, json, whole};
 use anyhow::Result;
-use commands::{COMMAND_EXPECTED, CommandBody};
+use commands::{COMMAND_EXPECTED, CommandBody, Executed};
 use documents::DOCUMENTS;
-use editor::{Editor, FRAME_EXPECTED};
-use events::{Link, MAX_STREAMS, Watchers, event};
+use editor::{Editor, FRAME_EXPECTED, FrameBody};
+use events::{Events, Link, MAX_STREAMS, Watchers, event};
 use history::History;
 use http_body_util::{BodyExt, Either, LengthLimitError, Limited};
-use hyper::body::Incoming;
+use hyper::body::{Bytes, Incoming};
 use hyper::header::{
-    ALLOW, CACHE_CONTROL, CONTENT_DISPOSITION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName,
-    HeaderValue, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+    ALLOW, CACHE_CONTROL, CONNECTION, CONTENT_DISPOSITION, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HOST,
+    HeaderName, HeaderValue, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
 };
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
+use hyper::upgrade::OnUpgrade;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::TokioIo;
 use injected::{FAULT_EXPECTED, FaultBody, LINE_EXPECTED, PART_EXPECTED, line_faults, part, which_fault};
+use peer::Peer;
+use scripts::ScriptBody;
 use serde::Deserialize;
 use settings::{SETTINGS_EXPECTED, change, settings};
 use state::{HelloBody, StateBody};
+use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::io;
@@ -53,7 +61,6 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{JoinHandle, spawn_local, yield_now};
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
-use wsg_protocol::Status;
 
 /// The longest accepted body, in bytes.
 const MAX_BODY_LEN: usize = 4_096;
@@ -65,8 +72,8 @@ const MAX_CONNECTIONS: usize = 32;
 const TIME_LIMIT: Duration = Duration::from_secs(5);
 /// Interval at which changes are sent to pages.
 const PERIOD: Duration = Duration::from_millis(50);
-/// Interval of the heartbeat to pages while nothing changes.
-const HEARTBEAT: Duration = Duration::from_millis(500);
+/// Interval of the heartbeat to pages while nothing changes. A page shows after a second that it receives nothing.
+const HEARTBEAT: Duration = Duration::from_millis(200);
 /// Time from the answer to a request for a restart to the restart.
 const RESTART_DELAY: Duration = Duration::from_millis(100);
 /// How long a rejected connection may take to read the reason.
@@ -83,20 +90,22 @@ pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<Strin
     let names: Rc<[String]> = names.into();
     let watchers = Rc::new(Watchers::default());
     let (history, editor) = (Rc::new(History::default()), Editor::new(Arc::clone(&hub)));
+    let stalls = Stalls::new();
+    spawn_local(Rc::clone(&stalls).watch());
     spawn_local(Rc::clone(&history).record(Arc::clone(&hub)));
     spawn_local(publish(Arc::clone(&hub), Rc::clone(&editor), Rc::clone(&watchers)));
-    let site = Site { hub, names, watchers, history, editor };
+    let site = Site { hub, names, watchers, history, editor, stalls, executed: Rc::default() };
     let mut connections = Connections::default();
     let mut acceptor = Acceptor::new(listener);
     loop {
         match acceptor.accept().await {
-            Accepted::Client(stream, _) => {
+            Accepted::Client(stream, peer) => {
                 let link = Link::new();
                 let site = site.clone();
                 connections.open(Rc::clone(&link), async move {
                     tokio::select! {
                         // Ends a connection that does not speak HTTP.
-                        _ = serve_connection(site, Rc::clone(&link), stream) => {}
+                        _ = serve_connection(site, Rc::clone(&link), stream, peer.ip().to_canonical()) => {}
                         // Ends a connection that exceeds its time limit.
                         () = run_out(&link) => {}
                     }
@@ -129,6 +138,19 @@ struct Site {
     watchers: Rc<Watchers>,
     history: Rc<History>,
     editor: Rc<Editor>,
+    stalls: Rc<Stalls>,
+    executed: Rc<Executed>,
+}
+
+/// A connection, as its request sees it.
+#[derive(Debug)]
+struct Connection {
+    link: Rc<Link>,
+    stream: Peer,
+    peer: IpAddr,
+    here: IpAddr,
+    /// The stream of a WebSocket, which begins after the answer.
+    socket: RefCell<Option<(Sender, Events, OnUpgrade)>>,
 }
 
 /// Ready when a connection has lasted too long: a request exceeds the time limit, or a stream is no longer read.
@@ -147,6 +169,8 @@ async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
     loop {
         watchers.come().await;
         hub.watch_log(true);
+        // A page that opens reads the settings by itself.
+        let mut settings = hub.settings_revision();
         let mut ticks = interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut told = (String::new(), Instant::now());
@@ -157,8 +181,9 @@ async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
             // The body contains nothing that JSON cannot represent.
             let state = serde_json::to_string(&body).unwrap_or_default();
             if state != told.0 || told.1.elapsed() >= HEARTBEAT {
-                let time_s = report.now.as_micros() as f64 / 1e6;
-                watchers.send(&event("state", &format!("{{\"time_s\":{time_s},\"state\":{state}}}")));
+                let (time_s, as_of) = (report.now.as_micros() as f64 / 1e6, as_of(&hub, report.now));
+                let json = format!("{{\"time_s\":{time_s},\"as_of\":\"{as_of}\",\"state\":{state}}}");
+                watchers.send(&event("state", &json));
                 told = (state, Instant::now());
             }
             let entries = hub.system_log().entries_from(next_entry);
@@ -179,6 +204,10 @@ async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
                 let script = serde_json::json!({ "latest": report, "lines": lines });
                 watchers.send(&event("script", &script.to_string()));
                 told_script = Some(report);
+            }
+            if settings != hub.settings_revision() {
+                settings = hub.settings_revision();
+                watchers.send(&event("settings", &format!("{{\"revision\":{settings}}}")));
             }
             let log = hub.take_watched();
             if !log.lines.is_empty() {
@@ -211,26 +240,73 @@ impl Connections {
     }
 }
 
-async fn serve_connection(site: Site, link: Rc<Link>, stream: TcpStream) -> Result<()> {
+async fn serve_connection(site: Site, link: Rc<Link>, stream: TcpStream, peer: IpAddr) -> Result<()> {
     let here = stream.local_addr()?.ip().to_canonical();
-    let service = service_fn(move |request| answer(site.clone(), Rc::clone(&link), here, request));
+    let stream = Peer::new(stream)?;
+    let socket = RefCell::default();
+    let connection = Rc::new(Connection { link, stream: stream.clone(), peer, here, socket });
+    let (site_of_requests, connection_of_requests) = (site.clone(), Rc::clone(&connection));
+    let service = service_fn(move |request| {
+        answer(site_of_requests.clone(), Rc::clone(&connection_of_requests), request)
+    });
     let served = http1::Builder::new()
-        .keep_alive(false)
+        // A stop is executed even if its client has given up.
+        .half_close(true)
         .max_buf_size(MAX_HEAD_LEN)
-        .serve_connection(TokioIo::new(stream), service);
-    Ok(served.await?)
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
+    served.await?;
+    let socket = connection.socket.take();
+    if let Some((sender, events, upgrade)) = socket {
+        socket::serve(upgrade, events, MAX_BODY_LEN, |message| answer_message(&site, sender, message)).await;
+    }
+    Ok(())
+}
+
+/// A command of a page.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MessageBody {
+    /// The number that the answer repeats.
+    id: u64,
+    as_of: Option<String>,
+    body: CommandBody,
+}
+
+const MESSAGE_EXPECTED: &str = r#"{"id":1,"as_of":"...","body":{"command":"home"}}"#;
+
+/// Executes a command of a page, and returns the event that answers it.
+fn answer_message(site: &Site, sender: Sender, message: &str) -> Bytes {
+    let parsed: Result<MessageBody, _> = serde_json::from_str(message);
+    let id = parsed.as_ref().ok().map(|message| message.id);
+    let answer = parsed
+        .map_err(|error| {
+            HttpError::wrong(format!("the message is invalid: {error}; expected {MESSAGE_EXPECTED}"))
+        })
+        .and_then(|MessageBody { as_of, body, .. }| {
+            if !body.is_stop() {
+                sender.check(&site.hub, &site.stalls, Effect::Moves, as_of.as_deref())?;
+            }
+            body.execute(&site.hub, &site.executed)?;
+            state(&site.hub)
+        });
+    let (status, body) = match answer {
+        Ok(state) => (StatusCode::OK, state),
+        Err(HttpError { status, error, .. }) => (status, serde_json::json!({ "error": error }).to_string()),
+    };
+    let (id, status) = (serde_json::json!(id), status.as_u16());
+    event("answer", &format!("{{\"id\":{id},\"status\":{status},\"body\":{body}}}"))
 }
 
 async fn answer(
     site: Site,
-    link: Rc<Link>,
-    here: IpAddr,
+    connection: Rc<Connection>,
     request: Request<Incoming>,
 ) -> Result<Answer, Infallible> {
     let answer = async {
-        check_host(request.headers(), here, &site.names)?;
+        check_host(request.headers(), connection.here, &site.names)?;
         check_origin(request.headers())?;
-        act(&site, link, request).await
+        act(&site, &connection, request).await
     };
     let mut response = answer.await.unwrap_or_else(|HttpError { status, error, allowed }| {
         let mut response = json(&serde_json::json!({ "error": error }).to_string());
@@ -243,6 +319,9 @@ async fn answer(
     for (name, value) in PRIVATE {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
+    if response.status() != StatusCode::SWITCHING_PROTOCOLS {
+        response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+    }
     Ok(response)
 }
 
@@ -250,12 +329,10 @@ async fn answer(
 const PRIVATE: [(HeaderName, &str); 3] =
     [(CACHE_CONTROL, "no-store"), (X_CONTENT_TYPE_OPTIONS, "nosniff"), (REFERRER_POLICY, "no-referrer")];
 
-/// Returns the state of gripper and lines.
-fn state(hub: &Hub) -> Result<Answer, HttpError> {
-    let report = hub.report();
-    let body = serde_json::to_string(&StateBody::of(hub, &report));
-    let body = body.map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
-    Ok(json(&body))
+/// Returns the state of gripper and lines as JSON.
+fn state(hub: &Hub) -> Result<String, HttpError> {
+    serde_json::to_string(&StateBody::of(hub, &hub.report()))
+        .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))
 }
 
 /// Returns the system log as a file of text.
@@ -272,8 +349,9 @@ fn file(text: String, disposition: HeaderValue) -> Answer {
 }
 
 /// Returns the page itself.
-fn show_page() -> Result<Answer, HttpError> {
-    let (page, policy) = page::page();
+fn show_page(request: &Request<Incoming>) -> Result<Answer, HttpError> {
+    let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).unwrap_or_default();
+    let (page, policy) = page::page(host);
     let mut response = whole(page, HeaderValue::from_static("text/html; charset=utf-8"));
     let policy = HeaderValue::from_str(&policy)
         .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
@@ -281,23 +359,41 @@ fn show_page() -> Result<Answer, HttpError> {
     Ok(response)
 }
 
-/// Returns the event stream of a page, which begins with its static data.
-fn show_events(site: &Site, link: Rc<Link>) -> Result<Answer, HttpError> {
+/// Opens an event stream, which begins with its static data.
+fn open_events(site: &Site, link: Rc<Link>) -> Result<Events, HttpError> {
     let hello = HelloBody::of(&site.hub, &site.history);
     let hello = serde_json::to_string(&hello).unwrap_or_default();
-    let events = site.watchers.open(event("hello", &hello), link).ok_or_else(|| {
+    site.watchers.open(event("hello", &hello), link).ok_or_else(|| {
         let error = format!("{MAX_STREAMS} pages are open already; close one of them first");
         HttpError::new(StatusCode::SERVICE_UNAVAILABLE, error)
-    })?;
-    let mut response = Response::new(Either::Right(events));
-    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
-    Ok(response)
+    })
+}
+
+/// Returns an event stream: a WebSocket for a page, or server-sent events for a program.
+fn show_events(
+    site: &Site,
+    connection: &Connection,
+    mut request: Request<Incoming>,
+) -> Result<Answer, HttpError> {
+    if !socket::is_wanted(request.headers()) {
+        let events = open_events(site, Rc::clone(&connection.link))?;
+        let mut response = Response::new(Either::Right(events));
+        response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
+        return Ok(response);
+    }
+    let answer = socket::accept(&request)?;
+    let sender = Sender::of(request.headers(), connection.peer, connection.here);
+    let upgrade = hyper::upgrade::on(&mut request);
+    let events = open_events(site, Rc::clone(&connection.link))?;
+    connection.socket.replace(Some((sender, events, upgrade)));
+    Ok(answer)
 }
 
 /// Each path and its method.
-const PATHS: [(&str, Method); 18] = [
+const PATHS: [(&str, Method); 19] = [
     ("/", Method::GET),
     ("/events", Method::GET),
+    ("/events", Method::POST),
     ("/state", Method::GET),
     ("/log", Method::GET),
     ("/settings", Method::GET),
@@ -317,7 +413,7 @@ const PATHS: [(&str, Method); 18] = [
 ];
 
 /// Executes the request. The answer is the state, except for the page and its events.
-async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<Answer, HttpError> {
+async fn act(site: &Site, connection: &Connection, request: Request<Incoming>) -> Result<Answer, HttpError> {
     let hub = &site.hub;
     let path = request.uri().path().to_owned();
     let methods: Vec<&Method> =
@@ -332,17 +428,31 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
         let error = format!("{path} does not support {}; expected {allowed}", request.method());
         return Err(HttpError { status: StatusCode::METHOD_NOT_ALLOWED, error, allowed: Some(allowed) });
     }
+    let is_post = request.method() == Method::POST;
+    let sender = Sender::of(request.headers(), connection.peer, connection.here);
+    let as_of = if is_post { as_of_in(request.uri())?.map(str::to_owned) } else { None };
+    // Precedes each change.
+    let check_age = async |effect: Effect| {
+        if connection.stream.has_closed().await {
+            let error = "the connection was closed before the request was executed; expected it open until the answer";
+            return Err(HttpError::wrong(error.to_owned()));
+        }
+        sender.check(hub, &site.stalls, effect, as_of.as_deref())
+    };
     match path.as_str() {
-        "/" => return show_page(),
+        "/" => return show_page(&request),
         "/log" => {
             let entries = hub.system_log().entries_from(0);
             return Ok(json(&serde_json::json!({ "entries": entries }).to_string()));
         }
         "/log.txt" => return Ok(system_log_file(hub)),
         "/scripts" => {
-            let answer = if request.method() == Method::POST {
-                let body =
-                    read_up_to(request, scripts::MAX_SCRIPT_BODY_LEN, scripts::SCRIPT_EXPECTED).await?;
+            let answer = if is_post {
+                let limit = scripts::MAX_SCRIPT_BODY_LEN;
+                let body: ScriptBody = read_up_to(request, limit, scripts::SCRIPT_EXPECTED).await?;
+                if body.changes() {
+                    check_age(Effect::Moves).await?;
+                }
                 scripts::execute(hub, body)?
             } else {
                 scripts::scripts(hub, None)?
@@ -354,48 +464,58 @@ async fn act(site: &Site, link: Rc<Link>, request: Request<Incoming>) -> Result<
             return Ok(json(&serde_json::json!({ "frames": frames }).to_string()));
         }
         "/frame" => {
-            let frame = site.editor.take(&read(request, FRAME_EXPECTED).await?)?;
+            let body: FrameBody = read(request, FRAME_EXPECTED).await?;
+            if body.commands() {
+                check_age(Effect::Moves).await?;
+            }
+            let frame = site.editor.take(&body)?;
             return Ok(json(&serde_json::json!(frame).to_string()));
         }
         "/settings" => {
-            if request.method() == Method::POST {
-                change(hub, read(request, SETTINGS_EXPECTED).await?)?;
+            if is_post {
+                let body = read(request, SETTINGS_EXPECTED).await?;
+                check_age(Effect::Changes).await?;
+                change(hub, body)?;
             }
             return Ok(json(&serde_json::json!(settings(hub)?).to_string()));
         }
         "/restart" => {
+            check_age(Effect::Moves).await?;
             restart(hub)?;
         }
-        "/events" => return show_events(site, link),
-        "/command" => command(hub, &read(request, COMMAND_EXPECTED).await?)?,
-        "/part" => hub.set_part(part(read(request, PART_EXPECTED).await?)?),
+        // Shows a page whose WebSocket does not open whether the server would accept it.
+        "/events" if is_post => drop(open_events(site, Link::new())?),
+        "/events" => return show_events(site, connection, request),
+        "/command" => {
+            let body: CommandBody = read(request, COMMAND_EXPECTED).await?;
+            if !body.is_stop() {
+                check_age(Effect::Moves).await?;
+            }
+            body.execute(hub, &site.executed)?;
+        }
+        "/part" => {
+            let part = part(read(request, PART_EXPECTED).await?)?;
+            check_age(Effect::Changes).await?;
+            hub.set_part(part);
+        }
         "/fault" => {
             let FaultBody { fault, finger, on } = read(request, FAULT_EXPECTED).await?;
-            hub.set_fault(which_fault(hub, fault, finger)?, on);
+            let fault = which_fault(hub, fault, finger)?;
+            check_age(Effect::Changes).await?;
+            hub.set_fault(fault, on);
         }
-        "/line" => hub.set_line_faults(line_faults(&read(request, LINE_EXPECTED).await?)?),
+        "/line" => {
+            let faults = line_faults(&read(request, LINE_EXPECTED).await?)?;
+            check_age(Effect::Changes).await?;
+            hub.set_line_faults(faults);
+        }
         path => {
             if let Some((_, text)) = DOCUMENTS.iter().find(|(known, _)| *known == path) {
                 return Ok(file((*text).to_owned(), HeaderValue::from_static("attachment")));
             }
         }
     }
-    state(hub)
-}
-
-/// Executes the command of a button. The gripper may reject it.
-fn command(hub: &Hub, body: &CommandBody) -> Result<(), HttpError> {
-    let commands = body.commands(&hub.config()).ok_or_else(|| {
-        HttpError::wrong(format!("the command has missing or invalid numbers; expected {COMMAND_EXPECTED}"))
-    })?;
-    for command in &commands {
-        let status = hub.command(command);
-        if !matches!(status, Status::Success | Status::CmdPending) {
-            let error = format!("the gripper refuses {command}: {status}");
-            return Err(HttpError::new(StatusCode::CONFLICT, error));
-        }
-    }
-    Ok(())
+    Ok(json(&state(hub)?))
 }
 
 /// Restarts the gripper once this request is answered.

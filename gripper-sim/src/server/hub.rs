@@ -27,8 +27,9 @@ use anyhow::Result;
 use settings::Running;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
-use std::sync::Condvar;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::hash::{BuildHasher, RandomState};
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 use tokio::time::{Duration, Instant, sleep_until};
 use wsg_fieldbus::{InputImage, OutputImage};
@@ -52,11 +53,14 @@ pub(super) const SCRIPT: &str = "script";
 #[derive(Debug)]
 pub(super) struct Hub {
     shared: Mutex<Shared>,
+    /// A number that no earlier or later start of this or another gripper has.
+    run: u64,
     started: Instant,
     /// Signals that the gripper's next wake may have changed.
     rescheduled: Notify,
     /// The options, if there are any; a server of another program has none.
     running: Option<Mutex<Running>>,
+    settings_revision: AtomicU64,
     /// Signals that a restart is requested.
     restart: Notify,
     buses: Mutex<Vec<BusLine>>,
@@ -81,6 +85,8 @@ struct Shared {
     request_counts: LineCounts,
     reply_counts: LineCounts,
     faults: Vec<Fault>,
+    /// The latest FAST STOP, or Stop of an operator.
+    stopped_at: Time,
 }
 
 #[derive(Debug)]
@@ -151,10 +157,14 @@ impl Hub {
                 request_counts: LineCounts::default(),
                 reply_counts: LineCounts::default(),
                 faults: Vec::new(),
+                stopped_at: Time::ZERO,
             }),
+            // A new hasher is seeded from the system's random numbers.
+            run: RandomState::new().hash_one(0),
             started: Instant::now(),
             rescheduled: Notify::new(),
             running: options.map(|options| Mutex::new(Running::new(options))),
+            settings_revision: AtomicU64::new(0),
             restart: Notify::new(),
             buses: Mutex::default(),
             profile,
@@ -346,12 +356,31 @@ impl Hub {
         self.act(|gripper, now| gripper.set_fault(fault, on, now));
     }
 
-    /// Executes a command of an operator and returns its first status.
-    pub(super) fn command(&self, command: &Command<'_>) -> Status {
-        let status = self.with_gripper_by(PAGE, |gripper, now| gripper.command(command, now));
+    /// Executes a command of an operator, with a force limit of its own if it has one, and returns its first status.
+    pub(super) fn command(&self, force: Option<f32>, command: &Command<'_>) -> Status {
+        let status = self.with_gripper_by(PAGE, |gripper, now| match force {
+            Some(force) => gripper.command_with_force(force, command, now),
+            None => gripper.command(command, now),
+        });
+        if matches!(command, Command::Stop | Command::FastStop) {
+            self.lock().stopped_at = self.now();
+        }
         self.rescheduled.notify_one();
-        self.note(format_args!("{command}: {status}"));
+        match force {
+            Some(force) => self.note(format_args!("{command}, force limit {force} N: {status}")),
+            None => self.note(format_args!("{command}: {status}")),
+        }
         status
+    }
+
+    /// Returns the number of this start of the gripper.
+    pub(super) const fn run(&self) -> u64 {
+        self.run
+    }
+
+    /// Returns when the gripper was last stopped by a FAST STOP, or by a Stop of an operator.
+    pub(super) fn stopped_at(&self) -> Time {
+        self.lock().stopped_at
     }
 
     /// Starts or stops keeping log lines for pages.
@@ -433,7 +462,7 @@ impl Hub {
         act: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>, Time) -> T,
     ) -> T {
         let mut shared = self.lock();
-        let Shared { gripper, clients, log, is_off, .. } = &mut *shared;
+        let Shared { gripper, clients, log, is_off, stopped_at, .. } = &mut *shared;
         // Read under the lock, so that the gripper's time never runs backwards.
         let now = self.now();
         let result = act(gripper, now);
@@ -446,6 +475,9 @@ impl Hub {
             log.expire(now);
         }
         while let Some(event) = gripper.take_journal_event().filter(|_| !*is_off) {
+            if event.flag == SystemFlags::FAST_STOP && event.is_set {
+                *stopped_at = now;
+            }
             self.report_change(&event, operator, clients);
         }
         result

@@ -5,6 +5,7 @@
 mod binary;
 #[cfg(unix)]
 mod can;
+mod commands;
 #[path = "../common/mod.rs"]
 mod common;
 mod control;

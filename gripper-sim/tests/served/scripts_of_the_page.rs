@@ -205,5 +205,13 @@ fn requests_about_scripts_are_bounded_and_lead_out_of_no_folder() {
         assert!(got == status && error.contains(expected), "{got} {error}");
     }
     assert_eq!(rig.request("GET", "/scripts", "").1["list"], json!([]), "a link is not listed");
+    #[cfg(unix)]
+    {
+        // The name under which a script is written before it replaces the earlier one.
+        std::os::unix::fs::symlink(&outside, rig.folder.join("b.lua.new")).unwrap();
+        rig.save("b.lua", "saved");
+        rig.save("link.lua", "saved");
+        assert_eq!(std::fs::read_to_string(&outside).unwrap(), "secret", "no link is followed");
+    }
     std::fs::remove_file(&outside).unwrap();
 }

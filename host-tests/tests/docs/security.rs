@@ -3,8 +3,13 @@
 use document::read;
 
 /// Each limit in the document, and its definition with the source.
-const LIMITS: [(&str, &str, &str); 9] = [
+const LIMITS: [(&str, &str, &str); 10] = [
     ("body 4096 bytes", "MAX_BODY_LEN: usize = 4_096", "gripper-sim/src/server/control.rs"),
+    (
+        "the source of a script 65 536 bytes",
+        "MAX_SOURCE_LEN: usize = 65_536",
+        "gripper-sim/src/server/control/scripts.rs",
+    ),
     ("head 16 384 bytes", "MAX_HEAD_LEN: usize = 16_384", "gripper-sim/src/server/control.rs"),
     ("32 connections", "MAX_CONNECTIONS: usize = 32", "gripper-sim/src/server/control.rs"),
     ("of at most 5 s", "TIME_LIMIT: Duration = Duration::from_secs(5)", "gripper-sim/src/server/control.rs"),

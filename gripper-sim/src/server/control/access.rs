@@ -29,7 +29,7 @@ pub(super) fn check_host(headers: &HeaderMap, here: IpAddr, names: &[String]) ->
     }
     let host = String::from_utf8_lossy(host.as_bytes());
     let error =
-        format!("the request is for the host {host:?}; expected localhost, {here} or one of --control-host");
+        format!("the header Host is {host:?}; expected localhost, {here} or a name of --control-host");
     Err(HttpError::new(StatusCode::MISDIRECTED_REQUEST, error))
 }
 
@@ -46,9 +46,12 @@ pub(super) fn check_origin(headers: &HeaderMap) -> Result<(), HttpError> {
         return Ok(());
     }
     // Without this check, any page in a browser on this machine could stop the gripper.
-    let error = "the Origin header names another web page; expected a request from this server's own page or \
-                 from a program";
-    Err(HttpError::new(StatusCode::FORBIDDEN, error.to_owned()))
+    let [origin, host] = [origin.as_bytes(), host].map(String::from_utf8_lossy);
+    let error = format!(
+        "the header Origin is {origin:?}; expected \"http://{host}\", the header Host of the request after http://: \
+         only this server's own page and programs may send requests, and a proxy must forward the browser's Host"
+    );
+    Err(HttpError::new(StatusCode::FORBIDDEN, error))
 }
 
 #[cfg(test)]

@@ -1,11 +1,18 @@
 //! Commands of the page's buttons, translated to the binary protocol.
 
-use crate::config::Config;
+use super::answer::HttpError;
+use crate::server::hub::Hub;
+use hyper::StatusCode;
 use serde::Deserialize;
+use std::cell::RefCell;
+use std::collections::VecDeque;
 use wsg_protocol::types::AckKey;
-use wsg_protocol::{Command, HomingDirection, PrePositionFlags};
+use wsg_protocol::{Command, HomingDirection, PrePositionFlags, Status, SystemFlags};
 
 pub(super) const COMMAND_EXPECTED: &str = r#"{"command":"home"}, "stop", "fast_stop" or "acknowledge"; {"command":"move","width_mm":50.0,"speed_mm_per_s":100.0}, "grip" (and "force_n":40.0) or "release" (speed and force are optional)"#;
+
+/// Number of keys that are kept.
+const MAX_KEYS: usize = 64;
 
 #[derive(Debug, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -26,25 +33,67 @@ pub(super) struct CommandBody {
     width_mm: Option<f32>,
     speed_mm_per_s: Option<f32>,
     force_n: Option<f32>,
+    /// A random number. A second command with it, such as a stop that is sent on two ways, is not executed.
+    key: Option<u64>,
+}
+
+/// The keys of the latest commands.
+#[derive(Debug, Default)]
+pub(super) struct Executed(RefCell<VecDeque<u64>>);
+
+impl Executed {
+    fn contains(&self, key: u64) -> bool {
+        self.0.borrow().contains(&key)
+    }
+
+    fn keep(&self, key: u64) {
+        let mut keys = self.0.borrow_mut();
+        keys.truncate(MAX_KEYS - 1);
+        keys.push_front(key);
+    }
 }
 
 impl CommandBody {
-    /// Returns the commands in order; `None` if a number is missing or not supported by the command.
-    pub(super) fn commands(&self, config: &Config) -> Option<Vec<Command<'static>>> {
-        let Self { command, width_mm, speed_mm_per_s, force_n } = self;
+    /// Returns whether the command stops the fingers, which is never refused for its age.
+    pub(super) const fn is_stop(&self) -> bool {
+        matches!(self.command, CommandName::Stop | CommandName::FastStop)
+    }
+
+    /// Executes the command. A refusal by the gripper, or a number outside its limits, changes nothing.
+    pub(super) fn execute(&self, hub: &Hub, executed: &Executed) -> Result<(), HttpError> {
+        if self.key.is_some_and(|key| executed.contains(key)) {
+            return Ok(());
+        }
+        let command = self.command(hub.config().speed).ok_or_else(|| {
+            HttpError::wrong(format!(
+                "the command has missing or invalid numbers; expected {COMMAND_EXPECTED}"
+            ))
+        })?;
+        check_limits(hub, &command, self.force_n)?;
+        let status = hub.command(self.force_n, &command);
+        if matches!(status, Status::Success | Status::CmdPending) {
+            if let Some(key) = self.key {
+                executed.keep(key);
+            }
+            return Ok(());
+        }
+        let error = format!("the gripper refuses {command}: {status}");
+        Err(HttpError::new(StatusCode::CONFLICT, error))
+    }
+
+    /// Returns the command; `None` if a number is missing or not supported by the command.
+    fn command(&self, default_speed: f32) -> Option<Command<'static>> {
+        let Self { command, width_mm, speed_mm_per_s, force_n, .. } = self;
         let numbers = [width_mm, speed_mm_per_s, force_n];
         if numbers.into_iter().flatten().any(|number| !number.is_finite()) {
             return None;
         }
-        let speed = speed_mm_per_s.unwrap_or(config.speed);
-        let motion = match (command, *width_mm, *force_n) {
+        let speed = speed_mm_per_s.unwrap_or(default_speed);
+        Some(match (command, *width_mm, *force_n) {
             (CommandName::Move, Some(width), None) => {
                 Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width, speed }
             }
-            (CommandName::Grip, Some(width), force) => {
-                let force = force.map(|force| Command::SetForceLimit { force });
-                return Some(force.into_iter().chain([Command::GripPart { width, speed }]).collect());
-            }
+            (CommandName::Grip, Some(width), _) => Command::GripPart { width, speed },
             (CommandName::Release, Some(width), None) => Command::ReleasePart { width, speed },
             (_, None, None) if speed_mm_per_s.is_none() => match command {
                 CommandName::Home => Command::Homing { direction: HomingDirection::Default },
@@ -54,7 +103,30 @@ impl CommandBody {
                 CommandName::Move | CommandName::Grip | CommandName::Release => return None,
             },
             _ => return None,
-        };
-        Some(vec![motion])
+        })
     }
+}
+
+/// Rejects numbers outside the limits (command set, 3.5.4), which the gripper would correct without a word.
+fn check_limits(hub: &Hub, command: &Command<'_>, force: Option<f32>) -> Result<(), HttpError> {
+    let (Command::PrePosition { width, speed, .. }
+    | Command::GripPart { width, speed }
+    | Command::ReleasePart { width, speed }) = *command
+    else {
+        return Ok(());
+    };
+    let limits = hub.config().model.parameters().limits;
+    let has_overdrive = hub.look(|gripper| gripper.state().flags.contains(SystemFlags::OVERDRIVE_MODE));
+    let greatest_force = if has_overdrive { limits.overdrive_force } else { limits.nominal_force };
+    for (name, number, least, greatest) in [
+        ("width_mm", Some(width), 0.0, limits.stroke),
+        ("speed_mm_per_s", Some(speed), limits.min_speed, limits.max_speed),
+        ("force_n", force, limits.min_force, greatest_force),
+    ] {
+        if number.is_some_and(|number| !(least..=greatest).contains(&number)) {
+            let number = number.unwrap_or_default();
+            return Err(HttpError::wrong(format!("{name} is {number}; expected {least} to {greatest}")));
+        }
+    }
+    Ok(())
 }

@@ -11,7 +11,7 @@ use std::rc::Rc;
 use std::sync::Arc;
 use tokio::task::spawn_local;
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_LEN};
-use wsg_protocol::{Direction, Frame, FrameEncoder, Meaning, editor};
+use wsg_protocol::{CommandId, Direction, Frame, FrameEncoder, Meaning, editor};
 
 pub(super) const FRAME_EXPECTED: &str =
     r#"{"command":"Grip Part","payload":"20.0f 50.0f"}, and "send":true to send the frame"#;
@@ -29,6 +29,14 @@ pub(super) struct FrameBody {
     payload: String,
     #[serde(default)]
     send: bool,
+}
+
+impl FrameBody {
+    /// Returns whether this is a frame for the gripper, except a Stop and a FAST STOP.
+    pub(super) fn commands(&self) -> bool {
+        let id = editor::command_id(&self.command);
+        self.send && !matches!(id, Ok(CommandId::Stop | CommandId::FastStop))
+    }
 }
 
 /// A frame with its meaning.

@@ -1,8 +1,10 @@
-//! Event streams for open pages (server-sent events), bounded in number and backlog.
+//! Event streams for open pages and programs, bounded in number and backlog. Each event has the form of a server-sent event;
+//! a page receives it as one message of its WebSocket.
 
 use hyper::body::{Body, Bytes, Frame};
 use std::cell::{Cell, RefCell};
 use std::convert::Infallible;
+use std::future::poll_fn;
 use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{Context, Poll};
@@ -101,6 +103,18 @@ pub(super) struct Events {
     link: Rc<Link>,
 }
 
+impl Events {
+    /// Returns the next event.
+    pub(super) async fn next(&mut self) -> Option<Bytes> {
+        poll_fn(|context| self.poll_next(context)).await
+    }
+
+    fn poll_next(&mut self, context: &mut Context<'_>) -> Poll<Option<Bytes>> {
+        self.link.taken_at.set(Instant::now());
+        self.waiting.poll_recv(context)
+    }
+}
+
 impl Body for Events {
     type Data = Bytes;
     type Error = Infallible;
@@ -109,20 +123,13 @@ impl Body for Events {
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
-        self.link.taken_at.set(Instant::now());
-        self.waiting.poll_recv(context).map(|event| event.map(|bytes| Ok(Frame::data(bytes))))
+        self.poll_next(context).map(|event| event.map(|bytes| Ok(Frame::data(bytes))))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::future::poll_fn;
-
-    async fn next(events: &mut Events) -> Option<Bytes> {
-        let frame = poll_fn(|context| Pin::new(&mut *events).poll_frame(context)).await?;
-        frame.ok()?.into_data().ok()
-    }
 
     #[tokio::test]
     async fn streams_are_bounded_in_number_and_one_that_ends_makes_room() {
@@ -140,7 +147,7 @@ mod tests {
         let open = || watchers.open(event("hello", "{}"), Link::new()).unwrap();
         let (mut slow, mut quick) = (open(), open());
         for number in 0..100 {
-            assert!(next(&mut quick).await.is_some());
+            assert!(quick.next().await.is_some());
             watchers.send(&event("state", &number.to_string()));
         }
         let mut waiting = 0;
@@ -150,7 +157,7 @@ mod tests {
         }
         assert_eq!(waiting, MAX_WAITING);
         watchers.send(&event("state", "100"));
-        assert_eq!(next(&mut slow).await.unwrap(), "event: state\ndata: 100\n\n");
+        assert_eq!(slow.next().await.unwrap(), "event: state\ndata: 100\n\n");
         drop((slow, quick));
         assert!(watchers.are_none());
     }
@@ -163,7 +170,7 @@ mod tests {
         assert!(link.streams());
         let start = Instant::now();
         tokio::time::advance(Duration::from_secs(9)).await;
-        next(&mut events).await.unwrap();
+        events.next().await.unwrap();
         link.is_given_up().await;
         assert!(start.elapsed() >= Duration::from_secs(19), "{:?}", start.elapsed());
     }

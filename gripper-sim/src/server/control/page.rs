@@ -18,13 +18,17 @@ const SCRIPT: [&str; 8] = [
 /// Placeholder for the nonce in the page.
 const PLACE: &str = "{{nonce}}";
 
-/// Returns the page and its content security policy. The policy allows the page's own script and style and requests to
-/// its own origin; it forbids framing.
-pub(super) fn page() -> (String, String) {
+/// Returns the page for a browser that knows this server by the name `host`, and its content security policy. The policy
+/// allows the page's own script and style and requests to its own origin; it forbids framing.
+pub(super) fn page(host: &str) -> (String, String) {
     // A new hasher is seeded from the system's random numbers.
     let nonce = format!("{:016x}{:016x}", RandomState::new().hash_one(0), RandomState::new().hash_one(1));
+    // Older browsers do not count WebSockets as `self`.
+    let is_name = |byte: u8| byte.is_ascii_alphanumeric() || b".:-[]".contains(&byte);
+    let sockets =
+        if host.bytes().all(is_name) { format!(" ws://{host} wss://{host}") } else { String::new() };
     let policy = format!(
-        "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; \
+        "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'{sockets}; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     );
     let page =
@@ -38,7 +42,11 @@ mod tests {
 
     #[test]
     fn page_loads_nothing_from_elsewhere_and_runs_no_inline_script() {
-        let (page, policy) = page();
+        let (page, policy) = page("localhost:8080");
+        assert!(
+            policy.contains(" connect-src 'self' ws://localhost:8080 wss://localhost:8080; "),
+            "{policy}"
+        );
         for foreign in
             ["http:", "https:", "//cdn", "@import", "url(", " onclick=", " style=\"", "innerHTML", "eval("]
         {
@@ -46,7 +54,8 @@ mod tests {
             assert!(!page.contains(foreign), "{foreign}");
         }
         assert!(!page.contains("{{"), "each placeholder is replaced");
-        let (_, other) = super::page();
+        let (_, other) = super::page("user;script-src *@localhost");
+        assert!(other.contains(" connect-src 'self'; "), "{other}");
         assert_ne!(policy, other, "each nonce is used only once");
     }
 }

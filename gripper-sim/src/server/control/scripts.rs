@@ -6,6 +6,7 @@ use crate::server::script::Script;
 use crate::text;
 use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{fs, io};
@@ -27,6 +28,13 @@ pub(super) struct ScriptBody {
     action: Action,
     name: Option<String>,
     source: Option<String>,
+}
+
+impl ScriptBody {
+    /// Returns whether the request may change something, except that it stops a script.
+    pub(super) fn changes(&self) -> bool {
+        !matches!(self.action, Action::Read | Action::Stop)
+    }
 }
 
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq, Eq)]
@@ -156,7 +164,13 @@ fn save(folder: &Path, path: &Path, source: &str) -> Result<(), HttpError> {
         return Err(HttpError::new(StatusCode::CONFLICT, error));
     }
     let new = PathBuf::from(format!("{}.new", path.display()));
-    fs::write(&new, source).and_then(|()| fs::rename(&new, path)).map_err(|error| failed("written", &error))
+    // A link with this name, which could lead out of the folder, is replaced as well.
+    let _ = fs::remove_file(&new);
+    let write = || {
+        fs::OpenOptions::new().write(true).create_new(true).open(&new)?.write_all(source.as_bytes())?;
+        fs::rename(&new, path)
+    };
+    write().map_err(|error| failed("written", &error))
 }
 
 fn set_start_up(hub: &Hub, path: Option<&Path>) -> Result<(), HttpError> {

@@ -16,6 +16,8 @@ pub(super) type SettingsBody = BTreeMap<String, Value>;
 /// The answer to `/settings`.
 #[derive(Debug, Serialize)]
 pub(super) struct SettingsAnswer {
+    /// A number that grows with each change.
+    revision: u64,
     groups: [&'static str; 5],
     /// The file in which changes are saved.
     file: Option<String>,
@@ -81,6 +83,7 @@ fn no_options() -> HttpError {
 pub(super) fn settings(hub: &Hub) -> Result<SettingsAnswer, HttpError> {
     let settings = hub.settings().ok_or_else(no_options)?;
     Ok(SettingsAnswer {
+        revision: hub.settings_revision(),
         groups: GROUPS,
         file: hub.settings_file(),
         restart_pending: settings.iter().any(|setting| setting.is_pending),

@@ -1,5 +1,6 @@
 //! The state as JSON: the answer to requests, and the data of the event stream.
 
+use super::age::as_of;
 use super::history::{History, Sample};
 use super::injected::{FaultName, PartBody};
 use crate::faults::Fault;
@@ -15,9 +16,12 @@ use wsg_protocol::{CommandId, SystemFlags};
 #[derive(Debug, Serialize)]
 pub(super) struct StateBody<'a> {
     model: &'static str,
-    /// Omitted when the enclosing event already contains it.
+    /// Omitted when the enclosing event already contains it, like the next one.
     #[serde(skip_serializing_if = "Option::is_none")]
     time_s: Option<f64>,
+    /// The name of this state, by which a request shows what its sender saw.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    as_of: Option<String>,
     width_mm: f32,
     reported_width_mm: f32,
     speed_mm_per_s: f32,
@@ -164,6 +168,7 @@ impl<'a> StateBody<'a> {
     /// Omits the time, which changes while nothing else does.
     pub(super) fn without_time(mut self) -> Self {
         self.time_s = None;
+        self.as_of = None;
         self
     }
 
@@ -172,6 +177,7 @@ impl<'a> StateBody<'a> {
         Self {
             model: hub.config().model.name(),
             time_s: Some(now.as_micros() as f64 / 1e6),
+            as_of: Some(as_of(hub, *now)),
             width_mm: state.width,
             reported_width_mm: state.reported_width,
             speed_mm_per_s: state.speed,

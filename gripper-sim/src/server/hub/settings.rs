@@ -4,6 +4,7 @@ use super::{Hub, PAGE, lock};
 use crate::server::options::{Options, Setting, save, settings, toml_value};
 use crate::server::system_log::Severity;
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
 use wsg_protocol::Status;
 
 /// The options with which the gripper runs.
@@ -60,6 +61,11 @@ impl Hub {
         Some(settings().iter().map(state).collect())
     }
 
+    /// Returns a number that changes with the settings.
+    pub(in crate::server) fn settings_revision(&self) -> u64 {
+        self.settings_revision.load(Ordering::Relaxed)
+    }
+
     /// Returns the file in which settings are saved.
     pub(in crate::server) fn settings_file(&self) -> Option<String> {
         let running = lock(self.running.as_ref()?);
@@ -97,6 +103,7 @@ impl Hub {
             save(file, &lines).map_err(|error| format!("{} cannot be written: {error}", file.display()))
         });
         running.options = options;
+        self.settings_revision.fetch_add(1, Ordering::Relaxed);
         saved.map_err(|error| {
             self.report_event(Severity::Error, "gripper", &error);
             Refused::NotSaved(error)

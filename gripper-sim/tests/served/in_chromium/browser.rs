@@ -9,7 +9,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{LazyLock, Mutex};
 use std::thread;
-use std::time::Instant;
 
 use super::BOUND;
 
@@ -205,11 +204,7 @@ impl Tab {
             "(() => {{ const found = document.querySelector({selector:?}); found.scrollIntoView({{ block: 'center' }});
                const {{ x, y, width, height }} = found.getBoundingClientRect(); return [x + width / 2, y + height / 2]; }})()"
         ));
-        for kind in ["mousePressed", "mouseReleased"] {
-            let click =
-                json!({"type": kind, "x": middle[0], "y": middle[1], "button": "left", "clickCount": 1});
-            self.call("Input.dispatchMouseEvent", &click);
-        }
+        self.click_at(&middle);
     }
 
     /// Shows one of the pages by its link.
@@ -249,12 +244,24 @@ impl Tab {
         told.map(|event| event["params"].clone()).collect()
     }
 
-    /// Waits for an event that matches.
-    #[track_caller]
-    pub(super) fn wait_for_event(&mut self, method: &str, is_it: impl Fn(&Value) -> bool) {
-        let start = Instant::now();
-        while !self.told(method).iter().any(&is_it) {
-            assert!(start.elapsed() < BOUND, "no matching event {method}");
+    /// Returns the commands of this name that the page has sent so far.
+    pub(super) fn commands(&mut self, name: &str) -> Vec<Value> {
+        let frames = self.told("Network.webSocketFrameSent");
+        let sent = frames.iter().filter_map(|frame| frame["response"]["payloadData"].as_str());
+        let bodies = sent.filter_map(|text| {
+            let mut body = serde_json::from_str::<Value>(text).ok()?["body"].take();
+            body.as_object_mut()?.remove("key");
+            Some(body)
+        });
+        bodies.filter(|body| body["command"] == name).collect()
+    }
+
+    /// Presses and releases the mouse at this place. Returns once the browser has passed both on.
+    pub(super) fn click_at(&mut self, place: &Value) {
+        for kind in ["mousePressed", "mouseReleased"] {
+            let click =
+                json!({"type": kind, "x": place[0], "y": place[1], "button": "left", "clickCount": 1});
+            self.call("Input.dispatchMouseEvent", &click);
         }
     }
 }

@@ -66,7 +66,7 @@ fn inputs_show_what_the_gripper_has() {
             value("force")
         ));
         let mut other = tab
-            .eval("fetch('/part', { method: 'POST', body: '{\"width_mm\":44}' }).then(answer => answer.ok)");
+            .eval("fetch('/part?as_of=' + asOf, { method: 'POST', body: '{\"width_mm\":44}' }).then(answer => answer.ok)");
         assert_eq!(other.take(), json!(true));
         tab.until(&format!("{} === '44'", value("part")));
     });
@@ -111,12 +111,17 @@ fn settings_are_changed_by_keys_and_refused_in_place() {
         tab.look(width, height, "light");
         tab.show("settings");
         tab.click("[data-group='Motion configuration'] summary");
+        let mut other = gripper.open();
+        other.until("document.getElementById('set-clamping-travel').value !== '7.5'");
         fill(&mut tab, "#set-clamping-travel", "7.5");
         tab.click("#set-homing-at-start");
         tab.click("#set-clamping-travel");
         tab.press("Enter");
         tab.until(&format!("{} === 'Homing at start, Clamping travel: changed.'", text("settings-message")));
-        tab.until("document.getElementById('set-clamping-travel').value === '7.5'");
+        // In another window, too.
+        for tab in [&mut tab, &mut other] {
+            tab.until("document.getElementById('set-clamping-travel').value === '7.5'");
+        }
         tab.until("document.getElementById('set-homing-at-start-about').textContent.includes('Waits for a restart')");
         let saved = std::fs::read_to_string(&file).unwrap();
         assert_eq!(saved, "# A cell\nclamping-travel = \"7.5\"\nhoming-at-start = true\n");

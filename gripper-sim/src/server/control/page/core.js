@@ -1,12 +1,15 @@
 "use strict";
 const $ = id => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
-// The gripper reports its state at least every half a second.
-const SILENT_MS = 3000;
+// The gripper reports its state at least every 200 ms. A state that is older than a second is not shown as current.
+const SILENT_MS = 1000;
+// A request without an answer is withdrawn. A FAST STOP is then sent on another way.
+const ANSWER_MS = 1000, FILE_MS = 4000, OTHER_WAY_MS = 100;
+const RETRY_MS = 1000, RECONNECT_MS = 3000;
 const MAX_LINES = 500;
-let hello = null, now = 0, seenAt = 0;
-// What the parts of the page do with the first data, with each state, and with each kind of event.
-const onHello = [], onState = [], onEvent = { log: [], system_log: [], editor: [], script: [] };
+let hello = null, now = 0;
+// What the parts of the page do with the first data, with each state, with each state that is drawn, and with each kind of event.
+const onHello = [], onSample = [], onState = [], onEvent = { log: [], system_log: [], editor: [], script: [], settings: [] };
 
 function node(parent, kind, attributes, text) {
   const made = parent instanceof SVGElement ? document.createElementNS(SVG, kind) : document.createElement(kind);
@@ -24,16 +27,63 @@ function say(place, text, refused) {
   $(place).classList.toggle("refused", Boolean(refused));
 }
 
+// The connection, and the requests on it that wait for an answer.
+let socket = null, openedAt = -RECONNECT_MS, requests = 0;
+const waiting = new Map();
+// The state that the page shows, as the server names it: each request carries it, and the server refuses an old one.
+let asOf = null;
+
+// Sends a request by HTTP. Returns its status, 0 without an answer in time, and the body of the answer.
+async function overHttp(path, body, signal) {
+  const post = { method: "POST", body: JSON.stringify(body), priority: "high" };
+  const query = body !== undefined && asOf !== null ? "?as_of=" + asOf : "";
+  try {
+    const answer = await fetch(path + query, { ...(body === undefined ? {} : post), signal });
+    return { status: answer.status, body: await answer.json() };
+  } catch {
+    return { status: 0 };
+  }
+}
+// Sends a command on the connection of the page, where it waits for no other request of the browser.
+function overSocket(body, signal) {
+  return new Promise(done => {
+    const id = ++requests;
+    waiting.set(id, done);
+    signal.addEventListener("abort", () => { waiting.delete(id); done({ status: 0 }); });
+    socket.send(JSON.stringify({ id, as_of: asOf, body }));
+  });
+}
+const isStop = name => name === "stop" || name === "fast_stop";
+const isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
+async function send(path, body) {
+  if (path === "/command") body.key = Math.floor(Math.random() * Number.MAX_SAFE_INTEGER);
+  const abort = new AbortController();
+  // The server reads or writes files for some requests.
+  const isLong = body === undefined || path === "/settings" || path === "/scripts";
+  const end = setTimeout(() => abort.abort(), isLong ? FILE_MS : ANSWER_MS);
+  const first = path === "/command" && isOpen() ? overSocket(body, abort.signal) : overHttp(path, body, abort.signal);
+  const ways = [first];
+  if (path === "/command" && isOpen() && isStop(body.command)) {
+    // A connection that has lost its network must not hold a stop. The server executes it once.
+    ways.push(new Promise(done => {
+      const other = setTimeout(() => overHttp(path, body, abort.signal).then(done), OTHER_WAY_MS);
+      first.then(() => { clearTimeout(other); done({ status: 0 }); });
+    }));
+  }
+  const answered = ways.map(way => way.then(answer => answer.status ? answer : Promise.reject(answer)));
+  const answer = await Promise.any(answered).catch(() => ({ status: 0 }));
+  clearTimeout(end);
+  abort.abort();
+  // The answer to a command is a newer state than the page shows.
+  if (answer.body && answer.body.as_of) asOf = answer.body.as_of;
+  return answer;
+}
+const silence = isRefusedLater => "the gripper does not answer" + (isRefusedLater ? ", and will not execute this later" : "");
 // Sends a request. Returns the answer, or null after it has shown why there is none.
 async function ask(place, path, body) {
-  try {
-    const answer = await fetch(path, body === undefined ? {} : { method: "POST", body: JSON.stringify(body) });
-    const value = await answer.json();
-    if (answer.ok) return value;
-    say(place, value.error, true);
-  } catch {
-    say(place, "the gripper does not answer", true);
-  }
+  const { status, body: value } = await send(path, body);
+  if (status === 200) return value;
+  say(place, status ? value.error : silence(body !== undefined), true);
   return null;
 }
 
@@ -95,36 +145,118 @@ function showPage() {
 }
 addEventListener("hashchange", showPage);
 
+// When the shown state was true, by the clock of this page and by that of its computer, which continues during sleep.
+let seenAt = null, seenDate = 0, isLost = true;
+const age = () => seenAt === null ? Infinity : Math.max(performance.now() - seenAt, Date.now() - seenDate);
+const isFresh = () => !isLost && age() <= SILENT_MS;
+// The least difference seen between this clock and the gripper's, in ms. It may grow slowly, because clocks drift.
+let least = Infinity, takenAt = 0;
+const DRIFT = 0.0005;
+// What the parts of the page do when the state is no longer current.
+const onGone = [];
+
 function isGone() {
-  write($("state"), "no connection");
-  document.body.classList.remove("fast-stopped", "failed");
+  isLost = true;
+  if (!document.body.classList.contains("stale")) {
+    document.body.classList.add("stale");
+    document.body.classList.remove("fast-stopped", "failed");
+    write($("state"), "no connection");
+    for (const act of onGone) act();
+    showTitle();
+  }
+  if (seenAt !== null) write($("time"), `${now.toFixed(1)} s, ${Math.floor(age() / 1000)} s ago`);
 }
-function take({ time_s, state }) {
+// The title of a hidden page has no state: its browser would not let it stay current.
+function showTitle() {
+  const name = hello ? hello.model + (hello.tag ? " " + hello.tag : "") : "wsg-sim";
+  const title = document.hidden ? name : `${name}: ${$("state").textContent}`;
+  if (document.title !== title) document.title = title;
+}
+function take({ time_s, as_of, state }) {
+  const at = performance.now(), offset = at - time_s * 1000;
+  least = Math.min(least + DRIFT * (at - takenAt), offset);
+  takenAt = at;
+  // A state that was late is as old as its delay.
+  seenAt = at - (offset - least);
+  seenDate = Date.now() - (offset - least);
   now = time_s;
-  seenAt = performance.now();
+  asOf = as_of;
+  isLost = false;
+  if (!isFresh()) return isGone();
+  for (const act of onSample) act(state, time_s);
+  // Only the latest state of each frame is drawn, so that many windows leave time for clicks.
+  if (latest === null) requestAnimationFrame(drawLatest);
+  latest = state;
+}
+let latest = null;
+function drawLatest() {
+  const state = latest;
+  latest = null;
+  if (!isFresh()) return isGone();
+  document.body.classList.remove("stale");
   const fastStopped = state.system_state.includes("FAST_STOP");
   document.body.classList.toggle("fast-stopped", fastStopped);
   document.body.classList.toggle("failed", state.gripper_state === "ERROR");
   write($("state"), (fastStopped ? "FAST STOP, " : "") + state.gripper_state);
-  write($("time"), time_s.toFixed(1) + " s");
-  const name = hello.model + (hello.tag ? " " + hello.tag : "");
-  if (document.title !== `${name}: ${$("state").textContent}`) document.title = `${name}: ${$("state").textContent}`;
-  for (const act of onState) act(state, time_s);
+  write($("time"), now.toFixed(1) + " s");
+  showTitle();
+  for (const act of onState) act(state, now);
+}
+function takeHello(data) {
+  hello = data;
+  least = Infinity;
+  write($("model"), hello.model + (hello.tag ? " " + hello.tag : ""));
+  write($("refusal"), "");
+  for (const act of onHello) act();
+}
+function takeAnswer({ id, status, body }) {
+  const done = waiting.get(id);
+  waiting.delete(id);
+  if (done) done({ status, body });
+}
+const onMessage = { hello: takeHello, state: take, answer: takeAnswer };
+for (const [kind, acts] of Object.entries(onEvent)) onMessage[kind] = data => { for (const act of acts) act(data); };
+
+// Shows why the server does not open the connection of this page.
+async function explain() {
+  const { status, body } = await send("/events", {});
+  if (!status || isOpen()) return;
+  write($("refusal"), status === 200 ? "The server is there, but no WebSocket opens: a proxy must forward the headers Upgrade and Connection." : body.error);
+}
+function connect() {
+  const mine = new WebSocket(location.origin.replace("http", "ws") + "/events");
+  let hasOpened = false;
+  socket = mine;
+  openedAt = performance.now();
+  mine.addEventListener("open", () => { hasOpened = true; });
+  mine.addEventListener("message", event => {
+    const [, kind, data] = /^event: (.*)\ndata: (.*)/.exec(event.data);
+    if (mine === socket) onMessage[kind](JSON.parse(data));
+  });
+  mine.addEventListener("close", () => {
+    if (mine !== socket) return;
+    socket = null;
+    isGone();
+    if (!hasOpened) explain();
+  });
+}
+// A timer of a hidden page is late, so the same happens when it is shown again.
+function check() {
+  const since = performance.now() - openedAt;
+  if (!isFresh()) isGone();
+  if (socket !== null && !isFresh() && since > RECONNECT_MS && age() > RECONNECT_MS) {
+    // The other end may not be there any more.
+    socket.close();
+    socket = null;
+  }
+  if (socket === null && since > RETRY_MS) connect();
 }
 function watch() {
-  const events = new EventSource("/events");
-  events.addEventListener("hello", event => {
-    hello = JSON.parse(event.data);
-    write($("model"), hello.model + (hello.tag ? " " + hello.tag : ""));
-    for (const act of onHello) act();
-  });
-  events.addEventListener("state", event => take(JSON.parse(event.data)));
-  for (const [kind, acts] of Object.entries(onEvent))
-    events.addEventListener(kind, event => { for (const act of acts) act(JSON.parse(event.data)); });
-  events.addEventListener("error", () => {
-    isGone();
-    // The browser reconnects by itself unless it was rejected, for example because 64 other pages are open.
-    if (events.readyState === EventSource.CLOSED) setTimeout(watch, SILENT_MS);
-  });
+  connect();
+  setInterval(check, 100);
+  // A hidden page is not drawn. It is shown again with old values, and draws new ones in the next frame.
+  document.addEventListener("visibilitychange", () => { if (document.hidden) isGone(); showTitle(); check(); });
+  addEventListener("pageshow", check);
+  // A page that a browser keeps and shows again must not begin with old values.
+  for (const sleep of ["pagehide", "freeze"]) (sleep === "freeze" ? document : window).addEventListener(sleep, isGone);
 }
-setInterval(() => { if (seenAt && performance.now() - seenAt > SILENT_MS) isGone(); }, 100);

@@ -11,8 +11,12 @@ function result(text) {
 }
 async function command(name, numbers) {
   const text = name.replace("_", " ") + (numbers ? ` ${numbers.width_mm} mm` : "");
-  const answer = await ask("message", "/command", { command: name, ...numbers });
-  if (!answer) { result(text + ": refused").className = "bad"; return; }
+  const { status, body } = await send("/command", { command: name, ...numbers });
+  if (status !== 200) {
+    say("message", status ? body.error : silence(!isStop(name)), true);
+    result(text + (status ? ": refused" : ": no answer")).className = "bad";
+    return;
+  }
   say("message", "");
   const isMotion = ["home", "move", "grip", "release"].includes(name);
   const item = result(text + (isMotion ? ": pending" : ": done"));
@@ -64,7 +68,11 @@ onHello.push(() => {
   shown = { flags: bits($("flags"), hello.names.system, FAULT_FLAGS), command: bits($("command_flags"), hello.names.command, ["FASTSTOP"]),
     gripper: bits($("gripper_flags"), hello.names.gripper, ["ERROR"]), system: bits($("system_flags"), hello.names.system, FAULT_FLAGS) };
   $("width").max = stroke;
+  $("speed").min = hello.limits.min_speed_mm_per_s;
+  $("speed").max = hello.limits.max_speed_mm_per_s;
+  $("force").min = hello.limits.min_force_n;
   for (const id of Object.keys(followed)) delete followed[id];
+  if (awaited) write(awaited.item, awaited.text + ": unknown, the connection was lost");
   awaited = null;
 });
 
@@ -96,8 +104,10 @@ function showResult(state, time) {
   awaited = null;
 }
 
+onGone.push(() => { if (awaited) write(awaited.item, awaited.text + ": no connection"); });
 onState.push((state, time) => {
   draw(state);
+  $("force").max = state.system_state.includes("OVERDRIVE_MODE") ? hello.limits.overdrive_force_n : hello.limits.nominal_force_n;
   showResult(state, time);
   if (state.part) { follow("part", state.part.width_mm); follow("stiffness", state.part.stiffness_n_per_mm); }
   follow("force", state.force_limit_n);

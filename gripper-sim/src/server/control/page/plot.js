@@ -2,7 +2,7 @@
 const WINDOW_S = 30;
 let series = [], marks = [], heldAt = null, cursorAt = null;
 onHello.push(() => { series = hello.history; marks = []; heldAt = null; $("hold").checked = false; });
-onState.push((state, time) => {
+onSample.push((state, time) => {
   const sample = [time, state.width_mm, state.speed_mm_per_s, state.force_n], last = series[series.length - 1];
   if (!last || [1, 2, 3].some(at => Math.abs(last[at] - sample[at]) > 0.004)) series.push(sample);
   // While it is paused, nothing that it shows is dropped.
@@ -55,7 +55,7 @@ function plot() {
   while (svg.children.length > 1) svg.lastChild.remove();
   // In pixels, so that its text is as large as any.
   const right = svg.clientWidth - 2, left = 44, height = (svg.clientHeight - 20) / 3;
-  const end = heldAt ?? now + (performance.now() - seenAt) / 1000;
+  const end = heldAt ?? (isFresh() ? now + (performance.now() - seenAt) / 1000 : now);
   const x = time => Math.min(right, Math.max(left, right - (end - time) * (right - left) / WINDOW_S));
   [{ kind: "w", name: "width", unit: "mm", index: 1, low: 0, high: stroke_mm },
     { kind: "s", name: "speed", unit: "mm/s", index: 2, low: -max_speed_mm_per_s, high: max_speed_mm_per_s },
@@ -68,7 +68,7 @@ function plot() {
   }
   for (let ago = WINDOW_S; ago >= 0; ago -= 10) {
     const anchor = ago === WINDOW_S ? "start" : ago ? "middle" : "end";
-    node(svg, "text", { x: x(end - ago), y: bottom + 18, "text-anchor": anchor }, ago ? `−${ago} s` : heldAt === null ? "now" : "pause");
+    node(svg, "text", { x: x(end - ago), y: bottom + 18, "text-anchor": anchor }, ago ? `−${ago} s` : heldAt !== null ? "pause" : isFresh() ? "now" : "last state");
   }
   if (cursorAt === null) return write($("cursor"), "");
   const time = end - cursorAt, values = valuesAt(time);
@@ -91,4 +91,14 @@ $("plot").addEventListener("keydown", event => {
   cursorAt = Math.min(WINDOW_S, Math.max(0, (cursorAt ?? 0) + step));
   plot();
 });
-setInterval(() => { if (seenAt && performance.now() - seenAt < SILENT_MS && !pages[0].hidden) plot(); }, 100);
+onGone.push(plot);
+// Every 100 ms, and less often while the timer is late: many windows must leave time for clicks.
+function keepPlotting(pause) {
+  const due = performance.now() + pause;
+  setTimeout(() => {
+    const late = performance.now() - due;
+    if (isFresh() && !pages[0].hidden) plot();
+    keepPlotting(late > 30 ? Math.min(1000, 2 * pause) : Math.max(100, 0.9 * pause));
+  }, pause);
+}
+keepPlotting(100);

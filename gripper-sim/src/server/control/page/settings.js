@@ -1,5 +1,5 @@
 // Settings: the table of the server, one field for each row.
-let settings = [];
+let settings = [], settingsRevision = 0, isApplying = false;
 const plain = text => text.replace(/`/g, "").replace(/ ?\(\[[^\]]*\]\([^)]*\)\)|; \[[^\]]*\]\([^)]*\) has the figures/g, "");
 const ACRONYMS = { tcp: "TCP", udp: "UDP", gcl: "GCL", can: "CAN", slcan: "SLCAN", profibus: "PROFIBUS", profinet: "PROFINET", ip: "IP", im: "I&M" };
 const title = name => {
@@ -41,6 +41,7 @@ function valueOf(row, input) {
 function showSettings(answer) {
   const form = $("settings-form"), open = [...form.querySelectorAll("details[open]")].map(group => group.dataset.group);
   settings = answer.settings;
+  settingsRevision = answer.revision;
   form.replaceChildren();
   answer.groups.forEach((name, at) => {
     const group = node(form, "details", { "data-group": name });
@@ -60,7 +61,9 @@ $("settings-form").addEventListener("submit", async event => {
   event.preventDefault();
   const changed = settings.filter(row => row.input.classList.contains("dirty"));
   if (!changed.length) return say("settings-message", "Nothing has changed.");
+  isApplying = true;
   const answer = await ask("settings-message", "/settings", Object.fromEntries(changed.map(row => [row.name, valueOf(row, row.input)])));
+  isApplying = false;
   if (!answer) return;
   showSettings(answer);
   say("settings-message", `${changed.map(row => title(row.name)).join(", ")}: changed.`);
@@ -68,3 +71,9 @@ $("settings-form").addEventListener("submit", async event => {
 $("undo").addEventListener("click", () => { say("settings-message", ""); loadSettings(); });
 $("restart").addEventListener("click", async () => { if (await ask("settings-message", "/restart", {})) say("settings-message", "The gripper restarts."); });
 onHello.push(loadSettings);
+// Another page or a program has changed them.
+onEvent.settings.push(({ revision }) => {
+  if (isApplying || revision <= settingsRevision) return;
+  if (!$("settings-form").querySelector(".dirty")) return loadSettings();
+  say("settings-message", "The settings have changed elsewhere. Undo shows them.", true);
+});
