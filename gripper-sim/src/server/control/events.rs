@@ -9,13 +9,14 @@ use std::pin::Pin;
 use std::rc::Rc;
 use std::task::{Context, Poll};
 use tokio::sync::Notify;
-use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
+use tokio::sync::mpsc::{Receiver, Sender, channel};
 use tokio::time::{Duration, Instant};
 
 /// Maximum number of simultaneous streams.
 pub(super) const MAX_STREAMS: usize = 64;
-/// Maximum number of queued events per reader. Excess events are lost; the next state contains all changes.
-const MAX_WAITING: usize = 16;
+/// Maximum number of queued events per reader. A reader that is further behind loses its stream. It connects again and
+/// receives everything, so that it never lacks a part of a log, or the end of a script.
+const MAX_WAITING: usize = 32;
 /// Time-out of a reader that reads nothing. Events are sent far more often.
 const PATIENCE: Duration = Duration::from_secs(10);
 
@@ -54,10 +55,9 @@ impl Watchers {
         self.open.borrow().iter().all(Sender::is_closed)
     }
 
-    /// Queues an event for each reader that has room.
+    /// Queues an event for each reader, and ends the streams of readers without room.
     pub(super) fn send(&self, event: &Bytes) {
-        let took = |watcher: &Sender<Bytes>| watcher.try_send(event.clone());
-        self.open.borrow_mut().retain(|watcher| !matches!(took(watcher), Err(TrySendError::Closed(_))));
+        self.open.borrow_mut().retain(|watcher| watcher.try_send(event.clone()).is_ok());
     }
 }
 
@@ -142,23 +142,21 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn reader_that_takes_nothing_loses_events_and_others_do_not() {
+    async fn reader_that_is_too_far_behind_loses_its_stream_and_others_do_not() {
         let watchers = Watchers::default();
         let open = || watchers.open(event("hello", "{}"), Link::new()).unwrap();
         let (mut slow, mut quick) = (open(), open());
+        assert!(quick.next().await.unwrap().starts_with(b"event: hello\n"));
         for number in 0..100 {
-            assert!(quick.next().await.is_some());
             watchers.send(&event("state", &number.to_string()));
+            assert_eq!(quick.next().await.unwrap(), event("state", &number.to_string()));
         }
-        let mut waiting = 0;
-        while let Ok(event) = slow.waiting.try_recv() {
-            assert!(waiting > 0 || event.starts_with(b"event: hello\n"));
-            waiting += 1;
+        assert!(slow.next().await.unwrap().starts_with(b"event: hello\n"));
+        for number in 1..MAX_WAITING {
+            assert_eq!(slow.next().await.unwrap(), event("state", &(number - 1).to_string()));
         }
-        assert_eq!(waiting, MAX_WAITING);
-        watchers.send(&event("state", "100"));
-        assert_eq!(slow.next().await.unwrap(), "event: state\ndata: 100\n\n");
-        drop((slow, quick));
+        assert_eq!(slow.next().await, None, "no event is missing before the end");
+        drop(quick);
         assert!(watchers.are_none());
     }
 

@@ -3,40 +3,46 @@
 
 use super::browser::Tab;
 use super::{Gripper, STATE, flag_is_on, home};
-use crate::rig::connect;
+use crate::common::go_to;
+use crate::control::request;
+use crate::rig::{BOUND, Client, HOMING, connect};
 use rustix::process::Signal;
 use serde_json::json;
 use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
+use std::sync::LazyLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
+use wsg_protocol::types::AckKey;
+use wsg_protocol::{Command, Status};
 
 /// Number of windows, all visible.
 const WINDOWS: usize = 20;
 /// Maximum time from the click to the stop of the fingers, in ms.
 const LIMIT_MS: f64 = 250.0;
-/// Longest pause of a thread, in ms, on a machine that does not disturb the measurement.
-const QUIET_MS: f64 = 25.0;
+/// Longest time in ms that a machine withholds a process if it does not disturb the measurement.
+const QUIET_MS: f64 = 50.0;
 /// Number of measurements of one window until one of them is undisturbed.
 const ATTEMPTS: usize = 20;
+
+static PAUSES: LazyLock<Pauses> = LazyLock::new(Pauses::watch);
 
 /// Measures how long this machine withholds the processor from a thread that is ready to run.
 struct Pauses(AtomicU64);
 
 impl Pauses {
-    fn watch() -> &'static Self {
-        let pauses: &'static Self = Box::leak(Box::new(Self(AtomicU64::new(0))));
+    fn watch() -> Self {
         thread::spawn(|| {
             let turn = Duration::from_millis(1);
             loop {
                 let start = Instant::now();
                 thread::sleep(turn);
                 let pause = start.elapsed().saturating_sub(turn).as_micros();
-                pauses.0.fetch_max(pause.try_into().unwrap_or(u64::MAX), Ordering::Relaxed);
+                PAUSES.0.fetch_max(pause.try_into().unwrap_or(u64::MAX), Ordering::Relaxed);
             }
         });
-        pauses
+        Self(AtomicU64::new(0))
     }
 
     /// Returns the longest pause in ms since the last call.
@@ -45,64 +51,58 @@ impl Pauses {
     }
 }
 
-/// Prepares the page to note when FAST STOP is clicked, and when the gripper executes it, both in ms of the page's clock.
-/// `least` maps the gripper's clock to the page's: it contains the shortest transmission of a state, so that the result is
-/// rather too long than too short.
-const NOTE_TIMES: &str = "
-    window.clickedAt = window.stoppedAt = null;
-    addEventListener('click', event => { if (event.target.id === 'fast_stop') clickedAt = event.timeStamp; }, true);
-    onEvent.system_log.push(({ entries }) => {
-        for (const entry of entries)
-            if (clickedAt !== null && stoppedAt === null && entry.text === 'FAST STOP by command') stoppedAt = entry.time_s * 1000 + least;
-    });";
-
-/// Lets the fingers move slowly to the farther end, by the buttons of this window.
-fn start_moving(tab: &mut Tab) {
-    tab.click("#acknowledge");
+/// Lets the fingers move slowly to the farther end, by another client, and waits until the page shows it.
+fn start_moving(client: &mut Client<TcpStream>, tab: &mut Tab) {
+    assert_eq!(client.ask(Command::Acknowledge { key: AckKey }), Status::Success);
     tab.until(&format!("{STATE} === 'IDLE'"));
-    tab.eval("clickedAt = stoppedAt = null; document.getElementById('width').value = shownWidth > 75 ? 40 : 109; 0");
-    tab.click("#move");
+    let is_open = tab.eval("clickedAt = null; withheld = 0; shownWidth > 75") == true;
+    assert_eq!(client.ask(go_to(if is_open { 40.0 } else { 109.0 })), Status::CmdPending);
     tab.until("shownSpeed !== 0");
 }
 
-/// Clicks FAST STOP in this window, and returns the time in ms until the fingers stand.
-fn stop_by_click(tab: &mut Tab) -> f64 {
+/// Clicks FAST STOP in this window, and returns the time in ms until the gripper executes it.
+///
+/// The page notes the click, by the time of the event, and the gripper's log the stop. `least` maps the gripper's clock to
+/// the page's: it contains the shortest transmission of a state, so that the result is rather too long than too short.
+fn stop_by_click(gripper: &Gripper, tab: &mut Tab) -> f64 {
+    let stops = || -> Vec<f64> {
+        let (_, log) = request(gripper.page.trim_start_matches("http://"), "GET", "/log", "");
+        let entries = log["entries"].as_array().unwrap().iter();
+        let stops = entries.filter(|entry| entry["text"] == "FAST STOP by command");
+        stops.map(|entry| entry["time_s"].as_f64().unwrap()).collect()
+    };
+    let before = stops().len();
     let place = tab.eval(
         "(() => { const { x, y, width, height } = document.getElementById('fast_stop').getBoundingClientRect();
            return [x + width / 2, y + height / 2]; })()",
     );
     tab.click_at(&place);
-    tab.until(&format!("stoppedAt !== null && {}", flag_is_on("FAST_STOP")));
-    let [speed, width] = ["shownSpeed", "shownWidth"].map(|shown| tab.eval(shown));
-    assert_eq!(speed, 0, "the fingers stand");
-    // The next state is sent after at most 200 ms.
-    tab.eval("window.statesSeen = 0; 0");
-    tab.until("statesSeen >= 2");
-    assert_eq!(tab.eval("shownWidth"), width, "the fingers stay where they stopped");
-    tab.eval("stoppedAt - clickedAt").as_f64().unwrap()
+    let start = Instant::now();
+    let stopped_s = loop {
+        if let Some(stopped_s) = stops().get(before) {
+            break *stopped_s;
+        }
+        assert!(start.elapsed() < BOUND, "the gripper has received no FAST STOP");
+    };
+    let times = tab.until("clickedAt !== null && [clickedAt, least]");
+    stopped_s * 1e3 + times[1].as_f64().unwrap() - times[0].as_f64().unwrap()
 }
 
-/// Opens a window that notes times and what it shows.
+/// Opens a window that notes what it shows, when FAST STOP is clicked, and in `withheld` the longest time in ms for which it
+/// was not executed.
 fn open_noting(gripper: &Gripper) -> Tab {
     let mut tab = gripper.open();
     // Small, because the processor draws each pixel.
     tab.look(480, 360, "light");
-    tab.eval(&format!(
-        "(() => {{ {NOTE_TIMES}
-            onState.push(state => {{ window.shownSpeed = state.speed_mm_per_s; window.shownWidth = state.width_mm;
-                window.statesSeen = (window.statesSeen || 0) + 1; }}); return 0; }})()"
-    ));
+    tab.eval(
+        "(() => { window.clickedAt = null;
+            addEventListener('click', event => { if (event.target.id === 'fast_stop') clickedAt = event.timeStamp; }, true);
+            onState.push(state => { window.shownSpeed = state.speed_mm_per_s; window.shownWidth = state.width_mm; });
+            let last = performance.now(); window.withheld = 0;
+            setInterval(() => { const at = performance.now(); withheld = Math.max(withheld, at - last); last = at; }, 10); })()",
+    );
     tab.until("window.shownWidth !== undefined");
     tab
-}
-
-/// Lets the page note the longest time in ms for which it was not executed, in `withheld`: a part of each time that it
-/// measures is the machine's.
-fn note_withheld(tab: &mut Tab) {
-    tab.eval(
-        "(() => { let last = performance.now(); window.withheld = 0;
-           setInterval(() => { const at = performance.now(); withheld = Math.max(withheld, at - last); last = at; }, 10); return 0; })()",
-    );
 }
 
 /// Asserts that a time in ms that the page has measured is a second, the period of its timer, and time that the machine
@@ -116,22 +116,32 @@ fn assert_is_a_second(tab: &mut Tab, measured: &str) {
     );
 }
 
-/// Returns the latency of one window in ms, repeated while the machine withholds the processor. A slow product fails in any
-/// attempt on a quiet machine.
-fn latency(tab: &mut Tab, pauses: &Pauses, name: &str) -> (f64, usize) {
+/// Returns the time in ms from the click to standing fingers, and the number of repetitions.
+///
+/// A measurement is repeated if the machine withheld the processor from this program or the page. One that is slow on a
+/// quiet machine fails when it is slow again, because the processes between the two may have been disturbed.
+fn latency(gripper: &Gripper, client: &mut Client<TcpStream>, tab: &mut Tab, name: &str) -> (f64, usize) {
+    let mut slow = 0;
     for attempt in 0..ATTEMPTS {
-        start_moving(tab);
-        pauses.longest();
-        let latency = stop_by_click(tab);
-        let pause = pauses.longest();
-        if latency <= LIMIT_MS {
+        start_moving(client, tab);
+        PAUSES.longest();
+        let latency = stop_by_click(gripper, tab);
+        let withheld = PAUSES.longest().max(tab.eval("withheld").as_f64().unwrap());
+        let is_interrupted = client.status() != Status::Success;
+        // The fingers stand, and stay.
+        let page = gripper.page.trim_start_matches("http://");
+        let [at_once, later] = [(); 2].map(|()| request(page, "GET", "/state", "").1);
+        assert_eq!(
+            (&at_once["speed_mm_per_s"], &at_once["width_mm"]),
+            (&json!(0.0), &later["width_mm"]),
+            "{name}"
+        );
+        if latency <= LIMIT_MS && is_interrupted {
             return (latency, attempt);
         }
-        println!("{name}: {latency:.1} ms with a pause of {pause:.1} ms");
-        assert!(
-            pause > QUIET_MS,
-            "{name}: {latency:.1} ms from the click to the stop; expected {LIMIT_MS} ms"
-        );
+        println!("{name}: {latency:.1} ms, with {withheld:.1} ms withheld by the machine");
+        slow += usize::from(withheld <= QUIET_MS);
+        assert!(slow < 3, "{name}: {latency:.1} ms from the click to the stop; expected {LIMIT_MS} ms");
     }
     panic!("{name}: the machine is never quiet");
 }
@@ -140,14 +150,14 @@ fn latency(tab: &mut Tab, pauses: &Pauses, name: &str) -> (f64, usize) {
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn fast_stop_from_each_of_20_windows_stops_the_fingers_in_250_ms() {
     let gripper = Gripper::new(&["--time-scale", "0.1"]);
-    let pauses = Pauses::watch();
     let mut windows: Vec<Tab> = (0..WINDOWS).map(|_| open_noting(&gripper)).collect();
-    home(&mut windows[0]);
+    let mut client = Client(connect(&gripper.tcp));
+    assert_eq!(client.run(HOMING), Status::Success);
     let mut latencies = Vec::new();
     let mut repeated = 0;
     for (at, tab) in windows.iter_mut().enumerate() {
         assert_eq!(tab.eval("document.hidden"), false, "each window is visible");
-        let (latency, attempts) = latency(tab, pauses, &format!("window {}", at + 1));
+        let (latency, attempts) = latency(&gripper, &mut client, tab, &format!("window {}", at + 1));
         latencies.push(latency);
         repeated += attempts;
     }
@@ -160,7 +170,7 @@ fn fast_stop_from_each_of_20_windows_stops_the_fingers_in_250_ms() {
     // Six requests that never end use up the connections of the browser. A window opened then would wait for ever.
     let hung = "Promise.all([...Array(6)].map(() => new Promise(done => { new EventSource('/events').onopen = done; }))).then(() => 0)";
     windows[1].eval(hung);
-    let (latency, _) = latency(&mut windows[0], pauses, "beside hung requests");
+    let (latency, _) = latency(&gripper, &mut client, &mut windows[0], "beside hung requests");
     println!("beside six hung requests: {latency:.1} ms");
 }
 
@@ -171,7 +181,6 @@ fn click_without_an_answer_says_so_within_a_second_and_does_not_run_later() {
     let mut tab = open_noting(&gripper);
     let message = "document.getElementById('message').textContent";
     let width = tab.eval("shownWidth");
-    note_withheld(&mut tab);
     // The page measures the time itself, with its own clock.
     tab.eval(&format!(
         "window.unansweredAfter = null; addEventListener('click', event => {{ const start = event.timeStamp;
@@ -216,7 +225,6 @@ fn values_without_new_events_are_marked_as_old_within_a_second() {
     home(&mut tab);
     let dimmed = "getComputedStyle(document.querySelector('main')).opacity < 0.5";
     assert_eq!(tab.eval(dimmed), false);
-    note_withheld(&mut tab);
     tab.eval("window.goneAfter = null; onGone.push(() => { goneAfter = age(); }); 0");
 
     gripper._program.signal(Signal::STOP);
