@@ -7,7 +7,7 @@ use embedded_can::{Frame, Id, StandardId};
 use heapless::Deque;
 
 use self::pdo::Tpdo;
-use crate::clock::since;
+use crate::clock::{age, since};
 use crate::emergency::{Emergency, Message};
 use crate::sdo::Upload;
 use crate::{Cause, Config, Dictionary, Fault, Pdo};
@@ -209,7 +209,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
         self.confirm(dictionary);
         let time_ms = u32::from(dictionary.consumer_time_ms());
-        let is_silent = time_ms > 0 && self.heard_at.is_some_and(|at| since(now_ms, at) >= time_ms);
+        let is_silent = self.heard_at.as_mut().is_some_and(|at| age(now_ms, at) >= time_ms) && time_ms > 0;
         if !is_silent {
             return None;
         }

@@ -1,6 +1,6 @@
 //! EMCY: fault reports and their codes (CiA 301, 7.2.7), and the fault history (1003h).
 
-use crate::clock::since;
+use crate::clock::age;
 
 /// A fault reported by an emergency message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,7 +116,8 @@ impl Emergency {
     /// the table, then the report that faults have cleared.
     pub(crate) fn next(&mut self, faults: &[Fault], now_ms: u32, inhibit_ms: u32) -> Option<Message> {
         let over = self.told & !self.present & !self.new;
-        if self.new | over == 0 || self.sent_at.is_some_and(|at| since(now_ms, at) < inhibit_ms) {
+        let is_inhibited = self.sent_at.as_mut().is_some_and(|at| age(now_ms, at) < inhibit_ms);
+        if self.new | over == 0 || is_inhibited {
             return None;
         }
         self.sent_at = Some(now_ms);

@@ -214,6 +214,14 @@ impl Bus {
         }
     }
 
+    /// Passes whole days, with one turn each.
+    fn pass_days(&mut self, days: u32) {
+        for _ in 0..days {
+            self.now_ms = self.now_ms.wrapping_add(24 * 60 * 60 * 1_000);
+            self.turn();
+        }
+    }
+
     fn nmt(&mut self, specifier: u8) {
         self.bring(0x000, &[specifier, NODE as u8]);
         self.turn();
@@ -421,6 +429,44 @@ fn tpdos_respect_inhibit_time_and_event_timer() {
     assert_eq!(moments(bus.take_timed(0x280)), [42], "the last change, without event timer");
     bus.nmt(0x01);
     assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new(), "a start in operation sends nothing");
+}
+
+/// Days after which a time before them seems to be in the future, on the clock that wraps.
+const MANY_DAYS: u32 = 30;
+
+#[test]
+fn tpdo_without_event_timer_is_sent_on_change_after_many_days() {
+    let mut bus = Bus::operational();
+    bus.device.show_tpdo(1, [1; 8]);
+    bus.pass(50);
+    bus.pass_days(MANY_DAYS);
+    bus.sent.clear();
+    bus.device.show_tpdo(1, [2; 8]);
+    bus.turn();
+    assert_eq!(bus.take(0x280), [[2; 4]]);
+}
+
+#[test]
+fn emergency_is_sent_after_many_days_without_one() {
+    let mut bus = Bus::operational();
+    bus.download(0x1015, 0, &[0x2C, 1]).unwrap();
+    bus.show_faults(1);
+    bus.pass_days(MANY_DAYS);
+    bus.sent.clear();
+    bus.show_faults(0);
+    assert_eq!(bus.take(0x080).len(), 1);
+}
+
+#[test]
+fn master_that_was_silent_for_many_days_is_so_when_its_monitoring_begins() {
+    let mut bus = Bus::operational();
+    bus.application.time_ms = 0;
+    bus.bring(0x700 | MASTER, &[5]);
+    bus.pass_days(MANY_DAYS);
+    assert_eq!(bus.events, []);
+    bus.application.time_ms = TIME_MS;
+    bus.turn();
+    assert_eq!(bus.events, [SILENT]);
 }
 
 #[test]
@@ -1390,10 +1436,17 @@ fn transfer_survives_a_start_but_not_a_stop() {
 }
 
 #[test]
-fn elapsed_time_covers_24_days() {
+fn elapsed_time_covers_24_days_and_an_age_any_time() {
+    use clock::MAX_AGE_MS;
     for then_ms in [0, u32::MAX] {
         let since = |ms: u32| clock::since(then_ms.wrapping_add(ms), then_ms);
         assert_eq!((since(0), since(0x7FFF_FFFF), since(0x8000_0000)), (0, 0x7FFF_FFFF, 0));
+        let mut at_ms = then_ms;
+        for (passed_ms, age_ms) in
+            [(0, 0), (MAX_AGE_MS, MAX_AGE_MS), (0x7FFF_FFFF, MAX_AGE_MS), (0xBFFF_FFFE, MAX_AGE_MS)]
+        {
+            assert_eq!(clock::age(then_ms.wrapping_add(passed_ms), &mut at_ms), age_ms);
+        }
     }
 }
 

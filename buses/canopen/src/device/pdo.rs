@@ -1,7 +1,7 @@
 //! PDO state: when a PDO takes effect or is sent (CiA 301, 7.2.2), and its communication parameters.
 
 use crate::Pdo;
-use crate::clock::since;
+use crate::clock::age;
 
 /// Communication parameters of a PDO, set by the master.
 #[derive(Clone, Copy, Debug)]
@@ -100,8 +100,8 @@ impl Tpdo {
         let is_due = if self.setup.waits_for_sync() {
             self.is_requested
         } else {
-            self.sent_at.is_none_or(|at| {
-                let passed_ms = since(now_ms, at);
+            self.sent_at.as_mut().is_none_or(|at| {
+                let passed_ms = age(now_ms, at);
                 (self.sent != self.shown && passed_ms >= inhibit_ms)
                     || (event_ms > 0 && passed_ms >= event_ms)
             })
