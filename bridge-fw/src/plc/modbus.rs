@@ -9,7 +9,7 @@ pub use config::{BusConfig, Format};
 pub use port::BusPort;
 pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
-use super::side::{BoardId, PlcEvent, PlcSide, Shown};
+use super::side::{BoardId, PlcEvent, PlcSide, Shown, has_fallen_silent};
 use super::{Config, Listed, View};
 use crate::register::{
     BusCounts, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, Link, RegisterError, StoreCommand,
@@ -175,13 +175,7 @@ impl Modbus {
 
     /// Returns, once per silence, whether a PLC has been silent for `timeout_ms`.
     fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
-        let silent = self.role == Role::Plc
-            && timeout_ms > 0
-            && self.heard_at.is_some_and(|heard_at| now.since(heard_at) >= timeout_ms);
-        if silent {
-            self.heard_at = None;
-        }
-        silent
+        self.role == Role::Plc && has_fallen_silent(&mut self.heard_at, now, timeout_ms)
     }
 }
 

@@ -18,7 +18,7 @@ use wsg_protocol::Instant;
 
 use self::responder::FromMaster;
 use super::modbus::BusPort;
-use super::side::{BoardId, PlcEvent, PlcSide, Shown};
+use super::side::{BoardId, PlcEvent, PlcSide, Shown, has_fallen_silent};
 use super::{Config, Listed, SideReports, View};
 use crate::register::report_rows;
 
@@ -150,16 +150,6 @@ impl Profibus {
         let written = self.written?;
         self.heard_at.replace(now).is_none().then_some(PlcEvent::Output(written))
     }
-
-    /// Returns, once per silence, whether a master without a watchdog has been silent for `timeout_ms`.
-    fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
-        let silent =
-            timeout_ms > 0 && self.heard_at.is_some_and(|heard_at| now.since(heard_at) >= timeout_ms);
-        if silent {
-            self.heard_at = None;
-        }
-        silent
-    }
 }
 
 impl PlcSide for Profibus {
@@ -174,7 +164,7 @@ impl PlcSide for Profibus {
         if let Some(event) = self.hear(now) {
             return Some(event);
         }
-        let is_silent = self.has_fallen_silent(now, view.settings.timeout_ms());
+        let is_silent = has_fallen_silent(&mut self.heard_at, now, view.settings.timeout_ms());
         is_silent.then_some(PlcEvent::Left { silent: true })
     }
 

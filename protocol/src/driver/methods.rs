@@ -225,7 +225,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         self.engine.clear_up();
         let now = self.clock.now();
         if !self.engine.has_update() {
-            let until = now.plus(within_ms);
+            let until = now.plus_at_most(within_ms);
             self.drive(&mut Awaited::nothing(), Goal::Update, Some(until)).await?;
         } else if self.engine.link().is_urgent() {
             self.drive(&mut Awaited::nothing(), Goal::NothingUrgent, Some(now)).await?;
@@ -240,7 +240,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// transport.
     pub async fn connect(&mut self) -> Result<(), Error<IO::Error>> {
         self.engine.clear_up();
-        let until = self.clock.now().plus(self.engine.config().connect_timeout_ms);
+        let until = self.clock.now().plus_at_most(self.engine.config().connect_timeout_ms);
         if self.drive(&mut Awaited::nothing(), Goal::Connected, Some(until)).await? {
             Ok(())
         } else {

@@ -70,6 +70,16 @@ fn missing_update_is_awaited_until_the_timeout() {
 }
 
 #[test]
+fn update_is_awaited_for_as_long_as_a_program_can_ask_for() {
+    for within_ms in [1 << 31, u32::MAX] {
+        let (rig, mut gripper) = connected();
+        while gripper.next_update(0).unwrap().is_some() {}
+        // The session polls the states.
+        assert!(gripper.next_update(within_ms).unwrap().is_some());
+    }
+}
+
+#[test]
 fn answers_received_while_the_program_was_busy_are_in_time() {
     let (rig, mut gripper) = connected();
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
