@@ -19,6 +19,7 @@ use crate::core::{self, Core, Failed, each};
 use crate::error::{self, Failure};
 use crate::interpreter::detach;
 use crate::line::{Calls, Clock, Line};
+use crate::number::shortest;
 use crate::queue::{Queue, Reply};
 
 /// Longest reply of a script or of a finger, in bytes.
@@ -115,18 +116,20 @@ fn finger(number: u8) -> Result<Finger, Failure> {
     }
 }
 
-/// Returns the limits of speed, acceleration and force with the stroke, in the order of the Python class `Limits`.
-const fn limits_as_tuple(it: SystemLimits) -> (f32, f32, f32, f32, f32, f32, f32, f32) {
-    let (nominal, overdrive) = (it.nominal_force, it.overdrive_force);
+/// The values of the Python class `Limits`, in its order.
+pub(crate) type Limits = (f64, f64, f64, f64, f64, f64, f64, f64);
+
+/// Returns the limits of speed, acceleration and force with the stroke.
+pub(crate) fn limits_as_tuple(it: SystemLimits) -> Limits {
     (
-        it.stroke,
-        it.min_speed,
-        it.max_speed,
-        it.min_acceleration,
-        it.max_acceleration,
-        it.min_force,
-        nominal,
-        overdrive,
+        shortest(it.stroke),
+        shortest(it.min_speed),
+        shortest(it.max_speed),
+        shortest(it.min_acceleration),
+        shortest(it.max_acceleration),
+        shortest(it.min_force),
+        shortest(it.nominal_force),
+        shortest(it.overdrive_force),
     )
 }
 
@@ -255,11 +258,12 @@ driver_methods! {
     requests {
         acknowledge() => |gripper| gripper.acknowledge();
         set_acceleration(acceleration: f32) => |gripper| gripper.set_acceleration(acceleration);
-        acceleration() => |gripper| gripper.acceleration();
+        acceleration() => |gripper| gripper.acceleration().map(shortest);
         set_force_limit(force: f32) => |gripper| gripper.set_force_limit(N(force));
-        force_limit() => |gripper| gripper.force_limit().map(|force| force.0);
+        force_limit() => |gripper| gripper.force_limit().map(|force| shortest(force.0));
         set_soft_limits(minus: f32, plus: f32) => |gripper| gripper.set_soft_limits(SoftLimits { minus, plus });
-        soft_limits() => |gripper| gripper.soft_limits().map(|limits| limits.map(|it| (it.minus, it.plus)));
+        soft_limits() => |gripper|
+            gripper.soft_limits().map(|limits| limits.map(|it| (shortest(it.minus), shortest(it.plus))));
         clear_soft_limits() => |gripper| gripper.clear_soft_limits();
         set_overdrive(enabled: bool) => |gripper| gripper.set_overdrive(enabled);
         tare() => |gripper| gripper.tare();
@@ -267,10 +271,10 @@ driver_methods! {
         state() => |gripper| gripper.gripper_state().map(|state| state.code());
         statistics(reset: bool) => |gripper|
             gripper.statistics(reset).map(|it| (it.total, it.no_part, it.part_lost));
-        width() => |gripper| gripper.width().map(|width| width.0);
-        speed() => |gripper| gripper.speed().map(|speed| speed.0);
-        force() => |gripper| gripper.force().map(|force| force.0);
-        temperature() => |gripper| gripper.temperature().map(|it| f32::from(it.0) / 10.0);
+        width() => |gripper| gripper.width().map(|width| shortest(width.0));
+        speed() => |gripper| gripper.speed().map(|speed| shortest(speed.0));
+        force() => |gripper| gripper.force().map(|force| shortest(force.0));
+        temperature() => |gripper| gripper.temperature().map(|it| f64::from(it.0) / 10.0);
         limits() => |gripper| gripper.limits().map(limits_as_tuple);
         info() => |gripper| gripper.system_info().map(|it| {
             (it.device.to_string(), it.hardware_revision, it.firmware.to_string(), it.serial_number)
@@ -363,9 +367,9 @@ type Bytes = Cow<'static, [u8]>;
 fn only_gcl(
     driver: &mut core::Driver,
     act: impl FnOnce(&mut GclGripper<Line, Clock>) -> Result<Mm, Failure>,
-) -> Result<f32, Failure> {
+) -> Result<f64, Failure> {
     match driver {
-        core::Driver::Gcl(gripper) => act(gripper).map(|value| value.0),
+        core::Driver::Gcl(gripper) => act(gripper).map(|value| shortest(value.0)),
         core::Driver::Binary(_) => Err(Error::Invalid(DecodeError::UndefinedValue)),
     }
 }

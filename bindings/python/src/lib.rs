@@ -8,6 +8,7 @@ mod driver;
 mod error;
 mod interpreter;
 mod line;
+mod number;
 mod protocol;
 mod queue;
 mod sim;

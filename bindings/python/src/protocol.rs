@@ -8,11 +8,12 @@ use wsg_protocol::{
 };
 
 use crate::error;
+use crate::number::shortest;
 
 /// A value of a reply.
 #[derive(IntoPyObject)]
 pub(crate) enum Number {
-    Float(f32),
+    Float(f64),
     Integer(u32),
 }
 
@@ -117,7 +118,7 @@ pub(crate) fn decode_reply(py: Python<'_>, id: u8, payload: &[u8]) -> PyResult<(
             | Value::GetForce(value)
             | Value::GetForceLimit(value)
             | Value::GetAcceleration(value),
-        ) => Some(Number::Float(value)),
+        ) => Some(Number::Float(shortest(value))),
         Some(Value::GetSystemState(flags)) => Some(Number::Integer(flags.bits())),
         Some(Value::GetGripperState(state)) => Some(Number::Integer(state.code().into())),
         _ => None,

@@ -16,6 +16,7 @@ use crate::driver::{self, Driver};
 use crate::error;
 use crate::interpreter::{detach, process};
 use crate::line::{Clock, VirtualWire};
+use crate::number::shortest;
 
 /// Parses options of `wsg-sim`.
 fn options(py: Python<'_>, words: Vec<OsString>) -> PyResult<Options> {
@@ -48,14 +49,15 @@ fn fault(py: Python<'_>, name: &str) -> PyResult<Fault> {
 }
 
 /// Width, speed, force, force limit, gripper state, system flags, temperature, width and presence of the part.
-type Seen = (f32, f32, f32, f32, u8, u32, f32, Option<f32>, bool);
+type Seen = (f64, f64, f64, f64, u8, u32, f64, Option<f64>, bool);
 
 fn seen(state: State) -> Seen {
     let State {
         width, speed, force, force_limit, gripper, flags, temperature, part, part_is_between, ..
     } = state;
-    let temperature = f32::from(temperature.0) / 10.0;
-    let part = part.map(|part| part.width());
+    let [width, speed, force, force_limit] = [width, speed, force, force_limit].map(shortest);
+    let temperature = f64::from(temperature.0) / 10.0;
+    let part = part.map(|part| shortest(part.width()));
     (width, speed, force, force_limit, gripper.code(), flags.bits(), temperature, part, part_is_between)
 }
 

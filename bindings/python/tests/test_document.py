@@ -19,7 +19,7 @@ def blocks() -> list[str]:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("if gripper.grip(", r"\d+\.\d+ mm \d+\.\d+ N\n"),
+        ("if gripper.grip(", r"19\.6 mm 40\.0 N\n"),
         ("gripper.begin_grip(", r"(\d+\.\d+\n)+GripResult\.HELD 30\.\d+\n"),
         ("AsyncGripper", r"(\d+\.\d+\n)+GripResult\.HELD\n"),
         ("StreamingGripper", r"(\d+\.\d+\n)+\d+ samples\n"),

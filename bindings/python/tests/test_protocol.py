@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import pytest
 
 from wsg_gripper import InvalidError, Status
@@ -75,3 +77,9 @@ def test_wrong_commands_are_refused() -> None:
         encode_command("Grip Part", 20)
     with pytest.raises(InvalidError):
         encode_command("Grip Part", 20, float("nan"))
+
+
+@pytest.mark.parametrize("value", [19.6, 0.1, -0.3, 109.99, 1e-7, 16777216.0])
+def test_number_is_the_decimal_that_the_gripper_means(value: float) -> None:
+    payload = bytes(2) + struct.pack("<f", value)
+    assert decode_reply(Frame(0x43, payload)) == Reply(Status.E_SUCCESS, value)
