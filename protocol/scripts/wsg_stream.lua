@@ -7,8 +7,9 @@
 -- Answer: status, layout version, system state flags (4 bytes), position, speed, force, time in ms (4 bytes). A refusal is the
 -- status alone.
 --
--- FAST STOP, Stop and a pause of more than WATCHDOG seconds end the stream with the fingers stopped. Each further set-point
--- is then refused with the same status, until the message with a byte 0.
+-- Without a set-point for HOLD seconds, the fingers hold until the next one. FAST STOP, Stop and a pause of more than WATCHDOG
+-- seconds end the stream with the fingers stopped. Each further set-point is then refused with the same status, until the
+-- message with a byte 0.
 local socket = require "socket"
 
 local ID, VERSION = 0xA5, 1
@@ -16,11 +17,11 @@ local ID, VERSION = 0xA5, 1
 local GAIN = 15
 -- The fingers stop within this distance of the set-point, in mm.
 local DEAD_BAND = 0.1
-local WATCHDOG = 0.5
+local HOLD, WATCHDOG = 0.5, 1
 -- Maximum time between two corrections of the speed, in s.
 local PERIOD = 0.02
 -- System state flags.
-local REFERENCED, AXIS_STOPPED, FAST_STOP = 0x1, 0x40, 0x1000
+local REFERENCED, BLOCKED_MINUS, BLOCKED_PLUS, AXIS_STOPPED, FAST_STOP = 0x1, 0x4, 0x8, 0x40, 0x1000
 
 local started = socket.gettime()
 -- The set-point, its time of receipt, and whether a Stop since then would be detected.
@@ -69,9 +70,12 @@ local function follow(flags, here)
   elseif is_armed then
     return finish(E_CMD_ABORTED)
   end
-  if followed - received > WATCHDOG then return finish(E_TIMEOUT) end
+  local pause = followed - received
+  if pause > WATCHDOG then return finish(E_TIMEOUT) end
   local way = position - here
-  if math.abs(way) < DEAD_BAND then
+  -- Fingers that push against a part must not release it.
+  local is_held = pause > HOLD and not (has(flags, BLOCKED_MINUS) or has(flags, BLOCKED_PLUS))
+  if math.abs(way) < DEAD_BAND or is_held then
     run(0)
   else
     run(math.max(-limit, math.min(limit, GAIN * way)))

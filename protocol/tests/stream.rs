@@ -84,13 +84,18 @@ fn start(address: SocketAddr, script: &Option<PathBuf>) -> Stream {
 fn reach(stream: &Stream, position: f32) {
     until("the position", || {
         assert_eq!(stream.ended(), None);
-        (stream.latest().position - position).abs() < CLOSE
+        (latest(stream).position - position).abs() < CLOSE
     });
 }
 
+/// Returns the latest sample of a stream that runs.
+fn latest(stream: &Stream) -> Sample {
+    stream.latest().unwrap()
+}
+
 fn samples(stream: &Stream, count: u32) {
-    let begin = stream.latest().number;
-    until("samples", || stream.latest().number - begin >= count || stream.ended().is_some());
+    let begin = latest(stream).number;
+    until("samples", || latest(stream).number - begin >= count);
 }
 
 fn ended(stream: &Stream) -> End {
@@ -142,7 +147,7 @@ fn later_target_replaces_the_one_before_without_a_stop() {
     let stream = start(address, &ours());
     stream.set_speed_limit(MmPerS(100.0)).unwrap();
     stream.set_target(Mm(80.0)).unwrap();
-    until("the start of the motion", || stream.latest().position < 95.0);
+    until("the start of the motion", || latest(&stream).position < 95.0);
     stream.set_target(Mm(40.0)).unwrap();
     reach(&stream, 40.0);
     let under_way = stream.history();
@@ -157,7 +162,7 @@ fn fast_stop_by_another_client_ends_the_stream_and_nothing_resumes() {
         let stream = start(address, &script);
         stream.set_speed_limit(MmPerS(20.0)).unwrap();
         stream.set_target(Mm(10.0)).unwrap();
-        until("the start of the motion", || stream.latest().position < 108.0);
+        until("the start of the motion", || latest(&stream).position < 108.0);
         let mut other = host::connect(address).unwrap();
         other.fast_stop().unwrap();
         assert_eq!(ended(&stream).cause, Cause::FastStop);
@@ -234,7 +239,7 @@ fn broken_connection_ends_the_stream_and_the_gripper_stops() {
         let stream = start(near, &script);
         stream.set_speed_limit(MmPerS(20.0)).unwrap();
         stream.set_target(Mm(10.0)).unwrap();
-        until("the start of the motion", || stream.latest().position < 108.0);
+        until("the start of the motion", || latest(&stream).position < 108.0);
         cut();
         let end = ended(&stream);
         assert!(matches!(end.cause, Cause::Closed | Cause::Transport(_)), "{end:?}");
@@ -309,23 +314,50 @@ fn script_stops_the_fingers_when_set_points_cease() {
 }
 
 #[test]
+fn script_holds_the_fingers_in_a_gap_until_the_next_set_point_or_a_stop() {
+    let source = std::fs::read_to_string(ours().unwrap()).unwrap();
+    let times = "local HOLD, WATCHDOG = 0.5, 1\n";
+    assert!(source.contains(times));
+    let file = std::env::temp_dir().join(format!("wsg-hold-{}.lua", std::process::id()));
+    // The watchdog must not end the test on a slow machine.
+    std::fs::write(&file, source.replace(times, "local HOLD, WATCHDOG = 0.1, 3600\n")).unwrap();
+    let (_server, address) = serve(Some(file.clone()), None);
+    let (mut gripper, _) = start(address, &ours()).end();
+    std::fs::remove_file(file).unwrap();
+    let answer = &mut [0; 32];
+    let set_point: Vec<u8> = [0.0_f32, 20.0, 10.0].iter().flat_map(|value| value.to_le_bytes()).collect();
+    gripper.raw(0xA5, &[0], answer).unwrap();
+    for _ in 0..2 {
+        gripper.raw(0xA5, &set_point, answer).unwrap();
+        until("a motion", || gripper.system_state().unwrap().contains(SystemFlags::MOVING));
+        until("the hold", || !gripper.system_state().unwrap().contains(SystemFlags::MOVING));
+        assert!(!assert_standing(address).contains(SystemFlags::AXIS_STOPPED));
+        assert!(gripper.width().unwrap().0 > 10.0);
+    }
+    host::connect(address).unwrap().stop().unwrap();
+    let stopped = gripper.raw(0xA5, &set_point, answer);
+    assert!(matches!(stopped, Err(Error::Refused(Status::CmdAborted))), "{stopped:?}");
+    assert_standing(address);
+}
+
+#[test]
 fn contact_is_limited_in_force_with_a_script() {
     let (_server, address) = serve(ours(), Part::of_width(20.0));
     let stream = start(address, &ours());
     stream.set_force_limit(N(20.0)).unwrap();
     stream.set_target(Mm(10.0)).unwrap();
-    until("the force", || stream.latest().force > 19.9);
+    until("the force", || latest(&stream).force > 19.9);
     samples(&stream, 20);
-    let contact = stream.latest();
+    let contact = latest(&stream);
     assert!((19.9..20.1).contains(&contact.force), "{contact:?}");
     assert!(contact.flags.contains(SystemFlags::BLOCKED_MINUS) && contact.position > 15.0);
 
     stream.set_force_limit(N(40.0)).unwrap();
-    until("more force", || stream.latest().force > 39.9);
+    until("more force", || latest(&stream).force > 39.9);
     assert!(stream.history().iter().all(|sample| sample.force < 40.1));
     stream.set_target(Mm(60.0)).unwrap();
     reach(&stream, 60.0);
-    assert_eq!(stream.latest().force, 0.0);
+    assert_eq!(latest(&stream).force, 0.0);
 }
 
 #[test]
@@ -334,9 +366,9 @@ fn contact_turns_the_motor_off_without_a_script() {
     let stream = start(address, &None);
     stream.set_force_limit(N(20.0)).unwrap();
     stream.set_target(Mm(10.0)).unwrap();
-    until("contact", || stream.latest().flags.contains(SystemFlags::BLOCKED_MINUS));
+    until("contact", || latest(&stream).flags.contains(SystemFlags::BLOCKED_MINUS));
     samples(&stream, 20);
-    let contact = stream.latest();
+    let contact = latest(&stream);
     assert!((18.0..20.1).contains(&contact.position) && contact.force == 0.0, "{contact:?}");
     assert!(stream.history().iter().all(|sample| sample.force < 20.1));
     stream.set_target(Mm(60.0)).unwrap();
@@ -380,12 +412,47 @@ fn two_grippers_stream_at_once_each_at_its_rate() {
 }
 
 #[test]
-fn numbers_that_mean_nothing_are_rejected() {
-    let (_server, address) = serve(None, None);
-    let stream = start(address, &None);
-    assert_eq!(stream.set_target(Mm(f32::NAN)), Err(Rejected::Invalid));
-    assert_eq!(stream.schedule(Mm(f32::INFINITY), stream.now()), Err(Rejected::Invalid));
-    assert_eq!(stream.set_speed_limit(MmPerS(0.0)), Err(Rejected::Invalid));
-    assert_eq!(stream.set_force_limit(N(-1.0)), Err(Rejected::Invalid));
-    assert_eq!(stream.end().1, ENDED_BY_CALLER);
+fn values_outside_the_limits_are_rejected_by_name_and_change_nothing() {
+    let (_server, address) = serve(ours(), None);
+    let stream = start(address, &ours());
+    let at = |ms| stream.now().plus(ms);
+    for (rejected, text) in [
+        (stream.set_target(Mm(110.5)), "width 110.5 mm is outside the gripper's limits, 0 to 110 mm"),
+        (stream.set_target(Mm(-0.1)), "width -0.1 mm is"),
+        (stream.set_target(Mm(f32::NAN)), "width NaN mm is"),
+        (stream.schedule(Mm(f32::INFINITY), at(0)), "width inf mm is"),
+        (stream.schedule(Mm(111.0), at(100)), "0 to 110 mm"),
+        (stream.set_speed_limit(MmPerS(0.0)), "speed 0 mm/s is outside the gripper's limits, 5 to 420 mm/s"),
+        (stream.set_speed_limit(MmPerS(500.0)), "speed 500 mm/s is"),
+        (stream.set_force_limit(N(-1.0)), "force -1 N is outside the gripper's limits, 5 to 80 N"),
+        (stream.set_force_limit(N(500.0)), "force 500 N is"),
+        (stream.schedule(Mm(60.0), at(4_000_000)), "at most 3600 s from now"),
+        (stream.schedule(Mm(60.0), at(1 << 31)), "at most 3600 s from now"),
+    ] {
+        let rejected = rejected.unwrap_err().to_string();
+        assert!(rejected.contains(text), "{rejected}");
+    }
+    samples(&stream, 10);
+    let sample = latest(&stream);
+    assert_eq!((sample.position, sample.set_point), (110.0, None));
+    let (mut gripper, end) = stream.end();
+    assert_eq!((end, gripper.force_limit().unwrap()), (ENDED_BY_CALLER, N(40.0)));
+}
+
+#[test]
+fn sample_is_current_or_reading_it_fails() {
+    for script in scripts() {
+        let (_server, address) = serve(script.clone(), None);
+        let (near, cut) = breakable(address);
+        let stream = start(near, &script);
+        samples(&stream, 2);
+        let sample = latest(&stream);
+        assert!(sample.age_ms(stream.now()) < PATIENCE.as_millis() as u32);
+        assert!(sample.age_ms(stream.now().plus(250)) >= 250);
+        cut();
+        let end = ended(&stream);
+        assert_eq!(stream.latest(), Err(end.cause));
+        // The recorded samples remain, with their times.
+        assert!(stream.history().len() >= 2);
+    }
 }

@@ -69,6 +69,7 @@ int main(int count, char **arguments)
     wsg_host_sample_t sample;
     pthread_t button;
     uint8_t held = 0;
+    uint32_t now = 0;
     float width = 0;
     int tries;
 
@@ -87,6 +88,10 @@ int main(int count, char **arguments)
 
     expect("stream", wsg_host_stream_start(gripper, 100, &stream), 0);
     expect("target", wsg_host_stream_set_target(stream, 40.0f), 0);
+    /* Outside the stroke, and in microseconds instead of milliseconds. */
+    expect("width", wsg_host_stream_set_target(stream, 200.0f), WSG_HOST_ERROR_ARGUMENT);
+    expect("now", wsg_host_stream_now(stream, &now), 0);
+    expect("time", wsg_host_stream_schedule(stream, 50.0f, now + 500000000), WSG_HOST_ERROR_ARGUMENT);
     for (tries = 0; tries < 1000; tries++) {
         if (wsg_host_stream_latest(stream, &sample) != 0) {
             return 1;

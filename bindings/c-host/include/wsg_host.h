@@ -205,22 +205,28 @@ void wsg_host_stop_free(wsg_host_stop_t *handle);
  */
 int32_t wsg_host_stream_start(wsg_host_t *gripper, uint16_t rate_hz, wsg_host_stream_t **stream);
 
-/* Sets the position in mm to move to at once, within the speed limit. Does not wait. */
+/* Sets the position in mm to move to at once, within the speed limit. It must be inside the stroke. Does not wait. */
 int32_t wsg_host_stream_set_target(const wsg_host_stream_t *stream, float position);
 
-/* Schedules a position in mm for the time `at_ms` on the clock of wsg_host_stream_now(), and replaces later ones. Does not wait. */
+/*
+ Schedules a position in mm for the time `at_ms` on the clock of wsg_host_stream_now(), and replaces later ones. The position
+ must be inside the stroke, and the time at most one hour from now. A time in the past counts as now. Does not wait.
+ */
 int32_t wsg_host_stream_schedule(const wsg_host_stream_t *stream, float position, uint32_t at_ms);
 
-/* Limits the speed in mm/s. */
+/* Limits the speed in mm/s. A value outside the gripper's limits is refused. */
 int32_t wsg_host_stream_set_speed_limit(const wsg_host_stream_t *stream, float speed);
 
-/* Limits the force in N. */
+/* Limits the force in N. A value outside the gripper's limits is refused. */
 int32_t wsg_host_stream_set_force_limit(const wsg_host_stream_t *stream, float force);
 
 /* Writes the time of the stream's clock in milliseconds. */
 int32_t wsg_host_stream_now(const wsg_host_stream_t *stream, uint32_t *now_ms);
 
-/* Writes the latest sample. Does not wait. */
+/*
+ Writes the latest sample. Its age is the time of wsg_host_stream_now() minus `measured_at`. Does not wait. After the end of
+ the stream it returns WSG_HOST_ERROR_ENDED and writes nothing.
+ */
 int32_t wsg_host_stream_latest(const wsg_host_stream_t *stream, wsg_host_sample_t *sample);
 
 /* Creates a handle that stops the fingers and ends the stream. */

@@ -56,8 +56,8 @@ fn of_cause(cause: Cause) -> i32 {
 
 fn of_rejected(rejected: Rejected) -> i32 {
     match rejected {
-        Rejected::Invalid => wsg_host_error::Argument.into(),
-        Rejected::Full => wsg_host_error::QueueFull.into(),
+        Rejected::OutOfLimits(_) | Rejected::BeyondHorizon { .. } => wsg_host_error::Argument.into(),
+        Rejected::Full { .. } => wsg_host_error::QueueFull.into(),
         Rejected::Ended(_) => wsg_host_error::Ended.into(),
     }
 }
@@ -77,14 +77,12 @@ pub unsafe extern "C" fn wsg_host_stream_start(
         // SAFETY: created by the library; the caller does not use it any more.
         let gripper = unsafe { Box::from_raw(gripper) };
         let target = stream.ok_or(wsg_host_error::NullPointer)?.write(std::ptr::null_mut());
-        if !(1..=500).contains(&rate_hz) {
-            return Err(wsg_host_error::Argument.into());
-        }
-        let stream =
-            SetPointStream::start(gripper.driver, Config { rate_hz }).map_err(|error| match error {
-                StartError::Driver(error) => of(error),
-                StartError::System(_) => wsg_host_error::System.into(),
-            })?;
+        let config = Config { rate_hz, ..Config::DEFAULT };
+        let stream = SetPointStream::start(gripper.driver, config).map_err(|error| match error {
+            StartError::Config => wsg_host_error::Argument.into(),
+            StartError::Driver(error) => of(error),
+            StartError::System(_) => wsg_host_error::System.into(),
+        })?;
         *target = Box::into_raw(Box::new(wsg_host_stream_t { stream }));
         Ok(())
     };
@@ -100,13 +98,14 @@ fn with(
     code(change())
 }
 
-/// Sets the position in mm to move to at once, within the speed limit. Does not wait.
+/// Sets the position in mm to move to at once, within the speed limit. It must be inside the stroke. Does not wait.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_host_stream_set_target(stream: Option<&wsg_host_stream_t>, position: f32) -> i32 {
     with(stream, |stream| stream.set_target(Mm(position)))
 }
 
-/// Schedules a position in mm for the time `at_ms` on the clock of wsg_host_stream_now(), and replaces later ones. Does not wait.
+/// Schedules a position in mm for the time `at_ms` on the clock of wsg_host_stream_now(), and replaces later ones. The position
+/// must be inside the stroke, and the time at most one hour from now. A time in the past counts as now. Does not wait.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_host_stream_schedule(
     stream: Option<&wsg_host_stream_t>,
@@ -116,13 +115,13 @@ pub extern "C" fn wsg_host_stream_schedule(
     with(stream, |stream| stream.schedule(Mm(position), Instant::from_millis(at_ms)))
 }
 
-/// Limits the speed in mm/s.
+/// Limits the speed in mm/s. A value outside the gripper's limits is refused.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_host_stream_set_speed_limit(stream: Option<&wsg_host_stream_t>, speed: f32) -> i32 {
     with(stream, |stream| stream.set_speed_limit(MmPerS(speed)))
 }
 
-/// Limits the force in N.
+/// Limits the force in N. A value outside the gripper's limits is refused.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_host_stream_set_force_limit(stream: Option<&wsg_host_stream_t>, force: f32) -> i32 {
     with(stream, |stream| stream.set_force_limit(N(force)))
@@ -142,7 +141,8 @@ pub extern "C" fn wsg_host_stream_now(
     code(now())
 }
 
-/// Writes the latest sample. Does not wait.
+/// Writes the latest sample. Its age is the time of wsg_host_stream_now() minus `measured_at`. Does not wait. After the end of
+/// the stream it returns WSG_HOST_ERROR_ENDED and writes nothing.
 #[unsafe(no_mangle)]
 pub extern "C" fn wsg_host_stream_latest(
     stream: Option<&wsg_host_stream_t>,
@@ -150,6 +150,7 @@ pub extern "C" fn wsg_host_stream_latest(
 ) -> i32 {
     let latest = || -> Outcome {
         let latest = stream.ok_or(wsg_host_error::NullPointer)?.stream.latest();
+        let latest = latest.map_err(|_| wsg_host_error::Ended)?;
         sample.ok_or(wsg_host_error::NullPointer)?.write(wsg_host_sample_t {
             number: latest.number,
             measured_at: latest.measured_at.as_millis(),

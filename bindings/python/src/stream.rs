@@ -1,27 +1,41 @@
 //! Set-point streaming: the worker of `driver::stream`, with times of the system clock.
 
-use std::mem;
 use std::sync::atomic::Ordering::SeqCst;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Instant, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
+use std::{io, mem, thread};
 
 use pyo3::prelude::*;
 use wsg_protocol::HomingDirection;
 use wsg_protocol::driver::blocking::Gripper;
 use wsg_protocol::driver::stream::{
-    Backend, Cause, Config, End, Rejected, Sample, SetPointStream, StartError,
+    Backend, Cause, Config, End, Gap, HORIZON_MS, Rejected, Sample, SetPointStream, StartError,
 };
-use wsg_protocol::driver::{Error, Mm, MmPerS, N};
+use wsg_protocol::driver::{self, Error, Mm, MmPerS, N};
+use wsg_protocol::limits::{OutOfLimits, Quantity};
+use wsg_protocol::{SystemLimits, session};
 use wsg_tool::Address;
 
 use crate::core::{Close, close_at_exit};
+use crate::driver::{Limits, limits_as_tuple};
 use crate::error;
 use crate::interpreter::{detach, process};
 use crate::line::{Calls, Clock, Line};
+use crate::number::shortest;
 
 type Running = SetPointStream<Line, Clock>;
 /// Number, measured and received time in s, position in mm, speed in mm/s, force in N, flags, set-point in mm.
-type Row = (u32, f64, f64, f32, f32, f32, u32, Option<f32>);
+type Row = (u32, f64, f64, f64, f64, f64, u32, Option<f64>);
+
+/// The driver's settings, with a time-out of the link of 1 s.
+const DRIVER: driver::Config = driver::Config {
+    session: session::Config { attempts: 5, ..driver::Config::DEFAULT.session },
+    ..driver::Config::DEFAULT
+};
+/// Difference of the clocks, in s, from which the system clock counts as set.
+const CLOCK_STEP: f64 = 0.01;
+/// Longest time between two readings of clocks that count as simultaneous, in s.
+const SIMULTANEOUS: f64 = 1e-3;
 
 /// A stream of set-points.
 #[pyclass(frozen, module = "wsg_gripper._native")]
@@ -29,35 +43,73 @@ pub(crate) struct Stream(Arc<Inner>);
 
 struct Inner {
     state: Mutex<State>,
-    /// The zero point of the driver's clock.
+    /// The zero point of the driver's clock, and its time of the system clock in s.
     start: Instant,
+    start_unix: Mutex<f64>,
     backend: Backend,
+    limits: SystemLimits,
     process: usize,
 }
 
 enum State {
     Running(Running),
-    Ended(End, Sample, Vec<Sample>),
+    Ended(End, Vec<Sample>, Vec<Gap>),
+}
+
+/// The reason why no stream began.
+enum Failed {
+    Start(StartError<io::Error>),
+    Limits(OutOfLimits),
+}
+
+impl From<Error<io::Error>> for Failed {
+    fn from(error: Error<io::Error>) -> Self {
+        Self::Start(StartError::Driver(error))
+    }
 }
 
 #[pymethods]
 impl Stream {
-    /// Connects, homes in a direction if one is given, and starts the worker.
+    /// Connects, checks the limits, homes in a direction if one is given, and starts the worker.
     #[new]
-    fn new(py: Python<'_>, address: &str, rate_hz: u16, direction: Option<u8>) -> PyResult<Self> {
+    fn new(
+        py: Python<'_>,
+        address: &str,
+        rate_hz: u16,
+        queue_len: usize,
+        direction: Option<u8>,
+        speed_limit: Option<f32>,
+        force_limit: Option<f32>,
+    ) -> PyResult<Self> {
         let address: Address =
             address.parse().map_err(|text: String| error::exception(py, "InvalidError", &text, None))?;
         if address.is_gcl() {
             let text = "streaming requires the binary protocol: use an address such as tcp://192.168.1.20";
             return Err(error::exception(py, "UnsupportedError", text, None));
         }
+        let config = Config { rate_hz, queue_len };
+        if !config.is_valid() {
+            let text = StartError::<io::Error>::Config.to_string();
+            return Err(error::exception(py, "InvalidError", &text, None));
+        }
         let calls = Arc::new(Calls::default());
         calls.handles_signals.store(true, SeqCst);
         let start = Instant::now();
         let started = detach(py, || {
             let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
-            let mut gripper = Gripper::new(Line::new(wire, Arc::clone(&calls)), Clock::Real(start));
+            let line = Line::new(wire, Arc::clone(&calls));
+            let mut gripper = Gripper::<_, _>::with_config(line, Clock::Real(start), DRIVER);
             gripper.connect()?;
+            let limits = gripper.limits()?;
+            let flags = gripper.system_state()?;
+            let wanted = [(Quantity::Speed, speed_limit), (Quantity::Force, force_limit)];
+            for (quantity, value) in wanted {
+                // Before anything moves.
+                if let Some(Err(refused)) = value.map(|value| limits.check(quantity, value, flags)) {
+                    let _ = gripper.announce_disconnect();
+                    return Err(Failed::Limits(refused));
+                }
+            }
             let homed = direction.and_then(HomingDirection::from_code).map(|it| gripper.home(it));
             if let Some(Err(failure)) = homed {
                 calls.handles_signals.store(false, SeqCst);
@@ -66,16 +118,32 @@ impl Stream {
             }
             // The worker must not wait for the interpreter.
             calls.handles_signals.store(false, SeqCst);
-            SetPointStream::start(gripper, Config { rate_hz })
+            let stream = SetPointStream::start(gripper, config).map_err(Failed::Start)?;
+            // They were checked, so only the end of the stream rejects them, and the caller learns of it.
+            let _ = speed_limit.map(|speed| stream.set_speed_limit(MmPerS(speed)));
+            let _ = force_limit.map(|force| stream.set_force_limit(N(force)));
+            // An interpolation needs two samples.
+            while stream.latest().is_ok_and(|sample| sample.number == 0) {
+                thread::sleep(Duration::from_millis(1));
+            }
+            Ok((stream, limits))
         });
-        let stream = started.map_err(|failure| match (calls.take_raised(), failure) {
+        let (stream, limits) = started.map_err(|failure| match (calls.take_raised(), failure) {
             (Some(raised), _) => raised,
-            (None, StartError::Driver(failure)) => error::of_driver(py, &failure),
-            (None, StartError::System(failure)) => failure.into(),
+            (None, Failed::Limits(refused)) => {
+                error::exception(py, "InvalidError", &refused.to_string(), None)
+            }
+            (None, Failed::Start(StartError::Config)) => {
+                let text = StartError::<io::Error>::Config.to_string();
+                error::exception(py, "InvalidError", &text, None)
+            }
+            (None, Failed::Start(StartError::Driver(failure))) => error::of_driver(py, &failure),
+            (None, Failed::Start(StartError::System(failure))) => failure.into(),
         })?;
         let backend = stream.backend();
         let state = Mutex::new(State::Running(stream));
-        let inner = Arc::new(Inner { state, start, backend, process: process() });
+        let start_unix = Mutex::new(unix_now() - start.elapsed().as_secs_f64());
+        let inner = Arc::new(Inner { state, start, start_unix, backend, limits, process: process() });
         let weak = Arc::downgrade(&inner);
         close_at_exit(weak);
         Ok(Self(inner))
@@ -83,14 +151,24 @@ impl Stream {
 
     /// Schedules a position in mm for a time of the system clock in s.
     fn schedule(&self, py: Python<'_>, position: f32, time: f64) -> PyResult<()> {
-        let ahead = (time - unix_now()) * 1e3;
-        if !ahead.is_finite() {
-            return Err(error::exception(py, "InvalidError", "the time is not a finite number", None));
-        }
-        let now_ms = self.0.start.elapsed().as_secs_f64() * 1e3;
-        // A time in the past counts as now. Clocks wrap, so a set-point is at most 2^31 ms ahead.
-        let at = (now_ms + ahead.clamp(0.0, f64::from(i32::MAX))).round() as u64 as u32;
-        self.change(py, |stream| stream.schedule(Mm(position), wsg_protocol::Instant::from_millis(at)))
+        let ahead = time - unix_now();
+        let horizon = f64::from(HORIZON_MS) / 1e3;
+        let text = if !ahead.is_finite() {
+            format!("target_time is {time}; expected seconds of time.time()")
+        } else if ahead.abs() > horizon {
+            let side = if ahead > 0.0 { "ahead" } else { "in the past" };
+            let distance = ahead.abs();
+            let distance = if distance < 1e6 { format!("{distance:.0}") } else { format!("{distance:.1e}") };
+            format!(
+                "target_time is {distance} s {side}; expected seconds of time.time(), at most {horizon} s from now"
+            )
+        } else {
+            let now_ms = self.0.start.elapsed().as_secs_f64() * 1e3;
+            // The driver's clock counts modulo 2^32 ms.
+            let at = wsg_protocol::Instant::from_millis((now_ms + ahead * 1e3).round() as i64 as u32);
+            return self.change(py, |stream| stream.schedule(Mm(position), at));
+        };
+        Err(error::exception(py, "InvalidError", &text, None))
     }
 
     fn set_target(&self, py: Python<'_>, position: f32) -> PyResult<()> {
@@ -105,29 +183,44 @@ impl Stream {
         self.change(py, |stream| stream.set_force_limit(N(force)))
     }
 
-    /// Returns the latest sample.
+    /// Returns the latest sample. Fails after the end of the stream, because the sample is no longer current.
     fn latest(&self, py: Python<'_>) -> PyResult<Row> {
-        let sample = match &*self.0.state(py)? {
+        let latest = match &*self.0.state(py)? {
             State::Running(stream) => stream.latest(),
-            State::Ended(_, latest, _) => *latest,
+            State::Ended(End { cause, .. }, ..) => Err(*cause),
         };
-        Ok(self.0.row(&sample))
+        let sample = latest.map_err(|cause| rejected(py, Rejected::Ended(cause)))?;
+        Ok(row(&sample, self.0.clock()))
     }
 
     /// Returns the samples as rows of eight doubles, oldest first, with the values of `latest`; NaN without a set-point.
     fn history(&self, py: Python<'_>) -> PyResult<Vec<u8>> {
         let samples = match &*self.0.state(py)? {
             State::Running(stream) => stream.history(),
-            State::Ended(.., history) => history.clone(),
+            State::Ended(_, history, _) => history.clone(),
         };
+        let clock = self.0.clock();
         let rows = samples.iter().flat_map(|sample| {
-            let (number, measured, received, position, speed, force, flags, set_point) = self.0.row(sample);
-            let set_point = set_point.map_or(f64::NAN, f64::from);
-            let floats = [position, speed, force].map(f64::from);
-            let [position, speed, force] = floats;
+            let (number, measured, received, position, speed, force, flags, set_point) = row(sample, clock);
+            let set_point = set_point.unwrap_or(f64::NAN);
             [number.into(), measured, received, position, speed, force, flags.into(), set_point]
         });
         Ok(rows.flat_map(f64::to_ne_bytes).collect())
+    }
+
+    /// Returns the gaps, oldest first: time of the beginning and length in s.
+    fn gaps(&self, py: Python<'_>) -> PyResult<Vec<(f64, f64)>> {
+        let gaps = match &*self.0.state(py)? {
+            State::Running(stream) => stream.gaps(),
+            State::Ended(.., gaps) => gaps.clone(),
+        };
+        let clock = self.0.clock();
+        Ok(gaps.iter().map(|gap| (clock.unix(gap.begun_at), f64::from(gap.length_ms) / 1e3)).collect())
+    }
+
+    /// Returns the limits of the gripper, in the order of the Python class `Limits`.
+    fn limits(&self) -> Limits {
+        limits_as_tuple(self.0.limits)
     }
 
     /// Returns the name of the back-end.
@@ -169,15 +262,40 @@ impl Stream {
             State::Running(stream) => change(stream),
             State::Ended(End { cause, .. }, ..) => Err(Rejected::Ended(*cause)),
         };
-        changed.map_err(|rejected| {
-            let class = match rejected {
-                Rejected::Ended(_) => "StreamEndedError",
-                Rejected::Full => "BusyError",
-                Rejected::Invalid => "InvalidError",
-            };
-            error::exception(py, class, &rejected.to_string(), None)
-        })
+        changed.map_err(|refusal| rejected(py, refusal))
     }
+}
+
+fn rejected(py: Python<'_>, rejected: Rejected) -> PyErr {
+    let class = match rejected {
+        Rejected::Ended(_) => "StreamEndedError",
+        Rejected::Full { .. } => "BusyError",
+        Rejected::OutOfLimits(_) | Rejected::BeyondHorizon { .. } => "InvalidError",
+    };
+    error::exception(py, class, &rejected.to_string(), None)
+}
+
+/// A reading of the driver's clock, in ms, and the time of the system clock at its zero point, in s.
+#[derive(Clone, Copy)]
+struct Reading {
+    start_unix: f64,
+    now_ms: i64,
+}
+
+impl Reading {
+    /// Converts a time of the driver, at most 24 days ago, to the system clock in s.
+    fn unix(self, at: wsg_protocol::Instant) -> f64 {
+        let age_ms = wsg_protocol::Instant::from_millis(self.now_ms as u32).signed_since(at);
+        self.start_unix + (self.now_ms - i64::from(age_ms)) as f64 / 1e3
+    }
+}
+
+/// Converts a sample, with its times on the system clock.
+fn row(sample: &Sample, clock: Reading) -> Row {
+    let Sample { number, measured_at, received_at, position, speed, force, flags, set_point } = *sample;
+    let [position, speed, force] = [position, speed, force].map(shortest);
+    let times = [measured_at, received_at].map(|at| clock.unix(at));
+    (number, times[0], times[1], position, speed, force, flags.bits(), set_point.map(shortest))
 }
 
 fn unix_now() -> f64 {
@@ -193,16 +311,18 @@ impl Inner {
         Ok(self.state.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Converts a sample, with its times on the system clock.
-    fn row(&self, sample: &Sample) -> Row {
-        let Sample { number, measured_at, received_at, position, speed, force, flags, set_point } = *sample;
-        let (now, now_ms) = (unix_now(), self.start.elapsed().as_secs_f64() * 1e3);
-        // The driver's clock counts modulo 2^32 ms.
-        let unix = |at: wsg_protocol::Instant| {
-            let age = (now_ms as u64 as u32).wrapping_sub(at.as_millis()) as i32;
-            now - (f64::from(age) + now_ms.fract()) / 1e3
-        };
-        (number, unix(measured_at), unix(received_at), position, speed, force, flags.bits(), set_point)
+    /// Reads the clock for the conversion of times. The result is the same at each call, so that the times of samples
+    /// increase, unless the system clock was set.
+    fn clock(&self) -> Reading {
+        let mut start_unix = self.start_unix.lock().unwrap_or_else(PoisonError::into_inner);
+        let before = self.start.elapsed().as_secs_f64();
+        let unix = unix_now();
+        let after = self.start.elapsed().as_secs_f64();
+        let measured = unix - before;
+        if after - before < SIMULTANEOUS && (measured - *start_unix).abs() > CLOCK_STEP {
+            *start_unix = measured;
+        }
+        Reading { start_unix: *start_unix, now_ms: (after * 1e3) as i64 }
     }
 
     fn close(&self) -> bool {
@@ -210,13 +330,13 @@ impl Inner {
             return false;
         }
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let (latest, history) = match &*state {
-            State::Running(stream) => (stream.latest(), stream.history()),
+        let (history, gaps) = match &*state {
+            State::Running(stream) => (stream.history(), stream.gaps()),
             State::Ended(end, ..) => return end.is_stop_confirmed,
         };
         // In case the worker panics.
         let end = End { cause: Cause::Requested, is_stop_confirmed: false };
-        let running = mem::replace(&mut *state, State::Ended(end, latest, history));
+        let running = mem::replace(&mut *state, State::Ended(end, history, gaps));
         let State::Running(stream) = running else { return false };
         let (mut gripper, end) = stream.end();
         let _ = gripper.announce_disconnect();

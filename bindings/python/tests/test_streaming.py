@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy
 import pytest
 
 from wsg_gripper import (
+    BusyError,
     Gripper,
     HomingDirection,
     InvalidError,
@@ -63,9 +67,10 @@ def test_fingers_follow_scheduled_waypoints(scripted: Simulator) -> None:
         assert history[0, 3] > 100 and history[-1, 3] < 81
     assert gripper.ended is not None
     assert not gripper.is_ready
-    assert gripper.latest().position == pytest.approx(80, abs=1)
-    with pytest.raises(StreamEndedError):
-        gripper.schedule_waypoint(50, time.time())
+    assert gripper.history()[-1, 3] == pytest.approx(80, abs=1)
+    for request in (gripper.latest, lambda: gripper.schedule_waypoint(50, time.time())):
+        with pytest.raises(StreamEndedError, match="the caller ended"):
+            request()
     assert SystemFlags.FAST_STOP not in scripted.observe().flags
 
 
@@ -172,3 +177,171 @@ def test_umi_controller_has_the_states_of_umi(scripted: Simulator) -> None:
     finally:
         controller.stop(wait=False)
         controller.stop_wait()
+
+
+def test_time_in_another_unit_is_refused_and_moves_nothing(scripted: Simulator) -> None:
+    with StreamingGripper(scripted.tcp) as gripper:
+        gripper.set_target(70)
+        wait_for(lambda: abs(gripper.latest().position - 70) < 0.2)
+        for wrong, text in [
+            ((time.time() + 0.5) * 1000, r"target_time is 1\.\de12 s ahead; .* seconds of time\.time\(\), at most 3600 s"),
+            ((time.time() + 0.5) * 1e6, "s ahead"),
+            (time.time() + 3700, "target_time is 3700 s ahead"),
+            (time.monotonic() + 0.5, "s in the past"),
+            (math.nan, "target_time is NaN; expected seconds"),
+            (math.inf, "target_time is inf"),
+            (-math.inf, "target_time is -inf"),
+        ]:
+            for position in (72, 40):
+                with pytest.raises(InvalidError, match=text):
+                    gripper.schedule_waypoint(position, wrong)
+        number = gripper.latest().number
+        wait_for(lambda: gripper.latest().number > number + 20)
+        assert gripper.latest().set_point == 70
+        gripper.schedule_waypoint(72, time.time() - 5)
+        wait_for(lambda: gripper.latest().set_point == 72)
+
+
+def test_values_outside_the_limits_are_refused_by_name(scripted: Simulator) -> None:
+    with StreamingGripper(scripted.tcp) as gripper:
+        assert gripper.limits.stroke == 110
+        requests: list[tuple[Callable[[], None], str]] = [
+            (lambda: gripper.set_target(110.5), "width 110.5 mm is outside the gripper's limits, 0 to 110 mm"),
+            (lambda: gripper.schedule_waypoint(-0.1, time.time() + 1), "width -0.1 mm is outside"),
+            (lambda: gripper.set_target(math.nan), "width NaN mm is outside"),
+            (lambda: gripper.set_speed_limit(1), "speed 1 mm/s is outside the gripper's limits, 5 to 420 mm/s"),
+            (lambda: gripper.set_force_limit(500), "force 500 N is outside the gripper's limits, 5 to 80 N"),
+        ]
+        for request, text in requests:
+            with pytest.raises(InvalidError, match=text):
+                request()
+        assert gripper.latest().set_point is None
+    assert scripted.observe().force_limit == 40
+
+
+def test_limits_are_checked_before_homing(scripted: Simulator) -> None:
+    for gripper in (
+        StreamingGripper(scripted.tcp, force=500),
+        StreamingGripper(scripted.tcp, force=-1),
+        StreamingGripper(scripted.tcp, max_speed=1000),
+    ):
+        with pytest.raises(InvalidError, match="outside the gripper's limits"):
+            gripper.start()
+        seen = scripted.observe()
+        assert seen.flags & (SystemFlags.REFERENCED | SystemFlags.FAST_STOP) == SystemFlags(0)
+        assert seen.force_limit == 40
+
+
+def test_rate_and_queue_have_limits() -> None:
+    for frequency in (0.5, 501, math.nan):
+        with pytest.raises(InvalidError, match="expected 1 to 500"):
+            StreamingGripper("tcp://127.0.0.1", frequency)
+    for size in (0, 4097):
+        with pytest.raises(InvalidError, match="expected 1 to 4096"):
+            StreamingGripper("tcp://127.0.0.1", queue_size=size)
+
+
+@contextmanager
+def proxy(address: str) -> Iterator[tuple[str, threading.Event]]:
+    """Address of a line to the gripper that passes bytes while the event is set."""
+    host, port = address.removeprefix("tcp://").split(":")
+    passes = threading.Event()
+    passes.set()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near, far = socket.socket(), socket.create_connection((host, int(port)))
+
+        def copy(source: socket.socket, target: socket.socket) -> None:
+            try:
+                while data := source.recv(4096):
+                    passes.wait()
+                    target.sendall(data)
+            except OSError:
+                pass
+
+        def serve() -> None:
+            nonlocal near
+            near = server.accept()[0]
+            for end in (near, far):
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            threading.Thread(target=copy, args=(far, near), daemon=True).start()
+            copy(near, far)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        try:
+            yield f"tcp://127.0.0.1:{server.getsockname()[1]}", passes
+        finally:
+            passes.set()
+            near.close()
+            far.close()
+
+
+@pytest.mark.parametrize("has_script", [True, False])
+def test_pause_of_the_gripper_is_a_gap_and_no_end(has_script: bool, tmp_path: Path) -> None:
+    script = tmp_path / "wsg_stream.lua"
+    script.write_text(StreamingGripper.SCRIPT)
+    options = {"script": script} if has_script else {}
+    with Simulator(homing_speed=400, **options) as simulator:
+        if has_script:
+            simulator.wait_for_script()
+        with proxy(simulator.tcp) as (address, passes), StreamingGripper(address, max_speed=20) as gripper:
+            gripper.set_target(40)
+            wait_for(lambda: gripper.latest().position < 108)
+            assert gripper.gaps() == []
+            passes.clear()
+            wait_for(lambda: gripper.latest().age > 0.24)
+            passes.set()
+            wait_for(lambda: gripper.gaps() != [])
+            [gap] = gripper.gaps()
+            assert 0.1 < gap.length < 1 and gap.begin < time.time()
+            position = gripper.latest().position
+            wait_for(lambda: gripper.latest().position < position - 1)
+            assert numpy.asarray(gripper.history())[:, 4].min() > -25
+
+
+@pytest.mark.parametrize("has_script", [True, False])
+def test_timestamps_increase_strictly_from_the_first_observation_on(has_script: bool, tmp_path: Path) -> None:
+    script = tmp_path / "wsg_stream.lua"
+    script.write_text(StreamingGripper.SCRIPT)
+    options = {"script": script} if has_script else {}
+    with Simulator(homing_speed=400, **options) as simulator:
+        if has_script:
+            simulator.wait_for_script()
+        host, port = simulator.tcp.removeprefix("tcp://").split(":")
+        with WSGController(None, host, int(port), command_queue_size=1000) as controller:
+            assert controller.backend == ("script" if has_script else "pre-position")
+            first = controller.get_all_state()
+            assert len(first["gripper_timestamp"]) >= 2
+            controller.schedule_waypoint(80, time.time() + 0.5)
+            wait_for(lambda: len(controller.get_all_state()["gripper_timestamp"]) > 60)
+            for states in (first, controller.get_all_state()):
+                assert all(numpy.isfinite(values).all() for values in states.values())
+                for key in ("gripper_timestamp", "gripper_measure_timestamp", "gripper_receive_timestamp"):
+                    assert (numpy.diff(states[key]) > 0).all(), states[key]
+
+
+def test_calibration_of_umi_schedules_a_thousand_waypoints_ahead(scripted: Simulator) -> None:
+    host, port = scripted.tcp.removeprefix("tcp://").split(":")
+    for size in (1000, 4096):
+        with WSGController(None, host, int(port), command_queue_size=size) as controller:
+            begin = time.time() + 60
+            for step in range(size):
+                controller.schedule_waypoint(80 + 20 * math.sin(step), begin + step / 100)
+            with pytest.raises(BusyError, match=f"{size} earlier"):
+                controller.schedule_waypoint(80, begin + 60)
+    with pytest.raises(InvalidError, match="1 to 4096"):
+        WSGController(None, host, int(port), command_queue_size=4097)
+
+
+def test_no_state_is_returned_after_the_connection_is_lost(tmp_path: Path) -> None:
+    with Simulator(homing_speed=400) as simulator:
+        host, port = simulator.tcp.removeprefix("tcp://").split(":")
+        controller = WSGController(None, host, int(port))
+        controller.start()
+        assert 0 <= controller.latest().age < 10
+    wait_for(lambda: controller.ended is not None)
+    for read in (controller.latest, controller.get_state, controller.get_all_state):
+        with pytest.raises(StreamEndedError):
+            read()
+    assert len(controller.history()) > 0
+    controller.stop()

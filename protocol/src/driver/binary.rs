@@ -40,6 +40,12 @@ impl<const RX: usize, const TX: usize> Binary<RX, TX> {
             id: CommandId::Unknown(0),
         }
     }
+
+    /// Chooses how late the answer to a request that must not be repeated may be. See the session's method.
+    #[cfg(feature = "std")]
+    pub(super) const fn tolerate_late_answers(&mut self, does_tolerate: bool) {
+        self.session.tolerate_late_answers(does_tolerate);
+    }
 }
 
 impl<const RX: usize, const TX: usize> Protocol for Binary<RX, TX> {}

@@ -12,7 +12,13 @@
 //!
 //! **Start.** Nothing moves before the first set-point.
 //!
-//! **Gap.** Without new set-points, the fingers move to the last one and hold it.
+//! **No further set-points.** The fingers move to the last one and hold it.
+//!
+//! **Gap.** An answer that is more than 100 ms late is a gap, which [`gaps`](SetPointStream::gaps) reports. The fingers
+//! hold, or finish the running segment. They continue when the gripper answers within the time-out of the link
+//! ([`attempts`](crate::session::Config::attempts) times
+//! [`reply_timeout_ms`](crate::session::Config::reply_timeout_ms)) and after at most [`MAX_GAP_MS`]: from where they are
+//! to the next set-point, or else to the last one, within the speed limit. A longer gap ends the stream.
 //!
 //! **Contact.** With a script, the fingers push against a part with the force limit. With Pre-position, contact turns
 //! the motor off (command set, 3.2.2) and the force ends. The fingers stay there until the set-point moves away from
@@ -41,7 +47,7 @@
 //! let now = stream.now();
 //! stream.schedule(Mm(100.0), now.plus(100))?;
 //! stream.schedule(Mm(90.0), now.plus(200))?;
-//! while stream.ended().is_none() && stream.latest().position > 90.5 {
+//! while stream.latest()?.position > 90.5 {
 //!     std::thread::sleep(std::time::Duration::from_millis(5));
 //! }
 //! let (_gripper, end) = stream.end();
@@ -56,10 +62,10 @@ mod trajectory;
 mod worker;
 
 pub use line::LineEstimate;
-pub use trajectory::MAX_SET_POINTS;
 
 use super::blocking::{Gripper, Transport};
 use super::{Clock, Error, Mm, MmPerS, N, StopHandle, StopKind, Stoppable};
+use crate::limits::{OutOfLimits, Quantity};
 use crate::time::Instant;
 use crate::types::{Status, SystemFlags, SystemLimits};
 use line::Exchanges;
@@ -69,7 +75,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::vec::Vec;
 use std::{io, panic};
-use trajectory::Trajectory;
+use trajectory::{Ahead, Trajectory};
 use worker::Worker;
 
 /// The source of the project's script, `wsg_stream.lua`, for upload to a gripper.
@@ -78,17 +84,38 @@ pub const SCRIPT: &str = include_str!("../../scripts/wsg_stream.lua");
 /// Number of samples in [`SetPointStream::history`]: 10 s at 100 Hz.
 pub const HISTORY_LEN: usize = 1_024;
 
+/// Number of gaps in [`SetPointStream::gaps`].
+pub const GAPS_LEN: usize = 64;
+
+/// How far ahead of now a set-point may be scheduled, in milliseconds: one hour. A time beyond it, in the future or in
+/// the past, is rejected because it is a mistake, such as another unit or another clock.
+pub const HORIZON_MS: u32 = 3_600_000;
+
+/// The longest gap after which a stream continues, in milliseconds. No set-point is executed later than this.
+pub const MAX_GAP_MS: u32 = 1_000;
+
 /// Settings of a stream, fixed at its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Set-points per second, 1 to 500. Each request is sent after the previous reply, so a line with a longer round
     /// trip lowers the rate.
     pub rate_hz: u16,
+    /// Maximum number of queued set-points, 1 to [`MAX_QUEUE_LEN`](Self::MAX_QUEUE_LEN).
+    pub queue_len: usize,
 }
 
 impl Config {
-    /// The default rate: 100 set-points per second.
-    pub const DEFAULT: Self = Self { rate_hz: 100 };
+    /// 100 set-points per second, and a queue of 1 024 set-points.
+    pub const DEFAULT: Self = Self { rate_hz: 100, queue_len: 1_024 };
+
+    /// The longest queue.
+    pub const MAX_QUEUE_LEN: usize = 4_096;
+
+    /// Returns whether both values are within their limits.
+    #[must_use]
+    pub const fn is_valid(&self) -> bool {
+        matches!(self.rate_hz, 1..=500) && matches!(self.queue_len, 1..=Self::MAX_QUEUE_LEN)
+    }
 }
 
 impl Default for Config {
@@ -102,7 +129,8 @@ impl Default for Config {
 pub enum Backend {
     /// The project's script, `wsg_stream.lua`.
     Script,
-    /// UMI's script, `cmd_measure.lua`. It has no watchdog and follows the last set-point until the next one or a Stop.
+    /// UMI's script, `cmd_measure.lua`. It has no watchdog and keeps the last speed until the next set-point or a Stop.
+    /// The worker sends Stop in a gap, unless the fingers push against a part.
     UmiScript,
     /// Pre-position (21h) and automatic updates.
     PrePosition,
@@ -114,9 +142,9 @@ pub struct Sample {
     /// Sample number, counted from 0 modulo 2³².
     pub number: u32,
     /// Time of the measurement on the driver's clock: from the gripper's own time with [`Backend::Script`], otherwise
-    /// from the estimated latency.
+    /// from the estimated latency. Later than that of the sample before.
     pub measured_at: Instant,
-    /// Time at which the worker received the sample.
+    /// Time at which the worker received the sample. Later than that of the sample before.
     pub received_at: Instant,
     /// The opening width in mm.
     pub position: f32,
@@ -128,6 +156,23 @@ pub struct Sample {
     pub flags: SystemFlags,
     /// The last commanded position in mm. `None` before the first set-point.
     pub set_point: Option<f32>,
+}
+
+impl Sample {
+    /// Returns the time since the measurement at `now`, in milliseconds.
+    #[must_use]
+    pub const fn age_ms(&self, now: Instant) -> u32 {
+        now.since(self.measured_at)
+    }
+}
+
+/// A time without answers from the gripper, during which the fingers held or finished the running segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// Time at which the first missing answer was due.
+    pub begun_at: Instant,
+    /// Time until the next answer, in milliseconds.
+    pub length_ms: u32,
 }
 
 /// The reason why a stream ended.
@@ -144,10 +189,12 @@ pub enum Cause {
     StoppedByOther,
     /// The script ended, reported an error, or sent a reply of another layout.
     Script,
-    /// The script received no set-point for 500 ms and stopped the fingers.
+    /// The set-points paused for more than [`MAX_GAP_MS`], because this program or the line paused. The script has stopped
+    /// the fingers.
     Watchdog,
     /// The gripper rejected a set-point or a setting with this status: E_NOT_INITIALIZED before homing, E_RANGE_ERROR
-    /// outside the soft limits, E_ALREADY_RUNNING while it holds a part.
+    /// outside the soft limits, E_ALREADY_RUNNING while it holds a part, [`MISMATCH`](crate::session::MISMATCH) if it did
+    /// not apply the force limit.
     Refused(Status),
     /// There was no reply in time from the line or the script.
     Unanswered,
@@ -167,7 +214,7 @@ impl core::fmt::Display for Cause {
             }
             Self::StoppedByOther => f.write_str("another client stopped the fingers"),
             Self::Script => f.write_str("the script on the gripper failed; see the gripper's log"),
-            Self::Watchdog => f.write_str("no set-point reached the script for 500 ms"),
+            Self::Watchdog => f.write_str("no set-point reached the gripper for more than 1 s"),
             Self::Refused(status) => write!(f, "the gripper refused a set-point: {status}"),
             Self::Unanswered => f.write_str("no answer from the gripper"),
             Self::Closed => f.write_str("the gripper closed the connection"),
@@ -175,6 +222,8 @@ impl core::fmt::Display for Cause {
         }
     }
 }
+
+impl core::error::Error for Cause {}
 
 /// The end of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -189,10 +238,18 @@ pub struct End {
 /// The reason why a set-point or a limit was rejected. Nothing changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rejected {
-    /// The number is not finite, or a limit is not greater than 0.
-    Invalid,
-    /// [`MAX_SET_POINTS`] earlier set-points are queued.
-    Full,
+    /// The position is outside the stroke, or the limit outside the limits of the gripper.
+    OutOfLimits(OutOfLimits),
+    /// The time is more than [`HORIZON_MS`] ahead, or in the past if negative.
+    BeyondHorizon {
+        /// The distance from now in ms.
+        ahead_ms: i32,
+    },
+    /// As many earlier set-points are queued as [`Config::queue_len`] permits.
+    Full {
+        /// The length of the queue.
+        queue_len: usize,
+    },
     /// The stream has ended.
     Ended(Cause),
 }
@@ -200,10 +257,16 @@ pub enum Rejected {
 impl core::fmt::Display for Rejected {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
-            Self::Invalid => {
-                f.write_str("invalid value: positions must be finite, and limits finite and greater than 0")
+            Self::OutOfLimits(refused) => refused.fmt(f),
+            Self::BeyondHorizon { ahead_ms } => {
+                let (seconds, side) =
+                    (ahead_ms.unsigned_abs() / 1_000, if *ahead_ms < 0 { "in the past" } else { "ahead" });
+                write!(f, "the time is {seconds} s {side}; ")?;
+                write!(f, "expected milliseconds of the stream's clock, at most 3600 s from now")
             }
-            Self::Full => write!(f, "the queue is full: {MAX_SET_POINTS} earlier set-points are waiting"),
+            Self::Full { queue_len } => {
+                write!(f, "the queue is full: {queue_len} earlier set-points are waiting")
+            }
             Self::Ended(cause) => write!(f, "the stream has ended: {cause}"),
         }
     }
@@ -214,6 +277,8 @@ impl core::error::Error for Rejected {}
 /// The reason why a stream did not start. The gripper is dropped.
 #[derive(Debug)]
 pub enum StartError<E> {
+    /// A value of the [`Config`] is outside its limits. Nothing was sent.
+    Config,
     /// A request of the driver failed.
     Driver(Error<E>),
     /// The operating system has no thread or no descriptor left.
@@ -223,6 +288,10 @@ pub enum StartError<E> {
 impl<E: core::fmt::Display> core::fmt::Display for StartError<E> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self {
+            Self::Config => {
+                let most = Config::MAX_QUEUE_LEN;
+                write!(f, "expected 1 to 500 set-points per second and a queue of 1 to {most} set-points")
+            }
             Self::Driver(error) => error.fmt(f),
             Self::System(error) => error.fmt(f),
         }
@@ -268,10 +337,14 @@ where
     /// the subscriptions to width, speed and force, and ends them with the stream.
     ///
     /// # Errors
+    /// - [`StartError::Config`]: a value of the configuration is outside its limits.
     /// - [`StartError::Driver`]: a reply was missing or the line failed. FAST STOP and missing homing are not errors
     ///   here. The former ends the stream immediately, the latter with the first set-point.
     /// - [`StartError::System`]: the system has no thread, or no descriptor for a [`StopHandle`].
     pub fn start(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, StartError<IO::Error>> {
+        if !config.is_valid() {
+            return Err(StartError::Config);
+        }
         let handle = gripper.stop_handle()?;
         let clock = gripper.clock().clone();
         let worker = Worker::new(gripper, config)?;
@@ -293,67 +366,65 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
     /// set-point or the commanded position.
     ///
     /// Replaces all set-points at the same or a later time. A time in the past is equal to
-    /// [`set_target`](Self::set_target). Positions are clamped to the stroke, and the speed limit takes precedence over
-    /// `at`.
+    /// [`set_target`](Self::set_target). The speed limit takes precedence over `at`.
     ///
     /// # Errors
-    /// Returns [`Rejected`]; nothing changes.
+    /// Returns [`Rejected`], and nothing changes: the position is outside the stroke, or the time is more than
+    /// [`HORIZON_MS`] from now in either direction.
     pub fn schedule(&self, position: Mm, at: Instant) -> Result<(), Rejected> {
         let now = self.now();
+        let ahead = Ahead::of(now, at)?;
         self.plan(position, |trajectory, position, speed_limit| {
-            trajectory.schedule(now, position, at, speed_limit)
+            trajectory.schedule(now, position, ahead, speed_limit)
         })
     }
 
-    /// Moves the fingers to the position at the speed limit. Replaces all set-points. Positions are clamped to the
-    /// stroke.
+    /// Moves the fingers to the position at the speed limit. Replaces all set-points.
     ///
     /// # Errors
-    /// Returns [`Rejected`]; nothing changes.
+    /// Returns [`Rejected`], and nothing changes: the position is outside the stroke.
     pub fn set_target(&self, position: Mm) -> Result<(), Rejected> {
         let now = self.now();
         self.plan(position, |trajectory, position, speed_limit| {
             trajectory.set_target(now, position, speed_limit);
-            true
+            Ok(())
         })
     }
 
     fn plan(
         &self,
         position: Mm,
-        change: impl FnOnce(&mut Trajectory, f32, f32) -> bool,
+        change: impl FnOnce(&mut Trajectory, f32, f32) -> Result<(), Rejected>,
     ) -> Result<(), Rejected> {
         let mut shared = self.open()?;
-        let Shared { limits, speed_limit, latest, .. } = *shared;
-        if !position.0.is_finite() {
-            return Err(Rejected::Invalid);
-        }
-        let begin = || Trajectory::at(latest.position, self.clock.clone().now());
+        shared.check(Quantity::Width, position.0)?;
+        let Shared { speed_limit, latest, queue_len, .. } = *shared;
+        let begin = || Trajectory::at(latest.position, self.clock.clone().now(), queue_len);
         let trajectory = shared.trajectory.get_or_insert_with(begin);
-        let position = position.0.max(0.0).min(limits.stroke);
-        if change(trajectory, position, speed_limit) { Ok(()) } else { Err(Rejected::Full) }
+        change(trajectory, position.0, speed_limit)
     }
 
-    /// Limits the speed from now on, clamped to the gripper's limits. The initial limit is the gripper's maximum speed.
+    /// Limits the speed from now on. The initial limit is the gripper's maximum speed.
     ///
     /// # Errors
-    /// Returns [`Rejected`]; nothing changes.
+    /// Returns [`Rejected`], and nothing changes: the value is outside the gripper's limits.
     pub fn set_speed_limit(&self, speed: MmPerS) -> Result<(), Rejected> {
         let mut shared = self.open()?;
-        let SystemLimits { min_speed, max_speed, .. } = shared.limits;
-        shared.speed_limit = limit(speed.0, min_speed, max_speed)?;
+        shared.check(Quantity::Speed, speed.0)?;
+        shared.speed_limit = speed.0;
         Ok(())
     }
 
-    /// Limits the force on contact, clamped to the gripper's minimum and nominal force. The initial limit is the
-    /// gripper's current one. With [`Backend::PrePosition`] it applies from the next motion on.
+    /// Limits the force on contact. The initial limit is the gripper's current one. With [`Backend::PrePosition`] it
+    /// applies from the next motion on.
     ///
     /// # Errors
-    /// Returns [`Rejected`]; nothing changes.
+    /// Returns [`Rejected`], and nothing changes: the value is less than the minimum force, or greater than the nominal
+    /// force, or in overdrive mode than the overdrive force.
     pub fn set_force_limit(&self, force: N) -> Result<(), Rejected> {
         let mut shared = self.open()?;
-        let SystemLimits { min_force, nominal_force, .. } = shared.limits;
-        shared.force_limit = limit(force.0, min_force, nominal_force)?;
+        shared.check(Quantity::Force, force.0)?;
+        shared.force_limit = force.0;
         Ok(())
     }
 
@@ -374,16 +445,25 @@ impl<IO, C> SetPointStream<IO, C> {
         self.backend
     }
 
-    /// Returns the latest sample.
-    #[must_use]
-    pub fn latest(&self) -> Sample {
-        lock(&self.shared).latest
+    /// Returns the latest sample. [`Sample::age_ms`] is less than the time-out of the link while the stream runs.
+    ///
+    /// # Errors
+    /// Returns the reason for the end of the stream, from then on. [`history`](Self::history) keeps the samples.
+    pub fn latest(&self) -> Result<Sample, Cause> {
+        let shared = lock(&self.shared);
+        shared.cause.map_or(Ok(shared.latest), Err)
     }
 
-    /// Returns the last [`HISTORY_LEN`] samples, oldest first.
+    /// Returns the last [`HISTORY_LEN`] samples, oldest first, also after the end of the stream.
     #[must_use]
     pub fn history(&self) -> Vec<Sample> {
         lock(&self.shared).history.iter().copied().collect()
+    }
+
+    /// Returns the last [`GAPS_LEN`] gaps, oldest first, also after the end of the stream.
+    #[must_use]
+    pub fn gaps(&self) -> Vec<Gap> {
+        lock(&self.shared).gaps.iter().copied().collect()
     }
 
     /// Returns the estimated latency and clock offset.
@@ -446,8 +526,10 @@ struct Shared {
     trajectory: Option<Trajectory>,
     speed_limit: f32,
     force_limit: f32,
+    queue_len: usize,
     latest: Sample,
     history: VecDeque<Sample>,
+    gaps: VecDeque<Gap>,
     exchanges: Exchanges,
     is_end_requested: bool,
     /// The reason why the worker ends. From then on, a stop has no effect on it.
@@ -456,6 +538,11 @@ struct Shared {
 }
 
 impl Shared {
+    /// Checks a value against the limits of the gripper.
+    fn check(&self, quantity: Quantity, value: f32) -> Result<(), Rejected> {
+        self.limits.check(quantity, value, self.latest.flags).map_err(Rejected::OutOfLimits)
+    }
+
     /// Returns the order at `now`, or `None` before the first set-point.
     fn order(&mut self, now: Instant) -> Option<Order> {
         let Self { speed_limit, force_limit, .. } = *self;
@@ -465,29 +552,38 @@ impl Shared {
 
     /// Returns the position to command at a future instant, if nothing changes.
     fn position_at(&self, moment: Instant) -> Option<f32> {
-        Some(self.trajectory.clone()?.advance(moment, self.speed_limit))
+        Some(self.trajectory.as_ref()?.position_at(moment, self.speed_limit))
     }
 
     fn record(&mut self, received_at: Instant, measured: &Measured, set_point: Option<f32>) {
         let Measured { flags, position, speed, force, measured_ms } = *measured;
-        let measured_at = self.exchanges.estimate().measured_at(received_at, measured_ms);
-        let number = self.latest.number.wrapping_add(1);
-        self.latest = Sample { number, measured_at, received_at, position, speed, force, flags, set_point };
-        if self.history.len() == HISTORY_LEN {
-            self.history.pop_front();
+        self.latest = Sample { position, speed, force, flags, set_point, ..self.latest };
+        if received_at.signed_since(self.latest.received_at) > 0 {
+            self.latest.number = self.latest.number.wrapping_add(1);
+            self.latest.received_at = received_at;
+            // The estimate of the latency changes, so the estimated time may be earlier than that of the sample before.
+            let next = self.latest.measured_at.plus(1);
+            let estimated = self.exchanges.estimate().measured_at(received_at, measured_ms);
+            self.latest.measured_at = if estimated.has_reached(next) { estimated } else { next };
+        } else {
+            // Replaces the sample of the same millisecond, because the times of samples must increase.
+            self.history.pop_back();
         }
-        self.history.push_back(self.latest);
+        keep(&mut self.history, self.latest, HISTORY_LEN);
     }
+}
+
+/// Appends to a history of limited length.
+fn keep<T>(history: &mut VecDeque<T>, latest: T, most: usize) {
+    if history.len() >= most {
+        history.pop_front();
+    }
+    history.push_back(latest);
 }
 
 /// A poisoned lock is safe to use: a panic leaves no change half done.
 fn lock(shared: &Mutex<Shared>) -> MutexGuard<'_, Shared> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Validates a limit and clamps it to the gripper's range.
-fn limit(value: f32, least: f32, greatest: f32) -> Result<f32, Rejected> {
-    if value.is_finite() && value > 0.0 { Ok(value.max(least).min(greatest)) } else { Err(Rejected::Invalid) }
 }
 
 #[cfg(test)]
@@ -503,7 +599,7 @@ mod tests {
             (Cause::FastStop, "acknowledge it"),
             (Cause::StoppedByOther, "another client"),
             (Cause::Script, "the gripper's log"),
-            (Cause::Watchdog, "500 ms"),
+            (Cause::Watchdog, "more than 1 s"),
             (Cause::Refused(Status::RangeError), "E_RANGE_ERROR"),
             (Cause::Unanswered, "no answer"),
             (Cause::Closed, "closed the connection"),
@@ -513,8 +609,12 @@ mod tests {
             let rejected = Rejected::Ended(cause).to_string();
             assert!(rejected.contains("the stream has ended") && rejected.contains(text), "{rejected}");
         }
-        assert!(Rejected::Invalid.to_string().contains("finite"));
-        assert!(Rejected::Full.to_string().contains(&MAX_SET_POINTS.to_string()));
+        assert!(Rejected::Full { queue_len: 17 }.to_string().contains("17 earlier"));
+        for (ahead_ms, text) in [(4_000_000, "4000 s ahead"), (i32::MIN, "2147483 s in the past")] {
+            let rejected = Rejected::BeyondHorizon { ahead_ms }.to_string();
+            assert!(rejected.contains(text) && rejected.contains("at most 3600 s"), "{rejected}");
+        }
+        assert!(StartError::<Cause>::Config.to_string().contains("1 to 4096"));
         let driver = StartError::<Cause>::Driver(Error::NotConnected);
         assert_eq!(driver.to_string(), Error::<Cause>::NotConnected.to_string());
         let system = || io::Error::from(io::ErrorKind::OutOfMemory);

@@ -96,6 +96,9 @@ pub struct Engine<D: Dialect> {
     /// Time at which the next upkeep query is due or times out; none while no setting is known.
     upkeep_at: Option<Instant>,
     counters: SessionCounters,
+    /// Whether a request that must not be repeated may be answered as late as one that is.
+    #[cfg(feature = "std")]
+    tolerates_late_answers: bool,
 }
 
 /// Requests to be withdrawn because something more urgent overtook them.
@@ -143,6 +146,8 @@ impl<D: Dialect> Engine<D> {
             upkeep_opened: Instant::from_millis(0),
             upkeep_at: None,
             counters: SessionCounters { unsolicited: 0, refused: 0, repeated: 0, disconnects: 0 },
+            #[cfg(feature = "std")]
+            tolerates_late_answers: false,
         }
     }
 
@@ -174,6 +179,23 @@ impl<D: Dialect> Engine<D> {
     #[must_use]
     pub const fn counters(&self) -> SessionCounters {
         self.counters
+    }
+
+    /// Chooses when the missing answer to a request that must not be repeated, such as a motion, closes the connection:
+    /// after the time-out of one request, or after the time for all attempts of a repeatable one.
+    #[cfg(feature = "std")]
+    pub(crate) const fn tolerate_late_answers(&mut self, does_tolerate: bool) {
+        self.tolerates_late_answers = does_tolerate;
+    }
+
+    /// Returns the time-out for each transmission of a request, in milliseconds.
+    fn request_timeout(&self, request: &Request<D::Request>) -> u32 {
+        let timeout_ms = self.timing.reply_timeout(request.name());
+        #[cfg(feature = "std")]
+        if self.tolerates_late_answers && !request.is_repeatable() {
+            return timeout_ms.saturating_mul(self.timing.attempts.into());
+        }
+        timeout_ms
     }
 
     /// Returns whether a request is queued, or its first reply or read-back is outstanding. Ignores Stop and FAST STOP.

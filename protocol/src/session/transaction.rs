@@ -33,7 +33,7 @@ impl<M: Message> Request<M> {
         }
     }
 
-    fn is_repeatable(&self) -> bool {
+    pub(super) fn is_repeatable(&self) -> bool {
         match self {
             Self::Own(message) => message.is_repeatable(),
             Self::Borrowed(name) | Self::Orphan(name) => name.is_repeatable(),

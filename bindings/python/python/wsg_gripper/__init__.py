@@ -29,7 +29,7 @@ from ._errors import (
     UnsupportedError,
 )
 from ._gripper import Gripper, Motion
-from ._streaming import Sample, StreamingGripper
+from ._streaming import Gap, Sample, StreamingGripper
 from ._types import (
     FingerFlags,
     FingerInfo,
@@ -54,6 +54,7 @@ __all__ = [
     "BusyError",
     "FingerFlags",
     "FingerInfo",
+    "Gap",
     "GripResult",
     "Gripper",
     "GripperError",

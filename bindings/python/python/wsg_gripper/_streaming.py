@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import threading
+import time
 from types import TracebackType
 from typing import NamedTuple, Optional, TypeVar
 
-from ._errors import NotConnectedError
+from ._errors import InvalidError, NotConnectedError
 from ._native import Stream, stream_script
-from ._types import HomingDirection, SystemFlags
+from ._types import HomingDirection, Limits, SystemFlags
 
 Self = TypeVar("Self", bound="StreamingGripper")
 
 
 class Sample(NamedTuple):
-    """State of the gripper at one instant. Times are values of ``time.time()`` in s."""
+    """State of the gripper at one instant. Times are values of ``time.time()`` in s, and increase from sample to sample."""
 
     number: int
     """Sample number, counted from 0."""
@@ -31,6 +32,20 @@ class Sample(NamedTuple):
     flags: SystemFlags
     set_point: Optional[float]
     """Commanded position in mm; ``None`` before the first set-point."""
+
+    @property
+    def age(self) -> float:
+        """Time since the measurement in s, now."""
+        return time.time() - self.measured
+
+
+class Gap(NamedTuple):
+    """A time without answers from the gripper, during which the fingers held or finished a segment of 100 ms."""
+
+    begin: float
+    """Time at which the first missing answer was due, as a value of ``time.time()`` in s."""
+    length: float
+    """Time until the next answer in s."""
 
 
 class StreamingGripper:
@@ -50,8 +65,10 @@ class StreamingGripper:
     and the fingers push against a part with the force limit. Without a script, the fingers stop between segments of
     100 ms, and contact turns the motor off. ``docs/streaming.md`` explains the upload.
 
-    Without new set-points the fingers move to the last one and stay there. A FAST STOP, a Stop by another client, a
-    script error or a lost connection ends the stream, and nothing resumes by itself: see :attr:`ended`.
+    Without new set-points the fingers move to the last one and stay there. If an answer is more than 100 ms late, the
+    fingers hold, or finish the segment, and continue when the gripper answers within 1 s: see :meth:`gaps`. A longer gap, a
+    FAST STOP, a Stop by another client, a script error or a lost connection ends the stream, and nothing resumes by itself:
+    see :attr:`ended`.
     """
 
     SCRIPT: str = stream_script()
@@ -65,17 +82,24 @@ class StreamingGripper:
         home: Optional[HomingDirection] = HomingDirection.DEFAULT,
         max_speed: Optional[float] = None,
         force: Optional[float] = None,
+        queue_size: int = 1024,
     ) -> None:
         """Prepare a stream of ``frequency`` set-points per second, 1 to 500. It connects in :meth:`start`.
 
         ``home`` references the fingers first, and ``None`` does not. ``max_speed`` in mm/s and ``force`` in N limit the
-        motion; the defaults are the maximum speed and the force limit of the gripper.
+        motion; the defaults are the maximum speed and the force limit of the gripper. :meth:`start` refuses values outside
+        the limits of the gripper before anything moves. At most ``queue_size`` waypoints wait, 1 to 4096.
         """
+        if not 1 <= frequency <= 500:
+            raise InvalidError(f"frequency is {frequency}; expected 1 to 500 set-points per second")
+        if not 1 <= queue_size <= 4096:
+            raise InvalidError(f"queue size is {queue_size}; expected 1 to 4096 waypoints")
         self.address = address
         self.frequency = frequency
         self._home = home
         self._max_speed = max_speed
         self._force = force
+        self._queue_size = queue_size
         self._stream: Optional[Stream] = None
         self._starting: Optional[threading.Thread] = None
         self._failure: Optional[BaseException] = None
@@ -122,7 +146,7 @@ class StreamingGripper:
             self._stream.stop_fingers(False)
 
     def stop_wait(self) -> None:
-        """Wait for the end of the stream. The samples remain available."""
+        """Wait for the end of the stream. :meth:`history` remains available."""
         if self._starting is not None:
             self._starting.join()
         if self._stream is not None:
@@ -152,38 +176,61 @@ class StreamingGripper:
     def schedule_waypoint(self, pos: float, target_time: float) -> None:
         """Move to a position in mm until a time of ``time.time()``, on a straight line from the set-point before.
 
-        It replaces the set-points at the same or a later time. A time in the past is like :meth:`set_target`. The stroke
-        and the speed limit take precedence. Raises ``StreamEndedError`` after the end of the stream.
+        It replaces the set-points at the same or a later time. A time in the past is like :meth:`set_target`. The speed
+        limit takes precedence.
+
+        Raises ``InvalidError`` for a position outside the stroke and for a time that is more than one hour ahead or in the
+        past, such as one in milliseconds; ``BusyError`` if the queue is full; ``StreamEndedError`` after the end of the
+        stream. Nothing changes then.
         """
         self._running().schedule(pos, target_time)
 
     def set_target(self, pos: float) -> None:
-        """Move to a position in mm at the speed limit. It replaces all set-points."""
+        """Move to a position in mm at the speed limit. It replaces all set-points.
+
+        Raises ``InvalidError`` for a position outside the stroke, ``StreamEndedError`` after the end of the stream.
+        """
         self._running().set_target(pos)
 
     def set_speed_limit(self, speed: float) -> None:
-        """Limit the speed to a value in mm/s, clamped to the limits of the gripper."""
+        """Limit the speed to a value in mm/s. Raises ``InvalidError`` outside the limits of the gripper."""
         self._running().set_speed_limit(speed)
 
     def set_force_limit(self, force: float) -> None:
-        """Limit the force on contact to a value in N, clamped to the limits of the gripper."""
+        """Limit the force on contact to a value in N. Raises ``InvalidError`` outside the limits of the gripper.
+
+        The greatest one is the nominal force, or in overdrive mode the overdrive force.
+        """
         self._running().set_force_limit(force)
 
     # State
 
     def latest(self) -> Sample:
-        """Return the latest sample."""
+        """Return the latest sample; its ``age`` is less than 1 s while the stream runs.
+
+        Raises ``StreamEndedError`` after the end of the stream, when the sample is no longer current.
+        """
         number, measured, received, position, speed, force, flags, set_point = self._running().latest()
         return Sample(number, measured, received, position, speed, force, SystemFlags(flags), set_point)
 
     def history(self) -> memoryview[float]:
         """Return the last 1024 samples, oldest first: rows of doubles with the columns of :class:`Sample`.
 
-        ``numpy.asarray(gripper.history())`` makes an array of it without a copy. A missing set-point is NaN.
+        ``numpy.asarray(gripper.history())`` makes an array of it without a copy. A missing set-point is NaN. It remains
+        available after the end of the stream.
         """
         columns = len(Sample._fields)
         rows = memoryview(self._running().history())
         return rows.cast("d", (len(rows) // (8 * columns), columns)) if rows else rows.cast("d")
+
+    def gaps(self) -> list[Gap]:
+        """Return the last 64 gaps, oldest first: answers that were more than 100 ms late."""
+        return [Gap(begin, length) for begin, length in self._running().gaps()]
+
+    @property
+    def limits(self) -> Limits:
+        """Physical limits of the gripper, which positions, speeds and forces must keep."""
+        return Limits(*self._running().limits())
 
     def _running(self) -> Stream:
         if self._stream is None:
@@ -191,12 +238,14 @@ class StreamingGripper:
         return self._stream
 
     def _open(self) -> None:
-        stream = Stream(self.address, round(self.frequency), self._home)
-        if self._max_speed is not None:
-            stream.set_speed_limit(self._max_speed)
-        if self._force is not None:
-            stream.set_force_limit(self._force)
-        self._stream = stream
+        self._stream = Stream(
+            self.address,
+            round(self.frequency),
+            self._queue_size,
+            self._home,
+            self._max_speed,
+            self._force,
+        )
 
     def _open_in_thread(self) -> None:
         try:

@@ -42,25 +42,36 @@ class WSGController(StreamingGripper):
         use_meters: bool = False,
         verbose: bool = False,
     ) -> None:
-        """Prepare the controller. ``move_max_speed`` is in mm/s.
+        """Prepare the controller. ``move_max_speed`` is in mm/s, and at most ``command_queue_size`` waypoints wait (4096).
 
-        With ``use_meters`` positions and speeds are in m and m/s. ``shm_manager``, ``get_max_k``,
-        ``command_queue_size``, ``launch_timeout`` and ``verbose`` have no effect.
+        With ``use_meters`` positions and speeds are in m and m/s. ``shm_manager``, ``get_max_k``, ``launch_timeout`` and
+        ``verbose`` have no effect.
         """
-        direction = HomingDirection.OPEN if home_to_open else HomingDirection.CLOSE
-        super().__init__(f"tcp://{hostname}:{port}", frequency, home=direction, max_speed=move_max_speed)
+        super().__init__(
+            f"tcp://{hostname}:{port}",
+            frequency,
+            home=HomingDirection.OPEN if home_to_open else HomingDirection.CLOSE,
+            max_speed=move_max_speed,
+            queue_size=command_queue_size,
+        )
         self.receive_latency = receive_latency
         self.scale = 1000.0 if use_meters else 1.0
 
     def schedule_waypoint(self, pos: float, target_time: float) -> None:
-        """Move to a position until a time of ``time.time()``."""
+        """Move to a position until a time of ``time.time()``.
+
+        Raises ``InvalidError`` for a position outside the stroke. Clamp the actions of a policy to ``0..limits.stroke``, in mm.
+        """
         super().schedule_waypoint(pos * self.scale, target_time)
 
     def restart_put(self, start_time: float) -> None:
         """Do nothing: the thread keeps its period, and waypoints have times of their own."""
 
     def get_state(self, k: Optional[int] = None, out: Optional[State] = None) -> State:
-        """Return the latest state, or arrays of the last ``k`` states."""
+        """Return the latest state, or arrays of the last ``k`` states.
+
+        Raises ``StreamEndedError`` after the end of the stream, for example when the connection is lost.
+        """
         state = self.get_all_state()
         last = {key: values[-1] if k is None else values[-k:] for key, values in state.items()}
         if out is None:
@@ -70,12 +81,14 @@ class WSGController(StreamingGripper):
         return out
 
     def get_all_state(self) -> State:
-        """Return arrays of the states of the history, oldest first."""
+        """Return arrays of the states of the history, oldest first. The timestamps increase strictly.
+
+        Raises ``StreamEndedError`` after the end of the stream, when no state is current. :meth:`history` remains available.
+        """
         import numpy
 
+        self.latest()  # Fails after the end of the stream.
         rows: Any = numpy.array(self.history())
-        if not len(rows):
-            rows = numpy.array([self.latest()], dtype=float)
         column = {name: rows[:, index] for index, name in enumerate(Sample._fields)}
         return {
             "gripper_state": column["flags"],

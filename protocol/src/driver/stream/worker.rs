@@ -6,15 +6,24 @@ use super::script::{
     MAX_ANSWER_LEN, Measured, Order, STREAM_END, STREAM_ID, UMI_MEASURE_ID, UMI_MOVE_ID, stream_answer,
     stream_order, umi_answer, umi_order,
 };
-use super::{Backend, Cause, Config, End, HISTORY_LEN, Sample, Shared, lock};
+use super::{
+    Backend, Cause, Config, End, GAPS_LEN, Gap, HISTORY_LEN, MAX_GAP_MS, Sample, Shared, keep, lock,
+};
+use crate::command::Command;
 use crate::driver::blocking::{Gripper, Transport};
+use crate::driver::engine::{Awaited, Copied, Goal};
+use crate::driver::link::Link;
 use crate::driver::{Clock, Error, Mm, MmPerS, N, OnBlock, Pending, StopKind, Update};
-use crate::session::Topic;
+use crate::frame::Frame;
+use crate::reply::Reply;
+use crate::session::{MISMATCH, Topic};
 use crate::time::Instant;
 use crate::types::{AutoUpdate, Status, SystemFlags};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
+/// How late an answer or a period may be, in ms, before it counts as a gap.
+const GAP_MS: u32 = 100;
 /// The travel time of one Pre-position, in ms.
 const SEGMENT_MS: u32 = 100;
 /// The shortest distance for which a Pre-position is sent, in mm.
@@ -33,6 +42,8 @@ pub(super) struct Worker<IO, C> {
     shared: Arc<Mutex<Shared>>,
     backend: Backend,
     rate_hz: u16,
+    /// Start of the current period.
+    due: Instant,
     /// The last ordered position in mm.
     set_point: Option<f32>,
     segment: Segment,
@@ -56,6 +67,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Detects the back-end and measures once.
     pub(super) fn new(mut gripper: Gripper<IO, C>, config: Config) -> Result<Self, Error<IO::Error>> {
         let mut clock = gripper.clock().clone();
+        gripper.engine.link_mut().tolerate_late_answers(true);
         let limits = gripper.limits()?;
         let force_limit = gripper.force_limit()?.0;
         let flags = gripper.system_state()?;
@@ -64,7 +76,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let mut found = None;
         for backend in [Backend::Script, Backend::UmiScript] {
             sent = clock.now();
-            match exchange(&mut gripper, backend, None, 0.0) {
+            match exchange(&mut gripper, backend, None) {
                 Ok(Some(measured)) => found = Some((backend, measured)),
                 // The command is unsupported, or another script uses it.
                 Ok(None) | Err(Error::Refused(_) | Error::TooLong { .. }) => continue,
@@ -97,8 +109,10 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             trajectory: None,
             speed_limit: limits.max_speed,
             force_limit,
+            queue_len: config.queue_len,
             latest,
             history,
+            gaps: VecDeque::new(),
             exchanges,
             is_end_requested: false,
             cause: None,
@@ -110,6 +124,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             shared,
             backend,
             rate_hz: config.rate_hz,
+            due: received_at,
             set_point: None,
             segment: Segment { pending: None, end: position, way: 0.0, blocked: 0.0, force_limit },
         })
@@ -125,7 +140,8 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
 
     /// Follows the trajectory until the stream ends, and returns the gripper.
     pub(super) fn run(mut self) -> Gripper<IO, C> {
-        let mut pace = Pace::new(self.rate_hz, self.clock.now());
+        self.due = self.clock.now();
+        let mut pace = Pace::new(self.rate_hz, self.due);
         let cause = loop {
             let followed = self.turn().and_then(|()| {
                 let due = pace.next(self.clock.now());
@@ -141,6 +157,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Sends the orders that are due.
     fn turn(&mut self) -> Result<(), Cause> {
         let now = self.clock.now();
+        self.check_pause(now)?;
         let order = {
             let mut shared = lock(&self.shared);
             if shared.is_end_requested {
@@ -152,23 +169,25 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         match self.backend {
             Backend::PrePosition => self.pre_position(now, order)?,
             Backend::Script | Backend::UmiScript => {
-                let here = lock(&self.shared).latest.position;
-                let measured = exchange(&mut self.gripper, self.backend, order, here).map_err(cause_of)?;
-                self.record(now, measured.ok_or(Cause::Script)?);
+                let latest = lock(&self.shared).latest;
+                let order = order.map(|order| (order, latest));
+                let measured = exchange(&mut self.gripper, self.backend, order).map_err(cause_of)?;
+                self.record(now, measured.ok_or(Cause::Script)?)?;
             }
         }
         self.check()
     }
 
-    /// Receives updates until `due`, but at least those available.
+    /// Receives updates until the next period at `due`, but at least those available.
     fn rest(&mut self, due: Instant) -> Result<(), Cause> {
+        self.due = due;
         loop {
             let rest_ms = due.since(self.clock.now());
             let update = self.gripper.next_update(rest_ms).map_err(cause_of)?;
             self.check()?;
             match update {
                 Some(Update::Width(position)) if self.backend == Backend::PrePosition => {
-                    self.record_update(position);
+                    self.record_update(position)?;
                 }
                 Some(_) => {}
                 None => return Ok(()),
@@ -177,16 +196,21 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     }
 
     /// Records the reply to a request of time `sent`.
-    fn record(&mut self, sent: Instant, measured: Measured) {
+    fn record(&mut self, sent: Instant, measured: Measured) -> Result<(), Cause> {
         let received = self.clock.now();
+        self.check_gap(self.due, received)?;
         let mut shared = lock(&self.shared);
         shared.exchanges.add(sent, received, measured.measured_ms);
         shared.record(received, &measured, self.set_point);
+        Ok(())
     }
 
     /// Records an automatic update of the width, with the latest values of the others.
-    fn record_update(&mut self, position: f32) {
+    fn record_update(&mut self, position: f32) -> Result<(), Cause> {
         let received = self.clock.now();
+        self.check_pause(received)?;
+        let expected = lock(&self.shared).latest.received_at.plus(UPDATE_PERIOD_MS.into());
+        self.check_gap(expected, received)?;
         let known = self.gripper.known();
         let measured = Measured {
             flags: known.flags.unwrap_or_default(),
@@ -196,10 +220,50 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             measured_ms: None,
         };
         lock(&self.shared).record(received, &measured, self.set_point);
+        Ok(())
+    }
+
+    /// Handles a pause of this program: the trajectory continues where it was, or the stream ends.
+    fn check_pause(&self, now: Instant) -> Result<(), Cause> {
+        self.hold(now.since(self.due), now, Cause::Watchdog)
+    }
+
+    /// Records a gap if a sample that was `expected` has been `received` late.
+    fn check_gap(&self, expected: Instant, received: Instant) -> Result<(), Cause> {
+        let length_ms = received.since(expected);
+        if length_ms > GAP_MS {
+            keep(&mut lock(&self.shared).gaps, Gap { begun_at: expected, length_ms }, GAPS_LEN);
+        }
+        self.hold(length_ms, received, Cause::Unanswered)
+    }
+
+    /// After a gap, continues from the last ordered position, or ends the stream if set-points became too old in it.
+    fn hold(&self, gap_ms: u32, now: Instant, cause: Cause) -> Result<(), Cause> {
+        if gap_ms > MAX_GAP_MS {
+            return Err(cause);
+        }
+        if gap_ms > GAP_MS
+            && let Some(held) = self.held()
+            && let Some(trajectory) = &mut lock(&self.shared).trajectory
+        {
+            trajectory.resume(now, held);
+        }
+        Ok(())
+    }
+
+    /// Returns the position in mm at which the fingers hold without further orders.
+    fn held(&self) -> Option<f32> {
+        match self.backend {
+            Backend::PrePosition => Some(self.segment.end),
+            Backend::Script | Backend::UmiScript => self.set_point,
+        }
     }
 
     /// Checks for conditions that end the stream without an error reply.
     fn check(&self) -> Result<(), Cause> {
+        if !self.gripper.is_connected() {
+            return Err(Cause::Unanswered);
+        }
         let reported = lock(&self.shared).latest.flags;
         let known = self.gripper.known().flags.unwrap_or_default();
         if known.union(reported).contains(SystemFlags::FAST_STOP) {
@@ -227,20 +291,19 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
             self.segment.pending = None;
         }
         let Some(order) = order else { return Ok(()) };
-        let shared = lock(&self.shared);
-        let to = shared.position_at(now.plus(SEGMENT_MS)).unwrap_or(order.position);
-        let min_speed = shared.limits.min_speed;
-        drop(shared);
+        let (to, min_speed) = {
+            let shared = lock(&self.shared);
+            let to = shared.position_at(now.plus(SEGMENT_MS)).unwrap_or(order.position);
+            // The trajectory begins at a measured position, which may be slightly outside.
+            (to.max(0.0).min(shared.limits.stroke), shared.limits.min_speed)
+        };
         let way = to - self.segment.end;
         if way.abs() < SHORTEST_WAY || way * self.segment.blocked > 0.0 {
             return Ok(());
         }
         if order.force_limit != self.segment.force_limit {
-            match self.gripper.set_force_limit(N(order.force_limit)) {
-                // The gripper's own limits may be narrower.
-                Ok(()) | Err(Error::Mismatch) => self.segment.force_limit = order.force_limit,
-                Err(error) => return Err(cause_of(error)),
-            }
+            self.gripper.set_force_limit(N(order.force_limit)).map_err(cause_of)?;
+            self.segment.force_limit = order.force_limit;
         }
         // A short way takes less time than a segment, because the driver refuses a speed below the gripper's minimum.
         let speed = (way.abs() * 1_000.0 / SEGMENT_MS as f32).max(min_speed).min(order.speed_limit);
@@ -254,6 +317,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
 
     /// Stops the fingers and reports the cause.
     fn finish(mut self, mut cause: Cause) -> Gripper<IO, C> {
+        self.gripper.engine.link_mut().tolerate_late_answers(false);
         {
             let mut shared = lock(&self.shared);
             if shared.is_end_requested && cause == Cause::Stopped(StopKind::Stop) {
@@ -269,7 +333,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         match self.backend {
             Backend::Script if is_stop_confirmed => {
                 // Otherwise the script could affect the following motions.
-                let _ = exchange(&mut self.gripper, self.backend, None, 0.0);
+                let _ = exchange(&mut self.gripper, self.backend, None);
             }
             Backend::Script | Backend::UmiScript => {}
             Backend::PrePosition => {
@@ -292,25 +356,55 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     }
 }
 
-/// Sends an order to the script, or only measures, and returns the state. `here` is the measured position in mm.
-/// Returns `None` for a reply of another layout.
+/// Sends an order with the latest sample to the script, or only measures, and returns the state. Returns `None` for a
+/// reply of another layout.
 fn exchange<IO: Transport, C: Clock>(
     gripper: &mut Gripper<IO, C>,
     backend: Backend,
-    order: Option<Order>,
-    here: f32,
+    order: Option<(Order, Sample)>,
 ) -> Result<Option<Measured>, Error<IO::Error>> {
     let mut buffer = [0; MAX_ANSWER_LEN];
     if backend == Backend::Script {
-        let payload = order.map(|order| stream_order(&order));
+        let payload = order.map(|(order, _)| stream_order(&order));
         let payload = payload.as_ref().map_or(&STREAM_END[..], |payload| payload);
         return gripper.raw(STREAM_ID, payload, &mut buffer).map(stream_answer);
     }
     let answer = match order {
-        Some(order) => gripper.raw(UMI_MOVE_ID, &umi_order(&order, here), &mut buffer)?,
+        Some((order, latest)) => {
+            let payload = umi_order(&order, latest.position);
+            // A Stop would release the part.
+            let is_blocked = latest.flags.intersects(SystemFlags::BLOCKED_MINUS | SystemFlags::BLOCKED_PLUS);
+            if is_blocked {
+                gripper.raw(UMI_MOVE_ID, &payload, &mut buffer)?
+            } else {
+                move_or_stop(gripper, UMI_MOVE_ID, &payload, &mut buffer)?
+            }
+        }
         None => gripper.raw(UMI_MEASURE_ID, &[0], &mut buffer)?,
     };
     Ok(umi_answer(answer, gripper.known().flags.unwrap_or_default()))
+}
+
+/// Sends an order to a script that keeps the last speed. If the answer is late, sends Stop and waits on.
+fn move_or_stop<'b, IO: Transport, C: Clock>(
+    gripper: &mut Gripper<IO, C>,
+    id: u8,
+    payload: &[u8],
+    buffer: &'b mut [u8],
+) -> Result<&'b [u8], Error<IO::Error>> {
+    let command = Command::decode(&Frame { id, payload })?;
+    gripper.become_free()?;
+    gripper.engine.link_mut().request_borrowed(&command)?;
+    let mut copied = Copied::new(buffer);
+    let look = &mut |reply: &Reply<'_>| copied.take(reply);
+    let mut awaited = Awaited::answer(command.id(), Some(command), look);
+    let until = gripper.clock.now().plus(GAP_MS);
+    if !gripper.drive(&mut awaited, Goal::Answered, Some(until))? {
+        gripper.engine.link_mut().request(Command::Stop, None)?;
+        gripper.drive(&mut awaited, Goal::Answered, None)?;
+    }
+    awaited.result()?;
+    copied.finish()
 }
 
 fn cause_of<E: embedded_io::Error>(error: Error<E>) -> Cause {
@@ -323,6 +417,8 @@ fn cause_of<E: embedded_io::Error>(error: Error<E>) -> Cause {
         Error::Refused(status) | Error::Failed(status) => Cause::Refused(status),
         Error::OutOfLimits(_) => Cause::Refused(Status::RangeError),
         Error::MotionRunning => Cause::Refused(Status::AlreadyRunning),
+        // The gripper has another force limit than the one that was set.
+        Error::Mismatch => Cause::Refused(MISMATCH),
         Error::Closed => Cause::Closed,
         Error::Transport(error) => Cause::Transport(error.kind()),
         _ => Cause::Unanswered,
@@ -333,37 +429,58 @@ fn cause_of<E: embedded_io::Error>(error: Error<E>) -> Cause {
 mod tests {
     use super::super::trajectory::Trajectory;
     use super::*;
-    use crate::driver::tests::rig::{Rig, Watch, frame, payload};
+    use crate::driver::tests::rig::{Rig, Watch, frame, payload, status};
     use crate::{Command, CommandId, PrePositionFlags, Reply, Value};
     use std::vec;
+    use std::vec::Vec;
 
     /// The opening width of the rig, in mm.
     const HERE: f32 = 42.5;
 
-    /// Returns a worker that the test advances by hand. With [`Backend::Script`], the script has answered once.
+    /// Returns the answer of a script to the request with this ID.
+    fn answer(id: u8, position: f32, flags: SystemFlags) -> Vec<u8> {
+        let flags = flags.bits().to_le_bytes();
+        let head = if id == STREAM_ID { [&[1], &flags[..]].concat() } else { vec![flags[0]] };
+        let values = [position, 0.0, 0.0, 0.0].map(f32::to_le_bytes);
+        let parameters = [&head, values.as_flattened()].concat();
+        frame(Reply::success(Value::Unknown { id, parameters: &parameters }))
+    }
+
+    /// Scripts the answer to the next request with this ID, after `ms`.
+    fn answer_after(rig: &Rig, ms: u32, id: u8, flags: SystemFlags) {
+        rig.script(CommandId::Unknown(id), vec![(ms, answer(id, HERE, flags))]);
+    }
+
+    /// Returns a worker that the test advances by hand. A script has answered once.
     fn worker(backend: Backend) -> (Rig, Worker<Rig, Watch>) {
+        worker_with(backend, crate::driver::Config::DEFAULT)
+    }
+
+    fn worker_with(backend: Backend, config: crate::driver::Config) -> (Rig, Worker<Rig, Watch>) {
         let rig = Rig::new();
-        for id in [STREAM_ID, UMI_MEASURE_ID].map(CommandId::Unknown) {
-            if backend == Backend::Script {
-                let values = [0.0, HERE, 0.0, 0.0, 0.0].map(f32::to_le_bytes);
-                let parameters = [&[1], values.as_flattened()].concat();
-                let value = Value::Unknown { id: STREAM_ID, parameters: &parameters };
-                rig.script(id, vec![(1, frame(Reply::success(value)))]);
+        for (script, id) in [(Backend::Script, STREAM_ID), (Backend::UmiScript, UMI_MEASURE_ID)] {
+            if backend == script {
+                answer_after(&rig, 1, id, SystemFlags::empty());
                 break;
             }
-            rig.script_status(id, Status::CmdUnknown);
+            rig.script_status(CommandId::Unknown(id), Status::CmdUnknown);
         }
-        let gripper = crate::driver::tests::connect(&rig);
+        let mut gripper = Gripper::<_, _>::with_config(rig.clone(), Watch(rig.clone()), config);
+        gripper.connect().unwrap();
         let worker = Worker::new(gripper, Config::DEFAULT).unwrap();
         assert_eq!(worker.backend(), backend);
         (rig, worker)
+    }
+
+    fn now(rig: &Rig) -> Instant {
+        rig.world(|world| world.now)
     }
 
     /// Orders a position, starting at the end of the last segment.
     fn order(rig: &Rig, worker: &Worker<Rig, Watch>, position: f32, speed_limit: f32) {
         let now = rig.world(|world| world.now);
         let mut shared = lock(worker.shared());
-        let mut trajectory = Trajectory::at(worker.segment.end, now);
+        let mut trajectory = Trajectory::at(worker.segment.end, now, 64);
         trajectory.set_target(now, position, speed_limit);
         (shared.trajectory, shared.speed_limit) = (Some(trajectory), speed_limit);
     }
@@ -477,11 +594,183 @@ mod tests {
     }
 
     #[test]
+    fn force_limit_that_the_gripper_does_not_apply_ends_the_stream_before_it_moves() {
+        let (rig, mut worker) = worker(Backend::PrePosition);
+        rig.script(CommandId::GetForceLimit, vec![(1, frame(Reply::success(Value::GetForceLimit(80.0))))]);
+        lock(worker.shared()).force_limit = 40.0;
+        order(&rig, &worker, 80.0, 100.0);
+        assert_eq!(worker.turn(), Err(Cause::Refused(MISMATCH)));
+        assert_eq!(rig.heard(CommandId::PrePosition), 0);
+    }
+
+    #[test]
     fn motion_that_was_running_before_refuses_the_first_segment() {
         let (rig, mut worker) = worker(Backend::PrePosition);
         let _grip = worker.gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
         order(&rig, &worker, 80.0, 100.0);
         assert_eq!(worker.turn(), Err(Cause::Refused(Status::AlreadyRunning)));
+    }
+
+    /// The link's time-out with the default settings.
+    const LINK_MS: u32 = 600;
+
+    /// Returns the lengths of the gaps so far, in ms.
+    fn gaps(worker: &Worker<Rig, Watch>) -> Vec<u32> {
+        lock(worker.shared()).gaps.iter().map(|gap| gap.length_ms).collect()
+    }
+
+    /// Begins the next period now.
+    fn begin_period(rig: &Rig, worker: &mut Worker<Rig, Watch>) {
+        worker.due = now(rig);
+    }
+
+    #[test]
+    fn late_answer_of_a_script_is_a_gap_after_which_the_stream_goes_on() {
+        for (backend, id) in [(Backend::Script, STREAM_ID), (Backend::UmiScript, UMI_MOVE_ID)] {
+            for (late_ms, gap) in
+                [(GAP_MS, None), (GAP_MS + 1, Some(101)), (240, Some(240)), (599, Some(599))]
+            {
+                let (rig, mut worker) = worker(backend);
+                order(&rig, &worker, 10.0, 100.0);
+                begin_period(&rig, &mut worker);
+                let begun_at = now(&rig);
+                answer_after(&rig, late_ms, id, SystemFlags::empty());
+                worker.turn().unwrap();
+                let expected: Vec<Gap> =
+                    gap.map(|length_ms| Gap { begun_at, length_ms }).into_iter().collect();
+                assert_eq!(Vec::from(lock(worker.shared()).gaps.clone()), expected);
+                // UMI's script would keep the last speed.
+                let is_stopped = backend == Backend::UmiScript && gap.is_some();
+                assert_eq!(rig.heard(CommandId::Stop), usize::from(is_stopped), "{backend:?}, {late_ms} ms");
+                // The time of the gap gives no reach: 1 mm in 10 ms at 100 mm/s.
+                let before = worker.set_point.unwrap();
+                rig.pass(10);
+                begin_period(&rig, &mut worker);
+                answer_after(&rig, 1, id, SystemFlags::empty());
+                worker.turn().unwrap();
+                let way = (worker.set_point.unwrap() - before).abs();
+                assert!(gap.is_none() || (0.9..1.2).contains(&way), "{backend:?}, {late_ms} ms: {way} mm");
+                assert_eq!(gaps(&worker).len(), expected.len());
+            }
+        }
+    }
+
+    #[test]
+    fn lost_link_ends_the_stream() {
+        for (backend, id) in [(Backend::Script, STREAM_ID), (Backend::UmiScript, UMI_MOVE_ID)] {
+            let (rig, mut worker) = worker(backend);
+            order(&rig, &worker, 10.0, 100.0);
+            answer_after(&rig, LINK_MS + 10, id, SystemFlags::empty());
+            rig.world(|world| world.silent = true);
+            let begun = now(&rig);
+            assert_eq!(worker.turn(), Err(Cause::Unanswered));
+            assert!(now(&rig).since(begun) <= LINK_MS);
+        }
+        // Without a request, too.
+        let (rig, mut worker) = worker(Backend::PrePosition);
+        rig.world(|world| world.silent = true);
+        let begun = now(&rig);
+        let ended = (0..1_000).find_map(|_| worker.rest(now(&rig).plus(10)).err());
+        assert_eq!(ended, Some(Cause::Unanswered));
+        assert!(now(&rig).since(begun) <= 2 * LINK_MS);
+    }
+
+    #[test]
+    fn part_that_is_held_is_not_released_in_a_gap() {
+        for (flags, stops) in [(SystemFlags::BLOCKED_MINUS, 0), (SystemFlags::BLOCKED_PLUS, 0)] {
+            let (rig, mut worker) = worker(Backend::UmiScript);
+            order(&rig, &worker, 10.0, 100.0);
+            answer_after(&rig, 1, UMI_MOVE_ID, flags);
+            worker.turn().unwrap();
+            begin_period(&rig, &mut worker);
+            answer_after(&rig, 240, UMI_MOVE_ID, flags);
+            worker.turn().unwrap();
+            assert_eq!((gaps(&worker), rig.heard(CommandId::Stop)), (vec![240], stops));
+        }
+    }
+
+    #[test]
+    fn set_points_older_than_a_second_never_run() {
+        // The line tolerates longer pauses than the stream.
+        let session = crate::session::Config { reply_timeout_ms: 2_000, ..crate::session::Config::DEFAULT };
+        let config = crate::driver::Config { session, ..crate::driver::Config::DEFAULT };
+        for (late_ms, result) in [(MAX_GAP_MS, Ok(())), (MAX_GAP_MS + 1, Err(Cause::Unanswered))] {
+            let (rig, mut worker) = worker_with(Backend::Script, config);
+            order(&rig, &worker, 10.0, 100.0);
+            begin_period(&rig, &mut worker);
+            answer_after(&rig, late_ms, STREAM_ID, SystemFlags::empty());
+            assert_eq!(worker.turn(), result);
+            assert_eq!(gaps(&worker), [late_ms]);
+        }
+        // A pause of the program.
+        for (backend, command) in [
+            (Backend::Script, CommandId::Unknown(STREAM_ID)),
+            (Backend::UmiScript, CommandId::Unknown(UMI_MOVE_ID)),
+            (Backend::PrePosition, CommandId::PrePosition),
+        ] {
+            let (rig, mut worker) = worker(backend);
+            order(&rig, &worker, 10.0, 100.0);
+            begin_period(&rig, &mut worker);
+            let before = rig.heard(command);
+            rig.pass(MAX_GAP_MS + 1);
+            assert_eq!(worker.turn(), Err(Cause::Watchdog));
+            assert_eq!(rig.heard(command), before);
+        }
+    }
+
+    #[test]
+    fn shorter_pause_of_the_program_gives_no_reach() {
+        let (rig, mut worker) = worker(Backend::Script);
+        order(&rig, &worker, 10.0, 100.0);
+        begin_period(&rig, &mut worker);
+        answer_after(&rig, 1, STREAM_ID, SystemFlags::empty());
+        worker.turn().unwrap();
+        let before = worker.set_point.unwrap();
+        rig.pass(MAX_GAP_MS - 10);
+        answer_after(&rig, 1, STREAM_ID, SystemFlags::empty());
+        worker.turn().unwrap();
+        assert_eq!(worker.set_point, Some(before));
+        assert_eq!(gaps(&worker).len(), 1);
+    }
+
+    #[test]
+    fn late_start_of_a_segment_and_missing_updates_are_gaps() {
+        let (rig, mut worker) = worker(Backend::PrePosition);
+        order(&rig, &worker, 80.0, 100.0);
+        begin_period(&rig, &mut worker);
+        let id = CommandId::PrePosition;
+        let pending = status(id, Status::CmdPending);
+        rig.script(id, vec![(240, pending), (340, status(id, Status::Success))]);
+        let expected = lock(worker.shared()).latest.received_at.plus(UPDATE_PERIOD_MS.into());
+        worker.turn().unwrap();
+        rig.inject(&frame(Reply::success(Value::GetOpeningWidth(41.0))));
+        worker.rest(now(&rig)).unwrap();
+        assert_eq!(gaps(&worker), [now(&rig).since(expected)]);
+        assert!(gaps(&worker)[0] >= 200);
+        assert_eq!(rig.heard(id), 1);
+    }
+
+    #[test]
+    fn times_of_samples_increase_strictly() {
+        let (rig, mut worker) = worker(Backend::PrePosition);
+        for (pass_ms, width) in [(25, 41.0), (0, 40.0), (0, 39.0), (1, 38.0), (0, 37.0), (24, 36.0)] {
+            rig.pass(pass_ms);
+            // A shorter and a longer latency.
+            let sent = now(&rig).plus(u32::MAX - pass_ms);
+            lock(worker.shared()).exchanges.add(sent, now(&rig), None);
+            worker.record_update(width).unwrap();
+            assert_eq!(lock(worker.shared()).latest.position, width);
+        }
+        let history = Vec::from(lock(worker.shared()).history.clone());
+        // Updates of the same millisecond are one sample, with the latest value.
+        let positions: Vec<f32> = history.iter().map(|sample| sample.position).collect();
+        assert_eq!(positions, [HERE, 39.0, 37.0, 36.0]);
+        for pair in history.windows(2) {
+            assert!(pair[1].received_at.signed_since(pair[0].received_at) > 0, "{pair:?}");
+            assert!(pair[1].measured_at.signed_since(pair[0].measured_at) > 0, "{pair:?}");
+            assert!(pair[1].received_at.has_reached(pair[1].measured_at), "{pair:?}");
+            assert_eq!(pair[1].number, pair[0].number + 1);
+        }
     }
 
     #[test]

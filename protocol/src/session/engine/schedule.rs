@@ -16,7 +16,7 @@ impl<D: Dialect> Engine<D> {
             && !self.may_take_a_doubled_answer()
             && let Some(request) = self.queue.pop_front()
         {
-            self.request.open(request, self.timing.reply_timeout(request.name()));
+            self.request.open(request, self.request_timeout(&request));
         }
         if !self.refresh.is_idle() {
             return;

@@ -59,8 +59,11 @@ class Wsg(Robot):
         return {"gripper.pos": sample.position, "gripper.vel": sample.speed, "gripper.force": sample.force}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Move to the width at the speed limit. It replaces the action before, also during its motion."""
-        width = float(action["gripper.pos"])
+        """Move to the width at the speed limit. It replaces the action before, also during its motion.
+
+        The gripper refuses a width outside its stroke, so it is clipped. The result has the width that was sent.
+        """
+        width = min(max(float(action["gripper.pos"]), 0.0), self._gripper.limits.stroke)
         self._gripper.set_target(width)
         return {"gripper.pos": width}
 
