@@ -68,6 +68,8 @@ pub struct BusCounts {
     pub busy: u16,
     /// Messages that were lost because they were too long or too fast.
     pub overruns: u16,
+    /// Characters around intact messages that a transceiver caused, and that were ignored.
+    pub strays: u16,
 }
 
 /// Reason for a failed register access.

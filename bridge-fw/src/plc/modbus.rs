@@ -55,6 +55,7 @@ report_rows! { BusCounts as it:
     122 "NO_RESPONSES" "frames for this unit without a response (FC 8, 0Fh)" it.no_responses;
     123 "SERVER_BUSY" "exception responses 06, busy (FC 8, 11h)" it.busy;
     124 "BUS_OVERRUNS" "frames with a damaged or lost character (FC 8, 12h)" it.overruns;
+    211 "BUS_STRAYS" "characters 00h, FFh or breaks directly before or after intact frames, ignored" it.strays;
 }
 
 /// Maximum characters read from a line per event. A continuously sending line must not delay the rest of the turn. One
@@ -122,9 +123,9 @@ impl Modbus {
             no_responses,
             busy,
             overruns,
-            ..
+            strays,
         } = self.server.counters();
-        BusCounts { messages, errors, exceptions, own_messages, no_responses, busy, overruns }
+        BusCounts { messages, errors, exceptions, own_messages, no_responses, busy, overruns, strays }
     }
 
     /// Combines the server with its line: a PLC side for one turn.

@@ -4,6 +4,7 @@ use bus_modbus::rtu::{Character, Config, Event, Mode, Server, Timing};
 use bus_modbus::{Bits, Device, Exception, Identification, Words};
 
 use super::input::Input;
+use super::rtu_line::{Heard, checksum, frame_in};
 
 const UNIT: u8 = 17;
 const OTHER_UNIT: u8 = 5;
@@ -45,9 +46,8 @@ struct Model {
     server: Server,
     served: Tables,
     expected: Tables,
-    /// The frame before the next long silence.
-    frame: Vec<u8>,
-    void: bool,
+    /// The characters before the next long silence.
+    heard: Vec<Heard>,
 }
 
 /// The first byte enables broadcasts. Each further op is a byte that selects a frame, with parameter bytes.
@@ -65,8 +65,7 @@ pub fn modbus(data: &[u8]) {
         server: Server::new(config, TIMING),
         served: tables.clone(),
         expected: tables,
-        frame: Vec::new(),
-        void: false,
+        heard: Vec::new(),
     };
     while !input.is_empty() {
         let op = input.byte();
@@ -83,6 +82,10 @@ pub fn modbus(data: &[u8]) {
         match (trouble % 8, frame.get_mut(at)) {
             (0, Some(byte)) => *byte ^= 1 << (trouble >> 5),
             (1, _) => frame.truncate(at),
+            (4, _) => frame.extend([[0x00, 0xFF][usize::from(trouble >> 7)]].repeat(1 + at % 4)),
+            (5, _) => frame
+                .splice(..0, [[0x00, 0xFF][usize::from(trouble >> 7)]].repeat(1 + at % 10))
+                .for_each(drop),
             _ => {}
         }
         model.send(&frame, (trouble % 8 == 2).then_some(at), (trouble % 8 == 3).then_some(at));
@@ -126,18 +129,6 @@ fn request(input: &mut Input<'_>) -> Vec<u8> {
     [&[function][..], &data].concat()
 }
 
-/// Computes the specification's polynomial bit by bit.
-pub(super) fn checksum(bytes: &[u8]) -> [u8; 2] {
-    let mut value = 0xFFFF_u16;
-    for byte in bytes {
-        value ^= u16::from(*byte);
-        for _ in 0..8 {
-            value = if value & 1 == 1 { value >> 1 ^ 0xA001 } else { value >> 1 };
-        }
-    }
-    value.to_le_bytes()
-}
-
 pub(super) fn sealed(frame: &[u8]) -> Vec<u8> {
     [frame, &checksum(frame)].concat()
 }
@@ -161,8 +152,8 @@ impl Model {
             } else {
                 assert_eq!(event, None, "inside a frame");
             }
-            self.frame.push(*byte);
-            self.void |= damaged_at == Some(at) || pause_at == Some(at) && at > 0;
+            let byte = (damaged_at != Some(at)).then_some(*byte);
+            self.heard.push(Heard { byte, after_pause: pause_at == Some(at) });
         }
     }
 
@@ -181,21 +172,22 @@ impl Model {
 
     /// Compares the effect of the sent frame with the model. Returns whether the server was replaced.
     fn settle(&mut self, event: Option<Outcome>) -> bool {
-        let frame = std::mem::take(&mut self.frame);
-        let void = std::mem::take(&mut self.void);
-        if frame.is_empty() {
+        let heard = std::mem::take(&mut self.heard);
+        if heard.is_empty() {
             assert_eq!(event, None, "nothing was sent");
             return false;
         }
         let event = event.expect("a silence ends a frame");
+        let frame = frame_in(&heard);
         if let Outcome::Answer(answer) = &event {
-            assert!(!void && frame[0] == UNIT, "an answer to a frame that was not for this unit");
+            let frame = frame.as_ref().filter(|frame| frame[0] == UNIT);
+            let frame = frame.expect("an answer to a frame that was not for this unit");
             assert!((5..=256).contains(&answer.len()), "{answer:02X?}");
             assert_eq!(answer[0], UNIT);
             assert_eq!(answer[1] & 0x7F, frame[1] & 0x7F, "the function of the request");
             assert_eq!(checksum(&answer[..answer.len() - 2]), answer[answer.len() - 2..], "{answer:02X?}");
         }
-        let expected = self.outcome(&frame, void);
+        let expected = frame.as_ref().map_or(Outcome::Damaged, |frame| self.outcome(frame));
         if expected != Outcome::Unmodelled {
             assert_eq!(event, expected, "after {frame:02X?}");
         }
@@ -208,11 +200,8 @@ impl Model {
         is_listen_only
     }
 
-    fn outcome(&mut self, frame: &[u8], void: bool) -> Outcome {
-        let Some((body, sent)) = frame.split_last_chunk::<2>() else { return Outcome::Damaged };
-        if void || body.len() < 2 || frame.len() > 256 || checksum(body) != *sent {
-            return Outcome::Damaged;
-        }
+    fn outcome(&mut self, frame: &[u8]) -> Outcome {
+        let (body, _) = frame.split_at(frame.len() - 2);
         let (unit, function, data) = (body[0], body[1], &body[2..]);
         let may_be_broadcast = self.config.broadcast && MAY_BE_BROADCAST.contains(&function);
         match unit {

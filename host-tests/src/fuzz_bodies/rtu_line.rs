@@ -1,11 +1,10 @@
 //! Matches the bridge's answers on a Modbus RTU line with their requests.
 //!
 //! Independent of the bridge's framing: every answer needs a request, an intact frame for its unit between two
-//! silences of T3.5, or fragments of one with pauses below BUS_CHAR_TIMEOUT.
+//! silences of T3.5, or fragments of one with pauses below BUS_CHAR_TIMEOUT. Strays of a transceiver may surround it.
 
 use bus_modbus::rtu::{Character, Timing};
 
-use super::modbus::checksum;
 use crate::rtu_double::Event;
 
 /// The responding unit of a line, and the handling of silences there.
@@ -22,13 +21,72 @@ impl Way {
     }
 }
 
+/// A received character.
+#[derive(Clone, Copy)]
+pub(super) struct Heard {
+    /// `None` if it was damaged.
+    pub(super) byte: Option<u8>,
+    /// Whether the pause before it invalidates a frame that it is inside of.
+    pub(super) after_pause: bool,
+}
+
+impl Heard {
+    /// Returns whether a transceiver that switches over may have caused it.
+    fn is_stray(&self) -> bool {
+        self.byte.is_none_or(|byte| matches!(byte, 0x00 | 0xFF))
+    }
+}
+
+/// Returns the intact frame in these characters: one with strays before or after it that has the length of its request,
+/// or else all of them.
+pub(super) fn frame_in(heard: &[Heard]) -> Option<Vec<u8>> {
+    let leading = heard.iter().take(8).take_while(|it| it.is_stray()).count();
+    let requested = [0, leading].into_iter().find_map(|from| {
+        let bytes: Vec<u8> = heard[from..].iter().map(|it| it.byte.unwrap_or(0xFF)).collect();
+        let to = from + request_len(&bytes);
+        heard.get(to..)?.iter().all(Heard::is_stray).then(|| intact(&heard[from..to])).flatten()
+    });
+    requested.or_else(|| intact(heard)).filter(|_| heard.len() <= 256)
+}
+
+fn intact(heard: &[Heard]) -> Option<Vec<u8>> {
+    let is_paused = heard.iter().skip(1).any(|it| it.after_pause);
+    let frame: Vec<u8> = heard.iter().map(|it| it.byte).collect::<Option<_>>()?;
+    let (body, sum) = frame.split_last_chunk::<2>()?;
+    (!is_paused && body.len() > 1 && checksum(body) == *sum).then_some(frame)
+}
+
+/// Computes the specification's polynomial bit by bit.
+pub(super) fn checksum(bytes: &[u8]) -> [u8; 2] {
+    let mut value = 0xFFFF_u16;
+    for byte in bytes {
+        value ^= u16::from(*byte);
+        for _ in 0..8 {
+            value = if value & 1 == 1 { value >> 1 ^ 0xA001 } else { value >> 1 };
+        }
+    }
+    value.to_le_bytes()
+}
+
+/// Returns the length of a request with unit and checksum, as the diagrams of the specification show it.
+fn request_len(frame: &[u8]) -> usize {
+    let count = |at: usize| frame.get(at).copied().map_or(0, usize::from);
+    match frame.get(1).copied().unwrap_or(0) {
+        1..=6 | 8 => 8,
+        15 | 16 => 9 + count(6),
+        22 => 10,
+        23 => 13 + count(10),
+        43 => 7,
+        _ => 4,
+    }
+}
+
 /// Characters without a silence of T3.5 in between.
 #[derive(Default)]
 struct Piece {
     /// Whether the pause before it was too short to end a frame.
     joins: bool,
-    bytes: Vec<u8>,
-    void: bool,
+    heard: Vec<Heard>,
 }
 
 /// Candidates for requests on a line.
@@ -52,11 +110,12 @@ impl Requests {
                 let begins = self.current.is_none();
                 let joins = silence_us < way.character_timeout_us;
                 let piece = self.current.get_or_insert_with(|| Piece { joins, ..Piece::default() });
-                piece.void |= way.is_strict() && !begins && silence_us > self.timing.t1_5_us;
-                match character {
-                    Character::Byte(byte) => piece.bytes.push(byte),
-                    Character::Damaged => piece.void = true,
-                }
+                let after_pause = way.is_strict() && !begins && silence_us > self.timing.t1_5_us;
+                let byte = match character {
+                    Character::Byte(byte) => Some(byte),
+                    Character::Damaged => None,
+                };
+                piece.heard.push(Heard { byte, after_pause });
                 has_ended
             }
             Event::Silence(silence_us) => silence_us >= self.timing.t3_5_us && self.end_piece(),
@@ -78,12 +137,9 @@ impl Requests {
         (0..self.ended.len()).find_map(|from| {
             let (first, others) = self.ended[from..].split_first()?;
             let joined = others.iter().all(|piece| piece.joins);
-            let frame = [first].into_iter().chain(others).flat_map(|piece| &piece.bytes);
-            let frame: Vec<u8> = frame.copied().collect();
-            let (body, sum) = frame.split_last_chunk::<2>()?;
-            let void = self.ended[from..].iter().any(|piece| piece.void) || frame.len() > 256;
-            (joined && !void && body.len() > 1 && body[0] == unit && checksum(body) == *sum)
-                .then(|| body[1..].to_vec())
+            let heard = [first].into_iter().chain(others).flat_map(|piece| &piece.heard);
+            let frame = frame_in(&heard.copied().collect::<Vec<_>>()).filter(|_| joined)?;
+            (frame[0] == unit).then(|| frame[1..frame.len() - 2].to_vec())
         })
     }
 

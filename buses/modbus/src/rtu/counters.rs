@@ -21,6 +21,8 @@ pub struct Counters {
     pub busy: u16,
     /// Bus Character Overrun Count: frames with a damaged or lost character.
     pub overruns: u16,
+    /// Stray characters before and after intact frames; see [`Receiver`](super::Receiver). FC 8 clears but does not read it.
+    pub strays: u16,
 }
 
 impl Counters {
@@ -33,6 +35,7 @@ impl Counters {
         no_responses: 0,
         busy: 0,
         overruns: 0,
+        strays: 0,
     };
 
     /// Returns the counter that this subfunction of FC 8 reads, from 0Bh to 12h.

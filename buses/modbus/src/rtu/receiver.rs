@@ -1,6 +1,7 @@
 //! Frame detection from characters and silences.
 
 use core::hash::{Hash, Hasher};
+use core::ops::Range;
 
 use super::{CRC_LEN, MAX_FRAME_LEN, Timing, crc};
 use crate::Function;
@@ -53,6 +54,8 @@ pub enum Received<'a> {
         unit: u8,
         /// Request PDU: a function code at least.
         pdu: &'a [u8],
+        /// Number of stray characters before and after the frame; see [`Receiver`].
+        strays: u16,
     },
     /// Discarded characters, with the reason.
     Damaged(Damage),
@@ -63,6 +66,10 @@ pub enum Received<'a> {
 /// The caller measures silence in microseconds, from the end of one character to the end of the next, less one
 /// character time. Pass it to [`Receiver::push`] with each character, and to [`Receiver::silence`] while none arrives.
 ///
+/// A transceiver that switches over may add characters to a frame: 00h, FFh or a break. Up to 8 such strays before a
+/// request, and any number after it, are ignored and counted, if the length of the request follows from its function and
+/// byte count, and its checksum over that length is correct.
+///
 /// ```
 /// use bus_modbus::rtu::{Character, Mode, Received, Receiver, Timing};
 ///
@@ -72,7 +79,7 @@ pub enum Received<'a> {
 /// }
 /// assert_eq!(receiver.silence(1_000), None, "not over yet");
 /// let pdu: &[u8] = &[0x03, 0x00, 0x6B, 0x00, 0x03];
-/// assert_eq!(receiver.silence(2_010), Some(Received::Frame { unit: 17, pdu }));
+/// assert_eq!(receiver.silence(2_010), Some(Received::Frame { unit: 17, pdu, strays: 0 }));
 /// assert_eq!(receiver.silence(9_999), None, "once");
 /// ```
 #[derive(Clone, Debug)]
@@ -86,7 +93,10 @@ pub struct Receiver {
     /// Number of bytes received, including bytes beyond the buffer. [`GIVEN`] if the frame was
     /// returned and makes room for the next.
     len: usize,
+    /// First damage.
     damage: Option<Damage>,
+    /// Where a frame may start and must end, because of damage among the strays before it and after that.
+    sound: Range<usize>,
     /// First character of the frame after the one returned.
     carried: Option<Character>,
 }
@@ -94,21 +104,36 @@ pub struct Receiver {
 /// Hashes pending characters only, not those already returned.
 impl Hash for Receiver {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        let Self { bytes: _, unit, mode, timing, len, damage, carried } = self;
+        let Self { bytes: _, unit, mode, timing, len, damage, sound, carried } = self;
         let held = if *len == GIVEN { &[] } else { self.held() };
         (unit, mode, timing, held, carried).hash(state);
-        damage.filter(|_| *len != GIVEN).hash(state);
+        damage.map(|damage| (damage, sound)).filter(|_| *len != GIVEN).hash(state);
     }
 }
 
 /// Larger than any number of received bytes, so that one comparison shows whether the buffer has room.
 const GIVEN: usize = usize::MAX;
 
+/// Value of `sound` without damage.
+const INTACT: Range<usize> = 0..usize::MAX;
+
+/// Maximum number of strays before a frame.
+const MAX_LEADING_STRAYS: usize = 8;
+
 impl Receiver {
     /// Creates a receiver for this unit. It also returns frames for other units.
     #[must_use]
     pub const fn new(unit: u8, mode: Mode, timing: Timing) -> Self {
-        Self { unit, mode, timing, bytes: [0; MAX_FRAME_LEN], len: 0, damage: None, carried: None }
+        Self {
+            unit,
+            mode,
+            timing,
+            bytes: [0; MAX_FRAME_LEN],
+            len: 0,
+            damage: None,
+            sound: INTACT,
+            carried: None,
+        }
     }
 
     /// Changes unit and mode. The new values also apply to a frame in progress.
@@ -141,7 +166,7 @@ impl Receiver {
                 return Some(self.give());
             }
             if self.mode == Mode::Strict && silence_us > self.timing.t1_5_us {
-                self.damage = self.damage.or(Some(Damage::Silence));
+                self.note(Damage::Silence);
             }
         }
         self.take(character);
@@ -162,15 +187,19 @@ impl Receiver {
 
     /// Discards all pending characters. Call it after changing the line settings.
     pub const fn reset(&mut self) {
+        self.begin();
+        self.carried = None;
+    }
+
+    const fn begin(&mut self) {
         self.len = 0;
         self.damage = None;
-        self.carried = None;
+        self.sound = INTACT;
     }
 
     fn make_room(&mut self) {
         if self.len == GIVEN {
-            self.len = 0;
-            self.damage = None;
+            self.begin();
             if let Some(character) = self.carried.take() {
                 self.take(character);
             }
@@ -181,16 +210,27 @@ impl Receiver {
         let byte = match character {
             Character::Byte(byte) => byte,
             Character::Damaged => {
-                self.damage = self.damage.or(Some(Damage::Character));
-                0
+                self.note(Damage::Character);
+                DAMAGED
             }
         };
         match self.bytes.get_mut(self.len) {
             Some(place) => *place = byte,
-            None => self.damage = self.damage.or(Some(Damage::Length)),
+            None => self.note(Damage::Length),
         }
         // Noise without pauses must not reach `GIVEN`.
         self.len = self.len.saturating_add(1).min(GIVEN - 1);
+    }
+
+    /// Notes damage of the next character, or of the pause before it. Among the strays before a frame, damage does not affect
+    /// the frame.
+    fn note(&mut self, damage: Damage) {
+        self.damage = self.damage.or(Some(damage));
+        if self.len <= MAX_LEADING_STRAYS && self.held().iter().all(is_stray) {
+            self.sound.start = self.len.saturating_add(usize::from(damage == Damage::Character));
+        } else {
+            self.sound.end = self.sound.end.min(self.len);
+        }
     }
 
     /// Returns whether this silence ends the frame in progress.
@@ -223,14 +263,25 @@ impl Receiver {
 
     fn give(&mut self) -> Received<'_> {
         let len = core::mem::replace(&mut self.len, GIVEN);
+        let held = self.bytes.get(..len).unwrap_or(&self.bytes);
+        let is_sound = self.damage.is_none() && is_intact(held);
+        // A checksum that ends with 00h, or a stray: the checksum over an intact frame and any number of 00h is 0, too.
+        let is_in_doubt = !is_sound || held.last() == Some(&0);
+        if is_in_doubt
+            && len <= MAX_FRAME_LEN
+            && let Some(frame) = without_strays(held, &self.sound)
+            && let [unit, pdu @ .., _, _] = frame
+        {
+            let strays = len.saturating_sub(frame.len()) as u16;
+            return Received::Frame { unit: *unit, pdu, strays };
+        }
         if let Some(damage) = self.damage {
             return Received::Damaged(damage);
         }
-        let held = self.bytes.get(..len).unwrap_or(&self.bytes);
         match held {
             [unit, pdu @ .., _, _] if !pdu.is_empty() => {
-                if is_intact(held) {
-                    Received::Frame { unit: *unit, pdu }
+                if is_sound {
+                    Received::Frame { unit: *unit, pdu, strays: 0 }
                 } else {
                     Received::Damaged(Damage::Checksum)
                 }
@@ -240,13 +291,35 @@ impl Receiver {
     }
 }
 
+/// The byte stored for a damaged character. Never 00h, which would be the address of a broadcast.
+const DAMAGED: u8 = 0xFF;
+
+/// Returns whether a transceiver that switches over may have caused this byte.
+fn is_stray(byte: &u8) -> bool {
+    matches!(*byte, 0x00 | 0xFF)
+}
+
+/// Returns the request between strays: of the length that its function and byte count determine, with its checksum. It
+/// starts with the first byte, because 00h is the address of a broadcast, or with the first that is no stray.
+#[inline(never)]
+fn without_strays<'a>(held: &'a [u8], sound: &Range<usize>) -> Option<&'a [u8]> {
+    let leading = held.iter().take(MAX_LEADING_STRAYS).take_while(|byte| is_stray(byte)).count();
+    [0, leading].into_iter().find_map(|start| {
+        let rest = held.get(start..)?;
+        let (frame, trailing) = rest.split_at_checked(least_len(rest))?;
+        let is_sound = start >= sound.start && start.saturating_add(frame.len()) <= sound.end;
+        (is_sound && trailing.iter().all(is_stray) && is_intact(frame)).then_some(frame)
+    })
+}
+
 /// Returns whether the frame ends with its checksum, low byte first. The CRC over a frame including its checksum is 0
 /// only if the checksum is correct.
 fn is_intact(frame: &[u8]) -> bool {
     frame.len() > CRC_LEN && crc(frame) == 0
 }
 
-/// Returns the minimum length of the request, as far as its first bytes determine it.
+/// Returns the length of the request, as far as its first bytes determine it. It is the minimum for functions of variable
+/// length.
 fn least_len(held: &[u8]) -> usize {
     let counted = |head: usize, at: usize| {
         let count = held.get(at).copied().unwrap_or(0);

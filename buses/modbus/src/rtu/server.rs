@@ -153,7 +153,10 @@ impl Line {
         response: &'r mut [u8; MAX_FRAME_LEN],
     ) -> Event<'r> {
         let (unit, pdu) = match received {
-            Received::Frame { unit, pdu } => (unit, pdu),
+            Received::Frame { unit, pdu, strays } => {
+                self.counters.strays = self.counters.strays.saturating_add(strays);
+                (unit, pdu)
+            }
             Received::Damaged(damage) => {
                 self.counters.damaged(damage);
                 return Event::Damaged(damage);

@@ -277,6 +277,164 @@ fn damaged_character_invalidates_only_its_own_frame() {
     }
 }
 
+/// Characters that a transceiver adds when it switches over. `None` is a break, or a damaged character.
+const STRAYS: [&[Option<u8>]; 6] = [
+    &[Some(0x00)],
+    &[Some(0x00); 8],
+    &[Some(0xFF)],
+    &[None],
+    &[None, Some(0x00), Some(0xFF)],
+    &[Some(0xFF), None],
+];
+
+impl Bus {
+    fn send_strays(&mut self, silence_us: u32, strays: &[Option<u8>]) {
+        for (n, stray) in strays.iter().enumerate() {
+            let character = stray.map_or(Character::Damaged, Character::Byte);
+            let silence_us = if n == 0 { silence_us } else { 0 };
+            let event = self.server.push(character, silence_us, &mut self.plant);
+            Self::note(&mut self.answers, &mut self.others, event);
+        }
+    }
+}
+
+/// Requests of every kind of length, with their responses: fixed, counted, unknown function, exception, and one whose
+/// checksum ends with 00h.
+fn requests() -> [(Vec<u8>, Vec<u8>); 7] {
+    let ending_with_00h = (0..=u8::MAX).find(|low| frame(UNIT, &[6, 0, 1, 0, *low]).ends_with(&[0])).unwrap();
+    [
+        READ.to_vec(),
+        vec![6, 0, 1, 0, ending_with_00h],
+        vec![15, 0, 0, 0, 3, 1, 5],
+        vec![16, 0, 1, 0, 2, 4, 0, 1, 0, 0],
+        vec![23, 0, 0, 0, 1, 0, 1, 0, 1, 2, 0, 9],
+        vec![0x41],
+        vec![3, 0, 9, 0, 1],
+    ]
+    .map(|pdu| {
+        let answer = Bus::new(STRICT).ask(UNIT, &pdu);
+        (pdu, answer)
+    })
+}
+
+#[test]
+fn strays_after_a_request_are_ignored_and_counted() {
+    for (pdu, expected) in requests() {
+        for strays in STRAYS {
+            // Without a pause, and with one that is longer than T1.5.
+            for (config, silence_us) in [(STRICT, 0), (TOLERANT, 0), (STRICT, TIMING.t3_5_us - 1)] {
+                let mut bus = Bus::new(config);
+                bus.send(&frame(UNIT, &pdu));
+                bus.send_strays(silence_us, strays);
+                bus.silence(TIMING.t3_5_us);
+                assert_eq!(bus.answers, core::slice::from_ref(&expected), "{pdu:02X?} {strays:02X?}");
+                assert_eq!(usize::from(bus.server.counters().strays), strays.len());
+                assert_eq!(bus.server.counters().bus_errors, 0);
+            }
+        }
+    }
+}
+
+#[test]
+fn strays_before_a_request_are_ignored_and_counted() {
+    for (pdu, expected) in requests() {
+        for strays in STRAYS {
+            for (config, silence_us) in [(STRICT, 0), (TOLERANT, 0), (STRICT, TIMING.t3_5_us - 1)] {
+                let mut bus = Bus::new(config);
+                bus.send_strays(1_000_000, strays);
+                bus.send_after(silence_us, &frame(UNIT, &pdu));
+                bus.send_strays(0, strays);
+                bus.silence(TIMING.t3_5_us);
+                assert_eq!(bus.answers, core::slice::from_ref(&expected), "{pdu:02X?} {strays:02X?}");
+                assert_eq!(usize::from(bus.server.counters().strays), 2 * strays.len());
+            }
+        }
+    }
+}
+
+#[test]
+fn broadcast_with_a_stray_behind_it_is_executed() {
+    for stray in [0x00, 0xFF] {
+        let mut bus = Bus::new(STRICT);
+        bus.send(&[&frame(BROADCAST, &[6, 0, 1, 0, 7])[..], &[stray]].concat());
+        bus.silence(TIMING.t3_5_us);
+        assert_eq!(bus.others, ["served"]);
+        assert_eq!(bus.plant.tables.take_written().map(|bytes| bytes[2..4] == [0, 7]), Some(true));
+    }
+}
+
+/// Only strays outside of a request with a correct checksum are ignored.
+#[test]
+fn noise_around_a_request_is_no_stray() {
+    let request = frame(UNIT, &[6, 0, 0, 0, 1]);
+    let joined = |pieces: &[&[u8]]| pieces.concat();
+    let mut cases = vec![
+        ("another byte after it", joined(&[&request, &[0x01]])),
+        ("another byte among strays", joined(&[&request, &[0x00, 0x80, 0x00]])),
+        ("another byte before it", joined(&[&[0x01], &request])),
+        ("nine strays before it", joined(&[&[0x00; 9], &request])),
+        ("another frame after it", joined(&[&request, &frame(UNIT + 1, &READ)])),
+        ("more strays than a frame has room for", joined(&[&request, &[0x00; 249]])),
+    ];
+    // One byte is missing, and strays take its place.
+    for at in 0..request.len() {
+        let rest = joined(&[&request[..at], &request[at + 1..]]);
+        cases.push(("a lost byte, then strays", joined(&[&rest, &[0x00]])));
+        cases.push(("strays, then a lost byte", joined(&[&[0x00], &rest])));
+    }
+    for (case, bytes) in cases {
+        for config in [STRICT, TOLERANT] {
+            let mut bus = Bus::new(config);
+            bus.send(&bytes);
+            bus.silence(CHARACTER_TIMEOUT_US);
+            assert_eq!(bus.answers.len(), 0, "{case}: {bytes:02X?}");
+            assert!(bus.plant.tables.take_written().is_none(), "{case}: {bytes:02X?}");
+            assert_eq!(bus.server.counters().strays, 0);
+        }
+    }
+}
+
+#[test]
+fn damaged_address_is_no_broadcast_and_damage_inside_a_request_counts() {
+    for (unit, pdu) in [(BROADCAST, &[6, 0, 1, 0, 7][..]), (UNIT, &READ)] {
+        let request = frame(unit, pdu);
+        for at in 0..request.len() {
+            let mut bus = Bus::new(STRICT);
+            for (n, byte) in request.iter().enumerate() {
+                let character = if n == at { Character::Damaged } else { Character::Byte(*byte) };
+                assert_eq!(bus.server.push(character, 0, &mut bus.plant), None);
+            }
+            bus.send_strays(0, &[Some(0x00)]);
+            bus.silence(TIMING.t3_5_us);
+            assert_eq!((bus.answers.len(), &bus.others[..]), (0, &["character"][..]), "unit {unit}, {at}");
+            assert!(bus.plant.tables.take_written().is_none());
+        }
+    }
+}
+
+#[test]
+fn pause_inside_a_request_with_strays_invalidates_it() {
+    // The address of a broadcast is no stray before the rest.
+    for (unit, before) in [(UNIT, &[0x00][..]), (BROADCAST, &[])] {
+        let request = frame(unit, &[6, 0, 1, 0, 7]);
+        for cut in 1..request.len() {
+            for after in [&[Some(0x00)][..], &[None]] {
+                let mut bus = Bus::new(STRICT);
+                bus.send(&[before, &request[..cut]].concat());
+                bus.send_after(TIMING.t1_5_us + 1, &request[cut..]);
+                bus.send_strays(0, after);
+                bus.silence(TIMING.t3_5_us);
+                assert_eq!(
+                    (bus.answers.len(), &bus.others[..]),
+                    (0, &["silence"][..]),
+                    "{unit} cut at {cut}"
+                );
+                assert!(bus.plant.tables.take_written().is_none());
+            }
+        }
+    }
+}
+
 #[test]
 fn frames_for_other_units_between_requests_are_ignored() {
     let mut bus = Bus::new(STRICT);
@@ -384,7 +542,7 @@ fn receiver_discards_pending_characters_on_reset() {
     for byte in frame(UNIT, pdu) {
         assert_eq!(receiver.push(Character::Byte(byte), 0), None);
     }
-    assert_eq!(receiver.silence(TIMING.t3_5_us), Some(Received::Frame { unit: UNIT, pdu }));
+    assert_eq!(receiver.silence(TIMING.t3_5_us), Some(Received::Frame { unit: UNIT, pdu, strays: 0 }));
 }
 
 #[test]
