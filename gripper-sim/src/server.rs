@@ -9,6 +9,7 @@ mod can;
 mod control;
 mod echoes;
 mod faulty_line;
+mod folder;
 mod hub;
 mod lines;
 mod log;

@@ -5,6 +5,7 @@
 
 mod calls;
 
+use super::folder;
 use super::hub::{Hub, Run};
 use crate::text::{self, one_line};
 use anyhow::{Context, Result};
@@ -51,9 +52,19 @@ impl Script {
     /// # Errors
     /// Returns an error that names the file.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let source =
-            source_of(path).with_context(|| format!("the script {} cannot be read", path.display()))?;
+        let source = std::fs::read(path).and_then(loadable);
+        let source = source.with_context(|| format!("the script {} cannot be read", path.display()))?;
         Ok(Self { path: path.to_owned(), source })
+    }
+
+    /// Reads the script from a file of this folder, at most `max_len` bytes; see [`folder::read`].
+    ///
+    /// # Errors
+    /// Returns an error that names the file.
+    pub(super) fn read_in(folder: &Path, name: &str, max_len: u64) -> Result<Self> {
+        let source = folder::read(folder, name, max_len).and_then(loadable);
+        let source = source.with_context(|| format!("the script {name} cannot be read"))?;
+        Ok(Self { path: folder.join(name), source })
     }
 
     /// Runs the script in its own thread until it ends or the server ends. The end of the script affects nothing else.
@@ -132,10 +143,10 @@ fn clipped(text: &str) -> String {
     one_line(line).into_owned() + if rest.is_empty() { "" } else { "…" }
 }
 
-/// Reads a script or a module. A first line such as `#!/usr/bin/env lua` becomes a comment, as in Lua's own loader, and a byte
-/// order mark is removed. Lua takes any other bytes, in strings for example.
-fn source_of(path: &Path) -> io::Result<Vec<u8>> {
-    let mut source = text::unmarked(std::fs::read(path)?)?;
+/// Prepares the text of a script or a module for Lua. A first line such as `#!/usr/bin/env lua` becomes a comment, as in Lua's
+/// own loader, and a byte order mark is removed. Lua accepts any other bytes, in strings for example.
+fn loadable(source: Vec<u8>) -> io::Result<Vec<u8>> {
+    let mut source = text::unmarked(source)?;
     if source.starts_with(b"#") {
         source.splice(..0, *b"--");
     }

@@ -444,6 +444,45 @@ fn module_beside_the_script_is_loaded_once_and_nothing_else_is() {
     assert!(log.contains("-circular requires itself"), "{log}");
 }
 
+#[cfg(unix)]
+#[test]
+fn module_outside_of_the_folder_is_not_loaded_through_a_link() {
+    use crate::rig::scratch;
+    use std::os::unix::fs::symlink;
+    let outside = scratch("outside");
+    std::fs::create_dir_all(&outside).unwrap();
+    std::fs::write(outside.join("x.lua"), "leaked = true").unwrap();
+    let folder = scratch("folder");
+    std::fs::create_dir_all(&folder).unwrap();
+    symlink(outside.join("x.lua"), folder.join("x.lua")).unwrap();
+    symlink(
+        "../".to_owned() + outside.file_name().unwrap().to_str().unwrap() + "/x.lua",
+        folder.join("y.lua"),
+    )
+    .unwrap();
+    // A folder, and a link to one.
+    std::fs::create_dir_all(folder.join("z.lua")).unwrap();
+    symlink(&outside, folder.join("w.lua")).unwrap();
+    std::fs::write(folder.join("own.lua"), "return 'own'").unwrap();
+    symlink("own.lua", folder.join("alias.lua")).unwrap();
+    let main = folder.join("main.lua");
+    let source = r#"
+        for _, name in ipairs { "x", "y", "z", "w" } do print(name, pcall(require, name)) end
+        print("leaked", rawget(_G, "leaked"))
+        print("alias", require "alias")
+        print("end")"#;
+    std::fs::write(&main, source).unwrap();
+    let log = log_of("links", Config::default(), &main, " script end");
+    for name in ["x", "y", "z", "w"] {
+        let expected = format!(" script {name}\tfalse\trequire: there is no \"{name}.lua\" beside");
+        assert!(log.contains(&expected), "{log}");
+    }
+    assert!(log.contains(" script leaked\tnil\n") && log.contains(" script alias\town\n"), "{log}");
+    for folder in [folder, outside] {
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+}
+
 #[test]
 fn calls_that_public_scripts_make_are_there() {
     let source = r#"

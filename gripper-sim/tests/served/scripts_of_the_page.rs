@@ -176,7 +176,9 @@ fn requests_about_scripts_are_bounded_and_lead_out_of_no_folder() {
     let outside = rig.folder.with_extension("lua");
     std::fs::write(&outside, "secret").unwrap();
     #[cfg(unix)]
-    std::os::unix::fs::symlink(&outside, rig.folder.join("link.lua")).unwrap();
+    for link in ["link.lua", "a.lua.new"] {
+        std::os::unix::fs::symlink(&outside, rig.folder.join(link)).unwrap();
+    }
     let up = format!("../{}", outside.file_name().unwrap().to_str().unwrap());
     for (body, status, expected) in [
         (json!({"action": "read", "name": up}), 400, "the name of the script is invalid"),
@@ -199,19 +201,21 @@ fn requests_about_scripts_are_bounded_and_lead_out_of_no_folder() {
         (json!({"action": "read", "name": "link.lua"}), 404, "there is no script link.lua"),
         #[cfg(unix)]
         (json!({"action": "run", "name": "link.lua"}), 404, "there is no script link.lua"),
+        #[cfg(unix)]
+        (json!({"action": "delete", "name": "link.lua"}), 404, "there is no script link.lua"),
+        #[cfg(unix)]
+        (json!({"action": "start_up", "name": "link.lua"}), 404, "there is no script link.lua"),
     ] {
         let (got, answer) = rig.request("POST", "/scripts", &body.to_string());
         let error = answer["error"].as_str().unwrap_or_default();
         assert!(got == status && error.contains(expected), "{got} {error}");
     }
     assert_eq!(rig.request("GET", "/scripts", "").1["list"], json!([]), "a link is not listed");
-    #[cfg(unix)]
-    {
-        // The name under which a script is written before it replaces the earlier one.
-        std::os::unix::fs::symlink(&outside, rig.folder.join("b.lua.new")).unwrap();
-        rig.save("b.lua", "saved");
-        rig.save("link.lua", "saved");
-        assert_eq!(std::fs::read_to_string(&outside).unwrap(), "secret", "no link is followed");
+    // Saving replaces a link, instead of writing to the file that it leads to.
+    for name in ["a.lua", "link.lua"] {
+        rig.save(name, "new");
+        assert_eq!(std::fs::read_to_string(rig.folder.join(name)).unwrap(), "new");
+        assert_eq!(std::fs::read_to_string(&outside).unwrap(), "secret", "{name}");
     }
     std::fs::remove_file(&outside).unwrap();
 }

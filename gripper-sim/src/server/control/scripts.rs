@@ -1,13 +1,13 @@
 //! The scripts in the folder of `--scripts`: list, read, save, delete, run, stop, and the script that runs at the start.
 
 use super::answer::HttpError;
+use crate::server::folder;
 use crate::server::hub::{Changes, Hub, OutputLine, Refused, ScriptReport};
 use crate::server::script::Script;
 use crate::text;
 use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::{fs, io};
 
@@ -126,16 +126,16 @@ pub(super) fn execute(hub: &Arc<Hub>, body: ScriptBody) -> Result<ScriptsAnswer,
     }
     let mut read = None;
     match action {
-        Action::Read => read = Some(source_of(&path)?),
+        Action::Read => read = Some(source_of(&folder, &name)?),
         Action::Save => {
             let source = source.filter(|source| source.len() <= MAX_SOURCE_LEN).ok_or_else(|| {
                 HttpError::wrong(format!("expected a source of at most {MAX_SOURCE_LEN} bytes"))
             })?;
-            save(&folder, &path, &source)?;
+            save(&folder, &name, &source)?;
         }
         Action::Delete => fs::remove_file(&path).map_err(|error| failed("deleted", &error))?,
         Action::Run => {
-            let script = Script::read(&path)
+            let script = Script::read_in(&folder, &name, u64::MAX)
                 .map_err(|error| HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, format!("{error:#}")))?;
             script.start(Arc::clone(hub)).map_err(|error| {
                 HttpError::new(StatusCode::INTERNAL_SERVER_ERROR, format!("the script cannot start: {error}"))
@@ -147,30 +147,25 @@ pub(super) fn execute(hub: &Arc<Hub>, body: ScriptBody) -> Result<ScriptsAnswer,
     scripts(hub, read)
 }
 
-fn source_of(path: &Path) -> Result<String, HttpError> {
-    let source = text::read(path).map_err(|error| failed("read", &error))?;
-    if source.len() > MAX_SOURCE_LEN {
-        let error = format!("the script is too long for the page; expected at most {MAX_SOURCE_LEN} bytes");
-        return Err(HttpError::new(StatusCode::CONFLICT, error));
-    }
-    Ok(source)
+fn source_of(folder: &Path, name: &str) -> Result<String, HttpError> {
+    let source = folder::read(folder, name, MAX_SOURCE_LEN as u64).and_then(text::decoded);
+    source.map_err(|error| match error.kind() {
+        io::ErrorKind::FileTooLarge => {
+            let error =
+                format!("the script is too long for the page; expected at most {MAX_SOURCE_LEN} bytes");
+            HttpError::new(StatusCode::CONFLICT, error)
+        }
+        _ => failed("read", &error),
+    })
 }
 
-/// Writes a new file that then replaces the old one, so that no failure leaves half a script.
-fn save(folder: &Path, path: &Path, source: &str) -> Result<(), HttpError> {
+fn save(folder: &Path, name: &str, source: &str) -> Result<(), HttpError> {
     let known = list(folder).map_err(|error| failed("read", &error))?;
-    if known.len() >= MAX_SCRIPTS && !path.exists() {
+    if known.len() >= MAX_SCRIPTS && !folder.join(name).exists() {
         let error = format!("the folder has {MAX_SCRIPTS} scripts already; delete one first");
         return Err(HttpError::new(StatusCode::CONFLICT, error));
     }
-    let new = PathBuf::from(format!("{}.new", path.display()));
-    // A link with this name, which could lead out of the folder, is replaced as well.
-    let _ = fs::remove_file(&new);
-    let write = || {
-        fs::OpenOptions::new().write(true).create_new(true).open(&new)?.write_all(source.as_bytes())?;
-        fs::rename(&new, path)
-    };
-    write().map_err(|error| failed("written", &error))
+    folder::write(&folder.join(name), source.as_bytes()).map_err(|error| failed("written", &error))
 }
 
 fn set_start_up(hub: &Hub, path: Option<&Path>) -> Result<(), HttpError> {

@@ -2,6 +2,7 @@
 
 use super::{definition, one_line, value_name};
 use crate::command_line::nearest;
+use crate::server::folder;
 use crate::text;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::{Arg, ArgAction};
@@ -76,11 +77,7 @@ pub(in crate::server) fn save(path: &Path, settings: &[(&str, Option<String>)]) 
     change(&mut text, settings)
         .map_err(|error| io::Error::other(format!("it is no longer TOML: {}", error.message())))?;
     whole.extend(text.bytes());
-    // Written to a new file that then replaces the old one, so that no failure leaves half a file.
-    let mut new = path.as_os_str().to_owned();
-    new.push(".new");
-    fs::write(&new, whole)?;
-    fs::rename(&new, path)
+    folder::write(path, &whole)
 }
 
 /// Changes settings in the text of a file.

@@ -1,10 +1,11 @@
 //! The functions that a script can call (`docs/simulator.md`).
 
-use super::{MAX_LINE_LEN, clipped, first_line, source_of, switched_off};
+use super::{MAX_LINE_LEN, clipped, first_line, loadable, switched_off};
 use crate::finger::{Finger, Jaw};
 use crate::gripper::State;
 use crate::port::{MAX_FRAME_LEN, PortId};
 use crate::script::SCRIPT_IDS;
+use crate::server::folder;
 use crate::server::hub::{Hub, Run};
 use mlua::chunk::ChunkMode;
 use mlua::{Function, IntoLuaMulti, Lua, LuaString, MultiValue, Result, Table, Value};
@@ -708,8 +709,8 @@ fn time_and_text(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// Returns a module as a function, or nil and the reason. A module is a text file in the directory of the script, and
-/// its name cannot lead out of that directory.
+/// Returns a module as a function, or nil and the reason. A module is a text file in the directory of the script. Neither its
+/// name nor a link leads out of that directory.
 fn module_loader(lua: &Lua, directory: &Path) -> Result<Function> {
     let directory = directory.to_owned();
     lua.create_function(move |lua, name: Value| {
@@ -721,10 +722,7 @@ fn module_loader(lua: &Lua, directory: &Path) -> Result<Function> {
             return Ok((None, Some(why)));
         }
         let file = format!("{name}.lua");
-        let path = directory.join(&file);
-        let is_module = path.metadata().is_ok_and(|file| file.is_file() && file.len() <= MAX_MODULE_LEN);
-        let source = if is_module { source_of(&path) } else { Err(ErrorKind::NotFound.into()) };
-        let source = match source {
+        let source = match folder::read(&directory, &file, MAX_MODULE_LEN).and_then(loadable) {
             Ok(source) => source,
             Err(error) if error.kind() == ErrorKind::InvalidData => {
                 return Ok((None, Some(format!("require: {file:?}: {error}"))));
