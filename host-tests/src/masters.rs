@@ -40,27 +40,32 @@ pub fn node(script: &str, arguments: &[&str]) -> Output {
     run.unwrap_or_else(|error| panic!("node does not start: {error}"))
 }
 
-/// Runs `mbpoll`.
+/// Polls unit 1 once with `mbpoll` and zero-based references. Returns the output.
 ///
 /// # Panics
-/// Panics when it is not installed.
+/// Panics when it is not installed, or receives no intact answer.
 #[must_use]
-pub fn mbpoll(arguments: &[&str]) -> Output {
-    let run = Command::new("mbpoll").args(arguments).output();
-    run.unwrap_or_else(|error| panic!("mbpoll does not start ({error}): run `cargo xtask test`"))
+pub fn mbpoll(arguments: &[&str]) -> String {
+    // `-o`: the longest time-out in seconds. A busy host may run neither server nor master for seconds.
+    let always = ["-a", "1", "-0", "-1", "-q", "-o", "10"];
+    let run = Command::new("mbpoll").args(always).args(arguments).output();
+    let said =
+        said(&run.unwrap_or_else(|error| panic!("mbpoll does not start ({error}): run `cargo xtask test`")));
+    assert!(!said.contains("timed out") && !said.contains("Invalid CRC"), "{arguments:?}: {said}");
+    said
 }
 
-/// Makes `mbpoll` retry on a busy host, and `sleep` wait until the motion has completed.
+/// Polls unit 1 at this terminal once with [`mbpoll`]: 8N1 at this rate in bit/s. Writes `values`, or reads without them.
+#[must_use]
+pub fn poll(terminal: &str, baud: u32, arguments: &[&str], values: &[&str]) -> String {
+    let line = ["-m", "rtu", "-b", &baud.to_string(), "-P", "none"];
+    mbpoll(&[&line, arguments, &[terminal], values].concat())
+}
+
+/// Gives `mbpoll` its longest time-out, and makes `sleep` wait until the motion has completed.
 const PASTED_BEFORE: &str = r#"
 mbpoll() {
-  for again in 1 2 3 4 5; do
-    said=$(command mbpoll -o 5 "$@" 2>&1)
-    case $said in
-    *"timed out"* | *"Invalid CRC"*) ;;
-    *) printf '%s\n' "$said"; return ;;
-    esac
-  done
-  printf '%s\n' "$said"
+  command mbpoll -o 10 "$@" 2>&1
 }
 sleep() {
   while status=$(WAIT) && case $status in *26*) ;; *) false ;; esac; do :; done

@@ -3,6 +3,7 @@
 //! Implements the MODBUS specifications independently of the server's code, except for the checksum. A test compares
 //! that with the `crc` crate and other masters.
 
+use std::cell::Cell;
 use std::io::Write;
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
@@ -12,8 +13,12 @@ use bus_modbus::rtu::crc;
 
 use crate::clock::Clock;
 
-/// Time limit for an answer, in board time.
-const PATIENCE: Duration = Duration::from_millis(1_000);
+/// Time limit for an answer to an undamaged request. A busy host may run neither board nor master for seconds, and then the
+/// answer is late, but not lost.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Time after which a request counts as unanswered, if it or the previous one was damaged.
+const UNANSWERED: Duration = Duration::from_millis(1_000);
 
 /// Silence that ends a transmission, in board time.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -21,7 +26,7 @@ const PAUSE: Duration = Duration::from_millis(50);
 /// Wall-clock time after which a board whose clock has stopped counts as off.
 const STANDSTILL: Duration = Duration::from_secs(60);
 
-/// Maximum number of transmissions of a request.
+/// Maximum number of transmissions of a request over a line that damages bytes.
 const ATTEMPTS: u32 = 10;
 
 /// Modifies each byte on the line, in both directions.
@@ -41,8 +46,6 @@ pub struct Master {
 pub struct Failed {
     /// A byte was damaged.
     pub damaged: u32,
-    /// No byte was damaged in this or the previous attempt: the host was too busy to run the board.
-    pub undamaged: u32,
     /// No byte was damaged now, but one was in the previous attempt.
     pub after_damage: u32,
 }
@@ -51,7 +54,7 @@ impl Master {
     /// Creates a master on this line that follows the board's clock.
     #[must_use]
     pub const fn new(line: UnixStream, clock: Clock, unit: u8) -> Self {
-        Self { line, clock, unit, failed: Failed { damaged: 0, undamaged: 0, after_damage: 0 } }
+        Self { line, clock, unit, failed: Failed { damaged: 0, after_damage: 0 } }
     }
 
     /// Returns the line without a time-out.
@@ -71,7 +74,7 @@ impl Master {
         frame
     }
 
-    /// Sends a request until an intact answer arrives. Returns the answer's PDU, which may be an exception.
+    /// Sends a request, once. Returns the answer's PDU, which may be an exception.
     ///
     /// # Errors
     /// Fails when no intact answer arrives.
@@ -79,33 +82,42 @@ impl Master {
         self.ask_over(pdu, &mut |byte| byte)
     }
 
-    /// Does the same as [`ask`](Self::ask), over a line that changes bytes.
+    /// Does the same as [`ask`](Self::ask), over a line that changes bytes. Repeats the request, and counts that in
+    /// [`failed`](Self::failed), only after a byte was damaged.
     ///
     /// # Errors
     /// Fails when no intact answer arrives.
     pub fn ask_over(&mut self, pdu: &[u8], disturb: Disturbance<'_>) -> Result<Vec<u8>> {
         let mut was_damaged = false;
         for _ in 0..ATTEMPTS {
-            let mut is_damaged = false;
+            let is_damaged = Cell::new(false);
             let mut disturb = |byte| {
                 let arrives = disturb(byte);
-                is_damaged |= arrives != byte;
+                is_damaged.set(is_damaged.get() || arrives != byte);
                 arrives
             };
             let frame: Vec<u8> = Self::frame(self.unit, pdu).into_iter().map(&mut disturb).collect();
             self.send(&frame)?;
-            if let Some(answer) = self.answer(&mut disturb)? {
+            if let Some(answer) = self.answer(&mut disturb, || was_damaged || is_damaged.get())? {
                 return Ok(answer);
             }
-            let failed = match (is_damaged, was_damaged) {
-                (true, _) => &mut self.failed.damaged,
-                (false, true) => &mut self.failed.after_damage,
-                (false, false) => &mut self.failed.undamaged,
-            };
-            *failed += 1;
-            was_damaged = is_damaged;
+            match (is_damaged.get(), was_damaged) {
+                (true, _) => self.failed.damaged += 1,
+                (false, true) => self.failed.after_damage += 1,
+                (false, false) => bail!("no intact answer to {pdu:02X?} within {PATIENCE:?}"),
+            }
+            was_damaged = is_damaged.get();
         }
         bail!("no intact answer to {pdu:02X?} in {ATTEMPTS} attempts")
+    }
+
+    /// Does the same as [`ask`](Self::ask) with the last bytes of a frame, whose first bytes were sent before.
+    ///
+    /// # Errors
+    /// Fails when no intact answer arrives.
+    pub fn ask_rest(&mut self, frame: &[u8]) -> Result<Vec<u8>> {
+        self.send(frame)?;
+        self.answer(&mut |byte| byte, || false)?.with_context(|| format!("no answer after {frame:02X?}"))
     }
 
     /// Sends raw bytes.
@@ -116,31 +128,26 @@ impl Master {
         self.line.write_all(bytes).context("the board has closed its line")
     }
 
-    /// Returns whether the line stays silent for this board time. Received bytes are discarded.
+    /// Returns whether the board has sent nothing. Received bytes are discarded. Let board time pass before the call.
     ///
     /// # Errors
     /// Fails when the board is off.
-    pub fn is_silent(&mut self, time: Duration) -> Result<bool> {
-        let bound = self.clock.now() + time;
-        let mut silent = true;
-        while self.clock.now() < bound {
-            silent &= self.receive()?.is_empty();
-        }
-        Ok(silent)
+    pub fn is_silent(&mut self) -> Result<bool> {
+        Ok(self.receive()?.is_empty())
     }
 
-    /// Returns the next answer's PDU; `None` without an intact answer from this unit.
-    ///
-    /// # Errors
-    /// Fails when the board is off.
-    pub fn answer(&mut self, disturb: Disturbance<'_>) -> Result<Option<Vec<u8>>> {
+    /// Returns the PDU of the next answer; `None` without an intact answer of this unit. Silence ends an answer only
+    /// `after_damage`, because a busy host may also pause inside an undamaged one.
+    fn answer(
+        &mut self,
+        disturb: Disturbance<'_>,
+        after_damage: impl Fn() -> bool,
+    ) -> Result<Option<Vec<u8>>> {
         let mut answer = vec![];
-        let bound = self.clock.now() + PATIENCE;
-        while self.clock.now() < bound {
+        let start = self.clock.now();
+        loop {
             let received = self.receive()?;
-            if received.is_empty() && !answer.is_empty() {
-                return Ok(None);
-            }
+            let is_over = received.is_empty() && !answer.is_empty();
             answer.extend(received.into_iter().map(&mut *disturb));
             // Also checks the length, because part of an answer can have a valid checksum by chance.
             if answer.len() >= 5 && answer.len() == length(&answer) {
@@ -149,8 +156,11 @@ impl Master {
                     return Ok(Some(body[1..].to_vec()));
                 }
             }
+            let waited = self.clock.now() - start;
+            if waited >= PATIENCE || (after_damage() && (is_over || waited >= UNANSWERED)) {
+                return Ok(None);
+            }
         }
-        Ok(None)
     }
 
     fn receive(&mut self) -> Result<Vec<u8>> {

@@ -33,6 +33,9 @@ struct Options {
     /// Number of cycles
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     cycles: u32,
+    /// Time limit for an answer in seconds, after which the request is repeated
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    answer_within: u64,
 }
 
 fn main() -> ExitCode {
@@ -50,9 +53,10 @@ fn main() -> ExitCode {
 }
 
 async fn run(options: Options) -> Result<()> {
-    let Options { tcp, rtu, baud, unit, cycles } = options;
+    let Options { tcp, rtu, baud, unit, cycles, answer_within } = options;
     let target = tcp.map(Target::Tcp).or(rtu.map(|device| Target::Rtu { device, baud }));
-    let mut master = Master::new(target.context("expected one of --tcp ADDR and --rtu DEVICE")?, unit);
+    let target = target.context("expected one of --tcp ADDR and --rtu DEVICE")?;
+    let mut master = Master::new(target, unit, Duration::from_secs(answer_within));
     let mut cycle = Cycle::new(cycles);
     let begin = Instant::now();
     let outcome = scan(&mut master, &mut cycle, begin).await;

@@ -10,8 +10,6 @@ use tokio_modbus::client::{Context, rtu, tcp};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
 use wsg_fieldbus::{InputImage, OutputImage};
 
-/// Time limit for an answer.
-const PATIENCE: Duration = Duration::from_secs(1);
 /// Pause before a failed request is repeated.
 const PAUSE: Duration = Duration::from_millis(200);
 /// Maximum number of attempts.
@@ -39,6 +37,8 @@ pub(crate) struct Traffic {
 pub(crate) struct Master {
     target: Target,
     unit: u8,
+    /// Time limit for an answer.
+    patience: Duration,
     context: Option<Context>,
     traffic: Traffic,
 }
@@ -49,9 +49,9 @@ enum Request<'a> {
 }
 
 impl Master {
-    pub(crate) const fn new(target: Target, unit: u8) -> Self {
+    pub(crate) const fn new(target: Target, unit: u8, patience: Duration) -> Self {
         let traffic = Traffic { requests: 0, repeated: 0, slowest: Duration::ZERO };
-        Self { target, unit, context: None, traffic }
+        Self { target, unit, patience, context: None, traffic }
     }
 
     pub(crate) const fn traffic(&self) -> Traffic {
@@ -103,7 +103,7 @@ impl Master {
     async fn ask_once(&mut self, request: &Request<'_>) -> Result<Vec<u16>> {
         let context = match &mut self.context {
             Some(context) => context,
-            none => none.insert(connect(&self.target, self.unit).await?),
+            none => none.insert(connect(&self.target, self.unit, self.patience).await?),
         };
         let answer = async {
             match request {
@@ -113,15 +113,15 @@ impl Master {
                 }
             }
         };
-        let answer = timeout(PATIENCE, answer).await.context("no answer in time")??;
+        let answer = timeout(self.patience, answer).await.context("no answer in time")??;
         answer.map_err(|exception| anyhow!("exception: {exception}"))
     }
 }
 
-async fn connect(target: &Target, unit: u8) -> Result<Context> {
+async fn connect(target: &Target, unit: u8, patience: Duration) -> Result<Context> {
     let slave = Slave(unit);
     match target {
-        Target::Tcp(address) => timeout(PATIENCE, tcp::connect_slave(*address, slave))
+        Target::Tcp(address) => timeout(patience, tcp::connect_slave(*address, slave))
             .await
             .with_context(|| format!("{address} did not accept the connection in time"))?
             .with_context(|| format!("{address} cannot be reached")),

@@ -10,6 +10,7 @@ use std::thread;
 
 use anyhow::{Context, Result, ensure};
 use object::{Object, ObjectSymbol};
+use rustix::pipe::fcntl_setpipe_size;
 use wsg_b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::Inputs;
 
@@ -22,6 +23,11 @@ use crate::qtest::Qtest;
 use crate::registers::{Machine, Registers};
 
 pub(super) const QEMU: &str = "qemu-system-arm";
+
+/// Bytes of the trace that QEMU writes before it waits for the harness to read them: about 40 ms of machine time. The
+/// firmware writes to its ports in each turn of its main loop. A harness that the host does not run therefore stops the
+/// machine, too. Otherwise the gripper in the harness would be silent, and the bridge would report a lost link.
+const TRACE_AHEAD: usize = 4096;
 
 const GRIPPER_LINE: &str = "uart4";
 const MODBUS_LINE: &str = "lpuart1";
@@ -110,6 +116,7 @@ impl Qemu {
         };
         let qemu = Self { process, leash, qtest: Arc::new(Mutex::new(qtest)), clock_address };
         if let Some(said) = said {
+            fcntl_setpipe_size(&said, TRACE_AHEAD).context("cannot limit the pipe of the trace")?;
             let watch = Arc::clone(watch);
             thread::spawn(move || follow(said, &watch));
         }

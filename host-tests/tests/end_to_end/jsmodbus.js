@@ -17,7 +17,7 @@ async function connect() {
     const line = new tty.ReadStream(fs.openSync(where, fs.constants.O_RDWR | fs.constants.O_NOCTTY));
     // Stands in for a port of the package serialport, which has this property.
     line.isOpen = true;
-    return new modbus.client.RTU(line, 1);
+    return new modbus.client.RTU(line, 1, 60_000);
 }
 
 const IDLE = 1 << 0, HOLDING = 1 << 4, PENDING = 26;

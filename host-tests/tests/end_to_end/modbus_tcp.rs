@@ -179,10 +179,9 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
 fn mbpoll_reads_writes_and_homes_over_tcp() {
     let (_served, address) = gripper();
     let port = address.port().to_string();
-    // Zero-based references, one poll, and values after the host. Each call opens a new connection.
+    // Values follow the host. Each call opens a new connection.
     let poll = |arguments: &[&str], values: &[&str]| {
-        let always = ["-m", "tcp", "-p", &port, "-a", "1", "-0", "-1", "-q"];
-        said(&mbpoll(&[&always, arguments, &["127.0.0.1"], values].concat()))
+        mbpoll(&[&["-m", "tcp", "-p", &port], arguments, &["127.0.0.1"], values].concat())
     };
     let written = poll(&["-t", "4", "-r", "0"], &["0", "1220", "5000", "4000"]);
     assert!(written.contains("Written 4 references"), "{written}");

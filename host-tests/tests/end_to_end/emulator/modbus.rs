@@ -15,6 +15,9 @@ use super::Board;
 
 const UNIT: u8 = 1;
 
+/// Board time after which no answer follows, in milliseconds.
+const QUIET_MS: u32 = 200;
+
 struct Plant {
     rig: Rig,
     master: Master,
@@ -40,7 +43,7 @@ impl Plant {
         plant
     }
 
-    /// Returns the answer's PDU, with retries.
+    /// Returns the answer's PDU.
     fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
         self.master.ask(pdu).unwrap()
     }
@@ -133,10 +136,10 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
     let homing = |unit: u8| Master::frame(unit, &[6, 0, 0, 1 << HOMING, 0]);
     let read = [3, 0, 1, 0, 1];
     let value = [3, 2, 0, 0];
-    let quiet = Duration::from_millis(200);
     for unit in [2, 247] {
         plant.master.send(&homing(unit)).unwrap();
-        assert!(plant.master.is_silent(quiet).unwrap(), "unit {unit} must not be answered");
+        plant.rig.pass(QUIET_MS).unwrap();
+        assert!(plant.master.is_silent().unwrap(), "unit {unit} must not be answered");
         assert_eq!(plant.ask(&read), value);
     }
     let glued = [homing(UNIT), homing(UNIT)].concat();
@@ -146,25 +149,21 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
     let noise: Vec<u8> = (0..300u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     for bytes in [&glued, &damaged, &homing(UNIT)[..7], &broadcast, &noise] {
         plant.master.send(bytes).unwrap();
-        assert!(plant.master.is_silent(quiet).unwrap(), "{bytes:02X?}");
+        plant.rig.pass(QUIET_MS).unwrap();
+        assert!(plant.master.is_silent().unwrap(), "{bytes:02X?}");
         assert_eq!(plant.ask(&read), value, "after {bytes:02X?}");
     }
     assert_eq!(motions(&plant.rig.trace().since(0)), []);
-    // The bridge tolerates pauses inside a request, which a USB adapter causes: 5 ms and the rest of a millisecond.
-    const PAUSE_MS: u32 = 6;
+    // The bridge tolerates pauses inside a request, which a USB adapter causes: here 6 ms. A busy host may extend the pause, so
+    // the limit is a second (BUS_CHAR_TIMEOUT).
+    assert_eq!(plant.ask(&[6, 0, 103, 3, 232]), [6, 0, 103, 3, 232]);
     let frame = Master::frame(UNIT, &read);
-    let mut in_two_pieces = |cut: usize| {
-        plant.master.send(&frame[..cut]).unwrap();
-        plant.rig.pass(PAUSE_MS - 1).unwrap();
-        plant.master.send(&frame[cut..]).unwrap();
-        plant.master.answer(&mut |byte| byte).unwrap()
-    };
     for cut in 1..frame.len() {
-        // A very busy host may extend the pause beyond the limit.
-        let answer = (0..3).find_map(|_| in_two_pieces(cut));
-        assert_eq!(answer.as_deref(), Some(&value[..]), "cut after {cut} bytes");
+        plant.master.send(&frame[..cut]).unwrap();
+        plant.rig.pass(5).unwrap();
+        assert_eq!(plant.master.ask_rest(&frame[cut..]).unwrap(), value, "cut after {cut} bytes");
     }
-    // After a failed attempt the bus was silent, and flags in the first image after silence are not edges.
+    // The bus was silent, and flags in the first image after silence are not edges.
     plant.write(&[0; 4]);
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing]);
@@ -197,8 +196,7 @@ fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(boa
     let failed = plant.master.failed;
     println!("{requests} requests, {damaged} damaged bytes, {failed:?}");
     assert!(damaged > 0 && failed.damaged > 0, "the disturbance must have an effect");
-    // A damaged byte costs at most one request. A very busy host may also pause inside a frame for longer than the
-    // character time-out. Both can coincide once, but not twice.
+    // A damaged byte costs at most one request. A very busy host may also answer it late, once.
     assert!(failed.after_damage <= 1, "{damaged} damaged bytes: {failed:?}");
     assert_eq!(motions(&plant.rig.trace().since(0)), []);
 }

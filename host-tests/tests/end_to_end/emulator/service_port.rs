@@ -3,7 +3,7 @@
 use document::read;
 use host_tests::can_bus::CanBus;
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::masters::{self, said};
+use host_tests::masters;
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
@@ -11,16 +11,9 @@ use wsg_sim::Config;
 
 use super::{Board, image};
 
-/// Runs `mbpoll` as in the manual: unit 1, 115 200 bit/s, 8N1, zero-based references, one poll.
+/// Runs `mbpoll` at the service port.
 pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> String {
-    let line = ["-m", "rtu", "-a", "1", "-b", "115200", "-P", "none", "-o", "5", "-0", "-1", "-q"];
-    for _ in 0..5 {
-        let text = said(&masters::mbpoll(&[&line, arguments, &[&terminal.path], values].concat()));
-        if !text.contains("timed out") && !text.contains("Invalid CRC") {
-            return text;
-        }
-    }
-    panic!("no answer to {arguments:?}");
+    masters::poll(&terminal.path, 115_200, arguments, values)
 }
 
 /// Reads and changes settings over the USB cable of a board with its gripper on RS-232.
@@ -31,7 +24,7 @@ fn reads_and_sets(board: Emulator, plc_bus: &str) {
 
     let version = poll(&["-t", "3", "-r", "100", "-c", "1"], &[]);
     assert!(version.contains("[100]: \t"), "{plc_bus}: {version}");
-    // A responding gripper answers within one attempt of `poll`.
+    // The gripper responds while `mbpoll` starts.
     let image =
         (0..50).map(|_| poll(&["-t", "3", "-r", "0", "-c", "6"], &[])).find(|it| it.contains("[5]: \t"));
     assert!(image.is_some(), "{plc_bus}: no input image");

@@ -1,29 +1,22 @@
 # minimalmodbus as a master of the bridge: the functions for cycle.py, and its other functions.
 import sys
 import minimalmodbus
-client = minimalmodbus.Instrument(sys.argv[1], 1)
-client.serial.baudrate = 19200
-client.serial.timeout = 5
 
-def again(call):
-    for attempt in range(5):
-        try:
-            return call()
-        except (minimalmodbus.NoResponseError, minimalmodbus.InvalidResponseError) as error:
-            last = error
-    raise last
+# line.py
+
+client = minimalmodbus.Instrument(line, 1)
 
 def read(address, count):
-    return again(lambda: client.read_registers(address, count))
+    return client.read_registers(address, count)
 
 def inputs(address, count):
-    return again(lambda: client.read_registers(address, count, functioncode=4))
+    return client.read_registers(address, count, functioncode=4)
 
 def write(address, values):
-    again(lambda: client.write_registers(address, values))
+    client.write_registers(address, values)
 
 def coil(address, value):
-    again(lambda: client.write_bit(address, int(value)))
+    client.write_bit(address, int(value))
 
 # cycle.py
 

@@ -41,8 +41,32 @@ fn plant(board: Board) -> Plant {
     Plant { rig, terminal: Terminal::to(master.into_line().unwrap()).unwrap() }
 }
 
-/// Checks that the bridge has sent homing, a grip and a release once each, and the final width.
+/// Checks that the bridge has answered every request on its bus and received nothing else. No master repeats a request.
+fn assert_all_answered(plant: &Plant, said: &str) {
+    // From 118 on: BUS_MESSAGES, BUS_ERRORS, BUS_EXCEPTIONS, SERVER_MESSAGES, NO_RESPONSES, SERVER_BUSY, BUS_OVERRUNS.
+    let counts = run_tokio(&plant.terminal, async |client| {
+        client.read_input_registers(118, 7).await.unwrap().unwrap()
+    });
+    let [messages, errors, _, own, unanswered, busy, overruns] = counts[..] else { panic!("{counts:?}") };
+    assert_eq!((own, errors, unanswered, busy, overruns), (messages, 0, 0, 0, 0), "{said}");
+}
+
+/// Runs requests with `tokio-modbus`.
+fn run_tokio<T>(terminal: &Terminal, requests: impl AsyncFnOnce(&mut Context) -> T) -> T {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let port = serial2_tokio::SerialPort::open(&terminal.path, 19_200).unwrap();
+        let mut client = rtu::attach_slave(port, Slave(1));
+        let within = Duration::from_secs(120);
+        tokio::time::timeout(within, requests(&mut client))
+            .await
+            .expect("the bridge answers within the time limit")
+    })
+}
+
+/// Checks that the bridge has sent homing, a grip and a release once each, the final width, and that no request was lost.
 fn assert_one_cycle(plant: &Plant, said: &str) {
+    assert_all_answered(plant, said);
     let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
     assert_eq!(motions(&plant.rig.trace().since(0)), expected, "{said}");
     let width = plant.rig.gripper().state().width;
@@ -52,6 +76,7 @@ fn assert_one_cycle(plant: &Plant, said: &str) {
 /// Runs a Python master with the script, which homes, grips, releases and checks the results.
 fn run_python(board: Board, script: &str) {
     let plant = plant(board);
+    let script = script.replace("# line.py\n", include_str!("line.py"));
     let script = script.replace("# cycle.py\n", include_str!("cycle.py"));
     let output = masters::python(&script, &[&plant.terminal.path]);
     assert!(output.status.success(), "{}", said(&output));
@@ -79,17 +104,8 @@ fn jsmodbus_runs_a_grip_cycle(board: Board) {
 
 fn mbpoll_reads_writes_and_homes(board: Board) {
     let plant = plant(board);
-    // Zero-based references, one poll, 8N1, and values after the terminal.
-    let poll = |arguments: &[&str], values: &[&str]| {
-        let line = ["-m", "rtu", "-a", "1", "-b", "19200", "-P", "none", "-o", "5", "-0", "-1", "-q"];
-        for _ in 0..5 {
-            let text = said(&masters::mbpoll(&[&line, arguments, &[&plant.terminal.path], values].concat()));
-            if !text.contains("timed out") && !text.contains("Invalid CRC") {
-                return text;
-            }
-        }
-        panic!("no answer to {arguments:?}");
-    };
+    let poll =
+        |arguments: &[&str], values: &[&str]| masters::poll(&plant.terminal.path, 19_200, arguments, values);
     let written = poll(&["-t", "4", "-r", "0"], &["0", "1220", "5000", "4000"]);
     assert!(written.contains("Written 4 references"), "{written}");
     let holding = poll(&["-t", "4", "-r", "0", "-c", "4"], &[]);
@@ -116,6 +132,7 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
         ["Id    : 0x01", "Status: On", "wsg-bridge-fw V"].iter().all(|said| server_id.contains(said)),
         "{server_id}"
     );
+    assert_all_answered(&plant, "");
 }
 
 fn mbpoll_commands_of_the_document_grip_when_pasted(board: Board) {
@@ -130,15 +147,7 @@ fn mbpoll_commands_of_the_document_grip_when_pasted(board: Board) {
 
 fn tokio_modbus_runs_a_grip_cycle(board: Board) {
     let plant = plant(board);
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
-        let port = serial2_tokio::SerialPort::open(&plant.terminal.path, 19_200).unwrap();
-        let mut client = rtu::attach_slave(port, Slave(1));
-        let within = Duration::from_secs(120);
-        tokio::time::timeout(within, tokio_cycle(&mut client))
-            .await
-            .expect("the cycle ends within the time limit");
-    });
+    run_tokio(&plant.terminal, tokio_cycle);
     assert_one_cycle(&plant, "");
 }
 
@@ -174,13 +183,15 @@ async fn tokio_command(client: &mut Context, image: &[u16; 4]) -> (u16, u16) {
 
 fn gripping_cycle_example_runs_over_rtu_and_counts(board: Board) {
     let plant = plant(board);
-    let arguments = ["--rtu", &plant.terminal.path, "--cycles", "2"];
+    let arguments = ["--rtu", &plant.terminal.path, "--cycles", "2", "--answer-within", "60"];
     let program = host_tests::example::path("gripping_cycle");
     let output = std::process::Command::new(program).args(arguments).output().unwrap();
     let said = said(&output);
     assert!(output.status.success(), "{said}");
     let counted = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
     assert!(said.starts_with("2 cycles in ") && said.contains(counted), "{said}");
+    assert!(said.contains(" requests, 0 repeated;"), "{said}");
+    assert_all_answered(&plant, &said);
 }
 
 on_both_boards!(

@@ -2,7 +2,7 @@
 import sys
 from pymodbus.client import ModbusSerialClient
 from pymodbus import FramerType
-client = ModbusSerialClient(sys.argv[1], framer=FramerType.RTU, baudrate=19200, parity="N", timeout=5, retries=5)
+client = ModbusSerialClient(sys.argv[1], framer=FramerType.RTU, baudrate=19200, parity="N", timeout=60, retries=0)
 assert client.connect()
 
 def checked(answer):
