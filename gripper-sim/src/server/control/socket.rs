@@ -31,7 +31,6 @@ pub(super) fn is_wanted(headers: &HeaderMap) -> bool {
 /// Returns the answer that opens the WebSocket.
 pub(super) fn accept(request: &Request<Incoming>) -> Result<Answer, HttpError> {
     create_response_with_body(request, || Either::Left(Full::new(Bytes::new())))
-        .map(Response::from)
         .map_err(|error| HttpError::wrong(format!("the WebSocket cannot open: {error}")))
 }
 
