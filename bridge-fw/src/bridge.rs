@@ -72,6 +72,7 @@ impl Bridge {
             arbiter: Arbiter::new(),
             facts: Facts {
                 was_connected: false,
+                moved: false,
                 link_is_lost: false,
                 bus_timeouts: 0,
                 bus_is_silent: false,
@@ -172,6 +173,9 @@ impl Bridge {
         }
         // After transmitting, so that the record never delays a FAST STOP.
         self.keep_record(now);
+        if self.session.is_connected() {
+            self.facts.moved = self.controller.is_moving(self.session.known());
+        }
         let motion_is_open = self.session.motion_is_open();
         let image = self.facts.image(&self.controller, &self.session);
         self.follow_motion(now, &image);

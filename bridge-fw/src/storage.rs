@@ -3,6 +3,9 @@
 //! A save appends a record. If the newest record's page is full, or ends with other data, the other page is erased and
 //! receives the record. So the page of the newest complete record is never erased. After a power cut at any time, the newest
 //! complete record is either the old one or the new one. Leftovers are skipped, and removed by the next erase of their page.
+//! Leftovers of an interrupted first save are no record: nothing is stored. The last double word of a record, which is
+//! programmed last, distinguishes them from a damaged record. If that very double word of the only record is damaged, the
+//! record counts as never completed.
 //! A page receives its first record only after an erase in the same run, because a page that reads erased may be the result
 //! of an interrupted erase.
 //!

@@ -19,6 +19,8 @@ use wsg_protocol::{FrameParser, Status};
 pub(crate) struct Facts {
     /// The gripper has answered since power-up.
     pub(crate) was_connected: bool,
+    /// The fingers moved, or a motion was in progress, when the gripper was last connected.
+    pub(crate) moved: bool,
     /// The link to the gripper is known to be down, as after bus-off.
     pub(crate) link_is_lost: bool,
     /// Number of time-outs of a commanding PLC on the bus.
@@ -96,10 +98,11 @@ impl View<'_> {
         self.facts.link(self.session)
     }
 
-    /// Returns whether the fingers move or a motion is in progress.
+    /// Returns whether the fingers move or a motion is in progress. If the connection was lost meanwhile, this is assumed
+    /// until the gripper reports its state again.
     #[must_use]
     pub fn is_moving(&self) -> bool {
-        self.controller.is_moving(self.session.known())
+        self.controller.is_moving(self.session.known()) || (self.facts.moved && !self.session.is_connected())
     }
 
     /// Returns the unit of the gripper's force registers.

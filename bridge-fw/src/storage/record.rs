@@ -70,7 +70,11 @@ pub(super) enum Found {
     /// No start of a record: erased, zero, or other data.
     Other(Result<u64, Unreadable>),
     /// First double word of a record whose rest is wrong.
-    Damaged(Header),
+    Damaged {
+        header: Header,
+        /// A later double word ends a record, so this one was once complete.
+        is_ended: bool,
+    },
 }
 
 impl Located {
@@ -136,19 +140,30 @@ pub(super) fn read<F: NorFlash>(flash: &F, page: Page, index: usize, payload: &m
     let mut checksum = Checksum::new();
     checksum.push(bits);
     let mut room = payload.chunks_mut(BYTES);
+    let (mut is_readable, mut is_ended) = (true, false);
     for n in 1..last {
         let Ok(double_word) = flash.read(page, index.saturating_add(n)) else {
-            return Found::Damaged(header);
+            is_readable = false;
+            continue;
         };
+        is_ended |= ends_record(double_word);
         checksum.push(double_word);
         for (byte, of_flash) in room.next().unwrap_or_default().iter_mut().zip(double_word.to_le_bytes()) {
             *byte = of_flash;
         }
     }
     let trailer = checksum.trailer();
-    if flash.read(page, index.saturating_add(last)) == Ok(trailer) {
+    // Read once, because a double word whose programming was interrupted may read differently each time.
+    let end = flash.read(page, index.saturating_add(last));
+    if is_readable && end == Ok(trailer) {
         Found::Record(Located { page, index, header, trailer })
     } else {
-        Found::Damaged(header)
+        Found::Damaged { header, is_ended: is_ended || end.is_ok_and(ends_record) }
     }
+}
+
+/// Returns whether this may be the last double word of a record. While it is being programmed it is not, because it then has
+/// more ones than zeros.
+pub(super) const fn ends_record(double_word: u64) -> bool {
+    double_word as u32 == !((double_word >> 32) as u32)
 }

@@ -3,7 +3,7 @@
 use wsg_protocol::Instant;
 
 use super::flash::{FlashError, NorFlash, Page};
-use super::record::{self, BYTES, Checksum, ERASED, Found, Header, Located, OVERHEAD};
+use super::record::{self, BYTES, Checksum, ERASED, Found, Header, Located, OVERHEAD, ends_record};
 
 /// Longest operation of the flash before a save fails, in milliseconds. An STM32L4 erases in 25 ms.
 const OPERATION_TIMEOUT_MS: u32 = 200;
@@ -44,6 +44,8 @@ pub struct Store<const N: usize> {
     /// `newest` is valid. No `Option`, because its `None` is not zero and would move the store from .bss to .data.
     has_newest: bool,
     newest: Located,
+    /// Without a complete record, the next one goes to the second page.
+    avoids_first: bool,
     /// Index in the newest record's page at which the next record may start.
     free: usize,
     /// Highest number of all saves, whether they succeeded or not.
@@ -88,11 +90,11 @@ pub struct Record<'a> {
 pub enum LoadError {
     /// A save is running, so the flash cannot be read.
     Saving,
-    /// Both pages are erased, because nothing was ever saved.
+    /// Nothing was ever saved: both pages are erased, or hold what a power cut left of the first save.
     Empty,
     /// Both pages read zero: no usable flash, such as an emulator's.
     NoFlash,
-    /// The pages hold data, but no complete record.
+    /// The pages hold data that no interrupted first save leaves, but no complete record.
     Damaged,
     /// The newest record is longer than `N` bytes. It is kept until the next successful save.
     TooLong {
@@ -166,6 +168,7 @@ impl<const N: usize> Store<N> {
             is_loaded: false,
             has_newest: false,
             newest: nowhere,
+            avoids_first: false,
             free: 0,
             sequence: 0,
             step: Step::Idle,
@@ -192,15 +195,18 @@ impl<const N: usize> Store<N> {
         self.is_loaded = true;
         let mut below = u32::MAX;
         for _ in 0..MAX_READS {
-            let mut blank = Blank { erased: true, zero: true };
+            let mut blank = Blank { erased: true, zero: true, damaged: false };
             self.has_newest = false;
-            for page in Page::ALL {
-                self.scan(flash, page, below, &mut blank);
-            }
+            self.scan(flash, Page::First, below, &mut blank);
+            let (is_used, is_damaged) = (!blank.erased, blank.damaged);
+            self.scan(flash, Page::Second, below, &mut blank);
+            // A power cut must not erase what shows that settings were stored. Half erased leftovers are no better.
+            self.avoids_first = is_damaged || (is_used && !blank.damaged);
             let Some(newest) = self.newest() else {
                 return Err(match blank {
                     Blank { erased: true, .. } => LoadError::Empty,
                     Blank { zero: true, .. } => LoadError::NoFlash,
+                    Blank { damaged: false, .. } => LoadError::Empty,
                     _ => LoadError::Damaged,
                 });
             };
@@ -300,7 +306,8 @@ impl<const N: usize> Store<N> {
                     free = record.end();
                     record.header.record_len()
                 }
-                Found::Record(Located { header, .. }) | Found::Damaged(header) => {
+                Found::Record(Located { header, .. }) | Found::Damaged { header, .. } => {
+                    blank.damaged |= matches!(found, Found::Damaged { is_ended: true, .. });
                     // It may read complete another time, so the numbers of new saves must be higher.
                     if header.sequence <= Header::MAX_SEQUENCE / 2 {
                         self.sequence = self.sequence.max(header.sequence);
@@ -314,11 +321,15 @@ impl<const N: usize> Store<N> {
                         free = F::PAGE_LEN;
                     }
                     blank.zero &= double_word == Ok(0);
+                    // An interrupted erase leaves unreadable double words anywhere.
+                    blank.damaged |= double_word.is_ok_and(|bits| {
+                        ends_record(bits) || (bits != ERASED && index >= OVERHEAD + N.div_ceil(BYTES))
+                    });
                     index = index.saturating_add(1);
                     continue;
                 }
             };
-            *blank = Blank { erased: false, zero: false };
+            (blank.erased, blank.zero) = (false, false);
             index = index.saturating_add(len);
         }
         if is_newest_here {
@@ -348,7 +359,7 @@ impl<const N: usize> Store<N> {
                 Step::Program(0)
             }
             _ => {
-                let without_any = if self.is_retry { Page::Second } else { Page::First };
+                let without_any = if self.is_retry == self.avoids_first { Page::First } else { Page::Second };
                 (self.target.page, self.target.index) = (newest_page.map_or(without_any, Page::other), 0);
                 Step::Erase
             }
@@ -417,4 +428,6 @@ impl<const N: usize> Default for Store<N> {
 struct Blank {
     erased: bool,
     zero: bool,
+    /// One of them is not a remainder of an interrupted first save.
+    damaged: bool,
 }

@@ -95,11 +95,12 @@ impl Model {
         if strict_with_broadcasts {
             config.bus = BusConfig { broadcast: true, character_timeout_ms: 0, ..config.bus };
         }
+        let delivered = config.record();
         let mut flash = FlashModel::new();
         if is_damaged {
+            flash = FlashModel::with_record(1, &delivered);
             flash.set(Page::First, 3, None);
         }
-        let delivered = config.record();
         let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let config = station.load(&delivered, &flash).expect("the default settings are valid");
         station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
