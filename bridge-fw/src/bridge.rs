@@ -241,6 +241,12 @@ impl Bridge {
         self.session.has_overtaken()
     }
 
+    /// Returns the current input image, for inspection. A bus shows the end of a motion up to 10 ms later.
+    #[must_use]
+    pub fn input_image(&self) -> InputImage {
+        self.facts.image(&self.controller, &self.session)
+    }
+
     /// Records before a poll that the link has withdrawn this command: the gripper never receives it completely.
     pub fn withdrawn(&mut self, id: CommandId) {
         if self.session.take_back(id) {

@@ -1,5 +1,6 @@
 //! Stopping time under line faults: every single-bit or single-byte fault, at every position of a grip cycle or a
-//! jog, in both directions. FAST STOP is requested at every millisecond around it.
+//! jog, in both directions. FAST STOP is requested at every millisecond around it. The same faults must not keep GSTATE
+//! from following a third party.
 //!
 //! Bridge library and virtual gripper run in virtual time on a line of 115 200 bit/s per direction. A case resumes
 //! from a snapshot of the undisturbed cycle, so hundreds of thousands take seconds.
@@ -7,12 +8,13 @@
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::gripper::TO_SEND_MAX;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::SystemFlags;
+use wsg_fieldbus::GripperFlags;
+use wsg_protocol::{Command, PrePositionFlags, Status, SystemFlags};
 use wsg_sim::Part;
 
 use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
-use crate::modbus_rig::{JOG_PLUS, ModbusLines};
+use crate::modbus_rig::{JOG_PLUS, MOVE, ModbusLines};
 use crate::serial_gripper::{Carry, SerialGripper};
 use crate::wires::Wires;
 use crate::world::World;
@@ -148,7 +150,18 @@ impl Rig {
             Scene::GripCycle => self.inputs -= Inputs::FAST_STOP_OK,
             Scene::Jog => self.write(0),
             Scene::Silence => self.bus.repeat(None),
+            Scene::ThirdPartyStop => self.act_as_third_party(&Command::Stop),
+            Scene::ThirdPartyMotion => self.act_as_third_party(&Command::PrePosition {
+                flags: PrePositionFlags::empty(),
+                width: 20.0,
+                speed: 50.0,
+            }),
         }
+    }
+
+    fn act_as_third_party(&mut self, command: &Command<'_>) {
+        let now = self.now();
+        self.gripper().command(command, now);
     }
 
     /// Writes these flags with 40.00 mm, 50.00 mm/s and 40.00 N, now and repeatedly.
@@ -166,6 +179,10 @@ pub enum Scene {
     Jog,
     /// A jog over Modbus whose master stops sending; measured until the fingers stop.
     Silence,
+    /// A MOVE over Modbus, stopped by a third party; measured until GSTATE shows its end.
+    ThirdPartyStop,
+    /// The same, followed by a motion of the third party; measured until GSTATE shows it.
+    ThirdPartyMotion,
 }
 
 /// The undisturbed course of a scene, as one snapshot per millisecond.
@@ -187,6 +204,23 @@ impl Course {
                 keep(&rig);
                 rig.course_of(Inputs::GRIP, &mut keep);
                 rig.course_of(Inputs::RELEASE, &mut keep);
+            }
+            Scene::ThirdPartyStop | Scene::ThirdPartyMotion => {
+                let mut rig = Rig::homed(1.0, frame_timeout_ms);
+                rig.write(0);
+                rig.pass(100);
+                rig.write(MOVE);
+                rig.pass(50);
+                assert!(rig.is_moving(), "the PLC's motion runs");
+                if scene == Scene::ThirdPartyMotion {
+                    rig.act_as_third_party(&Command::Stop);
+                    rig.pass(100);
+                }
+                keep(&rig);
+                for _ in 0..100 {
+                    rig.step();
+                    keep(&rig);
+                }
             }
             Scene::Jog | Scene::Silence => {
                 // At the original speed the stroke takes 1.8 s, after which the jog would end without a stop.
@@ -279,6 +313,12 @@ impl Course {
         match self.scene {
             Scene::GripCycle => rig.far.gripper.state().flags.contains(SystemFlags::FAST_STOP),
             Scene::Jog | Scene::Silence => !rig.is_moving(),
+            Scene::ThirdPartyStop => {
+                let image = rig.bridge.input_image();
+                // ERROR if the motion's result was lost.
+                image.state == GripperFlags::IDLE || image.status == Status::Timeout
+            }
+            Scene::ThirdPartyMotion => rig.bridge.input_image().state == GripperFlags::POSITIONING,
         }
     }
 }
@@ -375,6 +415,25 @@ impl Sweep {
             ),
             sweep("the same for any two bytes", 1_500, Sweep::two_faults),
             sweep("noise of any strength, measured from its end", 1_000, Sweep::noise),
+        ]
+    }
+
+    /// Returns the cases in which a third party commands the gripper, with this stride. The first limit includes the
+    /// time-out of a result after standstill.
+    #[must_use]
+    pub fn of_third_parties(stride: usize) -> [Self; 2] {
+        let sweep = |name, limit_ms, run| Self { name, limit_ms, stride, every_fault: false, run };
+        [
+            sweep(
+                "one byte, while a third party stops a motion of the PLC, until GSTATE shows its end",
+                1_250,
+                |sweep: &Sweep| sweep.one_fault(Scene::ThirdPartyStop),
+            ),
+            sweep(
+                "one byte, while a third party starts a motion after that, until GSTATE shows it",
+                250,
+                |sweep: &Sweep| sweep.one_fault(Scene::ThirdPartyMotion),
+            ),
         ]
     }
 

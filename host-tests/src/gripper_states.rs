@@ -86,6 +86,12 @@ impl Answer {
         (self.id == CommandId::GetSystemState).then(|| SystemFlags::from_bits_retain(self.value))
     }
 
+    /// Returns the gripper state if this message reports it.
+    pub(crate) fn state(&self) -> Option<GripperState> {
+        let is_state = self.id == CommandId::GetGripperState && self.status == Status::Success;
+        GripperState::from_code(self.value as u8).filter(|_| is_state)
+    }
+
     pub(crate) fn bytes(self) -> impl Iterator<Item = u8> + use<> {
         let value = match self.id {
             CommandId::GetSystemInfo => Some(Value::GetSystemInfo(INFO)),
@@ -113,6 +119,8 @@ pub(crate) struct States {
     /// All flags except MOVING.
     pub(crate) flags: SystemFlags,
     pub(crate) motion: Option<CommandId>,
+    /// A third party commands the motion, and receives its result.
+    pub(crate) is_foreign: bool,
     pub(crate) state: GripperState,
     /// In hundredths of a newton.
     pub(crate) force_limit: u32,
@@ -126,6 +134,7 @@ impl States {
     pub(crate) const SWITCHED_ON: Self = Self {
         flags: SystemFlags::empty(),
         motion: None,
+        is_foreign: false,
         state: GripperState::Idle,
         force_limit: 80_00,
         refuses: false,
@@ -155,10 +164,7 @@ impl States {
             Command::GetForceLimit => say(Answer::value(id, self.force_limit)),
             Command::Stop => {
                 say(Answer::status(id, Status::Success));
-                self.end_motion(Status::CmdAborted, say);
-                if self.state != GripperState::Error {
-                    self.state = GripperState::Idle;
-                }
+                self.stop(say);
             }
             Command::FastStop => {
                 say(Answer::status(id, Status::Success));
@@ -211,6 +217,19 @@ impl States {
         self.tell(say);
     }
 
+    /// Executes a third-party Stop.
+    pub(crate) fn stop_for_third_party(&mut self, say: &mut dyn FnMut(Answer)) {
+        self.stop(say);
+        self.tell(say);
+    }
+
+    /// Starts a motion of a third party.
+    pub(crate) fn begin_for_third_party(&mut self, id: CommandId, say: &mut dyn FnMut(Answer)) {
+        self.begin(id);
+        self.is_foreign = true;
+        self.tell(say);
+    }
+
     /// Executes a third-party acknowledgement.
     pub(crate) fn acknowledge(&mut self, say: &mut dyn FnMut(Answer)) {
         self.leave_fast_stop();
@@ -220,6 +239,7 @@ impl States {
     /// Starts a motion in any state.
     pub(crate) fn begin(&mut self, id: CommandId) {
         self.motion = Some(id);
+        self.is_foreign = false;
         self.state = match id {
             CommandId::GripPart => GripperState::Gripping,
             CommandId::ReleasePart => GripperState::Releasing,
@@ -262,6 +282,13 @@ impl States {
         Status::CmdPending
     }
 
+    fn stop(&mut self, say: &mut dyn FnMut(Answer)) {
+        self.end_motion(Status::CmdAborted, say);
+        if self.state != GripperState::Error {
+            self.state = GripperState::Idle;
+        }
+    }
+
     fn stop_fast(&mut self, say: &mut dyn FnMut(Answer)) {
         self.flags |= SystemFlags::FAST_STOP;
         self.state = GripperState::Error;
@@ -269,7 +296,7 @@ impl States {
     }
 
     fn end_motion(&mut self, status: Status, say: &mut dyn FnMut(Answer)) {
-        if let Some(id) = self.motion.take() {
+        if let Some(id) = self.motion.take().filter(|_| !self.is_foreign) {
             say(Answer::status(id, status));
         }
     }

@@ -79,6 +79,7 @@ pub mod gdb;
 pub mod gripper_end;
 mod gripper_states;
 pub mod gripping_cycle;
+mod gstate_rule;
 #[cfg(unix)]
 pub mod iwdg;
 #[cfg(unix)]

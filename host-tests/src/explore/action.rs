@@ -44,6 +44,12 @@ pub(super) enum Action {
     GripperStopsFast,
     /// A third party, such as the gripper's web page, acknowledges FAST STOP.
     ThirdPartyAcknowledges,
+    /// A third party stops a motion, or the monitoring of a held part.
+    ThirdPartyStops,
+    /// A third party starts a motion.
+    ThirdPartyMoves,
+    ThirdPartyGrips,
+    ThirdPartyReleases,
     /// The gripper is power-cycled.
     RestartGripper,
     /// The bridge is reset.
@@ -98,6 +104,10 @@ macro_rules! with_common {
             LosePart,
             GripperStopsFast,
             ThirdPartyAcknowledges,
+            ThirdPartyStops,
+            ThirdPartyMoves,
+            ThirdPartyGrips,
+            ThirdPartyReleases,
             RestartGripper,
             RestartBridge,
             Wait,
@@ -106,7 +116,7 @@ macro_rules! with_common {
 }
 
 /// Actions with a PLC on wires.
-pub(super) const WIRES: [Action; 25] = with_common![
+pub(super) const WIRES: [Action; 29] = with_common![
     Toggle(Wire::Grip),
     Toggle(Wire::Move),
     Toggle(Wire::Release),
@@ -119,7 +129,7 @@ pub(super) const WIRES: [Action; 25] = with_common![
 ];
 
 /// Actions with a PLC on a bus and three wires.
-pub(super) const BUS: [Action; 27] = with_common![
+pub(super) const BUS: [Action; 31] = with_common![
     Write(Image::Zero),
     Write(Image::Move),
     Write(Image::Grip),

@@ -69,7 +69,7 @@ pub(super) struct Plant {
 type Sight = (&'static str, fn(&Plant) -> bool);
 
 /// Situations that an exploration should reach.
-pub(super) const SIGHTS: [Sight; 17] = [
+pub(super) const SIGHTS: [Sight; 18] = [
     ("READY", |plant| plant.outputs.contains(Outputs::READY)),
     ("BUSY", |plant| plant.outputs.contains(Outputs::BUSY)),
     ("HOLDING", |plant| plant.outputs.contains(Outputs::HOLDING)),
@@ -78,11 +78,12 @@ pub(super) const SIGHTS: [Sight; 17] = [
     ("REFERENCED", |plant| plant.outputs.contains(Outputs::REFERENCED)),
     ("LINK_OK", |plant| plant.outputs.contains(Outputs::LINK_OK)),
     ("no LINK_OK", |plant| !plant.outputs.contains(Outputs::LINK_OK)),
-    ("a homing", |plant| plant.motion() == Some(CommandId::Homing)),
-    ("a move", |plant| plant.motion() == Some(CommandId::PrePosition) && !plant.promises.jogs()),
-    ("a grip", |plant| plant.motion() == Some(CommandId::GripPart)),
-    ("a release", |plant| plant.motion() == Some(CommandId::ReleasePart)),
-    ("a jog", |plant| plant.motion() == Some(CommandId::PrePosition) && plant.promises.jogs()),
+    ("a homing", |plant| plant.own_motion() == Some(CommandId::Homing)),
+    ("a move", |plant| plant.own_motion() == Some(CommandId::PrePosition) && !plant.promises.jogs()),
+    ("a grip", |plant| plant.own_motion() == Some(CommandId::GripPart)),
+    ("a release", |plant| plant.own_motion() == Some(CommandId::ReleasePart)),
+    ("a jog", |plant| plant.own_motion() == Some(CommandId::PrePosition) && plant.promises.jogs()),
+    ("a motion of a third party", |plant| plant.motion().is_some() && plant.gripper.is_foreign),
     ("a lost part", |plant| plant.gripper.state == GripperState::PartLost),
     ("a latched FAST STOP", |plant| plant.gripper.fast_stop()),
     ("an unacknowledged FAST STOP", |plant| !plant.promises.is_open()),
@@ -143,6 +144,11 @@ impl Plant {
     /// Returns the motion in progress.
     pub(super) const fn motion(&self) -> Option<CommandId> {
         self.gripper.motion
+    }
+
+    /// Returns the motion in progress if the bridge commanded it.
+    fn own_motion(&self) -> Option<CommandId> {
+        self.motion().filter(|_| !self.gripper.is_foreign)
     }
 
     const fn now(&self) -> Instant {
@@ -210,6 +216,10 @@ impl Plant {
                 self.promises.leave_elsewhere(self.now());
                 self.change_gripper(States::acknowledge)
             }
+            Action::ThirdPartyStops => self.change_gripper(States::stop_for_third_party),
+            Action::ThirdPartyMoves => self.third_party_begins(CommandId::PrePosition),
+            Action::ThirdPartyGrips => self.third_party_begins(CommandId::GripPart),
+            Action::ThirdPartyReleases => self.third_party_begins(CommandId::ReleasePart),
             Action::RestartGripper => {
                 if self.gripper.fast_stop() {
                     self.promises.leave_elsewhere(self.now());
@@ -409,6 +419,12 @@ impl Plant {
         Ok(())
     }
 
+    fn third_party_begins(&mut self, id: CommandId) -> Kept {
+        // The PLC's motion has ended.
+        self.promises.stand();
+        self.change_gripper(|gripper, say| gripper.begin_for_third_party(id, say))
+    }
+
     fn deliver_all(&mut self) -> Kept {
         for round in 0..MOST_ROUNDS {
             if round >= QUICK_ROUNDS {
@@ -473,7 +489,9 @@ impl Plant {
         }
         let outputs = self.outputs;
         self.say(|story| write!(story, "\n           {outputs:?}"));
-        self.promises.end_turn(now, outputs, &self.gripper)
+        self.promises.end_turn(now, outputs, &self.gripper)?;
+        let motion_is_open = self.bridge.session().motion_is_open();
+        self.promises.shows_state(&self.bridge.input_image(), motion_is_open)
     }
 }
 
@@ -528,6 +546,13 @@ impl Model for Plant {
                 }
                 Action::Finish | Action::Fail | Action::GripperStopsFast => self.motion().is_some(),
                 Action::ThirdPartyAcknowledges => self.gripper.fast_stop(),
+                Action::ThirdPartyStops => {
+                    !self.gripper.fast_stop()
+                        && (self.motion().is_some() || self.gripper.state == GripperState::Holding)
+                }
+                Action::ThirdPartyMoves | Action::ThirdPartyGrips | Action::ThirdPartyReleases => {
+                    self.motion().is_none() && !self.gripper.fast_stop() && self.gripper.referenced()
+                }
                 Action::LosePart => self.gripper.state == GripperState::Holding,
             };
             possible |= u32::from(is_possible) << number;

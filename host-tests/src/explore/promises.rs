@@ -7,9 +7,11 @@
 use std::hash::{Hash, Hasher};
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_fieldbus::InputImage;
 use wsg_protocol::{Command, CommandId, Instant, Kind, Status, SystemFlags};
 
 use crate::gripper_states::{Answer, STROKE, States};
+use crate::gstate_rule::GstateRule;
 
 /// A verifiable promise of the bridge.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,6 +73,8 @@ pub enum Promise {
     NotReadyWhileStopped,
     /// With LINK_OK, the outputs match the last reported state: moving, referenced and FAST STOP.
     OutputsShowTheReport,
+    /// GSTATE is the state reported last, whoever caused it, except ERROR after a failed motion of the PLC.
+    GstateFollowsTheGripper,
     /// LINK_OK goes low within a second of the last intact frame.
     LinkOkGoesLow,
     /// A command that rises while READY is high is accepted.
@@ -171,6 +175,7 @@ pub(super) struct Promises {
     withdrawn_by: Promise,
     /// Arrival of the last intact frame. Excluded from the key, or few states would be equal.
     heard: Instant,
+    gstate: GstateRule,
     /// Last reported flags. Excluded from the key, because the bridge also stores them.
     reported: SystemFlags,
 }
@@ -179,7 +184,7 @@ impl Hash for Promises {
     fn hash<H: Hasher>(&self, state: &mut H) {
         let Self { wanted, acknowledgements, lock, power_up, jogs, stop_given, .. } = self;
         (wanted, acknowledgements, lock, power_up, jogs, stop_given).hash(state);
-        (self.left_elsewhere, self.left_is_known, self.edge).hash(state);
+        (self.left_elsewhere, self.left_is_known, self.edge, &self.gstate).hash(state);
     }
 }
 
@@ -216,6 +221,7 @@ impl Promises {
             found_moving: false,
             withdrawn_by: Promise::MotionHasItsEdge,
             heard: now,
+            gstate: GstateRule::new(),
             reported: SystemFlags::empty(),
         }
     }
@@ -259,9 +265,14 @@ impl Promises {
 
     /// Requires the running motion to stop in time.
     pub(super) fn expect_standstill(&mut self, now: Instant, gripper: &States) {
-        if gripper.motion.is_some() {
+        if gripper.motion.is_some() && !gripper.is_foreign {
             self.stop_given = self.stop_given.or(Some(now));
         }
+    }
+
+    /// Records that the motion of the PLC has ended.
+    pub(super) const fn stand(&mut self) {
+        self.stop_given = None;
     }
 
     /// Records the end of a JOG flag.
@@ -308,6 +319,10 @@ impl Promises {
         let is_acknowledged = (answer.id, answer.status) == (CommandId::Acknowledge, Status::Success);
         if self.lock == Lock::Acknowledged && is_acknowledged {
             self.lock = Lock::Open;
+        }
+        match answer.state() {
+            Some(state) => self.gstate.report(state),
+            None => self.gstate.answer(answer.id, answer.status),
         }
         if let Some(flags) = answer.flags() {
             let has_left = self.left_elsewhere.is_some() && !flags.contains(SystemFlags::FAST_STOP);
@@ -447,6 +462,14 @@ impl Promises {
             _ => false,
         };
         keep(Promise::FastStopIsRepeated, !is_away || gripper.fast_stop())
+    }
+
+    /// Checks the input image at the end of a turn.
+    pub(super) fn shows_state(&mut self, image: &InputImage, motion_is_open: bool) -> Kept {
+        if !self.is_connected {
+            self.gstate.disconnect();
+        }
+        keep(Promise::GstateFollowsTheGripper, self.gstate.is_kept(image, motion_is_open))
     }
 
     fn shows_report(&self, outputs: Outputs) -> bool {

@@ -245,7 +245,7 @@ impl WholeBridge for Model {
             ends.line.cut();
         }
         let char_timeout_ms = if ends.line.is_slow() { SLOW_PATIENCE_MS } else { 1 };
-        ends.end_turn(outputs, char_timeout_ms);
+        ends.end_turn(self.station.bridge(), outputs, char_timeout_ms);
         self.serve();
     }
 

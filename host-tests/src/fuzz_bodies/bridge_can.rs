@@ -639,7 +639,7 @@ impl WholeBridge for Model {
             return;
         }
         if self.is_on_rs_232 {
-            self.ends.end_turn(outputs, 1);
+            self.ends.end_turn(&self.bridge, outputs, 1);
             // The device's frames are transmitted as well.
             return self.leave();
         }
@@ -653,7 +653,7 @@ impl WholeBridge for Model {
         for message in messages {
             oracle.leaves(message.id, Some(&message.command()), gripper);
         }
-        oracle.end_turn(outputs, gripper);
+        oracle.end_turn(&self.bridge, outputs, gripper);
         self.leave();
         for answer in self.ends.gripper.speak(now_ms) {
             self.deliver(&answer, None);

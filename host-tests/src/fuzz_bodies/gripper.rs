@@ -124,8 +124,8 @@ impl Gripper {
     }
 
     /// Changes the gripper according to a byte: whether it answers (bit 0), the number of delivery bytes that follow
-    /// (bits 1 to 3), and its condition (bits 4 to 6; 2 is a restart). Bit 7 starts a motion or loses the part. In
-    /// the condition FAST STOP it is a third party's acknowledgement.
+    /// (bits 1 to 3), and its condition (bits 4 to 6; 2 is a restart). Bit 7 loses the part, or a third party acts: it
+    /// stops a motion or starts one. In the condition FAST STOP it is a third party's acknowledgement.
     pub(super) fn change(&mut self, now_ms: u32, input: &mut Input<'_>) {
         let how = input.byte();
         let was_dead = !std::mem::replace(&mut self.answers, how & 1 != 0);
@@ -158,8 +158,12 @@ impl Gripper {
         if how & 0x80 != 0 {
             if states.state == GripperState::Holding {
                 states.state = GripperState::PartLost;
-            } else if states.motion.is_none() && !states.fast_stop() {
-                states.begin(CommandId::PrePosition);
+            } else if states.motion.is_some() {
+                states.stop_for_third_party(&mut |answer| said.push(answer));
+            } else if !states.fast_stop() {
+                let motions = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
+                let motion = motions[self.deliveries.len() % motions.len()];
+                states.begin_for_third_party(motion, &mut |answer| said.push(answer));
                 self.ends_ms = now_ms + MOTION_FACTOR * 200;
             }
         }
@@ -213,6 +217,11 @@ impl Gripper {
     /// Returns the force limit in hundredths if the bridge can know it. After a restart GRIP requires homing.
     pub(super) fn force_limit(&self) -> Option<i32> {
         (!self.is_forged && !self.is_restarted).then_some(self.states.force_limit as i32)
+    }
+
+    /// Returns whether forged messages have been sent in its name.
+    pub(super) const fn is_forged(&self) -> bool {
+        self.is_forged
     }
 
     /// Returns whether the gripper has received a FAST STOP since the request, or may still be waiting for it. A

@@ -1,8 +1,8 @@
 //! Properties of the whole bridge that must hold in every turn, for any PLC and gripper. The whole-bridge bodies
 //! share this oracle and pass all inputs and outputs to it.
 
-use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Bridge, Config};
 use wsg_protocol::{Command, CommandId, Kind, SystemFlags};
 
 use super::gripper::Gripper;
@@ -73,8 +73,11 @@ impl Oracle {
         }
     }
 
-    /// Ends the turn with these outputs.
-    pub(super) fn end_turn(&mut self, outputs: Outputs, gripper: &Gripper) {
+    /// Ends the turn of this bridge with these outputs.
+    pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, gripper: &Gripper) {
+        let (image, motion_is_open) = (bridge.input_image(), bridge.session().motion_is_open());
+        let keeps_rule = self.reported.gstate.is_kept(&image, motion_is_open);
+        assert!(keeps_rule || gripper.is_forged(), "{image:?} {:?}", self.reported.gstate);
         let is_connected = outputs.contains(Outputs::LINK_OK);
         if !is_connected {
             self.requested.lose_gripper();

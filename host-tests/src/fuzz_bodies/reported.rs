@@ -1,5 +1,6 @@
 //! Reports of the gripper: intact frames in the bytes read by the bridge.
 
+use crate::gstate_rule::GstateRule;
 use wsg_bridge_fw::MAX_REPLY_LEN;
 use wsg_protocol::{CommandId, Event, FrameParser, GripperState, Kind, Reply, Status, SystemFlags, Value};
 
@@ -14,6 +15,8 @@ pub(super) struct Reported {
     /// Last reported states since the connection was lost.
     pub(super) flags: Option<SystemFlags>,
     pub(super) state: Option<GripperState>,
+    /// The rule of GSTATE.
+    pub(super) gstate: GstateRule,
     /// Result of the last grip, until another motion is sent or a stop is confirmed; until then the part may be held.
     pub(super) grip: Option<Status>,
     /// Whether FAST STOP was reported and then cleared in this turn.
@@ -31,6 +34,7 @@ impl Reported {
             received_ms: 0,
             flags: None,
             state: None,
+            gstate: GstateRule::new(),
             grip: None,
             has_left_fast_stop: false,
             answered: Vec::new(),
@@ -40,6 +44,7 @@ impl Reported {
     /// Discards all states after the loss of the connection.
     pub(super) fn forget(&mut self) {
         (self.flags, self.state, self.grip) = (None, None, None);
+        self.gstate.disconnect();
     }
 
     /// Returns whether the gripper has reported moving fingers.
@@ -90,9 +95,13 @@ impl Reported {
                 let before = self.flags.replace(flags).unwrap_or_default();
                 self.has_left_fast_stop |= (before - flags).contains(SystemFlags::FAST_STOP);
             }
-            Report::State(state) => self.state = Some(state),
+            Report::State(state) => {
+                self.state = Some(state);
+                self.gstate.report(state);
+            }
             Report::Status(id, status) => {
                 self.answered.push((id, status));
+                self.gstate.answer(id, status);
                 // A further E_CMD_PENDING after the result has no effect.
                 if id == CommandId::GripPart && status.is_final() {
                     self.grip = Some(status);

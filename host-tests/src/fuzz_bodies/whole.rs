@@ -2,8 +2,8 @@
 //!
 //! Each body adds the bridge, its PLC bus, and the oracle's inputs from the bus.
 
-use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Bridge, Config};
 use wsg_fieldbus::CommandFlags;
 use wsg_protocol::{CommandId, Status};
 
@@ -72,8 +72,8 @@ impl Ends {
         self.oracle.begin_turn(self.now_ms, &received, self.wires);
     }
 
-    /// Ends a turn with these outputs: delivers the bridge's commands to the gripper, and its answers.
-    pub(super) fn end_turn(&mut self, outputs: Outputs, char_timeout_ms: u32) {
+    /// Ends a turn of this bridge with these outputs: delivers its commands to the gripper, and the gripper's answers.
+    pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, char_timeout_ms: u32) {
         let Self { now_ms, gripper, line, oracle, .. } = self;
         oracle.begin_leaving(Some(char_timeout_ms));
         for id in line.take_begun() {
@@ -85,7 +85,7 @@ impl Ends {
             }
             gripper.hear(*now_ms, &message);
         }
-        oracle.end_turn(outputs, gripper);
+        oracle.end_turn(bridge, outputs, gripper);
         for answer in gripper.speak(*now_ms) {
             line.link.bring(&answer);
         }
