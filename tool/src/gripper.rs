@@ -30,6 +30,8 @@ use wsg_protocol::driver::host::StdClock;
 pub use address::Address;
 pub use wire::{Wire, open};
 
+pub(crate) use action::signed;
+
 use action::Named;
 use line::LOOK_MS;
 pub(crate) use line::Line;

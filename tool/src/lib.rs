@@ -70,10 +70,22 @@ pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
 
 /// Parses the command line. Ends the process if it is invalid, or requests help.
 fn parsed(words: Vec<OsString>) -> Arguments {
-    let matches = command().try_get_matches_from(&words);
+    let matches = command().try_get_matches_from(with_signs(&words));
     matches.and_then(|mut matches| Arguments::from_arg_matches_mut(&mut matches)).unwrap_or_else(|error| {
         let words: Vec<_> = words.iter().skip(1).map(|word| word.to_string_lossy()).collect();
         suggest(error, &command(), &words).exit()
+    })
+}
+
+/// Marks the signs of the numbers in a command for a gripper, so that none of them is taken for an option.
+fn with_signs(words: &[OsString]) -> impl Iterator<Item = OsString> {
+    let mut is_of_gripper = false;
+    words.iter().map(move |word| match word.to_str() {
+        Some(text) if is_of_gripper => gripper::signed(text.to_owned()).into(),
+        _ => {
+            is_of_gripper |= word == "gripper";
+            word.clone()
+        }
     })
 }
 

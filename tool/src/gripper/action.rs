@@ -1,5 +1,6 @@
 //! The command table, from which help, completion, prompt, scripts and docs/tool.md are derived.
 
+use clap::builder::{StringValueParser, TypedValueParser};
 use clap::{ArgMatches, Command, FromArgMatches, Subcommand, ValueEnum};
 use wsg_protocol::driver::{Finger, OnBlock};
 use wsg_protocol::{CommandId, HomingDirection, LoopData, editor};
@@ -28,7 +29,7 @@ pub(crate) enum Action {
     /// Moves the fingers by an offset: positive opens, negative closes
     MoveBy {
         /// Change of the opening width in mm
-        #[arg(value_parser = mm, allow_negative_numbers = true)]
+        #[arg(value_parser = mm)]
         offset: f32,
         /// Finger speed in mm/s
         #[arg(value_parser = mm_per_s)]
@@ -137,6 +138,7 @@ pub(crate) enum Action {
     /// Reads or sets the device tag
     Tag {
         /// New tag: up to 64 printable ASCII characters
+        #[arg(value_parser = StringValueParser::new().map(|word| hyphenated(&word)))]
         text: Option<String>,
     },
 
@@ -305,31 +307,58 @@ pub(crate) const fn on_block(clamp: bool) -> OnBlock {
     if clamp { OnBlock::Clamp } else { OnBlock::Stop }
 }
 
-/// Parses a number, with or without its unit.
-fn quantity(text: &str, unit: &str) -> Result<f32, String> {
-    let digits = text.strip_suffix(unit).unwrap_or(text).trim_end();
-    let number = digits.parse::<f32>().ok().filter(|number| number.is_finite());
-    number.ok_or_else(|| format!("expected a number in {unit}"))
+/// Replaces the hyphen of a word that begins with a negative number, such as `-5mm`, by a minus sign. The parser of the
+/// command line would take the word for an option: it knows only numbers without a unit.
+pub(crate) fn signed(word: String) -> String {
+    let is_number = |rest: &str| rest.trim_start_matches('.').starts_with(|it: char| it.is_ascii_digit());
+    match word.strip_prefix('-').filter(|rest| is_number(rest)) {
+        Some(rest) => format!("{MINUS}{rest}"),
+        None => word,
+    }
+}
+
+/// U+2212, which also belongs to numbers copied from a document.
+const MINUS: char = '\u{2212}';
+
+/// Returns a word with a hyphen for the sign of [`signed`].
+fn hyphenated(word: &str) -> String {
+    word.strip_prefix(MINUS).map_or_else(|| word.to_owned(), |rest| format!("-{rest}"))
+}
+
+/// Parses a number with or without its unit, of which there may be several spellings.
+fn quantity(text: &str, units: &[&str]) -> Result<f32, String> {
+    let unit = units.first().copied().unwrap_or_default();
+    let text = hyphenated(text.trim());
+    let is_of_number = |character: char| character.is_ascii_digit() || "+-.eE".contains(character);
+    let (digits, suffix) = text.split_at(text.find(|it| !is_of_number(it)).unwrap_or(text.len()));
+    let (number, suffix) = (digits.parse::<f32>().ok().filter(|it| it.is_finite()), suffix.trim_start());
+    match number {
+        Some(number) if suffix.is_empty() || units.contains(&suffix) => Ok(number),
+        Some(_) if suffix.starts_with(char::is_alphabetic) => {
+            Err(format!("the unit is {suffix}; expected a number in {unit}"))
+        }
+        _ => Err(format!("expected a number in {unit}")),
+    }
 }
 
 fn mm(text: &str) -> Result<f32, String> {
-    quantity(text, "mm")
+    quantity(text, &["mm"])
 }
 
 fn mm_per_s(text: &str) -> Result<f32, String> {
-    quantity(text, "mm/s")
+    quantity(text, &["mm/s"])
 }
 
 fn mm_per_s2(text: &str) -> Result<f32, String> {
-    quantity(text.strip_suffix("mm/s2").unwrap_or(text), "mm/s²")
+    quantity(text, &["mm/s²", "mm/s2", "mm/s^2"])
 }
 
 fn newton(text: &str) -> Result<f32, String> {
-    quantity(text, "N")
+    quantity(text, &["N"])
 }
 
 fn seconds(text: &str) -> Result<f32, String> {
-    let seconds = quantity(text, "s")?;
+    let seconds = quantity(text, &["s"])?;
     if (0.0..=86_400.0).contains(&seconds) { Ok(seconds) } else { Err("expected 0 to 86400 s".to_owned()) }
 }
 
@@ -359,7 +388,7 @@ impl Bytes {
 /// Parses one word of a payload.
 fn values(text: &str) -> Result<Bytes, String> {
     let mut buffer = [0; LoopData::MAX_LEN];
-    let len = editor::payload(text, &mut buffer).map_err(|error| error.to_string())?;
+    let len = editor::payload(&hyphenated(text), &mut buffer).map_err(|error| error.to_string())?;
     Ok(Bytes(buffer[..len].to_vec()))
 }
 
@@ -381,11 +410,64 @@ mod tests {
     }
 
     #[test]
-    fn numbers_may_have_their_units() {
+    fn numbers_may_have_their_units_and_another_unit_is_named() {
         assert_eq!((mm("20"), mm("20.5mm"), mm("-3 mm")), (Ok(20.0), Ok(20.5), Ok(-3.0)));
-        assert_eq!((newton("40N"), mm_per_s("50mm/s"), mm_per_s2("9mm/s2")), (Ok(40.0), Ok(50.0), Ok(9.0)));
-        for wrong in ["", "x", "nan", "inf", "20N", "20 mm/s"] {
-            assert!(mm(wrong).is_err(), "{wrong}");
+        assert_eq!((newton("40N"), mm_per_s("50mm/s"), seconds("2e-1 s")), (Ok(40.0), Ok(50.0), Ok(0.2)));
+        for text in ["9", "9mm/s²", "9 mm/s2", "9mm/s^2"] {
+            assert_eq!(mm_per_s2(text), Ok(9.0), "{text}");
+        }
+        for wrong in ["", "mm", "x", "-", "nan", "inf", "1e39", "20,5", "5mm6"] {
+            assert!(mm(wrong).is_err_and(|error| error.ends_with("expected a number in mm")), "{wrong}");
+        }
+        assert_eq!(mm("20N"), Err("the unit is N; expected a number in mm".to_owned()));
+        assert_eq!(mm("20 mm/s"), Err("the unit is mm/s; expected a number in mm".to_owned()));
+        assert_eq!(mm_per_s("-5mm"), Err("the unit is mm; expected a number in mm/s".to_owned()));
+        assert_eq!(mm_per_s2("9mm/s"), Err("the unit is mm/s; expected a number in mm/s²".to_owned()));
+    }
+
+    #[test]
+    fn negative_numbers_are_no_options_and_options_are_no_numbers() {
+        let parsed = |line: &str| {
+            let table = Named::augment_subcommands(Command::new("gripper").no_binary_name(true));
+            let words = line.split(' ').map(|word| signed(word.to_owned()));
+            let matches = table.try_get_matches_from(words).map_err(|error| error.to_string())?;
+            Named::from_arg_matches(&matches).map_err(|error| error.to_string()).map(|named| named.action)
+        };
+        for line in [
+            "move-by -5mm 50",
+            "move-by -5 50mm/s",
+            "move-by -.5mm 50",
+            "move-by --clamp -5mm 50",
+            "move-by -5mm 50 --clamp",
+            "move -1 100",
+            "move -1mm -100mm/s --clamp",
+            "grip -20mm -50mm/s --force -1N",
+            "grip 20 50 --force=-1",
+            "release -1mm -5",
+            "force-limit -5N",
+            "acceleration -9mm/s2",
+            "soft-limits -5 90",
+            "soft-limits -5mm -1mm",
+            "part-width-tolerance -2mm",
+            "clamping-travel -2mm",
+            "raw 0xB1 -1.5f 1",
+            "tag -5",
+        ] {
+            assert!(parsed(line).is_ok(), "{line}: {:?}", parsed(line));
+        }
+        assert!(matches!(parsed("move-by -5mm 50 --clamp"), Ok(Action::MoveBy { clamp: true, .. })));
+        assert!(matches!(parsed("move-by --clamp -5mm 50"), Ok(Action::MoveBy { clamp: true, .. })));
+        assert!(matches!(parsed("tag -5"), Ok(Action::Tag { text: Some(tag) }) if tag == "-5"));
+        for (line, expected) in [
+            ("pause -1", "expected 0 to 86400 s"),
+            ("move 20 50 -x", "unexpected argument '-x'"),
+            ("move -1N 100", "the unit is N; expected a number in mm"),
+            ("grip 20 50 --force -1mm", "the unit is mm; expected a number in N"),
+            ("move --help", "Moves the fingers"),
+            ("move 20 --clap 50", "unexpected argument '--clap'"),
+        ] {
+            let error = parsed(line).expect_err(line);
+            assert!(error.contains(expected), "{line}: {error}");
         }
     }
 

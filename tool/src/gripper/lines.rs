@@ -8,7 +8,7 @@ use clap::{Error, Parser, Subcommand};
 use wsg_sim::command_line::suggest;
 use wsg_sim::text::{self, one_line};
 
-use super::action::Named;
+use super::action::{Named, signed};
 use super::answer::{Answer, Outcome};
 use super::output::Output;
 use super::run::{self, Gripper, ProtocolCommands};
@@ -46,7 +46,7 @@ pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
     }
     let words =
         shlex::split(line).ok_or_else(|| Wrong::Mistake("missing closing quotation mark".to_owned()))?;
-    match Line::try_parse_from(words) {
+    match Line::try_parse_from(words.into_iter().map(signed)) {
         Ok(Line { said }) => Ok(Some(said)),
         Err(error) if !error.use_stderr() => Err(Wrong::Help(error.to_string())),
         Err(error) => Err(Wrong::Mistake(in_one_line(&error.to_string()))),

@@ -14,7 +14,7 @@ use wsg_protocol::{
 };
 
 use super::action::{Action, Bytes, Switch, on_block};
-use super::answer::{Answer, CELSIUS, Datum, MM, MM_PER_S, MM_PER_S2, NEWTON, Outcome, Unit};
+use super::answer::{Answer, CELSIUS, Datum, MM, MM_PER_S, MM_PER_S2, NEWTON, Outcome};
 use super::line::{LOOK_MS, Line};
 use super::trouble::Trouble;
 
@@ -92,11 +92,15 @@ pub(crate) fn carry_out<P: ProtocolCommands>(
         Action::Ack => told(gripper.acknowledge())?,
 
         Action::ForceLimit { force } => {
-            set_force_limit(gripper, force)?;
+            if let Some(force) = force {
+                gripper.set_force_limit(N(force))?;
+            }
             done.number("force limit", gripper.force_limit()?.0, NEWTON)
         }
         Action::Acceleration { acceleration } => {
-            set_acceleration(gripper, acceleration)?;
+            if let Some(acceleration) = acceleration {
+                gripper.set_acceleration(acceleration)?;
+            }
             done.number("acceleration", gripper.acceleration()?, MM_PER_S2)
         }
         Action::SoftLimits { from, to, clear } => soft_limits(gripper, from.zip(to), clear)?,
@@ -213,46 +217,18 @@ fn grip<P: Protocol>(
     force: Option<f32>,
     live: Live<'_>,
 ) -> Result<Answer, Trouble> {
-    set_force_limit(gripper, force)?;
-    Ok(match finish(gripper, |it| it.begin_grip(Mm(width), MmPerS(speed)), live)? {
+    let (width, speed) = (Mm(width), MmPerS(speed));
+    let begin = |it: &mut Gripper<P>| match force {
+        Some(force) => it.begin_grip_with_force(width, speed, N(force)),
+        None => it.begin_grip(width, speed),
+    };
+    Ok(match finish(gripper, begin, live)? {
         Grip::Held => {
             let held = Answer::of(Outcome::Held);
             held.number("width", gripper.width()?.0, MM).number("force", gripper.force()?.0, NEWTON)
         }
         Grip::NoPart => Answer::of(Outcome::NoPart),
     })
-}
-
-/// Sets the force limit in N if one is given, and fails if the gripper clamps it.
-fn set_force_limit<P: Protocol>(gripper: &mut Gripper<P>, force: Option<f32>) -> Result<(), Trouble> {
-    let Some(force) = force else { return Ok(()) };
-    gripper.set_force_limit(N(force))?;
-    let taken = gripper.force_limit()?.0;
-    let range = gripper.known().limits.map(|limits| {
-        let SystemLimits { min_force, nominal_force, overdrive_force, .. } = limits;
-        format!("{min_force:.0} to {nominal_force:.0} N, or up to {overdrive_force:.0} N with overdrive")
-    });
-    unclamped("force limit", NEWTON, [force, taken], range)
-}
-
-fn set_acceleration<P: Protocol>(gripper: &mut Gripper<P>, asked: Option<f32>) -> Result<(), Trouble> {
-    let Some(acceleration) = asked else { return Ok(()) };
-    gripper.set_acceleration(acceleration)?;
-    let taken = gripper.acceleration()?;
-    let range = gripper
-        .known()
-        .limits
-        .map(|limits| format!("{:.0} to {:.0} mm/s²", limits.min_acceleration, limits.max_acceleration));
-    unclamped("acceleration", MM_PER_S2, [acceleration, taken], range)
-}
-
-fn unclamped(what: &str, unit: Unit, [asked, taken]: [f32; 2], range: Option<String>) -> Result<(), Trouble> {
-    if asked == taken {
-        return Ok(());
-    }
-    let [asked, taken] = [asked, taken].map(|number| Datum::Number(number, unit));
-    let range = range.map(|range| format!("; permitted: {range}")).unwrap_or_default();
-    Err(Trouble::Clamped(format!("{what} {asked} is out of range: the gripper set {taken}{range}")))
 }
 
 fn status<P: Protocol>(gripper: &mut Gripper<P>) -> Result<Answer, Trouble> {

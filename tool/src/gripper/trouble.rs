@@ -7,6 +7,7 @@ use std::io;
 use serde_json::{Value, json};
 use wsg_protocol::Status;
 use wsg_protocol::driver::Error;
+use wsg_protocol::limits::Quantity;
 
 use super::answer::Outcome;
 use super::record::Unlogged;
@@ -24,8 +25,6 @@ pub(crate) enum Trouble {
     Usage(String),
     /// A grip in a script found no part, which ends the script.
     NoPart,
-    /// The gripper clamped a value. The message states the permitted range.
-    Clamped(String),
     /// Standard input, standard output or a file failed.
     Output(io::Error),
     /// A signal was caught.
@@ -60,15 +59,14 @@ impl Trouble {
     pub(crate) const fn exit_status(&self) -> u8 {
         match self {
             Self::Driver(error) => match error {
-                Error::Refused(_) | Error::Mismatch => 4,
+                Error::Refused(_) | Error::NotSetBack(_) | Error::Mismatch => 4,
                 Error::Blocked | Error::Aborted | Error::Failed(_) => 5,
-                Error::Invalid(_) | Error::NotInGcl | Error::NoForceLimit => 2,
+                Error::Invalid(_) | Error::OutOfLimits(_) | Error::NotInGcl | Error::NoForceLimit => 2,
                 Error::NotConnected | Error::Unanswered | Error::Transport(_) | Error::Closed => 6,
                 _ => 1,
             },
             Self::NoLine(_) | Self::NotStopped(_) => 6,
             Self::Usage(_) => 2,
-            Self::Clamped(_) => 4,
             Self::NoPart => Outcome::NoPart.exit_status(),
             Self::NoFile(_) | Self::Output(_) | Self::Panicked(_) => 1,
             Self::Caught(Caught(signal)) => 128_u8.saturating_add(*signal),
@@ -85,7 +83,7 @@ impl Trouble {
             | Self::Output(_)
             | Self::Caught(_)
             | Self::Panicked(_) => true,
-            Self::Usage(_) | Self::Clamped(_) | Self::NoPart => false,
+            Self::Usage(_) | Self::NoPart => false,
         }
     }
 
@@ -108,7 +106,9 @@ impl Trouble {
     /// Returns the gripper's status code that caused the error.
     const fn status(&self) -> Option<Status> {
         match self {
-            Self::Driver(Error::Refused(status) | Error::Failed(status)) => Some(*status),
+            Self::Driver(Error::Refused(status) | Error::NotSetBack(status) | Error::Failed(status)) => {
+                Some(*status)
+            }
             Self::Driver(Error::Blocked) => Some(Status::AxisBlocked),
             Self::Driver(Error::Aborted) => Some(Status::CmdAborted),
             _ => None,
@@ -173,6 +173,9 @@ impl Display for Trouble {
             Self::Driver(Error::Failed(status)) => {
                 write!(f, "the motion failed: {status}, {}", status.meaning())
             }
+            Self::Driver(Error::OutOfLimits(refusal)) if refusal.quantity() == Quantity::Force => {
+                write!(f, "{refusal}; `overdrive on` permits more on grippers with overdrive")
+            }
             Self::Driver(Error::Mismatch) => f.write_str("the gripper applied a different value"),
             Self::Driver(Error::NoForceLimit) => {
                 f.write_str("no force limit is set, and GCL needs one for each grip; pass `--force`")
@@ -182,7 +185,7 @@ impl Display for Trouble {
             Self::Driver(error) => error.fmt(f),
             Self::NoFile(error) => write!(f, "{error:#}"),
             Self::NoLine(error) => write!(f, "no connection: {error:#}"),
-            Self::Usage(message) | Self::Clamped(message) => f.write_str(message),
+            Self::Usage(message) => f.write_str(message),
             Self::NotStopped(error) => write!(f, "the fingers may still be moving: the stop failed: {error}"),
             Self::NoPart => f.write_str("no part"),
             Self::Output(error) => error.fmt(f),

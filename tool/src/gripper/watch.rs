@@ -55,10 +55,14 @@ impl View {
         (self.known, self.is_connected) = (known, is_connected);
     }
 
-    /// Returns the points of a value: time relative to now in seconds, and the value.
-    fn points(&self, value: impl Fn(&Sample) -> Option<f32>) -> Vec<(f64, f64)> {
+    /// Returns the lines to plot for a value, each without a gap in time. A point is the time relative to now in seconds, and
+    /// the value.
+    fn lines(&self, value: impl Fn(&Sample) -> Option<f32>) -> Vec<Vec<(f64, f64)>> {
         let now = self.samples.back().map_or(0.0, |sample| sample.at);
-        self.samples.iter().filter_map(|sample| Some((sample.at - now, value(sample)?.into()))).collect()
+        let point = |sample: &Sample| Some((sample.at - now, value(sample)?.into()));
+        let points: Vec<_> = self.samples.iter().map(point).collect();
+        let lines = points.split(Option::is_none).map(|line| line.iter().flatten().copied().collect());
+        lines.filter(|line: &Vec<_>| !line.is_empty()).collect()
     }
 }
 
@@ -130,9 +134,9 @@ fn draw(frame: &mut Frame<'_>, view: &View) {
     let stroke = limits.map(|limits| [0.0, limits.stroke]);
     let greatest = limits.map(|limits| [-limits.max_speed, limits.max_speed]);
     let nominal = limits.map(|limits| [0.0, limits.nominal_force]);
-    plot(frame, width, "width, mm", Color::Cyan, stroke, &view.points(|sample| sample.width));
-    plot(frame, speed, "speed, mm/s", Color::Yellow, greatest, &view.points(|sample| sample.speed));
-    plot(frame, force, "force, N", Color::Magenta, nominal, &view.points(|sample| sample.force));
+    plot(frame, width, "width, mm", Color::Cyan, stroke, &view.lines(|sample| sample.width));
+    plot(frame, speed, "speed, mm/s", Color::Yellow, greatest, &view.lines(|sample| sample.speed));
+    plot(frame, force, "force, N", Color::Magenta, nominal, &view.lines(|sample| sample.force));
 }
 
 /// Plots a value over time. The axis covers the gripper's range if known, and at least all values.
@@ -142,16 +146,18 @@ fn plot(
     title: &str,
     color: Color,
     range: Option<[f32; 2]>,
-    points: &[(f64, f64)],
+    lines: &[Vec<(f64, f64)>],
 ) {
-    let lowest = points.iter().map(|point| point.1).fold(0.0, f64::min);
-    let highest = points.iter().map(|point| point.1).fold(1.0, f64::max);
+    let numbers = || lines.iter().flatten().map(|point| point.1);
+    let (lowest, highest) = (numbers().fold(0.0, f64::min), numbers().fold(1.0, f64::max));
     let [low, high] =
         range.map_or([lowest, highest], |[low, high]| [lowest.min(low.into()), highest.max(high.into())]);
-    let data = Dataset::default().data(points).graph_type(GraphType::Line).marker(Marker::Braille);
+    let style = Style::new().fg(color);
+    let data = |line| Dataset::default().data(line).graph_type(GraphType::Line).marker(Marker::Braille);
+    let data = lines.iter().map(|line| data(line).style(style)).collect();
     let times = Axis::default().bounds([-SHOWN_S, 0.0]).labels([format!("-{SHOWN_S} s"), "now".to_owned()]);
     let values = Axis::default().bounds([low, high]).labels([format!("{low:.0}"), format!("{high:.0}")]);
-    let chart = Chart::new(vec![data.style(Style::new().fg(color))]).x_axis(times).y_axis(values);
+    let chart = Chart::new(data).x_axis(times).y_axis(values);
     frame.render_widget(chart.block(Block::bordered().title(title.to_owned())), area);
 }
 
@@ -208,6 +214,24 @@ mod tests {
         }
         let is_drawn = |character: char| ('\u{2801}'..='\u{28FF}').contains(&character);
         assert!(screen.chars().filter(|character| is_drawn(*character)).count() > 20, "{screen}");
+    }
+
+    #[test]
+    fn plot_has_a_gap_while_no_value_is_known() {
+        let mut view = View::new(String::new());
+        let known = |width| Known { width: Some(width), ..Known::NOTHING };
+        for (at, known, is_connected) in [
+            (0.0, known(50.0), true),
+            (1.0, known(40.0), true),
+            (2.0, Known::NOTHING, false),
+            (3.0, known(90.0), true),
+        ] {
+            view.note(at, known, is_connected);
+        }
+        assert_eq!(view.lines(|sample| sample.width), [vec![(-3.0, 50.0), (-2.0, 40.0)], vec![(0.0, 90.0)]]);
+        assert!(view.lines(|sample| sample.force).is_empty());
+        view.note(4.0, Known::NOTHING, false);
+        assert!(screen(&view).contains("no connection"));
     }
 
     #[test]

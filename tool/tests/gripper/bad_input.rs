@@ -33,10 +33,48 @@ fn invalid_command_line_is_rejected_and_names_the_expected_value() {
         (&[CLOSED_PORT, "overdrive", "maybe"], "on, off"),
         (&[CLOSED_PORT, "raw", "1B0"], "an id from 0 to 255"),
         (&[CLOSED_PORT, "loop", "0x100"], "0x00 to 0xFF"),
-        (&[CLOSED_PORT, "pause", "-1"], "unexpected argument"),
+        (&[CLOSED_PORT, "pause", "-1"], "expected 0 to 86400 s"),
+        (&[CLOSED_PORT, "move-by", "-5N", "50"], "the unit is N; expected a number in mm"),
     ] {
         assert_refused(arguments, 2, expected);
     }
+}
+
+#[test]
+fn value_outside_the_limits_and_refused_grip_leave_the_settings() {
+    let rig = TestRig::new(quick());
+    let address = rig.tcp();
+    let settings = || {
+        let lines = "force-limit\nacceleration\nsoft-limits\nwidth\n";
+        Program::run_with_lines(&[&address], lines).stdout
+    };
+    assert_eq!(Program::run(&[&address, "home"]).status, 0);
+    let before = settings();
+    for (line, expected) in [
+        ("grip 20 50 --force 500", "force 500 N is outside the gripper's limits, 5 to 80 N; `overdrive on`"),
+        ("grip 20 50 --force=-1", "force -1 N is outside"),
+        ("grip 20mm 50mm/s --force -1N", "force -1 N is outside"),
+        ("grip 20 5000 --force 30", "speed 5000 mm/s is outside"),
+        ("grip -5 50 --force 30", "width -5 mm is outside"),
+        ("move -1 100", "width -1 mm is outside the gripper's limits, 0 to 110 mm"),
+        ("move-by -500mm 50", "offset -500 mm is outside"),
+        ("release 111 50", "width 111 mm is outside"),
+        ("force-limit 81N", "force 81 N is outside"),
+        ("acceleration 99999", "acceleration 99999 mm/s² is outside the gripper's limits, 100 to 5000 mm/s²"),
+        ("soft-limits -5 90", "width -5 mm is outside the gripper's limits, 0 to 110 mm"),
+    ] {
+        let words: Vec<&str> = std::iter::once(&*address).chain(line.split(' ')).collect();
+        assert_refused(&words, 2, expected);
+        let script = Program::run_with_lines(&[&address, "script", "-"], line);
+        assert_eq!(script.status, 2, "{line}: {script:?}");
+        assert!(script.stderr.contains(expected), "{line}: {script:?}");
+        assert_eq!(settings(), before, "{line}");
+    }
+
+    let lines = "soft-limits 30 110\ngrip 20 50 --force 30\nsoft-limits --clear\n";
+    let ended = Program::run_with_lines(&[&address], lines);
+    assert!(ended.stderr.contains("refused: E_RANGE_ERROR"), "{ended:?}");
+    assert_eq!(settings(), before);
 }
 
 #[test]

@@ -11,7 +11,7 @@ move 50 100
 home
 home positive
 move 50mm 100mm/s
-move-by -5 50
+move-by -5mm 50
 width
 grip 20 100 --force 40
 force
