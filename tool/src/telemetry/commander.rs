@@ -183,16 +183,21 @@ async fn begin<IO: Transport>(
     gripper: &mut Gripper<IO, TokioTimer>,
     action: Action,
 ) -> Result<Option<Motion>, Error<IO::Error>> {
-    if let Action::Move { force: Some(force), .. } | Action::Grip { force: Some(force), .. } = action {
-        gripper.set_force_limit(N(force)).await?;
-    }
     Ok(Some(match action {
         Action::Home => Motion::Plain(gripper.begin_home(HomingDirection::Default).await?),
-        Action::Move { width, speed, .. } => {
-            Motion::Plain(gripper.begin_move_to(Mm(width), MmPerS(speed), OnBlock::Stop).await?)
+        Action::Move { width, speed, force } => {
+            let (width, speed, block) = (Mm(width), MmPerS(speed), OnBlock::Stop);
+            Motion::Plain(match force {
+                Some(force) => gripper.begin_move_to_with_force(width, speed, block, N(force)).await?,
+                None => gripper.begin_move_to(width, speed, block).await?,
+            })
         }
-        Action::Grip { width, speed, .. } => {
-            Motion::Grip(gripper.begin_grip(Mm(width), MmPerS(speed)).await?)
+        Action::Grip { width, speed, force } => {
+            let (width, speed) = (Mm(width), MmPerS(speed));
+            Motion::Grip(match force {
+                Some(force) => gripper.begin_grip_with_force(width, speed, N(force)).await?,
+                None => gripper.begin_grip(width, speed).await?,
+            })
         }
         Action::Release { width, speed } => {
             Motion::Plain(gripper.begin_release(Mm(width), MmPerS(speed)).await?)

@@ -103,6 +103,8 @@ impl Reader {
             update_period_ms: period_ms,
             // Values are sent automatically, so one request per second suffices to detect a restart.
             refresh_ms: LOOK_MS * session::Topic::ALL.len() as u32,
+            // The gripper may correct a force limit without an error.
+            verify_settings: true,
             ..session::Config::DEFAULT
         };
         let config = Config { session, ..Config::DEFAULT };

@@ -86,6 +86,14 @@ impl Device {
         self.table.iter().chain(commands)
     }
 
+    /// Makes the values unknown, so that no later birth shows them as current. The result of the last command is no value of
+    /// the device and remains.
+    fn forget_values(&mut self) {
+        for value in self.values.iter_mut().take(self.table.len()) {
+            *value = None;
+        }
+    }
+
     /// Returns the index of a row of [`COMMANDS`] in the metrics of the device.
     fn place_of(&self, row: OfCommand) -> usize {
         self.table.len() + usize::from(row)
@@ -215,6 +223,7 @@ impl Node {
             }
             What::Lost => {
                 device.is_online = false;
+                device.forget_values();
                 Entry::Lost { device: number }
             }
         };

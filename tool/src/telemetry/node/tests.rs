@@ -72,6 +72,35 @@ fn device_lost_during_an_outage_is_born_for_its_history_and_dies_after_it() {
 }
 
 #[test]
+fn birth_of_a_lost_device_shows_no_value_from_before_the_loss() {
+    let is_null = |message: Message| {
+        let payload = Payload::decode(message.payload.as_slice()).unwrap();
+        payload.metrics.into_iter().map(|metric| metric.is_null == Some(true)).collect::<Vec<_>>()
+    };
+    let mut node = node_of(10);
+    node.take(found(0, 1));
+    node.take(changed(0, 2));
+    node.take(lost(0, 3));
+    node.connected(0);
+    assert_eq!(text_of(&node.poll_transmit(10).unwrap()), "NBIRTH ");
+    assert_eq!(is_null(node.poll_transmit(10).unwrap()), [true; TABLE.len()], "born for its history only");
+    assert_eq!(sent(&mut node, 10), ["DDATA left 2 historical", "DDEATH left"]);
+
+    // Found and lost before the message about the former is sent.
+    node.take(found(0, 11));
+    node.take(lost(0, 12));
+    assert_eq!(is_null(node.poll_transmit(13).unwrap()), [true; TABLE.len()]);
+    assert_eq!(sent(&mut node, 13), ["DDEATH left"]);
+
+    node.take(found(0, 14));
+    assert_eq!(
+        is_null(node.poll_transmit(15).unwrap()),
+        [false; TABLE.len()],
+        "values of the new connection"
+    );
+}
+
+#[test]
 fn device_that_returns_while_its_history_is_sent_stays_alive() {
     let mut node = node_of(10);
     node.take(found(0, 1));
