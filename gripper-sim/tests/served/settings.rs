@@ -66,6 +66,33 @@ impl Rig {
     }
 }
 
+/// "Set Device Tag" (51h) stores the tag, as the command set describes it (3.5.2).
+#[test]
+fn tag_of_a_client_outlasts_a_restart_and_is_saved() {
+    let mut rig = Rig::new("tag", "tag = \"first\"\n");
+    for tag in ["cell 7", "--odd: \\ \"quoted\"", ""] {
+        let sent = wsg_protocol::DeviceTag::new(tag).unwrap();
+        assert_eq!(rig.client.ask(Command::SetDeviceTag { tag: sent }), Status::Success);
+        let expected = if tag.is_empty() { Status::NotAvailable } else { Status::Success };
+        assert_eq!(rig.client.ask(Command::GetDeviceTag), expected);
+        let setting = rig.setting("tag");
+        assert_eq!(setting["value"].as_str().unwrap_or_default(), tag, "{setting}");
+        assert_eq!(setting["pending"], json!(false), "{setting}");
+
+        assert_eq!(rig.request("POST", "/restart", "").0, 200);
+        for name in ["model", "tcp", "control", "page"] {
+            rig.program.place_of(name);
+        }
+        rig.client = Client(connect(&rig.tcp));
+        assert_eq!(rig.client.ask(Command::GetDeviceTag), expected, "{tag} after the restart");
+    }
+    assert_eq!(rig.file.text().trim(), "", "no tag is saved");
+    let sent = wsg_protocol::DeviceTag::new("kept").unwrap();
+    assert_eq!(rig.client.ask(Command::SetDeviceTag { tag: sent }), Status::Success);
+    assert_eq!(rig.setting("tag")["value"], json!("kept"));
+    assert_eq!(rig.file.text().trim(), "tag = \"kept\"");
+}
+
 #[test]
 fn settings_change_at_once_and_reference_and_latched_state_stay() {
     let mut rig = Rig::new("at_once", "time-scale = 20\npart = \"20\"\n");

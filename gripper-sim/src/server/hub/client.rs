@@ -90,7 +90,11 @@ impl Client {
     }
 
     fn hear(&self, bytes: &[u8]) {
-        self.hub.act(|gripper, now| gripper.receive(self.connected.id, now, bytes));
+        let tag = self.hub.act(|gripper, now| {
+            gripper.receive(self.connected.id, now, bytes);
+            *gripper.tag()
+        });
+        self.hub.keep_tag(&tag);
         self.hub.script_waits.notify_all();
     }
 

@@ -1,6 +1,7 @@
 //! Settings that change while the gripper runs, and its restart.
 
 use super::{Hub, PAGE, lock};
+use crate::config::Tag;
 use crate::server::options::{Options, Setting, save, settings, toml_value};
 use crate::server::system_log::Severity;
 use std::collections::BTreeMap;
@@ -96,23 +97,41 @@ impl Hub {
             let [before, now] = [&running.options, &options].map(|options| text(options.given.get(*name)));
             self.report_event(Severity::Info, PAGE, &format!("setting {name}: {before} -> {now}"));
         }
-        let saved = options.file.as_ref().map_or(Ok(()), |file| {
-            let is_list = |name: &str| settings().iter().any(|row| row.name == name && row.is_list);
-            let value = |name: &str| options.given.get(name).map(|words| toml_value(words, is_list(name)));
-            let lines: Vec<_> = changed.iter().map(|name| (name.as_str(), value(name))).collect();
-            save(file, &lines).map_err(|error| format!("{} cannot be written: {error}", file.display()))
-        });
+        let saved = self.save_settings(&options, &changed);
         running.options = options;
         self.settings_revision.fetch_add(1, Ordering::Relaxed);
-        saved.map_err(|error| {
+        saved.map_err(Refused::NotSaved)
+    }
+
+    /// Saves these settings in the file of `--config`, if any.
+    fn save_settings(&self, options: &Options, names: &[&String]) -> Result<(), String> {
+        let Some(file) = &options.file else { return Ok(()) };
+        let is_list = |name: &str| settings().iter().any(|row| row.name == name && row.is_list);
+        let value = |name: &str| options.given.get(name).map(|words| toml_value(words, is_list(name)));
+        let lines: Vec<_> = names.iter().map(|name| (name.as_str(), value(name))).collect();
+        save(file, &lines).map_err(|error| {
+            let error = format!("{} cannot be written: {error}", file.display());
             self.report_event(Severity::Error, "gripper", &error);
-            Refused::NotSaved(error)
+            error
         })
+    }
+
+    /// Keeps the tag that a client has set (command set, 3.5.2), so that it outlasts a restart and, with `--config`, the
+    /// program.
+    pub(in crate::server) fn keep_tag(&self, tag: &Tag) {
+        let Some(running) = &self.running else { return };
+        if lock(running).options.config.tag == *tag {
+            return;
+        }
+        let name = "tag".to_owned();
+        let words = (!tag.as_str().is_empty()).then(|| vec![tag.as_str().to_owned()]);
+        self.remember(&Changes::from([(name.clone(), words)]));
+        // A failure is in the system log. The command itself has succeeded.
+        let _ = self.save_settings(&lock(running).options, &[&name]);
     }
 
     /// Takes over settings that are in effect already, such as a station name that a controller has set, so that they
     /// outlast a restart.
-    #[cfg(target_os = "linux")]
     pub(in crate::server) fn remember(&self, changes: &Changes) {
         let Some(running) = &self.running else { return };
         let Running { options, at_start } = &mut *lock(running);
