@@ -1,6 +1,6 @@
 //! A DP slave with outputs, inputs and a diagnosis, and its bit rate search.
 
-use bus_profibus::{Address, Baud, BaudSearch, Slave, identifiers_fit};
+use bus_profibus::{Address, Baud, BaudSearch, Character, Slave, identifiers_fit};
 
 use crate::{function, functions};
 
@@ -13,5 +13,6 @@ pub(crate) fn every_function() {
         Address: new;
         Baud: bit_s, max_tsdr_bits;
         BaudSearch: new, baud, is_found, poll;
+        Character: is_stray;
     }
 }
