@@ -1,8 +1,10 @@
 //! The interface between scripts and the gripper in virtual time: claimed commands and script motions.
 
 use crate::common::{Rig, go_to, grip, release};
-use wsg_protocol::{Command, FrameEncoder, GripperState, HomingDirection, SoftLimits, Status, SystemFlags};
-use wsg_sim::{Config, Fault, MAX_REQUEST_LEN, Part, PortKind, ScriptState};
+use wsg_protocol::{
+    Command, FingerFlags, FrameEncoder, GripperState, HomingDirection, SoftLimits, Status, SystemFlags, Value,
+};
+use wsg_sim::{Config, Fault, Finger, Jaw, MAX_REQUEST_LEN, Part, PortKind, ScriptState};
 
 fn running(part: Option<Part>) -> Rig {
     let mut rig = Rig::homed(part);
@@ -207,6 +209,65 @@ fn motions_of_a_script_are_refused_like_motions_of_clients() {
     rig.set_fault(Fault::MotorCurrent, true);
     assert_eq!(run(&mut rig, 10.0), Status::AccessDenied);
     assert_eq!(rig.width(), 110.0);
+}
+
+/// `while mc.busy() do sleep(1) end mc.move(...)` must never be refused as "already running", nor wait for nothing.
+#[test]
+fn gripper_is_busy_exactly_while_the_next_motion_would_be_refused() {
+    let here = go_to(110.0);
+    let cases: [(&str, Option<Part>, &[Command<'_>]); 6] = [
+        ("a move to the present width", None, &[here]),
+        ("a move", None, &[go_to(60.0)]),
+        ("a homing, with its reversals", None, &[Command::Homing { direction: HomingDirection::Negative }]),
+        ("a grip, while its force builds up", Part::of_width(20.0), &[grip(20.0)]),
+        ("a block on a part", Part::of_width(20.0), &[go_to(5.0)]),
+        ("a release of nothing", None, &[release(110.0)]),
+    ];
+    for (case, part, commands) in cases {
+        let mut rig = running(part);
+        for command in commands {
+            assert_eq!(rig.gripper.command(command, rig.now), Status::CmdPending, "{case}");
+        }
+        let mut was_busy = false;
+        for _ in 0..6_000 {
+            // On a copy, which the command does not disturb. A held part has its own refusal.
+            let mut asked = rig.gripper.clone();
+            let refused = asked.command(&here, rig.now) == Status::AlreadyRunning;
+            let expected = refused && rig.state() != GripperState::Holding;
+            assert_eq!(rig.gripper.is_busy(), expected, "{case} at {:?}: {:?}", rig.now, rig.state());
+            was_busy |= expected;
+            rig.wait(1);
+        }
+        assert!(was_busy && !rig.gripper.is_busy(), "{case}");
+    }
+}
+
+#[test]
+fn interface_of_a_finger_is_open_until_the_script_ends() {
+    let flags = |rig: &mut Rig| {
+        rig.ask(Command::GetFinger1Flags).with(|reply| match reply.value() {
+            Some(Value::GetFinger1Flags(flags)) => flags,
+            other => panic!("{other:?}"),
+        })
+    };
+    for (finger, before, opened) in [
+        (Finger::Generic, false, true),
+        (Finger::None, false, true),
+        // The gripper itself uses the interface of a known finger.
+        (Finger::Fmf, true, true),
+    ] {
+        for end in [ScriptState::None, ScriptState::Failed] {
+            let config = Config { fingers: [finger, Finger::Generic], ..Config::default() };
+            let mut rig = Rig::homed_with(config);
+            rig.gripper.set_script_state(ScriptState::Running, rig.now);
+            let open = |rig: &mut Rig| flags(rig).contains(FingerFlags::COMM_OPEN);
+            assert_eq!(open(&mut rig), before, "{finger:?}");
+            rig.gripper.open_finger_interface(Jaw::One);
+            assert_eq!(open(&mut rig), opened, "{finger:?}");
+            rig.gripper.set_script_state(end, rig.now);
+            assert_eq!(open(&mut rig), before, "{finger:?} after {end:?}");
+        }
+    }
 }
 
 #[test]

@@ -483,6 +483,91 @@ fn module_outside_of_the_folder_is_not_loaded_through_a_link() {
     }
 }
 
+/// Public scripts home with a boolean, and begin the next motion in the next line.
+#[test]
+fn homing_takes_a_boolean_and_waits_for_its_end() {
+    for (call, width) in [
+        ("mc.homing(false)", 0),
+        ("mc.homing(true)", 110),
+        ("mc.homing()", 110),
+        ("mc.homing(0)", 110),
+        ("mc.homing(1)", 110),
+        ("mc.homing(2)", 0),
+    ] {
+        let source = format!(
+            "print('homed', {call}, mc.busy(), mc.position())\n\
+             print('moved', mc.move(60, 400), mc.busy())\n\
+             print('wrong', pcall(mc.homing, 'inward'))\n\
+             print('end')"
+        );
+        let log = printed("homing", &source);
+        assert!(log.contains(&format!(" script homed\t0\tfalse\t{width}\n")), "{call}: {log}");
+        assert!(log.contains(" script moved\t0\t"), "{call}: {log}");
+        assert!(log.contains("expected true or 1 (outward), false or 2 (inward), or 0"), "{log}");
+    }
+}
+
+#[test]
+fn force_limit_is_the_second_value_and_settings_are_read_as_they_are_set() {
+    let source = r#"
+        mc.homing(true)
+        print("free", mc.force())
+        print("set", mc.force(30))
+        print("grasped", grasping.grasp(20, 100))
+        local force, limit = mc.force()
+        print("holding", force, limit, mc.aforce())
+        print("acceleration", mc.acceleration(), mc.acceleration(2000), mc.acceleration())
+        print("none", mc.softlimits())
+        print("limits", mc.softlimits(10, 90))
+        print("limits", mc.softlimits())
+        print(pcall(mc.softlimits, 10))
+        print("end")"#;
+    let config = Config { part: Part::of_width(20.0), time_scale: QUICK, ..Config::default() };
+    let log = log_of("force", config, &script("force", source).0, " script end");
+    for line in [
+        "free\t0\t40",
+        "set\t0\t30",
+        "grasped\t0",
+        "holding\t30\t30\t30",
+        "acceleration\t1000\t2000\t2000",
+        "none\tnil\tnil",
+        "limits\t10\t90",
+    ] {
+        assert!(log.contains(&format!(" script {line}\n")), "{line} in {log}");
+    }
+    assert!(log.contains("mc.softlimits: expected two widths in mm"), "{log}");
+}
+
+/// A public script sends measurements with a registered id, whether or not a command was read.
+#[test]
+fn frame_with_a_registered_id_is_a_push_if_no_command_was_read() {
+    let source = r#"
+        cmd.register(0xB0) cmd.register(0xB1)
+        print("offline", pcall(cmd.send, 0xB0, etob(E_SUCCESS), 6))
+        print("unknown", pcall(cmd.send, 0xB2, 1))
+        while not cmd.online() do sleep(1) end
+        cmd.send(0xB0, etob(E_SUCCESS), 7)
+        local id = cmd.read()
+        cmd.send(0xB0, etob(E_SUCCESS), 8)
+        cmd.send(id, etob(E_SUCCESS), 9)
+        cmd.send(id, etob(E_SUCCESS), 10)
+        print("end")
+        cmd.read()"#;
+    let script = script("push", source);
+    let logged = Logged::new("push", Config::default(), &lines(&script.0));
+    logged.until(|text| text.contains(" script unknown\t").then_some(()));
+    let mut client = Client::of(&logged.served);
+    assert_eq!(client.recv(), (0xB0, vec![0, 0, 7]));
+    let frame: Vec<u8> = FrameEncoder::new(0xB1, &[][..]).collect();
+    client.0.write_all(&frame).unwrap();
+    for (id, value) in [(0xB0, 8), (0xB1, 9), (0xB1, 10)] {
+        assert_eq!(client.recv(), (id, vec![0, 0, value]));
+    }
+    let text = logged.stop();
+    assert!(text.contains(" script offline\ttrue\n"), "{text}");
+    assert!(text.contains("cmd.send: the command B2h is not registered"), "{text}");
+}
+
 #[test]
 fn calls_that_public_scripts_make_are_there() {
     let source = r#"

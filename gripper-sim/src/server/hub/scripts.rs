@@ -169,13 +169,13 @@ impl Hub {
         drop(self.script_waits.wait_timeout_while(self.lock(), duration, goes_on));
     }
 
-    /// Returns the interface of the client, or, after its end, of the first client of the binary protocol.
-    pub(in crate::server) fn interface(&self, id: Option<PortId>) -> Option<String> {
+    /// Returns this client and its interface, or, after its end, the first client of the binary protocol and its interface.
+    pub(in crate::server) fn script_client(&self, id: Option<PortId>) -> Option<(PortId, String)> {
         let shared = self.lock();
         let mut clients = shared.clients.values();
         let client = clients.clone().find(|client| Some(client.id) == id);
         let client = client.or_else(|| clients.find(|client| client.kind.is_binary()));
-        client.map(|client| client.kind.to_string())
+        client.map(|client| (client.id, client.kind.to_string()))
     }
 }
 

@@ -18,7 +18,9 @@ use std::rc::Rc;
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use wsg_protocol::frame::OVERHEAD;
-use wsg_protocol::{Command, GripperState, HomingDirection, PrePositionFlags, Status, SystemFlags};
+use wsg_protocol::{
+    Command, GripperState, HomingDirection, PrePositionFlags, SoftLimits, Status, SystemFlags,
+};
 
 /// The longest answer, in bytes.
 const MAX_ANSWER_LEN: usize = MAX_FRAME_LEN - OVERHEAD;
@@ -53,8 +55,10 @@ struct Caller {
     run: Run,
     /// Number of checks since the script last waited.
     looks: Rc<Cell<u32>>,
-    /// The latest client by command.
-    clients: RefCell<BTreeMap<u8, PortId>>,
+    /// The ids that the script has claimed.
+    claimed: RefCell<BTreeSet<u8>>,
+    /// The client of the latest command by id, and whether the script has sent its answer.
+    clients: RefCell<BTreeMap<u8, (PortId, bool)>>,
     /// The latest client of any command.
     client: Cell<Option<PortId>>,
     noted: RefCell<BTreeSet<String>>,
@@ -107,6 +111,7 @@ pub(super) fn install(
         hub: Arc::clone(hub),
         run,
         looks: Rc::clone(looks),
+        claimed: RefCell::default(),
         clients: RefCell::default(),
         client: Cell::default(),
         noted: RefCell::default(),
@@ -209,6 +214,20 @@ impl Caller {
         if is_new { self.log(vec![text]) } else { Ok(()) }
     }
 
+    /// Returns the client to send a frame with this id to: the sender of the last command with the id, if it is still there
+    /// or has had no answer. Otherwise the frame is a push, to the client that [`Hub::script_client`] returns, if any.
+    fn receiver(&self, id: u8) -> Result<Option<PortId>> {
+        let last = self.clients.borrow().get(&id).copied();
+        if last.is_none() && !self.claimed.borrow().contains(&id) {
+            return Err(wrong(format_args!("cmd.send: the command {id:02X}h is not registered")));
+        }
+        let preferred = last.map(|(port, _)| port).or(self.client.get());
+        let present = self.ask(|hub| hub.script_client(preferred))?.map(|(port, _)| port);
+        let Some((asked, is_answered)) = last else { return Ok(present) };
+        self.clients.borrow_mut().insert(id, (asked, true));
+        Ok(if is_answered { present } else { Some(asked) })
+    }
+
     /// Waits until `is_there` returns `true` for the state; returns `false` on a time-out.
     fn wait_until(&self, mut is_there: impl FnMut(&State) -> bool) -> Result<bool> {
         let start = Instant::now();
@@ -262,6 +281,14 @@ impl Drop for Caller {
 /// Returns the current state.
 fn state(hub: &Hub) -> State {
     hub.look(|gripper| gripper.state())
+}
+
+/// Returns the force in N, summed over both fingers: as force sensors measure it, otherwise from the motor current.
+fn measured_force(hub: &Hub) -> f32 {
+    hub.look(|gripper| {
+        let per_jaw = gripper.state().force / 2.0;
+        [Jaw::One, Jaw::Two].iter().map(|jaw| gripper.finger(*jaw).1.unwrap_or(per_jaw)).sum()
+    })
 }
 
 fn command(hub: &Hub, command: &Command<'_>) -> Status {
@@ -324,6 +351,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
                 Err(_) => false,
             };
             if is_claimed {
+                caller.claimed.borrow_mut().insert(id as u8);
                 return Ok(());
             }
             let (first, last) = (SCRIPT_IDS.start(), SCRIPT_IDS.end());
@@ -332,20 +360,23 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             )))
         })?
         .function("unregister", |_, caller, id: u32| match u8::try_from(id) {
-            Ok(id) => caller.ask(|hub| hub.act(|gripper, _| gripper.release_for_script(id))).map(drop),
+            Ok(id) => {
+                caller.claimed.borrow_mut().remove(&id);
+                caller.ask(|hub| hub.act(|gripper, _| gripper.release_for_script(id))).map(drop)
+            }
             Err(_) => Ok(()),
         })?
         .function("available", |_, caller, ()| {
             caller.ask(|hub| hub.look(|gripper| gripper.script_requests()))
         })?
-        .function("online", |_, caller, ()| caller.ask(|hub| hub.interface(None).is_some()))?
+        .function("online", |_, caller, ()| caller.ask(|hub| hub.script_client(None).is_some()))?
         .function("interface", |_, caller, ()| {
             let last = caller.client.get();
-            caller.ask(|hub| hub.interface(last))
+            caller.ask(|hub| hub.script_client(last).map(|(_, interface)| interface))
         })?
         .function("read", |lua, caller, ()| {
             let request = caller.wait(|hub| hub.script_request(caller.run))?.ok_or_else(switched_off)?;
-            caller.clients.borrow_mut().insert(request.id, request.port);
+            caller.clients.borrow_mut().insert(request.id, (request.port, false));
             caller.client.set(Some(request.port));
             Ok((request.id, lua.create_sequence_from(request.payload)?))
         })?
@@ -354,11 +385,7 @@ fn commands(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             for value in &values {
                 append(&mut payload, value, 0)?;
             }
-            let Some(port) = caller.clients.borrow().get(&id).copied() else {
-                return Err(wrong(format_args!(
-                    "cmd.send: no command {id:02X}h was read; no client waits for an answer"
-                )));
-            };
+            let Some(port) = caller.receiver(id)? else { return Ok(()) };
             caller
                 .ask(move |hub| hub.act(|gripper, _| gripper.answer_for_script(port, id, &payload)))
                 .map(|_| ())
@@ -411,7 +438,7 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     module
         .function("position", |_, caller, ()| caller.ask(|hub| state(hub).reported_width))?
         .function("aforce", |_, caller, ()| caller.ask(|hub| state(hub).force))?
-        .function("busy", |_, caller, ()| caller.ask(|hub| state(hub).flags.contains(SystemFlags::MOVING)))?
+        .function("busy", |_, caller, ()| caller.ask(|hub| hub.look(|gripper| gripper.is_busy())))?
         .function("blocked", |_, caller, ()| {
             caller.ask(|hub| {
                 state(hub).flags.intersects(SystemFlags::BLOCKED_MINUS.union(SystemFlags::BLOCKED_PLUS))
@@ -448,18 +475,46 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
                 Some(_) => return Err(wrong(format_args!("mc.force: expected a force in N"))),
                 None => {}
             }
-            caller.ask(|hub| state(hub).force_limit)
+            caller.ask(|hub| (measured_force(hub), state(hub).force_limit))
         })?
-        .function("homing", |lua, caller, direction: Option<u8>| {
+        .function("acceleration", |lua, caller, acceleration: Option<f32>| {
+            match acceleration {
+                Some(acceleration) if acceleration.is_finite() => {
+                    caller.command(lua, "mc.acceleration", move |hub| {
+                        command(hub, &Command::SetAcceleration { acceleration })
+                    })?;
+                }
+                Some(_) => return Err(wrong(format_args!("mc.acceleration: expected mm/s²"))),
+                None => {}
+            }
+            caller.ask(|hub| state(hub).acceleration)
+        })?
+        .function("softlimits", |lua, caller, limits: (Option<f32>, Option<f32>)| {
+            match limits {
+                (Some(minus), Some(plus)) if minus.is_finite() && plus.is_finite() => {
+                    let limits = SoftLimits { minus, plus };
+                    caller.command(lua, "mc.softlimits", move |hub| {
+                        command(hub, &Command::SetSoftLimits { limits })
+                    })?;
+                }
+                (None, None) => {}
+                _ => return Err(wrong(format_args!("mc.softlimits: expected two widths in mm"))),
+            }
+            let limits = caller.ask(|hub| state(hub).soft_limits)?;
+            Ok((limits.map(|limits| limits.minus), limits.map(|limits| limits.plus)))
+        })?
+        .function("homing", |lua, caller, direction: Value| {
             let direction = match direction {
-                None | Some(0) => HomingDirection::Default,
-                Some(1) => HomingDirection::Positive,
-                Some(2) => HomingDirection::Negative,
-                Some(_) => {
-                    return Err(wrong(format_args!("mc.homing: expected 0, 1 (outward) or 2 (inward)")));
+                Value::Nil | Value::Integer(0) => HomingDirection::Default,
+                Value::Boolean(true) | Value::Integer(1) => HomingDirection::Positive,
+                Value::Boolean(false) | Value::Integer(2) => HomingDirection::Negative,
+                _ => {
+                    return Err(wrong(format_args!(
+                        "mc.homing: expected true or 1 (outward), false or 2 (inward), or 0"
+                    )));
                 }
             };
-            caller.command(lua, "mc.homing", move |hub| command(hub, &Command::Homing { direction }))
+            caller.motion(lua, "mc.homing", Command::Homing { direction })
         })?
         .function("pid", |_, caller, gains: (Option<f64>, Option<f64>, Option<f64>)| {
             match gains {
@@ -510,10 +565,11 @@ fn grasping(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             }
             let mut is_clamped = false;
             caller.wait_until(|state| {
-                is_clamped = state.flags.contains(SystemFlags::BLOCKED_MINUS) && state.force > 0.0;
-                is_clamped
-                    || from - state.width > travel.abs()
-                    || !matches!(state.gripper, GripperState::Positioning)
+                // Checked first: the fingers may have gone further since the last look, and have met a part there.
+                let is_too_far = from - state.width > travel.abs();
+                let is_blocked = state.flags.contains(SystemFlags::BLOCKED_MINUS) && state.force > 0.0;
+                is_clamped = is_blocked && !is_too_far;
+                is_clamped || is_too_far || !matches!(state.gripper, GripperState::Positioning)
             })?;
             if is_clamped {
                 return Ok(status);
@@ -568,14 +624,15 @@ fn sensors(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     Ok(())
 }
 
-/// The interface of a finger with custom electronics. Nothing is connected here: writes are lost and reads return nothing.
+/// The interface of a finger with custom electronics, open until the script ends. Nothing is connected here: writes are lost
+/// and reads return nothing.
 fn finger_interfaces(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
     let module = Module { lua, caller, table: lua.globals().raw_get("finger")? };
     module
-        .function("interface", |_, _, (index, kind): (u8, String)| {
-            jaw(index)?;
+        .function("interface", |_, caller, (index, kind): (u8, String)| {
+            let jaw = jaw(index)?;
             match kind.as_str() {
-                "uart" | "spi" => Ok(()),
+                "uart" | "spi" => caller.ask(|hub| hub.act(|gripper, _| gripper.open_finger_interface(jaw))),
                 _ => Err(wrong(format_args!(
                     "finger.interface: {kind:?} is unknown; expected \"uart\" or \"spi\""
                 ))),
