@@ -1,5 +1,5 @@
 //! The mechanics: two fingers on one axis, a trapezoidal speed profile, end stops, and a part that yields like a
-//! spring. Independent of commands and states.
+//! spring, from outside and, if it is hollow, from inside. Independent of commands and states.
 //!
 //! Widths are opening widths in mm, from 0 (closed) to the stroke. Speeds are their rate of change in mm/s, negative
 //! while the fingers close. Forces are in N, summed over both fingers.
@@ -32,11 +32,13 @@ impl Direction {
     }
 }
 
-/// A part between the fingers, with its width and stiffness.
+/// A part, with its width and stiffness, and the inner width of a hollow one. It is gripped from outside, or by outward
+/// fingers from inside.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
     width: f32,
     stiffness: f32,
+    inner_width: Option<f32>,
 }
 
 impl Part {
@@ -47,7 +49,22 @@ impl Part {
     #[must_use]
     pub fn new(width: f32, stiffness: f32) -> Option<Self> {
         let sensible = |value: f32| value.is_finite() && value > 0.0;
-        (sensible(width) && sensible(stiffness)).then_some(Self { width, stiffness })
+        (sensible(width) && sensible(stiffness)).then_some(Self { width, stiffness, inner_width: None })
+    }
+
+    /// Returns the same part with a hole of this width in mm; `None` unless it is above 0 and below the part's own width.
+    ///
+    /// ```
+    /// use wsg_sim::Part;
+    ///
+    /// let ring = Part::of_width(80.0).and_then(|part| part.with_inner_width(60.0)).unwrap();
+    /// assert_eq!((ring.width(), ring.inner_width()), (80.0, Some(60.0)));
+    /// assert_eq!(ring.with_inner_width(80.0), None);
+    /// ```
+    #[must_use]
+    pub fn with_inner_width(self, inner_width: f32) -> Option<Self> {
+        let fits = inner_width > 0.0 && inner_width < self.width;
+        fits.then_some(Self { inner_width: Some(inner_width), ..self })
     }
 
     /// Returns a part of this width in mm and the [default stiffness](Self::DEFAULT_STIFFNESS).
@@ -68,9 +85,15 @@ impl Part {
         self.stiffness
     }
 
-    /// Returns the width in mm to which `force` in N squeezes the part.
-    fn squeezed(&self, force: f64) -> f64 {
-        f64::from(self.width) - force / f64::from(self.stiffness)
+    /// Returns the width of the hole in mm, not widened; `None` for a solid part.
+    #[must_use]
+    pub const fn inner_width(&self) -> Option<f32> {
+        self.inner_width
+    }
+
+    /// Returns by how much `force` in N squeezes or widens the part, in mm.
+    fn yields(&self, force: f64) -> f64 {
+        force / f64::from(self.stiffness)
     }
 }
 
@@ -101,6 +124,17 @@ pub(crate) struct Block {
     pub(crate) obstacle: Obstacle,
 }
 
+/// Where the part is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Place {
+    /// It waits: it is wider than the opening, and its hole, if any, is narrower.
+    Away,
+    /// The fingers are outside of the part and can close on it.
+    Between,
+    /// The fingers are in its hole and can open against it.
+    Around,
+}
+
 /// The axis with the part between its fingers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Axis {
@@ -112,8 +146,7 @@ pub(crate) struct Axis {
     /// The active travel; `None` while the motor is off.
     drive: Option<Travel>,
     part: Option<Part>,
-    /// Whether the part is between the fingers. A part wider than the opening waits outside.
-    seated: bool,
+    place: Place,
     jammed: bool,
     block: Option<Block>,
     /// Force in N against an end stop or a jam, rising to the force limit.
@@ -130,7 +163,7 @@ impl Axis {
             speed: 0.0,
             drive: None,
             part: None,
-            seated: false,
+            place: Place::Away,
             jammed: false,
             block: None,
             push: 0.0,
@@ -152,7 +185,7 @@ impl Axis {
     }
 
     pub(crate) const fn part_is_between(&self) -> bool {
-        self.seated
+        !matches!(self.place, Place::Away)
     }
 
     pub(crate) const fn block(&self) -> Option<Block> {
@@ -232,10 +265,10 @@ impl Axis {
     }
 
     /// Places a part between the fingers, or removes it. A part wider than the opening enters once the fingers have
-    /// opened far enough.
+    /// opened far enough, or closed enough to enter its hole.
     pub(crate) fn set_part(&mut self, part: Option<Part>) {
         self.part = part;
-        self.seated = false;
+        self.place = Place::Away;
         self.seat_part();
         self.forget_block_that_is_gone();
     }
@@ -295,9 +328,10 @@ impl Axis {
         self.speed = 0.0;
     }
 
-    /// Lets the part push the fingers open, by `distance` at most.
+    /// Lets the part push the fingers out of it, by `distance` at most.
     fn spring_back(&mut self, distance: f64, seconds: f64) {
-        self.width += distance.min(self.spring_back_speed * seconds);
+        let outwards = if self.place == Place::Around { Direction::Minus } else { Direction::Plus };
+        self.width += outwards.sign() * distance.min(self.spring_back_speed * seconds);
     }
 
     /// Returns the furthest width in this direction that the drive reaches with its force, and the obstacle there.
@@ -305,12 +339,26 @@ impl Axis {
         if self.jammed {
             return (self.width, Obstacle::Jam);
         }
-        match (direction, self.part) {
-            (Direction::Plus, _) => (self.stroke, Obstacle::EndStop),
-            (Direction::Minus, Some(part)) if self.seated && part.squeezed(travel.squeeze) > 0.0 => {
-                (part.squeezed(travel.squeeze), Obstacle::Part)
-            }
-            (Direction::Minus, _) => (0.0, Obstacle::EndStop),
+        let end = match direction {
+            Direction::Plus => self.stroke,
+            Direction::Minus => 0.0,
+        };
+        let part = self.surface().filter(|(facing, ..)| *facing == direction);
+        let held = part.map(|(_, surface, part)| surface + direction.sign() * part.yields(travel.squeeze));
+        match held.filter(|held| (end - held) * direction.sign() > 0.0) {
+            Some(held) => (held, Obstacle::Part),
+            None => (end, Obstacle::EndStop),
+        }
+    }
+
+    /// Returns the part's surface that the fingers face: the direction in which they push against it, its width in mm, and
+    /// the part.
+    fn surface(&self) -> Option<(Direction, f64, Part)> {
+        let part = self.part?;
+        match self.place {
+            Place::Away => None,
+            Place::Between => Some((Direction::Minus, part.width.into(), part)),
+            Place::Around => Some((Direction::Plus, part.inner_width?.into(), part)),
         }
     }
 
@@ -323,15 +371,21 @@ impl Axis {
 
     /// Returns how deep the fingers are in the part, in mm.
     pub(crate) fn penetration(&self) -> f64 {
-        match self.part {
-            Some(part) if self.seated => (f64::from(part.width) - self.width).max(0.0),
-            _ => 0.0,
-        }
+        self.depth().map_or(0.0, |depth| depth.max(0.0))
+    }
+
+    /// Returns how far the fingers are beyond the part's surface, in mm; negative while they do not touch it.
+    fn depth(&self) -> Option<f64> {
+        let (direction, surface, _) = self.surface()?;
+        Some((self.width - surface) * direction.sign())
     }
 
     fn seat_part(&mut self) {
-        if let Some(part) = self.part {
-            self.seated |= self.width >= f64::from(part.width);
+        let Some(part) = self.part.filter(|_| self.place == Place::Away) else { return };
+        if self.width >= f64::from(part.width) {
+            self.place = Place::Between;
+        } else if part.inner_width.is_some_and(|inner| self.width <= f64::from(inner)) {
+            self.place = Place::Around;
         }
     }
 
@@ -343,7 +397,7 @@ impl Axis {
             Obstacle::Part => match self.room() {
                 // A jammed axis has no room in either direction.
                 Some(room) => room <= NOTHING && self.penetration() > 0.0,
-                None => self.seated && self.part.is_some_and(|part| f64::from(part.width) >= self.width),
+                None => self.depth().is_some_and(|depth| depth >= 0.0),
             },
         };
         if !still_there {
@@ -434,6 +488,68 @@ mod tests {
         let steps = run(&mut axis);
         assert!(steps <= 12, "{steps} ms");
         assert_eq!((axis.width(), axis.force()), (20.0, 0.0));
+    }
+
+    const OPENING: Travel = Travel { target: 100.0, ..TRAVEL };
+
+    /// A part of 80 mm with a hole of 60 mm, which the fingers at half stroke are in.
+    fn ring(stiffness: f32) -> Option<Part> {
+        Part::new(80.0, stiffness).and_then(|part| part.with_inner_width(60.0))
+    }
+
+    #[test]
+    fn hollow_part_is_held_from_inside_and_pushes_idle_fingers_back() {
+        let mut axis = axis(ring(10.0));
+        axis.start(OPENING);
+        run(&mut axis);
+        assert_eq!((axis.width(), axis.force()), (64.0, 40.0));
+        assert_eq!(axis.block(), Some(Block { direction: Direction::Plus, obstacle: Obstacle::Part }));
+        axis.halt();
+        assert_eq!(axis.force(), 0.0);
+        run(&mut axis);
+        assert_eq!((axis.width(), axis.force()), (60.0, 0.0));
+        // Nothing is in the way of closing fingers.
+        axis.start(Travel { target: 0.0, ..TRAVEL });
+        run(&mut axis);
+        assert_eq!((axis.width(), axis.block()), (0.0, None));
+    }
+
+    #[test]
+    fn fingers_outside_of_a_hollow_part_close_on_it_and_enter_its_hole_only_when_they_are_narrower() {
+        let mut wide = axis(None);
+        wide.start(OPENING);
+        run(&mut wide);
+        wide.set_part(ring(10.0));
+        wide.start(TRAVEL);
+        run(&mut wide);
+        assert_eq!((wide.width(), wide.force()), (76.0, 40.0));
+
+        let mut waiting = axis(None);
+        waiting.start(Travel { target: 70.0, ..TRAVEL });
+        run(&mut waiting);
+        waiting.set_part(ring(10.0));
+        assert!(!waiting.part_is_between(), "neither in its hole nor outside of it");
+        waiting.start(Travel { target: 50.0, ..TRAVEL });
+        run(&mut waiting);
+        assert!(waiting.part_is_between());
+        waiting.start(OPENING);
+        run(&mut waiting);
+        assert_eq!((waiting.width(), waiting.force()), (64.0, 40.0));
+    }
+
+    #[test]
+    fn hollow_part_that_is_removed_blocks_no_more_and_a_soft_one_yields_to_the_end_stop() {
+        let mut axis = axis(ring(10.0));
+        axis.start(OPENING);
+        run(&mut axis);
+        axis.set_part(None);
+        assert_eq!((axis.block(), axis.force()), (None, 0.0));
+        run(&mut axis);
+        assert_eq!(axis.width(), 100.0);
+        let mut axis = self::axis(ring(0.5));
+        axis.start(Travel { target: 500.0, ..TRAVEL });
+        run(&mut axis);
+        assert_eq!(axis.block(), Some(Block { direction: Direction::Plus, obstacle: Obstacle::EndStop }));
     }
 
     #[test]

@@ -19,6 +19,8 @@ use wsg_protocol::{DecodeError, DeviceTag, SoftLimits};
 pub struct Config {
     /// The model to simulate.
     pub model: Model,
+    /// Whether the model has an overdrive mode. Not every gripper has one (command set, 3.3.8).
+    pub overdrive: bool,
     /// The serial number that Get System Information returns.
     pub serial_number: u32,
     /// The device tag; empty if none is set.
@@ -81,11 +83,12 @@ pub struct Config {
 
 impl Config {
     /// Returns these settings with each setting of `new` that a running gripper can take over. The others keep the values
-    /// that they had at power-up: model, fingers, Modbus byte order, PROFIBUS address, and what applies at power-up only.
+    /// that they had at power-up: model, overdrive, fingers, Modbus byte order, PROFIBUS address, and what applies at power-up only.
     #[must_use]
     pub const fn at_run_time(&self, new: &Self) -> Self {
         Self {
             model: self.model,
+            overdrive: self.overdrive,
             fingers: self.fingers,
             homing_at_start: self.homing_at_start,
             soft_limits: self.soft_limits,
@@ -119,6 +122,7 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             model: Model::default(),
+            overdrive: true,
             serial_number: 1,
             tag: Tag::EMPTY,
             homing_default: Direction::Plus,

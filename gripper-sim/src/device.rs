@@ -12,6 +12,7 @@ use crate::journal::Cause;
 use crate::motion::{GripOrder, MotionControl};
 use crate::port::{Completion, PortId, Request};
 use crate::script::{Script, ScriptState};
+use crate::settings::Settings;
 use crate::thermal::Thermal;
 use crate::time::{Time, earlier};
 use crate::updates::Readings;
@@ -88,8 +89,8 @@ impl Device {
         true
     }
 
-    pub(crate) const fn limits(&self) -> &'static SystemLimits {
-        &self.config.model.parameters().limits
+    pub(crate) const fn limits(&self) -> &SystemLimits {
+        self.motion.settings().system_limits()
     }
 
     pub(crate) const fn tag(&self) -> &Tag {
@@ -239,6 +240,28 @@ impl Device {
         self.motion.keep_speed(speed);
     }
 
+    /// Sets the state of the script. The interfaces that it has opened close when it ends.
+    pub(crate) fn set_script_state(&mut self, state: ScriptState) {
+        self.script.set_state(state);
+        if state != ScriptState::Running {
+            self.fingers.iter_mut().for_each(|finger| finger.set_interface(false));
+        }
+    }
+
+    /// Opens the interface of a finger for the script.
+    pub(crate) const fn open_finger_interface(&mut self, jaw: Jaw) {
+        self.finger_mut(jaw).set_interface(true);
+    }
+
+    /// Returns whether the next motion command would get E_ALREADY_RUNNING, or the fingers move.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.motion.is_busy()
+    }
+
+    pub(crate) const fn settings(&self) -> &Settings {
+        self.motion.settings()
+    }
+
     pub(crate) const fn script_mut(&mut self) -> &mut Script {
         &mut self.script
     }
@@ -274,7 +297,7 @@ impl Device {
             Fault::FingerShortCircuit(jaw) => self.finger_mut(jaw).set_short_circuit(on),
             Fault::FingerCommunication(jaw) => self.finger_mut(jaw).set_communication_fault(on),
         }
-        self.stop_on_lasting_fault();
+        self.react_to_faults();
     }
 
     /// Returns the time of the next event, and whether it requires the caller to be awake.
@@ -297,7 +320,7 @@ impl Device {
         self.note_load();
         if self.thermal.next_step(before).is_some_and(|at| at <= now) {
             self.thermal.step();
-            self.stop_on_lasting_fault();
+            self.react_to_faults();
         }
     }
 
@@ -347,14 +370,11 @@ impl Device {
         self.motor_fault || self.thermal.has_motor_fault()
     }
 
-    /// Returns whether a fault persists that an acknowledgement cannot clear.
-    fn has_lasting_fault(&self) -> bool {
-        self.supply_fault || self.has_motor_fault() || self.thermal.has_fault()
-    }
-
-    /// Latches FAST STOP while a fault persists, so that motions need no further check.
-    fn stop_on_lasting_fault(&mut self) {
-        if self.has_lasting_fault() && !self.motion.is_fast_stopped() {
+    /// Disables motion while the temperature or the supply is out of range, and latches FAST STOP while the motor is
+    /// overloaded (command set, appendix B, D14 to D16).
+    fn react_to_faults(&mut self) {
+        self.motion.set_disabled(self.supply_fault || self.thermal.has_fault());
+        if self.has_motor_fault() && !self.motion.is_fast_stopped() {
             self.fast_stop(Cause::Fault);
         }
     }

@@ -7,9 +7,10 @@ use crate::finger::Jaw;
 pub enum Fault {
     /// The axis is jammed: the fingers move in neither direction.
     AxisBlocked,
-    /// The hardware is above its critical temperature: SF_TEMP_FAULT and a FAST STOP.
+    /// The hardware is above its critical temperature: SF_TEMP_FAULT. A motion and the force on a part end, and motion
+    /// commands are refused until the temperature has fallen, without a FAST STOP (command set, appendix B, D14).
     OverTemperature,
-    /// The supply voltage is out of range: SF_POWER_FAULT and a FAST STOP.
+    /// The supply voltage is out of range: SF_POWER_FAULT, with the effects of over-temperature (D15).
     SupplyOutOfRange,
     /// The motor is at its thermal limit: SF_CURR_FAULT and a FAST STOP. Without injection, the motor reaches the limit
     /// under much more than the nominal force and recovers without that load.

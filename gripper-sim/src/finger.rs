@@ -55,6 +55,8 @@ pub(crate) struct FingerPort {
     initialized: bool,
     short_circuit: bool,
     communication_fault: bool,
+    /// Whether a script has opened the interface to custom electronics.
+    interface_open: bool,
     /// Force in N on this jaw that reads as 0 N since Tare Force Sensor.
     tare: f64,
 }
@@ -82,6 +84,7 @@ impl FingerPort {
             initialized: true,
             short_circuit: false,
             communication_fault: false,
+            interface_open: false,
             tare: 0.0,
         }
     }
@@ -104,7 +107,7 @@ impl FingerPort {
         let is_known = powered && !self.finger.is_switchable();
         flags.set(FingerFlags::POWER_ON, powered);
         flags.set(FingerFlags::CONFIG_AVAIL, is_known && self.initialized);
-        flags.set(FingerFlags::COMM_OPEN, self.communicates());
+        flags.set(FingerFlags::COMM_OPEN, self.communicates() || (powered && self.interface_open));
         flags.set(FingerFlags::POWER_FAULT, self.has_short_circuit());
         flags.set(FingerFlags::COMM_FAULT, is_known && self.initialized && self.communication_fault);
         flags.set(FingerFlags::INIT_FAULT, is_known && !self.initialized);
@@ -138,6 +141,11 @@ impl FingerPort {
     pub(crate) const fn set_communication_fault(&mut self, on: bool) {
         self.communication_fault = on;
         self.initialize();
+    }
+
+    /// Opens or closes the interface to custom electronics. The gripper itself uses that of a finger of a known type.
+    pub(crate) const fn set_interface(&mut self, open: bool) {
+        self.interface_open = open && self.finger.is_switchable();
     }
 
     /// Tries to read the configuration, which fails without supply or with a communication fault. The finger retries

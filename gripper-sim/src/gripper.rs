@@ -2,7 +2,7 @@
 
 use crate::axis::Part;
 use crate::client::Client;
-use crate::config::Config;
+use crate::config::{Config, Tag};
 use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
 use crate::fieldbus::{Exchange, Fieldbus};
@@ -13,7 +13,7 @@ use crate::script::{ScriptRequest, ScriptState};
 use crate::time::{Time, earlier};
 use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::frame::OVERHEAD;
-use wsg_protocol::{Command, GripperState, GrippingStatistics, Status, SystemFlags, Temperature};
+use wsg_protocol::{Command, GripperState, GrippingStatistics, SoftLimits, Status, SystemFlags, Temperature};
 
 /// A gripper with up to `PORTS` clients.
 ///
@@ -69,6 +69,10 @@ pub struct State {
     pub force: f32,
     /// The configured force limit in N, summed over both fingers.
     pub force_limit: f32,
+    /// The configured acceleration in mm/s².
+    pub acceleration: f32,
+    /// The soft limits, if they are set.
+    pub soft_limits: Option<SoftLimits>,
     /// The gripper state (command set, 3.4.2 and appendix C).
     pub gripper: GripperState,
     /// The system state flags (command set, appendix B).
@@ -246,6 +250,12 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         self.device.config()
     }
 
+    /// Returns the device tag, which a client may have changed since power-up (command set, 3.5.2).
+    #[must_use]
+    pub const fn tag(&self) -> &Tag {
+        self.device.tag()
+    }
+
     /// Takes over the settings that a running gripper can take over ([`Config::at_run_time`]). Reference, latched state and
     /// connections stay. A part or a tag that differs from the last settings is set. Clients of the text protocol keep
     /// their part width tolerance and clamping travel, which they can set themselves.
@@ -284,7 +294,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// is set to 0.
     pub fn set_script_state(&mut self, state: ScriptState, now: Time) {
         self.advance(now);
-        self.device.script_mut().set_state(state);
+        self.device.set_script_state(state);
         if state != ScriptState::Running {
             self.fieldbus.set_user_outputs(0);
         }
@@ -384,6 +394,19 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         status
     }
 
+    /// Returns whether a motion is in progress that the next motion command cannot replace, so that it would get
+    /// E_ALREADY_RUNNING. Velocity mode of scripts counts only while the fingers move.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        self.device.is_busy()
+    }
+
+    /// Opens the interface of this finger to custom electronics, for the script. FF_COMM_OPEN is set until the script ends.
+    pub fn open_finger_interface(&mut self, jaw: Jaw) {
+        self.device.open_finger_interface(jaw);
+        self.settle();
+    }
+
     /// Returns the kind of finger on this jaw and, for a force sensor, the force in N that it measures.
     #[must_use]
     pub fn finger(&self, jaw: Jaw) -> (Finger, Option<f32>) {
@@ -455,6 +478,8 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             speed: device.speed() as f32,
             force: device.real_force() as f32,
             force_limit: device.force_limit(),
+            acceleration: device.settings().acceleration(),
+            soft_limits: device.settings().soft_limits(),
             gripper: device.state(),
             flags: device.flags(),
             temperature: device.temperature(),

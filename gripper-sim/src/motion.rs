@@ -114,6 +114,8 @@ pub(crate) struct MotionControl {
     grip_direction: Option<Direction>,
     statistics: GrippingStatistics,
     fast_stop_latched: bool,
+    /// Whether a fault disables the drive until it ends.
+    disabled: bool,
     axis_stopped: bool,
     target_reached: bool,
 }
@@ -150,6 +152,7 @@ impl MotionControl {
             grip_direction: None,
             statistics: GrippingStatistics::default(),
             fast_stop_latched: false,
+            disabled: false,
             axis_stopped: false,
             target_reached: false,
         };
@@ -174,6 +177,11 @@ impl MotionControl {
     /// Returns whether a motion command is in progress or the fingers move.
     pub(crate) fn is_running(&self) -> bool {
         self.motion.is_some() || self.axis.is_moving()
+    }
+
+    /// Returns whether the fingers move, or a motion is in progress that the next one cannot replace.
+    pub(crate) fn is_busy(&self) -> bool {
+        self.axis.is_moving() || (self.motion.is_some() && !self.runs())
     }
 
     pub(crate) const fn settings(&self) -> &Settings {
@@ -355,7 +363,7 @@ impl MotionControl {
     /// next speed, 0 included, another command, or the end of the stroke or of a soft limit. They push against an
     /// obstacle with the force limit. It replaces a running motion and keeps the current speed if the direction stays the same.
     pub(crate) fn run_at(&mut self, request: Request, speed: f32) -> Status {
-        if self.fast_stop_latched {
+        if self.fast_stop_latched || self.disabled {
             return Status::AccessDenied;
         }
         if !self.referenced {
@@ -406,6 +414,20 @@ impl MotionControl {
         self.state = GripperState::Error;
         self.grip_direction = None;
         self.end_motion(status);
+    }
+
+    /// Disables or enables the drive. Disabling it ends a running motion and the force on a held part, without a FAST STOP;
+    /// motion commands are refused until the drive is enabled (appendix B, D14 and D15).
+    pub(crate) fn set_disabled(&mut self, on: bool) {
+        if on && !self.disabled {
+            if self.motion.is_some() || self.axis.is_moving() || self.axis.force() > 0.0 {
+                self.state = GripperState::Error;
+                self.grip_direction = None;
+            }
+            self.axis.halt();
+            self.end_motion(Status::CmdAborted);
+        }
+        self.disabled = on;
     }
 
     /// Executes Acknowledge (24h): unlatches FAST STOP and leaves the error state.
@@ -475,9 +497,9 @@ impl MotionControl {
     }
 
     fn may_move(&self) -> Result<(), Status> {
-        if self.fast_stop_latched {
+        if self.fast_stop_latched || self.disabled {
             Err(Status::AccessDenied)
-        } else if (self.motion.is_some() || self.axis.is_moving()) && !self.runs() {
+        } else if self.is_busy() && !self.runs() {
             Err(Status::AlreadyRunning)
         } else {
             Ok(())

@@ -17,19 +17,23 @@ impl Settings {
     /// Returns the settings after power-up.
     pub(crate) fn new(config: &Config) -> Self {
         let parameters = config.model.parameters();
-        let mut settings = Self {
-            system_limits: parameters.limits,
-            acceleration: 0.0,
-            force_limit: 0.0,
-            overdrive: false,
-            soft_limits: None,
-        };
+        let mut system_limits = parameters.limits;
+        if !config.overdrive {
+            system_limits.overdrive_force = system_limits.nominal_force;
+        }
+        let mut settings =
+            Self { system_limits, acceleration: 0.0, force_limit: 0.0, overdrive: false, soft_limits: None };
         if let Some(limits) = config.soft_limits {
             settings.set_soft_limits(limits);
         }
         settings.set_acceleration(config.acceleration.unwrap_or(parameters.default_acceleration));
         settings.set_force_limit(config.force_limit.unwrap_or(parameters.default_force));
         settings
+    }
+
+    /// Returns the limits of the gripper, without an overdrive force if it has no overdrive mode.
+    pub(crate) const fn system_limits(&self) -> &SystemLimits {
+        &self.system_limits
     }
 
     /// Returns the acceleration in mm/s².
@@ -63,7 +67,8 @@ impl Settings {
     }
 
     pub(crate) const fn set_overdrive(&mut self, enabled: bool) -> Status {
-        self.overdrive = enabled;
+        // The manual lists no status for a gripper without overdrive mode.
+        self.overdrive = enabled && self.system_limits.overdrive_force > self.system_limits.nominal_force;
         self.force_limit = self.force_limit.min(self.greatest_force());
         Status::Success
     }

@@ -76,10 +76,12 @@ fn commands() -> impl Strategy<Value = Command<'static>> {
 }
 
 fn parts() -> impl Strategy<Value = Option<Part>> {
-    proptest::option::of(
-        (1f32..120.0, 1f32..500.0)
-            .prop_map(|(width, stiffness)| Part::new(width, stiffness).expect("both are above 0")),
-    )
+    proptest::option::of((1f32..120.0, 1f32..500.0, proptest::option::of(0.1f32..0.9)).prop_map(
+        |(width, stiffness, hole)| {
+            let solid = Part::new(width, stiffness).expect("both are above 0");
+            hole.map_or(solid, |hole| solid.with_inner_width(hole * width).expect("it is narrower"))
+        },
+    ))
 }
 
 fn faults() -> impl Strategy<Value = Fault> {
@@ -134,8 +136,8 @@ struct Model {
 }
 
 impl Model {
-    const LASTING: SystemFlags =
-        SystemFlags::TEMP_FAULT.union(SystemFlags::POWER_FAULT).union(SystemFlags::CURR_FAULT);
+    /// Faults that refuse every motion until they end.
+    const DISABLING: SystemFlags = SystemFlags::TEMP_FAULT.union(SystemFlags::POWER_FAULT);
 
     fn new() -> Self {
         Self {
@@ -162,6 +164,7 @@ impl Model {
         let status = reply.status();
         if status == Status::CmdPending && command.id().kind() == Kind::Motion {
             assert!(!before.flags.contains(SystemFlags::FAST_STOP), "FAST STOP refuses {command}");
+            assert!(!before.flags.intersects(Self::DISABLING), "a fault refuses {command}");
             assert_eq!(self.motions, 0, "only one motion at a time: {command}");
             self.motions += 1;
             self.total += u32::from(matches!(command, Command::GripPart { .. }));
@@ -227,7 +230,7 @@ impl Model {
         let ended_badly = u32::from(statistics.no_part) + u32::from(statistics.part_lost);
         assert!(ended_badly <= statistics.total + u32::from(self.held_at_reset), "{statistics}");
 
-        self.must_be_stopped |= flags.intersects(Self::LASTING);
+        self.must_be_stopped |= flags.contains(SystemFlags::CURR_FAULT);
         if self.must_be_stopped {
             assert!(flags.contains(SystemFlags::FAST_STOP), "{flags}");
         } else if std::mem::take(&mut self.was_acknowledged) {
@@ -236,6 +239,10 @@ impl Model {
         if flags.contains(SystemFlags::FAST_STOP) {
             assert_eq!((state.gripper, state.speed), (GripperState::Error, 0.0));
             assert!(!flags.contains(SystemFlags::MOVING));
+        }
+        if flags.intersects(Self::DISABLING) {
+            assert_eq!((state.speed, state.force), (0.0, 0.0));
+            assert!(!flags.contains(SystemFlags::MOVING) && !state.gripper.is_motion());
         }
         if state.gripper == GripperState::Holding {
             assert!(state.force > 0.0 && !flags.contains(SystemFlags::MOVING));

@@ -91,11 +91,11 @@ fn part_that_is_removed_while_it_is_held_is_lost() {
 #[test]
 fn fault_locks_the_fingers_until_it_ends_and_is_acknowledged() {
     let (rig, mut gripper) = homed(Config::default());
-    rig.set_fault(Fault::SupplyOutOfRange, true);
-    assert!(gripper.system_state().unwrap().contains(SystemFlags::POWER_FAULT));
+    rig.set_fault(Fault::MotorCurrent, true);
+    assert!(gripper.system_state().unwrap().contains(SystemFlags::CURR_FAULT));
     let refused = gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop);
     assert_eq!(refused, Err(Error::Refused(Status::AccessDenied)));
-    rig.set_fault(Fault::SupplyOutOfRange, false);
+    rig.set_fault(Fault::MotorCurrent, false);
     gripper.acknowledge().unwrap();
     gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop).unwrap();
 }

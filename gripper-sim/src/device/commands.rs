@@ -111,7 +111,7 @@ impl Device {
 
     /// Executes Acknowledge (24h). A FAST STOP stays latched while its cause persists (appendix B, D16).
     fn acknowledge(&mut self) -> Status {
-        if !self.has_lasting_fault() {
+        if !self.has_motor_fault() {
             self.motion.acknowledge();
         }
         Status::Success

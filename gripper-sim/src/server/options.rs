@@ -157,6 +157,9 @@ struct Arguments {
     #[arg(long, help_heading = DEVICE, value_name = "MODEL", default_value = "wsg50-110")]
     #[arg(value_parser = one_of(Model::ALL.iter().map(|model| (model.name(), *model)).collect()))]
     model: Model,
+    /// Simulates a gripper without overdrive mode (command set, 3.3.8)
+    #[arg(long, help_heading = DEVICE)]
+    no_overdrive: bool,
     /// Serial number in the answer to Get System Information
     #[arg(long, help_heading = DEVICE, value_name = "NUMBER", default_value = "1")]
     #[arg(value_parser = expected("a number from 0 to 4294967295", parsed::<u32>))]
@@ -210,9 +213,12 @@ struct Arguments {
     /// Speed of RELEASE of the text protocol if none is given [default: the model's maximum]
     #[arg(long, help_heading = MOTION, value_name = "MM_S", value_parser = expected(POSITIVE, positive))]
     release_speed: Option<f32>,
-    /// Part between the fingers, in mm and N/mm, or `none`
-    #[arg(long, help_heading = DEVICE, value_name = "WIDTH[:STIFFNESS]", default_value = "none")]
-    #[arg(value_parser = expected("none, or WIDTH_MM[:STIFFNESS_N_PER_MM] with numbers above 0", part))]
+    /// Part between the fingers, in mm and N/mm, or `none`. With the width of its hole in mm, it can be gripped from inside
+    #[arg(long, help_heading = DEVICE, value_name = "WIDTH[:STIFFNESS[:INNER]]", default_value = "none")]
+    #[arg(value_parser = expected(
+        "none, or WIDTH_MM[:STIFFNESS_N_PER_MM[:INNER_WIDTH_MM]] with numbers above 0, the inner width below the width",
+        part,
+    ))]
     part: MaybePart,
     /// Factor on the speed of the fingers, 0.01 to 1000; periods and time-outs are unaffected
     #[arg(long, help_heading = DEVICE, value_name = "X", default_value = "1")]
@@ -417,6 +423,7 @@ impl Arguments {
         let default = Config::default();
         let config = Config {
             model: self.model,
+            overdrive: !self.no_overdrive,
             serial_number: self.serial_number,
             tag: self.tag.unwrap_or(default.tag),
             homing_default: self.homing_default,
@@ -550,11 +557,15 @@ fn part(text: &str) -> Option<MaybePart> {
     if text == "none" {
         return Some(None);
     }
-    let part = match text.split_once(':') {
-        Some((width, stiffness)) => Part::new(parsed(width)?, parsed(stiffness)?),
-        None => Part::of_width(parsed(text)?),
+    let mut numbers = text.split(':').map(parsed::<f32>);
+    let width = numbers.next()??;
+    let stiffness = numbers.next().unwrap_or(Some(Part::DEFAULT_STIFFNESS))?;
+    let part = Part::new(width, stiffness)?;
+    let part = match numbers.next() {
+        Some(inner_width) => part.with_inner_width(inner_width?)?,
+        None => part,
     };
-    part.map(Some)
+    numbers.next().is_none().then_some(Some(part))
 }
 
 fn time_scale(text: &str) -> Option<f32> {

@@ -176,6 +176,53 @@ fn grip_on_a_part_of_the_nominal_width_holds_it_with_the_force_limit() {
     assert_eq!((rig.state(), rig.force()), (GripperState::Holding, 30.0));
 }
 
+/// A part of 80 mm with a hole of 60 mm.
+fn ring() -> Part {
+    Part::of_width(80.0).and_then(|part| part.with_inner_width(60.0)).unwrap()
+}
+
+/// "A part can be gripped from inside" (command set, 3.2.6; GCL, 2.2.3): the fingers open against it.
+#[test]
+fn hollow_part_is_gripped_from_inside_released_and_lost() {
+    let mut rig = Rig::homed(None);
+    assert_eq!(rig.run(go_to(40.0)), Status::Success);
+    rig.gripper.set_part(Some(ring()), rig.now);
+    assert_eq!(rig.run(grip(60.0)), Status::Success);
+    assert_eq!((rig.state(), rig.force()), (GripperState::Holding, 40.0));
+    assert!((rig.width() - 60.4).abs() < 1e-4, "{} mm", rig.width());
+    assert!(rig.flags().contains(SystemFlags::BLOCKED_PLUS));
+
+    assert_eq!(rig.run(release(40.0)), Status::Success);
+    assert_eq!((rig.state(), rig.force(), rig.width()), (GripperState::Idle, 0.0, 40.0));
+
+    assert_eq!(rig.run(grip(60.0)), Status::Success);
+    rig.set_part(None);
+    assert_eq!(rig.state(), GripperState::PartLost);
+    assert_eq!(rig.gripper.state().statistics.part_lost, 1);
+}
+
+#[test]
+fn grip_from_inside_fails_without_a_hole_at_its_width_and_from_outside() {
+    // The width of the fingers before the grip, its nominal width, and the outcome.
+    for (from, nominal, state, what) in [
+        (40.0, 60.0, GripperState::Holding, "the width of the hole"),
+        (40.0, 45.0, GripperState::NoPart, "the clamping travel ends before the part"),
+        (40.0, 75.0, GripperState::NoPart, "the part is met 15 mm too early"),
+        (100.0, 80.0, GripperState::Holding, "the same part from outside"),
+    ] {
+        let mut rig = Rig::homed(None);
+        rig.run(go_to(from));
+        rig.gripper.set_part(Some(ring()), rig.now);
+        let expected = if state == GripperState::Holding { Status::Success } else { Status::CmdFailed };
+        assert_eq!((rig.run(grip(nominal)), rig.state()), (expected, state), "{what}");
+    }
+    // A solid part of the same width waits outside of the fingers.
+    let mut rig = Rig::homed(None);
+    rig.run(go_to(40.0));
+    rig.set_part(Some(80.0));
+    assert_eq!((rig.run(grip(60.0)), rig.state()), (Status::CmdFailed, GripperState::NoPart));
+}
+
 #[test]
 fn grip_that_finds_no_part_says_so_until_the_next_motion() {
     let soft = |width, stiffness| Part::new(width, stiffness);

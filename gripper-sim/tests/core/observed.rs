@@ -26,7 +26,7 @@ fn fast_stop_has_the_cause_of_its_change() {
     // A relative motion beyond the limit by an operator.
     rig.gripper.command(&Command::FastStop, rig.now);
     rig.gripper.command(&Command::ACKNOWLEDGE, rig.now);
-    rig.set_fault(Fault::SupplyOutOfRange, true);
+    rig.set_fault(Fault::MotorCurrent, true);
     let port = rig.port;
     let found = events(&mut rig.gripper);
     let seen: Vec<_> = found.iter().map(|event| (event.flag, event.is_set, event.cause)).collect();
@@ -35,8 +35,8 @@ fn fast_stop_has_the_cause_of_its_change() {
         [(SystemFlags::FAST_STOP, true, Cause::Operator), (SystemFlags::FAST_STOP, false, Cause::Operator),]
     );
     assert!(seen[2..].contains(&(SystemFlags::FAST_STOP, true, Cause::Fault)), "{seen:?}");
-    assert!(seen[2..].contains(&(SystemFlags::POWER_FAULT, true, Cause::Fault)), "{seen:?}");
-    rig.set_fault(Fault::SupplyOutOfRange, false);
+    assert!(seen[2..].contains(&(SystemFlags::CURR_FAULT, true, Cause::Fault)), "{seen:?}");
+    rig.set_fault(Fault::MotorCurrent, false);
     let _ = events(&mut rig.gripper);
     assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
     assert_eq!(events(&mut rig.gripper)[0].cause, Cause::Client(port));

@@ -2,8 +2,8 @@
 
 use crate::common::{Rig, go_to, grip, release, texts};
 use wsg_protocol::{
-    Command, CommandId, DeviceTag, FingerFlags, FrameEncoder, GripperState, LoopData, SoftLimits, Status,
-    SystemFlags, Value,
+    Command, CommandId, DeviceTag, FingerFlags, FrameEncoder, GripperState, HomingDirection, LoopData,
+    SoftLimits, Status, SystemFlags, Value,
 };
 use wsg_sim::{Config, Fault, Finger, Jaw, Model, Part, Tag};
 
@@ -329,13 +329,65 @@ fn motor_overheats_under_the_overdrive_force_recovers_by_itself_and_is_acknowled
     assert_eq!(rig.run(go_to(50.0)), Status::Success);
 }
 
+/// Appendix B, D14: "All motion-related commands are disabled until the temperature falls below the critical level."
 #[test]
-fn severe_faults_cause_a_fast_stop_that_outlasts_them() {
+fn over_temperature_and_supply_faults_disable_motion_until_they_end_without_a_fast_stop() {
+    let homing = Command::Homing { direction: HomingDirection::Positive };
     for (fault, flag) in [
         (Fault::OverTemperature, SystemFlags::TEMP_FAULT | SystemFlags::TEMP_WARNING),
         (Fault::SupplyOutOfRange, SystemFlags::POWER_FAULT),
-        (Fault::MotorCurrent, SystemFlags::CURR_FAULT),
     ] {
+        // During a motion, while a part is held, clamped on a block, and at rest.
+        for (command, ended, state) in [
+            (Some(go_to(30.0)), Some("21h Pre-position Fingers E_CMD_ABORTED"), GripperState::Error),
+            (Some(grip(20.0)), None, GripperState::Error),
+            (Some(go_to(10.0)), None, GripperState::Error),
+            (None, None, GripperState::Idle),
+        ] {
+            let mut rig = Rig::homed(Part::of_width(20.0));
+            if let Some(command) = command {
+                rig.status(command);
+                rig.wait(if ended.is_some() { 100 } else { 3_000 });
+            }
+            rig.set_fault(fault, true);
+            assert_eq!(texts(&rig.frames()), Vec::from_iter(ended), "{fault:?}");
+            assert!(rig.flags().contains(flag) && !rig.flags().contains(SystemFlags::FAST_STOP), "{fault:?}");
+            assert_eq!((rig.state(), rig.force(), rig.gripper.state().speed), (state, 0.0, 0.0), "{fault:?}");
+            for command in [go_to(90.0), grip(20.0), release(90.0), homing] {
+                assert_eq!(rig.status(command), Status::AccessDenied, "{fault:?}: {command}");
+            }
+            assert_eq!(rig.gripper.run_for_script(10.0, rig.now), Status::AccessDenied);
+            // An acknowledgement changes nothing about it.
+            assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
+            assert_eq!(rig.status(go_to(90.0)), Status::AccessDenied);
+            rig.set_fault(fault, false);
+            assert!(!rig.flags().intersects(flag | SystemFlags::FAST_STOP), "{fault:?}");
+            assert_eq!(rig.run(go_to(90.0)), Status::Success, "{fault:?}: no acknowledgement is needed");
+        }
+    }
+}
+
+/// "Overdrive mode is not supported by all WSG grippers" (3.3.8, 3.5.4).
+#[test]
+fn gripper_without_overdrive_keeps_to_its_nominal_force() {
+    for model in Model::ALL {
+        let config = Config { model: *model, overdrive: false, ..Config::default() };
+        let nominal = model.parameters().limits.nominal_force;
+        let mut rig = Rig::new(config);
+        rig.ask(Command::GetSystemLimits).with(|reply| match reply.value() {
+            Some(Value::GetSystemLimits(limits)) => assert_eq!(limits.overdrive_force, nominal, "{model}"),
+            other => panic!("{other:?}"),
+        });
+        assert_eq!(rig.status(Command::OverdriveMode { enabled: true }), Status::Success);
+        assert!(!rig.flags().contains(SystemFlags::OVERDRIVE_MODE), "{model}");
+        assert_eq!(rig.status(Command::SetForceLimit { force: 2.0 * nominal }), Status::Success);
+        assert_eq!(rig.ask(Command::GetForceLimit).f32(), nominal, "{model}");
+    }
+}
+
+#[test]
+fn severe_fault_causes_a_fast_stop_that_outlasts_it() {
+    for (fault, flag) in [(Fault::MotorCurrent, SystemFlags::CURR_FAULT)] {
         let mut rig = Rig::homed(None);
         rig.status(go_to(30.0));
         rig.wait(100);

@@ -134,6 +134,9 @@ fn part_is_put_in_and_gripped_and_lost_when_it_is_taken_away() {
     let mut rig = Rig::homed();
     let state = rig.post("/part", &json!({ "width_mm": 20, "stiffness_n_per_mm": 50 }));
     assert_eq!(state["part"], json!({ "width_mm": 20.0, "stiffness_n_per_mm": 50.0 }));
+    let hollow = json!({ "width_mm": 80.0, "stiffness_n_per_mm": 100.0, "inner_width_mm": 60.0 });
+    assert_eq!(rig.post("/part", &json!({ "width_mm": 80, "inner_width_mm": 60 }))["part"], hollow);
+    rig.post("/part", &json!({ "width_mm": 20, "stiffness_n_per_mm": 50 }));
     assert_eq!(rig.client.run(grip(20.0)), Status::Success);
     let state = rig.state();
     // 40 N squeeze the part by 0.8 mm.
@@ -189,6 +192,7 @@ fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
         ("POST", "/part", r#"{"width_mm":-3}"#, 400, "-3 mm", "above 0"),
         ("POST", "/part", r#"{"width_mm":1e39}"#, 400, "inf mm", "above 0"),
         ("POST", "/part", r#"{"width_mm":3,"stiffness_n_per_mm":0}"#, 400, "0 N/mm", "above 0"),
+        ("POST", "/part", r#"{"width_mm":3,"inner_width_mm":3}"#, 400, "a hole of 3 mm", "inner_width_mm"),
         ("POST", "/part", r#"{"width_mm":3,"length_mm":3}"#, 400, "length_mm", "stiffness_n_per_mm"),
         ("POST", "/part", "null null", 400, "trailing", "or null"),
         ("POST", "/fault", r#"{"fault":"hiccup","on":true}"#, 400, "hiccup", "motor_current"),

@@ -311,10 +311,10 @@ const CASES: &[Case] = {
         (fault(E::CurrFault, 0x2000, E::GripperFastStop), Plant::with_fmf, |plant| {
             plant.fail(Fault::MotorCurrent)
         }),
-        (fault(E::TempFault, 0x4200, E::GripperFastStop), Plant::with_fmf, |plant| {
+        (fault(E::TempFault, 0x4200, E::TempFault), Plant::with_fmf, |plant| {
             plant.fail(Fault::OverTemperature)
         }),
-        (fault(E::PowerFault, 0x3000, E::GripperFastStop), Plant::with_fmf, |plant| {
+        (fault(E::PowerFault, 0x3000, E::PowerFault), Plant::with_fmf, |plant| {
             plant.fail(Fault::SupplyOutOfRange)
         }),
         (fault(E::FingerFault, 0x7000, E::FingerFault), Plant::with_fmf, |plant| {

@@ -36,8 +36,8 @@ class Fault(Enum):
     """A fault of the gripper that a test injects."""
 
     AXIS_BLOCKED = "the fingers move in neither direction"
-    OVER_TEMPERATURE = "SF_TEMP_FAULT and a FAST STOP"
-    SUPPLY_OUT_OF_RANGE = "SF_POWER_FAULT and a FAST STOP"
+    OVER_TEMPERATURE = "SF_TEMP_FAULT; motion is refused until it ends"
+    SUPPLY_OUT_OF_RANGE = "SF_POWER_FAULT; motion is refused until it ends"
     MOTOR_CURRENT = "SF_CURR_FAULT and a FAST STOP"
     FINGER1_SHORT_CIRCUIT = "the supply of finger 1 is shorted"
     FINGER2_SHORT_CIRCUIT = "the supply of finger 2 is shorted"

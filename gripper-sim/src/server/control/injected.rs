@@ -9,7 +9,7 @@ use crate::server::hub::Hub;
 use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
 
-pub(super) const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), or null for no part"#;
+pub(super) const PART_EXPECTED: &str = r#"{"width_mm":20.0,"stiffness_n_per_mm":100.0} with numbers above 0 (the stiffness is optional), "inner_width_mm":15.0 for a hollow part, or null for no part"#;
 pub(super) const FAULT_EXPECTED: &str =
     r#"{"fault":"axis_blocked","on":true}, and "finger":1 or "finger":2 with the faults of a finger"#;
 pub(super) const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.01,"corrupt":0.01,"truncate":0.01,"duplicate":0.01,"delay":0.01,"delay_ms":50}, where delay_ms is at most 60000 and omitted values are 0, and "direction":"requests", "replies" or "both""#;
@@ -19,14 +19,32 @@ pub(super) const LINE_EXPECTED: &str = r#"rates from 0 to 1, such as {"drop":0.0
 pub(super) struct PartBody {
     pub(super) width_mm: f32,
     pub(super) stiffness_n_per_mm: Option<f32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) inner_width_mm: Option<f32>,
+}
+
+impl From<Part> for PartBody {
+    fn from(part: Part) -> Self {
+        Self {
+            width_mm: part.width(),
+            stiffness_n_per_mm: Some(part.stiffness()),
+            inner_width_mm: part.inner_width(),
+        }
+    }
 }
 
 pub(super) fn part(body: Option<PartBody>) -> Result<Option<Part>, HttpError> {
-    let Some(PartBody { width_mm, stiffness_n_per_mm }) = body else { return Ok(None) };
+    let Some(PartBody { width_mm, stiffness_n_per_mm, inner_width_mm }) = body else { return Ok(None) };
     let stiffness = stiffness_n_per_mm.unwrap_or(Part::DEFAULT_STIFFNESS);
-    Part::new(width_mm, stiffness).map(Some).ok_or_else(|| {
+    let solid = Part::new(width_mm, stiffness);
+    let part = match inner_width_mm {
+        Some(inner_width) => solid.and_then(|part| part.with_inner_width(inner_width)),
+        None => solid,
+    };
+    part.map(Some).ok_or_else(|| {
+        let hole = inner_width_mm.map(|width| format!(" and a hole of {width} mm")).unwrap_or_default();
         HttpError::wrong(format!(
-            "a part {width_mm} mm wide with {stiffness} N/mm is invalid; expected {PART_EXPECTED}"
+            "a part {width_mm} mm wide with {stiffness} N/mm{hole} is invalid; expected {PART_EXPECTED}"
         ))
     })
 }

@@ -191,9 +191,7 @@ impl<'a> StateBody<'a> {
                 no_part: state.statistics.no_part,
                 part_lost: state.statistics.part_lost,
             },
-            part: state
-                .part
-                .map(|part| PartBody { width_mm: part.width(), stiffness_n_per_mm: Some(part.stiffness()) }),
+            part: state.part.map(PartBody::from),
             part_is_between: state.part_is_between,
             fieldbus: FieldbusBody::of(hub, report),
             faults: faults.iter().map(active_fault).collect(),

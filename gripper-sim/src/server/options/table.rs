@@ -78,7 +78,7 @@ fn setting(command: &Command, arg: &Arg) -> Option<Setting> {
         "N" => "N",
         "ADDR" => "address",
         "LINE" => "line",
-        "WIDTH[:STIFFNESS]" => "mm[:N/mm]",
+        "WIDTH[:STIFFNESS[:INNER]]" => "mm[:N/mm[:mm]]",
         "MINUS:PLUS" => "mm:mm",
         _ => "",
     });

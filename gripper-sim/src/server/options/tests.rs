@@ -109,7 +109,7 @@ fn what_a_file_has_of_a_station_is_kept_there() {
 fn every_option_arrives() {
     let all = "--profile real --homing-speed 30 --part-width-tolerance 7 --clamping-travel 250 --force 33 \
                --acceleration 700 --speed 60 --release-distance 12 --release-speed 90 --model wsg32 --serial-number 7 --tag cell --tcp 127.0.0.1:0 --udp 127.0.0.1:1500 \
-               --udp-remote-port 9 --udp-unanswered 0 --serial pty --part 20:50 --finger1 fmf --finger2 dsa --no-checksum-check \
+               --udp-remote-port 9 --udp-unanswered 0 --serial pty --part 20:50:12.5 --no-overdrive --finger1 fmf --finger2 dsa --no-checksum-check \
                --answer-bad-checksum --updates-idle 60 --no-disconnect-error --homing-default in --homing-at-start --soft-limits 7.5:60 --time-scale 2.5 --log - --seed 9 \
                --control 127.0.0.1:8080";
     let options = options_of(all);
@@ -120,7 +120,8 @@ fn every_option_arrives() {
         homing_default: Direction::Minus,
         homing_at_start: true,
         soft_limits: Some(SoftLimits { minus: 7.5, plus: 60.0 }),
-        part: Part::new(20.0, 50.0),
+        part: Part::new(20.0, 50.0).and_then(|part| part.with_inner_width(12.5)),
+        overdrive: false,
         time_scale: 2.5,
         check_checksum: false,
         homing_speed: Some(30.0),
@@ -166,6 +167,8 @@ fn errors_of_options_name_the_value_and_the_expected_ones() {
         (&["--model", "wsg99"][..], "'wsg99' for '--model", "wsg50-110"),
         (&["--part", "-3"], "'-3' for '--part", "WIDTH_MM"),
         (&["--part", "20:"], "'20:' for '--part", "STIFFNESS"),
+        (&["--part", "20:50:20"], "'20:50:20' for '--part", "the inner width below the width"),
+        (&["--part", "20:50:10:1"], "'20:50:10:1' for '--part", "INNER_WIDTH_MM"),
         (&["--tcp", "1000"], "'1000' for '--tcp", "127.0.0.1:1000"),
         (&["--soft-limits", "10"], "'10' for '--soft-limits", "10:90"),
         (&["--soft-limits", "90:10"], "'90:10' for '--soft-limits", "the smaller one first"),
