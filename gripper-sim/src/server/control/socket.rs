@@ -10,7 +10,7 @@ use http_body_util::{Either, Full};
 use hyper::body::{Bytes, Incoming};
 use hyper::header::{HeaderMap, UPGRADE};
 use hyper::upgrade::OnUpgrade;
-use hyper::{Request, Response};
+use hyper::Request;
 use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc::channel;
 use tokio_tungstenite::WebSocketStream;
