@@ -160,7 +160,7 @@ impl Stream {
             let distance = ahead.abs();
             let distance = if distance < 1e6 { format!("{distance:.0}") } else { format!("{distance:.1e}") };
             format!(
-                "target_time is {distance} s {side}; expected seconds of time.time(), at most {horizon} s from now"
+                "target_time is {distance} s {side}; expected seconds of time.time(), at most {horizon} s {side}"
             )
         } else {
             let now_ms = self.0.start.elapsed().as_secs_f64() * 1e3;

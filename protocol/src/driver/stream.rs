@@ -262,7 +262,7 @@ impl core::fmt::Display for Rejected {
                 let (seconds, side) =
                     (ahead_ms.unsigned_abs() / 1_000, if *ahead_ms < 0 { "in the past" } else { "ahead" });
                 write!(f, "the time is {seconds} s {side}; ")?;
-                write!(f, "expected milliseconds of the stream's clock, at most 3600 s from now")
+                write!(f, "expected milliseconds of the stream's clock, at most 3600 s {side}")
             }
             Self::Full { queue_len } => {
                 write!(f, "the queue is full: {queue_len} earlier set-points are waiting")
@@ -399,7 +399,8 @@ impl<IO, C: Clock + Clone> SetPointStream<IO, C> {
         let mut shared = self.open()?;
         shared.check(Quantity::Width, position.0)?;
         let Shared { speed_limit, latest, queue_len, .. } = *shared;
-        let begin = || Trajectory::at(latest.position, self.clock.clone().now(), queue_len);
+        let here = shared.within_stroke(latest.position);
+        let begin = || Trajectory::at(here, self.clock.clone().now(), queue_len);
         let trajectory = shared.trajectory.get_or_insert_with(begin);
         change(trajectory, position.0, speed_limit)
     }
@@ -541,6 +542,11 @@ impl Shared {
     /// Checks a value against the limits of the gripper.
     fn check(&self, quantity: Quantity, value: f32) -> Result<(), Rejected> {
         self.limits.check(quantity, value, self.latest.flags).map_err(Rejected::OutOfLimits)
+    }
+
+    /// Returns the position within the stroke. A measured one may be slightly outside.
+    const fn within_stroke(&self, position: f32) -> f32 {
+        position.max(0.0).min(self.limits.stroke)
     }
 
     /// Returns the order at `now`, or `None` before the first set-point.

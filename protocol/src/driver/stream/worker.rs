@@ -198,7 +198,10 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Records the reply to a request of time `sent`.
     fn record(&mut self, sent: Instant, measured: Measured) -> Result<(), Cause> {
         let received = self.clock.now();
-        self.check_gap(self.due, received)?;
+        // Fingers that push against a part keep their set-point.
+        let is_at_rest = !is_blocked(measured.flags);
+        let held = self.set_point.map(|set_point| if is_at_rest { measured.position } else { set_point });
+        self.check_gap(self.due, received, held)?;
         let mut shared = lock(&self.shared);
         shared.exchanges.add(sent, received, measured.measured_ms);
         shared.record(received, &measured, self.set_point);
@@ -210,7 +213,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let received = self.clock.now();
         self.check_pause(received)?;
         let expected = lock(&self.shared).latest.received_at.plus(UPDATE_PERIOD_MS.into());
-        self.check_gap(expected, received)?;
+        self.check_gap(expected, received, Some(self.segment.end))?;
         let known = self.gripper.known();
         let measured = Measured {
             flags: known.flags.unwrap_or_default(),
@@ -225,38 +228,38 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
 
     /// Handles a pause of this program: the trajectory continues where it was, or the stream ends.
     fn check_pause(&self, now: Instant) -> Result<(), Cause> {
-        self.hold(now.since(self.due), now, Cause::Watchdog)
+        let held = match self.backend {
+            Backend::PrePosition => Some(self.segment.end),
+            Backend::Script | Backend::UmiScript => self.set_point,
+        };
+        self.resume(now.since(self.due), now, held, Cause::Watchdog)
     }
 
-    /// Records a gap if a sample that was `expected` has been `received` late.
-    fn check_gap(&self, expected: Instant, received: Instant) -> Result<(), Cause> {
+    /// Records a gap if a sample that was `expected` has been `received` late. The fingers are `held` at a position in mm.
+    fn check_gap(&self, expected: Instant, received: Instant, held: Option<f32>) -> Result<(), Cause> {
         let length_ms = received.since(expected);
         if length_ms > GAP_MS {
             keep(&mut lock(&self.shared).gaps, Gap { begun_at: expected, length_ms }, GAPS_LEN);
         }
-        self.hold(length_ms, received, Cause::Unanswered)
+        self.resume(length_ms, received, held, Cause::Unanswered)
     }
 
-    /// After a gap, continues from the last ordered position, or ends the stream if set-points became too old in it.
-    fn hold(&self, gap_ms: u32, now: Instant, cause: Cause) -> Result<(), Cause> {
+    /// After a gap, continues from the position where the fingers are `held`, or ends the stream if set-points became too
+    /// old in it.
+    fn resume(&self, gap_ms: u32, now: Instant, held: Option<f32>, cause: Cause) -> Result<(), Cause> {
         if gap_ms > MAX_GAP_MS {
             return Err(cause);
         }
         if gap_ms > GAP_MS
-            && let Some(held) = self.held()
-            && let Some(trajectory) = &mut lock(&self.shared).trajectory
+            && let Some(held) = held
         {
-            trajectory.resume(now, held);
+            let mut shared = lock(&self.shared);
+            let held = shared.within_stroke(held);
+            if let Some(trajectory) = &mut shared.trajectory {
+                trajectory.resume(now, held);
+            }
         }
         Ok(())
-    }
-
-    /// Returns the position in mm at which the fingers hold without further orders.
-    fn held(&self) -> Option<f32> {
-        match self.backend {
-            Backend::PrePosition => Some(self.segment.end),
-            Backend::Script | Backend::UmiScript => self.set_point,
-        }
     }
 
     /// Checks for conditions that end the stream without an error reply.
@@ -294,8 +297,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let (to, min_speed) = {
             let shared = lock(&self.shared);
             let to = shared.position_at(now.plus(SEGMENT_MS)).unwrap_or(order.position);
-            // The trajectory begins at a measured position, which may be slightly outside.
-            (to.max(0.0).min(shared.limits.stroke), shared.limits.min_speed)
+            (shared.within_stroke(to), shared.limits.min_speed)
         };
         let way = to - self.segment.end;
         if way.abs() < SHORTEST_WAY || way * self.segment.blocked > 0.0 {
@@ -373,8 +375,7 @@ fn exchange<IO: Transport, C: Clock>(
         Some((order, latest)) => {
             let payload = umi_order(&order, latest.position);
             // A Stop would release the part.
-            let is_blocked = latest.flags.intersects(SystemFlags::BLOCKED_MINUS | SystemFlags::BLOCKED_PLUS);
-            if is_blocked {
+            if is_blocked(latest.flags) {
                 gripper.raw(UMI_MOVE_ID, &payload, &mut buffer)?
             } else {
                 move_or_stop(gripper, UMI_MOVE_ID, &payload, &mut buffer)?
@@ -405,6 +406,11 @@ fn move_or_stop<'b, IO: Transport, C: Clock>(
     }
     awaited.result()?;
     copied.finish()
+}
+
+/// Returns whether the fingers push against a part or an end stop.
+fn is_blocked(flags: SystemFlags) -> bool {
+    flags.intersects(SystemFlags::BLOCKED_MINUS | SystemFlags::BLOCKED_PLUS)
 }
 
 fn cause_of<E: embedded_io::Error>(error: Error<E>) -> Cause {
@@ -652,6 +658,26 @@ mod tests {
                 assert!(gap.is_none() || (0.9..1.2).contains(&way), "{backend:?}, {late_ms} ms: {way} mm");
                 assert_eq!(gaps(&worker).len(), expected.len());
             }
+        }
+    }
+
+    #[test]
+    fn path_continues_where_the_fingers_are_after_a_gap() {
+        let part = SystemFlags::BLOCKED_MINUS;
+        for (flags, measured, begin) in
+            [(SystemFlags::empty(), 30.0, 30.0), (SystemFlags::empty(), 110.1, 110.0), (part, 30.0, HERE)]
+        {
+            let (rig, mut worker) = worker(Backend::Script);
+            order(&rig, &worker, 10.0, 100.0);
+            begin_period(&rig, &mut worker);
+            rig.script(CommandId::Unknown(STREAM_ID), vec![(240, answer(STREAM_ID, measured, flags))]);
+            worker.turn().unwrap();
+            rig.pass(10);
+            begin_period(&rig, &mut worker);
+            answer_after(&rig, 1, STREAM_ID, flags);
+            worker.turn().unwrap();
+            let set_point = worker.set_point.unwrap();
+            assert!((0.9..1.2).contains(&(begin - set_point)), "{flags} at {measured} mm: {set_point} mm");
         }
     }
 

@@ -72,7 +72,7 @@ fn missing_update_is_awaited_until_the_timeout() {
 #[test]
 fn update_is_awaited_for_as_long_as_a_program_can_ask_for() {
     for within_ms in [1 << 31, u32::MAX] {
-        let (rig, mut gripper) = connected();
+        let (_rig, mut gripper) = connected();
         while gripper.next_update(0).unwrap().is_some() {}
         // The session polls the states.
         assert!(gripper.next_update(within_ms).unwrap().is_some());
