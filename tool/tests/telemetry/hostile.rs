@@ -4,9 +4,11 @@ use std::{
     io::{BufRead, BufReader, Read, Write},
     net::{TcpListener, TcpStream},
     process::{Command as Process, Stdio},
+    sync::mpsc,
+    thread,
 };
 
-use crate::rig::{Folder, PATIENCE, Running};
+use crate::rig::{Folder, PATIENCE, Running, wait_for};
 
 /// Reads one packet and returns its body.
 fn packet(stream: &mut TcpStream) -> Vec<u8> {
@@ -36,7 +38,7 @@ fn topics_are_logged_in_one_line_without_control_characters() {
     let folder = Folder::new();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let text = format!(
-        "[broker]\naddress = \"MQTT://{}\"\n[node]\ngroup = \"plant\"\nname = \"cell\"\nstate_file = {:?}\n\
+        "[broker]\naddress = \"mqtt://{}\"\n[node]\ngroup = \"plant\"\nname = \"cell\"\nstate_file = {:?}\n\
          [[gripper]]\nname = \"left\"\naddress = \"serial:/nowhere\"\n",
         listener.local_addr().unwrap(),
         folder.path("state"),
@@ -45,8 +47,12 @@ fn topics_are_logged_in_one_line_without_control_characters() {
     telemetry.arg("telemetry").arg(folder.write("cell.toml", &text)).stderr(Stdio::piped());
     let mut telemetry = Running(telemetry.spawn().unwrap());
     let stderr = BufReader::new(telemetry.0.stderr.take().unwrap());
+    let (sender, lines) = mpsc::channel();
+    thread::spawn(move || stderr.lines().map_while(Result::ok).try_for_each(|line| sender.send(line)));
 
-    let (mut stream, _) = listener.accept().unwrap();
+    listener.set_nonblocking(true).unwrap();
+    let mut stream = wait_for("the connection", || listener.accept().ok()).0;
+    stream.set_nonblocking(false).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     packet(&mut stream);
     stream.write_all(&[0x20, 2, 0, 0]).unwrap();
@@ -56,8 +62,9 @@ fn topics_are_logged_in_one_line_without_control_characters() {
     stream.write_all(&publish(topic)).unwrap();
     stream.write_all(&publish("spBv1.0/plant/DCMD/cell/last")).unwrap();
 
+    let next = || lines.recv_timeout(PATIENCE).expect("the program logs both topics");
     let lines: Vec<String> =
-        stderr.lines().map(Result::unwrap).take_while(|line| !line.contains("cell/last")).collect();
+        std::iter::repeat_with(next).take_while(|line| !line.contains("cell/last")).collect();
     let forged: Vec<&String> = lines.iter().filter(|line| line.contains("forged")).collect();
     let expected = r"wsg: command on spBv1.0/plant/DCMD/cell/\u{1b}[2Jx\u{202e}\r\nwsg: command on forged: Home refused: ";
     assert!(matches!(forged[..], [line] if line.starts_with(expected)), "{lines:?}");
