@@ -1,5 +1,8 @@
 // Homes a gripper, grips a part and releases it, over TCP, with the blocking calls of wsg.hpp.
 //
+// The destructor of wsg::gripper announces the end of the connection. Without it, the gripper enters FAST STOP when the program
+// ends, and refuses the next program's motions.
+//
 //     c++ -std=c++17 -I include examples/cpp_host.cpp -L lib/x86_64-unknown-linux-gnu -lwsg -o cpp_host
 //     ./cpp_host 127.0.0.1 1000
 

@@ -88,17 +88,29 @@ static int send_all(wsg_t *wsg, int line)
     return (int)length;
 }
 
-/* Requests the next step of the cycle. Returns 1 at its end, 0 before, and a negative number after a failure. */
+/*
+ * Requests the next step of the cycle. Returns 1 at the end, 0 before, and a negative number after a failure.
+ *
+ * The last step announces the end of the connection, also after a refused or failed command. Without it, a gripper on TCP enters FAST
+ * STOP when the program ends, and refuses the next program's motions until wsg_acknowledge(). Other lines answer that it is not
+ * available, which changes nothing.
+ */
 static int next_step(wsg_t *wsg, const wsg_event_t *event)
 {
+    static int end = 1;
+
     switch (event->kind) {
     case WSG_EVENT_CONNECTED:
         puts("connected");
         return wsg_homing(wsg, WSG_HOMING_DEFAULT);
     case WSG_EVENT_ANSWERED:
+        if (event->command == WSG_COMMAND_DISCONNECT_ANNOUNCEMENT) {
+            return end;
+        }
         printf("%s: %s\n", wsg_command_name(event->command), wsg_status_text(event->status));
         if (event->status != WSG_E_SUCCESS) {
-            return -1;
+            end = -1;
+            return wsg_disconnect_announcement(wsg);
         }
         if (event->command == WSG_COMMAND_HOMING) {
             return wsg_grip_part(wsg, 20.0f, 100.0f);
@@ -106,7 +118,7 @@ static int next_step(wsg_t *wsg, const wsg_event_t *event)
         if (event->command == WSG_COMMAND_GRIP_PART) {
             return wsg_release_part(wsg, 50.0f, 200.0f);
         }
-        return event->command == WSG_COMMAND_RELEASE_PART;
+        return wsg_disconnect_announcement(wsg);
     case WSG_EVENT_DISCONNECTED:
     case WSG_EVENT_UNANSWERED:
         printf("no answer from the gripper\n");

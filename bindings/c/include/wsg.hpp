@@ -181,6 +181,9 @@ public:
     result<done> acknowledge() { return checked(wsg_acknowledge(&wsg_)); }
     result<done> set_force_limit(float force) { return checked(wsg_set_force_limit(&wsg_, force)); }
     result<done> set_acceleration(float acceleration) { return checked(wsg_set_acceleration(&wsg_, acceleration)); }
+    /// Announces the end of a TCP connection. Request it before the end, tick and transmit, and wait for the reply: a
+    /// session has no line, so its destructor cannot announce anything.
+    result<done> disconnect_announcement() { return checked(wsg_disconnect_announcement(&wsg_)); }
 
     /// For all other requests of wsg.h: `gripper.request(wsg_get_temperature)`, `gripper.request(wsg_get_finger_data, 1)`.
     template <class Function, class... Arguments> result<done> request(Function function, Arguments... arguments)
@@ -212,7 +215,7 @@ private:
 /// The outcome of a grip.
 enum class grip { held, no_part };
 
-/// Blocking calls over a line, in one thread. Line has
+/// Blocking calls over a line, in one thread. The destructor announces the end of the connection; see close(). Line has
 ///
 ///     uint32_t now_ms();
 ///     bool send(const uint8_t *bytes, std::size_t length);        false: the line failed
@@ -223,6 +226,30 @@ public:
     explicit gripper(Line line, const wsg_config_t &config = session_type::defaults())
         : line_(std::move(line)), session_(collector{}, config)
     {
+    }
+
+    gripper(const gripper &) = delete;
+    gripper &operator=(const gripper &) = delete;
+    ~gripper() { static_cast<void>(close().has_value()); }
+
+    /// Announces the end of the connection and waits for the reply, at most `timeout_ms`. Without it, a gripper on TCP
+    /// enters FAST STOP when the connection closes, and refuses motions until acknowledge(). Ends a running motion. Other
+    /// lines reply that it is not available, which counts as success here.
+    ///
+    /// Announces nothing without a connection, and nothing after fast_stop() until acknowledge(). No other request is
+    /// possible afterwards.
+    result<done> close(uint32_t timeout_ms = 500)
+    {
+        if (is_closed_ || is_stopped_ || session_.known().connected == 0) {
+            return done{};
+        }
+        is_closed_ = true;
+        const auto announced =
+            outcome(WSG_COMMAND_DISCONNECT_ANNOUNCEMENT, session_.disconnect_announcement(), timeout_ms);
+        if (!announced && announced.error().why() == failure::cause::gripper) {
+            return done{};
+        }
+        return announced;
     }
 
     /// Waits until the gripper replies and its states are known.
@@ -256,8 +283,17 @@ public:
         return outcome(WSG_COMMAND_RELEASE_PART, session_.release_part(width, speed));
     }
     result<done> stop() { return outcome(WSG_COMMAND_STOP, session_.stop()); }
-    result<done> fast_stop() { return outcome(WSG_COMMAND_FAST_STOP, session_.fast_stop()); }
-    result<done> acknowledge() { return outcome(WSG_COMMAND_ACKNOWLEDGE, session_.acknowledge()); }
+    result<done> fast_stop()
+    {
+        is_stopped_ = true;
+        return outcome(WSG_COMMAND_FAST_STOP, session_.fast_stop());
+    }
+    result<done> acknowledge()
+    {
+        const auto acknowledged = outcome(WSG_COMMAND_ACKNOWLEDGE, session_.acknowledge());
+        is_stopped_ = is_stopped_ && !acknowledged;
+        return acknowledged;
+    }
     result<done> set_force_limit(float force)
     {
         return outcome(WSG_COMMAND_SET_FORCE_LIMIT, session_.set_force_limit(force));
@@ -312,14 +348,14 @@ private:
     /// The session has a time-out for every request, this is the bound beyond it.
     static constexpr uint32_t longest_ms = 120000;
 
-    result<done> outcome(uint8_t command, const result<done> &requested)
+    result<done> outcome(uint8_t command, const result<done> &requested, uint32_t timeout_ms = longest_ms)
     {
         if (!requested) {
             return requested;
         }
         session_.handler() = collector{};
         session_.handler().command = command;
-        const auto waited = run(longest_ms, [this] { return session_.handler().is_over; });
+        const auto waited = run(timeout_ms, [this] { return session_.handler().is_over; });
         if (waited && session_.handler().failed) {
             return *session_.handler().failed;
         }
@@ -365,6 +401,8 @@ private:
 
     Line line_;
     session_type session_;
+    bool is_stopped_ = false;
+    bool is_closed_ = false;
 };
 
 } // namespace wsg

@@ -63,11 +63,15 @@ fn gripper() -> (ServerThread, String) {
     (server, port)
 }
 
+/// Runs a program twice. The second run fails if the first one has left the gripper in FAST STOP.
 #[track_caller]
 fn grips(program: &mut Command, end: &str) {
     let (_server, port) = gripper();
-    let said = passes(program.args(["127.0.0.1", &port]));
-    assert!(said.ends_with(end), "{said}");
+    program.args(["127.0.0.1", &port]);
+    for _ in 0..2 {
+        let said = passes(program);
+        assert!(said.ends_with(end), "{said}");
+    }
 }
 
 /// Returns the code blocks of a language in the archive's README.
@@ -88,8 +92,26 @@ fn commands_of_the_readme_grip() {
     let root = unpacked("archive-readme", HOST);
     fs::write(root.join("grip.c"), &blocks(&root, "c")[0]).unwrap();
     let (_server, port) = gripper();
-    let said = shell(&root, &commands(&root, "-o grip\n./grip").replace("11000", &port));
-    assert_eq!(said, "Homing: no error\nGrip Part: no error\n");
+    let commands = commands(&root, "-o grip\n./grip").replace("11000", &port);
+    for _ in 0..2 {
+        let said = shell(&root, &commands);
+        assert_eq!(said, "Homing: no error\nGrip Part: no error\nDisconnect Announcement: no error\n");
+    }
+}
+
+#[test]
+fn examples_grip_twice_when_compiled_by_the_commands_in_their_comments() {
+    let root = unpacked("archive-examples", HOST);
+    for (source, end) in
+        [("posix.c", POSIX_END), ("cpp_host.cpp", "acknowledge: done\nmove: done\n"), ("host.c", HOST_END)]
+    {
+        let text = fs::read_to_string(root.join("examples").join(source)).unwrap();
+        let lines = text.lines().map(|line| line.trim_start_matches([' ', '*', '/']));
+        let line =
+            lines.into_iter().find(|line| line.starts_with("cc ") || line.starts_with("c++ ")).unwrap();
+        shell(&root, line);
+        grips(&mut Command::new(root.join(line.rsplit(' ').next().unwrap())), end);
+    }
 }
 
 #[test]
