@@ -263,16 +263,12 @@ pub unsafe extern "C" fn wsg_host_raw(
     let send = || -> Outcome {
         let null = wsg_host_error::NullPointer;
         let (gripper, size) = (gripper.ok_or(null)?, reply_length.ok_or(null)?);
-        if (payload.is_null() && payload_length > 0) || (reply.is_null() && *size > 0) {
-            return Err(null.into());
-        }
-        // SAFETY: the rules of the crate's documentation; an empty slice needs no memory.
-        let (payload, buffer) = unsafe {
-            let payload: &[u8] =
-                if payload_length == 0 { &[] } else { std::slice::from_raw_parts(payload, payload_length) };
-            let buffer: &mut [u8] =
-                if *size == 0 { &mut [] } else { std::slice::from_raw_parts_mut(reply, *size) };
-            (payload, buffer)
+        // SAFETY: the rules of the crate's documentation.
+        let payload = unsafe { wsg::memory::bytes(payload, payload_length) }.map_err(|error| error as i32)?;
+        let buffer = match *size {
+            0 => &mut [],
+            // SAFETY: as above.
+            size => unsafe { wsg::memory::buffer(reply, size) }.map_err(|error| error as i32)?,
         };
         *size = gripper.driver.raw(command, payload, buffer).map_err(of)?.len();
         Ok(())

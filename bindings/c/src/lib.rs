@@ -57,7 +57,8 @@ pub mod fieldbus;
 
 pub mod text;
 
-mod memory;
+#[doc(hidden)]
+pub mod memory;
 
 pub use config::wsg_config_t;
 pub use error::wsg_error;

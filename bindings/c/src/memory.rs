@@ -8,7 +8,7 @@ use crate::error::wsg_error;
 ///
 /// # Safety
 /// `data` is null or points to `length` initialized bytes that live and stay unchanged during `'a`.
-pub(crate) unsafe fn bytes<'a>(data: *const u8, length: usize) -> Result<&'a [u8], wsg_error> {
+pub unsafe fn bytes<'a>(data: *const u8, length: usize) -> Result<&'a [u8], wsg_error> {
     if length == 0 {
         return Ok(&[]);
     }
@@ -26,7 +26,7 @@ pub(crate) unsafe fn bytes<'a>(data: *const u8, length: usize) -> Result<&'a [u8
 ///
 /// # Safety
 /// `data` is null or points to `length` bytes that only the caller uses during `'a`.
-pub(crate) unsafe fn buffer<'a>(data: *mut u8, length: usize) -> Result<&'a mut [u8], wsg_error> {
+pub unsafe fn buffer<'a>(data: *mut u8, length: usize) -> Result<&'a mut [u8], wsg_error> {
     if data.is_null() {
         return Err(wsg_error::NullPointer);
     }

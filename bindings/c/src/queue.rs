@@ -6,7 +6,6 @@ use core::ptr;
 
 use crate::error::{DONE, Outcome, code, wsg_error};
 use crate::event::{wsg_event, wsg_event_t, wsg_value};
-use crate::memory::give;
 
 /// A queue of events, owned by the caller, of which all members are private. Pass wsg_queue_push() as the callback and the
 /// queue as its context: `wsg_init(&wsg, NULL, wsg_queue_push, &queue)`.
@@ -104,6 +103,7 @@ pub unsafe extern "C" fn wsg_queue_init(
     bytes_size: usize,
 ) -> i32 {
     let init = || -> Outcome {
+        let queue = queue.ok_or(wsg_error::NullPointer)?;
         if events.is_null() {
             return Err(wsg_error::NullPointer);
         }
@@ -114,7 +114,7 @@ pub unsafe extern "C" fn wsg_queue_init(
         unsafe { ptr::write_bytes(events, 0, capacity.into()) };
         let bytes_size = if bytes.is_null() { 0 } else { bytes_size };
         let empty = wsg_queue_t { events, bytes, bytes_size, capacity, count: 0, lost: 0, bytes_state: FREE };
-        give(queue, empty)?;
+        queue.write(empty);
         DONE
     };
     code(init())

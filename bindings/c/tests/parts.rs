@@ -97,11 +97,13 @@ fn register_interface_gives_the_images_and_messages_of_the_controller() {
                     controller.set_output(&OutputImage::from_bytes(image), session.known());
                 }
                 1 if below(30) == 0 => {
-                    assert_eq!(
-                        unsafe { wsg_fieldbus_silence(fieldbus, Some(wsg), WSG_SILENCE_FAST_STOP) },
-                        0
-                    );
-                    controller.silence(SilenceReaction::FastStop, session.known());
+                    let (code, reaction) = [
+                        (WSG_SILENCE_HOLD, SilenceReaction::Hold),
+                        (WSG_SILENCE_STOP, SilenceReaction::Stop),
+                        (WSG_SILENCE_FAST_STOP, SilenceReaction::FastStop),
+                    ][below(3)];
+                    assert_eq!(unsafe { wsg_fieldbus_silence(fieldbus, Some(wsg), code) }, 0);
+                    controller.silence(reaction, session.known());
                 }
                 1 => now += below(300) as u32,
                 _ => {
