@@ -12,6 +12,7 @@ typedef enum {
     WSG_HOST_ERROR_NOT_CONNECTED = -10,
     WSG_HOST_ERROR_MOTION_RUNNING = -11,
     WSG_HOST_ERROR_FAST_STOP_RUNNING = -12,
+    WSG_HOST_ERROR_OUT_OF_LIMITS = -15,
     WSG_HOST_ERROR_LINE = -20,
     WSG_HOST_ERROR_CLOSED = -21,
     WSG_HOST_ERROR_UNANSWERED = -22,
@@ -21,7 +22,7 @@ typedef enum {
     WSG_HOST_ERROR_SYSTEM = -26,
     WSG_HOST_ERROR_QUEUE_FULL = -27,
     WSG_HOST_ERROR_ENDED = -28,
-    WSG_HOST_ERROR_OTHER = -100,
+    WSG_HOST_ERROR_OTHER = -100
 } wsg_host_error;
 typedef struct wsg_host_stop_t wsg_host_stop_t;
 typedef struct wsg_host_stream_t wsg_host_stream_t;

@@ -50,6 +50,11 @@ typedef enum {
     WSG_HOST_ERROR_MOTION_RUNNING = -11,
     /* A FAST STOP is not confirmed yet. */
     WSG_HOST_ERROR_FAST_STOP_RUNNING = -12,
+    /*
+     A width, speed, acceleration or force is outside the limits of the gripper, which wsg_host_limits() returns. Nothing was
+     changed.
+     */
+    WSG_HOST_ERROR_OUT_OF_LIMITS = -15,
     /* The line cannot be opened, or failed. */
     WSG_HOST_ERROR_LINE = -20,
     /* The gripper closed the connection. */
@@ -69,7 +74,7 @@ typedef enum {
     /* The stream has ended. */
     WSG_HOST_ERROR_ENDED = -28,
     /* Any other error. */
-    WSG_HOST_ERROR_OTHER = -100,
+    WSG_HOST_ERROR_OTHER = -100
 } wsg_host_error;
 
 /* A handle that stops the fingers. Free it with wsg_host_stop_free(). It may outlive the gripper, and then returns an error. */
@@ -103,7 +108,7 @@ typedef struct {
 
 #ifdef __cplusplus
 extern "C" {
-#endif // __cplusplus
+#endif /* __cplusplus */
 
 /* Returns the meaning of a return value: an error, or a status of the gripper. */
 const char *wsg_host_error_text(int32_t error);
@@ -239,7 +244,7 @@ int32_t wsg_host_stream_stop_handle(const wsg_host_stream_t *stream, wsg_host_st
 int32_t wsg_host_stream_end(wsg_host_stream_t *stream, wsg_host_t **gripper);
 
 #ifdef __cplusplus
-}  // extern "C"
-#endif  // __cplusplus
+}  /* extern "C" */
+#endif  /* __cplusplus */
 
 #endif  /* WSG_HOST_H */

@@ -27,6 +27,9 @@ pub enum wsg_host_error {
     MotionRunning = -11,
     /// A FAST STOP is not confirmed yet.
     FastStopRunning = -12,
+    /// A width, speed, acceleration or force is outside the limits of the gripper, which wsg_host_limits() returns. Nothing was
+    /// changed.
+    OutOfLimits = -15,
     /// The line cannot be opened, or failed.
     Line = -20,
     /// The gripper closed the connection.
@@ -50,7 +53,7 @@ pub enum wsg_host_error {
 }
 
 impl wsg_host_error {
-    const ALL: [Self; 17] = [
+    const ALL: [Self; 18] = [
         Self::None,
         Self::NullPointer,
         Self::Argument,
@@ -58,6 +61,7 @@ impl wsg_host_error {
         Self::NotConnected,
         Self::MotionRunning,
         Self::FastStopRunning,
+        Self::OutOfLimits,
         Self::Line,
         Self::Closed,
         Self::Unanswered,
@@ -79,6 +83,7 @@ impl wsg_host_error {
             Self::NotConnected => c"not connected to a gripper",
             Self::MotionRunning => c"a motion is running",
             Self::FastStopRunning => c"a FAST STOP is not confirmed yet",
+            Self::OutOfLimits => c"outside the limits of the gripper",
             Self::Line => c"the line cannot be opened, or failed",
             Self::Closed => c"the gripper closed the connection",
             Self::Unanswered => c"no reply; the outcome is unknown",
@@ -124,7 +129,8 @@ pub(crate) fn of(error: Error<io::Error>) -> i32 {
         Error::Invalid(DecodeError::TooLong | DecodeError::TagTooLong) | Error::TooLong { .. } => {
             wsg_host_error::TooLong
         }
-        Error::Invalid(_) | Error::OutOfLimits(_) => wsg_host_error::Argument,
+        Error::Invalid(_) => wsg_host_error::Argument,
+        Error::OutOfLimits(_) => wsg_host_error::OutOfLimits,
         Error::Stopped(StopKind::Stop) => wsg_host_error::Stopped,
         Error::Stopped(StopKind::FastStop) => wsg_host_error::FastStopped,
         Error::Mismatch => wsg_host_error::Mismatch,

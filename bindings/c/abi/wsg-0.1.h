@@ -166,7 +166,8 @@ typedef enum {
     WSG_ERROR_FAST_STOP_RUNNING = -12,
     WSG_ERROR_QUEUE_FULL = -13,
     WSG_ERROR_MALFORMED = -14,
-    WSG_ERROR_OTHER = -100,
+    WSG_ERROR_OUT_OF_LIMITS = -15,
+    WSG_ERROR_OTHER = -100
 } wsg_error;
 typedef enum {
     WSG_EVENT_CONNECTED = 1,
@@ -176,7 +177,7 @@ typedef enum {
     WSG_EVENT_UNANSWERED = 5,
     WSG_EVENT_LATE = 6,
     WSG_EVENT_WITHDRAWN = 7,
-    WSG_EVENT_REPORTED = 8,
+    WSG_EVENT_REPORTED = 8
 } wsg_event;
 typedef enum {
     WSG_VALUE_NONE = 0,
@@ -189,7 +190,7 @@ typedef enum {
     WSG_VALUE_INFO = 7,
     WSG_VALUE_LIMITS = 8,
     WSG_VALUE_FINGER = 9,
-    WSG_VALUE_BYTES = 10,
+    WSG_VALUE_BYTES = 10
 } wsg_value;
 typedef struct {
     uint32_t reply_timeout_ms;

@@ -386,8 +386,13 @@ typedef enum {
     WSG_ERROR_QUEUE_FULL = -13,
     /* The payload of a frame violates the manual. */
     WSG_ERROR_MALFORMED = -14,
+    /*
+     A width, speed, acceleration or force is outside the limits of the connected gripper, which wsg_known() has. Nothing was
+     sent.
+     */
+    WSG_ERROR_OUT_OF_LIMITS = -15,
     /* Any other error. */
-    WSG_ERROR_OTHER = -100,
+    WSG_ERROR_OTHER = -100
 } wsg_error;
 
 /* Kinds of events. */
@@ -407,7 +412,7 @@ typedef enum {
     /* A request was not sent and will not be sent. */
     WSG_EVENT_WITHDRAWN = 7,
     /* The gripper reported a value of its own accord. */
-    WSG_EVENT_REPORTED = 8,
+    WSG_EVENT_REPORTED = 8
 } wsg_event;
 
 /* Kinds of values: the member of wsg_value_t to read. */
@@ -433,7 +438,7 @@ typedef enum {
     /* `finger`. */
     WSG_VALUE_FINGER = 9,
     /* `bytes`: echoed data, a device tag, finger data, or the reply to a custom request. */
-    WSG_VALUE_BYTES = 10,
+    WSG_VALUE_BYTES = 10
 } wsg_value;
 
 /* Time-outs and subscriptions of a session. Times are in milliseconds, from 1 to WSG_CONFIG_MAX_MS. */
@@ -727,7 +732,7 @@ typedef struct {
 
 #ifdef __cplusplus
 extern "C" {
-#endif // __cplusplus
+#endif /* __cplusplus */
 
 /* Writes the default configuration: a serial line at 115 200 bit/s, subscribed to the two states only. */
 int32_t wsg_config_default(wsg_config_t *config);
@@ -1023,7 +1028,7 @@ const char *wsg_error_text(int32_t error);
 const char *wsg_version(void);
 
 #ifdef __cplusplus
-}  // extern "C"
-#endif  // __cplusplus
+}  /* extern "C" */
+#endif  /* __cplusplus */
 
 #endif  /* WSG_H */

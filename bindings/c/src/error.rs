@@ -39,6 +39,9 @@ pub enum wsg_error {
     QueueFull = -13,
     /// The payload of a frame violates the manual.
     Malformed = -14,
+    /// A width, speed, acceleration or force is outside the limits of the connected gripper, which wsg_known() has. Nothing was
+    /// sent.
+    OutOfLimits = -15,
     /// Any other error.
     Other = -100,
 }
@@ -46,7 +49,7 @@ pub enum wsg_error {
 impl wsg_error {
     /// All errors.
     /// cbindgen:ignore
-    pub(crate) const ALL: [Self; 16] = [
+    pub(crate) const ALL: [Self; 17] = [
         Self::None,
         Self::NullPointer,
         Self::NotInitialized,
@@ -62,6 +65,7 @@ impl wsg_error {
         Self::FastStopRunning,
         Self::QueueFull,
         Self::Malformed,
+        Self::OutOfLimits,
         Self::Other,
     ];
 }

@@ -2,10 +2,13 @@
 //!
 //! Each returns 0 if the session has accepted the request, and a negative [`wsg_error`] if it was rejected and will never be
 //! sent. The outcome is reported as an event with the command's id.
+//!
+//! Widths, speeds, accelerations and forces outside the limits of the connected gripper are rejected, because the gripper
+//! would correct some of them without an error. See [`wsg_protocol::limits`].
 
 use core::ffi::c_char;
 
-use wsg_protocol::session::Topic;
+use wsg_protocol::session::{Known, Topic};
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, DeviceTag, HomingDirection, PrePositionFlags, SoftLimits,
 };
@@ -28,7 +31,13 @@ pub const WSG_STOP_ON_BLOCK: u8 = 2;
 
 fn send(wsg: Option<&mut wsg_t>, command: Command<'static>) -> i32 {
     let send = || -> Outcome {
-        wsg_t::open(wsg)?.session.request(command)?;
+        let inner = wsg_t::open(wsg)?;
+        command.check().map_err(wsg_error::of_argument)?;
+        if let Known { limits: Some(limits), flags, width, .. } = inner.session.known() {
+            let checked = command.check_limits(limits, flags.unwrap_or_default(), *width);
+            checked.map_err(|_| wsg_error::OutOfLimits)?;
+        }
+        inner.session.request(command)?;
         DONE
     };
     code(send())
@@ -330,6 +339,7 @@ pub extern "C" fn wsg_subscribe(wsg: Option<&mut wsg_t>, command: u8, period_ms:
         };
         let update = match (period_ms, switch(on_change)?) {
             (0, _) => AutoUpdate::once(),
+            (1..AutoUpdate::MIN_PERIOD_MS, _) => return Err(wsg_error::Argument),
             (_, false) => AutoUpdate::every(period_ms),
             (_, true) => AutoUpdate::on_change(period_ms),
         };

@@ -107,6 +107,7 @@ const fn meaning(error: wsg_error) -> &'static CStr {
         wsg_error::FastStopRunning => c"a FAST STOP is not confirmed yet",
         wsg_error::QueueFull => c"too many requests are queued",
         wsg_error::Malformed => c"the payload violates the manual",
+        wsg_error::OutOfLimits => c"outside the limits of the gripper",
         wsg_error::Other => c"unknown error",
     }
 }

@@ -184,6 +184,7 @@ struct Pair {
     kept: Option<(CommandId, Vec<u8>, CString)>,
     seen: Vec<Seen>,
     received_at: Instant,
+    frame_timeout_ms: u32,
     now: u32,
     /// The commands sent last, to be answered.
     sent: Vec<CommandId>,
@@ -198,12 +199,34 @@ impl Pair {
         config.updates = chance.below(8) as u8;
         config.verify_settings = chance.below(2) as u8;
         config.attempts = 1 + chance.below(3) as u8;
+        let mut vary = |ms: &mut u32| *ms *= 1 + chance.below(3) as u32;
+        vary(&mut config.reply_timeout_ms);
+        vary(&mut config.refresh_ms);
+        vary(&mut config.reconnect_ms);
+        vary(&mut config.motion_timeout_ms);
+        vary(&mut config.result_grace_ms);
+        vary(&mut config.fast_stop_answer_ms);
+        vary(&mut config.fast_stop_pause_ms);
+        config.frame_timeout_ms *= 1 + chance.below(2) as u16;
+        config.fast_stop_burst_frames = 1 + chance.below(5) as u16;
+        config.update_period_ms += chance.below(50) as u16;
         let rust = session::Config {
             width: config.updates & WSG_UPDATE_WIDTH != 0,
             speed: config.updates & WSG_UPDATE_SPEED != 0,
             force: config.updates & WSG_UPDATE_FORCE != 0,
             verify_settings: config.verify_settings == 1,
             attempts: config.attempts,
+            reply_timeout_ms: config.reply_timeout_ms,
+            refresh_ms: config.refresh_ms,
+            reconnect_ms: config.reconnect_ms,
+            motion_timeout_ms: config.motion_timeout_ms,
+            result_grace_ms: config.result_grace_ms,
+            update_period_ms: config.update_period_ms,
+            fast_stop: session::FastStopPattern {
+                answer_ms: config.fast_stop_answer_ms,
+                burst_frames: config.fast_stop_burst_frames,
+                pause_ms: config.fast_stop_pause_ms,
+            },
             ..session::Config::DEFAULT
         };
         let mut c = Box::new(MaybeUninit::uninit());
@@ -218,6 +241,7 @@ impl Pair {
             kept: None,
             seen: vec![],
             received_at: Instant::from_millis(0),
+            frame_timeout_ms: config.frame_timeout_ms.into(),
             now: chance.next() as u32,
             sent: vec![],
             requested: BTreeSet::new(),
@@ -300,7 +324,7 @@ impl Pair {
     fn tick(&mut self) {
         assert_eq!(unsafe { wsg_tick(self.c.as_mut_ptr(), self.now) }, 0);
         let now = Instant::from_millis(self.now);
-        if self.parser.is_mid_frame() && now.since(self.received_at) >= 20 {
+        if self.parser.is_mid_frame() && now.since(self.received_at) >= self.frame_timeout_ms {
             self.expire();
         }
         while let Some(event) = self.session.tick(now) {
@@ -337,7 +361,7 @@ impl Pair {
         let is_due = wsg_next_deadline(Some(unsafe { self.c.assume_init_ref() }), self.now, Some(&mut delay));
         let delay = unsafe { delay.assume_init() };
         let now = Instant::from_millis(self.now);
-        let half = self.parser.is_mid_frame().then(|| self.received_at.plus(20));
+        let half = self.parser.is_mid_frame().then(|| self.received_at.plus(self.frame_timeout_ms));
         let due = [half, self.session.poll_timeout()].into_iter().flatten().reduce(Instant::earlier_of);
         assert_eq!(is_due == 1, due.is_some());
         assert_eq!(delay, due.map_or(u32::MAX, |due| due.since(now)));
@@ -402,12 +426,20 @@ impl Pair {
         let Some(command) = command(chance, id) else { return };
         self.requested.insert(id.code());
         let expected = match &command {
+            Made::Own(command) if self.is_outside_limits(command) => wsg_error::OutOfLimits as i32,
             Made::Own(command) => code_of(self.session.request(*command)),
             Made::Kept(payload) => self.keep(id, payload),
         };
         let returned = self.issue(id, &command);
         assert_eq!(returned, expected, "{command:?}");
         // C reads the text or data until the final event; a rejected request leaves nothing.
+    }
+
+    fn is_outside_limits(&self, command: &Command<'_>) -> bool {
+        let known = self.session.known();
+        let Some(limits) = &known.limits else { return false };
+        command.check().is_ok()
+            && command.check_limits(limits, known.flags.unwrap_or_default(), known.width).is_err()
     }
 
     fn keep(&mut self, id: CommandId, payload: &[u8]) -> i32 {
@@ -499,8 +531,13 @@ impl Pair {
 
     fn subscribe(&mut self, chance: &mut Chance) {
         let topic = Topic::ALL[chance.below(5)];
-        let (period, on_change) = ([0, 5, 10, 500][chance.below(4)], chance.below(2) as u8);
-        assert_eq!(wsg_subscribe(self.c(), topic.id().code(), period, on_change), 0);
+        let (period, on_change) = ([0, 9, 10, 500][chance.below(4)], chance.below(2) as u8);
+        let subscribed = wsg_subscribe(self.c(), topic.id().code(), period, on_change);
+        if period == 9 {
+            assert_eq!(subscribed, wsg_error::Argument as i32);
+            return;
+        }
+        assert_eq!(subscribed, 0);
         let mut flags = UpdateFlags::AUTOMATIC;
         flags.set(UpdateFlags::ON_CHANGE, on_change == 1);
         let update = AutoUpdate { flags, period_ms: period };
@@ -642,6 +679,11 @@ fn reply_to(chance: &mut Chance, id: CommandId) -> Vec<u8> {
 
 /// A reply with E_SUCCESS and a value.
 fn success_of(chance: &mut Chance, id: CommandId) -> Vec<u8> {
+    if id == CommandId::GetSystemLimits {
+        // So that some requests are inside the limits, and some are not.
+        let limits: [f32; 8] = [200.0, 10.0, 250.0, 10.0, 250.0, 10.0, 80.0, 200.0];
+        return [0u8; 2].into_iter().chain(limits.into_iter().flat_map(f32::to_le_bytes)).collect();
+    }
     // The length of a value that decodes, by trial.
     for len in [0, 4, 1, 8, 2, 32, 3] {
         let mut payload = vec![0; 2];

@@ -24,7 +24,7 @@ fn constants(name: &str, about: &str, rows: impl Iterator<Item = (String, String
     for (name, value, comment) in rows {
         writeln!(text, "    /* {comment} */\n    WSG_{name} = {value},").unwrap();
     }
-    // C99 accepts the last comma, but this is what people write.
+    // C89 has no comma after the last enumerator.
     text.truncate(text.len() - 2);
     text + "\n};\n"
 }

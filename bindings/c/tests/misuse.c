@@ -56,7 +56,7 @@ static unsigned long rejected, accepted, event_count;
 
 static void result(int32_t value, const char *call)
 {
-    if (value < WSG_ERROR_OTHER || (value < WSG_ERROR_MALFORMED && value > WSG_ERROR_OTHER)) {
+    if (value < WSG_ERROR_OTHER || (value < WSG_ERROR_OUT_OF_LIMITS && value > WSG_ERROR_OTHER)) {
         printf("%s returned %d\n", call, (int)value);
         exit(1);
     }
@@ -72,6 +72,7 @@ static void result(int32_t value, const char *call)
 /* Reads all that an event gives, and calls what must be rejected. */
 static void on_event(void *context, const wsg_event_t *event)
 {
+    uint8_t line[128];
     unsigned sum = 0;
     uint16_t i;
 
@@ -87,7 +88,9 @@ static void on_event(void *context, const wsg_event_t *event)
     if (context != NULL) {
         wsg_queue_push(context, event);
     }
-    if (wsg_tick(wsg, 0) != WSG_ERROR_IN_CALLBACK || wsg_receive(wsg, 0, NULL, 0) != WSG_ERROR_IN_CALLBACK) {
+    if (wsg_tick(wsg, 0) != WSG_ERROR_IN_CALLBACK || wsg_receive(wsg, 0, NULL, 0) != WSG_ERROR_IN_CALLBACK ||
+        wsg_transmit(wsg, 0, line, sizeof line) != WSG_ERROR_IN_CALLBACK || wsg_expire(wsg, 0) != WSG_ERROR_IN_CALLBACK ||
+        wsg_disconnect(wsg) != WSG_ERROR_IN_CALLBACK) {
         printf("not rejected in the callback\n");
         exit(1);
     }
@@ -138,6 +141,10 @@ static void answer(uint32_t now)
     default: break;
     }
     memset(payload + 2, sent == 0x52 ? 'y' : 0, length);
+    if (sent == 0x53) {
+        const float limits[8] = {110.0f, 0.0f, 420.0f, 0.0f, 5000.0f, 0.0f, 80.0f, 120.0f};
+        memcpy(payload + 2, limits, sizeof limits);
+    }
     if (sent >= 0x20 && sent <= 0x26 && one_in(2)) {
         payload[0] = WSG_E_CMD_PENDING;
     }

@@ -16,7 +16,7 @@ pub(crate) struct Header {
     pub(crate) folder: &'static str,
 }
 
-const LANGUAGES: [(&str, &str); 3] = [("c", "c99"), ("c", "c11"), ("c++", "c++17")];
+const LANGUAGES: [(&str, &str); 4] = [("c", "c89"), ("c", "c99"), ("c", "c11"), ("c++", "c++17")];
 
 impl Header {
     fn path(&self) -> PathBuf {
@@ -37,7 +37,7 @@ impl Header {
             cbindgen::Builder::new().with_crate(self.folder).with_config(config).generate().unwrap();
         let mut text = Vec::new();
         bindings.write(&mut text);
-        let text = with_short_comments(&String::from_utf8(text).unwrap());
+        let text = in_c89(&with_short_comments(&String::from_utf8(text).unwrap()));
         if is_update() {
             fs::write(self.path(), &text).unwrap();
         }
@@ -191,6 +191,20 @@ fn with_short_comments(text: &str) -> String {
         }
     }
     lines.join("\n") + "\n"
+}
+
+/// Removes what C89 does not have: a comma after the last enumerator, and comments of C++.
+fn in_c89(text: &str) -> String {
+    let lines: Vec<&str> = text.lines().collect();
+    let convert = |(at, line): (usize, &&str)| {
+        let is_last = lines.get(at + 1).is_some_and(|next| next.starts_with('}'));
+        let line = line.strip_suffix(',').filter(|_| is_last).unwrap_or(line);
+        match line.split_once("//") {
+            Some((code, comment)) => format!("{code}/* {} */\n", comment.trim()),
+            None => format!("{line}\n"),
+        }
+    };
+    lines.iter().enumerate().map(convert).collect()
 }
 
 /// Removes comments and empty lines.
