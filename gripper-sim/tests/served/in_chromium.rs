@@ -11,6 +11,7 @@ use browser::Tab;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::thread;
 
 /// Distance of the fingers on the screen, in mm of the drawing.
@@ -24,8 +25,17 @@ const PAGES: [&str; 7] = ["operate", "settings", "fieldbus", "editor", "scripts"
 
 const STATE: &str = "document.getElementById('state').textContent";
 
+static TURNS: RwLock<()> = RwLock::new(());
+
+/// The turn of a test, which it holds as long as its gripper.
+enum Turn {
+    Shared(#[expect(dead_code, reason = "held")] RwLockReadGuard<'static, ()>),
+    Alone(#[expect(dead_code, reason = "held")] RwLockWriteGuard<'static, ()>),
+}
+
 /// A gripper with its page.
 struct Gripper {
+    _turn: Turn,
     _program: Program,
     tcp: String,
     modbus: String,
@@ -39,11 +49,22 @@ impl Gripper {
     }
 
     fn on(control: &str, options: &[&str]) -> Self {
+        let turn = TURNS.read().unwrap_or_else(PoisonError::into_inner);
+        Self::start(Turn::Shared(turn), control, options)
+    }
+
+    /// Starts a gripper for a test that uses all of the machine, and therefore runs alone.
+    fn alone(options: &[&str]) -> Self {
+        let turn = TURNS.write().unwrap_or_else(PoisonError::into_inner);
+        Self::start(Turn::Alone(turn), "127.0.0.1:0", options)
+    }
+
+    fn start(_turn: Turn, control: &str, options: &[&str]) -> Self {
         let lines = ["--tcp", "127.0.0.1:0", "--modbus", "127.0.0.1:0", "--control", control, "--part", "20"];
         let mut program = Program::start(&[&lines, options].concat());
         let [_, tcp, modbus, _, page] =
             ["model", "tcp", "modbus", "control", "page"].map(|name| program.place_of(name));
-        Self { _program: program, tcp, modbus, page: page.trim_end_matches('/').to_owned() }
+        Self { _turn, _program: program, tcp, modbus, page: page.trim_end_matches('/').to_owned() }
     }
 
     fn open(&self) -> Tab {
@@ -65,9 +86,21 @@ fn flag_is_on(flag: &str) -> String {
     format!("[...document.querySelectorAll('#flags .on')].some(item => item.textContent === '{flag} 1')")
 }
 
+/// Homes by a click, which is refused while a busy machine withholds the states from the page.
 fn home(tab: &mut Tab) {
-    tab.click("#home");
-    tab.until(&format!("{} && {STATE} === 'IDLE'", flag_is_on("REFERENCED")));
+    let end = format!(
+        "{} && {STATE} === 'IDLE' ? 'homed' : document.querySelector('#results .bad:last-child') && 'refused'",
+        flag_is_on("REFERENCED")
+    );
+    for _ in 0..20 {
+        tab.until("isFresh()");
+        tab.click("#home");
+        if tab.until(&end) == "homed" {
+            return;
+        }
+        tab.eval("document.getElementById('results').replaceChildren(); 0");
+    }
+    panic!("the machine is never quiet");
 }
 
 fn fill(tab: &mut Tab, field: &str, text: &str) {

@@ -3,7 +3,6 @@
 
 use super::browser::Tab;
 use super::{Gripper, STATE, flag_is_on, home};
-use crate::common::go_to;
 use crate::control::request;
 use crate::rig::{BOUND, Client, HOMING, connect};
 use rustix::process::Signal;
@@ -15,7 +14,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 use wsg_protocol::types::AckKey;
-use wsg_protocol::{Command, Status};
+use wsg_protocol::{Command, PrePositionFlags, Status};
 
 /// Number of windows, all visible.
 const WINDOWS: usize = 20;
@@ -56,7 +55,10 @@ fn start_moving(client: &mut Client<TcpStream>, tab: &mut Tab) {
     assert_eq!(client.ask(Command::Acknowledge { key: AckKey }), Status::Success);
     tab.until(&format!("{STATE} === 'IDLE'"));
     let is_open = tab.eval("clickedAt = null; withheld = 0; shownWidth > 75") == true;
-    assert_eq!(client.ask(go_to(if is_open { 40.0 } else { 109.0 })), Status::CmdPending);
+    let width = if is_open { 40.0 } else { 109.0 };
+    // Half a minute, so that the fingers move until the click on a busy machine, too.
+    let command = Command::PrePosition { flags: PrePositionFlags::empty(), width, speed: 20.0 };
+    assert_eq!(client.ask(command), Status::CmdPending);
     tab.until("shownSpeed !== 0");
 }
 
@@ -149,7 +151,7 @@ fn latency(gripper: &Gripper, client: &mut Client<TcpStream>, tab: &mut Tab, nam
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn fast_stop_from_each_of_20_windows_stops_the_fingers_in_250_ms() {
-    let gripper = Gripper::new(&["--time-scale", "0.1"]);
+    let gripper = Gripper::alone(&["--time-scale", "0.1"]);
     let mut windows: Vec<Tab> = (0..WINDOWS).map(|_| open_noting(&gripper)).collect();
     let mut client = Client(connect(&gripper.tcp));
     assert_eq!(client.run(HOMING), Status::Success);
@@ -268,7 +270,7 @@ fn proxy_to(upstream: String) -> String {
 }
 
 fn forward(mut browser: TcpStream, upstream: &str) -> std::io::Result<()> {
-    let mut server = connect(upstream);
+    let mut server = TcpStream::connect(upstream)?;
     let mut request = BufReader::new(browser.try_clone()?);
     let mut line = String::new();
     while request.read_line(&mut line)? > 2 {
@@ -292,12 +294,15 @@ fn page_through_a_proxy_that_changes_the_host_names_the_header() {
     let page = proxy_to(upstream.clone());
     let mut tab = Tab::open(&page);
     let expected = format!("the header Origin is \"{page}\"; expected \"http://{upstream}\"");
-    for (button, place) in [("", "refusal"), ("#fast_stop", "message"), ("#part_out", "message")] {
-        if !button.is_empty() {
+    tab.until(&format!("document.getElementById('refusal').textContent.startsWith({expected:?})"));
+    for button in ["#fast_stop", "#part_out"] {
+        // A busy machine may withhold the answer.
+        let is_refused = (0..20).any(|_| {
             tab.click(button);
-        }
-        let text = format!("document.getElementById('{place}').textContent.startsWith({expected:?})");
-        tab.until(&text);
-        tab.eval("say('message', ''); 0");
+            let said = tab.until("document.getElementById('message').textContent");
+            tab.eval("say('message', ''); 0");
+            said.as_str().is_some_and(|said| said.starts_with(&expected))
+        });
+        assert!(is_refused, "{button}");
     }
 }

@@ -5,7 +5,7 @@ const SVG = "http://www.w3.org/2000/svg";
 const SILENT_MS = 1000;
 // A request without an answer is withdrawn. A FAST STOP is then sent on another way.
 const ANSWER_MS = 1000, FILE_MS = 4000, OTHER_WAY_MS = 100;
-const RETRY_MS = 1000, RECONNECT_MS = 3000;
+const RETRY_MS = 1000, RECONNECT_MS = 3000, LATE_MS = 10000;
 const MAX_LINES = 500;
 let hello = null, now = 0;
 // What the parts of the page do with the first data, with each state, with each state that is drawn, and with each kind of event.
@@ -244,8 +244,9 @@ function connect() {
 function check() {
   const since = performance.now() - openedAt;
   if (!isFresh()) isGone();
-  if (socket !== null && !isFresh() && since > RECONNECT_MS && age() > RECONNECT_MS) {
-    // The other end may not be there any more.
+  const silent = Math.min(since, performance.now() - takenAt), late = Math.min(since, age());
+  if (socket !== null && (silent > RECONNECT_MS || late > LATE_MS)) {
+    // The other end may not be there any more, or its clock was stopped. A busy computer alone is no reason.
     socket.close();
     socket = null;
   }
