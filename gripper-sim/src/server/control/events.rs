@@ -14,8 +14,8 @@ use tokio::time::{Duration, Instant};
 
 /// Maximum number of simultaneous streams.
 pub(super) const MAX_STREAMS: usize = 64;
-/// Maximum number of queued events per reader. A reader that is further behind loses its stream. It connects again and
-/// receives everything, so that it never lacks a part of a log, or the end of a script.
+/// Maximum number of unread events per reader. With more, a reader loses its stream. It connects again and receives
+/// everything, so that it never lacks a part of a log, or the end of a script.
 const MAX_WAITING: usize = 32;
 /// Time-out of a reader that reads nothing. Events are sent far more often.
 const PATIENCE: Duration = Duration::from_secs(10);
