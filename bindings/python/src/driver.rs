@@ -133,12 +133,13 @@ pub(crate) fn limits_as_tuple(it: SystemLimits) -> Limits {
     )
 }
 
-/// Implements the methods of [`Driver`]: the given ones, motions, and requests with one reply. Each expression is for a
-/// driver of either protocol.
+/// Implements the methods of [`Driver`]: the given ones, motions, requests that return None, and requests that return a
+/// value. Each expression is for a driver of either protocol.
 macro_rules! driver_methods {
     (
         { $($given:tt)* }
         motions { $($motion:ident($($given_to:ident: $of:ty),*) => |$moved:ident| $begin:expr;)* }
+        changes { $($change:ident($($setting:ident: $kind:ty),*) => |$changed:ident| $tell:expr;)* }
         requests { $($request:ident($($parameter:ident: $type:ty),*) => |$gripper:ident| $ask:expr;)* }
     ) => {
         #[pymethods]
@@ -155,6 +156,13 @@ macro_rules! driver_methods {
                     reply: Option<Reply>,
                 ) -> PyResult<Py<PyAny>> {
                     self.begin(py, waits, reply, move |driver| each!(driver, $moved => $begin))
+                }
+            )*
+
+            $(
+                #[pyo3(signature = ($($setting,)* reply=None))]
+                fn $change(&self, py: Python<'_>, $($setting: $kind,)* reply: Option<Reply>) -> PyResult<Py<PyAny>> {
+                    self.request(py, reply, move |driver| each!(driver, $changed => $tell).map(|()| NOTHING))
                 }
             )*
 
@@ -207,7 +215,9 @@ driver_methods! {
                 let _ = detach(py, || self.core.send_stop(kind));
             }
             let handles_signals = reply.is_none();
-            self.make(py, reply, &self.queries, false, move |core| core.stop(handles_signals, kind))
+            self.make(py, reply, &self.queries, false, move |core| {
+                core.stop(handles_signals, kind).map(|()| NOTHING)
+            })
         }
 
         #[pyo3(signature = (tolerance, reply=None))]
@@ -246,27 +256,31 @@ driver_methods! {
             gripper.begin_move_to(Mm(width), MmPerS(speed), on_block(clamps)).map(Begun::Other);
         move_by(offset: f32, speed: f32, clamps: bool) => |gripper|
             gripper.begin_move_by(Mm(offset), MmPerS(speed), on_block(clamps)).map(Begun::Other);
-        grip(width: f32, speed: f32, force: Option<f32>) => |gripper| {
-            if let Some(force) = force {
-                gripper.set_force_limit(N(force))?;
-            }
-            gripper.begin_grip(Mm(width), MmPerS(speed)).map(Begun::Grip)
-        };
+        grip(width: f32, speed: f32, force: Option<f32>) => |gripper| match force {
+            Some(force) => gripper.begin_grip_with_force(Mm(width), MmPerS(speed), N(force)),
+            None => gripper.begin_grip(Mm(width), MmPerS(speed)),
+        }.map(Begun::Grip);
         release(width: f32, speed: f32) => |gripper|
             gripper.begin_release(Mm(width), MmPerS(speed)).map(Begun::Other);
     }
-    requests {
+    changes {
         acknowledge() => |gripper| gripper.acknowledge();
         set_acceleration(acceleration: f32) => |gripper| gripper.set_acceleration(acceleration);
-        acceleration() => |gripper| gripper.acceleration().map(shortest);
         set_force_limit(force: f32) => |gripper| gripper.set_force_limit(N(force));
-        force_limit() => |gripper| gripper.force_limit().map(|force| shortest(force.0));
         set_soft_limits(minus: f32, plus: f32) => |gripper| gripper.set_soft_limits(SoftLimits { minus, plus });
-        soft_limits() => |gripper|
-            gripper.soft_limits().map(|limits| limits.map(|it| (shortest(it.minus), shortest(it.plus))));
         clear_soft_limits() => |gripper| gripper.clear_soft_limits();
         set_overdrive(enabled: bool) => |gripper| gripper.set_overdrive(enabled);
         tare() => |gripper| gripper.tare();
+        set_tag(tag: String) => |gripper| gripper.set_tag(&tag);
+        set_finger_power(number: u8, enabled: bool) => |gripper|
+            gripper.set_finger_power(finger(number)?, enabled);
+        loop_back(data: Vec<u8>) => |gripper| gripper.loop_back(&data);
+    }
+    requests {
+        acceleration() => |gripper| gripper.acceleration().map(shortest);
+        force_limit() => |gripper| gripper.force_limit().map(|force| shortest(force.0));
+        soft_limits() => |gripper|
+            gripper.soft_limits().map(|limits| limits.map(|it| (shortest(it.minus), shortest(it.plus))));
         flags() => |gripper| gripper.system_state().map(|flags| flags.bits());
         state() => |gripper| gripper.gripper_state().map(|state| state.code());
         statistics(reset: bool) => |gripper|
@@ -279,7 +293,6 @@ driver_methods! {
         info() => |gripper| gripper.system_info().map(|it| {
             (it.device.to_string(), it.hardware_revision, it.firmware.to_string(), it.serial_number)
         });
-        set_tag(tag: String) => |gripper| gripper.set_tag(&tag);
         tag() => |gripper| match gripper.tag(&mut [0; DeviceTag::MAX_LEN]).map(str::to_owned) {
             Err(Error::Refused(Status::NotAvailable)) => Ok(String::new()),
             tag => tag,
@@ -287,11 +300,8 @@ driver_methods! {
         finger_info(number: u8) => |gripper|
             gripper.finger_info(finger(number)?).map(|it| (it.finger.to_string(), it.data_len));
         finger_flags(number: u8) => |gripper| gripper.finger_flags(finger(number)?).map(|flags| flags.bits());
-        set_finger_power(number: u8, enabled: bool) => |gripper|
-            gripper.set_finger_power(finger(number)?, enabled);
         finger_data(number: u8) => |gripper|
             gripper.finger_data(finger(number)?, &mut [0; MAX_REPLY]).map(|bytes| Bytes::from(bytes.to_vec()));
-        loop_back(data: Vec<u8>) => |gripper| gripper.loop_back(&data);
         raw(id: u8, payload: Vec<u8>) => |gripper|
             gripper.raw(id, &payload, &mut [0; MAX_REPLY]).map(|bytes| Bytes::from(bytes.to_vec()));
     }
@@ -359,6 +369,9 @@ impl Driver {
         }
     }
 }
+
+/// The result of a request without a value. Python receives None for it, and an empty tuple for `()`.
+const NOTHING: Option<bool> = None;
 
 /// A reply of bytes, which Python receives as `bytes`.
 type Bytes = Cow<'static, [u8]>;

@@ -25,10 +25,12 @@ pub(crate) fn of_driver(py: Python<'_>, failure: &Failure) -> PyErr {
     let (class, status) = match failure {
         Error::NotConnected | Error::Transport(_) | Error::Closed => ("NotConnectedError", None),
         Error::MotionRunning | Error::FastStopRunning | Error::Superseded => ("BusyError", None),
-        Error::Invalid(_) | Error::NoForceLimit | Error::TooLong { .. } => ("InvalidError", None),
+        Error::Invalid(_) | Error::OutOfLimits(_) | Error::NoForceLimit | Error::TooLong { .. } => {
+            ("InvalidError", None)
+        }
         Error::NotInGcl => ("UnsupportedError", None),
         Error::Stopped(_) => ("StoppedError", None),
-        Error::Refused(status) => ("RefusedError", Some(status.code())),
+        Error::Refused(status) | Error::NotSetBack(status) => ("RefusedError", Some(status.code())),
         Error::Blocked => ("BlockedError", Some(wsg_protocol::Status::AxisBlocked.code())),
         Error::Aborted => ("AbortedError", Some(wsg_protocol::Status::CmdAborted.code())),
         Error::Failed(status) => ("MotionError", Some(status.code())),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from pathlib import Path
+from typing import Callable
 
 import pytest
 
@@ -97,10 +98,66 @@ def test_settings_are_read_back(gripper: Gripper) -> None:
     gripper.clear_soft_limits()
     assert gripper.soft_limits() is None
     assert gripper.tag() == "cell 7"
-    gripper.set_force_limit(1000)
-    assert gripper.force_limit() == gripper.limits().nominal_force
     gripper.set_overdrive(True)
     assert SystemFlags.OVERDRIVE_MODE in gripper.flags()
+    gripper.set_force_limit(100)
+    assert gripper.force_limit() == 100
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        (lambda it: it.grip(20, speed=100, force=500), "force 500 N is outside the gripper's limits, 5 to 80 N"),
+        (lambda it: it.grip(20, speed=100, force=-1), "force -1 N"),
+        (lambda it: it.grip(20, speed=1000, force=30), "speed 1000 mm/s"),
+        (lambda it: it.begin_grip(-5, speed=100, force=30), "width -5 mm"),
+        (lambda it: it.move(120, speed=100), "width 120 mm"),
+        (lambda it: it.move_by(10, speed=100), "offset 10 mm"),
+        (lambda it: it.release(50, speed=0), "speed 0 mm/s"),
+        (lambda it: it.set_force_limit(81), "force 81 N"),
+        (lambda it: it.set_acceleration(99999), "acceleration 99999 mm/s² is outside the gripper's limits, 100 to 5000 mm/s²"),
+        (lambda it: it.set_soft_limits(-5, 90), "width -5 mm"),
+        (lambda it: it.set_soft_limits(90, 20), "width 20 mm"),
+    ],
+)
+def test_value_outside_the_limits_changes_nothing(
+    gripper: Gripper, request_: Callable[[Gripper], object], message: str
+) -> None:
+    before = gripper.width(), gripper.force_limit(), gripper.acceleration(), gripper.soft_limits()
+    with pytest.raises(InvalidError) as invalid:
+        request_(gripper)
+    assert str(invalid.value).startswith(message)
+    assert (gripper.width(), gripper.force_limit(), gripper.acceleration(), gripper.soft_limits()) == before
+
+
+def test_refused_grip_leaves_the_force_limit(gripper: Gripper) -> None:
+    gripper.set_soft_limits(30, 110)
+    before = gripper.force_limit()
+    with pytest.raises(RefusedError) as refused:
+        gripper.grip(20, speed=100, force=30)
+    assert refused.value.status is Status.E_RANGE_ERROR
+    assert gripper.force_limit() == before
+    gripper.clear_soft_limits()
+    assert gripper.grip(20, speed=100, force=30)
+    assert gripper.force_limit() == 30
+
+
+def test_requests_without_a_value_return_none(gripper: Gripper) -> None:
+    requests: list[Callable[[], object]] = [
+        lambda: gripper.set_force_limit(30),
+        lambda: gripper.set_acceleration(500),
+        lambda: gripper.set_soft_limits(0, 110),
+        gripper.clear_soft_limits,
+        lambda: gripper.set_overdrive(False),
+        lambda: gripper.set_tag("cell 7"),
+        lambda: gripper.loop_back(b"data"),
+        lambda: gripper.move(50, speed=100),
+        gripper.stop,
+        gripper.fast_stop,
+        gripper.acknowledge,
+    ]
+    for request in requests:
+        assert request() is None
 
 
 def test_device_describes_itself() -> None:

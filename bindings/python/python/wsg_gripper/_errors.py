@@ -26,7 +26,7 @@ class UnansweredError(GripperError, TimeoutError):
 
 
 class InvalidError(GripperError, ValueError):
-    """A parameter has a value that no gripper accepts. Nothing was sent."""
+    """A parameter is outside the limits of the gripper, or has a value that no gripper accepts. Nothing was changed."""
 
 
 class UnsupportedError(GripperError):
@@ -41,12 +41,15 @@ class RefusedError(GripperError):
     """The gripper refused the request with ``status``.
 
     E_NOT_INITIALIZED: call ``home`` first. E_ACCESS_DENIED: usually FAST STOP; call ``acknowledge`` once the fingers may
-    move. E_RANGE_ERROR: a value is outside the limits of the gripper.
+    move. E_RANGE_ERROR: a width is outside the soft limits.
     """
 
 
 class MismatchError(GripperError):
-    """The gripper returned another value than the one sent: a setting read back, or the data of ``loop_back``."""
+    """The gripper returned another value than the one sent: a setting read back, or the data of ``loop_back``.
+
+    The gripper keeps the value of the setting that was read back. A grip did not begin.
+    """
 
 
 class MotionError(GripperError):

@@ -100,6 +100,9 @@ class Gripper:
 
     Every request can raise ``NotConnectedError``, ``UnansweredError``, ``RefusedError``, and ``StoppedError`` if another
     thread calls ``stop``. Widths are in mm, speeds in mm/s, forces in N summed over both fingers.
+
+    A value outside the :meth:`limits` of the gripper raises ``InvalidError`` before anything changes. The text protocol
+    (GCL) has no query for the limits: over GCL, only negative values are refused.
     """
 
     _core: Driver
@@ -160,13 +163,17 @@ class Gripper:
         return self._then(self._core.move_to(width, speed, clamp, True), nothing)
 
     def move_by(self, offset: float, speed: float, *, clamp: bool = False) -> None:
-        """Open the fingers by an offset in mm, or close them by a negative one. Otherwise like :meth:`move`."""
+        """Open the fingers by an offset in mm, or close them by a negative one. Otherwise like :meth:`move`.
+
+        The target must be inside the stroke.
+        """
         return self._then(self._core.move_by(offset, speed, clamp, True), nothing)
 
     def grip(self, width: float, speed: float, force: Optional[float] = None) -> GripResult:
         """Grip a part of a nominal width in mm at a speed in mm/s (command set, 3.2.6).
 
-        ``force`` sets the force limit in N first, see :meth:`set_force_limit`. A missing part is a result, not an error:
+        ``force`` sets the force limit in N first, see :meth:`set_force_limit`. The limit remains after the grip. If the
+        gripper refuses the grip, the previous limit is set back. A missing part is a result, not an error:
         ``GripResult.NO_PART``, which is false.
         """
         return self._then(self._core.grip(width, speed, force, True), grip_result)
@@ -225,7 +232,7 @@ class Gripper:
     def set_acceleration(self, acceleration: float) -> None:
         """Set the acceleration of subsequent motions in mm/s² (command set, 3.3.1).
 
-        It is clamped to the limits of the gripper and read back. Raises ``MismatchError`` if the values differ.
+        It is read back. Raises ``MismatchError`` if the values differ.
         """
         return self._core.set_acceleration(acceleration)
 
@@ -236,7 +243,8 @@ class Gripper:
     def set_force_limit(self, force: float) -> None:
         """Set the maximum force of subsequent grips and moves in N (command set, 3.3.3).
 
-        It is clamped to the limits of the gripper and read back. Raises ``MismatchError`` if the values differ.
+        It is read back. Raises ``MismatchError`` if the values differ. Forces above the nominal one require
+        :meth:`set_overdrive`.
         """
         return self._core.set_force_limit(force)
 
@@ -245,7 +253,10 @@ class Gripper:
         return self._then(self._core.soft_limits(), soft_limits)
 
     def set_soft_limits(self, minus: float, plus: float) -> None:
-        """Permit opening widths from ``minus`` to ``plus`` in mm only (command set, 3.3.5)."""
+        """Permit opening widths from ``minus`` to ``plus`` in mm only (command set, 3.3.5).
+
+        The gripper refuses motions to other widths: ``RefusedError`` with E_RANGE_ERROR.
+        """
         return self._core.set_soft_limits(minus, plus)
 
     def clear_soft_limits(self) -> None:
@@ -253,7 +264,10 @@ class Gripper:
         return self._core.clear_soft_limits()
 
     def set_overdrive(self, enabled: bool) -> None:
-        """Allow or forbid forces up to the overdrive limit (command set, 3.3.8)."""
+        """Allow or forbid forces up to the overdrive limit (command set, 3.3.8).
+
+        If they are forbidden, the gripper reduces a force limit above the nominal force to the nominal force.
+        """
         return self._core.set_overdrive(enabled)
 
     def tare(self) -> None:
@@ -358,6 +372,7 @@ class Gripper:
         """Send a command that a script on the gripper serves, usually A0h to BFh; return its payload after the status.
 
         No other motion may run meanwhile, and the script must reply within 1 s. Raises ``RefusedError`` with
-        E_CMD_UNKNOWN if no script serves the command.
+        E_CMD_UNKNOWN if no script serves the command. The parameters of a command of the manual are not checked against
+        the limits, so the gripper may correct them.
         """
         return self._core.raw(command, payload)
