@@ -64,8 +64,8 @@ macro_rules! force_errors {
         "- [`NotSetBack`](Error::NotSetBack): the gripper refused the motion, and the previous force limit could not be \
          set back.\n\
          - [`Mismatch`](Error::Mismatch): the gripper did not apply the force limit. Nothing moved.\n\
-         - After [`Stopped`](Error::Stopped), [`Unanswered`](Error::Unanswered) and errors of the line, the force limit \
-         may have changed."
+         - After [`Stopped`](Error::Stopped), [`Unanswered`](Error::Unanswered), errors of the line and a dropped future, \
+         the force limit may have changed."
     };
 }
 
