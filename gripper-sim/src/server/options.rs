@@ -25,8 +25,9 @@ use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::str::FromStr;
 use wsg_fieldbus::SilenceReaction;
-use wsg_protocol::SoftLimits;
 use wsg_protocol::can::Identifiers;
+use wsg_protocol::limits::Quantity;
+use wsg_protocol::{SoftLimits, SystemFlags};
 
 /// The default TCP address if no line is given: the gripper's own port, on this machine only.
 const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
@@ -405,9 +406,26 @@ impl Arguments {
         check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")
     }
 
+    /// Checks speeds, acceleration and force against the limits of the model.
+    fn check_limits(&self) -> Result<()> {
+        for (option, quantity, value) in [
+            ("homing-speed", Quantity::Speed, self.homing_speed),
+            ("force", Quantity::Force, self.force),
+            ("acceleration", Quantity::Acceleration, self.acceleration),
+            ("speed", Quantity::Speed, Some(self.speed)),
+            ("release-speed", Quantity::Speed, self.release_speed),
+        ] {
+            let Some(value) = value else { continue };
+            let checked = self.model.parameters().limits.check(quantity, value, SystemFlags::empty());
+            checked.with_context(|| format!("invalid value for --{option} with --model {}", self.model))?;
+        }
+        Ok(())
+    }
+
     /// Combines related options and checks them against each other.
     fn options(self, file: Option<PathBuf>, given: Given) -> Result<Options> {
         self.check_effects()?;
+        self.check_limits()?;
         let can_bus = self.can.map(CanBus::Interface).or(self.slcan.map(CanBus::Slcan));
         let profinet = self.profinet.line(file.clone())?;
         let remote_port = self.udp_remote_port.unwrap_or(DEFAULT_UDP_REMOTE_PORT);
