@@ -378,7 +378,7 @@ fn pieces_of_a_line_are_one_line_of_the_log() {
     let source =
         "printf('%d of ', 1) printf('%d', 3) printf('\\nnext: ') print('a') printf('b\\r\\nc') print()
         for _ = 1, 5000 do printf('long') end printf('\\n') print('end') printf('%s', 'rest')";
-    let log = log_of("pieces", Config::default(), &script("pieces", source).0, " script rest");
+    let log = log_of("pieces", Config::default(), &script("pieces", source).0, " script ended");
     let lines: Vec<&str> = log.lines().filter_map(|line| Some(line.split_once(" script ")?.1)).collect();
     let long = "long".repeat(256) + "…";
     assert_eq!(lines, ["1 of 3", "next: a", "b", "c", &long, "end", "rest", "ended"]);
