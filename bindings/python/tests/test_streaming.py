@@ -287,12 +287,13 @@ def test_pause_of_the_gripper_is_a_gap_and_no_end(has_script: bool, tmp_path: Pa
         with proxy(simulator.tcp) as (address, passes), StreamingGripper(address, max_speed=20) as gripper:
             gripper.set_target(40)
             wait_for(lambda: gripper.latest().position < 108)
-            assert gripper.gaps() == []
+            # A busy machine may pause, too.
+            before = len(gripper.gaps())
             passes.clear()
             wait_for(lambda: gripper.latest().age > 0.24)
             passes.set()
-            wait_for(lambda: gripper.gaps() != [])
-            [gap] = gripper.gaps()
+            wait_for(lambda: len(gripper.gaps()) > before)
+            gap = gripper.gaps()[before]
             assert 0.1 < gap.length < 1 and gap.begin < time.time()
             position = gripper.latest().position
             wait_for(lambda: gripper.latest().position < position - 1)

@@ -116,14 +116,17 @@ impl Trajectory {
         wanted.max(here - reach).min(here + reach)
     }
 
-    /// Continues from `position`, where the fingers stayed during a gap: to the next set-point, or else to the last one.
-    /// The time of the gap gives no reach, so the position does not jump after it.
-    pub(super) fn resume(&mut self, now: Instant, position: f32) {
+    /// Continues after a gap from the last `ordered` position to the next set-point, or else to the last one. Begins at
+    /// `here`, the measured position, if the fingers are already further on this way. The time of the gap gives no reach, so
+    /// the position does not jump after it.
+    pub(super) fn resume(&mut self, now: Instant, ordered: f32, here: f32) {
         while let Some(missed) = self.points.front().copied().filter(|next| now.has_reached(next.at)) {
             self.from = missed;
             self.points.pop_front();
         }
-        self.here = SetPoint { position, at: now };
+        let goal = self.points.front().unwrap_or(&self.from).position;
+        let is_further = ordered.min(goal) <= here && here <= ordered.max(goal);
+        self.here = SetPoint { position: if is_further { here } else { ordered }, at: now };
         if !self.points.is_empty() {
             self.from = self.here;
         }
@@ -292,7 +295,7 @@ mod tests {
                 trajectory.schedule_at(BEGIN, *position, *at_ms, limit).unwrap();
             }
             trajectory.advance(after(390), limit);
-            trajectory.resume(after(resumed_ms), 0.0);
+            trajectory.resume(after(resumed_ms), 0.0, 0.0);
             for (ms, position) in later {
                 let reached = trajectory.advance(after(ms), limit);
                 assert!((reached - position).abs() < 1e-3, "{points:?} at {ms} ms: {reached} mm");

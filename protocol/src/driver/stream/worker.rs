@@ -198,10 +198,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
     /// Records the reply to a request of time `sent`.
     fn record(&mut self, sent: Instant, measured: Measured) -> Result<(), Cause> {
         let received = self.clock.now();
-        // Fingers that push against a part keep their set-point.
-        let is_at_rest = !is_blocked(measured.flags);
-        let held = self.set_point.map(|set_point| if is_at_rest { measured.position } else { set_point });
-        self.check_gap(self.due, received, held)?;
+        self.check_gap(self.due, received, measured.position)?;
         let mut shared = lock(&self.shared);
         shared.exchanges.add(sent, received, measured.measured_ms);
         shared.record(received, &measured, self.set_point);
@@ -213,7 +210,7 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
         let received = self.clock.now();
         self.check_pause(received)?;
         let expected = lock(&self.shared).latest.received_at.plus(UPDATE_PERIOD_MS.into());
-        self.check_gap(expected, received, Some(self.segment.end))?;
+        self.check_gap(expected, received, self.segment.end)?;
         let known = self.gripper.known();
         let measured = Measured {
             flags: known.flags.unwrap_or_default(),
@@ -228,36 +225,34 @@ impl<IO: Transport, C: Clock + Clone> Worker<IO, C> {
 
     /// Handles a pause of this program: the trajectory continues where it was, or the stream ends.
     fn check_pause(&self, now: Instant) -> Result<(), Cause> {
-        let held = match self.backend {
-            Backend::PrePosition => Some(self.segment.end),
-            Backend::Script | Backend::UmiScript => self.set_point,
-        };
-        self.resume(now.since(self.due), now, held, Cause::Watchdog)
+        let here = lock(&self.shared).latest.position;
+        self.resume(now.since(self.due), now, here, Cause::Watchdog)
     }
 
-    /// Records a gap if a sample that was `expected` has been `received` late. The fingers are `held` at a position in mm.
-    fn check_gap(&self, expected: Instant, received: Instant, held: Option<f32>) -> Result<(), Cause> {
+    /// Records a gap if a sample that was `expected` has been `received` late, with the fingers `here` in mm.
+    fn check_gap(&self, expected: Instant, received: Instant, here: f32) -> Result<(), Cause> {
         let length_ms = received.since(expected);
         if length_ms > GAP_MS {
             keep(&mut lock(&self.shared).gaps, Gap { begun_at: expected, length_ms }, GAPS_LEN);
         }
-        self.resume(length_ms, received, held, Cause::Unanswered)
+        self.resume(length_ms, received, here, Cause::Unanswered)
     }
 
-    /// After a gap, continues from the position where the fingers are `held`, or ends the stream if set-points became too
-    /// old in it.
-    fn resume(&self, gap_ms: u32, now: Instant, held: Option<f32>, cause: Cause) -> Result<(), Cause> {
+    /// After a gap, continues from the last ordered position, or from `here` if the fingers are further on their way. Ends
+    /// the stream if set-points became too old in the gap.
+    fn resume(&self, gap_ms: u32, now: Instant, here: f32, cause: Cause) -> Result<(), Cause> {
         if gap_ms > MAX_GAP_MS {
             return Err(cause);
         }
+        let ordered = match self.backend {
+            Backend::PrePosition => Some(self.segment.end),
+            Backend::Script | Backend::UmiScript => self.set_point,
+        };
         if gap_ms > GAP_MS
-            && let Some(held) = held
+            && let Some(ordered) = ordered
+            && let Some(trajectory) = &mut lock(&self.shared).trajectory
         {
-            let mut shared = lock(&self.shared);
-            let held = shared.within_stroke(held);
-            if let Some(trajectory) = &mut shared.trajectory {
-                trajectory.resume(now, held);
-            }
+            trajectory.resume(now, ordered, here);
         }
         Ok(())
     }
@@ -662,22 +657,21 @@ mod tests {
     }
 
     #[test]
-    fn path_continues_where_the_fingers_are_after_a_gap() {
-        let part = SystemFlags::BLOCKED_MINUS;
-        for (flags, measured, begin) in
-            [(SystemFlags::empty(), 30.0, 30.0), (SystemFlags::empty(), 110.1, 110.0), (part, 30.0, HERE)]
-        {
+    fn after_a_gap_no_order_leads_back() {
+        // Further on the way to 10 mm, before the last order, and past the target.
+        for (measured, begin) in [(30.0, 30.0), (60.0, HERE), (5.0, HERE)] {
             let (rig, mut worker) = worker(Backend::Script);
             order(&rig, &worker, 10.0, 100.0);
             begin_period(&rig, &mut worker);
-            rig.script(CommandId::Unknown(STREAM_ID), vec![(240, answer(STREAM_ID, measured, flags))]);
+            let late = answer(STREAM_ID, measured, SystemFlags::empty());
+            rig.script(CommandId::Unknown(STREAM_ID), vec![(240, late)]);
             worker.turn().unwrap();
             rig.pass(10);
             begin_period(&rig, &mut worker);
-            answer_after(&rig, 1, STREAM_ID, flags);
+            answer_after(&rig, 1, STREAM_ID, SystemFlags::empty());
             worker.turn().unwrap();
-            let set_point = worker.set_point.unwrap();
-            assert!((0.9..1.2).contains(&(begin - set_point)), "{flags} at {measured} mm: {set_point} mm");
+            let way = begin - worker.set_point.unwrap();
+            assert!((0.9..1.2).contains(&way), "at {measured} mm: {way} mm");
         }
     }
 
