@@ -93,7 +93,8 @@ fn gstate_follows_other_parties_after_each_end_of_a_motion() {
 /// The gripper never began these motions, so it repeats its state from before them.
 #[test]
 fn refused_motion_shows_error_until_the_gripper_reports_another_state() {
-    let refuse: [(fn(&mut Plc), Status); 4] = [
+    type Refuse = fn(&mut Plc);
+    let refuse: [(Refuse, Status); 4] = [
         (|plc| drop(plc.answer(CommandId::ReleasePart, Status::RangeError)), Status::RangeError),
         (|plc| drop(plc.answer(CommandId::ReleasePart, Status::NotInitialized)), Status::NotInitialized),
         (
