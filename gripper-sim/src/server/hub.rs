@@ -69,6 +69,8 @@ pub(super) struct Hub {
     system_log: SystemLog,
     /// Signals that a request for the script may have arrived, or that the gripper was switched off.
     script_waits: Condvar,
+    /// Held by a call of the script, and by its stop: no call takes effect after the stop.
+    script_gate: Mutex<()>,
 }
 
 /// The state protected by the lock. The servers run in one thread and rarely contend for it; a script runs in another thread.
@@ -171,6 +173,7 @@ impl Hub {
             seed,
             system_log,
             script_waits: Condvar::new(),
+            script_gate: Mutex::new(()),
         }
     }
 

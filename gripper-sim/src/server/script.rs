@@ -162,9 +162,31 @@ fn switched_off() -> mlua::Error {
 mod tests {
     use super::*;
     use std::sync::mpsc::channel;
+    use std::time::Instant;
 
     /// Maximum time that a script may continue after its gripper is powered off.
     const BOUND: Duration = Duration::from_secs(60);
+
+    #[test]
+    fn no_call_of_a_script_takes_effect_after_its_stop() {
+        let hub = Hub::of_test();
+        let outputs = || hub.look(|gripper| gripper.fieldbus_images().1.user);
+        for _ in 0..100 {
+            let source = "while true do fieldbus.outputs(255) end".into();
+            Script { path: PathBuf::from("writes.lua"), source }.start(Arc::clone(&hub)).unwrap();
+            let start = Instant::now();
+            while outputs() != 255 {
+                assert!(start.elapsed() < BOUND);
+                thread::yield_now();
+            }
+            hub.stop_script();
+            // The end of a script clears its outputs.
+            for _ in 0..20 {
+                assert_eq!(outputs(), 0);
+                thread::yield_now();
+            }
+        }
+    }
 
     #[test]
     fn script_that_catches_every_error_ends_with_its_gripper() {

@@ -1,6 +1,6 @@
 //! What the gripper knows about its script: one at a time, in a thread of its own, with its output and how it ended.
 
-use super::{Hub, PAGE, SCRIPT, Shared};
+use super::{Hub, PAGE, SCRIPT, Shared, lock};
 use crate::port::PortId;
 use crate::script::{ScriptRequest, ScriptState};
 use crate::server::system_log::Severity;
@@ -99,6 +99,7 @@ impl Hub {
 
     /// Stops the running script at its next call. Returns whether one ran.
     pub(in crate::server) fn stop_script(&self) -> bool {
+        let _gate = lock(&self.script_gate);
         let mut shared = self.lock();
         let latest = &mut shared.script;
         if latest.report.state != RunState::Running {
@@ -112,6 +113,12 @@ impl Hub {
         self.report_event(Severity::Info, PAGE, &text);
         self.act(|gripper, now| gripper.set_script_state(ScriptState::None, now));
         true
+    }
+
+    /// Calls `act`, which must not block, for a run; `None` once the run is over.
+    pub(in crate::server) fn act_for_script<T>(&self, run: Run, act: impl FnOnce(&Self) -> T) -> Option<T> {
+        let _gate = lock(&self.script_gate);
+        (!self.script_is_over(run)).then(|| act(self))
     }
 
     /// Returns whether a run is over, because the script was stopped or the gripper is powered off.

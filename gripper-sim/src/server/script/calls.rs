@@ -146,21 +146,21 @@ pub(super) fn install(
 }
 
 impl Caller {
-    /// Calls `act` with the gripper.
+    /// Calls `act` with the gripper. It must not block.
     ///
     /// # Errors
     /// Returns an error if the script was stopped or the gripper is powered off.
     fn ask<T>(&self, act: impl FnOnce(&Hub) -> T) -> Result<T> {
-        if self.hub.script_is_over(self.run) {
-            return Err(switched_off());
-        }
-        Ok(act(&self.hub))
+        self.hub.act_for_script(self.run, act).ok_or_else(switched_off)
     }
 
     /// Calls `wait`, which may block. A script that waits need not rest.
     fn wait<T>(&self, wait: impl FnOnce(&Hub) -> T) -> Result<T> {
         self.looks.set(0);
-        self.ask(wait)
+        if self.hub.script_is_over(self.run) {
+            return Err(switched_off());
+        }
+        Ok(wait(&self.hub))
     }
 
     /// Writes lines to the log.
