@@ -33,9 +33,16 @@ function showLatest({ revision, name, state, error, line }) {
     $("script-source").setSelectionRange(from, from + (source[line - 1] || "").length);
   }
 }
+// An answer that an answer to a later request has overtaken is not shown.
+let scriptRequests = 0;
+async function askScripts(body) {
+  const mine = ++scriptRequests, answer = await ask("script-message", "/scripts", body);
+  if (answer && mine === scriptRequests) showScripts(answer);
+  return answer;
+}
 async function act(action, more) {
-  const answer = await ask("script-message", "/scripts", { action, ...more });
-  if (answer) { say("script-message", ""); showScripts(answer); }
+  const answer = await askScripts({ action, ...more });
+  if (answer) say("script-message", "");
   return answer;
 }
 async function openScript() {
@@ -80,7 +87,6 @@ onEvent.script.push(({ latest, lines: more }) => {
 });
 onHello.push(async () => {
   scriptLines = new Map(); shownRevision = 0;
-  const answer = await ask("script-message", "/scripts");
-  if (answer) showScripts(answer);
+  await askScripts();
 });
 
