@@ -21,6 +21,7 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
@@ -33,6 +34,7 @@ pub use wire::{Wire, open};
 pub(crate) use action::signed;
 
 use action::Named;
+use answer::Answer;
 use line::LOOK_MS;
 pub(crate) use line::Line;
 use lines::Script;
@@ -196,19 +198,37 @@ struct Work<'a> {
 
 impl Work<'_> {
     fn on<P: ProtocolCommands>(self, mut gripper: Gripper<P>) -> Result<u8, Trouble> {
-        let signals = self.signals.clone();
-        guarded(&mut gripper, &signals, |gripper| self.do_it(gripper))
+        let (signals, asked) = (self.signals.clone(), Instant::now());
+        let stopped = match &self.task {
+            // A stop does not wait for a connection, whose answers may be late.
+            Some(Task::Action(named)) if named.stops() => {
+                Some(run::carry_out(&mut gripper, &named.action, &mut |_| Ok(())))
+            }
+            _ => None,
+        };
+        guarded(&mut gripper, &signals, |gripper| self.do_it(gripper, asked, stopped))
     }
 
-    fn do_it<P: ProtocolCommands>(self, gripper: &mut Gripper<P>) -> Result<u8, Trouble> {
+    /// Runs the task, which was requested at `asked`. `stopped` is the result of a stop.
+    fn do_it<P: ProtocolCommands>(
+        self,
+        gripper: &mut Gripper<P>,
+        asked: Instant,
+        stopped: Option<Result<Answer, Trouble>>,
+    ) -> Result<u8, Trouble> {
         match self.task {
             // `doctor` and an unknown command never get here.
             None | Some(Task::Unknown(_) | Task::Doctor) => prompt::run(gripper, self.output, &self.signals),
-            Some(Task::Action(Named { name, action })) => {
-                let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
+            Some(Task::Action(named)) => {
+                let age = asked.elapsed();
+                let result = match stopped {
+                    Some(stopped) => stopped,
+                    None if named.may_move() && age > MAX_AGE => Err(Trouble::Late(age)),
+                    None => run::carry_out(gripper, &named.action, &mut |_| Ok(())),
+                };
                 match result {
                     Err(trouble) if trouble.is_final() => Err(trouble),
-                    result => Ok(self.output.tell(&name, &result, None)?),
+                    result => Ok(self.output.tell(&named.name, &result, None)?),
                 }
             }
             Some(Task::Watch) => watch::run(gripper, self.title),
@@ -220,6 +240,9 @@ impl Work<'_> {
         }
     }
 }
+
+/// Age after which a command that could move the fingers is not sent any more.
+const MAX_AGE: Duration = Duration::from_secs(1);
 
 /// Shortest interval between two values in the log, in ms.
 const LOG_PERIOD_MS: u16 = 100;

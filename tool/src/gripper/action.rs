@@ -3,7 +3,7 @@
 use clap::builder::{StringValueParser, TypedValueParser};
 use clap::{ArgMatches, Command, FromArgMatches, Subcommand, ValueEnum};
 use wsg_protocol::driver::{Finger, OnBlock};
-use wsg_protocol::{CommandId, HomingDirection, LoopData, editor};
+use wsg_protocol::{CommandId, HomingDirection, Kind, LoopData, editor};
 
 /// A gripper command with its parameters.
 #[derive(Clone, Debug, Subcommand)]
@@ -232,6 +232,21 @@ const OF_THE_MANUAL: &[(&str, &[CommandId])] = &[
 pub(crate) struct Named {
     pub(crate) name: String,
     pub(crate) action: Action,
+}
+
+impl Named {
+    /// Returns whether the command ends motions.
+    pub(crate) const fn stops(&self) -> bool {
+        matches!(self.action, Action::Stop | Action::FastStop)
+    }
+
+    /// Returns whether the fingers may move because of the command: a motion, an acknowledgement, or a command of any kind.
+    pub(crate) fn may_move(&self) -> bool {
+        let is_raw = matches!(self.action, Action::Raw { .. });
+        let of_the_manual = OF_THE_MANUAL.iter().filter(|(name, _)| *name == self.name);
+        let mut kinds = of_the_manual.flat_map(|(_, ids)| ids.iter().map(|id| id.kind()));
+        is_raw || kinds.any(|kind| matches!(kind, Kind::Motion | Kind::Acknowledge))
+    }
 }
 
 impl FromArgMatches for Named {

@@ -3,6 +3,7 @@
 use std::any::Any;
 use std::fmt::{self, Display, Formatter};
 use std::io;
+use std::time::Duration;
 
 use serde_json::{Value, json};
 use wsg_protocol::Status;
@@ -17,6 +18,8 @@ use super::signals::Caught;
 pub(crate) enum Trouble {
     /// The driver reported an error.
     Driver(Error<io::Error>),
+    /// The gripper answered so late that the command was not sent.
+    Late(Duration),
     /// The line could not be opened.
     NoLine(anyhow::Error),
     /// A file could not be written.
@@ -65,7 +68,7 @@ impl Trouble {
                 Error::NotConnected | Error::Unanswered | Error::Transport(_) | Error::Closed => 6,
                 _ => 1,
             },
-            Self::NoLine(_) | Self::NotStopped(_) => 6,
+            Self::Late(_) | Self::NoLine(_) | Self::NotStopped(_) => 6,
             Self::Usage(_) => 2,
             Self::NoPart => Outcome::NoPart.exit_status(),
             Self::NoFile(_) | Self::Output(_) | Self::Panicked(_) => 1,
@@ -83,7 +86,7 @@ impl Trouble {
             | Self::Output(_)
             | Self::Caught(_)
             | Self::Panicked(_) => true,
-            Self::Usage(_) | Self::NoPart => false,
+            Self::Late(_) | Self::Usage(_) | Self::NoPart => false,
         }
     }
 
@@ -184,6 +187,12 @@ impl Display for Trouble {
             Self::Driver(Error::Closed) => f.write_str("the gripper closed the connection"),
             Self::Driver(error) => error.fmt(f),
             Self::NoFile(error) => write!(f, "{error:#}"),
+            Self::Late(age) => write!(
+                f,
+                "the gripper answered only after {:.1} s; nothing was sent, because a command that could move the fingers must \
+                 be sent within 1 s; run it again",
+                age.as_secs_f32()
+            ),
             Self::NoLine(error) => write!(f, "no connection: {error:#}"),
             Self::Usage(message) => f.write_str(message),
             Self::NotStopped(error) => write!(f, "the fingers may still be moving: the stop failed: {error}"),
