@@ -89,7 +89,7 @@ int main(int count, char **arguments)
     expect("stream", wsg_host_stream_start(gripper, 100, &stream), 0);
     expect("target", wsg_host_stream_set_target(stream, 40.0f), 0);
     /* Outside the stroke, and in microseconds instead of milliseconds. */
-    expect("width", wsg_host_stream_set_target(stream, 200.0f), WSG_HOST_ERROR_ARGUMENT);
+    expect("width", wsg_host_stream_set_target(stream, 200.0f), WSG_HOST_ERROR_OUT_OF_LIMITS);
     expect("now", wsg_host_stream_now(stream, &now), 0);
     expect("time", wsg_host_stream_schedule(stream, 50.0f, now + 500000000), WSG_HOST_ERROR_ARGUMENT);
     for (tries = 0; tries < 1000; tries++) {

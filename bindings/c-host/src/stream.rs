@@ -56,7 +56,8 @@ fn of_cause(cause: Cause) -> i32 {
 
 fn of_rejected(rejected: Rejected) -> i32 {
     match rejected {
-        Rejected::OutOfLimits(_) | Rejected::BeyondHorizon { .. } => wsg_host_error::Argument.into(),
+        Rejected::OutOfLimits(_) => wsg_host_error::OutOfLimits.into(),
+        Rejected::BeyondHorizon { .. } => wsg_host_error::Argument.into(),
         Rejected::Full { .. } => wsg_host_error::QueueFull.into(),
         Rejected::Ended(_) => wsg_host_error::Ended.into(),
     }

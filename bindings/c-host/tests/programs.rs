@@ -51,7 +51,8 @@ fn runs(lines: &Lines, arguments: impl FnOnce(&ServerThread) -> Vec<String>) {
     let server = ServerThread::start(config, lines, None).unwrap();
     let output = Command::new(example()).args(arguments(&server)).output().unwrap();
     let expected = "open: no error\nhome: no error\ngrip: no error\nwidth: no error\nheld, 20 mm\nrelease: no error\n\
-                    stop handle: no error\nmove: stopped by a handle\nstream: no error\ntarget: no error\nat 40 mm\n\
+                    stop handle: no error\nmove: stopped by a handle\nstream: no error\ntarget: no error\n\
+                    width: outside the limits of the gripper\nnow: no error\ntime: argument outside its range\nat 40 mm\n\
                     end: no error\nfast stop: no error\nmove: access denied, in FAST STOP for example\n\
                     acknowledge: no error\n";
     assert_eq!((said(&output).as_str(), output.status.code()), (expected, Some(0)));
