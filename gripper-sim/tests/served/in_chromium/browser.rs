@@ -207,10 +207,24 @@ impl Tab {
         self.click_at(&middle);
     }
 
-    /// Shows one of the pages by its link.
+    /// Shows one of the pages by its link. A click that misses is repeated, as a user does: the link may move between the look at
+    /// its place and the click.
     pub(super) fn show(&mut self, page: &str) {
-        self.click(&format!("nav a[href='#{page}']"));
-        self.until(&format!("!document.querySelector('main[data-page={page}]').hidden"));
+        let is_shown = format!(
+            "new Promise(done => {{
+               const end = performance.now() + 2000;
+               const look = () => {{
+                 const shown = !document.querySelector('main[data-page={page}]').hidden;
+                 if (shown || performance.now() > end) done(shown); else setTimeout(look, 30);
+               }};
+               look();
+             }})"
+        );
+        let shown = (0..5).any(|_| {
+            self.click(&format!("nav a[href='#{page}']"));
+            self.eval(&is_shown) == true
+        });
+        assert!(shown, "the link does not show {page}\n{}", self.eval("document.body.innerText"));
     }
 
     /// Presses a key that types no text except, for Enter, a line break.
