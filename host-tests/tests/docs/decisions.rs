@@ -40,8 +40,10 @@ fn tests_in(source: &str) -> Vec<String> {
         if line == "#[test]" || line.starts_with("#[tokio::test") {
             is_test = true;
         } else if let Some(rest) = line.strip_prefix("async ").unwrap_or(line).strip_prefix("fn ") {
-            if is_test {
-                names.push(rest.split('(').next().unwrap().to_owned());
+            // A list for a macro names tests without parameters.
+            let is_listed = rest.ends_with(';') && !rest.contains('(');
+            if is_test || is_listed {
+                names.push(rest.split(['(', ';']).next().unwrap().to_owned());
             }
             is_test = false;
         }
@@ -84,7 +86,7 @@ fn each_decision_names_tests_that_exist() {
 
 #[test]
 fn tests_are_found_with_attributes_between_and_helpers_are_not() {
-    let source =
-        "#[test]\n#[ignore = \"x\"]\nfn a_test() {\n}\nfn helper() {}\n    #[test]\n    fn in_proptest(\n";
-    assert_eq!(tests_in(source), ["a_test", "in_proptest"]);
+    let source = "#[test]\n#[ignore = \"x\"]\nfn a_test() {\n}\nfn helper() {}\n    #[test]\n    fn in_proptest(\n\
+                  list! {\n    fn in_list;\n}\ntrait T {\n    fn method(&self);\n}\n";
+    assert_eq!(tests_in(source), ["a_test", "in_proptest", "in_list"]);
 }

@@ -152,7 +152,8 @@ fn start(server: &ServerThread, options: &Options) -> SetPointStream<Tcp, StdClo
     gripper.home(HomingDirection::Positive).expect("unblocked fingers");
     // The script registers its command shortly after its start.
     while options.has_script && matches!(gripper.raw(0xA5, &[], &mut [0; 32]), Err(Error::Refused(_))) {}
-    let stream = SetPointStream::start(gripper, Config { rate_hz: options.rate_hz, ..Config::DEFAULT }).expect("an answer");
+    let stream = SetPointStream::start(gripper, Config { rate_hz: options.rate_hz, ..Config::DEFAULT })
+        .expect("an answer");
     assert_eq!(stream.backend() == Backend::Script, options.has_script);
     stream
 }
