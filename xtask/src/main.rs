@@ -217,7 +217,11 @@ fn run(command: Command) -> Result<ExitCode> {
             let toolchain = setup::thumb_and_qemu(workspace)?;
             gate::check(&figures::write(&toolchain, &firmware::build_all(&toolchain)?)?)?;
         }
-        Command::Python => python::test(workspace, &python(workspace)?)?,
+        Command::Python => {
+            let environment = python(workspace)?;
+            python::install(workspace, &environment)?;
+            python::test(workspace, &environment)?;
+        }
         Command::Wheels => python::wheels(workspace, &python(workspace)?)?,
         Command::Dist => commands::dist(workspace, &build(workspace, &Variant::default())?)?,
         Command::DistC { arguments } => commands::dist_c(workspace, &arguments)?,

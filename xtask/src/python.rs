@@ -1,4 +1,4 @@
-//! The Python package: builds the wheel, and tests it in a virtual environment without Rust on the path.
+//! The Python package: builds the wheel, installs it in a virtual environment, and tests it there without Rust on the path.
 
 use std::{
     env, fs,
@@ -50,16 +50,20 @@ pub(crate) fn wheels(workspace: &Workspace, environment: &Path) -> Result<()> {
         ensure!(size <= MAX_WHEEL, "{} has {size} bytes, more than {MAX_WHEEL}", wheel.display());
         let is_here = folder == env::consts::ARCH;
         if is_here {
-            test_wheel(workspace, environment, &wheel)?;
+            install_wheel(environment, &wheel)?;
+            test(workspace, environment)?;
         }
         println!("{}: {size} bytes, {}", wheel.display(), if is_here { "tested" } else { "linked, not run" });
     }
     Ok(())
 }
 
-/// Packs a wheel with the library as the workspace's tests build it, and tests it. maturin would spend a minute on compiling the
+/// The variable that names, for the tests of the workspace, a Python with the package.
+pub(crate) const VARIABLE: &str = "WSG_PYTHON";
+
+/// Packs a wheel with the library as the workspace's tests build it, and installs it. maturin would spend a minute on compiling the
 /// dependencies again, with fewer features.
-pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
+pub(crate) fn install(workspace: &Workspace, environment: &Path) -> Result<()> {
     process::run(
         &mut workspace.cargo(&format!("build -q --workspace --lib {}", Workspace::FEATURES_OF_TESTS)),
     )?;
@@ -75,15 +79,18 @@ pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
     let mut pack = Command::new(environment.join("bin/python"));
     process::run(pack.args(["-m", "wheel", "pack", "--dest-dir"]).arg(&out).arg(&content))?;
     fs::remove_dir_all(&content)?;
-    test_wheel(workspace, environment, &fs::read_dir(out)?.next().context("there is no wheel")??.path())
+    install_wheel(environment, &fs::read_dir(out)?.next().context("there is no wheel")??.path())
 }
 
-/// Installs a wheel in the environment and runs the tests there.
-fn test_wheel(workspace: &Workspace, environment: &Path, wheel: &Path) -> Result<()> {
-    let bin = environment.join("bin");
-    let mut pip = Command::new(bin.join("python"));
+fn install_wheel(environment: &Path, wheel: &Path) -> Result<()> {
+    let mut pip = Command::new(environment.join("bin/python"));
     pip.args(["-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--force-reinstall"]);
-    process::run(pip.arg(wheel))?;
+    process::run(pip.arg(wheel))
+}
+
+/// Runs the tests of the installed package.
+pub(crate) fn test(workspace: &Workspace, environment: &Path) -> Result<()> {
+    let bin = environment.join("bin");
     let path = env::join_paths([bin.as_path(), Path::new("/usr/bin"), Path::new("/bin")])?;
     let mut pytest = Command::new(bin.join("python"));
     pytest.env_clear().env("PATH", path).current_dir(workspace.root.join(PYTHON_PACKAGE));

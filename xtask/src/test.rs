@@ -1,6 +1,12 @@
 //! Runs all checks of the workspace in order, up to the first failure.
 
-use std::{ffi::OsString, num::NonZero, path::PathBuf, thread, time::Instant};
+use std::{
+    ffi::OsString,
+    num::NonZero,
+    path::{Path, PathBuf},
+    thread,
+    time::Instant,
+};
 
 use anyhow::{Context, Result, ensure};
 use boards::{BOARDS, Board};
@@ -18,6 +24,9 @@ use crate::{
 };
 
 const TESTS: &str = "tests, emulator included";
+
+/// The start of the names of tests that need the Python package.
+const TESTS_WITH_PYTHON: &str = "python_";
 
 const TARGETS: [&str; 4] = ["--workspace", "--lib", "--bins", "--tests"];
 
@@ -51,6 +60,8 @@ struct Peers {
     masters: Masters,
     /// Images of all emulated boards and settings, and the C library, by the environment variable for the tests.
     emulated: Vec<(String, PathBuf)>,
+    /// A virtual environment for the Python package, if it could be created.
+    python: Option<PathBuf>,
 }
 
 impl Checks<'_> {
@@ -69,7 +80,7 @@ impl Checks<'_> {
         record.both(
             |it| {
                 it.check(TESTS, || self.tests(&peers, &[]))?;
-                self.on_the_host(it)
+                self.on_the_host(it, peers.python.as_deref())
             },
             |it| self.of_the_images(it, &peers.masters),
         )?;
@@ -101,7 +112,7 @@ impl Checks<'_> {
                     emulated.push((format!("{variable}{ending}"), image.path));
                 }
             }
-            Ok(Peers { masters, emulated })
+            Ok(Peers { masters, emulated, python: setup::python(toolchain.workspace) })
         })
     }
 
@@ -138,11 +149,11 @@ impl Checks<'_> {
     }
 
     /// The checks that mostly build with the development profile.
-    fn on_the_host(&self, record: &mut Record) -> Result<()> {
+    fn on_the_host(&self, record: &mut Record, python: Option<&Path>) -> Result<()> {
         let workspace = self.toolchain.workspace;
-        match setup::python(workspace) {
-            Some(environment) => record.check("Python package", || python::test(workspace, &environment))?,
-            None => record.not_checked("Python package (its tools are not installed)"),
+        match python {
+            Some(environment) => record.check("Python package", || python::test(workspace, environment))?,
+            None => record.not_checked("Python package and the tests with it (its tools are not installed)"),
         }
         let built = record.check("protocol on other targets, oldest Rust, package", || {
             matrix::build(workspace, self.extent)
@@ -192,8 +203,12 @@ impl Checks<'_> {
     }
 
     /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
-    fn tests(&self, Peers { masters, emulated }: &Peers, filter: &[OsString]) -> Result<()> {
+    fn tests(&self, Peers { masters, emulated, python }: &Peers, filter: &[OsString]) -> Result<()> {
         let mut tests = self.toolchain.workspace.cargo("test");
+        if let Some(environment) = python {
+            python::install(self.toolchain.workspace, environment)?;
+            tests.env(python::VARIABLE, environment.join("bin/python"));
+        }
         tests.env(PYTHON_VARIABLE, &masters.python).env(NODE_VARIABLE, &masters.node);
         tests.args(TARGETS).args(["--", "--include-ignored"]).envs(emulated.iter().cloned());
         // Emulator tests mostly wait. With two threads per core, the machine would be idle half of the time.
@@ -203,6 +218,7 @@ impl Checks<'_> {
             tests.env("WSG_WHOLE", "1");
         }
         let skipped = masters.missing.iter().chain([&platforms::TESTS, &commands::WHOLE_ARCHIVE]);
+        let skipped = skipped.chain(python.is_none().then_some(&TESTS_WITH_PYTHON));
         process::run(tests.args(skipped.flat_map(|name| ["--skip", name])).args(filter))
     }
 }

@@ -1,0 +1,208 @@
+//! The register interface: a master of Modbus/TCP, and the bridge's wires.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use embedded_io::ErrorType;
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Bridge, Config, NoBus};
+use wsg_fieldbus::CommandFlags;
+use wsg_protocol::{Status, SystemFlags};
+
+use crate::station::BOUND;
+use crate::surface::{Outcome, SPEED, Separately, Surface, Verb};
+
+/// Time-out of the master.
+const ANSWER_TIME: Duration = Duration::from_secs(1);
+
+/// A master that opens a connection for each request, so that none waits for another.
+pub(crate) fn modbus(address: SocketAddr) -> Box<dyn Surface> {
+    let image = Arc::new(Mutex::new([0; 8]));
+    Box::new(Separately(move |verb| request(address, &image, verb).map_err(|error| error.to_string())))
+}
+
+/// Reads the width, or writes the 8 bytes of the output image: zeros, then the edge.
+fn request(address: SocketAddr, image: &Mutex<[u8; 8]>, verb: Verb) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect(address)?;
+    // A master gives up, and does not continue with an edge that is late.
+    stream.set_read_timeout(Some(ANSWER_TIME))?;
+    let mut ask = |pdu: &[u8]| -> std::io::Result<Vec<u8>> {
+        stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF], pdu].concat())?;
+        let mut head = [0; 7];
+        stream.read_exact(&mut head)?;
+        let mut answer = vec![0; usize::from(head[5]) - 1];
+        stream.read_exact(&mut answer)?;
+        if answer[0] != pdu[0] {
+            return Err(ErrorKind::InvalidInput.into());
+        }
+        Ok(answer)
+    };
+    let (flag, width, force) = match verb {
+        Verb::Read => {
+            let answer = ask(&[4, 0, 3, 0, 1])?;
+            let hundredths = i16::from_be_bytes([answer[2], answer[3]]);
+            return Ok((f32::from(hundredths) / 100.0).to_string());
+        }
+        Verb::Home => (CommandFlags::HOMING, 0.0, 0.0),
+        Verb::Move(width) => (CommandFlags::MOVE, width, 40.0),
+        Verb::Grip(width, force) => (CommandFlags::GRIP, width, force),
+        Verb::FastStop => (CommandFlags::FASTSTOP, 0.0, 0.0),
+        Verb::Acknowledge => (CommandFlags::STOP_ACK, 0.0, 0.0),
+    };
+    let speed = if flag == CommandFlags::HOMING { 0.0 } else { SPEED };
+    let registers = [(width * 100.0) as i16 as u16, (speed * 100.0) as u16, (force * 100.0) as i16 as u16];
+    let starts = CommandFlags::MOTIONS.contains(flag);
+    if starts {
+        let numbers: Vec<u8> = registers.iter().flat_map(|register| register.to_be_bytes()).collect();
+        image.lock().expect("no panic")[2..].copy_from_slice(&numbers);
+    }
+    let mut written = *image.lock().expect("no panic");
+    // An edge needs a 0 first. FASTSTOP acts on its level.
+    let before = (flag != CommandFlags::FASTSTOP).then_some(CommandFlags::empty());
+    for flags in before.into_iter().chain([flag]) {
+        written[0] = flags.bits();
+        ask(&[&[16, 0, 0, 0, 4, 8][..], &written].concat())?;
+    }
+    if !starts {
+        return Ok(String::new());
+    }
+    // The status of the command (fieldbus, 5.1.2), after E_CMD_PENDING.
+    loop {
+        let status = ask(&[4, 0, 5, 0, 1])?;
+        match Status::from_code(u16::from_be_bytes([status[2], status[3]])) {
+            Status::CmdPending => thread::sleep(Duration::from_millis(20)),
+            Status::Success => break,
+            status => return Err(std::io::Error::other(status.to_string())),
+        }
+    }
+    // Bytes 2 to 5 of the input image.
+    let answer = ask(&[4, 0, 1, 0, 2])?;
+    let flags = u32::from_le_bytes([answer[2], answer[3], answer[4], answer[5]]);
+    let is_stopped = SystemFlags::from_bits_retain(flags).contains(SystemFlags::FAST_STOP);
+    if is_stopped { Err(std::io::Error::other("FAST STOP")) } else { Ok(String::new()) }
+}
+
+/// The bridge's library on a line to the gripper, and its wires.
+struct Wires {
+    levels: Arc<Mutex<(Inputs, Outputs)>>,
+}
+
+/// A wire is held for longer than it is debounced.
+const HELD: Duration = Duration::from_millis(30);
+
+/// Recipe 2, which moves to 10 mm at 20 mm/s.
+const IDLE: Inputs = Inputs::FAST_STOP_OK.union(Inputs::RECIPE1);
+
+pub(crate) fn wires(address: SocketAddr) -> Box<dyn Surface> {
+    let levels = Arc::new(Mutex::new((IDLE, Outputs::empty())));
+    let bridge = Arc::downgrade(&levels);
+    thread::spawn(move || {
+        let stream = TcpStream::connect(address).expect("the gripper listens");
+        stream.set_nonblocking(true).expect("a socket option");
+        let (mut line, start) = (TcpLine(stream), Instant::now());
+        let mut bridge_of_test = Bridge::new(Config::DEFAULT);
+        while let Some(levels) = bridge.upgrade() {
+            let inputs = levels.lock().expect("no panic").0;
+            let now = start.elapsed().as_millis() as u32;
+            let outputs = bridge_of_test.poll(now, inputs, &mut line, &mut NoBus);
+            levels.lock().expect("no panic").1 = outputs;
+            drop(levels);
+            thread::sleep(Duration::from_millis(1));
+        }
+    });
+    let wires = Wires { levels };
+    let start = Instant::now();
+    while !wires.levels.lock().expect("no panic").1.contains(Outputs::LINK_OK) {
+        assert!(start.elapsed() < BOUND, "the bridge connects");
+        thread::sleep(Duration::from_millis(5));
+    }
+    Box::new(wires)
+}
+
+impl Surface for Wires {
+    fn begin(&mut self, verb: Verb) -> Receiver<Outcome> {
+        let (sender, outcome) = channel();
+        let levels = Arc::clone(&self.levels);
+        thread::spawn(move || {
+            let set = |wire, high| levels.lock().expect("no panic").0.set(wire, high);
+            let outputs = || levels.lock().expect("no panic").1;
+            let wire = match verb {
+                Verb::Home => Inputs::HOME,
+                Verb::Move(_) => Inputs::MOVE,
+                Verb::Grip(..) => Inputs::GRIP,
+                Verb::Acknowledge => Inputs::STOP_ACK,
+                Verb::FastStop => {
+                    set(Inputs::FAST_STOP_OK, false);
+                    return sender.send(Ok(String::new()));
+                }
+                Verb::Read => {
+                    let outputs = outputs();
+                    let is_known = outputs.contains(Outputs::LINK_OK);
+                    return sender.send(if is_known {
+                        Ok(format!("{outputs:?}"))
+                    } else {
+                        Err("LINK_OK is low".into())
+                    });
+                }
+            };
+            set(Inputs::FAST_STOP_OK, true);
+            thread::sleep(HELD);
+            set(wire, true);
+            thread::sleep(HELD);
+            set(wire, false);
+            while outputs().contains(Outputs::BUSY) {
+                thread::sleep(HELD);
+            }
+            thread::sleep(HELD);
+            sender.send(if outputs().contains(Outputs::ERROR) {
+                Err("ERROR is high".into())
+            } else {
+                Ok(String::new())
+            })
+        });
+        outcome
+    }
+}
+
+/// A TCP connection as the line of a bridge.
+struct TcpLine(TcpStream);
+
+impl ErrorType for TcpLine {
+    type Error = std::io::Error;
+}
+
+impl embedded_io::ReadReady for TcpLine {
+    fn read_ready(&mut self) -> std::io::Result<bool> {
+        match uninterrupted::peek(&self.0, &mut [0]) {
+            Ok(count) => Ok(count > 0),
+            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl embedded_io::Read for TcpLine {
+    fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+        uninterrupted::read(&mut self.0, buffer)
+    }
+}
+
+impl embedded_io::WriteReady for TcpLine {
+    fn write_ready(&mut self) -> std::io::Result<bool> {
+        Ok(true)
+    }
+}
+
+impl embedded_io::Write for TcpLine {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        uninterrupted::write(&mut self.0, bytes)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}

@@ -1,0 +1,102 @@
+//! The promises that hold on every way in to a gripper (DESIGN.md, 5a): one adapter for each surface, one test for each
+//! promise. The bridge's own promises, in virtual time, are in `host_tests::explore`.
+//!
+//! What a promise requires is judged beside the gripper: by its fingers and its force limit, and by the frames on its line.
+
+mod control;
+mod fieldbus;
+mod process;
+mod promises;
+mod rust;
+mod station;
+mod surface;
+
+use std::net::SocketAddr;
+
+use station::{Line, Station};
+use surface::Surface;
+
+/// A way in to a gripper, and how it differs from the others.
+struct Entry {
+    open: fn(SocketAddr) -> Box<dyn Surface>,
+    line: fn(&Station) -> &Line,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// A client of the command interface with one connection. Its unannounced end is a FAST STOP (command set, 1.4.2).
+    Client,
+    /// A client that connects for each request.
+    ClientEachTime,
+    /// A client of another interface of the virtual gripper.
+    Server,
+    /// The register interface, in which a number outside the limits is a FAST STOP (fieldbus, 6.1).
+    Fieldbus,
+    /// Wires, which have no numbers.
+    Wires,
+}
+
+const fn client(open: fn(SocketAddr) -> Box<dyn Surface>, kind: Kind) -> Entry {
+    Entry { open, line: |station| &station.tcp, kind }
+}
+
+/// Tests every promise on every surface.
+macro_rules! surfaces {
+    ($($(#[$ignored:meta])* $name:ident: $entry:expr;)*) => {
+        $(mod $name {
+            use super::*;
+
+            const ENTRY: Entry = $entry;
+
+            #[test]
+            $(#[$ignored])*
+            fn fast_stop_acts_within_250_ms_beside_blocked_requests() {
+                promises::fast_stop_acts(&ENTRY);
+            }
+
+            #[test]
+            $(#[$ignored])*
+            fn nothing_moves_without_a_request() {
+                promises::nothing_moves_unrequested(&ENTRY);
+            }
+
+            #[test]
+            $(#[$ignored])*
+            fn nothing_older_than_a_second_runs() {
+                promises::nothing_old_runs(&ENTRY);
+            }
+
+            #[test]
+            $(#[$ignored])*
+            fn refused_request_sends_and_changes_nothing() {
+                promises::refusal_changes_nothing(&ENTRY);
+            }
+
+            #[test]
+            $(#[$ignored])*
+            fn lost_connection_shows_in_every_read() {
+                promises::lost_connection_shows(&ENTRY);
+            }
+        })*
+    };
+}
+
+surfaces! {
+    rust_blocking: client(rust::blocking, Kind::Client);
+    rust_async: client(rust::asynchronous, Kind::Client);
+    rust_stream: client(rust::streaming, Kind::Client);
+    c_host: client(rust::c, Kind::Client);
+    wsg: client(process::wsg, Kind::ClientEachTime);
+    control_interface: Entry { open: control::control, line: |station| &station.control, kind: Kind::Server };
+    modbus_tcp: Entry { open: fieldbus::modbus, line: |station| &station.modbus, kind: Kind::Fieldbus };
+    wires: client(fieldbus::wires, Kind::Wires);
+    #[ignore = "needs the Python package: `cargo xtask test` installs it"]
+    python_blocking: client(|address| process::python(address, "Gripper"), Kind::Client);
+    #[ignore = "needs the Python package: `cargo xtask test` installs it"]
+    python_async: client(|address| process::python(address, "AsyncGripper"), Kind::Client);
+    #[ignore = "needs the Python package: `cargo xtask test` installs it"]
+    python_stream: client(|address| process::python(address, "StreamingGripper"), Kind::Client);
+    #[ignore = "needs the Python package: `cargo xtask test` installs it"]
+    python_umi: client(|address| process::python(address, "WSGController"), Kind::Client);
+}

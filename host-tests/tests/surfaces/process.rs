@@ -1,0 +1,111 @@
+//! `wsg` and the Python package, as their users start them.
+
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Write};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use host_tests::example;
+
+use crate::surface::{Outcome, SPEED, Separately, Surface, Verb};
+
+/// One `wsg gripper` for each request, as from several terminals.
+pub(crate) fn wsg(address: SocketAddr) -> Box<dyn Surface> {
+    let program = example::program("wsg");
+    Box::new(Separately(move |verb| {
+        let mut wsg = Command::new(&program);
+        wsg.args(["gripper", &format!("tcp://{address}")]);
+        match verb {
+            Verb::Home => wsg.args(["home", "positive"]),
+            Verb::Move(width) => wsg.arg("move").arg(format!("{width}")).arg(format!("{SPEED}")),
+            Verb::Grip(width, force) => wsg
+                .arg("grip")
+                .arg(format!("{width}"))
+                .arg(format!("{SPEED}"))
+                .arg(format!("--force={force}")),
+            Verb::FastStop => wsg.arg("fast-stop"),
+            Verb::Acknowledge => wsg.arg("ack"),
+            Verb::Read => wsg.arg("width"),
+        };
+        let output = wsg.stdin(Stdio::null()).output().expect("wsg starts");
+        let [said, why] =
+            [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
+        if output.status.success() { Ok(said) } else { Err(format!("{said}{why}")) }
+    }))
+}
+
+/// Outcomes that the program still owes, by the number of their request.
+type Open = Arc<Mutex<HashMap<usize, Sender<Outcome>>>>;
+
+/// A program of a user of the Python package, which requests in threads.
+struct Python {
+    program: Child,
+    requests: ChildStdin,
+    number: usize,
+    open: Open,
+}
+
+/// Starts `surface.py` with a class of the package: `Gripper`, `AsyncGripper`, `StreamingGripper` or `WSGController`.
+pub(crate) fn python(address: SocketAddr, class: &str) -> Box<dyn Surface> {
+    let python = std::env::var_os("WSG_PYTHON")
+        .expect("WSG_PYTHON must name a Python with the package; run `cargo xtask test`");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/surfaces/surface.py");
+    let mut program = Command::new(python)
+        .arg(script)
+        .args([class, &address.ip().to_string(), &address.port().to_string()])
+        .env("PYTHONDONTWRITEBYTECODE", "1")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("that Python starts");
+    let mut lines = BufReader::new(program.stdout.take().expect("stdout is piped")).lines();
+    assert_eq!(lines.next().and_then(Result::ok).as_deref(), Some("ready"), "{class} connects");
+    let open = Open::default();
+    let answers = Arc::clone(&open);
+    thread::spawn(move || {
+        for line in lines.map_while(Result::ok) {
+            let (number, outcome) = line.split_once(' ').expect("a number and an outcome");
+            let outcome = match outcome.split_once(' ').expect("a word and a text") {
+                ("ok", text) => Ok(text.to_owned()),
+                (_, text) => Err(text.to_owned()),
+            };
+            let number = number.parse().expect("a number");
+            let sender =
+                answers.lock().expect("no panic").remove(&number).expect("one outcome for a request");
+            // The test may have ended.
+            let _ = sender.send(outcome);
+        }
+    });
+    let requests = program.stdin.take().expect("stdin is piped");
+    Box::new(Python { program, requests, number: 0, open })
+}
+
+impl Surface for Python {
+    fn begin(&mut self, verb: Verb) -> Receiver<Outcome> {
+        let (sender, outcome) = channel();
+        self.number += 1;
+        self.open.lock().expect("no panic").insert(self.number, sender);
+        let request = match verb {
+            Verb::Home => "home".to_owned(),
+            Verb::Move(width) => format!("move {width} {SPEED}"),
+            Verb::Grip(width, force) => format!("grip {width} {SPEED} {force}"),
+            Verb::FastStop => "fast_stop".to_owned(),
+            Verb::Acknowledge => "acknowledge".to_owned(),
+            Verb::Read => "read".to_owned(),
+        };
+        writeln!(self.requests, "{} {request}", self.number).expect("the program reads");
+        outcome
+    }
+}
+
+impl Drop for Python {
+    fn drop(&mut self) {
+        // An error means that the program has already ended.
+        let _ = self.program.kill();
+        let _ = self.program.wait();
+    }
+}

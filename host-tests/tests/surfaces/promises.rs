@@ -1,0 +1,216 @@
+//! The promises, as code that judges. Each runs on a surface alone with its gripper.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use wsg_protocol::SystemFlags;
+
+use crate::station::{BOUND, Station, Way};
+use crate::surface::{Outcome, Surface, Verb};
+use crate::{Entry, Kind};
+
+/// Time from the request to resting fingers in FAST STOP.
+const FAST_STOP_TIME: Duration = Duration::from_millis(250);
+
+/// Age after which a request must not start a motion.
+const MAX_AGE: Duration = Duration::from_secs(1);
+
+/// Time within which a read reports a lost connection.
+const LOSS_TIME: Duration = Duration::from_secs(5);
+
+/// Repetitions of a measurement that the machine disturbed.
+const ATTEMPTS: u32 = 20;
+
+/// Target of all motions in mm. Recipe 2 of the bridge has it as well.
+const TARGET: f32 = 10.0;
+
+/// Requests outside the limits of a WSG 50-110: stroke 110 mm, 5 to 80 N.
+const OUTSIDE: [Verb; 6] = [
+    Verb::Grip(20.0, 500.0),
+    Verb::Grip(20.0, 80.5),
+    Verb::Grip(20.0, -1.0),
+    Verb::Grip(20.0, 0.0),
+    Verb::Move(500.0),
+    Verb::Move(-3.0),
+];
+
+/// A surface with its gripper, referenced and wide open.
+struct Rig {
+    station: Station,
+    surface: Box<dyn Surface>,
+}
+
+impl Rig {
+    fn homed(entry: &Entry) -> Self {
+        let station = Station::new();
+        let mut rig = Self { surface: (entry.open)((entry.line)(&station).address), station };
+        if entry.kind == Kind::Wires {
+            // FAST STOP is latched at power-up.
+            rig.acknowledge();
+        }
+        // The answer precedes the motion on some surfaces.
+        rig.finish(Verb::Home).expect("homing is possible");
+        rig.station.until("referenced", |state| {
+            state.flags.contains(SystemFlags::REFERENCED) && !state.flags.contains(SystemFlags::MOVING)
+        });
+        rig
+    }
+
+    fn finish(&mut self, verb: Verb) -> Outcome {
+        let outcome = self.surface.begin(verb);
+        outcome.recv_timeout(BOUND).unwrap_or_else(|error| panic!("{verb:?} has no outcome: {error}"))
+    }
+
+    /// Acknowledges until the gripper has left FAST STOP. A user repeats it, too: the confirmation of the stop may be under way.
+    fn acknowledge(&mut self) {
+        let start = Instant::now();
+        loop {
+            let outcome = self.finish(Verb::Acknowledge);
+            if !self.station.state().flags.contains(SystemFlags::FAST_STOP) {
+                return;
+            }
+            assert!(start.elapsed() < BOUND, "FAST STOP stays: {outcome:?}");
+            thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Starts a motion that takes five seconds.
+    fn start_moving(&mut self) -> Receiver<Outcome> {
+        let outcome = self.surface.begin(Verb::Move(TARGET));
+        self.station.until("moving", |state| state.flags.contains(SystemFlags::MOVING));
+        outcome
+    }
+}
+
+/// FAST STOP acts in time while a motion runs and three reads hang, because the line holds back all answers.
+pub(crate) fn fast_stop_acts(entry: &Entry) {
+    let mut rig = Rig::homed(entry);
+    let mut disturbed = Vec::new();
+    for _ in 0..ATTEMPTS {
+        let moved = rig.start_moving();
+        let line = (entry.line)(&rig.station);
+        line.hold(Way::Answers);
+        let hanging = [(); 3].map(|()| rig.surface.begin(Verb::Read));
+        rig.station.measure();
+        let pressed = Instant::now();
+        let stopped = rig.surface.begin(Verb::FastStop);
+        let stood = rig.station.until("in FAST STOP", |state| {
+            state.flags.contains(SystemFlags::FAST_STOP) && !state.flags.contains(SystemFlags::MOVING)
+        });
+        let (time, was_quiet) = (stood - pressed, rig.station.was_quiet());
+        (entry.line)(&rig.station).release(Way::Answers);
+        if was_quiet {
+            assert!(time <= FAST_STOP_TIME, "FAST STOP took {time:?}");
+            return;
+        }
+        disturbed.push(time);
+        // Each of them ends, with any outcome.
+        for outcome in hanging.into_iter().chain([moved, stopped]) {
+            assert_ne!(outcome.recv_timeout(BOUND), Err(RecvTimeoutError::Timeout));
+        }
+        rig.acknowledge();
+        rig.finish(Verb::Home).expect("homing is possible");
+    }
+    // A busy machine adds to each time, and a defect of the product to all of them.
+    let shortest = disturbed.iter().min().expect("an attempt");
+    assert!(*shortest <= FAST_STOP_TIME, "FAST STOP took {disturbed:?} on a busy machine");
+}
+
+/// Connecting, reading, a lost connection, an acknowledgement and a new connection move nothing.
+pub(crate) fn nothing_moves_unrequested(entry: &Entry) {
+    let mut rig = Rig::homed(entry);
+    let moved = rig.start_moving();
+    let line = (entry.line)(&rig.station);
+    line.cut();
+    let _ = moved.recv_timeout(BOUND);
+    line.mend();
+    // A client of another interface does not own the motion, which ends as requested.
+    rig.station.until("at rest", |state| !state.flags.contains(SystemFlags::MOVING));
+    let since = Instant::now();
+    drop(std::mem::replace(&mut rig.surface, (entry.open)((entry.line)(&rig.station).address)));
+    // Dropping a client that has not noticed the loss changes nothing either.
+    if rig.station.state().flags.contains(SystemFlags::FAST_STOP) {
+        rig.acknowledge();
+    }
+    for _ in 0..3 {
+        let _ = rig.finish(Verb::Read);
+    }
+    thread::sleep(2 * FAST_STOP_TIME);
+    assert_eq!(rig.station.travels_since(since).len(), 0, "the fingers moved without a request");
+}
+
+/// A motion that was requested while the line held back all answers starts within a second or not at all.
+pub(crate) fn nothing_old_runs(entry: &Entry) {
+    let mut rig = Rig::homed(entry);
+    (entry.line)(&rig.station).hold(Way::Answers);
+    let hanging = rig.surface.begin(Verb::Read);
+    let requested = Instant::now();
+    let late = rig.surface.begin(Verb::Move(TARGET));
+    thread::sleep(MAX_AGE + FAST_STOP_TIME);
+    (entry.line)(&rig.station).release(Way::Answers);
+    for outcome in [hanging, late] {
+        assert_ne!(outcome.recv_timeout(BOUND), Err(RecvTimeoutError::Timeout));
+    }
+    thread::sleep(FAST_STOP_TIME);
+    for travel in rig.station.travels_since(requested) {
+        let age = travel - requested;
+        assert!(age <= MAX_AGE, "a motion started {age:?} after its request");
+    }
+}
+
+/// A number outside the limits is refused with a reason. Nothing is sent, nothing moves, and the force limit stays.
+pub(crate) fn refusal_changes_nothing(entry: &Entry) {
+    if entry.kind == Kind::Wires {
+        // Recipes have the numbers: see the tests of the settings.
+        return;
+    }
+    let mut rig = Rig::homed(entry);
+    let limit = rig.station.state().force_limit;
+    for verb in OUTSIDE {
+        if entry.kind == Kind::Fieldbus && matches!(verb, Verb::Move(_)) {
+            // The gripper limits a width itself (command set, 3.2.2), and the register interface leaves it to the gripper.
+            continue;
+        }
+        let _ = rig.station.tcp.take_effective();
+        let since = Instant::now();
+        let refused = rig.finish(verb);
+        let why = refused.expect_err(&format!("{verb:?} is outside the limits"));
+        assert!(!why.trim().is_empty(), "{verb:?} is refused without a reason");
+        let state = rig.station.state();
+        assert_eq!(state.force_limit, limit, "{verb:?} left a force limit: {why}");
+        assert_eq!(rig.station.travels_since(since).len(), 0, "{verb:?} moved the fingers");
+        assert_eq!(rig.station.tcp.take_effective(), [], "{verb:?} was sent");
+        match entry.kind {
+            Kind::Fieldbus if state.flags.contains(SystemFlags::FAST_STOP) => rig.acknowledge(),
+            _ => assert!(!state.flags.contains(SystemFlags::FAST_STOP), "{verb:?} led to FAST STOP"),
+        }
+    }
+}
+
+/// After the line is cut, or answers nothing, a read fails.
+pub(crate) fn lost_connection_shows(entry: &Entry) {
+    for is_cut in [true, false] {
+        let mut rig = Rig::homed(entry);
+        rig.finish(Verb::Read).expect("a connected gripper is read");
+        let line = (entry.line)(&rig.station);
+        if is_cut {
+            line.cut()
+        } else {
+            line.hold(Way::Answers)
+        }
+        let lost = Instant::now();
+        loop {
+            // One read may have been answered before.
+            let read = rig.surface.begin(Verb::Read).recv_timeout(LOSS_TIME);
+            match read {
+                Ok(Err(_)) => break,
+                // A caller that still waits has received no old value.
+                Err(RecvTimeoutError::Timeout) => break,
+                _ => {}
+            }
+            assert!(lost.elapsed() < LOSS_TIME, "{read:?} is read {:?} after the loss", lost.elapsed());
+            thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
