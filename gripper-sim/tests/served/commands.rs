@@ -70,10 +70,10 @@ fn state_of_another_start() -> String {
 fn number_outside_the_limits_is_refused_before_anything_is_sent() {
     let mut rig = Rig::homed();
     for (number, expected, bodies) in [
-        ("width_mm", "0 to 110", [r#""width_mm":-0.1"#, r#""width_mm":110.1"#]),
+        ("width", "0 to 110 mm", [r#""width_mm":-0.1"#, r#""width_mm":110.1"#]),
         (
-            "speed_mm_per_s",
-            "5 to 420",
+            "speed",
+            "5 to 420 mm/s",
             [r#""width_mm":50,"speed_mm_per_s":4.9"#, r#""width_mm":50,"speed_mm_per_s":421"#],
         ),
     ] {
@@ -84,7 +84,7 @@ fn number_outside_the_limits_is_refused_before_anything_is_sent() {
                 let error = answer["error"].as_str().unwrap();
                 assert_eq!(status, 400, "{body}: {error}");
                 assert!(
-                    error.starts_with(number) && error.ends_with(&format!("expected {expected}")),
+                    error.starts_with(number) && error.ends_with(&format!("limits, {expected}")),
                     "{error}"
                 );
             }
@@ -94,7 +94,7 @@ fn number_outside_the_limits_is_refused_before_anything_is_sent() {
     for force in [500.0, -1.0, 4.9, 80.1] {
         let (status, answer) = rig.request("POST", "/command", &grip(force));
         assert_eq!(status, 400, "{force}: {answer}");
-        assert!(answer["error"].as_str().unwrap().ends_with("expected 5 to 80"), "{answer}");
+        assert!(answer["error"].as_str().unwrap().ends_with("limits, 5 to 80 N"), "{answer}");
     }
     let state = rig.state();
     assert_eq!(

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use wsg_protocol::types::AckKey;
-use wsg_protocol::{Command, HomingDirection, PrePositionFlags, Status, SystemFlags};
+use wsg_protocol::{Command, HomingDirection, PrePositionFlags, Status};
 
 pub(super) const COMMAND_EXPECTED: &str = r#"{"command":"home"}, "stop", "fast_stop" or "acknowledge"; {"command":"move","width_mm":50.0,"speed_mm_per_s":100.0}, "grip" (and "force_n":40.0) or "release" (speed and force are optional)"#;
 
@@ -107,26 +107,12 @@ impl CommandBody {
     }
 }
 
-/// Rejects numbers outside the limits (command set, 3.5.4), which the gripper would correct without a word.
+/// Rejects numbers outside the limits (command set, 3.5.4), which the gripper would correct without an error.
 fn check_limits(hub: &Hub, command: &Command<'_>, force: Option<f32>) -> Result<(), HttpError> {
-    let (Command::PrePosition { width, speed, .. }
-    | Command::GripPart { width, speed }
-    | Command::ReleasePart { width, speed }) = *command
-    else {
-        return Ok(());
-    };
     let limits = hub.config().model.parameters().limits;
-    let has_overdrive = hub.look(|gripper| gripper.state().flags.contains(SystemFlags::OVERDRIVE_MODE));
-    let greatest_force = if has_overdrive { limits.overdrive_force } else { limits.nominal_force };
-    for (name, number, least, greatest) in [
-        ("width_mm", Some(width), 0.0, limits.stroke),
-        ("speed_mm_per_s", Some(speed), limits.min_speed, limits.max_speed),
-        ("force_n", force, limits.min_force, greatest_force),
-    ] {
-        if number.is_some_and(|number| !(least..=greatest).contains(&number)) {
-            let number = number.unwrap_or_default();
-            return Err(HttpError::wrong(format!("{name} is {number}; expected {least} to {greatest}")));
-        }
-    }
-    Ok(())
+    let flags = hub.look(|gripper| gripper.state().flags);
+    let force = force.map(|force| Command::SetForceLimit { force });
+    let mut commands = force.iter().chain([command]);
+    let checked = commands.try_for_each(|command| command.check_limits(&limits, flags, None));
+    checked.map_err(|refusal| HttpError::wrong(refusal.to_string()))
 }
