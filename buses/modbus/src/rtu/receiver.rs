@@ -264,11 +264,23 @@ impl Receiver {
     fn give(&mut self) -> Received<'_> {
         let len = core::mem::replace(&mut self.len, GIVEN);
         let held = self.bytes.get(..len).unwrap_or(&self.bytes);
-        let is_sound = self.damage.is_none() && is_intact(held);
-        // A checksum that ends with 00h, or a stray: the checksum over an intact frame and any number of 00h is 0, too.
-        let is_in_doubt = !is_sound || held.last() == Some(&0);
-        if is_in_doubt
-            && len <= MAX_FRAME_LEN
+        // Fast path: nearly every frame is undamaged, and its last byte is none that a stray could be.
+        if self.damage.is_none()
+            && let [unit, pdu @ .., _, last] = held
+            && !pdu.is_empty()
+            && *last != 0
+            && crc(held) == 0
+        {
+            return Received::Frame { unit: *unit, pdu, strays: 0 };
+        }
+        self.give_in_doubt(len)
+    }
+
+    #[inline(never)]
+    fn give_in_doubt(&self, len: usize) -> Received<'_> {
+        let held = self.bytes.get(..len).unwrap_or(&self.bytes);
+        // The checksum over an intact frame and any number of 00h is 0, too, so the length decides first.
+        if len <= MAX_FRAME_LEN
             && let Some(frame) = without_strays(held, &self.sound)
             && let [unit, pdu @ .., _, _] = frame
         {
@@ -280,7 +292,7 @@ impl Receiver {
         }
         match held {
             [unit, pdu @ .., _, _] if !pdu.is_empty() => {
-                if is_sound {
+                if is_intact(held) {
                     Received::Frame { unit: *unit, pdu, strays: 0 }
                 } else {
                     Received::Damaged(Damage::Checksum)

@@ -154,7 +154,9 @@ impl Line {
     ) -> Event<'r> {
         let (unit, pdu) = match received {
             Received::Frame { unit, pdu, strays } => {
-                self.counters.strays = self.counters.strays.saturating_add(strays);
+                if strays > 0 {
+                    self.counters.strays = self.counters.strays.saturating_add(strays);
+                }
                 (unit, pdu)
             }
             Received::Damaged(damage) => {
