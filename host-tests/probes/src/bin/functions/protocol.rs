@@ -49,7 +49,7 @@ fn messages() {
         Reply<'_>: decode, id, status, status_only, success, value, len, is_empty, byte;
         Value<'_>: id;
         SystemLimits: range, check;
-        OutOfLimits: quantity, value, least, greatest;
+        OutOfLimits: quantity, value, least, greatest, eq;
         Quantity: unit;
     }
 }
@@ -66,7 +66,7 @@ fn values() {
         DeviceTag<'_>: new, as_str;
         FingerData<'_>: new, bytes;
         LoopData<'_>: new, bytes;
-        Instant: from_millis, as_millis, plus, since, until, earlier_of, has_reached;
+        Instant: from_millis, as_millis, plus, plus_at_most, since, signed_since, until, earlier_of, has_reached, age;
     }
 }
 
