@@ -361,7 +361,7 @@ mod tests {
     fn a_slow_byte_path_a_slow_request_and_a_slow_edge_are_past_their_limits() {
         let counts = parse(
             "O3/byte-path/64 100 72\nOs/byte-path/64 2305 72\nO3/bulk-path/64 700 72\n\
-             O3/modbus-8-registers 601 1\nOs/profibus-data-exchange 4001 1\nOs/edge-to-first-byte/move 4000 1\n\
+             O3/modbus-8-registers 621 1\nOs/profibus-data-exchange 4001 1\nOs/edge-to-first-byte/move 4000 1\n\
              Os/edge-to-last-byte/grip 4000 18\npico/Os/byte-path/64 2880 72\npico/O3/bulk-path/64 1153 72\n\
              pico/O3/modbus-8-registers 601 1\npico/Os/profibus-data-exchange 4000 1",
         );
