@@ -233,6 +233,8 @@ impl Work<'_> {
             }
             Some(Task::Watch) => watch::run(gripper, self.title),
             Some(Task::Log { .. }) => log(gripper),
+            // A script is as old as its request when it begins. Its later commands follow one another.
+            Some(Task::Script { .. }) if asked.elapsed() > MAX_AGE => Err(Trouble::Late(asked.elapsed())),
             Some(Task::Script { .. }) => match self.script {
                 Some(script) => script.run(gripper, self.output),
                 None => Ok(0),
