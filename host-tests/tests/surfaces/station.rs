@@ -181,7 +181,7 @@ pub(crate) struct Station {
     trace: Arc<Mutex<Trace>>,
 }
 
-/// What the observer has seen.
+/// Observations of the gripper.
 #[derive(Default)]
 struct Trace {
     /// The times at which the fingers began to travel.

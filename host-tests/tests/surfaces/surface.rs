@@ -20,7 +20,7 @@ pub(crate) enum Verb {
     Read,
 }
 
-/// The result that the user sees: an answer, or the reason why there is none.
+/// The result for the user: an answer, or an error with its reason.
 pub(crate) type Outcome = Result<String, String>;
 
 /// A way in to a gripper.

@@ -264,7 +264,7 @@ impl Receiver {
     fn give(&mut self) -> Received<'_> {
         let len = core::mem::replace(&mut self.len, GIVEN);
         let held = self.bytes.get(..len).unwrap_or(&self.bytes);
-        // Fast path: nearly every frame is undamaged, and its last byte is none that a stray could be.
+        // Fast path: nearly every frame is undamaged, and its last byte cannot be a stray 00h.
         if self.damage.is_none()
             && let [unit, pdu @ .., _, last] = held
             && !pdu.is_empty()
