@@ -54,7 +54,14 @@ pub enum Received<'a> {
         unit: u8,
         /// Request PDU: a function code at least.
         pdu: &'a [u8],
-        /// Number of stray characters before and after the frame; see [`Receiver`].
+    },
+    /// An intact frame as above, with stray characters around it; see [`Receiver`].
+    FrameAmongStrays {
+        /// Address of the unit; 0 for a broadcast.
+        unit: u8,
+        /// Request PDU: a function code at least.
+        pdu: &'a [u8],
+        /// Number of stray characters before and after the frame.
         strays: u16,
     },
     /// Discarded characters, with the reason.
@@ -79,7 +86,7 @@ pub enum Received<'a> {
 /// }
 /// assert_eq!(receiver.silence(1_000), None, "not over yet");
 /// let pdu: &[u8] = &[0x03, 0x00, 0x6B, 0x00, 0x03];
-/// assert_eq!(receiver.silence(2_010), Some(Received::Frame { unit: 17, pdu, strays: 0 }));
+/// assert_eq!(receiver.silence(2_010), Some(Received::Frame { unit: 17, pdu }));
 /// assert_eq!(receiver.silence(9_999), None, "once");
 /// ```
 #[derive(Clone, Debug)]
@@ -271,7 +278,7 @@ impl Receiver {
             && *last != 0
             && crc(held) == 0
         {
-            return Received::Frame { unit: *unit, pdu, strays: 0 };
+            return Received::Frame { unit: *unit, pdu };
         }
         self.give_in_doubt(len)
     }
@@ -284,8 +291,11 @@ impl Receiver {
             && let Some(frame) = without_strays(held, &self.sound)
             && let [unit, pdu @ .., _, _] = frame
         {
-            let strays = len.saturating_sub(frame.len()) as u16;
-            return Received::Frame { unit: *unit, pdu, strays };
+            let unit = *unit;
+            return match len.saturating_sub(frame.len()) as u16 {
+                0 => Received::Frame { unit, pdu },
+                strays => Received::FrameAmongStrays { unit, pdu, strays },
+            };
         }
         if let Some(damage) = self.damage {
             return Received::Damaged(damage);
@@ -293,7 +303,7 @@ impl Receiver {
         match held {
             [unit, pdu @ .., _, _] if !pdu.is_empty() => {
                 if is_intact(held) {
-                    Received::Frame { unit: *unit, pdu, strays: 0 }
+                    Received::Frame { unit: *unit, pdu }
                 } else {
                     Received::Damaged(Damage::Checksum)
                 }

@@ -153,10 +153,9 @@ impl Line {
         response: &'r mut [u8; MAX_FRAME_LEN],
     ) -> Event<'r> {
         let (unit, pdu) = match received {
-            Received::Frame { unit, pdu, strays } => {
-                if strays > 0 {
-                    self.counters.strays = self.counters.strays.saturating_add(strays);
-                }
+            Received::Frame { unit, pdu } => (unit, pdu),
+            Received::FrameAmongStrays { unit, pdu, strays } => {
+                self.counters.strays = self.counters.strays.saturating_add(strays);
                 (unit, pdu)
             }
             Received::Damaged(damage) => {
