@@ -4,6 +4,7 @@
 
 mod bench;
 mod commands;
+mod disturb;
 mod figures;
 mod firmware;
 mod fuzz;
@@ -81,6 +82,9 @@ enum Command {
         /// Fail if a check had to be skipped, instead of listing it
         #[arg(long)]
         strict: bool,
+        /// Run the tests beside four busy threads, and pause random processes of the tests for up to 0.5 s; Linux
+        #[arg(long, value_name = "SEED", require_equals = true, num_args = 0..=1, default_missing_value = "1")]
+        disturbed: Option<u64>,
         /// Run only the tests whose names match
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         filter: Vec<OsString>,
@@ -182,8 +186,9 @@ fn run(command: Command) -> Result<ExitCode> {
             let image = firmware::build(&toolchain, &Variant { board, ..Variant::default() })?;
             return Ok(exit_code(commands::demo(workspace, &image, &arguments)?));
         }
-        Command::Test { strict, filter } => {
-            test::run(&setup::thumb_and_qemu(workspace)?, &filter, Extent::Quick, strict)?;
+        Command::Test { strict, disturbed, filter } => {
+            let toolchain = setup::thumb_and_qemu(workspace)?;
+            test::run(&toolchain, &filter, Extent::Quick, strict, disturbed)?;
         }
         Command::Matrix => matrix::run(workspace)?,
         Command::Ci => release_checks(&setup::thumb_and_qemu(workspace)?)?,
@@ -241,7 +246,7 @@ fn run(command: Command) -> Result<ExitCode> {
 fn release_checks(toolchain: &ThumbToolchain<'_>) -> Result<()> {
     let workspace = toolchain.workspace;
     commands::dependencies(workspace)?;
-    test::run(toolchain, &[], Extent::Whole, true)?;
+    test::run(toolchain, &[], Extent::Whole, true, None)?;
     commands::api(workspace, false)?;
     commands::release(workspace, &[])?;
     commands::telemetry(workspace)?;
@@ -296,7 +301,7 @@ mod tests {
     #[test]
     fn options_after_the_filter_reach_the_tests_and_those_of_the_demonstration_reach_it() {
         let passed = |line: &str| match Arguments::try_parse_from(line.split(' ')).unwrap().command {
-            Command::Test { strict, filter } => (strict, filter),
+            Command::Test { strict, filter, .. } => (strict, filter),
             Command::Demo { board, arguments, .. } => (board.name == "pico", arguments),
             _ => unreachable!("{line}"),
         };

@@ -12,7 +12,7 @@ use anyhow::{Context, Result, ensure};
 use boards::{BOARDS, Board};
 
 use crate::{
-    bench, commands,
+    bench, commands, disturb,
     firmware::{self, Variant},
     gate,
     matrix::{self, Extent},
@@ -30,21 +30,26 @@ const TESTS_WITH_PYTHON: &str = "python_";
 
 const TARGETS: [&str; 4] = ["--workspace", "--lib", "--bins", "--tests"];
 
-/// Runs all checks, or with `filter` only the matching tests. Skipped checks are listed at the end, and fail a strict run.
+/// Runs all checks, or with `filter` only the matching tests. Skipped checks are listed at the end, and fail a strict run. With a
+/// seed, the tests and measurements run on a disturbed machine.
 pub(crate) fn run(
     toolchain: &ThumbToolchain<'_>,
     filter: &[OsString],
     extent: Extent,
     is_strict: bool,
+    disturbed: Option<u64>,
 ) -> Result<()> {
     let mut record = Record::default();
-    let checks = Checks { toolchain, extent };
+    let checks = Checks { toolchain, extent, disturbed };
     let outcome = if filter.is_empty() {
         checks.run_all(&mut record)
     } else {
         println!("test: running only tests that match {filter:?}; omit the filter to run all checks");
         let peers = checks.peers(&mut record)?;
-        record.check(TESTS, || checks.build_tests().and_then(|()| checks.tests(&peers, filter)))
+        record.check(TESTS, || {
+            checks.build_tests()?;
+            disturb::during(disturbed, || checks.tests(&peers, filter))
+        })
     };
     println!("{}", record.summary(outcome.is_err()));
     outcome.and_then(|()| record.verdict(is_strict))
@@ -53,6 +58,7 @@ pub(crate) fn run(
 struct Checks<'a> {
     toolchain: &'a ThumbToolchain<'a>,
     extent: Extent,
+    disturbed: Option<u64>,
 }
 
 /// What the tests run against.
@@ -77,13 +83,15 @@ impl Checks<'_> {
                 self.lint_firmware(it, has_thumb_clippy).map(|()| peers)
             },
         )?;
-        record.both(
-            |it| {
-                it.check(TESTS, || self.tests(&peers, &[]))?;
-                self.on_the_host(it, peers.python.as_deref())
-            },
-            |it| self.of_the_images(it, &peers.masters),
-        )?;
+        disturb::during(self.disturbed, || {
+            record.both(
+                |it| {
+                    it.check(TESTS, || self.tests(&peers, &[]))?;
+                    self.on_the_host(it, peers.python.as_deref())
+                },
+                |it| self.of_the_images(it, &peers.masters),
+            )
+        })?;
         record.check("host throughput", || {
             // Check only the ratio: the absolute throughput depends on the machine.
             let [_, beside_a_loop] = bench::throughput(workspace)?;
