@@ -96,6 +96,12 @@ fn motions_from_outside_the_soft_limits_need_a_target_inside() {
     }
     assert_eq!(desk.gripper.state().width, 10.0);
     assert_eq!(desk.run("MOVE(20)"), "FIN MOVE");
+
+    let mut desk = Desk::homed(Part::of_width(50.0));
+    desk.gripper.command(&Command::SetSoftLimits { limits }, desk.now);
+    assert_eq!(desk.run("GRIP(40,50)"), "FIN GRIP");
+    assert_eq!(desk.one("RELEASE(31)"), "ERR RELEASE 28");
+    assert_eq!(desk.run("RELEASE(30)"), "FIN RELEASE");
 }
 
 /// Each command is sent as such a client sends it, and none spoils the next.

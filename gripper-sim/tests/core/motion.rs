@@ -544,6 +544,17 @@ fn fingers_outside_the_soft_limits_may_only_go_to_a_target_inside() {
             assert_eq!(rig.status(outside[0]), Status::RangeError, "and not back");
         }
     }
+    // A limit at the end of the stroke is no different: without limits, the gripper shortens these motions.
+    let mut rig = Rig::homed(None);
+    let beyond = [go_to(111.0), go_by(20.0), release(112.0)];
+    for command in beyond {
+        rig.run(go_to(100.0));
+        assert_eq!(rig.run(command), Status::Success, "{command}");
+    }
+    rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 0.0, plus: 110.0 } });
+    for command in beyond {
+        assert_eq!(rig.status(command), Status::RangeError, "{command}");
+    }
 }
 
 #[test]

@@ -88,6 +88,7 @@ surfaces! {
     rust_stream: client(rust::streaming, Kind::Client);
     c_host: client(rust::c, Kind::Client);
     wsg: client(process::wsg, Kind::ClientEachTime);
+    wsg_script: client(process::wsg_script, Kind::ClientEachTime);
     control_interface: Entry { open: control::control, line: |station| &station.control, kind: Kind::Server };
     modbus_tcp: Entry { open: fieldbus::modbus, line: |station| &station.modbus, kind: Kind::Fieldbus };
     wires: client(fieldbus::wires, Kind::Wires);

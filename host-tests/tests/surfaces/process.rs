@@ -15,23 +15,37 @@ use crate::surface::{Outcome, SPEED, Separately, Surface, Verb};
 
 /// One `wsg gripper` for each request, as from several terminals.
 pub(crate) fn wsg(address: SocketAddr) -> Box<dyn Surface> {
+    wsg_with(address, false)
+}
+
+/// The same, with each motion in a script of one line.
+pub(crate) fn wsg_script(address: SocketAddr) -> Box<dyn Surface> {
+    wsg_with(address, true)
+}
+
+fn wsg_with(address: SocketAddr, has_scripts: bool) -> Box<dyn Surface> {
     let program = example::program("wsg");
     Box::new(Separately(move |verb| {
+        let (is_motion, command) = match verb {
+            Verb::Home => (true, "home positive".to_owned()),
+            Verb::Move(width) => (true, format!("move {width} {SPEED}")),
+            Verb::Grip(width, force) => (true, format!("grip {width} {SPEED} --force={force}")),
+            Verb::FastStop => (false, "fast-stop".to_owned()),
+            Verb::Acknowledge => (false, "ack".to_owned()),
+            Verb::Read => (false, "width".to_owned()),
+        };
+        let is_script = has_scripts && is_motion;
         let mut wsg = Command::new(&program);
         wsg.args(["gripper", &format!("tcp://{address}")]);
-        match verb {
-            Verb::Home => wsg.args(["home", "positive"]),
-            Verb::Move(width) => wsg.arg("move").arg(format!("{width}")).arg(format!("{SPEED}")),
-            Verb::Grip(width, force) => wsg
-                .arg("grip")
-                .arg(format!("{width}"))
-                .arg(format!("{SPEED}"))
-                .arg(format!("--force={force}")),
-            Verb::FastStop => wsg.arg("fast-stop"),
-            Verb::Acknowledge => wsg.arg("ack"),
-            Verb::Read => wsg.arg("width"),
-        };
-        let output = wsg.stdin(Stdio::null()).output().expect("wsg starts");
+        wsg.args(if is_script { "script -" } else { &command }.split(' '));
+        wsg.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut running = wsg.spawn().expect("wsg starts");
+        let mut lines = running.stdin.take().expect("it is piped");
+        if is_script {
+            writeln!(lines, "{command}").expect("wsg reads its script");
+        }
+        drop(lines);
+        let output = running.wait_with_output().expect("wsg runs");
         let [said, why] =
             [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
         if output.status.success() { Ok(said) } else { Err(format!("{said}{why}")) }
