@@ -5,6 +5,7 @@
 
 mod control;
 mod fieldbus;
+mod page;
 mod process;
 mod promises;
 mod rust;
@@ -31,6 +32,8 @@ enum Kind {
     ClientEachTime,
     /// A client of another interface of the virtual gripper.
     Server,
+    /// The page, which refuses numbers itself and names the state that its user sees.
+    Page,
     /// The register interface, in which a number outside the limits is a FAST STOP (fieldbus, 6.1).
     Fieldbus,
     /// Wires, which have no numbers.
@@ -90,6 +93,8 @@ surfaces! {
     wsg: client(process::wsg, Kind::ClientEachTime);
     wsg_script: client(process::wsg_script, Kind::ClientEachTime);
     control_interface: Entry { open: control::control, line: |station| &station.control, kind: Kind::Server };
+    #[ignore = "needs Chromium: `cargo xtask test` installs it"]
+    page_in_chromium: Entry { open: page::page, line: |station| &station.control, kind: Kind::Page };
     modbus_tcp: Entry { open: fieldbus::modbus, line: |station| &station.modbus, kind: Kind::Fieldbus };
     wires: client(fieldbus::wires, Kind::Wires);
     #[ignore = "needs the Python package: `cargo xtask test` installs it"]

@@ -5,6 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use wsg_protocol::SystemFlags;
+use wsg_sim::State;
 
 use crate::station::{BOUND, Station, Way};
 use crate::surface::{Outcome, Surface, Verb};
@@ -39,18 +40,20 @@ const OUTSIDE: [Verb; 6] = [
 struct Rig {
     station: Station,
     surface: Box<dyn Surface>,
+    kind: Kind,
 }
 
 impl Rig {
     fn homed(entry: &Entry) -> Self {
         let station = Station::new();
-        let mut rig = Self { surface: (entry.open)((entry.line)(&station).address), station };
+        let surface = (entry.open)((entry.line)(&station).address);
+        let mut rig = Self { station, surface, kind: entry.kind };
         if entry.kind == Kind::Wires {
             // FAST STOP is latched at power-up.
             rig.acknowledge();
         }
         // The answer precedes the motion on some surfaces.
-        rig.finish(Verb::Home).expect("homing is possible");
+        rig.succeed(Verb::Home);
         rig.station.until("referenced", |state| {
             state.flags.contains(SystemFlags::REFERENCED) && !state.flags.contains(SystemFlags::MOVING)
         });
@@ -60,6 +63,14 @@ impl Rig {
     fn finish(&mut self, verb: Verb) -> Outcome {
         let outcome = self.surface.begin(verb);
         outcome.recv_timeout(BOUND).unwrap_or_else(|error| panic!("{verb:?} has no outcome: {error}"))
+    }
+
+    /// Requests something that is possible. A user repeats it on a page that a busy machine keeps from its states.
+    fn succeed(&mut self, verb: Verb) {
+        let start = Instant::now();
+        while let Err(why) = self.finish(verb) {
+            assert!(self.kind == Kind::Page && start.elapsed() < BOUND, "{verb:?} is possible: {why}");
+        }
     }
 
     /// Acknowledges until the gripper has left FAST STOP. A user repeats it, too: the confirmation of the stop may be under way.
@@ -77,9 +88,16 @@ impl Rig {
 
     /// Starts a motion that takes five seconds.
     fn start_moving(&mut self) -> Receiver<Outcome> {
-        let outcome = self.surface.begin(Verb::Move(TARGET));
-        self.station.until("moving", |state| state.flags.contains(SystemFlags::MOVING));
-        outcome
+        let moves = |state: &State| state.flags.contains(SystemFlags::MOVING);
+        loop {
+            let outcome = self.surface.begin(Verb::Move(TARGET));
+            // A page, see `succeed`.
+            let is_refused = || self.kind == Kind::Page && matches!(outcome.try_recv(), Ok(Err(_)));
+            self.station.until("moving", |state| moves(state) || is_refused());
+            if moves(&self.station.state()) {
+                return outcome;
+            }
+        }
     }
 }
 
@@ -98,9 +116,14 @@ pub(crate) fn fast_stop_acts(entry: &Entry) {
         let stood = rig.station.until("in FAST STOP", |state| {
             state.flags.contains(SystemFlags::FAST_STOP) && !state.flags.contains(SystemFlags::MOVING)
         });
-        let (time, was_quiet) = (stood - pressed, rig.station.was_quiet());
+        let time = stood - pressed;
+        // The observer does not see disturbances of Chromium. A time that is too long may be one.
+        let counts = match entry.kind {
+            Kind::Page => time <= FAST_STOP_TIME,
+            _ => rig.station.was_quiet(),
+        };
         (entry.line)(&rig.station).release(Way::Answers);
-        if was_quiet {
+        if counts {
             assert!(time <= FAST_STOP_TIME, "FAST STOP took {time:?}");
             return;
         }
@@ -110,7 +133,7 @@ pub(crate) fn fast_stop_acts(entry: &Entry) {
             assert_ne!(outcome.recv_timeout(BOUND), Err(RecvTimeoutError::Timeout));
         }
         rig.acknowledge();
-        rig.finish(Verb::Home).expect("homing is possible");
+        rig.succeed(Verb::Home);
     }
     // A busy machine adds to each time, and a defect of the product to all of them.
     let shortest = disturbed.iter().min().expect("an attempt");
@@ -140,22 +163,26 @@ pub(crate) fn nothing_moves_unrequested(entry: &Entry) {
     assert_eq!(rig.station.travels_since(since).len(), 0, "the fingers moved without a request");
 }
 
-/// A motion that was requested while the line held back all answers starts within a second or not at all.
+/// A motion that was requested while the line held back all answers starts within a second or not at all. One of the page,
+/// which names the state that its user sees, does so even if the line held back the request.
 pub(crate) fn nothing_old_runs(entry: &Entry) {
-    let mut rig = Rig::homed(entry);
-    (entry.line)(&rig.station).hold(Way::Answers);
-    let hanging = rig.surface.begin(Verb::Read);
-    let requested = Instant::now();
-    let late = rig.surface.begin(Verb::Move(TARGET));
-    thread::sleep(MAX_AGE + FAST_STOP_TIME);
-    (entry.line)(&rig.station).release(Way::Answers);
-    for outcome in [hanging, late] {
-        assert_ne!(outcome.recv_timeout(BOUND), Err(RecvTimeoutError::Timeout));
-    }
-    thread::sleep(FAST_STOP_TIME);
-    for travel in rig.station.travels_since(requested) {
-        let age = travel - requested;
-        assert!(age <= MAX_AGE, "a motion started {age:?} after its request");
+    let ways = if entry.kind == Kind::Page { &[Way::Answers, Way::Requests][..] } else { &[Way::Answers] };
+    for way in ways {
+        let mut rig = Rig::homed(entry);
+        (entry.line)(&rig.station).hold(*way);
+        let hanging = rig.surface.begin(Verb::Read);
+        let late = rig.surface.begin(Verb::Move(TARGET));
+        let requested = Instant::now();
+        thread::sleep(MAX_AGE + FAST_STOP_TIME);
+        (entry.line)(&rig.station).release(*way);
+        for outcome in [hanging, late] {
+            assert_ne!(outcome.recv_timeout(BOUND), Err(RecvTimeoutError::Timeout));
+        }
+        thread::sleep(FAST_STOP_TIME);
+        for travel in rig.station.travels_since(requested) {
+            let age = travel - requested;
+            assert!(age <= MAX_AGE, "a motion started {age:?} after its request");
+        }
     }
 }
 
@@ -173,6 +200,7 @@ pub(crate) fn refusal_changes_nothing(entry: &Entry) {
             continue;
         }
         let _ = rig.station.tcp.take_effective();
+        let _ = (entry.line)(&rig.station).take_posts();
         let since = Instant::now();
         let refused = rig.finish(verb);
         let why = refused.expect_err(&format!("{verb:?} is outside the limits"));
@@ -181,6 +209,9 @@ pub(crate) fn refusal_changes_nothing(entry: &Entry) {
         assert_eq!(state.force_limit, limit, "{verb:?} left a force limit: {why}");
         assert_eq!(rig.station.travels_since(since).len(), 0, "{verb:?} moved the fingers");
         assert_eq!(rig.station.tcp.take_effective(), [], "{verb:?} was sent");
+        if entry.kind == Kind::Page {
+            assert_eq!((entry.line)(&rig.station).take_posts(), 0, "{verb:?} was sent to the server");
+        }
         match entry.kind {
             Kind::Fieldbus if state.flags.contains(SystemFlags::FAST_STOP) => rig.acknowledge(),
             _ => assert!(!state.flags.contains(SystemFlags::FAST_STOP), "{verb:?} led to FAST STOP"),
@@ -192,7 +223,7 @@ pub(crate) fn refusal_changes_nothing(entry: &Entry) {
 pub(crate) fn lost_connection_shows(entry: &Entry) {
     for is_cut in [true, false] {
         let mut rig = Rig::homed(entry);
-        rig.finish(Verb::Read).expect("a connected gripper is read");
+        rig.succeed(Verb::Read);
         let line = (entry.line)(&rig.station);
         if is_cut {
             line.cut()

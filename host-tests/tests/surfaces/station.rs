@@ -46,6 +46,8 @@ struct LineState {
     holds_answers: bool,
     is_cut: bool,
     open: Vec<TcpStream>,
+    /// Requests of a page that have reached the line: messages of its WebSocket (RFC 6455, 5.2), and `POST`.
+    posts: usize,
     /// Commands of the binary protocol that have reached the line.
     commands: Vec<CommandId>,
 }
@@ -120,6 +122,11 @@ impl Line {
         self.shared.lock().is_cut = false;
     }
 
+    /// Returns the number of requests of a page that have reached the line since the last call.
+    pub(crate) fn take_posts(&self) -> usize {
+        std::mem::take(&mut self.shared.lock().posts)
+    }
+
     /// Returns the motions and settings that have reached the line since the last call.
     pub(crate) fn take_effective(&self) -> Vec<CommandId> {
         let commands = std::mem::take(&mut self.shared.lock().commands);
@@ -142,6 +149,7 @@ fn carry(shared: &Shared, way: Way, mut from: TcpStream, mut to: TcpStream) {
     while let Ok(count @ 1..) = uninterrupted::read(&mut from, &mut buffer) {
         let mut state = shared.lock();
         if way == Way::Requests {
+            state.posts += usize::from(matches!(buffer[..count], [0x81, ..] | [b'P', b'O', b'S', b'T', ..]));
             note(&mut parser, &buffer[..count], &mut state.commands);
         }
         while !state.is_cut && if way == Way::Requests { state.holds_requests } else { state.holds_answers } {

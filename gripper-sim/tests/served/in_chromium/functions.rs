@@ -1,9 +1,9 @@
 //! Every function of the page by clicks and keys, on a screen and on a telephone: results, plot, settings, editor,
 //! system log, fieldbus monitor.
 
-use super::browser::Tab;
-use super::{Gripper, STATE, fill, flag_is_on, grip, home};
+use super::{Gripper, STATE, flag_is_on, grip, home};
 use crate::rig::connect;
+use browser::Tab;
 use serde_json::json;
 use std::io::{Read, Write};
 
@@ -45,10 +45,10 @@ fn each_command_shows_its_result_and_a_refusal_moves_nothing() {
         tab.until(&format!("{}.includes('HOLDING at 19.7 mm, 30.0 N')", text("results")));
         tab.click("#part_out");
         tab.until(&format!("{STATE} === 'PART LOST'"));
-        fill(tab, "#width", "50");
+        tab.fill("#width", "50");
         tab.click("#release");
         tab.until(&format!("{STATE} === 'IDLE'"));
-        fill(tab, "#width", "20");
+        tab.fill("#width", "20");
         tab.click("#grip");
         tab.until("document.querySelector('#results li:last-child.bad').textContent.includes('NO PART')");
     });
@@ -113,7 +113,7 @@ fn settings_are_changed_by_keys_and_refused_in_place() {
         tab.click("[data-group='Motion configuration'] summary");
         let mut other = gripper.open();
         other.until("document.getElementById('set-clamping-travel').value !== '7.5'");
-        fill(&mut tab, "#set-clamping-travel", "7.5");
+        tab.fill("#set-clamping-travel", "7.5");
         tab.click("#set-homing-at-start");
         tab.click("#set-clamping-travel");
         tab.press("Enter");
@@ -126,7 +126,7 @@ fn settings_are_changed_by_keys_and_refused_in_place() {
         let saved = std::fs::read_to_string(&file).unwrap();
         assert_eq!(saved, "# A cell\nclamping-travel = \"7.5\"\nhoming-at-start = true\n");
 
-        fill(&mut tab, "#set-clamping-travel", "-1");
+        tab.fill("#set-clamping-travel", "-1");
         tab.click("#apply");
         tab.until(&is_refused("settings-message"));
         tab.until(&format!("{}.includes('a number from 0 to 1000')", text("settings-message")));
@@ -135,7 +135,7 @@ fn settings_are_changed_by_keys_and_refused_in_place() {
 
         tab.click("#home");
         tab.until(&flag_is_on("MOVING"));
-        fill(&mut tab, "#set-clamping-travel", "9");
+        tab.fill("#set-clamping-travel", "9");
         tab.click("#apply");
         tab.until(&format!("{}.includes('the fingers move')", text("settings-message")));
         tab.click("#restart");
@@ -152,35 +152,35 @@ fn settings_are_changed_by_keys_and_refused_in_place() {
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn editor_previews_sends_and_decodes() {
     in_each_size(&["--time-scale", "20"], |_, tab| {
-        fill(tab, "#frame-command", "0x06");
-        fill(tab, "#frame-payload", "1 0x20 150.0f \"ab\"");
+        tab.fill("#frame-command", "0x06");
+        tab.fill("#frame-payload", "1 0x20 150.0f \"ab\"");
         tab.until(&format!("{}.startsWith('AA AA AA 06 08 00 01 20 00 00 16 43 61 62 ')", text("packet")));
-        fill(tab, "#frame-payload", "256");
+        tab.fill("#frame-payload", "256");
         tab.until(&format!(
             "{} && {}.includes('\"256\" is no byte')",
             is_refused("frame-message"),
             text("frame-message")
         ));
         assert_eq!(tab.eval(&text("packet")), "");
-        fill(tab, "#frame-command", "get system limits");
-        fill(tab, "#frame-payload", "");
+        tab.fill("#frame-command", "get system limits");
+        tab.fill("#frame-payload", "");
         tab.press("Enter");
         tab.until("document.querySelector('#frames li:last-child .what').textContent.startsWith('<- 53h Get System Limits E_SUCCESS stroke 110.0 mm')");
         tab.click("#frames li:last-child button");
         // The stroke is the first float after the status.
-        fill(tab, "#from", "8");
-        fill(tab, "#to", "11");
+        tab.fill("#from", "8");
+        tab.fill("#to", "11");
         tab.until(&format!(
             "{}.includes('float110') && {}.includes('integer1121714176')",
             text("read-as"),
             text("read-as")
         ));
-        fill(tab, "#from", "0");
-        fill(tab, "#to", "0");
+        tab.fill("#from", "0");
+        tab.fill("#to", "0");
         tab.until(&format!("{}.includes('integer170, signed -86')", text("read-as")));
         // A motion is answered twice.
-        fill(tab, "#frame-command", "Homing");
-        fill(tab, "#frame-payload", "1");
+        tab.fill("#frame-command", "Homing");
+        tab.fill("#frame-payload", "1");
         tab.click("#send");
         for status in ["E_CMD_PENDING", "E_SUCCESS"] {
             tab.until(&format!("{}.includes('<- 20h Homing {status}')", text("frames")));
@@ -261,8 +261,8 @@ fn scripts_are_written_run_and_stopped_and_an_error_selects_its_line() {
         let gripper = Gripper::new(&options);
         let mut tab = gripper.open();
         tab.look(width, height, "light");
-        fill(&mut tab, "#script-name", "demo.lua");
-        fill(&mut tab, "#script-source", "print('running')\nwhile true do sleep(1) end\n");
+        tab.fill("#script-name", "demo.lua");
+        tab.fill("#script-source", "print('running')\nwhile true do sleep(1) end\n");
         tab.click("#script-save");
         tab.until(&format!("{} === 'demo.lua is saved.'", text("script-message")));
         assert!(folder.join("demo.lua").exists());
@@ -276,7 +276,7 @@ fn scripts_are_written_run_and_stopped_and_an_error_selects_its_line() {
         tab.until("document.querySelector('#script-list option').textContent.endsWith('runs at the start')");
         assert!(std::fs::read_to_string(&config).unwrap().starts_with("script = "));
 
-        fill(&mut tab, "#script-source", "local x = 1\nx()\n");
+        tab.fill("#script-source", "local x = 1\nx()\n");
         tab.click("#script-save");
         tab.until(&format!("{} === 'demo.lua is saved.'", text("script-message")));
         tab.click("#script-run");

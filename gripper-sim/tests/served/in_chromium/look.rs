@@ -1,8 +1,8 @@
 //! The look of the page: layout, contrast, and the pictures of the document.
 
-use super::browser::Tab;
-use super::{Gripper, PAGES, STATE, fill, flag_is_on, grip, home};
+use super::{Gripper, PAGES, STATE, flag_is_on, grip, home};
 use crate::rig::connect;
+use browser::Tab;
 use serde_json::json;
 use std::io::{Read, Write};
 use std::path::Path;
@@ -132,7 +132,7 @@ fn documents_have_pictures_of_the_page() {
         home(&mut tab);
         grip(&mut tab);
         for _ in 0..5 {
-            fill(&mut tab, "#width", "80");
+            tab.fill("#width", "80");
             tab.click("#release");
             tab.until(&format!("{STATE} === 'IDLE'"));
             grip(&mut tab);
@@ -184,11 +184,11 @@ fn show_something(gripper: &Gripper, tab: &mut Tab) {
     tab.until(&flag_is_on("FAST_STOP"));
     tab.click("#acknowledge");
     tab.until(&format!("{STATE} === 'IDLE'"));
-    fill(tab, "#frame-command", "Get System Limits");
-    fill(tab, "#frame-payload", "");
+    tab.fill("#frame-command", "Get System Limits");
+    tab.fill("#frame-payload", "");
     tab.press("Enter");
     tab.click("#frames li:last-child button");
-    fill(tab, "#to", "11");
+    tab.fill("#to", "11");
     tab.show("scripts");
     tab.until("document.getElementById('script-list').childElementCount > 0");
     tab.eval(

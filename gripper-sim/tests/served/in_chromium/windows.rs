@@ -1,10 +1,10 @@
 //! Many windows of one browser, a server that does not answer, and a proxy: FAST STOP leaves in time, no other click runs
 //! late, and no old value is shown as current.
 
-use super::browser::Tab;
 use super::{Gripper, STATE, flag_is_on, home};
 use crate::control::request;
 use crate::rig::{BOUND, Client, HOMING, connect};
+use browser::Tab;
 use rustix::process::Signal;
 use serde_json::json;
 use std::io::{BufRead, BufReader, Write};

@@ -1,5 +1,8 @@
-//! Debian's Chromium in headless mode, controlled by the DevTools protocol over pipes: JSON terminated by a zero byte.
-//! It needs no port and no crate. It ends with the tests in any case, because its pipe closes.
+//! Chromium for tests of web pages, which click, type and look like a user.
+//!
+//! Debian's Chromium runs in headless mode. The DevTools protocol controls it over pipes: JSON terminated by a zero byte.
+//! It needs no port, and it ends with the tests in any case, because its pipe closes. Tests are ignored and have
+//! `in_chromium` in their names, by which `cargo xtask test` skips them where Chromium is missing.
 
 use serde_json::{Value, json};
 use std::collections::HashMap;
@@ -9,8 +12,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{LazyLock, Mutex};
 use std::thread;
+use std::time::Duration;
 
-use super::BOUND;
+/// Maximum duration of any wait.
+const BOUND: Duration = Duration::from_secs(60);
 
 /// One browser for all tests, with separate windows per test. One process takes two thirds of the time of several.
 static BROWSER: LazyLock<Browser> = LazyLock::new(Browser::start);
@@ -109,7 +114,7 @@ fn result(method: &str, id: u64, messages: &Receiver<Value>, mut pass: impl FnMu
 }
 
 /// A window used by one test only.
-pub(super) struct Tab {
+pub struct Tab {
     session: String,
     target: Value,
     messages: Receiver<Value>,
@@ -119,7 +124,7 @@ pub(super) struct Tab {
 
 impl Tab {
     /// Opens an empty window.
-    pub(super) fn new() -> Self {
+    fn new() -> Self {
         let window = json!({"url": "about:blank", "newWindow": true});
         let target = BROWSER.call("Target.createTarget", &window);
         let target = target["targetId"].clone();
@@ -138,7 +143,7 @@ impl Tab {
     }
 
     /// Opens a window with this URL.
-    pub(super) fn open(url: &str) -> Self {
+    pub fn open(url: &str) -> Self {
         let mut tab = Self::new();
         let shown = tab.call("Page.navigate", &json!({"url": url}));
         assert!(shown["errorText"].is_null(), "{url}: {shown}");
@@ -146,7 +151,7 @@ impl Tab {
     }
 
     /// Sets the size in pixels and the colour scheme of the system.
-    pub(super) fn look(&mut self, width: u32, height: u32, scheme: &str) {
+    pub fn look(&mut self, width: u32, height: u32, scheme: &str) {
         let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
         self.call("Emulation.setDeviceMetricsOverride", &size);
         let scheme = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
@@ -154,13 +159,13 @@ impl Tab {
     }
 
     /// Sends a request of the protocol and returns its result.
-    pub(super) fn call(&mut self, method: &str, params: &Value) -> Value {
+    pub fn call(&mut self, method: &str, params: &Value) -> Value {
         let id = BROWSER.send(&self.session, method, params);
         result(method, id, &self.messages, |event| self.events.push(event))
     }
 
     /// Evaluates an expression on the page once it has loaded.
-    pub(super) fn eval(&mut self, expression: &str) -> Value {
+    pub fn eval(&mut self, expression: &str) -> Value {
         let how = json!({"expression": expression, "awaitPromise": true, "returnByValue": true});
         let mut answer = self.call("Runtime.evaluate", &how);
         assert!(answer["exceptionDetails"].is_null(), "{expression}: {}", answer["exceptionDetails"]);
@@ -169,7 +174,7 @@ impl Tab {
 
     /// Evaluates an expression repeatedly until it is not null, and returns its value.
     #[track_caller]
-    pub(super) fn until(&mut self, expression: &str) -> Value {
+    pub fn until(&mut self, expression: &str) -> Value {
         let found = self.eval(&format!(
             "new Promise(done => {{
                const end = performance.now() + {};
@@ -192,7 +197,7 @@ impl Tab {
     }
 
     /// Clicks the centre of the element that a selector finds, on the page that shows it.
-    pub(super) fn click(&mut self, selector: &str) {
+    pub fn click(&mut self, selector: &str) {
         let page = self.until(&format!(
             "(() => {{ const page = document.querySelector({selector:?}).closest('main');
                return page && page.hidden ? page.dataset.page : 'shown'; }})()"
@@ -209,7 +214,7 @@ impl Tab {
 
     /// Shows one of the pages by its link. A click that misses is repeated, as a user does: the link may move between the look at
     /// its place and the click.
-    pub(super) fn show(&mut self, page: &str) {
+    pub fn show(&mut self, page: &str) {
         let is_shown = format!(
             "new Promise(done => {{
                const end = performance.now() + 2000;
@@ -228,7 +233,7 @@ impl Tab {
     }
 
     /// Presses a key that types no text except, for Enter, a line break.
-    pub(super) fn press(&mut self, key: &str) {
+    pub fn press(&mut self, key: &str) {
         let code = match key {
             "Tab" => 9,
             "Enter" => 13,
@@ -245,21 +250,27 @@ impl Tab {
     }
 
     /// Replaces the text of the focused field.
-    pub(super) fn type_text(&mut self, text: &str) {
+    pub fn type_text(&mut self, text: &str) {
         self.eval("document.activeElement.select()");
         self.call("Input.insertText", &json!({"text": text}));
     }
 
+    /// Clicks the field that a selector finds, and replaces its text.
+    pub fn fill(&mut self, field: &str, text: &str) {
+        self.click(field);
+        self.type_text(text);
+    }
+
     /// Returns the events of this name received so far.
-    pub(super) fn told(&mut self, method: &str) -> Vec<Value> {
+    pub fn told(&mut self, method: &str) -> Vec<Value> {
         // The answer arrives after all earlier events.
         self.eval("0");
         let told = self.events.iter().filter(|event| event["method"] == method);
         told.map(|event| event["params"].clone()).collect()
     }
 
-    /// Returns the commands of this name that the page has sent so far.
-    pub(super) fn commands(&mut self, name: &str) -> Vec<Value> {
+    /// Returns the commands of this name that the page of `wsg-sim` has sent so far.
+    pub fn commands(&mut self, name: &str) -> Vec<Value> {
         let frames = self.told("Network.webSocketFrameSent");
         let sent = frames.iter().filter_map(|frame| frame["response"]["payloadData"].as_str());
         let bodies = sent.filter_map(|text| {
@@ -271,7 +282,7 @@ impl Tab {
     }
 
     /// Presses and releases the mouse at this place. Returns once the browser has passed both on.
-    pub(super) fn click_at(&mut self, place: &Value) {
+    pub fn click_at(&mut self, place: &Value) {
         for kind in ["mousePressed", "mouseReleased"] {
             let click =
                 json!({"type": kind, "x": place[0], "y": place[1], "button": "left", "clickCount": 1});
