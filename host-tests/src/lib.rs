@@ -34,6 +34,7 @@
 //! | [`mcp2515`] | model of the SPI CAN controller, per its data sheet |
 //! | [`modbus_rig`] | a [`world`] with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
+//! | `namespaces` | network namespaces for PROFINET, on Linux |
 //! | [`plc_names`] | names of flags, states and status codes, for the documents |
 //! | [`profibus_rig`] | a [`world`] with a PROFIBUS master |
 //! | [`registers`] | models of peripherals that QEMU lacks |
@@ -91,6 +92,8 @@ pub mod mcp2515;
 #[cfg(unix)]
 pub mod modbus_master;
 pub mod modbus_rig;
+#[cfg(target_os = "linux")]
+pub mod namespaces;
 pub mod plc_names;
 pub mod profibus_rig;
 #[cfg(unix)]

@@ -6,15 +6,13 @@
 
 use bus_profinet::Stored;
 use host_tests::masters::{PYTHON_VARIABLE, said};
+use host_tests::namespaces::{self, End, at_controller, prioritize_grippers};
 use host_tests::{example, extent};
-use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio, id};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::process::{Child, Command, Output, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 use wsg_sim::server::{Lines, ProfinetLine, ServerThread};
@@ -25,52 +23,12 @@ const DCP: &str = include_str!("profinet/pnio_dcp.py");
 const EPM: &str = include_str!("profinet/epm.py");
 const HOSTILE: &str = include_str!("profinet/hostile.py");
 
-static NETWORKS: AtomicU32 = AtomicU32::new(0);
-
-/// Two connected namespaces: one for the gripper, one for the controller with the address 192.168.7.1/24.
-struct Network {
-    name: String,
-}
+/// Connected namespaces, and what the tests run in them.
+struct Network(namespaces::Network);
 
 impl Network {
     fn new() -> Self {
-        let name = format!("wsg{}x{}", id(), NETWORKS.fetch_add(1, Ordering::Relaxed));
-        let network = Self { name };
-        let (gripper, controller) = (network.gripper(), network.controller());
-        for arguments in [
-            vec!["netns", "add", &gripper],
-            vec!["netns", "add", &controller],
-            vec![
-                "link",
-                "add",
-                "eth0",
-                "netns",
-                &gripper,
-                "type",
-                "veth",
-                "peer",
-                "eth0",
-                "netns",
-                &controller,
-            ],
-            vec!["-n", &gripper, "link", "set", "eth0", "up"],
-            vec!["-n", &gripper, "link", "set", "lo", "up"],
-            vec!["-n", &controller, "link", "set", "eth0", "up"],
-            vec!["-n", &controller, "link", "set", "lo", "up"],
-            vec!["-n", &controller, "address", "add", "192.168.7.1/24", "dev", "eth0"],
-        ] {
-            let output = Command::new("ip").args(&arguments).output().expect("`ip` of Debian's iproute2");
-            assert!(output.status.success(), "ip {arguments:?}: {}", said(&output));
-        }
-        network
-    }
-
-    fn gripper(&self) -> String {
-        format!("{}g", self.name)
-    }
-
-    fn controller(&self) -> String {
-        format!("{}c", self.name)
+        Self(namespaces::Network::new())
     }
 
     /// Starts a gripper with default settings in its namespace.
@@ -80,31 +38,18 @@ impl Network {
 
     /// Like `serve`, but with a stored name or address.
     fn serve_as(&self, config: Config, stored: Stored) -> ServerThread {
-        let namespace = File::open(format!("/run/netns/{}", self.gripper())).unwrap();
-        // The server's thread inherits the namespace of the thread that starts it.
-        let start = move || {
-            move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
-            let line = ProfinetLine { interface: "eth0".to_owned(), stored, keep: None };
-            let control = "127.0.0.1:0".parse().ok();
-            let lines = Lines { profinet: Some(line), control, ..Lines::default() };
-            ServerThread::start(config, &lines, None).unwrap()
-        };
-        let server = thread::spawn(start).join().unwrap();
-        // Real-time priority replaces the dedicated controller of a real device.
-        for task in fs::read_dir("/proc/self/task").unwrap().map(Result::unwrap) {
-            if fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "wsg-sim\n") {
-                let _ = Command::new("chrt").args(["--fifo", "--pid", "20"]).arg(task.file_name()).output();
-            }
-        }
+        let line = ProfinetLine { interface: "eth0".to_owned(), stored, keep: None };
+        let control = "127.0.0.1:0".parse().ok();
+        let lines = Lines { profinet: Some(line), control, ..Lines::default() };
+        let server = self.0.at_gripper(|| ServerThread::start(config, &lines, None).unwrap());
+        prioritize_grippers();
         server
     }
 
     /// Waits until `/state` of a gripper shows these outputs.
     fn await_outputs(&self, server: &ServerThread, expected: &str) {
-        let namespace = File::open(format!("/run/netns/{}", self.gripper())).unwrap();
         let (address, expected) = (server.control_address().unwrap(), format!("\"output\":{expected}"));
-        let wait = move || {
-            move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network)).unwrap();
+        self.0.at_gripper(|| {
             let end = Instant::now() + Duration::from_secs(60);
             loop {
                 let mut stream = TcpStream::connect(address).unwrap();
@@ -116,14 +61,13 @@ impl Network {
                 }
                 assert!(Instant::now() < end, "{answer}");
             }
-        };
-        thread::spawn(wait).join().unwrap();
+        });
     }
 
     /// Starts `wsg-sim` with this configuration file and waits until it serves PROFINET.
     fn start(&self, file: &Path) -> Program {
         let mut ip = Command::new("ip");
-        ip.args(["netns", "exec", &self.gripper()])
+        ip.args(["netns", "exec", &self.0.namespace(End::Gripper)])
             .arg(example::program("wsg-sim"))
             .arg("--config")
             .arg(file);
@@ -136,24 +80,17 @@ impl Network {
         program
     }
 
-    /// Returns a command for a program in the controller's namespace.
-    fn at_controller(&self, program: &str) -> Command {
-        let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.controller(), "chrt", "--fifo", "20", program]);
-        command
-    }
-
     fn python(&self, script: &str, arguments: &[&str]) -> Output {
         let Some(python) = std::env::var(PYTHON_VARIABLE).ok() else {
             panic!("{PYTHON_VARIABLE} is not set: run `cargo xtask test`");
         };
-        self.at_controller(&python).args(["-c", script]).args(arguments).output().unwrap()
+        at_controller(self.0.number(), &python).args(["-c", script]).args(arguments).output().unwrap()
     }
 
     /// Starts to capture all packets to a file.
     fn capture(&self) -> Capture {
-        let file = std::env::temp_dir().join(format!("{}.pcap", self.name));
-        let mut tshark = self.at_controller("tshark");
+        let file = std::env::temp_dir().join(format!("{}.pcap", self.0.namespace(End::Controller)));
+        let mut tshark = at_controller(self.0.number(), "tshark");
         tshark.args(["-i", "eth0", "-F", "pcap", "-w"]).arg(&file);
         let mut child = tshark.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         // tshark reports the start of the capture.
@@ -162,14 +99,6 @@ impl Network {
         assert!(begun, "tshark ended before it started the capture");
         thread::spawn(move || lines.for_each(drop));
         Capture { child, file }
-    }
-}
-
-impl Drop for Network {
-    fn drop(&mut self) {
-        for namespace in [self.gripper(), self.controller()] {
-            let _ = Command::new("ip").args(["netns", "delete", &namespace]).output();
-        }
     }
 }
 
@@ -295,7 +224,7 @@ fn profinet_py_exchanges_data_at_8_ms_in_namespaces_and_misses_one_in_a_thousand
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
 fn profinet_py_finds_in_namespaces_after_a_restart_what_it_has_written() {
     let network = Network::new();
-    let file = std::env::temp_dir().join(format!("{}.toml", network.name));
+    let file = std::env::temp_dir().join(format!("{}.toml", network.0.namespace(End::Gripper)));
     fs::write(&file, "# Cell 7\nprofinet = \"eth0\"\ntime-scale = 5\n").unwrap();
     // The program is killed each time, so each write must be stored immediately.
     for part in ["label", "labelled"] {

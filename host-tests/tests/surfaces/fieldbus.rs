@@ -1,4 +1,4 @@
-//! The register interface: a master of Modbus/TCP, and the bridge's wires.
+//! The register interface: what all of its masters do, a master of Modbus/TCP, and the bridge's wires.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream};
@@ -7,10 +7,11 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use anyhow::{Result, bail, ensure};
 use embedded_io::ErrorType;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
-use wsg_fieldbus::CommandFlags;
+use wsg_fieldbus::{CommandFlags, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 
 use crate::station::BOUND;
@@ -19,34 +20,29 @@ use crate::surface::{Outcome, SPEED, Separately, Surface, Verb};
 /// Time-out of the master.
 const ANSWER_TIME: Duration = Duration::from_secs(1);
 
-/// A master that opens a connection for each request, so that none waits for another.
-pub(crate) fn modbus(address: SocketAddr) -> Box<dyn Surface> {
-    let image = Arc::new(Mutex::new([0; 8]));
-    Box::new(Separately(move |verb| request(address, &image, verb).map_err(|error| error.to_string())))
+/// A master of the register interface during one request.
+pub(crate) trait Registers {
+    /// Writes the outputs. Returns after the gripper has received them.
+    fn write(&mut self, image: OutputImage) -> Result<()>;
+
+    /// Reads the inputs.
+    fn read(&mut self) -> Result<InputImage>;
 }
 
-/// Reads the width, or writes the 8 bytes of the output image: zeros, then the edge.
-fn request(address: SocketAddr, image: &Mutex<[u8; 8]>, verb: Verb) -> std::io::Result<String> {
-    let mut stream = TcpStream::connect(address)?;
-    // A master gives up, and does not continue with an edge that is late.
-    stream.set_read_timeout(Some(ANSWER_TIME))?;
-    let mut ask = |pdu: &[u8]| -> std::io::Result<Vec<u8>> {
-        stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF], pdu].concat())?;
-        let mut head = [0; 7];
-        stream.read_exact(&mut head)?;
-        let mut answer = vec![0; usize::from(head[5]) - 1];
-        stream.read_exact(&mut answer)?;
-        if answer[0] != pdu[0] {
-            return Err(ErrorKind::InvalidInput.into());
-        }
-        Ok(answer)
-    };
+/// Opens `registers` for each request, so that none waits for another.
+pub(crate) fn master<R: Registers>(
+    registers: impl Fn() -> Result<R> + Clone + Send + 'static,
+) -> Box<dyn Surface> {
+    let image = Arc::new(Mutex::new(OutputImage::ZERO));
+    Box::new(Separately(move |verb| {
+        registers().and_then(|mut it| request(&mut it, &image, verb)).map_err(|error| error.to_string())
+    }))
+}
+
+/// Reads the width, or writes the output image: zeros, then the edge.
+fn request(registers: &mut impl Registers, image: &Mutex<OutputImage>, verb: Verb) -> Result<String> {
     let (flag, width, force) = match verb {
-        Verb::Read => {
-            let answer = ask(&[4, 0, 3, 0, 1])?;
-            let hundredths = i16::from_be_bytes([answer[2], answer[3]]);
-            return Ok((f32::from(hundredths) / 100.0).to_string());
-        }
+        Verb::Read => return Ok((f32::from(registers.read()?.width) / 100.0).to_string()),
         Verb::Home => (CommandFlags::HOMING, 0.0, 0.0),
         Verb::Move(width) => (CommandFlags::MOVE, width, 40.0),
         Verb::Grip(width, force) => (CommandFlags::GRIP, width, force),
@@ -54,36 +50,70 @@ fn request(address: SocketAddr, image: &Mutex<[u8; 8]>, verb: Verb) -> std::io::
         Verb::Acknowledge => (CommandFlags::STOP_ACK, 0.0, 0.0),
     };
     let speed = if flag == CommandFlags::HOMING { 0.0 } else { SPEED };
-    let registers = [(width * 100.0) as i16 as u16, (speed * 100.0) as u16, (force * 100.0) as i16 as u16];
     let starts = CommandFlags::MOTIONS.contains(flag);
     if starts {
-        let numbers: Vec<u8> = registers.iter().flat_map(|register| register.to_be_bytes()).collect();
-        image.lock().expect("no panic")[2..].copy_from_slice(&numbers);
+        *image.lock().expect("no panic") = OutputImage {
+            width: (width * 100.0) as i16,
+            speed: (speed * 100.0) as u16,
+            force_limit: (force * 100.0) as i16,
+            ..OutputImage::ZERO
+        };
     }
-    let mut written = *image.lock().expect("no panic");
+    let written = *image.lock().expect("no panic");
     // An edge needs a 0 first. FASTSTOP acts on its level.
     let before = (flag != CommandFlags::FASTSTOP).then_some(CommandFlags::empty());
     for flags in before.into_iter().chain([flag]) {
-        written[0] = flags.bits();
-        ask(&[&[16, 0, 0, 0, 4, 8][..], &written].concat())?;
+        registers.write(OutputImage { flags, ..written })?;
     }
     if !starts {
         return Ok(String::new());
     }
     // The status of the command (fieldbus, 5.1.2), after E_CMD_PENDING.
     loop {
-        let status = ask(&[4, 0, 5, 0, 1])?;
-        match Status::from_code(u16::from_be_bytes([status[2], status[3]])) {
+        let inputs = registers.read()?;
+        match inputs.status {
             Status::CmdPending => thread::sleep(Duration::from_millis(20)),
-            Status::Success => break,
-            status => return Err(std::io::Error::other(status.to_string())),
+            Status::Success if inputs.system.contains(SystemFlags::FAST_STOP) => bail!("FAST STOP"),
+            Status::Success => return Ok(String::new()),
+            status => bail!("{status}"),
         }
     }
-    // Bytes 2 to 5 of the input image.
-    let answer = ask(&[4, 0, 1, 0, 2])?;
-    let flags = u32::from_le_bytes([answer[2], answer[3], answer[4], answer[5]]);
-    let is_stopped = SystemFlags::from_bits_retain(flags).contains(SystemFlags::FAST_STOP);
-    if is_stopped { Err(std::io::Error::other("FAST STOP")) } else { Ok(String::new()) }
+}
+
+/// A connection of Modbus/TCP.
+struct ModbusTcp(TcpStream);
+
+pub(crate) fn modbus(address: SocketAddr) -> Box<dyn Surface> {
+    master(move || {
+        let stream = TcpStream::connect(address)?;
+        // A master gives up, and does not continue with an edge that is late.
+        stream.set_read_timeout(Some(ANSWER_TIME))?;
+        Ok(ModbusTcp(stream))
+    })
+}
+
+impl ModbusTcp {
+    fn ask(&mut self, pdu: &[u8]) -> Result<Vec<u8>> {
+        let Self(stream) = self;
+        stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF], pdu].concat())?;
+        let mut head = [0; 7];
+        stream.read_exact(&mut head)?;
+        let mut answer = vec![0; usize::from(head[5]) - 1];
+        stream.read_exact(&mut answer)?;
+        ensure!(answer[0] == pdu[0], "exception {:02X}", answer[1]);
+        Ok(answer)
+    }
+}
+
+impl Registers for ModbusTcp {
+    fn write(&mut self, image: OutputImage) -> Result<()> {
+        self.ask(&[&[16, 0, 0, 0, 4, 8][..], &image.to_bytes()].concat()).map(drop)
+    }
+
+    fn read(&mut self) -> Result<InputImage> {
+        let answer = self.ask(&[4, 0, 0, 0, 6])?;
+        Ok(InputImage::from_bytes(answer[2..].try_into()?))
+    }
 }
 
 /// The bridge's library on a line to the gripper, and its wires.

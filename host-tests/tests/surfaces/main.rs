@@ -7,6 +7,8 @@ mod control;
 mod fieldbus;
 mod page;
 mod process;
+#[cfg(target_os = "linux")]
+mod profinet;
 mod promises;
 mod rust;
 mod station;
@@ -19,6 +21,7 @@ use surface::Surface;
 
 /// A way in to a gripper, and how it differs from the others.
 struct Entry {
+    station: fn() -> Station,
     open: fn(SocketAddr) -> Box<dyn Surface>,
     line: fn(&Station) -> &Line,
     kind: Kind,
@@ -41,7 +44,7 @@ enum Kind {
 }
 
 const fn client(open: fn(SocketAddr) -> Box<dyn Surface>, kind: Kind) -> Entry {
-    Entry { open, line: |station| &station.tcp, kind }
+    Entry { station: Station::new, open, line: |station| &station.tcp, kind }
 }
 
 /// Tests every promise on every surface.
@@ -92,10 +95,10 @@ surfaces! {
     c_host: client(rust::c, Kind::Client);
     wsg: client(process::wsg, Kind::ClientEachTime);
     wsg_script: client(process::wsg_script, Kind::ClientEachTime);
-    control_interface: Entry { open: control::control, line: |station| &station.control, kind: Kind::Server };
+    control_interface: Entry { line: |station| &station.control, ..client(control::control, Kind::Server) };
     #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-    page_in_chromium: Entry { open: page::page, line: |station| &station.control, kind: Kind::Page };
-    modbus_tcp: Entry { open: fieldbus::modbus, line: |station| &station.modbus, kind: Kind::Fieldbus };
+    page_in_chromium: Entry { line: |station| &station.control, ..client(page::page, Kind::Page) };
+    modbus_tcp: Entry { line: |station| &station.modbus, ..client(fieldbus::modbus, Kind::Fieldbus) };
     wires: client(fieldbus::wires, Kind::Wires);
     #[ignore = "needs the Python package: `cargo xtask test` installs it"]
     python_blocking: client(|address| process::python(address, "Gripper"), Kind::Client);
@@ -105,4 +108,14 @@ surfaces! {
     python_stream: client(|address| process::python(address, "StreamingGripper"), Kind::Client);
     #[ignore = "needs the Python package: `cargo xtask test` installs it"]
     python_umi: client(|address| process::python(address, "WSGController"), Kind::Client);
+}
+
+#[cfg(target_os = "linux")]
+surfaces! {
+    #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+    profinet_py_in_namespaces: Entry {
+        station: profinet::station,
+        line: |station| station.profinet.as_ref().expect("the station has a network"),
+        ..client(profinet::profinet, Kind::Fieldbus)
+    };
 }

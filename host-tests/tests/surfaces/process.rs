@@ -55,71 +55,87 @@ fn wsg_with(address: SocketAddr, has_scripts: bool) -> Box<dyn Surface> {
 /// Outcomes that the program still owes, by the number of their request.
 type Open = Arc<Mutex<HashMap<usize, Sender<Outcome>>>>;
 
-/// A program of a user of the Python package, which requests in threads.
-struct Python {
-    program: Child,
+/// A program that executes numbered requests from its standard input, each in a thread.
+pub(crate) struct Program {
+    child: Child,
     requests: ChildStdin,
     number: usize,
     open: Open,
 }
+
+impl Program {
+    pub(crate) fn start(program: &mut Command) -> Self {
+        let mut child =
+            program.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
+        let mut lines = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
+        assert_eq!(
+            lines.next().and_then(Result::ok).as_deref(),
+            Some("ready"),
+            "{:?} connects",
+            program.get_program()
+        );
+        let open = Open::default();
+        let answers = Arc::clone(&open);
+        thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                let (number, outcome) = line.split_once(' ').expect("a number and an outcome");
+                let outcome = match outcome.split_once(' ').expect("a word and a text") {
+                    ("ok", text) => Ok(text.to_owned()),
+                    (_, text) => Err(text.to_owned()),
+                };
+                let number = number.parse().expect("a number");
+                let sender =
+                    answers.lock().expect("no panic").remove(&number).expect("one outcome for a request");
+                // The test may have ended.
+                let _ = sender.send(outcome);
+            }
+        });
+        let requests = child.stdin.take().expect("stdin is piped");
+        Self { child, requests, number: 0, open }
+    }
+
+    pub(crate) fn request(&mut self, request: &str) -> Receiver<Outcome> {
+        let (sender, outcome) = channel();
+        self.number += 1;
+        self.open.lock().expect("no panic").insert(self.number, sender);
+        writeln!(self.requests, "{} {request}", self.number).expect("the program reads");
+        outcome
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // An error means that the program has already ended.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A program of a user of the Python package.
+struct Python(Program);
 
 /// Starts `surface.py` with a class of the package: `Gripper`, `AsyncGripper`, `StreamingGripper` or `WSGController`.
 pub(crate) fn python(address: SocketAddr, class: &str) -> Box<dyn Surface> {
     let python = std::env::var_os("WSG_PYTHON")
         .expect("WSG_PYTHON must name a Python with the package; run `cargo xtask test`");
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/surfaces/surface.py");
-    let mut program = Command::new(python)
+    let mut program = Command::new(python);
+    program
         .arg(script)
         .args([class, &address.ip().to_string(), &address.port().to_string()])
-        .env("PYTHONDONTWRITEBYTECODE", "1")
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("that Python starts");
-    let mut lines = BufReader::new(program.stdout.take().expect("stdout is piped")).lines();
-    assert_eq!(lines.next().and_then(Result::ok).as_deref(), Some("ready"), "{class} connects");
-    let open = Open::default();
-    let answers = Arc::clone(&open);
-    thread::spawn(move || {
-        for line in lines.map_while(Result::ok) {
-            let (number, outcome) = line.split_once(' ').expect("a number and an outcome");
-            let outcome = match outcome.split_once(' ').expect("a word and a text") {
-                ("ok", text) => Ok(text.to_owned()),
-                (_, text) => Err(text.to_owned()),
-            };
-            let number = number.parse().expect("a number");
-            let sender =
-                answers.lock().expect("no panic").remove(&number).expect("one outcome for a request");
-            // The test may have ended.
-            let _ = sender.send(outcome);
-        }
-    });
-    let requests = program.stdin.take().expect("stdin is piped");
-    Box::new(Python { program, requests, number: 0, open })
+        .env("PYTHONDONTWRITEBYTECODE", "1");
+    Box::new(Python(Program::start(&mut program)))
 }
 
 impl Surface for Python {
     fn begin(&mut self, verb: Verb) -> Receiver<Outcome> {
-        let (sender, outcome) = channel();
-        self.number += 1;
-        self.open.lock().expect("no panic").insert(self.number, sender);
-        let request = match verb {
+        self.0.request(&match verb {
             Verb::Home => "home".to_owned(),
             Verb::Move(width) => format!("move {width} {SPEED}"),
             Verb::Grip(width, force) => format!("grip {width} {SPEED} {force}"),
             Verb::FastStop => "fast_stop".to_owned(),
             Verb::Acknowledge => "acknowledge".to_owned(),
             Verb::Read => "read".to_owned(),
-        };
-        writeln!(self.requests, "{} {request}", self.number).expect("the program reads");
-        outcome
-    }
-}
-
-impl Drop for Python {
-    fn drop(&mut self) {
-        // An error means that the program has already ended.
-        let _ = self.program.kill();
-        let _ = self.program.wait();
+        })
     }
 }

@@ -45,7 +45,7 @@ struct Rig {
 
 impl Rig {
     fn homed(entry: &Entry) -> Self {
-        let station = Station::new();
+        let station = (entry.station)();
         let surface = (entry.open)((entry.line)(&station).address);
         let mut rig = Self { station, surface, kind: entry.kind };
         if entry.kind == Kind::Wires {

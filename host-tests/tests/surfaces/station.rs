@@ -28,10 +28,12 @@ pub(crate) enum Way {
     Answers,
 }
 
-/// A line between a surface and the gripper's server: TCP on both sides.
+/// A line between a surface and the gripper's server: TCP on both sides, or Ethernet.
 pub(crate) struct Line {
     pub(crate) address: SocketAddr,
     shared: Arc<Shared>,
+    /// Discards the frames of one direction, or carries them again. Ethernet loses frames where TCP delays bytes.
+    discard: Box<dyn Fn(Way, bool)>,
 }
 
 #[derive(Default)]
@@ -85,7 +87,12 @@ impl Line {
                 }
             }
         });
-        Self { address, shared }
+        Self { address, shared, discard: Box::new(|_, _| ()) }
+    }
+
+    /// A line that has no TCP.
+    pub(crate) fn on_ethernet(address: SocketAddr, discard: impl Fn(Way, bool) + 'static) -> Self {
+        Self { address, shared: Arc::default(), discard: Box::new(discard) }
     }
 
     /// Keeps the bytes of one direction until [`release`](Self::release).
@@ -98,6 +105,7 @@ impl Line {
     }
 
     fn set(&self, way: Way, holds: bool) {
+        (self.discard)(way, holds);
         let mut state = self.shared.lock();
         match way {
             Way::Requests => state.holds_requests = holds,
@@ -115,11 +123,20 @@ impl Line {
             let _ = stream.shutdown(Shutdown::Both);
         }
         self.shared.changed.notify_all();
+        drop(state);
+        self.discard_all(true);
     }
 
     /// Accepts connections again.
     pub(crate) fn mend(&self) {
+        self.discard_all(false);
         self.shared.lock().is_cut = false;
+    }
+
+    fn discard_all(&self, discards: bool) {
+        for way in [Way::Requests, Way::Answers] {
+            (self.discard)(way, discards);
+        }
     }
 
     /// Returns the number of requests of a page that have reached the line since the last call.
@@ -179,6 +196,12 @@ fn note(parser: &mut FrameParser<MAX_MESSAGE_LEN>, bytes: &[u8], commands: &mut 
     }
 }
 
+/// Returns the lines of every gripper.
+pub(crate) fn lines() -> Lines {
+    let any = || "127.0.0.1:0".parse().ok();
+    Lines { tcp: any(), modbus: any(), control: any(), ..Lines::default() }
+}
+
 /// A gripper with slow fingers, and its lines.
 pub(crate) struct Station {
     gripper: Arc<ServerThread>,
@@ -186,6 +209,8 @@ pub(crate) struct Station {
     pub(crate) tcp: Line,
     pub(crate) control: Line,
     pub(crate) modbus: Line,
+    /// Only with a network of its own.
+    pub(crate) profinet: Option<Line>,
     trace: Arc<Mutex<Trace>>,
 }
 
@@ -201,16 +226,18 @@ struct Trace {
 
 impl Station {
     pub(crate) fn new() -> Self {
-        let any = || "127.0.0.1:0".parse().ok();
-        let lines = Lines { tcp: any(), modbus: any(), control: any(), ..Lines::default() };
-        let gripper = ServerThread::start(Config::default(), &lines, None).expect("the server starts");
+        Self::of(ServerThread::start(Config::default(), &lines(), None).expect("the server starts"), None)
+    }
+
+    /// A station whose gripper serves [`lines`], and perhaps PROFINET.
+    pub(crate) fn of(gripper: ServerThread, profinet: Option<Line>) -> Self {
         let to = |address: Option<SocketAddr>| Line::to(address.expect("it is served"));
         let (tcp, control, modbus) =
             (to(gripper.tcp_address()), to(gripper.control_address()), to(gripper.modbus_address()));
         let (gripper, trace) = (Arc::new(gripper), Arc::<Mutex<Trace>>::default());
         let (seen, noted) = (Arc::clone(&gripper), Arc::clone(&trace));
         thread::spawn(move || observe(&seen, &noted));
-        Self { gripper, tcp, control, modbus, trace }
+        Self { gripper, tcp, control, modbus, profinet, trace }
     }
 
     pub(crate) fn state(&self) -> State {

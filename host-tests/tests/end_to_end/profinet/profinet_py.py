@@ -1,9 +1,11 @@
 # A `profinet-py` controller for the virtual gripper: python3 -c SCRIPT PART [SECONDS].
 # `profinet-py` is GPL. Only this test program runs it, and it is never part of a delivery.
+import logging
 import os
 import struct
 import subprocess
 import sys
+import threading
 import time
 
 import profinet
@@ -56,14 +58,21 @@ def image(flags, width=20_00, speed=100_00, force=40_00):
 class Plc:
     """A controller that exchanges images."""
 
-    def __init__(self, watchdog=200):
+    def __init__(self, watchdog=200, first=0):
         self.device = until("discover", self.discover)
         self.alarms = []
         self.device.on_alarm(lambda alarm: self.alarms.append(alarm.alarm_type_name))
         # The cycle is 8 ms. The connection ends after 1.6 s of silence, which covers a busy machine.
         setup = IOCRSetup(slots=SLOTS, reduction_ratio=8, watchdog_factor=watchdog, data_hold_factor=watchdog)
+        start = CyclicController.start
+
+        def start_with_first(cyclic):
+            cyclic.set_output_data(2, 1, image(first, speed=5_00))
+            start(cyclic)
+
+        CyclicController.start = start_with_first
         self.cyclic = until("connect", lambda: self.connect(setup))
-        self.write(0)
+        CyclicController.start = start
         until("inputs", self.read)
         # The gripper has received some images of zeros, so flags count as edges.
         time.sleep(0.1)
@@ -79,7 +88,7 @@ class Plc:
         try:
             return self.device.start_cyclic(setup, max_consecutive_timeouts=0)
         except (ProfinetError, RuntimeError, OSError) as error:
-            print("not connected yet:", error)
+            print("not connected yet:", error, file=sys.stderr)
             return None
 
     def write(self, flags, **parameters):
@@ -319,14 +328,7 @@ def unasked():
     time.sleep(2)
     plc.cyclic.stop()
     plc.device.close()
-    start = CyclicController.start
-    def with_the_old_image(cyclic):
-        cyclic.set_output_data(2, 1, image(MOVE, speed=5_00))
-        start(cyclic)
-    CyclicController.start = with_the_old_image
-    Plc.write, write = lambda *_: None, Plc.write
-    plc = Plc()
-    Plc.write = write
+    plc = Plc(first=MOVE)
     state, _, width, _ = plc.read()
     assert state == IDLE, state
     time.sleep(0.3)
@@ -352,5 +354,67 @@ def soak(seconds):
     plc.release()
 
 
+# The time limit for an answer, as for a PLC program that waits for its edge.
+ANSWER_TIME = 1
+# Cycles from new outputs to their effect on the inputs: the next frame of each direction, and frames that are under way.
+CYCLES = 5
+
+
+class Images:
+    """Exchanges images for a test program, which sends `NUMBER read` or `NUMBER write IMAGE` and receives `NUMBER ok IMAGE`
+    or `NUMBER error REASON`, with images in hexadecimal digits."""
+
+    def __init__(self):
+        # The tests lose frames on purpose.
+        logging.disable()
+        set_up()
+        # A controller that returns still holds its last flag.
+        self.plc = Plc(first=MOVE)
+        self.lost = threading.Event()
+        self.lock = threading.Lock()
+        self.plc.cyclic.on_timeout(self.lost.set)
+        threading.Thread(target=self.end, daemon=True).start()
+
+    def end(self):
+        """Ends the exchange when the gripper is silent for the watchdog time or has not answered, which `profinet-py` does not."""
+        self.lost.wait()
+        self.plc.cyclic.stop()
+
+    def read(self):
+        data = None if self.lost.is_set() else self.plc.cyclic.get_input_data(1, 1)
+        if data is None:
+            raise ProfinetError("the gripper provides no inputs")
+        return data.hex()
+
+    def write(self, data):
+        """Returns the inputs after the gripper has received the outputs."""
+        self.plc.cyclic.set_output_data(2, 1, bytes.fromhex(data))
+        stats = self.plc.cyclic.stats
+        for frames in ["frames_sent", "frames_received"]:
+            count, end = getattr(stats, frames) + CYCLES, time.monotonic() + ANSWER_TIME
+            while getattr(stats, frames) < count:
+                if time.monotonic() > end:
+                    self.lost.set()
+                    raise ProfinetError("the gripper does not answer")
+                time.sleep(0.004)
+        return self.read()
+
+    def answer(self, number, verb, *arguments):
+        try:
+            answer = "ok", getattr(self, verb)(*arguments)
+        except (ProfinetError, RuntimeError) as error:
+            answer = "error", error
+        with self.lock:
+            print(number, *answer, flush=True)
+
+
+def images():
+    exchange = Images()
+    print("ready", flush=True)
+    for line in sys.stdin:
+        # A thread for each request, so that none waits for another.
+        threading.Thread(target=exchange.answer, args=line.split(), daemon=True).start()
+
+
 part, *arguments = sys.argv[1:]
-{"cycle": cycle, "label": label, "labelled": labelled, "unasked": unasked, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak}[part](*map(float, arguments))
+{"cycle": cycle, "label": label, "labelled": labelled, "unasked": unasked, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak, "images": images}[part](*map(float, arguments))

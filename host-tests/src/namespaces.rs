@@ -1,0 +1,137 @@
+//! Network namespaces connected by a virtual cable: one for a gripper on PROFINET, one for its controller.
+//!
+//! They require root, and `ip`, `tc` and `chrt` of Debian.
+
+use std::fs::{self, File};
+use std::os::fd::AsFd;
+use std::process::{Command, id};
+use std::sync::atomic::{AtomicU16, Ordering};
+use std::thread;
+
+use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
+
+use crate::masters::said;
+
+static NETWORKS: AtomicU16 = AtomicU16::new(0);
+
+/// An end of the cable, the interface `eth0` of a namespace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// The end without an address.
+    Gripper,
+    /// The end with the address 192.168.7.1/24.
+    Controller,
+}
+
+/// Two connected namespaces, which are deleted on drop.
+#[derive(Debug)]
+pub struct Network {
+    number: u16,
+}
+
+impl Network {
+    /// Creates both namespaces and connects them.
+    ///
+    /// # Panics
+    /// Panics without `ip` or without the rights that it needs.
+    #[must_use]
+    #[expect(clippy::new_without_default, reason = "it creates namespaces")]
+    pub fn new() -> Self {
+        let network = Self { number: NETWORKS.fetch_add(1, Ordering::Relaxed) };
+        let (gripper, controller) = (&network.namespace(End::Gripper), &network.namespace(End::Controller));
+        for command in [
+            format!("netns add {gripper}"),
+            format!("netns add {controller}"),
+            format!("link add eth0 netns {gripper} type veth peer eth0 netns {controller}"),
+            format!("-n {gripper} link set eth0 up"),
+            format!("-n {gripper} link set lo up"),
+            format!("-n {controller} link set eth0 up"),
+            format!("-n {controller} link set lo up"),
+            format!("-n {controller} address add 192.168.7.1/24 dev eth0"),
+        ] {
+            run("ip", &command);
+        }
+        network
+    }
+
+    /// Returns the number of this network among those of this program.
+    #[must_use]
+    pub const fn number(&self) -> u16 {
+        self.number
+    }
+
+    /// Returns the name of the namespace at this end, which no other running program uses.
+    #[must_use]
+    pub fn namespace(&self, end: End) -> String {
+        namespace(self.number, end)
+    }
+
+    /// Runs `act` in the gripper's namespace. Threads that it starts inherit the namespace.
+    ///
+    /// # Panics
+    /// Panics if `act` does, or without the right to enter the namespace.
+    pub fn at_gripper<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
+        let namespace = File::open(format!("/run/netns/{}", self.namespace(End::Gripper)));
+        let namespace = namespace.expect("a namespace has a file");
+        let enter_and_act = || {
+            move_into_link_name_space(namespace.as_fd(), Some(LinkNameSpaceType::Network))
+                .expect("the right to enter a namespace");
+            act()
+        };
+        thread::scope(|scope| scope.spawn(enter_and_act).join().expect("no panic"))
+    }
+
+    /// Discards all frames that are sent at this end, or sends them again.
+    ///
+    /// # Panics
+    /// Panics without `tc`.
+    pub fn discard(&self, sender: End, discards: bool) {
+        let namespace = self.namespace(sender);
+        // A queue without room, or the default of the interface.
+        let queue = if discards { "pfifo limit 0" } else { "noqueue" };
+        run("tc", &format!("-n {namespace} qdisc replace dev eth0 root {queue}"));
+    }
+}
+
+impl Drop for Network {
+    fn drop(&mut self) {
+        for end in [End::Gripper, End::Controller] {
+            let _ = Command::new("ip").args(["netns", "delete", &self.namespace(end)]).output();
+        }
+    }
+}
+
+/// Returns a command for a program at the controller's end of the network with this [number](Network::number).
+#[must_use]
+pub fn at_controller(network: u16, program: &str) -> Command {
+    let mut command = Command::new("ip");
+    let namespace = namespace(network, End::Controller);
+    command.args(["netns", "exec", &namespace, "chrt", "--fifo", REAL_TIME, program]);
+    command
+}
+
+/// Gives real-time priority to all virtual grippers of this program. It replaces the dedicated controller of a real device.
+///
+/// # Panics
+/// Panics if the program's threads cannot be listed.
+pub fn prioritize_grippers() {
+    for task in fs::read_dir("/proc/self/task").expect("a list of threads").map_while(Result::ok) {
+        if fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "wsg-sim\n") {
+            let _ = Command::new("chrt").args(["--fifo", "--pid", REAL_TIME]).arg(task.file_name()).output();
+        }
+    }
+}
+
+/// Priority of `chrt`.
+const REAL_TIME: &str = "20";
+
+fn namespace(network: u16, end: End) -> String {
+    let end = if end == End::Gripper { 'g' } else { 'c' };
+    format!("wsg{}x{network}{end}", id())
+}
+
+fn run(program: &str, arguments: &str) {
+    let output = Command::new(program).args(arguments.split(' ')).output();
+    let output = output.unwrap_or_else(|error| panic!("`{program}` of Debian's iproute2: {error}"));
+    assert!(output.status.success(), "{program} {arguments}: {}", said(&output));
+}
