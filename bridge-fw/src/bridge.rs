@@ -480,7 +480,7 @@ impl Bridge {
     fn forward_commands(&mut self) {
         while let Some(command) = self.controller.poll_command() {
             if let Err(error) = self.session.request(command) {
-                self.controller.refused(command.id(), error);
+                self.controller.refused(command.id(), error, self.session.known());
             }
         }
     }

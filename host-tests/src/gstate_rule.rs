@@ -89,7 +89,7 @@ impl GstateRule {
                 // Withdrawn, or found moving at power-up.
                 Status::CmdAborted | Status::Timeout => Excuse::Unknown(self.reported),
                 // The session refused it, or the gripper did.
-                _ => Excuse::Failed(None),
+                _ => Excuse::Failed(self.reported),
             };
             if !matches!(image.status, Status::Success | Status::CmdPending) {
                 // Another motion would be an error (fieldbus, 6.7).

@@ -84,7 +84,7 @@ unsafe fn follow(
         controller.adopt_known(session.known());
         while let Some(command) = controller.poll_command() {
             if let Err(error) = session.request(command) {
-                controller.refused(command.id(), error);
+                controller.refused(command.id(), error, session.known());
             }
         }
     }

@@ -126,7 +126,7 @@ fn register_interface_gives_the_images_and_messages_of_the_controller() {
                 controller.adopt_known(session.known());
                 while let Some(command) = controller.poll_command() {
                     if let Err(error) = session.request(command) {
-                        controller.refused(command.id(), error);
+                        controller.refused(command.id(), error, session.known());
                     }
                 }
                 while let Some(event) = session.tick(at) {

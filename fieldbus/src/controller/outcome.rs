@@ -34,8 +34,9 @@ impl Controller {
         }
     }
 
-    /// Takes back a command that the session refused.
-    pub fn refused(&mut self, id: CommandId, error: RequestError) {
+    /// Takes back a command that the session refused. `known` is the gripper's state at that time: GSTATE is ERROR until
+    /// the gripper reports another one.
+    pub fn refused(&mut self, id: CommandId, error: RequestError, known: &Known) {
         self.note_outcome(&Event::Withdrawn(id));
         if self.unseen == Unseen::Given {
             // An earlier motion may be the reason.
@@ -49,8 +50,7 @@ impl Controller {
             // The session's queue is full.
             _ => (Status::InsufficientResources, Cause::Withdrawn),
         };
-        // Known data matters only to a Stop, and a session refuses a Stop only without a connection.
-        Informed { own: self, known: &Known::NOTHING }.came_to_nothing(id, status, cause);
+        Informed { own: self, known }.came_to_nothing(id, status, cause);
     }
 
     /// Returns whether this answer is the result of the motion.

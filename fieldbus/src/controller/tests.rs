@@ -556,7 +556,7 @@ fn fast_stop_that_was_answered_without_a_connection_is_confirmed_by_the_flags_of
     let mut plc = Plc { controller: Controller::new(), known: Known::NOTHING, image: PARAMETERS };
     plc.raise(CommandFlags::FASTSTOP);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
-    plc.controller.refused(CommandId::GetSystemState, RequestError::NotConnected);
+    plc.controller.refused(CommandId::GetSystemState, RequestError::NotConnected, &plc.known);
     plc.connect_with(FAST_STOPPED);
     plc.lower(CommandFlags::FASTSTOP);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
@@ -747,11 +747,11 @@ fn acknowledgement_sent_before_a_disconnect_is_not_awaited() {
 fn motion_refused_by_the_session_leaves_only_an_earlier_motion_in_doubt() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
-    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning);
+    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning, &plc.known);
     assert_eq!(plc.stop_is_late(), [Command::FastStop], "an earlier one may be the reason");
 
     let mut plc = Plc::ready();
-    plc.controller.refused(CommandId::SetForceLimit, RequestError::QueueFull);
+    plc.controller.refused(CommandId::SetForceLimit, RequestError::QueueFull, &plc.known);
     assert_eq!(plc.stop_is_late(), [], "there is no motion");
 }
 
@@ -1017,7 +1017,7 @@ fn part_that_is_held_shows_even_if_the_result_of_the_grip_was_lost() {
 fn command_that_the_session_refuses_shows_why() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
-    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning);
+    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning, &plc.known);
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::AlreadyRunning));
 }
 
@@ -1394,7 +1394,7 @@ fn every_failed_command_reports_its_cause() {
     ] {
         let mut plc = Plc::ready();
         plc.raise(CommandFlags::MOVE);
-        plc.controller.refused(CommandId::PrePosition, error);
+        plc.controller.refused(CommandId::PrePosition, error, &plc.known);
         assert_eq!(plc.shows(), (GripperFlags::ERROR, status), "{error:?}");
         assert_eq!(incidents(&mut plc), incident(cause, moved, 0), "{error:?}");
     }

@@ -84,7 +84,7 @@ pub fn controller(data: &[u8]) {
                 let errors =
                     [RequestError::NotConnected, RequestError::MotionRunning, RequestError::QueueFull];
                 let (id, error) = (input.pick(CommandId::ALL), input.pick(&errors));
-                model.controller.refused(id, error);
+                model.controller.refused(id, error, &model.known);
                 model.fetch();
             }
         }

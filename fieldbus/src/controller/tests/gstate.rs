@@ -90,23 +90,23 @@ fn gstate_follows_other_parties_after_each_end_of_a_motion() {
     }
 }
 
-/// The gripper never began these motions, so it repeats its state from before them.
+type Refuse = fn(&mut Plc);
+
+/// Refusals of RELEASE by the gripper and by the session. The gripper never begins the motion, so it repeats its state from
+/// before it.
+const REFUSALS: [(Refuse, Status); 4] = [
+    (|plc| drop(plc.answer(CommandId::ReleasePart, Status::RangeError)), Status::RangeError),
+    (|plc| drop(plc.answer(CommandId::ReleasePart, Status::NotInitialized)), Status::NotInitialized),
+    (|plc| plc.controller.handle(&Event::Withdrawn(CommandId::ReleasePart), &plc.known), Status::CmdAborted),
+    (
+        |plc| plc.controller.refused(CommandId::ReleasePart, RequestError::QueueFull, &plc.known),
+        Status::InsufficientResources,
+    ),
+];
+
 #[test]
 fn refused_motion_shows_error_until_the_gripper_reports_another_state() {
-    type Refuse = fn(&mut Plc);
-    let refuse: [(Refuse, Status); 4] = [
-        (|plc| drop(plc.answer(CommandId::ReleasePart, Status::RangeError)), Status::RangeError),
-        (|plc| drop(plc.answer(CommandId::ReleasePart, Status::NotInitialized)), Status::NotInitialized),
-        (
-            |plc| plc.controller.handle(&Event::Withdrawn(CommandId::ReleasePart), &plc.known),
-            Status::CmdAborted,
-        ),
-        (
-            |plc| plc.controller.refused(CommandId::ReleasePart, RequestError::QueueFull),
-            Status::InsufficientResources,
-        ),
-    ];
-    for (refuse, status) in refuse {
+    for (refuse, status) in REFUSALS {
         for before in [GripperState::Idle, GripperState::NoPart] {
             let mut plc = Plc::ready();
             plc.report(before);
@@ -117,6 +117,24 @@ fn refused_motion_shows_error_until_the_gripper_reports_another_state() {
                 plc.report(before);
             }
             plc.follows_others(status);
+        }
+    }
+}
+
+/// A gripper that reports changes only does not repeat its state first.
+#[test]
+fn first_report_after_a_refusal_ends_error_if_it_is_another_state() {
+    use GripperState::{Holding, Idle, NoPart, PartLost, Positioning};
+    for (refuse, status) in REFUSALS {
+        for (before, after) in
+            [(Idle, NoPart), (Idle, PartLost), (NoPart, Idle), (Holding, PartLost), (PartLost, Positioning)]
+        {
+            let mut plc = Plc::ready();
+            plc.report(before);
+            plc.raise(CommandFlags::RELEASE);
+            refuse(&mut plc);
+            plc.report(after);
+            assert_eq!(plc.shows(), (after.into(), status), "41h = {}, {}", before.code(), after.code());
         }
     }
 }

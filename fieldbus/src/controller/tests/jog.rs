@@ -491,14 +491,14 @@ fn stop_of_a_jog_that_the_gripper_or_the_session_refuses_becomes_a_fast_stop() {
 
     let mut plc = Plc::jogging();
     plc.lower(CommandFlags::JOG_PLUS);
-    plc.controller.refused(CommandId::Stop, RequestError::NotConnected);
+    plc.controller.refused(CommandId::Stop, RequestError::NotConnected, &plc.known);
     assert_eq!(plc.commands(), [Command::FastStop]);
 }
 
 #[test]
 fn jog_that_the_session_refuses_ends() {
     let mut plc = Plc::jogging();
-    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning);
+    plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning, &plc.known);
     assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AlreadyRunning));
     assert_eq!(plc.write(|_| {}), []);
 }
