@@ -54,7 +54,7 @@ impl Network {
         network
     }
 
-    /// Returns the number of this network among those of this program.
+    /// Returns the number of this network in this program.
     #[must_use]
     pub const fn number(&self) -> u16 {
         self.number
