@@ -159,6 +159,26 @@ fn rounded(limit: f32) -> f32 {
 const WIDTH_ACCURACY: f32 = 0.1;
 
 impl SystemLimits {
+    /// The limits of a gripper that does not report them: only negative values are outside.
+    ///
+    /// ```
+    /// use wsg_protocol::SystemLimits;
+    ///
+    /// // From the data sheet: up to 80 N, without overdrive mode.
+    /// let limits = SystemLimits { nominal_force: 80.0, overdrive_force: 80.0, ..SystemLimits::UNKNOWN };
+    /// # assert_eq!(limits.min_speed, 0.0);
+    /// ```
+    pub const UNKNOWN: Self = Self {
+        stroke: f32::INFINITY,
+        min_speed: 0.0,
+        max_speed: f32::INFINITY,
+        min_acceleration: 0.0,
+        max_acceleration: f32::INFINITY,
+        min_force: 0.0,
+        nominal_force: f32::INFINITY,
+        overdrive_force: f32::INFINITY,
+    };
+
     /// Returns the permitted values of a quantity, from the least to the greatest one. The nominal force is the greatest
     /// force, or the overdrive force if `flags` contain [`OVERDRIVE_MODE`](SystemFlags::OVERDRIVE_MODE).
     #[must_use]

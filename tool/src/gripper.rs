@@ -139,7 +139,11 @@ fn perform(
     let line = Line::open(address, recorder, signals.clone()).map_err(Trouble::NoLine)?;
     let work = Work { task, script, output, signals, title: address.to_string() };
     if address.is_gcl() {
-        work.on(GclGripper::new(line, StdClock::new()))
+        let mut gripper = GclGripper::new(line, StdClock::new());
+        if let Some(limits) = address.limits() {
+            gripper.assume_limits(limits);
+        }
+        work.on(gripper)
     } else {
         work.on(BinaryGripper::new(line, StdClock::new()))
     }

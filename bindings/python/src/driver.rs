@@ -36,11 +36,22 @@ pub(crate) struct Driver {
 }
 
 /// Connects a driver to a gripper at the other end of this wire.
-pub(crate) fn connect(wire: Box<dyn Wire>, clock: Clock, is_gcl: bool) -> Result<Driver, Failed> {
+///
+/// `limits` are those that the user states, because GCL has no query for them.
+pub(crate) fn connect(
+    wire: Box<dyn Wire>,
+    clock: Clock,
+    is_gcl: bool,
+    limits: Option<SystemLimits>,
+) -> Result<Driver, Failed> {
     let calls = Arc::new(Calls::default());
     let line = Line::new(wire, Arc::clone(&calls));
     let driver = if is_gcl {
-        core::Driver::Gcl(Box::new(GclGripper::new(line, clock)))
+        let mut gripper = GclGripper::new(line, clock);
+        if let Some(limits) = limits {
+            gripper.assume_limits(limits);
+        }
+        core::Driver::Gcl(Box::new(gripper))
     } else {
         core::Driver::Binary(Box::new(Gripper::new(line, clock)))
     };
@@ -185,7 +196,7 @@ driver_methods! {
                 address.parse().map_err(|text: String| error::exception(py, "InvalidError", &text, None))?;
             detach(py, || {
                 let wire = wsg_tool::open(&address).map_err(Error::Transport)?;
-                connect(wire, Clock::Real(Instant::now()), address.is_gcl())
+                connect(wire, Clock::Real(Instant::now()), address.is_gcl(), address.limits())
             })
             .map_err(|failed| match failed {
                 Failed::Driver(failure) => error::not_connected(py, &format!("{address}: {failure}")),

@@ -250,6 +250,20 @@ def test_text_protocol_has_the_same_methods() -> None:
         assert gripper.set_clamping_travel(4) == gripper.clamping_travel() == 4
 
 
+def test_limits_over_the_text_protocol_are_the_stroke_and_those_of_the_address() -> None:
+    with Simulator(time_scale=10) as simulator:
+        with Gripper(simulator.gcl) as gripper:
+            gripper.home()
+            with pytest.raises(InvalidError, match="width 110.5 mm .* 0 to 110 mm"):
+                gripper.move(110.5, speed=100)
+            gripper.set_force_limit(500)
+        with Gripper(simulator.gcl + "?force=5..60&speed=5..300") as gripper:
+            with pytest.raises(InvalidError, match="force 61 N .* 5 to 60 N"):
+                gripper.set_force_limit(61)
+            with pytest.raises(InvalidError, match="speed 301 mm/s .* 5 to 300 mm/s"):
+                gripper.move(50, speed=301)
+
+
 def test_announced_end_leaves_no_fast_stop_and_an_unannounced_one_does(virtual: VirtualGripper) -> None:
     with virtual.connect() as gripper:
         gripper.home()

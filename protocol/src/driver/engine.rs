@@ -9,24 +9,12 @@ use crate::frame::Payload;
 use crate::reply::{Reply, Value};
 use crate::session::{Event, MISMATCH, Topic};
 use crate::time::Instant;
-use crate::types::{Status, SystemLimits};
+use crate::types::Status;
 use heapless::Deque;
 
 /// Maximum wait for bytes. A driver without a deadline still checks once a second.
 #[cfg(feature = "embedded-io")]
 const LONGEST_WAIT_MS: u32 = 1_000;
-
-/// The limits of a gripper whose limits are unknown: no negative widths, speeds, accelerations and forces.
-const ANY_LIMITS: SystemLimits = SystemLimits {
-    stroke: f32::INFINITY,
-    min_speed: 0.0,
-    max_speed: f32::INFINITY,
-    min_acceleration: 0.0,
-    max_acceleration: f32::INFINITY,
-    min_force: 0.0,
-    nominal_force: f32::INFINITY,
-    overdrive_force: f32::INFINITY,
-};
 
 /// Number of bytes per read.
 pub(super) const CHUNK_LEN: usize = 64;
@@ -232,9 +220,8 @@ impl<P: Protocol> DriverState<P> {
     /// Checks a command before any part of it is sent. `width` is the current opening width, for a relative motion.
     pub(super) fn check<E>(&self, command: &Command<'_>, width: Option<f32>) -> Result<(), Error<E>> {
         command.check()?;
-        let known = self.link.known();
-        let limits = known.limits.unwrap_or(ANY_LIMITS);
-        Ok(command.check_limits(&limits, known.flags.unwrap_or_default(), width)?)
+        let flags = self.link.known().flags.unwrap_or_default();
+        Ok(command.check_limits(&self.link.limits(), flags, width)?)
     }
 
     /// Returns whether the limits permit this force in overdrive mode only.

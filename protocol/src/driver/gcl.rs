@@ -27,7 +27,7 @@ const LONGEST_NEEDED: usize = "@SYSFLAGS=[]".len() + 2 * 32;
 ///
 /// | method | over GCL |
 /// |---|---|
-/// | limits | GCL has no query for them. `assume_limits` states them, and `known().limits` returns them. Without them, the driver refuses only negative widths, speeds and forces, and the gripper may correct other values without an error |
+/// | limits | The stroke follows from the model (DEVTYPE). GCL has no query for the others: `assume_limits` states them, and `known().limits` returns them. Without them, the driver refuses only negative speeds and forces, and the manual does not say what the gripper does with other values |
 /// | `set_force_limit`, `force_limit` | stored by the driver and sent with every GRIP; [`Error::NoForceLimit`] before the first setting |
 /// | `move_by` | queries the width, then sends `MOVE` to that width plus the offset |
 /// | `grip` | queries the width first to determine the direction; blocked outside the part width tolerance: [`Error::Blocked`] |
@@ -169,6 +169,13 @@ impl<const RX: usize> Link for Gcl<RX> {
 
     fn known(&self) -> &Known {
         &self.known
+    }
+
+    /// The smaller stroke counts if the stated one differs from the gripper's.
+    fn limits(&self) -> SystemLimits {
+        let stated = self.known.limits.unwrap_or(SystemLimits::UNKNOWN);
+        let stroke = self.session.known().stroke.map_or(stated.stroke, |stroke| stroke.min(stated.stroke));
+        SystemLimits { stroke, ..stated }
     }
 
     fn line_counters(&self) -> frame::FrameCounters {

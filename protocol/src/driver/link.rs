@@ -4,7 +4,7 @@ use super::Error;
 use crate::command::{Command, CommandId};
 use crate::session::{Event, Known, Topic};
 use crate::time::Instant;
-use crate::types::AutoUpdate;
+use crate::types::{AutoUpdate, SystemLimits};
 use crate::{frame, session};
 
 /// A protocol of a driver: [`Binary`](super::Binary) or `Gcl`. Sealed.
@@ -46,6 +46,11 @@ pub trait Link: core::fmt::Debug {
 
     /// Returns the known state of the gripper.
     fn known(&self) -> &Known;
+
+    /// Returns the limits for requests, as far as they are known.
+    fn limits(&self) -> SystemLimits {
+        self.known().limits.unwrap_or(SystemLimits::UNKNOWN)
+    }
 
     /// Returns the counters of unusable bytes on the line.
     fn line_counters(&self) -> frame::FrameCounters;

@@ -35,8 +35,9 @@ impl<IO: crate::driver::asynch::Transport, C: crate::driver::Timer, const RX: us
         Self { io, clock, engine: DriverState::new(Gcl::new(config.session), config) }
     }
 
-    /// States the limits of this gripper, from its data sheet or from Get System Limits (53h) over the binary protocol. GCL has
-    /// no query for them. All requests are then checked against them, as over the binary protocol.
+    /// States the limits of this gripper, from its data sheet or from Get System Limits (53h) over the binary protocol. All
+    /// requests are then checked against them, as over the binary protocol. [`SystemLimits::UNKNOWN`] stands in for those
+    /// that are not known. Without this call, the driver knows only the stroke, from the model that the gripper reports.
     pub fn assume_limits(&mut self, limits: SystemLimits) {
         self.engine.link_mut().assume_limits(limits);
     }

@@ -50,6 +50,25 @@ impl<'a> Text<'a> {
         named.map_or(DeviceType::Unspecified, |(_, device)| device)
     }
 
+    /// Returns the stroke in mm in an answer to DEVTYPE: `WSG 50-110` has 110 mm. `None` for a text that is not the
+    /// designation of a WSG with its stroke.
+    ///
+    /// ```
+    /// use wsg_protocol::gcl::Text;
+    ///
+    /// assert_eq!(Text::new("WSG 32-068").unwrap().stroke(), Some(68.0));
+    /// assert_eq!(Text::new("WSG 50").unwrap().stroke(), None);
+    /// ```
+    #[must_use]
+    pub fn stroke(self) -> Option<f32> {
+        let mut digits = self.0.bytes().skip_while(|byte| *byte != b'-').skip(1).peekable();
+        let is_designation = self.0.starts_with("WSG ") && digits.peek().is_some_and(u8::is_ascii_digit);
+        let stroke = digits.take_while(u8::is_ascii_digit).try_fold(0_u16, |stroke, digit| {
+            stroke.checked_mul(10)?.checked_add(digit.wrapping_sub(b'0').into())
+        })?;
+        (is_designation && stroke > 0).then(|| stroke.into())
+    }
+
     /// Returns the version in an answer to VERSION. `None` unless it has three numbers up to 15, or a release candidate in
     /// addition (`4.0.0-rc1`), the range of the binary protocol.
     ///
@@ -190,5 +209,30 @@ impl core::fmt::Display for Description<'_> {
 impl core::fmt::Debug for Description<'_> {
     fn fmt(&self, f: &mut Formatter<'_>) -> Written {
         write!(f, "\"{self}\"")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stroke_is_the_number_after_the_first_hyphen_of_a_wsg() {
+        for (text, stroke) in [
+            ("WSG 50-110", Some(110.0)),
+            ("WSG 50-210", Some(210.0)),
+            ("WSG 25-064", Some(64.0)),
+            ("WSG 50-110-B", Some(110.0)),
+            ("WSG 50-110 (special)", Some(110.0)),
+            ("WSG 50", None),
+            ("WSG 50-", None),
+            ("WSG 50-B110", None),
+            ("WSG 50-0", None),
+            ("WSG 50-70000", None),
+            ("KMS 40-7", None),
+            ("", None),
+        ] {
+            assert_eq!(Text::new(text).unwrap().stroke(), stroke, "{text}");
+        }
     }
 }

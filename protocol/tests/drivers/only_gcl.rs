@@ -3,10 +3,9 @@
 use std::future::poll_fn;
 use std::pin::pin;
 
-use wsg_protocol::driver::blocking::GclGripper;
-use wsg_protocol::driver::{Cause, Finger, Grip, Mm, MmPerS, N, OnBlock};
-use wsg_protocol::{HomingDirection, SoftLimits, Status};
-use wsg_sim::{Config, Part, PortKind};
+use wsg_protocol::driver::{Cause, Finger, Grip, Mm, MmPerS, N, OnBlock, asynch, blocking};
+use wsg_protocol::{HomingDirection, SoftLimits, Status, SystemLimits};
+use wsg_sim::{Config, Model, Part, PortKind};
 
 use crate::client::{Asynch, Blocking, Calls, Client, Error, Lines};
 use crate::rig::TestRig;
@@ -83,27 +82,68 @@ fn grip_states_the_force_limit_and_without_one_it_is_not_sent() {
     assert_eq!(client.force_limit(), Ok(N(33.5)));
 }
 
-#[test]
-fn without_known_limits_only_negative_values_are_refused_before_they_are_sent() {
-    let rig = TestRig::new(PortKind::GclTcp, Config::default());
-    let mut gripper = GclGripper::new(rig.clone(), rig.clone());
-    gripper.connect().unwrap();
-    gripper.home(HomingDirection::Default).unwrap();
+/// Checks a driver without stated limits at a gripper of this model.
+fn knows_only_the_stroke<C: Client>(mut client: C, model: Model, stroke: f32) {
+    let rig = client.rig();
+    client.connect().unwrap();
+    client.home(HomingDirection::Default).unwrap();
+    client.move_to(Mm(stroke), MmPerS(100.0), OnBlock::Stop).unwrap();
+    client.move_by(Mm(-30.0), MmPerS(100.0), OnBlock::Stop).unwrap();
+    client.set_force_limit(N(500.0)).unwrap();
     sent(&rig);
-    for refused in [
-        gripper.move_to(Mm(-1.0), MmPerS(100.0), OnBlock::Stop),
-        gripper.move_to(Mm(50.0), MmPerS(-100.0), OnBlock::Stop),
-        gripper.set_force_limit(N(-1.0)),
+    let (beyond, mm) = (Mm(stroke + 0.5), format!("0 to {stroke} mm"));
+    for (refused, limits) in [
+        (client.move_to(beyond, MmPerS(100.0), OnBlock::Stop), &*mm),
+        (client.move_to(Mm(-1.0), MmPerS(100.0), OnBlock::Stop), &*mm),
+        (client.grip(beyond, MmPerS(100.0)).map(drop), &*mm),
+        (client.release(beyond, MmPerS(100.0)), &*mm),
+        (client.move_by(Mm(30.5), MmPerS(100.0), OnBlock::Stop), " to 30 mm"),
+        (client.move_to(Mm(50.0), MmPerS(-100.0), OnBlock::Stop), "at least 0 mm/s"),
+        (client.set_force_limit(N(-1.0)), "at least 0 N"),
     ] {
         let refused = refused.unwrap_err().to_string();
-        assert!(refused.contains("outside the gripper's limits, at least 0"), "{refused}");
+        assert!(
+            refused.contains("outside the gripper's limits") && refused.contains(limits),
+            "{model}: {refused}"
+        );
+    }
+    assert!(sent(&rig).iter().all(|line| line == "POS?"), "{model}");
+}
+
+#[test]
+fn stroke_follows_from_the_model_and_no_other_limit_is_known() {
+    for model in [Model::Wsg50Stroke110, Model::Wsg50Stroke210, Model::Wsg32, Model::Wsg25, Model::Wsg70] {
+        let rig = || TestRig::new(PortKind::GclTcp, Config { model, ..Config::default() });
+        let (one, other) = (rig(), rig());
+        let stroke = one.limits().stroke;
+        let gripper = blocking::GclGripper::new(one.clone(), one.clone());
+        knows_only_the_stroke(Blocking::<Lines> { rig: one, gripper }, model, stroke);
+        let gripper = asynch::GclGripper::new(other.clone(), other.clone());
+        knows_only_the_stroke(Asynch::<Lines> { rig: other, gripper }, model, stroke);
+    }
+}
+
+#[test]
+fn stated_limits_apply_and_do_not_widen_the_stroke() {
+    let mut client = homed(20.0);
+    let (rig, gripper) = (client.rig(), &mut client.gripper);
+    let stated =
+        SystemLimits { stroke: 210.0, max_speed: 300.0, nominal_force: 60.0, ..SystemLimits::UNKNOWN };
+    gripper.assume_limits(stated);
+    assert_eq!(gripper.known().limits, Some(stated));
+    sent(&rig);
+    for (refused, limits) in [
+        (gripper.move_to(Mm(111.0), MmPerS(100.0), OnBlock::Stop), "0 to 110 mm"),
+        (gripper.move_to(Mm(50.0), MmPerS(301.0), OnBlock::Stop), "0 to 300 mm/s"),
+        (gripper.set_force_limit(N(61.0)), "0 to 60 N"),
+    ] {
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.contains(limits), "{refused}");
     }
     assert_eq!(sent(&rig), Vec::<String>::new());
-    gripper.set_force_limit(N(500.0)).unwrap();
-    assert_eq!(gripper.known().limits, None);
-    gripper.assume_limits(rig.limits());
-    assert_eq!(gripper.known().limits, Some(rig.limits()));
-    assert!(matches!(gripper.set_force_limit(N(500.0)), Err(Error::OutOfLimits(_))));
+    // A smaller stroke than that of the model is the exact one of Get System Limits.
+    gripper.assume_limits(SystemLimits { stroke: 100.0, ..stated });
+    assert!(gripper.move_to(Mm(101.0), MmPerS(100.0), OnBlock::Stop).is_err());
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use std::fmt::{self, Display, Formatter};
 use std::str::FromStr;
 
+use wsg_protocol::SystemLimits;
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::driver::host::Udp;
 
@@ -19,8 +20,10 @@ tcp://HOST[:1000]                         binary protocol over TCP
 udp://HOST[:1500][?answer=1501]           over UDP; the gripper replies to port 1501
 serial:DEVICE[?rate=115200]               over RS-232
 slcan:DEVICE[?kbit=500&id=120]            over CAN through an SLCAN adapter; id in hex
-gcl://HOST[:1000]                         text protocol (GCL) over TCP
-gcl+udp://HOST[:1500]                     text protocol (GCL) over UDP";
+gcl://HOST[:1000][?force=5..80&speed=5..420]
+                                          text protocol (GCL) over TCP; the gripper reports neither limit
+gcl+udp://HOST[:1500][?force=5..80&speed=5..420]
+                                          text protocol (GCL) over UDP";
 
 /// An address of a gripper: line, location and protocol.
 ///
@@ -32,7 +35,7 @@ gcl+udp://HOST[:1500]                     text protocol (GCL) over UDP";
 /// assert!("192.168.1.20".parse::<Address>().unwrap_err().contains("tcp://HOST"));
 /// # Ok::<(), String>(())
 /// ```
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Address {
     /// The binary protocol over TCP, at `HOST:PORT`.
     Tcp(String),
@@ -59,17 +62,37 @@ pub enum Address {
         /// The CAN identifiers of the gripper.
         identifiers: Identifiers,
     },
-    /// The text protocol (GCL) over TCP, at `HOST:PORT`.
-    Gcl(String),
-    /// The text protocol (GCL) over UDP, at `HOST:PORT`.
-    GclUdp(String),
+    /// The text protocol (GCL) over TCP.
+    Gcl {
+        /// `HOST:PORT`.
+        gripper: String,
+        /// The limits of force and speed that the user states.
+        limits: Option<SystemLimits>,
+    },
+    /// The text protocol (GCL) over UDP.
+    GclUdp {
+        /// `HOST:PORT`.
+        gripper: String,
+        /// The limits of force and speed that the user states.
+        limits: Option<SystemLimits>,
+    },
 }
 
 impl Address {
     /// Returns whether the address selects the text protocol (GCL).
     #[must_use]
     pub const fn is_gcl(&self) -> bool {
-        matches!(self, Self::Gcl(_) | Self::GclUdp(_))
+        matches!(self, Self::Gcl { .. } | Self::GclUdp { .. })
+    }
+
+    /// Returns the limits of force and speed for
+    /// [`assume_limits`](wsg_protocol::driver::blocking::GclGripper::assume_limits), if the address states any.
+    #[must_use]
+    pub const fn limits(&self) -> Option<SystemLimits> {
+        match self {
+            Self::Gcl { limits, .. } | Self::GclUdp { limits, .. } => *limits,
+            _ => None,
+        }
     }
 }
 
@@ -125,8 +148,8 @@ impl FromStr for Address {
                     "an identifier in hex, up to 7FE",
                 )?,
             },
-            "gcl" => Self::Gcl(host(TCP_PORT)?),
-            "gcl+udp" => Self::GclUdp(host(Udp::GRIPPER_PORT)?),
+            "gcl" => Self::Gcl { gripper: host(TCP_PORT)?, limits: query.limits()? },
+            "gcl+udp" => Self::GclUdp { gripper: host(Udp::GRIPPER_PORT)?, limits: query.limits()? },
             _ => return Err(unknown()),
         };
         query.end()?;
@@ -141,8 +164,8 @@ impl Display for Address {
             Self::Udp { gripper, .. } => write!(f, "udp://{gripper}"),
             Self::Serial { device, .. } => write!(f, "serial:{device}"),
             Self::Slcan { device, .. } => write!(f, "slcan:{device}"),
-            Self::Gcl(host) => write!(f, "gcl://{host}"),
-            Self::GclUdp(host) => write!(f, "gcl+udp://{host}"),
+            Self::Gcl { gripper, .. } => write!(f, "gcl://{gripper}"),
+            Self::GclUdp { gripper, .. } => write!(f, "gcl+udp://{gripper}"),
         }
     }
 }
@@ -182,6 +205,13 @@ fn identifiers(text: &str) -> Option<Identifiers> {
     Identifiers::from_base(u16::from_str_radix(text, 16).ok()?)
 }
 
+/// Parses `5..80`.
+fn range(text: &str) -> Option<[f32; 2]> {
+    let (least, greatest) = text.split_once("..")?;
+    let (least, greatest) = (least.parse::<f32>().ok()?, greatest.parse::<f32>().ok()?);
+    (0.0 <= least && least < greatest && greatest.is_finite()).then_some([least, greatest])
+}
+
 /// The `key=value` pairs after the `?`.
 struct Query<'a> {
     pairs: Vec<(&'a str, &'a str)>,
@@ -206,6 +236,26 @@ impl<'a> Query<'a> {
         let Some(place) = self.pairs.iter().position(|(name, _)| *name == key) else { return Ok(default) };
         let (_, value) = self.pairs.remove(place);
         parse(value).ok_or_else(|| format!("{key}={value}: expected {expected}"))
+    }
+
+    /// Takes the limits of force in N and speed in mm/s.
+    fn limits(&mut self) -> Result<Option<SystemLimits>, String> {
+        let mut take = |key| self.take(key, None, |text| range(text).map(Some), "two numbers such as 5..80");
+        let (force, speed) = (take("force")?, take("speed")?);
+        let mut limits = SystemLimits::UNKNOWN;
+        if let Some([least, greatest]) = force {
+            // GCL cannot turn overdrive on.
+            limits = SystemLimits {
+                min_force: least,
+                nominal_force: greatest,
+                overdrive_force: greatest,
+                ..limits
+            };
+        }
+        if let Some([least, greatest]) = speed {
+            limits = SystemLimits { min_speed: least, max_speed: greatest, ..limits };
+        }
+        Ok((force.is_some() || speed.is_some()).then_some(limits))
     }
 
     fn end(self) -> Result<(), String> {
@@ -233,6 +283,7 @@ mod tests {
             ("slcan:/dev/ttyACM0?kbit=1000&id=60", "slcan:/dev/ttyACM0"),
             ("gcl://10.0.0.1", "gcl://10.0.0.1:1000"),
             ("gcl+udp://10.0.0.1", "gcl+udp://10.0.0.1:1500"),
+            ("gcl://10.0.0.1?force=5..80", "gcl://10.0.0.1:1000"),
             ("TCP://Gripper.local", "tcp://Gripper.local:1000"),
             ("Serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0"),
             ("GCL+UDP://10.0.0.1", "gcl+udp://10.0.0.1:1500"),
@@ -248,6 +299,22 @@ mod tests {
         assert_eq!("slcan:/dev/ttyACM0?kbit=1000&id=60".parse(), Ok(slcan));
         let udp = Address::Udp { gripper: "h:1500".to_owned(), answer_port: 7 };
         assert_eq!("udp://h?answer=7".parse(), Ok(udp));
+        let force = SystemLimits {
+            min_force: 5.0,
+            nominal_force: 80.0,
+            overdrive_force: 80.0,
+            ..SystemLimits::UNKNOWN
+        };
+        for (text, limits) in [
+            ("gcl://h", None),
+            ("gcl://h?force=5..80", Some(force)),
+            (
+                "gcl+udp://h?speed=2.5..420&force=5..80",
+                Some(SystemLimits { min_speed: 2.5, max_speed: 420.0, ..force }),
+            ),
+        ] {
+            assert_eq!(text.parse::<Address>().unwrap().limits(), limits, "{text}");
+        }
     }
 
     #[test]
@@ -271,6 +338,12 @@ mod tests {
             ("slcan:/dev/x?kbit=400", "10, 20, 50"),
             ("slcan:/dev/x?id=7FF", "up to 7FE"),
             ("slcan:/dev/x?id=60&id=62", "repeated parameter `id`"),
+            ("gcl://h?force=80", "force=80: expected two numbers such as 5..80"),
+            ("gcl://h?force=80..5", "two numbers"),
+            ("gcl://h?speed=-1..5", "two numbers"),
+            ("gcl+udp://h?speed=5..inf", "two numbers"),
+            // Over the binary protocol, the gripper reports them.
+            ("tcp://h?force=5..80", "parameter `force`"),
         ] {
             let error = text.parse::<Address>().unwrap_err();
             assert!(error.contains(expected), "{text}: {error}");

@@ -71,10 +71,10 @@ fn check(
         Ok(line) => line,
         Err(error) => return no_line(address, &error, report),
     };
-    let is_datagram = matches!(address, Address::Udp { .. } | Address::GclUdp(_));
+    let is_datagram = matches!(address, Address::Udp { .. } | Address::GclUdp { .. });
     if !is_datagram {
         report.ok(Check::Reachability, &format!("{address} opened"))?;
-        let is_tcp = matches!(address, Address::Tcp(_) | Address::Gcl(_));
+        let is_tcp = matches!(address, Address::Tcp(_) | Address::Gcl { .. });
         report
             .ok(Check::Port, if is_tcp { "accepts a connection" } else { "not applicable to this line" })?;
     }

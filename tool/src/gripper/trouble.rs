@@ -177,7 +177,10 @@ impl Display for Trouble {
                 write!(f, "the motion failed: {status}, {}", status.meaning())
             }
             Self::Driver(Error::OutOfLimits(refusal)) if refusal.quantity() == Quantity::Force => {
-                write!(f, "{refusal}; `overdrive on` permits more on grippers with overdrive")
+                write!(
+                    f,
+                    "{refusal}; `overdrive on` permits more on grippers with overdrive, but not over GCL"
+                )
             }
             Self::Driver(Error::Mismatch) => f.write_str("the gripper applied a different value"),
             Self::Driver(Error::NoForceLimit) => {

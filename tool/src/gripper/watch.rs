@@ -150,8 +150,9 @@ fn plot(
 ) {
     let numbers = || lines.iter().flatten().map(|point| point.1);
     let (lowest, highest) = (numbers().fold(0.0, f64::min), numbers().fold(1.0, f64::max));
-    let [low, high] =
-        range.map_or([lowest, highest], |[low, high]| [lowest.min(low.into()), highest.max(high.into())]);
+    let [low, high] = range
+        .filter(|[_, high]| high.is_finite())
+        .map_or([lowest, highest], |[low, high]| [lowest.min(low.into()), highest.max(high.into())]);
     let style = Style::new().fg(color);
     let data = |line| Dataset::default().data(line).graph_type(GraphType::Line).marker(Marker::Braille);
     let data = lines.iter().map(|line| data(line).style(style)).collect();

@@ -31,9 +31,9 @@ impl<T: Transport<Error = io::Error> + Stoppable + Send> Wire for T {}
 /// Returns the error of the socket or of the serial port.
 pub fn open(address: &Address) -> io::Result<Box<dyn Wire>> {
     Ok(match address {
-        Address::Tcp(host) | Address::Gcl(host) => Box::new(Tcp::connect(host.as_str())?),
+        Address::Tcp(host) | Address::Gcl { gripper: host, .. } => Box::new(Tcp::connect(host.as_str())?),
         Address::Udp { gripper, answer_port } => Box::new(Udp::connect(gripper.as_str(), *answer_port)?),
-        Address::GclUdp(host) => Box::new(Udp::connect(host.as_str(), 0)?),
+        Address::GclUdp { gripper, .. } => Box::new(Udp::connect(gripper.as_str(), 0)?),
         Address::Serial { device, rate } => serial(open_port(device, *rate)?)?,
         Address::Slcan { device, kbit, identifiers } => {
             let port = open_port(device, SLCAN_RATE)?;

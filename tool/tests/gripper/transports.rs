@@ -28,3 +28,35 @@ fn commands_are_carried_out_over_gcl() {
         assert_grips(&mut rig, &address);
     }
 }
+
+#[test]
+fn limits_over_gcl_are_the_stroke_and_those_that_the_address_states() {
+    let rig = TestRig::new(quick());
+    for address in [rig.gcl(), rig.gcl_udp()] {
+        for (limits, command, refused) in [
+            ("", "move 110.5 100", Some("width 110.5 mm is outside the gripper's limits, 0 to 110 mm")),
+            ("", "force-limit 500", None),
+            ("?force=5..60", "force-limit 60", None),
+            (
+                "?force=5..60",
+                "force-limit 60.5",
+                Some("force 60.5 N is outside the gripper's limits, 5 to 60 N"),
+            ),
+            (
+                "?speed=5..300",
+                "move 50 301",
+                Some("speed 301 mm/s is outside the gripper's limits, 5 to 300 mm/s"),
+            ),
+            ("?speed=5..300", "force-limit 500", None),
+        ] {
+            let address = format!("{address}{limits}");
+            let ended = Program::run_with_lines(&[&address], &format!("home\n{command}\n"));
+            match refused {
+                Some(refused) => {
+                    assert!(ended.stderr.contains(refused), "{address} {command}: {}", ended.stderr)
+                }
+                None => assert_eq!((ended.status, &*ended.stderr), (0, ""), "{address} {command}"),
+            }
+        }
+    }
+}

@@ -81,7 +81,8 @@ class Gripper:
     - ``udp://192.168.1.20`` (port 1500, replies to ``?answer=1501``): over UDP
     - ``serial:/dev/ttyUSB0?rate=115200``: over RS-232
     - ``slcan:/dev/ttyACM0?kbit=500&id=120``: over CAN through an SLCAN adapter, with the identifier in hex
-    - ``gcl://192.168.1.20``, ``gcl+udp://192.168.1.20``: text protocol (GCL)
+    - ``gcl://192.168.1.20``, ``gcl+udp://192.168.1.20``: text protocol (GCL). ``?force=5..80&speed=5..420`` states the
+      limits in N and mm/s, which the gripper does not report
 
     ::
 
@@ -101,8 +102,9 @@ class Gripper:
     Every request can raise ``NotConnectedError``, ``UnansweredError``, ``RefusedError``, and ``StoppedError`` if another
     thread calls ``stop``. Widths are in mm, speeds in mm/s, forces in N summed over both fingers.
 
-    A value outside the :meth:`limits` of the gripper raises ``InvalidError`` before anything changes. The text protocol
-    (GCL) has no query for the limits: over GCL, only negative values are refused.
+    A value outside the :meth:`limits` of the gripper raises ``InvalidError`` before anything changes. Over the text
+    protocol (GCL), the stroke follows from the model, and other limits are known only if the address states them.
+    Without them, only negative speeds and forces are refused.
     """
 
     _core: Driver

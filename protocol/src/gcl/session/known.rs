@@ -8,6 +8,8 @@ use crate::types::{DeviceType, FirmwareVersion, GripperState, SystemFlags};
 pub struct Known {
     /// Product type of the gripper.
     pub device: Option<DeviceType>,
+    /// Stroke of this model in mm, if its designation contains it.
+    pub stroke: Option<f32>,
     /// Firmware version, if the binary protocol can represent it.
     pub firmware: Option<FirmwareVersion>,
     /// Serial number of the gripper.
@@ -34,6 +36,7 @@ impl Known {
     /// The state before the first reply.
     pub const NOTHING: Self = Self {
         device: None,
+        stroke: None,
         firmware: None,
         serial_number: None,
         flags: None,
@@ -64,7 +67,10 @@ impl Known {
                 self.state = Some(state);
                 return Some(self.is_moving());
             }
-            Value::Devtype(text) => self.device = Some(text.device_type()),
+            Value::Devtype(text) => {
+                self.device = Some(text.device_type());
+                self.stroke = text.stroke();
+            }
             Value::Version(text) => self.firmware = text.firmware_version(),
             Value::Sn(number) => self.serial_number = Some(number),
             Value::Pos(width) => self.width = Some(width),

@@ -61,7 +61,7 @@ enum Received<T> {
 /// announcement causes a FAST STOP (command set, 1.4.2).
 pub(super) fn speech(line: &mut Line, address: &Address) -> Result<Peer, Trouble> {
     let order = match address {
-        Address::Gcl(_) | Address::GclUdp(_) => &[Speech::Gcl, Speech::Binary][..],
+        Address::Gcl { .. } | Address::GclUdp { .. } => &[Speech::Gcl, Speech::Binary][..],
         Address::Tcp(_) | Address::Udp { .. } => &[Speech::Binary, Speech::Gcl],
         // Only Ethernet carries GCL.
         Address::Serial { .. } | Address::Slcan { .. } => &[Speech::Binary],

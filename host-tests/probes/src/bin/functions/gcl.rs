@@ -39,7 +39,7 @@ pub(crate) fn every_function() {
         Topic: of, name, query, is_measured;
         Value<'_>: check, name;
         Vector<'_>: new, as_str, numbers;
-        Text<'_>: new, as_str, device_type, finger_type, firmware_version;
+        Text<'_>: new, as_str, device_type, finger_type, firmware_version, stroke;
         Description<'_>: new, of, bytes;
         Session: new, handle, tick, request, poll_transmit, poll_timeout, take_back, withdraw;
         Session: disconnect, subscribe, known, motion, counters, is_connected, is_busy, fast_stop_pending;
