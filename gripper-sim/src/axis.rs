@@ -188,6 +188,10 @@ impl Axis {
         !matches!(self.place, Place::Away)
     }
 
+    pub(crate) const fn part_is_around(&self) -> bool {
+        matches!(self.place, Place::Around)
+    }
+
     pub(crate) const fn block(&self) -> Option<Block> {
         self.block
     }
@@ -531,7 +535,8 @@ mod tests {
         assert!(!waiting.part_is_between(), "neither in its hole nor outside of it");
         waiting.start(Travel { target: 50.0, ..TRAVEL });
         run(&mut waiting);
-        assert!(waiting.part_is_between());
+        assert!(waiting.part_is_between() && wide.part_is_between());
+        assert!(waiting.part_is_around() && !wide.part_is_around());
         waiting.start(OPENING);
         run(&mut waiting);
         assert_eq!((waiting.width(), waiting.force()), (64.0, 40.0));

@@ -162,6 +162,10 @@ impl Device {
         self.motion.part_is_between()
     }
 
+    pub(crate) const fn part_is_around(&self) -> bool {
+        self.motion.part_is_around()
+    }
+
     pub(crate) const fn finger(&self, jaw: Jaw) -> &FingerPort {
         let [one, two] = &self.fingers;
         match jaw {

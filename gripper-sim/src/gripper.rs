@@ -83,8 +83,10 @@ pub struct State {
     pub statistics: GrippingStatistics,
     /// The part, whether between the fingers or waiting for them to open far enough.
     pub part: Option<Part>,
-    /// Whether the part is between the fingers.
+    /// Whether the part is between the fingers, or around them.
     pub part_is_between: bool,
+    /// Whether the part is around the fingers, which are in its hole.
+    pub part_is_around: bool,
 }
 
 impl VirtualGripper {
@@ -486,6 +488,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
             statistics: device.statistics(),
             part: device.part(),
             part_is_between: device.part_is_between(),
+            part_is_around: device.part_is_around(),
         }
     }
 

@@ -244,6 +244,10 @@ impl MotionControl {
         self.axis.part_is_between()
     }
 
+    pub(crate) const fn part_is_around(&self) -> bool {
+        self.axis.part_is_around()
+    }
+
     /// Returns the system state flags of the axis and its motions (command set, appendix B).
     pub(crate) fn flags(&self) -> SystemFlags {
         let blocked = self.axis.block().map(|block| block.direction);

@@ -150,6 +150,53 @@ fn fingers_home_and_grip_by_clicks_and_the_drawing_moves_with_them() {
     tab.until("getComputedStyle(document.querySelector('#drawing .part')).visibility === 'visible'");
 }
 
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn hollow_part_is_put_in_and_drawn_around_the_fingers_that_grip_it_from_inside() {
+    let gripper = Gripper::new(&["--time-scale", "20"]);
+    let mut tab = gripper.open();
+    home(&mut tab);
+    tab.click("#part_out");
+    tab.fill("#width", "40");
+    tab.click("#move");
+    tab.until(&format!("Math.abs({OPENING} - 40) < 0.5 && {STATE} === 'IDLE'"));
+    // The outer width of the part, and where it is: beside and in its hole.
+    let part = "(() => { const part = document.querySelector('#drawing .part'), middle = part.getBBox().x + part.getBBox().width / 2;
+       const is = x => part.isPointInFill(new DOMPoint(middle + x, 25)) && getComputedStyle(part).visibility === 'visible';
+       return [Math.round(part.getBBox().width), is(-31), is(-29), is(0), is(29), is(31)]; })()";
+    tab.fill("#part", "80");
+    tab.fill("#inner", "90");
+    tab.click("#part_in");
+    tab.until("document.getElementById('message').textContent.includes('a hole of 90 mm')");
+    assert_eq!(tab.eval(part)[1], false);
+
+    tab.fill("#inner", "60");
+    tab.click("#part_in");
+
+    tab.until(&format!("{part}[1]"));
+    assert_eq!(tab.eval(part), json!([80, true, false, false, false, true]));
+    // To scale: the outer sides of the fingers fill the hole, slightly widened.
+    tab.fill("#width", "60");
+    tab.fill("#force", "30");
+    tab.click("#grip");
+    tab.until(&format!("{STATE} === 'HOLDING'"));
+    let fingers = "(() => { const [left, right] = [...document.querySelectorAll('#drawing .finger')].map(finger => finger.getBoundingClientRect());
+       return (right.right - left.left) / document.getElementById('drawing').getScreenCTM().a; })()";
+    let width = tab.eval(fingers).as_f64().unwrap();
+    assert!((60.1..60.5).contains(&width), "{width} mm");
+    assert_eq!(tab.eval(part), json!([80, true, false, false, false, true]));
+    tab.until(
+        "document.getElementById('drawing-title').textContent.includes('a part of 80 mm, inner width 60 mm')",
+    );
+
+    tab.click("#part_out");
+    tab.until(&format!("{STATE} === 'PART LOST'"));
+    tab.fill("#part", "30");
+    tab.fill("#inner", "");
+    tab.click("#part_in");
+    tab.until(&format!("{part}[3]"));
+}
+
 /// `host-tests/tests/surfaces` has widths and forces outside the limits.
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]

@@ -60,15 +60,16 @@ fn inputs_show_what_the_gripper_has() {
     in_each_size(&["--part", "33:70", "--force", "25"], |_, tab| {
         let value = |id: &str| format!("document.getElementById('{id}').value");
         tab.until(&format!(
-            "{} === '33' && {} === '70' && {} === '25'",
+            "{} === '33' && {} === '70' && {} === '' && {} === '25'",
             value("part"),
             value("stiffness"),
+            value("inner"),
             value("force")
         ));
         let mut other = tab
-            .eval("fetch('/part?as_of=' + asOf, { method: 'POST', body: '{\"width_mm\":44}' }).then(answer => answer.ok)");
+            .eval("fetch('/part?as_of=' + asOf, { method: 'POST', body: '{\"width_mm\":44,\"inner_width_mm\":30}' }).then(answer => answer.ok)");
         assert_eq!(other.take(), json!(true));
-        tab.until(&format!("{} === '44'", value("part")));
+        tab.until(&format!("{} === '44' && {} === '30'", value("part"), value("inner")));
     });
 }
 

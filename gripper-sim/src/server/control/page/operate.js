@@ -23,7 +23,7 @@ async function command(name, numbers) {
   if (isMotion) awaited = { item, text, since: now, seen: false };
 }
 for (const name of ["home", "stop", "acknowledge", "fast_stop"]) $(name).addEventListener("click", () => command(name));
-// Sends the numbers of these fields, by their keys; none where a field has none, which would be taken for 0.
+// Sends the numbers of these fields, by their keys; nothing where a required field has none, which would be taken for 0.
 function onClick(button, fields, send) {
   $(button).addEventListener("click", () => {
     const inputs = Object.entries(fields).map(([key, id]) => [key, $(id)]);
@@ -39,7 +39,7 @@ document.addEventListener("keydown", event => { if (event.key === "Escape") comm
 async function inject(place, path, body) {
   if (await ask(place, path, body)) say(place, "");
 }
-onClick("part_in", { width_mm: "part", stiffness_n_per_mm: "stiffness" }, part => inject("message", "/part", part));
+onClick("part_in", { width_mm: "part", stiffness_n_per_mm: "stiffness", inner_width_mm: "inner" }, part => inject("message", "/part", part));
 $("part_out").addEventListener("click", () => inject("message", "/part", null));
 const faults = [...document.querySelectorAll("#faults input")], rates = [...document.querySelectorAll("#rates input")];
 for (const box of faults) box.addEventListener("change", () => inject("fault-message", "/fault", { fault: box.name, on: box.checked }));
@@ -51,7 +51,7 @@ const followed = {};
 function follow(id, value) {
   if (followed[id] === value) return;
   followed[id] = value;
-  if (document.activeElement !== $(id)) $(id).value = Number(value.toFixed(3));
+  if (document.activeElement !== $(id)) $(id).value = value === null ? "" : Number(value.toFixed(3));
 }
 
 let drawing = null, shown = null;
@@ -61,8 +61,8 @@ onHello.push(() => {
   while (svg.children.length > 1) svg.lastChild.remove();
   node(svg, "rect", { class: "rail", x: 2, y: 4, width: stroke + 36, height: 6, rx: 1 });
   drawing = { middle,
-    part: node(svg, "rect", { class: "part", y: 20, height: 16, rx: 1 }),
-    fingers: [0, 1].map(() => node(svg, "rect", { class: "finger", y: 6, width: 8, height: 34, rx: 1 })),
+    part: node(svg, "path", { class: "part" }),
+    fingers: [0, 1].map(() => node(svg, "rect", { class: "finger", y: 6, height: 34, rx: 1 })),
     width: node(svg, "text", { x: middle, y: 1, "text-anchor": "middle" }),
     force: node(svg, "text", { x: middle, y: 47, "text-anchor": "middle" }) };
   shown = { flags: bits($("flags"), hello.names.system, FAULT_FLAGS), command: bits($("command_flags"), hello.names.command, ["FASTSTOP"]),
@@ -76,20 +76,26 @@ onHello.push(() => {
   awaited = null;
 });
 
+const partText = ({ width_mm, inner_width_mm }) => `a part of ${width_mm} mm${inner_width_mm ? `, inner width ${inner_width_mm} mm` : ""}`;
 function draw(state) {
   const { middle, fingers, part, width, force } = drawing, half = state.width_mm / 2;
-  fingers[0].setAttribute("x", middle - half - 8);
-  fingers[1].setAttribute("x", middle + half);
+  const isAround = state.part_is_around, thick = isAround ? Math.max(1, Math.min(8, half)) : 8;
+  // Fingers in a hole touch it with their outer sides.
+  const reach = isAround ? half : half + thick;
+  for (const finger of fingers) finger.setAttribute("width", thick);
+  fingers[0].setAttribute("x", middle - reach);
+  fingers[1].setAttribute("x", middle + reach - thick);
   part.setAttribute("visibility", state.part ? "visible" : "hidden");
   if (state.part) {
-    const squeezed = Math.min(state.part.width_mm, state.part_is_between ? state.width_mm : Infinity);
-    part.setAttribute("x", middle - squeezed / 2);
-    part.setAttribute("width", squeezed);
+    const { width_mm, inner_width_mm } = state.part, push = state.width_mm - (isAround ? inner_width_mm : width_mm);
+    const change = isAround ? Math.max(0, push) : state.part_is_between ? Math.min(0, push) : 0;
+    const outer = width_mm + change, inner = Math.max(0, (inner_width_mm ?? -Infinity) + change);
+    part.setAttribute("d", `M${middle - outer / 2} 20v16h${outer}v-16H${middle + inner / 2}v13h${-inner}v-13Z`);
     part.setAttribute("opacity", state.part_is_between ? 1 : 0.35);
   }
   write(width, state.width_mm.toFixed(1) + " mm");
   write(force, state.force_n > 0 ? state.force_n.toFixed(1) + " N" : "");
-  write($("drawing-title"), `width ${state.width_mm.toFixed(0)} mm, ${state.part ? "a part of " + state.part.width_mm + " mm" : "no part"}, force ${state.force_n.toFixed(0)} N`);
+  write($("drawing-title"), `width ${state.width_mm.toFixed(0)} mm, ${state.part ? partText(state.part) : "no part"}, force ${state.force_n.toFixed(0)} N`);
 }
 
 function showResult(state, time) {
@@ -109,7 +115,11 @@ onState.push((state, time) => {
   draw(state);
   $("force").max = state.system_state.includes("OVERDRIVE_MODE") ? hello.limits.overdrive_force_n : hello.limits.nominal_force_n;
   showResult(state, time);
-  if (state.part) { follow("part", state.part.width_mm); follow("stiffness", state.part.stiffness_n_per_mm); }
+  if (state.part) {
+    follow("part", state.part.width_mm);
+    follow("stiffness", state.part.stiffness_n_per_mm);
+    follow("inner", state.part.inner_width_mm ?? null);
+  }
   follow("force", state.force_limit_n);
   const { total, no_part, part_lost } = state.gripping_statistics, { limits } = hello;
   pairs($("values"), [["width", state.width_mm.toFixed(2) + " mm"], ["reported width", state.reported_width_mm.toFixed(2) + " mm"],
