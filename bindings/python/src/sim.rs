@@ -23,14 +23,24 @@ fn options(py: Python<'_>, words: Vec<OsString>) -> PyResult<Options> {
     Options::parse(words).map_err(|error| error::exception(py, "InvalidError", &format!("{error:#}"), None))
 }
 
-/// Returns a part of this width and stiffness.
-fn part(py: Python<'_>, width: Option<f32>, stiffness: f32) -> PyResult<Option<Part>> {
-    let Some(width) = width else { return Ok(None) };
-    let part = Part::new(width, stiffness).ok_or_else(|| {
-        let text = format!("a part of {width} mm and {stiffness} N/mm: expected finite numbers above 0");
-        error::exception(py, "InvalidError", &text, None)
+/// Returns a part of this width, stiffness and inner width; none without a width.
+fn part(py: Python<'_>, width: Option<f32>, stiffness: f32, inner: Option<f32>) -> PyResult<Option<Part>> {
+    let invalid = |text: &str| error::exception(py, "InvalidError", text, None);
+    let Some(width) = width else {
+        return match inner {
+            Some(inner) => Err(invalid(&format!("an inner width of {inner} mm without a part"))),
+            None => Ok(None),
+        };
+    };
+    let solid = Part::new(width, stiffness).ok_or_else(|| {
+        invalid(&format!("a part of {width} mm and {stiffness} N/mm: expected finite numbers above 0"))
     })?;
-    Ok(Some(part))
+    let Some(inner) = inner else { return Ok(Some(solid)) };
+    let hollow = solid.with_inner_width(inner).ok_or_else(|| {
+        let expected = format!("expected a number above 0 and below its width of {width} mm");
+        invalid(&format!("a part with an inner width of {inner} mm: {expected}"))
+    })?;
+    Ok(Some(hollow))
 }
 
 /// Returns the fault of this name. The Python enumeration `Fault` has the same names.
@@ -117,8 +127,14 @@ impl Rig {
         seen(self.rig.state())
     }
 
-    fn set_part(&self, py: Python<'_>, width: Option<f32>, stiffness: f32) -> PyResult<()> {
-        self.rig.set_part(part(py, width, stiffness)?);
+    fn set_part(
+        &self,
+        py: Python<'_>,
+        width: Option<f32>,
+        stiffness: f32,
+        inner_width: Option<f32>,
+    ) -> PyResult<()> {
+        self.rig.set_part(part(py, width, stiffness, inner_width)?);
         Ok(())
     }
 
@@ -208,8 +224,14 @@ impl Server {
         self.with(py, |server| seen(server.state()))
     }
 
-    fn set_part(&self, py: Python<'_>, width: Option<f32>, stiffness: f32) -> PyResult<()> {
-        let part = part(py, width, stiffness)?;
+    fn set_part(
+        &self,
+        py: Python<'_>,
+        width: Option<f32>,
+        stiffness: f32,
+        inner_width: Option<f32>,
+    ) -> PyResult<()> {
+        let part = part(py, width, stiffness, inner_width)?;
         self.with(py, |server| server.set_part(part))
     }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from pathlib import Path
-from typing import Callable
+from typing import Callable, Optional, Union
 
 import pytest
 
@@ -45,6 +45,34 @@ def test_grip_reports_whether_a_part_is_held(virtual: VirtualGripper, gripper: G
     assert result is GripResult.NO_PART
     assert not result
     assert gripper.statistics() == Statistics(total=2, no_part=1, part_lost=0)
+
+
+def grip_from_inside(simulated: Union[VirtualGripper, Simulator], gripper: Gripper) -> None:
+    simulated.set_part(None)
+    gripper.move(40, speed=200)
+    simulated.set_part(80, inner_width=60)
+    assert simulated.observe().part_is_between
+    assert gripper.grip(60, speed=100, force=40) is GripResult.HELD
+    assert gripper.width() == pytest.approx(60.4, abs=0.1)
+
+
+def test_hollow_part_is_gripped_from_inside(virtual: VirtualGripper, gripper: Gripper) -> None:
+    grip_from_inside(virtual, gripper)
+
+
+def test_hollow_part_of_a_simulator_is_gripped_from_inside(wsg_sim: Simulator) -> None:
+    with Gripper(wsg_sim.tcp) as gripper:
+        gripper.home()
+        grip_from_inside(wsg_sim, gripper)
+
+
+@pytest.mark.parametrize(("width", "inner_width"), [(80, 80), (80, 0), (80, -1), (80, float("nan")), (None, 60)])
+def test_impossible_inner_width_changes_no_part(
+    virtual: VirtualGripper, width: Optional[float], inner_width: float
+) -> None:
+    with pytest.raises(InvalidError, match="inner width"):
+        virtual.set_part(width, inner_width=inner_width)
+    assert virtual.observe().part == 20
 
 
 def test_lost_part_changes_the_state(virtual: VirtualGripper, gripper: Gripper) -> None:

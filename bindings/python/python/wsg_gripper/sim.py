@@ -63,7 +63,7 @@ class Observation(NamedTuple):
     part: Optional[float]
     """Width of the part in mm, wherever it is."""
     part_is_between: bool
-    """Whether the part is between the fingers."""
+    """Whether the part is between the fingers, or around them."""
 
 
 def _observation(
@@ -125,12 +125,18 @@ class VirtualGripper:
         """Return the state of the gripper, at any time and without a request."""
         return _observation(self._rig.state())
 
-    def set_part(self, width: Optional[float], stiffness: float = STIFFNESS) -> None:
+    def set_part(
+        self, width: Optional[float], stiffness: float = STIFFNESS, *, inner_width: Optional[float] = None
+    ) -> None:
         """Place a part of a width in mm and a stiffness in N/mm between the fingers, or remove it (``None``).
 
-        If the fingers do not hold it, it waits until they are wide enough open. Removing a held part loses it.
+        A part with an inner width in mm is hollow. It is also placed around fingers that are narrower than its hole, and
+        then gripped from inside by opening them.
+
+        If the fingers do not hold the part, it waits until they are wide enough open, or narrow enough for its hole.
+        Removing a held part loses it. Raises ``InvalidError`` for numbers that no part can have.
         """
-        self._rig.set_part(width, stiffness)
+        self._rig.set_part(width, stiffness, inner_width)
 
     def set_fault(self, fault: Fault, on: bool = True) -> None:
         """Begin or end a fault."""
@@ -214,9 +220,11 @@ class Simulator:
         """Return the state of the gripper, without a request."""
         return _observation(self._server.state())
 
-    def set_part(self, width: Optional[float], stiffness: float = STIFFNESS) -> None:
+    def set_part(
+        self, width: Optional[float], stiffness: float = STIFFNESS, *, inner_width: Optional[float] = None
+    ) -> None:
         """Place a part between the fingers or remove it; see :meth:`VirtualGripper.set_part`."""
-        self._server.set_part(width, stiffness)
+        self._server.set_part(width, stiffness, inner_width)
 
     def set_fault(self, fault: Fault, on: bool = True) -> None:
         """Begin or end a fault."""
