@@ -133,3 +133,23 @@ impl Excuse {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn error_after_a_refused_motion_ends_with_the_first_report_of_another_state() {
+        let image =
+            |state, status| InputImage { state, status, ..InputImage::from_bytes([0; InputImage::LEN]) };
+        let refused = image(GripperFlags::ERROR, Status::InsufficientResources);
+        for (reported, is_error_kept) in [(GripperState::Idle, true), (GripperState::NoPart, false)] {
+            let mut rule = GstateRule::new();
+            rule.report(GripperState::Idle);
+            assert!(rule.is_kept(&image(GripperFlags::RELEASING, Status::CmdPending), false));
+            assert!(rule.is_kept(&refused, false));
+            rule.report(reported);
+            assert_eq!(rule.is_kept(&refused, false), is_error_kept, "{reported:?}");
+        }
+    }
+}
