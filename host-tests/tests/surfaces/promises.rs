@@ -1,13 +1,13 @@
 //! The promises, as code that judges. Each runs on a surface alone with its gripper.
 
+use std::cell::Cell;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use wsg_protocol::SystemFlags;
-use wsg_sim::State;
 
-use crate::station::{BOUND, Station, Way};
+use crate::station::{BOUND, Line, Station, Way};
 use crate::surface::{Outcome, Surface, Verb};
 use crate::{Entry, Kind};
 
@@ -88,13 +88,15 @@ impl Rig {
 
     /// Starts a motion that takes five seconds.
     fn start_moving(&mut self) -> Receiver<Outcome> {
-        let moves = |state: &State| state.flags.contains(SystemFlags::MOVING);
         loop {
             let outcome = self.surface.begin(Verb::Move(TARGET));
-            // A page, see `succeed`.
-            let is_refused = || self.kind == Kind::Page && matches!(outcome.try_recv(), Ok(Err(_)));
-            self.station.until("moving", |state| moves(state) || is_refused());
-            if moves(&self.station.state()) {
+            // See `succeed`.
+            let is_refused = Cell::new(false);
+            self.station.until("moving", |state| {
+                is_refused.set(self.kind == Kind::Page && matches!(outcome.try_recv(), Ok(Err(_))));
+                state.flags.contains(SystemFlags::MOVING) || is_refused.get()
+            });
+            if !is_refused.get() {
                 return outcome;
             }
         }
@@ -150,6 +152,7 @@ pub(crate) fn nothing_moves_unrequested(entry: &Entry) {
     line.mend();
     // A client of another interface does not own the motion, which ends as requested.
     rig.station.until("at rest", |state| !state.flags.contains(SystemFlags::MOVING));
+    rig.station.catch_up();
     let since = Instant::now();
     drop(std::mem::replace(&mut rig.surface, (entry.open)((entry.line)(&rig.station).address)));
     // Dropping a client that has not noticed the loss changes nothing either.
@@ -160,23 +163,34 @@ pub(crate) fn nothing_moves_unrequested(entry: &Entry) {
         let _ = rig.finish(Verb::Read);
     }
     thread::sleep(2 * FAST_STOP_TIME);
-    assert_eq!(rig.station.travels_since(since).len(), 0, "the fingers moved without a request");
+    let ages: Vec<_> = rig.station.travels_since(since).iter().map(|travel| *travel - since).collect();
+    assert_eq!(ages, Vec::<Duration>::new(), "the fingers moved without a request");
 }
 
-/// A motion that was requested while the line held back all answers starts within a second or not at all. One of the page,
-/// which names the state that its user sees, does so even if the line held back the request.
+/// A motion that was requested while the line held back all answers starts within a second or not at all. So does one of the
+/// page while the line held back its requests or was cut, because it names the state that its user saw.
 pub(crate) fn nothing_old_runs(entry: &Entry) {
-    let ways = if entry.kind == Kind::Page { &[Way::Answers, Way::Requests][..] } else { &[Way::Answers] };
-    for way in ways {
+    type Act = fn(&Line);
+    let all: [(Act, Act); 3] = [
+        (|line| line.hold(Way::Answers), |line| line.release(Way::Answers)),
+        (|line| line.hold(Way::Requests), |line| line.release(Way::Requests)),
+        (Line::cut, Line::mend),
+    ];
+    let is_page = entry.kind == Kind::Page;
+    for (begin, end) in &all[..if is_page { 3 } else { 1 }] {
         let mut rig = Rig::homed(entry);
-        (entry.line)(&rig.station).hold(*way);
+        begin((entry.line)(&rig.station));
         let hanging = rig.surface.begin(Verb::Read);
         let late = rig.surface.begin(Verb::Move(TARGET));
         let requested = Instant::now();
         thread::sleep(MAX_AGE + FAST_STOP_TIME);
-        (entry.line)(&rig.station).release(*way);
+        end((entry.line)(&rig.station));
         for outcome in [hanging, late] {
             assert_ne!(outcome.recv_timeout(BOUND), Err(RecvTimeoutError::Timeout));
+        }
+        if is_page {
+            // It connects again.
+            rig.succeed(Verb::Read);
         }
         thread::sleep(FAST_STOP_TIME);
         for travel in rig.station.travels_since(requested) {

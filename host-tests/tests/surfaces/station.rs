@@ -221,6 +221,8 @@ struct Trace {
     travels: Vec<Instant>,
     /// The longest time between two glances since the last reset.
     stall: Duration,
+    /// The number of glances.
+    glances: u64,
     is_over: bool,
 }
 
@@ -254,6 +256,15 @@ impl Station {
                 return Instant::now();
             }
             assert!(start.elapsed() < BOUND, "the gripper never was {what}: {state:?}");
+            thread::sleep(GLANCE);
+        }
+    }
+
+    /// Waits until the observer has noted every travel that has begun.
+    pub(crate) fn catch_up(&self) {
+        // The present glance may have begun before.
+        let enough = self.trace().glances + 2;
+        while self.trace().glances < enough {
             thread::sleep(GLANCE);
         }
     }
@@ -299,6 +310,7 @@ fn observe(gripper: &ServerThread, trace: &Mutex<Trace>) {
         if moves && !travelling {
             trace.travels.push(now);
         }
+        trace.glances += 1;
         (width, last, travelling) = (state.width, now, moves);
     }
 }
