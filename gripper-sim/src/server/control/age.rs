@@ -102,18 +102,15 @@ fn check(hub: &Hub, effect: Effect, as_of: &str) -> Result<(), HttpError> {
         return Err(HttpError::wrong(error));
     };
     let age = Duration::from_micros(now.as_micros().saturating_sub(at.as_micros()));
-    let reason = if run != hub.run() {
-        "of an earlier start of the gripper".to_owned()
+    let error = if run != hub.run() {
+        "the sender saw the gripper before its last start; read the state again".to_owned()
     } else if age > MAX_AGE {
-        format!("{:.1} s old", age.as_secs_f64())
+        format!("the sender saw a state {:.1} s old; expected at most 1 s", age.as_secs_f64())
     } else if effect == Effect::Moves && at < hub.stopped_at() {
-        "from before the latest stop".to_owned()
+        "the sender has not seen the latest stop; read the state again".to_owned()
     } else {
         return Ok(());
     };
-    let error = format!(
-        "the sender of the request saw a state {reason}; expected one that is at most 1 s old: read the state again"
-    );
     Err(HttpError::new(StatusCode::PRECONDITION_FAILED, error))
 }
 
