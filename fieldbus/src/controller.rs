@@ -529,7 +529,7 @@ impl Informed<'_> {
         own.send(force.map_or(command, |force| Command::SetForceLimit { force }));
         own.motion = Some(Motion { command, awaits: force.map(|_| CommandId::SetForceLimit) });
         own.status = StatusRegister::pending(command.id());
-        own.gstate = Gstate::Reported;
+        own.gstate = Gstate::Awaited;
     }
 
     /// Returns whether a speed in mm/s and a force in N are inside the gripper's limits. Unknown limits permit nothing.

@@ -71,6 +71,13 @@ impl GstateRule {
     /// Takes an answer without a value.
     pub(crate) fn answer(&mut self, id: CommandId, status: Status) {
         self.is_aborted |= self.is_pending && id.kind() == Kind::Motion && status == Status::CmdAborted;
+        if (id, status) == (CommandId::Stop, Status::Success) {
+            // Later than the reports (command set, appendix C). The status register may already show a refused motion.
+            self.reported = self.reported.map(|state| match state {
+                GripperState::Error => state,
+                _ => GripperState::Idle,
+            });
+        }
     }
 
     /// Returns whether the image at the end of a turn keeps the rule. `motion_is_open` is whether the session awaits

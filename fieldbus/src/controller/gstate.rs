@@ -8,6 +8,8 @@ use wsg_protocol::types::GripperState;
 pub(super) enum Gstate {
     /// The gripper's last report.
     Reported,
+    /// The same, from before the PLC's last motion: none has followed.
+    Awaited,
     /// The state that the last result implies, until the gripper reports one.
     Result(GripperState),
     /// ERROR, because the PLC's last motion failed, until the gripper reports a state that this motion does not explain.
@@ -52,7 +54,7 @@ impl Gstate {
 
     /// Takes the confirmation of a Stop or an acknowledgement, which does not undo a later failure.
     pub(super) const fn stand(&mut self) {
-        if matches!(self, Self::Reported | Self::Result(_)) {
+        if matches!(self, Self::Reported | Self::Awaited | Self::Result(_)) {
             *self = Self::Result(GripperState::Idle);
         }
     }
@@ -80,7 +82,7 @@ impl Gstate {
         match self {
             Self::Result(state) => Some(*state),
             Self::FailedJog => Some(GripperState::Idle),
-            Self::Reported | Self::Failed { .. } => None,
+            Self::Reported | Self::Awaited | Self::Failed { .. } => None,
         }
     }
 

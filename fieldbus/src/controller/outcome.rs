@@ -142,14 +142,23 @@ impl Informed<'_> {
             own.status = StatusRegister::Ended(status);
             return;
         }
+        // A Stop leaves every state but ERROR, and an acknowledgement only that one (command set, appendix C): another party
+        // may have left it before, with a motion that lasts.
+        let reported = self.known.state.filter(|_| own.gstate == Gstate::Reported);
         match (id, own.fast_stop) {
             _ if status != Status::Success => {}
-            (CommandId::Stop, _) => own.gstate.stand(),
+            (CommandId::Stop, _)
+                if reported != Some(GripperState::Error) || own.acknowledgements_open > 0 =>
+            {
+                own.gstate.stand();
+            }
             (CommandId::FastStop, FastStop::Requested { .. }) => return own.fast_stop_answered(),
             // A FAST STOP requested in the meantime stays in effect, regardless of the order of the two answers.
             (CommandId::Acknowledge, FastStop::Acknowledged | FastStop::Clear) => {
                 own.fast_stop = FastStop::Clear;
-                own.gstate.stand();
+                if reported.is_none_or(|state| state == GripperState::Error) {
+                    own.gstate.stand();
+                }
             }
             _ => {}
         }

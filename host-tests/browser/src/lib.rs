@@ -156,6 +156,8 @@ impl Tab {
         self.call("Emulation.setDeviceMetricsOverride", &size);
         let scheme = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
         self.call("Emulation.setEmulatedMedia", &scheme);
+        // The answers precede the new layout, which a busy machine delays.
+        self.until(&format!("innerWidth === {width}"));
     }
 
     /// Sends a request of the protocol and returns its result.

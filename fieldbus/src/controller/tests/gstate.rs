@@ -139,6 +139,34 @@ fn first_report_after_a_refusal_ends_error_if_it_is_another_state() {
     }
 }
 
+/// The third party acknowledges first.
+#[test]
+fn acknowledgement_hides_no_state_that_a_third_party_has_caused() {
+    use GripperState::{Gripping, Holding, NoPart, PartLost, Positioning};
+    for state in [Positioning, Gripping, Holding, NoPart, PartLost] {
+        let mut plc = Plc::acknowledging_a_fast_stop();
+        plc.report_flags(SystemFlags::REFERENCED);
+        plc.report(state);
+        plc.answer(CommandId::Acknowledge, Status::Success);
+        assert_eq!(plc.shows(), (state.into(), Status::Success), "41h = {}", state.code());
+    }
+}
+
+#[test]
+fn stop_hides_no_error_that_the_gripper_reports_before_its_answer() {
+    for (state, shown) in [
+        (GripperState::Error, GripperFlags::ERROR),
+        (GripperState::PartLost, GripperFlags::IDLE),
+        (GripperState::Positioning, GripperFlags::IDLE),
+    ] {
+        let mut plc = Plc::holding();
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
+        plc.report(state);
+        plc.answer(CommandId::Stop, Status::Success);
+        assert_eq!(plc.shows(), (shown, Status::Success), "41h = {}", state.code());
+    }
+}
+
 #[test]
 fn motion_refused_because_a_third_party_moves_the_fingers_shows_their_motion() {
     let mut plc = Plc::ready();
