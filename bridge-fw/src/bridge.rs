@@ -222,6 +222,13 @@ impl Bridge {
         &self.session
     }
 
+    /// Returns whether a motion of the PLC has no result yet, for inspection: the session awaits it, or the status register
+    /// shows a motion that was refused because of it.
+    #[must_use]
+    pub fn motion_is_open(&self) -> bool {
+        self.session.motion_is_open() || self.controller.has_refused_meanwhile()
+    }
+
     /// Sets before a poll whether the link to the gripper is known to be down (bus-off). While it is, the PLC reads ERROR and
     /// E_IO_ERROR, and LINK_OK is low.
     ///

@@ -14,8 +14,9 @@ pub(crate) struct GstateRule {
     /// No state was reported since the PLC's last command ended.
     is_outdated: bool,
     excuse: Excuse,
-    /// The status register at the end of the last turn.
+    /// The status register at the end of the last turn, and GSTATE.
     status: Status,
+    state: GripperFlags,
     /// A command of the PLC was running then.
     is_pending: bool,
     /// The gripper has answered the running motion with E_CMD_ABORTED.
@@ -48,6 +49,7 @@ impl GstateRule {
             is_outdated: true,
             excuse: Excuse::None,
             status: Status::Success,
+            state: GripperFlags::empty(),
             is_pending: false,
             is_aborted: false,
             is_failed_jog: false,
@@ -71,17 +73,22 @@ impl GstateRule {
     /// Takes an answer without a value.
     pub(crate) fn answer(&mut self, id: CommandId, status: Status) {
         self.is_aborted |= self.is_pending && id.kind() == Kind::Motion && status == Status::CmdAborted;
-        if (id, status) == (CommandId::Stop, Status::Success) {
-            // Later than the reports (command set, appendix C). The status register may already show a refused motion.
-            self.reported = self.reported.map(|state| match state {
-                GripperState::Error => state,
-                _ => GripperState::Idle,
-            });
-        }
+        // The status register may show a refused motion instead of these ends.
+        self.is_outdated |= match (id, status) {
+            (CommandId::Stop, Status::Success) => true,
+            // It leaves no other state (command set, appendix C).
+            (CommandId::Acknowledge, Status::Success) => self.reported == Some(GripperState::Error),
+            _ => false,
+        };
+        // STOP/ACK may rise in the same turn. Only a jog shows a Pre-position as RELEASING.
+        self.is_failed_jog |= self.is_pending
+            && self.state == GripperFlags::RELEASING
+            && id == CommandId::PrePosition
+            && !matches!(status, Status::Success | Status::CmdPending);
     }
 
-    /// Returns whether the image at the end of a turn keeps the rule. `motion_is_open` is whether the session awaits
-    /// the outcome of a motion.
+    /// Returns whether the image at the end of a turn keeps the rule. `motion_is_open` is whether a motion of
+    /// the PLC has no result yet.
     pub(crate) fn is_kept(&mut self, image: &InputImage, motion_is_open: bool) -> bool {
         let is_pending = match image.status {
             Status::CmdPending => true,
@@ -105,7 +112,7 @@ impl GstateRule {
             self.is_outdated = true;
         }
         self.is_aborted &= is_pending;
-        (self.status, self.is_pending) = (image.status, is_pending);
+        (self.status, self.state, self.is_pending) = (image.status, image.state, is_pending);
         // No connection, or settings that are refused.
         if image.state == GripperFlags::ERROR
             && matches!(image.status, Status::IoError | Status::InconsistentData)

@@ -103,7 +103,9 @@ impl Informed<'_> {
             }
             self.own.send_alone(Command::ACKNOWLEDGE);
         } else {
-            let failed = self.own.gstate.is_failed() || self.known.state == Some(GripperState::Error);
+            let failed = self.own.gstate.is_failed()
+                || self.own.gstate == Gstate::FailedJog
+                || self.known.state == Some(GripperState::Error);
             self.own.stop();
             if failed {
                 // A Stop does not change the state; Acknowledge leads to IDLE (command set, 3.2.5 and appendix C).

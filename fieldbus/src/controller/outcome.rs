@@ -170,6 +170,7 @@ impl Informed<'_> {
 
     /// Handles a command that was not carried out, or whose outcome is unknown.
     pub(super) fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause) {
+        let is_stopped = self.is_fast_stopped();
         let own = &mut *self.own;
         if own.is_of_earlier_motion(id) {
             return;
@@ -186,7 +187,8 @@ impl Informed<'_> {
         if of_motion {
             own.motion = None;
             own.gstate = match cause {
-                Cause::Unanswered => Gstate::unknown(self.known.state),
+                // A FAST STOP has ended the motion.
+                Cause::Unanswered if !is_stopped => Gstate::unknown(self.known.state),
                 _ => Gstate::failed(self.known.state),
             };
         }

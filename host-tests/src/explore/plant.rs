@@ -490,7 +490,7 @@ impl Plant {
         let outputs = self.outputs;
         self.say(|story| write!(story, "\n           {outputs:?}"));
         self.promises.end_turn(now, outputs, &self.gripper)?;
-        let motion_is_open = self.bridge.session().motion_is_open();
+        let motion_is_open = self.bridge.motion_is_open();
         self.promises.shows_state(&self.bridge.input_image(), motion_is_open)
     }
 }

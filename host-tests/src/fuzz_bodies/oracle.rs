@@ -75,7 +75,7 @@ impl Oracle {
 
     /// Ends the turn of this bridge with these outputs.
     pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, gripper: &Gripper) {
-        let (image, motion_is_open) = (bridge.input_image(), bridge.session().motion_is_open());
+        let (image, motion_is_open) = (bridge.input_image(), bridge.motion_is_open());
         let keeps_rule = self.reported.gstate.is_kept(&image, motion_is_open);
         assert!(keeps_rule || gripper.is_forged(), "{image:?} {:?}", self.reported.gstate);
         let is_connected = outputs.contains(Outputs::LINK_OK);

@@ -152,6 +152,19 @@ fn acknowledgement_hides_no_state_that_a_third_party_has_caused() {
     }
 }
 
+/// The FAST STOP has ended the motion, so its outcome is not in doubt when another party acknowledges.
+#[test]
+fn motion_without_an_answer_in_fast_stop_leaves_no_error() {
+    let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
+    plc.report(GripperState::Error);
+    plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+    plc.controller.handle(&Event::Unanswered(CommandId::PrePosition), &plc.known);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Timeout));
+    plc.report_flags(SystemFlags::REFERENCED);
+    plc.report(GripperState::Idle);
+    assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Timeout));
+}
+
 #[test]
 fn stop_hides_no_error_that_the_gripper_reports_before_its_answer() {
     for (state, shown) in [

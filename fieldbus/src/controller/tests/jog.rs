@@ -173,6 +173,14 @@ fn both_jog_flags_stop_and_the_remaining_one_continues() {
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [MINUS]);
 }
 
+/// The gripper may not have reported ERROR yet.
+#[test]
+fn stop_after_a_failed_jog_acknowledges_too() {
+    let mut plc = Plc::jogging();
+    plc.answer(CommandId::PrePosition, Status::AxisBlocked);
+    assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop, Command::ACKNOWLEDGE]);
+}
+
 #[test]
 fn error_reported_after_a_failed_jog_is_hidden_until_the_next_command() {
     let mut plc = Plc::ready();
