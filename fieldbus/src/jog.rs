@@ -79,6 +79,12 @@ impl Jog {
         self.armed = image.is_some_and(|image| !image.flags.intersects(CommandFlags::JOG));
     }
 
+    /// Ends the jog. Another one needs flags that were 0 before.
+    pub(super) fn end(&mut self, image: Option<&OutputImage>) {
+        self.stage = Stage::Off;
+        self.disarm(image);
+    }
+
     /// Returns the requested jog if the flags are effective.
     pub(super) fn asked(&self, image: Option<&OutputImage>) -> Option<Drive> {
         image.and_then(Drive::requested_by).filter(|_| self.armed)

@@ -100,8 +100,10 @@ impl GstateRule {
             self.excuse = match image.status {
                 Status::Success | Status::CmdPending | Status::CmdFailed => Excuse::None,
                 Status::CmdAborted if self.is_aborted => Excuse::None,
-                // Withdrawn, or found moving at power-up.
-                Status::CmdAborted | Status::Timeout => Excuse::Unknown(self.reported),
+                // Withdrawn, or found moving at power-up, which a motion that was refused then hides.
+                Status::CmdAborted | Status::Timeout | Status::AlreadyRunning => {
+                    Excuse::Unknown(self.reported)
+                }
                 // The session refused it, or the gripper did.
                 _ => Excuse::Failed(self.reported),
             };

@@ -1,7 +1,6 @@
 //! FAST STOP, its confirmation and its acknowledgement (fieldbus, 6.6).
 
 use super::{Controller, Gstate, Informed, StatusRegister};
-use crate::jog::Stage;
 use crate::{Cause, CommandFlags, OutputImage};
 use wsg_protocol::command::{Command, CommandId};
 use wsg_protocol::types::{AutoUpdate, GripperState, Status, SystemFlags};
@@ -35,15 +34,25 @@ impl Controller {
     /// Sends a FAST STOP, for the first time or again.
     pub(super) fn give_fast_stop(&mut self) {
         self.fast_stop = FastStop::Requested { again: false };
-        self.jog.stage = Stage::Off;
-        self.jog.disarm(self.image.as_ref());
+        self.jog.end(self.image.as_ref());
         self.send_alone(Command::FastStop);
+    }
+
+    /// Refuses a motion that has not been sent, because it awaits its force limit: it must not start when another party has
+    /// acknowledged the gripper's FAST STOP.
+    fn drop_unsent_motion(&mut self) {
+        let Some(motion) = self.motion.filter(|motion| motion.awaits.is_some()) else { return };
+        self.jog.end(self.image.as_ref());
+        self.motion = None;
+        self.note(Cause::FastStopLasts, Some(motion.command.id()), 0);
+        self.status = StatusRegister::Ended(Status::AccessDenied);
     }
 
     /// Compares the gripper's system flags with the FAST STOP that it answered.
     pub(super) fn supervise_fast_stop(&mut self, flags: SystemFlags) {
         let is_stopped = flags.contains(SystemFlags::FAST_STOP);
         if is_stopped {
+            self.drop_unsent_motion();
             // It ends the last result, which must not reappear after an acknowledgement by a third party.
             self.gstate = Gstate::Result(GripperState::Idle);
         }
@@ -101,6 +110,8 @@ impl Informed<'_> {
             if self.own.fast_stop == FastStop::Latched {
                 self.own.fast_stop = FastStop::Acknowledged;
             }
+            // The gripper's own FAST STOP has ended it, even if its answer follows or was lost.
+            self.own.jog.end(self.own.image.as_ref());
             self.own.send_alone(Command::ACKNOWLEDGE);
         } else {
             let failed = self.own.gstate.is_failed()

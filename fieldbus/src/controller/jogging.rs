@@ -41,8 +41,7 @@ impl Controller {
     /// Ends a jog that finished by itself or did not start. GSTATE is IDLE, even after an error (fieldbus, 6.7).
     #[inline(never)]
     pub(super) fn end_jog(&mut self, status: Status) {
-        self.jog.stage = Stage::Off;
-        self.jog.disarm(self.image.as_ref());
+        self.jog.end(self.image.as_ref());
         self.motion = None;
         self.gstate = match status {
             Status::Success => Gstate::Result(GripperState::Idle),

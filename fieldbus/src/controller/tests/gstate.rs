@@ -152,6 +152,21 @@ fn acknowledgement_hides_no_state_that_a_third_party_has_caused() {
     }
 }
 
+/// A third party acknowledges the gripper's own FAST STOP before the answer to the force limit.
+#[test]
+fn motion_that_awaits_its_force_limit_does_not_start_after_a_fast_stop() {
+    for flag in [CommandFlags::GRIP, CommandFlags::JOG_PLUS] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(flag), [Command::SetForceLimit { force: 40.0 }]);
+        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AccessDenied));
+        plc.report_flags(SystemFlags::REFERENCED);
+        assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), []);
+        assert_eq!(plc.write(|image| image.speed += 1), []);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AccessDenied));
+    }
+}
+
 /// The FAST STOP has ended the motion, so its outcome is not in doubt when another party acknowledges.
 #[test]
 fn motion_without_an_answer_in_fast_stop_leaves_no_error() {

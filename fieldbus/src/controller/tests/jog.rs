@@ -173,6 +173,25 @@ fn both_jog_flags_stop_and_the_remaining_one_continues() {
     assert_eq!(plc.answer(CommandId::SetForceLimit, Status::Success), [MINUS]);
 }
 
+/// The answer to the jog may have been lost, or follow. The flag is 1 all the time.
+#[test]
+fn acknowledgement_of_the_grippers_own_fast_stop_ends_a_jog_for_good() {
+    for answers in [false, true] {
+        let mut plc = Plc::jogging();
+        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::ACKNOWLEDGE]);
+        if answers {
+            plc.answer(CommandId::PrePosition, Status::CmdAborted);
+        }
+        plc.answer(CommandId::Acknowledge, Status::Success);
+        plc.report_flags(SystemFlags::REFERENCED);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::Success));
+        assert_eq!(plc.write(|image| image.speed += 1), []);
+        assert_eq!(plc.lower(CommandFlags::STOP_ACK), []);
+        assert_eq!(plc.write(|image| image.speed += 1), []);
+    }
+}
+
 /// The gripper may not have reported ERROR yet.
 #[test]
 fn stop_after_a_failed_jog_acknowledges_too() {
