@@ -157,7 +157,7 @@ fn request_of_a_sender_that_saw_an_old_state_changes_nothing_and_stops_are_execu
     for (path, change, other) in CHANGES {
         let (status, answer) = rig.request("POST", &format!("{path}?as_of={old}"), change);
         assert_eq!(status, 412, "{path} {change}: {answer}");
-        assert!(answer["error"].as_str().unwrap().contains("an earlier start of the gripper"), "{answer}");
+        assert!(answer["error"].as_str().unwrap().contains("before its last start"), "{answer}");
         if let Some(other) = other {
             let (status, answer) = rig.request("POST", &format!("{path}?as_of={old}"), other);
             assert_eq!(status, 200, "{path} {other}: {answer}");
@@ -265,7 +265,7 @@ fn command_of_a_page_that_has_not_seen_the_latest_stop_is_refused() {
         fast_stop(&mut rig);
         let (status, refused) = page.ask(&before["as_of"], json!({"command":"acknowledge"}));
         assert!(
-            status == 412 && refused["error"].as_str().unwrap().contains("before the latest stop"),
+            status == 412 && refused["error"].as_str().unwrap().contains("not seen the latest stop"),
             "{refused}"
         );
         while !page.next("state")["state"]["system_state"].to_string().contains("FAST_STOP") {}
