@@ -80,6 +80,8 @@ impl Jog {
     }
 
     /// Ends the jog. Another one needs flags that were 0 before.
+    // Not inlined: it has several callers.
+    #[inline(never)]
     pub(super) fn end(&mut self, image: Option<&OutputImage>) {
         self.stage = Stage::Off;
         self.disarm(image);

@@ -41,11 +41,11 @@ impl Controller {
     /// Refuses a motion that has not been sent, because it awaits its force limit: it must not start when another party has
     /// acknowledged the gripper's FAST STOP.
     fn drop_unsent_motion(&mut self) {
-        let Some(motion) = self.motion.filter(|motion| motion.awaits.is_some()) else { return };
-        self.jog.end(self.image.as_ref());
-        self.motion = None;
-        self.note(Cause::FastStopLasts, Some(motion.command.id()), 0);
-        self.status = StatusRegister::Ended(Status::AccessDenied);
+        if self.motion.is_some_and(|motion| motion.awaits.is_some()) {
+            self.jog.end(self.image.as_ref());
+            self.motion = None;
+            self.show(Status::AccessDenied, Cause::FastStopLasts);
+        }
     }
 
     /// Compares the gripper's system flags with the FAST STOP that it answered.
