@@ -28,6 +28,13 @@ pub(crate) fn during<T>(seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> 
     ensure!(cfg!(target_os = "linux"), "--disturbed finds the processes in /proc, which only Linux has");
     println!("test: beside {BUSY} busy threads, with pauses of up to {PAUSE_MS} ms; seed {seed}");
     let is_over = AtomicBool::new(false);
+    // Also if the work panics: the scope waits for all threads.
+    struct End<'a>(&'a AtomicBool);
+    impl Drop for End<'_> {
+        fn drop(&mut self) {
+            self.0.store(true, Ordering::Relaxed);
+        }
+    }
     let (outcome, pauses) = thread::scope(|scope| {
         for _ in 0..BUSY {
             scope.spawn(|| {
@@ -37,8 +44,9 @@ pub(crate) fn during<T>(seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> 
             });
         }
         let pauses = scope.spawn(|| pause_until(&is_over, seed));
+        let end = End(&is_over);
         let outcome = work();
-        is_over.store(true, Ordering::Relaxed);
+        drop(end);
         (outcome, pauses.join().expect("a panic is a defect, and was printed"))
     });
     println!("test: {pauses} pauses of processes");
@@ -115,5 +123,13 @@ mod tests {
             Ok(program.wait()?.success())
         };
         assert!(during(Some(1), work).unwrap());
+    }
+
+    /// Otherwise this test does not end.
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn work_that_panics_ends_the_disturbance() {
+        let work = || -> Result<()> { panic!("on purpose") };
+        assert!(std::panic::catch_unwind(|| during(Some(1), work)).is_err());
     }
 }

@@ -110,7 +110,7 @@ impl Informed<'_> {
             if self.own.fast_stop == FastStop::Latched {
                 self.own.fast_stop = FastStop::Acknowledged;
             }
-            // The gripper's own FAST STOP has ended it, even if its answer follows or was lost.
+            // The gripper's own FAST STOP has ended the jog, even if the jog's answer is late or lost.
             self.own.jog.end(self.own.image.as_ref());
             self.own.send_alone(Command::ACKNOWLEDGE);
         } else {

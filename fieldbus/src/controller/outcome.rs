@@ -142,8 +142,8 @@ impl Informed<'_> {
             own.status = StatusRegister::Ended(status);
             return;
         }
-        // A Stop leaves every state but ERROR, and an acknowledgement only that one (command set, appendix C): another party
-        // may have left it before, with a motion that lasts.
+        // A Stop leaves every state except ERROR, and an acknowledgement leaves only ERROR (command set, appendix C). Another
+        // party may have acknowledged earlier and started a motion since.
         let reported = self.known.state.filter(|_| own.gstate == Gstate::Reported);
         match (id, own.fast_stop) {
             _ if status != Status::Success => {}

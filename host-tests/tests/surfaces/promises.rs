@@ -88,7 +88,9 @@ impl Rig {
 
     /// Starts a motion that takes five seconds.
     fn start_moving(&mut self) -> Receiver<Outcome> {
+        let start = Instant::now();
         loop {
+            assert!(start.elapsed() < BOUND, "the page refuses a possible motion");
             let outcome = self.surface.begin(Verb::Move(TARGET));
             // See `succeed`.
             let is_refused = Cell::new(false);

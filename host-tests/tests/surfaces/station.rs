@@ -263,8 +263,9 @@ impl Station {
     /// Waits until the observer has noted every travel that has begun.
     pub(crate) fn catch_up(&self) {
         // The present glance may have begun before.
-        let enough = self.trace().glances + 2;
+        let (enough, start) = (self.trace().glances + 2, Instant::now());
         while self.trace().glances < enough {
+            assert!(start.elapsed() < BOUND, "the observer has ended");
             thread::sleep(GLANCE);
         }
     }

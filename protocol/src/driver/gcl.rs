@@ -27,7 +27,7 @@ const LONGEST_NEEDED: usize = "@SYSFLAGS=[]".len() + 2 * 32;
 ///
 /// | method | over GCL |
 /// |---|---|
-/// | limits | The stroke follows from the model (DEVTYPE). GCL has no query for the others: `assume_limits` states them, and `known().limits` returns them. Without them, the driver refuses only negative speeds and forces, and the manual does not say what the gripper does with other values |
+/// | limits | The stroke follows from the model (DEVTYPE). GCL has no query for the others: `assume_limits` states them, and `known().limits` returns them. Without them, the driver refuses only negative speeds and forces. The manual does not specify how the gripper treats other values |
 /// | `set_force_limit`, `force_limit` | stored by the driver and sent with every GRIP; [`Error::NoForceLimit`] before the first setting |
 /// | `move_by` | queries the width, then sends `MOVE` to that width plus the offset |
 /// | `grip` | queries the width first to determine the direction; blocked outside the part width tolerance: [`Error::Blocked`] |
