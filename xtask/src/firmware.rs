@@ -26,15 +26,16 @@ pub(crate) const PROFILE: &str = "firmware";
 
 /// Images for the emulator tests: environment variable and settings, the defaults first.
 ///
-/// The others put gripper, PLC or both on CAN at different rates, disable the bus, or select the lowest PROFIBUS rate, because the
-/// emulator pauses at times.
+/// The others put gripper, PLC or both on CAN at different rates, disable the bus, or select the lowest PROFIBUS rate. A busy
+/// host pauses emulator or master at times, so PROFIBUS has that rate, and both buses a long time-out: the first image after a
+/// silent second would give no edge.
 pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 6] = [
     (IMAGE_VARIABLE, &[]),
     ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1), ("CAN_RATE", 1000)]),
-    ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2), ("CAN_RATE", 250)]),
+    ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2), ("CAN_RATE", 250), ("BUS_TIMEOUT", 60_000)]),
     ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),
     ("WSG_FIRMWARE_ELF_NO_BUS", &[("PLC_BUS", 0)]),
-    ("WSG_FIRMWARE_ELF_PROFIBUS", &[("PLC_BUS", 3), ("PROFIBUS_RATE", 96)]),
+    ("WSG_FIRMWARE_ELF_PROFIBUS", &[("PLC_BUS", 3), ("PROFIBUS_RATE", 96), ("BUS_TIMEOUT", 60_000)]),
 ];
 
 /// A variant of the image. The default has no additional features or settings.
