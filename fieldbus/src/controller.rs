@@ -310,15 +310,19 @@ impl Controller {
         self.motion = None;
         self.held_back = None;
         self.gstate.end_failure();
-        // The session never received these, so they have no outcome.
+        self.clear_outgoing();
+        self.send(command);
+        self.status = StatusRegister::pending(command.id());
+    }
+
+    /// Drops the commands that the session never received, so they have no outcome.
+    fn clear_outgoing(&mut self) {
         while let Some(unsent) = self.outgoing.pop_front() {
             self.note_outcome(&Event::Withdrawn(unsent.id()));
             if unsent.id().kind() == Kind::Motion {
                 self.unseen = Unseen::No;
             }
         }
-        self.send(command);
-        self.status = StatusRegister::pending(command.id());
     }
 
     #[inline(never)]

@@ -22,6 +22,8 @@
 //!   The bursts and pauses of [`FastStopPattern`] also reach a gripper that mistook a damaged frame for the head of a
 //!   long one. Nothing else is sent meanwhile. The session never acknowledges a FAST STOP.
 //! - **Acknowledge**: overtakes all queued requests like Stop. A motion requested before it is never sent after it.
+//! - **FAST STOP of the gripper itself**: overtakes all queued requests like Stop, if a motion is among them. Otherwise
+//!   the motion could follow somebody else's acknowledgement.
 //! - **Settings**: are read back if [`Config::verify_settings`] is set. A different value is reported as [`MISMATCH`].
 //!   A verified force limit is polled until anything may have changed it ([`Known::force_limit`]).
 //! - **Updates**: restores all subscriptions of [`Config`] and [`Session::subscribe`] after a reconnect.

@@ -2,7 +2,7 @@
 
 use super::{Controller, Gstate, Informed, StatusRegister};
 use crate::{Cause, CommandFlags, OutputImage};
-use wsg_protocol::command::{Command, CommandId};
+use wsg_protocol::command::{Command, CommandId, Kind};
 use wsg_protocol::types::{AutoUpdate, GripperState, Status, SystemFlags};
 
 /// The controller's own record of a FAST STOP, in addition to the gripper's flag.
@@ -38,12 +38,14 @@ impl Controller {
         self.send_alone(Command::FastStop);
     }
 
-    /// Refuses a motion that has not been sent, because it awaits its force limit: it must not start when another party has
-    /// acknowledged the gripper's FAST STOP.
+    /// Refuses a motion that the session has not received: it must not start when another party has acknowledged the
+    /// gripper's FAST STOP. The session withdraws the motions that it has not sent.
     fn drop_unsent_motion(&mut self) {
-        if self.motion.is_some_and(|motion| motion.awaits.is_some()) {
+        let awaits = self.motion.is_some_and(|motion| motion.awaits.is_some());
+        if awaits || self.outgoing.iter().any(|command| command.id().kind() == Kind::Motion) {
             self.jog.end(self.image.as_ref());
             self.motion = None;
+            self.clear_outgoing();
             self.show(Status::AccessDenied, Cause::FastStopLasts);
         }
     }

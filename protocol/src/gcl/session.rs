@@ -15,7 +15,8 @@
 //!   BYE. An unknown outcome is reported as [`Event::Unanswered`].
 //! - **STOP**: overtakes all queued requests. Without a connection it is sent once, immediately, and never later.
 //! - **FASTSTOP**: is sent before anything else and repeated until the gripper confirms it, even across a reconnect.
-//!   The session never acknowledges it.
+//!   The session never acknowledges it. If the gripper itself reports one, it overtakes all queued requests, if a motion
+//!   is among them.
 //! - **Updates**: restores all subscriptions of [`Config`] and [`Session::subscribe`] after a reconnect.
 //! - **Silence**: closes the connection, forgets the gripper's state and withdraws all queued requests. The gripper
 //!   loses PWT and CLT with the connection, so the caller must set them again.
@@ -51,7 +52,7 @@ use crate::session::subscriptions::Subscriptions;
 use crate::session::transaction::{self, Outgoing};
 use crate::session::{Engine, EventOf};
 use crate::time::Instant;
-use crate::types::Status;
+use crate::types::{Status, SystemFlags};
 
 /// The controller's side of a GCL connection.
 pub type Session = Engine<GclDialect>;
@@ -217,6 +218,10 @@ impl Dialect for GclDialect {
 
     fn learn(known: &mut Known, value: &Value<'_>) -> Option<bool> {
         known.learn(value)
+    }
+
+    fn is_fast_stopped(known: &Known) -> bool {
+        known.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP))
     }
 }
 

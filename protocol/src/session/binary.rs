@@ -17,7 +17,7 @@ use crate::field::DecodeError;
 use crate::frame::Event as FrameEvent;
 use crate::reply::{Reply, Value};
 use crate::time::Instant;
-use crate::types::{AutoUpdate, Status};
+use crate::types::{AutoUpdate, Status, SystemFlags};
 
 /// The controller's side of a binary-protocol connection.
 pub type Session = Engine<BinaryDialect>;
@@ -65,7 +65,8 @@ impl Session {
 
     /// Requests a command. Its outcome is reported as an [`Event`].
     ///
-    /// Stop, FAST STOP and Acknowledge overtake all queued requests, which are withdrawn. A single query of a
+    /// Stop, FAST STOP and Acknowledge overtake all queued requests, which are withdrawn. So does a FAST
+    /// STOP that the gripper reports while a motion waits to be sent. A single query of a
     /// subscribed value does not end the subscription.
     ///
     /// # Errors
@@ -223,6 +224,10 @@ impl Dialect for BinaryDialect {
 
     fn learn(known: &mut Known, value: &Value<'_>) -> Option<bool> {
         known.learn(value)
+    }
+
+    fn is_fast_stopped(known: &Known) -> bool {
+        known.flags.is_some_and(|flags| flags.contains(SystemFlags::FAST_STOP))
     }
 
     fn read_back(&self, setting: &Command<'static>) -> Option<Command<'static>> {

@@ -63,6 +63,9 @@ pub trait Dialect: Copy + Debug {
     /// Stores a value if it is part of the known state. Returns whether the fingers move, if the value contains that.
     fn learn(known: &mut Self::Known, value: &Self::Value<'_>) -> Option<bool>;
 
+    /// Returns whether the gripper is known to be in FAST STOP.
+    fn is_fast_stopped(known: &Self::Known) -> bool;
+
     /// Returns the query that reads this setting back, if it is to be verified.
     fn read_back(&self, _setting: &Self::Request) -> Option<Self::Request> {
         None

@@ -166,13 +166,8 @@ impl<D: Dialect> Engine<D> {
     /// Returns the motion in progress: it was requested, and its result is outstanding.
     #[must_use]
     pub fn motion(&self) -> Option<NameOf<D>> {
-        let sent = self.request.name();
-        self.running
-            .iter()
-            .flatten()
-            .map(|running| running.name)
-            .chain(sent)
-            .find(|name| name.kind() == Kind::Motion)
+        let running = self.running.iter().flatten().map(|running| running.name);
+        running.chain(self.request.name()).find(|name| name.kind() == Kind::Motion)
     }
 
     /// Returns the counters of unusable input, retries and disconnects.
@@ -246,6 +241,8 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Marks every unsent request for withdrawal by the next ticks. Sent requests are not repeated.
+    // Not inlined: it has several callers.
+    #[inline(never)]
     fn overtake(&mut self) {
         self.overtaken = Overtaken { request: true, queued: self.queue.len() };
         // A setting in progress is read back nevertheless.
@@ -430,7 +427,16 @@ impl<D: Dialect> Engine<D> {
     /// are rejected ([`RequestError::MotionRunning`]).
     #[must_use]
     pub fn motion_is_open(&self) -> bool {
-        self.motion().is_some() || self.queue.iter().any(|request| request.name().kind() == Kind::Motion)
+        self.motion().is_some() || self.motion_waits()
+    }
+
+    /// Returns whether a motion is requested and has no reply yet.
+    // Not inlined: it has several callers.
+    #[inline(never)]
+    fn motion_waits(&self) -> bool {
+        let is_motion = |name: NameOf<D>| name.kind() == Kind::Motion;
+        self.request.name().is_some_and(is_motion)
+            || self.queue.iter().any(|request| is_motion(request.name()))
     }
 
     #[inline(never)]

@@ -1003,6 +1003,52 @@ fn motion_that_is_next_to_be_sent_is_withdrawn_by_an_acknowledgement() {
     assert_eq!(rig.events, ["Withdrawn(GripPart)"]);
 }
 
+const FAST_STOPPED: Value<'static> =
+    Value::GetSystemState(SystemFlags::REFERENCED.union(SystemFlags::FAST_STOP));
+
+/// Otherwise it would follow the acknowledgement of another party.
+#[test]
+fn fast_stop_of_the_gripper_withdraws_a_motion_that_was_not_sent() {
+    let mut next = about_to_grip();
+    next.reply(Reply::success(FAST_STOPPED));
+    assert_eq!(next.sent(), []);
+    assert_eq!(next.noticed("Withdrawn(GripPart)"), 1);
+
+    let mut queued = Rig::connected();
+    queued.send(Command::GetTemperature);
+    queued.session.request(GRIP).unwrap();
+    queued.reply(Reply::success(FAST_STOPPED));
+    queued.reply(Reply::success(Value::GetSystemState(SystemFlags::REFERENCED)));
+    queued.reply(Reply::success(Value::GetTemperature(crate::Temperature(250))));
+    assert_eq!(queued.sent(), []);
+    assert_eq!(queued.noticed("Withdrawn(GripPart)"), 1);
+}
+
+#[test]
+fn fast_stop_of_the_gripper_overtakes_a_motion_that_is_being_sent() {
+    let mut rig = Rig::connected();
+    rig.send(GRIP);
+    rig.reply(Reply::success(FAST_STOPPED));
+    assert!(rig.session.has_overtaken());
+}
+
+#[test]
+fn fast_stop_of_the_gripper_withdraws_no_query_without_a_motion_and_nothing_that_is_requested_after_it() {
+    let mut rig = Rig::connected();
+    rig.send(Command::GetForceLimit);
+    rig.session.request(Command::GetTemperature).unwrap();
+    rig.reply(Reply::success(FAST_STOPPED));
+    rig.reply(Reply::success(Value::GetForceLimit(40.0)));
+    assert_eq!(rig.sent(), [Command::GetTemperature]);
+    rig.reply(Reply::success(Value::GetTemperature(crate::Temperature(250))));
+    rig.send(Command::ACKNOWLEDGE);
+    rig.session.request(HOMING).unwrap();
+    // Repeated: it may precede the acknowledgement.
+    rig.reply(Reply::success(FAST_STOPPED));
+    rig.status(CommandId::Acknowledge, Status::Success);
+    assert_eq!(rig.sent(), [HOMING]);
+}
+
 #[test]
 fn query_is_not_taken_back() {
     let mut rig = Rig::connected();

@@ -167,6 +167,19 @@ fn motion_that_awaits_its_force_limit_does_not_start_after_a_fast_stop() {
     }
 }
 
+#[test]
+fn motion_that_the_session_has_not_fetched_does_not_start_after_a_fast_stop() {
+    for flag in [CommandFlags::GRIP, CommandFlags::JOG_PLUS] {
+        let mut plc = Plc::ready();
+        assert_eq!(plc.raise(flag), [Command::SetForceLimit { force: 40.0 }]);
+        let done = Reply::status_only(CommandId::SetForceLimit, Status::Success);
+        plc.controller.handle(&Event::Answered(done), &plc.known);
+        plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
+        assert_eq!(plc.controller.poll_command(), None);
+        assert_eq!(plc.shows(), (GripperFlags::IDLE, Status::AccessDenied));
+    }
+}
+
 /// The FAST STOP has ended the motion, so its outcome is not in doubt when another party acknowledges.
 #[test]
 fn motion_without_an_answer_in_fast_stop_leaves_no_error() {

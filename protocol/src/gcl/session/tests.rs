@@ -359,6 +359,18 @@ fn fsack_withdraws_earlier_requests() {
 }
 
 #[test]
+fn fast_stop_of_the_gripper_withdraws_a_motion_that_was_not_sent() {
+    let mut rig = Rig::connected();
+    rig.session.request(Request::Tag).unwrap();
+    assert_eq!(rig.lines(0), ["TAG?"]);
+    rig.session.request(GRIP).unwrap();
+    rig.hear("SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
+    rig.hear("TAG=\"left\"");
+    assert_eq!(rig.lines(1), [""; 0]);
+    assert_eq!(rig.happened().last().map(String::as_str), Some("Withdrawn GRIP"));
+}
+
+#[test]
 fn motion_that_never_ends_is_given_up_after_its_time() {
     let mut rig = Rig::connected();
     rig.exchange(HOME, "ACK HOME");
