@@ -74,6 +74,26 @@ impl Master {
         frame
     }
 
+    /// Raises BUS_TIMEOUT to a minute and BUS_CHAR_TIMEOUT to a second, because a busy host may pause inside requests. Until
+    /// this request is accepted, such a pause ends it, so it is repeated.
+    ///
+    /// # Errors
+    /// Fails when the board does not accept the settings.
+    pub fn allow_pauses(&mut self) -> Result<()> {
+        let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
+        let frame = Self::frame(self.unit, &[&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat());
+        for _ in 0..ATTEMPTS {
+            self.send(&frame)?;
+            let answer = self.answer(&mut |byte| byte, || true)?;
+            // The answer to an earlier attempt may follow.
+            while !self.is_silent()? {}
+            if answer.is_some_and(|answer| answer == [16, 0, 101, 0, 3]) {
+                return Ok(());
+            }
+        }
+        bail!("the board does not accept longer time-outs")
+    }
+
     /// Sends a request, once. Returns the answer's PDU, which may be an exception.
     ///
     /// # Errors

@@ -36,7 +36,7 @@ def rise(flags):
 
 def run(flags, is_done, what):
     """Writes these flags until the input image meets the condition."""
-    end = time.monotonic() + 120
+    end = time.monotonic() + 600
     exchanges, image, written = 0, None, rise(flags)
     while time.monotonic() < end:
         if not gripper.isConnected():

@@ -46,9 +46,7 @@ impl Plant {
         rig.set(Inputs::FAST_STOP_OK, true).unwrap();
         let master = rig.master(UNIT).unwrap();
         let mut plant = Self { kind, models, rig, master };
-        // Raise BUS_TIMEOUT and BUS_CHAR_TIMEOUT, because a host may pause inside frames.
-        let [minute, second] = [60_000u16, 1_000].map(u16::to_be_bytes);
-        plant.ask(&[&[16, 0, 101, 0, 3, 6][..], &minute, &[0, 1], &second].concat());
+        plant.master.allow_pauses().unwrap();
         plant.acknowledge();
         plant
     }

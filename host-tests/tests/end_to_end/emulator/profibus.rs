@@ -25,7 +25,7 @@ use super::Board;
 use crate::profibus::gsd_file;
 
 /// Time limit of every wait.
-const BOUND: Duration = Duration::from_secs(120);
+const BOUND: Duration = Duration::from_secs(600);
 
 /// The board's line, as the PHY of the master.
 struct Line {

@@ -97,6 +97,7 @@ fn bus_off_during_a_motion_is_reported_and_a_fast_stop_meanwhile_is_sent_first_a
     // At the real gripper's speed, homing takes longer than bus-off.
     let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, Config::default());
     let mut master = plant.rig.master(1).unwrap();
+    master.allow_pauses().unwrap();
     plant.rig.set(Inputs::HOME, true).unwrap();
     plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
     plant.rig.set(Inputs::HOME, false).unwrap();
@@ -129,6 +130,7 @@ fn bus_off_during_a_motion_is_reported_and_a_fast_stop_meanwhile_is_sent_first_a
 fn a_command_without_an_acknowledgement_is_not_sent_later<C: CanBoard>() {
     let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     let mut master = plant.rig.master(1).unwrap();
+    master.allow_pauses().unwrap();
 
     plant.bus.set_fault(Fault::Cut);
     let mark = plant.rig.trace().mark();
@@ -222,6 +224,7 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full() {
 fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
     let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     let mut master = plant.rig.master(1).unwrap();
+    master.allow_pauses().unwrap();
     assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 0);
     let mark = plant.rig.trace().mark();
 
