@@ -170,7 +170,8 @@ impl Informed<'_> {
 
     /// Handles a command that was not carried out, or whose outcome is unknown.
     pub(super) fn came_to_nothing(&mut self, id: CommandId, status: Status, cause: Cause) {
-        let is_stopped = self.is_fast_stopped();
+        // The motion is over: a FAST STOP has ended it, or the gripper has reported fingers at rest since it began.
+        let is_over = self.is_fast_stopped() || self.stands();
         let own = &mut *self.own;
         if own.is_of_earlier_motion(id) {
             return;
@@ -187,8 +188,7 @@ impl Informed<'_> {
         if of_motion {
             own.motion = None;
             own.gstate = match cause {
-                // A FAST STOP has ended the motion.
-                Cause::Unanswered if !is_stopped => Gstate::unknown(self.known.state),
+                Cause::Unanswered if !is_over => Gstate::unknown(self.known.state),
                 _ => Gstate::failed(self.known.state),
             };
         }

@@ -18,6 +18,16 @@ const WIDTH: &str = "(() => {
     return isOld ? null : document.querySelector('#drawing text').textContent;
 })()";
 
+/// Records the longest time between two timers of the tab, which shows when Chromium does not run.
+const WATCH_STALLS: &str = "
+    window.stall = 0;
+    let last = performance.now();
+    setInterval(() => {
+        const now = performance.now();
+        window.stall = Math.max(window.stall, now - last);
+        last = now;
+    }, 10); 0";
+
 struct Page {
     tab: Arc<Mutex<Tab>>,
     /// The number of the latest request.
@@ -27,6 +37,7 @@ struct Page {
 pub(crate) fn page(address: SocketAddr) -> Box<dyn Surface> {
     let mut tab = Tab::open(&format!("http://{address}"));
     tab.until(WIDTH);
+    tab.eval(WATCH_STALLS);
     Box::new(Page { tab: Arc::new(Mutex::new(tab)), number: 0 })
 }
 
@@ -72,6 +83,12 @@ impl Surface for Page {
         // The test may have ended.
         thread::spawn(move || sender.send(result(&tab, name, number)).ok());
         outcome
+    }
+
+    fn stall(&mut self) -> Duration {
+        let longest =
+            self.tab.lock().expect("no panic").eval("(() => { const s = stall; stall = 0; return s; })()");
+        Duration::from_secs_f64(longest.as_f64().expect("a number") / 1_000.0)
     }
 }
 

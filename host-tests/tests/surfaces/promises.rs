@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use wsg_protocol::SystemFlags;
 
-use crate::station::{BOUND, Line, Station, Way};
+use crate::station::{BOUND, Line, STALL, Station, Way};
 use crate::surface::{Outcome, Surface, Verb};
 use crate::{Entry, Kind};
 
@@ -114,6 +114,7 @@ pub(crate) fn fast_stop_acts(entry: &Entry) {
         let line = (entry.line)(&rig.station);
         line.hold(Way::Answers);
         let hanging = [(); 3].map(|()| rig.surface.begin(Verb::Read));
+        rig.surface.stall();
         rig.station.measure();
         let pressed = Instant::now();
         let stopped = rig.surface.begin(Verb::FastStop);
@@ -121,11 +122,7 @@ pub(crate) fn fast_stop_acts(entry: &Entry) {
             state.flags.contains(SystemFlags::FAST_STOP) && !state.flags.contains(SystemFlags::MOVING)
         });
         let time = stood - pressed;
-        // The observer does not see disturbances of Chromium. A time that is too long may be one.
-        let counts = match entry.kind {
-            Kind::Page => time <= FAST_STOP_TIME,
-            _ => rig.station.was_quiet(),
-        };
+        let counts = rig.station.was_quiet() && rig.surface.stall() < STALL;
         (entry.line)(&rig.station).release(Way::Answers);
         if counts {
             assert!(time <= FAST_STOP_TIME, "FAST STOP took {time:?}");

@@ -17,7 +17,7 @@ pub(crate) const BOUND: Duration = Duration::from_secs(30);
 const GLANCE: Duration = Duration::from_millis(1);
 
 /// An interval without the processor that spoils a measurement of 250 ms.
-const STALL: Duration = Duration::from_millis(25);
+pub(crate) const STALL: Duration = Duration::from_millis(25);
 
 /// A direction of a line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,6 +2,7 @@
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
+use std::time::Duration;
 
 /// Speed of all motions in mm/s: they outlast every measurement.
 pub(crate) const SPEED: f32 = 20.0;
@@ -27,6 +28,11 @@ pub(crate) type Outcome = Result<String, String>;
 pub(crate) trait Surface {
     /// Requests something, without waiting for the gripper, and returns where the outcome arrives.
     fn begin(&mut self, verb: Verb) -> Receiver<Outcome>;
+
+    /// Returns the longest time that the machine kept the surface's own process from running since the last call.
+    fn stall(&mut self) -> Duration {
+        Duration::ZERO
+    }
 }
 
 /// Runs each request in a thread of its own, for surfaces whose users start a process or a connection for each.

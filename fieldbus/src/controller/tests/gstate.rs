@@ -245,6 +245,18 @@ fn motion_of_unknown_outcome_shows_error_until_a_later_motion_or_a_result_is_rep
     plc.follows_others(Status::Timeout);
 }
 
+/// Then a motion that is reported later is another party's.
+#[test]
+fn motion_whose_fingers_are_known_to_stand_leaves_no_doubt_when_its_answer_is_missing() {
+    let mut plc = Plc::in_motion(CommandFlags::RELEASE, CommandId::ReleasePart);
+    plc.report_flags(SystemFlags::REFERENCED);
+    plc.report(GripperState::Idle);
+    plc.controller.handle(&Event::Unanswered(CommandId::ReleasePart), &plc.known);
+    assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::Timeout));
+    plc.report(GripperState::Positioning);
+    assert_eq!(plc.shows(), (GripperFlags::POSITIONING, Status::Timeout));
+}
+
 #[test]
 fn failure_does_not_reappear_after_a_fast_stop_that_third_parties_request_and_acknowledge() {
     let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
