@@ -218,7 +218,11 @@ impl Checks<'_> {
             tests.env(python::VARIABLE, environment.join("bin/python"));
         }
         tests.env(PYTHON_VARIABLE, &masters.python).env(NODE_VARIABLE, &masters.node);
-        tests.args(TARGETS).args(["--", "--include-ignored"]).envs(emulated.iter().cloned());
+        // A run takes minutes, so it reports every failure.
+        tests
+            .args(TARGETS)
+            .args(["--no-fail-fast", "--", "--include-ignored"])
+            .envs(emulated.iter().cloned());
         // Emulator tests mostly wait. With two threads per core, the machine would be idle half of the time.
         let threads = thread::available_parallelism().map_or(1, NonZero::get).saturating_mul(4);
         tests.env("RUST_TEST_THREADS", threads.to_string());
