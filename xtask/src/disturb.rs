@@ -53,17 +53,21 @@ pub(crate) fn during<T>(seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> 
     outcome
 }
 
-/// Pauses random processes until the end, and returns how often.
+/// Pauses random processes until the end, and returns how often. Each runs between two of its pauses, which would otherwise be
+/// one longer pause.
 fn pause_until(is_over: &AtomicBool, seed: u64) -> usize {
     let mut random = fastrand::Rng::with_seed(seed);
     let mut pauses = 0;
+    let mut paused: Vec<u32> = vec![];
     while !is_over.load(Ordering::Relaxed) {
         thread::sleep(Duration::from_millis(random.u64(..BETWEEN_MS)));
-        let chosen: Vec<u32> = started().into_iter().filter(|_| random.f64() < SHARE).collect();
+        let mut chosen = started();
+        chosen.retain(|process| random.f64() < SHARE && !paused.contains(process));
         signal("-STOP", &chosen);
         pauses += chosen.len();
         thread::sleep(Duration::from_millis(random.u64(..PAUSE_MS)));
         signal("-CONT", &chosen);
+        paused = chosen;
     }
     pauses
 }
