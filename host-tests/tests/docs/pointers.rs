@@ -5,11 +5,12 @@ use std::path::{Path, PathBuf};
 use document::{anchor_of, read, root};
 
 /// Documents outside `docs/`, and the contents of `docs/`.
-const DOCUMENTS: [&str; 13] = [
+const DOCUMENTS: [&str; 14] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
     "CHANGELOG.md",
+    "CODE_OF_CONDUCT.md",
     "SECURITY.md",
     "docs/SUMMARY.md",
     "protocol/README.md",
@@ -37,6 +38,11 @@ fn contents_list_every_page() {
             assert!(contents.contains(&format!("]({page})")), "docs/SUMMARY.md does not list {page}");
         }
     }
+}
+
+#[test]
+fn citation_has_the_version() {
+    assert!(read("CITATION.cff").contains(concat!("\nversion: ", env!("CARGO_PKG_VERSION"), "\n")));
 }
 
 #[test]
