@@ -120,7 +120,12 @@ pub struct Tab {
     messages: Receiver<Value>,
     /// Unsolicited events, such as requests and console messages.
     events: Vec<Value>,
+    /// The element that was clicked last.
+    clicked: Option<String>,
 }
+
+/// What [`Tab::until`] finds instead of its expression if the page of `wsg-sim` shows that the server refused the click for its age.
+const REFUSED: &str = "refused for age";
 
 impl Tab {
     /// Opens an empty window.
@@ -132,7 +137,7 @@ impl Tab {
         let session = attached["sessionId"].as_str().expect("a session").to_owned();
         let (sender, messages) = channel();
         BROWSER.readers.lock().unwrap().insert(session.clone(), sender);
-        let mut tab = Self { session, target, messages, events: Vec::new() };
+        let mut tab = Self { session, target, messages, events: Vec::new(), clicked: None };
         for domain in ["Page", "Runtime", "Network", "Log", "Audits"] {
             tab.call(&format!("{domain}.enable"), &json!({}));
         }
@@ -174,22 +179,33 @@ impl Tab {
         answer["result"]["value"].take()
     }
 
-    /// Evaluates an expression repeatedly until it is not null, and returns its value.
+    /// Evaluates an expression repeatedly until it is not null, and returns its value. On a busy machine, the states reach the page
+    /// late, and the server refuses the click before it: it is repeated, as a user does.
     #[track_caller]
     pub fn until(&mut self, expression: &str) -> Value {
-        let found = self.eval(&format!(
+        let look = format!(
             "new Promise(done => {{
                const end = performance.now() + {};
                const look = () => {{
                  let found; try {{ found = ({expression}); }} catch {{ }}
+                 const message = document.getElementById('message');
+                 const isRefused = message && message.textContent.startsWith('the sender saw a state');
                  if (found) done(found);
+                 else if (isRefused) {{ message.textContent = ''; done('{REFUSED}'); }}
                  else if (performance.now() > end) done(null);
                  else setTimeout(look, 30);
                }};
                look();
              }})",
             BOUND.as_millis() / 2
-        ));
+        );
+        let mut found = self.eval(&look);
+        while found == REFUSED
+            && let Some(selector) = self.clicked.take()
+        {
+            self.click(&selector);
+            found = self.eval(&look);
+        }
         assert!(
             !found.is_null(),
             "time-out waiting for: {expression}\n{}",
@@ -212,6 +228,7 @@ impl Tab {
                const {{ x, y, width, height }} = found.getBoundingClientRect(); return [x + width / 2, y + height / 2]; }})()"
         ));
         self.click_at(&middle);
+        self.clicked = Some(selector.to_owned());
     }
 
     /// Shows one of the pages by its link. A click that misses is repeated, as a user does: the link may move between the look at
