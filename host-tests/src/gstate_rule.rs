@@ -104,8 +104,8 @@ impl GstateRule {
                 Status::CmdAborted | Status::Timeout | Status::AlreadyRunning => {
                     Excuse::Unknown(self.reported)
                 }
-                // Refused while the outcome of an earlier motion is unknown.
-                _ if matches!(self.excuse, Excuse::Unknown(_)) => self.excuse,
+                // Refused at once, while the outcome of an earlier motion is unknown.
+                _ if !self.is_pending && matches!(self.excuse, Excuse::Unknown(_)) => self.excuse,
                 // The session refused it, or the gripper did.
                 _ => Excuse::Failed(self.reported),
             };

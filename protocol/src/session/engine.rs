@@ -241,8 +241,6 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Marks every unsent request for withdrawal by the next ticks. Sent requests are not repeated.
-    // Not inlined: it has several callers.
-    #[inline(never)]
     fn overtake(&mut self) {
         self.overtaken = Overtaken { request: true, queued: self.queue.len() };
         // A setting in progress is read back nevertheless.
@@ -431,8 +429,6 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Returns whether a motion is requested and has no reply yet.
-    // Not inlined: it has several callers.
-    #[inline(never)]
     fn motion_waits(&self) -> bool {
         let is_motion = |name: NameOf<D>| name.kind() == Kind::Motion;
         self.request.name().is_some_and(is_motion)
