@@ -147,3 +147,18 @@ fn no_document_names_a_local_path() {
         }
     }
 }
+
+/// A package that is published contains only the files of its own folder.
+#[test]
+fn each_published_crate_has_the_licences() {
+    let folders = ["protocol", "protocol/macros", "fieldbus"].map(|folder| root().join(folder));
+    let buses = std::fs::read_dir(root().join("buses")).unwrap().map(|bus| bus.unwrap().path());
+    for folder in folders.into_iter().chain(buses) {
+        let manifest = std::fs::read_to_string(folder.join("Cargo.toml")).unwrap();
+        assert!(!manifest.contains("publish.workspace"), "{} is published", folder.display());
+        for name in ["LICENSE-MIT", "LICENSE-APACHE"] {
+            let own = std::fs::read_to_string(folder.join(name));
+            assert_eq!(own.ok(), Some(read(name)), "{name} of {}", folder.display());
+        }
+    }
+}
