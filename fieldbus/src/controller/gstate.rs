@@ -52,10 +52,13 @@ impl Gstate {
         };
     }
 
-    /// Takes the confirmation of a Stop or an acknowledgement, which does not undo a later failure.
+    /// Takes the confirmation of a Stop or an acknowledgement, which does not undo a later failure. It ends a motion of unknown
+    /// outcome, so that a motion reported later is another one.
     pub(super) const fn stand(&mut self) {
-        if matches!(self, Self::Reported | Self::Awaited | Self::Result(_)) {
-            *self = Self::Result(GripperState::Idle);
+        match self {
+            Self::Reported | Self::Awaited | Self::Result(_) => *self = Self::Result(GripperState::Idle),
+            Self::Failed { may_run: true, .. } => *self = Self::failed(Some(GripperState::Idle)),
+            Self::Failed { may_run: false, .. } | Self::FailedJog => {}
         }
     }
 

@@ -1195,6 +1195,18 @@ fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
 }
 
 #[test]
+fn motion_that_another_party_starts_after_the_stop_at_the_first_contact_is_shown() {
+    let mut plc = after_a_reset(MOVING, GripperState::Positioning);
+    assert_eq!(plc.commands(), [Command::Stop]);
+    plc.answer(CommandId::Stop, Status::Success);
+    // First reported while the session still connects, then repeated.
+    plc.known.state = Some(GripperState::Gripping);
+    plc.controller.handle(&Event::Connected, &plc.known);
+    plc.report(GripperState::Gripping);
+    assert_eq!(plc.shows(), (GripperFlags::GRIPPING, Status::CmdAborted));
+}
+
+#[test]
 fn gripper_that_holds_a_part_at_the_first_contact_keeps_it() {
     let mut plc = after_a_reset(SystemFlags::REFERENCED, GripperState::Holding);
     assert_eq!(plc.commands(), []);
