@@ -33,7 +33,7 @@ pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 6] = [
     (IMAGE_VARIABLE, &[]),
     ("WSG_FIRMWARE_ELF_CAN_GRIPPER", &[("GRIPPER_LINE", 1), ("CAN_RATE", 1000)]),
     ("WSG_FIRMWARE_ELF_CAN_PLC", &[("PLC_BUS", 2), ("CAN_RATE", 250), ("BUS_TIMEOUT", 60_000)]),
-    ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2)]),
+    ("WSG_FIRMWARE_ELF_CAN_BOTH", &[("GRIPPER_LINE", 1), ("PLC_BUS", 2), ("BUS_TIMEOUT", 60_000)]),
     ("WSG_FIRMWARE_ELF_NO_BUS", &[("PLC_BUS", 0)]),
     ("WSG_FIRMWARE_ELF_PROFIBUS", &[("PLC_BUS", 3), ("PROFIBUS_RATE", 96), ("BUS_TIMEOUT", 60_000)]),
 ];
