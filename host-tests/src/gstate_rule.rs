@@ -104,6 +104,8 @@ impl GstateRule {
                 Status::CmdAborted | Status::Timeout | Status::AlreadyRunning => {
                     Excuse::Unknown(self.reported)
                 }
+                // The connection was lost during the motion.
+                Status::IoError if self.is_pending => Excuse::Unknown(self.reported),
                 // Refused at once, while the outcome of an earlier motion is unknown.
                 _ if !self.is_pending && matches!(self.excuse, Excuse::Unknown(_)) => self.excuse,
                 // The session refused it, or the gripper did.
@@ -156,10 +158,28 @@ impl Excuse {
 mod tests {
     use super::*;
 
+    fn image(state: GripperFlags, status: Status) -> InputImage {
+        InputImage { state, status, ..InputImage::from_bytes([0; InputImage::LEN]) }
+    }
+
+    #[test]
+    fn error_after_a_lost_connection_outlasts_the_report_of_a_motion_and_a_refusal() {
+        let mut rule = GstateRule::new();
+        rule.report(GripperState::Idle);
+        assert!(rule.is_kept(&image(GripperFlags::POSITIONING, Status::CmdPending), true));
+        assert!(rule.is_kept(&image(GripperFlags::ERROR, Status::IoError), false));
+        rule.disconnect();
+        rule.report(GripperState::Gripping);
+        let refused = image(GripperFlags::ERROR, Status::AccessDenied);
+        assert!(rule.is_kept(&refused, false));
+        rule.report(GripperState::Gripping);
+        assert!(rule.is_kept(&refused, false));
+        rule.report(GripperState::NoPart);
+        assert!(!rule.is_kept(&refused, false));
+    }
+
     #[test]
     fn error_after_a_refused_motion_ends_with_the_first_report_of_another_state() {
-        let image =
-            |state, status| InputImage { state, status, ..InputImage::from_bytes([0; InputImage::LEN]) };
         let refused = image(GripperFlags::ERROR, Status::InsufficientResources);
         for (reported, is_error_kept) in [(GripperState::Idle, true), (GripperState::NoPart, false)] {
             let mut rule = GstateRule::new();
