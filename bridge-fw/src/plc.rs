@@ -104,6 +104,7 @@ macro_rules! plc_sides {
         }
 
         /// The buses, of which PLC_BUS selects one.
+        #[derive(Clone)]
         pub(crate) struct Sides {
             bus: PlcBus,
             $($side: $type,)*

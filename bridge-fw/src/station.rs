@@ -18,6 +18,7 @@ use crate::stored_settings::StoredSettings;
 /// The gripper is on RS-232 or on CAN. The PLC is always on the wires, and optionally on Modbus RTU, PROFIBUS or CAN
 /// (CANopen). The service port is always active. [`run`](crate::run::run) calls [`turn`](Self::turn) at least once a
 /// millisecond.
+#[derive(Clone)]
 pub struct Station<C: CanController> {
     gripper_line: GripperLine,
     bridge: Bridge,

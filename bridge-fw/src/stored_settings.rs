@@ -13,6 +13,7 @@ const VERSION: u16 = 1;
 const LEN: usize = 2 * SETTINGS.len();
 
 /// The stored settings, which apply from the next start on, and the settings of the image.
+#[derive(Clone)]
 pub(crate) struct StoredSettings {
     store: Store<LEN>,
     delivered: Record,

@@ -5,19 +5,19 @@
 //! Bridge library and virtual gripper run in virtual time on a line of 115 200 bit/s per direction. A case resumes
 //! from a snapshot of the undisturbed cycle, so hundreds of thousands take seconds.
 
-use wsg_bridge_fw::Config;
 use wsg_bridge_fw::gripper::TO_SEND_MAX;
 use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::{Config, ResetCause};
 use wsg_fieldbus::GripperFlags;
 use wsg_protocol::{Command, PrePositionFlags, Status, SystemFlags};
-use wsg_sim::Part;
+use wsg_sim::{Part, PortKind};
 
 use crate::chance::Chance;
 use crate::faulty_link::{Fault, FaultyWay, Rates};
-use crate::modbus_rig::{JOG_PLUS, MOVE, ModbusLines};
+use crate::flash_model::FlashModel;
 use crate::serial_gripper::{Carry, SerialGripper};
-use crate::wires::Wires;
 use crate::world::World;
+use crate::world::modbus::{JOG_PLUS, MOVE};
 
 /// Capacity of the line per millisecond, in hundredths of a byte (10 bits per byte).
 const HUNDREDTHS_PER_MS: u32 = 1_152;
@@ -83,7 +83,7 @@ impl Carry for Wire {
 }
 
 /// Bridge, line and gripper, wires and a Modbus bus.
-type Rig = World<ModbusLines, Wire>;
+type Rig = World<Wire>;
 
 impl Rig {
     fn switched_on(time_scale: f32, frame_timeout_ms: u16) -> Self {
@@ -93,9 +93,10 @@ impl Rig {
             frame_timeout_ms,
             ..wsg_sim::Config::default()
         };
-        let far = SerialGripper::over(config, TO_SEND_MAX, [Wire::new(), Wire::new()]);
-        let lines = ModbusLines::new(&Config::DEFAULT);
-        Self::with(Config::DEFAULT, lines, far, Inputs::FAST_STOP_OK)
+        let far = SerialGripper::over(config, PortKind::Serial, TO_SEND_MAX, [Wire::new(), Wire::new()]);
+        let mut rig = Self::with(Config::DEFAULT, far, FlashModel::new(), ResetCause::PowerOn);
+        rig.set(Inputs::FAST_STOP_OK, true);
+        rig
     }
 
     /// Issues a motion command and waits until it completes.
@@ -109,8 +110,8 @@ impl Rig {
         loop {
             self.step();
             each(self);
-            assert!(self.now_ms < 60_000, "{wire:?} does not complete");
-            if self.outputs.contains(Outputs::READY) {
+            assert!(self.now_ms() < 60_000, "{wire:?} does not complete");
+            if self.outputs().contains(Outputs::READY) {
                 return;
             }
         }
@@ -120,7 +121,7 @@ impl Rig {
     fn homed(time_scale: f32, frame_timeout_ms: u16) -> Self {
         let mut rig = Self::switched_on(time_scale, frame_timeout_ms);
         rig.pass(200);
-        assert!(rig.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", rig.outputs);
+        assert!(rig.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", rig.outputs());
         rig.course_of(Inputs::HOME, &mut |_| {});
         rig.take_sent();
         rig
@@ -149,7 +150,7 @@ impl Rig {
         match scene {
             Scene::GripCycle => self.inputs -= Inputs::FAST_STOP_OK,
             Scene::Jog => self.write(0),
-            Scene::Silence => self.bus.repeat(None),
+            Scene::Silence => self.repeat(None),
             Scene::ThirdPartyStop => self.act_as_third_party(&Command::Stop),
             Scene::ThirdPartyMotion => self.act_as_third_party(&Command::PrePosition {
                 flags: PrePositionFlags::empty(),
@@ -166,7 +167,7 @@ impl Rig {
 
     /// Writes these flags with 40.00 mm, 50.00 mm/s and 40.00 N, now and repeatedly.
     fn write(&mut self, flags: u8) {
-        self.bus.repeat(Some([u16::from(flags) << 8, 40_00, 50_00, 40_00]));
+        self.repeat(Some([u16::from(flags) << 8, 40_00, 50_00, 40_00]));
     }
 }
 
@@ -299,7 +300,7 @@ impl Course {
         for way in [Way::Out, Way::Back] {
             rig.wire(way).way = FaultyWay::perfect();
         }
-        if self.is_stopped(&rig) { Some(0) } else { self.time_until_stopped(&mut rig, bound_ms) }
+        if self.is_stopped(&mut rig) { Some(0) } else { self.time_until_stopped(&mut rig, bound_ms) }
     }
 
     fn time_until_stopped(&self, rig: &mut Rig, bound_ms: u32) -> Option<u32> {
@@ -309,16 +310,16 @@ impl Course {
         })
     }
 
-    fn is_stopped(&self, rig: &Rig) -> bool {
+    fn is_stopped(&self, rig: &mut Rig) -> bool {
         match self.scene {
             Scene::GripCycle => rig.far.gripper.state().flags.contains(SystemFlags::FAST_STOP),
             Scene::Jog | Scene::Silence => !rig.is_moving(),
             Scene::ThirdPartyStop => {
-                let image = rig.bridge.input_image();
+                let image = rig.bridge().input_image();
                 // ERROR if the motion's result was lost.
                 image.state == GripperFlags::IDLE || image.status == Status::Timeout
             }
-            Scene::ThirdPartyMotion => rig.bridge.input_image().state == GripperFlags::POSITIONING,
+            Scene::ThirdPartyMotion => rig.bridge().input_image().state == GripperFlags::POSITIONING,
         }
     }
 }

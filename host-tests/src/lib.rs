@@ -4,10 +4,8 @@
 //! | module | content |
 //! |---|---|
 //! | [`addresses`] | register addresses of the bridge, by name |
-//! | [`wires_rig`] | a [`world`] whose PLC uses wires only |
 //! | [`board_wiring`] | the pins of each board, for the documents, and the picture of them |
 //! | [`bxcan`] | model of the STM32L4's CAN controller, per its manual |
-//! | [`can_rig`] | bridge and virtual gripper on a CAN bus, with a controller that goes bus-off on request |
 //! | [`can_bus`] | model of a CAN bus: arbitration, acknowledgement, faults |
 //! | [`can_controller`] | interface between a CAN bus and a controller model |
 //! | [`can_hub`] | other participants on that bus: a gripper, a master |
@@ -32,20 +30,15 @@
 //! | [`load_store`] | decoder for Thumb-2 loads and stores |
 //! | [`masters`] | third-party masters for Modbus and CANopen |
 //! | [`mcp2515`] | model of the SPI CAN controller, per its data sheet |
-//! | [`modbus_rig`] | a [`world`] with a Modbus master |
 //! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
 //! | `namespaces` | network namespaces for PROFINET, on Linux |
 //! | [`plc_names`] | names of flags, states and status codes, for the documents |
-//! | [`profibus_rig`] | a [`world`] with a PROFIBUS master |
 //! | [`registers`] | models of peripherals that QEMU lacks |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper on a serial line in virtual time |
-//! | [`service_line`] | the service port in virtual time, connected to a program by a socket |
-//! | [`station_rig`] | a station with all of its lines, its flash and a virtual gripper |
 //! | [`terminal`] | a pseudo-terminal connected to the board's bus |
 //! | [`trace`] | event recording, readable by people and comparable by tests |
-//! | [`wires`] | PLC actions on the wires |
-//! | [`world`] | bridge library and virtual gripper in virtual time, for any PLC bus |
+//! | [`world`] | the whole bridge, its lines, a virtual gripper and a PLC, in virtual time |
 //!
 //! The emulator requires QEMU and the image (`cargo xtask test` provides both), and a system with Unix sockets.
 
@@ -57,7 +50,6 @@ pub mod can_bus;
 pub mod can_controller;
 #[cfg(unix)]
 pub mod can_hub;
-pub mod can_rig;
 pub mod can_wire;
 pub mod chance;
 pub mod clock;
@@ -91,11 +83,9 @@ pub mod masters;
 pub mod mcp2515;
 #[cfg(unix)]
 pub mod modbus_master;
-pub mod modbus_rig;
 #[cfg(target_os = "linux")]
 pub mod namespaces;
 pub mod plc_names;
-pub mod profibus_rig;
 #[cfg(unix)]
 pub mod qtest;
 #[cfg(unix)]
@@ -105,13 +95,8 @@ pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
 #[cfg(unix)]
-pub mod service_line;
-pub mod station_rig;
-#[cfg(unix)]
 pub mod terminal;
 pub mod trace;
-pub mod wires;
-pub mod wires_rig;
 pub mod world;
 
 /// Compiles the example in the README.

@@ -112,7 +112,8 @@ impl Carry for Option<Disturbance> {
 pub struct SerialGripper<W = Option<Disturbance>> {
     /// The gripper.
     pub gripper: VirtualGripper<1>,
-    port: PortId,
+    pub(crate) port: PortId,
+    pub(crate) kind: PortKind,
     /// The bridge's end of the line.
     pub line: SerialLine,
     /// Bytes from the gripper that are still waiting for the line.
@@ -131,7 +132,7 @@ impl SerialGripper {
     /// Creates a gripper immediately after power-up.
     #[must_use]
     pub fn new(config: wsg_sim::Config) -> Self {
-        Self::over(config, BYTES_PER_MS, [None, None])
+        Self::over(config, PortKind::Serial, BYTES_PER_MS, [None, None])
     }
 
     /// Sends bytes to the bridge in the gripper's place.
@@ -141,12 +142,18 @@ impl SerialGripper {
 }
 
 impl<W: Carry> SerialGripper<W> {
-    /// Creates a gripper on a line with `room` bytes at the bridge's end and the given directions.
-    pub(crate) fn over(config: wsg_sim::Config, room: usize, [to_gripper, to_bridge]: [W; 2]) -> Self {
-        let (gripper, port) = switch_on(config);
+    /// Creates a gripper with this port, and a line with `room` bytes at the bridge's end and the given directions.
+    pub(crate) fn over(
+        config: wsg_sim::Config,
+        kind: PortKind,
+        room: usize,
+        [to_gripper, to_bridge]: [W; 2],
+    ) -> Self {
+        let (gripper, port) = switch_on(config, kind);
         Self {
             gripper,
             port,
+            kind,
             line: SerialLine::with_room(room),
             from_gripper: Vec::new(),
             seen: FrameParser::new(),
@@ -159,7 +166,7 @@ impl<W: Carry> SerialGripper<W> {
 
     /// Power-cycles the gripper; it loses all state, and its clock restarts at zero.
     pub fn restart(&mut self, config: wsg_sim::Config, now: Time) {
-        (self.gripper, self.port) = switch_on(config);
+        (self.gripper, self.port) = switch_on(config, self.kind);
         self.gripper.advance(now);
     }
 
@@ -206,9 +213,9 @@ impl<W: Carry> SerialGripper<W> {
     }
 }
 
-fn switch_on(config: wsg_sim::Config) -> (VirtualGripper<1>, PortId) {
+fn switch_on(config: wsg_sim::Config, kind: PortKind) -> (VirtualGripper<1>, PortId) {
     let mut gripper = VirtualGripper::with_ports(config);
-    let port = gripper.connect(PortKind::Serial);
+    let port = gripper.connect(kind);
     (gripper, port.unwrap_or_else(|| unreachable!("a new gripper takes a client")))
 }
 

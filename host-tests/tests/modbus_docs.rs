@@ -4,8 +4,8 @@
 
 use bus_modbus::Function;
 use document::{hold, table};
-use host_tests::modbus_rig::TestRig;
 use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
+use host_tests::world::modbus::Master;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, EVENTS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, FIRST_START_SETTING,
@@ -185,7 +185,7 @@ fn settings_table(settings: impl IntoIterator<Item = ((u16, &'static Setting), u
 
 /// Returns all settings with their default register values.
 fn delivered() -> Vec<((u16, &'static Setting), u16)> {
-    let mut rig = TestRig::ready();
+    let mut rig = Master::ready();
     let delivered = (FIRST_SETTING..).zip(&SETTINGS).map(|it| (it, rig.holding(it.0, 1).unwrap()[0]));
     delivered.collect()
 }

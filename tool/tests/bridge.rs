@@ -23,13 +23,13 @@ use host_tests::flash_controller::FlashController;
 use host_tests::flash_model::Fault;
 use host_tests::gripper_end::GripperEnd;
 use host_tests::rig::motions;
-use host_tests::service_line::ServiceLine;
-use host_tests::station_rig::StationRig;
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
+use host_tests::world::modbus::Master;
+use host_tests::world::service_line::ServiceLine;
 use program::{said, wsg, wsg_with};
-use wsg_bridge_fw::BusPort;
-use wsg_bridge_fw::registers::MAP_VERSION;
+use wsg_bridge_fw::registers::{FIRST_SETTING, MAP_VERSION, SETTINGS};
+use wsg_bridge_fw::{BusPort, Config, ResetCause};
 
 /// The bridge's end of the service port, with injected faults.
 struct Line {
@@ -67,7 +67,7 @@ impl BusPort for Line {
     }
 }
 
-type Act = Box<dyn FnOnce(&mut StationRig) + Send>;
+type Act = Box<dyn FnOnce(&mut Master) + Send>;
 
 /// A bridge that runs in a thread. Its time never runs slower than the wall clock.
 struct Served {
@@ -92,10 +92,8 @@ impl Served {
         let (acts, to_do) = mpsc::channel::<Act>();
         let is_ended = Arc::clone(&end);
         let plant = thread::spawn(move || {
-            let mut plant = StationRig::new(wsg_sim::Config {
-                homing_speed: Some(homing_speed),
-                ..wsg_sim::Config::default()
-            });
+            let gripper = wsg_sim::Config { homing_speed: Some(homing_speed), ..wsg_sim::Config::default() };
+            let mut plant = Master::new(Config::DEFAULT, gripper);
             while !is_ended.load(Ordering::SeqCst) {
                 line.line.read();
                 plant.turn(&mut line);
@@ -108,18 +106,18 @@ impl Served {
         });
         let served = Self { terminal: Terminal::to(far).unwrap(), faults, acts, plant: Some(plant), end };
         // Wait for the gripper.
-        served.wait(|plant| plant.station.bridge().is_connected());
+        served.wait(|plant| plant.bridge().is_connected());
         served
     }
 
     /// Runs a closure on the bridge between two turns.
-    fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut StationRig) -> T + Send + 'static) -> T {
+    fn act<T: Send + 'static>(&self, act: impl FnOnce(&mut Master) -> T + Send + 'static) -> T {
         let (done, doing) = mpsc::channel();
         self.acts.send(Box::new(move |plant| done.send(act(plant)).expect("the caller waits"))).unwrap();
         doing.recv_timeout(BOUND).expect("the plant is running")
     }
 
-    fn wait(&self, is_so: impl Fn(&mut StationRig) -> bool + Send + Clone + 'static) {
+    fn wait(&self, is_so: impl Fn(&mut Master) -> bool + Send + Clone + 'static) {
         let end = Instant::now() + BOUND;
         while !self.act(is_so.clone()) {
             assert!(Instant::now() < end, "the condition was not met");
@@ -127,7 +125,7 @@ impl Served {
     }
 
     fn settings(&self) -> Vec<u16> {
-        self.act(StationRig::settings)
+        self.act(|plant| plant.holding(FIRST_SETTING, SETTINGS.len() as u8).unwrap())
     }
 
     /// Runs `wsg bridge PORT ...` and returns exit status and output.
@@ -164,6 +162,13 @@ impl Drop for Served {
 }
 
 const BOUND: Duration = Duration::from_secs(60);
+
+/// Starts a homing, with bus supervision switched off.
+fn begin_to_home(plant: &mut Master) {
+    plant.write(setting("BUS_TIMEOUT"), &[0]);
+    plant.write(0, &[0, 0, 0, 0]);
+    plant.write(0, &[0x0800, 0, 0, 0]);
+}
 
 /// The line of a settings file that states the register map version.
 fn of_map(version: u16) -> String {
@@ -203,11 +208,11 @@ fn show_describes_bridge_and_gripper() {
 #[test]
 fn width_is_shown_once_the_fingers_are_referenced() {
     let served = Served::with(300.0);
-    served.act(StationRig::begin_to_move);
+    served.act(begin_to_home);
     // IDLE, and the width has been reported.
     served.wait(|plant| {
-        let image = plant.ask(&[1, 4, 0, 0, 0, 4]);
-        image[3] == 1 && image[9..11] != [0, 0]
+        let image = plant.input(0, 4).unwrap();
+        image[0] >> 8 == 1 && image[3] != 0
     });
     let shown = served.done(&["show"]);
     assert!(
@@ -225,9 +230,9 @@ fn events_are_described_with_their_remedies() {
         plant.write(0, &[0, 0, 0, 0]);
         plant.write(0, &[0x0100, 50_00, 50_00, 40_00]);
     });
-    served.wait(|plant| plant.ask(&[1, 4, 0, 5, 0, 1])[3..5] == [0, 3]);
+    served.wait(|plant| plant.input(5, 1) == Ok(vec![3]));
     served.act(|plant| plant.write(0, &[0x2000, 50_00, 50_00, 40_00]));
-    served.wait(|plant| plant.ask(&[1, 4, 0, 133, 0, 1])[3..5] == [0, 11]);
+    served.wait(|plant| plant.input(133, 1) == Ok(vec![11]));
 
     let events = served.done(&["events"]);
     // Ages depend on the wall clock.
@@ -262,7 +267,7 @@ fn settings_are_changed_stored_restored_and_reset() {
     assert_eq!(served.settings(), delivered);
     served.done(&["set", "RECIPE0_WIDTH", "1600"]);
     assert_eq!(served.done(&["save"]), "stored\n");
-    served.act(StationRig::start);
+    served.act(|plant| plant.restart_bridge(ResetCause::PowerOn));
     assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 16_00);
     assert!(served.done(&["show"]).contains("settings   source: stored; no unsaved changes"));
 
@@ -270,7 +275,7 @@ fn settings_are_changed_stored_restored_and_reset() {
     assert!(
         served.done(&["defaults", "--yes"]).ends_with("16.00 mm becomes 20.00 mm (1600 -> 2000)\nstored\n")
     );
-    served.act(StationRig::start);
+    served.act(|plant| plant.restart_bridge(ResetCause::PowerOn));
     assert_eq!(served.settings(), delivered);
 
     served.act(|plant| plant.flash.fault = Some(Fault::Protected));
@@ -294,7 +299,7 @@ fn commands_of_the_quick_start_set_up_the_bridge() {
     for command in commands {
         if command.starts_with("show SETTINGS_FROM") {
             // The restart of the board.
-            served.act(StationRig::start);
+            served.act(|plant| plant.restart_bridge(ResetCause::PowerOn));
         }
         answers.push_str(&served.done(&command.split(' ').collect::<Vec<_>>()));
     }
@@ -316,7 +321,7 @@ fn invalid_values_are_rejected_in_one_line_before_anything_is_written() {
     served.refused(&["set", "UNIT", "5", "CAN_NODE"], "missing value for CAN_NODE");
     served.refused(&["set", "CAN_NODE", "127"], "invalid configuration: CAN_NODE takes 1 to 127");
     served.done(&["set", "CAN_NODE", "127", "CAN_MASTER", "16"]);
-    served.act(StationRig::begin_to_move);
+    served.act(begin_to_home);
     served.refused(&["set", "RECIPE0_WIDTH", "1500"], "nothing was changed: the fingers are moving");
 }
 
@@ -344,7 +349,7 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
     assert_eq!(served.settings(), before);
     let said = served.done(&["import", "--save", path]);
     assert_eq!(said, described + "stored\n");
-    served.act(StationRig::start);
+    served.act(|plant| plant.restart_bridge(ResetCause::PowerOn));
     assert_eq!(
         (served.settings()[place("RECIPE0_WIDTH")], served.settings()[place("RECIPE15_SPEED")]),
         (15_00, 40_00)
@@ -363,7 +368,7 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
         &format!("{path}: line 3: the file is for register map version {other}, "),
     );
     fs::write(&file, changed.replace("\"15 mm\"", "1800")).unwrap();
-    served.act(StationRig::begin_to_move);
+    served.act(begin_to_home);
     served.refused(&["import", path], "nothing was changed: the fingers are moving");
     served.refused(&["import", "no/such/file"], "cannot read no/such/file: ");
 }
@@ -496,7 +501,7 @@ fn image_is_written_by_the_matching_method_and_not_while_the_fingers_move() {
     fs::write(bin, b"GRIP(20)").unwrap();
     let (_, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
     assert!(said.contains("is not a valid image: no vector table for this board at the start"), "{said}");
-    served.act(StationRig::begin_to_move);
+    served.act(begin_to_home);
     let (code, said) = flash(&[elf, "--yes"]);
     assert_eq!(
         (code, said.as_str()),

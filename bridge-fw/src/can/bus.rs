@@ -90,7 +90,7 @@ impl<F, N: CanNode<F>> CanNode<F> for Option<&mut N> {
 
 /// A controller and its bus, for up to two participants: the gripper's link first, the PLC's side second. Independent of the
 /// board. In each turn, call [`listen`](Self::listen) before the bridge's turn and [`talk`](Self::talk) after it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct CanBus<C: CanController> {
     controller: C,
     bus_off: BusOff,
@@ -100,7 +100,7 @@ pub struct CanBus<C: CanController> {
 }
 
 /// Frames of one participant that the controller has not accepted, in order.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Waiting<F> {
     next: Option<F>,
     /// The frame after `next`, if the controller returned an earlier frame.

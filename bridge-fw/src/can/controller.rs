@@ -43,7 +43,7 @@ impl Withdrawal {
 ///
 /// `embedded_can::nb::Can` transfers the frames. The controller holds at most one frame with a given identifier, so frames
 /// with the same identifier are sent in order. A frame that replaces another one returns it, as the trait defines.
-pub trait CanController: embedded_can::nb::Can {
+pub trait CanController: embedded_can::nb::Can<Frame: Clone> {
     /// Returns the current state of fault confinement.
     fn health(&mut self) -> Health;
 

@@ -350,7 +350,7 @@ impl<S: SpiDevice, F: Frame> embedded_can::nb::Can for Mcp2515<S, F> {
     }
 }
 
-impl<S: SpiDevice, F: Frame> CanController for Mcp2515<S, F> {
+impl<S: SpiDevice, F: Frame + Clone> CanController for Mcp2515<S, F> {
     /// A chip without set-up is reported as bus-off, so that the bus-off policy tries again.
     fn health(&mut self) -> Health {
         let health = if self.is_set_up {

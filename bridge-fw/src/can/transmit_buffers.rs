@@ -21,7 +21,7 @@ const NONE: u32 = u32::MAX;
 ///
 /// The first holds frames to the gripper only, so a FAST STOP never waits for the frame of another node. The other two hold any
 /// frames, but never two with the same identifier, because the controller might send the second one first.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct TransmitBuffers {
     /// The [`key`] of frames to the gripper; `NONE` before the start.
     gripper: u32,

@@ -49,7 +49,7 @@ struct Piece {
 /// It accepts the next message after the bus has taken all frames of the previous one. So a FAST STOP waits for the rest of
 /// at most one message, and not for a message that it [withdraws](Self::withdraw). Unsent frames are discarded when the bus
 /// is lost.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct GripperLink {
     endpoint: Endpoint,
     reassembler: Reassembler<REPLY_FRAMES>,

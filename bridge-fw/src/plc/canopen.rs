@@ -47,7 +47,7 @@ static PROFILE: Profile<1, TPDOS> = Profile {
 };
 
 /// The bridge as a node on a CANopen bus.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Node {
     device: Device<1, TPDOS, EVENTS_MAX>,
     report: BusReport,

@@ -50,7 +50,7 @@ const NOT_HEARD: u8 = 1;
 ///
 /// The bridge reacts according to BUS_REACTION when the master releases it, clears its outputs, lets its watchdog expire or
 /// is silent for BUS_TIMEOUT.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Profibus {
     buffers: &'static DpBuffers,
     search: BaudSearch,
@@ -65,7 +65,7 @@ pub struct Profibus {
 }
 
 /// A saturating count that follows a wrapping one.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Count {
     total: u16,
     seen: u32,

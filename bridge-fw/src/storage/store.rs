@@ -37,6 +37,7 @@ const MAX_READS: u8 = 3;
 ///     }
 /// }
 /// ```
+#[derive(Clone)]
 pub struct Store<const N: usize> {
     /// Payload of the running save, otherwise of the last load or save.
     payload: [u8; N],

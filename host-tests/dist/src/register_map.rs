@@ -128,11 +128,11 @@ fn line(row: &Row) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use host_tests::modbus_rig::TestRig;
+    use host_tests::world::modbus::Master;
 
     #[test]
     fn settings_are_those_that_a_master_reads() {
-        let mut rig = TestRig::ready();
+        let mut rig = Master::ready();
         let settings: Vec<Row> = rows().into_iter().filter(|row| !row[8].is_empty()).collect();
         assert_eq!(settings.len(), SETTINGS.len());
         for row in settings {

@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use host_tests::emulator::{Emulator, Extras, is_for_pico};
 use host_tests::rig::Rig;
 use host_tests::trace::Trace;
-use host_tests::wires::quick;
+use host_tests::world::quick;
 use object::{Object, ObjectSection, ObjectSymbol};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, FrameEncoder, Reply, Status};

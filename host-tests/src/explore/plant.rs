@@ -13,9 +13,9 @@ use super::key::key;
 use super::promises::{Kept, Motion, Promise, Promises, keep};
 use super::search::Model;
 use crate::gripper_states::{Answer, States, messages};
-use crate::modbus_rig::UNIT;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
+use crate::world::modbus::UNIT;
 
 const CONFIG: Config = Config {
     // An edge takes no time, so more orders of events lead to the same state.

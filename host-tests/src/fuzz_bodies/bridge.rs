@@ -28,10 +28,11 @@ use super::input::Input;
 use super::modbus::sealed;
 use super::tracked::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Port, Tracked};
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
-use crate::can_rig::{Double, NO_PROFIBUS};
 use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
+use crate::world::NO_PROFIBUS;
+use crate::world::can::CanDouble;
 
 /// Recipes: width, speed, force and release width. The gripper rejects the last one.
 const RECIPES: [[u16; 4]; 4] = [
@@ -48,7 +49,7 @@ fn silences(port: Port) -> [u32; 6] {
 }
 
 struct Model {
-    station: Station<Double>,
+    station: Station<CanDouble>,
     flash: FlashModel,
     delivered: Record,
     bus: RtuDouble,
@@ -101,7 +102,8 @@ impl Model {
             flash = FlashModel::with_record(1, &delivered);
             flash.set(Page::First, 3, None);
         }
-        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
+        let mut station =
+            Station::new(CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let config = station.load(&delivered, &flash).expect("the default settings are valid");
         station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
         let mut ends = Ends::new(&config, slow.then_some(BYTES_PER_MS));
@@ -185,7 +187,8 @@ impl Model {
             return;
         }
         self.pass(SAVE_MS);
-        let mut station = Station::new(CanBus::new(Double::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
+        let mut station =
+            Station::new(CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
         let found = station.load(&self.delivered, &self.flash).map(|config| config.record());
         assert_eq!(found.as_ref().ok(), self.tracked.saved());
     }

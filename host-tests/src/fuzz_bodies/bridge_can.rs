@@ -31,8 +31,8 @@ use super::input::Input;
 use super::oracle::Oracle;
 use super::tap::Tap;
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
-use crate::can_rig::Double;
 use crate::gripper_states::Message;
+use crate::world::can::CanDouble;
 
 const NODE: u16 = DEFAULT_NODE.node as u16;
 const NMT: u16 = 0;
@@ -115,8 +115,8 @@ enum BusEvent {
 
 struct Model {
     bridge: Bridge,
-    bus: CanBus<Double>,
-    double: Double,
+    bus: CanBus<CanDouble>,
+    double: CanDouble,
     /// The gripper's link, when it is on the bus.
     link: Tap<GripperLink>,
     is_on_rs_232: bool,
@@ -348,7 +348,7 @@ impl Device {
 
 impl Model {
     fn new(is_on_rs_232: bool) -> Self {
-        let double = Double::default();
+        let double = CanDouble::default();
         Self {
             bridge: Bridge::new(Config::DEFAULT),
             bus: CanBus::new(double.clone(), BusOffPolicy::DEFAULT),

@@ -23,10 +23,10 @@ use wsg_protocol::{Instant, SystemFlags};
 
 use super::input::Input;
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
-use crate::profibus_rig::points::{
+use crate::world::profibus::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
-use crate::profibus_rig::{sd1, sd2, sd3};
+use crate::world::profibus::{sd1, sd2, sd3};
 
 const STATION: u8 = 7;
 const BROADCAST: u8 = 127;

@@ -3,10 +3,10 @@
 use bus_profibus::{Address, Cause, Character, Event, Profile, Slave, State};
 
 use super::input::Input;
-use crate::profibus_rig::points::{
+use crate::world::profibus::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
-use crate::profibus_rig::sum;
+use crate::world::profibus::sum;
 
 const STATION: u8 = 7;
 const OTHER_STATION: u8 = 9;

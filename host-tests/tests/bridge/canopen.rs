@@ -6,18 +6,16 @@ use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sd
 use document::hold_file;
 use embedded_can::{Frame, StandardId};
 use host_tests::addresses;
-use host_tests::can_rig::{BOARD, CanRig};
-use host_tests::flash_model::{Fault, FlashModel};
-use host_tests::serial_gripper::{SerialGripper, SerialLine};
-use host_tests::station_rig::StationRig;
-use host_tests::wires::Wires;
+use host_tests::flash_model::Fault;
+use host_tests::serial_gripper::SerialLine;
+use host_tests::world::{BOARD, World};
 use wsg_bridge_fw::can::{CanNode, DEFAULT_NODE, Health, NodeConfig, collides_with_canopen};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::canopen::{
     DataType, FAULTS, NmtState, Node, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, SETTINGS};
-use wsg_bridge_fw::{Bridge, ControlSource, PlcBus, ResetCause};
+use wsg_bridge_fw::{Bridge, ControlSource, PlcBus};
 use wsg_fieldbus::{CommandFlags as Cmd, GripperFlags};
 use wsg_protocol::can::Identifiers;
 use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
@@ -29,7 +27,7 @@ const TIMEOUT_MS: u32 = 1_000;
 
 /// A master on the bus.
 struct Master {
-    rig: CanRig,
+    rig: World,
     /// The last image sent.
     image: [u8; 8],
     heard: Vec<(u32, u16, Vec<u8>)>,
@@ -37,7 +35,7 @@ struct Master {
 
 impl Master {
     fn new(config: Config) -> Self {
-        let rig = CanRig::with_node(config, NODE);
+        let rig = World::with_node(config, NODE);
         Self { rig, image: [0; 8], heard: Vec::new() }
     }
 
@@ -46,7 +44,7 @@ impl Master {
     fn homed(part: Option<f32>, time_scale: f32) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let mut master = Self::new(Config { part, time_scale, ..Config::default() });
-        master.rig.beats = true;
+        master.rig.can.beats = true;
         master.pass(500);
         master.nmt(NmtCommand::StartRemoteNode);
         master.command(Cmd::empty());
@@ -72,7 +70,7 @@ impl Master {
     fn pass(&mut self, ms: u32) {
         self.rig.pass(ms);
         let to_gripper = Identifiers::DEFAULT.controller().transmit.as_raw();
-        self.heard.extend(self.rig.take_heard().into_iter().filter(|(_, id, _)| *id != to_gripper));
+        self.heard.extend(self.rig.can.take_frames().into_iter().filter(|(_, id, _)| *id != to_gripper));
     }
 
     fn until(&mut self, bound_ms: u32, wanted: impl Fn(&Self) -> bool) {
@@ -86,7 +84,7 @@ impl Master {
     }
 
     fn send(&mut self, id: u16, data: &[u8]) {
-        self.rig.send(id, data);
+        self.rig.can.send(id, data);
     }
 
     fn nmt(&mut self, command: NmtCommand) {
@@ -330,7 +328,7 @@ fn all_edges_within_one_millisecond_take_effect() {
 fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
     let mut master = Master::moving();
     master.emergencies();
-    master.rig.beats = false;
+    master.rig.can.beats = false;
     // RPDOs do not replace a heartbeat that was received before.
     for _ in 0..TIMEOUT_MS / 100 - 3 {
         master.command(Cmd::MOVE);
@@ -345,7 +343,7 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
     assert_eq!(timeouts, 1);
 
     // The fault ends when the master starts the node again.
-    master.rig.beats = true;
+    master.rig.can.beats = true;
     master.nmt(NmtCommand::StartRemoteNode);
     assert_eq!(master.emergencies(), [(0, 0)]);
     master.command(Cmd::empty());
@@ -356,7 +354,7 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
 #[test]
 fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
     let mut master = Master::homed(None, 1.0);
-    master.rig.beats = false;
+    master.rig.can.beats = false;
     master.pass(2 * TIMEOUT_MS);
     master.nmt(NmtCommand::StartRemoteNode);
     master.rig.take_motions();
@@ -420,7 +418,7 @@ fn two_resets_in_one_turn_are_both_executed() {
         master.download(SETTINGS_INDEX, recipe, Value::Unsigned16(1_234)).unwrap();
         for specifier in specifiers {
             let frame = ClassicFrame::new(StandardId::ZERO, &[specifier, NODE.node]).unwrap();
-            master.rig.double().bring(frame);
+            master.rig.can.double.bring(frame);
         }
         master.pass(5);
         assert_eq!(master.read_u16(SETTINGS_INDEX, recipe), 1_000, "{specifiers:02X?}");
@@ -461,7 +459,7 @@ fn each_fault_sets_the_bit_of_its_class_in_the_error_register() {
 fn bus_off_is_reported_after_the_recovery() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
-    master.rig.double().go_off(0);
+    master.rig.can.double.go_off(0);
     master.pass(2_000);
     let codes: Vec<u16> = master.emergencies().into_iter().map(|(code, _)| code).collect();
     assert!(codes.contains(&0x8140), "{codes:04X?}");
@@ -473,7 +471,7 @@ fn bus_off_is_reported_after_the_recovery() {
 #[test]
 fn bus_off_ends_operation_until_the_master_starts_it_again() {
     let mut master = Master::homed(None, 10.0);
-    master.rig.double().go_off(0);
+    master.rig.can.double.go_off(0);
     master.pass(2);
     assert_eq!(master.rig.node().state(), NmtState::PreOperational);
     master.pass(2_000);
@@ -493,18 +491,13 @@ fn bus_off_ends_operation_until_the_master_starts_it_again() {
 fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
     for (flags, is_commander) in [(Cmd::MOVE, true), (Cmd::JOG_MINUS, true), (Cmd::empty(), false)] {
         let delivered = wsg_bridge_fw::Config { plc_bus: PlcBus::Canopen, ..wsg_bridge_fw::Config::DEFAULT };
-        let gripper = SerialGripper::new(Config::default());
-        let mut rig = StationRig::with(&delivered.record(), gripper, FlashModel::new(), ResetCause::PowerOn);
-        rig.get_homed();
-        let double = rig.can.clone();
+        let mut rig = World::homed(delivered, Config::default());
+        let double = rig.can.double.clone();
         let mut pass = |ms: u32, frames: &[(u16, &[u8])]| {
             for (id, data) in frames {
                 double.bring(ClassicFrame::new(StandardId::new(*id).unwrap(), data).unwrap());
             }
-            for _ in 0..ms {
-                rig.step();
-                while double.take_winner().is_some() {}
-            }
+            rig.pass(ms);
             rig.take_sent()
         };
         pass(10, &[]);
@@ -527,7 +520,7 @@ fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
 #[test]
 fn error_counters_are_those_of_the_controller() {
     let mut master = Master::homed(None, 10.0);
-    master.rig.double().set_health(Health {
+    master.rig.can.double.set_health(Health {
         is_off: false,
         is_passive: true,
         transmit_errors: 130,
@@ -753,7 +746,7 @@ fn failed_or_late_save_is_reported_by_its_sdo() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let slow = 20;
-    master.rig.flash().busy_polls = slow;
+    master.rig.flash.busy_polls = slow;
     master.send(0x600 | u16::from(NODE.node), &sdo_request(0x1010, SAVE));
     master.pass(slow);
     assert_eq!(master.take(0x580), [], "the save is running");
@@ -769,7 +762,7 @@ fn failed_or_late_save_is_reported_by_its_sdo() {
         for (object, signature) in [(0x1010, SAVE), (0x1011, LOAD)] {
             let mut master = Master::new(Config::default());
             master.pass(500);
-            master.rig.flash().fault = Some(fault);
+            master.rig.flash.fault = Some(fault);
             let sub = setting("DEBOUNCE");
             assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
             assert_eq!(master.store(object, signature), Err(0x0606_0000), "{object:X}h, {fault:?}");
@@ -872,8 +865,8 @@ fn rpdos_are_monitored_without_a_heartbeat_consumer() {
 fn silent_gripper_is_an_error_in_the_tpdo_also_at_rest() {
     let mut master = Master::homed(None, 10.0);
     assert_eq!((master.state(), master.status()), (GripperFlags::IDLE, Status::Success));
-    master.rig.to_gripper = Some(Box::new(|_| vec![]));
-    master.rig.to_bridge = Some(Box::new(|_| vec![]));
+    master.rig.can.to_gripper = Some(Box::new(|_| vec![]));
+    master.rig.can.to_bridge = Some(Box::new(|_| vec![]));
     master.pass(2_000);
     assert_eq!((master.state(), master.status()), (GripperFlags::ERROR, Status::IoError));
 }
@@ -964,8 +957,8 @@ fn traffic_of_the_node_does_not_delay_messages_to_the_gripper() {
     master.download(0x1017, 0, Value::Unsigned16(1)).unwrap();
     master.command(Cmd::GRIP);
     master.until(10_000, |master| master.state() == GripperFlags::HOLDING);
-    assert_eq!(master.rig.broken(), 0);
-    assert_eq!(master.rig.bus().counters().refused, 0);
+    assert_eq!(master.rig.can.broken(), 0);
+    assert_eq!(master.rig.can_bus().counters().refused, 0);
 }
 
 #[test]
@@ -991,13 +984,13 @@ fn rejected_frames_are_sent_again() {
         master.pass(1);
     }
     // The controller rejects the next frames. Without a change, they are due 100 ms after these, and again every 100 ms.
-    master.rig.double().refuse(true);
+    master.rig.can.double.refuse(true);
     for pdo in PDOS {
         master.take(pdo);
     }
     master.pass(120);
     assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [0, 0]);
-    master.rig.double().refuse(false);
+    master.rig.can.double.refuse(false);
     master.pass(5);
     assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [1, 1]);
 }
@@ -1063,7 +1056,7 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             let mut master = Master::homed(None, 1.0);
             if !beats {
                 // Without the heartbeat received so far.
-                master.rig.beats = false;
+                master.rig.can.beats = false;
                 master.pass(2 * TIMEOUT_MS);
                 master.nmt(NmtCommand::StartRemoteNode);
                 master.command(Cmd::empty());
@@ -1072,14 +1065,14 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             master.until(1_000, |master| master.is(SystemFlags::MOVING));
             if beats {
                 master.send(of_master, &[5]);
-                master.rig.beats = false;
+                master.rig.can.beats = false;
             } else {
                 master.command(Cmd::MOVE);
             }
             master.rig.take_sent();
             let mut pass = |ms: u32| {
                 for _ in 0..ms / 10 {
-                    master.rig.say(*frame);
+                    master.rig.can.queue(*frame);
                     master.pass(10);
                 }
                 (master.rig.node().state(), master.rig.take_sent().contains(&CommandId::Stop))

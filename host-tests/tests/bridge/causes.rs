@@ -3,14 +3,12 @@
 
 use std::collections::BTreeSet;
 
-use bus_slcan::ClassicFrame;
 use canopen_rs::{Address, DataType, Value, sdo};
-use embedded_can::{Frame, Id, StandardId};
 use host_tests::addresses::{report, setting};
 use host_tests::flash_model::{Fault as FlashFault, FlashModel};
 use host_tests::serial_gripper::SerialGripper;
-use host_tests::station_rig::StationRig;
-use host_tests::wires::{Wires, quick, with_part};
+use host_tests::world::modbus::Master;
+use host_tests::world::{World, quick, with_part};
 use wsg_bridge_fw::can::DEFAULT_NODE;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::canopen::REPORTS_INDEX;
@@ -19,7 +17,7 @@ use wsg_bridge_fw::{Config, GripperLine, PlcBus, ResetCause};
 use wsg_fieldbus::CommandFlags as Cmd;
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{CommandId, Event, FrameEncoder, FrameParser, Status};
-use wsg_sim::{Fault, Finger, Jaw, Time};
+use wsg_sim::{Fault, Finger, Jaw};
 
 /// 10.00 mm, 20.00 mm/s, 40.00 N.
 const SLOWLY: [u16; 3] = [10_00, 20_00, 40_00];
@@ -27,7 +25,7 @@ const SLOWLY: [u16; 3] = [10_00, 20_00, 40_00];
 /// A station, its gripper, and a PLC that writes its image cyclically.
 struct Plant {
     plc_bus: PlcBus,
-    rig: StationRig,
+    rig: Master,
     /// CMDFLAGS, WIDTH, SPEED, FORCELIMIT.
     image: (Cmd, [u16; 3]),
     talks: bool,
@@ -37,15 +35,13 @@ struct Plant {
 
 impl Plant {
     fn new(config: Config, gripper: wsg_sim::Config, flash: FlashModel) -> Self {
-        Self::with_gripper(config, SerialGripper::new(gripper), flash, 0)
+        Self::of(World::with(config, SerialGripper::new(gripper), flash, ResetCause::Watchdog))
     }
 
-    fn with_gripper(delivered: Config, gripper: SerialGripper, flash: FlashModel, now_ms: u32) -> Self {
-        let mut rig = StationRig::with(&delivered.record(), gripper, flash, ResetCause::Watchdog);
-        rig.now_ms = now_ms;
+    fn of(world: World) -> Self {
         let mut plant = Self {
-            plc_bus: rig.config.plc_bus,
-            rig,
+            plc_bus: world.config.plc_bus,
+            rig: Master::of(world),
             image: (Cmd::empty(), [0; 3]),
             talks: false,
             heard: Vec::new(),
@@ -94,34 +90,30 @@ impl Plant {
     }
 
     fn fail(&mut self, fault: Fault) {
-        let now = Time::from_millis(self.rig.now_ms.into());
-        self.rig.gripper.gripper.set_fault(fault, true, now);
+        let now = self.rig.now();
+        self.rig.gripper().set_fault(fault, true, now);
         self.pass(100);
     }
 
     /// Resets only the bridge.
-    fn reset(self) -> Self {
-        let config = Config { plc_bus: self.plc_bus, ..Config::DEFAULT };
-        let StationRig { gripper, flash, now_ms, .. } = self.rig;
-        Self::with_gripper(config, gripper, flash, now_ms)
+    fn reset(mut self) -> Self {
+        self.rig.restart_bridge(ResetCause::Watchdog);
+        Self::of(self.rig.into_world())
     }
 
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
-            if self.talks && (self.rig.now_ms + 1).is_multiple_of(50) {
+            if self.talks && (self.rig.now_ms() + 1).is_multiple_of(50) {
                 self.send_image();
             }
             self.rig.step();
-            while let Some(frame) = self.rig.can.take_winner() {
-                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
-                self.heard.push((id.as_raw(), frame.data().to_vec()));
-            }
+            self.heard.extend(self.rig.can.take_frames().into_iter().map(|(_, id, data)| (id, data)));
         }
     }
 
     fn bring(&mut self, id: u16, data: &[u8]) {
         if self.plc_bus == PlcBus::Canopen {
-            self.rig.can.bring(ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap());
+            self.rig.can.send(id, data);
         }
     }
 
@@ -136,7 +128,7 @@ impl Plant {
             _ => {
                 let mut request = vec![1, 16, 0, 0, 0, 4, 8, flags.bits(), 0];
                 request.extend(numbers.into_iter().flat_map(u16::to_be_bytes));
-                self.rig.bus.ask(&request);
+                self.rig.modbus.ask(&request);
             }
         }
     }
@@ -153,7 +145,7 @@ impl Plant {
         self.write(flags, numbers);
         self.write(Cmd::empty(), numbers);
         for _ in 0..2_000 {
-            if self.rig.served(4, 5, 1) != [Status::CmdPending.code()] {
+            if self.rig.by_service(Master::status) != Status::CmdPending.code() {
                 return;
             }
             self.pass(10);
@@ -162,12 +154,12 @@ impl Plant {
     }
 
     fn cut(&mut self) {
-        self.rig.gripper.to_bridge = Some(Box::new(Vec::clear));
+        self.rig.set_cut(true);
     }
 
     /// Writes a register over the service port.
     fn set(&mut self, address: u16, value: u16) {
-        assert_eq!(self.rig.set_register(address, value), Ok(()), "accepted");
+        assert_eq!(self.rig.by_service(|rig| rig.set_register(address, value)), Ok(()), "accepted");
     }
 
     /// Reads reports over the PLC's bus.
@@ -178,14 +170,12 @@ impl Plant {
             let values = (sub..sub + count).map(|sub| self.upload(REPORTS_INDEX, sub, kind));
             return values.map(|value| u16::try_from(value).unwrap()).collect();
         }
-        let [high, low] = first.to_be_bytes();
         // Wait for the end of an image in transmission.
         let talks = std::mem::take(&mut self.talks);
         self.pass(5);
-        self.rig.bus.ask(&[1, 4, high, low, 0, count]);
-        self.pass(5);
+        let values = self.rig.input(first, count).expect("the registers exist");
         self.talks = talks;
-        registers(&self.rig.bus.answer().expect("the bus answers"), count)
+        values
     }
 
     /// Reads an object with an SDO upload.
@@ -217,16 +207,6 @@ impl Plant {
         let entries = (1..=count).map(|sub| self.upload(0x1003, sub as u8, DataType::Unsigned32));
         entries.map(|entry| (entry as u16, (entry >> 16) as u8)).collect()
     }
-}
-
-/// Returns the registers of a response to FC 3 or 4.
-fn registers(answer: &[u8], count: u8) -> Vec<u16> {
-    assert_eq!((answer[0], answer[2]), (1, 2 * count), "{answer:02X?}");
-    answer[3..]
-        .chunks_exact(2)
-        .take(count.into())
-        .map(|pair| u16::from_be_bytes([pair[0], pair[1]]))
-        .collect()
 }
 
 /// Expected reports on an event.
@@ -370,7 +350,7 @@ const CASES: &[Case] = {
                 // waits for the reply to the Acknowledge that follows the Stop after an error.
                 plant.command(Cmd::MOVE, [10_00, 50_00, 40_00]);
                 let mut parser = FrameParser::<MAX_MESSAGE_LEN>::new();
-                plant.rig.gripper.to_bridge = Some(Box::new(move |bytes| {
+                plant.rig.far.to_bridge = Some(Box::new(move |bytes| {
                     let mut through = Vec::new();
                     for byte in bytes.drain(..) {
                         if let Some(Event::Frame(frame)) = parser.push(byte)
@@ -404,7 +384,7 @@ const CASES: &[Case] = {
                 Plant::new(config, quick(), FlashModel::new())
             },
             |plant| {
-                plant.rig.can.go_off(0);
+                plant.rig.can.double.go_off(0);
                 plant.pass(1_000);
             },
         ),
@@ -449,7 +429,7 @@ fn assert_reports(expected: &Expected, plant: &mut Plant, plc_bus: PlcBus) {
     let what = format!("{:?} with {plc_bus:?}", expected.code);
     let (first, last) = (report("ERROR_CAUSE"), report("EVENT16_AGE"));
     let count = (last - first + 1) as u8;
-    let by_service = plant.rig.served(4, first, count);
+    let by_service = plant.rig.by_service(|rig| rig.input(first, count)).unwrap();
     let by_bus = plant.over_bus(first, count);
     let is_age = |at: usize| REPORTS[usize::from(first - FIRST_REPORT) + at].name.ends_with("_AGE");
     for (at, pair) in by_service.iter().zip(&by_bus).enumerate() {

@@ -1,31 +1,30 @@
 //! Tests of the causes of ERROR and of the last FAST STOP. causes.rs covers every single event.
 
 use host_tests::addresses::report;
-use host_tests::modbus_rig::*;
-use host_tests::wires::Wires;
+use host_tests::world::modbus::*;
 use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::registers::EventCode;
 use wsg_protocol::CommandId;
 
 /// Returns code, command and value of the events, latest first.
-fn events(rig: &mut TestRig) -> Vec<[u16; 3]> {
+fn events(rig: &mut Master) -> Vec<[u16; 3]> {
     let first = report("EVENT1_CODE");
     let registers = rig.input(first, 64).unwrap();
     let all = registers.chunks_exact(4).map(|event| [event[0], event[1], event[2]]);
     all.take_while(|[code, ..]| *code != 0).collect()
 }
 
-fn cause(rig: &mut TestRig) -> u16 {
+fn cause(rig: &mut Master) -> u16 {
     rig.input(report("ERROR_CAUSE"), 1).unwrap()[0]
 }
 
-fn fast_stop(rig: &mut TestRig) -> [u16; 3] {
+fn fast_stop(rig: &mut Master) -> [u16; 3] {
     rig.input(report("FAST_STOP_CAUSE"), 3).unwrap().try_into().unwrap()
 }
 
 #[test]
 fn cause_of_error_is_the_fast_stop_while_it_is_active() {
-    let mut rig = TestRig::homed(wsg_sim::Config::default());
+    let mut rig = Master::homed(wsg_sim::Config::default());
     rig.write(0, &[u16::from(MOVE) << 8, 10_00, 20_00, 40_00]);
     rig.pass(300);
     assert_eq!(cause(&mut rig), 0);

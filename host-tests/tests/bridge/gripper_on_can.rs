@@ -6,8 +6,8 @@ use std::rc::Rc;
 
 use bus_slcan::ClassicFrame;
 use embedded_can::{ExtendedId, Frame, Id, StandardId};
-use host_tests::can_rig::{CanRig, Disturbance};
-use host_tests::wires::{IDLE, Wires, quick, with_part};
+use host_tests::world::can::Disturbance;
+use host_tests::world::{IDLE, World, quick, with_part};
 use wsg_bridge_fw::can::{BusOffPolicy, BusState, DEFAULT_NODE};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::can::{Identifiers, Segments};
@@ -17,8 +17,8 @@ use wsg_sim::Config;
 
 const POLICY: BusOffPolicy = BusOffPolicy::DEFAULT;
 
-fn homed() -> CanRig {
-    CanRig::homed(with_part(20.0), POLICY)
+fn homed() -> World {
+    World::homed_on_can(with_part(20.0), POLICY)
 }
 
 #[test]
@@ -27,7 +27,7 @@ fn grip_cycle_over_can_shows_what_the_gripper_does() {
     assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     assert_eq!(rig.command(Inputs::RELEASE), IDLE);
     assert_eq!(rig.take_motions(), [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart]);
-    assert_eq!(rig.broken(), 0);
+    assert_eq!(rig.can.broken(), 0);
     let counters = rig.link().counters();
     assert_eq!((counters.overflows, counters.broken), (0, 0));
     assert_eq!(counters.frames, wsg_protocol::can::ReassemblerCounters::default());
@@ -38,7 +38,7 @@ fn frames_of_other_nodes_have_no_effect() {
     let mut rig = homed();
     let base = Identifiers::DEFAULT.controller();
     let mut count = 0u32;
-    rig.to_bridge = Some(Box::new(move |frame| {
+    rig.can.to_bridge = Some(Box::new(move |frame| {
         count += 1;
         let id = base.receive.as_raw();
         let other = StandardId::new(id + (count % 5) as u16 + 1).unwrap();
@@ -71,13 +71,13 @@ fn every_seventh_frame_lost_or_repeated_causes_no_motion_and_a_defined_state() {
                 }
             })
         };
-        rig.to_gripper = Some(disturbance());
-        rig.to_bridge = Some(disturbance());
+        rig.can.to_gripper = Some(disturbance());
+        rig.can.to_bridge = Some(disturbance());
         rig.set(Inputs::GRIP, true);
         rig.pass(5);
         rig.set(Inputs::GRIP, false);
         rig.pass(5_000);
-        (rig.to_gripper, rig.to_bridge) = (None, None);
+        (rig.can.to_gripper, rig.can.to_bridge) = (None, None);
         rig.pass(2_000);
         let motions = rig.take_motions();
         assert!(motions.len() <= 1 && motions.iter().all(|id| *id == CommandId::GripPart), "{motions:?}");
@@ -89,17 +89,17 @@ fn every_seventh_frame_lost_or_repeated_causes_no_motion_and_a_defined_state() {
 #[test]
 fn bus_off_is_shown_at_once_and_the_bridge_recovers() {
     let mut rig = homed();
-    rig.double().go_off(0);
+    rig.can.double.go_off(0);
     rig.pass(1);
     assert_eq!(rig.outputs(), Outputs::ERROR, "no LINK_OK, and no other state is known");
-    assert_eq!(rig.bus().state(), BusState::Off);
-    assert_eq!(rig.bus().health().transmit_errors, 255);
+    assert_eq!(rig.can_bus().state(), BusState::Off);
+    assert_eq!(rig.can_bus().health().transmit_errors, 255);
 
     rig.pass(POLICY.delay_ms - 2);
-    assert_eq!(rig.double().recoveries(), 0, "not before the delay");
+    assert_eq!(rig.can.double.recoveries(), 0, "not before the delay");
     assert!(rig.until(2_000, |outputs| outputs == IDLE), "{:?}", rig.outputs());
-    assert_eq!((rig.double().recoveries(), rig.bus().counters().bus_offs), (1, 1));
-    assert_eq!(rig.bus().state(), BusState::On);
+    assert_eq!((rig.can.double.recoveries(), rig.can_bus().counters().bus_offs), (1, 1));
+    assert_eq!(rig.can_bus().state(), BusState::On);
     assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
 }
 
@@ -107,7 +107,7 @@ fn bus_off_is_shown_at_once_and_the_bridge_recovers() {
 fn motion_commanded_during_bus_off_is_never_sent() {
     let mut rig = homed();
     rig.take_sent();
-    rig.double().go_off(0);
+    rig.can.double.go_off(0);
     // In the millisecond of bus-off, and during it.
     rig.set(Inputs::GRIP, true);
     rig.pass(20);
@@ -126,9 +126,9 @@ fn message_cut_by_bus_off_is_not_continued_after_it() {
     for (wire, id) in [(Inputs::GRIP, 0x25), (Inputs::MOVE, 0x21)] {
         let mut rig = homed();
         rig.take_sent();
-        let double = rig.double().clone();
+        let double = rig.can.double.clone();
         let mut cut = false;
-        rig.to_gripper = Some(Box::new(move |frame| {
+        rig.can.to_gripper = Some(Box::new(move |frame| {
             if !cut && frame.data().starts_with(&[0xAA, 0xAA, 0xAA, id]) {
                 cut = true;
                 double.go_off(0);
@@ -142,8 +142,8 @@ fn message_cut_by_bus_off_is_not_continued_after_it() {
         rig.pass(3_000);
         assert_eq!(rig.take_motions(), []);
         assert!(rig.outputs().contains(Outputs::ERROR), "unknown outcome: {:?}", rig.outputs());
-        assert_eq!(rig.broken(), 1, "the truncated message");
-        assert_eq!(rig.double().aborts(), 2, "at bus-off and after the recovery");
+        assert_eq!(rig.can.broken(), 1, "the truncated message");
+        assert_eq!(rig.can.double.aborts(), 2, "at bus-off and after the recovery");
         assert_eq!(
             rig.link().counters().broken,
             u16::from(wire == Inputs::MOVE),
@@ -154,12 +154,12 @@ fn message_cut_by_bus_off_is_not_continued_after_it() {
 
 #[test]
 fn motion_during_bus_off_has_an_unknown_outcome_and_shows_error() {
-    let mut rig = CanRig::homed(Config { time_scale: 1.0, ..with_part(20.0) }, POLICY);
+    let mut rig = World::homed_on_can(Config { time_scale: 1.0, ..with_part(20.0) }, POLICY);
     rig.set(Inputs::GRIP, true);
     assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
     rig.set(Inputs::GRIP, false);
     rig.pass(100);
-    rig.double().go_off(0);
+    rig.can.double.go_off(0);
     assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)));
     assert!(rig.until(10_000, |outputs| !outputs.contains(Outputs::BUSY)));
     assert!(rig.outputs().contains(Outputs::ERROR), "{:?}", rig.outputs());
@@ -171,19 +171,19 @@ fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
     for (is_in_controller, low_ms) in [(false, 0), (false, 20), (true, 5)] {
         let mut rig = homed();
         if !is_in_controller {
-            rig.double().go_off(0);
+            rig.can.double.go_off(0);
             rig.pass(10);
         }
-        rig.double().set_unheard(is_in_controller);
+        rig.can.double.set_unheard(is_in_controller);
         rig.set(Inputs::FAST_STOP_OK, false);
         rig.pass(low_ms);
         if is_in_controller {
-            rig.double().go_off(0);
-            rig.double().set_unheard(false);
+            rig.can.double.go_off(0);
+            rig.can.double.set_unheard(false);
         }
         rig.take_sent();
         rig.pass(1);
-        while rig.bus().state() != BusState::On {
+        while rig.can_bus().state() != BusState::On {
             rig.pass(1);
         }
         rig.pass(2);
@@ -198,9 +198,9 @@ fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
 #[test]
 fn fast_stop_is_sent_at_once_in_any_turn_around_the_loss_of_the_connection() {
     /// A gripper that receives everything, but answers no longer.
-    fn falling_silent() -> CanRig {
+    fn falling_silent() -> World {
         let mut rig = homed();
-        rig.to_bridge = Some(Box::new(|_| vec![]));
+        rig.can.to_bridge = Some(Box::new(|_| vec![]));
         rig
     }
     let mut rig = falling_silent();
@@ -222,20 +222,20 @@ fn fast_stop_is_sent_at_once_in_any_turn_around_the_loss_of_the_connection() {
 #[test]
 fn repeated_bus_off_is_given_up() {
     let policy = BusOffPolicy { limit: 3, ..POLICY };
-    let mut rig = CanRig::homed(with_part(20.0), policy);
-    rig.double().go_off(u32::MAX);
+    let mut rig = World::homed_on_can(with_part(20.0), policy);
+    rig.can.double.go_off(u32::MAX);
     rig.pass(10 * (policy.delay_ms + policy.recovery_ms));
-    assert_eq!(rig.bus().state(), BusState::GivenUp);
-    assert_eq!(rig.double().recoveries(), 2, "the third failure is the last");
+    assert_eq!(rig.can_bus().state(), BusState::GivenUp);
+    assert_eq!(rig.can.double.recoveries(), 2, "the third failure is the last");
     assert_eq!(rig.outputs(), Outputs::ERROR);
 
     // The controller's own recovery has no effect.
-    rig.double().go_off(0);
+    rig.can.double.go_off(0);
     rig.pass(60_000);
-    assert_eq!((rig.bus().state(), rig.double().recoveries()), (BusState::GivenUp, 2));
+    assert_eq!((rig.can_bus().state(), rig.can.double.recoveries()), (BusState::GivenUp, 2));
 
     let now = wsg_protocol::Instant::from_millis(rig.now_ms());
-    rig.bus().retry(now);
+    rig.can_bus().retry(now);
     assert!(rig.until(3_000, |outputs| outputs == IDLE), "{:?}", rig.outputs());
 }
 
@@ -243,19 +243,19 @@ fn repeated_bus_off_is_given_up() {
 fn failures_are_reset_only_after_a_stable_time() {
     let policy = BusOffPolicy { limit: 3, stable_ms: 5_000, ..POLICY };
     for (pause, given_up) in [(4_000, true), (7_000, false)] {
-        let mut rig = CanRig::homed(with_part(20.0), policy);
+        let mut rig = World::homed_on_can(with_part(20.0), policy);
         for _ in 0..3 {
-            rig.double().go_off(0);
+            rig.can.double.go_off(0);
             rig.pass(pause);
         }
-        assert_eq!(rig.bus().state() == BusState::GivenUp, given_up, "{pause} ms apart");
+        assert_eq!(rig.can_bus().state() == BusState::GivenUp, given_up, "{pause} ms apart");
     }
 }
 
 #[test]
 fn limit_of_zero_never_gives_up() {
-    let mut rig = CanRig::homed(with_part(20.0), BusOffPolicy { limit: 0, ..POLICY });
-    rig.double().go_off(400);
+    let mut rig = World::homed_on_can(with_part(20.0), BusOffPolicy { limit: 0, ..POLICY });
+    rig.can.double.go_off(400);
     rig.pass(401 * (POLICY.delay_ms + POLICY.recovery_ms));
     assert!(rig.until(3_000, |outputs| outputs == IDLE), "{:?}", rig.outputs());
 }
@@ -266,15 +266,15 @@ fn unacknowledged_motion_is_not_sent_when_a_node_joins() {
         let mut rig = homed();
         rig.take_sent();
         // The gripper is unplugged, so frames stay in the controller's mailboxes.
-        rig.double().set_unheard(true);
-        rig.to_bridge = Some(Box::new(|_| vec![]));
+        rig.can.double.set_unheard(true);
+        rig.can.to_bridge = Some(Box::new(|_| vec![]));
         rig.set(wire, true);
         rig.pass(20);
         rig.set(wire, false);
         assert!(rig.until(2_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
         rig.pass(60_000);
-        rig.double().set_unheard(false);
-        rig.to_bridge = None;
+        rig.can.double.set_unheard(false);
+        rig.can.to_bridge = None;
         assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
         rig.pass(3_000);
         assert_eq!(rig.take_motions(), []);
@@ -290,8 +290,8 @@ fn link_ok_falls_within_a_second_of_the_last_answer_whenever_the_plug_is_pulled(
         assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
         assert_eq!(rig.command(Inputs::RELEASE), IDLE);
         rig.pass(offset_ms);
-        rig.double().set_unheard(true);
-        rig.to_bridge = Some(Box::new(|_| vec![]));
+        rig.can.double.set_unheard(true);
+        rig.can.to_bridge = Some(Box::new(|_| vec![]));
         assert!(rig.until(1_000, |outputs| !outputs.contains(Outputs::LINK_OK)), "{offset_ms}");
     }
 }
@@ -301,13 +301,13 @@ fn unsent_message_is_withdrawn_before_its_time_out() {
     // Frames are received, but none is sent, as with only a listening node on the bus.
     let mut rig = homed();
     rig.take_sent();
-    rig.double().set_unheard(true);
+    rig.can.double.set_unheard(true);
     rig.set(Inputs::GRIP, true);
     rig.pass(20);
     rig.set(Inputs::GRIP, false);
     rig.pass(1_000);
-    assert!(rig.double().withdrawn() > 0 && rig.link().counters().broken > 0);
-    rig.double().set_unheard(false);
+    assert!(rig.can.double.withdrawn() > 0 && rig.link().counters().broken > 0);
+    rig.can.double.set_unheard(false);
     rig.pass(3_000);
     assert_eq!(rig.take_motions(), []);
     assert!(rig.outputs().contains(Outputs::ERROR | Outputs::LINK_OK), "{:?}", rig.outputs());
@@ -317,14 +317,14 @@ fn unsent_message_is_withdrawn_before_its_time_out() {
 #[test]
 fn overruns_and_refusals_of_the_controller_are_counted_and_overcome() {
     let mut rig = homed();
-    rig.double().overrun();
+    rig.can.double.overrun();
     rig.pass(500);
-    rig.double().refuse(true);
+    rig.can.double.refuse(true);
     rig.pass(3_000);
     assert!(!rig.outputs().contains(Outputs::LINK_OK));
-    rig.double().refuse(false);
+    rig.can.double.refuse(false);
     assert!(rig.until(3_000, |outputs| outputs.contains(Outputs::LINK_OK)), "{:?}", rig.outputs());
-    let counters = rig.bus().counters();
+    let counters = rig.can_bus().counters();
     assert_eq!(counters.overruns, 1);
     assert!(counters.refused > 0);
 }
@@ -358,7 +358,7 @@ fn hit(fault: FrameFault, number: usize) -> Disturbance {
 #[test]
 fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_foreign() {
     const FRAMES: usize = 12;
-    let mut rig = CanRig::homed(quick(), BusOffPolicy::DEFAULT);
+    let mut rig = World::homed_on_can(quick(), BusOffPolicy::DEFAULT);
     let mut worst = 0;
     let mut case = 0;
     for fault in [FrameFault::Lost, FrameFault::Doubled, FrameFault::Misled] {
@@ -370,9 +370,9 @@ fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_fore
                     rig.set(Inputs::GRIP, true);
                     let disturbance = Some(hit(fault, number));
                     if to_gripper {
-                        rig.to_gripper = disturbance;
+                        rig.can.to_gripper = disturbance;
                     } else {
-                        rig.to_bridge = disturbance;
+                        rig.can.to_bridge = disturbance;
                     }
                     rig.pass(low_after);
                     rig.set(Inputs::FAST_STOP_OK, false);
@@ -386,7 +386,7 @@ fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_fore
                         ms <= 250,
                         "{fault:?} of frame {number}, to the gripper: {to_gripper}, {low_after} ms: {ms} ms"
                     );
-                    (rig.to_gripper, rig.to_bridge) = (None, None);
+                    (rig.can.to_gripper, rig.can.to_bridge) = (None, None);
                     rig.set(Inputs::GRIP, false);
                     rig.set(Inputs::FAST_STOP_OK, true);
                     rig.pass(700);
@@ -419,7 +419,7 @@ const SDO_ANSWER: u16 = 0x580 | DEFAULT_NODE.node as u16;
 
 /// A rig with gripper and PLC on one bus, which blocks during a motion command.
 struct Blocked {
-    rig: CanRig,
+    rig: World,
     motion: Motion,
     /// All bytes that the gripper has received since the motion command.
     bytes: Rc<RefCell<Vec<u8>>>,
@@ -429,23 +429,23 @@ struct Blocked {
 impl Blocked {
     /// Sends `sent` frames of the motion, then blocks the bus. An SDO response waits as well.
     fn after(motion: Motion, sent: usize) -> Self {
-        let mut rig = CanRig::with_node(with_part(20.0), DEFAULT_NODE);
+        let mut rig = World::with_node(with_part(20.0), DEFAULT_NODE);
         rig.get_homed();
         // The gripper already has the recipe's force limit, so GRIP is sent without setting it.
         rig.command(Inputs::GRIP);
         rig.command(Inputs::RELEASE);
         rig.pass(500);
         rig.take_sent();
-        rig.take_heard();
+        rig.can.take_frames();
         let width = rig.gripper().state().width;
         if sent == 0 {
-            rig.double().set_unheard(true);
+            rig.can.double.set_unheard(true);
         }
         let bytes = Rc::new(RefCell::new(Vec::new()));
-        let (double, got) = (rig.double().clone(), Rc::clone(&bytes));
+        let (double, got) = (rig.can.double.clone(), Rc::clone(&bytes));
         let own = Id::Standard(Identifiers::DEFAULT.controller().transmit);
         let mut frames_of_it = 0;
-        rig.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
+        rig.can.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
             if frame.id() == own {
                 got.borrow_mut().extend_from_slice(frame.data());
                 let begins = frame.data().starts_with(&[0xAA, 0xAA, 0xAA, motion.id.code()]);
@@ -460,14 +460,14 @@ impl Blocked {
         let request = ClassicFrame::new(request, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]).unwrap();
         // In a mailbox before the motion, or waiting for one after it.
         if sent == 0 {
-            rig.say(request);
+            rig.can.queue(request);
             rig.pass(2);
         }
         rig.set(motion.wire, true);
         rig.pass(10);
         rig.set(motion.wire, false);
         if sent > 0 {
-            rig.say(request);
+            rig.can.queue(request);
         }
         rig.pass(2);
         Self { rig, motion, bytes, width }
@@ -485,7 +485,7 @@ impl Blocked {
     fn begin_frame(&mut self, is_first: bool) {
         let head = [0xAA, 0xAA, 0xAA, self.motion.id.code()];
         loop {
-            let frame = self.rig.double().begin_frame().expect("a frame of the motion waits");
+            let frame = self.rig.can.double.begin_frame().expect("a frame of the motion waits");
             if !is_first || frame.data().starts_with(&head) {
                 return;
             }
@@ -497,7 +497,7 @@ impl Blocked {
     fn unblock(&mut self) -> (CommandId, u32) {
         let earlier = self.rig.take_sent().into_iter().find(|id| id.kind() == Kind::Motion);
         assert_eq!(earlier, None, "{:?}", self.motion);
-        self.rig.double().set_unheard(false);
+        self.rig.can.double.set_unheard(false);
         for ms in 1..=50 {
             self.rig.step();
             // A query may precede it.
@@ -539,7 +539,7 @@ impl Blocked {
         assert!(rig.outputs().contains(Outputs::LINK_OK), "{context}: {:?}", rig.outputs());
         assert_eq!(rig.take_motions(), [], "{context}: sent later");
         assert_eq!(rig.gripper().state().width, *width, "{context}: the fingers have moved");
-        let answers = rig.take_heard().into_iter().filter(|(_, id, _)| *id == SDO_ANSWER);
+        let answers = rig.can.take_frames().into_iter().filter(|(_, id, _)| *id == SDO_ANSWER);
         assert_eq!(answers.count(), 1, "{context}: the SDO answer");
         rig.set(wire, !level);
         rig.pass(20);
@@ -563,7 +563,7 @@ fn stop_and_fast_stop_withdraw_a_motion_with_unsent_frames() {
             for stop in STOPS {
                 let context = format!("{motion:?}, {sent} sent, {stop:?}");
                 let mut blocked = Blocked::after(motion, sent);
-                let waits = blocked.rig.double().waiting();
+                let waits = blocked.rig.can.double.waiting();
                 assert!(
                     waits
                         .iter()
@@ -575,7 +575,7 @@ fn stop_and_fast_stop_withdraw_a_motion_with_unsent_frames() {
                 let expected = if stop.0 == Inputs::STOP_ACK { CommandId::Stop } else { CommandId::FastStop };
                 assert_eq!(first, expected, "{context}");
                 assert!(ms <= 2, "{context}: after {ms} ms");
-                assert_eq!(blocked.rig.broken(), u16::from(sent > 0), "{context}: spoilt if partly sent");
+                assert_eq!(blocked.rig.can.broken(), u16::from(sent > 0), "{context}: spoilt if partly sent");
                 blocked.check_that_it_is_over(stop, &context);
             }
         }
@@ -595,7 +595,7 @@ fn completely_sent_motion_is_sent_once_and_stopped() {
             assert!(ms <= 2, "{motion:?}, {stop:?}: after {ms} ms");
             blocked.rig.pass(1_000);
             assert_eq!(blocked.rig.take_motions(), []);
-            assert_eq!(blocked.rig.broken(), 0);
+            assert_eq!(blocked.rig.can.broken(), 0);
         }
     }
 }
@@ -610,7 +610,7 @@ fn late_reply_to_an_earlier_motion_does_not_prevent_a_withdrawal() {
                 let answer = Reply::status_only(motion.id, status);
                 for segment in Segments::new(FrameEncoder::new(motion.id.code(), answer)) {
                     let from_gripper = Identifiers::DEFAULT.controller().receive;
-                    blocked.rig.double().bring(segment.frame(from_gripper).unwrap());
+                    blocked.rig.can.double.bring(segment.frame(from_gripper).unwrap());
                 }
                 blocked.rig.pass(2);
 
@@ -637,7 +637,7 @@ fn withdrawal_is_decided_after_the_end_of_the_frame_on_the_bus() {
                     blocked.begin_frame(sent == 0);
                     blocked.rig.set(stop.0, stop.1);
                     blocked.rig.pass(15);
-                    assert_eq!(blocked.rig.double().withdrawn(), 0, "{context}");
+                    assert_eq!(blocked.rig.can.double.withdrawn(), 0, "{context}");
 
                     blocked.rig.end_frame(is_acknowledged);
 
@@ -651,7 +651,7 @@ fn withdrawal_is_decided_after_the_end_of_the_frame_on_the_bus() {
                     assert_eq!(first, expected, "{context}");
                     assert!(ms <= 2, "{context}: after {ms} ms");
                     let is_begun = sent > 0 || is_acknowledged;
-                    assert_eq!(blocked.rig.broken(), u16::from(is_begun && !is_whole), "{context}");
+                    assert_eq!(blocked.rig.can.broken(), u16::from(is_begun && !is_whole), "{context}");
                     if !is_whole {
                         blocked.check_that_it_is_over(stop, &context);
                     }
@@ -664,16 +664,16 @@ fn withdrawal_is_decided_after_the_end_of_the_frame_on_the_bus() {
 #[test]
 fn acknowledgement_is_withdrawn_when_fast_stop_ok_falls_again() {
     for sent in 0..2 {
-        let mut rig = CanRig::with_node(with_part(20.0), DEFAULT_NODE);
+        let mut rig = World::with_node(with_part(20.0), DEFAULT_NODE);
         rig.get_homed();
         rig.set(Inputs::FAST_STOP_OK, false);
         rig.pass(100);
         rig.set(Inputs::FAST_STOP_OK, true);
         rig.pass(100);
         rig.take_sent();
-        let double = rig.double().clone();
-        rig.double().set_unheard(sent == 0);
-        rig.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
+        let double = rig.can.double.clone();
+        rig.can.double.set_unheard(sent == 0);
+        rig.can.to_gripper = Some(Box::new(move |frame: ClassicFrame| {
             let is_head = frame.data().starts_with(&[0xAA, 0xAA, 0xAA, CommandId::Acknowledge.code()]);
             double.set_unheard(sent > 0 && is_head);
             vec![frame]
@@ -684,8 +684,8 @@ fn acknowledgement_is_withdrawn_when_fast_stop_ok_falls_again() {
 
         rig.set(Inputs::FAST_STOP_OK, false);
         rig.pass(15);
-        rig.to_gripper = None;
-        rig.double().set_unheard(false);
+        rig.can.to_gripper = None;
+        rig.can.double.set_unheard(false);
         rig.pass(2);
 
         assert_eq!(rig.take_sent().first(), Some(&CommandId::FastStop), "{sent} sent");

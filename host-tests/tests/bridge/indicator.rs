@@ -1,8 +1,7 @@
 //! The LED, in virtual time, read like a person does: by counting flashes between longer pauses.
 
-use host_tests::modbus_rig::{self, quick};
-use host_tests::wires::Wires;
-use host_tests::wires_rig::TestRig;
+use host_tests::world::modbus::Master;
+use host_tests::world::{WIRES, World, quick};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::indicator::{INDICATIONS, Indication};
 use wsg_bridge_fw::io::Inputs;
@@ -31,21 +30,13 @@ fn seen(levels: &[bool]) -> String {
     }
 }
 
-/// Observes the LED of a rig for 10 s.
-fn look<B: Wires>(rig: &mut B, indication: impl Fn(&B) -> Indication) -> String {
+/// Observes the LED for 10 s.
+fn look(world: &mut World) -> String {
     let level = |ms| {
-        rig.step();
-        indication(rig).is_lit(ms)
+        world.step();
+        world.indication().is_lit(ms)
     };
     seen(&(0..10_000).map(level).collect::<Vec<_>>())
-}
-
-fn look_at_wires(rig: &mut TestRig) -> String {
-    look(rig, TestRig::indication)
-}
-
-fn look_at_modbus(rig: &mut modbus_rig::TestRig) -> String {
-    look(rig, |rig| rig.bridge().indication())
 }
 
 #[test]
@@ -60,52 +51,52 @@ fn each_pattern_looks_as_in_the_table() {
 
 #[test]
 fn power_up_homing_and_a_cut_line_are_shown() {
-    let mut rig = TestRig::new(quick());
+    let mut rig = World::new(WIRES, quick());
     rig.far.to_bridge = Some(Box::new(Vec::clear));
-    assert_eq!(look_at_wires(&mut rig), "1 flash");
+    assert_eq!(look(&mut rig), "1 flash");
 
     rig.far.to_bridge = None;
     rig.set(Inputs::FAST_STOP_OK, true);
     rig.pass(1_000);
-    assert_eq!(look_at_wires(&mut rig), "4 flashes", "the FAST STOP of power-up");
+    assert_eq!(look(&mut rig), "4 flashes", "the FAST STOP of power-up");
 
     rig.get_homed();
-    assert_eq!(look_at_wires(&mut rig), "lit, with a short gap");
+    assert_eq!(look(&mut rig), "lit, with a short gap");
 
     rig.far.to_bridge = Some(Box::new(Vec::clear));
     rig.pass(3_000);
-    assert_eq!(look_at_wires(&mut rig), "2 flashes");
+    assert_eq!(look(&mut rig), "2 flashes");
 }
 
 #[test]
 fn silent_master_is_shown_until_it_resumes() {
-    let mut rig = modbus_rig::TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.pass(u32::from(Config::DEFAULT.bus.timeout_ms) + 100);
-    assert_eq!(look_at_modbus(&mut rig), "3 flashes");
+    assert_eq!(look(&mut rig), "3 flashes");
 
     rig.write(0, &[0, 0, 0, 0]);
-    assert_ne!(rig.bridge().indication(), Indication::BusLost);
+    assert_ne!(rig.indication(), Indication::BusLost);
 }
 
 #[test]
 fn absent_master_is_not_shown_if_never_connected_or_while_the_wires_command() {
-    let mut rig = modbus_rig::TestRig::new(Config::DEFAULT, quick());
+    let mut rig = Master::new(Config::DEFAULT, quick());
     rig.get_homed();
-    assert_eq!(look_at_modbus(&mut rig), "lit, with a short gap");
+    assert_eq!(look(&mut rig), "lit, with a short gap");
 
     rig.write(0, &[0, 0, 0, 0]);
-    assert_eq!(look_at_modbus(&mut rig), "lit, with a short gap");
+    assert_eq!(look(&mut rig), "lit, with a short gap");
 }
 
 #[test]
 fn controller_off_the_bus_is_shown_until_the_recovery() {
-    let mut rig = modbus_rig::TestRig::new(Config::DEFAULT, quick());
+    let mut rig = Master::new(Config::DEFAULT, quick());
     rig.get_homed();
     for state in [1, 2, 3] {
-        rig.bridge_mut().set_can_reports(CanReports([state, 0, 0, 1, 0, 0]));
-        assert_eq!(rig.bridge().indication(), Indication::BusLost, "CAN_STATE {state}");
+        rig.bridge().set_can_reports(CanReports([state, 0, 0, 1, 0, 0]));
+        assert_eq!(rig.indication(), Indication::BusLost, "CAN_STATE {state}");
     }
     // Error passive is not bus-off.
-    rig.bridge_mut().set_can_reports(CanReports([128, 0, 0, 1, 0, 0]));
-    assert_eq!(rig.bridge().indication(), Indication::Running);
+    rig.bridge().set_can_reports(CanReports([128, 0, 0, 1, 0, 0]));
+    assert_eq!(rig.indication(), Indication::Running);
 }

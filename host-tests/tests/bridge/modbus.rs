@@ -1,8 +1,8 @@
 //! The bridge over Modbus RTU, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use host_tests::addresses::{report, setting};
-use host_tests::modbus_rig::*;
-use host_tests::wires::Wires;
+use host_tests::world::modbus::*;
+use host_tests::world::{World, quick, with_part};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES};
@@ -12,7 +12,7 @@ use wsg_protocol::{Command, CommandId, Status, SystemFlags};
 
 #[test]
 fn grip_cycle_over_the_bus() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = Master::homed(with_part(20.0));
     rig.take_motions();
     for _ in 0..20 {
         rig.command(MOVE, 80_00, 200_00, 40_00);
@@ -34,10 +34,10 @@ fn grip_cycle_over_the_bus() {
 
 #[test]
 fn missing_and_lost_parts_are_shown_in_gstate() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.command(GRIP, 20_00, 50_00, 40_00);
     assert_eq!((rig.state(), rig.status()), (NO_PART, 18), "E_CMD_FAILED");
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = Master::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     let now = rig.now();
     rig.gripper().set_part(None, now);
@@ -47,7 +47,7 @@ fn missing_and_lost_parts_are_shown_in_gstate() {
 
 #[test]
 fn lowest_of_simultaneous_edges_is_executed() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.take_motions();
     rig.command(MOVE | GRIP | HOMING, 40_00, 50_00, 40_00);
     assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
@@ -56,7 +56,7 @@ fn lowest_of_simultaneous_edges_is_executed() {
 #[test]
 fn parameter_change_during_a_motion_and_speed_out_of_range_are_a_fast_stop() {
     for second in [[u16::from(MOVE) << 8, 30_01, 50_00, 40_00], [u16::from(MOVE) << 8, 30_00, 51_00, 40_00]] {
-        let mut rig = TestRig::homed(quick());
+        let mut rig = Master::homed(quick());
         rig.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
         rig.pass(10);
         rig.write(0, &second);
@@ -64,7 +64,7 @@ fn parameter_change_during_a_motion_and_speed_out_of_range_are_a_fast_stop() {
         assert!(rig.bit(16 + 12), "FAST_STOP");
         assert_eq!(rig.state(), IDLE);
     }
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.write(0, &[u16::from(MOVE) << 8, 30_00, 1, 40_00]);
     rig.pass(20);
     assert!(rig.bit(16 + 12));
@@ -77,7 +77,7 @@ fn parameter_change_during_a_motion_and_speed_out_of_range_are_a_fast_stop() {
 
 #[test]
 fn jog_moves_while_its_coil_is_set() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.command(MOVE, 30_00, 400_00, 40_00);
     rig.write(2, &[20_00, 40_00]);
     assert_eq!(rig.ask(&[5, 0, 6, 0xFF, 0]), [5, 0, 6, 0xFF, 0]);
@@ -100,7 +100,7 @@ fn jog_moves_while_its_coil_is_set() {
 #[test]
 fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
     let parameters = [0, 40_00, 40_00];
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.command(MOVE, 60_00, 400_00, 40_00);
     let now = rig.now();
     let limits = Command::SetSoftLimits { limits: SoftLimits { minus: 40.0, plus: 80.0 } };
@@ -127,7 +127,7 @@ fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
 #[test]
 fn restart_of_the_gripper_is_shown_on_the_bus_as_unreferenced_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
-        let mut rig = TestRig::homed(quick());
+        let mut rig = Master::homed(quick());
         rig.pass(offset_ms);
         rig.restart_gripper(quick());
         rig.pass(250);
@@ -139,7 +139,7 @@ fn restart_of_the_gripper_is_shown_on_the_bus_as_unreferenced_within_250_ms() {
 /// STOP/ACK in a master's first image is no edge, but its level blocks motions (fieldbus, table 1).
 #[test]
 fn stop_in_the_first_image_of_the_bus_keeps_ready_low_and_refuses_the_wires() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
+    let mut rig = Master::new(Config::DEFAULT, quick());
     rig.pass(200);
     rig.write(0, &[u16::from(STOP_ACK) << 8, 0, 0, 0]);
     rig.pass(100);
@@ -152,13 +152,13 @@ fn stop_in_the_first_image_of_the_bus_keeps_ready_low_and_refuses_the_wires() {
     rig.write(0, &[0, 0, 0, 0]);
     rig.pass(20);
     assert!(rig.outputs().contains(Outputs::READY), "{:?}", rig.outputs());
-    assert_eq!(Wires::command(&mut rig, Inputs::HOME), held | Outputs::READY | Outputs::REFERENCED);
+    assert_eq!(World::command(&mut rig, Inputs::HOME), held | Outputs::READY | Outputs::REFERENCED);
 }
 
 #[test]
 fn silent_master_ends_a_jog_even_with_reaction_hold() {
     let bus = BusConfig { reaction: SilenceReaction::Hold, ..BusConfig::DEFAULT };
-    let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, quick());
+    let mut rig = Master::ready_with(Config { bus, ..Config::DEFAULT }, quick());
     rig.command(HOMING, 0, 0, 0);
     rig.command(MOVE, 10_00, 400_00, 40_00);
     rig.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
@@ -180,12 +180,12 @@ fn silent_master_holds_stops_or_fast_stops_its_motion() {
         (SilenceReaction::FastStop, Some(CommandId::FastStop)),
     ] {
         let bus = BusConfig { reaction, timeout_ms: 300, ..BusConfig::DEFAULT };
-        let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+        let mut rig = Master::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
         rig.command(HOMING, 0, 0, 0);
         rig.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
         rig.take_sent();
         rig.pass(250);
-        let stops = |rig: &mut TestRig| {
+        let stops = |rig: &mut Master| {
             rig.take_sent().into_iter().find(|id| matches!(id, CommandId::Stop | CommandId::FastStop))
         };
         assert_eq!(stops(&mut rig), None, "too early");
@@ -200,7 +200,7 @@ fn silent_master_holds_stops_or_fast_stops_its_motion() {
 #[test]
 fn bus_timeout_of_0_is_unlimited() {
     let bus = BusConfig { timeout_ms: 0, ..BusConfig::DEFAULT };
-    let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+    let mut rig = Master::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
     rig.command(HOMING, 0, 0, 0);
     rig.take_sent();
     rig.write(0, &[u16::from(MOVE) << 8, 10_00, 5_00, 40_00]);
@@ -213,7 +213,7 @@ fn bus_timeout_of_0_is_unlimited() {
 
 #[test]
 fn coils_read_as_they_were_written() {
-    let mut rig = TestRig::ready();
+    let mut rig = Master::ready();
     assert_eq!(rig.ask(&[1, 0, 0, 0, 8]), [1, 1, 0]);
     rig.write(0, &[u16::from(MOVE) << 8]);
     let flags = rig.ask(&[1, 0, 0, 0, 16]);
@@ -227,10 +227,10 @@ fn pause_inside_a_request_is_limited_by_the_setting() {
         [(50, 40_000, true), (50, 51_000, false), (2, 40_000, false)]
     {
         let bus = BusConfig { character_timeout_ms, ..BusConfig::DEFAULT };
-        let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, quick());
+        let mut rig = Master::ready_with(Config { bus, ..Config::DEFAULT }, quick());
         rig.pass(100);
         rig.answers();
-        let frame = TestRig::frame(1, &[4, 0, 0, 0, 1]);
+        let frame = Master::frame(1, &[4, 0, 0, 0, 1]);
         let (first, second) = frame.split_at(4);
         rig.send_raw(first);
         rig.send_after(pause_us, second);
@@ -241,7 +241,7 @@ fn pause_inside_a_request_is_limited_by_the_setting() {
 
 #[test]
 fn silent_master_that_only_read_stops_no_motion() {
-    let mut rig = TestRig::ready();
+    let mut rig = Master::ready();
     rig.input(0, 1).unwrap();
     rig.set(Inputs::HOME, true);
     rig.take_sent();
@@ -253,7 +253,7 @@ fn silent_master_that_only_read_stops_no_motion() {
 
 #[test]
 fn part_stays_held_while_the_master_is_silent() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = Master::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     rig.pass(5_000);
     assert_eq!(rig.state(), HOLDING);
@@ -263,7 +263,7 @@ fn part_stays_held_while_the_master_is_silent() {
 fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
     // The bridge has just started, but the cycle of the PLC continues with its flags set.
     for (flags, reads) in [(HOMING | JOG_PLUS, false), (HOMING, true)] {
-        let mut rig = TestRig::new(Config::DEFAULT, quick());
+        let mut rig = Master::new(Config::DEFAULT, quick());
         rig.pass(200);
         for _ in 0..5 {
             if reads {
@@ -283,7 +283,7 @@ fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
 #[test]
 fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
     for phase_ms in 0..5 {
-        let mut rig = TestRig::homed(with_part(20.0));
+        let mut rig = Master::homed(with_part(20.0));
         rig.pass(2 * phase_ms);
         for (flag, width, state, force) in [(GRIP, 20_00, HOLDING, 40_00), (RELEASE, 40_00, IDLE, 0)] {
             rig.write(0, &[0, width, 50_00, 40_00]);
@@ -307,7 +307,7 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
     /// Returns the turns from the write to the motion, `after_ms` after the end of a grip. Replies are lost for `lost_ms`
     /// from the end on.
     fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
-        let mut rig = TestRig::homed(with_part(20.0));
+        let mut rig = Master::homed(with_part(20.0));
         rig.write(0, &[u16::from(GRIP) << 8, 20_00, 50_00, 40_00]);
         rig.write(0, &[0, 20_00, 50_00, 40_00]);
         assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::HOLDING)));
@@ -317,7 +317,7 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
         }
         rig.take_sent();
         let release = [16, 0, 0, 0, 4, 8, RELEASE, 0, 0x0F, 0xA0, 0x13, 0x88, 0x0F, 0xA0];
-        rig.send_raw(&TestRig::frame(1, &release));
+        rig.send_raw(&Master::frame(1, &release));
         (1..100)
             .find(|_| {
                 rig.pass(1);
@@ -339,7 +339,7 @@ fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies()
 #[test]
 fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
     let blocked = || {
-        let mut rig = TestRig::homed(with_part(20.0));
+        let mut rig = Master::homed(with_part(20.0));
         rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
         rig
     };
@@ -362,7 +362,7 @@ fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
 
 #[test]
 fn fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
     rig.pass(10);
     rig.set(Inputs::FAST_STOP_OK, false);
@@ -379,7 +379,7 @@ fn fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge() {
 
 #[test]
 fn fast_stop_of_the_bus_stops_a_motion_of_the_wires() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.pulse(Inputs::MOVE);
     rig.write(0, &[u16::from(FASTSTOP) << 8, 0, 0, 0]);
     rig.pass(20);
@@ -390,7 +390,7 @@ fn fast_stop_of_the_bus_stops_a_motion_of_the_wires() {
 
 #[test]
 fn wires_command_while_one_of_them_is_high_and_the_bus_afterwards() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.set(Inputs::MOVE, true);
     rig.pass(3_000);
     rig.take_motions();
@@ -410,7 +410,7 @@ fn wires_command_while_one_of_them_is_high_and_the_bus_afterwards() {
 
 #[test]
 fn parameters_on_the_bus_do_not_disturb_a_motion_of_the_wires() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.set(Inputs::MOVE, true);
     rig.pass(20);
     rig.write(0, &[0, 12_34, 100_00, 20_00]);
@@ -421,7 +421,7 @@ fn parameters_on_the_bus_do_not_disturb_a_motion_of_the_wires() {
 
 #[test]
 fn second_motion_is_refused_and_the_first_still_ends() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.take_motions();
     rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
     rig.write(0, &[u16::from(MOVE | RELEASE) << 8, 10_00, 50_00, 40_00]);
@@ -433,9 +433,9 @@ fn second_motion_is_refused_and_the_first_still_ends() {
 
 #[test]
 fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = Master::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
-    let refused = |rig: &mut TestRig| rig.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
+    let refused = |rig: &mut Master| rig.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
     assert_eq!(refused(&mut rig), 0);
     for count in 1..=3 {
         rig.write(0, &[u16::from(MOVE) << 8, 80_00, 50_00, 40_00]);
@@ -456,7 +456,7 @@ fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() 
 
 #[test]
 fn exception_is_0a_for_a_gripper_that_never_answered_and_0b_for_a_lost_one() {
-    let mut rig = TestRig::new(Config::DEFAULT, quick());
+    let mut rig = Master::new(Config::DEFAULT, quick());
     rig.set_cut(true);
     rig.pass(500);
     assert_eq!(rig.input(0, 6), Err(0x0A));
@@ -483,7 +483,7 @@ fn exception_is_0a_for_a_gripper_that_never_answered_and_0b_for_a_lost_one() {
 
 #[test]
 fn settings_read_as_built_and_take_effect_when_written() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     let recipe = setting("RECIPE0_WIDTH");
     let Some(first) = RECIPES.first() else { unreachable!() };
     let values = [first.width as u16, first.speed, first.force as u16, first.release_width as u16];
@@ -505,14 +505,14 @@ fn settings_read_as_built_and_take_effect_when_written() {
     let answer = rig.ask(&[6, unit[0], unit[1], 0, 9]);
     assert_eq!(answer, [6, unit[0], unit[1], 0, 9], "answered with the old address");
     assert!(rig.ask(&[4, 0, 0, 0, 1]).is_empty(), "the old address is no longer served");
-    rig.send_raw(&TestRig::frame(9, &[4, 0, 0, 0, 1]));
+    rig.send_raw(&Master::frame(9, &[4, 0, 0, 0, 1]));
     rig.pass(5);
     assert_eq!(rig.answers(), 1);
 }
 
 #[test]
 fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3));
     assert_eq!(rig.try_write(setting("UNIT"), &[248]), Some(3));
     assert_eq!(rig.try_write(setting("BUS_REACTION"), &[1, 2_000]), Some(3), "all or none");
@@ -534,7 +534,7 @@ fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06(
 #[test]
 fn reports_name_versions_and_the_gripper() {
     let gripper = wsg_sim::Config { serial_number: 0x0003_0002, ..quick() };
-    let mut rig = TestRig::ready_with(Config::DEFAULT, gripper);
+    let mut rig = Master::ready_with(Config::DEFAULT, gripper);
     let reports = rig.input(FIRST_REPORT, REPORTS.len() as u8).unwrap();
     let of = |name: &str| reports[usize::from(report(name) - FIRST_REPORT)];
     assert_eq!((of("MAP_VERSION"), of("BRIDGE_VERSION")), (7, 0x0001));
@@ -547,7 +547,7 @@ fn reports_name_versions_and_the_gripper() {
 
 #[test]
 fn device_identification_names_the_bridge() {
-    let mut rig = TestRig::ready();
+    let mut rig = Master::ready();
     let answer = rig.ask(&[43, 14, 1, 0]);
     let text = String::from_utf8_lossy(&answer);
     assert!(text.contains("wsg-bridge-fw") && text.contains("V0.1.0"), "{text}");
@@ -559,7 +559,7 @@ fn device_identification_names_the_bridge() {
 #[test]
 fn width_and_force_are_queried_only_once_a_master_communicates() {
     for by_service in [false, true] {
-        let mut rig = TestRig::new(Config::DEFAULT, quick());
+        let mut rig = Master::new(Config::DEFAULT, quick());
         rig.pass(1_000);
         let asks = |sent: Vec<CommandId>| {
             sent.iter().any(|id| matches!(id, CommandId::GetOpeningWidth | CommandId::GetForce))
@@ -577,8 +577,8 @@ fn width_and_force_are_queried_only_once_a_master_communicates() {
 
 #[test]
 fn broadcast_takes_effect_only_if_enabled() {
-    let stop = TestRig::frame(0, &[6, 0, 0, FASTSTOP, 0]);
-    let mut rig = TestRig::homed(quick());
+    let stop = Master::frame(0, &[6, 0, 0, FASTSTOP, 0]);
+    let mut rig = Master::homed(quick());
     rig.send_raw(&stop);
     rig.pass(20);
     assert!(!rig.bit(28));
@@ -594,20 +594,20 @@ fn broadcast_takes_effect_only_if_enabled() {
 #[test]
 fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
     let read = [4, 0, 0, 0, 1];
-    let request = TestRig::frame(UNIT, &read);
+    let request = Master::frame(UNIT, &read);
     let mut wrong_checksum = request.clone();
     wrong_checksum[6] ^= 1;
     let traffic = [
-        ("a request for another unit", TestRig::frame(UNIT + 1, &read)),
-        ("the response of another unit", TestRig::frame(UNIT + 1, &[4, 2, 0, 0])),
-        ("a broadcast that is switched off", TestRig::frame(0, &[6, 0, 1, 0, 0])),
+        ("a request for another unit", Master::frame(UNIT + 1, &read)),
+        ("the response of another unit", Master::frame(UNIT + 1, &[4, 2, 0, 0])),
+        ("a broadcast that is switched off", Master::frame(0, &[6, 0, 1, 0, 0])),
         ("a request with a wrong checksum", wrong_checksum),
         ("half a request", request[..4].to_vec()),
         ("noise", vec![0xFF]),
     ];
     for (what, bytes) in traffic {
         let bus = BusConfig { timeout_ms: 300, broadcast: false, ..BusConfig::DEFAULT };
-        let mut rig = TestRig::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
+        let mut rig = Master::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
         rig.command(HOMING, 0, 0, 0);
         rig.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
         rig.take_sent();

@@ -1,8 +1,7 @@
 //! Output levels compared with the table of docs/wiring.md, in cases that need a particular gripper, flag or time.
 
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialLine};
-use host_tests::wires::{IDLE, Wires, quick, with_part};
-use host_tests::wires_rig::TestRig;
+use host_tests::world::{IDLE, WIRES, World, quick, with_part};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus, RECIPES};
 use wsg_protocol::CommandId;
@@ -14,7 +13,7 @@ fn persistent_fault_keeps_ready_low_despite_acknowledgements() {
     for (fault, is_latched) in
         [(Fault::OverTemperature, false), (Fault::SupplyOutOfRange, false), (Fault::MotorCurrent, true)]
     {
-        let mut rig = TestRig::homed(quick());
+        let mut rig = World::homed(WIRES, quick());
         let now = rig.now();
         rig.gripper().set_fault(fault, true, now);
         assert!(rig.until(100, |outputs| !outputs.contains(Outputs::READY)), "{fault:?}");
@@ -38,7 +37,7 @@ fn persistent_fault_keeps_ready_low_despite_acknowledgements() {
 
 #[test]
 fn ready_is_low_while_stop_ack_is_high() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.set(Inputs::STOP_ACK, true);
     assert!(rig.until(5, |outputs| !outputs.contains(Outputs::READY)));
     assert!(!rig.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", rig.outputs());
@@ -53,7 +52,7 @@ fn recipe_grips_with_its_force_on_a_wsg_70() {
         let recipe = RECIPES[number];
         let width = f32::from(recipe.width) / 100.0;
         let config = wsg_sim::Config { model: Model::Wsg70, part: Part::of_width(width), ..quick() };
-        let mut rig = TestRig::homed(config);
+        let mut rig = World::homed(WIRES, config);
         rig.set(Inputs::RECIPE0, number & 1 != 0);
         rig.set(Inputs::RECIPE1, number & 2 != 0);
         assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING, "recipe {number}");
@@ -86,7 +85,7 @@ fn incomplete_frame_is_discarded_20_ms_after_its_last_byte() {
 
 #[test]
 fn incomplete_frame_does_not_swallow_later_reports() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
     // Until the line has been idle for longer than the time-out of an incomplete frame.
     let mut silent_ms = 0;
@@ -116,8 +115,8 @@ fn at_most_256_bytes_are_read_per_turn() {
 fn recipe_takes_effect_with_its_command_while_the_gripper_sends() {
     let recipe = RECIPES[3];
     let width = f32::from(recipe.width) / 100.0;
-    let mut rig = TestRig::homed(with_part(width));
-    *rig.inputs() |= Inputs::RECIPE0 | Inputs::RECIPE1 | Inputs::GRIP;
+    let mut rig = World::homed(WIRES, with_part(width));
+    rig.inputs |= Inputs::RECIPE0 | Inputs::RECIPE1 | Inputs::GRIP;
     for _ in 0..10 {
         rig.far.inject(&[0]);
         rig.step();
@@ -129,7 +128,7 @@ fn recipe_takes_effect_with_its_command_while_the_gripper_sends() {
 
 #[test]
 fn fast_stop_is_sent_in_the_turn_that_reads_its_wire_low() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     // Until the line is free.
     rig.until(100, |_| false);
     while !rig.take_sent().is_empty() {
@@ -142,10 +141,10 @@ fn fast_stop_is_sent_in_the_turn_that_reads_its_wire_low() {
 
 #[test]
 fn busy_lasts_50_ms_for_a_motion_already_at_its_target() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.command(Inputs::MOVE);
     rig.set(Inputs::MOVE, true);
-    let busy = |rig: &mut TestRig| {
+    let busy = |rig: &mut World| {
         rig.step();
         rig.outputs().contains(Outputs::BUSY)
     };

@@ -1,8 +1,8 @@
 //! The bridge over PROFIBUS, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use bus_profibus::{Baud, Character};
-use host_tests::profibus_rig::*;
-use host_tests::wires::{quick, with_part};
+use host_tests::world::profibus::*;
+use host_tests::world::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
 use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction};
@@ -20,25 +20,25 @@ fn with_reaction(reaction: SilenceReaction) -> Config {
 }
 
 /// Returns a rig during a long MOVE.
-fn moving(reaction: SilenceReaction) -> TestRig {
+fn moving(reaction: SilenceReaction) -> Master {
     moving_with(reaction, WATCHDOG)
 }
 
 /// Returns a rig during a long MOVE of a master with this watchdog.
-fn moving_with(reaction: SilenceReaction, watchdog: u8) -> TestRig {
+fn moving_with(reaction: SilenceReaction, watchdog: u8) -> Master {
     let slow = wsg_sim::Config::default();
-    let mut rig = TestRig::exchanging(with_reaction(reaction), slow, watchdog);
+    let mut rig = Master::exchanging(with_reaction(reaction), slow, watchdog);
     rig.command(Flag::HOMING);
     rig.image.width = 10_00;
     rig.image.speed = 10_00;
     rig.set(Flag::MOVE);
     rig.pass(50);
-    assert_eq!(rig.board.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
+    assert_eq!(rig.world.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
     rig
 }
 
-fn stops(rig: &mut TestRig) -> Vec<CommandId> {
-    let sent = rig.board.take_sent().into_iter();
+fn stops(rig: &mut Master) -> Vec<CommandId> {
+    let sent = rig.world.take_sent().into_iter();
     sent.filter(|id| matches!(id, CommandId::Stop | CommandId::FastStop)).collect()
 }
 
@@ -51,7 +51,7 @@ const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
 
 #[test]
 fn grip_cycle_over_profibus() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = Master::homed(with_part(20.0));
     for _ in 0..10 {
         rig.image = OutputImage { width: 80_00, speed: 200_00, ..rig.image };
         rig.command(Flag::MOVE);
@@ -68,15 +68,15 @@ fn grip_cycle_over_profibus() {
         assert_eq!((input.state, input.status), (Shown::IDLE, Status::Success));
     }
     let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(rig.board.take_motions(), cycle.repeat(10));
-    assert_eq!(rig.board.bridge().counters(), wsg_bridge_fw::Counters::default());
-    assert_eq!(rig.board.bridge().control_source(), ControlSource::Bus);
+    assert_eq!(rig.world.take_motions(), cycle.repeat(10));
+    assert_eq!(rig.world.bridge().counters(), wsg_bridge_fw::Counters::default());
+    assert_eq!(rig.world.bridge().control_source(), ControlSource::Bus);
 }
 
 #[test]
 fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
     for phase_ms in 0..5 {
-        let mut rig = TestRig::homed(with_part(20.0));
+        let mut rig = Master::homed(with_part(20.0));
         rig.pass(2 * phase_ms);
         rig.image = OutputImage { width: 20_00, speed: 50_00, ..rig.image };
         rig.set(Flag::GRIP);
@@ -102,7 +102,7 @@ fn watchdog_of_the_master_stops_its_motion_in_time() {
 
 #[test]
 fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
-    let clear = |rig: &mut TestRig, function: u8, number: u8| {
+    let clear = |rig: &mut Master, function: u8, number: u8| {
         if number == 0 {
             rig.control(0x02, 0);
         } else {
@@ -127,55 +127,55 @@ fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
 fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
     // The first outputs after Clear are those before it, with the flag 0, or have the flag.
     for is_unchanged in [false, true] {
-        let mut rig = TestRig::homed(quick());
+        let mut rig = Master::homed(quick());
         rig.control(0x02, 0);
         rig.pass_silent(10);
         rig.set(if is_unchanged { Flag::empty() } else { Flag::GRIP });
         rig.pass(20);
-        assert_eq!(rig.board.take_motions(), [], "unchanged: {is_unchanged}");
+        assert_eq!(rig.world.take_motions(), [], "unchanged: {is_unchanged}");
         if !is_unchanged {
             rig.set(Flag::empty());
         }
         rig.set(Flag::GRIP);
         rig.pass(20);
-        assert_eq!(rig.board.take_motions(), [CommandId::GripPart], "unchanged: {is_unchanged}");
+        assert_eq!(rig.world.take_motions(), [CommandId::GripPart], "unchanged: {is_unchanged}");
     }
 }
 
 #[test]
 fn first_outputs_after_power_up_start_nothing() {
-    let mut rig = TestRig::new(AT_500K, quick());
+    let mut rig = Master::new(AT_500K, quick());
     rig.pass_silent(200);
     rig.start(WATCHDOG);
     for _ in 0..5 {
         rig.set(Flag::HOMING | Flag::JOG_PLUS);
         rig.pass(20);
     }
-    assert_eq!(rig.board.take_motions(), []);
+    assert_eq!(rig.world.take_motions(), []);
     rig.set(Flag::empty());
     rig.set(Flag::HOMING);
     rig.pass(20);
-    assert_eq!(rig.board.take_motions(), [CommandId::Homing]);
+    assert_eq!(rig.world.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
 fn outputs_without_parameters_and_configuration_are_refused() {
-    let mut rig = TestRig::new(AT_500K, quick());
+    let mut rig = Master::new(AT_500K, quick());
     rig.pass_silent(200);
     for flags in [Flag::empty(), Flag::HOMING, Flag::empty(), Flag::FASTSTOP] {
         rig.image.flags = flags;
         let refused = rig.exchange_of(MASTER);
         assert_eq!(refused, [0x10, MASTER, STATION, 0x03, 0x0C, 0x16], "no service");
     }
-    rig.board.take_sent();
+    rig.world.take_sent();
     rig.pass_silent(100);
-    assert_eq!(rig.board.take_motions(), []);
-    assert_eq!(rig.board.bridge().control_source(), ControlSource::Nobody);
+    assert_eq!(rig.world.take_motions(), []);
+    assert_eq!(rig.world.bridge().control_source(), ControlSource::Nobody);
 }
 
 #[test]
 fn jog_ends_when_the_master_leaves_at_any_reaction() {
-    type Leave = fn(&mut TestRig);
+    type Leave = fn(&mut Master);
     let ways: [(&str, Leave); 5] = [
         ("times out", |rig| rig.pass_silent(WATCHDOG_MS)),
         ("clears", |rig| rig.control(0x02, 0)),
@@ -184,7 +184,7 @@ fn jog_ends_when_the_master_leaves_at_any_reaction() {
         ("sends outputs of another length", |rig| drop(rig.send(&sd2(&[STATION, MASTER, 0x6D, 1, 2])))),
     ];
     for (way, leave) in ways {
-        let mut rig = TestRig::exchanging(with_reaction(SilenceReaction::Hold), quick(), WATCHDOG);
+        let mut rig = Master::exchanging(with_reaction(SilenceReaction::Hold), quick(), WATCHDOG);
         rig.command(Flag::HOMING);
         rig.command(Flag::MOVE);
         rig.image.speed = 5_00;
@@ -198,51 +198,51 @@ fn jog_ends_when_the_master_leaves_at_any_reaction() {
         // The master resumes with its button still pressed.
         rig.start(WATCHDOG);
         rig.pass(100);
-        assert_eq!(rig.board.take_motions(), [], "{way}");
+        assert_eq!(rig.world.take_motions(), [], "{way}");
     }
 }
 
 #[test]
 fn master_without_a_watchdog_times_out_by_bus_timeout_and_may_resume() {
-    let mut rig = TestRig::exchanging(AT_500K, quick(), 0);
+    let mut rig = Master::exchanging(AT_500K, quick(), 0);
     rig.command(Flag::HOMING);
     rig.image.speed = 5_00;
     rig.set(Flag::JOG_MINUS);
     rig.pass(50);
-    rig.board.take_sent();
+    rig.world.take_sent();
     rig.exchange();
     rig.pass_silent(Config::DEFAULT.bus.timeout_ms as u32 - 5);
     assert_eq!(stops(&mut rig), [], "too early");
     rig.pass_silent(10);
     assert_eq!(stops(&mut rig), [CommandId::Stop]);
     rig.pass(100);
-    assert_eq!(rig.board.take_motions(), [], "the flag is unchanged");
+    assert_eq!(rig.world.take_motions(), [], "the flag is unchanged");
     rig.set(Flag::empty());
     rig.pass(3);
     rig.set(Flag::JOG_MINUS);
     rig.pass(20);
-    assert_eq!(rig.board.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(rig.world.take_motions(), [CommandId::PrePosition]);
     // The outputs were 0 before the time-out, and are 0 when the master resumes. So the next flag is an edge.
     rig.set(Flag::empty());
     rig.pass(500);
     rig.pass_silent(2_000);
     rig.pass(5);
-    rig.board.take_sent();
+    rig.world.take_sent();
     rig.image.speed = 50_00;
     rig.set(Flag::MOVE);
     rig.pass(5);
-    assert_eq!(rig.board.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(rig.world.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
 fn master_without_a_watchdog_never_times_out_with_a_bus_timeout_of_0() {
     let bus = BusConfig { timeout_ms: 0, ..AT_500K.bus };
-    let mut rig = TestRig::exchanging(Config { bus, ..AT_500K }, quick(), 0);
+    let mut rig = Master::exchanging(Config { bus, ..AT_500K }, quick(), 0);
     rig.command(Flag::HOMING);
     rig.image.speed = 5_00;
     rig.set(Flag::JOG_MINUS);
     rig.pass(50);
-    assert_eq!(rig.board.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
+    assert_eq!(rig.world.take_motions(), [CommandId::Homing, CommandId::PrePosition]);
     rig.pass_silent(5_000);
     assert_eq!(stops(&mut rig), []);
 }
@@ -255,7 +255,7 @@ fn bus_timeout_and_watchdog_count_as_one_time_out() {
     rig.set(Flag::empty());
     rig.set(Flag::MOVE);
     rig.pass(50);
-    rig.board.take_sent();
+    rig.world.take_sent();
     rig.pass_silent(1_100);
     assert_eq!(stops(&mut rig), [CommandId::Stop]);
     rig.pass_silent(3_000);
@@ -302,7 +302,7 @@ fn wrong_parameters_or_configuration_are_reported_and_prevent_commands() {
         assert_eq!(rig.exchange_of(MASTER), [0x10, MASTER, STATION, 0x03, 0x0C, 0x16], "{what}: no service");
         rig.pass_silent(20);
         assert_eq!(stops(&mut rig), [CommandId::Stop], "{what}");
-        assert_eq!(rig.board.take_motions(), [], "{what}");
+        assert_eq!(rig.world.take_motions(), [], "{what}");
         rig.start_with(&right.0, &right.1);
         rig.image.flags = Flag::MOVE;
         assert_eq!((rig.exchange().0, rig.diagnosis()[0] & 0x56), (0x08, 0), "{what}, resolved");
@@ -335,7 +335,7 @@ fn clear_of_another_group_is_ignored() {
         rig.set(Flag::empty());
         rig.set(Flag::MOVE);
         rig.pass(50);
-        rig.board.take_sent();
+        rig.world.take_sent();
         rig.control(0x02, groups);
         rig.pass_silent(10);
         assert_eq!(stops(&mut rig), expected, "group {group:02X}h, of groups {groups:02X}h");
@@ -344,7 +344,7 @@ fn clear_of_another_group_is_ignored() {
 
 #[test]
 fn configuration_inputs_and_outputs_are_readable_and_the_address_is_fixed() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.image.width = 33_00;
     let input = rig.input();
     let data = |answer: Vec<u8>| answer[9..answer.len() - 2].to_vec();
@@ -357,7 +357,7 @@ fn configuration_inputs_and_outputs_are_readable_and_the_address_is_fixed() {
     let refused = [0x10, MASTER, STATION, 0x03, 0x0C, 0x16];
     assert_eq!(rig.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
     rig.exchange();
-    let mut rig = TestRig::new(AT_500K, quick());
+    let mut rig = Master::new(AT_500K, quick());
     rig.pass_silent(10);
     assert_eq!(rig.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
     rig.start(WATCHDOG);
@@ -366,10 +366,10 @@ fn configuration_inputs_and_outputs_are_readable_and_the_address_is_fixed() {
 
 #[test]
 fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
-    let mut rig = TestRig::exchanging(AT_500K, quick(), WATCHDOG);
+    let mut rig = Master::exchanging(AT_500K, quick(), WATCHDOG);
     assert_eq!(rig.exchange().0, 0x08, "low priority");
-    let now = Time::from_millis(rig.board.now_ms().into());
-    rig.board.gripper().set_fault(Fault::OverTemperature, true, now);
+    let now = Time::from_millis(rig.world.now_ms().into());
+    rig.world.gripper().set_fault(Fault::OverTemperature, true, now);
     rig.pass(100);
     let (function, input) = rig.exchange();
     assert!(input.system.contains(SystemFlags::TEMP_FAULT));
@@ -379,8 +379,8 @@ fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
     assert_eq!(answer[9..25], expected);
     assert_eq!(rig.exchange().0, 0x08, "read");
     // The end of a fault is not announced. Without any fault, Diag.Ext_Diag is 0.
-    let now = Time::from_millis(rig.board.now_ms().into());
-    rig.board.gripper().set_fault(Fault::OverTemperature, false, now);
+    let now = Time::from_millis(rig.world.now_ms().into());
+    rig.world.gripper().set_fault(Fault::OverTemperature, false, now);
     rig.pass(100);
     rig.command(Flag::STOP_ACK);
     rig.pass(100);
@@ -391,16 +391,16 @@ fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
 
 #[test]
 fn diagnosis_has_16_bytes_even_while_no_flag_is_known() {
-    let mut rig = TestRig::new(AT_500K, quick());
-    rig.board.set_cut(true);
+    let mut rig = Master::new(AT_500K, quick());
+    rig.world.set_cut(true);
     rig.pass_silent(10);
     assert_eq!(rig.diagnosis(), [0x02, 0x05, 0x00, 0xFF]);
 }
 
 #[test]
 fn missing_gripper_is_shown_as_an_error() {
-    let mut rig = TestRig::homed(quick());
-    rig.board.set_cut(true);
+    let mut rig = Master::homed(quick());
+    rig.world.set_cut(true);
     rig.pass(2_000);
     let input = rig.exchange().1;
     assert_eq!((input.state, input.status), (Shown::ERROR, Status::IoError));
@@ -410,15 +410,15 @@ fn missing_gripper_is_shown_as_an_error() {
 fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
     let profibus = ProfibusConfig { rate: Some(Baud::M1_5), ..ProfibusConfig::DEFAULT };
     let slow = wsg_sim::Config::default();
-    let mut rig = TestRig::exchanging(Config { profibus, ..AT_500K }, slow, WATCHDOG);
+    let mut rig = Master::exchanging(Config { profibus, ..AT_500K }, slow, WATCHDOG);
     rig.command(Flag::HOMING);
     rig.image.speed = 10_00;
     rig.set(Flag::MOVE);
     rig.pass(20);
-    let turn = rig.board.now_ms();
+    let turn = rig.world.now_ms();
     rig.set(Flag::MOVE | Flag::FASTSTOP);
     rig.set(Flag::empty());
-    assert!(rig.board.now_ms() - turn <= 1, "both within one millisecond");
+    assert!(rig.world.now_ms() - turn <= 1, "both within one millisecond");
     rig.pass(20);
     assert_eq!(stops(&mut rig), [CommandId::FastStop]);
     assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP));
@@ -426,7 +426,7 @@ fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
 
 #[test]
 fn repeated_outputs_are_one_edge() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x7D][..], &rig.image.to_bytes()].concat();
     let telegram = sd3(&body);
@@ -437,12 +437,12 @@ fn repeated_outputs_are_one_edge() {
         assert_eq!(rig.send(&telegram), first, "the stored response");
     }
     rig.pass_silent(20);
-    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
+    assert_eq!(rig.world.take_motions(), [CommandId::GripPart]);
 }
 
 #[test]
 fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = Master::homed(quick());
     rig.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x5D][..], &rig.image.to_bytes()].concat();
     let telegram = sd3(&body);
@@ -455,26 +455,26 @@ fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
         assert_eq!(rig.send(&changed), NOTHING, "byte {damaged}");
     }
     rig.pass_silent(10);
-    assert_eq!(rig.board.take_motions(), []);
+    assert_eq!(rig.world.take_motions(), []);
     rig.image.flags = Flag::empty();
     rig.exchange();
     rig.set(Flag::GRIP);
     rig.pass(10);
-    assert_eq!(rig.board.take_motions(), [CommandId::GripPart]);
+    assert_eq!(rig.world.take_motions(), [CommandId::GripPart]);
 }
 
 #[test]
 fn wires_command_in_parallel_with_profibus() {
-    let mut rig = TestRig::homed(quick());
-    rig.board.inputs().insert(Inputs::MOVE);
+    let mut rig = Master::homed(quick());
+    rig.world.inputs.insert(Inputs::MOVE);
     rig.pass(20);
-    assert_eq!(rig.board.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(rig.world.take_motions(), [CommandId::PrePosition]);
     rig.pass(2_000);
     rig.set(Flag::GRIP);
     rig.pass(20);
-    assert_eq!(rig.board.take_motions(), [], "a command wire is high");
-    assert_eq!(rig.board.bridge().control_source(), ControlSource::Wires);
-    rig.board.inputs().remove(Inputs::FAST_STOP_OK);
+    assert_eq!(rig.world.take_motions(), [], "a command wire is high");
+    assert_eq!(rig.world.bridge().control_source(), ControlSource::Wires);
+    rig.world.inputs.remove(Inputs::FAST_STOP_OK);
     rig.pass(20);
     assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP));
 }
@@ -482,7 +482,7 @@ fn wires_command_in_parallel_with_profibus() {
 #[test]
 fn bridge_has_the_address_of_its_setting() {
     let profibus = ProfibusConfig { address: 125, ..AT_500K.profibus };
-    let mut rig = TestRig::new(Config { profibus, ..AT_500K }, quick());
+    let mut rig = Master::new(Config { profibus, ..AT_500K }, quick());
     rig.pass_silent(10);
     let status = |station: u8| sd1(&[station, MASTER, 0x49]);
     assert_eq!(rig.send(&status(7)), NOTHING);
@@ -491,24 +491,24 @@ fn bridge_has_the_address_of_its_setting() {
 
 #[test]
 fn rate_is_searched_until_telegrams_are_received() {
-    let mut rig = TestRig::new(Config { profibus: ProfibusConfig::DEFAULT, ..AT_500K }, quick());
-    assert_eq!(rig.board.rate(), Some(Baud::K9_6));
+    let mut rig = Master::new(Config { profibus: ProfibusConfig::DEFAULT, ..AT_500K }, quick());
+    assert_eq!(rig.world.rate(), Some(Baud::K9_6));
     let mut tried = vec![];
-    while rig.board.rate() != Some(Baud::K500) {
-        if tried.last() != Some(&rig.board.rate()) {
-            tried.push(rig.board.rate());
+    while rig.world.rate() != Some(Baud::K500) {
+        if tried.last() != Some(&rig.world.rate()) {
+            tried.push(rig.world.rate());
         }
         rig.pass_silent(1);
-        assert!(rig.board.now_ms() < 5_000, "{tried:?}");
+        assert!(rig.world.now_ms() < 5_000, "{tried:?}");
     }
     let slower = &ProfibusConfig::RATES[..5];
     assert_eq!(tried, slower.iter().copied().map(Some).collect::<Vec<_>>(), "in ascending order");
     rig.start(WATCHDOG);
     rig.pass(6_000);
-    assert_eq!(rig.board.rate(), Some(Baud::K500));
+    assert_eq!(rig.world.rate(), Some(Baud::K500));
     // After five seconds of silence, the search continues.
     rig.pass_silent(5_010);
-    assert_eq!(rig.board.rate(), Some(Baud::M1_5));
+    assert_eq!(rig.world.rate(), Some(Baud::M1_5));
 }
 
 /// The watchdog (IEC 61158-6-3) and BUS_TIMEOUT (docs/registers.md) start with the last request of the commanding master.
@@ -534,9 +534,9 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_line() {
         for (what, telegram) in &traffic {
             let mut rig = moving_with(SilenceReaction::Stop, watchdog);
             rig.exchange();
-            let from = rig.board.now_ms();
+            let from = rig.world.now_ms();
             let mut pass = |until_ms: u32| {
-                while rig.board.now_ms() - from < until_ms {
+                while rig.world.now_ms() - from < until_ms {
                     rig.send(telegram);
                     rig.pass_silent(3);
                 }

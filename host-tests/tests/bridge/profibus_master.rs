@@ -2,13 +2,14 @@
 //! response starts earlier than 11 bit times after its request.
 
 use bus_profibus::Character;
-use host_tests::modbus_rig::quick;
-use host_tests::profibus_rig::{AT_500K, Board, STATION, Wires};
+use host_tests::world::profibus::{AT_500K, STATION};
+use host_tests::world::{World, quick};
 use profirust::Baudrate;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::{ProfibusPhy, SimulatorPhy};
 use profirust::time::{Duration, Instant};
+use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::UartStatus;
 use wsg_bridge_fw::{Config, ProfibusConfig};
 use wsg_fieldbus::profibus::PROFILE;
@@ -18,9 +19,9 @@ use wsg_sim::Part;
 
 const BEHIND_IT: UartStatus = UartStatus { received: None, has_room: true, is_complete: true };
 
-/// The board with a timed UART.
+/// The bridge with a timed UART.
 struct Device {
-    board: Board,
+    world: World,
     phy: SimulatorPhy,
     /// Time at which the handler's timer expires.
     due: Option<Instant>,
@@ -31,10 +32,10 @@ struct Device {
 impl Device {
     fn poll(&mut self, now: Instant) {
         let now_us = u32::try_from(now.total_micros()).unwrap();
-        while self.board.now_ms() < now_us / 1_000 {
-            self.board.step();
+        while self.world.now_ms() < now_us / 1_000 {
+            self.world.step();
             if !self.is_sending {
-                let action = self.board.interrupt(BEHIND_IT, now_us);
+                let action = self.world.interrupt(BEHIND_IT, now_us);
                 self.send(action.send, now, now_us);
             }
         }
@@ -42,17 +43,17 @@ impl Device {
             return;
         }
         if std::mem::take(&mut self.is_sending) {
-            assert_eq!(self.board.interrupt(BEHIND_IT, now_us).send, None, "the response is complete");
+            assert_eq!(self.world.interrupt(BEHIND_IT, now_us).send, None, "the response is complete");
         }
         for byte in self.phy.receive_data(now, |bytes| (bytes.len(), bytes.to_vec())) {
             let received = Some(Character::Byte(byte));
-            let action = self.board.interrupt(UartStatus { received, ..BEHIND_IT }, now_us);
+            let action = self.world.interrupt(UartStatus { received, ..BEHIND_IT }, now_us);
             assert_eq!(action.send, None);
             self.due = action.wait_us.map(|us| now + Duration::from_micros(u64::from(us)));
         }
         if self.due.is_some_and(|due| now >= due) {
             self.due = None;
-            let action = self.board.interrupt(BEHIND_IT, now_us);
+            let action = self.world.interrupt(BEHIND_IT, now_us);
             self.send(action.send, now, now_us);
         }
     }
@@ -62,7 +63,7 @@ impl Device {
         let Some(first) = first else { return };
         let mut answer = vec![first];
         let room = UartStatus { has_room: true, is_complete: false, received: None };
-        while let Some(byte) = self.board.interrupt(room, now_us).send {
+        while let Some(byte) = self.world.interrupt(room, now_us).send {
             answer.push(byte);
         }
         self.is_sending = true;
@@ -107,9 +108,10 @@ impl Bus {
         let mut fdl = FdlActiveStation::new(parameters);
         fdl.set_online();
         let phy = SimulatorPhy::new(rate, "master");
-        let mut board = Board::new(config, gripper);
-        board.interrupt(BEHIND_IT, 0);
-        let device = Device { board, phy: phy.duplicate("bridge"), due: None, is_sending: false };
+        let mut world = World::new(config, gripper);
+        world.set(Inputs::FAST_STOP_OK, true);
+        world.interrupt(BEHIND_IT, 0);
+        let device = Device { world, phy: phy.duplicate("bridge"), due: None, is_sending: false };
         let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
         // Two bit times, limited to the resolution of the clock.
         let step = rate.bits_to_time(2).max(Duration::from_micros(1u64));
@@ -169,7 +171,7 @@ fn grip_cycles_at_every_rate() {
         }
         let cycle = [CommandId::GripPart, CommandId::ReleasePart];
         let expected = [&[CommandId::Homing][..], &cycle.repeat(2)].concat();
-        assert_eq!(bus.device.board.take_motions(), expected, "{rate:?}");
+        assert_eq!(bus.device.world.take_motions(), expected, "{rate:?}");
     }
 }
 
@@ -183,7 +185,7 @@ fn ten_thousand_exchanges_cause_no_motion() {
         bus.turn();
     }
     assert!(bus.master.get_mut(bus.gripper).is_running());
-    assert_eq!(bus.device.board.take_motions(), []);
+    assert_eq!(bus.device.world.take_motions(), []);
 }
 
 fn at_1_5m() -> Config {

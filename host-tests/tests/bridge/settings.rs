@@ -4,9 +4,9 @@ use std::ops::{Deref, DerefMut};
 
 use host_tests::addresses::{place, report, setting};
 use host_tests::flash_model::{Fault, FlashModel, Tear};
-use host_tests::serial_gripper::{Disturbance, SerialGripper};
-use host_tests::station_rig::StationRig;
-use host_tests::wires::Wires;
+use host_tests::serial_gripper::SerialGripper;
+use host_tests::world::modbus::Master;
+use host_tests::world::{World, quick};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, EventCode, FIRST_COMMAND, Record};
 use wsg_bridge_fw::storage::Page;
@@ -15,18 +15,18 @@ use wsg_fieldbus::CommandFlags;
 use wsg_protocol::{CommandId, Kind};
 
 /// A station with a master on the service port and one on the PLC's bus.
-struct Plant(StationRig);
+struct Plant(Master);
 
 impl Deref for Plant {
-    type Target = StationRig;
+    type Target = Master;
 
-    fn deref(&self) -> &StationRig {
+    fn deref(&self) -> &Master {
         &self.0
     }
 }
 
 impl DerefMut for Plant {
-    fn deref_mut(&mut self) -> &mut StationRig {
+    fn deref_mut(&mut self) -> &mut Master {
         &mut self.0
     }
 }
@@ -37,17 +37,18 @@ impl Plant {
     }
 
     fn delivered_with(delivered: &Record, flash: FlashModel) -> Self {
-        let gripper = wsg_sim::Config { time_scale: 10.0, ..wsg_sim::Config::default() };
-        Self(StationRig::with(delivered, SerialGripper::new(gripper), flash, ResetCause::PowerOn))
+        let delivered = Config::from_record(delivered).expect("the settings are valid");
+        let gripper = SerialGripper::new(quick());
+        Self(Master::of(World::with(delivered, gripper, flash, ResetCause::PowerOn)))
     }
 
     /// Restarts the board after a power cycle. The gripper restarts, too.
     fn restart(self) -> Self {
-        Self::start(self.0.flash)
+        Self::start(self.0.into_world().flash)
     }
 
     fn read(&mut self, function: u8, address: u16) -> u16 {
-        self.served(function, address, 1)[0]
+        self.by_service(|master| master.registers(function, address, 1)).expect("the register exists")[0]
     }
 
     fn setting(&mut self, name: &str) -> u16 {
@@ -55,7 +56,11 @@ impl Plant {
     }
 
     fn set(&mut self, name: &str, value: u16) {
-        assert_eq!(self.set_register(setting(name), value), Ok(()), "{name}");
+        assert_eq!(self.write_register(setting(name), value), Ok(()), "{name}");
+    }
+
+    fn write_register(&mut self, address: u16, value: u16) -> Result<(), u8> {
+        self.by_service(|master| master.set_register(address, value))
     }
 
     fn report(&mut self, name: &str) -> u16 {
@@ -63,16 +68,13 @@ impl Plant {
     }
 
     fn command(&mut self, name: &str) -> Result<(), u8> {
-        self.set_register(command(name), COMMAND_KEY)
+        self.write_register(command(name), COMMAND_KEY)
     }
 
     /// Writes the output image over the PLC's bus.
     fn write_image(&mut self, flags: CommandFlags, [width, speed, force]: [u16; 3]) {
-        let mut request = vec![1, 16, 0, 0, 0, 4, 8, flags.bits(), 0];
-        request.extend([width, speed, force].into_iter().flat_map(u16::to_be_bytes));
-        self.bus.ask(&request);
+        self.write(0, &[u16::from(flags.bits()) << 8, width, speed, force]);
         self.pass(10);
-        assert!(self.bus.answer().is_some_and(|answer| answer[1] == 16));
     }
 
     /// Acknowledges the FAST STOP of power-up and homes, by wires.
@@ -88,14 +90,8 @@ impl Plant {
         self.take_sent();
     }
 
-    /// Cuts the line from the gripper, or restores it.
-    fn cut_line(&mut self, is_cut: bool) {
-        let cut: Disturbance = Box::new(|bytes| bytes.clear());
-        self.gripper.to_bridge = is_cut.then_some(cut);
-    }
-
     fn has_moved(&self) -> bool {
-        self.gripper.sent().iter().any(|id| id.kind() == Kind::Motion)
+        self.far.sent().iter().any(|id| id.kind() == Kind::Motion)
     }
 }
 
@@ -109,7 +105,7 @@ fn only_saved_settings_apply_after_a_power_cycle() {
     assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SAVE_STATE")), (0, 0));
     let recipes: Vec<u16> = (0..64).map(|n| 1_000 + n).collect();
     for (n, value) in recipes.iter().enumerate() {
-        assert_eq!(plant.set_register(setting("RECIPE0_WIDTH") + n as u16, *value), Ok(()));
+        assert_eq!(plant.write_register(setting("RECIPE0_WIDTH") + n as u16, *value), Ok(()));
     }
     plant.set("PLC_BUS", 2);
     plant.set("CAN_RATE", 250);
@@ -146,7 +142,7 @@ fn restore_applies_the_stored_settings_and_defaults_those_of_the_image() {
     assert_eq!(plant.command("DEFAULTS"), Ok(()));
     plant.pass(500);
     assert_eq!((plant.setting("DEBOUNCE"), plant.report("SAVE_STATE")), (9, 2));
-    let mut plant = Plant::delivered_with(&Config::DEFAULT.record(), plant.0.flash);
+    let mut plant = Plant::delivered_with(&Config::DEFAULT.record(), plant.0.into_world().flash);
     assert_eq!((plant.setting("DEBOUNCE"), plant.report("SETTINGS_FROM")), (9, 1), "the defaults are stored");
 }
 
@@ -157,12 +153,16 @@ fn command_registers_accept_only_their_key_and_only_at_rest() {
     for name in ["SAVE", "RESTORE", "DEFAULTS"] {
         assert_eq!(plant.read(3, command(name)), 0);
         for wrong in [0, 1, COMMAND_KEY - 1, COMMAND_KEY.swap_bytes(), u16::MAX] {
-            assert_eq!(plant.set_register(command(name), wrong), Err(3), "{name} {wrong}");
+            assert_eq!(plant.write_register(command(name), wrong), Err(3), "{name} {wrong}");
         }
     }
     let [high, low] = command("SAVE").to_be_bytes();
     let [k1, k0] = COMMAND_KEY.to_be_bytes();
-    assert_eq!(plant.serve(&[16, high, low, 0, 2, 4, k1, k0, k1, k0]), Err(3), "two commands at once");
+    assert_eq!(
+        plant.by_service(|master| master.data(&[16, high, low, 0, 2, 4, k1, k0, k1, k0])),
+        Err(3),
+        "two commands at once"
+    );
     assert_eq!(plant.report("SAVE_STATE"), 0);
 
     plant.inputs |= Inputs::MOVE;
@@ -179,27 +179,27 @@ fn command_registers_accept_only_their_key_and_only_at_rest() {
     plant.inputs |= Inputs::MOVE;
     plant.pass(20);
     assert!(plant.outputs().contains(Outputs::BUSY));
-    plant.cut_line(true);
+    plant.set_cut(true);
     plant.pass(2_000);
     assert_eq!(plant.outputs(), Outputs::ERROR);
     for name in ["SAVE", "RESTORE", "DEFAULTS"] {
         assert_eq!(plant.command(name), Err(6), "{name} while the fingers may move");
     }
-    assert_eq!(plant.set_register(setting("DEBOUNCE"), 3), Err(6));
-    plant.cut_line(false);
+    assert_eq!(plant.write_register(setting("DEBOUNCE"), 3), Err(6));
+    plant.set_cut(false);
     plant.pass(2_000);
     // At rest, a lost connection does not matter.
-    plant.cut_line(true);
+    plant.set_cut(true);
     plant.pass(2_000);
     plant.set("DEBOUNCE", 2);
-    plant.cut_line(false);
+    plant.set_cut(false);
     plant.pass(2_000);
     // Each operation takes long.
     plant.flash.busy_polls = 20;
     assert_eq!(plant.command("SAVE"), Ok(()));
     assert_eq!(plant.report("SAVE_STATE"), 1);
     assert_eq!(plant.command("SAVE"), Err(6));
-    assert_eq!(plant.set_register(setting("DEBOUNCE"), 3), Err(6));
+    assert_eq!(plant.write_register(setting("DEBOUNCE"), 3), Err(6));
     plant.pass(3_000);
     assert_eq!(plant.report("SAVE_STATE"), 2);
     assert_eq!(plant.flash.erases, [1, 0], "saved only once");
@@ -215,10 +215,10 @@ fn requests_of_bus_and_service_port_in_one_turn_are_executed_or_refused() {
         let mut plant = Plant::start(FlashModel::new());
         plant.set("DEBOUNCE", 50);
         let ([a1, a0], [k1, k0]) = (command("DEFAULTS").to_be_bytes(), COMMAND_KEY.to_be_bytes());
-        plant.bus.ask(&[1, 6, a1, a0, k1, k0]);
+        plant.modbus.ask(&[1, 6, a1, a0, k1, k0]);
         by_service(&mut plant, address, value);
         plant.pass(1);
-        assert_eq!(plant.bus.answer().map(|answer| answer[1]), Some(6));
+        assert_eq!(plant.modbus.answer().map(|answer| answer[1]), Some(6));
         assert_eq!(plant.service.answer().map(|answer| answer[1..3].to_vec()), Some(vec![0x86, 6]));
         plant.pass(500);
         assert_eq!((plant.setting("DEBOUNCE"), plant.report("SAVE_STATE")), (2, 2));
@@ -240,7 +240,7 @@ fn save_does_not_delay_a_fast_stop() {
         plant.inputs -= Inputs::FAST_STOP_OK;
         let ms = (0..50).find(|_| {
             plant.pass(1);
-            plant.gripper.sent().contains(&CommandId::FastStop)
+            plant.far.sent().contains(&CommandId::FastStop)
         });
         assert_eq!(plant.report("SAVE_STATE"), u16::from(save), "the save is still running");
         ms.expect("FAST STOP")
@@ -260,7 +260,7 @@ fn power_cut_leaves_the_old_or_the_new_settings_and_causes_no_motion() {
         saved.config.recipes[15].release_width.cast_unsigned(),
     ];
     // The first save, and one after it.
-    for (flash, from, old) in [(FlashModel::new(), 0, image), (saved.0.flash, 1, [1_111; 2])] {
+    for (flash, from, old) in [(FlashModel::new(), 0, image), (saved.0.into_world().flash, 1, [1_111; 2])] {
         for (tear, cut) in Tear::ALL.into_iter().flat_map(|tear| (0..40).map(move |cut| (tear, cut))) {
             let mut plant = Plant::start(flash.clone());
             plant.set("RECIPE0_WIDTH", 2_222);
@@ -308,10 +308,10 @@ fn unusable_settings_block_motions_until_others_are_stored() {
         plant.write_image(CommandFlags::empty(), [20_00, 50_00, 40_00]);
         plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
         plant.pass(200);
-        assert!(!plant.has_moved(), "{:?}", plant.gripper.sent());
+        assert!(!plant.has_moved(), "{:?}", plant.far.sent());
         plant.inputs |= Inputs::HOME;
         plant.pass(200);
-        assert!(!plant.has_moved(), "{:?}", plant.gripper.sent());
+        assert!(!plant.has_moved(), "{:?}", plant.far.sent());
 
         // DEFAULTS ends the block. Flags and wires held in the meantime give no edge.
         assert_eq!(plant.command("DEFAULTS"), Ok(()));
@@ -319,12 +319,12 @@ fn unusable_settings_block_motions_until_others_are_stored() {
         assert_eq!((plant.report("SAVE_STATE"), plant.report("SETTINGS_FROM")), (2, 1));
         plant.write_image(CommandFlags::HOMING | CommandFlags::JOG_PLUS, [20_00, 50_00, 40_00]);
         plant.pass(500);
-        assert!(!plant.has_moved(), "{:?}", plant.gripper.sent());
+        assert!(!plant.has_moved(), "{:?}", plant.far.sent());
         plant.inputs -= Inputs::HOME;
         plant.pass(200);
         plant.inputs |= Inputs::HOME;
         plant.pass(200);
-        assert!(plant.gripper.sent().contains(&CommandId::Homing), "a new edge takes effect");
+        assert!(plant.far.sent().contains(&CommandId::Homing), "a new edge takes effect");
     }
 }
 
@@ -433,7 +433,7 @@ fn bus_commands_use_the_selected_recipe() {
     plant.write_image(CommandFlags::empty(), [0; 3]);
     plant.pass(2_000);
     assert_eq!(width(&mut plant), 66_00);
-    assert!(!plant.gripper.sent().contains(&CommandId::FastStop), "{:?}", plant.gripper.sent());
+    assert!(!plant.far.sent().contains(&CommandId::FastStop), "{:?}", plant.far.sent());
     plant.set("BUS_RECIPE", 16);
     plant.write_image(CommandFlags::MOVE, [44_00, 50_00, 40_00]);
     plant.pass(2_000);
@@ -451,10 +451,10 @@ fn motion_in_the_turn_of_a_store_command_begins_after_it() {
     plant.take_sent();
     let [high, low] = command("DEFAULTS").to_be_bytes();
     let [key_high, key_low] = COMMAND_KEY.to_be_bytes();
-    plant.bus.ask(&[1, 6, high, low, key_high, key_low]);
+    plant.modbus.ask(&[1, 6, high, low, key_high, key_low]);
     let mut write = vec![1, 16, 0, 0, 0, 4, 8, CommandFlags::MOVE.bits(), 0];
     write.extend([44_00, 50_00, 40_00].into_iter().flat_map(u16::to_be_bytes));
-    plant.bus.ask(&write);
+    plant.modbus.ask(&write);
     plant.pass(1);
     assert!(!plant.has_moved(), "settings never change during a motion");
     plant.pass(2_000);

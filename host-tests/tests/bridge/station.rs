@@ -1,27 +1,22 @@
 //! A station uses only the lines that its settings select, with the parameters of its settings.
 
 use bus_profibus::{Baud, Character};
-use embedded_can::{Frame, Id};
 use host_tests::addresses::{place, report, setting};
 use host_tests::flash_model::FlashModel;
-use host_tests::profibus_rig::sd2;
 use host_tests::serial_gripper::SerialGripper;
-use host_tests::station_rig::StationRig;
-use host_tests::wires::Wires;
+use host_tests::world::World;
+use host_tests::world::profibus::sd2;
 use wsg_bridge_fw::can::DEFAULT_NODE;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::canopen::NmtState;
-use wsg_bridge_fw::plc::{Action, DpResponder, UartStatus};
+use wsg_bridge_fw::plc::{Action, UartStatus};
 use wsg_bridge_fw::registers::{FIRST_SETTING, Record};
 use wsg_bridge_fw::{Config, GripperLine, PlcBus, ResetCause};
 use wsg_protocol::CommandId;
 use wsg_protocol::can::Identifiers;
 
 struct TestRig {
-    rig: StationRig,
-    /// PROFIBUS handler, and its last requested rate.
-    handler: DpResponder,
-    rate: Option<Baud>,
+    rig: World,
     /// Identifiers of the frames sent on CAN.
     on_can: Vec<u16>,
 }
@@ -29,27 +24,25 @@ struct TestRig {
 impl TestRig {
     fn new(config: &Config) -> Self {
         let gripper = SerialGripper::new(wsg_sim::Config::default());
-        let rig = StationRig::with(&config.record(), gripper, FlashModel::new(), ResetCause::Pin);
-        Self { handler: DpResponder::new(rig.buffers), rig, rate: None, on_can: Vec::new() }
+        let mut rig = World::with(*config, gripper, FlashModel::new(), ResetCause::Pin);
+        rig.set(Inputs::FAST_STOP_OK, true);
+        Self { rig, on_can: Vec::new() }
     }
 
     /// Advances the time, with the wires at rest.
     fn pass(&mut self, ms: u32) {
         for _ in 0..ms {
             self.rig.step();
-            if self.rig.station.uses_profibus() {
-                self.rate = self.handle(None, self.rig.now_ms * 1_000).rate.or(self.rate);
+            if self.rig.station().uses_profibus() {
+                self.handle(None, self.rig.now_ms() * 1_000);
             }
-            while let Some(frame) = self.rig.can.take_winner() {
-                let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
-                self.on_can.push(id.as_raw());
-            }
+            self.on_can.extend(self.rig.can.take_frames().into_iter().map(|(_, id, _)| id));
         }
     }
 
     fn handle(&mut self, received: Option<Character>, now_us: u32) -> Action {
         let status = UartStatus { received, has_room: true, is_complete: true };
-        self.handler.step(status, self.rig.now_ms, now_us)
+        self.rig.interrupt(status, now_us)
     }
 
     /// Returns whether this station responds to FDL_Status.
@@ -59,8 +52,8 @@ impl TestRig {
 
     /// Sends a telegram at 19 200 bit/s after a silence. Returns whether it is answered.
     fn telegram(&mut self, bytes: &[u8]) -> bool {
-        self.rig.now_ms += 1_000;
-        let mut now_us = self.rig.now_ms * 1_000;
+        self.rig.skip_ms(1_000);
+        let mut now_us = self.rig.now_ms() * 1_000;
         let mut wait_us = None;
         for byte in bytes {
             now_us += 573;
@@ -75,9 +68,9 @@ impl TestRig {
     /// Reads a unit's register over Modbus RTU with FC 3 or 4.
     fn register(&mut self, unit: u8, function: u8, address: u16) -> Option<u16> {
         let [high, low] = address.to_be_bytes();
-        self.rig.bus.ask(&[unit, function, high, low, 0, 1]);
+        self.rig.modbus.ask(&[unit, function, high, low, 0, 1]);
         self.pass(3);
-        self.rig.bus.answered()
+        self.rig.modbus.answered()
     }
 
     /// Sends a request over the service port.
@@ -110,12 +103,15 @@ fn only_the_lines_that_the_settings_select_are_used() {
             assert_eq!(rig.rig.take_sent().is_empty(), is_on_can, "{what}");
             assert_eq!(rig.on_can.contains(&to_gripper), is_on_can, "{what}");
             assert_eq!(rig.on_can.contains(&boot_up), is_canopen, "{what}");
-            assert_eq!(rig.rig.station.node().state() == NmtState::PreOperational, is_canopen, "{what}");
-            assert_eq!(rig.rig.station.uses_can(), is_on_can || is_canopen, "{what}");
+            assert_eq!(rig.rig.node().state() == NmtState::PreOperational, is_canopen, "{what}");
+            assert_eq!(rig.rig.station().uses_can(), is_on_can || is_canopen, "{what}");
             let is_answered = rig.register(1, 3, FIRST_SETTING).is_some();
             let is_profibus = plc_bus == PlcBus::Profibus;
             assert_eq!(is_answered, plc_bus == PlcBus::Modbus, "{what}");
-            assert_eq!((rig.rig.station.uses_profibus(), rig.rate.is_some()), (is_profibus, is_profibus));
+            assert_eq!(
+                (rig.rig.station().uses_profibus(), rig.rig.rate().is_some()),
+                (is_profibus, is_profibus)
+            );
         }
     }
 }
@@ -151,11 +147,12 @@ fn settings_of_the_record_apply_from_the_start() {
 fn request_ends_after_the_silence_of_the_records_rate() {
     for (rate, silence_us) in [(96, 4_011), (192, 2_006), (384, 1_750)] {
         let mut rig = TestRig::new(&with(&[("MODBUS_RATE", rate), ("BUS_CHAR_TIMEOUT", 0)]));
-        let mut is_answered_after = |silence_us| {
-            rig.rig.bus.ask(&[1, 3, 0, FIRST_SETTING as u8, 0, 1]);
-            rig.rig.bus.silence_us = silence_us;
-            rig.pass(3);
-            rig.rig.bus.answered().is_some()
+        let mut is_answered_after = |silence_us: u32| {
+            rig.rig.modbus.ask(&[1, 3, 0, FIRST_SETTING as u8, 0, 1]);
+            // The turn adds a millisecond.
+            rig.rig.modbus.silence_us = silence_us - 1_000;
+            rig.pass(1);
+            rig.rig.modbus.answered().is_some()
         };
         assert!(!is_answered_after(silence_us - 10) && is_answered_after(silence_us), "{rate}00 bit/s");
     }
@@ -176,7 +173,7 @@ fn address_and_rate_of_the_record_are_used_on_profibus() {
     let changes = [("PLC_BUS", 3), ("PROFIBUS_ADDRESS", 9), ("PROFIBUS_RATE", 192)];
     let mut rig = TestRig::new(&with(&changes));
     rig.pass(1_000);
-    assert_eq!(rig.rate, Some(Baud::K19_2), "no other rate is tried");
+    assert_eq!(rig.rig.rate(), Some(Baud::K19_2), "no other rate is tried");
     assert!(!rig.is_on_profibus(7) && rig.is_on_profibus(9));
 }
 

@@ -1,11 +1,10 @@
 //! The bridge library with wires and a virtual gripper, in virtual time: output levels and safety.
 
 use host_tests::serial_gripper::{BYTES_PER_MS, SerialGripper, SerialLine};
-use host_tests::wires::{IDLE, Wires, quick, with_part};
-use host_tests::wires_rig::TestRig;
+use host_tests::world::{IDLE, WIRES, World, quick, with_part};
 use proptest::prelude::*;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus, WiresConfig};
+use wsg_bridge_fw::{Bridge, Config as BridgeConfig, NoBus, ResetCause, WiresConfig};
 use wsg_protocol::frame::MAX_MESSAGE_LEN;
 use wsg_protocol::{
     Command, CommandId, DeviceTag, Event, FrameEncoder, FrameParser, GripperState, HomingDirection, Kind,
@@ -19,7 +18,7 @@ fn frame(reply: Reply<'_>) -> Vec<u8> {
 
 /// Raises a command wire. Returns the number of turns until the frame of this motion is complete, and the commands sent until
 /// then.
-fn raise(rig: &mut TestRig, wire: Inputs, motion: CommandId) -> (u32, Vec<CommandId>) {
+fn raise(rig: &mut World, wire: Inputs, motion: CommandId) -> (u32, Vec<CommandId>) {
     rig.take_sent();
     rig.set(wire, true);
     let mut sent = vec![];
@@ -34,7 +33,7 @@ fn raise(rig: &mut TestRig, wire: Inputs, motion: CommandId) -> (u32, Vec<Comman
 }
 
 /// Lowers the wire, and waits for the end of the motion.
-fn finish(rig: &mut TestRig, wire: Inputs) {
+fn finish(rig: &mut World, wire: Inputs) {
     rig.set(wire, false);
     assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::BUSY)));
     assert!(rig.until(10_000, |outputs| outputs.contains(Outputs::READY)));
@@ -42,7 +41,7 @@ fn finish(rig: &mut TestRig, wire: Inputs) {
 
 #[test]
 fn grip_is_sent_at_once_if_its_force_limit_is_known() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     rig.command(Inputs::GRIP);
     for pause_ms in 0..300 {
         let (release_turns, _) = raise(&mut rig, Inputs::RELEASE, CommandId::ReleasePart);
@@ -58,7 +57,7 @@ fn grip_is_sent_at_once_if_its_force_limit_is_known() {
 
 #[test]
 fn force_limit_changed_by_a_third_party_is_set_again() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     rig.command(Inputs::GRIP);
     rig.command(Inputs::RELEASE);
     let force = rig.gripper().state().force_limit;
@@ -80,7 +79,7 @@ fn force_limit_changed_by_a_third_party_is_set_again() {
 #[test]
 fn recipe_wires_choose_the_width() {
     for (number, width) in [(0u8, 20.0), (1, 80.0), (2, 10.0), (3, 50.0)] {
-        let mut rig = TestRig::homed(quick());
+        let mut rig = World::homed(WIRES, quick());
         rig.set(Inputs::RECIPE0, number & 1 != 0);
         rig.set(Inputs::RECIPE1, number & 2 != 0);
         rig.command(Inputs::MOVE);
@@ -91,7 +90,7 @@ fn recipe_wires_choose_the_width() {
 
 #[test]
 fn fast_stop_ends_busy_at_once() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.set(Inputs::MOVE, true);
     assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
     rig.set(Inputs::FAST_STOP_OK, false);
@@ -99,7 +98,7 @@ fn fast_stop_ends_busy_at_once() {
 }
 
 /// Gives an edge at READY. Returns the duration of BUSY, and the outputs after it.
-fn edge_at_ready(rig: &mut TestRig, wire: Inputs) -> (u32, Outputs) {
+fn edge_at_ready(rig: &mut World, wire: Inputs) -> (u32, Outputs) {
     assert!(rig.outputs().contains(Outputs::READY), "{:?}", rig.outputs());
     rig.set(wire, true);
     assert!(rig.until(5, |outputs| outputs.contains(Outputs::BUSY)), "{wire:?}: {:?}", rig.outputs());
@@ -114,7 +113,7 @@ fn edge_at_ready(rig: &mut TestRig, wire: Inputs) -> (u32, Outputs) {
 #[test]
 fn edge_refused_at_ready_shows_busy_for_50_ms_even_if_error_was_high_before() {
     // The gripper ends a motion with an error, so GSTATE is ERROR and READY is high.
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     let now = rig.now();
     rig.gripper().set_part(Part::of_width(90.0), now);
     let (_, outputs) = edge_at_ready(&mut rig, Inputs::MOVE);
@@ -137,7 +136,7 @@ fn edge_refused_at_ready_shows_busy_for_50_ms_even_if_error_was_high_before() {
 
 #[test]
 fn move_is_refused_after_no_part_until_a_release() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     let (_, no_part) = edge_at_ready(&mut rig, Inputs::GRIP);
     assert_eq!(no_part, IDLE | Outputs::PART_FAULT);
     let (busy_ms, refused) = edge_at_ready(&mut rig, Inputs::MOVE);
@@ -151,7 +150,7 @@ fn move_is_refused_after_no_part_until_a_release() {
 #[test]
 fn refused_edge_does_not_change_holding_and_part_fault() {
     for (config, result) in [(with_part(20.0), Outputs::HOLDING), (quick(), Outputs::PART_FAULT)] {
-        let mut rig = TestRig::homed(config);
+        let mut rig = World::homed(WIRES, config);
         assert_eq!(rig.command(Inputs::GRIP), IDLE | result);
         rig.set(Inputs::MOVE, true);
         assert!(rig.until(5, |outputs| outputs.contains(Outputs::BUSY)));
@@ -163,7 +162,7 @@ fn refused_edge_does_not_change_holding_and_part_fault() {
 #[test]
 fn lost_part_is_released_or_gripped_again_by_wires_alone() {
     for way_out in [Inputs::RELEASE, Inputs::GRIP] {
-        let mut rig = TestRig::homed(with_part(20.0));
+        let mut rig = World::homed(WIRES, with_part(20.0));
         rig.command(Inputs::GRIP);
         let now = rig.now();
         rig.gripper().set_part(None, now);
@@ -182,9 +181,9 @@ fn lost_part_is_released_or_gripped_again_by_wires_alone() {
     }
 }
 
-fn homed_with_min_busy(min_busy_ms: u32) -> TestRig {
+fn homed_with_min_busy(min_busy_ms: u32) -> World {
     let wires = WiresConfig { min_busy_ms, ..WiresConfig::DEFAULT };
-    let mut rig = TestRig::with_bridge(BridgeConfig { wires, ..BridgeConfig::DEFAULT }, quick());
+    let mut rig = World::new(BridgeConfig { wires, ..WIRES }, quick());
     rig.get_homed();
     rig
 }
@@ -216,7 +215,7 @@ fn busy_shows_exactly_the_motion_without_a_min_busy() {
 
 #[test]
 fn motion_refused_by_the_gripper_shows_busy_for_50_ms() {
-    let mut rig = TestRig::ready(quick());
+    let mut rig = World::ready(WIRES, quick());
     for _ in 0..2 {
         let (busy_ms, outputs) = edge_at_ready(&mut rig, Inputs::GRIP);
         assert!((50..=52).contains(&busy_ms), "{busy_ms} ms");
@@ -227,7 +226,7 @@ fn motion_refused_by_the_gripper_shows_busy_for_50_ms() {
 
 #[test]
 fn recipe_change_during_a_motion_has_no_effect() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.set(Inputs::MOVE, true);
     rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
     rig.set(Inputs::RECIPE0 | Inputs::RECIPE1, true);
@@ -237,7 +236,7 @@ fn recipe_change_during_a_motion_has_no_effect() {
 
 #[test]
 fn second_command_during_a_motion_shows_error_and_does_not_reach_the_gripper() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.take_sent();
     rig.set(Inputs::MOVE, true);
     rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
@@ -250,7 +249,7 @@ fn second_command_during_a_motion_shows_error_and_does_not_reach_the_gripper() {
 
 #[test]
 fn stop_while_holding_releases_the_force() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     rig.command(Inputs::GRIP);
     rig.pulse(Inputs::STOP_ACK);
     assert!(rig.until(100, |outputs| outputs == IDLE), "{:?}", rig.outputs());
@@ -259,9 +258,9 @@ fn stop_while_holding_releases_the_force() {
 
 #[test]
 fn fast_stop_wire_low_at_power_up_blocks_motions_until_high_and_acknowledged() {
-    let mut rig = TestRig::new(quick());
+    let mut rig = World::new(WIRES, quick());
     let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
-    let try_all = |rig: &mut TestRig| {
+    let try_all = |rig: &mut World| {
         for wire in commands {
             rig.pulse(wire);
             rig.pass(50);
@@ -284,8 +283,8 @@ fn fast_stop_wire_low_at_power_up_blocks_motions_until_high_and_acknowledged() {
 
 #[test]
 fn fast_stop_wire_low_at_power_up_takes_effect_despite_a_bouncing_command_wire() {
-    let mut rig = TestRig::new(quick());
-    let chatter = |rig: &mut TestRig, ms: u32| {
+    let mut rig = World::new(WIRES, quick());
+    let chatter = |rig: &mut World, ms: u32| {
         for n in 0..ms {
             rig.set(Inputs::GRIP, n % 2 == 0);
             rig.pass(1);
@@ -310,7 +309,7 @@ fn fast_stop_wire_low_at_power_up_takes_effect_despite_a_bouncing_command_wire()
 
 #[test]
 fn silent_gripper_is_polled_and_receives_no_motion() {
-    let mut rig = TestRig::new(quick());
+    let mut rig = World::new(WIRES, quick());
     rig.far.to_bridge = Some(Box::new(Vec::clear));
     rig.set(Inputs::FAST_STOP_OK, true);
     for _ in 0..20 {
@@ -325,7 +324,7 @@ fn silent_gripper_is_polled_and_receives_no_motion() {
 
 #[test]
 fn command_while_the_line_is_cut_is_not_executed_after_the_repair() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.take_sent();
     rig.far.to_bridge = Some(Box::new(Vec::clear));
     rig.far.to_gripper = Some(Box::new(Vec::clear));
@@ -343,7 +342,7 @@ fn command_while_the_line_is_cut_is_not_executed_after_the_repair() {
 
 #[test]
 fn line_cut_during_a_motion_reports_an_unknown_outcome() {
-    let mut rig = TestRig::homed(Config::default());
+    let mut rig = World::homed(WIRES, Config::default());
     rig.set(Inputs::MOVE, true);
     rig.until(100, |outputs| outputs.contains(Outputs::BUSY));
     rig.set(Inputs::MOVE, false);
@@ -359,7 +358,7 @@ fn line_cut_during_a_motion_reports_an_unknown_outcome() {
 
 #[test]
 fn result_with_a_wrong_checksum_is_detected_and_recovered() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.take_sent();
     // The second reply to Pre-position (21h, E_SUCCESS) is damaged once.
     let result = frame(Reply::status_only(CommandId::PrePosition, Status::Success));
@@ -382,7 +381,7 @@ fn result_with_a_wrong_checksum_is_detected_and_recovered() {
 
 #[test]
 fn unsolicited_answers_change_nothing() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     let outputs = rig.outputs();
     rig.take_sent();
     for id in CommandId::ALL.iter().filter(|id| !matches!(id.code(), 0x40 | 0x41)) {
@@ -402,7 +401,7 @@ fn restart_of_the_gripper_is_shown_as_unreferenced_within_250_ms() {
     for (off_ms, offset_ms) in
         [0, 200].into_iter().flat_map(|off| (0..200).step_by(7).map(move |at| (off, at)))
     {
-        let mut rig = TestRig::homed(quick());
+        let mut rig = World::homed(WIRES, quick());
         rig.pass(offset_ms);
         rig.far.to_gripper = Some(Box::new(Vec::clear));
         rig.far.to_bridge = Some(Box::new(Vec::clear));
@@ -415,8 +414,8 @@ fn restart_of_the_gripper_is_shown_as_unreferenced_within_250_ms() {
 }
 
 /// Returns a rig in a FAST STOP confirmed by the gripper, with `FAST_STOP_OK` low.
-fn held_in_fast_stop() -> TestRig {
-    let mut rig = TestRig::homed(quick());
+fn held_in_fast_stop() -> World {
+    let mut rig = World::homed(WIRES, quick());
     rig.set(Inputs::FAST_STOP_OK, false);
     rig.pass(100);
     assert!(rig.gripper().state().flags.contains(SystemFlags::FAST_STOP));
@@ -473,7 +472,7 @@ proptest! {
 
     #[test]
     fn after_any_noise_the_bridge_works_again(noise in proptest::collection::vec(prop_oneof![Just(0xAAu8), any::<u8>()], 0..200)) {
-        let mut rig = TestRig::homed(with_part(20.0));
+        let mut rig = World::homed(WIRES, with_part(20.0));
         rig.far.inject(&noise);
         rig.pass(2_000);
         if !rig.outputs().contains(Outputs::READY) {
@@ -511,7 +510,7 @@ fn watchdog_is_not_fed_while_the_line_returns_errors() {
 
 #[test]
 fn fast_stop_is_sent_with_a_stopped_clock() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.take_sent();
     rig.set(Inputs::FAST_STOP_OK, false);
     rig.freeze();
@@ -522,7 +521,7 @@ fn fast_stop_is_sent_with_a_stopped_clock() {
 #[test]
 fn fast_stop_wire_low_for_2_of_3_ms_or_1_of_5_ms_stops_the_gripper() {
     for (period, low) in [(3, 2), (5, 1)] {
-        let mut rig = TestRig::homed(quick());
+        let mut rig = World::homed(WIRES, quick());
         rig.set(Inputs::MOVE, true);
         assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
         for ms in 0..50 {
@@ -535,7 +534,7 @@ fn fast_stop_wire_low_for_2_of_3_ms_or_1_of_5_ms_stops_the_gripper() {
 
 #[test]
 fn edge_while_ready_is_low_is_refused_even_if_only_busy_is_still_high() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     rig.command(Inputs::MOVE);
     rig.take_sent();
     // The fingers are already at the target, but BUSY lasts 50 ms.
@@ -557,7 +556,7 @@ fn edge_while_ready_is_low_is_refused_even_if_only_busy_is_still_high() {
 
 #[test]
 fn stop_unanswered_for_100_ms_becomes_a_fast_stop() {
-    let mut rig = TestRig::homed(Config::default());
+    let mut rig = World::homed(WIRES, Config::default());
     rig.set(Inputs::MOVE, true);
     rig.pass(50);
     rig.far.to_bridge = Some(Box::new(Vec::clear));
@@ -571,7 +570,7 @@ fn stop_unanswered_for_100_ms_becomes_a_fast_stop() {
 
 #[test]
 fn force_limit_is_read_back_before_the_grip_is_sent() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     rig.take_sent();
     rig.set(Inputs::GRIP, true);
     rig.pass(20);
@@ -584,7 +583,7 @@ fn force_limit_is_read_back_before_the_grip_is_sent() {
 
 #[test]
 fn longest_reply_of_a_gripper_is_not_oversize() {
-    let mut rig = TestRig::ready(quick());
+    let mut rig = World::ready(WIRES, quick());
     let tag = [b'T'; DeviceTag::MAX_LEN];
     let reply = [&Status::Success.code().to_le_bytes()[..], &tag].concat();
     rig.far.inject(&FrameEncoder::new(CommandId::GetDeviceTag.code(), &reply[..]).collect::<Vec<u8>>());
@@ -595,7 +594,7 @@ fn longest_reply_of_a_gripper_is_not_oversize() {
 
 #[test]
 fn edge_in_the_turn_of_a_report_of_motion_is_refused_with_its_parameters() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.set(Inputs::RECIPE0, true);
     rig.pass(20);
     let flags = rig.gripper().state().flags | SystemFlags::MOVING;
@@ -613,15 +612,15 @@ fn edge_in_the_turn_of_a_report_of_motion_is_refused_with_its_parameters() {
 
 #[test]
 fn lost_link_ends_the_connection_at_once() {
-    let mut rig = TestRig::ready(quick());
+    let mut rig = World::ready(WIRES, quick());
     assert!(rig.bridge().is_connected());
-    rig.bridge_mut().set_link_lost(true);
+    rig.bridge().set_link_lost(true);
     assert!(!rig.bridge().is_connected());
 }
 
 #[test]
 fn ready_stays_low_until_the_stopped_motion_is_answered() {
-    let mut rig = TestRig::homed(quick());
+    let mut rig = World::homed(WIRES, quick());
     rig.far.to_bridge = Some(Box::new(Vec::clear));
     for (wire, high) in [(Inputs::MOVE, true), (Inputs::STOP_ACK, true), (Inputs::STOP_ACK, false)] {
         rig.set(wire, high);
@@ -640,12 +639,12 @@ fn ready_stays_low_until_the_stopped_motion_is_answered() {
 #[test]
 fn bridge_reset_during_a_motion_stops_it_and_shows_error() {
     for time_scale in [1.0, 10.0] {
-        let mut rig = TestRig::homed(Config { time_scale, ..Config::default() });
+        let mut rig = World::homed(WIRES, Config { time_scale, ..Config::default() });
         rig.set(Inputs::MOVE, true);
         assert!(rig.until(100, |outputs| outputs.contains(Outputs::BUSY)));
         rig.pass(20);
         rig.set(Inputs::MOVE, false);
-        rig.restart_bridge();
+        rig.restart_bridge(ResetCause::Watchdog);
         rig.take_sent();
         rig.pass(30);
         let sent = rig.take_sent();
@@ -663,9 +662,9 @@ fn bridge_reset_during_a_motion_stops_it_and_shows_error() {
 
 #[test]
 fn bridge_reset_while_a_part_is_held_keeps_it() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
-    rig.restart_bridge();
+    rig.restart_bridge(ResetCause::Watchdog);
     rig.take_sent();
     assert!(rig.until(500, |outputs| outputs == IDLE | Outputs::HOLDING), "{:?}", rig.outputs());
     assert!(rig.take_sent().iter().all(|id| id.kind() == Kind::Query));
@@ -674,7 +673,7 @@ fn bridge_reset_while_a_part_is_held_keeps_it() {
 #[test]
 fn force_limit_of_a_withdrawn_motion_is_not_repeated() {
     for drops in [Inputs::STOP_ACK, Inputs::FAST_STOP_OK] {
-        let mut rig = TestRig::homed(with_part(20.0));
+        let mut rig = World::homed(WIRES, with_part(20.0));
         rig.take_sent();
         rig.far.to_gripper = Some(Box::new(Vec::clear));
         rig.set(Inputs::GRIP, true);
@@ -694,7 +693,7 @@ fn force_limit_of_a_withdrawn_motion_is_not_repeated() {
 
 #[test]
 fn two_hundred_cycles_have_identical_results() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     rig.take_sent();
     for cycle in 0..200 {
         rig.set(Inputs::RECIPE0, true);
@@ -716,7 +715,7 @@ fn two_hundred_cycles_have_identical_results() {
 /// Fieldbus manual, 6.2: a lost part is a fault immediately, regardless of later motion.
 #[test]
 fn lost_part_is_shown_at_once_and_a_missing_part_at_the_end_of_busy() {
-    let mut rig = TestRig::homed(with_part(20.0));
+    let mut rig = World::homed(WIRES, with_part(20.0));
     rig.command(Inputs::GRIP);
     let flags = rig.gripper().state().flags | SystemFlags::MOVING;
     for (state, is_shown) in [(GripperState::PartLost, true), (GripperState::NoPart, false)] {

@@ -1,8 +1,7 @@
 //! Checks docs/quick-start.md: its registers against the tables, and the grip that its frames cause.
 
 use document::{can_frames, read};
-use host_tests::can_rig::CanRig;
-use host_tests::wires::Wires;
+use host_tests::world::World;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{
@@ -71,8 +70,8 @@ fn commands_of_the_quick_start_name_their_register_and_write_what_it_takes() {
 fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
     const NODE: NodeConfig = NodeConfig { node: 5, ..DEFAULT_NODE };
     let part = Part::of_width(20.0);
-    let mut rig = CanRig::with_node(Config { part, time_scale: 10.0, ..Config::default() }, NODE);
-    rig.beats = true;
+    let mut rig = World::with_node(Config { part, time_scale: 10.0, ..Config::default() }, NODE);
+    rig.can.beats = true;
     // The wire is low at power-up.
     rig.set(Inputs::FAST_STOP_OK, false);
     rig.pass(300);
@@ -82,14 +81,14 @@ fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
     assert!(frames.len() > 10, "{frames:02X?}");
     for (id, data) in frames {
         if id != 0x180 | u16::from(NODE.node) {
-            rig.send(id, &data);
+            rig.can.send(id, &data);
             rig.pass(50);
             continue;
         }
-        rig.take_heard();
+        rig.can.take_frames();
         let is_told = (0..5_000).any(|_| {
             rig.pass(1);
-            rig.take_heard().iter().any(|(_, heard, said)| (*heard, said) == (id, &data))
+            rig.can.take_frames().iter().any(|(_, heard, said)| (*heard, said) == (id, &data))
         });
         assert!(is_told, "{id:03X} {data:02X?} was not received");
     }

@@ -8,9 +8,8 @@ mod structured_text;
 use std::collections::BTreeSet;
 
 use document::{hold, read, table};
-use host_tests::can_rig::CanRig;
-use host_tests::modbus_rig::{TestRig, quick};
-use host_tests::wires::Wires;
+use host_tests::world::modbus::Master;
+use host_tests::world::{World, quick};
 use structured_text::{Instance, Unit, Value};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::can::DEFAULT_NODE;
@@ -28,7 +27,7 @@ fn units() -> [Unit; 2] {
 /// A PLC that runs the program, with a Modbus master that exchanges the registers in its own cycle.
 struct Plc {
     program: Instance,
-    rig: TestRig,
+    rig: Master,
     now_ms: i64,
     /// Period of the exchange, in cycles of the PLC.
     exchange_every: i64,
@@ -39,7 +38,7 @@ impl Plc {
     fn new(part: Option<f32>, exchange_every: i64) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let gripper = wsg_sim::Config { part, ..quick() };
-        let mut rig = TestRig::new(Config::DEFAULT, gripper);
+        let mut rig = Master::new(Config::DEFAULT, gripper);
         // The wire is low until the plant is ready, so there is a FAST STOP at power-up.
         rig.set(Inputs::FAST_STOP_OK, false);
         rig.pass(300);
@@ -395,11 +394,11 @@ fn refused_meanwhile() -> Plc {
 #[test]
 fn grip_cycle_over_canopen() {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
-    let mut rig = CanRig::with_node(gripper, DEFAULT_NODE);
+    let mut rig = World::with_node(gripper, DEFAULT_NODE);
     let mut block = Instance::new(&units(), "FB_WSG_GRIP");
     let node = u16::from(DEFAULT_NODE.node);
     rig.pass(500);
-    rig.send(0, &[1, DEFAULT_NODE.node]);
+    rig.can.send(0, &[1, DEFAULT_NODE.node]);
     let bits = |block: &Instance, name: &str| {
         let Value::Bits(8, value) = block.get(name) else { panic!("{name}") };
         u8::try_from(value).unwrap()
@@ -409,8 +408,8 @@ fn grip_cycle_over_canopen() {
         (value as u16).to_le_bytes()
     };
     let mut now_ms = 0;
-    let mut scan = |rig: &mut CanRig, block: &mut Instance| {
-        for (_, id, data) in rig.take_heard() {
+    let mut scan = |rig: &mut World, block: &mut Instance| {
+        for (_, id, data) in rig.can.take_frames() {
             let word = |at: usize| u16::from_le_bytes([data[at], data[at + 1]]);
             if id == 0x180 | node {
                 block.set("GState", Value::Bits(8, data[0].into()));
@@ -426,7 +425,7 @@ fn grip_cycle_over_canopen() {
         let [w0, w1] = number(block, "WidthOut");
         let [s0, s1] = number(block, "SpeedOut");
         let [f0, f1] = number(block, "ForceOut");
-        rig.send(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]);
+        rig.can.send(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]);
         rig.pass(u32::try_from(SCAN_MS).unwrap());
     };
     let steps = [

@@ -8,7 +8,9 @@ use std::{
     thread::{self, JoinHandle},
 };
 
-use host_tests::{service_line::ServiceLine, station_rig::StationRig, terminal::Terminal};
+use host_tests::terminal::Terminal;
+use host_tests::world::{World, service_line::ServiceLine};
+use wsg_bridge_fw::{Config, io::Inputs};
 
 use crate::{
     is_whole, latest,
@@ -51,17 +53,19 @@ impl Drop for Bridged {
 }
 
 fn serve(mut line: ServiceLine, faults: &Faults) {
-    let mut rig = StationRig::new(wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() });
+    let gripper = wsg_sim::Config { serial_number: 70_000, ..wsg_sim::Config::default() };
+    let mut world = World::new(Config::DEFAULT, gripper);
+    world.set(Inputs::FAST_STOP_OK, true);
     while !faults.end.load(Ordering::SeqCst) {
         line.read();
         if faults.bridge.load(Ordering::SeqCst) {
             line.clear();
         } else if faults.gripper.load(Ordering::SeqCst) {
-            rig.turn_alone(&mut line);
+            world.turn_alone(&mut line);
             // Discard what the bridge sends.
-            rig.gripper.line.take_sent();
+            world.far.line.take_sent();
         } else {
-            rig.turn(&mut line);
+            world.turn(&mut line);
         }
     }
 }

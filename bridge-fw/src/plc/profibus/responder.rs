@@ -214,7 +214,7 @@ enum Phase {
 
 /// The slave on the line. It belongs to the handler, which runs after a received or sent character, after
 /// [`Action::wait_us`], and after each turn of the main loop.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct DpResponder {
     buffers: &'static DpBuffers,
     slave: Slave,

@@ -1,8 +1,7 @@
 //! The grip cycle over CANopen.
 
 use document::{hold, table};
-use host_tests::can_rig::CanRig;
-use host_tests::wires::Wires;
+use host_tests::world::World;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::{GripperFlags, InputImage, OutputImage};
@@ -30,7 +29,7 @@ struct Row {
 }
 
 struct Recording {
-    rig: CanRig,
+    rig: World,
     heard: Vec<(u16, Vec<u8>)>,
     rows: Vec<Row>,
 }
@@ -38,7 +37,7 @@ struct Recording {
 impl Recording {
     fn pass(&mut self, ms: u32) {
         self.rig.pass(ms);
-        self.heard.extend(self.rig.take_heard().into_iter().map(|(_, id, data)| (id, data)));
+        self.heard.extend(self.rig.can.take_frames().into_iter().map(|(_, id, data)| (id, data)));
     }
 
     fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], says: impl Into<String>) {
@@ -47,7 +46,7 @@ impl Recording {
 
     /// Sends a frame as the master and records it.
     fn send(&mut self, step: &str, id: u16, data: &[u8], says: impl Into<String>) {
-        self.rig.send(id, data);
+        self.rig.can.send(id, data);
         self.note(step, "master", id, data, says);
     }
 
@@ -91,8 +90,8 @@ fn rpdo1(image: &OutputImage) -> [u8; 8] {
 /// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Row> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
-    let mut rig = CanRig::with_node(gripper, NODE);
-    rig.beats = true;
+    let mut rig = World::with_node(gripper, NODE);
+    rig.can.beats = true;
     let mut recording = Recording { rig, heard: Vec::new(), rows: Vec::new() };
     recording.rig.set(Inputs::FAST_STOP_OK, false);
     recording.pass(1_000);

@@ -1,8 +1,7 @@
 //! The grip cycle over Modbus RTU.
 
 use document::{hold, table};
-use host_tests::modbus_rig::{TestRig, UNIT};
-use host_tests::wires::Wires;
+use host_tests::world::modbus::{Master, UNIT};
 use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
@@ -21,14 +20,14 @@ struct Exchange {
 }
 
 struct Recording {
-    rig: TestRig,
+    rig: Master,
     exchanges: Vec<Exchange>,
 }
 
 impl Recording {
     fn note(&mut self, step: impl Into<String>, request: &[u8], answer: &[u8]) {
         // The rig has already checked the answer's unit and checksum.
-        let [request, answer] = [request, answer].map(|pdu| TestRig::frame(UNIT, pdu));
+        let [request, answer] = [request, answer].map(|pdu| Master::frame(UNIT, pdu));
         self.exchanges.push(Exchange { step: step.into(), request, answer });
     }
 
@@ -74,7 +73,7 @@ fn input(bytes: &[u8]) -> InputImage {
 /// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Exchange> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
-    let rig = TestRig::new(wsg_bridge_fw::Config::DEFAULT, gripper);
+    let rig = Master::new(wsg_bridge_fw::Config::DEFAULT, gripper);
     let mut recording = Recording { rig, exchanges: Vec::new() };
     recording.rig.set(Inputs::FAST_STOP_OK, false);
     recording.rig.pass(500);

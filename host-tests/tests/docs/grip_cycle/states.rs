@@ -3,7 +3,8 @@
 use std::collections::BTreeSet;
 
 use document::{hold, table};
-use host_tests::modbus_rig::{FASTSTOP, GRIP, HOMING, JOG_PLUS, MOVE, RELEASE, STOP_ACK, TestRig, quick};
+use host_tests::world::modbus::{FASTSTOP, GRIP, HOMING, JOG_PLUS, MOVE, Master, RELEASE, STOP_ACK};
+use host_tests::world::quick;
 use wsg_fieldbus::InputImage;
 use wsg_protocol::SystemFlags;
 use wsg_sim::{Fault, Part};
@@ -13,7 +14,7 @@ type Transition = (&'static str, &'static str, &'static str);
 
 /// A PLC that records transitions between states.
 struct Watch {
-    rig: TestRig,
+    rig: Master,
     state: &'static str,
     seen: BTreeSet<Transition>,
 }
@@ -21,7 +22,7 @@ struct Watch {
 impl Watch {
     fn new(part: Option<f32>) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
-        let rig = TestRig::ready_with(wsg_bridge_fw::Config::DEFAULT, wsg_sim::Config { part, ..quick() });
+        let rig = Master::ready_with(wsg_bridge_fw::Config::DEFAULT, wsg_sim::Config { part, ..quick() });
         let mut watch = Self { rig, state: "", seen: BTreeSet::new() };
         watch.state = watch.look();
         watch

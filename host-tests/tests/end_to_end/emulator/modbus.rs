@@ -6,7 +6,7 @@ use host_tests::extent;
 use host_tests::modbus_master::{Failed, Master};
 use host_tests::rig::{Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
-use host_tests::wires::{quick, with_part};
+use host_tests::world::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
 use wsg_sim::Config;

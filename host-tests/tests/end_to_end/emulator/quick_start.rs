@@ -13,7 +13,7 @@ use host_tests::registers::RegisterModel;
 use host_tests::rig::{MOTION_PATIENCE, PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
-use host_tests::wires::with_part;
+use host_tests::world::with_part;
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
 

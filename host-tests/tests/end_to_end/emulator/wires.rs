@@ -6,7 +6,7 @@ use host_tests::emulator::Emulator;
 use host_tests::extent;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
-use host_tests::wires::{IDLE, quick, with_part};
+use host_tests::world::{IDLE, quick, with_part};
 use wsg_b_l475e_iot01a::INDICATOR;
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};

@@ -7,8 +7,8 @@ use std::cell::RefCell;
 use std::rc::Rc;
 
 use host_tests::faulty_link::{Fault, FaultyWay};
-use host_tests::wires::Wires;
-use host_tests::wires_rig::{Disturbance, TestRig};
+use host_tests::serial_gripper::Disturbance;
+use host_tests::world::{WIRES, World};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::{CommandId, GripperState};
 use wsg_sim::{Config, Part};
@@ -96,7 +96,7 @@ fn frames_of(id: CommandId, bytes: &[u8]) -> Vec<usize> {
 fn scenario(place: Place, fault: Fault, offset: u64, expected: Shown) {
     let what = format!("{fault:?} in {place:?}");
     let config = Config { part: Part::of_width(20.0), ..Config::default() };
-    let mut rig = TestRig::homed(config);
+    let mut rig = World::homed(WIRES, config);
     assert_eq!(rig.command(Inputs::RELEASE) & Outputs::ERROR, Outputs::empty(), "{what}");
     let armed = Rc::new(RefCell::new(false));
     let disturbance = Some(hit(place, fault, offset, Rc::clone(&armed)));

@@ -13,7 +13,7 @@ use host_tests::mcp2515::Mcp2515;
 use host_tests::modbus_master::Master;
 use host_tests::rig::{PATIENCE, motions};
 use host_tests::trace::{Entry, frame_id};
-use host_tests::wires::with_part;
+use host_tests::world::with_part;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;

@@ -42,7 +42,7 @@ use host_tests::mcp2515::Mcp2515;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
-use host_tests::wires::with_part;
+use host_tests::world::with_part;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;

@@ -10,7 +10,7 @@ use host_tests::masters::{self, said};
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
-use host_tests::wires::with_part;
+use host_tests::world::with_part;
 use tokio_modbus::ExceptionCode;
 use tokio_modbus::client::{Context, rtu};
 use tokio_modbus::prelude::{Reader, Slave, Writer};

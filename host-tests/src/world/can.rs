@@ -1,4 +1,4 @@
-//! Bridge and virtual gripper on a CAN bus in virtual time, with a controller that goes bus-off on request.
+//! A CAN bus in virtual time: the bridge's controller, which goes bus-off on request, a gripper, and a PLC.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -7,26 +7,19 @@ use std::rc::Rc;
 use bus_slcan::ClassicFrame;
 use embedded_can::{Frame, Id, StandardId};
 use wsg_bridge_fw::can::{
-    BusOffPolicy, CanBus, CanConfig, CanController, DEFAULT_NODE, Health, NodeConfig, Withdrawal,
+    BusOffPolicy, CanConfig, CanController, DEFAULT_NODE, Health, NodeConfig, Withdrawal,
 };
-use wsg_bridge_fw::gripper::GripperLink;
-use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::plc::DpBuffers;
-use wsg_bridge_fw::plc::canopen::Node;
-use wsg_bridge_fw::{BoardId, Config, GripperLine, NoBus, PlcBus, ResetCause, Station};
-use wsg_protocol::can::{Endpoint, Reassembler, Segments};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::{Config, GripperLine, PlcBus};
+use wsg_protocol::can::{Endpoint, Identifiers, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, Instant};
-use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
+use wsg_sim::{MAX_FRAME_LEN, PortKind, Time};
 
-use crate::flash_model::FlashModel;
-use crate::serial_gripper::SerialLine;
-use crate::wires::Wires;
+use super::World;
+use crate::serial_gripper::SerialGripper;
 
 /// Frames per millisecond on a bus at 500 kbit/s.
-const FRAMES_PER_MS: usize = 4;
-
-/// Shared buffers for stations without PROFIBUS.
-pub static NO_PROFIBUS: DpBuffers = DpBuffers::new();
+pub(super) const FRAMES_PER_MS: usize = 4;
 
 /// Number of transmit mailboxes.
 const MAILBOXES: usize = 3;
@@ -37,7 +30,7 @@ pub type Disturbance = Box<dyn FnMut(ClassicFrame) -> Vec<ClassicFrame>>;
 /// A typical controller with three mailboxes. It sends the lowest identifier first and queues one frame per
 /// identifier. When all mailboxes are full, a more urgent frame displaces the least urgent one.
 #[derive(Clone, Debug, Default)]
-pub struct Double(Rc<RefCell<DoubleState>>);
+pub struct CanDouble(Rc<RefCell<DoubleState>>);
 
 #[derive(Debug, Default)]
 struct DoubleState {
@@ -59,7 +52,7 @@ struct DoubleState {
     unheard: bool,
 }
 
-impl Double {
+impl CanDouble {
     /// Goes bus-off and ignores this many recovery attempts.
     pub fn go_off(&self, recoveries_in_vain: u32) {
         let mut state = self.0.borrow_mut();
@@ -171,7 +164,7 @@ impl embedded_can::Error for Trouble {
     }
 }
 
-impl embedded_can::nb::Can for Double {
+impl embedded_can::nb::Can for CanDouble {
     type Frame = ClassicFrame;
     type Error = Trouble;
 
@@ -200,7 +193,7 @@ impl embedded_can::nb::Can for Double {
     }
 }
 
-impl CanController for Double {
+impl CanController for CanDouble {
     fn health(&mut self) -> Health {
         self.0.borrow().health
     }
@@ -245,23 +238,21 @@ fn priority(frame: &ClassicFrame) -> u32 {
     }
 }
 
-/// Bridge and gripper on a CAN bus, and a PLC on wires driven by the test.
-pub struct CanRig {
-    station: Station<Double>,
-    flash: FlashModel,
-    double: Double,
+/// Bytes of the longest message to the gripper.
+const MESSAGE_LEN: usize = 128;
+
+/// The bus: the bridge's controller, a gripper, and a PLC.
+pub struct CanLine {
+    /// The bridge's controller.
+    pub double: CanDouble,
     /// Frames sent to the PLC with their times, and the PLC's queued frames.
     to_plc: Vec<(u32, ClassicFrame)>,
     from_plc: VecDeque<ClassicFrame>,
-    gripper: VirtualGripper<1>,
-    port: PortId,
+    /// The gripper's identifiers and queued frames.
     endpoint: Endpoint,
     from_gripper: VecDeque<ClassicFrame>,
-    now_ms: u32,
-    inputs: Inputs,
-    outputs: Outputs,
     /// Reassembles messages from the bridge.
-    seen: Reassembler<128>,
+    seen: Reassembler<MESSAGE_LEN>,
     sent: Vec<CommandId>,
     /// Whether the PLC sends its heartbeat every 200 ms.
     pub beats: bool,
@@ -271,42 +262,15 @@ pub struct CanRig {
     pub to_bridge: Option<Disturbance>,
 }
 
-/// Board identity of the rig.
-pub const BOARD: BoardId = BoardId { name: "rig", serial: 0x1234_5678 };
-
-impl CanRig {
-    /// Creates a rig with all PLC wires low.
-    ///
-    /// # Panics
-    /// Never: a new gripper accepts a client, and the default settings are valid.
-    #[must_use]
-    pub fn new(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
-        Self::with(config, policy, Config { plc_bus: PlcBus::Off, ..Config::DEFAULT })
-    }
-
-    fn with(config: wsg_sim::Config, policy: BusOffPolicy, bridge: Config) -> Self {
-        let identifiers = bridge.can.gripper;
-        let mut gripper = VirtualGripper::with_ports(config);
-        let port = gripper.connect(PortKind::Can).expect("a new gripper accepts a client");
-        let double = Double::default();
-        let mut station = Station::new(CanBus::new(double.clone(), policy), &NO_PROFIBUS);
-        let flash = FlashModel::new();
-        station.load(&Config::DEFAULT.record(), &flash).expect("the default settings are valid");
-        station.start(&Config { gripper_line: GripperLine::Can, ..bridge }, BOARD, ResetCause::Unknown);
+impl CanLine {
+    pub(super) fn new(double: CanDouble, gripper: Identifiers) -> Self {
         Self {
-            station,
-            flash,
             double,
             to_plc: Vec::new(),
             from_plc: VecDeque::new(),
-            gripper,
-            port,
-            endpoint: identifiers.gripper(),
+            endpoint: gripper.gripper(),
             from_gripper: VecDeque::new(),
-            now_ms: 0,
-            inputs: Inputs::empty(),
-            outputs: Outputs::empty(),
-            seen: Reassembler::new(identifiers.gripper().receive, 1_000),
+            seen: Reassembler::new(gripper.gripper().receive, 1_000),
             sent: Vec::new(),
             beats: false,
             to_gripper: None,
@@ -314,35 +278,8 @@ impl CanRig {
         }
     }
 
-    /// Creates a rig that is READY and REFERENCED.
-    ///
-    /// # Panics
-    /// Panics when homing fails.
-    #[must_use]
-    pub fn homed(config: wsg_sim::Config, policy: BusOffPolicy) -> Self {
-        let mut rig = Self::new(config, policy);
-        rig.get_homed();
-        rig
-    }
-
-    /// Creates a rig with a PLC on the bus and FAST_STOP_OK high.
-    #[must_use]
-    pub fn with_node(config: wsg_sim::Config, node: NodeConfig) -> Self {
-        let can = CanConfig { node, ..CanConfig::DEFAULT };
-        let bridge = Config { plc_bus: PlcBus::Canopen, can, ..Config::DEFAULT };
-        let mut rig = Self::with(config, BusOffPolicy::DEFAULT, bridge);
-        rig.set(Inputs::FAST_STOP_OK, true);
-        rig
-    }
-
-    /// Returns the bridge's CANopen node; it is silent without a PLC on the bus.
-    #[must_use]
-    pub const fn node(&self) -> &Node {
-        self.station.node()
-    }
-
     /// Queues a frame from the PLC on the bus.
-    pub fn say(&mut self, frame: ClassicFrame) {
+    pub fn queue(&mut self, frame: ClassicFrame) {
         self.from_plc.push_back(frame);
     }
 
@@ -352,53 +289,19 @@ impl CanRig {
     /// Panics when the identifier has more than 11 bits, or the data more than 8 bytes.
     pub fn send(&mut self, id: u16, data: &[u8]) {
         let id = StandardId::new(id).expect("11 bits");
-        self.say(ClassicFrame::new(id, data).expect("up to 8 bytes"));
+        self.queue(ClassicFrame::new(id, data).expect("up to 8 bytes"));
     }
 
-    /// Returns the frames sent to the PLC since the last call: time in milliseconds, identifier and data.
+    /// Returns the frames sent by the bridge since the last call: time in milliseconds, identifier and data.
     ///
     /// # Panics
     /// Panics when a frame has 29 bits.
-    pub fn take_heard(&mut self) -> Vec<(u32, u16, Vec<u8>)> {
-        let heard = std::mem::take(&mut self.to_plc).into_iter().map(|(at, frame)| {
+    pub fn take_frames(&mut self) -> Vec<(u32, u16, Vec<u8>)> {
+        let frames = std::mem::take(&mut self.to_plc).into_iter().map(|(at, frame)| {
             let Id::Standard(id) = frame.id() else { panic!("{frame:?}") };
             (at, id.as_raw(), frame.data().to_vec())
         });
-        heard.collect()
-    }
-
-    /// Returns the controller.
-    #[must_use]
-    pub fn double(&self) -> &Double {
-        &self.double
-    }
-
-    /// Returns the bridge's view of the bus.
-    #[must_use]
-    pub fn bus(&mut self) -> &mut CanBus<Double> {
-        self.station.can()
-    }
-
-    /// Returns the link to the gripper.
-    #[must_use]
-    pub fn link(&self) -> &GripperLink {
-        self.station.link()
-    }
-
-    /// Returns the gripper.
-    pub fn gripper(&mut self) -> &mut VirtualGripper<1> {
-        &mut self.gripper
-    }
-
-    /// Returns the flash.
-    pub fn flash(&mut self) -> &mut FlashModel {
-        &mut self.flash
-    }
-
-    /// Returns the current time in milliseconds.
-    #[must_use]
-    pub fn now_ms(&self) -> u32 {
-        self.now_ms
+        frames.collect()
     }
 
     /// Returns the number of broken messages sent by the bridge.
@@ -408,76 +311,91 @@ impl CanRig {
         counters.miscut + counters.bad_checksum + counters.oversize + counters.expired
     }
 
-    /// Runs one turn of the main loop.
-    fn turn(&mut self) {
-        let Self { station, now_ms, inputs, flash, .. } = self;
-        let line = &mut SerialLine::with_room(0);
-        self.outputs = station.turn(*now_ms, *inputs, line, &mut NoBus, &mut NoBus, flash);
+    pub(super) fn take_sent(&mut self) -> Vec<CommandId> {
+        std::mem::take(&mut self.sent)
     }
 
-    /// Ends the transmission [begun](Double::begin_frame) by the controller.
-    pub fn end_frame(&mut self, is_acknowledged: bool) {
-        if let Some(frame) = self.double.end_frame(is_acknowledged) {
-            self.to_plc.push((self.now_ms, frame));
-            self.reach_gripper(frame);
+    /// Sends the PLC's heartbeat when it is due.
+    pub(super) fn beat(&mut self, now_ms: u32) {
+        if self.beats && now_ms.is_multiple_of(200) {
+            self.send(0x700 | u16::from(DEFAULT_NODE.master), &[5]);
         }
     }
 
-    fn reach_gripper(&mut self, frame: ClassicFrame) {
-        let (now, time) = (Instant::from_millis(self.now_ms), Time::from_millis(self.now_ms.into()));
+    /// Carries one frame: the bridge's, the PLC's, or the gripper's.
+    pub(super) fn carry_frame<W>(&mut self, now_ms: u32, gripper: &mut SerialGripper<W>) {
+        if let Some(frame) = self.double.take_winner() {
+            self.deliver(now_ms, gripper, frame);
+        } else if let Some(frame) = self.from_plc.pop_front() {
+            self.double.bring(frame);
+        } else if let Some(frame) = self.from_gripper.pop_front() {
+            let frames = disturbed(&mut self.to_bridge, frame);
+            frames.into_iter().for_each(|frame| self.double.bring(frame));
+        }
+    }
+
+    /// Delivers a frame of the bridge.
+    fn deliver<W>(&mut self, now_ms: u32, gripper: &mut SerialGripper<W>, frame: ClassicFrame) {
+        self.to_plc.push((now_ms, frame));
         let Self { seen, sent, .. } = self;
-        seen.receive(now, &frame, |event| {
+        seen.receive(Instant::from_millis(now_ms), &frame, |event| {
             if let Event::Frame(message) = event {
                 sent.push(CommandId::from_code(message.id));
             }
         });
         for frame in disturbed(&mut self.to_gripper, frame) {
-            if frame.id() == Id::Standard(self.endpoint.receive) {
-                self.gripper.receive(self.port, time, frame.data());
+            if frame.id() == Id::Standard(self.endpoint.receive) && gripper.kind == PortKind::Can {
+                let now = Time::from_millis(now_ms.into());
+                gripper.gripper.receive(gripper.port, now, frame.data());
             }
+        }
+    }
+
+    /// Queues the frames that the gripper has to send.
+    pub(super) fn fetch<W>(&mut self, gripper: &mut SerialGripper<W>) {
+        let mut buffer = [0; MAX_FRAME_LEN];
+        while let Some(message) = gripper.gripper.transmit(gripper.port, &mut buffer) {
+            let segments = Segments::new(message.iter().copied());
+            self.from_gripper
+                .extend(segments.filter_map(|segment| segment.frame::<ClassicFrame>(self.endpoint.transmit)));
         }
     }
 }
 
-impl Wires for CanRig {
-    fn inputs(&mut self) -> &mut Inputs {
-        &mut self.inputs
+impl Clone for CanLine {
+    /// Only a bus without traffic can be cloned: a controller is shared by its clones.
+    fn clone(&self) -> Self {
+        assert!(self.to_plc.is_empty() && self.from_plc.is_empty() && self.from_gripper.is_empty());
+        Self::new(self.double.clone(), Identifiers::DEFAULT)
+    }
+}
+
+/// A bridge with its gripper on CAN.
+pub const GRIPPER_ON_CAN: Config =
+    Config { gripper_line: GripperLine::Can, plc_bus: PlcBus::Off, ..Config::DEFAULT };
+
+impl World {
+    /// Creates a world with gripper and PLC on CAN, and FAST_STOP_OK high.
+    #[must_use]
+    pub fn with_node(gripper: wsg_sim::Config, node: NodeConfig) -> Self {
+        let can = CanConfig { node, ..CanConfig::DEFAULT };
+        let mut world = Self::new(Config { plc_bus: PlcBus::Canopen, can, ..GRIPPER_ON_CAN }, gripper);
+        world.set(Inputs::FAST_STOP_OK, true);
+        world
     }
 
-    fn outputs(&self) -> Outputs {
-        self.outputs
+    /// Creates a world that is READY and REFERENCED, with a gripper on a CAN bus that recovers according to `policy`.
+    #[must_use]
+    pub fn homed_on_can(gripper: wsg_sim::Config, policy: BusOffPolicy) -> Self {
+        let mut world = Self::with_policy(GRIPPER_ON_CAN, gripper, policy);
+        world.get_homed();
+        world
     }
 
-    fn take_sent(&mut self) -> Vec<CommandId> {
-        std::mem::take(&mut self.sent)
-    }
-
-    fn step(&mut self) {
-        if self.beats && self.now_ms.is_multiple_of(200) {
-            self.send(0x700 | u16::from(DEFAULT_NODE.master), &[5]);
-        }
-        self.now_ms += 1;
-        self.turn();
-        let time = Time::from_millis(self.now_ms.into());
-        for _ in 0..FRAMES_PER_MS {
-            if let Some(frame) = self.double.take_winner() {
-                self.to_plc.push((self.now_ms, frame));
-                self.reach_gripper(frame);
-            } else if let Some(frame) = self.from_plc.pop_front() {
-                self.double.bring(frame);
-            } else if let Some(frame) = self.from_gripper.pop_front() {
-                let frames = disturbed(&mut self.to_bridge, frame);
-                frames.into_iter().for_each(|frame| self.double.bring(frame));
-            }
-            // A transmitted frame raises an interrupt, which wakes the main loop.
-            self.turn();
-        }
-        self.gripper.advance(time);
-        let mut buffer = [0; MAX_FRAME_LEN];
-        while let Some(message) = self.gripper.transmit(self.port, &mut buffer) {
-            let segments = Segments::new(message.iter().copied());
-            self.from_gripper
-                .extend(segments.filter_map(|segment| segment.frame::<ClassicFrame>(self.endpoint.transmit)));
+    /// Ends the transmission [begun](CanDouble::begin_frame) by the controller.
+    pub fn end_frame(&mut self, is_acknowledged: bool) {
+        if let Some(frame) = self.can.double.end_frame(is_acknowledged) {
+            self.can.deliver(self.now_ms, &mut self.far, frame);
         }
     }
 }
@@ -486,14 +404,5 @@ fn disturbed(disturbance: &mut Option<Disturbance>, frame: ClassicFrame) -> Vec<
     match disturbance {
         Some(disturb) => disturb(frame),
         None => vec![frame],
-    }
-}
-
-impl std::fmt::Debug for CanRig {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("CanRig")
-            .field("now_ms", &self.now_ms)
-            .field("outputs", &self.outputs)
-            .finish_non_exhaustive()
     }
 }

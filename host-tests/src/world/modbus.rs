@@ -1,80 +1,16 @@
-//! Bridge and virtual gripper in virtual time, with Modbus masters on the bus and on the service port, and wires
-//! driven by the test.
+//! A Modbus master on the PLC's bus, and on the service port.
 
-use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::plc::Modbus;
-use wsg_bridge_fw::{Bridge, Config};
+use std::ops::{Deref, DerefMut};
 
-use crate::rtu_double::{RtuDouble, sealed};
-use crate::serial_gripper::{SerialGripper, SerialLine};
-use crate::wires::Wires;
-pub use crate::wires::{quick, with_part};
-use crate::world::{Bus, World};
+use wsg_bridge_fw::Config;
+use wsg_bridge_fw::io::Inputs;
+
+use super::{World, quick};
+use crate::rtu_double::RtuDouble;
+pub use crate::rtu_double::sealed;
 
 /// The bridge's default unit address.
 pub const UNIT: u8 = 1;
-
-/// The bridge's two Modbus servers and their lines.
-#[derive(Clone, Debug)]
-pub struct ModbusLines {
-    modbus: Modbus,
-    service: Modbus,
-    /// The master's current line: the bus, except inside [`TestRig::by_service`].
-    line: RtuDouble,
-    other: RtuDouble,
-    is_by_service: bool,
-    /// Image that the master writes every 20 ms to registers 0 to 3 (CMDFLAGS to FORCELIMIT).
-    repeats: Option<[u16; 4]>,
-}
-
-impl ModbusLines {
-    /// Creates both servers on idle lines.
-    pub(crate) fn new(config: &Config) -> Self {
-        Self {
-            modbus: Modbus::new(config),
-            service: Modbus::service(),
-            line: RtuDouble::default(),
-            other: RtuDouble::default(),
-            is_by_service: false,
-            repeats: None,
-        }
-    }
-
-    fn change_line(&mut self) {
-        std::mem::swap(&mut self.line, &mut self.other);
-        self.is_by_service = !self.is_by_service;
-    }
-
-    /// Writes this image now and every 20 ms, or stops doing so.
-    pub(crate) fn repeat(&mut self, image: Option<[u16; 4]>) {
-        self.repeats = image;
-        self.write();
-    }
-
-    fn write(&mut self) {
-        if let Some(image) = self.repeats {
-            self.line.put(&sealed(&write_request(0, &image)));
-        }
-    }
-}
-
-impl Bus for ModbusLines {
-    fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs, line: &mut SerialLine) -> Outputs {
-        self.line.pass_ms();
-        self.other.pass_ms();
-        if now_ms.is_multiple_of(20) {
-            self.write();
-        }
-        let Self { modbus, service, line: bus, other: port, is_by_service, .. } = self;
-        let (bus, port) = if *is_by_service { (port, bus) } else { (bus, port) };
-        let outputs = bridge.poll(now_ms, inputs, line, &mut modbus.over(bus));
-        bridge.serve(now_ms, &mut service.over(port));
-        outputs
-    }
-}
-
-/// A [`World`] with a Modbus PLC.
-pub type TestRig = World<ModbusLines>;
 
 /// Returns an FC 16 request with unit address, without checksum.
 pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
@@ -83,57 +19,86 @@ pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
     head.into_iter().chain(values.iter().flat_map(|value| value.to_be_bytes())).collect()
 }
 
-impl TestRig {
-    /// Creates a rig with all wires low except FAST_STOP_OK.
+/// A master, and the [`World`] that it is connected to.
+pub struct Master {
+    world: World,
+    /// Whether the master is at the service port: inside [`by_service`](Self::by_service).
+    is_by_service: bool,
+}
+
+impl Deref for Master {
+    type Target = World;
+
+    fn deref(&self) -> &World {
+        &self.world
+    }
+}
+
+impl DerefMut for Master {
+    fn deref_mut(&mut self) -> &mut World {
+        &mut self.world
+    }
+}
+
+impl Master {
+    /// Creates a master on the bus, with all wires low except FAST_STOP_OK.
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
-        Self::with(config, ModbusLines::new(&config), SerialGripper::new(gripper), Inputs::FAST_STOP_OK)
+        Self::of(World::new(config, gripper))
     }
 
-    /// Creates a rig with a responding gripper and a master that has written zeros.
+    /// Connects a master to a bridge, and raises FAST_STOP_OK.
+    pub fn of(mut world: World) -> Self {
+        world.set(Inputs::FAST_STOP_OK, true);
+        Self { world, is_by_service: false }
+    }
+
+    /// Creates a master that has written zeros, and a responding gripper.
     pub fn ready() -> Self {
         Self::ready_with(Config::DEFAULT, quick())
     }
 
     /// Does the same as [`ready`](Self::ready), with these settings of bridge and gripper.
     pub fn ready_with(config: Config, gripper: wsg_sim::Config) -> Self {
-        let mut rig = Self::new(config, gripper);
-        rig.pass(200);
-        rig.write(0, &[0, 0, 0, 0]);
-        rig
+        let mut master = Self::new(config, gripper);
+        master.pass(200);
+        master.write(0, &[0, 0, 0, 0]);
+        master
     }
 
-    /// Creates a rig whose fingers were referenced over the bus.
+    /// Creates a master that has referenced the fingers.
     pub fn homed(gripper: wsg_sim::Config) -> Self {
-        let mut rig = Self::ready_with(Config::DEFAULT, gripper);
-        rig.command(HOMING, 0, 0, 0);
-        assert_eq!(rig.state(), IDLE);
-        assert!(rig.bit(16), "REFERENCED");
-        rig
+        let mut master = Self::ready_with(Config::DEFAULT, gripper);
+        master.command(HOMING, 0, 0, 0);
+        assert_eq!(master.state(), IDLE);
+        assert!(master.bit(16), "REFERENCED");
+        master
+    }
+
+    /// Disconnects the master.
+    pub fn into_world(self) -> World {
+        self.world
     }
 
     /// Runs `test` over the service port instead of the bus.
     pub fn by_service<T>(&mut self, test: impl FnOnce(&mut Self) -> T) -> T {
-        self.bus.change_line();
+        let before = std::mem::replace(&mut self.is_by_service, true);
         let result = test(self);
-        self.bus.change_line();
+        self.is_by_service = before;
         result
     }
 
-    /// Serves the service port `times` times without a turn of the bridge.
-    pub fn serve_alone(&mut self, times: u32) {
-        let Self { bridge, bus, now_ms, .. } = self;
-        let port = if bus.is_by_service { &mut bus.line } else { &mut bus.other };
-        (0..times).for_each(|_| bridge.serve(*now_ms, &mut bus.service.over(port)));
+    fn line(&mut self) -> &mut RtuDouble {
+        if self.is_by_service { &mut self.world.service } else { &mut self.world.modbus }
     }
 
     /// Puts bytes on the bus back to back.
     pub fn send_raw(&mut self, bytes: &[u8]) {
-        self.bus.line.put(bytes);
+        self.line().put(bytes);
     }
 
     /// Puts bytes on the bus after a pause in microseconds.
     pub fn send_after(&mut self, pause_us: u32, bytes: &[u8]) {
-        self.bus.line.silence_us = pause_us;
+        self.line().silence_us = pause_us;
         self.send_raw(bytes);
     }
 
@@ -149,7 +114,7 @@ impl TestRig {
         self.send_raw(&Self::frame(UNIT, pdu));
         for _ in 0..20 {
             self.step();
-            if let Some(answer) = self.bus.line.answer() {
+            if let Some(answer) = self.line().answer() {
                 assert_eq!(self.answers(), 0);
                 let (body, _) = answer.split_at(answer.len() - 2);
                 assert_eq!(sealed(body), answer);
@@ -162,7 +127,7 @@ impl TestRig {
 
     /// Discards the answers received since the last call. Returns their number.
     pub fn answers(&mut self) -> usize {
-        self.bus.line.take_events().len()
+        self.line().take_events().len()
     }
 
     /// Writes registers (FC 16).
@@ -181,15 +146,25 @@ impl TestRig {
         Some(answer[1])
     }
 
-    /// Reads registers with FC 3 or 4.
-    fn registers(&mut self, function: u8, first: u16, count: u8) -> Result<Vec<u16>, u8> {
+    /// Sends a request and returns the rest of the answer's PDU; fails with the exception code.
+    pub fn data(&mut self, pdu: &[u8]) -> Result<Vec<u8>, u8> {
+        let answer = self.ask(pdu);
+        let (function, data) = answer.split_first().expect("an answer");
+        if *function == pdu[0] { Ok(data.to_vec()) } else { Err(data[0]) }
+    }
+
+    /// Writes a register (FC 6); fails with the exception code.
+    pub fn set_register(&mut self, address: u16, value: u16) -> Result<(), u8> {
+        let ([a1, a0], [v1, v0]) = (address.to_be_bytes(), value.to_be_bytes());
+        self.data(&[6, a1, a0, v1, v0]).map(drop)
+    }
+
+    /// Reads registers with FC 3 or 4; fails with the exception code.
+    pub fn registers(&mut self, function: u8, first: u16, count: u8) -> Result<Vec<u16>, u8> {
         let [a1, a0] = first.to_be_bytes();
-        let answer = self.ask(&[function, a1, a0, 0, count]);
-        if answer[0] == function | 0x80 {
-            return Err(answer[1]);
-        }
-        assert_eq!(answer[..2], [function, 2 * count]);
-        Ok(answer[2..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect())
+        let data = self.data(&[function, a1, a0, 0, count])?;
+        assert_eq!(data[0], 2 * count);
+        Ok(data[1..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]])).collect())
     }
 
     /// Reads holding registers; fails with the exception code.

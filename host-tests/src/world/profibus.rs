@@ -1,15 +1,12 @@
-//! Bridge and virtual gripper in virtual time, with a PROFIBUS master and wires driven by the test. The line is
-//! modelled as a UART: characters with times, and a handler that runs for each.
+//! A PROFIBUS master. The line is modelled as a UART: characters with times, and a handler that runs for each.
 
 use bus_profibus::{Baud, Character};
-use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::plc::{DpBuffers, DpResponder, Profibus, UartStatus};
-use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::plc::UartStatus;
+use wsg_bridge_fw::{Config, PlcBus, ProfibusConfig};
 use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
 
-use crate::serial_gripper::{SerialGripper, SerialLine};
-pub use crate::wires::Wires;
-use crate::world::{Bus, World};
+use super::World;
 
 /// The default station address.
 pub const STATION: u8 = 7;
@@ -47,52 +44,10 @@ pub const AT_500K: Config = Config {
     ..Config::DEFAULT
 };
 
-/// The slave's main-loop and interrupt sides.
-pub struct Dp {
-    profibus: Profibus,
-    handler: DpResponder,
-    /// The rate requested by the handler.
-    rate: Option<Baud>,
-}
-
-impl Bus for Dp {
-    fn turn(&mut self, bridge: &mut Bridge, now_ms: u32, inputs: Inputs, line: &mut SerialLine) -> Outputs {
-        bridge.poll(now_ms, inputs, line, &mut self.profibus)
-    }
-}
-
-/// A [`World`] with a PROFIBUS PLC. Its handler must run after each turn of the main loop.
-pub type Board = World<Dp>;
-
-impl Board {
-    /// Creates a board with all wires low except FAST_STOP_OK.
-    #[must_use]
-    pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
-        let buffers: &'static DpBuffers = Box::leak(Box::default());
-        let mut profibus = Profibus::new(buffers);
-        profibus.start(config.profibus);
-        let dp = Dp { profibus, handler: DpResponder::new(buffers), rate: None };
-        Self::with(config, dp, SerialGripper::new(gripper), Inputs::FAST_STOP_OK)
-    }
-
-    /// Runs the handler at a time in microseconds, within or after the current millisecond.
-    pub fn interrupt(&mut self, status: UartStatus, now_us: u32) -> wsg_bridge_fw::plc::Action {
-        let action = self.bus.handler.step(status, self.now_ms, now_us);
-        self.bus.rate = action.rate.or(self.bus.rate);
-        action
-    }
-
-    /// Returns the line's rate.
-    #[must_use]
-    pub fn rate(&self) -> Option<Baud> {
-        self.bus.rate
-    }
-}
-
-/// A master connected to a board, and the current time.
-pub struct TestRig {
-    /// The board.
-    pub board: Board,
+/// A master, the [`World`] that it is connected to, and the current time.
+pub struct Master {
+    /// The world. Time passes only in the master's methods.
+    pub world: World,
     /// The master's output image.
     pub image: OutputImage,
     fcb: bool,
@@ -100,27 +55,28 @@ pub struct TestRig {
     rate: u32,
 }
 
-impl TestRig {
-    /// Creates a board and a master that has sent nothing yet.
+impl Master {
+    /// Creates a master that has sent nothing yet. All wires are low except FAST_STOP_OK.
     #[must_use]
     pub fn new(config: Config, gripper: wsg_sim::Config) -> Self {
-        let mut board = Board::new(config, gripper);
-        board.interrupt(UartStatus::default(), 0);
+        let mut world = World::new(config, gripper);
+        world.set(Inputs::FAST_STOP_OK, true);
+        world.interrupt(UartStatus::default(), 0);
         let image = OutputImage { width: 20_00, speed: 100_00, force_limit: 40_00, ..OutputImage::ZERO };
         let rate = config.profibus.rate.map_or(500_000, Baud::bit_s);
-        Self { board, image, fcb: false, now_us: 0, rate }
+        Self { world, image, fcb: false, now_us: 0, rate }
     }
 
-    /// Creates a board in data exchange with a responding gripper. `watchdog` is in units of 10 ms; 0 disables it.
+    /// Creates a master in data exchange, and a responding gripper. `watchdog` is in units of 10 ms; 0 disables it.
     /// The master has written parameters and no command flag.
     #[must_use]
     pub fn exchanging(config: Config, gripper: wsg_sim::Config, watchdog: u8) -> Self {
-        let mut rig = Self::new(config, gripper);
-        rig.pass_silent(200);
-        rig.start(watchdog);
-        rig.exchange();
-        rig.pass(10);
-        rig
+        let mut master = Self::new(config, gripper);
+        master.pass_silent(200);
+        master.start(watchdog);
+        master.exchange();
+        master.pass(10);
+        master
     }
 
     /// Does the same as [`exchanging`](Self::exchanging), with referenced fingers.
@@ -129,13 +85,13 @@ impl TestRig {
     /// Panics when homing fails.
     #[must_use]
     pub fn homed(gripper: wsg_sim::Config) -> Self {
-        let mut rig = Self::exchanging(AT_500K, gripper, 20);
-        rig.command(CommandFlags::HOMING);
-        let input = rig.exchange().1;
+        let mut master = Self::exchanging(AT_500K, gripper, 20);
+        master.command(CommandFlags::HOMING);
+        let input = master.exchange().1;
         assert_eq!(input.state, GripperFlags::IDLE);
         assert!(input.system.contains(wsg_protocol::SystemFlags::REFERENCED));
-        rig.board.take_sent();
-        rig
+        master.world.take_sent();
+        master
     }
 
     /// Advances time. The main loop runs every millisecond, followed by the handler.
@@ -143,9 +99,9 @@ impl TestRig {
         for _ in 0..us {
             self.now_us += 1;
             if self.now_us.is_multiple_of(1_000) {
-                self.board.step();
+                self.world.step();
                 let idle = UartStatus { has_room: true, is_complete: true, ..UartStatus::default() };
-                let action = self.board.interrupt(idle, self.now_us);
+                let action = self.world.interrupt(idle, self.now_us);
                 assert_eq!(action.send, None, "an answer without a request");
             }
         }
@@ -161,7 +117,7 @@ impl TestRig {
         for character in characters {
             self.pass_us(self.bits_us(CHARACTER_BITS));
             let status = UartStatus { received: Some(*character), has_room: true, is_complete: true };
-            let action = self.board.interrupt(status, self.now_us);
+            let action = self.world.interrupt(status, self.now_us);
             assert_eq!(action.send, None, "before the least T_SDR");
             wait_us = action.wait_us;
         }
@@ -190,7 +146,7 @@ impl TestRig {
         self.now_us += wait_us;
         let mut status = UartStatus { has_room: true, is_complete: true, ..UartStatus::default() };
         loop {
-            let action = self.board.interrupt(status, self.now_us);
+            let action = self.world.interrupt(status, self.now_us);
             let Some(byte) = action.send else { break };
             answer.push(byte);
             let rest = action.interrupts;
@@ -201,13 +157,13 @@ impl TestRig {
             self.now_us += self.bits_us(CHARACTER_BITS);
             // The transceiver may echo.
             let echo = UartStatus { received: Some(Character::Byte(byte)), ..UartStatus::default() };
-            assert_eq!(self.board.interrupt(echo, self.now_us).send, None);
+            assert_eq!(self.world.interrupt(echo, self.now_us).send, None);
             status = UartStatus { has_room: true, is_complete: rest.transmission_complete, ..status };
         }
         // The main loop catches up with the time that the answer took.
-        while self.board.now_ms < self.now_us / 1_000 {
-            self.board.step();
-            self.board.interrupt(UartStatus::default(), self.now_us);
+        while self.world.now_ms() < self.now_us / 1_000 {
+            self.world.step();
+            self.world.interrupt(UartStatus::default(), self.now_us);
         }
         answer
     }
@@ -304,8 +260,8 @@ impl TestRig {
 
     /// Exchanges data every one to two milliseconds.
     pub fn pass(&mut self, ms: u32) {
-        let end = self.board.now_ms + ms;
-        while self.board.now_ms < end {
+        let end = self.world.now_ms() + ms;
+        while self.world.now_ms() < end {
             self.pass_us(1_000);
             self.exchange();
         }
