@@ -4,7 +4,9 @@
 //! | module | content |
 //! |---|---|
 //! | [`can`] | the CAN bus: a controller that fails on request, a gripper, a PLC |
+//! | [`canopen`] | a CANopen master |
 //! | [`modbus`] | a Modbus master on the PLC's bus and on the service port |
+//! | [`plc`] | what a PLC does on any bus |
 //! | [`profibus`] | a PROFIBUS master |
 //! | [`service_line`] | the service port, connected to a program by a socket |
 //!
@@ -12,7 +14,9 @@
 //! tested in the emulator.
 
 pub mod can;
+pub mod canopen;
 pub mod modbus;
+pub mod plc;
 pub mod profibus;
 #[cfg(unix)]
 pub mod service_line;

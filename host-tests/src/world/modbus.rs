@@ -4,7 +4,9 @@ use std::ops::{Deref, DerefMut};
 
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::io::Inputs;
+use wsg_fieldbus::{InputImage, OutputImage};
 
+use super::plc::Plc;
 use super::{World, quick};
 use crate::rtu_double::RtuDouble;
 pub use crate::rtu_double::sealed;
@@ -22,6 +24,8 @@ pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
 /// A master, and the [`World`] that it is connected to.
 pub struct Master {
     world: World,
+    /// The output image of [`Plc`].
+    image: OutputImage,
     /// Whether the master is at the service port: inside [`by_service`](Self::by_service).
     is_by_service: bool,
 }
@@ -49,7 +53,7 @@ impl Master {
     /// Connects a master to a bridge, and raises FAST_STOP_OK.
     pub fn of(mut world: World) -> Self {
         world.set(Inputs::FAST_STOP_OK, true);
-        Self { world, is_by_service: false }
+        Self { world, image: OutputImage::ZERO, is_by_service: false }
     }
 
     /// Creates a master that has written zeros, and a responding gripper.
@@ -205,6 +209,57 @@ impl Master {
             self.pass(10);
         }
         panic!("the command does not complete");
+    }
+}
+
+impl Plc for Master {
+    const CONFIG: Config = Config::DEFAULT;
+    const TIMEOUT_MS: u32 = Config::DEFAULT.bus.timeout_ms as u32;
+
+    fn connect(config: Config, gripper: wsg_sim::Config, first: OutputImage) -> Self {
+        let mut master = Self { image: first, ..Self::new(config, gripper) };
+        master.pass(500);
+        master.resume();
+        master
+    }
+
+    fn world(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    fn image(&mut self) -> &mut OutputImage {
+        &mut self.image
+    }
+
+    fn write(&mut self) {
+        let pdu = [&[16, 0, 0, 0, 4, 8], &self.image.to_bytes()[..]].concat();
+        assert_eq!(self.data(&pdu), Ok(pdu[1..5].to_vec()));
+    }
+
+    fn read(&mut self) -> InputImage {
+        let data = self.data(&[4, 0, 0, 0, 6]).expect("the gripper is connected");
+        InputImage::from_bytes(data[1..].try_into().expect("six registers"))
+    }
+
+    /// An exception (docs/registers.md) instead of an image.
+    fn misses_the_gripper(&mut self) -> bool {
+        self.data(&[4, 0, 0, 0, 6]) == Err(0x0B)
+    }
+
+    fn run(&mut self, ms: u32) {
+        let end = self.now_ms() + ms;
+        while self.now_ms() < end {
+            self.ask(&[4, 0, 0, 0, 6]);
+            self.step();
+        }
+    }
+
+    fn fall_silent(&mut self, ms: u32) {
+        self.pass(ms);
+    }
+
+    fn resume(&mut self) {
+        Plc::write(self);
     }
 }
 

@@ -4,9 +4,10 @@ use bus_profibus::{Baud, Character};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::UartStatus;
 use wsg_bridge_fw::{Config, PlcBus, ProfibusConfig};
-use wsg_fieldbus::{CommandFlags, GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{CommandFlags, InputImage, OutputImage};
 
 use super::World;
+use super::plc::Plc;
 
 /// The default station address.
 pub const STATION: u8 = 7;
@@ -76,21 +77,6 @@ impl Master {
         master.start(watchdog);
         master.exchange();
         master.pass(10);
-        master
-    }
-
-    /// Does the same as [`exchanging`](Self::exchanging), with referenced fingers.
-    ///
-    /// # Panics
-    /// Panics when homing fails.
-    #[must_use]
-    pub fn homed(gripper: wsg_sim::Config) -> Self {
-        let mut master = Self::exchanging(AT_500K, gripper, 20);
-        master.command(CommandFlags::HOMING);
-        let input = master.exchange().1;
-        assert_eq!(input.state, GripperFlags::IDLE);
-        assert!(input.system.contains(wsg_protocol::SystemFlags::REFERENCED));
-        master.world.take_sent();
         master
     }
 
@@ -271,22 +257,50 @@ impl Master {
     pub fn pass_silent(&mut self, ms: u32) {
         self.pass_us(ms * 1_000);
     }
+}
 
-    /// Issues a command flag, clears it, and waits until the status is no longer E_CMD_PENDING.
-    ///
-    /// # Panics
-    /// Panics when the command does not complete.
-    pub fn command(&mut self, flags: CommandFlags) {
-        self.set(flags);
-        self.pass(2);
-        self.set(CommandFlags::empty());
-        for _ in 0..20_000 {
-            if self.exchange().1.status != wsg_protocol::Status::CmdPending {
-                return;
-            }
-            self.pass(5);
-        }
-        panic!("the command does not complete");
+/// Watchdog of the master, in units of 10 ms.
+const WATCHDOG: u8 = 20;
+
+impl Plc for Master {
+    const CONFIG: Config = AT_500K;
+    const TIMEOUT_MS: u32 = 10 * WATCHDOG as u32;
+
+    fn connect(config: Config, gripper: wsg_sim::Config, first: OutputImage) -> Self {
+        let mut master = Self { image: first, ..Self::new(config, gripper) };
+        master.pass_silent(500);
+        master.resume();
+        master
+    }
+
+    fn world(&mut self) -> &mut World {
+        &mut self.world
+    }
+
+    fn image(&mut self) -> &mut OutputImage {
+        &mut self.image
+    }
+
+    fn write(&mut self) {
+        self.exchange();
+        self.pass_silent(2);
+    }
+
+    fn read(&mut self) -> InputImage {
+        self.input()
+    }
+
+    fn run(&mut self, ms: u32) {
+        self.pass(ms);
+    }
+
+    fn fall_silent(&mut self, ms: u32) {
+        self.pass_silent(ms);
+    }
+
+    fn resume(&mut self) {
+        self.start(WATCHDOG);
+        self.write();
     }
 }
 

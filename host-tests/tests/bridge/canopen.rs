@@ -1,5 +1,7 @@
 //! A PLC on CAN, in virtual time. The third-party library `canopen-rs` encodes and decodes the master's frames.
 
+use std::ops::{Deref, DerefMut};
+
 use bus_slcan::ClassicFrame;
 use canopen_rs::emcy::EmergencyMessage;
 use canopen_rs::{Address, DataType as Theirs, NmtCommand, NodeId, Value, nmt, sdo};
@@ -8,35 +10,44 @@ use embedded_can::{Frame, StandardId};
 use host_tests::addresses;
 use host_tests::flash_model::Fault;
 use host_tests::serial_gripper::SerialLine;
+use host_tests::world::canopen::{self, NODE};
+use host_tests::world::plc::PARAMETERS;
 use host_tests::world::{BOARD, World};
-use wsg_bridge_fw::can::{CanNode, DEFAULT_NODE, Health, NodeConfig, collides_with_canopen};
-use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::can::{CanNode, Health, collides_with_canopen};
+use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::plc::canopen::{
     DataType, FAULTS, NmtState, Node, OBJECTS, REPORTS_INDEX, SETTINGS_INDEX, write_eds,
 };
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, MAP_VERSION, REPORTS, SETTINGS};
 use wsg_bridge_fw::{Bridge, ControlSource, PlcBus};
-use wsg_fieldbus::{CommandFlags as Cmd, GripperFlags};
+use wsg_fieldbus::{CommandFlags as Cmd, GripperFlags, OutputImage};
 use wsg_protocol::can::Identifiers;
-use wsg_protocol::{CommandId, Instant, Status, SystemFlags};
+use wsg_protocol::{CommandId, Instant, SystemFlags};
 use wsg_sim::{Config, Part};
 
-const NODE: NodeConfig = DEFAULT_NODE;
 /// Default of BUS_TIMEOUT.
 const TIMEOUT_MS: u32 = 1_000;
 
-/// A master on the bus.
-struct Master {
-    rig: World,
-    /// The last image sent.
-    image: [u8; 8],
-    heard: Vec<(u32, u16, Vec<u8>)>,
+/// A master that also transfers SDOs.
+struct Master(canopen::Master);
+
+impl Deref for Master {
+    type Target = canopen::Master;
+
+    fn deref(&self) -> &canopen::Master {
+        &self.0
+    }
+}
+
+impl DerefMut for Master {
+    fn deref_mut(&mut self) -> &mut canopen::Master {
+        &mut self.0
+    }
 }
 
 impl Master {
     fn new(config: Config) -> Self {
-        let rig = World::with_node(config, NODE);
-        Self { rig, image: [0; 8], heard: Vec::new() }
+        Self(canopen::Master::of(World::with_node(config, NODE)))
     }
 
     /// Returns a master of an operational node: connected, FAST STOP acknowledged, homed. The heartbeat is sent
@@ -44,17 +55,17 @@ impl Master {
     fn homed(part: Option<f32>, time_scale: f32) -> Self {
         let part = part.map(|width| Part::of_width(width).unwrap());
         let mut master = Self::new(Config { part, time_scale, ..Config::default() });
-        master.rig.can.beats = true;
+        master.world.can.beats = true;
         master.pass(500);
-        master.nmt(NmtCommand::StartRemoteNode);
+        master.start();
         master.command(Cmd::empty());
         master.command(Cmd::STOP_ACK);
         master.command(Cmd::HOMING);
         master.until(20_000, |master| {
-            master.state() == GripperFlags::IDLE && master.is(SystemFlags::REFERENCED)
+            master.state() == GripperFlags::IDLE && master.system().contains(SystemFlags::REFERENCED)
         });
         master.command(Cmd::empty());
-        master.rig.take_motions();
+        master.world.take_motions();
         master
     }
 
@@ -62,32 +73,16 @@ impl Master {
     fn moving() -> Self {
         let mut master = Self::homed(None, 1.0);
         master.command(Cmd::MOVE);
-        master.until(1_000, |master| master.is(SystemFlags::MOVING));
-        master.rig.take_sent();
+        master.until(1_000, |master| master.system().contains(SystemFlags::MOVING));
+        master.world.take_sent();
         master
     }
 
-    fn pass(&mut self, ms: u32) {
-        self.rig.pass(ms);
-        let to_gripper = Identifiers::DEFAULT.controller().transmit.as_raw();
-        self.heard.extend(self.rig.can.take_frames().into_iter().filter(|(_, id, _)| *id != to_gripper));
+    fn start(&mut self) {
+        self.command_node(NmtCommand::StartRemoteNode);
     }
 
-    fn until(&mut self, bound_ms: u32, wanted: impl Fn(&Self) -> bool) {
-        for _ in 0..bound_ms {
-            self.pass(1);
-            if wanted(self) {
-                return;
-            }
-        }
-        panic!("not within {bound_ms} ms: {:?} {:?}", self.state(), self.system());
-    }
-
-    fn send(&mut self, id: u16, data: &[u8]) {
-        self.rig.can.send(id, data);
-    }
-
-    fn nmt(&mut self, command: NmtCommand) {
+    fn command_node(&mut self, command: NmtCommand) {
         let frame = nmt::encode_command(command, NodeId::new(NODE.node).unwrap());
         self.send(0, &frame);
         self.pass(5);
@@ -95,45 +90,8 @@ impl Master {
 
     /// Writes the output image.
     fn command(&mut self, flags: Cmd) {
-        self.image[0] = flags.bits();
-        self.image[2..4].copy_from_slice(&2_000i16.to_le_bytes());
-        self.image[4..6].copy_from_slice(&5_000u16.to_le_bytes());
-        self.image[6..8].copy_from_slice(&4_000i16.to_le_bytes());
-        self.send(0x200 | u16::from(NODE.node), &self.image.clone());
-        self.pass(5);
-    }
-
-    /// Returns the last TPDO of a kind.
-    fn tpdo(&self, base: u16) -> Option<&[u8]> {
-        let id = base | u16::from(NODE.node);
-        self.heard.iter().rev().find(|(_, other, _)| *other == id).map(|(_, _, data)| &data[..])
-    }
-
-    fn state(&self) -> GripperFlags {
-        GripperFlags::from_bits_retain(self.tpdo(0x180).map_or(0, |data| data[0]))
-    }
-
-    fn system(&self) -> SystemFlags {
-        let bits = self.tpdo(0x180).map_or(0, |data| u32::from_le_bytes(data[2..6].try_into().unwrap()));
-        SystemFlags::from_bits_retain(bits)
-    }
-
-    fn is(&self, flag: SystemFlags) -> bool {
-        self.system().contains(flag)
-    }
-
-    fn status(&self) -> Status {
-        Status::from_code(self.tpdo(0x180).map_or(0, |data| u16::from_le_bytes([data[6], data[7]])))
-    }
-
-    /// Returns the frames of one kind received since the last call, with their times.
-    fn take(&mut self, base: u16) -> Vec<(u32, Vec<u8>)> {
-        let id = base | u16::from(NODE.node);
-        let (found, rest) =
-            std::mem::take(&mut self.heard).into_iter().partition(|(_, other, _)| *other == id);
-        self.heard = rest;
-        let found: Vec<(u32, u16, Vec<u8>)> = found;
-        found.into_iter().map(|(at, _, data)| (at, data)).collect()
+        self.image = OutputImage { flags, ..PARAMETERS };
+        self.write_image();
     }
 
     /// Returns codes and error registers of the emergencies received since the last call.
@@ -227,8 +185,8 @@ fn node_sends_its_boot_up_message_and_heartbeats() {
         "{beats:?}"
     );
     assert_eq!(master.tpdo(0x180), None, "no PDOs yet");
-    master.nmt(NmtCommand::StartRemoteNode);
-    assert_eq!(master.rig.node().state(), NmtState::Operational);
+    master.start();
+    assert_eq!(master.world.node().state(), NmtState::Operational);
     assert!(master.tpdo(0x180).is_some() && master.tpdo(0x280).is_some());
     master.take(0x700);
     master.pass(500);
@@ -242,32 +200,15 @@ fn nmt_commands_for_other_nodes_and_invalid_ones_change_nothing() {
     for data in [&[1, NODE.node + 1][..], &[1], &[1, NODE.node, 0], &[9, NODE.node], &[]] {
         master.send(0, data);
         master.pass(5);
-        assert_eq!(master.rig.node().state(), NmtState::PreOperational, "{data:?}");
+        assert_eq!(master.world.node().state(), NmtState::PreOperational, "{data:?}");
     }
     for (specifier, state) in
         [(1, NmtState::Operational), (2, NmtState::Stopped), (128, NmtState::PreOperational)]
     {
         master.send(0, &[specifier, 0]);
         master.pass(5);
-        assert_eq!(master.rig.node().state(), state, "by broadcast");
+        assert_eq!(master.world.node().state(), state, "by broadcast");
     }
-}
-
-#[test]
-fn grip_cycle_by_pdo() {
-    let mut master = Master::homed(Some(20.0), 10.0);
-    master.command(Cmd::GRIP);
-    master.until(10_000, |master| master.state() == GripperFlags::HOLDING);
-    assert_eq!(master.status(), Status::Success, "state and status in one frame");
-    master.pass(200);
-    let measured = master.tpdo(0x280).unwrap().to_vec();
-    let width = i16::from_le_bytes([measured[0], measured[1]]);
-    let force = i16::from_le_bytes([measured[2], measured[3]]);
-    assert!((1_900..2_000).contains(&width) && (3_900..=4_100).contains(&force), "{width} {force}");
-
-    master.command(Cmd::RELEASE);
-    master.until(10_000, |master| master.state() == GripperFlags::IDLE);
-    assert_eq!(master.rig.take_motions(), [CommandId::GripPart, CommandId::ReleasePart]);
 }
 
 #[test]
@@ -286,30 +227,12 @@ fn rpdo_takes_effect_only_in_operation_and_only_complete() {
         [(0x8210, 0x11), (0x8210, 0x11), (0x8210, 0x11), (0, 0)],
         "reported, but limited in rate"
     );
-    master.nmt(NmtCommand::EnterPreOperational);
+    master.command_node(NmtCommand::EnterPreOperational);
     master.command(Cmd::MOVE);
-    master.nmt(NmtCommand::StopRemoteNode);
+    master.command_node(NmtCommand::StopRemoteNode);
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.rig.take_motions(), []);
-}
-
-#[test]
-fn first_image_after_the_start_gives_no_edge_but_fast_stop() {
-    let mut master = Master::homed(None, 10.0);
-    master.nmt(NmtCommand::EnterPreOperational);
-    master.nmt(NmtCommand::StartRemoteNode);
-    master.command(Cmd::MOVE | Cmd::JOG_PLUS);
-    master.pass(200);
-    assert_eq!(master.rig.take_motions(), []);
-    master.command(Cmd::empty());
-    master.command(Cmd::MOVE);
-    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
-
-    master.nmt(NmtCommand::EnterPreOperational);
-    master.nmt(NmtCommand::StartRemoteNode);
-    master.command(Cmd::FASTSTOP);
-    master.until(500, |master| master.is(SystemFlags::FAST_STOP));
+    assert_eq!(master.world.take_motions(), []);
 }
 
 #[test]
@@ -321,30 +244,30 @@ fn all_edges_within_one_millisecond_take_effect() {
     for flags in [Cmd::MOVE, Cmd::empty(), Cmd::FASTSTOP, Cmd::empty()] {
         master.send(id, &image(flags));
     }
-    master.until(500, |master| master.is(SystemFlags::FAST_STOP));
+    master.until(500, |master| master.system().contains(SystemFlags::FAST_STOP));
 }
 
 #[test]
 fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
     let mut master = Master::moving();
     master.emergencies();
-    master.rig.can.beats = false;
+    master.world.can.beats = false;
     // RPDOs do not replace a heartbeat that was received before.
     for _ in 0..TIMEOUT_MS / 100 - 3 {
         master.command(Cmd::MOVE);
         master.pass(95);
     }
-    assert_eq!(master.rig.node().state(), NmtState::Operational, "not before the time-out");
+    assert_eq!(master.world.node().state(), NmtState::Operational, "not before the time-out");
     master.pass(400);
-    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
+    assert_eq!(master.world.node().state(), NmtState::PreOperational);
     assert_eq!(master.emergencies(), [(code_of("the master is silent"), 0x11)]);
-    assert!(master.rig.take_sent().contains(&CommandId::Stop), "default of BUS_REACTION");
+    assert!(master.world.take_sent().contains(&CommandId::Stop), "default of BUS_REACTION");
     let timeouts = master.read_u16(REPORTS_INDEX, report("BUS_TIMEOUTS"));
     assert_eq!(timeouts, 1);
 
     // The fault ends when the master starts the node again.
-    master.rig.can.beats = true;
-    master.nmt(NmtCommand::StartRemoteNode);
+    master.world.can.beats = true;
+    master.start();
     assert_eq!(master.emergencies(), [(0, 0)]);
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
@@ -354,19 +277,19 @@ fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
 #[test]
 fn master_without_a_heartbeat_is_monitored_by_its_rpdo() {
     let mut master = Master::homed(None, 1.0);
-    master.rig.can.beats = false;
+    master.world.can.beats = false;
     master.pass(2 * TIMEOUT_MS);
-    master.nmt(NmtCommand::StartRemoteNode);
-    master.rig.take_motions();
+    master.start();
+    master.world.take_motions();
     for _ in 0..2 * TIMEOUT_MS / 100 {
         master.command(Cmd::empty());
         master.pass(95);
     }
-    assert_eq!(master.rig.node().state(), NmtState::Operational);
+    assert_eq!(master.world.node().state(), NmtState::Operational);
     master.command(Cmd::MOVE);
     master.pass(TIMEOUT_MS + 10);
-    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
-    assert!(master.rig.take_sent().contains(&CommandId::Stop));
+    assert_eq!(master.world.node().state(), NmtState::PreOperational);
+    assert!(master.world.take_sent().contains(&CommandId::Stop));
 }
 
 #[test]
@@ -374,8 +297,8 @@ fn restarted_master_no_longer_commands() {
     let mut master = Master::moving();
     master.send(0x700 | u16::from(NODE.master), &[0]);
     master.pass(20);
-    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
-    assert!(master.rig.take_sent().contains(&CommandId::Stop));
+    assert_eq!(master.world.node().state(), NmtState::PreOperational);
+    assert!(master.world.take_sent().contains(&CommandId::Stop));
 }
 
 #[test]
@@ -387,9 +310,9 @@ fn nmt_stop_and_resets_stop_a_motion() {
         NmtCommand::ResetCommunication,
     ] {
         let mut master = Master::moving();
-        master.nmt(command);
+        master.command_node(command);
         master.pass(20);
-        assert!(master.rig.take_sent().contains(&CommandId::Stop), "{command:?}");
+        assert!(master.world.take_sent().contains(&CommandId::Stop), "{command:?}");
     }
 }
 
@@ -402,7 +325,7 @@ fn reset_of_the_node_restores_settings_and_reset_of_communication_does_not() {
         master.download(SETTINGS_INDEX, recipe, Value::Unsigned16(1_234)).unwrap();
         master.download(0x1017, 0, Value::Unsigned16(50)).unwrap();
         master.take(0x700);
-        master.nmt(command);
+        master.command_node(command);
         assert_eq!(master.take(0x700)[0].1, [0], "boot-up after {command:?}");
         assert_eq!(master.read_u16(SETTINGS_INDEX, recipe), width, "{command:?}");
         assert_eq!(master.read_u16(0x1017, 0), NODE.heartbeat_ms);
@@ -418,7 +341,7 @@ fn two_resets_in_one_turn_are_both_executed() {
         master.download(SETTINGS_INDEX, recipe, Value::Unsigned16(1_234)).unwrap();
         for specifier in specifiers {
             let frame = ClassicFrame::new(StandardId::ZERO, &[specifier, NODE.node]).unwrap();
-            master.rig.can.double.bring(frame);
+            master.world.can.double.bring(frame);
         }
         master.pass(5);
         assert_eq!(master.read_u16(SETTINGS_INDEX, recipe), 1_000, "{specifiers:02X?}");
@@ -459,7 +382,7 @@ fn each_fault_sets_the_bit_of_its_class_in_the_error_register() {
 fn bus_off_is_reported_after_the_recovery() {
     let mut master = Master::homed(None, 10.0);
     master.emergencies();
-    master.rig.can.double.go_off(0);
+    master.world.can.double.go_off(0);
     master.pass(2_000);
     let codes: Vec<u16> = master.emergencies().into_iter().map(|(code, _)| code).collect();
     assert!(codes.contains(&0x8140), "{codes:04X?}");
@@ -471,20 +394,20 @@ fn bus_off_is_reported_after_the_recovery() {
 #[test]
 fn bus_off_ends_operation_until_the_master_starts_it_again() {
     let mut master = Master::homed(None, 10.0);
-    master.rig.can.double.go_off(0);
+    master.world.can.double.go_off(0);
     master.pass(2);
-    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
+    assert_eq!(master.world.node().state(), NmtState::PreOperational);
     master.pass(2_000);
     assert_eq!(master.take(0x700).last().map(|(_, state)| state.clone()), Some(vec![0x7F]));
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.rig.take_motions(), []);
-    master.nmt(NmtCommand::StartRemoteNode);
+    assert_eq!(master.world.take_motions(), []);
+    master.start();
     master.command(Cmd::empty());
     master.command(Cmd::STOP_ACK);
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.world.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
@@ -520,7 +443,7 @@ fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
 #[test]
 fn error_counters_are_those_of_the_controller() {
     let mut master = Master::homed(None, 10.0);
-    master.rig.can.double.set_health(Health {
+    master.world.can.double.set_health(Health {
         is_off: false,
         is_passive: true,
         transmit_errors: 130,
@@ -542,10 +465,10 @@ fn recipe_is_read_written_and_used_by_the_wires() {
     assert_eq!(master.read_u16(SETTINGS_INDEX, width), 2_000);
     assert_eq!(master.download(SETTINGS_INDEX, width, Value::Unsigned16(3_300)), Ok(()));
     assert_eq!(master.read_u16(SETTINGS_INDEX, width), 3_300);
-    master.rig.set(Inputs::MOVE, true);
+    master.world.set(Inputs::MOVE, true);
     master.pass(20);
     master.until(10_000, |master| master.state() == GripperFlags::IDLE);
-    assert!((master.rig.gripper().state().width - 33.0).abs() < 0.05);
+    assert!((master.world.gripper().state().width - 33.0).abs() < 0.05);
 }
 
 #[test]
@@ -580,7 +503,7 @@ fn sdo_abort_states_the_reason() {
     assert_eq!(master.read_u16(0x1017, 0), 300);
 
     master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
+    master.until(1_000, |master| master.system().contains(SystemFlags::MOVING));
     assert_eq!(master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(0)), Err(0x0800_0022));
     assert_eq!(
         master.download(SETTINGS_INDEX, reaction, Value::Unsigned16(3)),
@@ -597,7 +520,7 @@ fn truncated_sdo_requests_and_aborts_of_the_client_get_no_response() {
         master.send(0x600 | u16::from(NODE.node), data);
         master.pass(10);
     }
-    master.nmt(NmtCommand::StopRemoteNode);
+    master.command_node(NmtCommand::StopRemoteNode);
     master.send(0x600 | u16::from(NODE.node), &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]);
     master.pass(10);
     assert_eq!(master.take(0x580), []);
@@ -746,7 +669,7 @@ fn failed_or_late_save_is_reported_by_its_sdo() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let slow = 20;
-    master.rig.flash.busy_polls = slow;
+    master.world.flash.busy_polls = slow;
     master.send(0x600 | u16::from(NODE.node), &sdo_request(0x1010, SAVE));
     master.pass(slow);
     assert_eq!(master.take(0x580), [], "the save is running");
@@ -762,7 +685,7 @@ fn failed_or_late_save_is_reported_by_its_sdo() {
         for (object, signature) in [(0x1010, SAVE), (0x1011, LOAD)] {
             let mut master = Master::new(Config::default());
             master.pass(500);
-            master.rig.flash.fault = Some(fault);
+            master.world.flash.fault = Some(fault);
             let sub = setting("DEBOUNCE");
             assert_eq!(master.download(SETTINGS_INDEX, sub, Value::Unsigned16(9)), Ok(()));
             assert_eq!(master.store(object, signature), Err(0x0606_0000), "{object:X}h, {fault:?}");
@@ -804,21 +727,21 @@ fn disabled_rpdo_commands_nothing_and_stops_its_motion() {
     let mut master = Master::moving();
     master.download(0x1400, 1, RPDO_OFF).unwrap();
     master.pass(10);
-    assert!(master.rig.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
-    master.until(1_000, |master| !master.is(SystemFlags::MOVING));
-    master.rig.take_motions();
+    assert!(master.world.take_sent().contains(&CommandId::Stop), "as after a time-out of the master");
+    master.until(1_000, |master| !master.system().contains(SystemFlags::MOVING));
+    master.world.take_motions();
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
     master.command(Cmd::FASTSTOP);
     master.pass(100);
-    assert_eq!(master.rig.take_motions(), []);
+    assert_eq!(master.world.take_motions(), []);
     master.download(0x1400, 1, RPDO_ON).unwrap();
     master.command(Cmd::MOVE);
     master.pass(100);
-    assert_eq!(master.rig.take_motions(), [], "the first image gives no edge");
+    assert_eq!(master.world.take_motions(), [], "the first image gives no edge");
     master.command(Cmd::empty());
     master.command(Cmd::MOVE);
-    assert_eq!(master.rig.take_motions(), [CommandId::PrePosition]);
+    assert_eq!(master.world.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]
@@ -831,7 +754,7 @@ fn grip_cycle_with_sync() {
     master.take(0x180);
     master.command(Cmd::GRIP);
     master.pass(100);
-    assert_eq!((master.take(0x180), master.rig.take_motions()), (vec![], vec![]), "not without a SYNC");
+    assert_eq!((master.take(0x180), master.world.take_motions()), (vec![], vec![]), "not without a SYNC");
     let mut holding = false;
     for _ in 0..1_000 {
         master.send(0x080, &[]);
@@ -841,10 +764,10 @@ fn grip_cycle_with_sync() {
         holding |= tpdos[0].1[0] == GripperFlags::HOLDING.bits();
     }
     assert!(holding);
-    assert_eq!(master.rig.take_motions(), [CommandId::GripPart]);
+    assert_eq!(master.world.take_motions(), [CommandId::GripPart]);
     // A FAST STOP does not wait for SYNC.
     master.command(Cmd::FASTSTOP);
-    assert!(master.rig.take_sent().contains(&CommandId::FastStop));
+    assert!(master.world.take_sent().contains(&CommandId::FastStop));
 }
 
 #[test]
@@ -854,21 +777,11 @@ fn rpdos_are_monitored_without_a_heartbeat_consumer() {
     assert_eq!(master.upload(0x1016, 1, Theirs::Unsigned32), Ok(Value::Unsigned32(0)));
     assert_eq!(u32::from(master.read_u16(SETTINGS_INDEX, setting("BUS_TIMEOUT"))), TIMEOUT_MS);
     master.command(Cmd::MOVE);
-    master.until(1_000, |master| master.is(SystemFlags::MOVING));
-    master.rig.take_sent();
+    master.until(1_000, |master| master.system().contains(SystemFlags::MOVING));
+    master.world.take_sent();
     // The heartbeat continues without an effect.
     master.pass(TIMEOUT_MS + 10);
-    assert!(master.rig.take_sent().contains(&CommandId::Stop));
-}
-
-#[test]
-fn silent_gripper_is_an_error_in_the_tpdo_also_at_rest() {
-    let mut master = Master::homed(None, 10.0);
-    assert_eq!((master.state(), master.status()), (GripperFlags::IDLE, Status::Success));
-    master.rig.can.to_gripper = Some(Box::new(|_| vec![]));
-    master.rig.can.to_bridge = Some(Box::new(|_| vec![]));
-    master.pass(2_000);
-    assert_eq!((master.state(), master.status()), (GripperFlags::ERROR, Status::IoError));
+    assert!(master.world.take_sent().contains(&CommandId::Stop));
 }
 
 #[test]
@@ -925,23 +838,12 @@ fn consumer_heartbeat_object_selects_the_master_and_changes_the_setting() {
     assert_eq!(value, Value::Unsigned32(u32::from(NODE.master) << 16 | TIMEOUT_MS));
     master.download(0x1016, 1, Value::Unsigned32(5 << 16 | 300)).unwrap();
     assert_eq!(master.read_u16(SETTINGS_INDEX, setting("BUS_TIMEOUT")), 300);
-    master.nmt(NmtCommand::StartRemoteNode);
+    master.start();
     master.send(0x705, &[5]);
     master.pass(290);
-    assert_eq!(master.rig.node().state(), NmtState::Operational);
+    assert_eq!(master.world.node().state(), NmtState::Operational);
     master.pass(20);
-    assert_eq!(master.rig.node().state(), NmtState::PreOperational);
-}
-
-#[test]
-fn wires_keep_their_priority_over_a_plc_on_the_bus() {
-    let mut master = Master::homed(None, 1.0);
-    master.rig.set(Inputs::FAST_STOP_OK, false);
-    master.until(500, |master| master.is(SystemFlags::FAST_STOP));
-    assert!(master.rig.outputs().contains(Outputs::ERROR));
-    master.command(Cmd::STOP_ACK);
-    master.pass(100);
-    assert!(master.is(SystemFlags::FAST_STOP), "the wire is still low");
+    assert_eq!(master.world.node().state(), NmtState::PreOperational);
 }
 
 #[test]
@@ -957,8 +859,8 @@ fn traffic_of_the_node_does_not_delay_messages_to_the_gripper() {
     master.download(0x1017, 0, Value::Unsigned16(1)).unwrap();
     master.command(Cmd::GRIP);
     master.until(10_000, |master| master.state() == GripperFlags::HOLDING);
-    assert_eq!(master.rig.can.broken(), 0);
-    assert_eq!(master.rig.can_bus().counters().refused, 0);
+    assert_eq!(master.world.can.broken(), 0);
+    assert_eq!(master.world.can_bus().counters().refused, 0);
 }
 
 #[test]
@@ -984,13 +886,13 @@ fn rejected_frames_are_sent_again() {
         master.pass(1);
     }
     // The controller rejects the next frames. Without a change, they are due 100 ms after these, and again every 100 ms.
-    master.rig.can.double.refuse(true);
+    master.world.can.double.refuse(true);
     for pdo in PDOS {
         master.take(pdo);
     }
     master.pass(120);
     assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [0, 0]);
-    master.rig.can.double.refuse(false);
+    master.world.can.double.refuse(false);
     master.pass(5);
     assert_eq!(PDOS.map(|pdo| master.take(pdo).len()), [1, 1]);
 }
@@ -1056,26 +958,26 @@ fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
             let mut master = Master::homed(None, 1.0);
             if !beats {
                 // Without the heartbeat received so far.
-                master.rig.can.beats = false;
+                master.world.can.beats = false;
                 master.pass(2 * TIMEOUT_MS);
-                master.nmt(NmtCommand::StartRemoteNode);
+                master.start();
                 master.command(Cmd::empty());
             }
             master.command(Cmd::MOVE);
-            master.until(1_000, |master| master.is(SystemFlags::MOVING));
+            master.until(1_000, |master| master.system().contains(SystemFlags::MOVING));
             if beats {
                 master.send(of_master, &[5]);
-                master.rig.can.beats = false;
+                master.world.can.beats = false;
             } else {
                 master.command(Cmd::MOVE);
             }
-            master.rig.take_sent();
+            master.world.take_sent();
             let mut pass = |ms: u32| {
                 for _ in 0..ms / 10 {
-                    master.rig.can.queue(*frame);
+                    master.world.can.queue(*frame);
                     master.pass(10);
                 }
-                (master.rig.node().state(), master.rig.take_sent().contains(&CommandId::Stop))
+                (master.world.node().state(), master.world.take_sent().contains(&CommandId::Stop))
             };
             assert_eq!(pass(TIMEOUT_MS - 20), (NmtState::Operational, false), "too early with {what}");
             assert_eq!(pass(40), (NmtState::PreOperational, true), "with {what}, heartbeat: {beats}");

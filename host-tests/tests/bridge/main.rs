@@ -5,6 +5,7 @@
 mod canopen;
 mod causes;
 mod events;
+mod every_bus;
 mod gripper_on_can;
 mod indicator;
 // Its model is a part of the emulated boards, which need Unix.

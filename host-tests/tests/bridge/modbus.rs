@@ -2,78 +2,11 @@
 
 use host_tests::addresses::{report, setting};
 use host_tests::world::modbus::*;
-use host_tests::world::{World, quick, with_part};
+use host_tests::world::{quick, with_part};
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::registers::{FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS};
-use wsg_bridge_fw::{BusConfig, Config, ControlSource, RECIPES};
-use wsg_fieldbus::SilenceReaction;
-use wsg_protocol::types::SoftLimits;
-use wsg_protocol::{Command, CommandId, Status, SystemFlags};
-
-#[test]
-fn grip_cycle_over_the_bus() {
-    let mut rig = Master::homed(with_part(20.0));
-    rig.take_motions();
-    for _ in 0..20 {
-        rig.command(MOVE, 80_00, 200_00, 40_00);
-        assert_eq!((rig.state(), rig.status()), (IDLE, SUCCESS));
-        rig.pass(20);
-        assert_eq!(rig.input(3, 1).unwrap(), [80_00]);
-        rig.command(GRIP, 20_00, 50_00, 40_00);
-        assert_eq!((rig.state(), rig.status()), (HOLDING, SUCCESS));
-        rig.pass(30);
-        let measured = rig.input(3, 2).unwrap();
-        assert!(measured[0].abs_diff(20_00) <= 50 && measured[1].abs_diff(40_00) <= 1_00, "{measured:?}");
-        rig.command(RELEASE, 40_00, 50_00, 40_00);
-        assert_eq!((rig.state(), rig.status()), (IDLE, SUCCESS));
-    }
-    let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(rig.take_motions(), cycle.repeat(20));
-    assert_eq!(rig.bridge().counters(), wsg_bridge_fw::Counters::default());
-}
-
-#[test]
-fn missing_and_lost_parts_are_shown_in_gstate() {
-    let mut rig = Master::homed(quick());
-    rig.command(GRIP, 20_00, 50_00, 40_00);
-    assert_eq!((rig.state(), rig.status()), (NO_PART, 18), "E_CMD_FAILED");
-    let mut rig = Master::homed(with_part(20.0));
-    rig.command(GRIP, 20_00, 50_00, 40_00);
-    let now = rig.now();
-    rig.gripper().set_part(None, now);
-    rig.pass(100);
-    assert_eq!(rig.state(), PART_LOST);
-}
-
-#[test]
-fn lowest_of_simultaneous_edges_is_executed() {
-    let mut rig = Master::homed(quick());
-    rig.take_motions();
-    rig.command(MOVE | GRIP | HOMING, 40_00, 50_00, 40_00);
-    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
-}
-
-#[test]
-fn parameter_change_during_a_motion_and_speed_out_of_range_are_a_fast_stop() {
-    for second in [[u16::from(MOVE) << 8, 30_01, 50_00, 40_00], [u16::from(MOVE) << 8, 30_00, 51_00, 40_00]] {
-        let mut rig = Master::homed(quick());
-        rig.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
-        rig.pass(10);
-        rig.write(0, &second);
-        rig.pass(20);
-        assert!(rig.bit(16 + 12), "FAST_STOP");
-        assert_eq!(rig.state(), IDLE);
-    }
-    let mut rig = Master::homed(quick());
-    rig.write(0, &[u16::from(MOVE) << 8, 30_00, 1, 40_00]);
-    rig.pass(20);
-    assert!(rig.bit(16 + 12));
-    rig.write(0, &[0, 30_00, 50_00, 40_00]);
-    rig.command(STOP_ACK, 30_00, 50_00, 40_00);
-    assert!(!rig.bit(16 + 12));
-    rig.command(MOVE, 30_00, 50_00, 40_00);
-    assert_eq!(rig.status(), SUCCESS);
-}
+use wsg_bridge_fw::{BusConfig, Config, RECIPES};
+use wsg_protocol::{CommandId, Status};
 
 #[test]
 fn jog_moves_while_its_coil_is_set() {
@@ -94,107 +27,6 @@ fn jog_moves_while_its_coil_is_set() {
     assert!(stands > from && stands < 109.0, "{stands}");
     rig.pass(500);
     assert_eq!(rig.gripper().state().width, stands);
-}
-
-/// Fieldbus, 6.7; command set, 3.3.5: limits at 40 and 80 mm, over the bridge's own session.
-#[test]
-fn jog_runs_to_the_soft_limits_of_the_gripper_and_sets_their_flags() {
-    let parameters = [0, 40_00, 40_00];
-    let mut rig = Master::homed(quick());
-    rig.command(MOVE, 60_00, 400_00, 40_00);
-    let now = rig.now();
-    let limits = Command::SetSoftLimits { limits: SoftLimits { minus: 40.0, plus: 80.0 } };
-    assert_eq!(rig.gripper().command(&limits, now), Status::Success);
-    for (flag, limit, reached) in
-        [(JOG_PLUS, 80.0, SystemFlags::SOFT_LIMIT_PLUS), (JOG_MINUS, 40.0, SystemFlags::SOFT_LIMIT_MINUS)]
-    {
-        rig.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
-        rig.pass(2_000);
-        let state = rig.gripper().state();
-        assert!((state.width - limit).abs() < 0.05 && state.flags.contains(reached), "{state:?}");
-        assert_eq!((rig.state(), rig.status()), (IDLE, SUCCESS));
-        assert!(rig.bit(16 + reached.bits().trailing_zeros() as u16), "SYSSTATE");
-        rig.write(0, &[&[0], &parameters[..]].concat());
-        rig.write(0, &[&[u16::from(flag) << 8], &parameters[..]].concat());
-        rig.pass(500);
-        assert_eq!((rig.state(), rig.status()), (IDLE, Status::RangeError.code()), "already at the limit");
-        assert!((rig.gripper().state().width - limit).abs() < 0.05);
-        rig.write(0, &[&[0], &parameters[..]].concat());
-    }
-}
-
-/// A bus subscribes to width and force in addition to the states.
-#[test]
-fn restart_of_the_gripper_is_shown_on_the_bus_as_unreferenced_within_250_ms() {
-    for offset_ms in (0..200).step_by(7) {
-        let mut rig = Master::homed(quick());
-        rig.pass(offset_ms);
-        rig.restart_gripper(quick());
-        rig.pass(250);
-        // SYSSTATE, byte 2 and bit 0, in the high byte of the second register.
-        assert_eq!(rig.input(1, 1).unwrap()[0] >> 8 & 1, 0, "REFERENCED, {offset_ms}");
-    }
-}
-
-/// STOP/ACK in a master's first image is no edge, but its level blocks motions (fieldbus, table 1).
-#[test]
-fn stop_in_the_first_image_of_the_bus_keeps_ready_low_and_refuses_the_wires() {
-    let mut rig = Master::new(Config::DEFAULT, quick());
-    rig.pass(200);
-    rig.write(0, &[u16::from(STOP_ACK) << 8, 0, 0, 0]);
-    rig.pass(100);
-    let held = Outputs::LINK_OK;
-    assert_eq!(rig.outputs(), held, "no READY");
-    rig.set(Inputs::HOME, true);
-    rig.pass(100);
-    assert_eq!((rig.outputs(), rig.take_motions()), (held | Outputs::ERROR, vec![]));
-    rig.set(Inputs::HOME, false);
-    rig.write(0, &[0, 0, 0, 0]);
-    rig.pass(20);
-    assert!(rig.outputs().contains(Outputs::READY), "{:?}", rig.outputs());
-    assert_eq!(World::command(&mut rig, Inputs::HOME), held | Outputs::READY | Outputs::REFERENCED);
-}
-
-#[test]
-fn silent_master_ends_a_jog_even_with_reaction_hold() {
-    let bus = BusConfig { reaction: SilenceReaction::Hold, ..BusConfig::DEFAULT };
-    let mut rig = Master::ready_with(Config { bus, ..Config::DEFAULT }, quick());
-    rig.command(HOMING, 0, 0, 0);
-    rig.command(MOVE, 10_00, 400_00, 40_00);
-    rig.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
-    rig.take_sent();
-    rig.pass(1_100);
-    assert!(rig.take_sent().contains(&CommandId::Stop));
-    let stands = rig.gripper().state().width;
-    // The PLC resumes with its button still pressed.
-    rig.write(0, &[u16::from(JOG_PLUS) << 8, 10_00, 5_00, 40_00]);
-    rig.pass(200);
-    assert_eq!(rig.gripper().state().width, stands);
-}
-
-#[test]
-fn silent_master_holds_stops_or_fast_stops_its_motion() {
-    for (reaction, expected) in [
-        (SilenceReaction::Hold, None),
-        (SilenceReaction::Stop, Some(CommandId::Stop)),
-        (SilenceReaction::FastStop, Some(CommandId::FastStop)),
-    ] {
-        let bus = BusConfig { reaction, timeout_ms: 300, ..BusConfig::DEFAULT };
-        let mut rig = Master::ready_with(Config { bus, ..Config::DEFAULT }, wsg_sim::Config::default());
-        rig.command(HOMING, 0, 0, 0);
-        rig.write(0, &[u16::from(MOVE) << 8, 10_00, 10_00, 40_00]);
-        rig.take_sent();
-        rig.pass(250);
-        let stops = |rig: &mut Master| {
-            rig.take_sent().into_iter().find(|id| matches!(id, CommandId::Stop | CommandId::FastStop))
-        };
-        assert_eq!(stops(&mut rig), None, "too early");
-        rig.pass(100);
-        assert_eq!(stops(&mut rig), expected, "{reaction:?}");
-        rig.pass(1_000);
-        assert_eq!(stops(&mut rig), None, "only once");
-        assert_eq!(rig.input(report("BUS_TIMEOUTS"), 1), Ok(vec![1]));
-    }
 }
 
 #[test]
@@ -252,14 +84,6 @@ fn silent_master_that_only_read_stops_no_motion() {
 }
 
 #[test]
-fn part_stays_held_while_the_master_is_silent() {
-    let mut rig = Master::homed(with_part(20.0));
-    rig.command(GRIP, 20_00, 50_00, 40_00);
-    rig.pass(5_000);
-    assert_eq!(rig.state(), HOLDING);
-}
-
-#[test]
 fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
     // The bridge has just started, but the cycle of the PLC continues with its flags set.
     for (flags, reads) in [(HOMING | JOG_PLUS, false), (HOMING, true)] {
@@ -277,28 +101,6 @@ fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
         rig.write(0, &[u16::from(HOMING) << 8, 0, 50_00, 40_00]);
         rig.pass(10);
         assert_eq!(rig.take_motions(), [CommandId::Homing], "reads: {reads}");
-    }
-}
-
-#[test]
-fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
-    for phase_ms in 0..5 {
-        let mut rig = Master::homed(with_part(20.0));
-        rig.pass(2 * phase_ms);
-        for (flag, width, state, force) in [(GRIP, 20_00, HOLDING, 40_00), (RELEASE, 40_00, IDLE, 0)] {
-            rig.write(0, &[0, width, 50_00, 40_00]);
-            rig.write(0, &[u16::from(flag) << 8, width, 50_00, 40_00]);
-            let mut image = rig.input(0, 6).unwrap();
-            let start = rig.now().as_micros();
-            while image[5] == Status::CmdPending.code() {
-                assert!(rig.now().as_micros() - start < 20_000_000, "{image:?}");
-                image = rig.input(0, 6).unwrap();
-            }
-            rig.pass(2_000);
-            let later = rig.input(0, 6).unwrap();
-            assert_eq!(image, later, "nothing changes after the end");
-            assert_eq!((image[0] >> 8, image[4]), (u16::from(state), force));
-        }
     }
 }
 
@@ -358,77 +160,6 @@ fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
         }
     }
     assert_eq!(answers, 1, "one request is answered in that turn");
-}
-
-#[test]
-fn fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge() {
-    let mut rig = Master::homed(quick());
-    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
-    rig.pass(10);
-    rig.set(Inputs::FAST_STOP_OK, false);
-    rig.pass(20);
-    assert!(rig.bit(28), "FAST_STOP");
-    rig.write(0, &[0, 10_00, 50_00, 40_00]);
-    rig.command(STOP_ACK, 10_00, 50_00, 40_00);
-    assert!(rig.bit(28), "not while the wire is low");
-    rig.set(Inputs::FAST_STOP_OK, true);
-    rig.pass(10);
-    rig.command(STOP_ACK, 10_00, 50_00, 40_00);
-    assert!(!rig.bit(28));
-}
-
-#[test]
-fn fast_stop_of_the_bus_stops_a_motion_of_the_wires() {
-    let mut rig = Master::homed(quick());
-    rig.pulse(Inputs::MOVE);
-    rig.write(0, &[u16::from(FASTSTOP) << 8, 0, 0, 0]);
-    rig.pass(20);
-    assert!(rig.outputs().contains(Outputs::ERROR) && rig.bit(28));
-    rig.pulse(Inputs::STOP_ACK);
-    assert!(rig.bit(28), "the bus's FASTSTOP is still 1");
-}
-
-#[test]
-fn wires_command_while_one_of_them_is_high_and_the_bus_afterwards() {
-    let mut rig = Master::homed(quick());
-    rig.set(Inputs::MOVE, true);
-    rig.pass(3_000);
-    rig.take_motions();
-    rig.write(0, &[u16::from(MOVE) << 8, 30_00, 50_00, 40_00]);
-    rig.pass(50);
-    assert_eq!(rig.take_motions(), [], "the wire is high");
-    rig.set(Inputs::MOVE, false);
-    rig.pass(50);
-    assert_eq!(rig.take_motions(), [], "the bus's command is not executed later");
-    assert_eq!(rig.bridge().control_source(), ControlSource::Wires);
-    rig.write(0, &[0, 30_00, 50_00, 40_00]);
-    rig.command(MOVE, 30_00, 50_00, 40_00);
-    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
-    assert_eq!(rig.bridge().control_source(), ControlSource::Bus);
-    assert!((rig.gripper().state().width - 30.0).abs() < 0.05);
-}
-
-#[test]
-fn parameters_on_the_bus_do_not_disturb_a_motion_of_the_wires() {
-    let mut rig = Master::homed(quick());
-    rig.set(Inputs::MOVE, true);
-    rig.pass(20);
-    rig.write(0, &[0, 12_34, 100_00, 20_00]);
-    rig.pass(3_000);
-    assert!(!rig.bit(28), "no FAST STOP");
-    assert!((rig.gripper().state().width - 20.0).abs() < 0.05, "{}", rig.gripper().state().width);
-}
-
-#[test]
-fn second_motion_is_refused_and_the_first_still_ends() {
-    let mut rig = Master::homed(quick());
-    rig.take_motions();
-    rig.write(0, &[u16::from(MOVE) << 8, 10_00, 50_00, 40_00]);
-    rig.write(0, &[u16::from(MOVE | RELEASE) << 8, 10_00, 50_00, 40_00]);
-    assert_eq!(rig.status(), ALREADY_RUNNING);
-    rig.pass(3_000);
-    assert_eq!(rig.status(), SUCCESS);
-    assert_eq!(rig.take_motions(), [CommandId::PrePosition]);
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! The bridge over PROFIBUS, in virtual time: grip cycles, arbitration, time-outs and safety.
 
 use bus_profibus::{Baud, Character};
+use host_tests::world::plc::Plc;
 use host_tests::world::profibus::*;
-use host_tests::world::{quick, with_part};
-use wsg_bridge_fw::io::Inputs;
+use host_tests::world::quick;
 use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
 use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction};
-use wsg_protocol::{CommandId, Status, SystemFlags};
+use wsg_protocol::{CommandId, SystemFlags};
 use wsg_sim::{Fault, Time};
 
 /// Watchdog factor for 200 ms.
@@ -50,57 +50,6 @@ const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
 ];
 
 #[test]
-fn grip_cycle_over_profibus() {
-    let mut rig = Master::homed(with_part(20.0));
-    for _ in 0..10 {
-        rig.image = OutputImage { width: 80_00, speed: 200_00, ..rig.image };
-        rig.command(Flag::MOVE);
-        let input = rig.input();
-        assert_eq!((input.state, input.status, input.width), (Shown::IDLE, Status::Success, 80_00));
-        rig.image = OutputImage { width: 20_00, speed: 50_00, ..rig.image };
-        rig.command(Flag::GRIP);
-        let input = rig.input();
-        assert_eq!((input.state, input.status), (Shown::HOLDING, Status::Success));
-        assert!(input.width.abs_diff(20_00) <= 50 && input.force.abs_diff(40_00) <= 1_00, "{input:?}");
-        rig.image.width = 40_00;
-        rig.command(Flag::RELEASE);
-        let input = rig.input();
-        assert_eq!((input.state, input.status), (Shown::IDLE, Status::Success));
-    }
-    let cycle = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(rig.world.take_motions(), cycle.repeat(10));
-    assert_eq!(rig.world.bridge().counters(), wsg_bridge_fw::Counters::default());
-    assert_eq!(rig.world.bridge().control_source(), ControlSource::Bus);
-}
-
-#[test]
-fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it() {
-    for phase_ms in 0..5 {
-        let mut rig = Master::homed(with_part(20.0));
-        rig.pass(2 * phase_ms);
-        rig.image = OutputImage { width: 20_00, speed: 50_00, ..rig.image };
-        rig.set(Flag::GRIP);
-        let shown = (0..10_000).map(|_| rig.input()).find(|input| input.state == Shown::HOLDING);
-        rig.pass(2_000);
-        assert_eq!(shown, Some(rig.input()), "nothing changes after the end");
-    }
-}
-
-#[test]
-fn watchdog_of_the_master_stops_its_motion_in_time() {
-    for (reaction, expected) in REACTIONS {
-        let mut rig = moving(reaction);
-        rig.exchange();
-        rig.pass_silent(WATCHDOG_MS - 3);
-        assert_eq!(stops(&mut rig), [], "too early");
-        rig.pass_silent(6);
-        assert_eq!(stops(&mut rig), expected, "{reaction:?}");
-        rig.pass_silent(3_000);
-        assert_eq!(stops(&mut rig), [], "only once");
-    }
-}
-
-#[test]
 fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
     let clear = |rig: &mut Master, function: u8, number: u8| {
         if number == 0 {
@@ -127,7 +76,7 @@ fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
 fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
     // The first outputs after Clear are those before it, with the flag 0, or have the flag.
     for is_unchanged in [false, true] {
-        let mut rig = Master::homed(quick());
+        let mut rig = Master::homed(AT_500K, quick());
         rig.control(0x02, 0);
         rig.pass_silent(10);
         rig.set(if is_unchanged { Flag::empty() } else { Flag::GRIP });
@@ -140,22 +89,6 @@ fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
         rig.pass(20);
         assert_eq!(rig.world.take_motions(), [CommandId::GripPart], "unchanged: {is_unchanged}");
     }
-}
-
-#[test]
-fn first_outputs_after_power_up_start_nothing() {
-    let mut rig = Master::new(AT_500K, quick());
-    rig.pass_silent(200);
-    rig.start(WATCHDOG);
-    for _ in 0..5 {
-        rig.set(Flag::HOMING | Flag::JOG_PLUS);
-        rig.pass(20);
-    }
-    assert_eq!(rig.world.take_motions(), []);
-    rig.set(Flag::empty());
-    rig.set(Flag::HOMING);
-    rig.pass(20);
-    assert_eq!(rig.world.take_motions(), [CommandId::Homing]);
 }
 
 #[test]
@@ -344,7 +277,7 @@ fn clear_of_another_group_is_ignored() {
 
 #[test]
 fn configuration_inputs_and_outputs_are_readable_and_the_address_is_fixed() {
-    let mut rig = Master::homed(quick());
+    let mut rig = Master::homed(AT_500K, quick());
     rig.image.width = 33_00;
     let input = rig.input();
     let data = |answer: Vec<u8>| answer[9..answer.len() - 2].to_vec();
@@ -398,15 +331,6 @@ fn diagnosis_has_16_bytes_even_while_no_flag_is_known() {
 }
 
 #[test]
-fn missing_gripper_is_shown_as_an_error() {
-    let mut rig = Master::homed(quick());
-    rig.world.set_cut(true);
-    rig.pass(2_000);
-    let input = rig.exchange().1;
-    assert_eq!((input.state, input.status), (Shown::ERROR, Status::IoError));
-}
-
-#[test]
 fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
     let profibus = ProfibusConfig { rate: Some(Baud::M1_5), ..ProfibusConfig::DEFAULT };
     let slow = wsg_sim::Config::default();
@@ -426,7 +350,7 @@ fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
 
 #[test]
 fn repeated_outputs_are_one_edge() {
-    let mut rig = Master::homed(quick());
+    let mut rig = Master::homed(AT_500K, quick());
     rig.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x7D][..], &rig.image.to_bytes()].concat();
     let telegram = sd3(&body);
@@ -442,7 +366,7 @@ fn repeated_outputs_are_one_edge() {
 
 #[test]
 fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
-    let mut rig = Master::homed(quick());
+    let mut rig = Master::homed(AT_500K, quick());
     rig.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x5D][..], &rig.image.to_bytes()].concat();
     let telegram = sd3(&body);
@@ -461,22 +385,6 @@ fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
     rig.set(Flag::GRIP);
     rig.pass(10);
     assert_eq!(rig.world.take_motions(), [CommandId::GripPart]);
-}
-
-#[test]
-fn wires_command_in_parallel_with_profibus() {
-    let mut rig = Master::homed(quick());
-    rig.world.inputs.insert(Inputs::MOVE);
-    rig.pass(20);
-    assert_eq!(rig.world.take_motions(), [CommandId::PrePosition]);
-    rig.pass(2_000);
-    rig.set(Flag::GRIP);
-    rig.pass(20);
-    assert_eq!(rig.world.take_motions(), [], "a command wire is high");
-    assert_eq!(rig.world.bridge().control_source(), ControlSource::Wires);
-    rig.world.inputs.remove(Inputs::FAST_STOP_OK);
-    rig.pass(20);
-    assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP));
 }
 
 #[test]

@@ -49,8 +49,10 @@ fn tests_in(source: &str) -> Vec<String> {
         }
     }
     // Functions from which the macro makes tests.
-    let lists = source.split("on_both_boards!(").skip(1).filter_map(|rest| rest.split(");").next());
-    names.extend(lists.flat_map(|list| list.split(',').map(|name| name.trim().to_owned())));
+    for list in ["on_both_boards!(", "on_every_bus!("] {
+        let lists = source.split(list).skip(1).filter_map(|rest| rest.split(");").next());
+        names.extend(lists.flat_map(|list| list.split(',').map(|name| name.trim().to_owned())));
+    }
     names
 }
 
