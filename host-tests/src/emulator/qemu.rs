@@ -4,7 +4,7 @@ use std::io::{self, BufRead, BufReader};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::process::{Child, ChildStderr, Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
@@ -79,8 +79,11 @@ impl Qemu {
             .arg("-kernel")
             .arg(elf)
             .stdin(Stdio::from(OwnedFd::from(qtest_server)))
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped());
+            .stdout(Stdio::null());
+        let (messages, to_messages) = io::pipe()?;
+        // Before QEMU writes: a pipe that holds more than its new size keeps the old one.
+        fcntl_setpipe_size(&messages, TRACE_AHEAD).context("cannot limit the pipe of the trace")?;
+        command.stderr(to_messages);
         if !extras.models.iter().any(|model| model.is_watchdog()) {
             // Without a watchdog model, a reset by the firmware is a failure: QEMU ends, and so does the test.
             command.arg("-no-reboot");
@@ -106,7 +109,6 @@ impl Qemu {
             command.spawn().with_context(|| format!("cannot run {QEMU}; `cargo xtask test` sets it up"))?;
         // Closes this process's copy of QEMU's socket, which would hide that QEMU has closed its own.
         drop(command);
-        let said = process.stderr.take();
         let leash = match put_on_leash(&process) {
             Ok(leash) => leash,
             Err(error) => {
@@ -115,11 +117,8 @@ impl Qemu {
             }
         };
         let qemu = Self { process, leash, qtest: Arc::new(Mutex::new(qtest)), clock_address };
-        if let Some(said) = said {
-            fcntl_setpipe_size(&said, TRACE_AHEAD).context("cannot limit the pipe of the trace")?;
-            let watch = Arc::clone(watch);
-            thread::spawn(move || follow(said, &watch));
-        }
+        let followed = Arc::clone(watch);
+        thread::spawn(move || follow(messages, &followed));
         if let Some((gdb, models, clock_address)) = models {
             qemu.serve(Registers::new(gdb, models, clock_address)?, watch)?;
         }
@@ -213,10 +212,10 @@ fn put_on_leash(qemu: &Child) -> io::Result<Child> {
 }
 
 /// Follows QEMU's trace until QEMU ends.
-fn follow(said: ChildStderr, watch: &Watch) {
-    let mut said = BufReader::new(said);
+fn follow(messages: io::PipeReader, watch: &Watch) {
+    let mut messages = BufReader::new(messages);
     let (mut line, mut port) = (Vec::new(), OutputPort::default());
-    while matches!(said.read_until(b'\n', &mut line), Ok(read) if read > 0) {
+    while matches!(messages.read_until(b'\n', &mut line), Ok(read) if read > 0) {
         let text = String::from_utf8_lossy(&line);
         if port.follow(&text) {
             watch.show(port.outputs(), port.is_served());

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use host_tests::extent;
 use host_tests::modbus_master::{Failed, Master};
-use host_tests::rig::{Rig, motions};
+use host_tests::rig::{MOTION_PATIENCE, Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
 use host_tests::world::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
@@ -64,7 +64,7 @@ impl Plant {
 
     /// Waits for an input image that meets the condition.
     fn wait(&mut self, what: &str, mut is_there: impl FnMut(&[u16; 6]) -> bool) -> [u16; 6] {
-        let bound = Instant::now() + Duration::from_secs(60);
+        let bound = Instant::now() + MOTION_PATIENCE;
         loop {
             let input = self.input();
             if is_there(&input) {
@@ -111,7 +111,8 @@ fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
 fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence(board: Board) {
     // The bridge stops the jog a second of board time after the last request. On a busy host, the board's clock may run far
     // slower than the gripper's, so the gripper is slow, too.
-    let mut plant = Plant::start(board, Config { time_scale: 0.1, ..Config::default() });
+    let slow = Config { time_scale: 0.1, homing_speed: Some(300.0), ..Config::default() };
+    let mut plant = Plant::start(board, slow);
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(plant.command(MOVE, [20_00, 300_00, 40_00]), (IDLE, 0));
     let jog_plus = [1 << 14, 20_00, 5_00, 40_00];
