@@ -187,7 +187,7 @@ pub(crate) fn coverage(workspace: &Workspace) -> Result<()> {
     // CARGO_LLVM_COV_SETUP lets it install missing LLVM tools with rustup without asking.
     let mut coverage = tool::plain(workspace, "cargo llvm-cov --locked --lib --tests");
     coverage.env("CARGO_LLVM_COV_SETUP", "yes");
-    coverage.args(["--ignore-filename-regex", r"tests\.rs|/tests/|gripper-sim|host-tests|boards/"]);
+    coverage.args(["--ignore-filename-regex", r"tests\.rs|/tests/|gripper-sim|host-tests|boards/|/xtask/"]);
     coverage.args(TARGET_CRATES.into_iter().flat_map(|package| ["-p", package]));
     // The tests of the bridge in virtual time.
     coverage.args(["-p", "host-tests"]);

@@ -105,7 +105,7 @@ fn environment_variables_are_known_to_the_code() {
         "xtask/src/main.rs",
         "xtask/src/commands.rs",
         "xtask/src/firmware.rs",
-        "host-tests/document/src/lib.rs",
+        "xtask/document/src/lib.rs",
         "bindings/c/include/wsg.h",
         "bindings/c-host/include/wsg_host.h",
         "bindings/c/package/wsg-config.cmake",

@@ -106,7 +106,7 @@ pub(crate) fn python(workspace: &Workspace) -> Option<PathBuf> {
 /// Returns the virtual environment with zig for the programs of a release, or `None` if it cannot be created.
 pub(crate) fn zig(workspace: &Workspace) -> Option<PathBuf> {
     let environment = workspace.target_dir.join("zig");
-    has_environment(&environment, &workspace.root.join("host-tests/dist"), "ziglang").then_some(environment)
+    has_environment(&environment, &workspace.root.join("xtask/dist"), "ziglang").then_some(environment)
 }
 
 /// Returns whether the virtual environment has the packages in the list, which are installed if permitted.
