@@ -4,8 +4,7 @@
 use std::path::PathBuf;
 
 use document::{part, read, root};
-use object::read::elf::ElfFile32;
-use object::{Object, ObjectSection, SectionFlags, elf};
+use footprint::{Footprint, sections_of};
 
 const DOCUMENT: &str = "docs/figures.md";
 const PART: &str = "figures";
@@ -18,22 +17,6 @@ const FLASH: [&str; 4] =
     ["firmware image, flash", "80 KiB", "flash_limit: 80 * 1024", "boards/table/src/lib.rs"];
 const STATIC_RAM: [&str; 4] =
     ["firmware image, static RAM", "12 KiB", "STATIC_RAM_LIMIT: u64 = 12 * 1024", "xtask/src/size.rs"];
-
-/// Returns flash and static RAM of an image in bytes, counted like `cargo xtask size`.
-fn measure(image: &[u8]) -> (u64, u64) {
-    let image = ElfFile32::<object::Endianness>::parse(image).unwrap();
-    let (mut flash, mut static_ram) = (0, 0);
-    for section in image.sections() {
-        let SectionFlags::Elf { sh_type, sh_flags } = section.flags() else { continue };
-        if !sh_flags.contains(elf::SHF_ALLOC) {
-            continue;
-        }
-        let is_loaded = sh_type != elf::SHT_NOBITS;
-        flash += if is_loaded { section.size() } else { 0 };
-        static_ram += if sh_flags.contains(elf::SHF_WRITE) || !is_loaded { section.size() } else { 0 };
-    }
-    (flash, static_ram)
-}
 
 /// Returns the cells of this row after the first.
 fn row(what: &str) -> Vec<String> {
@@ -63,7 +46,8 @@ fn number_of_fuzz_targets_in_the_document_is_that_of_the_folder() {
 fn sizes_in_the_document_are_near_those_of_the_image() {
     let image = std::env::var_os("WSG_FIRMWARE_ELF")
         .expect("WSG_FIRMWARE_ELF must hold the path of the firmware image");
-    let (flash, static_ram) = measure(&std::fs::read(PathBuf::from(image)).unwrap());
+    let image = std::fs::read(PathBuf::from(image)).unwrap();
+    let Footprint { flash, static_ram } = Footprint::of(&sections_of(&image).unwrap());
     for (what, measured) in [(FLASH[0], flash), (STATIC_RAM[0], static_ram)] {
         let stated: u64 = row(what)[0].split(' ').next().unwrap().parse().unwrap();
         assert!(

@@ -8,7 +8,6 @@ mod bitmap;
 mod board_names;
 mod book;
 mod device_archives;
-mod image;
 mod manual;
 mod program;
 mod register_map;
@@ -131,7 +130,7 @@ fn contents(board: &Board, elf: Vec<u8>, book: Vec<(String, Vec<u8>)>) -> Result
     let readme = readme(board, !book.is_empty());
     let mut single = vec![
         ("README.txt", readme.replace('\n', "\r\n").into_bytes()),
-        ("wsg-bridge.bin", image::bytes_of_flash(&elf)?),
+        ("wsg-bridge.bin", footprint::bytes_of_flash(&elf)?),
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(board, &linked())?.into_bytes()),
         (REGISTERS, register_map::csv().into_bytes()),

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use anyhow::{Result, ensure};
-use object::elf::PT_LOAD;
-use object::read::elf::{ElfFile32, ProgramHeader};
+
+use crate::flash::segments;
 
 const MAGIC: [u32; 2] = [0x0A32_4655, 0x9E5D_5157];
 const MAGIC_END: u32 = 0x0AB1_6F30;
@@ -24,14 +24,8 @@ const FLASH: std::ops::Range<u64> = 0x1000_0000..0x1100_0000;
 /// Converts an ELF file's flash contents to UF2. Unused bytes of a page are 00h.
 pub fn uf2(elf: &[u8]) -> Result<Vec<u8>> {
     let mut pages = BTreeMap::<u64, [u8; PAYLOAD as usize]>::new();
-    let file = ElfFile32::<object::Endianness>::parse(elf)?;
-    for header in file.elf_program_headers() {
-        let endian = file.endian();
-        if header.p_type(endian) != PT_LOAD {
-            continue;
-        }
-        let start = u64::from(header.p_paddr(endian));
-        for (address, byte) in (start..).zip(header.data(endian, elf).unwrap_or_default()) {
+    for (start, data) in segments(elf)? {
+        for (address, byte) in (u64::from(start)..).zip(data) {
             ensure!(FLASH.contains(&address), "the image has {address:#x}, which is not in flash");
             let page = pages.entry(address / PAYLOAD * PAYLOAD).or_insert([0; PAYLOAD as usize]);
             page[(address % PAYLOAD) as usize] = *byte;
@@ -55,31 +49,11 @@ pub fn uf2(elf: &[u8]) -> Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Returns an ELF file with only these segments: address and bytes.
-    fn elf(segments: &[(u32, &[u8])]) -> Vec<u8> {
-        let (header_len, entry_len) = (52u32, 32u32);
-        let mut file = b"\x7FELF\x01\x01\x01\0\0\0\0\0\0\0\0\0\x02\0\x28\0\x01\0\0\0\0\0\0\0".to_vec();
-        file.extend(header_len.to_le_bytes());
-        file.extend([0; 8]);
-        for half in [header_len as u16, entry_len as u16, segments.len() as u16, 40, 0, 0] {
-            file.extend(half.to_le_bytes());
-        }
-        let mut at = header_len + entry_len * segments.len() as u32;
-        for (address, bytes) in segments {
-            let len = bytes.len() as u32;
-            for word in [PT_LOAD.0, at, 0, *address, len, len, 4, 1] {
-                file.extend(word.to_le_bytes());
-            }
-            at += len;
-        }
-        file.extend(segments.iter().flat_map(|(_, bytes)| *bytes));
-        file
-    }
+    use crate::flash::tests::elf;
 
     #[test]
     fn segments_become_numbered_pages_of_flash() {
-        let made = uf2(&elf(&[(0x1000_00FE, &[1, 2, 3]), (0x1000_0400, &[4])])).unwrap();
+        let made = uf2(&elf(&[(0x1000_00FE, 3, &[1, 2, 3]), (0x1000_0400, 1, &[4])])).unwrap();
 
         let blocks: Vec<&[u8]> = made.chunks_exact(BLOCK_LEN).collect();
         let word =
@@ -101,7 +75,7 @@ mod tests {
 
     #[test]
     fn a_segment_outside_flash_is_rejected() {
-        let refused = uf2(&elf(&[(0x2000_0000, &[1])])).unwrap_err().to_string();
+        let refused = uf2(&elf(&[(0x2000_0000, 1, &[1])])).unwrap_err().to_string();
         assert_eq!(refused, "the image has 0x20000000, which is not in flash");
     }
 }

@@ -17,22 +17,12 @@ const MOST_BYTES: usize = 1 << 20;
 ///
 /// # Errors
 /// Fails when the file is not a 32-bit ELF file, or its segments are missing, overlap or are too far apart.
-pub(crate) fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
-    let file = ElfFile32::<Endianness>::parse(elf)?;
-    let endian = file.endian();
-    let mut parts = Vec::new();
-    for header in file.elf_program_headers() {
-        let data = header.data(endian, elf).ok().context("a segment exceeds the image file")?;
-        if header.p_type(endian) == PT_LOAD && !data.is_empty() {
-            // Initialized data is stored at its physical address in flash and copied to RAM at the start.
-            parts.push((header.p_paddr(endian), data));
-        }
-    }
-    parts.sort_by_key(|(address, _)| *address);
-    let (first, _) = parts.first().context("the image has nothing to load")?;
-    let first = *first;
+pub fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
+    let mut segments = segments(elf)?;
+    segments.sort_by_key(|(address, _)| *address);
+    let (first, _) = *segments.first().context("the image has nothing to load")?;
     let mut bytes = Vec::new();
-    for (address, data) in parts {
+    for (address, data) in segments {
         let offset = (address - first) as usize;
         ensure!(offset >= bytes.len(), "two segments of the image overlap at {address:08X}h");
         ensure!(
@@ -45,12 +35,27 @@ pub(crate) fn bytes_of_flash(elf: &[u8]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// Returns address and data of the segments that an ELF file loads. Initialized variables are at their addresses in flash, from where
+/// the start-up code copies them to RAM.
+pub(crate) fn segments(elf: &[u8]) -> Result<Vec<(u32, &[u8])>> {
+    let file = ElfFile32::<Endianness>::parse(elf)?;
+    let endian = file.endian();
+    let mut segments = Vec::new();
+    for header in file.elf_program_headers() {
+        let data = header.data(endian, elf).ok().context("a segment exceeds the image file")?;
+        if header.p_type(endian) == PT_LOAD && !data.is_empty() {
+            segments.push((header.p_paddr(endian), data));
+        }
+    }
+    Ok(segments)
+}
+
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     /// Returns a 32-bit ELF file with these segments: physical address, size in memory, data.
-    fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
+    pub(crate) fn elf(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
         let heads = 52 + 32 * segments.len() as u32;
         let mut file = b"\x7fELF\x01\x01\x01\0\0\0\0\0\0\0\0\0".to_vec();
         let halves = |file: &mut Vec<u8>, values: &[u16]| {
