@@ -97,16 +97,8 @@ fn apis() -> Result<Vec<Record>> {
     for name in published {
         // Without implementations that are derived or apply to every type. rustdoc's JSON needs nightly.
         let mut api = Command::new("rustup");
-        api.current_dir(root()).args([
-            "run",
-            "nightly",
-            "cargo",
-            "public-api",
-            "-sss",
-            "--all-features",
-            "-p",
-            &name,
-        ]);
+        let line = "run nightly cargo public-api -sss --all-features -p";
+        api.current_dir(root()).args(line.split(' ')).arg(&name);
         // The calling cargo's variables would select its own tool chain.
         api.env_remove("CARGO").env_remove("RUSTC").env_remove("RUSTUP_TOOLCHAIN").env_remove("RUSTDOC");
         let output = api.arg("--target-dir").arg(&built).output().context("cannot run rustup")?;

@@ -19,9 +19,10 @@ const DATE: u16 = 0x0021;
 ///
 /// # Errors
 /// Fails when a file or the archive exceeds the format's limits.
-pub(crate) fn zip(files: &[(&str, &[u8])]) -> Result<Vec<u8>> {
+pub(crate) fn zip(files: &[(impl AsRef<str>, impl AsRef<[u8]>)]) -> Result<Vec<u8>> {
     let (mut archive, mut directory) = (Vec::new(), Vec::new());
     for (name, bytes) in files {
+        let (name, bytes) = (name.as_ref(), bytes.as_ref());
         let offset = length(&archive)?;
         let len = length(bytes)?;
         let name_len =
@@ -86,6 +87,6 @@ pub(crate) mod tests {
         assert_eq!(unzip(&archive), expected);
         // Check value of CRC-32.
         assert_eq!(archive[14..18], 0xCBF4_3926_u32.to_le_bytes());
-        assert_eq!(unzip(&zip(&[]).unwrap()), []);
+        assert_eq!(unzip(&zip(&[("", ""); 0]).unwrap()), []);
     }
 }

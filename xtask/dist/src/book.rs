@@ -10,6 +10,10 @@ use crate::program::run_program;
 /// Folder of the book, as in `book.toml`.
 const FOLDER: &str = "target/book";
 
+/// Options of Chromium for a page without a window. Root and containers cannot use the sandbox, and Chromium opens only the book.
+pub(crate) const HEADLESS: [&str; 4] =
+    ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"];
+
 /// Builds the documents as a book in target/book, and prints it to target/book.pdf
 #[derive(clap::Args)]
 pub(crate) struct Arguments {}
@@ -42,14 +46,7 @@ fn print(folder: &Path) -> Result<()> {
     }
     let profile = folder.with_extension("profile");
     let mut chromium = Command::new("chromium");
-    // Root and containers cannot use the sandbox, and Chromium opens only the book.
-    chromium.args([
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-background-networking",
-        "--log-level=3",
-    ]);
+    chromium.args(HEADLESS).arg("--log-level=3");
     chromium.args(["--no-pdf-header-footer", "--generate-pdf-document-outline"]);
     // Otherwise, an animated picture has a different state in each run.
     chromium.arg("--force-prefers-reduced-motion");

@@ -35,14 +35,14 @@ pub(crate) fn archives() -> Result<[(&'static str, Vec<u8>); 2]> {
     let [normal, diagnosis, special] = bitmaps.each_ref().map(String::as_str);
     let install = INSTALL.replace("VENDOR", VENDOR).replace('\n', "\r\n");
     let gsd = zip(&[
-        (GSD, &device_file(GSD)?),
-        (normal, &gripper(Lamp::Green)),
-        (diagnosis, &gripper(Lamp::Red)),
-        (special, &gripper(Lamp::Yellow)),
-        ("install.txt", install.as_bytes()),
+        (GSD, device_file(GSD)?),
+        (normal, gripper(Lamp::Green)),
+        (diagnosis, gripper(Lamp::Red)),
+        (special, gripper(Lamp::Yellow)),
+        ("install.txt", install.into_bytes()),
     ])?;
     let symbol = format!("{GSDML_BITMAP}.bmp");
-    let gsdml = zip(&[(GSDML, &device_file(GSDML)?), (&symbol, &gripper(Lamp::Green))])?;
+    let gsdml = zip(&[(GSDML, device_file(GSDML)?), (&symbol, gripper(Lamp::Green))])?;
     Ok([(GSD_ARCHIVE, gsd), (GSDML_ARCHIVE, gsdml)])
 }
 

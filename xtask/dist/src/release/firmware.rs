@@ -17,7 +17,6 @@ pub(super) fn make(release: &mut Release) -> Result<()> {
             contents(board, fs::read(&elf).with_context(|| format!("{}", elf.display()))?, Vec::new())?;
         let folder = format!("wsg-bridge-{VERSION}-{}", board.name);
         let files: Vec<_> = files.iter().map(|(name, bytes)| (format!("{folder}/{name}"), bytes)).collect();
-        let files: Vec<_> = files.iter().map(|(name, bytes)| (name.as_str(), &bytes[..])).collect();
         let archive = archive::zip(&files)?;
         let name = format!("{folder}.zip");
         let trial = is_used(release, board, &folder, &archive)?;

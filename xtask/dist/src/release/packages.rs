@@ -129,8 +129,8 @@ pub(super) fn book(release: &mut Release) -> Result<()> {
     trial::untar(&place, &bytes)?;
     release.folder_names_no_path(&place)?;
     let mut browser = trial::isolated(&[], "chromium".as_ref(), &place);
-    browser.args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"]);
-    browser.arg("--dump-dom").arg(format!("file://{}", place.join(&name).join("quick-start.html").display()));
+    browser.args(book::HEADLESS).arg("--dump-dom");
+    browser.arg(format!("file://{}", place.join(&name).join("quick-start.html").display()));
     run_program(browser, "<h1 id=\"quick-start\">")?;
     release.add(&format!("{name}.tar.gz"), &bytes, format!("{pages} pages; Chromium opens one"))?;
     let pdf = fs::read(built.with_extension("pdf"));

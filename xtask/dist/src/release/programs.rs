@@ -170,7 +170,6 @@ fn zip(folder: &Path, name: &str) -> Result<Vec<u8>> {
         files.push((format!("{name}/{}", entry.file_name().to_string_lossy()), fs::read(entry.path())?));
     }
     files.sort();
-    let files: Vec<_> = files.iter().map(|(name, bytes)| (name.as_str(), &bytes[..])).collect();
     archive::zip(&files)
 }
 
