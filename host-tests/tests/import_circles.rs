@@ -9,6 +9,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use document::{files, root};
+
 /// Known circles, by the names of their modules. This list may only shrink.
 const KNOWN: &[&str] = &[];
 
@@ -19,9 +21,7 @@ type Imports = (BTreeMap<String, Names>, Vec<Names>);
 
 #[test]
 fn modules_of_every_crate_are_free_of_circles() {
-    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let mut files = vec![];
-    rust_files(workspace, &mut files);
+    let (workspace, files) = (root(), files("rs"));
     let is_root =
         |file: &Path| matches!(file.file_stem().and_then(|stem| stem.to_str()), Some("lib" | "main"));
     let roots: Vec<&Path> =
@@ -40,7 +40,7 @@ fn modules_of_every_crate_are_free_of_circles() {
             Some((module, fs::read_to_string(file).unwrap()))
         });
         for (circle, why) in circles(sources.collect()) {
-            found.insert(circle, format!("{}:\n{why}", root.strip_prefix(workspace).unwrap().display()));
+            found.insert(circle, format!("{}:\n{why}", root.strip_prefix(&workspace).unwrap().display()));
         }
     }
     let new: Vec<String> = found
@@ -101,19 +101,6 @@ fn parents_children_and_tests_may_import_what_they_need() {
         ("b.rs", "use crate::a;"),
     ];
     assert!(planted(files).is_empty());
-}
-
-/// Collects the Rust files in a folder, except build output and hidden folders.
-fn rust_files(folder: &Path, files: &mut Vec<PathBuf>) {
-    for entry in fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        let name = path.file_name().unwrap().to_string_lossy();
-        if path.is_dir() && name != "target" && !name.starts_with('.') {
-            rust_files(&path, files);
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            files.push(path);
-        }
-    }
 }
 
 /// Returns the path of the module in a file, or `None` for unit tests.

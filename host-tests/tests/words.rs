@@ -3,13 +3,11 @@
 //! Neither replaces reading. The list applies to every page and every source of the repository.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 
+use document::{files, root};
 use host_tests::masters::PYTHON_VARIABLE;
-
-/// Names of skipped folders, at any depth.
-const SKIPPED_FOLDERS: [&str; 3] = [".git", "node_modules", "target"];
 
 /// Files that contain the wordings.
 const EXEMPT: [&str; 1] = ["host-tests/tests/words.rs"];
@@ -43,10 +41,6 @@ const WORDINGS: [(&str, &str); 22] = [
 /// Number of words in the longest wording.
 const LONGEST: usize = 4;
 
-fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
-}
-
 #[test]
 #[ignore = "needs typos: run `cargo xtask test`"]
 fn typos_finds_nothing_in_any_text() {
@@ -62,7 +56,7 @@ fn typos_finds_nothing_in_any_text() {
 
 #[test]
 fn no_text_of_the_repository_has_a_wording_of_the_list() {
-    let files = files(&root());
+    let files = [files("rs"), files("md")].concat();
     assert!(files.len() > 500, "only {} files found", files.len());
     let mut found = Vec::new();
     for file in files {
@@ -91,21 +85,6 @@ fn planted_wordings_are_found_in_comments_and_messages_and_not_in_code() {
     assert_eq!(found, [(1, "nobody"), (1, "asked for"), (2, "if there is none"), (4, "what was")]);
     let page = "The bytes behind it.\n\n```sh\ncat nobody\n```\n";
     assert_eq!(wordings(page, false).map(|(line, ..)| line).collect::<Vec<_>>(), [1]);
-}
-
-/// Returns all texts in the folder and its subfolders.
-fn files(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap());
-    let paths = entries.flat_map(|entry| {
-        let (path, name) = (entry.path(), entry.file_name());
-        let is_text = path.extension().is_some_and(|extension| extension == "rs" || extension == "md");
-        match entry.file_type().unwrap() {
-            kind if kind.is_dir() && SKIPPED_FOLDERS.iter().all(|skipped| name != *skipped) => files(&path),
-            kind if kind.is_file() && is_text => vec![path],
-            _ => vec![],
-        }
-    });
-    paths.collect()
 }
 
 /// Returns each wording found in the text, with the number of its first line and the replacement.

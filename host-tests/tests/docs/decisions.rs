@@ -2,9 +2,8 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
 
-use document::{read, root};
+use document::{files, read};
 
 const DOCUMENT: &str = "docs/decisions.md";
 
@@ -13,24 +12,7 @@ const NOT_BUILT: &str = "not built yet";
 
 /// Returns the names of all tests in the workspace.
 fn tests() -> BTreeSet<String> {
-    let mut names = BTreeSet::new();
-    collect(&root(), &mut names);
-    names
-}
-
-fn collect(folder: &Path, names: &mut BTreeSet<String>) {
-    let Ok(entries) = fs::read_dir(folder) else { return };
-    for entry in entries {
-        let path = entry.unwrap().path();
-        let is_source = |name: &str| !name.starts_with('.') && name != "target";
-        if path.is_dir() {
-            if path.file_name().and_then(|name| name.to_str()).is_some_and(is_source) {
-                collect(&path, names);
-            }
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            names.extend(tests_in(&fs::read_to_string(&path).unwrap()));
-        }
-    }
+    files("rs").iter().flat_map(|file| tests_in(&fs::read_to_string(file).unwrap())).collect()
 }
 
 fn tests_in(source: &str) -> Vec<String> {

@@ -1,4 +1,4 @@
-//! Access to this project's documents, and the single writer of their generated parts.
+//! Access to this project's documents and sources, and the single writer of the documents' generated parts.
 //!
 //! A generated part is delimited by `<!-- generated: NAME -->` and `<!-- end -->`. A test generates it from the code
 //! and compares the document with it by [`hold`]. With `WSG_UPDATE_DOCS=1` in the environment, the same test writes
@@ -13,6 +13,9 @@ use std::sync::{Mutex, PoisonError};
 const UPDATE_VARIABLE: &str = "WSG_UPDATE_DOCS";
 
 const END: &str = "<!-- end -->";
+
+/// Names of folders without sources, at any depth.
+const SKIPPED_FOLDERS: [&str; 3] = [".git", "node_modules", "target"];
 
 /// Serializes tests that write to the same file in parallel.
 static WRITING: Mutex<()> = Mutex::new(());
@@ -33,6 +36,27 @@ pub fn root() -> PathBuf {
 #[must_use]
 pub fn read(path: &str) -> String {
     fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// Returns the paths of all files of the workspace with this extension, such as `rs`.
+///
+/// # Panics
+/// Panics if a folder cannot be read.
+#[must_use]
+pub fn files(extension: &str) -> Vec<PathBuf> {
+    let (mut folders, mut files) = (vec![root()], Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).expect("a folder of the workspace") {
+            let entry = entry.expect("an entry of a folder");
+            let (path, kind) = (entry.path(), entry.file_type().expect("the type of an entry"));
+            if kind.is_dir() && SKIPPED_FOLDERS.iter().all(|skipped| entry.file_name() != *skipped) {
+                folders.push(path);
+            } else if kind.is_file() && path.extension().is_some_and(|it| it == extension) {
+                files.push(path);
+            }
+        }
+    }
+    files
 }
 
 /// Compares the generated part of this name with `wanted`, or writes it. Surrounding blank lines are ignored.
