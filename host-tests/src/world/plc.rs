@@ -1,4 +1,4 @@
-//! What a PLC does on any bus: it writes its output image, reads its input image, and falls silent.
+//! What a PLC does on any bus: it writes its output image, reads its input image, and stops sending.
 //!
 //! A bus takes part in the tests of every bus by one implementation of [`Plc`], in the module of its master.
 
