@@ -198,7 +198,7 @@ impl Model {
 const SAVE_MS: u32 = 70;
 
 /// Maximum wait of a FAST STOP for the previous frame on a slow line, in milliseconds.
-const SLOW_PATIENCE_MS: u32 = 2;
+const SLOW_DELAY_MS: u32 = 2;
 
 impl WholeBridge for Model {
     fn ends(&mut self) -> &mut Ends {
@@ -247,8 +247,8 @@ impl WholeBridge for Model {
         if was_connected && !self.station.bridge().is_connected() {
             ends.line.cut();
         }
-        let char_timeout_ms = if ends.line.is_slow() { SLOW_PATIENCE_MS } else { 1 };
-        ends.end_turn(self.station.bridge(), outputs, char_timeout_ms);
+        let max_delay_ms = if ends.line.is_slow() { SLOW_DELAY_MS } else { 1 };
+        ends.end_turn(self.station.bridge(), outputs, max_delay_ms);
         self.serve();
     }
 

@@ -644,12 +644,12 @@ impl WholeBridge for Model {
             return self.leave();
         }
         let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
-        let char_timeout_ms = if cut_off { None } else { Some(FAST_STOP_MS) };
+        let max_delay_ms = if cut_off { None } else { Some(FAST_STOP_MS) };
         let Ends { gripper, oracle, .. } = &mut self.ends;
         if cut_off {
             gripper.fault(now_ms);
         }
-        oracle.begin_leaving(char_timeout_ms);
+        oracle.begin_leaving(max_delay_ms);
         for message in messages {
             oracle.leaves(message.id, Some(&message.command()), gripper);
         }

@@ -21,7 +21,7 @@ pub(super) struct Oracle {
     is_latched: bool,
     now_ms: u32,
     /// Maximum wait of a frame for the previous one, in milliseconds; `None` while the gripper is unreachable.
-    char_timeout_ms: Option<u32>,
+    max_delay_ms: Option<u32>,
 }
 
 impl Oracle {
@@ -34,7 +34,7 @@ impl Oracle {
             stops: Stops::new(),
             is_latched: false,
             now_ms: 0,
-            char_timeout_ms: None,
+            max_delay_ms: None,
         }
     }
 
@@ -59,15 +59,15 @@ impl Oracle {
     }
 
     /// Ends the inputs of this turn; commands follow.
-    pub(super) fn begin_leaving(&mut self, char_timeout_ms: Option<u32>) {
-        self.char_timeout_ms = char_timeout_ms;
+    pub(super) fn begin_leaving(&mut self, max_delay_ms: Option<u32>) {
+        self.max_delay_ms = max_delay_ms;
         self.stops.begin_turn(self.now_ms, &self.reported, &self.requested);
     }
 
     /// Checks a command to the gripper; `command` is `None` while only its id is known.
     pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, gripper: &Gripper) {
         self.requested.leaves(id, command, gripper.force_limit());
-        self.stops.leaves(self.now_ms, id, &self.reported, self.char_timeout_ms);
+        self.stops.leaves(self.now_ms, id, &self.reported, self.max_delay_ms);
         if id.kind() == Kind::Motion {
             self.reported.grip = None;
         }
@@ -87,7 +87,7 @@ impl Oracle {
         }
         self.shown.show(self.now_ms, outputs, &self.reported, &self.requested);
         self.requested.is_ready = outputs.contains(Outputs::READY);
-        self.stops.end_turn(self.now_ms, outputs, &self.reported, self.char_timeout_ms);
+        self.stops.end_turn(self.now_ms, outputs, &self.reported, self.max_delay_ms);
         if let Some(since_ms) = self.requested.stopped_ms {
             let is_held = self.requested.holds_fast_stop();
             assert!(

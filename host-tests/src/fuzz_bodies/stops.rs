@@ -108,13 +108,13 @@ impl Stops {
         }
     }
 
-    /// Checks a command, which may be delayed by up to `char_timeout_ms`, if known.
+    /// Checks a command, which may be delayed by up to `max_delay_ms`, if known.
     pub(super) fn leaves(
         &mut self,
         now_ms: u32,
         id: CommandId,
         reported: &Reported,
-        char_timeout_ms: Option<u32>,
+        max_delay_ms: Option<u32>,
     ) {
         let is_query_of_state = matches!(id, CommandId::GetSystemState | CommandId::GetGripperState);
         let is_stop = matches!(id, CommandId::Stop | CommandId::FastStop);
@@ -126,7 +126,7 @@ impl Stops {
         self.acknowledges |= id == CommandId::Acknowledge;
         if id == CommandId::FastStop {
             self.stop_ms = None;
-            return self.fast_stop = self.fast_stop.leaves(now_ms, char_timeout_ms);
+            return self.fast_stop = self.fast_stop.leaves(now_ms, max_delay_ms);
         }
         let is_alone = matches!(self.fast_stop, FastStop::Answered | FastStop::Unknown);
         assert!(is_alone, "{id} before the answer to a FAST STOP");
@@ -134,7 +134,7 @@ impl Stops {
             // The repetition may have been queued before the fingers began to move.
             let is_late = self.moves_since_ms.is_some_and(|since_ms| {
                 self.has_stood
-                    && char_timeout_ms.is_none_or(|char_timeout_ms| now_ms - since_ms <= char_timeout_ms)
+                    && max_delay_ms.is_none_or(|max_delay_ms| now_ms - since_ms <= max_delay_ms)
             });
             let is_first = self.stop_ms.is_none();
             assert!(is_first || is_late || reported.stands(), "a repeated Stop while the fingers move");
@@ -149,7 +149,7 @@ impl Stops {
         now_ms: u32,
         outputs: Outputs,
         reported: &Reported,
-        char_timeout_ms: Option<u32>,
+        max_delay_ms: Option<u32>,
     ) {
         self.may_be_stopped &= !outputs.contains(Outputs::READY);
         if outputs.contains(Outputs::LINK_OK) {
@@ -157,7 +157,7 @@ impl Stops {
         } else {
             (self.stop_due_ms, self.acknowledges) = (None, false);
         }
-        let Some(char_timeout_ms) = char_timeout_ms else {
+        let Some(max_delay_ms) = max_delay_ms else {
             // The gripper is unreachable, so deadlines are deferred.
             for moment in
                 [&mut self.stop_due_ms, &mut self.stop_ms, &mut self.runaway_ms].into_iter().flatten()
@@ -178,14 +178,14 @@ impl Stops {
             FastStop::Burst(_, left_ms) => left_ms,
             FastStop::Pause(since_ms) => since_ms + PATTERN.pause_ms,
         };
-        assert!(now_ms <= latest_ms + char_timeout_ms, "FAST STOP was not sent in time");
+        assert!(now_ms <= latest_ms + max_delay_ms, "FAST STOP was not sent in time");
         assert!(
-            self.stop_due_ms.is_none_or(|since_ms| now_ms <= since_ms + char_timeout_ms),
+            self.stop_due_ms.is_none_or(|since_ms| now_ms <= since_ms + max_delay_ms),
             "Stop was not sent in time"
         );
         if let Some(since_ms) = self.runaway_ms {
             assert!(outputs.contains(Outputs::ERROR), "the fingers move without ERROR");
-            assert!(now_ms <= since_ms + char_timeout_ms, "no Stop for fingers that move at power-up");
+            assert!(now_ms <= since_ms + max_delay_ms, "no Stop for fingers that move at power-up");
         }
         if let Some(left_ms) = self.stop_ms
             && now_ms >= left_ms + STOP_MS
@@ -194,7 +194,7 @@ impl Stops {
                 self.stop_ms = None;
             } else {
                 assert!(
-                    now_ms <= left_ms + STOP_MS + char_timeout_ms,
+                    now_ms <= left_ms + STOP_MS + max_delay_ms,
                     "no FAST STOP after an unanswered Stop"
                 );
             }
@@ -204,13 +204,13 @@ impl Stops {
 
 impl FastStop {
     /// Advances after sending a frame.
-    fn leaves(self, now_ms: u32, char_timeout_ms: Option<u32>) -> Self {
+    fn leaves(self, now_ms: u32, max_delay_ms: Option<u32>) -> Self {
         let silence_of = |left_ms: u32| now_ms - left_ms;
-        let char_timeout_ms = char_timeout_ms.unwrap_or(u32::MAX);
+        let max_delay_ms = max_delay_ms.unwrap_or(u32::MAX);
         match self {
             Self::Answered | Self::Due(_) => Self::Once(now_ms),
             // After an unanswered Stop the burst comes first.
-            Self::Once(left_ms) if silence_of(left_ms) <= char_timeout_ms => Self::Burst(2, now_ms),
+            Self::Once(left_ms) if silence_of(left_ms) <= max_delay_ms => Self::Burst(2, now_ms),
             Self::Once(left_ms) => {
                 assert!(
                     silence_of(left_ms) >= PATTERN.answer_ms,

@@ -73,9 +73,9 @@ impl Ends {
     }
 
     /// Ends a turn of this bridge with these outputs: delivers its commands to the gripper, and the gripper's answers.
-    pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, char_timeout_ms: u32) {
+    pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, max_delay_ms: u32) {
         let Self { now_ms, gripper, line, oracle, .. } = self;
-        oracle.begin_leaving(Some(char_timeout_ms));
+        oracle.begin_leaving(Some(max_delay_ms));
         for id in line.take_begun() {
             oracle.leaves(id, None, gripper);
         }

@@ -499,8 +499,8 @@ impl<D: Dialect> Engine<D> {
 
     /// Returns when the connection counts as lost because a FAST STOP is unconfirmed.
     fn fast_stop_deadline(&self) -> Option<Instant> {
-        let char_timeout_ms = self.timing.reply_timeout_ms.saturating_mul(self.timing.attempts.into());
-        self.fast_stop.begun().map(|begun| begun.plus(char_timeout_ms))
+        let unanswered_ms = self.timing.reply_timeout_ms.saturating_mul(self.timing.attempts.into());
+        self.fast_stop.begun().map(|begun| begun.plus(unanswered_ms))
     }
 
     /// Closes the connection. Each call reports one open request, and the last one the disconnect.
