@@ -51,7 +51,7 @@ pub struct Station<C = Bxcan> {
     bus: CanBus<C>,
     number: usize,
     /// Frames received from other stations.
-    pub heard: Receiver<WireFrame>,
+    pub received: Receiver<WireFrame>,
 }
 
 #[derive(Debug)]
@@ -70,7 +70,7 @@ struct Bus<C> {
 #[derive(Debug)]
 struct Seat {
     to_send: VecDeque<WireFrame>,
-    heard: Sender<WireFrame>,
+    received: Sender<WireFrame>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -120,10 +120,10 @@ impl<C: BusController> CanBus<C> {
     /// Adds a station permanently.
     #[must_use]
     pub fn join(&self) -> Station<C> {
-        let (sender, heard) = mpsc::channel();
+        let (sender, received) = mpsc::channel();
         let mut bus = self.lock();
-        bus.stations.push(Seat { to_send: VecDeque::new(), heard: sender });
-        Station { bus: self.clone(), number: bus.stations.len() - 1, heard }
+        bus.stations.push(Seat { to_send: VecDeque::new(), received: sender });
+        Station { bus: self.clone(), number: bus.stations.len() - 1, received }
     }
 
     /// Returns a copy of the board's controller.
@@ -313,11 +313,11 @@ impl<C: BusController> Bus<C> {
             (Sending::Board { mailbox }, None) => {
                 self.controller.end_transmission(mailbox);
                 self.sent.push(*frame);
-                self.tell(frame, None);
+                self.report(frame, None);
             }
             (Sending::Station(n), _) if self.fault == Fault::Cut => {
                 self.controller.idle(frame.bits());
-                self.tell(frame, Some(n));
+                self.report(frame, Some(n));
             }
             (Sending::Station(_), Some(_)) => self.controller.fail_reception(ErrorCode::Form),
             (Sending::Station(n), None) => {
@@ -326,16 +326,16 @@ impl<C: BusController> Bus<C> {
                 } else {
                     self.controller.fail_reception(ErrorCode::Stuff);
                 }
-                self.tell(frame, Some(n));
+                self.report(frame, Some(n));
             }
         }
     }
 
-    fn tell(&self, frame: &WireFrame, except: Option<usize>) {
+    fn report(&self, frame: &WireFrame, except: Option<usize>) {
         for (n, seat) in self.stations.iter().enumerate() {
             if Some(n) != except {
                 // Receivers that no longer exist are skipped.
-                let _ = seat.heard.send(*frame);
+                let _ = seat.received.send(*frame);
             }
         }
     }

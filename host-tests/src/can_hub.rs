@@ -49,7 +49,7 @@ fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream, clock:
             send(WireFrame::of(&frame));
         }
     };
-    let (heard, mut to_gripper) = (station.heard, line);
+    let (received, mut to_gripper) = (station.received, line);
     let mut pass = move |frame: WireFrame| {
         let is_for_gripper = frame.id == Id::Standard(pair.receive) && !frame.is_remote;
         !is_for_gripper || to_gripper.write_all(frame.payload()).is_ok()
@@ -57,7 +57,7 @@ fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream, clock:
     if clock.is_wall() {
         spawn(move || each_byte(&from_gripper, segment))?;
         return spawn(move || {
-            for frame in heard {
+            for frame in received {
                 if !pass(frame) {
                     return;
                 }
@@ -70,7 +70,7 @@ fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream, clock:
                 return false;
             }
         }
-        heard.try_iter().all(&mut pass)
+        received.try_iter().all(&mut pass)
     });
     Ok(())
 }
@@ -91,9 +91,9 @@ fn serve_master<C: BusController>(station: Station<C>, line: UnixStream) -> Resu
             }
         });
     })?;
-    let heard = station.heard;
+    let received = station.received;
     spawn(move || {
-        for frame in heard {
+        for frame in received {
             let (to_master, adapter) = &mut *lock(&adapter);
             let Some(frame) = frame.to::<ClassicFrame>().filter(|_| adapter.is_open()) else { continue };
             if to_master.write_all(encode(&frame).as_bytes()).is_err() {

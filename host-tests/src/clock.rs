@@ -52,7 +52,7 @@ impl Clock {
     }
 
     /// Sets the machine's time, and returns when all followers have processed it. Has no effect on a wall clock.
-    pub fn tell(&self, micros: u64) {
+    pub fn report(&self, micros: u64) {
         if let Kind::Machine(machine) = &self.0 {
             machine.micros.store(micros, Ordering::Release);
             let mut followers = machine.followers.lock().unwrap_or_else(PoisonError::into_inner);

@@ -116,7 +116,7 @@ impl fmt::Display for Report {
             let root = &roots[broken.path.root()];
             let actions = (0..broken.len).map(|step| broken.path.action(step));
             write!(f, "\n{:?} is broken in {} ways; ", broken.promise, broken.ways)?;
-            write!(f, "the shortest, from \"{}\":{}", root.name, root.plant.tell(actions))?;
+            write!(f, "the shortest, from \"{}\":{}", root.name, root.plant.report(actions))?;
         }
         Ok(())
     }

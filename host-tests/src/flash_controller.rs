@@ -530,7 +530,7 @@ impl State {
         match self.pages.read(page, index) {
             Ok(value) => {
                 if self.correctable.contains(&at) {
-                    self.tell(ECCC, address);
+                    self.report(ECCC, address);
                 }
                 if is_cache_on {
                     self.cached.truncate(CACHED - 1);
@@ -544,7 +544,7 @@ impl State {
                         "3.3.2: a load while a flag of FLASH_ECCR was set: its error stays undetected",
                     );
                 }
-                (part(self.pages.bits(page, index)), self.tell(ECCD, address))
+                (part(self.pages.bits(page, index)), self.report(ECCD, address))
             }
         }
     }
@@ -560,7 +560,7 @@ impl State {
     }
 
     /// 3.3.2: updates ECCR only while its flags are clear. Returns whether it did.
-    fn tell(&mut self, flag: u32, address: u32) -> bool {
+    fn report(&mut self, flag: u32, address: u32) -> bool {
         let is_told = self.eccr & (ECCC | ECCD) == 0;
         if is_told {
             self.eccr = flag | BK_ECC | address & !0b111 & ADDR_ECC;

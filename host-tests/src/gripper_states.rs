@@ -50,11 +50,11 @@ impl From<Frame<'_>> for Message {
 }
 
 /// Returns the messages in bytes from the bridge, all of which must be intact.
-pub(crate) fn messages(parser: &mut FrameParser<64>, mut said: &[u8]) -> Vec<Message> {
+pub(crate) fn messages(parser: &mut FrameParser<64>, mut bytes: &[u8]) -> Vec<Message> {
     let mut found = vec![];
     loop {
-        let (taken, event) = parser.push_slice(said);
-        said = &said[taken..];
+        let (taken, event) = parser.push_slice(bytes);
+        bytes = &bytes[taken..];
         match event {
             None => return found,
             Some(Event::Frame(frame)) => found.push(frame.into()),
@@ -127,7 +127,7 @@ pub(crate) struct States {
     /// Whether it rejects the next motion or setting.
     pub(crate) refuses: bool,
     /// The last reported flags and state; `None` without a subscription.
-    pub(crate) told: [Option<u32>; 2],
+    pub(crate) reported: [Option<u32>; 2],
 }
 
 impl States {
@@ -138,7 +138,7 @@ impl States {
         state: GripperState::Idle,
         force_limit: 80_00,
         refuses: false,
-        told: [None; 2],
+        reported: [None; 2],
     };
 
     pub(crate) const fn fast_stop(&self) -> bool {
@@ -154,11 +154,11 @@ impl States {
         let id = command.id();
         match *command {
             Command::GetSystemState { update } => {
-                self.told[0] = subscribe(update, self.all_flags());
+                self.reported[0] = subscribe(update, self.all_flags());
                 say(Answer::value(id, self.all_flags()));
             }
             Command::GetGripperState { update } => {
-                self.told[1] = subscribe(update, self.state.code().into());
+                self.reported[1] = subscribe(update, self.state.code().into());
                 say(Answer::value(id, self.state.code().into()));
             }
             Command::GetForceLimit => say(Answer::value(id, self.force_limit)),
@@ -187,7 +187,7 @@ impl States {
             _ if id.kind() == Kind::Query => say(Answer::value(id, 0)),
             _ => panic!("{id} is not a command of the bridge"),
         }
-        self.tell(say);
+        self.report(say);
     }
 
     pub(crate) fn finish(&mut self, succeeds: bool, say: &mut dyn FnMut(Answer)) {
@@ -202,38 +202,38 @@ impl States {
         self.flags.set(SystemFlags::REFERENCED, self.referenced() || id == CommandId::Homing && succeeds);
         self.state = state;
         self.end_motion(status, say);
-        self.tell(say);
+        self.report(say);
     }
 
     /// Simulates the loss of the gripped part.
     pub(crate) fn lose_part(&mut self, say: &mut dyn FnMut(Answer)) {
         self.state = GripperState::PartLost;
-        self.tell(say);
+        self.report(say);
     }
 
     /// Enters FAST STOP without a command.
     pub(crate) fn raise_fast_stop(&mut self, say: &mut dyn FnMut(Answer)) {
         self.stop_fast(say);
-        self.tell(say);
+        self.report(say);
     }
 
     /// Executes a third-party Stop.
     pub(crate) fn stop_for_third_party(&mut self, say: &mut dyn FnMut(Answer)) {
         self.stop(say);
-        self.tell(say);
+        self.report(say);
     }
 
     /// Starts a motion of a third party.
     pub(crate) fn begin_for_third_party(&mut self, id: CommandId, say: &mut dyn FnMut(Answer)) {
         self.begin(id);
         self.is_foreign = true;
-        self.tell(say);
+        self.report(say);
     }
 
     /// Executes a third-party acknowledgement.
     pub(crate) fn acknowledge(&mut self, say: &mut dyn FnMut(Answer)) {
         self.leave_fast_stop();
-        self.tell(say);
+        self.report(say);
     }
 
     /// Starts a motion in any state.
@@ -248,12 +248,12 @@ impl States {
     }
 
     /// Reports changed flags and states to subscribers.
-    pub(crate) fn tell(&mut self, say: &mut dyn FnMut(Answer)) {
+    pub(crate) fn report(&mut self, say: &mut dyn FnMut(Answer)) {
         let ids = [CommandId::GetSystemState, CommandId::GetGripperState];
         let values = [self.all_flags(), self.state.code().into()];
-        for ((told, id), value) in self.told.iter_mut().zip(ids).zip(values) {
-            if told.is_some_and(|told| told != value) {
-                *told = Some(value);
+        for ((reported, id), value) in self.reported.iter_mut().zip(ids).zip(values) {
+            if reported.is_some_and(|reported| reported != value) {
+                *reported = Some(value);
                 say(Answer::value(id, value));
             }
         }

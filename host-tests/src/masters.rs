@@ -49,10 +49,11 @@ pub fn mbpoll(arguments: &[&str]) -> String {
     // `-o`: the longest time-out in seconds. A busy host may run neither server nor master for seconds.
     let always = ["-a", "1", "-0", "-1", "-q", "-o", "10"];
     let run = Command::new("mbpoll").args(always).args(arguments).output();
-    let said =
-        said(&run.unwrap_or_else(|error| panic!("mbpoll does not start ({error}): run `cargo xtask test`")));
-    assert!(!said.contains("timed out") && !said.contains("Invalid CRC"), "{arguments:?}: {said}");
-    said
+    let printed = printed(
+        &run.unwrap_or_else(|error| panic!("mbpoll does not start ({error}): run `cargo xtask test`")),
+    );
+    assert!(!printed.contains("timed out") && !printed.contains("Invalid CRC"), "{arguments:?}: {printed}");
+    printed
 }
 
 /// Polls unit 1 at this terminal once with [`mbpoll`]: 8N1 at this rate in bit/s. Writes `values`, or reads without them.
@@ -87,11 +88,11 @@ pub fn paste(text: &str, word: &str, changes: &[(&str, &str)], status: &str) -> 
         pasted = pasted.replace(from, to);
     }
     let script = format!("{}{pasted}", PASTED_BEFORE.replace("WAIT", status));
-    said(&Command::new("sh").args(["-c", &script]).output().expect("sh can be started"))
+    printed(&Command::new("sh").args(["-c", &script]).output().expect("sh can be started"))
 }
 
 /// Returns a program's standard output and standard error.
 #[must_use]
-pub fn said(output: &Output) -> String {
+pub fn printed(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }

@@ -10,7 +10,7 @@ use std::thread;
 
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 
-use crate::masters::said;
+use crate::masters::printed;
 
 static NETWORKS: AtomicU16 = AtomicU16::new(0);
 
@@ -133,5 +133,5 @@ fn namespace(network: u16, end: End) -> String {
 fn run(program: &str, arguments: &str) {
     let output = Command::new(program).args(arguments.split(' ')).output();
     let output = output.unwrap_or_else(|error| panic!("`{program}` of Debian's iproute2: {error}"));
-    assert!(output.status.success(), "{program} {arguments}: {}", said(&output));
+    assert!(output.status.success(), "{program} {arguments}: {}", printed(&output));
 }

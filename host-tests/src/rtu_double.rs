@@ -46,7 +46,7 @@ impl RtuDouble {
     }
 
     /// Delivers a character after this silence.
-    pub(crate) fn bring(&mut self, character: Character, silence_us: u32) {
+    pub(crate) fn deliver(&mut self, character: Character, silence_us: u32) {
         self.silence_us = 0;
         self.waiting.push_back((character, silence_us));
     }
@@ -55,7 +55,7 @@ impl RtuDouble {
     pub fn put(&mut self, bytes: &[u8]) {
         for byte in bytes {
             let silence_us = self.silence_us;
-            self.bring(Character::Byte(*byte), silence_us);
+            self.deliver(Character::Byte(*byte), silence_us);
         }
     }
 

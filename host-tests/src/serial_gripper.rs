@@ -41,7 +41,7 @@ impl SerialLine {
     }
 
     /// Delivers bytes to the bridge.
-    pub fn bring(&mut self, bytes: &[u8]) {
+    pub fn deliver(&mut self, bytes: &[u8]) {
         self.to_bridge.extend(bytes);
     }
 
@@ -137,7 +137,7 @@ impl SerialGripper {
 
     /// Sends bytes to the bridge in the gripper's place.
     pub fn inject(&mut self, bytes: &[u8]) {
-        self.line.bring(bytes);
+        self.line.deliver(bytes);
     }
 }
 
@@ -196,7 +196,7 @@ impl<W: Carry> SerialGripper<W> {
             self.from_gripper.extend_from_slice(frame);
         }
         let bytes = self.to_bridge.carry(&mut self.from_gripper);
-        self.line.bring(&bytes);
+        self.line.deliver(&bytes);
     }
 
     fn note_frames(&mut self) {

@@ -76,20 +76,20 @@ fn harness_that_is_killed_leaves_no_emulator() {
     let mut harness = command.spawn().unwrap();
     // The command holds a copy of the output.
     drop(command);
-    let mut said = String::new();
-    while !said.contains("it runs") {
-        said += &next_said(&ours).expect("the harness starts");
+    let mut printed = String::new();
+    while !printed.contains("it runs") {
+        printed += &next_printed(&ours).expect("the harness starts");
     }
 
     harness.kill().unwrap();
     harness.wait().unwrap();
 
     // The output ends after all its holders have ended: the harness and its QEMU.
-    while next_said(&ours).is_some() {}
+    while next_printed(&ours).is_some() {}
 }
 
 /// Returns the next output of a harness within 60 s, or `None` at its end.
-fn next_said(output: &UnixStream) -> Option<String> {
+fn next_printed(output: &UnixStream) -> Option<String> {
     let mut chunk = [0; 256];
     let count = uninterrupted::read_within(output, &mut chunk, Duration::from_secs(60)).unwrap();
     let count = count.expect("no output and no end within 60 s");

@@ -145,14 +145,14 @@ fn circles(sources: BTreeMap<Names, String>) -> Vec<(String, String)> {
         };
         let reached: BTreeMap<&str, BTreeSet<&str>> =
             edges.keys().map(|(from, _)| (*from, reach(*from))).collect();
-        let mut told = BTreeSet::new();
+        let mut reported = BTreeSet::new();
         for (module, to) in &reached {
             let circle: Vec<&str> = to
                 .iter()
                 .copied()
                 .filter(|it| reached.get(it).is_some_and(|it| it.contains(module)))
                 .collect();
-            if circle.is_empty() || !told.insert(circle.clone()) {
+            if circle.is_empty() || !reported.insert(circle.clone()) {
                 continue;
             }
             let inside = |edge: &(&str, &str)| circle.contains(&edge.0) && circle.contains(&edge.1);

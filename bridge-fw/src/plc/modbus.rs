@@ -87,7 +87,7 @@ pub struct Modbus {
     server: Server,
     images: Images,
     /// Time of the last request for this unit; `None` after a time-out.
-    heard_at: Option<Instant>,
+    received_at: Option<Instant>,
 }
 
 impl Modbus {
@@ -109,7 +109,7 @@ impl Modbus {
             role,
             server: Server::new(server_config(config), config.timing()),
             images: Images::new(config.swap_bytes),
-            heard_at: None,
+            received_at: None,
         }
     }
 
@@ -167,7 +167,7 @@ impl Modbus {
             Some(Event::Served) => {}
             Some(Event::Passed | Event::Damaged(_)) | None => return None,
         }
-        self.heard_at = Some(now);
+        self.received_at = Some(now);
         if configured {
             return Some(PlcEvent::Configured);
         }
@@ -176,7 +176,7 @@ impl Modbus {
 
     /// Returns, once per silence, whether a PLC has been silent for `timeout_ms`.
     fn has_fallen_silent(&mut self, now: Instant, timeout_ms: u32) -> bool {
-        self.role == Role::Plc && has_fallen_silent(&mut self.heard_at, now, timeout_ms)
+        self.role == Role::Plc && has_fallen_silent(&mut self.received_at, now, timeout_ms)
     }
 }
 

@@ -57,7 +57,7 @@ pub struct Profibus {
     /// Last output image of the master; `None` while it does not command.
     written: Option<OutputImage>,
     /// Time of the last output data, changed or not; `None` after a time-out.
-    heard_at: Option<Instant>,
+    received_at: Option<Instant>,
     /// Last value of the exchange counter of `buffers`.
     exchanges: u32,
     telegrams: Count,
@@ -88,7 +88,7 @@ impl Profibus {
             buffers,
             search: BaudSearch::new(&ProfibusConfig::RATES, 0),
             written: None,
-            heard_at: None,
+            received_at: None,
             exchanges: 0,
             telegrams: Count::ZERO,
             damaged: Count::ZERO,
@@ -124,7 +124,7 @@ impl Profibus {
         while let Some(event) = self.buffers.take() {
             match event {
                 FromMaster::Output(bytes) => {
-                    self.heard_at = Some(now);
+                    self.received_at = Some(now);
                     let image = OutputImage::from_bytes(bytes);
                     self.written = Some(image);
                     return Some(PlcEvent::Output(image));
@@ -132,7 +132,7 @@ impl Profibus {
                 FromMaster::Left { silent } => {
                     self.written = None;
                     // Otherwise the time-out has already been reported.
-                    if self.heard_at.take().is_some() {
+                    if self.received_at.take().is_some() {
                         return Some(PlcEvent::Left { silent });
                     }
                 }
@@ -148,7 +148,7 @@ impl Profibus {
             return None;
         }
         let written = self.written?;
-        self.heard_at.replace(now).is_none().then_some(PlcEvent::Output(written))
+        self.received_at.replace(now).is_none().then_some(PlcEvent::Output(written))
     }
 }
 
@@ -164,7 +164,7 @@ impl PlcSide for Profibus {
         if let Some(event) = self.hear(now) {
             return Some(event);
         }
-        let is_silent = has_fallen_silent(&mut self.heard_at, now, view.settings.timeout_ms());
+        let is_silent = has_fallen_silent(&mut self.received_at, now, view.settings.timeout_ms());
         is_silent.then_some(PlcEvent::Left { silent: true })
     }
 

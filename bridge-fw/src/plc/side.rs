@@ -108,12 +108,12 @@ impl PlcSide for NoBus {
     fn show(&mut self, _: Instant, _: &Shown) {}
 }
 
-/// Returns, once per silence, whether a PLC that was last heard at `heard_at` has been silent for `timeout_ms` (0: unlimited).
-pub(super) fn has_fallen_silent(heard_at: &mut Option<Instant>, now: Instant, timeout_ms: u32) -> bool {
-    let age_ms = heard_at.as_mut().map(|heard_at| heard_at.age(now));
+/// Returns, once per silence, whether a PLC whose last data came at `received_at` has sent nothing for `timeout_ms` (0: no limit).
+pub(super) fn has_fallen_silent(received_at: &mut Option<Instant>, now: Instant, timeout_ms: u32) -> bool {
+    let age_ms = received_at.as_mut().map(|received_at| received_at.age(now));
     let silent = timeout_ms > 0 && age_ms.is_some_and(|age_ms| age_ms >= timeout_ms);
     if silent {
-        *heard_at = None;
+        *received_at = None;
     }
     silent
 }
@@ -127,8 +127,8 @@ mod tests {
     #[test]
     fn plc_is_silent_exactly_at_its_time_out_and_once() {
         for timeout_ms in [1, 100, u16::MAX.into()] {
-            let mut heard_at = Some(BEGIN);
-            let mut is_silent = |ms: u32| has_fallen_silent(&mut heard_at, BEGIN.plus(ms), timeout_ms);
+            let mut received_at = Some(BEGIN);
+            let mut is_silent = |ms: u32| has_fallen_silent(&mut received_at, BEGIN.plus(ms), timeout_ms);
             assert!(!is_silent(timeout_ms - 1));
             assert!(is_silent(timeout_ms));
             assert!(!is_silent(timeout_ms + 1));
@@ -137,13 +137,13 @@ mod tests {
 
     #[test]
     fn plc_without_a_time_out_is_silent_as_soon_as_it_has_one() {
-        let mut heard_at = Some(BEGIN);
+        let mut received_at = Some(BEGIN);
         // Longer than a time is comparable on the clock that wraps.
         let mut now = BEGIN;
         for _ in 0..30 {
             now = now.plus(24 * 60 * 60 * 1_000);
-            assert!(!has_fallen_silent(&mut heard_at, now, 0));
+            assert!(!has_fallen_silent(&mut received_at, now, 0));
         }
-        assert!(has_fallen_silent(&mut heard_at, now, 100));
+        assert!(has_fallen_silent(&mut received_at, now, 100));
     }
 }

@@ -110,7 +110,7 @@ pub struct Device<const R: usize, const T: usize, const Q: usize> {
     watches_heartbeat: bool,
     error_behaviour: ErrorBehaviour,
     /// Time of the master's last heartbeat or RPDO; `None` if none was received or it timed out.
-    heard_at: Option<u32>,
+    received_at: Option<u32>,
     /// Whether a heartbeat was received. From then on, RPDOs do not count for monitoring.
     has_heartbeat: bool,
     master_silent: bool,
@@ -140,7 +140,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             writing: None,
             watches_heartbeat: true,
             error_behaviour: ErrorBehaviour::PreOperational,
-            heard_at: None,
+            received_at: None,
             has_heartbeat: false,
             master_silent: false,
             beat_at: None,
@@ -209,7 +209,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
         self.confirm(dictionary);
         let time_ms = u32::from(dictionary.consumer_time_ms());
-        let is_silent = self.heard_at.as_mut().is_some_and(|at| age(now_ms, at) >= time_ms) && time_ms > 0;
+        let is_silent = self.received_at.as_mut().is_some_and(|at| age(now_ms, at) >= time_ms) && time_ms > 0;
         if !is_silent {
             return None;
         }
@@ -285,7 +285,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     }
 
     fn forget_master(&mut self) {
-        (self.heard_at, self.has_heartbeat) = (None, false);
+        (self.received_at, self.has_heartbeat) = (None, false);
     }
 
     /// Executes an NMT command for this device.
@@ -418,7 +418,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
         match data {
             // Boot-up message: a restarted master does not know its previous commands.
-            [0] if self.heard_at.is_some() => self.fall_back(),
+            [0] if self.received_at.is_some() => self.fall_back(),
             [0] => {}
             [_] => {
                 self.hear_master(now_ms);
@@ -429,7 +429,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
     }
 
     fn hear_master(&mut self, now_ms: u32) {
-        self.heard_at = Some(now_ms);
+        self.received_at = Some(now_ms);
         // A device that stayed operational needs no new start.
         self.master_silent &= self.state != NmtState::Operational;
     }

@@ -52,7 +52,7 @@ pub(crate) struct Emergency {
     /// Not yet reported, including faults that have cleared since.
     new: Set,
     /// Reported as present, but not yet as cleared.
-    told: Set,
+    reported: Set,
     sent_at: Option<u32>,
     /// Ring of past faults; `next` is the next position, `count` the number of valid ones.
     past: [u32; HISTORY],
@@ -62,7 +62,7 @@ pub(crate) struct Emergency {
 
 impl Emergency {
     pub(crate) const fn new() -> Self {
-        Self { present: 0, new: 0, told: 0, sent_at: None, past: [0; HISTORY], next: 0, count: 0 }
+        Self { present: 0, new: 0, reported: 0, sent_at: None, past: [0; HISTORY], next: 0, count: 0 }
     }
 
     /// Updates the present faults. `info` is recorded with new faults.
@@ -115,19 +115,19 @@ impl Emergency {
     /// Returns the next message, at the earliest `inhibit_ms` after the last one. New faults come first, in order of
     /// the table, then the report that faults have cleared.
     pub(crate) fn next(&mut self, faults: &[Fault], now_ms: u32, inhibit_ms: u32) -> Option<Message> {
-        let over = self.told & !self.present & !self.new;
+        let over = self.reported & !self.present & !self.new;
         let is_inhibited = self.sent_at.as_mut().is_some_and(|at| age(now_ms, at) < inhibit_ms);
         if self.new | over == 0 || is_inhibited {
             return None;
         }
         self.sent_at = Some(now_ms);
         if self.new == 0 {
-            self.told &= self.present;
+            self.reported &= self.present;
             return Some(Message { code: 0, register: self.register(faults) });
         }
         let lowest = self.new & self.new.wrapping_neg();
         self.new &= !lowest;
-        self.told |= lowest;
+        self.reported |= lowest;
         let code = faults.get(lowest.trailing_zeros() as usize)?.code;
         Some(Message { code, register: register_of(faults, self.present | lowest) })
     }

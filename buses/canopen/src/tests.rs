@@ -187,7 +187,7 @@ impl Bus {
         bus
     }
 
-    fn bring(&mut self, id: u16, data: &[u8]) {
+    fn deliver(&mut self, id: u16, data: &[u8]) {
         let frame = ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
         self.device.on_frame(self.now_ms, &frame);
     }
@@ -223,7 +223,7 @@ impl Bus {
     }
 
     fn nmt(&mut self, specifier: u8) {
-        self.bring(0x000, &[specifier, NODE as u8]);
+        self.deliver(0x000, &[specifier, NODE as u8]);
         self.turn();
     }
 
@@ -241,7 +241,7 @@ impl Bus {
     }
 
     fn sdo(&mut self, request: [u8; 8]) -> Vec<Vec<u8>> {
-        self.bring(0x600 | NODE, &request);
+        self.deliver(0x600 | NODE, &request);
         self.turn();
         self.take(0x580)
     }
@@ -338,14 +338,14 @@ fn invalid_nmt_commands_change_nothing() {
     let mut bus = Bus::new();
     bus.turn();
     for data in [&[0x01, 0x11][..], &[0x01], &[], &[0x01, 0x10, 0]] {
-        bus.bring(0x000, data);
+        bus.deliver(0x000, data);
     }
     let extended = ClassicFrame::new(ExtendedId::ZERO, &[0x01, 0x10]).unwrap();
     bus.device.on_frame(bus.now_ms, &extended);
     let remote = ClassicFrame::new_remote(StandardId::ZERO, 2).unwrap();
     bus.device.on_frame(bus.now_ms, &remote);
     assert_eq!(bus.device.state(), NmtState::PreOperational);
-    bus.bring(0x000, &[0x01, 0]);
+    bus.deliver(0x000, &[0x01, 0]);
     assert_eq!(bus.device.state(), NmtState::Operational, "command to all nodes");
 }
 
@@ -353,25 +353,25 @@ fn invalid_nmt_commands_change_nothing() {
 fn rpdos_of_the_right_length_are_events_only_in_operation() {
     let mut bus = Bus::new();
     bus.turn();
-    bus.bring(0x210, &[1; 8]);
+    bus.deliver(0x210, &[1; 8]);
     bus.turn();
     assert_eq!(bus.events, []);
     bus.nmt(0x01);
-    bus.bring(0x210, &[1, 2, 3, 4, 5, 6, 7, 8]);
-    bus.bring(0x310, &[9, 10]);
-    bus.bring(0x410, &[9, 10]);
-    bus.bring(0x211, &[9; 8]);
-    bus.bring(0x110, &[9; 8]);
+    bus.deliver(0x210, &[1, 2, 3, 4, 5, 6, 7, 8]);
+    bus.deliver(0x310, &[9, 10]);
+    bus.deliver(0x410, &[9, 10]);
+    bus.deliver(0x211, &[9; 8]);
+    bus.deliver(0x110, &[9; 8]);
     bus.turn();
     let expected = [rpdo(0, [1, 2, 3, 4, 5, 6, 7, 8]), rpdo(1, [9, 10, 0, 0, 0, 0, 0, 0])];
     assert_eq!(bus.events, expected);
     assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
     for (id, data) in [(0x210, &[1; 7][..]), (0x310, &[1; 3])] {
-        bus.bring(id, data);
+        bus.deliver(id, data);
         bus.turn();
         assert_eq!(bus.events, expected, "rejected");
-        let told = [[0x10, 0x82, COMMUNICATION | GENERIC, 0, 0, 0, 0, 0], [0; 8]];
-        assert_eq!(bus.take(0x080), told, "reported once, then cleared");
+        let reported = [[0x10, 0x82, COMMUNICATION | GENERIC, 0, 0, 0, 0, 0], [0; 8]];
+        assert_eq!(bus.take(0x080), reported, "reported once, then cleared");
         bus.turn();
         assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
     }
@@ -381,9 +381,9 @@ fn rpdos_of_the_right_length_are_events_only_in_operation() {
 fn events_beyond_the_queue_are_lost_except_the_kept_bits_of_rpdos() {
     let mut bus = Bus::operational();
     for byte in [1, 2, 3, STOP | 4, 5, 6] {
-        bus.bring(0x210, &[byte; 8]);
+        bus.deliver(0x210, &[byte; 8]);
     }
-    bus.bring(0x310, &[7; 2]);
+    bus.deliver(0x310, &[7; 2]);
     bus.nmt(0x80);
     let kept = [STOP | 6, 6, 6, 6, 6, 6, 6, 6];
     assert_eq!(bus.events, [rpdo(0, [1; 8]), rpdo(0, [2; 8]), rpdo(0, [3; 8]), rpdo(0, kept)]);
@@ -393,7 +393,7 @@ fn events_beyond_the_queue_are_lost_except_the_kept_bits_of_rpdos() {
 fn kept_bits_survive_a_repeated_rpdo() {
     let mut bus = Bus::operational();
     for byte in [1, 2, 3, STOP, STOP] {
-        bus.bring(0x210, &[byte; 8]);
+        bus.deliver(0x210, &[byte; 8]);
     }
     bus.turn();
     assert_eq!(bus.events.last(), Some(&rpdo(0, [STOP; 8])));
@@ -461,7 +461,7 @@ fn emergency_is_sent_after_many_days_without_one() {
 fn master_that_was_silent_for_many_days_is_so_when_its_monitoring_begins() {
     let mut bus = Bus::operational();
     bus.application.time_ms = 0;
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.pass_days(MANY_DAYS);
     assert_eq!(bus.events, []);
     bus.application.time_ms = TIME_MS;
@@ -485,11 +485,11 @@ fn master_with_a_heartbeat_is_monitored_only_by_heartbeat() {
     let mut bus = Bus::operational();
     bus.pass(1_000);
     assert_eq!(bus.device.state(), NmtState::Operational, "monitoring has not started yet");
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.pass(u32::from(TIME_MS) - 1);
-    bus.bring(0x210, &[0; 8]);
-    bus.bring(0x701, &[5]);
-    bus.bring(0x700 | MASTER, &[5, 5]);
+    bus.deliver(0x210, &[0; 8]);
+    bus.deliver(0x701, &[5]);
+    bus.deliver(0x700 | MASTER, &[5, 5]);
     bus.turn();
     assert_eq!(bus.events, [rpdo(0, [0; 8])]);
     bus.pass(1);
@@ -503,7 +503,7 @@ fn master_with_a_heartbeat_is_monitored_only_by_heartbeat() {
 fn master_without_a_heartbeat_is_monitored_by_its_rpdos() {
     let mut bus = Bus::operational();
     for _ in 0..5 {
-        bus.bring(0x310, &[0; 2]);
+        bus.deliver(0x310, &[0; 2]);
         bus.pass(200);
     }
     assert!(!bus.events.contains(&SILENT));
@@ -515,7 +515,7 @@ fn master_without_a_heartbeat_is_monitored_by_its_rpdos() {
 fn time_out_of_0_disables_monitoring() {
     let mut bus = Bus::operational();
     bus.application.time_ms = 0;
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.pass(100_000);
     assert_eq!(bus.events, []);
 }
@@ -523,7 +523,7 @@ fn time_out_of_0_disables_monitoring() {
 #[test]
 fn master_time_out_is_an_emergency_until_it_starts_the_device_again() {
     let mut bus = Bus::operational();
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.pass(TIME_MS.into());
     bus.show_faults(0);
     assert_eq!(bus.take(0x080), [[0x30, 0x81, COMMUNICATION | GENERIC, 1, 2, 3, 4, 5]]);
@@ -535,11 +535,11 @@ fn master_time_out_is_an_emergency_until_it_starts_the_device_again() {
 #[test]
 fn master_that_restarts_commands_no_more() {
     let mut bus = Bus::operational();
-    bus.bring(0x700 | MASTER, &[0]);
+    bus.deliver(0x700 | MASTER, &[0]);
     bus.turn();
     assert_eq!((&bus.events[..], bus.device.state()), (&[][..], NmtState::Operational), "no master known");
-    bus.bring(0x210, &[0; 8]);
-    bus.bring(0x700 | MASTER, &[0]);
+    bus.deliver(0x210, &[0; 8]);
+    bus.deliver(0x700 | MASTER, &[0]);
     bus.turn();
     assert_eq!(bus.events, [rpdo(0, [0; 8]), LEFT]);
     assert_eq!(bus.device.state(), NmtState::PreOperational);
@@ -550,7 +550,7 @@ fn master_that_restarts_commands_no_more() {
 #[test]
 fn boot_up_of_the_master_does_not_start_monitoring() {
     let mut bus = Bus::operational();
-    bus.bring(0x700 | MASTER, &[0]);
+    bus.deliver(0x700 | MASTER, &[0]);
     bus.pass(100_000);
     assert_eq!((&bus.events[..], bus.device.state()), (&[][..], NmtState::Operational));
 }
@@ -571,7 +571,7 @@ fn resets_restore_power_up_state_and_report_their_extent() {
     for (specifier, application) in [(0x81, true), (0x82, false)] {
         let mut bus = Bus::operational();
         bus.device.show_tpdo(0, [1; 8]);
-        bus.bring(0x210, &[1; 8]);
+        bus.deliver(0x210, &[1; 8]);
         bus.turn();
         bus.download(0x1017, 0, &[100, 0]).unwrap();
         bus.download(0x1016, 1, &[100, 0, 5, 0]).unwrap();
@@ -591,9 +591,9 @@ fn resets_restore_power_up_state_and_report_their_extent() {
 fn only_another_reset_counts_before_the_boot_up_message() {
     let mut bus = Bus::operational();
     for specifier in [0x82, 0x01, 0x81] {
-        bus.bring(0x000, &[specifier, NODE as u8]);
+        bus.deliver(0x000, &[specifier, NODE as u8]);
     }
-    bus.bring(0x210, &[1; 8]);
+    bus.deliver(0x210, &[1; 8]);
     bus.turn();
     let resets = [Event::Reset { application: false }, Event::Reset { application: true }];
     assert_eq!(bus.events, [LEFT, resets[0], resets[1]]);
@@ -603,13 +603,13 @@ fn only_another_reset_counts_before_the_boot_up_message() {
 #[test]
 fn lost_bus_ends_operation_and_is_reported_after_recovery() {
     let mut bus = Bus::operational();
-    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.deliver(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.device.bus_lost();
     bus.turn();
     assert_eq!((&bus.events[..], bus.device.state()), (&[LEFT][..], NmtState::PreOperational));
     assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new(), "pending response is discarded");
     bus.sent.clear();
-    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.deliver(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.device.bus_joined();
     bus.turn();
     assert_eq!(bus.sent.iter().map(|(_, id, _)| *id).collect::<Vec<_>>(), [0x090, 0x090, 0x710]);
@@ -635,16 +635,16 @@ fn faults_are_reported_in_table_order_and_then_cleared() {
     bus.show_faults(0b11111);
     assert_eq!(bus.upload(0x1001, 0), Ok(vec![1 << 7 | 1 << 3 | GENERIC]));
     let both = 1 << 7 | 1 << 3 | GENERIC;
-    let told = bus.take(0x080);
-    assert_eq!(told, [[0x01, 0xFF, both, 1, 2, 3, 4, 5], [0x10, 0x42, both, 1, 2, 3, 4, 5]]);
+    let reported = bus.take(0x080);
+    assert_eq!(reported, [[0x01, 0xFF, both, 1, 2, 3, 4, 5], [0x10, 0x42, both, 1, 2, 3, 4, 5]]);
     bus.show_faults(0b11111);
     assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new(), "reported once");
     bus.show_faults(0b10000);
     assert_eq!(bus.take(0x080), [[0, 0, 1 << 3 | GENERIC, 1, 2, 3, 4, 5]]);
     bus.show_faults(0b00001);
-    let told = bus.take(0x080);
+    let reported = bus.take(0x080);
     assert_eq!(
-        told,
+        reported,
         [[0x01, 0xFF, 1 << 7 | GENERIC, 1, 2, 3, 4, 5], [0, 0, 1 << 7 | GENERIC, 1, 2, 3, 4, 5]]
     );
 }
@@ -655,7 +655,7 @@ fn register_bit_shared_by_two_faults_stays_set() {
     bus.show_faults(1 << 5);
     assert_eq!(bus.take(0x080), [[0x00, 0x10, GENERIC, 1, 2, 3, 4, 5]]);
     bus.show_faults(0);
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.pass(TIME_MS.into());
     bus.show_faults(0);
     bus.take(0x080);
@@ -670,7 +670,7 @@ fn stopped_device_defers_faults_until_started() {
     let mut bus = Bus::operational();
     bus.nmt(0x02);
     bus.show_faults(1);
-    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.deliver(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.pass(1_000);
     assert!(bus.sent.iter().all(|(_, id, data)| *id == 0x710 && data == &[4]), "{:?}", bus.sent);
     bus.sent.clear();
@@ -684,7 +684,7 @@ fn frames_are_sent_in_order_of_priority() {
     let mut bus = Bus::operational();
     bus.device.frames_lost();
     bus.device.show_faults(1, [0; 5]);
-    bus.bring(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.deliver(0x600 | NODE, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
     bus.turn();
     assert_eq!(
         bus.sent.iter().map(|(_, id, _)| *id).collect::<Vec<_>>(),
@@ -695,7 +695,7 @@ fn frames_are_sent_in_order_of_priority() {
 #[test]
 fn objects_are_read_from_their_sources() {
     let mut bus = Bus::operational();
-    bus.bring(0x210, &[1, 2, 3, 4, 5, 6, 0xFE, 0xFF]);
+    bus.deliver(0x210, &[1, 2, 3, 4, 5, 6, 0xFE, 0xFF]);
     bus.device.show_tpdo(0, [1, 2, 3, 4, 5, 6, 7, 8]);
     bus.device.show_tpdo(1, [1, 2, 3, 4, 5, 6, 7, 8]);
     (bus.application.byte, bus.application.word) = (0xAB, 0x1234);
@@ -751,11 +751,11 @@ fn writable_objects_accept_writes() {
 #[test]
 fn consumer_heartbeat_object_changes_master_and_time_out() {
     let mut bus = Bus::operational();
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.download(0x1016, 1, &[100, 0, 5, 0]).unwrap();
     bus.pass(1_000);
     assert_eq!(bus.events, [READ], "the previous master is not monitored");
-    bus.bring(0x705, &[5]);
+    bus.deliver(0x705, &[5]);
     bus.pass(100);
     assert_eq!(bus.events, [READ, SILENT]);
     for (value, abort) in
@@ -769,7 +769,7 @@ fn consumer_heartbeat_object_changes_master_and_time_out() {
 #[test]
 fn master_time_out_is_detected_after_a_change_of_its_time() {
     let mut bus = Bus::operational();
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     // Longer than the new time-out, which starts with the request.
     bus.pass(200);
     bus.download(0x1016, 1, &[100, 0, MASTER as u8, 0]).unwrap();
@@ -804,14 +804,14 @@ fn server_reports_abort_codes() {
 #[test]
 fn truncated_requests_and_client_aborts_get_no_response() {
     let mut bus = Bus::operational();
-    bus.bring(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0]);
+    bus.deliver(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0]);
     bus.turn();
     assert_eq!(bus.take(0x580), Vec::<Vec<u8>>::new());
     assert_eq!(bus.sdo([0x80, 0, 0x10, 0, 0, 0, 0, 0]), Vec::<Vec<u8>>::new());
     // The later of two requests in one turn is served; a truncated one does not replace it.
-    bus.bring(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
-    bus.bring(0x610, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]);
-    bus.bring(0x610, &[0x40]);
+    bus.deliver(0x610, &[0x40, 0, 0x10, 0, 0, 0, 0, 0]);
+    bus.deliver(0x610, &[0x40, 0x17, 0x10, 0, 0, 0, 0, 0]);
+    bus.deliver(0x610, &[0x40]);
     bus.turn();
     assert_eq!(bus.take(0x580), [[0x4B, 0x17, 0x10, 0, 0xF4, 1, 0, 0]]);
 }
@@ -842,9 +842,9 @@ fn node_ids_are_1_to_127_and_differ() {
 
 #[test]
 fn data_types_have_the_standard_lengths_and_numbers() {
-    let told = [DataType::I16, DataType::U8, DataType::U16, DataType::U32, DataType::Text]
+    let reported = [DataType::I16, DataType::U8, DataType::U16, DataType::U32, DataType::Text]
         .map(|kind| (kind.len(), kind.code()));
-    assert_eq!(told, [(2, 3), (1, 5), (2, 6), (4, 7), (0, 9)]);
+    assert_eq!(reported, [(2, 3), (1, 5), (2, 6), (4, 7), (0, 9)]);
 }
 
 #[test]
@@ -910,21 +910,21 @@ const STATE: u32 = 0x0800_0022;
 #[test]
 fn disabling_an_rpdo_ends_command_by_the_master() {
     let mut bus = Bus::operational();
-    bus.bring(0x210, &[1; 8]);
+    bus.deliver(0x210, &[1; 8]);
     bus.turn();
     bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
     assert_eq!(bus.events, [rpdo(0, [1; 8]), READ, LEFT]);
     assert_eq!(bus.upload(0x1400, 1), Ok(COB_ID_DISABLED.to_vec()));
-    bus.bring(0x210, &[2; 8]);
-    bus.bring(0x210, &[2; 7]);
-    bus.bring(0x310, &[3; 2]);
+    bus.deliver(0x210, &[2; 8]);
+    bus.deliver(0x210, &[2; 7]);
+    bus.deliver(0x310, &[3; 2]);
     bus.events.clear();
     bus.turn();
     assert_eq!(bus.events, [rpdo(1, [3, 3, 0, 0, 0, 0, 0, 0])], "RPDO2 is unchanged");
     assert_eq!(bus.take(0x080), Vec::<Vec<u8>>::new());
     bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
     bus.download(0x1400, 1, &COB_ID).unwrap();
-    bus.bring(0x210, &[4; 8]);
+    bus.deliver(0x210, &[4; 8]);
     bus.events.clear();
     bus.turn();
     assert_eq!(bus.events, [rpdo(0, [4; 8])]);
@@ -934,12 +934,12 @@ fn disabling_an_rpdo_ends_command_by_the_master() {
 #[test]
 fn missing_rpdos_after_disabling_one_are_no_time_out() {
     let mut bus = Bus::operational();
-    bus.bring(0x210, &[1; 8]);
+    bus.deliver(0x210, &[1; 8]);
     bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
     bus.pass(10 * u32::from(TIME_MS));
     assert!(!bus.events.contains(&SILENT));
     // A missing heartbeat is.
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.download(0x1401, 1, &[0x10, 0x03, 0, 0x80]).unwrap();
     bus.pass(TIME_MS.into());
     assert_eq!(bus.events.last(), Some(&SILENT));
@@ -1052,27 +1052,27 @@ fn synchronous_rpdo_takes_effect_at_sync_but_a_stop_request_immediately() {
     let mut bus = Bus::operational();
     bus.download(0x1400, 2, &[10]).unwrap();
     bus.events.clear();
-    bus.bring(0x210, &[1; 8]);
-    bus.bring(0x210, &[2; 8]);
+    bus.deliver(0x210, &[1; 8]);
+    bus.deliver(0x210, &[2; 8]);
     bus.turn();
     assert_eq!(bus.events, []);
     assert_eq!(bus.upload(0x2000, 1), Ok(vec![0]));
     bus.events.clear();
-    bus.bring(0x080, &[1, 2]);
+    bus.deliver(0x080, &[1, 2]);
     bus.turn();
     assert_eq!(bus.events, [], "not a SYNC");
     for sync in [&[][..], &[7]] {
-        bus.bring(0x210, &[2; 8]);
-        bus.bring(0x080, sync);
-        bus.bring(0x080, sync);
+        bus.deliver(0x210, &[2; 8]);
+        bus.deliver(0x080, sync);
+        bus.deliver(0x080, sync);
         bus.turn();
         assert_eq!(bus.events, [rpdo(0, [2; 8])], "the last one, once");
         assert_eq!(bus.upload(0x2000, 1), Ok(vec![2]));
         bus.events.clear();
     }
-    bus.bring(0x210, &[3; 8]);
-    bus.bring(0x210, &[STOP; 8]);
-    bus.bring(0x080, &[]);
+    bus.deliver(0x210, &[3; 8]);
+    bus.deliver(0x210, &[STOP; 8]);
+    bus.deliver(0x080, &[]);
     bus.turn();
     assert_eq!(bus.events, [rpdo(0, [STOP; 8])], "earlier data is discarded");
 }
@@ -1083,7 +1083,7 @@ fn data_waiting_for_a_sync_is_discarded_when_its_master_stops_commanding() {
     let acts: [Act; 5] = [
         |bus| bus.nmt(0x80),
         |bus| bus.device.bus_lost(),
-        |bus| bus.bring(0x700 | MASTER, &[0]),
+        |bus| bus.deliver(0x700 | MASTER, &[0]),
         |bus| bus.pass(TIME_MS.into()),
         |bus| {
             bus.download(0x1400, 1, &COB_ID_DISABLED).unwrap();
@@ -1093,11 +1093,11 @@ fn data_waiting_for_a_sync_is_discarded_when_its_master_stops_commanding() {
     for (number, act) in acts.into_iter().enumerate() {
         let mut bus = Bus::operational();
         bus.download(0x1400, 2, &[0]).unwrap();
-        bus.bring(0x210, &[1; 8]);
+        bus.deliver(0x210, &[1; 8]);
         act(&mut bus);
         bus.turn();
         bus.nmt(0x01);
-        bus.bring(0x080, &[]);
+        bus.deliver(0x080, &[]);
         bus.turn();
         assert!(!bus.events.contains(&rpdo(0, [1; 8])), "{number}: {:?}", bus.events);
         assert!(bus.events.iter().any(|event| matches!(event, Event::Left { .. })), "{number}");
@@ -1110,12 +1110,12 @@ fn sync_outside_operation_is_ignored() {
     bus.download(0x1800, 2, &[1]).unwrap();
     bus.nmt(0x80);
     bus.sent.clear();
-    bus.bring(0x080, &[]);
+    bus.deliver(0x080, &[]);
     bus.pass(1);
     bus.nmt(0x01);
     bus.pass(1);
     assert_eq!(bus.take(0x180), Vec::<Vec<u8>>::new());
-    bus.bring(0x080, &[]);
+    bus.deliver(0x080, &[]);
     bus.turn();
     assert_eq!(bus.take(0x180).len(), 1);
 }
@@ -1133,7 +1133,7 @@ fn synchronous_tpdos_are_sent_every_nth_sync_or_on_change() {
         }
         bus.pass(150);
         assert_eq!((bus.take(0x180).len(), bus.take(0x280).len()), (0, 0), "nothing without a SYNC");
-        bus.bring(0x080, &[]);
+        bus.deliver(0x080, &[]);
         bus.turn();
         counts.push((bus.take(0x180).len(), bus.take(0x280).len()));
     }
@@ -1147,13 +1147,13 @@ fn disabled_heartbeat_consumer_still_monitors_rpdos() {
         let mut bus = Bus::operational();
         bus.download(0x1016, 1, &value).unwrap();
         assert_eq!(bus.upload(0x1016, 1), Ok(vec![0; 4]), "disabled");
-        bus.bring(0x700 | MASTER, &[5]);
+        bus.deliver(0x700 | MASTER, &[5]);
         bus.pass(10 * u32::from(TIME_MS));
-        bus.bring(0x700 | MASTER, &[0]);
+        bus.deliver(0x700 | MASTER, &[0]);
         bus.turn();
         assert_eq!(bus.events, [READ, READ], "{value:?}");
         assert_eq!(bus.application.time_ms, TIME_MS, "time-out of the application is unchanged");
-        bus.bring(0x310, &[0; 2]);
+        bus.deliver(0x310, &[0; 2]);
         bus.pass(TIME_MS.into());
         assert_eq!(bus.events.last(), Some(&SILENT), "every commanding master is monitored");
         bus.download(0x1016, 1, &[200, 0, MASTER as u8, 0]).unwrap();
@@ -1166,13 +1166,13 @@ fn rpdos_suffice_without_a_monitored_heartbeat() {
     for (heartbeat, value) in [(true, [0; 4]), (false, [100, 0, MASTER as u8, 0])] {
         let mut bus = Bus::operational();
         if heartbeat {
-            bus.bring(0x700 | MASTER, &[5]);
+            bus.deliver(0x700 | MASTER, &[5]);
         }
-        bus.bring(0x310, &[0; 2]);
+        bus.deliver(0x310, &[0; 2]);
         bus.download(0x1016, 1, &value).unwrap();
         for _ in 0..20 {
             bus.pass(50);
-            bus.bring(0x310, &[0; 2]);
+            bus.deliver(0x310, &[0; 2]);
         }
         assert!(!bus.events.contains(&SILENT), "{value:?}");
         bus.pass(TIME_MS.into());
@@ -1183,7 +1183,7 @@ fn rpdos_suffice_without_a_monitored_heartbeat() {
 #[test]
 fn master_time_out_is_detected_after_disabling_the_consumer() {
     let mut bus = Bus::operational();
-    bus.bring(0x700 | MASTER, &[5]);
+    bus.deliver(0x700 | MASTER, &[5]);
     bus.pass(200);
     bus.download(0x1016, 1, &[0; 4]).unwrap();
     bus.pass(u32::from(TIME_MS) - 1);
@@ -1199,18 +1199,18 @@ fn inhibit_time_delays_emergencies_but_loses_none() {
     assert_eq!(bus.upload(0x1015, 0), Ok(vec![0x2C, 1]));
     let start = bus.now_ms;
     for n in 0..60 {
-        bus.bring(0x210, &[0; 7]);
+        bus.deliver(0x210, &[0; 7]);
         // A fault that appears and clears within one inhibit time.
         bus.show_faults(u16::from(n == 5));
         bus.pass(1);
     }
     bus.pass(200);
-    let told = bus.take_timed(0x080);
-    let told: Vec<_> = told
+    let reported = bus.take_timed(0x080);
+    let reported: Vec<_> = reported
         .iter()
         .map(|(at, data)| (at.wrapping_sub(start), u16::from_le_bytes([data[0], data[1]])))
         .collect();
-    assert_eq!(told, [(0, 0x8210), (30, 0xFF01), (60, 0x8210), (90, 0)]);
+    assert_eq!(reported, [(0, 0x8210), (30, 0xFF01), (60, 0x8210), (90, 0)]);
 }
 
 #[test]
@@ -1225,7 +1225,7 @@ fn past_faults_are_recorded_until_a_master_clears_them() {
     assert_eq!(bus.upload(0x1003, 1), Ok(vec![0x10, 0x42, 5, 0]));
     assert_eq!(bus.upload(0x1003, 2), Ok(vec![0x01, 0xFF, 5, 0]));
     for _ in 0..10 {
-        bus.bring(0x210, &[]);
+        bus.deliver(0x210, &[]);
         bus.turn();
     }
     assert_eq!(bus.upload(0x1003, 0), Ok(vec![8]));
@@ -1245,14 +1245,14 @@ fn error_behaviour_selects_the_state_after_a_loss() {
         type Act = fn(&mut Bus);
         let acts: [Act; 3] = [
             |bus| bus.device.bus_lost(),
-            |bus| bus.bring(0x700 | MASTER, &[0]),
+            |bus| bus.deliver(0x700 | MASTER, &[0]),
             |bus| bus.pass(TIME_MS.into()),
         ];
         for act in acts {
             let mut bus = Bus::operational();
             bus.download(0x1029, 1, &[behaviour]).unwrap();
             assert_eq!(bus.upload(0x1029, 1), Ok(vec![behaviour]));
-            bus.bring(0x700 | MASTER, &[5]);
+            bus.deliver(0x700 | MASTER, &[5]);
             bus.events.clear();
             act(&mut bus);
             bus.turn();
@@ -1269,11 +1269,11 @@ fn time_out_without_leaving_operation_clears_when_the_master_returns() {
     let mut bus = Bus::operational();
     bus.download(0x1029, 1, &[1]).unwrap();
     for data in [&[5][..], &[127]] {
-        bus.bring(0x700 | MASTER, data);
+        bus.deliver(0x700 | MASTER, data);
         bus.pass(TIME_MS.into());
         bus.show_faults(0);
         assert_eq!(bus.take(0x080).len(), 1, "time-out");
-        bus.bring(0x700 | MASTER, data);
+        bus.deliver(0x700 | MASTER, data);
         bus.show_faults(0);
         assert_eq!(bus.take(0x080), [[0, 0, 0, 1, 2, 3, 4, 5]]);
     }
@@ -1337,7 +1337,7 @@ impl Dictionary for Textless {
 #[test]
 fn missing_text_is_no_data() {
     let mut bus = Bus::operational();
-    bus.bring(0x600 | NODE, &[0x40, 0x08, 0x10, 0, 0, 0, 0, 0]);
+    bus.deliver(0x600 | NODE, &[0x40, 0x08, 0x10, 0, 0, 0, 0, 0]);
     let Bus { mut device, application, now_ms, .. } = bus;
     assert_eq!(device.poll_event(now_ms, &mut Textless(application)), Some(READ));
     let answer = device.poll_transmit::<ClassicFrame>(now_ms).unwrap();
@@ -1347,7 +1347,7 @@ fn missing_text_is_no_data() {
 #[test]
 fn write_ends_immediately_by_default() {
     let mut bus = Bus::operational();
-    bus.bring(0x600 | NODE, &SLOW);
+    bus.deliver(0x600 | NODE, &SLOW);
     let Bus { mut device, application, now_ms, .. } = bus;
     assert_eq!(device.poll_event(now_ms, &mut Textless(application)), Some(Event::Sdo { written: true }));
     let answer = device.poll_transmit::<ClassicFrame>(now_ms).unwrap();
@@ -1429,7 +1429,7 @@ fn transfer_survives_a_start_but_not_a_stop() {
     let answers = bus.sdo([0x60, 0, 0, 0, 0, 0, 0, 0]);
     assert_eq!(answers[0][1..], NAME.as_bytes()[..7]);
     // A request and a stop in the same turn.
-    bus.bring(0x600 | NODE, &[0x2F, 0x02, 0x20, 1, 0xCD, 0, 0, 0]);
+    bus.deliver(0x600 | NODE, &[0x2F, 0x02, 0x20, 1, 0xCD, 0, 0, 0]);
     bus.nmt(0x02);
     bus.nmt(0x80);
     assert_eq!((bus.application.byte, bus.take(0x580)), (0, vec![]));
@@ -1453,7 +1453,7 @@ fn elapsed_time_covers_24_days_and_an_age_any_time() {
 #[test]
 fn rpdo_image_accepts_only_its_present_value_by_sdo() {
     let mut bus = Bus::operational();
-    bus.bring(0x210, &[1; 8]);
+    bus.deliver(0x210, &[1; 8]);
     bus.turn();
     bus.events.clear();
     bus.download(0x2000, 1, &[1]).unwrap();
@@ -1472,9 +1472,9 @@ fn other_nodes_and_invalid_frames_do_not_count_as_the_master() {
     for has_heartbeat in [true, false] {
         let mut bus = Bus::operational();
         if has_heartbeat {
-            bus.bring(0x700 | MASTER, &[5]);
+            bus.deliver(0x700 | MASTER, &[5]);
         } else {
-            bus.bring(0x210, &[0; 8]);
+            bus.deliver(0x210, &[0; 8]);
         }
         for _ in 0..TIME_MS / 10 {
             assert!(!bus.events.contains(&SILENT), "too early");
@@ -1489,7 +1489,7 @@ fn other_nodes_and_invalid_frames_do_not_count_as_the_master() {
                 (0x000, &[0x01, 0x11]),
                 (0x610, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]),
             ] {
-                bus.bring(id, data);
+                bus.deliver(id, data);
             }
             bus.device.on_frame(bus.now_ms, &remote);
             bus.pass(10);

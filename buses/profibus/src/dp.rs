@@ -67,7 +67,7 @@ struct Master {
     address: u8,
     parameters: Parameters,
     /// Time of its last request, in milliseconds.
-    heard_ms: u32,
+    received_ms: u32,
     /// Whether it has also sent the correct configuration.
     configured: bool,
 }
@@ -175,8 +175,8 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
 
     /// Returns the time until the watchdog expires without a request, in milliseconds.
     pub(crate) fn time_left_ms(&self, now_ms: u32) -> Option<u32> {
-        let Master { heard_ms, parameters, .. } = self.master?;
-        let silence_ms = now_ms.wrapping_sub(heard_ms);
+        let Master { received_ms, parameters, .. } = self.master?;
+        let silence_ms = now_ms.wrapping_sub(received_ms);
         Some(parameters.watchdog_ms?.saturating_add(1).saturating_sub(silence_ms))
     }
 
@@ -186,9 +186,9 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
     }
 
     /// Restarts the watchdog if `source` is the slave's master. Call it for each request to this station.
-    pub(crate) fn hear(&mut self, source: u8, now_ms: u32) {
+    pub(crate) fn receive(&mut self, source: u8, now_ms: u32) {
         if let Some(master) = self.master_if(source) {
-            master.heard_ms = now_ms;
+            master.received_ms = now_ms;
         }
     }
 
@@ -288,7 +288,7 @@ impl<const O: usize, const I: usize, const D: usize> Dp<O, I, D> {
                 self.faults = 0;
                 self.set_min_tsdr(parameters.min_tsdr_bits);
                 self.master =
-                    Some(Master { address: source, parameters, heard_ms: now_ms, configured: false });
+                    Some(Master { address: source, parameters, received_ms: now_ms, configured: false });
                 event
             }
         };

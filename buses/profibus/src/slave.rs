@@ -208,7 +208,7 @@ impl<const O: usize, const I: usize, const D: usize> Station<O, I, D> {
             self.cycle = cycle;
             self.answer_len = self.write(response, telegram);
         }
-        self.dp.hear(source, now_ms);
+        self.dp.receive(source, now_ms);
         let not_before_bits = self.not_before_bits();
         let bytes = self.answer.get(..self.answer_len).unwrap_or_default();
         Outcome { event, answer: Some(Answer { bytes, not_before_bits }) }

@@ -197,7 +197,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         if self
             .reader
             .as_ref()
-            .is_some_and(|(relation, heard)| now >= heard.saturating_add(relation.activity_us))
+            .is_some_and(|(relation, received)| now >= received.saturating_add(relation.activity_us))
         {
             self.reader = None;
         }
@@ -261,7 +261,9 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         let mut next = self.next_lldp;
         let mut consider = |due: Option<u64>| next = due.map_or(next, |due| next.min(due));
         consider(self.dcp.next_due());
-        consider(self.reader.as_ref().map(|(relation, heard)| heard.saturating_add(relation.activity_us)));
+        consider(
+            self.reader.as_ref().map(|(relation, received)| received.saturating_add(relation.activity_us)),
+        );
         if let Some(connection) = &self.connection {
             consider(Some(connection.next_inputs));
             consider(connection.low.next_due(now));
@@ -319,7 +321,8 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         match alarms.receive(payload, &connection.ends)? {
             AlarmEvent::Acknowledged(alarm) => {
                 let bit = 1_u32.checked_shl(alarm.fault.into()).unwrap_or(0);
-                connection.told = if alarm.appears { connection.told | bit } else { connection.told & !bit };
+                connection.reported =
+                    if alarm.appears { connection.reported | bit } else { connection.reported & !bit };
                 None
             }
             AlarmEvent::Aborted => self.leave(Cause::Aborted),
@@ -345,10 +348,10 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         if now >= connection.silent_at() {
             return self.leave(Cause::Silence);
         }
-        let Connection { output, last_counter, heard, has_outputs, .. } = connection;
-        let received = cyclic::receive(payload, output, last_counter, profile, outputs)?;
-        *heard = now;
-        match received {
+        let Connection { output, last_counter, received, has_outputs, .. } = connection;
+        let outcome = cyclic::receive(payload, output, last_counter, profile, outputs)?;
+        *received = now;
+        match outcome {
             Received::Good => {
                 *has_outputs = true;
                 Some(Event::Outputs)

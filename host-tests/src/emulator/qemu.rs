@@ -220,7 +220,7 @@ fn follow(messages: io::PipeReader, watch: &Watch) {
         if port.follow(&text) {
             watch.show(port.outputs(), port.is_served());
         } else {
-            watch.hear(&text);
+            watch.receive(&text);
         }
         line.clear();
     }

@@ -131,22 +131,22 @@ impl Rp2040 {
         let turn = Turn::wait();
         let process = command.spawn().context("cannot run node")?;
         let mut started = Started(Some(process));
-        if let Some(said) = started.process().stderr.take() {
+        if let Some(printed) = started.process().stderr.take() {
             let watch = Arc::clone(watch);
-            thread::spawn(move || hear(said, &watch));
+            thread::spawn(move || receive(printed, &watch));
         }
         if let Some(bus) = &extras.can {
-            let (asks, told) = (started.process().stdout.take(), started.process().stdin.take());
-            let (asks, told) = asks.zip(told).context("standard input and output are not pipes")?;
+            let (asks, reported) = (started.process().stdout.take(), started.process().stdin.take());
+            let (asks, reported) = asks.zip(reported).context("standard input and output are not pipes")?;
             let (bus, watch) = (bus.clone(), Arc::clone(watch));
-            thread::spawn(move || serve_spi(asks, told, &bus, &watch));
+            thread::spawn(move || serve_spi(asks, reported, &bus, &watch));
         }
         let line = started.accept(&sockets, CONTROL);
         let line = line.with_context(|| lock(&watch.seen).last_words())?;
         let (answer, answers) = mpsc::channel();
-        let (told, commands) = (line.try_clone()?, Commands(Arc::new(Mutex::new(line))));
+        let (reported, commands) = (line.try_clone()?, Commands(Arc::new(Mutex::new(line))));
         let (told_to, clock, and_back) = (Arc::clone(watch), clock.clone(), commands.clone());
-        thread::spawn(move || follow(told, &answer, &told_to, &clock, &and_back));
+        thread::spawn(move || follow(reported, &answer, &told_to, &clock, &and_back));
         let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
         running.with_context(|| format!("no firmware for this board starts from {}", elf.display()))?;
         // The emulator connects the other lines first.
@@ -164,7 +164,7 @@ impl Rp2040 {
         control.commands.send(command).with_context(no_answer)?;
         let answer = control.answers.recv_timeout(PATIENCE).with_context(no_answer)?;
         match answer.split_once(' ').unwrap_or((&answer, "")) {
-            ("ok", told) => Ok(told.to_owned()),
+            ("ok", reported) => Ok(reported.to_owned()),
             (_, why) => bail!("{NODE} rejects `{command}`: {why}"),
         }
     }
@@ -218,8 +218,8 @@ impl Chip for Rp2040 {
     }
 
     fn watchdog_resets(&self) -> Result<(u32, Duration)> {
-        let told = self.ask("resets")?;
-        let (resets, micros) = told.split_once(' ').context("expected two numbers")?;
+        let reported = self.ask("resets")?;
+        let (resets, micros) = reported.split_once(' ').context("expected two numbers")?;
         Ok((resets.parse()?, Duration::from_micros(micros.parse()?)))
     }
 }
@@ -271,7 +271,7 @@ const DESELECTED: u8 = 3;
 const RESET: u8 = 4;
 
 /// Acts as the MCP2515 on the board's SPI until the board is switched off.
-fn serve_spi(mut asks: ChildStdout, mut told: ChildStdin, bus: &CanBus<Mcp2515>, watch: &Watch) {
+fn serve_spi(mut asks: ChildStdout, mut reported: ChildStdin, bus: &CanBus<Mcp2515>, watch: &Watch) {
     let (mut question, mut passed) = ([0; 10], 0);
     while asks.read_exact(&mut question).is_ok() {
         let [time @ .., what, byte] = question;
@@ -297,16 +297,16 @@ fn serve_spi(mut asks: ChildStdout, mut told: ChildStdin, bus: &CanBus<Mcp2515>,
         let level = bus.act(|chip| chip.interrupt_pin());
         let mut answer = [byte, u8::from(level), 0, 0, 0, 0, 0, 0, 0, 0];
         answer[2..].copy_from_slice(&next.to_le_bytes());
-        if told.write_all(&answer).is_err() {
+        if reported.write_all(&answer).is_err() {
             return;
         }
     }
 }
 
 /// Records standard error until the emulator ends.
-fn hear(said: ChildStderr, watch: &Watch) {
-    for line in BufReader::new(said).lines().map_while(Result::ok) {
-        watch.hear(&line);
+fn receive(printed: ChildStderr, watch: &Watch) {
+    for line in BufReader::new(printed).lines().map_while(Result::ok) {
+        watch.receive(&line);
     }
     watch.end();
 }
@@ -320,7 +320,7 @@ fn follow(line: UnixStream, answer: &Sender<String>, watch: &Watch, clock: &Cloc
             }
             ("end", why) => watch.fail(why),
             ("time", micros) => {
-                clock.tell(micros.parse().unwrap_or(0));
+                clock.report(micros.parse().unwrap_or(0));
                 // The emulator may have ended.
                 let _ = commands.send("go on");
             }

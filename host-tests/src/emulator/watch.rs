@@ -10,7 +10,7 @@ use wsg_bridge_fw::io::Outputs;
 use super::{OutputChange, lock};
 
 /// Number of output lines kept in addition to the trace.
-const SAID_MAX: usize = 4;
+const PRINTED_MAX: usize = 4;
 
 #[derive(Debug)]
 pub(super) struct Watch {
@@ -28,7 +28,7 @@ pub(super) struct Seen {
     changes: Vec<OutputChange>,
     subscribers: Vec<Sender<OutputChange>>,
     /// First output lines of the emulator, which usually explain why it does not start.
-    said: Vec<String>,
+    printed: Vec<String>,
     pub(super) has_ended: bool,
 }
 
@@ -40,7 +40,7 @@ impl Watch {
             is_served: false,
             changes: Vec::new(),
             subscribers: Vec::new(),
-            said: Vec::new(),
+            printed: Vec::new(),
             has_ended: false,
         };
         Self { seen: Mutex::new(seen), changed: Condvar::new() }
@@ -60,10 +60,10 @@ impl Watch {
     }
 
     /// Records an output line. A CPU lock-up dumps all registers; the first lines give the reason.
-    pub(super) fn hear(&self, line: &str) {
+    pub(super) fn receive(&self, line: &str) {
         let mut seen = lock(&self.seen);
-        if seen.said.len() < SAID_MAX && !line.trim().is_empty() {
-            seen.said.push(line.trim().to_owned());
+        if seen.printed.len() < PRINTED_MAX && !line.trim().is_empty() {
+            seen.printed.push(line.trim().to_owned());
         }
     }
 
@@ -80,7 +80,7 @@ impl Watch {
         let mut seen = lock(&self.seen);
         // An intentional end is not a failure.
         if !seen.has_ended {
-            seen.said.push(why.to_owned());
+            seen.printed.push(why.to_owned());
             seen.has_ended = true;
             seen.subscribers.clear();
         }
@@ -122,12 +122,12 @@ impl Watch {
 impl Seen {
     pub(super) fn last_words(&self) -> String {
         let (emulator, state) = (self.emulator, if self.has_ended { "has ended" } else { "is running" });
-        match self.said.as_slice() {
+        match self.printed.as_slice() {
             [] if self.has_ended => {
                 format!("{emulator} {state} without output: the firmware has reset itself")
             }
             [] => format!("{emulator} {state}"),
-            said => format!("{emulator} {state}; output: {}", said.join("; ")),
+            printed => format!("{emulator} {state}; output: {}", printed.join("; ")),
         }
     }
 }

@@ -126,7 +126,7 @@ impl Plant {
     }
 
     /// Returns a log of these actions.
-    pub(super) fn tell(&self, actions: impl IntoIterator<Item = u32>) -> String {
+    pub(super) fn report(&self, actions: impl IntoIterator<Item = u32>) -> String {
         let mut plant = Self { story: Some(String::new()), ..self.clone() };
         for action in actions {
             if let Err(promise) = plant.act(action) {
@@ -456,7 +456,7 @@ impl Plant {
 
     /// Encodes a message that arrives intact in this turn.
     fn bytes_of(&mut self, answer: Answer) -> impl Iterator<Item = u8> + use<> {
-        self.promises.hear(self.now(), &answer);
+        self.promises.receive(self.now(), &answer);
         self.say(|story| write!(story, "\n        <- {} {}", answer.id, answer.status));
         answer.bytes()
     }
@@ -476,7 +476,7 @@ impl Plant {
     fn turn(&mut self, incoming: &[u8], mut bus: RtuDouble) -> Kept {
         let now = self.now();
         let mut line = SerialLine::with_room(usize::MAX);
-        line.bring(incoming);
+        line.deliver(incoming);
         self.promises.begin_turn(self.holds_fast_stop());
         self.outputs = self.bridge.poll(self.now_ms, self.wires, &mut line, &mut self.modbus.over(&mut bus));
         for message in messages(&mut FrameParser::new(), &line.take_sent()) {

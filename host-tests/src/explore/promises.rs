@@ -174,7 +174,7 @@ pub(super) struct Promises {
     /// The promise broken by a motion without an edge. Excluded from the key, because it only names the failure.
     withdrawn_by: Promise,
     /// Arrival of the last intact frame. Excluded from the key, or few states would be equal.
-    heard: Instant,
+    received: Instant,
     gstate: GstateRule,
     /// Last reported flags. Excluded from the key, because the bridge also stores them.
     reported: SystemFlags,
@@ -220,7 +220,7 @@ impl Promises {
             fast_stop_left: false,
             found_moving: false,
             withdrawn_by: Promise::MotionHasItsEdge,
-            heard: now,
+            received: now,
             gstate: GstateRule::new(),
             reported: SystemFlags::empty(),
         }
@@ -314,8 +314,8 @@ impl Promises {
     }
 
     /// Records a message that reaches the bridge intact.
-    pub(super) fn hear(&mut self, now: Instant, answer: &Answer) {
-        self.heard = now;
+    pub(super) fn receive(&mut self, now: Instant, answer: &Answer) {
+        self.received = now;
         let is_acknowledged = (answer.id, answer.status) == (CommandId::Acknowledge, Status::Success);
         if self.lock == Lock::Acknowledged && is_acknowledged {
             self.lock = Lock::Open;
@@ -433,7 +433,7 @@ impl Promises {
         keep(Promise::OnlyErrorWithoutLink, connected || Outputs::ERROR.contains(outputs))?;
         keep(Promise::FastStopShowsError, self.is_open() || shows(Outputs::ERROR))?;
         keep(Promise::NotReadyInFastStop, self.is_open() || !shows(Outputs::READY))?;
-        keep(Promise::LinkOkGoesLow, !connected || now.since(self.heard) <= SECOND_MS)?;
+        keep(Promise::LinkOkGoesLow, !connected || now.since(self.received) <= SECOND_MS)?;
         keep(Promise::OutputsShowTheReport, !connected || self.shows_report(outputs))?;
         self.end_power_up(outputs)?;
         if !connected {

@@ -160,7 +160,7 @@ impl Model {
                 _ if at == 0 => line.silence_us.max(port.timing().t3_5_us),
                 _ => 0,
             };
-            line.bring(character, silence_us);
+            line.deliver(character, silence_us);
         }
     }
 
@@ -269,7 +269,7 @@ impl WholeBridge for Model {
                 for _ in 0..count {
                     let character =
                         if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
-                    self.line_of(port).bring(character, input.pick(&silences(port)));
+                    self.line_of(port).deliver(character, input.pick(&silences(port)));
                 }
             }
             9 => {

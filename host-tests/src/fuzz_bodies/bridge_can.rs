@@ -122,7 +122,7 @@ struct Model {
     is_on_rs_232: bool,
     node: Node,
     /// Messages that have not been sent, with the times of their queueing.
-    said: Vec<(Message, u32)>,
+    queued: Vec<(Message, u32)>,
     /// Reassembles sent messages.
     left: Reassembler<8>,
     /// Whether the controller was requested to discard frames, or rejected some.
@@ -140,7 +140,7 @@ struct Model {
     refuses: bool,
     /// Whether the first frame since the last turn is lost.
     overrun: bool,
-    brought: Vec<ClassicFrame>,
+    delivered: Vec<ClassicFrame>,
     /// Whether the bus was lost in the previous turn.
     was_lost: bool,
     device: Device,
@@ -184,7 +184,7 @@ impl Device {
         }
     }
 
-    fn hear(&mut self, now_ms: u32, frame: &ClassicFrame) {
+    fn receive(&mut self, now_ms: u32, frame: &ClassicFrame) {
         let Id::Standard(id) = frame.id() else { return };
         if frame.is_remote_frame() {
             return;
@@ -284,7 +284,7 @@ impl Device {
     }
 
     /// Applies an SDO request according to the device's answer. Returns whether its effect is known.
-    fn configure(&mut self, now_ms: u32, said: &[ClassicFrame]) -> bool {
+    fn configure(&mut self, now_ms: u32, sent: &[ClassicFrame]) -> bool {
         let Some([specifier, low, high, sub, a, b, c, d]) = self.request.take() else { return true };
         let object = (u16::from_le_bytes([low, high]), sub);
         let is_followed = matches!(
@@ -295,7 +295,7 @@ impl Device {
             // Other settings are not tracked, although some affect the wires.
             return specifier >> 5 != 1 || object.0 != SETTINGS_INDEX;
         }
-        let answer = said.iter().rev().find(|frame| frame.id() == Id::Standard(standard(SDO_ANSWER)));
+        let answer = sent.iter().rev().find(|frame| frame.id() == Id::Standard(standard(SDO_ANSWER)));
         match answer.map(|frame| frame.data()) {
             Some(&[0x60, x, y, z, ..]) if [x, y, z] == [low, high, sub] => {
                 let value = u16::from_le_bytes([a, b]).into();
@@ -356,7 +356,7 @@ impl Model {
             link: Tap::new(GripperLink::new(Identifiers::DEFAULT), None),
             is_on_rs_232,
             node: Node::new(DEFAULT_NODE),
-            said: Vec::new(),
+            queued: Vec::new(),
             left: Reassembler::new(standard(TO_GRIPPER), u32::MAX / 2),
             is_troubled: false,
             is_spoilt: false,
@@ -366,7 +366,7 @@ impl Model {
             is_unheard: false,
             refuses: false,
             overrun: false,
-            brought: Vec::new(),
+            delivered: Vec::new(),
             was_lost: false,
             device: Device::new(),
             ends: Ends::new(&Config::DEFAULT, None),
@@ -375,14 +375,14 @@ impl Model {
 
     fn put(&mut self, frame: Option<ClassicFrame>) {
         let Some(frame) = frame else { return };
-        if self.brought.len() >= BURST {
+        if self.delivered.len() >= BURST {
             self.pass(1);
         }
         if self.double.health().is_off {
             return;
         }
-        self.double.bring(frame);
-        self.brought.push(frame);
+        self.double.deliver(frame);
+        self.delivered.push(frame);
     }
 
     fn put_data(&mut self, id: u16, data: &[u8]) {
@@ -395,7 +395,7 @@ impl Model {
     }
 
     /// Delivers a message from the gripper; `what` selects a fault of its frames or bytes.
-    fn deliver(&mut self, message: &[u8], what: Option<u8>) {
+    fn deliver_message(&mut self, message: &[u8], what: Option<u8>) {
         if self.is_on_rs_232 {
             let mut bytes = message.to_vec();
             let at = usize::from(what.unwrap_or(0) >> 4) % bytes.len();
@@ -406,7 +406,7 @@ impl Model {
                 Some(3) => bytes[at] ^= 0x10,
                 _ => {}
             }
-            return self.ends.line.link.bring(&bytes);
+            return self.ends.line.link.deliver(&bytes);
         }
         let segments = Segments::new(message.iter().copied());
         let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
@@ -482,7 +482,7 @@ impl Model {
             false => bridge.poll(*now_ms, *wires, link.turn(), node),
         };
         let messages = link.take_messages();
-        self.said.extend(messages.iter().cloned().map(|message| (message, *now_ms)));
+        self.queued.extend(messages.iter().cloned().map(|message| (message, *now_ms)));
 
         let (aborts, connected) = (self.double.aborts(), self.bridge.is_connected());
         let Self { bus, link: Tap { link, .. }, bridge, node, is_on_rs_232, .. } = self;
@@ -493,26 +493,26 @@ impl Model {
                 link.withdraw();
             }
         }
-        let mut said = vec![];
-        let mut ear = Ear { node, said: &mut said };
+        let mut sent = vec![];
+        let mut ear = Ear { node, sent: &mut sent };
         bus.talk(now, &mut (!*is_on_rs_232).then_some(&mut *link), &mut ear);
         self.withdrawn = link.take_withdrawn();
         let has_them_back = !takes_back(link);
         self.forget_if(aborts);
         if let Some(id) = self.withdrawn {
-            let of_it = self.said.iter().rposition(|(message, _)| message.id == id);
-            self.said.remove(of_it.expect("only queued messages are withdrawn"));
+            let of_it = self.queued.iter().rposition(|(message, _)| message.id == id);
+            self.queued.remove(of_it.expect("only queued messages are withdrawn"));
             self.is_spoilt = true;
         }
         if self.takes_all_back && has_them_back {
             self.forget();
         }
-        self.follow(&said);
+        self.follow(&sent);
         (outputs, messages)
     }
 
     /// Applies received frames and time to the reference model.
-    fn follow(&mut self, said: &[ClassicFrame]) {
+    fn follow(&mut self, sent: &[ClassicFrame]) {
         let Ends { now_ms, wires, line, oracle, is_over, .. } = &mut self.ends;
         let received = if self.is_on_rs_232 { line.take_received() } else { self.link.take_received() };
         oracle.begin_turn(*now_ms, &received, *wires);
@@ -538,7 +538,7 @@ impl Model {
         if reset {
             device.reset();
         }
-        *is_over = !device.configure(now_ms, said);
+        *is_over = !device.configure(now_ms, sent);
         if device.events.drain(..).any(|event| matches!(event, BusEvent::Left)) {
             requested.lose_bus();
         }
@@ -568,7 +568,7 @@ impl Model {
     }
 
     fn forget(&mut self) {
-        self.said.clear();
+        self.queued.clear();
         self.left.reset();
         self.is_troubled = true;
         self.takes_all_back = false;
@@ -589,16 +589,22 @@ impl Model {
             });
         }
         for message in left {
-            let place = self.said.iter().position(|(said, _)| *said == message);
+            let place = self.queued.iter().position(|(queued, _)| *queued == message);
             let place = place.expect("a message is sent once and only while valid");
             assert!(place == 0 || self.is_troubled, "messages are sent in order");
-            let is_stopped = self.said.iter().skip(place + 1).any(|(later, _)| later.id.kind() == Kind::Stop);
+            let is_stopped =
+                self.queued.iter().skip(place + 1).any(|(later, _)| later.id.kind() == Kind::Stop);
             let is_overtaken = is_stopped && matches!(message.id.kind(), Kind::Motion | Kind::Acknowledge);
             assert!(!is_overtaken, "{} was sent after a later stop was queued", message.id);
-            let (_, said_ms) = self.said.drain(..=place).next_back().unwrap_or((message.clone(), 0));
-            let late = message.id.kind() == Kind::Motion && self.ends.now_ms - said_ms > LATE_MS;
-            assert!(!late, "{} was sent {} ms after it was queued", message.id, self.ends.now_ms - said_ms);
-            self.ends.gripper.hear(self.ends.now_ms, &message);
+            let (_, reported_ms) = self.queued.drain(..=place).next_back().unwrap_or((message.clone(), 0));
+            let late = message.id.kind() == Kind::Motion && self.ends.now_ms - reported_ms > LATE_MS;
+            assert!(
+                !late,
+                "{} was sent {} ms after it was queued",
+                message.id,
+                self.ends.now_ms - reported_ms
+            );
+            self.ends.gripper.receive(self.ends.now_ms, &message);
         }
     }
 }
@@ -617,21 +623,21 @@ impl WholeBridge for Model {
     }
 
     fn passes_after(&self, op: u8) -> bool {
-        op & 0x80 == 0 || self.brought.len() >= BURST
+        op & 0x80 == 0 || self.delivered.len() >= BURST
     }
 
-    fn bring(&mut self, bytes: &[u8]) {
-        self.deliver(bytes, None);
+    fn deliver(&mut self, bytes: &[u8]) {
+        self.deliver_message(bytes, None);
     }
 
     /// Frames transmitted in this turn are processed after it.
     fn turn(&mut self) {
         self.ends.now_ms += 1;
         let now_ms = self.ends.now_ms;
-        let lost = usize::from(self.overrun && !self.brought.is_empty());
-        self.overrun &= self.brought.is_empty();
-        for frame in self.brought.drain(..).skip(lost) {
-            self.device.hear(now_ms, &frame);
+        let lost = usize::from(self.overrun && !self.delivered.is_empty());
+        self.overrun &= self.delivered.is_empty();
+        for frame in self.delivered.drain(..).skip(lost) {
+            self.device.receive(now_ms, &frame);
         }
         let (outputs, messages) = self.turn_bridge(Instant::from_millis(now_ms));
         assert!(self.bridge.may_feed_watchdog(now_ms));
@@ -655,8 +661,8 @@ impl WholeBridge for Model {
         }
         oracle.end_turn(&self.bridge, outputs, gripper);
         self.leave();
-        for answer in self.ends.gripper.speak(now_ms) {
-            self.deliver(&answer, None);
+        for answer in self.ends.gripper.transmit(now_ms) {
+            self.deliver_message(&answer, None);
         }
     }
 
@@ -710,7 +716,7 @@ impl WholeBridge for Model {
                 let (id, count, what) = (input.byte(), usize::from(input.byte() % 24), input.byte());
                 let message: Vec<u8> = FrameEncoder::new(id, input.bytes(count)).collect();
                 self.ends.gripper.forge(self.ends.now_ms, &message);
-                self.deliver(&message, Some(what));
+                self.deliver_message(&message, Some(what));
             }
             13 => self.trouble(input),
             _ => {
@@ -738,7 +744,7 @@ const LATE_MS: u32 = 1_000;
 /// Records the frames of the device.
 struct Ear<'a> {
     node: &'a mut Node,
-    said: &'a mut Vec<ClassicFrame>,
+    sent: &'a mut Vec<ClassicFrame>,
 }
 
 impl CanNode<ClassicFrame> for Ear<'_> {
@@ -748,7 +754,7 @@ impl CanNode<ClassicFrame> for Ear<'_> {
 
     fn poll_transmit(&mut self, now: Instant) -> Option<ClassicFrame> {
         let frame = self.node.poll_transmit(now);
-        self.said.extend(frame);
+        self.sent.extend(frame);
         frame
     }
 

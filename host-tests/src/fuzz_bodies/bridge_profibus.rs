@@ -75,7 +75,7 @@ struct Model {
     timer_us: Option<u32>,
     sent_us: Option<u32>,
     /// End of the last character on the line.
-    heard_us: u32,
+    received_us: u32,
     /// Whether the transceiver echoes.
     echoes: bool,
     answer: Option<Answer>,
@@ -134,7 +134,7 @@ impl Model {
             now_us: 0,
             timer_us: None,
             sent_us: None,
-            heard_us: 0,
+            received_us: 0,
             echoes,
             answer: None,
             inputs: None,
@@ -217,7 +217,7 @@ impl Model {
             let character = if is_damaged { Character::Damaged } else { Character::Byte(*byte) };
             let pauses = trouble % 16 == 3 && place == at;
             let silence_bits = if place == 0 { silence_bits } else { u32::from(pauses) * SILENCES[0] };
-            self.hear(character, silence_bits);
+            self.receive(character, silence_bits);
         }
     }
 
@@ -225,18 +225,18 @@ impl Model {
     fn put(&mut self, telegram: &[u8]) {
         self.last = telegram.to_vec();
         for (place, byte) in telegram.iter().enumerate() {
-            self.hear(Character::Byte(*byte), if place == 0 { SILENCES[0] } else { 0 });
+            self.receive(Character::Byte(*byte), if place == 0 { SILENCES[0] } else { 0 });
         }
     }
 
     /// Receives a character after at least this silence. A master waits while the slave transmits.
-    fn hear(&mut self, character: Character, silence_bits: u32) {
+    fn receive(&mut self, character: Character, silence_bits: u32) {
         self.pass_us(silence_bits * BIT_US + CHARACTER_US);
         while self.sent_us.is_some() || UNCLEAR_US.contains(&self.silence_us()) {
             self.pass_us(CHARACTER_US);
         }
         let silence_bits = self.silence_us() / BIT_US;
-        self.heard_us = self.now_us;
+        self.received_us = self.now_us;
         // A character of another station cancels the pending answer.
         if !character.is_stray() {
             self.answer = None;
@@ -262,7 +262,7 @@ impl Model {
 
     /// Returns the silence before a character that ends now.
     fn silence_us(&self) -> u32 {
-        (self.now_us - self.heard_us).saturating_sub(CHARACTER_US)
+        (self.now_us - self.received_us).saturating_sub(CHARACTER_US)
     }
 
     /// Advances time: turns of the main loop, each followed by the handler, and timer and transmitter events.
@@ -309,7 +309,7 @@ impl Model {
             (Some(_), None) => panic!("a byte was sent without an answer"),
             (None, Some(answer)) if is_sent => {
                 assert_eq!(answer.sent, answer.bytes.len(), "the answer is truncated");
-                (self.answer, self.sent_us, self.heard_us) = (None, None, now_us);
+                (self.answer, self.sent_us, self.received_us) = (None, None, now_us);
             }
             (None, _) => {}
         }
@@ -439,7 +439,7 @@ impl WholeBridge for Model {
                 for _ in 0..count {
                     let character =
                         if input.byte() == 0xFF { Character::Damaged } else { Character::Byte(input.byte()) };
-                    self.hear(character, input.pick(&[0, 0, 0, 20, 40]));
+                    self.receive(character, input.pick(&[0, 0, 0, 20, 40]));
                 }
             }
             8 => {

@@ -141,16 +141,16 @@ impl Gripper {
         let was_fast_stopped = states.fast_stop();
         let (is_fast_stopped, is_restarted) = (flags.contains(SystemFlags::FAST_STOP), flags.is_empty());
         let is_acknowledged = is_fast_stopped && how & 0x80 != 0;
-        let mut said = vec![];
+        let mut answers = vec![];
         states.flags = flags | states.flags & SystemFlags::FAST_STOP;
         if is_restarted {
             *states = States::SWITCHED_ON;
             self.on_the_way.clear();
             self.is_restarted = true;
         } else if is_acknowledged {
-            states.acknowledge(&mut |answer| said.push(answer));
+            states.acknowledge(&mut |answer| answers.push(answer));
         } else if states.fast_stop() {
-            states.raise_fast_stop(&mut |answer| said.push(answer));
+            states.raise_fast_stop(&mut |answer| answers.push(answer));
         }
         if (is_restarted || is_acknowledged) && was_fast_stopped {
             self.left_ms = Some(now_ms);
@@ -159,24 +159,24 @@ impl Gripper {
             if states.state == GripperState::Holding {
                 states.state = GripperState::PartLost;
             } else if states.motion.is_some() {
-                states.stop_for_third_party(&mut |answer| said.push(answer));
+                states.stop_for_third_party(&mut |answer| answers.push(answer));
             } else if !states.fast_stop() {
                 let motions = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
                 let motion = motions[self.deliveries.len() % motions.len()];
-                states.begin_for_third_party(motion, &mut |answer| said.push(answer));
+                states.begin_for_third_party(motion, &mut |answer| answers.push(answer));
                 self.ends_ms = now_ms + MOTION_FACTOR * 200;
             }
         }
-        states.tell(&mut |answer| said.push(answer));
-        self.send(now_ms, Delivery::Late(0), &said);
+        states.report(&mut |answer| answers.push(answer));
+        self.send(now_ms, Delivery::Late(0), &answers);
     }
 
-    pub(super) fn hear(&mut self, now_ms: u32, message: &Message) {
+    pub(super) fn receive(&mut self, now_ms: u32, message: &Message) {
         let delivery = self.delivery();
         if !matches!(delivery, Delivery::Late(_)) || !self.answers {
             self.fault(now_ms);
         }
-        if !self.hears(now_ms, message, delivery) {
+        if !self.receives(now_ms, message, delivery) {
             return;
         }
         let id = message.id;
@@ -188,8 +188,8 @@ impl Gripper {
             CommandId::FastStop => self.fast_stop_ms = Some(now_ms),
             _ => {}
         }
-        let (moved, mut said) = (self.states.motion.is_some(), vec![]);
-        self.states.take(&message.command(), &mut |answer| said.push(answer));
+        let (moved, mut answers) = (self.states.motion.is_some(), vec![]);
+        self.states.take(&message.command(), &mut |answer| answers.push(answer));
         if !moved && self.states.motion.is_some() {
             self.ends_ms = now_ms
                 + match self.delivery() {
@@ -198,7 +198,7 @@ impl Gripper {
                     Delivery::Unanswered | Delivery::Refused | Delivery::Unheard(_) => u32::MAX / 2,
                 };
         }
-        self.send(now_ms, delivery, &said);
+        self.send(now_ms, delivery, &answers);
     }
 
     /// Records a fault of the line.
@@ -243,7 +243,7 @@ impl Gripper {
         has_heard || !self.answers || self.is_forged || now_ms <= latest_ms
     }
 
-    fn hears(&mut self, now_ms: u32, message: &Message, delivery: Delivery) -> bool {
+    fn receives(&mut self, now_ms: u32, message: &Message, delivery: Delivery) -> bool {
         let (left, last_ms) = std::mem::replace(&mut self.deaf, (0, now_ms));
         if !self.answers {
             return false;
@@ -259,13 +259,13 @@ impl Gripper {
     }
 
     /// Returns the messages that reach the bridge now.
-    pub(super) fn speak(&mut self, now_ms: u32) -> Vec<Vec<u8>> {
+    pub(super) fn transmit(&mut self, now_ms: u32) -> Vec<Vec<u8>> {
         if let Some(id) = self.states.motion.filter(|_| now_ms >= self.ends_ms) {
-            let (finds_none, mut said) = (id == CommandId::GripPart && !self.has_part, vec![]);
+            let (finds_none, mut answers) = (id == CommandId::GripPart && !self.has_part, vec![]);
             self.is_restarted &= id != CommandId::Homing;
-            self.states.finish(!finds_none, &mut |answer| said.push(answer));
+            self.states.finish(!finds_none, &mut |answer| answers.push(answer));
             let delivery = self.delivery();
-            self.send(now_ms, delivery, &said);
+            self.send(now_ms, delivery, &answers);
         }
         let mut arrived = Vec::new();
         self.on_the_way.retain(|(arrives_ms, answer)| {

@@ -47,7 +47,7 @@ struct Model {
     served: Tables,
     expected: Tables,
     /// The characters before the next long silence.
-    heard: Vec<Heard>,
+    received: Vec<Heard>,
 }
 
 /// The first byte enables broadcasts. Each further op is a byte that selects a frame, with parameter bytes.
@@ -65,7 +65,7 @@ pub fn modbus(data: &[u8]) {
         server: Server::new(config, TIMING),
         served: tables.clone(),
         expected: tables,
-        heard: Vec::new(),
+        received: Vec::new(),
     };
     while !input.is_empty() {
         let op = input.byte();
@@ -153,7 +153,7 @@ impl Model {
                 assert_eq!(event, None, "inside a frame");
             }
             let byte = (damaged_at != Some(at)).then_some(*byte);
-            self.heard.push(Heard { byte, after_pause: pause_at == Some(at) });
+            self.received.push(Heard { byte, after_pause: pause_at == Some(at) });
         }
     }
 
@@ -172,13 +172,13 @@ impl Model {
 
     /// Compares the effect of the sent frame with the model. Returns whether the server was replaced.
     fn settle(&mut self, event: Option<Outcome>) -> bool {
-        let heard = std::mem::take(&mut self.heard);
-        if heard.is_empty() {
+        let received = std::mem::take(&mut self.received);
+        if received.is_empty() {
             assert_eq!(event, None, "nothing was sent");
             return false;
         }
         let event = event.expect("a silence ends a frame");
-        let frame = frame_in(&heard);
+        let frame = frame_in(&received);
         if let Outcome::Answer(answer) = &event {
             let frame = frame.as_ref().filter(|frame| frame[0] == UNIT);
             let frame = frame.expect("an answer to a frame that was not for this unit");

@@ -39,19 +39,19 @@ impl Heard {
 
 /// Returns the intact frame in these characters: one with strays before or after it that has the length of its request,
 /// or else all of them.
-pub(super) fn frame_in(heard: &[Heard]) -> Option<Vec<u8>> {
-    let leading = heard.iter().take(8).take_while(|it| it.is_stray()).count();
+pub(super) fn frame_in(received: &[Heard]) -> Option<Vec<u8>> {
+    let leading = received.iter().take(8).take_while(|it| it.is_stray()).count();
     let requested = [0, leading].into_iter().find_map(|from| {
-        let bytes: Vec<u8> = heard[from..].iter().map(|it| it.byte.unwrap_or(0xFF)).collect();
+        let bytes: Vec<u8> = received[from..].iter().map(|it| it.byte.unwrap_or(0xFF)).collect();
         let to = from + request_len(&bytes);
-        heard.get(to..)?.iter().all(Heard::is_stray).then(|| intact(&heard[from..to])).flatten()
+        received.get(to..)?.iter().all(Heard::is_stray).then(|| intact(&received[from..to])).flatten()
     });
-    requested.or_else(|| intact(heard)).filter(|_| heard.len() <= 256)
+    requested.or_else(|| intact(received)).filter(|_| received.len() <= 256)
 }
 
-fn intact(heard: &[Heard]) -> Option<Vec<u8>> {
-    let is_paused = heard.iter().skip(1).any(|it| it.after_pause);
-    let frame: Vec<u8> = heard.iter().map(|it| it.byte).collect::<Option<_>>()?;
+fn intact(received: &[Heard]) -> Option<Vec<u8>> {
+    let is_paused = received.iter().skip(1).any(|it| it.after_pause);
+    let frame: Vec<u8> = received.iter().map(|it| it.byte).collect::<Option<_>>()?;
     let (body, sum) = frame.split_last_chunk::<2>()?;
     (!is_paused && body.len() > 1 && checksum(body) == *sum).then_some(frame)
 }
@@ -86,7 +86,7 @@ fn request_len(frame: &[u8]) -> usize {
 struct Piece {
     /// Whether the pause before it was too short to end a frame.
     joins: bool,
-    heard: Vec<Heard>,
+    received: Vec<Heard>,
 }
 
 /// Candidates for requests on a line.
@@ -115,7 +115,7 @@ impl Requests {
                     Character::Byte(byte) => Some(byte),
                     Character::Damaged => None,
                 };
-                piece.heard.push(Heard { byte, after_pause });
+                piece.received.push(Heard { byte, after_pause });
                 has_ended
             }
             Event::Silence(silence_us) => silence_us >= self.timing.t3_5_us && self.end_piece(),
@@ -137,8 +137,8 @@ impl Requests {
         (0..self.ended.len()).find_map(|from| {
             let (first, others) = self.ended[from..].split_first()?;
             let joined = others.iter().all(|piece| piece.joins);
-            let heard = [first].into_iter().chain(others).flat_map(|piece| &piece.heard);
-            let frame = frame_in(&heard.copied().collect::<Vec<_>>()).filter(|_| joined)?;
+            let received = [first].into_iter().chain(others).flat_map(|piece| &piece.received);
+            let frame = frame_in(&received.copied().collect::<Vec<_>>()).filter(|_| joined)?;
             (frame[0] == unit).then(|| frame[1..frame.len() - 2].to_vec())
         })
     }

@@ -133,8 +133,7 @@ impl Stops {
         if id == CommandId::Stop {
             // The repetition may have been queued before the fingers began to move.
             let is_late = self.moves_since_ms.is_some_and(|since_ms| {
-                self.has_stood
-                    && max_delay_ms.is_none_or(|max_delay_ms| now_ms - since_ms <= max_delay_ms)
+                self.has_stood && max_delay_ms.is_none_or(|max_delay_ms| now_ms - since_ms <= max_delay_ms)
             });
             let is_first = self.stop_ms.is_none();
             assert!(is_first || is_late || reported.stands(), "a repeated Stop while the fingers move");
@@ -193,10 +192,7 @@ impl Stops {
             if reported.stands() {
                 self.stop_ms = None;
             } else {
-                assert!(
-                    now_ms <= left_ms + STOP_MS + max_delay_ms,
-                    "no FAST STOP after an unanswered Stop"
-                );
+                assert!(now_ms <= left_ms + STOP_MS + max_delay_ms, "no FAST STOP after an unanswered Stop");
             }
         }
     }

@@ -83,11 +83,11 @@ impl Ends {
             if !line.is_slow() {
                 oracle.leaves(message.id, Some(&message.command()), gripper);
             }
-            gripper.hear(*now_ms, &message);
+            gripper.receive(*now_ms, &message);
         }
         oracle.end_turn(bridge, outputs, gripper);
-        for answer in gripper.speak(*now_ms) {
-            line.link.bring(&answer);
+        for answer in gripper.transmit(*now_ms) {
+            line.link.deliver(&answer);
         }
     }
 }
@@ -123,15 +123,15 @@ pub(super) trait WholeBridge {
     }
 
     /// Delivers bytes from the gripper to the bridge.
-    fn bring(&mut self, bytes: &[u8]) {
-        self.ends().line.link.bring(bytes);
+    fn deliver(&mut self, bytes: &[u8]) {
+        self.ends().line.link.deliver(bytes);
     }
 
     /// Delivers forged bytes to the bridge.
     fn forge(&mut self, bytes: &[u8]) {
         let Ends { now_ms, gripper, .. } = self.ends();
         gripper.forge(*now_ms, bytes);
-        self.bring(bytes);
+        self.deliver(bytes);
     }
 
     /// Delivers a forged answer to the bridge.

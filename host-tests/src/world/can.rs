@@ -139,7 +139,7 @@ impl CanDouble {
     }
 
     /// Delivers a frame from the bus.
-    pub fn bring(&self, frame: ClassicFrame) {
+    pub fn deliver(&self, frame: ClassicFrame) {
         let mut state = self.0.borrow_mut();
         if !state.health.is_off {
             state.received.push_back(frame);
@@ -325,17 +325,17 @@ impl CanLine {
     /// Carries one frame: the bridge's, the PLC's, or the gripper's.
     pub(super) fn carry_frame<W>(&mut self, now_ms: u32, gripper: &mut SerialGripper<W>) {
         if let Some(frame) = self.double.take_winner() {
-            self.deliver(now_ms, gripper, frame);
+            self.deliver_to_gripper(now_ms, gripper, frame);
         } else if let Some(frame) = self.from_plc.pop_front() {
-            self.double.bring(frame);
+            self.double.deliver(frame);
         } else if let Some(frame) = self.from_gripper.pop_front() {
             let frames = disturbed(&mut self.to_bridge, frame);
-            frames.into_iter().for_each(|frame| self.double.bring(frame));
+            frames.into_iter().for_each(|frame| self.double.deliver(frame));
         }
     }
 
     /// Delivers a frame of the bridge.
-    fn deliver<W>(&mut self, now_ms: u32, gripper: &mut SerialGripper<W>, frame: ClassicFrame) {
+    fn deliver_to_gripper<W>(&mut self, now_ms: u32, gripper: &mut SerialGripper<W>, frame: ClassicFrame) {
         self.to_plc.push((now_ms, frame));
         let Self { seen, sent, .. } = self;
         seen.receive(Instant::from_millis(now_ms), &frame, |event| {
@@ -395,7 +395,7 @@ impl World {
     /// Ends the transmission [begun](CanDouble::begin_frame) by the controller.
     pub fn end_frame(&mut self, is_acknowledged: bool) {
         if let Some(frame) = self.can.double.end_frame(is_acknowledged) {
-            self.can.deliver(self.now_ms, &mut self.far, frame);
+            self.can.deliver_to_gripper(self.now_ms, &mut self.far, frame);
         }
     }
 }

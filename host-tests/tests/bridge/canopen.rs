@@ -221,9 +221,9 @@ fn rpdo_takes_effect_only_in_operation_and_only_complete() {
         master.pass(20);
     }
     master.pass(200);
-    let told = master.emergencies();
+    let reported = master.emergencies();
     assert_eq!(
-        told,
+        reported,
         [(0x8210, 0x11), (0x8210, 0x11), (0x8210, 0x11), (0, 0)],
         "reported, but limited in rate"
     );
@@ -341,7 +341,7 @@ fn two_resets_in_one_turn_are_both_executed() {
         master.download(SETTINGS_INDEX, recipe, Value::Unsigned16(1_234)).unwrap();
         for specifier in specifiers {
             let frame = ClassicFrame::new(StandardId::ZERO, &[specifier, NODE.node]).unwrap();
-            master.world.can.double.bring(frame);
+            master.world.can.double.deliver(frame);
         }
         master.pass(5);
         assert_eq!(master.read_u16(SETTINGS_INDEX, recipe), 1_000, "{specifiers:02X?}");
@@ -418,7 +418,7 @@ fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
         let double = rig.can.double.clone();
         let mut pass = |ms: u32, frames: &[(u16, &[u8])]| {
             for (id, data) in frames {
-                double.bring(ClassicFrame::new(StandardId::new(*id).unwrap(), data).unwrap());
+                double.deliver(ClassicFrame::new(StandardId::new(*id).unwrap(), data).unwrap());
             }
             rig.pass(ms);
             rig.take_sent()
@@ -432,7 +432,7 @@ fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
         assert_eq!(sent.contains(&CommandId::PrePosition), is_commander, "{flags:?}: {sent:?}");
         // After as many frames as a turn handles.
         for _ in 0..24 {
-            double.bring(ClassicFrame::new(StandardId::new(rpdo).unwrap(), &image).unwrap());
+            double.deliver(ClassicFrame::new(StandardId::new(rpdo).unwrap(), &image).unwrap());
         }
         double.go_off(0);
         let sent = pass(10, &[]);

@@ -30,7 +30,7 @@ struct Plant {
     image: (Cmd, [u16; 3]),
     talks: bool,
     /// Frames sent by the bridge on CAN.
-    heard: Vec<(u16, Vec<u8>)>,
+    received: Vec<(u16, Vec<u8>)>,
 }
 
 impl Plant {
@@ -44,11 +44,11 @@ impl Plant {
             rig: Master::of(world),
             image: (Cmd::empty(), [0; 3]),
             talks: false,
-            heard: Vec::new(),
+            received: Vec::new(),
         };
         plant.pass(500);
         plant.talks = true;
-        plant.bring(0, &[1, DEFAULT_NODE.node]);
+        plant.deliver(0, &[1, DEFAULT_NODE.node]);
         plant.write(Cmd::empty(), [0; 3]);
         plant
     }
@@ -107,11 +107,11 @@ impl Plant {
                 self.send_image();
             }
             self.rig.step();
-            self.heard.extend(self.rig.can.take_frames().into_iter().map(|(_, id, data)| (id, data)));
+            self.received.extend(self.rig.can.take_frames().into_iter().map(|(_, id, data)| (id, data)));
         }
     }
 
-    fn bring(&mut self, id: u16, data: &[u8]) {
+    fn deliver(&mut self, id: u16, data: &[u8]) {
         if self.plc_bus == PlcBus::Canopen {
             self.rig.can.send(id, data);
         }
@@ -123,7 +123,7 @@ impl Plant {
             PlcBus::Canopen => {
                 let mut data = vec![flags.bits(), 0];
                 data.extend(numbers.into_iter().flat_map(u16::to_le_bytes));
-                self.bring(0x200 | u16::from(DEFAULT_NODE.node), &data);
+                self.deliver(0x200 | u16::from(DEFAULT_NODE.node), &data);
             }
             _ => {
                 let mut request = vec![1, 16, 0, 0, 0, 4, 8, flags.bits(), 0];
@@ -181,10 +181,10 @@ impl Plant {
     /// Reads an object with an SDO upload.
     fn upload(&mut self, index: u16, sub: u8, kind: DataType) -> u32 {
         let node = u16::from(DEFAULT_NODE.node);
-        self.heard.retain(|(id, _)| *id != 0x580 | node);
-        self.bring(0x600 | node, &sdo::encode_upload_request(Address::new(index, sub)));
+        self.received.retain(|(id, _)| *id != 0x580 | node);
+        self.deliver(0x600 | node, &sdo::encode_upload_request(Address::new(index, sub)));
         self.pass(5);
-        let answer = self.heard.iter().find(|(id, _)| *id == 0x580 | node).expect("an SDO answer");
+        let answer = self.received.iter().find(|(id, _)| *id == 0x580 | node).expect("an SDO answer");
         let answer: &[u8; 8] = answer.1[..].try_into().unwrap();
         match sdo::decode_upload_expedited_response(answer, kind).unwrap().1 {
             Value::Unsigned8(value) => value.into(),
@@ -197,7 +197,7 @@ impl Plant {
     /// Returns code and cause of each EMCY.
     fn emergencies(&self) -> Vec<(u16, u8)> {
         let id = 0x080 | u16::from(DEFAULT_NODE.node);
-        let frames = self.heard.iter().filter(|(other, _)| *other == id);
+        let frames = self.received.iter().filter(|(other, _)| *other == id);
         frames.map(|(_, data)| (u16::from_le_bytes([data[0], data[1]]), data[7])).collect()
     }
 

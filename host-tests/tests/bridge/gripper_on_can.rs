@@ -512,14 +512,14 @@ impl Blocked {
     /// time-out for the length in the size field, and discards all bytes of a message with a wrong checksum.
     fn heard_by_the_simplest_gripper(&self) -> Vec<CommandId> {
         let bytes = self.bytes.borrow();
-        let (mut rest, mut heard) = (bytes.as_slice(), vec![]);
+        let (mut rest, mut received) = (bytes.as_slice(), vec![]);
         while let [first, others @ ..] = rest {
             rest = match rest {
                 [0xAA, 0xAA, 0xAA, id, low, high, ..] => {
                     let len = usize::from(u16::from_le_bytes([*low, *high])) + OVERHEAD;
-                    let Some((message, after)) = rest.split_at_checked(len) else { return heard };
+                    let Some((message, after)) = rest.split_at_checked(len) else { return received };
                     if checksum::of(message) == 0 {
-                        heard.push(CommandId::from_code(*id));
+                        received.push(CommandId::from_code(*id));
                     }
                     after
                 }
@@ -529,7 +529,7 @@ impl Blocked {
                 }
             };
         }
-        heard
+        received
     }
 
     /// Checks the state after the stop, regardless of the point of interruption.
@@ -548,8 +548,8 @@ impl Blocked {
         assert_eq!(rig.take_motions(), [], "{context}");
         rig.command(motion.wire);
         assert_eq!(rig.take_motions(), [motion.id], "{context}");
-        let heard = self.heard_by_the_simplest_gripper();
-        let commands: Vec<CommandId> = heard.into_iter().filter(|id| id.kind() != Kind::Query).collect();
+        let received = self.heard_by_the_simplest_gripper();
+        let commands: Vec<CommandId> = received.into_iter().filter(|id| id.kind() != Kind::Query).collect();
         assert_eq!(commands.first().map(|id| id.kind()), Some(Kind::Stop), "{context}: {commands:?}");
         let motions = commands.iter().filter(|id| id.kind() == Kind::Motion);
         assert_eq!(motions.count(), 1, "{context}: {commands:?}");
@@ -610,7 +610,7 @@ fn late_reply_to_an_earlier_motion_does_not_prevent_a_withdrawal() {
                 let answer = Reply::status_only(motion.id, status);
                 for segment in Segments::new(FrameEncoder::new(motion.id.code(), answer)) {
                     let from_gripper = Identifiers::DEFAULT.controller().receive;
-                    blocked.rig.can.double.bring(segment.frame(from_gripper).unwrap());
+                    blocked.rig.can.double.deliver(segment.frame(from_gripper).unwrap());
                 }
                 blocked.rig.pass(2);
 

@@ -69,8 +69,8 @@ const HALF_FRAME: [u8; 7] = [0xAA, 0xAA, 0xAA, 0x41, 60, 0, 0];
 fn incomplete_frame_is_discarded_20_ms_after_its_last_byte() {
     let mut bridge = Bridge::new(Config::DEFAULT);
     let mut line = SerialLine::with_room(BYTES_PER_MS);
-    let mut dropped_at = |ms: u32, brought: &[u8]| {
-        line.bring(brought);
+    let mut dropped_at = |ms: u32, delivered: &[u8]| {
+        line.deliver(delivered);
         bridge.poll(ms, Inputs::empty(), &mut line, &mut NoBus);
         bridge.counters().line.dropped
     };
@@ -104,7 +104,7 @@ fn incomplete_frame_does_not_swallow_later_reports() {
 fn at_most_256_bytes_are_read_per_turn() {
     let mut bridge = Bridge::new(Config::DEFAULT);
     let mut line = SerialLine::with_room(BYTES_PER_MS);
-    line.bring(&[0x55; 1_000]);
+    line.deliver(&[0x55; 1_000]);
     for turn in 1..=3 {
         bridge.poll(turn, Inputs::empty(), &mut line, &mut NoBus);
         assert_eq!(u32::from(bridge.counters().line.dropped), 256 * turn);

@@ -19,7 +19,7 @@ fn every_write_to_the_output_image_is_refused_without_effect() {
     rig.command(HOMING, 0, 0, 0);
     rig.take_sent();
     rig.pass(2_000);
-    let heard = rig.take_sent();
+    let received = rig.take_sent();
     let events = rig.input(report("EVENTS"), 1);
     rig.by_service(|rig| {
         for bit in 0..64 {
@@ -41,7 +41,7 @@ fn every_write_to_the_output_image_is_refused_without_effect() {
     });
     rig.pass(2_000);
     let sent = rig.take_sent();
-    assert_eq!(sent.iter().find(|id| !heard.contains(id)), None, "only periodic requests are sent");
+    assert_eq!(sent.iter().find(|id| !received.contains(id)), None, "only periodic requests are sent");
     assert_eq!(rig.input(report("EVENTS"), 1), events);
     assert_eq!(rig.bridge().control_source(), ControlSource::Bus, "the bus commanded the homing");
 }

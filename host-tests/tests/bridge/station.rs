@@ -182,26 +182,26 @@ fn service_port_reports_the_state_of_profibus() {
     let mut rig = TestRig::new(&with(&[("PLC_BUS", 3), ("PROFIBUS_RATE", 192)]));
     rig.pass(10);
     let first = report("PROFIBUS_STATE");
-    let tell = |rig: &mut TestRig| {
+    let reports = |rig: &mut TestRig| {
         rig.pass(2);
         [0, 1, 2, 3].map(|n| {
             let [high, low] = (first + n).to_be_bytes();
             rig.service(&[1, 4, high, low, 0, 1]).unwrap()
         })
     };
-    assert_eq!(tell(&mut rig), [1, 192, 0, 0], "no telegrams received");
+    assert_eq!(reports(&mut rig), [1, 192, 0, 0], "no telegrams received");
     assert!(rig.is_on_profibus(7));
-    assert_eq!(tell(&mut rig), [2, 192, 1, 0]);
+    assert_eq!(reports(&mut rig), [2, 192, 1, 0]);
     assert!(!rig.telegram(&[0x10, 7, 2, 0x49, 0x53, 0x16]), "a wrong checksum");
-    assert_eq!(tell(&mut rig), [2, 192, 1, 1]);
+    assert_eq!(reports(&mut rig), [2, 192, 1, 1]);
     assert!(rig.telegram(&sd2(&[0x87, 0x82, 0x6D, 61, 62, 0x80, 0, 0, 11, 0x55, 0x55, 0])));
-    assert_eq!(tell(&mut rig), [3, 192, 2, 1]);
+    assert_eq!(reports(&mut rig), [3, 192, 2, 1]);
     assert!(rig.telegram(&sd2(&[0x87, 0x82, 0x5D, 62, 62, 0xA7, 0x9B])));
-    assert_eq!(tell(&mut rig), [4, 192, 3, 1]);
+    assert_eq!(reports(&mut rig), [4, 192, 3, 1]);
     rig.pass(6_000);
-    assert_eq!(tell(&mut rig)[0], 1, "no more telegrams");
+    assert_eq!(reports(&mut rig)[0], 1, "no more telegrams");
     let mut rig = TestRig::new(&Config::DEFAULT);
-    assert_eq!(tell(&mut rig), [0; 4], "another bus");
+    assert_eq!(reports(&mut rig), [0; 4], "another bus");
 }
 
 #[test]

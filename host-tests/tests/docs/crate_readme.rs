@@ -59,9 +59,9 @@ fn features_are_those_of_the_manifest() {
         .map_while(|line| line.strip_prefix("| `")?.split('`').next())
         .collect();
     named.sort();
-    let mut told: Vec<String> = rows.iter().map(|row| (*row).to_owned()).collect();
-    told.sort();
-    assert_eq!(told, named);
+    let mut reported: Vec<String> = rows.iter().map(|row| (*row).to_owned()).collect();
+    reported.sort();
+    assert_eq!(reported, named);
 }
 
 #[test]

@@ -48,8 +48,8 @@ fn commands_of_the_quick_start_name_their_register_and_write_what_it_takes() {
         let words: Vec<&str> = command.split_whitespace().collect();
         let [table, "-r", address, what @ ..] = &words[..] else { panic!("{line}") };
         let address: u16 = address.parse().unwrap();
-        let (name, said) = named(comment)[0];
-        assert_eq!(address, said, "{line}");
+        let (name, documented) = named(comment)[0];
+        assert_eq!(address, documented, "{line}");
         let is_report =
             address.checked_sub(FIRST_REPORT).and_then(|at| REPORTS.get(usize::from(at))).map(|it| it.name)
                 == Some(name);
@@ -88,7 +88,7 @@ fn frames_of_the_quick_start_lead_to_a_grip_as_node_5() {
         rig.can.take_frames();
         let is_told = (0..5_000).any(|_| {
             rig.pass(1);
-            rig.can.take_frames().iter().any(|(_, heard, said)| (*heard, said) == (id, &data))
+            rig.can.take_frames().iter().any(|(_, received, sent)| (*received, sent) == (id, &data))
         });
         assert!(is_told, "{id:03X} {data:02X?} was not received");
     }

@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use host_tests::masters::{self, said};
+use host_tests::masters::{self, printed};
 use wsg_bridge_fw::plc::canopen::{DataType, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX, SETTINGS_INDEX};
 use wsg_bridge_fw::registers::{REPORTS, SETTINGS};
 
@@ -32,5 +32,5 @@ fn eds_file_is_to_canopen_and_dcf_tools_what_the_tables_say() {
     }
     let eds = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/wsg-bridge.eds");
     let output = masters::python(include_str!("eds.py"), &[eds, &table]);
-    assert!(output.status.success() && said(&output).contains("passed"), "{}", said(&output));
+    assert!(output.status.success() && printed(&output).contains("passed"), "{}", printed(&output));
 }

@@ -7,7 +7,7 @@
 
 use document::read;
 use host_tests::example;
-use host_tests::masters::{mbpoll, node, paste, python, said};
+use host_tests::masters::{mbpoll, node, paste, printed, python};
 use std::net::SocketAddr;
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
@@ -71,7 +71,7 @@ print("cycle done")
 
 #[track_caller]
 fn assert_done(output: &Output) {
-    assert!(output.status.success() && said(output).contains("cycle done"), "{}", said(output));
+    assert!(output.status.success() && printed(output).contains("cycle done"), "{}", printed(output));
 }
 
 #[test]
@@ -167,10 +167,10 @@ fn mbpoll_commands_of_the_document_grip_when_pasted() {
     let (_gripper, address) = gripper();
     let port = format!("-p {}", address.port());
     let status = format!("mbpoll -0 -1 -q {port} -t 3 -r 5 -c 1 127.0.0.1");
-    let said = paste(&read("docs/quick-start.md"), "-p 1502", &[("-p 1502", &port)], &status);
+    let printed = paste(&read("docs/quick-start.md"), "-p 1502", &[("-p 1502", &port)], &status);
     // The part between the fingers has 20 mm, the part of the document 22 mm.
     for answer in ["[0]: \t0x1000", "[1]: \t0x0500", "[4]: \t0x0FA0", "[5]: \t0x0000"] {
-        assert!(said.contains(answer), "{answer}: {said}");
+        assert!(printed.contains(answer), "{answer}: {printed}");
     }
 }
 
@@ -260,16 +260,16 @@ fn gripping_cycle_example_runs_over_tcp_and_counts() {
         Command::new(example::path("gripping_cycle")).args(arguments).output().unwrap()
     };
     let output = run(&address.to_string());
-    assert!(output.status.success(), "{}", said(&output));
-    let said_first = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
+    assert!(output.status.success(), "{}", printed(&output));
+    let printed_first = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
     assert!(
-        said(&output).starts_with("2 cycles in ") && said(&output).contains(said_first),
+        printed(&output).starts_with("2 cycles in ") && printed(&output).contains(printed_first),
         "{}",
-        said(&output)
+        printed(&output)
     );
-    assert!(said(&output).contains(" requests, 0 repeated; slowest answer "), "{}", said(&output));
+    assert!(printed(&output).contains(" requests, 0 repeated; slowest answer "), "{}", printed(&output));
     served.stop().unwrap();
     let output = run(&address.to_string());
     assert_eq!(output.status.code(), Some(1));
-    assert!(said(&output).contains(&format!("{address} cannot be reached")), "{}", said(&output));
+    assert!(printed(&output).contains(&format!("{address} cannot be reached")), "{}", printed(&output));
 }

@@ -1,7 +1,7 @@
 //! The virtual gripper on PROFIBUS with a third-party master, and the GSD file in this master's parser.
 
 use document::root;
-use host_tests::masters::{self, said};
+use host_tests::masters::{self, printed};
 use wsg_fieldbus::Diagnosis;
 use wsg_fieldbus::profibus::PROFILE;
 use wsg_sim::server::{Lines, SerialLine, ServerThread};
@@ -15,7 +15,7 @@ fn pyprofibus_runs_a_grip_cycle_on_the_virtual_gripper() {
     let server = ServerThread::start(config, &lines, None).unwrap();
     let arguments = [server.profibus_path().unwrap().to_str().unwrap(), &gsd_file()];
     let output = masters::python(include_str!("pyprofibus.py"), &arguments);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
 }
 
 /// Prints facts of a GSD file, and the resulting parameter and configuration bytes.
@@ -39,7 +39,7 @@ fn parser_of_pyprofibus_reads_what_the_tables_say() {
     let flags = [PROFILE.freeze, PROFILE.sync, PROFILE.set_address, PROFILE.fail_safe, true].map(usize::from);
     let facts = [&[usize::from(PROFILE.ident), Diagnosis::LEN], &flags[..], &[0]].concat();
     let config = PROFILE.config.iter().map(|byte| usize::from(*byte)).collect();
-    assert_eq!(lines, [facts, config], "{}", said(&output));
+    assert_eq!(lines, [facts, config], "{}", printed(&output));
 }
 
 /// Returns the GSD file's path.

@@ -5,7 +5,7 @@
 //! in their names and skips missing ones: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`, `in_namespaces`.
 
 use bus_profinet::Stored;
-use host_tests::masters::{PYTHON_VARIABLE, said};
+use host_tests::masters::{PYTHON_VARIABLE, printed};
 use host_tests::namespaces::{self, End, at_controller, prioritize_grippers};
 use host_tests::{example, extent};
 use std::fs;
@@ -175,7 +175,7 @@ fn profinet_py_runs_a_grip_cycle_in_namespaces_and_tshark_finds_no_fault() {
     let capture = network.capture();
     let server = network.serve(config());
     let output = network.python(CONTROLLER, &["cycle"]);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
     // The last outputs had a width and a speed. They are cleared after the controller has disconnected.
     network.await_outputs(&server, "[0,0,0,0,0,0,0,0]");
     let warnings = capture.finish(SUSPICIOUS, &["frame.number", "frame.protocols", "_ws.expert.message"]);
@@ -187,7 +187,7 @@ fn passes(config: Config, arguments: &[&str]) {
     let network = Network::new();
     let _server = network.serve(config);
     let output = network.python(CONTROLLER, arguments);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
 }
 
 #[test]
@@ -230,7 +230,7 @@ fn profinet_py_finds_in_namespaces_after_a_restart_what_it_has_written() {
     for part in ["label", "labelled"] {
         let _program = network.start(&file);
         let output = network.python(CONTROLLER, &[part]);
-        assert!(output.status.success(), "{}", said(&output));
+        assert!(output.status.success(), "{}", printed(&output));
     }
     let kept = fs::read_to_string(&file).unwrap();
     fs::remove_file(&file).unwrap();
@@ -245,7 +245,7 @@ fn endpoint_mapper_in_namespaces_describes_the_device_as_tshark_reads_it() {
     let capture = network.capture();
     let _server = network.serve_as(config(), stored);
     let output = network.python(EPM, &[]);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
     let entries = capture.wait_for(
         2,
         "epm.num_ents == 1",
@@ -264,7 +264,7 @@ fn pnio_dcp_finds_names_addresses_and_resets_in_namespaces() {
     let network = Network::new();
     let _server = network.serve(config());
     let output = network.python(DCP, &[]);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
 }
 
 #[test]
@@ -277,13 +277,13 @@ fn hostile_frames_by_scapy_in_namespaces_move_nothing_and_profinet_py_and_tshark
     let mut capture = network.capture();
     let server = network.serve(config());
     let output = network.python(CONTROLLER, &["cycle"]);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
     capture.end();
     let file = capture.file.to_str().unwrap().to_owned();
     let output = network.python(HOSTILE, &[&file, "1", "20000"]);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
     // The device is unchanged, except for a name and an address that the frames may have set.
     let output = network.python(CONTROLLER, &["unmoved"]);
-    assert!(output.status.success(), "{}", said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
     server.stop().unwrap();
 }

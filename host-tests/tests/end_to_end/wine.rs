@@ -36,9 +36,9 @@ impl Served {
     /// Starts the program and waits for its output line that begins with `last`.
     fn start(arguments: &[&str], last: &str) -> Self {
         let mut child = program(arguments).stdout(Stdio::piped()).spawn().expect("wine must be installed");
-        let said = BufReader::new(child.stdout.take().expect("stdout is piped"));
+        let printed = BufReader::new(child.stdout.take().expect("stdout is piped"));
         let mut served = Self { child, places: HashMap::new() };
-        for line in said.lines() {
+        for line in printed.lines() {
             let line = line.expect("readable output");
             let (name, place) = line.split_once(' ').expect("a name and a place");
             served.places.insert(name.to_owned(), place.to_owned());
@@ -165,10 +165,10 @@ fn lines_that_windows_lacks_are_refused_in_one_line() {
         (["--profinet", "eth0"], "PROFINET on eth0: packet sockets require Linux"),
     ] {
         let output = program(&arguments).output().unwrap();
-        let said = String::from_utf8(output.stderr).unwrap();
-        assert_eq!((output.status.code(), said.trim_end()), (Some(1), &*format!("wsg-sim: {expected}")));
+        let printed = String::from_utf8(output.stderr).unwrap();
+        assert_eq!((output.status.code(), printed.trim_end()), (Some(1), &*format!("wsg-sim: {expected}")));
     }
     let output = program(&["--serial", "COM77"]).output().unwrap();
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert!(said.starts_with("wsg-sim: the serial device COM77 cannot be opened: "), "{said}");
+    let printed = String::from_utf8(output.stderr).unwrap();
+    assert!(printed.starts_with("wsg-sim: the serial device COM77 cannot be opened: "), "{printed}");
 }

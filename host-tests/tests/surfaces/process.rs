@@ -46,9 +46,9 @@ fn wsg_with(address: SocketAddr, has_scripts: bool) -> Box<dyn Surface> {
         }
         drop(lines);
         let output = running.wait_with_output().expect("wsg runs");
-        let [said, why] =
+        let [printed, why] =
             [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
-        if output.status.success() { Ok(said) } else { Err(format!("{said}{why}")) }
+        if output.status.success() { Ok(printed) } else { Err(format!("{printed}{why}")) }
     }))
 }
 

@@ -76,7 +76,7 @@ pub struct Reassembler<const FRAMES: usize> {
     count: u16,
     id: StandardId,
     /// Arrival time of the last held frame.
-    heard_at: Instant,
+    received_at: Instant,
     half_message_ms: u32,
     counters: ReassemblerCounters,
 }
@@ -104,7 +104,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
             held: [[0; FULL]; FRAMES],
             count: 0,
             id,
-            heard_at: Instant::from_millis(0),
+            received_at: Instant::from_millis(0),
             half_message_ms,
             counters: ReassemblerCounters {
                 foreign: 0,
@@ -132,7 +132,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
             return;
         }
         self.handle_timeout(now, &mut deliver);
-        self.heard_at = now;
+        self.received_at = now;
         // There is always a free slot: once all are occupied, the message is complete.
         if let Some(place) = self.held.get_mut(usize::from(self.count)) {
             for (place, byte) in place.iter_mut().zip(data) {
@@ -146,7 +146,7 @@ impl<const FRAMES: usize> Reassembler<FRAMES> {
     /// Returns when the incomplete message times out, or `None` if no message is incomplete.
     #[must_use]
     pub const fn poll_timeout(&self) -> Option<Instant> {
-        if self.count == 0 { None } else { Some(self.heard_at.plus(self.half_message_ms)) }
+        if self.count == 0 { None } else { Some(self.received_at.plus(self.half_message_ms)) }
     }
 
     /// Discards an incomplete message whose time-out has expired. `deliver` receives the messages found in the frames

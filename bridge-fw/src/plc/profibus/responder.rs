@@ -223,13 +223,13 @@ pub struct DpResponder {
     bit_ns: u32,
     phase: Phase,
     /// End of the last character, in microseconds.
-    heard_us: u32,
+    received_us: u32,
     answer: [u8; MAX_ANSWER_LEN],
     answer_len: usize,
     /// The outputs are valid, because the master commands.
     has_outputs: bool,
     /// Outputs last queued for the main loop.
-    told: Option<[u8; OutputImage::LEN]>,
+    reported: Option<[u8; OutputImage::LEN]>,
     /// Event still to be queued: the master left, by a time-out or not.
     left: Option<bool>,
     /// Flags shown in the diagnosis.
@@ -247,11 +247,11 @@ impl DpResponder {
             rate: 0,
             bit_ns: 0,
             phase: Phase::Listening,
-            heard_us: 0,
+            received_us: 0,
             answer: [0; MAX_ANSWER_LEN],
             answer_len: 0,
             has_outputs: false,
-            told: None,
+            reported: None,
             left: None,
             flags: SystemFlags::empty(),
         }
@@ -299,7 +299,7 @@ impl DpResponder {
 
     /// Processes a character. Returns the time until a response is due, in microseconds.
     fn receive(&mut self, character: Character, now_ms: u32, now_us: u32) -> Option<u32> {
-        let distance_us = now_us.wrapping_sub(core::mem::replace(&mut self.heard_us, now_us));
+        let distance_us = now_us.wrapping_sub(core::mem::replace(&mut self.received_us, now_us));
         let distance_ns = distance_us.min(LONG_SILENCE_US).saturating_mul(1_000);
         let silence_bits =
             distance_ns.checked_div(self.bit_ns).unwrap_or_default().saturating_sub(CHARACTER_BITS);
@@ -322,7 +322,7 @@ impl DpResponder {
         }
         if let Some(event) = event {
             self.note(event);
-            self.tell();
+            self.report();
         }
         wait_us
     }
@@ -335,7 +335,7 @@ impl DpResponder {
         if let Some(event) = self.slave.poll(now_ms) {
             self.note(event);
         }
-        self.tell();
+        self.report();
         let Counters { telegrams, damaged } = self.slave.counters();
         self.buffers.telegrams.store(telegrams, Ordering::Relaxed);
         self.buffers.damaged.store(damaged, Ordering::Relaxed);
@@ -379,17 +379,20 @@ impl DpResponder {
     }
 
     /// Queues outstanding events for the main loop in order, as far as there is room.
-    fn tell(&mut self) {
+    fn report(&mut self) {
         if let Some(silent) = self.left {
             if !self.buffers.push(FromMaster::Left { silent }) {
                 return;
             }
             self.left = None;
-            self.told = None;
+            self.reported = None;
         }
         let outputs = *self.slave.outputs();
-        if self.has_outputs && self.told != Some(outputs) && self.buffers.push(FromMaster::Output(outputs)) {
-            self.told = Some(outputs);
+        if self.has_outputs
+            && self.reported != Some(outputs)
+            && self.buffers.push(FromMaster::Output(outputs))
+        {
+            self.reported = Some(outputs);
         }
     }
 
@@ -407,7 +410,7 @@ impl DpResponder {
             }
             None if status.is_complete => {
                 self.phase = Phase::Listening;
-                self.heard_us = now_us;
+                self.received_us = now_us;
                 None
             }
             _ => None,

@@ -152,7 +152,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
                     if !self.has_heartbeat {
                         // The master may have stopped sending RPDOs. Without a heartbeat, monitoring
                         // pauses until the next one.
-                        self.heard_at = None;
+                        self.received_at = None;
                     }
                 }
             }
@@ -241,7 +241,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
         if !watches || master == self.config.master {
             // Monitoring continues in case this is the master's last frame; the new time-out starts now.
-            self.heard_at = self.heard_at.map(|_| now_ms);
+            self.received_at = self.received_at.map(|_| now_ms);
             self.has_heartbeat &= watches;
         } else {
             self.config.master = master;

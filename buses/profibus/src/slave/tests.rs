@@ -512,8 +512,8 @@ fn wrong_parameters_are_acknowledged_rejected_and_reported() {
 
         let mut bus = Bus::exchanging(&PLAIN);
         bus.exchange(OUT);
-        let told = Some(Event::Left(Cause::Parameters));
-        assert_eq!(bus.ask(SET_PRM, parameters), (SC.to_vec(), told), "{what}");
+        let reported = Some(Event::Left(Cause::Parameters));
+        assert_eq!(bus.ask(SET_PRM, parameters), (SC.to_vec(), reported), "{what}");
         assert_eq!(bus.status(), expected, "{what}, from data exchange");
         assert!(bus.is_out(ZERO));
         bus.start(&PARAMETERS);
@@ -596,8 +596,8 @@ fn configuration_must_match_the_device() {
         assert_eq!(bus.ask(CHK_CFG, &CONFIG), (SC.to_vec(), None), "repeated");
         assert_eq!(bus.slave.state(), State::DataExch);
         assert!(bus.is_out(OUT));
-        let told = Some(Event::Left(Cause::Configuration));
-        assert_eq!(bus.ask(CHK_CFG, config), (SC.to_vec(), told));
+        let reported = Some(Event::Left(Cause::Configuration));
+        assert_eq!(bus.ask(CHK_CFG, config), (SC.to_vec(), reported));
         assert_eq!(bus.status(), [0x06, 0x05, 0, 0xFF]);
         assert!(bus.is_out(ZERO));
     }
@@ -638,8 +638,8 @@ fn global_control_applies_to_all_or_to_the_selected_groups() {
     let mut bus = Bus::exchanging(&PROFILE);
     for (groups, expected) in [(0x00, true), (0x01, true), (0x02, true), (0xFC, false), (0xFF, true)] {
         bus.exchange(OUT);
-        let told = bus.control(0x02, groups);
-        assert_eq!(told, expected.then_some(Event::Cleared), "{groups:02X}h");
+        let reported = bus.control(0x02, groups);
+        assert_eq!(reported, expected.then_some(Event::Cleared), "{groups:02X}h");
         assert_eq!(bus.is_out(ZERO), expected, "{groups:02X}h");
     }
 }
@@ -780,16 +780,16 @@ fn diagnosis_has_at_least_six_bytes_and_reports_truncation() {
 #[test]
 fn master_can_change_the_address_before_it_sends_parameters() {
     let mut bus = Bus::new(&PROFILE);
-    let told = Some(Event::Address(Address { station: 9, locked: false }));
-    assert_eq!(bus.ask(SET_SLAVE_ADDRESS, &[9, 0x12, 0x34, 0]), (SC.to_vec(), told));
+    let reported = Some(Event::Address(Address { station: 9, locked: false }));
+    assert_eq!(bus.ask(SET_SLAVE_ADDRESS, &[9, 0x12, 0x34, 0]), (SC.to_vec(), reported));
     assert_eq!(bus.slave.address(), Address::new(9));
     assert_eq!(bus.send(&sd1([STATION, MASTER, FDL_STATUS])).0, []);
     assert_eq!(bus.send(&sd1([9, MASTER, FDL_STATUS])).0, sd1([MASTER, 9, 0]));
     // Back to the first address, with extra bytes for the device to store, and locked.
     let back =
         [&[0x89, 0x82, bus.next(), SET_SLAVE_ADDRESS, 62][..], &[STATION, 0x12, 0x34, 1, 5, 6]].concat();
-    let told = Some(Event::Address(Address { station: STATION, locked: true }));
-    assert_eq!(bus.send(&sd2(&back)), (SC.to_vec(), told));
+    let reported = Some(Event::Address(Address { station: STATION, locked: true }));
+    assert_eq!(bus.send(&sd2(&back)), (SC.to_vec(), reported));
     assert_eq!(bus.ask(SET_SLAVE_ADDRESS, &[9, 0x12, 0x34, 0]), (no_service(MASTER), None), "locked");
 }
 

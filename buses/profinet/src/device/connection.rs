@@ -39,11 +39,11 @@ pub(super) struct Connection {
     pub(super) low: Alarms,
     pub(super) high: Alarms,
     /// Faults last reported to the controller as present.
-    pub(super) told: u32,
+    pub(super) reported: u32,
     /// Time of the next inputs.
     pub(super) next_inputs: u64,
     /// Time of the last valid outputs, or of the controller's confirmation.
-    pub(super) heard: u64,
+    pub(super) received: u64,
     pub(super) last_counter: Option<u16>,
     /// Whether the last outputs were good.
     pub(super) has_outputs: bool,
@@ -69,9 +69,9 @@ impl Connection {
             ends: Ends { mac, peer: relation.mac, reference, cr },
             low: Alarms::new(Priority::Low),
             high: Alarms::new(Priority::High),
-            told: 0,
+            reported: 0,
             next_inputs: now,
-            heard: now,
+            received: now,
             last_counter: None,
             has_outputs: false,
             sequence: 0,
@@ -80,7 +80,7 @@ impl Connection {
 
     /// Returns when the controller's hold time expires without further outputs.
     pub(super) const fn silent_at(&self) -> u64 {
-        self.heard.saturating_add(self.output.hold_us)
+        self.received.saturating_add(self.output.hold_us)
     }
 
     /// Restarts the time-out for parameters.
@@ -99,7 +99,7 @@ impl Connection {
         for (alarms, priority) in [(&mut self.high, Priority::High), (&mut self.low, Priority::Low)] {
             let is_of =
                 |fault: &Fault| priority == if cr.is_low_only { Priority::Low } else { fault.priority };
-            let is_unreported = |bit: u32| (faults ^ self.told).checked_shr(bit).unwrap_or(0) & 1 == 1;
+            let is_unreported = |bit: u32| (faults ^ self.reported).checked_shr(bit).unwrap_or(0) & 1 == 1;
             let mut places = (0_u8..32).zip(profile.faults);
             let found = places.find(|(bit, fault)| is_unreported((*bit).into()) && is_of(fault));
             if let Some((bit, _)) = found.filter(|_| alarms.is_idle()) {

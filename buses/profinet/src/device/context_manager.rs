@@ -265,7 +265,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             return None;
         }
         connection.phase = Phase::Data;
-        connection.heard = now;
+        connection.received = now;
         Some(Event::Connected)
     }
 
@@ -280,7 +280,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             .ok_or(PnioStatus::read(access::WRITE_LENGTH))?;
         let is_controller = self.is_controller(record.uuid, call.now);
         let reader = self.reader.as_mut().filter(|(relation, _)| relation.uuid == record.uuid);
-        let is_reader = reader.map(|(_, heard)| *heard = call.now).is_some();
+        let is_reader = reader.map(|(_, received)| *received = call.now).is_some();
         let mut data = [0; MAX_RECORD_LEN];
         let max_len = call.max_len.saturating_sub(Record::ANSWER_LEN).min(record.len).min(data.len());
         let mut writer = Writer::new(data.get_mut(..max_len).unwrap_or(&mut []));

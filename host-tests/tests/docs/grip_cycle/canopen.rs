@@ -30,14 +30,14 @@ struct Row {
 
 struct Recording {
     rig: World,
-    heard: Vec<(u16, Vec<u8>)>,
+    received: Vec<(u16, Vec<u8>)>,
     rows: Vec<Row>,
 }
 
 impl Recording {
     fn pass(&mut self, ms: u32) {
         self.rig.pass(ms);
-        self.heard.extend(self.rig.can.take_frames().into_iter().map(|(_, id, data)| (id, data)));
+        self.received.extend(self.rig.can.take_frames().into_iter().map(|(_, id, data)| (id, data)));
     }
 
     fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], says: impl Into<String>) {
@@ -51,15 +51,15 @@ impl Recording {
     }
 
     fn last(&self, id: u16) -> Option<Vec<u8>> {
-        self.heard.iter().rev().find(|(other, _)| *other == id).map(|(_, data)| data.clone())
+        self.received.iter().rev().find(|(other, _)| *other == id).map(|(_, data)| data.clone())
     }
 
     /// Waits for a TPDO1 that meets a condition, and records it.
     fn note_tpdo1(&mut self, step: &str, wanted: fn(&InputImage) -> bool) {
         for _ in 0..20_000 {
             self.pass(1);
-            let heard = std::mem::take(&mut self.heard);
-            let found = heard.into_iter().find(|(id, data)| *id == TPDO1 && wanted(&tpdo1(data)));
+            let received = std::mem::take(&mut self.received);
+            let found = received.into_iter().find(|(id, data)| *id == TPDO1 && wanted(&tpdo1(data)));
             if let Some((_, data)) = found {
                 let image = tpdo1(&data);
                 let says = [state, status, system].map(|part| part(&image)).join("; ");
@@ -92,13 +92,13 @@ fn record() -> Vec<Row> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
     let mut rig = World::with_node(gripper, NODE);
     rig.can.beats = true;
-    let mut recording = Recording { rig, heard: Vec::new(), rows: Vec::new() };
+    let mut recording = Recording { rig, received: Vec::new(), rows: Vec::new() };
     recording.rig.set(Inputs::FAST_STOP_OK, false);
     recording.pass(1_000);
     recording.rig.set(Inputs::FAST_STOP_OK, true);
     recording.pass(500);
     let of_node = |recording: &Recording, wanted: &[u8]| {
-        assert!(recording.heard.contains(&(HEARTBEAT, wanted.to_vec())));
+        assert!(recording.received.contains(&(HEARTBEAT, wanted.to_vec())));
     };
     of_node(&recording, &[0]);
     recording.note("power-up", "bridge", HEARTBEAT, &[0], "boot-up");
@@ -112,7 +112,7 @@ fn record() -> Vec<Row> {
     for step in steps() {
         let data = rpdo1(&step.image);
         let says: Vec<String> = output_parts(&step.image).into_iter().map(|(_, says)| says).collect();
-        recording.heard.clear();
+        recording.received.clear();
         recording.send(step.name, RPDO1, &data, format!("{}; {}", says[0], says[2..].join("; ")));
         match step.then {
             Then::Nothing => {
@@ -136,7 +136,7 @@ fn record() -> Vec<Row> {
             }
         }
         recording.pass(400);
-        recording.heard.clear();
+        recording.received.clear();
         recording.note_tpdo1(step.then.name(), |image| image.status != Status::CmdPending);
         recording.pass(200);
         let data = recording.last(TPDO2).expect("a cyclic TPDO2");

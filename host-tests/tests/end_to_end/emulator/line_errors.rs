@@ -63,7 +63,7 @@ impl Plant {
     }
 
     /// Returns the errors that the board's UART reports. A PL011 does not report noise.
-    fn told(&self) -> &'static [LineError] {
+    fn reported(&self) -> &'static [LineError] {
         const ALL: [LineError; 4] =
             [LineError::Parity, LineError::Framing, LineError::Overrun, LineError::Noise];
         if self.kind == Board::PICO { &ALL[..3] } else { &ALL }
@@ -95,7 +95,7 @@ impl Plant {
 
 fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
     let mut plant = Plant::start(board);
-    for &error in plant.told() {
+    for &error in plant.reported() {
         let before = plant.register(BUS_OVERRUNS);
         // One damaged byte of 17 is sufficient, even with a correct checksum. The UART reports a lost byte with the next byte,
         // or earlier by itself.
@@ -116,7 +116,7 @@ fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
 
 fn a_gripper_line_with_errors_is_reported_and_moves_nothing(board: Board) {
     let mut plant = Plant::start(board);
-    if plant.told().contains(&LineError::Noise) {
+    if plant.reported().contains(&LineError::Noise) {
         // The checksum decides about bytes with noise.
         plant.set(Line::Gripper, Some((LineError::Noise, 1)));
         plant.rig.pass(1_000).unwrap();

@@ -66,9 +66,9 @@ fn led_shows_that_the_gripper_has_never_answered_in_rp2040js() {
         (0..10_000)
             .all(|at| Indication::NeverAnswered.is_lit(at) == Indication::NeverAnswered.is_lit(at + ms))
     });
-    let (seen, told) = (edges[2] - edges[0], period.expect("a period"));
+    let (seen, reported) = (edges[2] - edges[0], period.expect("a period"));
     // The host's speed limits the resolution of external readings.
-    assert!(seen.abs_diff(told) <= told / 4, "period {seen} ms, expected {told} ms");
+    assert!(seen.abs_diff(reported) <= reported / 4, "period {seen} ms, expected {reported} ms");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::io::{ErrorKind, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use host_tests::masters::{self, said};
+use host_tests::masters::{self, printed};
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
@@ -165,8 +165,8 @@ fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board(board: Board) {
     let (rig, line) = power_up(board);
     let terminal = Terminal::to(line).unwrap();
     let output = masters::python(include_str!("../pyprofibus.py"), &[&terminal.path, &gsd_file()]);
-    assert!(output.status.success(), "{}", said(&output));
-    let printed = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{}", printed(&output));
+    let stdout = String::from_utf8_lossy(&output.stdout);
     let mut commands = motions(&rig.trace().since(0));
     for (edge, command) in [
         ("edge 08", CommandId::Homing),
@@ -174,12 +174,12 @@ fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board(board: Board) {
         ("edge 04", CommandId::ReleasePart),
     ] {
         // One edge is sufficient, unless a busy machine has made the master reconnect, which may lose the edge before.
-        let edges = printed.lines().filter(|line| *line == edge).count();
+        let edges = stdout.lines().filter(|line| *line == edge).count();
         let sent = commands.iter().take_while(|sent| **sent == command).count();
-        assert!((1..=edges).contains(&sent), "{command:?} sent {sent} times: {}", said(&output));
+        assert!((1..=edges).contains(&sent), "{command:?} sent {sent} times: {}", printed(&output));
         commands.drain(..sent);
     }
-    assert_eq!(commands, [], "{}", said(&output));
+    assert_eq!(commands, [], "{}", printed(&output));
 }
 
 on_both_boards!(

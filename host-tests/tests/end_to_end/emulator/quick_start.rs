@@ -62,9 +62,9 @@ impl Plant {
     }
 }
 
-fn hears(master: &Station, wanted: &WireFrame) {
+fn receives(master: &Station, wanted: &WireFrame) {
     let bound = Instant::now() + MOTION_PATIENCE;
-    while master.heard.recv_timeout(PATIENCE).expect("a frame") != *wanted {
+    while master.received.recv_timeout(PATIENCE).expect("a frame") != *wanted {
         assert!(Instant::now() < bound, "{wanted:?} was not received");
     }
 }
@@ -81,9 +81,9 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_setting
 
     let flash = FlashController::new();
     let plant = Plant::power_up(&flash, vec![]);
-    let said = plant.paste(before);
-    assert!(said.contains("[107]: \t2"), "{said}");
-    assert_eq!(said.matches("Written 1 references").count(), 8, "{said}");
+    let printed = plant.paste(before);
+    assert!(printed.contains("[107]: \t2"), "{printed}");
+    assert_eq!(printed.matches("Written 1 references").count(), 8, "{printed}");
     plant.wait(204, 2);
     plant.wait(205, 0);
     assert_eq!(motions(&plant.rig.trace().since(0)), []);
@@ -92,7 +92,7 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_setting
     let can = CanBus::new(250_000);
     let master = can.join();
     let plant = Plant::power_up(&flash, vec![Box::new(can)]);
-    hears(&master, &WireFrame::standard(0x705, &[0]));
+    receives(&master, &WireFrame::standard(0x705, &[0]));
     plant.rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     // Wait for the debounce time of the wire.
     plant.rig.pass(50).unwrap();
@@ -102,14 +102,14 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_setting
     for (id, data) in can_frames(after) {
         let frame = WireFrame::standard(id, &data);
         if id == TPDO1 {
-            hears(&master, &frame);
+            receives(&master, &frame);
         } else {
             master.send(frame);
         }
     }
-    let said = plant.paste(&after.replacen("```sh\n$M", &format!("```sh\n{variables}$M"), 1));
+    let printed = plant.paste(&after.replacen("```sh\n$M", &format!("```sh\n{variables}$M"), 1));
     for answer in ["[203]: \t1", "[174]: \t2", "[133]: \t0"] {
-        assert!(said.contains(answer), "{answer}: {said}");
+        assert!(printed.contains(answer), "{answer}: {printed}");
     }
     assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing, CommandId::GripPart]);
     assert!(flash.violations().is_empty(), "{:?}", flash.violations());

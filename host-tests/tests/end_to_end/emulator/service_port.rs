@@ -73,7 +73,7 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
     assert!(answers, "the gripper does not respond");
     let here = [("/dev/ttyACM0", terminal.path.as_str())];
 
-    let said = masters::paste(&read("docs/service-port.md"), "$M", &here, "");
+    let printed = masters::paste(&read("docs/service-port.md"), "$M", &here, "");
     for answer in [
         "[0]: \t",
         "[134]: \t",
@@ -83,7 +83,7 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
         "Written 1 references",
         "[100]: \t5",
     ] {
-        assert!(said.contains(answer), "{answer}: {said}");
+        assert!(printed.contains(answer), "{answer}: {printed}");
     }
     assert_eq!(motions(&rig.trace().since(0)), []);
 }

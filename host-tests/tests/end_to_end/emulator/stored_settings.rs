@@ -198,8 +198,8 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
         poll(cable, &registers.split(' ').collect::<Vec<_>>(), &values)
     };
     let write = |cable: &Terminal, first: u16, values: &[u16]| {
-        let said = mbpoll(cable, &format!("-t 4 -r {first}"), values);
-        assert!(said.contains(&format!("Written {} references", values.len())), "{said}");
+        let printed = mbpoll(cable, &format!("-t 4 -r {first}"), values);
+        assert!(printed.contains(&format!("Written {} references", values.len())), "{printed}");
     };
     // Run SAVE or DEFAULTS and wait for its end.
     let store = |cable: &Terminal, name: &str| {
@@ -210,9 +210,12 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
         }
     };
     let are_there = |cable: &Terminal, recipes: &[u16]| {
-        let said = mbpoll(cable, &format!("-t 4 -r {} -c 64", setting("RECIPE0_WIDTH")), &[]);
+        let printed = mbpoll(cable, &format!("-t 4 -r {} -c 64", setting("RECIPE0_WIDTH")), &[]);
         let first = usize::from(setting("RECIPE0_WIDTH"));
-        recipes.iter().enumerate().all(|(n, value)| said.contains(&format!("[{}]: \t{value}\n", first + n)))
+        recipes
+            .iter()
+            .enumerate()
+            .all(|(n, value)| printed.contains(&format!("[{}]: \t{value}\n", first + n)))
     };
 
     let (plant, cable) = Plant::power_up(FlashController::new()).on_cable();
@@ -236,13 +239,13 @@ fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
     let (plant, cable) = plant.on_cable();
     assert!(are_there(&cable, &recipes));
     // Node 5's boot-up message and an SDO answer (CiA 301, 7.2.8.3.3, 7.2.4.3.5).
-    let hears = |identifier, data: &[u8]| {
+    let receives = |identifier, data: &[u8]| {
         let wanted = WireFrame::standard(identifier, data);
-        while master.heard.recv_timeout(PATIENCE).expect("a frame of node 5").id != wanted.id {}
+        while master.received.recv_timeout(PATIENCE).expect("a frame of node 5").id != wanted.id {}
     };
-    hears(0x705, &[0]);
+    receives(0x705, &[0]);
     master.send(WireFrame::standard(0x605, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]));
-    hears(0x585, &[]);
+    receives(0x585, &[]);
     assert_eq!(can.controller().bit_timing().rate, 250_000);
     store(&cable, "DEFAULTS");
 
@@ -394,8 +397,8 @@ fn an_unreadable_double_word_costs_its_record_and_no_start() {
     (0..PAGE_LEN).for_each(|index| flash.set(Page::Second, index, Some(chance.number())));
     let mut plant = Plant::power_up(flash);
     assert_eq!(plant.report("SETTINGS_FROM"), DAMAGED);
-    let told = [EventCode::SettingsRefused as u16, 0, DAMAGED];
-    assert!(plant.events().iter().any(|event| event[..3] == told), "{:?}", plant.events());
+    let refused = [EventCode::SettingsRefused as u16, 0, DAMAGED];
+    assert!(plant.events().iter().any(|event| event[..3] == refused), "{:?}", plant.events());
     assert_eq!(plant.settings(), BridgeConfig::DEFAULT.record());
     plant.set_debounce(9);
     assert_eq!(plant.save(), SAVED);

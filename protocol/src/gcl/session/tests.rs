@@ -40,14 +40,14 @@ impl Rig {
     fn exchange(&mut self, request: Request, line: &str) {
         self.session.request(request).unwrap();
         assert_eq!(self.lines(0), [request.to_string()]);
-        self.hear(line);
+        self.receive(line);
     }
 
     /// Returns a session that gave up waiting for the result of a GRIP.
     fn with_a_lost_result() -> Self {
         let mut rig = Self::connected();
         rig.exchange(GRIP, "ACK GRIP");
-        rig.hear("GRIPSTATE=4");
+        rig.receive("GRIPSTATE=4");
         rig.pass_answered(1_300);
         rig
     }
@@ -102,7 +102,7 @@ impl Rig {
         lines
     }
 
-    fn hear(&mut self, line: &str) {
+    fn receive(&mut self, line: &str) {
         let now = self.now;
         if let Some(event) = self.session.handle(now, &LineEvent::Line(line.as_bytes())) {
             let text = describe(event);
@@ -127,7 +127,7 @@ impl Rig {
             Request::Pos => "POS=20.0".into(),
             other => panic!("{other} is not one of the session's own requests"),
         };
-        self.hear(&line);
+        self.receive(&line);
     }
 
     /// Advances by `ms`, answering only the session's own requests.
@@ -217,7 +217,7 @@ fn gripper_that_refuses_the_device_queries_is_connected() {
             match request {
                 Request::Verbose(_) | Request::Devtype | Request::Version | Request::Sn => {
                     let line = Answer::failed(request.name(), Status::CmdUnknown).to_string();
-                    rig.hear(&line);
+                    rig.receive(&line);
                 }
                 other => rig.answer(other),
             }
@@ -233,7 +233,7 @@ fn gripper_that_refuses_its_states_is_not_connected() {
     for _ in 0..2_000 {
         for request in rig.pass(1) {
             let line = Answer::failed(request.name(), Status::AccessDenied).to_string();
-            rig.hear(&line);
+            rig.receive(&line);
         }
     }
     assert!(!rig.session.is_connected());
@@ -245,17 +245,17 @@ fn motion_is_acknowledged_and_finished_while_queries_continue() {
     rig.session.request(GRIP).unwrap();
     assert_eq!(rig.lines(0), ["GRIP(40.0,20.0)"]);
     assert_eq!(rig.session.motion(), Some(CommandName::Grip));
-    rig.hear("ACK GRIP");
+    rig.receive("ACK GRIP");
     for request in [Request::Pos, Request::Force, Request::Tag] {
         rig.session.request(request).unwrap();
     }
     assert_eq!(rig.lines(0), ["POS?"]);
-    rig.hear("POS=35.5");
+    rig.receive("POS=35.5");
     assert_eq!(rig.lines(0), ["FORCE?"]);
-    rig.hear("FORCE=0.0");
+    rig.receive("FORCE=0.0");
     assert_eq!(rig.lines(0), ["TAG?"]);
-    rig.hear("FIN GRIP");
-    rig.hear("TAG=\"left\"");
+    rig.receive("FIN GRIP");
+    rig.receive("TAG=\"left\"");
     assert_eq!(
         rig.happened(),
         [
@@ -275,7 +275,7 @@ fn motion_fails_before_or_after_its_acknowledgement() {
     let mut rig = Rig::connected();
     rig.exchange(GRIP, "ERR GRIP 3");
     rig.exchange(GRIP, "ACK GRIP");
-    rig.hear("ERR GRIP 18 E_CMD_FAILED");
+    rig.receive("ERR GRIP 18 E_CMD_FAILED");
     assert_eq!(rig.happened(), ["Answered ERR GRIP 3", "Pending GRIP", "Answered ERR GRIP 18 E_CMD_FAILED"]);
     assert_eq!(rig.session.motion(), None);
 }
@@ -337,10 +337,10 @@ fn fast_stop_goes_out_first_and_is_repeated_until_it_is_confirmed() {
         assert_eq!(rig.session.request(refused), Err(RequestError::FastStopRunning), "{refused}");
     }
     // An error does not confirm it.
-    rig.hear("ERR FASTSTOP 15");
+    rig.receive("ERR FASTSTOP 15");
     assert!(rig.session.fast_stop_pending());
     assert!(rig.pass(400).contains(&Request::Faststop));
-    rig.hear("ACK FASTSTOP");
+    rig.receive("ACK FASTSTOP");
     assert!(!rig.session.fast_stop_pending());
     assert_eq!(rig.happened(), ["Answered ACK FASTSTOP"]);
     assert_eq!(rig.session.request(Request::Fsack), Ok(()));
@@ -353,7 +353,7 @@ fn fsack_withdraws_earlier_requests() {
     assert_eq!(rig.lines(0), ["TAG?"]);
     rig.session.request(GRIP).unwrap();
     rig.session.request(Request::Fsack).unwrap();
-    rig.hear("TAG=\"left\"");
+    rig.receive("TAG=\"left\"");
     assert_eq!(rig.lines(1), ["FSACK()"]);
     assert_eq!(rig.happened(), ["Answered TAG=\"left\"", "Withdrawn GRIP"]);
 }
@@ -364,8 +364,8 @@ fn fast_stop_of_the_gripper_withdraws_a_motion_that_was_not_sent() {
     rig.session.request(Request::Tag).unwrap();
     assert_eq!(rig.lines(0), ["TAG?"]);
     rig.session.request(GRIP).unwrap();
-    rig.hear("SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
-    rig.hear("TAG=\"left\"");
+    rig.receive("SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
+    rig.receive("TAG=\"left\"");
     assert_eq!(rig.lines(1), [""; 0]);
     assert_eq!(rig.happened().last().map(String::as_str), Some("Withdrawn GRIP"));
 }
@@ -377,7 +377,7 @@ fn motion_that_never_ends_is_given_up_after_its_time() {
     for _ in 0..60_100 {
         for request in rig.pass(1) {
             match request {
-                Request::Gripstate => rig.hear("GRIPSTATE=6"),
+                Request::Gripstate => rig.receive("GRIPSTATE=6"),
                 other => rig.answer(other),
             }
         }
@@ -389,10 +389,10 @@ fn motion_that_never_ends_is_given_up_after_its_time() {
 fn late_result_is_not_taken_for_that_of_the_next_motion() {
     let mut rig = Rig::with_a_lost_result();
     rig.exchange(GRIP, "FIN GRIP");
-    rig.hear("ERR GRIP 19");
+    rig.receive("ERR GRIP 19");
     assert_eq!(rig.happened(), ["Pending GRIP", "Unanswered GRIP"]);
-    rig.hear("ACK GRIP");
-    rig.hear("ERR GRIP 18");
+    rig.receive("ACK GRIP");
+    rig.receive("ERR GRIP 18");
     assert_eq!(rig.happened(), ["Pending GRIP", "Answered ERR GRIP 18"]);
 }
 
@@ -420,20 +420,20 @@ fn states_are_polled_and_reported() {
 #[test]
 fn updates_are_reported_once_subscribed_to() {
     let mut rig = Rig::connected();
-    rig.hear("@POS=20.0");
+    rig.receive("@POS=20.0");
     assert_eq!(rig.session.counters().unsolicited, 1);
     rig.session.subscribe(Autosend::every(Topic::Pos, 3));
     assert_eq!(rig.pass(1)[0].to_string(), "AUTOSEND(\"POS\",10)");
-    rig.hear("ACK AUTOSEND");
-    rig.hear("@POS=21.0");
-    rig.hear("@GRIPSTATE=6");
+    rig.receive("ACK AUTOSEND");
+    rig.receive("@POS=21.0");
+    rig.receive("@GRIPSTATE=6");
     assert_eq!(rig.events, ["Reported POS=21.0", "Reported GRIPSTATE=6"]);
     assert!(rig.session.known().is_moving());
     rig.events.clear();
     rig.session.request(Request::Autosend(Autosend::off(Topic::Pos))).unwrap();
     assert_eq!(rig.pass(1)[0].to_string(), "AUTOSEND(\"POS\",0)");
-    rig.hear("ACK AUTOSEND");
-    rig.hear("@POS=22.0");
+    rig.receive("ACK AUTOSEND");
+    rig.receive("@POS=22.0");
     assert_eq!(rig.events, Vec::<String>::new());
 }
 
@@ -441,7 +441,7 @@ fn updates_are_reported_once_subscribed_to() {
 fn values_in_answers_become_known() {
     let mut rig = Rig::connected();
     for line in ["POS=20.5", "SPEED=1.5", "FORCE=2.5", "TEMP=35.5", "PWT=3.5", "CLT=4.5", "TAG=\"x\""] {
-        rig.hear(line);
+        rig.receive(line);
     }
     let known = rig.session.known();
     assert_eq!((known.width, known.speed, known.force), (Some(20.5), Some(1.5), Some(2.5)));
@@ -478,10 +478,10 @@ fn one_flag_and_all_flags_are_not_confused() {
             break;
         }
     }
-    rig.hear("SYSFLAGS=[1,1]");
-    rig.hear("SYSFLAGS[11]=0");
+    rig.receive("SYSFLAGS=[1,1]");
+    rig.receive("SYSFLAGS[11]=0");
     assert_eq!(rig.happened(), Vec::<String>::new());
-    rig.hear("SYSFLAGS[12]=1");
+    rig.receive("SYSFLAGS[12]=1");
     assert_eq!(rig.happened(), ["Answered SYSFLAGS[12]=1"]);
 }
 
@@ -528,10 +528,10 @@ fn unsolicited_and_invalid_lines_are_counted_and_change_nothing() {
     for line in
         ["ACK GRIP", "FIN GRIP", "ERR GRIP 18", "ERR DANCE 14", "ERR ? 15", "TAG=\"left\"", "@TEMP=30.0"]
     {
-        rig.hear(line);
+        rig.receive(line);
     }
     assert_eq!(rig.session.counters().unsolicited, 7);
-    rig.hear("hello");
+    rig.receive("hello");
     rig.session.handle(rig.now, &LineEvent::TooLong(b"FDATA=["));
     assert_eq!(rig.session.counters().refused, 2);
     assert_eq!(rig.happened(), Vec::<String>::new());

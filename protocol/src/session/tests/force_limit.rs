@@ -12,7 +12,7 @@ impl Rig {
     }
 
     /// Reports the gripper's force limit.
-    fn tell(&mut self, force: f32) {
+    fn report(&mut self, force: f32) {
         self.reply(Reply::success(Value::GetForceLimit(force)));
     }
 
@@ -22,7 +22,7 @@ impl Rig {
         assert_eq!(self.sent(), [Command::SetForceLimit { force }]);
         self.status(CommandId::SetForceLimit, Status::Success);
         assert_eq!(self.sent(), [Command::GetForceLimit]);
-        self.tell(read);
+        self.report(read);
     }
 
     /// Advances by `ms` with a gripper that answers everything and has this force limit. Returns the number of force
@@ -34,7 +34,7 @@ impl Rig {
                 match command {
                     Command::GetForceLimit => {
                         asked += 1;
-                        self.tell(force);
+                        self.report(force);
                     }
                     other => self.answer(other.id()),
                 }
@@ -73,7 +73,7 @@ fn force_limit_is_known_as_it_was_read_back() {
     rig.exchange(FORCE_40, Status::Success);
     assert_eq!(rig.limit(), None, "confirmed, but not read back");
     rig.sent();
-    rig.tell(40.0);
+    rig.report(40.0);
     assert_eq!(rig.limit(), Some(40.0));
 
     for (set, read, known) in [(100.0, 80.0, None), (40.0, 40.02, Some(40.02)), (40.0, 41.0, None)] {
@@ -87,9 +87,9 @@ fn force_limit_is_known_as_it_was_read_back() {
 fn force_limit_that_was_not_set_or_not_read_back_is_not_known() {
     let mut rig = verifying();
     rig.send(Command::GetForceLimit);
-    rig.tell(40.0);
+    rig.report(40.0);
     assert_eq!(rig.limit(), None, "queried without a setting");
-    rig.tell(40.0);
+    rig.report(40.0);
     assert_eq!(rig.limit(), None, "unsolicited");
 
     let mut rig = Rig::connected();
@@ -124,7 +124,7 @@ fn time_of_the_next_query_is_announced() {
         is_requested
     });
     assert_eq!((asked, due), (true, Some(rig.now)));
-    rig.tell(40.0);
+    rig.report(40.0);
     rig.pass_answered(1);
     assert!(!rig.session.poll_timeout().is_some_and(|due| rig.now.has_reached(due)));
 }
@@ -192,7 +192,7 @@ fn it_stays_unknown_while_a_request_that_may_change_it_is_queued() {
         rig.exchange(FORCE_40, Status::Success);
         rig.session.request(queued).unwrap();
         rig.sent();
-        rig.tell(40.0);
+        rig.report(40.0);
         assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1, "{queued:?}");
         assert_eq!(rig.limit(), None, "{queued:?}");
     }
@@ -204,7 +204,7 @@ fn it_stays_unknown_if_one_of_two_answers_may_precede_the_setting() {
     rig.exchange(FORCE_40, Status::Success);
     let asked = rig.pass(Config::DEFAULT.reply_timeout_ms).into_iter();
     assert_eq!(asked.filter(|command| *command == Command::GetForceLimit).count(), 2);
-    rig.tell(40.0);
+    rig.report(40.0);
     assert_eq!(rig.noticed("Answered(Reply { id: SetForceLimit"), 1);
     assert_eq!(rig.limit(), None);
 }
@@ -248,14 +248,14 @@ fn it_is_not_known_while_a_script_runs() {
 #[test]
 fn reading_a_different_limit_makes_it_unknown() {
     let mut rig = limited();
-    rig.tell(40.1);
+    rig.report(40.1);
     assert_eq!(rig.limit(), None, "unsolicited");
 
     let mut rig = limited();
     rig.until_queried();
-    rig.tell(39.9);
+    rig.report(39.9);
     assert_eq!(rig.limit(), None, "queried by the session");
-    rig.tell(40.0);
+    rig.report(40.0);
     assert_eq!(rig.pass_with(2 * REFRESH_MS, 40.0), 0, "only a new setting makes it known again");
     assert_eq!(rig.limit(), None);
 
@@ -279,7 +279,7 @@ fn limit_not_refreshed_in_time_becomes_unknown() {
     let mut rig = limited();
     let opened = rig.until_queried();
     rig.pass(40);
-    rig.tell(40.0);
+    rig.report(40.0);
     let asked = rig.until_queried();
     assert_eq!(opened + 40 + asked, REFRESH_MS);
     rig.pass(REFRESH_REPLY_MS - 1);
@@ -294,7 +294,7 @@ fn time_of_a_read_back_starts_at_its_query_too() {
     rig.exchange(FORCE_40, Status::Success);
     assert_eq!(rig.sent(), [Command::GetForceLimit]);
     rig.pass(40);
-    rig.tell(40.0);
+    rig.report(40.0);
     assert_eq!(rig.limit(), Some(40.0));
     assert_eq!(rig.until_queried(), REFRESH_MS / 2 - 40);
 }
@@ -356,10 +356,10 @@ fn late_answer_to_an_earlier_query_does_not_answer_a_read_back() {
         rig.until_queried();
         rig.exchange(Command::SetForceLimit { force: 10.0 }, Status::Success);
         assert_eq!(rig.sent(), [Command::GetForceLimit]);
-        rig.tell(first);
+        rig.report(first);
         assert_eq!(rig.events, [""; 0], "{first} N may precede the setting");
         assert_eq!(rig.limit(), None);
-        rig.tell(10.0);
+        rig.report(10.0);
         assert_eq!(rig.events, [answered(CommandId::SetForceLimit, Status::Success)]);
         assert_eq!(rig.limit(), Some(10.0));
         assert_eq!(rig.session.counters().unsolicited, 0);
@@ -380,7 +380,7 @@ fn query_not_sent_yet_does_not_take_the_answer_to_a_read_back() {
     rig.status(CommandId::SetForceLimit, Status::Success);
     rig.session.tick(rig.now);
     assert_eq!(rig.session.poll_transmit(rig.now), Some(Command::GetForceLimit));
-    rig.tell(40.0);
+    rig.report(40.0);
     assert_eq!(rig.events, [answered(CommandId::SetForceLimit, Status::Success)]);
     assert_eq!(rig.limit(), Some(40.0));
 }
@@ -421,7 +421,7 @@ fn lost_answer_to_another_query_does_not_make_it_unknown() {
         for _ in 0..2 * REFRESH_MS {
             for command in rig.pass(1) {
                 if command == Command::GetForceLimit {
-                    rig.tell(40.0);
+                    rig.report(40.0);
                     continue;
                 }
                 others += 1;

@@ -22,7 +22,7 @@ fn receive(responder: &mut DpResponder, character: Character, now_us: u32) -> Ac
 }
 
 /// Passes a telegram whose last character ends at `end_us`. Returns the time until a response is due, in microseconds.
-fn bring(responder: &mut DpResponder, bytes: &[u8], character_us: u32, end_us: u32) -> Option<u32> {
+fn deliver(responder: &mut DpResponder, bytes: &[u8], character_us: u32, end_us: u32) -> Option<u32> {
     let begin_us = end_us - character_us * (bytes.len() as u32 - 1);
     let times = (begin_us..).step_by(character_us as usize);
     let mut wait_us = None;
@@ -37,7 +37,7 @@ fn response_starts_11_bit_times_after_the_stop_bit_within_the_clock_resolution()
     for rate in ProfibusConfig::RATES {
         let (mut responder, _) = at(rate);
         let us = |bits: u32| (bits * 1_000_000).div_ceil(rate.bit_s());
-        let wait_us = bring(&mut responder, &REQUEST, us(11), 1_000_000).unwrap();
+        let wait_us = deliver(&mut responder, &REQUEST, us(11), 1_000_000).unwrap();
         assert!((us(12)..=us(12) + 3).contains(&wait_us), "{rate:?}: {wait_us} us");
         assert!(wait_us < us(u32::from(rate.max_tsdr_bits())));
         assert_eq!(responder.step(IDLE, 1_000, 1_000_000 + wait_us - 1).send, None, "{rate:?}: too early");
@@ -49,7 +49,7 @@ fn response_starts_11_bit_times_after_the_stop_bit_within_the_clock_resolution()
 fn response_is_sent_as_there_is_room_and_its_echo_is_ignored() {
     let (mut responder, _) = at(Baud::K500);
     let mut now_us = 1_000_000;
-    now_us += bring(&mut responder, &REQUEST, 22, now_us).unwrap();
+    now_us += deliver(&mut responder, &REQUEST, 22, now_us).unwrap();
     let mut sent = Vec::new();
     let mut action = responder.step(IDLE, 0, now_us);
     while let Some(byte) = action.send {
@@ -71,13 +71,13 @@ fn response_is_sent_as_there_is_room_and_its_echo_is_ignored() {
     let quiet = Interrupts { transmit_empty: false, transmission_complete: false };
     assert_eq!(responder.step(IDLE, 0, now_us).interrupts, quiet, "sent");
     // The echo was no telegram, but the next request is.
-    assert!(bring(&mut responder, &REQUEST, 22, now_us + 1_000).is_some());
+    assert!(deliver(&mut responder, &REQUEST, 22, now_us + 1_000).is_some());
 }
 
 #[test]
 fn pending_response_is_cancelled_when_another_station_sends() {
     let (mut responder, _) = at(Baud::K500);
-    assert!(bring(&mut responder, &REQUEST, 22, 1_000_000).is_some());
+    assert!(deliver(&mut responder, &REQUEST, 22, 1_000_000).is_some());
     receive(&mut responder, Character::Byte(0x10), 1_000_010);
     assert_eq!(responder.step(IDLE, 1_001, 1_001_000).send, None);
 }
@@ -87,7 +87,7 @@ fn pending_response_is_cancelled_when_another_station_sends() {
 fn stray_after_a_request_neither_cancels_nor_defers_the_response() {
     for stray in [Character::Byte(0x00), Character::Byte(0xFF), Character::Damaged] {
         let (mut responder, _) = at(Baud::K500);
-        let wait_us = bring(&mut responder, &REQUEST, 22, 1_000_000).unwrap();
+        let wait_us = deliver(&mut responder, &REQUEST, 22, 1_000_000).unwrap();
         assert_eq!(receive(&mut responder, stray, 1_000_022).send, None);
         assert_eq!(responder.step(IDLE, 1_000, 1_000_000 + wait_us - 1).send, None, "{stray:?}: too early");
         assert_eq!(responder.step(IDLE, 1_000, 1_000_000 + wait_us).send, Some(0x10), "{stray:?}");
@@ -99,21 +99,25 @@ fn telegram_needs_a_preceding_silence_and_no_pauses() {
     let (mut responder, _) = at(Baud::K500);
     receive(&mut responder, Character::Byte(0x55), 990_000);
     // A gap of 32 bit times is 43 bit times or 86 us from end to end. With 33 it is 88 us.
-    assert_eq!(bring(&mut responder, &REQUEST, 22, 990_000 + 5 * 22 + 86), None, "no silence");
+    assert_eq!(deliver(&mut responder, &REQUEST, 22, 990_000 + 5 * 22 + 86), None, "no silence");
     let end_us = 990_000 + 2 * (5 * 22) + 86 + 91;
-    assert!(bring(&mut responder, &REQUEST, 22, end_us).is_some());
-    assert_eq!(bring(&mut responder, &REQUEST, 91, 2_000_000), None, "pauses inside");
+    assert!(deliver(&mut responder, &REQUEST, 22, end_us).is_some());
+    assert_eq!(deliver(&mut responder, &REQUEST, 91, 2_000_000), None, "pauses inside");
 }
 
 #[test]
 fn new_rate_cancels_a_response_and_is_reported_once() {
     let (mut responder, buffers) = at(Baud::K500);
-    assert!(bring(&mut responder, &REQUEST, 22, 1_000_000).is_some());
+    assert!(deliver(&mut responder, &REQUEST, 22, 1_000_000).is_some());
     buffers.set_rate(Baud::M1_5);
     let action = responder.step(IDLE, 1_001, 1_001_000);
     assert_eq!((action.rate, action.send), (Some(Baud::M1_5), None));
     assert_eq!(responder.step(IDLE, 1_002, 1_002_000).rate, None);
-    assert_eq!(bring(&mut responder, &REQUEST, 8, 1_100_000), Some(10), "12 bits at 1.5 Mbit/s, and a clock");
+    assert_eq!(
+        deliver(&mut responder, &REQUEST, 8, 1_100_000),
+        Some(10),
+        "12 bits at 1.5 Mbit/s, and a clock"
+    );
 }
 
 /// Puts a responder into data exchange. Returns a function that writes an image to it.
@@ -125,7 +129,7 @@ fn exchanging(responder: &mut DpResponder) -> impl FnMut(&mut DpResponder, u8) +
         let len = body.len() as u8;
         let telegram = [&[0x68, len, len, 0x68], body, &[sum(body), 0x16]].concat();
         let begin_us = now_us;
-        let wait_us = bring(responder, &telegram, 22, begin_us).unwrap();
+        let wait_us = deliver(responder, &telegram, 22, begin_us).unwrap();
         // Until the response has been sent.
         let mut at_us = begin_us + wait_us;
         while responder.step(IDLE, now_us / 1_000, at_us).send.is_some() {
@@ -172,7 +176,7 @@ fn full_queue_never_loses_the_last_image_or_the_end_of_the_master() {
         write(&mut responder, byte);
     }
     responder.note(Event::Cleared);
-    responder.tell();
+    responder.report();
     assert_eq!(taken(buffers), first);
     write(&mut responder, 200);
     assert_eq!(taken(buffers), [None, Some(200)], "the end precedes the new image");
@@ -190,7 +194,7 @@ fn only_an_expired_watchdog_is_a_time_out() {
         write(&mut responder, 1);
         assert_eq!(taken(buffers), [Some(1)]);
         responder.note(event);
-        responder.tell();
+        responder.report();
         assert_eq!(buffers.take(), Some(FromMaster::Left { silent }), "{event:?}");
     }
 }

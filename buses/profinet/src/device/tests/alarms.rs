@@ -70,7 +70,7 @@ fn each_fault_is_reported_once_when_it_appears_and_disappears() {
     let (mut sequence, mut number, mut ours) = (0xFFFF_u16, 0, 0xFFFF_u16);
     let following = |number: u16| number.wrapping_add(1) & 0x7FFF;
     // Present faults, and the expected alarm: fault, and whether it appears.
-    for (faults, told) in [
+    for (faults, reported) in [
         (0b001, Some((0x0100, true))),
         (0b101, Some((0x0102, true))),
         (0b101, None),
@@ -92,8 +92,8 @@ fn each_fault_is_reported_once_when_it_appears_and_disappears() {
             assert_eq!(word(38) & 0xA000, if faults == 0 { 0 } else { 0xA000 });
             (word(46), word(20) == 1)
         });
-        assert_eq!((sent.len(), found), (usize::from(told.is_some()), told), "{faults:b}");
-        if let Some((_, appears)) = told {
+        assert_eq!((sent.len(), found), (usize::from(reported.is_some()), reported), "{faults:b}");
+        if let Some((_, appears)) = reported {
             let ack = alarm_ack(false, if appears { 1 } else { 0x0C }, number);
             rig.device.receive(rig.now, &rta(false, 0x11, sequence, ours, &ack));
             assert_eq!(rig.device.poll_timeout(rig.now), rig.now, "the acknowledgement is due");

@@ -77,7 +77,7 @@ impl Storm {
                 let missing = STORM_QUEUE.saturating_sub(station.waiting());
                 frames.by_ref().take(missing).for_each(|frame| station.send(*frame));
                 // The content of received frames is irrelevant. They set the pace.
-                let _ = station.heard.recv_timeout(Duration::from_millis(1));
+                let _ = station.received.recv_timeout(Duration::from_millis(1));
             }
         });
         Self { is_over, thread: Some(thread) }

@@ -37,7 +37,7 @@ use host_tests::can_controller::BusController;
 use host_tests::can_hub::CanHub;
 use host_tests::can_wire::WireFrame;
 use host_tests::emulator::{Emulator, Extras};
-use host_tests::masters::{self, said};
+use host_tests::masters::{self, printed};
 use host_tests::mcp2515::Mcp2515;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
@@ -231,10 +231,10 @@ fn run_master<C: CanBoard>(settings: (&str, u32), gripper_on_bus: bool) {
     let terminal = Terminal::to(hub.master).unwrap();
     let eds = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/wsg-bridge.eds");
     let output = masters::python(include_str!("master.py"), &[&terminal.path, eds]);
-    assert!(output.status.success() && said(&output).contains("passed"), "{}", said(&output));
+    assert!(output.status.success() && printed(&output).contains("passed"), "{}", printed(&output));
     let cycle = [CommandId::GripPart, CommandId::ReleasePart];
     let expected = [&[CommandId::Homing], &cycle[..], &cycle].concat();
-    assert_eq!(motions(&rig.trace().since(0)), expected, "{}", said(&output));
+    assert_eq!(motions(&rig.trace().since(0)), expected, "{}", printed(&output));
     C::assert_set_up(rig.board(), &bus, settings.1);
 }
 
@@ -246,20 +246,20 @@ const FLASH_CHIP: [u32; 2] = [0xE660_5838, 0x832A_472F];
 fn serial_number_is_made_of_the_flash_chips_in_rp2040js() {
     let (_board, bus, _hub) = power_up::<Mcp2515>(PLC_ON_CAN);
     let master = bus.join();
-    let hear = |id: u16| {
+    let receive = |id: u16| {
         let id = WireFrame::standard(id, &[]).id;
         let bound = Instant::now() + PATIENCE;
-        let heard = std::iter::from_fn(|| master.heard.recv_timeout(PATIENCE).ok());
-        heard
+        let received = std::iter::from_fn(|| master.received.recv_timeout(PATIENCE).ok());
+        received
             .take_while(|_| Instant::now() < bound)
             .find(|frame| frame.id == id)
             .expect("the frame must be sent")
     };
     // A heartbeat shows that the node is on the bus.
-    hear(0x710);
+    receive(0x710);
     // Read object 1018h, subindex 4, by SDO.
     master.send(WireFrame::standard(0x610, &[0x40, 0x18, 0x10, 4, 0, 0, 0, 0]));
-    let answer = hear(0x590);
+    let answer = receive(0x590);
     let (of, number) = answer.data.split_at(4);
     assert_eq!(of, [0x43, 0x18, 0x10, 4]);
     assert_eq!(number, (FLASH_CHIP[0].rotate_left(11) ^ FLASH_CHIP[1]).to_le_bytes());

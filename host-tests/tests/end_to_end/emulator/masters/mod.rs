@@ -6,7 +6,7 @@
 use std::time::{Duration, Instant};
 
 use document::read;
-use host_tests::masters::{self, said};
+use host_tests::masters::{self, printed};
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
@@ -54,11 +54,11 @@ fn plant(board: Board) -> Plant {
 }
 
 /// Checks that the bridge has answered every request on its bus and received nothing else. No master repeats a request.
-fn assert_all_answered(plant: &Plant, said: &str) {
+fn assert_all_answered(plant: &Plant, printed: &str) {
     let counts = run_tokio(&plant.terminal, async |client| {
         client.read_input_registers(COUNTS.0, COUNTS.1).await.unwrap().unwrap()
     });
-    assert_eq!(lost(&counts), plant.lost_before, "{said}");
+    assert_eq!(lost(&counts), plant.lost_before, "{printed}");
 }
 
 /// Runs requests with `tokio-modbus`.
@@ -75,10 +75,10 @@ fn run_tokio<T>(terminal: &Terminal, requests: impl AsyncFnOnce(&mut Context) ->
 }
 
 /// Checks that the bridge has sent homing, a grip and a release once each, the final width, and that no request was lost.
-fn assert_one_cycle(plant: &Plant, said: &str) {
-    assert_all_answered(plant, said);
+fn assert_one_cycle(plant: &Plant, printed: &str) {
+    assert_all_answered(plant, printed);
     let expected = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart];
-    assert_eq!(motions(&plant.rig.trace().since(0)), expected, "{said}");
+    assert_eq!(motions(&plant.rig.trace().since(0)), expected, "{printed}");
     let width = plant.rig.gripper().state().width;
     assert!((width - 40.0).abs() < 0.5, "{width}");
 }
@@ -89,8 +89,8 @@ fn run_python(board: Board, script: &str) {
     let script = script.replace("# line.py\n", include_str!("line.py"));
     let script = script.replace("# cycle.py\n", include_str!("cycle.py"));
     let output = masters::python(&script, &[&plant.terminal.path]);
-    assert!(output.status.success(), "{}", said(&output));
-    assert_one_cycle(&plant, &said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
+    assert_one_cycle(&plant, &printed(&output));
 }
 
 fn pymodbus_runs_a_grip_cycle(board: Board) {
@@ -108,8 +108,8 @@ fn modbus_tk_runs_a_grip_cycle(board: Board) {
 fn jsmodbus_runs_a_grip_cycle(board: Board) {
     let plant = plant(board);
     let output = masters::node(include_str!("../../jsmodbus.js"), &["rtu", &plant.terminal.path]);
-    assert!(output.status.success(), "{}", said(&output));
-    assert_one_cycle(&plant, &said(&output));
+    assert!(output.status.success(), "{}", printed(&output));
+    assert_one_cycle(&plant, &printed(&output));
 }
 
 fn mbpoll_reads_writes_and_homes(board: Board) {
@@ -139,7 +139,7 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
     assert!(unit.contains("[100]: \t1"), "{unit}");
     let server_id = poll(&["-u"], &[]);
     assert!(
-        ["Id    : 0x01", "Status: On", "wsg-bridge-fw V"].iter().all(|said| server_id.contains(said)),
+        ["Id    : 0x01", "Status: On", "wsg-bridge-fw V"].iter().all(|printed| server_id.contains(printed)),
         "{server_id}"
     );
     assert_all_answered(&plant, "");
@@ -149,10 +149,10 @@ fn mbpoll_commands_of_the_document_grip_when_pasted(board: Board) {
     let plant = plant(board);
     let changes = [("/dev/ttyUSB0", plant.terminal.path.as_str()), ("-P even", "-P none")];
     let status = "$M -t 3 -r 5 -c 1 $T";
-    let said = masters::paste(&read("docs/commissioning.md"), "$M", &changes, status);
-    assert!(said.contains("[0]: \t4096") && said.contains("[4]: \t4000"), "{said}");
-    assert_eq!(said.matches("Written").count(), 7, "{said}");
-    assert_one_cycle(&plant, &said);
+    let printed = masters::paste(&read("docs/commissioning.md"), "$M", &changes, status);
+    assert!(printed.contains("[0]: \t4096") && printed.contains("[4]: \t4000"), "{printed}");
+    assert_eq!(printed.matches("Written").count(), 7, "{printed}");
+    assert_one_cycle(&plant, &printed);
 }
 
 fn tokio_modbus_runs_a_grip_cycle(board: Board) {
@@ -196,12 +196,12 @@ fn gripping_cycle_example_runs_over_rtu_and_counts(board: Board) {
     let arguments = ["--rtu", &plant.terminal.path, "--cycles", "2", "--answer-within", "60"];
     let program = host_tests::example::path("gripping_cycle");
     let output = std::process::Command::new(program).args(arguments).output().unwrap();
-    let said = said(&output);
-    assert!(output.status.success(), "{said}");
+    let printed = printed(&output);
+    assert!(output.status.success(), "{printed}");
     let counted = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
-    assert!(said.starts_with("2 cycles in ") && said.contains(counted), "{said}");
-    assert!(said.contains(" requests, 0 repeated;"), "{said}");
-    assert_all_answered(&plant, &said);
+    assert!(printed.starts_with("2 cycles in ") && printed.contains(counted), "{printed}");
+    assert!(printed.contains(" requests, 0 repeated;"), "{printed}");
+    assert_all_answered(&plant, &printed);
 }
 
 on_both_boards!(
