@@ -9,11 +9,12 @@ use std::collections::BTreeSet;
 
 use document::{hold, read, table};
 use host_tests::world::modbus::Master;
-use host_tests::world::{World, quick};
+use host_tests::world::plc;
+use host_tests::world::{canopen, profibus, quick};
 use structured_text::{Instance, Unit, Value};
 use wsg_bridge_fw::Config;
-use wsg_bridge_fw::can::DEFAULT_NODE;
 use wsg_bridge_fw::io::Inputs;
+use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::CommandId;
 use wsg_sim::{Fault, Part};
 
@@ -390,43 +391,34 @@ fn refused_meanwhile() -> Plc {
     plc
 }
 
-/// Runs the function block alone, with CANopen objects at its inputs and outputs.
-#[test]
-fn grip_cycle_over_canopen() {
+/// Runs the function block alone, with the image of a bus at its inputs and outputs.
+fn grip_cycle_over<P: plc::Plc>() {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..quick() };
-    let mut rig = World::with_node(gripper, DEFAULT_NODE);
+    let mut plc = P::connect(P::CONFIG, gripper, OutputImage::ZERO);
     let mut block = Instance::new(&units(), "FB_WSG_GRIP");
-    let node = u16::from(DEFAULT_NODE.node);
-    rig.pass(500);
-    rig.can.send(0, &[1, DEFAULT_NODE.node]);
-    let bits = |block: &Instance, name: &str| {
-        let Value::Bits(8, value) = block.get(name) else { panic!("{name}") };
-        u8::try_from(value).unwrap()
-    };
-    let number = |block: &Instance, name: &str| {
+    let int = |block: &Instance, name: &str| {
         let Value::Int(value) = block.get(name) else { panic!("{name}") };
-        (value as u16).to_le_bytes()
+        value
     };
     let mut now_ms = 0;
-    let mut scan = |rig: &mut World, block: &mut Instance| {
-        for (_, id, data) in rig.can.take_frames() {
-            let word = |at: usize| u16::from_le_bytes([data[at], data[at + 1]]);
-            if id == 0x180 | node {
-                block.set("GState", Value::Bits(8, data[0].into()));
-                let system = u64::from(word(2)) | u64::from(word(4)) << 16;
-                block.set("SysState", Value::Bits(32, system));
-                block.set("StatusCode", Value::Int(word(6).into()));
-            } else if id == 0x280 | node {
-                block.set("Width", Value::Int(word(0).cast_signed().into()));
-            }
-        }
+    let mut scan = |plc: &mut P, block: &mut Instance| {
+        let input = plc.read();
+        block.set("GState", Value::Bits(8, input.state.bits().into()));
+        block.set("SysState", Value::Bits(32, input.system.bits().into()));
+        block.set("StatusCode", Value::Int(input.status.code().into()));
+        block.set("Width", Value::Int(input.width.into()));
         block.scan(now_ms);
         now_ms += SCAN_MS;
-        let [w0, w1] = number(block, "WidthOut");
-        let [s0, s1] = number(block, "SpeedOut");
-        let [f0, f1] = number(block, "ForceOut");
-        rig.can.send(0x200 | node, &[bits(block, "CmdFlags"), 0, w0, w1, s0, s1, f0, f1]);
-        rig.pass(u32::try_from(SCAN_MS).unwrap());
+        let Value::Bits(8, flags) = block.get("CmdFlags") else { panic!("CmdFlags is not a BYTE") };
+        *plc.image() = OutputImage {
+            flags: CommandFlags::from_bits_retain(flags as u8),
+            user: 0,
+            width: int(block, "WidthOut") as i16,
+            speed: int(block, "SpeedOut") as u16,
+            force_limit: int(block, "ForceOut") as i16,
+        };
+        plc.write();
+        plc.run(u32::try_from(SCAN_MS).unwrap());
     };
     let steps = [
         ("StopAck", "Ready", false),
@@ -437,17 +429,27 @@ fn grip_cycle_over_canopen() {
     ];
     for (button, output, holds) in steps {
         block.set(button, Value::Bool(true));
-        scan(&mut rig, &mut block);
+        scan(&mut plc, &mut block);
         block.set(button, Value::Bool(false));
         let ended = (0..5_000).any(|_| {
-            scan(&mut rig, &mut block);
+            scan(&mut plc, &mut block);
             block.get(output) == Value::Bool(true)
         });
         assert!(ended, "{button}: {block:?}");
         assert_eq!((block.get("Error"), block.get("Holding")), (Value::Bool(false), Value::Bool(holds)));
     }
     let motions = [CommandId::Homing, CommandId::GripPart, CommandId::ReleasePart, CommandId::GripPart];
-    assert_eq!(rig.take_motions(), motions);
+    assert_eq!(plc.world().take_motions(), motions);
+}
+
+#[test]
+fn grip_cycle_over_canopen() {
+    grip_cycle_over::<canopen::Master>();
+}
+
+#[test]
+fn grip_cycle_over_profibus() {
+    grip_cycle_over::<profibus::Master>();
 }
 
 /// Generates a test for each scenario, and the list of all scenarios with their descriptions in the document.

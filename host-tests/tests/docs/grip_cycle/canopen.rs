@@ -2,7 +2,7 @@
 
 use document::{hold, table};
 use host_tests::world::World;
-use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
+use host_tests::world::canopen::{Master, NODE};
 use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::{GripperFlags, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
@@ -11,7 +11,6 @@ use wsg_sim::Part;
 use super::DOCUMENT;
 use super::image::{Then, explain, force, hex, output_parts, state, status, steps, system, width};
 
-const NODE: NodeConfig = DEFAULT_NODE;
 const NMT: u16 = 0;
 const TPDO1: u16 = 0x180 | NODE.node as u16;
 const RPDO1: u16 = 0x200 | NODE.node as u16;
@@ -29,38 +28,27 @@ struct Row {
 }
 
 struct Recording {
-    rig: World,
-    received: Vec<(u16, Vec<u8>)>,
+    master: Master,
     rows: Vec<Row>,
 }
 
 impl Recording {
-    fn pass(&mut self, ms: u32) {
-        self.rig.pass(ms);
-        self.received.extend(self.rig.can.take_frames().into_iter().map(|(_, id, data)| (id, data)));
-    }
-
     fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], says: impl Into<String>) {
         self.rows.push(Row { step: step.to_owned(), from, id, data: data.to_vec(), says: says.into() });
     }
 
     /// Sends a frame as the master and records it.
     fn send(&mut self, step: &str, id: u16, data: &[u8], says: impl Into<String>) {
-        self.rig.can.send(id, data);
+        self.master.send(id, data);
         self.note(step, "master", id, data, says);
-    }
-
-    fn last(&self, id: u16) -> Option<Vec<u8>> {
-        self.received.iter().rev().find(|(other, _)| *other == id).map(|(_, data)| data.clone())
     }
 
     /// Waits for a TPDO1 that meets a condition, and records it.
     fn note_tpdo1(&mut self, step: &str, wanted: fn(&InputImage) -> bool) {
         for _ in 0..20_000 {
-            self.pass(1);
-            let received = std::mem::take(&mut self.received);
-            let found = received.into_iter().find(|(id, data)| *id == TPDO1 && wanted(&tpdo1(data)));
-            if let Some((_, data)) = found {
+            self.master.pass(1);
+            let tpdos = self.master.take(0x180);
+            if let Some((_, data)) = tpdos.into_iter().find(|(_, data)| wanted(&tpdo1(data))) {
                 let image = tpdo1(&data);
                 let says = [state, status, system].map(|part| part(&image)).join("; ");
                 return self.note(step, "bridge", TPDO1, &data, says);
@@ -90,33 +78,31 @@ fn rpdo1(image: &OutputImage) -> [u8; 8] {
 /// Records the cycle from power-up, with the wire of FAST STOP low until the plant is ready.
 fn record() -> Vec<Row> {
     let gripper = wsg_sim::Config { part: Part::of_width(20.0), ..wsg_sim::Config::default() };
-    let mut rig = World::with_node(gripper, NODE);
-    rig.can.beats = true;
-    let mut recording = Recording { rig, received: Vec::new(), rows: Vec::new() };
-    recording.rig.set(Inputs::FAST_STOP_OK, false);
-    recording.pass(1_000);
-    recording.rig.set(Inputs::FAST_STOP_OK, true);
-    recording.pass(500);
-    let of_node = |recording: &Recording, wanted: &[u8]| {
-        assert!(recording.received.contains(&(HEARTBEAT, wanted.to_vec())));
+    let mut recording = Recording { master: Master::of(World::with_node(gripper, NODE)), rows: Vec::new() };
+    recording.master.world.can.beats = true;
+    recording.master.world.set(Inputs::FAST_STOP_OK, false);
+    recording.master.pass(1_000);
+    recording.master.world.set(Inputs::FAST_STOP_OK, true);
+    recording.master.pass(500);
+    let states = |recording: &mut Recording| -> Vec<u8> {
+        recording.master.take(0x700).into_iter().map(|(_, data)| data[0]).collect()
     };
-    of_node(&recording, &[0]);
+    assert!(states(&mut recording).starts_with(&[0, 0x7F]));
     recording.note("power-up", "bridge", HEARTBEAT, &[0], "boot-up");
-    of_node(&recording, &[0x7F]);
     recording.note("", "bridge", HEARTBEAT, &[0x7F], "heartbeat: pre-operational");
     recording.note("", "master", MASTER_HEARTBEAT, &[5], "heartbeat, repeated");
     recording.send("NMT start", NMT, &[1, NODE.node], format!("node {} becomes operational", NODE.node));
-    recording.pass(1_000);
-    of_node(&recording, &[5]);
+    recording.master.pass(1_000);
+    assert!(states(&mut recording).contains(&5));
     recording.note("", "bridge", HEARTBEAT, &[5], "heartbeat: operational");
     for step in steps() {
         let data = rpdo1(&step.image);
         let says: Vec<String> = output_parts(&step.image).into_iter().map(|(_, says)| says).collect();
-        recording.received.clear();
+        recording.master.take(0x180);
         recording.send(step.name, RPDO1, &data, format!("{}; {}", says[0], says[2..].join("; ")));
         match step.then {
             Then::Nothing => {
-                recording.pass(20);
+                recording.master.pass(20);
                 continue;
             }
             Then::Begin => {
@@ -130,16 +116,16 @@ fn record() -> Vec<Row> {
             image.status != Status::CmdPending && !image.system.contains(SystemFlags::MOVING)
         };
         for _ in 0..200 {
-            recording.pass(100);
-            if recording.last(TPDO1).is_some_and(|data| ended(&tpdo1(&data))) {
+            recording.master.pass(100);
+            if ended(&recording.master.input()) {
                 break;
             }
         }
-        recording.pass(400);
-        recording.received.clear();
+        recording.master.pass(400);
+        recording.master.take(0x180);
         recording.note_tpdo1(step.then.name(), |image| image.status != Status::CmdPending);
-        recording.pass(200);
-        let data = recording.last(TPDO2).expect("a cyclic TPDO2");
+        recording.master.pass(200);
+        let data = recording.master.tpdo(0x280).expect("a cyclic TPDO2").to_vec();
         let image = tpdo2(&data);
         recording.note("", "bridge", TPDO2, &data, [width, force].map(|part| part(&image)).join("; "));
     }
