@@ -44,14 +44,14 @@ pub struct Bounds {
 
 /// A type of PLC, which determines the set of actions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Plc {
+pub enum PlcKind {
     /// A PLC with wires and no bus.
     Wires,
     /// A PLC that writes images over Modbus and has the wires GRIP, STOP_ACK and FAST_STOP_OK.
     Bus,
 }
 
-impl Plc {
+impl PlcKind {
     /// All types of PLC.
     pub const ALL: [Self; 2] = [Self::Wires, Self::Bus];
 
@@ -75,7 +75,7 @@ impl Plc {
 /// Result of an exploration.
 #[derive(Debug)]
 pub struct Report {
-    plc: Plc,
+    plc: PlcKind,
     roots: Vec<Root>,
     outcome: Outcome<Promise>,
 }

@@ -31,11 +31,11 @@ pub struct GripperEnd {
 }
 
 struct Shared {
-    world: Mutex<World>,
+    connected: Mutex<Connected>,
     over: AtomicBool,
 }
 
-struct World {
+struct Connected {
     gripper: VirtualGripper<1>,
     port: PortId,
     line: UnixStream,
@@ -59,7 +59,7 @@ impl GripperEnd {
     pub fn start(line: UnixStream, clock: Clock, config: Config, trace: &Trace) -> Result<Self> {
         let reader = line.try_clone().context("cannot listen on the gripper's line")?;
         let (gripper, port) = switch_on(config)?;
-        let world = World {
+        let connected = Connected {
             gripper,
             port,
             line,
@@ -72,7 +72,7 @@ impl GripperEnd {
             clock: clock.clone(),
             trace: trace.clone(),
         };
-        let shared = Arc::new(Shared { world: Mutex::new(world), over: AtomicBool::new(false) });
+        let shared = Arc::new(Shared { connected: Mutex::new(connected), over: AtomicBool::new(false) });
         if clock.is_wall() {
             let serving = Arc::clone(&shared);
             let thread = thread::Builder::new().name("gripper".into());
@@ -87,52 +87,52 @@ impl GripperEnd {
     /// Returns the gripper's state at this moment.
     #[must_use]
     pub fn state(&self) -> State {
-        let mut world = self.world();
-        world.turn(&[]);
-        world.gripper.state()
+        let mut connected = self.connected();
+        connected.turn(&[]);
+        connected.gripper.state()
     }
 
     /// Places a part between the fingers, or removes it.
     pub fn set_part(&self, part: Option<Part>) {
-        let mut world = self.world();
-        let now = world.now();
-        world.gripper.set_part(part, now);
-        world.turn(&[]);
+        let mut connected = self.connected();
+        let now = connected.now();
+        connected.gripper.set_part(part, now);
+        connected.turn(&[]);
     }
 
     /// Cuts or restores both directions of the line.
     pub fn cut(&self, cut: bool) {
-        self.world().is_cut = cut;
+        self.connected().is_cut = cut;
     }
 
     /// Passes every further frame from the gripper to `tampering`; `None` delivers frames unmodified.
     pub fn tamper(&self, tampering: Option<Tampering>) {
-        self.world().tampering = tampering;
+        self.connected().tampering = tampering;
     }
 
     /// Injects faults on the way to and from the gripper, and returns the previous fault injection. `None` delivers
     /// everything. Bytes still in transit are lost.
     pub fn disturb(&self, ways: Option<(FaultyWay, FaultyWay)>) -> Option<(FaultyWay, FaultyWay)> {
-        std::mem::replace(&mut self.world().ways, ways)
+        std::mem::replace(&mut self.connected().ways, ways)
     }
 
     /// Sends bytes to the bridge in the gripper's place.
     pub fn inject(&self, bytes: &[u8]) {
-        let mut world = self.world();
-        world.trace.add(Entry::FromGripper(bytes.to_vec()));
-        world.send(bytes);
+        let mut connected = self.connected();
+        connected.trace.add(Entry::FromGripper(bytes.to_vec()));
+        connected.send(bytes);
     }
 
     /// Sends bytes to the gripper in the bridge's place.
     pub fn mislead(&self, bytes: &[u8]) {
-        let mut world = self.world();
-        let now = world.now();
-        let World { gripper, port, .. } = &mut *world;
+        let mut connected = self.connected();
+        let now = connected.now();
+        let Connected { gripper, port, .. } = &mut *connected;
         gripper.receive(*port, now, bytes);
     }
 
-    fn world(&self) -> MutexGuard<'_, World> {
-        lock(&self.shared.world)
+    fn connected(&self) -> MutexGuard<'_, Connected> {
+        lock(&self.shared.connected)
     }
 }
 
@@ -155,7 +155,7 @@ fn switch_on(config: Config) -> Result<(VirtualGripper<1>, PortId)> {
 /// Passes bytes and time to the gripper until either end is closed.
 fn serve(shared: &Shared, line: &UnixStream) {
     while !shared.over.load(Ordering::Relaxed) {
-        let wait = lock(&shared.world).until_next_wake().clamp(Duration::from_micros(100), LOOK_AROUND);
+        let wait = lock(&shared.connected).until_next_wake().clamp(Duration::from_micros(100), LOOK_AROUND);
         if !take(shared, line, wait) {
             return;
         }
@@ -167,7 +167,7 @@ fn come_up(shared: &Shared, line: &UnixStream) -> bool {
     match uninterrupted::is_readable_within(line, Duration::ZERO) {
         Ok(true) => take(shared, line, Duration::ZERO),
         Ok(false) => {
-            lock(&shared.world).turn(&[]);
+            lock(&shared.connected).turn(&[]);
             true
         }
         Err(_) => false,
@@ -181,11 +181,11 @@ fn take(shared: &Shared, line: &UnixStream, within: Duration) -> bool {
         Ok(Some(0)) | Err(_) => return false,
         Ok(count) => chunk.get(..count.unwrap_or(0)).unwrap_or(&[]),
     };
-    lock(&shared.world).turn(bytes);
+    lock(&shared.connected).turn(bytes);
     true
 }
 
-impl World {
+impl Connected {
     fn now(&self) -> Time {
         let since = self.clock.now().saturating_sub(self.start);
         Time::from_micros(since.as_micros().try_into().unwrap_or(u64::MAX))

@@ -1,11 +1,11 @@
 //! Explores every order of events to a small depth. `cargo xtask explore` uses a greater depth.
 
-use host_tests::explore::{Bounds, Plc};
+use host_tests::explore::{Bounds, PlcKind};
 
 /// Covers all orders of four actions.
 const BOUNDS: Bounds = Bounds { depth: 4, states: u64::MAX };
 
-fn explore(plc: Plc) -> Vec<&'static str> {
+fn explore(plc: PlcKind) -> Vec<&'static str> {
     let report = plc.explore(BOUNDS);
     println!("{report}");
     assert!(report.broken().is_empty(), "an invariant is violated; see the output above");
@@ -14,10 +14,10 @@ fn explore(plc: Plc) -> Vec<&'static str> {
 
 #[test]
 fn promises_hold_in_every_order_of_events_on_the_wires() {
-    assert_eq!(explore(Plc::Wires), ["a jog"]);
+    assert_eq!(explore(PlcKind::Wires), ["a jog"]);
 }
 
 #[test]
 fn promises_hold_in_every_order_of_events_on_the_bus() {
-    assert_eq!(explore(Plc::Bus), ["a release"]);
+    assert_eq!(explore(PlcKind::Bus), ["a release"]);
 }

@@ -17,7 +17,7 @@ const COMMANDS: u32 = 10_000;
 const PART_MM: f32 = 20.0;
 
 /// A virtual gripper, a faulty line to it, and the virtual time.
-struct World {
+struct FaultyGripper {
     gripper: VirtualGripper<1>,
     port: PortId,
     now_ms: u32,
@@ -29,7 +29,7 @@ struct World {
     motions: u32,
 }
 
-impl World {
+impl FaultyGripper {
     fn new(rates: Rates) -> Self {
         let config = Config { part: Part::of_width(PART_MM), time_scale: 10.0, ..Config::default() };
         let mut gripper = VirtualGripper::with_ports(config);
@@ -60,7 +60,7 @@ impl World {
 
 /// The driver's end of the line. A millisecond passes when no bytes can be read, so `wait` need not block.
 #[derive(Clone)]
-struct End(Rc<RefCell<World>>);
+struct End(Rc<RefCell<FaultyGripper>>);
 
 impl Transport for End {}
 
@@ -70,11 +70,11 @@ impl ErrorType for End {
 
 impl ReadReady for End {
     fn read_ready(&mut self) -> Result<bool, Infallible> {
-        let mut world = self.0.borrow_mut();
-        let is_ready = !world.answers.is_empty();
+        let mut far = self.0.borrow_mut();
+        let is_ready = !far.answers.is_empty();
         if !is_ready {
-            world.now_ms += 1;
-            world.turn(&[]);
+            far.now_ms += 1;
+            far.turn(&[]);
         }
         // New bytes are reported at the next call. Otherwise time would not pass while bytes are available.
         Ok(is_ready)
@@ -83,9 +83,9 @@ impl ReadReady for End {
 
 impl Read for End {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        let mut world = self.0.borrow_mut();
-        let count = buffer.len().min(world.answers.len());
-        for (slot, byte) in buffer.iter_mut().zip(world.answers.drain(..count)) {
+        let mut far = self.0.borrow_mut();
+        let count = buffer.len().min(far.answers.len());
+        for (slot, byte) in buffer.iter_mut().zip(far.answers.drain(..count)) {
             *slot = byte;
         }
         Ok(count)
@@ -94,17 +94,17 @@ impl Read for End {
 
 impl Write for End {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let mut world = self.0.borrow_mut();
+        let mut far = self.0.borrow_mut();
         for byte in bytes {
-            match world.sent.push(*byte) {
+            match far.sent.push(*byte) {
                 Some(Event::Frame(frame)) if CommandId::from_code(frame.id).kind() == Kind::Motion => {
-                    world.motions += 1;
+                    far.motions += 1;
                 }
                 Some(Event::Frame(_)) | None => {}
                 Some(broken) => panic!("the driver sends {broken:?}"),
             }
         }
-        world.turn(bytes);
+        far.turn(bytes);
         Ok(bytes.len())
     }
 
@@ -134,20 +134,19 @@ fn ten_thousand_commands_with_one_byte_wrong_in_two_hundred() {
 
 /// Issues the commands over a line with this rate of damaged bytes. Returns the number reported as done.
 fn soak(byte_errors: f64) -> u32 {
-    let world = Rc::new(RefCell::new(World::new(Rates::of_bytes(byte_errors))));
-    let clock = Rc::clone(&world);
-    let mut gripper =
-        Gripper::new(End(Rc::clone(&world)), move || Instant::from_millis(clock.borrow().now_ms));
-    recover(&mut gripper, &world);
+    let far = Rc::new(RefCell::new(FaultyGripper::new(Rates::of_bytes(byte_errors))));
+    let clock = Rc::clone(&far);
+    let mut gripper = Gripper::new(End(Rc::clone(&far)), move || Instant::from_millis(clock.borrow().now_ms));
+    recover(&mut gripper, &far);
     while gripper.home(HomingDirection::Default).is_err() {
-        recover(&mut gripper, &world);
+        recover(&mut gripper, &far);
     }
 
     let (mut done, mut refused, mut not_known) = (0, 0, 0);
-    let mut rest = world.borrow().state().width;
+    let mut rest = far.borrow().state().width;
     for number in 0..COMMANDS {
         let job = (number % 3) as usize;
-        let (sent, before) = (world.borrow().motions, world.borrow().state());
+        let (sent, before) = (far.borrow().motions, far.borrow().state());
         assert!((before.width - rest).abs() < 0.02, "command {number}: the fingers moved before the command");
 
         let result = match job {
@@ -158,11 +157,11 @@ fn soak(byte_errors: f64) -> u32 {
             _ => gripper.release(Mm(40.0), MmPerS(400.0)),
         };
 
-        let left = world.borrow().motions - sent;
+        let left = far.borrow().motions - sent;
         assert!(left <= 1, "command {number} left {left} times");
         match result {
             Ok(()) => {
-                let state = world.borrow().state();
+                let state = far.borrow().state();
                 assert!(left == 1 && JOBS[job](&state), "command {number} is reported as done: {state:?}");
                 done += 1;
             }
@@ -175,11 +174,11 @@ fn soak(byte_errors: f64) -> u32 {
                 refused += 1;
             }
         }
-        recover(&mut gripper, &world);
-        rest = world.borrow().state().width;
+        recover(&mut gripper, &far);
+        rest = far.borrow().state().width;
     }
 
-    let World { outgoing, incoming, .. } = &*world.borrow();
+    let FaultyGripper { outgoing, incoming, .. } = &*far.borrow();
     let faults = outgoing.counts().faults() + incoming.counts().faults();
     println!("{done} done, {refused} refused or failed, {not_known} with unknown outcome; {faults} faults");
     assert_eq!(done + refused + not_known, COMMANDS);
@@ -188,9 +187,9 @@ fn soak(byte_errors: f64) -> u32 {
 }
 
 /// Waits for a connection and standstill, as a careful program does after each command.
-fn recover<C: Clock>(gripper: &mut Gripper<End, C>, world: &RefCell<World>) {
+fn recover<C: Clock>(gripper: &mut Gripper<End, C>, far: &RefCell<FaultyGripper>) {
     for _ in 0..200 {
-        if gripper.is_connected() && gripper.motion().is_none() && world.borrow().state().speed == 0.0 {
+        if gripper.is_connected() && gripper.motion().is_none() && far.borrow().state().speed == 0.0 {
             return;
         }
         if !gripper.is_connected() {
