@@ -20,14 +20,14 @@ const _: () = assert!(QUEUE_LEN >= RESERVED_FOR_REPLIES + MAX_FRAME_LEN);
 
 /// A client: its frame decoder and its line.
 #[derive(Clone, Debug)]
-pub(crate) struct Client {
+pub(crate) struct BinaryClient {
     deframer: Deframer,
-    line: Line,
+    line: BinarySession,
 }
 
 /// The state of a client apart from its frame decoder.
 #[derive(Clone, Debug)]
-struct Line {
+struct BinarySession {
     id: PortId,
     kind: PortKind,
     subscriptions: Subscriptions,
@@ -41,11 +41,11 @@ struct Line {
     replies_lost: u32,
 }
 
-impl Client {
+impl BinaryClient {
     pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
         Self {
             deframer: Deframer::new(kind, config),
-            line: Line {
+            line: BinarySession {
                 id,
                 kind,
                 subscriptions: Subscriptions::default(),
@@ -115,7 +115,7 @@ impl Client {
     }
 
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        let Line { subscriptions, silence, .. } = &self.line;
+        let BinarySession { subscriptions, silence, .. } = &self.line;
         let end = if subscriptions.are_none() { None } else { silence.due() };
         earlier(earlier(subscriptions.next_due(now), end), self.deframer.due())
     }
@@ -132,7 +132,7 @@ impl Client {
 
     /// Sends the updates that are due.
     pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
-        let Line { subscriptions, queue, updates_lost, .. } = &mut self.line;
+        let BinarySession { subscriptions, queue, updates_lost, .. } = &mut self.line;
         subscriptions.publish(now, readings, |value| {
             let reply = Reply::success(value);
             let frame = FrameEncoder::new(reply.id().code(), reply);
@@ -154,7 +154,7 @@ impl Client {
     }
 }
 
-impl Line {
+impl BinarySession {
     fn handle(&mut self, device: &mut Device, now: Time, event: Event<'_>) {
         match event {
             Event::Frame(frame) => self.answer(device, now, &frame),

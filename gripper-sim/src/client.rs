@@ -1,31 +1,34 @@
 //! A client of any kind: its received bytes, its queued frames, and its due times.
 
+use crate::binary::BinaryClient;
 use crate::config::Config;
 use crate::device::Device;
 use crate::fieldbus::Fieldbus;
+use crate::gcl::TextClient;
+use crate::modbus::ModbusClient;
 use crate::port::{Completion, FrameBuffer, PortCounters, PortId, PortKind, Protocol};
+use crate::profibus::ProfibusSlave;
 use crate::time::Time;
 use crate::updates::Readings;
-use crate::{binary, gcl, modbus, profibus};
 use wsg_fieldbus::SilenceReaction;
 
 /// A client, by protocol.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "the core allocates nothing, and neither is small")]
-pub(crate) enum Client {
+pub(crate) enum ProtocolClient {
     /// A client of the binary protocol.
-    Binary(binary::Client),
+    Binary(BinaryClient),
     /// A client of the text protocol (GCL).
-    Text(gcl::Client),
+    Text(TextClient),
     /// A master on Modbus/TCP.
-    Modbus(modbus::Client),
+    Modbus(ModbusClient),
     /// A master on a PROFIBUS DP line.
-    Profibus(profibus::Client),
+    Profibus(ProfibusSlave),
     /// A bus that transfers complete images.
     Images(PortId),
 }
 
-impl Client {
+impl ProtocolClient {
     /// Takes over the settings of a running gripper.
     pub(crate) fn reconfigure(&mut self, before: &Config, config: &Config) {
         match self {
@@ -37,10 +40,10 @@ impl Client {
 
     pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
         match kind.protocol() {
-            Protocol::Binary => Self::Binary(binary::Client::new(id, kind, config)),
-            Protocol::Text => Self::Text(gcl::Client::new(id, kind, config)),
-            Protocol::Modbus => Self::Modbus(modbus::Client::new(id)),
-            Protocol::Profibus => Self::Profibus(profibus::Client::new(id, config.profibus_address)),
+            Protocol::Binary => Self::Binary(BinaryClient::new(id, kind, config)),
+            Protocol::Text => Self::Text(TextClient::new(id, kind, config)),
+            Protocol::Modbus => Self::Modbus(ModbusClient::new(id)),
+            Protocol::Profibus => Self::Profibus(ProfibusSlave::new(id, config.profibus_address)),
             Protocol::Images => Self::Images(id),
         }
     }

@@ -26,14 +26,14 @@ const RESERVED_FOR_ANSWERS: usize = 512;
 
 /// A client: its line decoder and its connection.
 #[derive(Clone, Debug)]
-pub(crate) struct Client {
+pub(crate) struct TextClient {
     reader: LineReader<LINE_LEN>,
-    line: Line,
+    line: TextSession,
 }
 
 /// The state of a client apart from its line decoder.
 #[derive(Clone, Debug)]
-struct Line {
+struct TextSession {
     id: PortId,
     kind: PortKind,
     /// Whether the client has sent BYE.
@@ -48,11 +48,11 @@ struct Line {
     replies_lost: u32,
 }
 
-impl Client {
+impl TextClient {
     pub(crate) fn new(id: PortId, kind: PortKind, config: &Config) -> Self {
         Self {
             reader: LineReader::new(),
-            line: Line {
+            line: TextSession {
                 id,
                 kind,
                 announced: false,
@@ -115,7 +115,7 @@ impl Client {
 
     /// Sends the values that are due.
     pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
-        let Line { autosends, queue, updates_lost, .. } = &mut self.line;
+        let TextSession { autosends, queue, updates_lost, .. } = &mut self.line;
         autosends.publish(now, readings, |value| {
             let found_room = push(queue, &Answer::Update(value), QUEUE_LEN - RESERVED_FOR_ANSWERS);
             if !found_room {
@@ -126,7 +126,7 @@ impl Client {
     }
 
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        let Line { autosends, silence, .. } = &self.line;
+        let TextSession { autosends, silence, .. } = &self.line;
         let end = if autosends.are_none() { None } else { silence.due() };
         earlier(autosends.next_due(now), end)
     }
@@ -161,7 +161,7 @@ impl Client {
     }
 }
 
-impl Line {
+impl TextSession {
     /// Executes the request in a line and answers it.
     fn handle(&mut self, device: &mut Device, now: Time, event: LineEvent<'_>) {
         let request = match event {

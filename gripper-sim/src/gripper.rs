@@ -1,7 +1,7 @@
 //! The virtual gripper: the device, its clients, and the order of events.
 
 use crate::axis::Part;
-use crate::client::Client;
+use crate::client::ProtocolClient;
 use crate::config::{Config, Tag};
 use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
@@ -47,7 +47,7 @@ use wsg_protocol::{Command, GripperState, GrippingStatistics, SoftLimits, Status
 pub struct VirtualGripper<const PORTS: usize = DEFAULT_PORTS> {
     device: Device,
     fieldbus: Fieldbus,
-    clients: [Option<Client>; PORTS],
+    clients: [Option<ProtocolClient>; PORTS],
     connections: u32,
     journal: Journal,
     now: Time,
@@ -118,7 +118,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let index = self.clients.iter().position(Option::is_none)?;
         self.connections = self.connections.wrapping_add(1);
         let id = PortId { index: index as u16, generation: self.connections };
-        *self.clients.get_mut(index)? = Some(Client::new(id, kind, self.device.config()));
+        *self.clients.get_mut(index)? = Some(ProtocolClient::new(id, kind, self.device.config()));
         Some(id)
     }
 
@@ -129,7 +129,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         let Some(client) = self.client(id) else { return };
         let is_error = client.is_missed();
         let reaction = client.reaction_to_its_end(self.device.config());
-        let has_cyclic_outputs = matches!(client, Client::Profibus(_) | Client::Images(_));
+        let has_cyclic_outputs = matches!(client, ProtocolClient::Profibus(_) | ProtocolClient::Images(_));
         if let Some(slot) = self.clients.get_mut(usize::from(id.index)) {
             *slot = None;
         }
@@ -148,7 +148,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// the end (command set, 3.1.2).
     #[must_use]
     pub fn is_missed(&self, id: PortId) -> bool {
-        self.client(id).is_some_and(Client::is_missed)
+        self.client(id).is_some_and(ProtocolClient::is_missed)
     }
 
     /// Takes the next event for the system log. The queue keeps the latest events.
@@ -202,20 +202,20 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// Whether [`transmit`](Self::transmit) has a frame for the client.
     #[must_use]
     pub fn has_frame(&self, id: PortId) -> bool {
-        self.client(id).is_some_and(Client::has_frame)
+        self.client(id).is_some_and(ProtocolClient::has_frame)
     }
 
     /// Returns whether the client's byte stream has lost synchronization for good. Send the queued frames, then close
     /// the connection. Only Modbus/TCP cannot resynchronize.
     #[must_use]
     pub fn is_lost(&self, id: PortId) -> bool {
-        self.client(id).is_some_and(Client::is_lost)
+        self.client(id).is_some_and(ProtocolClient::is_lost)
     }
 
     /// Returns the error counters of the client's line; `None` after a disconnect.
     #[must_use]
     pub fn counters(&self, id: PortId) -> Option<PortCounters> {
-        self.client(id).map(Client::counters)
+        self.client(id).map(ProtocolClient::counters)
     }
 
     /// Processes every event that is due up to `now`, each at its own time.
@@ -432,10 +432,10 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     #[must_use]
     pub fn profibus_master(&self) -> Option<u8> {
         let slave = self.clients.iter().flatten().find_map(|client| match client {
-            Client::Profibus(slave) => Some(slave),
+            ProtocolClient::Profibus(slave) => Some(slave),
             _ => None,
         });
-        slave.and_then(crate::profibus::Client::master)
+        slave.and_then(crate::profibus::ProfibusSlave::master)
     }
 
     /// Writes a complete output image from a bus with image transfer ([`PortKind::Profinet`]). `is_first` marks the
@@ -542,11 +542,11 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
         earlier(earlier(device, clients), self.fieldbus.next_due(&self.device))
     }
 
-    fn client(&self, id: PortId) -> Option<&Client> {
+    fn client(&self, id: PortId) -> Option<&ProtocolClient> {
         self.clients.get(usize::from(id.index))?.as_ref().filter(|client| client.id() == id)
     }
 }
 
-fn client_in(clients: &mut [Option<Client>], id: PortId) -> Option<&mut Client> {
+fn client_in(clients: &mut [Option<ProtocolClient>], id: PortId) -> Option<&mut ProtocolClient> {
     clients.get_mut(usize::from(id.index))?.as_mut().filter(|client| client.id() == id)
 }

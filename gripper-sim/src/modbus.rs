@@ -17,14 +17,14 @@ const _: () = assert!(tcp::MAX_FRAME_LEN <= MAX_FRAME_LEN);
 
 /// A client: its frame decoder and its connection.
 #[derive(Clone, Debug)]
-pub(crate) struct Client {
+pub(crate) struct ModbusClient {
     receiver: Receiver,
-    line: Line,
+    line: ModbusSession,
 }
 
 /// The state of a client apart from its frame decoder.
 #[derive(Clone, Debug)]
-struct Line {
+struct ModbusSession {
     id: PortId,
     /// Whether synchronization is lost: queued frames are sent, then the connection is closed.
     lost: bool,
@@ -34,9 +34,9 @@ struct Line {
     replies_lost: u32,
 }
 
-impl Client {
+impl ModbusClient {
     pub(crate) const fn new(id: PortId) -> Self {
-        let line = Line { id, lost: false, queue: Deque::new(), dropped: 0, replies_lost: 0 };
+        let line = ModbusSession { id, lost: false, queue: Deque::new(), dropped: 0, replies_lost: 0 };
         Self { receiver: Receiver::new(), line }
     }
 
@@ -50,7 +50,7 @@ impl Client {
     }
 
     pub(crate) fn counters(&self) -> PortCounters {
-        let Line { lost, dropped, replies_lost, .. } = self.line;
+        let ModbusSession { lost, dropped, replies_lost, .. } = self.line;
         PortCounters {
             parser: FrameCounters { dropped, bad_checksum: 0, oversize: lost.into() },
             updates_lost: 0,
@@ -88,7 +88,7 @@ impl Client {
     }
 }
 
-impl Line {
+impl ModbusSession {
     fn handle(&mut self, device: &Device, fieldbus: &mut Fieldbus, now: Time, event: Event<'_>) {
         match event {
             Event::Request(request) => {

@@ -20,7 +20,7 @@ const SILENCE_MICROS: u64 = 5_000;
 
 /// The PROFIBUS slave on one line.
 #[derive(Clone, Debug)]
-pub(crate) struct Client {
+pub(crate) struct ProfibusSlave {
     id: PortId,
     slave: Slave,
     /// When the last bytes were received.
@@ -34,7 +34,7 @@ pub(crate) struct Client {
     replies_lost: u32,
 }
 
-impl Client {
+impl ProfibusSlave {
     pub(crate) const fn new(id: PortId, station: u8) -> Self {
         Self {
             id,

@@ -1,7 +1,7 @@
 //! Execution of the requests of the text protocol. Most become commands of the binary protocol. Only the settings of
 //! the connection (VERBOSE, PWT, CLT, AUTOSEND), BYE, GRIP and RELEASE are implemented here.
 
-use super::{Line, celsius};
+use super::{TextSession, celsius};
 use crate::config::Config;
 use crate::device::Device;
 use crate::finger::Jaw;
@@ -50,7 +50,7 @@ type TextBuffer = String<32>;
 /// Executes a request and returns its immediate answer.
 pub(super) fn carry_out<'a>(
     device: &'a mut Device,
-    line: &mut Line,
+    line: &mut TextSession,
     now: Time,
     request: Request,
     text: &'a mut TextBuffer,
@@ -152,7 +152,7 @@ fn start_release(device: &mut Device, requester: Requester, release: Release) ->
     device.release_by(requester, distance, speed)
 }
 
-fn start_grip(device: &mut Device, line: &Line, requester: Requester, grip: Grip) -> Status {
+fn start_grip(device: &mut Device, line: &TextSession, requester: Requester, grip: Grip) -> Status {
     let (force, width, speed) = match grip {
         Grip::Preset => (None, None, None),
         Grip::Force { force } => (Some(force), None, None),

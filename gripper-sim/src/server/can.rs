@@ -1,6 +1,6 @@
 //! A gripper on a CAN bus: filtering of received frames, segmentation of messages into CAN frames, and Linux SocketCAN.
 
-use super::hub::{Client, Hub};
+use super::hub::{ClientHandle, Hub};
 use crate::port::MAX_FRAME_LEN;
 use anyhow::Result;
 use embedded_can::{Frame, Id};
@@ -9,14 +9,14 @@ use std::sync::Arc;
 use wsg_protocol::can::{Identifiers, Segments};
 
 /// Passes the data of a CAN frame to the gripper if the identifier matches. The gripper finds the message boundaries.
-pub(super) fn receive<F: Frame>(client: &Client, identifiers: Identifiers, frame: &F) {
+pub(super) fn receive<F: Frame>(client: &ClientHandle, identifiers: Identifiers, frame: &F) {
     if frame.id() == Id::Standard(identifiers.gripper().receive) && frame.is_data_frame() {
         client.receive(frame.data());
     }
 }
 
 /// Returns the CAN frames of the gripper's next message; none if there is no message.
-pub(super) fn transmit<F: Frame>(client: &Client, identifiers: Identifiers) -> Vec<F> {
+pub(super) fn transmit<F: Frame>(client: &ClientHandle, identifiers: Identifiers) -> Vec<F> {
     let mut buffer = [0; MAX_FRAME_LEN];
     let message = client.transmit(&mut buffer).unwrap_or(&[]);
     let segments = Segments::new(message.iter().copied());
@@ -71,7 +71,7 @@ mod interface {
         }
     }
 
-    async fn exchange(client: &Client, socket: &CanSocket, identifiers: Identifiers) -> io::Result<()> {
+    async fn exchange(client: &ClientHandle, socket: &CanSocket, identifiers: Identifiers) -> io::Result<()> {
         let mut waiting: VecDeque<CanFrame> = VecDeque::new();
         loop {
             if waiting.is_empty() {

@@ -4,7 +4,7 @@ mod client;
 mod scripts;
 mod settings;
 
-pub(super) use client::Client;
+pub(super) use client::ClientHandle;
 pub(super) use scripts::{OutputLine, Run, ScriptReport};
 pub(super) use settings::{Changes, Refused, SettingState};
 
@@ -228,7 +228,7 @@ impl Hub {
     }
 
     /// Connects a client. Returns `None` if all places are taken and no client can be displaced.
-    pub(super) fn connect(self: &Arc<Self>, kind: PortKind, peer: &str) -> Option<Client> {
+    pub(super) fn connect(self: &Arc<Self>, kind: PortKind, peer: &str) -> Option<ClientHandle> {
         let connect = || {
             self.with_gripper(|gripper, now| {
                 gripper.advance(now);
@@ -264,7 +264,7 @@ impl Hub {
         let pace = if is_paced { REAL_PACE } else { Pace::NONE };
         let line = RefCell::new(FaultyLine::new(self.seed, number).paced(pace));
         let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
-        Some(Client::new(Arc::clone(self), connected, line, requests))
+        Some(ClientHandle::new(Arc::clone(self), connected, line, requests))
     }
 
     /// Disconnects the Modbus/TCP client that has been idle longest to free its place. Clients of other protocols stay,
@@ -536,7 +536,7 @@ mod tests {
         Hub::of_test()
     }
 
-    async fn is_dismissed(client: &Client) -> bool {
+    async fn is_dismissed(client: &ClientHandle) -> bool {
         tokio::select! {
             biased;
             () = client.dismissed() => true,

@@ -35,11 +35,11 @@ const CHECKSUM_LEN: usize = 2;
 /// the received bytes.
 pub struct Log {
     output: Output,
-    clients: HashMap<PortId, Client>,
+    clients: HashMap<PortId, LoggedClient>,
 }
 
 /// A client whose requests are logged. The log decodes its frames a second time.
-struct Client {
+struct LoggedClient {
     name: Arc<str>,
     kind: PortKind,
     requests: Requests,
@@ -153,7 +153,7 @@ impl Log {
             Protocol::Modbus => Requests::Registers(Box::default()),
             Protocol::Profibus | Protocol::Images => Requests::Telegrams,
         };
-        self.clients.insert(id, Client { name, kind, requests });
+        self.clients.insert(id, LoggedClient { name, kind, requests });
     }
 
     /// Decodes requests as a gripper with these settings does.

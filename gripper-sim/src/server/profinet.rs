@@ -27,7 +27,7 @@ mod interface {
     use super::ip::IpStack;
     use super::*;
     use crate::port::PortKind;
-    use crate::server::hub::{BusLine, Client, Hub};
+    use crate::server::hub::{BusLine, ClientHandle, Hub};
     use anyhow::{Context, bail};
     use bus_profinet::{Event, MAX_FRAME_LEN, MacAddress, Profile, Transmit};
     use nix::errno::Errno;
@@ -150,7 +150,7 @@ mod interface {
     struct Station {
         device: Box<Device>,
         ip: IpStack,
-        client: Client,
+        client: ClientHandle,
         line: ProfinetLine,
         /// Whether outputs have been received since the controller enabled them. A flag set in the first outputs is not an edge.
         has_outputs: bool,

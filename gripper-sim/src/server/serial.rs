@@ -5,7 +5,7 @@ mod unix;
 
 #[cfg(unix)]
 use super::accept;
-use super::hub::{Client, Hub};
+use super::hub::{ClientHandle, Hub};
 use super::lines::SerialLine;
 use super::slcan;
 use super::stream::{self, Pace};
@@ -148,7 +148,7 @@ impl Carried {
 
     async fn serve(
         self,
-        client: &Client,
+        client: &ClientHandle,
         reader: impl AsyncRead + Unpin,
         writer: impl AsyncWrite + Unpin,
     ) -> io::Result<()> {

@@ -1,7 +1,7 @@
 //! A gripper on a CAN bus over a serial line with SLCAN.
 
 use super::can;
-use super::hub::Client;
+use super::hub::ClientHandle;
 use super::stream;
 use bus_slcan::{Adapter, ClassicFrame, Decoder, Line, encode};
 use std::io;
@@ -29,7 +29,7 @@ const QUEUE_LEN: usize = 16 * 1024;
 
 /// Serves the client until the line closes.
 pub(super) async fn serve(
-    client: &Client,
+    client: &ClientHandle,
     mut reader: impl AsyncRead + Unpin,
     mut writer: impl AsyncWrite + Unpin,
     identifiers: Identifiers,

@@ -1,6 +1,6 @@
 //! A client on a byte stream: TCP, a Unix socket, or a terminal.
 
-use super::hub::Client;
+use super::hub::ClientHandle;
 use crate::port::MAX_FRAME_LEN;
 use std::io;
 use std::time::Duration;
@@ -25,7 +25,7 @@ pub(super) enum Pace {
 
 /// Serves the client until it disconnects or synchronization is lost for good.
 pub(super) async fn serve(
-    client: &Client,
+    client: &ClientHandle,
     mut reader: impl AsyncRead + Unpin,
     mut writer: impl AsyncWrite + Unpin,
     pace: Pace,

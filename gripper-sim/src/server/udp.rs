@@ -1,7 +1,7 @@
 //! UDP: one frame or line per datagram. Frames go to a fixed port of the latest sender, lines to the source port of the request.
 
 use super::echoes::Echoes;
-use super::hub::{Client, Hub};
+use super::hub::{ClientHandle, Hub};
 use crate::port::{MAX_FRAME_LEN, PortKind};
 use anyhow::{Context, Result};
 use std::io::ErrorKind;
@@ -86,7 +86,7 @@ pub(super) async fn serve(
 }
 
 /// Sends all queued frames. Discards them and ends the updates once a silent client has reached its limit.
-async fn send_waiting(client: &Client, socket: &UdpSocket, remote: &mut Remote, limit: Option<u32>) {
+async fn send_waiting(client: &ClientHandle, socket: &UdpSocket, remote: &mut Remote, limit: Option<u32>) {
     let mut buffer = [0; MAX_FRAME_LEN];
     while let Some(frame) = client.transmit(&mut buffer) {
         let Some(address) = remote.address else { continue };

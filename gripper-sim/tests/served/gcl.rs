@@ -19,9 +19,9 @@ fn udp_socket() -> UdpSocket {
 }
 
 /// A client that treats the result of one read as one line.
-struct Client(TcpStream);
+struct GclClient(TcpStream);
 
-impl Client {
+impl GclClient {
     fn new(address: impl ToSocketAddrs) -> Self {
         Self(connect(address))
     }
@@ -56,7 +56,7 @@ impl Client {
 fn ack_and_fin_are_separate_segments() {
     let served =
         serve(Config { time_scale: READABLE, part: Part::of_width(20.0), ..Config::default() }, lines());
-    let mut client = Client::new(served.gcl_address().unwrap());
+    let mut client = GclClient::new(served.gcl_address().unwrap());
     assert_eq!(client.run("home()"), "FIN HOME");
     assert_eq!(client.run("grip(40, 20)"), "FIN GRIP");
     assert_eq!(client.ask("gripstate?"), "GRIPSTATE=4");
@@ -68,14 +68,14 @@ fn ack_and_fin_are_separate_segments() {
 fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
     let served = serve(Config::default(), lines());
     let address = served.gcl_address().unwrap();
-    let mut first = Client::new(address);
-    let mut watcher = Client::new(address);
+    let mut first = GclClient::new(address);
+    let mut watcher = GclClient::new(address);
     assert_eq!(first.ask("bye()"), "ACK BYE");
     // The server closes its end after noticing ours.
     first.0.shutdown(Shutdown::Write).unwrap();
     assert_eq!(uninterrupted::read(&first.0, &mut [0]).unwrap(), 0);
     assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=0");
-    let second = Client::new(address);
+    let second = GclClient::new(address);
     second.0.shutdown(Shutdown::Write).unwrap();
     assert_eq!(uninterrupted::read(&second.0, &mut [0]).unwrap(), 0);
     assert_eq!(watcher.ask("sysflags[12]?"), "SYSFLAGS[12]=1");
@@ -119,7 +119,7 @@ fn datagram_from_another_peer_ends_the_updates_of_the_previous_one() {
 #[test]
 fn log_shows_lines_as_they_are() {
     let logged = Logged::new("gcl", Config::default(), &lines());
-    let mut client = Client::new(logged.served.gcl_address().unwrap());
+    let mut client = GclClient::new(logged.served.gcl_address().unwrap());
     client.ask("pos?");
     client.ask("d\u{fc}nn");
     client.ask("bye()");

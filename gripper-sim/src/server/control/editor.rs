@@ -2,7 +2,7 @@
 
 use super::answer::HttpError;
 use crate::port::{MAX_FRAME_LEN, PortKind};
-use crate::server::hub::{Client, Hub};
+use crate::server::hub::{ClientHandle, Hub};
 use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;
@@ -66,7 +66,7 @@ impl Exchanged {
 pub(super) struct Editor {
     hub: Arc<Hub>,
     /// Connected by the first frame.
-    client: RefCell<Option<Rc<Client>>>,
+    client: RefCell<Option<Rc<ClientHandle>>>,
     frames: RefCell<VecDeque<Exchanged>>,
 }
 
@@ -97,7 +97,7 @@ impl Editor {
         self.frames.borrow().iter().filter(|frame| frame.number >= number).cloned().collect()
     }
 
-    fn client(self: &Rc<Self>) -> Result<Rc<Client>, HttpError> {
+    fn client(self: &Rc<Self>) -> Result<Rc<ClientHandle>, HttpError> {
         let mut place = self.client.borrow_mut();
         if let Some(client) = &*place {
             return Ok(Rc::clone(client));
@@ -112,7 +112,7 @@ impl Editor {
     }
 
     /// Keeps the frames that the gripper sends to the editor.
-    async fn receive(self: Rc<Self>, client: Rc<Client>) {
+    async fn receive(self: Rc<Self>, client: Rc<ClientHandle>) {
         let mut buffer = [0; MAX_FRAME_LEN];
         loop {
             while let Some(frame) = client.transmit(&mut buffer) {

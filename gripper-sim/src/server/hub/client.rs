@@ -12,14 +12,14 @@ use wsg_fieldbus::OutputImage;
 
 /// A client of the gripper; dropping it disconnects the client.
 #[derive(Debug)]
-pub(in crate::server) struct Client {
+pub(in crate::server) struct ClientHandle {
     hub: Arc<Hub>,
     connected: Arc<Connected>,
     line: RefCell<FaultyLine>,
     requests: RefCell<RequestLine>,
 }
 
-impl Client {
+impl ClientHandle {
     pub(super) const fn new(
         hub: Arc<Hub>,
         connected: Arc<Connected>,
@@ -184,7 +184,7 @@ impl Client {
     }
 }
 
-impl Drop for Client {
+impl Drop for ClientHandle {
     fn drop(&mut self) {
         self.hub.disconnect(&self.connected);
     }
