@@ -6,7 +6,6 @@ use anyhow::{Context, Result};
 use std::ffi::OsString;
 use std::io::{self, Write};
 use std::net::{Ipv4Addr, SocketAddr, SocketAddrV4};
-use std::path::Path;
 use tokio::net::TcpListener;
 
 /// Exit status for invalid options.
@@ -113,24 +112,11 @@ async fn may_listen(address: SocketAddr) -> bool {
 fn announce(server: &Server) -> io::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(out, "model {}", server.model())?;
-    let address = |address: Option<SocketAddr>| address.map(|address| address.to_string());
-    let path = |path: Option<&Path>| path.map(|path| path.display().to_string());
-    for (line, place) in [
-        ("tcp", address(server.tcp_address())),
-        ("udp", address(server.udp_address())),
-        ("serial", path(server.serial_path())),
-        (if server.is_slcan() { "slcan" } else { "can" }, path(server.can_path())),
-        ("gcl", address(server.gcl_address())),
-        ("gcl-udp", address(server.gcl_udp_address())),
-        ("modbus", address(server.modbus_address())),
-        ("profibus", path(server.profibus_path())),
-        ("profinet", path(server.profinet_path())),
-        ("control", address(server.control_address())),
-        ("page", server.control_address().map(|address| format!("http://{address}/"))),
-    ] {
-        if let Some(place) = place {
-            writeln!(out, "{line} {}", one_line(&place))?;
-        }
+    for (line, place) in server.served() {
+        writeln!(out, "{line} {}", one_line(&place))?;
+    }
+    if let Some(address) = server.address("control") {
+        writeln!(out, "page http://{address}/")?;
     }
     out.flush()
 }

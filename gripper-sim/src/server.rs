@@ -14,6 +14,7 @@ mod hub;
 mod lines;
 mod log;
 mod log_writer;
+mod open_line;
 mod options;
 mod profinet;
 mod request_line;
@@ -27,8 +28,7 @@ mod tcp;
 mod thread;
 mod udp;
 
-pub use lines::ProfinetLine;
-pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
+pub use lines::{CanBus, CanLine, Lines, Profile, ProfinetLine, SerialLine, UdpLine};
 pub use log::Log;
 pub use options::{Options, command};
 pub use restart::{Ending, Restart};
@@ -37,17 +37,15 @@ pub use thread::ServerThread;
 use crate::config::Config;
 use crate::model::Model;
 use crate::port::PortKind;
-use anyhow::{Context, Result};
-use hub::{BusLine, Hub};
-use restart::Bound;
+use crate::time::Time;
+use anyhow::Result;
+use hub::{BusLine, Hub, Running};
+use open_line::{Listen, OpenLine, Places};
 use serial::{Carried, SerialPort};
 use std::net::SocketAddr;
-use std::path::Path;
 use std::sync::Arc;
 use system_log::{Severity, SystemLog};
-use tokio::net::{TcpListener, UdpSocket};
 use tokio::task::{JoinSet, LocalSet};
-use wsg_protocol::can::Identifiers;
 
 /// A gripper with all lines open, ready to [`run`](Self::run).
 ///
@@ -60,7 +58,7 @@ use wsg_protocol::can::Identifiers;
 /// runtime.block_on(async {
 ///     let lines = Lines { tcp: Some("127.0.0.1:0".parse()?), ..Lines::default() };
 ///     let server = Server::bind(Config::default(), &lines, None).await?;
-///     println!("tcp {}", server.tcp_address().expect("TCP is enabled"));
+///     println!("tcp {}", server.address("tcp").expect("TCP is enabled"));
 ///     // The server runs until this future is ready, here immediately.
 ///     server.run(std::future::ready(())).await
 /// })
@@ -69,17 +67,7 @@ use wsg_protocol::can::Identifiers;
 #[derive(Debug)]
 pub struct Server {
     hub: Arc<Hub>,
-    tcp: Option<TcpListener>,
-    udp: Option<(UdpSocket, u16)>,
-    serial: Option<SerialPort>,
-    can: Option<CanPort>,
-    gcl: Option<TcpListener>,
-    gcl_udp: Option<UdpSocket>,
-    udp_unanswered: Option<u32>,
-    modbus: Option<TcpListener>,
-    profibus: Option<SerialPort>,
-    profinet: Option<profinet::Interface>,
-    control: Option<(TcpListener, Vec<String>)>,
+    lines: Vec<OpenLine>,
     script: Option<script::Script>,
 }
 
@@ -90,80 +78,62 @@ impl Server {
     /// Returns an error that names the line that cannot be opened.
     pub async fn bind(config: Config, lines: &Lines, log: Option<Log>) -> Result<Self> {
         let system_log = SystemLog::open(lines.system_log.as_deref())?;
-        Self::open(config, lines, &mut { log }, system_log, None).await
+        Self::open(config, lines, &mut { log }, system_log, None, &Places::default()).await
     }
 
-    /// Opens the lines. Takes the log once nothing can fail any more.
+    /// Opens the lines of these options and powers up the gripper. Its page can change settings and restart it.
+    ///
+    /// # Errors
+    /// Returns an error that names the line that cannot be opened.
+    pub async fn bind_options(options: &Options, log: Option<Log>) -> Result<Self> {
+        // Built before any line waits for this thread.
+        let _ = options::settings();
+        let system_log = SystemLog::open(options.lines.system_log.as_deref())?;
+        let places = Places::default();
+        Self::open(options.config, &options.lines, &mut { log }, system_log, Some(options), &places).await
+    }
+
+    /// Opens the lines again, with the changed settings. A line whose option has not changed keeps its address. If a line
+    /// cannot be opened, the system log says why, and the earlier settings count.
+    ///
+    /// # Errors
+    /// Returns an error if the earlier lines cannot be opened either.
+    pub async fn restart(restart: Box<Restart>) -> Result<Self> {
+        let Restart { running: Running { options, at_start }, mut log, system_log, places } = *restart;
+        let kept = places.kept(|name| at_start.given.get(name) == options.given.get(name));
+        let mut open = async |options: &Options, kept: &Places| {
+            let system_log = system_log.clone();
+            Self::open(options.config, &options.lines, &mut log, system_log, Some(options), kept).await
+        };
+        let error = match open(&options, &kept).await {
+            Ok(server) => return Ok(server),
+            Err(error) => error,
+        };
+        let text = format!("the restart failed, and the earlier settings count: {error:#}");
+        system_log.write(Time::ZERO, Severity::Error, "gripper", &text);
+        open(&at_start, &places).await
+    }
+
+    /// Opens the lines. A line in `kept` gets the address that it had before. Takes the log once nothing can fail any
+    /// more.
     async fn open(
         config: Config,
         lines: &Lines,
         log: &mut Option<Log>,
         system_log: SystemLog,
         options: Option<&Options>,
+        kept: &Places,
     ) -> Result<Self> {
-        let tcp = listen(lines.tcp, "TCP").await?;
-        let udp = match lines.udp {
-            Some(line) => Some((bind_udp(line.address, "UDP").await?, line.remote_port)),
-            None => None,
-        };
-        let serial = match &lines.serial {
-            Some(line) => Some(SerialPort::open(line)?),
-            None => None,
-        };
-        let can = lines.can.as_ref().map(CanPort::open).transpose()?;
-        let gcl = listen(lines.gcl, "GCL over TCP").await?;
-        let gcl_udp = match lines.gcl_udp {
-            Some(address) => Some(bind_udp(address, "GCL over UDP").await?),
-            None => None,
-        };
-        let modbus = listen(lines.modbus, "Modbus/TCP").await?;
-        let profibus = lines.profibus.as_ref().map(SerialPort::open).transpose()?;
-        let profinet = lines.profinet.as_ref().map(profinet::Interface::open).transpose()?;
-        let control = listen(lines.control, "the control interface").await?;
-        let control = control.map(|listener| (listener, lines.control_hosts.clone()));
+        let opened = open_lines(config, lines, kept).await?;
         let script = lines.script.as_deref().map(script::Script::read).transpose()?;
         // Pages show the log even if it is written nowhere.
-        let log = log.take().or_else(|| control.is_some().then(Log::to_nowhere));
+        let log = log.take().or_else(|| lines.control.is_some().then(Log::to_nowhere));
         let hub = Arc::new(Hub::new(config, lines.profile, lines.seed, log, system_log, options));
         hub.report_event(Severity::Info, "gripper", &format!("started as {}", config.model));
-        let server = Self {
-            hub,
-            tcp,
-            udp,
-            serial,
-            can,
-            gcl,
-            gcl_udp,
-            udp_unanswered: lines.udp_unanswered,
-            modbus,
-            profibus,
-            profinet,
-            control,
-            script,
-        };
-        server.report_buses(&config);
-        Ok(server)
-    }
-
-    /// Passes the buses of the register interface to the hub, for the fieldbus monitor.
-    fn report_buses(&self, config: &Config) {
-        if let Some(address) = self.modbus_address() {
-            let (line, address) = (address.to_string(), address.ip().to_string());
-            self.hub.set_bus(BusLine { bus: "Modbus/TCP", line, address, ..BusLine::default() });
+        for bus in opened.iter().filter_map(|line| line.bus.clone()) {
+            hub.set_bus(bus);
         }
-        if let Some(port) = &self.profibus {
-            let (line, address) = (port.path().display().to_string(), config.profibus_address.to_string());
-            self.hub.set_bus(BusLine {
-                bus: "PROFIBUS",
-                line,
-                address,
-                rate: port.rate(),
-                ..BusLine::default()
-            });
-        }
-        if let Some(interface) = &self.profinet {
-            self.hub.set_bus(interface.bus_line());
-        }
+        Ok(Self { hub, lines: opened, script })
     }
 
     /// Returns the model.
@@ -172,72 +142,21 @@ impl Server {
         self.hub.config().model
     }
 
-    /// Returns whether CAN uses SLCAN, on a serial line.
-    #[must_use]
-    pub const fn is_slcan(&self) -> bool {
-        matches!(self.can, Some(CanPort::Slcan(..)))
-    }
-
-    /// Returns the TCP address.
+    /// Returns the address of the line with this name, such as `tcp` or `gcl-udp`: the option of `wsg-sim` that sets it.
     ///
-    /// `None` without TCP; with port 0, it contains the port that the system chose.
+    /// `None` if the line is not served or has no address; with port 0, it contains the port that the system chose.
     #[must_use]
-    pub fn tcp_address(&self) -> Option<SocketAddr> {
-        self.tcp.as_ref()?.local_addr().ok()
+    pub fn address(&self, line: &str) -> Option<SocketAddr> {
+        self.places().address(line)
     }
 
-    /// Returns the UDP address; `None` without UDP.
-    #[must_use]
-    pub fn udp_address(&self) -> Option<SocketAddr> {
-        self.udp.as_ref()?.0.local_addr().ok()
+    /// Returns each served line by name and the place where clients reach it: an address, a path, or an interface.
+    pub fn served(&self) -> impl Iterator<Item = (&'static str, String)> {
+        self.lines.iter().map(|line| (line.name, line.place.to_string()))
     }
 
-    /// Returns the path that a client opens for the serial line: the pseudo terminal, the Unix socket, or the device.
-    #[must_use]
-    pub fn serial_path(&self) -> Option<&Path> {
-        self.serial.as_ref().map(SerialPort::path)
-    }
-
-    /// Returns the CAN interface, or the path that a client opens for the SLCAN line.
-    #[must_use]
-    pub fn can_path(&self) -> Option<&Path> {
-        self.can.as_ref().map(CanPort::path)
-    }
-
-    /// Returns the address of the text protocol (GCL) over TCP.
-    #[must_use]
-    pub fn gcl_address(&self) -> Option<SocketAddr> {
-        self.gcl.as_ref()?.local_addr().ok()
-    }
-
-    /// Returns the address of the text protocol (GCL) over UDP.
-    #[must_use]
-    pub fn gcl_udp_address(&self) -> Option<SocketAddr> {
-        self.gcl_udp.as_ref()?.local_addr().ok()
-    }
-
-    /// Returns the address of Modbus/TCP.
-    #[must_use]
-    pub fn modbus_address(&self) -> Option<SocketAddr> {
-        self.modbus.as_ref()?.local_addr().ok()
-    }
-
-    /// Returns the path that a PROFIBUS master opens.
-    #[must_use]
-    pub fn profibus_path(&self) -> Option<&Path> {
-        self.profibus.as_ref().map(SerialPort::path)
-    }
-
-    /// Returns the network interface of the PROFINET device.
-    #[must_use]
-    pub fn profinet_path(&self) -> Option<&Path> {
-        self.profinet.as_ref().map(profinet::Interface::path)
-    }
-
-    /// Returns the address of the control interface.
-    #[must_use]
-    pub fn control_address(&self) -> Option<SocketAddr> {
-        self.control.as_ref()?.0.local_addr().ok()
+    fn places(&self) -> Places {
+        Places::of(&self.lines)
     }
 
     /// Serves until `end` is ready, or a line fails permanently.
@@ -253,96 +172,38 @@ impl Server {
     /// # Errors
     /// Returns the error of the failed line.
     pub async fn run_to_restart(self, end: impl Future<Output = ()>) -> Result<Ending> {
-        let bound = Bound::of(&self);
+        let places = self.places();
         let hub = Arc::clone(&self.hub);
         // Declared before the tasks of the lines, so that it is dropped after them.
         let _powered = Powered(Arc::clone(&hub));
         let is_restart = self.serve(end).await?;
-        Ok(hub.end(bound).filter(|_| is_restart).map_or(Ending::Stopped, Ending::Restart))
+        let taken_over = hub.end().filter(|_| is_restart);
+        Ok(taken_over.map_or(Ending::Stopped, |(running, log, system_log)| {
+            Ending::Restart(Box::new(Restart { running, log, system_log, places }))
+        }))
     }
 
     /// Serves, and returns whether a restart is requested.
     async fn serve(self, end: impl Future<Output = ()>) -> Result<bool> {
-        let Self {
-            hub,
-            tcp,
-            udp,
-            serial,
-            can,
-            gcl,
-            gcl_udp,
-            udp_unanswered,
-            modbus,
-            profibus,
-            profinet,
-            control,
-            script,
-        } = self;
-        let ending = Arc::clone(&hub);
+        let Self { hub, lines, script } = self;
         let local = LocalSet::new();
         local
             .run_until(async move {
                 let mut tasks = JoinSet::new();
                 tasks.spawn_local(Arc::clone(&hub).keep_time());
-                if let Some(listener) = tcp {
-                    tasks.spawn_local(tcp::serve(Arc::clone(&hub), listener, PortKind::Tcp));
-                }
-                if let Some((socket, remote_port)) = udp {
-                    let hub = Arc::clone(&hub);
-                    tasks.spawn_local(udp::serve(
-                        hub,
-                        socket,
-                        Some(remote_port),
-                        PortKind::Udp,
-                        udp_unanswered,
-                    ));
-                }
-                if let Some(port) = serial {
-                    tasks.spawn_local(port.serve(Arc::clone(&hub), Carried::Bytes));
-                }
-                match can {
-                    Some(CanPort::Interface(interface, identifiers)) => {
-                        tasks.spawn_local(interface.serve(Arc::clone(&hub), identifiers));
-                    }
-                    Some(CanPort::Slcan(port, carried)) => {
-                        tasks.spawn_local(port.serve(Arc::clone(&hub), carried));
-                    }
-                    None => {}
-                }
-                if let Some(listener) = gcl {
-                    tasks.spawn_local(tcp::serve(Arc::clone(&hub), listener, PortKind::GclTcp));
-                }
-                if let Some(socket) = gcl_udp {
-                    tasks.spawn_local(udp::serve(
-                        Arc::clone(&hub),
-                        socket,
-                        None,
-                        PortKind::GclUdp,
-                        udp_unanswered,
-                    ));
-                }
-                if let Some(listener) = modbus {
-                    tasks.spawn_local(tcp::serve(Arc::clone(&hub), listener, PortKind::ModbusTcp));
-                }
-                if let Some(port) = profibus {
-                    tasks.spawn_local(port.serve(Arc::clone(&hub), Carried::Profibus));
-                }
-                if let Some(interface) = profinet {
-                    tasks.spawn_local(interface.serve(Arc::clone(&hub)));
+                for line in lines {
+                    tasks.spawn_local(line.serve(Arc::clone(&hub)));
                 }
                 if let Some(script) = script {
                     script.start(Arc::clone(&hub))?;
                 }
-                if let Some((listener, hosts)) = control {
-                    tasks.spawn_local(control::serve(hub, listener, hosts));
-                }
                 let ended = tokio::select! {
                     () = end => Ok(false),
-                    () = ending.restart_requested() => Ok(true),
+                    () = hub.restart_requested() => Ok(true),
                     Some(ended) = tasks.join_next() => ended?.map(|()| false),
                 };
                 // From here on, the end of a connection is no event.
-                ending.set_off();
+                hub.set_off();
                 ended
             })
             .await
@@ -358,42 +219,60 @@ impl Drop for Powered {
     }
 }
 
-/// An open connection to a CAN bus.
-#[derive(Debug)]
-enum CanPort {
-    Interface(can::Interface, Identifiers),
-    Slcan(SerialPort, Carried),
+/// Opens the lines that are given, in the order in which the program prints them. To add a line, add its value.
+async fn open_lines(config: Config, lines: &Lines, kept: &Places) -> Result<Vec<OpenLine>> {
+    let listen = |name, title, given| Listen { name, title, given, kept };
+    let (udp, unanswered) = (lines.udp.as_ref(), lines.udp_unanswered);
+    let opened = [
+        tcp::open(listen("tcp", "TCP", lines.tcp), PortKind::Tcp).await?,
+        udp::open(
+            listen("udp", "UDP", udp.map(|udp| udp.address)),
+            PortKind::Udp,
+            udp.map(|udp| udp.remote_port),
+            unanswered,
+        )
+        .await?,
+        lines.serial.as_ref().map(open_serial).transpose()?,
+        lines.can.as_ref().map(open_can).transpose()?,
+        tcp::open(listen("gcl", "GCL over TCP", lines.gcl), PortKind::GclTcp).await?,
+        udp::open(listen("gcl-udp", "GCL over UDP", lines.gcl_udp), PortKind::GclUdp, None, unanswered)
+            .await?,
+        tcp::open(listen("modbus", "Modbus/TCP", lines.modbus), PortKind::ModbusTcp).await?.map(on_modbus),
+        lines.profibus.as_ref().map(|line| open_profibus(line, config.profibus_address)).transpose()?,
+        lines.profinet.as_ref().map(profinet::open).transpose()?,
+        control::open(listen("control", "the control interface", lines.control), &lines.control_hosts)
+            .await?,
+    ];
+    Ok(opened.into_iter().flatten().collect())
 }
 
-impl CanPort {
-    fn open(line: &CanLine) -> Result<Self> {
-        let CanLine { bus, identifiers } = line;
-        match bus {
-            CanBus::Interface(name) => Ok(Self::Interface(can::Interface::open(name)?, *identifiers)),
-            CanBus::Slcan(line) => {
-                let side = match line {
-                    SerialLine::Pty | SerialLine::Unix(_) => slcan::Side::Adapter,
-                    SerialLine::Device(_) => slcan::Side::Host,
-                };
-                Ok(Self::Slcan(SerialPort::open(line)?, Carried::Slcan(*identifiers, side)))
-            }
+fn open_serial(line: &SerialLine) -> Result<OpenLine> {
+    Ok(SerialPort::open(line)?.into_line("serial", Carried::Bytes))
+}
+
+fn open_can(CanLine { bus, identifiers }: &CanLine) -> Result<OpenLine> {
+    match bus {
+        CanBus::Interface(name) => can::open(name, *identifiers),
+        CanBus::Slcan(line) => {
+            let side = match line {
+                SerialLine::Pty | SerialLine::Unix(_) => slcan::Side::Adapter,
+                SerialLine::Device(_) => slcan::Side::Host,
+            };
+            Ok(SerialPort::open(line)?.into_line("slcan", Carried::Slcan(*identifiers, side)))
         }
     }
-
-    fn path(&self) -> &Path {
-        match self {
-            Self::Interface(interface, _) => interface.path(),
-            Self::Slcan(port, _) => port.path(),
-        }
-    }
 }
 
-async fn bind_udp(address: SocketAddr, what: &str) -> Result<UdpSocket> {
-    UdpSocket::bind(address).await.with_context(|| format!("{what} cannot listen on {address}"))
+fn open_profibus(line: &SerialLine, address: u8) -> Result<OpenLine> {
+    let port = SerialPort::open(line)?;
+    let (line, rate) = (port.path().display().to_string(), port.rate());
+    let bus = BusLine { bus: "PROFIBUS", line, address: address.to_string(), rate, ..BusLine::default() };
+    Ok(port.into_line("profibus", Carried::Profibus).on_bus(bus))
 }
 
-async fn listen(address: Option<SocketAddr>, what: &str) -> Result<Option<TcpListener>> {
-    let Some(address) = address else { return Ok(None) };
-    let listener = TcpListener::bind(address).await;
-    listener.map(Some).with_context(|| format!("{what} cannot listen on {address}"))
+/// Adds the bus of a Modbus/TCP line, whose address on the bus is the IP address.
+fn on_modbus(line: OpenLine) -> OpenLine {
+    let place = line.place.to_string();
+    let address = line.place.address().map(|address| address.ip().to_string()).unwrap_or_default();
+    line.on_bus(BusLine { bus: "Modbus/TCP", line: place, address, ..BusLine::default() })
 }

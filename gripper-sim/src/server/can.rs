@@ -1,11 +1,10 @@
 //! A gripper on a CAN bus: filtering of received frames, segmentation of messages into CAN frames, and Linux SocketCAN.
 
-use super::hub::{ClientHandle, Hub};
+use super::hub::ClientHandle;
+use super::open_line::OpenLine;
 use crate::port::MAX_FRAME_LEN;
 use anyhow::Result;
 use embedded_can::{Frame, Id};
-use std::path::Path;
-use std::sync::Arc;
 use wsg_protocol::can::{Identifiers, Segments};
 
 /// Passes the data of a CAN frame to the gripper if the identifier matches. The gripper finds the message boundaries.
@@ -27,48 +26,39 @@ pub(super) fn transmit<F: Frame>(client: &ClientHandle, identifiers: Identifiers
 mod interface {
     use super::*;
     use crate::port::PortKind;
+    use crate::server::hub::Hub;
+    use crate::server::open_line::Place;
     use anyhow::Context;
     use socketcan::tokio::CanSocket;
     use socketcan::{CanFrame, SocketOptions};
     use std::collections::VecDeque;
     use std::io;
+    use std::sync::Arc;
     use tokio::time::{Duration, sleep};
 
     /// Retry interval when the interface has no room: a few frames on the slowest bus.
     const RETRY: Duration = Duration::from_millis(2);
 
-    /// An open CAN interface.
-    #[derive(Debug)]
-    pub(in crate::server) struct Interface {
-        socket: CanSocket,
-        name: String,
+    /// Opens the line on a CAN interface.
+    pub(in crate::server) fn open(name: &str, identifiers: Identifiers) -> Result<OpenLine> {
+        let open = || {
+            let socket = CanSocket::open(name)?;
+            // A gripper does not evaluate error frames of the controller.
+            socket.set_error_filter_drop_all()?;
+            io::Result::Ok(socket)
+        };
+        let socket = open().with_context(|| format!("the CAN interface {name} cannot be opened"))?;
+        let serve = |name: String| move |hub| serve(hub, socket, name, identifiers);
+        Ok(OpenLine::new("can", Place::Path(name.into()), serve(name.to_owned())))
     }
 
-    impl Interface {
-        pub(in crate::server) fn open(name: &str) -> Result<Self> {
-            let open = || {
-                let socket = CanSocket::open(name)?;
-                // A gripper does not evaluate error frames of the controller.
-                socket.set_error_filter_drop_all()?;
-                io::Result::Ok(socket)
-            };
-            let socket = open().with_context(|| format!("the CAN interface {name} cannot be opened"))?;
-            Ok(Self { socket, name: name.to_owned() })
-        }
-
-        pub(in crate::server) fn path(&self) -> &Path {
-            Path::new(&self.name)
-        }
-
-        pub(in crate::server) async fn serve(self, hub: Arc<Hub>, identifiers: Identifiers) -> Result<()> {
-            let Self { socket, name } = self;
-            let client = hub
-                .connect(PortKind::Can, &name)
-                .context("all client places are taken; none is left for the CAN interface")?;
-            exchange(&client, &socket, identifiers)
-                .await
-                .with_context(|| format!("the CAN interface {name} failed"))
-        }
+    async fn serve(hub: Arc<Hub>, socket: CanSocket, name: String, identifiers: Identifiers) -> Result<()> {
+        let client = hub
+            .connect(PortKind::Can, &name)
+            .context("all client places are taken; none is left for the CAN interface")?;
+        exchange(&client, &socket, identifiers)
+            .await
+            .with_context(|| format!("the CAN interface {name} failed"))
     }
 
     async fn exchange(client: &ClientHandle, socket: &CanSocket, identifiers: Identifiers) -> io::Result<()> {
@@ -112,30 +102,10 @@ mod interface {
 }
 
 #[cfg(target_os = "linux")]
-pub(super) use interface::Interface;
+pub(super) use interface::open;
 
+/// Reports that this system does not have SocketCAN.
 #[cfg(not(target_os = "linux"))]
-mod no_interface {
-    use super::*;
-
-    /// Stands in for SocketCAN, which this system does not have.
-    #[derive(Debug)]
-    pub(in crate::server) enum Interface {}
-
-    impl Interface {
-        pub(in crate::server) fn open(name: &str) -> Result<Self> {
-            anyhow::bail!("the CAN interface {name} cannot be opened: SocketCAN requires Linux")
-        }
-
-        pub(in crate::server) fn path(&self) -> &Path {
-            match *self {}
-        }
-
-        pub(in crate::server) async fn serve(self, _: Arc<Hub>, _: Identifiers) -> Result<()> {
-            match self {}
-        }
-    }
+pub(super) fn open(name: &str, _: Identifiers) -> Result<OpenLine> {
+    anyhow::bail!("the CAN interface {name} cannot be opened: SocketCAN requires Linux")
 }
-
-#[cfg(not(target_os = "linux"))]
-pub(super) use no_interface::Interface;

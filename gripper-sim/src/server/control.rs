@@ -23,6 +23,7 @@ mod state;
 
 use super::accept::{Accepted, Acceptor};
 use super::hub::Hub;
+use super::open_line::{Listen, OpenLine};
 use access::{check_host, check_origin};
 use age::{Effect, Sender, Stalls, as_of, as_of_in};
 use answer::{Answer, HttpError, json, whole};
@@ -84,9 +85,15 @@ const NO_ROOM: &[u8] =
     Cache-Control: no-store\r\nConnection: close\r\nRetry-After: 1\r\n\r\n\
     {\"error\":\"the system has no descriptor left; close connections\"}\n";
 
-/// Serves the listener. `names` are the hosts accepted in requests, in addition to this machine's own address and
-/// `localhost`.
-pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
+/// Opens the line of the control interface; `None` without an address. `names` are the hosts accepted in requests, in
+/// addition to this machine's own address and `localhost`.
+pub(super) async fn open(listen: Listen<'_>, names: &[String]) -> Result<Option<OpenLine>> {
+    let Some((listener, place)) = listen.tcp().await? else { return Ok(None) };
+    let names = names.to_vec();
+    Ok(Some(OpenLine::new(listen.name, place, move |hub| serve(hub, listener, names))))
+}
+
+async fn serve(hub: Arc<Hub>, listener: TcpListener, names: Vec<String>) -> Result<()> {
     let names: Rc<[String]> = names.into();
     let watchers = Rc::new(Watchers::default());
     let (history, editor) = (Rc::new(History::default()), Editor::new(Arc::clone(&hub)));

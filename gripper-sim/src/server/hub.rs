@@ -6,14 +6,13 @@ mod settings;
 
 pub(super) use client::ClientHandle;
 pub(super) use scripts::{OutputLine, Run, ScriptReport};
-pub(super) use settings::{Changes, Refused, SettingState};
+pub(super) use settings::{Changes, Refused, Running, SettingState};
 
 use super::faulty_line::{FaultyLine, LineCounts, LineFaults, Pace};
 use super::lines::Profile;
 use super::log::{Log, Watched};
 use super::options::Options;
 use super::request_line::RequestLine;
-use super::restart::{Bound, Restart};
 use super::system_log::{Severity, SystemLog};
 use crate::axis::Part;
 use crate::config::Config;
@@ -24,7 +23,6 @@ use crate::journal::{Cause, JournalEvent};
 use crate::port::{PortCounters, PortId, PortKind, Protocol};
 use crate::time::Time;
 use anyhow::Result;
-use settings::Running;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
@@ -197,12 +195,11 @@ impl Hub {
         self.script_waits.notify_all();
     }
 
-    /// Returns what a restart takes over; `None` without options.
-    pub(super) fn end(&self, bound: Bound) -> Option<Box<Restart>> {
-        let running = lock(self.running.as_ref()?);
-        let (options, before) = (running.options.clone(), running.at_start.clone());
+    /// Returns what a restart takes over: the options and the logs. `None` without options.
+    pub(super) fn end(&self) -> Option<(Running, Option<Log>, SystemLog)> {
+        let running = lock(self.running.as_ref()?).clone();
         let log = self.lock().log.take();
-        Some(Box::new(Restart { options, before, log, system_log: self.system_log.clone(), bound }))
+        Some((running, log, self.system_log.clone()))
     }
 
     fn lock(&self) -> MutexGuard<'_, Shared> {

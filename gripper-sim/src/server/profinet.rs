@@ -5,6 +5,7 @@
 mod ip;
 
 use super::lines::ProfinetLine;
+use super::open_line::OpenLine;
 #[cfg(target_os = "linux")]
 use super::options::{save, toml_value};
 use anyhow::Result;
@@ -12,6 +13,7 @@ use anyhow::Result;
 use bus_profinet::Stored;
 #[cfg(target_os = "linux")]
 use std::io;
+#[cfg(target_os = "linux")]
 use std::path::Path;
 
 /// Saves name, address and I&M in the configuration file that they came from.
@@ -28,6 +30,7 @@ mod interface {
     use super::*;
     use crate::port::PortKind;
     use crate::server::hub::{BusLine, ClientHandle, Hub};
+    use crate::server::open_line::Place;
     use anyhow::{Context, bail};
     use bus_profinet::{Event, MAX_FRAME_LEN, MacAddress, Profile, Transmit};
     use nix::errno::Errno;
@@ -46,83 +49,61 @@ mod interface {
     /// Size of the receive buffer in bytes. Longer frames are truncated; they are never PROFINET frames.
     const BUFFER_LEN: usize = 2_048;
 
-    /// An open network interface.
-    #[derive(Debug)]
-    pub(in crate::server) struct Interface {
-        socket: UnixDatagram,
-        mac: MacAddress,
-        line: ProfinetLine,
+    /// Opens the line on a network interface.
+    pub(in crate::server) fn open(line: &ProfinetLine) -> Result<OpenLine> {
+        let name = &line.interface;
+        let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
+        let socket = match socket(AddressFamily::Packet, SockType::Raw, flags, SockProtocol::EthAll) {
+            Err(Errno::EPERM) => bail!(
+                "PROFINET on {name} needs the capability CAP_NET_RAW: start as root, \
+                 or once `setcap cap_net_raw+ep` on this program"
+            ),
+            other => other.with_context(|| format!("PROFINET cannot open a socket on {name}"))?,
+        };
+        let addresses = getifaddrs().context("the network interfaces cannot be listed")?;
+        let link = addresses
+            .filter(|found| found.interface_name == *name)
+            .find_map(|found| Some(*found.address.as_ref()?.as_link_addr()?))
+            .with_context(|| format!("PROFINET: unknown network interface {name}"))?;
+        let mac = link.addr().filter(|mac| *mac != [0; 6]);
+        let mac = mac.with_context(|| format!("PROFINET: {name} is not an Ethernet interface"))?;
+        // The link address has no protocol, so the socket keeps receiving all protocols.
+        bind(socket.as_raw_fd(), &link).with_context(|| format!("PROFINET cannot bind to {name}"))?;
+        // The type serves as a wrapper that sends and receives whole datagrams.
+        let socket = UnixDatagram::from_std(std::os::unix::net::UnixDatagram::from(socket))?;
+        let (mac, line) = (MacAddress(mac), line.clone());
+        let (place, bus) = (Place::Path(name.into()), bus_line(name, &line.stored));
+        Ok(OpenLine::new("profinet", place, move |hub| serve(hub, socket, mac, line)).on_bus(bus))
     }
 
-    impl Interface {
-        pub(in crate::server) fn open(line: &ProfinetLine) -> Result<Self> {
-            let name = &line.interface;
-            let flags = SockFlag::SOCK_CLOEXEC | SockFlag::SOCK_NONBLOCK;
-            let socket = match socket(AddressFamily::Packet, SockType::Raw, flags, SockProtocol::EthAll) {
-                Err(Errno::EPERM) => bail!(
-                    "PROFINET on {name} needs the capability CAP_NET_RAW: start as root, \
-                     or once `setcap cap_net_raw+ep` on this program"
-                ),
-                other => other.with_context(|| format!("PROFINET cannot open a socket on {name}"))?,
-            };
-            let addresses = getifaddrs().context("the network interfaces cannot be listed")?;
-            let link = addresses
-                .filter(|found| found.interface_name == *name)
-                .find_map(|found| Some(*found.address.as_ref()?.as_link_addr()?))
-                .with_context(|| format!("PROFINET: unknown network interface {name}"))?;
-            let mac = link.addr().filter(|mac| *mac != [0; 6]);
-            let mac = mac.with_context(|| format!("PROFINET: {name} is not an Ethernet interface"))?;
-            // The link address has no protocol, so the socket keeps receiving all protocols.
-            bind(socket.as_raw_fd(), &link).with_context(|| format!("PROFINET cannot bind to {name}"))?;
-            // The type serves as a wrapper that sends and receives whole datagrams.
-            let socket = UnixDatagram::from_std(std::os::unix::net::UnixDatagram::from(socket))?;
-            Ok(Self { socket, mac: MacAddress(mac), line: line.clone() })
-        }
-
-        pub(in crate::server) fn path(&self) -> &Path {
-            Path::new(&self.line.interface)
-        }
-
-        /// Returns the data of the bus with the stored name and address.
-        pub(in crate::server) fn bus_line(&self) -> BusLine {
-            bus_line(&self.line.interface, &self.line.stored)
-        }
-
-        pub(in crate::server) async fn serve(self, hub: Arc<Hub>) -> Result<()> {
-            let Self { socket, mac, line } = self;
-            let client = hub
-                .connect(PortKind::Profinet, &line.interface)
-                .context("all client places are taken; none is left for PROFINET")?;
-            let now = hub.now().as_micros();
-            let mut station = Station {
-                device: Box::new(Device::new(
-                    profile(hub.config().serial_number),
-                    mac,
-                    line.stored,
-                    session(),
-                )),
-                ip: IpStack::new(mac, now),
-                client,
-                line,
-                has_outputs: false,
-            };
-            let mut buffer = [0; BUFFER_LEN];
-            loop {
-                let due = station.exchange(&hub, &socket);
-                tokio::select! {
-                    () = hub.reached(due) => {}
-                    readable = socket.readable() => {
-                        readable?;
-                        for _ in 0..FRAMES_A_TURN {
-                            match socket.try_recv(&mut buffer) {
-                                Ok(len) => station.receive(&hub, mac, buffer.get(..len).unwrap_or(&[])),
-                                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
-                                // The cable is unplugged, or a signal arrived; the next call shows which.
-                                Err(_) => {}
-                            }
+    async fn serve(hub: Arc<Hub>, socket: UnixDatagram, mac: MacAddress, line: ProfinetLine) -> Result<()> {
+        let client = hub
+            .connect(PortKind::Profinet, &line.interface)
+            .context("all client places are taken; none is left for PROFINET")?;
+        let now = hub.now().as_micros();
+        let mut station = Station {
+            device: Box::new(Device::new(profile(hub.config().serial_number), mac, line.stored, session())),
+            ip: IpStack::new(mac, now),
+            client,
+            line,
+            has_outputs: false,
+        };
+        let mut buffer = [0; BUFFER_LEN];
+        loop {
+            let due = station.exchange(&hub, &socket);
+            tokio::select! {
+                () = hub.reached(due) => {}
+                readable = socket.readable() => {
+                    readable?;
+                    for _ in 0..FRAMES_A_TURN {
+                        match socket.try_recv(&mut buffer) {
+                            Ok(len) => station.receive(&hub, mac, buffer.get(..len).unwrap_or(&[])),
+                            Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
+                            // The cable is unplugged, or a signal arrived; the next call shows which.
+                            Err(_) => {}
                         }
-                        yield_now().await;
                     }
+                    yield_now().await;
                 }
             }
         }
@@ -269,39 +250,13 @@ mod interface {
 }
 
 #[cfg(target_os = "linux")]
-pub(super) use interface::Interface;
+pub(super) use interface::open;
 
+/// Reports that this system does not have packet sockets.
 #[cfg(not(target_os = "linux"))]
-mod no_interface {
-    use super::*;
-    use crate::server::hub::{BusLine, Hub};
-    use std::sync::Arc;
-
-    /// Stands in for packet sockets, which this system does not have.
-    #[derive(Debug)]
-    pub(in crate::server) enum Interface {}
-
-    impl Interface {
-        pub(in crate::server) fn open(line: &ProfinetLine) -> Result<Self> {
-            anyhow::bail!("PROFINET on {}: packet sockets require Linux", line.interface)
-        }
-
-        pub(in crate::server) fn path(&self) -> &Path {
-            match *self {}
-        }
-
-        pub(in crate::server) fn bus_line(&self) -> BusLine {
-            match *self {}
-        }
-
-        pub(in crate::server) async fn serve(self, _: Arc<Hub>) -> Result<()> {
-            match self {}
-        }
-    }
+pub(super) fn open(line: &ProfinetLine) -> Result<OpenLine> {
+    anyhow::bail!("PROFINET on {}: packet sockets require Linux", line.interface)
 }
-
-#[cfg(not(target_os = "linux"))]
-pub(super) use no_interface::Interface;
 
 #[cfg(all(test, target_os = "linux"))]
 mod tests {

@@ -7,6 +7,7 @@ mod unix;
 use super::accept;
 use super::hub::{ClientHandle, Hub};
 use super::lines::SerialLine;
+use super::open_line::{OpenLine, Place};
 use super::slcan;
 use super::stream::{self, Pace};
 use crate::port::PortKind;
@@ -82,8 +83,12 @@ impl SerialPort {
         &self.path
     }
 
-    /// Serves the line, which carries the bytes of frames or telegrams, or CAN frames by SLCAN.
-    pub(super) async fn serve(self, hub: Arc<Hub>, carried: Carried) -> Result<()> {
+    /// Returns the line, which carries the bytes of frames or telegrams, or CAN frames by SLCAN.
+    pub(super) fn into_line(self, name: &'static str, carried: Carried) -> OpenLine {
+        OpenLine::new(name, Place::Path(self.path.clone()), move |hub| self.serve(hub, carried))
+    }
+
+    async fn serve(self, hub: Arc<Hub>, carried: Carried) -> Result<()> {
         let name = self.path.display().to_string();
         match self.line {
             Open::Device(device) => {

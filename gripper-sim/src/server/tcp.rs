@@ -2,6 +2,7 @@
 
 use super::accept::{Accepted, Acceptor};
 use super::hub::Hub;
+use super::open_line::{Listen, OpenLine};
 use super::stream::{self, Pace};
 use crate::port::PortKind;
 use anyhow::Result;
@@ -20,8 +21,14 @@ const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(10);
 /// Number of unanswered probes after which the connection ends.
 const KEEP_ALIVE_RETRIES: u32 = 3;
 
+/// Opens a line that serves the protocol of `kind`; `None` without an address.
+pub(super) async fn open(listen: Listen<'_>, kind: PortKind) -> Result<Option<OpenLine>> {
+    let Some((listener, place)) = listen.tcp().await? else { return Ok(None) };
+    Ok(Some(OpenLine::new(listen.name, place, move |hub| serve(hub, listener, kind))))
+}
+
 /// Serves the clients of a listener with the protocol of `kind`.
-pub(super) async fn serve(hub: Arc<Hub>, listener: TcpListener, kind: PortKind) -> Result<()> {
+async fn serve(hub: Arc<Hub>, listener: TcpListener, kind: PortKind) -> Result<()> {
     let mut acceptor = Acceptor::new(listener);
     loop {
         match acceptor.accept().await {

@@ -1,6 +1,7 @@
 //! A server that runs in its own thread.
 
 use super::hub::Hub;
+use super::open_line::Places;
 use super::{Lines, Log, Server};
 use crate::axis::Part;
 use crate::config::Config;
@@ -8,7 +9,7 @@ use crate::faults::Fault;
 use crate::gripper::State;
 use anyhow::{Context, Result, anyhow};
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, mpsc};
 use std::thread::{self, JoinHandle};
 use tokio::runtime;
@@ -36,23 +37,9 @@ use tokio::sync::oneshot;
 #[derive(Debug)]
 pub struct ServerThread {
     hub: Arc<Hub>,
-    addresses: Addresses,
+    places: Places,
     end: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<Result<()>>>,
-}
-
-#[derive(Debug)]
-struct Addresses {
-    tcp: Option<SocketAddr>,
-    udp: Option<SocketAddr>,
-    serial: Option<PathBuf>,
-    can: Option<PathBuf>,
-    gcl: Option<SocketAddr>,
-    gcl_udp: Option<SocketAddr>,
-    modbus: Option<SocketAddr>,
-    profibus: Option<PathBuf>,
-    profinet: Option<PathBuf>,
-    control: Option<SocketAddr>,
 }
 
 impl ServerThread {
@@ -68,20 +55,8 @@ impl ServerThread {
             let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
             runtime.block_on(async {
                 let server = Server::bind(config, &lines, log).await?;
-                let addresses = Addresses {
-                    tcp: server.tcp_address(),
-                    udp: server.udp_address(),
-                    serial: server.serial_path().map(Path::to_owned),
-                    can: server.can_path().map(Path::to_owned),
-                    gcl: server.gcl_address(),
-                    gcl_udp: server.gcl_udp_address(),
-                    modbus: server.modbus_address(),
-                    profibus: server.profibus_path().map(Path::to_owned),
-                    profinet: server.profinet_path().map(Path::to_owned),
-                    control: server.control_address(),
-                };
                 // The caller of `start` waits for it.
-                let _ = opened.send((Arc::clone(&server.hub), addresses));
+                let _ = opened.send((Arc::clone(&server.hub), server.places()));
                 let end = async {
                     let _ = ended.await;
                 };
@@ -89,7 +64,7 @@ impl ServerThread {
             })
         })?;
         match opening.recv() {
-            Ok((hub, addresses)) => Ok(Self { hub, addresses, end: Some(end), thread: Some(thread) }),
+            Ok((hub, places)) => Ok(Self { hub, places, end: Some(end), thread: Some(thread) }),
             Err(_) => {
                 join(thread)?;
                 Err(anyhow!("the server thread ended before its lines were open"))
@@ -101,62 +76,62 @@ impl ServerThread {
     ///
     /// `None` without TCP; with port 0, it contains the port that the system chose.
     #[must_use]
-    pub const fn tcp_address(&self) -> Option<SocketAddr> {
-        self.addresses.tcp
+    pub fn tcp_address(&self) -> Option<SocketAddr> {
+        self.places.address("tcp")
     }
 
     /// Returns the UDP address; `None` without UDP.
     #[must_use]
-    pub const fn udp_address(&self) -> Option<SocketAddr> {
-        self.addresses.udp
+    pub fn udp_address(&self) -> Option<SocketAddr> {
+        self.places.address("udp")
     }
 
     /// Returns the path that a client opens for the serial line.
     #[must_use]
     pub fn serial_path(&self) -> Option<&Path> {
-        self.addresses.serial.as_deref()
+        self.places.path("serial")
     }
 
     /// Returns the CAN interface, or the path of the SLCAN line.
     #[must_use]
     pub fn can_path(&self) -> Option<&Path> {
-        self.addresses.can.as_deref()
+        self.places.path("can").or_else(|| self.places.path("slcan"))
     }
 
     /// Returns the address of the text protocol (GCL) over TCP.
     #[must_use]
-    pub const fn gcl_address(&self) -> Option<SocketAddr> {
-        self.addresses.gcl
+    pub fn gcl_address(&self) -> Option<SocketAddr> {
+        self.places.address("gcl")
     }
 
     /// Returns the address of the text protocol (GCL) over UDP.
     #[must_use]
-    pub const fn gcl_udp_address(&self) -> Option<SocketAddr> {
-        self.addresses.gcl_udp
+    pub fn gcl_udp_address(&self) -> Option<SocketAddr> {
+        self.places.address("gcl-udp")
     }
 
     /// Returns the address of Modbus/TCP.
     #[must_use]
-    pub const fn modbus_address(&self) -> Option<SocketAddr> {
-        self.addresses.modbus
+    pub fn modbus_address(&self) -> Option<SocketAddr> {
+        self.places.address("modbus")
     }
 
     /// Returns the path that a PROFIBUS master opens.
     #[must_use]
     pub fn profibus_path(&self) -> Option<&Path> {
-        self.addresses.profibus.as_deref()
+        self.places.path("profibus")
     }
 
     /// Returns the network interface of the PROFINET device.
     #[must_use]
     pub fn profinet_path(&self) -> Option<&Path> {
-        self.addresses.profinet.as_deref()
+        self.places.path("profinet")
     }
 
     /// Returns the address of the control interface.
     #[must_use]
-    pub const fn control_address(&self) -> Option<SocketAddr> {
-        self.addresses.control
+    pub fn control_address(&self) -> Option<SocketAddr> {
+        self.places.address("control")
     }
 
     /// Returns the state of the gripper as an observer beside it sees it.

@@ -2,6 +2,7 @@
 
 use super::echoes::Echoes;
 use super::hub::{ClientHandle, Hub};
+use super::open_line::{Listen, OpenLine, Place};
 use crate::port::{MAX_FRAME_LEN, PortKind};
 use anyhow::{Context, Result};
 use std::io::ErrorKind;
@@ -43,9 +44,24 @@ struct Remote {
     echoes: Echoes,
 }
 
-/// Serves the clients of one protocol. Answers go to `remote_port`, or with `None` to the source port of the request.
-/// `unanswered` limits the datagrams sent to a client that sends nothing; 0 disables the limit.
-pub(super) async fn serve(
+/// Opens a line that serves the protocol of `kind`; `None` without an address. Answers go to `remote_port`, or with
+/// `None` to the source port of the request. `unanswered` limits the datagrams sent to a client that sends nothing; 0
+/// disables the limit.
+pub(super) async fn open(
+    listen: Listen<'_>,
+    kind: PortKind,
+    remote_port: Option<u16>,
+    unanswered: Option<u32>,
+) -> Result<Option<OpenLine>> {
+    let Some(address) = listen.address() else { return Ok(None) };
+    let socket = UdpSocket::bind(address).await.with_context(|| listen.refused(address))?;
+    let place = Place::Address(socket.local_addr()?);
+    let serve = move |hub| serve(hub, socket, remote_port, kind, unanswered);
+    Ok(Some(OpenLine::new(listen.name, place, serve)))
+}
+
+/// Serves the clients of one protocol; see [`open`].
+async fn serve(
     hub: Arc<Hub>,
     socket: UdpSocket,
     remote_port: Option<u16>,

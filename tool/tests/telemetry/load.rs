@@ -62,7 +62,7 @@ fn serve_some(opened: std::sync::mpsc::Sender<SocketAddr>, ended: oneshot::Recei
         for _ in 0..GRIPPERS / THREADS {
             let lines = Lines { tcp: Some(([127, 0, 0, 1], 0).into()), ..Lines::default() };
             let server = Server::bind(Config::default(), &lines, None).await.unwrap();
-            let address = server.tcp_address().unwrap();
+            let address = server.address("tcp").unwrap();
             tasks.spawn_local(async { server.run(std::future::pending()).await.unwrap() });
             tasks.spawn_local(travel(address));
             opened.send(address).unwrap();

@@ -9,7 +9,7 @@ use std::sync::atomic::Ordering;
 use wsg_protocol::Status;
 
 /// The options with which the gripper runs.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(in crate::server) struct Running {
     /// The options including all changes.
     pub(in crate::server) options: Options,
