@@ -1,22 +1,19 @@
 //! A client of the binary protocol: its frames and its subscriptions. The commands are in `device`.
 
+use crate::client::Client;
 use crate::config::Config;
 use crate::deframer::Deframer;
 use crate::device::Device;
-use crate::port::{Completion, FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
+use crate::fieldbus::Fieldbus;
+use crate::port::{Completion, FrameBuffer, PortCounters, PortId, PortKind, Request};
+use crate::send_queue::SendQueue;
 use crate::time::{Time, earlier};
 use crate::updates::{Readings, Silence, Subscriptions};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{AutoUpdate, Command, CommandId, Event, Frame, FrameEncoder, Payload, Reply, Status};
 
-/// Capacity of the output queue in bytes.
-const QUEUE_LEN: usize = 2_048;
-/// Space in the queue that updates leave free for answers.
-const RESERVED_FOR_REPLIES: usize = 512;
 /// Offset of the size field in a frame.
 const SIZE_AT: usize = 4;
-
-const _: () = assert!(QUEUE_LEN >= RESERVED_FOR_REPLIES + MAX_FRAME_LEN);
 
 /// A client: its frame decoder and its line.
 #[derive(Clone, Debug)]
@@ -36,9 +33,7 @@ struct BinarySession {
     announced: bool,
     /// Whether frames with a wrong checksum are answered.
     answer_bad_checksum: bool,
-    queue: FrameQueue,
-    updates_lost: u32,
-    replies_lost: u32,
+    queue: SendQueue,
 }
 
 impl BinaryClient {
@@ -52,15 +47,22 @@ impl BinaryClient {
                 silence: Silence::new(kind, config),
                 announced: false,
                 answer_bad_checksum: config.answer_bad_checksum,
-                queue: FrameQueue::new(),
-                updates_lost: 0,
-                replies_lost: 0,
+                queue: SendQueue::default(),
             },
         }
     }
+}
 
-    /// Takes over the settings, and keeps the subscriptions.
-    pub(crate) fn reconfigure(&mut self, before: &Config, config: &Config) {
+impl Client for BinaryClient {
+    fn id(&self) -> PortId {
+        self.line.id
+    }
+
+    fn counters(&self) -> PortCounters {
+        self.line.queue.counters(self.deframer.counters())
+    }
+
+    fn reconfigure(&mut self, before: &Config, config: &Config) {
         let Self { deframer, line } = self;
         if before.check_checksum != config.check_checksum {
             *deframer = Deframer::new(line.kind, config);
@@ -69,44 +71,23 @@ impl BinaryClient {
         line.silence.reconfigure(line.kind, config);
     }
 
-    pub(crate) const fn id(&self) -> PortId {
-        self.line.id
-    }
-
-    /// Returns whether the end of the connection is an error.
-    pub(crate) const fn is_missed(&self) -> bool {
+    fn is_missed(&self) -> bool {
         self.line.kind.is_connection() && !self.line.announced
     }
 
-    pub(crate) fn counters(&self) -> PortCounters {
-        PortCounters {
-            parser: self.deframer.counters(),
-            updates_lost: self.line.updates_lost,
-            replies_lost: self.line.replies_lost,
-        }
-    }
-
-    /// Takes bytes up to the first event, or some of them, and handles the event. Returns the number of bytes taken and
-    /// whether there was an event.
-    pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
+    fn receive(&mut self, device: &mut Device, _: &mut Fieldbus, now: Time, bytes: &[u8]) -> (usize, bool) {
         self.line.silence.end(now);
         let (taken, event) = self.deframer.push_slice(now, bytes);
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
 
-    /// Starts the time-out of an incomplete frame: no more bytes are available at present.
-    pub(crate) fn pause(&mut self, now: Time) {
+    /// Starts the time-out of an incomplete frame.
+    fn pause(&mut self, _: &mut Device, now: Time) -> bool {
         self.deframer.pause(now);
+        false
     }
 
-    /// Ends all subscriptions, because another sender uses the line now.
-    pub(crate) fn end_updates(&mut self) {
-        self.line.subscriptions.clear();
-    }
-
-    /// Handles one event in an incomplete frame whose time-out has expired, and returns whether there was one. Call
-    /// until there is none. Also ends the subscriptions of a client that has been silent for too long.
-    pub(crate) fn expire(&mut self, device: &mut Device, now: Time) -> bool {
+    fn expire(&mut self, device: &mut Device, _: &mut Fieldbus, now: Time) -> bool {
         if self.line.silence.is_too_long(now) {
             self.line.subscriptions.clear();
         }
@@ -114,43 +95,40 @@ impl BinaryClient {
         event.map(|event| self.line.handle(device, now, event)).is_some()
     }
 
-    pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
+    fn end_updates(&mut self) {
+        self.line.subscriptions.clear();
+    }
+
+    fn next_due(&self, now: Time) -> Option<Time> {
         let BinarySession { subscriptions, silence, .. } = &self.line;
         let end = if subscriptions.are_none() { None } else { silence.due() };
         earlier(earlier(subscriptions.next_due(now), end), self.deframer.due())
     }
 
-    /// Sends the second answer to a command.
-    pub(crate) fn complete(&mut self, done: Completion) {
+    fn complete(&mut self, done: Completion) {
         self.line.reply(Reply::status_only(done.id, done.status));
     }
 
-    /// Sends an answer of a script.
-    pub(crate) fn answer_script(&mut self, id: u8, payload: &[u8]) {
+    fn answer_script(&mut self, id: u8, payload: &[u8]) {
         self.line.push(FrameEncoder::new(id, payload));
     }
 
-    /// Sends the updates that are due.
-    pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
-        let BinarySession { subscriptions, queue, updates_lost, .. } = &mut self.line;
+    fn publish(&mut self, now: Time, readings: &Readings) {
+        let BinarySession { subscriptions, queue, .. } = &mut self.line;
         subscriptions.publish(now, readings, |value| {
             let reply = Reply::success(value);
             let frame = FrameEncoder::new(reply.id().code(), reply);
-            let found_room = queue.push(frame, QUEUE_LEN - RESERVED_FOR_REPLIES);
-            if !found_room {
-                *updates_lost = updates_lost.saturating_add(1);
-            }
-            found_room
+            queue.push_update(frame.frame_len(), frame)
         });
     }
 
-    pub(crate) const fn has_frame(&self) -> bool {
-        self.line.queue.len > 0
+    fn has_frame(&self) -> bool {
+        !self.line.queue.is_empty()
     }
 
-    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let len = self.line.queue.pop(buffer)?;
-        buffer.get(..len)
+    fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let size = u16::from_le_bytes(self.line.queue.pair_at(SIZE_AT)?);
+        self.line.queue.pop(usize::from(size) + OVERHEAD, buffer)
     }
 }
 
@@ -226,9 +204,7 @@ impl BinarySession {
     }
 
     fn push<P: Payload>(&mut self, frame: FrameEncoder<P>) {
-        if !self.queue.push(frame, QUEUE_LEN) {
-            self.replies_lost = self.replies_lost.saturating_add(1);
-        }
+        self.queue.push_answer(frame.frame_len(), frame);
     }
 }
 
@@ -254,50 +230,5 @@ const fn update_of(command: &Command<'_>) -> Option<AutoUpdate> {
         | Command::GetSpeed { update }
         | Command::GetForce { update } => Some(*update),
         _ => None,
-    }
-}
-
-/// Frames in a ring buffer. Each frame contains its own length.
-#[derive(Clone, Debug)]
-struct FrameQueue {
-    bytes: [u8; QUEUE_LEN],
-    first: usize,
-    len: usize,
-}
-
-impl FrameQueue {
-    const fn new() -> Self {
-        Self { bytes: [0; QUEUE_LEN], first: 0, len: 0 }
-    }
-
-    /// Appends a frame unless the queue would exceed `limit` bytes. Returns whether it did.
-    fn push<P: Payload>(&mut self, frame: FrameEncoder<P>, limit: usize) -> bool {
-        if self.len + frame.frame_len() > limit {
-            return false;
-        }
-        for byte in frame {
-            self.bytes[(self.first + self.len) % QUEUE_LEN] = byte;
-            self.len += 1;
-        }
-        true
-    }
-
-    /// Copies the oldest frame to `buffer`, removes it and returns its length.
-    fn pop(&mut self, buffer: &mut FrameBuffer) -> Option<usize> {
-        if self.len == 0 {
-            return None;
-        }
-        let size = u16::from_le_bytes([self.byte(SIZE_AT), self.byte(SIZE_AT + 1)]);
-        let len = usize::from(size) + OVERHEAD;
-        for (at, slot) in buffer.iter_mut().enumerate().take(len) {
-            *slot = self.byte(at);
-        }
-        self.first = (self.first + len) % QUEUE_LEN;
-        self.len -= len;
-        Some(len)
-    }
-
-    fn byte(&self, at: usize) -> u8 {
-        self.bytes[(self.first + at) % QUEUE_LEN]
     }
 }

@@ -6,24 +6,22 @@
 mod autosend;
 mod requests;
 
+use crate::client::Client;
 use crate::config::Config;
 use crate::device::Device;
+use crate::fieldbus::Fieldbus;
 use crate::port::{Completion, FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
+use crate::send_queue::SendQueue;
 use crate::time::{Time, earlier};
 use crate::updates::{Readings, Silence};
 use autosend::Autosends;
-use heapless::{Deque, String};
+use heapless::{String, Vec};
 use requests::Outcome;
 use wsg_protocol::gcl::{Answer, CommandName, Description, LineEvent, LineReader, Named, Refused, Request};
 use wsg_protocol::{CommandId, FrameCounters, Kind, Status};
 
 /// Longest accepted line in bytes; requests are shorter, apart from blanks.
 const LINE_LEN: usize = 256;
-/// Capacity of the output queue in bytes.
-const QUEUE_LEN: usize = 2_048;
-/// Space in the queue that updates leave free for answers.
-const RESERVED_FOR_ANSWERS: usize = 512;
-
 /// A client: its line decoder and its connection.
 #[derive(Clone, Debug)]
 pub(crate) struct TextClient {
@@ -43,9 +41,7 @@ struct TextSession {
     clamping_travel: f32,
     autosends: Autosends,
     silence: Silence,
-    queue: Deque<u8, QUEUE_LEN>,
-    updates_lost: u32,
-    replies_lost: u32,
+    queue: SendQueue,
 }
 
 impl TextClient {
@@ -61,103 +57,80 @@ impl TextClient {
                 clamping_travel: config.clamping_travel,
                 autosends: Autosends::default(),
                 silence: Silence::new(kind, config),
-                queue: Deque::new(),
-                updates_lost: 0,
-                replies_lost: 0,
+                queue: SendQueue::default(),
             },
         }
     }
+}
 
-    /// Takes over the settings that the client cannot change itself.
-    pub(crate) const fn reconfigure(&mut self, config: &Config) {
-        self.line.silence.reconfigure(self.line.kind, config);
-    }
-
-    pub(crate) const fn id(&self) -> PortId {
+impl Client for TextClient {
+    fn id(&self) -> PortId {
         self.line.id
     }
 
-    /// Returns whether the end of the connection is an error.
-    pub(crate) const fn is_missed(&self) -> bool {
+    fn counters(&self) -> PortCounters {
+        let lines = self.reader.counters();
+        let parser = FrameCounters { dropped: lines.dropped, bad_checksum: 0, oversize: lines.too_long };
+        self.line.queue.counters(parser)
+    }
+
+    fn reconfigure(&mut self, _: &Config, config: &Config) {
+        self.line.silence.reconfigure(self.line.kind, config);
+    }
+
+    fn is_missed(&self) -> bool {
         self.line.kind.is_connection() && !self.line.announced
     }
 
-    pub(crate) const fn counters(&self) -> PortCounters {
-        let lines = self.reader.counters();
-        PortCounters {
-            parser: FrameCounters { dropped: lines.dropped, bad_checksum: 0, oversize: lines.too_long },
-            updates_lost: self.line.updates_lost,
-            replies_lost: self.line.replies_lost,
-        }
-    }
-
-    /// Takes bytes up to the first line, or some of them, and answers the line. Returns the number of bytes taken and
-    /// whether there was a line.
-    pub(crate) fn receive(&mut self, device: &mut Device, now: Time, bytes: &[u8]) -> (usize, bool) {
+    fn receive(&mut self, device: &mut Device, _: &mut Fieldbus, now: Time, bytes: &[u8]) -> (usize, bool) {
         self.line.silence.end(now);
         let (taken, event) = self.reader.push_slice(bytes);
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
 
-    /// Marks the end of the available bytes and answers a line that the end of its datagram completes. Returns whether
-    /// there was one.
-    pub(crate) fn pause(&mut self, device: &mut Device, now: Time) -> bool {
+    fn pause(&mut self, device: &mut Device, now: Time) -> bool {
         if !self.line.kind.is_datagram() {
             return false;
         }
         self.reader.finish().map(|event| self.line.handle(device, now, event)).is_some()
     }
 
-    /// Sends the second answer to a motion.
-    pub(crate) fn complete(&mut self, done: Completion) {
-        self.line.complete(done);
+    fn expire(&mut self, _: &mut Device, _: &mut Fieldbus, now: Time) -> bool {
+        if self.line.silence.is_too_long(now) {
+            self.line.autosends.clear();
+        }
+        false
     }
 
-    /// Sends the values that are due.
-    pub(crate) fn publish(&mut self, now: Time, readings: &Readings) {
-        let TextSession { autosends, queue, updates_lost, .. } = &mut self.line;
-        autosends.publish(now, readings, |value| {
-            let found_room = push(queue, &Answer::Update(value), QUEUE_LEN - RESERVED_FOR_ANSWERS);
-            if !found_room {
-                *updates_lost = updates_lost.saturating_add(1);
-            }
-            found_room
-        });
+    fn end_updates(&mut self) {
+        self.line.autosends.clear();
     }
 
-    pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
+    fn next_due(&self, now: Time) -> Option<Time> {
         let TextSession { autosends, silence, .. } = &self.line;
         let end = if autosends.are_none() { None } else { silence.due() };
         earlier(autosends.next_due(now), end)
     }
 
-    /// Ends all subscriptions, because another sender uses the line now.
-    pub(crate) fn end_updates(&mut self) {
-        self.line.autosends.clear();
+    fn complete(&mut self, done: Completion) {
+        self.line.complete(done);
     }
 
-    /// Ends the subscriptions of a client that has been silent for too long.
-    pub(crate) fn expire(&mut self, now: Time) {
-        if self.line.silence.is_too_long(now) {
-            self.line.autosends.clear();
-        }
+    fn publish(&mut self, now: Time, readings: &Readings) {
+        let TextSession { autosends, queue, .. } = &mut self.line;
+        autosends.publish(now, readings, |value| {
+            line_of(&Answer::Update(value)).is_some_and(|line| queue.push_update(line.len(), line))
+        });
     }
 
-    pub(crate) fn has_line(&self) -> bool {
+    fn has_frame(&self) -> bool {
         !self.line.queue.is_empty()
     }
 
     /// Returns the oldest line, including its line end.
-    pub(crate) fn next_line<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let mut len = 0;
-        while let Some(byte) = self.line.queue.pop_front() {
-            *buffer.get_mut(len)? = byte;
-            len += 1;
-            if byte == b'\n' {
-                return buffer.get(..len);
-            }
-        }
-        None
+    fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let len = self.line.queue.len_to(b'\n')?;
+        self.line.queue.pop(len, buffer)
     }
 }
 
@@ -227,20 +200,19 @@ impl TextSession {
     }
 
     fn answer(&mut self, answer: &Answer<'_>) {
-        if !push(&mut self.queue, answer, QUEUE_LEN) {
-            self.replies_lost = self.replies_lost.saturating_add(1);
+        if let Some(line) = line_of(answer) {
+            self.queue.push_answer(line.len(), line);
         }
     }
 }
 
-/// Appends a line unless the queue would exceed `limit` bytes. Returns whether it did.
-fn push(queue: &mut Deque<u8, QUEUE_LEN>, answer: &Answer<'_>, limit: usize) -> bool {
-    let mut buffer = [0; MAX_FRAME_LEN];
-    let Ok(len) = answer.write_line_into(&mut buffer) else { return false };
-    if queue.len() + len > limit {
-        return false;
-    }
-    buffer.iter().take(len).all(|byte| queue.push_back(*byte).is_ok())
+/// Returns the line of an answer; `None` if it is longer than any line of the protocol.
+fn line_of(answer: &Answer<'_>) -> Option<Vec<u8, MAX_FRAME_LEN>> {
+    let mut line = Vec::new();
+    line.resize_default(MAX_FRAME_LEN).ok()?;
+    let len = answer.write_line_into(&mut line).ok()?;
+    line.truncate(len);
+    Some(line)
 }
 
 /// Returns the temperature in °C.

@@ -1,7 +1,6 @@
 //! The virtual gripper: the device, its clients, and the order of events.
 
 use crate::axis::Part;
-use crate::client::ProtocolClient;
 use crate::config::{Config, Tag};
 use crate::device::{Device, NextEvent};
 use crate::faults::Fault;
@@ -9,6 +8,7 @@ use crate::fieldbus::{Exchange, Fieldbus};
 use crate::finger::{Finger, Jaw};
 use crate::journal::{Cause, Journal, JournalEvent};
 use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind, Request};
+use crate::protocol_client::ProtocolClient;
 use crate::script::{ScriptRequest, ScriptState};
 use crate::time::{Time, earlier};
 use wsg_fieldbus::{InputImage, OutputImage};
@@ -148,7 +148,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// the end (command set, 3.1.2).
     #[must_use]
     pub fn is_missed(&self, id: PortId) -> bool {
-        self.client(id).is_some_and(ProtocolClient::is_missed)
+        self.client(id).is_some_and(|client| client.is_missed())
     }
 
     /// Takes the next event for the system log. The queue keeps the latest events.
@@ -202,20 +202,20 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// Whether [`transmit`](Self::transmit) has a frame for the client.
     #[must_use]
     pub fn has_frame(&self, id: PortId) -> bool {
-        self.client(id).is_some_and(ProtocolClient::has_frame)
+        self.client(id).is_some_and(|client| client.has_frame())
     }
 
     /// Returns whether the client's byte stream has lost synchronization for good. Send the queued frames, then close
     /// the connection. Only Modbus/TCP cannot resynchronize.
     #[must_use]
     pub fn is_lost(&self, id: PortId) -> bool {
-        self.client(id).is_some_and(ProtocolClient::is_lost)
+        self.client(id).is_some_and(|client| client.is_lost())
     }
 
     /// Returns the error counters of the client's line; `None` after a disconnect.
     #[must_use]
     pub fn counters(&self, id: PortId) -> Option<PortCounters> {
-        self.client(id).map(ProtocolClient::counters)
+        self.client(id).map(|client| client.counters())
     }
 
     /// Processes every event that is due up to `now`, each at its own time.

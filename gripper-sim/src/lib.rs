@@ -12,11 +12,12 @@
 //! | `port` | types shared by the device and its clients |
 //! | `settings`, `motion` | motion settings of the clients; start and end of motions, per the manual |
 //! | `device` | states, flags and commands, per the manual |
+//! | `send_queue` | the frames that wait for a client |
 //! | `updates`, `deframer`, `binary` | the binary protocol: connections, framing and automatic updates |
 //! | `gcl` | the text protocol: connections and requests |
 //! | `fieldbus`, `modbus`, `profibus` | the registers and their rules, and their transports Modbus/TCP and PROFIBUS |
 //! | `script` | commands claimed by scripts on the gripper |
-//! | `client` | a client of any protocol |
+//! | `client`, `protocol_client` | the contract of a client of any protocol, and the clients by protocol |
 //! | `gripper` | the contract with the caller |
 //! | `server` | servers on TCP, UDP, serial lines and CAN (feature `std`) |
 //! | `program` | the program `wsg-sim` and its options (feature `std`) |
@@ -51,9 +52,11 @@ mod port;
 mod profibus;
 #[cfg(feature = "std")]
 pub mod program;
+mod protocol_client;
 #[cfg(feature = "rig")]
 mod rig;
 mod script;
+mod send_queue;
 #[cfg(feature = "std")]
 pub mod server;
 mod settings;

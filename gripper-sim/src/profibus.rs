@@ -1,6 +1,8 @@
 //! The line of a PROFIBUS master: received characters and sent telegrams. `bus_profibus` implements the slave and
 //! `fieldbus` the images.
 
+use crate::client::Client;
+use crate::config::Config;
 use crate::device::Device;
 use crate::fieldbus::Fieldbus;
 use crate::port::{FrameBuffer, PortCounters, PortId};
@@ -8,7 +10,7 @@ use crate::time::Time;
 use bus_profibus::{Address, Cause, Character, Event, SYNC_BITS};
 use heapless::Vec;
 use wsg_fieldbus::profibus::{PROFILE, Slave};
-use wsg_fieldbus::{Diagnosis, OutputImage};
+use wsg_fieldbus::{Diagnosis, OutputImage, SilenceReaction};
 use wsg_protocol::{FrameCounters, SystemFlags};
 
 /// Longest telegram in bytes.
@@ -47,78 +49,9 @@ impl ProfibusSlave {
         }
     }
 
-    pub(crate) const fn id(&self) -> PortId {
-        self.id
-    }
-
     /// Returns the address of the master that has locked the slave.
     pub(crate) fn master(&self) -> Option<u8> {
         self.slave.master()
-    }
-
-    pub(crate) fn counters(&self) -> PortCounters {
-        let damaged = u16::try_from(self.slave.counters().damaged).unwrap_or(u16::MAX);
-        PortCounters {
-            parser: FrameCounters { dropped: 0, bad_checksum: damaged, oversize: 0 },
-            updates_lost: 0,
-            replies_lost: self.replies_lost,
-        }
-    }
-
-    /// Takes bytes up to the first telegram for this slave. Returns the number of bytes taken and whether there was one.
-    pub(crate) fn receive(
-        &mut self,
-        device: &Device,
-        fieldbus: &mut Fieldbus,
-        now: Time,
-        bytes: &[u8],
-    ) -> (usize, bool) {
-        self.show(device, fieldbus);
-        let heard = self.heard.replace(now);
-        let is_silent = heard.is_none_or(|heard| now >= heard.plus_micros(SILENCE_MICROS));
-        let mut silence_bits = if is_silent { SYNC_BITS } else { 0 };
-        for (at, byte) in bytes.iter().enumerate() {
-            let outcome = self.slave.push(Character::Byte(*byte), silence_bits, millis(now));
-            silence_bits = 0;
-            let Some(outcome) = outcome else { continue };
-            let event = outcome.event;
-            if let Some(answer) = outcome.answer {
-                if !self.answer.is_empty() {
-                    self.replies_lost = self.replies_lost.saturating_add(1);
-                }
-                self.answer.clear();
-                // The buffer holds the longest telegram.
-                let _ = self.answer.extend_from_slice(answer.bytes);
-            }
-            if let Some(event) = event {
-                self.handle(device, fieldbus, event);
-            }
-            return (at.saturating_add(1), true);
-        }
-        (bytes.len(), false)
-    }
-
-    /// Polls the master's watchdog and returns whether it has expired.
-    pub(crate) fn expire(&mut self, device: &Device, fieldbus: &mut Fieldbus, now: Time) -> bool {
-        let Some(event) = self.slave.poll(millis(now)) else { return false };
-        self.handle(device, fieldbus, event);
-        true
-    }
-
-    pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        let left_ms = self.slave.poll_timeout(millis(now))?;
-        Some(Time::from_millis(now.as_micros() / 1_000).plus_millis(left_ms.into()))
-    }
-
-    pub(crate) fn has_frame(&self) -> bool {
-        !self.answer.is_empty()
-    }
-
-    pub(crate) fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let place = buffer.get_mut(..self.answer.len()).filter(|place| !place.is_empty())?;
-        place.copy_from_slice(&self.answer);
-        self.answer.clear();
-        Some(place)
     }
 
     /// Passes the current inputs and diagnosis to the slave.
@@ -150,6 +83,82 @@ impl ProfibusSlave {
             // The profile does not let a master change the address.
             Event::Address(_) => {}
         }
+    }
+}
+
+impl Client for ProfibusSlave {
+    fn id(&self) -> PortId {
+        self.id
+    }
+
+    fn counters(&self) -> PortCounters {
+        let damaged = u16::try_from(self.slave.counters().damaged).unwrap_or(u16::MAX);
+        PortCounters {
+            parser: FrameCounters { dropped: 0, bad_checksum: damaged, oversize: 0 },
+            updates_lost: 0,
+            replies_lost: self.replies_lost,
+        }
+    }
+
+    /// The watchdog of the bus ends with its line.
+    fn reaction_to_its_end(&self, config: &Config) -> SilenceReaction {
+        config.bus_reaction
+    }
+
+    /// Takes bytes up to the first telegram for this slave.
+    fn receive(
+        &mut self,
+        device: &mut Device,
+        fieldbus: &mut Fieldbus,
+        now: Time,
+        bytes: &[u8],
+    ) -> (usize, bool) {
+        self.show(device, fieldbus);
+        let heard = self.heard.replace(now);
+        let is_silent = heard.is_none_or(|heard| now >= heard.plus_micros(SILENCE_MICROS));
+        let mut silence_bits = if is_silent { SYNC_BITS } else { 0 };
+        for (at, byte) in bytes.iter().enumerate() {
+            let outcome = self.slave.push(Character::Byte(*byte), silence_bits, millis(now));
+            silence_bits = 0;
+            let Some(outcome) = outcome else { continue };
+            let event = outcome.event;
+            if let Some(answer) = outcome.answer {
+                if !self.answer.is_empty() {
+                    self.replies_lost = self.replies_lost.saturating_add(1);
+                }
+                self.answer.clear();
+                // The buffer holds the longest telegram.
+                let _ = self.answer.extend_from_slice(answer.bytes);
+            }
+            if let Some(event) = event {
+                self.handle(device, fieldbus, event);
+            }
+            return (at.saturating_add(1), true);
+        }
+        (bytes.len(), false)
+    }
+
+    /// Polls the master's watchdog.
+    fn expire(&mut self, device: &mut Device, fieldbus: &mut Fieldbus, now: Time) -> bool {
+        let Some(event) = self.slave.poll(millis(now)) else { return false };
+        self.handle(device, fieldbus, event);
+        true
+    }
+
+    fn next_due(&self, now: Time) -> Option<Time> {
+        let left_ms = self.slave.poll_timeout(millis(now))?;
+        Some(Time::from_millis(now.as_micros() / 1_000).plus_millis(left_ms.into()))
+    }
+
+    fn has_frame(&self) -> bool {
+        !self.answer.is_empty()
+    }
+
+    fn next_frame<'a>(&mut self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let place = buffer.get_mut(..self.answer.len()).filter(|place| !place.is_empty())?;
+        place.copy_from_slice(&self.answer);
+        self.answer.clear();
+        Some(place)
     }
 }
 
