@@ -172,10 +172,12 @@ impl Axis {
         axis
     }
 
+    /// Returns the real opening width in mm.
     pub(crate) const fn width(&self) -> f64 {
         self.width
     }
 
+    /// Returns the change of the opening width in mm/s.
     pub(crate) const fn speed(&self) -> f64 {
         self.speed
     }
@@ -196,7 +198,7 @@ impl Axis {
         self.block
     }
 
-    /// Returns the force on the fingers in N: 0 while the motor is off, when the fingers yield to a squeezed part.
+    /// Returns the force on the fingers in N, summed over both: 0 while the motor is off, when the fingers yield to a squeezed part.
     pub(crate) fn force(&self) -> f64 {
         match (self.drive, self.block) {
             (None, _) => 0.0,

@@ -12,13 +12,10 @@ use crate::journal::Cause;
 use crate::motion::{GripOrder, MotionControl};
 use crate::port::{Completion, PortId, Request};
 use crate::script::{Script, ScriptState};
-use crate::settings::Settings;
 use crate::thermal::Thermal;
 use crate::time::{Time, earlier};
 use crate::updates::Readings;
-use wsg_protocol::{
-    CommandId, GripperState, GrippingStatistics, Kind, Status, SystemFlags, SystemLimits, Temperature,
-};
+use wsg_protocol::{CommandId, GripperState, Kind, Status, SystemFlags, SystemLimits, Temperature};
 
 /// Start-up time of a finger after its supply is switched on, in ms (command set, 3.6.3).
 const FINGER_START_UP_MS: u64 = 500;
@@ -89,6 +86,11 @@ impl Device {
         true
     }
 
+    /// Returns the motions, with their settings, their state and the axis.
+    pub(crate) const fn motion(&self) -> &MotionControl {
+        &self.motion
+    }
+
     pub(crate) const fn limits(&self) -> &SystemLimits {
         self.motion.settings().system_limits()
     }
@@ -97,28 +99,9 @@ impl Device {
         &self.tag
     }
 
-    pub(crate) const fn state(&self) -> GripperState {
-        self.motion.state()
-    }
-
-    /// Returns the real opening width, in mm.
-    pub(crate) const fn real_width(&self) -> f64 {
-        self.motion.real_width()
-    }
-
     /// Returns the answer to Get Opening Width, in mm: 0 while the fingers are not referenced (command set, 3.4.4).
     pub(crate) fn reported_width(&self) -> f32 {
         if self.motion.is_referenced() { self.motion.width() as f32 } else { 0.0 }
-    }
-
-    /// Returns the change of the opening width in mm/s.
-    pub(crate) const fn speed(&self) -> f64 {
-        self.motion.speed()
-    }
-
-    /// Returns the real force on the fingers, in N, summed over both.
-    pub(crate) fn real_force(&self) -> f64 {
-        self.motion.force()
     }
 
     /// Returns the answer to Get Force, in N, measured by the force sensors if there are any.
@@ -130,40 +113,14 @@ impl Device {
         self.fingers.iter().map(seen).sum::<f64>() as f32
     }
 
-    /// Returns the force limit in N, summed over both fingers.
-    pub(crate) const fn force_limit(&self) -> f32 {
-        self.motion.settings().force_limit()
-    }
-
     /// Sets the force limit in N, within the permitted forces.
     #[cfg(feature = "std")]
     pub(crate) const fn set_force_limit(&mut self, force: f32) {
         self.motion.settings_mut().set_force_limit(force);
     }
 
-    /// Returns the permitted force in N that is closest to `force`.
-    pub(crate) const fn possible_force(&self, force: f32) -> f32 {
-        self.motion.settings().possible_force(force)
-    }
-
     pub(crate) fn temperature(&self) -> Temperature {
         self.thermal.reading()
-    }
-
-    pub(crate) const fn statistics(&self) -> GrippingStatistics {
-        self.motion.statistics()
-    }
-
-    pub(crate) const fn part(&self) -> Option<Part> {
-        self.motion.part()
-    }
-
-    pub(crate) const fn part_is_between(&self) -> bool {
-        self.motion.part_is_between()
-    }
-
-    pub(crate) const fn part_is_around(&self) -> bool {
-        self.motion.part_is_around()
     }
 
     pub(crate) const fn finger(&self, jaw: Jaw) -> &FingerPort {
@@ -204,9 +161,9 @@ impl Device {
     pub(crate) fn readings(&self) -> Readings {
         Readings {
             flags: self.flags(),
-            state: self.state(),
+            state: self.motion.state(),
             width: self.reported_width(),
-            speed: self.speed() as f32,
+            speed: self.motion.axis().speed() as f32,
             force: self.reported_force(),
             referenced: self.motion.is_referenced(),
             temperature: self.temperature(),
@@ -255,15 +212,6 @@ impl Device {
     /// Opens the interface of a finger for the script.
     pub(crate) const fn open_finger_interface(&mut self, jaw: Jaw) {
         self.finger_mut(jaw).set_interface(true);
-    }
-
-    /// Returns whether the next motion command would get E_ALREADY_RUNNING, or the fingers move.
-    pub(crate) fn is_busy(&self) -> bool {
-        self.motion.is_busy()
-    }
-
-    pub(crate) const fn settings(&self) -> &Settings {
-        self.motion.settings()
     }
 
     pub(crate) const fn script_mut(&mut self) -> &mut Script {
@@ -348,8 +296,8 @@ impl Device {
 
     /// Passes the load of the drive to the thermal model.
     pub(crate) fn note_load(&mut self) {
-        let relative = self.motion.force() / f64::from(self.limits().nominal_force);
-        self.thermal.load(relative, self.motion.is_moving());
+        let relative = self.motion.axis().force() / f64::from(self.limits().nominal_force);
+        self.thermal.load(relative, self.motion.axis().is_moving());
     }
 
     const fn finger_mut(&mut self, jaw: Jaw) -> &mut FingerPort {
@@ -362,12 +310,12 @@ impl Device {
 
     /// Returns the force on each jaw in N.
     fn force_per_jaw(&self) -> f64 {
-        self.motion.force() / 2.0
+        self.motion.axis().force() / 2.0
     }
 
     /// Returns whether a force sensor controls the force.
     fn controls_force(&self) -> bool {
-        self.state() == GripperState::Holding && self.fingers.iter().any(FingerPort::measures_force)
+        self.motion.state() == GripperState::Holding && self.fingers.iter().any(FingerPort::measures_force)
     }
 
     fn has_motor_fault(&self) -> bool {

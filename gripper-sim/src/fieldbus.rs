@@ -235,7 +235,7 @@ impl Fieldbus {
         if !self.in_use {
             return false;
         }
-        let (flags, state) = (device.flags(), device.state());
+        let (flags, state) = (device.flags(), device.motion().state());
         let known_now = known(device);
         self.controller.handle(&Event::Reported(Value::GetSystemState(flags)), &known_now);
         self.controller.handle(&Event::Reported(Value::GetGripperState(state)), &known_now);
@@ -244,7 +244,7 @@ impl Fieldbus {
             asked = true;
             let id = command.id();
             if id == CommandId::Stop {
-                self.stopped = Some((now, device.speed()));
+                self.stopped = Some((now, device.motion().axis().speed()));
             }
             let reply = device.execute(Request { port: PortId::FIELDBUS, now }, &command);
             let status = reply.status();
@@ -282,9 +282,9 @@ fn known(device: &Device) -> Known {
         info: Some(device.info()),
         limits: Some(*device.limits()),
         flags: Some(device.flags()),
-        state: Some(device.state()),
+        state: Some(device.motion().state()),
         width: Some(device.reported_width()),
-        speed: Some(device.speed() as f32),
+        speed: Some(device.motion().axis().speed() as f32),
         force: Some(device.reported_force()),
         // Unknown, so that the controller sets it before each motion that has one.
         force_limit: None,

@@ -373,8 +373,9 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// so does a force that the gripper would have to correct.
     #[cfg(feature = "std")]
     pub(crate) fn command_with_force(&mut self, force: f32, command: &Command<'_>, now: Time) -> Status {
-        let before = self.device.force_limit();
-        if self.device.possible_force(force) != force {
+        let settings = self.device.motion().settings();
+        let before = settings.force_limit();
+        if settings.possible_force(force) != force {
             return Status::RangeError;
         }
         self.device.set_force_limit(force);
@@ -400,7 +401,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     /// E_ALREADY_RUNNING. Velocity mode of scripts counts only while the fingers move.
     #[must_use]
     pub fn is_busy(&self) -> bool {
-        self.device.is_busy()
+        self.device.motion().is_busy()
     }
 
     /// Opens the interface of this finger to custom electronics, for the script. FF_COMM_OPEN is set until the script ends.
@@ -474,21 +475,22 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     #[must_use]
     pub fn state(&self) -> State {
         let device = &self.device;
+        let (motion, axis) = (device.motion(), device.motion().axis());
         State {
-            width: device.real_width() as f32,
+            width: axis.width() as f32,
             reported_width: device.reported_width(),
-            speed: device.speed() as f32,
-            force: device.real_force() as f32,
-            force_limit: device.force_limit(),
-            acceleration: device.settings().acceleration(),
-            soft_limits: device.settings().soft_limits(),
-            gripper: device.state(),
+            speed: axis.speed() as f32,
+            force: axis.force() as f32,
+            force_limit: motion.settings().force_limit(),
+            acceleration: motion.settings().acceleration(),
+            soft_limits: motion.settings().soft_limits(),
+            gripper: motion.state(),
             flags: device.flags(),
             temperature: device.temperature(),
-            statistics: device.statistics(),
-            part: device.part(),
-            part_is_between: device.part_is_between(),
-            part_is_around: device.part_is_around(),
+            statistics: motion.statistics(),
+            part: axis.part(),
+            part_is_between: axis.part_is_between(),
+            part_is_around: axis.part_is_around(),
         }
     }
 

@@ -7,7 +7,7 @@ mod progress;
 
 pub(crate) use gcl::GripOrder;
 
-use crate::axis::{Axis, Direction, Part, Travel};
+use crate::axis::{Axis, Direction, Travel};
 use crate::config::Config;
 use crate::model::Parameters;
 use crate::port::{Completion, PortId, Request};
@@ -217,35 +217,9 @@ impl MotionControl {
         self.axis.width() - self.origin
     }
 
-    /// The real opening width, in mm.
-    pub(crate) const fn real_width(&self) -> f64 {
-        self.axis.width()
-    }
-
-    /// The change of the opening width in mm/s.
-    pub(crate) const fn speed(&self) -> f64 {
-        self.axis.speed()
-    }
-
-    /// The force on the fingers in N, summed over both.
-    pub(crate) fn force(&self) -> f64 {
-        self.axis.force()
-    }
-
-    pub(crate) fn is_moving(&self) -> bool {
-        self.axis.is_moving()
-    }
-
-    pub(crate) const fn part(&self) -> Option<Part> {
-        self.axis.part()
-    }
-
-    pub(crate) const fn part_is_between(&self) -> bool {
-        self.axis.part_is_between()
-    }
-
-    pub(crate) const fn part_is_around(&self) -> bool {
-        self.axis.part_is_around()
+    /// Returns the axis: the real opening width, its change, the force on the fingers, and the part.
+    pub(crate) const fn axis(&self) -> &Axis {
+        &self.axis
     }
 
     /// Returns the system state flags of the axis and its motions (command set, appendix B).
@@ -558,7 +532,7 @@ impl MotionControl {
     fn release_travel(&self, target: f64, speed: f32) -> Travel {
         let limits = &self.parameters.limits;
         let nominal = limits.nominal_force.into();
-        let squeeze = self.force().clamp(limits.min_force.into(), nominal);
+        let squeeze = self.axis.force().clamp(limits.min_force.into(), nominal);
         Travel { squeeze, ..self.travel(target, speed, nominal) }
     }
 

@@ -50,7 +50,9 @@ impl Device {
                 return Reply::success(Value::GetAcceleration(self.motion.settings().acceleration()));
             }
             Command::SetForceLimit { force } => self.motion.settings_mut().set_force_limit(force),
-            Command::GetForceLimit => return Reply::success(Value::GetForceLimit(self.force_limit())),
+            Command::GetForceLimit => {
+                return Reply::success(Value::GetForceLimit(self.motion.settings().force_limit()));
+            }
             Command::SetSoftLimits { limits } => self.motion.settings_mut().set_soft_limits(limits),
             Command::GetSoftLimits => match self.motion.settings().soft_limits() {
                 Some(limits) => return Reply::success(Value::GetSoftLimits(limits)),
@@ -102,7 +104,7 @@ impl Device {
     }
 
     fn take_statistics(&mut self, reset: bool) -> Reply<'static> {
-        let reply = Reply::success(Value::GetGrippingStatistics(self.statistics()));
+        let reply = Reply::success(Value::GetGrippingStatistics(self.motion.statistics()));
         if reset {
             self.motion.reset_statistics();
         }
@@ -122,7 +124,7 @@ impl Device {
         if !jaws.iter().any(|jaw| self.finger(*jaw).is_force_sensor()) {
             return Status::NotAvailable;
         }
-        if self.state() == GripperState::Holding {
+        if self.motion.state() == GripperState::Holding {
             return Status::AccessDenied;
         }
         let force = self.force_per_jaw();

@@ -93,13 +93,13 @@ pub(super) fn carry_out<'a>(
         Request::Pos => Value::Pos(device.reported_width()).into(),
         Request::Speed => Value::Speed(device.readings().speed).into(),
         Request::Force => Value::Force(device.reported_force()).into(),
-        Request::Gripstate => Value::Gripstate(device.state()).into(),
+        Request::Gripstate => Value::Gripstate(device.motion().state()).into(),
         Request::Temp => Value::Temp(celsius(&device.readings())).into(),
         Request::Sysflags(select) => {
             Value::Sysflags(selected(select, device.flags(), |index| flag(device.flags(), index))).into()
         }
         Request::Gripstats(select) => {
-            let counts = device.statistics();
+            let counts = device.motion().statistics();
             Value::Gripstats(selected(select, counts, |index| count(counts, index))).into()
         }
 
@@ -159,9 +159,10 @@ fn start_grip(device: &mut Device, line: &TextSession, requester: Requester, gri
         Grip::Part { force, width } => (Some(force), Some(width), None),
         Grip::PartAtSpeed { force, width, speed } => (Some(force), Some(width), Some(speed)),
     };
+    let settings = device.motion().settings();
     let order = GripOrder {
         // The force applies to this grip only; the force limit of the binary protocol is unchanged.
-        force: force.map_or(device.force_limit(), |force| device.possible_force(force)),
+        force: force.map_or(settings.force_limit(), |force| settings.possible_force(force)),
         width,
         speed: speed.unwrap_or(device.config().speed),
         tolerance: line.part_width_tolerance,

@@ -242,7 +242,7 @@ impl Caller {
 
     /// Executes a motion and waits for its end.
     fn motion(&self, lua: &Lua, call: &str, order: Command<'static>) -> Result<u16> {
-        let status = self.command(lua, call, move |hub| command(hub, &order))?;
+        let status = self.execute(lua, call, order)?;
         if status != Status::Success.code() {
             return Ok(status);
         }
@@ -259,7 +259,33 @@ impl Caller {
     }
 
     /// Executes a command and returns its status. An error status is logged once.
-    fn command(&self, lua: &Lua, call: &str, act: impl FnOnce(&Hub) -> Status) -> Result<u16> {
+    fn execute(&self, lua: &Lua, call: &str, order: Command<'static>) -> Result<u16> {
+        self.status(lua, call, |hub| hub.act(|gripper, now| gripper.command(&order, now)))
+    }
+
+    /// Sets a number, if one is given, with the command that `order` returns.
+    fn set(
+        &self,
+        lua: &Lua,
+        call: &str,
+        number: Option<f32>,
+        unit: &str,
+        order: impl FnOnce(f32) -> Command<'static>,
+    ) -> Result<()> {
+        match number {
+            Some(number) if number.is_finite() => self.execute(lua, call, order(number)).map(drop),
+            Some(_) => Err(wrong(format_args!("{call}: expected {unit}"))),
+            None => Ok(()),
+        }
+    }
+
+    /// Starts velocity mode at this speed in mm/s.
+    fn run_at(&self, lua: &Lua, call: &str, speed: f32) -> Result<u16> {
+        self.status(lua, call, |hub| hub.act(|gripper, now| gripper.run_for_script(speed, now)))
+    }
+
+    /// Calls `act` with the gripper and returns its status. An error status is logged once.
+    fn status(&self, lua: &Lua, call: &str, act: impl FnOnce(&Hub) -> Status) -> Result<u16> {
         let status = self.ask(act)?;
         if matches!(status, Status::Success | Status::CmdPending) {
             return Ok(Status::Success.code());
@@ -289,10 +315,6 @@ fn measured_force(hub: &Hub) -> f32 {
         let per_jaw = gripper.state().force / 2.0;
         [Jaw::One, Jaw::Two].iter().map(|jaw| gripper.finger(*jaw).1.unwrap_or(per_jaw)).sum()
     })
-}
-
-fn command(hub: &Hub, command: &Command<'_>) -> Status {
-    hub.act(|gripper, now| gripper.command(command, now))
 }
 
 /// Builds a function that raises the error returned by another one in the form scripts expect: a text with the position
@@ -447,9 +469,7 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
         .function("speed", |lua, caller, speed: Option<f32>| match speed {
             None => caller.ask(|hub| state(hub).speed),
             Some(speed) => {
-                caller.command(lua, "mc.speed", move |hub| {
-                    hub.act(|gripper, now| gripper.run_for_script(speed, now))
-                })?;
+                caller.run_at(lua, "mc.speed", speed)?;
                 Ok(speed)
             }
         })?
@@ -460,42 +480,23 @@ fn motions(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             if !width.is_finite() || !speed.is_finite() {
                 return Err(wrong(format_args!("mc.move: expected a width in mm and a speed in mm/s")));
             }
-            caller.command(lua, "mc.move", |hub| command(hub, &Command::PrePosition { flags, width, speed }))
+            caller.execute(lua, "mc.move", Command::PrePosition { flags, width, speed })
         })?
-        .function("stop", |lua, caller, ()| {
-            caller.command(lua, "mc.stop", |hub| command(hub, &Command::Stop))
-        })?
+        .function("stop", |lua, caller, ()| caller.execute(lua, "mc.stop", Command::Stop))?
         .function("force", |lua, caller, force: Option<f32>| {
-            match force {
-                Some(force) if force.is_finite() => {
-                    caller.command(lua, "mc.force", move |hub| {
-                        command(hub, &Command::SetForceLimit { force })
-                    })?;
-                }
-                Some(_) => return Err(wrong(format_args!("mc.force: expected a force in N"))),
-                None => {}
-            }
+            caller.set(lua, "mc.force", force, "a force in N", |force| Command::SetForceLimit { force })?;
             caller.ask(|hub| (measured_force(hub), state(hub).force_limit))
         })?
         .function("acceleration", |lua, caller, acceleration: Option<f32>| {
-            match acceleration {
-                Some(acceleration) if acceleration.is_finite() => {
-                    caller.command(lua, "mc.acceleration", move |hub| {
-                        command(hub, &Command::SetAcceleration { acceleration })
-                    })?;
-                }
-                Some(_) => return Err(wrong(format_args!("mc.acceleration: expected mm/s²"))),
-                None => {}
-            }
+            let order = |acceleration| Command::SetAcceleration { acceleration };
+            caller.set(lua, "mc.acceleration", acceleration, "mm/s²", order)?;
             caller.ask(|hub| state(hub).acceleration)
         })?
         .function("softlimits", |lua, caller, limits: (Option<f32>, Option<f32>)| {
             match limits {
                 (Some(minus), Some(plus)) if minus.is_finite() && plus.is_finite() => {
                     let limits = SoftLimits { minus, plus };
-                    caller.command(lua, "mc.softlimits", move |hub| {
-                        command(hub, &Command::SetSoftLimits { limits })
-                    })?;
+                    caller.execute(lua, "mc.softlimits", Command::SetSoftLimits { limits })?;
                 }
                 (None, None) => {}
                 _ => return Err(wrong(format_args!("mc.softlimits: expected two widths in mm"))),
@@ -556,10 +557,8 @@ fn grasping(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
                 return Ok(status);
             }
             let from = caller.ask(|hub| state(hub).width)?;
-            let status = caller.command(lua, "grasping.clamp", |hub| {
-                let speed = -hub.config().speed;
-                hub.act(|gripper, now| gripper.run_for_script(speed, now))
-            })?;
+            let speed = caller.ask(|hub| hub.config().speed)?;
+            let status = caller.run_at(lua, "grasping.clamp", -speed)?;
             if status != Status::Success.code() {
                 return Ok(status);
             }
@@ -574,11 +573,11 @@ fn grasping(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
             if is_clamped {
                 return Ok(status);
             }
-            caller.command(lua, "grasping.clamp", |hub| command(hub, &Command::Stop))?;
+            caller.execute(lua, "grasping.clamp", Command::Stop)?;
             Ok(Status::CmdFailed.code())
         })?
         .function("stop_clamping", |lua, caller, ()| {
-            caller.command(lua, "grasping.stop_clamping", |hub| command(hub, &Command::Stop))
+            caller.execute(lua, "grasping.stop_clamping", Command::Stop)
         })?;
     Ok(())
 }
@@ -586,7 +585,7 @@ fn grasping(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
 /// Sets the force limit, if given. Returns the status if it was rejected.
 fn refused_force(lua: &Lua, caller: &Caller, call: &str, force: Option<f32>) -> Result<Option<u16>> {
     let Some(force) = force else { return Ok(None) };
-    let status = caller.command(lua, call, move |hub| command(hub, &Command::SetForceLimit { force }))?;
+    let status = caller.execute(lua, call, Command::SetForceLimit { force })?;
     Ok((status != Status::Success.code()).then_some(status))
 }
 
@@ -619,7 +618,7 @@ fn sensors(lua: &Lua, caller: &Rc<Caller>) -> Result<()> {
                 Jaw::One => Command::Finger1Power { enabled },
                 Jaw::Two => Command::Finger2Power { enabled },
             };
-            caller.command(lua, "finger.power", move |hub| command(hub, &order))
+            caller.execute(lua, "finger.power", order)
         })?;
     Ok(())
 }
