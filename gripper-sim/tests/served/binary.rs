@@ -1,13 +1,16 @@
 //! The servers on real sockets and terminals, and the binary. Every wait is bounded by a socket time-out.
 
 use crate::common::{grip, parse};
-use crate::rig::{BOUND, Client, HOMING, Logged, QUICK, READABLE, frame, scratch, serve, tcp_lines};
-use std::io::{self, Read, Write};
+use crate::rig::{
+    BOUND, Client, HOMING, Logged, QUICK, READABLE, await_true, frame, recv_datagram, scratch, serve,
+    tcp_lines, udp_socket,
+};
+use std::io::{self, Write};
 use std::net::UdpSocket;
 use std::process::Command as Process;
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
-use wsg_protocol::{AutoUpdate, Command, LoopData, Status};
+use wsg_protocol::{AutoUpdate, Command, Status};
 use wsg_sim::server::{Lines, Log, Profile, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part};
 
@@ -38,15 +41,6 @@ fn real_profile_answers_three_requests_in_turn_15_times_a_second_at_the_most() {
         }
     }
     assert!(start.elapsed() >= Duration::from_millis(5 * 66), "{:?}", start.elapsed());
-}
-
-#[test]
-fn tcp_loop_of_eight_ff_is_a_handshake() {
-    let served = serve_tcp(Config::default());
-    let mut client = Client::of(&served);
-    client.send(Command::Loop { data: LoopData::new(&[0xFF; 8]).unwrap() });
-    let (id, payload) = client.recv();
-    assert_eq!((id, &payload[2..]), (0x06, &[0xFF; 8][..]));
 }
 
 #[test]
@@ -95,16 +89,12 @@ fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again()
     }
     assert_eq!(uninterrupted::read(Client::of(&served).0, &mut [0]).unwrap(), 0);
     drop(clients.pop());
-    let start = Instant::now();
-    loop {
+    await_true("the place was not released", || {
         let mut next = Client::of(&served);
         next.send(Command::GetForceLimit);
         // The attempt may precede the release of the place; the server then closes it, too.
-        if matches!(uninterrupted::read(&next.0, &mut [0; MAX_FRAME_LEN]), Ok(1..)) {
-            break;
-        }
-        assert!(start.elapsed() < BOUND, "the place was not released");
-    }
+        matches!(uninterrupted::read(&next.0, &mut [0; MAX_FRAME_LEN]), Ok(1..))
+    });
 }
 
 #[test]
@@ -125,21 +115,8 @@ fn tcp_pipelined_requests_are_all_answered_in_order() {
 }
 
 #[test]
-fn tcp_updates_arrive_by_themselves() {
-    let served = serve_tcp(Config::default());
-    let mut client = Client::of(&served);
-    client.send(Command::GetForce { update: AutoUpdate::every(10) });
-    // Several updates may be queued before this thread reads.
-    let mut answers = [0; 6 * 14];
-    client.0.read_exact(&mut answers).expect("six answers in time");
-    let ids: Vec<u8> = parse(&answers).into_iter().map(|(id, _)| id).collect();
-    assert_eq!(ids, [0x45; 6]);
-}
-
-#[test]
 fn udp_answers_go_to_the_fixed_remote_port_for_any_source_port() {
-    let listener = UdpSocket::bind("127.0.0.1:0").unwrap();
-    listener.set_read_timeout(Some(BOUND)).unwrap();
+    let listener = udp_socket();
     let udp = UdpLine {
         address: "127.0.0.1:0".parse().unwrap(),
         remote_port: listener.local_addr().unwrap().port(),
@@ -149,13 +126,11 @@ fn udp_answers_go_to_the_fixed_remote_port_for_any_source_port() {
         Lines { udp: Some(udp), ..Lines::default() },
     );
     let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
-    let mut buffer = [0; 2_048];
     for (command, answers) in [(Command::GetForceLimit, 1), (HOMING, 2), (Command::DisconnectAnnouncement, 1)]
     {
         uninterrupted::send_to(&sender, &frame(command), served.udp_address().unwrap()).unwrap();
         for _ in 0..answers {
-            let (len, _) = uninterrupted::recv_from(&listener, &mut buffer).expect("an answer in time");
-            let frames = parse(&buffer[..len]);
+            let frames = parse(&recv_datagram(&listener).0);
             assert_eq!(frames.len(), 1, "one frame per datagram");
             assert_eq!(frames[0].0, command.id().code());
         }

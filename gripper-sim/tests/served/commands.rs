@@ -2,10 +2,9 @@
 
 use crate::common::go_to;
 use crate::control::{Rig, request};
-use crate::rig::{BOUND, HOMING, connect};
+use crate::rig::{HOMING, await_some, await_true, connect};
 use serde_json::{Value, json};
 use std::net::TcpStream;
-use std::time::Instant;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message, WebSocket};
 use wsg_protocol::{Command, Status};
@@ -36,16 +35,12 @@ impl Page {
 
     /// Returns the data of the next event of this kind.
     fn next(&mut self, kind: &str) -> Value {
-        let start = Instant::now();
-        loop {
-            assert!(start.elapsed() < BOUND, "no {kind}");
+        await_some(kind, || {
             let message = self.0.read().expect("an event in time");
             let text = message.to_text().unwrap();
             let (first, data) = text.trim_end().split_once("\ndata: ").expect("an event");
-            if first == format!("event: {kind}") {
-                return serde_json::from_str(data).expect("JSON");
-            }
-        }
+            (first == format!("event: {kind}")).then(|| serde_json::from_str(data).expect("JSON"))
+        })
     }
 
     fn send(&mut self, text: &str) {
@@ -302,10 +297,7 @@ fn fast_stop_of_a_page_that_reads_nothing_is_executed() {
         page.send(r#"{"id":1,"body":{"command":"stop"}}"#);
     }
     page.send(r#"{"id":2,"body":{"command":"fast_stop"}}"#);
-    let start = Instant::now();
-    while !rig.state()["system_state"].to_string().contains("FAST_STOP") {
-        assert!(start.elapsed() < BOUND);
-    }
+    await_true("the FAST STOP", || rig.state()["system_state"].to_string().contains("FAST_STOP"));
 }
 
 #[test]
@@ -321,10 +313,7 @@ fn websocket_of_another_page_is_refused_and_a_message_that_is_too_long_closes_it
     page.send(&format!("{:4096}", ""));
     assert_eq!(page.next("answer")["status"], 400);
     page.send(&format!("{:4097}", ""));
-    let start = Instant::now();
-    while page.0.read().is_ok() {
-        assert!(start.elapsed() < BOUND, "the server reads a message that is too long");
-    }
+    await_true("the server reads a message that is too long", || page.0.read().is_err());
     let state = request(rig.server.control_address().unwrap(), "GET", "/state", "");
     assert_eq!(state.0, 200);
 }
@@ -367,8 +356,7 @@ fn request_of_a_client_that_has_closed_its_connection_is_discarded() {
     program.signal(Signal::STOP);
     drop(post(r#"{"command":"fast_stop"}"#));
     program.signal(Signal::CONT);
-    let start = Instant::now();
-    while request(&control, "GET", "/state", "").1["system_state"] != json!(["FAST_STOP"]) {
-        assert!(start.elapsed() < BOUND, "a stop is executed");
-    }
+    await_true("a stop is executed", || {
+        request(&control, "GET", "/state", "").1["system_state"] == json!(["FAST_STOP"])
+    });
 }

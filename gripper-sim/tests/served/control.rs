@@ -2,10 +2,13 @@
 
 use crate::common::{go_to, grip, parse};
 use crate::modbus::Master;
-use crate::rig::{BOUND, Client, HOMING, Logged, any_port, connect, frame, http, serve};
+use crate::rig::{
+    BOUND, Client, HOMING, Logged, any_port, await_some, await_true, connect, frame, http, recv_datagram,
+    serve, udp_socket,
+};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
-use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
+use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 use wsg_protocol::{Command, FrameEncoder, LoopData, Status};
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
@@ -86,10 +89,7 @@ impl Rig {
 
     /// Waits until this number of frames of a direction has passed the line or was dropped on it.
     fn await_frames(&self, direction: &str, count: u64) {
-        let start = Instant::now();
-        while self.state()["line_counts"][direction]["frames"] != json!(count) {
-            assert!(start.elapsed() < BOUND, "{}", self.state());
-        }
+        await_true(direction, || self.state()["line_counts"][direction]["frames"] == json!(count));
     }
 
     fn flags(&self) -> Vec<String> {
@@ -323,14 +323,10 @@ impl Watching {
 
     /// Skips events until `is_it` returns `true`.
     fn until(&mut self, is_it: impl Fn(&str, &Value) -> bool) -> Value {
-        let start = Instant::now();
-        loop {
+        await_some("an event", || {
             let (kind, data) = self.next();
-            if is_it(&kind, &data) {
-                return data;
-            }
-            assert!(start.elapsed() < BOUND, "{kind} {data}");
-        }
+            is_it(&kind, &data).then_some(data)
+        })
     }
 }
 
@@ -453,11 +449,8 @@ fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
         page.until(|kind, _| kind == "state");
     }
     drop(pages);
-    let start = Instant::now();
     // The place of a closed page is available again once the system reports its end.
-    while rig.request_status("/events") != 200 {
-        assert!(start.elapsed() < BOUND);
-    }
+    await_true("a place for a page", || rig.request_status("/events") == 200);
 }
 
 #[test]
@@ -489,11 +482,8 @@ fn endless_heads_are_refused() {
     let mut stream = rig.control();
     stream.write_all(b"GET /state HTTP/1.1\r\n").unwrap();
     let line = format!("X: {}\r\n", "x".repeat(1_000));
-    let start = Instant::now();
     // The server answers and closes; data in transit may then reset the connection.
-    while stream.write_all(line.as_bytes()).is_ok() {
-        assert!(start.elapsed() < BOUND, "the head is not limited");
-    }
+    await_true("the head is not limited", || stream.write_all(line.as_bytes()).is_err());
     assert_eq!(rig.state()["model"], "wsg50-110");
 }
 
@@ -591,8 +581,7 @@ fn same_seed_hits_the_same_frames() {
 
 #[test]
 fn datagrams_are_hit_as_well() {
-    let remote = UdpSocket::bind("127.0.0.1:0").unwrap();
-    remote.set_read_timeout(Some(BOUND)).unwrap();
+    let remote = udp_socket();
     let remote_port = remote.local_addr().unwrap().port();
     let udp = any_port().map(|address| UdpLine { address, remote_port });
     let lines = Lines { tcp: any_port(), udp, control: any_port(), ..Lines::default() };
@@ -602,9 +591,7 @@ fn datagrams_are_hit_as_well() {
     let to = rig.server.udp_address().unwrap();
     uninterrupted::send_to(&remote, &frame(Command::GetForceLimit), to).unwrap();
     for _ in 0..2 {
-        let mut datagram = [0; MAX_FRAME_LEN];
-        let (len, _) = uninterrupted::recv_from(&remote, &mut datagram).expect("two datagrams in time");
-        assert_eq!(datagram[..len], frame_of_force_limit());
+        assert_eq!(recv_datagram(&remote).0, frame_of_force_limit());
     }
     assert!(asked.elapsed() >= Duration::from_millis(30));
 }
@@ -617,10 +604,7 @@ fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
         for _ in 0..20 {
             rig.client.send(Command::GetForceLimit);
         }
-        let start = Instant::now();
-        while rig.state()["line_counts"]["requests"][counted] != json!(20) {
-            assert!(start.elapsed() < BOUND, "{}", rig.state());
-        }
+        await_true(fault, || rig.state()["line_counts"]["requests"][counted] == json!(20));
         let arrived = rig.bytes_until_mended();
         let ids: Vec<u8> = parse(&arrived).into_iter().map(|(id, _)| id).collect();
         assert_eq!(ids, [0x06], "{fault}");
@@ -682,8 +666,7 @@ fn faults_of_replies_leave_requests_alone_and_by_default_both_are_hit() {
 
 #[test]
 fn datagrams_text_and_modbus_to_the_gripper_are_hit_as_well() {
-    let remote = UdpSocket::bind("127.0.0.1:0").unwrap();
-    remote.set_read_timeout(Some(BOUND)).unwrap();
+    let remote = udp_socket();
     let any = any_port();
     let lines = Lines { tcp: any, gcl: any, gcl_udp: any, modbus: any, control: any, ..Lines::default() };
     let rig = Rig::of(serve(Config::default(), lines));
@@ -692,9 +675,7 @@ fn datagrams_text_and_modbus_to_the_gripper_are_hit_as_well() {
     rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));
     uninterrupted::send_to(&remote, b"VERBOSE?", rig.server.gcl_udp_address().unwrap()).unwrap();
     for _ in 0..2 {
-        let mut datagram = [0; MAX_FRAME_LEN];
-        let (len, _) = uninterrupted::recv_from(&remote, &mut datagram).expect("two answers in time");
-        assert!(datagram[..len].ends_with(b"\n"));
+        assert!(recv_datagram(&remote).0.ends_with(b"\n"));
     }
     gcl.write_all(b"DEVTYPE?\r\n").unwrap();
     let mut text = [0; 42];

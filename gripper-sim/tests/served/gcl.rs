@@ -1,6 +1,6 @@
 //! The text protocol on real sockets, and the binary. Every wait is bounded by a socket time-out.
 
-use crate::rig::{BOUND, Logged, READABLE, any_port, connect, serve};
+use crate::rig::{BOUND, Logged, READABLE, any_port, connect, recv_datagram, serve, udp_socket};
 use std::io::Write;
 use std::net::{Shutdown, TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::{Duration, Instant};
@@ -9,13 +9,6 @@ use wsg_sim::{Config, Part};
 
 fn lines() -> Lines {
     Lines { gcl: any_port(), gcl_udp: any_port(), ..Lines::default() }
-}
-
-/// Returns a socket with a time-out for every wait.
-fn udp_socket() -> UdpSocket {
-    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-    socket.set_read_timeout(Some(BOUND)).unwrap();
-    socket
 }
 
 /// A client that treats the result of one read as one line.
@@ -87,12 +80,11 @@ fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
 fn datagrams_are_answered_to_their_source_port() {
     let served = serve(Config::default(), lines());
     let socket = udp_socket();
-    let mut buffer = [0; 1_024];
     // With and without a line end.
     for line in ["devtype?\r\n", "devtype?"] {
         uninterrupted::send_to(&socket, line.as_bytes(), served.gcl_udp_address().unwrap()).unwrap();
-        let (len, from) = uninterrupted::recv_from(&socket, &mut buffer).expect("an answer in time");
-        assert_eq!(&buffer[..len], b"DEVTYPE=\"WSG 50-110\"\n");
+        let (answer, from) = recv_datagram(&socket);
+        assert_eq!(answer, b"DEVTYPE=\"WSG 50-110\"\n");
         assert_eq!(Some(from), served.gcl_udp_address());
     }
 }
@@ -102,17 +94,15 @@ fn datagram_from_another_peer_ends_the_updates_of_the_previous_one() {
     let served = serve(Config::default(), lines());
     let gripper = served.gcl_udp_address().unwrap();
     let [first, second] = [udp_socket(), udp_socket()];
-    let mut buffer = [0; 512];
     uninterrupted::send_to(&first, b"AUTOSEND(\"FORCE\",10)", gripper).unwrap();
     // The acknowledgement and some updates.
     for _ in 0..3 {
-        uninterrupted::recv_from(&first, &mut buffer).expect("a datagram in time");
+        recv_datagram(&first);
     }
     let start = Instant::now();
     while start.elapsed() < Duration::from_millis(100) {
         uninterrupted::send_to(&second, b"SN?", gripper).unwrap();
-        let (len, _) = uninterrupted::recv_from(&second, &mut buffer).expect("an answer in time");
-        assert_eq!(buffer[..len].trim_ascii_end(), b"SN=1");
+        assert_eq!(recv_datagram(&second).0, b"SN=1\n");
     }
 }
 
@@ -149,7 +139,5 @@ fn peer_that_echoes_answers_is_not_answered_forever() {
     assert!(answers > 1, "an invalid line is answered");
     uninterrupted::send_to(&peer, b"SN?\n", gripper).unwrap();
     peer.set_read_timeout(Some(BOUND)).unwrap();
-    let mut buffer = [0; 1_024];
-    let (len, _) = uninterrupted::recv_from(&peer, &mut buffer).expect("a query is answered");
-    assert_eq!(&buffer[..len], b"SN=1\n");
+    assert_eq!(recv_datagram(&peer).0, b"SN=1\n", "a query is answered");
 }

@@ -3,7 +3,7 @@
 //! The expected behaviour is that of the MODBUS application protocol specification and the messaging implementation guide.
 
 use crate::common::program::Program;
-use crate::rig::{BOUND, Client, Logged, QUICK, any_port, connect};
+use crate::rig::{BOUND, Client, Logged, QUICK, any_port, await_some, await_true, connect};
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Instant;
@@ -80,13 +80,7 @@ impl Master {
 
     /// Waits until the current command has its result.
     fn wait_for_result(&mut self) -> u8 {
-        let end = Instant::now() + BOUND;
-        loop {
-            match self.status() {
-                26 if Instant::now() < end => {}
-                status => return status,
-            }
-        }
+        await_some("the result", || Some(self.status()).filter(|status| *status != 26))
     }
 
     pub(crate) fn run(&mut self, flags: u8) {
@@ -353,10 +347,7 @@ fn program_serves_modbus_and_says_where() {
     let mut master = Master::new(program.place_of("modbus"));
     master.ask(&[6, 0, 0, 0, 0]);
     master.ask(&[6, 0, 0, 0x08, 0]);
-    let start = Instant::now();
-    while master.ask(&[4, 0, 5, 0, 1]) != [4, 2, 0, 0] {
-        assert!(start.elapsed() < BOUND, "homing did not end");
-    }
+    await_true("homing did not end", || master.ask(&[4, 0, 5, 0, 1]) == [4, 2, 0, 0]);
     assert_eq!(master.ask(&[4, 0, 3, 0, 1]), [4, 2, 0xF8, 0x2A], "110.00 mm, low byte first");
 }
 
@@ -370,9 +361,6 @@ fn user_flags_reach_a_script_and_come_from_it() {
     // IF1 is coil 8, OF1 input 8.
     for (inputs, outputs) in [(0b0000_0001, 0b0100_0000), (0b1000_0110, 0b1011_0000), (0, 0)] {
         assert_eq!(master.ask(&[15, 0, 8, 0, 8, 1, inputs]), [15, 0, 8, 0, 8]);
-        let end = Instant::now() + BOUND;
-        while master.ask(&[2, 0, 8, 0, 8]) != [2, 1, outputs] {
-            assert!(Instant::now() < end, "{inputs:08b}");
-        }
+        await_true("the outputs", || master.ask(&[2, 0, 8, 0, 8]) == [2, 1, outputs]);
     }
 }

@@ -1,7 +1,7 @@
 //! The gripper as a PROFIBUS slave on a pseudo terminal, with the `profirust` master. Every wait is bounded.
 
 use crate::control::request;
-use crate::rig::{BOUND, QUICK, any_port, open_adapter, open_terminal, serve};
+use crate::rig::{BOUND, QUICK, any_port, await_true, open_adapter, open_terminal, serve};
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
 use profirust::phy::ProfibusPhy;
@@ -137,10 +137,7 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
     assert_eq!(outputs(), plc.image.to_bytes());
     // Global_Control to all stations: Clear_Data, sent in place of the silent profirust master.
     plc.line.line.write_all(&[0x68, 7, 7, 0x68, 0xFF, 0x82, 0x46, 58, 62, 2, 0, 0x41, 0x16]).unwrap();
-    let start = RealInstant::now();
-    while outputs() != [0; OutputImage::LEN] {
-        assert!(start.elapsed() < BOUND, "{:?}", outputs());
-    }
+    await_true("outputs of zeros", || outputs() == [0; OutputImage::LEN]);
 }
 
 /// Fieldbus manual, 7: the monitor shows the bit rate of a line that has one.

@@ -2,7 +2,7 @@
 
 use crate::common::parse;
 use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream, ToSocketAddrs};
+use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use wsg_protocol::{AutoUpdate, Command, FrameEncoder, HomingDirection, Status, SystemFlags};
@@ -17,6 +17,41 @@ pub(crate) const QUICK: f32 = 100.0;
 pub(crate) const READABLE: f32 = 0.5;
 
 pub(crate) const HOMING: Command<'static> = Command::Homing { direction: HomingDirection::Positive };
+
+/// Repeats `attempt` until it returns something. `what` names the missing thing in the error after [`BOUND`].
+#[track_caller]
+pub(crate) fn await_some<T>(what: &str, mut attempt: impl FnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = attempt() {
+            return found;
+        }
+        assert!(start.elapsed() < BOUND, "{what}");
+        std::thread::yield_now();
+    }
+}
+
+/// Waits until `holds` returns `true`.
+#[track_caller]
+pub(crate) fn await_true(what: &str, mut holds: impl FnMut() -> bool) {
+    await_some(what, || holds().then_some(()));
+}
+
+/// Returns a socket with a time-out for every wait.
+pub(crate) fn udp_socket() -> UdpSocket {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    socket.set_read_timeout(Some(BOUND)).unwrap();
+    socket
+}
+
+/// Returns the next datagram and its sender.
+#[track_caller]
+pub(crate) fn recv_datagram(socket: &UdpSocket) -> (Vec<u8>, SocketAddr) {
+    let mut buffer = vec![0; 2_048];
+    let (len, from) = uninterrupted::recv_from(socket, &mut buffer).expect("a datagram in time");
+    buffer.truncate(len);
+    (buffer, from)
+}
 
 /// Returns an address with a port that the system chooses.
 pub(crate) fn any_port() -> Option<SocketAddr> {
@@ -72,15 +107,7 @@ impl Logged {
 
     /// Waits until `look` finds something in the log so far.
     pub(crate) fn until<T>(&self, mut look: impl FnMut(&str) -> Option<T>) -> T {
-        let start = Instant::now();
-        loop {
-            let text = self.log.text();
-            if let Some(found) = look(&text) {
-                return found;
-            }
-            assert!(start.elapsed() < BOUND, "{text}");
-            std::thread::yield_now();
-        }
+        await_some("an entry of the log", || look(&self.log.text()))
     }
 
     /// Stops the server and returns the log.

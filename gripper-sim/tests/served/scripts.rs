@@ -1,7 +1,10 @@
 //! Lua scripts on the gripper. Every wait is bounded by a socket time-out.
 
 use crate::common::program::Program;
-use crate::rig::{BOUND, Client, File, HOMING, Logged, QUICK, connect, serve, tcp_lines};
+use crate::rig::{
+    BOUND, Client, File, HOMING, Logged, QUICK, await_some, connect, recv_datagram, serve, tcp_lines,
+    udp_socket,
+};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command as Process;
@@ -45,13 +48,7 @@ impl<S: Read + Write> Client<S> {
     }
 
     fn until<T>(&mut self, mut look: impl FnMut(&mut Self) -> Option<T>) -> T {
-        let start = Instant::now();
-        loop {
-            if let Some(found) = look(self) {
-                return found;
-            }
-            assert!(start.elapsed() < BOUND, "not in time");
-        }
+        await_some("an answer of the script", || look(self))
     }
 }
 
@@ -675,15 +672,12 @@ mod unix {
     use super::*;
     use crate::common::parse;
     use crate::rig::{any_port, scratch};
-    use std::net::UdpSocket;
     use std::os::unix::net::UnixStream;
-    use wsg_sim::MAX_FRAME_LEN;
     use wsg_sim::server::{SerialLine, UdpLine};
 
     #[test]
     fn script_answers_the_requester_over_udp_and_a_serial_line() {
-        let [answers, asks] = [0; 2].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
-        answers.set_read_timeout(Some(BOUND)).unwrap();
+        let [answers, asks] = [0; 2].map(|_| udp_socket());
         let remote_port = answers.local_addr().unwrap().port();
         let path = scratch("script-serial");
         let lines = Lines {
@@ -699,9 +693,7 @@ mod unix {
 
         let request: Vec<u8> = FrameEncoder::new(0xB0, &[0][..]).collect();
         uninterrupted::send_to(&asks, &request, served.udp_address().unwrap()).unwrap();
-        let mut datagram = [0; MAX_FRAME_LEN];
-        let (len, _) = uninterrupted::recv_from(&answers, &mut datagram).unwrap();
-        let (id, payload) = parse(&datagram[..len]).pop().unwrap();
+        let (id, payload) = parse(&recv_datagram(&answers).0).pop().unwrap();
         assert_eq!((id, payload.len()), (0xB0, 19));
         assert_eq!(serial.call(0xB0, &[]).0, Status::Success, "each client gets its own answer");
         served.stop().unwrap();

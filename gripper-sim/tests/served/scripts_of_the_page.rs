@@ -2,10 +2,9 @@
 
 use crate::common::program::Program;
 use crate::control::request;
-use crate::rig::BOUND;
+use crate::rig::await_some;
 use serde_json::{Value, json};
 use std::path::PathBuf;
-use std::time::Instant;
 
 struct Rig {
     program: Program,
@@ -55,14 +54,11 @@ impl Rig {
 
     /// Waits until the latest script has this state.
     fn until(&self, name: &str, state: &str) -> Value {
-        let start = Instant::now();
-        loop {
+        await_some(state, || {
             let answer = self.request("GET", "/scripts", "").1;
-            if answer["latest"]["name"] == name && answer["latest"]["state"] == state {
-                return answer;
-            }
-            assert!(start.elapsed() < BOUND, "{state}: {answer}");
-        }
+            let latest = &answer["latest"];
+            (latest["name"] == name && latest["state"] == state).then_some(answer)
+        })
     }
 }
 

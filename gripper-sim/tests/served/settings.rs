@@ -3,11 +3,10 @@
 use crate::common::program::Program;
 use crate::common::{go_to, grip};
 use crate::control::request;
-use crate::rig::{BOUND, Client, File, connect};
+use crate::rig::{Client, File, await_true, connect};
 use serde_json::{Value, json};
 use std::io::Write;
 use std::net::TcpStream;
-use std::time::Instant;
 use wsg_protocol::{Command, HomingDirection, Status};
 
 /// The program with a configuration file.
@@ -191,10 +190,7 @@ fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
     assert_eq!(rig.program.place_of("control"), rig.control);
     connect(&modbus);
     assert_eq!(rig.setting("model")["pending"], json!(false));
-    let start = Instant::now();
-    while !rig.flags().contains(&"REFERENCED".to_owned()) {
-        assert!(start.elapsed() < BOUND, "it must home at the start");
-    }
+    await_true("it must home at the start", || rig.flags().contains(&"REFERENCED".to_owned()));
     let (_, log) = rig.request("GET", "/log", "");
     let texts: Vec<&str> =
         log["entries"].as_array().unwrap().iter().map(|entry| entry["text"].as_str().unwrap()).collect();

@@ -2,9 +2,8 @@
 
 use crate::common::program::Program;
 use crate::control::Rig;
-use crate::rig::{BOUND, Client};
+use crate::rig::{Client, await_some, await_true};
 use serde_json::{Value, json};
-use std::time::Instant;
 use wsg_protocol::types::AckKey;
 use wsg_protocol::{Command, Status};
 use wsg_sim::Config;
@@ -20,14 +19,10 @@ fn entries(rig: &Rig) -> Vec<[String; 3]> {
 
 /// Waits for an entry and returns its severity and source.
 fn until(rig: &Rig, text: &str) -> [String; 2] {
-    let start = Instant::now();
-    loop {
-        let entries = entries(rig);
-        if let Some([severity, source, _]) = entries.iter().find(|entry| entry[2] == text) {
-            return [severity.clone(), source.clone()];
-        }
-        assert!(start.elapsed() < BOUND, "{text}: {entries:#?}");
-    }
+    await_some(text, || {
+        let [severity, source, _] = entries(rig).into_iter().find(|entry| entry[2] == text)?;
+        Some([severity, source])
+    })
 }
 
 #[test]
@@ -115,10 +110,7 @@ fn log_is_a_file_on_request_and_by_option() {
             let text = std::fs::read_to_string(&path).unwrap_or_default();
             text.lines().filter(|line| line.ends_with("info    gripper: started as wsg50-110")).count()
         };
-        let start = Instant::now();
-        while starts() < count {
-            assert!(start.elapsed() < BOUND, "start {count} must append a line");
-        }
+        await_true("each start must append a line", || starts() >= count);
     }
     std::fs::remove_file(&path).unwrap();
 

@@ -3,7 +3,7 @@
 
 use super::{Gripper, STATE, flag_is_on, home};
 use crate::control::request;
-use crate::rig::{BOUND, Client, HOMING, connect};
+use crate::rig::{Client, HOMING, await_some, connect};
 use browser::Tab;
 use rustix::process::Signal;
 use serde_json::json;
@@ -79,13 +79,7 @@ fn stop_by_click(gripper: &Gripper, tab: &mut Tab) -> f64 {
            return [x + width / 2, y + height / 2]; })()",
     );
     tab.click_at(&place);
-    let start = Instant::now();
-    let stopped_s = loop {
-        if let Some(stopped_s) = stops().get(before) {
-            break *stopped_s;
-        }
-        assert!(start.elapsed() < BOUND, "the gripper has received no FAST STOP");
-    };
+    let stopped_s = await_some("the gripper has received no FAST STOP", || stops().get(before).copied());
     let times = tab.until("clickedAt !== null && [clickedAt, least]");
     stopped_s * 1e3 + times[1].as_f64().unwrap() - times[0].as_f64().unwrap()
 }
