@@ -213,8 +213,8 @@ impl Axis {
         self.drive = Some(travel);
         self.speed = 0.0;
         let direction = Direction::of(travel.target - self.width);
-        let stands = !self.has_arrived() && self.room().is_some_and(|room| room <= NOTHING);
-        self.block = self.block.filter(|block| stands && block.direction == direction);
+        let is_blocked = !self.has_arrived() && self.room().is_some_and(|room| room <= NOTHING);
+        self.block = self.block.filter(|block| is_blocked && block.direction == direction);
     }
 
     /// Sets the speed at which the active travel begins, if it has this direction: it replaces another travel.

@@ -11,7 +11,7 @@ use crate::finger::{Finger, FingerPort, Jaw};
 use crate::journal::Cause;
 use crate::motion::{GripOrder, MotionControl};
 use crate::port::{Completion, PortId, Request};
-use crate::script::{Script, ScriptState};
+use crate::script::{ScriptCommands, ScriptState};
 use crate::thermal::Thermal;
 use crate::time::{Time, earlier};
 use crate::updates::Readings;
@@ -40,7 +40,7 @@ pub(crate) struct Device {
     /// The cause of the latest change, for the system log.
     cause: Cause,
     tag: Tag,
-    script: Script,
+    script: ScriptCommands,
 }
 
 impl Device {
@@ -57,7 +57,7 @@ impl Device {
             was_stopped: false,
             cause: Cause::default(),
             tag: config.tag,
-            script: Script::default(),
+            script: ScriptCommands::default(),
             config,
         }
     }
@@ -214,7 +214,7 @@ impl Device {
         self.finger_mut(jaw).set_interface(true);
     }
 
-    pub(crate) const fn script_mut(&mut self) -> &mut Script {
+    pub(crate) const fn script_mut(&mut self) -> &mut ScriptCommands {
         &mut self.script
     }
 

@@ -66,7 +66,7 @@ pub(crate) struct Fieldbus {
     /// Whether FASTSTOP is set in the image that a Modbus master wrote last.
     modbus_fast_stop: bool,
     /// Time of the last Modbus request since a Modbus master has written.
-    heard: Option<Time>,
+    last_request: Option<Time>,
     masked: MaskedFlags,
     exchange: Exchange,
     /// The time of the controller's last Stop, and the speed in mm/s that it ended.
@@ -89,7 +89,7 @@ impl Fieldbus {
             written: OutputImage::ZERO,
             cyclic: None,
             modbus_fast_stop: false,
-            heard: None,
+            last_request: None,
             masked: MaskedFlags::NONE,
             exchange: Exchange::default(),
             stopped: None,
@@ -102,21 +102,21 @@ impl Fieldbus {
     pub(crate) fn serve(
         &mut self,
         device: &Device,
-        asked: Request,
+        sender: Request,
         request: &[u8],
         response: &mut [u8; MAX_PDU_LEN],
     ) -> usize {
         self.images.set_input(&self.input(device));
         let len = bus_modbus::serve(request, &mut Registers(&mut self.images), response);
         let written = self.images.take_written();
-        if self.heard.is_some() || written.is_some() {
-            self.heard = Some(asked.now);
+        if self.last_request.is_some() || written.is_some() {
+            self.last_request = Some(sender.now);
         }
         if let Some(image) = written {
             self.exchange.outputs = self.exchange.outputs.saturating_add(1);
             let is_first = core::mem::take(&mut self.is_new);
             self.modbus_fast_stop = image.flags.contains(CommandFlags::FASTSTOP);
-            self.write(device, asked.port, &image, is_first);
+            self.write(device, sender.port, &image, is_first);
         }
         len
     }
@@ -203,7 +203,7 @@ impl Fieldbus {
     /// Returns when the time-out of the Modbus masters expires.
     pub(crate) fn next_due(&self, device: &Device) -> Option<Time> {
         let timeout_ms = device.config().bus_timeout_ms;
-        self.heard.filter(|_| timeout_ms > 0).map(|heard| heard.plus_millis(timeout_ms.into()))
+        self.last_request.filter(|_| timeout_ms > 0).map(|at| at.plus_millis(timeout_ms.into()))
     }
 
     /// Handles the expired time-out of the Modbus masters. Returns whether it has expired.
@@ -212,7 +212,7 @@ impl Fieldbus {
         if is_due {
             self.is_new = true;
             self.modbus_fast_stop = false;
-            self.heard = None;
+            self.last_request = None;
             self.note_timeout();
             // A master with cyclic data exchange that has taken over stays in control.
             if self.cyclic.is_none_or(|(cyclic, _)| self.writer != Some(cyclic)) {
@@ -239,9 +239,9 @@ impl Fieldbus {
         let known_now = known(device);
         self.controller.handle(&Event::Reported(Value::GetSystemState(flags)), &known_now);
         self.controller.handle(&Event::Reported(Value::GetGripperState(state)), &known_now);
-        let mut asked = false;
+        let mut has_executed = false;
         while let Some(command) = self.controller.poll_command() {
-            asked = true;
+            has_executed = true;
             let id = command.id();
             if id == CommandId::Stop {
                 self.stopped = Some((now, device.motion().axis().speed()));
@@ -263,7 +263,7 @@ impl Fieldbus {
             };
             self.controller.handle(&event, &known(device));
         }
-        asked
+        has_executed
     }
 
     /// Lets the fingers continue at their speed if a jog was stopped just now in order to take over the values of the

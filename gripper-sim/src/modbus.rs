@@ -79,9 +79,9 @@ impl ModbusSession {
         match event {
             Event::Request(request) => {
                 let mut frame = [0; tcp::MAX_FRAME_LEN];
-                let request_of_port = Request { port: self.id, now };
-                let answer = request
-                    .answer(&mut frame, |pdu, place| fieldbus.serve(device, request_of_port, pdu, place));
+                let sender = Request { port: self.id, now };
+                let answer =
+                    request.answer(&mut frame, |pdu, place| fieldbus.serve(device, sender, pdu, place));
                 self.queue.push_answer(answer.len(), answer.iter().copied());
             }
             Event::Foreign { len } => self.dropped = self.dropped.saturating_add(len),

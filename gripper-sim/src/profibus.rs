@@ -26,11 +26,11 @@ pub(crate) struct ProfibusSlave {
     id: PortId,
     slave: Slave,
     /// When the last bytes were received.
-    heard: Option<Time>,
+    last_rx: Option<Time>,
     /// The last answer, until it is sent.
     answer: Vec<u8, MAX_TELEGRAM_LEN>,
     /// The flags of the last reported diagnosis.
-    told: SystemFlags,
+    reported_flags: SystemFlags,
     /// Whether outputs have been received since data exchange began. A flag set in the first outputs is not an edge.
     has_outputs: bool,
     replies_lost: u32,
@@ -41,9 +41,9 @@ impl ProfibusSlave {
         Self {
             id,
             slave: Slave::new(&PROFILE, Address::new(station)),
-            heard: None,
+            last_rx: None,
             answer: Vec::new(),
-            told: SystemFlags::empty(),
+            reported_flags: SystemFlags::empty(),
             has_outputs: false,
             replies_lost: 0,
         }
@@ -59,10 +59,10 @@ impl ProfibusSlave {
         let flags = device.flags();
         self.slave.show_inputs(&fieldbus.input(device).to_bytes());
         self.slave.show_diagnosis(&Diagnosis::device_part(flags), flags.intersects(Diagnosis::TRIGGERS));
-        if Diagnosis::is_due(self.told, flags) {
+        if Diagnosis::is_due(self.reported_flags, flags) {
             self.slave.announce_diagnosis();
         }
-        self.told = flags;
+        self.reported_flags = flags;
     }
 
     fn handle(&mut self, device: &Device, fieldbus: &mut Fieldbus, event: Event) {
@@ -114,8 +114,8 @@ impl Client for ProfibusSlave {
         bytes: &[u8],
     ) -> (usize, bool) {
         self.show(device, fieldbus);
-        let heard = self.heard.replace(now);
-        let is_silent = heard.is_none_or(|heard| now >= heard.plus_micros(SILENCE_MICROS));
+        let last_rx = self.last_rx.replace(now);
+        let is_silent = last_rx.is_none_or(|last_rx| now >= last_rx.plus_micros(SILENCE_MICROS));
         let mut silence_bits = if is_silent { SYNC_BITS } else { 0 };
         for (at, byte) in bytes.iter().enumerate() {
             let outcome = self.slave.push(Character::Byte(*byte), silence_bits, millis(now));
@@ -146,8 +146,8 @@ impl Client for ProfibusSlave {
     }
 
     fn next_due(&self, now: Time) -> Option<Time> {
-        let left_ms = self.slave.poll_timeout(millis(now))?;
-        Some(Time::from_millis(now.as_micros() / 1_000).plus_millis(left_ms.into()))
+        let remaining_ms = self.slave.poll_timeout(millis(now))?;
+        Some(Time::from_millis(now.as_micros() / 1_000).plus_millis(remaining_ms.into()))
     }
 
     fn has_frame(&self) -> bool {

@@ -40,14 +40,14 @@ pub enum ScriptState {
 
 /// The device's record of a script.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Script {
+pub(crate) struct ScriptCommands {
     state: ScriptState,
     /// One bit for each of [`SCRIPT_IDS`].
     claimed: u32,
     waiting: Deque<ScriptRequest, MAX_WAITING>,
 }
 
-impl Script {
+impl ScriptCommands {
     pub(crate) const fn state(&self) -> ScriptState {
         self.state
     }

@@ -151,13 +151,13 @@ impl Subscriptions {
 pub(crate) struct Silence {
     /// Time-out in seconds; 0 disables it.
     limit_s: u16,
-    heard: Time,
+    last_rx: Time,
 }
 
 impl Silence {
     pub(crate) const fn new(kind: PortKind, config: &Config) -> Self {
         let limit_s = if kind.is_connection() { 0 } else { config.updates_idle_s };
-        Self { limit_s, heard: Time::ZERO }
+        Self { limit_s, last_rx: Time::ZERO }
     }
 
     pub(crate) const fn reconfigure(&mut self, kind: PortKind, config: &Config) {
@@ -166,12 +166,12 @@ impl Silence {
 
     /// Restarts the time-out when the client sends.
     pub(crate) const fn end(&mut self, now: Time) {
-        self.heard = now;
+        self.last_rx = now;
     }
 
     /// Returns when the subscriptions end.
     pub(crate) fn due(&self) -> Option<Time> {
-        (self.limit_s > 0).then(|| self.heard.plus_millis(u64::from(self.limit_s) * 1_000))
+        (self.limit_s > 0).then(|| self.last_rx.plus_millis(u64::from(self.limit_s) * 1_000))
     }
 
     pub(crate) fn is_too_long(&self, now: Time) -> bool {

@@ -116,7 +116,7 @@ fn ops() -> impl Strategy<Value = Vec<Op>> {
 }
 
 /// The state that a gripper must keep, independent of the physics.
-struct Model {
+struct ReferenceModel {
     acceleration: f32,
     force_limit: f32,
     overdrive: bool,
@@ -124,7 +124,7 @@ struct Model {
     total: u32,
     no_part: u16,
     /// Grips whose outcome was reported to no client, because their client was gone.
-    untold_grips: u16,
+    unreported_grips: u16,
     /// A part held when the counts were reset may still be lost.
     held_at_reset: bool,
     /// Whether a FAST STOP has been caused and not acknowledged.
@@ -135,7 +135,7 @@ struct Model {
     motions: usize,
 }
 
-impl Model {
+impl ReferenceModel {
     /// Faults that refuse every motion until they end.
     const DISABLING: SystemFlags = SystemFlags::TEMP_FAULT.union(SystemFlags::POWER_FAULT);
 
@@ -147,7 +147,7 @@ impl Model {
             soft_limits: None,
             total: 0,
             no_part: 0,
-            untold_grips: 0,
+            unreported_grips: 0,
             held_at_reset: false,
             must_be_stopped: false,
             was_acknowledged: false,
@@ -184,8 +184,8 @@ impl Model {
             Command::SetSoftLimits { limits } => self.soft_limits = Some(limits),
             Command::ClearSoftLimits => self.soft_limits = None,
             Command::GetGrippingStatistics { reset: true } => {
-                let is_untold = before.gripper == GripperState::Gripping && self.motions == 0;
-                (self.total, self.no_part, self.untold_grips) = (0, 0, u16::from(is_untold));
+                let is_unreported = before.gripper == GripperState::Gripping && self.motions == 0;
+                (self.total, self.no_part, self.unreported_grips) = (0, 0, u16::from(is_unreported));
                 self.held_at_reset = matches!(before.gripper, GripperState::Holding | GripperState::Gripping);
             }
             Command::FastStop => self.must_be_stopped = true,
@@ -212,12 +212,12 @@ impl Model {
 
     /// Records a disconnect; the motion of the client continues.
     fn disconnected(&mut self, kind: PortKind, announced: bool, state: &State) {
-        self.untold_grips += u16::from(state.gripper == GripperState::Gripping);
+        self.unreported_grips += u16::from(state.gripper == GripperState::Gripping);
         self.motions = 0;
         self.must_be_stopped |= kind == PortKind::Tcp && !announced;
     }
 
-    fn check(&mut self, state: &State, tells_of_motions: bool) {
+    fn check(&mut self, state: &State, reports_motions: bool) {
         let State { flags, statistics, .. } = *state;
         assert!((0.0..=110.0).contains(&state.width), "{} mm", state.width);
         assert!(state.force >= 0.0 && state.force <= 130.0, "{} N", state.force);
@@ -226,7 +226,7 @@ impl Model {
         assert_eq!(flags.contains(SystemFlags::OVERDRIVE_MODE), self.overdrive);
 
         assert_eq!(statistics.total, self.total, "every started grip is counted");
-        assert!((self.no_part..=self.no_part + self.untold_grips).contains(&statistics.no_part));
+        assert!((self.no_part..=self.no_part + self.unreported_grips).contains(&statistics.no_part));
         let ended_badly = u32::from(statistics.no_part) + u32::from(statistics.part_lost);
         assert!(ended_badly <= statistics.total + u32::from(self.held_at_reset), "{statistics}");
 
@@ -248,7 +248,7 @@ impl Model {
             assert!(state.force > 0.0 && !flags.contains(SystemFlags::MOVING));
         }
         assert!(!flags.contains(SystemFlags::BLOCKED_MINUS | SystemFlags::BLOCKED_PLUS), "{flags}");
-        if tells_of_motions {
+        if reports_motions {
             assert_eq!(state.gripper.is_motion(), self.motions == 1, "{}", state.gripper);
         }
     }
@@ -260,11 +260,11 @@ struct Trial {
     gripper: VirtualGripper<2>,
     port: PortId,
     now: Time,
-    model: Model,
+    model: ReferenceModel,
     /// Commands without their second answer.
     pending: HashMap<CommandId, usize>,
     /// Whether all motions belong to this client, and none to an earlier one.
-    tells_of_motions: bool,
+    reports_motions: bool,
     commands: usize,
     sent: Vec<u8>,
 }
@@ -279,9 +279,9 @@ impl Trial {
             gripper,
             port,
             now: Time::ZERO,
-            model: Model::new(),
+            model: ReferenceModel::new(),
             pending: HashMap::new(),
-            tells_of_motions: true,
+            reports_motions: true,
             commands: 0,
             sent: Vec::new(),
         }
@@ -311,8 +311,8 @@ impl Trial {
             self.take_unsolicited(&frame);
         }
         let state = self.gripper.state();
-        self.tells_of_motions |= !state.gripper.is_motion();
-        self.model.check(&state, self.tells_of_motions);
+        self.reports_motions |= !state.gripper.is_motion();
+        self.model.check(&state, self.reports_motions);
     }
 
     /// Sends a request and takes its first answer, which must precede everything else.
@@ -350,7 +350,7 @@ impl Trial {
         self.gripper.disconnect(self.port, self.now);
         self.port = self.gripper.connect(self.kind).expect("the place is free again");
         self.pending.clear();
-        self.tells_of_motions = false;
+        self.reports_motions = false;
     }
 
     /// Takes a frame that is not a first answer: a second answer or an update.

@@ -30,7 +30,7 @@ pub(crate) fn run(lasting: Duration) -> Result<()> {
     let ended = AtomicBool::new(false);
     let (busy, most_kib) = thread::scope(|scope| -> Result<_> {
         let (sim, ended) = (&sim, &ended);
-        let bad = [flood, flood_serial, flood_udp, come_and_go, hold].map(|client| {
+        let bad = [flood, flood_serial, flood_udp, reconnect, hold].map(|client| {
             scope.spawn(move || {
                 // It competes with the others for the gripper, but not for the processor.
                 #[cfg(unix)]
@@ -73,10 +73,10 @@ fn round_trips(sim: &Sim, lasting: Duration) -> Result<Durations> {
     let start = Instant::now();
     let mut micros = Vec::new();
     while start.elapsed() < lasting {
-        let asked = Instant::now();
+        let start = Instant::now();
         ask(&mut stream, Command::Loop { data }, 1)?;
-        micros.push(asked.elapsed().as_micros() as u32);
-        thread::sleep(PACE.saturating_sub(asked.elapsed()));
+        micros.push(start.elapsed().as_micros() as u32);
+        thread::sleep(PACE.saturating_sub(start.elapsed()));
     }
     ask(&mut stream, Command::DisconnectAnnouncement, 1)?;
     Ok(Durations::new(micros))
@@ -126,7 +126,7 @@ fn flood_udp(sim: &Sim, ended: &AtomicBool) -> Result<()> {
 }
 
 /// Opens connections that end unannounced immediately.
-fn come_and_go(sim: &Sim, ended: &AtomicBool) -> Result<()> {
+fn reconnect(sim: &Sim, ended: &AtomicBool) -> Result<()> {
     while !ended.load(Ordering::Relaxed) {
         let mut stream = sim.connect()?;
         stream.write_all(&frame(Command::Stop))?;

@@ -73,11 +73,11 @@ fn disturb(sim: &Sim, seed: u64, lasting: Duration) -> Result<u64> {
     let (modbus, control) = (sim.modbus, sim.control);
     let gcl_socket = UdpSocket::bind("127.0.0.1:0")?;
     let senders: [Sender; 8] = [
-        Box::new(move |run| say_and_leave(tcp, run)),
-        Box::new(move |run| say_and_leave(tcp, run)),
-        Box::new(move |run| say_and_leave(gcl, run)),
-        Box::new(move |run| say_and_leave(modbus, run)),
-        Box::new(move |run| say_and_leave(control, run)),
+        Box::new(move |run| send_and_close(tcp, run)),
+        Box::new(move |run| send_and_close(tcp, run)),
+        Box::new(move |run| send_and_close(gcl, run)),
+        Box::new(move |run| send_and_close(modbus, run)),
+        Box::new(move |run| send_and_close(control, run)),
         // Datagrams for which the system has no room are lost.
         Box::new(move |run| uninterrupted::send_to(&socket, run, udp).map_or(Ok(()), |_| Ok(()))),
         Box::new(move |run| uninterrupted::send_to(&gcl_socket, run, gcl_udp).map_or(Ok(()), |_| Ok(()))),
@@ -138,7 +138,7 @@ fn noise(random: &mut Random) -> Vec<u8> {
 }
 
 /// Opens a connection, sends a run of bytes, reads the available bytes, and disconnects.
-fn say_and_leave(to: SocketAddr, run: &[u8]) -> Result<()> {
+fn send_and_close(to: SocketAddr, run: &[u8]) -> Result<()> {
     let mut stream = TcpStream::connect(to)?;
     stream.set_read_timeout(Some(Duration::from_millis(1)))?;
     stream.set_write_timeout(Some(PATIENCE))?;
@@ -195,8 +195,8 @@ fn answers_serial(sim: &Sim, question: &[u8]) -> Result<()> {
     let mut seen = Vec::new();
     while start.elapsed() < PATIENCE {
         writer.write_all(question)?;
-        let asked = Instant::now();
-        while let Ok(more) = incoming.recv_timeout(RETRY.saturating_sub(asked.elapsed())) {
+        let sent_at = Instant::now();
+        while let Ok(more) = incoming.recv_timeout(RETRY.saturating_sub(sent_at.elapsed())) {
             seen.extend_from_slice(&more);
             if contains(&seen, SOUGHT) {
                 return Ok(());

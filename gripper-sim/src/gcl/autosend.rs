@@ -6,7 +6,7 @@ use crate::updates::Readings;
 use wsg_protocol::gcl::{Autosend, Filter, Selected, Topic, Value};
 
 #[derive(Clone, Copy, Debug)]
-struct Subscription {
+struct TopicSubscription {
     autosend: Autosend,
     /// Earliest time of the next value.
     due: Time,
@@ -16,13 +16,13 @@ struct Subscription {
 
 /// The subscriptions of one connection, by topic.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Autosends([Option<Subscription>; Topic::ALL.len()]);
+pub(super) struct Autosends([Option<TopicSubscription>; Topic::ALL.len()]);
 
 impl Autosends {
     /// Applies a request. The first value is sent after one interval.
     pub(super) fn request(&mut self, autosend: Autosend, now: Time) {
         let interval_ms = autosend.interval_ms.max(Autosend::MIN_INTERVAL_MS);
-        let subscription = (autosend.interval_ms > 0).then_some(Subscription {
+        let subscription = (autosend.interval_ms > 0).then_some(TopicSubscription {
             autosend: Autosend { interval_ms, ..autosend },
             due: now.plus_millis(interval_ms.into()),
             last: None,
@@ -69,7 +69,7 @@ impl Autosends {
     }
 }
 
-impl Subscription {
+impl TopicSubscription {
     fn waits_for_change(&self, now: &Readings) -> bool {
         let Some(last) = &self.last else { return false };
         let topic = self.autosend.topic;

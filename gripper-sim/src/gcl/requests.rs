@@ -42,7 +42,7 @@ impl<'a> From<Result<Value<'a>, Status>> for Outcome<'a> {
     }
 }
 
-type Readings = Selected<[FingerReading<'static>; 2], FingerReading<'static>, 2>;
+type FingerReadings = Selected<[FingerReading<'static>; 2], FingerReading<'static>, 2>;
 
 /// Buffer for the texts of an answer.
 type TextBuffer = String<32>;
@@ -181,7 +181,11 @@ fn finger_type(device: &Device, jaw: Jaw) -> Text<'static> {
 }
 
 /// Returns the readings of the selected fingers. Of two, a missing one is an empty vector.
-fn finger_readings(device: &mut Device, requester: Requester, select: Select<2>) -> Result<Readings, Status> {
+fn finger_readings(
+    device: &mut Device,
+    requester: Requester,
+    select: Select<2>,
+) -> Result<FingerReadings, Status> {
     Ok(match select {
         Select::All => Selected::All([Jaw::One, Jaw::Two].map(|jaw| {
             finger_reading(device, requester, jaw).unwrap_or(FingerReading::Vector(Vector::EMPTY))

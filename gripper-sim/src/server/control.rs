@@ -172,26 +172,26 @@ async fn run_out(link: &Link) {
 async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
     // The next entry of the system log, and the next frame of the editor.
     let (mut next_entry, mut next_frame) = (0, 0);
-    let (mut next_line, mut told_script) = (0, None);
+    let (mut next_line, mut sent_script) = (0, None);
     loop {
-        watchers.come().await;
+        watchers.opened().await;
         hub.watch_log(true);
         // A page that opens reads the settings by itself.
         let mut settings = hub.settings_revision();
         let mut ticks = interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        let mut told = (String::new(), Instant::now());
+        let mut sent = (String::new(), Instant::now());
         while !watchers.are_none() {
             ticks.tick().await;
             let report = hub.report();
             let body = StateBody::of(&hub, &report).without_time();
             // The body contains nothing that JSON cannot represent.
             let state = serde_json::to_string(&body).unwrap_or_default();
-            if state != told.0 || told.1.elapsed() >= HEARTBEAT {
+            if state != sent.0 || sent.1.elapsed() >= HEARTBEAT {
                 let (time_s, as_of) = (report.now.as_micros() as f64 / 1e6, as_of(&hub, report.now));
                 let json = format!("{{\"time_s\":{time_s},\"as_of\":\"{as_of}\",\"state\":{state}}}");
                 watchers.send(&event("state", &json));
-                told = (state, Instant::now());
+                sent = (state, Instant::now());
             }
             let entries = hub.system_log().entries_from(next_entry);
             if let Some(latest) = entries.last() {
@@ -206,11 +206,11 @@ async fn publish(hub: Arc<Hub>, editor: Rc<Editor>, watchers: Rc<Watchers>) {
                 watchers.send(&event("editor", &frames.to_string()));
             }
             let (report, lines) = hub.script_report(next_line);
-            if !lines.is_empty() || told_script.as_ref() != Some(&report) {
+            if !lines.is_empty() || sent_script.as_ref() != Some(&report) {
                 next_line = lines.last().map_or(next_line, |line| line.number + 1);
                 let script = serde_json::json!({ "latest": report, "lines": lines });
                 watchers.send(&event("script", &script.to_string()));
-                told_script = Some(report);
+                sent_script = Some(report);
             }
             if settings != hub.settings_revision() {
                 settings = hub.settings_revision();

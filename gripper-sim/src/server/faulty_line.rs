@@ -17,7 +17,7 @@ const MAX_COPIES: usize = 2;
 /// The direction in which a line is faulty.
 #[derive(Clone, Copy, Debug, Default, Deserialize, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Direction {
+pub(super) enum FaultDirection {
     /// Only frames to the gripper.
     Requests,
     /// Only frames from the gripper.
@@ -29,7 +29,7 @@ pub(super) enum Direction {
 /// How often each fault hits a frame, from 0 (never) to 1 (always).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub(super) struct LineFaults {
-    pub(super) direction: Direction,
+    pub(super) direction: FaultDirection,
     pub(super) drop: f64,
     pub(super) delay: f64,
     /// Delay of a delayed frame, in ms.
@@ -48,7 +48,7 @@ impl LineFaults {
 
     /// A line without faults.
     pub(super) const NONE: Self = Self {
-        direction: Direction::Both,
+        direction: FaultDirection::Both,
         drop: 0.0,
         delay: 0.0,
         delay_ms: 0,
@@ -59,12 +59,12 @@ impl LineFaults {
 
     /// Returns the faults of frames to the gripper.
     pub(super) fn of_requests(self) -> Self {
-        if self.direction == Direction::Replies { Self::NONE } else { self }
+        if self.direction == FaultDirection::Replies { Self::NONE } else { self }
     }
 
     /// Returns the faults of frames from the gripper.
     pub(super) fn of_replies(self) -> Self {
-        if self.direction == Direction::Requests { Self::NONE } else { self }
+        if self.direction == FaultDirection::Requests { Self::NONE } else { self }
     }
 
     pub(super) fn are_none(&self) -> bool {
@@ -76,9 +76,9 @@ impl std::fmt::Display for LineFaults {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self { direction, drop, delay, delay_ms, corrupt, truncate, duplicate } = self;
         let of = match direction {
-            Direction::Requests => "of requests",
-            Direction::Replies => "of replies",
-            Direction::Both => "of both directions",
+            FaultDirection::Requests => "of requests",
+            FaultDirection::Replies => "of replies",
+            FaultDirection::Both => "of both directions",
         };
         write!(f, "drop {drop}, delay {delay} by {delay_ms} ms, corrupt {corrupt}, ")?;
         write!(f, "truncate {truncate}, duplicate {duplicate}, {of}")
@@ -108,7 +108,7 @@ impl Fate {
         let corruption = (chance.below(len), 1 << chance.below(8));
         let truncated = chance.hits(faults.truncate);
         // At least one byte arrives and at least one is missing.
-        let left = 1 + chance.below(len.saturating_sub(1));
+        let kept_len = 1 + chance.below(len.saturating_sub(1));
         let duplicated = chance.hits(faults.duplicate);
         if dropped {
             return Self { dropped, ..Self::default() };
@@ -117,7 +117,7 @@ impl Fate {
             dropped,
             delayed: delayed.then_some(faults.delay_ms),
             corrupted: corrupted.then_some(corruption),
-            truncated: truncated.then_some(left),
+            truncated: truncated.then_some(kept_len),
             duplicated,
         }
     }
@@ -147,7 +147,7 @@ impl std::fmt::Display for Fate {
             self.dropped.then(|| "dropped".to_owned()),
             self.delayed.map(|ms| format!("delayed by {ms} ms")),
             self.corrupted.map(|(at, flipped)| format!("byte {at} changed by {flipped:02X}h")),
-            self.truncated.map(|left| format!("cut to {left} bytes")),
+            self.truncated.map(|len| format!("cut to {len} bytes")),
             self.duplicated.then(|| "sent twice".to_owned()),
         ];
         f.write_str(&parts.into_iter().flatten().collect::<Vec<_>>().join(", "))
@@ -187,14 +187,14 @@ pub(super) enum Passage {
 
 /// The latency of a line without faults.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Pace {
+pub(super) struct Latency {
     /// Delay of each frame, in ms.
     pub(super) delay_ms: u16,
     /// Minimum distance between two frames, in ms.
     pub(super) gap_ms: u16,
 }
 
-impl Pace {
+impl Latency {
     /// Zero delay and distance.
     pub(super) const NONE: Self = Self { delay_ms: 0, gap_ms: 0 };
 }
@@ -202,7 +202,7 @@ impl Pace {
 /// The line to one client, or from it.
 #[derive(Debug)]
 pub(super) struct FaultyLine {
-    pace: Pace,
+    latency: Latency,
     /// Earliest time of the next arrival.
     next_at: Time,
     seed: u64,
@@ -215,7 +215,7 @@ impl FaultyLine {
     /// Returns the line of the connection with this number.
     pub(super) const fn new(seed: u64, connection: u64) -> Self {
         Self {
-            pace: Pace::NONE,
+            latency: Latency::NONE,
             next_at: Time::ZERO,
             seed: mixed(mixed(seed) ^ connection),
             frames: 0,
@@ -224,8 +224,8 @@ impl FaultyLine {
     }
 
     /// Returns the line with this latency.
-    pub(super) fn paced(self, pace: Pace) -> Self {
-        Self { pace, ..self }
+    pub(super) fn with_latency(self, latency: Latency) -> Self {
+        Self { latency, ..self }
     }
 
     /// Returns whether [`pass`](Self::pass) has room for all copies of a frame.
@@ -248,7 +248,7 @@ impl FaultyLine {
     /// Takes the gripper's next frame.
     pub(super) fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8]) -> Passage {
         let fate = self.fate(faults, frame.len());
-        if fate.is_harmless() && self.waiting.is_empty() && self.pace == Pace::NONE {
+        if fate.is_harmless() && self.waiting.is_empty() && self.latency == Latency::NONE {
             return Passage::Through;
         }
         self.hold(&fate, now, frame);
@@ -258,7 +258,7 @@ impl FaultyLine {
     /// Holds a frame, or other bytes, with this fate. Frames never overtake each other: frames after a delayed one wait.
     pub(super) fn hold(&mut self, fate: &Fate, now: Time, frame: &[u8]) {
         if !fate.dropped {
-            let Pace { delay_ms, gap_ms } = self.pace;
+            let Latency { delay_ms, gap_ms } = self.latency;
             let late_ms = u64::from(fate.delayed.unwrap_or(0)) + u64::from(delay_ms);
             let due = now.plus_millis(late_ms).max(self.next_at);
             let due = self.waiting.back().map_or(due, |(before, _)| due.max(*before));
@@ -325,7 +325,7 @@ mod tests {
 
     const FRAME: [u8; 10] = [0xAA, 0xAA, 0xAA, 0x22, 0x02, 0, 0, 0, 0x12, 0x34];
     const SOME: LineFaults = LineFaults {
-        direction: Direction::Both,
+        direction: FaultDirection::Both,
         drop: 0.1,
         delay: 0.2,
         delay_ms: 7,
@@ -354,7 +354,7 @@ mod tests {
 
     #[test]
     fn frames_of_a_paced_line_come_late_and_apart() {
-        let mut line = FaultyLine::new(0, 0).paced(Pace { delay_ms: 22, gap_ms: 5 });
+        let mut line = FaultyLine::new(0, 0).with_latency(Latency { delay_ms: 22, gap_ms: 5 });
         let arrivals_at = |line: &mut FaultyLine, ms| arrivals(line, Time::from_millis(ms)).len();
         for _ in 0..2 {
             assert!(matches!(line.pass(&LineFaults::NONE, Time::ZERO, &FRAME), Passage::Held(_)));

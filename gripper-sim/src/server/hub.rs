@@ -8,7 +8,7 @@ pub(super) use client::ClientHandle;
 pub(super) use scripts::{OutputLine, Run, ScriptReport};
 pub(super) use settings::{Changes, Refused, Running, SettingState};
 
-use super::faulty_line::{FaultyLine, LineCounts, LineFaults, Pace};
+use super::faulty_line::{FaultyLine, Latency, LineCounts, LineFaults};
 use super::lines::Profile;
 use super::log::{Log, Watched};
 use super::options::Options;
@@ -40,7 +40,7 @@ const IDLE_LIMIT: Duration = Duration::from_secs(300);
 
 /// Latency of a real gripper's command interface. Field reports: three requests in turn are answered 15 times a second.
 /// The split between the two figures is assumed.
-const REAL_PACE: Pace = Pace { delay_ms: 22, gap_ms: 5 };
+const REAL_LATENCY: Latency = Latency { delay_ms: 22, gap_ms: 5 };
 
 /// Source of entries of the system log: the page or a program at the control interface.
 pub(super) const PAGE: &str = "page";
@@ -97,7 +97,7 @@ struct Connected {
     /// Kind of line and peer, as shown in the log.
     name: Arc<str>,
     frames: Notify,
-    heard_at: Mutex<Instant>,
+    received_at: Mutex<Instant>,
     /// Signals that another client has taken the place of this one.
     displaced: Notify,
 }
@@ -250,16 +250,16 @@ impl Hub {
             kind,
             name,
             frames: Notify::new(),
-            heard_at: Mutex::new(Instant::now()),
+            received_at: Mutex::new(Instant::now()),
             displaced: Notify::new(),
         });
         shared.clients.insert(number, Arc::clone(&connected));
         drop(shared);
         self.report_event(Severity::Info, &connected.name, "connected");
-        let is_paced =
+        let has_latency =
             self.profile == Profile::Real && matches!(kind.protocol(), Protocol::Binary | Protocol::Text);
-        let pace = if is_paced { REAL_PACE } else { Pace::NONE };
-        let line = RefCell::new(FaultyLine::new(self.seed, number).paced(pace));
+        let latency = if has_latency { REAL_LATENCY } else { Latency::NONE };
+        let line = RefCell::new(FaultyLine::new(self.seed, number).with_latency(latency));
         let requests = RefCell::new(RequestLine::new(kind, self.seed, number));
         Some(ClientHandle::new(Arc::clone(self), connected, line, requests))
     }
@@ -269,7 +269,7 @@ impl Hub {
     fn displace(&self) -> Option<()> {
         let shared = self.lock();
         let masters = shared.clients.values().filter(|client| client.kind == PortKind::ModbusTcp);
-        let idle_longest = Arc::clone(masters.min_by_key(|client| *lock(&client.heard_at))?);
+        let idle_longest = Arc::clone(masters.min_by_key(|client| *lock(&client.received_at))?);
         drop(shared);
         self.note_of(&idle_longest.name, format_args!("gives way to another client: idle longest"));
         self.disconnect(&idle_longest);

@@ -42,9 +42,9 @@ impl LogWriter {
     pub(super) fn write(&mut self, line: String) {
         let Some(lines) = &self.lines else { return };
         if self.lost > 0 {
-            let told =
+            let sent =
                 lines.try_send(format!("{} lines are lost here: the log is read too slowly\n", self.lost));
-            if told.is_ok() {
+            if sent.is_ok() {
                 self.lost = 0;
             }
         }

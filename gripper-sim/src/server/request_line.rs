@@ -55,11 +55,17 @@ impl RequestLine {
         self.line.has_room()
     }
 
-    /// Takes bytes from the client and passes the fate of each frame to `tell`. Bytes without room are lost.
-    pub(super) fn take(&mut self, faults: &LineFaults, now: Time, bytes: &[u8], mut tell: impl FnMut(&Fate)) {
+    /// Takes bytes from the client and passes the fate of each frame to `report`. Bytes without room are lost.
+    pub(super) fn take(
+        &mut self,
+        faults: &LineFaults,
+        now: Time,
+        bytes: &[u8],
+        mut report: impl FnMut(&Fate),
+    ) {
         if self.kind.is_datagram() || self.kind == PortKind::Can {
             // Faults hit whole datagrams, or single CAN frames.
-            return self.pass(faults, now, bytes, &mut tell);
+            return self.pass(faults, now, bytes, &mut report);
         }
         let mut all = std::mem::take(&mut self.held);
         all.extend_from_slice(bytes);
@@ -67,14 +73,14 @@ impl RequestLine {
         while !rest.is_empty() {
             match cut(self.kind.protocol(), rest) {
                 Cut::Frame(len) => {
-                    let (frame, behind) = rest.split_at(len);
-                    self.pass(faults, now, frame, &mut tell);
-                    rest = behind;
+                    let (frame, following) = rest.split_at(len);
+                    self.pass(faults, now, frame, &mut report);
+                    rest = following;
                 }
                 Cut::Other(len) => {
-                    let (other, behind) = rest.split_at(len);
+                    let (other, following) = rest.split_at(len);
                     self.let_by(now, other);
-                    rest = behind;
+                    rest = following;
                 }
                 // A line without faults does not wait for the rest.
                 Cut::Part if faults.are_none() => {
@@ -114,11 +120,11 @@ impl RequestLine {
         }
     }
 
-    fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8], tell: &mut impl FnMut(&Fate)) {
+    fn pass(&mut self, faults: &LineFaults, now: Time, frame: &[u8], report: &mut impl FnMut(&Fate)) {
         let drawn = self.line.fate(faults, frame.len());
         let fate = if self.line.is_full() { Fate { dropped: true, ..Fate::default() } } else { drawn };
         self.line.hold(&fate, now, frame);
-        tell(&fate);
+        report(&fate);
     }
 }
 
@@ -127,16 +133,16 @@ fn cut(protocol: Protocol, bytes: &[u8]) -> Cut {
     let len = match protocol {
         Protocol::Binary => {
             let preamble = bytes.iter().take(PREAMBLE_LEN).take_while(|byte| **byte == PREAMBLE_BYTE).count();
-            let begun = preamble == bytes.len().min(PREAMBLE_LEN);
+            let is_preamble = preamble == bytes.len().min(PREAMBLE_LEN);
             let len = match *bytes {
                 [_, _, _, _, low, high, ..] => OVERHEAD + usize::from(u16::from_le_bytes([low, high])),
-                _ if begun => return Cut::Part,
+                _ if is_preamble => return Cut::Part,
                 _ => 0,
             };
-            if !begun || len > MAX_MESSAGE_LEN {
+            if !is_preamble || len > MAX_MESSAGE_LEN {
                 // Up to the possible start of the next frame.
-                let behind = bytes.iter().skip(preamble.max(1));
-                let noise = behind.take_while(|byte| **byte != PREAMBLE_BYTE).count();
+                let following = bytes.iter().skip(preamble.max(1));
+                let noise = following.take_while(|byte| **byte != PREAMBLE_BYTE).count();
                 return Cut::Other(preamble.max(1) + noise);
             }
             len

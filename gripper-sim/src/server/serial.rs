@@ -9,7 +9,7 @@ use super::hub::{ClientHandle, Hub};
 use super::lines::SerialLine;
 use super::open_line::{OpenLine, Place};
 use super::slcan;
-use super::stream::{self, Pace};
+use super::stream::{self, FlowControl};
 use crate::port::PortKind;
 use anyhow::{Context, Result, bail};
 use serial2_tokio::SerialPort as Device;
@@ -158,7 +158,7 @@ impl Carried {
         writer: impl AsyncWrite + Unpin,
     ) -> io::Result<()> {
         match self {
-            Self::Bytes | Self::Profibus => stream::serve(client, reader, writer, Pace::OfTheLine).await,
+            Self::Bytes | Self::Profibus => stream::serve(client, reader, writer, FlowControl::Absent).await,
             Self::Slcan(identifiers, side) => slcan::serve(client, reader, writer, identifiers, side).await,
         }
     }

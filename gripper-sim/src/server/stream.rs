@@ -16,11 +16,11 @@ const LINGER: Duration = Duration::from_secs(1);
 
 /// Whether bytes are accepted from a client that does not read its answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Pace {
+pub(super) enum FlowControl {
     /// Only after it has read them: a stream with flow control.
-    OfTheReader,
+    Present,
     /// Always: a serial line has no flow control, and unread answers are lost.
-    OfTheLine,
+    Absent,
 }
 
 /// Serves the client until it disconnects or synchronization is lost for good.
@@ -28,25 +28,25 @@ pub(super) async fn serve(
     client: &ClientHandle,
     mut reader: impl AsyncRead + Unpin,
     mut writer: impl AsyncWrite + Unpin,
-    pace: Pace,
+    flow_control: FlowControl,
 ) -> io::Result<()> {
-    let at_all_times = pace == Pace::OfTheLine;
+    let at_all_times = flow_control == FlowControl::Absent;
     let mut chunk = [0; CHUNK_LEN];
     let mut buffer = [0; MAX_FRAME_LEN];
     // Range in `buffer` of the frame being written that has not been sent.
-    let mut left = 0..0;
+    let mut unsent = 0..0;
     loop {
-        if left.is_empty() {
-            left = 0..client.transmit(&mut buffer).map_or(0, <[u8]>::len);
+        if unsent.is_empty() {
+            unsent = 0..client.transmit(&mut buffer).map_or(0, <[u8]>::len);
         }
-        let is_idle = left.is_empty();
+        let is_idle = unsent.is_empty();
         if is_idle && client.is_over() {
             return close(reader, writer).await;
         }
         tokio::select! {
-            written = write(&mut writer, buffer.get(left.clone()).unwrap_or(&[])), if !is_idle => match written? {
+            written = write(&mut writer, buffer.get(unsent.clone()).unwrap_or(&[])), if !is_idle => match written? {
                 0 => return Err(io::ErrorKind::WriteZero.into()),
-                count => left.start += count,
+                count => unsent.start += count,
             },
             read = read(&mut reader, &mut chunk), if (is_idle && client.takes_more()) || at_all_times => match read? {
                 0 => return Ok(()),
@@ -106,42 +106,42 @@ mod tests {
 
     /// A line on which every other call is interrupted by a signal and the others transfer one byte each.
     #[derive(Default)]
-    struct Nervous {
+    struct Interrupted {
         calls: usize,
         /// The remaining bytes of the client.
-        says: Vec<u8>,
-        hears: Vec<u8>,
+        outgoing: Vec<u8>,
+        received: Vec<u8>,
     }
 
-    impl Nervous {
+    impl Interrupted {
         fn interrupted(&mut self) -> io::Result<()> {
             self.calls += 1;
             if self.calls.is_multiple_of(2) { Ok(()) } else { Err(io::ErrorKind::Interrupted.into()) }
         }
     }
 
-    impl AsyncRead for Nervous {
+    impl AsyncRead for Interrupted {
         fn poll_read(
             mut self: Pin<&mut Self>,
             _: &mut Context<'_>,
             buffer: &mut ReadBuf<'_>,
         ) -> Poll<io::Result<()>> {
             self.interrupted()?;
-            if !self.says.is_empty() {
-                buffer.put_slice(&[self.says.remove(0)]);
+            if !self.outgoing.is_empty() {
+                buffer.put_slice(&[self.outgoing.remove(0)]);
             }
             Poll::Ready(Ok(()))
         }
     }
 
-    impl AsyncWrite for Nervous {
+    impl AsyncWrite for Interrupted {
         fn poll_write(
             mut self: Pin<&mut Self>,
             _: &mut Context<'_>,
             bytes: &[u8],
         ) -> Poll<io::Result<usize>> {
             self.interrupted()?;
-            self.hears.extend(bytes.iter().take(1));
+            self.received.extend(bytes.iter().take(1));
             Poll::Ready(Ok(bytes.len().min(1)))
         }
 
@@ -157,16 +157,17 @@ mod tests {
     #[tokio::test]
     async fn signals_and_calls_that_move_one_byte_lose_nothing() {
         let hub = Hub::of_test();
-        let client = hub.connect(PortKind::Tcp, "nervous").unwrap();
+        let client = hub.connect(PortKind::Tcp, "interrupted").unwrap();
         let stop = Command::Stop;
-        let says = FrameEncoder::new(stop.id().code(), stop).collect();
-        let (mut reader, mut writer) = (Nervous { says, ..Nervous::default() }, Nervous::default());
+        let outgoing = FrameEncoder::new(stop.id().code(), stop).collect();
+        let (mut reader, mut writer) =
+            (Interrupted { outgoing, ..Interrupted::default() }, Interrupted::default());
 
         // Until the client has no more bytes; it is read only after it has received its answer.
-        serve(&client, &mut reader, &mut writer, Pace::OfTheReader).await.unwrap();
+        serve(&client, &mut reader, &mut writer, FlowControl::Present).await.unwrap();
 
         let answer = Reply::status_only(stop.id(), Status::Success);
-        assert_eq!(writer.hears, FrameEncoder::new(stop.id().code(), answer).collect::<Vec<u8>>());
-        assert_eq!(writer.calls, 2 * writer.hears.len(), "every other call was interrupted");
+        assert_eq!(writer.received, FrameEncoder::new(stop.id().code(), answer).collect::<Vec<u8>>());
+        assert_eq!(writer.calls, 2 * writer.received.len(), "every other call was interrupted");
     }
 }

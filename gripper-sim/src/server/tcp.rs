@@ -3,7 +3,7 @@
 use super::accept::{Accepted, Acceptor};
 use super::hub::Hub;
 use super::open_line::{Listen, OpenLine};
-use super::stream::{self, Pace};
+use super::stream::{self, FlowControl};
 use crate::port::PortKind;
 use anyhow::Result;
 use socket2::{SockRef, TcpKeepalive};
@@ -49,7 +49,7 @@ async fn serve_client(hub: Arc<Hub>, mut stream: TcpStream, peer: SocketAddr, ki
     if stream.set_nodelay(true).is_ok() {
         let (reader, writer) = stream.split();
         // The client has disconnected in either case.
-        let _ = stream::serve(&client, reader, writer, Pace::OfTheReader).await;
+        let _ = stream::serve(&client, reader, writer, FlowControl::Present).await;
     }
 }
 

@@ -6,7 +6,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 /// A running `wsg-sim`, which is killed on drop.
 pub(crate) struct Program {
     child: Child,
-    said: Lines<BufReader<ChildStdout>>,
+    output: Lines<BufReader<ChildStdout>>,
 }
 
 impl Program {
@@ -17,13 +17,13 @@ impl Program {
             .stdout(Stdio::piped())
             .spawn()
             .expect("wsg-sim starts");
-        let said = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
-        Self { child, said }
+        let output = BufReader::new(child.stdout.take().expect("stdout is piped")).lines();
+        Self { child, output }
     }
 
     /// Returns the next line of standard output.
     pub(crate) fn line(&mut self) -> String {
-        self.said.next().expect("another line").expect("readable output")
+        self.output.next().expect("another line").expect("readable output")
     }
 
     /// Returns the address or path in the next line, after this name.

@@ -64,7 +64,7 @@ fn flag_in_the_first_image_counts_after_it_was_0_but_fast_stop_at_once() {
 
 #[test]
 fn master_that_falls_silent_ends_its_motion_as_it_is_configured() {
-    for (bus_reaction, flag, goes_on, stops_fast) in [
+    for (bus_reaction, flag, continues, stops_fast) in [
         (SilenceReaction::Hold, Flag::MOVE, true, false),
         (SilenceReaction::Hold, Flag::JOG_MINUS, false, false),
         (SilenceReaction::Stop, Flag::MOVE, false, false),
@@ -77,10 +77,10 @@ fn master_that_falls_silent_ends_its_motion_as_it_is_configured() {
         bus.gripper.end_images(bus.port, bus.now);
         bus.wait(10);
         let flags = bus.gripper.state().flags;
-        assert_eq!((bus.is_moving(), flags.contains(SystemFlags::FAST_STOP)), (goes_on, stops_fast));
+        assert_eq!((bus.is_moving(), flags.contains(SystemFlags::FAST_STOP)), (continues, stops_fast));
         // A second report changes nothing.
         bus.gripper.end_images(bus.port, bus.now);
-        assert_eq!(bus.is_moving(), goes_on);
+        assert_eq!(bus.is_moving(), continues);
     }
 }
 

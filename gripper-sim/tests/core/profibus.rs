@@ -119,7 +119,7 @@ impl Master {
         }
     }
 
-    fn fall_silent(&mut self, millis: u64) {
+    fn stop_sending(&mut self, millis: u64) {
         self.now = self.now.plus_millis(millis);
         self.gripper.advance(self.now);
     }
@@ -134,9 +134,9 @@ fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
     assert!(master.gripper.state().speed < 0.0);
     // The expiry of the watchdog wakes the gripper.
     assert!(master.gripper.next_wake().is_some_and(|at| at <= master.now.plus_millis(WATCHDOG_MS + 1)));
-    master.fall_silent(WATCHDOG_MS - 5);
+    master.stop_sending(WATCHDOG_MS - 5);
     assert!(master.gripper.state().speed < 0.0, "not yet");
-    master.fall_silent(10);
+    master.stop_sending(10);
     assert_eq!(master.gripper.state().speed, 0.0);
 
     // The next image is the first one again: a flag set in it is not an edge.
@@ -154,15 +154,15 @@ fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
 
 #[test]
 fn disconnecting_master_ends_its_motion_as_configured_and_always_a_jog() {
-    let falls_silent = |master: &mut Master| master.fall_silent(WATCHDOG_MS + 5);
+    let stops_sending = |master: &mut Master| master.stop_sending(WATCHDOG_MS + 5);
     let clears = |master: &mut Master| {
         // Global_Control to all stations: Clear_Data.
         let _ = master.send(&sd2(&[0xFF, MASTER | 0x80, 0x46, 58, 62, 0x02, 0]));
     };
     let is_cut = |master: &mut Master| master.gripper.disconnect(master.port, master.now);
-    let ways: [(&str, Leave); 3] = [("silent", falls_silent), ("cleared", clears), ("cut", is_cut)];
+    let ways: [(&str, Leave); 3] = [("silent", stops_sending), ("cleared", clears), ("cut", is_cut)];
     for (way, leave) in ways {
-        for (bus_reaction, flag, goes_on, stops_fast) in [
+        for (bus_reaction, flag, continues, stops_fast) in [
             (SilenceReaction::Hold, Flag::MOVE, true, false),
             (SilenceReaction::Hold, Flag::JOG_MINUS, false, false),
             (SilenceReaction::Stop, Flag::MOVE, false, false),
@@ -178,7 +178,7 @@ fn disconnecting_master_ends_its_motion_as_configured_and_always_a_jog() {
             master.gripper.advance(master.now.plus_millis(10));
             let state = master.gripper.state();
             let shown = (state.speed < 0.0, state.flags.contains(SystemFlags::FAST_STOP));
-            assert_eq!(shown, (goes_on, stops_fast), "{way} {bus_reaction:?} {flag:?}");
+            assert_eq!(shown, (continues, stops_fast), "{way} {bus_reaction:?} {flag:?}");
             assert_eq!(master.gripper.fieldbus_images().0, OutputImage::ZERO, "{way}");
         }
     }

@@ -231,8 +231,8 @@ fn gripper_is_busy_exactly_while_the_next_motion_would_be_refused() {
         let mut was_busy = false;
         for _ in 0..6_000 {
             // On a copy, which the command does not disturb. A held part has its own refusal.
-            let mut asked = rig.gripper.clone();
-            let refused = asked.command(&here, rig.now) == Status::AlreadyRunning;
+            let mut copy = rig.gripper.clone();
+            let refused = copy.command(&here, rig.now) == Status::AlreadyRunning;
             let expected = refused && rig.state() != GripperState::Holding;
             assert_eq!(rig.gripper.is_busy(), expected, "{case} at {:?}: {:?}", rig.now, rig.state());
             was_busy |= expected;

@@ -52,7 +52,7 @@ impl<S: Write> Controller<S> {
         Self { line, lines, reassembler: Reassembler::new(identifiers().controller().receive, 1_000) }
     }
 
-    fn say(&mut self, text: &[u8]) {
+    fn write(&mut self, text: &[u8]) {
         self.line.write_all(text).unwrap();
     }
 
@@ -63,13 +63,13 @@ impl<S: Write> Controller<S> {
     /// Opens the channel as hosts do, after closing any earlier one.
     fn open(&mut self) {
         for command in [&b"C\r"[..], b"S6\r", b"O\r"] {
-            self.say(command);
+            self.write(command);
             assert_eq!(self.next(), Line::Done);
         }
     }
 
     fn send_frame(&mut self, id: impl Into<Id>, data: &[u8]) {
-        self.say(encode(&ClassicFrame::new(id, data).unwrap()).as_bytes());
+        self.write(encode(&ClassicFrame::new(id, data).unwrap()).as_bytes());
         assert_eq!(self.next_answer(), Line::Taken(b'z'));
     }
 
@@ -86,7 +86,7 @@ impl<S: Write> Controller<S> {
     fn send(&mut self, command: Command<'_>) {
         for segment in Segments::new(FrameEncoder::new(command.id().code(), command)) {
             let frame: ClassicFrame = segment.frame(identifiers().controller().transmit).unwrap();
-            self.say(encode(&frame).as_bytes());
+            self.write(encode(&frame).as_bytes());
         }
     }
 
@@ -164,9 +164,9 @@ fn slcan_frames_for_others_are_not_for_the_gripper() {
 
     controller.send_frame(identifiers().controller().receive, query);
     controller.send_frame(StandardId::new(own.as_raw() - 1).unwrap(), query);
-    controller.say(b"r3458\r");
+    controller.write(b"r3458\r");
     assert_eq!(controller.next_answer(), Line::Taken(b'z'));
-    controller.say(b"T000003458AAAAAA4600000000\r");
+    controller.write(b"T000003458AAAAAA4600000000\r");
     assert_eq!(controller.next_answer(), Line::Taken(b'Z'));
     // The next message must be the answer to this request.
     controller.send(Command::GetSystemLimits);
@@ -191,7 +191,7 @@ fn slcan_message_that_is_cut_otherwise_is_none_and_the_next_one_is_found() {
 fn slcan_channel_that_is_closed_lets_nothing_through() {
     let served = serve(Config::default(), SerialLine::Pty);
     let mut controller = controller(&served);
-    controller.say(b"C\r");
+    controller.write(b"C\r");
     assert_eq!(controller.next(), Line::Done);
     controller.send(Command::FastStop);
     assert_eq!(controller.next(), Line::Refused);
@@ -228,7 +228,7 @@ fn slcan_on_a_device_makes_the_gripper_the_host_that_opens_the_channel() {
         assert_eq!(controller.next(), expected);
     }
     // Answers of the adapter are not requests and must not be answered.
-    controller.say(b"\r\rz\r\x07");
+    controller.write(b"\r\rz\r\x07");
     controller.send(Command::GetTemperature);
     assert_eq!(controller.recv().0, 0x46);
     drop(served);

@@ -1,7 +1,7 @@
 //! Commands through the control interface: their limits, their age, and the WebSocket of a page.
 
 use crate::common::go_to;
-use crate::control::{Rig, request};
+use crate::control::{ControlRig, request};
 use crate::rig::{HOMING, await_some, await_true, connect};
 use serde_json::{Value, json};
 use std::net::TcpStream;
@@ -14,7 +14,7 @@ use wsg_sim::Config;
 struct Page(WebSocket<TcpStream>);
 
 impl Page {
-    fn open(rig: &Rig, origin: Option<&str>) -> tungstenite::Result<Self> {
+    fn open(rig: &ControlRig, origin: Option<&str>) -> tungstenite::Result<Self> {
         let address = rig.server.control_address().unwrap();
         let mut request = format!("ws://{address}/events").into_client_request()?;
         if let Some(origin) = origin {
@@ -28,7 +28,7 @@ impl Page {
     }
 
     /// Opens a page of this server.
-    fn of(rig: &Rig) -> Self {
+    fn of(rig: &ControlRig) -> Self {
         let origin = format!("http://{}", rig.server.control_address().unwrap());
         Self::open(rig, Some(&origin)).unwrap()
     }
@@ -58,12 +58,12 @@ impl Page {
 
 /// Returns the state of another start of the gripper, which no request of this one may name.
 fn state_of_another_start() -> String {
-    Rig::new(Config::default()).state()["as_of"].as_str().unwrap().to_owned()
+    ControlRig::new(Config::default()).state()["as_of"].as_str().unwrap().to_owned()
 }
 
 #[test]
 fn number_outside_the_limits_is_refused_before_anything_is_sent() {
-    let mut rig = Rig::homed();
+    let mut rig = ControlRig::homed();
     for (number, expected, bodies) in [
         ("width", "0 to 110 mm", [r#""width_mm":-0.1"#, r#""width_mm":110.1"#]),
         (
@@ -106,9 +106,9 @@ fn number_outside_the_limits_is_refused_before_anything_is_sent() {
 
 #[test]
 fn refused_grip_leaves_the_force_limit_as_it_was() {
-    let mut rig = Rig::new(Config { time_scale: 20.0, ..Config::default() });
+    let mut rig = ControlRig::new(Config { time_scale: 20.0, ..Config::default() });
     let grip = r#"{"command":"grip","width_mm":50,"force_n":70}"#;
-    let refused = |rig: &Rig, status: &str| {
+    let refused = |rig: &ControlRig, status: &str| {
         let (code, answer) = rig.request("POST", "/command", grip);
         assert_eq!(code, 409, "{answer}");
         assert!(answer["error"].as_str().unwrap().ends_with(status), "{answer}");
@@ -147,7 +147,7 @@ const CHANGES: [(&str, &str, Option<&str>); 8] = [
 
 #[test]
 fn request_of_a_sender_that_saw_an_old_state_changes_nothing_and_stops_are_executed() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let old = state_of_another_start();
     for (path, change, other) in CHANGES {
         let (status, answer) = rig.request("POST", &format!("{path}?as_of={old}"), change);
@@ -175,7 +175,7 @@ fn request_of_a_sender_that_saw_an_old_state_changes_nothing_and_stops_are_execu
 
 #[test]
 fn request_with_the_latest_state_is_executed_and_a_misspelt_query_is_not() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let as_of = rig.state()["as_of"].as_str().unwrap().to_owned();
     let part = |query: &str| rig.request("POST", &format!("/part{query}"), r#"{"width_mm":20}"#);
     for query in ["?as_off=1", "?seen=1", "?", "?as_of", &format!("?AS_OF={as_of}")] {
@@ -190,7 +190,7 @@ fn request_with_the_latest_state_is_executed_and_a_misspelt_query_is_not() {
 
 #[test]
 fn page_and_proxy_must_name_the_state_that_they_saw_except_with_stops() {
-    let rig = Rig::homed();
+    let rig = ControlRig::homed();
     let host = rig.server.control_address().unwrap().to_string();
     let post = |header: &str, query: &str, body: &str| {
         let (status, _, body) = rig.http(&format!(
@@ -214,7 +214,7 @@ fn page_and_proxy_must_name_the_state_that_they_saw_except_with_stops() {
 
 #[test]
 fn page_commands_over_its_websocket_and_sees_what_they_do() {
-    let rig = Rig::new(Config { time_scale: 20.0, ..Config::default() });
+    let rig = ControlRig::new(Config { time_scale: 20.0, ..Config::default() });
     let mut page = Page::of(&rig);
     assert_eq!(page.next("hello")["limits"]["stroke_mm"], json!(110.0));
     let seen = page.next("state");
@@ -248,14 +248,14 @@ fn page_commands_over_its_websocket_and_sees_what_they_do() {
 /// The acknowledgement of one page must not end a FAST STOP that its operator has not seen.
 #[test]
 fn command_of_a_page_that_has_not_seen_the_latest_stop_is_refused() {
-    let mut rig = Rig::homed();
+    let mut rig = ControlRig::homed();
     let mut page = Page::of(&rig);
     let before = page.next("state");
     for fast_stop in [
-        &mut |rig: &mut Rig| drop(rig.post("/command", &json!({"command":"fast_stop"}))),
+        &mut |rig: &mut ControlRig| drop(rig.post("/command", &json!({"command":"fast_stop"}))),
         // A client sends it, and the page acknowledges an earlier one.
-        &mut (|rig: &mut Rig| assert_eq!(rig.client.ask(Command::FastStop), Status::Success))
-            as &mut dyn FnMut(&mut Rig),
+        &mut (|rig: &mut ControlRig| assert_eq!(rig.client.ask(Command::FastStop), Status::Success))
+            as &mut dyn FnMut(&mut ControlRig),
     ] {
         fast_stop(&mut rig);
         let (status, refused) = page.ask(&before["as_of"], json!({"command":"acknowledge"}));
@@ -273,7 +273,7 @@ fn command_of_a_page_that_has_not_seen_the_latest_stop_is_refused() {
 /// A page sends a stop on two ways. The second one must not undo what an operator does meanwhile.
 #[test]
 fn command_with_the_key_of_an_earlier_one_is_not_executed_again() {
-    let rig = Rig::homed();
+    let rig = ControlRig::homed();
     let mut page = Page::of(&rig);
     let fast_stop = json!({"command":"fast_stop","key":9_007_199_254_740_991u64});
     assert_eq!(page.ask(&Value::Null, fast_stop.clone()).0, 200);
@@ -290,7 +290,7 @@ fn command_with_the_key_of_an_earlier_one_is_not_executed_again() {
 
 #[test]
 fn fast_stop_of_a_page_that_reads_nothing_is_executed() {
-    let rig = Rig::homed();
+    let rig = ControlRig::homed();
     let mut page = Page::of(&rig);
     // Far more answers than the server keeps for a page.
     for _ in 0..10_000 {
@@ -302,7 +302,7 @@ fn fast_stop_of_a_page_that_reads_nothing_is_executed() {
 
 #[test]
 fn websocket_of_another_page_is_refused_and_a_message_that_is_too_long_closes_it() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     for origin in ["http://example.com", "null"] {
         match Page::open(&rig, Some(origin)).err() {
             Some(tungstenite::Error::Http(answer)) => assert_eq!(answer.status(), 403, "{origin}"),

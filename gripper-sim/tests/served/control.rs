@@ -27,12 +27,12 @@ pub(crate) fn request(control: impl ToSocketAddrs, method: &str, path: &str, bod
 /// The data of the Loop that a client sends over a line without faults.
 const MARK: &[u8] = b"the line is whole again";
 
-pub(crate) struct Rig {
+pub(crate) struct ControlRig {
     pub(crate) server: ServerThread,
     pub(crate) client: Client<TcpStream>,
 }
 
-impl Rig {
+impl ControlRig {
     pub(crate) fn new(config: Config) -> Self {
         Self::with_seed(config, 0)
     }
@@ -116,7 +116,7 @@ impl Rig {
 
 #[test]
 fn state_shows_how_the_gripper_stands() {
-    let mut rig = Rig::homed();
+    let mut rig = ControlRig::homed();
     assert_eq!(rig.client.run(go_to(42.0)), Status::Success);
     let state = rig.state();
     assert_eq!(state["model"], "wsg50-110");
@@ -131,7 +131,7 @@ fn state_shows_how_the_gripper_stands() {
 
 #[test]
 fn part_is_put_in_and_gripped_and_lost_when_it_is_taken_away() {
-    let mut rig = Rig::homed();
+    let mut rig = ControlRig::homed();
     let state = rig.post("/part", &json!({ "width_mm": 20, "stiffness_n_per_mm": 50 }));
     assert_eq!(state["part"], json!({ "width_mm": 20.0, "stiffness_n_per_mm": 50.0 }));
     let hollow = json!({ "width_mm": 80.0, "stiffness_n_per_mm": 100.0, "inner_width_mm": 60.0 });
@@ -149,7 +149,7 @@ fn part_is_put_in_and_gripped_and_lost_when_it_is_taken_away() {
 #[test]
 fn each_fault_begins_and_ends() {
     let fingers = [Finger::Fmf, Finger::Dsa];
-    let rig = Rig::new(Config { fingers, ..Config::default() });
+    let rig = ControlRig::new(Config { fingers, ..Config::default() });
     for (fault, flags) in [
         (json!({ "fault": "over_temperature" }), &["TEMP_WARNING", "TEMP_FAULT"][..]),
         (json!({ "fault": "supply_out_of_range" }), &["POWER_FAULT"]),
@@ -173,7 +173,7 @@ fn each_fault_begins_and_ends() {
 
 #[test]
 fn jammed_axis_blocks_a_motion_until_it_is_free_again() {
-    let mut rig = Rig::homed();
+    let mut rig = ControlRig::homed();
     rig.post("/fault", &json!({ "fault": "axis_blocked", "on": true }));
     assert_eq!(rig.client.run(go_to(42.0)), Status::AxisBlocked);
     rig.post("/fault", &json!({ "fault": "axis_blocked", "on": false }));
@@ -183,7 +183,7 @@ fn jammed_axis_blocks_a_motion_until_it_is_free_again() {
 
 #[test]
 fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
-    let rig = Rig::new(Config { fingers: [Finger::Generic, Finger::None], ..Config::default() });
+    let rig = ControlRig::new(Config { fingers: [Finger::Generic, Finger::None], ..Config::default() });
     let long = format!("{{\"drop\":0.{}}}", "0".repeat(5_000));
     for (method, path, body, status, wrong, expected) in [
         ("POST", "/part", "", 400, "EOF", "width_mm"),
@@ -251,14 +251,15 @@ fn wrong_requests_are_refused_in_a_sentence_and_change_nothing() {
 
 #[test]
 fn refused_method_says_which_one_is_allowed() {
-    let (status, head, _) = Rig::new(Config::default()).http("GET /part HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let (status, head, _) =
+        ControlRig::new(Config::default()).http("GET /part HTTP/1.1\r\nHost: localhost\r\n\r\n");
     assert_eq!(status, 405);
     assert!(head.to_lowercase().contains("\r\nallow: post"), "{head}");
 }
 
 #[test]
 fn other_web_pages_are_refused_and_the_own_one_is_not() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let host = rig.server.control_address().unwrap().to_string();
     let status = |method: &str, path: &str, origin: &str| {
         let body = r#"{"fault":"motor_current","on":false}"#;
@@ -296,7 +297,7 @@ struct Watching(BufReader<TcpStream>);
 
 impl Watching {
     /// Opens a page and waits for the start of its answer.
-    fn new(rig: &Rig) -> Self {
+    fn new(rig: &ControlRig) -> Self {
         let mut stream = rig.control();
         stream.write_all(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n").unwrap();
         let mut watching = Self(BufReader::new(stream));
@@ -332,7 +333,8 @@ impl Watching {
 
 #[test]
 fn page_has_a_policy_and_its_script_has_the_nonce_of_the_policy() {
-    let (status, head, body) = Rig::new(Config::default()).http("GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let (status, head, body) =
+        ControlRig::new(Config::default()).http("GET / HTTP/1.1\r\nHost: localhost\r\n\r\n");
     assert_eq!(status, 200);
     let policy = head.lines().find_map(|line| line.strip_prefix("content-security-policy: ")).unwrap();
     assert!(
@@ -349,7 +351,7 @@ fn page_has_a_policy_and_its_script_has_the_nonce_of_the_policy() {
 
 #[test]
 fn pages_home_and_grip_by_commands_and_all_see_the_fingers_move_and_the_part_go() {
-    let rig = Rig::new(Config { time_scale: 5.0, ..Config::default() });
+    let rig = ControlRig::new(Config { time_scale: 5.0, ..Config::default() });
     let mut pages = [(); 2].map(|()| Watching::new(&rig));
     for page in &mut pages {
         let (kind, hello) = page.next();
@@ -391,7 +393,7 @@ fn fast_stop_that_the_plc_asserts_outlasts_every_acknowledgement_on_the_page() {
     const FASTSTOP: u8 = 1 << 5;
     const MOVE: u8 = 1;
     let is_fast_stopped = |plc: &mut Master| plc.ask(&[2, 0, 28, 0, 1]) == [2, 1, 1];
-    let rig = Rig::homed();
+    let rig = ControlRig::homed();
     let mut plc = Master::of(&rig.server);
     plc.write(0);
     plc.write(FASTSTOP);
@@ -417,7 +419,7 @@ fn fast_stop_that_the_plc_asserts_outlasts_every_acknowledgement_on_the_page() {
 
 #[test]
 fn page_shows_decoded_frames_of_clients_without_a_log_file() {
-    let mut rig = Rig::new(Config::default());
+    let mut rig = ControlRig::new(Config::default());
     let mut page = Watching::new(&rig);
     page.until(|kind, _| kind == "state");
     assert_eq!(rig.client.ask(Command::GetForceLimit), Status::Success);
@@ -431,7 +433,7 @@ fn page_shows_decoded_frames_of_clients_without_a_log_file() {
 
 #[test]
 fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let mut pages: Vec<Watching> = (0..64).map(|_| Watching::new(&rig)).collect();
     let (status, answer) = rig.request("GET", "/events", "");
     assert!(status == 503 && answer["error"].as_str().unwrap().contains("64 pages"), "{answer}");
@@ -457,7 +459,7 @@ fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
 fn requests_for_another_host_are_refused() {
     let control_hosts = vec!["bench".to_owned()];
     let lines = Lines { tcp: any_port(), control: any_port(), control_hosts, ..Lines::default() };
-    let rig = Rig::of(serve(Config::default(), lines));
+    let rig = ControlRig::of(serve(Config::default(), lines));
     let address = rig.server.control_address().unwrap().to_string();
     let state = |host: &str| rig.http(&format!("GET /state HTTP/1.1\r\n{host}\r\n"));
     for host in ["localhost", &address, "BENCH:80"] {
@@ -478,7 +480,7 @@ fn requests_for_another_host_are_refused() {
 
 #[test]
 fn endless_heads_are_refused() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let mut stream = rig.control();
     stream.write_all(b"GET /state HTTP/1.1\r\n").unwrap();
     let line = format!("X: {}\r\n", "x".repeat(1_000));
@@ -489,7 +491,7 @@ fn endless_heads_are_refused() {
 
 #[test]
 fn half_open_connections_do_not_delay_a_whole_request() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let begin = Instant::now();
     loop {
         let half = b"POST /part HTTP/1.1\r\nHost: localhost\r\nContent-Length: 4000\r\n\r\n{";
@@ -513,7 +515,7 @@ fn half_open_connections_do_not_delay_a_whole_request() {
 
 #[test]
 fn connection_with_a_partial_request_is_closed() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let mut silent = rig.control();
     silent.write_all(b"POST /part HTTP/1.1\r\nHost: localhost\r\nContent-Length: 4000\r\n\r\n{").unwrap();
     let mut rest = [0; 1_000];
@@ -529,7 +531,7 @@ fn dropped_corrupted_and_truncated_answers_are_lost_and_the_next_whole_one_is_fo
     let whole = frame_of_force_limit().len();
     // The bytes of an answer that arrive.
     for (fault, arriving) in [("drop", 0..=0), ("corrupt", whole..=whole), ("truncate", 1..=whole - 1)] {
-        let mut rig = Rig::new(Config::default());
+        let mut rig = ControlRig::new(Config::default());
         rig.post("/line", &json!({ "direction": "replies", fault: 1 }));
         for _ in 0..20 {
             rig.client.send(Command::GetForceLimit);
@@ -548,7 +550,7 @@ fn dropped_corrupted_and_truncated_answers_are_lost_and_the_next_whole_one_is_fo
 
 #[test]
 fn slow_line_loses_no_answer_at_any_number_of_requests() {
-    let mut rig = Rig::new(Config::default());
+    let mut rig = ControlRig::new(Config::default());
     rig.post("/line", &json!({ "delay_ms": 20 }));
     rig.client.0.write_all(&frame(Command::GetForceLimit).repeat(2_000)).unwrap();
     let mut arrived = vec![0; 2_000 * 14];
@@ -561,7 +563,7 @@ fn slow_line_loses_no_answer_at_any_number_of_requests() {
 fn same_seed_hits_the_same_frames() {
     for direction in ["requests", "replies"] {
         let bytes = |seed| {
-            let mut rig = Rig::with_seed(Config::default(), seed);
+            let mut rig = ControlRig::with_seed(Config::default(), seed);
             let mut faults = json!({ "direction": direction, "drop": 0.2, "duplicate": 0.2 });
             if direction == "replies" {
                 (faults["corrupt"], faults["truncate"]) = (json!(0.2), json!(0.2));
@@ -585,21 +587,21 @@ fn datagrams_are_hit_as_well() {
     let remote_port = remote.local_addr().unwrap().port();
     let udp = any_port().map(|address| UdpLine { address, remote_port });
     let lines = Lines { tcp: any_port(), udp, control: any_port(), ..Lines::default() };
-    let rig = Rig::of(serve(Config::default(), lines));
+    let rig = ControlRig::of(serve(Config::default(), lines));
     rig.post("/line", &json!({ "direction": "replies", "duplicate": 1, "delay_ms": 30 }));
-    let asked = Instant::now();
+    let sent_at = Instant::now();
     let to = rig.server.udp_address().unwrap();
     uninterrupted::send_to(&remote, &frame(Command::GetForceLimit), to).unwrap();
     for _ in 0..2 {
         assert_eq!(recv_datagram(&remote).0, frame_of_force_limit());
     }
-    assert!(asked.elapsed() >= Duration::from_millis(30));
+    assert!(sent_at.elapsed() >= Duration::from_millis(30));
 }
 
 #[test]
 fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
     for (fault, counted) in [("drop", "dropped"), ("truncate", "truncated"), ("corrupt", "corrupted")] {
-        let mut rig = Rig::new(Config::default());
+        let mut rig = ControlRig::new(Config::default());
         rig.post("/line", &json!({ "direction": "requests", fault: 1 }));
         for _ in 0..20 {
             rig.client.send(Command::GetForceLimit);
@@ -617,7 +619,7 @@ fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
 
 #[test]
 fn duplicate_request_is_answered_twice_and_moves_once() {
-    let mut rig = Rig::new(Config::default());
+    let mut rig = ControlRig::new(Config::default());
     rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));
     rig.client.send(HOMING);
     let statuses = [rig.client.status(), rig.client.status(), rig.client.status()];
@@ -626,7 +628,7 @@ fn duplicate_request_is_answered_twice_and_moves_once() {
 
 #[test]
 fn delayed_requests_keep_their_order_and_pass_when_the_faults_end() {
-    let mut rig = Rig::new(Config::default());
+    let mut rig = ControlRig::new(Config::default());
     rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
     let start = Instant::now();
     rig.client.send(Command::GetForceLimit);
@@ -653,7 +655,7 @@ fn faults_of_replies_leave_requests_alone_and_by_default_both_are_hit() {
         (json!({ "direction": "both", "duplicate": 1 }), 1, 2),
         (json!({ "duplicate": 1 }), 1, 2),
     ] {
-        let mut rig = Rig::new(Config::default());
+        let mut rig = ControlRig::new(Config::default());
         rig.post("/line", &body);
         rig.client.send(Command::GetForceLimit);
         let mut arrived = vec![0; frame_of_force_limit().len() * (1 << (requests + replies.min(1)))];
@@ -669,7 +671,7 @@ fn datagrams_text_and_modbus_to_the_gripper_are_hit_as_well() {
     let remote = udp_socket();
     let any = any_port();
     let lines = Lines { tcp: any, gcl: any, gcl_udp: any, modbus: any, control: any, ..Lines::default() };
-    let rig = Rig::of(serve(Config::default(), lines));
+    let rig = ControlRig::of(serve(Config::default(), lines));
     let mut gcl = connect(rig.server.gcl_address().unwrap());
     let mut modbus = connect(rig.server.modbus_address().unwrap());
     rig.post("/line", &json!({ "direction": "requests", "duplicate": 1 }));

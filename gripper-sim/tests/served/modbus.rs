@@ -273,7 +273,7 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
     let mut binary = Client::of(&served);
     let mut text = connect(served.gcl_address().unwrap());
     let mut lines = BufReader::new(text.try_clone().unwrap()).lines().map(Result::unwrap);
-    let mut says = |line: &str| {
+    let mut ask_text = |line: &str| {
         text.write_all(format!("{line}\n").as_bytes()).unwrap();
         lines.next().unwrap()
     };
@@ -288,16 +288,16 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
     master.run(0b0010);
     assert_eq!((master.gstate(), watcher.gstate()), (HOLDING, HOLDING));
     assert_eq!(answers(STATE), [0, 0, 4]);
-    assert_eq!(says("GRIPSTATE?"), "GRIPSTATE=4");
+    assert_eq!(ask_text("GRIPSTATE?"), "GRIPSTATE=4");
     // The text client releases the part, and the PLC sees it.
-    assert_eq!(says("RELEASE()"), "ACK RELEASE");
-    assert_eq!(says(""), "FIN RELEASE");
+    assert_eq!(ask_text("RELEASE()"), "ACK RELEASE");
+    assert_eq!(ask_text(""), "FIN RELEASE");
     assert_eq!((master.gstate(), answers(STATE)), (IDLE, vec![0, 0, 0]));
     // A FAST STOP of the binary client also applies to the PLC: state IDLE there, 7 here and in the text protocol.
     assert_eq!(answers(Command::FastStop), [0, 0]);
     assert_eq!(watcher.ask(&[2, 0, 28, 0, 1]), [2, 1, 1], "SYSSTATE bit 12");
     assert_eq!(
-        (watcher.gstate(), answers(STATE), says("GRIPSTATE?")),
+        (watcher.gstate(), answers(STATE), ask_text("GRIPSTATE?")),
         (IDLE, vec![0, 0, 7], "GRIPSTATE=7".to_owned())
     );
     // The PLC acknowledges it for all clients.
@@ -305,10 +305,10 @@ fn binary_text_and_modbus_clients_see_one_gripper() {
     watcher.write(0b1_0000);
     assert_eq!(watcher.ask(&[2, 0, 28, 0, 1]), [2, 1, 0]);
     assert_eq!(
-        (watcher.gstate(), answers(STATE), says("GRIPSTATE?")),
+        (watcher.gstate(), answers(STATE), ask_text("GRIPSTATE?")),
         (IDLE, vec![0, 0, 0], "GRIPSTATE=0".to_owned())
     );
-    assert_eq!(says("BYE()"), "ACK BYE");
+    assert_eq!(ask_text("BYE()"), "ACK BYE");
 }
 
 #[test]

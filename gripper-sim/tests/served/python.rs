@@ -16,6 +16,6 @@ fn example_passes_in_pytest() {
         .env("PYTHONDONTWRITEBYTECODE", "1")
         .output()
         .expect("that Python starts");
-    let said = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success() && said.contains(" passed in "), "{said}");
+    let stdout = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && stdout.contains(" passed in "), "{stdout}");
 }

@@ -6,14 +6,14 @@ use crate::rig::await_some;
 use serde_json::{Value, json};
 use std::path::PathBuf;
 
-struct Rig {
+struct ScriptsRig {
     program: Program,
     control: String,
     folder: PathBuf,
     config: PathBuf,
 }
 
-impl Rig {
+impl ScriptsRig {
     fn new(name: &str) -> Self {
         let folder = std::env::temp_dir().join(format!("wsg-scripts-{}-{name}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
@@ -62,7 +62,7 @@ impl Rig {
     }
 }
 
-impl Drop for Rig {
+impl Drop for ScriptsRig {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.folder);
     }
@@ -70,7 +70,7 @@ impl Drop for Rig {
 
 #[test]
 fn script_is_saved_listed_read_run_and_deleted() {
-    let rig = Rig::new("cycle");
+    let rig = ScriptsRig::new("cycle");
     rig.save("hello.lua", "print('hello')\nprintf('%d', 7)\n");
     assert_eq!(
         std::fs::read_to_string(rig.folder.join("hello.lua")).unwrap(),
@@ -92,7 +92,7 @@ fn script_is_saved_listed_read_run_and_deleted() {
 
 #[test]
 fn source_that_the_page_cannot_show_is_refused_and_not_replaced() {
-    let rig = Rig::new("encodings");
+    let rig = ScriptsRig::new("encodings");
     for (bytes, expected) in [
         (&b"\xEF\xBB\xBFprint(1)"[..], Ok("print(1)")),
         (b"print(1)\n-- gr\xFCn", Err("line 2 is not UTF-8")),
@@ -109,7 +109,7 @@ fn source_that_the_page_cannot_show_is_refused_and_not_replaced() {
 
 #[test]
 fn error_of_a_script_names_its_line() {
-    let rig = Rig::new("error");
+    let rig = ScriptsRig::new("error");
     rig.save("wrong.lua", "local x = 1\nx()\n");
     rig.run("wrong.lua");
     let answer = rig.until("wrong.lua", "failed");
@@ -123,7 +123,7 @@ fn error_of_a_script_names_its_line() {
 
 #[test]
 fn endless_script_is_stopped_and_replaced() {
-    let rig = Rig::new("endless");
+    let rig = ScriptsRig::new("endless");
     let flags = || rig.request("GET", "/state", "").1["system_state"].to_string();
     rig.save(
         "endless.lua",
@@ -151,7 +151,7 @@ fn endless_script_is_stopped_and_replaced() {
 
 #[test]
 fn start_up_script_is_a_setting_that_survives() {
-    let mut rig = Rig::new("start_up");
+    let mut rig = ScriptsRig::new("start_up");
     rig.save("first.lua", "print('at the start')\n");
     let answer = rig.act(&json!({"action": "start_up", "name": "first.lua"}));
     assert_eq!(answer["start_up"], "first.lua");
@@ -168,7 +168,7 @@ fn start_up_script_is_a_setting_that_survives() {
 
 #[test]
 fn requests_about_scripts_are_bounded_and_lead_out_of_no_folder() {
-    let rig = Rig::new("bounds");
+    let rig = ScriptsRig::new("bounds");
     let outside = rig.folder.with_extension("lua");
     std::fs::write(&outside, "secret").unwrap();
     #[cfg(unix)]

@@ -10,7 +10,7 @@ use std::net::TcpStream;
 use wsg_protocol::{Command, HomingDirection, Status};
 
 /// The program with a configuration file.
-struct Rig {
+struct SettingsRig {
     program: Program,
     tcp: String,
     control: String,
@@ -18,7 +18,7 @@ struct Rig {
     client: Client<TcpStream>,
 }
 
-impl Rig {
+impl SettingsRig {
     fn new(name: &str, text: &str) -> Self {
         let file = File::new(&format!("{name}.toml"), text);
         let path = file.0.to_str().unwrap();
@@ -68,7 +68,7 @@ impl Rig {
 /// "Set Device Tag" (51h) stores the tag, as the command set describes it (3.5.2).
 #[test]
 fn tag_of_a_client_outlasts_a_restart_and_is_saved() {
-    let mut rig = Rig::new("tag", "tag = \"first\"\n");
+    let mut rig = SettingsRig::new("tag", "tag = \"first\"\n");
     for tag in ["cell 7", "--odd: \\ \"quoted\"", ""] {
         let sent = wsg_protocol::DeviceTag::new(tag).unwrap();
         assert_eq!(rig.client.ask(Command::SetDeviceTag { tag: sent }), Status::Success);
@@ -94,7 +94,7 @@ fn tag_of_a_client_outlasts_a_restart_and_is_saved() {
 
 #[test]
 fn settings_change_at_once_and_reference_and_latched_state_stay() {
-    let mut rig = Rig::new("at_once", "time-scale = 20\npart = \"20\"\n");
+    let mut rig = SettingsRig::new("at_once", "time-scale = 20\npart = \"20\"\n");
     rig.home();
     // A part of 20 mm is 15 mm too early for a nominal width of 5 mm.
     assert_eq!(rig.client.run(grip(5.0)), Status::CmdFailed);
@@ -121,7 +121,7 @@ fn settings_change_at_once_and_reference_and_latched_state_stay() {
 
 #[test]
 fn checksum_evaluation_changes_for_a_connected_client() {
-    let mut rig = Rig::new("checksum", "");
+    let mut rig = SettingsRig::new("checksum", "");
     let stop = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0, 0];
     rig.set(&json!({"answer-bad-checksum": true}));
     rig.client.0.write_all(&stop).unwrap();
@@ -136,7 +136,7 @@ fn checksum_evaluation_changes_for_a_connected_client() {
 
 #[test]
 fn motion_configuration_is_refused_while_the_fingers_move_and_the_rest_is_not() {
-    let mut rig = Rig::new("moving", "");
+    let mut rig = SettingsRig::new("moving", "");
     assert_eq!(rig.client.ask(Command::Homing { direction: HomingDirection::Default }), Status::CmdPending);
     let (status, error) = rig.refused(&json!({"clamping-travel": 9, "tag": "x"}));
     assert_eq!((status, error.contains("the fingers move")), (409, true), "{error}");
@@ -150,7 +150,7 @@ fn motion_configuration_is_refused_while_the_fingers_move_and_the_rest_is_not() 
 
 #[test]
 fn wrong_settings_are_refused_in_a_sentence_and_change_nothing() {
-    let rig = Rig::new("wrong", "# A cell\n");
+    let rig = SettingsRig::new("wrong", "# A cell\n");
     for (changes, expected) in [
         (json!({"clamping-travl": 5}), "\"clamping-travl\" is unknown"),
         (json!({"log": "/tmp/x"}), "\"log\" is unknown"),
@@ -175,7 +175,7 @@ fn wrong_settings_are_refused_in_a_sentence_and_change_nothing() {
 
 #[test]
 fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
-    let mut rig = Rig::new("restart", "# A cell\nmodel = \"wsg32\"\nhoming-at-start = false\n");
+    let mut rig = SettingsRig::new("restart", "# A cell\nmodel = \"wsg32\"\nhoming-at-start = false\n");
     rig.home();
     let answer = rig.set(&json!({"model": "wsg25", "homing-at-start": true, "modbus": "127.0.0.1:0"}));
     assert_eq!(answer["restart_pending"], json!(true));
@@ -211,7 +211,7 @@ fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
 
 #[test]
 fn restart_that_cannot_open_a_line_returns_to_the_earlier_settings() {
-    let mut rig = Rig::new("bad_restart", "");
+    let mut rig = SettingsRig::new("bad_restart", "");
     rig.set(&json!({"model": "wsg25", "udp": "203.0.113.9:1500"}));
     assert_eq!(rig.request("POST", "/restart", "").0, 200);
     assert_eq!(rig.program.line(), "model wsg50-110");

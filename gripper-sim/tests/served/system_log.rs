@@ -1,7 +1,7 @@
 //! The system log: what it records, and where it is read (command set, 3.2.4 and 3.3.8).
 
 use crate::common::program::Program;
-use crate::control::Rig;
+use crate::control::ControlRig;
 use crate::rig::{Client, await_some, await_true};
 use serde_json::{Value, json};
 use wsg_protocol::types::AckKey;
@@ -9,7 +9,7 @@ use wsg_protocol::{Command, Status};
 use wsg_sim::Config;
 
 /// Returns severity, source and text of each entry.
-fn entries(rig: &Rig) -> Vec<[String; 3]> {
+fn entries(rig: &ControlRig) -> Vec<[String; 3]> {
     let (status, log) = rig.request("GET", "/log", "");
     assert_eq!(status, 200);
     let text = |entry: &Value, key: &str| entry[key].as_str().unwrap().to_owned();
@@ -18,7 +18,7 @@ fn entries(rig: &Rig) -> Vec<[String; 3]> {
 }
 
 /// Waits for an entry and returns its severity and source.
-fn until(rig: &Rig, text: &str) -> [String; 2] {
+fn until(rig: &ControlRig, text: &str) -> [String; 2] {
     await_some(text, || {
         let [severity, source, _] = entries(rig).into_iter().find(|entry| entry[2] == text)?;
         Some([severity, source])
@@ -27,7 +27,7 @@ fn until(rig: &Rig, text: &str) -> [String; 2] {
 
 #[test]
 fn lost_connection_leaves_a_line_and_its_fast_stop_another() {
-    let mut rig = Rig::new(Config::default());
+    let mut rig = ControlRig::new(Config::default());
     assert_eq!(until(&rig, "started as wsg50-110"), ["info", "gripper"]);
     assert_eq!(rig.client.ask(Command::Stop), Status::Success);
     let name = format!("tcp {}", rig.client.0.local_addr().unwrap());
@@ -44,7 +44,7 @@ fn lost_connection_leaves_a_line_and_its_fast_stop_another() {
 
 #[test]
 fn announced_end_of_a_connection_is_no_warning() {
-    let mut rig = Rig::new(Config::default());
+    let mut rig = ControlRig::new(Config::default());
     assert_eq!(rig.client.ask(Command::DisconnectAnnouncement), Status::Success);
     let name = format!("tcp {}", rig.client.0.local_addr().unwrap());
     rig.client = Client::of(&rig.server);
@@ -54,7 +54,7 @@ fn announced_end_of_a_connection_is_no_warning() {
 
 #[test]
 fn fast_stop_and_overdrive_name_the_client_that_sent_them() {
-    let mut rig = Rig::new(Config::default());
+    let mut rig = ControlRig::new(Config::default());
     let name = format!("tcp {}", rig.client.0.local_addr().unwrap());
     for command in [
         Command::FastStop,
@@ -81,7 +81,7 @@ fn fast_stop_and_overdrive_name_the_client_that_sent_them() {
 
 #[test]
 fn faults_are_errors_and_stop_the_gripper_by_name() {
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     rig.post("/fault", &json!({"fault": "motor_current", "on": true}));
     rig.post("/fault", &json!({"fault": "motor_current", "on": false}));
     let all = entries(&rig);
@@ -114,7 +114,7 @@ fn log_is_a_file_on_request_and_by_option() {
     }
     std::fs::remove_file(&path).unwrap();
 
-    let rig = Rig::new(Config::default());
+    let rig = ControlRig::new(Config::default());
     let (status, head, body) = rig.http("GET /log.txt HTTP/1.1\r\nHost: localhost\r\n\r\n");
     assert_eq!(status, 200);
     assert!(head.to_lowercase().contains("content-disposition: attachment"), "{head}");

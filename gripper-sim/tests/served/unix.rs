@@ -141,21 +141,21 @@ fn port_1000_is_replaced_for_an_ordinary_user_and_an_explicit_low_port_says_what
         command.spawn().unwrap()
     };
     let output = ordinary(&["--tcp", "127.0.0.1:999"]).wait_with_output().unwrap();
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!((output.status.code(), said.lines().count()), (Some(1), 1), "{said}");
-    assert!(said.contains("ports below 1024 require privileges; try --tcp 127.0.0.1:11000"), "{said}");
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), stderr.lines().count()), (Some(1), 1), "{stderr}");
+    assert!(stderr.contains("ports below 1024 require privileges; try --tcp 127.0.0.1:11000"), "{stderr}");
 
     let mut child = ordinary(&[]);
-    let mut said = String::new();
+    let mut stderr = String::new();
     let mut errors = BufReader::new(child.stderr.take().unwrap());
-    errors.read_line(&mut said).unwrap();
+    errors.read_line(&mut stderr).unwrap();
     // The program may have ended because the port is taken.
     let _ = child.kill();
     child.wait().unwrap();
     std::fs::remove_file(&program).unwrap();
     assert!(
-        said.contains("port 1000 requires privileges that you lack: serving 127.0.0.1:11000 instead"),
-        "{said}"
+        stderr.contains("port 1000 requires privileges that you lack: serving 127.0.0.1:11000 instead"),
+        "{stderr}"
     );
 }
 

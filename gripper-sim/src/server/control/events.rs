@@ -45,7 +45,7 @@ impl Watchers {
     }
 
     /// Ready when a page is open.
-    pub(super) async fn come(&self) {
+    pub(super) async fn opened(&self) {
         while self.are_none() {
             self.came.notified().await;
         }

@@ -4,7 +4,7 @@ use super::answer::HttpError;
 use crate::axis::Part;
 use crate::faults::Fault;
 use crate::finger::{Finger, Jaw};
-use crate::server::faulty_line::{Direction, LineFaults};
+use crate::server::faulty_line::{FaultDirection, LineFaults};
 use crate::server::hub::Hub;
 use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
@@ -115,7 +115,7 @@ pub(super) fn which_fault(hub: &Hub, name: FaultName, finger: Option<u8>) -> Res
 #[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct LineBody {
-    direction: Direction,
+    direction: FaultDirection,
     drop: f64,
     delay: Option<f64>,
     delay_ms: Option<u32>,

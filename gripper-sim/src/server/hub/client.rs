@@ -31,7 +31,7 @@ impl ClientHandle {
 
     pub(in crate::server) fn receive(&self, bytes: &[u8]) {
         let Self { hub, requests, connected, .. } = self;
-        *lock(&connected.heard_at) = Instant::now();
+        *lock(&connected.received_at) = Instant::now();
         let mut shared = hub.lock();
         let now = hub.now();
         let Shared { log, line_faults, request_counts, .. } = &mut *shared;
@@ -42,7 +42,7 @@ impl ClientHandle {
         let mut requests = requests.borrow_mut();
         if faults.are_none() && requests.is_empty() {
             drop(shared);
-            return self.hear(bytes);
+            return self.deliver(bytes);
         }
         requests.take(&faults, now, bytes, |fate| {
             request_counts.count(fate);
@@ -57,7 +57,7 @@ impl ClientHandle {
     /// Takes an output image written by the master.
     #[cfg(target_os = "linux")]
     pub(in crate::server) fn write_image(&self, image: &OutputImage, is_first: bool) {
-        *lock(&self.connected.heard_at) = Instant::now();
+        *lock(&self.connected.received_at) = Instant::now();
         self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
     }
 
@@ -85,11 +85,11 @@ impl ClientHandle {
     pub(in crate::server) fn arrive(&self) {
         let arrived = self.requests.borrow_mut().arrive(self.hub.now());
         if let Some(bytes) = arrived {
-            self.hear(&bytes);
+            self.deliver(&bytes);
         }
     }
 
-    fn hear(&self, bytes: &[u8]) {
+    fn deliver(&self, bytes: &[u8]) {
         let tag = self.hub.act(|gripper, now| {
             gripper.receive(self.connected.id, now, bytes);
             *gripper.tag()
@@ -109,14 +109,14 @@ impl ClientHandle {
     /// Ready when a Modbus/TCP connection must be closed, because it is idle for too long or its place is needed. Never
     /// ready for other protocols.
     pub(in crate::server) async fn dismissed(&self) {
-        let Connected { kind, name, heard_at, displaced, .. } = &*self.connected;
+        let Connected { kind, name, received_at, displaced, .. } = &*self.connected;
         if *kind != PortKind::ModbusTcp {
             return std::future::pending().await;
         }
-        let heard_at = *lock(heard_at);
+        let received_at = *lock(received_at);
         tokio::select! {
             () = displaced.notified() => {}
-            () = sleep_until(heard_at + IDLE_LIMIT) => {
+            () = sleep_until(received_at + IDLE_LIMIT) => {
                 self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
             }
         }

@@ -171,9 +171,9 @@ impl Hub {
 
     /// Blocks for `duration`, or until the run is over.
     pub(in crate::server) fn script_sleeps(&self, run: Run, duration: Duration) {
-        let goes_on = |shared: &mut Shared| !is_over(shared, run);
+        let is_running = |shared: &mut Shared| !is_over(shared, run);
         // Neither the guard nor the time-out flag is needed.
-        drop(self.script_waits.wait_timeout_while(self.lock(), duration, goes_on));
+        drop(self.script_waits.wait_timeout_while(self.lock(), duration, is_running));
     }
 
     /// Returns this client and its interface, or, after its end, the first client of the binary protocol and its interface.

@@ -64,7 +64,7 @@ struct Caller {
     noted: RefCell<BTreeSet<String>>,
     printed: Cell<Printed>,
     /// The line that is printed so far, without its line end.
-    begun: RefCell<String>,
+    unfinished: RefCell<String>,
     /// The gains of the speed controller, which have no effect here.
     gains: Cell<[f64; 3]>,
 }
@@ -116,7 +116,7 @@ pub(super) fn install(
         client: Cell::default(),
         noted: RefCell::default(),
         printed: Cell::new(Printed::new()),
-        begun: RefCell::default(),
+        unfinished: RefCell::default(),
         gains: Cell::new([1.0, 0.0, 0.0]),
     });
     let globals = lua.globals();
@@ -178,14 +178,14 @@ impl Caller {
         let mut printed = self.printed.get();
         let mut lines = Vec::new();
         for piece in text.split_inclusive('\n') {
-            let mut begun = self.begun.borrow_mut();
+            let mut unfinished = self.unfinished.borrow_mut();
             // One more, so that the line is marked as clipped.
-            let room = (MAX_LINE_LEN + 1).saturating_sub(begun.chars().count());
-            begun.extend(piece.strip_suffix('\n').unwrap_or(piece).chars().take(room));
+            let room = (MAX_LINE_LEN + 1).saturating_sub(unfinished.chars().count());
+            unfinished.extend(piece.strip_suffix('\n').unwrap_or(piece).chars().take(room));
             if !piece.ends_with('\n') {
                 break;
             }
-            let line = std::mem::take(&mut *begun);
+            let line = std::mem::take(&mut *unfinished);
             let lost = printed.lost;
             if !printed.takes_line() {
                 continue;
@@ -297,7 +297,7 @@ impl Caller {
 
 impl Drop for Caller {
     fn drop(&mut self) {
-        if !self.begun.borrow().is_empty() {
+        if !self.unfinished.borrow().is_empty() {
             // After a stop, nothing is logged any more.
             let _ = self.print("\n");
         }

@@ -190,8 +190,8 @@ fn click_without_an_answer_says_so_within_a_second_and_does_not_run_later() {
         tab.click(button);
         tab.until("unansweredAfter !== null");
         assert_is_a_second(&mut tab, "unansweredAfter");
-        let said = tab.eval(message);
-        assert_eq!(said, "the gripper does not answer, and will not execute this later", "{path}");
+        let shown = tab.eval(message);
+        assert_eq!(shown, "the gripper does not answer, and will not execute this later", "{path}");
         gripper._program.signal(Signal::CONT);
         tab.until("isFresh()");
     }
@@ -293,9 +293,9 @@ fn page_through_a_proxy_that_changes_the_host_names_the_header() {
         // A busy machine may withhold the answer.
         let is_refused = (0..20).any(|_| {
             tab.click(button);
-            let said = tab.until("document.getElementById('message').textContent");
+            let shown = tab.until("document.getElementById('message').textContent");
             tab.eval("say('message', ''); 0");
-            said.as_str().is_some_and(|said| said.starts_with(&expected))
+            shown.as_str().is_some_and(|shown| shown.starts_with(&expected))
         });
         assert!(is_refused, "{button}");
     }
