@@ -8,7 +8,7 @@ use crate::fieldbus::Fieldbus;
 use crate::port::{Completion, FrameBuffer, PortCounters, PortId, PortKind, Request};
 use crate::send_queue::SendQueue;
 use crate::time::{Time, earlier};
-use crate::updates::{Readings, Silence, Subscriptions};
+use crate::updates::{Readings, Updates};
 use wsg_protocol::frame::OVERHEAD;
 use wsg_protocol::{AutoUpdate, Command, CommandId, Event, Frame, FrameEncoder, Payload, Reply, Status};
 
@@ -27,8 +27,7 @@ pub(crate) struct BinaryClient {
 struct BinarySession {
     id: PortId,
     kind: PortKind,
-    subscriptions: Subscriptions,
-    silence: Silence,
+    subscriptions: Updates,
     /// Whether the client has sent a Disconnect Announcement.
     announced: bool,
     /// Whether frames with a wrong checksum are answered.
@@ -43,8 +42,7 @@ impl BinaryClient {
             line: BinarySession {
                 id,
                 kind,
-                subscriptions: Subscriptions::default(),
-                silence: Silence::new(kind, config),
+                subscriptions: Updates::new(kind, config),
                 announced: false,
                 answer_bad_checksum: config.answer_bad_checksum,
                 queue: SendQueue::default(),
@@ -68,7 +66,7 @@ impl Client for BinaryClient {
             *deframer = Deframer::new(line.kind, config);
         }
         line.answer_bad_checksum = config.answer_bad_checksum;
-        line.silence.reconfigure(line.kind, config);
+        line.subscriptions.reconfigure(line.kind, config);
     }
 
     fn is_missed(&self) -> bool {
@@ -76,7 +74,7 @@ impl Client for BinaryClient {
     }
 
     fn receive(&mut self, device: &mut Device, _: &mut Fieldbus, now: Time, bytes: &[u8]) -> (usize, bool) {
-        self.line.silence.end(now);
+        self.line.subscriptions.end_silence(now);
         let (taken, event) = self.deframer.push_slice(now, bytes);
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
@@ -88,9 +86,7 @@ impl Client for BinaryClient {
     }
 
     fn expire(&mut self, device: &mut Device, _: &mut Fieldbus, now: Time) -> bool {
-        if self.line.silence.is_too_long(now) {
-            self.line.subscriptions.clear();
-        }
+        self.line.subscriptions.expire(now);
         let event = self.deframer.expire(now);
         event.map(|event| self.line.handle(device, now, event)).is_some()
     }
@@ -100,9 +96,7 @@ impl Client for BinaryClient {
     }
 
     fn next_due(&self, now: Time) -> Option<Time> {
-        let BinarySession { subscriptions, silence, .. } = &self.line;
-        let end = if subscriptions.are_none() { None } else { silence.due() };
-        earlier(earlier(subscriptions.next_due(now), end), self.deframer.due())
+        earlier(self.line.subscriptions.next_due(now), self.deframer.due())
     }
 
     fn complete(&mut self, done: Completion) {
@@ -115,8 +109,8 @@ impl Client for BinaryClient {
 
     fn publish(&mut self, now: Time, readings: &Readings) {
         let BinarySession { subscriptions, queue, .. } = &mut self.line;
-        subscriptions.publish(now, readings, |value| {
-            let reply = Reply::success(value);
+        subscriptions.publish(now, readings, |update| {
+            let reply = Reply::success(update.value(readings));
             let frame = FrameEncoder::new(reply.id().code(), reply);
             queue.push_update(frame.frame_len(), frame)
         });

@@ -12,9 +12,9 @@ use crate::device::Device;
 use crate::fieldbus::Fieldbus;
 use crate::port::{Completion, FrameBuffer, MAX_FRAME_LEN, PortCounters, PortId, PortKind};
 use crate::send_queue::SendQueue;
-use crate::time::{Time, earlier};
-use crate::updates::{Readings, Silence};
-use autosend::Autosends;
+use crate::time::Time;
+use crate::updates::Readings;
+use autosend::{Autosends, value};
 use heapless::{String, Vec};
 use requests::Outcome;
 use wsg_protocol::gcl::{Answer, CommandName, Description, LineEvent, LineReader, Named, Refused, Request};
@@ -40,7 +40,6 @@ struct TextSession {
     part_width_tolerance: f32,
     clamping_travel: f32,
     autosends: Autosends,
-    silence: Silence,
     queue: SendQueue,
 }
 
@@ -55,8 +54,7 @@ impl TextClient {
                 verbose: config.gcl_verbose,
                 part_width_tolerance: config.part_width_tolerance,
                 clamping_travel: config.clamping_travel,
-                autosends: Autosends::default(),
-                silence: Silence::new(kind, config),
+                autosends: Autosends::new(kind, config),
                 queue: SendQueue::default(),
             },
         }
@@ -75,7 +73,7 @@ impl Client for TextClient {
     }
 
     fn reconfigure(&mut self, _: &Config, config: &Config) {
-        self.line.silence.reconfigure(self.line.kind, config);
+        self.line.autosends.reconfigure(self.line.kind, config);
     }
 
     fn is_missed(&self) -> bool {
@@ -83,7 +81,7 @@ impl Client for TextClient {
     }
 
     fn receive(&mut self, device: &mut Device, _: &mut Fieldbus, now: Time, bytes: &[u8]) -> (usize, bool) {
-        self.line.silence.end(now);
+        self.line.autosends.end_silence(now);
         let (taken, event) = self.reader.push_slice(bytes);
         (taken, event.map(|event| self.line.handle(device, now, event)).is_some())
     }
@@ -96,9 +94,7 @@ impl Client for TextClient {
     }
 
     fn expire(&mut self, _: &mut Device, _: &mut Fieldbus, now: Time) -> bool {
-        if self.line.silence.is_too_long(now) {
-            self.line.autosends.clear();
-        }
+        self.line.autosends.expire(now);
         false
     }
 
@@ -107,9 +103,7 @@ impl Client for TextClient {
     }
 
     fn next_due(&self, now: Time) -> Option<Time> {
-        let TextSession { autosends, silence, .. } = &self.line;
-        let end = if autosends.are_none() { None } else { silence.due() };
-        earlier(autosends.next_due(now), end)
+        self.line.autosends.next_due(now)
     }
 
     fn complete(&mut self, done: Completion) {
@@ -118,7 +112,8 @@ impl Client for TextClient {
 
     fn publish(&mut self, now: Time, readings: &Readings) {
         let TextSession { autosends, queue, .. } = &mut self.line;
-        autosends.publish(now, readings, |value| {
+        autosends.publish(now, readings, |autosend| {
+            let value = value(autosend.topic, readings);
             line_of(&Answer::Update(value)).is_some_and(|line| queue.push_update(line.len(), line))
         });
     }

@@ -2,7 +2,7 @@
 
 use crate::config::Config;
 use crate::port::PortKind;
-use crate::time::Time;
+use crate::time::{Time, earlier};
 use wsg_protocol::{AutoUpdate, CommandId, GripperState, SystemFlags, Temperature, UpdateFlags, Value};
 
 /// Smallest change in mm that triggers a width update (command set, 3.4.4).
@@ -73,114 +73,149 @@ impl Quantity {
             Self::Force => (before.force - now.force).abs() >= FORCE_CHANGE,
         }
     }
+}
 
-    /// Returns whether updates of this quantity are sent. Width updates are suppressed while the fingers are not referenced.
-    fn is_sent(self, now: &Readings) -> bool {
-        self != Self::Width || now.referenced
+/// The updates of one quantity, as a client requests them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Update {
+    quantity: Quantity,
+    on_change: bool,
+}
+
+impl Update {
+    /// Returns the value as the reply to its command.
+    pub(crate) const fn value(self, readings: &Readings) -> Value<'static> {
+        self.quantity.value(readings)
     }
 }
 
-#[derive(Clone, Copy, Debug)]
-struct Subscription {
-    on_change: bool,
-    period_ms: u16,
-    /// When the next update is due; for updates on change, the earliest time.
-    due: Time,
-    /// The values sent last.
-    last: Readings,
+impl Subscribed for Update {
+    /// Width updates are suppressed while the fingers are not referenced.
+    fn is_sent(self, now: &Readings) -> bool {
+        self.quantity != Quantity::Width || now.referenced
+    }
+
+    fn is_due(self, last: &Readings, now: &Readings) -> bool {
+        !self.on_change || (self.is_sent(now) && self.quantity.differs(last, now))
+    }
 }
 
-/// The subscriptions of one connection.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Subscriptions([Option<Subscription>; Quantity::ALL.len()]);
+/// The subscriptions of a client of the binary protocol.
+pub(crate) type Updates = Subscriptions<Update, { Quantity::ALL.len() }>;
 
-impl Subscriptions {
+impl Updates {
     /// Applies the request that has just been answered with `readings`. Requests of other commands change nothing.
     pub(crate) fn request(&mut self, id: CommandId, update: AutoUpdate, now: Time, readings: Readings) {
         let Some(quantity) = Quantity::of(id) else { return };
-        let period_ms = update.period_ms.max(AutoUpdate::MIN_PERIOD_MS);
+        let period_ms = update.period_ms.max(AutoUpdate::MIN_PERIOD_MS).into();
+        let of = Update { quantity, on_change: update.flags.contains(UpdateFlags::ON_CHANGE) };
         let subscription = update.flags.contains(UpdateFlags::AUTOMATIC).then_some(Subscription {
-            on_change: update.flags.contains(UpdateFlags::ON_CHANGE),
+            of,
             period_ms,
-            due: now.plus_millis(period_ms.into()),
-            last: readings,
+            due: now.plus_millis(period_ms),
+            last: Some(readings),
         });
-        for (slot, of) in self.0.iter_mut().zip(Quantity::ALL) {
-            if of == quantity {
-                *slot = subscription;
-            }
+        self.set(Quantity::ALL.iter().position(|known| *known == quantity), subscription);
+    }
+}
+
+/// A value that a client has subscribed to, and its condition.
+pub(crate) trait Subscribed: Copy {
+    /// Returns whether the value is sent at present. Otherwise it counts as sent.
+    fn is_sent(self, now: &Readings) -> bool;
+
+    /// Returns whether the condition holds, by the values sent last.
+    fn is_due(self, last: &Readings, now: &Readings) -> bool;
+}
+
+/// The subscription to one value.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Subscription<T> {
+    pub(crate) of: T,
+    pub(crate) period_ms: u64,
+    /// When the next update is due; for updates on change, the earliest time.
+    pub(crate) due: Time,
+    /// The values sent last, if the first update waits for a change from them.
+    pub(crate) last: Option<Readings>,
+}
+
+/// The subscriptions of one connection, by kind of value.
+#[derive(Clone, Debug)]
+pub(crate) struct Subscriptions<T, const KINDS: usize> {
+    by_kind: [Option<Subscription<T>>; KINDS],
+    silence: Silence,
+}
+
+impl<T: Subscribed, const KINDS: usize> Subscriptions<T, KINDS> {
+    pub(crate) const fn new(kind: PortKind, config: &Config) -> Self {
+        Self { by_kind: [const { None }; KINDS], silence: Silence::new(kind, config) }
+    }
+
+    /// Takes over the settings, and keeps the subscriptions.
+    pub(crate) const fn reconfigure(&mut self, kind: PortKind, config: &Config) {
+        self.silence.limit_s = Silence::new(kind, config).limit_s;
+    }
+
+    /// Replaces the subscription to this kind of value.
+    pub(crate) fn set(&mut self, kind: Option<usize>, subscription: Option<Subscription<T>>) {
+        if let Some(slot) = kind.and_then(|kind| self.by_kind.get_mut(kind)) {
+            *slot = subscription;
+        }
+    }
+
+    /// Restarts the idle time-out when the client sends.
+    pub(crate) const fn end_silence(&mut self, now: Time) {
+        self.silence.last_rx = now;
+    }
+
+    /// Ends the subscriptions of a client that has been silent for too long.
+    pub(crate) fn expire(&mut self, now: Time) {
+        if self.silence.due().is_some_and(|due| due <= now) {
+            self.clear();
         }
     }
 
     pub(crate) fn clear(&mut self) {
-        *self = Self::default();
+        self.by_kind = [const { None }; KINDS];
     }
 
-    pub(crate) fn are_none(&self) -> bool {
-        self.0.iter().all(Option::is_none)
-    }
-
-    /// Returns the next time at which an update may be due without an event.
+    /// Returns the next time at which an update may be due, or the subscriptions end, without an event.
     pub(crate) fn next_due(&self, now: Time) -> Option<Time> {
-        self.0.iter().flatten().map(|subscription| subscription.due).filter(|due| *due > now).min()
+        let subscriptions = self.by_kind.iter().flatten();
+        let end = subscriptions.clone().next().and_then(|_| self.silence.due());
+        earlier(subscriptions.map(|subscription| subscription.due).filter(|due| *due > now).min(), end)
     }
 
     /// Passes due updates to `send`, which returns whether there was room. An update on change without room is retried.
-    pub(crate) fn publish(
-        &mut self,
-        now: Time,
-        readings: &Readings,
-        mut send: impl FnMut(Value<'static>) -> bool,
-    ) {
-        for (slot, quantity) in self.0.iter_mut().zip(Quantity::ALL) {
-            let Some(subscription) = slot else { continue };
-            if subscription.due > now || subscription.waits_for_change(quantity, readings) {
+    pub(crate) fn publish(&mut self, now: Time, readings: &Readings, mut send: impl FnMut(T) -> bool) {
+        for Subscription { of, period_ms, due, last } in self.by_kind.iter_mut().flatten() {
+            if *due > now || last.is_some_and(|last| !of.is_due(&last, readings)) {
                 continue;
             }
-            let sent = !quantity.is_sent(readings) || send(quantity.value(readings));
-            if sent {
-                subscription.last = *readings;
+            if !of.is_sent(readings) || send(*of) {
+                *last = Some(*readings);
             }
-            subscription.due = now.plus_millis(subscription.period_ms.into());
+            *due = now.plus_millis(*period_ms);
         }
     }
 }
 
 /// Idle time-out for the subscriptions of a silent client, on lines that do not report its end.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Silence {
+struct Silence {
     /// Time-out in seconds; 0 disables it.
     limit_s: u16,
     last_rx: Time,
 }
 
 impl Silence {
-    pub(crate) const fn new(kind: PortKind, config: &Config) -> Self {
+    const fn new(kind: PortKind, config: &Config) -> Self {
         let limit_s = if kind.is_connection() { 0 } else { config.updates_idle_s };
         Self { limit_s, last_rx: Time::ZERO }
     }
 
-    pub(crate) const fn reconfigure(&mut self, kind: PortKind, config: &Config) {
-        self.limit_s = Self::new(kind, config).limit_s;
-    }
-
-    /// Restarts the time-out when the client sends.
-    pub(crate) const fn end(&mut self, now: Time) {
-        self.last_rx = now;
-    }
-
     /// Returns when the subscriptions end.
-    pub(crate) fn due(&self) -> Option<Time> {
+    fn due(&self) -> Option<Time> {
         (self.limit_s > 0).then(|| self.last_rx.plus_millis(u64::from(self.limit_s) * 1_000))
-    }
-
-    pub(crate) fn is_too_long(&self, now: Time) -> bool {
-        self.due().is_some_and(|due| due <= now)
-    }
-}
-
-impl Subscription {
-    fn waits_for_change(&self, quantity: Quantity, readings: &Readings) -> bool {
-        self.on_change && !(quantity.is_sent(readings) && quantity.differs(&self.last, readings))
     }
 }

@@ -18,6 +18,7 @@ mod updates;
 
 use anyhow::{Context, Result};
 use clap::{Parser, Subcommand};
+use std::ffi::OsString;
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -53,7 +54,10 @@ enum Mode {
     },
     /// The gripper process that the other modes start
     #[command(name = sim::SERVE, hide = true)]
-    Serve,
+    Serve {
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        options: Vec<OsString>,
+    },
 }
 
 fn seconds(text: &str) -> Result<Duration> {
@@ -62,7 +66,7 @@ fn seconds(text: &str) -> Result<Duration> {
 
 fn main() -> ExitCode {
     match run() {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(status) => status.into(),
         Err(error) => {
             eprintln!("load: {error:#}");
             ExitCode::FAILURE
@@ -70,11 +74,12 @@ fn main() -> ExitCode {
     }
 }
 
-fn run() -> Result<()> {
+fn run() -> Result<u8> {
     match Arguments::parse().mode {
-        Mode::Updates { seconds, pages } => updates::run(seconds, pages),
-        Mode::Flood { seconds } => flood::run(seconds),
-        Mode::Noise { seconds } => noise::run(seconds),
-        Mode::Serve => sim::serve(),
+        Mode::Updates { seconds, pages } => updates::run(seconds, pages)?,
+        Mode::Flood { seconds } => flood::run(seconds)?,
+        Mode::Noise { seconds } => noise::run(seconds)?,
+        Mode::Serve { options } => return Ok(wsg_sim::program::run(options)),
     }
+    Ok(0)
 }

@@ -7,10 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command as Process, Stdio};
 use std::time::Duration;
 use wsg_protocol::{Command, Event, FrameEncoder, FrameParser};
-use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
-use wsg_sim::{Config, Part};
 
-/// The argument that starts this program as the gripper.
+/// The argument that starts this program as the gripper. The options of `wsg-sim` follow it.
 pub(crate) const SERVE: &str = "serve";
 /// Maximum time for an answer.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
@@ -18,7 +16,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(10);
 /// Ticks of the kernel's process clock per second, the same on all current architectures of Linux.
 const CLOCK_TICKS: f64 = 100.0;
 
-/// The configuration of the server, passed in environment variables.
+/// The configuration of the server.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Setup<'a> {
     /// A Unix socket instead of a pseudo terminal.
@@ -42,72 +40,38 @@ pub(crate) struct Sim {
 /// The two directions of a serial line.
 pub(crate) type SerialEnds = (Box<dyn Read + Send>, Box<dyn Write + Send>);
 
-const UNIX: &str = "WSG_LOAD_UNIX";
-const IGNORE_CHECKSUMS: &str = "WSG_LOAD_IGNORE_CHECKSUMS";
-const UDP_REMOTE_PORT: &str = "WSG_LOAD_UDP_REMOTE_PORT";
-
-/// The main function of the process: serves until its standard input ends.
-pub(crate) fn serve() -> Result<()> {
-    let any = "127.0.0.1:0".parse()?;
-    let remote_port = std::env::var(UDP_REMOTE_PORT)?.parse()?;
-    let serial = std::env::var_os(UNIX).map_or(SerialLine::Pty, |path| SerialLine::Unix(path.into()));
-    let config = Config {
-        time_scale: 4.0,
-        part: Part::of_width(20.0),
-        check_checksum: std::env::var_os(IGNORE_CHECKSUMS).is_none(),
-        ..Config::default()
-    };
-    let lines = Lines {
-        tcp: Some(any),
-        udp: Some(UdpLine { address: any, remote_port }),
-        gcl: Some(any),
-        gcl_udp: Some(any),
-        modbus: Some(any),
-        serial: Some(serial),
-        control: Some(any),
-        ..Lines::default()
-    };
-    let server = ServerThread::start(config, &lines, None)?;
-    for address in [
-        server.tcp_address(),
-        server.udp_address(),
-        server.gcl_address(),
-        server.gcl_udp_address(),
-        server.modbus_address(),
-        server.control_address(),
-    ] {
-        println!("{}", address.context("the line is served")?);
-    }
-    println!("{}", server.serial_path().context("the serial line is served")?.display());
-    std::io::stdin().read_to_end(&mut Vec::new())?;
-    server.stop()
-}
-
 impl Sim {
     pub(crate) fn start(setup: Setup<'_>) -> Result<Self> {
+        let serial = setup.unix.map_or("pty".to_owned(), |path| format!("unix:{}", path.display()));
+        let remote_port = setup.udp_remote_port.to_string();
         let mut process = Process::new(std::env::current_exe()?);
-        process.arg(SERVE).stdin(Stdio::piped()).stdout(Stdio::piped());
-        process.env(UDP_REMOTE_PORT, setup.udp_remote_port.to_string());
-        if let Some(path) = setup.unix {
-            process.env(UNIX, path);
+        process.args([SERVE, "--time-scale", "4", "--part", "20", "--serial", &serial]);
+        for line in ["--tcp", "--udp", "--gcl", "--gcl-udp", "--modbus", "--control"] {
+            process.args([line, "127.0.0.1:0"]);
         }
-        if setup.ignore_checksums {
-            process.env(IGNORE_CHECKSUMS, "1");
-        }
-        let mut process = process.spawn()?;
+        process.args(["--udp-remote-port", &remote_port]);
+        process.args(setup.ignore_checksums.then_some("--no-checksum-check"));
+        let mut process = process.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
         let mut lines = BufReader::new(process.stdout.take().context("standard output is piped")?).lines();
-        let mut line =
-            move || lines.next().context("the gripper did not start")?.map_err(anyhow::Error::from);
-        Ok(Self {
-            tcp: line()?.parse()?,
-            udp: line()?.parse()?,
-            gcl: line()?.parse()?,
-            gcl_udp: line()?.parse()?,
-            modbus: line()?.parse()?,
-            control: line()?.parse()?,
-            serial: line()?.into(),
+        let mut place = move |name: &str| -> Result<String> {
+            let line = lines.next().context("the gripper did not start")??;
+            let place = line.strip_prefix(name).with_context(|| format!("{line}, expected {name}"))?;
+            Ok(place.trim_start().to_owned())
+        };
+        place("model")?;
+        let sim = Self {
+            tcp: place("tcp")?.parse()?,
+            udp: place("udp")?.parse()?,
+            serial: place("serial")?.into(),
+            gcl: place("gcl")?.parse()?,
+            gcl_udp: place("gcl-udp")?.parse()?,
+            modbus: place("modbus")?.parse()?,
+            control: place("control")?.parse()?,
             process,
-        })
+        };
+        // The last line: the gripper ends if it cannot print.
+        place("page")?;
+        Ok(sim)
     }
 
     pub(crate) fn connect(&self) -> Result<TcpStream> {
@@ -158,11 +122,15 @@ impl Sim {
         Ok(line.trim().trim_end_matches(" kB").parse()?)
     }
 
-    /// Ends the process by closing its input. It must still be running, and exit successfully.
+    /// Ends the process. It must still be running and, on Unix, exit successfully when it is interrupted.
     pub(crate) fn stop(mut self) -> Result<()> {
         ensure!(self.process.try_wait()?.is_none(), "the gripper ended prematurely");
-        drop(self.process.stdin.take());
-        ensure!(self.process.wait()?.success(), "the gripper did not exit successfully");
+        #[cfg(unix)]
+        {
+            use rustix::process::{Pid, Signal, kill_process};
+            kill_process(Pid::from_child(&self.process), Signal::INT)?;
+            ensure!(self.process.wait()?.success(), "the gripper did not exit successfully");
+        }
         Ok(())
     }
 }

@@ -72,7 +72,7 @@ pub(super) fn carry_out<'a>(
         Request::Pwt(setting) => read_or_set(&mut line.part_width_tolerance, setting).map(Value::Pwt).into(),
         Request::Clt(setting) => read_or_set(&mut line.clamping_travel, setting).map(Value::Clt).into(),
         Request::Autosend(autosend) => {
-            line.autosends.request(autosend, now);
+            line.autosends.subscribe(autosend, now);
             Status::Success.into()
         }
 

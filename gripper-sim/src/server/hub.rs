@@ -210,14 +210,8 @@ impl Hub {
     pub(super) async fn keep_time(self: Arc<Self>) -> Result<()> {
         loop {
             let wake = self.lock().gripper.next_wake();
-            let due = async {
-                match wake {
-                    Some(at) => self.reached(at).await,
-                    None => std::future::pending().await,
-                }
-            };
             tokio::select! {
-                () = due => {}
+                () = self.reached_if(wake) => {}
                 () = self.rescheduled.notified() => {}
             }
             self.with_gripper(|gripper, now| gripper.advance(now));
@@ -448,6 +442,14 @@ impl Hub {
 
     pub(super) async fn reached(&self, at: Time) {
         sleep_until(self.started + Duration::from_micros(at.as_micros())).await;
+    }
+
+    /// Ready at this time; never without one.
+    async fn reached_if(&self, at: Option<Time>) {
+        match at {
+            Some(at) => self.reached(at).await,
+            None => std::future::pending().await,
+        }
     }
 
     /// Calls `act` with the gripper at the current time and wakes the affected clients.

@@ -75,10 +75,7 @@ impl ClientHandle {
     /// Ready when a request may reach the gripper over a faulty line.
     pub(in crate::server) async fn request_waits(&self) {
         let arrival = self.requests.borrow().next_arrival();
-        match arrival {
-            Some(at) => self.hub.reached(at).await,
-            None => std::future::pending().await,
-        }
+        self.hub.reached_if(arrival).await;
     }
 
     /// Passes the next request that arrives over a faulty line to the gripper.
@@ -141,14 +138,8 @@ impl ClientHandle {
     /// Ready when there may be a frame.
     pub(in crate::server) async fn frame_waits(&self) {
         let arrival = self.line.borrow().next_arrival();
-        let arrived = async {
-            match arrival {
-                Some(at) => self.hub.reached(at).await,
-                None => std::future::pending().await,
-            }
-        };
         tokio::select! {
-            () = arrived => {}
+            () = self.hub.reached_if(arrival) => {}
             () = self.connected.frames.notified() => {}
         }
     }
