@@ -454,6 +454,11 @@ mod tests {
         steps
     }
 
+    fn travel(axis: &mut Axis, travel: Travel) {
+        axis.start(travel);
+        run(axis);
+    }
+
     #[test]
     fn speed_and_acceleration_stay_within_their_limits() {
         let mut axis = axis(None);
@@ -487,8 +492,7 @@ mod tests {
     #[test]
     fn part_pushes_idle_fingers_back_and_their_force_is_gone_at_once() {
         let mut axis = axis(Part::new(20.0, 10.0));
-        axis.start(TRAVEL);
-        run(&mut axis);
+        travel(&mut axis, TRAVEL);
         axis.halt();
         assert_eq!((axis.width(), axis.force()), (16.0, 0.0));
         let steps = run(&mut axis);
@@ -506,8 +510,7 @@ mod tests {
     #[test]
     fn hollow_part_is_held_from_inside_and_pushes_idle_fingers_back() {
         let mut axis = axis(ring(10.0));
-        axis.start(OPENING);
-        run(&mut axis);
+        travel(&mut axis, OPENING);
         assert_eq!((axis.width(), axis.force()), (64.0, 40.0));
         assert_eq!(axis.block(), Some(Block { direction: Direction::Plus, obstacle: Obstacle::Part }));
         axis.halt();
@@ -515,47 +518,39 @@ mod tests {
         run(&mut axis);
         assert_eq!((axis.width(), axis.force()), (60.0, 0.0));
         // Nothing is in the way of closing fingers.
-        axis.start(Travel { target: 0.0, ..TRAVEL });
-        run(&mut axis);
+        travel(&mut axis, Travel { target: 0.0, ..TRAVEL });
         assert_eq!((axis.width(), axis.block()), (0.0, None));
     }
 
     #[test]
     fn fingers_outside_of_a_hollow_part_close_on_it_and_enter_its_hole_only_when_they_are_narrower() {
         let mut wide = axis(None);
-        wide.start(OPENING);
-        run(&mut wide);
+        travel(&mut wide, OPENING);
         wide.set_part(ring(10.0));
-        wide.start(TRAVEL);
-        run(&mut wide);
+        travel(&mut wide, TRAVEL);
         assert_eq!((wide.width(), wide.force()), (76.0, 40.0));
 
         let mut waiting = axis(None);
-        waiting.start(Travel { target: 70.0, ..TRAVEL });
-        run(&mut waiting);
+        travel(&mut waiting, Travel { target: 70.0, ..TRAVEL });
         waiting.set_part(ring(10.0));
         assert!(!waiting.part_is_between(), "neither in its hole nor outside of it");
-        waiting.start(Travel { target: 50.0, ..TRAVEL });
-        run(&mut waiting);
+        travel(&mut waiting, Travel { target: 50.0, ..TRAVEL });
         assert!(waiting.part_is_between() && wide.part_is_between());
         assert!(waiting.part_is_around() && !wide.part_is_around());
-        waiting.start(OPENING);
-        run(&mut waiting);
+        travel(&mut waiting, OPENING);
         assert_eq!((waiting.width(), waiting.force()), (64.0, 40.0));
     }
 
     #[test]
     fn hollow_part_that_is_removed_blocks_no_more_and_a_soft_one_yields_to_the_end_stop() {
         let mut axis = axis(ring(10.0));
-        axis.start(OPENING);
-        run(&mut axis);
+        travel(&mut axis, OPENING);
         axis.set_part(None);
         assert_eq!((axis.block(), axis.force()), (None, 0.0));
         run(&mut axis);
         assert_eq!(axis.width(), 100.0);
         let mut axis = self::axis(ring(0.5));
-        axis.start(Travel { target: 500.0, ..TRAVEL });
-        run(&mut axis);
+        travel(&mut axis, Travel { target: 500.0, ..TRAVEL });
         assert_eq!(axis.block(), Some(Block { direction: Direction::Plus, obstacle: Obstacle::EndStop }));
     }
 
@@ -563,10 +558,8 @@ mod tests {
     fn part_wider_than_the_opening_waits_outside() {
         let mut axis = axis(Part::of_width(80.0));
         assert_eq!((axis.width(), axis.force()), (55.0, 0.0));
-        axis.start(Travel { target: 100.0, ..TRAVEL });
-        run(&mut axis);
-        axis.start(TRAVEL);
-        run(&mut axis);
+        travel(&mut axis, Travel { target: 100.0, ..TRAVEL });
+        travel(&mut axis, TRAVEL);
         assert!((axis.width() - 79.6).abs() < 1e-9, "{}", axis.width());
     }
 
@@ -574,8 +567,7 @@ mod tests {
     fn end_stops_hold_the_fingers_inside_the_stroke() {
         for (target, stop) in [(-50.0, 0.0), (500.0, 110.0)] {
             let mut axis = axis(None);
-            axis.start(Travel { target, ..TRAVEL });
-            run(&mut axis);
+            travel(&mut axis, Travel { target, ..TRAVEL });
             assert_eq!(axis.width(), stop);
             assert_eq!(axis.force(), 40.0);
         }

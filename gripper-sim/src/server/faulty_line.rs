@@ -46,25 +46,14 @@ impl LineFaults {
     /// The longest delay in ms.
     pub(super) const MAX_DELAY_MS: u32 = 60_000;
 
-    /// A line without faults.
-    pub(super) const NONE: Self = Self {
-        direction: FaultDirection::Both,
-        drop: 0.0,
-        delay: 0.0,
-        delay_ms: 0,
-        corrupt: 0.0,
-        truncate: 0.0,
-        duplicate: 0.0,
-    };
-
     /// Returns the faults of frames to the gripper.
     pub(super) fn of_requests(self) -> Self {
-        if self.direction == FaultDirection::Replies { Self::NONE } else { self }
+        if self.direction == FaultDirection::Replies { Self::default() } else { self }
     }
 
     /// Returns the faults of frames from the gripper.
     pub(super) fn of_replies(self) -> Self {
-        if self.direction == FaultDirection::Requests { Self::NONE } else { self }
+        if self.direction == FaultDirection::Requests { Self::default() } else { self }
     }
 
     pub(super) fn are_none(&self) -> bool {
@@ -357,11 +346,11 @@ mod tests {
         let mut line = FaultyLine::new(0, 0).with_latency(Latency { delay_ms: 22, gap_ms: 5 });
         let arrivals_at = |line: &mut FaultyLine, ms| arrivals(line, Time::from_millis(ms)).len();
         for _ in 0..2 {
-            assert!(matches!(line.pass(&LineFaults::NONE, Time::ZERO, &FRAME), Passage::Held(_)));
+            assert!(matches!(line.pass(&LineFaults::default(), Time::ZERO, &FRAME), Passage::Held(_)));
         }
         assert_eq!([21, 22, 26, 27].map(|ms| arrivals_at(&mut line, ms)), [0, 1, 0, 1]);
         // 5 ms after a frame that has already arrived.
-        line.pass(&LineFaults::NONE, Time::from_millis(5), &FRAME);
+        line.pass(&LineFaults::default(), Time::from_millis(5), &FRAME);
         assert_eq!([31, 32].map(|ms| arrivals_at(&mut line, ms)), [0, 1]);
     }
 

@@ -182,7 +182,10 @@ mod tests {
 
     const STOP: [u8; 8] = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0xD3, 0x5A];
     const READ: [u8; 12] = [0, 1, 0, 0, 0, 6, 1, 3, 0, 0, 0, 1];
-    const LATE: LineFaults = LineFaults { delay: 1.0, delay_ms: 10, ..LineFaults::NONE };
+
+    fn late() -> LineFaults {
+        LineFaults { delay: 1.0, delay_ms: 10, ..LineFaults::default() }
+    }
 
     fn arrivals(line: &mut RequestLine, now: Time) -> Vec<Vec<u8>> {
         std::iter::from_fn(|| line.arrive(now)).collect()
@@ -192,7 +195,7 @@ mod tests {
     fn pieces(kind: PortKind, bytes: &[u8]) -> (Vec<Vec<u8>>, usize) {
         let mut line = RequestLine::new(kind, 1, 0);
         let mut frames = 0;
-        line.take(&LATE, Time::ZERO, bytes, |_| frames += 1);
+        line.take(&late(), Time::ZERO, bytes, |_| frames += 1);
         (arrivals(&mut line, Time::from_millis(10)), frames)
     }
 
@@ -238,7 +241,7 @@ mod tests {
             let mut line = RequestLine::new(PortKind::Serial, 1, 0);
             let mut frames = 0;
             for piece in [&stream[..at], &stream[at..]] {
-                line.take(&LATE, Time::ZERO, piece, |_| frames += 1);
+                line.take(&late(), Time::ZERO, piece, |_| frames += 1);
             }
             assert_eq!(frames, 2, "{at}");
             assert_eq!(arrivals(&mut line, Time::from_millis(10)).concat(), stream, "{at}");
@@ -248,12 +251,12 @@ mod tests {
     #[test]
     fn part_of_a_frame_passes_after_a_while_or_when_the_line_is_whole_again() {
         let mut line = RequestLine::new(PortKind::Tcp, 1, 0);
-        line.take(&LATE, Time::ZERO, &STOP[..5], |_| panic!("no frame"));
+        line.take(&late(), Time::ZERO, &STOP[..5], |_| panic!("no frame"));
         assert_eq!(line.next_arrival(), Some(Time::from_millis(REST_WAIT_MS)));
         assert_eq!(arrivals(&mut line, Time::from_millis(REST_WAIT_MS)), [&STOP[..5]]);
         assert!(line.is_empty());
-        line.take(&LATE, Time::ZERO, &STOP[..5], |_| panic!("no frame"));
-        line.take(&LineFaults::NONE, Time::ZERO, &STOP[5..7], |_| panic!("no frame"));
+        line.take(&late(), Time::ZERO, &STOP[..5], |_| panic!("no frame"));
+        line.take(&LineFaults::default(), Time::ZERO, &STOP[5..7], |_| panic!("no frame"));
         assert_eq!(arrivals(&mut line, Time::ZERO), [&STOP[..7]]);
         assert!(line.is_empty());
     }
@@ -263,7 +266,7 @@ mod tests {
         let mut line = RequestLine::new(PortKind::Udp, 1, 0);
         let mut lost = 0;
         for _ in 0..10_000 {
-            line.take(&LATE, Time::ZERO, &STOP, |fate| lost += u32::from(fate.dropped));
+            line.take(&late(), Time::ZERO, &STOP, |fate| lost += u32::from(fate.dropped));
         }
         let arrived = arrivals(&mut line, Time::from_millis(10)).len();
         assert!(arrived < 1_000 && arrived + lost as usize == 10_000, "{arrived} and {lost}");

@@ -77,8 +77,12 @@ impl Rig {
     }
 
     pub(crate) fn send(&mut self, command: Command<'_>) {
-        let frame: Vec<u8> = FrameEncoder::new(command.id().code(), command).collect();
-        self.send_bytes(&frame);
+        self.send_bytes(&FrameEncoder::new(command.id().code(), command).collect::<Vec<u8>>());
+    }
+
+    /// Sends a frame with any payload.
+    pub(crate) fn send_raw(&mut self, id: u8, payload: &[u8]) {
+        self.send_bytes(&FrameEncoder::new(id, payload).collect::<Vec<u8>>());
     }
 
     pub(crate) fn send_bytes(&mut self, bytes: &[u8]) {

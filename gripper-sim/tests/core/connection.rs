@@ -20,16 +20,11 @@ fn tcp_connection_that_ends_unannounced_latches_a_fast_stop() {
 }
 
 #[test]
-fn tcp_disconnect_error_can_be_turned_off() {
-    let mut rig = Rig::on(PortKind::Tcp, Config { disconnect_error: false, ..Config::default() });
-    rig.gripper.disconnect(rig.port, rig.now);
-    assert!(!rig.flags().contains(SystemFlags::FAST_STOP));
-}
-
-#[test]
-fn other_lines_may_end_unannounced() {
-    for kind in [PortKind::Udp, PortKind::Serial, PortKind::Can] {
-        let mut rig = Rig::on(kind, Config::default());
+fn disconnect_error_is_for_tcp_and_can_be_turned_off() {
+    for (kind, disconnect_error) in
+        [(PortKind::Tcp, false), (PortKind::Udp, true), (PortKind::Serial, true), (PortKind::Can, true)]
+    {
+        let mut rig = Rig::on(kind, Config { disconnect_error, ..Config::default() });
         rig.gripper.disconnect(rig.port, rig.now);
         assert!(!rig.flags().contains(SystemFlags::FAST_STOP), "{kind}");
     }

@@ -8,8 +8,17 @@ use wsg_sim::{
 };
 
 /// Parameters within the limits of a WSG 50.
-const PARAMETERS: OutputImage =
+pub(crate) const PARAMETERS: OutputImage =
     OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
+
+/// The reaction to the loss of a master with cyclic data exchange, its motion, and whether the motion continues or a FAST
+/// STOP ends it.
+pub(crate) const REACTIONS: [(SilenceReaction, Flag, bool, bool); 4] = [
+    (SilenceReaction::Hold, Flag::MOVE, true, false),
+    (SilenceReaction::Hold, Flag::JOG_MINUS, false, false),
+    (SilenceReaction::Stop, Flag::MOVE, false, false),
+    (SilenceReaction::FastStop, Flag::MOVE, false, true),
+];
 
 /// A PLC connected to a gripper, with virtual time.
 pub(crate) struct Plc {
@@ -191,19 +200,6 @@ fn homing_is_positioning_and_then_idle_and_referenced() {
     // D0 of SYSSTATE is the lowest bit of byte 2 of the image, so it reads as 01000000h in a number of 32 bits.
     let answer = plc.ask(&[4, 0, 1, 0, 2]);
     assert_eq!(answer[2] & 1, 1);
-}
-
-#[test]
-fn move_is_positioning_and_stops_at_its_width() {
-    let mut plc = Plc::homed(None);
-    plc.raise(Flag::MOVE);
-    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
-    plc.wait(200);
-    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
-    assert!(plc.gripper.state().speed < -90.0);
-    plc.wait(2_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    assert_eq!(plc.read().width, 20_00);
 }
 
 #[test]

@@ -1,21 +1,17 @@
 //! The text protocol at the virtual gripper in virtual time: effect and answers of each request.
 
-use crate::common::Rig;
+use crate::common::{Rig, Sent};
 use wsg_protocol::{Command, SoftLimits, SystemFlags};
-use wsg_sim::{Config, Finger, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
+use wsg_sim::{Config, Finger, Part, PortId, PortKind};
 
 /// A gripper with a GCL client and virtual time.
 struct Desk {
-    gripper: VirtualGripper,
-    port: PortId,
-    now: Time,
+    rig: Rig,
 }
 
 impl Desk {
     fn new(config: Config) -> Self {
-        let mut gripper = VirtualGripper::new(config);
-        let port = gripper.connect(PortKind::GclTcp).expect("a port is free");
-        Self { gripper, port, now: Time::ZERO }
+        Self { rig: Rig::on(PortKind::GclTcp, config) }
     }
 
     /// Returns a referenced gripper with the fingers wide open.
@@ -28,35 +24,21 @@ impl Desk {
 
     /// Sends a line and returns the immediate answers.
     fn ask(&mut self, line: &str) -> Vec<String> {
-        self.gripper.receive(self.port, self.now, format!("{line}\n").as_bytes());
+        self.rig.send_bytes(format!("{line}\n").as_bytes());
         self.lines()
     }
 
     fn lines(&mut self) -> Vec<String> {
-        self.lines_of(self.port)
+        lines_in(&self.rig.frames())
     }
 
     fn lines_of(&mut self, port: PortId) -> Vec<String> {
-        let mut lines = vec![];
-        let mut buffer = [0; MAX_FRAME_LEN];
-        while let Some(line) = self.gripper.transmit(port, &mut buffer) {
-            let text = str::from_utf8(line).expect("a line is ASCII");
-            let text = text.strip_suffix('\n').expect("a line at a time, with LF");
-            assert!(!text.contains(['\n', '\r']), "{text:?}");
-            lines.push(text.to_owned());
-        }
-        lines
+        lines_in(&self.rig.frames_of(port))
     }
 
     /// Advances time and returns the lines sent meanwhile.
     fn wait(&mut self, millis: u64) -> Vec<String> {
-        let mut lines = vec![];
-        for _ in 0..millis {
-            self.now = self.now.plus_millis(1);
-            self.gripper.advance(self.now);
-            lines.extend(self.lines());
-        }
-        lines
+        lines_in(&self.rig.wait(millis))
     }
 
     /// Starts a motion, waits for its end and returns its last line.
@@ -73,10 +55,16 @@ impl Desk {
         assert_eq!(lines.len(), 1, "{line}: {lines:?}");
         lines.remove(0)
     }
+}
 
-    fn flags(&self) -> SystemFlags {
-        self.gripper.state().flags
-    }
+fn lines_in(frames: &[Sent]) -> Vec<String> {
+    let line = |sent: &Sent| {
+        let text = str::from_utf8(&sent.frame).expect("a line is ASCII");
+        let text = text.strip_suffix('\n').expect("a line at a time, with LF");
+        assert!(!text.contains(['\n', '\r']), "{text:?}");
+        text.to_owned()
+    };
+    frames.iter().map(line).collect()
 }
 
 fn part(width: f32) -> Option<Part> {
@@ -89,16 +77,16 @@ fn motions_from_outside_the_soft_limits_need_a_target_inside() {
     let mut desk = Desk::homed(None);
     assert_eq!(desk.run("MOVE(10)"), "FIN MOVE");
     let limits = SoftLimits { minus: 20.0, plus: 80.0 };
-    desk.gripper.command(&Command::SetSoftLimits { limits }, desk.now);
+    desk.rig.gripper.command(&Command::SetSoftLimits { limits }, desk.rig.now);
     for line in ["MOVE(15)", "MOVE(10)", "MOVE(81)", "GRIP(40,19)"] {
         let name = line.split('(').next().unwrap();
         assert_eq!(desk.one(line), format!("ERR {name} 28"), "{line}");
     }
-    assert_eq!(desk.gripper.state().width, 10.0);
+    assert_eq!(desk.rig.gripper.state().width, 10.0);
     assert_eq!(desk.run("MOVE(20)"), "FIN MOVE");
 
     let mut desk = Desk::homed(Part::of_width(50.0));
-    desk.gripper.command(&Command::SetSoftLimits { limits }, desk.now);
+    desk.rig.gripper.command(&Command::SetSoftLimits { limits }, desk.rig.now);
     assert_eq!(desk.run("GRIP(40,50)"), "FIN GRIP");
     assert_eq!(desk.one("RELEASE(31)"), "ERR RELEASE 28");
     assert_eq!(desk.run("RELEASE(30)"), "FIN RELEASE");
@@ -115,15 +103,15 @@ fn bytes_between_lines_spoil_no_command() {
     ] {
         let mut desk = Desk::new(Config::default());
         for (request, answer) in [("HOME(1)", "ACK HOME"), ("STOP()", "ACK STOP"), ("FSACK()", "ACK FSACK")] {
-            desk.gripper.receive(desk.port, desk.now, &[request.as_bytes(), end].concat());
+            desk.rig.send_bytes(&[request.as_bytes(), end].concat());
             assert_eq!(desk.lines().first().map(String::as_str), Some(answer), "{client}: {request}");
         }
     }
     // A datagram is a line without a line end.
     let mut desk = Desk::new(Config::default());
-    desk.port = desk.gripper.connect(PortKind::GclUdp).unwrap();
+    desk.rig.port = desk.rig.gripper.connect(PortKind::GclUdp).unwrap();
     for _ in 0..2 {
-        desk.gripper.receive(desk.port, desk.now, b"FSACK()\0");
+        desk.rig.send_bytes(b"FSACK()\0");
         assert_eq!(desk.lines(), ["ACK FSACK"]);
     }
 }
@@ -141,11 +129,11 @@ fn release_takes_the_presets_that_are_set() {
     assert_eq!(desk.wait(5_000), ["FIN HOME"]);
     desk.ask("GRIP(40,20)");
     assert_eq!(desk.wait(5_000), ["FIN GRIP"]);
-    let held = desk.gripper.state().width;
+    let held = desk.rig.gripper.state().width;
     assert_eq!(desk.ask("RELEASE()"), ["ACK RELEASE"]);
     assert!(desk.wait(2_900).is_empty(), "30 mm at 10 mm/s");
     assert_eq!(desk.wait(300), ["FIN RELEASE"]);
-    assert!((desk.gripper.state().width - held - 30.0).abs() < 0.01);
+    assert!((desk.rig.gripper.state().width - held - 30.0).abs() < 0.01);
 }
 
 #[test]
@@ -188,7 +176,7 @@ fn grip_of_a_part_holds_it_and_release_opens_by_a_distance() {
     assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=4");
     assert_eq!(desk.one("FORCE?"), "FORCE=40.0");
     assert_eq!(desk.run("RELEASE(5)"), "FIN RELEASE");
-    let width = desk.gripper.state().width;
+    let width = desk.rig.gripper.state().width;
     assert!((width - 24.6).abs() < 0.2, "{width}");
     assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=0");
     assert_eq!(desk.one("GRIPSTATS?"), "GRIPSTATS=[1,0,0]");
@@ -218,7 +206,7 @@ fn grip_after_grip_is_refused_until_release_or_move() {
     }
     let mut desk = Desk::homed(part(20.0));
     assert_eq!(desk.run("GRIP(40,20)"), "FIN GRIP");
-    desk.gripper.set_part(None, desk.now);
+    desk.rig.gripper.set_part(None, desk.rig.now);
     assert_eq!(desk.one("GRIP(40,20)"), "ERR GRIP 4", "PART LOST");
     assert_eq!(desk.run("MOVE(50)"), "FIN MOVE");
     assert_eq!(desk.run("GRIP(40,20)"), "ERR GRIP 18");
@@ -244,7 +232,7 @@ fn force_against_the_end_stop_rises_before_the_grip_counts() {
     assert_eq!(desk.ask("GRIP(60)"), ["ACK GRIP"]);
     let mut rising = vec![];
     while desk.wait(1).is_empty() {
-        rising.push(desk.gripper.state().force);
+        rising.push(desk.rig.gripper.state().force);
         assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=1");
     }
     assert!(rising.iter().filter(|force| (1.0..59.0).contains(*force)).count() > 10, "{rising:?}");
@@ -259,7 +247,7 @@ fn release_after_an_outward_grip_goes_inward() {
     assert_eq!(desk.run("MOVE(20)"), "FIN MOVE");
     assert_eq!(desk.run("GRIP(40,110)"), "ERR GRIP 18");
     assert_eq!(desk.run("RELEASE(5)"), "FIN RELEASE");
-    let width = desk.gripper.state().width;
+    let width = desk.rig.gripper.state().width;
     assert!((width - 105.0).abs() < 0.5, "{width}");
 }
 
@@ -314,26 +302,26 @@ fn clamping_travel_bounds_what_a_soft_part_may_give_way() {
 #[test]
 fn tolerance_and_clamping_travel_are_those_of_the_connection() {
     let mut desk = Desk::homed(None);
-    let other = desk.gripper.connect(PortKind::GclTcp).unwrap();
+    let other = desk.rig.gripper.connect(PortKind::GclTcp).unwrap();
     assert_eq!(desk.one("PWT=2.5"), "PWT=2.5");
     assert_eq!(desk.one("CLT=1.5"), "CLT=1.5");
     assert_eq!(desk.one("PWT=-1"), "ERR PWT 28");
     assert_eq!(desk.one("PWT?"), "PWT=2.5");
-    desk.gripper.receive(other, desk.now, b"PWT?\nCLT?\n");
+    desk.rig.gripper.receive(other, desk.rig.now, b"PWT?\nCLT?\n");
     assert_eq!(desk.lines_of(other), ["PWT=5.0", "CLT=5.0"]);
     desk.ask("BYE()");
-    desk.gripper.disconnect(desk.port, desk.now);
-    desk.port = desk.gripper.connect(PortKind::GclTcp).unwrap();
+    desk.rig.gripper.disconnect(desk.rig.port, desk.rig.now);
+    desk.rig.port = desk.rig.gripper.connect(PortKind::GclTcp).unwrap();
     assert_eq!(desk.one("PWT?"), "PWT=5.0");
 }
 
 #[test]
 fn force_of_a_grip_leaves_the_force_limit_of_the_binary_protocol() {
     let mut desk = Desk::homed(part(20.0));
-    let before = desk.gripper.state().force_limit;
+    let before = desk.rig.gripper.state().force_limit;
     assert_eq!(desk.run("GRIP(12,20)"), "FIN GRIP");
-    assert_eq!(desk.gripper.state().force, 12.0);
-    assert_eq!(desk.gripper.state().force_limit, before);
+    assert_eq!(desk.rig.gripper.state().force, 12.0);
+    assert_eq!(desk.rig.gripper.state().force_limit, before);
 }
 
 #[test]
@@ -371,30 +359,28 @@ fn bye_refuses_all_that_follows_and_the_end_is_no_error() {
     assert_eq!(desk.ask("BYE()"), ["ACK BYE", "ERR MOVE 19"]);
     assert_eq!(desk.wait(100), Vec::<String>::new());
     assert_eq!(desk.one("POS?"), "ERR POS 16");
-    desk.gripper.disconnect(desk.port, desk.now);
-    assert!(!desk.flags().contains(SystemFlags::FAST_STOP));
+    desk.rig.gripper.disconnect(desk.rig.port, desk.rig.now);
+    assert!(!desk.rig.flags().contains(SystemFlags::FAST_STOP));
 }
 
 #[test]
 fn connection_that_ends_without_bye_latches_a_fast_stop() {
     let mut desk = Desk::homed(None);
-    desk.gripper.disconnect(desk.port, desk.now);
-    assert!(desk.flags().contains(SystemFlags::FAST_STOP));
+    desk.rig.gripper.disconnect(desk.rig.port, desk.rig.now);
+    assert!(desk.rig.flags().contains(SystemFlags::FAST_STOP));
     let mut tolerant = Desk::new(Config { disconnect_error: false, ..Config::default() });
-    tolerant.gripper.disconnect(tolerant.port, tolerant.now);
-    assert!(!tolerant.flags().contains(SystemFlags::FAST_STOP));
+    tolerant.rig.gripper.disconnect(tolerant.rig.port, tolerant.rig.now);
+    assert!(!tolerant.rig.flags().contains(SystemFlags::FAST_STOP));
 }
 
 #[test]
 fn datagrams_have_no_bye_and_end_their_line() {
-    let mut gripper = VirtualGripper::new(Config::default());
-    let port = gripper.connect(PortKind::GclUdp).unwrap();
-    let mut desk = Desk { gripper, port, now: Time::ZERO };
-    desk.gripper.receive(port, desk.now, b"GRIPSTATE?");
+    let mut desk = Desk { rig: Rig::on(PortKind::GclUdp, Config::default()) };
+    desk.rig.send_bytes(b"GRIPSTATE?");
     assert_eq!(desk.lines(), ["GRIPSTATE=0"]);
     assert_eq!(desk.one("BYE()"), "ERR BYE 1");
-    desk.gripper.disconnect(port, desk.now);
-    assert!(!desk.flags().contains(SystemFlags::FAST_STOP));
+    desk.rig.gripper.disconnect(desk.rig.port, desk.rig.now);
+    assert!(!desk.rig.flags().contains(SystemFlags::FAST_STOP));
 }
 
 /// The session command of 2.1.1, as a setting.
@@ -428,14 +414,14 @@ fn invalid_and_overlong_lines_are_answered() {
     let long = format!("MOVE({})", "0".repeat(400));
     assert_eq!(desk.ask(&long), ["ERR MOVE 27"]);
     assert_eq!(desk.one("POS?"), "POS=0.0");
-    let counters = desk.gripper.counters(desk.port).unwrap();
+    let counters = desk.rig.gripper.counters(desk.rig.port).unwrap();
     assert_eq!((counters.parser.oversize, counters.parser.dropped), (1, 406));
 }
 
 #[test]
 fn several_lines_at_once_are_answered_in_order() {
     let mut desk = Desk::homed(None);
-    desk.gripper.receive(desk.port, desk.now, b"POS?\r\nSPEED?\rFORCE?\n\nGRIP");
+    desk.rig.send_bytes(b"POS?\r\nSPEED?\rFORCE?\n\nGRIP");
     assert_eq!(desk.lines(), ["POS=110.0", "SPEED=0.0", "FORCE=0.0"]);
     assert_eq!(desk.ask("STATE?"), ["GRIPSTATE=0"]);
 }
@@ -478,10 +464,10 @@ fn autosend_leaves_the_command_failure_to_be_read() {
     let mut desk = Desk::new(Config::default());
     assert_eq!(desk.one("MOVE(50)"), "ERR MOVE 3");
     assert_eq!(desk.one("AUTOSEND(\"SYSFLAGS\",10,1)"), "ACK AUTOSEND");
-    assert!(desk.flags().contains(SystemFlags::CMD_FAILURE));
+    assert!(desk.rig.flags().contains(SystemFlags::CMD_FAILURE));
     assert_eq!(desk.one("AUTOSEND(\"SYSFLAGS\",10,2)"), "ERR AUTOSEND 24");
     assert_eq!(desk.one("STOP()"), "ACK STOP");
-    assert!(!desk.flags().contains(SystemFlags::CMD_FAILURE));
+    assert!(!desk.rig.flags().contains(SystemFlags::CMD_FAILURE));
 }
 
 #[test]

@@ -1,11 +1,9 @@
 //! A bus with complete images, such as PROFINET, in virtual time: which master is active, and what happens when it leaves.
 
+use crate::fieldbus::{PARAMETERS, REACTIONS};
 use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, OutputImage};
 use wsg_protocol::{Command, HomingDirection, Status, SystemFlags};
-use wsg_sim::{Config, PortId, PortKind, ScriptState, SilenceReaction, Time, VirtualGripper};
-
-const PARAMETERS: OutputImage =
-    OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 50_00, force_limit: 40_00 };
+use wsg_sim::{Config, PortId, PortKind, ScriptState, Time, VirtualGripper};
 
 struct Bus {
     gripper: VirtualGripper,
@@ -64,12 +62,7 @@ fn flag_in_the_first_image_counts_after_it_was_0_but_fast_stop_at_once() {
 
 #[test]
 fn master_that_falls_silent_ends_its_motion_as_it_is_configured() {
-    for (bus_reaction, flag, continues, stops_fast) in [
-        (SilenceReaction::Hold, Flag::MOVE, true, false),
-        (SilenceReaction::Hold, Flag::JOG_MINUS, false, false),
-        (SilenceReaction::Stop, Flag::MOVE, false, false),
-        (SilenceReaction::FastStop, Flag::MOVE, false, true),
-    ] {
+    for (bus_reaction, flag, continues, stops_fast) in REACTIONS {
         let mut bus = Bus::homed(Config { bus_reaction, ..Config::default() });
         bus.write(flag, false);
         bus.wait(100);

@@ -453,8 +453,7 @@ fn fast_stop_latches_until_acknowledged() {
 #[test]
 fn fast_stop_is_executed_with_any_payload() {
     let mut rig = Rig::homed(None);
-    let frame: Vec<u8> = wsg_protocol::FrameEncoder::new(0x23, &[1, 2, 3][..]).collect();
-    rig.send_bytes(&frame);
+    rig.send_raw(0x23, &[1, 2, 3]);
     assert_eq!(rig.frames()[0].status(), Status::Success);
     assert!(rig.flags().contains(SystemFlags::FAST_STOP));
 }
@@ -476,8 +475,7 @@ fn acknowledge_succeeds_with_nothing_to_acknowledge_and_needs_its_key() {
     assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
     rig.status(Command::FastStop);
     for payload in [&b""[..], b"ac", b"ACK", b"ackk"] {
-        let frame: Vec<u8> = wsg_protocol::FrameEncoder::new(0x24, payload).collect();
-        rig.send_bytes(&frame);
+        rig.send_raw(0x24, payload);
         assert_eq!(rig.frames()[0].status(), Status::CmdFormatError, "{payload:?}");
         assert!(rig.flags().contains(SystemFlags::FAST_STOP));
     }

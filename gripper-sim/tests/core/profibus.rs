@@ -1,8 +1,7 @@
 //! A PROFIBUS master with the virtual gripper, telegram by telegram in virtual time.
 
-use wsg_fieldbus::{
-    CommandFlags as Flag, Diagnosis, GripperFlags as Shown, InputImage, OutputImage, SilenceReaction,
-};
+use crate::fieldbus::{PARAMETERS, REACTIONS};
+use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::{Config, Fault, MAX_FRAME_LEN, Part, PortId, PortKind, Time, VirtualGripper};
 
@@ -12,9 +11,6 @@ const SC: [u8; 1] = [0xE5];
 const NOTHING: [u8; 0] = [];
 /// The watchdog time that the master configures.
 const WATCHDOG_MS: u64 = 200;
-
-const PARAMETERS: OutputImage =
-    OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
 
 /// How a master leaves.
 type Leave = fn(&mut Master);
@@ -162,12 +158,7 @@ fn disconnecting_master_ends_its_motion_as_configured_and_always_a_jog() {
     let is_cut = |master: &mut Master| master.gripper.disconnect(master.port, master.now);
     let ways: [(&str, Leave); 3] = [("silent", stops_sending), ("cleared", clears), ("cut", is_cut)];
     for (way, leave) in ways {
-        for (bus_reaction, flag, continues, stops_fast) in [
-            (SilenceReaction::Hold, Flag::MOVE, true, false),
-            (SilenceReaction::Hold, Flag::JOG_MINUS, false, false),
-            (SilenceReaction::Stop, Flag::MOVE, false, false),
-            (SilenceReaction::FastStop, Flag::MOVE, false, true),
-        ] {
+        for (bus_reaction, flag, continues, stops_fast) in REACTIONS {
             let mut master = Master::homed_with(Config { bus_reaction, ..Config::default() });
             master.image.speed = 10_00;
             master.set(flag);

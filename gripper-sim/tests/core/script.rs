@@ -2,7 +2,7 @@
 
 use crate::common::{Rig, go_to, grip, release};
 use wsg_protocol::{
-    Command, FingerFlags, FrameEncoder, GripperState, HomingDirection, SoftLimits, Status, SystemFlags, Value,
+    Command, FingerFlags, GripperState, HomingDirection, SoftLimits, Status, SystemFlags, Value,
 };
 use wsg_sim::{Config, Fault, Finger, Jaw, MAX_REQUEST_LEN, Part, PortKind, ScriptState};
 
@@ -10,11 +10,6 @@ fn running(part: Option<Part>) -> Rig {
     let mut rig = Rig::homed(part);
     rig.gripper.set_script_state(ScriptState::Running, rig.now);
     rig
-}
-
-fn call(rig: &mut Rig, id: u8, payload: &[u8]) {
-    let frame: Vec<u8> = FrameEncoder::new(id, payload).collect();
-    rig.send_bytes(&frame);
 }
 
 fn run(rig: &mut Rig, speed: f32) -> Status {
@@ -30,8 +25,8 @@ fn claimed_commands_wait_for_the_script_and_all_others_are_answered_as_ever() {
         for id in [0x00, 0x20, 0x9F, 0xC0, 0xFF] {
             assert!(!rig.gripper.claim_for_script(id), "{id:02X}h");
         }
-        call(&mut rig, 0xBF, &[1, 2]);
-        call(&mut rig, 0xBE, &[]);
+        rig.send_raw(0xBF, &[1, 2]);
+        rig.send_raw(0xBE, &[]);
         let frames = rig.frames();
         assert_eq!(frames.len(), 1);
         assert_eq!((frames[0].id(), frames[0].frame[6]), (0xBE, 14), "E_CMD_UNKNOWN");
@@ -49,7 +44,7 @@ fn commands_without_room_are_answered_and_an_ended_script_keeps_none() {
     rig.gripper.claim_for_script(0xB0);
     let mut waiting = 0;
     let refused = loop {
-        call(&mut rig, 0xB0, &[]);
+        rig.send_raw(0xB0, &[]);
         if let Some(answer) = rig.frames().pop() {
             break answer;
         }
@@ -59,14 +54,14 @@ fn commands_without_room_are_answered_and_an_ended_script_keeps_none() {
     assert_eq!(refused.frame[6], 10, "E_INSUFFICIENT_RESOURCES");
     assert!(rig.flags().contains(SystemFlags::SCRIPT_RUNNING | SystemFlags::CMD_FAILURE));
     rig.gripper.take_script_request().unwrap();
-    call(&mut rig, 0xB0, &[0; MAX_REQUEST_LEN]);
+    rig.send_raw(0xB0, &[0; MAX_REQUEST_LEN]);
     assert_eq!(rig.frames(), []);
-    call(&mut rig, 0xB0, &[0; MAX_REQUEST_LEN + 1]);
+    rig.send_raw(0xB0, &[0; MAX_REQUEST_LEN + 1]);
     assert_eq!(rig.frames()[0].frame[6], 15, "E_CMD_FORMAT_ERROR");
 
     rig.gripper.set_script_state(ScriptState::Failed, rig.now);
     assert_eq!(rig.gripper.take_script_request(), None);
-    call(&mut rig, 0xB0, &[]);
+    rig.send_raw(0xB0, &[]);
     assert_eq!(rig.frames()[0].frame[6], 14, "E_CMD_UNKNOWN");
     assert!(rig.flags().contains(SystemFlags::SCRIPT_FAILURE));
     assert!(!rig.flags().contains(SystemFlags::SCRIPT_RUNNING));
@@ -274,7 +269,7 @@ fn interface_of_a_finger_is_open_until_the_script_ends() {
 fn answer_to_a_disconnected_client_is_discarded() {
     let mut rig = running(None);
     rig.gripper.claim_for_script(0xB0);
-    call(&mut rig, 0xB0, &[]);
+    rig.send_raw(0xB0, &[]);
     let request = rig.gripper.take_script_request().unwrap();
     rig.gripper.disconnect(rig.port, rig.now);
     rig.port = rig.gripper.connect(PortKind::Serial).unwrap();
@@ -287,16 +282,16 @@ fn command_that_a_script_gives_back_is_unknown_again_and_those_that_wait_are_cou
     let mut rig = running(None);
     assert!(rig.gripper.claim_for_script(0xB0) && rig.gripper.claim_for_script(0xB1));
     assert_eq!(rig.gripper.script_requests(), 0);
-    call(&mut rig, 0xB0, &[]);
-    call(&mut rig, 0xB1, &[]);
+    rig.send_raw(0xB0, &[]);
+    rig.send_raw(0xB1, &[]);
     assert_eq!(rig.gripper.script_requests(), 2);
     assert!(
         rig.gripper.release_for_script(0xB0) && rig.gripper.release_for_script(0xB0),
         "releasing twice is harmless"
     );
     assert!(!rig.gripper.release_for_script(0x20));
-    call(&mut rig, 0xB0, &[]);
+    rig.send_raw(0xB0, &[]);
     assert_eq!(rig.frames().pop().map(|answer| answer.frame[6]), Some(14), "E_CMD_UNKNOWN");
-    call(&mut rig, 0xB1, &[]);
+    rig.send_raw(0xB1, &[]);
     assert_eq!(rig.gripper.script_requests(), 3);
 }

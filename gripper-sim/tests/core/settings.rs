@@ -2,14 +2,13 @@
 
 use crate::common::{Rig, go_to, grip, release, texts};
 use wsg_protocol::{
-    Command, CommandId, DeviceTag, FingerFlags, FrameEncoder, GripperState, HomingDirection, LoopData,
-    SoftLimits, Status, SystemFlags, Value,
+    Command, CommandId, DeviceTag, FingerFlags, GripperState, HomingDirection, LoopData, SoftLimits, Status,
+    SystemFlags, Value,
 };
 use wsg_sim::{Config, Fault, Finger, Jaw, Model, Part, Tag};
 
 fn raw(rig: &mut Rig, id: u8, payload: &[u8]) -> Status {
-    let frame: Vec<u8> = FrameEncoder::new(id, payload).collect();
-    rig.send_bytes(&frame);
+    rig.send_raw(id, payload);
     let frames = rig.frames();
     assert_eq!(frames.len(), 1);
     assert_eq!(frames[0].id(), id);
@@ -144,7 +143,7 @@ fn unknown_commands_are_answered_as_such() {
     for id in [0x00, 0x01, 0x90, 0xA0, 0xBF, 0xFF] {
         assert_eq!(raw(&mut rig, id, &[1, 2, 3]), Status::CmdUnknown);
     }
-    rig.send_bytes(&FrameEncoder::new(0x90, &[][..]).collect::<Vec<u8>>());
+    rig.send_raw(0x90, &[]);
     let mut buffer = [0; wsg_sim::MAX_FRAME_LEN];
     // The example of the manual.
     assert_eq!(
