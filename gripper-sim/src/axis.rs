@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn part_pushes_idle_fingers_back_and_their_force_is_gone_at_once() {
+    fn idle_fingers_yield_to_the_part_without_force() {
         let mut axis = axis(Part::new(20.0, 10.0));
         travel(&mut axis, TRAVEL);
         axis.halt();
@@ -523,7 +523,7 @@ mod tests {
     }
 
     #[test]
-    fn fingers_outside_of_a_hollow_part_close_on_it_and_enter_its_hole_only_when_they_are_narrower() {
+    fn only_narrower_fingers_enter_the_hole_of_a_part() {
         let mut wide = axis(None);
         travel(&mut wide, OPENING);
         wide.set_part(ring(10.0));
@@ -542,7 +542,7 @@ mod tests {
     }
 
     #[test]
-    fn hollow_part_that_is_removed_blocks_no_more_and_a_soft_one_yields_to_the_end_stop() {
+    fn removed_or_soft_hollow_part_does_not_block_the_fingers() {
         let mut axis = axis(ring(10.0));
         travel(&mut axis, OPENING);
         axis.set_part(None);

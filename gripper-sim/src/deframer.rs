@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_after_a_lost_can_frame_are_found_one_by_one_when_the_cut_proves_wrong() {
+    fn messages_after_a_lost_can_frame_are_recovered() {
         let mut deframer = on_can();
         let (beginning, [stop, state]) = held_back();
         for bytes in [&beginning, &stop] {
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_message_over_can_is_given_up_and_what_it_held_back_is_found() {
+    fn incomplete_can_message_releases_the_frames_it_held() {
         let mut deframer = on_can();
         let (beginning, [stop, _]) = held_back();
         for bytes in [&beginning, &stop, &stop] {

@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn line_has_no_character_that_commands_a_terminal_or_ends_a_line() {
+    fn control_characters_are_escaped_in_a_line() {
         for (text, line) in [
             ("left\tC:\\x \"gr\u{FC}n\" e\u{301}", "left\tC:\\x \"gr\u{FC}n\" e\u{301}"),
             ("a\r\nwsg: b", "a\\r\\nwsg: b"),

@@ -571,7 +571,7 @@ mod tests {
     use tokio::task::LocalSet;
 
     #[tokio::test]
-    async fn oldest_connection_gives_way_and_one_that_is_over_counts_no_more() {
+    async fn oldest_open_connection_is_displaced() {
         let mut connections = Connections::default();
         let held = Rc::new(());
         let open = |count: usize, connections: &mut Connections| {

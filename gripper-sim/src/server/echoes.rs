@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn client_that_asks_meanwhile_is_answered_and_keeps_no_loop_alive() {
+    fn requests_of_another_client_do_not_keep_a_loop_alive() {
         let now = Instant::now();
         let mut echoes = Echoes::default();
         echoes.sent(ANSWER);

@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn truncated_frame_lacks_its_end_and_duplicated_frame_arrives_twice() {
+    fn truncated_frame_is_shorter_and_duplicate_arrives_twice() {
         let mut line = FaultyLine::new(1, 0);
         for _ in 0..40 {
             let faults = LineFaults { truncate: 1.0, duplicate: 1.0, ..LineFaults::default() };

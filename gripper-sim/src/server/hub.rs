@@ -544,7 +544,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn modbus_client_idle_longest_gives_way_when_all_places_are_taken() {
+    async fn longest_idle_modbus_client_is_displaced_by_a_new_one() {
         let hub = hub();
         let mut masters = vec![];
         for _ in 0..MAX_CLIENTS {
@@ -578,7 +578,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn modbus_client_is_dismissed_after_its_idle_time_and_others_are_not() {
+    async fn only_modbus_clients_are_dismissed_when_idle() {
         let hub = hub();
         let (master, client) =
             (hub.connect(PortKind::ModbusTcp, "").unwrap(), hub.connect(PortKind::GclTcp, "").unwrap());

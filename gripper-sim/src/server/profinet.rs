@@ -265,7 +265,7 @@ mod tests {
     use std::fs;
 
     #[test]
-    fn stored_values_replace_their_lines_in_the_file_and_all_others_stay() {
+    fn stored_values_replace_only_their_lines_in_the_file() {
         let path = std::env::temp_dir().join(format!("wsg-profinet-{}.toml", std::process::id()));
         let others = "# A cell\nmodel = \"wsg32\"\nprofinet = \"eth0\"\n";
         fs::write(

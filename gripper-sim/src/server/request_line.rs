@@ -249,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn part_of_a_frame_passes_after_a_while_or_when_the_line_is_whole_again() {
+    fn partial_frame_passes_after_a_time_out_or_without_faults() {
         let mut line = RequestLine::new(PortKind::Tcp, 1, 0);
         line.take(&late(), Time::ZERO, &STOP[..5], |_| panic!("no frame"));
         assert_eq!(line.next_arrival(), Some(Time::from_millis(REST_WAIT_MS)));

@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn clients_on_other_machines_are_limited_by_default_and_those_on_this_one_are_not() {
+    fn only_clients_on_other_machines_are_limited_by_default() {
         let [here, here_6, there] =
             ["127.0.0.1:1501", "[::1]:1501", "192.168.1.9:1501"].map(|text| text.parse().unwrap());
         assert_eq!([here, here_6, there].map(|at| most_unanswered(None, at)), [None, None, Some(UNANSWERED)]);

@@ -267,7 +267,7 @@ fn motion_is_ignored_while_stop_or_fast_stop_is_set() {
 }
 
 #[test]
-fn parameter_that_changes_while_the_fingers_move_is_a_fast_stop_of_the_gripper() {
+fn parameter_change_during_a_motion_is_a_fast_stop() {
     let changes: [fn(&mut OutputImage); 3] =
         [|image| image.width += 1, |image| image.speed += 1, |image| image.force_limit += 1];
     for (motion, change) in [Flag::MOVE, Flag::HOMING, Flag::GRIP].into_iter().zip(changes) {
@@ -283,7 +283,7 @@ fn parameter_that_changes_while_the_fingers_move_is_a_fast_stop_of_the_gripper()
 }
 
 #[test]
-fn parameter_outside_the_limits_with_a_motion_fast_stops_before_anything_moves() {
+fn invalid_parameter_with_a_motion_is_a_fast_stop() {
     let wrong: [fn(&mut OutputImage); 5] = [
         |image| image.speed = 4_99,
         |image| image.speed = 420_01,
@@ -312,7 +312,7 @@ fn parameter_outside_the_limits_with_a_motion_fast_stops_before_anything_moves()
 }
 
 #[test]
-fn fast_stop_of_the_plc_is_left_by_an_edge_of_stop_while_its_flag_is_0() {
+fn stop_edge_ends_a_fast_stop_while_faststop_is_0() {
     let mut plc = Plc::homed(None);
     plc.raise(Flag::MOVE);
     plc.wait(200);
@@ -344,7 +344,7 @@ fn fast_stop_of_the_plc_is_left_by_an_edge_of_stop_while_its_flag_is_0() {
 
 /// Fieldbus, 5.1.2 and appendix C; GCL, 3.2.1. The other client speaks the binary protocol.
 #[test]
-fn gstate_follows_another_client_that_stops_the_motion_of_the_plc() {
+fn gstate_follows_a_client_that_stops_the_plc_motion() {
     let pre_position = Command::PrePosition { flags: PrePositionFlags::empty(), width: 60.0, speed: 100.0 };
     let grip = Command::GripPart { width: 20.0, speed: 100.0 };
     for flag in [Flag::MOVE, Flag::GRIP, Flag::RELEASE, Flag::HOMING] {
@@ -374,7 +374,7 @@ fn gstate_follows_another_client_that_stops_the_motion_of_the_plc() {
 }
 
 #[test]
-fn gstate_follows_another_client_after_a_motion_of_the_plc_failed() {
+fn gstate_follows_other_clients_after_a_failed_plc_motion() {
     // A part in the way: ERROR in the gripper as well.
     let mut plc = Plc::homed(Part::of_width(50.0));
     plc.raise(Flag::MOVE);
@@ -409,7 +409,7 @@ fn gstate_follows_another_client_after_a_motion_of_the_plc_failed() {
 
 /// Fieldbus, 6.6: FASTSTOP is level-sensitive.
 #[test]
-fn faststop_that_is_1_outlasts_an_acknowledgement_by_a_third_party() {
+fn asserted_faststop_outlasts_a_third_party_acknowledgement() {
     let mut plc = Plc::homed(None);
     plc.raise(Flag::FASTSTOP);
     for _ in 0..3 {
@@ -445,7 +445,7 @@ fn stop_ends_a_motion_and_leaves_no_error() {
 }
 
 #[test]
-fn stop_while_holding_ends_the_watch_over_the_part_and_the_force() {
+fn stop_while_holding_ends_force_and_part_monitoring() {
     let mut plc = Plc::holding();
     assert!(plc.gripper.state().force > 30.0);
     plc.raise(Flag::STOP_ACK);
@@ -459,7 +459,7 @@ fn stop_while_holding_ends_the_watch_over_the_part_and_the_force() {
 }
 
 #[test]
-fn grip_is_gripping_and_then_holding_with_the_force_limit_of_its_register() {
+fn grip_holds_with_the_force_limit_of_its_register() {
     let mut plc = Plc::homed(Part::of_width(20.0));
     plc.change(|image| image.force_limit = 25_00);
     plc.run(Flag::GRIP, Shown::GRIPPING, (Shown::HOLDING, Status::Success));
@@ -580,7 +580,7 @@ fn jog_runs_to_the_soft_limit_and_sets_its_flag() {
 
 /// Command set, 3.3.5: limits 20 to 80 mm with fingers at 10 mm, and limits 20 to 90 mm with fingers at 110 mm.
 #[test]
-fn plc_moves_fingers_outside_the_soft_limits_only_to_a_target_inside() {
+fn plc_motion_outside_soft_limits_needs_a_target_inside() {
     for (begin, plus, targets, onward, back) in [
         (10_00, 80.0, [18_00, 10_00, 5_00], Flag::JOG_MINUS, Flag::JOG_PLUS),
         (110_00, 90.0, [95_00, 110_00, 109_99], Flag::JOG_PLUS, Flag::JOG_MINUS),
@@ -725,7 +725,7 @@ fn motion_continues_when_the_last_master_disconnects() {
 }
 
 #[test]
-fn silent_master_ends_a_jog_at_any_reaction_and_nothing_starts_when_it_returns() {
+fn time_out_ends_a_jog_at_any_reaction_and_a_return_is_no_edge() {
     for reaction in [SilenceReaction::Hold, SilenceReaction::Stop] {
         let mut plc = Plc::watched(reaction);
         plc.change(|image| image.speed = 10_00);
@@ -811,7 +811,7 @@ fn motion_without_a_reference_is_refused() {
 }
 
 #[test]
-fn fast_stop_that_a_fault_causes_shows_and_stays_as_long_as_the_fault() {
+fn fast_stop_by_a_fault_lasts_as_long_as_the_fault() {
     let mut plc = Plc::homed(None);
     plc.raise(Flag::MOVE);
     plc.wait(100);
@@ -829,7 +829,7 @@ fn fast_stop_that_a_fault_causes_shows_and_stays_as_long_as_the_fault() {
 }
 
 #[test]
-fn unannounced_end_of_a_binary_connection_shows_in_the_registers() {
+fn lost_binary_connection_shows_in_the_registers() {
     let mut plc = Plc::homed(None);
     plc.raise(Flag::MOVE);
     plc.wait(100);

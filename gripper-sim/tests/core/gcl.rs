@@ -151,7 +151,7 @@ fn gripper_says_what_it_is() {
 }
 
 #[test]
-fn motion_is_acknowledged_and_finished_while_questions_are_answered() {
+fn queries_are_answered_between_ack_and_fin_of_a_motion() {
     let mut desk = Desk::homed(None);
     assert_eq!(desk.ask("MOVE(50,100)"), ["ACK MOVE"]);
     assert_eq!(desk.one("GRIPSTATE?"), "GRIPSTATE=6");
@@ -316,7 +316,7 @@ fn tolerance_and_clamping_travel_are_those_of_the_connection() {
 }
 
 #[test]
-fn force_of_a_grip_leaves_the_force_limit_of_the_binary_protocol() {
+fn grip_force_does_not_change_the_binary_force_limit() {
     let mut desk = Desk::homed(part(20.0));
     let before = desk.rig.gripper.state().force_limit;
     assert_eq!(desk.run("GRIP(12,20)"), "FIN GRIP");
@@ -450,7 +450,7 @@ fn autosend_with_a_delta_waits_for_that_change() {
 }
 
 #[test]
-fn autosend_of_a_state_on_change_is_sent_once_and_then_at_changes() {
+fn autosend_on_change_is_sent_once_and_then_at_changes() {
     let mut desk = Desk::homed(part(20.0));
     desk.ask("AUTOSEND(\"GRIPSTATE\",10,1)");
     assert_eq!(desk.wait(200), ["@GRIPSTATE=0"]);

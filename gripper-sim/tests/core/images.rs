@@ -44,7 +44,7 @@ impl Bus {
 }
 
 #[test]
-fn flag_in_the_first_image_counts_after_it_was_0_but_fast_stop_at_once() {
+fn first_image_gives_no_edge_except_faststop() {
     let mut bus = Bus::homed(Config::default());
     bus.write(Flag::MOVE, true);
     bus.wait(100);
@@ -79,7 +79,7 @@ fn master_that_falls_silent_ends_its_motion_as_it_is_configured() {
 
 /// The control server shows the outputs (`/state`).
 #[test]
-fn outputs_are_zeros_after_their_master_has_left_and_those_of_another_stay() {
+fn outputs_are_zeros_only_after_their_own_master_has_left() {
     for is_cut in [false, true] {
         let mut bus = Bus::homed(Config::default());
         bus.write(Flag::GRIP, false);
@@ -113,7 +113,7 @@ fn silence_of_a_master_that_does_not_command_changes_nothing() {
 
 /// Fieldbus manual, 5.1.1. The flags of an ended script are reset.
 #[test]
-fn user_flags_cross_the_images_both_ways_and_end_with_the_script() {
+fn user_flags_pass_both_images_and_end_with_the_script() {
     let mut bus = Bus::homed(Config::default());
     bus.gripper.set_script_state(ScriptState::Running, bus.now);
     bus.gripper.write_image(bus.port, bus.now, &OutputImage { user: 0xA5, ..PARAMETERS }, false);
@@ -136,7 +136,7 @@ fn modbus_writes(bus: &mut Bus, modbus: PortId, flags: Flag) {
 }
 
 #[test]
-fn cyclic_image_that_does_not_change_is_no_edge_after_another_master_wrote() {
+fn unchanged_cyclic_image_is_no_edge_after_another_write() {
     let mut bus = Bus::homed(Config::default());
     let modbus = bus.gripper.connect(PortKind::ModbusTcp).expect("a port is free");
     bus.write(Flag::MOVE, false);
@@ -155,7 +155,7 @@ fn cyclic_image_that_does_not_change_is_no_edge_after_another_master_wrote() {
 
 /// A silent Modbus master times out, but it is no longer the active master.
 #[test]
-fn silence_of_a_modbus_master_leaves_the_motion_of_a_cyclic_one_alone() {
+fn modbus_time_out_does_not_end_the_motion_of_a_cyclic_master() {
     let config = Config { bus_timeout_ms: 50, ..Config::default() };
     let mut bus = Bus::homed(config);
     let modbus = bus.gripper.connect(PortKind::ModbusTcp).expect("a port is free");

@@ -7,7 +7,7 @@ use wsg_protocol::{
 use wsg_sim::{Config, Direction, Fault, Finger, Model, Part};
 
 #[test]
-fn homing_takes_under_four_seconds_on_every_model_and_in_both_directions() {
+fn homing_takes_under_four_seconds_on_every_model() {
     for &model in Model::ALL {
         for (direction, reference) in
             [(HomingDirection::Positive, model.parameters().limits.stroke), (HomingDirection::Negative, 0.0)]
@@ -148,7 +148,7 @@ fn stop_on_block_turns_the_motor_off() {
 }
 
 #[test]
-fn clamp_on_block_pushes_with_half_the_nominal_force_and_snaps_to_the_target() {
+fn clamp_on_block_pushes_with_half_the_nominal_force() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.status(Command::SetForceLimit { force: 10.0 });
     assert_eq!(rig.run(go_to(10.0)), Status::AxisBlocked);
@@ -163,7 +163,7 @@ fn clamp_on_block_pushes_with_half_the_nominal_force_and_snaps_to_the_target() {
 }
 
 #[test]
-fn grip_on_a_part_of_the_nominal_width_holds_it_with_the_force_limit() {
+fn grip_at_the_nominal_width_holds_with_the_force_limit() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.status(Command::SetForceLimit { force: 30.0 });
     assert_eq!(rig.status(grip(20.0)), Status::CmdPending);
@@ -202,7 +202,7 @@ fn hollow_part_is_gripped_from_inside_released_and_lost() {
 }
 
 #[test]
-fn grip_from_inside_fails_without_a_hole_at_its_width_and_from_outside() {
+fn grip_from_inside_requires_a_hole_at_its_width() {
     // The width of the fingers before the grip, its nominal width, and the outcome.
     for (from, nominal, state, what) in [
         (40.0, 60.0, GripperState::Holding, "the width of the hole"),
@@ -313,7 +313,7 @@ fn grip_again_is_allowed_in_the_same_direction_only() {
 }
 
 #[test]
-fn second_motion_while_moving_is_refused_and_the_first_continues() {
+fn second_motion_is_refused_and_the_first_continues() {
     let mut rig = Rig::homed(None);
     assert_eq!(rig.status(go_to(30.0)), Status::CmdPending);
     rig.wait(100);
@@ -343,7 +343,7 @@ fn stop_aborts_a_motion_and_needs_no_acknowledgement() {
 }
 
 #[test]
-fn grip_at_0_holds_any_part_with_a_clamping_travel_as_long_as_the_stroke() {
+fn grip_at_0_holds_any_part_if_the_travel_spans_the_stroke() {
     for (clamping_travel, result, state) in [
         (5.0, Status::CmdFailed, GripperState::NoPart),
         (110.0, Status::Success, GripperState::Holding),
@@ -372,7 +372,7 @@ fn part_width_tolerance_decides_which_part_is_wrong() {
 }
 
 #[test]
-fn presets_of_force_acceleration_and_homing_count_within_the_models_limits() {
+fn motion_presets_are_clamped_to_the_model_limits() {
     let presets = |value| Config {
         force_limit: Some(value),
         acceleration: Some(value),
@@ -470,7 +470,7 @@ fn fast_stop_while_holding_lets_the_part_go_without_losing_it() {
 }
 
 #[test]
-fn acknowledge_succeeds_with_nothing_to_acknowledge_and_needs_its_key() {
+fn acknowledge_requires_its_key_and_always_succeeds() {
     let mut rig = Rig::new(Config::default());
     assert_eq!(rig.status(Command::ACKNOWLEDGE), Status::Success);
     rig.status(Command::FastStop);
@@ -503,7 +503,7 @@ fn soft_limits_refuse_targets_outside() {
 
 /// Command set, 3.3.5: "an error for every motion command whose target lies outside", wherever the fingers are.
 #[test]
-fn fingers_outside_the_soft_limits_may_only_go_to_a_target_inside() {
+fn fingers_outside_the_soft_limits_need_a_target_inside() {
     let cases = [
         (
             10.0,
@@ -601,7 +601,7 @@ fn homing_ignores_soft_limits() {
 }
 
 #[test]
-fn statistics_count_grips_and_what_became_of_them_and_reset_after_reading() {
+fn statistics_count_grip_outcomes_and_reset_after_reading() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.run(grip(20.0));
     rig.run(release(50.0));
@@ -636,7 +636,7 @@ fn forces(rig: &mut Rig, millis: u64) -> Vec<f32> {
 /// Fieldbus, 6.3: "Zum Loslassen wird die Nennkraft des Greifers verwendet", reached "durch sukzessives Erhöhen der internen
 /// Kraftgrenze".
 #[test]
-fn release_raises_its_force_in_steps_to_the_nominal_force_at_any_limit() {
+fn release_raises_its_force_in_steps_to_the_nominal_force() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.status(Command::SetForceLimit { force: 10.0 });
     assert_eq!(rig.run(grip(20.0)), Status::Success);
@@ -669,7 +669,7 @@ fn release_does_not_squeeze_the_part_though_it_points_inward() {
 /// Command set, 3.2.6: a part is gripped once the gripper "can establish the desired gripping force within the defined clamping
 /// travel".
 #[test]
-fn force_of_a_grip_rises_gradually_and_holding_begins_when_it_is_established() {
+fn holding_begins_when_the_grip_force_is_established() {
     let mut rig = Rig::homed(Part::new(20.0, 20.0));
     rig.status(Command::SetForceLimit { force: 60.0 });
     assert_eq!(rig.status(grip(20.0)), Status::CmdPending);
@@ -683,7 +683,7 @@ fn force_of_a_grip_rises_gradually_and_holding_begins_when_it_is_established() {
 
 /// Appendix B: D2 "will be reset if either the blocking condition is resolved or a stop command is issued".
 #[test]
-fn blocked_stays_set_until_the_block_is_resolved_or_a_stop_is_issued() {
+fn blocked_flag_lasts_until_the_block_is_resolved_or_a_stop() {
     let blocked = |rig: &Rig| rig.flags().contains(SystemFlags::BLOCKED_MINUS);
     let moving = |rig: &Rig| rig.flags().contains(SystemFlags::MOVING);
     let mut rig = Rig::homed(Part::of_width(20.0));
@@ -772,7 +772,7 @@ fn release_and_stop_lead_out_of_holding_to_a_pre_position() {
 
 /// Fieldbus, 6.4: the web interface sets "die Richtung der Referenzierung [...] sowie das automatische Homing beim Starten".
 #[test]
-fn automatic_homing_references_the_gripper_in_its_default_direction_without_a_command() {
+fn automatic_homing_uses_the_default_direction() {
     for (homing_default, reference) in [(Direction::Plus, 110.0), (Direction::Minus, 0.0)] {
         let mut rig = Rig::new(Config { homing_at_start: true, homing_default, ..Config::default() });
         assert_eq!(rig.state(), GripperState::Positioning);
@@ -790,7 +790,7 @@ fn automatic_homing_references_the_gripper_in_its_default_direction_without_a_co
 
 /// Command set, 3.3.5: "soft limits that are loaded by default on power-up".
 #[test]
-fn soft_limits_of_the_configuration_hold_from_power_up_and_yield_to_commands() {
+fn configured_soft_limits_hold_from_power_up_until_changed() {
     let limits = SoftLimits { minus: 20.0, plus: 80.0 };
     let mut rig = Rig::homed_with(Config { soft_limits: Some(limits), ..Config::default() });
     rig.ask(Command::GetSoftLimits)

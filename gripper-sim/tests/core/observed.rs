@@ -81,7 +81,7 @@ fn data_exchange_is_waiting_then_running_then_expired_or_left() {
 }
 
 #[test]
-fn settings_of_power_up_stay_and_motion_settings_wait_for_the_end_of_a_motion() {
+fn power_up_settings_stay_and_motion_settings_wait() {
     let mut rig = Rig::homed(None);
     let config = Config {
         acceleration: Some(700.0),

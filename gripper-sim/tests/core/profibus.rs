@@ -122,7 +122,7 @@ impl Master {
 }
 
 #[test]
-fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
+fn master_time_out_ends_a_jog_and_its_return_starts_nothing() {
     let mut master = Master::homed(None);
     master.image.speed = 10_00;
     master.set(Flag::JOG_MINUS);
@@ -149,7 +149,7 @@ fn master_that_falls_silent_ends_a_jog_and_nothing_begins_when_it_is_back() {
 }
 
 #[test]
-fn disconnecting_master_ends_its_motion_as_configured_and_always_a_jog() {
+fn disconnecting_master_ends_its_motion_as_configured() {
     let stops_sending = |master: &mut Master| master.stop_sending(WATCHDOG_MS + 5);
     let clears = |master: &mut Master| {
         // Global_Control to all stations: Clear_Data.
@@ -190,7 +190,7 @@ fn fault_is_announced_and_its_diagnosis_read_once() {
 }
 
 #[test]
-fn telegram_in_pieces_is_accepted_and_an_incomplete_one_discarded() {
+fn telegram_in_pieces_is_accepted_unless_incomplete() {
     let mut master = Master::exchanging(Config::default());
     let status = [0x10, STATION, MASTER, 0x49, 0x52, 0x16];
     let answer = [0x10, MASTER, STATION, 0x00, 0x09, 0x16];

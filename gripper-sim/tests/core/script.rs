@@ -17,7 +17,7 @@ fn run(rig: &mut Rig, speed: f32) -> Status {
 }
 
 #[test]
-fn claimed_commands_wait_for_the_script_and_all_others_are_answered_as_ever() {
+fn only_claimed_commands_wait_for_the_script() {
     for kind in [PortKind::Tcp, PortKind::Udp, PortKind::Serial, PortKind::Can] {
         let mut rig = Rig::on(kind, Config::default());
         rig.gripper.set_script_state(ScriptState::Running, rig.now);
@@ -39,7 +39,7 @@ fn claimed_commands_wait_for_the_script_and_all_others_are_answered_as_ever() {
 }
 
 #[test]
-fn commands_without_room_are_answered_and_an_ended_script_keeps_none() {
+fn full_script_queue_refuses_commands_and_ends_with_the_script() {
     let mut rig = running(None);
     rig.gripper.claim_for_script(0xB0);
     let mut waiting = 0;
@@ -92,7 +92,7 @@ fn velocity_mode_keeps_its_speed_until_a_new_one_is_set() {
 }
 
 #[test]
-fn velocity_mode_ends_at_the_stroke_and_at_soft_limits_without_a_fast_stop() {
+fn velocity_mode_ends_at_stroke_and_soft_limits() {
     let mut rig = running(None);
     run(&mut rig, -400.0);
     rig.wait(2_000);
@@ -107,7 +107,7 @@ fn velocity_mode_ends_at_the_stroke_and_at_soft_limits_without_a_fast_stop() {
 }
 
 #[test]
-fn velocity_mode_pushes_against_a_part_with_the_force_limit_for_as_long_as_it_lasts() {
+fn velocity_mode_pushes_with_the_force_limit() {
     let mut rig = running(Part::of_width(20.0));
     assert_eq!(rig.status(Command::SetForceLimit { force: 30.0 }), Status::Success);
     run(&mut rig, -100.0);
@@ -122,7 +122,7 @@ fn velocity_mode_pushes_against_a_part_with_the_force_limit_for_as_long_as_it_la
 /// Appendix B, D1 and D2, for a controller that repeats its speed 30 to 60 times a second: the flags read right after
 /// the command must indicate fingers blocked by the part.
 #[test]
-fn speed_that_is_repeated_against_a_part_leaves_the_axis_blocked_and_not_moving() {
+fn repeated_speed_against_a_part_is_blocked_and_not_moving() {
     for (speed, period_ms) in [(-50.0, 33), (-50.0, 16), (-5.0, 1)] {
         let mut rig = running(Part::of_width(20.0));
         rig.status(Command::SetForceLimit { force: 80.0 });
@@ -155,7 +155,7 @@ fn speed_that_is_repeated_against_a_part_leaves_the_axis_blocked_and_not_moving(
 }
 
 #[test]
-fn speed_that_is_repeated_against_a_jam_keeps_its_force_and_follows_a_lower_limit() {
+fn repeated_speed_against_a_jam_follows_the_force_limit() {
     let mut rig = running(None);
     rig.set_fault(Fault::AxisBlocked, true);
     for (limit, least) in [(60.0, 0.0), (60.0, 60.0), (25.0, 25.0)] {
@@ -170,7 +170,7 @@ fn speed_that_is_repeated_against_a_jam_keeps_its_force_and_follows_a_lower_limi
 }
 
 #[test]
-fn any_command_takes_the_place_of_velocity_mode_and_it_takes_the_place_of_any_motion() {
+fn velocity_mode_and_commands_replace_each_other() {
     let mut rig = running(Part::of_width(20.0));
     run(&mut rig, -10.0);
     rig.wait(50);
@@ -208,7 +208,7 @@ fn motions_of_a_script_are_refused_like_motions_of_clients() {
 
 /// `while mc.busy() do sleep(1) end mc.move(...)` must never be refused as "already running", nor wait for nothing.
 #[test]
-fn gripper_is_busy_exactly_while_the_next_motion_would_be_refused() {
+fn busy_is_true_exactly_while_a_motion_would_be_refused() {
     let here = go_to(110.0);
     let cases: [(&str, Option<Part>, &[Command<'_>]); 6] = [
         ("a move to the present width", None, &[here]),
@@ -278,7 +278,7 @@ fn answer_to_a_disconnected_client_is_discarded() {
 }
 
 #[test]
-fn command_that_a_script_gives_back_is_unknown_again_and_those_that_wait_are_counted() {
+fn command_released_by_a_script_is_unknown_again() {
     let mut rig = running(None);
     assert!(rig.gripper.claim_for_script(0xB0) && rig.gripper.claim_for_script(0xB1));
     assert_eq!(rig.gripper.script_requests(), 0);

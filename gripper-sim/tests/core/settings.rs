@@ -153,7 +153,7 @@ fn unknown_commands_are_answered_as_such() {
 }
 
 #[test]
-fn command_failure_flag_shows_the_last_command_that_did_something() {
+fn command_failure_flag_ignores_successful_queries() {
     let mut rig = Rig::homed(None);
     let failed = |rig: &Rig| rig.flags().contains(SystemFlags::CMD_FAILURE);
     assert!(!failed(&rig));
@@ -203,7 +203,7 @@ fn fingers_show_type_size_and_flags() {
 }
 
 #[test]
-fn finger_power_answers_twice_when_switched_on_and_once_when_off() {
+fn finger_power_answers_twice_on_and_once_off() {
     let mut rig = Rig::new(Config { fingers: [Finger::Generic; 2], ..Config::default() });
     assert_eq!(rig.status(Command::Finger1Power { enabled: false }), Status::Success);
     assert_eq!(rig.ask(Command::GetFinger1Flags).frame[8], 0);
@@ -235,7 +235,7 @@ fn force_finger_measures_its_half_of_the_force() {
 }
 
 #[test]
-fn tare_zeroes_the_sensor_unless_there_is_none_or_a_part_is_held() {
+fn tare_requires_a_sensor_and_no_held_part() {
     let mut rig = Rig::homed(None);
     assert_eq!(rig.status(Command::TareForceSensor), Status::NotAvailable);
     let part = Part::of_width(20.0);
@@ -299,7 +299,7 @@ fn finger_silent_at_power_on_shows_init_fault_until_it_answers() {
 /// Appendix B, D16: "The engine has reached its maximum thermal power consumption. The flag will be reset automatically as soon
 /// as the engine has recovered. Then the corresponding Fast Stop can be committed."
 #[test]
-fn motor_overheats_under_the_overdrive_force_recovers_by_itself_and_is_acknowledged_then() {
+fn motor_overheated_by_overdrive_recovers_and_is_acknowledged() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     rig.status(Command::OverdriveMode { enabled: true });
     rig.status(Command::SetForceLimit { force: 120.0 });
@@ -330,7 +330,7 @@ fn motor_overheats_under_the_overdrive_force_recovers_by_itself_and_is_acknowled
 
 /// Appendix B, D14: "All motion-related commands are disabled until the temperature falls below the critical level."
 #[test]
-fn over_temperature_and_supply_faults_disable_motion_until_they_end_without_a_fast_stop() {
+fn temperature_and_supply_faults_disable_motion_until_they_end() {
     let homing = Command::Homing { direction: HomingDirection::Positive };
     for (fault, flag) in [
         (Fault::OverTemperature, SystemFlags::TEMP_FAULT | SystemFlags::TEMP_WARNING),
@@ -403,7 +403,7 @@ fn severe_fault_causes_a_fast_stop_that_outlasts_it() {
 }
 
 #[test]
-fn temperature_rises_with_load_and_overdrive_cannot_be_held_indefinitely() {
+fn temperature_rises_with_load_and_limits_overdrive() {
     let mut rig = Rig::homed(Part::of_width(20.0));
     let temperature = |rig: &Rig| rig.gripper.state().temperature.0;
     let idle = temperature(&rig);

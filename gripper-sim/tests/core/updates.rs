@@ -135,7 +135,7 @@ fn updates_belong_to_their_connection_and_end_with_it() {
 }
 
 #[test]
-fn updates_of_a_client_that_falls_silent_end_after_the_time_that_is_set() {
+fn updates_end_after_the_configured_silence() {
     const PERIOD_MS: u16 = 100;
     for (kind, ends) in
         [(PortKind::Udp, true), (PortKind::Serial, true), (PortKind::Can, true), (PortKind::Tcp, false)]
@@ -156,7 +156,7 @@ fn updates_of_a_client_that_falls_silent_end_after_the_time_that_is_set() {
 }
 
 #[test]
-fn text_updates_of_a_client_that_falls_silent_end_after_the_time_that_is_set() {
+fn text_updates_end_after_the_configured_silence() {
     let mut rig = Rig::on(PortKind::GclUdp, Config { updates_idle_s: 2, ..Config::default() });
     rig.send_bytes(b"AUTOSEND(\"FORCE\",100)\n");
     rig.frames();

@@ -30,7 +30,7 @@ fn tcp_pending_and_result_are_separate_segments() {
 }
 
 #[test]
-fn real_profile_answers_three_requests_in_turn_15_times_a_second_at_the_most() {
+fn real_profile_limits_three_requests_to_15_times_a_second() {
     let lines = Lines { profile: Profile::Real, ..tcp_lines() };
     let served = serve(Config::default(), lines);
     let mut client = Client::of(&served);
@@ -44,7 +44,7 @@ fn real_profile_answers_three_requests_in_turn_15_times_a_second_at_the_most() {
 }
 
 #[test]
-fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
+fn flooding_tcp_client_does_not_delay_the_others() {
     let served = serve_tcp(Config { disconnect_error: false, ..Config::default() });
     let flood = Client::of(&served);
     flood.0.set_nonblocking(true).unwrap();
@@ -64,7 +64,7 @@ fn tcp_client_that_floods_and_never_reads_leaves_the_others_alone() {
 }
 
 #[test]
-fn tcp_clients_that_hold_half_frames_or_never_read_leave_the_others_alone() {
+fn stalled_tcp_clients_do_not_delay_the_others() {
     let served = serve_tcp(Config::default());
     let mut held = Vec::new();
     for _ in 0..20 {
@@ -81,7 +81,7 @@ fn tcp_clients_that_hold_half_frames_or_never_read_leave_the_others_alone() {
 }
 
 #[test]
-fn tcp_connection_too_many_is_closed_and_a_place_that_gets_free_is_given_again() {
+fn excess_tcp_connection_is_closed_and_a_free_place_reused() {
     let served = serve_tcp(Config { disconnect_error: false, ..Config::default() });
     let mut clients: Vec<_> = (0..128).map(|_| Client::of(&served)).collect();
     for client in &mut clients {
@@ -139,7 +139,7 @@ fn udp_answers_go_to_the_fixed_remote_port_for_any_source_port() {
 
 /// The sender of a datagram can be forged. Updates would then go to an uninvolved host, here at 400 a second, without an end.
 #[test]
-fn udp_peer_that_sends_nothing_is_sent_a_bounded_number_of_datagrams() {
+fn silent_udp_peer_receives_a_bounded_number_of_datagrams() {
     let peer = UdpSocket::bind("127.0.0.1:0").unwrap();
     let udp =
         UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port: peer.local_addr().unwrap().port() };

@@ -143,7 +143,7 @@ fn slcan_grip_cycle_over_a_pseudo_terminal() {
 }
 
 #[test]
-fn slcan_messages_of_every_length_are_cut_as_the_size_field_says() {
+fn slcan_messages_of_every_length_follow_the_size_field() {
     let served = serve(Config::default(), SerialLine::Pty);
     let mut controller = controller(&served);
     for len in (0..=24).chain([255, 256]) {
@@ -174,7 +174,7 @@ fn slcan_frames_for_others_are_not_for_the_gripper() {
 }
 
 #[test]
-fn slcan_message_that_is_cut_otherwise_is_none_and_the_next_one_is_found() {
+fn slcan_message_cut_differently_is_rejected() {
     let served = serve(Config::default(), SerialLine::Pty);
     let mut controller = controller(&served);
     let stop: Vec<u8> = FrameEncoder::new(0x23, Command::FastStop).collect();
@@ -215,7 +215,7 @@ fn slcan_over_a_unix_socket_takes_hosts_one_after_the_other() {
 }
 
 #[test]
-fn slcan_on_a_device_makes_the_gripper_the_host_that_opens_the_channel() {
+fn slcan_on_a_device_makes_the_gripper_the_host() {
     let (adapter, path) = open_adapter();
     // The adapter's end must be raw before the gripper opens the other end, because nothing may be echoed.
     let _device = open_terminal(&path);

@@ -146,7 +146,7 @@ const CHANGES: [(&str, &str, Option<&str>); 8] = [
 ];
 
 #[test]
-fn request_of_a_sender_that_saw_an_old_state_changes_nothing_and_stops_are_executed() {
+fn request_with_an_old_state_is_refused_except_stops() {
     let rig = ControlRig::new(Config::default());
     let old = state_of_another_start();
     for (path, change, other) in CHANGES {
@@ -174,7 +174,7 @@ fn request_of_a_sender_that_saw_an_old_state_changes_nothing_and_stops_are_execu
 }
 
 #[test]
-fn request_with_the_latest_state_is_executed_and_a_misspelt_query_is_not() {
+fn latest_state_is_accepted_and_a_misspelt_query_refused() {
     let rig = ControlRig::new(Config::default());
     let as_of = rig.state()["as_of"].as_str().unwrap().to_owned();
     let part = |query: &str| rig.request("POST", &format!("/part{query}"), r#"{"width_mm":20}"#);
@@ -189,7 +189,7 @@ fn request_with_the_latest_state_is_executed_and_a_misspelt_query_is_not() {
 }
 
 #[test]
-fn page_and_proxy_must_name_the_state_that_they_saw_except_with_stops() {
+fn page_and_proxy_must_name_a_state_except_for_stops() {
     let rig = ControlRig::homed();
     let host = rig.server.control_address().unwrap().to_string();
     let post = |header: &str, query: &str, body: &str| {
@@ -247,7 +247,7 @@ fn page_commands_over_its_websocket_and_sees_what_they_do() {
 
 /// The acknowledgement of one page must not end a FAST STOP that its operator has not seen.
 #[test]
-fn command_of_a_page_that_has_not_seen_the_latest_stop_is_refused() {
+fn page_command_from_before_the_latest_stop_is_refused() {
     let mut rig = ControlRig::homed();
     let mut page = Page::of(&rig);
     let before = page.next("state");
@@ -301,7 +301,7 @@ fn fast_stop_of_a_page_that_reads_nothing_is_executed() {
 }
 
 #[test]
-fn websocket_of_another_page_is_refused_and_a_message_that_is_too_long_closes_it() {
+fn foreign_websocket_and_overlong_message_are_rejected() {
     let rig = ControlRig::new(Config::default());
     for origin in ["http://example.com", "null"] {
         match Page::open(&rig, Some(origin)).err() {
@@ -321,7 +321,7 @@ fn websocket_of_another_page_is_refused_and_a_message_that_is_too_long_closes_it
 /// A client that has given up, for example after a time-out, no longer expects its command.
 #[cfg(unix)]
 #[test]
-fn request_of_a_client_that_has_closed_its_connection_is_discarded() {
+fn request_of_a_closed_connection_is_discarded() {
     use crate::common::program::Program;
     use rustix::process::Signal;
     use std::io::Write;

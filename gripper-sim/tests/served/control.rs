@@ -350,7 +350,7 @@ fn page_has_a_policy_and_its_script_has_the_nonce_of_the_policy() {
 }
 
 #[test]
-fn pages_home_and_grip_by_commands_and_all_see_the_fingers_move_and_the_part_go() {
+fn all_pages_show_commands_and_the_part_of_one_page() {
     let rig = ControlRig::new(Config { time_scale: 5.0, ..Config::default() });
     let mut pages = [(); 2].map(|()| Watching::new(&rig));
     for page in &mut pages {
@@ -389,7 +389,7 @@ fn pages_home_and_grip_by_commands_and_all_see_the_fingers_move_and_the_part_go(
 
 /// Fieldbus manual, 6.6: FASTSTOP is level-sensitive. A third party acknowledges while the PLC asserts it.
 #[test]
-fn fast_stop_that_the_plc_asserts_outlasts_every_acknowledgement_on_the_page() {
+fn asserted_faststop_outlasts_acknowledgements_on_the_page() {
     const FASTSTOP: u8 = 1 << 5;
     const MOVE: u8 = 1;
     let is_fast_stopped = |plc: &mut Master| plc.ask(&[2, 0, 28, 0, 1]) == [2, 1, 1];
@@ -432,7 +432,7 @@ fn page_shows_decoded_frames_of_clients_without_a_log_file() {
 }
 
 #[test]
-fn pages_are_bounded_in_number_and_requests_are_answered_beside_all_of_them() {
+fn maximum_number_of_pages_does_not_block_requests() {
     let rig = ControlRig::new(Config::default());
     let mut pages: Vec<Watching> = (0..64).map(|_| Watching::new(&rig)).collect();
     let (status, answer) = rig.request("GET", "/events", "");
@@ -527,7 +527,7 @@ fn connection_with_a_partial_request_is_closed() {
 }
 
 #[test]
-fn dropped_corrupted_and_truncated_answers_are_lost_and_the_next_whole_one_is_found() {
+fn damaged_answers_are_lost_and_the_next_one_is_found() {
     let whole = frame_of_force_limit().len();
     // The bytes of an answer that arrive.
     for (fault, arriving) in [("drop", 0..=0), ("corrupt", whole..=whole), ("truncate", 1..=whole - 1)] {
@@ -599,7 +599,7 @@ fn datagrams_are_hit_as_well() {
 }
 
 #[test]
-fn requests_that_are_dropped_truncated_or_corrupted_are_not_carried_out() {
+fn damaged_requests_are_not_executed() {
     for (fault, counted) in [("drop", "dropped"), ("truncate", "truncated"), ("corrupt", "corrupted")] {
         let mut rig = ControlRig::new(Config::default());
         rig.post("/line", &json!({ "direction": "requests", fault: 1 }));
@@ -627,7 +627,7 @@ fn duplicate_request_is_answered_twice_and_moves_once() {
 }
 
 #[test]
-fn delayed_requests_keep_their_order_and_pass_when_the_faults_end() {
+fn delayed_requests_keep_their_order() {
     let mut rig = ControlRig::new(Config::default());
     rig.post("/line", &json!({ "direction": "requests", "delay_ms": 300 }));
     let start = Instant::now();
@@ -648,7 +648,7 @@ fn delayed_requests_keep_their_order_and_pass_when_the_faults_end() {
 }
 
 #[test]
-fn faults_of_replies_leave_requests_alone_and_by_default_both_are_hit() {
+fn line_faults_affect_the_chosen_direction_or_both() {
     for (body, requests, replies) in [
         (json!({ "direction": "replies", "duplicate": 1 }), 0, 1),
         (json!({ "direction": "requests", "duplicate": 1 }), 1, 0),

@@ -58,7 +58,7 @@ fn ack_and_fin_are_separate_segments() {
 }
 
 #[test]
-fn connection_closed_without_bye_is_a_fast_stop_and_with_it_none() {
+fn connection_closed_without_bye_is_a_fast_stop() {
     let served = serve(Config::default(), lines());
     let address = served.gcl_address().unwrap();
     let mut first = GclClient::new(address);
@@ -90,7 +90,7 @@ fn datagrams_are_answered_to_their_source_port() {
 }
 
 #[test]
-fn datagram_from_another_peer_ends_the_updates_of_the_previous_one() {
+fn datagram_from_another_peer_ends_earlier_updates() {
     let served = serve(Config::default(), lines());
     let gripper = served.gcl_udp_address().unwrap();
     let [first, second] = [udp_socket(), udp_socket()];

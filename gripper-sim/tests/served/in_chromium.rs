@@ -114,7 +114,7 @@ fn grip(tab: &mut Tab) {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn fingers_home_and_grip_by_clicks_and_the_drawing_moves_with_them() {
+fn drawing_follows_fingers_that_home_and_grip_by_clicks() {
     let gripper = Gripper::new(&["--time-scale", "2"]);
     let mut tab = gripper.open();
     let before = tab.eval(OPENING).as_f64().unwrap();
@@ -152,7 +152,7 @@ fn fingers_home_and_grip_by_clicks_and_the_drawing_moves_with_them() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn hollow_part_is_put_in_and_drawn_around_the_fingers_that_grip_it_from_inside() {
+fn hollow_part_is_drawn_around_fingers_that_grip_inside() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);
@@ -200,7 +200,7 @@ fn hollow_part_is_put_in_and_drawn_around_the_fingers_that_grip_it_from_inside()
 /// `host-tests/tests/surfaces` has widths and forces outside the limits.
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn field_without_a_number_or_with_a_speed_outside_the_limits_sends_nothing() {
+fn invalid_number_or_speed_field_sends_nothing() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);
@@ -226,7 +226,7 @@ fn is_red(selector: &str, property: &str) -> String {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn fast_stop_is_red_on_every_page_in_light_and_dark_until_one_acknowledges() {
+fn fast_stop_is_red_on_every_page_until_acknowledged() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let [mut light, mut dark] = [gripper.open(), gripper.open()];
     dark.look(1280, 800, "dark");
@@ -604,7 +604,7 @@ fn page_reports_a_lost_gripper_and_continues_when_it_returns() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn page_that_was_one_too_many_is_shown_the_gripper_when_another_is_closed() {
+fn excess_page_connects_when_another_is_closed() {
     let gripper = Gripper::new(&[]);
     let address = gripper.page.trim_start_matches("http://");
     let watch = |_| {

@@ -181,7 +181,7 @@ fn frame_of_another_protocol_is_discarded_without_an_answer() {
 }
 
 #[test]
-fn length_that_no_frame_has_closes_the_connection_once_all_before_it_is_answered() {
+fn invalid_length_closes_the_connection_after_all_answers() {
     let served = serve(Lines::default());
     for length in [0u16, 1, 255, 0xFFFF] {
         let mut master = Master::of(&served);
@@ -203,7 +203,7 @@ fn length_that_no_frame_has_closes_the_connection_once_all_before_it_is_answered
 }
 
 #[test]
-fn masters_that_never_read_or_stop_in_mid_frame_leave_the_others_alone() {
+fn stalled_masters_do_not_delay_the_others() {
     let served = serve(Lines::default());
     let request = frame(1, 1, &[43, 14, 1, 0]);
     let requests = request.repeat(500);

@@ -115,7 +115,7 @@ impl Plc {
 }
 
 #[test]
-fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
+fn profirust_master_grips_and_releases_over_a_pty() {
     let config = Config { time_scale: QUICK, part: Part::of_width(20.0), ..Config::default() };
     let lines = Lines { profibus: Some(SerialLine::Pty), control: any_port(), ..Lines::default() };
     let server = serve(config, lines);
@@ -142,7 +142,7 @@ fn master_of_profirust_homes_grips_and_releases_over_a_pseudo_terminal() {
 
 /// Fieldbus manual, 7: the monitor shows the bit rate of a line that has one.
 #[test]
-fn monitor_shows_address_and_bit_rate_of_a_device_but_no_rate_of_a_pseudo_terminal() {
+fn monitor_shows_address_and_the_bit_rate_of_devices_only() {
     let (_adapter, path) = open_adapter();
     for (line, rate) in [(SerialLine::Device(path), "115200 bit/s"), (SerialLine::Pty, "")] {
         let lines = Lines { profibus: Some(line), control: any_port(), ..Lines::default() };

@@ -65,7 +65,7 @@ fn floats(flag: u8, numbers: &[f32]) -> Vec<u8> {
 }
 
 #[test]
-fn script_measures_moves_and_controls_position_and_force_over_tcp() {
+fn script_controls_position_and_force_over_tcp() {
     let config = Config { part: Part::of_width(20.0), time_scale: QUICK, ..Config::default() };
     let served = serve(config, lines(&remote()));
     let mut client = Client::of(&served);
@@ -90,7 +90,7 @@ fn script_measures_moves_and_controls_position_and_force_over_tcp() {
 }
 
 #[test]
-fn flags_tell_that_a_script_runs_and_that_it_failed_and_why_is_in_the_log() {
+fn script_flags_show_running_and_failed_and_the_log_shows_why() {
     let script =
         script("fails", "cmd.register(0xB0)\ncmd.send(cmd.read(), etob(0))\nlocal t = nil\nt.x = 1\n");
     let logged = Logged::new("script", Config::default(), &lines(&script.0));
@@ -143,7 +143,7 @@ fn script_that_claims_a_command_of_the_manual_receives_an_error() {
 }
 
 #[test]
-fn calls_that_are_not_there_and_motions_that_are_refused_are_named_once() {
+fn missing_calls_and_refused_motions_are_logged_once() {
     let source =
         "for _ = 1, 3 do\n  local there = mc.grip\n  mc.move(50, 100)\nend\nprint('end', 7)\nsleep(1e9)";
     let text = log_of("misses", Config::default(), &script("misses", source).0, "end\t7");
@@ -190,7 +190,7 @@ fn values_cross_as_the_calls_say() {
 }
 
 #[test]
-fn program_takes_a_script_and_says_in_one_line_that_it_cannot_be_read() {
+fn program_runs_a_script_or_reports_an_unreadable_one() {
     let script = remote();
     let mut program = Program::start(&["--tcp", "127.0.0.1:0", "--script", script.to_str().unwrap()]);
     program.place_of("model");
@@ -505,7 +505,7 @@ fn homing_takes_a_boolean_and_waits_for_its_end() {
 }
 
 #[test]
-fn force_limit_is_the_second_value_and_settings_are_read_as_they_are_set() {
+fn force_returns_the_limit_second_and_settings_read_back() {
     let source = r#"
         mc.homing(true)
         print("free", mc.force())

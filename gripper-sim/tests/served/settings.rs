@@ -135,7 +135,7 @@ fn checksum_evaluation_changes_for_a_connected_client() {
 }
 
 #[test]
-fn motion_configuration_is_refused_while_the_fingers_move_and_the_rest_is_not() {
+fn only_motion_settings_are_refused_while_fingers_move() {
     let mut rig = SettingsRig::new("moving", "");
     assert_eq!(rig.client.ask(Command::Homing { direction: HomingDirection::Default }), Status::CmdPending);
     let (status, error) = rig.refused(&json!({"clamping-travel": 9, "tag": "x"}));
@@ -174,7 +174,7 @@ fn wrong_settings_are_refused_in_a_sentence_and_change_nothing() {
 }
 
 #[test]
-fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
+fn restart_settings_are_pending_and_survive_the_program() {
     let mut rig = SettingsRig::new("restart", "# A cell\nmodel = \"wsg32\"\nhoming-at-start = false\n");
     rig.home();
     let answer = rig.set(&json!({"model": "wsg25", "homing-at-start": true, "modbus": "127.0.0.1:0"}));
@@ -210,7 +210,7 @@ fn settings_that_need_a_restart_wait_for_it_and_survive_the_program() {
 }
 
 #[test]
-fn restart_that_cannot_open_a_line_returns_to_the_earlier_settings() {
+fn failed_restart_returns_to_the_earlier_settings() {
     let mut rig = SettingsRig::new("bad_restart", "");
     rig.set(&json!({"model": "wsg25", "udp": "203.0.113.9:1500"}));
     assert_eq!(rig.request("POST", "/restart", "").0, 200);

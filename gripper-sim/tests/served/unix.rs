@@ -102,7 +102,7 @@ fn unix_socket_left_over_by_a_dead_server_is_taken_over() {
 }
 
 #[test]
-fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
+fn pseudo_terminal_serves_successive_clients() {
     let lines = Lines { serial: Some(SerialLine::Pty), ..Lines::default() };
     let served = serve(Config { time_scale: QUICK, ..Config::default() }, lines);
     for _ in 0..2 {
@@ -123,7 +123,7 @@ fn pseudo_terminal_is_a_serial_line_for_one_client_after_the_other() {
 }
 
 #[test]
-fn port_1000_is_replaced_for_an_ordinary_user_and_an_explicit_low_port_says_what_to_do() {
+fn low_port_without_privileges_is_replaced_or_explained() {
     let lowest = std::fs::read_to_string("/proc/sys/net/ipv4/ip_unprivileged_port_start");
     if lowest.is_ok_and(|port| port.trim().parse().is_ok_and(|port: u16| port <= 1_000)) {
         // This user may listen on any port.
@@ -181,7 +181,7 @@ fn leave_descriptors(program: &Program, more: u64) {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn without_a_descriptor_left_the_control_port_answers_503_and_every_port_recovers() {
+fn lack_of_descriptors_is_reported_and_recovered_from() {
     let path = scratch("descriptors");
     let arguments = ["--tcp", "127.0.0.1:0", "--gcl", "127.0.0.1:0", "--gcl-udp", "127.0.0.1:0"];
     let serial = format!("unix:{}", path.display());

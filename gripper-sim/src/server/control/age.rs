@@ -178,7 +178,7 @@ mod tests {
 
     /// The time of a gripper begins again with each start.
     #[tokio::test(start_paused = true)]
-    async fn state_of_an_earlier_start_is_refused_at_any_time_and_so_is_one_that_never_was() {
+    async fn state_of_another_start_or_an_invalid_one_is_refused() {
         let (hub, stalls) = (Hub::of_test(), Stalls::new());
         tokio::time::advance(Duration::from_secs(10)).await;
         let check = |as_of: &str| status(OTHER.check(&hub, &stalls, Effect::Moves, Some(as_of)));
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn state_from_before_a_stop_is_refused_and_the_one_after_it_is_not() {
+    async fn state_from_before_a_stop_is_refused() {
         use wsg_protocol::Command;
         let (hub, stalls) = (Hub::of_test(), Stalls::new());
         for stop in [Command::Stop, Command::FastStop] {
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn programs_of_this_machine_need_no_state_unless_the_server_has_stalled() {
+    async fn local_programs_need_no_state_unless_the_server_stalled() {
         let (hub, stalls) = (Hub::of_test(), Stalls::new());
         let all = LocalSet::new();
         all.run_until(async {

@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn reader_that_is_too_far_behind_loses_its_stream_and_others_do_not() {
+    async fn only_a_slow_reader_loses_its_stream() {
         let watchers = Watchers::default();
         let open = || watchers.open(event("hello", "{}"), Link::new()).unwrap();
         let (mut slow, mut quick) = (open(), open());

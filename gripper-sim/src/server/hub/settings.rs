@@ -165,7 +165,7 @@ mod tests {
     use crate::server::system_log::SystemLog;
 
     #[test]
-    fn station_name_of_a_controller_outlasts_a_restart_and_is_no_pending_change() {
+    fn station_name_set_by_a_controller_is_not_pending() {
         let options = Options::parse(vec!["--profinet".into(), "eth0".into()]).unwrap();
         let hub = Hub::new(options.config, Profile::Instant, 0, None, SystemLog::default(), Some(&options));
         hub.remember(&Changes::from([("station".to_owned(), Some(vec!["wsg-7".to_owned()]))]));

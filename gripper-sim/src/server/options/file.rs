@@ -147,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn saved_settings_keep_line_ends_comments_and_the_mark_of_the_file() {
+    fn saved_settings_keep_line_ends_comments_and_byte_order_mark() {
         let path = std::env::temp_dir().join(format!("wsg-sim-save-{}.toml", std::process::id()));
         let set = |name, value: &str| (name, Some(value.to_owned()));
         for (before, settings, after) in [

@@ -147,7 +147,7 @@ fn every_option_arrives() {
 }
 
 #[test]
-fn control_alone_leaves_the_default_line_and_its_port_alone_stays_on_this_machine() {
+fn control_keeps_the_default_line_and_a_port_is_local() {
     let lines = options_of("--control 8080").lines;
     assert_eq!((lines.tcp, lines.control), (Some(DEFAULT_TCP), "127.0.0.1:8080".parse().ok()));
     let lines = options_of("--control 0.0.0.0:8080 --control-host bench --control-host fe80::1").lines;
@@ -341,7 +341,7 @@ fn options_in_the_document_are_those_of_the_program() {
 }
 
 #[test]
-fn every_setting_is_in_a_group_and_every_other_option_is_the_programs() {
+fn every_option_is_a_grouped_setting_or_the_programs() {
     let settings = settings();
     for arg in command().get_arguments() {
         let name = arg.get_long().unwrap();

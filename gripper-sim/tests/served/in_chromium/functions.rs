@@ -252,7 +252,7 @@ fn fieldbus_monitor_shows_the_master_and_marks_the_last_change() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn scripts_are_written_run_and_stopped_and_an_error_selects_its_line() {
+fn page_edits_and_runs_scripts_and_selects_the_error_line() {
     let folder = std::env::temp_dir().join(format!("wsg-page-scripts-{}", std::process::id()));
     for (width, height) in SIZES {
         std::fs::create_dir_all(&folder).unwrap();

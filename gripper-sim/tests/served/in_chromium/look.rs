@@ -67,7 +67,7 @@ fn sizes() -> impl Iterator<Item = (u32, u32, &'static str)> {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn nothing_is_cut_off_or_overlaps_and_all_text_has_contrast_in_light_and_dark() {
+fn layout_fits_and_text_has_contrast_in_light_and_dark() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = gripper.open();
     home(&mut tab);

@@ -144,7 +144,7 @@ fn latency(gripper: &Gripper, client: &mut Client<TcpStream>, tab: &mut Tab, nam
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn fast_stop_from_each_of_20_windows_stops_the_fingers_in_250_ms() {
+fn fast_stop_from_each_of_20_windows_takes_effect_in_250_ms() {
     let gripper = Gripper::alone(&["--time-scale", "0.1"]);
     let mut windows: Vec<Tab> = (0..WINDOWS).map(|_| open_noting(&gripper)).collect();
     let mut client = Client(connect(&gripper.tcp));
@@ -172,7 +172,7 @@ fn fast_stop_from_each_of_20_windows_stops_the_fingers_in_250_ms() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
-fn click_without_an_answer_says_so_within_a_second_and_does_not_run_later() {
+fn unanswered_click_is_reported_and_not_executed_later() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = open_noting(&gripper);
     let message = "document.getElementById('message').textContent";
