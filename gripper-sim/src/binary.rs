@@ -190,7 +190,7 @@ impl BinarySession {
         self.subscriptions.clear();
         self.reply(Reply::status_only(id, Status::Success));
         device.note_result(id.kind(), Status::Success);
-        device.abort_motion();
+        device.motion_mut().abort();
     }
 
     fn reply(&mut self, reply: Reply<'_>) {

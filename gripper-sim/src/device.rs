@@ -9,8 +9,8 @@ use crate::config::{Config, Tag};
 use crate::faults::Fault;
 use crate::finger::{Finger, FingerPort, Jaw};
 use crate::journal::Cause;
-use crate::motion::{GripOrder, MotionControl};
-use crate::port::{Completion, PortId, Request};
+use crate::motion::MotionControl;
+use crate::port::{Completion, PortId};
 use crate::script::{ScriptCommands, ScriptState};
 use crate::thermal::Thermal;
 use crate::time::{Time, earlier};
@@ -89,6 +89,11 @@ impl Device {
     /// Returns the motions, with their settings, their state and the axis.
     pub(crate) const fn motion(&self) -> &MotionControl {
         &self.motion
+    }
+
+    /// Returns the motions, for a request that concerns nothing else of the device.
+    pub(crate) const fn motion_mut(&mut self) -> &mut MotionControl {
+        &mut self.motion
     }
 
     pub(crate) const fn limits(&self) -> &SystemLimits {
@@ -181,26 +186,6 @@ impl Device {
         }
     }
 
-    /// Executes GRIP of the text protocol.
-    pub(crate) fn grip_by(&mut self, request: Request, order: GripOrder) -> Status {
-        self.motion.start_grip_by(request, order)
-    }
-
-    /// Executes RELEASE of the text protocol.
-    pub(crate) fn release_by(&mut self, request: Request, distance: f32, speed: f32) -> Status {
-        self.motion.start_release_by(request, distance, speed)
-    }
-
-    /// Starts velocity mode of scripts.
-    pub(crate) fn run_at(&mut self, request: Request, speed: f32) -> Status {
-        self.motion.run_at(request, speed)
-    }
-
-    /// Sets the speed in mm/s at which a motion begins that replaces another one in the same direction.
-    pub(crate) fn keep_speed(&mut self, speed: f64) {
-        self.motion.keep_speed(speed);
-    }
-
     /// Sets the state of the script. The interfaces that it has opened close when it ends.
     pub(crate) fn set_script_state(&mut self, state: ScriptState) {
         self.script.set_state(state);
@@ -216,11 +201,6 @@ impl Device {
 
     pub(crate) const fn script_mut(&mut self) -> &mut ScriptCommands {
         &mut self.script
-    }
-
-    /// Ends a running motion and nothing else.
-    pub(crate) fn abort_motion(&mut self) {
-        self.motion.abort();
     }
 
     /// Returns the cause of the latest change.

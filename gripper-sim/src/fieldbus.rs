@@ -271,7 +271,7 @@ impl Fieldbus {
     fn follow_dial(&mut self, device: &mut Device, now: Time) {
         let jogs = self.input(device).state == GripperFlags::RELEASING;
         if let Some((_, speed)) = self.stopped.take().filter(|(at, _)| jogs && *at == now) {
-            device.keep_speed(speed);
+            device.motion_mut().keep_speed(speed);
         }
     }
 }

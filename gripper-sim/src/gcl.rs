@@ -169,7 +169,7 @@ impl TextSession {
         device.note_result(if is_subscription { Kind::Query } else { request.kind() }, status);
         if self.announced {
             // BYE is answered first; the answers to motions that it ends follow.
-            device.abort_motion();
+            device.motion_mut().abort();
         }
     }
 

@@ -392,7 +392,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     pub fn run_for_script(&mut self, speed: f32, now: Time) -> Status {
         self.advance(now);
         let request = Request { port: PortId::HAND, now: self.now };
-        let status = self.device.run_at(request, speed);
+        let status = self.device.motion_mut().run_at(request, speed);
         self.settle();
         status
     }

@@ -312,7 +312,7 @@ impl MotionControl {
         };
         let end = self.clamping_end(direction, nominal, clamping_travel);
         let travel = self.travel(end, speed, self.settings.force_limit().into());
-        let task = Task::Grip(Grip {
+        let grip = Grip {
             direction,
             nominal,
             end,
@@ -320,20 +320,30 @@ impl MotionControl {
             tolerance: self.part_width_tolerance,
             clamping_travel,
             early_block: EarlyBlock::NoPart,
-        });
+        };
+        self.start_gripping(request, grip, travel)
+    }
+
+    /// Starts a grip and counts it.
+    fn start_gripping(&mut self, request: Request, grip: Grip, travel: Travel) -> Status {
+        let task = Task::Grip(grip);
         let status = self.start(request, CommandId::GripPart, task, travel, GripperState::Gripping);
-        self.grip_direction = Some(direction);
+        self.grip_direction = Some(grip.direction);
         self.statistics.total = self.statistics.total.saturating_add(1);
         status
     }
 
     /// Executes Release Part (26h).
     pub(crate) fn start_release(&mut self, request: Request, width: f32, speed: f32) -> Status {
-        if let Err(refused) = self.may_go_to(width.into()) {
+        self.release_to(request, width.into(), speed)
+    }
+
+    /// Starts a release to this width in mm.
+    fn release_to(&mut self, request: Request, target: f64, speed: f32) -> Status {
+        if let Err(refused) = self.may_go_to(target) {
             return refused;
         }
-        let target = f64::from(width).clamp(0.0, self.stroke());
-        let travel = self.release_travel(target, speed);
+        let travel = self.release_travel(target.clamp(0.0, self.stroke()), speed);
         self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
     }
 

@@ -80,15 +80,6 @@ fn program_that_polls_without_waiting_sees_the_motion_end() {
 }
 
 #[test]
-fn part_that_is_removed_while_it_is_held_is_lost() {
-    let (rig, mut gripper) = homed(WITH_PART());
-    assert_eq!(gripper.grip(Mm(20.0), MmPerS(100.0)), Ok(Grip::Held));
-    rig.set_part(None);
-    rig.pass(1_000);
-    assert_eq!(gripper.gripper_state(), Ok(GripperState::PartLost));
-}
-
-#[test]
 fn fault_locks_the_fingers_until_it_ends_and_is_acknowledged() {
     let (rig, mut gripper) = homed(Config::default());
     rig.set_fault(Fault::MotorCurrent, true);

@@ -149,7 +149,7 @@ fn start_release(device: &mut Device, requester: Requester, release: Release) ->
         Release::By { distance } => (distance, preset),
         Release::ByAtSpeed { distance, speed } => (distance, speed),
     };
-    device.release_by(requester, distance, speed)
+    device.motion_mut().start_release_by(requester, distance, speed)
 }
 
 fn start_grip(device: &mut Device, line: &TextSession, requester: Requester, grip: Grip) -> Status {
@@ -168,7 +168,7 @@ fn start_grip(device: &mut Device, line: &TextSession, requester: Requester, gri
         tolerance: line.part_width_tolerance,
         clamping_travel: line.clamping_travel,
     };
-    device.grip_by(requester, order)
+    device.motion_mut().start_grip_by(requester, order)
 }
 
 fn finger_type(device: &Device, jaw: Jaw) -> Text<'static> {

@@ -1,9 +1,9 @@
 //! GRIP and RELEASE of the text protocol, which differ from Grip Part and Release Part (GCL, 2.2.3 and 2.2.4).
 
-use super::{BEYOND_THE_END, EarlyBlock, Grip, MotionControl, Task};
+use super::{BEYOND_THE_END, EarlyBlock, Grip, MotionControl};
 use crate::axis::Direction;
 use crate::port::Request;
-use wsg_protocol::{CommandId, GripperState, Status};
+use wsg_protocol::{GripperState, Status};
 
 /// A GRIP request with its defaults filled in.
 #[derive(Clone, Copy, Debug)]
@@ -60,11 +60,7 @@ impl MotionControl {
             clamping_travel,
             early_block: EarlyBlock::AxisBlocked,
         };
-        let status =
-            self.start(request, CommandId::GripPart, Task::Grip(grip), travel, GripperState::Gripping);
-        self.grip_direction = Some(direction);
-        self.statistics.total = self.statistics.total.saturating_add(1);
-        status
+        self.start_gripping(request, grip, travel)
     }
 
     /// Executes RELEASE (GCL, 2.2.4): moves by a distance away from the part, and only after a grip.
@@ -77,11 +73,6 @@ impl MotionControl {
             return Status::RangeError;
         }
         let target = self.width() - direction.sign() * f64::from(distance);
-        if let Err(refused) = self.may_go_to(target) {
-            return refused;
-        }
-        let target = target.clamp(0.0, self.stroke());
-        let travel = self.release_travel(target, speed);
-        self.start(request, CommandId::ReleasePart, Task::Release, travel, GripperState::Releasing)
+        self.release_to(request, target, speed)
     }
 }

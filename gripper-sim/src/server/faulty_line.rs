@@ -165,6 +165,13 @@ impl LineCounts {
     }
 }
 
+/// The counts of both directions.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub(super) struct LineCountsByDirection {
+    pub(super) requests: LineCounts,
+    pub(super) replies: LineCounts,
+}
+
 /// How a frame passes the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Passage {

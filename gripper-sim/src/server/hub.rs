@@ -8,7 +8,7 @@ pub(super) use client::ClientHandle;
 pub(super) use scripts::{OutputLine, Run, ScriptReport};
 pub(super) use settings::{Changes, Refused, Running, SettingState};
 
-use super::faulty_line::{FaultyLine, Latency, LineCounts, LineFaults};
+use super::faulty_line::{FaultyLine, Latency, LineCountsByDirection, LineFaults};
 use super::lines::Profile;
 use super::log::{Log, Watched};
 use super::options::Options;
@@ -82,8 +82,7 @@ struct Shared {
     connections: u64,
     log: Option<Log>,
     line_faults: LineFaults,
-    request_counts: LineCounts,
-    reply_counts: LineCounts,
+    line_counts: LineCountsByDirection,
     faults: Vec<Fault>,
     /// The latest FAST STOP, or Stop of an operator.
     stopped_at: Time,
@@ -131,8 +130,7 @@ pub(super) struct Report {
     /// The faults that have been injected.
     pub(super) faults: Vec<Fault>,
     pub(super) line_faults: LineFaults,
-    pub(super) request_counts: LineCounts,
-    pub(super) reply_counts: LineCounts,
+    pub(super) line_counts: LineCountsByDirection,
     pub(super) clients: Vec<(Arc<str>, PortCounters)>,
 }
 
@@ -154,8 +152,7 @@ impl Hub {
                 connections: 0,
                 log,
                 line_faults: LineFaults::default(),
-                request_counts: LineCounts::default(),
-                reply_counts: LineCounts::default(),
+                line_counts: LineCountsByDirection::default(),
                 faults: Vec::new(),
                 stopped_at: Time::ZERO,
             }),
@@ -300,7 +297,7 @@ impl Hub {
     pub(super) fn report(&self) -> Report {
         let (now, state) = self.look(|gripper| (gripper.now(), gripper.state()));
         let shared = self.lock();
-        let Shared { gripper, clients, faults, line_faults, request_counts, reply_counts, .. } = &*shared;
+        let Shared { gripper, clients, faults, line_faults, line_counts, .. } = &*shared;
         let counters =
             |client: &Arc<Connected>| Some((Arc::clone(&client.name), gripper.counters(client.id)?));
         let exchange = gripper.exchange();
@@ -316,8 +313,7 @@ impl Hub {
             profibus_master: gripper.profibus_master(),
             faults: faults.clone(),
             line_faults: *line_faults,
-            request_counts: *request_counts,
-            reply_counts: *reply_counts,
+            line_counts: *line_counts,
             clients: clients.values().filter_map(counters).collect(),
         }
     }
@@ -531,10 +527,6 @@ mod tests {
     use super::*;
     use tokio::time::advance;
 
-    fn hub() -> Arc<Hub> {
-        Hub::of_test()
-    }
-
     async fn is_dismissed(client: &ClientHandle) -> bool {
         tokio::select! {
             biased;
@@ -545,7 +537,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn longest_idle_modbus_client_is_displaced_by_a_new_one() {
-        let hub = hub();
+        let hub = Hub::of_test();
         let mut masters = vec![];
         for _ in 0..MAX_CLIENTS {
             advance(Duration::from_millis(1)).await;
@@ -570,7 +562,7 @@ mod tests {
 
     #[tokio::test]
     async fn clients_of_other_protocols_do_not_give_way() {
-        let hub = hub();
+        let hub = Hub::of_test();
         let clients: Vec<_> =
             (0..MAX_CLIENTS).map(|_| hub.connect(PortKind::Tcp, "a client").unwrap()).collect();
         assert!(hub.connect(PortKind::ModbusTcp, "a newcomer").is_none());
@@ -579,7 +571,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn only_modbus_clients_are_dismissed_when_idle() {
-        let hub = hub();
+        let hub = Hub::of_test();
         let (master, client) =
             (hub.connect(PortKind::ModbusTcp, "").unwrap(), hub.connect(PortKind::GclTcp, "").unwrap());
         let moment = Duration::from_millis(1);

@@ -21,6 +21,14 @@ impl Program {
         Self { child, output }
     }
 
+    /// Starts the program with TCP and the control interface, and returns the addresses of both.
+    pub(crate) fn with_control(arguments: &[&str]) -> (Self, String, String) {
+        let lines = ["--tcp", "127.0.0.1:0", "--control", "127.0.0.1:0"];
+        let mut program = Self::start(&[&lines, arguments].concat());
+        let [_, tcp, control, _] = ["model", "tcp", "control", "page"].map(|name| program.place_of(name));
+        (program, tcp, control)
+    }
+
     /// Returns the next line of standard output.
     pub(crate) fn line(&mut self) -> String {
         self.output.next().expect("another line").expect("readable output")

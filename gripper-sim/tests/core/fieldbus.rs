@@ -489,14 +489,6 @@ fn part_that_goes_while_it_is_held_is_lost_until_the_release() {
 }
 
 #[test]
-fn release_is_releasing_and_then_idle() {
-    let mut plc = Plc::holding();
-    plc.change(|image| image.width = 40_00);
-    plc.run(Flag::RELEASE, Shown::RELEASING, (Shown::IDLE, Status::Success));
-    assert_eq!(plc.read().width, 40_00);
-}
-
-#[test]
 fn jog_moves_as_long_as_its_flag_is_set() {
     for (flag, sign) in [(Flag::JOG_MINUS, -1.0), (Flag::JOG_PLUS, 1.0)] {
         let mut plc = Plc::homed(None);
@@ -842,11 +834,8 @@ fn lost_binary_connection_shows_in_the_registers() {
 #[test]
 fn force_registers_of_a_wsg_70_count_tenths_of_a_newton() {
     let part = Part::of_width(20.0);
-    let mut plc = Plc::new(Config { model: Model::Wsg70, part, ..Config::default() });
+    let mut plc = Plc::homed_with(Config { model: Model::Wsg70, part, ..Config::default() });
     plc.change(|image| image.force_limit = 150_0);
-    plc.raise(Flag::HOMING);
-    plc.wait(4_000);
-    plc.lower(Flag::HOMING);
     plc.raise(Flag::GRIP);
     plc.wait(4_000);
     assert_eq!(plc.shows(), (Shown::HOLDING, Status::Success));

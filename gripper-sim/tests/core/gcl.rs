@@ -496,12 +496,3 @@ fn fingers_are_queried_one_by_one_and_together() {
     assert_eq!(desk.one("FDATA[0]?"), "FDATA[0]=20.0");
     assert_eq!(desk.one("TARE(0)"), "ERR TARE 16");
 }
-
-#[test]
-fn motion_of_a_binary_client_is_answered_to_it_alone() {
-    let mut rig = Rig::homed(None);
-    let port = rig.gripper.connect(PortKind::GclTcp).unwrap();
-    rig.send(Command::GripPart { width: 20.0, speed: 100.0 });
-    rig.wait(3_000);
-    assert!(!rig.gripper.has_frame(port));
-}

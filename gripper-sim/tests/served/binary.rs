@@ -248,14 +248,6 @@ fn binary_refuses_what_cannot_be_served_in_one_line() {
     assert!(code == Some(0) && stdout.contains("--time-scale"));
 }
 
-#[test]
-fn log_file_shows_a_frame_while_its_client_is_still_there() {
-    let logged = Logged::new("at-once", Config::default(), &tcp_lines());
-    let mut client = Client::of(&logged.served);
-    assert_eq!(client.ask(Command::Stop), Status::Success);
-    logged.until(|log| log.contains("22h Stop E_SUCCESS\n").then_some(()));
-}
-
 /// A log output that blocks until released.
 struct Stuck {
     gate: mpsc::Receiver<()>,

@@ -326,9 +326,7 @@ fn request_of_a_closed_connection_is_discarded() {
     use rustix::process::Signal;
     use std::io::Write;
 
-    let mut program =
-        Program::start(&["--tcp", "127.0.0.1:0", "--control", "127.0.0.1:0", "--time-scale", "0.01"]);
-    let [_, _, control] = ["model", "tcp", "control"].map(|name| program.place_of(name));
+    let (program, _, control) = Program::with_control(&["--time-scale", "0.01"]);
     let post = |body: &str| {
         let len = body.len();
         let mut stream = connect(&control);

@@ -19,18 +19,8 @@ impl ScriptsRig {
         std::fs::create_dir_all(&folder).unwrap();
         let config = folder.join("wsg.toml");
         std::fs::write(&config, "").unwrap();
-        let arguments = [
-            "--config",
-            config.to_str().unwrap(),
-            "--scripts",
-            folder.to_str().unwrap(),
-            "--tcp",
-            "127.0.0.1:0",
-            "--control",
-            "127.0.0.1:0",
-        ];
-        let mut program = Program::start(&arguments);
-        let [_, _, control, _] = ["model", "tcp", "control", "page"].map(|name| program.place_of(name));
+        let [path, scripts] = [&config, &folder].map(|path| path.to_str().unwrap());
+        let (program, _, control) = Program::with_control(&["--config", path, "--scripts", scripts]);
         Self { program, control, folder, config }
     }
 

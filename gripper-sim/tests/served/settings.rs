@@ -21,10 +21,7 @@ struct SettingsRig {
 impl SettingsRig {
     fn new(name: &str, text: &str) -> Self {
         let file = File::new(&format!("{name}.toml"), text);
-        let path = file.0.to_str().unwrap();
-        let arguments = ["--config", path, "--tcp", "127.0.0.1:0", "--control", "127.0.0.1:0"];
-        let mut program = Program::start(&arguments);
-        let [_, tcp, control, _] = ["model", "tcp", "control", "page"].map(|name| program.place_of(name));
+        let (program, tcp, control) = Program::with_control(&["--config", file.0.to_str().unwrap()]);
         let client = Client(connect(&tcp));
         Self { program, tcp, control, file, client }
     }

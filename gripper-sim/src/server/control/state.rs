@@ -6,7 +6,7 @@ use super::injected::{FaultName, PartBody};
 use crate::faults::Fault;
 use crate::fieldbus::ExchangeState;
 use crate::finger::{Finger, Jaw};
-use crate::server::faulty_line::{LineCounts, LineFaults};
+use crate::server::faulty_line::{LineCountsByDirection, LineFaults};
 use crate::server::hub::{BusLine, Hub, Report};
 use serde::Serialize;
 use wsg_fieldbus::{CommandFlags, ForceUnit, GripperFlags};
@@ -150,12 +150,6 @@ struct ActiveFaultBody {
 }
 
 #[derive(Debug, Serialize)]
-struct LineCountsByDirection {
-    requests: LineCounts,
-    replies: LineCounts,
-}
-
-#[derive(Debug, Serialize)]
 struct ClientBody<'a> {
     name: &'a str,
     bytes_dropped: u16,
@@ -174,7 +168,7 @@ impl<'a> StateBody<'a> {
     }
 
     pub(super) fn of(hub: &Hub, report: &'a Report) -> Self {
-        let Report { now, state, faults, line_faults, request_counts, reply_counts, clients, .. } = report;
+        let Report { now, state, faults, line_faults, line_counts, clients, .. } = report;
         Self {
             model: hub.config().model.name(),
             time_s: Some(now.as_micros() as f64 / 1e6),
@@ -198,7 +192,7 @@ impl<'a> StateBody<'a> {
             fieldbus: FieldbusBody::of(hub, report),
             faults: faults.iter().map(active_fault).collect(),
             line: *line_faults,
-            line_counts: LineCountsByDirection { requests: *request_counts, replies: *reply_counts },
+            line_counts: *line_counts,
             clients: clients
                 .iter()
                 .map(|(name, counters)| ClientBody {

@@ -34,7 +34,7 @@ impl ClientHandle {
         *lock(&connected.received_at) = Instant::now();
         let mut shared = hub.lock();
         let now = hub.now();
-        let Shared { log, line_faults, request_counts, .. } = &mut *shared;
+        let Shared { log, line_faults, line_counts, .. } = &mut *shared;
         if let Some(log) = log {
             log.received(connected.id, now, bytes);
         }
@@ -45,7 +45,7 @@ impl ClientHandle {
             return self.deliver(bytes);
         }
         requests.take(&faults, now, bytes, |fate| {
-            request_counts.count(fate);
+            line_counts.requests.count(fate);
             if !fate.is_harmless()
                 && let Some(log) = log
             {
@@ -149,7 +149,7 @@ impl ClientHandle {
         let mut line = line.borrow_mut();
         while line.has_room() {
             let mut shared = hub.lock();
-            let Shared { gripper, log, line_faults, reply_counts, .. } = &mut *shared;
+            let Shared { gripper, log, line_faults, line_counts, .. } = &mut *shared;
             let Some(frame) = gripper.transmit(self.connected.id, buffer) else { break };
             let now = hub.now();
             let passage = line.pass(&line_faults.of_replies(), now, frame);
@@ -157,7 +157,7 @@ impl ClientHandle {
                 Passage::Through => Fate::default(),
                 Passage::Held(fate) => fate,
             };
-            reply_counts.count(&fate);
+            line_counts.replies.count(&fate);
             if let Some(log) = log {
                 log.sent(now, self.connected.id, &self.connected.name, frame);
                 if !fate.is_harmless() {
