@@ -28,15 +28,6 @@ fn homing_takes_under_four_seconds_on_every_model() {
 }
 
 #[test]
-fn homing_without_direction_goes_where_it_is_configured_to() {
-    for (homing_default, reference) in [(Direction::Plus, 110.0), (Direction::Minus, 0.0)] {
-        let mut rig = Rig::new(Config { homing_default, ..Config::default() });
-        assert_eq!(rig.run(Command::Homing { direction: HomingDirection::Default }), Status::Success);
-        assert_eq!(rig.width(), reference);
-    }
-}
-
-#[test]
 fn homing_against_a_part_takes_it_for_the_end_stop() {
     let mut rig = Rig::new(Config { part: Part::of_width(20.0), ..Config::default() });
     assert_eq!(rig.run(Command::Homing { direction: HomingDirection::Negative }), Status::Success);
@@ -589,15 +580,6 @@ fn clamping_travel_ends_at_a_soft_limit_without_a_fast_stop() {
     assert_eq!(rig.run(grip(20.0)), Status::CmdFailed);
     assert_eq!((rig.width(), rig.state()), (18.0, GripperState::NoPart));
     assert!(!rig.flags().contains(SystemFlags::FAST_STOP));
-}
-
-#[test]
-fn homing_ignores_soft_limits() {
-    let mut rig = Rig::homed(None);
-    rig.run(go_to(60.0));
-    rig.status(Command::SetSoftLimits { limits: SoftLimits { minus: 18.0, plus: 80.0 } });
-    rig.home();
-    assert_eq!(rig.width(), 110.0);
 }
 
 #[test]
