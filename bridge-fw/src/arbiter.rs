@@ -316,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn masked_jog_of_the_bus_takes_effect_only_after_both_flags_were_0() {
+    fn masked_jog_of_the_bus_is_ignored_until_both_flags_are_0() {
         const PLUS: CommandFlags = CommandFlags::JOG_PLUS;
         const MINUS: CommandFlags = CommandFlags::JOG_MINUS;
         let mut arbiter = Arbiter::new();
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn stop_held_by_the_bus_blocks_motions_until_released_or_the_bus_is_lost() {
+    fn stop_held_by_bus_blocks_motions_until_cleared_or_bus_is_lost() {
         let mut arbiter = Arbiter::new();
         take_wires(&mut arbiter, image(CommandFlags::empty(), 1), false);
         assert!(!arbiter.bus_holds_stop());
@@ -352,7 +352,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_of_the_bus_change_nothing_while_the_wires_move_the_fingers() {
+    fn bus_parameters_change_nothing_while_wires_move_the_fingers() {
         let mut arbiter = idle();
         take_wires(&mut arbiter, image(GRIP, 7), false);
         take_wires(&mut arbiter, image(CommandFlags::empty(), 7), true);
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn recipe_replaces_the_parameters_of_the_bus_and_does_not_change_during_a_motion() {
+    fn recipe_replaces_bus_parameters_and_is_fixed_during_a_motion() {
         let recipe = Recipe { width: 11, speed: 12, force: 130, release_width: 14 };
         let other = Recipe { width: 21, speed: 22, force: 230, release_width: 24 };
         let by = |recipe| Some((recipe, ForceUnit::Hundredth));

@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn interrupt_after_reading_the_counter_belongs_to_the_next_millisecond() {
+    fn interrupt_after_reading_the_counter_belongs_to_the_next_ms() {
         assert_eq!(after(6).now_us(0, true), 6_999);
         assert_eq!(after(6).now_us(CYCLES_PER_MS / 2, true), 6_499);
     }

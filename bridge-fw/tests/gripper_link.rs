@@ -69,7 +69,7 @@ fn longest_reply_is_received_and_a_longer_one_is_counted() {
 }
 
 #[test]
-fn messages_are_kept_until_the_queue_is_full_and_the_next_is_counted() {
+fn full_queue_keeps_its_messages_and_counts_overflows() {
     // 32 messages of eight bytes are 256 bytes, which a bridge reads in one turn.
     let message = message(0);
     assert_eq!(message.len(), OVERHEAD);
@@ -133,7 +133,7 @@ fn messages_are_sent_in_order_and_one_at_a_time() {
 }
 
 #[test]
-fn message_with_a_lost_frame_is_discarded_and_reported_to_its_writer() {
+fn lost_frame_discards_its_message_and_the_writer_is_notified() {
     // Completely written; partly written; not started.
     for (written, is_broken, is_told) in [(18, true, false), (5, true, true), (0, false, false)] {
         let mut link = link();
@@ -165,7 +165,7 @@ fn lost_bus_accepts_nothing_and_earlier_frames_are_never_sent() {
 }
 
 #[test]
-fn lost_bus_discards_an_incomplete_message_and_keeps_a_complete_one() {
+fn lost_bus_discards_incomplete_and_keeps_complete_messages() {
     let whole = message(0);
     let longer = message(10);
     let mut link = link();
@@ -180,7 +180,7 @@ fn lost_bus_discards_an_incomplete_message_and_keeps_a_complete_one() {
 }
 
 #[test]
-fn frames_that_wait_for_100_ms_are_withdrawn_with_those_in_the_controller() {
+fn frames_waiting_100_ms_are_withdrawn_also_from_the_controller() {
     let at = Instant::from_millis;
     let mut link = link();
     write_all(&mut link, &message(10));

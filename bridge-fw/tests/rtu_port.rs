@@ -59,7 +59,7 @@ fn character_has_the_preceding_silence_in_steps_of_8_us() {
 }
 
 #[test]
-fn silence_is_measured_over_the_wrap_of_the_clock_and_is_0_while_a_character_waits() {
+fn silence_survives_clock_wrap_and_is_0_while_a_character_waits() {
     let (buffers, mut port) = line();
     buffers.on_receive(1, false, true, u32::MAX - 99);
     NOW_US.set(400);
@@ -88,7 +88,7 @@ fn damage_is_reported_with_the_character_and_after_a_lost_one() {
 }
 
 #[test]
-fn overrun_without_a_byte_damages_the_next_character_unless_it_was_an_echo() {
+fn overrun_damages_the_next_character_unless_it_hits_an_echo() {
     let (buffers, mut port) = line();
     buffers.on_overrun();
     buffers.on_receive(1, false, true, 20_000);
@@ -148,7 +148,7 @@ fn echo_of_a_frame_is_suppressed() {
 }
 
 #[test]
-fn request_directly_after_a_frame_without_echo_is_received_by_a_late_handler() {
+fn late_handler_receives_a_request_after_a_frame_without_echo() {
     let (buffers, mut port) = line();
     port.send(&[1, 2, 3]);
     for byte in 1..=3 {

@@ -160,7 +160,7 @@ fn messages_that_the_bus_does_not_take_for_100_ms_are_withdrawn() {
 
 /// Otherwise they would be sent when the gripper returns.
 #[test]
-fn frames_to_a_gripper_that_no_longer_answers_are_withdrawn_at_once() {
+fn frames_are_withdrawn_at_once_if_the_gripper_stops_answering() {
     let mut rig = Rig::on(Bus::Answered);
     for _ in 0..200 {
         rig.turn(Inputs::FAST_STOP_OK);

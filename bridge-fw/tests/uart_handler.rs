@@ -147,7 +147,7 @@ fn received_bytes_are_read_and_damaged_ones_counted() {
 }
 
 #[test]
-fn frame_on_the_bus_ends_after_its_last_bit_and_its_echo_is_suppressed() {
+fn frame_ends_after_its_last_bit_and_its_echo_is_suppressed() {
     let buffers: &'static RtuBuffers<16, 256> = Box::leak(Box::default());
     buffers.start(&CONFIG);
     let mut port = RtuPort::new(Registers, buffers);
@@ -197,7 +197,7 @@ fn bus() -> (&'static BusLine, BusHandler, Hal) {
 }
 
 #[test]
-fn driver_is_on_from_the_first_byte_of_a_modbus_frame_until_its_last_bit() {
+fn driver_is_on_from_first_byte_to_last_bit_of_a_modbus_frame() {
     let (line, mut handler, mut hal) = bus();
     line.start_modbus(&CONFIG);
     let mut port = line.port(Registers);

@@ -35,7 +35,7 @@ fn line() -> (&'static UartBuffers<4, 4>, UartLine<Registers, 4, 4>) {
 }
 
 #[test]
-fn received_bytes_are_read_in_order_and_an_empty_line_would_block() {
+fn bytes_are_read_in_order_and_an_empty_line_would_block() {
     let (buffers, mut line) = line();
     assert_eq!(line.read_ready(), Ok(false));
     assert_eq!(line.read(&mut [0; 4]), Err(WouldBlock));

@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn diagnosis_is_due_for_each_flag_of_the_manuals_list_and_no_other() {
+    fn diagnosis_is_due_for_exactly_the_flags_the_manual_lists() {
         let listed = [4, 5, 12, 14, 15, 16, 17, 18, 20];
         for bit in 0..32 {
             let flag = SystemFlags::from_bits_retain(1 << bit);

@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn output_image_that_is_shown_reads_as_one_that_was_written_and_is_not_handed_over() {
+    fn shown_output_image_reads_like_a_written_one_but_is_not_taken() {
         for swap_bytes in [false, true] {
             let mut written = Images::new(swap_bytes);
             let width = if swap_bytes { [0xC4, 0x04] } else { [0x04, 0xC4] };

@@ -110,7 +110,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_flag_of_the_diagnosis_is_a_fault_with_its_own_bit_and_name_and_no_other_is() {
+    fn only_diagnosis_flags_are_faults_each_with_its_bit_and_name() {
         for bit in 0..32 {
             let flag = SystemFlags::from_bits_retain(1 << bit);
             let shown = faults(flag);

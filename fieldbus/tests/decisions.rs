@@ -31,7 +31,7 @@ fn release_is_bit_2_of_the_command_flags_and_homing_bit_3() {
 }
 
 #[test]
-fn force_register_counts_hundredths_of_a_newton_and_tenths_on_a_wsg_70() {
+fn force_register_counts_0_01_n_or_0_1_n_on_a_wsg_70() {
     let image = OutputImage { force_limit: 405, ..OutputImage::ZERO };
     assert_eq!(image.force_limit_n(ForceUnit::Hundredth), 4.05);
     assert_eq!(image.force_limit_n(ForceUnit::Tenth), 40.5);
@@ -62,7 +62,7 @@ fn coils_and_inputs_count_from_byte_0_bit_0_of_the_whole_image() {
 }
 
 #[test]
-fn numbers_stand_high_byte_first_and_sysstate_as_a_vector_of_bits() {
+fn numbers_are_big_endian_and_sysstate_is_a_bit_vector() {
     let image = OutputImage { width: -0x0102, speed: 0x0304, force_limit: 0x0506, ..OutputImage::ZERO };
     assert_eq!(image.to_bytes()[2..], [0xFE, 0xFE, 0x03, 0x04, 0x05, 0x06]);
 
@@ -74,7 +74,7 @@ fn numbers_stand_high_byte_first_and_sysstate_as_a_vector_of_bits() {
 }
 
 #[test]
-fn sysstate_read_as_one_big_endian_number_shows_referenced_as_01000000h() {
+fn referenced_is_01000000h_in_sysstate_read_as_big_endian() {
     let image = input(|image| image.system = SystemFlags::REFERENCED);
     assert_eq!(u32::from_be_bytes([image[2], image[3], image[4], image[5]]), 0x0100_0000);
 }

@@ -103,7 +103,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn arbitration_is_won_by_the_lower_identifier_data_before_remote_and_standard_before_extended() {
+    fn lower_identifiers_standard_and_data_frames_win_arbitration() {
         let standard = WireFrame::standard(0x120, &[1]);
         let higher = WireFrame::standard(0x121, &[]);
         let same_base = WireFrame::extended(0x120 << 18, &[]);

@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn error_after_a_lost_connection_outlasts_the_report_of_a_motion_and_a_refusal() {
+    fn error_of_lost_connection_outlasts_motion_report_and_refusal() {
         let mut rule = GstateRule::new();
         rule.report(GripperState::Idle);
         assert!(rule.is_kept(&image(GripperFlags::POSITIONING, Status::CmdPending), true));
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn error_after_a_refused_motion_ends_with_the_first_report_of_another_state() {
+    fn error_of_refused_motion_ends_when_another_state_is_reported() {
         let refused = image(GripperFlags::ERROR, Status::InsufficientResources);
         for (reported, is_error_kept) in [(GripperState::Idle, true), (GripperState::NoPart, false)] {
             let mut rule = GstateRule::new();

@@ -119,7 +119,7 @@ fn flash_has_room_for_boot_loader_and_two_slots() {
 }
 
 #[test]
-fn size_limits_and_build_scripts_keep_each_image_within_its_slot() {
+fn size_limits_and_build_scripts_keep_each_image_in_its_slot() {
     let limits = read("boards/table/src/lib.rs");
     let limits = limits.split("flash_limit: ").skip(1).filter_map(|rest| {
         let (kib, _) = rest.split_once(" * 1024")?;

@@ -139,7 +139,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn requests_in_order_get_the_same_answers_and_leave_the_same_tables(requests in proptest::collection::vec(request(), 1..40)) {
+    fn requests_in_order_get_equal_answers_and_leave_equal_tables(requests in proptest::collection::vec(request(), 1..40)) {
         let mut our_device = Ours(tables());
         let mut their_tables = tables();
         for pdu in requests {
@@ -213,7 +213,7 @@ fn client_of_rmodbus_is_served_and_understands_every_answer() {
 
 /// Requires each disagreement to exist, so a change in `rmodbus` removes its line here.
 #[test]
-fn allowed_disagreements_are_these_and_the_specification_is_on_our_side() {
+fn specification_supports_us_in_each_allowed_disagreement() {
     const VALUE: &[u8] = &[3];
     let refused = |code: u8, exception: &[u8]| frame(&[&[code | 0x80], exception].concat());
     for (why, pdu, exception) in [

@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_read_back_as_set_and_values_outside_the_limits_are_refused() {
+    fn settings_read_back_as_set_and_out_of_range_ones_are_refused() {
         let (_rig, mut gripper) = homed(Config::default());
         let refusal = |set: Result<(), Error<Infallible>>| set.unwrap_err().to_string();
         gripper.set_force_limit(N(30.0)).unwrap();

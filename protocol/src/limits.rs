@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn each_parameter_is_permitted_up_to_its_limit_and_refused_beyond_it() {
+    fn parameter_is_permitted_up_to_its_limit_and_refused_beyond() {
         use Quantity::{Acceleration, Force, Offset, Speed, Width};
         let force = |force| Command::SetForceLimit { force };
         let acceleration = |acceleration| Command::SetAcceleration { acceleration };
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn offset_must_end_inside_the_stroke_as_accurately_as_the_width_is_measured() {
+    fn offset_must_end_in_the_stroke_within_measurement_accuracy() {
         for (width, offset, is_permitted) in [
             (20.0, -20.0, true),
             (19.95, -20.0, true),

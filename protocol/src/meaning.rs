@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn frame_is_decoded_by_its_direction_and_refused_frames_have_their_reason() {
+    fn frame_is_decoded_by_direction_and_refusal_shows_its_reason() {
         let meaning =
             |direction, id, payload| Meaning { direction, frame: Frame { id, payload } }.to_string();
         let (to, from) = (Direction::ToGripper, Direction::FromGripper);

@@ -45,7 +45,7 @@ mod tests {
     use std::hash::DefaultHasher;
 
     #[test]
-    fn equal_queues_have_equal_hashes_wherever_they_begin_and_others_differ() {
+    fn queue_hash_depends_on_the_items_and_not_on_their_offset() {
         let hash = |items: &[u8], removed: usize| {
             let mut queue = Queue::<u8, 4>::new();
             for _ in 0..removed {

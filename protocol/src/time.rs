@@ -109,7 +109,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn moments_are_compared_by_their_distance_wherever_the_clock_wraps() {
+    fn moments_compare_by_distance_wherever_the_clock_wraps() {
         for begin in [0, 5, u32::MAX - 2, 1 << 31] {
             let before = Instant::from_millis(begin);
             for distance in [1, 1_000, (1 << 31) - 1] {

@@ -23,7 +23,7 @@ fn second_example_of_the_manual_carries_id_1() {
 }
 
 #[test]
-fn third_example_of_the_manual_is_intact_but_no_answer_to_the_command_with_its_id() {
+fn third_manual_example_is_intact_but_does_not_answer_its_id() {
     // The manual prints it as the answer to Get Acceleration (31h), but with the ID of Set Acceleration (30h), which returns
     // no value.
     let line = [0xAA, 0xAA, 0xAA, 0x30, 0x06, 0x00, 0x00, 0x00, 0x00, 0x00, 0x16, 0x43, 0xDC, 0xCB];
@@ -75,7 +75,7 @@ fn temperature_fff5h_is_minus_1_1_degrees() {
 /// The lists "Possible Status Codes" and "Mögliche Statuscodes" of chapter 3, for the commands where the English and the
 /// German manual differ or this project adds to both: (ID, in English, in German too, added).
 #[test]
-fn status_codes_are_those_of_both_manuals_and_the_additions_are_these() {
+fn status_codes_match_both_manuals_plus_the_listed_additions() {
     use Status::{
         AccessDenied, AlreadyRunning, CmdFailed, CmdFormatError, CmdPending, IndexOutOfBounds,
         InsufficientResources, InvalidParameter, IoError, NoParamExpected, NotAvailable, NotInitialized,
@@ -118,7 +118,7 @@ fn status_19_is_e_cmd_aborted() {
 }
 
 #[test]
-fn pre_position_that_two_wrong_bits_turn_into_a_fast_stop_is_refused() {
+fn pre_position_turned_into_fast_stop_by_two_bits_is_refused() {
     let pre_position = Command::PrePosition { flags: PrePositionFlags::empty(), width: 80.0, speed: 200.0 };
     let line: Vec<u8> = FrameEncoder::new(0x21, pre_position).collect();
     let overlooked = (8 * 6..8 * (line.len() - 2)).filter(|bit| {
@@ -146,7 +146,7 @@ fn message_of_maximum_length_is_delivered() {
 }
 
 #[test]
-fn handshake_of_eight_ff_bytes_is_a_loop_that_both_sides_understand() {
+fn handshake_of_eight_ff_bytes_is_a_valid_loop_command() {
     let data = [0xFF; 8];
     let handshake = Command::Loop { data: LoopData::new(&data).unwrap() };
     let line: Vec<u8> = FrameEncoder::new(0x06, handshake).collect();

@@ -111,7 +111,7 @@ fn parsers_differ_by_buffered_and_not_by_past_bytes() {
 }
 
 #[test]
-fn sessions_differ_by_pending_requests_and_not_by_their_counters() {
+fn session_hash_covers_pending_requests_but_no_counters() {
     let now = Instant::from_millis(0);
     let fresh = Session::new(session::Config::DEFAULT);
     let mut unsolicited = fresh.clone();

@@ -127,7 +127,7 @@ fn program_that_ends_early_causes_no_fast_stop() {
 }
 
 #[test]
-fn program_that_panics_stops_the_fingers_by_fast_stop_even_if_a_handle_is_left() {
+fn panicking_program_fast_stops_even_if_a_handle_remains() {
     for has_handle in [false, true] {
         let (_server, address) = on_tcp();
         let mut gripper = in_motion(address);
@@ -200,7 +200,7 @@ fn another_thread_stops_a_motion_over_udp() {
 }
 
 #[test]
-fn fast_stop_of_a_handle_stays_in_effect_when_the_driver_is_dropped() {
+fn fast_stop_of_a_handle_outlives_the_dropped_driver() {
     let (_server, address) = on_tcp();
     let mut gripper = in_motion(address);
     let handle = gripper.stop_handle().unwrap();
@@ -404,7 +404,7 @@ impl io::Write for Port {
 }
 
 #[test]
-fn port_is_not_read_again_soon_after_a_read_that_did_not_fill_the_buffer() {
+fn port_is_not_read_again_soon_after_a_partial_read() {
     use embedded_io::{Read, ReadReady};
     const FULL: usize = 512;
     for (plan, reads) in [(vec![0, 1], 1), (vec![5, 1], 1), (vec![FULL, 1], 2), (vec![FULL, 0, 1], 2)] {
@@ -734,7 +734,7 @@ mod on_unix {
     }
 
     #[test]
-    fn blocking_driver_grips_over_interrupted_and_short_reads_and_writes() {
+    fn blocking_driver_grips_despite_interrupted_and_short_io() {
         let (_server, stream) = unix_socket("reluctant");
         grips(&mut Gripper::new(host::PolledStream::new(Reluctant::new(stream)), StdClock::new()));
         let (_server, stream) = unix_socket("reluctant-read");
@@ -793,7 +793,7 @@ mod on_unix {
     }
 
     #[test]
-    fn another_thread_stops_a_motion_over_a_stream_with_a_second_handle() {
+    fn another_thread_stops_a_motion_over_a_second_stream_handle() {
         let (_server, stream) = unix_socket("second");
         let second = stream.try_clone().unwrap();
         stopped_by_another_thread(&mut Gripper::new(

@@ -115,7 +115,7 @@ fn assert_standing(address: SocketAddr) -> SystemFlags {
 }
 
 #[test]
-fn fingers_follow_set_points_and_hold_the_last_with_and_without_a_script() {
+fn fingers_follow_and_hold_set_points_with_or_without_a_script() {
     for script in scripts() {
         let (_server, address) = serve(script.clone(), None);
         let stream = start(address, &script);
@@ -156,7 +156,7 @@ fn later_target_replaces_the_one_before_without_a_stop() {
 }
 
 #[test]
-fn fast_stop_by_another_client_ends_the_stream_and_nothing_resumes() {
+fn fast_stop_by_another_client_ends_the_stream_for_good() {
     for script in scripts() {
         let (_server, address) = serve(script.clone(), None);
         let stream = start(address, &script);
@@ -191,7 +191,7 @@ fn stop_by_another_client_ends_the_stream() {
 }
 
 #[test]
-fn stop_handle_and_drop_end_the_stream_with_the_fingers_standing() {
+fn stop_handle_or_drop_ends_the_stream_with_fingers_at_rest() {
     for script in scripts() {
         let (_server, address) = serve(script.clone(), None);
         let stream = start(address, &script);
@@ -314,7 +314,7 @@ fn script_stops_the_fingers_when_set_points_cease() {
 }
 
 #[test]
-fn script_holds_the_fingers_in_a_gap_until_the_next_set_point_or_a_stop() {
+fn script_holds_during_a_gap_until_the_next_set_point_or_stop() {
     let source = std::fs::read_to_string(ours().unwrap()).unwrap();
     let times = "local HOLD, WATCHDOG = 0.5, 1\n";
     assert!(source.contains(times));
@@ -412,7 +412,7 @@ fn two_grippers_stream_at_once_each_at_its_rate() {
 }
 
 #[test]
-fn values_outside_the_limits_are_rejected_by_name_and_change_nothing() {
+fn out_of_range_values_are_rejected_by_name_without_effect() {
     let (_server, address) = serve(ours(), None);
     let stream = start(address, &ours());
     let at = |ms| stream.now().plus(ms);

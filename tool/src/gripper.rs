@@ -278,7 +278,7 @@ mod tests {
     use wsg_sim::server::{Lines, ServerThread};
 
     #[test]
-    fn panic_in_mid_travel_stops_the_fingers_and_leaves_no_fast_stop() {
+    fn panic_in_mid_travel_stops_fingers_and_leaves_no_fast_stop() {
         let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
         let config = Config { homing_speed: Some(400.0), ..Config::default() };
         let server = ServerThread::start(config, &lines, None).unwrap();

@@ -311,7 +311,7 @@ fn commands_of_the_quick_start_set_up_the_bridge() {
 }
 
 #[test]
-fn invalid_values_are_rejected_in_one_line_before_anything_is_written() {
+fn invalid_values_are_rejected_in_one_line_before_any_write() {
     let served = Served::new();
     served.refused(&["set", "COLOUR", "3"], "unknown setting `COLOUR`");
     served.refused(
@@ -374,7 +374,7 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
 }
 
 #[test]
-fn write_with_a_lost_response_is_read_back_and_a_disturbed_write_is_reverted() {
+fn unanswered_write_is_read_back_and_disturbed_one_is_reverted() {
     let served = Served::new();
     served.faults.loses_answer.store(true, Ordering::SeqCst);
     let said = served.done(&["set", "RECIPE0_WIDTH", "15mm"]);
@@ -453,7 +453,7 @@ fn watch_on_a_terminal_ends_with_q_and_with_ctrl_c() {
 }
 
 #[test]
-fn image_is_written_by_the_matching_method_and_not_while_the_fingers_move() {
+fn image_is_written_by_matching_method_unless_fingers_move() {
     let served = Served::new();
     let folder = temporary("flash");
     let _ = fs::remove_dir_all(&folder);
@@ -512,7 +512,7 @@ fn image_is_written_by_the_matching_method_and_not_while_the_fingers_move() {
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn flashed_image_is_configured_over_its_service_port_and_keeps_its_settings_over_a_power_cycle() {
+fn flashed_image_keeps_service_port_settings_over_a_power_cycle() {
     let elf = PathBuf::from(
         std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF is not set; run `cargo xtask test`"),
     );

@@ -39,7 +39,7 @@ fn connect(address: Option<SocketAddr>) -> TcpStream {
 }
 
 #[test]
-fn log_of_a_session_with_the_simulator_is_decoded_frame_by_frame() {
+fn simulator_session_log_is_decoded_frame_by_frame() {
     let log = Written::default();
     let lines =
         Lines { tcp: "127.0.0.1:0".parse().ok(), gcl: "127.0.0.1:0".parse().ok(), ..Lines::default() };

@@ -188,7 +188,7 @@ fn tshark_reassembles_frames_from_segments() {
 
 #[test]
 #[ignore = "needs tshark: run `cargo xtask test`"]
-fn tshark_finds_a_gripper_at_another_port_by_heuristic_and_by_setting() {
+fn tshark_finds_gripper_on_another_port_by_heuristic_or_setting() {
     let (capture, words) = on_tcp(39_123, 1_400);
     assert_eq!(flat(&tshark("heuristic", capture, &[], &["wsg.meaning"])), words);
     let (capture, words) = on_tcp(39_123, 3);
@@ -198,7 +198,7 @@ fn tshark_finds_a_gripper_at_another_port_by_heuristic_and_by_setting() {
 
 #[test]
 #[ignore = "needs tshark: run `cargo xtask test`"]
-fn tshark_marks_wrong_checksums_noise_and_truncated_frames_and_finds_frames_inside() {
+fn tshark_marks_damage_and_noise_and_finds_frames_inside() {
     let mut damaged = encoded(0x25, &[26, 0]);
     damaged[8] ^= 1;
     let stop = encoded(0x22, &[0, 0]);

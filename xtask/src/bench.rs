@@ -327,7 +327,7 @@ mod tests {
     }
 
     #[test]
-    fn throughput_that_was_not_measured_or_is_too_low_is_past_its_limit() {
+    fn unmeasured_or_too_low_throughput_is_past_its_limit() {
         let holds = |output| throughput_gates(&figures(output)).map(|gate| gate.holds());
 
         assert_eq!(holds(""), [false, false]);
@@ -358,7 +358,7 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_byte_path_a_slow_request_and_a_slow_edge_are_past_their_limits() {
+    fn slow_byte_path_request_and_edge_are_past_their_limits() {
         let counts = parse(
             "O3/byte-path/64 100 72\nOs/byte-path/64 2305 72\nO3/bulk-path/64 700 72\n\
              O3/modbus-8-registers 601 1\nOs/profibus-data-exchange 4001 1\nOs/edge-to-first-byte/move 4000 1\n\

@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn options_after_the_filter_reach_the_tests_and_those_of_the_demonstration_reach_it() {
+    fn test_options_after_the_filter_and_demo_options_are_passed_on() {
         let passed = |line: &str| match Arguments::try_parse_from(line.split(' ')).unwrap().command {
             Command::Test { strict, filter, .. } => (strict, filter),
             Command::Demo { board, arguments, .. } => (board.name == "pico", arguments),

@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_combination_occurs_once_and_quick_takes_a_feature_alone_on_the_first_target_only() {
+    fn every_combination_occurs_once_and_quick_limits_lone_features() {
         let of = |extent| combinations(&["a", "b", "c"].map(str::to_owned), extent);
         let whole = ["", "a", "b", "a,b", "c", "a,c", "b,c", "a,b,c"];
         assert_eq!(of(Extent::Whole), whole.map(|names| (names.to_owned(), true)));

@@ -28,7 +28,7 @@ const PREAMBLE: &str = "\
 ";
 
 #[test]
-fn the_header_is_generated_from_the_crate_and_its_abi_is_recorded() {
+fn header_is_generated_from_the_crate_and_its_abi_is_recorded() {
     HEADER.is_generated(PREAMBLE.to_owned());
     HEADER.is_recorded();
 }

@@ -85,7 +85,7 @@ fn closed_gripper_is_not_locked_and_a_locked_one_stays_locked() {
 }
 
 #[test]
-fn value_outside_the_limits_is_refused_by_name_and_changes_nothing() {
+fn value_outside_the_limits_is_refused_and_changes_nothing() {
     let (_server, gripper) = open();
     let it = || unsafe { gripper.as_mut() };
     assert_eq!(wsg_host_home(it(), 0), 0);

@@ -117,7 +117,7 @@ fn preamble() -> String {
 }
 
 #[test]
-fn the_header_is_generated_from_the_crate_and_its_abi_is_recorded() {
+fn generated_header_matches_the_crate_and_its_abi_is_recorded() {
     HEADER.is_generated(preamble());
     HEADER.is_recorded();
 }

@@ -156,7 +156,7 @@ fn values_at_the_limits_are_sent() {
 }
 
 #[test]
-fn relative_motion_is_refused_if_its_target_is_outside_the_stroke() {
+fn relative_motion_to_a_target_outside_the_stroke_is_refused() {
     let mut rig = Rig::connected();
     assert_eq!(wsg_subscribe(rig.wsg(), 0x43, 10, 0), 0);
     assert_eq!(wsg_homing(rig.wsg(), WSG_HOMING_DEFAULT), 0);

@@ -67,7 +67,7 @@ fn reply(below: &mut impl FnMut(usize) -> usize, id: CommandId) -> Vec<u8> {
 }
 
 #[test]
-fn register_interface_gives_the_images_and_messages_of_the_controller() {
+fn fieldbus_gives_the_images_and_messages_of_the_controller() {
     let mut sent = 0;
     for seed in 0..if cfg!(miri) { 3 } else { 400 } {
         let mut below = generator(seed);
@@ -153,7 +153,7 @@ fn register_interface_gives_the_images_and_messages_of_the_controller() {
 }
 
 #[test]
-fn register_interface_rejects_wrong_lengths_and_a_second_controller() {
+fn fieldbus_controller_attaches_once_and_rejects_wrong_lengths() {
     let mut wsg = MaybeUninit::uninit();
     let (mut first, mut second) = (MaybeUninit::uninit(), MaybeUninit::uninit());
     let (fieldbus, second) = (first.as_mut_ptr(), second.as_mut_ptr());
@@ -327,7 +327,7 @@ fn event(kind: wsg_event, command: u8, bytes: &[u8]) -> wsg_event_t {
 }
 
 #[test]
-fn full_queue_drops_reports_before_answers_and_keeps_one_payload() {
+fn full_queue_drops_reports_first_and_keeps_one_payload() {
     let mut events = [MaybeUninit::<wsg_event_t>::uninit(); 3];
     let mut bytes = [0u8; 8];
     let mut queue = MaybeUninit::uninit();
@@ -366,7 +366,7 @@ fn full_queue_drops_reports_before_answers_and_keeps_one_payload() {
 }
 
 #[test]
-fn payloads_above_the_limit_are_rejected_and_longer_replies_leave_the_request_unanswered() {
+fn oversize_request_is_rejected_and_oversize_reply_is_no_answer() {
     unsafe extern "C" fn keep(context: *mut c_void, event: *const wsg_event_t) {
         unsafe { (*context.cast::<Vec<(u8, u8)>>()).push(((*event).kind, (*event).command)) };
     }
@@ -405,7 +405,7 @@ fn payloads_above_the_limit_are_rejected_and_longer_replies_leave_the_request_un
 }
 
 #[test]
-fn requests_are_accepted_in_the_callback_and_other_calls_are_not() {
+fn only_requests_are_accepted_in_the_callback() {
     struct Seen {
         wsg: *mut wsg_t,
         results: Vec<i32>,

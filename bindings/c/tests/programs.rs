@@ -322,7 +322,7 @@ fn calls_with_one_wrong_argument() -> (String, usize) {
 }
 
 #[test]
-fn null_pointers_and_impossible_sizes_are_named_by_their_own_errors() {
+fn null_pointers_and_impossible_sizes_have_their_own_errors() {
     let (calls, count) = calls_with_one_wrong_argument();
     assert!(count > 80, "{count} calls");
     let source = Path::new(env!("CARGO_TARGET_TMPDIR")).join("one-wrong-argument.c");

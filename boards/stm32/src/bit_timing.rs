@@ -66,7 +66,7 @@ mod tests {
     const CONTROLLERS: [(Segments, u32); 2] = [(Segments::BXCAN, 80_000_000), (Segments::FDCAN, 24_000_000)];
 
     #[test]
-    fn every_rate_of_the_settings_is_met_and_sampled_at_seven_eighths() {
+    fn every_selectable_rate_is_exact_and_sampled_at_seven_eighths() {
         for (segments, clock_hz) in CONTROLLERS {
             for kbit_rate in [10, 20, 50, 100, 125, 250, 500, 1_000] {
                 let timing = BitTiming::for_rate(segments, clock_hz, kbit_rate).unwrap();

@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_board_is_found_by_its_name_and_the_default_is_the_one_that_qemu_has() {
+    fn board_is_found_by_name_and_the_default_runs_in_qemu() {
         assert_eq!(<&Board>::default().name, MACHINE);
         assert_eq!(Board::named("pico").unwrap().triple, "thumbv6m-none-eabi");
         let unknown = Board::named("arduino").unwrap_err().to_string();

@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn one_low_reading_of_fast_stop_takes_effect_at_once_at_any_debounce_time() {
+    fn low_fast_stop_wire_takes_effect_at_once_at_any_debounce_time() {
         for period_ms in [0, 2, 1_000] {
             let mut debounce = settled(period_ms);
             assert_eq!(debounce.update(at(2_000), Inputs::empty()), Some(Inputs::empty()), "{period_ms} ms");
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn fast_stop_wire_counts_as_high_after_the_debounce_time_but_at_least_5_ms() {
+    fn rising_fast_stop_wire_is_debounced_for_at_least_5_ms() {
         for (period_ms, release_ms) in [(0, 5), (2, 5), (5, 5), (6, 6), (100, 100)] {
             let mut debounce = settled(period_ms);
             debounce.update(at(2_000), Inputs::empty());

@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn conflicting_values_are_refused_and_a_consistent_pair_is_accepted() {
+    fn conflicting_values_are_refused_but_a_consistent_pair_is_not() {
         let mut settings = Settings::new(&Config::DEFAULT);
         for (name, value) in [
             ("CAN_RATE", 300),

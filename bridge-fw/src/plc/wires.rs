@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn fingers_that_move_and_a_motion_that_is_carried_out_each_show_busy() {
+    fn moving_fingers_and_a_running_motion_each_show_busy() {
         let moving = InputImage { system: SystemFlags::MOVING, ..NOTHING };
         for state in GripperFlags::all() {
             let image = InputImage { state, ..NOTHING };
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn each_flag_that_locks_the_gripper_shows_error_and_not_ready_and_no_other_does() {
+    fn exactly_the_locking_flags_show_error_and_not_ready() {
         let locks = [
             SystemFlags::FAST_STOP,
             SystemFlags::TEMP_FAULT,

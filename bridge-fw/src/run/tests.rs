@@ -173,7 +173,7 @@ fn invalid_settings_start_no_line_and_the_led_flickers() {
 }
 
 #[test]
-fn turn_serves_bus_and_watchdog_once_a_millisecond_and_sleeps_last() {
+fn turn_serves_bus_and_watchdog_once_per_ms_and_sleeps_last() {
     let turns: [(_, &[_]); 3] = [
         (1, &["after", "serve", "feed", "sleep"]),
         (1, &["after", "sleep"]),

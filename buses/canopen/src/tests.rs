@@ -378,7 +378,7 @@ fn rpdos_of_the_right_length_are_events_only_in_operation() {
 }
 
 #[test]
-fn events_beyond_the_queue_are_lost_except_the_kept_bits_of_rpdos() {
+fn events_beyond_the_queue_are_lost_except_kept_rpdo_bits() {
     let mut bus = Bus::operational();
     for byte in [1, 2, 3, STOP | 4, 5, 6] {
         bus.deliver(0x210, &[byte; 8]);
@@ -458,7 +458,7 @@ fn emergency_is_sent_after_many_days_without_one() {
 }
 
 #[test]
-fn master_that_was_silent_for_many_days_is_so_when_its_monitoring_begins() {
+fn master_silent_for_many_days_is_silent_when_monitoring_begins() {
     let mut bus = Bus::operational();
     bus.application.time_ms = 0;
     bus.deliver(0x700 | MASTER, &[5]);
@@ -521,7 +521,7 @@ fn time_out_of_0_disables_monitoring() {
 }
 
 #[test]
-fn master_time_out_is_an_emergency_until_it_starts_the_device_again() {
+fn master_time_out_is_an_emergency_until_the_next_nmt_start() {
     let mut bus = Bus::operational();
     bus.deliver(0x700 | MASTER, &[5]);
     bus.pass(TIME_MS.into());
@@ -1048,7 +1048,7 @@ fn transmission_types_exclude_remote_frames() {
 }
 
 #[test]
-fn synchronous_rpdo_takes_effect_at_sync_but_a_stop_request_immediately() {
+fn synchronous_rpdo_takes_effect_at_sync_but_a_stop_at_once() {
     let mut bus = Bus::operational();
     bus.download(0x1400, 2, &[10]).unwrap();
     bus.events.clear();
@@ -1078,7 +1078,7 @@ fn synchronous_rpdo_takes_effect_at_sync_but_a_stop_request_immediately() {
 }
 
 #[test]
-fn data_waiting_for_a_sync_is_discarded_when_its_master_stops_commanding() {
+fn data_awaiting_sync_is_dropped_if_its_master_stops_commanding() {
     type Act = fn(&mut Bus);
     let acts: [Act; 5] = [
         |bus| bus.nmt(0x80),
@@ -1265,7 +1265,7 @@ fn error_behaviour_selects_the_state_after_a_loss() {
 }
 
 #[test]
-fn time_out_without_leaving_operation_clears_when_the_master_returns() {
+fn time_out_without_state_change_clears_when_the_master_returns() {
     let mut bus = Bus::operational();
     bus.download(0x1029, 1, &[1]).unwrap();
     for data in [&[5][..], &[127]] {
@@ -1355,7 +1355,7 @@ fn write_ends_immediately_by_default() {
 }
 
 #[test]
-fn segmented_transfer_ends_on_a_wrong_toggle_bit_or_another_request() {
+fn segmented_transfer_ends_on_wrong_toggle_bit_or_new_request() {
     let begin = [0x40, 0x08, 0x10, 0, 0, 0, 0, 0];
     let mut bus = Bus::operational();
     bus.sdo(begin);

@@ -273,7 +273,7 @@ fn read_write_multiple_registers_writes_first() {
 }
 
 #[test]
-fn read_write_multiple_registers_does_not_write_if_it_cannot_read() {
+fn read_write_multiple_registers_writes_only_if_it_can_read() {
     let mut plant = Plant::new();
     assert_eq!(plant.ask(&[23, 0, 3, 0, 2, 0, 0, 0, 1, 2, 0, 1]), [0x97, ILLEGAL_ADDRESS]);
     assert_eq!(plant.writes, []);
@@ -327,7 +327,7 @@ fn rejection_by_the_device_is_the_exception() {
 }
 
 #[test]
-fn name_that_fills_a_response_is_complete_and_a_longer_one_is_omitted() {
+fn name_may_fill_a_response_and_a_longer_one_is_omitted() {
     // Function code, six bytes of header and two bytes before the name.
     const LONGEST: usize = MAX_PDU_LEN - 9;
     const NAME: &str = match core::str::from_utf8(&[b'W'; LONGEST + 1]) {
@@ -364,7 +364,7 @@ fn device_identification_streams_its_objects() {
 
 /// Specification, 6.21: a request above the server's conformity level is answered at the server's level.
 #[test]
-fn extended_identification_is_answered_with_the_objects_that_there_are() {
+fn extended_identification_is_answered_with_existing_objects() {
     let mut plant = Plant::new();
     let regular = plant.ask(&[43, 14, 2, 0]);
     for object in [0, 7, 0x80, 0xFF] {
@@ -392,7 +392,7 @@ fn device_identification_returns_a_single_object() {
 }
 
 #[test]
-fn device_identification_that_does_not_fit_returns_the_next_object() {
+fn identification_that_does_not_fit_names_the_next_object() {
     struct Talker(Plant);
     const LONG: &str = match core::str::from_utf8(&[b'x'; 120]) {
         Ok(text) => text,
@@ -497,7 +497,7 @@ fn by_the_specification(request: &[u8]) -> Result<usize, u8> {
 }
 
 #[test]
-fn every_function_at_every_length_is_answered_as_the_specification_says() {
+fn every_function_at_every_length_is_answered_as_specified() {
     let mut answered = [0; 256];
     for code in 0..=255u8 {
         for len in 0..=260usize {

@@ -297,7 +297,7 @@ fn announced_diagnosis_is_read_and_exchange_continues() {
 }
 
 #[test]
-fn watchdog_expires_after_the_master_stops_and_exchange_resumes_later() {
+fn watchdog_ends_exchange_until_the_stopped_master_returns() {
     let mut bus = Bus::new(Baudrate::B500000, options());
     bus.exchange(20, 5_000);
     bus.master_is_on = false;
@@ -324,7 +324,7 @@ fn power_cycled_slave_is_parameterized_again() {
 }
 
 #[test]
-fn wrong_ident_number_and_configuration_are_reported_to_the_master() {
+fn wrong_ident_number_or_configuration_is_reported_to_master() {
     let wrong_ident = PeripheralOptions { ident_number: 0x4321, ..options() };
     let wrong_config = PeripheralOptions { config: Some(&[0xA7, 0x9A]), ..options() };
     for (options, expected) in

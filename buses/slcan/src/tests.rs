@@ -70,7 +70,7 @@ fn line_after_noise_of_any_length_is_decoded() {
 }
 
 #[test]
-fn nul_before_a_line_is_ignored_and_invalidates_a_frame_inside_it() {
+fn nul_is_ignored_before_a_line_but_invalidates_a_frame_inside() {
     let expected = Line::Frame(frame(StandardId::new(0x120).unwrap(), &[]));
     for line in [&b"\0t1200\r"[..], b"\0\0\0t1200\r", b"\n\0\nt1200\r"] {
         assert_eq!(lines(line), [expected], "{}", line.escape_ascii());

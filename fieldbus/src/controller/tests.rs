@@ -229,7 +229,7 @@ fn only_the_answer_to_its_own_force_limit_lets_a_grip_begin() {
 }
 
 #[test]
-fn failed_command_of_another_party_changes_neither_a_motion_nor_its_status() {
+fn failed_command_of_another_party_does_not_affect_a_motion() {
     for (flag, id) in [
         (CommandFlags::MOVE, CommandId::SetForceLimit),
         (CommandFlags::MOVE, CommandId::TareForceSensor),
@@ -245,7 +245,7 @@ fn failed_command_of_another_party_changes_neither_a_motion_nor_its_status() {
 }
 
 #[test]
-fn stop_and_acknowledgement_that_are_not_answered_show_e_timeout() {
+fn unanswered_stop_or_acknowledgement_shows_e_timeout() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
     plc.controller.handle(&Event::Unanswered(CommandId::TareForceSensor), &plc.known);
@@ -380,7 +380,7 @@ fn stop_in_mid_travel_shows_success_and_not_the_aborted_motion() {
 }
 
 #[test]
-fn grip_that_is_stopped_while_its_force_limit_is_set_never_grips() {
+fn grip_stopped_while_setting_its_force_limit_never_starts() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
@@ -388,7 +388,7 @@ fn grip_that_is_stopped_while_its_force_limit_is_set_never_grips() {
 }
 
 #[test]
-fn fast_stop_shows_idle_and_the_flag_and_is_left_by_an_acknowledgement_only() {
+fn fast_stop_shows_idle_and_only_an_acknowledgement_ends_it() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
@@ -431,7 +431,7 @@ fn fast_stop_at_power_up_locks_motion_until_it_is_acknowledged() {
 
 /// Fieldbus, 6.6.
 #[test]
-fn fast_stop_flag_that_disappears_while_faststop_is_1_is_answered_with_fast_stop_each_time() {
+fn each_loss_of_its_flag_while_faststop_is_1_resends_fast_stop() {
     let mut plc = Plc::fast_stopped();
     for times in 0..3 {
         plc.report_flags(SystemFlags::REFERENCED);
@@ -450,7 +450,7 @@ fn fast_stop_flag_that_disappears_while_faststop_is_1_is_answered_with_fast_stop
 
 /// Fieldbus, 6.6.
 #[test]
-fn fast_stop_flag_that_disappears_before_an_acknowledgement_has_its_outcome_is_answered_at_once() {
+fn faststop_1_resends_a_lost_fast_stop_during_acknowledgement() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
@@ -460,7 +460,7 @@ fn fast_stop_flag_that_disappears_before_an_acknowledgement_has_its_outcome_is_a
 }
 
 #[test]
-fn fast_stop_that_is_requested_again_before_its_answer_is_sent_again_after_it() {
+fn repeated_fast_stop_request_is_sent_after_the_first_answer() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
     // Meanwhile, a third party may acknowledge at the gripper.
@@ -499,7 +499,7 @@ fn held_part_is_not_shown_again_after_a_fast_stop() {
 }
 
 #[test]
-fn third_party_that_acknowledges_after_faststop_is_0_again_unlocks_motion() {
+fn third_party_acknowledgement_with_faststop_0_unlocks_motion() {
     let mut plc = Plc::fast_stopped();
     plc.lower(CommandFlags::FASTSTOP);
     assert!(plc.is_fast_stopped());
@@ -514,7 +514,7 @@ fn third_party_that_acknowledges_after_faststop_is_0_again_unlocks_motion() {
 
 /// An outdated report, replayed or reordered on the line, looks like an acknowledgement.
 #[test]
-fn fast_stop_that_an_outdated_report_hides_is_shown_again_and_locks_motion() {
+fn fast_stop_reappears_after_outdated_report_and_locks_motion() {
     let mut plc = Plc::fast_stopped();
     plc.lower(CommandFlags::FASTSTOP);
     plc.report_flags(SystemFlags::REFERENCED);
@@ -527,7 +527,7 @@ fn fast_stop_that_an_outdated_report_hides_is_shown_again_and_locks_motion() {
 }
 
 #[test]
-fn fast_stop_that_the_gripper_has_not_confirmed_cannot_be_acknowledged() {
+fn unconfirmed_fast_stop_cannot_be_acknowledged() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
     plc.lower(CommandFlags::FASTSTOP);
@@ -542,7 +542,7 @@ fn fast_stop_that_the_gripper_has_not_confirmed_cannot_be_acknowledged() {
 }
 
 #[test]
-fn fast_stop_that_the_flags_of_the_gripper_do_not_show_is_given_again() {
+fn fast_stop_is_sent_again_if_the_gripper_flags_do_not_show_it() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
@@ -552,7 +552,7 @@ fn fast_stop_that_the_flags_of_the_gripper_do_not_show_is_given_again() {
 }
 
 #[test]
-fn fast_stop_that_was_answered_without_a_connection_is_confirmed_by_the_flags_of_connecting() {
+fn fast_stop_answered_before_connecting_is_confirmed_by_flags() {
     let mut plc = Plc { controller: Controller::new(), known: Known::NOTHING, image: PARAMETERS };
     plc.raise(CommandFlags::FASTSTOP);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), [FLAGS]);
@@ -563,7 +563,7 @@ fn fast_stop_that_was_answered_without_a_connection_is_confirmed_by_the_flags_of
 }
 
 #[test]
-fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
+fn answer_to_an_earlier_acknowledgement_never_ends_a_fast_stop() {
     for answers in
         [[CommandId::FastStop, CommandId::Acknowledge], [CommandId::Acknowledge, CommandId::FastStop]]
     {
@@ -591,7 +591,7 @@ fn fast_stop_stays_whenever_an_acknowledgement_from_before_it_is_answered() {
 }
 
 #[test]
-fn fast_stop_or_acknowledgement_that_the_gripper_refuses_changes_nothing() {
+fn refused_fast_stop_or_acknowledgement_changes_nothing() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::FASTSTOP);
     assert_eq!(plc.answer(CommandId::FastStop, Status::AccessDenied), []);
@@ -601,7 +601,7 @@ fn fast_stop_or_acknowledgement_that_the_gripper_refuses_changes_nothing() {
 }
 
 #[test]
-fn fast_stop_whose_flag_has_gone_is_given_again_only_after_the_answer_to_the_acknowledgement() {
+fn lost_fast_stop_is_resent_only_after_acknowledge_is_answered() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.lower(CommandFlags::STOP_ACK);
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
@@ -613,7 +613,7 @@ fn fast_stop_whose_flag_has_gone_is_given_again_only_after_the_answer_to_the_ack
 }
 
 #[test]
-fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_acknowledged_again() {
+fn unanswered_acknowledge_is_repeatable_and_resends_fast_stop() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.controller.handle(&Event::Unanswered(CommandId::Acknowledge), &plc.known);
     plc.lower(CommandFlags::STOP_ACK);
@@ -623,7 +623,7 @@ fn fast_stop_whose_acknowledgement_is_not_answered_is_given_again_and_can_be_ack
 }
 
 #[test]
-fn fast_stop_ends_when_the_flag_disappears_after_an_acknowledgement_even_if_the_answer_was_an_error() {
+fn cleared_flag_ends_fast_stop_even_after_a_refused_acknowledge() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     plc.report_flags(SystemFlags::REFERENCED);
     assert!(plc.is_fast_stopped(), "not answered yet");
@@ -637,7 +637,7 @@ fn fast_stop_ends_when_the_flag_disappears_after_an_acknowledgement_even_if_the_
 }
 
 #[test]
-fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_reported_at_rest_after_the_motion() {
+fn late_stop_is_a_fast_stop_unless_rest_followed_the_motion() {
     for begins in [false, true] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::MOVE), [MOVE]);
@@ -658,7 +658,7 @@ fn stop_without_an_answer_is_a_fast_stop_unless_the_fingers_were_reported_at_res
 }
 
 #[test]
-fn late_stop_is_no_fast_stop_if_it_overtook_a_motion_that_was_not_sent() {
+fn late_stop_is_no_fast_stop_if_the_motion_was_never_sent() {
     let mut plc = Plc::ready();
     plc.image.flags |= CommandFlags::MOVE;
     plc.controller.set_output(&plc.image, &plc.known);
@@ -744,7 +744,7 @@ fn acknowledgement_sent_before_a_disconnect_is_not_awaited() {
 }
 
 #[test]
-fn motion_refused_by_the_session_leaves_only_an_earlier_motion_in_doubt() {
+fn session_refusal_leaves_only_an_earlier_motion_in_doubt() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     plc.controller.refused(CommandId::PrePosition, RequestError::MotionRunning, &plc.known);
@@ -756,7 +756,7 @@ fn motion_refused_by_the_session_leaves_only_an_earlier_motion_in_doubt() {
 }
 
 #[test]
-fn acknowledgement_that_overtakes_another_keeps_the_fast_stop_until_both_are_answered() {
+fn fast_stop_stays_until_both_acknowledgements_are_answered() {
     let mut plc = Plc::fast_stopped();
     plc.lower(CommandFlags::FASTSTOP);
     for _ in 0..2 {
@@ -781,7 +781,7 @@ fn fast_stop_is_repeated_to_a_gripper_that_returns() {
 }
 
 #[test]
-fn fast_stop_of_the_gripper_itself_is_acknowledged_in_the_same_way() {
+fn grippers_own_fast_stop_is_acknowledged_like_any_other() {
     let mut plc = Plc::ready();
     plc.report_flags(FAST_STOPPED);
     assert_eq!(plc.raise(CommandFlags::MOVE), []);
@@ -863,7 +863,7 @@ fn force_of_a_wsg_70_is_in_tenths_of_a_newton() {
 }
 
 #[test]
-fn second_motion_while_one_runs_is_refused_and_the_first_still_ends() {
+fn second_motion_is_refused_and_the_running_one_still_ends() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     assert_eq!(plc.raise(CommandFlags::RELEASE), []);
@@ -897,7 +897,7 @@ fn motion_withheld_by_the_caller_is_refused_as_one_of_the_plc() {
 }
 
 #[test]
-fn motion_while_the_fingers_move_by_themselves_is_refused_for_good() {
+fn motion_is_refused_for_good_if_the_fingers_already_move() {
     let mut plc = Plc::ready();
     plc.report_flags(MOVING);
     assert_eq!(plc.raise(CommandFlags::MOVE), []);
@@ -914,7 +914,7 @@ fn move_is_refused_while_a_part_is_held() {
 }
 
 #[test]
-fn move_begins_only_when_gstate_is_idle_and_every_other_motion_in_any_state_of_rest() {
+fn move_requires_gstate_idle_and_other_motions_any_rest_state() {
     let states = [
         (GripperState::NoPart, GripperFlags::NO_PART),
         (GripperState::PartLost, GripperFlags::PART_LOST),
@@ -958,7 +958,7 @@ fn motion_without_a_connection_is_refused_and_not_kept() {
 }
 
 #[test]
-fn disconnected_gripper_shows_as_an_error_regardless_of_its_last_state() {
+fn disconnected_gripper_shows_error_regardless_of_last_state() {
     let plc = Plc::with_first_image(PARAMETERS);
     assert_eq!(plc.shows(), (GripperFlags::ERROR, Status::IoError), "never connected");
 
@@ -1005,7 +1005,7 @@ fn motion_that_is_given_up_with_the_connection_is_no_fast_stop() {
 }
 
 #[test]
-fn part_that_is_held_shows_even_if_the_result_of_the_grip_was_lost() {
+fn held_part_shows_even_if_the_grip_result_was_lost() {
     let mut plc = Plc::ready();
     plc.grip();
     plc.report(GripperState::Holding);
@@ -1030,7 +1030,7 @@ fn measured_values_stand_in_the_input_image() {
 }
 
 #[test]
-fn success_shows_together_with_the_report_that_the_fingers_stand() {
+fn success_shows_once_the_fingers_are_reported_to_stand() {
     let mut plc = Plc::ready();
     plc.grip();
     plc.report(GripperState::Gripping);
@@ -1048,7 +1048,7 @@ fn success_shows_together_with_the_report_that_the_fingers_stand() {
 }
 
 #[test]
-fn failure_shows_at_once_even_while_the_fingers_are_reported_to_move() {
+fn failure_shows_at_once_even_if_the_fingers_still_move() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     plc.report_flags(MOVING);
@@ -1101,7 +1101,7 @@ fn grip_is_sent_only_after_the_answer_to_its_own_force_limit() {
 }
 
 #[test]
-fn grip_is_sent_at_once_if_the_gripper_is_known_to_have_its_force_limit() {
+fn grip_is_sent_at_once_if_its_force_limit_is_known_to_be_set() {
     let mut plc = Plc::ready();
     plc.known.force_limit = Some(40.0);
     assert_eq!(plc.raise(CommandFlags::GRIP), [GRIP]);
@@ -1119,7 +1119,7 @@ fn grip_is_sent_at_once_if_the_gripper_is_known_to_have_its_force_limit() {
 }
 
 #[test]
-fn jog_begins_at_once_while_the_gripper_is_known_to_have_its_force_limit() {
+fn jog_begins_at_once_if_its_force_limit_is_known_to_be_set() {
     let mut plc = Plc::ready();
     plc.known.force_limit = Some(40.0);
     let jog = Command::PrePosition { flags: PrePositionFlags::STOP_ON_BLOCK, width: 110.0, speed: 50.0 };
@@ -1132,7 +1132,7 @@ fn jog_begins_at_once_while_the_gripper_is_known_to_have_its_force_limit() {
 }
 
 #[test]
-fn force_limit_is_set_again_after_a_command_that_is_still_queued() {
+fn force_limit_is_set_again_if_a_command_is_still_queued() {
     let mut plc = Plc::ready();
     plc.known.force_limit = Some(40.0);
     plc.image.flags = CommandFlags::STOP_ACK;
@@ -1143,7 +1143,7 @@ fn force_limit_is_set_again_after_a_command_that_is_still_queued() {
 }
 
 #[test]
-fn earlier_force_limit_that_is_withdrawn_does_not_end_a_later_grip() {
+fn withdrawn_earlier_force_limit_does_not_end_a_later_grip() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::GRIP);
     plc.write(|image| image.flags = CommandFlags::STOP_ACK);
@@ -1165,7 +1165,7 @@ fn force_limit_that_was_never_handed_over_is_not_waited_for() {
 }
 
 #[test]
-fn stop_that_is_late_becomes_a_fast_stop_unless_the_fingers_stand() {
+fn late_stop_becomes_a_fast_stop_unless_the_fingers_stand() {
     for (flags, becomes) in [(MOVING, vec![Command::FastStop]), (SystemFlags::REFERENCED, vec![])] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
@@ -1183,7 +1183,7 @@ fn after_a_reset(flags: SystemFlags, state: GripperState) -> Plc {
 }
 
 #[test]
-fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
+fn gripper_moving_at_first_contact_is_stopped_and_shows_error() {
     let mut plc = after_a_reset(MOVING, GripperState::Positioning);
     assert_eq!(plc.commands(), [Command::Stop]);
     plc.controller.adopt_known(&plc.known);
@@ -1195,7 +1195,7 @@ fn gripper_that_moves_at_the_first_contact_is_stopped_and_error_says_so() {
 }
 
 #[test]
-fn motion_that_another_party_starts_after_the_stop_at_the_first_contact_is_shown() {
+fn motion_of_another_party_shows_after_the_first_contact_stop() {
     let mut plc = after_a_reset(MOVING, GripperState::Positioning);
     assert_eq!(plc.commands(), [Command::Stop]);
     plc.answer(CommandId::Stop, Status::Success);
@@ -1237,7 +1237,7 @@ fn motion_is_refused_while_the_plc_sees_ready_low() {
 }
 
 #[test]
-fn fast_stop_due_again_after_an_acknowledgement_survives_a_disconnect() {
+fn fast_stop_due_again_after_acknowledge_survives_a_disconnect() {
     let mut plc = Plc::acknowledging_a_fast_stop();
     assert_eq!(plc.raise(CommandFlags::FASTSTOP), [Command::FastStop]);
     assert_eq!(plc.answer(CommandId::FastStop, Status::Success), []);
@@ -1246,7 +1246,7 @@ fn fast_stop_due_again_after_an_acknowledgement_survives_a_disconnect() {
 }
 
 #[test]
-fn result_of_an_earlier_motion_does_not_end_one_whose_force_limit_is_still_being_set() {
+fn earlier_result_does_not_end_a_grip_setting_its_force_limit() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::GRIP), [FORCE]);
     assert_eq!(plc.answer(CommandId::GripPart, Status::CmdAborted), []);
@@ -1255,7 +1255,7 @@ fn result_of_an_earlier_motion_does_not_end_one_whose_force_limit_is_still_being
 }
 
 #[test]
-fn motions_are_ignored_while_stop_or_fast_stop_is_set_and_while_the_fingers_move() {
+fn motions_are_ignored_during_stop_fast_stop_and_finger_motion() {
     let mut plc = Plc::ready();
     assert!(!plc.controller.ignores_motions(&plc.known));
     for flag in [CommandFlags::STOP_ACK, CommandFlags::FASTSTOP] {

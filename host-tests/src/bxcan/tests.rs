@@ -131,7 +131,7 @@ fn flags_stay_until_they_are_cleared() {
 }
 
 #[test]
-fn bus_off_ends_after_initialisation_and_128_times_11_recessive_bits_only() {
+fn bus_off_ends_only_after_initialisation_and_recessive_bits() {
     let mut can = normal();
     let is_off = |can: &mut Bxcan| can.load(ESR).unwrap() & 0b100 != 0;
     request(&mut can, 0, 1);

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn moments_that_are_long_past_are_equal_and_other_numbers_are_not() {
+    fn keys_equate_long_past_moments_but_not_other_numbers() {
         assert_eq!(at(1_000, 5), at(1_000, 900));
         assert_ne!(key(1_000, &5u32), key(1_000, &900u32));
         assert_eq!(key(1_000, &5u32), key(2_000, &5u32));

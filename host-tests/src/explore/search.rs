@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn every_state_is_visited_once_and_the_shortest_violation_is_reported() {
+    fn search_visits_each_state_once_and_finds_shortest_violation() {
         let outcome = explore(&[Number(1)], Bounds { depth: 12, states: 1_000 });
         // 1; 2; 3, 4; 6, 5, 8; ...
         assert_eq!(outcome.new_at[..4], [1, 1, 2, 3]);

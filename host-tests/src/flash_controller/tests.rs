@@ -174,7 +174,7 @@ fn an_enabled_data_cache_during_an_operation_is_recorded() {
 }
 
 #[test]
-fn the_data_cache_is_stale_after_an_erase_until_flushed_while_disabled() {
+fn data_cache_is_stale_after_erase_until_flushed_while_disabled() {
     let flash = ready();
     flash.set(Page::First, 0, Some(7));
     store(&flash, ACR, ICEN | DCEN);
@@ -204,7 +204,7 @@ fn accesses_that_would_stall_the_core_are_recorded() {
 }
 
 #[test]
-fn an_unreadable_double_word_raises_nmi_once_until_its_flag_is_cleared() {
+fn unreadable_double_word_raises_one_nmi_until_flag_is_cleared() {
     let flash = ready();
     flash.set(Page::Second, 3, None);
     assert_eq!(peek(&flash, SECOND + 24).1, 1);

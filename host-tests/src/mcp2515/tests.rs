@@ -77,7 +77,7 @@ fn fail(can: &mut Mcp2515, times: usize, why: ErrorCode) {
 }
 
 #[test]
-fn bit_modify_applies_its_mask_only_to_registers_that_support_it() {
+fn bit_modify_masks_only_registers_that_support_it() {
     let mut can = configured();
     write(&mut can, CANINTE, &[0b1010_0000]);
     modify(&mut can, CANINTE, 0b0000_1111, 0xFF);
@@ -143,7 +143,7 @@ fn filters_choose_the_buffer_and_keep_others_out() {
 }
 
 #[test]
-fn bus_off_ends_by_itself_after_128_times_11_recessive_bits_and_the_message_is_still_pending() {
+fn bus_off_ends_after_recessive_bits_with_message_still_pending() {
     let mut can = normal();
     load_and_request(&mut can, 0, 0x100, &[]);
     fail(&mut can, 32, ErrorCode::BitDominant);

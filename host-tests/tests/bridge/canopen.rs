@@ -248,7 +248,7 @@ fn all_edges_within_one_millisecond_take_effect() {
 }
 
 #[test]
-fn lost_heartbeat_of_the_master_stops_a_motion_and_ends_operation() {
+fn lost_master_heartbeat_stops_a_motion_and_ends_operation() {
     let mut master = Master::moving();
     master.emergencies();
     master.world.can.beats = false;
@@ -317,7 +317,7 @@ fn nmt_stop_and_resets_stop_a_motion() {
 }
 
 #[test]
-fn reset_of_the_node_restores_settings_and_reset_of_communication_does_not() {
+fn settings_are_restored_by_node_reset_not_communication_reset() {
     let recipe = setting("RECIPE2_WIDTH");
     for (command, width) in [(NmtCommand::ResetCommunication, 1_234), (NmtCommand::ResetNode, 1_000)] {
         let mut master = Master::new(Config::default());
@@ -411,7 +411,7 @@ fn bus_off_ends_operation_until_the_master_starts_it_again() {
 }
 
 #[test]
-fn bus_off_immediately_stops_a_gripper_on_rs_232_commanded_by_the_bus() {
+fn bus_off_immediately_stops_bus_commanded_gripper_on_rs_232() {
     for (flags, is_commander) in [(Cmd::MOVE, true), (Cmd::JOG_MINUS, true), (Cmd::empty(), false)] {
         let delivered = wsg_bridge_fw::Config { plc_bus: PlcBus::Canopen, ..wsg_bridge_fw::Config::DEFAULT };
         let mut rig = World::homed(delivered, Config::default());
@@ -513,7 +513,7 @@ fn sdo_abort_states_the_reason() {
 }
 
 #[test]
-fn truncated_sdo_requests_and_aborts_of_the_client_get_no_response() {
+fn truncated_sdo_requests_and_client_aborts_get_no_response() {
     let mut master = Master::new(Config::default());
     master.pass(10);
     for data in [&[0x40, 0x00, 0x10][..], &[0x80, 0x17, 0x10, 0, 0, 0, 0, 8]] {
@@ -576,7 +576,7 @@ const COMMUNICATION_PROFILE: [(u16, std::ops::RangeInclusive<u8>, DataType, bool
 };
 
 #[test]
-fn objects_of_the_communication_profile_have_the_types_and_access_of_the_standard() {
+fn communication_profile_has_standard_types_and_access() {
     let standard: Vec<(u16, u8, DataType, bool)> = COMMUNICATION_PROFILE
         .into_iter()
         .flat_map(|(index, subs, kind, writable)| subs.map(move |sub| (index, sub, kind, writable)))
@@ -590,7 +590,7 @@ fn objects_of_the_communication_profile_have_the_types_and_access_of_the_standar
 }
 
 #[test]
-fn every_object_is_read_and_written_according_to_type_and_access() {
+fn every_object_is_read_and_written_by_its_type_and_access() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let registers = |index, count: usize, writable| {
@@ -807,7 +807,7 @@ fn pdo_mappings_match_the_transmitted_objects() {
 }
 
 #[test]
-fn tpdos_keep_their_inhibit_time_and_are_also_sent_without_a_change() {
+fn tpdos_keep_inhibit_time_and_are_also_sent_without_change() {
     let mut master = Master::moving();
     master.take(0x280);
     master.pass(300);
@@ -831,7 +831,7 @@ fn tpdos_keep_their_inhibit_time_and_are_also_sent_without_a_change() {
 }
 
 #[test]
-fn consumer_heartbeat_object_selects_the_master_and_changes_the_setting() {
+fn consumer_heartbeat_selects_the_master_and_sets_bus_timeout() {
     let mut master = Master::new(Config::default());
     master.pass(500);
     let Ok(value) = master.upload(0x1016, 1, Theirs::Unsigned32) else { panic!() };
@@ -920,7 +920,7 @@ fn all_frames_of_one_turn_are_served_in_it() {
 }
 
 #[test]
-fn default_identifiers_of_gripper_and_node_do_not_collide_and_reserved_ones_do() {
+fn default_identifiers_do_not_collide_but_reserved_ones_do() {
     assert!(NODE.is_valid() && !collides_with_canopen(Identifiers::DEFAULT));
     let collides = |n| collides_with_canopen(Identifiers::from_base(n).unwrap());
     let (free, taken): (Vec<u16>, Vec<u16>) = (0..=0x7FE).partition(|&n| !collides(n));
@@ -937,7 +937,7 @@ fn eds_file_matches_the_tables() {
 
 /// The heartbeat consumer (CiA 301, 7.2.8.3) or, without one, RPDO1 monitors the master. BUS_TIMEOUT is the time-out of both.
 #[test]
-fn silent_master_is_detected_in_time_despite_other_traffic_on_the_bus() {
+fn silent_master_times_out_despite_other_can_traffic() {
     let (node, of_master) = (u16::from(NODE.node), 0x700 | u16::from(NODE.master));
     let frame = |id: u16, data: &[u8]| ClassicFrame::new(StandardId::new(id).unwrap(), data).unwrap();
     let traffic = [

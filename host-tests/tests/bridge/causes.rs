@@ -406,7 +406,7 @@ const CASES: &[Case] = {
 };
 
 #[test]
-fn every_event_is_provoked_and_read_by_modbus_canopen_and_the_service_port() {
+fn every_event_is_provoked_and_read_over_each_interface() {
     let mut provoked = BTreeSet::new();
     for (expected, start, provoke) in CASES {
         for plc_bus in [PlcBus::Modbus, PlcBus::Canopen] {

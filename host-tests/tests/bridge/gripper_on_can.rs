@@ -56,7 +56,7 @@ fn frames_of_other_nodes_have_no_effect() {
 }
 
 #[test]
-fn every_seventh_frame_lost_or_repeated_causes_no_motion_and_a_defined_state() {
+fn lost_or_repeated_frames_cause_no_motion_and_a_defined_state() {
     for doubled in [false, true] {
         let mut rig = homed();
         rig.take_sent();
@@ -167,7 +167,7 @@ fn motion_during_bus_off_has_an_unknown_outcome_and_shows_error() {
 
 /// Requested during bus-off, before the gripper stops answering, or waiting in the controller at bus-off.
 #[test]
-fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
+fn pending_fast_stop_is_sent_with_first_frames_after_bus_off() {
     for (is_in_controller, low_ms) in [(false, 0), (false, 20), (true, 5)] {
         let mut rig = homed();
         if !is_in_controller {
@@ -196,7 +196,7 @@ fn pending_fast_stop_is_sent_with_the_first_frames_after_bus_off() {
 }
 
 #[test]
-fn fast_stop_is_sent_at_once_in_any_turn_around_the_loss_of_the_connection() {
+fn fast_stop_is_sent_at_once_around_the_loss_of_the_connection() {
     /// A gripper that receives everything, but answers no longer.
     fn falling_silent() -> World {
         let mut rig = homed();
@@ -284,7 +284,7 @@ fn unacknowledged_motion_is_not_sent_when_a_node_joins() {
 
 /// Without a node that acknowledges, every other repetition waits in the controller's mailbox until it is discarded.
 #[test]
-fn link_ok_falls_within_a_second_of_the_last_answer_whenever_the_plug_is_pulled() {
+fn link_ok_falls_within_a_second_after_the_plug_is_pulled() {
     for offset_ms in 0..150 {
         let mut rig = homed();
         assert_eq!(rig.command(Inputs::GRIP), IDLE | Outputs::HOLDING);
@@ -315,7 +315,7 @@ fn unsent_message_is_withdrawn_before_its_time_out() {
 }
 
 #[test]
-fn overruns_and_refusals_of_the_controller_are_counted_and_overcome() {
+fn controller_overruns_and_refusals_are_counted_and_overcome() {
     let mut rig = homed();
     rig.can.double.overrun();
     rig.pass(500);
@@ -356,7 +356,7 @@ fn hit(fault: FrameFault, number: usize) -> Disturbance {
 }
 
 #[test]
-fn fast_stop_over_can_is_received_in_250_ms_with_any_frame_lost_repeated_or_foreign() {
+fn fast_stop_over_can_arrives_in_250_ms_despite_any_frame_fault() {
     const FRAMES: usize = 12;
     let mut rig = World::homed_on_can(quick(), BusOffPolicy::DEFAULT);
     let mut worst = 0;
@@ -601,7 +601,7 @@ fn completely_sent_motion_is_sent_once_and_stopped() {
 }
 
 #[test]
-fn late_reply_to_an_earlier_motion_does_not_prevent_a_withdrawal() {
+fn late_reply_to_earlier_motion_does_not_prevent_withdrawal() {
     for motion in MOTIONS {
         for status in [Status::CmdPending, Status::Success] {
             for stop in STOPS {

@@ -79,7 +79,7 @@ fn silent_master_is_shown_until_it_resumes() {
 }
 
 #[test]
-fn absent_master_is_not_shown_if_never_connected_or_while_the_wires_command() {
+fn absent_master_is_hidden_if_never_connected_or_wires_command() {
     let mut rig = Master::new(Config::DEFAULT, quick());
     rig.get_homed();
     assert_eq!(look(&mut rig), "lit, with a short gap");

@@ -141,7 +141,7 @@ fn mcp2515_receives_two_frames_before_the_handler_serves_it() {
 }
 
 #[test]
-fn mcp2515_withdraws_a_frame_from_each_buffer_and_sends_the_others() {
+fn mcp2515_withdraws_a_frame_from_any_buffer_and_sends_the_rest() {
     for (at, withdrawn) in SENT.into_iter().enumerate() {
         let mut bench = Bench::new();
         // Each buffer has sent a frame before, which must not be mistaken for this one.

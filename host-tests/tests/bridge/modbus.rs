@@ -105,7 +105,7 @@ fn first_write_of_a_master_starts_nothing_regardless_of_reads() {
 }
 
 #[test]
-fn motion_commanded_at_the_end_of_another_is_sent_at_once_despite_lost_replies() {
+fn motion_after_another_is_sent_at_once_despite_lost_replies() {
     /// Returns the turns from the write to the motion, `after_ms` after the end of a grip. Replies are lost for `lost_ms`
     /// from the end on.
     fn turns_to_leave(after_ms: u32, lost_ms: u32) -> u32 {
@@ -163,7 +163,7 @@ fn error_is_readable_in_the_turn_in_which_the_wires_show_it() {
 }
 
 #[test]
-fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() {
+fn refusal_is_counted_and_shown_even_with_a_command_wire_high() {
     let mut rig = Master::homed(with_part(20.0));
     rig.command(GRIP, 20_00, 50_00, 40_00);
     let refused = |rig: &mut Master| rig.input(report("COMMANDS_REFUSED"), 1).unwrap()[0];
@@ -186,7 +186,7 @@ fn each_refusal_is_counted_and_shows_its_status_even_with_a_command_wire_high() 
 }
 
 #[test]
-fn exception_is_0a_for_a_gripper_that_never_answered_and_0b_for_a_lost_one() {
+fn exception_is_0a_if_gripper_never_answered_and_0b_if_lost() {
     let mut rig = Master::new(Config::DEFAULT, quick());
     rig.set_cut(true);
     rig.pass(500);
@@ -242,7 +242,7 @@ fn settings_read_as_built_and_take_effect_when_written() {
 }
 
 #[test]
-fn settings_outside_their_range_are_03_past_the_table_02_and_during_a_motion_06() {
+fn settings_get_03_out_of_range_02_past_table_06_during_motion() {
     let mut rig = Master::homed(quick());
     assert_eq!(rig.try_write(setting("UNIT"), &[0]), Some(3));
     assert_eq!(rig.try_write(setting("UNIT"), &[248]), Some(3));
@@ -323,7 +323,7 @@ fn broadcast_takes_effect_only_if_enabled() {
 
 /// BUS_TIMEOUT (docs/registers.md) starts with the last intact request for this unit.
 #[test]
-fn silent_master_is_missed_in_time_beside_other_traffic_on_the_line() {
+fn silent_master_times_out_despite_other_modbus_traffic() {
     let read = [4, 0, 0, 0, 1];
     let request = Master::frame(UNIT, &read);
     let mut wrong_checksum = request.clone();

@@ -50,7 +50,7 @@ const REACTIONS: [(SilenceReaction, &[CommandId]); 3] = [
 ];
 
 #[test]
-fn clear_and_data_exchange_without_data_are_handled_like_a_time_out() {
+fn clear_and_data_exchange_without_data_count_as_a_time_out() {
     let clear = |rig: &mut Master, function: u8, number: u8| {
         if number == 0 {
             rig.control(0x02, 0);
@@ -136,7 +136,7 @@ fn jog_ends_when_the_master_leaves_at_any_reaction() {
 }
 
 #[test]
-fn master_without_a_watchdog_times_out_by_bus_timeout_and_may_resume() {
+fn master_without_watchdog_times_out_by_bus_timeout_and_resumes() {
     let mut rig = Master::exchanging(AT_500K, quick(), 0);
     rig.command(Flag::HOMING);
     rig.image.speed = 5_00;
@@ -168,7 +168,7 @@ fn master_without_a_watchdog_times_out_by_bus_timeout_and_may_resume() {
 }
 
 #[test]
-fn master_without_a_watchdog_never_times_out_with_a_bus_timeout_of_0() {
+fn master_without_watchdog_never_times_out_at_bus_timeout_0() {
     let bus = BusConfig { timeout_ms: 0, ..AT_500K.bus };
     let mut rig = Master::exchanging(Config { bus, ..AT_500K }, quick(), 0);
     rig.command(Flag::HOMING);
@@ -215,7 +215,7 @@ fn second_master_is_refused_and_changes_nothing() {
 }
 
 #[test]
-fn wrong_parameters_or_configuration_are_reported_and_prevent_commands() {
+fn wrong_set_prm_or_chk_cfg_is_reported_and_prevents_commands() {
     let right = ([0x88, 1, WATCHDOG, 11, 0x55, 0x55, 0], [0xA7, 0x9B]);
     let (prm_fault, cfg_fault, not_supported) = (0x40, 0x04, 0x10);
     let wrong = [
@@ -276,7 +276,7 @@ fn clear_of_another_group_is_ignored() {
 }
 
 #[test]
-fn configuration_inputs_and_outputs_are_readable_and_the_address_is_fixed() {
+fn configuration_and_data_are_readable_and_the_address_is_fixed() {
     let mut rig = Master::homed(AT_500K, quick());
     rig.image.width = 33_00;
     let input = rig.input();
@@ -365,7 +365,7 @@ fn repeated_outputs_are_one_edge() {
 }
 
 #[test]
-fn damaged_characters_cause_no_motion_and_the_next_telegram_takes_effect() {
+fn damaged_telegram_causes_no_motion_and_the_next_takes_effect() {
     let mut rig = Master::homed(AT_500K, quick());
     rig.image.flags = Flag::GRIP;
     let body = [&[STATION, MASTER, 0x5D][..], &rig.image.to_bytes()].concat();
@@ -421,7 +421,7 @@ fn rate_is_searched_until_telegrams_are_received() {
 
 /// The watchdog (IEC 61158-6-3) and BUS_TIMEOUT (docs/registers.md) start with the last request of the commanding master.
 #[test]
-fn silent_master_is_detected_in_time_despite_other_traffic_on_the_line() {
+fn silent_master_times_out_despite_other_profibus_traffic() {
     let image = [&[Flag::MOVE.bits(), 0][..], &[0; 6]].concat();
     let exchange = |station: u8, master: u8| sd3(&[&[station, master, 0x5D][..], &image].concat());
     let mut wrong_sum = exchange(STATION, MASTER);

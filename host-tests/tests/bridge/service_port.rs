@@ -71,7 +71,7 @@ fn service_port_reads_what_the_bus_reads() {
 }
 
 #[test]
-fn setting_written_by_the_service_port_applies_to_bus_and_wires_at_once() {
+fn service_port_setting_applies_to_bus_and_wires_at_once() {
     let mut rig = Master::homed(quick());
     rig.by_service(|rig| rig.write(setting("UNIT"), &[9]));
     assert!(rig.ask(&[4, 0, 0, 0, 1]).is_empty(), "address of another unit");
@@ -123,7 +123,7 @@ fn setting_written_by_the_service_port_applies_to_bus_and_wires_at_once() {
 }
 
 #[test]
-fn all_recipes_can_be_written_by_one_request_that_takes_several_turns() {
+fn one_request_writes_all_recipes_over_several_turns() {
     let mut rig = Master::homed(quick());
     let first = setting("RECIPE0_WIDTH");
     for (by_service, from) in [(false, 1_000), (true, 2_000)] {
@@ -139,7 +139,7 @@ fn all_recipes_can_be_written_by_one_request_that_takes_several_turns() {
 }
 
 #[test]
-fn both_lines_are_served_in_parallel_and_silence_of_the_port_is_no_event() {
+fn lines_are_served_in_parallel_and_port_silence_is_no_event() {
     let mut rig = Master::homed(quick());
     rig.take_motions();
     rig.write(0, &[u16::from(MOVE) << 8, 20_00, 10_00, 40_00]);

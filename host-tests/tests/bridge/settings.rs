@@ -126,7 +126,7 @@ fn only_saved_settings_apply_after_a_power_cycle() {
 }
 
 #[test]
-fn restore_applies_the_stored_settings_and_defaults_those_of_the_image() {
+fn restore_applies_stored_settings_and_defaults_those_of_image() {
     let mut delivered = Config::DEFAULT.record();
     delivered[place("DEBOUNCE")] = 9;
     let mut plant = Plant::delivered_with(&delivered, FlashModel::new());
@@ -206,7 +206,7 @@ fn command_registers_accept_only_their_key_and_only_at_rest() {
 }
 
 #[test]
-fn requests_of_bus_and_service_port_in_one_turn_are_executed_or_refused() {
+fn bus_and_port_requests_in_one_turn_are_executed_or_refused() {
     let by_service = |plant: &mut Plant, address: u16, value: u16| {
         let ([a1, a0], [v1, v0]) = (address.to_be_bytes(), value.to_be_bytes());
         plant.service.ask(&[1, 6, a1, a0, v1, v0]);
@@ -249,7 +249,7 @@ fn save_does_not_delay_a_fast_stop() {
 }
 
 #[test]
-fn power_cut_leaves_the_old_or_the_new_settings_and_causes_no_motion() {
+fn power_cut_leaves_old_or_new_settings_and_causes_no_motion() {
     let mut saved = Plant::start(FlashModel::new());
     saved.set("RECIPE0_WIDTH", 1_111);
     saved.set("RECIPE15_RELEASE", 1_111);
@@ -333,7 +333,7 @@ fn unusable_settings_block_motions_until_others_are_stored() {
 const RECORDED: [&str; 2] = [include_str!("records/map-5.txt"), include_str!("records/map-7.txt")];
 
 #[test]
-fn recorded_settings_of_each_map_version_are_read_and_stored_again() {
+fn settings_of_each_map_version_are_read_and_stored_again() {
     for recorded in RECORDED {
         let mut flash = FlashModel::new();
         let mut next = 0;
@@ -366,7 +366,7 @@ fn recorded_settings_of_each_map_version_are_read_and_stored_again() {
 }
 
 #[test]
-fn settings_of_map_version_5_are_used_and_profibus_settings_come_from_the_image() {
+fn settings_of_map_version_5_take_profibus_ones_from_the_image() {
     let at = |name| place(name);
     let mut delivered = Config::DEFAULT.record();
     delivered[at("PROFIBUS_ADDRESS")] = 9;

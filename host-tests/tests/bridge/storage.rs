@@ -196,7 +196,7 @@ fn assert_old_or_new(
 }
 
 #[test]
-fn power_cut_in_any_operation_leaves_the_old_or_the_new_record_and_the_next_save_works() {
+fn power_cut_leaves_old_or_new_record_and_the_next_save_works() {
     // A page holds 9, 15 or 36 records. The range covers the first save to the second erase of the first page.
     for (len, saves) in [(200, 0..20), (120, 13..32), (40, 34..39)] {
         for count in saves {
@@ -296,7 +296,7 @@ fn second_power_cut_during_the_repair_does_no_further_harm() {
 }
 
 #[test]
-fn unprogrammable_double_word_moves_the_record_to_the_other_page() {
+fn unprogrammable_double_word_moves_record_to_the_other_page() {
     for count in 1..20 {
         let (flash, _) = history(count, MAX_LEN);
         let new = settings(1_000, MAX_LEN);
@@ -361,7 +361,7 @@ fn each_failure_of_the_flash_has_its_own_message() {
 }
 
 #[test]
-fn second_page_replaces_a_worn_first_page_when_nothing_is_stored() {
+fn second_page_replaces_worn_first_page_if_nothing_is_stored() {
     let mut flash = FlashModel::new();
     let (mut store, _) = boot(&mut flash);
     flash.fault = Some(Fault::Unprogrammable(Page::First, 3));
@@ -445,7 +445,7 @@ fn damaged_record_does_not_affect_others() {
 }
 
 #[test]
-fn record_that_reads_differently_each_time_is_loaded_completely_or_not_at_all() {
+fn record_with_unstable_reads_loads_completely_or_not_at_all() {
     let (flash, last) = history(6, MAX_LEN);
     let before = Ok(settings(4, MAX_LEN));
     for n in 0..27 {
@@ -465,7 +465,7 @@ fn record_that_reads_differently_each_time_is_loaded_completely_or_not_at_all() 
 }
 
 #[test]
-fn first_double_word_that_reads_as_one_of_two_records_never_mixes_them() {
+fn unstable_first_double_word_never_mixes_two_records() {
     // One record is the start of the other, whose payload contains the first one's last double word.
     let begin = b"8 bytes.";
     let first = |payload: &[u8]| {

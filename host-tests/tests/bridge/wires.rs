@@ -111,7 +111,7 @@ fn edge_at_ready(rig: &mut World, wire: Inputs) -> (u32, Outputs) {
 }
 
 #[test]
-fn edge_refused_at_ready_shows_busy_for_50_ms_even_if_error_was_high_before() {
+fn edge_refused_at_ready_shows_busy_for_50_ms_even_in_error() {
     // The gripper ends a motion with an error, so GSTATE is ERROR and READY is high.
     let mut rig = World::homed(WIRES, quick());
     let now = rig.now();
@@ -235,7 +235,7 @@ fn recipe_change_during_a_motion_has_no_effect() {
 }
 
 #[test]
-fn second_command_during_a_motion_shows_error_and_does_not_reach_the_gripper() {
+fn second_command_during_motion_shows_error_and_is_not_sent() {
     let mut rig = World::homed(WIRES, quick());
     rig.take_sent();
     rig.set(Inputs::MOVE, true);
@@ -257,7 +257,7 @@ fn stop_while_holding_releases_the_force() {
 }
 
 #[test]
-fn fast_stop_wire_low_at_power_up_blocks_motions_until_high_and_acknowledged() {
+fn fast_stop_low_at_power_up_blocks_until_high_and_acknowledged() {
     let mut rig = World::new(WIRES, quick());
     let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
     let try_all = |rig: &mut World| {
@@ -282,7 +282,7 @@ fn fast_stop_wire_low_at_power_up_blocks_motions_until_high_and_acknowledged() {
 }
 
 #[test]
-fn fast_stop_wire_low_at_power_up_takes_effect_despite_a_bouncing_command_wire() {
+fn fast_stop_low_at_power_up_acts_despite_bouncing_command_wire() {
     let mut rig = World::new(WIRES, quick());
     let chatter = |rig: &mut World, ms: u32| {
         for n in 0..ms {
@@ -323,7 +323,7 @@ fn silent_gripper_is_polled_and_receives_no_motion() {
 }
 
 #[test]
-fn command_while_the_line_is_cut_is_not_executed_after_the_repair() {
+fn command_while_line_is_cut_is_not_executed_after_repair() {
     let mut rig = World::homed(WIRES, quick());
     rig.take_sent();
     rig.far.to_bridge = Some(Box::new(Vec::clear));
@@ -397,7 +397,7 @@ fn unsolicited_answers_change_nothing() {
 
 /// Restarted at once, or switched off for 200 ms, which is too short for LINK_OK to fall.
 #[test]
-fn restart_of_the_gripper_is_shown_as_unreferenced_within_250_ms() {
+fn gripper_restart_is_shown_as_unreferenced_within_250_ms() {
     for (off_ms, offset_ms) in
         [0, 200].into_iter().flat_map(|off| (0..200).step_by(7).map(move |at| (off, at)))
     {
@@ -424,7 +424,7 @@ fn held_in_fast_stop() -> World {
 
 /// Fieldbus, 6.6: FASTSTOP is a level.
 #[test]
-fn low_fast_stop_wire_stops_fingers_acknowledged_and_moved_by_a_third_party() {
+fn low_fast_stop_wire_stops_motion_unlocked_by_a_third_party() {
     for offset_ms in 0..40 {
         let mut rig = held_in_fast_stop();
         for _ in 0..3 {
@@ -456,7 +456,7 @@ fn third_party_may_acknowledge_after_the_fast_stop_wire_is_high() {
 
 /// Fieldbus, 6.6.
 #[test]
-fn gripper_restarted_while_the_fast_stop_wire_is_low_is_in_fast_stop_within_250_ms() {
+fn low_fast_stop_wire_stops_a_restarted_gripper_within_250_ms() {
     for offset_ms in (0..200).step_by(7) {
         let mut rig = held_in_fast_stop();
         rig.pass(offset_ms);
@@ -519,7 +519,7 @@ fn fast_stop_is_sent_with_a_stopped_clock() {
 }
 
 #[test]
-fn fast_stop_wire_low_for_2_of_3_ms_or_1_of_5_ms_stops_the_gripper() {
+fn fast_stop_wire_low_for_2_of_3_or_1_of_5_ms_stops_gripper() {
     for (period, low) in [(3, 2), (5, 1)] {
         let mut rig = World::homed(WIRES, quick());
         rig.set(Inputs::MOVE, true);
@@ -533,7 +533,7 @@ fn fast_stop_wire_low_for_2_of_3_ms_or_1_of_5_ms_stops_the_gripper() {
 }
 
 #[test]
-fn edge_while_ready_is_low_is_refused_even_if_only_busy_is_still_high() {
+fn edge_while_ready_is_low_is_refused_even_if_only_busy_is_high() {
     let mut rig = World::homed(WIRES, with_part(20.0));
     rig.command(Inputs::MOVE);
     rig.take_sent();
@@ -593,7 +593,7 @@ fn longest_reply_of_a_gripper_is_not_oversize() {
 }
 
 #[test]
-fn edge_in_the_turn_of_a_report_of_motion_is_refused_with_its_parameters() {
+fn edge_in_turn_of_motion_report_is_refused_with_its_parameters() {
     let mut rig = World::homed(WIRES, quick());
     rig.set(Inputs::RECIPE0, true);
     rig.pass(20);
@@ -714,7 +714,7 @@ fn two_hundred_cycles_have_identical_results() {
 
 /// Fieldbus manual, 6.2: a lost part is a fault immediately, regardless of later motion.
 #[test]
-fn lost_part_is_shown_at_once_and_a_missing_part_at_the_end_of_busy() {
+fn lost_part_is_shown_at_once_and_missing_part_after_busy() {
     let mut rig = World::homed(WIRES, with_part(20.0));
     rig.command(Inputs::GRIP);
     let flags = rig.gripper().state().flags | SystemFlags::MOVING;
@@ -780,7 +780,7 @@ fn cut(inputs: Inputs) -> (Vec<u8>, Vec<CommandId>, u16) {
 
 /// Completing the frame later would start a motion that was commanded over an earlier connection.
 #[test]
-fn motion_cut_by_a_blocked_transmitter_is_not_completed_after_the_connection_is_lost() {
+fn cut_motion_frame_is_not_completed_after_connection_loss() {
     let (begun, ids, _) = cut(Inputs::FAST_STOP_OK | Inputs::MOVE);
     let whole = FrameEncoder::new(CommandId::PrePosition.code(), &[0; 9][..]).len();
     assert!(begun.starts_with(&[0xAA, 0xAA, 0xAA, CommandId::PrePosition.code()]) && begun.len() < whole);
@@ -789,7 +789,7 @@ fn motion_cut_by_a_blocked_transmitter_is_not_completed_after_the_connection_is_
 
 /// Otherwise the gripper would take the beginning of the next message, such as a FAST STOP, for its rest.
 #[test]
-fn query_or_fast_stop_cut_by_a_blocked_transmitter_is_completed_after_the_connection_is_lost() {
+fn cut_query_or_fast_stop_is_completed_after_connection_loss() {
     for (inputs, id) in
         [(Inputs::FAST_STOP_OK, CommandId::GetSystemState), (Inputs::empty(), CommandId::FastStop)]
     {

@@ -99,7 +99,7 @@ fn checksum_map_has_rank_13_from_the_third_byte_on() {
 }
 
 #[test]
-fn checksum_finds_every_error_in_one_byte_and_every_odd_number_of_bits() {
+fn checksum_finds_any_error_in_one_byte_or_odd_number_of_bits() {
     for len in OVERHEAD..=64 {
         for at in 0..len - PREAMBLE_LEN {
             for flip in 1..=255 {
@@ -119,7 +119,7 @@ fn checksum_finds_every_error_in_one_byte_and_every_odd_number_of_bits() {
 }
 
 #[test]
-fn checksum_two_bit_errors_by_length_in_the_document_are_measured() {
+fn documented_two_bit_errors_by_length_are_measured() {
     let rows = [8, 10, 11, 12, 14, 16, 17, 18, 24, 32, 42, 64].map(|len| {
         let count = |passes: fn(&[u8]) -> bool| two_bit_errors(len).filter(|error| passes(error)).count();
         [
@@ -137,7 +137,7 @@ fn checksum_two_bit_errors_by_length_in_the_document_are_measured() {
 }
 
 #[test]
-fn checksum_two_bit_errors_that_decoding_refuses_in_the_document_are_measured() {
+fn documented_two_bit_errors_refused_by_decoding_are_measured() {
     let requests = [
         Command::Stop,
         Command::Homing { direction: HomingDirection::Default },

@@ -25,7 +25,7 @@ fn quick_start_comes_first_and_is_the_example_that_is_run() {
 }
 
 #[test]
-fn example_is_the_one_that_is_compiled_in_the_crates_documentation() {
+fn example_is_the_one_compiled_in_the_crates_documentation() {
     let example = first_example(&read("protocol/src/lib.rs"));
     assert!(example.contains("FrameParser"));
     assert!(

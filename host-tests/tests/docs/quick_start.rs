@@ -39,7 +39,7 @@ fn registers_of_the_quick_start_are_those_of_the_tables() {
 }
 
 #[test]
-fn commands_of_the_quick_start_name_their_register_and_write_what_it_takes() {
+fn quick_start_commands_name_registers_and_write_valid_values() {
     let text = read(DOCUMENT);
     let lines: Vec<_> = text.lines().filter_map(|line| line.strip_prefix("$M -t ")).collect();
     assert!(lines.len() > 10, "{lines:?}");

@@ -124,7 +124,7 @@ impl RecvWithoutLoop {
 }
 
 #[test]
-fn client_with_fixed_expectations_gets_pending_and_result_in_a_recv_each() {
+fn strict_client_gets_pending_and_result_in_a_recv_each() {
     // Each motion takes more than a second, so the client reads its start before its end is sent.
     let server = serve(Config { time_scale: 0.5, ..config() });
     let mut client = OneFramePerRecv::connect(&server);
@@ -140,7 +140,7 @@ fn client_with_fixed_expectations_gets_pending_and_result_in_a_recv_each() {
 }
 
 #[test]
-fn client_that_calls_recv_without_a_loop_never_gets_part_of_a_frame() {
+fn client_without_a_recv_loop_never_gets_part_of_a_frame() {
     let server = serve(config());
     let stream = OneFramePerRecv::connect(&server).0;
     let mut client = RecvWithoutLoop(stream);
@@ -157,7 +157,7 @@ fn client_that_calls_recv_without_a_loop_never_gets_part_of_a_frame() {
 }
 
 #[test]
-fn frames_without_a_checksum_cost_only_themselves_when_checking_is_on() {
+fn frame_without_checksum_costs_only_itself_if_checking_is_on() {
     let server = serve(config());
     for broken in [without_checksum(0x23, &[]), with_checksum_zero(0x23, &[]), without_checksum(0x20, &[1])] {
         let mut client = OneFramePerRecv::connect(&server);

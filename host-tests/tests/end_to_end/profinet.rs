@@ -170,7 +170,7 @@ const SUSPICIOUS: &str = "_ws.malformed || _ws.expert.severity >= \"Warning\"";
 
 #[test]
 #[ignore = "needs profinet-py, tshark and root: run `cargo xtask test`"]
-fn profinet_py_runs_a_grip_cycle_in_namespaces_and_tshark_finds_no_fault() {
+fn profinet_py_grip_cycle_in_namespaces_has_no_fault_for_tshark() {
     let network = Network::new();
     let capture = network.capture();
     let server = network.serve(config());
@@ -192,7 +192,7 @@ fn passes(config: Config, arguments: &[&str]) {
 
 #[test]
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
-fn profinet_py_reconnects_in_namespaces_after_a_cut_cable_and_the_motion_has_stopped() {
+fn cut_cable_in_namespaces_stops_motion_and_profinet_py_returns() {
     if extent::is_whole() {
         passes(Config { time_scale: 1.0, ..config() }, &["cut"]);
     }
@@ -200,13 +200,13 @@ fn profinet_py_reconnects_in_namespaces_after_a_cut_cable_and_the_motion_has_sto
 
 #[test]
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
-fn profinet_py_that_is_killed_in_namespaces_has_its_motion_stopped() {
+fn motion_stops_when_profinet_py_is_killed_in_namespaces() {
     passes(Config { time_scale: 1.0, ..config() }, &["killed"]);
 }
 
 #[test]
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
-fn profinet_py_in_namespaces_moves_nothing_by_frames_that_do_not_count_and_by_flags_that_it_holds() {
+fn only_new_valid_profinet_py_flags_in_namespaces_cause_motion() {
     if extent::is_whole() {
         passes(Config { time_scale: 1.0, ..config() }, &["unasked"]);
     }
@@ -214,7 +214,7 @@ fn profinet_py_in_namespaces_moves_nothing_by_frames_that_do_not_count_and_by_fl
 
 #[test]
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
-fn profinet_py_exchanges_data_at_8_ms_in_namespaces_and_misses_one_in_a_thousand_at_the_most() {
+fn profinet_py_at_8_ms_in_namespaces_misses_at_most_1_in_1000() {
     if extent::is_whole() {
         passes(config(), &["soak", "60"]);
     }
@@ -222,7 +222,7 @@ fn profinet_py_exchanges_data_at_8_ms_in_namespaces_and_misses_one_in_a_thousand
 
 #[test]
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
-fn profinet_py_finds_in_namespaces_after_a_restart_what_it_has_written() {
+fn profinet_py_in_namespaces_finds_its_writes_after_a_restart() {
     let network = Network::new();
     let file = std::env::temp_dir().join(format!("{}.toml", network.0.namespace(End::Gripper)));
     fs::write(&file, "# Cell 7\nprofinet = \"eth0\"\ntime-scale = 5\n").unwrap();
@@ -239,7 +239,7 @@ fn profinet_py_finds_in_namespaces_after_a_restart_what_it_has_written() {
 
 #[test]
 #[ignore = "needs tshark and root: run `cargo xtask test`"]
-fn endpoint_mapper_in_namespaces_describes_the_device_as_tshark_reads_it() {
+fn endpoint_mapper_in_namespaces_describes_the_device_to_tshark() {
     let stored = Stored { ip: ProfinetLine::ip_of_text("192.168.7.5/24").unwrap(), ..Stored::NONE };
     let network = Network::new();
     let capture = network.capture();
@@ -269,7 +269,7 @@ fn pnio_dcp_finds_names_addresses_and_resets_in_namespaces() {
 
 #[test]
 #[ignore = "needs scapy, profinet-py, tshark and root: run `cargo xtask test`"]
-fn hostile_frames_by_scapy_in_namespaces_move_nothing_and_profinet_py_and_tshark_see_the_device_as_before() {
+fn scapy_in_namespaces_harms_nothing_for_profinet_py_and_tshark() {
     if !extent::is_whole() {
         return;
     }

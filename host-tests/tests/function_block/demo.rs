@@ -188,7 +188,7 @@ const SCENARIOS: [fn() -> BTreeSet<usize>; 7] = [
 ];
 
 #[test]
-fn demo_program_writes_the_registers_of_the_example_on_every_line() {
+fn demo_program_writes_the_example_registers_on_every_line() {
     let covered: BTreeSet<usize> = SCENARIOS.iter().flat_map(|scenario| scenario()).collect();
     let units = Unit::parse_scl(&read(SCL));
     let program = units.iter().find(|unit| unit.name == PROGRAM).unwrap();

@@ -218,7 +218,7 @@ fn gsdml_file_has_the_catalogue_path_of_the_manual() {
 }
 
 #[test]
-fn every_text_that_the_file_names_is_there_once_and_every_id_is_another_one() {
+fn every_named_text_exists_once_and_every_id_is_unique() {
     let text = read(&path());
     let document = Document::parse(&text).unwrap();
     let texts: Vec<_> = all(&document, "Text").map(|text| text.attribute("TextId").unwrap()).collect();

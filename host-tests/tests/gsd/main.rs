@@ -50,7 +50,7 @@ fn gsd_file_is_that_of_the_tables() {
 
 /// Checks the catalogue path (fieldbus, 2.1), PROFIBUS DP -> Drives -> Weiss Robotics GmbH & Co. KG, and the bitmaps.
 #[test]
-fn gsd_file_has_the_catalogue_path_and_the_bitmaps_of_the_manual() {
+fn gsd_file_has_the_catalogue_path_and_bitmaps_of_the_manual() {
     let text = read(FILE);
     for line in [
         "Slave_Family = 1",

@@ -74,7 +74,7 @@ proptest! {
     }
 
     #[test]
-    fn loop_data_and_tags_and_unknown_commands_survive_the_round_trip(
+    fn loop_data_tags_and_unknown_commands_survive_a_round_trip(
         data in proptest::collection::vec(any::<u8>(), 0..=256), tag in "[ -~]{0,64}", id in 0xA0..=0xBFu8,
     ) {
         prop_assert_eq!(there_and_back(&Command::Loop { data: LoopData::new(&data).unwrap() }), Ok(()));

@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn end_waits_until_the_gripper_has_closed_and_everything_is_read() {
+    fn end_waits_until_the_gripper_closes_and_all_data_is_read() {
         use io::{Read, Write};
         let forever = Duration::from_secs(60);
         let (mut near, mut far) = connected();

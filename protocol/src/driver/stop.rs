@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn line_that_accepts_nothing_is_reported_and_the_rest_of_a_message_has_its_time() {
+    fn full_line_is_reported_and_a_partial_message_gets_its_timeout() {
         assert_eq!(stop(std::vec![], FOREVER), (Err(ErrorKind::WouldBlock), std::vec![]));
         assert_eq!(stop(std::vec![Ok(0)], FOREVER).0, Err(ErrorKind::WriteZero));
         let (begun, rest_timeout) = (Instant::now(), Duration::from_millis(20));

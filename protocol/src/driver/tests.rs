@@ -97,7 +97,7 @@ fn setting_is_read_back_and_another_value_is_a_mismatch() {
 }
 
 #[test]
-fn force_limit_of_a_refused_grip_is_set_back_or_the_error_says_that_it_is_not() {
+fn refused_grip_restores_the_force_limit_or_reports_failure() {
     let force_limit = |force| vec![(1, frame(Reply::success(Value::GetForceLimit(force))))];
     let set = CommandId::SetForceLimit;
     let read = CommandId::GetForceLimit;
@@ -144,7 +144,7 @@ fn invalid_number_is_refused_before_it_is_sent() {
 }
 
 #[test]
-fn borrowed_payloads_are_sent_and_repeated_when_the_answer_is_lost() {
+fn borrowed_payload_is_sent_again_if_its_answer_is_lost() {
     let (rig, mut gripper) = connected();
     rig.script(CommandId::SetDeviceTag, vec![]);
     assert_eq!(gripper.set_tag("left hand"), Ok(()));
@@ -156,7 +156,7 @@ fn borrowed_payloads_are_sent_and_repeated_when_the_answer_is_lost() {
 }
 
 #[test]
-fn script_command_is_sent_once_and_its_answer_returned_unchanged() {
+fn script_command_is_sent_once_and_its_answer_is_unchanged() {
     let (rig, mut gripper) = connected();
     let id = CommandId::Unknown(0xB0);
     let value = Value::Unknown { id: 0xB0, parameters: &[1, 2, 3] };
@@ -198,7 +198,7 @@ fn loop_back_detects_different_bytes() {
 }
 
 #[test]
-fn error_of_the_transport_is_returned_and_the_motion_can_be_awaited_again() {
+fn transport_error_is_returned_and_motion_can_be_awaited_again() {
     let (rig, mut gripper) = connected();
     let grip = gripper.begin_grip(Mm(20.0), MmPerS(50.0)).unwrap();
     rig.world(|world| world.noise = true);
@@ -261,7 +261,7 @@ fn every_kind_of_update_is_returned() {
 }
 
 #[test]
-fn transport_that_holds_bytes_back_until_it_is_flushed_is_flushed() {
+fn transport_that_buffers_until_flushed_is_flushed() {
     let rig = Rig::new();
     rig.world(|world| world.holds_back = true);
     let mut gripper = connect(&rig);

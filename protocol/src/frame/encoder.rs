@@ -225,7 +225,7 @@ mod tests {
 
     #[cfg(feature = "embedded-io")]
     #[test]
-    fn writer_that_takes_little_or_nothing_at_a_time_gets_every_byte_once() {
+    fn writer_accepting_few_or_no_bytes_gets_every_byte_once() {
         let payload = [7u8; 150];
         let mut writer = Reluctant::default();
         FrameEncoder::new(6, &payload[..]).write_to(&mut writer).unwrap();

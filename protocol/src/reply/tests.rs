@@ -30,7 +30,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 4_000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn success_is_taken_at_the_exact_length_only_and_survives_the_round_trip(
+    fn success_needs_the_exact_length_and_survives_a_round_trip(
         id in proptest::sample::select(CommandId::ALL.to_vec()),
         values in proptest::collection::vec(prop_oneof![Just(0u8), 0x20..0x7Fu8], 0..40),
     ) {
@@ -109,7 +109,7 @@ fn values_stand_in_the_reply_as_the_manual_says() {
 }
 
 #[test]
-fn undefined_gripper_state_and_numbers_that_are_not_finite_are_refused() {
+fn undefined_gripper_state_and_non_finite_number_are_refused() {
     assert_eq!(Reply::decode(&Frame { id: 0x41, payload: &[0, 0, 8] }), Err(DecodeError::UndefinedValue));
     assert_eq!(
         Reply::decode(&Frame { id: 0x43, payload: &[0, 0, 0, 0, 0x80, 0x7F] }),

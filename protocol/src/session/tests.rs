@@ -178,7 +178,7 @@ impl Rig {
 }
 
 #[test]
-fn connecting_subscribes_to_the_states_first_and_queries_device_and_limits() {
+fn connect_subscribes_to_states_then_queries_device_and_limits() {
     let mut rig = Rig::new();
     assert!(!rig.session.is_connected());
     let update = AutoUpdate::on_change(10);
@@ -220,7 +220,7 @@ fn gripper_that_refuses_its_states_is_not_connected() {
 }
 
 #[test]
-fn updates_are_requested_at_the_configured_period_but_at_least_10_ms() {
+fn update_period_is_as_configured_but_at_least_10_ms() {
     for (update_period_ms, asked_ms) in [(1, 10), (9, 10), (10, 10), (11, 11), (500, 500)] {
         let mut rig = Rig::with(Config { update_period_ms, ..Config::DEFAULT });
         let update = AutoUpdate::on_change(asked_ms);
@@ -256,7 +256,7 @@ fn motion_without_an_answer_is_never_sent_again() {
 }
 
 #[test]
-fn query_without_an_answer_is_repeated_and_then_the_link_is_lost() {
+fn unanswered_query_is_repeated_and_then_the_link_is_lost() {
     let mut rig = Rig::connected();
     rig.session.request(Command::GetTemperature).unwrap();
     let sent = rig.pass(599);
@@ -268,7 +268,7 @@ fn query_without_an_answer_is_repeated_and_then_the_link_is_lost() {
 }
 
 #[test]
-fn silence_is_detected_within_a_second_and_a_returning_gripper_is_found() {
+fn silent_gripper_is_lost_within_1_s_and_found_when_it_returns() {
     let mut rig = Rig::connected();
     rig.pass(1_000);
     assert_eq!(rig.events, ["Disconnected"]);
@@ -280,7 +280,7 @@ fn silence_is_detected_within_a_second_and_a_returning_gripper_is_found() {
 }
 
 #[test]
-fn subscriptions_are_renewed_in_turn_so_that_a_restarted_gripper_is_noticed() {
+fn subscriptions_are_renewed_in_turn_to_notice_a_restart() {
     let mut rig = Rig::connected();
     let asked: Vec<_> = rig.pass_healthy(1_010).iter().map(Command::id).collect();
     let (state, gripper) = (CommandId::GetSystemState, CommandId::GetGripperState);
@@ -301,7 +301,7 @@ fn requests_pending_at_a_disconnect_are_never_sent_later() {
 }
 
 #[test]
-fn each_subscribed_value_is_refreshed_in_time_although_one_answer_in_four_is_lost() {
+fn subscribed_values_stay_fresh_with_one_answer_in_four_lost() {
     const OLDEST_MS: u32 = 250;
     const ANSWER_MS: u32 = 5;
     let config = Config { refresh_ms: 150, width: true, speed: true, force: true, ..Config::DEFAULT };
@@ -330,7 +330,7 @@ fn each_subscribed_value_is_refreshed_in_time_although_one_answer_in_four_is_los
 }
 
 #[test]
-fn two_simultaneous_timeouts_lose_the_connection_once_and_clear_all_requests() {
+fn simultaneous_timeouts_disconnect_once_and_clear_all_requests() {
     let mut rig = Rig::connected();
     // The refresh is due at 250 ms and is sent every 50 ms. A motion starts 200 ms before the connection counts as lost.
     let before = rig.pass(250 + 2 * 200 - 1);
@@ -366,7 +366,7 @@ fn motion_is_overtaken_by_a_stopping_command_until_its_answer() {
 }
 
 #[test]
-fn motion_is_overtaken_by_an_acknowledgement_until_it_is_taken_back_and_a_query_is_not() {
+fn acknowledge_overtakes_a_motion_until_taken_back_but_no_query() {
     let acknowledge = Command::Acknowledge { key: crate::types::AckKey };
     let mut rig = Rig::connected();
     rig.send(GRIP);
@@ -403,7 +403,7 @@ fn stop_overtakes_queued_requests_and_ends_the_motion() {
 }
 
 #[test]
-fn stop_without_an_answer_is_reported_before_the_disconnect_and_not_sent_after_it() {
+fn unanswered_stop_is_reported_and_not_sent_after_a_disconnect() {
     let mut rig = Rig::connected();
     rig.session.request(Command::Stop).unwrap();
     let sent = rig.pass(2_000);
@@ -427,7 +427,7 @@ fn stop_without_a_connection_is_sent_at_once_and_never_later() {
 }
 
 #[test]
-fn stop_without_a_connection_that_is_answered_brings_the_connection_back() {
+fn answer_to_a_stop_while_disconnected_starts_reconnecting() {
     let mut rig = Rig::connected();
     rig.pass(1_000);
     rig.exchange(Command::Stop, Status::Success);
@@ -479,7 +479,7 @@ fn only_its_own_success_confirms_a_fast_stop() {
 }
 
 #[test]
-fn answer_received_before_its_fast_stop_was_sent_does_not_confirm_it() {
+fn earlier_answer_does_not_confirm_an_unsent_fast_stop() {
     let mut rig = Rig::connected();
     rig.exchange(Command::FastStop, Status::Success);
     assert!(!rig.session.fast_stop_pending());
@@ -496,7 +496,7 @@ fn answer_received_before_its_fast_stop_was_sent_does_not_confirm_it() {
 }
 
 #[test]
-fn stop_after_an_unconfirmed_fast_stop_is_refused_and_not_sent_later() {
+fn stop_during_unconfirmed_fast_stop_is_refused_and_never_sent() {
     let mut rig = Rig::connected();
     rig.session.request(Command::FastStop).unwrap();
     assert_eq!(rig.session.request(Command::Stop), Err(RequestError::FastStopRunning));
@@ -564,7 +564,7 @@ fn slow_motion_is_awaited_while_the_gripper_reports_it() {
 }
 
 #[test]
-fn late_result_of_an_earlier_motion_is_not_taken_for_that_of_a_new_one() {
+fn late_result_of_an_earlier_motion_does_not_end_a_new_one() {
     let mut rig = Rig::connected();
     rig.session.request(GRIP).unwrap();
     rig.pass(5_000);
@@ -594,7 +594,7 @@ fn answer_received_before_its_request_was_sent_is_ignored() {
 }
 
 #[test]
-fn unsolicited_and_invalid_frames_are_counted_and_change_nothing() {
+fn unsolicited_and_invalid_frames_are_only_counted() {
     let mut rig = Rig::connected();
     rig.status(CommandId::Homing, Status::Success);
     rig.status(CommandId::Unknown(0xB0), Status::Success);
@@ -703,7 +703,7 @@ fn answered(id: CommandId, status: Status) -> std::string::String {
 }
 
 #[test]
-fn setting_is_answered_once_it_was_read_back_and_another_value_is_a_mismatch() {
+fn read_back_answers_a_setting_or_reports_a_mismatch() {
     let force = |force| Command::SetForceLimit { force };
     let acceleration = |acceleration| Command::SetAcceleration { acceleration };
     let limits = |minus, plus| crate::SoftLimits { minus, plus };
@@ -814,7 +814,7 @@ fn command_with_its_own_timeouts_is_awaited_that_long() {
 }
 
 #[test]
-fn subscription_is_requested_at_once_and_again_after_a_reconnect() {
+fn subscription_is_sent_at_once_and_again_after_a_reconnect() {
     let mut rig = Rig::connected();
     let update = AutoUpdate::every(50);
     let force = Command::GetForce { update };
@@ -920,7 +920,7 @@ fn disconnect_by_the_caller_takes_effect_at_once() {
 }
 
 #[test]
-fn only_an_unconfirmed_fast_stop_is_sent_again_after_a_disconnect_by_the_caller() {
+fn callers_disconnect_resends_only_an_unconfirmed_fast_stop() {
     for (command, again) in [(Command::FastStop, true), (Command::Stop, false)] {
         let mut rig = Rig::connected();
         rig.send(command);
@@ -934,7 +934,7 @@ fn only_an_unconfirmed_fast_stop_is_sent_again_after_a_disconnect_by_the_caller(
 }
 
 #[test]
-fn pending_fast_stop_does_not_busy_loop_the_caller_while_the_line_is_down() {
+fn pending_fast_stop_causes_no_busy_loop_on_a_dead_line() {
     let mut rig = Rig::with(Config { reconnect_ms: 50, ..Config::DEFAULT });
     rig.connect();
     rig.session.request(Command::FastStop).unwrap();
@@ -997,7 +997,7 @@ fn motion_that_is_next_to_be_sent_is_withdrawn() {
 }
 
 #[test]
-fn motion_that_is_next_to_be_sent_is_withdrawn_by_an_acknowledgement() {
+fn acknowledgement_withdraws_the_next_motion_to_be_sent() {
     let mut rig = about_to_grip();
     rig.send(Command::ACKNOWLEDGE);
     assert_eq!(rig.events, ["Withdrawn(GripPart)"]);
@@ -1008,7 +1008,7 @@ const FAST_STOPPED: Value<'static> =
 
 /// Otherwise it would follow the acknowledgement of another party.
 #[test]
-fn fast_stop_of_the_gripper_withdraws_a_motion_that_was_not_sent() {
+fn unsent_motion_is_withdrawn_by_a_fast_stop_of_the_gripper() {
     let mut next = about_to_grip();
     next.reply(Reply::success(FAST_STOPPED));
     assert_eq!(next.sent(), []);
@@ -1025,7 +1025,7 @@ fn fast_stop_of_the_gripper_withdraws_a_motion_that_was_not_sent() {
 }
 
 #[test]
-fn fast_stop_of_the_gripper_overtakes_a_motion_that_is_being_sent() {
+fn fast_stop_of_the_gripper_overtakes_a_motion_being_sent() {
     let mut rig = Rig::connected();
     rig.send(GRIP);
     rig.reply(Reply::success(FAST_STOPPED));
@@ -1033,7 +1033,7 @@ fn fast_stop_of_the_gripper_overtakes_a_motion_that_is_being_sent() {
 }
 
 #[test]
-fn fast_stop_of_the_gripper_withdraws_no_query_without_a_motion_and_nothing_that_is_requested_after_it() {
+fn fast_stop_of_the_gripper_withdraws_no_query_or_later_request() {
     let mut rig = Rig::connected();
     rig.send(Command::GetForceLimit);
     rig.session.request(Command::GetTemperature).unwrap();
@@ -1180,7 +1180,7 @@ fn fast_stop_times(rig: &mut Rig, ms: u32) -> Vec<(u32, usize)> {
 }
 
 #[test]
-fn fast_stop_that_is_not_answered_goes_out_in_bursts_with_silence_between_them() {
+fn unanswered_fast_stop_is_sent_in_bursts_with_silence_between() {
     let mut rig = Rig::connected();
     rig.session.request(Command::FastStop).unwrap();
     assert_eq!(fast_stop_times(&mut rig, 1_900), [(0, 1), (30, 130), (630, 130), (1_230, 130), (1_830, 130)]);
@@ -1188,13 +1188,13 @@ fn fast_stop_that_is_not_answered_goes_out_in_bursts_with_silence_between_them()
 }
 
 #[test]
-fn burst_of_fast_stops_is_longer_than_the_longest_message_and_one_of_them() {
+fn fast_stop_burst_covers_the_longest_message_and_one_fast_stop() {
     let burst = usize::from(FastStopPattern::DEFAULT.burst_frames) * crate::frame::OVERHEAD;
     assert!(burst >= crate::frame::MAX_MESSAGE_LEN + crate::frame::OVERHEAD);
 }
 
 #[test]
-fn burst_of_fast_stops_ends_with_its_confirmation_and_queued_commands_continue() {
+fn confirmation_ends_the_fast_stop_burst_and_resumes_the_queue() {
     let mut rig = Rig::connected();
     rig.send(Command::FastStop);
     rig.session.request(Command::GetTemperature).unwrap();
@@ -1250,7 +1250,7 @@ fn query_overdue_during_a_fast_stop_is_repeated_right_after_it() {
 }
 
 #[test]
-fn line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it() {
+fn fast_stop_does_not_delay_the_detection_of_a_lost_line() {
     for fast_stop_at in [0, 100, 300, 500, 700] {
         let mut rig = Rig::connected();
         rig.pass(fast_stop_at);
@@ -1281,7 +1281,7 @@ fn acknowledgement_withdraws_earlier_requests() {
 }
 
 #[test]
-fn overtaken_setting_is_not_repeated_and_its_outcome_is_reported() {
+fn overtaken_setting_is_not_repeated_but_reported_unanswered() {
     for overtakes in [Command::Stop, Command::FastStop, Command::ACKNOWLEDGE] {
         let mut rig = Rig::connected();
         let force = Command::SetForceLimit { force: 40.0 };
@@ -1302,7 +1302,7 @@ fn overtaken_setting_is_not_repeated_and_its_outcome_is_reported() {
 }
 
 #[test]
-fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
+fn request_waits_until_no_second_answer_of_its_id_can_arrive() {
     let mut rig = Rig::connected();
     let [first, second] = [40.0, 10.0].map(|force| Command::SetForceLimit { force });
     rig.session.request(first).unwrap();
@@ -1323,7 +1323,7 @@ fn request_waits_until_no_second_answer_to_an_earlier_one_of_its_id_can_come() {
 }
 
 #[test]
-fn end_of_the_wait_for_a_second_answer_is_announced_only_if_a_request_waits_for_it() {
+fn second_answer_deadline_is_announced_only_if_a_request_waits() {
     let force = Command::SetForceLimit { force: 40.0 };
     let doubled = || {
         let mut rig = Rig::connected();
@@ -1348,7 +1348,7 @@ fn end_of_the_wait_for_a_second_answer_is_announced_only_if_a_request_waits_for_
 }
 
 #[test]
-fn setting_whose_repetition_was_due_when_it_was_overtaken_is_not_sent_again() {
+fn overtaken_setting_is_not_repeated_even_if_it_was_due() {
     let mut rig = Rig::connected();
     let force = Command::SetForceLimit { force: 40.0 };
     rig.send(force);

@@ -158,7 +158,7 @@ fn release_is_a_distance_from_the_last_requested_width() {
 }
 
 #[test]
-fn release_by_nothing_and_grip_at_the_width_that_is_are_no_step_the_other_way() {
+fn release_or_grip_at_the_current_width_makes_no_reverse_step() {
     let mut client = homed(20.0);
     let rig = client.rig();
     client.grip(Mm(20.0), MmPerS(100.0)).unwrap();
@@ -244,7 +244,7 @@ fn told<T>(rig: &TestRig, call: impl Future<Output = T>, answer: &[u8]) -> T {
 }
 
 #[test]
-fn end_of_a_motion_after_the_answer_to_a_setting_is_not_taken_for_its_answer() {
+fn motion_end_after_a_settings_answer_does_not_replace_it() {
     let mut client = Asynch::<Lines>::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     let Asynch { rig, gripper } = &mut client;
@@ -306,7 +306,7 @@ fn end_over_datagrams_cannot_be_announced() {
 }
 
 #[test]
-fn line_cut_by_a_full_buffer_is_completed_after_the_connection_is_lost_only_if_it_is_a_query() {
+fn only_a_cut_query_line_is_completed_after_a_disconnect() {
     for is_query in [true, false] {
         let mut client = Asynch::<Lines>::homed(Config::default());
         let rig = client.rig();

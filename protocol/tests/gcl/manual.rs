@@ -128,7 +128,7 @@ fn version_is_three_numbers_and_a_release_candidate_or_unknown() {
 }
 
 #[test]
-fn tag_is_written_under_its_name_and_understood_under_that_of_the_example() {
+fn tag_is_written_as_tag_and_also_understood_as_devtag() {
     let tag = Answer::Value(Value::Tag(DeviceTag::new("Meine Beschreibung").unwrap()));
     answer("TAG=\"Meine Beschreibung\"", tag);
     assert_eq!(Answer::parse(b"DEVTAG=\"Meine Beschreibung\""), Ok(tag));
@@ -141,7 +141,7 @@ fn tag_may_hold_quotation_marks_and_keeps_its_blanks_and_case() {
 }
 
 #[test]
-fn system_flags_of_chapter_3_1_5_stand_in_the_order_of_their_index() {
+fn system_flags_of_chapter_3_1_5_are_ordered_by_index() {
     request("SYSFLAGS?", Request::Sysflags(Select::All), "SYSFLAGS?");
     request("SYSFLAGS[12]?", Request::Sysflags(Select::One(12)), "SYSFLAGS[12]?");
     let flags = SystemFlags::REFERENCED | SystemFlags::FAST_STOP;
@@ -151,7 +151,7 @@ fn system_flags_of_chapter_3_1_5_stand_in_the_order_of_their_index() {
 }
 
 #[test]
-fn fewer_flags_than_the_manual_allows_are_understood_and_more_are_not() {
+fn up_to_32_system_flags_are_understood_and_more_are_refused() {
     let all = |flags| Ok(Answer::Value(Value::Sysflags(Selected::All(flags))));
     assert_eq!(Answer::parse(b"SYSFLAGS=[1,0,0]"), all(SystemFlags::REFERENCED));
     let zeros = |count| format!("SYSFLAGS=[{}]", vec!["0"; count].join(", "));

@@ -75,7 +75,7 @@ fn given_direction_resolves_an_ambiguous_frame() {
 }
 
 #[test]
-fn script_commands_are_named_and_their_answers_may_have_any_form() {
+fn script_commands_are_named_and_answers_may_have_any_form() {
     let frames = [reply(0xA0, &[1, 2]), reply(0xBF, &[]), reply(0x9F, &[])].concat();
     let to = shown(&frames, &["--direction", "to"]);
     for words in [
@@ -99,7 +99,7 @@ fn text_of_gcl() {
 }
 
 #[test]
-fn truncated_message_and_duplicated_frame_on_can_affect_only_their_own_messages() {
+fn truncated_or_duplicated_can_frame_affects_only_its_message() {
     let log = "(1.000000) can0 120#AAAAAA2508000000\n\
                (1.001000) can0 121#AAAAAA2502000000\n\
                (1.001100) can0 121#2287\n\

@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_dropped_between_sending_and_confirming_count_only_if_the_connection_breaks() {
+    fn samples_dropped_unconfirmed_count_only_if_connection_breaks() {
         let mut confirmed = store_of(2, 1..=2);
         sent_by(&mut confirmed);
         let mark = confirmed.mark();
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn found_and_lost_entries_take_no_capacity_and_end_with_the_connection() {
+    fn found_and_lost_entries_use_no_capacity_and_end_on_disconnect() {
         let mut store = store_of(2, []);
         store.push(Entry::Lost { device: 0 });
         store.push(sample(1));

@@ -14,7 +14,7 @@ fn assert_refused(arguments: &[&str], status: i32, expected: &str) {
 }
 
 #[test]
-fn invalid_command_line_is_rejected_and_names_the_expected_value() {
+fn invalid_command_line_is_rejected_with_the_expected_value() {
     for (arguments, expected) in [
         (&["192.168.1.20", "info"][..], "tcp://HOST"),
         (&["serial:/dev/ttyS9?rate=fast", "info"], "a rate in bit/s"),
@@ -84,7 +84,7 @@ fn line_that_cannot_be_opened_is_no_connection() {
 }
 
 #[test]
-fn errors_in_a_script_are_reported_with_their_lines_before_anything_is_sent() {
+fn script_errors_are_reported_by_line_before_anything_is_sent() {
     let script = Scratch::new("mistakes.wsg", "home # first\n# a comment\n\ngrip 20\ntag 'x\nmove 1 2 3\n");
     let ended = Program::run(&[CLOSED_PORT, "script", script.path()]);
     assert_eq!(ended.status, 2, "{ended:?}");
@@ -181,7 +181,7 @@ fn refused_finger_power_names_the_commands_that_explain_it() {
 }
 
 #[test]
-fn invalid_line_of_standard_input_is_reported_and_the_next_one_is_executed() {
+fn invalid_input_line_is_reported_and_the_next_one_is_executed() {
     let rig = TestRig::new(quick());
     let ended = Program::run_with_lines(&[&rig.tcp()], "dance\n'\nhelp grip\nstate\n");
     assert!(ended.stdout.ends_with("state IDLE\n") && ended.stdout.contains("--force"), "{ended:?}");

@@ -41,7 +41,7 @@ fn assert_check(ended: &Ended, check: &str, verdict: &str, text: &str) {
 }
 
 #[test]
-fn healthy_gripper_passes_every_check_over_each_line_and_is_unchanged() {
+fn healthy_gripper_passes_all_checks_on_each_line_unchanged() {
     let mut rig = homed(quick());
     let before = rig.flags();
     for address in [rig.tcp(), rig.gcl(), rig.serial(), rig.slcan(), rig.gcl_udp()] {
@@ -92,7 +92,7 @@ fn missing_device_and_unknown_host_are_unreachable() {
 }
 
 #[test]
-fn wrong_protocol_is_recognized_and_the_connection_ends_without_a_fast_stop() {
+fn wrong_protocol_is_recognized_and_leaves_no_fast_stop() {
     let mut rig = homed(quick());
     for (address, found) in [
         (rig.gcl().replace("gcl:", "tcp:"), "the text protocol (GCL), which is not"),
@@ -121,7 +121,7 @@ fn checksum_setting_is_found_either_way() {
 }
 
 #[test]
-fn unreferenced_gripper_is_usable_with_a_warning_and_is_not_homed() {
+fn unreferenced_gripper_is_usable_with_warning_and_not_homed() {
     let mut rig = TestRig::new(quick());
     let ended = doctor(&rig.tcp());
     assert_eq!(ended.status, 0, "{ended:?}");

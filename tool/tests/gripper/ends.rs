@@ -12,7 +12,7 @@ use crate::rig::{Program, TestRig, real};
 const SLOW: &str = "home\nmove 5 5\n";
 
 #[test]
-fn signals_in_mid_travel_stop_the_fingers_and_leave_no_fast_stop() {
+fn signals_in_mid_travel_stop_fingers_and_leave_no_fast_stop() {
     for (signal, status) in [(Signal::INT, 130), (Signal::TERM, 143), (Signal::HUP, 129)] {
         let mut rig = TestRig::new(real());
         let address = rig.tcp();

@@ -175,7 +175,7 @@ fn prompt_completes_shows_the_state_and_remembers() {
 }
 
 #[test]
-fn control_c_in_mid_travel_stops_the_fingers_and_returns_to_the_prompt() {
+fn control_c_in_mid_travel_stops_fingers_and_returns_to_prompt() {
     let mut rig = TestRig::new(real());
     let mut terminal = Terminal::homed(&rig);
     terminal.press(&format!("move 5 5{ENTER}"));

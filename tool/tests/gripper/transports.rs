@@ -30,7 +30,7 @@ fn commands_are_carried_out_over_gcl() {
 }
 
 #[test]
-fn limits_over_gcl_are_the_stroke_and_those_that_the_address_states() {
+fn gcl_limits_are_the_stroke_and_those_stated_in_the_address() {
     let rig = TestRig::new(quick());
     for address in [rig.gcl(), rig.gcl_udp()] {
         for (limits, command, refused) in [

@@ -71,7 +71,7 @@ fn serve(mut line: ServiceLine, faults: &Faults) {
 }
 
 #[test]
-fn bridge_and_its_gripper_are_reported_by_mosquitto_and_sparkplug_payload() {
+fn bridge_and_gripper_report_to_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }

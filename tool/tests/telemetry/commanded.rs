@@ -126,7 +126,7 @@ fn commanded<'a>(
 }
 
 #[test]
-fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_and_sparkplug_payload() {
+fn fingers_obey_only_valid_sparkplug_payload_over_mosquitto() {
     if !is_whole() {
         return;
     }
@@ -200,7 +200,7 @@ fn host_homes_grips_and_stops_and_nothing_else_moves_the_fingers_by_mosquitto_an
 }
 
 #[test]
-fn stop_ends_a_motion_during_which_values_are_reported_by_mosquitto_and_sparkplug_payload() {
+fn sparkplug_payload_stop_over_mosquitto_ends_a_reported_motion() {
     if !is_whole() {
         return;
     }
@@ -232,7 +232,7 @@ fn stop_ends_a_motion_during_which_values_are_reported_by_mosquitto_and_sparkplu
 }
 
 #[test]
-fn gripper_lost_during_a_motion_is_not_commanded_again_by_mosquitto_and_sparkplug_payload() {
+fn lost_gripper_gets_no_sparkplug_payload_again_over_mosquitto() {
     if !is_whole() {
         return;
     }

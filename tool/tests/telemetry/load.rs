@@ -148,7 +148,7 @@ fn cost(id: u32) -> (Duration, u64) {
 /// Prints the figures with `WSG_LOAD=1 cargo test --release -p wsg-tool --test telemetry five_hundred -- --nocapture`, as
 /// `cargo xtask ci` does. Do not run it in parallel with other tests: the virtual grippers need more than a core.
 #[test]
-fn five_hundred_grippers_at_10_hz_take_less_than_a_core_and_lose_nothing_on_mosquitto() {
+fn five_hundred_grippers_fit_a_core_losing_nothing_on_mosquitto() {
     if env::var_os("WSG_LOAD").is_none() {
         return;
     }

@@ -33,7 +33,7 @@ fn latest<'a>(messages: &'a [Value], birth: &Value, name: &str) -> Option<&'a Va
 
 #[test]
 #[ignore = "needs mosquitto and sparkplug_payload: run `cargo xtask test`"]
-fn births_data_and_deaths_reach_a_host_by_mosquitto_and_sparkplug_payload() {
+fn births_data_and_deaths_reach_mosquitto_and_sparkplug_payload() {
     let (folder, mut gripper) = (Folder::new(), Gripper::start());
     let broker = Broker::start(&folder);
     let host = Host::watch(&broker);
@@ -150,7 +150,7 @@ fn move_to_and_fro(gripper: &Gripper, moves: usize) {
 }
 
 #[test]
-fn outage_of_mosquitto_loses_nothing_within_the_store_by_sparkplug_payload() {
+fn mosquitto_outage_within_the_store_loses_no_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -197,7 +197,7 @@ fn outage_of_mosquitto_loses_nothing_within_the_store_by_sparkplug_payload() {
 }
 
 #[test]
-fn outage_of_mosquitto_beyond_the_store_is_counted_by_sparkplug_payload() {
+fn sparkplug_payload_counts_samples_lost_to_a_mosquitto_outage() {
     if !is_whole() {
         return;
     }
@@ -230,7 +230,7 @@ fn outage_of_mosquitto_beyond_the_store_is_counted_by_sparkplug_payload() {
 }
 
 #[test]
-fn killed_program_is_reported_by_its_will_and_bd_seq_continues_by_mosquitto_and_sparkplug_payload() {
+fn sparkplug_payload_will_on_mosquitto_keeps_bd_seq_after_kill() {
     if !is_whole() {
         return;
     }
@@ -250,7 +250,7 @@ fn killed_program_is_reported_by_its_will_and_bd_seq_continues_by_mosquitto_and_
 }
 
 #[test]
-fn rebirth_is_the_only_accepted_command_by_mosquitto_and_sparkplug_payload() {
+fn only_rebirth_is_accepted_via_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -283,7 +283,7 @@ fn rebirth_is_the_only_accepted_command_by_mosquitto_and_sparkplug_payload() {
 }
 
 #[test]
-fn udp_and_serial_grippers_are_read_by_mosquitto_and_sparkplug_payload() {
+fn udp_and_serial_lines_reach_mosquitto_and_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -320,7 +320,7 @@ fn udp_and_serial_grippers_are_read_by_mosquitto_and_sparkplug_payload() {
 }
 
 #[test]
-fn tls_accepts_only_a_certificate_signed_by_the_given_ca_by_mosquitto_and_sparkplug_payload() {
+fn tls_to_mosquitto_needs_the_given_ca_for_sparkplug_payload() {
     if !is_whole() {
         return;
     }
@@ -359,7 +359,7 @@ fn tls_accepts_only_a_certificate_signed_by_the_given_ca_by_mosquitto_and_sparkp
 }
 
 #[test]
-fn wrong_password_is_reported_in_one_line_and_the_right_one_is_accepted_by_mosquitto_and_sparkplug_payload() {
+fn wrong_mosquitto_password_is_reported_for_sparkplug_payload() {
     if !is_whole() {
         return;
     }

@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bitmap_has_70_by_40_pixels_and_16_colours_and_differs_by_its_lamp() {
+    fn bitmap_of_70_by_40_pixels_in_16_colours_differs_by_its_lamp() {
         let bitmap = gripper(Lamp::Green);
         let word = |at: usize| u32::from_le_bytes(bitmap[at..at + 4].try_into().unwrap()) as usize;
         assert_eq!((&bitmap[..2], word(2), bitmap.len()), (&b"BM"[..], LEN, LEN));

@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn an_indirect_call_may_reach_any_function_whose_address_is_taken() {
+    fn indirect_call_may_reach_any_function_whose_address_is_taken() {
         let mut caller = function("caller", 8, &[]);
         caller.is_indirect = true;
         let mut program = program(vec![

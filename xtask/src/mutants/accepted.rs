@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mutant_is_accepted_by_file_name_and_text_wherever_the_line_is_now() {
+    fn mutant_is_accepted_by_file_name_and_text_on_any_line() {
         let is_accepted = |mutant: &str, source| accepted(source).unwrap().reason(mutant).is_some();
         let source = "// new\nfn f\n  a | b\n  a | c\n";
 
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_is_refused_without_line_reason_or_source_or_if_its_line_is_gone() {
+    fn entry_is_refused_if_line_reason_or_source_is_missing_or_gone() {
         let refused = |text: &str| Accepted::parse(text, |_| Ok("a - b".to_owned())).unwrap_err().to_string();
         for head in ["x.rs: replace + with - -- why\n a - b", "x.rs:1: replace + with -\n a - b"] {
             assert!(refused(head).contains("not `FILE:LINE: NAME -- REASON`"), "{head}");

@@ -100,7 +100,7 @@ fn commands_of_the_readme_grip() {
 }
 
 #[test]
-fn examples_grip_twice_when_compiled_by_the_commands_in_their_comments() {
+fn examples_grip_twice_when_compiled_as_their_comments_state() {
     let root = unpacked("archive-examples", HOST);
     for (source, end) in
         [("posix.c", POSIX_END), ("cpp_host.cpp", "acknowledge: done\nmove: done\n"), ("host.c", HOST_END)]
@@ -190,7 +190,7 @@ fn archive_is_used_with_pkg_config() {
 }
 
 #[test]
-fn program_of_the_recorded_abi_grips_with_the_shared_library_which_is_named_after_it() {
+fn program_of_the_recorded_abi_grips_with_the_shared_library() {
     let root = unpacked("archive-shared", HOST);
     // Compiled with the recorded headers, whose include guards replace the present ones.
     let version = env!("CARGO_PKG_VERSION").rsplit_once('.').unwrap().0;
@@ -260,7 +260,7 @@ mod whole {
 
     #[test]
     #[ignore = "needs arm_none_eabi_gcc, QEMU and all targets: run `cargo xtask dist-c`"]
-    fn commands_of_the_readme_grip_on_the_emulated_board_by_arm_none_eabi_gcc() {
+    fn readme_commands_with_arm_none_eabi_gcc_grip_in_the_emulator() {
         let root = unpacked("archive-board", "");
         let simulator = commands(&root, "--log -").replace("11000", "0").replace("8080", "0");
         let mut simulator = start(&root, &simulator);
@@ -300,7 +300,7 @@ mod whole {
     /// The second library is the first one with other names. So it has the same objects of the Rust compiler.
     #[test]
     #[ignore = "needs arm_none_eabi_gcc and all targets: run `cargo xtask dist-c`"]
-    fn firmware_links_beside_another_rust_library_by_arm_none_eabi_gcc() {
+    fn arm_none_eabi_gcc_links_libwsg_beside_another_rust_library() {
         let root = unpacked("archive-two", "");
         let program = "#include \"wsg.h\"\nint32_t other_wsg_tick(wsg_t *, uint32_t);\nstatic wsg_t wsg;\n\
                        int start(void) { return (int)(wsg_tick(&wsg, 0) + other_wsg_tick(&wsg, 0)); }\n";

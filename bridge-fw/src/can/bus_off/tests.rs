@@ -11,7 +11,7 @@ fn pass(bus: &mut BusOff, from_ms: u32, ms: u32, is_off: bool) -> std::vec::Vec<
 }
 
 #[test]
-fn bus_is_left_at_once_recovered_after_the_delay_and_joined_with_the_controller() {
+fn bus_is_left_at_once_and_rejoined_after_delay_and_recovery() {
     let mut bus = BusOff::new(POLICY);
     assert_eq!(pass(&mut bus, 0, 1_000, false), []);
     assert_eq!(pass(&mut bus, 1_000, 300, true), [(1_000, Step::Leave), (1_100, Step::Recover)]);

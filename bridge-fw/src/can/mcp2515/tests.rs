@@ -228,7 +228,7 @@ fn gripper_id() -> u16 {
 }
 
 #[test]
-fn every_rate_of_the_settings_is_met_if_the_crystal_divides_to_it() {
+fn every_selectable_rate_is_met_if_the_crystal_divides_to_it() {
     // Prescaler, quanta before and after the sample point.
     let of = |crystal, rate| {
         BitTiming::for_rate(crystal, rate).map(|BitTiming { registers: [cnf3, cnf2, cnf1] }| {
@@ -258,7 +258,7 @@ fn every_rate_of_the_settings_is_met_if_the_crystal_divides_to_it() {
 }
 
 #[test]
-fn every_bit_of_an_identifier_and_the_length_pass_through_the_registers() {
+fn every_identifier_bit_and_the_length_pass_through_registers() {
     let standard = (0..11).map(|bit| Id::Standard(StandardId::new(1 << bit).unwrap()));
     let extended = (0..29).map(|bit| Id::Extended(ExtendedId::new(1 << bit).unwrap()));
     for (id, len) in standard.chain(extended).zip((0..=8).cycle()) {
@@ -271,7 +271,7 @@ fn every_bit_of_an_identifier_and_the_length_pass_through_the_registers() {
 }
 
 #[test]
-fn filters_accept_frames_for_the_bridge_and_reject_other_traffic() {
+fn filters_accept_frames_for_the_bridge_and_reject_others() {
     let (chip, _) = started();
     let id_at = |at: u8| u16::from(chip.at(at)) << 3 | u16::from(chip.at(at + 1) >> 5);
     let passes = |id: u16| {
@@ -441,7 +441,7 @@ fn restart_resets_the_order_of_the_buffers() {
 }
 
 #[test]
-fn identifiers_lengths_and_remote_frames_are_converted_both_ways() {
+fn identifiers_lengths_and_remote_frames_convert_both_ways() {
     let (chip, mut controller) = started();
     for (id, registers) in [
         (Id::Standard(standard(0x7A5)), [0xF4, 0xA0, 0, 0]),

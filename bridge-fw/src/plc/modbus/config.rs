@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn silences_at_the_slowest_and_fastest_rate_follow_the_specification() {
+    fn silences_at_the_slowest_and_fastest_rate_are_as_specified() {
         let timing = |baud, format| BusConfig { baud, format, ..BusConfig::DEFAULT }.timing();
         // 11 bits at 1200 bit/s are 9 167 us.
         let slow = timing(1_200, Format::Even1);

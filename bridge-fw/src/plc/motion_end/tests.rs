@@ -45,7 +45,7 @@ fn end_waits_for_at_most_10_ms() {
 }
 
 #[test]
-fn other_values_and_values_from_before_the_end_do_not_end_the_wait() {
+fn other_values_and_those_before_the_end_do_not_end_the_wait() {
     let mut end = MotionEnd::new();
     end.look(at(0), &RUNNING);
     end.see(&Event::Reported(Value::GetOpeningWidth(21.0)));

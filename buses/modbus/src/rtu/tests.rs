@@ -89,7 +89,7 @@ fn is_read_answer(answer: &[u8]) -> bool {
 }
 
 #[test]
-fn silences_follow_the_rate_up_to_19_200_bit_s_and_are_fixed_above() {
+fn silences_follow_the_rate_and_are_fixed_above_19_200_bit_s() {
     for (baud, bits, t1_5_us, t3_5_us) in [
         (9_600, 10, 1_563, 3_646),
         (19_200, 11, 860, 2_006),
@@ -115,7 +115,7 @@ fn request_is_answered_after_3_5_characters_of_silence() {
 }
 
 #[test]
-fn request_in_two_pieces_is_one_up_to_1_5_characters_of_silence_wherever_it_is_cut() {
+fn request_cut_anywhere_is_one_up_to_1_5_characters_of_silence() {
     let request = frame(UNIT, &READ);
     for cut in 1..request.len() {
         for (silence_us, strict) in [(TIMING.t1_5_us, 1), (TIMING.t1_5_us + 1, 0), (TIMING.t3_5_us - 1, 0)] {
@@ -154,7 +154,7 @@ fn tolerant_mode_waits_for_the_rest_of_a_request_for_this_unit() {
 }
 
 #[test]
-fn tolerant_mode_waits_for_the_rest_of_every_function_known_or_not() {
+fn tolerant_mode_waits_for_the_rest_of_unknown_functions_too() {
     // Device identification is the shortest known request, Mask Write Register the longest of a fixed length.
     for pdu in [&[0x41][..], &[43, 14, 1, 0], &READ, &[22, 0, 0, 0xFF, 0xFF, 0, 0]] {
         let answer = Bus::new(TOLERANT).ask(UNIT, pdu);
@@ -172,7 +172,7 @@ fn tolerant_mode_waits_for_the_rest_of_every_function_known_or_not() {
 }
 
 #[test]
-fn tolerant_mode_does_not_wait_after_a_complete_request_with_a_wrong_checksum() {
+fn tolerant_mode_does_not_wait_if_only_the_checksum_is_wrong() {
     let requests = [
         &[0x41][..],
         &[43, 14, 1, 0],
@@ -192,7 +192,7 @@ fn tolerant_mode_does_not_wait_after_a_complete_request_with_a_wrong_checksum() 
 }
 
 #[test]
-fn receiver_with_a_new_unit_waits_for_the_rest_of_requests_for_that_unit() {
+fn receiver_with_a_new_unit_waits_for_the_rest_of_its_requests() {
     let pdu: &[u8] = &[3, 0, 0, 0, 1];
     for (unit, is_waited_for) in [(UNIT + 1, true), (UNIT, false)] {
         let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
@@ -205,7 +205,7 @@ fn receiver_with_a_new_unit_waits_for_the_rest_of_requests_for_that_unit() {
 }
 
 #[test]
-fn character_damaged_after_an_allowed_silence_is_reported_as_damaged() {
+fn damage_after_an_allowed_silence_is_reported_as_damage() {
     let mut receiver = Receiver::new(UNIT, Mode::Strict, TIMING);
     receiver.push(Character::Byte(UNIT), 0);
     receiver.push(Character::Damaged, TIMING.t1_5_us);
@@ -224,7 +224,7 @@ fn two_bytes_are_no_frame_even_with_a_valid_checksum() {
 }
 
 #[test]
-fn tolerant_mode_does_not_join_a_truncated_frame_for_another_unit_to_the_next() {
+fn truncated_frame_for_another_unit_is_not_joined_to_the_next() {
     let mut bus = Bus::new(TOLERANT);
     bus.send(&frame(UNIT + 1, &READ)[..5]);
     bus.send_after(TIMING.t3_5_us, &frame(UNIT, &READ));
@@ -395,7 +395,7 @@ fn noise_around_a_request_is_no_stray() {
 }
 
 #[test]
-fn damaged_address_is_no_broadcast_and_damage_inside_a_request_counts() {
+fn damaged_address_is_no_broadcast_and_damage_inside_counts() {
     for (unit, pdu) in [(BROADCAST, &[6, 0, 1, 0, 7][..]), (UNIT, &READ)] {
         let request = frame(unit, pdu);
         for at in 0..request.len() {
@@ -629,7 +629,7 @@ fn new_unit_applies_from_the_next_frame_on() {
 }
 
 #[test]
-fn frame_longer_than_the_buffer_is_rejected_despite_a_valid_checksum() {
+fn frame_beyond_the_buffer_is_rejected_despite_a_valid_checksum() {
     // The first 256 bytes are a valid frame, and one more byte follows.
     let mut long = frame(UNIT, &[&[8, 0, 0][..], &[7; 250]].concat());
     long.push(0);
@@ -640,7 +640,7 @@ fn frame_longer_than_the_buffer_is_rejected_despite_a_valid_checksum() {
 }
 
 #[test]
-fn every_function_at_every_length_is_answered_with_a_complete_frame_or_not_at_all() {
+fn every_function_and_length_gets_a_complete_answer_or_none() {
     let mut bus = Bus::new(STRICT);
     for code in (0..=255u8).filter(|code| *code != Function::Diagnostics.code()) {
         for len in 0..=260usize {

@@ -56,7 +56,7 @@ fn consecutive_frames_are_all_found_in_order() {
 }
 
 #[test]
-fn frame_of_another_protocol_is_discarded_and_the_next_one_is_found() {
+fn frame_of_another_protocol_is_discarded_and_the_next_found() {
     let stream = [frame(1, 0x0100, 1, &[6, 0, 0, 1, 0x20]), frame(2, 0, 1, &[7])].concat();
     assert_eq!(whole(&stream), [Seen::Foreign(12), Seen::Request(2, 1, vec![7])]);
 }

@@ -12,7 +12,7 @@ fn run(search: &mut BaudSearch, times_ms: core::ops::Range<u32>, telegrams: u32)
 }
 
 #[test]
-fn search_listens_as_long_as_an_idle_master_takes_to_poll_its_gap() {
+fn search_listens_for_the_gap_polling_time_of_an_idle_master() {
     let mut search = BaudSearch::new(&PORT, 0);
     assert_eq!(search.baud(), Some(Baud::K9_6));
     // 10 000 bit times and 100 ms: 1142, 120 and 107 ms.

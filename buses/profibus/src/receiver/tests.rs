@@ -89,7 +89,7 @@ fn any_wrong_bit_invalidates_a_telegram_but_not_the_next_one() {
 }
 
 #[test]
-fn damaged_character_invalidates_everything_up_to_the_next_silence() {
+fn damaged_character_invalidates_all_until_the_next_silence() {
     let (mut receiver, mut found) = (Receiver::new(), Found::default());
     let bytes = |telegram: &[u8]| telegram.iter().map(|byte| Character::Byte(*byte)).collect::<Vec<_>>();
     push(&mut receiver, &mut found, Character::Byte(STATUS[0]), SYNC_BITS);
@@ -158,7 +158,7 @@ fn strays_inside_a_telegram_invalidate_it() {
 }
 
 #[test]
-fn silence_inside_a_telegram_ends_it_but_a_shorter_pause_does_not() {
+fn silence_inside_a_telegram_ends_it_but_a_short_pause_does_not() {
     for at in 1..STATUS.len() {
         for (silence_bits, expected) in [(SYNC_BITS - 1, 1), (SYNC_BITS, 0), (u32::MAX, 0)] {
             let (mut receiver, mut found) = (Receiver::new(), Found::default());

@@ -271,7 +271,7 @@ fn second_master_is_rejected_but_may_read() {
 }
 
 #[test]
-fn inputs_and_outputs_are_read_in_data_exchange_only_and_the_configuration_always() {
+fn io_is_readable_only_in_exchange_and_configuration_always() {
     let mut bus = Bus::new(&PROFILE);
     for _ in 0..2 {
         assert_eq!(bus.ask(RD_INP, &[]), (no_service(MASTER), None));
@@ -358,7 +358,7 @@ fn repeated_request_gets_the_same_answer_without_effect() {
 }
 
 #[test]
-fn stored_answer_survives_fdl_status_tokens_broadcasts_and_requests_to_others() {
+fn stored_answer_survives_fdl_status_and_unrelated_telegrams() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
     let telegram = sd3(MASTER, function_code, OUT);
@@ -374,7 +374,7 @@ fn stored_answer_survives_fdl_status_tokens_broadcasts_and_requests_to_others() 
 }
 
 #[test]
-fn another_master_another_service_or_a_first_request_is_no_repetition() {
+fn other_master_other_service_or_first_request_is_no_repetition() {
     let mut bus = Bus::exchanging(&PROFILE);
     let function_code = bus.next();
     assert_eq!(bus.send(&sd3(MASTER, function_code, OUT)).1, Some(Event::Outputs));
@@ -522,7 +522,7 @@ fn wrong_parameters_are_acknowledged_rejected_and_reported() {
 }
 
 #[test]
-fn parameters_of_dp_v1_masters_are_accepted_without_dp_v1_requests() {
+fn dp_v1_master_parameters_are_accepted_without_dp_v1_requests() {
     let parameters = |status_1| [&PARAMETERS[..], &[status_1, 0, 0]].concat();
     Bus::new(&PLAIN).start(&parameters(0));
     Bus::new(&PROFILE).start(&parameters(0));
@@ -617,7 +617,7 @@ fn clear_sets_the_outputs_to_0_until_the_next_data_exchange() {
 }
 
 #[test]
-fn data_exchange_without_data_clears_the_outputs_only_with_fail_safe() {
+fn empty_data_exchange_clears_the_outputs_only_with_fail_safe() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.exchange(OUT);
     let function_code = bus.next();
@@ -645,7 +645,7 @@ fn global_control_applies_to_all_or_to_the_selected_groups() {
 }
 
 #[test]
-fn global_control_is_accepted_only_in_data_exchange_and_for_this_station() {
+fn global_control_acts_only_in_data_exchange_on_this_station() {
     let mut bus = Bus::new(&PROFILE);
     assert_eq!(bus.control(0x02, 0), None);
     bus.ask(SET_PRM, &PARAMETERS);
@@ -749,7 +749,7 @@ fn modes_end_with_data_exchange() {
 }
 
 #[test]
-fn announced_diagnosis_has_high_priority_until_the_master_has_read_it() {
+fn announced_diagnosis_has_high_priority_until_master_reads_it() {
     let mut bus = Bus::exchanging(&PROFILE);
     bus.slave.show_diagnosis(&[4, 0x10, 0, 0], true);
     assert_eq!(bus.exchange(OUT).0, inputs_answer(0x08, INPUTS), "not announced yet");
@@ -818,7 +818,7 @@ fn invalid_address_changes_are_rejected() {
 }
 
 #[test]
-fn slave_without_inputs_acknowledges_and_still_announces_its_diagnosis() {
+fn slave_without_inputs_acknowledges_and_announces_diagnosis() {
     static OUTPUTS_ONLY: Profile = Profile { config: &[0x20], ..PROFILE };
     let mut slave = Slave::<1, 0, 0>::new(&OUTPUTS_ONLY, ADDRESS);
     assert_eq!(answer_of(&mut slave, &service(MASTER, FIRST, SET_PRM, &PARAMETERS)), SC);

@@ -56,7 +56,7 @@ fn profile_beyond_a_limit_fits_nothing() {
 }
 
 #[test]
-fn data_in_one_direction_has_its_status_there_and_the_consumers_in_the_other() {
+fn provider_status_accompanies_data_and_consumer_status_returns() {
     for ((input_len, output_len), lens) in
         [((3, 2), (5, 4)), ((12, 0), (13, 1)), ((0, 8), (1, 9)), ((0, 0), (1, 1))]
     {

@@ -50,7 +50,7 @@ impl Plc {
 }
 
 #[test]
-fn motion_that_a_third_party_stops_ends_in_idle_and_the_next_one_begins() {
+fn third_party_stop_ends_a_motion_in_idle_and_the_next_begins() {
     for (flag, id) in MOTIONS {
         for state_first in [false, true] {
             let mut plc = Plc::in_motion(flag, id);
@@ -105,7 +105,7 @@ const REFUSALS: [(Refuse, Status); 4] = [
 ];
 
 #[test]
-fn refused_motion_shows_error_until_the_gripper_reports_another_state() {
+fn refused_motion_shows_error_until_another_state_is_reported() {
     for (refuse, status) in REFUSALS {
         for before in [GripperState::Idle, GripperState::NoPart] {
             let mut plc = Plc::ready();
@@ -123,7 +123,7 @@ fn refused_motion_shows_error_until_the_gripper_reports_another_state() {
 
 /// A gripper that reports changes only does not repeat its state first.
 #[test]
-fn first_report_after_a_refusal_ends_error_if_it_is_another_state() {
+fn first_report_of_another_state_after_a_refusal_ends_error() {
     use GripperState::{Holding, Idle, NoPart, PartLost, Positioning};
     for (refuse, status) in REFUSALS {
         for (before, after) in
@@ -154,7 +154,7 @@ fn acknowledgement_hides_no_state_that_a_third_party_has_caused() {
 
 /// A third party acknowledges the gripper's own FAST STOP before the answer to the force limit.
 #[test]
-fn motion_that_awaits_its_force_limit_does_not_start_after_a_fast_stop() {
+fn motion_awaiting_its_force_limit_never_starts_after_fast_stop() {
     for flag in [CommandFlags::GRIP, CommandFlags::JOG_PLUS] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(flag), [Command::SetForceLimit { force: 40.0 }]);
@@ -168,7 +168,7 @@ fn motion_that_awaits_its_force_limit_does_not_start_after_a_fast_stop() {
 }
 
 #[test]
-fn motion_that_the_session_has_not_fetched_does_not_start_after_a_fast_stop() {
+fn unfetched_motion_does_not_start_after_a_fast_stop() {
     for flag in [CommandFlags::GRIP, CommandFlags::JOG_PLUS] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(flag), [Command::SetForceLimit { force: 40.0 }]);
@@ -194,7 +194,7 @@ fn motion_without_an_answer_in_fast_stop_leaves_no_error() {
 }
 
 #[test]
-fn stop_hides_no_error_that_the_gripper_reports_before_its_answer() {
+fn stop_hides_no_error_reported_before_its_answer() {
     for (state, shown) in [
         (GripperState::Error, GripperFlags::ERROR),
         (GripperState::PartLost, GripperFlags::IDLE),
@@ -209,7 +209,7 @@ fn stop_hides_no_error_that_the_gripper_reports_before_its_answer() {
 }
 
 #[test]
-fn motion_refused_because_a_third_party_moves_the_fingers_shows_their_motion() {
+fn motion_refused_for_a_third_party_motion_shows_that_motion() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::MOVE);
     plc.answer(CommandId::PrePosition, Status::AlreadyRunning);
@@ -219,7 +219,7 @@ fn motion_refused_because_a_third_party_moves_the_fingers_shows_their_motion() {
 
 /// The reports from before the next rest may belong to the motion itself.
 #[test]
-fn motion_of_unknown_outcome_shows_error_until_a_later_motion_or_a_result_is_reported() {
+fn unknown_outcome_shows_error_until_a_later_motion_or_result() {
     let unknown = || {
         let mut plc = Plc::in_motion(CommandFlags::RELEASE, CommandId::ReleasePart);
         plc.controller.handle(&Event::Unanswered(CommandId::ReleasePart), &plc.known);
@@ -247,7 +247,7 @@ fn motion_of_unknown_outcome_shows_error_until_a_later_motion_or_a_result_is_rep
 
 /// Then a motion that is reported later is another party's.
 #[test]
-fn motion_whose_fingers_are_known_to_stand_leaves_no_doubt_when_its_answer_is_missing() {
+fn missing_answer_leaves_no_doubt_if_fingers_are_known_to_stand() {
     let mut plc = Plc::in_motion(CommandFlags::RELEASE, CommandId::ReleasePart);
     plc.report_flags(SystemFlags::REFERENCED);
     plc.report(GripperState::Idle);
@@ -258,7 +258,7 @@ fn motion_whose_fingers_are_known_to_stand_leaves_no_doubt_when_its_answer_is_mi
 }
 
 #[test]
-fn failure_does_not_reappear_after_a_fast_stop_that_third_parties_request_and_acknowledge() {
+fn old_failure_does_not_reappear_after_a_third_party_fast_stop() {
     let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
     plc.answer(CommandId::PrePosition, Status::AxisBlocked);
     plc.report(GripperState::Error);
@@ -272,7 +272,7 @@ fn failure_does_not_reappear_after_a_fast_stop_that_third_parties_request_and_ac
 }
 
 #[test]
-fn end_of_a_motion_does_not_wait_for_the_motion_that_a_third_party_starts_next() {
+fn end_of_a_motion_does_not_await_the_next_third_party_motion() {
     for status in [Status::Success, Status::CmdAborted] {
         let mut plc = Plc::in_motion(CommandFlags::MOVE, CommandId::PrePosition);
         plc.answer(CommandId::PrePosition, status);
@@ -295,7 +295,7 @@ fn motion_that_a_fault_of_the_gripper_aborts_shows_the_error() {
 }
 
 #[test]
-fn jog_that_a_third_party_stops_or_that_fails_ends_in_idle_also_after_a_reconnect() {
+fn jog_failed_or_stopped_by_others_stays_idle_after_a_reconnect() {
     for (status, state) in
         [(Status::CmdAborted, GripperState::Idle), (Status::AxisBlocked, GripperState::Error)]
     {

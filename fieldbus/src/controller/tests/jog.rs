@@ -31,7 +31,7 @@ impl Plc {
 }
 
 #[test]
-fn jog_moves_to_the_end_of_the_stroke_while_its_flag_is_1_and_stops_when_it_goes() {
+fn jog_runs_to_the_stroke_end_and_stops_when_its_flag_clears() {
     for (flag, command) in [(CommandFlags::JOG_PLUS, PLUS), (CommandFlags::JOG_MINUS, MINUS)] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(flag), [FORCE], "the force limit comes first");
@@ -47,7 +47,7 @@ fn jog_moves_to_the_end_of_the_stroke_while_its_flag_is_1_and_stops_when_it_goes
 }
 
 #[test]
-fn jog_that_reaches_the_end_is_idle_and_waits_for_the_flag_to_go() {
+fn jog_that_reaches_the_end_is_idle_and_needs_a_new_edge() {
     let mut plc = Plc::jogging();
     plc.report_flags(SystemFlags::REFERENCED);
     assert_eq!(plc.answer(CommandId::PrePosition, Status::Success), []);
@@ -90,7 +90,7 @@ impl Plc {
 
 /// Fieldbus, 6.7; command set, 3.3.5.
 #[test]
-fn jog_of_a_gripper_with_soft_limits_runs_to_the_limit_in_its_direction() {
+fn jog_runs_to_the_soft_limit_in_its_direction() {
     for (flag, limit) in [(CommandFlags::JOG_PLUS, 80.0), (CommandFlags::JOG_MINUS, 30.0)] {
         let mut plc = Plc::jogging_into_soft_limits(flag);
         assert_eq!(plc.answer_soft_limits(), [jog(limit, 50.0)]);
@@ -110,7 +110,7 @@ fn jog_of_a_gripper_with_soft_limits_runs_to_the_limit_in_its_direction() {
 }
 
 #[test]
-fn jog_at_a_soft_limit_or_beyond_it_moves_nothing_and_shows_e_range_error() {
+fn jog_at_or_beyond_a_soft_limit_is_refused_with_e_range_error() {
     let (plus, minus) = (CommandFlags::JOG_PLUS, CommandFlags::JOG_MINUS);
     for (flag, width) in [(plus, 80.0), (plus, 81.0), (minus, 30.0), (minus, 29.0)] {
         let mut plc = Plc::jogging_into_soft_limits(flag);
@@ -124,7 +124,7 @@ fn jog_at_a_soft_limit_or_beyond_it_moves_nothing_and_shows_e_range_error() {
 
 /// Places the fingers outside each limit in turn, where only the way back is permitted (command set, 3.3.5).
 #[test]
-fn jog_beyond_a_known_soft_limit_never_moves_the_fingers_the_other_way() {
+fn jog_beyond_a_known_soft_limit_never_reverses_the_fingers() {
     let outside = [
         (CommandFlags::JOG_MINUS, CommandFlags::JOG_PLUS, 100.0),
         (CommandFlags::JOG_PLUS, CommandFlags::JOG_MINUS, 10.0),
@@ -154,7 +154,7 @@ fn jog_whose_soft_limits_do_not_help_ends_with_e_range_error() {
 }
 
 #[test]
-fn jog_flag_that_goes_while_soft_limits_are_queried_moves_nothing() {
+fn jog_flag_cleared_during_a_soft_limit_query_moves_nothing() {
     let mut plc = Plc::jogging_into_soft_limits(CommandFlags::JOG_PLUS);
     assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
     assert_eq!(plc.answer_soft_limits(), []);
@@ -175,7 +175,7 @@ fn both_jog_flags_stop_and_the_remaining_one_continues() {
 
 /// The answer to the jog may have been lost, or follow. The flag is 1 all the time.
 #[test]
-fn acknowledgement_of_the_grippers_own_fast_stop_ends_a_jog_for_good() {
+fn acknowledging_the_grippers_fast_stop_ends_a_jog_for_good() {
     for answers in [false, true] {
         let mut plc = Plc::jogging();
         plc.report_flags(SystemFlags::REFERENCED | SystemFlags::FAST_STOP);
@@ -201,7 +201,7 @@ fn stop_after_a_failed_jog_acknowledges_too() {
 }
 
 #[test]
-fn error_reported_after_a_failed_jog_is_hidden_until_the_next_command() {
+fn failed_jog_hides_the_reported_error_until_the_next_motion() {
     let mut plc = Plc::ready();
     let commands = plc.raise(CommandFlags::JOG_PLUS);
     assert_eq!(commands.len(), 1);
@@ -270,7 +270,7 @@ fn jog_waits_for_both_answers_before_it_continues() {
 }
 
 #[test]
-fn jog_that_is_stopped_twice_still_waits_for_the_answer_of_its_motion() {
+fn jog_stopped_twice_still_awaits_the_answer_to_its_motion() {
     let mut plc = Plc::jogging();
     plc.report_flags(SystemFlags::REFERENCED);
     assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
@@ -284,7 +284,7 @@ fn jog_that_is_stopped_twice_still_waits_for_the_answer_of_its_motion() {
 }
 
 #[test]
-fn stop_of_a_jog_that_succeeds_is_no_fast_stop_although_the_report_of_the_state_is_older() {
+fn successful_jog_stop_is_no_fast_stop_despite_an_older_state() {
     let mut plc = Plc::jogging();
     plc.report(GripperState::Positioning);
     plc.lower(CommandFlags::JOG_PLUS);
@@ -295,7 +295,7 @@ fn stop_of_a_jog_that_succeeds_is_no_fast_stop_although_the_report_of_the_state_
 }
 
 #[test]
-fn stop_of_a_jog_that_fails_while_the_fingers_stand_is_no_fast_stop() {
+fn failed_jog_stop_is_no_fast_stop_if_the_fingers_stand() {
     let mut plc = Plc::jogging();
     plc.lower(CommandFlags::JOG_PLUS);
     plc.report_flags(SystemFlags::REFERENCED);
@@ -322,7 +322,7 @@ fn jog_at_speed_0_runs_at_the_least_speed() {
 }
 
 #[test]
-fn jog_outside_the_limits_is_a_fast_stop_at_its_begin_and_on_its_way() {
+fn jog_outside_the_limits_fast_stops_at_start_and_in_motion() {
     type Change = fn(&mut OutputImage);
     // Changes, and the value to report: the speed, or with a speed inside the limits the force limit.
     let changes: [(Change, u16); 5] = [
@@ -378,7 +378,7 @@ fn jog_that_stop_or_fast_stop_ended_waits_until_its_flag_was_0() {
 }
 
 #[test]
-fn jog_flag_that_rises_beside_stop_or_fast_stop_starts_nothing_when_that_goes() {
+fn jog_flag_set_during_stop_or_fast_stop_starts_nothing_later() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::STOP_ACK), [Command::Stop]);
     plc.answer(CommandId::Stop, Status::Success);
@@ -407,7 +407,7 @@ fn jog_flag_that_rises_beside_stop_or_fast_stop_starts_nothing_when_that_goes() 
 }
 
 #[test]
-fn jog_is_refused_without_a_connection_in_fast_stop_and_while_a_part_is_held() {
+fn jog_is_refused_when_disconnected_fast_stopped_or_holding() {
     let mut plc = Plc::ready();
     plc.disconnect();
     assert_eq!(plc.raise(CommandFlags::JOG_PLUS), []);
@@ -454,7 +454,7 @@ fn motion_during_a_jog_is_refused_and_the_jog_continues() {
 }
 
 #[test]
-fn jog_flag_that_goes_while_the_force_limit_is_set_moves_nothing() {
+fn jog_flag_cleared_while_setting_force_limit_moves_nothing() {
     let mut plc = Plc::ready();
     assert_eq!(plc.raise(CommandFlags::JOG_PLUS), [FORCE]);
     assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
@@ -464,7 +464,7 @@ fn jog_flag_that_goes_while_the_force_limit_is_set_moves_nothing() {
 }
 
 #[test]
-fn jog_flag_that_goes_before_its_motion_was_fetched_moves_nothing() {
+fn jog_flag_cleared_before_its_motion_is_fetched_moves_nothing() {
     let mut plc = Plc::ready();
     plc.raise(CommandFlags::JOG_PLUS);
     let success = Reply::status_only(CommandId::SetForceLimit, Status::Success);
@@ -475,7 +475,7 @@ fn jog_flag_that_goes_before_its_motion_was_fetched_moves_nothing() {
 }
 
 #[test]
-fn jog_flag_that_goes_while_the_end_is_held_back_ends_all_the_same() {
+fn jog_still_ends_if_its_flag_clears_while_the_end_is_held_back() {
     let mut plc = Plc::jogging();
     plc.answer(CommandId::PrePosition, Status::Success);
     assert_eq!(plc.lower(CommandFlags::JOG_PLUS), [Command::Stop]);
@@ -502,7 +502,7 @@ fn connection_lost_during_a_jog_queues_a_fast_stop() {
 }
 
 #[test]
-fn jog_whose_result_is_lost_but_whose_fingers_stand_needs_no_fast_stop() {
+fn jog_with_lost_result_needs_no_fast_stop_if_fingers_stand() {
     let mut plc = Plc::jogging();
     plc.report_flags(SystemFlags::REFERENCED);
     plc.controller.handle(&Event::Unanswered(CommandId::PrePosition), &plc.known);
@@ -511,7 +511,7 @@ fn jog_whose_result_is_lost_but_whose_fingers_stand_needs_no_fast_stop() {
 }
 
 #[test]
-fn stop_of_a_jog_that_the_gripper_or_the_session_refuses_becomes_a_fast_stop() {
+fn jog_stop_refused_by_gripper_or_session_becomes_a_fast_stop() {
     let mut plc = Plc::jogging();
     plc.lower(CommandFlags::JOG_PLUS);
     assert_eq!(plc.answer(CommandId::Stop, Status::CmdFailed), [Command::FastStop]);
@@ -578,7 +578,7 @@ fn user_flags_go_both_ways() {
 }
 
 #[test]
-fn silence_of_the_plc_during_a_disconnect_queues_a_fast_stop_for_fingers_that_may_move() {
+fn plc_silence_in_a_disconnect_fast_stops_fingers_that_may_move() {
     for ends in [false, true] {
         let mut plc = Plc::ready();
         assert_eq!(plc.raise(CommandFlags::MOVE).len(), 1);
@@ -600,7 +600,7 @@ fn silence_of_the_plc_during_a_disconnect_queues_a_fast_stop_for_fingers_that_ma
 
 /// FASTSTOP has priority over all other commands (fieldbus, 6.6), and its end starts no motion.
 #[test]
-fn jog_flag_set_before_a_fast_stop_has_no_effect_after_any_acknowledgement() {
+fn jog_flag_set_before_fast_stop_starts_nothing_after_it_ends() {
     type Begin = fn() -> Plc;
     let of_a_parameter: Begin = || {
         let mut plc = Plc::jogging();

@@ -81,7 +81,7 @@ fn sent(bus: &CanBus<Mcp2515>) -> Vec<(Id, u8)> {
 }
 
 #[test]
-fn a_waiting_frame_is_withdrawn_at_once_and_others_are_sent_once() {
+fn waiting_frame_is_withdrawn_at_once_and_others_are_sent_once() {
     let (bus, station, mut driver) = started();
     station.send(WireFrame::standard(0x001, &[0; 8]));
     bus.pass(BEGUN);
@@ -102,7 +102,7 @@ fn a_waiting_frame_is_withdrawn_at_once_and_others_are_sent_once() {
 }
 
 #[test]
-fn a_frame_in_transmission_is_undecided_until_its_acknowledgement() {
+fn frame_in_transmission_is_undecided_until_acknowledgement() {
     for (fault, outcome) in [(Fault::None, Withdrawal::TooLate), (Fault::Cut, Withdrawal::Withdrawn)] {
         let (bus, _station, mut driver) = started();
         // The result of an earlier frame must not be mistaken for this one's.
@@ -146,7 +146,7 @@ fn another_frame_in_transmission_is_not_sent_twice() {
 }
 
 #[test]
-fn withdrawal_that_bus_off_interrupts_does_not_keep_the_chip_silent() {
+fn withdrawal_interrupted_by_bus_off_does_not_silence_the_chip() {
     let (bus, _station, mut driver) = started();
     assert!(give(&mut driver, gripper(), 1));
     bus.pass(BEGUN);

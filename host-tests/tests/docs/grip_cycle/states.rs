@@ -190,6 +190,6 @@ fn next_states(seen: &BTreeSet<Transition>) -> String {
 }
 
 #[test]
-fn states_in_the_document_follow_one_another_as_they_were_seen_to() {
+fn documented_states_follow_one_another_as_recorded() {
     hold("docs/grip-cycle.md", "states", &next_states(&record()));
 }

@@ -26,7 +26,7 @@ fn field(register: u32, at: u32, bits: u32) -> u32 {
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn lines_run_at_their_rates_and_the_driver_is_enabled_around_each_frame() {
+fn lines_run_at_their_rates_and_each_frame_enables_the_driver() {
     let board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
     let read = |address| board.readl(address).unwrap();
 

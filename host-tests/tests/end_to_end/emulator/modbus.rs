@@ -108,7 +108,7 @@ fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
     assert_eq!(motions(&plant.rig.trace().since(0)), expected);
 }
 
-fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence(board: Board) {
+fn jog_over_the_bus_stops_with_its_flag_or_a_silent_master(board: Board) {
     // The bridge stops the jog a second of board time after the last request. On a busy host, the board's clock may run far
     // slower than the gripper's, so the gripper is slow, too.
     let slow = Config { time_scale: 0.1, homing_speed: Some(300.0), ..Config::default() };
@@ -131,7 +131,7 @@ fn jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_maste
     assert!(input[3] < 100_00, "{input:?}");
 }
 
-fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered(board: Board) {
+fn foreign_or_broken_frames_move_nothing_and_cost_no_request(board: Board) {
     let mut plant = Plant::start(board, quick());
     // HOMING, a motion, for this unit and for another.
     let homing = |unit: u8| Master::frame(unit, &[6, 0, 0, 1 << HOMING, 0]);
@@ -170,7 +170,7 @@ fn noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_
     assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing]);
 }
 
-fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(board: Board) {
+fn disturbed_bus_yields_no_wrong_value_and_no_stuck_line(board: Board) {
     let requests = extent::of(10_000);
     let mut plant = Plant::start(board, quick());
     // Damage one byte in ten thousand in each direction, by a generator with a fixed seed (xorshift).
@@ -204,7 +204,7 @@ fn requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line(boa
 
 on_both_boards!(
     grip_cycles_over_the_bus_of_the_emulated_board,
-    jog_over_the_bus_of_the_emulated_board_stops_with_its_flag_and_with_the_masters_silence,
-    noise_foreign_halved_and_glued_frames_move_nothing_and_requests_between_them_are_answered,
-    requests_over_a_disturbed_bus_read_no_wrong_value_and_leave_no_stuck_line,
+    jog_over_the_bus_stops_with_its_flag_or_a_silent_master,
+    foreign_or_broken_frames_move_nothing_and_cost_no_request,
+    disturbed_bus_yields_no_wrong_value_and_no_stuck_line,
 );

@@ -34,7 +34,7 @@ fn write(master: &mut Master, address: u16, value: u16) {
 
 #[test]
 #[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
-fn each_input_wire_reaches_its_pin_and_is_low_when_broken_in_rp2040js() {
+fn input_wire_reaches_its_pin_and_is_low_if_broken_in_rp2040js() {
     let board = Emulator::start(&image()).unwrap();
     let levels = || -> Inputs {
         let pins = board.readl(GPIO_IN).unwrap();

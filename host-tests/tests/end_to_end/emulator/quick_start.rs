@@ -71,7 +71,7 @@ fn receives(master: &Station, wanted: &WireFrame) {
 
 #[test]
 #[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
-fn mbpoll_commands_and_frames_of_the_quick_start_lead_from_the_delivered_settings_to_a_grip() {
+fn mbpoll_commands_and_frames_of_the_quick_start_lead_to_a_grip() {
     let text = read(DOCUMENT);
     let (before, after) =
         text.split_once("\n## 7. ").expect("docs/quick-start.md must have a step 7, with the power cycle");

@@ -46,7 +46,7 @@ fn reads_and_sets(board: Emulator, plc_bus: &str) {
     assert_eq!(motions(&rig.trace().since(0)), [], "{plc_bus}");
 }
 
-fn mbpoll_reads_and_sets_over_the_service_port_without_a_plc_bus(board: Board) {
+fn mbpoll_reads_and_sets_over_service_port_without_plc_bus(board: Board) {
     reads_and_sets(Emulator::start(&board.image("WSG_FIRMWARE_ELF_NO_BUS")).unwrap(), "no bus");
 }
 
@@ -89,7 +89,7 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
 }
 
 on_both_boards!(
-    mbpoll_reads_and_sets_over_the_service_port_without_a_plc_bus,
+    mbpoll_reads_and_sets_over_service_port_without_plc_bus,
     mbpoll_reads_and_sets_over_the_service_port_beside_modbus,
     mbpoll_commands_of_the_document_work_when_pasted,
 );

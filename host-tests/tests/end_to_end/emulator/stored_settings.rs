@@ -191,7 +191,7 @@ fn assert_bus_runs(board: &mut Emulator, unit: u8, rate: u32) {
 
 #[test]
 #[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
-fn mbpoll_sets_recipes_bus_and_rate_that_stay_and_defaults_takes_them_back() {
+fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
     let mbpoll = |cable: &Terminal, registers: &str, values: &[u16]| {
         let values: Vec<String> = values.iter().map(u16::to_string).collect();
         let values: Vec<&str> = values.iter().map(String::as_str).collect();
@@ -277,7 +277,7 @@ fn cuts() -> Vec<(u32, Tear)> {
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() {
+fn power_cut_in_a_save_leaves_old_or_new_settings_and_no_motion() {
     let mut plant = Plant::power_up(FlashController::new());
     assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SAVE_STATE")), (DELIVERED, 0));
     plant.set_recipes(999);
@@ -322,7 +322,7 @@ fn a_power_cut_in_a_save_leaves_the_old_or_the_new_settings_and_moves_nothing() 
 
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn each_fault_of_the_flash_is_reported_and_keeps_the_stored_settings() {
+fn each_flash_fault_is_reported_and_keeps_stored_settings() {
     let mut plant = Plant::power_up(FlashController::new());
     plant.set_debounce(7);
     assert_eq!(plant.save(), SAVED);

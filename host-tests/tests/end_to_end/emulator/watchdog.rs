@@ -67,7 +67,7 @@ fn firmware_that_hangs_is_reset_and_its_outputs_go_low() {
 
 #[test]
 #[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
-fn firmware_that_hangs_is_reset_in_time_and_its_outputs_go_low_in_rp2040js() {
+fn hung_firmware_is_reset_in_time_with_outputs_low_in_rp2040js() {
     let extras = Extras { may_reset: true, ..Extras::default() };
     let board = Emulator::start_with(&Board::PICO.image("WSG_FIRMWARE_ELF"), extras).unwrap();
     let derail = |board: &Emulator, how| board.derail(how).unwrap();

@@ -73,7 +73,7 @@ fn grip_cycles_without_one_deviation(board: Board) {
     }
 }
 
-fn fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged(board: Board) {
+fn low_fast_stop_wire_at_power_up_blocks_until_acknowledged(board: Board) {
     let rig = powered(board, quick());
     rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
     let commands = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
@@ -100,7 +100,7 @@ fn command_wire_that_is_high_at_power_up_starts_nothing(board: Board) {
     assert_eq!(rig.motions_since(0).unwrap(), []);
 }
 
-fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from(board: Board) {
+fn noise_around_and_inside_frames_moves_nothing_and_is_overcome(board: Board) {
     let rig = homed(board, with_part(20.0));
     let mark = rig.trace().mark();
     let false_starts: [&[u8]; 4] = [
@@ -133,7 +133,7 @@ fn noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from(bo
 }
 
 /// The image's queues and interrupts do not split a burst. `fault_sweep` tests the library in virtual time.
-fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist(board: Board) {
+fn fast_stop_reaches_a_gripper_that_awaits_a_nonexistent_frame(board: Board) {
     let is_fast_stop =
         |entry: &&Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes) == Some(0x23));
     for high_byte_of_the_size in 1..=3 {
@@ -161,10 +161,10 @@ fn fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_
 
 on_both_boards!(
     grip_cycles_without_one_deviation,
-    fast_stop_wire_low_at_power_up_lets_no_motion_out_until_high_and_acknowledged,
+    low_fast_stop_wire_at_power_up_blocks_until_acknowledged,
     command_wire_that_is_high_at_power_up_starts_nothing,
-    noise_before_between_and_inside_frames_moves_nothing_and_is_recovered_from,
-    fast_stop_reaches_a_gripper_that_waits_for_the_rest_of_a_frame_that_does_not_exist,
+    noise_around_and_inside_frames_moves_nothing_and_is_overcome,
+    fast_stop_reaches_a_gripper_that_awaits_a_nonexistent_frame,
 );
 
 #[test]

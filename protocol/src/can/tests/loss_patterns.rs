@@ -93,7 +93,7 @@ fn check_delivery(script: &[Message], losses: &[Fate], delivered: &[Message]) {
 }
 
 #[test]
-fn every_fate_of_every_frame_of_three_messages_costs_at_most_the_messages_it_belongs_to() {
+fn lost_or_doubled_can_frames_cost_at_most_their_own_messages() {
     let mut runs = 0;
     for first in kinds(0) {
         for second in kinds(1) {
@@ -118,7 +118,7 @@ fn every_fate_of_every_frame_of_three_messages_costs_at_most_the_messages_it_bel
 }
 
 #[test]
-fn message_after_any_damage_is_delivered_at_once_unless_a_false_start_delays_it() {
+fn damage_delays_the_next_message_only_through_a_false_start() {
     let next = Message::command(Command::GripPart { width: 77.7, speed: 11.1 });
     for first in &kinds(0)[..3] {
         for second in &kinds(1)[..3] {

@@ -9,7 +9,7 @@ fn grip() -> Message {
 }
 
 #[test]
-fn the_size_field_ends_a_message_and_never_the_length_of_a_can_frame() {
+fn size_field_ends_a_message_and_can_frame_length_never_does() {
     // Lengths around the multiples of eight: the last frame is full for 8, 16 and 24 bytes.
     for payload_len in 0..=24 {
         let message = Message::new(6, &[0x5A; 24][..payload_len]);
@@ -27,7 +27,7 @@ fn the_size_field_ends_a_message_and_never_the_length_of_a_can_frame() {
 }
 
 #[test]
-fn message_of_the_greatest_length_goes_through_and_one_byte_more_is_oversize() {
+fn longest_message_passes_and_one_more_byte_is_oversize() {
     let longest = Message::new(6, &[1; 8 * MAX_FRAMES - OVERHEAD]);
     let mut wire = Wire::<MAX_FRAMES>::new();
     wire.receive(&longest.frames());
@@ -49,7 +49,7 @@ fn greatest_size_field_is_oversize() {
 }
 
 #[test]
-fn half_a_message_is_given_up_when_its_time_is_over_and_what_it_held_back_is_delivered() {
+fn partial_message_times_out_and_held_messages_are_delivered() {
     let mut wire = Wire::<4>::new();
     // A false first frame that waits for three more frames, followed by a complete message.
     wire.receive(&[CanFrame::ours(&[0xAA, 0xAA, 0xAA, 6, 24, 0, 0, 0])]);
@@ -70,7 +70,7 @@ fn half_a_message_is_given_up_when_its_time_is_over_and_what_it_held_back_is_del
 }
 
 #[test]
-fn half_a_message_is_given_up_by_the_next_frame_of_a_caller_that_never_looks_at_the_time() {
+fn next_frame_expires_an_overdue_partial_message_by_itself() {
     let [head, tail] = &grip().frames()[..] else { panic!() };
     for (late_by, delivered) in [(0, 0), (1, 1)] {
         let mut wire = Wire::<4>::new();
@@ -82,7 +82,7 @@ fn half_a_message_is_given_up_by_the_next_frame_of_a_caller_that_never_looks_at_
 }
 
 #[test]
-fn time_runs_from_the_last_frame_of_the_message_despite_other_traffic() {
+fn timeout_runs_from_the_last_frame_despite_other_traffic() {
     let mut wire = Wire::<4>::new();
     let message = Message::new(6, &[3; 16]);
     let frames = message.frames();
@@ -101,7 +101,7 @@ fn time_runs_from_the_last_frame_of_the_message_despite_other_traffic() {
 }
 
 #[test]
-fn message_inside_the_payload_of_another_is_none_even_when_the_other_is_broken() {
+fn message_in_the_payload_of_a_broken_message_is_ignored() {
     // A byte parser would find the Stop in this payload once the first frame is lost.
     let mut payload = vec![0; 3];
     payload.extend(Message::command(Command::Stop).bytes());
@@ -138,7 +138,7 @@ fn right_bytes_in_a_wrong_cut_are_no_message() {
 }
 
 #[test]
-fn frame_that_two_messages_share_stands_in_for_a_lost_one_and_gives_the_message_that_was_sent() {
+fn shared_frame_replaces_a_lost_one_and_yields_the_sent_message() {
     // The low bytes of both widths are 0, so the two requests have identical first frames.
     let other = Message::command(Command::GripPart { width: 40.0, speed: 60.0 });
     let ([head, _], [other_head, other_tail]) = (&grip().frames()[..], &other.frames()[..]) else { panic!() };
@@ -182,7 +182,7 @@ fn counts_stay_at_their_maximum() {
 }
 
 #[test]
-fn no_motion_fits_into_one_can_frame_so_a_doubled_frame_never_moves_the_fingers_twice() {
+fn no_motion_fits_in_one_can_frame_that_could_be_doubled() {
     for id in (0..=u8::MAX).map(CommandId::from_code) {
         let parameterless = Command::decode(&crate::Frame { id: id.code(), payload: &[] }).is_ok();
         if parameterless && !matches!(id, CommandId::Unknown(_)) {
@@ -219,7 +219,7 @@ fn message_given_up_half_way_leaves_the_next_one_whole() {
 }
 
 #[test]
-fn segmenter_takes_the_longest_message_that_a_size_field_can_tell() {
+fn segmenter_takes_the_longest_message_a_size_field_allows() {
     let bytes = Message::new(6, &vec![0x11; 0xFFFF]).bytes();
     let segments: Vec<Segment> = Segments::new(bytes.iter().copied()).collect();
     assert_eq!(segments.len(), 8192 + 1);
@@ -249,7 +249,7 @@ fn spoilt_end_has_a_wrong_checksum_after_any_bytes() {
 }
 
 #[test]
-fn spoilt_rest_of_a_motion_makes_it_invalid_whether_checksums_are_checked_or_not() {
+fn motion_with_spoilt_rest_is_invalid_even_if_checksums_are_off() {
     // Command set, 1.4.1: checksum evaluation of the gripper can be disabled.
     for command in [
         Command::Homing { direction: HomingDirection::Positive },

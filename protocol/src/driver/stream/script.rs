@@ -102,7 +102,7 @@ mod tests {
     const ORDER: Order = Order { position: 40.0, speed_limit: 100.0, force_limit: 20.0 };
 
     #[test]
-    fn set_point_is_three_numbers_and_the_answer_has_time_and_all_flags() {
+    fn answer_to_a_three_number_set_point_has_time_and_all_flags() {
         assert_eq!(stream_order(&ORDER), [0, 0, 0x20, 0x42, 0, 0, 0xC8, 0x42, 0, 0, 0xA0, 0x41]);
         let mut answer = [0; STREAM_ANSWER_LEN];
         answer[..5].copy_from_slice(&[VERSION, 1, 0x10, 0, 0]);

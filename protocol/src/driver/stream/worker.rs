@@ -487,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn segment_without_a_script_goes_where_the_trajectory_is_at_its_end() {
+    fn segment_without_a_script_targets_the_trajectory_at_its_end() {
         for (position, way, speed) in [(80.0, 10.0, 100.0), (HERE + 5.0, 5.0, 50.0)] {
             let (rig, mut worker) = worker(Backend::PrePosition);
             order(&rig, &worker, position, 100.0);
@@ -526,7 +526,7 @@ mod tests {
     }
 
     #[test]
-    fn only_a_stream_without_a_script_takes_updates_of_the_width_as_samples() {
+    fn only_scriptless_streams_take_width_updates_as_samples() {
         for (backend, position) in [(Backend::PrePosition, 41.0), (Backend::Script, HERE)] {
             let (rig, mut worker) = worker(backend);
             // The caller's subscription.
@@ -595,7 +595,7 @@ mod tests {
     }
 
     #[test]
-    fn force_limit_that_the_gripper_does_not_apply_ends_the_stream_before_it_moves() {
+    fn unapplied_force_limit_ends_the_stream_before_it_moves() {
         let (rig, mut worker) = worker(Backend::PrePosition);
         rig.script(CommandId::GetForceLimit, vec![(1, frame(Reply::success(Value::GetForceLimit(80.0))))]);
         lock(worker.shared()).force_limit = 40.0;
@@ -626,7 +626,7 @@ mod tests {
     }
 
     #[test]
-    fn late_answer_of_a_script_is_a_gap_after_which_the_stream_goes_on() {
+    fn late_script_answer_is_a_gap_and_the_stream_continues() {
         for (backend, id) in [(Backend::Script, STREAM_ID), (Backend::UmiScript, UMI_MOVE_ID)] {
             for (late_ms, gap) in
                 [(GAP_MS, None), (GAP_MS + 1, Some(101)), (240, Some(240)), (599, Some(599))]

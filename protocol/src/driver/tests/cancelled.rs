@@ -18,7 +18,7 @@ fn partly_sent_frame_is_completed() {
 }
 
 #[test]
-fn answer_to_a_cancelled_setting_is_not_taken_for_that_of_the_next() {
+fn answer_to_a_cancelled_setting_does_not_answer_the_next() {
     let (rig, mut gripper) = connected_async();
     let id = CommandId::SetForceLimit;
     rig.script(id, vec![(50, status(id, Status::Success))]);
@@ -30,7 +30,7 @@ fn answer_to_a_cancelled_setting_is_not_taken_for_that_of_the_next() {
 }
 
 #[test]
-fn dropped_borrowed_payload_is_not_repeated_and_the_connection_stays() {
+fn dropped_payload_is_not_repeated_and_the_connection_stays() {
     let (rig, mut gripper) = connected_async();
     rig.script(CommandId::SetDeviceTag, vec![]);
     assert_eq!(rig.run_for(5, gripper.set_tag("left")), None);
@@ -141,7 +141,7 @@ fn partly_sent_frame_is_completed_after_a_motion_timeout() {
 }
 
 #[test]
-fn frame_cut_by_a_full_line_is_completed_after_the_connection_is_lost_only_if_it_is_a_query() {
+fn only_a_cut_query_frame_is_completed_after_a_disconnect() {
     for is_query in [true, false] {
         let (rig, mut gripper) = connected_async();
         rig.world(|world| world.room = 7);

@@ -17,7 +17,7 @@ fn unsolicited() -> Vec<u8> {
 }
 
 #[test]
-fn unsolicited_frames_before_every_answer_do_not_desynchronize_the_driver() {
+fn unsolicited_frames_before_answers_keep_the_driver_in_sync() {
     let (rig, mut gripper) = connected();
     for force in [10.0, 20.0, 30.0] {
         rig.inject(&unsolicited());

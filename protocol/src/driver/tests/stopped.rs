@@ -40,7 +40,7 @@ fn handle_ends_an_awaited_motion() {
 }
 
 #[test]
-fn handle_of_an_idle_driver_sends_at_once_and_the_next_call_reports_it() {
+fn handle_of_idle_driver_sends_at_once_and_next_call_reports_it() {
     for (kind, id) in KINDS {
         let (rig, mut gripper) = connected();
         let handle = gripper.stop_handle().unwrap();
@@ -73,7 +73,7 @@ fn fast_stop_outranks_a_stop() {
 }
 
 #[test]
-fn own_stop_replaces_that_of_a_handle_unless_the_latter_is_a_fast_stop() {
+fn own_stop_replaces_a_handles_stop_but_not_its_fast_stop() {
     for (by_handle, own, outcome) in [
         (StopKind::Stop, StopKind::Stop, Ok(())),
         (StopKind::Stop, StopKind::FastStop, Ok(())),
@@ -89,7 +89,7 @@ fn own_stop_replaces_that_of_a_handle_unless_the_latter_is_a_fast_stop() {
 }
 
 #[test]
-fn unconfirmed_fast_stop_ends_the_call_in_time_and_stays_pending() {
+fn unconfirmed_fast_stop_ends_a_call_in_time_and_stays_pending() {
     let (rig, mut gripper) = connected();
     script_endless(&rig, CommandId::GripPart);
     let handle = gripper.stop_handle().unwrap();
@@ -156,7 +156,7 @@ fn stop_rejected_by_a_full_line_is_sent_by_the_driver() {
 }
 
 #[test]
-fn of_several_stops_the_driver_sends_only_the_one_that_no_handle_has_sent() {
+fn driver_sends_only_the_stop_that_no_handle_has_sent() {
     use StopKind::{FastStop, Stop};
     // Kinds, and whether the line accepts each; numbers of Stop and FAST STOP that the gripper receives.
     for (requests, heard) in [
@@ -205,7 +205,7 @@ fn handle_wakes_the_task_of_the_async_driver() {
 }
 
 #[test]
-fn handle_of_a_dropped_driver_returns_an_error_and_sends_nothing() {
+fn handle_of_a_dropped_driver_fails_and_sends_nothing() {
     let (rig, mut gripper) = connected();
     let first = gripper.stop_handle().unwrap();
     gripper.replace_io(rig.clone());

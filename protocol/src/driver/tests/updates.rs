@@ -28,7 +28,7 @@ fn queued_updates_are_returned_before_reading_the_transport() {
 }
 
 #[test]
-fn async_driver_returns_queued_updates_before_reading_the_transport() {
+fn async_driver_returns_queued_updates_before_it_reads() {
     let (rig, mut gripper) = connected_async();
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while rig.run(gripper.next_update(50)).unwrap().is_some() {}
@@ -42,7 +42,7 @@ fn async_driver_returns_queued_updates_before_reading_the_transport() {
 }
 
 #[test]
-fn cancelled_stop_and_fast_stop_are_sent_before_queued_updates_are_returned() {
+fn cancelled_stop_or_fast_stop_is_sent_before_queued_updates() {
     for fast in [false, true] {
         let (rig, mut gripper) = connected_async();
         gripper.subscribe(Topic::Force, AutoUpdate::every(10));
@@ -127,7 +127,7 @@ fn age_of_a_value_counts_from_its_last_report() {
 }
 
 #[test]
-fn age_of_a_state_that_was_reported_before_the_last_answer_of_connecting_is_not_too_low() {
+fn age_of_a_state_counts_from_its_report_not_from_connecting() {
     let rig = Rig::new();
     // Each is an answer in time.
     for value in [Value::GetSystemInfo(rig::INFO), Value::GetSystemLimits(rig::LIMITS)] {
@@ -142,7 +142,7 @@ fn age_of_a_state_that_was_reported_before_the_last_answer_of_connecting_is_not_
 }
 
 #[test]
-fn update_from_before_a_lost_connection_is_not_returned_after_it() {
+fn update_from_before_a_disconnect_is_not_returned_after_it() {
     let (rig, mut gripper) = connected();
     gripper.subscribe(Topic::Force, AutoUpdate::every(10));
     while gripper.next_update(50).unwrap().is_some() {}

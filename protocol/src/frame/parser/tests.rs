@@ -161,7 +161,7 @@ proptest! {
     }
 
     #[test]
-    fn expiry_gives_what_the_reference_finds_in_a_recording_that_ended(bytes in stream()) {
+    fn expiry_yields_the_reference_events_of_an_ended_recording(bytes in stream()) {
         let (expected, dropped, _) = reference(&bytes, 16, true);
         let mut parser = FrameParser::<16>::new();
         let mut events = by_byte(&mut parser, &bytes);

@@ -67,7 +67,7 @@ fn leading_and_trailing_zeros_do_not_matter() {
 }
 
 #[test]
-fn numbers_between_two_floats_go_to_the_even_one_and_next_to_it_to_the_nearer() {
+fn ties_round_to_the_even_float_and_others_to_the_nearest() {
     for exponent in 0..255u32 {
         for mantissa in [0, 1, 2, 0x12_3456, 0x55_5555, 0x7F_FFFE, 0x7F_FFFF] {
             let middle = middle_above(f32::from_bits(exponent << 23 | mantissa));
@@ -110,7 +110,7 @@ proptest! {
     }
 
     #[test]
-    fn every_float_written_with_any_number_of_digits_is_read_as_core_reads_it(bits in any::<u32>(), places in 0..60usize) {
+    fn float_with_any_number_of_digits_is_read_as_core_reads_it(bits in any::<u32>(), places in 0..60usize) {
         let value = f32::from_bits(bits);
         if value.is_finite() {
             agree(&format!("{value:.places$}"));

@@ -300,7 +300,7 @@ fn only_the_last_request_sent_once_is_taken_back() {
 }
 
 #[test]
-fn only_queries_and_settings_are_sent_again_until_the_connection_counts_as_lost() {
+fn only_queries_and_settings_are_repeated_until_connection_loss() {
     for (request, times) in [
         (Request::Pos, 3),
         (Request::Pwt(Setting::Set(1.0)), 3),
@@ -327,7 +327,7 @@ fn lost_connection_is_tried_again_after_its_time_and_not_before() {
 }
 
 #[test]
-fn fast_stop_goes_out_first_and_is_repeated_until_it_is_confirmed() {
+fn fast_stop_is_sent_first_and_repeated_until_confirmed() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Tag).unwrap();
     rig.session.request(Request::Faststop).unwrap();
@@ -359,7 +359,7 @@ fn fsack_withdraws_earlier_requests() {
 }
 
 #[test]
-fn fast_stop_of_the_gripper_withdraws_a_motion_that_was_not_sent() {
+fn fast_stop_of_the_gripper_withdraws_an_unsent_motion() {
     let mut rig = Rig::connected();
     rig.session.request(Request::Tag).unwrap();
     assert_eq!(rig.lines(0), ["TAG?"]);
@@ -501,7 +501,7 @@ fn bye_silences_the_session_until_a_new_connection() {
 }
 
 #[test]
-fn stop_after_bye_is_refused_and_not_sent_over_the_next_connection() {
+fn stop_after_bye_is_refused_and_not_sent_on_reconnect() {
     let mut rig = Rig::connected();
     rig.exchange(Request::Bye, "ACK BYE");
     rig.pass(1);
@@ -547,7 +547,7 @@ fn invalid_request_is_refused_before_it_is_sent() {
 }
 
 #[test]
-fn tick_at_the_announced_times_is_equivalent_to_a_tick_each_millisecond() {
+fn ticks_at_announced_times_act_like_a_tick_each_millisecond() {
     let script = |request: Request, reply_timeout_ms: u32, by_announcement: bool| {
         let mut rig = Rig::with(Config { reply_timeout_ms, ..Config::DEFAULT });
         rig.connect();

@@ -98,7 +98,7 @@ fn force_limit_that_was_not_set_or_not_read_back_is_not_known() {
 }
 
 #[test]
-fn force_limit_is_queried_periodically_and_stays_known_beside_motions_and_other_values() {
+fn periodic_queries_keep_the_force_limit_known_during_motions() {
     let mut rig = limited();
     rig.exchange(GRIP, Status::CmdPending);
     let mut asked = rig.pass_with(2 * REFRESH_MS, 40.0);
@@ -146,7 +146,7 @@ fn unknown_force_limit_causes_no_wake_up() {
 }
 
 #[test]
-fn every_request_except_a_motion_other_than_homing_makes_it_unknown() {
+fn any_request_except_a_non_homing_motion_makes_it_unknown() {
     let script = Command::Unknown { id: 0xB0, payload: &[] };
     let tag = Command::SetDeviceTag { tag: crate::DeviceTag::new("x").unwrap() };
     let once = AutoUpdate::once();
@@ -185,7 +185,7 @@ fn every_request_except_a_motion_other_than_homing_makes_it_unknown() {
 }
 
 #[test]
-fn it_stays_unknown_while_a_request_that_may_change_it_is_queued() {
+fn it_stays_unknown_while_a_queued_request_may_change_it() {
     // Another limit, which is sent after the read-back, and a Stop, which delays the requests after it.
     for queued in [Command::SetForceLimit { force: 10.0 }, Command::Stop] {
         let mut rig = verifying();
@@ -199,7 +199,7 @@ fn it_stays_unknown_while_a_request_that_may_change_it_is_queued() {
 }
 
 #[test]
-fn it_stays_unknown_if_one_of_two_answers_may_precede_the_setting() {
+fn it_stays_unknown_if_either_answer_may_precede_the_setting() {
     let mut rig = verifying();
     rig.exchange(FORCE_40, Status::Success);
     let asked = rig.pass(Config::DEFAULT.reply_timeout_ms).into_iter();
@@ -396,9 +396,9 @@ fn force_limit_becomes_unknown_with_the_connection() {
     assert_eq!(rig.limit(), None);
 }
 
-/// Like `line_that_is_held_for_a_fast_stop_counts_as_lost_no_later_than_without_it`, for a setting awaiting its read-back.
+/// Like `fast_stop_does_not_delay_the_detection_of_a_lost_line`, for a setting awaiting its read-back.
 #[test]
-fn read_back_waiting_for_a_fast_stop_does_not_delay_the_detection_of_a_lost_line() {
+fn read_back_held_by_fast_stop_does_not_delay_loss_detection() {
     for fast_stop_at in [100, 300, 500] {
         let mut rig = verifying();
         rig.exchange(FORCE_40, Status::Success);

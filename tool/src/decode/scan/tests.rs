@@ -12,7 +12,7 @@ fn kinds(bytes: &[u8]) -> Vec<(usize, Kind)> {
 }
 
 #[test]
-fn noise_frames_and_damage_are_distinguished_with_their_positions() {
+fn noise_frames_and_damage_are_distinguished_with_positions() {
     let stop = frame(0x22, &[]);
     let mut damaged = frame(0x25, &[0, 0, 0xA0, 0x41, 0, 0, 0x48, 0x42]);
     let sum = [damaged[14], damaged[15]];

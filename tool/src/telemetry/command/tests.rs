@@ -142,7 +142,7 @@ fn anything_but_one_command_with_its_parameters_is_refused() {
 }
 
 #[test]
-fn timestamp_of_a_command_must_be_current_and_later_than_the_previous_one() {
+fn command_timestamp_must_be_current_and_later_than_the_last() {
     let situation = Situation { last_at: 0, ..SITUATION };
     let at = |situation: Situation<'_>, at| {
         situation.time_of(&Payload { timestamp: at, metrics: Vec::new(), seq: None })

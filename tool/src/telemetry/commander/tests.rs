@@ -52,7 +52,7 @@ fn order(action: Action, at: u64) -> Order {
 }
 
 #[tokio::test(start_paused = true)]
-async fn expired_orders_and_orders_of_a_lost_connection_are_dropped_and_reported() {
+async fn expired_and_disconnected_orders_are_dropped_and_reported() {
     let mut rig = Rig::new();
 
     rig.carry_out(Order { life: 0, ..order(Action::Home, 5) }).await;
@@ -88,7 +88,7 @@ async fn orders_given_before_a_stop_are_dropped_after_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn stop_received_before_a_motion_starts_is_sent_instead_of_the_motion() {
+async fn stop_received_before_a_motion_starts_replaces_the_motion() {
     let mut rig = Rig::new();
     assert!(rig.orders.push(order(Action::FastStop, 11)));
 

@@ -68,7 +68,7 @@ fn addresses_have_the_default_port_of_their_kind() {
 }
 
 #[test]
-fn every_mistake_is_reported_in_one_line_with_its_place_and_the_expected_value() {
+fn each_mistake_is_one_line_with_its_place_and_expected_value() {
     let in_broker = |line: &str| [BROKER, line, "\n", NODE, GRIPPER].concat();
     for (text, place, expected) in [
         (String::new(), "cell.toml", "missing section [broker]"),

@@ -41,7 +41,7 @@ fn sequence_of(message: &Message) -> Option<u64> {
 }
 
 #[test]
-fn births_are_sent_first_then_stored_samples_as_historical_then_new_data() {
+fn births_are_sent_first_then_historical_samples_then_new_data() {
     let mut node = node_of(10);
     node.take(found(0, 1));
     node.take(changed(0, 2));
@@ -58,7 +58,7 @@ fn births_are_sent_first_then_stored_samples_as_historical_then_new_data() {
 }
 
 #[test]
-fn device_lost_during_an_outage_is_born_for_its_history_and_dies_after_it() {
+fn device_lost_in_an_outage_is_born_for_its_history_then_dies() {
     let mut node = node_of(10);
     node.take(found(0, 1));
     node.take(changed(0, 2));
@@ -173,7 +173,7 @@ fn changed_node_values_are_sent_at_most_once_per_second() {
 }
 
 #[test]
-fn death_carries_the_number_of_its_connection_and_no_sequence_number() {
+fn death_carries_its_connection_number_and_no_sequence_number() {
     let death = node_of(1).identity().death(200, 5);
     let payload = Payload::decode(death.payload.as_slice()).unwrap();
     assert_eq!((&*death.topic, payload.seq), ("spBv1.0/plant/NDEATH/cell", None));

@@ -37,7 +37,7 @@ impl SpiDevice for Controller {
 }
 
 #[test]
-fn frames_are_read_completely_and_from_the_first_buffer_after_a_set_up() {
+fn frames_are_read_whole_and_from_the_first_buffer_after_set_up() {
     loom::model(|| {
         let buffers = Arc::new(made::<Mcp2515Buffers>());
         // Left over from an earlier set-up.

@@ -44,7 +44,7 @@ fn line(start_us: u32) -> (&'static Buffers, Arc<loom::sync::atomic::AtomicU32>,
 }
 
 #[test]
-fn characters_are_received_completely_with_the_preceding_silence() {
+fn every_character_is_received_with_the_preceding_silence() {
     loom::model(|| {
         let (buffers, _, mut port) = line(0);
         let handler = thread::spawn(move || {
@@ -93,7 +93,7 @@ fn silence_never_exceeds_the_time_since_the_last_character() {
 }
 
 #[test]
-fn next_frame_is_accepted_only_after_the_last_bit_of_the_previous_one() {
+fn frame_is_accepted_only_after_the_previous_one_is_fully_sent() {
     loom::model(|| {
         let (buffers, _, mut port) = line(0);
         let turn = Turn::new();

@@ -9,7 +9,7 @@ use std::boxed::Box;
 use std::sync::Arc;
 
 #[test]
-fn input_image_is_read_completely_and_the_last_one_is_not_missed() {
+fn input_image_is_read_whole_and_the_last_one_is_not_missed() {
     loom::model(|| {
         let buffers = Arc::new(made::<DpBuffers>());
         buffers.show([1; InputImage::LEN]);

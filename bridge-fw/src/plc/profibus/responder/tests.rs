@@ -33,7 +33,7 @@ fn deliver(responder: &mut DpResponder, bytes: &[u8], character_us: u32, end_us:
 }
 
 #[test]
-fn response_starts_11_bit_times_after_the_stop_bit_within_the_clock_resolution() {
+fn response_starts_11_bit_times_after_the_stop_bit() {
     for rate in ProfibusConfig::RATES {
         let (mut responder, _) = at(rate);
         let us = |bits: u32| (bits * 1_000_000).div_ceil(rate.bit_s());
@@ -84,7 +84,7 @@ fn pending_response_is_cancelled_when_another_station_sends() {
 
 /// A master's transceiver that switches off after the request adds a character.
 #[test]
-fn stray_after_a_request_neither_cancels_nor_defers_the_response() {
+fn stray_after_a_request_does_not_cancel_or_delay_the_response() {
     for stray in [Character::Byte(0x00), Character::Byte(0xFF), Character::Damaged] {
         let (mut responder, _) = at(Baud::K500);
         let wait_us = deliver(&mut responder, &REQUEST, 22, 1_000_000).unwrap();
@@ -161,7 +161,7 @@ fn changed_images_are_queued_in_order_and_repeated_ones_counted() {
 }
 
 #[test]
-fn full_queue_never_loses_the_last_image_or_the_end_of_the_master() {
+fn full_queue_keeps_the_last_image_and_the_loss_of_the_master() {
     let (mut responder, buffers) = at(Baud::K500);
     let mut write = exchanging(&mut responder);
     for byte in 0..100 {

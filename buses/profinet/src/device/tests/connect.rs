@@ -220,7 +220,7 @@ fn truncated_connect_is_rejected() {
 }
 
 #[test]
-fn frame_identifiers_of_both_ranges_are_accepted_and_chosen_if_left_open() {
+fn frame_id_of_either_range_is_accepted_and_chosen_if_left_open() {
     for (class, asked, given) in [
         (1, 0x8000, 0x8000),
         (1, 0xBBFF, 0xBBFF),
@@ -396,7 +396,7 @@ fn invalid_calls_are_rejected_or_ignored() {
 }
 
 #[test]
-fn ping_repeats_the_answer_to_a_known_call_and_reports_an_unknown_one() {
+fn ping_repeats_a_known_answer_and_reports_an_unknown_call() {
     let mut rig = TestRig::new();
     let request = datagram(true, 0, 9, 5, &arguments(true, &record(9, [0; 16], 0, 1, 0xAFF0, 64)));
     rig.device.receive_datagram(rig.now, HOST, &request);

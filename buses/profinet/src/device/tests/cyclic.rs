@@ -6,7 +6,7 @@ fn input_frames(rig: &mut TestRig) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn inputs_are_sent_each_cycle_with_statuses_and_a_counter_of_31_us() {
+fn inputs_are_sent_each_cycle_with_statuses_and_a_31_us_counter() {
     let mut rig = TestRig::in_data();
     rig.device.show_inputs(&[0xAA, 0xBB]);
     let start = rig.device.poll_timeout(rig.now);
@@ -40,7 +40,7 @@ fn inputs_are_sent_each_cycle_with_statuses_and_a_counter_of_31_us() {
 }
 
 #[test]
-fn inputs_are_bad_until_parameters_end_and_faults_show_in_the_data_status() {
+fn inputs_are_bad_until_parameters_end_and_status_shows_faults() {
     let mut rig = TestRig::new();
     rig.call(0, &Wanted::default().blocks());
     rig.now += CYCLE_US;

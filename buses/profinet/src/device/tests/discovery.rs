@@ -118,7 +118,7 @@ fn pending_answers_are_limited_and_lost_ones_are_counted() {
 }
 
 #[test]
-fn name_and_address_take_effect_at_once_and_persist_if_permanent() {
+fn name_and_ip_take_effect_at_once_and_persist_if_permanent() {
     let mut rig = TestRig::new();
     let ip = [10, 0, 0, 7, 255, 0, 0, 0, 10, 0, 0, 1];
 
@@ -138,7 +138,7 @@ fn name_and_address_take_effect_at_once_and_persist_if_permanent() {
 }
 
 #[test]
-fn each_change_of_present_or_stored_data_is_reported_and_repetitions_are_not() {
+fn only_changes_of_present_or_stored_data_are_reported() {
     let mut rig = TestRig::new();
     let (first, second) = ([10, 0, 0, 7, 255, 0, 0, 0, 0, 0, 0, 0], [10, 0, 0, 8, 255, 0, 0, 0, 0, 0, 0, 0]);
     for (is_permanent, what, data, is_told) in [
@@ -323,7 +323,7 @@ fn lldp_without_name_and_address_uses_the_mac_address() {
 }
 
 #[test]
-fn endpoint_mapper_lists_one_interface_and_then_none_and_refuses_a_truncated_request() {
+fn endpoint_mapper_lists_one_interface_and_refuses_truncation() {
     for is_low_first in [true, false] {
         let mut rig = TestRig::new();
         let order = |value: u32| if is_low_first { value.to_le_bytes() } else { value.to_be_bytes() };

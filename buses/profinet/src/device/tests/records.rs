@@ -101,7 +101,7 @@ fn multiple_writes_are_answered_one_by_one() {
 }
 
 #[test]
-fn real_and_expected_identification_are_read_by_submodule_module_and_whole() {
+fn real_and_expected_identification_are_read_at_every_level() {
     let mut rig = TestRig::in_data();
     let head = |kind: u8, body: &[u8]| {
         let mut bytes = block(kind.into(), body);

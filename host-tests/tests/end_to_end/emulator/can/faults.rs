@@ -242,7 +242,7 @@ fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
 
 #[test]
 #[ignore = "needs rp2040js and the firmware image with the gripper on CAN: run `cargo xtask test`"]
-fn frames_without_a_pause_between_them_are_all_heard_in_rp2040js() {
+fn frames_without_pauses_are_all_received_in_rp2040js() {
     const FRAMES: usize = 200;
     let plant = Plant::<Mcp2515>::ready(GRIPPER_ON_CAN, with_part(20.0));
     // The shortest frames, with the identifier of another node's heartbeat, which passes the filters.
