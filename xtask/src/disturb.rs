@@ -3,6 +3,7 @@
 use std::{
     collections::HashMap,
     fs, hint,
+    ops::Range,
     process::{self, Command, Stdio},
     sync::atomic::{AtomicBool, Ordering},
     thread,
@@ -14,8 +15,8 @@ use anyhow::{Result, ensure};
 /// Number of threads that compute.
 const BUSY: usize = 4;
 
-/// Longest time between two pauses, and longest pause, in milliseconds.
-const BETWEEN_MS: u64 = 300;
+/// Shortest and longest time between two rounds of pauses, and longest pause, in milliseconds.
+const BETWEEN_MS: Range<u64> = 100..300;
 const PAUSE_MS: u64 = 500;
 
 /// Share of the processes that pause at the same time.
@@ -53,14 +54,14 @@ pub(crate) fn during<T>(seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> 
     outcome
 }
 
-/// Pauses random processes until the end, and returns how often. Each runs between two of its pauses, which would otherwise be
-/// one longer pause.
+/// Pauses random processes until the end, and returns how often. Each runs during at least one round between two of its
+/// pauses, and before and after it, because two pauses with a few milliseconds in between are one longer pause.
 fn pause_until(is_over: &AtomicBool, seed: u64) -> usize {
     let mut random = fastrand::Rng::with_seed(seed);
     let mut pauses = 0;
     let mut paused: Vec<u32> = vec![];
     while !is_over.load(Ordering::Relaxed) {
-        thread::sleep(Duration::from_millis(random.u64(..BETWEEN_MS)));
+        thread::sleep(Duration::from_millis(random.u64(BETWEEN_MS)));
         let mut chosen = started();
         chosen.retain(|process| random.f64() < SHARE && !paused.contains(process));
         signal("-STOP", &chosen);
