@@ -1,4 +1,7 @@
-//! Disturbs the tests as a busy machine does: threads that compute, and pauses of random processes of the tests.
+//! Disturbs the tests as a busy machine does: threads that compute, and pauses of emulators, their harness and its peers.
+//!
+//! Other tests do not pause. A driver takes a gripper for lost that does not answer for 600 ms, and the virtual gripper of its
+//! test would be silent for longer with a pause of 500 ms and its wait for a processor.
 
 use std::{
     collections::HashMap,
@@ -19,12 +22,19 @@ const BUSY: usize = 4;
 const BETWEEN_MS: Range<u64> = 100..300;
 const PAUSE_MS: u64 = 500;
 
+/// Start of the name of the program with the tests on emulated boards.
+const HARNESS: &str = "end_to_end";
+
 /// Share of the processes that pause at the same time.
 const SHARE: f64 = 0.4;
 
-/// Runs `work` while threads compute and processes that this one started pause, at random times that follow from the seed.
-/// Without a seed, nothing disturbs it.
+/// Runs `work` while threads compute and processes of the harness pause, at random times that follow from the seed. Without a
+/// seed, nothing disturbs it.
 pub(crate) fn during<T>(seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> Result<T> {
+    during_pauses_of(HARNESS, seed, work)
+}
+
+fn during_pauses_of<T>(harness: &str, seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> Result<T> {
     let Some(seed) = seed else { return work() };
     ensure!(cfg!(target_os = "linux"), "--disturbed finds the processes in /proc, which only Linux has");
     println!("test: beside {BUSY} busy threads, with pauses of up to {PAUSE_MS} ms; seed {seed}");
@@ -44,7 +54,7 @@ pub(crate) fn during<T>(seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> 
                 }
             });
         }
-        let pauses = scope.spawn(|| pause_until(&is_over, seed));
+        let pauses = scope.spawn(|| pause_until(&is_over, harness, seed));
         let end = End(&is_over);
         let outcome = work();
         drop(end);
@@ -56,13 +66,13 @@ pub(crate) fn during<T>(seed: Option<u64>, work: impl FnOnce() -> Result<T>) -> 
 
 /// Pauses random processes until the end, and returns how often. Each runs during at least one round between two of its
 /// pauses, and before and after it, because two pauses with a few milliseconds in between are one longer pause.
-fn pause_until(is_over: &AtomicBool, seed: u64) -> usize {
+fn pause_until(is_over: &AtomicBool, harness: &str, seed: u64) -> usize {
     let mut random = fastrand::Rng::with_seed(seed);
     let mut pauses = 0;
     let mut paused: Vec<u32> = vec![];
     while !is_over.load(Ordering::Relaxed) {
         thread::sleep(Duration::from_millis(random.u64(BETWEEN_MS)));
-        let mut chosen = started();
+        let mut chosen = running(harness);
         chosen.retain(|process| random.f64() < SHARE && !paused.contains(process));
         signal("-STOP", &chosen);
         pauses += chosen.len();
@@ -81,31 +91,49 @@ fn signal(name: &str, processes: &[u32]) {
     kill.stderr(Stdio::null()).status().expect("a shell runs");
 }
 
-/// Returns the processes that this one started, directly or through others.
-fn started() -> Vec<u32> {
-    let mut children: HashMap<u32, Vec<u32>> = HashMap::new();
+/// Returns the processes of programs with this name that this process started, directly or through others, and the processes
+/// that they started. A process that a test has stopped must stay so.
+fn running(harness: &str) -> Vec<u32> {
+    let mut children: HashMap<u32, Vec<(u32, Stat)>> = HashMap::new();
     for entry in fs::read_dir("/proc").into_iter().flatten().flatten() {
         if let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse().ok())
             && let Ok(stat) = fs::read_to_string(entry.path().join("stat"))
-            && let Some(parent) = parent(&stat)
+            && let Some(stat) = Stat::read(&stat)
         {
-            children.entry(parent).or_default().push(pid);
+            children.entry(stat.parent).or_default().push((pid, stat));
         }
     }
     let mut found = Vec::new();
-    let mut unvisited = vec![process::id()];
-    while let Some(pid) = unvisited.pop() {
-        let of_it = children.remove(&pid).unwrap_or_default();
-        found.extend(&of_it);
-        unvisited.extend(of_it);
+    let mut unvisited = vec![(process::id(), false)];
+    while let Some((pid, is_below)) = unvisited.pop() {
+        for (child, stat) in children.remove(&pid).unwrap_or_default() {
+            let is_of_it = is_below || stat.name.starts_with(harness);
+            if is_of_it && !stat.is_stopped {
+                found.push(child);
+            }
+            unvisited.push((child, is_of_it));
+        }
     }
     found
 }
 
-/// Returns the parent in a line of /proc/PID/stat. The program's name, in parentheses, may itself contain any character.
-fn parent(stat: &str) -> Option<u32> {
-    let (_, after_name) = stat.rsplit_once(") ")?;
-    after_name.split(' ').nth(1)?.parse().ok()
+/// A line of /proc/PID/stat.
+#[derive(Debug, PartialEq, Eq)]
+struct Stat {
+    /// The first 15 characters of the program's name, which may itself contain any character.
+    name: String,
+    is_stopped: bool,
+    parent: u32,
+}
+
+impl Stat {
+    fn read(line: &str) -> Option<Self> {
+        let (before, after_name) = line.rsplit_once(") ")?;
+        let (_, name) = before.split_once(" (")?;
+        let mut fields = after_name.split(' ');
+        let is_stopped = fields.next()? == "T";
+        Some(Self { name: name.to_owned(), is_stopped, parent: fields.next()?.parse().ok()? })
+    }
 }
 
 #[cfg(test)]
@@ -113,9 +141,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_parent_is_found_beside_any_name() {
-        assert_eq!(parent("12 (a) S 7) S 34 12"), Some(34));
-        assert_eq!(parent("12"), None);
+    fn line_is_read_with_any_name() {
+        let stat = |is_stopped| Some(Stat { name: "a) S 7".to_owned(), is_stopped, parent: 34 });
+        assert_eq!(Stat::read("12 (a) S 7) S 34 12"), stat(false));
+        assert_eq!(Stat::read("12 (a) S 7) T 34 12"), stat(true));
+        assert_eq!(Stat::read("12"), None);
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn only_programs_of_the_harness_are_found() {
+        let mut program = Command::new("sh").args(["-c", "read line"]).stdin(Stdio::piped()).spawn().unwrap();
+        let is_found = ["sh", HARNESS].map(|harness| running(harness).contains(&program.id()));
+        drop(program.stdin.take());
+        program.wait().unwrap();
+        assert_eq!(is_found, [true, false]);
     }
 
     /// The processes of the tests pause and continue, so that work with them ends.
@@ -124,10 +164,9 @@ mod tests {
     fn work_ends_beside_pauses() {
         let work = || {
             let mut program = Command::new("sh").args(["-c", "sleep 1; echo"]).spawn()?;
-            ensure!(started().contains(&program.id()), "{}", program.id());
             Ok(program.wait()?.success())
         };
-        assert!(during(Some(1), work).unwrap());
+        assert!(during_pauses_of("sh", Some(1), work).unwrap());
     }
 
     /// Otherwise this test does not end.

@@ -115,7 +115,7 @@ fn grip(tab: &mut Tab) {
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn drawing_follows_fingers_that_home_and_grip_by_clicks() {
-    let gripper = Gripper::new(&["--time-scale", "2"]);
+    let gripper = Gripper::new(&["--homing-speed", "20"]);
     let mut tab = gripper.open();
     let before = tab.eval(OPENING).as_f64().unwrap();
     tab.eval(&format!(
