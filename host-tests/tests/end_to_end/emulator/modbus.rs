@@ -74,6 +74,22 @@ impl Plant {
         }
     }
 
+    /// Sets a JOG flag until the jog runs, and returns the mark of the trace before it. After a pause of this master for a second,
+    /// the bridge takes its next image for the first, in which the flag is no edge.
+    fn begin_to_jog(&mut self, image: &[u16; 4]) -> usize {
+        let bound = Instant::now() + MOTION_PATIENCE;
+        loop {
+            self.write(&[0, image[1], image[2], image[3]]);
+            let mark = self.rig.trace().mark();
+            self.write(image);
+            let input = self.input();
+            if input[0] >> 8 == RELEASING {
+                return mark;
+            }
+            assert!(Instant::now() < bound, "no jog; input image {input:04X?}");
+        }
+    }
+
     /// Runs a command with its parameters and returns GSTATE and status at its end.
     fn command(&mut self, bit: u8, parameters: [u16; 3]) -> (u16, u16) {
         let [width, speed, force] = parameters;
@@ -116,15 +132,14 @@ fn jog_over_the_bus_stops_with_its_flag_or_a_silent_master(board: Board) {
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(plant.command(MOVE, [20_00, 300_00, 40_00]), (IDLE, 0));
     let jog_plus = [1 << 14, 20_00, 5_00, 40_00];
-    plant.write(&jog_plus);
+    plant.begin_to_jog(&jog_plus);
     plant.wait("a jog that moves", |input| input[0] >> 8 == RELEASING && input[3] > 21_00);
     plant.write(&[0, 20_00, 5_00, 40_00]);
     plant.wait("the jog to end", |input| input[0] >> 8 == IDLE);
     let stands = plant.rig.gripper().state().width;
     assert!(stands > 20.5 && stands < 100.0, "{stands}");
 
-    let mark = plant.rig.trace().mark();
-    plant.write(&jog_plus);
+    let mark = plant.begin_to_jog(&jog_plus);
     let is_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(frame) if frame_id(frame) == Some(CommandId::Stop.code()));
     assert!(plant.rig.trace().wait(mark, Duration::from_secs(60), is_stop), "no Stop");
     let input = plant.wait("the fingers to stand", |input| input[0] >> 8 == IDLE);
