@@ -113,6 +113,7 @@ const RELEASING: u16 = 1 << 5;
 
 fn grip_cycles_over_the_bus_of_the_emulated_board(board: Board) {
     let mut plant = Plant::start(board, with_part(20.0));
+    plant.master.allow_pauses().unwrap();
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     for _ in 0..10 {
         assert_eq!(plant.command(MOVE, [80_00, 200_00, 40_00]), (IDLE, 0));
@@ -129,8 +130,11 @@ fn jog_over_the_bus_stops_with_its_flag_or_a_silent_master(board: Board) {
     // slower than the gripper's, so the gripper is slow, too.
     let slow = Config { time_scale: 0.1, homing_speed: Some(300.0), ..Config::default() };
     let mut plant = Plant::start(board, slow);
+    plant.master.allow_pauses().unwrap();
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(plant.command(MOVE, [20_00, 300_00, 40_00]), (IDLE, 0));
+    // BUS_TIMEOUT as delivered.
+    assert_eq!(plant.ask(&[6, 0, 101, 3, 232]), [6, 0, 101, 3, 232]);
     let jog_plus = [1 << 14, 20_00, 5_00, 40_00];
     plant.begin_to_jog(&jog_plus);
     plant.wait("a jog that moves", |input| input[0] >> 8 == RELEASING && input[3] > 21_00);
