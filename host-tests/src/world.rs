@@ -6,7 +6,7 @@
 //! | [`can`] | the CAN bus: a controller that fails on request, a gripper, a PLC |
 //! | [`canopen`] | a CANopen master |
 //! | [`modbus`] | a Modbus master on the PLC's bus and on the service port |
-//! | [`plc`] | what a PLC does on any bus |
+//! | [`plc`] | a PLC on any bus |
 //! | [`profibus`] | a PROFIBUS master |
 //! | [`service_line`] | the service port, connected to a program by a socket |
 //!

@@ -141,14 +141,10 @@ impl Plc for Master {
     /// The inhibit time of TPDO2, in 100 us, and a turn.
     const MEASURED_MS: u32 = NODE.inhibit[1] as u32 / 10 + 1;
 
-    fn connect(config: Config, gripper: wsg_sim::Config, first: OutputImage) -> Self {
+    fn power_up(config: Config, gripper: wsg_sim::Config) -> Self {
         let mut world = World::new(config, gripper);
         world.set(Inputs::FAST_STOP_OK, true);
-        let mut master = Self { image: first, ..Self::of(world) };
-        master.world.can.beats = true;
-        master.pass(500);
-        master.resume();
-        master
+        Self::of(world)
     }
 
     fn world(&mut self) -> &mut World {

@@ -216,11 +216,8 @@ impl Plc for Master {
     const CONFIG: Config = Config::DEFAULT;
     const TIMEOUT_MS: u32 = Config::DEFAULT.bus.timeout_ms as u32;
 
-    fn connect(config: Config, gripper: wsg_sim::Config, first: OutputImage) -> Self {
-        let mut master = Self { image: first, ..Self::new(config, gripper) };
-        master.pass(500);
-        master.resume();
-        master
+    fn power_up(config: Config, gripper: wsg_sim::Config) -> Self {
+        Self::new(config, gripper)
     }
 
     fn world(&mut self) -> &mut World {

@@ -1,4 +1,4 @@
-//! What a PLC does on any bus: it writes its output image, reads its input image, and stops sending.
+//! A PLC on any bus, which writes its output image, reads its input image, and stops sending.
 //!
 //! A bus takes part in the tests of every bus by one implementation of [`Plc`], in the module of its master.
 
@@ -23,8 +23,8 @@ pub trait Plc: Sized {
     /// Time by which width and force may follow the state in the input image, in milliseconds.
     const MEASURED_MS: u32 = 0;
 
-    /// Powers up a world with FAST_STOP_OK high, waits for the gripper, and writes this image as the first.
-    fn connect(config: Config, gripper: wsg_sim::Config, first: OutputImage) -> Self;
+    /// Powers up a world with FAST_STOP_OK high, and a PLC that has sent nothing yet.
+    fn power_up(config: Config, gripper: wsg_sim::Config) -> Self;
 
     /// Returns the world. Time passes only in the methods of the PLC.
     fn world(&mut self) -> &mut World;
@@ -52,6 +52,16 @@ pub trait Plc: Sized {
 
     /// Communicates again after a silence. Writes the output image.
     fn resume(&mut self);
+
+    /// Creates a PLC that has waited for the gripper, and has written this image as the first.
+    #[must_use]
+    fn connect(config: Config, gripper: wsg_sim::Config, first: OutputImage) -> Self {
+        let mut plc = Self::power_up(config, gripper);
+        *plc.image() = first;
+        plc.fall_silent(500);
+        plc.resume();
+        plc
+    }
 
     /// Creates a PLC that has written zeros.
     #[must_use]

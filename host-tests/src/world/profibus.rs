@@ -266,11 +266,8 @@ impl Plc for Master {
     const CONFIG: Config = AT_500K;
     const TIMEOUT_MS: u32 = 10 * WATCHDOG as u32;
 
-    fn connect(config: Config, gripper: wsg_sim::Config, first: OutputImage) -> Self {
-        let mut master = Self { image: first, ..Self::new(config, gripper) };
-        master.pass_silent(500);
-        master.resume();
-        master
+    fn power_up(config: Config, gripper: wsg_sim::Config) -> Self {
+        Self::new(config, gripper)
     }
 
     fn world(&mut self) -> &mut World {

@@ -133,7 +133,7 @@ fn jog_over_the_bus_stops_with_its_flag_or_a_silent_master(board: Board) {
     plant.master.allow_pauses().unwrap();
     assert_eq!(plant.command(HOMING, [0; 3]), (IDLE, 0));
     assert_eq!(plant.command(MOVE, [20_00, 300_00, 40_00]), (IDLE, 0));
-    // BUS_TIMEOUT as delivered.
+    // The default BUS_TIMEOUT.
     assert_eq!(plant.ask(&[6, 0, 101, 3, 232]), [6, 0, 101, 3, 232]);
     let jog_plus = [1 << 14, 20_00, 5_00, 40_00];
     plant.begin_to_jog(&jog_plus);
