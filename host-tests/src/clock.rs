@@ -36,7 +36,7 @@ impl Clock {
         Self(Kind::Wall(Instant::now()))
     }
 
-    /// Creates a clock that advances only through [`Self::tell`].
+    /// Creates a clock that advances only through [`Self::report`].
     #[must_use]
     pub fn of_machine() -> Self {
         Self(Kind::Machine(Arc::default()))
@@ -66,7 +66,7 @@ impl Clock {
         matches!(self.0, Kind::Wall(_))
     }
 
-    /// Calls `follower` after each [`Self::tell`], until it returns `false`.
+    /// Calls `follower` after each [`Self::report`], until it returns `false`.
     pub fn follow(&self, follower: impl FnMut() -> bool + Send + 'static) {
         if let Kind::Machine(machine) = &self.0 {
             machine.followers.lock().unwrap_or_else(PoisonError::into_inner).push(Box::new(follower));

@@ -31,7 +31,7 @@ const TESTS_WITH_PYTHON: &str = "python_";
 const TARGETS: [&str; 4] = ["--workspace", "--lib", "--bins", "--tests"];
 
 /// Runs all checks, or with `filter` only the matching tests. Skipped checks are listed at the end, and fail a strict run. With a
-/// seed, the tests and measurements run on a disturbed machine.
+/// seed, the tests run on a disturbed machine.
 pub(crate) fn run(
     toolchain: &ThumbToolchain<'_>,
     filter: &[OsString],
@@ -83,15 +83,14 @@ impl Checks<'_> {
                 self.lint_firmware(it, has_thumb_clippy).map(|()| peers)
             },
         )?;
-        disturb::during(self.disturbed, || {
-            record.both(
-                |it| {
-                    it.check(TESTS, || self.tests(&peers, &[]))?;
-                    self.on_the_host(it, peers.python.as_deref())
-                },
-                |it| self.of_the_images(it, &peers.masters),
-            )
-        })?;
+        record.both(
+            |it| {
+                // Nothing else: a busy machine only makes builds longer.
+                it.check(TESTS, || disturb::during(self.disturbed, || self.tests(&peers, &[])))?;
+                self.on_the_host(it, peers.python.as_deref())
+            },
+            |it| self.of_the_images(it, &peers.masters),
+        )?;
         record.check("host throughput", || {
             // Check only the ratio: the absolute throughput depends on the machine.
             let [_, beside_a_loop] = bench::throughput(workspace)?;
