@@ -1,7 +1,8 @@
 //! Disturbs the tests as a busy machine does: threads that compute, and pauses of emulators, their harness and its peers.
 //!
-//! Other tests do not pause. A driver takes a gripper for lost that does not answer for 600 ms, and the virtual gripper of its
-//! test would be silent for longer with a pause of 500 ms and its wait for a processor.
+//! A bridge or a driver takes a gripper for lost that does not answer for 600 ms. With a pause of 500 ms and its wait for a
+//! processor, a virtual gripper would be silent for longer. Therefore other tests do not pause, and the harness, in which the
+//! grippers of all emulators run, pauses together with them and its peers.
 
 use std::{
     collections::HashMap,
@@ -72,8 +73,13 @@ fn pause_until(is_over: &AtomicBool, harness: &str, seed: u64) -> usize {
     let mut paused: Vec<u32> = vec![];
     while !is_over.load(Ordering::Relaxed) {
         thread::sleep(Duration::from_millis(random.u64(BETWEEN_MS)));
-        let mut chosen = running(harness);
+        let running = running(harness);
+        let mut chosen = running.clone();
         chosen.retain(|process| random.f64() < SHARE && !paused.contains(process));
+        // A program that the harness has started is found after it.
+        if running.first().is_some_and(|harness| chosen.contains(harness)) {
+            chosen = running;
+        }
         signal("-STOP", &chosen);
         pauses += chosen.len();
         thread::sleep(Duration::from_millis(random.u64(..PAUSE_MS)));

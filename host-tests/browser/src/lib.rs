@@ -120,11 +120,17 @@ pub struct Tab {
     messages: Receiver<Value>,
     /// Unsolicited events, such as requests and console messages.
     events: Vec<Value>,
-    /// The element that was clicked last.
-    clicked: Option<String>,
+    last: Option<Input>,
 }
 
-/// What [`Tab::until`] finds instead of its expression if the page of `wsg-sim` shows that the server refused the click for its age.
+/// The last click or key, which is repeated if the server refuses it for its age.
+enum Input {
+    /// On the element that this selector finds.
+    Click(String),
+    Key(String),
+}
+
+/// What [`Tab::until`] finds instead of its expression if the page of `wsg-sim` shows that the server refused the input for its age.
 const REFUSED: &str = "refused for age";
 
 impl Tab {
@@ -137,7 +143,7 @@ impl Tab {
         let session = attached["sessionId"].as_str().expect("a session").to_owned();
         let (sender, messages) = channel();
         BROWSER.readers.lock().unwrap().insert(session.clone(), sender);
-        let mut tab = Self { session, target, messages, events: Vec::new(), clicked: None };
+        let mut tab = Self { session, target, messages, events: Vec::new(), last: None };
         for domain in ["Page", "Runtime", "Network", "Log", "Audits"] {
             tab.call(&format!("{domain}.enable"), &json!({}));
         }
@@ -180,7 +186,7 @@ impl Tab {
     }
 
     /// Evaluates an expression repeatedly until it is not null, and returns its value. On a busy machine, the states reach the page
-    /// late, and the server refuses the click before it: it is repeated, as a user does.
+    /// late, and the server refuses the input before it: it is repeated, as a user does.
     #[track_caller]
     pub fn until(&mut self, expression: &str) -> Value {
         let look = format!(
@@ -188,10 +194,10 @@ impl Tab {
                const end = performance.now() + {};
                const look = () => {{
                  let found; try {{ found = ({expression}); }} catch {{ }}
-                 const message = document.getElementById('message');
-                 const isRefused = message && message.textContent.startsWith('the sender saw a state');
+                 const refusal = [...document.querySelectorAll('[id$=message]')]
+                   .find(message => message.textContent.startsWith('the sender saw a state'));
                  if (found) done(found);
-                 else if (isRefused) {{ message.textContent = ''; done('{REFUSED}'); }}
+                 else if (refusal) {{ refusal.textContent = ''; done('{REFUSED}'); }}
                  else if (performance.now() > end) done(null);
                  else setTimeout(look, 30);
                }};
@@ -201,9 +207,12 @@ impl Tab {
         );
         let mut found = self.eval(&look);
         while found == REFUSED
-            && let Some(selector) = self.clicked.take()
+            && let Some(input) = self.last.take()
         {
-            self.click(&selector);
+            match input {
+                Input::Click(selector) => self.click(&selector),
+                Input::Key(key) => self.press(&key),
+            }
             found = self.eval(&look);
         }
         assert!(
@@ -228,7 +237,7 @@ impl Tab {
                const {{ x, y, width, height }} = found.getBoundingClientRect(); return [x + width / 2, y + height / 2]; }})()"
         ));
         self.click_at(&middle);
-        self.clicked = Some(selector.to_owned());
+        self.last = Some(Input::Click(selector.to_owned()));
     }
 
     /// Shows one of the pages by its link. A click that misses is repeated, as a user does: the link may move between the look at
@@ -266,6 +275,7 @@ impl Tab {
                 json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code, "text": text});
             self.call("Input.dispatchKeyEvent", &press);
         }
+        self.last = Some(Input::Key(key.to_owned()));
     }
 
     /// Replaces the text of the focused field.
