@@ -2,14 +2,13 @@
 //!
 //! The bridge is the library that the image is built from. Around it are a PLC, a gripper reduced to its states, and
 //! a line that delays, drops, repeats or truncates its messages. A breadth-first search tries every action in every
-//! state once, and checks each [`Promise`] of docs/wiring.md and docs/registers.md after every turn.
+//! state once, and checks each [`Promise`] after every turn.
 //!
 //! | module | content |
 //! |---|---|
 //! | `action` | possible events |
 //! | `plant` | bridge, gripper, line and PLC, and the effect of each action |
 //! | `answers` | the gripper's undelivered messages |
-//! | `promises` | properties that must hold |
 //! | `roots` | initial states |
 //! | `search` | breadth-first search |
 //! | `key` | equality of states |
@@ -21,13 +20,12 @@ mod action;
 mod answers;
 mod key;
 mod plant;
-mod promises;
 mod roots;
 mod search;
 
 use std::fmt;
 
-pub use promises::Promise;
+pub use crate::promises::Promise;
 
 use action::{Action, BUS, WIRES};
 use roots::Root;

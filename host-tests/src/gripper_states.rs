@@ -113,7 +113,7 @@ impl Answer {
     }
 }
 
-/// The gripper. Each method that changes its state passes the resulting messages to `say`.
+/// The gripper. Each method that changes its state passes the resulting messages to `send`.
 #[derive(Clone, Debug, Hash)]
 pub(crate) struct States {
     /// All flags except MOVING.
@@ -150,29 +150,29 @@ impl States {
     }
 
     /// Executes a command and replies.
-    pub(crate) fn take(&mut self, command: &Command<'_>, say: &mut dyn FnMut(Answer)) {
+    pub(crate) fn take(&mut self, command: &Command<'_>, send: &mut dyn FnMut(Answer)) {
         let id = command.id();
         match *command {
             Command::GetSystemState { update } => {
                 self.reported[0] = subscribe(update, self.all_flags());
-                say(Answer::value(id, self.all_flags()));
+                send(Answer::value(id, self.all_flags()));
             }
             Command::GetGripperState { update } => {
                 self.reported[1] = subscribe(update, self.state.code().into());
-                say(Answer::value(id, self.state.code().into()));
+                send(Answer::value(id, self.state.code().into()));
             }
-            Command::GetForceLimit => say(Answer::value(id, self.force_limit)),
+            Command::GetForceLimit => send(Answer::value(id, self.force_limit)),
             Command::Stop => {
-                say(Answer::status(id, Status::Success));
-                self.stop(say);
+                send(Answer::status(id, Status::Success));
+                self.stop(send);
             }
             Command::FastStop => {
-                say(Answer::status(id, Status::Success));
-                self.stop_fast(say);
+                send(Answer::status(id, Status::Success));
+                self.stop_fast(send);
             }
             Command::Acknowledge { .. } => {
                 self.leave_fast_stop();
-                say(Answer::status(id, Status::Success));
+                send(Answer::status(id, Status::Success));
             }
             Command::SetForceLimit { force } => {
                 let refused = std::mem::take(&mut self.refuses);
@@ -181,16 +181,16 @@ impl States {
                     self.force_limit = (force * 100.0).round() as u32;
                 }
                 let status = if refused { Status::CmdFormatError } else { Status::Success };
-                say(Answer::status(id, status));
+                send(Answer::status(id, status));
             }
-            _ if id.kind() == Kind::Motion => say(Answer::status(id, self.take_motion(id))),
-            _ if id.kind() == Kind::Query => say(Answer::value(id, 0)),
+            _ if id.kind() == Kind::Motion => send(Answer::status(id, self.take_motion(id))),
+            _ if id.kind() == Kind::Query => send(Answer::value(id, 0)),
             _ => panic!("{id} is not a command of the bridge"),
         }
-        self.report(say);
+        self.report(send);
     }
 
-    pub(crate) fn finish(&mut self, succeeds: bool, say: &mut dyn FnMut(Answer)) {
+    pub(crate) fn finish(&mut self, succeeds: bool, send: &mut dyn FnMut(Answer)) {
         let Some(id) = self.motion else { return };
         let (state, status) = match (id, succeeds) {
             (CommandId::GripPart, true) => (GripperState::Holding, Status::Success),
@@ -201,39 +201,39 @@ impl States {
         };
         self.flags.set(SystemFlags::REFERENCED, self.referenced() || id == CommandId::Homing && succeeds);
         self.state = state;
-        self.end_motion(status, say);
-        self.report(say);
+        self.end_motion(status, send);
+        self.report(send);
     }
 
     /// Simulates the loss of the gripped part.
-    pub(crate) fn lose_part(&mut self, say: &mut dyn FnMut(Answer)) {
+    pub(crate) fn lose_part(&mut self, send: &mut dyn FnMut(Answer)) {
         self.state = GripperState::PartLost;
-        self.report(say);
+        self.report(send);
     }
 
     /// Enters FAST STOP without a command.
-    pub(crate) fn raise_fast_stop(&mut self, say: &mut dyn FnMut(Answer)) {
-        self.stop_fast(say);
-        self.report(say);
+    pub(crate) fn raise_fast_stop(&mut self, send: &mut dyn FnMut(Answer)) {
+        self.stop_fast(send);
+        self.report(send);
     }
 
     /// Executes a third-party Stop.
-    pub(crate) fn stop_for_third_party(&mut self, say: &mut dyn FnMut(Answer)) {
-        self.stop(say);
-        self.report(say);
+    pub(crate) fn stop_for_third_party(&mut self, send: &mut dyn FnMut(Answer)) {
+        self.stop(send);
+        self.report(send);
     }
 
     /// Starts a motion of a third party.
-    pub(crate) fn begin_for_third_party(&mut self, id: CommandId, say: &mut dyn FnMut(Answer)) {
+    pub(crate) fn begin_for_third_party(&mut self, id: CommandId, send: &mut dyn FnMut(Answer)) {
         self.begin(id);
         self.is_foreign = true;
-        self.report(say);
+        self.report(send);
     }
 
     /// Executes a third-party acknowledgement.
-    pub(crate) fn acknowledge(&mut self, say: &mut dyn FnMut(Answer)) {
+    pub(crate) fn acknowledge(&mut self, send: &mut dyn FnMut(Answer)) {
         self.leave_fast_stop();
-        self.report(say);
+        self.report(send);
     }
 
     /// Starts a motion in any state.
@@ -248,13 +248,13 @@ impl States {
     }
 
     /// Reports changed flags and states to subscribers.
-    pub(crate) fn report(&mut self, say: &mut dyn FnMut(Answer)) {
+    pub(crate) fn report(&mut self, send: &mut dyn FnMut(Answer)) {
         let ids = [CommandId::GetSystemState, CommandId::GetGripperState];
         let values = [self.all_flags(), self.state.code().into()];
         for ((reported, id), value) in self.reported.iter_mut().zip(ids).zip(values) {
             if reported.is_some_and(|reported| reported != value) {
                 *reported = Some(value);
-                say(Answer::value(id, value));
+                send(Answer::value(id, value));
             }
         }
     }
@@ -282,22 +282,22 @@ impl States {
         Status::CmdPending
     }
 
-    fn stop(&mut self, say: &mut dyn FnMut(Answer)) {
-        self.end_motion(Status::CmdAborted, say);
+    fn stop(&mut self, send: &mut dyn FnMut(Answer)) {
+        self.end_motion(Status::CmdAborted, send);
         if self.state != GripperState::Error {
             self.state = GripperState::Idle;
         }
     }
 
-    fn stop_fast(&mut self, say: &mut dyn FnMut(Answer)) {
+    fn stop_fast(&mut self, send: &mut dyn FnMut(Answer)) {
         self.flags |= SystemFlags::FAST_STOP;
         self.state = GripperState::Error;
-        self.end_motion(Status::CmdAborted, say);
+        self.end_motion(Status::CmdAborted, send);
     }
 
-    fn end_motion(&mut self, status: Status, say: &mut dyn FnMut(Answer)) {
+    fn end_motion(&mut self, status: Status, send: &mut dyn FnMut(Answer)) {
         if let Some(id) = self.motion.take().filter(|_| !self.is_foreign) {
-            say(Answer::status(id, status));
+            send(Answer::status(id, status));
         }
     }
 

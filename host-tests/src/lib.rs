@@ -33,6 +33,7 @@
 //! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
 //! | `namespaces` | network namespaces for PROFINET, on Linux |
 //! | [`plc_names`] | names of flags, states and status codes, for the documents |
+//! | `promises` | the promises of the bridge, judged from outside |
 //! | [`registers`] | models of peripherals that QEMU lacks |
 //! | [`rig`] | board, gripper and PLC together |
 //! | [`serial_gripper`] | the virtual gripper on a serial line in virtual time |
@@ -72,7 +73,6 @@ pub mod gdb;
 pub mod gripper_end;
 mod gripper_states;
 pub mod gripping_cycle;
-mod gstate_rule;
 #[cfg(unix)]
 pub mod iwdg;
 #[cfg(unix)]
@@ -86,6 +86,7 @@ pub mod modbus_master;
 #[cfg(target_os = "linux")]
 pub mod namespaces;
 pub mod plc_names;
+mod promises;
 #[cfg(unix)]
 pub mod qtest;
 #[cfg(unix)]

@@ -3,8 +3,6 @@
 use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::{CommandFlags, OutputImage};
 
-use super::promises::Motion;
-
 /// One event. All except [`Wait`](Self::Wait) and [`FallSilent`](Self::FallSilent) take no time, so simultaneous
 /// events are tried in every order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -172,16 +170,5 @@ impl Image {
     pub(super) const fn output(self) -> OutputImage {
         let force_limit = if matches!(self, Self::GripGently) { 10_00 } else { 40_00 };
         OutputImage { flags: self.flags(), user: 0, width: 30_00, speed: 50_00, force_limit }
-    }
-
-    /// Returns the motion requested by its edge.
-    pub(super) const fn motion(self) -> Option<Motion> {
-        match self {
-            Self::Move => Some(Motion::Move),
-            Self::Grip => Some(Motion::Grip),
-            Self::GripGently => Some(Motion::GripGently),
-            Self::JogPlus => Some(Motion::Jog),
-            Self::Zero | Self::StopAck | Self::FastStop => None,
-        }
     }
 }

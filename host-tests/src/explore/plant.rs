@@ -10,9 +10,9 @@ use wsg_protocol::{CommandId, FrameParser, GripperState, Instant, session};
 use super::action::{Action, Image};
 use super::answers::Answers;
 use super::key::key;
-use super::promises::{Kept, Motion, Promise, Promises, keep};
 use super::search::Model;
 use crate::gripper_states::{Answer, States, messages};
+use crate::promises::{Kept, Promise, Promises, Reach, keep};
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
 use crate::world::modbus::UNIT;
@@ -34,6 +34,9 @@ const FAST_STOP_RELEASE_MS: u32 = 5;
 const TURNS_MS: [u32; 2] = [21, 51];
 /// Longest wait in milliseconds, also used without a deadline.
 const LONGEST_WAIT_MS: u32 = 1_000;
+/// Maximum wait of a frame for the previous one, in milliseconds.
+const MAX_DELAY_MS: u32 = 1;
+const COMMAND_WIRES: Inputs = Inputs::GRIP.union(Inputs::MOVE).union(Inputs::RELEASE).union(Inputs::HOME);
 /// Rounds of request and reply that take no time; connecting takes seven.
 const QUICK_ROUNDS: u32 = 20;
 /// Duration of a round on a line at 115 200 bit/s, in milliseconds.
@@ -58,11 +61,22 @@ pub(super) struct Plant {
     with_next: Option<Answer>,
     /// The last image that the PLC wrote over the bus; `None` while it is silent.
     image: Option<Image>,
-    /// Whether FASTSTOP was set in the last image. A silent bus does not release it.
-    bus_holds_fast_stop: bool,
+    /// Time of the PLC's last request over the bus; `None` while it is silent.
+    requested: Option<Instant>,
     promises: Promises,
+    reach: Reach,
     /// Readable log, if enabled.
     story: Option<String>,
+}
+
+/// What the PLC sends over the bus in a turn.
+#[derive(Clone, Copy, Debug)]
+enum Request {
+    None,
+    /// A read of a register.
+    Read,
+    /// A write of registers 0 to 3.
+    Write(Image),
 }
 
 /// Name and predicate of a situation.
@@ -79,14 +93,14 @@ pub(super) const SIGHTS: [Sight; 18] = [
     ("LINK_OK", |plant| plant.outputs.contains(Outputs::LINK_OK)),
     ("no LINK_OK", |plant| !plant.outputs.contains(Outputs::LINK_OK)),
     ("a homing", |plant| plant.own_motion() == Some(CommandId::Homing)),
-    ("a move", |plant| plant.own_motion() == Some(CommandId::PrePosition) && !plant.promises.jogs()),
+    ("a move", |plant| plant.own_motion() == Some(CommandId::PrePosition) && !plant.promises.requests.jogs),
     ("a grip", |plant| plant.own_motion() == Some(CommandId::GripPart)),
     ("a release", |plant| plant.own_motion() == Some(CommandId::ReleasePart)),
-    ("a jog", |plant| plant.own_motion() == Some(CommandId::PrePosition) && plant.promises.jogs()),
+    ("a jog", |plant| plant.own_motion() == Some(CommandId::PrePosition) && plant.promises.requests.jogs),
     ("a motion of a third party", |plant| plant.motion().is_some() && plant.gripper.is_foreign),
     ("a lost part", |plant| plant.gripper.state == GripperState::PartLost),
     ("a latched FAST STOP", |plant| plant.gripper.fast_stop()),
-    ("an unacknowledged FAST STOP", |plant| !plant.promises.is_open()),
+    ("an unacknowledged FAST STOP", |plant| plant.promises.requests.stopped.is_some()),
     ("a motion unknown to the bridge", |plant| {
         plant.motion().is_some() && plant.outputs.contains(Outputs::READY)
     }),
@@ -107,8 +121,9 @@ impl Plant {
             answers: Answers::NONE,
             with_next: None,
             image: None,
-            bus_holds_fast_stop: false,
-            promises: Promises::new(Instant::from_millis(0)),
+            requested: None,
+            promises: Promises::new(Instant::from_millis(0), &CONFIG),
+            reach: Reach::new(true),
             story: None,
         };
         // A promise broken here also breaks in the exploration, through `RestartBridge`.
@@ -130,7 +145,7 @@ impl Plant {
         let mut plant = Self { story: Some(String::new()), ..self.clone() };
         for action in actions {
             if let Err(promise) = plant.act(action) {
-                plant.say(|story| write!(story, "\n        broken: {promise:?}"));
+                plant.log(|story| write!(story, "\n        broken: {promise:?}"));
             }
         }
         plant.story.unwrap_or_default()
@@ -155,12 +170,7 @@ impl Plant {
         Instant::from_millis(self.now_ms)
     }
 
-    /// Returns whether the PLC asserts FAST STOP by wire or bus.
-    fn holds_fast_stop(&self) -> bool {
-        !self.wires.contains(Inputs::FAST_STOP_OK) || self.bus_holds_fast_stop
-    }
-
-    fn say(&mut self, what: impl FnOnce(&mut String) -> std::fmt::Result) {
+    fn log(&mut self, what: impl FnOnce(&mut String) -> std::fmt::Result) {
         if let Some(story) = &mut self.story {
             what(story).expect("writing to a string cannot fail");
         }
@@ -168,7 +178,7 @@ impl Plant {
 
     fn take(&mut self, action: Action) -> Kept {
         let ms = self.now_ms;
-        self.say(|story| write!(story, "\n{ms:6} ms {action:?}"));
+        self.log(|story| write!(story, "\n{ms:6} ms {action:?}"));
         match action {
             Action::Toggle(wire) => self.change_wires(wire.input()),
             Action::GripAndStop => self.change_wires(Inputs::GRIP | Inputs::STOP_ACK),
@@ -178,21 +188,21 @@ impl Plant {
             Action::AnswersAll => self.deliver_all(),
             Action::Answer => {
                 let answer = self.answers.pop();
-                self.deliver(answer)
+                self.deliver(answer, false)
             }
             Action::AnswerTwice => {
                 let answer = self.answers.repeat();
-                self.deliver(answer)
+                self.deliver(answer, false)
             }
             Action::AnswerLost => {
                 self.answers.pop();
+                self.reach.fault(self.now());
                 Ok(())
             }
             Action::AnswerCut => {
-                let mut bytes = self.bytes_with_next();
-                bytes.extend(self.answers.pop().into_iter().flat_map(Answer::bytes));
-                bytes.pop();
-                self.turn(&bytes, silence())
+                let answer = self.answers.pop();
+                self.reach.fault(self.now());
+                self.deliver(answer, true)
             }
             Action::AnswerWithNext => {
                 self.with_next = self.answers.pop();
@@ -204,16 +214,18 @@ impl Plant {
             }
             Action::ToggleLine => {
                 self.is_line_up = !self.is_line_up;
+                self.reach.is_alive = self.is_line_up;
+                self.reach.recover(self.now());
                 self.answers = Answers::NONE;
                 self.with_next = None;
                 Ok(())
             }
-            Action::Finish => self.change_gripper(|gripper, say| gripper.finish(true, say)),
-            Action::Fail => self.change_gripper(|gripper, say| gripper.finish(false, say)),
+            Action::Finish => self.change_gripper(|gripper, send| gripper.finish(true, send)),
+            Action::Fail => self.change_gripper(|gripper, send| gripper.finish(false, send)),
             Action::LosePart => self.change_gripper(States::lose_part),
             Action::GripperStopsFast => self.change_gripper(States::raise_fast_stop),
             Action::ThirdPartyAcknowledges => {
-                self.promises.leave_elsewhere(self.now());
+                self.reach.leave_fast_stop(self.now());
                 self.change_gripper(States::acknowledge)
             }
             Action::ThirdPartyStops => self.change_gripper(States::stop_for_third_party),
@@ -222,7 +234,7 @@ impl Plant {
             Action::ThirdPartyReleases => self.third_party_begins(CommandId::ReleasePart),
             Action::RestartGripper => {
                 if self.gripper.fast_stop() {
-                    self.promises.leave_elsewhere(self.now());
+                    self.reach.leave_fast_stop(self.now());
                 }
                 self.gripper = States::SWITCHED_ON;
                 self.answers = Answers::NONE;
@@ -232,9 +244,8 @@ impl Plant {
                 self.bridge = Bridge::new(CONFIG);
                 self.modbus = Modbus::new(&CONFIG);
                 self.with_next = None;
-                self.image = None;
-                self.bus_holds_fast_stop = false;
-                self.promises.reset(self.now());
+                (self.image, self.requested) = (None, None);
+                self.promises = Promises::new(self.now(), &CONFIG);
                 self.power_up()
             }
             Action::Wait => self.wait(),
@@ -243,11 +254,7 @@ impl Plant {
 
     /// Runs the first turns after power-up, until all wires have taken effect.
     fn power_up(&mut self) -> Kept {
-        if self.wires.contains(Inputs::FAST_STOP_OK) {
-            self.turn(&[], silence())?;
-        } else {
-            self.ask_for_fast_stop(silence(), &[])?;
-        }
+        self.turn(&[], Request::None)?;
         self.settle(true)
     }
 
@@ -256,141 +263,40 @@ impl Plant {
         self.wires.toggle(changed);
         let rising = self.wires & changed;
         let before = self.outputs;
-        if (changed - rising).contains(Inputs::FAST_STOP_OK) {
-            self.ask_for_fast_stop(silence(), &[])?;
-        } else {
-            self.turn(&[], silence())?;
-        }
+        self.turn(&[], Request::None)?;
         let was_ready = (before & self.outputs).contains(Outputs::READY);
-        let was_open = self.promises.is_open();
-        let stops = rising.contains(Inputs::STOP_ACK);
-        if stops {
-            self.promises.stop();
-        }
-        let motion = self.motion_of(rising).filter(|_| !stops);
-        match motion {
-            Some(motion) if was_ready => {
-                self.promises.want(motion);
-                self.promises.expect_busy(self.now());
-            }
-            Some(_) => self.promises.refuse(),
-            None => {}
-        }
         // A message in the same turn may change the expected result.
-        let judged = motion.filter(|_| self.with_next.is_none());
+        let is_judged = was_ready && self.with_next.is_none() && !rising.contains(Inputs::STOP_ACK);
         self.settle(rising.contains(Inputs::FAST_STOP_OK))?;
-        if stops && was_open && self.bridge.is_connected() {
-            self.promises.expect_standstill(self.now(), &self.gripper);
+        if !is_judged || !rising.intersects(COMMAND_WIRES) {
+            return Ok(());
         }
-        judged.map_or(Ok(()), |motion| self.judge_command(motion, was_ready, before))
-    }
-
-    /// Checks that the command is accepted, or visibly rejected.
-    fn judge_command(&self, motion: Motion, was_ready: bool, before: Outputs) -> Kept {
-        let shows = |output| self.outputs.contains(output);
-        if was_ready {
-            keep(Promise::ReadyEdgeShowsBusy, shows(Outputs::BUSY))?;
-            // MOVE is rejected unless GSTATE is IDLE. ERROR in IDLE also follows an earlier rejected command.
-            let is_refused =
-                motion == Motion::Move && before.intersects(Outputs::HOLDING | Outputs::PART_FAULT);
-            let may_be_refused = motion == Motion::Move && before.contains(Outputs::ERROR);
-            return if is_refused {
-                keep(Promise::RefusedCommandShowsError, shows(Outputs::ERROR))
-            } else {
-                keep(Promise::ReadyCommandIsTaken, may_be_refused || !shows(Outputs::ERROR))
-            };
+        let is_error = self.outputs.contains(Outputs::ERROR);
+        // MOVE is rejected unless GSTATE is IDLE. ERROR in IDLE also follows an earlier rejected command.
+        if rising.contains(Inputs::MOVE) && before.intersects(Outputs::HOLDING | Outputs::PART_FAULT) {
+            return keep(Promise::RefusedCommandShowsError, is_error);
         }
-        // A command concurrent with STOP/ACK or FAST STOP is lost.
-        let is_lost = self.wires & (Inputs::STOP_ACK | Inputs::FAST_STOP_OK) != Inputs::FAST_STOP_OK
-            || self.image == Some(Image::StopAck);
-        keep(Promise::RefusedCommandShowsError, is_lost || shows(Outputs::ERROR))
+        let may_be_refused = rising.contains(Inputs::MOVE) && before.contains(Outputs::ERROR);
+        keep(Promise::ReadyCommandIsTaken, may_be_refused || !is_error)
     }
 
     /// Lets changed wires settle.
     fn settle(&mut self, fast_stop_ok_rises: bool) -> Kept {
         self.now_ms += if fast_stop_ok_rises { FAST_STOP_RELEASE_MS } else { CONFIG.wires.debounce_ms };
-        self.last_turn()?;
-        self.promises.settled(self.wires, self.outputs)
-    }
-
-    /// Runs the turn in which FAST STOP is requested, and one more if it was not sent in the first.
-    fn ask_for_fast_stop(&mut self, bus: RtuDouble, incoming: &[u8]) -> Kept {
-        // A pending FAST STOP is repeated only after its reply or time-out.
-        let is_pending = self.bridge.session().fast_stop_pending();
-        let is_due = self.promises.fast_stop(self.now()) && !is_pending;
-        self.turn(incoming, bus)?;
-        if is_due && !self.promises.has_fast_stop_left() {
-            self.now_ms += 1;
-            self.turn(&[], silence())?;
-            return keep(Promise::FastStopLeavesAtOnce, self.promises.has_fast_stop_left());
-        }
-        Ok(())
-    }
-
-    /// Returns the motion that takes precedence among the rising wires.
-    fn motion_of(&self, rising: Inputs) -> Option<Motion> {
-        if rising.contains(Inputs::MOVE) {
-            Some(Motion::Move)
-        } else if rising.contains(Inputs::GRIP) {
-            Some(if self.wires.contains(Inputs::RECIPE1) { Motion::GripGently } else { Motion::Grip })
-        } else if rising.contains(Inputs::RELEASE) {
-            Some(Motion::Release)
-        } else if rising.contains(Inputs::HOME) {
-            Some(Motion::Home)
-        } else {
-            None
-        }
+        self.last_turn()
     }
 
     fn write(&mut self, image: Image) -> Kept {
-        let bytes = self.bytes_with_next();
-        let now = self.now();
-        let before = self.image.replace(image);
-        self.bus_holds_fast_stop = image == Image::FastStop;
-        if before == Some(Image::JogPlus) {
-            self.promises.end_jog(now, &self.gripper);
-        }
-        if image == Image::FastStop {
-            return self.ask_for_fast_stop(writing(image), &bytes);
-        }
-        // The first image raises no edge.
-        let rises = before.is_some_and(|before| before.flags() != image.flags());
-        let was_open = self.promises.is_open();
-        let stops = rises && image == Image::StopAck;
-        if stops {
-            self.promises.stop();
-        }
-        let commands = Inputs::GRIP | Inputs::MOVE | Inputs::RELEASE | Inputs::HOME;
-        let counts = rises && was_open && !self.wires.intersects(commands | Inputs::STOP_ACK);
-        if let Some(motion) = image.motion().filter(|_| counts) {
-            if self.outputs.contains(Outputs::READY) {
-                self.promises.want(motion);
-            } else {
-                self.promises.may_want(motion);
-            }
-        }
-        self.turn(&bytes, writing(image))?;
-        if stops && was_open && self.bridge.is_connected() {
-            self.promises.expect_standstill(now, &self.gripper);
-        }
-        Ok(())
+        self.image = Some(image);
+        let answers = self.with_next.take();
+        self.turn(answers.as_slice(), Request::Write(image))
     }
 
     fn fall_silent(&mut self) -> Kept {
-        let end = self.now_ms + BUS_TIMEOUT_MS;
-        while self.now_ms < end {
-            self.now_ms += self.ms_to_deadline().min(end - self.now_ms);
-            if self.now_ms == end {
-                let commanded =
-                    self.bridge.control_source() == ControlSource::Bus && self.bridge.is_connected();
-                if self.image.take() == Some(Image::JogPlus) {
-                    self.promises.end_jog(self.now(), &self.gripper);
-                }
-                if commanded {
-                    self.promises.fall_silent(self.now(), &self.gripper);
-                }
-            }
-            self.turn(&[], silence())?;
+        while let Some(requested) = self.requested {
+            let left_ms = requested.plus(BUS_TIMEOUT_MS).since(self.now());
+            self.now_ms += self.ms_to_deadline().min(left_ms);
+            self.turn(&[], Request::None)?;
         }
         Ok(())
     }
@@ -400,7 +306,7 @@ impl Plant {
         let ms = self.ms_to_deadline();
         for early in TURNS_MS.into_iter().filter(|early| *early < ms) {
             self.now_ms = begun + early;
-            self.turn(&[], self.polling())?;
+            self.turn(&[], self.poll())?;
         }
         self.now_ms = begun + ms;
         self.last_turn()
@@ -420,9 +326,7 @@ impl Plant {
     }
 
     fn third_party_begins(&mut self, id: CommandId) -> Kept {
-        // The PLC's motion has ended.
-        self.promises.stand();
-        self.change_gripper(|gripper, say| gripper.begin_for_third_party(id, say))
+        self.change_gripper(|gripper, send| gripper.begin_for_third_party(id, send))
     }
 
     fn deliver_all(&mut self) -> Kept {
@@ -430,90 +334,112 @@ impl Plant {
             if round >= QUICK_ROUNDS {
                 self.now_ms += ROUND_MS;
             }
-            let mut bytes = self.bytes_with_next();
+            let mut answers = self.with_next.take().into_iter().collect::<Vec<_>>();
             while let Some(answer) = self.answers.pop() {
-                bytes.extend(self.bytes_of(answer));
+                answers.push(answer);
             }
-            self.turn(&bytes, silence())?;
+            self.turn(&answers, Request::None)?;
             if self.answers.waiting().is_empty() {
-                let knows = self.is_line_up && self.bridge.is_connected();
-                let is_pending = !knows || self.bridge.session().fast_stop_pending();
-                return self.promises.delivered(&self.gripper, is_pending);
+                return Ok(());
             }
         }
         Err(Promise::ConversationEnds)
     }
 
-    fn deliver(&mut self, answer: Option<Answer>) -> Kept {
-        let mut bytes = self.bytes_with_next();
-        bytes.extend(answer.into_iter().flat_map(|answer| self.bytes_of(answer)));
-        self.turn(&bytes, silence())
-    }
-
-    fn bytes_with_next(&mut self) -> Vec<u8> {
-        self.with_next.take().into_iter().flat_map(|answer| self.bytes_of(answer)).collect()
-    }
-
-    /// Encodes a message that arrives intact in this turn.
-    fn bytes_of(&mut self, answer: Answer) -> impl Iterator<Item = u8> + use<> {
-        self.promises.receive(self.now(), &answer);
-        self.say(|story| write!(story, "\n        <- {} {}", answer.id, answer.status));
-        answer.bytes()
+    /// Delivers a message after one that waits for the next action. If it `is_cut`, its last byte is lost.
+    fn deliver(&mut self, answer: Option<Answer>, is_cut: bool) -> Kept {
+        let answers: Vec<_> = self.with_next.take().into_iter().chain(answer).collect();
+        self.turn_with(&answers, is_cut, Request::None)
     }
 
     /// Runs the last turn of an action.
     fn last_turn(&mut self) -> Kept {
-        let bytes = self.bytes_with_next();
-        self.turn(&bytes, self.polling())
+        let answers = self.with_next.take();
+        self.turn(answers.as_slice(), self.poll())
     }
 
-    /// Returns a bus on which the PLC reads if it is not silent.
-    fn polling(&self) -> RtuDouble {
-        if self.image.is_some() { reading() } else { silence() }
+    /// Returns a read if the PLC is not silent.
+    const fn poll(&self) -> Request {
+        if self.image.is_some() { Request::Read } else { Request::None }
     }
 
-    /// Runs one turn of the bridge's main loop.
-    fn turn(&mut self, incoming: &[u8], mut bus: RtuDouble) -> Kept {
+    fn turn(&mut self, answers: &[Answer], request: Request) -> Kept {
+        self.turn_with(answers, false, request)
+    }
+
+    /// Runs one turn of the bridge's main loop, and another a millisecond later if a FAST STOP was requested and not sent.
+    fn turn_with(&mut self, answers: &[Answer], is_cut: bool, request: Request) -> Kept {
+        self.turn_once(answers, is_cut, request)?;
+        if self.promises.owes_fast_stop() {
+            self.now_ms += 1;
+            self.turn_once(&[], false, Request::None)?;
+        }
+        keep(Promise::FastStopLeavesAtOnce, !self.promises.owes_fast_stop())
+    }
+
+    fn turn_once(&mut self, answers: &[Answer], is_cut: bool, request: Request) -> Kept {
         let now = self.now();
+        let mut bytes: Vec<u8> = answers.iter().flat_map(|answer| answer.bytes()).collect();
+        if is_cut {
+            bytes.pop();
+        }
         let mut line = SerialLine::with_room(usize::MAX);
-        line.deliver(incoming);
-        self.promises.begin_turn(self.holds_fast_stop());
+        line.deliver(&bytes);
+        let mut bus = RtuDouble::default();
+        match request {
+            Request::None => {}
+            Request::Read => bus.ask(&[UNIT, 3, 0, 0, 0, 1]),
+            Request::Write(image) => {
+                bus.ask(&[&[UNIT, 16, 0, 0, 0, 4, 8], &image.output().to_bytes()[..]].concat());
+            }
+        }
         self.outputs = self.bridge.poll(self.now_ms, self.wires, &mut line, &mut self.modbus.over(&mut bus));
+
+        let intact = &answers[..answers.len() - usize::from(is_cut)];
+        for answer in intact {
+            self.log(|story| write!(story, "\n        <- {} {}", answer.id, answer.status));
+        }
+        self.promises.begin_turn(now, self.wires, |reports| {
+            intact.iter().for_each(|answer| reports.receive(answer));
+        });
+        self.take_request(request);
+        self.promises.end_inputs(Some(MAX_DELAY_MS));
         for message in messages(&mut FrameParser::new(), &line.take_sent()) {
             let command = message.command();
-            self.say(|story| write!(story, "\n        -> {command}"));
-            self.promises.leave(now, &command, &self.gripper, self.is_line_up)?;
+            self.log(|story| write!(story, "\n        -> {command}"));
+            // A restarted gripper has lost its limit, and rejects GRIP.
+            let force_limit = self.gripper.referenced().then_some(self.gripper.force_limit.cast_signed());
+            self.promises.send(message.id, Some(&command), force_limit)?;
             if self.is_line_up {
+                if message.id == CommandId::FastStop {
+                    self.reach.receive_fast_stop(now);
+                }
                 self.gripper.take(&command, &mut |answer| self.answers.push(answer));
             }
         }
         let outputs = self.outputs;
-        self.say(|story| write!(story, "\n           {outputs:?}"));
-        self.promises.end_turn(now, outputs, &self.gripper)?;
-        let motion_is_open = self.bridge.motion_is_open();
-        self.promises.shows_state(&self.bridge.input_image(), motion_is_open)
+        self.log(|story| write!(story, "\n           {outputs:?}"));
+        if !outputs.contains(Outputs::LINK_OK) {
+            // The bridge learns the gripper's state only when it is connected.
+            self.reach.recover(now);
+        }
+        self.promises.end_turn(&self.bridge, outputs, &self.reach)
     }
-}
 
-/// Returns a bus without requests.
-fn silence() -> RtuDouble {
-    RtuDouble::default()
-}
-
-/// Returns a bus on which the PLC writes registers 0 to 3.
-fn writing(image: Image) -> RtuDouble {
-    asking(&[&[UNIT, 16, 0, 0, 0, 4, 8], &image.output().to_bytes()[..]].concat())
-}
-
-/// Returns a bus on which the PLC reads a register.
-fn reading() -> RtuDouble {
-    asking(&[UNIT, 3, 0, 0, 0, 1])
-}
-
-fn asking(request: &[u8]) -> RtuDouble {
-    let mut bus = RtuDouble::default();
-    bus.ask(request);
-    bus
+    /// Passes the PLC's request of this turn on, or its silence.
+    fn take_request(&mut self, request: Request) {
+        let now = self.now();
+        if let Request::Write(image) = request {
+            self.promises.requests.take_image(image.output(), None);
+        }
+        if !matches!(request, Request::None) {
+            self.requested = Some(now);
+        } else if self.requested.is_some_and(|requested| now.since(requested) >= BUS_TIMEOUT_MS) {
+            (self.image, self.requested) = (None, None);
+            let commands = self.bridge.control_source() == ControlSource::Bus;
+            self.promises.requests.lose_bus(commands);
+        }
+    }
 }
 
 impl Model for Plant {
@@ -566,11 +492,11 @@ impl Model for Plant {
 
     fn key(&self) -> u64 {
         let Self { actions: _, bridge, modbus, gripper, now_ms, wires, outputs, is_line_up, .. } = self;
-        let Self { answers, with_next, image, promises, story: _, .. } = self;
-        key(
-            *now_ms,
-            &(bridge, modbus, gripper, wires, outputs, is_line_up, answers, with_next, image, promises),
-        )
+        let Self { answers, with_next, image, promises, reach, .. } = self;
+        // Without a FAST STOP, it need not reach the gripper.
+        let reach = promises.requests.stopped.map(|_| reach);
+        let line = (is_line_up, answers, with_next, reach);
+        key(*now_ms, &(bridge, modbus, gripper, wires, outputs, image, line, promises))
     }
 
     fn sights(&self) -> u64 {

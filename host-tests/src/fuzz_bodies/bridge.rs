@@ -2,7 +2,7 @@
 //! wires.
 //!
 //! Properties:
-//! - the [`Oracle`](super::oracle::Oracle)'s rules: commands follow only edges of wires, or of images that an intact
+//! - the [`Promises`]: commands follow only edges of wires, or of images that an intact
 //!   request wrote while the bus had control; FAST STOP is sent at once or after the frame in progress; the outputs
 //!   are true
 //! - the watchdog may be fed
@@ -20,7 +20,7 @@ use bus_modbus::rtu::{Character, Timing};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::registers::{COMMAND_KEY, Record};
 use wsg_bridge_fw::storage::Page;
-use wsg_bridge_fw::{BoardId, BusConfig, Config, ResetCause, Station};
+use wsg_bridge_fw::{BoardId, BusConfig, Config, ControlSource, ResetCause, Station};
 use wsg_fieldbus::CommandFlags;
 
 use super::frames::repair_checksums;
@@ -29,6 +29,7 @@ use super::modbus::sealed;
 use super::tracked::{BROADCAST, BUS_RECIPE, Done, FIRST_RECIPE, Port, Tracked};
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::flash_model::FlashModel;
+use crate::promises::Promises;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
 use crate::world::NO_PROFIBUS;
@@ -107,7 +108,7 @@ impl Model {
         let config = station.load(&delivered, &flash).expect("the default settings are valid");
         station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
         let mut ends = Ends::new(&config, slow.then_some(BYTES_PER_MS));
-        ends.oracle.requested.refuses = is_damaged;
+        ends.promises.requests.refuses = is_damaged;
         Self {
             station,
             flash,
@@ -174,11 +175,11 @@ impl Model {
             }
         }
         self.ends.is_over |= matches!(self.tracked.end_turn(), Done::Unknown);
-        let Self { ends: Ends { oracle, .. }, tracked, .. } = self;
-        oracle.reported.frame_timeout_ms = tracked.frame_timeout_ms();
-        oracle.requested.debounce_ms = tracked.debounce_ms();
-        oracle.requested.recipes = tracked.recipes();
-        oracle.requested.refuses &= tracked.saved().is_none();
+        let Self { ends: Ends { promises: Promises { requests, reports, .. }, .. }, tracked, .. } = self;
+        reports.frame_timeout_ms = tracked.frame_timeout_ms();
+        requests.debounce_ms = tracked.debounce_ms();
+        requests.recipes = tracked.recipes();
+        requests.refuses &= tracked.saved().is_none();
     }
 
     /// Checks that the next start loads the saved settings.
@@ -224,13 +225,14 @@ impl WholeBridge for Model {
         let was_connected = station.bridge().is_connected();
         let outputs = station.turn(now_ms, ends.wires, ends.line.turn(), bus, service, flash);
         assert!(station.bridge().may_feed_watchdog(now_ms));
-        ends.begin_turn();
-        let Ends { oracle, is_over, .. } = ends;
+        let received = ends.line.take_received();
+        ends.begin_turn(&received);
+        let Ends { promises: Promises { requests, levels, .. }, is_over, .. } = ends;
         for event in self.bus.take_events() {
             match self.tracked.take(Port::Bus, &event) {
                 None => continue,
                 Some(Done::Activity) => {}
-                Some(Done::Image(image, recipe)) => oracle.requested.take_image(image, recipe),
+                Some(Done::Image(image, recipe)) => requests.take_image(image, recipe),
                 Some(Done::Unknown) => *is_over = true,
             }
             self.received_ms = Some(now_ms);
@@ -238,11 +240,12 @@ impl WholeBridge for Model {
         if *is_over {
             return;
         }
-        oracle.shown.min_busy_ms = self.tracked.min_busy_ms();
+        levels.min_busy_ms = self.tracked.min_busy_ms();
         let timeout_ms = self.tracked.timeout_ms();
         if timeout_ms > 0 && self.received_ms.is_some_and(|received_ms| now_ms - received_ms >= timeout_ms) {
             self.received_ms = None;
-            oracle.requested.lose_bus();
+            let commands = station.bridge().control_source() == ControlSource::Bus;
+            requests.lose_bus(commands && self.tracked.stops_at_silence());
         }
         if was_connected && !self.station.bridge().is_connected() {
             ends.line.cut();

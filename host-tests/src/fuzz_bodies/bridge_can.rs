@@ -2,7 +2,7 @@
 //! frames and bus faults.
 //!
 //! Properties:
-//! - the [`Oracle`]'s rules: commands follow only edges of wires, or of 8-byte RPDOs to an operational device. FAST
+//! - the [`Promises`]: commands follow only edges of wires, or of 8-byte RPDOs to an operational device. FAST
 //!   STOP is sent as soon as the previous message is complete on the bus, or at once on RS-232. The outputs are true
 //! - the watchdog may be fed
 //! - the device state follows CANopen's NMT and the master's silence. Without operation or with a disabled RPDO the
@@ -21,17 +21,17 @@ use wsg_bridge_fw::can::{
 use wsg_bridge_fw::gripper::GripperLink;
 use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::plc::canopen::{NmtState, Node, SETTINGS_INDEX};
-use wsg_bridge_fw::{Bridge, BusConfig, Config};
+use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource};
 use wsg_fieldbus::{CommandFlags, OutputImage};
 use wsg_protocol::can::{Identifiers, Reassembler, Segments};
 use wsg_protocol::{CommandId, Event, FrameEncoder, Instant, Kind};
 
 use super::gripper::PREAMBLE;
 use super::input::Input;
-use super::oracle::Oracle;
 use super::tap::Tap;
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::gripper_states::Message;
+use crate::promises::Promises;
 use crate::world::can::CanDouble;
 
 const NODE: u16 = DEFAULT_NODE.node as u16;
@@ -513,10 +513,12 @@ impl Model {
 
     /// Applies received frames and time to the reference model.
     fn follow(&mut self, sent: &[ClassicFrame]) {
-        let Ends { now_ms, wires, line, oracle, is_over, .. } = &mut self.ends;
-        let received = if self.is_on_rs_232 { line.take_received() } else { self.link.take_received() };
-        oracle.begin_turn(*now_ms, &received, *wires);
-        let (now_ms, Oracle { requested, .. }, device) = (*now_ms, oracle, &mut self.device);
+        let ends = &mut self.ends;
+        let received = if self.is_on_rs_232 { ends.line.take_received() } else { self.link.take_received() };
+        ends.begin_turn(&received);
+        let commands = self.bridge.control_source() == ControlSource::Bus;
+        let Ends { now_ms, promises: Promises { requests, .. }, is_over, .. } = ends;
+        let (now_ms, device) = (*now_ms, &mut self.device);
         let was_lost = std::mem::replace(&mut self.was_lost, self.bus.is_lost());
         if self.was_lost && !was_lost {
             device.lose_bus();
@@ -524,8 +526,8 @@ impl Model {
         let mut reset = false;
         for event in std::mem::take(&mut device.events) {
             match event {
-                BusEvent::Image(image) => requested.take_image(image, None),
-                BusEvent::Left => requested.lose_bus(),
+                BusEvent::Image(image) => requests.take_image(image, None),
+                BusEvent::Left => requests.lose_bus(commands),
                 BusEvent::Reset { whole } => {
                     reset = true;
                     if whole {
@@ -540,14 +542,14 @@ impl Model {
         }
         *is_over = !device.configure(now_ms, sent);
         if device.events.drain(..).any(|event| matches!(event, BusEvent::Left)) {
-            requested.lose_bus();
+            requests.lose_bus(commands);
         }
         let is_silent = |received_ms| device.timeout_ms > 0 && now_ms - received_ms >= device.timeout_ms;
         if device.received_ms.is_some_and(is_silent) {
             device.forget_master();
             if device.state == NmtState::Operational {
                 device.end_operation();
-                requested.lose_bus();
+                requests.lose_bus(commands);
             }
         }
         if device.state == NmtState::Initialising && self.node.state() == NmtState::PreOperational {
@@ -557,7 +559,7 @@ impl Model {
         if !*is_over {
             assert_eq!(self.node.state(), device.state);
         }
-        requested.debounce_ms = device.debounce_ms;
+        requests.debounce_ms = device.debounce_ms;
     }
 
     /// Discards the queue if the controller was requested to abort.
@@ -651,15 +653,14 @@ impl WholeBridge for Model {
         }
         let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
         let max_delay_ms = if cut_off { None } else { Some(FAST_STOP_MS) };
-        let Ends { gripper, oracle, .. } = &mut self.ends;
         if cut_off {
-            gripper.fault(now_ms);
+            self.ends.gripper.fault(now_ms);
         }
-        oracle.begin_leaving(max_delay_ms);
+        self.ends.promises.end_inputs(max_delay_ms);
         for message in messages {
-            oracle.leaves(message.id, Some(&message.command()), gripper);
+            self.ends.send(message.id, Some(&message));
         }
-        oracle.end_turn(&self.bridge, outputs, gripper);
+        self.ends.judge(&self.bridge, outputs);
         self.leave();
         for answer in self.ends.gripper.transmit(now_ms) {
             self.deliver_message(&answer, None);

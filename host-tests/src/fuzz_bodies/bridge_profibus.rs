@@ -2,7 +2,7 @@
 //! from two masters, wires and gripper behaviour.
 //!
 //! Properties:
-//! - the [`Oracle`](super::oracle::Oracle)'s rules: commands follow only edges of wires, or of outputs from the
+//! - the [`Promises`](crate::promises::Promises): commands follow only edges of wires, or of outputs from the
 //!   controlling master in data exchange; FAST STOP is sent at once; the outputs are true
 //! - the watchdog may be fed
 //! - the main loop receives the slave's events once and in order: changed outputs, end and return of control, and
@@ -16,7 +16,7 @@ use std::ops::RangeInclusive;
 
 use bus_profibus::{Address, Baud, Cause, Character, Event};
 use wsg_bridge_fw::plc::{DpBuffers, DpResponder, PlcEvent, PlcSide, Profibus, Shown, UartStatus, View};
-use wsg_bridge_fw::{Bridge, Config, PlcBus, ProfibusConfig};
+use wsg_bridge_fw::{Bridge, Config, ControlSource, PlcBus, ProfibusConfig};
 use wsg_fieldbus::profibus::{PROFILE, Slave};
 use wsg_fieldbus::{CommandFlags, Diagnosis, InputImage, OutputImage};
 use wsg_protocol::{Instant, SystemFlags};
@@ -412,12 +412,16 @@ impl WholeBridge for Model {
         let (events, shown) = (side.events, side.shown);
         self.inputs = shown;
         assert!(self.bridge.may_feed_watchdog(now_ms));
-        ends.begin_turn();
+        let received = ends.line.take_received();
+        ends.begin_turn(&received);
         assert_eq!(events, self.events(now_ms));
         for event in events {
             match event {
-                PlcEvent::Output(image) => self.ends.oracle.requested.take_image(image, None),
-                PlcEvent::Left { .. } => self.ends.oracle.requested.lose_bus(),
+                PlcEvent::Output(image) => self.ends.promises.requests.take_image(image, None),
+                PlcEvent::Left { .. } => {
+                    let commands = self.bridge.control_source() == ControlSource::Bus;
+                    self.ends.promises.requests.lose_bus(commands);
+                }
                 PlcEvent::Configured | PlcEvent::Served => unreachable!("PROFIBUS has no registers"),
             }
         }

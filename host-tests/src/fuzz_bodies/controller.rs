@@ -5,8 +5,8 @@ use wsg_protocol::session::{Event, Known, RequestError};
 use wsg_protocol::{Command, CommandId, GripperState, Kind, Reply, Status, SystemFlags, Value};
 
 use super::input::Input;
-use super::requested::MOTIONS;
 use crate::gripper_states::LIMITS;
+use crate::promises::MOTIONS;
 
 /// Lock on motions: after FAST STOP until an acknowledgement has succeeded. The gripper's flag also disappears when a
 /// third party acknowledges the FAST STOP, or when the gripper restarts.

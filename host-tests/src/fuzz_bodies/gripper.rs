@@ -2,10 +2,11 @@
 //! late, twice or not at all.
 
 use wsg_protocol::frame::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
-use wsg_protocol::{CommandId, GripperState, Status, SystemFlags};
+use wsg_protocol::{CommandId, GripperState, Instant, Status, SystemFlags};
 
 use super::input::Input;
 use crate::gripper_states::{Answer, Message, States};
+use crate::promises::Reach;
 
 /// Start of every message.
 pub(super) const PREAMBLE: [u8; PREAMBLE_LEN] = [PREAMBLE_BYTE; PREAMBLE_LEN];
@@ -44,10 +45,6 @@ impl Delivery {
 /// Time-out of the gripper for an incomplete frame, in milliseconds.
 const FRAME_TIMEOUT_MS: u32 = 500;
 
-/// Time until FAST STOP reaches the gripper: after the last fault, and with at most one fault.
-const HEALTHY_MS: u32 = 1_000;
-const ONE_FAULT_MS: u32 = 250;
-
 /// Duration of a motion as a multiple of the answer's delay.
 const MOTION_FACTOR: u32 = 4;
 
@@ -65,7 +62,7 @@ const CONDITIONS: [(SystemFlags, bool); 8] = [
 
 /// A gripper that executes its commands.
 pub(super) struct Gripper {
-    answers: bool,
+    pub(super) reach: Reach,
     /// Delivery of successive commands and answers; the last one applies to the rest. Empty means at once.
     deliveries: Vec<u8>,
     delivered: usize,
@@ -78,13 +75,6 @@ pub(super) struct Gripper {
     ends_ms: u32,
     /// Bytes still swallowed by a nonexistent frame, and the time of the last byte.
     deaf: (u32, u32),
-    /// Times of the last two line faults.
-    faults: [Option<u32>; 2],
-    /// Whether forged messages have been sent in its name.
-    is_forged: bool,
-    /// Time of the last received FAST STOP, and of leaving one without the bridge's acknowledgement.
-    fast_stop_ms: Option<u32>,
-    left_ms: Option<u32>,
     /// Whether it has lost its force limit and has neither been homed nor received a new one.
     is_restarted: bool,
 }
@@ -94,7 +84,7 @@ impl Gripper {
     pub(super) fn new() -> Self {
         let (flags, has_part) = CONDITIONS[0];
         Self {
-            answers: false,
+            reach: Reach::new(false),
             deliveries: Vec::new(),
             delivered: 0,
             on_the_way: Vec::new(),
@@ -103,10 +93,6 @@ impl Gripper {
             has_part,
             ends_ms: 0,
             deaf: (0, 0),
-            faults: [None; 2],
-            is_forged: false,
-            fast_stop_ms: None,
-            left_ms: None,
             is_restarted: false,
         }
     }
@@ -119,7 +105,7 @@ impl Gripper {
 
     /// Answers all commands at once from now on.
     pub(super) fn answer(&mut self) {
-        self.answers = true;
+        self.reach.is_alive = true;
         self.deliveries.clear();
     }
 
@@ -128,10 +114,9 @@ impl Gripper {
     /// stops a motion or starts one. In the condition FAST STOP it is a third party's acknowledgement.
     pub(super) fn change(&mut self, now_ms: u32, input: &mut Input<'_>) {
         let how = input.byte();
-        let was_dead = !std::mem::replace(&mut self.answers, how & 1 != 0);
-        if was_dead && self.answers {
-            // Not a single fault: the gripper may have missed a whole burst of FAST STOPs.
-            self.faults = [Some(now_ms); 2];
+        let was_alive = std::mem::replace(&mut self.reach.is_alive, how & 1 != 0);
+        if self.reach.is_alive && !was_alive {
+            self.reach.recover(Instant::from_millis(now_ms));
         }
         self.deliveries = input.bytes(usize::from(how >> 1 & 7)).to_vec();
         self.delivered = 0;
@@ -153,7 +138,7 @@ impl Gripper {
             states.raise_fast_stop(&mut |answer| answers.push(answer));
         }
         if (is_restarted || is_acknowledged) && was_fast_stopped {
-            self.left_ms = Some(now_ms);
+            self.reach.leave_fast_stop(Instant::from_millis(now_ms));
         }
         if how & 0x80 != 0 {
             if states.state == GripperState::Holding {
@@ -173,7 +158,7 @@ impl Gripper {
 
     pub(super) fn receive(&mut self, now_ms: u32, message: &Message) {
         let delivery = self.delivery();
-        if !matches!(delivery, Delivery::Late(_)) || !self.answers {
+        if !matches!(delivery, Delivery::Late(_)) || !self.reach.is_alive {
             self.fault(now_ms);
         }
         if !self.receives(now_ms, message, delivery) {
@@ -185,7 +170,7 @@ impl Gripper {
         }
         match id {
             CommandId::SetForceLimit => self.is_restarted = false,
-            CommandId::FastStop => self.fast_stop_ms = Some(now_ms),
+            CommandId::FastStop => self.reach.receive_fast_stop(Instant::from_millis(now_ms)),
             _ => {}
         }
         let (moved, mut answers) = (self.states.motion.is_some(), vec![]);
@@ -203,49 +188,23 @@ impl Gripper {
 
     /// Records a fault of the line.
     pub(super) fn fault(&mut self, now_ms: u32) {
-        if self.faults[0] != Some(now_ms) {
-            self.faults = [Some(now_ms), self.faults[0]];
-        }
+        self.reach.fault(Instant::from_millis(now_ms));
     }
 
     /// Records bytes that reach the bridge but are not from the gripper: noise, or a forged message.
     pub(super) fn forge(&mut self, now_ms: u32, bytes: &[u8]) {
         self.fault(now_ms);
-        self.is_forged |= bytes.windows(PREAMBLE.len()).any(|window| window == PREAMBLE);
+        self.reach.is_forged |= bytes.windows(PREAMBLE.len()).any(|window| window == PREAMBLE);
     }
 
     /// Returns the force limit in hundredths if the bridge can know it. After a restart GRIP requires homing.
     pub(super) fn force_limit(&self) -> Option<i32> {
-        (!self.is_forged && !self.is_restarted).then_some(self.states.force_limit as i32)
-    }
-
-    /// Returns whether forged messages have been sent in its name.
-    pub(super) const fn is_forged(&self) -> bool {
-        self.is_forged
-    }
-
-    /// Returns whether the gripper has received a FAST STOP since the request, or may still be waiting for it. A
-    /// silent gripper cannot receive. While FAST STOP `is_held`, a gripper that has left it must receive another.
-    pub(super) fn has_stopped(&self, now_ms: u32, asked_ms: u32, is_held: bool) -> bool {
-        // The bridge depends on a report, which may be late or lost.
-        if let Some(left_ms) = self.left_ms.filter(|left_ms| is_held && *left_ms > asked_ms) {
-            let healthy_ms = self.faults[0].map_or(left_ms, |fault_ms| fault_ms.max(left_ms));
-            let has_heard = self.fast_stop_ms.is_some_and(|received_ms| received_ms >= left_ms);
-            return has_heard || !self.answers || self.is_forged || now_ms <= healthy_ms + HEALTHY_MS;
-        }
-        let latest_ms = match self.faults {
-            [Some(last_ms), Some(second_ms)] if second_ms + HEALTHY_MS > asked_ms => {
-                last_ms.max(asked_ms) + HEALTHY_MS
-            }
-            _ => asked_ms + ONE_FAULT_MS,
-        };
-        let has_heard = self.fast_stop_ms.is_some_and(|received_ms| received_ms >= asked_ms);
-        has_heard || !self.answers || self.is_forged || now_ms <= latest_ms
+        (!self.reach.is_forged && !self.is_restarted).then_some(self.states.force_limit as i32)
     }
 
     fn receives(&mut self, now_ms: u32, message: &Message, delivery: Delivery) -> bool {
         let (left, last_ms) = std::mem::replace(&mut self.deaf, (0, now_ms));
-        if !self.answers {
+        if !self.reach.is_alive {
             return false;
         }
         let length = (OVERHEAD + message.payload.len()) as u32;
@@ -275,7 +234,7 @@ impl Gripper {
             }
             !is_there
         });
-        if self.answers { arrived } else { vec![] }
+        if self.reach.is_alive { arrived } else { vec![] }
     }
 
     fn delivery(&mut self) -> Delivery {

@@ -22,6 +22,7 @@ pub(super) const BROADCAST: u8 = 0;
 const SETTINGS: std::ops::Range<usize> = 100..100 + registers::SETTINGS.len();
 const UNIT: usize = 100;
 const BUS_TIMEOUT: usize = 101;
+const BUS_REACTION: usize = 102;
 const BUS_CHAR_TIMEOUT: usize = 103;
 const BROADCASTS: usize = 104;
 const SWAP_BYTES: usize = 105;
@@ -108,6 +109,11 @@ impl Tracked {
 
     pub(super) fn timeout_ms(&self) -> u32 {
         self.setting(BUS_TIMEOUT).into()
+    }
+
+    /// Returns whether the silence of a bus that commands stops the motion (BUS_REACTION 1).
+    pub(super) fn stops_at_silence(&self) -> bool {
+        self.setting(BUS_REACTION) == 1
     }
 
     pub(super) fn debounce_ms(&self) -> u32 {

@@ -1,16 +1,17 @@
-//! Common parts of the whole-bridge bodies: wires, the gripper's end, the oracle, and the loop that plays a case.
+//! Common parts of the whole-bridge bodies: wires, the gripper's end, the promises, and the loop that plays a case.
 //!
-//! Each body adds the bridge, its PLC bus, and the oracle's inputs from the bus.
+//! Each body adds the bridge, its PLC bus, and what the bus requests.
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config};
 use wsg_fieldbus::CommandFlags;
-use wsg_protocol::{CommandId, Status};
+use wsg_protocol::{CommandId, Instant, Status};
 
 use super::gripper::{self, Gripper};
 use super::input::Input;
-use super::oracle::Oracle;
 use super::tap::Tap;
+use crate::gripper_states::Message;
+use crate::promises::{Kept, Promises};
 use crate::serial_gripper::SerialLine;
 
 const MOTION_WIRES: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
@@ -48,7 +49,7 @@ pub(super) struct Ends {
     pub(super) gripper: Gripper,
     /// The line of a gripper on RS-232.
     pub(super) line: Tap<SerialLine>,
-    pub(super) oracle: Oracle,
+    pub(super) promises: Promises,
     /// Whether further effects cannot be tracked.
     pub(super) is_over: bool,
 }
@@ -61,33 +62,51 @@ impl Ends {
             wires: Inputs::empty(),
             gripper: Gripper::new(),
             line: Tap::new(SerialLine::with_room(usize::MAX), per_ms),
-            oracle: Oracle::new(config),
+            promises: Promises::new(Instant::from_millis(0), config),
             is_over: false,
         }
     }
 
-    /// Passes the bytes read in this turn and the wires to the oracle.
-    pub(super) fn begin_turn(&mut self) {
-        let received = self.line.take_received();
-        self.oracle.begin_turn(self.now_ms, &received, self.wires);
+    /// Passes on the bytes that the bridge has `received` in this turn, and the wires.
+    pub(super) fn begin_turn(&mut self, received: &[u8]) {
+        let now = Instant::from_millis(self.now_ms);
+        self.promises.begin_turn(now, self.wires, |reports| reports.read(received));
     }
 
     /// Ends a turn of this bridge with these outputs: delivers its commands to the gripper, and the gripper's answers.
     pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, max_delay_ms: u32) {
-        let Self { now_ms, gripper, line, oracle, .. } = self;
-        oracle.begin_leaving(Some(max_delay_ms));
-        for id in line.take_begun() {
-            oracle.leaves(id, None, gripper);
+        self.promises.end_inputs(Some(max_delay_ms));
+        for id in self.line.take_begun() {
+            self.send(id, None);
         }
-        for message in line.take_messages() {
-            if !line.is_slow() {
-                oracle.leaves(message.id, Some(&message.command()), gripper);
+        for message in self.line.take_messages() {
+            if !self.line.is_slow() {
+                self.send(message.id, Some(&message));
             }
-            gripper.receive(*now_ms, &message);
+            self.gripper.receive(self.now_ms, &message);
         }
-        oracle.end_turn(bridge, outputs, gripper);
-        for answer in gripper.transmit(*now_ms) {
-            line.link.deliver(&answer);
+        self.judge(bridge, outputs);
+        for answer in self.gripper.transmit(self.now_ms) {
+            self.line.link.deliver(&answer);
+        }
+    }
+
+    /// Checks a command to the gripper; only its id may be known.
+    pub(super) fn send(&mut self, id: CommandId, message: Option<&Message>) {
+        let command = message.map(Message::command);
+        let kept = self.promises.send(id, command.as_ref(), self.gripper.force_limit());
+        self.check(kept);
+    }
+
+    /// Checks the outputs at the end of a turn.
+    pub(super) fn judge(&mut self, bridge: &Bridge, outputs: Outputs) {
+        let kept = self.promises.end_turn(bridge, outputs, &self.gripper.reach);
+        self.check(kept);
+    }
+
+    fn check(&self, kept: Kept) {
+        if let Err(promise) = kept {
+            panic!("{promise:?} is broken: {:#?}", self.promises);
         }
     }
 }
@@ -150,8 +169,8 @@ pub(super) trait WholeBridge {
         self.write_zeros();
         self.ends().wires = Inputs::FAST_STOP_OK;
         self.pass(4);
-        let Oracle { requested, shown, .. } = &self.ends().oracle;
-        assert_eq!(shown.outputs, if requested.refuses { REFUSED } else { READY });
+        let Promises { requests, levels, .. } = &self.ends().promises;
+        assert_eq!(levels.outputs, if requests.refuses { REFUSED } else { READY });
     }
 
     /// Plays a case. The first byte selects a ready bridge (bit 0) and moving fingers at power-up (bit 4).

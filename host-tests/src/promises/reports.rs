@@ -1,17 +1,25 @@
 //! Reports of the gripper: intact frames in the bytes read by the bridge.
 
-use crate::gstate_rule::GstateRule;
+use std::hash::{Hash, Hasher};
+
 use wsg_bridge_fw::MAX_REPLY_LEN;
-use wsg_protocol::{CommandId, Event, FrameParser, GripperState, Kind, Reply, Status, SystemFlags, Value};
+use wsg_protocol::{
+    CommandId, Event, FrameParser, GripperState, Instant, Kind, Reply, Status, SystemFlags, Value,
+};
+
+use super::gstate::GstateRule;
+use crate::gripper_states::Answer;
 
 /// State of the gripper as known to the bridge.
-pub(super) struct Reported {
+#[derive(Clone, Debug)]
+pub(crate) struct Reports {
     /// Time-out of an incomplete frame, in milliseconds.
-    pub(super) frame_timeout_ms: u32,
+    pub(crate) frame_timeout_ms: u32,
     parser: FrameParser<MAX_REPLY_LEN>,
-    read_ms: u32,
+    now: Instant,
+    read: Instant,
     /// End of the last intact frame.
-    pub(super) received_ms: u32,
+    pub(super) received: Instant,
     /// Last reported states since the connection was lost.
     pub(super) flags: Option<SystemFlags>,
     pub(super) state: Option<GripperState>,
@@ -25,13 +33,21 @@ pub(super) struct Reported {
     answered: Vec<(CommandId, Status)>,
 }
 
-impl Reported {
-    pub(super) const fn new(frame_timeout_ms: u32) -> Self {
+impl Hash for Reports {
+    /// Ignores what the bridge stores as well, and the time of the last frame, or few states would be equal.
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        (&self.gstate, self.grip).hash(state);
+    }
+}
+
+impl Reports {
+    pub(super) const fn new(now: Instant, frame_timeout_ms: u32) -> Self {
         Self {
             frame_timeout_ms,
             parser: FrameParser::new(),
-            read_ms: 0,
-            received_ms: 0,
+            now,
+            read: now,
+            received: now,
             flags: None,
             state: None,
             gstate: GstateRule::new(),
@@ -67,28 +83,41 @@ impl Reported {
         })
     }
 
-    /// Processes bytes read by the bridge in this turn.
-    pub(super) fn read(&mut self, now_ms: u32, mut bytes: &[u8]) {
+    pub(super) fn begin_turn(&mut self, now: Instant) {
+        self.now = now;
         self.answered.clear();
         self.has_left_fast_stop = false;
+    }
+
+    /// Processes bytes read by the bridge in this turn.
+    pub(crate) fn read(&mut self, mut bytes: &[u8]) {
         if !bytes.is_empty() {
-            self.read_ms = now_ms;
+            self.read = self.now;
         }
         loop {
             let (taken, event) = self.parser.push_slice(bytes);
             bytes = &bytes[taken..];
             let Some(event) = event else { break };
             let report = report(&event);
-            self.take(now_ms, report);
+            self.take(report);
         }
-        if self.parser.is_mid_frame() && now_ms - self.read_ms >= self.frame_timeout_ms {
+        if self.parser.is_mid_frame() && self.now.since(self.read) >= self.frame_timeout_ms {
             while let Some(report) = self.parser.expire().map(|event| report(&event)) {
-                self.take(now_ms, report);
+                self.take(report);
             }
         }
     }
 
-    fn take(&mut self, now_ms: u32, report: Report) {
+    /// Processes a message that reaches the bridge intact in this turn.
+    pub(crate) fn receive(&mut self, answer: &Answer) {
+        self.take(match (answer.flags(), answer.state()) {
+            (Some(flags), _) => Report::Flags(flags),
+            (None, Some(state)) => Report::State(state),
+            (None, None) => Report::Status(answer.id, answer.status),
+        });
+    }
+
+    fn take(&mut self, report: Report) {
         match report {
             Report::Nothing => return,
             Report::Flags(flags) => {
@@ -111,7 +140,7 @@ impl Reported {
             }
             Report::Other => {}
         }
-        self.received_ms = now_ms;
+        self.received = self.now;
     }
 }
 

@@ -1,4 +1,4 @@
-//! The rule of GSTATE, for the exploration and the whole-bridge fuzz bodies (fieldbus, 5.1.2 and appendix C).
+//! The rule of GSTATE (fieldbus, 5.1.2 and appendix C).
 //!
 //! While no command of the PLC runs, GSTATE is the state that the gripper reported last, whoever caused it. The only
 //! exception is ERROR after a motion of the PLC that failed, until the gripper reports another state.
@@ -8,7 +8,7 @@ use wsg_protocol::{CommandId, GripperState, Kind, Status, SystemFlags};
 
 /// The last reports, and the reason why GSTATE may differ from them.
 #[derive(Clone, Debug)]
-pub(crate) struct GstateRule {
+pub(super) struct GstateRule {
     /// The state reported last; `None` while it is unknown.
     reported: Option<GripperState>,
     /// No state was reported since the PLC's last command ended.
@@ -43,7 +43,7 @@ impl std::hash::Hash for GstateRule {
 }
 
 impl GstateRule {
-    pub(crate) const fn new() -> Self {
+    pub(super) const fn new() -> Self {
         Self {
             reported: None,
             is_outdated: true,
@@ -57,12 +57,12 @@ impl GstateRule {
     }
 
     /// Takes the loss of the connection, after which the state is unknown.
-    pub(crate) const fn disconnect(&mut self) {
+    pub(super) const fn disconnect(&mut self) {
         (self.reported, self.is_outdated, self.is_aborted) = (None, true, false);
     }
 
     /// Takes a state that the gripper reports.
-    pub(crate) fn report(&mut self, state: GripperState) {
+    pub(super) fn report(&mut self, state: GripperState) {
         if !self.is_pending {
             self.excuse = self.excuse.after(state);
         }
@@ -71,7 +71,7 @@ impl GstateRule {
     }
 
     /// Takes an answer without a value.
-    pub(crate) fn answer(&mut self, id: CommandId, status: Status) {
+    pub(super) fn answer(&mut self, id: CommandId, status: Status) {
         self.is_aborted |= self.is_pending && id.kind() == Kind::Motion && status == Status::CmdAborted;
         // The status register may show a refused motion instead of these ends.
         self.is_outdated |= match (id, status) {
@@ -89,7 +89,7 @@ impl GstateRule {
 
     /// Returns whether the image at the end of a turn keeps the rule. `motion_is_open` is whether a motion of
     /// the PLC has no result yet.
-    pub(crate) fn is_kept(&mut self, image: &InputImage, motion_is_open: bool) -> bool {
+    pub(super) fn is_kept(&mut self, image: &InputImage, motion_is_open: bool) -> bool {
         let is_pending = match image.status {
             Status::CmdPending => true,
             // While a flag of a motion refused in the meantime is 1.

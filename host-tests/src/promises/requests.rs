@@ -16,13 +16,18 @@
 //! - While the stored settings are rejected, no motion is sent.
 //! - A force limit is sent for its motion, and not after that is void.
 //! - STOP/ACK cancels earlier and simultaneous motions, FAST STOP all requests. After a FAST STOP no motion precedes
-//!   an acknowledgement, which requires an edge of STOP/ACK. A lost connection voids earlier requests.
+//!   an acknowledgement, which requires an edge of STOP/ACK. A lost connection voids earlier requests, and so does
+//!   READY: a bridge that accepts a command has none left to send.
+//! - The silence of a bus withdraws the motion that it requested.
+
+use std::hash::{Hash, Hasher};
 
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{RECIPE_COUNT, RECIPES, Recipe};
 use wsg_fieldbus::{CommandFlags, OutputImage};
-use wsg_protocol::{Command, CommandId, Kind, PrePositionFlags};
+use wsg_protocol::{Command, CommandId, Instant, Kind, PrePositionFlags};
 
+use super::{Kept, Promise, keep};
 use crate::gripper_states::{LEAST_SPEED, STROKE};
 
 const COMMAND_WIRES: [(Inputs, CommandFlags); 4] = [
@@ -33,7 +38,7 @@ const COMMAND_WIRES: [(Inputs, CommandFlags); 4] = [
 ];
 
 /// Motion flags in order of precedence, and their commands.
-pub(super) const MOTIONS: [(CommandFlags, CommandId); 4] = [
+pub(crate) const MOTIONS: [(CommandFlags, CommandId); 4] = [
     (CommandFlags::MOVE, CommandId::PrePosition),
     (CommandFlags::GRIP, CommandId::GripPart),
     (CommandFlags::RELEASE, CommandId::ReleasePart),
@@ -51,18 +56,32 @@ const LATE_MS: u32 = 1_000;
 const LEAST_RELEASE_MS: u32 = 5;
 
 /// A command that may be sent.
+#[derive(Clone, Debug, Hash)]
 struct Edge {
     id: CommandId,
-    at_ms: u32,
+    at: Instant,
+    of_wire: bool,
     /// Width, speed and force limit of a motion, in hundredths.
-    goes_by: [i32; 3],
+    parameters: [i32; 3],
 }
 
+/// A force limit that may be sent, in hundredths.
+#[derive(Clone, Debug, Hash)]
+struct ForceLimit {
+    force: i32,
+    at: Instant,
+    of_jog: bool,
+}
+
+/// Flags, speed and force limit of a jog.
+type Drive = (CommandFlags, u16, i16);
+
 /// Requests and their outcomes so far.
-pub(super) struct Requested {
-    now_ms: u32,
-    pub(super) debounce_ms: u32,
-    pub(super) recipes: [Recipe; RECIPE_COUNT],
+#[derive(Clone, Debug)]
+pub(crate) struct Requests {
+    now: Instant,
+    pub(crate) debounce_ms: u32,
+    pub(crate) recipes: [Recipe; RECIPE_COUNT],
     /// Groups of wires that are debounced together.
     groups: [Group; 3],
     /// Effective flags of the wires; `None` before all have settled.
@@ -73,43 +92,55 @@ pub(super) struct Requested {
     bus: CommandFlags,
     /// Last effective flags of both sides; `None` before the wires have settled.
     flags: Option<CommandFlags>,
-    may_leave: Vec<Edge>,
-    /// Requested force limits in hundredths, with their times and whether for a jog.
-    forces: Vec<(i32, u32, bool)>,
+    edges: Vec<Edge>,
+    force_limits: Vec<ForceLimit>,
     /// Parameters of a jog, and whether a Pre-position may be sent for it.
-    jog: (Option<(CommandFlags, u16, i16)>, bool),
+    drive: Option<Drive>,
+    may_jog: bool,
+    /// The promise that a motion without a request breaks. It only names the failure.
+    voided_by: Promise,
     /// Whether the bridge shows READY.
-    pub(super) is_ready: bool,
+    is_ready: bool,
     /// Whether a command wire rose in this turn while READY was low.
     pub(super) is_refused: bool,
     /// Whether a motion wire rose in this turn while READY was high.
     pub(super) has_edge: bool,
-    /// Whether FAST STOP or STOP/ACK was requested in this turn, or the parameters of a running jog ended or changed.
+    /// Whether in this turn FAST STOP or STOP/ACK was requested, the parameters of a running jog ended or changed, or the bus
+    /// that commands became silent.
     pub(super) asks_fast_stop: bool,
     pub(super) asks_stop: bool,
     pub(super) ends_jog: bool,
+    pub(super) bus_is_silent: bool,
     /// Whether a Pre-position was sent for a jog and neither answered nor stopped.
-    pub(super) jogs: bool,
+    pub(crate) jogs: bool,
     /// Time since which a FAST STOP has been unacknowledged.
-    pub(super) stopped_ms: Option<u32>,
+    pub(crate) stopped: Option<Instant>,
     /// Whether the stored settings are rejected.
-    pub(super) refuses: bool,
+    pub(crate) refuses: bool,
 }
 
-#[derive(Clone, Copy)]
+impl Hash for Requests {
+    /// Ignores what the bridge stores as well: levels, images and settings.
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let Self { edges, force_limits, may_jog, bus, jogs, stopped, .. } = self;
+        (edges, force_limits, may_jog, bus, jogs, stopped).hash(state);
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
 struct Group {
     wires: Inputs,
-    read: Option<(Inputs, u32)>,
+    read: Option<(Inputs, Instant)>,
     counts: Option<Inputs>,
 }
 
-impl Requested {
+impl Requests {
     /// Creates the state without requests, with this debounce time.
-    pub(super) fn new(debounce_ms: u32) -> Self {
+    pub(super) fn new(now: Instant, debounce_ms: u32) -> Self {
         let command_group = Inputs::all().difference(Inputs::STOP_ACK | Inputs::FAST_STOP_OK);
         let group = |wires| Group { wires, read: None, counts: None };
         Self {
-            now_ms: 0,
+            now,
             debounce_ms,
             recipes: RECIPES,
             groups: [command_group, Inputs::STOP_ACK, Inputs::FAST_STOP_OK].map(group),
@@ -117,17 +148,20 @@ impl Requested {
             image: None,
             bus: CommandFlags::empty(),
             flags: None,
-            may_leave: Vec::new(),
-            forces: Vec::new(),
-            jog: (None, false),
+            edges: Vec::new(),
+            force_limits: Vec::new(),
+            drive: None,
+            may_jog: false,
+            voided_by: Promise::ResetWithdraws,
             is_ready: false,
             is_refused: false,
             has_edge: false,
             asks_fast_stop: false,
             asks_stop: false,
             ends_jog: false,
+            bus_is_silent: false,
             jogs: false,
-            stopped_ms: None,
+            stopped: None,
             refuses: false,
         }
     }
@@ -150,15 +184,17 @@ impl Requested {
     }
 
     /// Processes a reading of the wires.
-    pub(super) fn read_wires(&mut self, now_ms: u32, reading: Inputs) {
-        self.now_ms = now_ms;
-        (self.is_refused, self.asks_fast_stop, self.asks_stop, self.ends_jog) = (false, false, false, false);
-        self.has_edge = false;
+    pub(super) fn read_wires(&mut self, now: Instant, reading: Inputs) {
+        self.now = now;
+        (self.is_refused, self.has_edge) = (false, false);
+        (self.asks_fast_stop, self.asks_stop, self.ends_jog, self.bus_is_silent) =
+            (false, false, false, false);
+        self.edges.retain(|edge| now.since(edge.at) < LATE_MS);
+        self.force_limits.retain(|limit| now.since(limit.at) < LATE_MS);
         for group in &mut self.groups {
-            group.read(now_ms, reading, self.debounce_ms);
+            group.read(now, reading, self.debounce_ms);
         }
-        if self.groups[2].counts == Some(Inputs::empty()) && self.wires.is_none() && self.stopped_ms.is_none()
-        {
+        if self.groups[2].counts == Some(Inputs::empty()) && self.wires.is_none() && self.stopped.is_none() {
             // FAST STOP does not wait for the other wires.
             self.fast_stop();
         }
@@ -180,7 +216,7 @@ impl Requested {
     }
 
     /// Processes an image from the bus; its commands use the values of `recipe`, if any.
-    pub(super) fn take_image(&mut self, mut image: OutputImage, recipe: Option<Recipe>) {
+    pub(crate) fn take_image(&mut self, mut image: OutputImage, recipe: Option<Recipe>) {
         if let Some(recipe) = recipe {
             let OutputImage { flags, width, speed, force_limit, .. } = self.image.unwrap_or_default();
             (image.width, image.speed, image.force_limit) = (width, speed, force_limit);
@@ -204,89 +240,84 @@ impl Requested {
         self.take(self.wires, false);
     }
 
-    /// Processes the loss of the bus.
-    pub(super) fn lose_bus(&mut self) {
+    /// Processes the loss of the bus. `commands` is whether the bus requested the last motion, and the bridge must stop it.
+    pub(crate) fn lose_bus(&mut self, commands: bool) {
         // Stopping the bus's motion takes precedence in the display.
         self.is_refused = false;
         self.image = None;
         self.bus &= CommandFlags::FASTSTOP;
+        if commands {
+            self.bus_is_silent = true;
+            self.void(Promise::SilenceWithdraws, |edge| !edge.of_wire && edge.id != CommandId::Acknowledge);
+        }
         self.take(self.wires, false);
     }
 
     /// Checks a command that is sent. `command` is `None` while only its id is known; `force_limit` is the gripper's,
     /// in hundredths, if known.
-    pub(super) fn leaves(&mut self, id: CommandId, command: Option<&Command<'_>>, force_limit: Option<i32>) {
+    pub(super) fn send(
+        &mut self,
+        id: CommandId,
+        command: Option<&Command<'_>>,
+        force_limit: Option<i32>,
+    ) -> Kept {
         match id.kind() {
             Kind::Motion => {
-                assert!(self.stopped_ms.is_none(), "{id} after an unacknowledged FAST STOP");
-                assert!(!self.refuses, "{id} while the stored settings are refused");
-                let is_limited_to = |force| force_limit.is_none_or(|limit| limit == force);
-                let has_edge = self.may_leave.iter().any(|edge| {
-                    let is_limited = id != CommandId::GripPart || is_limited_to(edge.goes_by[2]);
-                    is_limited && self.lets_out(edge, id, command)
-                });
-                let jogs = id == CommandId::PrePosition
-                    && self.jog.0.is_some_and(|(.., force)| is_limited_to(force.into()))
-                    && self.jogs_by(command);
-                assert!(has_edge || jogs, "{id} without an edge, {command:?}, limited to {force_limit:?}");
+                keep(Promise::NoMotionInFastStop, self.stopped.is_none())?;
+                keep(Promise::RefusedSettingsMoveNothing, !self.refuses)?;
+                let edges = || self.edges.iter().filter(|edge| edge.id == id);
+                let may_jog = self.may_jog && id == CommandId::PrePosition;
+                keep(self.voided_by, may_jog || edges().next().is_some())?;
+                let edges = || edges().filter(|edge| edge.fits(command));
+                let drive = self.drive.filter(|drive| may_jog && fits(*drive, command));
+                keep(Promise::MotionHasItsParameters, drive.is_some() || edges().next().is_some())?;
+                let is_limited_to = |force: i32| force_limit.is_none_or(|limit| limit == force);
+                let has_edge =
+                    edges().any(|edge| id != CommandId::GripPart || is_limited_to(edge.parameters[2]));
+                let jogs = drive.is_some_and(|(.., force)| is_limited_to(force.into()));
+                keep(Promise::GripHasItsForce, has_edge || jogs)?;
                 self.jogs = !has_edge;
-                self.may_leave.clear();
-                self.jog.1 = false;
+                self.void_all(Promise::MotionLeavesOnce);
+                Ok(())
             }
             Kind::Acknowledge => {
-                let edge = self.may_leave.iter().position(|edge| self.lets_out(edge, id, None));
-                let edge = edge.expect("an acknowledgement without STOP/ACK");
-                self.may_leave.remove(edge);
-                self.stopped_ms = None;
+                let edge = self.edges.iter().position(|edge| edge.id == id);
+                self.edges.remove(edge.ok_or(Promise::AcknowledgementHasItsEdge)?);
+                self.stopped = None;
+                Ok(())
             }
             Kind::Stop => {
                 self.jogs = false;
                 if id == CommandId::FastStop {
-                    self.undo();
-                    self.stopped_ms = self.stopped_ms.or(Some(self.now_ms));
+                    self.void_all(Promise::FastStopWithdraws);
+                    self.stopped = self.stopped.or(Some(self.now));
                 }
+                Ok(())
             }
-            Kind::Query => {}
-            kind => {
-                assert_eq!(id, CommandId::SetForceLimit, "{id} ({kind:?}) is not a PLC command");
-                if let Some(Command::SetForceLimit { force }) = command {
-                    let is_recent = |(requested, at_ms, _): &(i32, u32, bool)| {
-                        *requested == hundredths(*force) && self.now_ms - at_ms < LATE_MS
-                    };
-                    assert!(self.forces.iter().any(is_recent), "{force} N without a request");
-                }
+            Kind::Query => Ok(()),
+            _ => {
+                keep(Promise::OnlyForceLimitIsSet, id == CommandId::SetForceLimit)?;
+                keep(Promise::NoSettingInFastStop, self.stopped.is_none())?;
+                let Some(Command::SetForceLimit { force }) = command else { return Ok(()) };
+                let is_wanted = |limit: &ForceLimit| limit.force == hundredths(*force);
+                keep(Promise::ForceLimitHasItsMotion, self.force_limits.iter().any(is_wanted))
             }
         }
     }
 
     /// Processes a missing or lost connection to the gripper.
     pub(super) fn lose_gripper(&mut self) {
-        self.undo();
+        self.void_all(Promise::ReconnectWithdraws);
         self.jogs = false;
     }
 
-    fn lets_out(&self, edge: &Edge, id: CommandId, command: Option<&Command<'_>>) -> bool {
-        let [width, speed, _] = edge.goes_by;
-        let goes_by = |w: f32, s: f32| (hundredths(w), hundredths(s)) == (width, speed);
-        let is_so = match command {
-            None => true,
-            Some(Command::PrePosition { flags, width, speed }) => {
-                *flags == PrePositionFlags::STOP_ON_BLOCK && goes_by(*width, *speed)
-            }
-            Some(Command::GripPart { width, speed } | Command::ReleasePart { width, speed }) => {
-                goes_by(*width, *speed)
-            }
-            Some(other) => other.id() == CommandId::Homing,
-        };
-        edge.id == id && is_so && self.now_ms - edge.at_ms < LATE_MS
-    }
-
-    fn jogs_by(&self, command: Option<&Command<'_>>) -> bool {
-        let (Some((flags, speed, _)), true) = self.jog else { return false };
-        let Some(Command::PrePosition { flags: how, width, speed: goes }) = command else { return true };
-        let end = if flags == CommandFlags::JOG_PLUS { STROKE } else { 0.0 };
-        let wanted = if speed == 0 { hundredths(LEAST_SPEED) } else { speed.into() };
-        *how == PrePositionFlags::STOP_ON_BLOCK && *width == end && hundredths(*goes) == wanted
+    /// Processes the level of READY at the end of a turn.
+    pub(super) fn show_ready(&mut self, is_ready: bool) {
+        self.is_ready = is_ready;
+        if is_ready {
+            self.void(Promise::MotionHasItsEdge, |edge| edge.id != CommandId::Acknowledge);
+            self.may_jog = false;
+        }
     }
 
     /// Returns the parameters for an edge of this command from a wire or from the bus.
@@ -311,25 +342,26 @@ impl Requested {
             self.bus -= JOG;
         }
         if flags.contains(CommandFlags::FASTSTOP) {
-            let is_first = before.is_none() && self.stopped_ms.is_none();
+            let is_first = before.is_none() && self.stopped.is_none();
             if is_first || rising.contains(CommandFlags::FASTSTOP) {
                 self.fast_stop();
             }
         } else if rising.contains(CommandFlags::STOP_ACK) {
             (self.is_refused, self.asks_stop) = (false, true);
-            self.may_leave.retain(|edge| edge.id == CommandId::Acknowledge);
-            self.forces.clear();
-            self.jog.1 = false;
-            self.may_leave.push(Edge { id: CommandId::Acknowledge, at_ms: self.now_ms, goes_by: [0; 3] });
+            self.void(Promise::StopAckWithdraws, |edge| edge.id != CommandId::Acknowledge);
+            self.may_jog = false;
+            self.push(CommandId::Acknowledge, of_wire, [0; 3]);
         } else if !flags.contains(CommandFlags::STOP_ACK)
             && let Some((_, id)) = MOTIONS.iter().find(|(flag, _)| rising.contains(*flag))
         {
             self.is_refused = of_wire && !self.is_ready;
             self.has_edge |= of_wire && self.is_ready;
-            if !self.is_refused {
-                let goes_by = self.parameters(*id, of_wire);
-                self.forces.push((goes_by[2], self.now_ms, false));
-                self.may_leave.push(Edge { id: *id, at_ms: self.now_ms, goes_by });
+            if self.is_refused {
+                self.voided_by = Promise::EdgeWhileNotReadyStartsNothing;
+            } else {
+                let parameters = self.parameters(*id, of_wire);
+                self.force_limits.push(ForceLimit { force: parameters[2], at: self.now, of_jog: false });
+                self.push(*id, of_wire, parameters);
             }
         }
         self.follow_jog(flags & (self.bus | !JOG), before.is_none());
@@ -339,37 +371,80 @@ impl Requested {
     fn follow_jog(&mut self, flags: CommandFlags, is_first: bool) {
         let stops = flags.intersects(CommandFlags::STOP_ACK | CommandFlags::FASTSTOP);
         let image = self.image.filter(|_| flags.intersects(JOG) && !stops);
-        let goes_by = image.map(|image| (flags & JOG, image.speed, image.force_limit));
-        if goes_by != self.jog.0 {
+        let drive = image.map(|image| (flags & JOG, image.speed, image.force_limit));
+        if drive != self.drive {
             self.ends_jog |= self.jogs;
-            self.forces.retain(|(.., of_jog)| !of_jog);
-            self.forces.extend(goes_by.map(|(_, _, force_limit)| (force_limit.into(), self.now_ms, true)));
-            self.jog = (goes_by, goes_by.is_some() && !is_first);
+            self.force_limits.retain(|limit| !limit.of_jog);
+            self.force_limits.extend(drive.map(|(.., force)| ForceLimit {
+                force: force.into(),
+                at: self.now,
+                of_jog: true,
+            }));
+            self.drive = drive;
+            self.may_jog = drive.is_some() && !is_first;
         }
     }
 
-    fn fast_stop(&mut self) {
-        self.undo();
-        self.asks_fast_stop = true;
-        self.stopped_ms = self.stopped_ms.or(Some(self.now_ms));
+    fn push(&mut self, id: CommandId, of_wire: bool, parameters: [i32; 3]) {
+        self.edges.push(Edge { id, at: self.now, of_wire, parameters });
     }
 
-    fn undo(&mut self) {
-        self.may_leave.clear();
-        self.forces.clear();
-        self.jog.1 = false;
+    fn fast_stop(&mut self) {
+        self.void_all(Promise::FastStopWithdraws);
+        self.asks_fast_stop = true;
+        self.stopped = self.stopped.or(Some(self.now));
+    }
+
+    fn void_all(&mut self, by: Promise) {
+        self.void(by, |_| true);
+        self.may_jog = false;
+    }
+
+    /// Withdraws requests, and the force limits of all.
+    fn void(&mut self, by: Promise, is_void: impl Fn(&Edge) -> bool) {
+        if self.may_jog || self.edges.iter().any(&is_void) {
+            self.voided_by = by;
+        }
+        self.edges.retain(|edge| !is_void(edge));
+        self.force_limits.clear();
     }
 }
 
+impl Edge {
+    /// Returns whether the command goes by these parameters, as far as it is known.
+    fn fits(&self, command: Option<&Command<'_>>) -> bool {
+        let [width, speed, _] = self.parameters;
+        let goes_by = |w: f32, s: f32| (hundredths(w), hundredths(s)) == (width, speed);
+        match command {
+            None => true,
+            Some(Command::PrePosition { flags, width, speed }) => {
+                *flags == PrePositionFlags::STOP_ON_BLOCK && goes_by(*width, *speed)
+            }
+            Some(Command::GripPart { width, speed } | Command::ReleasePart { width, speed }) => {
+                goes_by(*width, *speed)
+            }
+            Some(other) => other.id() == CommandId::Homing,
+        }
+    }
+}
+
+/// Returns whether the command is a jog with these parameters, as far as it is known.
+fn fits((flags, dial, _): Drive, command: Option<&Command<'_>>) -> bool {
+    let Some(Command::PrePosition { flags: how, width, speed }) = command else { return true };
+    let end = if flags == CommandFlags::JOG_PLUS { STROKE } else { 0.0 };
+    let wanted = if dial == 0 { hundredths(LEAST_SPEED) } else { dial.into() };
+    *how == PrePositionFlags::STOP_ON_BLOCK && *width == end && hundredths(*speed) == wanted
+}
+
 impl Group {
-    fn read(&mut self, now_ms: u32, reading: Inputs, debounce_ms: u32) {
+    fn read(&mut self, now: Instant, reading: Inputs, debounce_ms: u32) {
         let is_fast_stop = self.wires == Inputs::FAST_STOP_OK;
         let period_ms = if is_fast_stop { debounce_ms.max(LEAST_RELEASE_MS) } else { debounce_ms };
         let reading = reading & self.wires;
-        let (before, since_ms) = self.read.unwrap_or((reading, now_ms));
-        let since_ms = if reading == before { since_ms } else { now_ms };
-        self.read = Some((reading, since_ms));
-        let has_settled = reading == before && now_ms - since_ms >= period_ms;
+        let (before, since) = self.read.unwrap_or((reading, now));
+        let since = if reading == before { since } else { now };
+        self.read = Some((reading, since));
+        let has_settled = reading == before && now.since(since) >= period_ms;
         if has_settled || is_fast_stop && reading.is_empty() {
             self.counts = Some(reading);
         }

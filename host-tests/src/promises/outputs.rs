@@ -1,0 +1,91 @@
+//! Permitted levels of the wires to the PLC: the rules of docs/wiring.md ("Outputs"), applied to the gripper's
+//! reports and the PLC's requests.
+
+use std::hash::{Hash, Hasher};
+
+use wsg_bridge_fw::io::Outputs;
+use wsg_protocol::{GripperState, Instant, Status, SystemFlags};
+
+use super::reports::Reports;
+use super::requests::Requests;
+use super::{Kept, Promise, keep};
+
+/// Maximum time of LINK_OK after the gripper's last intact frame, in milliseconds.
+const SILENCE_MS: u32 = 1_000;
+
+/// The output wires of the last turn.
+#[derive(Clone, Debug)]
+pub(crate) struct Levels {
+    /// Minimum duration of BUSY, in milliseconds.
+    pub(crate) min_busy_ms: u32,
+    pub(crate) outputs: Outputs,
+    busy_since: Instant,
+    /// Time of the last motion edge while READY was high.
+    edge: Option<Instant>,
+}
+
+impl Hash for Levels {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        let busy_since = self.outputs.contains(Outputs::BUSY).then_some(self.busy_since);
+        (self.outputs, busy_since, self.edge).hash(state);
+    }
+}
+
+impl Levels {
+    /// Creates the state with all wires low.
+    pub(super) const fn new(min_busy_ms: u32) -> Self {
+        Self { min_busy_ms, outputs: Outputs::empty(), busy_since: Instant::from_millis(0), edge: None }
+    }
+
+    /// Checks the outputs at the end of a turn.
+    pub(super) fn show(
+        &mut self,
+        now: Instant,
+        outputs: Outputs,
+        reports: &Reports,
+        requests: &Requests,
+    ) -> Kept {
+        let before = std::mem::replace(&mut self.outputs, outputs);
+        let has = |wires| outputs.intersects(wires);
+        self.edge = if requests.has_edge { Some(now) } else { self.edge };
+        let error = has(Outputs::ERROR);
+        if !has(Outputs::LINK_OK) {
+            self.edge = None;
+            keep(Promise::OnlyErrorWithoutLink, Outputs::ERROR.contains(outputs))?;
+            return keep(Promise::FaultShowsError, error || requests.stopped.is_none());
+        }
+        let (Some(flags), Some(state)) = (reports.flags, reports.state) else {
+            return Err(Promise::LinkOkKnowsTheStates);
+        };
+        keep(Promise::LinkOkGoesLow, now.since(reports.received) <= SILENCE_MS)?;
+
+        let locked = requests.stopped.is_some() || flags.intersects(SystemFlags::LOCKS);
+        let is_at_fault = locked || requests.is_refused || flags.contains(SystemFlags::FINGER_FAULT);
+        keep(Promise::FaultShowsError, error || !is_at_fault)?;
+
+        let (ready, busy) = (has(Outputs::READY), has(Outputs::BUSY));
+        let may_be_ready = requests.is_released() && !locked && !busy;
+        keep(Promise::ReadyIsTrue, ready == may_be_ready || error && !ready)?;
+        keep(Promise::BusyIsTrue, busy || !flags.contains(SystemFlags::MOVING))?;
+        if busy && !before.contains(Outputs::BUSY) {
+            self.busy_since = now;
+        }
+        let ends = before.contains(Outputs::BUSY) && !busy && !error;
+        keep(Promise::BusyLasts, !ends || now.since(self.busy_since) >= self.min_busy_ms)?;
+
+        // A FAST STOP ends BUSY; ERROR without READY is also a response.
+        let is_stopped = error && !ready && !busy;
+        self.edge = self.edge.filter(|edge| !is_stopped && now.since(*edge) < self.min_busy_ms);
+        keep(Promise::ReadyEdgeShowsBusy, busy || self.edge.is_none())?;
+
+        let (holding, fault) = (has(Outputs::HOLDING), has(Outputs::PART_FAULT));
+        // No new result appears while BUSY is high. An earlier one outlasts a rejected command until a motion starts.
+        let is_kept = before.contains(Outputs::HOLDING) && !flags.contains(SystemFlags::MOVING);
+        let may_hold = !fault && (!busy || is_kept);
+        let holds = state == GripperState::Holding || reports.grip == Some(Status::Success);
+        keep(Promise::HoldingIsTrue, !holding || may_hold && holds)?;
+        let is_gone = matches!(state, GripperState::NoPart | GripperState::PartLost);
+        keep(Promise::PartFaultIsTrue, !fault || is_gone || reports.grip == Some(Status::CmdFailed))?;
+        keep(Promise::ReferencedIsTrue, has(Outputs::REFERENCED) == flags.contains(SystemFlags::REFERENCED))
+    }
+}
