@@ -23,7 +23,7 @@ fn message(payload_len: usize) -> Vec<u8> {
 }
 
 /// Sends these bytes from the gripper.
-fn hear(link: &mut GripperLink, bytes: &[u8]) {
+fn deliver(link: &mut GripperLink, bytes: &[u8]) {
     for segment in Segments::new(bytes.iter().copied()) {
         let frame: ClassicFrame = segment.frame(IDENTIFIERS.gripper().transmit).unwrap();
         link.on_frame(LATER, &frame);
@@ -44,7 +44,7 @@ fn takes_back(link: &GripperLink) -> bool {
     CanNode::<ClassicFrame>::takes_back(link).is_some()
 }
 
-fn say(link: &mut GripperLink) -> Option<ClassicFrame> {
+fn transmit(link: &mut GripperLink) -> Option<ClassicFrame> {
     link.poll_transmit(LATER)
 }
 
@@ -60,10 +60,10 @@ fn write_all(link: &mut GripperLink, bytes: &[u8]) {
 fn longest_reply_is_received_and_a_longer_one_is_counted() {
     let longest = message(DeviceTag::MAX_LEN + 2);
     let mut link = link();
-    hear(&mut link, &longest);
+    deliver(&mut link, &longest);
     assert_eq!(read_all(&mut link), longest);
 
-    hear(&mut link, &message(8 * longest.len()));
+    deliver(&mut link, &message(8 * longest.len()));
     assert_eq!(read_all(&mut link), []);
     assert_eq!(link.counters().frames.oversize, 1);
 }
@@ -77,21 +77,21 @@ fn full_queue_keeps_its_messages_and_counts_overflows() {
     assert!(!link.read_ready().unwrap());
     let fit = 256 / message.len();
     for _ in 0..fit {
-        hear(&mut link, &message);
+        deliver(&mut link, &message);
     }
     assert_eq!(link.counters().overflows, 0);
-    hear(&mut link, &message);
+    deliver(&mut link, &message);
     assert_eq!(link.counters().overflows, 1);
     assert_eq!(read_all(&mut link), message.repeat(fit));
     assert!(link.read(&mut [0]).is_err() && link.read(&mut []).is_ok());
 
     // Room for eight bytes does not suffice for nine.
     for _ in 1..fit {
-        hear(&mut link, &message);
+        deliver(&mut link, &message);
     }
     let longer = self::message(1);
     assert_eq!(256 - (fit - 1) * message.len() + 1, longer.len());
-    hear(&mut link, &longer);
+    deliver(&mut link, &longer);
     assert_eq!(link.counters().overflows, 2);
     assert_eq!(read_all(&mut link), message.repeat(fit - 1));
 }
@@ -120,7 +120,7 @@ fn messages_are_sent_in_order_and_one_at_a_time() {
     assert!(!link.write_ready().unwrap(), "the next message waits until the controller has all frames");
     assert!(link.write(&[0]).is_err() && link.write(&[]).is_ok());
     assert!(link.flush().is_err());
-    let frames: Vec<ClassicFrame> = core::iter::from_fn(|| say(&mut link)).collect();
+    let frames: Vec<ClassicFrame> = core::iter::from_fn(|| transmit(&mut link)).collect();
     let sent: Vec<u8> = frames.iter().flat_map(|frame| frame.data().to_vec()).collect();
     let expected: Vec<u8> = Segments::new(message.iter().copied())
         .filter_map(|segment| segment.frame::<ClassicFrame>(IDENTIFIERS.controller().transmit))
@@ -139,14 +139,14 @@ fn lost_frame_discards_its_message_and_the_writer_is_notified() {
         let mut link = link();
         write_all(&mut link, &message(10)[..written]);
         CanNode::<ClassicFrame>::lost(&mut link);
-        assert!(say(&mut link).is_none(), "{written}");
+        assert!(transmit(&mut link).is_none(), "{written}");
         assert_eq!(link.counters().broken, u16::from(is_broken), "{written}");
         assert!(link.write_ready().unwrap(), "{written}");
         assert_eq!(link.write(&[0xAA]).is_err(), is_told, "{written}");
         if is_told {
             // Reported once. The next bytes are a new message.
             write_all(&mut link, &message(0));
-            assert!(say(&mut link).is_some());
+            assert!(transmit(&mut link).is_some());
         }
     }
 }
@@ -157,9 +157,9 @@ fn lost_bus_accepts_nothing_and_earlier_frames_are_never_sent() {
     write_all(&mut link, &message(10));
     CanNode::<ClassicFrame>::bus_changed(&mut link, false);
     assert!(!link.write_ready().unwrap() && link.write(&[0xAA]).is_err());
-    assert!(say(&mut link).is_none());
+    assert!(transmit(&mut link).is_none());
     CanNode::<ClassicFrame>::bus_changed(&mut link, true);
-    assert!(say(&mut link).is_none());
+    assert!(transmit(&mut link).is_none());
     assert!(link.write_ready().unwrap());
     assert_eq!(link.counters().broken, 1);
 }
@@ -169,12 +169,12 @@ fn lost_bus_discards_incomplete_and_keeps_complete_messages() {
     let whole = message(0);
     let longer = message(10);
     let mut link = link();
-    hear(&mut link, &whole);
+    deliver(&mut link, &whole);
     let first = Segments::new(longer.iter().copied()).next().unwrap();
     link.on_frame(LATER, &first.frame::<ClassicFrame>(IDENTIFIERS.gripper().transmit).unwrap());
     CanNode::<ClassicFrame>::bus_changed(&mut link, false);
     CanNode::<ClassicFrame>::bus_changed(&mut link, true);
-    hear(&mut link, &longer);
+    deliver(&mut link, &longer);
     assert_eq!(read_all(&mut link), [whole, longer].concat());
     assert_eq!(link.counters().frames.dropped, 1, "the frame of the incomplete message");
 }
@@ -188,16 +188,16 @@ fn frames_waiting_100_ms_are_withdrawn_also_from_the_controller() {
     link.expire(at(100));
     assert!(!takes_back(&link));
     // An accepted frame restarts the time.
-    assert!(say(&mut link).is_some());
+    assert!(transmit(&mut link).is_some());
     link.expire(at(101));
     link.expire(at(200));
     assert!(!takes_back(&link));
     link.expire(at(201));
     assert!(takes_back(&link));
-    assert!(!link.write_ready().unwrap() && say(&mut link).is_none());
+    assert!(!link.write_ready().unwrap() && transmit(&mut link).is_none());
     CanNode::<ClassicFrame>::taken_back(&mut link, 1);
     assert!(!takes_back(&link) && link.write_ready().unwrap());
-    assert!(say(&mut link).is_none());
+    assert!(transmit(&mut link).is_none());
     assert_eq!(link.counters().broken, 1);
 }
 
@@ -212,18 +212,18 @@ fn frames_to_a_lost_gripper_are_withdrawn() {
         link.set_connected(true);
         write_all(&mut link, &message(10));
         for _ in 0..taken {
-            assert!(say(&mut link).is_some());
+            assert!(transmit(&mut link).is_some());
         }
         link.set_connected(true);
         assert!(!takes_back(&link));
         link.set_connected(false);
         assert!(takes_back(&link));
-        assert!(say(&mut link).is_none());
+        assert!(transmit(&mut link).is_none());
         CanNode::<ClassicFrame>::taken_back(&mut link, unsent);
         assert!(!takes_back(&link));
-        assert!(say(&mut link).is_none(), "nothing is sent to a gripper that returns: {taken} {unsent}");
+        assert!(transmit(&mut link).is_none(), "nothing is sent to a gripper that returns: {taken} {unsent}");
         write_all(&mut link, &message(0));
-        let sent = say(&mut link).expect("the first message of the next connection");
+        let sent = transmit(&mut link).expect("the first message of the next connection");
         assert_eq!(sent.data(), message(0));
     }
 }
@@ -238,21 +238,21 @@ fn withdrawn_message_is_removed_or_spoilt_and_the_next_is_kept() {
         // The bus has sent all frames of four earlier messages.
         for _ in 0..4 {
             write_all(&mut link, &message(0));
-            assert!(say(&mut link).is_some());
+            assert!(transmit(&mut link).is_some());
         }
         link.withdraw();
         assert!(!takes_back(&link), "a query is not withdrawn");
         write_all(&mut link, &grip);
-        assert!(say(&mut link).is_some() && say(&mut link).is_some());
+        assert!(transmit(&mut link).is_some() && transmit(&mut link).is_some());
         write_all(&mut link, &message(0));
 
         link.withdraw();
         assert!(takes_back(&link) && !link.write_ready().unwrap());
-        assert!(say(&mut link).is_none(), "no frame overtakes the withdrawal");
+        assert!(transmit(&mut link).is_none(), "no frame overtakes the withdrawal");
         CanNode::<ClassicFrame>::taken_back(&mut link, unsent);
 
         let rest: Vec<Vec<u8>> =
-            core::iter::from_fn(|| say(&mut link)).map(|frame| frame.data().to_vec()).collect();
+            core::iter::from_fn(|| transmit(&mut link)).map(|frame| frame.data().to_vec()).collect();
         let spoilt = if unsent == 1 { vec![vec![0x7F; 8]] } else { vec![] };
         assert_eq!(rest, [spoilt, vec![message(0)]].concat(), "{unsent} unsent");
         let withdrawn = (unsent > 0).then_some(CommandId::GripPart);

@@ -364,7 +364,7 @@ impl BusController for Bxcan {
         }
         if self.mode == Mode::Normal {
             let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
-            self.faults.confinement.heard_recessive(sequences);
+            self.faults.confinement.count_recessive(sequences);
         }
     }
 }

@@ -122,7 +122,7 @@ impl Confinement {
     }
 
     /// Counts received sequences of 11 recessive bits.
-    pub(crate) fn heard_recessive(&mut self, sequences: u32) {
+    pub(crate) fn count_recessive(&mut self, sequences: u32) {
         let Some(left) = &mut self.to_recover else { return };
         *left = left.saturating_sub(sequences);
         if *left == 0 {

@@ -510,7 +510,7 @@ impl BusController for Mcp2515 {
             self.is_synchronised |= self.recessive >= BITS_TO_SYNCHRONISE;
             let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
             let flags = faults::flags(&self.faults);
-            self.faults.heard_recessive(sequences);
+            self.faults.count_recessive(sequences);
             self.has_changed(flags);
         }
     }

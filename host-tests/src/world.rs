@@ -67,6 +67,7 @@ pub fn with_part(width: f32) -> wsg_sim::Config {
 pub struct World<W = Option<Disturbance>> {
     station: Station<CanDouble>,
     delivered: Config,
+    policy: BusOffPolicy,
     /// The bridge's settings at its last start.
     pub config: Config,
     /// The gripper and its RS-232 line.
@@ -156,6 +157,7 @@ impl<W: Carry> World<W> {
         Self {
             station,
             delivered,
+            policy,
             config,
             far,
             can: CanLine::new(double, config.can.gripper),
@@ -177,7 +179,7 @@ impl<W: Carry> World<W> {
     /// # Panics
     /// Panics when the settings are rejected.
     pub fn restart_bridge(&mut self, cause: ResetCause) {
-        let can = CanBus::new(self.can.double.clone(), BusOffPolicy::DEFAULT);
+        let can = CanBus::new(self.can.double.clone(), self.policy);
         (self.station, self.responder, self.config) = boot(&self.delivered, &mut self.flash, can, cause);
     }
 

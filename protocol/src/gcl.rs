@@ -57,7 +57,7 @@ mod writer;
 pub use answer::Answer;
 pub use line::{LineCounters, LineEvent, LineReader, MAX_LINE_LEN};
 pub use name::{CommandName, Named, OtherName};
-pub use parameters::{Autosend, Filter, Grip, Move, Release, Select, Setting, Tare};
+pub use parameters::*;
 pub use parse_error::ParseError;
 pub use refused::Refused;
 pub use request::Request;

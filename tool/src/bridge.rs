@@ -191,7 +191,7 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
             let new =
                 settings_file::imported(&file_text, &old).with_context(|| file.display().to_string())?;
             if *dry_run {
-                told_changes(&old, &new, output)?;
+                write_changes(&old, &new, output)?;
             } else {
                 change(&mut client, &old, &new, *save, output)?;
             }
@@ -213,7 +213,7 @@ fn change(
     save: bool,
     output: &mut impl Write,
 ) -> Result<()> {
-    told_changes(old, new, output)?;
+    write_changes(old, new, output)?;
     change::write(client, old, new)?;
     if save {
         save_settings(client, output)?;
@@ -232,10 +232,10 @@ fn save_settings(client: &mut Client, output: &mut impl Write) -> Result<()> {
 fn replace_settings(client: &mut Client, command: StoreCommand, output: &mut impl Write) -> Result<()> {
     let old = client.settings()?;
     client.command(command)?;
-    told_changes(&old, &client.settings()?, output)
+    write_changes(&old, &client.settings()?, output)
 }
 
-fn told_changes(old: &Record, new: &Record, output: &mut impl Write) -> Result<()> {
+fn write_changes(old: &Record, new: &Record, output: &mut impl Write) -> Result<()> {
     let described = change::described(old, new);
     write!(output, "{}", if described.is_empty() { "no changes\n" } else { &described })?;
     Ok(output.flush()?)

@@ -73,7 +73,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         // The end of the connection is announced, even after Ctrl-C.
         let is_ended = signals.check().is_err();
         signals.heed(false);
-        if is_ended { demo.say("ended") } else { played }
+        if is_ended { demo.show("ended") } else { played }
     });
     match played {
         Err(error)
@@ -102,21 +102,21 @@ struct Demo {
 
 impl Demo {
     /// Prints a line with the time since the start in seconds.
-    fn say(&self, words: &str) -> Result<()> {
+    fn show(&self, words: &str) -> Result<()> {
         writeln!(io::stdout(), "{:6.1}  {words}", self.begin.elapsed().as_secs_f64())?;
         Ok(())
     }
 
     fn play(&mut self, gripper: &mut Gripper, cycles: Option<u32>) -> Result<()> {
-        self.say("HOME: the fingers search for their end stop")?;
+        self.show("HOME: the fingers search for their end stop")?;
         gripper.home(HomingDirection::Default)?;
-        self.say(&format!("referenced at {:.1} mm", gripper.width()?.0))?;
+        self.show(&format!("referenced at {:.1} mm", gripper.width()?.0))?;
         self.rest(gripper)?;
         let mut played = 0;
         while cycles.is_none_or(|cycles| played < cycles) {
             self.cycle(gripper)?;
             played += 1;
-            self.say(&format!("cycle {played} is complete"))?;
+            self.show(&format!("cycle {played} is complete"))?;
         }
         Ok(())
     }
@@ -125,9 +125,9 @@ impl Demo {
     fn cycle(&mut self, gripper: &mut Gripper) -> Result<()> {
         self.grip(gripper)?;
         self.server.set_part(None);
-        self.say("the part is pulled out")?;
+        self.show("the part is pulled out")?;
         self.wait_for(gripper, GripperState::PartLost)?;
-        self.say("PART LOST")?;
+        self.show("PART LOST")?;
         self.rest(gripper)?;
         self.release(gripper)?;
         self.grip(gripper)?;
@@ -137,17 +137,17 @@ impl Demo {
     /// Puts a part between the fingers and grips it.
     fn grip(&mut self, gripper: &mut Gripper) -> Result<()> {
         self.server.set_part(Part::of_width(PART));
-        self.say(&format!("GRIP a part of {PART:.1} mm"))?;
+        self.show(&format!("GRIP a part of {PART:.1} mm"))?;
         let grip = gripper.grip(Mm(PART), SPEED)?;
         ensure!(grip == Grip::Held, "the gripper holds no part: {grip:?}");
-        self.say(&format!("HOLDING at {:.1} mm with {:.1} N", gripper.width()?.0, gripper.force()?.0))?;
+        self.show(&format!("HOLDING at {:.1} mm with {:.1} N", gripper.width()?.0, gripper.force()?.0))?;
         self.rest(gripper)
     }
 
     fn release(&mut self, gripper: &mut Gripper) -> Result<()> {
-        self.say(&format!("RELEASE to {OPEN:.1} mm"))?;
+        self.show(&format!("RELEASE to {OPEN:.1} mm"))?;
         gripper.release(Mm(OPEN), SPEED)?;
-        self.say(&format!("IDLE at {:.1} mm", gripper.width()?.0))?;
+        self.show(&format!("IDLE at {:.1} mm", gripper.width()?.0))?;
         self.rest(gripper)
     }
 

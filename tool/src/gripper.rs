@@ -115,7 +115,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<u8> {
         Ok(status) => status,
         Err(Trouble::Panicked(panic)) => resume_unwind(panic),
         Err(trouble) if trouble.is_broken_pipe() => trouble.exit_status(),
-        Err(trouble) => output.tell(&name, &Err(trouble), None)?,
+        Err(trouble) => output.report(&name, &Err(trouble), None)?,
     };
     Ok(status)
 }
@@ -232,7 +232,7 @@ impl Work<'_> {
                 };
                 match result {
                     Err(trouble) if trouble.is_final() => Err(trouble),
-                    result => Ok(self.output.tell(&named.name, &result, None)?),
+                    result => Ok(self.output.report(&named.name, &result, None)?),
                 }
             }
             Some(Task::Watch) => watch::run(gripper, self.title),

@@ -27,7 +27,7 @@ use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
 use host_tests::world::modbus::Master;
 use host_tests::world::service_line::ServiceLine;
-use program::{said, wsg, wsg_with};
+use program::{printed, wsg, wsg_with};
 use wsg_bridge_fw::registers::{FIRST_SETTING, MAP_VERSION, SETTINGS};
 use wsg_bridge_fw::{BusPort, Config, ResetCause};
 
@@ -131,24 +131,24 @@ impl Served {
     /// Runs `wsg bridge PORT ...` and returns exit status and output.
     fn bridge(&self, arguments: &[&str]) -> (Option<i32>, String) {
         let output = wsg(&[&["bridge", &self.terminal.path], arguments].concat(), b"");
-        (output.status.code(), said(&output))
+        (output.status.code(), printed(&output))
     }
 
     #[track_caller]
     fn done(&self, arguments: &[&str]) -> String {
-        let (code, said) = self.bridge(arguments);
-        assert_eq!(code, Some(0), "{said}");
-        said
+        let (code, printed) = self.bridge(arguments);
+        assert_eq!(code, Some(0), "{printed}");
+        printed
     }
 
     #[track_caller]
     fn refused(&self, arguments: &[&str], expected: &str) {
         let before = self.settings();
-        let (code, said) = self.bridge(arguments);
-        assert_eq!(code, Some(1), "{said}");
+        let (code, printed) = self.bridge(arguments);
+        assert_eq!(code, Some(1), "{printed}");
         assert!(
-            said.lines().last().is_some_and(|line| line.starts_with(&format!("wsg: {expected}"))),
-            "{said}"
+            printed.lines().last().is_some_and(|line| line.starts_with(&format!("wsg: {expected}"))),
+            "{printed}"
         );
         assert_eq!(self.settings(), before);
     }
@@ -254,8 +254,8 @@ fn events_are_described_with_their_remedies() {
 fn settings_are_changed_stored_restored_and_reset() {
     let served = Served::new();
     let delivered = served.settings();
-    let said = served.done(&["set", "RECIPE0_WIDTH", "15mm", "plc_bus", "CANopen", "BUS_TIMEOUT", "0"]);
-    hold("set.txt", &said);
+    let printed = served.done(&["set", "RECIPE0_WIDTH", "15mm", "plc_bus", "CANopen", "BUS_TIMEOUT", "0"]);
+    hold("set.txt", &printed);
     let mut expected = delivered.clone();
     for (name, value) in [("RECIPE0_WIDTH", 15_00), ("PLC_BUS", 2), ("BUS_TIMEOUT", 0)] {
         expected[place(name)] = value;
@@ -279,13 +279,13 @@ fn settings_are_changed_stored_restored_and_reset() {
     assert_eq!(served.settings(), delivered);
 
     served.act(|plant| plant.flash.fault = Some(Fault::Protected));
-    let (code, said) = served.bridge(&["set", "RECIPE0_WIDTH", "1700", "--save"]);
+    let (code, printed) = served.bridge(&["set", "RECIPE0_WIDTH", "1700", "--save"]);
     assert_eq!(code, Some(1));
     assert!(
-        said.ends_with(
+        printed.ends_with(
             "wsg: the settings were not stored; run `events` for the cause. The stored settings are unchanged\n"
         ),
-        "{said}"
+        "{printed}"
     );
     assert!(served.done(&["events"]).contains("SAVE_FAILED: the settings were not stored"));
 }
@@ -347,8 +347,8 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
     let before = served.settings();
     let described = served.done(&["import", "--dry-run", path]);
     assert_eq!(served.settings(), before);
-    let said = served.done(&["import", "--save", path]);
-    assert_eq!(said, described + "stored\n");
+    let printed = served.done(&["import", "--save", path]);
+    assert_eq!(printed, described + "stored\n");
     served.act(|plant| plant.restart_bridge(ResetCause::PowerOn));
     assert_eq!(
         (served.settings()[place("RECIPE0_WIDTH")], served.settings()[place("RECIPE15_SPEED")]),
@@ -377,8 +377,8 @@ fn settings_file_is_imported_as_a_whole_or_not_at_all() {
 fn unanswered_write_is_read_back_and_disturbed_one_is_reverted() {
     let served = Served::new();
     served.faults.loses_answer.store(true, Ordering::SeqCst);
-    let said = served.done(&["set", "RECIPE0_WIDTH", "15mm"]);
-    assert!(said.contains("20.00 mm becomes 15.00 mm"), "{said}");
+    let printed = served.done(&["set", "RECIPE0_WIDTH", "15mm"]);
+    assert!(printed.contains("20.00 mm becomes 15.00 mm"), "{printed}");
     assert_eq!(served.settings()[place("RECIPE0_WIDTH")], 15_00);
 
     served.faults.meddles.store(true, Ordering::SeqCst);
@@ -390,22 +390,25 @@ fn unanswered_write_is_read_back_and_disturbed_one_is_reverted() {
 fn missing_port_and_foreign_device_are_reported_in_one_line() {
     let one_line = |arguments: &[&str]| {
         let output = wsg(arguments, b"");
-        assert_eq!(output.status.code(), Some(1), "{}", said(&output));
-        let said = said(&output);
-        assert_eq!(said.matches('\n').count(), 1, "{said}");
-        said
+        assert_eq!(output.status.code(), Some(1), "{}", printed(&output));
+        let printed = printed(&output);
+        assert_eq!(printed.matches('\n').count(), 1, "{printed}");
+        printed
     };
-    let said = one_line(&["bridge", "/dev/no-such-port", "show"]);
-    assert!(said.starts_with("wsg: port /dev/no-such-port not found; available ports: "), "{said}");
+    let printed = one_line(&["bridge", "/dev/no-such-port", "show"]);
+    assert!(printed.starts_with("wsg: port /dev/no-such-port not found; available ports: "), "{printed}");
     let file = temporary("no_port");
     fs::write(&file, "").unwrap();
-    let said = one_line(&["bridge", file.to_str().unwrap(), "show"]);
-    assert!(said.contains(" as a serial port: "), "{said}");
+    let printed = one_line(&["bridge", file.to_str().unwrap(), "show"]);
+    assert!(printed.contains(" as a serial port: "), "{printed}");
 
     let served = Served::new();
     served.faults.is_silent.store(true, Ordering::SeqCst);
-    let said = one_line(&["bridge", &served.terminal.path, "show"]);
-    assert!(said.starts_with("wsg: no response at ") && said.contains("the board is powered"), "{said}");
+    let printed = one_line(&["bridge", &served.terminal.path, "show"]);
+    assert!(
+        printed.starts_with("wsg: no response at ") && printed.contains("the board is powered"),
+        "{printed}"
+    );
 
     // A bridge with another register map.
     let (mut near, far) = UnixStream::pair().unwrap();
@@ -417,12 +420,12 @@ fn missing_port_and_foreign_device_are_reported_in_one_line() {
         near.write_all(&[&answer[..], &bus_modbus::rtu::crc(&answer).to_le_bytes()].concat()).unwrap();
         near
     });
-    let said = one_line(&["bridge", &terminal.path, "show"]);
+    let printed = one_line(&["bridge", &terminal.path, "show"]);
     let versions = format!(
         "has register map version {}, but this wsg supports version {MAP_VERSION}; ",
         MAP_VERSION + 1
     );
-    assert!(said.contains(&versions), "{said}");
+    assert!(printed.contains(&versions), "{printed}");
     drop(other.join());
 }
 
@@ -473,18 +476,18 @@ fn image_is_written_by_matching_method_unless_fingers_move() {
     let flash = |arguments: &[&str]| {
         let all = [&["bridge", &served.terminal.path, "flash"], arguments].concat();
         let output = wsg_with(&all, b"", &[("PATH", &path)]);
-        (output.status.code(), said(&output))
+        (output.status.code(), printed(&output))
     };
     let noted = || fs::read_to_string(&note).unwrap_or_default();
     let (elf, bin) = (elf.to_str().unwrap(), bin.to_str().unwrap());
 
-    let (code, said) = flash(&[elf]);
+    let (code, printed) = flash(&[elf]);
     assert_eq!(
-        (code, said.as_str(), noted().as_str()),
+        (code, printed.as_str(), noted().as_str()),
         (Some(1), "wsg: confirmation requires a terminal; pass --yes to skip it\n", "")
     );
-    let (code, said) = flash(&[elf, "--yes"]);
-    assert_eq!(code, Some(0), "{said}");
+    let (code, printed) = flash(&[elf, "--yes"]);
+    assert_eq!(code, Some(0), "{printed}");
     let expected = format!("probe-rs download --chip STM32L475VG {elf}\nprobe-rs reset --chip STM32L475VG\n");
     assert_eq!(noted(), expected);
     fs::remove_file(&note).unwrap();
@@ -492,19 +495,22 @@ fn image_is_written_by_matching_method_unless_fingers_move() {
     assert_eq!(noted(), format!("st-flash --reset write {bin} 0x08000000\n"));
     fs::remove_file(&note).unwrap();
     let drive = folder.join("drive");
-    let (code, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
-    assert_eq!(code, Some(0), "{said}");
+    let (code, printed) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
+    assert_eq!(code, Some(0), "{printed}");
     assert_eq!(fs::read(drive.join("wsg-bridge.bin")).unwrap(), fs::read(bin).unwrap());
 
-    let (code, said) = flash(&[bin, "--yes", "--with", "probe-rs"]);
-    assert_eq!(code, Some(1), "{said}");
+    let (code, printed) = flash(&[bin, "--yes", "--with", "probe-rs"]);
+    assert_eq!(code, Some(1), "{printed}");
     fs::write(bin, b"GRIP(20)").unwrap();
-    let (_, said) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
-    assert!(said.contains("is not a valid image: no vector table for this board at the start"), "{said}");
+    let (_, printed) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
+    assert!(
+        printed.contains("is not a valid image: no vector table for this board at the start"),
+        "{printed}"
+    );
     served.act(begin_to_home);
-    let (code, said) = flash(&[elf, "--yes"]);
+    let (code, printed) = flash(&[elf, "--yes"]);
     assert_eq!(
-        (code, said.as_str()),
+        (code, printed.as_str()),
         (Some(1), "wsg: the fingers are moving; flash again when they are at rest\n")
     );
     assert_eq!(noted(), "");
@@ -534,8 +540,8 @@ fn flashed_image_keeps_service_port_settings_over_a_power_cycle() {
     };
     let bridge = |cable: &Terminal, arguments: &[&str]| {
         let output = wsg(&[&["bridge", &cable.path], arguments].concat(), b"");
-        assert_eq!(output.status.code(), Some(0), "{}", said(&output));
-        said(&output)
+        assert_eq!(output.status.code(), Some(0), "{}", printed(&output));
+        printed(&output)
     };
     let plant = power_up();
     let cable = &plant.2;
@@ -550,10 +556,10 @@ fn flashed_image_keeps_service_port_settings_over_a_power_cycle() {
     let changed =
         fs::read_to_string(&file).unwrap().replace("RECIPE15_WIDTH = 2000", "RECIPE15_WIDTH = 1234");
     fs::write(&file, changed).unwrap();
-    let said = bridge(cable, &["import", path, "--save"]);
+    let printed = bridge(cable, &["import", path, "--save"]);
     assert!(
-        said.contains("RECIPE15_WIDTH: 20.00 mm becomes 12.34 mm") && said.ends_with("stored\n"),
-        "{said}"
+        printed.contains("RECIPE15_WIDTH: 20.00 mm becomes 12.34 mm") && printed.ends_with("stored\n"),
+        "{printed}"
     );
     bridge(cable, &["set", "PLC_BUS", "none", "UNIT", "9", "BUS_CHAR_TIMEOUT", "0"]);
     drop(plant);

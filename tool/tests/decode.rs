@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use program::{said, wsg};
+use program::{printed, wsg};
 use wsg_protocol::{Command as Request, FrameEncoder, HomingDirection};
 use wsg_sim::Config;
 use wsg_sim::server::{Lines, Log, ServerThread};
@@ -71,7 +71,7 @@ fn simulator_session_log_is_decoded_frame_by_frame() {
 
     let log = log.0.lock().unwrap().clone();
     let output = wsg(&["decode"], &log);
-    let text = said(&output);
+    let text = printed(&output);
     assert!(output.status.success(), "{text}");
     let frames = [
         "!!  log: wrong checksum: 22h Stop with 0 bytes of payload",
@@ -104,17 +104,21 @@ fn simulator_session_log_is_decoded_frame_by_frame() {
 fn input_without_a_frame_fails_with_an_explanation() {
     let output = wsg(&["decode", "-"], &[0x00, 0xFF, 0x01]);
     assert_eq!(output.status.code(), Some(1));
-    assert!(said(&output).starts_with("wsg: unknown format; expected a hex dump, "), "{}", said(&output));
+    assert!(
+        printed(&output).starts_with("wsg: unknown format; expected a hex dump, "),
+        "{}",
+        printed(&output)
+    );
     let raw = wsg(&["decode", "--format", "raw"], &[0x00, 0xFF, 0x01]);
     assert_eq!(raw.status.code(), Some(1));
-    assert!(said(&raw).contains("dropped 3 bytes: no preamble"), "{}", said(&raw));
+    assert!(printed(&raw).contains("dropped 3 bytes: no preamble"), "{}", printed(&raw));
     let empty = wsg(&["decode"], b"");
-    assert_eq!((empty.status.code(), said(&empty).as_str()), (Some(1), "wsg: the recording is empty\n"));
+    assert_eq!((empty.status.code(), printed(&empty).as_str()), (Some(1), "wsg: the recording is empty\n"));
     let missing = wsg(&["decode", "no/such/file"], b"");
-    assert!(said(&missing).starts_with("wsg: cannot read no/such/file: "), "{}", said(&missing));
+    assert!(printed(&missing).starts_with("wsg: cannot read no/such/file: "), "{}", printed(&missing));
     let wrong = wsg(&["decode", "--can-id", "0x7FF"], b"");
     assert_eq!(wrong.status.code(), Some(2));
-    assert!(said(&wrong).contains("`0x7FF` is not a CAN identifier"), "{}", said(&wrong));
+    assert!(printed(&wrong).contains("`0x7FF` is not a CAN identifier"), "{}", printed(&wrong));
 }
 
 #[test]
@@ -130,5 +134,5 @@ fn closed_output_pipe_is_not_an_error() {
     drop(child.stdout.take());
     child.stdin.take().expect("standard input is piped").write_all(&stop.repeat(10_000)).unwrap();
     let output = child.wait_with_output().expect("the program exits");
-    assert_eq!((output.status.code(), said(&output).as_str()), (Some(0), ""));
+    assert_eq!((output.status.code(), printed(&output).as_str()), (Some(0), ""));
 }

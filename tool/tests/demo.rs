@@ -9,7 +9,7 @@ use std::net::{TcpListener, TcpStream};
 use std::process::{Command, Stdio};
 
 use document::read;
-use program::{said, wsg};
+use program::{printed, wsg};
 use rustix::process::{Pid, Signal, kill_process};
 
 const FREE: [&str; 6] = ["--page", "localhost:0", "--tcp", "127.0.0.1:0", "--modbus", "127.0.0.1:0"];
@@ -17,7 +17,7 @@ const FREE: [&str; 6] = ["--page", "localhost:0", "--tcp", "127.0.0.1:0", "--mod
 #[test]
 fn demo_plays_a_cycle_with_a_lost_part() {
     let output = wsg(&[&["demo", "--cycles", "1", "--speed-up", "50"], &FREE[..]].concat(), b"");
-    let shown = said(&output);
+    let shown = printed(&output);
     assert_eq!(output.status.code(), Some(0), "{shown}");
     // Without addresses and times.
     let lines: Vec<_> = shown.lines().skip(4).filter_map(|line| line.get(8..)).collect();
@@ -96,7 +96,7 @@ fn wrong_option_or_address_is_refused_with_a_hint() {
     ] {
         let output = wsg(&[&["demo"], &arguments[..]].concat(), b"");
         assert_eq!(output.status.code(), Some(2));
-        assert!(said(&output).contains(expected), "{}", said(&output));
+        assert!(printed(&output).contains(expected), "{}", printed(&output));
     }
 }
 
@@ -105,7 +105,7 @@ fn demo_names_an_address_in_use() {
     let other = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = other.local_addr().unwrap().to_string();
     let output = wsg(&[&["demo"], &FREE[2..], &["--page", &address]].concat(), b"");
-    let shown = said(&output);
+    let shown = printed(&output);
     assert_eq!(output.status.code(), Some(1), "{shown}");
     assert!(shown.lines().count() == 1 && shown.contains(&address) && shown.contains("--page"), "{shown}");
 }

@@ -27,8 +27,8 @@ fn tshark(name: &str, capture: Capture, options: &[&str], fields: &[&str]) -> Ve
     let output = tshark
         .output()
         .unwrap_or_else(|error| panic!("tshark does not start ({error}): run `cargo xtask test`"));
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && !said.to_lowercase().contains("lua"), "{said}");
+    let printed = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && !printed.to_lowercase().contains("lua"), "{printed}");
     String::from_utf8(output.stdout).unwrap().lines().map(str::to_owned).collect()
 }
 

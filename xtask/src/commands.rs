@@ -24,7 +24,7 @@ use crate::{
 pub(crate) fn demo(workspace: &Workspace, image: &Image, arguments: &[OsString]) -> Result<ExitStatus> {
     let mut cargo = workspace.cargo_in_current_dir("run -q -p host-tests --bin demo -- --elf");
     cargo.arg(&image.path).args(arguments);
-    setup::tell_emulator(workspace, image.board, &mut cargo)?;
+    setup::set_up_emulator(workspace, image.board, &mut cargo)?;
     process::run_for_status(&mut cargo)
 }
 
@@ -89,7 +89,7 @@ pub(crate) fn release(workspace: &Workspace, parts: &[OsString]) -> Result<()> {
     let mut release = workspace.cargo("run -q -p dist -- release --to");
     release.arg(workspace.target_dir.join(concat!("release-", env!("CARGO_PKG_VERSION")))).args(parts);
     release.env("PATH", env::join_paths([zig].into_iter().chain(env::split_paths(&path)))?);
-    setup::tell_emulator(workspace, Board::named("pico")?, &mut release)?;
+    setup::set_up_emulator(workspace, Board::named("pico")?, &mut release)?;
     process::run(&mut release)
 }
 
@@ -157,9 +157,9 @@ pub(crate) fn loom(workspace: &Workspace) -> Result<()> {
     models.arg(firmware::BRIDGE);
     // A separate build folder, because the flag would cause a full rebuild of everything else.
     models.env("RUSTFLAGS", "--cfg loom").env("CARGO_TARGET_DIR", workspace.target_dir.join("loom"));
-    let said = process::output(&mut models)?;
-    print!("{said}");
-    ensure!(!said.contains("running 0 tests"), "no loom models were run");
+    let printed = process::output(&mut models)?;
+    print!("{printed}");
+    ensure!(!printed.contains("running 0 tests"), "no loom models were run");
     println!(
         "loom: bytes, frames, images and silences stay whole, in order and current under every order of events"
     );

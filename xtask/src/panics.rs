@@ -76,10 +76,10 @@ fn hold(what: &str, level: &str, build: &mut Command) -> Result<()> {
 fn panics(build: &mut Command) -> Result<bool> {
     eprintln!("+ {}", process::shell_line(build));
     let output = build.stdin(Stdio::null()).output().context("cannot run cargo")?;
-    let said = String::from_utf8_lossy(&output.stderr);
-    let is_undefined = said.contains(UNDEFINED) && said.contains("undefined symbol");
+    let printed = String::from_utf8_lossy(&output.stderr);
+    let is_undefined = printed.contains(UNDEFINED) && printed.contains("undefined symbol");
     let is_known = output.status.success() || is_undefined;
-    ensure!(is_known, "the build failed for a reason other than a panic:\n{said}");
+    ensure!(is_known, "the build failed for a reason other than a panic:\n{printed}");
     Ok(!output.status.success())
 }
 
@@ -87,15 +87,15 @@ fn panics(build: &mut Command) -> Result<bool> {
 mod tests {
     use super::*;
 
-    fn says(script: &str) -> Result<bool> {
+    fn verdict(script: &str) -> Result<bool> {
         panics(Command::new("/bin/sh").args(["-c", script]))
     }
 
     #[test]
     fn only_the_undefined_symbol_counts_as_a_panic_path() {
-        assert!(!says("exit 0").unwrap());
+        assert!(!verdict("exit 0").unwrap());
         let undefined = "echo 'rust-lld: error: undefined symbol: a_panic_can_be_reached' >&2; exit 1";
-        assert!(says(undefined).unwrap());
-        assert!(says("echo 'error[E0425]: no such function' >&2; exit 1").is_err());
+        assert!(verdict(undefined).unwrap());
+        assert!(verdict("echo 'error[E0425]: no such function' >&2; exit 1").is_err());
     }
 }

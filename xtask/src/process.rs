@@ -28,11 +28,11 @@ pub(crate) fn output(command: &mut Command) -> Result<String> {
     eprintln!("+ {}", shell_line(command));
     let output = command.stdin(Stdio::null()).stderr(Stdio::inherit()).output();
     let output = output.with_context(|| format!("cannot run `{}`", gist(command)))?;
-    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
     if !output.status.success() {
-        bail!("`{}` failed ({}): {}", gist(command), output.status, said.trim());
+        bail!("`{}` failed ({}): {}", gist(command), output.status, printed.trim());
     }
-    Ok(said)
+    Ok(printed)
 }
 
 /// Runs a command without printing it, and returns its standard output. Returns `None` if the program is missing or fails.

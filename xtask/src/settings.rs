@@ -93,12 +93,12 @@ mod tests {
 
     #[test]
     fn mistakes_are_reported_in_one_line() {
-        for (text, said) in [
+        for (text, error) in [
             ("CAN_RATE", "invalid argument CAN_RATE; expected NAME=VALUE"),
             ("CAN_RATE=fast", "CAN_RATE=fast: expected a number from 0 to 65535"),
             ("CAN_RATE=70000", "CAN_RATE=70000: expected a number from 0 to 65535"),
         ] {
-            assert_eq!(Change::parse(text).unwrap_err().to_string(), said);
+            assert_eq!(Change::parse(text).unwrap_err().to_string(), error);
         }
         let unknown = Change::parse("BAUD=9600").unwrap_err().to_string();
         assert!(unknown.starts_with("unknown setting BAUD; expected one of UNIT, "), "{unknown}");
@@ -107,8 +107,8 @@ mod tests {
     #[test]
     fn a_value_out_of_its_range_is_refused_with_the_range() {
         let refused = |text| check(&[Change::parse(text).unwrap()]).unwrap_err().to_string();
-        let said = "invalid value 300: CAN_RATE takes 125 to 1000: rate of CAN: 125, 250, 500 or 1000";
-        assert_eq!(refused("CAN_RATE=300"), said);
+        let error = "invalid value 300: CAN_RATE takes 125 to 1000: rate of CAN: 125, 250, 500 or 1000";
+        assert_eq!(refused("CAN_RATE=300"), error);
         assert!(refused("UNIT=0").contains("UNIT takes 1 to 247"));
         assert!(check(&[Change::parse("CAN_RATE=250").unwrap()]).is_ok());
     }

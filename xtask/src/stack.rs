@@ -48,9 +48,9 @@ pub(crate) fn painted(workspace: &Workspace, images: &[Image]) -> Result<Vec<Gat
     process::run(&mut workspace.cargo(&format!("build -q --workspace {}", Workspace::FEATURES_OF_TESTS)))?;
     let paint = |image: &Image| {
         let mut program = Command::new(workspace.target_dir.join("debug/examples/painted_stack"));
-        setup::tell_emulator(workspace, image.board, &mut program)?;
-        let said = process::output(program.arg(&image.path))?;
-        let bytes = said.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
+        setup::set_up_emulator(workspace, image.board, &mut program)?;
+        let printed = process::output(program.arg(&image.path))?;
+        let bytes = printed.lines().find_map(|line| line.strip_prefix("painted-stack ")?.trim().parse().ok());
         let bytes = bytes.context("painted_stack printed no figure")?;
         Ok(Gate::bytes(image.board.figure("worst-case stack, painted in the emulator"), bytes, LIMIT))
     };

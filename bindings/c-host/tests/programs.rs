@@ -13,7 +13,7 @@ use wsg_protocol::Status;
 use wsg_sim::server::{Lines, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, Part};
 
-fn said(output: &Output) -> String {
+fn printed(output: &Output) -> String {
     String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned()
 }
 
@@ -39,7 +39,7 @@ fn example() -> &'static Path {
         gcc.arg("-I").arg(folder.join("include")).arg("-I").arg(folder.join("../c/include"));
         gcc.arg(folder.join("examples/host.c")).arg(target.join("debug/libwsg_host.a"));
         let output = gcc.args(["-lpthread", "-ldl", "-lm", "-o"]).arg(&program).output().unwrap();
-        assert!(output.status.success(), "{}", said(&output));
+        assert!(output.status.success(), "{}", printed(&output));
         program
     })
 }
@@ -55,7 +55,7 @@ fn runs(lines: &Lines, arguments: impl FnOnce(&ServerThread) -> Vec<String>) {
                     width: outside the limits of the gripper\nnow: no error\ntime: argument outside its range\nat 40 mm\n\
                     end: no error\nfast stop: no error\nmove: access denied, in FAST STOP for example\n\
                     acknowledge: no error\n";
-    assert_eq!((said(&output).as_str(), output.status.code()), (expected, Some(0)));
+    assert_eq!((printed(&output).as_str(), output.status.code()), (expected, Some(0)));
 }
 
 #[test]

@@ -43,18 +43,18 @@ fn program(source: &str, name: &str, arguments: &[&str]) -> PathBuf {
     gcc.args([standard, "-g", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I"]);
     gcc.arg(crate_dir().join("include")).args(arguments).arg(crate_dir().join(source)).arg(library());
     let output = gcc.arg("-o").arg(&program).output().unwrap();
-    assert!(output.status.success(), "{source}:\n{}", said(&output));
+    assert!(output.status.success(), "{source}:\n{}", printed(&output));
     program
 }
 
-fn said(output: &Output) -> String {
+fn printed(output: &Output) -> String {
     String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned()
 }
 
 fn passes(command: &mut Command) -> String {
     let output = command.output().unwrap();
-    assert!(output.status.success(), "{command:?}: {}\n{}", output.status, said(&output));
-    said(&output)
+    assert!(output.status.success(), "{command:?}: {}\n{}", output.status, printed(&output));
+    printed(&output)
 }
 
 /// Runs a program twice. The second run fails if the first one has left the gripper in FAST STOP.
@@ -207,8 +207,8 @@ fn misuse_returns_errors_under_the_sanitizers() {
     let misuse = program("tests/misuse.c", "misuse-sanitized", &options);
     for seed in 1..=2 {
         let steps = misuse_steps(100_000, 20_000_000);
-        let said = passes(Command::new(&misuse).args([&steps, &seed.to_string()]));
-        assert!(said.contains(" rejected"), "{said}");
+        let printed = passes(Command::new(&misuse).args([&steps, &seed.to_string()]));
+        assert!(printed.contains(" rejected"), "{printed}");
     }
 }
 

@@ -150,7 +150,7 @@ macro_rules! driver_methods {
     (
         { $($given:tt)* }
         motions { $($motion:ident($($given_to:ident: $of:ty),*) => |$moved:ident| $begin:expr;)* }
-        changes { $($change:ident($($setting:ident: $kind:ty),*) => |$changed:ident| $tell:expr;)* }
+        changes { $($change:ident($($setting:ident: $kind:ty),*) => |$changed:ident| $set:expr;)* }
         requests { $($request:ident($($parameter:ident: $type:ty),*) => |$gripper:ident| $ask:expr;)* }
     ) => {
         #[pymethods]
@@ -173,7 +173,7 @@ macro_rules! driver_methods {
             $(
                 #[pyo3(signature = ($($setting,)* reply=None))]
                 fn $change(&self, py: Python<'_>, $($setting: $kind,)* reply: Option<Reply>) -> PyResult<Py<PyAny>> {
-                    self.request(py, reply, move |driver| each!(driver, $changed => $tell).map(|()| NOTHING))
+                    self.request(py, reply, move |driver| each!(driver, $changed => $set).map(|()| NOTHING))
                 }
             )*
 

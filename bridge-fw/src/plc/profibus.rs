@@ -142,7 +142,7 @@ impl Profibus {
     }
 
     /// Handles unchanged output data. Returns the image if the master resumes after a time-out.
-    fn hear(&mut self, now: Instant) -> Option<PlcEvent> {
+    fn resume(&mut self, now: Instant) -> Option<PlcEvent> {
         let exchanges = self.buffers.exchanges();
         if core::mem::replace(&mut self.exchanges, exchanges) == exchanges {
             return None;
@@ -161,7 +161,7 @@ impl PlcSide for Profibus {
         if let Some(event) = self.take(now) {
             return Some(event);
         }
-        if let Some(event) = self.hear(now) {
+        if let Some(event) = self.resume(now) {
             return Some(event);
         }
         let is_silent = has_fallen_silent(&mut self.received_at, now, view.settings.timeout_ms());

@@ -405,7 +405,7 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
         }
         let counts = rpdo.receive(bytes, profile.keep);
         if !self.has_heartbeat {
-            self.hear_master(now_ms);
+            self.note_master(now_ms);
         }
         if let Some(data) = counts {
             self.push(Event::Rpdo { number, data });
@@ -421,14 +421,14 @@ impl<const R: usize, const T: usize, const Q: usize> Device<R, T, Q> {
             [0] if self.received_at.is_some() => self.fall_back(),
             [0] => {}
             [_] => {
-                self.hear_master(now_ms);
+                self.note_master(now_ms);
                 self.has_heartbeat = true;
             }
             _ => {}
         }
     }
 
-    fn hear_master(&mut self, now_ms: u32) {
+    fn note_master(&mut self, now_ms: u32) {
         self.received_at = Some(now_ms);
         // A device that stayed operational needs no new start.
         self.master_silent &= self.state != NmtState::Operational;

@@ -34,7 +34,7 @@ struct Device {
     phy: SimulatorPhy,
     rate: Baudrate,
     /// End of the last character.
-    heard: Instant,
+    last_character: Instant,
     /// A pending answer with its earliest start.
     pending: Option<(Instant, Vec<u8>)>,
     /// Events for the application except outputs, which are counted.
@@ -72,8 +72,8 @@ impl Device {
     }
 
     fn receive(&mut self, byte: u8, now: Instant, now_ms: u32) {
-        let silence_bits = (self.rate.time_to_bits(now - self.heard) as u32).saturating_sub(11);
-        self.heard = now;
+        let silence_bits = (self.rate.time_to_bits(now - self.last_character) as u32).saturating_sub(11);
+        self.last_character = now;
         self.received += 1;
         let is_damaged = self.received.is_multiple_of(self.damage_every);
         let character = if is_damaged { Character::Damaged } else { Character::Byte(byte) };
@@ -146,7 +146,7 @@ impl Bus {
             slave: Station::new(&PROFILE, Address::new(STATION)),
             phy: phy.duplicate("slave"),
             rate,
-            heard: Instant::ZERO,
+            last_character: Instant::ZERO,
             pending: None,
             events: vec![],
             output_events: 0,

@@ -363,24 +363,25 @@ fn page_asks_its_own_server_alone_and_the_console_stays_empty() {
         tab.until(&format!("document.querySelector('[name={fault}]').checked"));
     }
     tab.until(&flag_is_on("FAST_STOP"));
-    let requests = tab.told("Network.requestWillBeSent");
+    let requests = tab.events_of("Network.requestWillBeSent");
     assert!(requests.len() > 10, "{requests:?}");
     for request in &requests {
         let url = request["request"]["url"].as_str().unwrap();
         assert!(url.starts_with(&format!("{}/", gripper.page)), "{url}");
     }
     let socket = format!("{}/events", gripper.page.replacen("http", "ws", 1));
-    for opened in tab.told("Network.webSocketCreated") {
+    for opened in tab.events_of("Network.webSocketCreated") {
         assert_eq!(opened["url"], json!(socket));
     }
-    for told in ["Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded", "Audits.issueAdded"]
+    for method in
+        ["Runtime.consoleAPICalled", "Runtime.exceptionThrown", "Log.entryAdded", "Audits.issueAdded"]
     {
-        assert_eq!(tab.told(told), Vec::<Value>::new(), "{told}");
+        assert_eq!(tab.events_of(method), Vec::<Value>::new(), "{method}");
     }
     // Cross-check: a violation must be detected.
     tab.eval("document.body.append(Object.assign(new Image(), { src: 'http://127.0.0.1:9/x.png' })); 0");
     tab.until("document.images[0].complete");
-    assert!(!tab.told("Audits.issueAdded").is_empty() || !tab.told("Log.entryAdded").is_empty());
+    assert!(!tab.events_of("Audits.issueAdded").is_empty() || !tab.events_of("Log.entryAdded").is_empty());
 }
 
 /// Serves an empty page of another origin while the tests run.
@@ -424,7 +425,7 @@ fn page_of_another_origin_can_neither_command_nor_watch() {
     ));
 
     assert_eq!((watched, connected), (json!(2), json!(3)), "closed");
-    let answers = foreign.told("Network.responseReceivedExtraInfo");
+    let answers = foreign.events_of("Network.responseReceivedExtraInfo");
     assert_eq!(answers.iter().filter(|answer| answer["statusCode"] == 403).count(), 2, "{answers:?}");
     // After the requests of the foreign page.
     home(&mut own);

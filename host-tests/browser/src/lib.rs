@@ -291,16 +291,16 @@ impl Tab {
     }
 
     /// Returns the events of this name received so far.
-    pub fn told(&mut self, method: &str) -> Vec<Value> {
+    pub fn events_of(&mut self, method: &str) -> Vec<Value> {
         // The answer arrives after all earlier events.
         self.eval("0");
-        let told = self.events.iter().filter(|event| event["method"] == method);
-        told.map(|event| event["params"].clone()).collect()
+        let events = self.events.iter().filter(|event| event["method"] == method);
+        events.map(|event| event["params"].clone()).collect()
     }
 
     /// Returns the commands of this name that the page of `wsg-sim` has sent so far.
     pub fn commands(&mut self, name: &str) -> Vec<Value> {
-        let frames = self.told("Network.webSocketFrameSent");
+        let frames = self.events_of("Network.webSocketFrameSent");
         let sent = frames.iter().filter_map(|frame| frame["response"]["payloadData"].as_str());
         let bodies = sent.filter_map(|text| {
             let mut body = serde_json::from_str::<Value>(text).ok()?["body"].take();

@@ -145,8 +145,8 @@ impl Rp2040 {
         let line = line.with_context(|| lock(&watch.seen).last_words())?;
         let (answer, answers) = mpsc::channel();
         let (reported, commands) = (line.try_clone()?, Commands(Arc::new(Mutex::new(line))));
-        let (told_to, clock, and_back) = (Arc::clone(watch), clock.clone(), commands.clone());
-        thread::spawn(move || follow(reported, &answer, &told_to, &clock, &and_back));
+        let (watch_of_it, clock, and_back) = (Arc::clone(watch), clock.clone(), commands.clone());
+        thread::spawn(move || follow(reported, &answer, &watch_of_it, &clock, &and_back));
         let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
         running.with_context(|| format!("no firmware for this board starts from {}", elf.display()))?;
         // The emulator connects the other lines first.

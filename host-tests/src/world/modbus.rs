@@ -220,17 +220,15 @@ impl Plc for Master {
         Self::new(config, gripper)
     }
 
-    fn world(&mut self) -> &mut World {
-        &mut self.world
-    }
-
-    fn image(&mut self) -> &mut OutputImage {
-        &mut self.image
+    fn parts(&mut self) -> (&mut World, &mut OutputImage) {
+        (&mut self.world, &mut self.image)
     }
 
     fn write(&mut self) {
-        let pdu = [&[16, 0, 0, 0, 4, 8], &self.image.to_bytes()[..]].concat();
-        assert_eq!(self.data(&pdu), Ok(pdu[1..5].to_vec()));
+        let bytes = self.image.to_bytes();
+        let registers: [u16; 4] =
+            std::array::from_fn(|n| u16::from_be_bytes([bytes[2 * n], bytes[2 * n + 1]]));
+        self.write(0, &registers);
     }
 
     fn read(&mut self) -> InputImage {

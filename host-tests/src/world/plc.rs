@@ -26,11 +26,8 @@ pub trait Plc: Sized {
     /// Powers up a world with FAST_STOP_OK high, and a PLC that has sent nothing yet.
     fn power_up(config: Config, gripper: wsg_sim::Config) -> Self;
 
-    /// Returns the world. Time passes only in the methods of the PLC.
-    fn world(&mut self) -> &mut World;
-
-    /// Returns the output image, for changes.
-    fn image(&mut self) -> &mut OutputImage;
+    /// Returns the world and the output image.
+    fn parts(&mut self) -> (&mut World, &mut OutputImage);
 
     /// Writes the output image, and waits until the bridge has executed it.
     fn write(&mut self);
@@ -52,6 +49,16 @@ pub trait Plc: Sized {
 
     /// Communicates again after a silence. Writes the output image.
     fn resume(&mut self);
+
+    /// Returns the world. Time passes only in the methods of the PLC.
+    fn world(&mut self) -> &mut World {
+        self.parts().0
+    }
+
+    /// Returns the output image, for changes.
+    fn image(&mut self) -> &mut OutputImage {
+        self.parts().1
+    }
 
     /// Creates a PLC that has waited for the gripper, and has written this image as the first.
     #[must_use]

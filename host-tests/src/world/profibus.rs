@@ -270,12 +270,8 @@ impl Plc for Master {
         Self::new(config, gripper)
     }
 
-    fn world(&mut self) -> &mut World {
-        &mut self.world
-    }
-
-    fn image(&mut self) -> &mut OutputImage {
-        &mut self.image
+    fn parts(&mut self) -> (&mut World, &mut OutputImage) {
+        (&mut self.world, &mut self.image)
     }
 
     fn write(&mut self) {

@@ -510,7 +510,7 @@ impl Blocked {
 
     /// Returns the commands that the simplest gripper finds. It treats the frames' data as a stream of bytes, waits without a
     /// time-out for the length in the size field, and discards all bytes of a message with a wrong checksum.
-    fn heard_by_the_simplest_gripper(&self) -> Vec<CommandId> {
+    fn received_by_the_simplest_gripper(&self) -> Vec<CommandId> {
         let bytes = self.bytes.borrow();
         let (mut rest, mut received) = (bytes.as_slice(), vec![]);
         while let [first, others @ ..] = rest {
@@ -548,7 +548,7 @@ impl Blocked {
         assert_eq!(rig.take_motions(), [], "{context}");
         rig.command(motion.wire);
         assert_eq!(rig.take_motions(), [motion.id], "{context}");
-        let received = self.heard_by_the_simplest_gripper();
+        let received = self.received_by_the_simplest_gripper();
         let commands: Vec<CommandId> = received.into_iter().filter(|id| id.kind() != Kind::Query).collect();
         assert_eq!(commands.first().map(|id| id.kind()), Some(Kind::Stop), "{context}: {commands:?}");
         let motions = commands.iter().filter(|id| id.kind() == Kind::Motion);

@@ -236,7 +236,7 @@ impl<const RX: usize> Link for Gcl<RX> {
             *known = translate::known(session.known(), limits.filter(|_| session.is_connected()));
             if let Some(event) = event {
                 setting.note(&event);
-                terms.tell(&event, known, note);
+                terms.report(&event, known, note);
             }
         }
     }

@@ -289,7 +289,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     ///
     #[doc = request_errors!()]
     pub async fn announce_disconnect(&mut self) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::DisconnectAnnouncement).await
+        self.perform(Command::DisconnectAnnouncement).await
     }
 
     /// References the fingers at an end stop (command set, 3.2.1). It takes up to about 4 s.
@@ -523,7 +523,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// # Errors
     #[doc = request_errors!()]
     pub async fn acknowledge(&mut self) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::ACKNOWLEDGE).await
+        self.perform(Command::ACKNOWLEDGE).await
     }
 
     /// Sets the acceleration of subsequent motions in mm/s² (command set, 3.3.1).
@@ -586,7 +586,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// # Errors
     #[doc = request_errors!()]
     pub async fn clear_soft_limits(&mut self) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::ClearSoftLimits).await
+        self.perform(Command::ClearSoftLimits).await
     }
 
     /// Allows or forbids forces up to the overdrive limit (command set, 3.3.8). If they are forbidden, the gripper reduces
@@ -595,7 +595,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// # Errors
     #[doc = request_errors!()]
     pub async fn set_overdrive(&mut self, enabled: bool) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::OverdriveMode { enabled }).await
+        self.perform(Command::OverdriveMode { enabled }).await
     }
 
     /// Zeroes the force sensor (command set, 3.3.9).
@@ -606,7 +606,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     ///
     #[doc = request_errors!()]
     pub async fn tare(&mut self) -> Result<(), Error<IO::Error>> {
-        self.tell(Command::TareForceSensor).await
+        self.perform(Command::TareForceSensor).await
     }
 
     /// Returns the system state flags (command set, 3.4.1).
@@ -737,7 +737,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// # Errors
     #[doc = request_errors!()]
     pub async fn set_finger_power(&mut self, finger: Finger, enabled: bool) -> Result<(), Error<IO::Error>> {
-        self.tell(match finger {
+        self.perform(match finger {
             Finger::One => Command::Finger1Power { enabled },
             Finger::Two => Command::Finger2Power { enabled },
         })
@@ -809,7 +809,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     }
 
     /// Sends a command whose answer has no value.
-    async fn tell(&mut self, command: Command<'static>) -> Result<(), Error<IO::Error>> {
+    async fn perform(&mut self, command: Command<'static>) -> Result<(), Error<IO::Error>> {
         self.exchange(command, &mut |_| {}).await
     }
 
@@ -854,7 +854,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
     /// Checks a setting and sends it.
     async fn set(&mut self, command: Command<'static>) -> Result<(), Error<IO::Error>> {
         self.check_setting(&command).await?;
-        self.tell(command).await
+        self.perform(command).await
     }
 
     /// Checks a setting against the gripper's limits.
@@ -901,7 +901,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
         };
         let mut begun = Ok(());
         if before != Some(force.0) {
-            begun = self.tell(limit).await;
+            begun = self.perform(limit).await;
         }
         let begun = match begun {
             Ok(()) => self.begin(command).await,
@@ -913,7 +913,7 @@ impl<IO: super::asynch::Transport, C: super::Timer, P: Protocol> super::asynch::
             begun => return begun,
         };
         let is_set_back = match before {
-            Some(force) => self.tell(Command::SetForceLimit { force }).await.is_ok(),
+            Some(force) => self.perform(Command::SetForceLimit { force }).await.is_ok(),
             None => {
                 self.engine.link_mut().forget_force_limit();
                 true

@@ -80,9 +80,9 @@ fn pre_position_flags_stand_as_in_the_manual() {
     gripper.move_by(Mm(-5.0), MmPerS(100.0), OnBlock::Clamp).unwrap();
     gripper.move_by(Mm(-5.0), MmPerS(100.0), OnBlock::Stop).unwrap();
     let id = CommandId::PrePosition.code();
-    let heard = rig.world(|world| core::mem::take(&mut world.heard));
+    let received = rig.world(|world| core::mem::take(&mut world.received));
     let flags: Vec<u8> =
-        heard.iter().filter(|(heard, _)| *heard == id).map(|(_, payload)| payload[0]).collect();
+        received.iter().filter(|(received, _)| *received == id).map(|(_, payload)| payload[0]).collect();
     assert_eq!(flags, [0b00, 0b10, 0b01, 0b11]);
 }
 
@@ -90,7 +90,7 @@ fn pre_position_flags_stand_as_in_the_manual() {
 fn setting_is_read_back_and_another_value_is_a_mismatch() {
     let (rig, mut gripper) = connected();
     assert_eq!(gripper.set_force_limit(N(40.0)), Ok(()));
-    assert_eq!(rig.heard(CommandId::GetForceLimit), 1);
+    assert_eq!(rig.received(CommandId::GetForceLimit), 1);
     let other = frame(Reply::success(Value::GetForceLimit(8.0)));
     rig.script(CommandId::GetForceLimit, vec![(1, other)]);
     assert_eq!(gripper.set_force_limit(N(40.0)), Err(Error::Mismatch));
@@ -119,9 +119,9 @@ fn refused_grip_restores_the_force_limit_or_reports_failure() {
             rig.script_status(set, Status::CmdFormatError);
         }
         assert_eq!(gripper.grip_with_force(Mm(20.0), MmPerS(50.0), N(30.0)), Err(error));
-        let heard = rig.world(|world| core::mem::take(&mut world.heard));
+        let received = rig.world(|world| core::mem::take(&mut world.received));
         let limits: Vec<_> =
-            heard.iter().filter(|(id, _)| *id == set.code()).map(|(_, limit)| limit.clone()).collect();
+            received.iter().filter(|(id, _)| *id == set.code()).map(|(_, limit)| limit.clone()).collect();
         assert_eq!(limits, [30.0_f32, 40.0].map(|limit| limit.to_le_bytes().to_vec()));
     }
 }
@@ -140,7 +140,7 @@ fn invalid_number_is_refused_before_it_is_sent() {
     assert_eq!(gripper.grip(Mm(f32::NAN), MmPerS(50.0)), Err(Error::Invalid(DecodeError::NotFinite)));
     assert_eq!(gripper.set_tag("tab\t"), Err(Error::Invalid(DecodeError::Character)));
     assert_eq!(gripper.raw(0x24, b"nak", &mut []), Err(Error::Invalid(DecodeError::AckKey)));
-    assert_eq!(rig.world(|world| world.heard.len()), 0);
+    assert_eq!(rig.world(|world| world.received.len()), 0);
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn borrowed_payload_is_sent_again_if_its_answer_is_lost() {
     let (rig, mut gripper) = connected();
     rig.script(CommandId::SetDeviceTag, vec![]);
     assert_eq!(gripper.set_tag("left hand"), Ok(()));
-    let tags: Vec<_> = rig.world(|world| core::mem::take(&mut world.heard));
+    let tags: Vec<_> = rig.world(|world| core::mem::take(&mut world.received));
     assert_eq!(tags, [(0x51, b"left hand".to_vec()), (0x51, b"left hand".to_vec())]);
     let tag = crate::DeviceTag::new("left hand").unwrap();
     rig.script(CommandId::GetDeviceTag, vec![(1, frame(Reply::success(Value::GetDeviceTag(tag))))]);
@@ -162,14 +162,14 @@ fn script_command_is_sent_once_and_its_answer_is_unchanged() {
     let value = Value::Unknown { id: 0xB0, parameters: &[1, 2, 3] };
     rig.script(id, vec![(1, status(id, Status::CmdPending)), (50, frame(Reply::success(value)))]);
     assert_eq!(gripper.raw(0xB0, &[7; 100], &mut [0; 8]), Ok(&[1, 2, 3][..]));
-    assert_eq!(rig.world(|world| world.heard.last().cloned()), Some((0xB0, vec![7; 100])));
+    assert_eq!(rig.world(|world| world.received.last().cloned()), Some((0xB0, vec![7; 100])));
     rig.script_status(id, Status::CmdUnknown);
     assert_eq!(gripper.raw(0xB0, &[], &mut []), Err(Error::Refused(Status::CmdUnknown)));
     rig.script(id, vec![(1, frame(Reply::success(value)))]);
     assert_eq!(gripper.raw(0xB0, &[], &mut [0; 2]), Err(Error::TooLong { needed: 3 }));
     rig.script(id, vec![]);
     assert_eq!(gripper.raw(0xB0, &[], &mut []), Err(Error::Unanswered));
-    assert_eq!(rig.heard(id), 4);
+    assert_eq!(rig.received(id), 4);
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn frame_that_does_not_fit_is_not_sent() {
     gripper.connect().unwrap();
     assert_eq!(gripper.loop_back(&[1; 9]), Ok(()));
     assert_eq!(gripper.loop_back(&[1; 10]), Err(Error::TooLong { needed: 18 }));
-    assert_eq!(rig.heard(CommandId::Loop), 1);
+    assert_eq!(rig.received(CommandId::Loop), 1);
     assert_eq!(
         gripper.move_to(Mm(50.0), MmPerS(100.0), OnBlock::Stop),
         Ok(()),
@@ -237,7 +237,7 @@ fn fast_stop_is_repeated_while_its_confirmation_is_awaited() {
     rig.script(CommandId::FastStop, vec![]);
     assert_eq!(gripper.fast_stop(), Ok(()));
     let burst = usize::from(FastStopPattern::DEFAULT.burst_frames);
-    assert!((2..=1 + burst).contains(&rig.heard(CommandId::FastStop)));
+    assert!((2..=1 + burst).contains(&rig.received(CommandId::FastStop)));
     assert!(!gripper.fast_stop_pending());
 }
 
@@ -341,8 +341,8 @@ fn every_error_names_its_cause() {
         (Error::Closed, Cause::Transport, "closed"),
     ] {
         assert_eq!(error.cause(), cause, "{error:?}");
-        let said = std::format!("{error}");
-        assert!(said.contains(text), "{said}");
+        let text_of_error = std::format!("{error}");
+        assert!(text_of_error.contains(text), "{text_of_error}");
     }
 }
 

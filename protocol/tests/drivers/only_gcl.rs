@@ -24,7 +24,7 @@ fn sent(rig: &TestRig) -> Vec<String> {
 }
 
 /// Lets the driver process all available input.
-fn hear(client: &mut Blocking<Lines>) {
+fn receive(client: &mut Blocking<Lines>) {
     while client.next_update(0).unwrap().is_some() {}
 }
 
@@ -230,7 +230,7 @@ fn tolerance_and_clamping_travel_are_read_and_set() {
 }
 
 /// Returns the outcome of a call that is answered by these bytes after its request was sent.
-fn told<T>(rig: &TestRig, call: impl Future<Output = T>, answer: &[u8]) -> T {
+fn answered<T>(rig: &TestRig, call: impl Future<Output = T>, answer: &[u8]) -> T {
     rig.world(|world| world.mute = true);
     let mut call = pin!(call);
     let mut is_requested = false;
@@ -248,7 +248,7 @@ fn motion_end_after_a_settings_answer_does_not_replace_it() {
     let mut client = Asynch::<Lines>::homed(Config::default());
     let motion = client.begin_move_to(Mm(10.0), MmPerS(20.0), OnBlock::Stop).unwrap();
     let Asynch { rig, gripper } = &mut client;
-    assert_eq!(told(rig, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(Mm(2.5)));
+    assert_eq!(answered(rig, gripper.part_width_tolerance(), b"PWT=2.5\nERR MOVE 19\n"), Ok(Mm(2.5)));
     assert_eq!(rig.run(gripper.wait(&motion)), Err(Error::Aborted));
 }
 
@@ -266,7 +266,7 @@ fn lines_that_are_too_long_and_stray_bytes_are_counted() {
     let mut client = homed(20.0);
     client.rig().inject(&[b'x'; 300]);
     client.rig().inject(b"\n");
-    hear(&mut client);
+    receive(&mut client);
     let line = client.counters().line;
     assert_eq!((line.oversize, line.bad_checksum), (1, 0));
     assert!(line.dropped > 0, "{line:?}");
@@ -279,10 +279,10 @@ fn line_received_in_pieces_is_awaited() {
     rig.inject(b"@PO");
     rig.world(|world| world.mute = true);
     rig.pass(1_000);
-    hear(&mut client);
+    receive(&mut client);
     assert_eq!(client.known().width, None);
     rig.inject(b"S=31.5\n");
-    hear(&mut client);
+    receive(&mut client);
     assert_eq!(client.known().width, Some(31.5));
 }
 
@@ -290,7 +290,7 @@ fn line_received_in_pieces_is_awaited() {
 fn incomplete_line_of_a_broken_connection_is_discarded() {
     let mut client = homed(20.0);
     client.rig().inject(b"@PO");
-    hear(&mut client);
+    receive(&mut client);
     client.take_new_line();
     client.connect().unwrap();
     let counters = client.counters();

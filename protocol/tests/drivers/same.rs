@@ -346,14 +346,14 @@ fn program_without_a_connection_is_not_run<C: Client>() {
 }
 
 fn unanswered_announcement_is_reported_unless_the_program_failed<C: Client>() {
-    for (end, told) in [(Ok(7), Error::Unanswered.into()), (Err(ProgramError::Own), ProgramError::Own)] {
+    for (end, expected) in [(Ok(7), Error::Unanswered.into()), (Err(ProgramError::Own), ProgramError::Own)] {
         let mut client = C::new(Config::default());
         let rig = client.rig();
         let outcome = client.with_connection(|| {
             rig.world(|world| world.mute = true);
             end
         });
-        assert_eq!(outcome, Err(told));
+        assert_eq!(outcome, Err(expected));
     }
 }
 

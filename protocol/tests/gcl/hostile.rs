@@ -176,8 +176,8 @@ fn line_too_long_is_answered_by_the_name_that_it_began_with() {
 #[test]
 fn refusal_names_the_request_and_the_error() {
     let refused = Request::parse(b"move()").unwrap_err();
-    let told = refused.to_string();
-    assert!(told.contains("MOVE") && told.contains(&ParseError::TooFew.to_string()), "{told}");
+    let text = refused.to_string();
+    assert!(text.contains("MOVE") && text.contains(&ParseError::TooFew.to_string()), "{text}");
     let all = [NoName, UnknownName, Form, TooFew, TooMany, Range, Value, Index, TooLong, Text];
     let texts: BTreeSet<String> = all.iter().map(ToString::to_string).collect();
     assert!(texts.len() == all.len() && !texts.contains(""), "{texts:?}");

@@ -158,8 +158,8 @@ mod tests {
             ("map_version = \n".to_owned(), "line 1: "),
             ("settings = 3\n".to_owned(), "line 1: settings has the wrong type"),
         ] {
-            let said = format!("{:#}", imported(&text, &record()).expect_err(&text));
-            assert!(said.starts_with(error), "{text}{said}");
+            let printed = format!("{:#}", imported(&text, &record()).expect_err(&text));
+            assert!(printed.starts_with(error), "{text}{printed}");
         }
     }
 

@@ -149,19 +149,19 @@ pub(crate) fn count(count: usize, what: &str) -> String {
 fn meaning(bytes: &[u8], direction: Option<Direction>) -> (Option<Direction>, String) {
     let [_, _, _, id, _, _, payload @ .., _, _] = bytes else { return (direction, String::new()) };
     let frame = Frame { id: *id, payload };
-    let said = |direction| Meaning { direction, frame }.to_string();
+    let text = |direction| Meaning { direction, frame }.to_string();
     if let Some(direction) = direction {
-        return (Some(direction), said(direction));
+        return (Some(direction), text(direction));
     }
     let is_request = Command::decode(&frame).is_ok();
     let reply = Reply::decode(&frame);
     let is_reply = reply.is_ok();
     let has_known_status = reply.is_ok_and(|reply| !matches!(reply.status(), Status::Unknown(_)));
     match (is_request, is_reply) {
-        (true, _) if !has_known_status => (Some(Direction::ToGripper), said(Direction::ToGripper)),
-        (false, true) => (Some(Direction::FromGripper), said(Direction::FromGripper)),
+        (true, _) if !has_known_status => (Some(Direction::ToGripper), text(Direction::ToGripper)),
+        (false, true) => (Some(Direction::FromGripper), text(Direction::FromGripper)),
         _ => {
-            let (request, reply) = (said(Direction::ToGripper), said(Direction::FromGripper));
+            let (request, reply) = (text(Direction::ToGripper), text(Direction::FromGripper));
             (None, if request == reply { request } else { format!("{request}, or {reply}") })
         }
     }

@@ -19,11 +19,11 @@ use super::trouble::Trouble;
 #[command(no_binary_name = true, disable_version_flag = true, name = "")]
 pub(crate) struct Line {
     #[command(subcommand)]
-    pub(crate) said: Said,
+    pub(crate) entry: Entry,
 }
 
 #[derive(Debug, Subcommand)]
-pub(crate) enum Said {
+pub(crate) enum Entry {
     #[command(flatten)]
     Action(Named),
     /// Announces the end of the connection and exits
@@ -39,7 +39,7 @@ pub(crate) enum Wrong {
 }
 
 /// Parses a line. Returns `None` for a blank line or a comment.
-pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
+pub(crate) fn parse(line: &str) -> Result<Option<Entry>, Wrong> {
     let line = line.trim();
     if line.is_empty() || line.starts_with('#') {
         return Ok(None);
@@ -47,7 +47,7 @@ pub(crate) fn parse(line: &str) -> Result<Option<Said>, Wrong> {
     let words =
         shlex::split(line).ok_or_else(|| Wrong::Mistake("missing closing quotation mark".to_owned()))?;
     match Line::try_parse_from(words.into_iter().map(signed)) {
-        Ok(Line { said }) => Ok(Some(said)),
+        Ok(Line { entry }) => Ok(Some(entry)),
         Err(error) if !error.use_stderr() => Err(Wrong::Help(error.to_string())),
         Err(error) => Err(Wrong::Mistake(in_one_line(&error.to_string()))),
     }
@@ -76,7 +76,7 @@ fn in_one_line(text: &str) -> String {
 /// A script: its file name, and its commands with their line numbers.
 pub(crate) struct Script {
     file: String,
-    lines: Vec<(usize, Said)>,
+    lines: Vec<(usize, Entry)>,
 }
 
 impl Script {
@@ -97,7 +97,7 @@ impl Script {
         let mut mistakes = Vec::new();
         for (number, line) in (1..).zip(text.lines()) {
             match parse(line) {
-                Ok(said) => lines.extend(said.map(|said| (number, said))),
+                Ok(entry) => lines.extend(entry.map(|entry| (number, entry))),
                 Err(Wrong::Mistake(mistake)) => mistakes.push(format!("{file}:{number}: {mistake}")),
                 Err(Wrong::Help(_)) => {
                     mistakes.push(format!("{file}:{number}: `--help` is not allowed in a script"))
@@ -113,8 +113,8 @@ impl Script {
         gripper: &mut Gripper<P>,
         output: &Output,
     ) -> Result<u8, Trouble> {
-        for (number, said) in &self.lines {
-            let Said::Action(Named { name, action }) = said else { break };
+        for (number, entry) in &self.lines {
+            let Entry::Action(Named { name, action }) = entry else { break };
             let place = Some((*number, self.file.as_str()));
             let result = run::carry_out(gripper, action, &mut |_| Ok(()));
             let result = match result {
@@ -122,7 +122,7 @@ impl Script {
                 Ok(Answer { outcome: Outcome::NoPart, .. }) if !output.is_json => Err(Trouble::NoPart),
                 result => result,
             };
-            let status = output.tell(name, &result, place)?;
+            let status = output.report(name, &result, place)?;
             if status != 0 {
                 return Ok(status);
             }

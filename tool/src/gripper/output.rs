@@ -16,7 +16,7 @@ pub(crate) struct Output {
 impl Output {
     /// Prints the result of a command and returns its exit status. `line` is the line number and
     /// file name of a script.
-    pub(crate) fn tell(
+    pub(crate) fn report(
         &self,
         command: &str,
         result: &Result<Answer, Trouble>,

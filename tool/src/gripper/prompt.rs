@@ -17,7 +17,7 @@ use wsg_sim::text;
 use super::action::{Action, Named};
 use super::editor::{Complete, Editor, Step};
 use super::line::LOOK_MS;
-use super::lines::{self, Line, Said, Wrong};
+use super::lines::{self, Entry, Line, Wrong};
 use super::output::Output;
 use super::run::{self, Gripper, ProtocolCommands};
 use super::signals::Signals;
@@ -52,8 +52,8 @@ fn typed<P: ProtocolCommands>(
     while let Some(line) = read_line(gripper, &mut editor, &words)? {
         let named = match lines::parse(&line) {
             Ok(None) => continue,
-            Ok(Some(Said::Quit)) => break,
-            Ok(Some(Said::Action(named))) => named,
+            Ok(Some(Entry::Quit)) => break,
+            Ok(Some(Entry::Action(named))) => named,
             Err(Wrong::Help(text) | Wrong::Mistake(text)) => {
                 writeln!(io::stdout(), "{}", text.trim_end())?;
                 continue;
@@ -78,7 +78,7 @@ fn typed<P: ProtocolCommands>(
         {
             return Err(std::mem::replace(trouble, Trouble::NoPart));
         }
-        status = output.tell(&named.name, &result, None)?;
+        status = output.report(&named.name, &result, None)?;
         if matches!(named.action, Action::Disconnect) {
             return Ok(status);
         }
@@ -114,12 +114,12 @@ fn piped<P: ProtocolCommands>(gripper: &mut Gripper<P>, output: &Output) -> Resu
         };
         let (name, result) = match lines::parse(&line) {
             Ok(None) => continue,
-            Ok(Some(Said::Quit)) => return Ok(status),
-            Ok(Some(Said::Action(Named { action: Action::Disconnect, .. }))) => {
+            Ok(Some(Entry::Quit)) => return Ok(status),
+            Ok(Some(Entry::Action(Named { action: Action::Disconnect, .. }))) => {
                 let result = run::carry_out(gripper, &Action::Disconnect, &mut |_| Ok(()));
-                return Ok(output.tell("disconnect", &result, None)?);
+                return Ok(output.report("disconnect", &result, None)?);
             }
-            Ok(Some(Said::Action(Named { name, action }))) => {
+            Ok(Some(Entry::Action(Named { name, action }))) => {
                 let result = run::carry_out(gripper, &action, &mut |_| Ok(()));
                 (name, result)
             }
@@ -134,7 +134,7 @@ fn piped<P: ProtocolCommands>(gripper: &mut Gripper<P>, output: &Output) -> Resu
         };
         match result {
             Err(trouble) if trouble.is_final() => return Err(trouble),
-            result => status = output.tell(&name, &result, None)?,
+            result => status = output.report(&name, &result, None)?,
         }
     }
 }

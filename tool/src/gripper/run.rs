@@ -74,22 +74,22 @@ pub(crate) fn carry_out<P: ProtocolCommands>(
 ) -> Result<Answer, Trouble> {
     let done = Answer::done();
     Ok(match *action {
-        Action::Home { end } => told(finish(gripper, |it| it.begin_home(end.into()), live))?,
+        Action::Home { end } => completed(finish(gripper, |it| it.begin_home(end.into()), live))?,
         Action::Move { width, speed, clamp } => {
             let begin = |it: &mut Gripper<P>| it.begin_move_to(Mm(width), MmPerS(speed), on_block(clamp));
-            told(finish(gripper, begin, live))?
+            completed(finish(gripper, begin, live))?
         }
         Action::MoveBy { offset, speed, clamp } => {
             let begin = |it: &mut Gripper<P>| it.begin_move_by(Mm(offset), MmPerS(speed), on_block(clamp));
-            told(finish(gripper, begin, live))?
+            completed(finish(gripper, begin, live))?
         }
         Action::Grip { width, speed, force } => grip(gripper, width, speed, force, live)?,
         Action::Release { width, speed } => {
-            told(finish(gripper, |it| it.begin_release(Mm(width), MmPerS(speed)), live))?
+            completed(finish(gripper, |it| it.begin_release(Mm(width), MmPerS(speed)), live))?
         }
-        Action::Stop => told(gripper.stop())?,
-        Action::FastStop => told(gripper.fast_stop())?,
-        Action::Ack => told(gripper.acknowledge())?,
+        Action::Stop => completed(gripper.stop())?,
+        Action::FastStop => completed(gripper.fast_stop())?,
+        Action::Ack => completed(gripper.acknowledge())?,
 
         Action::ForceLimit { force } => {
             if let Some(force) = force {
@@ -104,8 +104,8 @@ pub(crate) fn carry_out<P: ProtocolCommands>(
             done.number("acceleration", gripper.acceleration()?, MM_PER_S2)
         }
         Action::SoftLimits { from, to, clear } => soft_limits(gripper, from.zip(to), clear)?,
-        Action::Overdrive { switch } => told(gripper.set_overdrive(switch == Switch::On))?,
-        Action::Tare => told(gripper.tare())?,
+        Action::Overdrive { switch } => completed(gripper.set_overdrive(switch == Switch::On))?,
+        Action::Tare => completed(gripper.tare())?,
         Action::PartWidthTolerance { tolerance } => {
             done.number("part width tolerance", P::part_width_tolerance(gripper, tolerance)?, MM)
         }
@@ -136,18 +136,18 @@ pub(crate) fn carry_out<P: ProtocolCommands>(
             done.with("flags", names(gripper.finger_flags(finger)?.iter_names()))
         }
         Action::FingerPower { finger, switch } => {
-            told(gripper.set_finger_power(finger, switch == Switch::On))?
+            completed(gripper.set_finger_power(finger, switch == Switch::On))?
         }
         Action::FingerData { finger } => finger_data(gripper, finger)?,
 
-        Action::Loop { ref bytes } => told(gripper.loop_back(&Bytes::joined(bytes)))?,
+        Action::Loop { ref bytes } => completed(gripper.loop_back(&Bytes::joined(bytes)))?,
         Action::Raw { id, ref payload } => raw(gripper, id, &Bytes::joined(payload))?,
-        Action::Disconnect => told(match gripper.announce_disconnect() {
+        Action::Disconnect => completed(match gripper.announce_disconnect() {
             // Not available on lines that need no announcement.
             Err(Error::Refused(Status::NotAvailable)) => Ok(()),
-            told => told,
+            result => result,
         })?,
-        Action::Pause { seconds } => told(pause(gripper, Duration::from_secs_f32(seconds), live))?,
+        Action::Pause { seconds } => completed(pause(gripper, Duration::from_secs_f32(seconds), live))?,
     })
 }
 
@@ -181,7 +181,7 @@ pub(crate) fn unsubscribe<P: Protocol>(gripper: &mut Gripper<P>) {
     let _ = gripper.gripper_state();
 }
 
-fn told(result: Result<(), impl Into<Trouble>>) -> Result<Answer, Trouble> {
+fn completed(result: Result<(), impl Into<Trouble>>) -> Result<Answer, Trouble> {
     result.map(|()| Answer::done()).map_err(Into::into)
 }
 

@@ -20,7 +20,7 @@ use wsg_protocol::{DeviceType, GripperState};
 use super::{
     config::Data,
     metrics::{BRIDGE, OfBridge, Value},
-    report::{Reporter, Teller, What, stopped},
+    report::{Messages, Reporter, What, stopped},
     values::Values,
 };
 
@@ -65,13 +65,13 @@ const FLAGS: [OfBridge; 5] =
 
 /// Reads the bridge until `stop` is set, and reconnects after errors.
 pub(super) async fn read(port: String, data: Data, reporter: Reporter, mut stop: watch::Receiver<bool>) {
-    let mut teller = Teller::default();
+    let mut messages = Messages::default();
     loop {
         tokio::select! {
             // Can be cancelled anywhere: the port never moves the fingers, and dropping the future closes it.
-            end = serve(&port, &data, &reporter, &mut teller) => {
+            end = serve(&port, &data, &reporter, &mut messages) => {
                 if let Err(error) = end {
-                    teller.tell(format!("{} ({port}): {error:#}", reporter.name));
+                    messages.print(format!("{} ({port}): {error:#}", reporter.name));
                 }
             }
             () = stopped(&mut stop) => return,
@@ -83,7 +83,7 @@ pub(super) async fn read(port: String, data: Data, reporter: Reporter, mut stop:
     }
 }
 
-async fn serve(port: &str, data: &Data, reporter: &Reporter, teller: &mut Teller) -> Result<()> {
+async fn serve(port: &str, data: &Data, reporter: &Reporter, messages: &mut Messages) -> Result<()> {
     let line = SerialPort::open(port, RATE)?;
     // Discard bytes received earlier: they respond to another program.
     line.discard_input_buffer()?;
@@ -96,8 +96,8 @@ async fn serve(port: &str, data: &Data, reporter: &Reporter, teller: &mut Teller
     let mut values = Values::new(BRIDGE);
     values.take_reports(&reports);
     values.take_image(image(&mut bridge).await?, &reports, data);
-    teller.tell(format!("{}: connected", reporter.name));
-    reporter.tell(What::Found { values: values.all(), ranges: vec![None; BRIDGE.len()] }).await;
+    messages.print(format!("{}: connected", reporter.name));
+    reporter.send(What::Found { values: values.all(), ranges: vec![None; BRIDGE.len()] }).await;
     let end = async {
         let mut looks = interval(Duration::from_millis(data.period_ms.into()));
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -111,12 +111,12 @@ async fn serve(port: &str, data: &Data, reporter: &Reporter, teller: &mut Teller
                 }
             }
             if let Some(changed) = values.changed() {
-                reporter.tell(changed).await;
+                reporter.send(changed).await;
             }
         }
     };
     let end: Result<()> = end.await;
-    reporter.tell(What::Lost).await;
+    reporter.send(What::Lost).await;
     end
 }
 

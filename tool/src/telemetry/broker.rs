@@ -30,7 +30,7 @@ use crate::print_error;
 use super::{
     config,
     node::{Identity, Message, Node},
-    report::{Report, Teller, now_ms, stopped},
+    report::{Messages, Report, now_ms, stopped},
     sequence::Sequence,
 };
 
@@ -96,7 +96,7 @@ impl Broker {
         sequence: &mut Sequence,
         mut stop: watch::Receiver<bool>,
     ) {
-        let mut teller = Teller::default();
+        let mut messages = Messages::default();
         let mut inbox = Inbox { reports, taken: Vec::with_capacity(REPORTS) };
         let identity = node.identity().clone();
         loop {
@@ -112,7 +112,7 @@ impl Broker {
             };
             let end = match attempted {
                 Ok((mut link, number)) => {
-                    teller.tell(format!("broker {}: connected", self.host));
+                    messages.print(format!("broker {}: connected", self.host));
                     node.connected(number);
                     let end = link.serve(node, &mut inbox, &mut stop, self.keep_alive).await;
                     let Some(end) = end else {
@@ -125,7 +125,7 @@ impl Broker {
                 }
                 Err(error) => error,
             };
-            teller.tell(format!("broker {}: {end:#}", self.host));
+            messages.print(format!("broker {}: {end:#}", self.host));
             let again = Instant::now() + self.reconnect;
             loop {
                 tokio::select! {
@@ -237,7 +237,7 @@ struct Link {
     /// The pending PINGREQ: when it was sent, and the store position before it.
     ping: Option<(Instant, u64)>,
     last_ping: Instant,
-    refusals: Teller,
+    refusals: Messages,
 }
 
 /// A packet from the broker.
@@ -265,7 +265,7 @@ impl Link {
             needs_flush: false,
             ping: None,
             last_ping,
-            refusals: Teller::default(),
+            refusals: Messages::default(),
         }
     }
 
@@ -404,7 +404,7 @@ impl Link {
             Received::Command { topic, payload, is_retained } => {
                 match node.command(&topic, &payload, is_retained, now_ms()) {
                     Ok(what) => print_error(format_args!("command on {topic}: {what}")),
-                    Err(why) => self.refusals.tell(format!("command on {topic} refused: {why}")),
+                    Err(why) => self.refusals.print(format!("command on {topic} refused: {why}")),
                 }
             }
             Received::Connack(_) | Received::Suback(_) => {}

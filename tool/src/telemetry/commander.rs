@@ -60,7 +60,7 @@ impl Commander {
     /// Notes that the gripper was lost, and reports the outcome of a motion in progress.
     pub(super) async fn lost(&mut self) {
         if let Some(Running { of, .. }) = self.running.take() {
-            self.tell(of, "the connection to the gripper was lost; outcome unknown").await;
+            self.report(of, "the connection to the gripper was lost; outcome unknown").await;
         }
     }
 
@@ -84,7 +84,7 @@ impl Commander {
     {
         let of = order.action.of();
         if order.life != self.life {
-            self.tell(of, "dropped: the connection to the gripper was lost in the meantime").await;
+            self.report(of, "dropped: the connection to the gripper was lost in the meantime").await;
             return;
         }
         if order.action.is_urgent() {
@@ -92,12 +92,12 @@ impl Commander {
             return;
         }
         if order.at <= self.stopped_at {
-            self.tell(of, "dropped: superseded by a later stop").await;
+            self.report(of, "dropped: superseded by a later stop").await;
             return;
         }
         let left = Duration::from_millis(order.expires_at.saturating_sub(now_ms()));
         if left.is_zero() {
-            self.tell(of, "dropped: it expired while waiting").await;
+            self.report(of, "dropped: it expired while waiting").await;
             return;
         }
         // The driver's calls are cancel safe: a request not sent by then is never sent.
@@ -109,15 +109,15 @@ impl Commander {
         };
         match begun {
             Err(Some(urgent)) => {
-                self.tell(of, &format!("dropped or stopped by {}", urgent.action.of().title())).await;
+                self.report(of, &format!("dropped or stopped by {}", urgent.action.of().title())).await;
                 self.urge(gripper, urgent).await;
             }
             // The program is about to exit.
             Err(None) => {}
             Ok(Ok(Ok(Some(pending)))) => self.running = Some(Running { of, pending }),
-            Ok(Ok(Ok(None))) => self.tell(of, "done").await,
-            Ok(Ok(Err(error))) => self.tell(of, &reason(&error)).await,
-            Ok(Err(_)) => self.tell(of, "no response in time; outcome unknown").await,
+            Ok(Ok(Ok(None))) => self.report(of, "done").await,
+            Ok(Ok(Err(error))) => self.report(of, &reason(&error)).await,
+            Ok(Err(_)) => self.report(of, "no response in time; outcome unknown").await,
         }
     }
 
@@ -136,7 +136,7 @@ impl Commander {
                 biased;
                 stopped = gripper.stop() => break stopped,
                 Some(next) = self.queue.urgent.recv() => {
-                    self.tell(of, &format!("superseded by {}", next.action.of().title())).await;
+                    self.report(of, &format!("superseded by {}", next.action.of().title())).await;
                     order = next;
                 }
             }
@@ -144,7 +144,7 @@ impl Commander {
         // Report the outcome of the stopped motion first.
         self.look(gripper).await;
         let text = stopped.map_or_else(|error| reason(&error), |()| "done".to_owned());
-        self.tell(order.action.of(), &text).await;
+        self.report(order.action.of(), &text).await;
     }
 
     /// Reports the outcome of the motion in progress, if it has ended.
@@ -169,12 +169,12 @@ impl Commander {
             Err(error) => reason(&error),
         };
         self.running = None;
-        self.tell(of, &text).await;
+        self.report(of, &text).await;
     }
 
-    async fn tell(&self, of: OfCommand, text: &str) {
+    async fn report(&self, of: OfCommand, text: &str) {
         let text = format!("{}: {text}", of.title());
-        self.reporter.tell(What::Outcome { of, text }).await;
+        self.reporter.send(What::Outcome { of, text }).await;
     }
 }
 

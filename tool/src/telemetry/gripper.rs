@@ -20,7 +20,7 @@ use super::{
     line::{Line, Sockets},
     metrics::{COMMANDS, GRIPPER, OfCommand, OfGripper, Value},
     payload::DataType,
-    report::{Reporter, Teller, What, stopped},
+    report::{Messages, Reporter, What, stopped},
     values::Values,
 };
 
@@ -44,7 +44,7 @@ pub(super) async fn read(
     orders: Option<Queue>,
     mut stop: watch::Receiver<bool>,
 ) {
-    let mut teller = Teller::default();
+    let mut messages = Messages::default();
     let commander = orders.map(|queue| Commander::new(queue, reporter.clone()));
     let values = Values::new(GRIPPER);
     let mut reader = Reader { data, reporter, values, commander, connections: 0, bad_before: 0 };
@@ -53,18 +53,18 @@ pub(super) async fn read(
             line = Line::open(&address, sockets) => match line {
                 Ok(line) => Some(line),
                 Err(error) => {
-                    teller.tell(format!("{} ({address}): {error}", reader.reporter.name));
+                    messages.print(format!("{} ({address}): {error}", reader.reporter.name));
                     None
                 }
             },
             () = stopped(&mut stop) => return,
         };
         if let Some(line) = ended {
-            let why = reader.serve(line, &mut stop, &mut teller).await;
+            let why = reader.serve(line, &mut stop, &mut messages).await;
             if *stop.borrow() {
                 return;
             }
-            teller.tell(format!("{} ({address}): {why}", reader.reporter.name));
+            messages.print(format!("{} ({address}): {why}", reader.reporter.name));
         }
         tokio::select! {
             () = sleep(RETRY) => {}
@@ -90,7 +90,7 @@ impl Reader {
         &mut self,
         line: IO,
         stop: &mut watch::Receiver<bool>,
-        teller: &mut Teller,
+        messages: &mut Messages,
     ) -> String
     where
         IO::Error: std::fmt::Display,
@@ -122,23 +122,23 @@ impl Reader {
             match connected {
                 Ok(()) => {}
                 Err(Error::NotConnected) => {
-                    teller.tell(format!("{}: no response", self.reporter.name));
+                    messages.print(format!("{}: no response", self.reporter.name));
                     continue;
                 }
                 Err(error) => break Some(error),
             }
             self.connections += 1;
-            teller.tell(format!("{}: connected", self.reporter.name));
+            messages.print(format!("{}: connected", self.reporter.name));
             let found = self.found(gripper.known());
-            self.reporter.tell(found).await;
+            self.reporter.send(found).await;
             let end = self.watch(&mut gripper, stop).await;
             if let Some(commander) = &mut self.commander {
                 commander.lost().await;
             }
-            self.reporter.tell(What::Lost).await;
+            self.reporter.send(What::Lost).await;
             match end {
                 Some(Error::NotConnected) => {
-                    teller.tell(format!("{}: no longer responds", self.reporter.name))
+                    messages.print(format!("{}: no longer responds", self.reporter.name))
                 }
                 end => break end,
             }
@@ -193,7 +193,7 @@ impl Reader {
             if (is_urgent || self.values.due_in(period_ms) == Some(0))
                 && let Some(changed) = self.values.changed()
             {
-                self.reporter.tell(changed).await;
+                self.reporter.send(changed).await;
             }
         }
     }

@@ -218,7 +218,7 @@ impl Node {
                 if let Some(commanding) = &mut device.commanding {
                     commanding.is_moving &= !of.is_motion();
                 }
-                self.tell_result(number, text, at);
+                self.report_result(number, text, at);
                 return;
             }
             What::Lost => {
@@ -443,7 +443,7 @@ impl Node {
                 self.own.refused += 1;
                 let of = self.devices.iter().position(|device| *device.command == *topic);
                 if let Some(number) = of.and_then(|place| u16::try_from(place).ok()) {
-                    self.tell_result(number, format!("refused: {why}"), now);
+                    self.report_result(number, format!("refused: {why}"), now);
                 }
             }
         }
@@ -487,7 +487,7 @@ impl Node {
     }
 
     /// Publishes the result of a command to a device, even if it equals the previous one.
-    fn tell_result(&mut self, number: u16, text: String, at: u64) {
+    fn report_result(&mut self, number: u16, text: String, at: u64) {
         let Some(device) = self.devices.get_mut(usize::from(number)) else { return };
         let place = device.place_of(OfCommand::Result);
         // The slot does not exist if commands are not allowed, or before the device is first found.

@@ -39,7 +39,7 @@ pub(super) struct Reporter {
 
 impl Reporter {
     /// Sends a report. Waits while the queue is full.
-    pub(super) async fn tell(&self, what: What) {
+    pub(super) async fn send(&self, what: What) {
         // Without a receiver, the program is about to exit.
         let _ = self.reports.send(Report { device: self.device, at: now_ms(), what }).await;
     }
@@ -53,12 +53,12 @@ pub(super) fn now_ms() -> u64 {
 
 /// Prints messages to standard error, omitting consecutive repetitions.
 #[derive(Debug, Default)]
-pub(super) struct Teller {
+pub(super) struct Messages {
     last: String,
 }
 
-impl Teller {
-    pub(super) fn tell(&mut self, text: String) {
+impl Messages {
+    pub(super) fn print(&mut self, text: String) {
         if text != self.last {
             print_error(&text);
             self.last = text;

@@ -19,16 +19,16 @@ const FAULTS: SystemFlags = SystemFlags::TEMP_FAULT
 pub(super) struct Values {
     latest: Vec<Option<Value>>,
     /// The values last reported.
-    told: Vec<Option<Value>>,
+    published: Vec<Option<Value>>,
     is_changed: bool,
-    told_at: Instant,
+    published_at: Instant,
 }
 
 impl Values {
     /// Creates values that are all unknown.
     pub(super) fn new(table: &[Metric]) -> Self {
         let nothing = vec![None; table.len()];
-        Self { latest: nothing.clone(), told: nothing, is_changed: false, told_at: Instant::now() }
+        Self { latest: nothing.clone(), published: nothing, is_changed: false, published_at: Instant::now() }
     }
 
     pub(super) fn get(&self, of: impl Into<usize>) -> Option<&Value> {
@@ -47,8 +47,8 @@ impl Values {
     /// Sets a measured value. Within the deadband around the last reported value, that value is kept.
     pub(super) fn measured(&mut self, of: impl Into<usize>, number: f32, deadband: f32) {
         let place = of.into();
-        let value = match self.told.get(place) {
-            Some(Some(Value::Float(told))) if (number - told).abs() < deadband => *told,
+        let value = match self.published.get(place) {
+            Some(Some(Value::Float(published))) if (number - published).abs() < deadband => *published,
             _ => number,
         };
         self.set(place, Some(Value::Float(value)));
@@ -75,15 +75,15 @@ impl Values {
 
     /// Returns the time in ms until changes are due to be reported, or `None` if there are none.
     pub(super) fn due_in(&self, period_ms: u16) -> Option<u32> {
-        let since = u32::try_from(self.told_at.elapsed().as_millis()).unwrap_or(u32::MAX);
+        let since = u32::try_from(self.published_at.elapsed().as_millis()).unwrap_or(u32::MAX);
         self.is_changed.then(|| u32::from(period_ms).saturating_sub(since))
     }
 
     /// Returns the values that have changed since the last report, and marks them as reported.
     pub(super) fn changed(&mut self) -> Option<What> {
         let mut changed = Vec::new();
-        for (place, (told, latest)) in (0_u8..).zip(self.told.iter().zip(&self.latest)) {
-            if told != latest {
+        for (place, (published, latest)) in (0_u8..).zip(self.published.iter().zip(&self.latest)) {
+            if published != latest {
                 changed.push((place, latest.clone()));
             }
         }
@@ -93,10 +93,10 @@ impl Values {
 
     /// Returns all values and marks them as reported.
     pub(super) fn all(&mut self) -> Vec<Option<Value>> {
-        self.told.clone_from(&self.latest);
+        self.published.clone_from(&self.latest);
         self.is_changed = false;
-        self.told_at = Instant::now();
-        self.told.clone()
+        self.published_at = Instant::now();
+        self.published.clone()
     }
 }
 

@@ -24,6 +24,6 @@ pub(crate) fn wsg(arguments: &[&str], input: &[u8]) -> Output {
 }
 
 /// Returns standard output followed by standard error.
-pub(crate) fn said(output: &Output) -> String {
+pub(crate) fn printed(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
 }

@@ -119,7 +119,7 @@ fn scripts_and_standard_input_of_any_editor_run() {
     let expected = format!("{}: the text is UTF-16; save it as UTF-8", script.path());
     assert_refused(&[CLOSED_PORT, "script", script.path()], 1, &expected);
     let mut program = Program::start(&[&rig.tcp()]);
-    program.say_bytes(&utf_16);
+    program.enter_bytes(&utf_16);
     let ended = program.end();
     assert!(ended.stderr.contains("standard input: the text is UTF-16; save it as UTF-8"), "{ended:?}");
     let latin = script_of_bytes("latin.wsg", b"home\ntag \xE4\n");

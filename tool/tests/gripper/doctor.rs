@@ -198,7 +198,7 @@ fn peer_that_closes_at_once_is_reported_as_busy() {
 fn motion_of_another_client_is_reported_and_continues() {
     let mut rig = homed(Config { time_scale: 1.0, ..quick() });
     let mut mover = Program::start(&[&rig.gcl()]);
-    mover.say("move 60 30\nwidth\n");
+    mover.enter("move 60 30\nwidth\n");
     rig.until_moving();
     let ended = doctor(&rig.tcp());
     assert_eq!(ended.status, 0, "{ended:?}");

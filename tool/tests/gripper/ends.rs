@@ -17,7 +17,7 @@ fn signals_in_mid_travel_stop_fingers_and_leave_no_fast_stop() {
         let mut rig = TestRig::new(real());
         let address = rig.tcp();
         let mut program = Program::start(&[&address]);
-        program.say(SLOW);
+        program.enter(SLOW);
         assert_eq!(program.line(), "done\n");
         rig.until_moving();
         program.signal(signal);

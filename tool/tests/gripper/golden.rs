@@ -67,7 +67,7 @@ fn transcript(address: &str, options: &[&str]) -> String {
     let mut program = Program::start(&[&[address], options].concat());
     let is_end = |line: &str| line.starts_with("temperature ") || line.contains(r#""command":"temperature""#);
     for command in COMMANDS.lines().filter(|command| *command != "disconnect") {
-        program.say(&format!("{command}\n{END}\n"));
+        program.enter(&format!("{command}\n{END}\n"));
         let _ = writeln!(text, "> {command}");
         let answer: String =
             std::iter::repeat_with(|| program.line()).take_while(|line| !is_end(line)).collect();
@@ -76,7 +76,7 @@ fn transcript(address: &str, options: &[&str]) -> String {
         }
         text += &answer;
     }
-    program.say("disconnect\n");
+    program.enter("disconnect\n");
     let _ = write!(text, "> disconnect\n{}", program.line());
     assert_eq!(program.end().status, 0);
     text

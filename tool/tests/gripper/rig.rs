@@ -164,15 +164,15 @@ impl Program {
     /// Runs the program until it exits, with these lines on standard input.
     pub(crate) fn run_with_lines(arguments: &[&str], lines: &str) -> Ended {
         let mut program = Self::start(arguments);
-        program.say(lines);
+        program.enter(lines);
         program.end()
     }
 
-    pub(crate) fn say(&mut self, lines: &str) {
-        self.say_bytes(lines.as_bytes());
+    pub(crate) fn enter(&mut self, lines: &str) {
+        self.enter_bytes(lines.as_bytes());
     }
 
-    pub(crate) fn say_bytes(&mut self, bytes: &[u8]) {
+    pub(crate) fn enter_bytes(&mut self, bytes: &[u8]) {
         let stdin = self.stdin.as_mut().expect("standard input is open");
         stdin.write_all(bytes).expect("the program reads its input");
         stdin.flush().unwrap();

@@ -14,9 +14,8 @@ use wsg_sim::{
 };
 
 use crate::{
-    is_whole, latest,
+    is_whole, latest, published,
     rig::{Broker, Folder, Host, Telemetry, encoded, metric, wait_for},
-    told,
 };
 
 /// The log of a virtual gripper.
@@ -105,8 +104,8 @@ impl Commander<'_> {
     /// Waits for a result, then discards the messages so far.
     fn wait_for_result(&self, result: &str) {
         self.host.wait(result, |messages| {
-            let told = latest(messages, &self.birth, "Command/Result");
-            told.and_then(Value::as_str).is_some_and(|told| told.contains(result))
+            let published = latest(messages, &self.birth, "Command/Result");
+            published.and_then(Value::as_str).is_some_and(|published| published.contains(result))
         });
         self.host.clear();
     }
@@ -215,7 +214,7 @@ fn sparkplug_payload_stop_over_mosquitto_ends_a_reported_motion() {
     // At the lowest speed the motion lasts long enough for a busy machine.
     commander.order(&[command("Move"), number("Width", 30.0), number("Speed", 5.0)]);
     let width = metric(&commander.birth, "Width")["alias"].clone();
-    host.wait("widths during the motion", |messages| told(messages, &width).len() >= 5);
+    host.wait("widths during the motion", |messages| published(messages, &width).len() >= 5);
     commander.order(&[command("Home")]);
     commander.wait_for_result("the previous motion is not over");
     commander.order(&[command("Stop")]);

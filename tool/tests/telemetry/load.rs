@@ -197,7 +197,7 @@ fn five_hundred_grippers_fit_a_core_losing_nothing_on_mosquitto() {
         100.0 * load,
         memory as f64 / 1024.0,
         after.gaps,
-        telemetry.said().matches("no longer responds").count()
+        telemetry.printed().matches("no longer responds").count()
     );
     assert_eq!((after.gaps, after.historical_or_odd), (0, 0));
     assert!(load < 1.0, "{load}");

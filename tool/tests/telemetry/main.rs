@@ -115,22 +115,22 @@ fn births_data_and_deaths_reach_mosquitto_and_sparkplug_payload() {
 
 /// A value of a metric that a host received as data.
 #[derive(Clone, Debug)]
-struct Told {
+struct Published {
     at: u64,
     value: Value,
     is_historical: bool,
 }
 
 /// Returns all values of a metric that a host received as data, in order.
-fn told(messages: &[Value], alias: &Value) -> Vec<Told> {
+fn published(messages: &[Value], alias: &Value) -> Vec<Published> {
     let metrics = messages.iter().filter_map(|message| message["metrics"].as_array()).flatten();
     let of_it = metrics.filter(|metric| metric["alias"] == *alias && metric.get("name").is_none());
-    let told = of_it.map(|metric| Told {
+    let published = of_it.map(|metric| Published {
         at: metric["timestamp"].as_u64().unwrap(),
         value: metric["value"].clone(),
         is_historical: metric["isHistorical"] == true,
     });
-    told.collect()
+    published.collect()
 }
 
 /// The states of a gripper during one move. Each change is reported.
@@ -163,9 +163,9 @@ fn mosquitto_outage_within_the_store_loses_no_sparkplug_payload() {
     let birth = host.wait_for("DBIRTH", "left");
     let state = metric(&birth, "State")["alias"].clone();
     move_to_and_fro(&gripper, 2);
-    let before = host.wait("data", |messages| told(messages, &state).len() == 4);
-    assert!(told(&before, &state).iter().all(|told| !told.is_historical), "{before:?}");
-    let last_before = told(&before, &state).iter().map(|told| told.at).max().unwrap();
+    let before = host.wait("data", |messages| published(messages, &state).len() == 4);
+    assert!(published(&before, &state).iter().all(|published| !published.is_historical), "{before:?}");
+    let last_before = published(&before, &state).iter().map(|published| published.at).max().unwrap();
 
     // Kill the broker, keep moving, and let a host connect before telemetry.
     way.close();
@@ -179,21 +179,21 @@ fn mosquitto_outage_within_the_store_loses_no_sparkplug_payload() {
     assert!(metric(&birth, "bdSeq")["value"].as_u64() > Some(0), "{birth}");
     // Samples in flight when the broker was killed may be sent twice.
     let new = |messages: &[Value]| {
-        let told = told(messages, &state).into_iter();
-        told.filter(|told| told.at > last_before).collect::<Vec<_>>()
+        let published = published(messages, &state).into_iter();
+        published.filter(|published| published.at > last_before).collect::<Vec<_>>()
     };
     let after = host.wait("stored samples", |messages| new(messages).len() >= 12);
     let stored = new(&after);
-    assert!(stored.iter().all(|told| told.is_historical), "{stored:?}");
-    let texts: Vec<&str> = stored.iter().map(|told| told.value.as_str().unwrap()).collect();
+    assert!(stored.iter().all(|published| published.is_historical), "{stored:?}");
+    let texts: Vec<&str> = stored.iter().map(|published| published.value.as_str().unwrap()).collect();
     assert_eq!(texts, states(6));
     let births = after.iter().position(|message| is_of(message, "DBIRTH", "left"));
     let data = after.iter().position(|message| is_of(message, "DDATA", "left"));
     assert!(births < data, "{after:?}");
     host.clear();
     move_to_and_fro(&gripper, 1);
-    let live = host.wait("live data", |messages| told(messages, &state).len() == 2);
-    assert!(told(&live, &state).iter().all(|told| !told.is_historical), "{live:?}");
+    let live = host.wait("live data", |messages| published(messages, &state).len() == 2);
+    assert!(published(&live, &state).iter().all(|published| !published.is_historical), "{live:?}");
 }
 
 #[test]
@@ -279,7 +279,9 @@ fn only_rebirth_is_accepted_via_mosquitto_and_sparkplug_payload() {
     broker.publish("spBv1.0/plant/NCMD/cell", b"\xFF\xFF", &[]);
     telemetry.wait_until_it_says("not a Sparkplug B payload");
     let refused = metric(&node, "Commands/Refused")["alias"].clone();
-    host.wait("the count", |messages| told(messages, &refused).iter().any(|told| told.value == 3));
+    host.wait("the count", |messages| {
+        published(messages, &refused).iter().any(|published| published.value == 3)
+    });
 }
 
 #[test]
@@ -379,8 +381,8 @@ fn wrong_mosquitto_password_is_reported_for_sparkplug_payload() {
     folder.write("password", "wrong\n");
     let refused = Telemetry::start(&folder, &section, &gripper.section("left"));
     refused.wait_until_it_says("wrong user or password");
-    assert_eq!(refused.said().matches("password").count(), 1, "{}", refused.said());
-    assert!(!refused.said().contains("wrong\n"), "{}", refused.said());
+    assert_eq!(refused.printed().matches("password").count(), 1, "{}", refused.printed());
+    assert!(!refused.printed().contains("wrong\n"), "{}", refused.printed());
     refused.end();
     folder.write("password", "right\n");
     let _telemetry = Telemetry::start(&folder, &section, &gripper.section("left"));

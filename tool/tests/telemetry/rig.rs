@@ -230,7 +230,7 @@ pub(crate) fn metric<'a>(birth: &'a Value, name: &str) -> &'a Value {
 /// A running `wsg telemetry` with its standard error.
 pub(crate) struct Telemetry {
     running: Running,
-    said: Arc<Mutex<String>>,
+    printed: Arc<Mutex<String>>,
 }
 
 impl Telemetry {
@@ -254,31 +254,31 @@ impl Telemetry {
         let mut wsg = Process::new(env!("CARGO_BIN_EXE_wsg"));
         wsg.arg("telemetry").args(arguments).envs(variables.iter().copied());
         let mut wsg = wsg.stderr(Stdio::piped()).spawn().unwrap();
-        let said = Arc::new(Mutex::new(String::new()));
-        let (lines, heard) = (BufReader::new(wsg.stderr.take().unwrap()), Arc::clone(&said));
+        let printed = Arc::new(Mutex::new(String::new()));
+        let (lines, text) = (BufReader::new(wsg.stderr.take().unwrap()), Arc::clone(&printed));
         thread::spawn(move || {
             for line in lines.lines() {
                 let line = line.unwrap();
                 eprintln!("{line}");
-                let mut heard = heard.lock().unwrap();
-                heard.push_str(&line);
-                heard.push('\n');
+                let mut text = text.lock().unwrap();
+                text.push_str(&line);
+                text.push('\n');
             }
         });
-        Self { running: Running(wsg), said }
+        Self { running: Running(wsg), printed }
     }
 
     /// Waits until standard error contains a text.
     pub(crate) fn wait_until_it_says(&self, text: &str) {
-        wait_for(text, || self.said().contains(text).then_some(()));
+        wait_for(text, || self.printed().contains(text).then_some(()));
     }
 
     pub(crate) fn id(&self) -> u32 {
         self.running.0.id()
     }
 
-    pub(crate) fn said(&self) -> String {
-        self.said.lock().unwrap().clone()
+    pub(crate) fn printed(&self) -> String {
+        self.printed.lock().unwrap().clone()
     }
 
     /// Sends SIGTERM and waits for the program to exit.
@@ -286,7 +286,7 @@ impl Telemetry {
         let id = self.running.0.id().to_string();
         assert!(Process::new("kill").args(["-TERM", &id]).status().unwrap().success());
         let status = wait_for("the program to exit", || self.running.0.try_wait().unwrap());
-        assert!(status.success(), "{status}: {}", self.said());
+        assert!(status.success(), "{status}: {}", self.printed());
     }
 }
 

@@ -11,8 +11,8 @@ pub(crate) fn run_program(mut command: impl BorrowMut<Command>, expected: &str) 
     let line = line.rsplit('\u{1f}').next().unwrap_or_default();
     println!("+ {line}");
     let output = command.output().with_context(|| format!("cannot run {line}"))?;
-    let said = String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned();
-    ensure!(output.status.success(), "{line} failed ({}): {}", output.status, said.trim());
-    ensure!(said.contains(expected), "{line} printed no {expected:?}: {}", said.trim());
-    Ok(said)
+    let printed = String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned();
+    ensure!(output.status.success(), "{line} failed ({}): {}", output.status, printed.trim());
+    ensure!(printed.contains(expected), "{line} printed no {expected:?}: {}", printed.trim());
+    Ok(printed)
 }

@@ -146,8 +146,8 @@ mod tests {
         let mut odd = function("odd", 0, &[]);
         odd.frame = None;
 
-        let said = program(vec![(1, odd), (9, function("h", 0, &[]))]).deepest().unwrap_err().to_string();
+        let printed = program(vec![(1, odd), (9, function("h", 0, &[]))]).deepest().unwrap_err().to_string();
 
-        assert!(said.contains("odd sets the stack pointer"), "{said}");
+        assert!(printed.contains("odd sets the stack pointer"), "{printed}");
     }
 }

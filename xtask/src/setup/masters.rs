@@ -139,7 +139,7 @@ pub(crate) fn node(workspace: &Workspace) -> Option<PathBuf> {
 }
 
 /// Sets the environment of a program that runs the emulator of this board.
-pub(crate) fn tell_emulator(workspace: &Workspace, board: &Board, program: &mut Command) -> Result<()> {
+pub(crate) fn set_up_emulator(workspace: &Workspace, board: &Board, program: &mut Command) -> Result<()> {
     if board.name == "pico" {
         let node = node(workspace).context("the emulator of the Pico needs Node.js with npm")?;
         program.env(NODE_VARIABLE, node);

@@ -15,7 +15,7 @@ use boards::MACHINE;
 pub(crate) use component::{CLIPPY, RUSTFMT};
 pub(crate) use masters::{
     FOR_C, Masters, NODE_VARIABLE, PYTHON_PACKAGE, PYTHON_VARIABLE, Program, lacking, provide as masters,
-    python, tell_emulator, zig,
+    python, set_up_emulator, zig,
 };
 pub(crate) use rust_target::{MINIMUM_RUST, TRIPLE, ThumbToolchain, provide_target, rustup};
 

@@ -30,9 +30,9 @@ fn scratch(name: &str) -> PathBuf {
 #[track_caller]
 fn passes(command: &mut Command) -> String {
     let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
-    let said = String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned();
-    assert!(output.status.success(), "{command:?}\n{said}");
-    said
+    let printed = String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned();
+    assert!(output.status.success(), "{command:?}\n{printed}");
+    printed
 }
 
 #[track_caller]
@@ -69,8 +69,8 @@ fn grips(program: &mut Command, end: &str) {
     let (_server, port) = gripper();
     program.args(["127.0.0.1", &port]);
     for _ in 0..2 {
-        let said = passes(program);
-        assert!(said.ends_with(end), "{said}");
+        let printed = passes(program);
+        assert!(printed.ends_with(end), "{printed}");
     }
 }
 
@@ -94,8 +94,8 @@ fn commands_of_the_readme_grip() {
     let (_server, port) = gripper();
     let commands = commands(&root, "-o grip\n./grip").replace("11000", &port);
     for _ in 0..2 {
-        let said = shell(&root, &commands);
-        assert_eq!(said, "Homing: no error\nGrip Part: no error\nDisconnect Announcement: no error\n");
+        let printed = shell(&root, &commands);
+        assert_eq!(printed, "Homing: no error\nGrip Part: no error\nDisconnect Announcement: no error\n");
     }
 }
 
@@ -172,8 +172,11 @@ fn archive_is_used_with_cmake() {
         let mut cmake = Command::new("cmake");
         cmake.current_dir(folder).args(["-S", ".", "-B", "wrong", &prefix, wrong]);
         let output = cmake.output().unwrap();
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success() && said.contains("wsg-config.cmake"), "{wanted} {wrong}\n{said}");
+        let printed = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && printed.contains("wsg-config.cmake"),
+            "{wanted} {wrong}\n{printed}"
+        );
     }
 }
 
@@ -234,8 +237,8 @@ mod wine {
         let (_server, port) = gripper();
         // Into a file, because services of Wine would keep a pipe open.
         shell(&folder, &format!("wine host.exe 127.0.0.1 {port} > host.txt 2> host.err < /dev/null"));
-        let said = fs::read_to_string(folder.join("host.txt")).unwrap().replace('\r', "");
-        assert!(said.ends_with(HOST_END), "{said}");
+        let printed = fs::read_to_string(folder.join("host.txt")).unwrap().replace('\r', "");
+        assert!(printed.ends_with(HOST_END), "{printed}");
     }
 }
 

@@ -135,8 +135,8 @@ impl Header {
         let mut gcc = Command::new("gcc");
         gcc.args(["-S", "-ffreestanding", option, "-o", "-"]).args(self.include_options()).arg(file);
         let output = gcc.output().unwrap();
-        assert!(output.status.success(), "{}", said(&output));
-        let text = said(&output);
+        assert!(output.status.success(), "{}", printed(&output));
+        let text = printed(&output);
         text.lines().filter_map(|line| line.trim().strip_prefix("VALUE ")).map(str::to_owned).collect()
     }
 
@@ -163,7 +163,7 @@ impl Header {
                 }
             }
             let output = command.output().unwrap_or_else(|error| panic!("{compiler}: {error}"));
-            assert!(output.status.success(), "{compiler} as {standard}:\n{}", said(&output));
+            assert!(output.status.success(), "{compiler} as {standard}:\n{}", printed(&output));
         }
     }
 }
@@ -172,7 +172,7 @@ fn is_update() -> bool {
     std::env::var_os("WSG_UPDATE_DOCS").is_some()
 }
 
-fn said(output: &Output) -> String {
+fn printed(output: &Output) -> String {
     String::from_utf8_lossy(&[&output.stdout[..], &output.stderr].concat()).into_owned()
 }
 

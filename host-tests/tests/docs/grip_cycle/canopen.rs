@@ -24,7 +24,7 @@ struct Row {
     from: &'static str,
     id: u16,
     data: Vec<u8>,
-    says: String,
+    meaning: String,
 }
 
 struct Recording {
@@ -33,14 +33,14 @@ struct Recording {
 }
 
 impl Recording {
-    fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], says: impl Into<String>) {
-        self.rows.push(Row { step: step.to_owned(), from, id, data: data.to_vec(), says: says.into() });
+    fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], meaning: impl Into<String>) {
+        self.rows.push(Row { step: step.to_owned(), from, id, data: data.to_vec(), meaning: meaning.into() });
     }
 
     /// Sends a frame as the master and records it.
-    fn send(&mut self, step: &str, id: u16, data: &[u8], says: impl Into<String>) {
+    fn send(&mut self, step: &str, id: u16, data: &[u8], meaning: impl Into<String>) {
         self.master.send(id, data);
-        self.note(step, "master", id, data, says);
+        self.note(step, "master", id, data, meaning);
     }
 
     /// Waits for a TPDO1 that meets a condition, and records it.
@@ -50,8 +50,8 @@ impl Recording {
             let tpdos = self.master.take(0x180);
             if let Some((_, data)) = tpdos.into_iter().find(|(_, data)| wanted(&tpdo1(data))) {
                 let image = tpdo1(&data);
-                let says = [state, status, system].map(|part| part(&image)).join("; ");
-                return self.note(step, "bridge", TPDO1, &data, says);
+                let meaning = [state, status, system].map(|part| part(&image)).join("; ");
+                return self.note(step, "bridge", TPDO1, &data, meaning);
             }
         }
         panic!("{step}: no such TPDO1 within 20 s");
@@ -97,9 +97,10 @@ fn record() -> Vec<Row> {
     recording.note("", "bridge", HEARTBEAT, &[5], "heartbeat: operational");
     for step in steps() {
         let data = rpdo1(&step.image);
-        let says: Vec<String> = output_parts(&step.image).into_iter().map(|(_, says)| says).collect();
+        let meaning: Vec<String> =
+            output_parts(&step.image).into_iter().map(|(_, meaning)| meaning).collect();
         recording.master.take(0x180);
-        recording.send(step.name, RPDO1, &data, format!("{}; {}", says[0], says[2..].join("; ")));
+        recording.send(step.name, RPDO1, &data, format!("{}; {}", meaning[0], meaning[2..].join("; ")));
         match step.then {
             Then::Nothing => {
                 recording.master.pass(20);
@@ -154,7 +155,7 @@ fn canopen_cycle_in_the_document_is_the_recorded_one() {
     let image = tpdo2(second);
     let in_second = explain(second, &[(2, width(&image)), (2, force(&image))]);
     let with_name = |name: &str, rows: Vec<[String; 3]>| -> Vec<[String; 4]> {
-        rows.into_iter().map(|[at, value, says]| [name.to_owned(), at, value, says]).collect()
+        rows.into_iter().map(|[at, value, meaning]| [name.to_owned(), at, value, meaning]).collect()
     };
     let all = [with_name("TPDO1", in_first), with_name("TPDO2", in_second)].concat();
     hold(DOCUMENT, "canopen-tpdo", &table(["PDO", "bytes", "value", "meaning"], all));
@@ -166,7 +167,7 @@ fn canopen_cycle_in_the_document_is_the_recorded_one() {
             row.from.to_owned(),
             format!("{:03X}h", row.id),
             format!("`{}`", hex(&row.data)),
-            row.says,
+            row.meaning,
         ]
     });
     hold(DOCUMENT, "canopen-cycle", &table(["", "step", "from", "identifier", "bytes", "meaning"], all));

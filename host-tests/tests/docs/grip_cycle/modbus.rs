@@ -143,7 +143,7 @@ fn modbus_messages_in_the_document_are_those_that_were_recorded() {
 #[test]
 fn modbus_cycle_in_the_document_is_the_recorded_one() {
     let rows = record().into_iter().enumerate().map(|(number, exchange)| {
-        let says = if exchange.request[1] == 4 {
+        let meaning = if exchange.request[1] == 4 {
             let image = input(&exchange.answer[3..15]);
             [state, status, system, width, force].map(|part| part(&image)).join("; ")
         } else {
@@ -154,7 +154,7 @@ fn modbus_cycle_in_the_document_is_the_recorded_one() {
             exchange.step,
             format!("`{}`", hex(&exchange.request)),
             format!("`{}`", hex(&exchange.answer)),
-            says,
+            meaning,
         ]
     });
     hold(DOCUMENT, "modbus-cycle", &table(["", "step", "request", "answer", "meaning of the answer"], rows));

@@ -150,9 +150,9 @@ impl Terms {
     }
 
     /// Calls `note` with the translated event, if the binary protocol has an equivalent.
-    pub(super) fn tell(&mut self, event: &GclEvent<'_>, known: &Known, note: &mut impl FnMut(&Event<'_>)) {
+    pub(super) fn report(&mut self, event: &GclEvent<'_>, known: &Known, note: &mut impl FnMut(&Event<'_>)) {
         match event {
-            GclEvent::Answered(answer) => self.tell_answer(answer, known, note),
+            GclEvent::Answered(answer) => self.report_answer(answer, known, note),
             GclEvent::Reported(value) => self.with_value(value, known, |value| {
                 if let Some(value) = value {
                     note(&Event::Reported(value));
@@ -184,7 +184,7 @@ impl Terms {
         }
     }
 
-    fn tell_answer(&self, answer: &Answer<'_>, known: &Known, note: &mut impl FnMut(&Event<'_>)) {
+    fn report_answer(&self, answer: &Answer<'_>, known: &Known, note: &mut impl FnMut(&Event<'_>)) {
         let Some(id) = answer.name().command().and_then(|name| self.id(name)) else { return };
         match answer {
             Answer::Value(value) => self.with_value(value, known, |value| {

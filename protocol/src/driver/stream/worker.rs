@@ -494,7 +494,7 @@ mod tests {
             worker.turn().unwrap();
             let flags = PrePositionFlags::STOP_ON_BLOCK;
             let motion = Command::PrePosition { flags, width: HERE + way, speed };
-            let last = rig.world(|world| world.heard.last().cloned());
+            let last = rig.world(|world| world.received.last().cloned());
             assert_eq!(last, Some((CommandId::PrePosition.code(), payload(&motion))));
         }
     }
@@ -506,7 +506,7 @@ mod tests {
             worker.segment.end = 0.0;
             order(&rig, &worker, position, 100.0);
             worker.turn().unwrap();
-            assert_eq!(rig.heard(CommandId::PrePosition), sent, "{position}");
+            assert_eq!(rig.received(CommandId::PrePosition), sent, "{position}");
         }
     }
 
@@ -517,12 +517,12 @@ mod tests {
             lock(worker.shared()).force_limit = force_limit;
             order(&rig, &worker, worker.segment.end + 5.0, 100.0);
             worker.turn().unwrap();
-            assert_eq!(rig.heard(CommandId::SetForceLimit), sent);
+            assert_eq!(rig.received(CommandId::SetForceLimit), sent);
             // The end of the motion.
             let pending = worker.segment.pending.take().unwrap();
             worker.gripper.wait(&pending).unwrap();
         }
-        assert_eq!(rig.heard(CommandId::PrePosition), 3);
+        assert_eq!(rig.received(CommandId::PrePosition), 3);
     }
 
     #[test]
@@ -569,11 +569,11 @@ mod tests {
             if !is_stop_confirmed {
                 rig.script_status(CommandId::Stop, Status::CmdFailed);
             }
-            let before = rig.heard(CommandId::Unknown(STREAM_ID));
+            let before = rig.received(CommandId::Unknown(STREAM_ID));
             let _gripper = worker.finish(Cause::Unanswered);
             let end = End { cause: Cause::Unanswered, is_stop_confirmed };
             assert_eq!(lock(&shared).end, Some(end));
-            let ended = rig.heard(CommandId::Unknown(STREAM_ID)) - before;
+            let ended = rig.received(CommandId::Unknown(STREAM_ID)) - before;
             assert_eq!(ended, usize::from(is_stop_confirmed));
         }
     }
@@ -601,7 +601,7 @@ mod tests {
         lock(worker.shared()).force_limit = 40.0;
         order(&rig, &worker, 80.0, 100.0);
         assert_eq!(worker.turn(), Err(Cause::Refused(MISMATCH)));
-        assert_eq!(rig.heard(CommandId::PrePosition), 0);
+        assert_eq!(rig.received(CommandId::PrePosition), 0);
     }
 
     #[test]
@@ -642,7 +642,11 @@ mod tests {
                 assert_eq!(Vec::from(lock(worker.shared()).gaps.clone()), expected);
                 // UMI's script would keep the last speed.
                 let is_stopped = backend == Backend::UmiScript && gap.is_some();
-                assert_eq!(rig.heard(CommandId::Stop), usize::from(is_stopped), "{backend:?}, {late_ms} ms");
+                assert_eq!(
+                    rig.received(CommandId::Stop),
+                    usize::from(is_stopped),
+                    "{backend:?}, {late_ms} ms"
+                );
                 // The time of the gap gives no reach: 1 mm in 10 ms at 100 mm/s.
                 let before = worker.set_point.unwrap();
                 rig.pass(10);
@@ -705,7 +709,7 @@ mod tests {
             begin_period(&rig, &mut worker);
             answer_after(&rig, 240, UMI_MOVE_ID, flags);
             worker.turn().unwrap();
-            assert_eq!((gaps(&worker), rig.heard(CommandId::Stop)), (vec![240], stops));
+            assert_eq!((gaps(&worker), rig.received(CommandId::Stop)), (vec![240], stops));
         }
     }
 
@@ -731,10 +735,10 @@ mod tests {
             let (rig, mut worker) = worker(backend);
             order(&rig, &worker, 10.0, 100.0);
             begin_period(&rig, &mut worker);
-            let before = rig.heard(command);
+            let before = rig.received(command);
             rig.pass(MAX_GAP_MS + 1);
             assert_eq!(worker.turn(), Err(Cause::Watchdog));
-            assert_eq!(rig.heard(command), before);
+            assert_eq!(rig.received(command), before);
         }
     }
 
@@ -767,7 +771,7 @@ mod tests {
         worker.rest(now(&rig)).unwrap();
         assert_eq!(gaps(&worker), [now(&rig).since(expected)]);
         assert!(gaps(&worker)[0] >= 200);
-        assert_eq!(rig.heard(id), 1);
+        assert_eq!(rig.received(id), 1);
     }
 
     #[test]

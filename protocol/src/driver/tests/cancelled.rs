@@ -11,7 +11,7 @@ fn partly_sent_frame_is_completed() {
         assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
         rig.world(|world| world.room = usize::MAX);
         assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)), "{room}");
-        assert_eq!(rig.heard(CommandId::GripPart), 1, "{room}");
+        assert_eq!(rig.received(CommandId::GripPart), 1, "{room}");
         assert_eq!(gripper.motion(), Some(CommandId::GripPart), "{room}");
         assert_eq!(rig.run(gripper.stop()), Ok(()), "{room}");
     }
@@ -35,7 +35,7 @@ fn dropped_payload_is_not_repeated_and_the_connection_stays() {
     rig.script(CommandId::SetDeviceTag, vec![]);
     assert_eq!(rig.run_for(5, gripper.set_tag("left")), None);
     assert_eq!(rig.run(gripper.set_tag("right")), Ok(()));
-    let tags: Vec<_> = rig.world(|world| world.heard.clone());
+    let tags: Vec<_> = rig.world(|world| world.received.clone());
     assert_eq!(tags, [(0x51, b"left".to_vec()), (0x51, b"right".to_vec())]);
     assert_eq!(gripper.counters().session.disconnects, 0);
 }
@@ -49,7 +49,7 @@ fn cancelled_stop_is_still_sent() {
     rig.world(|world| world.room = usize::MAX);
     assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
     assert!(!gripper.fast_stop_pending());
-    let first: Vec<u8> = rig.world(|world| world.heard.iter().map(|(id, _)| *id).take(2).collect());
+    let first: Vec<u8> = rig.world(|world| world.received.iter().map(|(id, _)| *id).take(2).collect());
     assert_eq!(first, [0x22, 0x23]);
 }
 
@@ -96,7 +96,8 @@ fn dropped_motion_and_a_new_one_are_not_confused() {
     assert_eq!(rig.run_for(10, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
     rig.pass(150); // its result is ready to be received
     assert_eq!(rig.run(gripper.grip(Mm(30.0), MmPerS(50.0))), Ok(Grip::Held));
-    let widths: Vec<_> = rig.world(|world| world.heard.iter().map(|(_, payload)| payload.clone()).collect());
+    let widths: Vec<_> =
+        rig.world(|world| world.received.iter().map(|(_, payload)| payload.clone()).collect());
     let grip = |width| rig::payload(&Command::GripPart { width, speed: 50.0 });
     assert_eq!(widths, [grip(20.0), grip(30.0)]);
 }
@@ -111,7 +112,7 @@ fn frame_cut_off_by_a_transport_error_is_not_completed() {
     assert_eq!(rig.run(gripper.width()), Err(Error::NotConnected), "the motion was not answered");
     rig.run(gripper.connect()).unwrap();
     assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
-    assert_eq!((rig.heard(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
+    assert_eq!((rig.received(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
 }
 
 #[test]
@@ -161,6 +162,6 @@ fn only_a_cut_query_frame_is_completed_after_a_disconnect() {
         rig.run(gripper.connect()).unwrap();
         assert_eq!(rig.run(gripper.width()), Ok(Mm(42.5)));
         // The rest of the motion would be stray bytes, and a query without its rest a broken frame.
-        assert_eq!((rig.heard(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
+        assert_eq!((rig.received(CommandId::GripPart), rig.world(|world| world.stray())), (0, 0));
     }
 }

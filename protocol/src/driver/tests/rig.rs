@@ -47,7 +47,7 @@ pub(in crate::driver) struct World {
     /// The answers to the next requests with an ID, in place of the healthy gripper's.
     scripted: Vec<(u8, Vec<Segment>)>,
     /// Requests received by the gripper, without the session's own.
-    pub(in crate::driver) heard: Vec<(u8, Vec<u8>)>,
+    pub(in crate::driver) received: Vec<(u8, Vec<u8>)>,
     /// Length of each write in bytes.
     pub(in crate::driver) writes: Vec<usize>,
     /// Number of waits of the blocking driver.
@@ -102,7 +102,7 @@ impl Rig {
             parser: FrameParser::new(),
             coming: VecDeque::new(),
             scripted: vec![],
-            heard: vec![],
+            received: vec![],
             writes: vec![],
             waits: 0,
             holds_back: false,
@@ -150,9 +150,9 @@ impl Rig {
         self.world(|world| world.coming.push_back((world.now, bytes.to_vec())));
     }
 
-    pub(in crate::driver) fn heard(&self, id: CommandId) -> usize {
-        self.world(World::hear_handles);
-        self.world(|world| world.heard.iter().filter(|(heard, _)| *heard == id.code()).count())
+    pub(in crate::driver) fn received(&self, id: CommandId) -> usize {
+        self.world(World::receive_from_handles);
+        self.world(|world| world.received.iter().filter(|(received, _)| *received == id.code()).count())
     }
 
     pub(in crate::driver) fn pass(&self, ms: u32) {
@@ -235,7 +235,7 @@ impl World {
                 | Command::GetGripperState { .. }
         );
         if !is_sessions {
-            self.heard.push((id, payload));
+            self.received.push((id, payload));
         }
     }
 
@@ -274,13 +274,13 @@ impl World {
     }
 
     /// Passes the bytes written by stop handles to the gripper.
-    fn hear_handles(&mut self) {
+    fn receive_from_handles(&mut self) {
         let bytes = core::mem::take(&mut self.direct.lock().unwrap().bytes);
         self.take(&bytes);
     }
 
     pub(in crate::driver) fn is_due(&mut self) -> bool {
-        self.hear_handles();
+        self.receive_from_handles();
         self.closed || self.noise || self.coming.iter().any(|(at, _)| self.now.has_reached(*at))
     }
 
@@ -303,7 +303,7 @@ impl World {
     }
 
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Noise> {
-        self.hear_handles();
+        self.receive_from_handles();
         if core::mem::take(&mut self.refuses) {
             self.restart();
             return Err(Noise);

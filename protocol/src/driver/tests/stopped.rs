@@ -32,7 +32,7 @@ fn handle_ends_an_awaited_motion() {
         rig.later(500, move || request(&handle, kind).unwrap());
         assert_eq!(gripper.move_to(Mm(50.0), MmPerS(5.0), OnBlock::Stop), Err(Error::Stopped(kind)));
         assert!(rig.world(|world| world.now).since(begun) < 510);
-        assert_eq!((rig.heard(id), gripper.motion()), (1, None), "the driver does not send it again");
+        assert_eq!((rig.received(id), gripper.motion()), (1, None), "the driver does not send it again");
         assert!(!gripper.fast_stop_pending());
         assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Ok(Grip::Held), "the stop is reported only once");
         assert_eq!(gripper.counters().session.unsolicited, 0);
@@ -45,9 +45,9 @@ fn handle_of_idle_driver_sends_at_once_and_next_call_reports_it() {
         let (rig, mut gripper) = connected();
         let handle = gripper.stop_handle().unwrap();
         request(&handle, kind).unwrap();
-        assert_eq!(rig.heard(id), 1);
+        assert_eq!(rig.received(id), 1);
         assert_eq!(gripper.grip(Mm(20.0), MmPerS(50.0)), Err(Error::Stopped(kind)));
-        assert_eq!((rig.heard(CommandId::GripPart), rig.heard(id)), (0, 1));
+        assert_eq!((rig.received(CommandId::GripPart), rig.received(id)), (0, 1));
         assert_eq!(gripper.counters().session.unsolicited, 0, "its confirmation was awaited");
         assert_eq!(gripper.acknowledge(), Ok(()));
     }
@@ -58,7 +58,7 @@ fn fast_stop_is_reported_before_it_can_be_acknowledged() {
     let (rig, mut gripper) = connected();
     gripper.stop_handle().unwrap().fast_stop().unwrap();
     assert_eq!(gripper.acknowledge(), Err(Error::Stopped(StopKind::FastStop)));
-    assert_eq!(rig.heard(CommandId::Acknowledge), 0);
+    assert_eq!(rig.received(CommandId::Acknowledge), 0);
 }
 
 #[test]
@@ -69,7 +69,7 @@ fn fast_stop_outranks_a_stop() {
     handle.fast_stop().unwrap();
     handle.clone().stop().unwrap();
     assert_eq!(gripper.width(), Err(Error::Stopped(StopKind::FastStop)));
-    assert_eq!(rig.heard(CommandId::FastStop), 1);
+    assert_eq!(rig.received(CommandId::FastStop), 1);
 }
 
 #[test]
@@ -117,10 +117,10 @@ fn handle_writes_nothing_into_a_partly_sent_message() {
         assert_eq!(rig.run_for(5, gripper.grip(Mm(20.0), MmPerS(50.0))), None);
         let handle = early.unwrap_or_else(|| gripper.stop_handle().unwrap());
         assert_eq!(handle.stop().unwrap_err().kind(), ErrorKind::WouldBlock);
-        assert_eq!(rig.heard(CommandId::Stop), 0);
+        assert_eq!(rig.received(CommandId::Stop), 0);
         rig.world(|world| world.room = usize::MAX);
         assert_eq!(rig.run(gripper.width()), Err(Error::Stopped(StopKind::Stop)));
-        assert_eq!((rig.heard(CommandId::GripPart), rig.heard(CommandId::Stop)), (1, 1));
+        assert_eq!((rig.received(CommandId::GripPart), rig.received(CommandId::Stop)), (1, 1));
         assert_eq!(rig.world(|world| world.stray()), 0);
     }
 }
@@ -138,7 +138,7 @@ fn motion_waiting_for_the_line_is_not_sent_after_a_stop() {
         rig.world(|world| world.room = usize::MAX);
         assert_eq!(rig.run(grip), Err(Error::Stopped(StopKind::Stop)));
     }
-    assert_eq!((rig.heard(CommandId::GripPart), rig.heard(CommandId::Stop)), (0, 1));
+    assert_eq!((rig.received(CommandId::GripPart), rig.received(CommandId::Stop)), (0, 1));
     assert_eq!(rig.run(gripper.grip(Mm(20.0), MmPerS(50.0))), Ok(Grip::Held));
 }
 
@@ -149,9 +149,9 @@ fn stop_rejected_by_a_full_line_is_sent_by_the_driver() {
         let handle = gripper.stop_handle().unwrap();
         rig.world(|world| world.direct.lock().unwrap().is_full = true);
         assert_eq!(request(&handle, kind).unwrap_err().kind(), ErrorKind::WouldBlock);
-        assert_eq!(rig.heard(id), 0);
+        assert_eq!(rig.received(id), 0);
         assert_eq!(gripper.width(), Err(Error::Stopped(kind)));
-        assert_eq!(rig.heard(id), 1);
+        assert_eq!(rig.received(id), 1);
     }
 }
 
@@ -159,7 +159,7 @@ fn stop_rejected_by_a_full_line_is_sent_by_the_driver() {
 fn driver_sends_only_the_stop_that_no_handle_has_sent() {
     use StopKind::{FastStop, Stop};
     // Kinds, and whether the line accepts each; numbers of Stop and FAST STOP that the gripper receives.
-    for (requests, heard) in [
+    for (requests, received) in [
         ([(Stop, true), (Stop, false)], (1, 0)),
         ([(Stop, false), (Stop, true)], (1, 0)),
         ([(Stop, false), (Stop, false)], (1, 0)),
@@ -175,7 +175,11 @@ fn driver_sends_only_the_stop_that_no_handle_has_sent() {
         }
         let strongest = requests.map(|(kind, _)| kind).into_iter().max().unwrap();
         assert_eq!(gripper.width(), Err(Error::Stopped(strongest)), "{requests:?}");
-        assert_eq!((rig.heard(CommandId::Stop), rig.heard(CommandId::FastStop)), heard, "{requests:?}");
+        assert_eq!(
+            (rig.received(CommandId::Stop), rig.received(CommandId::FastStop)),
+            received,
+            "{requests:?}"
+        );
     }
 }
 
@@ -215,7 +219,7 @@ fn handle_of_a_dropped_driver_fails_and_sends_nothing() {
     for handle in [first, second] {
         assert_eq!(handle.stop().unwrap_err().kind(), ErrorKind::NotConnected);
     }
-    assert_eq!(rig.heard(CommandId::Stop), 0);
+    assert_eq!(rig.received(CommandId::Stop), 0);
 }
 
 #[test]

@@ -58,7 +58,7 @@ fn cancelled_stop_or_fast_stop_is_sent_before_queued_updates() {
         };
         rig.world(|world| world.room = usize::MAX);
         assert_eq!(rig.run(gripper.next_update(0)), Ok(Some(Update::Force(1.0))));
-        assert_eq!(rig.heard(id), 1);
+        assert_eq!(rig.received(id), 1);
     }
 }
 

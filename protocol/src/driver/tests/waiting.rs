@@ -22,7 +22,7 @@ fn stop_and_fast_stop_are_sent_before_anything_is_read() {
         rig.world(|world| world.noise = true);
         let result = if id == CommandId::Stop { gripper.stop() } else { gripper.fast_stop() };
         assert_eq!(result, Err(Error::Transport(Noise)), "the first read fails");
-        assert_eq!(rig.heard(id), 1);
+        assert_eq!(rig.received(id), 1);
     }
 }
 

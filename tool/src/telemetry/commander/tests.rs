@@ -37,7 +37,7 @@ impl Rig {
     }
 
     /// Returns the outcomes reported since the last call.
-    fn told(&mut self) -> Vec<String> {
+    fn outcomes(&mut self) -> Vec<String> {
         let reports = std::iter::from_fn(|| self.reports.try_recv().ok());
         let text = reports.map(|report| match report.what {
             What::Outcome { text, .. } => text,
@@ -59,10 +59,10 @@ async fn expired_and_disconnected_orders_are_dropped_and_reported() {
     rig.carry_out(Order { life: 0, ..order(Action::FastStop, 6) }).await;
     rig.carry_out(Order { expires_at: 1, ..order(Action::Home, 7) }).await;
 
-    let told = rig.told();
-    assert_eq!(told[0], "Home: dropped: the connection to the gripper was lost in the meantime");
-    assert_eq!(told[1], "Fast Stop: dropped: the connection to the gripper was lost in the meantime");
-    assert_eq!(told[2], "Home: dropped: it expired while waiting");
+    let outcomes = rig.outcomes();
+    assert_eq!(outcomes[0], "Home: dropped: the connection to the gripper was lost in the meantime");
+    assert_eq!(outcomes[1], "Fast Stop: dropped: the connection to the gripper was lost in the meantime");
+    assert_eq!(outcomes[2], "Home: dropped: it expired while waiting");
     drop(rig.gripper);
     assert_eq!(rig.line.read(&mut [0; 64]).await.unwrap(), 0, "no bytes were sent to the gripper");
 }
@@ -79,12 +79,12 @@ async fn orders_given_before_a_stop_are_dropped_after_it() {
         rig.carry_out(next).await;
     }
 
-    let told = rig.told();
-    assert!(told[0].starts_with("Fast Stop: "), "{told:?}");
-    assert_eq!(told[1], "Home: dropped: superseded by a later stop");
-    assert_eq!(told[2], "Acknowledge: dropped: superseded by a later stop");
+    let outcomes = rig.outcomes();
+    assert!(outcomes[0].starts_with("Fast Stop: "), "{outcomes:?}");
+    assert_eq!(outcomes[1], "Home: dropped: superseded by a later stop");
+    assert_eq!(outcomes[2], "Acknowledge: dropped: superseded by a later stop");
     rig.carry_out(order(Action::Home, 13)).await;
-    assert!(!rig.told()[0].contains("dropped"));
+    assert!(!rig.outcomes()[0].contains("dropped"));
 }
 
 #[tokio::test(start_paused = true)]
@@ -94,9 +94,9 @@ async fn stop_received_before_a_motion_starts_replaces_the_motion() {
 
     rig.carry_out(order(Action::Home, 10)).await;
 
-    let told = rig.told();
-    assert_eq!(told[0], "Home: dropped or stopped by Fast Stop");
-    assert!(told[1].starts_with("Fast Stop: "), "{told:?}");
+    let outcomes = rig.outcomes();
+    assert_eq!(outcomes[0], "Home: dropped or stopped by Fast Stop");
+    assert!(outcomes[1].starts_with("Fast Stop: "), "{outcomes:?}");
     drop(rig.gripper);
     let mut sent = Vec::new();
     rig.line.read_to_end(&mut sent).await.unwrap();

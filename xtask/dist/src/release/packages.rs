@@ -18,17 +18,17 @@ pub(super) fn crates(release: &mut Release) -> Result<()> {
         let mut cargo = cargo(line);
         run_program(cargo.args(published.iter().flat_map(|name| ["-p", name.as_str()])), "")
     };
-    let files_of = |said: &str, word: &str| -> Vec<String> {
-        let lines = said.lines().filter_map(|line| line.trim_start().strip_prefix(word));
+    let files_of = |printed: &str, word: &str| -> Vec<String> {
+        let lines = printed.lines().filter_map(|line| line.trim_start().strip_prefix(word));
         lines
             .filter_map(|line| line.split(" (").next())
             .map(|it| format!("{}.crate", it.replace(" v", "-")))
             .collect()
     };
     run("package --locked --allow-dirty --no-verify")?;
-    let said = run("publish --dry-run --locked --allow-dirty")?;
+    let printed = run("publish --dry-run --locked --allow-dirty")?;
     // cargo uploads each crate after its dependencies.
-    let (files, verified) = (files_of(&said, "Uploading "), files_of(&said, "Verifying "));
+    let (files, verified) = (files_of(&printed, "Uploading "), files_of(&printed, "Verifying "));
     ensure!(files.len() == published.len(), "cargo would upload {files:?}; expected {published:?}");
     ensure!(
         files.iter().all(|file| verified.contains(file)),

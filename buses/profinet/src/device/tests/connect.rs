@@ -385,11 +385,11 @@ fn invalid_calls_are_rejected_or_ignored() {
         let mut rig = TestRig::new();
         assert_eq!(rig.device.receive_datagram(rig.now, HOST, &request), None);
         let answers = rig.transmitted();
-        let said = answers.first().map(|(_, bytes)| {
+        let answer = answers.first().map(|(_, bytes)| {
             let answer = Answer::of(None, bytes);
             (answer.kind, answer.status)
         });
-        assert_eq!(said, expected, "{:02X?}", &request[..80.min(request.len())]);
+        assert_eq!(answer, expected, "{:02X?}", &request[..80.min(request.len())]);
         assert_eq!(rig.device.counters().rpc_refused, expected.is_some().into());
         assert_eq!(rig.device.state(), State::Unconnected);
     }

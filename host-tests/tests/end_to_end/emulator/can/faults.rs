@@ -44,7 +44,7 @@ impl<C: CanBoard> Plant<C> {
     }
 
     /// Returns the commands that the gripper has received since the mark.
-    fn heard_since(&self, mark: usize) -> Vec<CommandId> {
+    fn received_since(&self, mark: usize) -> Vec<CommandId> {
         let entries = self.rig.trace().since(mark);
         let to_gripper = entries.iter().filter_map(|entry| match entry {
             Entry::ToGripper(bytes) => frame_id(bytes).map(CommandId::from_code),
@@ -116,7 +116,12 @@ fn bus_off_during_a_motion_is_reported_and_a_fast_stop_meanwhile_is_sent_first_a
     plant.bus.set_fault(Fault::None);
     plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
 
-    assert_eq!(plant.heard_since(mark).first(), Some(&CommandId::FastStop), "{:?}", plant.heard_since(mark));
+    assert_eq!(
+        plant.received_since(mark).first(),
+        Some(&CommandId::FastStop),
+        "{:?}",
+        plant.received_since(mark)
+    );
     plant.rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     plant.rig.release_fast_stop().unwrap();
     assert_eq!(motions(&plant.rig.trace().since(mark)), [], "the motion must not continue");
@@ -167,10 +172,19 @@ fn a_motion_that_waits_for_the_bus_is_withdrawn_by_stop_and_by_fast_stop<C: CanB
         plant.rig.pass(20).unwrap();
         assert_eq!(motions(&plant.rig.trace().since(mark)), [], "nothing is sent over the cut bus");
         plant.bus.set_fault(Fault::None);
-        let is_heard = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(command));
-        assert!(plant.rig.trace().wait(mark, PATIENCE, is_heard), "{command}: {:?}", plant.heard_since(mark));
+        let is_received = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(command));
+        assert!(
+            plant.rig.trace().wait(mark, PATIENCE, is_received),
+            "{command}: {:?}",
+            plant.received_since(mark)
+        );
         plant.rig.pass(300).unwrap();
-        assert_eq!(motions(&plant.rig.trace().since(mark)), [], "{command}: {:?}", plant.heard_since(mark));
+        assert_eq!(
+            motions(&plant.rig.trace().since(mark)),
+            [],
+            "{command}: {:?}",
+            plant.received_since(mark)
+        );
     }
 }
 
