@@ -159,7 +159,9 @@ impl Checks<'_> {
     fn on_the_host(&self, record: &mut Record, python: Option<&Path>) -> Result<()> {
         let workspace = self.toolchain.workspace;
         match python {
-            Some(environment) => record.check("Python package", || python::test(workspace, environment))?,
+            Some(environment) => record.check("Python package", || {
+                disturb::during(self.disturbed, || python::test(workspace, environment))
+            })?,
             None => record.not_checked("Python package and the tests with it (its tools are not installed)"),
         }
         let built = record.check("protocol on other targets, oldest Rust, package", || {

@@ -104,23 +104,25 @@ def main() -> None:
         program = str(Path(sys.executable).parent / "wsg-sim")
         command = [program, "--tcp", "127.0.0.1:0", "--script", str(script), "--no-disconnect-error"]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
-            assert simulator.stdout is not None
-            simulator.stdout.readline()
-            address = f"tcp://{simulator.stdout.readline().split()[1]}"
-            plain = Plain(address)
-            with Gripper(address) as gripper:
-                measure({"pure Python": plain.width, "Gripper": gripper.width})
-            asyncio.run(measure_both(address))
-            with StreamingGripper(address) as stream:
-                print(f"back-end: {stream.backend}")
-                measure({"StreamingGripper.latest": stream.latest})
-                ended = threading.Event()
-                thread = threading.Thread(target=compute, args=(ended,))
-                thread.start()
-                measure({"StreamingGripper.latest, beside a computing thread": stream.latest})
-                ended.set()
-                thread.join()
-            simulator.terminate()
+            try:
+                assert simulator.stdout is not None
+                simulator.stdout.readline()
+                address = f"tcp://{simulator.stdout.readline().split()[1]}"
+                plain = Plain(address)
+                with Gripper(address) as gripper:
+                    measure({"pure Python": plain.width, "Gripper": gripper.width})
+                asyncio.run(measure_both(address))
+                with StreamingGripper(address) as stream:
+                    print(f"back-end: {stream.backend}")
+                    measure({"StreamingGripper.latest": stream.latest})
+                    ended = threading.Event()
+                    thread = threading.Thread(target=compute, args=(ended,))
+                    thread.start()
+                    measure({"StreamingGripper.latest, beside a computing thread": stream.latest})
+                    ended.set()
+                    thread.join()
+            finally:
+                simulator.terminate()
 
 
 main()

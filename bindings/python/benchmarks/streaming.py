@@ -76,18 +76,20 @@ def main() -> None:
         program = str(Path(sys.executable).parent / "wsg-sim")
         command = [program, "--tcp", "127.0.0.1:0", "--script", str(script)]
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as simulator:
-            assert simulator.stdout is not None
-            simulator.stdout.readline()
-            address = f"tcp://{simulator.stdout.readline().split()[1]}"
-            with StreamingGripper(address, RATE) as gripper:
-                with subprocess.Popen([sys.executable, "-c", SLEEP], stdout=subprocess.PIPE, text=True) as sleeping:
-                    if PRIORITY:
-                        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-                    report("stream", received(gripper))
-                    ended.set()
-                    assert sleeping.stdout is not None
-                    report("sleep", numpy.array([float(word) for word in sleeping.stdout.read().split()]))
-            simulator.terminate()
+            try:
+                assert simulator.stdout is not None
+                simulator.stdout.readline()
+                address = f"tcp://{simulator.stdout.readline().split()[1]}"
+                with StreamingGripper(address, RATE) as gripper:
+                    with subprocess.Popen([sys.executable, "-c", SLEEP], stdout=subprocess.PIPE, text=True) as sleeping:
+                        if PRIORITY:
+                            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+                        report("stream", received(gripper))
+                        ended.set()
+                        assert sleeping.stdout is not None
+                        report("sleep", numpy.array([float(word) for word in sleeping.stdout.read().split()]))
+            finally:
+                simulator.terminate()
     thread.join()
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,16 @@ from wsg_gripper import Gripper, StoppedError, SystemFlags
 from wsg_gripper.sim import Simulator
 
 WSG, WSG_SIM = (str(Path(sys.executable).parent / name) for name in ("wsg", "wsg-sim"))
+
+
+@contextlib.contextmanager
+def running(*command: str, stderr: int | None = None) -> Iterator[subprocess.Popen[str]]:
+    """Run a program. A test that fails ends it, for which ``Popen`` alone would wait."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stderr, text=True) as program:
+        try:
+            yield program
+        finally:
+            program.kill()
 
 
 def test_wsg_commands_a_gripper(wsg_sim: Simulator) -> None:
@@ -32,8 +44,7 @@ def test_wsg_reports_a_wrong_command_line() -> None:
 
 
 def test_wsg_sim_serves_a_gripper_until_ctrl_c() -> None:
-    command = [WSG_SIM, "--tcp", "127.0.0.1:0", "--time-scale", "100"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+    with running(WSG_SIM, "--tcp", "127.0.0.1:0", "--time-scale", "100") as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "model wsg50-110\n"
         line, address = program.stdout.readline().split()
@@ -49,8 +60,7 @@ def test_wsg_sim_serves_a_gripper_until_ctrl_c() -> None:
     [("--tcp", "127.0.0.1:0", "tcp://"), ("--serial", "pty", "serial:"), ("--slcan", "pty", "slcan:")],
 )
 def test_stop_of_another_thread_ends_a_grip(line: str, place: str, scheme: str) -> None:
-    command = [WSG_SIM, line, place, "--homing-speed", "400"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+    with running(WSG_SIM, line, place, "--homing-speed", "400") as program:
         assert program.stdout is not None
         program.stdout.readline()
         address = scheme + program.stdout.readline().split()[1]
@@ -66,19 +76,17 @@ def test_stop_of_another_thread_ends_a_grip(line: str, place: str, scheme: str) 
             thread = threading.Thread(target=grip)
             thread.start()
             while SystemFlags.MOVING not in gripper.flags():
-                pass
+                assert thread.is_alive()
             gripper.stop()
             assert SystemFlags.MOVING not in gripper.flags()
             thread.join()
             assert raised and gripper.width() > 100
             gripper.move(100, speed=400)
-        program.terminate()
 
 
 def test_ctrl_c_stops_the_fingers_without_a_traceback(simulator: Simulator) -> None:
     assert subprocess.run([WSG, "gripper", simulator.tcp, "home"]).returncode == 0
-    command = [WSG, "gripper", simulator.tcp, "move", "10", "5"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as program:
+    with running(WSG, "gripper", simulator.tcp, "move", "10", "5", stderr=subprocess.PIPE) as program:
         while SystemFlags.MOVING not in simulator.observe().flags:
             assert program.poll() is None
         program.send_signal(signal.SIGINT)
