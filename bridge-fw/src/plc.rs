@@ -38,11 +38,11 @@ use crate::register::{
 use wsg_protocol::session::{self, Timeout};
 use wsg_protocol::{CommandId, Instant};
 
-/// Generates all code that names a PLC side. A row has the number in PLC_BUS, the name, the side, its part of [`Config`], and
-/// its reports, if any.
+/// Generates all code that names a PLC side. A row has the number in PLC_BUS, the name, the [`Medium`], the side, its part of
+/// [`Config`], and its reports, if any.
 macro_rules! plc_sides {
     ($(
-        $number:literal $bus:ident $name:literal
+        $number:literal $bus:ident $name:literal on $medium:ident
         $side:ident: $type:ty, $config:ident: $config_type:ty $(, $reports:ty)?;
     )*) => {
         /// The PLC's bus, in addition to the wires.
@@ -56,6 +56,14 @@ macro_rules! plc_sides {
         impl PlcBus {
             /// All values, each at the index that is its number in PLC_BUS.
             const ALL: &[Self] = &[Self::Off, $(Self::$bus),*];
+
+            /// Returns the line of the bus.
+            pub(crate) const fn medium(self) -> Option<Medium> {
+                match self {
+                    Self::Off => None,
+                    $(Self::$bus => Some(Medium::$medium),)*
+                }
+            }
 
             /// Meaning of the setting PLC_BUS.
             const MEANING: &str =
@@ -116,11 +124,11 @@ macro_rules! plc_sides {
                 $(Listed::start(&mut self.$side, config, board);)*
             }
 
-            /// Returns the selected side for one turn. `port` is the line of Modbus RTU.
-            pub(crate) fn over<'a>(&'a mut self, port: &'a mut dyn BusPort) -> Side<'a> {
+            /// Returns the selected side for one turn. `uart` has the characters of the bus's UART.
+            pub(crate) fn over<'a>(&'a mut self, uart: &'a mut dyn BusPort) -> Side<'a> {
                 match self.bus {
                     PlcBus::Off => Side::Off(NoBus),
-                    $(PlcBus::$bus => Side::$bus(Listed::over(&mut self.$side, port)),)*
+                    $(PlcBus::$bus => Side::$bus(Listed::over(&mut self.$side, uart)),)*
                 }
             }
         }
@@ -164,9 +172,18 @@ macro_rules! plc_sides {
 }
 
 plc_sides! {
-    1 Modbus "Modbus RTU" modbus: Modbus, bus: BusConfig, modbus::ModbusReports;
-    2 Canopen "CANopen" canopen: canopen::Node, can: CanConfig;
-    3 Profibus "PROFIBUS DP" profibus: Profibus, profibus: ProfibusConfig, profibus::ProfibusReports;
+    1 Modbus "Modbus RTU" on Uart modbus: Modbus, bus: BusConfig, modbus::ModbusReports;
+    2 Canopen "CANopen" on Can canopen: canopen::Node, can: CanConfig;
+    3 Profibus "PROFIBUS DP" on Uart profibus: Profibus, profibus: ProfibusConfig, profibus::ProfibusReports;
+}
+
+/// The line of a bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Medium {
+    /// The UART of the bus, whose handler is in `bus_line`.
+    Uart,
+    /// The CAN controller.
+    Can,
 }
 
 /// Requirements of the list for a PLC side.
@@ -179,8 +196,8 @@ pub(crate) trait Listed {
     /// Applies the configuration. Called only before the first turn.
     fn start(&mut self, config: &Config, board: BoardId);
 
-    /// Returns the side for one turn. `port` is the line of Modbus RTU.
-    fn over<'a>(&'a mut self, port: &'a mut dyn BusPort) -> Self::Turn<'a>;
+    /// Returns the side for one turn. `uart` has the characters of the bus's UART, for a side that reads them in the main loop.
+    fn over<'a>(&'a mut self, uart: &'a mut dyn BusPort) -> Self::Turn<'a>;
 }
 
 impl Sides {
@@ -211,7 +228,7 @@ impl Sides {
 impl PlcBus {
     /// Returns whether the PLC is on CAN.
     pub(crate) const fn is_on_can(self) -> bool {
-        matches!(self, Self::Canopen)
+        matches!(self.medium(), Some(Medium::Can))
     }
 }
 

@@ -7,7 +7,7 @@ use crate::gripper::{GripperLine, Uart, UartLine};
 use crate::indicator::Indication;
 use crate::io::{InputPort, OutputPort, Outputs};
 use crate::log;
-use crate::plc::{BoardId, BusConfig, BusPort, Config, PlcBus, Record};
+use crate::plc::{BoardId, BusPort, Config, Medium, Record};
 use crate::register::ResetCause;
 use crate::station::Station;
 use crate::storage::NorFlash;
@@ -48,11 +48,8 @@ pub trait Hardware {
     /// Starts the service port, before the first turn.
     fn start_service(&mut self);
 
-    /// Starts the PLC's bus with Modbus RTU.
-    fn start_modbus(&mut self, config: &BusConfig);
-
-    /// Starts the PLC's bus with PROFIBUS.
-    fn start_profibus(&mut self) {}
+    /// Starts the UART of the PLC's bus, with the protocol that `config` selects ([`BusLine`](crate::plc::BusLine)).
+    fn start_bus(&mut self, config: &Config);
 
     /// Starts the CAN controller at the rate of `config`.
     fn start_can(&mut self, _controller: &mut Self::Can, _config: &CanConfig) {}
@@ -78,8 +75,8 @@ pub trait Hardware {
     /// Enables the interrupts of the CAN controller again, if their handlers mask them. Called after each turn with CAN.
     fn rearm_can(&mut self, _controller: &mut Self::Can) {}
 
-    /// Runs the handler of the bus, which with PROFIBUS collects the results of the turn. Called once a millisecond.
-    fn serve_bus(&mut self, _is_profibus: bool) {}
+    /// Runs the handler of the bus's UART, if its protocol collects the results of a turn. Called once a millisecond.
+    fn serve_bus(&mut self) {}
 }
 
 /// Error: a clock did not become ready.
@@ -148,7 +145,7 @@ impl<H: Hardware, W: InputPort + OutputPort, U: Uart> Board<'_, H, W, U> {
             hardware.rearm_can(station.can().controller());
         }
         if core::mem::replace(served_ms, now_ms) != now_ms {
-            hardware.serve_bus(station.uses_profibus());
+            hardware.serve_bus();
         }
         if station.bridge().may_feed_watchdog(now_ms) {
             hardware.feed_watchdog();
@@ -169,11 +166,8 @@ fn start_lines<H: Hardware>(hardware: &mut H, station: &mut Station<H::Can>, con
         hardware.start_gripper();
     }
     hardware.start_service();
-    match config.plc_bus {
-        PlcBus::Modbus => hardware.start_modbus(&config.bus),
-        PlcBus::Profibus => hardware.start_profibus(),
-        // No bus, or a bus on CAN.
-        _ => {}
+    if config.plc_bus.medium() == Some(Medium::Uart) {
+        hardware.start_bus(config);
     }
     if station.uses_can() {
         hardware.start_can(station.can().controller(), &config.can);

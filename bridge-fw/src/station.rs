@@ -8,7 +8,7 @@ use crate::can::{CanBus, CanController, LinkCounters};
 use crate::gripper::{GripperLine, GripperLink};
 use crate::io::{Inputs, Outputs};
 use crate::plc::canopen::Node;
-use crate::plc::{BoardId, BusPort, Config, DpBuffers, Modbus, PlcBus, Record, Sides, WrongSetting};
+use crate::plc::{BoardId, BusPort, Config, DpBuffers, Modbus, Record, Sides, WrongSetting};
 use crate::register::ResetCause;
 use crate::storage::NorFlash;
 use crate::stored_settings::StoredSettings;
@@ -177,11 +177,6 @@ impl<C: CanController> Station<C> {
     /// Returns whether the gripper or the PLC is on CAN.
     pub const fn uses_can(&self) -> bool {
         matches!(self.gripper_line, GripperLine::Can) || self.sides.bus().is_on_can()
-    }
-
-    /// Returns whether the PLC is on PROFIBUS. Then the handler of its line must run after each turn.
-    pub const fn uses_profibus(&self) -> bool {
-        matches!(self.sides.bus(), PlcBus::Profibus)
     }
 
     /// Returns the bridge.

@@ -8,7 +8,7 @@ use wsg_bridge_fw::gripper::{LostBytes, Uart, UartBuffers, UartLine};
 use wsg_bridge_fw::plc::{
     BusHandler, BusLine, BusPort, HalfDuplexUart, Interrupts, Profibus, RtuBuffers, RtuPort, RtuUart,
 };
-use wsg_bridge_fw::{BusConfig, Format, ProfibusConfig};
+use wsg_bridge_fw::{BusConfig, Config, Format, PlcBus, ProfibusConfig};
 
 const CONFIG: BusConfig = BusConfig { baud: 19_200, format: Format::Even1, ..BusConfig::DEFAULT };
 const NOTHING: Interrupts = Interrupts { transmit_empty: false, transmission_complete: false };
@@ -199,7 +199,8 @@ fn bus() -> (&'static BusLine, BusHandler, Hal) {
 #[test]
 fn driver_is_on_from_first_byte_to_last_bit_of_a_modbus_frame() {
     let (line, mut handler, mut hal) = bus();
-    line.start_modbus(&CONFIG);
+    let set_up = line.start(&Config { bus: CONFIG, ..Config::DEFAULT });
+    assert_eq!((set_up, line.follows_turns()), (Some((19_200, Format::Even1)), false));
     let mut port = line.port(Registers);
     handler.serve(line, &mut hal);
     assert_eq!((hal.is_driving, hal.enabled), (false, Some(NOTHING)));
@@ -235,7 +236,8 @@ fn profibus_master_is_answered_at_its_rate_with_the_driver_on() {
     let (line, mut handler, mut hal) = bus();
     let rate = bus_profibus::Baud::K500;
     Profibus::new(line.profibus()).start(ProfibusConfig { rate: Some(rate), ..ProfibusConfig::DEFAULT });
-    line.start_profibus();
+    let set_up = line.start(&Config { plc_bus: PlcBus::Profibus, ..Config::DEFAULT });
+    assert_eq!((set_up, line.follows_turns()), (None, true));
 
     handler.serve(line, &mut hal);
     assert_eq!(hal.set_up, Some((500_000, Format::Even1)));

@@ -13,7 +13,7 @@ use stm32_metapac::Interrupt;
 use stm32_metapac::usart::Lpuart;
 use stm32_metapac::usart::regs::Isr;
 use wsg_bridge_fw::plc::{BusHandler, BusLine, HalfDuplexUart, Interrupts, RtuBuffers, RtuPort, RtuUart};
-use wsg_bridge_fw::{BusConfig, Format};
+use wsg_bridge_fw::{BusConfig, Config, Format};
 
 use crate::Divider;
 use crate::board::Stm32Board;
@@ -52,25 +52,22 @@ impl<B: Stm32Board> RtuUart for Registers<B> {
     }
 }
 
-/// Starts Modbus RTU on the bus. The clock must run and the pins must be set up. At an unsupported rate, which settings never
-/// contain, the bus stays silent.
-pub(crate) fn start<B: Stm32Board>(config: &BusConfig) {
-    BUS.start_modbus(config);
-    if set_up_bus::<B>(config.baud, config.format) {
-        uart::unmask(B::BusUart::INTERRUPT);
+/// Starts the bus. The clock must run and the pins must be set up. At an unsupported rate, which settings never contain, the
+/// bus stays silent. A handler that sets up the rate itself starts with the first [`serve`].
+pub(crate) fn start<B: Stm32Board>(config: &Config) {
+    match BUS.start(config) {
+        Some((baud, format)) if !set_up_bus::<B>(baud, format) => return,
+        Some(_) => {}
+        None => dp_timer::start::<B>(),
     }
-}
-
-/// Starts PROFIBUS on the bus. The handler starts with the first [`pend`].
-pub(crate) fn start_profibus<B: Stm32Board>() {
-    BUS.start_profibus();
-    dp_timer::start::<B>();
     uart::unmask(B::BusUart::INTERRUPT);
 }
 
-/// Triggers the bus's interrupt handler.
-pub(crate) fn pend<B: Stm32Board>() {
-    NVIC::pend(B::BusUart::INTERRUPT);
+/// Triggers the bus's interrupt handler, if it collects the results of a turn.
+pub(crate) fn serve<B: Stm32Board>() {
+    if BUS.follows_turns() {
+        NVIC::pend(B::BusUart::INTERRUPT);
+    }
 }
 
 /// Starts the service port. The clock must run and the pins must be set up.

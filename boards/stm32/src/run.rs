@@ -4,7 +4,7 @@ use cortex_m::peripheral::SCB;
 use wsg_bridge_fw::can::CanConfig;
 use wsg_bridge_fw::registers::Record;
 use wsg_bridge_fw::run::without_clock;
-use wsg_bridge_fw::{Board, BoardId, BusConfig, Hardware, Station};
+use wsg_bridge_fw::{Board, BoardId, Config, Hardware, Station};
 
 use crate::board::Stm32Board;
 use crate::chip::RESET_HZ;
@@ -57,12 +57,8 @@ impl<B: Stm32Board> Hardware for Registers<B> {
         bus::start_service::<B>();
     }
 
-    fn start_modbus(&mut self, config: &BusConfig) {
+    fn start_bus(&mut self, config: &Config) {
         bus::start::<B>(config);
-    }
-
-    fn start_profibus(&mut self) {
-        bus::start_profibus::<B>();
     }
 
     fn start_can(&mut self, controller: &mut B::Can, config: &CanConfig) {
@@ -94,9 +90,7 @@ impl<B: Stm32Board> Hardware for Registers<B> {
         B::rearm_can(controller);
     }
 
-    fn serve_bus(&mut self, is_profibus: bool) {
-        if is_profibus {
-            bus::pend::<B>();
-        }
+    fn serve_bus(&mut self) {
+        bus::serve::<B>();
     }
 }

@@ -93,8 +93,8 @@ impl wsg_bridge_fw::Hardware for Hardware {
         unmask(Interrupt::USART2);
     }
 
-    fn start_modbus(&mut self, config: &BusConfig) {
-        BUS.start(config);
+    fn start_bus(&mut self, config: &Config) {
+        BUS.start(&config.bus);
         unmask(Interrupt::UART4);
     }
 

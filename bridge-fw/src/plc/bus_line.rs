@@ -8,7 +8,7 @@ use bus_profibus::Character;
 use embedded_hal_nb::serial;
 use heapless::Vec;
 
-use super::{BusConfig, DpBuffers, DpResponder, Format, Interrupts, RtuBuffers, RtuPort, UartStatus};
+use super::{Config, DpBuffers, DpResponder, Format, Interrupts, PlcBus, RtuBuffers, RtuPort, UartStatus};
 use crate::atomic::{AtomicBool, Ordering};
 
 /// A UART connected to an RS-485 transceiver, for its interrupt handler.
@@ -66,14 +66,21 @@ impl BusLine {
         &self.profibus
     }
 
-    /// Starts Modbus RTU, before the interrupt is unmasked. The board sets up rate and format.
-    pub fn start_modbus(&self, config: &BusConfig) {
-        self.modbus.start(config);
+    /// Starts the protocol that `config` selects, before the interrupt is unmasked. Returns the rate in bit/s and the format that
+    /// the board sets up now; `None` if the handler sets them up in its first run.
+    pub fn start(&self, config: &Config) -> Option<(u32, Format)> {
+        if config.plc_bus == PlcBus::Profibus {
+            self.is_profibus.store(true, Ordering::Relaxed);
+            return None;
+        }
+        self.modbus.start(&config.bus);
+        Some((config.bus.baud, config.bus.format))
     }
 
-    /// Starts PROFIBUS instead, before the interrupt is unmasked. The handler sets up rate and format in its first run.
-    pub fn start_profibus(&self) {
-        self.is_profibus.store(true, Ordering::Relaxed);
+    /// Returns whether the handler must run after each turn of the main loop, whose results it collects.
+    #[must_use]
+    pub fn follows_turns(&self) -> bool {
+        self.is_profibus.load(Ordering::Relaxed)
     }
 }
 
@@ -91,7 +98,7 @@ impl BusHandler {
 
     /// Handles one interrupt, with at most one character each way. The interrupt stays pending while more is due.
     pub fn serve<U: HalfDuplexUart>(&mut self, line: &'static BusLine, uart: &mut U) {
-        if !line.is_profibus.load(Ordering::Relaxed) {
+        if !line.follows_turns() {
             return line.modbus.serve_half_duplex(uart);
         }
         if self.0.is_empty() {

@@ -6,7 +6,7 @@ use super::*;
 use crate::can::{BusOffPolicy, CanBus, NoCan};
 use crate::gripper::UartBuffers;
 use crate::io::Inputs;
-use crate::plc::{NoBus, SETTINGS};
+use crate::plc::{NoBus, PlcBus, SETTINGS};
 use crate::storage::NoFlash;
 
 /// UART of a missing gripper.
@@ -64,12 +64,12 @@ impl<const IN_RANGE: bool> Hardware for Double<IN_RANGE> {
     records! {
         start_gripper() => "gripper";
         start_service() => "service";
-        start_modbus(&BusConfig) => "Modbus";
-        start_profibus() => "PROFIBUS";
+        start_bus(&Config) => "bus";
         start_can(&mut NoCan, &CanConfig) => "CAN";
         feed_watchdog() => "feed";
         after_turn(Outputs, &mut NoFlash) => "after";
         rearm_can(&mut NoCan) => "rearm";
+        serve_bus() => "serve";
     }
 
     fn now_ms(&mut self) -> u32 {
@@ -83,10 +83,6 @@ impl<const IN_RANGE: bool> Hardware for Double<IN_RANGE> {
     fn sleep(&mut self, now_ms: u32, uses_can: bool) {
         assert_eq!(now_ms, self.now_ms);
         self.calls.push(if uses_can { "sleep, CAN" } else { "sleep" });
-    }
-
-    fn serve_bus(&mut self, is_profibus: bool) {
-        self.calls.push(if is_profibus { "serve PROFIBUS" } else { "serve" });
     }
 }
 
@@ -132,12 +128,12 @@ fn assert_turns(gripper_line: GripperLine, plc_bus: PlcBus, turns: &[(u32, &[&st
 fn start_starts_only_the_lines_that_the_settings_select() {
     let cases: [(_, _, &[&str]); 8] = [
         (GripperLine::Serial, PlcBus::Off, &["gripper", "service"]),
-        (GripperLine::Serial, PlcBus::Modbus, &["gripper", "service", "Modbus"]),
-        (GripperLine::Serial, PlcBus::Profibus, &["gripper", "service", "PROFIBUS"]),
+        (GripperLine::Serial, PlcBus::Modbus, &["gripper", "service", "bus"]),
+        (GripperLine::Serial, PlcBus::Profibus, &["gripper", "service", "bus"]),
         (GripperLine::Serial, PlcBus::Canopen, &["gripper", "service", "CAN"]),
         (GripperLine::Can, PlcBus::Off, &["service", "CAN"]),
-        (GripperLine::Can, PlcBus::Modbus, &["service", "Modbus", "CAN"]),
-        (GripperLine::Can, PlcBus::Profibus, &["service", "PROFIBUS", "CAN"]),
+        (GripperLine::Can, PlcBus::Modbus, &["service", "bus", "CAN"]),
+        (GripperLine::Can, PlcBus::Profibus, &["service", "bus", "CAN"]),
         (GripperLine::Can, PlcBus::Canopen, &["service", "CAN"]),
     ];
     for (gripper_line, plc_bus, expected) in cases {
@@ -153,7 +149,7 @@ fn board_starts_with_the_settings_of_the_image() {
     on_board::<true>(|board| {
         let (mut station, _) = station(GripperLine::Can, PlcBus::Off);
         assert!(board.start(&mut station, ResetCause::PowerOn));
-        assert_eq!(board.hardware.calls, ["gripper", "service", "Modbus"]);
+        assert_eq!(board.hardware.calls, ["gripper", "service", "bus"]);
     });
 }
 
@@ -180,11 +176,6 @@ fn turn_serves_bus_and_watchdog_once_per_ms_and_sleeps_last() {
         (2, &["after", "serve", "feed", "sleep"]),
     ];
     assert_turns(GripperLine::Serial, PlcBus::Modbus, &turns);
-    assert_turns(
-        GripperLine::Serial,
-        PlcBus::Profibus,
-        &[(1, &["after", "serve PROFIBUS", "feed", "sleep"])],
-    );
     let with_can: [(_, &[_]); 1] = [(1, &["after", "rearm", "serve", "feed", "sleep, CAN"])];
     assert_turns(GripperLine::Can, PlcBus::Off, &with_can);
 }

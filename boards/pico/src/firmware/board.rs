@@ -4,7 +4,7 @@ use cortex_m::peripheral::NVIC;
 use wsg_bridge_fw::can::CanConfig;
 use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::registers::Record;
-use wsg_bridge_fw::{BusConfig, Hardware};
+use wsg_bridge_fw::{Config, Hardware};
 
 use crate::can::{self, Can};
 use crate::flash::SettingsSectors;
@@ -34,12 +34,8 @@ impl Hardware for Registers {
         usb::start_service();
     }
 
-    fn start_modbus(&mut self, config: &BusConfig) {
+    fn start_bus(&mut self, config: &Config) {
         bus::start(config);
-    }
-
-    fn start_profibus(&mut self) {
-        bus::start_profibus();
     }
 
     fn start_can(&mut self, controller: &mut Can, config: &CanConfig) {
@@ -78,10 +74,7 @@ impl Hardware for Registers {
         can::rearm();
     }
 
-    /// Also called while Modbus transmits: the handler then checks whether the last bit has been sent.
-    fn serve_bus(&mut self, is_profibus: bool) {
-        if is_profibus || !bus::is_silent() {
-            bus::serve();
-        }
+    fn serve_bus(&mut self) {
+        bus::serve();
     }
 }

@@ -8,7 +8,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use cortex_m::peripheral::NVIC;
 use rp2040_hal::pac::{Interrupt, interrupt};
 use wsg_bridge_fw::plc::{BusHandler, BusLine, HalfDuplexUart, Interrupts, RtuPort, RtuUart};
-use wsg_bridge_fw::{BusConfig, Format};
+use wsg_bridge_fw::{Config, Format};
 use wsg_pico::BUS_DRIVER_ENABLE;
 
 use crate::registers::{peripheral, reset, reset_bit, write};
@@ -48,17 +48,15 @@ fn port() -> Port {
     Port(peripheral!(UART1))
 }
 
-/// Starts Modbus RTU on the bus. The clock must run and the pins must be set up.
-pub(crate) fn start(config: &BusConfig) {
-    BUS.start_modbus(config);
-    set_up(config.baud, config.format);
-    unmask();
-}
-
-/// Starts PROFIBUS on the bus. The handler starts with the first [`serve`].
-pub(crate) fn start_profibus() {
-    BUS.start_profibus();
-    unmask();
+/// Starts the bus. The clock must run and the pins must be set up. A handler that sets up the rate itself starts with the first
+/// [`serve`].
+pub(crate) fn start(config: &Config) {
+    if let Some((baud, format)) = BUS.start(config) {
+        set_up(baud, format);
+    }
+    // SAFETY: no critical section depends on this interrupt being masked. The handler shares only atomics with the rest of the
+    // program.
+    unsafe { NVIC::unmask(Interrupt::UART1_IRQ) };
 }
 
 /// Returns whether the bus does not transmit.
@@ -66,16 +64,12 @@ pub(crate) fn is_silent() -> bool {
     peripheral!(SIO).gpio_out().read().bits() & DRIVER == 0
 }
 
-/// Triggers the handler, which processes the main loop's output and checks whether the last bit has been sent. Call it at most
-/// once per millisecond, because each call ends the main loop's sleep.
+/// Triggers the handler if it collects the results of a turn, or while the bus transmits: it then checks whether the last bit has
+/// been sent. Call it at most once per millisecond, because each run ends the main loop's sleep.
 pub(crate) fn serve() {
-    NVIC::pend(Interrupt::UART1_IRQ);
-}
-
-fn unmask() {
-    // SAFETY: no critical section depends on this interrupt being masked. The handler shares only atomics with the rest of the
-    // program.
-    unsafe { NVIC::unmask(Interrupt::UART1_IRQ) };
+    if BUS.follows_turns() || !is_silent() {
+        NVIC::pend(Interrupt::UART1_IRQ);
+    }
 }
 
 /// Configures the bus for a rate and a format, before its start or later.
