@@ -241,11 +241,11 @@ fn of_hex_dump(parts: &[hex_dump::Part], gcl: Option<bool>, direction: Option<Di
     entries.flatten().collect()
 }
 
-fn of_sim_log(lines: &[Result<sim_log::Line<'_>, RangeInclusive<usize>>]) -> Vec<Entry> {
+fn of_sim_log(lines: &[Result<sim_log::LogLine<'_>, RangeInclusive<usize>>]) -> Vec<Entry> {
     let mut entries = Vec::new();
     let mut of_buses = 0;
     for line in lines {
-        let sim_log::Line { place, direction, content } = match line {
+        let sim_log::LogLine { place, direction, content } = match line {
             Ok(line) => line,
             Err(unread) => {
                 entries.push(Entry::unread(unread, "log"));

@@ -13,9 +13,9 @@ use wsg_protocol::{GripperState, HomingDirection};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part, command_line};
 
-use crate::gripper::{Address, Line, Signals};
+use crate::gripper::{Address, Connection, Signals};
 
-type Gripper = BinaryGripper<Line, StdClock>;
+type Gripper = BinaryGripper<Connection, StdClock>;
 
 /// Width of the part, and nominal width of each grip.
 const PART: f32 = 20.0;
@@ -66,7 +66,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         .map(|address| address.map(|address| address.to_string()).unwrap_or_default());
 
     let mut gripper =
-        Gripper::new(Line::open(&Address::Tcp(tcp.clone()), None, signals.clone())?, StdClock::new());
+        Gripper::new(Connection::open(&Address::Tcp(tcp.clone()), None, signals.clone())?, StdClock::new());
     let mut demo = Demo { server, begin: Instant::now(), pause: PAUSE / u32::from(speed_up) };
     let played = gripper.with_connection(|gripper| {
         let played = announce(&page, &tcp, &modbus).and_then(|()| demo.play(gripper, cycles));

@@ -35,8 +35,8 @@ pub(crate) use action::signed;
 
 use action::Named;
 use answer::Answer;
+pub(crate) use line::Connection;
 use line::LOOK_MS;
-pub(crate) use line::Line;
 use lines::Script;
 use output::Output;
 use record::Recorder;
@@ -136,7 +136,7 @@ fn perform(
     if matches!(task, Some(Task::Doctor)) {
         return doctor::run(address, recorder, &signals, output);
     }
-    let line = Line::open(address, recorder, signals.clone()).map_err(Trouble::NoLine)?;
+    let line = Connection::open(address, recorder, signals.clone()).map_err(Trouble::NoLine)?;
     let work = Work { task, script, output, signals, title: address.to_string() };
     if address.is_gcl() {
         let mut gripper = GclGripper::new(line, StdClock::new());
@@ -284,7 +284,7 @@ mod tests {
         let server = ServerThread::start(config, &lines, None).unwrap();
         let host = server.tcp_address().unwrap();
         let signals = Signals::default();
-        let line = Line::open(&Address::Tcp(host.to_string()), None, signals.clone()).unwrap();
+        let line = Connection::open(&Address::Tcp(host.to_string()), None, signals.clone()).unwrap();
         let mut gripper = BinaryGripper::new(line, StdClock::new());
         let ended = guarded(&mut gripper, &signals, |gripper| {
             gripper.home(HomingDirection::Positive)?;

@@ -148,17 +148,16 @@ fn silent_udp_peer_receives_a_bounded_number_of_datagrams() {
     let gripper = served.udp_address().unwrap();
     let sender = UdpSocket::bind("127.0.0.1:0").unwrap();
     let update = AutoUpdate::every(10);
-    let subscribe = || {
-        for command in [
-            Command::GetSystemState { update },
-            Command::GetGripperState { update },
-            Command::GetOpeningWidth { update },
-            Command::GetSpeed { update },
-            Command::GetForce { update },
-        ] {
-            uninterrupted::send_to(&sender, &frame(command), gripper).unwrap();
-        }
-    };
+    // In one datagram, because updates that are sent between two of them do not count.
+    let subscriptions = [
+        Command::GetSystemState { update },
+        Command::GetGripperState { update },
+        Command::GetOpeningWidth { update },
+        Command::GetSpeed { update },
+        Command::GetForce { update },
+    ];
+    let subscriptions = subscriptions.map(frame).concat();
+    let subscribe = || uninterrupted::send_to(&sender, &subscriptions, gripper).unwrap();
     let count = || {
         // Updates are sent every 10 ms while they last.
         peer.set_read_timeout(Some(Duration::from_secs(2))).unwrap();

@@ -152,10 +152,10 @@ pub(crate) fn decode(
             None => format!("none of the {} CAN frames starts a message", frames.len()),
         },
     )];
-    let mut lines: Vec<Line> = ids
+    let mut lines: Vec<Traffic> = ids
         .into_iter()
         .flat_map(|(to, from)| [(to, Direction::ToGripper), (from, Direction::FromGripper)])
-        .map(|(id, direction)| Line::new(id, direction))
+        .map(|(id, direction)| Traffic::new(id, direction))
         .collect();
     let mut foreign = 0;
     for (at, frame) in log.iter().enumerate() {
@@ -187,7 +187,7 @@ pub(crate) fn decode(
 }
 
 /// The frames of one direction.
-struct Line {
+struct Traffic {
     id: StandardId,
     direction: Direction,
     reassembler: Reassembler<MAX_FRAMES>,
@@ -195,7 +195,7 @@ struct Line {
     held: Vec<(usize, Logged)>,
 }
 
-impl Line {
+impl Traffic {
     fn new(id: StandardId, direction: Direction) -> Self {
         Self { id, direction, reassembler: Reassembler::new(id, HALF_MESSAGE_MS), held: Vec::new() }
     }

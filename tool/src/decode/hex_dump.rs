@@ -16,7 +16,7 @@ pub(crate) enum Part {
 
 /// A line of a dump: the digits of its offset, if it has one, and its bytes.
 #[derive(Debug, PartialEq, Eq)]
-struct Line<'a> {
+struct DumpLine<'a> {
     offset: Option<&'a str>,
     bytes: Vec<u8>,
 }
@@ -36,7 +36,7 @@ pub(crate) fn is_remark(line: &str) -> bool {
 struct Dump<'a> {
     parts: Vec<Part>,
     /// The last line with bytes, which a `*` repeats.
-    last: Line<'a>,
+    last: DumpLine<'a>,
     /// Whether lines begin with an offset; the first line shows it.
     has_offsets: Option<bool>,
     /// Base of the offsets.
@@ -47,7 +47,7 @@ struct Dump<'a> {
 
 /// Divides a dump into parts: an unreadable line and a jump of the offsets end a part.
 pub(crate) fn parse(text: &str) -> Vec<Part> {
-    let last = Line { offset: None, bytes: Vec::new() };
+    let last = DumpLine { offset: None, bytes: Vec::new() };
     let mut dump = Dump { parts: Vec::new(), last, has_offsets: None, radix: 16, count: 0 };
     let mut repeats = false;
     for (number, line) in (1..).zip(text.lines().map(str::trim)) {
@@ -66,11 +66,11 @@ pub(crate) fn parse(text: &str) -> Vec<Part> {
 
 impl<'a> Dump<'a> {
     /// Adds a line. Returns false if it shows that bytes before it are missing.
-    fn take(&mut self, line: Line<'a>, repeats: bool) -> bool {
+    fn take(&mut self, line: DumpLine<'a>, repeats: bool) -> bool {
         self.has_offsets.get_or_insert(line.offset.is_some());
         // Number of bytes between the last line and this one.
         let gap = |radix| {
-            let of = |line: &Line<'_>| u64::from_str_radix(line.offset?, radix).ok();
+            let of = |line: &DumpLine<'_>| u64::from_str_radix(line.offset?, radix).ok();
             of(&line)?.checked_sub(of(&self.last)?)?.checked_sub(self.last.bytes.len() as u64)
         };
         // `od` writes seven digits, octal by default or decimal. No other program does, so a jump of other offsets stays one.
@@ -113,13 +113,13 @@ impl<'a> Dump<'a> {
 }
 
 /// Parses a line. `has_offsets`: whether earlier lines begin with an offset, or `None` for the first line.
-fn parse_line(line: &str, has_offsets: Option<bool>) -> Option<Line<'_>> {
+fn parse_line(line: &str, has_offsets: Option<bool>) -> Option<DumpLine<'_>> {
     // `00000000: aaaa aa22 0000 0e76  ..."...v`
     if let Some((offset, rest)) = line.split_once(':')
         && has_offsets != Some(false)
     {
         let bytes = bytes_of(rest.trim_start().split("  ").next()?)?;
-        return Some(Line { offset: Some(digits_of(offset)?), bytes });
+        return Some(DumpLine { offset: Some(digits_of(offset)?), bytes });
     }
     // `00000000  aa aa aa 22 00 00 0e 76  aa ...  |...".v|`, or `0000   aa aa aa 22 00 00 0e 76   ...".v`
     let digits = line.split(['|', '>']).next()?;
@@ -131,9 +131,9 @@ fn parse_line(line: &str, has_offsets: Option<bool>) -> Option<Line<'_>> {
         is_pairs() && digits_of(first).is_some() && !first.to_ascii_uppercase().starts_with("AAAA")
     });
     if has_offset {
-        return Some(Line { offset: Some(digits_of(first)?), bytes: bytes_of(rest)? });
+        return Some(DumpLine { offset: Some(digits_of(first)?), bytes: bytes_of(rest)? });
     }
-    Some(Line { offset: None, bytes: bytes_of(digits)? })
+    Some(DumpLine { offset: None, bytes: bytes_of(digits)? })
 }
 
 /// Returns the digits of an offset.

@@ -4,7 +4,7 @@ use wsg_protocol::Direction;
 
 /// A log line: a message, marked by an arrow, or an event.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) struct Line<'a> {
+pub(crate) struct LogLine<'a> {
     /// Time and line: `12.345678 s tcp 127.0.0.1:40000`. Of an event, the time.
     pub(crate) place: &'a str,
     /// `None` for an event.
@@ -36,7 +36,7 @@ const TOLD: [(&str, &str); 5] = [
     ("a length that no frame has", ""),
 ];
 
-pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
+pub(crate) fn parse_line(line: &str) -> Option<LogLine<'_>> {
     let line = line.trim();
     let (time, event) = line.split_once(" s ")?;
     if time.is_empty() || !time.bytes().all(|c| c.is_ascii_digit() || c == b'.') {
@@ -47,7 +47,7 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
         arrows.into_iter().filter_map(|(arrow, direction)| Some((line.find(arrow)?, arrow, direction)));
     let Some((at, arrow, direction)) = found.min_by_key(|(at, ..)| *at) else {
         let place = line.get(..time.len() + " s".len())?;
-        return Some(Line { place, direction: None, content: Content::Event(event) });
+        return Some(LogLine { place, direction: None, content: Content::Event(event) });
     };
     let (place, rest) = (line.get(..at)?, line.get(at + arrow.len()..)?);
     let words = || rest.split(' ').map_while(|word| byte_of(word).map(|byte| (word, byte)));
@@ -62,7 +62,7 @@ pub(crate) fn parse_line(line: &str) -> Option<Line<'_>> {
     } else {
         Content::Text(unescaped(rest))
     };
-    Some(Line { place, direction: Some(direction), content })
+    Some(LogLine { place, direction: Some(direction), content })
 }
 
 /// Reverses `escape_ascii`, with which the log writes GCL lines.

@@ -17,7 +17,7 @@ use wsg_protocol::session::Topic;
 use wsg_protocol::{AutoUpdate, SystemFlags};
 
 use super::address::Address;
-use super::line::Line;
+use super::line::Connection;
 use super::output::Output;
 use super::record::Recorder;
 use super::run::{Gripper, ProtocolCommands};
@@ -67,7 +67,7 @@ fn check(
     signals: &Signals,
     report: &mut Report,
 ) -> Result<(), Trouble> {
-    let mut line = match Line::open(address, recorder, signals.clone()) {
+    let mut line = match Connection::open(address, recorder, signals.clone()) {
         Ok(line) => line,
         Err(error) => return no_line(address, &error, report),
     };

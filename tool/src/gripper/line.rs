@@ -15,15 +15,15 @@ use super::wire::{self, Wire};
 /// How long a wait for the gripper lasts before keys and signals are polled.
 pub(crate) const LOOK_MS: u32 = 20;
 
-/// The line to a gripper.
-pub(crate) struct Line {
+/// The connection to a gripper, over any line.
+pub(crate) struct Connection {
     wire: Box<dyn Wire>,
     recorder: Option<Recorder>,
     signals: Signals,
 }
 
-impl Line {
-    /// Opens the line to an address.
+impl Connection {
+    /// Opens the connection to an address.
     pub(crate) fn open(address: &Address, recorder: Option<Recorder>, signals: Signals) -> Result<Self> {
         let wire = wire::open(address).with_context(|| address.to_string())?;
         Ok(Self { wire, recorder, signals })
@@ -40,18 +40,18 @@ impl Line {
     }
 }
 
-impl ErrorType for Line {
+impl ErrorType for Connection {
     type Error = io::Error;
 }
 
-impl ReadReady for Line {
+impl ReadReady for Connection {
     fn read_ready(&mut self) -> io::Result<bool> {
         self.signals.check()?;
         self.wire.read_ready()
     }
 }
 
-impl Transport for Line {
+impl Transport for Connection {
     fn wait(&mut self, at_most_ms: u32) -> io::Result<()> {
         // A signal just before the wait does not interrupt it, so limit its length.
         self.wire.wait(at_most_ms.min(LOOK_MS))?;
@@ -59,7 +59,7 @@ impl Transport for Line {
     }
 }
 
-impl Read for Line {
+impl Read for Connection {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let count = self.wire.read(buffer)?;
         self.record(Direction::FromGripper, buffer.get(..count).unwrap_or(&[]))?;
@@ -67,7 +67,7 @@ impl Read for Line {
     }
 }
 
-impl Write for Line {
+impl Write for Connection {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let count = self.wire.write(bytes)?;
         self.record(Direction::ToGripper, bytes.get(..count).unwrap_or(&[]))?;

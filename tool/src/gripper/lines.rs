@@ -17,7 +17,7 @@ use super::trouble::Trouble;
 /// A command line of the prompt or a script.
 #[derive(Debug, Parser)]
 #[command(no_binary_name = true, disable_version_flag = true, name = "")]
-pub(crate) struct Line {
+pub(crate) struct CommandLine {
     #[command(subcommand)]
     pub(crate) entry: Entry,
 }
@@ -46,8 +46,8 @@ pub(crate) fn parse(line: &str) -> Result<Option<Entry>, Wrong> {
     }
     let words =
         shlex::split(line).ok_or_else(|| Wrong::Mistake("missing closing quotation mark".to_owned()))?;
-    match Line::try_parse_from(words.into_iter().map(signed)) {
-        Ok(Line { entry }) => Ok(Some(entry)),
+    match CommandLine::try_parse_from(words.into_iter().map(signed)) {
+        Ok(CommandLine { entry }) => Ok(Some(entry)),
         Err(error) if !error.use_stderr() => Err(Wrong::Help(error.to_string())),
         Err(error) => Err(Wrong::Mistake(in_one_line(&error.to_string()))),
     }

@@ -17,7 +17,7 @@ use wsg_sim::text;
 use super::action::{Action, Named};
 use super::editor::{Complete, Editor, Step};
 use super::line::LOOK_MS;
-use super::lines::{self, Entry, Line, Wrong};
+use super::lines::{self, CommandLine, Entry, Wrong};
 use super::output::Output;
 use super::run::{self, Gripper, ProtocolCommands};
 use super::signals::Signals;
@@ -45,7 +45,7 @@ fn typed<P: ProtocolCommands>(
     output: &Output,
     signals: &Signals,
 ) -> Result<u8, Trouble> {
-    let words = Words(Line::command());
+    let words = Words(CommandLine::command());
     let mut editor = Editor::default();
     let mut status = 0;
     run::subscribe(gripper, STATE_PERIOD_MS);
@@ -301,7 +301,7 @@ mod tests {
 
     #[test]
     fn completions_match_the_command_table() {
-        let words = Words(Line::command());
+        let words = Words(CommandLine::command());
         let names = words.choices(&[]);
         for name in ["grip", "fast-stop", "help", "quit"] {
             assert!(names.iter().any(|choice| choice == name), "{names:?}");

@@ -15,11 +15,11 @@ use wsg_protocol::{
 
 use super::action::{Action, Bytes, Switch, on_block};
 use super::answer::{Answer, CELSIUS, Datum, MM, MM_PER_S, MM_PER_S2, NEWTON, Outcome};
-use super::line::{LOOK_MS, Line};
+use super::line::{Connection, LOOK_MS};
 use super::trouble::Trouble;
 
 /// A gripper on any line, with either protocol.
-pub(crate) type Gripper<P> = GripperOver<Line, StdClock, P>;
+pub(crate) type Gripper<P> = GripperOver<Connection, StdClock, P>;
 
 /// Maximum length in bytes of an answer to `raw` or `finger-data`.
 const MAX_ANSWER: usize = 1_024;

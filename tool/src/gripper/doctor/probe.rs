@@ -8,7 +8,7 @@ use wsg_protocol::gcl::{Answer, LineEvent, LineReader, Request};
 use wsg_protocol::{Command, CommandId, Event, FrameEncoder, FrameParser, Reply, Status};
 
 use crate::gripper::address::Address;
-use crate::gripper::line::Line;
+use crate::gripper::line::Connection;
 use crate::gripper::trouble::Trouble;
 
 /// Time-out for an answer in each protocol.
@@ -59,7 +59,7 @@ enum Received<T> {
 ///
 /// Both queries use the same connection, because the gripper may refuse a second one, and closing a connection without an
 /// announcement causes a FAST STOP (command set, 1.4.2).
-pub(super) fn speech(line: &mut Line, address: &Address) -> Result<Peer, Trouble> {
+pub(super) fn speech(line: &mut Connection, address: &Address) -> Result<Peer, Trouble> {
     let order = match address {
         Address::Gcl { .. } | Address::GclUdp { .. } => &[Speech::Gcl, Speech::Binary][..],
         Address::Tcp(_) | Address::Udp { .. } => &[Speech::Binary, Speech::Gcl],
@@ -95,7 +95,7 @@ pub(super) fn speech(line: &mut Line, address: &Address) -> Result<Peer, Trouble
 }
 
 /// Sends a Loop with a wrong checksum, which a gripper that evaluates checksums discards or rejects.
-pub(super) fn checksums(line: &mut Line) -> Result<Checksums, Trouble> {
+pub(super) fn checksums(line: &mut Connection) -> Result<Checksums, Trouble> {
     let mut query: Vec<u8> = FrameEncoder::new(CommandId::Loop.code(), WRONG).collect();
     if let Some(last) = query.last_mut() {
         *last ^= 0xFF;
@@ -114,7 +114,7 @@ pub(super) fn checksums(line: &mut Line) -> Result<Checksums, Trouble> {
 /// Announces the end of the connection in both protocols, for a peer whose protocol is unknown.
 ///
 /// The peer may be a gripper that reads this later. The connection closes next, so errors are ignored.
-pub(super) fn leave(line: &mut Line) {
+pub(super) fn leave(line: &mut Connection) {
     let mut text = [0; Request::MAX_LEN + 1];
     let bye = Request::Bye.write_line_into(&mut text).unwrap_or_default();
     let messages = [encode(Command::DisconnectAnnouncement), vec![b'\n'], text[..bye].to_vec()];
@@ -137,7 +137,7 @@ fn text_query() -> Vec<u8> {
 }
 
 /// Sends bytes. Returns whether the peer still accepts them.
-fn send(line: &mut Line, mut bytes: &[u8]) -> Result<bool, Trouble> {
+fn send(line: &mut Connection, mut bytes: &[u8]) -> Result<bool, Trouble> {
     while !bytes.is_empty() {
         match line.write(bytes).map(|count| bytes.get(count.max(1)..)) {
             Ok(rest) => bytes = rest.unwrap_or(&[]),
@@ -149,7 +149,7 @@ fn send(line: &mut Line, mut bytes: &[u8]) -> Result<bool, Trouble> {
 
 /// Passes received bytes to `take` until it returns a value or the time `within` has elapsed.
 fn receive<T>(
-    line: &mut Line,
+    line: &mut Connection,
     within: Duration,
     mut take: impl FnMut(u8) -> Option<T>,
 ) -> Result<Received<T>, Trouble> {
