@@ -468,9 +468,13 @@ fn image_is_written_by_matching_method_unless_fingers_move() {
     for program in ["probe-rs", "st-flash"] {
         let script =
             format!("#!/bin/sh\n[ \"$1\" = --version ] || echo {program} \"$@\" >> '{}'\n", note.display());
-        let path = folder.join(program);
-        fs::write(&path, script).unwrap();
-        fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o755)).unwrap();
+        // By another process: a program that a test beside this one starts would inherit the open file, which is then busy.
+        let write = r#"printf %s "$1" > "$2" && chmod 755 "$2""#;
+        let written = std::process::Command::new("sh")
+            .args(["-c", write, "sh", &script])
+            .arg(folder.join(program))
+            .status();
+        assert!(written.unwrap().success());
     }
     let path = format!("{}:/usr/bin:/bin", folder.display());
     let flash = |arguments: &[&str]| {

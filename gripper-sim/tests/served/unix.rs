@@ -131,7 +131,9 @@ fn low_port_without_privileges_is_replaced_or_explained() {
     }
     // A place where any user may execute the program.
     let program = scratch("ordinary");
-    std::fs::copy(env!("CARGO_BIN_EXE_wsg-sim"), &program).unwrap();
+    // By another process: a program that a test beside this one starts would inherit the open file, which is then busy.
+    let copied = Process::new("cp").arg(env!("CARGO_BIN_EXE_wsg-sim")).arg(&program).status().unwrap();
+    assert!(copied.success());
     let ordinary = |arguments: &[&str]| {
         let mut command = Process::new(&program);
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());

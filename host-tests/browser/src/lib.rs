@@ -123,15 +123,19 @@ pub struct Tab {
     last: Option<Input>,
 }
 
-/// The last click or key, which is repeated if the server refuses it for its age.
+/// The last click or key, which is repeated if the server refuses it for its age, or does not answer in time.
 enum Input {
     /// On the element that this selector finds.
     Click(String),
     Key(String),
 }
 
-/// What [`Tab::until`] finds instead of its expression if the page of `wsg-sim` shows that the server refused the input for its age.
+/// What [`Tab::until`] finds instead of its expression if the page of `wsg-sim` shows that the server refused the input for its age,
+/// or did not answer it in time.
 const REFUSED: &str = "refused for age";
+
+/// Most repetitions of an input.
+const REPETITIONS: usize = 30;
 
 impl Tab {
     /// Opens an empty window.
@@ -185,42 +189,50 @@ impl Tab {
         answer["result"]["value"].take()
     }
 
-    /// Evaluates an expression repeatedly until it is not null, and returns its value. On a busy machine, the states reach the page
-    /// late, and the server refuses the input before it: it is repeated, as a user does.
+    /// Evaluates an expression repeatedly until it is not null, and returns its value. On a busy machine, states and answers reach
+    /// the page late, and the server refuses the input before it: it is repeated, as a user does.
     #[track_caller]
     pub fn until(&mut self, expression: &str) -> Value {
-        let look = format!(
-            "new Promise(done => {{
-               const end = performance.now() + {};
-               const look = () => {{
-                 let found; try {{ found = ({expression}); }} catch {{ }}
-                 const refusal = [...document.querySelectorAll('[id$=message]')]
-                   .find(message => message.textContent.startsWith('the sender saw a state'));
-                 if (found) done(found);
-                 else if (refusal) {{ refusal.textContent = ''; done('{REFUSED}'); }}
-                 else if (performance.now() > end) done(null);
-                 else setTimeout(look, 30);
-               }};
-               look();
-             }})",
-            BOUND.as_millis() / 2
-        );
-        let mut found = self.eval(&look);
-        while found == REFUSED
-            && let Some(input) = self.last.take()
-        {
-            match input {
-                Input::Click(selector) => self.click(&selector),
-                Input::Key(key) => self.press(&key),
+        let bound_ms = BOUND.as_millis() / 2;
+        let mut found = Value::Null;
+        for _ in 0..REPETITIONS {
+            let may_repeat = self.last.is_some();
+            found = self.eval(&format!(
+                "new Promise(done => {{
+                   const end = performance.now() + {bound_ms};
+                   const look = () => {{
+                     let found; try {{ found = ({expression}); }} catch {{ }}
+                     const refusal = {may_repeat} && [...document.querySelectorAll('[id$=message]')]
+                       .find(message => /^the sender saw a state|will not execute this later$/.test(message.textContent));
+                     if (found) done(found);
+                     else if (refusal) {{ refusal.textContent = ''; done('{REFUSED}'); }}
+                     else if (performance.now() > end) done(null);
+                     else setTimeout(look, 30);
+                   }};
+                   look();
+                 }})"
+            ));
+            if found != REFUSED {
+                break;
             }
-            found = self.eval(&look);
+            match self.last.take() {
+                Some(Input::Click(selector)) => self.click(&selector),
+                Some(Input::Key(key)) => self.press(&key),
+                None => {}
+            }
         }
         assert!(
-            !found.is_null(),
+            !found.is_null() && found != REFUSED,
             "time-out waiting for: {expression}\n{}",
             self.eval("document.body.innerText")
         );
         found
+    }
+
+    /// Does the same as [`click`](Self::click), and does not repeat it.
+    pub fn click_once(&mut self, selector: &str) {
+        self.click(selector);
+        self.last = None;
     }
 
     /// Clicks the centre of the element that a selector finds, on the page that shows it.

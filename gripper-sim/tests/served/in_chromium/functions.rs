@@ -96,14 +96,14 @@ fn plot_has_a_history_a_cursor_and_a_pause() {
         tab.eval("document.getElementById('plot').focus()");
         tab.press("ArrowLeft");
         tab.until(&format!("/−0.5 s · 19.7 mm · 0.0 mm.s · 30.0 N/.test({})", text("cursor")));
-        tab.click("#hold");
+        tab.click_once("#hold");
         tab.until(&format!("{}.includes('pause')", text("plot")));
         let first = "document.querySelector('#plot polyline').getAttribute('points').split(' ')[0]";
         let before = tab.eval(first);
         tab.click("#part_out");
         tab.until(&format!("{STATE} === 'PART LOST' && series.at(-1)[3] === 0"));
         assert_eq!(tab.eval(first), before, "a paused plot stands");
-        tab.click("#hold");
+        tab.click_once("#hold");
         tab.until(&format!("{first} !== '{}'", before.as_str().unwrap()));
         tab.click("#fast_stop");
         tab.until("document.querySelector('#plot .event.bad title').textContent === 'FAST STOP by command'");

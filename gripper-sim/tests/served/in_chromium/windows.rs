@@ -187,7 +187,7 @@ fn unanswered_click_is_reported_and_not_executed_later() {
         tab.until("isFresh()");
         tab.eval("say('message', ''); unansweredAfter = null; withheld = 0; 0");
         gripper._program.signal(Signal::STOP);
-        tab.click(button);
+        tab.click_once(button);
         tab.until("unansweredAfter !== null");
         assert_is_a_second(&mut tab, "unansweredAfter");
         let shown = tab.eval(message);
@@ -204,7 +204,7 @@ fn unanswered_click_is_reported_and_not_executed_later() {
 
     // A FAST STOP is executed at any age.
     gripper._program.signal(Signal::STOP);
-    tab.click("#fast_stop");
+    tab.click_once("#fast_stop");
     tab.until(&format!("{message} === 'the gripper does not answer'"));
     gripper._program.signal(Signal::CONT);
     tab.until(&flag_is_on("FAST_STOP"));
