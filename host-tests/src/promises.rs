@@ -226,7 +226,8 @@ impl Promises {
     /// Ends the turn of this bridge with these outputs.
     pub(crate) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, reach: &Reach) -> Kept {
         let Self { requests, reports, levels, stops, turn, .. } = self;
-        let keeps_gstate = reports.gstate.is_kept(&bridge.input_image(), bridge.motion_is_open());
+        let motion_is_open = bridge.motion_is_open();
+        let keeps_gstate = reports.gstate.is_kept(&bridge.input_image(), motion_is_open);
         keep(Promise::GstateFollowsTheGripper, keeps_gstate || reach.is_forged)?;
         let is_connected = outputs.contains(Outputs::LINK_OK);
         if !is_connected {
@@ -235,7 +236,7 @@ impl Promises {
         if levels.outputs.contains(Outputs::LINK_OK) && !is_connected {
             reports.forget();
         }
-        levels.show(turn.now, outputs, reports, requests)?;
+        levels.show(turn.now, outputs, reports, requests, motion_is_open)?;
         requests.show_ready(outputs.contains(Outputs::READY));
         stops.end_turn(turn, outputs, reports)?;
         if let Some(since) = requests.stopped {

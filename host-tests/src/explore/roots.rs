@@ -59,6 +59,7 @@ pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
 #[cfg(test)]
 mod tests {
     use super::super::action::{BUS, WIRES};
+    use super::super::search::Model as _;
     use super::*;
     use wsg_bridge_fw::io::Outputs;
     use wsg_protocol::CommandId;
@@ -91,5 +92,18 @@ mod tests {
                 assert_eq!(plant.motion(), motion, "{name}");
             }
         }
+    }
+
+    /// Found by the exploration of 10^8 states, when the rule of HOLDING did not know third parties.
+    #[test]
+    fn third_party_may_end_a_grip_while_busy_answers_a_refused_edge() {
+        use Action::*;
+        let moving = roots(&WIRES).into_iter().find(|root| root.name == "moving");
+        let mut plant = moving.expect("a root of this name").plant;
+        for action in [Fail, AnswersAll, Toggle(Wire::Move), ThirdPartyGrips, Finish, AnswersAll] {
+            let number = WIRES.iter().position(|known| *known == action).expect("an action of the wires");
+            assert_eq!(plant.act(number as u32), Ok(()), "{action:?}");
+        }
+        assert!(plant.outputs().contains(Outputs::BUSY | Outputs::HOLDING), "{:?}", plant.outputs());
     }
 }

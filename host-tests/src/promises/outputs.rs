@@ -20,30 +20,39 @@ pub(crate) struct Levels {
     pub(crate) min_busy_ms: u32,
     pub(crate) outputs: Outputs,
     busy_since: Instant,
+    /// Whether the fingers were moving, or a motion of the PLC had no result, at the end of a turn since BUSY rose.
+    has_run: bool,
     /// Time of the last motion edge while READY was high.
     edge: Option<Instant>,
 }
 
 impl Hash for Levels {
     fn hash<H: Hasher>(&self, state: &mut H) {
-        let busy_since = self.outputs.contains(Outputs::BUSY).then_some(self.busy_since);
-        (self.outputs, busy_since, self.edge).hash(state);
+        let busy = self.outputs.contains(Outputs::BUSY).then_some((self.busy_since, self.has_run));
+        (self.outputs, busy, self.edge).hash(state);
     }
 }
 
 impl Levels {
     /// Creates the state with all wires low.
     pub(super) const fn new(min_busy_ms: u32) -> Self {
-        Self { min_busy_ms, outputs: Outputs::empty(), busy_since: Instant::from_millis(0), edge: None }
+        Self {
+            min_busy_ms,
+            outputs: Outputs::empty(),
+            busy_since: Instant::from_millis(0),
+            has_run: false,
+            edge: None,
+        }
     }
 
-    /// Checks the outputs at the end of a turn.
+    /// Checks the outputs at the end of a turn. `motion_is_open` is whether a motion of the PLC has no result yet.
     pub(super) fn show(
         &mut self,
         now: Instant,
         outputs: Outputs,
         reports: &Reports,
         requests: &Requests,
+        motion_is_open: bool,
     ) -> Kept {
         let before = std::mem::replace(&mut self.outputs, outputs);
         let has = |wires| outputs.intersects(wires);
@@ -70,6 +79,7 @@ impl Levels {
         if busy && !before.contains(Outputs::BUSY) {
             self.busy_since = now;
         }
+        self.has_run = busy && (self.has_run || motion_is_open || flags.contains(SystemFlags::MOVING));
         let ends = before.contains(Outputs::BUSY) && !busy && !error;
         keep(Promise::BusyLasts, !ends || now.since(self.busy_since) >= self.min_busy_ms)?;
 
@@ -79,9 +89,10 @@ impl Levels {
         keep(Promise::ReadyEdgeShowsBusy, busy || self.edge.is_none())?;
 
         let (holding, fault) = (has(Outputs::HOLDING), has(Outputs::PART_FAULT));
-        // No new result appears while BUSY is high. An earlier one outlasts a rejected command until a motion starts.
+        // No new result appears until BUSY of its motion is low. An earlier one outlasts a rejected command until a motion
+        // starts. While BUSY only answers an edge, a third party's grip may end.
         let is_kept = before.contains(Outputs::HOLDING) && !flags.contains(SystemFlags::MOVING);
-        let may_hold = !fault && (!busy || is_kept);
+        let may_hold = !fault && (!busy || is_kept || !self.has_run);
         let holds = state == GripperState::Holding || reports.grip == Some(Status::Success);
         keep(Promise::HoldingIsTrue, !holding || may_hold && holds)?;
         let is_gone = matches!(state, GripperState::NoPart | GripperState::PartLost);
