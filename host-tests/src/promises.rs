@@ -5,8 +5,8 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | `requests` | what the PLC has requested |
-//! | `reports` | what the gripper has reported |
+//! | `requests` | requests of the PLC |
+//! | `reports` | reports of the gripper |
 //! | `stops` | deadlines of stops |
 //! | `outputs` | levels of the wires to the PLC |
 //! | `gstate` | the rule of GSTATE |
@@ -31,7 +31,7 @@ use requests::Requests;
 use stops::Stops;
 
 /// A promise of docs/wiring.md (W) or docs/registers.md (R), with its section.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Promise {
     /// A motion is sent only for its own edge (W, Inputs; R, Who commands).

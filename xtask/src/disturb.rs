@@ -76,7 +76,7 @@ fn pause_until(is_over: &AtomicBool, harness: &str, seed: u64) -> usize {
         let running = running(harness);
         let mut chosen = running.clone();
         chosen.retain(|process| random.f64() < SHARE && !paused.contains(process));
-        // A program that the harness has started is found after it.
+        // The harness is found before the programs that it has started.
         if running.first().is_some_and(|harness| chosen.contains(harness)) {
             chosen = running;
         }

@@ -134,7 +134,7 @@ enum Input {
 /// or did not answer it in time.
 const REFUSED: &str = "refused for age";
 
-/// Most repetitions of an input.
+/// Maximum number of repetitions of an input.
 const REPETITIONS: usize = 30;
 
 impl Tab {

@@ -15,7 +15,7 @@ use crate::gripper_states::{Answer, States, messages};
 use crate::promises::{Kept, Promise, Promises, Reach, keep};
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
-use crate::world::modbus::UNIT;
+use crate::world::modbus::{UNIT, registers_of, write_request};
 
 const CONFIG: Config = Config {
     // An edge takes no time, so more orders of events lead to the same state.
@@ -334,10 +334,8 @@ impl Plant {
             if round >= QUICK_ROUNDS {
                 self.now_ms += ROUND_MS;
             }
-            let mut answers = self.with_next.take().into_iter().collect::<Vec<_>>();
-            while let Some(answer) = self.answers.pop() {
-                answers.push(answer);
-            }
+            let mut answers = Vec::from_iter(self.with_next.take());
+            answers.extend(std::iter::from_fn(|| self.answers.pop()));
             self.turn(&answers, Request::None)?;
             if self.answers.waiting().is_empty() {
                 return Ok(());
@@ -389,9 +387,7 @@ impl Plant {
         match request {
             Request::None => {}
             Request::Read => bus.ask(&[UNIT, 3, 0, 0, 0, 1]),
-            Request::Write(image) => {
-                bus.ask(&[&[UNIT, 16, 0, 0, 0, 4, 8], &image.output().to_bytes()[..]].concat());
-            }
+            Request::Write(image) => bus.ask(&write_request(0, &registers_of(&image.output()))),
         }
         self.outputs = self.bridge.poll(self.now_ms, self.wires, &mut line, &mut self.modbus.over(&mut bus));
 

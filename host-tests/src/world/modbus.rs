@@ -21,6 +21,12 @@ pub(crate) fn write_request(first: u16, values: &[u16]) -> Vec<u8> {
     head.into_iter().chain(values.iter().flat_map(|value| value.to_be_bytes())).collect()
 }
 
+/// Returns the registers of an output image, from CMDFLAGS to FORCELIMIT.
+pub(crate) fn registers_of(image: &OutputImage) -> [u16; 4] {
+    let bytes = image.to_bytes();
+    std::array::from_fn(|n| u16::from_be_bytes([bytes[2 * n], bytes[2 * n + 1]]))
+}
+
 /// A master, and the [`World`] that it is connected to.
 pub struct Master {
     world: World,
@@ -225,10 +231,7 @@ impl Plc for Master {
     }
 
     fn write(&mut self) {
-        let bytes = self.image.to_bytes();
-        let registers: [u16; 4] =
-            std::array::from_fn(|n| u16::from_be_bytes([bytes[2 * n], bytes[2 * n + 1]]));
-        self.write(0, &registers);
+        self.write(0, &registers_of(&self.image));
     }
 
     fn read(&mut self) -> InputImage {

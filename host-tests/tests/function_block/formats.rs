@@ -316,7 +316,7 @@ import sys, unittest.mock
 sys.modules["lxml"] = sys.modules["lxml.etree"] = unittest.mock.MagicMock()
 from blark.parse import parse_source_code
 error = parse_source_code(sys.argv[1]).exception
-print("valid" if error is None else str(error).splitlines()[0])
+print(str(error).splitlines()[0] if error else "valid")
 "#;
 
 #[test]
