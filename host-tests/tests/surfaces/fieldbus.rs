@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, anyhow, bail, ensure};
 use embedded_io::ErrorType;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
@@ -19,6 +19,9 @@ use crate::surface::{Outcome, SPEED, Separately, Surface, Verb};
 
 /// Time-out of the master.
 const ANSWER_TIME: Duration = Duration::from_secs(1);
+
+/// Error of a request that is not answered within [`ANSWER_TIME`]. A master repeats it.
+pub(crate) const LATE: &str = "no answer within the master's time-out";
 
 /// A master of the register interface during one request.
 pub(crate) trait Registers {
@@ -97,7 +100,10 @@ impl ModbusTcp {
         let Self(stream) = self;
         stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF], pdu].concat())?;
         let mut head = [0; 7];
-        stream.read_exact(&mut head)?;
+        stream.read_exact(&mut head).map_err(|error| match error.kind() {
+            ErrorKind::WouldBlock | ErrorKind::TimedOut => anyhow!(LATE),
+            _ => error.into(),
+        })?;
         let mut answer = vec![0; usize::from(head[5]) - 1];
         stream.read_exact(&mut answer)?;
         ensure!(answer[0] == pdu[0], "exception {:02X}", answer[1]);
