@@ -5,10 +5,13 @@
 //! service port; lines are sockets. No code here sleeps, and every wait is bounded. To reset the board, drop the
 //! [`Emulator`] and start another. The emulator always ends with the process that started it.
 //!
+//! [`Emulator::start_library`] runs the application without the firmware, for computers without an emulator.
+//!
 //! Models replace peripherals that QEMU lacks ([`Extras::models`]). The Pico's lines run at their bit rates, and its
 //! time stops until a gripper on one of them has caught up ([`Emulator::clock`]). Not emulated: real time, bit rates
 //! on QEMU's lines, and electrical levels.
 
+mod library;
 mod output_port;
 mod qemu;
 mod rp2040;
@@ -28,6 +31,7 @@ use anyhow::{Context, Result, bail, ensure};
 use object::Object;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
+use self::library::{LIBRARY, Library};
 use self::qemu::{QEMU, Qemu};
 use self::rp2040::{NODE, Rp2040};
 use self::watch::Watch;
@@ -146,6 +150,17 @@ impl Emulator {
             (Box::new(qemu), lines)
         };
         Ok(Self { chip, inputs: Mutex::new(Inputs::empty()), lines, watch, clock })
+    }
+
+    /// Runs the bridge's library on this computer in place of a board. It has no bus and no service port.
+    ///
+    /// # Errors
+    /// Fails when no socket can be created.
+    pub fn start_library() -> Result<Self> {
+        let watch = Arc::new(Watch::of(LIBRARY));
+        let (library, lines) = Library::start(&watch)?;
+        let (chip, inputs) = (Box::new(library), Mutex::new(Inputs::empty()));
+        Ok(Self { chip, inputs, lines, watch, clock: Clock::wall() })
     }
 
     /// Returns the gripper's end of the line, or `None` if it has been taken.

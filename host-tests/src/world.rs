@@ -411,7 +411,7 @@ impl<W> std::fmt::Debug for World<W> {
 }
 
 /// Starts a bridge. Returns its two sides, and the settings of this start.
-fn boot(
+pub(crate) fn boot(
     delivered: &Config,
     flash: &mut FlashModel,
     can: CanBus<CanDouble>,

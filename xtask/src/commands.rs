@@ -20,12 +20,18 @@ use crate::{
     workspace::{TARGET_CRATES, Workspace},
 };
 
-/// Runs the demonstration of an image with its own `arguments`, and returns its exit status.
-pub(crate) fn demo(workspace: &Workspace, image: &Image, arguments: &[OsString]) -> Result<ExitStatus> {
-    let mut cargo = workspace.cargo_in_current_dir("run -q -p host-tests --bin demo -- --elf");
-    cargo.arg(&image.path).args(arguments);
-    setup::set_up_emulator(workspace, image.board, &mut cargo)?;
-    process::run_for_status(&mut cargo)
+/// Runs the demonstration of an image, or of the bridge's library, with its own `arguments`, and returns its exit status.
+pub(crate) fn demo(
+    workspace: &Workspace,
+    image: Option<&Image>,
+    arguments: &[OsString],
+) -> Result<ExitStatus> {
+    let mut cargo = workspace.cargo_in_current_dir("run -q -p host-tests --bin demo --");
+    if let Some(image) = image {
+        cargo.arg("--elf").arg(&image.path);
+        setup::set_up_emulator(workspace, image.board, &mut cargo)?;
+    }
+    process::run_for_status(cargo.args(arguments))
 }
 
 /// Builds the delivery folder for PLC engineers with `image` and the book.

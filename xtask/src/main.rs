@@ -68,7 +68,8 @@ enum Command {
     Setup,
     /// Build the firmware image; print its path and SHA-256
     Build(Variant),
-    /// Run the image in an emulator between a PLC and a virtual gripper
+    /// Run the firmware in an emulator between a PLC and a virtual gripper; where the emulator cannot be installed, run the
+    /// bridge's library in its place
     Demo {
         /// Board to run; it must be emulated, and this option comes first
         #[arg(long, value_name = "NAME", value_parser = Board::emulated, default_value = Board::default_name())]
@@ -77,7 +78,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "ARGS")]
         arguments: Vec<OsString>,
     },
-    /// Run all checks of the workspace, including the emulator tests
+    /// Run all checks of the workspace, including the emulator tests where the emulators can be installed
     Test {
         /// Fail if a check had to be skipped, instead of listing it
         #[arg(long)]
@@ -182,14 +183,20 @@ fn run(command: Command) -> Result<ExitCode> {
         Command::Setup => setup::all(workspace)?,
         Command::Build(variant) => print_image(&build(workspace, &variant)?),
         Command::Demo { board, arguments } => {
-            let toolchain = setup::thumb_and_qemu(workspace)?;
-            let image = firmware::build(&toolchain, &Variant { board, ..Variant::default() })?;
-            return Ok(exit_code(commands::demo(workspace, &image, &arguments)?));
+            let image = match setup::thumb_and_qemu(workspace) {
+                Ok(toolchain) => Some(firmware::build(&toolchain, &Variant { board, ..Variant::default() })?),
+                Err(error) if board == <&Board>::default() => {
+                    eprintln!("{error:#}\ncontinuing with the bridge's library in place of the board");
+                    None
+                }
+                Err(error) => return Err(error),
+            };
+            return Ok(exit_code(commands::demo(workspace, image.as_ref(), &arguments)?));
         }
-        Command::Test { strict, disturbed, filter } => {
-            let toolchain = setup::thumb_and_qemu(workspace)?;
-            test::run(&toolchain, &filter, Extent::Quick, strict, disturbed)?;
-        }
+        Command::Test { strict, disturbed, filter } => match setup::thumb_and_qemu(workspace) {
+            Ok(toolchain) => test::run(&toolchain, &filter, Extent::Quick, strict, disturbed)?,
+            Err(why) => test::run_without_emulators(workspace, &filter, strict, disturbed, &why)?,
+        },
         Command::Matrix => matrix::run(workspace)?,
         Command::Ci => release_checks(&setup::thumb_and_qemu(workspace)?)?,
         Command::Platforms => platforms::run(workspace)?,

@@ -47,11 +47,40 @@ pub(crate) fn run(
         println!("test: running only tests that match {filter:?}; omit the filter to run all checks");
         let peers = checks.peers(&mut record)?;
         record.check(TESTS, || {
-            checks.build_tests()?;
+            build_tests(toolchain.workspace)?;
             disturb::during(disturbed, || checks.tests(&peers, filter))
         })
     };
     println!("{}", record.summary(outcome.is_err()));
+    outcome.and_then(|()| record.verdict(is_strict))
+}
+
+/// Runs the checks that need neither the firmware nor an emulator, because these cannot be built or installed for the reason `why`,
+/// which also names the commands that would install them.
+pub(crate) fn run_without_emulators(
+    workspace: &Workspace,
+    filter: &[OsString],
+    is_strict: bool,
+    disturbed: Option<u64>,
+    why: &anyhow::Error,
+) -> Result<()> {
+    let mut record = Record::default();
+    record.not_checked("firmware, emulators, third-party masters, the packages for Python and C");
+    let mut run = || {
+        if filter.is_empty() {
+            lint_and_build(workspace, &mut record, RUSTFMT.provide(workspace), CLIPPY.provide(workspace))?;
+        }
+        record.check("tests without emulators", || {
+            disturb::during(disturbed, || {
+                process::run(
+                    workspace.cargo("test").args(TARGETS).args(["--no-fail-fast", "--"]).args(filter),
+                )
+            })
+        })?;
+        if filter.is_empty() { docs(workspace, &mut record) } else { Ok(()) }
+    };
+    let outcome = run();
+    println!("{}\nFor the checks that were not made: {why:#}", record.summary(outcome.is_err()));
     outcome.and_then(|()| record.verdict(is_strict))
 }
 
@@ -77,7 +106,7 @@ impl Checks<'_> {
         let (has_rustfmt, has_clippy) = (RUSTFMT.provide(workspace), CLIPPY.provide(workspace));
         let has_thumb_clippy = CLIPPY.provide_for_thumb(toolchain);
         let ((), peers) = record.both(
-            |it| self.lint_and_build(it, has_rustfmt, has_clippy),
+            |it| lint_and_build(workspace, it, has_rustfmt, has_clippy),
             |it| {
                 let peers = self.peers(it)?;
                 self.lint_firmware(it, has_thumb_clippy).map(|()| peers)
@@ -123,22 +152,6 @@ impl Checks<'_> {
         })
     }
 
-    fn lint_and_build(&self, record: &mut Record, has_rustfmt: bool, has_clippy: bool) -> Result<()> {
-        let workspace = self.toolchain.workspace;
-        if has_rustfmt {
-            record.check("format", || process::run(&mut workspace.cargo("fmt --all -- --check")))?;
-        } else {
-            record.not_checked("format (no rustfmt)");
-        }
-        if has_clippy {
-            let clippy = "clippy --workspace --all-targets -- -D warnings";
-            record.check("clippy, host", || process::run(&mut workspace.cargo(clippy)))?;
-        } else {
-            record.not_checked("clippy, host (no clippy)");
-        }
-        record.check("build", || self.build_tests())
-    }
-
     fn lint_firmware(&self, record: &mut Record, has_clippy: bool) -> Result<()> {
         let probes = "-p wsg-probes --bins --features edges,every-function --profile firmware";
         let probes = (setup::TRIPLE, probes.split(' ').map(str::to_owned).collect());
@@ -168,12 +181,7 @@ impl Checks<'_> {
             matrix::build(workspace, self.extent)
         })?;
         built.not_checked.iter().for_each(|what| record.not_checked(what));
-        let mut examples = workspace.cargo("test --workspace --doc");
-        record.check("examples in the docs", || process::run(&mut examples))?;
-        record.check("docs", || {
-            let doc = format!("doc --workspace --no-deps --lib --bins {}", Workspace::FEATURES_OF_TESTS);
-            process::run(workspace.cargo(&doc).env("RUSTDOCFLAGS", "-D warnings"))
-        })
+        docs(workspace, record)
     }
 
     /// The checks that mostly build with the profiles of the firmware, whose linking uses one core. They run in a thread of their own,
@@ -205,12 +213,6 @@ impl Checks<'_> {
         process::run(&mut toolchain.workspace.cargo(throughput))
     }
 
-    fn build_tests(&self) -> Result<()> {
-        // Tests execute the examples. `cargo test --examples` would link each a second time, and most contain no tests. Those that
-        // do have `test = true` in the manifest.
-        process::run(self.toolchain.workspace.cargo("build --examples").args(TARGETS))
-    }
-
     /// Runs the tests. Doc examples are a separate check, because `--include-ignored` would run those marked `ignore`.
     fn tests(&self, Peers { masters, emulated, python }: &Peers, filter: &[OsString]) -> Result<()> {
         let mut tests = self.toolchain.workspace.cargo("test");
@@ -236,7 +238,43 @@ impl Checks<'_> {
     }
 }
 
-/// The checks that passed and those that were skipped.
+fn lint_and_build(
+    workspace: &Workspace,
+    record: &mut Record,
+    has_rustfmt: bool,
+    has_clippy: bool,
+) -> Result<()> {
+    if has_rustfmt {
+        record.check("format", || process::run(&mut workspace.cargo("fmt --all -- --check")))?;
+    } else {
+        record.not_checked("format (no rustfmt)");
+    }
+    if has_clippy {
+        let clippy = "clippy --workspace --all-targets -- -D warnings";
+        record.check("clippy, host", || process::run(&mut workspace.cargo(clippy)))?;
+    } else {
+        record.not_checked("clippy, host (no clippy)");
+    }
+    record.check("build", || build_tests(workspace))
+}
+
+fn build_tests(workspace: &Workspace) -> Result<()> {
+    // Tests execute the examples. `cargo test --examples` would link each a second time, and most contain no tests. Those that
+    // do have `test = true` in the manifest.
+    process::run(workspace.cargo("build --examples").args(TARGETS))
+}
+
+/// Tests the examples in the documentation, and builds it.
+fn docs(workspace: &Workspace, record: &mut Record) -> Result<()> {
+    let mut examples = workspace.cargo("test --workspace --doc");
+    record.check("examples in the docs", || process::run(&mut examples))?;
+    record.check("docs", || {
+        let doc = format!("doc --workspace --no-deps --lib --bins {}", Workspace::FEATURES_OF_TESTS);
+        process::run(workspace.cargo(&doc).env("RUSTDOCFLAGS", "-D warnings"))
+    })
+}
+
+/// The checks that passed and the skipped ones.
 #[derive(Default)]
 struct Record {
     passed: Vec<&'static str>,

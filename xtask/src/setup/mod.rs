@@ -86,12 +86,14 @@ fn has_machine() -> bool {
 }
 
 fn how_to_install(wanted: &[Packages], rustup_would_do: bool) -> String {
-    let mut text = format!("Run as root, then try again:\n  {}", apt::shell_lines(wanted).join("\n  "));
+    let as_root = format!("Run as root, then try again:\n  {}", apt::shell_lines(wanted).join("\n  "));
     if rustup_would_do && rust_target::rustup_may_be_called() {
-        text += "\nIf rustup can reach its server, run this instead of installing the Rust packages:\n  ";
-        text += &rustup_line();
+        return format!(
+            "If rustup can reach its server, this replaces the Rust packages and needs no root:\n  {}\n{as_root}",
+            rustup_line()
+        );
     }
-    text
+    as_root
 }
 
 /// Returns the command that adds the targets if rustup can reach its server.

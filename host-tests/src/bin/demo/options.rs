@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use clap::Parser;
 use wsg_sim::Part;
 
-/// Runs the released image against a simulated PLC and a virtual gripper, and prints a trace.
+/// Runs the firmware against a simulated PLC and a virtual gripper, and prints a trace.
 #[derive(Parser)]
 #[command(bin_name = "cargo xtask demo")]
 pub(crate) struct Options {
@@ -23,9 +23,9 @@ pub(crate) struct Options {
     /// Also write an animated picture of the trace, unless a step fails (docs/demo.svg)
     #[arg(long, value_name = "FILE.svg", conflicts_with = "trace")]
     pub(crate) record: Option<PathBuf>,
-    /// Firmware image (`cargo xtask demo` builds it and passes it)
+    /// Firmware image (`cargo xtask demo` builds it and passes it); without it, the bridge's library runs on this computer
     #[arg(long, value_name = "FILE")]
-    pub(crate) elf: PathBuf,
+    pub(crate) elf: Option<PathBuf>,
 }
 
 /// A part, or none. clap would take `Option` for an option without a default.

@@ -5,6 +5,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
+use host_tests::emulator::Emulator;
 use host_tests::rig::{PATIENCE, Rig, motions, names};
 use host_tests::trace::Trace;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -18,6 +19,10 @@ use crate::options::Options;
 const WIDE: u8 = 1;
 /// The recipe that closes slowly enough to be stopped in mid travel.
 const SLOW: u8 = 2;
+
+/// First line of a demonstration without an emulator.
+const WITHOUT_BOARD: &str =
+    "demo: the bridge's library runs on this computer in place of a board; the firmware is not tested";
 
 /// Permitted deviation of the fingers from their target, in mm.
 const TOLERANCE: f32 = 0.1;
@@ -66,10 +71,17 @@ pub(crate) fn play(options: &Options) -> Result<bool> {
         sinks.push(Box::new(file));
     }
     let trace = Trace::new(sinks);
-    trace.headline("  seconds  PLC: its wires; bridge: its wires; -> to the gripper; <- from the gripper");
     // The part is placed only before the grip, because homing must not hit it.
     let config = Config { time_scale: options.speed_up.unwrap_or(1.0), ..Config::default() };
-    let rig = Rig::power_up(&options.elf, config, trace.clone())?;
+    let (board, remark) = match &options.elf {
+        Some(elf) => (Emulator::start(elf)?, ""),
+        None => {
+            trace.headline(WITHOUT_BOARD);
+            (Emulator::start_library()?, " (the bridge's library, not the firmware)")
+        }
+    };
+    trace.headline("  seconds  PLC: its wires; bridge: its wires; -> to the gripper; <- from the gripper");
+    let rig = Rig::of(board, None, config, trace.clone())?;
     let (recipe, fits) = recipe_for(options.part, &config);
     let run = Run { rig, part: options.part, recipe, fits };
 
@@ -88,7 +100,7 @@ pub(crate) fn play(options: &Options) -> Result<bool> {
             }
         }
     }
-    trace.finish(&format!("\ndemo: {passed} steps passed, {failed} failed"));
+    trace.finish(&format!("\ndemo: {passed} steps passed, {failed} failed{remark}"));
     Ok(failed == 0)
 }
 

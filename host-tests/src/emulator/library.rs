@@ -1,0 +1,111 @@
+//! The bridge's library in place of a board, for computers without an emulator: the same application without the firmware's
+//! registers and interrupts. It runs in real time, one turn per millisecond, with the gripper's line and the wires.
+
+use std::io::Write as _;
+use std::os::unix::net::UnixStream;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, bail};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
+use wsg_bridge_fw::io::Inputs;
+use wsg_bridge_fw::{Config, ResetCause};
+
+use super::watch::Watch;
+use super::{Chip, Lines, PATIENCE};
+use crate::flash_model::FlashModel;
+use crate::rtu_double::RtuDouble;
+use crate::serial_gripper::SerialLine;
+use crate::world::boot;
+use crate::world::can::CanDouble;
+
+/// Name in messages.
+pub(super) const LIBRARY: &str = "the bridge's library";
+
+/// Maximum duration of a turn.
+const TURN: Duration = Duration::from_millis(1);
+
+/// The running library. Dropping it ends it.
+#[derive(Debug)]
+pub(super) struct Library(Arc<Shared>);
+
+#[derive(Debug, Default)]
+struct Shared {
+    inputs: AtomicU8,
+    now_ms: AtomicU32,
+    is_off: AtomicBool,
+}
+
+impl Library {
+    /// Starts the library with default settings, and returns when its main loop runs.
+    pub(super) fn start(watch: &Arc<Watch>) -> Result<(Self, Lines)> {
+        let (near, far) = UnixStream::pair()?;
+        let library = Self(Arc::default());
+        let (shared, running) = (library.0.clone(), watch.clone());
+        thread::spawn(move || {
+            shared.run(near, &running);
+            running.end();
+        });
+        drop(watch.wait(PATIENCE, |seen| seen.is_served)?);
+        Ok((library, Lines { gripper: Some(far), bus: None, service: None }))
+    }
+}
+
+impl Shared {
+    /// Runs the main loop until the library is switched off or the gripper's end of the line is closed.
+    fn run(&self, mut line: UnixStream, watch: &Watch) {
+        let mut flash = FlashModel::new();
+        let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
+        let (mut station, ..) = boot(&Config::DEFAULT, &mut flash, can, ResetCause::PowerOn);
+        let mut serial = SerialLine::with_room(usize::MAX);
+        // The PLC uses wires only.
+        let [mut bus, mut service] = [RtuDouble::default(), RtuDouble::default()];
+        let mut received = [0; 256];
+        let start = Instant::now();
+        while !self.is_off.load(Ordering::Relaxed) {
+            match uninterrupted::read_within(&line, &mut received, TURN) {
+                Ok(Some(0)) | Err(_) => return,
+                Ok(count) => serial.deliver(received.get(..count.unwrap_or(0)).unwrap_or(&[])),
+            }
+            let now_ms = start.elapsed().as_millis() as u32;
+            self.now_ms.store(now_ms, Ordering::Relaxed);
+            let inputs = Inputs::from_bits_retain(self.inputs.load(Ordering::Relaxed));
+            let outputs = station.turn(now_ms, inputs, &mut serial, &mut bus, &mut service, &mut flash);
+            if line.write_all(&serial.take_sent()).is_err() {
+                return;
+            }
+            watch.show(outputs, true);
+        }
+    }
+}
+
+impl Chip for Library {
+    fn set_input(&self, wire: Inputs, high: bool) -> Result<()> {
+        if high {
+            self.0.inputs.fetch_or(wire.bits(), Ordering::Relaxed);
+        } else {
+            self.0.inputs.fetch_and(!wire.bits(), Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    fn readl(&self, _: u32) -> Result<u32> {
+        bail!("{LIBRARY} has no registers; use an emulator")
+    }
+
+    fn read_memory(&self, _: u32, _: usize) -> Result<Vec<u8>> {
+        bail!("{LIBRARY} has no memory of a board; use an emulator")
+    }
+
+    fn now_ms(&self) -> Result<u32> {
+        Ok(self.0.now_ms.load(Ordering::Relaxed))
+    }
+}
+
+impl Drop for Library {
+    fn drop(&mut self) {
+        self.0.is_off.store(true, Ordering::Relaxed);
+    }
+}
