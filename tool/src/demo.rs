@@ -1,7 +1,11 @@
-//! `wsg demo`: starts a virtual gripper with its page in this process, and plays a grip cycle on it.
+//! `wsg demo`: starts a virtual gripper with its page in this process, and plays a grip cycle on it, or connects it to a PLC through the
+//! bridge's library.
+
+mod bridge;
 
 use std::io::{self, ErrorKind, Write};
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
@@ -14,6 +18,7 @@ use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part, command_line};
 
 use crate::gripper::{Address, Connection, Signals};
+use bridge::VirtualBridge;
 
 type Gripper = BinaryGripper<Connection, StdClock>;
 
@@ -41,6 +46,16 @@ pub(crate) struct Arguments {
     /// Address of Modbus/TCP, for a PLC
     #[arg(long, value_name = "ADDR", value_parser = listen_address, default_value = "127.0.0.1:1502")]
     modbus: SocketAddr,
+    /// Serial port of a Modbus RTU master, or `pty` for a pseudo terminal: plays no cycle; the bridge's software connects the
+    /// master, as its PLC, to the gripper
+    #[arg(long, value_name = "PORT", conflicts_with_all = ["modbus", "cycles"])]
+    bus: Option<String>,
+    /// Serial port or `pty` for the bridge's service port, which `wsg bridge` uses
+    #[arg(long, value_name = "PORT", requires = "bus")]
+    service: Option<String>,
+    /// File that stores the bridge's settings; without it, they are lost at the end
+    #[arg(long, value_name = "FILE", requires = "bus")]
+    settings: Option<PathBuf>,
     /// Number of cycles, instead of until Ctrl-C
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..))]
     cycles: Option<u32>,
@@ -56,14 +71,20 @@ fn listen_address(text: &str) -> Result<SocketAddr, String> {
 
 /// Runs the demonstration. Returns 0 after the last cycle and after Ctrl-C.
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
-    let &Arguments { page, tcp, modbus, cycles, speed_up } = arguments;
+    let &Arguments { page, tcp, modbus, cycles, speed_up, .. } = arguments;
     let signals = Signals::catch()?;
     let config = Config { time_scale: speed_up.into(), ..Config::default() };
-    let lines = Lines { tcp: Some(tcp), modbus: Some(modbus), control: Some(page), ..Lines::default() };
+    // The bridge replaces the gripper's own fieldbus.
+    let modbus = arguments.bus.is_none().then_some(modbus);
+    let lines = Lines { tcp: Some(tcp), modbus, control: Some(page), ..Lines::default() };
     let server = ServerThread::start(config, &lines, None)
         .context("the virtual gripper cannot start; --page, --tcp and --modbus select other addresses")?;
     let [page, tcp, modbus] = [server.control_address(), server.tcp_address(), server.modbus_address()]
         .map(|address| address.map(|address| address.to_string()).unwrap_or_default());
+    if let Some(bus) = &arguments.bus {
+        let (service, settings) = (arguments.service.as_deref(), arguments.settings.as_deref());
+        return serve_plc(&bridge::Options { bus, service, settings }, server, &page, &tcp, &signals);
+    }
 
     let mut gripper =
         Gripper::new(Connection::open(&Address::Tcp(tcp.clone()), None, signals.clone())?, StdClock::new());
@@ -75,14 +96,51 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
         signals.heed(false);
         if is_ended { demo.show("ended") } else { played }
     });
+    until_closed(played)?;
+    demo.server.stop()?;
+    Ok(0)
+}
+
+/// A closed standard output ends a demonstration without an error.
+fn until_closed(played: Result<()>) -> Result<()> {
     match played {
         Err(error)
             if error
                 .downcast_ref()
-                .is_some_and(|error: &io::Error| error.kind() == ErrorKind::BrokenPipe) => {}
-        played => played?,
+                .is_some_and(|error: &io::Error| error.kind() == ErrorKind::BrokenPipe) =>
+        {
+            Ok(())
+        }
+        played => played,
     }
-    demo.server.stop()?;
+}
+
+/// Connects a PLC to the virtual gripper through the bridge's library, until Ctrl-C.
+fn serve_plc(
+    options: &bridge::Options<'_>,
+    server: ServerThread,
+    page: &str,
+    tcp: &str,
+    signals: &Signals,
+) -> Result<u8> {
+    server.set_part(Part::of_width(PART));
+    let mut bridge = VirtualBridge::open(options, tcp)?;
+    let (bus, service) = bridge.ports();
+    let mut out = io::stdout();
+    writeln!(out, "page     http://{page}/\nbus      {bus}")?;
+    if let Some(service) = service {
+        writeln!(out, "service  {service}")?;
+    }
+    writeln!(
+        out,
+        "The PLC commands the gripper by Modbus RTU. A part of {PART:.0} mm is in place. Ctrl-C ends the demonstration."
+    )?;
+    until_closed(bridge.run(signals, |time, outputs| {
+        let names: Vec<&str> = outputs.iter_names().map(|(name, _)| name).collect();
+        writeln!(io::stdout(), "{:6.1}  {}", time.as_secs_f64(), names.join(" "))?;
+        Ok(())
+    }))?;
+    server.stop()?;
     Ok(0)
 }
 

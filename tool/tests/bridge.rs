@@ -304,8 +304,8 @@ fn commands_of_the_quick_start_set_up_the_bridge() {
         answers.push_str(&served.done(&command.split(' ').collect::<Vec<_>>()));
     }
     assert!(answers.contains("stored\n"), "{answers}");
-    let shown = served.done(&["show", "PLC_BUS", "CAN_RATE", "CAN_NODE", "RECIPE0_WIDTH", "SETTINGS_FROM"]);
-    for value in ["2  CANopen", "250 kbit/s", "CAN_NODE               5\n", "20.00 mm", "1  stored"] {
+    let shown = served.done(&["show", "UNIT", "MODBUS_RATE", "RECIPE0_WIDTH", "SETTINGS_FROM"]);
+    for value in ["UNIT                   5\n", "384", "20.00 mm", "1  stored"] {
         assert!(shown.contains(value), "{value}: {shown}");
     }
 }

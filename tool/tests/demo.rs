@@ -4,13 +4,16 @@
 #[path = "common/program.rs"]
 mod program;
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::process::{Command, Stdio};
+use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
 
 use document::read;
 use program::{printed, wsg};
 use rustix::process::{Pid, Signal, kill_process};
+use tokio_modbus::client::{Context, Reader, Writer, rtu};
+use tokio_modbus::slave::Slave;
 
 const FREE: [&str; 6] = ["--page", "localhost:0", "--tcp", "127.0.0.1:0", "--modbus", "127.0.0.1:0"];
 
@@ -88,10 +91,104 @@ fn demo_serves_its_page_and_modbus_until_ctrl_c() {
     assert_eq!(demo.wait().unwrap().code(), Some(0));
 }
 
+/// A demonstration with a bridge for a Modbus RTU master.
+struct Bridged {
+    demo: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    bus: String,
+    service: String,
+}
+
+impl Bridged {
+    fn start(settings: &Path) -> Self {
+        let addresses = ["--page", "localhost:0", "--tcp", "127.0.0.1:0", "--speed-up", "10"];
+        let mut demo = Command::new(env!("CARGO_BIN_EXE_wsg"))
+            .args(["demo", "--bus", "pty", "--service", "pty", "--settings"])
+            .arg(settings)
+            .args(addresses)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(demo.stdout.take().unwrap()).lines();
+        let mut port = |word: &str| {
+            let line = lines.find_map(|line| Some(line.unwrap().strip_prefix(word)?.to_owned())).expect(word);
+            line.split_whitespace().next().unwrap().to_owned()
+        };
+        let (bus, service) = (port("bus "), port("service "));
+        Self { demo, lines, bus, service }
+    }
+
+    /// Runs `wsg bridge` at the service port.
+    fn wsg(&self, words: &str) -> String {
+        let words: Vec<&str> = words.split(' ').collect();
+        printed(&wsg(&[&["bridge", &self.service], &words[..]].concat(), b""))
+    }
+
+    /// Presses Ctrl-C, and returns the changes of the outputs.
+    fn end(mut self) -> Vec<String> {
+        kill_process(Pid::from_child(&self.demo), Signal::INT).unwrap();
+        let shown = self.lines.map(|line| line.unwrap().get(8..).unwrap_or_default().to_owned()).collect();
+        assert_eq!(self.demo.wait().unwrap().code(), Some(0));
+        shown
+    }
+}
+
+/// Issues a command as a PLC does, and returns GSTATE and status at its end.
+async fn command(master: &mut Context, flags: u16) -> (u16, u16) {
+    for flags in [flags, 0] {
+        master.write_multiple_registers(0, &[flags, 2000, 5000, 4000]).await.unwrap().unwrap();
+    }
+    loop {
+        let image = master.read_input_registers(0, 6).await.unwrap().unwrap();
+        if image[5] != 26 {
+            return (image[0] >> 8, image[5]);
+        }
+    }
+}
+
+#[tokio::test]
+async fn modbus_rtu_master_grips_through_the_bridge_of_the_demonstration() {
+    let settings = std::env::temp_dir().join(format!("wsg-demo-{}.flash", std::process::id()));
+    let bridged = Bridged::start(&settings);
+    let port = serial2_tokio::SerialPort::open(&bridged.bus, 19_200).unwrap();
+    let mut master = rtu::attach_slave(port, Slave(1));
+    // A busy machine is less punctual than a PLC.
+    master.write_single_register(101, 60_000).await.unwrap().unwrap();
+    assert_eq!(command(&mut master, 0).await, (1, 0), "zeros move nothing: IDLE");
+    assert_eq!(command(&mut master, 0x1000).await, (1, 0), "STOP/ACK ends in IDLE");
+    assert_eq!(command(&mut master, 0x0800).await, (1, 0), "HOMING ends in IDLE");
+    assert_eq!(command(&mut master, 0x0200).await, (1 << 4, 0), "GRIP ends in HOLDING");
+    let shown = bridged.wsg("show BUS_TIMEOUT GRIPPER_LINK");
+    assert!(shown.contains("60000") && shown.contains("GRIPPER_LINK"), "{shown}");
+    let shown = bridged.wsg("save");
+    drop(master);
+    let outputs = bridged.end();
+    assert!(outputs.last().is_some_and(|outputs| outputs.contains("HOLDING")), "{outputs:?}; {shown}");
+
+    let bridged = Bridged::start(&settings);
+    let shown = bridged.wsg("show BUS_TIMEOUT SETTINGS_FROM");
+    bridged.end();
+    std::fs::remove_file(&settings).unwrap();
+    assert!(shown.contains("60000"), "{shown}");
+}
+
+#[test]
+fn settings_of_another_kind_are_refused_and_kept() {
+    let file = std::env::temp_dir().join(format!("wsg-demo-{}.txt", std::process::id()));
+    std::fs::write(&file, "1").unwrap();
+    let ports = ["demo", "--page", "localhost:0", "--tcp", "127.0.0.1:0", "--bus", "pty"];
+    let output = wsg(&[&ports[..], &["--settings", file.to_str().unwrap()]].concat(), b"");
+    let left = std::fs::read_to_string(&file).unwrap();
+    std::fs::remove_file(&file).unwrap();
+    assert_eq!((output.status.code(), left.as_str()), (Some(1), "1"), "{}", printed(&output));
+    assert!(printed(&output).contains("is no file with settings"), "{}", printed(&output));
+}
+
 #[test]
 fn wrong_option_or_address_is_refused_with_a_hint() {
     for (arguments, expected) in [
         (["--tpc", "localhost:0"], "a similar argument exists: '--tcp'"),
+        (["--service", "pty"], "--bus <PORT>"),
         (["--tcp", "bench:0"], "expected an address with a port, such as 127.0.0.1:8080 or localhost:0"),
     ] {
         let output = wsg(&[&["demo"], &arguments[..]].concat(), b"");

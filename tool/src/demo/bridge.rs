@@ -1,0 +1,422 @@
+//! `wsg demo --bus`: the bridge's library between a Modbus RTU master and the virtual gripper.
+//!
+//! It is the application of the board's firmware, with the same registers and settings. `FAST_STOP_OK` is high, and all other wires
+//! are low. It runs in real time, one turn per millisecond. Pauses between characters are those that this computer sees: an adapter
+//! may add some.
+
+use std::collections::VecDeque;
+use std::fs;
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use bus_modbus::rtu::Character;
+use embedded_io::{ErrorType, ReadReady, WriteReady};
+use serial2::{CharSize, Parity, SerialPort, Settings, StopBits};
+use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
+use wsg_bridge_fw::io::{Inputs, Outputs};
+use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
+use wsg_bridge_fw::{
+    BoardId, BusConfig, BusPort, Config, Format, GripperLine as BridgeLine, PlcBus, ResetCause, Station,
+};
+
+use crate::gripper::Signals;
+
+/// Name of a pseudo terminal in place of a serial port.
+const PTY: &str = "pty";
+
+/// Maximum duration of a turn.
+const TURN: Duration = Duration::from_millis(1);
+
+/// What the program needs to know of the bridge.
+pub(super) struct Options<'a> {
+    /// Serial port of the PLC's bus.
+    pub(super) bus: &'a str,
+    /// Serial port of the service port.
+    pub(super) service: Option<&'a str>,
+    /// File that stores the settings.
+    pub(super) settings: Option<&'a Path>,
+}
+
+/// A line from which bytes were received.
+#[derive(Clone, Copy)]
+enum Source {
+    Gripper,
+    Bus,
+    Service,
+}
+
+/// Received bytes, or the reason why a line has ended.
+type Received = (Source, io::Result<Vec<u8>>);
+
+/// A bridge that is connected to a virtual gripper at a TCP address.
+pub(super) struct VirtualBridge {
+    station: Station<NoCan>,
+    flash: FileFlash,
+    gripper: GripperLine,
+    bus: RtuLine,
+    service: RtuLine,
+    received: Receiver<Received>,
+    start: Instant,
+    outputs: Outputs,
+}
+
+impl VirtualBridge {
+    /// Opens all lines, and starts the bridge with the stored settings.
+    pub(super) fn open(options: &Options<'_>, gripper: &str) -> Result<Self> {
+        let flash = FileFlash::open(options.settings)?;
+        let mut station = Station::without_profibus(CanBus::new(NoCan, BusOffPolicy::DEFAULT));
+        let config =
+            station.load(&Config::DEFAULT.record(), &flash).context("the stored settings are invalid")?;
+        ensure!(
+            (config.plc_bus, config.gripper_line) == (PlcBus::Modbus, BridgeLine::Serial),
+            "the stored settings select a bus or a gripper's line that only a board has; expected PLC_BUS 1 and GRIPPER_LINE 0, or a \
+             new file"
+        );
+        station.start(&config, BoardId { name: "wsg demo", serial: 0 }, ResetCause::PowerOn);
+        let (sender, received) = mpsc::channel();
+        let line = TcpStream::connect(gripper).context("the virtual gripper does not accept a connection")?;
+        line.set_nodelay(true)?;
+        listen(Source::Gripper, line.try_clone()?, &sender);
+        let bus = RtuLine::open(Source::Bus, options.bus, &config.bus, &sender)?;
+        let service = match options.service {
+            Some(port) => RtuLine::open(Source::Service, port, &BusConfig::SERVICE, &sender)?,
+            None => RtuLine::unconnected(),
+        };
+        Ok(Self {
+            station,
+            flash,
+            gripper: GripperLine { line, received: VecDeque::new() },
+            bus,
+            service,
+            received,
+            start: Instant::now(),
+            outputs: Outputs::empty(),
+        })
+    }
+
+    /// Returns the ports of bus and service port with their rates and formats.
+    pub(super) fn ports(&self) -> (&str, Option<&str>) {
+        (&self.bus.name, Some(&self.service.name[..]).filter(|name| !name.is_empty()))
+    }
+
+    /// Runs the bridge until a signal is caught. Calls `show` for each change of the outputs.
+    pub(super) fn run(
+        &mut self,
+        signals: &Signals,
+        mut show: impl FnMut(Duration, Outputs) -> Result<()>,
+    ) -> Result<()> {
+        while signals.check().is_ok() {
+            match self.received.recv_timeout(TURN) {
+                Ok(received) => self.take(received)?,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => bail!("all lines have ended"),
+            }
+            while let Ok(received) = self.received.try_recv() {
+                self.take(received)?;
+            }
+            let (now, inputs) = (self.start.elapsed(), Inputs::FAST_STOP_OK);
+            let Self { station, flash, gripper, bus, service, outputs, .. } = self;
+            let now_ms = now.as_millis() as u32;
+            let after = station.turn(now_ms, inputs, gripper, bus, service, flash);
+            flash.store()?;
+            if std::mem::replace(outputs, after) != after {
+                show(now, after)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, (source, bytes): Received) -> Result<()> {
+        let line = match source {
+            Source::Gripper => {
+                let bytes = bytes.context("the connection to the virtual gripper has ended")?;
+                self.gripper.received.extend(bytes);
+                return Ok(());
+            }
+            Source::Bus => &mut self.bus,
+            Source::Service => &mut self.service,
+        };
+        let bytes = bytes.with_context(|| format!("the serial port {} has failed", line.name))?;
+        line.deliver(&bytes);
+        Ok(())
+    }
+}
+
+/// Passes on what a line receives, in a thread of its own, until the line ends.
+fn listen(source: Source, mut line: impl Read + Send + 'static, sender: &Sender<Received>) {
+    let sender = sender.clone();
+    thread::spawn(move || {
+        let mut buffer = [0; 512];
+        loop {
+            #[expect(clippy::disallowed_methods, reason = "retried after an interruption")]
+            let received = match line.read(&mut buffer) {
+                Ok(0) => Err(ErrorKind::UnexpectedEof.into()),
+                Ok(count) => Ok(buffer.get(..count).unwrap_or(&[]).to_vec()),
+                Err(error) if matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::TimedOut) => {
+                    continue;
+                }
+                Err(error) => Err(error),
+            };
+            let is_over = received.is_err();
+            if sender.send((source, received)).is_err() || is_over {
+                return;
+            }
+        }
+    });
+}
+
+/// The bridge's end of the gripper's line.
+struct GripperLine {
+    line: TcpStream,
+    received: VecDeque<u8>,
+}
+
+impl ErrorType for GripperLine {
+    type Error = io::Error;
+}
+
+impl ReadReady for GripperLine {
+    fn read_ready(&mut self) -> io::Result<bool> {
+        Ok(!self.received.is_empty())
+    }
+}
+
+impl embedded_io::Read for GripperLine {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = buffer.len().min(self.received.len());
+        buffer.iter_mut().zip(self.received.drain(..count)).for_each(|(slot, byte)| *slot = byte);
+        Ok(count)
+    }
+}
+
+impl WriteReady for GripperLine {
+    fn write_ready(&mut self) -> io::Result<bool> {
+        Ok(true)
+    }
+}
+
+impl embedded_io::Write for GripperLine {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.line.write_all(bytes).map(|()| bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A Modbus RTU line.
+struct RtuLine {
+    /// Port, rate and format; empty without a line.
+    name: String,
+    port: Option<Box<dyn Write>>,
+    /// The other end of a pseudo terminal, kept open so that reads do not fail while no master is connected.
+    other_end: Option<SerialPort>,
+    waiting: VecDeque<(Character, u32)>,
+    /// Time of the last received character.
+    heard: Instant,
+}
+
+impl RtuLine {
+    fn unconnected() -> Self {
+        let waiting = VecDeque::new();
+        Self { name: String::new(), port: None, other_end: None, waiting, heard: Instant::now() }
+    }
+
+    fn open(source: Source, port: &str, config: &BusConfig, sender: &Sender<Received>) -> Result<Self> {
+        let mut line = Self::unconnected();
+        if port == PTY {
+            let Pty { terminal, path, other_end } = open_pty().context("no pseudo terminal can be opened")?;
+            listen(source, terminal.try_clone()?, sender);
+            line.name = format!("{}  (pseudo terminal: no parity)", path.display());
+            line.port = Some(Box::new(terminal));
+            line.other_end = Some(other_end);
+            return Ok(line);
+        }
+        let (parity, stop_bits, format) = match config.format {
+            Format::Even1 => (Parity::Even, StopBits::One, "8E1"),
+            Format::None1 => (Parity::None, StopBits::One, "8N1"),
+            Format::None2 => (Parity::None, StopBits::Two, "8N2"),
+        };
+        let device = SerialPort::open(port, |mut settings: Settings| {
+            settings.set_raw();
+            settings.set_baud_rate(config.baud)?;
+            settings.set_char_size(CharSize::Bits8);
+            settings.set_parity(parity);
+            settings.set_stop_bits(stop_bits);
+            Ok(settings)
+        })
+        .with_context(|| format!("the serial port {port} cannot be opened"))?;
+        let device = Arc::new(device);
+        listen(source, Shared(device.clone()), sender);
+        line.name = format!("{port}  {} bit/s, {format}", config.baud);
+        line.port = Some(Box::new(Shared(device)));
+        Ok(line)
+    }
+
+    fn deliver(&mut self, bytes: &[u8]) {
+        let mut silence_us = self.silence_us();
+        for byte in bytes {
+            self.waiting.push_back((Character::Byte(*byte), std::mem::take(&mut silence_us)));
+        }
+        self.heard = Instant::now();
+    }
+}
+
+impl BusPort for RtuLine {
+    fn receive(&mut self) -> Option<(Character, u32)> {
+        self.waiting.pop_front()
+    }
+
+    fn silence_us(&mut self) -> u32 {
+        self.heard.elapsed().as_micros().try_into().unwrap_or(u32::MAX)
+    }
+
+    fn send(&mut self, frame: &[u8]) {
+        if let Some(port) = &mut self.port {
+            // A lost port ends the program by its reader.
+            let _ = port.write_all(frame);
+        }
+    }
+}
+
+/// A serial port that two threads use.
+struct Shared(Arc<SerialPort>);
+
+impl Read for Shared {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.read(buffer)
+    }
+}
+
+impl Write for Shared {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.flush()
+    }
+}
+
+/// A pseudo terminal.
+struct Pty {
+    /// This program's end.
+    terminal: fs::File,
+    /// Path of the other end.
+    path: PathBuf,
+    other_end: SerialPort,
+}
+
+#[cfg(unix)]
+fn open_pty() -> io::Result<Pty> {
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+
+    let terminal = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+    grantpt(&terminal)?;
+    unlockpt(&terminal)?;
+    let path = PathBuf::from(ptsname(&terminal, Vec::new())?.to_str().map_err(io::Error::other)?);
+    // This also sets the raw mode.
+    let other_end = SerialPort::open(&path, 19_200)?;
+    Ok(Pty { terminal: terminal.into(), path, other_end })
+}
+
+#[cfg(not(unix))]
+fn open_pty() -> io::Result<Pty> {
+    Err(io::Error::new(ErrorKind::Unsupported, "this requires Unix; expected a serial port, such as COM3"))
+}
+
+/// Flash for the settings in memory, with a copy in a file.
+struct FileFlash {
+    pages: [Vec<u64>; 2],
+    file: Option<PathBuf>,
+    is_changed: bool,
+}
+
+/// Double words of a page.
+const PAGE_LEN: usize = 256;
+
+impl FileFlash {
+    /// Returns the flash stored in a file, or erased flash without one.
+    fn open(file: Option<&Path>) -> Result<Self> {
+        let mut flash = Self {
+            pages: [vec![u64::MAX; PAGE_LEN], vec![u64::MAX; PAGE_LEN]],
+            file: None,
+            is_changed: false,
+        };
+        let Some(file) = file else { return Ok(flash) };
+        flash.file = Some(file.to_owned());
+        match fs::read(file) {
+            Ok(bytes) => {
+                let (words, rest) = bytes.as_chunks::<8>();
+                ensure!(
+                    words.len() == 2 * PAGE_LEN && rest.is_empty(),
+                    "{} is no file with settings of `wsg demo`; expected {} bytes or a new file",
+                    file.display(),
+                    2 * PAGE_LEN * 8
+                );
+                let all = flash.pages.iter_mut().flatten();
+                all.zip(words).for_each(|(word, bytes)| *word = u64::from_le_bytes(*bytes));
+            }
+            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Err(error) => return Err(error).with_context(|| format!("cannot read {}", file.display())),
+        }
+        Ok(flash)
+    }
+
+    /// Writes a change to the file.
+    fn store(&mut self) -> Result<()> {
+        if let (true, Some(file)) = (std::mem::take(&mut self.is_changed), &self.file) {
+            let bytes: Vec<u8> = self.pages.iter().flatten().flat_map(|word| word.to_le_bytes()).collect();
+            let new = file.with_extension("new");
+            fs::write(&new, bytes)
+                .and_then(|()| fs::rename(&new, file))
+                .with_context(|| format!("cannot write {}", file.display()))?;
+        }
+        Ok(())
+    }
+
+    fn page(&mut self, page: Page) -> &mut Vec<u64> {
+        let [first, second] = &mut self.pages;
+        match page {
+            Page::First => first,
+            Page::Second => second,
+        }
+    }
+}
+
+impl NorFlash for FileFlash {
+    const PAGE_LEN: usize = PAGE_LEN;
+
+    fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
+        let [first, second] = &self.pages;
+        let words = if page == Page::First { first } else { second };
+        words.get(index).copied().ok_or(Unreadable)
+    }
+
+    fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError> {
+        let word = self.page(page).get_mut(index).ok_or(FlashError::Failed)?;
+        if *word != u64::MAX && value != 0 {
+            return Err(FlashError::NotErased);
+        }
+        *word = value;
+        self.is_changed = true;
+        Ok(())
+    }
+
+    fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
+        self.page(page).fill(u64::MAX);
+        self.is_changed = true;
+        Ok(())
+    }
+
+    fn poll(&mut self) -> nb::Result<(), FlashError> {
+        Ok(())
+    }
+}
