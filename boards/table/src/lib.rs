@@ -17,7 +17,7 @@ pub struct Board {
     pub takes_uf2: bool,
     /// Flash limit of the image in bytes.
     pub flash_limit: u64,
-    /// Lines of the delivered README about the files of the image.
+    /// Lines of START-HERE.txt about the files of the firmware.
     pub files: &'static str,
     /// Words of its documents that name a part, a file or a program of this board. Documents of boards without such a word
     /// must not contain it.
@@ -35,8 +35,8 @@ pub static BOARDS: [Board; 3] = [
         // 64 KiB before persistent settings and the service port were added. 4 KB hold the initial values of the static RAM.
         flash_limit: 80 * 1024,
         files: "\
-wsg-bridge.bin       the image: copy it to the USB drive that the board provides
-wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer",
+wsg-bridge.bin       the firmware: copy it to the USB drive that the board provides
+wsg-bridge.elf       the same firmware for programming tools, such as STM32CubeProgrammer",
         words: &[
             "ST",
             "ST-Link",
@@ -58,10 +58,10 @@ wsg-bridge.elf       the same image for programming tools, such as STM32CubeProg
         // Of 2 MiB. A Cortex-M0+ needs more instructions, and the image contains a USB device.
         flash_limit: 96 * 1024,
         files: "\
-wsg-bridge.uf2       the image: hold BOOTSEL while you connect USB, and copy it to the
+wsg-bridge.uf2       the firmware: hold BOOTSEL while you connect USB, and copy it to the
                      drive that appears
-wsg-bridge.elf       the same image for debug probes
-wsg-bridge.bin       the same image as bytes of the flash, from 10000000h",
+wsg-bridge.elf       the same firmware for debug probes
+wsg-bridge.bin       the same firmware as bytes of the flash, from 10000000h",
         words: &["Pico", "wsg-bridge.uf2", "uf2", "BOOTSEL", "MCP2515", "CDC"],
     },
     Board {
@@ -72,10 +72,10 @@ wsg-bridge.bin       the same image as bytes of the flash, from 10000000h",
         takes_uf2: false,
         flash_limit: 80 * 1024,
         files: "\
-This image has never been executed: no emulator has the board NUCLEO-G474RE.
+This firmware has never been executed: no emulator has the board NUCLEO-G474RE.
 
-wsg-bridge.bin       the image: copy it to the USB drive that the board provides
-wsg-bridge.elf       the same image for programming tools, such as STM32CubeProgrammer",
+wsg-bridge.bin       the firmware: copy it to the USB drive that the board provides
+wsg-bridge.elf       the same firmware for programming tools, such as STM32CubeProgrammer",
         words: &[
             "ST",
             "ST-Link",

@@ -8,7 +8,7 @@ use wsg_protocol::SystemFlags;
 /// Beginning of the picture of the wiring, as a data URL.
 const DRAWING: &str = "data:image/svg+xml;charset=utf-8,";
 
-/// Checks the manual and the README of a board's archive.
+/// Checks the manual and the first page of a board's archive.
 ///
 /// # Errors
 /// Fails when the manual has other pins, or when a text names a pin, a connector, a file or a part of another board.
@@ -139,7 +139,7 @@ fn words(text: &str) -> impl Iterator<Item = &str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{linked, manual, readme};
+    use crate::{linked, manual, start_here};
 
     fn manual_of(board: &Board) -> String {
         manual::html(board, &linked()).unwrap()
@@ -148,7 +148,7 @@ mod tests {
     #[test]
     fn each_manual_has_the_pins_and_names_of_its_board_only() {
         for board in &BOARDS {
-            check(board, &manual_of(board), &readme(board, false)).unwrap();
+            check(board, &manual_of(board), &start_here(board, false, true)).unwrap();
         }
     }
 
@@ -165,9 +165,9 @@ mod tests {
     #[test]
     fn manual_or_readme_of_another_board_is_rejected() {
         for board in &BOARDS {
-            let (manual, readme) = (manual_of(board), readme(board, false));
+            let (manual, readme) = (manual_of(board), start_here(board, false, true));
             for other in BOARDS.iter().filter(|other| *other != board) {
-                assert!(check(other, &manual, &crate::readme(other, false)).is_err(), "{}", other.name);
+                assert!(check(other, &manual, &start_here(other, false, true)).is_err(), "{}", other.name);
             }
             // A pin, a connector, a file, an instruction, a part: one of each that belongs to another board.
             let wrong = match board.name {
@@ -187,7 +187,7 @@ mod tests {
     #[test]
     fn manual_with_a_changed_pin_is_rejected() {
         for board in &BOARDS {
-            let (manual, readme) = (manual_of(board), readme(board, false));
+            let (manual, readme) = (manual_of(board), start_here(board, false, true));
             for row in BoardWiring::of(board).wire_rows() {
                 let [wire, pin, mcu] = row.map(|cell| cell.replace('`', ""));
                 let right = format!("<td>{pin}</td><td>{mcu}</td>");

@@ -45,14 +45,23 @@ fn linked() -> Vec<&'static str> {
     COPIED.into_iter().chain([REGISTERS]).collect()
 }
 
-const README: &str = "\
+/// Folders of the programs for a PLC engineer's computer.
+const WINDOWS: &str = "windows";
+const LINUX: &str = "linux";
+
+/// The page that a reader opens first.
+const START: &str = "START-HERE.txt";
+
+const START_HERE: &str = "\
 wsg-bridge for the BOARD: a bridge between a PLC and a servo gripper of the WSG series.
 It is not a safety device.
 
-Start with manual.html, \"Quick start\". Open it in any browser; no network is needed.
-
+With the board:
+1. Open manual.html in any browser; no network is needed.
+2. Follow its first chapter, \"Quick start\", from the wiring to the first grip.
+PROGRAMS
 IMAGE
-manual.html          the manual
+manual.html          the manual of this board
 BOOKregisters.csv        all Modbus registers, coils and discrete inputs
 wsg-bridge.eds       CANopen: device file for a master's tool
 WSGB5555.gsd         PROFIBUS: device file for a master's tool
@@ -65,11 +74,22 @@ PRG_WSG_MODBUS.st    a program that connects it to Modbus registers
 PRG_WSG_DEMO.st      the demo cycle of the fieldbus manual (appendix D)
 wsg-blocks.xml       the three blocks as PLCopen XML, for CODESYS and TwinCAT
 wsg-blocks.scl       the three blocks as SCL source, for TIA Portal
-LICENCES.txt         third-party parts of the image and their licences
+LICENCES.txt         third-party parts of the firmware and their licences
 SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
 ";
 
-/// Lines of the README about the book.
+/// Lines about the programs.
+const PROGRAMS: &str = "
+Without the board, see a gripper cycle on this computer. In a terminal in this folder:
+   Windows           .\\windows\\wsg.exe demo
+   Linux             ./linux/wsg demo
+Then open http://127.0.0.1:8080/ in a browser. Ctrl-C ends it.
+
+windows/, linux/     wsg: settings and state of the bridge, and commands to a gripper
+                     wsg-sim: a virtual gripper
+";
+
+/// Lines about the book.
 const BOOK: &str = "\
 book/index.html      all pages, with those about the virtual gripper, Python, C and the tool wsg
 book.pdf             the same pages for printing
@@ -125,11 +145,12 @@ fn run(Folder { elf, board, book, to }: &Folder) -> Result<()> {
     Ok(())
 }
 
-/// Returns the named files, with the checksums last.
-fn contents(board: &Board, elf: Vec<u8>, book: Vec<(String, Vec<u8>)>) -> Result<Vec<(String, Vec<u8>)>> {
-    let readme = readme(board, !book.is_empty());
+/// Returns the named files and `more`, the book or programs, with the checksums last.
+fn contents(board: &Board, elf: Vec<u8>, more: Vec<(String, Vec<u8>)>) -> Result<Vec<(String, Vec<u8>)>> {
+    let has = |folder: &str| more.iter().any(|(name, _)| name.starts_with(folder));
+    let start = start_here(board, has("book"), has(LINUX));
     let mut single = vec![
-        ("README.txt", readme.replace('\n', "\r\n").into_bytes()),
+        (START, start.replace('\n', "\r\n").into_bytes()),
         ("wsg-bridge.bin", footprint::bytes_of_flash(&elf)?),
         ("wsg-bridge.elf", elf),
         ("manual.html", manual::html(board, &linked())?.into_bytes()),
@@ -148,15 +169,17 @@ fn contents(board: &Board, elf: Vec<u8>, book: Vec<(String, Vec<u8>)>) -> Result
         ));
     }
     files.extend(device_archives::archives()?.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)));
-    files.extend(book);
+    files.extend(more);
     files.sort();
     files.push((SUMS.to_owned(), sums(&files).into_bytes()));
     Ok(files)
 }
 
-fn readme(board: &Board, has_book: bool) -> String {
-    let readme = README.replace("IMAGE", board.files).replace("BOOK", if has_book { BOOK } else { "" });
-    readme.replace("BOARD", BoardWiring::of(board).name)
+fn start_here(board: &Board, has_book: bool, has_programs: bool) -> String {
+    let part = |has, part: &'static str| if has { part } else { "" };
+    let start = START_HERE.replace("IMAGE", board.files).replace("BOOK", part(has_book, BOOK));
+    let start = start.replace("PROGRAMS", part(has_programs, PROGRAMS));
+    start.replace("BOARD", BoardWiring::of(board).name)
 }
 
 /// Returns the checksums of these named files, as `sha256sum` prints them.
@@ -209,9 +232,11 @@ mod tests {
     }
 
     #[test]
-    fn readme_names_every_file() {
+    fn first_page_names_every_file_on_one_screen() {
+        let start = start_here(&boards::BOARDS[0], true, true);
         for name in linked().into_iter().chain([GSD_ARCHIVE, GSDML_ARCHIVE]) {
-            assert!(README.replace("BOOK", BOOK).contains(&format!("\n{name} ")), "{name}");
+            assert!(start.contains(&format!("\n{name} ")), "{name}");
         }
+        assert!(start.lines().count() <= 45 && start.lines().all(|line| line.len() <= 100), "{start}");
     }
 }

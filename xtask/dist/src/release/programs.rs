@@ -11,8 +11,8 @@ use clap_complete::Shell;
 use document::root;
 
 use super::{Release, VERSION, cargo, empty, sbom, tar, trial};
-use crate::archive;
 use crate::program::run_program;
+use crate::{LINUX, WINDOWS, archive};
 
 /// A system that the programs are built for.
 struct System {
@@ -41,6 +41,7 @@ const SYSTEMS: [System; 3] = [
     },
 ];
 
+const PROGRAMS: [&str; 2] = ["wsg", "wsg-sim"];
 const PACKAGES: [&str; 4] = ["--package", "wsg-tool", "--package", "wsg-sim"];
 const PROFILE: &str = "wheel";
 
@@ -88,6 +89,30 @@ pub(super) fn make(release: &mut Release) -> Result<()> {
     Ok(())
 }
 
+/// Returns `wsg` and `wsg-sim` for the computer of a PLC engineer: Windows or Linux, with a processor by Intel or AMD.
+pub(super) fn for_plc_engineers(release: &Release) -> Result<Vec<(String, Vec<u8>)>> {
+    let mut files = Vec::new();
+    for (system, folder) in SYSTEMS.iter().filter_map(|system| Some((system, folder_of(system)?))) {
+        let built = built(release, system.target)?;
+        for program in PROGRAMS {
+            let file = format!("{program}{}", system.ending);
+            let bytes = fs::read(built.join(&file)).with_context(|| format!("cannot read {file}"))?;
+            files.push((format!("{folder}/{file}"), bytes));
+        }
+        files.push((format!("{folder}/LICENCES.txt"), licences(system)?.into_bytes()));
+    }
+    Ok(files)
+}
+
+/// Returns the folder of a system's programs in the archive of a board.
+fn folder_of(system: &System) -> Option<&'static str> {
+    match system.name {
+        "windows-x86_64" => Some(WINDOWS),
+        "linux-x86_64" => Some(LINUX),
+        _ => None,
+    }
+}
+
 /// Returns the folder of the programs for a system, and builds them if necessary.
 pub(super) fn built(release: &Release, target: &str) -> Result<PathBuf> {
     let is_windows = target.contains("windows");
@@ -99,16 +124,21 @@ pub(super) fn built(release: &Release, target: &str) -> Result<PathBuf> {
     Ok(release.target_dir.join(target).join(PROFILE))
 }
 
+/// Returns the licences of the programs and their parts.
+fn licences(system: &System) -> Result<String> {
+    let selection = [&PACKAGES[..], &["--target", system.target]].concat().join(" ");
+    provenance::licences(&[&selection])
+}
+
 /// Fills a folder with programs, licences, manual pages and completions.
 fn fill(release: &Release, system: &System, folder: &Path) -> Result<()> {
     let built = built(release, system.target)?;
     empty(folder)?;
-    for program in ["wsg", "wsg-sim"] {
+    for program in PROGRAMS {
         let file = format!("{program}{}", system.ending);
         fs::copy(built.join(&file), folder.join(&file)).with_context(|| format!("cannot copy {file}"))?;
     }
-    let selection = [&PACKAGES[..], &["--target", system.target]].concat().join(" ");
-    fs::write(folder.join("LICENCES.txt"), provenance::licences(&[&selection])?)?;
+    fs::write(folder.join("LICENCES.txt"), licences(system)?)?;
     fs::write(folder.join("README.txt"), README)?;
     fs::copy(root().join("CHANGELOG.md"), folder.join("CHANGELOG.md"))?;
     if system.ending.is_empty() {
