@@ -446,7 +446,7 @@ mod timed {
     use rustix::time::{ClockId, clock_gettime};
 
     /// Uses the same sequence on every run. The full number of commands takes too long without optimization;
-    /// `docs/simulator.md` describes how to run it.
+    /// `docs/figures.md` describes how to run it.
     #[test]
     fn many_random_commands_keep_every_invariant_and_are_quick() {
         const COMMANDS: usize = if cfg!(debug_assertions) { 20_000 } else { 1_000_000 };

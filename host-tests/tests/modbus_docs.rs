@@ -4,7 +4,7 @@
 
 use bus_modbus::Function;
 use document::{hold, table};
-use host_tests::plc_names::{command_flags, gripper_flags, register_bit, system_flags};
+use host_tests::plc_names::{command_flags, gripper_flags, register_bit};
 use host_tests::world::modbus::Master;
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::registers::{
@@ -122,65 +122,83 @@ fn registers(base: u32, registers: &[Register]) -> String {
     )
 }
 
-/// Returns the bits of an image, by address, with their positions in the registers.
-fn bits(
+/// Returns a first and a last number as a range.
+fn range(first: &impl std::fmt::Display, last: &impl std::fmt::Display) -> String {
+    format!("{first} to {last}")
+}
+
+/// Returns the bits of an image, by address, with their positions in the registers. `groups` of bits have a row each: first and last
+/// bit, and their meaning.
+fn bits<const N: usize>(
     base: u32,
     registers: u32,
     bits: impl IntoIterator<Item = (u32, String)>,
-    (first, last, rest): (u32, u32, &str),
+    groups: [(u32, u32, &str); N],
 ) -> String {
+    let place = |bit| {
+        let ([address, numbered], (register, mask)) = (both(bit, base), register_bit(bit));
+        (address, numbered, register, format!("{mask:04X}h"))
+    };
     let rows = bits.into_iter().map(|(bit, name)| {
-        let [address, numbered] = both(bit, base);
-        let (register, mask) = register_bit(bit);
-        [address, numbered, name, format!("{register} ({})", register + registers), format!("{mask:04X}h")]
+        let (address, numbered, register, mask) = place(bit);
+        [address, numbered, name, format!("{register} ({})", register + registers), mask]
     });
-    let [first_address, first_numbered] = both(first, base);
-    let [last_address, last_numbered] = both(last, base);
-    let rest = [
-        format!("{first_address} to {last_address}"),
-        format!("{first_numbered} to {last_numbered}"),
-        format!("the bits of {rest}, byte by byte"),
-        format!("{} to {} ({} to {})", first / 16, last / 16, registers + first / 16, registers + last / 16),
-        String::new(),
-    ];
+    let groups = groups.map(|(first, last, meaning)| {
+        let ((first, first_numbered, from, from_mask), (last, last_numbered, to, to_mask)) =
+            (place(first), place(last));
+        let (register, mask) = if from == to {
+            (format!("{from} ({})", from + registers), range(&from_mask, &to_mask))
+        } else {
+            let numbered = range(&(from + registers), &(to + registers));
+            (format!("{} ({numbered})", range(&from, &to)), String::new())
+        };
+        [range(&first, &last), range(&first_numbered, &last_numbered), meaning.into(), register, mask]
+    });
     let based = format!("{base:05}-based");
-    table(["address", &based, "bit", "register", "mask"], rows.chain([rest]))
-}
-
-fn user_flags(letters: &str) -> impl Iterator<Item = (u32, String)> {
-    (1..=8).map(move |n| (7 + n, format!("{letters}{n}")))
+    table(["address", &based, "bit", "register", "mask"], rows.chain(groups))
 }
 
 fn coils() -> String {
     let commands = command_flags().into_iter().map(|flag| (flag.bit, flag.name));
-    bits(COILS, HOLDING, commands.chain(user_flags("IF")), (16, 63, "WIDTH, SPEED and FORCELIMIT"))
+    let parameters = (16, 63, "the bits of WIDTH, SPEED and FORCELIMIT, byte by byte");
+    bits(COILS, HOLDING, commands, [(8, 15, "IF1 to IF8"), parameters])
 }
 
 fn discrete_inputs() -> String {
     let states = gripper_flags().into_iter().map(|flag| (flag.bit, flag.name));
-    let system = system_flags().into_iter().map(|flag| (16 + flag.bit, format!("SYSSTATE {}", flag.name)));
-    let all = states.chain(user_flags("OF")).chain(system);
-    bits(DISCRETE_INPUTS, INPUT, all, (48, 95, "WIDTH, Gripping Force and Status Code"))
+    let system = (16, 47, "[SYSSTATE](states.md#sysstate), bits 0 to 31");
+    let values = (48, 95, "the bits of WIDTH, Gripping Force and Status Code, byte by byte");
+    bits(DISCRETE_INPUTS, INPUT, states, [(8, 15, "OF1 to OF8"), system, values])
 }
 
-/// Returns the table of settings with their default values.
-fn settings_table(settings: impl IntoIterator<Item = ((u16, &'static Setting), u16)>) -> String {
-    table(
-        ["address", "40001-based", "name", "unit", "minimum", "maximum", "default", "meaning"],
-        settings.into_iter().map(|((address, setting), delivered)| {
-            let [address, numbered] = both(address.into(), HOLDING);
-            [
-                address,
-                numbered,
-                format!("`{}`", setting.name),
-                setting.unit.into(),
-                setting.least.to_string(),
-                setting.most.to_string(),
-                delivered.to_string(),
-                setting.meaning.into(),
-            ]
-        }),
-    )
+/// Returns the table of settings with their default values. The recipes after the first have one row, with the rule for their addresses.
+fn settings_table(settings: &[((u16, &'static Setting), u16)]) -> String {
+    let is_further = |name: &str| name.starts_with("RECIPE") && !name.starts_with("RECIPE0_");
+    let further: Vec<_> = settings.iter().filter(|it| is_further(it.0.1.name)).collect();
+    let rows = settings.iter().filter_map(|((address, setting), delivered)| {
+        let [address, numbered] = both((*address).into(), HOLDING);
+        if is_further(setting.name) {
+            let ([first, ..], [.., last]) = (&further[..], &further[..]) else { unreachable!() };
+            let rule = "as for recipe 0; [default values](wiring.md#recipes)".to_owned();
+            let [to, numbered_to] = both(last.0.0.into(), HOLDING);
+            let names = format!("`{}` to `{}`", first.0.1.name, last.0.1.name);
+            let [unit, least, most, delivered] = [(); 4].map(|()| String::new());
+            let (address, numbered) = (range(&address, &to), range(&numbered, &numbered_to));
+            let row = [address, numbered, names, unit, least, most, delivered, rule];
+            return (setting.name == first.0.1.name).then_some(row);
+        }
+        Some([
+            address,
+            numbered,
+            format!("`{}`", setting.name),
+            setting.unit.into(),
+            setting.least.to_string(),
+            setting.most.to_string(),
+            delivered.to_string(),
+            setting.meaning.into(),
+        ])
+    });
+    table(["address", "40001-based", "name", "unit", "minimum", "maximum", "default", "meaning"], rows)
 }
 
 /// Returns all settings with their default register values.
@@ -191,11 +209,11 @@ fn delivered() -> Vec<((u16, &'static Setting), u16)> {
 }
 
 fn settings() -> String {
-    settings_table(delivered().into_iter().take(FIRST_START_SETTING))
+    settings_table(&delivered()[..FIRST_START_SETTING])
 }
 
 fn start_settings() -> String {
-    settings_table(delivered().into_iter().skip(FIRST_START_SETTING))
+    settings_table(&delivered()[FIRST_START_SETTING..])
 }
 
 fn commands() -> String {

@@ -8,7 +8,7 @@
 //! cargo run --release -p wsg-sim --example load -- noise --seconds 60
 //! ```
 //!
-//! Each test exits with a nonzero status if a limit is exceeded. `docs/simulator.md` lists the limits.
+//! Each test exits with a nonzero status if a limit is exceeded. `docs/figures.md` lists the limits.
 
 mod figures;
 mod flood;

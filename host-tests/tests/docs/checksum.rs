@@ -1,4 +1,4 @@
-//! Measures the strength of the checksum, on which the parser, the decoder and docs/protocol.md rely.
+//! Measures the strength of the checksum, on which the parser, the decoder and docs/figures.md rely.
 //!
 //! An error is the exclusive or of the sent and the received frame. The checksum is linear, so its detection depends
 //! only on the error and the frame's length.
@@ -11,7 +11,7 @@ use wsg_protocol::{
     PrePositionFlags, Reply, SoftLimits, Status, SystemFlags, Value,
 };
 
-const DOCUMENT: &str = "docs/protocol.md";
+const DOCUMENT: &str = "docs/figures.md";
 
 /// Length of the checksum in bytes.
 const CHECKSUM_LEN: usize = 2;

@@ -136,6 +136,40 @@ pub fn can_frames(text: &str) -> Vec<(u16, Vec<u8>)> {
     lines.collect()
 }
 
+/// Access of a PLC to the process images over Modbus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ImageAccess {
+    /// Writes these values to holding registers 0 to 3.
+    Write([u16; 4]),
+    /// Reads input registers 0 to 5 until they have these values; `None` is any value.
+    Read([Option<u16>; 6]),
+}
+
+/// Returns the accesses to the process images in a document: lines that begin with `write 0 to 3:` or `read  0 to 5:`. Numbers with
+/// `h` are hexadecimal, and `-` is any value.
+///
+/// # Panics
+/// Panics if such a line has too few numbers.
+#[must_use]
+pub fn image_accesses(text: &str) -> Vec<ImageAccess> {
+    let number = |word: &str| match word.strip_suffix('h') {
+        _ if word == "-" => None,
+        Some(digits) => Some(u16::from_str_radix(digits, 16).unwrap_or_else(|_| panic!("no number: {word}"))),
+        None => Some(word.parse().unwrap_or_else(|_| panic!("no number: {word}"))),
+    };
+    let access = |line: &str| {
+        if let Some(values) = line.strip_prefix("write 0 to 3:") {
+            let mut values = values.split_whitespace().map(number);
+            let value = |()| values.next().flatten().unwrap_or_else(|| panic!("four values: {line}"));
+            return Some(ImageAccess::Write([(); 4].map(value)));
+        }
+        let mut values = line.strip_prefix("read  0 to 5:")?.split_whitespace().map(number);
+        let value = |()| values.next().unwrap_or_else(|| panic!("six values: {line}"));
+        Some(ImageAccess::Read([(); 6].map(value)))
+    };
+    text.lines().filter_map(access).collect()
+}
+
 /// Formats a Markdown table.
 #[must_use]
 pub fn table<const N: usize>(head: [&str; N], rows: impl IntoIterator<Item = [String; N]>) -> String {

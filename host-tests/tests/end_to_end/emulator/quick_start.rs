@@ -1,15 +1,13 @@
 //! docs/quick-start.md from the third step to the last, on the released image with default settings and an empty flash. The test
-//! pastes the commands, cycles the power, and sends the frames as a master.
+//! pastes the commands, cycles the power, and accesses the registers as a master.
 
 use std::time::Instant;
 
-use document::{can_frames, read};
-use host_tests::can_bus::{CanBus, Station};
-use host_tests::can_wire::WireFrame;
+use document::{ImageAccess, image_accesses, read};
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
 use host_tests::masters::paste;
-use host_tests::registers::RegisterModel;
+use host_tests::modbus_master::Master;
 use host_tests::rig::{MOTION_PATIENCE, PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
 use host_tests::trace::Trace;
@@ -22,8 +20,8 @@ use super::service_port::poll;
 
 const DOCUMENT: &str = "docs/quick-start.md";
 
-/// The bridge's frame in the document.
-const TPDO1: u16 = 0x185;
+/// The bridge's address in the document.
+const UNIT: u8 = 5;
 
 /// A board with a gripper and a cable at its service port.
 struct Plant {
@@ -33,10 +31,9 @@ struct Plant {
 
 impl Plant {
     /// Switches the power on.
-    fn power_up(flash: &FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
+    fn power_up(flash: &FlashController) -> Self {
         flash.power_cycle();
-        let models = flash.models().into_iter().chain(more).collect();
-        let extras = Extras { models, ..Extras::default() };
+        let extras = Extras { models: flash.models().into_iter().collect(), ..Extras::default() };
         let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
         let mut rig = Rig::of(board, None, with_part(20.0), Trace::new(vec![])).unwrap();
         let cable = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
@@ -62,16 +59,32 @@ impl Plant {
     }
 }
 
-fn receives(master: &Station, wanted: &WireFrame) {
-    let bound = Instant::now() + MOTION_PATIENCE;
-    while master.received.recv_timeout(PATIENCE).expect("a frame") != *wanted {
-        assert!(Instant::now() < bound, "{wanted:?} was not received");
+/// Executes accesses as a PLC that polls.
+fn play(master: &mut Master, accesses: &[ImageAccess]) {
+    for access in accesses {
+        match access {
+            ImageAccess::Write(values) => {
+                let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
+                let answer = master.ask(&[&[16, 0, 0, 0, 4, 8][..], &bytes].concat()).unwrap();
+                assert_eq!(answer, [16, 0, 0, 0, 4]);
+            }
+            ImageAccess::Read(expected) => {
+                let bound = Instant::now() + MOTION_PATIENCE;
+                let is_read = |answer: &[u8]| {
+                    let values = answer[2..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+                    expected.iter().zip(values).all(|(expected, value)| expected.is_none_or(|it| it == value))
+                };
+                while !is_read(&master.ask(&[4, 0, 0, 0, 6]).unwrap()) {
+                    assert!(Instant::now() < bound, "{expected:?} is not read");
+                }
+            }
+        }
     }
 }
 
 #[test]
 #[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
-fn mbpoll_commands_and_frames_of_the_quick_start_lead_to_a_grip() {
+fn mbpoll_commands_and_registers_of_the_quick_start_lead_to_a_grip() {
     let text = read(DOCUMENT);
     let (before, after) =
         text.split_once("\n## 7. ").expect("docs/quick-start.md must have a step 7, with the power cycle");
@@ -80,7 +93,7 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_to_a_grip() {
     let variables: String = variables.map(|line| format!("{line}\n")).collect();
 
     let flash = FlashController::new();
-    let plant = Plant::power_up(&flash, vec![]);
+    let plant = Plant::power_up(&flash);
     let printed = plant.paste(before);
     assert!(printed.contains("[107]: \t2"), "{printed}");
     assert_eq!(printed.matches("Written 1 references").count(), 8, "{printed}");
@@ -89,26 +102,15 @@ fn mbpoll_commands_and_frames_of_the_quick_start_lead_to_a_grip() {
     assert_eq!(motions(&plant.rig.trace().since(0)), []);
     drop(plant);
 
-    let can = CanBus::new(250_000);
-    let master = can.join();
-    let plant = Plant::power_up(&flash, vec![Box::new(can)]);
-    receives(&master, &WireFrame::standard(0x705, &[0]));
+    let mut plant = Plant::power_up(&flash);
     plant.rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     // Wait for the debounce time of the wire.
     plant.rig.pass(50).unwrap();
-    // A master on a busy machine is less punctual than a PLC.
-    let written = poll(&plant.cable, &["-t", "4", "-r", "101"], &["60000"]);
-    assert!(written.contains("Written 1 references"), "{written}");
-    for (id, data) in can_frames(after) {
-        let frame = WireFrame::standard(id, &data);
-        if id == TPDO1 {
-            receives(&master, &frame);
-        } else {
-            master.send(frame);
-        }
-    }
+    let mut master = plant.rig.master(UNIT).unwrap();
+    master.allow_pauses().unwrap();
+    play(&mut master, &image_accesses(after));
     let printed = plant.paste(&after.replacen("```sh\n$M", &format!("```sh\n{variables}$M"), 1));
-    for answer in ["[203]: \t1", "[174]: \t2", "[133]: \t0"] {
+    for answer in ["[203]: \t1", "[176]: \t384", "[133]: \t0"] {
         assert!(printed.contains(answer), "{answer}: {printed}");
     }
     assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing, CommandId::GripPart]);
