@@ -158,9 +158,9 @@ impl Emulator {
     /// Fails when no socket can be created.
     pub fn start_library() -> Result<Self> {
         let watch = Arc::new(Watch::of(LIBRARY));
-        let (library, lines) = Library::start(&watch)?;
-        let (chip, inputs) = (Box::new(library), Mutex::new(Inputs::empty()));
-        Ok(Self { chip, inputs, lines, watch, clock: Clock::wall() })
+        let clock = Clock::of_machine();
+        let (library, lines) = Library::start(&watch, &clock)?;
+        Ok(Self { chip: Box::new(library), inputs: Mutex::new(Inputs::empty()), lines, watch, clock })
     }
 
     /// Returns the gripper's end of the line, or `None` if it has been taken.

@@ -6,7 +6,7 @@ use std::process::Command;
 #[test]
 fn demonstration_without_an_emulator_passes_and_says_so() {
     let output =
-        Command::new(env!("CARGO_BIN_EXE_demo")).args(["--speed-up", "10"]).env("PATH", "").output().unwrap();
+        Command::new(env!("CARGO_BIN_EXE_demo")).args(["--speed-up", "2"]).env("PATH", "").output().unwrap();
     let printed = host_tests::masters::printed(&output);
     assert!(output.status.success(), "{printed}");
     let lines: Vec<&str> = printed.lines().filter(|line| !line.is_empty()).collect();

@@ -1,7 +1,8 @@
 //! The bridge's library in place of a board, for computers without an emulator: the same application without the firmware's
-//! registers and interrupts. It runs in real time, one turn per millisecond, with the gripper's line and the wires.
+//! registers and interrupts. It has the gripper's line and the wires. A turn takes a millisecond of its time, which is not faster than
+//! real time, and waits for the gripper like that of the Pico's emulator.
 
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
@@ -15,6 +16,7 @@ use wsg_bridge_fw::{Config, ResetCause};
 
 use super::watch::Watch;
 use super::{Chip, Lines, PATIENCE};
+use crate::clock::Clock;
 use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
@@ -24,7 +26,7 @@ use crate::world::can::CanDouble;
 /// Name in messages.
 pub(super) const LIBRARY: &str = "the bridge's library";
 
-/// Maximum duration of a turn.
+/// Duration of a turn.
 const TURN: Duration = Duration::from_millis(1);
 
 /// The running library. Dropping it ends it.
@@ -39,13 +41,14 @@ struct Shared {
 }
 
 impl Library {
-    /// Starts the library with default settings, and returns when its main loop runs.
-    pub(super) fn start(watch: &Arc<Watch>) -> Result<(Self, Lines)> {
+    /// Starts the library with default settings on this clock, and returns when its main loop runs.
+    pub(super) fn start(watch: &Arc<Watch>, clock: &Clock) -> Result<(Self, Lines)> {
         let (near, far) = UnixStream::pair()?;
+        near.set_nonblocking(true)?;
         let library = Self(Arc::default());
-        let (shared, running) = (library.0.clone(), watch.clone());
+        let (shared, running, clock) = (library.0.clone(), watch.clone(), clock.clone());
         thread::spawn(move || {
-            shared.run(near, &running);
+            shared.run(near, &running, &clock);
             running.end();
         });
         drop(watch.wait(PATIENCE, |seen| seen.is_served)?);
@@ -55,7 +58,7 @@ impl Library {
 
 impl Shared {
     /// Runs the main loop until the library is switched off or the gripper's end of the line is closed.
-    fn run(&self, mut line: UnixStream, watch: &Watch) {
+    fn run(&self, mut line: UnixStream, watch: &Watch, clock: &Clock) {
         let mut flash = FlashModel::new();
         let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
         let (mut station, ..) = boot(&Config::DEFAULT, &mut flash, can, ResetCause::PowerOn);
@@ -63,14 +66,22 @@ impl Shared {
         // The PLC uses wires only.
         let [mut bus, mut service] = [RtuDouble::default(), RtuDouble::default()];
         let mut received = [0; 256];
-        let start = Instant::now();
-        while !self.is_off.load(Ordering::Relaxed) {
-            match uninterrupted::read_within(&line, &mut received, TURN) {
-                Ok(Some(0)) | Err(_) => return,
-                Ok(count) => serial.deliver(received.get(..count.unwrap_or(0)).unwrap_or(&[])),
+        let mut due = Instant::now();
+        for now_ms in 0.. {
+            // A paused computer pauses the library, too.
+            thread::sleep(due.saturating_duration_since(Instant::now()));
+            due = due.max(Instant::now()) + TURN;
+            if self.is_off.load(Ordering::Relaxed) {
+                return;
             }
-            let now_ms = start.elapsed().as_millis() as u32;
             self.now_ms.store(now_ms, Ordering::Relaxed);
+            clock.report(u64::from(now_ms) * 1_000);
+            match uninterrupted::read(&mut line, &mut received) {
+                Ok(0) => return,
+                Ok(count) => serial.deliver(received.get(..count).unwrap_or(&[])),
+                Err(error) if error.kind() == ErrorKind::WouldBlock => {}
+                Err(_) => return,
+            }
             let inputs = Inputs::from_bits_retain(self.inputs.load(Ordering::Relaxed));
             let outputs = station.turn(now_ms, inputs, &mut serial, &mut bus, &mut service, &mut flash);
             if line.write_all(&serial.take_sent()).is_err() {
