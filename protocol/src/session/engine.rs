@@ -425,14 +425,14 @@ impl<D: Dialect> Engine<D> {
     /// are rejected ([`RequestError::MotionRunning`]).
     #[must_use]
     pub fn motion_is_open(&self) -> bool {
-        self.motion().is_some() || self.motion_waits()
+        self.motion().is_some() || self.waits(Kind::Motion)
     }
 
-    /// Returns whether a motion is requested and has no reply yet.
-    fn motion_waits(&self) -> bool {
-        let is_motion = |name: NameOf<D>| name.kind() == Kind::Motion;
-        self.request.name().is_some_and(is_motion)
-            || self.queue.iter().any(|request| is_motion(request.name()))
+    /// Returns whether a request of this kind has no reply yet.
+    fn waits(&self, kind: Kind) -> bool {
+        let is_such = |name: NameOf<D>| name.kind() == kind;
+        self.request.name().is_some_and(is_such)
+            || self.queue.iter().any(|request| is_such(request.name()))
     }
 
     #[inline(never)]

@@ -359,15 +359,18 @@ fn fsack_withdraws_earlier_requests() {
 }
 
 #[test]
-fn fast_stop_of_the_gripper_withdraws_an_unsent_motion() {
-    let mut rig = Rig::connected();
-    rig.session.request(Request::Tag).unwrap();
-    assert_eq!(rig.lines(0), ["TAG?"]);
-    rig.session.request(GRIP).unwrap();
-    rig.receive("SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
-    rig.receive("TAG=\"left\"");
-    assert_eq!(rig.lines(1), [""; 0]);
-    assert_eq!(rig.happened().last().map(String::as_str), Some("Withdrawn GRIP"));
+fn fast_stop_of_the_gripper_withdraws_an_unsent_motion_or_setting() {
+    let setting = Request::Pwt(Setting::Set(1.0));
+    for (request, withdrawn) in [(GRIP, "Withdrawn GRIP"), (setting, "Withdrawn PWT")] {
+        let mut rig = Rig::connected();
+        rig.session.request(Request::Tag).unwrap();
+        assert_eq!(rig.lines(0), ["TAG?"]);
+        rig.session.request(request).unwrap();
+        rig.receive("SYSFLAGS=[1,0,0,0,0,0,0,0,0,0,0,0,1]");
+        rig.receive("TAG=\"left\"");
+        assert_eq!(rig.lines(1), [""; 0]);
+        assert_eq!(rig.happened().last().map(String::as_str), Some(withdrawn));
+    }
 }
 
 #[test]

@@ -173,11 +173,12 @@ impl<D: Dialect> Engine<D> {
     }
 
     /// Stores a reported value and updates the standstill time of a running motion. A FAST STOP that begins overtakes a
-    /// motion that waits, which could otherwise follow somebody else's acknowledgement.
+    /// motion that waits, which could otherwise follow somebody else's acknowledgement, and a setting, which may be that of a motion.
     fn learn(&mut self, now: Instant, value: &D::Value<'_>) {
         let was_fast_stopped = D::is_fast_stopped(&self.known);
         let Some(moves) = D::learn(&mut self.known, value) else { return };
-        if !was_fast_stopped && D::is_fast_stopped(&self.known) && self.motion_waits() {
+        let is_overtaken = || self.waits(Kind::Motion) || self.waits(Kind::Setting);
+        if !was_fast_stopped && D::is_fast_stopped(&self.known) && is_overtaken() {
             self.overtake();
         }
         for motion in self.running.iter_mut().flatten().filter(|running| running.name.kind() == Kind::Motion)
