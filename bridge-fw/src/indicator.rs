@@ -50,8 +50,8 @@ pub const INDICATIONS: [IndicationText; 6] = [
     text(
         Indication::NotStarted,
         "flickers",
-        "the bridge cannot start: no clock, or the image's settings are out of range",
-        "flash the image again; if the pattern persists, replace the board",
+        "the bridge cannot start: no clock, or the firmware's default settings are out of range",
+        "flash the firmware again; if the pattern persists, replace the board",
     ),
     text(
         Indication::NeverAnswered,
@@ -68,18 +68,18 @@ pub const INDICATIONS: [IndicationText; 6] = [
     text(
         Indication::BusLost,
         "3 flashes",
-        "the PLC's bus is lost: its master was silent for `BUS_TIMEOUT`, or CAN is bus-off. Not shown for a master that was never connected, or while the wires are in control",
+        "the connection to the PLC is lost: the bus master was silent for `BUS_TIMEOUT`, or CAN is bus-off. A silent master is not shown if none has ever connected, or if wires gave the last motion command",
         "check the bus wiring, rate and termination, and the master",
     ),
     text(
         Indication::Error,
         "4 flashes",
-        "`ERROR` is high for another reason; after a power-up with `FAST_STOP_OK` low, until `STOP_ACK`",
-        "see `ERROR_CAUSE` over a bus, or the table above; then give an edge on `STOP_ACK`",
+        "`ERROR` is high for another reason. This is normal after a power-up with `FAST_STOP_OK` low, until you acknowledge with `STOP_ACK`",
+        "read `ERROR_CAUSE` over a bus or the service port, remove the cause, then give an edge on `STOP_ACK`",
     ),
     text(
         Indication::Running,
-        "lit, with a short gap",
+        "on, with one short gap every 2 s",
         "the gripper answers, and there is no error",
         "nothing",
     ),

@@ -403,19 +403,23 @@ impl Sweep {
                 250,
                 |sweep: &Sweep| sweep.one_fault(Scene::GripCycle),
             ),
-            sweep("the same, up to two seconds before the request", 250, Sweep::one_old_fault),
             sweep(
-                "the same, for the end of a jog over Modbus, until the fingers stop",
+                "one byte damaged as above, up to 2 s before the FAST STOP request",
+                250,
+                Sweep::one_old_fault,
+            ),
+            sweep(
+                "one damaged byte, from clearing the flag of a jog over Modbus until the fingers stop",
                 250,
                 |sweep: &Sweep| sweep.one_fault(Scene::Jog),
             ),
             sweep(
-                "the same, for a jog whose master stops sending, including BUS_TIMEOUT of 1 s",
+                "one damaged byte, from the last request of a jog's master until the fingers stop; contains BUS_TIMEOUT (1 s)",
                 1_270,
                 |sweep: &Sweep| sweep.one_fault(Scene::Silence),
             ),
-            sweep("the same for any two bytes", 1_500, Sweep::two_faults),
-            sweep("noise of any strength, measured from its end", 1_000, Sweep::noise),
+            sweep("any two bytes damaged", 1_500, Sweep::two_faults),
+            sweep("noise that damages up to half of all bytes, measured from its end", 1_000, Sweep::noise),
         ]
     }
 

@@ -15,7 +15,7 @@ fn seen(levels: &[bool]) -> String {
     let lit = levels.iter().filter(|is_lit| **is_lit).count();
     if lit * 2 > levels.len() {
         let gaps = levels.windows(2).filter(|pair| pair[0] && !pair[1]).count();
-        return if gaps > 1 { "lit, with a short gap".into() } else { "lit".into() };
+        return if gaps > 1 { "on, with one short gap every 2 s".into() } else { "lit".into() };
     }
     let runs: Vec<&[bool]> = levels.chunk_by(|a, b| a == b).collect();
     let is_pause = |run: &&[bool]| !run[0] && run.len() > PAUSE_MS;
@@ -61,7 +61,7 @@ fn power_up_homing_and_a_cut_line_are_shown() {
     assert_eq!(look(&mut rig), "4 flashes", "the FAST STOP of power-up");
 
     rig.get_homed();
-    assert_eq!(look(&mut rig), "lit, with a short gap");
+    assert_eq!(look(&mut rig), "on, with one short gap every 2 s");
 
     rig.far.to_bridge = Some(Box::new(Vec::clear));
     rig.pass(3_000);
@@ -82,10 +82,10 @@ fn silent_master_is_shown_until_it_resumes() {
 fn absent_master_is_hidden_if_never_connected_or_wires_command() {
     let mut rig = Master::new(Config::DEFAULT, quick());
     rig.get_homed();
-    assert_eq!(look(&mut rig), "lit, with a short gap");
+    assert_eq!(look(&mut rig), "on, with one short gap every 2 s");
 
     rig.write(0, &[0, 0, 0, 0]);
-    assert_eq!(look(&mut rig), "lit, with a short gap");
+    assert_eq!(look(&mut rig), "on, with one short gap every 2 s");
 }
 
 #[test]

@@ -11,10 +11,10 @@ use wsg_bridge_fw::{Config, RECIPES, Recipe, WiresConfig};
 const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
     (Inputs::GRIP, "rising edge: grip a part"),
     (Inputs::RELEASE, "rising edge: release the part"),
-    (Inputs::MOVE, "rising edge: move the fingers to a width"),
+    (Inputs::MOVE, "rising edge: move the fingers to the recipe's width"),
     (Inputs::HOME, "rising edge: reference the fingers"),
     (Inputs::STOP_ACK, "rising edge: stop, or acknowledge a FAST STOP"),
-    (Inputs::FAST_STOP_OK, "**low: FAST STOP** (so a broken wire stops)"),
+    (Inputs::FAST_STOP_OK, "**low: FAST STOP**, so that a broken wire stops the fingers"),
     (Inputs::RECIPE0, "recipe number, bit 0"),
     (Inputs::RECIPE1, "recipe number, bit 1"),
 ];
@@ -25,7 +25,7 @@ const OUTPUT_MEANINGS: [(Outputs, &str); Outputs::COUNT] = [
     (Outputs::BUSY, "a command is in progress"),
     (Outputs::HOLDING, "a part is held"),
     (Outputs::PART_FAULT, "no part found, or part lost"),
-    (Outputs::ERROR, "command refused or failed, state unknown, or FAST STOP"),
+    (Outputs::ERROR, "command refused, failed or of unknown outcome; FAST STOP; or a fault"),
     (Outputs::REFERENCED, "the fingers are referenced"),
     (Outputs::LINK_OK, "the gripper responds"),
 ];
@@ -78,17 +78,23 @@ fn times() -> String {
     let ms = |value: u32| format!("{value} ms");
     let rows = [
         ("debounce time of a wire", ms(debounce_ms)),
-        ("minimum pulse of `BUSY`, unless an error ends it", ms(min_busy_ms)),
-        ("time-out of the first answer to a request", ms(session.reply_timeout_ms)),
+        (
+            "minimum pulse of `BUSY`, unless a FAST STOP, a fault that locks, or a lost link ends it",
+            ms(min_busy_ms),
+        ),
+        ("time-out of an answer (of the first, if several follow)", ms(session.reply_timeout_ms)),
         ("time-out of the answer to a Stop, before it becomes a FAST STOP", ms(session.timeouts[0].reply_ms)),
-        ("time-out of the answer to a FAST STOP, before a burst of them", ms(session.fast_stop.answer_ms)),
+        (
+            "time-out of the answer to a FAST STOP, before the bridge sends a burst of them",
+            ms(session.fast_stop.answer_ms),
+        ),
         ("number of FAST STOPs in a burst", session.fast_stop.burst_frames.to_string()),
         ("pause after a burst", ms(session.fast_stop.pause_ms)),
         (
-            "transmissions of a repeatable request before the link counts as lost",
+            "transmissions of a repeatable request, the first included, before the link counts as lost",
             session.attempts.to_string(),
         ),
-        ("polling interval of each state of the gripper", ms(session.refresh_ms)),
+        ("polling interval of each gripper state", ms(session.refresh_ms)),
         ("interval of attempts to reconnect", ms(session.reconnect_ms)),
         ("time-out of a motion", ms(session.motion_timeout_ms)),
         ("time-out of a result after standstill", ms(session.result_grace_ms)),

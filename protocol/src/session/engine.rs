@@ -431,8 +431,7 @@ impl<D: Dialect> Engine<D> {
     /// Returns whether a request of this kind has no reply yet.
     fn waits(&self, kind: Kind) -> bool {
         let is_such = |name: NameOf<D>| name.kind() == kind;
-        self.request.name().is_some_and(is_such)
-            || self.queue.iter().any(|request| is_such(request.name()))
+        self.request.name().is_some_and(is_such) || self.queue.iter().any(|request| is_such(request.name()))
     }
 
     #[inline(never)]
