@@ -66,7 +66,7 @@ enum Command {
     Save,
     /// Reverts to the stored settings
     Restore,
-    /// Resets all settings to the image's defaults and stores them
+    /// Resets all settings to their defaults and stores them
     Defaults {
         /// Reset without asking for confirmation
         #[arg(long, short)]
@@ -165,7 +165,7 @@ fn carry_out(port: &str, command: &Command, output: &mut impl Write) -> Result<(
         Command::Save => save_settings(&mut client, output)?,
         Command::Restore => replace_settings(&mut client, StoreCommand::Restore, output)?,
         Command::Defaults { yes } => {
-            confirm("Reset all settings to the image's defaults and store them", *yes)?;
+            confirm("Reset all settings to their defaults and store them", *yes)?;
             replace_settings(&mut client, StoreCommand::Defaults, output)?;
             writeln!(output, "stored")?;
         }
@@ -277,7 +277,7 @@ fn write_image(port: &str, arguments: &flash::Arguments, output: &mut impl Write
     }
     confirm(&plan.question, arguments.yes)?;
     plan.run()?;
-    writeln!(output, "written; the board restarts with the new image")?;
+    writeln!(output, "written; the board restarts with the new firmware")?;
     Ok(())
 }
 

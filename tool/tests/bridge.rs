@@ -508,7 +508,7 @@ fn image_is_written_by_matching_method_unless_fingers_move() {
     fs::write(bin, b"GRIP(20)").unwrap();
     let (_, printed) = flash(&[bin, "--yes", "--drive", drive.to_str().unwrap()]);
     assert!(
-        printed.contains("is not a valid image: no vector table for this board at the start"),
+        printed.contains("is not valid firmware: no vector table for this board at the start"),
         "{printed}"
     );
     served.act(begin_to_home);

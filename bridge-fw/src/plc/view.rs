@@ -236,7 +236,7 @@ report_rows! { View<'_> as it:
         it.facts.events.fast_stop_register(1);
     137 "FAST_STOP_VALUE" "value of the event, see the table of events" it.facts.events.fast_stop_register(2);
     138 "FAST_STOP_AGE" "time since the event, in s" it.facts.events.fast_stop_register(3);
-    203 "SETTINGS_FROM" "source of the settings: 0 image, 1 stored, 2 stored by older firmware; image, stored ones refused: 3 from newer firmware, 4 invalid, 5 damaged; 6 image, no flash"
+    203 "SETTINGS_FROM" "source of the settings: 0 defaults, 1 stored, 2 stored by older firmware; defaults, stored ones refused: 3 from newer firmware, 4 invalid, 5 damaged; 6 defaults, no flash"
         it.facts.store.from as u16;
     204 "SAVE_STATE" "last SAVE or DEFAULTS: 0 none since the start, 1 running, 2 stored, 3 failed, previous settings kept"
         it.facts.store.save as u16;

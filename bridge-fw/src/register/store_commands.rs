@@ -9,7 +9,7 @@ pub enum StoreCommand {
     Save,
     /// Applies the stored settings.
     Restore,
-    /// Applies the settings of the image, and stores them.
+    /// Applies the default settings, and stores them.
     Defaults,
 }
 
@@ -44,7 +44,7 @@ pub const COMMANDS: [CommandRegister; 3] = [
     },
     CommandRegister {
         name: "DEFAULTS",
-        meaning: "applies the settings of the image, and stores them",
+        meaning: "applies the default settings, and stores them",
         command: StoreCommand::Defaults,
     },
 ];

@@ -96,7 +96,7 @@ impl Client {
         if version != MAP_VERSION {
             bail!(
                 "the bridge at {port} has register map version {version}, but this wsg supports version {MAP_VERSION}; \
-                 use the wsg of the bridge's release, or flash the image of this release"
+                 use the wsg of the bridge's release, or flash the firmware of this release"
             );
         }
         Ok(client)

@@ -19,7 +19,7 @@ const MARKS: [&str; 2] = ["MBED.HTM", "INFO_UF2.TXT"];
 pub(crate) struct Arguments {
     /// Image to write: .elf (probe-rs), .bin (the board's drive or st-flash) or .uf2 (the board's drive)
     image: PathBuf,
-    /// Method to use; by default chosen by the type of the image
+    /// Method to use; by default chosen by the type of the file
     #[arg(long, value_enum)]
     with: Option<With>,
     /// The board's drive, if it is not detected
@@ -66,7 +66,7 @@ impl Plan {
         let image = &arguments.image;
         let bytes = fs::read(image).with_context(|| format!("cannot read {}", image.display()))?;
         let kind = image.extension().and_then(|kind| kind.to_str()).unwrap_or_default().to_ascii_lowercase();
-        check(&bytes, &kind).with_context(|| format!("{} is not a valid image", image.display()))?;
+        check(&bytes, &kind).with_context(|| format!("{} is not valid firmware", image.display()))?;
         let with = match (arguments.with, kind.as_str()) {
             (None | Some(With::ProbeRs), "elf") => With::ProbeRs,
             (None | Some(With::Drive), "uf2") | (Some(With::Drive), "bin") => With::Drive,
@@ -88,7 +88,7 @@ impl Plan {
             With::StFlash => {
                 require(
                     "st-flash",
-                    "sudo apt install stlink-tools; or copy the image to the board's drive with --drive FOLDER",
+                    "sudo apt install stlink-tools; or copy the firmware to the board's drive with --drive FOLDER",
                 )?;
                 let mut write = Command::new("st-flash");
                 write.args(["--reset", "write"]).arg(path).arg(FLASH);
@@ -127,7 +127,7 @@ impl Plan {
                     let status = program.status().with_context(|| format!("cannot start {name}"))?;
                     if !status.success() {
                         bail!(
-                            "{name} failed ({status}); see its output above. The image may be incomplete; flash it again"
+                            "{name} failed ({status}); see its output above. The firmware may be incomplete; flash it again"
                         );
                     }
                 }
