@@ -99,19 +99,30 @@ fn commands_of_the_readme_grip() {
     }
 }
 
+/// Compiles an example as its comment states, and returns the program.
+fn compiled(root: &Path, source: &str) -> PathBuf {
+    let text = fs::read_to_string(root.join("examples").join(source)).unwrap();
+    let mut lines = text.lines().map(|line| line.trim_start_matches([' ', '*', '/']));
+    let line = lines.find(|line| line.starts_with("cc ") || line.starts_with("c++ ")).unwrap();
+    shell(root, line);
+    root.join(line.rsplit(' ').next().unwrap())
+}
+
 #[test]
 fn examples_grip_twice_when_compiled_as_their_comments_state() {
     let root = unpacked("archive-examples", HOST);
     for (source, end) in
         [("posix.c", POSIX_END), ("cpp_host.cpp", "acknowledge: done\nmove: done\n"), ("host.c", HOST_END)]
     {
-        let text = fs::read_to_string(root.join("examples").join(source)).unwrap();
-        let lines = text.lines().map(|line| line.trim_start_matches([' ', '*', '/']));
-        let line =
-            lines.into_iter().find(|line| line.starts_with("cc ") || line.starts_with("c++ ")).unwrap();
-        shell(&root, line);
-        grips(&mut Command::new(root.join(line.rsplit(' ').next().unwrap())), end);
+        grips(&mut Command::new(compiled(&root, source)), end);
     }
+}
+
+#[test]
+fn parser_alone_finds_a_frame_after_noise() {
+    let root = unpacked("archive-parser", HOST);
+    let output = Command::new(compiled(&root, "parser.c")).output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&output.stdout), "25h: an intact frame with 2 bytes of payload\n");
 }
 
 #[test]

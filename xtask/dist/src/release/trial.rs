@@ -2,12 +2,13 @@
 
 use std::{
     env, fs,
-    io::{BufRead, BufReader},
+    io::{BufRead, BufReader, Cursor},
     path::Path,
     process::{Child, Command, Stdio},
 };
 
 use anyhow::{Context, Result};
+use zip::ZipArchive;
 
 use crate::program::run_program;
 
@@ -28,19 +29,15 @@ pub(super) fn isolated(launcher: &[&str], program: &Path, folder: &Path) -> Comm
     command
 }
 
-/// Unpacks a ZIP archive into a folder.
+/// Unpacks a ZIP archive into a folder, with the right to run of its programs.
 pub(super) fn unzip(folder: &Path, archive: &[u8]) -> Result<()> {
-    unpack(folder, archive, Command::new("python3").args(["-m", "zipfile", "-e", "archive", "."]))
+    Ok(ZipArchive::new(Cursor::new(archive))?.extract(folder)?)
 }
 
 /// Unpacks a TAR archive into a folder.
 pub(super) fn untar(folder: &Path, archive: &[u8]) -> Result<()> {
-    unpack(folder, archive, Command::new("tar").args(["-xzf", "archive"]))
-}
-
-fn unpack(folder: &Path, archive: &[u8], program: &mut Command) -> Result<()> {
     fs::write(folder.join("archive"), archive)?;
-    run_program(program.current_dir(folder), "")?;
+    run_program(Command::new("tar").current_dir(folder).args(["-xzf", "archive"]), "")?;
     Ok(fs::remove_file(folder.join("archive"))?)
 }
 
