@@ -3,7 +3,7 @@
 use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result};
-use document::root;
+use document::{anchor_of, root};
 
 use crate::program::run_program;
 
@@ -14,13 +14,17 @@ const FOLDER: &str = "target/book";
 pub(crate) const HEADLESS: [&str; 4] =
     ["--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking"];
 
+/// Title of the book.
+const TITLE: &str = concat!("wsg-bridge ", env!("CARGO_PKG_VERSION"));
+
 /// Builds the documents as a book in target/book, and prints it to target/book.pdf
 #[derive(clap::Args)]
 pub(crate) struct Arguments {}
 
 /// Builds `target/book`, and prints it to `target/book.pdf` unless Chromium is missing.
 pub(crate) fn build() -> Result<()> {
-    run_program(Command::new("mdbook").current_dir(root()).arg("build"), "")?;
+    let mut mdbook = Command::new("mdbook");
+    run_program(mdbook.current_dir(root()).arg("build").env("MDBOOK_BOOK__TITLE", TITLE), "")?;
     let folder = root().join(FOLDER);
     let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).context("docs/SUMMARY.md")?;
     for entry in fs::read_dir(&folder)? {
@@ -32,11 +36,29 @@ pub(crate) fn build() -> Result<()> {
         }
     }
     println!("{}", folder.join("index.html").display());
-    print(&folder)
+    print(&folder, &contents)
+}
+
+/// Returns the title page and the table of contents of the printed book.
+fn front(contents: &str) -> Result<String> {
+    let mut front = format!(
+        "<section class=\"front\"><h1>{TITLE}</h1>\n<p>A bridge between PLCs and servo grippers of the WSG series, drivers, and a \
+         virtual gripper.<br>Not a safety device.</p>\n<h2>Contents</h2>\n<ul>\n"
+    );
+    for line in contents.lines() {
+        let link = line.trim_start_matches("- ").strip_prefix('[').and_then(|rest| rest.split_once("]("));
+        if let Some((title, file)) = link {
+            let file = root().join("docs").join(file.trim_end_matches(')'));
+            let page = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
+            let heading = page.lines().next().unwrap_or_default().trim_start_matches("# ");
+            front.push_str(&format!("<li><a href=\"#{}\">{title}</a></li>\n", anchor_of(heading)));
+        }
+    }
+    Ok(front + "</ul></section>\n")
 }
 
 /// Prints the book's `print.html` beside its folder, without links to files, which would contain paths of this machine.
-fn print(folder: &Path) -> Result<()> {
+fn print(folder: &Path, contents: &str) -> Result<()> {
     let pdf = folder.with_extension("pdf");
     // An older PDF must not be delivered with a newer book.
     let _ = fs::remove_file(&pdf);
@@ -54,6 +76,7 @@ fn print(folder: &Path) -> Result<()> {
     chromium.arg(format!("--print-to-pdf={}", pdf.display()));
     let html = fs::read_to_string(folder.join("print.html"))?;
     let page = folder.join("printed.html");
+    let html = html.replacen("<main>", &format!("<main>\n{}", front(contents)?), 1);
     let is_file = |link: &str| !link.starts_with(['#', '?']) && !link.contains("://");
     fs::write(&page, without_links(&html, is_file))?;
     let printed = run_program(chromium.arg(format!("file://{}", page.display())), "");
@@ -156,6 +179,17 @@ fn with_titles(html: String, contents: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn printed_book_begins_with_its_version_and_all_pages() {
+        let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).unwrap();
+        let front = front(&contents).unwrap();
+        assert!(
+            front.contains(TITLE) && front.contains("<li><a href=\"#quick-start\">Quick start</a></li>"),
+            "{front}"
+        );
+        assert_eq!(front.matches("<li>").count(), contents.matches(".md)").count());
+    }
 
     #[test]
     fn links_out_of_the_documents_lead_to_the_sources() {
