@@ -2,11 +2,12 @@
 //!
 //! Neither replaces reading. The list applies to every page and every source of the repository.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use document::{files, root};
+use document::{files, read, root};
 use host_tests::masters::PYTHON_VARIABLE;
 
 /// Files that contain the wordings.
@@ -72,6 +73,37 @@ fn no_text_of_the_repository_has_a_wording_of_the_list() {
         );
     }
     assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+/// The pages for users state each fact once.
+#[test]
+fn user_pages_share_few_runs_of_nine_words() {
+    let contents = read("docs/SUMMARY.md");
+    let (users, _) = contents.split_once("# Contributors").unwrap();
+    let mut pages: BTreeMap<Vec<String>, BTreeSet<&str>> = BTreeMap::new();
+    let names = users.split("](").skip(1).filter_map(|rest| rest.split(')').next());
+    for name in names {
+        let words: Vec<String> = words_of_user_page(&read(&format!("docs/{name}")));
+        for run in words.windows(9) {
+            pages.entry(run.to_vec()).or_default().insert(name);
+        }
+    }
+    assert!(pages.len() > 10_000, "{} runs", pages.len());
+    let shared: Vec<_> = pages.iter().filter(|(_, pages)| pages.len() > 1).collect();
+    assert!(shared.len() <= 60, "{} runs: {shared:#?}", shared.len());
+}
+
+/// Returns the words of a page without generated parts and code blocks.
+fn words_of_user_page(page: &str) -> Vec<String> {
+    let mut text = String::new();
+    for (at, part) in page.split("<!-- generated: ").enumerate() {
+        text.push_str(if at == 0 { part } else { part.split_once("<!-- end -->").map_or("", |(_, it)| it) });
+    }
+    let prose = prose_of_page(&text).into_iter().map(|(_, line)| line.to_lowercase());
+    let words = prose.flat_map(|line| {
+        line.split(|char: char| !char.is_alphanumeric() && char != '_').map(str::to_owned).collect::<Vec<_>>()
+    });
+    words.filter(|word| !word.is_empty()).collect()
 }
 
 #[test]
