@@ -20,7 +20,8 @@ pub(crate) struct Levels {
     pub(crate) min_busy_ms: u32,
     pub(crate) outputs: Outputs,
     busy_since: Instant,
-    /// Whether the fingers were moving, or a motion of the PLC had no result, at the end of a turn since BUSY rose.
+    /// Whether the fingers were moving, or a motion of the PLC had neither a result nor ERROR, at the end of a turn since BUSY
+    /// rose.
     has_run: bool,
     /// Time of the last motion edge while READY was high.
     edge: Option<Instant>,
@@ -79,7 +80,9 @@ impl Levels {
         if busy && !before.contains(Outputs::BUSY) {
             self.busy_since = now;
         }
-        self.has_run = busy && (self.has_run || motion_is_open || flags.contains(SystemFlags::MOVING));
+        // A motion that ERROR has ended, and that waits to be withdrawn, does not run.
+        let runs = motion_is_open && !error || flags.contains(SystemFlags::MOVING);
+        self.has_run = busy && (self.has_run || runs);
         let ends = before.contains(Outputs::BUSY) && !busy && !error;
         keep(Promise::BusyLasts, !ends || now.since(self.busy_since) >= self.min_busy_ms)?;
 
