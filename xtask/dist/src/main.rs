@@ -54,7 +54,8 @@ const START: &str = "START-HERE.txt";
 
 const START_HERE: &str = "\
 wsg-bridge for the BOARD: a bridge between a PLC and a servo gripper of the WSG series.
-It is not a safety device.
+It is not a safety device. It was tested in emulators only, never with a real board or a
+real gripper.
 
 With the board:
 1. Open manual.html in any browser; no network is needed.
@@ -71,7 +72,7 @@ GSDML-WSG.zip        PROFINET: the virtual gripper (wsg-sim) for a controller's 
                      PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG
 FB_WSG_GRIP.st       a function block in IEC 61131-3 structured text
 PRG_WSG_MODBUS.st    a program that connects it to Modbus registers
-PRG_WSG_DEMO.st      the demo cycle of the fieldbus manual (appendix D)
+PRG_WSG_DEMO.st      the demo cycle of Weiss Robotics' fieldbus manual for the WSG (appendix D)
 wsg-blocks.xml       the three blocks as PLCopen XML, for CODESYS and TwinCAT
 wsg-blocks.scl       the three blocks as SCL source, for TIA Portal
 LICENCES.txt         third-party parts of the firmware and their licences
