@@ -4,12 +4,14 @@
 #[path = "common/program.rs"]
 mod program;
 
+use std::fs::OpenOptions;
 use std::io::{BufRead, BufReader, Lines, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 
 use document::read;
+use host_tests::world::modbus::sealed;
 use program::{printed, wsg};
 use rustix::process::{Pid, Signal, kill_process};
 use tokio_modbus::client::{Context, Reader, Writer, rtu};
@@ -170,6 +172,22 @@ async fn modbus_rtu_master_grips_through_the_bridge_of_the_demonstration() {
     bridged.end();
     std::fs::remove_file(&settings).unwrap();
     assert!(shown.contains("60000"), "{shown}");
+}
+
+/// A pseudo terminal holds 4 KB that its reader has not fetched.
+#[test]
+fn master_that_reads_no_answers_does_not_stop_the_bridge() {
+    let settings = std::env::temp_dir().join(format!("wsg-demo-{}.unread", std::process::id()));
+    let bridged = Bridged::start(&settings);
+    let mut bus = OpenOptions::new().write(true).open(&bridged.bus).unwrap();
+    // 70 registers from 100 on: an answer of 145 bytes.
+    let request = sealed(&[1, 3, 0, 100, 0, 70]);
+    for _ in 0..32 {
+        bus.write_all(&request).unwrap();
+        let shown = bridged.wsg("show GRIPPER_LINK");
+        assert!(shown.contains("connected"), "{shown}");
+    }
+    bridged.end();
 }
 
 #[test]

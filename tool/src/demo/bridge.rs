@@ -1,8 +1,8 @@
 //! `wsg demo --bus`: the bridge's library between a Modbus RTU master and the virtual gripper.
 //!
 //! It is the application of the board's firmware, with the same registers and settings. `FAST_STOP_OK` is high, and all other wires
-//! are low. It runs in real time, one turn per millisecond. Pauses between characters are those that this computer sees: an adapter
-//! may add some.
+//! are low. It runs in real time, one turn per millisecond or when bytes arrive. Pauses between characters are those that this computer
+//! sees: an adapter may add some.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -10,7 +10,7 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -33,7 +33,7 @@ const PTY: &str = "pty";
 /// Maximum duration of a turn.
 const TURN: Duration = Duration::from_millis(1);
 
-/// What the program needs to know of the bridge.
+/// Ports and settings of the bridge.
 pub(super) struct Options<'a> {
     /// Serial port of the PLC's bus.
     pub(super) bus: &'a str,
@@ -171,6 +171,19 @@ fn listen(source: Source, mut line: impl Read + Send + 'static, sender: &Sender<
     });
 }
 
+/// Returns a queue of one frame for a port. A thread of its own sends them, because a master that does not read blocks it.
+fn sender_to(mut port: impl Write + Send + 'static) -> SyncSender<Vec<u8>> {
+    let (sender, frames) = mpsc::sync_channel::<Vec<u8>>(1);
+    thread::spawn(move || {
+        for frame in frames {
+            if port.write_all(&frame).is_err() {
+                return;
+            }
+        }
+    });
+    sender
+}
+
 /// The bridge's end of the gripper's line.
 struct GripperLine {
     line: TcpStream,
@@ -215,7 +228,8 @@ impl embedded_io::Write for GripperLine {
 struct RtuLine {
     /// Port, rate and format; empty without a line.
     name: String,
-    port: Option<Box<dyn Write>>,
+    /// Passes on answers to the thread that sends them.
+    port: Option<SyncSender<Vec<u8>>>,
     /// The other end of a pseudo terminal, kept open so that reads do not fail while no master is connected.
     other_end: Option<SerialPort>,
     waiting: VecDeque<(Character, u32)>,
@@ -235,7 +249,7 @@ impl RtuLine {
             let Pty { terminal, path, other_end } = open_pty().context("no pseudo terminal can be opened")?;
             listen(source, terminal.try_clone()?, sender);
             line.name = format!("{}  (pseudo terminal: no parity)", path.display());
-            line.port = Some(Box::new(terminal));
+            line.port = Some(sender_to(terminal));
             line.other_end = Some(other_end);
             return Ok(line);
         }
@@ -256,7 +270,7 @@ impl RtuLine {
         let device = Arc::new(device);
         listen(source, Shared(device.clone()), sender);
         line.name = format!("{port}  {} bit/s, {format}", config.baud);
-        line.port = Some(Box::new(Shared(device)));
+        line.port = Some(sender_to(Shared(device)));
         Ok(line)
     }
 
@@ -279,9 +293,10 @@ impl BusPort for RtuLine {
     }
 
     fn send(&mut self, frame: &[u8]) {
-        if let Some(port) = &mut self.port {
-            // A lost port ends the program by its reader.
-            let _ = port.write_all(frame);
+        if let Some(port) = &self.port {
+            // Fails while the master does not read an earlier answer, and after the port is lost, which ends the program by its
+            // reader.
+            let _ = port.try_send(frame.to_vec());
         }
     }
 }
