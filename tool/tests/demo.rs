@@ -138,7 +138,7 @@ impl Bridged {
     }
 }
 
-/// A failed test leaves no program behind.
+/// Ends the program of a failed test, too.
 impl Drop for Bridged {
     fn drop(&mut self) {
         let _ = self.demo.kill();
