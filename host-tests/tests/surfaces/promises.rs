@@ -93,13 +93,15 @@ impl Rig {
     fn start_moving(&mut self) -> Receiver<Outcome> {
         let start = Instant::now();
         loop {
-            assert!(start.elapsed() < BOUND, "the page refuses a possible motion");
+            assert!(start.elapsed() < BOUND, "a possible motion is refused");
             let outcome = self.surface.begin(Verb::Move(TARGET));
             // See `succeed`.
             let is_refused = Cell::new(false);
             self.station.until("moving", |state| {
-                is_refused.set(self.kind == Kind::Page && matches!(outcome.try_recv(), Ok(Err(_))));
-                state.flags.contains(SystemFlags::MOVING) || is_refused.get()
+                let moves = state.flags.contains(SystemFlags::MOVING);
+                let is_known = |why: &String| self.kind == Kind::Page || why == LATE;
+                is_refused.set(!moves && matches!(outcome.try_recv(), Ok(Err(why)) if is_known(&why)));
+                moves || is_refused.get()
             });
             if !is_refused.get() {
                 return outcome;

@@ -33,6 +33,10 @@ const PTY: &str = "pty";
 /// Maximum duration of a turn.
 const TURN: Duration = Duration::from_millis(1);
 
+/// Longest time that passes for the bridge between two turns. A paused computer pauses the bridge, too, which would otherwise
+/// miss a gripper whose answers wait.
+const LONGEST_STEP: Duration = Duration::from_millis(50);
+
 /// Ports and settings of the bridge.
 pub(super) struct Options<'a> {
     /// Serial port of the PLC's bus.
@@ -62,7 +66,8 @@ pub(super) struct VirtualBridge {
     bus: RtuLine,
     service: RtuLine,
     received: Receiver<Received>,
-    start: Instant,
+    /// Time since the start, without pauses of the computer.
+    time: Duration,
     outputs: Outputs,
 }
 
@@ -95,7 +100,7 @@ impl VirtualBridge {
             bus,
             service,
             received,
-            start: Instant::now(),
+            time: Duration::ZERO,
             outputs: Outputs::empty(),
         })
     }
@@ -111,6 +116,7 @@ impl VirtualBridge {
         signals: &Signals,
         mut show: impl FnMut(Duration, Outputs) -> Result<()>,
     ) -> Result<()> {
+        let mut last = Instant::now();
         while signals.check().is_ok() {
             match self.received.recv_timeout(TURN) {
                 Ok(received) => self.take(received)?,
@@ -120,13 +126,15 @@ impl VirtualBridge {
             while let Ok(received) = self.received.try_recv() {
                 self.take(received)?;
             }
-            let (now, inputs) = (self.start.elapsed(), Inputs::FAST_STOP_OK);
-            let Self { station, flash, gripper, bus, service, outputs, .. } = self;
-            let now_ms = now.as_millis() as u32;
-            let after = station.turn(now_ms, inputs, gripper, bus, service, flash);
+            let now = Instant::now();
+            self.time += now.duration_since(last).min(LONGEST_STEP);
+            last = now;
+            let Self { station, flash, gripper, bus, service, time, outputs, .. } = self;
+            let now_ms = time.as_millis() as u32;
+            let after = station.turn(now_ms, Inputs::FAST_STOP_OK, gripper, bus, service, flash);
             flash.store()?;
             if std::mem::replace(outputs, after) != after {
-                show(now, after)?;
+                show(*time, after)?;
             }
         }
         Ok(())
