@@ -76,8 +76,7 @@ fn play(plc: &mut Master, accesses: &[ImageAccess]) {
             ImageAccess::Read(expected) => {
                 let is_read = (0..20_000).any(|_| {
                     plc.pass(1);
-                    let values = plc.input(0, 6).unwrap();
-                    expected.iter().zip(values).all(|(expected, value)| expected.is_none_or(|it| it == value))
+                    ImageAccess::expects(expected, plc.input(0, 6).unwrap())
                 });
                 assert!(is_read, "{expected:?} is not read, but {:?}", plc.input(0, 6));
             }

@@ -9,7 +9,6 @@ use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -261,10 +260,10 @@ impl RtuLine {
             line.other_end = Some(other_end);
             return Ok(line);
         }
-        let (parity, stop_bits, format) = match config.format {
-            Format::Even1 => (Parity::Even, StopBits::One, "8E1"),
-            Format::None1 => (Parity::None, StopBits::One, "8N1"),
-            Format::None2 => (Parity::None, StopBits::Two, "8N2"),
+        let (parity, stop_bits) = match config.format {
+            Format::Even1 => (Parity::Even, StopBits::One),
+            Format::None1 => (Parity::None, StopBits::One),
+            Format::None2 => (Parity::None, StopBits::Two),
         };
         let device = SerialPort::open(port, |mut settings: Settings| {
             settings.set_raw();
@@ -275,10 +274,9 @@ impl RtuLine {
             Ok(settings)
         })
         .with_context(|| format!("the serial port {port} cannot be opened"))?;
-        let device = Arc::new(device);
-        listen(source, Shared(device.clone()), sender);
-        line.name = format!("{port}  {} bit/s, {format}", config.baud);
-        line.port = Some(sender_to(Shared(device)));
+        listen(source, device.try_clone()?, sender);
+        line.name = format!("{port}  {} bit/s, {}", config.baud, config.format.name());
+        line.port = Some(sender_to(device));
         Ok(line)
     }
 
@@ -306,25 +304,6 @@ impl BusPort for RtuLine {
             // reader.
             let _ = port.try_send(frame.to_vec());
         }
-    }
-}
-
-/// A serial port that two threads use.
-struct Shared(Arc<SerialPort>);
-
-impl Read for Shared {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        self.0.read(buffer)
-    }
-}
-
-impl Write for Shared {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.0.flush()
     }
 }
 

@@ -163,9 +163,9 @@ mod tests {
     }
 
     #[test]
-    fn manual_or_readme_of_another_board_is_rejected() {
+    fn manual_or_first_page_of_another_board_is_rejected() {
         for board in &BOARDS {
-            let (manual, readme) = (manual_of(board), start_here(board, false, true));
+            let (manual, start) = (manual_of(board), start_here(board, false, true));
             for other in BOARDS.iter().filter(|other| *other != board) {
                 assert!(check(other, &manual, &start_here(other, false, true)).is_err(), "{}", other.name);
             }
@@ -177,9 +177,9 @@ mod tests {
             };
             for wrong in wrong {
                 let manual = manual.replace("</body>", &format!("<p>{wrong}</p></body>"));
-                assert!(check(board, &manual, &readme).is_err(), "{}: {wrong}", board.name);
-                let readme = format!("{readme}{wrong}");
-                assert!(check(board, &manual_of(board), &readme).is_err(), "{}: {wrong}", board.name);
+                assert!(check(board, &manual, &start).is_err(), "{}: {wrong}", board.name);
+                let start = format!("{start}{wrong}");
+                assert!(check(board, &manual_of(board), &start).is_err(), "{}: {wrong}", board.name);
             }
         }
     }
@@ -187,13 +187,13 @@ mod tests {
     #[test]
     fn manual_with_a_changed_pin_is_rejected() {
         for board in &BOARDS {
-            let (manual, readme) = (manual_of(board), start_here(board, false, true));
+            let (manual, start) = (manual_of(board), start_here(board, false, true));
             for row in BoardWiring::of(board).wire_rows() {
                 let [wire, pin, mcu] = row.map(|cell| cell.replace('`', ""));
                 let right = format!("<td>{pin}</td><td>{mcu}</td>");
                 assert!(manual.contains(&right), "{wire}");
                 let wrong = manual.replace(&right, &format!("<td>X</td><td>{mcu}</td>"));
-                assert!(check(board, &wrong, &readme).is_err(), "{wire}");
+                assert!(check(board, &wrong, &start).is_err(), "{wire}");
             }
         }
     }

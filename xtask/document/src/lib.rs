@@ -145,6 +145,14 @@ pub enum ImageAccess {
     Read([Option<u16>; 6]),
 }
 
+impl ImageAccess {
+    /// Returns whether these values of input registers 0 to 5 are the expected ones of a read.
+    #[must_use]
+    pub fn expects(expected: &[Option<u16>; 6], values: impl IntoIterator<Item = u16>) -> bool {
+        expected.iter().zip(values).all(|(expected, value)| expected.is_none_or(|it| it == value))
+    }
+}
+
 /// Returns the accesses to the process images in a document: lines that begin with `write 0 to 3:` or `read  0 to 5:`. Numbers with
 /// `h` are hexadecimal, and `-` is any value.
 ///

@@ -72,7 +72,7 @@ fn play(master: &mut Master, accesses: &[ImageAccess]) {
                 let bound = Instant::now() + MOTION_PATIENCE;
                 let is_read = |answer: &[u8]| {
                     let values = answer[2..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
-                    expected.iter().zip(values).all(|(expected, value)| expected.is_none_or(|it| it == value))
+                    ImageAccess::expects(expected, values)
                 };
                 while !is_read(&master.ask(&[4, 0, 0, 0, 6]).unwrap()) {
                     assert!(Instant::now() < bound, "{expected:?} is not read");
