@@ -75,7 +75,8 @@ impl Plant {
     }
 
     /// Sets a JOG flag until the jog runs, and returns the mark of the trace before it. After a pause of this master for a second,
-    /// the bridge takes its next image for the first, in which the flag is no edge.
+    /// the bridge takes its next image for the first, in which the flag is no edge. If the gripper paused for more than 100 ms
+    /// before it answered a Stop, the bridge has sent a FAST STOP, which this acknowledges.
     fn begin_to_jog(&mut self, image: &[u16; 4]) -> usize {
         let bound = Instant::now() + MOTION_PATIENCE;
         loop {
@@ -85,6 +86,10 @@ impl Plant {
             let input = self.input();
             if input[0] >> 8 == RELEASING {
                 return mark;
+            }
+            if input[1] & FAST_STOP != 0 {
+                self.write(&[0; 4]);
+                self.write(&[1 << 12, 0, 0, 0]);
             }
             assert!(Instant::now() < bound, "no jog; input image {input:04X?}");
         }

@@ -116,6 +116,9 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
     let plant = plant(board);
     let poll =
         |arguments: &[&str], values: &[&str]| masters::poll(&plant.terminal.path, 19_200, arguments, values);
+    // BUS_TIMEOUT of a minute. On a busy host, there may be more than a second between two calls.
+    let written = poll(&["-t", "4", "-r", "101"], &["60000"]);
+    assert!(written.contains("Written 1 references"), "{written}");
     let written = poll(&["-t", "4", "-r", "0"], &["0", "1220", "5000", "4000"]);
     assert!(written.contains("Written 4 references"), "{written}");
     let holding = poll(&["-t", "4", "-r", "0", "-c", "4"], &[]);
