@@ -52,17 +52,11 @@ const SPURIOUS: Duration = Duration::from_millis(1);
 /// A gripper that is already in FAST STOP stays there. Call [`acknowledge`](super::blocking::GripperOver::acknowledge)
 /// to unlock it once the fingers may move.
 ///
-/// ```
-/// # use wsg_sim::{Config, Part, server::{Lines, ServerThread}};
-/// # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
-/// # let config = Config { part: Part::of_width(20.0), ..Config::default() };
-/// # let server = ServerThread::start(config, &lines, None).unwrap();
-/// # let address = server.tcp_address().unwrap();
+/// ```no_run
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::{Grip, Mm, MmPerS, N, host};
 ///
-/// // Address of a real gripper: "192.168.1.20:1000".
-/// let mut gripper = host::connect(address)?;
+/// let mut gripper = host::connect("192.168.1.20:1000")?;
 /// gripper.home(HomingDirection::Default)?;
 /// gripper.set_force_limit(N(40.0))?;
 /// assert_eq!(gripper.grip(Mm(20.0), MmPerS(200.0))?, Grip::Held);
@@ -99,14 +93,10 @@ pub fn connect_gcl(
 /// the end of the connection. For a closure with its own error type, use [`connect`] or
 /// [`with_connection`](super::blocking::GripperOver::with_connection).
 ///
-/// ```
-/// # use wsg_sim::{Config, server::{Lines, ServerThread}};
-/// # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
-/// # let server = ServerThread::start(Config::default(), &lines, None).unwrap();
-/// # let address = server.tcp_address().unwrap();
+/// ```no_run
 /// use wsg_protocol::driver::host;
 ///
-/// let _ = host::with_gripper(address, |gripper| {
+/// let _ = host::with_gripper("192.168.1.20:1000", |gripper| {
 ///     println!("{:.1}", gripper.width()?);
 ///     Ok(())
 /// });

@@ -28,16 +28,11 @@ const REST_TIMEOUT: Duration = Duration::from_millis(100);
 ///
 /// The handle is detached by `into_io`, by `replace_io`, and by dropping the gripper.
 ///
-/// ```
-/// # use wsg_sim::{Config, server::{Lines, ServerThread}};
-/// # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
-/// # let server = ServerThread::start(Config::default(), &lines, None).unwrap();
-/// # let address = server.tcp_address().unwrap();
+/// ```no_run
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::{Error, Mm, MmPerS, OnBlock, StopKind, host};
 ///
-/// // Address of a real gripper: "192.168.1.20:1000".
-/// let mut gripper = host::connect(address)?;
+/// let mut gripper = host::connect("192.168.1.20:1000")?;
 /// gripper.home(HomingDirection::Positive)?;
 /// let handle = gripper.stop_handle().map_err(Error::Transport)?;
 /// let button = std::thread::spawn(move || handle.stop());

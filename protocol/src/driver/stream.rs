@@ -1,8 +1,8 @@
 //! Set-points for the fingers at a fixed rate, from a worker thread, with state feedback (feature `std`).
 //!
 //! A [`SetPointStream`] owns a connected gripper. Its worker sends the commanded position once per period and records
-//! the reported state. The caller sets targets and reads the state without waiting for the line. See
-//! `docs/streaming.md` in the repository for the script upload and the message layout.
+//! the reported state. The caller sets targets and reads the state without waiting for the line. In the repository,
+//! `docs/python.md` explains the script upload, and `docs/models.md` has the message layout.
 //!
 //! | back-end | condition | set-points | state |
 //! |---|---|---|---|
@@ -28,17 +28,12 @@
 //! of the `SetPointStream`. It sends Stop if the line permits it, and [`ended`](SetPointStream::ended) returns the
 //! [`Cause`]. Nothing resumes automatically.
 //!
-//! ```
-//! # use wsg_sim::{Config as Sim, server::{Lines, ServerThread}};
-//! # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
-//! # let server = ServerThread::start(Sim::default(), &lines, None).unwrap();
-//! # let address = server.tcp_address().unwrap();
+//! ```no_run
 //! use wsg_protocol::HomingDirection;
 //! use wsg_protocol::driver::stream::{Cause, Config, SetPointStream};
 //! use wsg_protocol::driver::{Mm, MmPerS, N, host};
 //!
-//! // Address of a real gripper: "192.168.1.20:1000".
-//! let mut gripper = host::connect(address)?;
+//! let mut gripper = host::connect("192.168.1.20:1000")?;
 //! gripper.home(HomingDirection::Positive)?;
 //!
 //! let stream = SetPointStream::start(gripper, Config::default())?;

@@ -31,18 +31,12 @@ use tokio::net::ToSocketAddrs;
 /// A gripper that is already in FAST STOP stays there. Call [`acknowledge`](super::asynch::GripperOver::acknowledge) to
 /// unlock it once the fingers may move.
 ///
-/// ```
-/// # use wsg_sim::{Config, Part, server::{Lines, ServerThread}};
-/// # let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
-/// # let config = Config { part: Part::of_width(20.0), ..Config::default() };
-/// # let server = ServerThread::start(config, &lines, None).unwrap();
-/// # let address = server.tcp_address().unwrap();
+/// ```no_run
 /// use wsg_protocol::HomingDirection;
 /// use wsg_protocol::driver::{Grip, Mm, MmPerS, N, tokio::connect};
 ///
 /// # tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(async {
-/// // Address of a real gripper: "192.168.1.20:1000".
-/// let mut gripper = connect(address).await?;
+/// let mut gripper = connect("192.168.1.20:1000").await?;
 /// gripper.home(HomingDirection::Default).await?;
 /// gripper.set_force_limit(N(40.0)).await?;
 /// assert_eq!(gripper.grip(Mm(20.0), MmPerS(200.0)).await?, Grip::Held);

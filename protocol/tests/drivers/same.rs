@@ -40,7 +40,7 @@ for_all! {
     fn end_without_announcement_is_reported_to_the_next_program;
     fn program_may_leave_early_without_causing_a_fast_stop;
     fn program_without_a_connection_is_not_run;
-    fn unanswered_announcement_is_reported_unless_the_program_failed;
+    fn unanswered_announcement_is_reported_after_success;
     fn closed_line_is_reported_to_the_program;
     fn garbage_is_only_counted;
     fn invalid_number_is_refused_before_anything_is_sent;
@@ -53,7 +53,7 @@ for_all! {
     fn finger_types_are_returned;
     fn message_is_one_write;
     fn nothing_is_sent_without_a_connection;
-    fn motion_of_a_closed_connection_is_not_sent_when_the_line_accepts_bytes_again;
+    fn motion_of_a_closed_connection_is_never_sent_later;
 }
 
 fn with_part(width: f32) -> Config {
@@ -345,7 +345,7 @@ fn program_without_a_connection_is_not_run<C: Client>() {
     assert_eq!(outcome, Err(Error::NotConnected.into()));
 }
 
-fn unanswered_announcement_is_reported_unless_the_program_failed<C: Client>() {
+fn unanswered_announcement_is_reported_after_success<C: Client>() {
     for (end, expected) in [(Ok(7), Error::Unanswered.into()), (Err(ProgramError::Own), ProgramError::Own)] {
         let mut client = C::new(Config::default());
         let rig = client.rig();
@@ -594,7 +594,7 @@ fn nothing_is_sent_without_a_connection<C: Client>() {
     assert_near(client.width().unwrap().0, 110.0);
 }
 
-fn motion_of_a_closed_connection_is_not_sent_when_the_line_accepts_bytes_again<C: Client>() {
+fn motion_of_a_closed_connection_is_never_sent_later<C: Client>() {
     // The message is unsent or partly sent.
     for room in [0, 3, 5] {
         let mut client = C::homed(Config::default());

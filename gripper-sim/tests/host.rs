@@ -13,6 +13,10 @@ use wsg_protocol::{Command, CommandId, FrameEncoder, FrameParser, HomingDirectio
 use wsg_sim::server::{Lines, ServerThread, UdpLine};
 use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
 
+#[expect(dead_code, reason = "only its test runs here, because the crate's own tests have no server")]
+#[path = "../../protocol/examples/quick_start.rs"]
+mod quick_start;
+
 /// Maximum time that a test waits for an expected event.
 const PATIENCE: Duration = Duration::from_secs(30);
 

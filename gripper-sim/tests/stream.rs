@@ -27,7 +27,7 @@ fn script(name: &str) -> PathBuf {
 }
 
 fn ours() -> Option<PathBuf> {
-    Some(script("scripts/wsg_stream.lua"))
+    Some(script("../protocol/scripts/wsg_stream.lua"))
 }
 
 /// Returns both back-ends of the project.
@@ -377,7 +377,7 @@ fn contact_turns_the_motor_off_without_a_script() {
 
 #[test]
 fn script_with_the_messages_of_umi_is_recognised() {
-    let example = script("../gripper-sim/examples/remote.lua");
+    let example = script("examples/remote.lua");
     let (_server, address) = serve(Some(example), None);
     let stream = stream_at(address, Backend::UmiScript);
     stream.set_force_limit(N(20.0)).unwrap();
