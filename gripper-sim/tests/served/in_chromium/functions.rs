@@ -38,6 +38,12 @@ fn each_command_shows_its_result_and_a_refusal_moves_nothing() {
         tab.click("#grip");
         tab.until(&is_refused("message"));
         assert_eq!(tab.eval(place), before, "the refusal must not shift the layout");
+        // The longest texts of the header, which the next state replaces.
+        let longest =
+            "now = 12345; isGone(); write($('state'), 'FAST STOP, POSITIONING'); seenDate = 0; isGone();";
+        let moved = tab.eval(&format!("(() => {{ {longest} return {place}; }})()"));
+        assert_eq!(moved, before, "a lost connection must not shift the layout");
+        tab.until("!document.body.classList.contains('stale')");
         tab.until("document.querySelector('#results .bad').textContent.endsWith('refused')");
         home(tab);
         tab.until(&format!("{}.includes('home: IDLE at 110.0 mm')", text("results")));
