@@ -13,6 +13,7 @@ use anyhow::Result;
 #[cfg(unix)]
 fn main() -> Result<()> {
     use anyhow::Context;
+    use host_tests::emulator::stm_board::B_L475E_IOT01A;
     use host_tests::emulator::{Emulator, Extras};
     use host_tests::flash_controller::FlashController;
     use host_tests::{gripper_end::GripperEnd, terminal::Terminal, trace::Trace};
@@ -21,7 +22,7 @@ fn main() -> Result<()> {
 
     let image =
         std::env::args_os().nth(1).context("expected the path of an image; `cargo xtask build` prints it")?;
-    let models = FlashController::new().models();
+    let models = FlashController::new(&B_L475E_IOT01A.flash).models();
     let mut board = Emulator::start_with(image.as_ref(), Extras { models, ..Extras::default() })?;
     board.set_input(Inputs::FAST_STOP_OK, true)?;
     let terminal = Terminal::to(board.take_modbus_line().context("the bus is already in use")?)?;

@@ -18,7 +18,9 @@ use self::fifo::Fifo;
 use self::filters::Filters;
 pub use self::mailboxes::MAILBOXES;
 use self::mailboxes::Mailboxes;
-use crate::can_controller::{BusController, ErrorCode, Transmission};
+use crate::can_controller::{
+    BITS_TO_SYNCHRONISE, BitTiming, BusController, ErrorCode, RECOVERY, Transmission, count_sequences,
+};
 use crate::can_wire::WireFrame;
 
 /// Register offsets (46.9.2 to 46.9.4).
@@ -59,9 +61,6 @@ const FMPIE0: u32 = 1 << 1;
 const TIMING: u32 = 0x037F_03FF;
 const TEST_MODES: u32 = 0b11 << 30;
 
-/// Consecutive recessive bits before a controller takes part (46.4.2).
-const BITS_TO_SYNCHRONISE: u32 = 11;
-
 /// Interrupt numbers of transmission and FIFO 0 (RM0351, table 58).
 pub const LINES: [u8; 2] = [19, 20];
 
@@ -76,19 +75,6 @@ enum Mode {
         from: u32,
     },
     Normal,
-}
-
-/// Timing of a bit (46.7.7).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BitTiming {
-    /// Bit rate in bit/s.
-    pub rate: u32,
-    /// Sample point in thousandths of a bit.
-    pub sample_point: u32,
-    /// Synchronisation jump width in time quanta.
-    pub jump: u32,
-    /// Time quanta per bit.
-    pub quanta: u32,
 }
 
 /// The bxCAN controller.
@@ -150,18 +136,11 @@ impl Bxcan {
         &self.violations
     }
 
-    /// Returns the configured bit timing.
+    /// Returns the configured bit timing (46.7.7).
     #[must_use]
     pub fn bit_timing(&self) -> BitTiming {
         let field = |at: u32, bits: u32| (self.btr >> at & ((1 << bits) - 1)) + 1;
-        let (before, behind) = (1 + field(16, 4), field(20, 3));
-        let quanta = before + behind;
-        BitTiming {
-            rate: self.clock_hz / (field(0, 10) * quanta),
-            sample_point: 1_000 * before / quanta,
-            jump: field(24, 2),
-            quanta,
-        }
+        BitTiming::new(self.clock_hz, field(0, 10), [1 + field(16, 4), field(20, 3)], field(24, 2))
     }
 
     /// Loads the register at this offset.
@@ -281,7 +260,7 @@ impl Bxcan {
             self.recessive = 0;
             if from == INAK {
                 // 46.7.6: setting and clearing INRQ starts the recovery from bus-off.
-                self.faults.confinement.begin_recovery();
+                self.faults.confinement.begin_recovery(RECOVERY);
             }
         }
         self.mode = mode;
@@ -355,15 +334,13 @@ impl BusController for Bxcan {
     }
 
     fn idle(&mut self, bits: u32) {
-        let before = self.recessive;
-        self.recessive = before.saturating_add(bits);
+        let sequences = count_sequences(&mut self.recessive, bits);
         if let Mode::Synchronising { .. } = self.mode
             && self.recessive >= BITS_TO_SYNCHRONISE
         {
             self.enter(Mode::Normal);
         }
         if self.mode == Mode::Normal {
-            let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
             self.faults.confinement.count_recessive(sequences);
         }
     }

@@ -157,6 +157,13 @@ impl<C: BusController> CanBus<C> {
         what(&mut self.lock().controller)
     }
 
+    /// Resets the board's controller by `reset`; the frame on the bus is lost.
+    pub(crate) fn reset_with(&self, reset: impl FnOnce(&mut C)) {
+        let mut bus = self.lock();
+        reset(&mut bus.controller);
+        bus.on_wire = None;
+    }
+
     /// Advances time, for a controller that is not a [`RegisterModel`].
     pub fn pass(&self, time: Duration) {
         self.lock().advance(time);
@@ -219,9 +226,7 @@ impl RegisterModel for CanBus {
     }
 
     fn reset(&mut self) {
-        let mut bus = self.lock();
-        bus.controller = Bxcan::new(CLOCK_HZ);
-        bus.on_wire = None;
+        self.reset_with(|controller| *controller = Bxcan::new(CLOCK_HZ));
     }
 
     fn interrupts(&self) -> Vec<(u8, bool)> {

@@ -30,6 +30,38 @@ pub enum ErrorCode {
     Crc = 6,
 }
 
+/// Consecutive recessive bits before a controller takes part (ISO 11898-1).
+pub(crate) const BITS_TO_SYNCHRONISE: u32 = 11;
+
+/// Counts recessive bits. Returns the number of sequences of [`BITS_TO_SYNCHRONISE`] that they complete.
+pub(crate) fn count_sequences(recessive: &mut u32, bits: u32) -> u32 {
+    let before = *recessive;
+    *recessive = before.saturating_add(bits);
+    *recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE
+}
+
+/// Timing of a bit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BitTiming {
+    /// Bit rate in bit/s.
+    pub rate: u32,
+    /// Sample point in thousandths of a bit.
+    pub sample_point: u32,
+    /// Synchronisation jump width in time quanta.
+    pub jump: u32,
+    /// Time quanta per bit.
+    pub quanta: u32,
+}
+
+impl BitTiming {
+    /// Computes the timing from a clock in Hz, its prescaler, the quanta before and after the sample point, and the
+    /// synchronisation jump width.
+    pub(crate) const fn new(clock_hz: u32, prescaler: u32, [before, after]: [u32; 2], jump: u32) -> Self {
+        let quanta = before + after;
+        Self { rate: clock_hz / (prescaler * quanta), sample_point: 1_000 * before / quanta, jump, quanta }
+    }
+}
+
 /// A controller's behaviour on a bus. The bus reports when a frame begins, ends or fails.
 pub trait BusController: Clone + Debug + Send + 'static {
     /// Returns the configured rate in bit/s.
@@ -70,7 +102,7 @@ pub(crate) struct Confinement {
     pub(crate) receive: u16,
     pub(crate) is_off: bool,
     /// Remaining sequences of 11 recessive bits until bus-off ends; `None` while no recovery is requested.
-    to_recover: Option<u32>,
+    pub(crate) to_recover: Option<u32>,
 }
 
 /// Last value of an error-active controller, and last value before bus-off.
@@ -81,7 +113,7 @@ const LAST_ON: u16 = 255;
 const PASSIVE_RETURN: u16 = 120;
 
 /// Sequences of 11 recessive bits that end bus-off.
-const RECOVERY: u32 = 128;
+pub(crate) const RECOVERY: u32 = 128;
 
 impl Confinement {
     /// Returns whether a counter has reached its warning limit.
@@ -114,10 +146,10 @@ impl Confinement {
         self.receive = (self.receive + 1).min(LAST_ON);
     }
 
-    /// Requests the recovery from bus-off.
-    pub(crate) fn begin_recovery(&mut self) {
+    /// Requests the recovery from bus-off after this many sequences of 11 recessive bits.
+    pub(crate) fn begin_recovery(&mut self, sequences: u32) {
         if self.is_off {
-            self.to_recover = Some(RECOVERY);
+            self.to_recover = Some(sequences);
         }
     }
 

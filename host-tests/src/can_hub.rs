@@ -1,7 +1,6 @@
 //! Stations on a CAN bus in addition to the board: a virtual gripper, and a terminal for masters.
 
 use std::io::Write;
-use std::os::unix::net::UnixStream;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -15,14 +14,15 @@ use crate::can_bus::Station;
 use crate::can_controller::BusController;
 use crate::can_wire::WireFrame;
 use crate::clock::Clock;
+use crate::socket::{self, Socket};
 
 /// Lines to the stations on the bus, served until their other ends are closed.
 #[derive(Debug)]
 pub struct CanHub {
     /// The gripper's end: a byte stream of messages, as [`GripperEnd`](crate::gripper_end::GripperEnd) expects.
-    pub gripper: UnixStream,
+    pub gripper: Socket,
     /// The master's end: SLCAN, including the adapter's replies.
-    pub master: UnixStream,
+    pub master: Socket,
 }
 
 impl CanHub {
@@ -31,15 +31,15 @@ impl CanHub {
     /// # Errors
     /// Fails when a line or a thread cannot be created.
     pub fn start<C: BusController>([first, second]: [Station<C>; 2], clock: &Clock) -> Result<Self> {
-        let (gripper, own_gripper) = UnixStream::pair()?;
-        let (master, own_master) = UnixStream::pair()?;
+        let (gripper, own_gripper) = socket::pair()?;
+        let (master, own_master) = socket::pair()?;
         serve_gripper(first, own_gripper, clock)?;
         serve_master(second, own_master)?;
         Ok(Self { gripper, master })
     }
 }
 
-fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream, clock: &Clock) -> Result<()> {
+fn serve_gripper<C: BusController>(station: Station<C>, line: Socket, clock: &Clock) -> Result<()> {
     let pair = Identifiers::DEFAULT.gripper();
     let (send, mut segmenter) = (station.sender(), Segmenter::new());
     let from_gripper = line.try_clone()?;
@@ -75,7 +75,7 @@ fn serve_gripper<C: BusController>(station: Station<C>, line: UnixStream, clock:
     Ok(())
 }
 
-fn serve_master<C: BusController>(station: Station<C>, line: UnixStream) -> Result<()> {
+fn serve_master<C: BusController>(station: Station<C>, line: Socket) -> Result<()> {
     let (send, mut decoder) = (station.sender(), Decoder::new());
     let from_master = line.try_clone()?;
     let adapter = Arc::new(Mutex::new((line, Adapter::new())));
@@ -111,12 +111,12 @@ fn spawn(run: impl FnOnce() + Send + 'static) -> Result<()> {
         .context("cannot start the thread of a line")
 }
 
-fn each_byte(line: &UnixStream, mut take: impl FnMut(u8)) {
+fn each_byte(line: &Socket, mut take: impl FnMut(u8)) {
     while some_bytes(line, &mut take) {}
 }
 
 /// Passes the bytes of one read. Returns whether the other end is still open.
-fn some_bytes(line: &UnixStream, mut take: impl FnMut(u8)) -> bool {
+fn some_bytes(line: &Socket, mut take: impl FnMut(u8)) -> bool {
     let mut chunk = [0; 256];
     let count = uninterrupted::read(line, &mut chunk).unwrap_or(0);
     chunk[..count].iter().for_each(|&byte| take(byte));

@@ -47,6 +47,22 @@ impl WireFrame {
         Self { id, is_remote: false, dlc: data.len().min(MAX_DATA) as u8, data: bytes }
     }
 
+    /// Creates a frame from the fields of a controller's buffer: the data in two little-endian words. Bytes beyond the
+    /// length are dropped.
+    pub(crate) fn from_fields(id: Id, is_remote: bool, dlc: u8, [low, high]: [u32; 2]) -> Self {
+        let mut data = [0; MAX_DATA];
+        data[..4].copy_from_slice(&low.to_le_bytes());
+        data[4..].copy_from_slice(&high.to_le_bytes());
+        let frame = Self { dlc, ..Self::new(id, &data[..usize::from(dlc).min(MAX_DATA)]) };
+        if is_remote { frame.remote() } else { frame }
+    }
+
+    /// Returns the data in two little-endian words.
+    pub(crate) fn words(&self) -> [u32; 2] {
+        let [a, b, c, d, e, f, g, h] = self.data;
+        [u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h])]
+    }
+
     /// Converts to a remote frame without data.
     #[must_use]
     pub fn remote(self) -> Self {

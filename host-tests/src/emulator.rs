@@ -1,6 +1,6 @@
 //! The firmware image on an emulated board: power, wiring and observation.
 //!
-//! Runs the ELF that is flashed. The image determines the board: a B-L475E-IOT01A in QEMU, or a Raspberry Pi Pico in
+//! Runs the ELF that is flashed. The image determines the board: an STM32 board in QEMU, or a Raspberry Pi Pico in
 //! rp2040js under Node.js. Both have the same interface to the PLC's wires, the gripper's line, the bus and the
 //! service port; lines are sockets. No code here sleeps, and every wait is bounded. To reset the board, drop the
 //! [`Emulator`] and start another. The emulator always ends with the process that started it.
@@ -12,27 +12,34 @@
 //! on QEMU's lines, and electrical levels.
 
 mod library;
+#[cfg(unix)]
 mod output_port;
+#[cfg(unix)]
 mod qemu;
+#[cfg(unix)]
 mod rp2040;
+#[cfg(unix)]
 mod sockets;
+#[cfg(unix)]
+pub mod stm_board;
 mod watch;
 
 use std::fmt;
-use std::fs::{self, File};
-use std::os::unix::net::UnixStream;
+use std::fs::File;
 use std::path::Path;
+#[cfg(unix)]
 use std::process::Child;
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use object::Object;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 
 use self::library::{LIBRARY, Library};
+#[cfg(unix)]
 use self::qemu::{QEMU, Qemu};
+#[cfg(unix)]
 use self::rp2040::{NODE, Rp2040};
 use self::watch::Watch;
 use crate::can_bus::CanBus;
@@ -40,6 +47,7 @@ use crate::clock::Clock;
 use crate::line_errors::LineError;
 use crate::mcp2515::Mcp2515;
 use crate::registers::{Derailment, RegisterModel};
+use crate::socket::Socket;
 
 /// Time limit on a very busy host. Normally an emulator starts within tens of milliseconds and answers faster still.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -79,9 +87,9 @@ pub enum Line {
 /// The far ends of a board's lines; `None` once taken.
 #[derive(Debug)]
 struct Lines {
-    gripper: Option<UnixStream>,
-    bus: Option<UnixStream>,
-    service: Option<UnixStream>,
+    gripper: Option<Socket>,
+    bus: Option<Socket>,
+    service: Option<Socket>,
 }
 
 /// A running board. Dropping it switches the board off.
@@ -137,7 +145,17 @@ impl Emulator {
     /// Does the same as [`start`](Self::start), with `extras`.
     ///
     /// # Errors
-    /// See [`start`](Self::start).
+    /// See [`start`](Self::start). Fails on Windows.
+    #[cfg(not(unix))]
+    pub fn start_with(_: &Path, _: Extras<'_>) -> Result<Self> {
+        bail!("an emulator needs Unix sockets; use Linux or macOS")
+    }
+
+    /// Does the same as [`start`](Self::start), with `extras`.
+    ///
+    /// # Errors
+    /// See [`start`](Self::start). Fails on Windows.
+    #[cfg(unix)]
     pub fn start_with(elf: &Path, extras: Extras<'_>) -> Result<Self> {
         let is_pico = is_for_pico(elf);
         let watch = Arc::new(Watch::of(if is_pico { NODE } else { QEMU }));
@@ -167,19 +185,19 @@ impl Emulator {
     ///
     /// As on a wire, the firmware is not blocked by a missing reader. Unlike on a wire, bytes wait for the receiver
     /// and never overrun it. Dropping the end cuts the line permanently.
-    pub fn take_gripper_line(&mut self) -> Option<UnixStream> {
+    pub fn take_gripper_line(&mut self) -> Option<Socket> {
         self.lines.gripper.take()
     }
 
     /// Returns the master's end of the bus; see [`take_gripper_line`](Self::take_gripper_line).
     ///
     /// Bytes pass as fast as the firmware accepts them. The host determines the pauses between them.
-    pub fn take_modbus_line(&mut self) -> Option<UnixStream> {
+    pub fn take_modbus_line(&mut self) -> Option<Socket> {
         self.lines.bus.take()
     }
 
     /// Returns the end of the service port (USB on the real board); see [`take_modbus_line`](Self::take_modbus_line).
-    pub fn take_service_line(&mut self) -> Option<UnixStream> {
+    pub fn take_service_line(&mut self) -> Option<Socket> {
         self.lines.service.take()
     }
 
@@ -310,12 +328,16 @@ impl Emulator {
 }
 
 /// Returns whether this image is for the Pico, judged by its entry point.
+#[cfg(unix)]
 #[must_use]
 pub fn is_for_pico(elf: &Path) -> bool {
-    let entry = || Some(object::File::parse(&*fs::read(elf).ok()?).ok()?.entry());
+    use object::Object;
+
+    let entry = || Some(object::File::parse(&*std::fs::read(elf).ok()?).ok()?.entry());
     entry().is_some_and(|entry| rp2040::FLASH.contains(&entry))
 }
 
+#[cfg(unix)]
 fn end(process: &mut Child) {
     // Fails only when the process has already ended.
     let _ = process.kill();

@@ -1,4 +1,5 @@
-//! Model of the STM32L4's flash interface (RM0351, chapter 3): its registers, and the two settings pages in bank 2.
+//! Model of the flash interface of STM32L4 and STM32G4 (RM0351, RM0440, chapter 3): its registers, and the two settings pages
+//! in bank 2.
 //!
 //! The text of RM0351 was not available. Registers and bits follow ST's register header for the STM32L475. The rules
 //! follow RM0440, whose dual-bank STM32G4 has the same interface under the same section numbers. Fast programming,
@@ -28,20 +29,58 @@ const KEYR: u32 = 0x08;
 const SR: u32 = 0x10;
 const CR: u32 = 0x14;
 const ECCR: u32 = 0x18;
+const OPTR: u32 = 0x20;
 
-/// The two settings pages: the last ones of 1 MiB.
-const MEMORY: Range<u32> = 0x080F_F000..0x0810_0000;
+/// What differs between microcontrollers.
+#[derive(Debug)]
+pub struct Layout {
+    /// The two settings pages: the last ones of the flash.
+    memory: Range<u32>,
+    /// Number of the first settings page, with BKER above PNB.
+    first_page: u32,
+    /// PNB in CR (3.7.6).
+    pnb: u32,
+    /// Bits of ACR (3.7.1), and their value after a reset.
+    acr: u32,
+    acr_reset: u32,
+    /// BK_ECC in ECCR (3.7.7).
+    bk_ecc: u32,
+    /// OPTR of a new chip (3.7.8), if the driver depends on it.
+    optr: Option<u32>,
+}
 
-/// Number of the first settings page, with BKER above PNB.
-const FIRST_PAGE_NUMBER: u32 = 510;
+impl Layout {
+    /// STM32L475VG: 1 MiB.
+    pub const STM32L475: Self = Self {
+        memory: 0x080F_F000..0x0810_0000,
+        first_page: 256 + 254,
+        pnb: 0xFF << 3,
+        acr: 0x0000_7F07,
+        acr_reset: 0x0000_0600,
+        bk_ecc: 1 << 19,
+        optr: None,
+    };
+
+    /// STM32G474RE: 512 KiB, in two banks.
+    pub const STM32G474: Self = Self {
+        memory: 0x0807_F000..0x0808_0000,
+        first_page: 256 + 126,
+        pnb: 0x7F << 3,
+        acr: 0x0004_7F0F,
+        acr_reset: 0x0004_0600,
+        bk_ecc: 1 << 21,
+        optr: Some(0xFFEF_F8AA),
+    };
+}
+
+/// OPTR of the STM32G4 (RM0440, 3.7.8): two banks.
+const DBANK: u32 = 1 << 22;
 
 /// Bits of ACR (3.7.1): instruction and data cache enable and reset.
 const ICEN: u32 = 1 << 9;
 const DCEN: u32 = 1 << 10;
 const ICRST: u32 = 1 << 11;
 const DCRST: u32 = 1 << 12;
-const ACR_BITS: u32 = 0x0000_7F07;
-const ACR_RESET: u32 = 0x0000_0600;
 
 /// Unlock keys of CR (3.3.5).
 const KEYS: [u32; 2] = [0x4567_0123, 0xCDEF_89AB];
@@ -52,16 +91,16 @@ const BSY: u32 = 1 << 16;
 /// Bits of CR (3.7.6).
 const PG: u32 = 1 << 0;
 const PER: u32 = 1 << 1;
-const PNB: u32 = 0xFF << 3;
 const BKER: u32 = 1 << 11;
 const STRT: u32 = 1 << 16;
 const OPTLOCK: u32 = 1 << 30;
 const LOCK: u32 = 1 << 31;
-const CR_BITS: u32 = PG | PER | PNB | BKER | STRT | OPTLOCK | LOCK;
+const CR_BITS: u32 = PG | PER | BKER | STRT | OPTLOCK | LOCK;
 
-/// Bits of ECCR (3.7.7): address, bank, corrected error, uncorrectable error.
+/// Bits of ECCR (3.7.7): address, uncorrectable error in the upper half of a line of a single bank, corrected error,
+/// uncorrectable error.
 const ADDR_ECC: u32 = 0x0007_FFFF;
-const BK_ECC: u32 = 1 << 19;
+const ECCD2: u32 = 1 << 29;
 const ECCC: u32 = 1 << 30;
 const ECCD: u32 = 1 << 31;
 
@@ -138,7 +177,47 @@ struct Registers(Powered);
 
 /// The memory of the pages as seen by the core.
 #[derive(Debug)]
-struct Memory(Powered);
+struct Memory(Powered, Range<u32>);
+
+/// FLASH_ACR alone, for a board without the other models: it reads back the stored value.
+#[cfg(unix)]
+#[derive(Debug)]
+pub(crate) struct AccessControl {
+    layout: &'static Layout,
+    acr: u32,
+}
+
+#[cfg(unix)]
+impl AccessControl {
+    pub(crate) const ADDRESS: u32 = FLASH + ACR;
+
+    /// Returns the register after power-on.
+    pub(crate) const fn of(layout: &'static Layout) -> Self {
+        Self { layout, acr: layout.acr_reset }
+    }
+}
+
+#[cfg(unix)]
+impl RegisterModel for AccessControl {
+    fn addresses(&self) -> Range<u32> {
+        Self::ADDRESS..Self::ADDRESS + 4
+    }
+
+    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
+        ensure_word(address, width)?;
+        Ok(self.acr)
+    }
+
+    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
+        ensure_word(address, width)?;
+        self.acr = value & self.layout.acr;
+        Ok(())
+    }
+
+    fn reset(&mut self) {
+        self.acr = self.layout.acr_reset;
+    }
+}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Lock {
@@ -151,6 +230,8 @@ enum Lock {
 
 #[derive(Debug)]
 struct State {
+    layout: &'static Layout,
+    optr: u32,
     pages: FlashPages,
     /// Double words with one wrong bit, which is corrected on reading.
     correctable: BTreeSet<usize>,
@@ -177,11 +258,13 @@ struct State {
 impl FlashController {
     /// Creates erased pages after power-on.
     #[must_use]
-    pub fn new() -> Self {
+    pub fn new(layout: &'static Layout) -> Self {
         Self(Arc::new(Mutex::new(State {
+            layout,
+            optr: layout.optr.unwrap_or(0),
             pages: FlashPages::new(),
             correctable: BTreeSet::new(),
-            acr: ACR_RESET,
+            acr: layout.acr_reset,
             sr: 0,
             cr: OPTLOCK | LOCK,
             eccr: 0,
@@ -203,7 +286,8 @@ impl FlashController {
     /// Returns the models of registers and pages, valid until the next [power cycle](Self::power_cycle).
     #[must_use]
     pub fn models(&self) -> Vec<Box<dyn RegisterModel>> {
-        vec![Box::new(Registers(self.powered())), Box::new(Memory(self.powered()))]
+        let memory = self.lock().layout.memory.clone();
+        vec![Box::new(Registers(self.powered())), Box::new(Memory(self.powered(), memory))]
     }
 
     fn powered(&self) -> Powered {
@@ -241,6 +325,11 @@ impl FlashController {
         state.sr |= flag as u32;
         state.lock = Lock::Open;
         state.cr &= !LOCK;
+    }
+
+    /// Sets the option of an STM32G4 for a single bank, as an integrator may. Its lines have two double words.
+    pub fn set_single_bank(&self) {
+        self.lock().optr &= !DBANK;
     }
 
     /// Sets or clears a fault.
@@ -290,27 +379,21 @@ impl FlashController {
     }
 }
 
-impl Default for FlashController {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 /// Returns the index of a double word across both pages.
 const fn number(page: Page, index: usize) -> usize {
     page as usize * PAGE_LEN + index
 }
 
-/// Returns the double word at this address.
-fn place(address: u32) -> (Page, usize) {
-    let number = (address - MEMORY.start) as usize / 8;
-    (Page::ALL[number / PAGE_LEN], number % PAGE_LEN)
-}
-
 impl State {
+    /// Returns the double word at this address.
+    fn place(&self, address: u32) -> (Page, usize) {
+        let number = (address - self.layout.memory.start) as usize / 8;
+        (Page::ALL[number / PAGE_LEN], number % PAGE_LEN)
+    }
+
     /// Resets the interface and discards an operation in progress; [`FlashController::cut`] models partial ones.
     fn reset(&mut self) {
-        (self.acr, self.sr, self.cr, self.eccr) = (ACR_RESET, 0, OPTLOCK | LOCK, 0);
+        (self.acr, self.sr, self.cr, self.eccr) = (self.layout.acr_reset, 0, OPTLOCK | LOCK, 0);
         self.lock = Lock::Locked;
         (self.first_word, self.running) = (None, None);
         self.cached.clear();
@@ -345,7 +428,7 @@ impl State {
             // 3.7.5: flags are cleared by writing 1.
             SR => self.sr &= !value,
             CR => self.store_cr(value)?,
-            ECCR => self.eccr &= !(value & (ECCC | ECCD)),
+            ECCR => self.eccr &= !(value & (ECCC | ECCD2 | ECCD)),
             _ => bail!("the register of FLASH at {offset:#04X} is not modelled"),
         }
         Ok(())
@@ -362,7 +445,7 @@ impl State {
         if value & DCEN != 0 && self.is_cache_stale {
             self.forbidden("3.3.7: the data cache was enabled again without a flush after an erase");
         }
-        self.acr = value & ACR_BITS;
+        self.acr = value & self.layout.acr;
     }
 
     fn store_key(&mut self, value: u32) {
@@ -394,10 +477,10 @@ impl State {
             return Ok(());
         }
         ensure!(
-            value & !CR_BITS == 0,
+            value & !(CR_BITS | self.layout.pnb) == 0,
             "{value:#010X}: fast programming, mass erase, option bytes and interrupts are not modelled"
         );
-        let selection = PER | PNB | BKER;
+        let selection = PER | self.layout.pnb | BKER;
         if value & STRT != 0 && (self.cr ^ value) & selection != 0 {
             self.forbidden("3.3.6: a page was selected and its erase started by one store");
         }
@@ -422,7 +505,8 @@ impl State {
     }
 
     fn start_erase(&mut self) {
-        let page = match ((self.cr & PNB) >> 3 | (self.cr & BKER) >> 3).checked_sub(FIRST_PAGE_NUMBER) {
+        let number = (self.cr & self.layout.pnb) >> 3 | (self.cr & BKER) >> 3;
+        let page = match number.checked_sub(self.layout.first_page) {
             _ if self.cr & PER == 0 => {
                 self.forbidden("3.3.6: an erase was started without PER");
                 None
@@ -455,7 +539,7 @@ impl State {
             match self.first_word.take() {
                 None if address.is_multiple_of(8) => self.first_word = Some((address, value)),
                 Some((first, low)) if first + 4 == address => {
-                    let (page, index) = place(first);
+                    let (page, index) = self.place(first);
                     let value = u64::from(low) | u64::from(value) << 32;
                     self.begin(Operation::Program(page, index, value), PROGRAM_TIME);
                 }
@@ -520,7 +604,7 @@ impl State {
         if self.is_busy() {
             self.forbidden("3.3.5: a load from the bank that is programmed or erased stalls the core");
         }
-        let (page, index) = place(address);
+        let (page, index) = self.place(address);
         let at = number(page, index);
         let part = |double_word: u64| width.of((double_word >> (8 * (address % 8))) as u32);
         let is_cache_on = self.acr & DCEN != 0;
@@ -544,7 +628,9 @@ impl State {
                         "3.3.2: a load while a flag of FLASH_ECCR was set: its error stays undetected",
                     );
                 }
-                (part(self.pages.bits(page, index)), self.report(ECCD, address))
+                let is_upper_half = self.layout.optr.is_some() && self.optr & DBANK == 0 && index % 2 == 1;
+                let flag = if is_upper_half { ECCD2 } else { ECCD };
+                (part(self.pages.bits(page, index)), self.report(flag, address))
             }
         }
     }
@@ -561,9 +647,9 @@ impl State {
 
     /// 3.3.2: updates ECCR only while its flags are clear. Returns whether it did.
     fn report(&mut self, flag: u32, address: u32) -> bool {
-        let is_told = self.eccr & (ECCC | ECCD) == 0;
+        let is_told = self.eccr & (ECCC | ECCD2 | ECCD) == 0;
         if is_told {
-            self.eccr = flag | BK_ECC | address & !0b111 & ADDR_ECC;
+            self.eccr = flag | self.layout.bk_ecc | address & !0b111 & ADDR_ECC;
         }
         is_told
     }
@@ -591,6 +677,7 @@ impl RegisterModel for Registers {
             SR => state.sr | if state.is_busy() { BSY } else { 0 },
             CR => state.cr,
             ECCR => state.eccr,
+            OPTR if state.layout.optr.is_some() => state.optr,
             offset => bail!("the register of FLASH at {offset:#04X} is not modelled"),
         })
     }
@@ -622,7 +709,7 @@ impl RegisterModel for Registers {
 
 impl RegisterModel for Memory {
     fn addresses(&self) -> Range<u32> {
-        MEMORY
+        self.1.clone()
     }
 
     fn load(&mut self, address: u32, _: Width) -> Result<u32> {

@@ -5,10 +5,11 @@
 
 use std::collections::VecDeque;
 use std::io::Write;
-use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
+
+use crate::socket::Socket;
 
 /// R0 to R15 and xPSR.
 const CORE_REGISTERS: usize = 17;
@@ -25,7 +26,7 @@ pub struct CoreRegisters {
 /// A connection to a stopped machine that was started with `-gdb`.
 #[derive(Debug)]
 pub struct Gdb {
-    line: UnixStream,
+    line: Socket,
     patience: Duration,
     received: Vec<u8>,
     packets: VecDeque<String>,
@@ -36,7 +37,7 @@ impl Gdb {
     ///
     /// # Errors
     /// Fails when `patience` is zero.
-    pub fn new(line: UnixStream, patience: Duration) -> Result<Self> {
+    pub fn new(line: Socket, patience: Duration) -> Result<Self> {
         line.set_write_timeout(Some(patience))?;
         Ok(Self { line, patience, received: Vec::new(), packets: VecDeque::new() })
     }

@@ -1,7 +1,6 @@
 //! A virtual gripper on an emulated board's line, on the board's clock. The line can be cut and disturbed.
 
 use std::io::Write;
-use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -13,6 +12,7 @@ use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, Virtua
 
 use crate::clock::Clock;
 use crate::faulty_link::FaultyWay;
+use crate::socket::Socket;
 use crate::trace::{Entry, Trace};
 
 /// Longest interval between two looks at the clock; effects of a part or a fault appear at most this late.
@@ -38,7 +38,7 @@ struct Shared {
 struct Connected {
     gripper: VirtualGripper<1>,
     port: PortId,
-    line: UnixStream,
+    line: Socket,
     is_cut: bool,
     tampering: Option<Tampering>,
     /// Fault injection from and to the bridge.
@@ -56,7 +56,7 @@ impl GripperEnd {
     ///
     /// # Errors
     /// Fails when the line or a thread cannot be set up.
-    pub fn start(line: UnixStream, clock: Clock, config: Config, trace: &Trace) -> Result<Self> {
+    pub fn start(line: Socket, clock: Clock, config: Config, trace: &Trace) -> Result<Self> {
         let reader = line.try_clone().context("cannot listen on the gripper's line")?;
         let (gripper, port) = switch_on(config)?;
         let connected = Connected {
@@ -153,7 +153,7 @@ fn switch_on(config: Config) -> Result<(VirtualGripper<1>, PortId)> {
 }
 
 /// Passes bytes and time to the gripper until either end is closed.
-fn serve(shared: &Shared, line: &UnixStream) {
+fn serve(shared: &Shared, line: &Socket) {
     while !shared.over.load(Ordering::Relaxed) {
         let wait = lock(&shared.connected).until_next_wake().clamp(Duration::from_micros(100), LOOK_AROUND);
         if !take(shared, line, wait) {
@@ -163,7 +163,7 @@ fn serve(shared: &Shared, line: &UnixStream) {
 }
 
 /// Serves the bytes that have arrived. Returns whether to continue.
-fn come_up(shared: &Shared, line: &UnixStream) -> bool {
+fn come_up(shared: &Shared, line: &Socket) -> bool {
     match uninterrupted::is_readable_within(line, Duration::ZERO) {
         Ok(true) => take(shared, line, Duration::ZERO),
         Ok(false) => {
@@ -175,7 +175,7 @@ fn come_up(shared: &Shared, line: &UnixStream) -> bool {
 }
 
 /// Serves bytes that arrive within this time. Returns whether the other end is still open.
-fn take(shared: &Shared, line: &UnixStream, within: Duration) -> bool {
+fn take(shared: &Shared, line: &Socket, within: Duration) -> bool {
     let mut chunk = [0; 256];
     let bytes = match uninterrupted::read_within(line, &mut chunk, within) {
         Ok(Some(0)) | Err(_) => return false,

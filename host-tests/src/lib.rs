@@ -16,6 +16,7 @@
 //! | [`chance`] | pseudo-random numbers, reproducible by seed |
 //! | [`mod@explore`] | exhaustive exploration of event orders on the released bridge code |
 //! | [`fault_sweep`] | every bit and byte fault around a FAST STOP, and the resulting stopping time |
+//! | [`fdcan`] | model of the STM32G474's CAN controller, per its manual |
 //! | [`faulty_link`] | fault injection for any byte link |
 //! | [`flash_controller`] | model of the STM32L4's flash interface on the settings pages, per its manual |
 //! | [`flash_model`] | the settings flash for the library: two pages and their faults |
@@ -41,60 +42,49 @@
 //! | [`trace`] | event recording, readable by people and comparable by tests |
 //! | [`world`] | the whole bridge, its lines, a virtual gripper and a PLC, in virtual time |
 //!
-//! The emulator requires QEMU and the image (`cargo xtask test` provides both), and a system with Unix sockets.
+//! The emulators require their programs and the image (`cargo xtask test` provides both), and a system with Unix sockets.
 
 pub mod addresses;
 pub mod board_wiring;
 pub mod bxcan;
-#[cfg(unix)]
 pub mod can_bus;
 pub mod can_controller;
-#[cfg(unix)]
 pub mod can_hub;
 pub mod can_wire;
 pub mod chance;
 pub mod clock;
 pub mod device_files;
-#[cfg(unix)]
 pub mod emulator;
 pub mod example;
 pub mod explore;
 pub mod extent;
 pub mod fault_sweep;
 pub mod faulty_link;
-#[cfg(unix)]
+pub mod fdcan;
 pub mod flash_controller;
 pub mod flash_model;
 pub mod flash_pages;
 pub mod fuzz_bodies;
-#[cfg(unix)]
 pub mod gdb;
-#[cfg(unix)]
 pub mod gripper_end;
 mod gripper_states;
 pub mod gripping_cycle;
-#[cfg(unix)]
 pub mod iwdg;
-#[cfg(unix)]
 pub mod line_errors;
 pub mod load_store;
 pub mod masters;
-#[cfg(unix)]
 pub mod mcp2515;
-#[cfg(unix)]
 pub mod modbus_master;
 #[cfg(target_os = "linux")]
 pub mod namespaces;
 pub mod plc_names;
 mod promises;
-#[cfg(unix)]
 pub mod qtest;
-#[cfg(unix)]
 pub mod registers;
-#[cfg(unix)]
 pub mod rig;
 pub mod rtu_double;
 pub mod serial_gripper;
+pub mod socket;
 #[cfg(unix)]
 pub mod terminal;
 pub mod trace;

@@ -11,11 +11,6 @@ use anyhow::{Result, bail};
 use crate::load_store::Width;
 use crate::registers::{Machine, RegisterModel, ensure_word};
 
-/// Base address of UART4 (RM0351, table 1).
-pub const UART4: u32 = 0x4000_4C00;
-/// Base address of LPUART1 (RM0351, table 1).
-pub const LPUART1: u32 = 0x4000_8000;
-
 /// Register offsets, and the end of the intercepted range.
 const ISR: u32 = 0x1C;
 const ICR: u32 = 0x20;

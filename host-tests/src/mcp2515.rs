@@ -12,7 +12,9 @@ use anyhow::{Result, bail, ensure};
 
 pub use self::buffers::TRANSMIT_BUFFERS;
 use self::buffers::{ReceiveBuffer, TransmitBuffer};
-use crate::can_controller::{BusController, Confinement, ErrorCode, Transmission};
+use crate::can_controller::{
+    BITS_TO_SYNCHRONISE, BusController, Confinement, ErrorCode, RECOVERY, Transmission, count_sequences,
+};
 use crate::can_wire::WireFrame;
 
 /// Register addresses (table 11-1). CANSTAT and CANCTRL occupy these columns of every row.
@@ -51,9 +53,6 @@ const RX0OVR: u8 = 1 << 6;
 
 /// CNF2: CNF3 determines the length of phase segment 2 (register 5-2).
 const BTLMODE: u8 = 1 << 7;
-
-/// Consecutive recessive bits before a controller takes part (ISO 11898-1).
-const BITS_TO_SYNCHRONISE: u32 = 11;
 
 /// Modelled operating modes (10.0).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -464,7 +463,7 @@ impl BusController for Mcp2515 {
         let before = faults::flags(&self.faults);
         self.faults.transmit_error(why);
         // 6.6: the chip recovers without a request.
-        self.faults.begin_recovery();
+        self.faults.begin_recovery(RECOVERY);
         self.has_changed(before);
         self.end_activity();
     }
@@ -504,11 +503,9 @@ impl BusController for Mcp2515 {
     }
 
     fn idle(&mut self, bits: u32) {
-        let before = self.recessive;
-        self.recessive = before.saturating_add(bits);
+        let sequences = count_sequences(&mut self.recessive, bits);
         if self.mode == Mode::Normal {
             self.is_synchronised |= self.recessive >= BITS_TO_SYNCHRONISE;
-            let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
             let flags = faults::flags(&self.faults);
             self.faults.count_recessive(sequences);
             self.has_changed(flags);

@@ -5,13 +5,13 @@
 
 use std::cell::Cell;
 use std::io::Write;
-use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 use bus_modbus::rtu::crc;
 
 use crate::clock::Clock;
+use crate::socket::Socket;
 
 /// Time limit for an answer to an undamaged request. A busy host may run neither board nor master for seconds, and then the
 /// answer is late, but not lost.
@@ -34,7 +34,7 @@ pub type Disturbance<'a> = &'a mut dyn FnMut(u8) -> u8;
 
 /// A master of one unit.
 pub struct Master {
-    line: UnixStream,
+    line: Socket,
     clock: Clock,
     unit: u8,
     /// Attempts without an intact answer.
@@ -53,7 +53,7 @@ pub struct Failed {
 impl Master {
     /// Creates a master on this line that follows the board's clock.
     #[must_use]
-    pub const fn new(line: UnixStream, clock: Clock, unit: u8) -> Self {
+    pub const fn new(line: Socket, clock: Clock, unit: u8) -> Self {
         Self { line, clock, unit, failed: Failed { damaged: 0, after_damage: 0 } }
     }
 
@@ -61,7 +61,7 @@ impl Master {
     ///
     /// # Errors
     /// Fails when the time-out cannot be removed.
-    pub fn into_line(self) -> Result<UnixStream> {
+    pub fn into_line(self) -> Result<Socket> {
         self.line.set_read_timeout(None)?;
         Ok(self.line)
     }

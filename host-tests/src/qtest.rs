@@ -4,15 +4,16 @@
 //! commands that this project needs.
 
 use std::io::{BufRead, BufReader, Write};
-use std::os::unix::net::UnixStream;
 use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 
+use crate::socket::Socket;
+
 /// A connection to a QEMU that was started with `-qtest`.
 #[derive(Debug)]
 pub struct Qtest {
-    connection: BufReader<UnixStream>,
+    connection: BufReader<Socket>,
 }
 
 impl Qtest {
@@ -20,7 +21,7 @@ impl Qtest {
     ///
     /// # Errors
     /// Fails when `patience` is zero.
-    pub fn new(connection: UnixStream, patience: Duration) -> Result<Self> {
+    pub fn new(connection: Socket, patience: Duration) -> Result<Self> {
         connection.set_read_timeout(Some(patience))?;
         connection.set_write_timeout(Some(patience))?;
         Ok(Self { connection: BufReader::new(connection) })
@@ -101,8 +102,8 @@ mod tests {
     use super::*;
 
     /// Returns a client and its peer, which has already sent `answers`.
-    fn client_hears(answers: &str) -> (Qtest, UnixStream) {
-        let (ours, mut theirs) = UnixStream::pair().unwrap();
+    fn client_hears(answers: &str) -> (Qtest, Socket) {
+        let (ours, mut theirs) = crate::socket::pair().unwrap();
         theirs.write_all(answers.as_bytes()).unwrap();
         (Qtest::new(ours, Duration::from_millis(20)).unwrap(), theirs)
     }

@@ -5,8 +5,9 @@
 //! through qtest. An access takes about 0.1 ms; a peripheral that the firmware does not access costs nothing.
 //!
 //! Models follow the machine's time, which stops with the machine. On resuming, its clock runs ahead of its core by
-//! an amount that depends on the host's load. Therefore, while an interrupt is pending, only accesses take time. A
-//! slow host causes no FIFO overrun, and this set-up does not show whether the firmware keeps up with a bus.
+//! an amount that depends on the host's load. Therefore, while an interrupt is pending or a model has unread data,
+//! only accesses take time. A slow host causes no FIFO overrun, and this set-up does not show whether the firmware
+//! keeps up with a bus.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -57,7 +58,13 @@ pub trait RegisterModel: fmt::Debug + Send {
         self.store(address, width, value)
     }
 
-    /// Advances time; not called while an interrupt is pending.
+    /// Returns whether received data waits for the core, which suspends time as a pending interrupt does: a handler
+    /// may clear the interrupt before the data is read.
+    fn has_unread_data(&self) -> bool {
+        false
+    }
+
+    /// Advances time. While an interrupt is pending or a model has unread data, only accesses do so.
     fn advance(&mut self, _time: Duration) {}
 
     /// Reports a lower bound of the time that the machine has run since the last call.
@@ -168,6 +175,8 @@ pub struct Registers {
     models: Vec<Box<dyn RegisterModel>>,
     /// Address of the firmware's SysTick millisecond counter.
     milliseconds_at: u32,
+    /// Words to store after a reset of the machine, which QEMU would otherwise not complete.
+    after_reset: &'static [(u32, u32)],
     /// Cached instructions of the firmware, which are constant.
     code: HashMap<u32, [u16; 2]>,
     /// Last level of each interrupt line.
@@ -175,17 +184,23 @@ pub struct Registers {
 }
 
 impl Registers {
-    /// Watches the models' addresses. `milliseconds_at` is the address of the firmware's SysTick millisecond counter.
+    /// Watches the models' addresses. `milliseconds_at` is the address of the firmware's SysTick millisecond counter;
+    /// `after_reset` are addresses and words to store after a reset of the machine.
     ///
     /// # Errors
     /// Fails when QEMU rejects a watchpoint.
-    pub fn new(mut gdb: Gdb, models: Vec<Box<dyn RegisterModel>>, milliseconds_at: u32) -> Result<Self> {
+    pub fn new(
+        mut gdb: Gdb,
+        models: Vec<Box<dyn RegisterModel>>,
+        milliseconds_at: u32,
+        after_reset: &'static [(u32, u32)],
+    ) -> Result<Self> {
         for model in &models {
             let Range { start, end } = model.addresses();
             gdb.watch(start, end - start)?;
         }
         let (code, levels) = (HashMap::new(), HashMap::new());
-        Ok(Self { gdb, models, milliseconds_at, code, levels })
+        Ok(Self { gdb, models, milliseconds_at, after_reset, code, levels })
     }
 
     /// Runs and serves the machine until it ends, which is an error.
@@ -212,7 +227,7 @@ impl Registers {
                 }
                 if self.models.iter().any(|model| model.resets_machine()) {
                     self.gdb.interrupt()?;
-                    self.reset_machine()?;
+                    self.reset_machine(machine)?;
                     (stopped_at, passed, watched) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
                     self.gdb.run()?;
                 }
@@ -235,16 +250,22 @@ impl Registers {
     }
 
     /// Resets the stopped machine and the models.
-    fn reset_machine(&mut self) -> Result<()> {
+    fn reset_machine(&mut self, machine: &mut impl Machine) -> Result<()> {
         self.gdb.reset_machine()?;
+        self.after_reset.iter().try_for_each(|(address, word)| machine.store(*address, *word))?;
         self.models.iter_mut().for_each(|model| model.reset());
         Ok(())
     }
 
-    /// Advances the models until an interrupt is raised. Returns the elapsed time.
+    fn waits_for_core(&self) -> bool {
+        let is_pending = self.levels.values().any(|is_raised| *is_raised);
+        is_pending || self.models.iter().any(|model| model.has_unread_data())
+    }
+
+    /// Advances the models until the core has to react. Returns the elapsed time.
     fn advance(&mut self, time: Duration, machine: &mut impl Machine) -> Result<Duration> {
         let mut passed = Duration::ZERO;
-        while passed < time && !self.levels.values().any(|is_raised| *is_raised) {
+        while passed < time && !self.waits_for_core() {
             let step = STEP.min(time - passed);
             self.models.iter_mut().for_each(|model| model.advance(step));
             passed += step;

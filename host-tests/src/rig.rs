@@ -1,6 +1,5 @@
 //! Emulated board, gripper and PLC together, as on a machine builder's desk.
 
-use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Mutex, PoisonError};
@@ -15,6 +14,7 @@ use wsg_sim::Config;
 use crate::emulator::{Emulator, OutputChange};
 use crate::gripper_end::GripperEnd;
 use crate::modbus_master::Master;
+use crate::socket::Socket;
 use crate::trace::{Entry, Trace, frame_id};
 
 /// Time limit for everything except motions: connecting, reconnecting, acknowledging.
@@ -60,7 +60,7 @@ impl Rig {
     ///
     /// # Errors
     /// Fails when the board's line is already taken.
-    pub fn of(mut board: Emulator, line: Option<UnixStream>, config: Config, trace: Trace) -> Result<Self> {
+    pub fn of(mut board: Emulator, line: Option<Socket>, config: Config, trace: Trace) -> Result<Self> {
         let line = line.or_else(|| board.take_gripper_line()).context("the board's line is already taken")?;
         let gripper = GripperEnd::start(line, board.clock(), config, &trace)?;
         let changes = Mutex::new((board.output_changes(), Outputs::empty()));

@@ -18,6 +18,7 @@ use std::time::{Duration, Instant};
 use bus_modbus::rtu::Character;
 use document::{hold_file, read};
 use host_tests::addresses::{place, setting};
+use host_tests::emulator::stm_board::B_L475E_IOT01A;
 use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
 use host_tests::flash_model::Fault;
@@ -526,7 +527,7 @@ fn flashed_image_keeps_service_port_settings_over_a_power_cycle() {
     let elf = PathBuf::from(
         std::env::var_os("WSG_FIRMWARE_ELF").expect("WSG_FIRMWARE_ELF is not set; run `cargo xtask test`"),
     );
-    let flash = FlashController::new();
+    let flash = FlashController::new(&B_L475E_IOT01A.flash);
     let trace = Trace::new(vec![]);
     let power_up = || {
         flash.power_cycle();

@@ -41,7 +41,7 @@ pub(crate) const CHOICES: [(&str, &[(&str, u16)]); 6] = [
 /// A variant of the image. The default has no additional features or settings.
 #[derive(Default, clap::Args)]
 pub(crate) struct Variant {
-    /// Board to build for (pico also builds a UF2 file; nucleo-g474re is not emulated, so its image has never been executed)
+    /// Board to build for (pico also builds a UF2 file)
     #[arg(long, value_name = "NAME", value_parser = Board::named, default_value = Board::default_name())]
     pub(crate) board: &'static Board,
     /// Additional features. Such an image gets a separate name

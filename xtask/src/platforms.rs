@@ -1,4 +1,4 @@
-//! Runs the virtual gripper for Windows under Wine, and checks everything that `cargo test` builds for Windows and macOS. Nothing is
+//! Runs the virtual gripper and the demonstration for Windows under Wine, and checks everything that `cargo test` builds for Windows and macOS. Nothing is
 //! linked or run for macOS, because there is neither an SDK nor a machine.
 
 use std::{
@@ -48,7 +48,7 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
         }
         process::run(&mut clippy)?;
     }
-    process::run(workspace.cargo("build -p wsg-sim --target").arg(WINDOWS))?;
+    process::run(workspace.cargo("build -p wsg-sim -p host-tests --bins --target").arg(WINDOWS))?;
     let folder = workspace.target_dir.join(WINDOWS).join("debug");
     let mut library = Command::new(C_COMPILER);
     library.args(["-shared", "-o"]).arg(folder.join("bcryptprimitives.dll"));
@@ -71,10 +71,16 @@ pub(crate) fn run(workspace: &Workspace) -> Result<()> {
     let _ = end();
     let mut server = Command::new("wineserver");
     with_wine(server.arg("-p60").stdout(Stdio::null()).stderr(Stdio::null()))?;
+    // The demonstration runs the bridge's library there.
+    let demo = folder.join("demo.exe");
     let outcome = with_wine(Command::new("wine").arg(&exe).arg("--version"))
+        .and_then(|()| with_wine(Command::new("wine").arg(demo).args(["--speed-up", "8"])))
         .and_then(|()| with_wine(tests().args([TESTS, "--", "--include-ignored"])));
     end()?;
     outcome?;
-    println!("platforms: wsg-sim.exe runs, and everything compiles for {}", TARGETS.join(", "));
+    println!(
+        "platforms: wsg-sim.exe and the demonstration run, and everything compiles for {}",
+        TARGETS.join(", ")
+    );
     Ok(())
 }

@@ -8,7 +8,7 @@ pub(crate) use stm32l475vg::*;
 /// STM32L475VG (RM0351).
 #[cfg(feature = "stm32l475vg")]
 mod stm32l475vg {
-    use stm32_metapac::flash::regs::Cr;
+    use stm32_metapac::flash::regs::{Cr, Eccr};
     use stm32_metapac::usart::Lpuart;
 
     /// Core clock from reset until the board switches it: MSI.
@@ -30,6 +30,16 @@ mod stm32l475vg {
         true
     }
 
+    pub(crate) fn set_ecc_flags(flags: &mut Eccr) {
+        flags.set_eccc(true);
+        flags.set_eccd(true);
+    }
+
+    /// Returns whether a load found data with two wrong bits.
+    pub(crate) fn is_uncorrectable(flags: Eccr) -> bool {
+        flags.eccd()
+    }
+
     /// This chip has no prescaler.
     pub(crate) fn halve_clock(_: Lpuart, _: bool) {}
 }
@@ -38,7 +48,7 @@ mod stm32l475vg {
 #[cfg(feature = "stm32g474re")]
 mod stm32g474re {
     use stm32_metapac::FLASH;
-    use stm32_metapac::flash::regs::Cr;
+    use stm32_metapac::flash::regs::{Cr, Eccr};
     use stm32_metapac::usart::Lpuart;
     use stm32_metapac::usart::vals::Presc;
 
@@ -61,6 +71,19 @@ mod stm32g474re {
     pub(crate) fn has_two_banks() -> bool {
         let options = FLASH.optr().read();
         options.dbank() && !options.bfb2()
+    }
+
+    pub(crate) fn set_ecc_flags(flags: &mut Eccr) {
+        flags.set_eccc(true);
+        flags.set_eccd(true);
+        flags.set_eccc2(true);
+        flags.set_eccd2(true);
+    }
+
+    /// Returns whether a load found data with two wrong bits. With a single bank, which an integrator may have selected, a load
+    /// reads two double words, and the upper one has a flag of its own (3.7.7).
+    pub(crate) fn is_uncorrectable(flags: Eccr) -> bool {
+        flags.eccd() || flags.eccd2()
     }
 
     /// Sets the prescaler to 2 or 1.

@@ -177,10 +177,7 @@ fn errors() -> Sr {
 
 /// Clears the ECC flags by writing 1. The only other writable bit enables an interrupt and stays 0.
 fn clear_ecc_flags() {
-    FLASH.eccr().write(|w| {
-        w.set_eccc(true);
-        w.set_eccd(true);
-    });
+    FLASH.eccr().write(chip::set_ecc_flags);
 }
 
 /// Handles uncorrectable flash data. In the settings, a power failure may cause it, and a reset would repeat forever, so the
@@ -189,7 +186,7 @@ fn clear_ecc_flags() {
 #[exception]
 unsafe fn NonMaskableInt() {
     // Each word of a double word may raise NMI. Nothing interrupts this handler, so a separate load and store suffice.
-    if FLASH.eccr().read().eccd() && READ.load(Ordering::SeqCst) != NO_READ {
+    if chip::is_uncorrectable(FLASH.eccr().read()) && READ.load(Ordering::SeqCst) != NO_READ {
         READ.store(UNREADABLE, Ordering::SeqCst);
         clear_ecc_flags();
     } else {

@@ -68,12 +68,10 @@ wsg-bridge.bin       the same firmware as bytes of the flash, from 10000000h",
         name: "nucleo-g474re",
         triple: "thumbv7em-none-eabihf",
         chip: "STM32G474RE",
-        emulated: None,
+        emulated: Some("_NUCLEO"),
         takes_uf2: false,
         flash_limit: 80 * 1024,
         files: "\
-This firmware has never been executed: no emulator has the board NUCLEO-G474RE.
-
 wsg-bridge.bin       the firmware: copy it to the USB drive that the board provides
 wsg-bridge.elf       the same firmware for programming tools, such as STM32CubeProgrammer",
         words: &[

@@ -79,9 +79,6 @@ fn message(frame: &WireFrame, filter: u8) -> Message {
         Id::Standard(id) => u32::from(id.as_raw()) << 21,
         Id::Extended(id) => id.as_raw() << 3 | 1 << 2,
     };
-    let [low, high] = [0, 4].map(|at| {
-        let [a, b, c, d] = [0, 1, 2, 3].map(|n| frame.data[at + n]);
-        u32::from_le_bytes([a, b, c, d])
-    });
+    let [low, high] = frame.words();
     [id | u32::from(frame.is_remote) << 1, u32::from(frame.dlc) | u32::from(filter) << 8, low, high]
 }

@@ -39,19 +39,13 @@ struct Mailbox {
 impl Mailbox {
     fn frame(&self) -> WireFrame {
         let [id, length, low, high] = self.registers;
-        let mut data = [0; 8];
-        data[..4].copy_from_slice(&low.to_le_bytes());
-        data[4..].copy_from_slice(&high.to_le_bytes());
-        let dlc = (length & 0xF) as u8;
-        // Bytes beyond the length are not sent.
-        let data = &data[..usize::from(dlc).min(8)];
+        let is_remote = id & RTR != 0;
         let id = if id & IDE != 0 {
             Id::Extended(ExtendedId::new(id >> 3).unwrap_or(ExtendedId::MAX))
         } else {
             Id::Standard(StandardId::new((id >> 21) as u16).unwrap_or(StandardId::MAX))
         };
-        let frame = WireFrame { dlc, ..WireFrame::new(id, data) };
-        if self.registers[0] & RTR != 0 { frame.remote() } else { frame }
+        WireFrame::from_fields(id, is_remote, (length & 0xF) as u8, [low, high])
     }
 
     fn empty(&mut self, status: u32) {

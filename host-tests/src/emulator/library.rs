@@ -3,7 +3,6 @@
 //! real time, and waits for the gripper like that of the Pico's emulator.
 
 use std::io::{ErrorKind, Write as _};
-use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use std::thread;
@@ -20,6 +19,7 @@ use crate::clock::Clock;
 use crate::flash_model::FlashModel;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
+use crate::socket::{self, Socket};
 use crate::world::boot;
 use crate::world::can::CanDouble;
 
@@ -43,7 +43,7 @@ struct Shared {
 impl Library {
     /// Starts the library with default settings on this clock, and returns when its main loop runs.
     pub(super) fn start(watch: &Arc<Watch>, clock: &Clock) -> Result<(Self, Lines)> {
-        let (near, far) = UnixStream::pair()?;
+        let (near, far) = socket::pair()?;
         near.set_nonblocking(true)?;
         let library = Self(Arc::default());
         let (shared, running, clock) = (library.0.clone(), watch.clone(), clock.clone());
@@ -58,7 +58,7 @@ impl Library {
 
 impl Shared {
     /// Runs the main loop until the library is switched off or the gripper's end of the line is closed.
-    fn run(&self, mut line: UnixStream, watch: &Watch, clock: &Clock) {
+    fn run(&self, mut line: Socket, watch: &Watch, clock: &Clock) {
         let mut flash = FlashModel::new();
         let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
         let (mut station, ..) = boot(&Config::DEFAULT, &mut flash, can, ResetCause::PowerOn);

@@ -6,8 +6,10 @@
 
 use std::str::SplitWhitespace;
 
-use wsg_b_l475e_iot01a::{OUTPUT_PINS, OUTPUT_PORT, OUTPUTS};
 use wsg_bridge_fw::io::Outputs;
+use wsg_stm32::{Port, output_pins, outputs_from_port};
+
+use super::stm_board::StmBoard;
 
 /// QEMU's trace event for a write to a GPIO port.
 pub(super) const TRACE_EVENT: &str = "stm32l4x5_gpio_write";
@@ -15,19 +17,19 @@ pub(super) const TRACE_EVENT: &str = "stm32l4x5_gpio_write";
 /// Registers that determine the driven levels of the output port (RM0351, 8.4).
 #[derive(Debug)]
 pub(super) struct OutputPort {
+    board: &'static StmBoard,
     moder: u32,
     odr: u32,
     is_served: bool,
 }
 
-impl Default for OutputPort {
-    /// Returns the port after reset: pins A13 to A15 belong to the debug port, all others are analog.
-    fn default() -> Self {
-        Self { moder: 0xABFF_FFFF, odr: 0, is_served: false }
-    }
-}
-
 impl OutputPort {
+    /// Returns a board's port after reset: pins A13 to A15 belong to the debug port, all others are analog.
+    pub(super) fn of(board: &'static StmBoard) -> Self {
+        let moder = if board.output_port == Port::A { 0xABFF_FFFF } else { 0xFFFF_FFFF };
+        Self { board, moder, odr: 0, is_served: false }
+    }
+
     /// Processes a line of QEMU's output. Returns whether it belongs to the trace.
     pub(super) fn follow(&mut self, line: &str) -> bool {
         let mut words = line.split_whitespace();
@@ -35,7 +37,7 @@ impl OutputPort {
             return false;
         }
         let port = words.next().and_then(|name| name.strip_prefix("GPIO"));
-        if port.is_some_and(|letter| letter.chars().eq([OUTPUT_PORT.letter()]))
+        if port.is_some_and(|letter| letter.chars().eq([self.board.output_port.letter()]))
             && let Some((offset, value)) = labelled(&mut words, "addr:").zip(labelled(&mut words, "val:"))
         {
             self.write(offset, value);
@@ -56,12 +58,13 @@ impl OutputPort {
 
     fn show(&mut self, levels: u32) {
         self.odr = levels & 0xFFFF;
-        self.is_served |= self.driven() & OUTPUT_PINS == OUTPUT_PINS;
+        let pins = output_pins(self.board.outputs);
+        self.is_served |= self.driven() & pins == pins;
     }
 
     /// Returns the levels of the wires to the PLC. Undriven wires are low because of their pull-downs.
     pub(super) fn outputs(&self) -> Outputs {
-        wsg_stm32::outputs_from_port(&OUTPUTS, self.driven() & self.odr as u16)
+        outputs_from_port(self.board.outputs, self.driven() & self.odr as u16)
     }
 
     /// Returns whether the firmware has written levels to driven wires, which is the main loop's first action.
@@ -82,13 +85,14 @@ fn labelled(words: &mut SplitWhitespace<'_>, label: &str) -> Option<u32> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::stm_board::B_L475E_IOT01A;
     use super::*;
 
     /// MODER with every output pin an output.
     const IN_CHARGE: &str = "stm32l4x5_gpio_write GPIOA addr: 0x0 val: 0x6bff555a\n";
 
     fn after(lines: &[&str]) -> OutputPort {
-        let mut port = OutputPort::default();
+        let mut port = OutputPort::of(&B_L475E_IOT01A);
         for line in lines {
             assert!(port.follow(line), "{line}");
         }

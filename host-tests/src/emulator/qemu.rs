@@ -1,4 +1,4 @@
-//! A B-L475E-IOT01A in QEMU. Inputs use qtest, outputs its trace, lines sockets, and additional peripherals GDB.
+//! An STM32 board in QEMU. Inputs use qtest, outputs its trace, lines sockets, and additional peripherals GDB.
 
 use std::io::{self, BufRead, BufReader};
 use std::os::fd::OwnedFd;
@@ -9,15 +9,15 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 
 use anyhow::{Context, Result, ensure};
-use object::{Object, ObjectSymbol};
 use rustix::pipe::fcntl_setpipe_size;
-use wsg_b_l475e_iot01a::INPUTS;
 use wsg_bridge_fw::io::Inputs;
 
 use super::output_port::{OutputPort, TRACE_EVENT};
 use super::sockets::Sockets;
+use super::stm_board::StmBoard;
 use super::watch::Watch;
 use super::{Chip, Extras, Lines, PATIENCE, end, lock};
+use crate::flash_controller::AccessControl;
 use crate::gdb::Gdb;
 use crate::qtest::Qtest;
 use crate::registers::{Machine, Registers};
@@ -29,12 +29,13 @@ pub(super) const QEMU: &str = "qemu-system-arm";
 /// machine, too. Otherwise the gripper in the harness would be silent, and the bridge would report a lost link.
 const TRACE_AHEAD: usize = 4096;
 
-const GRIPPER_LINE: &str = "uart4";
-const MODBUS_LINE: &str = "lpuart1";
-const SERVICE_LINE: &str = "usart1";
+/// Names of the lines.
+const LINES: [&str; 3] = ["gripper", "bus", "service"];
 
-/// Part of the mangled name of the board's millisecond counter.
-const CLOCK_SYMBOL: &str = "5board4TICK";
+/// Number of QEMU's serial lines: USART1 to USART3, UART4, UART5, LPUART1.
+const SERIAL_LINES: usize = 6;
+
+const NO_CLOCK: &str = "the image has no symbol of a board's millisecond counter";
 
 /// QOM path of the device whose inputs are the interrupt lines.
 const CORE: &str = "/machine/soc/armv7m";
@@ -43,6 +44,7 @@ const CORE: &str = "/machine/soc/armv7m";
 pub(super) struct Qemu {
     process: Child,
     leash: Child,
+    board: &'static StmBoard,
     qtest: Arc<Mutex<Qtest>>,
     /// Address of the firmware's millisecond counter.
     clock_address: Option<u32>,
@@ -50,12 +52,23 @@ pub(super) struct Qemu {
 
 impl Qemu {
     /// Starts QEMU, and returns when the firmware's main loop runs.
-    pub(super) fn start(elf: &Path, extras: Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
+    pub(super) fn start(elf: &Path, mut extras: Extras<'_>, watch: &Arc<Watch>) -> Result<(Self, Lines)> {
         ensure!(
             extras.can.is_none() && extras.flash.is_none() && extras.ram.is_none() && !extras.may_reset,
             "the image runs in QEMU, but the extras are for the Pico"
         );
-        let sockets = Sockets::bind(&[GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE])?;
+        let (board, clock_address) = StmBoard::of(elf);
+        if board.reads_acr
+            && !extras.models.iter().any(|model| model.addresses().contains(&AccessControl::ADDRESS))
+        {
+            extras.models.push(Box::new(AccessControl::of(&board.flash)));
+        }
+        let sockets = Sockets::bind(&LINES)?;
+        let serial = (0..SERIAL_LINES).flat_map(|line| {
+            let name = board.serial.iter().zip(LINES).find(|(number, _)| **number == line);
+            let to = name.map_or_else(|| "null".to_owned(), |(_, name)| format!("chardev:{name}"));
+            ["-serial".to_owned(), to]
+        });
         let (qtest, qtest_server) = UnixStream::pair()?;
         let mut command = Command::new(QEMU);
         command
@@ -64,16 +77,12 @@ impl Qemu {
             .args(["-icount", "shift=4"])
             // Uses QEMU's standard input as a socket, which needs no name.
             .args(["-chardev", "socket,id=qtest,fd=0", "-qtest", "chardev:qtest", "-qtest-log", "none"])
-            .args([GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE].iter().flat_map(|name| {
+            .args(LINES.iter().flat_map(|name| {
                 let to = sockets.path(name);
                 ["-chardev".to_owned(), format!("socket,id={name},path={}", to.display())]
             }))
-            // USART1 to USART3, UART4, UART5, LPUART1.
-            .args(
-                ["chardev:usart1", "null", "null", "chardev:uart4", "null", "chardev:lpuart1"]
-                    .iter()
-                    .flat_map(|to| ["-serial", to]),
-            )
+            .args(serial)
+            .args(board.options)
             .args(["-trace", TRACE_EVENT])
             .args(extras.qemu_arguments)
             .arg("-kernel")
@@ -92,7 +101,6 @@ impl Qemu {
             ensure!(extras.models.is_empty(), "models and semihosting both take QEMU's standard output");
             command.args(["-semihosting-config", "enable=on,target=native"]).stdout(log);
         }
-        let clock_address = symbol(elf, CLOCK_SYMBOL);
         let models = if extras.models.is_empty() {
             None
         } else {
@@ -100,8 +108,7 @@ impl Qemu {
             // Starts stopped, to set the watchpoints first.
             command.args(["-S", "-chardev", "socket,id=gdb,fd=1", "-gdb", "chardev:gdb"]);
             command.stdout(Stdio::from(OwnedFd::from(gdb_server)));
-            let clock_address =
-                clock_address.with_context(|| format!("the image has no symbol {CLOCK_SYMBOL}"))?;
+            let clock_address = clock_address.context(NO_CLOCK)?;
             Some((Gdb::new(gdb, PATIENCE)?, extras.models, clock_address))
         };
         let qtest = Qtest::new(qtest, PATIENCE)?;
@@ -116,17 +123,16 @@ impl Qemu {
                 return Err(error).context("cannot run sh");
             }
         };
-        let qemu = Self { process, leash, qtest: Arc::new(Mutex::new(qtest)), clock_address };
+        let qemu = Self { process, leash, board, qtest: Arc::new(Mutex::new(qtest)), clock_address };
         let followed = Arc::clone(watch);
-        thread::spawn(move || follow(messages, &followed));
+        thread::spawn(move || follow(messages, OutputPort::of(board), &followed));
         if let Some((gdb, models, clock_address)) = models {
-            qemu.serve(Registers::new(gdb, models, clock_address)?, watch)?;
+            qemu.serve(Registers::new(gdb, models, clock_address, board.after_reset)?, watch)?;
         }
         let running = watch.wait(PATIENCE, |seen| seen.is_served).map(drop);
         running.with_context(|| format!("no firmware for this board starts from {}", elf.display()))?;
         // QEMU connected before the firmware started, so accepting does not block.
-        let [gripper, bus, service] =
-            [GRIPPER_LINE, MODBUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
+        let [gripper, bus, service] = LINES.map(|name| sockets.accept(name).map(Some));
         Ok((qemu, Lines { gripper: gripper?, bus: bus?, service: service? }))
     }
 
@@ -148,7 +154,7 @@ impl Qemu {
 
 impl Chip for Qemu {
     fn set_input(&self, wire: Inputs, high: bool) -> Result<()> {
-        let Some(wire) = INPUTS.iter().find(|its| its.signal == wire) else { return Ok(()) };
+        let Some(wire) = self.board.inputs.iter().find(|its| its.signal == wire) else { return Ok(()) };
         let port = format!("/machine/soc/gpio{}", wire.port.letter().to_ascii_lowercase());
         lock(&self.qtest).set_gpio_in(&port, wire.pin, high)
     }
@@ -162,7 +168,7 @@ impl Chip for Qemu {
     }
 
     fn now_ms(&self) -> Result<u32> {
-        self.readl(self.clock_address.with_context(|| format!("the image has no symbol {CLOCK_SYMBOL}"))?)
+        self.readl(self.clock_address.context(NO_CLOCK)?)
     }
 }
 
@@ -212,9 +218,9 @@ fn put_on_leash(qemu: &Child) -> io::Result<Child> {
 }
 
 /// Follows QEMU's trace until QEMU ends.
-fn follow(messages: io::PipeReader, watch: &Watch) {
+fn follow(messages: io::PipeReader, mut port: OutputPort, watch: &Watch) {
     let mut messages = BufReader::new(messages);
-    let (mut line, mut port) = (Vec::new(), OutputPort::default());
+    let mut line = Vec::new();
     while matches!(messages.read_until(b'\n', &mut line), Ok(read) if read > 0) {
         let text = String::from_utf8_lossy(&line);
         if port.follow(&text) {
@@ -225,12 +231,4 @@ fn follow(messages: io::PipeReader, watch: &Watch) {
         line.clear();
     }
     watch.end();
-}
-
-/// Returns the address of the symbol whose name contains `name`.
-fn symbol(elf: &Path, name: &str) -> Option<u32> {
-    let image = std::fs::read(elf).ok()?;
-    let image = object::File::parse(&*image).ok()?;
-    let symbol = image.symbols().find(|symbol| symbol.name().is_ok_and(|found| found.contains(name)))?;
-    u32::try_from(symbol.address()).ok()
 }

@@ -60,6 +60,7 @@ impl Watch {
     }
 
     /// Records an output line. A CPU lock-up dumps all registers; the first lines give the reason.
+    #[cfg(unix)]
     pub(super) fn receive(&self, line: &str) {
         let mut seen = lock(&self.seen);
         if seen.printed.len() < PRINTED_MAX && !line.trim().is_empty() {
@@ -76,6 +77,7 @@ impl Watch {
     }
 
     /// Reports that the machine has stopped permanently, and why.
+    #[cfg(unix)]
     pub(super) fn fail(&self, why: &str) {
         let mut seen = lock(&self.seen);
         // An intentional end is not a failure.

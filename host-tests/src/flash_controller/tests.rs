@@ -28,8 +28,8 @@ impl Machine for Core {
     }
 }
 
-const FIRST: u32 = MEMORY.start;
-const SECOND: u32 = MEMORY.start + 0x800;
+const FIRST: u32 = Layout::STM32L475.memory.start;
+const SECOND: u32 = FIRST + 0x800;
 
 fn store(flash: &FlashController, offset: u32, value: u32) {
     Registers(flash.powered()).store(FLASH + offset, Width::Word, value).unwrap();
@@ -40,13 +40,16 @@ fn load(flash: &FlashController, offset: u32) -> u32 {
 }
 
 fn poke(flash: &FlashController, address: u32, width: Width, value: u32) {
-    Memory(flash.powered()).store(address, width, value).unwrap();
+    Memory(flash.powered(), FIRST..FIRST + 0x1000).store(address, width, value).unwrap();
 }
 
 /// Returns the loaded value and the number of NMIs.
 fn peek(flash: &FlashController, address: u32) -> (u32, u32) {
     let mut core = Core::default();
-    (Memory(flash.powered()).load_through(address, Width::Word, &mut core).unwrap(), core.nmis)
+    (
+        Memory(flash.powered(), FIRST..FIRST + 0x1000).load_through(address, Width::Word, &mut core).unwrap(),
+        core.nmis,
+    )
 }
 
 fn pass(flash: &FlashController, time: Duration) {
@@ -59,7 +62,7 @@ fn unlock(flash: &FlashController) {
 
 /// Creates an unlocked interface with the data cache off.
 fn ready() -> FlashController {
-    let flash = FlashController::new();
+    let flash = FlashController::new(&Layout::STM32L475);
     store(&flash, ACR, ICEN);
     unlock(&flash);
     flash
@@ -80,7 +83,7 @@ fn erase(flash: &FlashController, page_number: u32) {
 #[test]
 fn a_wrong_key_locks_it_until_reset() {
     for wrong in [[KEYS[1], KEYS[0]], [KEYS[0], KEYS[0]], [0, KEYS[1]]] {
-        let flash = FlashController::new();
+        let flash = FlashController::new(&Layout::STM32L475);
         wrong.into_iter().for_each(|key| store(&flash, KEYR, key));
         assert!(flash.violations()[0].starts_with("3.3.5"), "{wrong:X?}");
         unlock(&flash);
@@ -92,7 +95,7 @@ fn a_wrong_key_locks_it_until_reset() {
     let flash = ready();
     store(&flash, KEYR, KEYS[0]);
     assert_eq!(flash.violations().len(), 1, "a key while unlocked");
-    let flash = FlashController::new();
+    let flash = FlashController::new(&Layout::STM32L475);
     store(&flash, CR, PG);
     assert_eq!((flash.violations().len(), load(&flash, CR)), (1, OPTLOCK | LOCK), "a store while locked");
 }
@@ -167,7 +170,7 @@ fn a_forbidden_erase_is_recorded_and_has_no_effect() {
 
 #[test]
 fn an_enabled_data_cache_during_an_operation_is_recorded() {
-    let flash = FlashController::new();
+    let flash = FlashController::new(&Layout::STM32L475);
     unlock(&flash);
     program(&flash, FIRST, 5);
     assert!(flash.violations()[0].contains("data cache"), "{:?}", flash.violations());
@@ -209,7 +212,7 @@ fn unreadable_double_word_raises_one_nmi_until_flag_is_cleared() {
     flash.set(Page::Second, 3, None);
     assert_eq!(peek(&flash, SECOND + 24).1, 1);
     // Bank 2 and the address in it.
-    assert_eq!(load(&flash, ECCR), ECCD | BK_ECC | 0x7_F818);
+    assert_eq!(load(&flash, ECCR), ECCD | Layout::STM32L475.bk_ecc | 0x7_F818);
     assert_eq!(peek(&flash, SECOND + 28).1, 0);
     assert!(flash.violations()[0].starts_with("3.3.2"));
     store(&flash, ECCR, ECCD);

@@ -2,6 +2,9 @@
 
 use super::*;
 
+/// Base address of UART4 (RM0351, table 1).
+const UART4: u32 = 0x4000_4C00;
+
 /// QEMU's UART with a waiting byte; records stores to ICR.
 #[derive(Default)]
 struct Uart(Vec<u32>);

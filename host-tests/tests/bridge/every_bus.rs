@@ -36,14 +36,14 @@ on_every_bus!(
     jog_moves_while_its_flag_is_set,
     jog_runs_to_the_soft_limits_and_sets_their_flags,
     first_image_starts_nothing_except_fast_stop,
-    stop_in_the_first_image_keeps_ready_low_and_refuses_the_wires,
+    stop_in_first_image_lowers_ready_and_refuses_wires,
     silent_plc_holds_stops_or_fast_stops_its_motion,
     silent_plc_ends_a_jog_even_with_reaction_hold,
     part_stays_held_while_the_plc_is_silent,
-    end_of_a_motion_is_shown_with_width_and_force_measured_after_it,
-    fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge,
+    motion_ends_with_width_and_force_measured_after_it,
+    fast_stop_wire_stops_bus_motion_and_bus_acknowledges,
     fast_stop_of_the_bus_stops_a_motion_of_the_wires,
-    wires_command_while_one_of_them_is_high_and_the_bus_afterwards,
+    wires_command_while_any_is_high_then_the_bus,
     parameters_on_the_bus_do_not_disturb_a_motion_of_the_wires,
     second_motion_is_refused_and_the_first_still_ends,
     motion_while_a_part_is_held_is_refused,
@@ -224,7 +224,7 @@ fn first_image_starts_nothing_except_fast_stop<P: Plc>() {
 }
 
 /// STOP/ACK in the first image is no edge, but its level blocks motions (fieldbus, table 1).
-fn stop_in_the_first_image_keeps_ready_low_and_refuses_the_wires<P: Plc>() {
+fn stop_in_first_image_lowers_ready_and_refuses_wires<P: Plc>() {
     let first = OutputImage { flags: Flag::STOP_ACK, ..PARAMETERS };
     let mut plc = P::connect(P::CONFIG, quick(), first);
     plc.run(100);
@@ -285,7 +285,7 @@ fn part_stays_held_while_the_plc_is_silent<P: Plc>() {
     assert_eq!(plc.read().state, Shown::HOLDING);
 }
 
-fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it<P: Plc>() {
+fn motion_ends_with_width_and_force_measured_after_it<P: Plc>() {
     for phase_ms in 0..5 {
         let mut plc: P = homed(with_part(20.0));
         plc.run(2 * phase_ms);
@@ -303,7 +303,7 @@ fn end_of_a_motion_is_shown_with_width_and_force_measured_after_it<P: Plc>() {
     }
 }
 
-fn fast_stop_wire_stops_a_motion_of_the_bus_and_the_bus_may_acknowledge<P: Plc>() {
+fn fast_stop_wire_stops_bus_motion_and_bus_acknowledges<P: Plc>() {
     let mut plc: P = moving(P::CONFIG);
     plc.world().set(Inputs::FAST_STOP_OK, false);
     plc.run(150);
@@ -332,7 +332,7 @@ fn fast_stop_of_the_bus_stops_a_motion_of_the_wires<P: Plc>() {
     assert!(has(&mut plc, SystemFlags::FAST_STOP), "the bus's FASTSTOP is still 1");
 }
 
-fn wires_command_while_one_of_them_is_high_and_the_bus_afterwards<P: Plc>() {
+fn wires_command_while_any_is_high_then_the_bus<P: Plc>() {
     let mut plc: P = homed(quick());
     plc.world().set(Inputs::MOVE, true);
     plc.run(3_000);

@@ -188,7 +188,12 @@ impl CanController for Can {
             is_off: status.bo() || FDCAN1.cccr().read().asm(),
             is_passive: status.ep(),
             transmit_errors: if status.bo() { u8::MAX } else { errors.tec() },
-            receive_errors: if errors.rp() { REC_BEYOND } else { errors.rec() },
+            receive_errors: match (status.bo(), errors.rp()) {
+                // During the recovery, the counter counts sequences of recessive bits.
+                (true, _) => 0,
+                (false, true) => REC_BEYOND,
+                (false, false) => errors.rec(),
+            },
         }
     }
 
@@ -205,7 +210,7 @@ impl CanController for Can {
             }
         };
         // The order matters: once TXBRP is clear, TXBTO does not change.
-        let is_waiting = FDCAN1.txbrp().read().0 & 1 << buffer != 0;
+        let is_waiting = requested() & 1 << buffer != 0;
         let was_sent = FDCAN1.txbto().read().0 & 1 << buffer != 0;
         self.transmit.decide(Withdrawal::of(is_waiting, was_sent))
     }
@@ -221,8 +226,14 @@ impl CanController for Can {
     }
 }
 
+/// Returns the buffers with a request. While the controller scans the buffers, a new request may show in TXBAR only.
+fn requested() -> u32 {
+    // In this order: a request never moves from TXBRP to TXBAR.
+    FDCAN1.txbar().read().0 | FDCAN1.txbrp().read().0
+}
+
 fn empty_buffers() -> [bool; ELEMENTS] {
-    let waiting = FDCAN1.txbrp().read().0;
+    let waiting = requested();
     [1 << 0, 1 << 1, 1 << 2].map(|buffer| waiting & buffer == 0)
 }
 

@@ -1,6 +1,6 @@
 //! The bridge on the board NUCLEO-G474RE (STM32G474RE): entry point, board and CAN. Register names follow ST's RM0440.
 //!
-//! Compiled, linked and measured, but never executed.
+//! Executed in QEMU with models of the peripherals that its machine lacks, never on hardware.
 
 #![no_std]
 #![no_main]

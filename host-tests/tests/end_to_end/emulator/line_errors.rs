@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use host_tests::emulator::{Emulator, Extras, Line};
-use host_tests::line_errors::{LPUART1, LineError, LineErrors, UART4};
+use host_tests::line_errors::{LineError, LineErrors};
 use host_tests::modbus_master::Master;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::trace::Trace;
@@ -26,9 +26,8 @@ const NOTHING: [u8; 14] = [16, 0, 0, 0, 4, 8, 0, 0, 0, 0, 0, 0, 0, 0];
 const STOP_ACK: [u8; 14] = [16, 0, 0, 0, 4, 8, 1 << 4, 0, 0, 0, 0, 0, 0, 0];
 
 struct Plant {
-    kind: Board,
-    /// Models of the default board: the gripper's line and the bus.
-    models: [LineErrors; 2],
+    /// Models for a board in QEMU: the gripper's line and the bus.
+    models: Option<[LineErrors; 2]>,
     rig: Rig,
     master: Master,
 }
@@ -36,26 +35,24 @@ struct Plant {
 impl Plant {
     /// Starts a board and waits for READY.
     fn start(kind: Board) -> Self {
-        let models = [UART4, LPUART1].map(LineErrors::on);
-        let served = if kind == Board::DEFAULT { &models[..] } else { &[] };
-        let served = served.iter().map(|line| Box::new(line.clone()) as _).collect();
+        let models = kind.1.map(|board| [board.gripper_uart, board.bus_uart].map(LineErrors::on));
+        let served = models.iter().flatten().map(|line| Box::new(line.clone()) as _).collect();
         let extras = Extras { models: served, ..Extras::default() };
         let board = Emulator::start_with(&kind.image("WSG_FIRMWARE_ELF"), extras).unwrap();
         let config = Config { time_scale: 10.0, ..Config::default() };
         let mut rig = Rig::of(board, None, config, Trace::new(vec![])).unwrap();
         rig.set(Inputs::FAST_STOP_OK, true).unwrap();
         let master = rig.master(UNIT).unwrap();
-        let mut plant = Self { kind, models, rig, master };
+        let mut plant = Self { models, rig, master };
         plant.master.allow_pauses().unwrap();
         plant.acknowledge();
         plant
     }
 
     fn set(&self, line: Line, error: Option<(LineError, u32)>) {
-        if self.kind == Board::PICO {
+        let Some([gripper, bus]) = &self.models else {
             return self.rig.board().set_line_error(line, error).unwrap();
-        }
-        let [gripper, bus] = &self.models;
+        };
         match line {
             Line::Gripper => gripper.set(error),
             Line::Bus => bus.set(error),
@@ -66,7 +63,7 @@ impl Plant {
     fn reported(&self) -> &'static [LineError] {
         const ALL: [LineError; 4] =
             [LineError::Parity, LineError::Framing, LineError::Overrun, LineError::Noise];
-        if self.kind == Board::PICO { &ALL[..3] } else { &ALL }
+        if self.models.is_none() { &ALL[..3] } else { &ALL }
     }
 
     fn ask(&mut self, pdu: &[u8]) -> Vec<u8> {
@@ -139,7 +136,7 @@ fn a_gripper_line_with_errors_is_reported_and_moves_nothing(board: Board) {
     assert_eq!(motions(&plant.rig.trace().since(0)), []);
 }
 
-on_both_boards!(
+on_every_board!(board =>
     a_bus_with_line_errors_moves_nothing_and_counts,
     a_gripper_line_with_errors_is_reported_and_moves_nothing,
 );

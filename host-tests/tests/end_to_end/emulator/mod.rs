@@ -1,29 +1,40 @@
 //! The released image in the emulator: on wires, on its buses, and with third-party masters.
 //!
-//! Board-independent tests run on the default board in QEMU and on the Pico in rp2040js. The other tests read registers of
-//! one board.
+//! Board-independent tests run on every emulated board: two in QEMU, the Pico in rp2040js. The other tests read registers of one
+//! board.
 
-/// Generates a test for each board from functions that take a board.
-macro_rules! on_both_boards {
-    ($($test:ident),+ $(,)?) => {
-        mod on_the_default_board {
-            use super::super::Board;
+/// The list of emulated boards: generates a test on each for functions that take a `Board`, or its CAN `controller` as a type.
+/// `board_in_qemu` leaves out boards of other emulators.
+macro_rules! on_every_board {
+    ($how:ident => $($test:ident),+ $(,)?) => {
+        on_board!(on_the_default_board, DEFAULT, host_tests::bxcan::Bxcan, $how => $($test),+);
+        on_board!(on_the_nucleo, NUCLEO, host_tests::fdcan::Fdcan, $how => $($test),+);
+        on_board!(on_the_pico_in_rp2040js, PICO, host_tests::mcp2515::Mcp2515, $how => $($test),+);
+    };
+}
+
+/// Generates the tests of a board.
+macro_rules! on_board {
+    (on_the_pico_in_rp2040js, $board:ident, $controller:ty, board_in_qemu => $($test:ident),+) => {};
+    ($module:ident, $board:ident, $controller:ty, controller => $($test:ident),+) => {
+        mod $module {
             $(
                 #[test]
-                #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+                #[ignore = "needs an emulator and the firmware images: run `cargo xtask test`"]
                 fn $test() {
-                    super::$test(Board::DEFAULT);
+                    super::$test::<$controller>();
                 }
             )+
         }
-
-        mod on_the_pico_in_rp2040js {
+    };
+    ($module:ident, $board:ident, $controller:ty, $how:ident => $($test:ident),+) => {
+        mod $module {
             use super::super::Board;
             $(
                 #[test]
-                #[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
+                #[ignore = "needs an emulator and the firmware image: run `cargo xtask test`"]
                 fn $test() {
-                    super::$test(Board::PICO);
+                    super::$test(Board::$board);
                 }
             )+
         }
@@ -46,13 +57,27 @@ mod wires;
 
 use std::path::PathBuf;
 
-/// A board, identified by the suffix of its images' environment variables.
-#[derive(Clone, Copy, PartialEq, Eq)]
-struct Board(&'static str);
+use host_tests::emulator::stm_board::{B_L475E_IOT01A, NUCLEO_G474RE, StmBoard};
+use host_tests::flash_controller::FlashController;
+
+/// A board: the suffix of its images' environment variables, and its values in QEMU.
+#[derive(Clone, Copy)]
+struct Board(&'static str, Option<&'static StmBoard>);
 
 impl Board {
-    const DEFAULT: Self = Self("");
-    const PICO: Self = Self("_PICO");
+    const DEFAULT: Self = Self("", Some(&B_L475E_IOT01A));
+    const NUCLEO: Self = Self("_NUCLEO", Some(&NUCLEO_G474RE));
+    const PICO: Self = Self("_PICO", None);
+
+    /// Returns the values of a board in QEMU.
+    fn in_qemu(self) -> &'static StmBoard {
+        self.1.expect("the board must be one in QEMU")
+    }
+
+    /// Returns an empty flash of a board in QEMU.
+    fn flash(self) -> FlashController {
+        FlashController::new(&self.in_qemu().flash)
+    }
 
     /// Returns the path of this board's firmware image from the variable.
     fn image(self, variable: &str) -> PathBuf {

@@ -226,7 +226,7 @@ fn disturbed_bus_yields_no_wrong_value_and_no_stuck_line(board: Board) {
     assert_eq!(motions(&plant.rig.trace().since(0)), []);
 }
 
-on_both_boards!(
+on_every_board!(board =>
     grip_cycles_over_the_bus_of_the_emulated_board,
     jog_over_the_bus_stops_with_its_flag_or_a_silent_master,
     foreign_or_broken_frames_move_nothing_and_cost_no_request,

@@ -182,7 +182,7 @@ fn pyprofibus_runs_a_grip_cycle_on_the_emulated_board(board: Board) {
     assert_eq!(commands, [], "{}", printed(&output));
 }
 
-on_both_boards!(
+on_every_board!(board =>
     master_of_profirust_runs_grip_cycles_on_the_emulated_board,
     pyprofibus_runs_a_grip_cycle_on_the_emulated_board,
 );

@@ -15,8 +15,8 @@ use host_tests::world::with_part;
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
 
-use super::image;
 use super::service_port::poll;
+use super::{Board, image};
 
 const DOCUMENT: &str = "docs/quick-start.md";
 
@@ -84,7 +84,7 @@ fn play(master: &mut Master, accesses: &[ImageAccess]) {
 
 #[test]
 #[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
-fn mbpoll_commands_and_registers_of_the_quick_start_lead_to_a_grip() {
+fn quick_start_by_mbpoll_and_registers_leads_to_a_grip() {
     let text = read(DOCUMENT);
     let (before, after) =
         text.split_once("\n## 7. ").expect("docs/quick-start.md must have a step 7, with the power cycle");
@@ -92,7 +92,7 @@ fn mbpoll_commands_and_registers_of_the_quick_start_lead_to_a_grip() {
     let variables = before.lines().filter(|line| line.starts_with("M=") || line.starts_with("T="));
     let variables: String = variables.map(|line| format!("{line}\n")).collect();
 
-    let flash = FlashController::new();
+    let flash = Board::DEFAULT.flash();
     let plant = Plant::power_up(&flash);
     let printed = plant.paste(before);
     assert!(printed.contains("[107]: \t2"), "{printed}");

@@ -11,6 +11,9 @@ use wsg_sim::Config;
 
 use super::{Board, image};
 
+/// Heading after which the commands of docs/commissioning.md move the fingers.
+pub(super) const BY_HAND: &str = "\n## Without a PLC";
+
 /// Runs `mbpoll` at the service port.
 pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> String {
     masters::poll(&terminal.path, 115_200, arguments, values)
@@ -73,7 +76,10 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
     assert!(answers, "the gripper does not respond");
     let here = [("/dev/ttyACM0", terminal.path.as_str())];
 
-    let printed = masters::paste(&read("docs/service-port.md"), "$M", &here, "");
+    let text = read("docs/commissioning.md");
+    let (service_port, _) =
+        text.split_once(BY_HAND).expect("the page must have commands by hand, which move fingers");
+    let printed = masters::paste(service_port, "$M", &here, "");
     for answer in [
         "[0]: \t",
         "[134]: \t",
@@ -88,7 +94,7 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
     assert_eq!(motions(&rig.trace().since(0)), []);
 }
 
-on_both_boards!(
+on_every_board!(board =>
     mbpoll_reads_and_sets_over_service_port_without_plc_bus,
     mbpoll_reads_and_sets_over_the_service_port_beside_modbus,
     mbpoll_commands_of_the_document_work_when_pasted,

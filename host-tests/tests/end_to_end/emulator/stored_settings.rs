@@ -26,7 +26,7 @@ use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config as BridgeConfig, RECIPE_COUNT};
 use wsg_sim::Config;
 
-use super::image;
+use super::Board;
 use super::service_port::poll;
 
 /// Values of SETTINGS_FROM and SAVE_STATE (docs/registers.md).
@@ -44,27 +44,33 @@ const RECIPE_REGISTERS: usize = 4 * RECIPE_COUNT;
 
 /// A board with its flash, a gripper, and a master on the service port.
 struct Plant {
+    board: Board,
     rig: Rig,
     flash: FlashController,
     service: Master,
 }
 
 impl Plant {
+    /// Switches the power of a new board on.
+    fn new(board: Board) -> Self {
+        Self::power_up(board, board.flash())
+    }
+
     /// Switches the power on.
-    fn power_up(flash: FlashController) -> Self {
-        Self::power_up_with(flash, vec![])
+    fn power_up(board: Board, flash: FlashController) -> Self {
+        Self::power_up_with(board, flash, vec![])
     }
 
     /// Like `power_up`, with more peripherals.
-    fn power_up_with(flash: FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
+    fn power_up_with(kind: Board, flash: FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
         flash.power_cycle();
         let models = flash.models().into_iter().chain(more).collect();
         let extras = Extras { models, ..Extras::default() };
-        let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+        let board = Emulator::start_with(&kind.image("WSG_FIRMWARE_ELF"), extras).unwrap();
         let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
         let line = rig.board_mut().take_service_line().unwrap();
         let service = Master::new(line, rig.board().clock(), 1);
-        Self { rig, flash, service }
+        Self { board: kind, rig, flash, service }
     }
 
     /// Switches the power off. Checks that no motion was sent and that the driver violated no rule of the flash.
@@ -82,7 +88,8 @@ impl Plant {
     }
 
     fn power_cycle(self) -> Self {
-        Self::power_up(self.power_down())
+        let board = self.board;
+        Self::power_up(board, self.power_down())
     }
 
     fn read(&mut self, function: u8, first: u16, count: u16) -> Vec<u16> {
@@ -218,7 +225,8 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
             .all(|(n, value)| printed.contains(&format!("[{}]: \t{value}\n", first + n)))
     };
 
-    let (plant, cable) = Plant::power_up(FlashController::new()).on_cable();
+    let board = Board::DEFAULT;
+    let (plant, cable) = Plant::new(board).on_cable();
     let recipes: Vec<u16> = (0..RECIPE_REGISTERS as u16).map(|n| 1_000 + n).collect();
     write(&cable, setting("RECIPE0_WIDTH"), &recipes);
     write(&cable, setting("UNIT"), &[9]);
@@ -235,7 +243,7 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
 
     let can = CanBus::new(250_000);
     let master = can.join();
-    let plant = Plant::power_up_with(plant.power_down(), vec![Box::new(can.clone())]);
+    let plant = Plant::power_up_with(board, plant.power_down(), vec![Box::new(can.clone())]);
     let (plant, cable) = plant.on_cable();
     assert!(are_there(&cable, &recipes));
     // Node 5's boot-up message and an SDO answer (CiA 301, 7.2.8.3.3, 7.2.4.3.5).
@@ -275,10 +283,8 @@ fn cuts() -> Vec<(u32, Tear)> {
     ]
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn power_cut_in_a_save_leaves_old_or_new_settings_and_no_motion() {
-    let mut plant = Plant::power_up(FlashController::new());
+fn power_cut_in_a_save_leaves_old_or_new_settings_and_no_motion(board: Board) {
+    let mut plant = Plant::new(board);
     assert_eq!((plant.report("SETTINGS_FROM"), plant.report("SAVE_STATE")), (DELIVERED, 0));
     plant.set_recipes(999);
     assert_eq!(plant.save(), SAVED);
@@ -287,7 +293,7 @@ fn power_cut_in_a_save_leaves_old_or_new_settings_and_no_motion() {
     let power_cycle = |plant: Plant| {
         let flash = plant.power_down();
         Page::ALL.into_iter().for_each(|page| flash.set(page, PAGE_LEN - 1, Some(0)));
-        Plant::power_up(flash)
+        Plant::power_up(board, flash)
     };
     plant = power_cycle(plant);
     for (n, (operation, tear)) in (1_000..).zip(cuts()) {
@@ -320,10 +326,8 @@ fn power_cut_in_a_save_leaves_old_or_new_settings_and_no_motion() {
     plant.power_down();
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn each_flash_fault_is_reported_and_keeps_stored_settings() {
-    let mut plant = Plant::power_up(FlashController::new());
+fn each_flash_fault_is_reported_and_keeps_stored_settings(board: Board) {
+    let mut plant = Plant::new(board);
     plant.set_debounce(7);
     assert_eq!(plant.save(), SAVED);
     assert!(plant.flash.is_at_rest());
@@ -371,10 +375,8 @@ fn each_flash_fault_is_reported_and_keeps_stored_settings() {
     plant.power_down();
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn an_unreadable_double_word_costs_its_record_and_no_start() {
-    let mut plant = Plant::power_up(FlashController::new());
+fn an_unreadable_double_word_costs_its_record_and_no_start(board: Board) {
+    let mut plant = Plant::new(board);
     for value in [7, 8] {
         plant.set_debounce(value);
         assert_eq!(plant.save(), SAVED);
@@ -383,7 +385,7 @@ fn an_unreadable_double_word_costs_its_record_and_no_start() {
     // Corrected bits leave a flag that would hide a later uncorrectable double word.
     (0..RECORD).for_each(|index| flash.set_correctable(Page::First, index));
     flash.set(Page::First, RECORD + 3, None);
-    let mut plant = Plant::power_up(flash);
+    let mut plant = Plant::power_up(board, flash);
     assert_eq!(
         (plant.report("SETTINGS_FROM"), plant.debounce()),
         (STORED, 7),
@@ -395,7 +397,7 @@ fn an_unreadable_double_word_costs_its_record_and_no_start() {
     flash.set(Page::First, 3, None);
     let mut chance = Chance::new(1);
     (0..PAGE_LEN).for_each(|index| flash.set(Page::Second, index, Some(chance.number())));
-    let mut plant = Plant::power_up(flash);
+    let mut plant = Plant::power_up(board, flash);
     assert_eq!(plant.report("SETTINGS_FROM"), DAMAGED);
     let refused = [EventCode::SettingsRefused as u16, 0, DAMAGED];
     assert!(plant.events().iter().any(|event| event[..3] == refused), "{:?}", plant.events());
@@ -407,10 +409,8 @@ fn an_unreadable_double_word_costs_its_record_and_no_start() {
     plant.power_down();
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn a_program_that_cannot_be_read_resets_the_board() {
-    let mut plant = Plant::power_up(FlashController::new());
+fn a_program_that_cannot_be_read_resets_the_board(board: Board) {
+    let mut plant = Plant::new(board);
     plant.flash.set_fault(Some(Fault::UnreadableProgram));
     plant.command("SAVE");
     let bound = Instant::now() + PATIENCE;
@@ -419,3 +419,24 @@ fn a_program_that_cannot_be_read_resets_the_board() {
         assert!(Instant::now() < bound, "the board must reset");
     }
 }
+
+/// With one bank, which the settings cannot use, an unreadable upper half of a line is reported by another flag (RM0440, 3.7.7).
+#[test]
+#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
+fn nucleo_with_one_bank_starts_with_default_settings() {
+    let board = Board::NUCLEO;
+    let flash = board.flash();
+    flash.set_single_bank();
+    flash.set(Page::First, 1, None);
+    let mut plant = Plant::power_up(board, flash);
+    assert_eq!(plant.settings(), BridgeConfig::DEFAULT.record());
+    assert_eq!(plant.save(), FAILED);
+    plant.power_down();
+}
+
+on_every_board!(board_in_qemu =>
+    power_cut_in_a_save_leaves_old_or_new_settings_and_no_motion,
+    each_flash_fault_is_reported_and_keeps_stored_settings,
+    an_unreadable_double_word_costs_its_record_and_no_start,
+    a_program_that_cannot_be_read_resets_the_board,
+);

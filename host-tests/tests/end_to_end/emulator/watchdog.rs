@@ -11,7 +11,7 @@ use wsg_bridge_fw::ResetCause;
 use wsg_bridge_fw::io::Outputs;
 use wsg_sim::Config;
 
-use super::{Board, image};
+use super::Board;
 
 /// Input register RESET_CAUSE (docs/registers.md).
 const RESET_CAUSE: u8 = 132;
@@ -54,12 +54,10 @@ fn is_reset(board: Emulator, derail: impl Fn(&Emulator, Derailment), resets: imp
     }
 }
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn firmware_that_hangs_is_reset_and_its_outputs_go_low() {
+fn firmware_that_hangs_is_reset_and_its_outputs_go_low(board: Board) {
     let iwdg = Iwdg::new();
     let extras = Extras { models: vec![Box::new(iwdg.clone()), Box::new(iwdg.flags())], ..Extras::default() };
-    let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
+    let board = Emulator::start_with(&board.image("WSG_FIRMWARE_ELF"), extras).unwrap();
     // At the nominal clock rate of the watchdog.
     assert_eq!(iwdg.timeout(), Some(TIMEOUT));
     is_reset(board, |_, how| iwdg.derail(how), |_| iwdg.resets());
@@ -79,3 +77,5 @@ fn hung_firmware_is_reset_in_time_with_outputs_low_in_rp2040js() {
         resets
     });
 }
+
+on_every_board!(board_in_qemu => firmware_that_hangs_is_reset_and_its_outputs_go_low);

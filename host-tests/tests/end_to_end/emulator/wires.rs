@@ -7,14 +7,13 @@ use host_tests::extent;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::trace::{Entry, Trace, frame_id};
 use host_tests::world::{IDLE, quick, with_part};
-use wsg_b_l475e_iot01a::INDICATOR;
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::session::FastStopPattern;
 use wsg_protocol::{CommandId, SystemFlags};
 use wsg_sim::Config;
 
-use super::{Board, image};
+use super::Board;
 
 /// The recipe with a large width.
 const WIDE: u8 = 1;
@@ -159,7 +158,7 @@ fn fast_stop_reaches_a_gripper_that_awaits_a_nonexistent_frame(board: Board) {
     }
 }
 
-on_both_boards!(
+on_every_board!(board =>
     grip_cycles_without_one_deviation,
     low_fast_stop_wire_at_power_up_blocks_until_acknowledged,
     command_wire_that_is_high_at_power_up_starts_nothing,
@@ -167,30 +166,35 @@ on_both_boards!(
     fast_stop_reaches_a_gripper_that_awaits_a_nonexistent_frame,
 );
 
-#[test]
-#[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
-fn led_shows_that_the_gripper_has_never_answered() {
-    let board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
-    let (port, pin) = INDICATOR;
-    // MODER and ODR of the port (RM0351, 2.2.2 and 8.4).
-    let moder = 0x4800_0000 + 0x400 * (u32::from(port.letter()) - u32::from('A'));
-    let odr = moder + 0x14;
-    assert_eq!(board.readl(moder).unwrap() >> (2 * pin) & 0b11, 0b01, "the pin must be an output");
+/// The status LED, whose port QEMU has.
+mod led {
+    use super::*;
 
-    let (mut was_lit, mut was_dark) = (false, false);
-    let bound = Instant::now() + PATIENCE;
-    while !(was_lit && was_dark) {
-        assert!(Instant::now() < bound, "lit: {was_lit}, dark: {was_dark}");
-        let before = board.now_ms().unwrap();
-        let is_lit = board.readl(odr).unwrap() & 1 << pin != 0;
-        let after = board.now_ms().unwrap();
-        // The pin is written at the end of a turn of the main loop, with the time at the turn's start.
-        let mut turns = before.saturating_sub(2)..=after;
-        assert!(
-            turns.any(|ms| Indication::NeverAnswered.is_lit(ms) == is_lit),
-            "lit: {is_lit}, between {before} and {after} ms"
-        );
-        was_lit |= is_lit;
-        was_dark |= !is_lit;
+    fn led_shows_that_the_gripper_has_never_answered(kind: Board) {
+        let board = Emulator::start(&kind.image("WSG_FIRMWARE_ELF")).unwrap();
+        let (port, pin) = kind.in_qemu().indicator;
+        // MODER and ODR of the port (RM0351, 2.2.2 and 8.4).
+        let moder = 0x4800_0000 + 0x400 * (u32::from(port.letter()) - u32::from('A'));
+        let odr = moder + 0x14;
+        assert_eq!(board.readl(moder).unwrap() >> (2 * pin) & 0b11, 0b01, "the pin must be an output");
+
+        let (mut was_lit, mut was_dark) = (false, false);
+        let bound = Instant::now() + PATIENCE;
+        while !(was_lit && was_dark) {
+            assert!(Instant::now() < bound, "lit: {was_lit}, dark: {was_dark}");
+            let before = board.now_ms().unwrap();
+            let is_lit = board.readl(odr).unwrap() & 1 << pin != 0;
+            let after = board.now_ms().unwrap();
+            // The pin is written at the end of a turn of the main loop, with the time at the turn's start.
+            let mut turns = before.saturating_sub(2)..=after;
+            assert!(
+                turns.any(|ms| Indication::NeverAnswered.is_lit(ms) == is_lit),
+                "lit: {is_lit}, between {before} and {after} ms"
+            );
+            was_lit |= is_lit;
+            was_dark |= !is_lit;
+        }
     }
+
+    on_every_board!(board_in_qemu => led_shows_that_the_gripper_has_never_answered);
 }

@@ -1,30 +1,5 @@
-//! The released image with a model of CAN1's registers, under three settings: gripper on CAN, PLC on CAN, and both. A
+//! The released image with a model of the CAN controller's registers, under three settings: gripper on CAN, PLC on CAN, and both. A
 //! third-party CANopen master controls it.
-
-/// Generates a test for each board's controller from functions that are generic over it.
-macro_rules! on_both_boards {
-    ($($test:ident),+ $(,)?) => {
-        mod on_the_default_board {
-            $(
-                #[test]
-                #[ignore = "needs QEMU and the firmware images: run `cargo xtask test`"]
-                fn $test() {
-                    super::$test::<host_tests::bxcan::Bxcan>();
-                }
-            )+
-        }
-
-        mod on_the_pico_in_rp2040js {
-            $(
-                #[test]
-                #[ignore = "needs rp2040js and the firmware images: run `cargo xtask test`"]
-                fn $test() {
-                    super::$test::<host_tests::mcp2515::Mcp2515>();
-                }
-            )+
-        }
-    };
-}
 
 mod faults;
 
@@ -37,6 +12,7 @@ use host_tests::can_controller::BusController;
 use host_tests::can_hub::CanHub;
 use host_tests::can_wire::WireFrame;
 use host_tests::emulator::{Emulator, Extras};
+use host_tests::fdcan::{Fdcan, HSE_HZ};
 use host_tests::masters::{self, printed};
 use host_tests::mcp2515::Mcp2515;
 use host_tests::rig::{PATIENCE, Rig, motions};
@@ -106,6 +82,47 @@ impl CanBoard for Bxcan {
     }
 }
 
+impl CanBoard for Fdcan {
+    const BOARD: Board = Board::NUCLEO;
+
+    fn new_bus(rate: u32) -> CanBus<Self> {
+        CanBus::with(Self::new(HSE_HZ), rate)
+    }
+
+    fn extras(bus: &CanBus<Self>) -> Extras<'static> {
+        Extras { models: bus.models(), ..Extras::default() }
+    }
+
+    fn faults(&mut self) -> (bool, bool, bool) {
+        const PSR: u32 = 0x44;
+        let psr = self.load(PSR).unwrap();
+        (psr & 1 << 7 != 0, psr & 1 << 5 != 0, psr & 1 << 6 != 0)
+    }
+
+    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool {
+        self.accepted().iter().all(is_wanted)
+    }
+
+    fn assert_set_up(board: &Emulator, bus: &CanBus<Self>, rate: u32) {
+        const FDCANSEL: u32 = 0b11 << 24;
+        let read = |address| board.readl(address).unwrap();
+        assert_eq!(read(RCC_APB1ENR1) >> 25 & 1, 1, "FDCAN's clock must be enabled");
+        assert_eq!(read(RCC_CCIPR) & FDCANSEL, 0, "FDCAN must be clocked by HSE");
+        assert_eq!(read(GPIOA_MODER) >> 22 & 0xF, 0b1010, "PA11 and PA12 must be in alternate-function mode");
+        assert_eq!(read(GPIOA_AFRH) >> 12 & 0xFF, 0x99, "PA11 and PA12 must belong to FDCAN1");
+        await_interrupts(board, 1 << 21);
+        let mut controller = bus.controller();
+        let mut registers = FDCAN_SET_UP.iter();
+        assert!(
+            registers.all(|(offset, value)| controller.load(*offset).unwrap() == *value),
+            "{controller:?}"
+        );
+        let timing = controller.bit_timing();
+        assert_eq!((timing.rate, timing.sample_point), (rate, 875), "{timing:?}");
+        assert_eq!(controller.violations(), [""; 0]);
+    }
+}
+
 impl CanBoard for Mcp2515 {
     const BOARD: Board = Board::PICO;
 
@@ -163,6 +180,30 @@ const CAN_IER: u32 = 0x14;
 const CAN_MCR: (u32, u32) = (0x00, 0x0001_0000);
 const TMEIE_AND_FMPIE0: u32 = 0b11;
 
+/// MODER and AFRH of port A, and the register that selects FDCAN's clock (RM0440, 9.4, 7.4.25).
+const GPIOA_MODER: u32 = 0x4800_0000;
+const GPIOA_AFRH: u32 = 0x4800_0024;
+const RCC_CCIPR: u32 = 0x4002_1088;
+
+/// Registers of FDCAN1 after the set-up (RM0440, 44.4): interrupts for a sent frame and for a new one in each FIFO, on line 0;
+/// standard frames that match no filter, and remote and extended frames, are rejected; buffers sent by identifier.
+const FDCAN_SET_UP: [(u32, u32); 6] = [
+    (0x54, 1 << 0 | 1 << 3 | 1 << 7),
+    (0x58, 0),
+    (0x5C, 1),
+    (0x80, 0x0005_002B),
+    (0xC0, 1 << 24),
+    (0xDC, 0b111),
+];
+
+/// Waits until these of the first 32 interrupts are enabled: the handlers mask them until the next turn of the main loop.
+fn await_interrupts(board: &Emulator, lines: u32) {
+    let bound = Instant::now() + PATIENCE;
+    while board.readl(NVIC_ISER0).unwrap() & lines != lines {
+        assert!(Instant::now() < bound, "the interrupts {lines:#X} are not enabled");
+    }
+}
+
 /// Checks clock, pins, interrupts and mode.
 fn assert_peripheral_set_up(board: &Emulator, bus: &CanBus) {
     assert_eq!(board.readl(RCC_APB1ENR1).unwrap() >> 25 & 1, 1, "CAN1's clock must be enabled");
@@ -172,12 +213,8 @@ fn assert_peripheral_set_up(board: &Emulator, bus: &CanBus) {
         "PB8 and PB9 must be in alternate-function mode"
     );
     assert_eq!(board.readl(GPIOB_AFRH).unwrap() & 0xFF, 0x99, "PB8 and PB9 must belong to CAN1");
-    // The handlers mask the interrupts until the next turn of the main loop.
-    let wakes = || board.readl(NVIC_ISER0).unwrap() >> 19 & 0b11 == 0b11;
-    let bound = Instant::now() + PATIENCE;
-    while !wakes() {
-        assert!(Instant::now() < bound, "CAN1_TX and CAN1_RX0 are not enabled");
-    }
+    // CAN1_TX and CAN1_RX0.
+    await_interrupts(board, 0b11 << 19);
     let mut controller = bus.controller();
     assert_eq!(controller.load(CAN_IER).unwrap(), TMEIE_AND_FMPIE0);
     assert_eq!(controller.load(CAN_MCR.0).unwrap(), CAN_MCR.1);
@@ -273,7 +310,7 @@ fn plc_and_gripper_on_one_bus_are_served_to_a_master_of_canopen<C: CanBoard>() {
     run_master::<C>(BOTH_ON_CAN, true);
 }
 
-on_both_boards!(
+on_every_board!(controller =>
     gripper_on_can_runs_a_grip_cycle_by_wires,
     plc_on_can_is_served_to_a_master_of_canopen,
     plc_and_gripper_on_one_bus_are_served_to_a_master_of_canopen,

@@ -1,0 +1,34 @@
+//! The two ends of a line between threads: Unix sockets, or TCP on Windows, where the standard library has no Unix sockets.
+
+use std::io;
+
+#[cfg(not(unix))]
+pub use std::net::TcpStream as Socket;
+#[cfg(unix)]
+pub use std::os::unix::net::UnixStream as Socket;
+
+/// Returns the two ends of a line.
+///
+/// # Errors
+/// Fails when the system creates no socket, and on Windows when another program connects to it first.
+#[cfg(unix)]
+pub fn pair() -> io::Result<(Socket, Socket)> {
+    Socket::pair()
+}
+
+/// Returns the two ends of a line.
+///
+/// # Errors
+/// Fails when the system creates no socket, or another program connects to it first.
+#[cfg(not(unix))]
+pub fn pair() -> io::Result<(Socket, Socket)> {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0")?;
+    let near = Socket::connect(listener.local_addr()?)?;
+    let (far, peer) = listener.accept()?;
+    if peer != near.local_addr()? {
+        return Err(io::Error::other("another program has connected to a line of this one"));
+    }
+    near.set_nodelay(true)?;
+    far.set_nodelay(true)?;
+    Ok((near, far))
+}
