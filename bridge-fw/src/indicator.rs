@@ -75,7 +75,7 @@ pub const INDICATIONS: [IndicationText; 6] = [
         Indication::Error,
         "4 flashes",
         "`ERROR` is high for another reason. This is normal after a power-up with `FAST_STOP_OK` low, until you acknowledge with `STOP_ACK`",
-        "read `ERROR_CAUSE` over a bus or the service port, remove the cause, then give an edge on `STOP_ACK`",
+        "read `ERROR_CAUSE` over a bus or the service port, remove the cause, then pulse `STOP_ACK`",
     ),
     text(
         Indication::Running,

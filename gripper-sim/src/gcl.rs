@@ -1,7 +1,7 @@
 //! A client of the Gripper Control Language (GCL).
 //!
 //! This module is the connection: its lines, its subscriptions, and the order of `ACK`, `FIN` and `ERR`. The requests
-//! are in `requests`. `docs/gcl.md` records the decisions made where the manual is silent.
+//! are in `requests`. `docs/decisions.md` records the decisions made where the manual is silent.
 
 mod autosend;
 mod requests;

@@ -80,8 +80,3 @@ pub use rig::VirtualRig;
 pub use script::{MAX_REQUEST_LEN, SCRIPT_IDS, ScriptRequest, ScriptState};
 pub use time::Time;
 pub use wsg_fieldbus::SilenceReaction;
-
-/// Compiles and runs the examples in the document.
-#[cfg(all(doctest, feature = "rig", feature = "std"))]
-#[doc = include_str!("../../docs/simulator.md")]
-struct Document;

@@ -85,8 +85,8 @@ impl BoardWiring {
     /// Returns the rows of the table of lines: pin, MCU pin, connected part.
     #[must_use]
     pub fn line_rows(&self) -> Vec<[String; 3]> {
-        let row =
-            |it: &LinePin| [it.pin.to_owned(), it.mcu.to_owned(), format!("{}, {}", it.part, it.its_pin)];
+        let connected = |it: &LinePin| format!("{}, {}", it.part, label(it.its_pin));
+        let row = |it: &LinePin| [it.pin.to_owned(), it.mcu.to_owned(), connected(it)];
         self.lines.iter().map(row).collect()
     }
 

@@ -5,10 +5,7 @@
 use document::{hold, table};
 use host_tests::plc_names::{command_flags, gripper_flags};
 use wsg_bridge_fw::can::{BusOffPolicy, DEFAULT_NODE, NodeConfig};
-use wsg_bridge_fw::plc::canopen::{
-    DataType, FAULTS, INPUT_INDEX, OBJECTS, OUTPUT_INDEX, REPORTS_INDEX, SETTINGS_INDEX,
-};
-use wsg_bridge_fw::registers::{REPORTS, SETTINGS};
+use wsg_bridge_fw::plc::canopen::{DataType, FAULTS, INPUT_INDEX, OBJECTS, OUTPUT_INDEX};
 use wsg_protocol::can::{HALF_MESSAGE_MS, Identifiers, Segments};
 use wsg_protocol::{
     AutoUpdate, Command, CommandId, FrameEncoder, GripperState, Payload, Reply, Status, SystemFlags, Value,
@@ -135,25 +132,6 @@ fn faults() -> String {
     table(["code", "error register", "fault"], FAULTS.iter().map(row))
 }
 
-fn objects() -> String {
-    let mut indices: Vec<u16> = OBJECTS.iter().map(|object| object.index).collect();
-    indices.dedup();
-    let row = |index: u16| {
-        let entries: Vec<_> = OBJECTS.iter().filter(|object| object.index == index).collect();
-        let name = if entries[0].record.is_empty() { entries[0].name } else { entries[0].record };
-        let writable: Vec<String> =
-            entries.iter().filter(|object| object.writable).map(|object| object.sub.to_string()).collect();
-        let access =
-            if writable.is_empty() { "ro".to_owned() } else { format!("rw: {}", writable.join(", ")) };
-        [format!("{index:04X}h"), name.to_owned(), access]
-    };
-    let registers = [
-        [format!("{SETTINGS_INDEX:04X}h"), format!("settings, {}", SETTINGS.len()), "rw: all".to_owned()],
-        [format!("{REPORTS_INDEX:04X}h"), format!("reports, {}", REPORTS.len()), "ro".to_owned()],
-    ];
-    table(["index", "object", "access, by subindex"], indices.into_iter().map(row).chain(registers))
-}
-
 /// Bits of a data frame with an 11-bit identifier and worst-case stuffing, including the interframe space. 34 bits and
 /// the data are subject to stuffing, at most one bit in four after the first.
 fn worst_bits(len: usize) -> usize {
@@ -232,15 +210,17 @@ fn load() -> Vec<(String, usize, bool, bool)> {
 const RATES: [usize; 4] = [125_000, 250_000, 500_000, 1_000_000];
 
 fn percent(bits: usize, rate: usize) -> String {
-    format!("{:.1} %", bits as f64 * 100.0 / rate as f64)
+    format!("{:.1}", bits as f64 * 100.0 / rate as f64)
 }
 
+/// Returns the table of the bus load. The messages of the gripper have no setting, so only their sum has a row.
 fn bus_load() -> String {
     let load = load();
     let sum = |which: fn(&(String, usize, bool, bool)) -> bool| -> usize {
         load.iter().filter(|row| which(row)).map(|row| row.1).sum()
     };
-    let mut rows: Vec<(String, usize)> = load.iter().map(|row| (row.0.clone(), row.1)).collect();
+    let of_plc = load.iter().filter(|row| !row.2);
+    let mut rows: Vec<(String, usize)> = of_plc.map(|row| (row.0.clone(), row.1)).collect();
     rows.push(("**gripper alone, during a grip**".into(), sum(|row| row.2)));
     rows.push(("**PLC alone, during a grip**".into(), sum(|row| !row.2)));
     rows.push(("**both, during a grip**".into(), sum(|_| true)));
@@ -249,7 +229,7 @@ fn bus_load() -> String {
         let [a, b, c, d] = RATES.map(|rate| percent(bits, rate));
         [what, bits.to_string(), a, b, c, d]
     };
-    table(["traffic", "bit/s", "125 kbit/s", "250", "500", "1000"], rows.into_iter().map(row))
+    table(["traffic", "bit/s", "% of 125 kbit/s", "250", "500", "1000"], rows.into_iter().map(row))
 }
 
 #[test]
@@ -272,7 +252,6 @@ fn tables_in_the_document_are_those_of_the_code() {
         ("flags", flag_bytes()),
         ("times", times()),
         ("faults", faults()),
-        ("objects", objects()),
         ("load", bus_load()),
     ] {
         hold("docs/can.md", name, &made);

@@ -97,7 +97,7 @@ fn addresses() -> String {
 
 fn registers(base: u32, registers: &[Register]) -> String {
     table(
-        ["address", &format!("{base}-based"), "bytes", "name", "kind", "unit, bits"],
+        ["address", &format!("{base}-based"), "name", "kind", "unit, bits"],
         (0..).zip(registers).map(|(n, register)| {
             let kind = match register.content {
                 Content::Bits => "bits",
@@ -110,14 +110,7 @@ fn registers(base: u32, registers: &[Register]) -> String {
                 _ => "",
             };
             let [address, numbered] = both(n, base);
-            [
-                address,
-                numbered,
-                format!("{}, {}", 2 * n, 2 * n + 1),
-                register.name.into(),
-                kind.into(),
-                format!("{}{more}", register.unit),
-            ]
+            [address, numbered, register.name.into(), kind.into(), format!("{}{more}", register.unit)]
         }),
     )
 }
@@ -127,48 +120,31 @@ fn range(first: &impl std::fmt::Display, last: &impl std::fmt::Display) -> Strin
     format!("{first} to {last}")
 }
 
-/// Returns the bits of an image, by address, with their positions in the registers. `groups` of bits have a row each: first and last
-/// bit, and their meaning.
-fn bits<const N: usize>(
-    base: u32,
-    registers: u32,
-    bits: impl IntoIterator<Item = (u32, String)>,
-    groups: [(u32, u32, &str); N],
-) -> String {
-    let place = |bit| {
-        let ([address, numbered], (register, mask)) = (both(bit, base), register_bit(bit));
-        (address, numbered, register, format!("{mask:04X}h"))
+/// Returns the bits of both images by address: coils and discrete inputs, with their masks in register 0.
+fn bits() -> String {
+    let mask = |bit| {
+        let (register, mask) = register_bit(bit);
+        assert_eq!(register, 0);
+        format!("{mask:04X}h")
     };
-    let rows = bits.into_iter().map(|(bit, name)| {
-        let (address, numbered, register, mask) = place(bit);
-        [address, numbered, name, format!("{register} ({})", register + registers), mask]
+    let flags = command_flags().into_iter().zip(gripper_flags()).map(|(command, state)| {
+        assert_eq!(command.bit, state.bit);
+        [command.bit.to_string(), mask(command.bit), command.name, state.name]
     });
-    let groups = groups.map(|(first, last, meaning)| {
-        let ((first, first_numbered, from, from_mask), (last, last_numbered, to, to_mask)) =
-            (place(first), place(last));
-        let (register, mask) = if from == to {
-            (format!("{from} ({})", from + registers), range(&from_mask, &to_mask))
-        } else {
-            let numbered = range(&(from + registers), &(to + registers));
-            (format!("{} ({numbered})", range(&from, &to)), String::new())
-        };
-        [range(&first, &last), range(&first_numbered, &last_numbered), meaning.into(), register, mask]
+    let user_flags = [range(&8, &15), range(&mask(8), &mask(15)), "IF1 to IF8".into(), "OF1 to OF8".into()];
+    // Each register has 16 bits.
+    let values = [
+        (16, 47, "WIDTH, SPEED", "SYSSTATE, D0 to D31"),
+        (48, 63, "FORCELIMIT", "WIDTH"),
+        (64, 95, "", "Gripping Force, Status Code"),
+    ]
+    .map(|(first, last, coils, inputs)| {
+        [range(&first, &last), String::new(), coils.to_owned(), inputs.to_owned()]
     });
-    let based = format!("{base:05}-based");
-    table(["address", &based, "bit", "register", "mask"], rows.chain(groups))
-}
-
-fn coils() -> String {
-    let commands = command_flags().into_iter().map(|flag| (flag.bit, flag.name));
-    let parameters = (16, 63, "the bits of WIDTH, SPEED and FORCELIMIT, byte by byte");
-    bits(COILS, HOLDING, commands, [(8, 15, "IF1 to IF8"), parameters])
-}
-
-fn discrete_inputs() -> String {
-    let states = gripper_flags().into_iter().map(|flag| (flag.bit, flag.name));
-    let system = (16, 47, "[SYSSTATE](states.md#sysstate), bits 0 to 31");
-    let values = (48, 95, "the bits of WIDTH, Gripping Force and Status Code, byte by byte");
-    bits(DISCRETE_INPUTS, INPUT, states, [(8, 15, "OF1 to OF8"), system, values])
+    table(
+        ["address", "mask in register 0", "coil", "discrete input"],
+        flags.chain([user_flags]).chain(values),
+    )
 }
 
 /// Returns the table of settings with their default values. The recipes after the first have one row, with the rule for their addresses.
@@ -176,20 +152,16 @@ fn settings_table(settings: &[((u16, &'static Setting), u16)]) -> String {
     let is_further = |name: &str| name.starts_with("RECIPE") && !name.starts_with("RECIPE0_");
     let further: Vec<_> = settings.iter().filter(|it| is_further(it.0.1.name)).collect();
     let rows = settings.iter().filter_map(|((address, setting), delivered)| {
-        let [address, numbered] = both((*address).into(), HOLDING);
         if is_further(setting.name) {
             let ([first, ..], [.., last]) = (&further[..], &further[..]) else { unreachable!() };
             let rule = "as for recipe 0; [default values](wiring.md#recipes)".to_owned();
-            let [to, numbered_to] = both(last.0.0.into(), HOLDING);
             let names = format!("`{}` to `{}`", first.0.1.name, last.0.1.name);
             let [unit, least, most, delivered] = [(); 4].map(|()| String::new());
-            let (address, numbered) = (range(&address, &to), range(&numbered, &numbered_to));
-            let row = [address, numbered, names, unit, least, most, delivered, rule];
+            let row = [range(address, &last.0.0), names, unit, least, most, delivered, rule];
             return (setting.name == first.0.1.name).then_some(row);
         }
         Some([
-            address,
-            numbered,
+            address.to_string(),
             format!("`{}`", setting.name),
             setting.unit.into(),
             setting.least.to_string(),
@@ -198,7 +170,7 @@ fn settings_table(settings: &[((u16, &'static Setting), u16)]) -> String {
             setting.meaning.into(),
         ])
     });
-    table(["address", "40001-based", "name", "unit", "minimum", "maximum", "default", "meaning"], rows)
+    table(["address", "name", "unit", "minimum", "maximum", "default", "meaning"], rows)
 }
 
 /// Returns all settings with their default register values.
@@ -218,28 +190,26 @@ fn start_settings() -> String {
 
 fn commands() -> String {
     table(
-        ["address", "40001-based", "name", "value", "effect"],
+        ["address", "name", "value", "effect"],
         (FIRST_COMMAND..).zip(&COMMANDS).map(|(address, command)| {
-            let [address, numbered] = both(address.into(), HOLDING);
             let key = format!("{COMMAND_KEY} ({COMMAND_KEY:04X}h)");
-            [address, numbered, format!("`{}`", command.name), key, command.meaning.into()]
+            [address.to_string(), format!("`{}`", command.name), key, command.meaning.into()]
         }),
     )
 }
 
 fn reports() -> String {
     table(
-        ["address", "30001-based", "name", "meaning"],
+        ["address", "name", "meaning"],
         // All recent events have the same layout; only the first is described.
         (FIRST_REPORT..).zip(&REPORTS).filter(|(_, report)| !report.meaning.is_empty()).map(
             |(address, report)| {
-                let [address, numbered] = both(address.into(), INPUT);
                 let value = if report.name == "MAP_VERSION" {
                     format!(": {MAP_VERSION} here")
                 } else {
                     String::new()
                 };
-                [address, numbered, format!("`{}`", report.name), format!("{}{value}", report.meaning)]
+                [address.to_string(), format!("`{}`", report.name), format!("{}{value}", report.meaning)]
             },
         ),
     )
@@ -267,9 +237,8 @@ fn registers_in_the_document_are_those_of_the_code() {
         ("addresses", addresses()),
         ("functions", functions()),
         ("output", registers(HOLDING, &OUTPUT_REGISTERS)),
-        ("coils", coils()),
         ("input", registers(INPUT, &INPUT_REGISTERS)),
-        ("discrete", discrete_inputs()),
+        ("bits", bits()),
         ("settings", settings()),
         ("start-settings", start_settings()),
         ("commands", commands()),

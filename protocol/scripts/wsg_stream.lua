@@ -1,5 +1,5 @@
 -- Follows set-points that `wsg_protocol::driver::stream` sends, and reports the state in each answer.
--- Upload and message layout: docs/streaming.md.
+-- Upload: docs/python.md. Message layout: docs/models.md.
 --
 -- A5h without payload: reports the state.
 -- A5h with a byte 0: ends the stream and reports the state. The next set-point begins a new one.

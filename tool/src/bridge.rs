@@ -1,4 +1,4 @@
-//! `wsg bridge`: the service tool of the bridge, over its service port (docs/service-port.md). It never moves the fingers.
+//! `wsg bridge`: the service tool of the bridge, over its service port (docs/commissioning.md). It never moves the fingers.
 
 mod change;
 mod client;

@@ -42,10 +42,10 @@ use sequence::Sequence;
 const REPORTS: usize = 4_096;
 
 /// Publishes grippers and bridges to an MQTT broker with Sparkplug B; read-only unless a gripper allows commands. For the settings
-/// see docs/telemetry.md
+/// see docs/tool.md
 #[derive(clap::Args)]
 pub(crate) struct Arguments {
-    /// Settings file in TOML format; see docs/telemetry.md
+    /// Settings file in TOML format; see docs/tool.md
     #[arg(required_unless_present = "reference")]
     config: Option<PathBuf>,
     /// Check the settings and exit

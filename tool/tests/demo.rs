@@ -160,7 +160,7 @@ async fn command(master: &mut Context, flags: u16) -> (u16, u16) {
 }
 
 #[tokio::test]
-async fn modbus_rtu_master_grips_through_the_bridge_of_the_demonstration() {
+async fn modbus_rtu_master_grips_with_demonstration_bridge() {
     let settings = std::env::temp_dir().join(format!("wsg-demo-{}.flash", std::process::id()));
     let bridged = Bridged::start(&settings);
     let port = serial2_tokio::SerialPort::open(&bridged.bus, 19_200).unwrap();

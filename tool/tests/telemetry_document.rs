@@ -1,4 +1,4 @@
-//! Checks the generated reference of settings and metrics in docs/telemetry.md.
+//! Checks the generated reference of settings and metrics in docs/tool.md.
 #![cfg(feature = "telemetry")]
 
 use std::process::Command;
@@ -7,5 +7,5 @@ use std::process::Command;
 fn document_matches_the_reference_of_the_program() {
     let output = Command::new(env!("CARGO_BIN_EXE_wsg")).args(["telemetry", "--reference"]).output().unwrap();
     assert!(output.status.success(), "{output:?}");
-    document::hold("docs/telemetry.md", "reference", &String::from_utf8(output.stdout).unwrap());
+    document::hold("docs/tool.md", "reference", &String::from_utf8(output.stdout).unwrap());
 }

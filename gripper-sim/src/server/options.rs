@@ -1,4 +1,4 @@
-//! The options: the command line, the configuration file, `--help` and the table of `docs/simulator.md` share them.
+//! The options: the command line, the configuration file, `--help` and the list of `docs/simulator.md` share them.
 
 mod file;
 mod table;
@@ -256,7 +256,7 @@ struct Arguments {
 /// The options for PROFINET.
 #[derive(Debug, clap::Args)]
 struct Profinet {
-    /// Opens a PROFINET IO device on a network interface, Linux only ([profinet.md](profinet.md))
+    /// Opens a PROFINET IO device on a network interface, Linux only ([PROFINET](#profinet))
     #[arg(long, help_heading = FIELDBUS, value_name = "IFACE", value_parser = expected("a network interface, such as eth0", not_empty))]
     profinet: Option<String>,
     /// Station name; a name set by a controller is saved in the file of `--config` [default: none: a controller assigns it]

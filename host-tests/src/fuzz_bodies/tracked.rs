@@ -1,5 +1,5 @@
 //! Registers of the bridge as known to the PLC and to the computer on the service port: values that they wrote,
-//! according to the answers (docs/registers.md, docs/service-port.md).
+//! according to the answers (docs/registers.md, docs/commissioning.md).
 //!
 //! Broadcasts have no answers. They are tracked only on a strict line (BUS_CHAR_TIMEOUT 0), where each silence of
 //! T3.5 ends a frame.

@@ -108,9 +108,8 @@ fn commands_in_the_document_are_those_of_the_code() {
         rows.iter().map(|row| &row.id).eq(CommandId::ALL),
         "the rows of table.rs differ from CommandId::ALL; check the parser of this test"
     );
-    let yes = |yes: bool| if yes { "yes" } else { "no" }.to_owned();
     let layouts = table(
-        ["id", "name", "manual", "kind", "repeated", "request", "reply after E_SUCCESS"],
+        ["id", "name", "manual", "kind", "request", "reply after E_SUCCESS"],
         rows.iter().map(|row| {
             let id = row.id;
             [
@@ -118,25 +117,36 @@ fn commands_in_the_document_are_those_of_the_code() {
                 id.name().to_owned(),
                 id.section().to_owned(),
                 format!("{:?}", id.kind()).to_lowercase(),
-                yes(id.is_repeatable()),
                 request_words(row),
                 reply_words(row),
             ]
         }),
     );
     hold(DOCUMENT, "commands", &layouts);
-    let answers = table(
-        ["id", "name", "first answer", "second answer"],
-        CommandId::ALL.iter().map(|id| {
-            [
-                format!("{:02X}h", id.code()),
-                id.name().to_owned(),
-                statuses(id.immediate_statuses()),
-                statuses(id.completion_statuses()),
-            ]
-        }),
-    );
-    hold(DOCUMENT, "answers", &answers);
+    // Commands with the same status codes share a row.
+    let mut answers: Vec<[String; 3]> = Vec::new();
+    for id in CommandId::ALL {
+        let code = format!("{:02X}h", id.code());
+        let (first, second) = (statuses(id.immediate_statuses()), statuses(id.completion_statuses()));
+        if let Some(row) = answers.iter_mut().find(|row| row[1] == first && row[2] == second) {
+            row[0] += &format!(", {code}");
+        } else {
+            answers.push([code, first, second]);
+        }
+    }
+    hold(DOCUMENT, "answers", &table(["id", "first answer", "second answer"], answers));
+}
+
+/// The document has a sentence instead of a column.
+#[test]
+fn repeatable_commands_are_those_of_the_document() {
+    for id in CommandId::ALL {
+        let kind = format!("{:?}", id.kind());
+        let is_repeatable = *id == CommandId::Loop || ["Query", "Setting", "Stop"].contains(&&kind[..]);
+        assert_eq!(id.is_repeatable(), is_repeatable, "{id}");
+    }
+    let sentence = "You may repeat an unanswered query, setting, stop or Loop.";
+    assert!(read(DOCUMENT).contains(sentence), "{DOCUMENT} must contain: {sentence}");
 }
 
 /// Each finger flag and its meaning.

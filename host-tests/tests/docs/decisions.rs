@@ -31,8 +31,9 @@ fn tests_in(source: &str) -> Vec<String> {
         }
     }
     // Functions from which the macro makes tests.
-    for list in ["on_both_boards!(", "on_every_bus!("] {
+    for list in ["on_every_board!(", "on_every_bus!("] {
         let lists = source.split(list).skip(1).filter_map(|rest| rest.split(");").next());
+        let lists = lists.map(|list| list.split_once("=>").map_or(list, |(_, names)| names));
         names.extend(lists.flat_map(|list| list.split(',').map(|name| name.trim().to_owned())));
     }
     names

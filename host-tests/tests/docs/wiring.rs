@@ -9,57 +9,69 @@ use wsg_bridge_fw::{Config, RECIPES, Recipe, WiresConfig};
 
 /// Each input with its function.
 const INPUT_MEANINGS: [(Inputs, &str); Inputs::COUNT] = [
-    (Inputs::GRIP, "rising edge: grip a part"),
-    (Inputs::RELEASE, "rising edge: release the part"),
-    (Inputs::MOVE, "rising edge: move the fingers to the recipe's width"),
-    (Inputs::HOME, "rising edge: reference the fingers"),
-    (Inputs::STOP_ACK, "rising edge: stop, or acknowledge a FAST STOP"),
-    (Inputs::FAST_STOP_OK, "**low: FAST STOP**, so that a broken wire stops the fingers"),
+    (Inputs::GRIP, "grip a part"),
+    (Inputs::RELEASE, "release the part"),
+    (Inputs::MOVE, "move the fingers to the recipe's width"),
+    (Inputs::HOME, "reference the fingers"),
+    (Inputs::STOP_ACK, "stop, or acknowledge a FAST STOP"),
+    (Inputs::FAST_STOP_OK, "**low: FAST STOP**"),
     (Inputs::RECIPE0, "recipe number, bit 0"),
     (Inputs::RECIPE1, "recipe number, bit 1"),
 ];
 
-/// Each output with its meaning.
+/// Each output with the condition of its high level.
 const OUTPUT_MEANINGS: [(Outputs, &str); Outputs::COUNT] = [
-    (Outputs::READY, "ready to accept a command"),
-    (Outputs::BUSY, "a command is in progress"),
-    (Outputs::HOLDING, "a part is held"),
-    (Outputs::PART_FAULT, "no part found, or part lost"),
-    (Outputs::ERROR, "command refused, failed or of unknown outcome; FAST STOP; or a fault"),
-    (Outputs::REFERENCED, "the fingers are referenced"),
-    (Outputs::LINK_OK, "the gripper responds"),
+    (Outputs::READY, "the bridge accepts a command: all conditions below the table are met"),
+    (
+        Outputs::BUSY,
+        "a motion runs, or its result is pending; and for at least 50 ms after each executed or refused \
+         edge. A FAST STOP, or a fault that locks the gripper, lowers `BUSY` immediately",
+    ),
+    (
+        Outputs::HOLDING,
+        "a part is held with the set force, and no motion has begun since. A refused command does not \
+         change it",
+    ),
+    (Outputs::PART_FAULT, "the last grip found no part, or the held part was lost"),
+    (
+        Outputs::ERROR,
+        "the last command was refused, failed, or has an unknown outcome; or FAST STOP; or a fault of the \
+         gripper or a finger; or the stored settings cannot be used",
+    ),
+    (Outputs::REFERENCED, "the gripper reports that its fingers are referenced"),
+    (Outputs::LINK_OK, "the gripper responds, and its limits and states are known"),
 ];
 
 fn name<T>(mut names: impl Iterator<Item = (&'static str, T)>) -> String {
     format!("`{}`", names.next().expect("each wire has a name").0)
 }
 
-/// Returns the table of all wires, in the order of the bits.
-fn wires() -> String {
-    let row = |wire, direction: &str, meaning: &str| [wire, direction.to_owned(), meaning.to_owned()];
-    let inputs = INPUT_MEANINGS.map(|(wire, meaning)| row(name(wire.iter_names()), "PLC to bridge", meaning));
-    let outputs =
-        OUTPUT_MEANINGS.map(|(wire, meaning)| row(name(wire.iter_names()), "bridge to PLC", meaning));
-    table(["wire", "direction", "meaning"], inputs.into_iter().chain(outputs))
+/// Returns the table of the inputs, in the order of the bits.
+fn inputs() -> String {
+    let row = |(wire, meaning): (Inputs, &str)| [name(wire.iter_names()), meaning.to_owned()];
+    table(["wire", "meaning"], INPUT_MEANINGS.map(row))
+}
+
+/// Returns the table of the outputs, in the order of the bits.
+fn outputs() -> String {
+    let row = |(wire, meaning): (Outputs, &str)| [name(wire.iter_names()), meaning.to_owned()];
+    table(["wire", "high when"], OUTPUT_MEANINGS.map(row))
 }
 
 fn recipes() -> String {
     let hundredths = |value: i32| format!("{:.1}", f64::from(value) / 100.0);
     let by_wires = 1 << 2;
-    let row = |number: String, [bit_1, bit_0]: [String; 2], recipe: &Recipe| {
+    let row = |number: String, recipe: &Recipe| {
         [
             number,
-            bit_1,
-            bit_0,
             hundredths(recipe.width.into()),
             hundredths(recipe.speed.into()),
             hundredths(recipe.force.into()),
             hundredths(recipe.release_width.into()),
         ]
     };
-    let rows = RECIPES.iter().enumerate().take(by_wires).map(|(number, recipe)| {
-        row(number.to_string(), [number >> 1, number & 1].map(|bit| bit.to_string()), recipe)
-    });
+    let rows = RECIPES.iter().enumerate().take(by_wires);
+    let rows = rows.map(|(number, recipe)| row(number.to_string(), recipe));
     let (last, others) = RECIPES[by_wires..].split_last().unwrap();
     assert!(
         others.iter().all(|other| other == last),
@@ -67,8 +79,8 @@ fn recipes() -> String {
     );
     let rest = format!("{by_wires} to {}", RECIPES.len() - 1);
     table(
-        ["recipe", "`RECIPE1`", "`RECIPE0`", "width, mm", "speed, mm/s", "force, N", "release width, mm"],
-        rows.chain([row(rest, Default::default(), last)]),
+        ["recipe", "width, mm", "speed, mm/s", "force, N", "release width, mm"],
+        rows.chain([row(rest, last)]),
     )
 }
 
@@ -78,20 +90,14 @@ fn times() -> String {
     let ms = |value: u32| format!("{value} ms");
     let rows = [
         ("debounce time of a wire", ms(debounce_ms)),
-        (
-            "minimum pulse of `BUSY`, unless a FAST STOP, a fault that locks, or a lost link ends it",
-            ms(min_busy_ms),
-        ),
-        ("time-out of an answer (of the first, if several follow)", ms(session.reply_timeout_ms)),
-        ("time-out of the answer to a Stop, before it becomes a FAST STOP", ms(session.timeouts[0].reply_ms)),
-        (
-            "time-out of the answer to a FAST STOP, before the bridge sends a burst of them",
-            ms(session.fast_stop.answer_ms),
-        ),
+        ("minimum pulse of `BUSY`", ms(min_busy_ms)),
+        ("time-out of an answer", ms(session.reply_timeout_ms)),
+        ("time-out of the answer to a Stop", ms(session.timeouts[0].reply_ms)),
+        ("time-out of the answer to a FAST STOP", ms(session.fast_stop.answer_ms)),
         ("number of FAST STOPs in a burst", session.fast_stop.burst_frames.to_string()),
         ("pause after a burst", ms(session.fast_stop.pause_ms)),
         (
-            "transmissions of a repeatable request, the first included, before the link counts as lost",
+            "transmissions of a repeatable request before the link counts as lost",
             session.attempts.to_string(),
         ),
         ("polling interval of each gripper state", ms(session.refresh_ms)),
@@ -110,7 +116,8 @@ fn fast_stop() -> String {
 
 #[test]
 fn wiring_in_the_documents_is_that_of_the_board_files() {
-    hold("docs/wiring.md", "wires", &wires());
+    hold("docs/wiring.md", "inputs", &inputs());
+    hold("docs/wiring.md", "outputs", &outputs());
     for board in &BOARDS {
         let wiring = BoardWiring::of(board);
         let name = wiring.name;

@@ -1,13 +1,13 @@
-//! Checks the GSDML file and the tables in docs/profinet.md.
+//! Checks the GSDML file and the lists in docs/simulator.md.
 
 use bus_profinet::{Gsdml, GsdmlFacts, Priority};
-use document::{hold, hold_file, read, table};
+use document::{hold, hold_file, read};
 use host_tests::device_files::{GSDML, GSDML_BITMAP, VENDOR};
 use roxmltree::{Document, Node};
 use wsg_fieldbus::profinet::PROFILE;
 use wsg_fieldbus::{InputImage, OutputImage};
 
-const PAGE: &str = "docs/profinet.md";
+const PAGE: &str = "docs/simulator.md";
 
 const FACTS: GsdmlFacts<'_> = GsdmlFacts {
     // The catalogue path of the original gripper (fieldbus, 3.1).
@@ -238,34 +238,20 @@ fn every_named_text_exists_once_and_every_id_is_unique() {
 }
 
 #[test]
-fn tables_of_the_page_are_those_of_the_device() {
-    let modules = PROFILE.modules.iter().flat_map(|module| {
-        module.submodules.iter().map(|submodule| {
+fn lists_of_the_page_are_those_of_the_device() {
+    let modules = PROFILE.modules.iter().map(|module| {
+        let submodules = module.submodules.iter().map(|submodule| {
             let subslot = submodule.subslot;
-            [
-                module.slot.to_string(),
-                if subslot < 0x8000 { subslot.to_string() } else { format!("{subslot:X}h") },
-                module.name.to_owned(),
-                format!("{:X}h", module.ident),
-                format!("{:X}h", submodule.ident),
-                submodule.input_len.to_string(),
-                submodule.output_len.to_string(),
-            ]
-        })
+            let number = if subslot < 0x8000 { subslot.to_string() } else { format!("{subslot:X}h") };
+            format!("subslot {number} ({:X}h)", submodule.ident)
+        });
+        let submodules = submodules.collect::<Vec<_>>().join(", ");
+        format!("- slot {}, {} ({:X}h): {submodules}\n", module.slot, module.name, module.ident)
     });
-    let head = [
-        "slot",
-        "subslot",
-        "module",
-        "module ident number",
-        "submodule ident number",
-        "input bytes",
-        "output bytes",
-    ];
-    hold(PAGE, "profinet modules", &table(head, modules));
+    hold(PAGE, "profinet modules", &modules.collect::<String>());
     let faults = PROFILE.faults.iter().map(|fault| {
-        let priority = if fault.priority == Priority::High { "high" } else { "low" };
-        [format!("`{}`", fault.name), format!("{:04X}h", fault.error_type), priority.to_owned()]
+        let priority = if fault.priority == Priority::High { ", high priority" } else { "" };
+        format!("- `{}`: {:04X}h{priority}\n", fault.name, fault.error_type)
     });
-    hold(PAGE, "profinet faults", &table(["flag", "ChannelErrorType", "priority"], faults));
+    hold(PAGE, "profinet faults", &faults.collect::<String>());
 }

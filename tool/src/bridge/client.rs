@@ -1,4 +1,4 @@
-//! Client for the service port of the bridge: Modbus RTU, unit 1, 115 200 bit/s, 8N1 (docs/service-port.md).
+//! Client for the service port of the bridge: Modbus RTU, unit 1, 115 200 bit/s, 8N1 (docs/commissioning.md).
 
 use std::fmt;
 use std::future::Future;

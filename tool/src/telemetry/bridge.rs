@@ -1,4 +1,4 @@
-//! Reads a bridge and its gripper over the service port, which cannot move the fingers (docs/service-port.md).
+//! Reads a bridge and its gripper over the service port, which cannot move the fingers (docs/commissioning.md).
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! Metric tables of grippers, bridges and the edge node, from which births, data and docs/telemetry.md are derived.
+//! Metric tables of grippers, bridges and the edge node, from which births, data and docs/tool.md are derived.
 
 use super::payload::{DataType, MetricValue};
 
@@ -12,7 +12,7 @@ pub(super) enum Value {
 }
 
 /// A metric in a table.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Metric {
     pub(super) name: &'static str,
     pub(super) datatype: DataType,
@@ -71,59 +71,59 @@ table! {
         Width: "Width" Float "mm" "opening width; null while the fingers are not referenced";
         Speed: "Speed" Float "mm/s" "finger speed";
         Force: "Force" Float "N" "gripping force, summed over both fingers";
-        State: "State" String "" "gripper state, as named in the command set: IDLE, GRIPPING, NO PART, PART LOST, HOLDING, RELEASING, POSITIONING, ERROR";
+        State: "State" String "" "gripper state: IDLE, GRIPPING, NO PART, PART LOST, HOLDING, RELEASING, POSITIONING, ERROR";
         Flags: "Flags" UInt64 "" "system state flags (command set, appendix B)";
         Referenced: "Referenced" Boolean "" "the fingers are referenced";
         Moving: "Moving" Boolean "" "the fingers are moving";
-        FastStop: "Fast Stop" Boolean "" "FAST STOP is latched: motion is refused until it is acknowledged";
+        FastStop: "Fast Stop" Boolean "" "FAST STOP is latched";
         Fault: "Fault" Boolean "" "a temperature, supply, motor or finger fault";
         Device: "Properties/Device" String "" "device type";
         Serial: "Properties/Serial Number" UInt64 "" "serial number";
-        Firmware: "Properties/Firmware" String "" "firmware version of the gripper";
-        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum or length since the program started";
-        Connections: "Diagnostics/Connections" UInt64 "" "number of times the gripper was found since the program started";
+        Firmware: "Properties/Firmware" String "" "firmware version";
+        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum or length";
+        Connections: "Diagnostics/Connections" UInt64 "" "number of times the gripper was found";
     }
 }
 
 table! {
     /// Additional metrics of a gripper that allows commands; they follow its other rows.
     COMMANDS, OfCommand {
-        Home: "Command/Home" Boolean "" "true: references the fingers; no parameters";
-        Move: "Command/Move" Boolean "" "true: moves the fingers to `Command/Width` at `Command/Speed`; they stop at an obstacle";
-        Grip: "Command/Grip" Boolean "" "true: grips a part of width `Command/Width` at `Command/Speed`";
-        Release: "Command/Release" Boolean "" "true: opens the fingers to `Command/Width` at `Command/Speed` to release a part";
-        Stop: "Command/Stop" Boolean "" "true: stops the fingers and stops holding a part";
-        FastStop: "Command/Fast Stop" Boolean "" "true: FAST STOP, which locks the fingers until it is acknowledged";
-        Acknowledge: "Command/Acknowledge" Boolean "" "true: acknowledges a FAST STOP or a fault";
+        Home: "Command/Home" Boolean "" "references the fingers";
+        Move: "Command/Move" Boolean "" "moves the fingers to `Command/Width` at `Command/Speed`; they stop at an obstacle";
+        Grip: "Command/Grip" Boolean "" "grips a part of width `Command/Width` at `Command/Speed`";
+        Release: "Command/Release" Boolean "" "opens the fingers to `Command/Width` at `Command/Speed` to release a part";
+        Stop: "Command/Stop" Boolean "" "stops the fingers and stops holding a part";
+        FastStop: "Command/Fast Stop" Boolean "" "FAST STOP: stops the fingers and locks them until it is acknowledged";
+        Acknowledge: "Command/Acknowledge" Boolean "" "acknowledges a FAST STOP or a fault";
         Width: "Command/Width" Float "mm" "parameter: opening width";
         Speed: "Command/Speed" Float "mm/s" "parameter: finger speed";
-        Force: "Command/Force" Float "N" "optional parameter of `Command/Grip` and `Command/Move`: new force limit; unchanged if omitted";
-        Result: "Command/Result" String "" "result of the last command; null: none so far";
+        Force: "Command/Force" Float "N" "optional parameter of `Command/Grip` and `Command/Move`: new force limit";
+        Result: "Command/Result" String "" "result of the last command; null before the first";
     }
 }
 
 table! {
     /// Metrics of a bridge and its gripper.
     BRIDGE, OfBridge {
-        Width: "Width" Float "mm" "opening width; null while the fingers are not referenced. This metric and all others up to `Status` are null while no gripper responds";
+        Width: "Width" Float "mm" "opening width; null while the fingers are not referenced";
         Force: "Force" Float "N" "gripping force, summed over both fingers";
-        State: "State" String "" "gripper state, as for a gripper";
-        Flags: "Flags" UInt64 "" "SYSSTATE: system state flags (command set, appendix B)";
+        State: "State" String "" "gripper state: IDLE, GRIPPING, NO PART, PART LOST, HOLDING, RELEASING, POSITIONING, ERROR";
+        Flags: "Flags" UInt64 "" "system state flags (command set, appendix B)";
         Referenced: "Referenced" Boolean "" "the fingers are referenced";
         Moving: "Moving" Boolean "" "the fingers are moving";
         FastStop: "Fast Stop" Boolean "" "FAST STOP is latched";
         Fault: "Fault" Boolean "" "a temperature, supply, motor or finger fault";
         Status: "Status" String "" "status code of the last command";
-        Link: "Gripper Link" String "" "link to the gripper: never answered, silent, answers";
+        Link: "Gripper Link" String "" "state of the link: never answered, silent, answers";
         Cause: "Error Cause" String "" "cause of ERROR, the name of an event (registers.md); empty while ERROR is low";
-        Events: "Events" UInt64 "" "events since the bridge started";
+        Events: "Events" UInt64 "" "events";
         Device: "Properties/Device" String "" "device type of the gripper";
-        Serial: "Properties/Serial Number" UInt64 "" "serial number of the gripper; 0: unknown";
-        Bridge: "Properties/Bridge Firmware" String "" "firmware version of the bridge";
-        Disconnects: "Diagnostics/Disconnects" UInt64 "" "number of times the gripper stopped responding since the bridge started";
-        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum since the bridge started";
-        Repeated: "Diagnostics/Repeated" UInt64 "" "repeated requests to the gripper since the bridge started";
-        Timeouts: "Diagnostics/Bus Timeouts" UInt64 "" "time-outs of the commanding PLC since the bridge started";
+        Serial: "Properties/Serial Number" UInt64 "" "serial number; 0: unknown";
+        Bridge: "Properties/Bridge Firmware" String "" "firmware version";
+        Disconnects: "Diagnostics/Disconnects" UInt64 "" "number of times the gripper stopped responding";
+        BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum";
+        Repeated: "Diagnostics/Repeated" UInt64 "" "repeated requests to the gripper";
+        Timeouts: "Diagnostics/Bus Timeouts" UInt64 "" "time-outs of the commanding PLC";
     }
 }
 
@@ -132,9 +132,9 @@ table! {
     NODE, OfNode {
         Online: "Devices/Online" UInt64 "" "devices that respond";
         Waiting: "Store/Waiting" UInt64 "" "samples waiting for the broker";
-        Dropped: "Store/Dropped" UInt64 "" "samples dropped because the store was full, since the program started";
-        Late: "Store/Late" UInt64 "" "samples sent as historical since the program started";
-        Connections: "Broker/Connections" UInt64 "" "connections to the broker since the program started";
-        Refused: "Commands/Refused" UInt64 "" "commands refused since the program started";
+        Dropped: "Store/Dropped" UInt64 "" "samples dropped because the store was full";
+        Late: "Store/Late" UInt64 "" "samples sent as historical";
+        Connections: "Broker/Connections" UInt64 "" "connections to the broker";
+        Refused: "Commands/Refused" UInt64 "" "refused commands";
     }
 }

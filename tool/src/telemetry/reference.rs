@@ -1,11 +1,15 @@
-//! The reference in docs/telemetry.md, generated from the tables of settings and metrics.
+//! The reference in docs/tool.md, generated from the tables of settings and metrics.
 
 use std::fmt::Write;
 
 use super::{
     metrics::{BRIDGE, COMMANDS, GRIPPER, Metric, NODE},
-    settings::{Kind, REPEATED, SETTINGS},
+    settings::{Kind, SETTINGS},
 };
+
+/// Precedes the first table of metrics.
+const METRICS: &str = "Numbers with a unit are of type Float, all others UInt64. \
+                       Counters start at 0 with the program, counters of a bridge with the bridge.\n\n";
 
 /// Returns all tables in Markdown.
 pub(super) fn text() -> String {
@@ -16,17 +20,13 @@ pub(super) fn text() -> String {
 }
 
 fn write(text: &mut String) -> std::fmt::Result {
-    writeln!(text, "### Settings\n\n| setting | default | meaning |\n|---|---|---|")?;
+    writeln!(text, "#### Settings\n\n| setting, default | meaning |\n|---|---|")?;
     for setting in SETTINGS {
-        let section = if REPEATED.contains(&setting.section) {
-            format!("[[{}]]", setting.section)
-        } else {
-            format!("[{}]", setting.section)
-        };
-        let default = match setting.default {
-            None => "required".to_owned(),
-            Some("") => "none".to_owned(),
-            Some(default) => format!("`{default}`"),
+        let name = format!("{}.{}", setting.section, setting.name);
+        let name = match setting.default {
+            None => format!("`{name}`, required"),
+            Some("") => format!("`{name}`"),
+            Some(default) => format!("`{name} = {default}`"),
         };
         let range = match setting.kind {
             Kind::Text => String::new(),
@@ -35,17 +35,25 @@ fn write(text: &mut String) -> std::fmt::Result {
             Kind::Whole(low, high) => format!("; {low} to {high}"),
             Kind::Number(low, high) => format!("; {low} to {high}"),
         };
-        writeln!(text, "| `{section}` `{}` | {default} | {}{range} |", setting.name, setting.meaning)?;
+        writeln!(text, "| {name} | {}{range} |", setting.meaning)?;
     }
-    for (title, table) in [
-        ("Metrics of the edge node", NODE),
-        ("Metrics of a gripper", GRIPPER),
-        ("Additional metrics of a gripper with `allow_commands`", COMMANDS),
-        ("Metrics of a bridge", BRIDGE),
+    // The metrics that a bridge shares with a gripper are described once.
+    let (shared, own): (Vec<Metric>, Vec<Metric>) =
+        BRIDGE.iter().copied().partition(|metric| GRIPPER.contains(metric));
+    let names: Vec<String> = shared.iter().map(|metric| format!("`{}`", metric.name)).collect();
+    let names = names.join(", ");
+    let shared =
+        format!("As for a gripper: {names}. They and `Status` are null while no gripper responds.\n\n");
+    for (title, introduction, metrics) in [
+        ("Metrics of the edge node", METRICS, NODE),
+        ("Metrics of a gripper", "", GRIPPER),
+        ("Additional metrics of a gripper with `allow_commands`", "", COMMANDS),
+        ("Metrics of a bridge", &shared[..], &own[..]),
     ] {
-        writeln!(text, "\n### {title}\n\n| metric | type | unit | meaning |\n|---|---|---|---|")?;
-        for Metric { name, datatype, unit, meaning } in table {
-            writeln!(text, "| `{name}` | {datatype:?} | {unit} | {meaning} |")?;
+        writeln!(text, "\n#### {title}\n\n{introduction}| metric | meaning |\n|---|---|")?;
+        for Metric { name, unit, meaning, .. } in metrics {
+            let comma = if unit.is_empty() { "" } else { ", " };
+            writeln!(text, "| `{name}`{comma}{unit} | {meaning} |")?;
         }
     }
     Ok(())

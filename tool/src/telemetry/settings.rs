@@ -1,4 +1,4 @@
-//! The table of `wsg telemetry` settings, used to check the file and to generate docs/telemetry.md.
+//! The table of `wsg telemetry` settings, used to check the file and to generate docs/tool.md.
 
 use std::fmt;
 
@@ -58,21 +58,21 @@ pub(super) const REPEATED: [&str; 2] = ["gripper", "bridge"];
 /// All settings, in the order of the document.
 pub(super) const SETTINGS: &[Setting] = &[
     setting("broker", "address", Kind::Text, None, "`mqtt://HOST[:1883]`, or `mqtts://HOST[:8883]` for TLS"),
-    setting("broker", "user", Kind::Text, Some(""), "user name; none: connects without a user name"),
+    setting("broker", "user", Kind::Text, Some(""), "user name"),
     setting("broker", "password_file", Kind::Text, Some(""), "file whose first line is the password"),
     setting(
         "broker",
         "password_env",
         Kind::Text,
         Some(""),
-        "environment variable with the password, as an alternative to a file",
+        "environment variable with the password, instead of a file",
     ),
     setting(
         "broker",
         "ca_file",
         Kind::Text,
         Some(""),
-        "CA certificates (PEM) that must have signed the broker's certificate; none: the CAs trusted by the system",
+        "CA certificates (PEM) for the broker's certificate instead of the system's",
     ),
     setting(
         "broker",
@@ -87,14 +87,14 @@ pub(super) const SETTINGS: &[Setting] = &[
         "client_id",
         Kind::Text,
         Some(""),
-        "MQTT client identifier; none: `wsg-GROUP-NODE`. Two programs with the same identifier disconnect each other",
+        "MQTT client identifier; none: `wsg-GROUP-NODE`. Programs with the same identifier disconnect each other",
     ),
     setting(
         "broker",
         "keep_alive_s",
         Kind::Whole(1, 600),
         Some("10"),
-        "time without a response after which the broker is considered lost, in s",
+        "time without a response after which the broker counts as lost, in s",
     ),
     setting(
         "broker",
@@ -103,56 +103,56 @@ pub(super) const SETTINGS: &[Setting] = &[
         Some("2"),
         "delay before reconnecting to the broker, in s",
     ),
-    setting("node", "group", Kind::Name, None, "Sparkplug group ID, such as the name of the plant or line"),
+    setting("node", "group", Kind::Name, None, "Sparkplug group ID, such as the plant's name"),
     setting("node", "name", Kind::Name, None, "Sparkplug edge node ID, unique in the group"),
     setting(
         "node",
         "state_file",
         Kind::Text,
         None,
-        "file that keeps `bdSeq` across restarts. It is created automatically in an existing folder",
+        "file that keeps `bdSeq` across restarts, created in an existing folder",
     ),
     setting(
         "node",
         "store",
         Kind::Whole(1, 10_000_000),
         Some("100000"),
-        "number of samples kept in memory while the broker is unavailable; the oldest are dropped",
+        "samples kept in memory while the broker is unavailable",
     ),
     setting(
         "node",
         "command_age_ms",
         Kind::Whole(100, 60_000),
         Some("2000"),
-        "maximum deviation of a command's timestamp from this computer's clock, in ms; other commands are refused",
+        "maximum deviation of a command's timestamp from this computer's clock, in ms",
     ),
     setting(
         "data",
         "period_ms",
         Kind::Whole(10, 60_000),
         Some("100"),
-        "minimum interval between two samples of a device, in ms; changes of state are sent immediately",
+        "minimum interval between two samples of a device, in ms",
     ),
     setting(
         "data",
         "width_deadband",
         Kind::Number(0.0, 1_000.0),
         Some("0.05"),
-        "minimum change of the width to be sent, in mm",
+        "minimum change to be sent, in mm",
     ),
     setting(
         "data",
         "speed_deadband",
         Kind::Number(0.0, 1_000.0),
         Some("1"),
-        "minimum change of the speed to be sent, in mm/s",
+        "minimum change to be sent, in mm/s",
     ),
     setting(
         "data",
         "force_deadband",
         Kind::Number(0.0, 1_000.0),
         Some("0.5"),
-        "minimum change of the force to be sent, in N",
+        "minimum change to be sent, in N",
     ),
     setting("gripper", "name", Kind::Name, None, "Sparkplug device ID, unique in this file"),
     setting(
@@ -160,23 +160,17 @@ pub(super) const SETTINGS: &[Setting] = &[
         "address",
         Kind::Text,
         None,
-        "`tcp://HOST[:1000]`, `udp://HOST[:1500]` (replies to port 1501; for another port: `udp://HOST:1500?local=1502`), or `serial:DEVICE` (115 200 bit/s, 8N1)",
+        "`tcp://HOST[:1000]`, `udp://HOST[:1500][?local=1501]` (port of the replies), or `serial:DEVICE` (115 200 bit/s, 8N1)",
     ),
     setting(
         "gripper",
         "allow_commands",
         Kind::Switch,
         Some("false"),
-        "whether hosts may command this gripper and move its fingers",
+        "lets hosts command this gripper and move its fingers",
     ),
     setting("bridge", "name", Kind::Name, None, "Sparkplug device ID, unique in this file"),
-    setting(
-        "bridge",
-        "device",
-        Kind::Text,
-        None,
-        "serial port that is connected to the bridge's service port, such as `/dev/ttyACM0`",
-    ),
+    setting("bridge", "device", Kind::Text, None, "the bridge's service port, such as `/dev/ttyACM0`"),
 ];
 
 impl Setting {

@@ -14,16 +14,14 @@ use host_tests::board_wiring::BoardWiring;
 use pulldown_cmark::{CowStr, Event, Options, Parser, Tag, TagEnd, html};
 
 /// The documents, in reading order.
-pub(crate) const DOCUMENTS: [&str; 10] = [
+pub(crate) const DOCUMENTS: [&str; 8] = [
     "quick-start.md",
     "commissioning.md",
     "wiring.md",
-    "service-port.md",
     "registers.md",
     "can.md",
     "profibus.md",
     "grip-cycle.md",
-    "function-block.md",
     "states.md",
 ];
 

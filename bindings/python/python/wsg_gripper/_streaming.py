@@ -63,7 +63,7 @@ class StreamingGripper:
 
     With the script :attr:`SCRIPT` or UMI's script on the gripper, a set-point replaces the one before during the motion,
     and the fingers push against a part with the force limit. Without a script, the fingers stop between segments of
-    100 ms, and contact turns the motor off. ``docs/streaming.md`` explains the upload.
+    100 ms, and contact turns the motor off. ``docs/python.md`` explains the upload.
 
     Without new set-points the fingers move to the last one and stay there. If an answer is more than 100 ms late, the
     fingers hold, or finish the segment, and continue when the gripper answers within 1 s: see :meth:`gaps`. A longer gap, a

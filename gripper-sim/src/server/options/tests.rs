@@ -318,25 +318,29 @@ fn options_in_the_document_are_those_of_the_program() {
     let document = std::fs::read_to_string(path).unwrap();
     let (before, rest) = document.split_once(BEGIN).unwrap();
     let (shown, behind) = rest.split_once(END).unwrap();
-    let mut table = "| option | default | meaning |\n|---|---|---|\n".to_owned();
+    let mut list = String::new();
     for arg in definition().get_arguments() {
         let name = arg.get_long().unwrap();
         let help = arg.get_help().unwrap().to_string();
-        let (value, default) =
-            value_name(arg).map_or((String::new(), "off"), |name| (format!(" {name}"), ""));
-        let (meaning, default) =
-            help.trim_end_matches(']').split_once(" [default: ").unwrap_or((&help, default));
+        let (meaning, default) = help.trim_end_matches(']').split_once(" [default: ").unwrap_or((&help, ""));
         let default = arg.get_default_values().first().map_or(default, |value| value.to_str().unwrap());
-        let values = arg.get_possible_values();
-        let names: Vec<_> = values.iter().map(|value| format!("`{}`", value.get_name())).collect();
-        let names = if names.is_empty() { String::new() } else { format!(" ({})", names.join(", ")) };
-        table += &format!("| `--{name}{value}` | {default} | {meaning}{names} |\n");
+        let value = value_name(arg).map_or(String::new(), |name| format!(" {name}"));
+        list += &format!("- `--{name}{value}`: {meaning}");
+        // The parser of a switch has possible values, but the switch takes none.
+        let values = if value.is_empty() { vec![] } else { arg.get_possible_values() };
+        if !values.is_empty() {
+            let names: Vec<_> = values.iter().map(|value| format!("`{}`", value.get_name())).collect();
+            list += &format!(" ({})", names.join(", "));
+        }
+        if !default.is_empty() {
+            list += &format!(". Default: {default}");
+        }
+        list.push('\n');
     }
-    let table = table.replace("|  |", "| |");
     if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
-        std::fs::write(path, [before, BEGIN, &table, END, behind].concat()).unwrap();
+        std::fs::write(path, [before, BEGIN, &list, END, behind].concat()).unwrap();
     } else {
-        assert_eq!(shown, table, "WSG_UPDATE_DOCS=1 cargo test -p wsg-sim --lib writes it");
+        assert_eq!(shown, list, "WSG_UPDATE_DOCS=1 cargo test -p wsg-sim --lib writes it");
     }
 }
 

@@ -4,12 +4,12 @@ use document::{hold, table};
 use host_tests::world::World;
 use host_tests::world::canopen::{Master, NODE};
 use wsg_bridge_fw::io::Inputs;
-use wsg_fieldbus::{GripperFlags, InputImage, OutputImage};
+use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::{Status, SystemFlags};
 use wsg_sim::Part;
 
 use super::DOCUMENT;
-use super::image::{Then, explain, force, hex, output_parts, state, status, steps, system, width};
+use super::image::{Then, code, force, hex, joined, state, steps, system, value, width};
 
 const NMT: u16 = 0;
 const TPDO1: u16 = 0x180 | NODE.node as u16;
@@ -18,10 +18,9 @@ const TPDO2: u16 = 0x280 | NODE.node as u16;
 const HEARTBEAT: u16 = 0x700 | NODE.node as u16;
 const MASTER_HEARTBEAT: u16 = 0x700 | NODE.master as u16;
 
-/// A recorded frame with its step, sender and meaning.
+/// A recorded frame with its step and meaning.
 struct Row {
     step: String,
-    from: &'static str,
     id: u16,
     data: Vec<u8>,
     meaning: String,
@@ -33,14 +32,14 @@ struct Recording {
 }
 
 impl Recording {
-    fn note(&mut self, step: &str, from: &'static str, id: u16, data: &[u8], meaning: impl Into<String>) {
-        self.rows.push(Row { step: step.to_owned(), from, id, data: data.to_vec(), meaning: meaning.into() });
+    fn note(&mut self, step: &str, id: u16, data: &[u8], meaning: impl Into<String>) {
+        self.rows.push(Row { step: step.to_owned(), id, data: data.to_vec(), meaning: meaning.into() });
     }
 
     /// Sends a frame as the master and records it.
     fn send(&mut self, step: &str, id: u16, data: &[u8], meaning: impl Into<String>) {
         self.master.send(id, data);
-        self.note(step, "master", id, data, meaning);
+        self.note(step, id, data, meaning);
     }
 
     /// Waits for a TPDO1 that meets a condition, and records it.
@@ -50,8 +49,8 @@ impl Recording {
             let tpdos = self.master.take(0x180);
             if let Some((_, data)) = tpdos.into_iter().find(|(_, data)| wanted(&tpdo1(data))) {
                 let image = tpdo1(&data);
-                let meaning = [state, status, system].map(|part| part(&image)).join("; ");
-                return self.note(step, "bridge", TPDO1, &data, meaning);
+                let meaning = [state, code, system].map(|part| value(&part(&image)).to_owned()).join("; ");
+                return self.note(step, TPDO1, &data, meaning);
             }
         }
         panic!("{step}: no such TPDO1 within 20 s");
@@ -88,19 +87,16 @@ fn record() -> Vec<Row> {
         recording.master.take(0x700).into_iter().map(|(_, data)| data[0]).collect()
     };
     assert!(states(&mut recording).starts_with(&[0, 0x7F]));
-    recording.note("power-up", "bridge", HEARTBEAT, &[0], "boot-up");
-    recording.note("", "bridge", HEARTBEAT, &[0x7F], "heartbeat: pre-operational");
-    recording.note("", "master", MASTER_HEARTBEAT, &[5], "heartbeat, repeated");
+    recording.note("power-up", HEARTBEAT, &[0], "boot-up");
+    recording.note("", HEARTBEAT, &[0x7F], "heartbeat: pre-operational");
+    recording.note("", MASTER_HEARTBEAT, &[5], "heartbeat, repeated");
     recording.send("NMT start", NMT, &[1, NODE.node], format!("node {} becomes operational", NODE.node));
     recording.master.pass(1_000);
     assert!(states(&mut recording).contains(&5));
-    recording.note("", "bridge", HEARTBEAT, &[5], "heartbeat: operational");
+    recording.note("", HEARTBEAT, &[5], "heartbeat: operational");
     for step in steps() {
-        let data = rpdo1(&step.image);
-        let meaning: Vec<String> =
-            output_parts(&step.image).into_iter().map(|(_, meaning)| meaning).collect();
         recording.master.take(0x180);
-        recording.send(step.name, RPDO1, &data, format!("{}; {}", meaning[0], meaning[2..].join("; ")));
+        recording.send(step.name, RPDO1, &rpdo1(&step.image), "");
         match step.then {
             Then::Nothing => {
                 recording.master.pass(20);
@@ -127,48 +123,21 @@ fn record() -> Vec<Row> {
         recording.note_tpdo1(step.then.name(), |image| image.status != Status::CmdPending);
         recording.master.pass(200);
         let data = recording.master.tpdo(0x280).expect("a cyclic TPDO2").to_vec();
-        let image = tpdo2(&data);
-        recording.note("", "bridge", TPDO2, &data, [width, force].map(|part| part(&image)).join("; "));
+        let last = recording.rows.iter().rfind(|row| row.id == TPDO2);
+        if last.is_none_or(|row| row.data != data) {
+            let image = tpdo2(&data);
+            let meaning = [width, force].map(|part| value(&part(&image)).to_owned()).join("; ");
+            recording.note("", TPDO2, &data, meaning);
+        }
     }
     recording.rows
 }
 
 #[test]
 fn canopen_cycle_in_the_document_is_the_recorded_one() {
-    let rows = record();
-    let grip = rows.iter().find(|row| row.step == "GRIP").unwrap();
-    let image = steps().into_iter().find(|step| step.name == "GRIP").unwrap().image;
-    let head = ["bytes", "value", "meaning"];
-    hold(DOCUMENT, "canopen-rpdo", &table(head, explain(&grip.data, &output_parts(&image))));
-
-    let is_held = |row: &Row| row.id == TPDO1 && tpdo1(&row.data).state == GripperFlags::HOLDING;
-    let at = rows.iter().position(is_held).expect("a TPDO1 that reports a held part");
-    let (first, second) = (&rows[at].data, &rows[at + 1].data);
-    let image = tpdo1(first);
-    let parts = [
-        (1, state(&image)),
-        (1, "OF: user flags, none".to_owned()),
-        (4, system(&image)),
-        (2, status(&image)),
-    ];
-    let in_first = explain(first, &parts);
-    let image = tpdo2(second);
-    let in_second = explain(second, &[(2, width(&image)), (2, force(&image))]);
-    let with_name = |name: &str, rows: Vec<[String; 3]>| -> Vec<[String; 4]> {
-        rows.into_iter().map(|[at, value, meaning]| [name.to_owned(), at, value, meaning]).collect()
-    };
-    let all = [with_name("TPDO1", in_first), with_name("TPDO2", in_second)].concat();
-    hold(DOCUMENT, "canopen-tpdo", &table(["PDO", "bytes", "value", "meaning"], all));
-
-    let all = rows.into_iter().enumerate().map(|(number, row)| {
-        [
-            (number + 1).to_string(),
-            row.step,
-            row.from.to_owned(),
-            format!("{:03X}h", row.id),
-            format!("`{}`", hex(&row.data)),
-            row.meaning,
-        ]
+    let rows = record().into_iter().map(|row| {
+        let id = format!("{:03X}h", row.id);
+        [id, format!("`{}`", hex(&row.data)), joined(&row.step, &row.meaning)]
     });
-    hold(DOCUMENT, "canopen-cycle", &table(["", "step", "from", "identifier", "bytes", "meaning"], all));
+    hold(DOCUMENT, "canopen-cycle", &table(["identifier", "bytes", "step: meaning"], rows));
 }

@@ -95,6 +95,21 @@ pub(super) fn status(image: &InputImage) -> String {
     format!("Status Code: {}, {}", image.status.code(), image.status.symbol())
 }
 
+pub(super) fn code(image: &InputImage) -> String {
+    image.status.code().to_string()
+}
+
+/// Returns a part without its name.
+pub(super) fn value(part: &str) -> &str {
+    part.split_once(": ").map_or(part, |(_, value)| value)
+}
+
+/// Joins a step and a meaning. Either may be empty.
+pub(super) fn joined(step: &str, meaning: &str) -> String {
+    let parts = [step, meaning].into_iter().filter(|part| !part.is_empty());
+    parts.collect::<Vec<_>>().join(": ")
+}
+
 /// Returns the parts of the input image in the byte order of a Modbus master.
 pub(super) fn input_parts(image: &InputImage) -> Vec<(usize, String)> {
     vec![

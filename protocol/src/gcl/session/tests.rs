@@ -359,7 +359,7 @@ fn fsack_withdraws_earlier_requests() {
 }
 
 #[test]
-fn fast_stop_of_the_gripper_withdraws_an_unsent_motion_or_setting() {
+fn gripper_fast_stop_withdraws_unsent_motion_or_setting() {
     let setting = Request::Pwt(Setting::Set(1.0));
     for (request, withdrawn) in [(GRIP, "Withdrawn GRIP"), (setting, "Withdrawn PWT")] {
         let mut rig = Rig::connected();
