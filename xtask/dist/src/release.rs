@@ -80,6 +80,10 @@ pub(crate) struct Release {
 }
 
 pub(crate) fn run(Arguments { to, parts }: &Arguments) -> Result<()> {
+    if parts.is_empty() {
+        is_set("repository", env!("CARGO_PKG_REPOSITORY"))?;
+        is_set("authors", env!("CARGO_PKG_AUTHORS"))?;
+    }
     let mut release = Release { to: to.clone(), target_dir: target_dir(), made: Vec::new() };
     empty(to)?;
     let parts = if parts.is_empty() { Part::value_variants() } else { parts };
@@ -170,6 +174,17 @@ impl Release {
     }
 }
 
+/// Fails if a value of the workspace's manifest, which every package names, is still a placeholder.
+fn is_set(key: &str, value: &str) -> Result<()> {
+    // RFC 2606 reserves this top-level domain.
+    ensure!(
+        !value.contains(".invalid"),
+        "`{key}` in Cargo.toml is a placeholder ({value}); set the project's own, or name the parts to try: \
+         cargo xtask release firmware"
+    );
+    Ok(())
+}
+
 /// Returns cargo's folder for what it builds.
 pub(crate) fn target_dir() -> PathBuf {
     env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
@@ -209,4 +224,19 @@ fn tar(folder: &Path) -> Result<Vec<u8>> {
     let bytes = fs::read(&archive)?;
     fs::remove_file(archive)?;
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn placeholder_is_refused_by_name() {
+        let refused = is_set("repository", "https://repository.invalid/x").unwrap_err().to_string();
+        assert!(
+            refused.contains("`repository`") && refused.contains("https://repository.invalid/x"),
+            "{refused}"
+        );
+        is_set("repository", "https://forge.example/x").unwrap();
+    }
 }

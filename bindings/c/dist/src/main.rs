@@ -182,10 +182,10 @@ struct Archive {
 }
 
 impl Archive {
-    /// Returns cargo, whose output does not name the folders of this computer.
-    fn cargo(&self) -> Command {
+    /// Returns cargo with these flags for the compiler. Its output does not name the folders of this computer.
+    fn cargo(&self, flags: &[&str]) -> Command {
         let mut cargo = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        provenance::remove_paths(&mut cargo, &self.build, &[DLLTOOL]);
+        provenance::remove_paths(&mut cargo, &self.build, flags);
         cargo.env("CARGO_TARGET_DIR", &self.build);
         cargo
     }
@@ -220,7 +220,7 @@ impl Archive {
         name: &str,
         options: &[&str],
     ) -> Result<PathBuf> {
-        let mut cargo = self.cargo();
+        let mut cargo = self.cargo(&[DLLTOOL]);
         cargo.current_dir(Path::new(SOURCES).join(package)).args(["rustc", "--locked", "--quiet", "--lib"]);
         if let Some(linker) = linker(triple) {
             cargo.env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER", linker);
@@ -241,13 +241,14 @@ impl Archive {
         Ok(target)
     }
 
-    /// Builds the virtual gripper for this computer.
+    /// Builds the virtual gripper for this computer's processor, static, so that it runs with any version of the C library.
     fn add_simulator(&self) -> Result<()> {
-        let mut cargo = self.cargo();
+        let host = &format!("{}-unknown-linux-gnu", env::consts::ARCH);
+        let mut cargo = self.cargo(&["-Ctarget-feature=+crt-static"]);
         cargo.current_dir(SOURCES).args(["build", "--locked", "--quiet", "--package", "wsg-sim"]);
-        succeed(cargo.args(["--profile", "wheel"]))?;
+        succeed(cargo.args(["--profile", "wheel", "--target", host]))?;
         fs::create_dir_all(self.folder.join("bin"))?;
-        fs::copy(self.build.join("wheel/wsg-sim"), self.folder.join("bin/wsg-sim"))?;
+        fs::copy(self.build.join(host).join("wheel/wsg-sim"), self.folder.join("bin/wsg-sim"))?;
         Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Packages for programmers, and the book. Other commands of `cargo xtask` build most of them.
 
-use std::{fs, process::Command};
+use std::{fs, path::Path, process::Command};
 
 use anyhow::{Context, Result, ensure};
 
@@ -34,12 +34,31 @@ pub(super) fn crates(release: &mut Release) -> Result<()> {
         files.iter().all(|file| verified.contains(file)),
         "cargo verified {verified:?}; expected {files:?}"
     );
+    embassy(release, &folder)?;
     release.add("ORDER.txt", (files.join("\n") + "\n").as_bytes(), "")?;
     for file in files {
         let bytes = fs::read(folder.join(&file)).with_context(|| format!("cannot read {file}"))?;
         release.add(&file, &bytes, "built from its package alone by cargo publish --dry-run")?;
     }
     Ok(())
+}
+
+/// Builds the project for embassy from the packed crate.
+fn embassy(release: &Release, packages: &Path) -> Result<()> {
+    let place = release.folder("embassy")?;
+    for name in ["wsg-protocol", "wsg-protocol-macros"] {
+        let package = packages.join(format!("{name}-{VERSION}.crate"));
+        trial::untar(&place, &fs::read(&package).with_context(|| package.display().to_string())?)?;
+    }
+    let project = place.join(format!("wsg-protocol-{VERSION}/examples/embassy"));
+    fs::rename(project.join("project.toml"), project.join("Cargo.toml"))
+        .context("cannot rename project.toml")?;
+    let mut cargo = cargo("build --quiet --release --target thumbv7em-none-eabihf --config");
+    // Until it is published.
+    let macros = place.join(format!("wsg-protocol-macros-{VERSION}"));
+    cargo.arg(format!("patch.crates-io.wsg-protocol-macros.path='{}'", macros.display()));
+    run_program(cargo.current_dir(&project).env("CARGO_TARGET_DIR", release.target_dir.join("embassy")), "")
+        .map(drop)
 }
 
 /// Adds the wheels, whose tests run without Rust on the path, and grips with one in an environment of its own.
