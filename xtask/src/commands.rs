@@ -133,16 +133,19 @@ pub(crate) struct Soak {
     /// Seed of the corrupted bytes
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
+    /// Board to run; it must be emulated
+    #[arg(long, value_name = "NAME", value_parser = Board::emulated, default_value = Board::default_name())]
+    board: &'static Board,
 }
 
 impl Soak {
     /// The extent for `ci`, about 90 s.
-    pub(crate) const CI: Self = Self { commands: 700, seed: 1 };
+    pub(crate) const CI: Self = Self { commands: 700, seed: 1, board: &boards::BOARDS[0] };
 }
 
 /// Runs the test that sends commands to the image in the emulator on a faulty line. Its last line summarizes the results.
 pub(crate) fn soak(toolchain: &ThumbToolchain<'_>, extent: &Soak) -> Result<()> {
-    let image = firmware::build(toolchain, &Variant::default())?;
+    let image = firmware::build(toolchain, &Variant { board: extent.board, ..Variant::default() })?;
     let mut cargo =
         toolchain.workspace.cargo("test -q -p host-tests --test end_to_end soak_on_a_faulty_line --");
     cargo.args(["--include-ignored", "--nocapture"]).env(IMAGE_VARIABLE, &image.path);

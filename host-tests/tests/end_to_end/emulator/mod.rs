@@ -4,7 +4,7 @@
 //! board.
 
 /// The list of emulated boards: generates a test on each for functions that take a `Board`, or its CAN `controller` as a type.
-/// `board_in_qemu` leaves out boards of other emulators.
+/// `board_in_qemu` and `controller_in_qemu` leave out boards of other emulators.
 macro_rules! on_every_board {
     ($how:ident => $($test:ident),+ $(,)?) => {
         on_board!(on_the_default_board, DEFAULT, host_tests::bxcan::Bxcan, $how => $($test),+);
@@ -16,6 +16,10 @@ macro_rules! on_every_board {
 /// Generates the tests of a board.
 macro_rules! on_board {
     (on_the_pico_in_rp2040js, $board:ident, $controller:ty, board_in_qemu => $($test:ident),+) => {};
+    (on_the_pico_in_rp2040js, $board:ident, $controller:ty, controller_in_qemu => $($test:ident),+) => {};
+    ($module:ident, $board:ident, $controller:ty, controller_in_qemu => $($test:ident),+) => {
+        on_board!($module, $board, $controller, controller => $($test),+);
+    };
     ($module:ident, $board:ident, $controller:ty, controller => $($test:ident),+) => {
         mod $module {
             $(
