@@ -1,11 +1,8 @@
-//! The two ends of a line between threads: Unix sockets, or TCP on Windows, where the standard library has no Unix sockets.
+//! The two ends of a line between threads.
 
 use std::io;
 
-#[cfg(not(unix))]
-pub use std::net::TcpStream as Socket;
-#[cfg(unix)]
-pub use std::os::unix::net::UnixStream as Socket;
+pub use uninterrupted::Socket;
 
 /// Returns the two ends of a line.
 ///

@@ -1,10 +1,9 @@
 //! Lua scripts on the gripper. Every wait is bounded by a socket time-out.
 
 use crate::common::program::Program;
-use crate::rig::{
-    BOUND, Client, File, HOMING, Logged, QUICK, await_some, connect, recv_datagram, serve, tcp_lines,
-    udp_socket,
-};
+#[cfg(unix)]
+use crate::rig::{BOUND, recv_datagram, udp_socket};
+use crate::rig::{Client, File, HOMING, Logged, QUICK, await_some, connect, serve, tcp_lines};
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command as Process;

@@ -10,6 +10,7 @@ use wsg_bridge_fw::io::Outputs;
 use super::{OutputChange, lock};
 
 /// Number of output lines kept in addition to the trace.
+#[cfg(unix)]
 const PRINTED_MAX: usize = 4;
 
 #[derive(Debug)]

@@ -91,6 +91,7 @@ impl Line {
     }
 
     /// A line that has no TCP.
+    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "PROFINET is for Linux"))]
     pub(crate) fn on_ethernet(address: SocketAddr, discard: impl Fn(Way, bool) + 'static) -> Self {
         Self { address, shared: Arc::default(), discard: Box::new(discard) }
     }
@@ -210,6 +211,7 @@ pub(crate) struct Station {
     pub(crate) control: Line,
     pub(crate) modbus: Line,
     /// Only with a network of its own.
+    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "PROFINET is for Linux"))]
     pub(crate) profinet: Option<Line>,
     trace: Arc<Mutex<Trace>>,
 }

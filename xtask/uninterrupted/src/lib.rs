@@ -10,8 +10,16 @@
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpStream, UdpSocket};
-#[cfg(unix)]
 use std::time::{Duration, Instant};
+
+/// One end of a line between threads or programs: a Unix socket, or TCP on Windows, where the standard library has no Unix
+/// sockets.
+#[cfg(not(unix))]
+pub type Socket = TcpStream;
+/// One end of a line between threads or programs: a Unix socket, or TCP on Windows, where the standard library has no Unix
+/// sockets.
+#[cfg(unix)]
+pub type Socket = std::os::unix::net::UnixStream;
 
 /// Performs one `read`, which may be partial; 0 is the end.
 ///
@@ -80,12 +88,7 @@ pub fn send_to(socket: &UdpSocket, bytes: &[u8], to: SocketAddr) -> io::Result<u
 ///
 /// # Errors
 /// Returns the errors of [`Read::read`] except `Interrupted` and the time-out.
-#[cfg(unix)]
-pub fn read_within(
-    line: &std::os::unix::net::UnixStream,
-    buffer: &mut [u8],
-    time: Duration,
-) -> io::Result<Option<usize>> {
+pub fn read_within(line: &Socket, buffer: &mut [u8], time: Duration) -> io::Result<Option<usize>> {
     let end = Instant::now() + time;
     loop {
         // A time-out of 0 would disable it.
@@ -104,8 +107,7 @@ pub fn read_within(
 ///
 /// # Errors
 /// Returns the errors of `poll` except `Interrupted`.
-#[cfg(unix)]
-pub fn is_readable_within(line: &std::os::unix::net::UnixStream, time: Duration) -> io::Result<bool> {
+pub fn is_readable_within(line: &Socket, time: Duration) -> io::Result<bool> {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
     let end = Instant::now() + time;
     loop {
@@ -120,7 +122,6 @@ pub fn is_readable_within(line: &std::os::unix::net::UnixStream, time: Duration)
 }
 
 /// Returns whether a read with a time-out received nothing.
-#[cfg(unix)]
 fn is_over(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::Interrupted | ErrorKind::WouldBlock | ErrorKind::TimedOut)
 }

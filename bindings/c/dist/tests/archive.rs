@@ -297,6 +297,14 @@ mod whole {
     }
 
     #[test]
+    #[ignore = "needs all targets: run `cargo xtask dist-c`"]
+    fn simulator_of_the_archive_needs_no_shared_library() {
+        let root = unpacked("archive-static", "");
+        let headers = passes(Command::new("readelf").arg("-lW").arg(root.join("bin/wsg-sim")));
+        assert!(headers.contains("LOAD") && !headers.contains("INTERP"), "{headers}");
+    }
+
+    #[test]
     #[ignore = "needs programs for aarch64 and all targets: run `cargo xtask dist-c`"]
     fn host_example_grips_on_aarch64() {
         let root = unpacked("archive-aarch64", "");
