@@ -57,8 +57,9 @@ fn embassy(release: &Release, packages: &Path) -> Result<()> {
     // Until it is published.
     let macros = place.join(format!("wsg-protocol-macros-{VERSION}"));
     cargo.arg(format!("patch.crates-io.wsg-protocol-macros.path='{}'", macros.display()));
-    run_program(cargo.current_dir(&project).env("CARGO_TARGET_DIR", release.target_dir.join("embassy")), "")
-        .map(drop)
+    cargo.current_dir(&project).env("CARGO_TARGET_DIR", release.target_dir.join("embassy"));
+    // Without the flags for this repository's own images, which cargo finds above the folder.
+    run_program(cargo.env("RUSTFLAGS", ""), "").map(drop)
 }
 
 /// Adds the wheels, whose tests run without Rust on the path, and grips with one in an environment of its own.
