@@ -37,6 +37,13 @@ impl<C: CanBoard> Plant<C> {
         u16::from_be_bytes([answer[2], answer[3]])
     }
 
+    /// Returns whether LINK_OK has been low since it was high for the first time.
+    fn has_lost_link(&self) -> bool {
+        let changes = self.rig.board().output_changes();
+        let links = changes.try_iter().map(|change| change.outputs.contains(Outputs::LINK_OK));
+        links.skip_while(|is_linked| !is_linked).any(|is_linked| !is_linked)
+    }
+
     fn faults(&self) -> (bool, bool, bool) {
         self.bus.controller().faults()
     }
@@ -288,6 +295,16 @@ fn frames_without_pauses_are_all_received_in_rp2040js() {
 }
 
 fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
+    // The harness of a busy host may pause while the board's time continues, so that the link is lost.
+    const ATTEMPTS: usize = 5;
+    assert!(
+        (0..ATTEMPTS).any(|_| grips_on_a_full_bus::<C>()),
+        "the link was lost in each of {ATTEMPTS} attempts"
+    );
+}
+
+/// Runs a grip cycle on a full bus. Returns whether the bridge kept the link meanwhile.
+fn grips_on_a_full_bus<C: CanBoard>() -> bool {
     let plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
     let wanted = [0x000, FROM_GRIPPER, 0x210, 0x610, 0x701];
     // Unused identifiers, 29-bit identifiers that begin with used ones, and remote frames of used ones.
@@ -303,9 +320,15 @@ fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
     urgent.into_iter().for_each(|frame| once.send(frame));
     let storm = Storm::on(&plant.bus, others.leak());
 
-    plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
-    plant.command(Inputs::GRIP, READY | Outputs::REFERENCED | Outputs::HOLDING);
-    plant.command(Inputs::RELEASE, READY | Outputs::REFERENCED);
+    let referenced = READY | Outputs::REFERENCED;
+    let cycle = [Inputs::HOME, Inputs::GRIP, Inputs::RELEASE];
+    for (wire, wanted) in cycle.into_iter().zip([referenced, referenced | Outputs::HOLDING, referenced]) {
+        let outcome = plant.rig.command(wire);
+        if !matches!(outcome, Ok(outputs) if outputs == wanted) {
+            assert!(plant.has_lost_link(), "{wire:?}: {outcome:?}");
+            return false;
+        }
+    }
 
     drop(storm);
     assert_one_cycle(&plant.rig);
@@ -313,6 +336,7 @@ fn a_full_bus_of_foreign_frames_disturbs_nothing<C: CanBoard>() {
     let wanted = id(FROM_GRIPPER);
     assert!(plant.bus.controller().filters_hold(|frame| frame.id == wanted && !frame.is_remote));
     assert_eq!(plant.rig.board().outputs(), READY | Outputs::REFERENCED);
+    true
 }
 
 const fn id(raw: u16) -> Id {
