@@ -125,6 +125,13 @@ impl Confinement {
         counter > LAST_ACTIVE
     }
 
+    /// Returns the applying bits of a status register, given those for the warning limit, error passive and bus-off.
+    pub(crate) fn states(&self, bits: [u32; 3]) -> u32 {
+        let highest = self.transmit.max(self.receive);
+        let applies = [Self::warns(highest), Self::is_passive(highest), self.is_off];
+        bits.iter().zip(applies).filter(|(_, applies)| *applies).map(|(bit, _)| bit).sum()
+    }
+
     pub(crate) fn transmitted(&mut self) {
         self.transmit = self.transmit.saturating_sub(1);
     }
@@ -160,5 +167,48 @@ impl Confinement {
         if *left == 0 {
             *self = Self::default();
         }
+    }
+}
+
+/// Traffic for the tests of controller models.
+#[cfg(test)]
+pub(crate) mod testing {
+    use super::{BITS_TO_SYNCHRONISE, BusController, ErrorCode};
+    use crate::can_wire::WireFrame;
+
+    pub(crate) fn receive(can: &mut impl BusController, frame: &WireFrame) {
+        can.begin_reception(None);
+        can.end_reception(frame);
+    }
+
+    /// Sends the next frame. Returns its mailbox.
+    pub(crate) fn send(can: &mut impl BusController) -> usize {
+        let mailbox = can.next_transmission().unwrap().mailbox;
+        can.begin_transmission(mailbox);
+        can.end_transmission(mailbox);
+        mailbox
+    }
+
+    pub(crate) fn fail(can: &mut impl BusController, times: usize, why: ErrorCode) {
+        for _ in 0..times {
+            let mailbox = can.next_transmission().unwrap().mailbox;
+            can.begin_transmission(mailbox);
+            can.fail_transmission(mailbox, why);
+        }
+    }
+
+    /// Checks that 32 errors cause bus-off, which ends after `rejoin` and as many sequences of 11 recessive bits, and
+    /// that the transmission is still pending.
+    pub(crate) fn assert_recovers<C: BusController>(can: &mut C, rejoin: impl Fn(&mut C), sequences: u32) {
+        fail(can, 31, ErrorCode::BitDominant);
+        assert!(can.takes_part());
+        fail(can, 1, ErrorCode::BitDominant);
+        can.idle(1_000_000);
+        assert!(!can.takes_part(), "no automatic recovery");
+        rejoin(can);
+        can.idle(sequences * BITS_TO_SYNCHRONISE - 1);
+        assert!(!can.takes_part());
+        can.idle(1);
+        assert!(can.takes_part() && can.next_transmission().is_some());
     }
 }

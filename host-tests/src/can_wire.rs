@@ -47,14 +47,27 @@ impl WireFrame {
         Self { id, is_remote: false, dlc: data.len().min(MAX_DATA) as u8, data: bytes }
     }
 
-    /// Creates a frame from the fields of a controller's buffer: the data in two little-endian words. Bytes beyond the
-    /// length are dropped.
-    pub(crate) fn from_fields(id: Id, is_remote: bool, dlc: u8, [low, high]: [u32; 2]) -> Self {
+    /// Creates a data frame with the identifier of [`id_bits`](Self::id_bits). Higher bits are ignored.
+    pub(crate) fn of_id_bits((id, is_extended): (u32, bool), data: &[u8]) -> Self {
+        if is_extended { Self::extended(id, data) } else { Self::standard((id >> 18) as u16, data) }
+    }
+
+    /// Creates a frame from the fields of a controller's buffer: the identifier as in [`of_id_bits`](Self::of_id_bits),
+    /// and the data in two little-endian words. Bytes beyond the length are dropped.
+    pub(crate) fn from_fields(id: (u32, bool), is_remote: bool, dlc: u8, [low, high]: [u32; 2]) -> Self {
         let mut data = [0; MAX_DATA];
         data[..4].copy_from_slice(&low.to_le_bytes());
         data[4..].copy_from_slice(&high.to_le_bytes());
-        let frame = Self { dlc, ..Self::new(id, &data[..usize::from(dlc).min(MAX_DATA)]) };
+        let frame = Self { dlc, ..Self::of_id_bits(id, &data[..usize::from(dlc).min(MAX_DATA)]) };
         if is_remote { frame.remote() } else { frame }
+    }
+
+    /// Returns the identifier as 29 bits, a standard one in the upper 11, and whether it is extended.
+    pub(crate) fn id_bits(&self) -> (u32, bool) {
+        match self.id {
+            Id::Standard(id) => (u32::from(id.as_raw()) << 18, false),
+            Id::Extended(id) => (id.as_raw(), true),
+        }
     }
 
     /// Returns the data in two little-endian words.

@@ -17,14 +17,9 @@ pub(super) struct Faults {
 impl Faults {
     /// TEC holds the lower 8 of 9 bits, so it shows 0 when 256 causes bus-off.
     pub(super) fn esr(&self) -> u32 {
-        let Confinement { transmit, receive, is_off, .. } = self.confinement;
-        let states = [
-            (EWGF, Confinement::warns(transmit.max(receive))),
-            (EPVF, Confinement::is_passive(transmit.max(receive))),
-            (BOFF, is_off),
-        ];
-        let status = states.iter().fold(0, |bits, (bit, is_set)| if *is_set { bits | bit } else { bits });
-        status | self.last << LEC_AT | u32::from(transmit as u8) << 16 | u32::from(receive) << 24
+        let Confinement { transmit, receive, .. } = self.confinement;
+        let states = self.confinement.states([EWGF, EPVF, BOFF]);
+        states | self.last << LEC_AT | u32::from(transmit as u8) << 16 | u32::from(receive) << 24
     }
 
     pub(super) fn transmitted(&mut self) {

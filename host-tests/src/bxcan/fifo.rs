@@ -2,8 +2,7 @@
 
 use std::collections::VecDeque;
 
-use embedded_can::Id;
-
+use super::filters::rir;
 use crate::can_wire::WireFrame;
 
 const DEPTH: usize = 3;
@@ -75,10 +74,6 @@ impl Fifo {
 }
 
 fn message(frame: &WireFrame, filter: u8) -> Message {
-    let id = match frame.id {
-        Id::Standard(id) => u32::from(id.as_raw()) << 21,
-        Id::Extended(id) => id.as_raw() << 3 | 1 << 2,
-    };
     let [low, high] = frame.words();
-    [id | u32::from(frame.is_remote) << 1, u32::from(frame.dlc) | u32::from(filter) << 8, low, high]
+    [rir(frame), u32::from(frame.dlc) | u32::from(filter) << 8, low, high]
 }

@@ -1,7 +1,6 @@
 //! Acceptance filters with 32-bit masks (RM0351, 46.7.4, 46.9.4).
 
 use anyhow::{Result, bail, ensure};
-use embedded_can::Id;
 
 use crate::can_wire::WireFrame;
 
@@ -80,7 +79,7 @@ impl Filters {
         if self.is_initialising() {
             return None;
         }
-        let seen = seen(frame);
+        let seen = rir(frame);
         let bank = (0..BANKS).find(|&bank| {
             let [id, mask] = self.banks[bank];
             // Bit 0 is unused.
@@ -91,11 +90,8 @@ impl Filters {
     }
 }
 
-/// Returns a message as compared by a filter: STID, EXID, IDE, RTR, 0.
-fn seen(frame: &WireFrame) -> u32 {
-    let id = match frame.id {
-        Id::Standard(id) => u32::from(id.as_raw()) << 21,
-        Id::Extended(id) => id.as_raw() << 3 | 1 << 2,
-    };
-    id | u32::from(frame.is_remote) << 1
+/// Returns RIxR of a message, which a filter compares: STID, EXID, IDE, RTR, 0.
+pub(super) fn rir(frame: &WireFrame) -> u32 {
+    let (id, is_extended) = frame.id_bits();
+    id << 3 | u32::from(is_extended) << 2 | u32::from(frame.is_remote) << 1
 }

@@ -1,7 +1,6 @@
 //! Three transmit mailboxes (RM0351, 46.7.1, 46.9.2, 46.9.3).
 
 use anyhow::{Result, ensure};
-use embedded_can::{ExtendedId, Id, StandardId};
 
 use crate::can_controller::Transmission;
 use crate::can_wire::WireFrame;
@@ -39,13 +38,7 @@ struct Mailbox {
 impl Mailbox {
     fn frame(&self) -> WireFrame {
         let [id, length, low, high] = self.registers;
-        let is_remote = id & RTR != 0;
-        let id = if id & IDE != 0 {
-            Id::Extended(ExtendedId::new(id >> 3).unwrap_or(ExtendedId::MAX))
-        } else {
-            Id::Standard(StandardId::new((id >> 21) as u16).unwrap_or(StandardId::MAX))
-        };
-        WireFrame::from_fields(id, is_remote, (length & 0xF) as u8, [low, high])
+        WireFrame::from_fields((id >> 3, id & IDE != 0), id & RTR != 0, (length & 0xF) as u8, [low, high])
     }
 
     fn empty(&mut self, status: u32) {

@@ -6,6 +6,7 @@ use wsg_b_l475e_iot01a::transmit_status::withdrawal;
 use wsg_bridge_fw::can::Withdrawal;
 
 use super::*;
+use crate::can_controller::testing::{assert_recovers, receive};
 
 /// BTR for 500 kbit/s at 80 MHz with a sample point at 87.5 %.
 const BTR_500: u32 = (10 - 1) | (13 - 1) << 16 | (2 - 1) << 20 | (2 - 1) << 24;
@@ -45,11 +46,6 @@ fn request(can: &mut Bxcan, mailbox: usize, id: u16) {
 
 fn next(can: &Bxcan) -> Option<(usize, Id)> {
     can.next_transmission().map(|next| (next.mailbox, next.frame.id))
-}
-
-fn receive(can: &mut Bxcan, frame: &WireFrame) {
-    can.begin_reception(None);
-    can.end_reception(frame);
 }
 
 #[test]
@@ -133,22 +129,14 @@ fn flags_stay_until_they_are_cleared() {
 #[test]
 fn bus_off_ends_only_after_initialisation_and_recessive_bits() {
     let mut can = normal();
-    let is_off = |can: &mut Bxcan| can.load(ESR).unwrap() & 0b100 != 0;
     request(&mut can, 0, 1);
-    for errors in 1..=32 {
-        can.begin_transmission(0);
-        can.fail_transmission(0, ErrorCode::BitDominant);
-        assert_eq!(is_off(&mut can), errors == 32);
-    }
-    can.idle(1_000_000);
-    assert!(is_off(&mut can), "no automatic recovery");
-    can.store(MCR, INRQ).unwrap();
-    can.store(MCR, 0).unwrap();
-    can.idle(128 * 11 - 1);
-    assert!(is_off(&mut can));
-    can.idle(1);
-    assert!(!is_off(&mut can));
-    assert_eq!(next(&can).unwrap().0, 0, "the pending message is sent after recovery");
+    let rejoin = |can: &mut Bxcan| {
+        assert_eq!(can.load(ESR).unwrap() & 0b111, 0b111);
+        can.store(MCR, INRQ).unwrap();
+        can.store(MCR, 0).unwrap();
+    };
+    assert_recovers(&mut can, rejoin, RECOVERY);
+    assert_eq!(can.load(ESR).unwrap() & 0b111, 0);
 }
 
 #[test]

@@ -1,7 +1,5 @@
 //! Three transmit buffers and two receive buffers (3.0, 4.0).
 
-use embedded_can::{ExtendedId, Id, StandardId};
-
 use super::filters::identifier;
 use crate::can_wire::WireFrame;
 
@@ -90,14 +88,9 @@ impl TransmitBuffer {
 
     pub(super) fn frame(&self) -> WireFrame {
         let [sidh, sidl, eid8, eid0, dlc, data @ ..] = self.message;
-        let raw = identifier([sidh, sidl, eid8, eid0]);
-        let id = if sidl & IDE != 0 {
-            Id::Extended(ExtendedId::new(raw).unwrap_or(ExtendedId::MAX))
-        } else {
-            Id::Standard(StandardId::new((raw >> 18) as u16).unwrap_or(StandardId::MAX))
-        };
+        let id = (identifier([sidh, sidl, eid8, eid0]), sidl & IDE != 0);
         let len = usize::from(dlc & 0xF).min(8);
-        let frame = WireFrame { dlc: dlc & 0xF, ..WireFrame::new(id, &data[..len]) };
+        let frame = WireFrame { dlc: dlc & 0xF, ..WireFrame::of_id_bits(id, &data[..len]) };
         if dlc & RTR != 0 { frame.remote() } else { frame }
     }
 
@@ -163,10 +156,7 @@ impl ReceiveBuffer {
     }
 
     pub(super) fn put(&mut self, frame: &WireFrame, filter: u8) {
-        let (raw, is_extended) = match frame.id {
-            Id::Standard(id) => (u32::from(id.as_raw()) << 18, false),
-            Id::Extended(id) => (id.as_raw(), true),
-        };
+        let (raw, is_extended) = frame.id_bits();
         let [high, low] = ((raw >> 18) as u16).to_be_bytes();
         let kind = match (is_extended, frame.is_remote) {
             (true, _) => IDE,

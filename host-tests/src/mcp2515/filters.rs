@@ -1,7 +1,5 @@
 //! Six filters and two masks (4.5).
 
-use embedded_can::Id;
-
 use crate::can_wire::WireFrame;
 
 /// RXFnSIDL: the filter applies to extended identifiers (register 4-11).
@@ -61,10 +59,7 @@ fn place(address: u8) -> Option<(u8, usize, usize)> {
 
 /// Masks of data bytes, which the lower bits of a mask are for standard identifiers (4.5), are not modelled.
 fn matches(filter: [u8; 4], mask: [u8; 4], frame: &WireFrame) -> bool {
-    let (value, is_extended) = match frame.id {
-        Id::Standard(id) => (u32::from(id.as_raw()) << 18, false),
-        Id::Extended(id) => (id.as_raw(), true),
-    };
+    let (value, is_extended) = frame.id_bits();
     (filter[1] & EXIDE != 0) == is_extended && (identifier(filter) ^ value) & identifier(mask) == 0
 }
 

@@ -4,6 +4,7 @@
 mod driver;
 
 use super::*;
+use crate::can_controller::testing::{fail, receive};
 
 /// Bit timing for 500 kbit/s from 16 MHz.
 const CNF: [u8; 3] = [0x00, 0xB5, 0x01];
@@ -61,19 +62,6 @@ fn load_and_request(can: &mut Mcp2515, buffer: u8, id: u16, data: &[u8]) {
     let [sidh, sidl] = standard(id);
     spi(can, &[&[0x40 | buffer << 1, sidh, sidl, 0, 0, data.len() as u8], data].concat());
     spi(can, &[0x80 | 1 << buffer]);
-}
-
-fn receive(can: &mut Mcp2515, frame: &WireFrame) {
-    can.begin_reception(None);
-    can.end_reception(frame);
-}
-
-fn fail(can: &mut Mcp2515, times: usize, why: ErrorCode) {
-    for _ in 0..times {
-        let mailbox = can.next_transmission().unwrap().mailbox;
-        can.begin_transmission(mailbox);
-        can.fail_transmission(mailbox, why);
-    }
 }
 
 #[test]
