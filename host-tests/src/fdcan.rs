@@ -4,6 +4,10 @@
 //! The bus of [`can_bus`](crate::can_bus) reports when a frame begins, ends or fails. The model rejects options that
 //! drivers for classic CAN do not use, such as FD frames, single transmission, clock stop, test modes, overwriting
 //! FIFOs and timestamps. [`Fdcan::violations`] lists the accesses that the manual forbids.
+//!
+//! Only excerpts of RM0440 were available: pages 1960, 1962, 1970 to 1973 and 1999 of Rev 4. Bit positions follow ST's header, the
+//! layout of the RAM ST's HAL, and other rules a public digest of RM0522 (STM32C5, chapter 46), which has the same controller.
+//! The author of this model has not read the driver.
 
 mod filters;
 mod transmit;

@@ -185,6 +185,14 @@ impl Rig {
             .with_context(|| format!("{} does not complete", input_names(wire)))
     }
 
+    /// Returns whether LINK_OK has been low since it was high for the first time.
+    #[must_use]
+    pub fn has_lost_link(&self) -> bool {
+        let changes = self.board.output_changes();
+        let links = changes.try_iter().map(|change| change.outputs.contains(Outputs::LINK_OK));
+        links.skip_while(|is_linked| !is_linked).any(|is_linked| !is_linked)
+    }
+
     /// Issues a motion [`command`](Self::command), and returns at BUSY.
     ///
     /// # Errors
