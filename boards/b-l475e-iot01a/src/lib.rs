@@ -16,7 +16,7 @@ pub use bus_clock::BusClock;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 pub use wsg_stm32::Port;
-use wsg_stm32::{InputWire, OutputWire, output_pins};
+use wsg_stm32::{InputWire, OutputWire};
 
 /// The board's name in reports.
 pub const NAME: &str = "B-L475E-IOT01A";
@@ -63,9 +63,6 @@ pub const LINE_PINS: [[&str; 4]; 9] = [
     ["USB", "PB7, USART1 RX", "computer", "via the ST-Link"],
 ];
 
-/// The pins of all [`OUTPUTS`], as a mask of [`OUTPUT_PORT`].
-pub const OUTPUT_PINS: u16 = output_pins(&OUTPUTS);
-
 /// The port and pin of the board's green LED2, lit when high. It shows the bridge's
 /// [`Indication`](wsg_bridge_fw::indicator::Indication).
 pub const INDICATOR: (Port, u8) = (Port::B, 14);
@@ -86,7 +83,7 @@ mod tests {
         for (n, wire) in INPUTS.iter().enumerate() {
             assert_ne!((wire.port, wire.pin), INDICATOR);
             assert!(INPUTS.iter().skip(n + 1).all(|other| (wire.port, wire.pin) != (other.port, other.pin)));
-            assert!(wire.port != OUTPUT_PORT || OUTPUT_PINS & (1 << wire.pin) == 0);
+            assert!(wire.port != OUTPUT_PORT || wsg_stm32::output_pins(&OUTPUTS) & (1 << wire.pin) == 0);
         }
     }
 }

@@ -72,16 +72,15 @@ impl StmBoard {
     /// Returns the board of an image, and the address of its millisecond counter. An image without symbols is taken for one of
     /// the default board.
     pub(super) fn of(elf: &Path) -> (&'static Self, Option<u32>) {
-        let boards = [&B_L475E_IOT01A, &NUCLEO_G474RE];
-        let found = boards.into_iter().find_map(|board| Some((board, Some(symbol(elf, board.counter)?))));
-        found.unwrap_or((&B_L475E_IOT01A, None))
+        let found = || {
+            let image = std::fs::read(elf).ok()?;
+            let image = object::File::parse(&*image).ok()?;
+            [&B_L475E_IOT01A, &NUCLEO_G474RE].into_iter().find_map(|board| {
+                let is_counter = |name: &str| name.contains(board.counter);
+                let counter = image.symbols().find(|symbol| symbol.name().is_ok_and(is_counter))?;
+                Some((board, Some(u32::try_from(counter.address()).ok()?)))
+            })
+        };
+        found().unwrap_or((&B_L475E_IOT01A, None))
     }
-}
-
-/// Returns the address of the symbol whose name contains `name`.
-fn symbol(elf: &Path, name: &str) -> Option<u32> {
-    let image = std::fs::read(elf).ok()?;
-    let image = object::File::parse(&*image).ok()?;
-    let symbol = image.symbols().find(|symbol| symbol.name().is_ok_and(|found| found.contains(name)))?;
-    u32::try_from(symbol.address()).ok()
 }

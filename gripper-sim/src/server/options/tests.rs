@@ -317,7 +317,7 @@ fn options_in_the_document_are_those_of_the_program() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/simulator.md");
     let document = std::fs::read_to_string(path).unwrap();
     let (before, rest) = document.split_once(BEGIN).unwrap();
-    let (shown, behind) = rest.split_once(END).unwrap();
+    let (shown, after) = rest.split_once(END).unwrap();
     let mut list = String::new();
     for arg in definition().get_arguments() {
         let name = arg.get_long().unwrap();
@@ -338,7 +338,7 @@ fn options_in_the_document_are_those_of_the_program() {
         list.push('\n');
     }
     if std::env::var_os("WSG_UPDATE_DOCS").is_some() {
-        std::fs::write(path, [before, BEGIN, &list, END, behind].concat()).unwrap();
+        std::fs::write(path, [before, BEGIN, &list, END, after].concat()).unwrap();
     } else {
         assert_eq!(shown, list, "WSG_UPDATE_DOCS=1 cargo test -p wsg-sim --lib writes it");
     }

@@ -59,10 +59,12 @@ mod stored_settings;
 mod watchdog;
 mod wires;
 
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::PathBuf;
 
 use host_tests::emulator::stm_board::{B_L475E_IOT01A, NUCLEO_G474RE, StmBoard};
 use host_tests::flash_controller::FlashController;
+use host_tests::rig::Rig;
 
 /// A board: the suffix of its images' environment variables, and its values in QEMU.
 #[derive(Clone, Copy)]
@@ -97,4 +99,24 @@ impl Board {
 /// Returns the path of the default board's firmware image from the variable.
 fn image(variable: &str) -> PathBuf {
     Board::DEFAULT.image(variable)
+}
+
+/// Runs a test with a new plant, up to five times if the bridge loses the link to the gripper and the test fails: the harness of a
+/// busy host, and with it the gripper, may pause for longer than the link's time-out. Returns the plant and the test's result.
+fn with_link_kept<P, T>(
+    start: impl Fn() -> P,
+    rig: impl Fn(&P) -> &Rig,
+    test: impl Fn(&mut P) -> T,
+) -> (P, T) {
+    const ATTEMPTS: usize = 5;
+    let mut attempt = 1;
+    loop {
+        let mut plant = start();
+        match catch_unwind(AssertUnwindSafe(|| test(&mut plant))) {
+            Err(_) if attempt < ATTEMPTS && rig(&plant).has_lost_link() => {}
+            Err(panic) => resume_unwind(panic),
+            Ok(result) => return (plant, result),
+        }
+        attempt += 1;
+    }
 }
