@@ -215,6 +215,35 @@ fn unanswered_click_is_reported_and_not_executed_later() {
 
 #[test]
 #[ignore = "needs Chromium: `cargo xtask test` installs it"]
+fn request_that_changes_nothing_is_repeated_until_it_is_answered() {
+    let gripper = Gripper::new(&[]);
+    let mut tab = gripper.open();
+    let packet = "document.getElementById('packet').textContent";
+    let travel = "document.getElementById('set-clamping-travel').value";
+    tab.until(&format!("{packet} !== '' && {travel} !== '8.5'"));
+    // The first request of each path is lost.
+    tab.eval(
+        "window.lost = new Set(); const passed = fetch; window.fetch = (path, ...how) => {
+           const name = path.split('?')[0];
+           if (lost.has(name)) return passed(path, ...how);
+           lost.add(name); return Promise.reject(new TypeError('lost'));
+         }; 0",
+    );
+
+    tab.fill("#frame-payload", "1 2 3");
+    tab.until("document.getElementById('frame-message').textContent === 'the gripper does not answer'");
+    tab.until(&format!("{packet}.startsWith('AA AA AA 43 03 00 01 02 03 ')"));
+
+    tab.click("[data-group='Motion configuration'] summary");
+    tab.fill("#set-clamping-travel", "8.5");
+    tab.click("#undo");
+    tab.until(&format!("{travel} !== '8.5'"));
+    assert_eq!(tab.eval("lost.has('/frame') && lost.has('/settings')"), true);
+    assert_eq!(tab.eval("document.getElementById('settings-message').textContent"), "");
+}
+
+#[test]
+#[ignore = "needs Chromium: `cargo xtask test` installs it"]
 fn values_without_new_events_are_marked_as_old_within_a_second() {
     let gripper = Gripper::new(&["--time-scale", "20"]);
     let mut tab = open_noting(&gripper);

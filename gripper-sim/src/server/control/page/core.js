@@ -58,8 +58,8 @@ const isOpen = () => socket !== null && socket.readyState === WebSocket.OPEN;
 async function send(path, body) {
   if (path === "/command") body.key = Math.floor(Math.random() * Number.MAX_SAFE_INTEGER);
   const abort = new AbortController();
-  // The server reads or writes files for some requests.
-  const isLong = body === undefined || path === "/settings" || path === "/scripts";
+  // The server reads or writes files for some requests. Nothing is executed late for a preview.
+  const isLong = body === undefined || path === "/settings" || path === "/scripts" || body?.send === false;
   const end = setTimeout(() => abort.abort(), isLong ? FILE_MS : ANSWER_MS);
   const first = path === "/command" && isOpen() ? overSocket(body, abort.signal) : overHttp(path, body, abort.signal);
   const ways = [first];
@@ -79,12 +79,23 @@ async function send(path, body) {
   return answer;
 }
 const silence = isRefusedLater => "the gripper does not answer" + (isRefusedLater ? ", and will not execute this later" : "");
-// Sends a request. Returns the answer, or null after it has shown why there is none.
-async function ask(place, path, body) {
-  const { status, body: value } = await send(path, body);
-  if (status === 200) return value;
-  say(place, status ? value.error : silence(body !== undefined), true);
-  return null;
+// Sends a request. Returns the answer, or null after it has shown why there is none. A request that changes nothing is repeated
+// until it is answered, while isWanted() holds: a request without a body while the page is connected to the same gripper.
+async function ask(place, path, body, isWanted) {
+  const known = hello;
+  if (body === undefined) isWanted = () => hello === known;
+  for (let isRepeated = false; ; isRepeated = true) {
+    const { status, body: value } = await send(path, body);
+    if (isWanted && !isWanted()) return null;
+    if (status === 200) {
+      if (isRepeated) say(place, "");
+      return value;
+    }
+    say(place, status ? value.error : silence(!isWanted), true);
+    if (status || !isWanted) return null;
+    await new Promise(done => setTimeout(done, RETRY_MS));
+    if (!isWanted()) return null;
+  }
 }
 
 // A list of bits by their names; those without one are reserved.

@@ -2,9 +2,10 @@
 let frames = new Map(), chosen = null, asked = 0;
 const frameOf = send => ({ command: $("frame-command").value, payload: $("frame-payload").value, send });
 async function preview() {
-  const mine = ++asked, answer = await ask("frame-message", "/frame", frameOf(false));
+  const mine = ++asked, isWanted = () => mine === asked;
+  const answer = await ask("frame-message", "/frame", frameOf(false), isWanted);
   // An answer to an earlier input is not shown.
-  if (mine !== asked) return;
+  if (!isWanted()) return;
   write($("packet"), answer ? hex(answer.bytes) : "");
   if (answer) say("frame-message", answer.meaning);
 }
