@@ -31,12 +31,13 @@ const LIMITS: [(&str, &str, [f64; 2]); 4] = [
 
 /// From the main-loop turn in which an edge is accepted to the first byte sent, in the released firmware, for each wire.
 const EDGES: &str = "Os/edge-to-first-byte/";
+/// The core clock of the board in MHz, which the benchmark reports beside its counts.
+const EDGE_CLOCK: &str = "Os/edge-clock-mhz";
 const EDGE_LIMIT_US: f64 = 50.0;
 /// The same up to the last byte of a GRIP with known force limit, including the transmission time.
 const GRIP: &str = "Os/edge-to-last-byte/grip";
 const GRIP_LIMIT_US: f64 = 1_600.0;
 const BYTE_US: f64 = 10.0 / 0.1152;
-const CORE_MHZ: f64 = 80.0;
 /// Assumed cycles per instruction, because the emulator counts instructions only. A turn of the main loop exceeds the flash cache,
 /// and a cache miss costs four wait states. Entry to and return from three exceptions add 72 cycles. Not measured.
 const CYCLES_PER_INSTRUCTION: f64 = 2.0;
@@ -67,10 +68,13 @@ pub(crate) struct Counted {
 /// Counts instructions in the emulator, and compares them with the baseline or updates it.
 pub(crate) fn counted(toolchain: &ThumbToolchain<'_>, update: bool) -> Result<Counted> {
     let mut counts = Counts::new();
-    for (board, profile) in cores().flat_map(|board| Profile::ALL.map(|profile| (board, profile))) {
-        // Edges use the drivers of the default board. Its core also runs programs for the other cores, with the same number of
-        // instructions.
-        let features = if board == <&Board>::default() { "edges" } else { "bench" };
+    for (board, profile) in BOARDS.iter().flat_map(|board| Profile::ALL.map(|profile| (board, profile))) {
+        // The first board of a core represents the others in everything but their drivers, which count as released.
+        let is_first = cores().any(|first| first == board);
+        if !is_first && profile.name != Profile::SIZE.name {
+            continue;
+        }
+        let features = if has_edges(board) { board.name } else { "bench" };
         let elf = toolchain.build_probe(board.triple, "bench", features, profile)?;
         let mut qemu = qemu(&elf);
         let first = process::output(&mut qemu)?;
@@ -79,13 +83,20 @@ pub(crate) fn counted(toolchain: &ThumbToolchain<'_>, update: bool) -> Result<Co
             "two runs differ; this emulator does not count instructions reliably"
         );
         let named = |name| count_name(board, &format!("O{}/{name}", profile.level));
-        counts.extend(parse(&first)?.into_iter().map(|(name, count)| (named(name), count)));
+        let counted = parse(&first)?.into_iter().map(|(name, count)| (named(name), count));
+        counts.extend(counted.filter(|(name, _)| is_first || name.contains("/edge-")));
     }
     for (name, count) in &counts {
         let each = count.instructions as f64 / count.of as f64;
         println!("  {name:<32} {:>7} instructions, {each:.1} each", count.instructions);
     }
     Ok(Counted { not_compared: hold(toolchain, &counts, update)?, gates: gates(&counts)? })
+}
+
+/// Returns whether edges are counted with the drivers of this board: the emulator's machine has the peripherals that they use. Its
+/// core also runs programs for the other cores, with the same number of instructions.
+fn has_edges(board: &Board) -> bool {
+    board.triple == <&Board>::default().triple
 }
 
 /// Returns the first board of each core, which represents the others with that core.
@@ -214,10 +225,6 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
         let longest = found.max_by_key(|count| count.instructions);
         longest.with_context(|| format!("the benchmark did not count {name}"))
     };
-    let us = |count: Count| {
-        let cycles = count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES;
-        cycles / CORE_MHZ
-    };
     let mut gates = Vec::new();
     for (core, board) in cores().enumerate() {
         for (what, name, limits) in LIMITS {
@@ -227,11 +234,18 @@ fn gates(counts: &Counts) -> Result<Vec<Gate>> {
             gates.push(Gate::new(what, instructions as f64 / of as f64, limits[core], unit));
         }
     }
-    let grip = "PLC edge to the last byte of GRIP at 115 200 bit/s, debounced, force limit known";
-    let grip_us = us(of(GRIP)?) + of(GRIP)?.of as f64 * BYTE_US;
-    let edge_us = us(of(EDGES)?);
-    gates.push(Gate::new("PLC edge to first byte, debounced", edge_us, EDGE_LIMIT_US, Unit::MICROSECONDS));
-    gates.push(Gate::new(grip, grip_us, GRIP_LIMIT_US, Unit::MICROSECONDS));
+    for board in BOARDS.iter().filter(|board| has_edges(board)) {
+        let of = |name| of(&count_name(board, name));
+        let clock_mhz = of(EDGE_CLOCK)?.instructions as f64;
+        let us = |count: Count| {
+            (count.instructions as f64 * CYCLES_PER_INSTRUCTION + EXCEPTION_CYCLES) / clock_mhz
+        };
+        let first = board.figure("PLC edge to first byte, debounced");
+        gates.push(Gate::new(first, us(of(EDGES)?), EDGE_LIMIT_US, Unit::MICROSECONDS));
+        let grip = "PLC edge to the last byte of GRIP at 115 200 bit/s, debounced, force limit known";
+        let grip_us = us(of(GRIP)?) + of(GRIP)?.of as f64 * BYTE_US;
+        gates.push(Gate::new(board.figure(grip), grip_us, GRIP_LIMIT_US, Unit::MICROSECONDS));
+    }
     Ok(gates)
 }
 
@@ -362,7 +376,9 @@ mod tests {
         let counts = parse(
             "O3/byte-path/64 100 72\nOs/byte-path/64 2305 72\nO3/bulk-path/64 700 72\n\
              O3/modbus-8-registers 601 1\nOs/profibus-data-exchange 4001 1\nOs/edge-to-first-byte/move 4000 1\n\
-             Os/edge-to-last-byte/grip 4000 18\npico/Os/byte-path/64 2880 72\npico/O3/bulk-path/64 1153 72\n\
+             Os/edge-to-last-byte/grip 4000 18\nOs/edge-clock-mhz 80 1\nnucleo-g474re/Os/edge-clock-mhz 144 1\n\
+             nucleo-g474re/Os/edge-to-first-byte/move 3500 1\nnucleo-g474re/Os/edge-to-last-byte/grip 4000 18\n\
+             pico/Os/byte-path/64 2880 72\npico/O3/bulk-path/64 1153 72\n\
              pico/O3/modbus-8-registers 601 1\npico/Os/profibus-data-exchange 4000 1",
         );
         let gates = gates(&counts.unwrap()).unwrap();

@@ -22,7 +22,7 @@ pub(crate) struct Profile {
 
 impl Profile {
     /// Optimised for size, as the firmware.
-    const SIZE: Self = Self { name: "firmware", level: 's' };
+    pub(crate) const SIZE: Self = Self { name: "firmware", level: 's' };
 
     /// Both profiles, for checks at each optimisation level: the other one is optimised for speed.
     pub(crate) const ALL: [Self; 2] = [Self::SIZE, Self { name: "firmware-o3", level: '3' }];

@@ -153,7 +153,7 @@ impl Checks<'_> {
     }
 
     fn lint_firmware(&self, record: &mut Record, has_clippy: bool) -> Result<()> {
-        let probes = "-p wsg-probes --bins --features edges,every-function --profile firmware";
+        let probes = "-p wsg-probes --bins --features b-l475e-iot01a,every-function --profile firmware";
         let probes = (setup::TRIPLE, probes.split(' ').map(str::to_owned).collect());
         let image = |it: &Board| (it.triple, firmware::selection(it, &[], firmware::PROFILE));
         if !has_clippy {

@@ -6,10 +6,12 @@
 //! after a reset; PB8 (BOOT0); PC13 (button); PC14 and PC15 (32 kHz crystal).
 
 #![no_std]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 #![deny(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg_attr(test, allow(clippy::indexing_slicing, clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+#[cfg(feature = "drivers")]
+pub mod drivers;
 pub mod message_ram;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};

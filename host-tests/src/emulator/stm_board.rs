@@ -52,7 +52,7 @@ pub static B_L475E_IOT01A: StmBoard = StmBoard {
 
 /// The board with an STM32G474, which has the STM32L475's memory map for all that its firmware uses.
 pub static NUCLEO_G474RE: StmBoard = StmBoard {
-    counter: "nucleo_g474re5board4TICK",
+    counter: "nucleo_g474re7drivers5board4TICK",
     inputs: &wsg_nucleo_g474re::INPUTS,
     output_port: wsg_nucleo_g474re::OUTPUT_PORT,
     outputs: &wsg_nucleo_g474re::OUTPUTS,

@@ -2,30 +2,28 @@
 //! the service port to USB.
 
 use cortex_m::peripheral::SYST;
-use cortex_m_rt::exception;
 use wsg_bridge_fw::NoClock;
 use wsg_bridge_fw::can::CanConfig;
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::plc::BusHandler;
-use wsg_nucleo_g474re::{INDICATOR, INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 use wsg_stm32::board::Stm32Board;
-use wsg_stm32::bus;
 use wsg_stm32::pac::interrupt;
 use wsg_stm32::tick::SysTick;
 use wsg_stm32::uart::{Usart1, Usart2, Usart3};
 use wsg_stm32::{Divider, InputWire, LinePin, OutputWire, Port, Pull, gripper_line};
 
-use crate::can::{self, Can};
-use crate::clock::{self, HCLK_HZ};
+use super::can::{self, Can};
+use super::clock::{self, HCLK_HZ};
+use crate::{INDICATOR, INPUTS, NAME, OUTPUT_PORT, OUTPUTS};
 
 /// Alternate functions of the USARTs and of FDCAN1 (data sheet DS12288).
 const AF_USART: u8 = 7;
 const AF_FDCAN1: u8 = 9;
 
-pub(crate) static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
+/// The clock of the board, counted by SysTick.
+pub static TICK: SysTick<{ HCLK_HZ / 1_000 }> = SysTick::new();
 
 /// The board NUCLEO-G474RE.
-pub(crate) enum Nucleo {}
+pub enum Nucleo {}
 
 impl Stm32Board for Nucleo {
     const NAME: &'static str = NAME;
@@ -89,28 +87,7 @@ impl Stm32Board for Nucleo {
     }
 }
 
-#[exception]
-fn SysTick() {
-    TICK.count();
-}
-
 #[interrupt]
 fn USART1() {
     gripper_line::on_interrupt::<Nucleo>();
-}
-
-#[interrupt]
-fn USART2() {
-    bus::on_service_interrupt::<Nucleo>();
-}
-
-#[interrupt]
-fn USART3() {
-    static mut HANDLER: BusHandler = BusHandler::new();
-    bus::on_bus_interrupt::<Nucleo>(HANDLER);
-}
-
-#[interrupt]
-fn TIM6_DAC() {
-    bus::on_timer_interrupt::<Nucleo>();
 }

@@ -7,14 +7,14 @@ use bus_slcan::ClassicFrame;
 use cortex_m::peripheral::NVIC;
 use embedded_can::{ErrorKind, Frame, Id};
 use wsg_bridge_fw::can::{CanConfig, CanController, Health, TransmitBuffers, Withdrawal};
-use wsg_nucleo_g474re::message_ram::{ELEMENT_STRIDE, ELEMENTS, Fifo, element, filter, frame};
 use wsg_stm32::pac::can::regs::{Txbar, Txbcr, Txbtie};
 use wsg_stm32::pac::can::vals::{Anfe, Anfs, Tfqm};
 use wsg_stm32::pac::rcc::vals::Fdcansel;
 use wsg_stm32::pac::{FDCAN1, FDCANRAM1, Interrupt, RCC, interrupt};
 use wsg_stm32::{BitTiming, Segments};
 
-use crate::clock::HSE_HZ;
+use super::clock::HSE_HZ;
+use crate::message_ram::{ELEMENT_STRIDE, ELEMENTS, Fifo, element, filter, frame};
 
 /// The receive error counter saturates at 127; a separate flag reports larger values.
 const REC_BEYOND: u8 = 128;
@@ -25,8 +25,9 @@ const ALL_BUFFERS: u32 = (1 << ELEMENTS) - 1;
 /// Maximum number of status reads while the controller changes its mode, which takes a few cycles of the crystal.
 const MAX_LOOKS: u32 = 10_000;
 
+/// The driver of the controller FDCAN1.
 #[derive(Debug)]
-pub(crate) struct Can {
+pub struct Can {
     config: Option<CanConfig>,
     /// Whether timing and filters are configured.
     is_set_up: bool,
@@ -35,12 +36,14 @@ pub(crate) struct Can {
 
 impl Can {
     /// Returns a controller that is not started. Call it once.
-    pub(crate) const fn new() -> Self {
+    #[must_use]
+    #[expect(clippy::new_without_default, reason = "a program has a single value")]
+    pub const fn new() -> Self {
         Self { config: None, is_set_up: false, transmit: TransmitBuffers::new() }
     }
 
     /// Starts the controller. The crystal must run and the pins must be set up. The filters accept only frames for the bridge.
-    pub(crate) fn start(&mut self, config: &CanConfig) {
+    pub fn start(&mut self, config: &CanConfig) {
         RCC.ccipr().modify(|w| w.set_fdcansel(Fdcansel::HSE));
         RCC.apb1enr1().modify(|w| w.set_fdcanen(true));
         let _ = RCC.apb1enr1().read();
@@ -66,7 +69,8 @@ impl Can {
 }
 
 /// Returns whether a receive FIFO holds a frame.
-pub(crate) fn has_received() -> bool {
+#[must_use]
+pub fn has_received() -> bool {
     FDCAN1.rxfs(0).read().ffl() != 0 || FDCAN1.rxfs(1).read().ffl() != 0
 }
 
@@ -116,7 +120,7 @@ fn set_up(config: &CanConfig) -> bool {
 
 /// A frame was lost because its FIFO was full.
 #[derive(Debug)]
-pub(crate) struct Overrun;
+pub struct Overrun;
 
 impl embedded_can::Error for Overrun {
     fn kind(&self) -> ErrorKind {

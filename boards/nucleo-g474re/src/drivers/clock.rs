@@ -7,10 +7,10 @@ use wsg_stm32::pac::{FLASH, RCC};
 
 /// Clock of the core and, undivided, of all buses. All Modbus rates and most PROFIBUS rates divide it, and it needs no boost
 /// mode.
-pub(crate) const HCLK_HZ: u32 = 144_000_000;
+pub const HCLK_HZ: u32 = 144_000_000;
 
 /// Frequency of the crystal, which also clocks CAN.
-pub(crate) const HSE_HZ: u32 = 24_000_000;
+pub const HSE_HZ: u32 = 24_000_000;
 const PLL_M: (Pllm, u32) = (Pllm::DIV4, 4);
 const PLL_N: (Plln, u32) = (Plln::MUL48, 48);
 const PLL_R: (Pllr, u32) = (Pllr::DIV2, 2);
@@ -28,7 +28,7 @@ const CYCLES_AT_HALF: u32 = HCLK_HZ / 1_000_000;
 const MAX_LOOKS: u32 = 80_000;
 
 /// Switches from the 16 MHz of reset to 144 MHz.
-pub(crate) fn start() -> Result<(), NoClock> {
+pub(super) fn start() -> Result<(), NoClock> {
     FLASH.acr().modify(|w| w.set_latency(FLASH_WAIT_STATES));
     wait_until(|| FLASH.acr().read().latency() == FLASH_WAIT_STATES)?;
 

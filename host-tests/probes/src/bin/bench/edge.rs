@@ -7,13 +7,17 @@ use cortex_m_semihosting::hprintln;
 use embedded_io::{ErrorType, Read, ReadReady, Write, WriteReady};
 use heapless::{Deque, Vec};
 // The same drivers run on the board.
-use wsg_b_l475e_iot01a::drivers::Iot01a;
+#[cfg(feature = "b-l475e-iot01a")]
+use wsg_b_l475e_iot01a::drivers::Iot01a as Board;
 use wsg_bridge_fw::gripper::WouldBlock;
 use wsg_bridge_fw::io::{InputPort, Inputs, OutputPort, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
+#[cfg(feature = "nucleo-g474re")]
+use wsg_nucleo_g474re::drivers::Nucleo as Board;
 use wsg_protocol::CommandId;
 use wsg_protocol::frame::PREAMBLE_LEN;
 use wsg_sim::{MAX_FRAME_LEN, Part, PortKind, Time, VirtualGripper};
+use wsg_stm32::board::Stm32Board;
 use wsg_stm32::gpio::{self, Pins};
 use wsg_stm32::gripper_line::{self, GripperLine};
 
@@ -21,7 +25,7 @@ use crate::counting::{self, Counter, Moment};
 
 /// The board's line. The virtual gripper receives its bytes and answers.
 struct Line {
-    board: GripperLine<Iot01a>,
+    board: GripperLine<Board>,
     sent: Vec<u8, 64>,
     answers: Deque<u8, 512>,
     first_byte: Cell<Option<Moment>>,
@@ -95,12 +99,16 @@ const EDGES: [(&str, Inputs, &Script, CommandId); 7] = [
 /// Measured like the others, with the number of bytes sent in that turn.
 const LAST_BYTE: &str = "edge-to-last-byte/grip";
 
+/// The core clock in MHz, with which the instructions become a time.
+const CLOCK: &str = "edge-clock-mhz";
+
 /// Counts the main loop's turn of the edge, from its start to the first byte.
 // Not inlined, so that register allocation is independent of the other measurements.
 #[inline(never)]
 pub(crate) fn count(counter: &Counter) {
-    let (mut pins, _) = gpio::init::<Iot01a>();
-    gripper_line::start::<Iot01a>();
+    hprintln!("{} {} 1", CLOCK, Board::HCLK_HZ / 1_000_000);
+    let (mut pins, _) = gpio::init::<Board>();
+    gripper_line::start::<Board>();
     let mut line = Line {
         board: gripper_line::line(),
         sent: Vec::new(),
@@ -116,7 +124,7 @@ pub(crate) fn count(counter: &Counter) {
 /// Returns the instructions to the first byte, and the bytes sent in that turn, which begin with this command's frame.
 fn count_one(
     counter: &Counter,
-    pins: &mut Pins<Iot01a>,
+    pins: &mut Pins<Board>,
     line: &mut Line,
     wire: Inputs,
     script: &Script,
