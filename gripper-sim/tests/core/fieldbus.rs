@@ -3,8 +3,7 @@
 use wsg_fieldbus::{CommandFlags as Flag, GripperFlags as Shown, InputImage, OutputImage};
 use wsg_protocol::{Command, GripperState, PrePositionFlags, SoftLimits, Status, SystemFlags};
 use wsg_sim::{
-    Config, Direction, Fault, MAX_FRAME_LEN, Model, Part, PortId, PortKind, SilenceReaction, Time,
-    VirtualGripper,
+    Config, Direction, MAX_FRAME_LEN, Model, Part, PortId, PortKind, SilenceReaction, Time, VirtualGripper,
 };
 
 /// Parameters within the limits of a WSG 50.
@@ -70,16 +69,6 @@ impl Plc {
         plc
     }
 
-    /// Holds a part of 20 mm.
-    fn holding() -> Self {
-        let mut plc = Self::homed(Part::of_width(20.0));
-        plc.raise(Flag::GRIP);
-        plc.wait(3_000);
-        plc.lower(Flag::GRIP);
-        assert_eq!(plc.shows(), (Shown::HOLDING, Status::Success));
-        plc
-    }
-
     /// Sends a request PDU from a client and returns the response PDU.
     fn ask_from(&mut self, port: PortId, pdu: &[u8]) -> Vec<u8> {
         let header = [0x15, 0x01, 0, 0, 0, pdu.len() as u8 + 1, 0xFF];
@@ -116,18 +105,13 @@ impl Plc {
         self.change(|image| image.flags &= !flags);
     }
 
-    /// Runs a motion, and asserts the shown state while it runs, and state and status at its end.
     #[track_caller]
-    fn run(&mut self, flag: Flag, during: Shown, end: (Shown, Status)) {
-        self.raise(flag);
-        assert_eq!(self.shows(), (during, Status::CmdPending));
-        self.wait(4_000);
-        assert_eq!(self.shows(), end);
-    }
-
     fn move_to(&mut self, width: i16) {
         self.change(|image| image.width = width);
-        self.run(Flag::MOVE, Shown::POSITIONING, (Shown::IDLE, Status::Success));
+        self.raise(Flag::MOVE);
+        assert_eq!(self.shows(), (Shown::POSITIONING, Status::CmdPending));
+        self.wait(4_000);
+        assert_eq!(self.shows(), (Shown::IDLE, Status::Success));
         self.lower(Flag::MOVE);
     }
 
@@ -176,45 +160,20 @@ impl Plc {
         assert_eq!(self.gripper.state().speed, 0.0);
     }
 
+    /// Lets a motion end, and asserts what the fingers at rest show.
+    #[track_caller]
+    fn ends(&mut self, shown: Shown, status: Status) {
+        self.wait(3_000);
+        assert_eq!(self.shows(), (shown, status));
+        self.assert_stands();
+    }
+
     #[track_caller]
     fn assert_stands(&mut self) {
         let before = self.width();
         self.wait(500);
         assert_eq!(self.width(), before);
     }
-}
-
-#[test]
-fn homing_is_positioning_and_then_idle_and_referenced() {
-    let mut plc = Plc::new(Config::default());
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    plc.raise(Flag::HOMING);
-    assert_eq!(plc.shows(), (Shown::POSITIONING, Status::CmdPending));
-    plc.wait(50);
-    assert!(plc.flags().contains(SystemFlags::MOVING));
-    plc.wait(4_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    let input = plc.read();
-    assert!(input.system.contains(SystemFlags::REFERENCED));
-    assert_eq!(input.width, 110_00);
-    // D0 of SYSSTATE is the lowest bit of byte 2 of the image, so it reads as 01000000h in a number of 32 bits.
-    let answer = plc.ask(&[4, 0, 1, 0, 2]);
-    assert_eq!(answer[2] & 1, 1);
-}
-
-#[test]
-fn command_runs_on_its_rising_edge_only() {
-    let mut plc = Plc::homed(None);
-    plc.raise(Flag::MOVE);
-    plc.wait(2_000);
-    plc.change(|image| image.width = 50_00);
-    plc.write();
-    plc.assert_stands();
-    plc.lower(Flag::MOVE);
-    plc.assert_stands();
-    plc.raise(Flag::MOVE);
-    plc.wait(2_000);
-    assert_eq!(plc.read().width, 50_00);
 }
 
 #[test]
@@ -240,106 +199,62 @@ fn reading_before_the_first_write_gives_it_no_edge() {
     plc.assert_stands();
 }
 
+/// The controller's own tests have each rule of chapter 6 in detail.
 #[test]
-fn of_two_edges_at_once_the_lower_bit_runs_alone() {
-    let mut plc = Plc::homed(Part::of_width(20.0));
-    plc.change(|image| image.width = 60_00);
-    plc.run(Flag::MOVE | Flag::GRIP, Shown::POSITIONING, (Shown::IDLE, Status::Success));
-    assert_eq!(plc.read().width, 60_00);
-    assert_eq!(plc.gripper.state().statistics.total, 0, "no grip was started");
-}
+fn rules_of_the_controller_apply_to_the_gripper_itself() {
+    // The lowest of two edges.
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::MOVE | Flag::GRIP);
+    plc.ends(Shown::IDLE, Status::Success);
 
-#[test]
-fn motion_is_ignored_while_stop_or_fast_stop_is_set() {
-    for flag in [Flag::STOP_ACK, Flag::FASTSTOP] {
-        let mut plc = Plc::homed(None);
-        plc.raise(flag);
-        for motion in [Flag::MOVE, Flag::GRIP, Flag::RELEASE, Flag::HOMING, Flag::JOG_PLUS, Flag::JOG_MINUS] {
-            plc.raise(motion);
-            plc.assert_stands();
-            plc.lower(motion);
-        }
-        plc.raise(Flag::MOVE);
-        plc.lower(flag);
-        // The edge is lost.
-        plc.assert_stands();
-    }
-}
-
-#[test]
-fn parameter_change_during_a_motion_is_a_fast_stop() {
-    let changes: [fn(&mut OutputImage); 3] =
-        [|image| image.width += 1, |image| image.speed += 1, |image| image.force_limit += 1];
-    for (motion, change) in [Flag::MOVE, Flag::HOMING, Flag::GRIP].into_iter().zip(changes) {
-        let mut plc = Plc::homed(None);
-        plc.raise(motion);
-        plc.wait(10);
-        plc.change(|image| image.user = 0x55);
-        plc.wait(10);
-        assert_eq!(plc.shows().1, Status::CmdPending, "{motion:?}: user flags may change");
-        plc.change(change);
-        plc.assert_fast_stopped();
-    }
-}
-
-#[test]
-fn invalid_parameter_with_a_motion_is_a_fast_stop() {
-    let wrong: [fn(&mut OutputImage); 5] = [
-        |image| image.speed = 4_99,
-        |image| image.speed = 420_01,
-        |image| image.force_limit = 4_99,
-        |image| image.force_limit = 80_01,
-        |image| image.force_limit = -40_00,
-    ];
-    for change in wrong {
-        for motion in [Flag::MOVE, Flag::GRIP, Flag::RELEASE] {
-            let mut plc = Plc::homed(None);
-            plc.change(change);
-            assert_eq!(
-                plc.flags() & SystemFlags::FAST_STOP,
-                SystemFlags::empty(),
-                "no FAST STOP without a motion"
-            );
-            plc.raise(motion);
-            plc.assert_fast_stopped();
-            assert_eq!(plc.width(), 110.0);
-        }
-        let mut plc = Plc::homed(None);
-        plc.change(change);
-        plc.raise(Flag::HOMING);
-        assert_eq!(plc.shows().0, Shown::POSITIONING, "HOMING has no parameters");
-    }
-}
-
-#[test]
-fn stop_edge_ends_a_fast_stop_while_faststop_is_0() {
+    // A parameter that changes during a motion, and one outside the limits.
     let mut plc = Plc::homed(None);
     plc.raise(Flag::MOVE);
-    plc.wait(200);
-    plc.raise(Flag::FASTSTOP);
+    plc.change(|image| image.width += 1);
     plc.assert_fast_stopped();
-    assert_eq!(plc.shows().1, Status::Success);
-    plc.assert_stands();
-    // Command 41h and the text protocol report 7, Error.
-    assert_eq!(plc.gripper.state().gripper, GripperState::Error);
-
     plc.raise(Flag::STOP_ACK);
+    plc.ends(Shown::IDLE, Status::Success);
+    plc.change(|image| (image.flags, image.speed) = (Flag::empty(), 420_01));
+    plc.raise(Flag::MOVE);
     plc.assert_fast_stopped();
+
+    // STOP/ACK acknowledges only while FASTSTOP is 0.
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::FASTSTOP);
+    plc.raise(Flag::STOP_ACK);
     plc.lower(Flag::FASTSTOP);
     plc.assert_fast_stopped();
-    plc.lower(Flag::STOP_ACK | Flag::MOVE);
-    plc.raise(Flag::MOVE);
-    plc.assert_fast_stopped();
-    assert_eq!(plc.shows().1, Status::AccessDenied);
-    plc.lower(Flag::MOVE);
-    plc.raise(Flag::STOP_ACK);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty());
-    plc.assert_stands();
     plc.lower(Flag::STOP_ACK);
+    plc.raise(Flag::STOP_ACK);
+    plc.ends(Shown::IDLE, Status::Success);
+    assert!(!plc.flags().contains(SystemFlags::FAST_STOP));
+
+    // A lost part, and MOVE after it.
+    let mut plc = Plc::homed(Part::of_width(20.0));
+    plc.raise(Flag::GRIP);
+    plc.ends(Shown::HOLDING, Status::Success);
+    plc.gripper.set_part(None, plc.now);
+    plc.ends(Shown::PART_LOST, Status::Success);
     plc.raise(Flag::MOVE);
-    plc.wait(2_000);
-    assert_eq!(plc.read().width, 20_00);
+    plc.ends(Shown::PART_LOST, Status::AccessDenied);
+
+    // MOVE and a jog onto a part, and STOP/ACK after them.
+    for (flag, shown) in [(Flag::MOVE, Shown::ERROR), (Flag::JOG_MINUS, Shown::IDLE)] {
+        let mut plc = Plc::homed(Part::of_width(50.0));
+        plc.raise(flag);
+        plc.ends(shown, Status::AxisBlocked);
+        plc.lower(flag);
+        plc.raise(Flag::STOP_ACK);
+        plc.ends(Shown::IDLE, Status::Success);
+    }
+
+    // A jog, until its flag is 0.
+    let mut plc = Plc::homed(None);
+    plc.raise(Flag::JOG_MINUS);
+    plc.wait(200);
+    assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
+    plc.lower(Flag::JOG_MINUS);
+    plc.ends(Shown::IDLE, Status::Success);
 }
 
 /// Fieldbus, 5.1.2 and appendix C; GCL, 3.2.1. The other client speaks the binary protocol.
@@ -373,40 +288,6 @@ fn gstate_follows_a_client_that_stops_the_plc_motion() {
     }
 }
 
-#[test]
-fn gstate_follows_other_clients_after_a_failed_plc_motion() {
-    // A part in the way: ERROR in the gripper as well.
-    let mut plc = Plc::homed(Part::of_width(50.0));
-    plc.raise(Flag::MOVE);
-    plc.wait(2_000);
-    plc.follows((GripperState::Error, Shown::ERROR), Status::AxisBlocked);
-    plc.other(&Command::ACKNOWLEDGE);
-    plc.follows((GripperState::Idle, Shown::IDLE), Status::AxisBlocked);
-    plc.lower(Flag::MOVE);
-    plc.move_to(80_00);
-
-    // A target that the gripper refuses: only the PLC's own command failed.
-    let limits = SoftLimits { minus: 30.0, plus: 110.0 };
-    assert_eq!(plc.other(&Command::SetSoftLimits { limits }), Status::Success);
-    plc.change(|image| image.width = 20_00);
-    plc.raise(Flag::MOVE);
-    for _ in 0..3 {
-        plc.follows((GripperState::Idle, Shown::ERROR), Status::RangeError);
-        plc.wait(1_000);
-    }
-    plc.other(&Command::GripPart { width: 50.0, speed: 100.0 });
-    plc.follows((GripperState::Gripping, Shown::GRIPPING), Status::RangeError);
-    plc.wait(1_000);
-    plc.follows((GripperState::Holding, Shown::HOLDING), Status::RangeError);
-    plc.gripper.set_part(None, plc.now);
-    plc.wait(100);
-    plc.follows((GripperState::PartLost, Shown::PART_LOST), Status::RangeError);
-    plc.other(&Command::ReleasePart { width: 90.0, speed: 100.0 });
-    plc.follows((GripperState::Releasing, Shown::RELEASING), Status::RangeError);
-    plc.wait(1_000);
-    plc.follows((GripperState::Idle, Shown::IDLE), Status::RangeError);
-}
-
 /// Fieldbus, 6.6: FASTSTOP is level-sensitive.
 #[test]
 fn asserted_faststop_outlasts_a_third_party_acknowledgement() {
@@ -430,91 +311,6 @@ fn asserted_faststop_outlasts_a_third_party_acknowledgement() {
     plc.raise(Flag::MOVE);
     plc.wait(2_000);
     assert_eq!(plc.read().width, 20_00, "the acknowledgement unlocks motion");
-}
-
-#[test]
-fn stop_ends_a_motion_and_leaves_no_error() {
-    let mut plc = Plc::homed(None);
-    plc.raise(Flag::MOVE);
-    plc.wait(200);
-    plc.raise(Flag::STOP_ACK);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    assert!(plc.flags().contains(SystemFlags::AXIS_STOPPED));
-    plc.assert_stands();
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success), "the aborted motion does not appear later");
-}
-
-#[test]
-fn stop_while_holding_ends_force_and_part_monitoring() {
-    let mut plc = Plc::holding();
-    assert!(plc.gripper.state().force > 30.0);
-    plc.raise(Flag::STOP_ACK);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    // The fingers yield until the part is no longer squeezed.
-    plc.wait(100);
-    assert_eq!(plc.read().force, 0);
-    plc.gripper.set_part(None, plc.now);
-    plc.wait(100);
-    assert_eq!(plc.shows().0, Shown::IDLE, "the part is no longer monitored");
-}
-
-#[test]
-fn grip_holds_with_the_force_limit_of_its_register() {
-    let mut plc = Plc::homed(Part::of_width(20.0));
-    plc.change(|image| image.force_limit = 25_00);
-    plc.run(Flag::GRIP, Shown::GRIPPING, (Shown::HOLDING, Status::Success));
-    assert_eq!(plc.read().force, 25_00);
-    assert_eq!(plc.gripper.state().force_limit, 25.0);
-}
-
-#[test]
-fn grip_without_a_part_is_no_part_and_e_cmd_failed() {
-    let mut plc = Plc::homed(None);
-    plc.raise(Flag::GRIP);
-    plc.wait(3_000);
-    assert_eq!(plc.shows(), (Shown::NO_PART, Status::CmdFailed));
-    plc.lower(Flag::GRIP);
-    plc.change(|image| image.width = 60_00);
-    plc.run(Flag::RELEASE, Shown::RELEASING, (Shown::IDLE, Status::Success));
-}
-
-#[test]
-fn part_that_goes_while_it_is_held_is_lost_until_the_release() {
-    let mut plc = Plc::holding();
-    plc.gripper.set_part(None, plc.now);
-    plc.wait(10);
-    assert_eq!(plc.shows(), (Shown::PART_LOST, Status::Success), "the status of the grip");
-    plc.change(|image| image.width = 60_00);
-    plc.run(Flag::RELEASE, Shown::RELEASING, (Shown::IDLE, Status::Success));
-}
-
-#[test]
-fn jog_moves_as_long_as_its_flag_is_set() {
-    for (flag, sign) in [(Flag::JOG_MINUS, -1.0), (Flag::JOG_PLUS, 1.0)] {
-        let mut plc = Plc::homed(None);
-        plc.move_to(50_00);
-        plc.raise(flag);
-        assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
-        plc.wait(200);
-        assert_eq!(plc.gripper.state().speed, sign * 100.0);
-        assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
-        plc.lower(flag);
-        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-        plc.assert_stands();
-    }
-}
-
-#[test]
-fn jog_flags_together_stop() {
-    let mut plc = Plc::homed(None);
-    plc.raise(Flag::JOG_MINUS);
-    plc.wait(200);
-    plc.raise(Flag::JOG_PLUS);
-    assert_eq!(plc.shows().0, Shown::IDLE);
-    plc.assert_stands();
-    plc.lower(Flag::JOG_PLUS);
-    plc.wait(200);
-    assert_eq!(plc.gripper.state().speed, -100.0, "a single flag keeps jogging");
 }
 
 #[test]
@@ -543,31 +339,6 @@ fn jog_follows_the_dial_without_a_halt() {
     }
     assert_eq!(plc.flags() & SystemFlags::AXIS_STOPPED, SystemFlags::empty());
     assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
-}
-
-/// Fieldbus, 6.7; command set, 3.3.5 and appendix B.
-#[test]
-fn jog_runs_to_the_soft_limit_and_sets_its_flag() {
-    let both = [
-        (Flag::JOG_PLUS, 80_00, SystemFlags::SOFT_LIMIT_PLUS),
-        (Flag::JOG_MINUS, 30_00, SystemFlags::SOFT_LIMIT_MINUS),
-    ];
-    for (flag, limit, reached) in both {
-        let mut plc = Plc::homed(None);
-        plc.move_to(50_00);
-        let now = plc.now;
-        let limits = SoftLimits { minus: 30.0, plus: 80.0 };
-        assert_eq!(plc.gripper.command(&Command::SetSoftLimits { limits }, now), Status::Success);
-        plc.raise(flag);
-        assert_eq!(plc.shows(), (Shown::RELEASING, Status::CmdPending));
-        plc.wait(2_000);
-        assert_eq!((plc.shows(), plc.read().width), ((Shown::IDLE, Status::Success), limit));
-        assert!(plc.flags().contains(reached), "{:?}", plc.flags());
-        plc.lower(flag);
-        plc.raise(flag);
-        plc.wait(500);
-        assert_eq!((plc.shows(), plc.read().width), ((Shown::IDLE, Status::RangeError), limit));
-    }
 }
 
 /// Command set, 3.3.5: limits 20 to 80 mm with fingers at 10 mm, and limits 20 to 90 mm with fingers at 110 mm.
@@ -605,68 +376,6 @@ fn plc_motion_outside_soft_limits_needs_a_target_inside() {
         plc.lower(back);
         plc.move_to(50_00);
     }
-}
-
-#[test]
-fn jog_ends_idle_at_the_end_of_the_stroke() {
-    let mut plc = Plc::homed(None);
-    plc.raise(Flag::JOG_MINUS);
-    plc.wait(3_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    assert_eq!(plc.read().width, 0);
-}
-
-#[test]
-fn move_at_the_virtual_gripper_begins_only_when_gstate_is_idle() {
-    // No part found, part lost, and failed motion.
-    let mut no_part = Plc::homed(None);
-    no_part.raise(Flag::GRIP);
-    no_part.wait(3_000);
-    let mut part_lost = Plc::holding();
-    part_lost.gripper.set_part(None, part_lost.now);
-    let mut failed = Plc::homed(Part::of_width(50.0));
-    failed.raise(Flag::MOVE);
-    failed.wait(3_000);
-    for (mut plc, shown) in [(no_part, Shown::NO_PART), (part_lost, Shown::PART_LOST), (failed, Shown::ERROR)]
-    {
-        plc.wait(100);
-        assert_eq!(plc.shows().0, shown);
-        plc.change(|image| (image.flags, image.width) = (Flag::empty(), 80_00));
-        plc.raise(Flag::MOVE);
-        assert_eq!(plc.shows(), (shown, Status::AccessDenied));
-        plc.assert_stands();
-        plc.lower(Flag::MOVE);
-        plc.raise(Flag::RELEASE);
-        plc.wait(3_000);
-        plc.lower(Flag::RELEASE);
-        assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-        plc.change(|image| image.width = 90_00);
-        plc.raise(Flag::MOVE);
-        plc.wait(3_000);
-        assert_eq!(plc.width(), 90.0);
-    }
-}
-
-#[test]
-fn jog_that_meets_a_block_ends_idle_and_its_status_says_why() {
-    let mut plc = Plc::homed(Part::of_width(20.0));
-    plc.raise(Flag::JOG_MINUS);
-    plc.wait(3_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::AxisBlocked));
-    assert_eq!(
-        plc.gripper.state().gripper,
-        GripperState::Error,
-        "command 41h reports the state of the command set"
-    );
-    plc.wait(1_000);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::AxisBlocked), "until the next command");
-    plc.lower(Flag::JOG_MINUS);
-    // An error of a later motion appears as usual.
-    plc.change(|image| image.width = 80_00);
-    plc.raise(Flag::MOVE);
-    plc.gripper.set_fault(Fault::AxisBlocked, true, plc.now);
-    plc.wait(500);
-    assert_eq!(plc.shows(), (Shown::ERROR, Status::AxisBlocked));
 }
 
 #[test]
@@ -776,48 +485,6 @@ fn master_that_never_wrote_or_is_not_watched_is_not_missed() {
     plc.raise(Flag::JOG_MINUS);
     plc.wait(20_000);
     assert!(plc.gripper.state().speed < 0.0, "the default is no time-out");
-}
-
-#[test]
-fn failed_motion_is_error_until_stop_acknowledges_it() {
-    let mut plc = Plc::homed(None);
-    plc.gripper.set_fault(Fault::AxisBlocked, true, plc.now);
-    plc.raise(Flag::MOVE);
-    plc.wait(500);
-    assert_eq!(plc.shows(), (Shown::ERROR, Status::AxisBlocked));
-    plc.lower(Flag::MOVE);
-    assert_eq!(plc.shows(), (Shown::ERROR, Status::AxisBlocked), "kept until the next command");
-    plc.raise(Flag::STOP_ACK);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    plc.wait(100);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    assert_eq!(plc.gripper.state().gripper, GripperState::Idle);
-}
-
-#[test]
-fn motion_without_a_reference_is_refused() {
-    let mut plc = Plc::new(Config::default());
-    plc.raise(Flag::MOVE);
-    assert_eq!(plc.shows(), (Shown::ERROR, Status::NotInitialized));
-    plc.assert_stands();
-}
-
-#[test]
-fn fast_stop_by_a_fault_lasts_as_long_as_the_fault() {
-    let mut plc = Plc::homed(None);
-    plc.raise(Flag::MOVE);
-    plc.wait(100);
-    plc.gripper.set_fault(Fault::MotorCurrent, true, plc.now);
-    plc.assert_fast_stopped();
-    plc.lower(Flag::MOVE);
-    plc.raise(Flag::STOP_ACK);
-    plc.assert_fast_stopped();
-    plc.gripper.set_fault(Fault::MotorCurrent, false, plc.now);
-    plc.assert_fast_stopped();
-    plc.lower(Flag::STOP_ACK);
-    plc.raise(Flag::STOP_ACK);
-    assert_eq!(plc.shows(), (Shown::IDLE, Status::Success));
-    assert_eq!(plc.flags() & SystemFlags::FAST_STOP, SystemFlags::empty());
 }
 
 #[test]

@@ -253,25 +253,18 @@ fn grip_and_release_on_a_jammed_axis_time_out() {
 
 #[test]
 fn part_pulled_out_while_holding_is_lost() {
-    let mut rig = Rig::homed(Part::of_width(20.0));
-    assert_eq!(rig.run(grip(20.0)), Status::Success);
-    rig.set_part(None);
-    assert_eq!(rig.state(), GripperState::PartLost);
-    assert_eq!(rig.force(), 0.0);
-    assert_eq!(texts(&rig.wait(1_000)), Vec::<String>::new());
-    assert_eq!(rig.state(), GripperState::PartLost);
-    let statistics = rig.gripper.state().statistics;
-    assert_eq!((statistics.total, statistics.no_part, statistics.part_lost), (1, 0, 1));
-}
-
-#[test]
-fn part_pulled_out_of_jammed_fingers_is_lost() {
-    let mut rig = Rig::homed(Part::of_width(20.0));
-    assert_eq!(rig.run(grip(20.0)), Status::Success);
-    rig.set_fault(Fault::AxisBlocked, true);
-    assert_eq!(rig.state(), GripperState::Holding);
-    rig.set_part(None);
-    assert_eq!((rig.state(), rig.force()), (GripperState::PartLost, 0.0));
+    for is_jammed in [false, true] {
+        let mut rig = Rig::homed(Part::of_width(20.0));
+        assert_eq!(rig.run(grip(20.0)), Status::Success);
+        rig.set_fault(Fault::AxisBlocked, is_jammed);
+        assert_eq!(rig.state(), GripperState::Holding);
+        rig.set_part(None);
+        assert_eq!((rig.state(), rig.force()), (GripperState::PartLost, 0.0), "jammed: {is_jammed}");
+        assert_eq!(texts(&rig.wait(1_000)), Vec::<String>::new());
+        assert_eq!(rig.state(), GripperState::PartLost);
+        let statistics = rig.gripper.state().statistics;
+        assert_eq!((statistics.total, statistics.no_part, statistics.part_lost), (1, 0, 1));
+    }
 }
 
 #[test]
@@ -403,17 +396,19 @@ fn force_queried_directly_after_the_motor_is_switched_off_is_0() {
 
 #[test]
 fn stop_while_holding_releases_force() {
-    let mut rig = Rig::homed(Part::of_width(20.0));
-    rig.run(grip(20.0));
-    assert_eq!(rig.status(Command::Stop), Status::Success);
-    assert_eq!(rig.state(), GripperState::Idle);
-    rig.wait(10);
-    assert_eq!((rig.force(), rig.width()), (0.0, 20.0));
-    // The part is no longer monitored.
-    rig.set_part(None);
-    rig.wait(100);
-    assert_eq!(rig.state(), GripperState::Idle);
-    assert_eq!(rig.gripper.state().statistics.part_lost, 0);
+    for (stop, state) in [(Command::Stop, GripperState::Idle), (Command::FastStop, GripperState::Error)] {
+        let mut rig = Rig::homed(Part::of_width(20.0));
+        rig.run(grip(20.0));
+        assert_eq!(rig.status(stop), Status::Success);
+        assert_eq!(rig.state(), state, "{stop}");
+        rig.wait(10);
+        assert_eq!((rig.force(), rig.width()), (0.0, 20.0), "{stop}");
+        // The part is no longer monitored.
+        rig.set_part(None);
+        rig.wait(100);
+        assert_eq!(rig.state(), state, "{stop}");
+        assert_eq!(rig.gripper.state().statistics.part_lost, 0, "{stop}");
+    }
 }
 
 #[test]
@@ -447,17 +442,6 @@ fn fast_stop_is_executed_with_any_payload() {
     rig.send_raw(0x23, &[1, 2, 3]);
     assert_eq!(rig.frames()[0].status(), Status::Success);
     assert!(rig.flags().contains(SystemFlags::FAST_STOP));
-}
-
-#[test]
-fn fast_stop_while_holding_lets_the_part_go_without_losing_it() {
-    let mut rig = Rig::homed(Part::of_width(20.0));
-    rig.run(grip(20.0));
-    rig.status(Command::FastStop);
-    rig.wait(10);
-    assert_eq!((rig.force(), rig.state()), (0.0, GripperState::Error));
-    rig.set_part(None);
-    assert_eq!(rig.gripper.state().statistics.part_lost, 0);
 }
 
 #[test]

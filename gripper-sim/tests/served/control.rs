@@ -1,7 +1,6 @@
 //! The control interface and the line faults that it sets. Every wait is bounded by a socket time-out.
 
 use crate::common::{go_to, grip, parse};
-use crate::modbus::Master;
 use crate::rig::{
     BOUND, Client, HOMING, Logged, any_port, await_some, await_true, connect, frame, http, recv_datagram,
     serve, udp_socket,
@@ -38,8 +37,7 @@ impl ControlRig {
     }
 
     fn with_seed(config: Config, seed: u64) -> Self {
-        let lines =
-            Lines { tcp: any_port(), control: any_port(), modbus: any_port(), seed, ..Lines::default() };
+        let lines = Lines { tcp: any_port(), control: any_port(), seed, ..Lines::default() };
         Self::of(serve(config, lines))
     }
 
@@ -385,36 +383,6 @@ fn all_pages_show_commands_and_the_part_of_one_page() {
     assert!(status == 409 && refused["error"].as_str().unwrap().contains("E_ACCESS_DENIED"), "{refused}");
     rig.post("/command", &json!({"command":"acknowledge"}));
     assert_eq!(rig.state()["gripper_state"], "IDLE");
-}
-
-/// Fieldbus manual, 6.6: FASTSTOP is level-sensitive. A third party acknowledges while the PLC asserts it.
-#[test]
-fn asserted_faststop_outlasts_acknowledgements_on_the_page() {
-    const FASTSTOP: u8 = 1 << 5;
-    const MOVE: u8 = 1;
-    let is_fast_stopped = |plc: &mut Master| plc.ask(&[2, 0, 28, 0, 1]) == [2, 1, 1];
-    let rig = ControlRig::homed();
-    let mut plc = Master::of(&rig.server);
-    plc.write(0);
-    plc.write(FASTSTOP);
-    assert!(is_fast_stopped(&mut plc));
-    let width = rig.state()["width_mm"].clone();
-    for _ in 0..3 {
-        rig.post("/command", &json!({"command":"acknowledge"}));
-        assert!(is_fast_stopped(&mut plc), "latched again before the PLC can read the flag as cleared");
-        let (status, refused) = rig.request("POST", "/command", r#"{"command":"move","width_mm":50}"#);
-        assert_eq!(status, 409, "{refused}");
-        plc.write(FASTSTOP | MOVE);
-        plc.write(FASTSTOP);
-    }
-    assert_eq!(rig.state()["width_mm"], width, "the fingers must not move");
-
-    plc.write(0);
-    assert!(is_fast_stopped(&mut plc), "the release by the PLC alone must not unlock motion");
-    rig.post("/command", &json!({"command":"acknowledge"}));
-    assert!(!is_fast_stopped(&mut plc));
-    plc.run(MOVE);
-    assert_eq!(rig.state()["width_mm"], json!(20.0));
 }
 
 #[test]

@@ -62,7 +62,7 @@ impl Master {
     }
 
     /// Writes CMDFLAGS with the parameters of a grip at 20 mm.
-    pub(crate) fn write(&mut self, flags: u8) {
+    fn write(&mut self, flags: u8) {
         let image = [flags, 0, 0x07, 0xD0, 0x27, 0x10, 0x0F, 0xA0];
         let answer = self.ask(&[&[16, 0, 0, 0, 4, 8][..], &image].concat());
         assert_eq!(answer, [16, 0, 0, 0, 4]);
@@ -83,7 +83,7 @@ impl Master {
         await_some("the result", || Some(self.status()).filter(|status| *status != 26))
     }
 
-    pub(crate) fn run(&mut self, flags: u8) {
+    fn run(&mut self, flags: u8) {
         self.write(0);
         self.write(flags);
         assert_eq!(self.wait_for_result(), 0);
@@ -110,22 +110,6 @@ fn pipelined_requests_are_all_answered_in_order() {
 }
 
 #[test]
-fn request_in_pieces_is_one_request() {
-    let served = serve(Lines::default());
-    let mut master = Master::of(&served);
-    for byte in frame(7, 1, &[6, 0, 1, 0x04, 0xC4]) {
-        master.send(&[byte]);
-    }
-    assert_eq!(master.recv(), (7, 1, vec![6, 0, 1, 0x04, 0xC4]));
-    // The end of one request and the start of the next in one segment.
-    let two = [frame(8, 1, &[3, 0, 1, 0, 1]), frame(9, 1, &[3, 0, 2, 0, 1])].concat();
-    master.send(&two[..15]);
-    assert_eq!(master.recv(), (8, 1, vec![3, 2, 0x04, 0xC4]));
-    master.send(&two[15..]);
-    assert_eq!(master.recv(), (9, 1, vec![3, 2, 0, 0]));
-}
-
-#[test]
 fn unit_identifier_is_returned_and_chooses_nothing() {
     let served = serve(Lines::default());
     let mut master = Master::of(&served);
@@ -133,51 +117,6 @@ fn unit_identifier_is_returned_and_chooses_nothing() {
         master.send(&frame(1, unit, &[6, 0, 1, 0, unit]));
         assert_eq!(master.recv(), (1, unit, vec![6, 0, 1, 0, unit]), "0 is not a broadcast over TCP");
     }
-}
-
-#[test]
-fn exceptions_are_those_of_the_specification() {
-    let served = serve(Lines::default());
-    let mut master = Master::of(&served);
-    for (request, exception, why) in [
-        (&[0][..], 1, "no function code"),
-        (&[7], 1, "Read Exception Status is serial line only"),
-        (&[8, 0, 0, 0xA5, 0x37], 1, "Diagnostics is serial line only"),
-        (&[17], 1, "Report Server ID is serial line only"),
-        (&[20, 0], 1, "no files"),
-        (&[43, 13, 0], 1, "no CANopen"),
-        (&[65], 1, "user defined"),
-        (&[3, 0, 0, 0, 0], 3, "no register"),
-        (&[3, 0, 0, 0, 126], 3, "quantity above the limit"),
-        (&[3, 0, 0, 0], 3, "too short"),
-        (&[3, 0, 0, 0, 1, 0], 3, "too long"),
-        (&[1, 0, 0, 0x07, 0xD1], 3, "2001 coils"),
-        (&[3, 0, 0, 0, 5], 2, "beyond the last register"),
-        (&[4, 0, 6, 0, 1], 2, "beyond the last register"),
-        (&[4, 0xFF, 0xFF, 0, 2], 2, "addresses do not wrap"),
-        (&[5, 0, 0, 0x12, 0x34], 3, "neither on nor off"),
-        (&[5, 0, 64, 0xFF, 0], 2, "beyond the last coil"),
-        (&[16, 0, 0, 0, 2, 4, 0, 0, 0], 3, "fewer bytes than counted"),
-        (&[16, 0, 0, 0, 2, 2, 0, 0], 3, "count and quantity differ"),
-        (&[16, 0, 3, 0, 2, 4, 0, 0, 0, 0], 2, "partly beyond the last register"),
-        (&[22, 0, 4, 0, 0, 0, 0], 2, "beyond the last register"),
-        (&[43, 14, 4, 0x80], 2, "no extended object"),
-        (&[43, 14, 5, 0], 3, "no such access"),
-    ] {
-        assert_eq!(master.ask(request), [request[0] | 0x80, exception], "{request:02X?}: {why}");
-    }
-    // Two requests that read as one: bytes after the counted data belong to no request.
-    assert_eq!(master.ask(&[3, 0, 0, 0, 4]), [3, 8, 0, 0, 0, 0, 0, 0, 0, 0], "nothing was written");
-}
-
-#[test]
-fn frame_of_another_protocol_is_discarded_without_an_answer() {
-    let served = serve(Lines::default());
-    let mut master = Master::of(&served);
-    let mut foreign = frame(1, 1, &[6, 0, 1, 0, 1]);
-    foreign[2] = 1;
-    master.send(&[foreign, frame(2, 1, &[3, 0, 1, 0, 1])].concat());
-    assert_eq!(master.recv(), (2, 1, vec![3, 2, 0, 0]));
 }
 
 #[test]

@@ -90,7 +90,7 @@ impl Plc {
         let mut fdl = FdlActiveStation::new(parameters);
         fdl.set_online();
         let image =
-            OutputImage { flags: Flag::empty(), user: 0, width: 20_00, speed: 100_00, force_limit: 40_00 };
+            OutputImage { flags: Flag::empty(), user: 0xA5, width: 20_00, speed: 100_00, force_limit: 40_00 };
         Self { line: Terminal { line: open_terminal(path), received: vec![] }, fdl, master, gripper, image }
     }
 
@@ -156,18 +156,4 @@ fn monitor_shows_address_and_the_bit_rate_of_devices_only() {
 fn fieldbus(server: &ServerThread) -> Value {
     let control = server.control_address().expect("the control interface is served");
     request(control, "GET", "/state", "").1["fieldbus"].take()
-}
-
-/// Fieldbus manual, 5.1.1: the user flags.
-#[test]
-fn user_flags_reach_a_script_and_come_from_it_over_profibus() {
-    use crate::scripts::{MIRRORS_USER_FLAGS, script};
-    let script = script("profibus-flags", MIRRORS_USER_FLAGS);
-    let lines = Lines { profibus: Some(SerialLine::Pty), script: Some(script.0.clone()), ..Lines::default() };
-    let server = serve(Config::default(), lines);
-    let mut plc = Plc::new(server.profibus_path().expect("PROFIBUS is served"));
-    for (inputs, outputs) in [(0b0000_0001, 0b0100_0000), (0b1000_0110, 0b1011_0000), (0, 0)] {
-        plc.image.user = inputs;
-        plc.command(Flag::empty(), |input| input.user == outputs);
-    }
 }

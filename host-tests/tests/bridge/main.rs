@@ -14,7 +14,6 @@ mod mcp2515;
 mod modbus;
 mod outputs;
 mod profibus;
-mod profibus_master;
 mod service_port;
 mod settings;
 mod station;

@@ -1,19 +1,17 @@
 //! The bridge over PROFIBUS, in virtual time: grip cycles, arbitration, time-outs and safety.
 
-use bus_profibus::{Baud, Character};
+use bus_profibus::Baud;
 use host_tests::world::plc::Plc;
 use host_tests::world::profibus::*;
-use host_tests::world::quick;
-use wsg_bridge_fw::{BusConfig, Config, ControlSource, ProfibusConfig};
-use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, OutputImage, SilenceReaction};
-use wsg_protocol::{CommandId, SystemFlags};
+use host_tests::world::{quick, with_part};
+use wsg_bridge_fw::{BusConfig, Config, ProfibusConfig};
+use wsg_fieldbus::{CommandFlags as Flag, Diagnosis, GripperFlags as Shown, SilenceReaction};
+use wsg_protocol::{CommandId, Status, SystemFlags};
 use wsg_sim::{Fault, Time};
 
 /// Watchdog factor for 200 ms.
 const WATCHDOG: u8 = 20;
 const WATCHDOG_MS: u32 = 200;
-
-const NOTHING: [u8; 0] = [];
 
 fn with_reaction(reaction: SilenceReaction) -> Config {
     Config { bus: BusConfig { reaction, ..AT_500K.bus }, ..AT_500K }
@@ -92,28 +90,13 @@ fn outputs_after_clear_give_no_edge_until_the_flag_was_0() {
 }
 
 #[test]
-fn outputs_without_parameters_and_configuration_are_refused() {
-    let mut rig = Master::new(AT_500K, quick());
-    rig.pass_silent(200);
-    for flags in [Flag::empty(), Flag::HOMING, Flag::empty(), Flag::FASTSTOP] {
-        rig.image.flags = flags;
-        let refused = rig.exchange_of(MASTER);
-        assert_eq!(refused, [0x10, MASTER, STATION, 0x03, 0x0C, 0x16], "no service");
-    }
-    rig.world.take_sent();
-    rig.pass_silent(100);
-    assert_eq!(rig.world.take_motions(), []);
-    assert_eq!(rig.world.bridge().control_source(), ControlSource::Nobody);
-}
-
-#[test]
 fn jog_ends_when_the_master_leaves_at_any_reaction() {
     type Leave = fn(&mut Master);
     let ways: [(&str, Leave); 5] = [
-        ("times out", |rig| rig.pass_silent(WATCHDOG_MS)),
         ("clears", |rig| rig.control(0x02, 0)),
         ("unlocks", |rig| assert_eq!(rig.service(points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), SC)),
         ("sends parameters again", |rig| rig.start(WATCHDOG)),
+        ("sends another configuration", |rig| assert_eq!(rig.service(points::CHK_CFG, &[0xA7, 0x9A]), SC)),
         ("sends outputs of another length", |rig| drop(rig.send(&sd2(&[STATION, MASTER, 0x6D, 1, 2])))),
     ];
     for (way, leave) in ways {
@@ -196,108 +179,6 @@ fn bus_timeout_and_watchdog_count_as_one_time_out() {
 }
 
 #[test]
-fn second_master_is_refused_and_changes_nothing() {
-    let mut rig = moving(SilenceReaction::FastStop);
-    let refused = [0x10, SECOND_MASTER, STATION, 0x03, 0x0D, 0x16];
-    let image = rig.image;
-    for _ in 0..20 {
-        assert_eq!(rig.service_of(SECOND_MASTER, points::SET_PRM, &[0x88, 1, 1, 11, 0x55, 0x55, 0]), refused);
-        assert_eq!(rig.service_of(SECOND_MASTER, points::SET_PRM, &[0x40, 0, 0, 0, 0x55, 0x55, 0]), refused);
-        assert_eq!(rig.service_of(SECOND_MASTER, points::CHK_CFG, &[0xA7, 0x9B]), refused);
-        rig.image = OutputImage { flags: Flag::FASTSTOP, ..image };
-        assert_eq!(rig.exchange_of(SECOND_MASTER), refused);
-        rig.image = image;
-        rig.exchange();
-    }
-    rig.pass(20);
-    assert_eq!(stops(&mut rig), []);
-    assert_eq!(rig.exchange().1.state, Shown::POSITIONING);
-}
-
-#[test]
-fn wrong_set_prm_or_chk_cfg_is_reported_and_prevents_commands() {
-    let right = ([0x88, 1, WATCHDOG, 11, 0x55, 0x55, 0], [0xA7, 0x9B]);
-    let (prm_fault, cfg_fault, not_supported) = (0x40, 0x04, 0x10);
-    let wrong = [
-        ("ident", [0x88, 1, WATCHDOG, 11, 0x55, 0x56, 0], right.1, prm_fault),
-        ("watchdog of 0", [0x88, 1, 0, 11, 0x55, 0x55, 0], right.1, prm_fault),
-        ("Sync", [0xA8, 1, WATCHDOG, 11, 0x55, 0x55, 0], right.1, not_supported),
-        ("Freeze", [0x98, 1, WATCHDOG, 11, 0x55, 0x55, 0], right.1, not_supported),
-        ("configuration", right.0, [0xA7, 0x9A], cfg_fault),
-    ];
-    for (what, parameters, config, fault) in wrong {
-        let mut rig = moving(SilenceReaction::Stop);
-        // During data exchange, they end it. Otherwise, they prevent it.
-        assert_eq!(rig.service(points::SET_PRM, &parameters), SC);
-        rig.service(points::CHK_CFG, &config);
-        assert_eq!(rig.diagnosis()[0] & 0x56, 0x02 | fault, "{what}: not ready");
-        rig.image.flags = Flag::RELEASE;
-        assert_eq!(rig.exchange_of(MASTER), [0x10, MASTER, STATION, 0x03, 0x0C, 0x16], "{what}: no service");
-        rig.pass_silent(20);
-        assert_eq!(stops(&mut rig), [CommandId::Stop], "{what}");
-        assert_eq!(rig.world.take_motions(), [], "{what}");
-        rig.start_with(&right.0, &right.1);
-        rig.image.flags = Flag::MOVE;
-        assert_eq!((rig.exchange().0, rig.diagnosis()[0] & 0x56), (0x08, 0), "{what}, resolved");
-    }
-}
-
-#[test]
-fn sync_delays_no_outputs_and_freeze_no_inputs() {
-    let mut rig = moving(SilenceReaction::Hold);
-    // The parameters have not enabled them. Parameters that do are refused.
-    rig.control(0x20 | 0x08, 0);
-    rig.set(Flag::MOVE | Flag::FASTSTOP);
-    rig.pass_silent(10);
-    assert_eq!(stops(&mut rig), [CommandId::FastStop], "without another Sync");
-    assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP), "without another Freeze");
-}
-
-#[test]
-fn clear_of_another_group_is_ignored() {
-    for (group, groups, expected) in [
-        (0x01, 0x02, &[][..]),
-        (0x00, 0x02, &[]),
-        (0x03, 0x02, &[CommandId::Stop]),
-        (0x01, 0x00, &[CommandId::Stop]),
-    ] {
-        let mut rig = moving(SilenceReaction::Stop);
-        rig.start_with(&[0x88, 1, WATCHDOG, 11, 0x55, 0x55, group], &[0xA7, 0x9B]);
-        rig.pass_silent(10);
-        // The new parameters ended the motion.
-        rig.set(Flag::empty());
-        rig.set(Flag::MOVE);
-        rig.pass(50);
-        rig.world.take_sent();
-        rig.control(0x02, groups);
-        rig.pass_silent(10);
-        assert_eq!(stops(&mut rig), expected, "group {group:02X}h, of groups {groups:02X}h");
-    }
-}
-
-#[test]
-fn configuration_and_data_are_readable_and_the_address_is_fixed() {
-    let mut rig = Master::homed(AT_500K, quick());
-    rig.image.width = 33_00;
-    let input = rig.input();
-    let data = |answer: Vec<u8>| answer[9..answer.len() - 2].to_vec();
-    for master in [MASTER, SECOND_MASTER] {
-        assert_eq!(data(rig.service_of(master, points::GET_CFG, &[])), [0xA7, 0x9B], "Get_Cfg");
-        assert_eq!(data(rig.service_of(master, points::RD_INP, &[])), input.to_bytes(), "RD_Inp");
-        assert_eq!(data(rig.service_of(master, points::RD_OUTP, &[])), rig.image.to_bytes(), "RD_Outp");
-    }
-    // Set_Slave_Address is refused from both masters, during data exchange and without it.
-    let refused = [0x10, MASTER, STATION, 0x03, 0x0C, 0x16];
-    assert_eq!(rig.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
-    rig.exchange();
-    let mut rig = Master::new(AT_500K, quick());
-    rig.pass_silent(10);
-    assert_eq!(rig.service(points::SET_SLAVE_ADDRESS, &[9, 0x55, 0x55, 0]), refused);
-    rig.start(WATCHDOG);
-    rig.exchange();
-}
-
-#[test]
 fn diagnosis_is_announced_when_a_fault_rises_and_read_once() {
     let mut rig = Master::exchanging(AT_500K, quick(), WATCHDOG);
     assert_eq!(rig.exchange().0, 0x08, "low priority");
@@ -331,6 +212,16 @@ fn diagnosis_has_16_bytes_even_while_no_flag_is_known() {
 }
 
 #[test]
+fn part_is_gripped_at_every_rate() {
+    for rate in ProfibusConfig::RATES {
+        let profibus = ProfibusConfig { rate: Some(rate), ..AT_500K.profibus };
+        let mut rig = Master::homed(Config { profibus, ..AT_500K }, with_part(20.0));
+        assert_eq!(rig.command(Flag::GRIP), Status::Success, "{rate:?}");
+        assert_eq!(rig.exchange().1.state, Shown::HOLDING, "{rate:?}");
+    }
+}
+
+#[test]
 fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
     let profibus = ProfibusConfig { rate: Some(Baud::M1_5), ..ProfibusConfig::DEFAULT };
     let slow = wsg_sim::Config::default();
@@ -346,55 +237,6 @@ fn fast_stop_for_one_exchange_takes_effect_at_the_highest_rate() {
     rig.pass(20);
     assert_eq!(stops(&mut rig), [CommandId::FastStop]);
     assert!(rig.exchange().1.system.contains(SystemFlags::FAST_STOP));
-}
-
-#[test]
-fn repeated_outputs_are_one_edge() {
-    let mut rig = Master::homed(AT_500K, quick());
-    rig.image.flags = Flag::GRIP;
-    let body = [&[STATION, MASTER, 0x7D][..], &rig.image.to_bytes()].concat();
-    let telegram = sd3(&body);
-    // Another request in between defines the frame count bit.
-    assert_eq!(rig.send(&sd2(&[STATION | 0x80, MASTER | 0x80, 0x5D, 60, 62])).len(), 27);
-    let first = rig.send(&telegram);
-    for _ in 0..5 {
-        assert_eq!(rig.send(&telegram), first, "the stored response");
-    }
-    rig.pass_silent(20);
-    assert_eq!(rig.world.take_motions(), [CommandId::GripPart]);
-}
-
-#[test]
-fn damaged_telegram_causes_no_motion_and_the_next_takes_effect() {
-    let mut rig = Master::homed(AT_500K, quick());
-    rig.image.flags = Flag::GRIP;
-    let body = [&[STATION, MASTER, 0x5D][..], &rig.image.to_bytes()].concat();
-    let telegram = sd3(&body);
-    for damaged in 0..telegram.len() {
-        let mut characters: Vec<_> = telegram.iter().map(|byte| Character::Byte(*byte)).collect();
-        characters[damaged] = Character::Damaged;
-        assert_eq!(rig.send_characters(&characters), NOTHING, "character {damaged}");
-        let mut changed = telegram.clone();
-        changed[damaged] ^= 0x10;
-        assert_eq!(rig.send(&changed), NOTHING, "byte {damaged}");
-    }
-    rig.pass_silent(10);
-    assert_eq!(rig.world.take_motions(), []);
-    rig.image.flags = Flag::empty();
-    rig.exchange();
-    rig.set(Flag::GRIP);
-    rig.pass(10);
-    assert_eq!(rig.world.take_motions(), [CommandId::GripPart]);
-}
-
-#[test]
-fn bridge_has_the_address_of_its_setting() {
-    let profibus = ProfibusConfig { address: 125, ..AT_500K.profibus };
-    let mut rig = Master::new(Config { profibus, ..AT_500K }, quick());
-    rig.pass_silent(10);
-    let status = |station: u8| sd1(&[station, MASTER, 0x49]);
-    assert_eq!(rig.send(&status(7)), NOTHING);
-    assert_eq!(rig.send(&status(125)), [0x10, MASTER, 125, 0x00, 127, 0x16]);
 }
 
 #[test]

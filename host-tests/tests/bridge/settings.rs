@@ -407,40 +407,6 @@ fn flash_failure_is_reported_and_the_settings_in_ram_stay() {
 }
 
 #[test]
-fn bus_commands_use_the_selected_recipe() {
-    let mut plant = Plant::start(FlashModel::new());
-    plant.get_ready();
-    for (name, value) in [("WIDTH", 33_00), ("SPEED", 150_00), ("FORCE", 20_00), ("RELEASE", 66_00)]
-        .map(|(n, v)| (format!("RECIPE12_{n}"), v))
-    {
-        plant.set(&name, value);
-    }
-    plant.set("BUS_TIMEOUT", 0);
-    plant.set("BUS_RECIPE", 12);
-    let width = |plant: &mut Plant| plant.read(4, 3);
-    plant.write_image(CommandFlags::empty(), [0; 3]);
-    plant.write_image(CommandFlags::MOVE, [0; 3]);
-    // The flag falls, and the parameters change, while the fingers move. Neither counts as a parameter change.
-    plant.write_image(CommandFlags::empty(), [1, 2, 3]);
-    assert_eq!(
-        (1..4).map(|at| plant.read(3, at)).collect::<Vec<_>>(),
-        [1, 2, 3],
-        "the port shows the written values"
-    );
-    plant.pass(2_000);
-    assert_eq!(width(&mut plant), 33_00);
-    plant.write_image(CommandFlags::RELEASE, [0; 3]);
-    plant.write_image(CommandFlags::empty(), [0; 3]);
-    plant.pass(2_000);
-    assert_eq!(width(&mut plant), 66_00);
-    assert!(!plant.far.sent().contains(&CommandId::FastStop), "{:?}", plant.far.sent());
-    plant.set("BUS_RECIPE", 16);
-    plant.write_image(CommandFlags::MOVE, [44_00, 50_00, 40_00]);
-    plant.pass(2_000);
-    assert_eq!(width(&mut plant), 44_00);
-}
-
-#[test]
 fn motion_in_the_turn_of_a_store_command_begins_after_it() {
     let mut plant = Plant::start(FlashModel::new());
     plant.get_ready();
@@ -448,6 +414,10 @@ fn motion_in_the_turn_of_a_store_command_begins_after_it() {
     plant.set("BUS_TIMEOUT", 0);
     plant.set("BUS_RECIPE", 12);
     plant.write_image(CommandFlags::empty(), [44_00, 50_00, 40_00]);
+    plant.write_image(CommandFlags::MOVE, [44_00, 50_00, 40_00]);
+    plant.write_image(CommandFlags::empty(), [44_00, 50_00, 40_00]);
+    plant.pass(2_000);
+    assert_eq!(plant.read(4, 3), 33_00, "the settings take effect when written");
     plant.take_sent();
     let [high, low] = command("DEFAULTS").to_be_bytes();
     let [key_high, key_low] = COMMAND_KEY.to_be_bytes();
