@@ -12,8 +12,6 @@ pub struct BoardWiring {
     pub name: &'static str,
     /// The input wires, then the output wires, in the order of the bits.
     pub wires: Vec<WirePin>,
-    /// The number of input wires.
-    inputs: usize,
     /// The pins of lines and buses.
     pub lines: Vec<LinePin>,
     /// The pin of the MCU that drives the status LED.
@@ -72,7 +70,7 @@ impl BoardWiring {
 
     fn new(name: &'static str, wires: Vec<WirePin>, lines: &[[&'static str; 4]], indicator: String) -> Self {
         let lines = lines.iter().map(|&[pin, mcu, part, its_pin]| LinePin { pin, mcu, part, its_pin });
-        Self { name, wires, inputs: Inputs::COUNT, lines: lines.collect(), indicator }
+        Self { name, wires, lines: lines.collect(), indicator }
     }
 
     /// Returns the rows of the table of wires: wire, pin, MCU pin.
@@ -227,7 +225,7 @@ impl Picture {
         self.line(&format!("M205 132V{}", bottom - 6));
         for (y, (at, wire)) in (first..).step_by(ROW as usize).zip(wiring.wires.iter().enumerate()) {
             self.text("e soft", 116, y + 4, wire.wire);
-            if at < wiring.inputs {
+            if at < Inputs::COUNT {
                 self.arrow(&format!("M122 {y}H159"));
                 self.arrow(&format!("M248 {y}H{}", BOARD - 3));
             } else {

@@ -11,14 +11,13 @@ use std::time::Duration;
 
 use anyhow::Result;
 
-use crate::bxcan::{self, Bxcan, LINES};
-use crate::can_controller::{BusController, ErrorCode, Transmission};
+use crate::bxcan::Bxcan;
+use crate::can_controller::{BusController, CAN1, ErrorCode, MappedController, Transmission};
 use crate::can_wire::WireFrame;
-use crate::load_store::Width;
-use crate::registers::{RegisterModel, ensure_word};
+use crate::registers::RegisterModel;
 
-/// Base address of CAN1 (RM0351, table 1).
-const CAN1: u32 = 0x4000_6400;
+/// Length of the register block of a [`MappedController`] in bytes.
+const LEN: u32 = 0x400;
 
 /// CAN1's clock: APB1, which this board runs at the undivided 80 MHz.
 const CLOCK_HZ: u32 = 80_000_000;
@@ -157,13 +156,6 @@ impl<C: BusController> CanBus<C> {
         what(&mut self.lock().controller)
     }
 
-    /// Resets the board's controller by `reset`; the frame on the bus is lost.
-    pub(crate) fn reset_with(&self, reset: impl FnOnce(&mut C)) {
-        let mut bus = self.lock();
-        reset(&mut bus.controller);
-        bus.on_wire = None;
-    }
-
     /// Advances time, for a controller that is not a [`RegisterModel`].
     pub fn pass(&self, time: Duration) {
         self.lock().advance(time);
@@ -205,32 +197,54 @@ impl<C: BusController> Station<C> {
     }
 }
 
-impl RegisterModel for CanBus {
+impl<C: MappedController> CanBus<C> {
+    /// Returns the models of the controller's registers and of its message RAM.
+    #[must_use]
+    pub fn models(&self) -> Vec<Box<dyn RegisterModel>> {
+        let ranges = [CAN1..CAN1 + LEN, C::RAM].into_iter().filter(|range| !range.is_empty());
+        ranges.map(|range| Box::new(Window(self.clone(), range)) as Box<dyn RegisterModel>).collect()
+    }
+}
+
+/// The addresses of a controller on a bus: its registers, or its message RAM.
+#[derive(Debug)]
+struct Window<C>(CanBus<C>, Range<u32>);
+
+impl<C: MappedController> RegisterModel for Window<C> {
     fn addresses(&self) -> Range<u32> {
-        CAN1..CAN1 + bxcan::LEN
+        self.1.clone()
     }
 
-    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
-        // 46.9: all registers are accessed by words.
-        ensure_word(address, width)?;
-        self.lock().controller.load(address - CAN1)
+    fn load(&mut self, address: u32) -> Result<u32> {
+        self.0.lock().controller.load(address - CAN1)
     }
 
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
-        ensure_word(address, width)?;
-        self.lock().controller.store(address - CAN1, value)
+    fn store(&mut self, address: u32, value: u32) -> Result<()> {
+        self.0.lock().controller.store(address - CAN1, value)
     }
 
     fn advance(&mut self, time: Duration) {
-        self.lock().advance(time);
-    }
-
-    fn reset(&mut self) {
-        self.reset_with(|controller| *controller = Bxcan::new(CLOCK_HZ));
+        // Once for all windows.
+        if self.1.start == CAN1 {
+            self.0.pass(time);
+        }
     }
 
     fn interrupts(&self) -> Vec<(u8, bool)> {
-        LINES.into_iter().zip(self.lock().controller.interrupts()).collect()
+        C::LINES.into_iter().zip(self.0.lock().controller.interrupts()).collect()
+    }
+
+    fn has_unread_data(&self) -> bool {
+        self.0.lock().controller.has_unread_data()
+    }
+
+    fn reset(&mut self) {
+        // The findings remain; the frame on the bus is lost.
+        let bus = &mut *self.0.lock();
+        let violations = std::mem::take(&mut bus.controller.node_mut().violations);
+        bus.controller.reset();
+        bus.controller.node_mut().violations = violations;
+        bus.on_wire = None;
     }
 }
 

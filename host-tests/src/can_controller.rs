@@ -1,6 +1,9 @@
-//! Interface between a CAN bus and any controller model.
+//! What the models of CAN controllers share: the interface to a bus, activity, error counters and fault confinement.
 
 use std::fmt::Debug;
+use std::ops::Range;
+
+use anyhow::Result;
 
 use crate::can_wire::WireFrame;
 
@@ -11,6 +14,17 @@ pub struct Transmission {
     pub mailbox: usize,
     /// The message.
     pub frame: WireFrame,
+}
+
+/// Result of an attempt to send a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Attempt {
+    /// Another station has acknowledged it.
+    Acknowledged,
+    /// Another station has won arbitration.
+    LostArbitration,
+    /// The frame had an error.
+    Failed,
 }
 
 /// Cause of a failed frame, numbered as bxCAN's LEC.
@@ -32,13 +46,6 @@ pub enum ErrorCode {
 
 /// Consecutive recessive bits before a controller takes part (ISO 11898-1).
 pub(crate) const BITS_TO_SYNCHRONISE: u32 = 11;
-
-/// Counts recessive bits. Returns the number of sequences of [`BITS_TO_SYNCHRONISE`] that they complete.
-pub(crate) fn count_sequences(recessive: &mut u32, bits: u32) -> u32 {
-    let before = *recessive;
-    *recessive = before.saturating_add(bits);
-    *recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE
-}
 
 /// Timing of a bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,35 +71,226 @@ impl BitTiming {
 
 /// A controller's behaviour on a bus. The bus reports when a frame begins, ends or fails.
 pub trait BusController: Clone + Debug + Send + 'static {
-    /// Returns the configured rate in bit/s.
-    fn rate(&self) -> u32;
+    /// Returns the state that every controller has.
+    fn node(&self) -> &Node;
 
-    /// Returns whether it receives and acknowledges frames.
-    fn takes_part(&self) -> bool;
+    /// Returns the state that every controller has, to change it.
+    fn node_mut(&mut self) -> &mut Node;
 
-    /// Returns the message that it would send on a free bus.
-    fn next_transmission(&self) -> Option<Transmission>;
+    /// Returns the configured bit timing.
+    fn bit_timing(&self) -> BitTiming;
 
-    /// Handles the start of its own transmission.
-    fn begin_transmission(&mut self, mailbox: usize);
+    /// Returns the request that it would send first.
+    fn next_request(&self) -> Option<Transmission>;
 
-    /// Handles the start of another station's frame. `lost` is the mailbox that lost arbitration, if any.
-    fn begin_reception(&mut self, lost: Option<usize>);
+    /// Handles the end of an attempt to send the message in this mailbox.
+    fn attempt_ended(&mut self, mailbox: usize, attempt: Attempt);
 
-    /// Handles the acknowledgement of its own frame.
-    fn end_transmission(&mut self, mailbox: usize);
+    /// Filters a received message, and stores it. Returns whether a filter accepted it.
+    fn accept(&mut self, frame: &WireFrame) -> bool;
 
-    /// Handles the failure of its own frame.
-    fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode);
+    /// Handles the end of a frame in which it took part; `why` is its error, if any.
+    fn frame_ended(&mut self, why: Option<ErrorCode>) {
+        self.node_mut().count(why);
+    }
 
-    /// Handles the end of another station's frame.
-    fn end_reception(&mut self, frame: &WireFrame);
-
-    /// Handles the failure of another station's frame.
-    fn fail_reception(&mut self, why: ErrorCode);
+    /// Enters a requested mode that was postponed until the end of a frame.
+    fn change_mode(&mut self) {}
 
     /// Handles idle bits of a free bus.
     fn idle(&mut self, bits: u32);
+
+    /// Returns the configured rate in bit/s.
+    fn rate(&self) -> u32 {
+        self.bit_timing().rate
+    }
+
+    /// Returns all messages accepted by a filter since reset, including lost ones.
+    fn accepted(&self) -> &[WireFrame] {
+        &self.node().accepted
+    }
+
+    /// Returns the driver's accesses that the manual forbids.
+    fn violations(&self) -> &[String] {
+        &self.node().violations
+    }
+
+    /// Returns whether it receives and acknowledges frames.
+    fn takes_part(&self) -> bool {
+        self.node().activity != Activity::Synchronising
+    }
+
+    /// Returns the message that it would send on a free bus.
+    fn next_transmission(&self) -> Option<Transmission> {
+        if self.takes_part() { self.next_request() } else { None }
+    }
+
+    /// Handles the start of its own transmission.
+    fn begin_transmission(&mut self, mailbox: usize) {
+        let node = self.node_mut();
+        (node.activity, node.sending) = (Activity::Transmitting, mailbox);
+    }
+
+    /// Handles the start of another station's frame. `lost` is the mailbox that lost arbitration, if any.
+    fn begin_reception(&mut self, lost: Option<usize>) {
+        self.node_mut().recessive = 0;
+        if let Some(mailbox) = lost {
+            self.attempt_ended(mailbox, Attempt::LostArbitration);
+        }
+        if self.takes_part() {
+            self.node_mut().activity = Activity::Receiving;
+        }
+    }
+
+    /// Handles the acknowledgement of its own frame.
+    fn end_transmission(&mut self, mailbox: usize) {
+        self.attempt_ended(mailbox, Attempt::Acknowledged);
+        self.end_frame(None);
+    }
+
+    /// Handles the failure of its own frame.
+    fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
+        self.attempt_ended(mailbox, Attempt::Failed);
+        self.end_frame(Some(why));
+    }
+
+    /// Handles the end of another station's frame.
+    fn end_reception(&mut self, frame: &WireFrame) {
+        if self.node().activity == Activity::Receiving && self.accept(frame) {
+            self.node_mut().accepted.push(*frame);
+        }
+        self.end_frame(None);
+    }
+
+    /// Handles the failure of another station's frame.
+    fn fail_reception(&mut self, why: ErrorCode) {
+        self.end_frame(Some(why));
+    }
+
+    /// Handles the end of a frame, which has as many recessive bits as synchronisation requires.
+    fn end_frame(&mut self, why: Option<ErrorCode>) {
+        if matches!(self.node().activity, Activity::Receiving | Activity::Transmitting) {
+            self.node_mut().last_error = why.map_or(0, |why| why as u32);
+            self.frame_ended(why);
+            let node = self.node_mut();
+            node.activity = if node.faults.is_off { Activity::Synchronising } else { Activity::Idle };
+        }
+        self.change_mode();
+        self.node_mut().recessive = 0;
+        self.idle(BITS_TO_SYNCHRONISE);
+    }
+}
+
+/// A controller whose registers are at [`CAN1`] in the memory of an STM32.
+pub trait MappedController: BusController {
+    /// Addresses of its message RAM; empty without one.
+    const RAM: Range<u32> = 0..0;
+
+    /// Numbers of its interrupts.
+    const LINES: [u8; 2];
+
+    /// Loads the word at this offset from [`CAN1`].
+    ///
+    /// # Errors
+    /// Fails when no such register is modelled.
+    fn load(&mut self, offset: u32) -> Result<u32>;
+
+    /// Stores to the word at this offset from [`CAN1`].
+    ///
+    /// # Errors
+    /// Fails when the register or the requested option is not modelled.
+    fn store(&mut self, offset: u32, value: u32) -> Result<()>;
+
+    /// Returns the interrupt levels in the order of [`LINES`](Self::LINES).
+    fn interrupts(&self) -> [bool; 2];
+
+    /// Returns whether received data waits for the core, possibly without an interrupt.
+    fn has_unread_data(&self) -> bool {
+        false
+    }
+
+    /// Handles a reset of the chip.
+    fn reset(&mut self);
+}
+
+/// Base address of CAN1 (RM0351, table 1) and of FDCAN1.
+pub const CAN1: u32 = 0x4000_6400;
+
+/// Activity on a bus, numbered as ACT in PSR of FDCAN (RM0440, 44.4.13).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Activity {
+    /// Off the bus, or waiting for recessive bits.
+    #[default]
+    Synchronising,
+    Idle,
+    Receiving,
+    Transmitting,
+}
+
+/// The state on a bus that every controller has.
+#[derive(Clone, Debug, Default)]
+pub struct Node {
+    pub(crate) activity: Activity,
+    pub(crate) sending: usize,
+    /// Recessive bits since the last frame, or since it began to synchronise.
+    pub(crate) recessive: u32,
+    pub(crate) faults: Confinement,
+    /// The error of the last frame as an [`ErrorCode`], or 0.
+    pub(crate) last_error: u32,
+    pub(crate) accepted: Vec<WireFrame>,
+    pub(crate) violations: Vec<String>,
+}
+
+impl Node {
+    /// Leaves the bus until the next sequence of recessive bits.
+    pub(crate) fn synchronise(&mut self) {
+        (self.activity, self.recessive) = (Activity::Synchronising, 0);
+    }
+
+    /// Returns whether the message in this mailbox is in transmission.
+    pub(crate) fn is_sending(&self, mailbox: usize) -> bool {
+        self.activity == Activity::Transmitting && self.sending == mailbox
+    }
+
+    /// Records an access that the manual forbids.
+    pub(crate) fn forbidden(&mut self, what: impl Into<String>) {
+        self.violations.push(what.into());
+    }
+
+    /// Changes the error counters at the end of the frame in progress; `why` is its error, if any (ISO 11898-1).
+    pub(crate) fn count(&mut self, why: Option<ErrorCode>) {
+        let Confinement { transmit, receive, is_off, .. } = &mut self.faults;
+        match (self.activity, why) {
+            (Activity::Transmitting, None) => *transmit = transmit.saturating_sub(1),
+            // An error-passive transmitter does not count missing acknowledgements.
+            (Activity::Transmitting, Some(ErrorCode::Acknowledgement))
+                if Confinement::is_passive(*transmit) => {}
+            (Activity::Transmitting, Some(_)) => *transmit += 8,
+            (Activity::Receiving, None) if Confinement::is_passive(*receive) => *receive = PASSIVE_RETURN,
+            (Activity::Receiving, None) => *receive = receive.saturating_sub(1),
+            (Activity::Receiving, Some(_)) => *receive = (*receive + 1).min(LAST_ON),
+            (Activity::Synchronising | Activity::Idle, _) => {}
+        }
+        *is_off |= *transmit > LAST_ON;
+    }
+
+    /// Counts recessive bits while its controller is on: synchronises it, and ends bus-off if that was requested. Returns
+    /// whether the bits complete a sequence of [`BITS_TO_SYNCHRONISE`].
+    pub(crate) fn idle(&mut self, bits: u32) -> bool {
+        let before = self.recessive;
+        self.recessive = before.saturating_add(bits);
+        let sequences = self.recessive / BITS_TO_SYNCHRONISE - before / BITS_TO_SYNCHRONISE;
+        if let Some(left) = &mut self.faults.to_recover {
+            *left = left.saturating_sub(sequences);
+            if *left == 0 {
+                self.faults = Confinement::default();
+            }
+        }
+        if sequences > 0 && !self.faults.is_off {
+            self.activity = Activity::Idle;
+        }
+        sequences > 0
+    }
 }
 
 /// Error counters and fault confinement (ISO 11898-1).
@@ -132,40 +330,10 @@ impl Confinement {
         bits.iter().zip(applies).filter(|(_, applies)| *applies).map(|(bit, _)| bit).sum()
     }
 
-    pub(crate) fn transmitted(&mut self) {
-        self.transmit = self.transmit.saturating_sub(1);
-    }
-
-    pub(crate) fn received(&mut self) {
-        self.receive =
-            if Self::is_passive(self.receive) { PASSIVE_RETURN } else { self.receive.saturating_sub(1) };
-    }
-
-    pub(crate) fn transmit_error(&mut self, why: ErrorCode) {
-        // An error-passive transmitter does not count missing acknowledgements.
-        if why != ErrorCode::Acknowledgement || !Self::is_passive(self.transmit) {
-            self.transmit += 8;
-        }
-        self.is_off |= self.transmit > LAST_ON;
-    }
-
-    pub(crate) fn receive_error(&mut self) {
-        self.receive = (self.receive + 1).min(LAST_ON);
-    }
-
     /// Requests the recovery from bus-off after this many sequences of 11 recessive bits.
     pub(crate) fn begin_recovery(&mut self, sequences: u32) {
         if self.is_off {
             self.to_recover = Some(sequences);
-        }
-    }
-
-    /// Counts received sequences of 11 recessive bits.
-    pub(crate) fn count_recessive(&mut self, sequences: u32) {
-        let Some(left) = &mut self.to_recover else { return };
-        *left = left.saturating_sub(sequences);
-        if *left == 0 {
-            *self = Self::default();
         }
     }
 }

@@ -56,31 +56,28 @@ trait Chip: fmt::Debug + Send + Sync {
     /// Drives a single wire.
     fn set_input(&self, wire: Inputs, high: bool) -> Result<()>;
 
-    fn readl(&self, address: u32) -> Result<u32>;
+    fn readl(&self, _: u32) -> Result<u32> {
+        bail!("{LIBRARY} has no registers; use an emulator")
+    }
 
-    fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>>;
+    fn read_memory(&self, _: u32, _: usize) -> Result<Vec<u8>> {
+        bail!("{LIBRARY} has no memory of a board; use an emulator")
+    }
 
     fn now_ms(&self) -> Result<u32>;
 
-    fn set_line_error(&self, _line: Line, _error: Option<(LineError, u32)>) -> Result<()> {
-        bail!("this board has no built-in line errors; use a model")
-    }
-
-    fn derail(&self, _how: Derailment) -> Result<()> {
-        bail!("this board has no built-in watchdog; use a model")
-    }
-
-    fn watchdog_resets(&self) -> Result<(u32, Duration)> {
-        bail!("this board has no built-in watchdog; use a model")
+    /// Executes a command of `emulators/rp2040/main.js`. Returns the answer.
+    fn command(&self, command: &str) -> Result<String> {
+        bail!("only the Pico's emulator executes `{command}`; use a model")
     }
 }
 
 /// A line of a board on which errors can be injected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Line {
-    /// The gripper's line.
+    /// The gripper's line, UART0 of the Pico.
     Gripper,
-    /// The PLC's bus.
+    /// The PLC's bus, UART1 of the Pico.
     Bus,
 }
 
@@ -298,7 +295,8 @@ impl Emulator {
     /// # Errors
     /// Fails on any other board, or when the emulator has ended.
     pub fn set_line_error(&self, line: Line, error: Option<(LineError, u32)>) -> Result<()> {
-        self.ask(|chip| chip.set_line_error(line, error))
+        let error = error.map_or("none".into(), |(error, every)| format!("{error:?} {every}"));
+        self.command(&format!("error {} {error}", line as u8)).map(drop)
     }
 
     /// Pico: makes the firmware hang after the main loop next feeds the watchdog.
@@ -306,7 +304,7 @@ impl Emulator {
     /// # Errors
     /// Fails on any other board, or when the emulator has ended.
     pub fn derail(&self, how: Derailment) -> Result<()> {
-        self.ask(|chip| chip.derail(how))
+        self.command(&format!("derail {how:?}")).map(drop)
     }
 
     /// Pico: returns the number of watchdog resets, and the time from the main loop's last turn to the last reset.
@@ -314,7 +312,13 @@ impl Emulator {
     /// # Errors
     /// Fails on any other board, or when the emulator has ended.
     pub fn watchdog_resets(&self) -> Result<(u32, Duration)> {
-        self.ask(|chip| chip.watchdog_resets())
+        let reported = self.command("resets")?;
+        let (resets, micros) = reported.split_once(' ').context("expected two numbers")?;
+        Ok((resets.parse()?, Duration::from_micros(micros.parse()?)))
+    }
+
+    fn command(&self, command: &str) -> Result<String> {
+        self.ask(|chip| chip.command(&command.to_lowercase()))
     }
 
     fn ask<T>(&self, question: impl FnOnce(&dyn Chip) -> Result<T>) -> Result<T> {
@@ -337,11 +341,18 @@ pub fn is_for_pico(elf: &Path) -> bool {
     entry().is_some_and(|entry| rp2040::FLASH.contains(&entry))
 }
 
+/// A process that ends on drop.
 #[cfg(unix)]
-fn end(process: &mut Child) {
-    // Fails only when the process has already ended.
-    let _ = process.kill();
-    let _ = process.wait();
+#[derive(Debug)]
+struct Process(Child);
+
+#[cfg(unix)]
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Fails only when the process has already ended.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }
 
 /// Ignores poisoning: no lock here guards data that a panic could leave inconsistent.

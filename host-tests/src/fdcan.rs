@@ -3,7 +3,7 @@
 //!
 //! The bus of [`can_bus`](crate::can_bus) reports when a frame begins, ends or fails. The model rejects options that
 //! drivers for classic CAN do not use, such as FD frames, single transmission, clock stop, test modes, overwriting
-//! FIFOs and timestamps. [`Fdcan::violations`] lists the accesses that the manual forbids.
+//! FIFOs and timestamps. [`violations`](BusController::violations) lists the accesses that the manual forbids.
 //!
 //! Only excerpts of RM0440 were available: pages 1960, 1962, 1970 to 1973 and 1999 of Rev 4. Bit positions follow ST's header, the
 //! layout of the RAM ST's HAL, and other rules a public digest of RM0522 (STM32C5, chapter 46), which has the same controller.
@@ -13,24 +13,15 @@ mod filters;
 mod transmit;
 
 use std::ops::Range;
-use std::time::Duration;
 
 use anyhow::{Result, bail, ensure};
 
-use crate::can_bus::CanBus;
 use crate::can_controller::{
-    BITS_TO_SYNCHRONISE, BitTiming, BusController, Confinement, ErrorCode, Transmission, count_sequences,
+    Activity, Attempt, BitTiming, BusController, CAN1, Confinement, ErrorCode, MappedController, Node,
+    Transmission,
 };
 use crate::can_wire::{MAX_DATA, WireFrame};
 use crate::chance::Chance;
-use crate::load_store::Width;
-use crate::registers::{RegisterModel, ensure_word};
-
-/// Base address.
-const FDCAN1: u32 = 0x4000_6400;
-
-/// Interrupt numbers of line 0 and line 1.
-pub const LINES: [u8; 2] = [21, 22];
 
 /// Kernel clock of the NUCLEO-G474RE: its crystal.
 pub const HSE_HZ: u32 = 24_000_000;
@@ -98,16 +89,6 @@ const XTD: u32 = 1 << 30;
 const RECOVERY: u32 = 129;
 const NO_CHANGE: u32 = 7;
 
-/// Activity, numbered as ACT in PSR (44.4.13).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Activity {
-    /// Off the bus, or waiting for recessive bits.
-    Synchronising,
-    Idle,
-    Receiving,
-    Transmitting,
-}
-
 /// The FDCAN controller.
 #[derive(Clone, Debug)]
 pub struct Fdcan {
@@ -117,15 +98,10 @@ pub struct Fdcan {
     ram: [u32; RAM_END - RAM],
     /// Get index and fill level of the receive FIFOs.
     fifos: [(usize, usize); 2],
-    /// Put index of the TX buffers, and the buffer in transmission.
+    /// Put index of the TX buffers.
     put_index: usize,
-    sending: usize,
-    activity: Activity,
-    recessive: u32,
-    faults: Confinement,
-    lec: u32,
-    accepted: Vec<WireFrame>,
-    violations: Vec<String>,
+    /// Its last error is LEC.
+    node: Node,
 }
 
 impl Fdcan {
@@ -134,40 +110,15 @@ impl Fdcan {
     pub fn new(kernel_hz: u32) -> Self {
         let mut registers = [0; TXBTIE + 1];
         (registers[CCCR], registers[NBTP]) = (INIT, 0x0600_0A03);
-        let mut rubbish = Chance::new(u64::from(FDCAN1));
+        let mut rubbish = Chance::new(u64::from(CAN1));
         Self {
             kernel_hz,
             registers,
             ram: std::array::from_fn(|_| rubbish.number() as u32),
             fifos: [(0, 0); 2],
             put_index: 0,
-            sending: 0,
-            activity: Activity::Synchronising,
-            recessive: 0,
-            faults: Confinement::default(),
-            lec: NO_CHANGE,
-            accepted: Vec::new(),
-            violations: Vec::new(),
+            node: Node { last_error: NO_CHANGE, ..Node::default() },
         }
-    }
-
-    /// Returns all messages accepted by a filter since reset, including any lost in a FIFO.
-    #[must_use]
-    pub fn accepted(&self) -> &[WireFrame] {
-        &self.accepted
-    }
-
-    /// Returns the driver's accesses that the manual forbids.
-    #[must_use]
-    pub fn violations(&self) -> &[String] {
-        &self.violations
-    }
-
-    /// Returns the configured bit timing (44.4.7).
-    #[must_use]
-    pub fn bit_timing(&self) -> BitTiming {
-        let field = |at: u32, bits: u32| (self.registers[NBTP] >> at & ((1 << bits) - 1)) + 1;
-        BitTiming::new(self.kernel_hz, field(16, 9), [1 + field(8, 8), field(0, 7)], field(25, 7))
     }
 
     /// Simulates a message RAM that responds too late to the Tx handler: enters restricted operation (44.4.15).
@@ -176,98 +127,13 @@ impl Fdcan {
         self.registers[IR] |= MRAF;
     }
 
-    /// Loads the register at this offset, or the word of the message RAM, whose first offset is 4000h.
-    ///
-    /// # Errors
-    /// Fails when no such register is modelled.
-    pub fn load(&mut self, offset: u32) -> Result<u32> {
-        let number = offset as usize / 4;
-        Ok(match number {
-            // CEL is not modelled. During recovery, REC counts its sequences (44.4.13).
-            ECR => {
-                let Confinement { transmit, receive, to_recover, .. } = self.faults;
-                let rec = to_recover.map_or(receive.into(), |left| RECOVERY - left);
-                u32::from(transmit.min(255)) | rec.min(127) << 8 | u32::from(rec > 127) << 15
-            }
-            // Resets LEC. DLEC stays reset.
-            PSR => {
-                let lec = std::mem::replace(&mut self.lec, NO_CHANGE);
-                lec | (self.activity as u32) << 3 | self.registers[PSR] | NO_CHANGE << 8
-            }
-            // RFnL copies the flag of IR (44.4.22).
-            RXF0S | RXF1S => {
-                let fifo = usize::from(number == RXF1S);
-                let (get, fill) = self.fifos[fifo];
-                let (put, is_full) = ((get + fill) % ELEMENTS, usize::from(fill == ELEMENTS));
-                let status = (is_full << 24 | put << 16 | get << 8 | fill) as u32;
-                status | (self.registers[IR] >> (3 * fifo) & RF0L) << 23
-            }
-            TXFQS => self.txfqs(),
-            // TXBAR stays reset: requests take effect at once.
-            CCCR | NBTP | IR..=ILE | RXGFC | TXBC | TXBRP..=TXBTIE => self.registers[number],
-            RAM..RAM_END => self.ram[number - RAM],
-            _ => bail!("FDCAN: no register is modelled at {offset:#05X}"),
-        })
-    }
-
-    /// Stores to the register at this offset, or to the word of the message RAM, whose first offset is 4000h.
-    ///
-    /// # Errors
-    /// Fails when the register or the requested option is not modelled.
-    pub fn store(&mut self, offset: u32, value: u32) -> Result<()> {
-        let (number, is_open) = (offset as usize / 4, self.registers[CCCR] & CCE != 0);
-        match number {
-            CCCR => self.store_cccr(value)?,
-            IR => self.registers[IR] &= !value,
-            RXF0A | RXF1A => self.acknowledge(usize::from(number == RXF1A), value as usize),
-            TXBAR | TXBCR if is_open => self.forbidden("44.3.2: a request while CCE is set"),
-            TXBAR => self.add_requests(value)?,
-            TXBCR => self.cancel_requests(value),
-            RAM..RAM_END => {
-                self.ram[number - RAM] = value;
-                let buffer = number.checked_sub(RAM + TX_BUFFERS).map(|word| word / ELEMENT_WORDS);
-                if buffer.is_some_and(|buffer| self.registers[TXBRP] >> buffer & 1 == 1) {
-                    self.forbidden(&format!("44.3.3: {offset:#06X} is in a TX buffer with a request"));
-                }
-            }
-            NBTP | RXGFC | TXBC if !is_open => self.forbidden("44.4: NBTP, RXGFC or TXBC without CCE"),
-            _ => {
-                let modelled = match number {
-                    NBTP => 0xFFFF_FF7F,
-                    IE => 0x00FF_FFFF,
-                    ILS => 0x7F,
-                    ILE => 0b11,
-                    RXGFC => 0x0F1F_003F,
-                    TXBC => TFQM,
-                    TXBTIE => 0b111,
-                    _ => bail!("FDCAN: no writable register is modelled at {offset:#05X}"),
-                };
-                ensure!(value & !modelled == 0, "{value:#X} at {offset:#05X} selects unmodelled options");
-                self.registers[number] = value;
-            }
-        }
-        Ok(())
-    }
-
-    /// Returns the interrupt levels in the order of [`LINES`] (44.4.16 to 44.4.18).
-    #[must_use]
-    pub fn interrupts(&self) -> [bool; 2] {
-        let [ir, ie, ils, ile] = [IR, IE, ILS, ILE].map(|number| self.registers[number]);
-        let of_line_1 = (0..GROUPS.len()).filter(|n| ils >> n & 1 == 1).fold(0, |flags, n| flags | GROUPS[n]);
-        [ir & ie & !of_line_1 != 0 && ile & 0b01 != 0, ir & ie & of_line_1 != 0 && ile & 0b10 != 0]
-    }
-
-    fn forbidden(&mut self, what: &str) {
-        self.violations.push(what.into());
-    }
-
     /// 44.3.2, 44.4.6
     fn store_cccr(&mut self, value: u32) -> Result<()> {
         let (was, mut new) = (self.registers[CCCR], value);
         // The Tx handler enters restricted operation, and software leaves it.
         ensure!(new & !(INIT | CCE | was & ASM) == 0, "CCCR {value:#X}: a mode is not modelled");
         if new & !was & CCE != 0 && was & new & INIT == 0 {
-            self.forbidden("44.3.2: CCE is set before INIT reads 1");
+            self.node.forbidden("44.3.2: CCE is set before INIT reads 1");
             new &= !CCE;
         }
         if new & CCE != 0 {
@@ -275,30 +141,15 @@ impl Fdcan {
             self.registers[TXBRP..=TXBCF].fill(0);
         }
         if (new ^ was) & INIT != 0 {
-            ensure!(self.activity != Activity::Transmitting, "CCCR: INIT in a transmission is not modelled");
-            (self.activity, self.recessive) = (Activity::Synchronising, 0);
-            self.faults.begin_recovery(RECOVERY);
+            ensure!(
+                self.node.activity != Activity::Transmitting,
+                "CCCR: INIT in a transmission is not modelled"
+            );
+            self.node.synchronise();
+            self.node.faults.begin_recovery(RECOVERY);
         }
         self.registers[CCCR] = if new & INIT == 0 { new & !CCE } else { new };
         Ok(())
-    }
-
-    /// Counts a frame or, with a cause, an error. Restricted operation freezes the counters (44.3.2).
-    fn frame_ended(&mut self, why: Option<ErrorCode>, count: impl FnOnce(&mut Confinement)) {
-        if matches!(self.activity, Activity::Receiving | Activity::Transmitting) {
-            self.lec = why.map_or(0, |why| why as u32);
-            self.registers[IR] |= if why.is_some() { PEA } else { 0 };
-            if self.registers[CCCR] & ASM == 0 {
-                count(&mut self.faults);
-            }
-            if self.faults.is_off {
-                self.registers[CCCR] |= INIT;
-                self.activity = Activity::Synchronising;
-            }
-        }
-        // A frame ends with as many recessive bits as synchronisation requires.
-        self.recessive = 0;
-        self.idle(BITS_TO_SYNCHRONISE);
     }
 
     /// Frees the elements up to this one (44.3.4).
@@ -306,7 +157,7 @@ impl Fdcan {
         let (get, fill) = self.fifos[number];
         let read = (index % ELEMENTS + ELEMENTS - get) % ELEMENTS + 1;
         if index >= ELEMENTS || read > fill {
-            return self.forbidden(&format!("44.3.4: element {index} of FIFO {number} holds no message"));
+            return self.node.forbidden(format!("44.3.4: element {index} of FIFO {number} holds no message"));
         }
         self.fifos[number] = ((index + 1) % ELEMENTS, fill - read);
     }
@@ -337,120 +188,136 @@ impl Fdcan {
 }
 
 impl BusController for Fdcan {
-    fn rate(&self) -> u32 {
-        self.bit_timing().rate
+    fn node(&self) -> &Node {
+        &self.node
     }
 
-    fn takes_part(&self) -> bool {
-        self.activity != Activity::Synchronising
+    fn node_mut(&mut self) -> &mut Node {
+        &mut self.node
     }
 
-    fn next_transmission(&self) -> Option<Transmission> {
+    /// 44.4.7
+    fn bit_timing(&self) -> BitTiming {
+        let field = |at: u32, bits: u32| (self.registers[NBTP] >> at & ((1 << bits) - 1)) + 1;
+        BitTiming::new(self.kernel_hz, field(16, 9), [1 + field(8, 8), field(0, 7)], field(25, 7))
+    }
+
+    fn next_request(&self) -> Option<Transmission> {
         // 44.3.2: restricted operation sends no frames.
-        if self.takes_part() && self.registers[CCCR] & ASM == 0 { self.next_request() } else { None }
+        if self.registers[CCCR] & ASM == 0 { self.next_buffer() } else { None }
     }
 
-    fn begin_transmission(&mut self, mailbox: usize) {
-        (self.activity, self.sending) = (Activity::Transmitting, mailbox);
+    fn attempt_ended(&mut self, mailbox: usize, attempt: Attempt) {
+        self.finish(mailbox, attempt == Attempt::Acknowledged);
     }
 
-    fn begin_reception(&mut self, lost: Option<usize>) {
-        if let Some(buffer) = lost {
-            self.finish(buffer, false);
+    fn accept(&mut self, frame: &WireFrame) -> bool {
+        self.filter(frame)
+    }
+
+    fn frame_ended(&mut self, why: Option<ErrorCode>) {
+        self.registers[IR] |= if why.is_some() { PEA } else { 0 };
+        // 44.3.2: restricted operation freezes the counters.
+        if self.registers[CCCR] & ASM == 0 {
+            self.node.count(why);
         }
-        if self.takes_part() {
-            self.activity = Activity::Receiving;
-        }
-    }
-
-    fn end_transmission(&mut self, mailbox: usize) {
-        self.finish(mailbox, true);
-        self.frame_ended(None, Confinement::transmitted);
-    }
-
-    fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
-        self.finish(mailbox, false);
-        self.frame_ended(Some(why), |faults| faults.transmit_error(why));
-    }
-
-    fn end_reception(&mut self, frame: &WireFrame) {
-        if self.activity == Activity::Receiving {
-            self.filter(frame);
-        }
-        self.frame_ended(None, Confinement::received);
-    }
-
-    fn fail_reception(&mut self, why: ErrorCode) {
-        self.frame_ended(Some(why), Confinement::receive_error);
+        self.registers[CCCR] |= if self.node.faults.is_off { INIT } else { 0 };
     }
 
     fn idle(&mut self, bits: u32) {
-        let sequences = count_sequences(&mut self.recessive, bits);
-        if self.registers[CCCR] & INIT == 0 && sequences > 0 {
-            if self.faults.is_off {
-                self.lec = ErrorCode::BitDominant as u32;
-                self.faults.count_recessive(sequences);
-            }
-            if !self.faults.is_off {
-                self.activity = Activity::Idle;
-            }
+        let was_off = self.node.faults.is_off;
+        if self.registers[CCCR] & INIT == 0 && self.node.idle(bits) && was_off {
+            self.node.last_error = ErrorCode::BitDominant as u32;
         }
-        let states = self.faults.states(STATES);
+        let states = self.node.faults.states(STATES);
         self.registers[IR] |= (self.registers[PSR] ^ states) << 12;
         self.registers[PSR] = states;
     }
 }
 
-/// The addresses of a controller on a bus: its registers, or its message RAM.
-#[derive(Debug)]
-struct Window(CanBus<Fdcan>, Range<u32>);
+impl MappedController for Fdcan {
+    const RAM: Range<u32> = CAN1 + 4 * RAM as u32..CAN1 + 4 * RAM_END as u32;
+    const LINES: [u8; 2] = [21, 22];
 
-impl CanBus<Fdcan> {
-    /// Returns the models of the controller's registers and of its message RAM.
-    #[must_use]
-    pub fn models(&self) -> Vec<Box<dyn RegisterModel>> {
-        let ranges = [FDCAN1..FDCAN1 + 0x400, FDCAN1 + 4 * RAM as u32..FDCAN1 + 4 * RAM_END as u32];
-        ranges.map(|range| Box::new(Window(self.clone(), range)) as Box<dyn RegisterModel>).into()
+    fn load(&mut self, offset: u32) -> Result<u32> {
+        let number = offset as usize / 4;
+        Ok(match number {
+            // CEL is not modelled. During recovery, REC counts its sequences (44.4.13).
+            ECR => {
+                let Confinement { transmit, receive, to_recover, .. } = self.node.faults;
+                let rec = to_recover.map_or(receive.into(), |left| RECOVERY - left);
+                u32::from(transmit.min(255)) | rec.min(127) << 8 | u32::from(rec > 127) << 15
+            }
+            // Resets LEC. DLEC stays reset.
+            PSR => {
+                let lec = std::mem::replace(&mut self.node.last_error, NO_CHANGE);
+                lec | (self.node.activity as u32) << 3 | self.registers[PSR] | NO_CHANGE << 8
+            }
+            // RFnL copies the flag of IR (44.4.22).
+            RXF0S | RXF1S => {
+                let fifo = usize::from(number == RXF1S);
+                let (get, fill) = self.fifos[fifo];
+                let (put, is_full) = ((get + fill) % ELEMENTS, usize::from(fill == ELEMENTS));
+                let status = (is_full << 24 | put << 16 | get << 8 | fill) as u32;
+                status | (self.registers[IR] >> (3 * fifo) & RF0L) << 23
+            }
+            TXFQS => self.txfqs(),
+            // TXBAR stays reset: requests take effect at once.
+            CCCR | NBTP | IR..=ILE | RXGFC | TXBC | TXBRP..=TXBTIE => self.registers[number],
+            RAM..RAM_END => self.ram[number - RAM],
+            _ => bail!("FDCAN: no register is modelled at {offset:#05X}"),
+        })
     }
-}
 
-impl RegisterModel for Window {
-    fn addresses(&self) -> Range<u32> {
-        self.1.clone()
-    }
-
-    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
-        ensure_word(address, width)?;
-        self.0.act(|can| can.load(address - FDCAN1))
-    }
-
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
-        ensure_word(address, width)?;
-        self.0.act(|can| can.store(address - FDCAN1, value))
-    }
-
-    fn advance(&mut self, time: Duration) {
-        // Once for both windows.
-        if self.1.start == FDCAN1 {
-            self.0.pass(time);
+    fn store(&mut self, offset: u32, value: u32) -> Result<()> {
+        let (number, is_open) = (offset as usize / 4, self.registers[CCCR] & CCE != 0);
+        match number {
+            CCCR => self.store_cccr(value)?,
+            IR => self.registers[IR] &= !value,
+            RXF0A | RXF1A => self.acknowledge(usize::from(number == RXF1A), value as usize),
+            TXBAR | TXBCR if is_open => self.node.forbidden("44.3.2: a request while CCE is set"),
+            TXBAR => self.add_requests(value)?,
+            TXBCR => self.cancel_requests(value),
+            RAM..RAM_END => {
+                self.ram[number - RAM] = value;
+                let buffer = number.checked_sub(RAM + TX_BUFFERS).map(|word| word / ELEMENT_WORDS);
+                if buffer.is_some_and(|buffer| self.registers[TXBRP] >> buffer & 1 == 1) {
+                    self.node.forbidden(format!("44.3.3: {offset:#06X} is in a TX buffer with a request"));
+                }
+            }
+            NBTP | RXGFC | TXBC if !is_open => self.node.forbidden("44.4: NBTP, RXGFC or TXBC without CCE"),
+            _ => {
+                let modelled = match number {
+                    NBTP => 0xFFFF_FF7F,
+                    IE => 0x00FF_FFFF,
+                    ILS => 0x7F,
+                    ILE => 0b11,
+                    RXGFC => 0x0F1F_003F,
+                    TXBC => TFQM,
+                    TXBTIE => 0b111,
+                    _ => bail!("FDCAN: no writable register is modelled at {offset:#05X}"),
+                };
+                ensure!(value & !modelled == 0, "{value:#X} at {offset:#05X} selects unmodelled options");
+                self.registers[number] = value;
+            }
         }
+        Ok(())
     }
 
-    fn interrupts(&self) -> Vec<(u8, bool)> {
-        LINES.into_iter().zip(self.0.act(|can| can.interrupts())).collect()
+    /// 44.4.16 to 44.4.18
+    fn interrupts(&self) -> [bool; 2] {
+        let [ir, ie, ils, ile] = [IR, IE, ILS, ILE].map(|number| self.registers[number]);
+        let of_line_1 = (0..GROUPS.len()).filter(|n| ils >> n & 1 == 1).fold(0, |flags, n| flags | GROUPS[n]);
+        [ir & ie & !of_line_1 != 0 && ile & 0b01 != 0, ir & ie & of_line_1 != 0 && ile & 0b10 != 0]
     }
 
     fn has_unread_data(&self) -> bool {
         // Off the bus, no FIFO overruns.
-        self.0.act(|can| can.takes_part() && can.fifos.iter().any(|(_, fill)| *fill > 0))
+        self.takes_part() && self.fifos.iter().any(|(_, fill)| *fill > 0)
     }
 
     fn reset(&mut self) {
-        // The message RAM and the findings remain.
-        self.0.reset_with(|can| {
-            let (ram, violations) = (can.ram, std::mem::take(&mut can.violations));
-            *can = Fdcan { ram, violations, ..Fdcan::new(can.kernel_hz) };
-        });
+        *self = Self { ram: self.ram, ..Self::new(self.kernel_hz) };
     }
 }
 

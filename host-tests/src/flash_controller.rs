@@ -22,7 +22,7 @@ use crate::load_store::Width;
 use crate::registers::{Machine, RegisterModel, ensure_word};
 
 /// Base address and register offsets (RM0351, table 1; 3.7).
-const FLASH: u32 = 0x4002_2000;
+pub(crate) const FLASH: u32 = 0x4002_2000;
 const LEN: u32 = 0x400;
 const ACR: u32 = 0x00;
 const KEYR: u32 = 0x08;
@@ -171,53 +171,13 @@ struct Powered {
     power_cycles: u32,
 }
 
-/// The register block as seen by the core.
+/// The register block as seen by the core, or a part of it.
 #[derive(Debug)]
-struct Registers(Powered);
+struct Registers(Powered, Range<u32>);
 
 /// The memory of the pages as seen by the core.
 #[derive(Debug)]
 struct Memory(Powered, Range<u32>);
-
-/// FLASH_ACR alone, for a board without the other models: it reads back the stored value.
-#[cfg(unix)]
-#[derive(Debug)]
-pub(crate) struct AccessControl {
-    layout: &'static Layout,
-    acr: u32,
-}
-
-#[cfg(unix)]
-impl AccessControl {
-    pub(crate) const ADDRESS: u32 = FLASH + ACR;
-
-    /// Returns the register after power-on.
-    pub(crate) const fn of(layout: &'static Layout) -> Self {
-        Self { layout, acr: layout.acr_reset }
-    }
-}
-
-#[cfg(unix)]
-impl RegisterModel for AccessControl {
-    fn addresses(&self) -> Range<u32> {
-        Self::ADDRESS..Self::ADDRESS + 4
-    }
-
-    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
-        ensure_word(address, width)?;
-        Ok(self.acr)
-    }
-
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
-        ensure_word(address, width)?;
-        self.acr = value & self.layout.acr;
-        Ok(())
-    }
-
-    fn reset(&mut self) {
-        self.acr = self.layout.acr_reset;
-    }
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Lock {
@@ -287,7 +247,17 @@ impl FlashController {
     #[must_use]
     pub fn models(&self) -> Vec<Box<dyn RegisterModel>> {
         let memory = self.lock().layout.memory.clone();
-        vec![Box::new(Registers(self.powered())), Box::new(Memory(self.powered(), memory))]
+        vec![Box::new(self.registers(FLASH..FLASH + LEN)), Box::new(Memory(self.powered(), memory))]
+    }
+
+    /// Returns the model of FLASH_ACR alone, for a board without the other models.
+    #[cfg(unix)]
+    pub(crate) fn access_control(&self) -> Box<dyn RegisterModel> {
+        Box::new(self.registers(FLASH + ACR..FLASH + ACR + 4))
+    }
+
+    fn registers(&self, addresses: Range<u32>) -> Registers {
+        Registers(self.powered(), addresses)
     }
 
     fn powered(&self) -> Powered {
@@ -665,11 +635,10 @@ impl Powered {
 
 impl RegisterModel for Registers {
     fn addresses(&self) -> Range<u32> {
-        FLASH..FLASH + LEN
+        self.1.clone()
     }
 
-    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
-        ensure_word(address, width)?;
+    fn load(&mut self, address: u32) -> Result<u32> {
         let state = self.0.state()?;
         Ok(match address - FLASH {
             ACR => state.acr,
@@ -682,16 +651,16 @@ impl RegisterModel for Registers {
         })
     }
 
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
-        ensure_word(address, width)?;
+    fn store(&mut self, address: u32, value: u32) -> Result<()> {
         self.0.state()?.store(address - FLASH, value)
     }
 
     fn load_through(&mut self, address: u32, width: Width, machine: &mut dyn Machine) -> Result<u32> {
+        ensure_word(address, width)?;
         if self.0.state()?.program_is_unreadable() {
             machine.raise_nmi()?;
         }
-        self.load(address, width)
+        self.load(address)
     }
 
     fn advance(&mut self, time: Duration) {
@@ -712,11 +681,7 @@ impl RegisterModel for Memory {
         self.1.clone()
     }
 
-    fn load(&mut self, address: u32, _: Width) -> Result<u32> {
-        bail!("a load of {address:#010X} may raise an NMI and needs the machine")
-    }
-
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
+    fn store_through(&mut self, address: u32, width: Width, value: u32, _: &mut dyn Machine) -> Result<()> {
         self.0.state()?.store_memory(address, width, value);
         Ok(())
     }

@@ -24,7 +24,7 @@ pub enum Fault {
 }
 
 /// The simulated flash.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct FlashModel {
     pages: RefCell<FlashPages>,
     running: Option<(Operation, u32)>,
@@ -47,17 +47,7 @@ impl FlashModel {
     /// Creates erased flash.
     #[must_use]
     pub fn new() -> Self {
-        Self {
-            pages: RefCell::default(),
-            running: None,
-            busy_polls: 0,
-            fault: None,
-            cut: None,
-            is_off: false,
-            operations: 0,
-            erases: [0; 2],
-            refused: 0,
-        }
+        Self::default()
     }
 
     /// Creates flash with a record of this version.
@@ -147,12 +137,6 @@ impl FlashModel {
         }
         self.running = Some((operation, self.busy_polls));
         Ok(())
-    }
-}
-
-impl Default for FlashModel {
-    fn default() -> Self {
-        Self::new()
     }
 }
 

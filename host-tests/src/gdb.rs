@@ -142,7 +142,7 @@ impl Gdb {
     }
 
     fn reported_core_registers(&mut self) -> Result<CoreRegisters> {
-        let bytes = from_hex(&self.answer()?)?;
+        let bytes = self.reported_bytes()?;
         let words = bytes.as_chunks::<4>().0;
         ensure!(words.len() >= CORE_REGISTERS, "QEMU's GDB stub returned {} registers", words.len());
         let mut r = [0; 16];
@@ -153,13 +153,19 @@ impl Gdb {
     }
 
     fn reported_memory(&mut self, address: u32, len: usize) -> Result<Vec<u8>> {
-        let bytes = from_hex(&self.answer()?).with_context(|| format!("memory at {address:#010X}"))?;
+        let bytes = self.reported_bytes().with_context(|| format!("memory at {address:#010X}"))?;
         ensure!(
             bytes.len() == len,
             "QEMU's GDB stub returned {} bytes of {len} at {address:#010X}",
             bytes.len()
         );
         Ok(bytes)
+    }
+
+    fn reported_bytes(&mut self) -> Result<Vec<u8>> {
+        let digits = self.answer()?;
+        from_hex(&digits)
+            .with_context(|| format!("QEMU's GDB stub returned `{digits}`, which is not hexadecimal"))
     }
 
     /// Prefixes each packet with the acknowledgement of the previous one.
@@ -212,9 +218,8 @@ impl Gdb {
     }
 }
 
-fn from_hex(digits: &str) -> Result<Vec<u8>> {
+/// Returns the bytes that these pairs of hexadecimal digits stand for.
+pub(crate) fn from_hex(digits: &str) -> Option<Vec<u8>> {
     let pairs = digits.as_bytes().chunks(2);
-    let bytes: Option<_> =
-        pairs.map(|pair| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok()).collect();
-    bytes.with_context(|| format!("QEMU's GDB stub returned `{digits}`, which is not hexadecimal"))
+    pairs.map(|pair| u8::from_str_radix(str::from_utf8(pair).ok()?, 16).ok()).collect()
 }

@@ -6,8 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Result, bail};
 
-use crate::load_store::Width;
-use crate::registers::{Derailment, RegisterModel, ensure_word};
+use crate::registers::{Derailment, RegisterModel};
 
 /// Base address and register offsets (RM0351, table 1; 36.4).
 const IWDG: u32 = 0x4000_3000;
@@ -45,7 +44,7 @@ pub struct Iwdg(Arc<Mutex<State>>);
 #[derive(Debug)]
 pub struct ResetFlags(Iwdg);
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct State {
     is_running: bool,
     is_unlocked: bool,
@@ -65,18 +64,7 @@ impl Iwdg {
     /// Creates a stopped watchdog after power-on.
     #[must_use]
     pub fn new() -> Self {
-        let mut state = State {
-            is_running: false,
-            is_unlocked: false,
-            prescaler: 0,
-            reload: 0,
-            window: 0,
-            updating: [Duration::ZERO; 2],
-            left: Duration::ZERO,
-            flags: BORRSTF | PINRSTF,
-            resets: 0,
-            derailment: None,
-        };
+        let mut state = State { flags: BORRSTF | PINRSTF, ..State::default() };
         state.reset();
         Self(Arc::new(Mutex::new(state)))
     }
@@ -165,8 +153,7 @@ impl RegisterModel for Iwdg {
         IWDG..IWDG + 0x14
     }
 
-    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
-        ensure_word(address, width)?;
+    fn load(&mut self, address: u32) -> Result<u32> {
         let state = self.lock();
         Ok(match address - IWDG {
             KR => 0,
@@ -181,8 +168,7 @@ impl RegisterModel for Iwdg {
         })
     }
 
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
-        ensure_word(address, width)?;
+    fn store(&mut self, address: u32, value: u32) -> Result<()> {
         self.lock().store(address - IWDG, value)
     }
 
@@ -199,13 +185,9 @@ impl RegisterModel for Iwdg {
         }
     }
 
-    fn is_watchdog(&self) -> bool {
-        true
-    }
-
-    fn resets_machine(&self) -> bool {
+    fn resets_machine(&self) -> Option<bool> {
         let state = self.lock();
-        state.is_running && state.left.is_zero()
+        Some(state.is_running && state.left.is_zero())
     }
 
     fn reset(&mut self) {
@@ -226,13 +208,11 @@ impl RegisterModel for ResetFlags {
         RCC_CSR..RCC_CSR + 4
     }
 
-    fn load(&mut self, address: u32, width: Width) -> Result<u32> {
-        ensure_word(address, width)?;
+    fn load(&mut self, _: u32) -> Result<u32> {
         Ok(self.0.lock().flags)
     }
 
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()> {
-        ensure_word(address, width)?;
+    fn store(&mut self, _: u32, value: u32) -> Result<()> {
         if value & RMVF != 0 {
             self.0.lock().flags = 0;
         }

@@ -6,7 +6,7 @@
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 
 use crate::load_store::Width;
 use crate::registers::{Machine, RegisterModel, ensure_word};
@@ -91,14 +91,6 @@ impl State {
 impl RegisterModel for LineErrors {
     fn addresses(&self) -> Range<u32> {
         self.base + ISR..self.base + END
-    }
-
-    fn load(&mut self, address: u32, _: Width) -> Result<u32> {
-        bail!("{address:#010X} needs QEMU's UART")
-    }
-
-    fn store(&mut self, address: u32, _: Width, _: u32) -> Result<()> {
-        bail!("{address:#010X} needs QEMU's UART")
     }
 
     fn load_through(&mut self, address: u32, width: Width, machine: &mut dyn Machine) -> Result<u32> {

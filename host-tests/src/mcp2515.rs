@@ -2,10 +2,9 @@
 //!
 //! The bus of [`can_bus`](crate::can_bus) reports when a frame begins, ends or fails. Rejected are sleep, loopback,
 //! listen-only and one-shot mode, RX STATUS, and the pins TXnRTS and RXnBF. Accesses that the data sheet forbids and
-//! the chip ignores are ignored, too, and recorded in [`Mcp2515::violations`].
+//! the chip ignores are ignored, too, and recorded in [`violations`](BusController::violations).
 
 mod buffers;
-mod faults;
 mod filters;
 
 use anyhow::{Result, bail, ensure};
@@ -13,7 +12,7 @@ use anyhow::{Result, bail, ensure};
 pub use self::buffers::TRANSMIT_BUFFERS;
 use self::buffers::{ReceiveBuffer, TransmitBuffer};
 use crate::can_controller::{
-    BITS_TO_SYNCHRONISE, BusController, Confinement, ErrorCode, RECOVERY, Transmission, count_sequences,
+    Activity, Attempt, BitTiming, BusController, Confinement, ErrorCode, Node, RECOVERY, Transmission,
 };
 use crate::can_wire::WireFrame;
 
@@ -47,12 +46,18 @@ const ERRIF: u8 = 1 << 5;
 const TX0IF: u8 = 1 << 2;
 const RX0IF: u8 = 1 << 0;
 
-/// Bits of EFLG that the host clears (register 6-3).
+/// Bits of EFLG (register 6-3): the host clears the first two, the others show the state.
 const RX1OVR: u8 = 1 << 7;
 const RX0OVR: u8 = 1 << 6;
+const TXBO: u8 = 1 << 5;
+const TXEP: u8 = 1 << 4;
+const RXEP: u8 = 1 << 3;
+const TXWAR: u8 = 1 << 2;
+const RXWAR: u8 = 1 << 1;
+const EWARN: u8 = 1 << 0;
 
 /// CNF2: CNF3 determines the length of phase segment 2 (register 5-2).
-const BTLMODE: u8 = 1 << 7;
+const BTLMODE: u32 = 1 << 7;
 
 /// Modelled operating modes (10.0).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,17 +108,9 @@ pub struct Mcp2515 {
     filters: filters::Filters,
     transmit: [TransmitBuffer; TRANSMIT_BUFFERS],
     receive: [ReceiveBuffer; 2],
-    faults: Confinement,
-    /// Recessive bits since normal mode was requested, or since the last frame.
-    recessive: u32,
-    is_synchronised: bool,
-    /// Index of the buffer in transmission.
-    sending: Option<usize>,
-    is_receiving: bool,
+    node: Node,
     instruction: Option<Instruction>,
-    accepted: Vec<WireFrame>,
     lost: Vec<WireFrame>,
-    violations: Vec<String>,
 }
 
 impl Mcp2515 {
@@ -131,48 +128,24 @@ impl Mcp2515 {
             filters: filters::Filters::default(),
             transmit: Default::default(),
             receive: Default::default(),
-            faults: Confinement::default(),
-            recessive: 0,
-            is_synchronised: false,
-            sending: None,
-            is_receiving: false,
+            node: Node::default(),
             instruction: None,
-            accepted: Vec::new(),
             lost: Vec::new(),
-            violations: Vec::new(),
         }
     }
 
     /// Power-cycles the chip.
     pub fn reset(&mut self) {
         // Keeps the findings for the tests.
-        let violations = std::mem::take(&mut self.violations);
-        *self = Self { violations, ..Self::new(self.oscillator_hz) };
-    }
-
-    /// Returns all messages accepted by a filter since reset, including lost ones.
-    #[must_use]
-    pub fn accepted(&self) -> &[WireFrame] {
-        &self.accepted
+        let violations = std::mem::take(&mut self.node.violations);
+        *self = Self::new(self.oscillator_hz);
+        self.node.violations = violations;
     }
 
     /// Returns the accepted messages that were lost for lack of a buffer.
     #[must_use]
     pub fn lost(&self) -> &[WireFrame] {
         &self.lost
-    }
-
-    /// Returns the driver's accesses that the data sheet forbids and the chip ignores.
-    #[must_use]
-    pub fn violations(&self) -> &[String] {
-        &self.violations
-    }
-
-    /// Returns the sample point in thousandths of a bit (5.0).
-    #[must_use]
-    pub fn sample_point(&self) -> u32 {
-        let (before, behind) = self.segments();
-        1_000 * before / (before + behind)
     }
 
     /// Returns the pending transmit buffers, buffer 0 in bit 0.
@@ -288,12 +261,12 @@ impl Mcp2515 {
             _ if address & 0xF == CANSTAT => (self.mode as u8) << 5 | self.interrupt_code() << 1,
             _ if address & 0xF == CANCTRL => self.canctrl,
             BFPCTRL | TXRTSCTRL => 0,
-            TEC => self.faults.transmit.min(255) as u8,
-            REC => self.faults.receive as u8,
+            TEC => self.node.faults.transmit.min(255) as u8,
+            REC => self.node.faults.receive as u8,
             CNF3..=CNF1 => self.timing[usize::from(CNF1 - address)],
             CANINTE => self.enabled,
             CANINTF => self.flags,
-            EFLG => self.overflows | faults::flags(&self.faults),
+            EFLG => self.overflows | self.states(),
             TRANSMIT..RECEIVE => self.transmit[usize::from(address / 0x10 - 3)].load(address & 0xF),
             RECEIVE.. => {
                 let buffer = usize::from(address / 0x10 - 6);
@@ -319,17 +292,17 @@ impl Mcp2515 {
             EFLG => self.overflows &= value,
             TRANSMIT..RECEIVE => {
                 let buffer = usize::from(address / 0x10 - 3);
-                if !self.transmit[buffer].store(address & 0xF, value, self.sending == Some(buffer)) {
-                    self.forbidden(format!("3.2: write to a pending buffer, at {address:#04X}"));
+                if !self.transmit[buffer].store(address & 0xF, value, self.node.is_sending(buffer)) {
+                    self.node.forbidden(format!("3.2: write to a pending buffer, at {address:#04X}"));
                 }
             }
             RECEIVE.. if address & 0xF == 0 => {
                 self.receive[usize::from(address / 0x10 - 6)].store_control(value);
             }
-            RECEIVE.. => self.forbidden(format!("4.0: write to a receive buffer, at {address:#04X}")),
+            RECEIVE.. => self.node.forbidden(format!("4.0: write to a receive buffer, at {address:#04X}")),
             0x20..CNF3 if address & 0b11 > 1 => ensure!(value == 0, "masks of data bytes are not modelled"),
             _ if is_configuration => self.filters.store(address, value),
-            _ => self.forbidden(format!("10.1: write to {address:#04X} outside Configuration mode")),
+            _ => self.node.forbidden(format!("10.1: write to {address:#04X} outside Configuration mode")),
         }
         Ok(())
     }
@@ -338,7 +311,7 @@ impl Mcp2515 {
         self.canctrl = value;
         if value & ABAT != 0 {
             for (n, buffer) in self.transmit.iter_mut().enumerate() {
-                buffer.abort_all(self.sending == Some(n));
+                buffer.abort_all(self.node.is_sending(n));
             }
         }
         ensure!(
@@ -349,22 +322,6 @@ impl Mcp2515 {
         Ok(())
     }
 
-    /// 10.0: the mode changes after all pending messages have been sent.
-    fn change_mode(&mut self) {
-        let wanted = if self.canctrl & REQOP == 0 { Mode::Normal } else { Mode::Configuration };
-        let is_busy = self.is_receiving || self.sending.is_some();
-        let is_pending = self.mode == Mode::Normal && self.pending() != 0;
-        if wanted == self.mode || is_busy || is_pending {
-            return;
-        }
-        self.mode = wanted;
-        (self.recessive, self.is_synchronised) = (0, false);
-        if wanted == Mode::Configuration {
-            // 10.1
-            self.faults = Confinement::default();
-        }
-    }
-
     /// ICOD: code of the enabled interrupt with the highest priority (table 7-1).
     fn interrupt_code(&self) -> u8 {
         const ORDER: [u8; 7] = [ERRIF, 1 << 6, TX0IF, TX0IF << 1, TX0IF << 2, RX0IF, RX0IF << 1];
@@ -372,35 +329,27 @@ impl Mcp2515 {
         ORDER.iter().position(|flag| raised & flag != 0).map_or(0, |at| at as u8 + 1)
     }
 
-    /// Returns the time quanta before and after the sample point (5.0).
-    fn segments(&self) -> (u32, u32) {
-        let [_, cnf2, cnf3] = self.timing;
-        let (propagation, phase_1) = (u32::from(cnf2 & 0b111) + 1, u32::from(cnf2 >> 3 & 0b111) + 1);
-        let phase_2 = if cnf2 & BTLMODE != 0 { u32::from(cnf3 & 0b111) + 1 } else { phase_1.max(2) };
-        (1 + propagation + phase_1, phase_2)
+    /// Returns the state bits of EFLG.
+    fn states(&self) -> u8 {
+        let Confinement { transmit, receive, is_off, .. } = self.node.faults;
+        let states = [
+            (TXBO, is_off),
+            (TXEP, Confinement::is_passive(transmit)),
+            (RXEP, Confinement::is_passive(receive)),
+            (TXWAR, Confinement::warns(transmit)),
+            (RXWAR, Confinement::warns(receive)),
+            (EWARN, Confinement::warns(transmit.max(receive))),
+        ];
+        states.iter().fold(0, |bits, (bit, is_set)| if *is_set { bits | bit } else { bits })
     }
 
-    fn forbidden(&mut self, what: String) {
-        self.violations.push(what);
-    }
-
-    fn has_changed(&mut self, before: u8) {
-        if faults::flags(&self.faults) != before {
+    /// Changes the node, and requests an interrupt if the state bits of EFLG change.
+    fn change_node(&mut self, change: impl FnOnce(&mut Node)) {
+        let before = self.states();
+        change(&mut self.node);
+        if self.states() != before {
             self.flags |= ERRIF;
         }
-    }
-
-    /// A frame ends with as many recessive bits as synchronisation requires.
-    fn end_activity(&mut self) {
-        (self.sending, self.is_receiving) = (None, false);
-        self.change_mode();
-        self.recessive = 0;
-        self.idle(BITS_TO_SYNCHRONISE);
-    }
-
-    fn overflow(&mut self, buffer: usize) {
-        self.overflows |= [RX0OVR, RX1OVR][buffer];
-        self.flags |= ERRIF;
     }
 }
 
@@ -414,20 +363,27 @@ fn is_bit_modifiable(address: u8) -> bool {
 }
 
 impl BusController for Mcp2515 {
-    fn rate(&self) -> u32 {
-        let (before, behind) = self.segments();
+    fn node(&self) -> &Node {
+        &self.node
+    }
+
+    fn node_mut(&mut self) -> &mut Node {
+        &mut self.node
+    }
+
+    /// 5.0
+    fn bit_timing(&self) -> BitTiming {
+        let [cnf1, cnf2, cnf3] = self.timing.map(u32::from);
+        let (propagation, phase_1) = ((cnf2 & 0b111) + 1, (cnf2 >> 3 & 0b111) + 1);
+        let phase_2 = if cnf2 & BTLMODE != 0 { (cnf3 & 0b111) + 1 } else { phase_1.max(2) };
         // A time quantum is two oscillator periods, scaled by BRP (5.1).
-        let prescaler = 2 * (u32::from(self.timing[0] & 0x3F) + 1);
-        self.oscillator_hz / (prescaler * (before + behind))
+        let prescaler = 2 * ((cnf1 & 0x3F) + 1);
+        BitTiming::new(self.oscillator_hz, prescaler, [1 + propagation + phase_1, phase_2], (cnf1 >> 6) + 1)
     }
 
-    fn takes_part(&self) -> bool {
-        self.mode == Mode::Normal && self.is_synchronised && !self.faults.is_off
-    }
-
-    fn next_transmission(&self) -> Option<Transmission> {
+    fn next_request(&self) -> Option<Transmission> {
         // 3.6: no transmission starts while ABAT is set.
-        if !self.takes_part() || self.canctrl & ABAT != 0 {
+        if self.canctrl & ABAT != 0 {
             return None;
         }
         // 3.3: by TXP, then by buffer number.
@@ -436,79 +392,58 @@ impl BusController for Mcp2515 {
         Some(Transmission { mailbox, frame: self.transmit[mailbox].frame() })
     }
 
-    fn begin_transmission(&mut self, mailbox: usize) {
-        self.sending = Some(mailbox);
-    }
-
-    fn begin_reception(&mut self, lost: Option<usize>) {
-        self.recessive = 0;
-        if let Some(buffer) = lost {
-            self.transmit[buffer].lose();
+    fn attempt_ended(&mut self, mailbox: usize, attempt: Attempt) {
+        let all_are_aborted = attempt == Attempt::Failed && self.canctrl & ABAT != 0;
+        self.transmit[mailbox].attempt_ended(attempt, all_are_aborted);
+        if attempt == Attempt::Acknowledged {
+            self.flags |= TX0IF << mailbox;
         }
-        self.is_receiving = self.takes_part();
     }
 
-    fn end_transmission(&mut self, mailbox: usize) {
-        self.transmit[mailbox].complete();
-        self.flags |= TX0IF << mailbox;
-        let before = faults::flags(&self.faults);
-        self.faults.transmitted();
-        self.has_changed(before);
-        self.end_activity();
+    /// Stores a message per figure 4-3.
+    fn accept(&mut self, frame: &WireFrame) -> bool {
+        let modes = [&self.receive[0], &self.receive[1]].map(ReceiveBuffer::takes_any);
+        let Some((buffer, filter)) = self.filters.pass(frame, modes) else { return false };
+        let is_full = |n: usize| self.flags >> n & 1 == 1;
+        let rolls_over = buffer == 0 && is_full(0) && self.receive[0].rolls_over();
+        let target = if rolls_over { 1 } else { buffer };
+        if is_full(target) {
+            self.overflows |= [RX0OVR, RX1OVR][target];
+            self.flags |= ERRIF;
+            self.lost.push(*frame);
+        } else {
+            self.receive[target].put(frame, filter);
+            self.flags |= RX0IF << target;
+        }
+        true
     }
 
-    fn fail_transmission(&mut self, mailbox: usize, why: ErrorCode) {
-        self.transmit[mailbox].fail(self.canctrl & ABAT != 0);
-        self.flags |= MERRF;
-        let before = faults::flags(&self.faults);
-        self.faults.transmit_error(why);
+    fn frame_ended(&mut self, why: Option<ErrorCode>) {
+        self.flags |= if why.is_some() { MERRF } else { 0 };
+        self.change_node(|node| node.count(why));
         // 6.6: the chip recovers without a request.
-        self.faults.begin_recovery(RECOVERY);
-        self.has_changed(before);
-        self.end_activity();
+        self.node.faults.begin_recovery(RECOVERY);
     }
 
-    fn end_reception(&mut self, frame: &WireFrame) {
-        if self.is_receiving {
-            let before = faults::flags(&self.faults);
-            self.faults.received();
-            self.has_changed(before);
-            let modes = [&self.receive[0], &self.receive[1]].map(ReceiveBuffer::takes_any);
-            // Figure 4-3.
-            if let Some((buffer, filter)) = self.filters.pass(frame, modes) {
-                self.accepted.push(*frame);
-                let is_full = |n: usize| self.flags >> n & 1 == 1;
-                let rolls_over = buffer == 0 && is_full(0) && self.receive[0].rolls_over();
-                let target = if rolls_over { 1 } else { buffer };
-                if is_full(target) {
-                    self.overflow(target);
-                    self.lost.push(*frame);
-                } else {
-                    self.receive[target].put(frame, filter);
-                    self.flags |= RX0IF << target;
-                }
-            }
+    /// 10.0: the mode changes after all pending messages have been sent.
+    fn change_mode(&mut self) {
+        let wanted = if self.canctrl & REQOP == 0 { Mode::Normal } else { Mode::Configuration };
+        let is_busy = matches!(self.node.activity, Activity::Receiving | Activity::Transmitting);
+        let is_pending = self.mode == Mode::Normal && self.pending() != 0;
+        if wanted == self.mode || is_busy || is_pending {
+            return;
         }
-        self.end_activity();
-    }
-
-    fn fail_reception(&mut self, _: ErrorCode) {
-        if self.is_receiving {
-            self.flags |= MERRF;
-            let before = faults::flags(&self.faults);
-            self.faults.receive_error();
-            self.has_changed(before);
+        self.mode = wanted;
+        self.node.synchronise();
+        if wanted == Mode::Configuration {
+            // 10.1
+            self.node.faults = Confinement::default();
         }
-        self.end_activity();
     }
 
     fn idle(&mut self, bits: u32) {
-        let sequences = count_sequences(&mut self.recessive, bits);
         if self.mode == Mode::Normal {
-            self.is_synchronised |= self.recessive >= BITS_TO_SYNCHRONISE;
-            let flags = faults::flags(&self.faults);
-            self.faults.count_recessive(sequences);
-            self.has_changed(flags);
+            self.change_node(|node| _ = node.idle(bits));
         }
     }
 }

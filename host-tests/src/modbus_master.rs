@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, bail, ensure};
 use bus_modbus::rtu::crc;
 
+use crate::addresses::report;
 use crate::clock::Clock;
 use crate::socket::Socket;
 
@@ -100,6 +101,41 @@ impl Master {
     /// Fails when no intact answer arrives.
     pub fn ask(&mut self, pdu: &[u8]) -> Result<Vec<u8>> {
         self.ask_over(pdu, &mut |byte| byte)
+    }
+
+    /// Reads `count` registers from `first` on: holding registers with `function` 3, input registers with 4.
+    ///
+    /// # Errors
+    /// Fails when no intact answer arrives, or an exception.
+    pub fn read(&mut self, function: u8, first: u16, count: u16) -> Result<Vec<u16>> {
+        let ([a1, a0], [c1, c0]) = (first.to_be_bytes(), count.to_be_bytes());
+        let answer = self.ask(&[function, a1, a0, c1, c0])?;
+        ensure!(answer[0] == function, "reading register {first}: {answer:02X?}");
+        Ok(answer[2..].as_chunks().0.iter().map(|word| u16::from_be_bytes(*word)).collect())
+    }
+
+    /// Returns the value of the input register with this name in docs/registers.md.
+    ///
+    /// # Errors
+    /// Fails when no intact answer arrives, or an exception.
+    pub fn report(&mut self, name: &str) -> Result<u16> {
+        Ok(self.read(4, report(name), 1)?[0])
+    }
+
+    /// Writes holding registers from `first` on: one with function 6, several with function 16.
+    ///
+    /// # Errors
+    /// Fails when no intact answer arrives, or an exception.
+    pub fn write(&mut self, first: u16, values: &[u16]) -> Result<()> {
+        let [f1, f0] = first.to_be_bytes();
+        let mut pdu = match values {
+            [_] => vec![6, f1, f0],
+            _ => vec![16, f1, f0, 0, values.len() as u8, 2 * values.len() as u8],
+        };
+        pdu.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        let answer = self.ask(&pdu)?;
+        ensure!(answer == pdu[..5], "writing register {first}: {answer:02X?}");
+        Ok(())
     }
 
     /// Does the same as [`ask`](Self::ask), over a line that changes bytes. Repeats the request, and counts that in

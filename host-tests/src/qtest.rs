@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail, ensure};
 
+use crate::gdb::from_hex;
 use crate::socket::Socket;
 
 /// A connection to a QEMU that was started with `-qtest`.
@@ -70,10 +71,8 @@ impl Qtest {
             return Ok(Vec::new());
         }
         let answer = self.command(&format!("read {address:#x} {len:#x}"))?;
-        let digits = answer.strip_prefix("0x").unwrap_or(&answer).as_bytes();
-        let bytes: Option<Vec<u8>> =
-            digits.chunks(2).map(|byte| u8::from_str_radix(str::from_utf8(byte).ok()?, 16).ok()).collect();
-        let bytes = bytes.with_context(|| format!("QEMU read the bytes `{answer}`"))?;
+        let digits = answer.strip_prefix("0x").unwrap_or(&answer);
+        let bytes = from_hex(digits).with_context(|| format!("QEMU read the bytes `{answer}`"))?;
         ensure!(bytes.len() == len, "QEMU read {} bytes instead of {len}", bytes.len());
         Ok(bytes)
     }

@@ -14,7 +14,7 @@ use std::fmt;
 use std::ops::Range;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, bail, ensure};
 
 use crate::gdb::{CoreRegisters, Gdb};
 use crate::load_store::{LoadStore, Move, Width};
@@ -24,38 +24,39 @@ pub trait RegisterModel: fmt::Debug + Send {
     /// Returns the address range of the registers.
     fn addresses(&self) -> Range<u32>;
 
-    /// Handles a load by the core.
+    /// Handles a load of a word by the core.
     ///
     /// # Errors
     /// Fails when the real peripheral would fault or the model lacks the register.
-    fn load(&mut self, address: u32, width: Width) -> Result<u32>;
+    fn load(&mut self, address: u32) -> Result<u32> {
+        bail!("a load of {address:#010X} needs the machine")
+    }
 
-    /// Handles a store by the core.
+    /// Handles a store of a word by the core.
     ///
     /// # Errors
     /// Fails when the real peripheral's reaction is not modelled.
-    fn store(&mut self, address: u32, width: Width, value: u32) -> Result<()>;
+    fn store(&mut self, address: u32, _value: u32) -> Result<()> {
+        bail!("a store to {address:#010X} needs the machine")
+    }
 
-    /// Handles a [`load`](Self::load) from a peripheral that QEMU has and that this model extends.
+    /// Handles a load of any width, possibly by means of the machine, for example from a peripheral that QEMU has and that
+    /// this model extends. By default, only aligned words are [loaded](Self::load).
     ///
     /// # Errors
     /// See [`load`](Self::load).
-    fn load_through(&mut self, address: u32, width: Width, _machine: &mut dyn Machine) -> Result<u32> {
-        self.load(address, width)
+    fn load_through(&mut self, address: u32, width: Width, _: &mut dyn Machine) -> Result<u32> {
+        ensure_word(address, width)?;
+        self.load(address)
     }
 
-    /// Handles a [`store`](Self::store) to a peripheral that QEMU has and that this model extends.
+    /// Handles a store of any width. By default, only aligned words are [stored](Self::store).
     ///
     /// # Errors
     /// See [`store`](Self::store).
-    fn store_through(
-        &mut self,
-        address: u32,
-        width: Width,
-        value: u32,
-        _machine: &mut dyn Machine,
-    ) -> Result<()> {
-        self.store(address, width, value)
+    fn store_through(&mut self, address: u32, width: Width, value: u32, _: &mut dyn Machine) -> Result<()> {
+        ensure_word(address, width)?;
+        self.store(address, value)
     }
 
     /// Returns whether received data waits for the core, which suspends time as a pending interrupt does: a handler
@@ -75,14 +76,9 @@ pub trait RegisterModel: fmt::Debug + Send {
         Vec::new()
     }
 
-    /// Returns whether the model may reset the machine.
-    fn is_watchdog(&self) -> bool {
-        false
-    }
-
-    /// Returns whether the model resets the machine now.
-    fn resets_machine(&self) -> bool {
-        false
+    /// Returns whether the model, which is a watchdog, resets the machine now; `None` for any other model.
+    fn resets_machine(&self) -> Option<bool> {
+        None
     }
 
     /// Handles a reset of the machine.
@@ -208,7 +204,7 @@ impl Registers {
     /// # Errors
     /// Fails when an access is not understood or a model rejects it, and when QEMU ends.
     pub fn serve(mut self, machine: &mut impl Machine) -> Result<()> {
-        let has_watchdog = self.models.iter().any(|model| model.is_watchdog());
+        let has_watchdog = self.models.iter().any(|model| model.resets_machine().is_some());
         self.gdb.run()?;
         let mut stopped_at = Duration::ZERO;
         loop {
@@ -225,7 +221,7 @@ impl Registers {
                     watched += A_MILLISECOND;
                     self.models.iter_mut().for_each(|model| model.has_run(A_MILLISECOND));
                 }
-                if self.models.iter().any(|model| model.resets_machine()) {
+                if self.models.iter().any(|model| model.resets_machine() == Some(true)) {
                     self.gdb.interrupt()?;
                     self.reset_machine(machine)?;
                     (stopped_at, passed, watched) = (Duration::ZERO, Duration::ZERO, Duration::ZERO);
@@ -380,4 +376,4 @@ pub fn ensure_word(address: u32, width: Width) -> Result<()> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,6 +1,5 @@
 //! Emulated board, gripper and PLC together, as on a machine builder's desk.
 
-use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
@@ -15,7 +14,7 @@ use crate::emulator::{Emulator, OutputChange};
 use crate::gripper_end::GripperEnd;
 use crate::modbus_master::Master;
 use crate::socket::Socket;
-use crate::trace::{Entry, Trace, frame_id};
+use crate::trace::{Entry, Trace};
 
 /// Time limit for everything except motions: connecting, reconnecting, acknowledging.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -47,16 +46,8 @@ impl std::fmt::Debug for GripperEnd {
 }
 
 impl Rig {
-    /// Powers board and gripper. The PLC is off, so all its wires are low, including FAST_STOP_OK.
-    ///
-    /// # Errors
-    /// Fails when the emulator does not start.
-    pub fn power_up(elf: &Path, config: Config, trace: Trace) -> Result<Self> {
-        Self::of(Emulator::start(elf)?, None, config, trace)
-    }
-
-    /// Does the same as [`power_up`](Self::power_up) with a board that is on, and a gripper on this line instead of the
-    /// board's serial line.
+    /// Connects a gripper to a board that is on: to this line, or without one to the board's serial line. The PLC is off, so all
+    /// its wires are low, including FAST_STOP_OK.
     ///
     /// # Errors
     /// Fails when the board's line is already taken.
@@ -272,14 +263,7 @@ impl Rig {
 /// Returns the motion commands among these entries.
 #[must_use]
 pub fn motions(entries: &[Entry]) -> Vec<CommandId> {
-    entries
-        .iter()
-        .filter_map(|entry| match entry {
-            Entry::ToGripper(bytes) => frame_id(bytes).map(CommandId::from_code),
-            _ => None,
-        })
-        .filter(|id| id.kind() == Kind::Motion)
-        .collect()
+    entries.iter().filter_map(Entry::command).filter(|id| id.kind() == Kind::Motion).collect()
 }
 
 /// Formats outputs as in `[READY, LINK_OK]`.

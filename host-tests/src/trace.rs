@@ -6,7 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_protocol::{Direction, Event, FrameParser, Meaning, frame::MAX_MESSAGE_LEN};
+use wsg_protocol::{CommandId, Direction, Event, FrameParser, Meaning, frame::MAX_MESSAGE_LEN};
 
 /// A recorded event.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,6 +23,15 @@ pub enum Entry {
     Fingers(f32),
     /// An action or finding of the test.
     Note(String),
+}
+
+impl Entry {
+    /// Returns the command of a frame from bridge to gripper.
+    #[must_use]
+    pub fn command(&self) -> Option<CommandId> {
+        let Self::ToGripper(bytes) = self else { return None };
+        frame_id(bytes).map(CommandId::from_code)
+    }
 }
 
 /// A shared recording.

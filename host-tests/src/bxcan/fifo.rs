@@ -15,7 +15,7 @@ const RFOM: u32 = 1 << 5;
 /// RIxR, RDTxR, RDLxR, RDHxR.
 type Message = [u32; 4];
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Fifo {
     messages: VecDeque<Message>,
     /// Content of the output registers.
@@ -25,10 +25,6 @@ pub(super) struct Fifo {
 }
 
 impl Fifo {
-    pub(super) const fn new() -> Self {
-        Self { messages: VecDeque::new(), output: [0; 4], is_full: false, is_overrun: false }
-    }
-
     pub(super) fn rfr(&self) -> u32 {
         let flag = |bit, is_set: bool| if is_set { bit } else { 0 };
         self.messages.len() as u32 | flag(FULL, self.is_full) | flag(FOVR, self.is_overrun)

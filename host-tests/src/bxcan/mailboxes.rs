@@ -2,7 +2,7 @@
 
 use anyhow::{Result, ensure};
 
-use crate::can_controller::Transmission;
+use crate::can_controller::{Attempt, Transmission};
 use crate::can_wire::WireFrame;
 
 /// Number of mailboxes.
@@ -29,7 +29,6 @@ struct Mailbox {
     /// TIxR without TXRQ, TDTxR, TDLxR, TDHxR.
     registers: [u32; 4],
     is_pending: bool,
-    is_sending: bool,
     is_to_abort: bool,
     /// RQCP, TXOK, ALST and TERR.
     status: u32,
@@ -43,7 +42,7 @@ impl Mailbox {
 
     fn empty(&mut self, status: u32) {
         self.status = RQCP | status;
-        (self.is_pending, self.is_sending, self.is_to_abort) = (false, false, false);
+        (self.is_pending, self.is_to_abort) = (false, false);
     }
 }
 
@@ -81,7 +80,7 @@ impl Mailboxes {
         tsr
     }
 
-    pub(super) fn store_tsr(&mut self, value: u32) {
+    pub(super) fn store_tsr(&mut self, value: u32, is_sending: impl Fn(usize) -> bool) {
         for (n, mailbox) in self.0.iter_mut().enumerate() {
             let value = value >> (8 * n);
             // Clearing RQCP also clears the other flags.
@@ -89,7 +88,7 @@ impl Mailboxes {
             mailbox.status &= !cleared;
             if value & ABRQ != 0 && mailbox.is_pending {
                 // 46.7.1: a transmission in progress continues.
-                if mailbox.is_sending { mailbox.is_to_abort = true } else { mailbox.empty(0) }
+                if is_sending(n) { mailbox.is_to_abort = true } else { mailbox.empty(0) }
             }
         }
     }
@@ -124,30 +123,18 @@ impl Mailboxes {
         Ok(true)
     }
 
-    pub(super) fn begin(&mut self, mailbox: usize) {
-        self.0[mailbox].is_sending = true;
-    }
-
-    pub(super) fn complete(&mut self, mailbox: usize) {
-        self.0[mailbox].empty(TXOK);
-    }
-
-    pub(super) fn lose(&mut self, mailbox: usize) {
-        self.again(mailbox, ALST);
-    }
-
-    pub(super) fn fail(&mut self, mailbox: usize) {
-        self.again(mailbox, TERR);
-    }
-
-    /// Retries the transmission as the hardware does, unless an abort is requested (46.7.1).
-    fn again(&mut self, mailbox: usize, why: u32) {
+    /// Retries a transmission without success as the hardware does, unless an abort is requested (46.7.1).
+    pub(super) fn attempt_ended(&mut self, mailbox: usize, attempt: Attempt) {
         let mailbox = &mut self.0[mailbox];
-        mailbox.is_sending = false;
-        if mailbox.is_to_abort {
-            mailbox.empty(why);
+        let flag = match attempt {
+            Attempt::Acknowledged => TXOK,
+            Attempt::LostArbitration => ALST,
+            Attempt::Failed => TERR,
+        };
+        if mailbox.is_to_abort || attempt == Attempt::Acknowledged {
+            mailbox.empty(flag);
         } else {
-            mailbox.status = mailbox.status & !(ALST | TERR) | why;
+            mailbox.status = mailbox.status & !(ALST | TERR) | flag;
         }
     }
 }

@@ -7,6 +7,7 @@ use wsg_bridge_fw::can::Withdrawal;
 
 use super::*;
 use crate::can_controller::testing::{assert_recovers, receive};
+use crate::can_controller::{BITS_TO_SYNCHRONISE, ErrorCode};
 
 /// BTR for 500 kbit/s at 80 MHz with a sample point at 87.5 %.
 const BTR_500: u32 = (10 - 1) | (13 - 1) << 16 | (2 - 1) << 20 | (2 - 1) << 24;

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, bail};
+use anyhow::Result;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::{Config, ResetCause};
@@ -100,14 +100,6 @@ impl Chip for Library {
             self.0.inputs.fetch_and(!wire.bits(), Ordering::Relaxed);
         }
         Ok(())
-    }
-
-    fn readl(&self, _: u32) -> Result<u32> {
-        bail!("{LIBRARY} has no registers; use an emulator")
-    }
-
-    fn read_memory(&self, _: u32, _: usize) -> Result<Vec<u8>> {
-        bail!("{LIBRARY} has no memory of a board; use an emulator")
     }
 
     fn now_ms(&self) -> Result<u32> {

@@ -16,8 +16,8 @@ use super::output_port::{OutputPort, TRACE_EVENT};
 use super::sockets::Sockets;
 use super::stm_board::StmBoard;
 use super::watch::Watch;
-use super::{Chip, Extras, Lines, PATIENCE, end, lock};
-use crate::flash_controller::AccessControl;
+use super::{Chip, Extras, Lines, PATIENCE, Process, lock};
+use crate::flash_controller::{FLASH, FlashController};
 use crate::gdb::Gdb;
 use crate::qtest::Qtest;
 use crate::registers::{Machine, Registers};
@@ -42,8 +42,9 @@ const CORE: &str = "/machine/soc/armv7m";
 
 #[derive(Debug)]
 pub(super) struct Qemu {
-    process: Child,
-    leash: Child,
+    /// Ends before QEMU is reaped, while the process number still belongs to QEMU.
+    _leash: Process,
+    _process: Process,
     board: &'static StmBoard,
     qtest: Arc<Mutex<Qtest>>,
     /// Address of the firmware's millisecond counter.
@@ -58,10 +59,8 @@ impl Qemu {
             "the image runs in QEMU, but the extras are for the Pico"
         );
         let (board, clock_address) = StmBoard::of(elf);
-        if board.reads_acr
-            && !extras.models.iter().any(|model| model.addresses().contains(&AccessControl::ADDRESS))
-        {
-            extras.models.push(Box::new(AccessControl::of(&board.flash)));
+        if board.reads_acr && !extras.models.iter().any(|model| model.addresses().contains(&FLASH)) {
+            extras.models.push(FlashController::new(&board.flash).access_control());
         }
         let sockets = Sockets::bind(&LINES)?;
         let serial = (0..SERIAL_LINES).flat_map(|line| {
@@ -93,7 +92,7 @@ impl Qemu {
         // Before QEMU writes: a pipe that holds more than its new size keeps the old one.
         fcntl_setpipe_size(&messages, TRACE_AHEAD).context("cannot limit the pipe of the trace")?;
         command.stderr(to_messages);
-        if !extras.models.iter().any(|model| model.is_watchdog()) {
+        if !extras.models.iter().any(|model| model.resets_machine().is_some()) {
             // Without a watchdog model, a reset by the firmware is a failure: QEMU ends, and so does the test.
             command.arg("-no-reboot");
         }
@@ -112,18 +111,13 @@ impl Qemu {
             Some((Gdb::new(gdb, PATIENCE)?, extras.models, clock_address))
         };
         let qtest = Qtest::new(qtest, PATIENCE)?;
-        let mut process =
-            command.spawn().with_context(|| format!("cannot run {QEMU}; `cargo xtask test` sets it up"))?;
+        let process = command.spawn().map(Process);
+        let process = process.with_context(|| format!("cannot run {QEMU}; `cargo xtask test` sets it up"))?;
         // Closes this process's copy of QEMU's socket, which would hide that QEMU has closed its own.
         drop(command);
-        let leash = match put_on_leash(&process) {
-            Ok(leash) => leash,
-            Err(error) => {
-                end(&mut process);
-                return Err(error).context("cannot run sh");
-            }
-        };
-        let qemu = Self { process, leash, board, qtest: Arc::new(Mutex::new(qtest)), clock_address };
+        let leash = put_on_leash(&process.0).map(Process).context("cannot run sh")?;
+        let qtest = Arc::new(Mutex::new(qtest));
+        let qemu = Self { _leash: leash, _process: process, board, qtest, clock_address };
         let followed = Arc::clone(watch);
         thread::spawn(move || follow(messages, OutputPort::of(board), &followed));
         if let Some((gdb, models, clock_address)) = models {
@@ -169,14 +163,6 @@ impl Chip for Qemu {
 
     fn now_ms(&self) -> Result<u32> {
         self.readl(self.clock_address.context(NO_CLOCK)?)
-    }
-}
-
-impl Drop for Qemu {
-    fn drop(&mut self) {
-        // Ends before QEMU is reaped, while the process number still belongs to QEMU.
-        end(&mut self.leash);
-        end(&mut self.process);
     }
 }
 

@@ -4,7 +4,7 @@ use std::io::{self, BufRead, BufReader, Read, Write};
 use std::num::NonZero;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
+use std::process::{ChildStderr, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
@@ -16,13 +16,12 @@ use wsg_pico::{INPUTS, OUTPUTS, outputs_from_gpios};
 
 use super::sockets::Sockets;
 use super::watch::Watch;
-use super::{Chip, Extras, Line, Lines, PATIENCE, end, lock};
+use super::{Chip, Extras, Lines, PATIENCE, Process, lock};
 use crate::can_bus::CanBus;
 use crate::clock::Clock;
-use crate::line_errors::LineError;
+use crate::gdb::from_hex;
 use crate::masters::NODE_VARIABLE;
 use crate::mcp2515::Mcp2515;
-use crate::registers::Derailment;
 
 pub(super) const NODE: &str = "node with rp2040js";
 
@@ -42,7 +41,7 @@ const LOOK: Duration = Duration::from_millis(50);
 
 #[derive(Debug)]
 pub(super) struct Rp2040 {
-    process: Child,
+    _process: Process,
     control: Mutex<Control>,
     _turn: Turn,
 }
@@ -129,19 +128,18 @@ impl Rp2040 {
             command.arg("--can").stdin(Stdio::piped()).stdout(Stdio::piped());
         }
         let turn = Turn::wait();
-        let process = command.spawn().context("cannot run node")?;
-        let mut started = Started(Some(process));
-        if let Some(printed) = started.process().stderr.take() {
+        let mut process = command.spawn().map(Process).context("cannot run node")?;
+        if let Some(printed) = process.0.stderr.take() {
             let watch = Arc::clone(watch);
             thread::spawn(move || receive(printed, &watch));
         }
         if let Some(bus) = &extras.can {
-            let (asks, reported) = (started.process().stdout.take(), started.process().stdin.take());
+            let (asks, reported) = (process.0.stdout.take(), process.0.stdin.take());
             let (asks, reported) = asks.zip(reported).context("standard input and output are not pipes")?;
             let (bus, watch) = (bus.clone(), Arc::clone(watch));
             thread::spawn(move || serve_spi(asks, reported, &bus, &watch));
         }
-        let line = started.accept(&sockets, CONTROL);
+        let line = accept(&mut process, &sockets, CONTROL);
         let line = line.with_context(|| lock(&watch.seen).last_words())?;
         let (answer, answers) = mpsc::channel();
         let (reported, commands) = (line.try_clone()?, Commands(Arc::new(Mutex::new(line))));
@@ -154,11 +152,34 @@ impl Rp2040 {
             [GRIPPER_LINE, BUS_LINE, SERVICE_LINE].map(|name| sockets.accept(name).map(Some));
         let lines = Lines { gripper: gripper?, bus: bus?, service: service? };
         let control = Mutex::new(Control { commands, answers });
-        Ok((Self { process: started.keep()?, control, _turn: turn }, lines))
+        Ok((Self { _process: process, control, _turn: turn }, lines))
+    }
+}
+
+impl Chip for Rp2040 {
+    fn set_input(&self, wire: Inputs, high: bool) -> Result<()> {
+        let Some(wire) = INPUTS.iter().find(|its| its.signal == wire) else { return Ok(()) };
+        self.command(&format!("in {} {}", wire.gpio, u8::from(high))).map(drop)
     }
 
-    /// Sends a command and returns the answer after `ok`.
-    fn ask(&self, command: &str) -> Result<String> {
+    fn readl(&self, address: u32) -> Result<u32> {
+        let bytes = self.read_memory(address, 4)?;
+        Ok(bytes.iter().rev().fold(0, |word, byte| word << 8 | u32::from(*byte)))
+    }
+
+    fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>> {
+        let digits = self.command(&format!("read {address} {len}"))?;
+        let bytes = from_hex(&digits).filter(|bytes| bytes.len() == len);
+        bytes.with_context(|| format!("{NODE} returned {digits}, which is not {len} bytes"))
+    }
+
+    fn now_ms(&self) -> Result<u32> {
+        let micros: u64 = self.command("time")?.parse()?;
+        Ok((micros / 1_000) as u32)
+    }
+
+    /// Returns the answer after `ok`.
+    fn command(&self, command: &str) -> Result<String> {
         let control = lock(&self.control);
         let no_answer = || format!("{NODE} does not answer `{command}`");
         control.commands.send(command).with_context(no_answer)?;
@@ -170,96 +191,15 @@ impl Rp2040 {
     }
 }
 
-impl Chip for Rp2040 {
-    fn set_input(&self, wire: Inputs, high: bool) -> Result<()> {
-        let Some(wire) = INPUTS.iter().find(|its| its.signal == wire) else { return Ok(()) };
-        self.ask(&format!("in {} {}", wire.gpio, u8::from(high))).map(drop)
-    }
-
-    fn readl(&self, address: u32) -> Result<u32> {
-        let bytes = self.read_memory(address, 4)?;
-        Ok(bytes.iter().rev().fold(0, |word, byte| word << 8 | u32::from(*byte)))
-    }
-
-    fn read_memory(&self, address: u32, len: usize) -> Result<Vec<u8>> {
-        let digits = self.ask(&format!("read {address} {len}"))?;
-        let byte = |at: usize| u8::from_str_radix(digits.get(2 * at..2 * at + 2)?, 16).ok();
-        let bytes: Option<Vec<u8>> = (0..len).map(byte).collect();
-        bytes.with_context(|| format!("{NODE} returned {digits}, which is not {len} bytes"))
-    }
-
-    fn now_ms(&self) -> Result<u32> {
-        let micros: u64 = self.ask("time")?.parse()?;
-        Ok((micros / 1_000) as u32)
-    }
-
-    fn set_line_error(&self, line: Line, error: Option<(LineError, u32)>) -> Result<()> {
-        let uart = match line {
-            Line::Gripper => 0,
-            Line::Bus => 1,
-        };
-        let Some((error, every)) = error else { return self.ask(&format!("error {uart} none")).map(drop) };
-        let kind = match error {
-            LineError::Parity => "parity",
-            LineError::Framing => "framing",
-            LineError::Noise => "noise",
-            LineError::Overrun => "overrun",
-        };
-        self.ask(&format!("error {uart} {kind} {every}")).map(drop)
-    }
-
-    fn derail(&self, how: Derailment) -> Result<()> {
-        let how = match how {
-            Derailment::Loop => "loop",
-            Derailment::Masked => "masked",
-            Derailment::Handler => "handler",
-        };
-        self.ask(&format!("derail {how}")).map(drop)
-    }
-
-    fn watchdog_resets(&self) -> Result<(u32, Duration)> {
-        let reported = self.ask("resets")?;
-        let (resets, micros) = reported.split_once(' ').context("expected two numbers")?;
-        Ok((resets.parse()?, Duration::from_micros(micros.parse()?)))
-    }
-}
-
-impl Drop for Rp2040 {
-    fn drop(&mut self) {
-        end(&mut self.process);
-    }
-}
-
-/// A process that is killed on drop unless it is kept.
-struct Started(Option<Child>);
-
-impl Started {
-    fn process(&mut self) -> &mut Child {
-        self.0.as_mut().expect("the process has not been kept yet")
-    }
-
-    fn keep(mut self) -> Result<Child> {
-        self.0.take().context("the process has already been kept")
-    }
-
-    /// Waits for the connection of this name; fails when the process has ended.
-    fn accept(&mut self, sockets: &Sockets, name: &str) -> Result<UnixStream> {
-        let bound = Instant::now() + PATIENCE;
-        loop {
-            if sockets.wait(name, LOOK)? {
-                return sockets.accept(name);
-            }
-            ensure!(self.process().try_wait()?.is_none(), "{NODE} has ended");
-            ensure!(Instant::now() < bound, "{NODE} does not connect");
+/// Waits for the connection of this name; fails when the process has ended.
+fn accept(process: &mut Process, sockets: &Sockets, name: &str) -> Result<UnixStream> {
+    let bound = Instant::now() + PATIENCE;
+    loop {
+        if sockets.wait(name, LOOK)? {
+            return sockets.accept(name);
         }
-    }
-}
-
-impl Drop for Started {
-    fn drop(&mut self) {
-        if let Some(process) = &mut self.0 {
-            end(process);
-        }
+        ensure!(process.0.try_wait()?.is_none(), "{NODE} has ended");
+        ensure!(Instant::now() < bound, "{NODE} does not connect");
     }
 }
 

@@ -11,8 +11,9 @@ const REJECT: u32 = 3;
 const PRIORITY: u32 = 1 << 2;
 
 impl Fdcan {
-    /// Filters and stores a valid frame: first by remote frames, then by the list, then by the lack of a match.
-    pub(super) fn filter(&mut self, frame: &WireFrame) {
+    /// Filters and stores a valid frame: first by remote frames, then by the list, then by the lack of a match. Returns whether
+    /// it is for a FIFO.
+    pub(super) fn filter(&mut self, frame: &WireFrame) -> bool {
         let config = self.registers[RXGFC];
         // RRFS or RRFE, ANFS or ANFE, LSS or LSE. Larger sizes mean all filters.
         let (rejects_remote, non_matching, len) = match frame.id {
@@ -20,15 +21,17 @@ impl Fdcan {
             Id::Extended(_) => (config & 0b01, config >> 2 & 0b11, (config >> 24 & 0xF).min(8)),
         };
         if frame.is_remote && rejects_remote != 0 {
-            return;
+            return false;
         }
         let hit = (0..len).find_map(|n| Some((n, self.action(n as usize, frame.id)?)));
         let action = hit.map_or(REJECT.min(FIFO_0 + non_matching), |(_, action)| action);
         self.registers[IR] |= if action & PRIORITY != 0 { HPM } else { 0 };
-        if let fifo @ FIFO_0..REJECT = action & !PRIORITY {
-            self.put((fifo - FIFO_0) as usize, hit.map(|(n, _)| n), frame);
-            self.accepted.push(*frame);
+        let fifo = action & !PRIORITY;
+        if !(FIFO_0..REJECT).contains(&fifo) {
+            return false;
         }
+        self.put((fifo - FIFO_0) as usize, hit.map(|(n, _)| n), frame);
+        true
     }
 
     /// Returns the action of filter `n` if it is enabled and matches.

@@ -1,6 +1,7 @@
 //! Covers the model's strictness. The driver obeys these rules, so no emulated image detects a model without them.
 
 use super::*;
+use crate::can_bus::CanBus;
 use crate::can_controller::testing::{assert_recovers, fail, receive, send};
 
 const RF1N: u32 = RF0N << 3;
@@ -19,7 +20,7 @@ fn started(registers: &[(usize, u32)]) -> Fdcan {
 
 /// Stores to a register. Returns the number of violations.
 fn store(can: &mut Fdcan, number: usize, value: u32) -> usize {
-    can.violations.clear();
+    can.node.violations.clear();
     can.store(4 * number as u32, value).unwrap();
     can.violations().len()
 }

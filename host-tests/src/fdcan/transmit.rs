@@ -3,8 +3,8 @@
 use anyhow::{Result, ensure};
 
 use super::{
-    Activity, ELEMENT_WORDS, ELEMENTS, Fdcan, IR, RTR, TC, TFQM, TX_BUFFERS, TXBC, TXBCF, TXBCR, TXBRP,
-    TXBTIE, TXBTO, XTD,
+    ELEMENT_WORDS, ELEMENTS, Fdcan, IR, RTR, TC, TFQM, TX_BUFFERS, TXBC, TXBCF, TXBCR, TXBRP, TXBTIE, TXBTO,
+    XTD,
 };
 use crate::can_controller::Transmission;
 use crate::can_wire::WireFrame;
@@ -25,7 +25,7 @@ impl Fdcan {
     }
 
     /// Returns the next transmission: in queue mode the lowest identifier, then the lowest buffer.
-    pub(super) fn next_request(&self) -> Option<Transmission> {
+    pub(super) fn next_buffer(&self) -> Option<Transmission> {
         let frame = |buffer: usize| {
             let at = TX_BUFFERS + buffer * ELEMENT_WORDS;
             let [t0, t1, low, high] = [0, 1, 2, 3].map(|n| self.ram[at + n]);
@@ -47,9 +47,9 @@ impl Fdcan {
             let (bit, t1) = (1_u32 << buffer, self.ram[TX_BUFFERS + buffer * ELEMENT_WORDS + 1]);
             ensure!(t1 & 0xB0_0000 == 0, "T1 {t1:#010X}: BRS, FDF and EFC are not modelled");
             if self.registers[TXBRP] & bit != 0 {
-                self.forbidden("44.4.29: the buffer already has a request");
+                self.node.forbidden("44.4.29: the buffer already has a request");
             } else if self.registers[TXBC] != TFQM && buffer != self.put_index {
-                self.forbidden("44.3.3: the buffer is not at the put index of the TX FIFO");
+                self.node.forbidden("44.3.3: the buffer is not at the put index of the TX FIFO");
             } else {
                 self.registers[TXBRP] |= bit;
                 self.registers[TXBTO] &= !bit;
@@ -64,7 +64,7 @@ impl Fdcan {
     pub(super) fn cancel_requests(&mut self, value: u32) {
         for buffer in buffers(value, 0) {
             self.registers[TXBCR] |= 1 << buffer;
-            if self.activity != Activity::Transmitting || self.sending != buffer {
+            if !self.node.is_sending(buffer) {
                 // 44.4.32: without a request, too.
                 self.finish(buffer, false);
             }

@@ -2,58 +2,41 @@
 //! no emulated image would detect a model without them.
 
 use super::*;
-
-/// A machine that counts NMIs.
-#[derive(Default)]
-struct Core {
-    nmis: u32,
-}
-
-impl Machine for Core {
-    fn set_interrupt(&mut self, _: u8, _: bool) -> Result<()> {
-        Ok(())
-    }
-
-    fn raise_nmi(&mut self) -> Result<()> {
-        self.nmis += 1;
-        Ok(())
-    }
-
-    fn load(&mut self, _: u32) -> Result<u32> {
-        Ok(0)
-    }
-
-    fn store(&mut self, _: u32, _: u32) -> Result<()> {
-        Ok(())
-    }
-}
+use crate::registers::tests::Core;
 
 const FIRST: u32 = Layout::STM32L475.memory.start;
 const SECOND: u32 = FIRST + 0x800;
 
+/// Returns the register block.
+fn registers(flash: &FlashController) -> Box<dyn RegisterModel> {
+    flash.models().swap_remove(0)
+}
+
+/// Returns the memory of the pages.
+fn memory(flash: &FlashController) -> Box<dyn RegisterModel> {
+    flash.models().swap_remove(1)
+}
+
 fn store(flash: &FlashController, offset: u32, value: u32) {
-    Registers(flash.powered()).store(FLASH + offset, Width::Word, value).unwrap();
+    registers(flash).store(FLASH + offset, value).unwrap();
 }
 
 fn load(flash: &FlashController, offset: u32) -> u32 {
-    Registers(flash.powered()).load(FLASH + offset, Width::Word).unwrap()
+    registers(flash).load(FLASH + offset).unwrap()
 }
 
 fn poke(flash: &FlashController, address: u32, width: Width, value: u32) {
-    Memory(flash.powered(), FIRST..FIRST + 0x1000).store(address, width, value).unwrap();
+    memory(flash).store_through(address, width, value, &mut Core::default()).unwrap();
 }
 
 /// Returns the loaded value and the number of NMIs.
 fn peek(flash: &FlashController, address: u32) -> (u32, u32) {
     let mut core = Core::default();
-    (
-        Memory(flash.powered(), FIRST..FIRST + 0x1000).load_through(address, Width::Word, &mut core).unwrap(),
-        core.nmis,
-    )
+    (memory(flash).load_through(address, Width::Word, &mut core).unwrap(), core.nmis)
 }
 
 fn pass(flash: &FlashController, time: Duration) {
-    Registers(flash.powered()).advance(time);
+    registers(flash).advance(time);
 }
 
 fn unlock(flash: &FlashController) {
@@ -88,7 +71,7 @@ fn a_wrong_key_locks_it_until_reset() {
         assert!(flash.violations()[0].starts_with("3.3.5"), "{wrong:X?}");
         unlock(&flash);
         assert_ne!(load(&flash, CR) & LOCK, 0, "{wrong:X?}");
-        Registers(flash.powered()).reset();
+        registers(&flash).reset();
         unlock(&flash);
         assert_eq!(load(&flash, CR) & LOCK, 0, "{wrong:X?}");
     }

@@ -4,11 +4,11 @@
 use super::*;
 
 fn store(iwdg: &mut Iwdg, offset: u32, value: u32) {
-    iwdg.store(IWDG + offset, Width::Word, value).unwrap();
+    iwdg.store(IWDG + offset, value).unwrap();
 }
 
 fn load(iwdg: &mut Iwdg, offset: u32) -> u32 {
-    iwdg.load(IWDG + offset, Width::Word).unwrap()
+    iwdg.load(IWDG + offset).unwrap()
 }
 
 /// Creates a running watchdog with a time-out of 100 ms.
@@ -26,19 +26,19 @@ fn running() -> Iwdg {
 fn it_resets_the_machine_when_it_is_not_fed() {
     let mut iwdg = running();
     iwdg.has_run(Duration::from_millis(99));
-    assert!(!iwdg.resets_machine());
+    assert_eq!(iwdg.resets_machine(), Some(false));
     store(&mut iwdg, KR, RELOAD);
     iwdg.has_run(Duration::from_millis(99));
-    assert!(!iwdg.resets_machine());
+    assert_eq!(iwdg.resets_machine(), Some(false));
     iwdg.has_run(Duration::from_millis(1));
-    assert!(iwdg.resets_machine());
+    assert_eq!(iwdg.resets_machine(), Some(true));
 }
 
 #[test]
 fn it_counts_only_after_its_start() {
     let mut iwdg = Iwdg::new();
     iwdg.has_run(Duration::from_secs(10));
-    assert!(!iwdg.resets_machine());
+    assert_eq!(iwdg.resets_machine(), Some(false));
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Three transmit buffers and two receive buffers (3.0, 4.0).
 
 use super::filters::identifier;
+use crate::can_controller::Attempt;
 use crate::can_wire::WireFrame;
 
 /// Number of transmit buffers.
@@ -94,28 +95,18 @@ impl TransmitBuffer {
         if dlc & RTR != 0 { frame.remote() } else { frame }
     }
 
-    pub(super) fn complete(&mut self) {
-        self.control &= !TXREQ;
-        self.is_to_abort = false;
-    }
-
-    pub(super) fn lose(&mut self) {
-        self.again(MLOA, false);
-    }
-
-    pub(super) fn fail(&mut self, all_are_aborted: bool) {
-        self.again(TXERR, all_are_aborted);
-    }
-
-    /// Retries the transmission unless an abort is requested; ABTF reports aborts by ABAT (3.4, 3.6).
-    fn again(&mut self, why: u8, all_are_aborted: bool) {
-        self.control |= why;
-        if all_are_aborted || self.is_to_abort {
-            self.complete();
+    /// Retries a transmission without success unless an abort is requested; ABTF reports aborts by ABAT (3.4, 3.6).
+    pub(super) fn attempt_ended(&mut self, attempt: Attempt, all_are_aborted: bool) {
+        self.control |= match attempt {
+            Attempt::Acknowledged => 0,
+            Attempt::LostArbitration => MLOA,
+            Attempt::Failed => TXERR,
+        };
+        if attempt == Attempt::Acknowledged || all_are_aborted || self.is_to_abort {
+            self.control &= !TXREQ;
+            self.is_to_abort = false;
         }
-        if all_are_aborted {
-            self.control |= ABTF;
-        }
+        self.control |= if all_are_aborted { ABTF } else { 0 };
     }
 }
 

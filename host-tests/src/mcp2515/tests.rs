@@ -1,7 +1,5 @@
 //! Covers the model's strictness: rejected accesses, overwritten messages, and flags that stay until cleared. The
-//! driver obeys these rules, so neither [`driver`] nor an emulated image would detect a model without them.
-
-mod driver;
+//! driver obeys these rules, so neither its tests nor an emulated image would detect a model without them.
 
 use super::*;
 use crate::can_controller::testing::{fail, receive};
@@ -135,7 +133,7 @@ fn bus_off_ends_after_recessive_bits_with_message_still_pending() {
     let mut can = normal();
     load_and_request(&mut can, 0, 0x100, &[]);
     fail(&mut can, 32, ErrorCode::BitDominant);
-    assert_eq!(read(&mut can, EFLG) & faults::TXBO, faults::TXBO);
+    assert_eq!(read(&mut can, EFLG) & TXBO, TXBO);
     assert!(!can.takes_part());
     write(&mut can, CANINTF, &[0]);
     can.idle(127 * 11);

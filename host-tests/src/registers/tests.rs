@@ -3,6 +3,34 @@
 
 use super::*;
 
+/// A machine for tests of models, in which every word has this value. Counts NMIs and records stored values.
+#[derive(Default)]
+pub(crate) struct Core {
+    pub(crate) word: u32,
+    pub(crate) nmis: u32,
+    pub(crate) stored: Vec<u32>,
+}
+
+impl Machine for Core {
+    fn set_interrupt(&mut self, _: u8, _: bool) -> Result<()> {
+        Ok(())
+    }
+
+    fn raise_nmi(&mut self) -> Result<()> {
+        self.nmis += 1;
+        Ok(())
+    }
+
+    fn load(&mut self, _: u32) -> Result<u32> {
+        Ok(self.word)
+    }
+
+    fn store(&mut self, _: u32, value: u32) -> Result<()> {
+        self.stored.push(value);
+        Ok(())
+    }
+}
+
 #[test]
 fn an_it_block_shrinks_with_each_instruction() {
     // ITTE EQ: 0000 1101 after IT.

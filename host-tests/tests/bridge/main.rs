@@ -8,8 +8,6 @@ mod events;
 mod every_bus;
 mod gripper_on_can;
 mod indicator;
-// Its model is a part of the emulated boards, which need Unix.
-#[cfg(unix)]
 mod mcp2515;
 mod modbus;
 mod outputs;

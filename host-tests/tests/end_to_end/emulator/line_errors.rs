@@ -2,23 +2,17 @@
 
 use std::time::{Duration, Instant};
 
-use host_tests::emulator::{Emulator, Extras, Line};
+use host_tests::emulator::{Extras, Line};
 use host_tests::line_errors::{LineError, LineErrors};
 use host_tests::modbus_master::Master;
 use host_tests::rig::{PATIENCE, Rig, motions};
-use host_tests::trace::Trace;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
-use super::Board;
+use super::{Board, RELEASED};
 
 const UNIT: u8 = 1;
-
-/// Input registers (docs/registers.md).
-const LINE_DROPPED: u8 = 111;
-const DISCONNECTS: u8 = 117;
-const BUS_OVERRUNS: u8 = 124;
 
 /// FC 16 over the output image: HOMING without parameters.
 const HOMING: [u8; 14] = [16, 0, 0, 0, 4, 8, 1 << 3, 0, 0, 0, 0, 0, 0, 0];
@@ -38,9 +32,7 @@ impl Plant {
         let models = kind.1.map(|board| [board.gripper_uart, board.bus_uart].map(LineErrors::on));
         let served = models.iter().flatten().map(|line| Box::new(line.clone()) as _).collect();
         let extras = Extras { models: served, ..Extras::default() };
-        let board = Emulator::start_with(&kind.image("WSG_FIRMWARE_ELF"), extras).unwrap();
-        let config = Config { time_scale: 10.0, ..Config::default() };
-        let mut rig = Rig::of(board, None, config, Trace::new(vec![])).unwrap();
+        let mut rig = kind.rig(RELEASED, extras, Config { time_scale: 10.0, ..Config::default() });
         rig.set(Inputs::FAST_STOP_OK, true).unwrap();
         let master = rig.master(UNIT).unwrap();
         let mut plant = Self { models, rig, master };
@@ -70,9 +62,8 @@ impl Plant {
         self.master.ask(pdu).unwrap()
     }
 
-    fn register(&mut self, address: u8) -> u16 {
-        let answer = self.ask(&[4, 0, address, 0, 1]);
-        u16::from_be_bytes([answer[2], answer[3]])
+    fn report(&mut self, name: &str) -> u16 {
+        self.master.report(name).unwrap()
     }
 
     fn acknowledge(&mut self) {
@@ -93,7 +84,7 @@ impl Plant {
 fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
     let mut plant = Plant::start(board);
     for &error in plant.reported() {
-        let before = plant.register(BUS_OVERRUNS);
+        let before = plant.report("BUS_OVERRUNS");
         // One damaged byte of 17 is sufficient, even with a correct checksum. The UART reports a lost byte with the next byte,
         // or earlier by itself.
         plant.set(Line::Bus, Some((error, 9)));
@@ -101,7 +92,7 @@ fn a_bus_with_line_errors_moves_nothing_and_counts(board: Board) {
         plant.rig.pass(200).unwrap();
         assert!(plant.master.is_silent().unwrap(), "{error:?} is answered");
         plant.set(Line::Bus, None);
-        let after = plant.register(BUS_OVERRUNS);
+        let after = plant.report("BUS_OVERRUNS");
         assert!(after > before, "{error:?} is not counted: {before}, {after}");
         assert_eq!(motions(&plant.rig.trace().since(0)), [], "{error:?}");
     }
@@ -118,19 +109,19 @@ fn a_gripper_line_with_errors_is_reported_and_moves_nothing(board: Board) {
         plant.set(Line::Gripper, Some((LineError::Noise, 1)));
         plant.rig.pass(1_000).unwrap();
         assert!(plant.rig.board().outputs().contains(Outputs::LINK_OK | Outputs::READY));
-        assert_eq!(plant.register(DISCONNECTS), 0);
+        assert_eq!(plant.report("DISCONNECTS"), 0);
     }
 
     for (disconnects, error) in (1..).zip([LineError::Framing, LineError::Overrun]) {
-        let dropped = plant.register(LINE_DROPPED);
+        let dropped = plant.report("LINE_DROPPED");
         plant.set(Line::Gripper, Some((error, 3)));
         plant.rig.board().wait_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
         plant.ask(&HOMING);
-        assert!(plant.register(LINE_DROPPED) > dropped, "{error:?}");
+        assert!(plant.report("LINE_DROPPED") > dropped, "{error:?}");
         plant.ask(&NOTHING);
         plant.set(Line::Gripper, None);
         plant.rig.board().wait_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
-        assert_eq!(plant.register(DISCONNECTS), disconnects, "{error:?}");
+        assert_eq!(plant.report("DISCONNECTS"), disconnects, "{error:?}");
         plant.acknowledge();
     }
     assert_eq!(motions(&plant.rig.trace().since(0)), []);

@@ -1,8 +1,8 @@
 //! Bit rates of the released image's lines, calculated from its clock and UART registers.
 
-use host_tests::emulator::Emulator;
+use host_tests::emulator::Extras;
 
-use super::image;
+use super::{Board, RELEASED};
 
 /// Frequency of the oscillator HSI16 (RM0351, 6.2.2).
 const HSI16_HZ: u32 = 16_000_000;
@@ -27,7 +27,7 @@ fn field(register: u32, at: u32, bits: u32) -> u32 {
 #[test]
 #[ignore = "needs QEMU and the firmware image: run `cargo xtask test`"]
 fn lines_run_at_their_rates_and_each_frame_enables_the_driver() {
-    let board = Emulator::start(&image("WSG_FIRMWARE_ELF")).unwrap();
+    let board = Board::DEFAULT.start(RELEASED, Extras::default());
     let read = |address| board.readl(address).unwrap();
 
     // The core and APB1 are clocked by the PLL without a divider: HSI16 / M * N / R.

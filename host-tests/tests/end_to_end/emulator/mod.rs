@@ -59,12 +59,21 @@ mod stored_settings;
 mod watchdog;
 mod wires;
 
+use std::fmt::Debug;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::path::PathBuf;
+use std::time::Instant;
 
 use host_tests::emulator::stm_board::{B_L475E_IOT01A, NUCLEO_G474RE, StmBoard};
+use host_tests::emulator::{Emulator, Extras};
 use host_tests::flash_controller::FlashController;
-use host_tests::rig::Rig;
+use host_tests::modbus_master::Master;
+use host_tests::rig::{MOTION_PATIENCE, Rig};
+use host_tests::trace::Trace;
+use wsg_sim::Config;
+
+/// Environment variable of the released image, with default settings.
+const RELEASED: &str = "WSG_FIRMWARE_ELF";
 
 /// A board: the suffix of its images' environment variables, and its values in QEMU.
 #[derive(Clone, Copy)]
@@ -94,11 +103,34 @@ impl Board {
             })
             .into()
     }
+
+    /// Starts the firmware image from the variable.
+    fn start(self, variable: &str, extras: Extras<'_>) -> Emulator {
+        Emulator::start_with(&self.image(variable), extras).unwrap()
+    }
+
+    /// Starts the firmware image from the variable, with a gripper on the serial line.
+    fn rig(self, variable: &str, extras: Extras<'_>, config: Config) -> Rig {
+        Rig::of(self.start(variable, extras), None, config, Trace::new(vec![])).unwrap()
+    }
 }
 
-/// Returns the path of the default board's firmware image from the variable.
-fn image(variable: &str) -> PathBuf {
-    Board::DEFAULT.image(variable)
+/// Waits until the bridge has an input image, because its gripper responds.
+fn await_gripper(master: &mut Master) {
+    let read = || master.ask(&[4, 0, 0, 0, 6]).unwrap();
+    wait_until("the gripper to respond", read, |answer| answer[0] == 4);
+}
+
+/// Repeats `look` until its result satisfies `wanted`, and returns it. Panics with the last result after [`MOTION_PATIENCE`].
+fn wait_until<T: Debug>(what: &str, mut look: impl FnMut() -> T, wanted: impl Fn(&T) -> bool) -> T {
+    let bound = Instant::now() + MOTION_PATIENCE;
+    loop {
+        let seen = look();
+        if wanted(&seen) {
+            return seen;
+        }
+        assert!(Instant::now() < bound, "time-out; expected {what}; seen {seen:?}");
+    }
 }
 
 /// Runs a test with a new plant, up to five times if the bridge loses the link to the gripper and the test fails: the harness of a

@@ -2,16 +2,17 @@
 
 use std::time::{Duration, Instant};
 
+use host_tests::emulator::Extras;
 use host_tests::extent;
 use host_tests::modbus_master::{Failed, Master};
 use host_tests::rig::{MOTION_PATIENCE, Rig, motions};
-use host_tests::trace::{Entry, Trace, frame_id};
+use host_tests::trace::Entry;
 use host_tests::world::{quick, with_part};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::{CommandId, Status};
 use wsg_sim::Config;
 
-use super::{Board, with_link_kept};
+use super::{Board, RELEASED, await_gripper, wait_until, with_link_kept};
 
 const UNIT: u8 = 1;
 
@@ -26,15 +27,11 @@ struct Plant {
 impl Plant {
     /// A board with a high FAST STOP wire, a responding gripper, and a master that has written zeros.
     fn start(board: Board, config: Config) -> Self {
-        let elf = board.image("WSG_FIRMWARE_ELF");
-        let mut rig = Rig::power_up(&elf, config, Trace::new(vec![])).unwrap();
+        let mut rig = board.rig(RELEASED, Extras::default(), config);
         rig.set(Inputs::FAST_STOP_OK, true).unwrap();
-        let master = rig.master(UNIT).unwrap();
+        let mut master = rig.master(UNIT).unwrap();
+        await_gripper(&mut master);
         let mut plant = Self { rig, master };
-        let bound = Instant::now() + Duration::from_secs(60);
-        while plant.ask(&[4, 0, 0, 0, 6])[0] != 4 {
-            assert!(Instant::now() < bound, "the gripper does not respond");
-        }
         // The wire was low at power-up.
         plant.write(&[0, 0, 0, 0]);
         plant.write(&[1 << 12, 0, 0, 0]);
@@ -50,28 +47,17 @@ impl Plant {
 
     /// Writes the output image with FC 16.
     fn write(&mut self, values: &[u16; 4]) {
-        let mut pdu = vec![16, 0, 0, 0, 4, 8];
-        pdu.extend(values.iter().flat_map(|value| value.to_be_bytes()));
-        assert_eq!(self.ask(&pdu), [16, 0, 0, 0, 4]);
+        self.master.write(0, values).unwrap();
     }
 
     /// Reads the input image.
     fn input(&mut self) -> [u16; 6] {
-        let answer = self.ask(&[4, 0, 0, 0, 6]);
-        assert_eq!(answer[..2], [4, 12]);
-        std::array::from_fn(|n| u16::from_be_bytes([answer[2 + 2 * n], answer[3 + 2 * n]]))
+        self.master.read(4, 0, 6).unwrap().try_into().unwrap()
     }
 
     /// Waits for an input image that meets the condition.
-    fn wait(&mut self, what: &str, mut is_there: impl FnMut(&[u16; 6]) -> bool) -> [u16; 6] {
-        let bound = Instant::now() + MOTION_PATIENCE;
-        loop {
-            let input = self.input();
-            if is_there(&input) {
-                return input;
-            }
-            assert!(Instant::now() < bound, "time-out; expected {what}; input image {input:04X?}");
-        }
+    fn wait(&mut self, what: &str, is_there: impl Fn(&[u16; 6]) -> bool) -> [u16; 6] {
+        wait_until(what, || self.input(), is_there)
     }
 
     /// Sets a JOG flag until the jog runs, and returns the mark of the trace before it. After a pause of this master for a second,
@@ -152,7 +138,7 @@ fn jogs(plant: &mut Plant) {
     assert!(stands > 20.5 && stands < 100.0, "{stands}");
 
     let mark = plant.begin_to_jog(&jog_plus);
-    let is_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(frame) if frame_id(frame) == Some(CommandId::Stop.code()));
+    let is_stop = |entry: &Entry| entry.command() == Some(CommandId::Stop);
     assert!(plant.rig.trace().wait(mark, Duration::from_secs(60), is_stop), "no Stop");
     let input = plant.wait("the fingers to stand", |input| input[0] >> 8 == IDLE);
     assert!(input[3] < 100_00, "{input:?}");

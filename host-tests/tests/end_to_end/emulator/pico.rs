@@ -1,10 +1,9 @@
 //! Features specific to the Pico's registers and emulator: pins, LED, and flash for settings.
 
-use std::path::PathBuf;
 use std::time::Instant;
 
-use host_tests::addresses::{report, setting};
-use host_tests::emulator::{Emulator, Extras};
+use host_tests::addresses::setting;
+use host_tests::emulator::Extras;
 use host_tests::modbus_master::Master;
 use host_tests::rig::PATIENCE;
 use wsg_bridge_fw::indicator::Indication;
@@ -12,30 +11,16 @@ use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{COMMAND_KEY, COMMANDS, FIRST_COMMAND};
 use wsg_pico::{INDICATOR, INPUTS};
 
-use super::Board;
+use super::{Board, RELEASED, wait_until};
 
 /// Levels of all pins, read and driven (RP2040, 2.3.1.7).
 const GPIO_IN: u32 = 0xD000_0004;
 const GPIO_OUT: u32 = 0xD000_0010;
 
-fn image() -> PathBuf {
-    Board::PICO.image("WSG_FIRMWARE_ELF")
-}
-
-fn read(master: &mut Master, function: u8, address: u16) -> u16 {
-    let answer = master.ask(&[&[function][..], &address.to_be_bytes(), &[0, 1]].concat()).unwrap();
-    u16::from_be_bytes([answer[2], answer[3]])
-}
-
-fn write(master: &mut Master, address: u16, value: u16) {
-    let pdu = [&[6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
-    assert_eq!(master.ask(&pdu).unwrap(), pdu);
-}
-
 #[test]
 #[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
 fn input_wire_reaches_its_pin_and_is_low_if_broken_in_rp2040js() {
-    let board = Emulator::start(&image()).unwrap();
+    let board = Board::PICO.start(RELEASED, Extras::default());
     let levels = || -> Inputs {
         let pins = board.readl(GPIO_IN).unwrap();
         INPUTS.iter().filter(|wire| pins & 1 << wire.gpio != 0).map(|wire| wire.signal).collect()
@@ -50,7 +35,7 @@ fn input_wire_reaches_its_pin_and_is_low_if_broken_in_rp2040js() {
 #[test]
 #[ignore = "needs rp2040js and the firmware image: run `cargo xtask test`"]
 fn led_shows_that_the_gripper_has_never_answered_in_rp2040js() {
-    let board = Emulator::start(&image()).unwrap();
+    let board = Board::PICO.start(RELEASED, Extras::default());
     let is_lit = || board.readl(GPIO_OUT).unwrap() & 1 << INDICATOR != 0;
     // Times of the LED's edges.
     let mut edges = Vec::new();
@@ -80,23 +65,20 @@ fn settings_that_were_saved_survive_the_power_in_rp2040js() {
     let flash = folder.join("flash");
     let power_up = || {
         let extras = Extras { flash: Some(&flash), ..Extras::default() };
-        let mut board = Emulator::start_with(&image(), extras).unwrap();
+        let mut board = Board::PICO.start(RELEASED, extras);
         let master = Master::new(board.take_service_line().unwrap(), board.clock(), 1);
         (board, master)
     };
     let (board, mut master) = power_up();
     let debounce = setting("DEBOUNCE");
-    assert_eq!(read(&mut master, 3, debounce), 2);
-    write(&mut master, debounce, 7);
+    assert_eq!(master.read(3, debounce, 1).unwrap(), [2]);
+    master.write(debounce, &[7]).unwrap();
     let save = COMMANDS.iter().position(|command| command.name == "SAVE").unwrap() as u16;
-    write(&mut master, FIRST_COMMAND + save, COMMAND_KEY);
-    let bound = Instant::now() + PATIENCE;
-    while read(&mut master, 4, report("SAVE_STATE")) != SAVED {
-        assert!(Instant::now() < bound, "the save did not end within the limit");
-    }
+    master.write(FIRST_COMMAND + save, &[COMMAND_KEY]).unwrap();
+    wait_until("the save to end", || master.report("SAVE_STATE").unwrap(), |state| *state == SAVED);
     drop(board);
 
     let (_board, mut master) = power_up();
-    assert_eq!(read(&mut master, 3, debounce), 7);
+    assert_eq!(master.read(3, debounce, 1).unwrap(), [7]);
     std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -8,10 +8,10 @@ use std::io::{ErrorKind, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
+use host_tests::emulator::Extras;
 use host_tests::masters::{self, printed};
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
-use host_tests::trace::Trace;
 use host_tests::world::with_part;
 use profirust::dp::{DpMaster, Peripheral, PeripheralHandle, PeripheralOptions};
 use profirust::fdl::{FdlActiveStation, ParametersBuilder};
@@ -80,8 +80,7 @@ struct Plant {
 
 /// Starts a board on PROFIBUS and a gripper with a part of 20 mm. Also returns the master's end of the bus.
 fn power_up(board: Board) -> (Rig, UnixStream) {
-    let elf = board.image("WSG_FIRMWARE_ELF_PROFIBUS");
-    let mut rig = Rig::power_up(&elf, with_part(20.0), Trace::new(vec![])).unwrap();
+    let mut rig = board.rig("WSG_FIRMWARE_ELF_PROFIBUS", Extras::default(), with_part(20.0));
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     let line = rig.board_mut().take_modbus_line().unwrap();
     (rig, line)

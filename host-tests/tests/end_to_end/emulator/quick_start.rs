@@ -1,22 +1,19 @@
 //! docs/quick-start.md from the third step to the last, on the released image with default settings and an empty flash. The test
 //! pastes the commands, cycles the power, and accesses the registers as a master.
 
-use std::time::Instant;
-
 use document::{ImageAccess, image_accesses, read};
-use host_tests::emulator::{Emulator, Extras};
+use host_tests::emulator::Extras;
 use host_tests::flash_controller::FlashController;
 use host_tests::masters::paste;
 use host_tests::modbus_master::Master;
-use host_tests::rig::{MOTION_PATIENCE, PATIENCE, Rig, motions};
+use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
-use host_tests::trace::Trace;
 use host_tests::world::with_part;
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
 
 use super::service_port::poll;
-use super::{Board, image};
+use super::{Board, RELEASED, wait_until};
 
 const DOCUMENT: &str = "docs/quick-start.md";
 
@@ -33,9 +30,8 @@ impl Plant {
     /// Switches the power on.
     fn power_up(flash: &FlashController) -> Self {
         flash.power_cycle();
-        let extras = Extras { models: flash.models().into_iter().collect(), ..Extras::default() };
-        let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF"), extras).unwrap();
-        let mut rig = Rig::of(board, None, with_part(20.0), Trace::new(vec![])).unwrap();
+        let extras = Extras { models: flash.models(), ..Extras::default() };
+        let mut rig = Board::DEFAULT.rig(RELEASED, extras, with_part(20.0));
         let cable = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
         let plant = Self { rig, cable };
         plant.wait(107, 2);
@@ -44,13 +40,9 @@ impl Plant {
 
     /// Waits until this input register has this value.
     fn wait(&self, register: u16, value: u16) {
-        let bound = Instant::now() + PATIENCE;
-        let address = register.to_string();
-        while !poll(&self.cable, &["-t", "3", "-r", &address, "-c", "1"], &[])
-            .contains(&format!("\t{value}\n"))
-        {
-            assert!(Instant::now() < bound, "register {register} does not become {value}");
-        }
+        let (address, value) = (register.to_string(), format!("\t{value}\n"));
+        let read = || poll(&self.cable, &["-t", "3", "-r", &address, "-c", "1"], &[]);
+        wait_until(&format!("{value:?} in register {address}"), read, |printed| printed.contains(&value));
     }
 
     /// Pastes the commands of this text and returns their output.
@@ -63,20 +55,10 @@ impl Plant {
 fn play(master: &mut Master, accesses: &[ImageAccess]) {
     for access in accesses {
         match access {
-            ImageAccess::Write(values) => {
-                let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
-                let answer = master.ask(&[&[16, 0, 0, 0, 4, 8][..], &bytes].concat()).unwrap();
-                assert_eq!(answer, [16, 0, 0, 0, 4]);
-            }
+            ImageAccess::Write(values) => master.write(0, values).unwrap(),
             ImageAccess::Read(expected) => {
-                let bound = Instant::now() + MOTION_PATIENCE;
-                let is_read = |answer: &[u8]| {
-                    let values = answer[2..].chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
-                    ImageAccess::expects(expected, values)
-                };
-                while !is_read(&master.ask(&[4, 0, 0, 0, 6]).unwrap()) {
-                    assert!(Instant::now() < bound, "{expected:?} is not read");
-                }
+                let is_read = |values: &Vec<u16>| ImageAccess::expects(expected, values.iter().copied());
+                wait_until(&format!("{expected:?}"), || master.read(4, 0, 6).unwrap(), is_read);
             }
         }
     }

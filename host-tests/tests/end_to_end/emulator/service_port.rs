@@ -2,14 +2,13 @@
 
 use document::read;
 use host_tests::can_bus::CanBus;
-use host_tests::emulator::{Emulator, Extras};
+use host_tests::emulator::Extras;
 use host_tests::masters;
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
-use host_tests::trace::Trace;
 use wsg_sim::Config;
 
-use super::{Board, image};
+use super::{Board, RELEASED};
 
 /// Heading after which the commands of docs/commissioning.md move the fingers.
 pub(super) const BY_HAND: &str = "\n## Without a PLC";
@@ -19,10 +18,15 @@ pub(super) fn poll(terminal: &Terminal, arguments: &[&str], values: &[&str]) -> 
     masters::poll(&terminal.path, 115_200, arguments, values)
 }
 
-/// Reads and changes settings over the USB cable of a board with its gripper on RS-232.
-fn reads_and_sets(board: Emulator, plc_bus: &str) {
-    let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
+/// Starts a board with its gripper on RS-232. Also returns the other end of its USB cable.
+fn on_cable(board: Board, variable: &str, extras: Extras<'_>) -> (Rig, Terminal) {
+    let mut rig = board.rig(variable, extras, Config::default());
     let terminal = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
+    (rig, terminal)
+}
+
+/// Reads and changes settings over the USB cable.
+fn reads_and_sets((rig, terminal): (Rig, Terminal), plc_bus: &str) {
     let poll = |arguments: &[&str], values: &[&str]| poll(&terminal, arguments, values);
 
     let version = poll(&["-t", "3", "-r", "100", "-c", "1"], &[]);
@@ -50,26 +54,22 @@ fn reads_and_sets(board: Emulator, plc_bus: &str) {
 }
 
 fn mbpoll_reads_and_sets_over_service_port_without_plc_bus(board: Board) {
-    reads_and_sets(Emulator::start(&board.image("WSG_FIRMWARE_ELF_NO_BUS")).unwrap(), "no bus");
+    reads_and_sets(on_cable(board, "WSG_FIRMWARE_ELF_NO_BUS", Extras::default()), "no bus");
 }
 
 fn mbpoll_reads_and_sets_over_the_service_port_beside_modbus(board: Board) {
-    reads_and_sets(Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap(), "Modbus");
+    reads_and_sets(on_cable(board, RELEASED, Extras::default()), "Modbus");
 }
 
 #[test]
 #[ignore = "needs QEMU, the firmware images and mbpoll: run `cargo xtask test`"]
 fn mbpoll_reads_and_sets_over_the_service_port_beside_canopen() {
-    let bus = CanBus::new(250_000);
-    let extras = Extras { models: vec![Box::new(bus)], ..Extras::default() };
-    let board = Emulator::start_with(&image("WSG_FIRMWARE_ELF_CAN_PLC"), extras).unwrap();
-    reads_and_sets(board, "CANopen");
+    let extras = Extras { models: CanBus::new(250_000).models(), ..Extras::default() };
+    reads_and_sets(on_cable(Board::DEFAULT, "WSG_FIRMWARE_ELF_CAN_PLC", extras), "CANopen");
 }
 
 fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
-    let board = Emulator::start(&board.image("WSG_FIRMWARE_ELF")).unwrap();
-    let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
-    let terminal = Terminal::to(rig.board_mut().take_service_line().unwrap()).unwrap();
+    let (rig, terminal) = on_cable(board, RELEASED, Extras::default());
     let answers = (0..50)
         .map(|_| poll(&terminal, &["-t", "3", "-r", "107", "-c", "1"], &[]))
         .any(|it| it.contains("\t2"));

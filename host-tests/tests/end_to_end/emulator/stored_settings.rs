@@ -2,10 +2,10 @@
 //! power cycle, with any fault of the flash.
 
 use std::os::unix::net::UnixStream;
-use std::time::Instant;
 
 use host_tests::addresses::{report, setting};
 use host_tests::can_bus::CanBus;
+use host_tests::can_controller::BusController;
 use host_tests::can_wire::WireFrame;
 use host_tests::chance::Chance;
 use host_tests::clock::Clock;
@@ -17,7 +17,6 @@ use host_tests::modbus_master::Master;
 use host_tests::registers::RegisterModel;
 use host_tests::rig::{PATIENCE, Rig, motions};
 use host_tests::terminal::Terminal;
-use host_tests::trace::Trace;
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, EVENTS_KEPT, EventCode, FIRST_COMMAND, FIRST_SETTING, SETTINGS,
@@ -26,8 +25,8 @@ use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config as BridgeConfig, RECIPE_COUNT};
 use wsg_sim::Config;
 
-use super::Board;
 use super::service_port::poll;
+use super::{Board, RELEASED, wait_until};
 
 /// Values of SETTINGS_FROM and SAVE_STATE (docs/registers.md).
 const DELIVERED: u16 = 0;
@@ -62,15 +61,13 @@ impl Plant {
     }
 
     /// Like `power_up`, with more peripherals.
-    fn power_up_with(kind: Board, flash: FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
+    fn power_up_with(board: Board, flash: FlashController, more: Vec<Box<dyn RegisterModel>>) -> Self {
         flash.power_cycle();
         let models = flash.models().into_iter().chain(more).collect();
-        let extras = Extras { models, ..Extras::default() };
-        let board = Emulator::start_with(&kind.image("WSG_FIRMWARE_ELF"), extras).unwrap();
-        let mut rig = Rig::of(board, None, Config::default(), Trace::new(vec![])).unwrap();
+        let mut rig = board.rig(RELEASED, Extras { models, ..Extras::default() }, Config::default());
         let line = rig.board_mut().take_service_line().unwrap();
         let service = Master::new(line, rig.board().clock(), 1);
-        Self { board: kind, rig, flash, service }
+        Self { board, rig, flash, service }
     }
 
     /// Switches the power off. Checks that no motion was sent and that the driver violated no rule of the flash.
@@ -92,45 +89,31 @@ impl Plant {
         Self::power_up(board, self.power_down())
     }
 
-    fn read(&mut self, function: u8, first: u16, count: u16) -> Vec<u16> {
-        let ([a1, a0], [c1, c0]) = (first.to_be_bytes(), count.to_be_bytes());
-        let answer = self.service.ask(&[function, a1, a0, c1, c0]).unwrap();
-        assert_eq!(answer[0], function, "{answer:02X?}");
-        answer[2..].as_chunks().0.iter().map(|word| u16::from_be_bytes(*word)).collect()
-    }
-
     fn settings(&mut self) -> Vec<u16> {
-        self.read(3, FIRST_SETTING, SETTINGS.len() as u16)
-    }
-
-    fn write(&mut self, address: u16, value: u16) {
-        let request = [&[6][..], &address.to_be_bytes(), &value.to_be_bytes()].concat();
-        assert_eq!(self.service.ask(&request).unwrap(), request);
+        self.service.read(3, FIRST_SETTING, SETTINGS.len() as u16).unwrap()
     }
 
     fn set_debounce(&mut self, value: u16) {
-        self.write(setting("DEBOUNCE"), value);
+        self.service.write(setting("DEBOUNCE"), &[value]).unwrap();
     }
 
     fn debounce(&mut self) -> u16 {
-        self.read(3, setting("DEBOUNCE"), 1)[0]
+        self.service.read(3, setting("DEBOUNCE"), 1).unwrap()[0]
     }
 
     /// Sets every value of every recipe.
     fn set_recipes(&mut self, value: u16) {
-        let head = [setting("RECIPE0_WIDTH"), RECIPE_REGISTERS as u16].map(u16::to_be_bytes).concat();
-        let values = [value; RECIPE_REGISTERS].map(u16::to_be_bytes).concat();
-        let request = [&[16], &head[..], &[values.len() as u8], &values].concat();
-        assert_eq!(self.service.ask(&request).unwrap(), request[..5]);
+        self.service.write(setting("RECIPE0_WIDTH"), &[value; RECIPE_REGISTERS]).unwrap();
     }
 
     fn report(&mut self, name: &str) -> u16 {
-        self.read(4, report(name), 1)[0]
+        self.service.report(name).unwrap()
     }
 
     /// Returns code, command, value and age of each event, the latest first.
     fn events(&mut self) -> Vec<[u16; 4]> {
-        self.read(4, report("EVENT1_CODE"), 4 * EVENTS_KEPT as u16).as_chunks().0.to_vec()
+        let events = self.service.read(4, report("EVENT1_CODE"), 4 * EVENTS_KEPT as u16).unwrap();
+        events.as_chunks().0.to_vec()
     }
 
     /// Returns code and value of the latest event.
@@ -140,42 +123,25 @@ impl Plant {
     }
 
     fn command(&mut self, name: &str) {
-        self.write(command(name), COMMAND_KEY);
+        self.service.write(command(name), &[COMMAND_KEY]).unwrap();
     }
 
     /// Saves, waits for the end, and returns SAVE_STATE.
     fn save(&mut self) -> u16 {
         self.command("SAVE");
-        let bound = Instant::now() + PATIENCE;
-        loop {
-            match self.report("SAVE_STATE") {
-                SAVING => assert!(Instant::now() < bound, "the save did not end within the limit"),
-                state => return state,
-            }
-        }
+        wait_until("the save to end", || self.report("SAVE_STATE"), |state| *state != SAVING)
     }
 
     /// Saves until the flash model cuts the power.
     fn save_until_cut(&mut self, what: &str) {
         self.command("SAVE");
-        let bound = Instant::now() + PATIENCE;
-        loop {
-            let state = self.report("SAVE_STATE");
-            if self.flash.is_off() {
-                return;
-            }
-            let operations = self.flash.operations();
-            assert_eq!(
-                state,
-                SAVING,
-                "{what}: not cut after {operations} operations, {:?}",
-                self.events()[0]
-            );
-            assert!(
-                Instant::now() < bound,
-                "{what}: the save did not reach the cut; {operations} operations"
-            );
-        }
+        let is_off = || {
+            let (state, operations) = (self.report("SAVE_STATE"), self.flash.operations());
+            let is_off = self.flash.is_off();
+            assert!(is_off || state == SAVING, "{what}: {operations} operations, {:?}", self.events()[0]);
+            (is_off, operations)
+        };
+        wait_until(&format!("a power cut: {what}"), is_off, |(is_off, _)| *is_off);
     }
 }
 
@@ -192,8 +158,7 @@ fn assert_bus_runs(board: &mut Emulator, unit: u8, rate: u32) {
     let divider = (256 * HSI16_HZ + rate / 2) / rate;
     assert_eq!(board.readl(LPUART1_BRR).unwrap(), divider & 0xFFFF);
     let mut bus = Master::new(board.take_modbus_line().unwrap(), board.clock(), unit);
-    let unit_setting = [&[3][..], &setting("UNIT").to_be_bytes(), &[0, 1]].concat();
-    assert_eq!(bus.ask(&unit_setting).unwrap(), [3, 2, 0, unit]);
+    assert_eq!(bus.read(3, setting("UNIT"), 1).unwrap(), [u16::from(unit)]);
 }
 
 #[test]
@@ -211,10 +176,8 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
     // Run SAVE or DEFAULTS and wait for its end.
     let store = |cable: &Terminal, name: &str| {
         write(cable, command(name), &[COMMAND_KEY]);
-        let bound = Instant::now() + PATIENCE;
-        while !mbpoll(cable, "-t 3 -r 204 -c 1", &[]).contains("[204]: \t2") {
-            assert!(Instant::now() < bound, "{name} did not end within the limit");
-        }
+        let read = || mbpoll(cable, "-t 3 -r 204 -c 1", &[]);
+        wait_until(&format!("{name} to end"), read, |printed| printed.contains("[204]: \t2"));
     };
     let are_there = |cable: &Terminal, recipes: &[u16]| {
         let printed = mbpoll(cable, &format!("-t 4 -r {} -c 64", setting("RECIPE0_WIDTH")), &[]);
@@ -243,7 +206,7 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
 
     let can = CanBus::new(250_000);
     let master = can.join();
-    let plant = Plant::power_up_with(board, plant.power_down(), vec![Box::new(can.clone())]);
+    let plant = Plant::power_up_with(board, plant.power_down(), can.models());
     let (plant, cable) = plant.on_cable();
     assert!(are_there(&cable, &recipes));
     // Node 5's boot-up message and an SDO answer (CiA 301, 7.2.8.3.3, 7.2.4.3.5).
@@ -254,7 +217,7 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
     receives(0x705, &[0]);
     master.send(WireFrame::standard(0x605, &[0x40, 0x00, 0x10, 0, 0, 0, 0, 0]));
     receives(0x585, &[]);
-    assert_eq!(can.controller().bit_timing().rate, 250_000);
+    assert_eq!(can.controller().rate(), 250_000);
     store(&cable, "DEFAULTS");
 
     let mut plant = plant.power_cycle();
@@ -413,11 +376,8 @@ fn a_program_that_cannot_be_read_resets_the_board(board: Board) {
     let mut plant = Plant::new(board);
     plant.flash.set_fault(Some(Fault::UnreadableProgram));
     plant.command("SAVE");
-    let bound = Instant::now() + PATIENCE;
     // QEMU exits when the firmware resets itself.
-    while plant.rig.board().now_ms().is_ok() {
-        assert!(Instant::now() < bound, "the board must reset");
-    }
+    wait_until("a reset", || plant.rig.board().now_ms().is_err(), |has_ended| *has_ended);
 }
 
 /// With one bank, which the settings cannot use, an unreadable upper half of a line is reported by another flag (RM0440, 3.7.7).

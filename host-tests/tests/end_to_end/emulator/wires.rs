@@ -2,10 +2,10 @@
 
 use std::time::Instant;
 
-use host_tests::emulator::Emulator;
+use host_tests::emulator::Extras;
 use host_tests::extent;
 use host_tests::rig::{PATIENCE, Rig, motions};
-use host_tests::trace::{Entry, Trace, frame_id};
+use host_tests::trace::{Entry, frame_id};
 use host_tests::world::{IDLE, quick, with_part};
 use wsg_bridge_fw::indicator::Indication;
 use wsg_bridge_fw::io::{Inputs, Outputs};
@@ -13,23 +13,18 @@ use wsg_protocol::session::FastStopPattern;
 use wsg_protocol::{CommandId, SystemFlags};
 use wsg_sim::Config;
 
-use super::Board;
+use super::{Board, RELEASED};
 
 /// The recipe with a large width.
 const WIDE: u8 = 1;
 
 fn powered(board: Board, config: Config) -> Rig {
-    Rig::power_up(&board.image("WSG_FIRMWARE_ELF"), config, Trace::new(vec![])).unwrap()
-}
-
-fn ready(board: Board, config: Config) -> Rig {
-    let rig = powered(board, config);
-    rig.release_fast_stop().unwrap();
-    rig
+    board.rig(RELEASED, Extras::default(), config)
 }
 
 fn homed(board: Board, config: Config) -> Rig {
-    let rig = ready(board, config);
+    let rig = powered(board, config);
+    rig.release_fast_stop().unwrap();
     assert_eq!(rig.command(Inputs::HOME).unwrap(), IDLE);
     rig
 }
@@ -133,8 +128,6 @@ fn noise_around_and_inside_frames_moves_nothing_and_is_overcome(board: Board) {
 
 /// The image's queues and interrupts do not split a burst. `fault_sweep` tests the library in virtual time.
 fn fast_stop_reaches_a_gripper_that_awaits_a_nonexistent_frame(board: Board) {
-    let is_fast_stop =
-        |entry: &&Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes) == Some(0x23));
     for high_byte_of_the_size in 1..=3 {
         // The gripper's own time-out exceeds any delay of a slow machine.
         let rig = homed(board, Config { frame_timeout_ms: 60_000, ..Config::default() });
@@ -150,7 +143,8 @@ fn fast_stop_reaches_a_gripper_that_awaits_a_nonexistent_frame(board: Board) {
         assert!(state.flags.contains(SystemFlags::FAST_STOP) && state.speed == 0.0, "{state:?}");
         let entries = rig.trace().since(mark);
         let until = entries.iter().position(answered).unwrap();
-        let sent = entries[..until].iter().filter(is_fast_stop).count();
+        let sent =
+            entries[..until].iter().filter(|entry| entry.command() == Some(CommandId::FastStop)).count();
         let burst = usize::from(FastStopPattern::DEFAULT.burst_frames);
         assert!((2..=1 + burst).contains(&sent), "the first burst must suffice; {sent} were sent");
         rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::ERROR)).unwrap();
@@ -171,7 +165,7 @@ mod led {
     use super::*;
 
     fn led_shows_that_the_gripper_has_never_answered(kind: Board) {
-        let board = Emulator::start(&kind.image("WSG_FIRMWARE_ELF")).unwrap();
+        let board = kind.start(RELEASED, Extras::default());
         let (port, pin) = kind.in_qemu().indicator;
         // MODER and ODR of the port (RM0351, 2.2.2 and 8.4).
         let moder = 0x4800_0000 + 0x400 * (u32::from(port.letter()) - u32::from('A'));

@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use host_tests::emulator::Emulator;
 use host_tests::faulty_link::{Counts, FaultyWay, Rates};
 use host_tests::rig::{Rig, names};
 use host_tests::trace::{Entry, Trace};
@@ -74,7 +75,7 @@ fn soak(commands: usize, rate: f64, seed: u64) -> Result<(Tally, [Counts; 2], u6
     let elf = std::env::var_os("WSG_FIRMWARE_ELF")
         .context("WSG_FIRMWARE_ELF must hold the path of the firmware image")?;
     let config = Config { part: Part::of_width(20.0), time_scale: 20.0, ..Config::default() };
-    let rig = Rig::power_up(elf.as_ref(), config, Trace::new(vec![]))?;
+    let rig = Rig::of(Emulator::start(elf.as_ref())?, None, config, Trace::new(vec![]))?;
     rig.release_fast_stop()?;
     rig.command(Inputs::HOME)?;
     rig.catch_up()?;

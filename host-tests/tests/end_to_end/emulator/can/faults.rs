@@ -3,39 +3,52 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use embedded_can::Id;
 use host_tests::bxcan::Bxcan;
 use host_tests::can_bus::{CanBus, Fault};
+use host_tests::can_controller::{BusController, MappedController};
 use host_tests::can_wire::WireFrame;
 use host_tests::fdcan::Fdcan;
 use host_tests::mcp2515::Mcp2515;
 use host_tests::modbus_master::Master;
 use host_tests::rig::{PATIENCE, motions};
-use host_tests::trace::{Entry, frame_id};
+use host_tests::trace::Entry;
 use host_tests::world::with_part;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
-use super::super::with_link_kept;
+use super::super::{wait_until, with_link_kept};
 use super::{BOTH_ON_CAN, CanBoard, GRIPPER_ON_CAN, Plant, READY, assert_one_cycle};
 
 /// Identifiers with default settings: the gripper's messages, and the bridge's TPDO1.
 const FROM_GRIPPER: u16 = 0x121;
 const TPDO1: u16 = 0x190;
 
-/// Input registers of the bridge (docs/registers.md).
-const CAN_STATE: u16 = 126;
-const CAN_BUS_OFFS: u16 = 129;
-const CAN_OVERRUNS: u16 = 130;
-
 impl<C: CanBoard> Plant<C> {
-    /// Reads an input register of the bridge over Modbus.
-    fn register(&self, master: &mut Master, address: u16) -> u16 {
-        let answer = master.ask(&[&[4][..], &address.to_be_bytes(), &[0, 1]].concat()).unwrap();
-        u16::from_be_bytes([answer[2], answer[3]])
+    /// Returns a Modbus master on the bridge's bus.
+    fn master(&mut self) -> Master {
+        let mut master = self.rig.master(1).unwrap();
+        master.allow_pauses().unwrap();
+        master
+    }
+
+    /// Waits until LINK_OK has this level.
+    fn await_link(&self, level: bool) {
+        self.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK) == level).unwrap();
+    }
+
+    /// Returns the motions that the bridge has sent since the mark.
+    fn motions_since(&self, mark: usize) -> Vec<CommandId> {
+        motions(&self.rig.trace().since(mark))
+    }
+
+    /// Waits until the bridge has sent this command since the mark.
+    fn await_command(&self, mark: usize, command: CommandId) {
+        let is_sent = self.rig.trace().wait(mark, PATIENCE, |entry| entry.command() == Some(command));
+        assert!(is_sent, "{command}: {:?}", self.received_since(mark));
     }
 
     fn faults(&self) -> (bool, bool, bool) {
@@ -44,12 +57,7 @@ impl<C: CanBoard> Plant<C> {
 
     /// Returns the commands that the gripper has received since the mark.
     fn received_since(&self, mark: usize) -> Vec<CommandId> {
-        let entries = self.rig.trace().since(mark);
-        let to_gripper = entries.iter().filter_map(|entry| match entry {
-            Entry::ToGripper(bytes) => frame_id(bytes).map(CommandId::from_code),
-            _ => None,
-        });
-        to_gripper.collect()
+        self.rig.trace().since(mark).iter().filter_map(Entry::command).collect()
     }
 }
 
@@ -111,8 +119,7 @@ impl Drop for Storm {
 fn bus_off_in_a_motion_is_shown_and_fast_stop_comes_first<C: CanBoard>() {
     // At the real gripper's speed, homing takes longer than bus-off.
     let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, Config::default());
-    let mut master = plant.rig.master(1).unwrap();
-    master.allow_pauses().unwrap();
+    let mut master = plant.master();
     plant.rig.set(Inputs::HOME, true).unwrap();
     plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::BUSY)).unwrap();
     plant.rig.set(Inputs::HOME, false).unwrap();
@@ -121,56 +128,43 @@ fn bus_off_in_a_motion_is_shown_and_fast_stop_comes_first<C: CanBoard>() {
     let lost = |outputs: Outputs| outputs.contains(Outputs::ERROR) && !outputs.contains(Outputs::LINK_OK);
     plant.rig.await_outputs(PATIENCE, lost).unwrap();
     // On a busy host the gripper may have stopped responding shortly before.
-    let bound = Instant::now() + PATIENCE;
-    while plant.register(&mut master, CAN_STATE) & 0x7F == 0 {
-        assert!(Instant::now() < bound, "neither bus-off nor recovering");
-    }
+    wait_until("bus-off or recovering", || master.report("CAN_STATE").unwrap(), |state| state & 0x7F != 0);
     plant.rig.set(Inputs::FAST_STOP_OK, false).unwrap();
     plant.rig.pass(20).unwrap();
     let mark = plant.rig.trace().mark();
     plant.bus.set_fault(Fault::None);
-    plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+    plant.await_link(true);
 
-    assert_eq!(
-        plant.received_since(mark).first(),
-        Some(&CommandId::FastStop),
-        "{:?}",
-        plant.received_since(mark)
-    );
+    let received = plant.received_since(mark);
+    assert_eq!(received.first(), Some(&CommandId::FastStop), "{received:?}");
     plant.rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     plant.rig.release_fast_stop().unwrap();
-    assert_eq!(motions(&plant.rig.trace().since(mark)), [], "the motion must not continue");
+    assert_eq!(plant.motions_since(mark), [], "the motion must not continue");
     assert_eq!(plant.faults(), (false, false, false), "the bus must have recovered");
-    assert_eq!(plant.register(&mut master, CAN_STATE), 0);
-    assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 1);
+    assert_eq!(["CAN_STATE", "CAN_BUS_OFFS"].map(|name| master.report(name).unwrap()), [0, 1]);
     assert!(plant.rig.gripper().state().speed.abs() < 0.001);
     C::assert_set_up(plant.rig.board(), &plant.bus, GRIPPER_ON_CAN.1);
 }
 
 fn a_command_without_an_acknowledgement_is_not_sent_later<C: CanBoard>() {
     let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
-    let mut master = plant.rig.master(1).unwrap();
-    master.allow_pauses().unwrap();
+    let mut master = plant.master();
 
     plant.bus.set_fault(Fault::Cut);
     let mark = plant.rig.trace().mark();
     plant.rig.set(Inputs::HOME, true).unwrap();
-    plant.rig.await_outputs(PATIENCE, |outputs| !outputs.contains(Outputs::LINK_OK)).unwrap();
+    plant.await_link(false);
     plant.rig.set(Inputs::HOME, false).unwrap();
-    assert_eq!(
-        plant.register(&mut master, CAN_STATE),
-        0x80,
-        "the controller must be error passive, not bus-off"
-    );
+    assert_eq!(master.report("CAN_STATE").unwrap(), 0x80, "must be error passive, not bus-off");
     assert_eq!(plant.faults(), (false, true, true));
     plant.bus.set_fault(Fault::None);
-    plant.rig.await_outputs(PATIENCE, |outputs| outputs.contains(Outputs::LINK_OK)).unwrap();
+    plant.await_link(true);
 
     plant.rig.release_fast_stop().unwrap();
-    assert_eq!(motions(&plant.rig.trace().since(mark)), []);
-    assert_eq!(plant.register(&mut master, CAN_BUS_OFFS), 0);
+    assert_eq!(plant.motions_since(mark), []);
+    assert_eq!(master.report("CAN_BUS_OFFS").unwrap(), 0);
     plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
-    assert_eq!(motions(&plant.rig.trace().since(mark)), [CommandId::Homing]);
+    assert_eq!(plant.motions_since(mark), [CommandId::Homing]);
 }
 
 /// Without an acknowledgement, the motion waits in a mailbox until it is withdrawn. The bus recovers before LINK_OK falls.
@@ -185,21 +179,11 @@ fn motion_that_waits_for_the_bus_is_withdrawn_by_any_stop<C: CanBoard>() {
         plant.rig.pass(20).unwrap();
         plant.rig.set(wire, high).unwrap();
         plant.rig.pass(20).unwrap();
-        assert_eq!(motions(&plant.rig.trace().since(mark)), [], "nothing is sent over the cut bus");
+        assert_eq!(plant.motions_since(mark), [], "nothing is sent over the cut bus");
         plant.bus.set_fault(Fault::None);
-        let is_received = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(command));
-        assert!(
-            plant.rig.trace().wait(mark, PATIENCE, is_received),
-            "{command}: {:?}",
-            plant.received_since(mark)
-        );
+        plant.await_command(mark, command);
         plant.rig.pass(300).unwrap();
-        assert_eq!(
-            motions(&plant.rig.trace().since(mark)),
-            [],
-            "{command}: {:?}",
-            plant.received_since(mark)
-        );
+        assert_eq!(plant.motions_since(mark), [], "{command}: {:?}", plant.received_since(mark));
         // The gripper would discard a message without its end, so the frames count.
         let begins_to_home = |frame: &&WireFrame| frame.data.starts_with(&[0xAA, 0xAA, 0xAA, 0x20]);
         assert_eq!(plant.bus.sent()[sent..].iter().find(begins_to_home), None, "{command}");
@@ -212,61 +196,45 @@ fn fast_stop_does_not_wait_for_mailboxes_that_are_full<C: Buffers>() {
     // Lower priority than messages to the gripper, higher than frames to the PLC.
     static BETWEEN: [WireFrame; 1] = [WireFrame { id: id(0x150), is_remote: false, dlc: 8, data: [0; 8] }];
     let empty_mailboxes = || plant.bus.controller().empty_buffers();
-    let wait_for = |what: &str, are_so: &dyn Fn(u32) -> bool| {
-        let bound = Instant::now() + PATIENCE;
-        while !are_so(empty_mailboxes()) {
-            assert!(
-                Instant::now() < bound,
-                "time-out; expected mailboxes: {what}; empty: {:03b}",
-                empty_mailboxes()
-            );
-        }
-    };
+    let await_heartbeat =
+        || wait_until("a heartbeat in mailbox 1", empty_mailboxes, |empty| empty & 0b010 == 0);
     // A second heartbeat, half a second after the first, could be sent first from another mailbox.
     let storm = Storm::on(&plant.bus, &BETWEEN);
-    wait_for("one holds a heartbeat", &|empty| empty & 0b010 == 0);
+    await_heartbeat();
     plant.rig.pass(1_100).unwrap();
     assert_eq!(empty_mailboxes() & 0b100, 0b100, "at most one frame per identifier in the mailboxes");
     drop(storm);
     // The queued frames are sent, and the next heartbeat is alone.
     plant.rig.pass(600).unwrap();
     let storm = Storm::on(&plant.bus, &BETWEEN);
-    wait_for("one holds a heartbeat", &|empty| empty & 0b010 == 0);
+    await_heartbeat();
     // Start the node by NMT before the next heartbeat, so that it sends PDOs.
     master.send(WireFrame::standard(0, &[1, 0x10]));
-    wait_for("full", &|empty| empty & 0b110 == 0);
+    wait_until("full mailboxes", empty_mailboxes, |empty| empty & 0b110 == 0);
 
     let (mark, sent) = (plant.rig.trace().mark(), plant.bus.sent().len());
     plant.rig.set(Inputs::FAST_STOP_OK, false).unwrap();
-    let is_fast_stop = |entry: &Entry| matches!(entry, Entry::ToGripper(bytes) if frame_id(bytes).map(CommandId::from_code) == Some(CommandId::FastStop));
-    assert!(plant.rig.trace().wait(mark, PATIENCE, is_fast_stop));
+    plant.await_command(mark, CommandId::FastStop);
 
     assert_eq!(empty_mailboxes() & 0b110, 0, "the earlier frames must still be in the mailboxes");
-    let pdos = plant.bus.sent().iter().skip(sent).filter(|frame| frame.id == id(TPDO1)).count();
-    assert_eq!(pdos, 0);
+    let pdos = || plant.bus.sent().iter().skip(sent).filter(|frame| frame.id == id(TPDO1)).count();
+    assert_eq!(pdos(), 0);
     drop(storm);
-    let bound = Instant::now() + PATIENCE;
-    while !plant.bus.sent().iter().skip(sent).any(|frame| frame.id == id(TPDO1)) {
-        assert!(Instant::now() < bound, "the PDO was not sent on the free bus");
-    }
+    wait_until("a PDO on the free bus", pdos, |count| *count > 0);
 }
 
 fn an_overrun_is_counted_and_moves_nothing<C: CanBoard>() {
     let mut plant = Plant::<C>::ready(GRIPPER_ON_CAN, with_part(20.0));
-    let mut master = plant.rig.master(1).unwrap();
-    master.allow_pauses().unwrap();
-    assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 0);
+    let mut master = plant.master();
+    assert_eq!(master.report("CAN_OVERRUNS").unwrap(), 0);
     let mark = plant.rig.trace().mark();
 
     // Heartbeats of another node, which pass the filters.
     plant.bus.burst(&[WireFrame::standard(0x701, &[5]); 5]);
 
-    let bound = Instant::now() + PATIENCE;
-    while plant.register(&mut master, CAN_OVERRUNS) == 0 {
-        assert!(Instant::now() < bound, "the overrun counter did not increase");
-    }
-    assert_eq!(plant.register(&mut master, CAN_OVERRUNS), 1);
-    assert_eq!(motions(&plant.rig.trace().since(mark)), []);
+    wait_until("an overrun", || master.report("CAN_OVERRUNS").unwrap(), |count| *count > 0);
+    assert_eq!(master.report("CAN_OVERRUNS").unwrap(), 1);
+    assert_eq!(plant.motions_since(mark), []);
     plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
 }
 
@@ -280,10 +248,8 @@ fn frames_without_pauses_are_all_received_in_rp2040js() {
     let node = plant.bus.join();
     let is_heartbeat = |frame: &&WireFrame| frame.id == HEARTBEAT.id;
     (0..FRAMES).for_each(|_| node.send(HEARTBEAT));
-    let bound = Instant::now() + PATIENCE;
-    while plant.bus.controller().accepted().iter().filter(is_heartbeat).count() < FRAMES {
-        assert!(Instant::now() < bound, "{} frames are still queued", node.waiting());
-    }
+    let received = || plant.bus.controller().accepted().iter().filter(is_heartbeat).count();
+    wait_until("all frames", received, |count| *count >= FRAMES);
     plant.command(Inputs::HOME, READY | Outputs::REFERENCED);
     assert_eq!(plant.bus.controller().lost(), []);
 }

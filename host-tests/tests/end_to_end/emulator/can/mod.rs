@@ -4,11 +4,10 @@
 mod faults;
 
 use std::os::unix::net::UnixStream;
-use std::time::Instant;
 
 use host_tests::bxcan::Bxcan;
 use host_tests::can_bus::CanBus;
-use host_tests::can_controller::BusController;
+use host_tests::can_controller::{BusController, MappedController};
 use host_tests::can_hub::CanHub;
 use host_tests::can_wire::WireFrame;
 use host_tests::emulator::{Emulator, Extras};
@@ -23,7 +22,7 @@ use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_protocol::CommandId;
 use wsg_sim::Config;
 
-use super::Board;
+use super::{Board, wait_until};
 
 const READY: Outputs = Outputs::READY.union(Outputs::LINK_OK);
 
@@ -36,6 +35,9 @@ const BOTH_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_BOTH", 500_000);
 trait CanBoard: BusController {
     const BOARD: Board;
 
+    /// The required sample point at 1 Mbit/s in thousandths of a bit.
+    const SAMPLE_POINT_AT_1M: u32 = 875;
+
     fn new_bus(rate: u32) -> CanBus<Self>;
 
     fn extras(bus: &CanBus<Self>) -> Extras<'static>;
@@ -44,12 +46,22 @@ trait CanBoard: BusController {
     fn faults(&mut self) -> (bool, bool, bool);
 
     /// Returns whether the filters passed only these frames or, for wider filters, whether no such frame was lost.
-    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool;
+    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool {
+        self.accepted().iter().all(is_wanted)
+    }
+
+    /// Checks the board's own registers, and that no frame was lost if the model detects losses.
+    fn assert_registers(board: &Emulator, bus: &CanBus<Self>);
 
     /// Checks requirements on every driver: the bit rate, a sample point at 87.5 % if the controller's clock permits it (CiA 301,
-    /// table 1), no violation of the manual, and no lost frame if the model detects losses. Also checks the board's own
-    /// registers.
-    fn assert_set_up(board: &Emulator, bus: &CanBus<Self>, rate: u32);
+    /// table 1), and no violation of the manual. Also checks the board's own registers.
+    fn assert_set_up(board: &Emulator, bus: &CanBus<Self>, rate: u32) {
+        Self::assert_registers(board, bus);
+        let timing = bus.controller().bit_timing();
+        let sample_point = if rate == 1_000_000 { Self::SAMPLE_POINT_AT_1M } else { 875 };
+        assert_eq!((timing.rate, timing.sample_point), (rate, sample_point), "{timing:?}");
+        assert_eq!(bus.controller().violations(), [""; 0]);
+    }
 }
 
 impl CanBoard for Bxcan {
@@ -60,7 +72,7 @@ impl CanBoard for Bxcan {
     }
 
     fn extras(bus: &CanBus) -> Extras<'static> {
-        Extras { models: vec![Box::new(bus.clone())], ..Extras::default() }
+        Extras { models: bus.models(), ..Extras::default() }
     }
 
     fn faults(&mut self) -> (bool, bool, bool) {
@@ -69,16 +81,14 @@ impl CanBoard for Bxcan {
         (esr & 1 << 2 != 0, esr & 1 << 1 != 0, esr & 1 << 0 != 0)
     }
 
-    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool {
-        self.accepted().iter().all(is_wanted)
-    }
-
-    fn assert_set_up(board: &Emulator, bus: &CanBus, rate: u32) {
-        assert_peripheral_set_up(board, bus);
-        let controller = bus.controller();
-        let timing = controller.bit_timing();
-        assert_eq!((timing.rate, timing.sample_point), (rate, 875), "{timing:?}");
-        assert_eq!(controller.violations(), [""; 0]);
+    fn assert_registers(board: &Emulator, bus: &CanBus) {
+        let read = |address| board.readl(address).unwrap();
+        assert_eq!(read(RCC_APB1ENR1) >> 25 & 1, 1, "CAN1's clock must be enabled");
+        assert_eq!(read(GPIOB_MODER) >> 16 & 0xF, 0b1010, "PB8 and PB9 must be in alternate-function mode");
+        assert_eq!(read(GPIOB_AFRH) & 0xFF, 0x99, "PB8 and PB9 must belong to CAN1");
+        // CAN1_TX and CAN1_RX0.
+        await_interrupts(board, 0b11 << 19);
+        assert_hold(bus, &CAN_SET_UP);
     }
 }
 
@@ -99,11 +109,7 @@ impl CanBoard for Fdcan {
         (psr & 1 << 7 != 0, psr & 1 << 5 != 0, psr & 1 << 6 != 0)
     }
 
-    fn filters_hold(&self, is_wanted: impl Fn(&WireFrame) -> bool) -> bool {
-        self.accepted().iter().all(is_wanted)
-    }
-
-    fn assert_set_up(board: &Emulator, bus: &CanBus<Self>, rate: u32) {
+    fn assert_registers(board: &Emulator, bus: &CanBus<Self>) {
         const FDCANSEL: u32 = 0b11 << 24;
         let read = |address| board.readl(address).unwrap();
         assert_eq!(read(RCC_APB1ENR1) >> 25 & 1, 1, "FDCAN's clock must be enabled");
@@ -111,20 +117,15 @@ impl CanBoard for Fdcan {
         assert_eq!(read(GPIOA_MODER) >> 22 & 0xF, 0b1010, "PA11 and PA12 must be in alternate-function mode");
         assert_eq!(read(GPIOA_AFRH) >> 12 & 0xFF, 0x99, "PA11 and PA12 must belong to FDCAN1");
         await_interrupts(board, 1 << 21);
-        let mut controller = bus.controller();
-        let mut registers = FDCAN_SET_UP.iter();
-        assert!(
-            registers.all(|(offset, value)| controller.load(*offset).unwrap() == *value),
-            "{controller:?}"
-        );
-        let timing = controller.bit_timing();
-        assert_eq!((timing.rate, timing.sample_point), (rate, 875), "{timing:?}");
-        assert_eq!(controller.violations(), [""; 0]);
+        assert_hold(bus, &FDCAN_SET_UP);
     }
 }
 
 impl CanBoard for Mcp2515 {
     const BOARD: Board = Board::PICO;
+
+    /// The crystal provides eight time quanta per bit.
+    const SAMPLE_POINT_AT_1M: u32 = 750;
 
     fn new_bus(rate: u32) -> CanBus<Self> {
         const CRYSTAL_HZ: u32 = 16_000_000;
@@ -147,13 +148,8 @@ impl CanBoard for Mcp2515 {
         !self.lost().iter().any(is_wanted)
     }
 
-    fn assert_set_up(_: &Emulator, bus: &CanBus<Self>, rate: u32) {
-        let controller = bus.controller();
-        // At 1 Mbit/s, the crystal provides eight time quanta per bit.
-        let sample_point = if rate == 1_000_000 { 750 } else { 875 };
-        assert_eq!((controller.rate(), controller.sample_point()), (rate, sample_point));
-        assert_eq!(controller.violations(), [""; 0]);
-        assert_eq!(controller.lost(), []);
+    fn assert_registers(_: &Emulator, bus: &CanBus<Self>) {
+        assert_eq!(bus.controller().lost(), []);
     }
 }
 
@@ -162,7 +158,7 @@ fn power_up<C: CanBoard>((variable, rate): (&str, u32)) -> (Emulator, CanBus<C>,
     let bus = C::new_bus(rate);
     // The acknowledging nodes join before the board starts.
     let places = [bus.join(), bus.join()];
-    let board = Emulator::start_with(&C::BOARD.image(variable), C::extras(&bus)).unwrap();
+    let board = C::BOARD.start(variable, C::extras(&bus));
     let hub = CanHub::start(places, &board.clock()).unwrap();
     (board, bus, hub)
 }
@@ -172,13 +168,12 @@ const GPIOB_MODER: u32 = 0x4800_0400;
 const GPIOB_AFRH: u32 = 0x4800_0424;
 const RCC_APB1ENR1: u32 = 0x4002_1058;
 
-/// Enable register of the first 32 interrupts (ARMv7-M, B3.4.4), and CAN1's interrupt sources (RM0351, 46.9.2): empty
-/// mailbox, message in FIFO 0.
+/// Enable register of the first 32 interrupts (ARMv7-M, B3.4.4).
 const NVIC_ISER0: u32 = 0xE000_E100;
-const CAN_IER: u32 = 0x14;
-/// MCR of a controller that retransmits, sends by identifier, and stays bus-off until software recovers it.
-const CAN_MCR: (u32, u32) = (0x00, 0x0001_0000);
-const TMEIE_AND_FMPIE0: u32 = 0b11;
+
+/// Registers of CAN1 after the set-up (RM0351, 46.9.2): interrupts for an empty mailbox and for a message in FIFO 0; retransmits,
+/// sends by identifier, and stays bus-off until software recovers it.
+const CAN_SET_UP: [(u32, u32); 2] = [(0x14, 0b11), (0x00, 0x0001_0000)];
 
 /// MODER and AFRH of port A, and the register that selects FDCAN's clock (RM0440, 9.4, 7.4.25).
 const GPIOA_MODER: u32 = 0x4800_0000;
@@ -196,28 +191,18 @@ const FDCAN_SET_UP: [(u32, u32); 6] = [
     (0xDC, 0b111),
 ];
 
-/// Waits until these of the first 32 interrupts are enabled: the handlers mask them until the next turn of the main loop.
-fn await_interrupts(board: &Emulator, lines: u32) {
-    let bound = Instant::now() + PATIENCE;
-    while board.readl(NVIC_ISER0).unwrap() & lines != lines {
-        assert!(Instant::now() < bound, "the interrupts {lines:#X} are not enabled");
+/// Checks that the registers at these offsets have these values.
+fn assert_hold<C: MappedController>(bus: &CanBus<C>, registers: &[(u32, u32)]) {
+    let mut controller = bus.controller();
+    for (offset, value) in registers {
+        assert_eq!(controller.load(*offset).unwrap(), *value, "{offset:#X}");
     }
 }
 
-/// Checks clock, pins, interrupts and mode.
-fn assert_peripheral_set_up(board: &Emulator, bus: &CanBus) {
-    assert_eq!(board.readl(RCC_APB1ENR1).unwrap() >> 25 & 1, 1, "CAN1's clock must be enabled");
-    assert_eq!(
-        board.readl(GPIOB_MODER).unwrap() >> 16 & 0xF,
-        0b1010,
-        "PB8 and PB9 must be in alternate-function mode"
-    );
-    assert_eq!(board.readl(GPIOB_AFRH).unwrap() & 0xFF, 0x99, "PB8 and PB9 must belong to CAN1");
-    // CAN1_TX and CAN1_RX0.
-    await_interrupts(board, 0b11 << 19);
-    let mut controller = bus.controller();
-    assert_eq!(controller.load(CAN_IER).unwrap(), TMEIE_AND_FMPIE0);
-    assert_eq!(controller.load(CAN_MCR.0).unwrap(), CAN_MCR.1);
+/// Waits until these of the first 32 interrupts are enabled: the handlers mask them until the next turn of the main loop.
+fn await_interrupts(board: &Emulator, lines: u32) {
+    let read = || board.readl(NVIC_ISER0).unwrap();
+    wait_until(&format!("the interrupts {lines:#X}"), read, |enabled| enabled & lines == lines);
 }
 
 /// A board with its gripper on a bus.
@@ -285,12 +270,8 @@ fn serial_number_is_made_of_the_flash_chips_in_rp2040js() {
     let master = bus.join();
     let receive = |id: u16| {
         let id = WireFrame::standard(id, &[]).id;
-        let bound = Instant::now() + PATIENCE;
-        let received = std::iter::from_fn(|| master.received.recv_timeout(PATIENCE).ok());
-        received
-            .take_while(|_| Instant::now() < bound)
-            .find(|frame| frame.id == id)
-            .expect("the frame must be sent")
+        let next = || master.received.recv_timeout(PATIENCE).expect("the frame must be sent");
+        wait_until("the frame", next, |frame| frame.id == id)
     };
     // A heartbeat shows that the node is on the bus.
     receive(0x710);

@@ -3,13 +3,13 @@
 //!
 //! A pseudo terminal refuses parity, so the masters use 8N1. The emulated line models neither rate nor parity.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use document::read;
+use host_tests::emulator::Extras;
 use host_tests::masters::{self, printed};
 use host_tests::rig::{Rig, motions};
 use host_tests::terminal::Terminal;
-use host_tests::trace::Trace;
 use host_tests::world::with_part;
 use tokio_modbus::ExceptionCode;
 use tokio_modbus::client::{Context, rtu};
@@ -17,8 +17,8 @@ use tokio_modbus::prelude::{Reader, Slave, Writer};
 use wsg_bridge_fw::io::Inputs;
 use wsg_protocol::CommandId;
 
-use super::Board;
 use super::service_port::BY_HAND;
+use super::{Board, RELEASED, await_gripper, wait_until};
 
 struct Plant {
     rig: Rig,
@@ -39,18 +39,12 @@ fn lost(counts: &[u16]) -> [u16; 5] {
 
 /// A board with a responding gripper. The FAST STOP of power-up is not acknowledged.
 fn plant(board: Board) -> Plant {
-    let elf = board.image("WSG_FIRMWARE_ELF");
-    let mut rig = Rig::power_up(&elf, with_part(20.0), Trace::new(vec![])).unwrap();
+    let mut rig = board.rig(RELEASED, Extras::default(), with_part(20.0));
     rig.set(Inputs::FAST_STOP_OK, true).unwrap();
     let mut master = rig.master(1).unwrap();
     master.allow_pauses().unwrap();
-    let bound = Instant::now() + Duration::from_secs(60);
-    while master.ask(&[4, 0, 0, 0, 6]).unwrap()[0] != 4 {
-        assert!(Instant::now() < bound, "the gripper does not respond");
-    }
-    let counts = master.ask(&[4, 0, COUNTS.0 as u8, 0, COUNTS.1 as u8]).unwrap();
-    let counts: Vec<u16> = counts[2..].as_chunks().0.iter().map(|word| u16::from_be_bytes(*word)).collect();
-    let lost_before = lost(&counts);
+    await_gripper(&mut master);
+    let lost_before = lost(&master.read(4, COUNTS.0, COUNTS.1).unwrap());
     Plant { rig, terminal: Terminal::to(master.into_line().unwrap()).unwrap(), lost_before }
 }
 
@@ -133,11 +127,8 @@ fn mbpoll_reads_writes_and_homes(board: Board) {
             assert!(written.contains("Written 1 references"), "{written}");
         }
     }
-    let referenced = || poll(&["-t", "1", "-r", "16", "-c", "1"], &[]).contains("[16]: \t1");
-    let bound = Instant::now() + Duration::from_secs(60);
-    while !referenced() {
-        assert!(Instant::now() < bound, "REFERENCED is not set within the time limit");
-    }
+    let read = || poll(&["-t", "1", "-r", "16", "-c", "1"], &[]);
+    wait_until("REFERENCED", read, |printed| printed.contains("[16]: \t1"));
     assert_eq!(motions(&plant.rig.trace().since(0)), [CommandId::Homing]);
     let unit = poll(&["-t", "4", "-r", "100", "-c", "1"], &[]);
     assert!(unit.contains("[100]: \t1"), "{unit}");
