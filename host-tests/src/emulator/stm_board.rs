@@ -30,8 +30,27 @@ pub struct StmBoard {
     pub bus_uart: u32,
     /// The board's status LED.
     pub indicator: (Port, u8),
+    /// Its clocks.
+    pub clocks: Clocks,
     /// The flash interface and the pages of the settings.
     pub flash: Layout,
+}
+
+/// Clocks of a board's core and lines, which its firmware configures.
+#[derive(Debug)]
+pub struct Clocks {
+    /// Frequency of the oscillator that feeds the PLL, in Hz.
+    pub oscillator_hz: u32,
+    /// Value of PLLSRC for this oscillator.
+    pub pll_source: u32,
+    /// Frequency of the core and of the buses of the UARTs, in Hz.
+    pub core_hz: u32,
+    /// The fields of CCIPR for the UARTs of gripper and bus, as a mask, and their values.
+    pub selection: (u32, u32),
+    /// The dividend of the bus' UART in Hz: BRR is this divided by the rate.
+    pub bus_hz: u32,
+    /// DEAT and DEDT of the bus' UART.
+    pub driver_time: u32,
 }
 
 /// The default board.
@@ -47,6 +66,15 @@ pub static B_L475E_IOT01A: StmBoard = StmBoard {
     gripper_uart: 0x4000_4C00,
     bus_uart: 0x4000_8000,
     indicator: wsg_b_l475e_iot01a::INDICATOR,
+    // HSI16 (RM0351, 6.2.2), and the bus on LPUART1, which multiplies its clock by 256 (41.4.5). 16 cycles are 1 us.
+    clocks: Clocks {
+        oscillator_hz: 16_000_000,
+        pll_source: 0b10,
+        core_hz: 80_000_000,
+        selection: (0b11 << 6 | 0b11 << 10, 0b10 << 10),
+        bus_hz: 256 * 16_000_000,
+        driver_time: 16,
+    },
     flash: Layout::STM32L475,
 };
 
@@ -65,10 +93,25 @@ pub static NUCLEO_G474RE: StmBoard = StmBoard {
     gripper_uart: 0x4001_3800,
     bus_uart: 0x4000_4800,
     indicator: wsg_nucleo_g474re::INDICATOR,
+    // The crystal, and the bus on USART3. The driver time is half a bit, in sixteenths.
+    clocks: Clocks {
+        oscillator_hz: 24_000_000,
+        pll_source: 0b11,
+        core_hz: 144_000_000,
+        selection: (0b11 | 0b11 << 4, 0),
+        bus_hz: 144_000_000,
+        driver_time: 8,
+    },
     flash: Layout::STM32G474,
 };
 
 impl StmBoard {
+    /// Returns the divider of the bus' UART for a rate in bit/s. Of an LPUART's, QEMU keeps the lowest 16 bits.
+    #[must_use]
+    pub fn bus_divider(&self, rate: u32) -> u32 {
+        ((self.clocks.bus_hz + rate / 2) / rate) & 0xFFFF
+    }
+
     /// Returns the board of an image, and the address of its millisecond counter. An image without symbols is taken for one of
     /// the default board.
     pub(super) fn of(elf: &Path) -> (&'static Self, Option<u32>) {

@@ -4,12 +4,10 @@
 use std::os::unix::net::UnixStream;
 
 use host_tests::addresses::{report, setting};
-use host_tests::can_bus::CanBus;
-use host_tests::can_controller::BusController;
 use host_tests::can_wire::WireFrame;
 use host_tests::chance::Chance;
 use host_tests::clock::Clock;
-use host_tests::emulator::{Emulator, Extras};
+use host_tests::emulator::Extras;
 use host_tests::extent;
 use host_tests::flash_controller::{ErrorFlag, Fault, FlashController};
 use host_tests::flash_pages::{PAGE_LEN, Tear};
@@ -25,6 +23,7 @@ use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config as BridgeConfig, RECIPE_COUNT};
 use wsg_sim::Config;
 
+use super::can::CanBoard;
 use super::service_port::poll;
 use super::{Board, RELEASED, wait_until};
 
@@ -149,21 +148,16 @@ fn command(name: &str) -> u16 {
     FIRST_COMMAND + COMMANDS.iter().position(|command| command.name == name).unwrap() as u16
 }
 
-/// LPUART1's divider, of which QEMU keeps the lowest 16 bits, and its input clock (RM0351, 41.4.5, 41.7.4).
-const LPUART1_BRR: u32 = 0x4000_800C;
-const HSI16_HZ: u32 = 16_000_000;
-
 /// Asserts that the PLC's bus runs at this rate, in bit/s, and that the bridge answers as this unit.
-fn assert_bus_runs(board: &mut Emulator, unit: u8, rate: u32) {
-    let divider = (256 * HSI16_HZ + rate / 2) / rate;
-    assert_eq!(board.readl(LPUART1_BRR).unwrap(), divider & 0xFFFF);
+fn assert_bus_runs(plant: &mut Plant, unit: u8, rate: u32) {
+    const BRR: u32 = 0x0C;
+    let (kind, board) = (plant.board.in_qemu(), plant.rig.board_mut());
+    assert_eq!(board.readl(kind.bus_uart + BRR).unwrap(), kind.bus_divider(rate));
     let mut bus = Master::new(board.take_modbus_line().unwrap(), board.clock(), unit);
     assert_eq!(bus.read(3, setting("UNIT"), 1).unwrap(), [u16::from(unit)]);
 }
 
-#[test]
-#[ignore = "needs QEMU, the firmware image and mbpoll: run `cargo xtask test`"]
-fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
+fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written<C: CanBoard>() {
     let mbpoll = |cable: &Terminal, registers: &str, values: &[u16]| {
         let values: Vec<String> = values.iter().map(u16::to_string).collect();
         let values: Vec<&str> = values.iter().map(String::as_str).collect();
@@ -188,8 +182,7 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
             .all(|(n, value)| printed.contains(&format!("[{}]: \t{value}\n", first + n)))
     };
 
-    let board = Board::DEFAULT;
-    let (plant, cable) = Plant::new(board).on_cable();
+    let (plant, cable) = Plant::new(C::BOARD).on_cable();
     let recipes: Vec<u16> = (0..RECIPE_REGISTERS as u16).map(|n| 1_000 + n).collect();
     write(&cable, setting("RECIPE0_WIDTH"), &recipes);
     write(&cable, setting("UNIT"), &[9]);
@@ -198,15 +191,15 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
 
     let (mut plant, cable) = plant.power_cycle().on_cable();
     assert!(are_there(&cable, &recipes));
-    assert_bus_runs(plant.rig.board_mut(), 9, 38_400);
+    assert_bus_runs(&mut plant, 9, 38_400);
     write(&cable, setting("PLC_BUS"), &[2]);
     write(&cable, setting("CAN_RATE"), &[250]);
     write(&cable, setting("CAN_NODE"), &[5]);
     store(&cable, "SAVE");
 
-    let can = CanBus::new(250_000);
+    let can = C::new_bus(250_000);
     let master = can.join();
-    let plant = Plant::power_up_with(board, plant.power_down(), can.models());
+    let plant = Plant::power_up_with(C::BOARD, plant.power_down(), C::extras(&can).models);
     let (plant, cable) = plant.on_cable();
     assert!(are_there(&cable, &recipes));
     // Node 5's boot-up message and an SDO answer (CiA 301, 7.2.8.3.3, 7.2.4.3.5).
@@ -224,7 +217,7 @@ fn mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written() {
     let delivered = BridgeConfig::DEFAULT;
     assert_eq!(plant.settings(), delivered.record());
     assert_eq!(plant.report("SETTINGS_FROM"), STORED);
-    assert_bus_runs(plant.rig.board_mut(), delivered.bus.unit, delivered.bus.baud);
+    assert_bus_runs(&mut plant, delivered.bus.unit, delivered.bus.baud);
     plant.power_down();
 }
 
@@ -400,3 +393,9 @@ on_every_board!(board_in_qemu =>
     an_unreadable_double_word_costs_its_record_and_no_start,
     a_program_that_cannot_be_read_resets_the_board,
 );
+
+mod on_can {
+    use super::mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written;
+
+    on_every_board!(controller_in_qemu => mbpoll_stores_recipes_bus_and_rate_until_defaults_is_written);
+}

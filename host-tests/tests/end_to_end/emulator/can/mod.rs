@@ -32,7 +32,7 @@ const PLC_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_PLC", 250_000);
 const BOTH_ON_CAN: (&str, u32) = ("WSG_FIRMWARE_ELF_CAN_BOTH", 500_000);
 
 /// A board's CAN controller, with the board-specific checks.
-trait CanBoard: BusController {
+pub(super) trait CanBoard: BusController {
     const BOARD: Board;
 
     /// The required sample point at 1 Mbit/s in thousandths of a bit.
