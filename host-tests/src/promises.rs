@@ -56,7 +56,7 @@ pub enum Promise {
     NoMotionInFastStop,
     /// No setting is sent from FAST STOP until its acknowledgement (W, Inputs).
     NoSettingInFastStop,
-    /// While the stored settings are rejected, no motion is sent (R, Settings that count from a start).
+    /// While the stored settings are rejected, no motion is sent (R, Settings that take effect at a restart).
     RefusedSettingsMoveNothing,
     /// Of the settings of a gripper, the bridge changes only the force limit (W, Recipes).
     OnlyForceLimitIsSet,

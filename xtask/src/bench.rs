@@ -377,7 +377,7 @@ mod tests {
             "O3/byte-path/64 100 72\nOs/byte-path/64 2305 72\nO3/bulk-path/64 700 72\n\
              O3/modbus-8-registers 601 1\nOs/profibus-data-exchange 4001 1\nOs/edge-to-first-byte/move 4000 1\n\
              Os/edge-to-last-byte/grip 4000 18\nOs/edge-clock-mhz 80 1\nnucleo-g474re/Os/edge-clock-mhz 144 1\n\
-             nucleo-g474re/Os/edge-to-first-byte/move 3500 1\nnucleo-g474re/Os/edge-to-last-byte/grip 4000 18\n\
+             nucleo-g474re/Os/edge-to-first-byte/move 3500 1\nnucleo-g474re/Os/edge-to-last-byte/grip 4000 17\n\
              pico/Os/byte-path/64 2880 72\npico/O3/bulk-path/64 1153 72\n\
              pico/O3/modbus-8-registers 601 1\npico/Os/profibus-data-exchange 4000 1",
         );

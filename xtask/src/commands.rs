@@ -14,7 +14,7 @@ use crate::{
     platforms, process,
     setup::{self, ThumbToolchain},
     tool::{
-        self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DEB, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
+        self, CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DENY, CARGO_LLVM_COV, CARGO_PUBLIC_API,
         CARGO_SEMVER_CHECKS, MDBOOK, MIRI, NIGHTLY,
     },
     workspace::{TARGET_CRATES, Workspace},
@@ -84,9 +84,7 @@ pub(crate) fn release(workspace: &Workspace, parts: &[OsString]) -> Result<()> {
     for target in ["x86_64-unknown-linux-musl", "aarch64-unknown-linux-musl", platforms::WINDOWS] {
         ensure!(setup::provide_target(workspace, target), "rustup could not install {target}");
     }
-    [CARGO_AUDITABLE, CARGO_CYCLONEDX, CARGO_DEB]
-        .iter()
-        .try_for_each(|tool| tool.require(workspace, "the release"))?;
+    [CARGO_AUDITABLE, CARGO_CYCLONEDX].iter().try_for_each(|tool| tool.require(workspace, "the release"))?;
     setup::lacking(&platforms::FROM_DEBIAN);
     setup::lacking(&[("aarch64", "qemu-aarch64-static", "qemu-user-static")]);
     let zig = setup::zig(workspace).context("zig cannot be installed")?.join("bin");

@@ -31,10 +31,9 @@ pub(crate) const CARGO_FUZZ: Tool = of_cargo!("fuzz");
 pub(crate) const CARGO_MUTANTS: Tool = of_cargo!("mutants");
 pub(crate) const CARGO_DENY: Tool = of_cargo!("deny");
 pub(crate) const CARGO_LLVM_COV: Tool = of_cargo!("llvm-cov");
-// For a release: lists of the parts of a program in it and beside it, Debian packages, and the records of public APIs.
+// For a release: lists of the parts of a program in it and beside it, and the records of public APIs.
 pub(crate) const CARGO_AUDITABLE: Tool = of_cargo!("auditable");
 pub(crate) const CARGO_CYCLONEDX: Tool = of_cargo!("cyclonedx");
-pub(crate) const CARGO_DEB: Tool = of_cargo!("deb");
 pub(crate) const CARGO_PUBLIC_API: Tool = of_cargo!("public-api");
 pub(crate) const CARGO_SEMVER_CHECKS: Tool = of_cargo!("semver-checks");
 

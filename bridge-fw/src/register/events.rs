@@ -69,7 +69,7 @@ define_events! {
     60 BusSilent "BUS_SILENT" "the PLC that commanded over the bus was silent for BUS_TIMEOUT" "BUS_REACTION" "check the bus wiring and the master, or increase BUS_TIMEOUT";
     61 BusOff "BUS_OFF" "the CAN controller went bus-off" "" "check rate, termination and wiring of the CAN bus";
     70 SettingsRefused "SETTINGS_REFUSED" "the stored settings are unusable and the defaults apply: no motion is possible" "SETTINGS_FROM" "set the bridge up again and SAVE, or DEFAULTS";
-    71 SaveFailed "SAVE_FAILED" "the settings were not stored; the previous ones are kept" "1 flash stays busy, 2 flash is write-protected, 3 flash was not erased, 4 flash reports another fault, 5 flash cannot be erased, 6 flash reads back wrong data, 7 no number left for a save" "SAVE again; if that fails too, the flash is worn or protected";
+    71 SaveFailed "SAVE_FAILED" "the settings were not stored; the previous ones are kept" "1 flash busy, 2 flash write-protected, 3 flash not erased, 4 another flash fault, 5 flash cannot be erased, 6 wrong data in flash, 7 save numbers used up" "SAVE again; if that fails too, the flash is worn or protected";
 }
 
 impl EventCode {

@@ -1,16 +1,17 @@
-//! Checks docs/quick-start.md: its registers against the tables, and the grip that it leads to. Also the grip in README.md, and over CAN
-//! in docs/can.md.
+//! Checks docs/quick-start.md: its registers against the tables, and the grip that it leads to. Also the grip in README.md, over CAN in
+//! docs/can.md, and over PROFIBUS in docs/profibus.md.
 
 use document::{ImageAccess, can_frames, image_accesses, read};
 use host_tests::world::modbus::{Master, RELEASE};
-use host_tests::world::{World, with_part};
+use host_tests::world::plc::Plc;
+use host_tests::world::{World, profibus, with_part};
 use wsg_bridge_fw::Config;
 use wsg_bridge_fw::can::{DEFAULT_NODE, NodeConfig};
 use wsg_bridge_fw::io::Inputs;
 use wsg_bridge_fw::registers::{
     COMMAND_KEY, COMMANDS, FIRST_COMMAND, FIRST_REPORT, FIRST_SETTING, REPORTS, SETTINGS,
 };
-
+use wsg_fieldbus::OutputImage;
 use wsg_protocol::CommandId;
 
 const DOCUMENT: &str = "docs/quick-start.md";
@@ -69,19 +70,32 @@ fn quick_start_commands_name_registers_and_write_valid_values() {
 }
 
 /// Executes accesses as a PLC that polls.
-fn play(plc: &mut Master, accesses: &[ImageAccess]) {
+fn play(plc: &mut impl Plc, accesses: &[ImageAccess]) {
     for access in accesses {
         match access {
-            ImageAccess::Write(values) => plc.write(0, values),
+            ImageAccess::Write(values) => {
+                let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_be_bytes()).collect();
+                *plc.image() = OutputImage::from_bytes(bytes.try_into().unwrap());
+                plc.write();
+            }
             ImageAccess::Read(expected) => {
                 let is_read = (0..20_000).any(|_| {
-                    plc.pass(1);
-                    ImageAccess::expects(expected, plc.input(0, 6).unwrap())
+                    plc.run(1);
+                    let input = plc.read().to_bytes();
+                    let words = input.chunks(2).map(|pair| u16::from_be_bytes([pair[0], pair[1]]));
+                    ImageAccess::expects(expected, words)
                 });
-                assert!(is_read, "{expected:?} is not read, but {:?}", plc.input(0, 6));
+                assert!(is_read, "{expected:?} is not read, but {:?}", plc.read());
             }
         }
     }
+}
+
+/// Returns the first grip of a document, in steps.
+fn first_grip(document: &str) -> String {
+    let text = read(document);
+    let (_, first_grip) = text.split_once("\n## First grip\n").expect("the page has a first grip");
+    first_grip.split_once("\n## ").expect("a section follows the first grip").0.to_owned()
 }
 
 #[test]
@@ -110,10 +124,7 @@ fn frames_of_the_can_page_lead_to_a_grip_as_node_5() {
     rig.pass(300);
     rig.set(Inputs::FAST_STOP_OK, true);
     rig.pass(100);
-    let text = read("docs/can.md");
-    let (_, first_grip) = text.split_once("\n## First grip\n").expect("the page has a first grip");
-    let (first_grip, _) = first_grip.split_once("\n## ").expect("a section follows the first grip");
-    let frames = can_frames(first_grip);
+    let frames = can_frames(&first_grip("docs/can.md"));
     assert!(frames.len() > 10, "{frames:02X?}");
     for (id, data) in frames {
         if id != 0x180 | u16::from(NODE.node) {
@@ -129,4 +140,19 @@ fn frames_of_the_can_page_lead_to_a_grip_as_node_5() {
         assert!(is_told, "{id:03X} {data:02X?} was not received");
     }
     assert_eq!(rig.take_motions(), [CommandId::Homing, CommandId::GripPart]);
+}
+
+#[test]
+fn words_of_the_profibus_page_lead_to_a_grip() {
+    let mut plc = profibus::Master::power_up(profibus::AT_500K, with_part(20.0));
+    // The wire is low at power-up.
+    plc.world.set(Inputs::FAST_STOP_OK, false);
+    plc.fall_silent(300);
+    plc.world.set(Inputs::FAST_STOP_OK, true);
+    plc.fall_silent(100);
+    plc.resume();
+    let accesses = image_accesses(&first_grip("docs/profibus.md"));
+    assert!(accesses.len() > 10, "{accesses:?}");
+    play(&mut plc, &accesses);
+    assert_eq!(plc.world.take_motions(), [CommandId::Homing, CommandId::GripPart]);
 }

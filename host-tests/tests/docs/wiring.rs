@@ -35,8 +35,8 @@ const OUTPUT_MEANINGS: [(Outputs, &str); Outputs::COUNT] = [
     (Outputs::PART_FAULT, "the last grip found no part, or the held part was lost"),
     (
         Outputs::ERROR,
-        "the last command was refused, failed, or has an unknown outcome; or FAST STOP; or a fault of the \
-         gripper or a finger; or the stored settings cannot be used",
+        "the last command was refused or failed, or its outcome is unknown. Also during FAST STOP, with a \
+         fault of the gripper or a finger, and with unusable stored settings",
     ),
     (Outputs::REFERENCED, "the gripper reports that its fingers are referenced"),
     (Outputs::LINK_OK, "the gripper responds, and its limits and states are known"),

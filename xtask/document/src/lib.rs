@@ -136,25 +136,25 @@ pub fn can_frames(text: &str) -> Vec<(u16, Vec<u8>)> {
     lines.collect()
 }
 
-/// Access of a PLC to the process images over Modbus.
+/// Access of a PLC to the process images, over Modbus or PROFIBUS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImageAccess {
-    /// Writes these values to holding registers 0 to 3.
+    /// Writes these values to holding registers 0 to 3, or as the words of the outputs.
     Write([u16; 4]),
-    /// Reads input registers 0 to 5 until they have these values; `None` is any value.
+    /// Reads input registers 0 to 5, or the words of the inputs, until they have these values; `None` is any value.
     Read([Option<u16>; 6]),
 }
 
 impl ImageAccess {
-    /// Returns whether these values of input registers 0 to 5 are the expected ones of a read.
+    /// Returns whether these values of input registers or words are the expected ones of a read.
     #[must_use]
     pub fn expects(expected: &[Option<u16>; 6], values: impl IntoIterator<Item = u16>) -> bool {
         expected.iter().zip(values).all(|(expected, value)| expected.is_none_or(|it| it == value))
     }
 }
 
-/// Returns the accesses to the process images in a document: lines that begin with `write 0 to 3:` or `read  0 to 5:`. Numbers with
-/// `h` are hexadecimal, and `-` is any value.
+/// Returns the accesses to the process images in a document: lines that begin with `write 0 to 3:` or `read  0 to 5:` for registers,
+/// and with `outputs:` or `inputs:` for words. Numbers with `h` are hexadecimal, and `-` is any value.
 ///
 /// # Panics
 /// Panics if such a line has too few numbers.
@@ -166,12 +166,13 @@ pub fn image_accesses(text: &str) -> Vec<ImageAccess> {
         None => Some(word.parse().unwrap_or_else(|_| panic!("no number: {word}"))),
     };
     let access = |line: &str| {
-        if let Some(values) = line.strip_prefix("write 0 to 3:") {
+        let after = |[register, word]: [&str; 2]| line.strip_prefix(register).or(line.strip_prefix(word));
+        if let Some(values) = after(["write 0 to 3:", "outputs:"]) {
             let mut values = values.split_whitespace().map(number);
             let value = |()| values.next().flatten().unwrap_or_else(|| panic!("four values: {line}"));
             return Some(ImageAccess::Write([(); 4].map(value)));
         }
-        let mut values = line.strip_prefix("read  0 to 5:")?.split_whitespace().map(number);
+        let mut values = after(["read  0 to 5:", "inputs:"])?.split_whitespace().map(number);
         let value = |()| values.next().unwrap_or_else(|| panic!("six values: {line}"));
         Some(ImageAccess::Read([(); 6].map(value)))
     };

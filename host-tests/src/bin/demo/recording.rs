@@ -1,5 +1,5 @@
-//! An animated picture of a trace of the demonstration: a terminal in which one line after the other appears, with its real time
-//! at the beginning.
+//! An animated picture of a trace of the demonstration: a terminal that begins with a full screen, on which one line after the other
+//! appears, with its real time at the beginning.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -19,8 +19,9 @@ const MARGIN: usize = 12;
 
 /// The shortest pause between two lines, in seconds. The trace has a dozen lines within 10 ms.
 const SHORTEST_PAUSE: f64 = 0.12;
-/// The longest pause between two lines, and the pause before the recording repeats, in seconds.
+/// The longest pause between two lines, the pause with the first screen, and the pause before the recording repeats, in seconds.
 const LONGEST_PAUSE: f64 = 0.7;
+const PAUSE_AT_START: f64 = 2.0;
 const PAUSE_AT_END: f64 = 5.0;
 
 /// Plays the scenario, and writes the picture of its trace if that is requested. Returns whether all steps succeeded.
@@ -40,33 +41,38 @@ pub(crate) fn play(mut options: Options) -> Result<bool> {
 
 /// Returns the picture of a trace.
 fn picture(trace: &str) -> String {
-    let (mut last, mut at) = (0.0, 0.0);
+    let (mut last, mut at) = (0.0, PAUSE_AT_START);
     let mut lines = Vec::new();
     for line in trace.lines() {
         let time = line.get(..9).and_then(|time| time.trim().parse::<f64>().ok());
-        at += time.map_or(0.0, |time| time - last).clamp(SHORTEST_PAUSE, LONGEST_PAUSE);
+        if lines.len() >= ROWS {
+            at += time.map_or(0.0, |time| time - last).clamp(SHORTEST_PAUSE, LONGEST_PAUSE);
+        }
         last = time.unwrap_or(last);
         lines.push((at, line));
     }
     let duration = at + PAUSE_AT_END;
+    let scrolled = |lines: usize| lines.saturating_sub(ROWS) * HEIGHT;
     let (mut keyframes, mut texts) = (String::new(), String::new());
     for (row, (at, line)) in lines.iter().enumerate() {
-        let y = (ROWS as i64 - row as i64 - 1) * HEIGHT as i64;
-        let _ = write!(keyframes, "{:.3}%{{transform:translateY({y}px)}}", 100.0 * at / duration);
+        if row >= ROWS {
+            let y = scrolled(row + 1);
+            let _ = write!(keyframes, "{:.3}%{{transform:translateY(-{y}px)}}", 100.0 * at / duration);
+        }
         let text: String = line.chars().take(COLUMNS).collect();
         let text = text.trim_end().replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;");
         let _ = writeln!(texts, "<text class=\"{}\" y=\"{}\">{text}</text>", class(line), row * HEIGHT + 13);
     }
     let (width, height) = (COLUMNS as f64 * WIDTH, ROWS * HEIGHT);
-    let end = (ROWS as i64 - lines.len() as i64) * HEIGHT as i64;
+    let end = scrolled(lines.len());
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {} {}\">\n\
          <title>A recording of cargo xtask demo</title>\n<style>\n\
          text{{font:13px monospace;fill:#ccd;white-space:pre}}\n\
          .step{{fill:#fff;font-weight:bold}}.passed{{fill:#7d7}}.to{{fill:#8cf}}.from{{fill:#db8}}\n\
-         .lines{{transform:translateY({end}px);animation:scroll {duration:.2}s step-end infinite}}\n\
+         .lines{{transform:translateY(-{end}px);animation:scroll {duration:.2}s step-end infinite}}\n\
          @media(prefers-reduced-motion){{.lines{{animation:none}}}}\n\
-         @keyframes scroll{{0%{{transform:translateY({height}px)}}{keyframes}}}\n</style>\n\
+         @keyframes scroll{{0%{{transform:none}}{keyframes}}}\n</style>\n\
          <rect width=\"100%\" height=\"100%\" rx=\"6\" fill=\"#14161f\"/>\n\
          <svg x=\"{MARGIN}\" y=\"{MARGIN}\" width=\"{width}\" height=\"{height}\"><g class=\"lines\">\n{texts}</g></svg>\n</svg>\n",
         width + 2.0 * MARGIN as f64,
@@ -90,12 +96,14 @@ mod tests {
 
     #[test]
     fn lines_appear_after_their_pauses_within_the_limits() {
-        let svg =
-            picture("=== 1. <start>\n    0.300  PLC     GRIP ↑\n   60.300  fingers 1.00 mm\n    passed\n");
-        let row = |row: i64| (22 - row) * 18;
-        let duration = 0.12 + 0.3 + 0.7 + 0.12 + 5.0;
-        for (at, y) in [(0.12, row(1)), (0.42, row(2)), (1.12, row(3)), (1.24, row(4))] {
-            let keyframe = format!("{:.3}%{{transform:translateY({y}px)}}", 100.0 * at / duration);
+        let first_screen = "=== 1. <start>\n".repeat(ROWS);
+        let svg = picture(&format!(
+            "{first_screen}    0.300  PLC     GRIP ↑\n   60.300  fingers 1.00 mm\n    passed\n"
+        ));
+        assert!(svg.contains("{0%{transform:none}"), "{svg}");
+        let duration = 2.0 + 0.3 + 0.7 + 0.12 + 5.0;
+        for (at, y) in [(2.3, 18), (3.0, 36), (3.12, 54)] {
+            let keyframe = format!("{:.3}%{{transform:translateY(-{y}px)}}", 100.0 * at / duration);
             assert!(svg.contains(&keyframe), "{keyframe} is not in {svg}");
         }
         assert!(svg.contains(">=== 1. &lt;start&gt;</text>"), "{svg}");

@@ -87,7 +87,7 @@ fn mbpoll_commands_of_the_document_work_when_pasted(board: Board) {
         "[108]: \t",
         "Written 4 references",
         "Written 1 references",
-        "[100]: \t5",
+        "[100]: \t6",
     ] {
         assert!(printed.contains(answer), "{answer}: {printed}");
     }

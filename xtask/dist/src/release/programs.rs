@@ -10,7 +10,7 @@ use anyhow::{Context, Result, ensure};
 use clap_complete::Shell;
 use document::root;
 
-use super::{Release, VERSION, cargo, empty, sbom, tar, trial};
+use super::{Release, TIME, VERSION, cargo, empty, sbom, tar, trial};
 use crate::program::run_program;
 use crate::{LINUX, WINDOWS, archive};
 
@@ -164,15 +164,17 @@ fn manual_pages_and_completions(folder: &Path) -> Result<()> {
 
 /// Adds the Debian package of the programs, which is installed below a folder, used and removed.
 fn debian(release: &mut Release, system: &System, files: &Path) -> Result<()> {
-    let built = release.target_dir.join(system.target).join(PROFILE).join("files");
-    empty(&built)?;
-    let parts = ["LICENCES.txt", "completions", "man"].map(|name| files.join(name));
-    run_program(Command::new("cp").arg("-r").args(parts).arg(&built), "")?;
     let place = release.folder(&format!("debian-{}", system.name))?;
-    let mut deb = cargo("deb --locked --no-build --no-strip -p wsg-tool --profile");
-    run_program(deb.args([PROFILE, "--target", system.target, "--output"]).arg(&place), "")?;
-    let package = fs::read_dir(&place)?.next().context("cargo-deb wrote no package")??.path();
-    let name = package.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let cpu = if system.name.ends_with("aarch64") { "arm64" } else { "amd64" };
+    let maintainer = env!("CARGO_PKG_AUTHORS").split(':').next().unwrap_or_default();
+    let mut pack = Command::new("sh");
+    pack.arg(root().join("xtask/dist/src/release/debian.sh")).current_dir(&place);
+    pack.env("FILES", files).env("DOCS", root().join("docs")).env("VERSION", VERSION).env("CPU", cpu);
+    pack.env("SOURCE_DATE_EPOCH", TIME);
+    pack.env("MAINTAINER", maintainer).env("HOMEPAGE", env!("CARGO_PKG_REPOSITORY"));
+    run_program(pack, "")?;
+    let name = format!("wsg-tools_{VERSION}-1_{cpu}.deb");
+    let package = place.join(&name);
 
     for folder in ["info", "updates"] {
         fs::create_dir_all(place.join("var/lib/dpkg").join(folder))?;
