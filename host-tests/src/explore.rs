@@ -8,7 +8,6 @@
 //! |---|---|
 //! | `action` | possible events |
 //! | `plant` | bridge, gripper, line and PLC, and the effect of each action |
-//! | `answers` | the gripper's undelivered messages |
 //! | `roots` | initial states |
 //! | `search` | breadth-first search |
 //! | `key` | equality of states |
@@ -17,7 +16,6 @@
 //! [`fault_sweep`](crate::fault_sweep).
 
 mod action;
-mod answers;
 mod key;
 mod plant;
 mod roots;
@@ -79,12 +77,6 @@ pub struct Report {
 }
 
 impl Report {
-    /// Returns the number of distinct states.
-    #[must_use]
-    pub const fn states(&self) -> u64 {
-        self.outcome.states
-    }
-
     /// Returns the broken promises in order of the number of actions.
     #[must_use]
     pub fn broken(&self) -> Vec<Promise> {

@@ -22,17 +22,17 @@ use crate::world::modbus::{JOG_PLUS, MOVE};
 /// Capacity of the line per millisecond, in hundredths of a byte (10 bits per byte).
 const HUNDREDTHS_PER_MS: u32 = 1_152;
 
-/// Returns all faults of a byte: any other value, loss, duplication, and insertion of any byte before it.
-fn every_fault() -> Vec<Fault> {
-    let flipped = (1..=u8::MAX).map(Fault::Flip);
-    flipped.chain([Fault::Drop, Fault::Duplicate]).chain((0..=u8::MAX).map(Fault::Insert)).collect()
-}
-
-/// Returns the most relevant faults: single-bit flips, loss, duplication, and inserted bytes that resemble a
-/// preamble, an idle line or a broken line.
-fn usual_faults() -> Vec<Fault> {
-    let flipped = (0..8).map(|bit| Fault::Flip(1 << bit));
-    flipped.chain([Fault::Drop, Fault::Duplicate]).chain([0x00, 0xAA, 0xFF].map(Fault::Insert)).collect()
+/// Returns the faults of a byte. With `every`: any other value, loss, duplication, and insertion of any byte before it.
+/// Without it, the most relevant: single-bit flips, loss, duplication, and inserted bytes that resemble a preamble, an idle
+/// line or a broken line.
+fn faults(every: bool) -> Vec<Fault> {
+    let [flips, inserted]: [Vec<u8>; 2] = if every {
+        [(1..=u8::MAX).collect(), (0..=u8::MAX).collect()]
+    } else {
+        [(0..8).map(|bit| 1 << bit).collect(), vec![0x00, 0xAA, 0xFF]]
+    };
+    let flipped = flips.into_iter().map(Fault::Flip);
+    flipped.chain([Fault::Drop, Fault::Duplicate]).chain(inserted.into_iter().map(Fault::Insert)).collect()
 }
 
 /// Direction of a byte.
@@ -60,7 +60,7 @@ pub type Damage = (Way, usize, Fault);
 pub struct Case {
     /// Time of the stop request, in milliseconds from the beginning of the course.
     pub stop_at: usize,
-    /// Damaged bytes. Those from [`Course::bytes_until`] on follow the request.
+    /// Damaged bytes, before or after the request.
     pub damage: Vec<Damage>,
 }
 
@@ -76,9 +76,7 @@ impl Carry for Wire {
         let count = waiting.len().min((budget / 100) as usize);
         // Idle time does not accumulate credit.
         self.budget = if waiting.len() > count { budget % 100 } else { 0 };
-        let bytes: Vec<u8> = waiting.drain(..count).collect();
-        self.way.pass(0, &bytes);
-        self.way.arrive(0)
+        self.way.carry(&mut waiting.drain(..count).collect())
     }
 }
 
@@ -86,19 +84,6 @@ impl Carry for Wire {
 type Rig = World<Wire>;
 
 impl Rig {
-    fn switched_on(time_scale: f32, frame_timeout_ms: u16) -> Self {
-        let config = wsg_sim::Config {
-            part: Part::of_width(20.0),
-            time_scale,
-            frame_timeout_ms,
-            ..wsg_sim::Config::default()
-        };
-        let far = SerialGripper::over(config, PortKind::Serial, TO_SEND_MAX, [Wire::new(), Wire::new()]);
-        let mut rig = Self::with(Config::DEFAULT, far, FlashModel::new(), ResetCause::PowerOn);
-        rig.set(Inputs::FAST_STOP_OK, true);
-        rig
-    }
-
     /// Issues a motion command and waits until it completes.
     fn course_of(&mut self, wire: Inputs, each: &mut impl FnMut(&Self)) {
         self.inputs |= wire;
@@ -119,7 +104,15 @@ impl Rig {
 
     /// Creates a rig that is referenced and READY.
     fn homed(time_scale: f32, frame_timeout_ms: u16) -> Self {
-        let mut rig = Self::switched_on(time_scale, frame_timeout_ms);
+        let config = wsg_sim::Config {
+            part: Part::of_width(20.0),
+            time_scale,
+            frame_timeout_ms,
+            ..wsg_sim::Config::default()
+        };
+        let far = SerialGripper::over(config, PortKind::Serial, TO_SEND_MAX, [Wire::new(), Wire::new()]);
+        let mut rig = Self::with(Config::DEFAULT, far, FlashModel::new(), ResetCause::PowerOn);
+        rig.set(Inputs::FAST_STOP_OK, true);
         rig.pass(200);
         assert!(rig.until(1_000, |outputs| outputs.contains(Outputs::READY)), "{:?}", rig.outputs());
         rig.course_of(Inputs::HOME, &mut |_| {});
@@ -127,18 +120,16 @@ impl Rig {
         rig
     }
 
-    fn wire(&mut self, way: Way) -> &mut Wire {
-        let SerialGripper { to_gripper, to_bridge, .. } = &mut self.far;
+    fn way(&mut self, way: Way) -> &mut FaultyWay {
         match way {
-            Way::Out => to_gripper,
-            Way::Back => to_bridge,
+            Way::Out => &mut self.far.to_gripper.way,
+            Way::Back => &mut self.far.to_bridge.way,
         }
     }
 
     /// Returns the number of bytes carried in this direction.
     fn count(&self, way: Way) -> usize {
-        let SerialGripper { to_gripper, to_bridge, .. } = &self.far;
-        let wire = if way == Way::Out { to_gripper } else { to_bridge };
+        let wire = if way == Way::Out { &self.far.to_gripper } else { &self.far.to_bridge };
         wire.way.counts().bytes as usize
     }
 
@@ -173,7 +164,7 @@ impl Rig {
 
 /// The motion to stop, and the criterion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scene {
+enum Scene {
     /// Grip and release, ended by FAST_STOP_OK; measured until the gripper reports FAST STOP.
     GripCycle,
     /// A jog over Modbus, ended by its flag; measured until the fingers stop.
@@ -188,68 +179,57 @@ pub enum Scene {
 
 /// The undisturbed course of a scene, as one snapshot per millisecond.
 #[derive(Debug)]
-pub struct Course {
+struct Course {
     scene: Scene,
     snapshots: Vec<Rig>,
 }
 
 impl Course {
     /// Plays a scene against a gripper that discards an incomplete frame after `frame_timeout_ms`.
-    #[must_use]
-    pub fn play(scene: Scene, frame_timeout_ms: u16) -> Self {
+    fn play(scene: Scene, frame_timeout_ms: u16) -> Self {
         let mut snapshots = vec![];
         let mut keep = |rig: &Rig| snapshots.push(rig.clone());
-        match scene {
-            Scene::GripCycle => {
-                let mut rig = Rig::homed(10.0, frame_timeout_ms);
+        // At the original speed the stroke takes 1.8 s, after which a jog would end without a stop.
+        let time_scale = if scene == Scene::GripCycle { 10.0 } else { 1.0 };
+        let mut rig = Rig::homed(time_scale, frame_timeout_ms);
+        let jogs = matches!(scene, Scene::Jog | Scene::Silence);
+        if jogs {
+            rig.course_of(Inputs::MOVE, &mut |_| {});
+        }
+        if scene != Scene::GripCycle {
+            rig.write(0);
+            rig.pass(100);
+            rig.write(if jogs { JOG_PLUS } else { MOVE });
+        }
+        if matches!(scene, Scene::ThirdPartyStop | Scene::ThirdPartyMotion) {
+            rig.pass(50);
+            assert!(rig.is_moving(), "the PLC's motion runs");
+        }
+        if scene == Scene::ThirdPartyMotion {
+            rig.act_as_third_party(&Command::Stop);
+            rig.pass(100);
+        }
+        keep(&rig);
+        if scene == Scene::GripCycle {
+            rig.course_of(Inputs::GRIP, &mut keep);
+            rig.course_of(Inputs::RELEASE, &mut keep);
+        } else {
+            for _ in 0..100 {
+                rig.step();
                 keep(&rig);
-                rig.course_of(Inputs::GRIP, &mut keep);
-                rig.course_of(Inputs::RELEASE, &mut keep);
-            }
-            Scene::ThirdPartyStop | Scene::ThirdPartyMotion => {
-                let mut rig = Rig::homed(1.0, frame_timeout_ms);
-                rig.write(0);
-                rig.pass(100);
-                rig.write(MOVE);
-                rig.pass(50);
-                assert!(rig.is_moving(), "the PLC's motion runs");
-                if scene == Scene::ThirdPartyMotion {
-                    rig.act_as_third_party(&Command::Stop);
-                    rig.pass(100);
-                }
-                keep(&rig);
-                for _ in 0..100 {
-                    rig.step();
-                    keep(&rig);
-                }
-            }
-            Scene::Jog | Scene::Silence => {
-                // At the original speed the stroke takes 1.8 s, after which the jog would end without a stop.
-                let mut rig = Rig::homed(1.0, frame_timeout_ms);
-                rig.course_of(Inputs::MOVE, &mut |_| {});
-                rig.write(0);
-                rig.pass(100);
-                rig.write(JOG_PLUS);
-                keep(&rig);
-                for _ in 0..100 {
-                    rig.step();
-                    keep(&rig);
-                }
-                assert!(rig.is_moving(), "the jog runs");
             }
         }
+        assert!(!jogs || rig.is_moving(), "the jog runs");
         Self { scene, snapshots }
     }
 
     /// Returns the course's duration in milliseconds.
-    #[must_use]
-    pub const fn duration_ms(&self) -> usize {
+    const fn duration_ms(&self) -> usize {
         self.snapshots.len()
     }
 
     /// Returns the number of bytes carried in this direction before a stop request at `stop_at` milliseconds.
-    #[must_use]
-    pub fn bytes_until(&self, way: Way, stop_at: usize) -> usize {
+    fn bytes_until(&self, way: Way, stop_at: usize) -> usize {
         let count =
             |at: usize| self.snapshots.get(at).or(self.snapshots.last()).map_or(0, |rig| rig.count(way));
         count(stop_at) - count(0)
@@ -257,8 +237,7 @@ impl Course {
 
     /// Returns the time from the stop request to the gripper's stop, in milliseconds; `None` if it exceeds
     /// `bound_ms`.
-    #[must_use]
-    pub fn stop(&self, case: &Case, bound_ms: u32) -> Option<u32> {
+    fn stop(&self, case: &Case, bound_ms: u32) -> Option<u32> {
         let first = self.snapshots.first()?;
         // Resumes at the last snapshot before any damaged byte is sent.
         let is_before = |at: usize| {
@@ -270,7 +249,7 @@ impl Course {
         let mut rig = self.snapshots.get(begin)?.clone();
         for (way, byte, fault) in &case.damage {
             let at = first.count(*way) + byte;
-            rig.wire(*way).way.hit(at as u64, *fault);
+            rig.way(*way).hit(at as u64, *fault);
         }
         // After the end of the course, time continues without commands.
         rig.pass((case.stop_at - begin) as u32);
@@ -280,8 +259,7 @@ impl Course {
 
     /// Does the same as [`stop`](Self::stop), with noise in both directions from `noise_ms` before to `noise_ms`
     /// after the request. `rate` is the fraction of damaged bytes. The result counts from the end of the noise.
-    #[must_use]
-    pub fn stop_in_noise(
+    fn stop_in_noise(
         &self,
         stop_at: usize,
         noise_ms: u32,
@@ -292,13 +270,13 @@ impl Course {
         let begin = stop_at.saturating_sub(noise_ms as usize);
         let mut rig = self.snapshots.get(begin)?.clone();
         for (way, seed) in [(Way::Out, seed), (Way::Back, !seed)] {
-            rig.wire(way).way = FaultyWay::new(Rates::of_bytes(rate), seed);
+            *rig.way(way) = FaultyWay::new(Rates::of_bytes(rate), seed);
         }
         rig.pass((stop_at - begin) as u32);
         rig.ask_for_stop(self.scene);
         rig.pass(noise_ms);
         for way in [Way::Out, Way::Back] {
-            rig.wire(way).way = FaultyWay::perfect();
+            *rig.way(way) = FaultyWay::perfect();
         }
         if self.is_stopped(&mut rig) { Some(0) } else { self.time_until_stopped(&mut rig, bound_ms) }
     }
@@ -335,13 +313,13 @@ pub struct Times {
 
 impl Times {
     /// Runs a case and records its stopping time.
-    pub fn take(&mut self, course: &Course, case: Case, bound_ms: u32) {
+    fn take(&mut self, course: &Course, case: Case, bound_ms: u32) {
         let ms = course.stop(&case, bound_ms);
         self.note(ms, bound_ms, || case);
     }
 
     /// Records the stopping time of a case.
-    pub fn note(&mut self, ms: Option<u32>, bound_ms: u32, case: impl FnOnce() -> Case) {
+    fn note(&mut self, ms: Option<u32>, bound_ms: u32, case: impl FnOnce() -> Case) {
         let ms = ms.unwrap_or(bound_ms + 1);
         let place = ms as usize;
         if self.counts.len() <= place {
@@ -378,6 +356,19 @@ impl Times {
     }
 }
 
+/// The damaged bytes of a set of cases.
+#[derive(Clone, Copy, Debug)]
+enum Faults {
+    /// One byte from shortly before the request to the end of the first answers.
+    One(Scene),
+    /// One byte up to two seconds before the request, which may leave the gripper in a truncated frame.
+    OneOld,
+    /// Two random bytes: one before or after the request, and one up to the end of the first burst.
+    Two,
+    /// Noise of three intensities.
+    Noise,
+}
+
 /// A set of cases and their permitted stopping time.
 #[derive(Clone, Copy, Debug)]
 pub struct Sweep {
@@ -389,159 +380,137 @@ pub struct Sweep {
     pub stride: usize,
     /// Whether to try all values of damaged and inserted bytes, instead of a relevant few.
     pub every_fault: bool,
-    run: fn(&Sweep) -> Times,
+    faults: Faults,
 }
 
 impl Sweep {
     /// Returns all sets of cases with this stride.
     #[must_use]
     pub fn all(stride: usize, every_fault: bool) -> [Self; 6] {
-        let sweep = |name, limit_ms, run| Self { name, limit_ms, stride, every_fault, run };
         [
-            sweep(
+            (
                 "one byte lost, changed, duplicated or inserted, at any time of a grip cycle",
                 250,
-                |sweep: &Sweep| sweep.one_fault(Scene::GripCycle),
+                Faults::One(Scene::GripCycle),
             ),
-            sweep(
-                "one byte damaged as above, up to 2 s before the FAST STOP request",
-                250,
-                Sweep::one_old_fault,
-            ),
-            sweep(
+            ("one byte damaged as above, up to 2 s before the FAST STOP request", 250, Faults::OneOld),
+            (
                 "one damaged byte, from clearing the flag of a jog over Modbus until the fingers stop",
                 250,
-                |sweep: &Sweep| sweep.one_fault(Scene::Jog),
+                Faults::One(Scene::Jog),
             ),
-            sweep(
+            (
                 "one damaged byte, from the last request of a jog's master until the fingers stop; contains BUS_TIMEOUT (1 s)",
                 1_270,
-                |sweep: &Sweep| sweep.one_fault(Scene::Silence),
+                Faults::One(Scene::Silence),
             ),
-            sweep("any two bytes damaged", 1_500, Sweep::two_faults),
-            sweep("noise that damages up to half of all bytes, measured from its end", 1_000, Sweep::noise),
+            ("any two bytes damaged", 1_500, Faults::Two),
+            ("noise that damages up to half of all bytes, measured from its end", 1_000, Faults::Noise),
         ]
+        .map(|(name, limit_ms, faults)| Self { name, limit_ms, stride, every_fault, faults })
     }
 
     /// Returns the cases in which a third party commands the gripper, with this stride. The first limit includes the
     /// time-out of a result after standstill.
     #[must_use]
     pub fn of_third_parties(stride: usize) -> [Self; 2] {
-        let sweep = |name, limit_ms, run| Self { name, limit_ms, stride, every_fault: false, run };
         [
-            sweep(
+            (
                 "one byte, while a third party stops a motion of the PLC, until GSTATE shows its end",
                 1_250,
-                |sweep: &Sweep| sweep.one_fault(Scene::ThirdPartyStop),
+                Faults::One(Scene::ThirdPartyStop),
             ),
-            sweep(
+            (
                 "one byte, while a third party starts a motion after that, until GSTATE shows it",
                 250,
-                |sweep: &Sweep| sweep.one_fault(Scene::ThirdPartyMotion),
+                Faults::One(Scene::ThirdPartyMotion),
             ),
         ]
+        .map(|(name, limit_ms, faults)| Self { name, limit_ms, stride, every_fault: false, faults })
     }
 
     /// Runs the cases.
     #[must_use]
     pub fn run(&self) -> Times {
-        (self.run)(self)
-    }
-
-    fn faults(&self) -> Vec<Fault> {
-        if self.every_fault { every_fault() } else { usual_faults() }
-    }
-
-    /// Damages bytes from shortly before the request to the end of the first answers.
-    fn one_fault(&self, scene: Scene) -> Times {
-        const BEFORE: usize = 40;
-        // The bus time-out adds a second before the answers.
-        let behind = if scene == Scene::Silence { 160 } else { 60 };
         let mut times = Times::default();
         for frame_timeout_ms in FRAME_TIMEOUTS_MS {
+            let scene = if let Faults::One(scene) = self.faults { scene } else { Scene::GripCycle };
             let course = Course::play(scene, frame_timeout_ms);
-            // A scene of a second is expensive.
-            let stride = if scene == Scene::Silence { self.stride * 10 } else { self.stride };
-            for stop_at in (0..course.duration_ms()).step_by(stride) {
-                for way in [Way::Out, Way::Back] {
-                    let next = course.bytes_until(way, stop_at);
-                    for byte in next.saturating_sub(BEFORE)..next + behind {
-                        for fault in self.faults() {
-                            let case = Case { stop_at, damage: vec![(way, byte, fault)] };
-                            times.take(&course, case, self.limit_ms);
-                        }
-                    }
-                }
+            let chance = Chance::new(frame_timeout_ms.into());
+            match self.faults {
+                Faults::One(_) => self.one(&course, &mut times),
+                Faults::OneOld => self.one_old(&course, &mut times),
+                Faults::Two => self.two(&course, chance, &mut times),
+                Faults::Noise => self.noise(&course, chance, &mut times),
             }
         }
         times
     }
 
-    /// Damages a byte up to two seconds before the request, which may leave the gripper in a truncated frame.
-    fn one_old_fault(&self) -> Times {
-        let mut times = Times::default();
-        for frame_timeout_ms in FRAME_TIMEOUTS_MS {
-            let course = Course::play(Scene::GripCycle, frame_timeout_ms);
-            let end = course.duration_ms();
+    /// Damages this byte in every way.
+    fn damage(&self, course: &Course, stop_at: usize, way: Way, byte: usize, times: &mut Times) {
+        for fault in faults(self.every_fault) {
+            times.take(course, Case { stop_at, damage: vec![(way, byte, fault)] }, self.limit_ms);
+        }
+    }
+
+    fn one(&self, course: &Course, times: &mut Times) {
+        const BEFORE: usize = 40;
+        // The bus time-out adds a second before the answers, which is expensive.
+        let (after, stride) =
+            if course.scene == Scene::Silence { (160, self.stride * 10) } else { (60, self.stride) };
+        for stop_at in (0..course.duration_ms()).step_by(stride) {
             for way in [Way::Out, Way::Back] {
-                for byte in (0..course.bytes_until(way, end)).step_by(self.stride) {
-                    for fault in self.faults() {
-                        for late in [0, 50, 100, 200, 300, 500, 700, 1_000, 2_000] {
-                            let case = Case { stop_at: end + late, damage: vec![(way, byte, fault)] };
-                            times.take(&course, case, self.limit_ms);
-                        }
-                    }
+                let next = course.bytes_until(way, stop_at);
+                for byte in next.saturating_sub(BEFORE)..next + after {
+                    self.damage(course, stop_at, way, byte, times);
                 }
             }
         }
-        times
     }
 
-    /// Damages two random bytes: one before or after the request, and one up to the end of the first burst.
-    fn two_faults(&self) -> Times {
+    fn one_old(&self, course: &Course, times: &mut Times) {
+        let end = course.duration_ms();
+        for way in [Way::Out, Way::Back] {
+            for byte in (0..course.bytes_until(way, end)).step_by(self.stride) {
+                for late in [0, 50, 100, 200, 300, 500, 700, 1_000, 2_000] {
+                    self.damage(course, end + late, way, byte, times);
+                }
+            }
+        }
+    }
+
+    fn two(&self, course: &Course, mut chance: Chance, times: &mut Times) {
         const CASES: usize = 200_000;
-        let mut times = Times::default();
-        for frame_timeout_ms in FRAME_TIMEOUTS_MS {
-            let course = Course::play(Scene::GripCycle, frame_timeout_ms);
-            let mut chance = Chance::new(frame_timeout_ms.into());
-            let faults = self.faults();
-            for _ in 0..CASES / self.stride {
-                let stop_at = chance.below(course.duration_ms() as u64) as usize;
-                let mut damage = |before: u64, behind: u64| {
-                    let way = if chance.below(4) == 0 { Way::Back } else { Way::Out };
-                    let from = course.bytes_until(way, stop_at).saturating_sub(before as usize);
-                    let byte = from + chance.below(before + behind) as usize;
-                    // Half of them change low bits, as in a length's high byte: the gripper then awaits hundreds of
-                    // bytes.
-                    let fault = match chance.below(2) {
-                        0 => Fault::Flip(1 + chance.below(3) as u8),
-                        _ => faults[chance.below(faults.len() as u64) as usize],
-                    };
-                    (way, byte, fault)
+        let faults = faults(self.every_fault);
+        for _ in 0..CASES / self.stride {
+            let stop_at = chance.below(course.duration_ms() as u64) as usize;
+            let mut damage = |before: u64, after: u64| {
+                let way = if chance.below(4) == 0 { Way::Back } else { Way::Out };
+                let from = course.bytes_until(way, stop_at).saturating_sub(before as usize);
+                let byte = from + chance.below(before + after) as usize;
+                // Half of them change low bits, as in a length's high byte: the gripper then awaits hundreds of
+                // bytes.
+                let fault = match chance.below(2) {
+                    0 => Fault::Flip(1 + chance.below(3) as u8),
+                    _ => faults[chance.below(faults.len() as u64) as usize],
                 };
-                let damage = vec![damage(30, 30), damage(10, 1_100)];
-                times.take(&course, Case { stop_at, damage }, self.limit_ms);
-            }
+                (way, byte, fault)
+            };
+            let damage = vec![damage(30, 30), damage(10, 1_100)];
+            times.take(course, Case { stop_at, damage }, self.limit_ms);
         }
-        times
     }
 
-    /// Injects noise of three intensities.
-    fn noise(&self) -> Times {
+    fn noise(&self, course: &Course, mut chance: Chance, times: &mut Times) {
         const CASES: usize = 60_000;
-        let mut times = Times::default();
-        for frame_timeout_ms in FRAME_TIMEOUTS_MS {
-            let course = Course::play(Scene::GripCycle, frame_timeout_ms);
-            let mut chance = Chance::new(frame_timeout_ms.into());
-            for number in 0..CASES / self.stride {
-                let stop_at = chance.below(course.duration_ms() as u64) as usize;
-                let noise_ms = 1 + chance.below(400) as u32;
-                let rate = [0.5, 0.1, 0.02][number % 3];
-                let ms = course.stop_in_noise(stop_at, noise_ms, rate, number as u64, self.limit_ms);
-                times.note(ms, self.limit_ms, || Case { stop_at, damage: vec![] });
-            }
+        for number in 0..CASES / self.stride {
+            let stop_at = chance.below(course.duration_ms() as u64) as usize;
+            let noise_ms = 1 + chance.below(400) as u32;
+            let rate = [0.5, 0.1, 0.02][number % 3];
+            let ms = course.stop_in_noise(stop_at, noise_ms, rate, number as u64, self.limit_ms);
+            times.note(ms, self.limit_ms, || Case { stop_at, damage: vec![] });
         }
-        times
     }
 }
 

@@ -12,6 +12,7 @@ use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, Virtua
 
 use crate::clock::Clock;
 use crate::faulty_link::FaultyWay;
+use crate::serial_gripper::switch_on;
 use crate::socket::Socket;
 use crate::trace::{Entry, Trace};
 
@@ -58,7 +59,7 @@ impl GripperEnd {
     /// Fails when the line or a thread cannot be set up.
     pub fn start(line: Socket, clock: Clock, config: Config, trace: &Trace) -> Result<Self> {
         let reader = line.try_clone().context("cannot listen on the gripper's line")?;
-        let (gripper, port) = switch_on(config)?;
+        let (gripper, port) = switch_on(config, PortKind::Serial);
         let connected = Connected {
             gripper,
             port,
@@ -144,12 +145,6 @@ impl Drop for GripperEnd {
             let _ = thread.join();
         }
     }
-}
-
-fn switch_on(config: Config) -> Result<(VirtualGripper<1>, PortId)> {
-    let mut gripper = VirtualGripper::with_ports(config);
-    let port = gripper.connect(PortKind::Serial).context("a new gripper rejected its client")?;
-    Ok((gripper, port))
 }
 
 /// Passes bytes and time to the gripper until either end is closed.

@@ -11,7 +11,7 @@ use wsg_protocol::{
 pub(crate) const STROKE: f32 = 110.0;
 pub(crate) const LEAST_SPEED: f32 = 5.0;
 
-const INFO: SystemInfo = SystemInfo {
+pub(crate) const INFO: SystemInfo = SystemInfo {
     device: DeviceType::Wsg50,
     hardware_revision: 1,
     firmware: FirmwareVersion::new(4, 0, 0, 0),
@@ -50,7 +50,7 @@ impl From<Frame<'_>> for Message {
 }
 
 /// Returns the messages in bytes from the bridge, all of which must be intact.
-pub(crate) fn messages(parser: &mut FrameParser<64>, mut bytes: &[u8]) -> Vec<Message> {
+pub(crate) fn messages<const N: usize>(parser: &mut FrameParser<N>, mut bytes: &[u8]) -> Vec<Message> {
     let mut found = vec![];
     loop {
         let (taken, event) = parser.push_slice(bytes);
@@ -111,6 +111,29 @@ impl Answer {
         let reply = value.map_or(Reply::status_only(self.id, self.status), Reply::success);
         FrameEncoder::new(self.id.code(), reply)
     }
+}
+
+/// An event in the gripper, apart from the commands that it receives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum GripperEvent {
+    /// The motion succeeds.
+    Finishes,
+    /// The motion fails or finds no part.
+    Fails,
+    /// The gripped part is lost.
+    LosesPart,
+    /// The gripper enters FAST STOP, as at a soft limit.
+    StopsFast,
+    /// A third party, such as the gripper's web page, acknowledges FAST STOP.
+    ThirdPartyAcknowledges,
+    /// A third party stops a motion, or the monitoring of a held part.
+    ThirdPartyStops,
+    /// A third party starts a motion.
+    ThirdPartyBegins(CommandId),
+    /// The gripper rejects the next motion or setting.
+    RefusesNext,
+    /// The gripper is power-cycled.
+    Restarts,
 }
 
 /// The gripper. Each method that changes its state passes the resulting messages to `send`.
@@ -190,7 +213,40 @@ impl States {
         self.report(send);
     }
 
-    pub(crate) fn finish(&mut self, succeeds: bool, send: &mut dyn FnMut(Answer)) {
+    /// Returns whether an event can occur in this state.
+    pub(crate) fn allows(&self, event: GripperEvent) -> bool {
+        let (moves, holds) = (self.motion.is_some(), self.state == GripperState::Holding);
+        match event {
+            GripperEvent::Finishes | GripperEvent::Fails | GripperEvent::StopsFast => moves,
+            GripperEvent::LosesPart => holds,
+            GripperEvent::ThirdPartyAcknowledges => self.fast_stop(),
+            GripperEvent::ThirdPartyStops => !self.fast_stop() && (moves || holds),
+            GripperEvent::ThirdPartyBegins(_) => !moves && !self.fast_stop() && self.referenced(),
+            GripperEvent::RefusesNext => !self.refuses && !moves && !self.fast_stop(),
+            GripperEvent::Restarts => true,
+        }
+    }
+
+    /// Executes an event in any state.
+    pub(crate) fn happen(&mut self, event: GripperEvent, send: &mut dyn FnMut(Answer)) {
+        match event {
+            GripperEvent::Finishes => self.finish(true, send),
+            GripperEvent::Fails => self.finish(false, send),
+            GripperEvent::LosesPart => self.state = GripperState::PartLost,
+            GripperEvent::StopsFast => self.stop_fast(send),
+            GripperEvent::ThirdPartyAcknowledges => self.leave_fast_stop(),
+            GripperEvent::ThirdPartyStops => self.stop(send),
+            GripperEvent::ThirdPartyBegins(id) => {
+                self.begin(id);
+                self.is_foreign = true;
+            }
+            GripperEvent::RefusesNext => self.refuses = true,
+            GripperEvent::Restarts => *self = Self::SWITCHED_ON,
+        }
+        self.report(send);
+    }
+
+    fn finish(&mut self, succeeds: bool, send: &mut dyn FnMut(Answer)) {
         let Some(id) = self.motion else { return };
         let (state, status) = match (id, succeeds) {
             (CommandId::GripPart, true) => (GripperState::Holding, Status::Success),
@@ -202,38 +258,6 @@ impl States {
         self.flags.set(SystemFlags::REFERENCED, self.referenced() || id == CommandId::Homing && succeeds);
         self.state = state;
         self.end_motion(status, send);
-        self.report(send);
-    }
-
-    /// Simulates the loss of the gripped part.
-    pub(crate) fn lose_part(&mut self, send: &mut dyn FnMut(Answer)) {
-        self.state = GripperState::PartLost;
-        self.report(send);
-    }
-
-    /// Enters FAST STOP without a command.
-    pub(crate) fn raise_fast_stop(&mut self, send: &mut dyn FnMut(Answer)) {
-        self.stop_fast(send);
-        self.report(send);
-    }
-
-    /// Executes a third-party Stop.
-    pub(crate) fn stop_for_third_party(&mut self, send: &mut dyn FnMut(Answer)) {
-        self.stop(send);
-        self.report(send);
-    }
-
-    /// Starts a motion of a third party.
-    pub(crate) fn begin_for_third_party(&mut self, id: CommandId, send: &mut dyn FnMut(Answer)) {
-        self.begin(id);
-        self.is_foreign = true;
-        self.report(send);
-    }
-
-    /// Executes a third-party acknowledgement.
-    pub(crate) fn acknowledge(&mut self, send: &mut dyn FnMut(Answer)) {
-        self.leave_fast_stop();
-        self.report(send);
     }
 
     /// Starts a motion in any state.

@@ -3,8 +3,11 @@
 use std::collections::VecDeque;
 
 use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write, WriteReady};
-use wsg_protocol::{CommandId, Event, FrameParser, Kind, frame::MAX_MESSAGE_LEN};
+use wsg_protocol::{CommandId, FrameParser, Kind, frame::MAX_MESSAGE_LEN};
 use wsg_sim::{MAX_FRAME_LEN, PortId, PortKind, Time, VirtualGripper};
+
+use crate::faulty_link::FaultyWay;
+use crate::gripper_states::messages;
 
 /// Bytes per millisecond on a line at 115 200 bit/s, 8N1.
 pub const BYTES_PER_MS: usize = 12;
@@ -107,6 +110,14 @@ impl Carry for Option<Disturbance> {
     }
 }
 
+impl Carry for FaultyWay {
+    /// Carries all bytes at once. No time passes on the line, so a delayed byte and all later ones never arrive.
+    fn carry(&mut self, waiting: &mut Vec<u8>) -> Vec<u8> {
+        self.pass(0, &std::mem::take(waiting));
+        self.arrive(0)
+    }
+}
+
 /// A gripper and its line.
 #[derive(Clone, Debug)]
 pub struct SerialGripper<W = Option<Disturbance>> {
@@ -143,7 +154,8 @@ impl SerialGripper {
 
 impl<W: Carry> SerialGripper<W> {
     /// Creates a gripper with this port, and a line with `room` bytes at the bridge's end and the given directions.
-    pub(crate) fn over(
+    #[must_use]
+    pub fn over(
         config: wsg_sim::Config,
         kind: PortKind,
         room: usize,
@@ -186,7 +198,8 @@ impl<W: Carry> SerialGripper<W> {
     /// # Panics
     /// Panics when the bridge has sent a broken frame.
     pub fn advance(&mut self, now: Time) {
-        self.note_frames();
+        let sent = messages(&mut self.seen, &self.line.from_bridge[self.seen_len..]);
+        self.sent.extend(sent.into_iter().map(|message| message.id));
         let bytes = self.to_gripper.carry(&mut self.line.from_bridge);
         self.seen_len = self.line.from_bridge.len();
         self.gripper.receive(self.port, now, &bytes);
@@ -198,22 +211,10 @@ impl<W: Carry> SerialGripper<W> {
         let bytes = self.to_bridge.carry(&mut self.from_gripper);
         self.line.deliver(&bytes);
     }
-
-    fn note_frames(&mut self) {
-        let mut rest = &self.line.from_bridge[self.seen_len..];
-        loop {
-            let (taken, event) = self.seen.push_slice(rest);
-            rest = &rest[taken..];
-            match event {
-                Some(Event::Frame(frame)) => self.sent.push(CommandId::from_code(frame.id)),
-                Some(broken) => panic!("the bridge sent a broken frame: {broken:?}"),
-                None => return,
-            }
-        }
-    }
 }
 
-fn switch_on(config: wsg_sim::Config, kind: PortKind) -> (VirtualGripper<1>, PortId) {
+/// Powers up a gripper, and connects to it.
+pub(crate) fn switch_on(config: wsg_sim::Config, kind: PortKind) -> (VirtualGripper<1>, PortId) {
     let mut gripper = VirtualGripper::with_ports(config);
     let port = gripper.connect(kind);
     (gripper, port.unwrap_or_else(|| unreachable!("a new gripper takes a client")))

@@ -2,19 +2,20 @@
 
 use wsg_bridge_fw::io::Inputs;
 use wsg_fieldbus::{CommandFlags, OutputImage};
+use wsg_protocol::CommandId;
+
+use crate::gripper_states::GripperEvent;
 
 /// One event. All except [`Wait`](Self::Wait) and [`FallSilent`](Self::FallSilent) take no time, so simultaneous
 /// events are tried in every order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Action {
     /// A wire changes and settles.
-    Toggle(Wire),
-    /// GRIP and STOP_ACK rise in the same reading.
-    GripAndStop,
-    /// MOVE rises and FAST_STOP_OK falls in the same reading.
-    MoveAndFastStop,
+    Toggle(Inputs),
+    /// Low wires rise and high ones fall in the same reading.
+    Change { rising: Inputs, falling: Inputs },
     /// The PLC writes an image over the bus.
-    Write(Image),
+    Write(OutputImage),
     /// The PLC stops polling over the bus until the bridge detects it.
     FallSilent,
     /// The line delivers all messages, including replies to further commands, until both sides are silent.
@@ -29,59 +30,25 @@ pub(super) enum Action {
     AnswerCut,
     /// The line delivers the next message in the same turn as the next event.
     AnswerWithNext,
-    /// The gripper rejects the next motion or setting.
-    Refuse,
     /// The line is cut or restored. Messages in transit are lost.
     ToggleLine,
-    Finish,
-    /// The motion fails or finds no part.
-    Fail,
-    /// The gripped part is lost.
-    LosePart,
-    /// The gripper enters FAST STOP without a command, as at a soft limit.
-    GripperStopsFast,
-    /// A third party, such as the gripper's web page, acknowledges FAST STOP.
-    ThirdPartyAcknowledges,
-    /// A third party stops a motion, or the monitoring of a held part.
-    ThirdPartyStops,
-    /// A third party starts a motion.
-    ThirdPartyMoves,
-    ThirdPartyGrips,
-    ThirdPartyReleases,
-    /// The gripper is power-cycled.
-    RestartGripper,
+    /// An event in the gripper.
+    Gripper(GripperEvent),
     /// The bridge is reset.
     RestartBridge,
     /// Time passes until the session's next deadline.
     Wait,
 }
 
-/// A wire from the PLC.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Wire {
-    Grip,
-    Move,
-    Release,
-    Home,
-    StopAck,
-    FastStopOk,
-    /// RECIPE1: low for recipe 0 with 40 N, high for recipe 2 with 10 N.
-    Recipe,
+/// Returns an image with these flags, 30 mm, 50 mm/s, and this force limit in hundredths of a newton.
+pub(super) const fn image(flags: CommandFlags, force_limit: i16) -> OutputImage {
+    OutputImage { flags, user: 0, width: 30_00, speed: 50_00, force_limit }
 }
 
-/// An output image with one flag, or none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) enum Image {
-    Zero,
-    Move,
-    /// With 40 N.
-    Grip,
-    /// With 10 N.
-    GripGently,
-    JogPlus,
-    StopAck,
-    FastStop,
-}
+/// Images with the usual force limit: no flag, and two that start a motion.
+pub(super) const ZERO: OutputImage = image(CommandFlags::empty(), 40_00);
+pub(super) const MOVE: OutputImage = image(CommandFlags::MOVE, 40_00);
+pub(super) const JOG_PLUS: OutputImage = image(CommandFlags::JOG_PLUS, 40_00);
 
 /// Appends the actions of line, gripper and bridge to the actions of a PLC.
 macro_rules! with_common {
@@ -95,80 +62,48 @@ macro_rules! with_common {
             AnswerLost,
             AnswerCut,
             AnswerWithNext,
-            Refuse,
+            Gripper(GripperEvent::RefusesNext),
             ToggleLine,
-            Finish,
-            Fail,
-            LosePart,
-            GripperStopsFast,
-            ThirdPartyAcknowledges,
-            ThirdPartyStops,
-            ThirdPartyMoves,
-            ThirdPartyGrips,
-            ThirdPartyReleases,
-            RestartGripper,
+            Gripper(GripperEvent::Finishes),
+            Gripper(GripperEvent::Fails),
+            Gripper(GripperEvent::LosesPart),
+            Gripper(GripperEvent::StopsFast),
+            Gripper(GripperEvent::ThirdPartyAcknowledges),
+            Gripper(GripperEvent::ThirdPartyStops),
+            Gripper(GripperEvent::ThirdPartyBegins(CommandId::PrePosition)),
+            Gripper(GripperEvent::ThirdPartyBegins(CommandId::GripPart)),
+            Gripper(GripperEvent::ThirdPartyBegins(CommandId::ReleasePart)),
+            Gripper(GripperEvent::Restarts),
             RestartBridge,
             Wait,
         ]
     }};
 }
 
-/// Actions with a PLC on wires.
+/// Actions with a PLC on wires. RECIPE1 is low for recipe 0 with 40 N, and high for recipe 2 with 10 N.
 pub(super) const WIRES: [Action; 29] = with_common![
-    Toggle(Wire::Grip),
-    Toggle(Wire::Move),
-    Toggle(Wire::Release),
-    Toggle(Wire::Home),
-    Toggle(Wire::StopAck),
-    Toggle(Wire::FastStopOk),
-    Toggle(Wire::Recipe),
-    GripAndStop,
-    MoveAndFastStop,
+    Toggle(Inputs::GRIP),
+    Toggle(Inputs::MOVE),
+    Toggle(Inputs::RELEASE),
+    Toggle(Inputs::HOME),
+    Toggle(Inputs::STOP_ACK),
+    Toggle(Inputs::FAST_STOP_OK),
+    Toggle(Inputs::RECIPE1),
+    Change { rising: Inputs::GRIP.union(Inputs::STOP_ACK), falling: Inputs::empty() },
+    Change { rising: Inputs::MOVE, falling: Inputs::FAST_STOP_OK },
 ];
 
 /// Actions with a PLC on a bus and three wires.
 pub(super) const BUS: [Action; 31] = with_common![
-    Write(Image::Zero),
-    Write(Image::Move),
-    Write(Image::Grip),
-    Write(Image::GripGently),
-    Write(Image::JogPlus),
-    Write(Image::StopAck),
-    Write(Image::FastStop),
+    Write(ZERO),
+    Write(MOVE),
+    Write(image(CommandFlags::GRIP, 40_00)),
+    Write(image(CommandFlags::GRIP, 10_00)),
+    Write(JOG_PLUS),
+    Write(image(CommandFlags::STOP_ACK, 40_00)),
+    Write(image(CommandFlags::FASTSTOP, 40_00)),
     FallSilent,
-    Toggle(Wire::Grip),
-    Toggle(Wire::StopAck),
-    Toggle(Wire::FastStopOk),
+    Toggle(Inputs::GRIP),
+    Toggle(Inputs::STOP_ACK),
+    Toggle(Inputs::FAST_STOP_OK),
 ];
-
-impl Wire {
-    pub(super) const fn input(self) -> Inputs {
-        match self {
-            Self::Grip => Inputs::GRIP,
-            Self::Move => Inputs::MOVE,
-            Self::Release => Inputs::RELEASE,
-            Self::Home => Inputs::HOME,
-            Self::StopAck => Inputs::STOP_ACK,
-            Self::FastStopOk => Inputs::FAST_STOP_OK,
-            Self::Recipe => Inputs::RECIPE1,
-        }
-    }
-}
-
-impl Image {
-    pub(super) const fn flags(self) -> CommandFlags {
-        match self {
-            Self::Zero => CommandFlags::empty(),
-            Self::Move => CommandFlags::MOVE,
-            Self::Grip | Self::GripGently => CommandFlags::GRIP,
-            Self::JogPlus => CommandFlags::JOG_PLUS,
-            Self::StopAck => CommandFlags::STOP_ACK,
-            Self::FastStop => CommandFlags::FASTSTOP,
-        }
-    }
-
-    pub(super) const fn output(self) -> OutputImage {
-        let force_limit = if matches!(self, Self::GripGently) { 10_00 } else { 40_00 };
-        OutputImage { flags: self.flags(), user: 0, width: 30_00, speed: 50_00, force_limit }
-    }
-}

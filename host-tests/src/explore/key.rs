@@ -31,6 +31,15 @@ impl KeyHasher {
     }
 }
 
+macro_rules! mix_words {
+    ($($write:ident: $word:ty),+) => {
+        $(#[inline]
+        fn $write(&mut self, word: $word) {
+            self.mix(word as u64);
+        })+
+    };
+}
+
 impl Hasher for KeyHasher {
     #[inline]
     fn write(&mut self, bytes: &[u8]) {
@@ -41,29 +50,11 @@ impl Hasher for KeyHasher {
         }
     }
 
-    #[inline]
-    fn write_u8(&mut self, word: u8) {
-        self.mix(word.into());
-    }
-
-    #[inline]
-    fn write_u16(&mut self, word: u16) {
-        self.mix(word.into());
-    }
-
-    #[inline]
-    fn write_u32(&mut self, word: u32) {
-        self.mix(word.into());
-    }
+    mix_words! { write_u8: u8, write_u16: u16, write_u32: u32, write_usize: usize }
 
     #[inline]
     fn write_u64(&mut self, word: u64) {
         self.mix(word);
-    }
-
-    #[inline]
-    fn write_usize(&mut self, word: usize) {
-        self.mix(word as u64);
     }
 
     #[inline]

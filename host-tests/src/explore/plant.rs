@@ -1,17 +1,18 @@
 //! Bridge, gripper, line and PLC: one state of the exploration, and the effect of each action.
 
+use std::collections::VecDeque;
 use std::fmt::Write as _;
 
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::plc::Modbus;
 use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource, WiresConfig};
+use wsg_fieldbus::OutputImage;
 use wsg_protocol::{CommandId, FrameParser, GripperState, Instant, session};
 
-use super::action::{Action, Image};
-use super::answers::Answers;
+use super::action::Action;
 use super::key::key;
 use super::search::Model;
-use crate::gripper_states::{Answer, States, messages};
+use crate::gripper_states::{Answer, GripperEvent, States, messages};
 use crate::promises::{Kept, Promise, Promises, Reach, keep};
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::SerialLine;
@@ -41,6 +42,8 @@ const COMMAND_WIRES: Inputs = Inputs::GRIP.union(Inputs::MOVE).union(Inputs::REL
 const QUICK_ROUNDS: u32 = 20;
 /// Duration of a round on a line at 115 200 bit/s, in milliseconds.
 const ROUND_MS: u32 = 2;
+/// Maximum number of messages in transit to the bridge.
+const MAX_ANSWERS: usize = 16;
 /// Maximum number of rounds.
 const MOST_ROUNDS: u32 = QUICK_ROUNDS + 500;
 
@@ -55,12 +58,12 @@ pub(super) struct Plant {
     wires: Inputs,
     outputs: Outputs,
     is_line_up: bool,
-    /// Messages in transit to the bridge.
-    answers: Answers,
+    /// Messages in transit to the bridge, each with a flag that it has already been delivered once.
+    answers: VecDeque<(Answer, bool)>,
     /// A message that arrives in the last turn of the next action.
     with_next: Option<Answer>,
     /// The last image that the PLC wrote over the bus; `None` while it is silent.
-    image: Option<Image>,
+    image: Option<OutputImage>,
     /// Time of the PLC's last request over the bus; `None` while it is silent.
     requested: Option<Instant>,
     promises: Promises,
@@ -76,7 +79,7 @@ enum Request {
     /// A read of a register.
     Read,
     /// A write of registers 0 to 3.
-    Write(Image),
+    Write(OutputImage),
 }
 
 /// Name and predicate of a situation.
@@ -118,7 +121,7 @@ impl Plant {
             wires: Inputs::empty(),
             outputs: Outputs::empty(),
             is_line_up: true,
-            answers: Answers::NONE,
+            answers: VecDeque::new(),
             with_next: None,
             image: None,
             requested: None,
@@ -180,64 +183,53 @@ impl Plant {
         let ms = self.now_ms;
         self.log(|story| write!(story, "\n{ms:6} ms {action:?}"));
         match action {
-            Action::Toggle(wire) => self.change_wires(wire.input()),
-            Action::GripAndStop => self.change_wires(Inputs::GRIP | Inputs::STOP_ACK),
-            Action::MoveAndFastStop => self.change_wires(Inputs::MOVE | Inputs::FAST_STOP_OK),
+            Action::Toggle(wire) => self.change_wires(wire),
+            Action::Change { rising, falling } => self.change_wires(rising | falling),
             Action::Write(image) => self.write(image),
             Action::FallSilent => self.fall_silent(),
             Action::AnswersAll => self.deliver_all(),
             Action::Answer => {
-                let answer = self.answers.pop();
+                let answer = self.take_answer();
                 self.deliver(answer, false)
             }
             Action::AnswerTwice => {
-                let answer = self.answers.repeat();
+                let answer = self.answers.front_mut().map(|(answer, is_repeated)| {
+                    *is_repeated = true;
+                    *answer
+                });
                 self.deliver(answer, false)
             }
             Action::AnswerLost => {
-                self.answers.pop();
+                self.take_answer();
                 self.reach.fault(self.now());
                 Ok(())
             }
             Action::AnswerCut => {
-                let answer = self.answers.pop();
+                let answer = self.take_answer();
                 self.reach.fault(self.now());
                 self.deliver(answer, true)
             }
             Action::AnswerWithNext => {
-                self.with_next = self.answers.pop();
-                Ok(())
-            }
-            Action::Refuse => {
-                self.gripper.refuses = true;
+                self.with_next = self.take_answer();
                 Ok(())
             }
             Action::ToggleLine => {
                 self.is_line_up = !self.is_line_up;
                 self.reach.is_alive = self.is_line_up;
                 self.reach.recover(self.now());
-                self.answers = Answers::NONE;
+                self.answers.clear();
                 self.with_next = None;
                 Ok(())
             }
-            Action::Finish => self.change_gripper(|gripper, send| gripper.finish(true, send)),
-            Action::Fail => self.change_gripper(|gripper, send| gripper.finish(false, send)),
-            Action::LosePart => self.change_gripper(States::lose_part),
-            Action::GripperStopsFast => self.change_gripper(States::raise_fast_stop),
-            Action::ThirdPartyAcknowledges => {
-                self.reach.leave_fast_stop(self.now());
-                self.change_gripper(States::acknowledge)
-            }
-            Action::ThirdPartyStops => self.change_gripper(States::stop_for_third_party),
-            Action::ThirdPartyMoves => self.third_party_begins(CommandId::PrePosition),
-            Action::ThirdPartyGrips => self.third_party_begins(CommandId::GripPart),
-            Action::ThirdPartyReleases => self.third_party_begins(CommandId::ReleasePart),
-            Action::RestartGripper => {
-                if self.gripper.fast_stop() {
+            Action::Gripper(event) => {
+                let was_fast_stopped = self.gripper.fast_stop();
+                self.gripper.happen(event, &mut |answer| queue(&mut self.answers, answer));
+                if was_fast_stopped && !self.gripper.fast_stop() {
                     self.reach.leave_fast_stop(self.now());
                 }
-                self.gripper = States::SWITCHED_ON;
-                self.answers = Answers::NONE;
+                if event == GripperEvent::Restarts || !self.is_line_up {
+                    self.answers.clear();
+                }
                 Ok(())
             }
             Action::RestartBridge => {
@@ -286,7 +278,7 @@ impl Plant {
         self.last_turn()
     }
 
-    fn write(&mut self, image: Image) -> Kept {
+    fn write(&mut self, image: OutputImage) -> Kept {
         self.image = Some(image);
         let answers = self.with_next.take();
         self.turn(answers.as_slice(), Request::Write(image))
@@ -317,31 +309,23 @@ impl Plant {
         deadline.map_or(LONGEST_WAIT_MS, |deadline| deadline.since(self.now())).clamp(1, LONGEST_WAIT_MS)
     }
 
-    fn change_gripper(&mut self, change: impl FnOnce(&mut States, &mut dyn FnMut(Answer))) -> Kept {
-        change(&mut self.gripper, &mut |answer| self.answers.push(answer));
-        if !self.is_line_up {
-            self.answers = Answers::NONE;
-        }
-        Ok(())
-    }
-
-    fn third_party_begins(&mut self, id: CommandId) -> Kept {
-        self.change_gripper(|gripper, send| gripper.begin_for_third_party(id, send))
-    }
-
     fn deliver_all(&mut self) -> Kept {
         for round in 0..MOST_ROUNDS {
             if round >= QUICK_ROUNDS {
                 self.now_ms += ROUND_MS;
             }
             let mut answers = Vec::from_iter(self.with_next.take());
-            answers.extend(std::iter::from_fn(|| self.answers.pop()));
+            answers.extend(self.answers.drain(..).map(|(answer, _)| answer));
             self.turn(&answers, Request::None)?;
-            if self.answers.waiting().is_empty() {
+            if self.answers.is_empty() {
                 return Ok(());
             }
         }
         Err(Promise::ConversationEnds)
+    }
+
+    fn take_answer(&mut self) -> Option<Answer> {
+        self.answers.pop_front().map(|(answer, _)| answer)
     }
 
     /// Delivers a message after one that waits for the next action. If it `is_cut`, its last byte is lost.
@@ -387,7 +371,7 @@ impl Plant {
         match request {
             Request::None => {}
             Request::Read => bus.ask(&[UNIT, 3, 0, 0, 0, 1]),
-            Request::Write(image) => bus.ask(&write_request(0, &registers_of(&image.output()))),
+            Request::Write(image) => bus.ask(&write_request(0, &registers_of(&image))),
         }
         self.outputs = self.bridge.poll(self.now_ms, self.wires, &mut line, &mut self.modbus.over(&mut bus));
 
@@ -400,7 +384,7 @@ impl Plant {
         });
         self.take_request(request);
         self.promises.end_inputs(Some(MAX_DELAY_MS));
-        for message in messages(&mut FrameParser::new(), &line.take_sent()) {
+        for message in messages(&mut FrameParser::<64>::new(), &line.take_sent()) {
             let command = message.command();
             self.log(|story| write!(story, "\n        -> {command}"));
             // A restarted gripper has lost its limit, and rejects GRIP.
@@ -410,7 +394,7 @@ impl Plant {
                 if message.id == CommandId::FastStop {
                     self.reach.receive_fast_stop(now);
                 }
-                self.gripper.take(&command, &mut |answer| self.answers.push(answer));
+                self.gripper.take(&command, &mut |answer| queue(&mut self.answers, answer));
             }
         }
         let outputs = self.outputs;
@@ -426,7 +410,7 @@ impl Plant {
     fn take_request(&mut self, request: Request) {
         let now = self.now();
         if let Request::Write(image) = request {
-            self.promises.requests.take_image(image.output(), None);
+            self.promises.requests.take_image(image, None);
         }
         if !matches!(request, Request::None) {
             self.requested = Some(now);
@@ -438,44 +422,32 @@ impl Plant {
     }
 }
 
+/// Queues a message to the bridge. Replies to a burst of FAST STOPs count as one. A message that does not fit is lost.
+fn queue(answers: &mut VecDeque<(Answer, bool)>, answer: Answer) {
+    let is_of_burst = answer.id == CommandId::FastStop && answers.back() == Some(&(answer, false));
+    if !is_of_burst && answers.len() < MAX_ANSWERS {
+        answers.push_back((answer, false));
+    }
+}
+
 impl Model for Plant {
     type Promise = Promise;
 
     fn actions(&self) -> u32 {
-        let waiting = self.answers.waiting();
+        let waiting = self.answers.front();
         let mut possible = 0;
         for (number, action) in self.actions.iter().enumerate() {
             let is_possible = match action {
-                Action::Toggle(_)
-                | Action::ToggleLine
-                | Action::RestartGripper
-                | Action::RestartBridge
-                | Action::Wait => true,
-                Action::GripAndStop => !self.wires.intersects(Inputs::GRIP | Inputs::STOP_ACK),
-                Action::MoveAndFastStop => {
-                    self.wires & (Inputs::MOVE | Inputs::FAST_STOP_OK) == Inputs::FAST_STOP_OK
-                }
+                Action::Toggle(_) | Action::ToggleLine | Action::RestartBridge | Action::Wait => true,
+                Action::Change { rising, falling } => self.wires & (*rising | *falling) == *falling,
                 Action::Write(image) => self.image != Some(*image),
                 Action::FallSilent => self.image.is_some(),
                 Action::AnswersAll | Action::Answer | Action::AnswerLost | Action::AnswerCut => {
-                    !waiting.is_empty()
+                    waiting.is_some()
                 }
-                Action::AnswerTwice => waiting.first().is_some_and(|(_, is_repeated)| !is_repeated),
-                Action::AnswerWithNext => self.with_next.is_none() && !waiting.is_empty(),
-                Action::Refuse => {
-                    let States { refuses, motion, .. } = self.gripper;
-                    !refuses && !self.gripper.fast_stop() && motion.is_none()
-                }
-                Action::Finish | Action::Fail | Action::GripperStopsFast => self.motion().is_some(),
-                Action::ThirdPartyAcknowledges => self.gripper.fast_stop(),
-                Action::ThirdPartyStops => {
-                    !self.gripper.fast_stop()
-                        && (self.motion().is_some() || self.gripper.state == GripperState::Holding)
-                }
-                Action::ThirdPartyMoves | Action::ThirdPartyGrips | Action::ThirdPartyReleases => {
-                    self.motion().is_none() && !self.gripper.fast_stop() && self.gripper.referenced()
-                }
-                Action::LosePart => self.gripper.state == GripperState::Holding,
+                Action::AnswerTwice => waiting.is_some_and(|(_, is_repeated)| !is_repeated),
+                Action::AnswerWithNext => self.with_next.is_none() && waiting.is_some(),
+                Action::Gripper(event) => self.gripper.allows(*event),
             };
             possible |= u32::from(is_possible) << number;
         }

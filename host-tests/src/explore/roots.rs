@@ -1,7 +1,10 @@
 //! Initial states of an exploration: power-up, and each stable state of a bridge.
 
-use super::action::{Action, Image, Wire};
+use wsg_bridge_fw::io::Inputs;
+
+use super::action::{Action, JOG_PLUS, ZERO};
 use super::plant::Plant;
+use crate::gripper_states::GripperEvent;
 
 #[derive(Debug)]
 pub(super) struct Root {
@@ -16,22 +19,23 @@ pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
     let pulse = |plant: &Plant, wire| plant.after(&[Toggle(wire), AnswersAll, Toggle(wire)]);
 
     let switched_on = Plant::switched_on(actions);
-    let connected = switched_on.after(&[AnswersAll, Toggle(Wire::FastStopOk)]);
-    let ready = pulse(&connected, Wire::StopAck);
-    let ready = if has_bus { ready.after(&[Write(Image::Zero), AnswersAll]) } else { ready };
-    let homing = pulse(&ready, Wire::Home);
+    let connected = switched_on.after(&[AnswersAll, Toggle(Inputs::FAST_STOP_OK)]);
+    let ready = pulse(&connected, Inputs::STOP_ACK);
+    let ready = if has_bus { ready.after(&[Write(ZERO), AnswersAll]) } else { ready };
+    let homing = pulse(&ready, Inputs::HOME);
     // BUSY goes low after its minimum time.
     let rest = [AnswersAll, Wait, AnswersAll];
-    let homed = homing.after(&[Finish]).after(&rest);
-    let moving = pulse(&homed, Wire::Move).after(&rest);
-    let preparing = homed.after(&[Toggle(Wire::Grip)]);
+    let finish = Gripper(GripperEvent::Finishes);
+    let homed = homing.after(&[finish]).after(&rest);
+    let moving = pulse(&homed, Inputs::MOVE).after(&rest);
+    let preparing = homed.after(&[Toggle(Inputs::GRIP)]);
     let gripping = preparing.after(&rest);
-    let holding = gripping.after(&[Finish, Toggle(Wire::Grip)]).after(&rest);
-    let fast_stop_asked = moving.after(&[Toggle(Wire::FastStopOk)]);
-    let fast_stop_unheard = moving.after(&[ToggleLine, Toggle(Wire::FastStopOk), Wait]);
+    let holding = gripping.after(&[finish, Toggle(Inputs::GRIP)]).after(&rest);
+    let fast_stop_asked = moving.after(&[Toggle(Inputs::FAST_STOP_OK)]);
+    let fast_stop_unheard = moving.after(&[ToggleLine, Toggle(Inputs::FAST_STOP_OK), Wait]);
     let fast_stop_held = fast_stop_asked.after(&[AnswersAll]);
-    let latched = fast_stop_held.after(&[Toggle(Wire::FastStopOk)]);
-    let acknowledged = latched.after(&[Toggle(Wire::StopAck)]);
+    let latched = fast_stop_held.after(&[Toggle(Inputs::FAST_STOP_OK)]);
+    let acknowledged = latched.after(&[Toggle(Inputs::STOP_ACK)]);
     // A refresh is sent twelve times before the link counts as lost.
     let link_down = homed.after(&[ToggleLine]).after(&[Wait; 14]);
     let mut roots = vec![
@@ -51,20 +55,21 @@ pub(super) fn roots(actions: &'static [Action]) -> Vec<Root> {
         ("link down", link_down),
     ];
     if has_bus {
-        roots.push(("jogging", homed.after(&[Write(Image::JogPlus), AnswersAll])));
+        roots.push(("jogging", homed.after(&[Write(JOG_PLUS), AnswersAll])));
     }
     roots.into_iter().map(|(name, plant)| Root { name, plant }).collect()
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::action::{BUS, WIRES};
+    use super::super::action::{BUS, MOVE, WIRES, image};
     use super::super::search::Model as _;
     use super::*;
+    use crate::world::IDLE;
     use wsg_bridge_fw::io::Outputs;
+    use wsg_fieldbus::CommandFlags;
     use wsg_protocol::CommandId;
 
-    const IDLE: Outputs = Outputs::READY.union(Outputs::LINK_OK).union(Outputs::REFERENCED);
     const BUSY: Outputs = Outputs::BUSY.union(Outputs::LINK_OK).union(Outputs::REFERENCED);
     const LOCKED: Outputs = Outputs::ERROR.union(Outputs::LINK_OK).union(Outputs::REFERENCED);
 
@@ -99,9 +104,11 @@ mod tests {
     #[test]
     fn third_party_may_end_a_grip_while_busy_answers_a_refused_edge() {
         use Action::*;
-        let of_wires = [Fail, AnswersAll, Toggle(Wire::Move), ThirdPartyGrips, Finish, AnswersAll];
-        let (stop, moves) = (Write(Image::StopAck), Write(Image::Move));
-        let of_bus = [stop, Toggle(Wire::Grip), moves, ThirdPartyGrips, Finish, AnswersAll];
+        let grips = GripperEvent::ThirdPartyBegins(CommandId::GripPart);
+        let [fail, grips, finish] = [GripperEvent::Fails, grips, GripperEvent::Finishes].map(Gripper);
+        let of_wires = [fail, AnswersAll, Toggle(Inputs::MOVE), grips, finish, AnswersAll];
+        let (stop, moves) = (Write(image(CommandFlags::STOP_ACK, 40_00)), Write(MOVE));
+        let of_bus = [stop, Toggle(Inputs::GRIP), moves, grips, finish, AnswersAll];
         for (known, root, actions) in [(&WIRES[..], "moving", of_wires), (&BUS[..], "homed", of_bus)] {
             let root = roots(known).into_iter().find(|it| it.name == root).expect("a root of this name");
             let mut plant = root.plant;

@@ -18,9 +18,9 @@
 
 use bus_modbus::rtu::{Character, Timing};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus};
-use wsg_bridge_fw::registers::{COMMAND_KEY, Record};
+use wsg_bridge_fw::registers::COMMAND_KEY;
 use wsg_bridge_fw::storage::Page;
-use wsg_bridge_fw::{BoardId, BusConfig, Config, ControlSource, ResetCause, Station};
+use wsg_bridge_fw::{BusConfig, Config, ControlSource, ResetCause, Station};
 use wsg_fieldbus::CommandFlags;
 
 use super::frames::repair_checksums;
@@ -32,7 +32,7 @@ use crate::flash_model::FlashModel;
 use crate::promises::Promises;
 use crate::rtu_double::RtuDouble;
 use crate::serial_gripper::BYTES_PER_MS;
-use crate::world::NO_PROFIBUS;
+use crate::world::boot;
 use crate::world::can::CanDouble;
 
 /// Recipes: width, speed, force and release width. The gripper rejects the last one.
@@ -52,7 +52,7 @@ fn silences(port: Port) -> [u32; 6] {
 struct Model {
     station: Station<CanDouble>,
     flash: FlashModel,
-    delivered: Record,
+    delivered: Config,
     bus: RtuDouble,
     service: RtuDouble,
     tracked: Tracked,
@@ -91,22 +91,25 @@ fn settings_pdu(how: u8, input: &mut Input<'_>) -> Vec<u8> {
     }
 }
 
+/// Starts a bridge. Returns it, and the settings of this start.
+fn start(delivered: &Config, flash: &mut FlashModel) -> (Station<CanDouble>, Config) {
+    let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
+    let (station, _, config) = boot(delivered, flash, can, ResetCause::PowerOn);
+    (station, config)
+}
+
 impl Model {
     fn new(strict_with_broadcasts: bool, slow: bool, is_damaged: bool) -> Self {
-        let mut config = Config::DEFAULT;
+        let mut delivered = Config::DEFAULT;
         if strict_with_broadcasts {
-            config.bus = BusConfig { broadcast: true, character_timeout_ms: 0, ..config.bus };
+            delivered.bus = BusConfig { broadcast: true, character_timeout_ms: 0, ..delivered.bus };
         }
-        let delivered = config.record();
         let mut flash = FlashModel::new();
         if is_damaged {
-            flash = FlashModel::with_record(1, &delivered);
+            flash = FlashModel::with_record(1, &delivered.record());
             flash.set(Page::First, 3, None);
         }
-        let mut station =
-            Station::new(CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
-        let config = station.load(&delivered, &flash).expect("the default settings are valid");
-        station.start(&config, BoardId::UNKNOWN, ResetCause::PowerOn);
+        let (station, config) = start(&delivered, &mut flash);
         let mut ends = Ends::new(&config, slow.then_some(BYTES_PER_MS));
         ends.promises.requests.refuses = is_damaged;
         Self {
@@ -115,7 +118,7 @@ impl Model {
             delivered,
             bus: RtuDouble::overheard(),
             service: RtuDouble::overheard(),
-            tracked: Tracked::new(&delivered),
+            tracked: Tracked::new(&delivered.record()),
             received_ms: None,
             ends,
         }
@@ -188,10 +191,8 @@ impl Model {
             return;
         }
         self.pass(SAVE_MS);
-        let mut station =
-            Station::new(CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT), &NO_PROFIBUS);
-        let found = station.load(&self.delivered, &self.flash).map(|config| config.record());
-        assert_eq!(found.as_ref().ok(), self.tracked.saved());
+        let (_, found) = start(&self.delivered, &mut self.flash);
+        assert_eq!(Some(&found.record()), self.tracked.saved());
     }
 }
 

@@ -23,16 +23,17 @@ use wsg_bridge_fw::io::Outputs;
 use wsg_bridge_fw::plc::canopen::{NmtState, Node, SETTINGS_INDEX};
 use wsg_bridge_fw::{Bridge, BusConfig, Config, ControlSource};
 use wsg_fieldbus::{CommandFlags, OutputImage};
-use wsg_protocol::can::{Identifiers, Reassembler, Segments};
+use wsg_protocol::can::{Identifiers, Reassembler};
 use wsg_protocol::{CommandId, Event, FrameEncoder, Instant, Kind};
 
+use super::can::frames_with;
 use super::gripper::PREAMBLE;
 use super::input::Input;
 use super::tap::Tap;
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::gripper_states::Message;
 use crate::promises::Promises;
-use crate::world::can::CanDouble;
+use crate::world::can::{CanDouble, FRAMES_PER_MS};
 
 const NODE: u16 = DEFAULT_NODE.node as u16;
 const NMT: u16 = 0;
@@ -134,10 +135,6 @@ struct Model {
     /// Whether the link withdraws all of its messages.
     takes_all_back: bool,
     was_connected: bool,
-    /// Whether frames remain unacknowledged.
-    is_unheard: bool,
-    /// Whether the controller rejects frames.
-    refuses: bool,
     /// Whether the first frame since the last turn is lost.
     overrun: bool,
     delivered: Vec<ClassicFrame>,
@@ -332,9 +329,7 @@ impl Device {
             _ => false,
         }
     }
-}
 
-impl Device {
     /// Enables or disables the RPDO; a disabled one has no control.
     fn enable(&mut self, is_enabled: bool) {
         if self.is_enabled && !is_enabled && self.state == NmtState::Operational {
@@ -363,8 +358,6 @@ impl Model {
             withdrawn: None,
             takes_all_back: false,
             was_connected: false,
-            is_unheard: false,
-            refuses: false,
             overrun: false,
             delivered: Vec::new(),
             was_lost: false,
@@ -396,31 +389,23 @@ impl Model {
 
     /// Delivers a message from the gripper; `what` selects a fault of its frames or bytes.
     fn deliver_message(&mut self, message: &[u8], what: Option<u8>) {
-        if self.is_on_rs_232 {
-            let mut bytes = message.to_vec();
-            let at = usize::from(what.unwrap_or(0) >> 4) % bytes.len();
-            match what.map(|what| what % 8) {
-                Some(0) => drop(bytes.remove(at)),
-                Some(1) => bytes.insert(at, bytes[at]),
-                Some(2) => bytes.truncate(at),
-                Some(3) => bytes[at] ^= 0x10,
-                _ => {}
+        let (fault, at) = what.map_or((u8::MAX, 0), |what| (what % 8, usize::from(what >> 4)));
+        if !self.is_on_rs_232 {
+            for frame in frames_with(message, fault, at) {
+                self.put_data(FROM_GRIPPER, &frame);
             }
-            return self.ends.line.link.deliver(&bytes);
+            return;
         }
-        let segments = Segments::new(message.iter().copied());
-        let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
-        let at = usize::from(what.unwrap_or(0) >> 4) % frames.len();
-        match what.map(|what| what % 8) {
-            Some(0) => drop(frames.remove(at)),
-            Some(1) => frames.insert(at, frames[at].clone()),
-            Some(2) => frames[at].truncate(3),
-            Some(3) => frames[at][0] ^= 0x10,
+        let mut bytes = message.to_vec();
+        let at = at % bytes.len();
+        match fault {
+            0 => drop(bytes.remove(at)),
+            1 => bytes.insert(at, bytes[at]),
+            2 => bytes.truncate(at),
+            3 => bytes[at] ^= 0x10,
             _ => {}
         }
-        for frame in frames {
-            self.put_data(FROM_GRIPPER, &frame);
-        }
+        self.ends.line.link.deliver(&bytes);
     }
 
     fn trouble(&mut self, input: &mut Input<'_>) {
@@ -431,13 +416,9 @@ impl Model {
                 self.double.overrun();
                 self.overrun = true;
             }
-            2 | 3 => {
-                self.is_unheard = input.byte() & 1 != 0;
-                self.double.set_unheard(self.is_unheard);
-            }
+            2 | 3 => self.double.set_unheard(input.byte() & 1 != 0),
             4 => {
-                self.refuses = input.byte() & 1 != 0;
-                self.double.refuse(self.refuses);
+                self.double.refuse(input.byte() & 1 != 0);
                 self.is_troubled = true;
             }
             5 => {
@@ -450,7 +431,6 @@ impl Model {
                 self.double.set_health(Health::default());
                 self.double.set_unheard(false);
                 self.double.refuse(false);
-                (self.is_unheard, self.refuses) = (false, false);
             }
         }
     }
@@ -651,7 +631,7 @@ impl WholeBridge for Model {
             // The device's frames are transmitted as well.
             return self.leave();
         }
-        let cut_off = self.is_unheard || self.refuses || self.bus.is_lost();
+        let cut_off = self.double.is_blocked() || self.bus.is_lost();
         let max_delay_ms = if cut_off { None } else { Some(FAST_STOP_MS) };
         if cut_off {
             self.ends.gripper.fault(now_ms);
@@ -732,9 +712,6 @@ impl WholeBridge for Model {
 fn takes_back(link: &GripperLink) -> bool {
     CanNode::<ClassicFrame>::takes_back(link).is_some()
 }
-
-/// Frames per millisecond on the bus.
-const FRAMES_PER_MS: usize = 4;
 
 /// Maximum wait of a FAST STOP for the previous message, in milliseconds.
 const FAST_STOP_MS: u32 = 5;

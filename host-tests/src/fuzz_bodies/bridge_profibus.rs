@@ -16,19 +16,19 @@ use std::ops::RangeInclusive;
 
 use bus_profibus::{Address, Baud, Cause, Character, Event};
 use wsg_bridge_fw::plc::{DpBuffers, DpResponder, PlcEvent, PlcSide, Profibus, Shown, UartStatus, View};
-use wsg_bridge_fw::{Bridge, Config, ControlSource, PlcBus, ProfibusConfig};
+use wsg_bridge_fw::{Bridge, Config, ControlSource};
 use wsg_fieldbus::profibus::{PROFILE, Slave};
 use wsg_fieldbus::{CommandFlags, Diagnosis, InputImage, OutputImage};
 use wsg_protocol::{Instant, SystemFlags};
 
 use super::input::Input;
+use super::profibus::framed;
 use super::whole::{Ends, FLAGS, PARAMETERS, WholeBridge};
 use crate::world::profibus::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
-use crate::world::profibus::{sd1, sd2, sd3};
+use crate::world::profibus::{AT_500K, STATION, sd1, sd2};
 
-const STATION: u8 = 7;
 const BROADCAST: u8 = 127;
 const MASTERS: [u8; 4] = [2, 2, 2, 3];
 
@@ -48,13 +48,6 @@ const UNCLEAR_US: RangeInclusive<u32> = 32 * BIT_US..=35 * BIT_US;
 thread_local! {
     /// Buffers shared by handler and main loop. They are leaked once per thread.
     static BUFFERS: &'static DpBuffers = Box::leak(Box::default());
-}
-
-/// An action of the master as the main loop must receive it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Done {
-    Wrote(OutputImage),
-    Left { silent: bool },
 }
 
 /// An answer that is pending or in transmission.
@@ -86,7 +79,7 @@ struct Model {
     commands: bool,
     reported: Option<[u8; OutputImage::LEN]>,
     /// Events pending for the main loop, and whether the master has written since its last turn.
-    done: Vec<Done>,
+    done: Vec<PlcEvent>,
     exchanged: bool,
     /// Outputs known to the main loop, and the time of the master's last activity; `None` after silence.
     written: Option<OutputImage>,
@@ -116,18 +109,13 @@ fn image(flags: CommandFlags, [width, speed, force_limit]: [u16; 3]) -> OutputIm
 
 impl Model {
     fn new(echoes: bool) -> Self {
-        let config = Config {
-            plc_bus: PlcBus::Profibus,
-            profibus: ProfibusConfig { rate: Some(Baud::K500), ..ProfibusConfig::DEFAULT },
-            ..Config::DEFAULT
-        };
         let buffers = BUFFERS.with(|buffers| *buffers);
         let mut profibus = Profibus::new(buffers);
-        profibus.start(config.profibus);
+        profibus.start(AT_500K.profibus);
         let mut handler = DpResponder::new(buffers);
         assert_eq!(handler.step(UartStatus::default(), 0, 0).rate, Some(Baud::K500));
         Self {
-            bridge: Bridge::new(config),
+            bridge: Bridge::new(AT_500K),
             profibus,
             handler,
             slave: Slave::new(&PROFILE, Address::new(STATION)),
@@ -147,7 +135,7 @@ impl Model {
             received_ms: None,
             fcb: false,
             last: Vec::new(),
-            ends: Ends::new(&config, None),
+            ends: Ends::new(&AT_500K, None),
         }
     }
 
@@ -176,12 +164,7 @@ impl Model {
 
     /// Returns a Data_Exchange request with these outputs.
     fn exchange(&mut self, master: u8, outputs: &[u8]) -> Vec<u8> {
-        let body = [&[STATION, master, self.next()], outputs].concat();
-        match outputs.len() {
-            0 => sd1(&body),
-            8 => sd3(&body),
-            _ => sd2(&body),
-        }
+        framed(&[&[STATION, master, self.next()], outputs].concat(), 0)
     }
 
     /// Returns a service request from a master.
@@ -343,13 +326,13 @@ impl Model {
                 (self.commands, self.exchanged) = (true, true);
                 let outputs = *self.slave.outputs();
                 if self.reported.replace(outputs) != Some(outputs) {
-                    self.done.push(Done::Wrote(OutputImage::from_bytes(outputs)));
+                    self.done.push(PlcEvent::Output(OutputImage::from_bytes(outputs)));
                 }
             }
             Event::Cleared | Event::Left(_) => {
                 if std::mem::take(&mut self.commands) {
                     self.reported = None;
-                    self.done.push(Done::Left { silent: event == Event::Left(Cause::Watchdog) });
+                    self.done.push(PlcEvent::Left { silent: event == Event::Left(Cause::Watchdog) });
                 }
             }
             Event::Address(_) => panic!("the address cannot be changed"),
@@ -359,19 +342,16 @@ impl Model {
     /// Returns the events that the main loop must receive.
     fn events(&mut self, now_ms: u32) -> Vec<PlcEvent> {
         let mut events = vec![];
-        for done in self.done.drain(..) {
-            match done {
-                Done::Wrote(image) => {
-                    (self.written, self.received_ms) = (Some(image), Some(now_ms));
-                    events.push(PlcEvent::Output(image));
-                }
-                Done::Left { silent } => {
-                    self.written = None;
-                    if self.received_ms.take().is_some() {
-                        events.push(PlcEvent::Left { silent });
-                    }
+        for event in self.done.drain(..) {
+            if let PlcEvent::Output(image) = event {
+                (self.written, self.received_ms) = (Some(image), Some(now_ms));
+            } else {
+                self.written = None;
+                if self.received_ms.take().is_none() {
+                    continue;
                 }
             }
+            events.push(event);
         }
         if std::mem::take(&mut self.exchanged)
             && let Some(image) = self.written

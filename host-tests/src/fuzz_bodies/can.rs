@@ -26,18 +26,7 @@ pub fn can(data: &[u8]) {
             continue;
         }
         let message: Vec<u8> = FrameEncoder::new(input.byte(), input.bytes(count % 48)).collect();
-        let segments = Segments::new(message.iter().copied());
-        let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
-        assert_eq!(frames.concat(), message, "segments contain exactly the message");
-        let at = usize::from(op >> 4) % frames.len();
-        match op >> 1 & 7 {
-            0 => drop(frames.remove(at)),
-            1 => frames.insert(at, frames[at].clone()),
-            2 => frames[at].truncate(3),
-            3 => frames[at][0] ^= 0x10,
-            _ => {}
-        }
-        capture.extend(frames);
+        capture.extend(frames_with(&message, op >> 1 & 7, usize::from(op >> 4)));
     }
     capture.retain(|frame| !frame.is_empty());
     reassembled(&capture);
@@ -47,6 +36,23 @@ pub fn can(data: &[u8]) {
     for byte in data {
         let _ = decoder.push::<ClassicFrame>(*byte);
     }
+}
+
+/// Returns the frames of a message with a fault of the one at this index: lost (0), doubled (1), short (2), wrong (3), or
+/// none.
+pub(super) fn frames_with(message: &[u8], fault: u8, at: usize) -> Vec<Vec<u8>> {
+    let segments = Segments::new(message.iter().copied());
+    let mut frames: Vec<Vec<u8>> = segments.map(|segment| segment.data().to_vec()).collect();
+    assert!(frames.iter().flatten().eq(message), "segments contain exactly the message");
+    let at = at % frames.len();
+    match fault {
+        0 => drop(frames.remove(at)),
+        1 => frames.insert(at, frames[at].clone()),
+        2 => frames[at].truncate(3),
+        3 => frames[at][0] ^= 0x10,
+        _ => {}
+    }
+    frames
 }
 
 /// Compares the reassembler with a reader of the whole capture. Interleaved foreign frames have no effect.

@@ -5,7 +5,7 @@ use wsg_protocol::frame::{OVERHEAD, PREAMBLE_BYTE, PREAMBLE_LEN};
 use wsg_protocol::{CommandId, GripperState, Instant, Status, SystemFlags};
 
 use super::input::Input;
-use crate::gripper_states::{Answer, Message, States};
+use crate::gripper_states::{Answer, GripperEvent, Message, States};
 use crate::promises::Reach;
 
 /// Start of every message.
@@ -127,32 +127,33 @@ impl Gripper {
         let (is_fast_stopped, is_restarted) = (flags.contains(SystemFlags::FAST_STOP), flags.is_empty());
         let is_acknowledged = is_fast_stopped && how & 0x80 != 0;
         let mut answers = vec![];
+        let mut send = |answer: Answer| answers.push(answer);
         states.flags = flags | states.flags & SystemFlags::FAST_STOP;
         if is_restarted {
-            *states = States::SWITCHED_ON;
+            states.happen(GripperEvent::Restarts, &mut send);
             self.on_the_way.clear();
             self.is_restarted = true;
         } else if is_acknowledged {
-            states.acknowledge(&mut |answer| answers.push(answer));
+            states.happen(GripperEvent::ThirdPartyAcknowledges, &mut send);
         } else if states.fast_stop() {
-            states.raise_fast_stop(&mut |answer| answers.push(answer));
+            states.happen(GripperEvent::StopsFast, &mut send);
         }
         if (is_restarted || is_acknowledged) && was_fast_stopped {
             self.reach.leave_fast_stop(Instant::from_millis(now_ms));
         }
         if how & 0x80 != 0 {
             if states.state == GripperState::Holding {
-                states.state = GripperState::PartLost;
+                states.happen(GripperEvent::LosesPart, &mut send);
             } else if states.motion.is_some() {
-                states.stop_for_third_party(&mut |answer| answers.push(answer));
+                states.happen(GripperEvent::ThirdPartyStops, &mut send);
             } else if !states.fast_stop() {
                 let motions = [CommandId::PrePosition, CommandId::GripPart, CommandId::ReleasePart];
                 let motion = motions[self.deliveries.len() % motions.len()];
-                states.begin_for_third_party(motion, &mut |answer| answers.push(answer));
+                states.happen(GripperEvent::ThirdPartyBegins(motion), &mut send);
                 self.ends_ms = now_ms + MOTION_FACTOR * 200;
             }
         }
-        states.report(&mut |answer| answers.push(answer));
+        states.report(&mut send);
         self.send(now_ms, Delivery::Late(0), &answers);
     }
 
@@ -221,8 +222,9 @@ impl Gripper {
     pub(super) fn transmit(&mut self, now_ms: u32) -> Vec<Vec<u8>> {
         if let Some(id) = self.states.motion.filter(|_| now_ms >= self.ends_ms) {
             let (finds_none, mut answers) = (id == CommandId::GripPart && !self.has_part, vec![]);
+            let event = if finds_none { GripperEvent::Fails } else { GripperEvent::Finishes };
             self.is_restarted &= id != CommandId::Homing;
-            self.states.finish(!finds_none, &mut |answer| answers.push(answer));
+            self.states.happen(event, &mut |answer| answers.push(answer));
             let delivery = self.delivery();
             self.send(now_ms, delivery, &answers);
         }

@@ -6,9 +6,8 @@ use super::input::Input;
 use crate::world::profibus::points::{
     CHK_CFG, GET_CFG, GLOBAL_CONTROL, RD_INP, RD_OUTP, SET_PRM, SET_SLAVE_ADDRESS, SLAVE_DIAG,
 };
-use crate::world::profibus::sum;
+use crate::world::profibus::{STATION, sd1, sd2, sd3, sum};
 
-const STATION: u8 = 7;
 const OTHER_STATION: u8 = 9;
 const BROADCAST: u8 = 127;
 const MASTERS: [u8; 3] = [2, 2, 3];
@@ -117,14 +116,12 @@ pub fn profibus(data: &[u8]) {
 }
 
 /// Adds delimiters and checksum to a body. Eight bytes of data can use either format.
-fn framed(body: &[u8], how: u8) -> Vec<u8> {
-    let len = body.len() as u8;
-    let head = match body.len() {
-        3 => vec![0x10],
-        11 if how & 1 == 0 => vec![0xA2],
-        _ => vec![0x68, len, len, 0x68],
-    };
-    [&head, body, &[sum(body), 0x16]].concat()
+pub(super) fn framed(body: &[u8], how: u8) -> Vec<u8> {
+    match body.len() {
+        3 => sd1(body),
+        11 if how & 1 == 0 => sd3(body),
+        _ => sd2(body),
+    }
 }
 
 /// Returns the telegrams between two silences, each with the index of its last byte. Damaged characters are `None`.

@@ -2,11 +2,12 @@
 
 use wsg_protocol::session::{Config, Event, FastStopPattern, Session};
 use wsg_protocol::{
-    Command, CommandId, Event as FrameEvent, Frame, HomingDirection, Instant, Kind, PrePositionFlags, Reply,
-    Status,
+    Command, CommandId, Event as FrameEvent, Frame, GripperState, HomingDirection, Instant, Kind, Payload,
+    PrePositionFlags, Reply, Status, SystemFlags, Value,
 };
 
 use super::input::Input;
+use crate::gripper_states::{INFO, LIMITS};
 
 /// Tracked requests: motions, acknowledgements, settings, and a query that the session does not send by itself.
 const REQUESTS: [Command<'static>; 8] = [
@@ -27,6 +28,14 @@ const STATUSES: [Status; 6] = [
     Status::CmdAborted,
     Status::AccessDenied,
     Status::AxisBlocked,
+];
+
+/// Answers to the session's own queries.
+const ANSWERS: [Value<'static>; 4] = [
+    Value::GetSystemInfo(INFO),
+    Value::GetSystemLimits(LIMITS),
+    Value::GetSystemState(SystemFlags::REFERENCED),
+    Value::GetGripperState(GripperState::Idle),
 ];
 
 #[derive(Debug)]
@@ -98,8 +107,10 @@ impl Model {
     /// Answers the session's own queries, so that it connects and stays connected.
     fn answer_everything(&mut self, rounds: usize) {
         for _ in 0..rounds {
-            for (id, payload) in answers() {
-                self.receive(id.code(), &payload);
+            for value in ANSWERS {
+                let reply = Reply::success(value);
+                let payload: Vec<u8> = (0..reply.len()).map(|at| reply.byte(at)).collect();
+                self.receive(reply.id().code(), &payload);
             }
             self.pass(20);
         }
@@ -163,22 +174,4 @@ fn note(open: &mut Vec<Accepted>, event: &Event<'_>) {
     };
     let at = open.iter().position(is_it);
     open.remove(at.unwrap_or_else(|| panic!("{event:?} without a request")));
-}
-
-/// Returns the answers to the session's own queries.
-fn answers() -> Vec<(CommandId, Vec<u8>)> {
-    let mut limits = vec![0, 0];
-    for limit in [110.0_f32, 5.0, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0] {
-        limits.extend(limit.to_le_bytes());
-    }
-    let answers = vec![
-        (CommandId::GetSystemInfo, vec![0, 0, 1, 2, 0x20, 0x31, 1, 0, 0, 0]),
-        (CommandId::GetSystemLimits, limits),
-        (CommandId::GetSystemState, vec![0, 0, 1, 0, 0, 0]),
-        (CommandId::GetGripperState, vec![0, 0, 0]),
-    ];
-    debug_assert!(
-        answers.iter().all(|(id, payload)| Reply::decode(&Frame { id: id.code(), payload }).is_ok())
-    );
-    answers
 }

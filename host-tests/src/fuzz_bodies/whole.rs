@@ -13,6 +13,7 @@ use super::tap::Tap;
 use crate::gripper_states::Message;
 use crate::promises::{Kept, Promises};
 use crate::serial_gripper::SerialLine;
+use crate::world::IDLE;
 
 const MOTION_WIRES: [Inputs; 4] = [Inputs::GRIP, Inputs::RELEASE, Inputs::MOVE, Inputs::HOME];
 
@@ -36,11 +37,8 @@ pub(super) const FLAGS: [CommandFlags; 12] = [
 pub(super) const PARAMETERS: [[u16; 3]; 3] =
     [[20_00, 50_00, 40_00], [50_00, 100_00, 40_00], [20_00, 1, 40_00]];
 
-/// Outputs of a bridge whose gripper accepts commands.
-const READY: Outputs = Outputs::READY.union(Outputs::REFERENCED).union(Outputs::LINK_OK);
-
 /// Outputs of a bridge that rejects the stored settings.
-const REFUSED: Outputs = READY.difference(Outputs::READY).union(Outputs::ERROR);
+const REFUSED: Outputs = IDLE.difference(Outputs::READY).union(Outputs::ERROR);
 
 /// Everything around the bridge except the PLC bus.
 pub(super) struct Ends {
@@ -170,7 +168,7 @@ pub(super) trait WholeBridge {
         self.ends().wires = Inputs::FAST_STOP_OK;
         self.pass(4);
         let Promises { requests, levels, .. } = &self.ends().promises;
-        assert_eq!(levels.outputs, if requests.refuses { REFUSED } else { READY });
+        assert_eq!(levels.outputs, if requests.refuses { REFUSED } else { IDLE });
     }
 
     /// Plays a case. The first byte selects a ready bridge (bit 0) and moving fingers at power-up (bit 4).

@@ -19,7 +19,7 @@ use super::World;
 use crate::serial_gripper::SerialGripper;
 
 /// Frames per millisecond on a bus at 500 kbit/s.
-pub(super) const FRAMES_PER_MS: usize = 4;
+pub(crate) const FRAMES_PER_MS: usize = 4;
 
 /// Number of transmit mailboxes.
 const MAILBOXES: usize = 3;
@@ -127,6 +127,13 @@ impl CanDouble {
     /// Sets whether frames remain unacknowledged.
     pub fn set_unheard(&self, unheard: bool) {
         self.0.borrow_mut().unheard = unheard;
+    }
+
+    /// Returns whether frames are rejected or remain unacknowledged.
+    #[must_use]
+    pub fn is_blocked(&self) -> bool {
+        let state = self.0.borrow();
+        state.refuses || state.unheard
     }
 
     /// Removes and returns the frame that wins arbitration.

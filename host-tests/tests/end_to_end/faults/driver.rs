@@ -1,60 +1,43 @@
 //! Ten thousand commands through the blocking driver, over a faulty line to a virtual gripper, in virtual time.
 
 use std::cell::RefCell;
-use std::collections::VecDeque;
-use std::convert::Infallible;
 use std::rc::Rc;
 
-use embedded_io::{ErrorType, Read, ReadReady, Write};
+use embedded_io::{ErrorKind, ErrorType, Read, ReadReady, Write};
 use host_tests::faulty_link::{FaultyWay, Rates};
+use host_tests::serial_gripper::{SerialGripper, motions};
 use wsg_protocol::driver::blocking::{Gripper, Transport};
 use wsg_protocol::driver::{Cause, Clock, Error, Grip, Mm, MmPerS, OnBlock};
-use wsg_protocol::{CommandId, Event, FrameParser, GripperState, HomingDirection, Instant, Kind};
-use wsg_sim::{Config, MAX_FRAME_LEN, Part, PortId, PortKind, State, Time, VirtualGripper};
+use wsg_protocol::{GripperState, HomingDirection, Instant};
+use wsg_sim::{Config, Part, PortKind, State, Time};
 
 const COMMANDS: u32 = 10_000;
 
 const PART_MM: f32 = 20.0;
 
-/// A virtual gripper, a faulty line to it, and the virtual time.
+/// A virtual gripper at the other end of a faulty line, and the virtual time.
 struct FaultyGripper {
-    gripper: VirtualGripper<1>,
-    port: PortId,
+    far: SerialGripper<FaultyWay>,
     now_ms: u32,
-    outgoing: FaultyWay,
-    incoming: FaultyWay,
-    answers: VecDeque<u8>,
-    /// Parses what the driver sends, before the line damages it.
-    sent: FrameParser<64>,
-    motions: u32,
+    motions: usize,
 }
 
 impl FaultyGripper {
     fn new(rates: Rates) -> Self {
         let config = Config { part: Part::of_width(PART_MM), time_scale: 10.0, ..Config::default() };
-        let mut gripper = VirtualGripper::with_ports(config);
-        let port = gripper.connect(PortKind::Serial).unwrap();
-        let [outgoing, incoming] = [1, 2].map(|seed| FaultyWay::new(rates, seed));
-        let (answers, sent) = (VecDeque::new(), FrameParser::new());
-        Self { gripper, port, now_ms: 0, outgoing, incoming, answers, sent, motions: 0 }
+        let ways = [1, 2].map(|seed| FaultyWay::new(rates, seed));
+        let far = SerialGripper::over(config, PortKind::Serial, usize::MAX, ways);
+        Self { far, now_ms: 0, motions: 0 }
     }
 
-    /// Advances the gripper to the current time, with these bytes from the driver.
-    fn turn(&mut self, bytes: &[u8]) {
-        let now = Time::from_millis(self.now_ms.into());
-        self.outgoing.pass(self.now_ms, bytes);
-        let arrived = self.outgoing.arrive(self.now_ms);
-        self.gripper.receive(self.port, now, &arrived);
-        self.gripper.advance(now);
-        let mut buffer = [0; MAX_FRAME_LEN];
-        while let Some(frame) = self.gripper.transmit(self.port, &mut buffer) {
-            self.incoming.pass(self.now_ms, frame);
-        }
-        self.answers.extend(self.incoming.arrive(self.now_ms));
+    /// Advances line and gripper to the current time.
+    fn turn(&mut self) {
+        self.far.advance(Time::from_millis(self.now_ms.into()));
+        self.motions += motions(self.far.take_sent()).len();
     }
 
     fn state(&self) -> State {
-        self.gripper.state()
+        self.far.gripper.state()
     }
 }
 
@@ -65,16 +48,16 @@ struct End(Rc<RefCell<FaultyGripper>>);
 impl Transport for End {}
 
 impl ErrorType for End {
-    type Error = Infallible;
+    type Error = ErrorKind;
 }
 
 impl ReadReady for End {
-    fn read_ready(&mut self) -> Result<bool, Infallible> {
-        let mut far = self.0.borrow_mut();
-        let is_ready = !far.answers.is_empty();
+    fn read_ready(&mut self) -> Result<bool, ErrorKind> {
+        let mut gripper = self.0.borrow_mut();
+        let is_ready = gripper.far.line.read_ready()?;
         if !is_ready {
-            far.now_ms += 1;
-            far.turn(&[]);
+            gripper.now_ms += 1;
+            gripper.turn();
         }
         // New bytes are reported at the next call. Otherwise time would not pass while bytes are available.
         Ok(is_ready)
@@ -82,33 +65,20 @@ impl ReadReady for End {
 }
 
 impl Read for End {
-    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
-        let mut far = self.0.borrow_mut();
-        let count = buffer.len().min(far.answers.len());
-        for (slot, byte) in buffer.iter_mut().zip(far.answers.drain(..count)) {
-            *slot = byte;
-        }
-        Ok(count)
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ErrorKind> {
+        self.0.borrow_mut().far.line.read(buffer)
     }
 }
 
 impl Write for End {
-    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let mut far = self.0.borrow_mut();
-        for byte in bytes {
-            match far.sent.push(*byte) {
-                Some(Event::Frame(frame)) if CommandId::from_code(frame.id).kind() == Kind::Motion => {
-                    far.motions += 1;
-                }
-                Some(Event::Frame(_)) | None => {}
-                Some(broken) => panic!("the driver sends {broken:?}"),
-            }
-        }
-        far.turn(bytes);
-        Ok(bytes.len())
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, ErrorKind> {
+        let mut gripper = self.0.borrow_mut();
+        let count = gripper.far.line.write(bytes)?;
+        gripper.turn();
+        Ok(count)
     }
 
-    fn flush(&mut self) -> Result<(), Infallible> {
+    fn flush(&mut self) -> Result<(), ErrorKind> {
         Ok(())
     }
 }
@@ -178,8 +148,8 @@ fn soak(byte_errors: f64) -> u32 {
         rest = far.borrow().state().width;
     }
 
-    let FaultyGripper { outgoing, incoming, .. } = &*far.borrow();
-    let faults = outgoing.counts().faults() + incoming.counts().faults();
+    let FaultyGripper { far: SerialGripper { to_gripper, to_bridge, .. }, .. } = &*far.borrow();
+    let faults = to_gripper.counts().faults + to_bridge.counts().faults;
     println!("{done} done, {refused} refused or failed, {not_known} with unknown outcome; {faults} faults");
     assert_eq!(done + refused + not_known, COMMANDS);
     assert!(faults >= 50 && not_known > 0, "the line must cause faults and unknown outcomes");

@@ -62,11 +62,11 @@ fn soak_on_a_faulty_line_loses_nothing_and_does_nothing_twice() {
         tally.done,
         tally.trouble,
         tally.not_taken,
-        counts.iter().map(Counts::faults).sum::<u64>(),
+        counts.iter().map(|way| way.faults).sum::<u64>(),
         counts.iter().map(|way| way.bytes).sum::<u64>(),
     );
     assert_eq!(tally.done + tally.trouble + tally.not_taken, commands);
-    assert!(counts.iter().all(|way| way.faults() > 0), "{counts:?}");
+    assert!(counts.iter().all(|way| way.faults > 0), "{counts:?}");
     assert!(tally.done * 100 >= commands * DONE_PERCENT, "fewer than {DONE_PERCENT} % done: {tally:?}");
 }
 
