@@ -15,7 +15,7 @@ use crate::register::{
     EventCode, Events, Link, ResetCause, SaveState, SettingsFrom, StoreCommand, StoreReports,
 };
 use embedded_io::{Read, ReadReady, Write, WriteReady};
-use wsg_fieldbus::{Controller, InputImage};
+use wsg_fieldbus::{Controller, InputImage, SilenceReaction};
 use wsg_protocol::session::{self, Event, Session, Topic};
 use wsg_protocol::{AutoUpdate, Command, CommandId, FrameEncoder, FrameParser, Instant, SystemFlags, frame};
 
@@ -239,6 +239,18 @@ impl Bridge {
             self.session.disconnect();
         }
         self.facts.link_is_lost = is_lost;
+    }
+
+    /// Ends a jog, and a motion as `reaction` selects, regardless of its side and of BUS_REACTION. For a caller that knows that
+    /// the PLC has left, or that the program ends. Later turns send the commands.
+    pub fn silence(&mut self, reaction: SilenceReaction) {
+        self.controller.silence(reaction, self.session.known());
+    }
+
+    /// Announces the end of a TCP connection, so that the gripper does not enter FAST STOP. Later turns send the announcement,
+    /// which is answered when [`session`](Self::session) is no longer busy. Returns `false` without a connection.
+    pub fn announce_end(&mut self) -> bool {
+        self.session.request(Command::DisconnectAnnouncement).is_ok()
     }
 
     /// Returns, after a poll, whether a later stop has superseded a motion or acknowledgement that was written to the link. A

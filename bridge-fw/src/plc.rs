@@ -17,7 +17,8 @@ pub(crate) mod wires;
 
 pub use bus_line::{BusHandler, BusLine, HalfDuplexUart};
 pub use modbus::{
-    BusConfig, BusPort, Format, IDENTIFICATION, Interrupts, Modbus, ModbusLine, RtuBuffers, RtuPort, RtuUart,
+    BusConfig, BusPort, Format, IDENTIFICATION, Interrupts, Modbus, ModbusLine, ModbusTcp, RtuBuffers,
+    RtuPort, RtuUart, TcpInput, TcpTurn,
 };
 pub use profibus::{Action, DpBuffers, DpResponder, Profibus, ProfibusConfig, UartStatus};
 pub use side::{BoardId, NoBus, PlcEvent, PlcSide, Shown};

@@ -8,7 +8,7 @@ use crate::can::{CanBus, CanController, LinkCounters};
 use crate::gripper::{GripperLine, GripperLink};
 use crate::io::{Inputs, Outputs};
 use crate::plc::canopen::Node;
-use crate::plc::{BoardId, BusPort, Config, DpBuffers, Modbus, Record, Sides, WrongSetting};
+use crate::plc::{BoardId, BusPort, Config, DpBuffers, Modbus, PlcSide, Record, Sides, WrongSetting};
 use crate::register::ResetCause;
 use crate::storage::NorFlash;
 use crate::stored_settings::StoredSettings;
@@ -110,6 +110,19 @@ impl<C: CanController> Station<C> {
         self.bridge.serve(now_ms, &mut self.service.over(service));
         self.settings.turn(Instant::from_millis(now_ms), &mut self.bridge, flash);
         outputs
+    }
+
+    /// Runs one turn like [`turn`](Self::turn) for a gateway, which has no wires, no service port and no CAN: the PLC is on
+    /// `side`, and the gripper on `line`, regardless of PLC_BUS and GRIPPER_LINE.
+    pub fn turn_of_gateway<L: Read + ReadReady + Write + WriteReady, P: PlcSide>(
+        &mut self,
+        now_ms: u32,
+        line: &mut L,
+        side: &mut P,
+        flash: &mut impl NorFlash,
+    ) {
+        self.bridge.poll(now_ms, Inputs::FAST_STOP_OK, line, side);
+        self.settings.turn(Instant::from_millis(now_ms), &mut self.bridge, flash);
     }
 
     fn poll<L: Read + ReadReady + Write + WriteReady>(

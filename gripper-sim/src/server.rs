@@ -4,7 +4,6 @@
 //! write with `TCP_NODELAY`, which suits clients that expect one frame per `recv`. Programs with a current-thread
 //! runtime use [`Server`], all others [`ServerThread`].
 
-mod accept;
 mod can;
 mod control;
 mod echoes;
@@ -22,7 +21,6 @@ mod restart;
 mod script;
 mod serial;
 mod slcan;
-mod stream;
 mod system_log;
 mod tcp;
 mod thread;

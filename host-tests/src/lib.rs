@@ -23,6 +23,7 @@
 //! | [`flash_pages`] | contents of two flash pages, also after a power failure |
 //! | [`fuzz_bodies`] | properties that must hold for any input bytes |
 //! | [`mod@example`] | location of compiled examples |
+//! | [`gateway`] | `wsg gateway` as a process, with its address |
 //! | [`gdb`] | client of the GDB remote protocol |
 //! | [`gripper_end`] | the virtual gripper on an emulated board's line, with line faults |
 //! | [`gripping_cycle`] | the demo cycle of the fieldbus manual, scan by scan |
@@ -65,6 +66,7 @@ pub mod flash_controller;
 pub mod flash_model;
 pub mod flash_pages;
 pub mod fuzz_bodies;
+pub mod gateway;
 pub mod gdb;
 pub mod gripper_end;
 mod gripper_states;

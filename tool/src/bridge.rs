@@ -1,4 +1,5 @@
-//! `wsg bridge`: the service tool of the bridge, over its service port (docs/commissioning.md). It never moves the fingers.
+//! `wsg bridge`: the service tool of the bridge, over its service port (docs/commissioning.md), or of a gateway. It never moves the
+//! fingers.
 
 mod change;
 mod client;
@@ -28,10 +29,10 @@ use crate::print_error;
 use self::client::Client;
 use self::state::State;
 
-/// Monitors and configures a bridge over its service port (the USB connector of its board); never moves the fingers
+/// Monitors and configures a bridge over its service port (the USB connector of its board), or a gateway; never moves the fingers
 #[derive(Args, Debug)]
 pub(crate) struct Arguments {
-    /// Serial port, such as /dev/ttyACM0 or COM3
+    /// Serial port, such as /dev/ttyACM0 or COM3, or tcp://HOST[:502] of a gateway
     port: String,
     #[command(subcommand)]
     command: Command,

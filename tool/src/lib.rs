@@ -1,5 +1,5 @@
-//! `wsg`: commands grippers, sets up bridges, decodes recordings, publishes telemetry over MQTT, and demonstrates a virtual
-//! gripper.
+//! `wsg`: commands grippers, sets up bridges, is a bridge without a board, decodes recordings, publishes telemetry over MQTT, and
+//! demonstrates a virtual gripper.
 //!
 //! A library, so that other programs, such as the Python package, can run the whole program with [`run`], or open a
 //! gripper at any of its addresses with [`Address`] and [`open`].
@@ -7,6 +7,8 @@
 mod bridge;
 mod decode;
 mod demo;
+mod file_flash;
+mod gateway;
 mod gripper;
 #[cfg(feature = "telemetry")]
 mod telemetry;
@@ -14,10 +16,11 @@ mod telemetry;
 use std::ffi::OsString;
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::net::SocketAddr;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
-use wsg_sim::command_line::{suggest, without_markdown};
+use wsg_sim::command_line::{address, suggest, without_markdown};
 use wsg_sim::text::one_line;
 
 pub use gripper::{Address, Wire, open};
@@ -35,6 +38,7 @@ enum Command {
     Bridge(bridge::Arguments),
     Decode(decode::Arguments),
     Demo(demo::Arguments),
+    Gateway(gateway::Arguments),
     Gripper(gripper::Arguments),
     #[cfg(feature = "telemetry")]
     Telemetry(telemetry::Arguments),
@@ -53,6 +57,7 @@ pub fn run(command_line: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Bridge(arguments) => bridge::run(&arguments),
         Command::Decode(arguments) => decode::run(&arguments),
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Gateway(arguments) => gateway::run(&arguments),
         Command::Gripper(arguments) => gripper::run(arguments),
         #[cfg(feature = "telemetry")]
         Command::Telemetry(arguments) => telemetry::run(&arguments),
@@ -87,6 +92,12 @@ fn with_signs(words: &[OsString]) -> impl Iterator<Item = OsString> {
             word.clone()
         }
     })
+}
+
+/// Parses the address of an option on which the program listens.
+fn listen_address(text: &str) -> Result<SocketAddr, String> {
+    address(text)
+        .ok_or_else(|| "expected an address with a port, such as 127.0.0.1:8080 or localhost:0".to_owned())
 }
 
 /// Prints a message on standard error, in one line: it may contain text from outside, such as a topic or a file name.

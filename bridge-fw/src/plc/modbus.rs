@@ -3,10 +3,12 @@
 
 mod config;
 mod port;
+mod tcp;
 mod uart;
 
 pub use config::{BusConfig, Format};
 pub use port::BusPort;
+pub use tcp::{ModbusTcp, TcpInput, TcpTurn};
 pub use uart::{Interrupts, RtuBuffers, RtuPort, RtuUart};
 
 use super::side::{BoardId, PlcEvent, PlcSide, Shown, has_fallen_silent};

@@ -5,6 +5,7 @@ use super::open_line::OpenLine;
 use crate::port::MAX_FRAME_LEN;
 use anyhow::Result;
 use embedded_can::{Frame, Id};
+use fieldbus_host::Client;
 use wsg_protocol::can::{Identifiers, Segments};
 
 /// Passes the data of a CAN frame to the gripper if the identifier matches. The gripper finds the message boundaries.

@@ -21,7 +21,6 @@ mod settings;
 mod socket;
 mod state;
 
-use super::accept::{Accepted, Acceptor};
 use super::hub::Hub;
 use super::open_line::{Listen, OpenLine};
 use access::{check_host, check_origin};
@@ -32,6 +31,7 @@ use commands::{COMMAND_EXPECTED, CommandBody, Executed};
 use documents::DOCUMENTS;
 use editor::{Editor, FRAME_EXPECTED, FrameBody};
 use events::{Events, Link, MAX_STREAMS, Watchers, event};
+use fieldbus_host::accept::{Accepted, Acceptor};
 use history::History;
 use http_body_util::{BodyExt, Either, LengthLimitError, Limited};
 use hyper::body::{Bytes, Incoming};

@@ -23,6 +23,7 @@ use crate::journal::{Cause, JournalEvent};
 use crate::port::{PortCounters, PortId, PortKind, Protocol};
 use crate::time::Time;
 use anyhow::Result;
+use fieldbus_host::Activity;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::hash::{BuildHasher, RandomState};
@@ -35,8 +36,6 @@ use wsg_protocol::{Command, Status, SystemFlags};
 
 /// The maximum number of simultaneous clients of a server.
 const MAX_CLIENTS: usize = 128;
-/// Idle time-out of a Modbus/TCP connection. A master that loses power does not close its connection.
-const IDLE_LIMIT: Duration = Duration::from_secs(300);
 
 /// Latency of a real gripper's command interface. Field reports: three requests in turn are answered 15 times a second.
 /// The split between the two figures is assumed.
@@ -96,9 +95,7 @@ struct Connected {
     /// Kind of line and peer, as shown in the log.
     name: Arc<str>,
     frames: Notify,
-    received_at: Mutex<Instant>,
-    /// Signals that another client has taken the place of this one.
-    displaced: Notify,
+    activity: Activity,
 }
 
 /// A bus that carries the register interface.
@@ -241,8 +238,7 @@ impl Hub {
             kind,
             name,
             frames: Notify::new(),
-            received_at: Mutex::new(Instant::now()),
-            displaced: Notify::new(),
+            activity: Activity::default(),
         });
         shared.clients.insert(number, Arc::clone(&connected));
         drop(shared);
@@ -260,11 +256,11 @@ impl Hub {
     fn displace(&self) -> Option<()> {
         let shared = self.lock();
         let masters = shared.clients.values().filter(|client| client.kind == PortKind::ModbusTcp);
-        let idle_longest = Arc::clone(masters.min_by_key(|client| *lock(&client.received_at))?);
+        let idle_longest = Arc::clone(masters.min_by_key(|client| client.activity.received_at())?);
         drop(shared);
         self.note_of(&idle_longest.name, format_args!("gives way to another client: idle longest"));
         self.disconnect(&idle_longest);
-        idle_longest.displaced.notify_one();
+        idle_longest.activity.displace();
         Some(())
     }
 
@@ -525,6 +521,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use fieldbus_host::{Client, IDLE_LIMIT};
     use tokio::time::advance;
 
     async fn is_dismissed(client: &ClientHandle) -> bool {

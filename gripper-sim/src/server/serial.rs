@@ -3,15 +3,13 @@
 #[cfg(unix)]
 mod unix;
 
-#[cfg(unix)]
-use super::accept;
 use super::hub::{ClientHandle, Hub};
 use super::lines::SerialLine;
 use super::open_line::{OpenLine, Place};
 use super::slcan;
-use super::stream::{self, FlowControl};
 use crate::port::PortKind;
 use anyhow::{Context, Result, bail};
+use fieldbus_host::stream::{self, FlowControl};
 use serial2_tokio::SerialPort as Device;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -101,7 +99,7 @@ impl SerialPort {
             }
             #[cfg(unix)]
             Open::Socket(socket) => loop {
-                let (stream, _) = accept::insist(|| socket.listener.accept()).await;
+                let (stream, _) = fieldbus_host::accept::insist(|| socket.listener.accept()).await;
                 tokio::task::spawn_local(serve_client(Arc::clone(&hub), stream, name.clone(), carried));
             },
         }

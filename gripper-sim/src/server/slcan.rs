@@ -2,8 +2,8 @@
 
 use super::can;
 use super::hub::ClientHandle;
-use super::stream;
 use bus_slcan::{Adapter, ClassicFrame, Decoder, Line, encode};
+use fieldbus_host::{Client, stream};
 use std::io;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::task::yield_now;

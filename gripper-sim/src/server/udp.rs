@@ -5,6 +5,7 @@ use super::hub::{ClientHandle, Hub};
 use super::open_line::{Listen, OpenLine, Place};
 use crate::port::{MAX_FRAME_LEN, PortKind};
 use anyhow::{Context, Result};
+use fieldbus_host::Client;
 use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::sync::Arc;

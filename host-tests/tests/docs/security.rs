@@ -3,7 +3,7 @@
 use document::read;
 
 /// Each limit in the document, and its definition with the source.
-const LIMITS: [(&str, &str, &str); 10] = [
+const LIMITS: [(&str, &str, &str); 11] = [
     ("body 4096 bytes", "MAX_BODY_LEN: usize = 4_096", "gripper-sim/src/server/control.rs"),
     (
         "the source of a script 65 536 bytes",
@@ -14,11 +14,12 @@ const LIMITS: [(&str, &str, &str); 10] = [
     ("32 connections", "MAX_CONNECTIONS: usize = 32", "gripper-sim/src/server/control.rs"),
     ("of at most 5 s", "TIME_LIMIT: Duration = Duration::from_secs(5)", "gripper-sim/src/server/control.rs"),
     ("64 open pages", "MAX_STREAMS: usize = 64", "gripper-sim/src/server/control/events.rs"),
+    ("32 masters", "MAX_MASTERS: usize = 32", "tool/src/gateway/bridge.rs"),
     ("128 clients", "MAX_CLIENTS: usize = 128", "gripper-sim/src/server/hub.rs"),
     (
         "300 s without a request",
         "IDLE_LIMIT: Duration = Duration::from_secs(300)",
-        "gripper-sim/src/server/hub.rs",
+        "fieldbus-host/src/client.rs",
     ),
     (
         "listens for TCP on 127.0.0.1",

@@ -1,4 +1,4 @@
-//! Third-party masters over Modbus/TCP at the virtual gripper: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
+//! Third-party masters over Modbus/TCP at the virtual gripper and at a gateway: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
 //! (PyPI), `jsmodbus` (npm) and `tokio-modbus`, and the example `gripping_cycle`, which uses the last. `minimalmodbus` supports
 //! only RTU.
 //!
@@ -7,6 +7,7 @@
 
 use document::read;
 use host_tests::example;
+use host_tests::gateway::Gateway;
 use host_tests::masters::{mbpoll, node, paste, printed, python};
 use std::net::SocketAddr;
 use std::process::{Command, Output};
@@ -221,6 +222,21 @@ fn with_tokio_modbus(address: SocketAddr, act: impl AsyncFnOnce(&mut Context)) {
 fn tokio_modbus_reads_writes_and_grips() {
     let (_served, address) = gripper();
     grip_with_tokio_modbus(address);
+}
+
+#[test]
+fn tokio_modbus_reads_writes_and_grips_through_a_gateway() {
+    let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
+    let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
+    let served = ServerThread::start(config, &lines, None).unwrap();
+    let gateway = Gateway::start(served.tcp_address().unwrap(), &[]);
+    with_tokio_modbus(gateway.modbus, async |context| {
+        // The gripper answers.
+        while context.read_input_registers(0, 6).await.unwrap().is_err() {}
+        // BUS_TIMEOUT: a busy machine is less punctual than a PLC.
+        context.write_single_register(101, 60_000).await.unwrap().unwrap();
+    });
+    grip_with_tokio_modbus(gateway.modbus);
 }
 
 /// Grips and releases a part of 20 mm with `tokio-modbus`, and checks its other functions.

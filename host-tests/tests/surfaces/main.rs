@@ -100,6 +100,7 @@ surfaces! {
     page_in_chromium: Entry { line: |station| &station.control, ..client(page::page, Kind::Page) };
     modbus_tcp: Entry { line: |station| &station.modbus, ..client(fieldbus::modbus, Kind::Fieldbus) };
     wires: client(fieldbus::wires, Kind::Wires);
+    gateway_over_modbus_tcp: client(process::gateway, Kind::Fieldbus);
     #[ignore = "needs the Python package: `cargo xtask test` installs it"]
     python_blocking: client(|address| process::python(address, "Gripper"), Kind::Client);
     #[ignore = "needs the Python package: `cargo xtask test` installs it"]

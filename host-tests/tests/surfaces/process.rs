@@ -1,4 +1,4 @@
-//! `wsg` and the Python package, as their users start them.
+//! `wsg`, its gateway, and the Python package, as their users start them.
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Write};
@@ -8,9 +8,13 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::{Duration, Instant};
 
 use host_tests::example;
+use host_tests::gateway::Gateway;
 
+use crate::fieldbus;
+use crate::station::BOUND;
 use crate::surface::{Outcome, SPEED, Separately, Surface, Verb};
 
 /// One `wsg gripper` for each request, as from several terminals.
@@ -50,6 +54,30 @@ fn wsg_with(address: SocketAddr, has_scripts: bool) -> Box<dyn Surface> {
             [output.stdout, output.stderr].map(|text| String::from_utf8_lossy(&text).into_owned());
         if output.status.success() { Ok(printed) } else { Err(format!("{printed}{why}")) }
     }))
+}
+
+/// The masters of a gateway.
+struct Masters {
+    masters: Box<dyn Surface>,
+    _gateway: Gateway,
+}
+
+/// Starts `wsg gateway`, and commands it over Modbus/TCP.
+pub(crate) fn gateway(address: SocketAddr) -> Box<dyn Surface> {
+    let gateway = Gateway::start(address, &[]);
+    let mut masters = Masters { masters: fieldbus::modbus(gateway.modbus), _gateway: gateway };
+    let start = Instant::now();
+    while !matches!(masters.begin(Verb::Read).recv_timeout(BOUND), Ok(Ok(_))) {
+        assert!(start.elapsed() < BOUND, "the gateway connects");
+        thread::sleep(Duration::from_millis(5));
+    }
+    Box::new(masters)
+}
+
+impl Surface for Masters {
+    fn begin(&mut self, verb: Verb) -> Receiver<Outcome> {
+        self.masters.begin(verb)
+    }
 }
 
 /// Outcomes that the program still owes, by the number of their request.

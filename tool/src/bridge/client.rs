@@ -1,4 +1,5 @@
-//! Client for the service port of the bridge: Modbus RTU, unit 1, 115 200 bit/s, 8N1 (docs/commissioning.md).
+//! Client for the service port of the bridge: Modbus RTU, unit 1, 115 200 bit/s, 8N1 (docs/commissioning.md); or for a gateway, which
+//! has the same registers over Modbus/TCP (docs/gateway.md).
 
 use std::fmt;
 use std::future::Future;
@@ -8,9 +9,10 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
 use serial2_tokio::SerialPort;
+use tokio::net::TcpStream;
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::timeout;
-use tokio_modbus::client::{Client as _, Context, rtu};
+use tokio_modbus::client::{Client as _, Context, rtu, tcp};
 use tokio_modbus::prelude::{Slave, Writer};
 use tokio_modbus::{Error, ExceptionCode, Request, Response};
 use wsg_bridge_fw::BusConfig;
@@ -19,6 +21,7 @@ use wsg_bridge_fw::registers::{
     SETTINGS, StoreCommand,
 };
 use wsg_fieldbus::InputImage;
+use wsg_sim::command_line::after_scheme;
 
 use super::names::report;
 use super::strays::WithoutStrays;
@@ -28,6 +31,9 @@ const PATIENCE: Duration = Duration::from_millis(1_500);
 /// Where the service port is. While a port does not answer, its board is unknown.
 const SERVICE_PORT: &str =
     "the board's USB connector; on a board with two, such as the B-L475E-IOT01A, the one of the ST-Link";
+
+/// Default port of Modbus/TCP.
+const MODBUS_PORT: u16 = 502;
 
 /// Number of attempts for a read request.
 const TRIES: u32 = 3;
@@ -78,7 +84,8 @@ impl fmt::Display for Failure {
 impl std::error::Error for Failure {}
 
 impl Client {
-    /// Opens the port and checks that a bridge with the supported register map responds.
+    /// Opens the serial port, or the connection to `tcp://HOST[:PORT]`, and checks that a bridge with the supported register map
+    /// responds.
     pub(crate) fn open(port: &str) -> Result<Self> {
         let runtime =
             Builder::new_current_thread().enable_all().build().context("cannot start the I/O runtime")?;
@@ -241,12 +248,23 @@ fn is_of_the_port(error: &io::Error) -> bool {
 }
 
 fn connect(runtime: &Runtime, port: &str) -> Result<Context> {
+    if let Some(host) = after_scheme(port, "tcp://") {
+        return connect_to_gateway(runtime, host);
+    }
     let _inside = runtime.enter();
     let opened = SerialPort::open(port, BusConfig::SERVICE.baud);
     let opened = opened.map_err(|error| anyhow::anyhow!(not_opened(port, &error)))?;
     // Discard bytes received earlier: they respond to another program.
     let _ = opened.discard_input_buffer();
     Ok(rtu::attach_slave(WithoutStrays::new(opened), Slave(BusConfig::SERVICE.unit)))
+}
+
+fn connect_to_gateway(runtime: &Runtime, host: &str) -> Result<Context> {
+    let host = if host.contains(':') { host.to_owned() } else { format!("{host}:{MODBUS_PORT}") };
+    let stream = runtime.block_on(async { within(TcpStream::connect(&host)).await });
+    let stream = stream.unwrap_or_else(|| Err(ErrorKind::TimedOut.into()));
+    let stream = stream.with_context(|| format!("cannot connect to a gateway at {host}"))?;
+    Ok(tcp::attach_slave(stream, Slave(BusConfig::SERVICE.unit)))
 }
 
 /// Describes why a port cannot be opened, and what to do.

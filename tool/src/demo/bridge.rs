@@ -19,11 +19,11 @@ use embedded_io::{ErrorType, ReadReady, WriteReady};
 use serial2::{CharSize, Parity, SerialPort, Settings, StopBits};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::io::{Inputs, Outputs};
-use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
 use wsg_bridge_fw::{
     BoardId, BusConfig, BusPort, Config, Format, GripperLine as BridgeLine, PlcBus, ResetCause, Station,
 };
 
+use crate::file_flash::FileFlash;
 use crate::gripper::Signals;
 
 /// Name of a pseudo terminal in place of a serial port.
@@ -131,7 +131,6 @@ impl VirtualBridge {
             let Self { station, flash, gripper, bus, service, time, outputs, .. } = self;
             let now_ms = time.as_millis() as u32;
             let after = station.turn(now_ms, Inputs::FAST_STOP_OK, gripper, bus, service, flash);
-            flash.store()?;
             if std::mem::replace(outputs, after) != after {
                 show(*time, after)?;
             }
@@ -332,93 +331,4 @@ fn open_pty() -> io::Result<Pty> {
 #[cfg(not(unix))]
 fn open_pty() -> io::Result<Pty> {
     Err(io::Error::new(ErrorKind::Unsupported, "this requires Unix; expected a serial port, such as COM3"))
-}
-
-/// Flash for the settings in memory, with a copy in a file.
-struct FileFlash {
-    pages: [Vec<u64>; 2],
-    file: Option<PathBuf>,
-    is_changed: bool,
-}
-
-/// Double words of a page.
-const PAGE_LEN: usize = 256;
-
-impl FileFlash {
-    /// Returns the flash stored in a file, or erased flash without one.
-    fn open(file: Option<&Path>) -> Result<Self> {
-        let mut flash = Self {
-            pages: [vec![u64::MAX; PAGE_LEN], vec![u64::MAX; PAGE_LEN]],
-            file: None,
-            is_changed: false,
-        };
-        let Some(file) = file else { return Ok(flash) };
-        flash.file = Some(file.to_owned());
-        match fs::read(file) {
-            Ok(bytes) => {
-                let (words, rest) = bytes.as_chunks::<8>();
-                ensure!(
-                    words.len() == 2 * PAGE_LEN && rest.is_empty(),
-                    "{} is no file with settings of `wsg demo`; expected {} bytes or a new file",
-                    file.display(),
-                    2 * PAGE_LEN * 8
-                );
-                let all = flash.pages.iter_mut().flatten();
-                all.zip(words).for_each(|(word, bytes)| *word = u64::from_le_bytes(*bytes));
-            }
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
-            Err(error) => return Err(error).with_context(|| format!("cannot read {}", file.display())),
-        }
-        Ok(flash)
-    }
-
-    /// Writes a change to the file.
-    fn store(&mut self) -> Result<()> {
-        if let (true, Some(file)) = (std::mem::take(&mut self.is_changed), &self.file) {
-            let bytes: Vec<u8> = self.pages.iter().flatten().flat_map(|word| word.to_le_bytes()).collect();
-            let new = file.with_extension("new");
-            fs::write(&new, bytes)
-                .and_then(|()| fs::rename(&new, file))
-                .with_context(|| format!("cannot write {}", file.display()))?;
-        }
-        Ok(())
-    }
-
-    fn page(&mut self, page: Page) -> &mut Vec<u64> {
-        let [first, second] = &mut self.pages;
-        match page {
-            Page::First => first,
-            Page::Second => second,
-        }
-    }
-}
-
-impl NorFlash for FileFlash {
-    const PAGE_LEN: usize = PAGE_LEN;
-
-    fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
-        let [first, second] = &self.pages;
-        let words = if page == Page::First { first } else { second };
-        words.get(index).copied().ok_or(Unreadable)
-    }
-
-    fn start_program(&mut self, page: Page, index: usize, value: u64) -> Result<(), FlashError> {
-        let word = self.page(page).get_mut(index).ok_or(FlashError::Failed)?;
-        if *word != u64::MAX && value != 0 {
-            return Err(FlashError::NotErased);
-        }
-        *word = value;
-        self.is_changed = true;
-        Ok(())
-    }
-
-    fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
-        self.page(page).fill(u64::MAX);
-        self.is_changed = true;
-        Ok(())
-    }
-
-    fn poll(&mut self) -> nb::Result<(), FlashError> {
-        Ok(())
-    }
 }

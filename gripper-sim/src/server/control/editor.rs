@@ -3,6 +3,7 @@
 use super::answer::HttpError;
 use crate::port::{MAX_FRAME_LEN, PortKind};
 use crate::server::hub::{ClientHandle, Hub};
+use fieldbus_host::Client;
 use hyper::StatusCode;
 use serde::{Deserialize, Serialize};
 use std::cell::RefCell;

@@ -1,12 +1,12 @@
 //! One client of the gripper, as the tasks of the lines hold it.
 
-use super::{Connected, Hub, IDLE_LIMIT, Shared, lock};
-use crate::port::{FrameBuffer, PortKind};
+use super::{Connected, Hub, Shared};
+use crate::port::{FrameBuffer, MAX_FRAME_LEN, PortKind};
 use crate::server::faulty_line::{Fate, FaultyLine, Passage};
 use crate::server::request_line::RequestLine;
+use fieldbus_host::{Client, Dismissal, IDLE_LIMIT};
 use std::cell::RefCell;
 use std::sync::Arc;
-use tokio::time::{Instant, sleep_until};
 #[cfg(target_os = "linux")]
 use wsg_fieldbus::OutputImage;
 
@@ -29,35 +29,10 @@ impl ClientHandle {
         Self { hub, connected, line, requests }
     }
 
-    pub(in crate::server) fn receive(&self, bytes: &[u8]) {
-        let Self { hub, requests, connected, .. } = self;
-        *lock(&connected.received_at) = Instant::now();
-        let mut shared = hub.lock();
-        let now = hub.now();
-        let Shared { log, line_faults, line_counts, .. } = &mut *shared;
-        if let Some(log) = log {
-            log.received(connected.id, now, bytes);
-        }
-        let faults = line_faults.of_requests();
-        let mut requests = requests.borrow_mut();
-        if faults.are_none() && requests.is_empty() {
-            drop(shared);
-            return self.deliver(bytes);
-        }
-        requests.take(&faults, now, bytes, |fate| {
-            line_counts.requests.count(fate);
-            if !fate.is_harmless()
-                && let Some(log) = log
-            {
-                log.note(now, &connected.name, format_args!("-> line fault: {fate}"));
-            }
-        });
-    }
-
     /// Takes an output image written by the master.
     #[cfg(target_os = "linux")]
     pub(in crate::server) fn write_image(&self, image: &OutputImage, is_first: bool) {
-        *lock(&self.connected.received_at) = Instant::now();
+        self.connected.activity.note();
         self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
     }
 
@@ -72,20 +47,6 @@ impl ClientHandle {
         self.hub.with_gripper(|gripper, now| gripper.end_updates(self.connected.id, now));
     }
 
-    /// Ready when a request may reach the gripper over a faulty line.
-    pub(in crate::server) async fn request_waits(&self) {
-        let arrival = self.requests.borrow().next_arrival();
-        self.hub.reached_if(arrival).await;
-    }
-
-    /// Passes the next request that arrives over a faulty line to the gripper.
-    pub(in crate::server) fn arrive(&self) {
-        let arrived = self.requests.borrow_mut().arrive(self.hub.now());
-        if let Some(bytes) = arrived {
-            self.deliver(&bytes);
-        }
-    }
-
     fn deliver(&self, bytes: &[u8]) {
         let tag = self.hub.act(|gripper, now| {
             gripper.receive(self.connected.id, now, bytes);
@@ -93,55 +54,6 @@ impl ClientHandle {
         });
         self.hub.keep_tag(&tag);
         self.hub.script_waits.notify_all();
-    }
-
-    /// Returns whether the connection is over: synchronization is lost, and all frames for the client are sent.
-    pub(in crate::server) fn is_over(&self) -> bool {
-        let shared = self.hub.lock();
-        shared.gripper.is_lost(self.connected.id)
-            && !shared.gripper.has_frame(self.connected.id)
-            && self.line.borrow().next_arrival().is_none()
-    }
-
-    /// Ready when a Modbus/TCP connection must be closed, because it is idle for too long or its place is needed. Never
-    /// ready for other protocols.
-    pub(in crate::server) async fn dismissed(&self) {
-        let Connected { kind, name, received_at, displaced, .. } = &*self.connected;
-        if *kind != PortKind::ModbusTcp {
-            return std::future::pending().await;
-        }
-        let received_at = *lock(received_at);
-        tokio::select! {
-            () = displaced.notified() => {}
-            () = sleep_until(received_at + IDLE_LIMIT) => {
-                self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
-            }
-        }
-    }
-
-    /// Returns whether there is room for answers: a slow line holds a bounded number of frames.
-    pub(in crate::server) fn has_room(&self) -> bool {
-        self.line.borrow().has_room()
-    }
-
-    /// Returns whether there is room for answers and requests.
-    pub(in crate::server) fn takes_more(&self) -> bool {
-        self.has_room() && self.requests.borrow().has_room()
-    }
-
-    /// Returns the next frame that arrives at this client.
-    pub(in crate::server) fn transmit<'a>(&self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
-        let len = self.next_frame(buffer)?;
-        buffer.get(..len)
-    }
-
-    /// Ready when there may be a frame.
-    pub(in crate::server) async fn frame_waits(&self) {
-        let arrival = self.line.borrow().next_arrival();
-        tokio::select! {
-            () = self.hub.reached_if(arrival) => {}
-            () = self.connected.frames.notified() => {}
-        }
     }
 
     fn next_frame(&self, buffer: &mut FrameBuffer) -> Option<usize> {
@@ -172,6 +84,84 @@ impl ClientHandle {
         let place = buffer.get_mut(..arrived.len())?;
         place.copy_from_slice(&arrived);
         Some(place.len())
+    }
+}
+
+impl Client<MAX_FRAME_LEN> for ClientHandle {
+    fn receive(&self, bytes: &[u8]) {
+        let Self { hub, requests, connected, .. } = self;
+        connected.activity.note();
+        let mut shared = hub.lock();
+        let now = hub.now();
+        let Shared { log, line_faults, line_counts, .. } = &mut *shared;
+        if let Some(log) = log {
+            log.received(connected.id, now, bytes);
+        }
+        let faults = line_faults.of_requests();
+        let mut requests = requests.borrow_mut();
+        if faults.are_none() && requests.is_empty() {
+            drop(shared);
+            return self.deliver(bytes);
+        }
+        requests.take(&faults, now, bytes, |fate| {
+            line_counts.requests.count(fate);
+            if !fate.is_harmless()
+                && let Some(log) = log
+            {
+                log.note(now, &connected.name, format_args!("-> line fault: {fate}"));
+            }
+        });
+    }
+
+    fn transmit<'a>(&self, buffer: &'a mut FrameBuffer) -> Option<&'a [u8]> {
+        let len = self.next_frame(buffer)?;
+        buffer.get(..len)
+    }
+
+    fn is_over(&self) -> bool {
+        let shared = self.hub.lock();
+        shared.gripper.is_lost(self.connected.id)
+            && !shared.gripper.has_frame(self.connected.id)
+            && self.line.borrow().next_arrival().is_none()
+    }
+
+    async fn frame_waits(&self) {
+        let arrival = self.line.borrow().next_arrival();
+        tokio::select! {
+            () = self.hub.reached_if(arrival) => {}
+            () = self.connected.frames.notified() => {}
+        }
+    }
+
+    async fn dismissed(&self) {
+        let Connected { kind, name, activity, .. } = &*self.connected;
+        // Clients of other protocols stay, because the end of their connection may cause a FAST STOP.
+        if *kind != PortKind::ModbusTcp {
+            return std::future::pending().await;
+        }
+        if activity.dismissed().await == Dismissal::Idle {
+            self.hub.note_of(name, format_args!("closed: idle for {} s", IDLE_LIMIT.as_secs()));
+        }
+    }
+
+    fn has_room(&self) -> bool {
+        self.line.borrow().has_room()
+    }
+
+    fn takes_more(&self) -> bool {
+        self.has_room() && self.requests.borrow().has_room()
+    }
+
+    async fn request_waits(&self) {
+        let arrival = self.requests.borrow().next_arrival();
+        self.hub.reached_if(arrival).await;
+    }
+
+    fn arrive(&self) {
+        let arrived = self.requests.borrow_mut().arrive(self.hub.now());
+        if let Some(bytes) = arrived {
+            self.deliver(&bytes);
+        }
     }
 }
 

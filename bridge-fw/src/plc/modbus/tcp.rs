@@ -1,0 +1,215 @@
+//! Modbus/TCP as a PLC side, for a gateway: a computer that runs the bridge without a board. The caller has the sockets.
+//!
+//! Masters share the output image, as on a Modbus RTU line. The one that wrote it last is the PLC: its silence is a lost bus,
+//! even while other masters send requests. The end of its connection is silence, too: some masters connect for each request.
+
+use super::{BridgeDevice, Role, has_fallen_silent};
+use crate::plc::View;
+use crate::plc::side::{PlcEvent, PlcSide, Shown};
+use crate::register::BusCounts;
+use bus_modbus::MAX_PDU_LEN;
+use wsg_fieldbus::Images;
+use wsg_protocol::Instant;
+
+/// The masters of Modbus/TCP, and the bridge's registers for them.
+#[derive(Clone, Debug)]
+pub struct ModbusTcp {
+    images: Images,
+    /// The master that wrote the output image last, until it is silent.
+    writer: Option<u64>,
+    /// Time of the last request of that master, or of any master without one; `None` after a time-out.
+    received_at: Option<Instant>,
+}
+
+/// Input of the masters in one turn of the bridge.
+#[derive(Debug)]
+pub enum TcpInput<'a> {
+    /// Time has passed.
+    Nothing,
+    /// A request.
+    Request {
+        /// Number of the connection.
+        master: u64,
+        /// Request PDU.
+        pdu: &'a [u8],
+        /// Place of the response PDU.
+        response: &'a mut [u8; MAX_PDU_LEN],
+        /// Set to the length of the response.
+        len: &'a mut usize,
+    },
+    /// The computer paused for so long that every image received before is too old.
+    Paused,
+}
+
+impl ModbusTcp {
+    /// Creates the side without a master.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { images: Images::new(false), writer: None, received_at: None }
+    }
+
+    /// Combines the side with its input: a PLC side for one turn.
+    pub const fn over<'a>(&'a mut self, input: TcpInput<'a>) -> TcpTurn<'a> {
+        TcpTurn { modbus: self, input }
+    }
+
+    /// Returns whether the connection with this number is the PLC's.
+    #[must_use]
+    pub fn is_plc(&self, master: u64) -> bool {
+        self.writer == Some(master)
+    }
+
+    /// Forgets the PLC.
+    const fn lose_plc(&mut self) -> PlcEvent {
+        self.writer = None;
+        self.received_at = None;
+        PlcEvent::Left { silent: true }
+    }
+
+    /// Serves a request. Returns its event and the length of the response.
+    fn serve(
+        &mut self,
+        now: Instant,
+        master: u64,
+        pdu: &[u8],
+        response: &mut [u8; MAX_PDU_LEN],
+        view: &mut View<'_>,
+    ) -> (PlcEvent, usize) {
+        self.images.set_swap_bytes(view.settings.bus().swap_bytes);
+        self.images.set_input(&view.image());
+        // The counters are for a serial line.
+        let counts = BusCounts::default();
+        let images = &mut self.images;
+        let mut device = BridgeDevice { role: Role::Plc, images, view, counts, configured: false };
+        let len = bus_modbus::serve(pdu, &mut device, response);
+        let configured = device.configured;
+        let written = self.images.take_written();
+        if written.is_some() {
+            self.writer = Some(master);
+        }
+        if self.writer.is_none_or(|writer| writer == master) {
+            self.received_at = Some(now);
+        }
+        let event = match written {
+            _ if configured => PlcEvent::Configured,
+            Some(image) => PlcEvent::Output(image),
+            None => PlcEvent::Served,
+        };
+        (event, len)
+    }
+}
+
+impl Default for ModbusTcp {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// A [`ModbusTcp`] with its input.
+#[derive(Debug)]
+pub struct TcpTurn<'a> {
+    modbus: &'a mut ModbusTcp,
+    input: TcpInput<'a>,
+}
+
+impl PlcSide for TcpTurn<'_> {
+    fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+        let Self { modbus, input } = self;
+        // Before a request: a bridge that was late must not take it for one in time.
+        if has_fallen_silent(&mut modbus.received_at, now, view.settings.timeout_ms()) {
+            return Some(modbus.lose_plc());
+        }
+        match core::mem::replace(input, TcpInput::Nothing) {
+            TcpInput::Request { master, pdu, response, len } => {
+                let (event, response_len) = modbus.serve(now, master, pdu, response, view);
+                *len = response_len;
+                Some(event)
+            }
+            TcpInput::Paused => Some(modbus.lose_plc()),
+            TcpInput::Nothing => None,
+        }
+    }
+
+    /// Does nothing: each request is answered with the state at its time.
+    fn show(&mut self, _: Instant, _: &Shown) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gripper::GripperLink;
+    use crate::io::Inputs;
+    use crate::{Bridge, Config};
+    use std::vec::Vec;
+    use wsg_protocol::can::Identifiers;
+
+    /// A PLC side that records the events of another.
+    struct Recorded<'a>(TcpTurn<'a>, &'a mut Vec<PlcEvent>);
+
+    impl PlcSide for Recorded<'_> {
+        fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
+            let event = self.0.receive(now, view);
+            self.1.extend(event);
+            event
+        }
+
+        fn show(&mut self, _: Instant, _: &Shown) {}
+    }
+
+    struct Rig {
+        bridge: Bridge,
+        modbus: ModbusTcp,
+    }
+
+    /// Read Input Registers: MAP_VERSION.
+    const READ: &[u8] = &[4, 0, 100, 0, 1];
+    /// Write Single Register: register 0.
+    const WRITE: &[u8] = &[6, 0, 0, 0, 0];
+
+    impl Rig {
+        fn new() -> Self {
+            Self { bridge: Bridge::new(Config::DEFAULT), modbus: ModbusTcp::new() }
+        }
+
+        fn turn(&mut self, now_ms: u32, input: TcpInput<'_>) -> Vec<PlcEvent> {
+            let (mut events, mut line) = (Vec::new(), GripperLink::new(Identifiers::DEFAULT));
+            let mut side = Recorded(self.modbus.over(input), &mut events);
+            self.bridge.poll(now_ms, Inputs::FAST_STOP_OK, &mut line, &mut side);
+            events
+        }
+
+        fn request(&mut self, now_ms: u32, master: u64, pdu: &[u8]) -> (Vec<PlcEvent>, Vec<u8>) {
+            let (mut response, mut len) = ([0; MAX_PDU_LEN], 0);
+            let input = TcpInput::Request { master, pdu, response: &mut response, len: &mut len };
+            let events = self.turn(now_ms, input);
+            (events, Vec::from(&response[..len]))
+        }
+    }
+
+    const SILENT: PlcEvent = PlcEvent::Left { silent: true };
+
+    #[test]
+    fn reads_of_another_master_do_not_hide_the_silence_of_the_plc() {
+        let mut rig = Rig::new();
+        let (events, answer) = rig.request(0, 1, WRITE);
+        assert!(matches!(events[..], [PlcEvent::Output(_)]), "{events:?}");
+        assert_eq!(answer, WRITE);
+        for now_ms in (100..1_000).step_by(100) {
+            assert_eq!(rig.request(now_ms, 2, READ).0, [PlcEvent::Served]);
+        }
+        assert!(rig.modbus.is_plc(1));
+        assert_eq!(rig.request(1_000, 2, READ).0, [SILENT, PlcEvent::Served]);
+        assert!(!rig.modbus.is_plc(1) && !rig.modbus.is_plc(2));
+    }
+
+    #[test]
+    fn pause_is_a_lost_bus_and_a_late_request_comes_after_the_time_out() {
+        let mut rig = Rig::new();
+        rig.request(0, 1, WRITE);
+        assert_eq!(rig.turn(600, TcpInput::Paused), [SILENT]);
+        rig.request(700, 1, WRITE);
+        let (events, answer) = rig.request(1_800, 1, READ);
+        assert_eq!(events, [SILENT, PlcEvent::Served]);
+        assert_eq!(answer[..2], [4, 2]);
+    }
+}
