@@ -15,9 +15,10 @@ use wsg_protocol::driver::host::StdClock;
 use wsg_protocol::driver::{Grip, Mm, MmPerS};
 use wsg_protocol::{GripperState, HomingDirection};
 use wsg_sim::server::{Lines, ServerThread};
-use wsg_sim::{Config, Part, command_line};
+use wsg_sim::{Config, Part};
 
 use crate::gripper::{Address, Connection, Signals};
+use crate::listen_address;
 use bridge::VirtualBridge;
 
 type Gripper = BinaryGripper<Connection, StdClock>;
@@ -64,11 +65,6 @@ pub(crate) struct Arguments {
     speed_up: u8,
 }
 
-fn listen_address(text: &str) -> Result<SocketAddr, String> {
-    command_line::address(text)
-        .ok_or_else(|| "expected an address with a port, such as 127.0.0.1:8080 or localhost:0".to_owned())
-}
-
 /// Runs the demonstration. Returns 0 after the last cycle and after Ctrl-C.
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     let &Arguments { page, tcp, modbus, cycles, speed_up, .. } = arguments;
@@ -77,8 +73,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
     // The bridge replaces the gripper's own fieldbus.
     let modbus = arguments.bus.is_none().then_some(modbus);
     let lines = Lines { tcp: Some(tcp), modbus, control: Some(page), ..Lines::default() };
-    let server = ServerThread::start(config, &lines, None)
-        .context("the virtual gripper cannot start; --page, --tcp and --modbus select other addresses")?;
+    let server = ServerThread::start(config, &lines, None).with_context(|| {
+        let options = if arguments.bus.is_none() { "--page, --tcp and --modbus" } else { "--page and --tcp" };
+        format!("the virtual gripper cannot start; {options} select other addresses")
+    })?;
     let [page, tcp, modbus] = [server.control_address(), server.tcp_address(), server.modbus_address()]
         .map(|address| address.map(|address| address.to_string()).unwrap_or_default());
     if let Some(bus) = &arguments.bus {
