@@ -49,7 +49,8 @@ impl FileFlash {
     fn store(&mut self) -> io::Result<()> {
         if let (true, Some(file)) = (self.is_changed, &self.file) {
             let bytes: Vec<u8> = self.pages.iter().flatten().flat_map(|word| word.to_le_bytes()).collect();
-            let new = file.with_extension("new");
+            let mut new = file.clone().into_os_string();
+            new.push(".new");
             fs::write(&new, bytes).and_then(|()| fs::rename(&new, file))?;
         }
         self.is_changed = false;

@@ -105,6 +105,11 @@ fn print_error(what: impl Display) {
     eprintln!("wsg: {}", one_line(&what.to_string()));
 }
 
+/// Does the same as [`print_error`], and ignores that nothing reads it.
+fn try_to_print_error(what: impl Display) {
+    let _ = writeln!(io::stderr(), "wsg: {}", one_line(&what.to_string()));
+}
+
 /// Returns the definition of the command line, for manual pages and other descriptions.
 #[must_use]
 pub fn command() -> clap::Command {

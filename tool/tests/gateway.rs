@@ -6,7 +6,7 @@
 mod program;
 
 use std::io::{self, Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -285,6 +285,33 @@ fn command_that_waited_while_the_process_was_stopped_is_discarded() {
     assert_eq!(rig.gripper().state().width, width);
     let messages = rig.gateway.messages();
     assert!(messages.contains("paused for"), "{messages}");
+}
+
+/// Commands that wait on such a connection would reach the gripper minutes later.
+#[test]
+fn connection_that_is_not_answered_is_reset() {
+    let mute = TcpListener::bind("127.0.0.1:0").unwrap();
+    let _gateway = Gateway::start(mute.local_addr().unwrap(), &[]);
+    for _ in 0..2 {
+        let (mut stream, _) = mute.accept().unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        let end = stream.read_to_end(&mut Vec::new()).unwrap_err();
+        assert_eq!(end.kind(), io::ErrorKind::ConnectionReset);
+    }
+}
+
+#[test]
+fn gateway_serves_masters_although_nothing_reads_its_messages() {
+    let mut rig = Rig::start();
+    drop(rig.gateway.process.stderr.take());
+    let mut master = rig.connect();
+    until("the gripper answers", || master.inputs().is_some());
+    // The gateway has messages for each of these.
+    for _ in 0..3 {
+        rig.restart_gripper();
+        until("the gripper is lost", || master.inputs().is_none());
+        until("the gripper answers again", || master.inputs().is_some());
+    }
 }
 
 #[test]

@@ -4,9 +4,13 @@
 //! end, and none of their images reaches the gripper.
 
 use std::cell::RefCell;
+use std::fmt::Display;
 use std::future::poll_fn;
 use std::path::Path;
 use std::rc::Rc;
+use std::sync::OnceLock;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
@@ -23,13 +27,17 @@ use wsg_protocol::{Status, SystemFlags};
 
 use super::line::GripperLine;
 use crate::file_flash::FileFlash;
-use crate::print_error;
+use crate::try_to_print_error;
 
 /// Longest time between two turns without input.
 const TURN: Duration = Duration::from_millis(5);
 
-/// Longest time between two turns after which waiting input still counts. A request must never take effect a second late.
+/// Longest time without a regular turn after which waiting input still counts. A request must never take effect a second late.
 const LONGEST_PAUSE: Duration = Duration::from_millis(800);
+
+/// Time between two turns without input in which no request waits for long: such turns are regular. Several shorter pauses in a row
+/// are one.
+const REGULAR: Duration = Duration::from_millis(100);
 
 /// Time after a pause in which connections are rejected: they may have been accepted, and their requests received, during it.
 const REJECTION: Duration = Duration::from_millis(100);
@@ -41,7 +49,15 @@ const MAX_MASTERS: usize = 32;
 const CONNECT_TIME: Duration = Duration::from_secs(3);
 
 /// Time in which the bridge takes the constant level of FAST_STOP_OK for settled. Before, it ignores edges of a bus.
+/// The stored debounce time is added.
 const SETTLING: Duration = Duration::from_millis(20);
+
+/// Longest time for a new connection to be answered. A connection that was cut meanwhile would hold a FAST STOP until the system
+/// repeats what it has sent, which takes up to two minutes.
+const SETUP_TIME: Duration = Duration::from_secs(3);
+
+/// Maximum number of messages that wait to be printed.
+const MAX_MESSAGES: usize = 64;
 
 /// Pause between two attempts.
 const RETRY: Duration = Duration::from_millis(250);
@@ -56,6 +72,7 @@ const FAREWELL_TIME: Duration = Duration::from_millis(200);
 pub(super) struct Gateway {
     host: RefCell<Host>,
     masters: RefCell<Masters>,
+    settling: Duration,
 }
 
 /// A bridge on this computer.
@@ -64,9 +81,12 @@ struct Host {
     modbus: ModbusTcp,
     flash: FileFlash,
     line: GripperLine,
-    /// Times of the computer's clock: of the start, and of the last turn.
+    /// Times of the computer's clock: of the start, of the last turn without input, and of the last regular one.
     start: Duration,
-    turned_at: Duration,
+    passed_at: Duration,
+    regular_at: Duration,
+    /// When the line was last closed, or the gripper connected.
+    answered_at: Duration,
     /// The end of the connection was announced.
     is_ending: bool,
 }
@@ -97,16 +117,19 @@ impl Gateway {
             flash,
             line: GripperLine::default(),
             start: now,
-            turned_at: now,
+            passed_at: now,
+            regular_at: now,
+            answered_at: now,
             is_ending: false,
         };
         let masters = Masters { open: Vec::new(), next: 0, first_served: 0, paused_at: None, pauses: 0 };
-        Ok(Self { host: RefCell::new(host), masters: RefCell::new(masters) })
+        let settling = SETTLING + Duration::from_millis(config.wires.debounce_ms.into());
+        Ok(Self { host: RefCell::new(host), masters: RefCell::new(masters), settling })
     }
 
     /// Runs turns until the bridge takes commands. No board connects to a gripper or a master that soon after its start.
     pub(super) async fn settle(&self) {
-        self.reaches(SETTLING, |_| false).await;
+        self.reaches(self.settling, |_| false).await;
     }
 
     /// Connects to the gripper whenever the line is not open.
@@ -123,11 +146,9 @@ impl Gateway {
                 });
                 let problem = opened.err().unwrap_or_default();
                 if problem.is_empty() {
-                    print_error(format_args!("connected to the gripper at {address}"));
+                    report(format_args!("connected to the gripper at {address}"));
                 } else if problem != reported {
-                    print_error(format_args!(
-                        "cannot connect to the gripper at {address}: {problem}; retrying"
-                    ));
+                    report(format_args!("cannot connect to the gripper at {address}: {problem}; retrying"));
                 }
                 reported = problem;
             }
@@ -226,7 +247,7 @@ impl Gateway {
             masters.dismiss();
             masters.paused_at = Some(Instant::now());
             masters.pauses += 1;
-            print_error(format_args!(
+            report(format_args!(
                 "this computer paused for {} ms (pause {} since the start): disconnected from gripper and PLC, and discarded waiting \
                  requests",
                 pause.as_millis(),
@@ -250,8 +271,17 @@ impl Host {
     /// Runs a turn. Returns the time since the previous one if it is a pause.
     fn turn(&mut self, input: TcpInput<'_>) -> Option<Duration> {
         let now = uptime();
-        let since = now.saturating_sub(std::mem::replace(&mut self.turned_at, now));
+        if matches!(input, TcpInput::Nothing) {
+            if now.saturating_sub(self.passed_at) < REGULAR {
+                self.regular_at = now;
+            }
+            self.passed_at = now;
+        }
+        let since = now.saturating_sub(self.regular_at);
         let pause = Some(since).filter(|since| *since > LONGEST_PAUSE);
+        if pause.is_some() {
+            self.regular_at = now;
+        }
         let input = if pause.is_some() { TcpInput::Paused } else { input };
         if pause.is_some() || !self.line.receive() {
             self.lose_line();
@@ -264,7 +294,13 @@ impl Host {
         station.turn_of_gateway(now_ms, line, &mut modbus.over(input), flash);
         // The commands that a silent gripper has not answered may still wait in the socket.
         let is_silent = was_connected && !self.station.bridge().is_connected() && !self.is_ending;
-        if is_silent || !self.line.send() {
+        if !self.line.is_open() || self.station.bridge().is_connected() {
+            self.answered_at = now;
+        }
+        let is_mute = now.saturating_sub(self.answered_at) > SETUP_TIME;
+        // A turn that was interrupted, for example while the settings were written, must not send its command.
+        let is_late = pause.is_none() && since + uptime().saturating_sub(now) > LONGEST_PAUSE;
+        if is_silent || is_mute || is_late || !self.line.send() {
             self.lose_line();
         }
         pause
@@ -272,11 +308,12 @@ impl Host {
 
     /// Resets the connection to the gripper, if there is one. The bridge forgets its pending commands.
     fn lose_line(&mut self) {
-        if self.line.is_open() {
-            print_error("lost the connection to the gripper");
-            self.line.reset();
-        }
+        let was_open = self.line.is_open();
+        self.line.reset();
         self.station.bridge().set_link_lost(true);
+        if was_open && !self.is_ending {
+            report("lost the connection to the gripper");
+        }
     }
 }
 
@@ -293,6 +330,18 @@ fn uptime() -> Duration {
 fn uptime() -> Duration {
     static FIRST: std::sync::LazyLock<Instant> = std::sync::LazyLock::new(Instant::now);
     FIRST.elapsed()
+}
+
+/// Prints a message on standard error, in a thread: a reader that does not read must not hold the bridge, nor end a task. A message
+/// that finds no room is lost.
+fn report(what: impl Display) {
+    static MESSAGES: OnceLock<SyncSender<String>> = OnceLock::new();
+    let messages = MESSAGES.get_or_init(|| {
+        let (sender, messages) = sync_channel::<String>(MAX_MESSAGES);
+        thread::spawn(move || messages.iter().for_each(try_to_print_error));
+        sender
+    });
+    let _ = messages.try_send(what.to_string());
 }
 
 /// Returns whether no motion runs and none is to be stopped.

@@ -50,7 +50,11 @@ impl Client<MAX_FRAME_LEN> for Master {
                         answers.push_back(answer.to_vec());
                     }
                 }
-                Some(Event::Lost) => *is_lost = true,
+                // A jog ends at once, not when the socket has been drained.
+                Some(Event::Lost) => {
+                    *is_lost = true;
+                    self.gateway.disconnect(self.number, &self.activity);
+                }
                 Some(Event::Foreign { .. }) | None => {}
             }
             rest = rest.get(taken..).unwrap_or(&[]);

@@ -8,7 +8,7 @@ use crate::plc::View;
 use crate::plc::side::{PlcEvent, PlcSide, Shown};
 use crate::register::BusCounts;
 use bus_modbus::MAX_PDU_LEN;
-use wsg_fieldbus::Images;
+use wsg_fieldbus::{CommandFlags, Images};
 use wsg_protocol::Instant;
 
 /// The masters of Modbus/TCP, and the bridge's registers for them.
@@ -17,6 +17,8 @@ pub struct ModbusTcp {
     images: Images,
     /// The master that wrote the output image last, until it is silent.
     writer: Option<u64>,
+    /// The master that began the present jog.
+    jogger: Option<u64>,
     /// Time of the last request of that master, or of any master without one; `None` after a time-out.
     received_at: Option<Instant>,
 }
@@ -45,7 +47,7 @@ impl ModbusTcp {
     /// Creates the side without a master.
     #[must_use]
     pub const fn new() -> Self {
-        Self { images: Images::new(false), writer: None, received_at: None }
+        Self { images: Images::new(false), writer: None, jogger: None, received_at: None }
     }
 
     /// Combines the side with its input: a PLC side for one turn.
@@ -53,15 +55,16 @@ impl ModbusTcp {
         TcpTurn { modbus: self, input }
     }
 
-    /// Returns whether the connection with this number is the PLC's.
+    /// Returns whether the connection with this number is the PLC's, or began the present jog.
     #[must_use]
     pub fn is_plc(&self, master: u64) -> bool {
-        self.writer == Some(master)
+        [self.writer, self.jogger].contains(&Some(master))
     }
 
     /// Forgets the PLC.
     const fn lose_plc(&mut self) -> PlcEvent {
         self.writer = None;
+        self.jogger = None;
         self.received_at = None;
         PlcEvent::Left { silent: true }
     }
@@ -84,8 +87,10 @@ impl ModbusTcp {
         let len = bus_modbus::serve(pdu, &mut device, response);
         let configured = device.configured;
         let written = self.images.take_written();
-        if written.is_some() {
+        if let Some(image) = written {
             self.writer = Some(master);
+            let jogs = image.flags.intersects(CommandFlags::JOG);
+            self.jogger = if jogs { self.jogger.or(Some(master)) } else { None };
         }
         if self.writer.is_none_or(|writer| writer == master) {
             self.received_at = Some(now);
@@ -200,6 +205,16 @@ mod tests {
         assert!(rig.modbus.is_plc(1));
         assert_eq!(rig.request(1_000, 2, READ).0, [SILENT, PlcEvent::Served]);
         assert!(!rig.modbus.is_plc(1) && !rig.modbus.is_plc(2));
+    }
+
+    #[test]
+    fn jog_belongs_to_the_master_that_began_it() {
+        let mut rig = Rig::new();
+        rig.request(0, 1, &[6, 0, 0, 0x80, 0]);
+        rig.request(10, 2, &[6, 0, 2, 0, 1]);
+        assert!(rig.modbus.is_plc(1) && rig.modbus.is_plc(2));
+        rig.request(20, 2, WRITE);
+        assert!(!rig.modbus.is_plc(1), "the jog has ended");
     }
 
     #[test]
