@@ -268,7 +268,7 @@ impl Masters {
 }
 
 impl Host {
-    /// Runs a turn. Returns the time since the previous one if it is a pause.
+    /// Runs a turn. Returns the time since the last regular one if it is a pause.
     fn turn(&mut self, input: TcpInput<'_>) -> Option<Duration> {
         let now = uptime();
         if matches!(input, TcpInput::Nothing) {
