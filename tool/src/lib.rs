@@ -100,13 +100,9 @@ fn listen_address(text: &str) -> Result<SocketAddr, String> {
         .ok_or_else(|| "expected an address with a port, such as 127.0.0.1:8080 or localhost:0".to_owned())
 }
 
-/// Prints a message on standard error, in one line: it may contain text from outside, such as a topic or a file name.
+/// Prints a message on standard error, in one line: it may contain text from outside, such as a topic or a file name. If nothing reads
+/// it, it is lost.
 fn print_error(what: impl Display) {
-    eprintln!("wsg: {}", one_line(&what.to_string()));
-}
-
-/// Does the same as [`print_error`], and ignores that nothing reads it.
-fn try_to_print_error(what: impl Display) {
     let _ = writeln!(io::stderr(), "wsg: {}", one_line(&what.to_string()));
 }
 

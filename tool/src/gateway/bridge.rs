@@ -27,7 +27,7 @@ use wsg_protocol::{Status, SystemFlags};
 
 use super::line::GripperLine;
 use crate::file_flash::FileFlash;
-use crate::try_to_print_error;
+use crate::print_error;
 
 /// Longest time between two turns without input.
 const TURN: Duration = Duration::from_millis(5);
@@ -338,7 +338,7 @@ fn report(what: impl Display) {
     static MESSAGES: OnceLock<SyncSender<String>> = OnceLock::new();
     let messages = MESSAGES.get_or_init(|| {
         let (sender, messages) = sync_channel::<String>(MAX_MESSAGES);
-        thread::spawn(move || messages.iter().for_each(try_to_print_error));
+        thread::spawn(move || messages.iter().for_each(print_error));
         sender
     });
     let _ = messages.try_send(what.to_string());

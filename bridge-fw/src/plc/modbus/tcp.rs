@@ -1,7 +1,7 @@
 //! Modbus/TCP as a PLC side, for a gateway: a computer that runs the bridge without a board. The caller has the sockets.
 //!
 //! Masters share the output image, as on a Modbus RTU line. The one that wrote it last is the PLC: its silence is a lost bus,
-//! even while other masters send requests. The end of its connection is silence, too: some masters connect for each request.
+//! even while other masters send requests. The end of its connection is not, because some masters connect for each request.
 
 use super::{BridgeDevice, Role, has_fallen_silent};
 use crate::plc::View;
