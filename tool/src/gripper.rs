@@ -32,6 +32,7 @@ pub use address::Address;
 pub use wire::{Wire, open};
 
 pub(crate) use action::signed;
+pub(crate) use address::with_port;
 
 use action::Named;
 use answer::Answer;

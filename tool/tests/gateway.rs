@@ -330,13 +330,16 @@ fn wsg_bridge_stores_settings_in_the_file_of_the_gateway() {
 
 #[test]
 fn wrong_or_missing_address_is_refused_with_a_hint() {
-    for (arguments, expected) in [
-        (&["--gripper", "udp://h", "--modbus", "localhost:0"][..], "expected tcp://HOST"),
-        (&["--gripper", "tcp://h"], "--modbus <ADDR>"),
-        (&["--gripper", "tcp://h", "--modbus", "bench:0"], "expected an address with a port"),
+    for (arguments, status, expected) in [
+        (&["gateway", "--gripper", "udp://h", "--modbus", "localhost:0"][..], 2, "expected tcp://HOST"),
+        (&["gateway", "--gripper", "tcp://h"], 2, "--modbus <ADDR>"),
+        (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
+        (&["bridge", "tcp://h:port", "show"], 1, "invalid port `port`"),
+        // An IPv6 address gets the default port, too.
+        (&["bridge", "tcp://::1", "show"], 1, "cannot connect to a gateway at [::1]:502"),
     ] {
-        let output = wsg(&[&["gateway"], arguments].concat(), b"");
-        assert_eq!(output.status.code(), Some(2));
+        let output = wsg(arguments, b"");
+        assert_eq!(output.status.code(), Some(status), "{}", printed(&output));
         assert!(printed(&output).contains(expected), "{}", printed(&output));
     }
 }

@@ -25,6 +25,7 @@ use wsg_sim::command_line::after_scheme;
 
 use super::names::report;
 use super::strays::WithoutStrays;
+use crate::gripper::with_port;
 
 /// Response time-out. The bridge responds within milliseconds, but a busy computer may be slow.
 const PATIENCE: Duration = Duration::from_millis(1_500);
@@ -260,7 +261,8 @@ fn connect(runtime: &Runtime, port: &str) -> Result<Context> {
 }
 
 fn connect_to_gateway(runtime: &Runtime, host: &str) -> Result<Context> {
-    let host = if host.contains(':') { host.to_owned() } else { format!("{host}:{MODBUS_PORT}") };
+    let wrong = || format!("wrong address `tcp://{host}`; expected tcp://HOST[:PORT]");
+    let host = with_port(host, MODBUS_PORT, wrong).map_err(anyhow::Error::msg)?;
     let stream = runtime.block_on(async { within(TcpStream::connect(&host)).await });
     let stream = stream.unwrap_or_else(|| Err(ErrorKind::TimedOut.into()));
     let stream = stream.with_context(|| format!("cannot connect to a gateway at {host}"))?;

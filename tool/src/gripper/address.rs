@@ -171,7 +171,7 @@ impl Display for Address {
 }
 
 /// Appends the default port to a host without one.
-fn with_port(host: &str, port: u16, wrong: impl Fn() -> String) -> Result<String, String> {
+pub(crate) fn with_port(host: &str, port: u16, wrong: impl Fn() -> String) -> Result<String, String> {
     if host.trim_end_matches('/').is_empty() {
         return Err("missing host; expected a name or address such as 192.168.1.20".to_owned());
     }
