@@ -58,31 +58,31 @@ macro_rules! surfaces {
             #[test]
             $(#[$ignored])*
             fn fast_stop_acts_within_250_ms_beside_blocked_requests() {
-                promises::fast_stop_acts(&ENTRY);
+                promises::judge(&ENTRY, promises::fast_stop_acts);
             }
 
             #[test]
             $(#[$ignored])*
             fn nothing_moves_without_a_request() {
-                promises::nothing_moves_unrequested(&ENTRY);
+                promises::judge(&ENTRY, promises::nothing_moves_unrequested);
             }
 
             #[test]
             $(#[$ignored])*
             fn nothing_older_than_a_second_runs() {
-                promises::nothing_old_runs(&ENTRY);
+                promises::judge(&ENTRY, promises::nothing_old_runs);
             }
 
             #[test]
             $(#[$ignored])*
             fn refused_request_sends_and_changes_nothing() {
-                promises::refusal_changes_nothing(&ENTRY);
+                promises::judge(&ENTRY, promises::refusal_changes_nothing);
             }
 
             #[test]
             $(#[$ignored])*
             fn lost_connection_shows_in_every_read() {
-                promises::lost_connection_shows(&ENTRY);
+                promises::judge(&ENTRY, promises::lost_connection_shows);
             }
         })*
     };
