@@ -23,13 +23,28 @@ impl Gateway {
     /// Panics when `wsg` is not built, or prints no address.
     #[must_use]
     pub fn start(gripper: SocketAddr, options: &[&str]) -> Self {
-        let mut process = Command::new(example::program("wsg"))
-            .args(["gateway", "--gripper", &format!("tcp://{gripper}"), "--modbus", "127.0.0.1:0"])
-            .args(options)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("wsg starts");
+        Self::spawn(Self::command(gripper, options))
+    }
+
+    /// Returns the command that [`start`](Self::start) spawns.
+    ///
+    /// # Panics
+    /// Panics when `wsg` is not built.
+    #[must_use]
+    pub fn command(gripper: SocketAddr, options: &[&str]) -> Command {
+        let mut command = Command::new(example::program("wsg"));
+        command.args(["gateway", "--gripper", &format!("tcp://{gripper}"), "--modbus", "127.0.0.1:0"]);
+        command.args(options).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    }
+
+    /// Like [`start`](Self::start), with a changed command.
+    ///
+    /// # Panics
+    /// Panics when `wsg` prints no address.
+    #[must_use]
+    pub fn spawn(mut command: Command) -> Self {
+        let mut process = command.spawn().expect("wsg starts");
         let lines = BufReader::new(process.stdout.take().expect("stdout is piped")).lines();
         let modbus =
             lines.map_while(Result::ok).find_map(|line| line.strip_prefix("modbus   ")?.parse().ok());

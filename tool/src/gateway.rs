@@ -7,6 +7,7 @@
 mod bridge;
 mod line;
 mod master;
+mod service;
 
 use std::io::{self, Write};
 use std::net::SocketAddr;
@@ -64,14 +65,18 @@ async fn serve(arguments: &Arguments, signals: &Signals) -> Result<()> {
         TcpListener::bind(modbus).await.with_context(|| format!("Modbus/TCP cannot listen on {modbus}"))?;
     let address = listener.local_addr()?;
     writeln!(io::stdout(), "gripper  tcp://{gripper}\nmodbus   {address}")?;
+    service::ready(&format!("modbus {address}, gripper tcp://{gripper}"));
     let mut tasks = JoinSet::new();
     let (masters, line, gripper) = (Rc::clone(&gateway), Rc::clone(&gateway), gripper.clone());
     tasks
         .spawn_local(async move { fieldbus_host::tcp::serve(listener, |_| Master::connect(&masters)).await });
     tasks.spawn_local(async move { line.keep_connected(&gripper).await });
+    let watched = [Rc::clone(&gateway)];
+    tasks.spawn_local(async move { service::feed_watchdog(&watched).await });
     while signals.check().is_ok() {
         gateway.pass_time().await;
     }
+    service::stopping();
     // No connection is accepted or made from here on.
     tasks.abort_all();
     gateway.end().await;

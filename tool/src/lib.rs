@@ -100,10 +100,37 @@ fn listen_address(text: &str) -> Result<SocketAddr, String> {
         .ok_or_else(|| "expected an address with a port, such as 127.0.0.1:8080 or localhost:0".to_owned())
 }
 
+/// Severity of a message, as a number of syslog.
+#[derive(Clone, Copy)]
+enum Severity {
+    Error = 3,
+    Warning = 4,
+    Info = 6,
+}
+
+/// Prints an error like [`print_message`].
+fn print_error(what: impl Display) {
+    print_message(Severity::Error, what);
+}
+
 /// Prints a message on standard error, in one line: it may contain text from outside, such as a topic or a file name. If nothing reads
 /// it, it is lost.
-fn print_error(what: impl Display) {
-    let _ = writeln!(io::stderr(), "wsg: {}", one_line(&what.to_string()));
+fn print_message(severity: Severity, what: impl Display) {
+    let prefix = if stderr_is_journal() { format!("<{}>", severity as u8) } else { String::new() };
+    let _ = writeln!(io::stderr(), "{prefix}wsg: {}", one_line(&what.to_string()));
+}
+
+/// Returns whether standard error leads to the journal of systemd, which reads the severity at the start of a line.
+#[cfg(target_os = "linux")]
+fn stderr_is_journal() -> bool {
+    std::env::var("JOURNAL_STREAM").is_ok_and(|stream| {
+        rustix::fs::fstat(io::stderr()).is_ok_and(|file| stream == format!("{}:{}", file.st_dev, file.st_ino))
+    })
+}
+
+#[cfg(not(target_os = "linux"))]
+const fn stderr_is_journal() -> bool {
+    false
 }
 
 /// Returns the definition of the command line, for manual pages and other descriptions.

@@ -343,3 +343,100 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
         assert!(printed(&output).contains(expected), "{}", printed(&output));
     }
 }
+
+/// As a service of systemd.
+#[cfg(target_os = "linux")]
+mod service {
+    use std::env::temp_dir;
+    use std::fs::{self, File};
+    use std::os::linux::net::SocketAddrExt;
+    use std::os::unix::fs::MetadataExt;
+    use std::os::unix::net::{SocketAddr, UnixDatagram};
+    use std::process::{Command, id};
+
+    use super::*;
+
+    /// Starts a gateway as systemd does, with a watchdog that is to be fed at every half of this time.
+    fn as_service(socket: &str, watchdog_us: u32) -> (Gateway, UnixDatagram) {
+        let address = match socket.strip_prefix('@') {
+            Some(name) => SocketAddr::from_abstract_name(name),
+            None => SocketAddr::from_pathname(socket),
+        };
+        let manager = UnixDatagram::bind_addr(&address.unwrap()).unwrap();
+        // Nothing answers there: a bridge without a gripper is alive, too.
+        let mut command = Gateway::command("127.0.0.1:1".parse().unwrap(), &[]);
+        command.env("NOTIFY_SOCKET", socket).env("WATCHDOG_USEC", watchdog_us.to_string());
+        (Gateway::spawn(command), manager)
+    }
+
+    #[test]
+    fn service_manager_is_notified_of_readiness_life_and_end() {
+        let path = temp_dir().join(format!("wsg-notify-{}", id()));
+        let (mut gateway, manager) = as_service(path.to_str().unwrap(), 400_000);
+        manager.set_read_timeout(Some(BOUND)).unwrap();
+        let received = || {
+            let mut state = [0; 256];
+            let len = manager.recv(&mut state).unwrap();
+            String::from_utf8_lossy(&state[..len]).into_owned()
+        };
+        // The port is open: the system has chosen its number.
+        let status = format!("modbus {}, gripper tcp://127.0.0.1:1", gateway.modbus);
+        assert_eq!(received(), format!("READY=1\nSTATUS={status}"));
+        for _ in 0..3 {
+            assert_eq!(received(), "WATCHDOG=1");
+        }
+        kill_process(Pid::from_child(&gateway.process), Signal::TERM).unwrap();
+        until("the end is announced", || received() == "STOPPING=1");
+        assert_eq!(gateway.process.wait().unwrap().code(), Some(0));
+        let _ = fs::remove_file(path);
+    }
+
+    #[test]
+    fn gateway_serves_masters_although_the_service_manager_reads_nothing() {
+        let (gateway, manager) = as_service(&format!("@wsg-unread-{}", id()), 1_000);
+        let filler = UnixDatagram::unbound().unwrap();
+        filler.set_nonblocking(true).unwrap();
+        filler.connect_addr(&manager.local_addr().unwrap()).unwrap();
+        until("the socket is full", || filler.send(b"X=1").is_err());
+        // Meanwhile, the watchdog is due again and again.
+        for _ in 0..20 {
+            until("a master is answered", || {
+                let mut master = TcpStream::connect(gateway.modbus).unwrap();
+                master.set_read_timeout(Some(BOUND)).unwrap();
+                master.write_all(&[0, 1, 0, 0, 0, 6, 1, 4, 0, 101, 0, 1]).is_ok()
+                    && master.read_exact(&mut [0; 9]).is_ok()
+            });
+            sleep(Duration::from_millis(5));
+        }
+    }
+
+    #[test]
+    fn messages_begin_with_their_severity_in_the_journal_only() {
+        let path = temp_dir().join(format!("wsg-journal-{}", id()));
+        for is_journal in [true, false] {
+            let journal = File::create(&path).unwrap();
+            let file = journal.metadata().unwrap();
+            let stream = format!("{}:{}", file.dev(), file.ino() + u64::from(!is_journal));
+            let to_journal = |command: &mut Command| {
+                command.env("JOURNAL_STREAM", &stream).stderr(journal.try_clone().unwrap());
+            };
+            let logged = |severity: &str, message: &str| {
+                let line = format!("{}wsg: {message}", if is_journal { severity } else { "" });
+                until(&line, || fs::read_to_string(&path).unwrap().lines().any(|it| it.starts_with(&line)));
+            };
+            let gripper = serve("127.0.0.1:0".parse().unwrap());
+            let mut first = Gateway::command(gripper.tcp_address().unwrap(), &[]);
+            to_journal(&mut first);
+            let first = Gateway::spawn(first);
+            logged("<6>", "connected to the gripper");
+            drop(gripper);
+            logged("<4>", "lost the connection");
+            let mut second = Command::new(env!("CARGO_BIN_EXE_wsg"));
+            second.args(["gateway", "--gripper", "tcp://h", "--modbus", &first.modbus.to_string()]);
+            to_journal(&mut second);
+            assert_eq!(second.status().unwrap().code(), Some(1));
+            logged("<3>", "Modbus/TCP cannot listen");
+        }
+        let _ = fs::remove_file(&path);
+    }
+}

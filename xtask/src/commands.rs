@@ -86,7 +86,11 @@ pub(crate) fn release(workspace: &Workspace, parts: &[OsString]) -> Result<()> {
     }
     [CARGO_AUDITABLE, CARGO_CYCLONEDX].iter().try_for_each(|tool| tool.require(workspace, "the release"))?;
     setup::lacking(&platforms::FROM_DEBIAN);
-    setup::lacking(&[("aarch64", "qemu-aarch64-static", "qemu-user-static")]);
+    setup::lacking(&[
+        ("aarch64", "qemu-aarch64-static", "qemu-user-static"),
+        ("containers", "buildah", "buildah"),
+        ("units", "systemd-analyze", "systemd"),
+    ]);
     let zig = setup::zig(workspace).context("zig cannot be installed")?.join("bin");
     let path = env::var_os("PATH").unwrap_or_default();
     tools_of_book(workspace)?;

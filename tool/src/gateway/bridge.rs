@@ -27,10 +27,10 @@ use wsg_protocol::{Status, SystemFlags};
 
 use super::line::GripperLine;
 use crate::file_flash::FileFlash;
-use crate::print_error;
+use crate::{Severity, print_message};
 
 /// Longest time between two turns without input.
-const TURN: Duration = Duration::from_millis(5);
+pub(super) const TURN: Duration = Duration::from_millis(5);
 
 /// Longest time without a regular turn after which waiting input still counts. A request must never take effect a second late.
 const LONGEST_PAUSE: Duration = Duration::from_millis(800);
@@ -87,6 +87,8 @@ struct Host {
     regular_at: Duration,
     /// When the line was last closed, or the gripper connected.
     answered_at: Duration,
+    /// End of the last turn without input after which a board feeds its watchdog.
+    alive_at: Instant,
     /// The end of the connection was announced.
     is_ending: bool,
 }
@@ -120,6 +122,7 @@ impl Gateway {
             passed_at: now,
             regular_at: now,
             answered_at: now,
+            alive_at: Instant::now(),
             is_ending: false,
         };
         let masters = Masters { open: Vec::new(), next: 0, first_served: 0, paused_at: None, pauses: 0 };
@@ -146,7 +149,7 @@ impl Gateway {
                 });
                 let problem = opened.err().unwrap_or_default();
                 if problem.is_empty() {
-                    report(format_args!("connected to the gripper at {address}"));
+                    log(Severity::Info, format_args!("connected to the gripper at {address}"));
                 } else if problem != reported {
                     report(format_args!("cannot connect to the gripper at {address}: {problem}; retrying"));
                 }
@@ -165,6 +168,11 @@ impl Gateway {
             () = sleep(TURN) => {}
             () = poll_fn(|context| self.host.borrow().line.poll_arrival(context)) => {}
         }
+    }
+
+    /// Returns the end of the last regular turn after which a board feeds its watchdog.
+    pub(super) fn alive_at(&self) -> Instant {
+        self.host.borrow().alive_at
     }
 
     /// Admits a connection. Returns its number and activity, or `None` shortly after a pause.
@@ -271,7 +279,8 @@ impl Host {
     /// Runs a turn. Returns the time since the last regular one if it is a pause.
     fn turn(&mut self, input: TcpInput<'_>) -> Option<Duration> {
         let now = uptime();
-        if matches!(input, TcpInput::Nothing) {
+        let is_regular = matches!(input, TcpInput::Nothing);
+        if is_regular {
             if now.saturating_sub(self.passed_at) < REGULAR {
                 self.regular_at = now;
             }
@@ -292,6 +301,9 @@ impl Host {
         let now_ms = now.saturating_sub(self.start).as_millis() as u32;
         let Self { station, line, modbus, flash, .. } = self;
         station.turn_of_gateway(now_ms, line, &mut modbus.over(input), flash);
+        if is_regular && self.station.bridge().may_feed_watchdog(now_ms) {
+            self.alive_at = Instant::now();
+        }
         // The commands that a silent gripper has not answered may still wait in the socket.
         let is_silent = was_connected && !self.station.bridge().is_connected() && !self.is_ending;
         if !self.line.is_open() || self.station.bridge().is_connected() {
@@ -332,16 +344,21 @@ fn uptime() -> Duration {
     FIRST.elapsed()
 }
 
+/// Prints a warning like [`log`].
+pub(super) fn report(what: impl Display) {
+    log(Severity::Warning, what);
+}
+
 /// Prints a message on standard error, in a thread: a reader that does not read must not hold the bridge, nor end a task. A message
 /// that finds no room is lost.
-fn report(what: impl Display) {
-    static MESSAGES: OnceLock<SyncSender<String>> = OnceLock::new();
+fn log(severity: Severity, what: impl Display) {
+    static MESSAGES: OnceLock<SyncSender<(Severity, String)>> = OnceLock::new();
     let messages = MESSAGES.get_or_init(|| {
-        let (sender, messages) = sync_channel::<String>(MAX_MESSAGES);
-        thread::spawn(move || messages.iter().for_each(print_error));
+        let (sender, messages) = sync_channel(MAX_MESSAGES);
+        thread::spawn(move || messages.iter().for_each(|(severity, what)| print_message(severity, what)));
         sender
     });
-    let _ = messages.try_send(what.to_string());
+    let _ = messages.try_send((severity, what.to_string()));
 }
 
 /// Returns whether no motion runs and none is to be stopped.

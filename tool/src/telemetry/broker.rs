@@ -25,7 +25,7 @@ use tokio_rustls::{
 };
 use wsg_sim::text;
 
-use crate::print_error;
+use crate::{Severity, print_message};
 
 use super::{
     config,
@@ -403,7 +403,7 @@ impl Link {
             }
             Received::Command { topic, payload, is_retained } => {
                 match node.command(&topic, &payload, is_retained, now_ms()) {
-                    Ok(what) => print_error(format_args!("command on {topic}: {what}")),
+                    Ok(what) => print_message(Severity::Info, format_args!("command on {topic}: {what}")),
                     Err(why) => self.refusals.print(format!("command on {topic} refused: {why}")),
                 }
             }

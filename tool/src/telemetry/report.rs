@@ -5,7 +5,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use tokio::sync::{mpsc, watch};
 
 use super::metrics::{OfCommand, Value};
-use crate::print_error;
+use crate::{Severity, print_message};
 
 /// A report from a device's reader.
 #[derive(Debug)]
@@ -60,7 +60,7 @@ pub(super) struct Messages {
 impl Messages {
     pub(super) fn print(&mut self, text: String) {
         if text != self.last {
-            print_error(&text);
+            print_message(Severity::Info, &text);
             self.last = text;
         }
     }

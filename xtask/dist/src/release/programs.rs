@@ -41,9 +41,16 @@ const SYSTEMS: [System; 3] = [
     },
 ];
 
+/// Folder of units in a Debian package.
+const UNITS: &str = "usr/lib/systemd/system";
+
 const PROGRAMS: [&str; 2] = ["wsg", "wsg-sim"];
 const PACKAGES: [&str; 4] = ["--package", "wsg-tool", "--package", "wsg-sim"];
 const PROFILE: &str = "wheel";
+
+/// Folder of the gateway's service, and the file in it that makes a container image of the programs.
+const SERVICE: &str = "tool/service";
+const IMAGE: &str = "Containerfile";
 
 const README: &str = "\
 wsg      commands a gripper, configures the bridge, decodes recordings, publishes telemetry
@@ -56,6 +63,7 @@ Try them:
   wsg gripper tcp://127.0.0.1:11000 grip 20 100 --force 40
 
 On Linux, manual pages are in man (man -l man/wsg.1), completions in completions.
+Containerfile makes an image of both programs: podman build --tag wsg .
 ";
 
 pub(super) fn make(release: &mut Release) -> Result<()> {
@@ -75,7 +83,10 @@ pub(super) fn make(release: &mut Release) -> Result<()> {
             bytes
         };
         release.folder_names_no_path(&trials)?;
-        let trial = is_used(system, &trials.join(&name))?;
+        let mut trial = is_used(system, &trials.join(&name))?;
+        if system.launcher.is_none() {
+            trial += is_used_in_container(release, &trials.join(&name))?;
+        }
         let extension = if system.ending.is_empty() { "tar.gz" } else { "zip" };
         release.add(&format!("{name}.{extension}"), &bytes, trial)?;
         if system.ending.is_empty() {
@@ -142,6 +153,7 @@ fn fill(release: &Release, system: &System, folder: &Path) -> Result<()> {
     fs::write(folder.join("README.txt"), README)?;
     fs::copy(root().join("CHANGELOG.md"), folder.join("CHANGELOG.md"))?;
     if system.ending.is_empty() {
+        fs::copy(root().join(SERVICE).join(IMAGE), folder.join(IMAGE))?;
         manual_pages_and_completions(folder)?;
     }
     Ok(())
@@ -162,7 +174,7 @@ fn manual_pages_and_completions(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Adds the Debian package of the programs, which is installed below a folder, used and removed.
+/// Adds the Debian package of the programs, which is installed below a folder, used and purged.
 fn debian(release: &mut Release, system: &System, files: &Path) -> Result<()> {
     let place = release.folder(&format!("debian-{}", system.name))?;
     let cpu = if system.name.ends_with("aarch64") { "arm64" } else { "amd64" };
@@ -170,6 +182,7 @@ fn debian(release: &mut Release, system: &System, files: &Path) -> Result<()> {
     let mut pack = Command::new("sh");
     pack.arg(root().join("xtask/dist/src/release/debian.sh")).current_dir(&place);
     pack.env("FILES", files).env("DOCS", root().join("docs")).env("VERSION", VERSION).env("CPU", cpu);
+    pack.env("SERVICE", root().join(SERVICE));
     pack.env("SOURCE_DATE_EPOCH", TIME);
     pack.env("MAINTAINER", maintainer).env("HOMEPAGE", env!("CARGO_PKG_REPOSITORY"));
     run_program(pack, "")?;
@@ -189,9 +202,37 @@ fn debian(release: &mut Release, system: &System, files: &Path) -> Result<()> {
     run_program(dpkg("--install").arg(&package), "")?;
     let bytes = fs::read(&package)?;
     let trial = is_used(system, &place.join("usr/bin"))?;
-    run_program(dpkg("--remove").arg("wsg-tools"), "")?;
-    ensure!(!place.join("usr/bin/wsg").exists(), "dpkg left files of {name}");
-    release.add(&name, &bytes, format!("installed, {trial}, removed"))
+    // The unit's own targets are the system's.
+    for target in ["sysinit", "shutdown"] {
+        fs::write(place.join(UNITS).join(format!("{target}.target")), "[Unit]\n")?;
+    }
+    let mut verify = Command::new("systemd-analyze");
+    verify.args(["verify", "--man=no", &format!("--root={}", place.display()), "wsg-gateway.service"]);
+    run_program(verify, "")?;
+    let installed = ["usr/bin/wsg", "etc/wsg/gateway.toml"].map(|file| place.join(file));
+    ensure!(installed.iter().all(|file| file.exists()), "{name} lacks one of {installed:?}");
+    run_program(dpkg("--purge").arg("wsg-tools"), "")?;
+    ensure!(!installed.iter().any(|file| file.exists()), "dpkg left one of {installed:?}");
+    release.add(&name, &bytes, format!("installed, {trial}, unit verified, purged"))
+}
+
+/// Grips with the programs in a container of their image, if there is buildah.
+fn is_used_in_container(release: &Release, files: &Path) -> Result<&'static str> {
+    if Command::new("buildah").arg("--version").output().is_err() {
+        return Ok("; no container without buildah");
+    }
+    let store = release.folder("containers")?.display().to_string();
+    let words = format!("buildah --storage-driver vfs --root {store}/root --runroot {store}/run ");
+    let run = |line: &str, expected: &str| {
+        let line = format!("{words}{line}");
+        let mut words = line.split(' ');
+        run_program(Command::new(words.next().unwrap_or_default()).args(words).current_dir(files), expected)
+    };
+    run("build --quiet --isolation chroot --tag wsg .", "")?;
+    run("from --name trial wsg", "trial")?;
+    let launcher = format!("{words}run --isolation chroot trial --");
+    trial::grip(&launcher.split(' ').collect::<Vec<_>>(), "/usr/bin".as_ref(), "")?;
+    Ok(", and in a container")
 }
 
 /// Packs the files of a folder without subfolders.
