@@ -16,15 +16,24 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    /// Starts a gateway for the gripper at an address, with further options. It accepts masters when this returns, but may not be
-    /// connected to the gripper yet.
+    /// Starts a gateway for the gripper on TCP at an address, with further options. It accepts masters when this returns, but may
+    /// not be connected to the gripper yet.
     ///
     /// # Panics
     /// Panics when `wsg` is not built, or prints no address.
     #[must_use]
     pub fn start(gripper: SocketAddr, options: &[&str]) -> Self {
+        Self::to(&format!("tcp://{gripper}"), options)
+    }
+
+    /// Starts a gateway like [`start`](Self::start), for a gripper on any line.
+    ///
+    /// # Panics
+    /// Panics when `wsg` is not built, or prints no address.
+    #[must_use]
+    pub fn to(gripper: &str, options: &[&str]) -> Self {
         let mut process = Command::new(example::program("wsg"))
-            .args(["gateway", "--gripper", &format!("tcp://{gripper}"), "--modbus", "127.0.0.1:0"])
+            .args(["gateway", "--gripper", gripper, "--modbus", "127.0.0.1:0"])
             .args(options)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
