@@ -16,24 +16,33 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    /// Starts a gateway for the gripper at an address, with further options. It accepts masters when this returns, but may not be
-    /// connected to the gripper yet.
+    /// Starts a gateway for the gripper on TCP at an address, with further options. It accepts masters when this returns, but may
+    /// not be connected to the gripper yet.
     ///
     /// # Panics
     /// Panics when `wsg` is not built, or prints no address.
     #[must_use]
     pub fn start(gripper: SocketAddr, options: &[&str]) -> Self {
+        Self::to(&format!("tcp://{gripper}"), options)
+    }
+
+    /// Starts a gateway like [`start`](Self::start), for a gripper on any line.
+    ///
+    /// # Panics
+    /// Panics when `wsg` is not built, or prints no address.
+    #[must_use]
+    pub fn to(gripper: &str, options: &[&str]) -> Self {
         Self::spawn(Self::command(gripper, options))
     }
 
-    /// Returns the command that [`start`](Self::start) spawns.
+    /// Returns the command that [`to`](Self::to) spawns.
     ///
     /// # Panics
     /// Panics when `wsg` is not built.
     #[must_use]
-    pub fn command(gripper: SocketAddr, options: &[&str]) -> Command {
+    pub fn command(gripper: &str, options: &[&str]) -> Command {
         let mut command = Command::new(example::program("wsg"));
-        command.args(["gateway", "--gripper", &format!("tcp://{gripper}"), "--modbus", "127.0.0.1:0"]);
+        command.args(["gateway", "--gripper", gripper, "--modbus", "127.0.0.1:0"]);
         command.args(options).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }

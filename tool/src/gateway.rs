@@ -1,4 +1,4 @@
-//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP and a gripper on TCP.
+//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP and a gripper at any address of the binary protocol.
 //!
 //! The bridge is the application of the board's firmware, with the same registers, settings and rules. It has no wires:
 //! `FAST_STOP_OK` is high. All tasks run in one thread. A request runs a turn of the bridge at once; without one, a turn runs
@@ -7,6 +7,8 @@
 mod bridge;
 mod line;
 mod master;
+#[cfg(unix)]
+mod serial;
 mod service;
 
 use std::io::{self, Write};
@@ -19,18 +21,22 @@ use clap::Args;
 use tokio::net::TcpListener;
 use tokio::runtime;
 use tokio::task::{JoinSet, LocalSet};
+use wsg_bridge_fw::gripper::BAUD;
 
 use crate::gripper::{Address, Signals};
 use crate::listen_address;
 use bridge::Gateway;
 use master::Master;
 
+/// Lowest rate of a board's CAN bus in kbit/s.
+const MIN_KBIT: u16 = 125;
+
 /// Connects PLCs on Modbus/TCP to a gripper through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Address of the gripper, such as tcp://192.168.1.20
     #[arg(long, value_name = "ADDRESS", value_parser = gripper_address)]
-    gripper: String,
+    gripper: Address,
     /// Address on which Modbus/TCP masters connect, such as 192.168.1.10:502
     #[arg(long, value_name = "ADDR", value_parser = listen_address)]
     modbus: SocketAddr,
@@ -39,11 +45,24 @@ pub(crate) struct Arguments {
     settings: Option<PathBuf>,
 }
 
-/// Returns host and port of an address over TCP. Only TCP shows the gripper that the gateway has ended.
-fn gripper_address(text: &str) -> Result<String, String> {
-    match text.parse::<Address>()? {
-        Address::Tcp(host) => Ok(host),
-        _ => Err("expected tcp://HOST[:1000]: a gateway supports no other line".to_owned()),
+/// Parses the address of a gripper that a gateway can command. A line must be as fast as a board's, for its times to hold.
+fn gripper_address(text: &str) -> Result<Address, String> {
+    match text.parse()? {
+        address @ (Address::Tcp(_) | Address::Udp { .. }) => Ok(address),
+        Address::Serial { rate, .. } if rate < BAUD => {
+            Err(format!("rate={rate}: a gateway requires {BAUD} bit/s or more"))
+        }
+        Address::Slcan { kbit, .. } if kbit < MIN_KBIT => {
+            Err(format!("kbit={kbit}: a gateway requires {MIN_KBIT} kbit/s or more"))
+        }
+        address @ (Address::Serial { .. } | Address::Slcan { .. }) if cfg!(unix) => Ok(address),
+        Address::Serial { .. } | Address::Slcan { .. } => {
+            Err("a gateway uses no serial port on this system; expected tcp:// or udp://".to_owned())
+        }
+        Address::Gcl { .. } | Address::GclUdp { .. } => {
+            Err("a gateway uses the binary protocol, not GCL; expected tcp://, udp://, serial: or slcan:"
+                .to_owned())
+        }
     }
 }
 
@@ -64,8 +83,8 @@ async fn serve(arguments: &Arguments, signals: &Signals) -> Result<()> {
     let listener =
         TcpListener::bind(modbus).await.with_context(|| format!("Modbus/TCP cannot listen on {modbus}"))?;
     let address = listener.local_addr()?;
-    writeln!(io::stdout(), "gripper  tcp://{gripper}\nmodbus   {address}")?;
-    service::ready(&format!("modbus {address}, gripper tcp://{gripper}"));
+    writeln!(io::stdout(), "gripper  {gripper}\nmodbus   {address}")?;
+    service::ready(&format!("modbus {address}, gripper {gripper}"));
     let mut tasks = JoinSet::new();
     let (masters, line, gripper) = (Rc::clone(&gateway), Rc::clone(&gateway), gripper.clone());
     tasks

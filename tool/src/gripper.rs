@@ -12,10 +12,10 @@ mod prompt;
 mod record;
 mod run;
 mod signals;
-mod slcan;
+pub(crate) mod slcan;
 mod trouble;
 mod watch;
-mod wire;
+pub(crate) mod wire;
 
 use std::fs::File;
 use std::io::{self, Write};

@@ -6,16 +6,24 @@
 mod program;
 
 use std::io::{self, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::mem;
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::os::fd::OwnedFd;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::thread::sleep;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 use host_tests::gateway::Gateway;
 use program::{printed, wsg};
+use rustix::fs::{OFlags, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use serial2::SerialPort;
 use wsg_protocol::SystemFlags;
-use wsg_sim::server::{Lines, ServerThread};
+use wsg_protocol::can::Identifiers;
+use wsg_sim::server::{CanBus, CanLine, Lines, SerialLine, ServerThread, UdpLine};
 use wsg_sim::{Config, Part};
 
 /// Time limit of every wait.
@@ -24,18 +32,26 @@ const BOUND: Duration = Duration::from_secs(60);
 /// Flags of the output image, as the high byte of register 0.
 const MOVE: u16 = 0x0100;
 const GRIP: u16 = 0x0200;
+const RELEASE: u16 = 0x0400;
 const HOMING: u16 = 0x0800;
+const STOP_ACK: u16 = 0x1000;
 const JOG_MINUS: u16 = 0x8000;
 
 /// Input registers.
 const DISCONNECTS: u8 = 117;
 const BUS_TIMEOUTS: u8 = 125;
 
+/// Message about a silent gripper.
+const SILENT: &str = "the gripper does not answer";
+
 /// A gateway, and its gripper with a part of 20 mm.
 struct Rig {
     gripper: Option<ServerThread>,
+    /// Address of the gripper on TCP.
     address: SocketAddr,
     gateway: Gateway,
+    /// How often the line between both was cut or mended.
+    cuts: Arc<AtomicUsize>,
 }
 
 impl Rig {
@@ -46,7 +62,8 @@ impl Rig {
     fn with(options: &[&str]) -> Self {
         let gripper = serve("127.0.0.1:0".parse().unwrap());
         let address = gripper.tcp_address().unwrap();
-        Self { gripper: Some(gripper), address, gateway: Gateway::start(address, options) }
+        let gateway = Gateway::start(address, options);
+        Self { gripper: Some(gripper), address, gateway, cuts: Arc::default() }
     }
 
     fn gripper(&self) -> &ServerThread {
@@ -103,8 +120,12 @@ impl Rig {
 }
 
 fn serve(address: SocketAddr) -> ServerThread {
+    serve_on(&Lines { tcp: Some(address), ..Lines::default() })
+}
+
+fn serve_on(lines: &Lines) -> ServerThread {
     let config = Config { part: Part::of_width(20.0), homing_speed: Some(400.0), ..Config::default() };
-    ServerThread::start(config, &Lines { tcp: Some(address), ..Lines::default() }, None).unwrap()
+    ServerThread::start(config, lines, None).unwrap()
 }
 
 #[track_caller]
@@ -116,18 +137,26 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Runs a test, again if the machine paused its gateway, which then disconnects from everything.
+/// Runs a test like [`unpaused_on`], with a gripper on TCP.
 fn unpaused(test: impl Fn(&mut Rig)) {
+    unpaused_on(Rig::start, test);
+}
+
+/// Runs a test, again if the machine paused its gateway or gripper, which then disconnects. Returns the messages of the gateway.
+fn unpaused_on(start: impl Fn() -> Rig, test: impl Fn(&mut Rig)) -> String {
     for attempt in 1.. {
-        let mut rig = Rig::start();
+        let mut rig = start();
         let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
-        let is_paused = rig.gateway.messages().contains("paused");
+        let messages = rig.gateway.messages();
+        let silences = rig.cuts.load(Ordering::Relaxed).div_ceil(2);
+        let is_paused = messages.contains("paused") || messages.matches(SILENT).count() > silences;
         match tested {
-            Ok(()) => return,
+            Ok(()) => return messages,
             Err(_) if is_paused && attempt < 10 => {}
             Err(panic) => resume_unwind(panic),
         }
     }
+    unreachable!("the last attempt returns or panics")
 }
 
 struct Master(TcpStream);
@@ -300,6 +329,144 @@ fn connection_that_is_not_answered_is_reset() {
     }
 }
 
+/// A line without a connection.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Link {
+    Udp,
+    Serial,
+    Slcan,
+}
+
+/// The test's ends of such a line. A thread passes on what they receive, unless the line is cut.
+struct Cable {
+    /// The gateway's address of the gripper.
+    address: String,
+    to_gateway: OwnedFd,
+    to_gripper: OwnedFd,
+    /// Keeps the terminal alive while the gateway opens and closes it.
+    _other_end: Option<SerialPort>,
+}
+
+impl Link {
+    /// Returns a gripper with this line, and the other end of the line.
+    fn open(self) -> (ServerThread, Cable) {
+        let [gateway, gripper, answers] = [0; 3].map(|_| UdpSocket::bind("127.0.0.1:0").unwrap());
+        let address = |socket: &UdpSocket| socket.local_addr().unwrap();
+        let udp = UdpLine { address: "127.0.0.1:0".parse().unwrap(), remote_port: address(&gripper).port() };
+        let can = CanLine { bus: CanBus::Slcan(SerialLine::Pty), identifiers: Identifiers::DEFAULT };
+        let server = serve_on(&Lines {
+            udp: (self == Self::Udp).then_some(udp),
+            serial: (self == Self::Serial).then_some(SerialLine::Pty),
+            can: (self == Self::Slcan).then_some(can),
+            ..Lines::default()
+        });
+        let Some(path) = server.serial_path().or(server.can_path()) else {
+            gateway.connect(address(&answers)).unwrap();
+            gripper.connect(server.udp_address().unwrap()).unwrap();
+            let [port, answer] = [&gateway, &answers].map(|socket| address(socket).port());
+            let [to_gateway, to_gripper] = [gateway, gripper].map(|socket| {
+                socket.set_nonblocking(true).unwrap();
+                OwnedFd::from(socket)
+            });
+            let address = format!("udp://127.0.0.1:{port}?answer={answer}");
+            return (server, Cable { address, to_gateway, to_gripper, _other_end: None });
+        };
+        let to_gateway = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&to_gateway).unwrap();
+        unlockpt(&to_gateway).unwrap();
+        fcntl_setfl(&to_gateway, OFlags::NONBLOCK).unwrap();
+        let device = ptsname(&to_gateway, Vec::new()).unwrap().into_string().unwrap();
+        let to_gripper = SerialPort::open(path, 115_200).unwrap().into();
+        let _other_end = Some(SerialPort::open(&device, 115_200).unwrap());
+        let address = format!("{}:{device}", if self == Self::Serial { "serial" } else { "slcan" });
+        (server, Cable { address, to_gateway, to_gripper, _other_end })
+    }
+}
+
+impl Cable {
+    /// Passes on what both ends receive until the test ends.
+    fn pass(&self, cuts: &Arc<AtomicUsize>) {
+        let mut was_cut = false;
+        while Arc::strong_count(cuts) > 1 {
+            let is_cut = !cuts.load(Ordering::Relaxed).is_multiple_of(2);
+            if is_cut && !mem::replace(&mut was_cut, true) {
+                // An adapter that loses power restarts with a closed channel. On other lines, this is noise.
+                rustix::io::write(&self.to_gripper, b"\rC\r").unwrap();
+            }
+            for (from, to) in [(&self.to_gateway, &self.to_gripper), (&self.to_gripper, &self.to_gateway)] {
+                let mut bytes = [0; 4_096];
+                while let Ok(count @ 1..) = rustix::io::read(from, &mut bytes) {
+                    if !is_cut {
+                        // An error means that nothing listens.
+                        let _ = rustix::io::write(to, &bytes[..count]);
+                    }
+                }
+            }
+            sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+#[test]
+fn gripper_on_any_line_grips_and_moves_neither_late_nor_after_the_end() {
+    thread::scope(|scope| {
+        for link in [Link::Udp, Link::Serial, Link::Slcan] {
+            scope.spawn(move || grips_and_moves_neither_late_nor_after_the_end(link));
+        }
+    });
+}
+
+fn grips_and_moves_neither_late_nor_after_the_end(link: Link) {
+    let start = || {
+        let ((gripper, cable), cuts) = (link.open(), Arc::<AtomicUsize>::default());
+        let (address, seen) = (cable.address.clone(), Arc::clone(&cuts));
+        thread::spawn(move || cable.pass(&seen));
+        let gateway = Gateway::to(&address, &[]);
+        if link != Link::Udp {
+            until("a second program is refused", || {
+                let second = printed(&wsg(&["gripper", &address, "width"], b""));
+                second.contains("another program uses this port")
+            });
+        }
+        let address = "127.0.0.1:0".parse().unwrap();
+        Rig { gripper: Some(gripper), address, gateway, cuts }
+    };
+    let messages = unpaused_on(start, |rig| {
+        rig.gripper().set_part(Part::of_width(100.0));
+        let mut master = rig.homed();
+        assert_eq!(master.command(GRIP, 10_000), (1 << 4, 0), "{link:?}: GRIP ends in HOLDING");
+        assert_eq!(master.command(RELEASE, 11_000), (1, 0), "{link:?}: RELEASE ends in IDLE");
+        rig.gripper().set_part(None);
+        master.write(0, 8_000);
+        master.write(MOVE, 8_000);
+        until("the fingers move", || rig.has(SystemFlags::MOVING));
+        rig.cuts.fetch_add(1, Ordering::Relaxed);
+        until("the gripper is lost", || master.ask(&[4, 0, 0, 0, 6]).unwrap() == [0x84, 0x0B]);
+        // The gripper has not noticed it.
+        until("the motion has ended", || !rig.has(SystemFlags::MOVING));
+        let width = rig.gripper().state().width;
+        assert!((width - 80.0).abs() < 0.1 && !rig.has(SystemFlags::FAST_STOP), "{link:?}: {width} mm");
+        for flags in [0, MOVE] {
+            // The bridge may refuse them.
+            let _ = master.ask(&request(flags, 4_000)).unwrap();
+        }
+        rig.cuts.fetch_add(1, Ordering::Relaxed);
+        until("the gripper answers again", || master.inputs().is_some());
+        for _ in 0..50 {
+            let _ = master.ask(&request(MOVE, 4_000)).unwrap();
+            sleep(Duration::from_millis(10));
+        }
+        assert_eq!(rig.gripper().state().width, width, "{link:?}: no command comes late");
+        master.command(STOP_ACK, 0);
+        master.write(0, 1_000);
+        master.write(GRIP, 1_000);
+        until("the fingers move", || rig.has(SystemFlags::MOVING));
+        rig.end(Signal::HUP);
+        assert!(rig.gripper().state().width > 12.0, "{link:?}: {:?}", rig.gripper().state());
+    });
+    assert!(messages.contains("does not notice the end of this line"), "{link:?}: {messages}");
+}
+
 #[test]
 fn gateway_serves_masters_although_nothing_reads_its_messages() {
     let mut rig = Rig::start();
@@ -331,7 +498,9 @@ fn wsg_bridge_stores_settings_in_the_file_of_the_gateway() {
 #[test]
 fn wrong_or_missing_address_is_refused_with_a_hint() {
     for (arguments, status, expected) in [
-        (&["gateway", "--gripper", "udp://h", "--modbus", "localhost:0"][..], 2, "expected tcp://HOST"),
+        (&["gateway", "--gripper", "gcl://h", "--modbus", "localhost:0"][..], 2, "not GCL; expected tcp://"),
+        (&["gateway", "--gripper", "serial:x?rate=9600"], 2, "requires 115200 bit/s"),
+        (&["gateway", "--gripper", "slcan:x?kbit=100"], 2, "requires 125 kbit/s"),
         (&["gateway", "--gripper", "tcp://h"], 2, "--modbus <ADDR>"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
         (&["bridge", "tcp://h:port", "show"], 1, "invalid port `port`"),
@@ -364,7 +533,7 @@ mod service {
         };
         let manager = UnixDatagram::bind_addr(&address.unwrap()).unwrap();
         // Nothing answers there: a bridge without a gripper is alive, too.
-        let mut command = Gateway::command("127.0.0.1:1".parse().unwrap(), &[]);
+        let mut command = Gateway::command("tcp://127.0.0.1:1", &[]);
         command.env("NOTIFY_SOCKET", socket).env("WATCHDOG_USEC", watchdog_us.to_string());
         (Gateway::spawn(command), manager)
     }
@@ -425,7 +594,7 @@ mod service {
                 until(&line, || fs::read_to_string(&path).unwrap().lines().any(|it| it.starts_with(&line)));
             };
             let gripper = serve("127.0.0.1:0".parse().unwrap());
-            let mut first = Gateway::command(gripper.tcp_address().unwrap(), &[]);
+            let mut first = Gateway::command(&format!("tcp://{}", gripper.tcp_address().unwrap()), &[]);
             to_journal(&mut first);
             let first = Gateway::spawn(first);
             logged("<6>", "connected to the gripper");

@@ -6,6 +6,7 @@
 use std::cell::RefCell;
 use std::fmt::Display;
 use std::future::poll_fn;
+use std::io;
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::OnceLock;
@@ -16,17 +17,17 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result};
 use bus_modbus::MAX_PDU_LEN;
 use fieldbus_host::Activity;
-use tokio::net::TcpStream;
 use tokio::task::yield_now;
-use tokio::time::{sleep, timeout};
+use tokio::time::sleep;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
 use wsg_bridge_fw::{BoardId, Bridge, Config, ResetCause, Station};
 use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::{Status, SystemFlags};
 
-use super::line::GripperLine;
+use super::line::{GripperLine, Stream};
 use crate::file_flash::FileFlash;
+use crate::gripper::Address;
 use crate::{Severity, print_message};
 
 /// Longest time between two turns without input.
@@ -45,24 +46,24 @@ const REJECTION: Duration = Duration::from_millis(100);
 /// Maximum number of masters at a time. A further one displaces the one that has been idle longest.
 const MAX_MASTERS: usize = 32;
 
-/// Time-out of an attempt to connect to the gripper.
-const CONNECT_TIME: Duration = Duration::from_secs(3);
-
 /// Time in which the bridge takes the constant level of FAST_STOP_OK for settled. Before, it ignores edges of a bus.
 /// The stored debounce time is added.
 const SETTLING: Duration = Duration::from_millis(20);
 
-/// Longest time for a new connection to be answered. A connection that was cut meanwhile would hold a FAST STOP until the system
-/// repeats what it has sent, which takes up to two minutes.
+/// Longest time for a new line to be answered. A connection that was cut meanwhile would hold a FAST STOP until the system repeats
+/// what it has sent, which takes up to two minutes. An SLCAN adapter may have restarted with a closed channel.
 const SETUP_TIME: Duration = Duration::from_secs(3);
 
 /// Maximum number of messages that wait to be printed.
 const MAX_MESSAGES: usize = 64;
 
+/// Problem of a line after a pause of the computer.
+const PAUSED: &str = "this computer paused";
+
 /// Pause between two attempts.
 const RETRY: Duration = Duration::from_millis(250);
 
-/// Time for the gripper to confirm a Stop at the end.
+/// Time for the gripper to confirm a Stop or FAST STOP at the end.
 const STOP_TIME: Duration = Duration::from_millis(500);
 
 /// Time for the gripper to confirm the announced end of the connection.
@@ -81,6 +82,9 @@ struct Host {
     modbus: ModbusTcp,
     flash: FileFlash,
     line: GripperLine,
+    /// Address of the gripper, and the last message about the line to it.
+    address: String,
+    reported: String,
     /// Times of the computer's clock: of the start, of the last turn without input, and of the last regular one.
     start: Duration,
     passed_at: Duration,
@@ -118,6 +122,8 @@ impl Gateway {
             modbus: ModbusTcp::new(),
             flash,
             line: GripperLine::default(),
+            address: String::new(),
+            reported: String::new(),
             start: now,
             passed_at: now,
             regular_at: now,
@@ -135,25 +141,23 @@ impl Gateway {
         self.reaches(self.settling, |_| false).await;
     }
 
-    /// Connects to the gripper whenever the line is not open.
-    pub(super) async fn keep_connected(&self, address: &str) {
-        let mut reported = String::new();
+    /// Opens the line to the gripper whenever it is not open.
+    pub(super) async fn keep_connected(&self, address: &Address) {
+        self.host.borrow_mut().address = address.to_string();
+        if !matches!(address, Address::Tcp(_)) {
+            report(format_args!(
+                "the gripper at {address} does not notice the end of this line: if the gateway fails, a motion or jog runs to its end"
+            ));
+        }
         loop {
-            if !self.host.borrow().line.is_open() {
-                let stream = match timeout(CONNECT_TIME, TcpStream::connect(address)).await {
-                    Ok(stream) => stream.map_err(|error| error.to_string()),
-                    Err(_) => Err(format!("no answer within {} s", CONNECT_TIME.as_secs())),
-                };
-                let opened = stream.and_then(|stream| {
-                    self.host.borrow_mut().line.open(stream).map_err(|error| error.to_string())
-                });
-                let problem = opened.err().unwrap_or_default();
-                if problem.is_empty() {
-                    log(Severity::Info, format_args!("connected to the gripper at {address}"));
-                } else if problem != reported {
-                    report(format_args!("cannot connect to the gripper at {address}: {problem}; retrying"));
+            let is_open = self.host.borrow().line.is_open();
+            if !is_open {
+                let opened = Stream::open(address).await;
+                let mut host = self.host.borrow_mut();
+                match opened {
+                    Ok(stream) => host.line.open(stream),
+                    Err(error) => host.report_problem(&error),
                 }
-                reported = problem;
             }
             sleep(RETRY).await;
         }
@@ -212,23 +216,36 @@ impl Gateway {
         }
     }
 
-    /// Ends the gateway: stops the fingers, and announces the end of the connection, so that the gripper does not enter FAST STOP.
-    /// Fingers that do not stop in time, and a FAST STOP, end without the announcement: then the gripper enters FAST STOP.
+    /// Ends the gateway: stops the fingers, and announces the end of a connection, so that the gripper does not enter FAST STOP.
+    /// Fingers that do not stop in time, and a FAST STOP, end without the announcement: then the gripper enters FAST STOP. A gripper
+    /// that does not notice the end of its line is sent the FAST STOP.
     pub(super) async fn end(&self) {
         self.masters.borrow_mut().dismiss();
-        self.host.borrow_mut().station.bridge().silence(SilenceReaction::Stop);
-        let is_announced = self.reaches(STOP_TIME, is_at_rest).await && self.announce_end();
-        if is_announced {
-            self.reaches(FAREWELL_TIME, |bridge| !bridge.session().is_busy()).await;
-            self.host.borrow_mut().line.finish();
+        self.silence(SilenceReaction::Stop);
+        let is_at_rest = self.reaches(STOP_TIME, is_at_rest).await;
+        let is_connection = self.host.borrow().line.is_connection();
+        if is_connection {
+            if is_at_rest && self.announce_end() {
+                self.reaches(FAREWELL_TIME, |bridge| !bridge.session().is_busy()).await;
+                self.host.borrow_mut().line.finish();
+            }
+            return;
         }
+        if !is_at_rest {
+            self.silence(SilenceReaction::FastStop);
+            self.reaches(STOP_TIME, is_fast_stopped).await;
+        }
+        self.host.borrow_mut().line.finish();
+    }
+
+    fn silence(&self, reaction: SilenceReaction) {
+        self.host.borrow_mut().station.bridge().silence(reaction);
     }
 
     fn announce_end(&self) -> bool {
         let mut host = self.host.borrow_mut();
         let bridge = host.station.bridge();
-        let is_stopped = bridge.input_image().system.contains(SystemFlags::FAST_STOP);
-        let is_announced = !is_stopped && bridge.announce_end();
+        let is_announced = !is_fast_stopped(bridge) && bridge.announce_end();
         host.is_ending = is_announced;
         is_announced
     }
@@ -292,10 +309,14 @@ impl Host {
             self.regular_at = now;
         }
         let input = if pause.is_some() { TcpInput::Paused } else { input };
-        if pause.is_some() || !self.line.receive() {
-            self.lose_line();
-        } else {
-            self.station.bridge().set_link_lost(false);
+        let received = match pause {
+            Some(_) => Err(io::Error::other(PAUSED)),
+            None => self.line.receive(),
+        };
+        match received {
+            // A line without a connection is known to be down only while it is closed, as on a board.
+            Ok(()) => self.station.bridge().set_link_lost(false),
+            Err(error) => self.lose_line(&error),
         }
         let was_connected = self.station.bridge().is_connected();
         let now_ms = now.saturating_sub(self.start).as_millis() as u32;
@@ -304,27 +325,53 @@ impl Host {
         if is_regular && self.station.bridge().may_feed_watchdog(now_ms) {
             self.alive_at = Instant::now();
         }
-        // The commands that a silent gripper has not answered may still wait in the socket.
-        let is_silent = was_connected && !self.station.bridge().is_connected() && !self.is_ending;
-        if !self.line.is_open() || self.station.bridge().is_connected() {
+        // The commands that a silent gripper has not answered may still wait in the socket or port.
+        let is_connected = self.station.bridge().is_connected();
+        let is_silent = was_connected && !is_connected && !self.is_ending;
+        if !self.line.is_open() || is_connected {
             self.answered_at = now;
         }
         let is_mute = now.saturating_sub(self.answered_at) > SETUP_TIME;
         // A turn that was interrupted, for example while the settings were written, must not send its command.
         let is_late = pause.is_none() && since + uptime().saturating_sub(now) > LONGEST_PAUSE;
-        if is_silent || is_mute || is_late || !self.line.send() {
-            self.lose_line();
+        let sent = if is_silent || is_mute {
+            Err(io::Error::other("the gripper does not answer"))
+        } else if is_late {
+            Err(io::Error::other(PAUSED))
+        } else {
+            self.line.send()
+        };
+        match sent {
+            Ok(()) if is_connected && !was_connected => {
+                self.report_line(Severity::Info, format!("connected to the gripper at {}", self.address));
+            }
+            Ok(()) => {}
+            Err(error) => self.lose_line(&error),
         }
         pause
     }
 
-    /// Resets the connection to the gripper, if there is one. The bridge forgets its pending commands.
-    fn lose_line(&mut self) {
-        let was_open = self.line.is_open();
+    /// Resets the line to the gripper, if it is open. The bridge forgets its pending commands.
+    fn lose_line(&mut self, why: &io::Error) {
+        if self.line.is_open() && !self.is_ending {
+            self.report_problem(why);
+        }
         self.line.reset();
         self.station.bridge().set_link_lost(true);
-        if was_open && !self.is_ending {
-            report("lost the connection to the gripper");
+    }
+
+    fn report_problem(&mut self, problem: &io::Error) {
+        self.report_line(
+            Severity::Warning,
+            format!("no connection to the gripper at {}: {problem}; retrying", self.address),
+        );
+    }
+
+    /// Reports the state of the line, unless it is still the same.
+    fn report_line(&mut self, severity: Severity, state: String) {
+        if self.reported != state {
+            log(severity, &state);
+            self.reported = state;
         }
     }
 }
@@ -367,4 +414,8 @@ fn is_at_rest(bridge: &Bridge) -> bool {
     image.status != Status::CmdPending
         && !image.system.contains(SystemFlags::MOVING)
         && !bridge.motion_is_open()
+}
+
+fn is_fast_stopped(bridge: &Bridge) -> bool {
+    bridge.input_image().system.contains(SystemFlags::FAST_STOP)
 }
