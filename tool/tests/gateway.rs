@@ -599,7 +599,7 @@ mod service {
             let first = Gateway::spawn(first);
             logged("<6>", "connected to the gripper");
             drop(gripper);
-            logged("<4>", "lost the connection");
+            logged("<4>", "no connection to the gripper");
             let mut second = Command::new(env!("CARGO_BIN_EXE_wsg"));
             second.args(["gateway", "--gripper", "tcp://h", "--modbus", &first.modbus.to_string()]);
             to_journal(&mut second);
