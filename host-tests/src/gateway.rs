@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::{Child, Command, Stdio};
 
 use crate::example;
@@ -58,5 +59,19 @@ impl Gateway {
 impl Drop for Gateway {
     fn drop(&mut self) {
         self.kill();
+    }
+}
+
+/// Runs a test with a gateway, again if the machine paused the gateway, which then disconnects from everything.
+pub fn unpaused<R>(start: impl Fn() -> R, gateway: impl Fn(&mut R) -> &mut Gateway, test: impl Fn(&mut R)) {
+    for attempt in 1.. {
+        let mut rig = start();
+        let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
+        let is_paused = gateway(&mut rig).messages().contains("paused");
+        match tested {
+            Ok(()) => return,
+            Err(_) if is_paused && attempt < 10 => {}
+            Err(panic) => resume_unwind(panic),
+        }
     }
 }

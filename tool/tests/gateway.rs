@@ -7,11 +7,10 @@ mod program;
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use host_tests::gateway::Gateway;
+use host_tests::gateway::{self, Gateway};
 use program::{printed, wsg};
 use rustix::process::{Pid, Signal, kill_process};
 use wsg_protocol::SystemFlags;
@@ -116,18 +115,9 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Runs a test, again if the machine paused its gateway, which then disconnects from everything.
+/// Runs a test, again if the machine paused its gateway.
 fn unpaused(test: impl Fn(&mut Rig)) {
-    for attempt in 1.. {
-        let mut rig = Rig::start();
-        let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
-        let is_paused = rig.gateway.messages().contains("paused");
-        match tested {
-            Ok(()) => return,
-            Err(_) if is_paused && attempt < 10 => {}
-            Err(panic) => resume_unwind(panic),
-        }
-    }
+    gateway::unpaused(Rig::start, |rig| &mut rig.gateway, test);
 }
 
 struct Master(TcpStream);
