@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::{Child, Command, Stdio};
 
 use crate::example;
@@ -83,4 +84,26 @@ impl Drop for Gateway {
     fn drop(&mut self) {
         self.kill();
     }
+}
+
+/// Runs a test with a gateway, again if the machine paused the gateway, which then disconnects from everything, or if its messages
+/// show another disturbance. Returns the messages.
+pub fn unpaused<R>(
+    start: impl Fn() -> R,
+    gateway: impl Fn(&mut R) -> &mut Gateway,
+    is_disturbed: impl Fn(&R, &str) -> bool,
+    test: impl Fn(&mut R),
+) -> String {
+    for attempt in 1.. {
+        let mut rig = start();
+        let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
+        let messages = gateway(&mut rig).messages();
+        let is_disturbed = messages.contains("paused") || is_disturbed(&rig, &messages);
+        match tested {
+            Ok(()) => return messages,
+            Err(_) if is_disturbed && attempt < 10 => {}
+            Err(panic) => resume_unwind(panic),
+        }
+    }
+    unreachable!("the last attempt returns or panics")
 }

@@ -1,9 +1,9 @@
-//! Third-party masters for tests, installed by `cargo xtask test`. `mbpoll` comes from Debian, `jsmodbus` from npm
-//! (`package-lock.json`). `pymodbus`, `minimalmodbus`, `modbus-tk`, `canopen`, `pyprofibus` and the EDS reader
+//! Third-party masters for tests, installed by `cargo xtask test`. `mbpoll` comes from Debian, `jsmodbus` and `modbus-serial`
+//! from npm (`package-lock.json`). `pymodbus`, `minimalmodbus`, `modbus-tk`, `canopen`, `pyprofibus` and the EDS reader
 //! `dcf-tools` come from PyPI (`requirements.txt`), as do `xmlschema`, which validates PLCopen XML, and `blark`, which parses
 //! Structured Text.
 //!
-//! A test that requires one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus`, `canopen`,
+//! A test that requires one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus`, `modbus_serial`, `canopen`,
 //! `pyprofibus`, `xmlschema` or `blark` in its name. It fails without it; `cargo xtask test` skips it.
 
 use std::path::PathBuf;

@@ -9,13 +9,12 @@ use std::io::{self, Read, Write};
 use std::mem;
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::os::fd::OwnedFd;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
-use host_tests::gateway::Gateway;
+use host_tests::gateway::{self, Gateway};
 use program::{printed, wsg};
 use rustix::fs::{OFlags, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
@@ -144,19 +143,11 @@ fn unpaused(test: impl Fn(&mut Rig)) {
 
 /// Runs a test, again if the machine paused its gateway or gripper, which then disconnects. Returns the messages of the gateway.
 fn unpaused_on(start: impl Fn() -> Rig, test: impl Fn(&mut Rig)) -> String {
-    for attempt in 1.. {
-        let mut rig = start();
-        let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
-        let messages = rig.gateway.messages();
+    let is_disturbed = |rig: &Rig, messages: &str| {
         let silences = rig.cuts.load(Ordering::Relaxed).div_ceil(2);
-        let is_paused = messages.contains("paused") || messages.matches(SILENT).count() > silences;
-        match tested {
-            Ok(()) => return messages,
-            Err(_) if is_paused && attempt < 10 => {}
-            Err(panic) => resume_unwind(panic),
-        }
-    }
-    unreachable!("the last attempt returns or panics")
+        messages.matches(SILENT).count() > silences
+    };
+    gateway::unpaused(start, |rig| &mut rig.gateway, is_disturbed, test)
 }
 
 struct Master(TcpStream);

@@ -1,4 +1,4 @@
-// jsmodbus as the master of unit 1: `tcp PORT` of the virtual gripper or `rtu TERMINAL` of the bridge.
+// jsmodbus as the master of unit 1: `tcp PORT` of the virtual gripper or a gateway, or `rtu TERMINAL` of the bridge.
 const assert = require("node:assert");
 const fs = require("node:fs");
 const net = require("node:net");
@@ -20,7 +20,7 @@ async function connect() {
     return new modbus.client.RTU(line, 1, 60_000);
 }
 
-const IDLE = 1 << 0, HOLDING = 1 << 4, PENDING = 26;
+const IDLE = 1 << 0, HOLDING = 1 << 4, ERROR = 1 << 7, PENDING = 26;
 
 async function run(client) {
     const values = async (answer) => (await answer).response.body.valuesAsArray;
@@ -46,6 +46,9 @@ async function run(client) {
 
     await client.writeMultipleRegisters(0, [0, 0, 0, 0]);
     await command(1 << 4); // STOP/ACK: on the bridge the FAST STOP of power-up
+    if (kind === "tcp") {
+        assert.deepEqual(await command(1 << 0, 5000, 5000, 4000), [ERROR, 3], "MOVE is refused");
+    }
     assert.deepEqual(await command(1 << 3), [IDLE, 0], "HOMING");
     assert.deepEqual(await command(1 << 1, 2000, 5000, 4000), [HOLDING, 0], "GRIP");
     assert.deepEqual([...await read(0, 4)], [0, 2000, 5000, 4000]);

@@ -1,15 +1,15 @@
-//! Third-party masters over Modbus/TCP at the virtual gripper and at a gateway: `mbpoll` (Debian), `pymodbus` and `modbus-tk`
-//! (PyPI), `jsmodbus` (npm) and `tokio-modbus`, and the example `gripping_cycle`, which uses the last. `minimalmodbus` supports
-//! only RTU.
+//! Third-party masters over Modbus/TCP, each at a virtual gripper and through a gateway: `mbpoll` (Debian; it uses libmodbus),
+//! `pymodbus` and `modbus-tk` (PyPI), `jsmodbus` and `modbus-serial` (npm), `tokio-modbus`, and the example `gripping_cycle`,
+//! which uses the last. `modbus-serial` is the client of Node-RED's Modbus nodes. `minimalmodbus` supports only RTU.
 //!
-//! Tests with `mbpoll`, `pymodbus`, `modbus_tk` or `jsmodbus` in their names require that program. `cargo xtask test` runs them
-//! if it finds or can install the program, and prints NOT CHECKED otherwise.
+//! Tests with `mbpoll`, `pymodbus`, `modbus_tk`, `jsmodbus` or `modbus_serial` in their names require that program. `cargo xtask
+//! test` runs them if it finds or can install the program, and prints NOT CHECKED otherwise.
 
 use document::read;
 use host_tests::example;
-use host_tests::gateway::Gateway;
+use host_tests::gateway::{Gateway, unpaused};
 use host_tests::masters::{mbpoll, node, paste, printed, python};
-use std::net::SocketAddr;
+use std::net::{SocketAddr, TcpListener};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
@@ -21,13 +21,35 @@ use wsg_sim::{Config, Part};
 /// Time limit of every wait.
 const BOUND: Duration = Duration::from_secs(60);
 
-/// Starts a gripper with a part of 20 mm and returns its Modbus/TCP address.
-fn gripper() -> (ServerThread, SocketAddr) {
-    let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
-    let lines = Lines { modbus: "127.0.0.1:0".parse().ok(), ..Lines::default() };
-    let served = ServerThread::start(config, &lines, None).unwrap();
-    let address = served.modbus_address().unwrap();
-    (served, address)
+/// Runs a test at a gripper with a part of 20 mm, and through a gateway to another one.
+fn at_gripper_and_gateway(test: impl Fn(SocketAddr)) {
+    let any = "127.0.0.1:0".parse().ok();
+    let serve = |lines| {
+        let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
+        ServerThread::start(config, &lines, None).unwrap()
+    };
+    let served = serve(Lines { modbus: any, ..Lines::default() });
+    test(served.modbus_address().unwrap());
+    println!("through a gateway:");
+    let start = || {
+        let served = serve(Lines { tcp: any, ..Lines::default() });
+        let gateway = Gateway::start(served.tcp_address().unwrap(), &[]);
+        (served, gateway)
+    };
+    unpaused(
+        start,
+        |(_, gateway)| gateway,
+        |_, _| false,
+        |(_, gateway)| {
+            with_tokio_modbus(gateway.modbus, async |context| {
+                // The gripper answers.
+                while context.read_input_registers(0, 6).await.unwrap().is_err() {}
+                // BUS_TIMEOUT: a busy machine is less punctual than a PLC.
+                context.write_single_register(101, 60_000).await.unwrap().unwrap();
+            });
+            test(gateway.modbus);
+        },
+    );
 }
 
 /// The common part of all Python masters: home, grip, release, and a refused motion. It requires `read(address, count)`,
@@ -66,7 +88,7 @@ image = wait(lambda image: image[5] != 26)
 coil(2, False)
 assert (image[0], image[3:]) == (0x0100, [4000, 0, 0]), image
 write(0, [0x0100, 4000, 50000, 4000])                    # MOVE at 500 mm/s
-assert inputs(1, 1)[0] & 0x0010, "FAST STOP"
+wait(lambda image: image[1] & 0x0010)                    # FAST STOP
 print("cycle done")
 "#;
 
@@ -78,7 +100,6 @@ fn assert_done(output: &Output) {
 #[test]
 #[ignore = "needs pymodbus: see the top of this file"]
 fn pymodbus_runs_a_grip_cycle_over_tcp() {
-    let (_served, address) = gripper();
     let head = r#"
 import sys
 from pymodbus.client import ModbusTcpClient
@@ -111,17 +132,17 @@ assert read(1, 1) == [(4001 & 0xF0F0) | (0x0101 & ~0xF0F0 & 0xFFFF)], read(1, 1)
 assert checked(client.read_coils(0, count=16, device_id=1)).bits == [True] + [False] * 15
 assert checked(client.read_discrete_inputs(28, count=1, device_id=1)).bits[0] is True, "FAST STOP"
 identity = checked(client.read_device_information(read_code=1, object_id=0, device_id=1)).information
-assert identity[0] == b"wsg-sim", identity
+assert identity[0].startswith(b"wsg-"), identity
 answer = client.diag_query_data(b"\x12\x34", device_id=1)
 assert answer.isError() and answer.exception_code == 1, "Diagnostics is for serial lines"
 "#;
-    assert_done(&python(&[head, CYCLE, tail].concat(), &[&address.port().to_string()]));
+    let script = [head, CYCLE, tail].concat();
+    at_gripper_and_gateway(|address| assert_done(&python(&script, &[&address.port().to_string()])));
 }
 
 #[test]
 #[ignore = "needs modbus-tk: see the top of this file"]
 fn modbus_tk_runs_a_grip_cycle_over_tcp() {
-    let (_served, address) = gripper();
     let head = r#"
 import sys
 import modbus_tk.defines as cst
@@ -152,33 +173,90 @@ assert read(0, 1) == [0x0185], read(0, 1)
 assert client.execute(1, cst.READ_COILS, 0, 16) == (1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1)
 assert client.execute(1, cst.READ_DISCRETE_INPUTS, 28, 1) == (1,), "FAST STOP"
 "#;
-    assert_done(&python(&[head, CYCLE, tail].concat(), &[&address.port().to_string()]));
+    let script = [head, CYCLE, tail].concat();
+    at_gripper_and_gateway(|address| assert_done(&python(&script, &[&address.port().to_string()])));
 }
 
 #[test]
 #[ignore = "needs jsmodbus: see the top of this file"]
 fn jsmodbus_runs_a_grip_cycle_over_tcp() {
-    let (_served, address) = gripper();
-    assert_done(&node(include_str!("jsmodbus.js"), &["tcp", &address.port().to_string()]));
+    let script = include_str!("jsmodbus.js");
+    at_gripper_and_gateway(|address| assert_done(&node(script, &["tcp", &address.port().to_string()])));
+}
+
+#[test]
+#[ignore = "needs modbus-serial: see the top of this file"]
+fn modbus_serial_runs_a_grip_cycle_over_tcp() {
+    let script = r#"
+const assert = require("node:assert");
+const ModbusRTU = require("modbus-serial");
+const client = new ModbusRTU();
+
+async function ended() {
+    const end = Date.now() + 60_000;
+    for (;;) {
+        const { data } = await client.readInputRegisters(0, 6);
+        if (data[5] !== 26) {                            // not E_CMD_PENDING
+            return [data[0] >> 8, data[5]];
+        }
+        assert(Date.now() < end, "time-out");
+    }
+}
+
+async function command(flags, ...parameters) {
+    for (const word of [0, flags << 8, 0]) {
+        await client.writeRegisters(0, [word, ...parameters]);
+    }
+    return ended();
+}
+
+async function run() {
+    await client.connectTCP("127.0.0.1", { port: Number(process.argv[1]) });
+    client.setID(1);
+    client.setTimeout(60_000);
+    assert.deepEqual(await command(1 << 0, 5000, 5000, 4000), [0x80, 3], "MOVE is refused");
+    assert.deepEqual(await command(1 << 4, 0, 0, 0), [0x01, 0], "STOP/ACK");
+    assert.deepEqual(await command(1 << 3, 0, 0, 0), [0x01, 0], "HOMING");
+    assert.deepEqual(await command(1 << 1, 2000, 5000, 4000), [0x10, 0], "GRIP");
+    assert.deepEqual((await client.readHoldingRegisters(0, 4)).data, [0, 2000, 5000, 4000]);
+    await client.writeRegisters(0, [0, 4000, 5000, 4000]);
+    await client.writeCoil(2, true);
+    assert.deepEqual(await ended(), [0x01, 0], "RELEASE");
+    await client.writeCoils(0, [false, false, false]);
+    assert.deepEqual((await client.readCoils(0, 3)).data.slice(0, 3), [false, false, false]);
+    await assert.rejects(client.readHoldingRegisters(4, 1), (error) => error.modbusCode === 2);
+    console.log("cycle done");
+}
+
+run().then(() => process.exit(0), (error) => {
+    console.error(error);
+    process.exit(1);
+});
+"#;
+    at_gripper_and_gateway(|address| assert_done(&node(script, &[&address.port().to_string()])));
 }
 
 #[test]
 #[ignore = "needs mbpoll: see the top of this file"]
 fn mbpoll_commands_of_the_document_grip_when_pasted() {
-    let (_gripper, address) = gripper();
-    let port = format!("-p {}", address.port());
-    let status = format!("mbpoll -0 -1 -q {port} -t 3 -r 5 -c 1 127.0.0.1");
-    let printed = paste(&read("docs/quick-start.md"), "-p 1502", &[("-p 1502", &port)], &status);
-    // The part between the fingers has 20 mm, the part of the document 22 mm.
-    for answer in ["[0]: \t0x1000", "[1]: \t0x0500", "[4]: \t0x0FA0", "[5]: \t0x0000"] {
-        assert!(printed.contains(answer), "{answer}: {printed}");
-    }
+    at_gripper_and_gateway(|address| {
+        let port = format!("-p {}", address.port());
+        let status = format!("mbpoll -0 -1 -q {port} -t 3 -r 5 -c 1 127.0.0.1");
+        let printed = paste(&read("docs/quick-start.md"), "-p 1502", &[("-p 1502", &port)], &status);
+        for answer in ["[0]: \t0x1000", "[1]: \t0x0500", "[4]: \t0x0FA0", "[5]: \t0x0000"] {
+            assert!(printed.contains(answer), "{answer}: {printed}");
+        }
+    });
 }
 
 #[test]
 #[ignore = "needs mbpoll: see the top of this file"]
 fn mbpoll_reads_writes_and_homes_over_tcp() {
-    let (_served, address) = gripper();
+    at_gripper_and_gateway(home_with_mbpoll);
+}
+
+/// Homes the fingers with `mbpoll`, after a refused motion, and checks its other functions.
+fn home_with_mbpoll(address: SocketAddr) {
     let port = address.port().to_string();
     // Values follow the host. Each call opens a new connection.
     let poll = |arguments: &[&str], values: &[&str]| {
@@ -190,13 +268,17 @@ fn mbpoll_reads_writes_and_homes_over_tcp() {
     assert!(holding.contains("[1]: \t1220") && holding.contains("[3]: \t4000"), "{holding}");
     let beyond = poll(&["-t", "4", "-r", "3", "-c", "2"], &[]);
     assert!(beyond.contains("Illegal data address"), "{beyond}");
-    // HOMING by its coil continues between the connections.
-    let written = poll(&["-t", "0", "-r", "3"], &["1"]);
-    assert!(written.contains("Written 1 references"), "{written}");
-    let referenced = || poll(&["-t", "1", "-r", "16", "-c", "1"], &[]).contains("[16]: \t1");
-    let start = Instant::now();
-    while !referenced() {
-        assert!(start.elapsed() < BOUND, "REFERENCED is not set within the time limit");
+    // MOVE, which the gripper refuses, then HOMING, by their coils. HOMING continues between the connections.
+    let refused = ["-t", "3", "-r", "5", "-c", "1"];
+    let referenced = ["-t", "1", "-r", "16", "-c", "1"];
+    for (coil, polled, end) in [("0", refused, "[5]: \t3"), ("3", referenced, "[16]: \t1")] {
+        let written = poll(&["-t", "0", "-r", coil], &["1"]);
+        assert!(written.contains("Written 1 references"), "{written}");
+        let start = Instant::now();
+        while !poll(&polled, &[]).contains(end) {
+            assert!(start.elapsed() < BOUND, "no {end} within the time limit");
+        }
+        poll(&["-t", "0", "-r", coil], &["0"]);
     }
     let width = poll(&["-t", "3", "-r", "3", "-c", "1"], &[]);
     assert!(width.contains("[3]: \t11000"), "{width}");
@@ -220,29 +302,14 @@ fn with_tokio_modbus(address: SocketAddr, act: impl AsyncFnOnce(&mut Context)) {
 
 #[test]
 fn tokio_modbus_reads_writes_and_grips() {
-    let (_served, address) = gripper();
-    grip_with_tokio_modbus(address);
+    at_gripper_and_gateway(grip_with_tokio_modbus);
 }
 
-#[test]
-fn tokio_modbus_reads_writes_and_grips_through_a_gateway() {
-    let config = Config { part: Part::of_width(20.0), time_scale: 10.0, ..Config::default() };
-    let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
-    let served = ServerThread::start(config, &lines, None).unwrap();
-    let gateway = Gateway::start(served.tcp_address().unwrap(), &[]);
-    with_tokio_modbus(gateway.modbus, async |context| {
-        // The gripper answers.
-        while context.read_input_registers(0, 6).await.unwrap().is_err() {}
-        // BUS_TIMEOUT: a busy machine is less punctual than a PLC.
-        context.write_single_register(101, 60_000).await.unwrap().unwrap();
-    });
-    grip_with_tokio_modbus(gateway.modbus);
-}
-
-/// Grips and releases a part of 20 mm with `tokio-modbus`, and checks its other functions.
+/// Grips and releases a part of 20 mm with `tokio-modbus`, after a refused motion, and checks its other functions.
 pub(crate) fn grip_with_tokio_modbus(address: SocketAddr) {
     with_tokio_modbus(address, async |context| {
-        for (flags, state) in [(0x0800, 0x0100), (0x0200, 0x1000), (0x0400, 0x0100)] {
+        let ends = [(0x0100, 0x8000, 3), (0x0800, 0x0100, 0), (0x0200, 0x1000, 0), (0x0400, 0x0100, 0)];
+        for (flags, state, status) in ends {
             let image = [0, 2000, 10_000, 4000];
             context.write_multiple_registers(0, &image).await.unwrap().unwrap();
             context.write_single_register(0, flags).await.unwrap().unwrap();
@@ -252,7 +319,7 @@ pub(crate) fn grip_with_tokio_modbus(address: SocketAddr) {
                     break image;
                 }
             };
-            assert_eq!((end[0], end[5]), (state, 0), "{flags:04X}: {end:?}");
+            assert_eq!((end[0], end[5]), (state, status), "{flags:04X}: {end:?}");
         }
         let answer = context.read_write_multiple_registers(0, 2, 0, &[0x0020]).await.unwrap().unwrap();
         assert_eq!(answer, [0x0020, 2000]);
@@ -270,22 +337,20 @@ pub(crate) fn grip_with_tokio_modbus(address: SocketAddr) {
 
 #[test]
 fn gripping_cycle_example_runs_over_tcp_and_counts() {
-    let (served, address) = gripper();
-    let run = |to: &str| {
-        let arguments = ["--tcp", to, "--cycles", "2"];
+    let run = |to: SocketAddr| {
+        let arguments = ["--tcp", &to.to_string(), "--cycles", "2"];
         Command::new(example::path("gripping_cycle")).args(arguments).output().unwrap()
     };
-    let output = run(&address.to_string());
-    assert!(output.status.success(), "{}", printed(&output));
-    let printed_first = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
-    assert!(
-        printed(&output).starts_with("2 cycles in ") && printed(&output).contains(printed_first),
-        "{}",
-        printed(&output)
-    );
-    assert!(printed(&output).contains(" requests, 0 repeated; slowest answer "), "{}", printed(&output));
-    served.stop().unwrap();
-    let output = run(&address.to_string());
+    at_gripper_and_gateway(|address| {
+        let output = run(address);
+        let printed = printed(&output);
+        assert!(output.status.success(), "{printed}");
+        let counted = "2 parts held, 0 not found, 0 lost; 1 homings, 0 errors\n";
+        assert!(printed.starts_with("2 cycles in ") && printed.contains(counted), "{printed}");
+        assert!(printed.contains(" requests, 0 repeated; slowest answer "), "{printed}");
+    });
+    let address = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let output = run(address);
     assert_eq!(output.status.code(), Some(1));
     assert!(printed(&output).contains(&format!("{address} cannot be reached")), "{}", printed(&output));
 }

@@ -332,4 +332,9 @@ fn blark_parses_structured_text() {
             assert!(verdict.starts_with("No terminal matches"), "{source}, {from}: {verdict}");
         }
     }
+    // The requests of TwinCAT to a gateway.
+    let page = read("docs/gateway.md");
+    let (_, requests) = page.split_once("```iecst\n").expect("a block");
+    let (requests, _) = requests.split_once("```").expect("its end");
+    assert_eq!(verdict(&format!("PROGRAM P\n{requests}END_PROGRAM\n")), "valid\n");
 }

