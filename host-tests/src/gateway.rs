@@ -12,8 +12,10 @@ use crate::example;
 pub struct Gateway {
     /// The process.
     pub process: Child,
-    /// Address on which masters connect.
+    /// Address on which masters connect, of the first gripper.
     pub modbus: SocketAddr,
+    /// The same address of each gripper.
+    pub ports: Vec<SocketAddr>,
 }
 
 impl Gateway {
@@ -33,7 +35,7 @@ impl Gateway {
     /// Panics when `wsg` is not built, or prints no address.
     #[must_use]
     pub fn to(gripper: &str, options: &[&str]) -> Self {
-        Self::spawn(Self::command(gripper, options))
+        Self::spawn(Self::command(gripper, options), 1)
     }
 
     /// Returns the command that [`to`](Self::to) spawns.
@@ -42,23 +44,34 @@ impl Gateway {
     /// Panics when `wsg` is not built.
     #[must_use]
     pub fn command(gripper: &str, options: &[&str]) -> Command {
+        Self::with(&[&["--gripper", gripper, "--modbus", "127.0.0.1:0"], options].concat())
+    }
+
+    /// Returns the command with these arguments.
+    ///
+    /// # Panics
+    /// Panics when `wsg` is not built.
+    #[must_use]
+    pub fn with(arguments: &[&str]) -> Command {
         let mut command = Command::new(example::program("wsg"));
-        command.args(["gateway", "--gripper", gripper, "--modbus", "127.0.0.1:0"]);
-        command.args(options).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command.arg("gateway").args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
     }
 
-    /// Like [`start`](Self::start), with a changed command.
+    /// Runs a command that starts a gateway for a number of grippers.
     ///
     /// # Panics
-    /// Panics when `wsg` prints no address.
+    /// Panics when `wsg` prints fewer addresses.
     #[must_use]
-    pub fn spawn(mut command: Command) -> Self {
+    pub fn spawn(mut command: Command, grippers: usize) -> Self {
         let mut process = command.spawn().expect("wsg starts");
         let lines = BufReader::new(process.stdout.take().expect("stdout is piped")).lines();
-        let modbus =
-            lines.map_while(Result::ok).find_map(|line| line.strip_prefix("modbus   ")?.parse().ok());
-        Self { process, modbus: modbus.expect("the gateway prints its address") }
+        let ports = lines
+            .map_while(Result::ok)
+            .filter_map(|line| line.strip_prefix("modbus   ")?.split(',').next()?.parse().ok());
+        let ports: Vec<_> = ports.take(grippers).collect();
+        assert_eq!(ports.len(), grippers, "the gateway prints an address for each gripper");
+        Self { process, modbus: ports[0], ports }
     }
 
     /// Kills the process, and returns its messages. Call this once.

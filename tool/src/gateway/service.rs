@@ -73,13 +73,23 @@ mod tests {
 
     use bus_modbus::MAX_PDU_LEN;
 
+    use super::super::config::GripperConfig;
     use super::*;
 
     /// The loop runs, and so does the other bridge.
     #[tokio::test]
     async fn watchdog_is_not_fed_while_a_bridge_runs_no_regular_turn() {
         for stalled in [0, 1] {
-            let gateways = [0, 1].map(|_| Rc::new(Gateway::open(None).unwrap()));
+            let gripper = GripperConfig {
+                name: None,
+                gripper: "tcp://127.0.0.1:1".parse().unwrap(),
+                modbus: "127.0.0.1:0".parse().unwrap(),
+                unit: None,
+                settings: None,
+                delivered: None,
+                label: String::new(),
+            };
+            let gateways = [0, 1].map(|_| Rc::new(Gateway::open(&gripper, &Rc::default()).unwrap()));
             let fed = Cell::new(0);
             let test = async {
                 for _ in 0..20 {
