@@ -210,11 +210,6 @@ impl Drop for Folder {
     }
 }
 
-/// Runs a test with one gripper, again if the machine paused its gateway, which then disconnects from everything.
-fn unpaused(test: impl Fn(&mut Rig)) {
-    unpaused_in(Rig::start, test);
-}
-
 /// The same with another gateway. Returns its messages.
 fn unpaused_in(start: impl Fn() -> Rig, test: impl Fn(&mut Rig)) -> String {
     for attempt in 1.. {
