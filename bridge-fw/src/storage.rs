@@ -38,4 +38,5 @@ mod record;
 mod store;
 
 pub use flash::{FlashError, NoFlash, NorFlash, Page, Unreadable};
+pub use record::ends_record;
 pub use store::{BeginError, LoadError, Progress, Record, SaveError, Store};

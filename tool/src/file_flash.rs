@@ -1,17 +1,19 @@
 //! The flash of a bridge without a board: the settings of `wsg demo --bus` and of `wsg gateway` in a file.
 
-use std::fs;
-use std::io::{self, ErrorKind};
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::thread::{self, JoinHandle};
 
 use anyhow::{Context, Result, ensure};
-use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable};
+use wsg_bridge_fw::storage::{FlashError, NorFlash, Page, Unreadable, ends_record};
 
 /// Flash for the settings in memory, with a copy in a file.
 pub(crate) struct FileFlash {
     pages: [Vec<u64>; 2],
     file: Option<PathBuf>,
-    is_changed: bool,
+    /// Writes the file in a thread: no bridge waits for a slow disk.
+    writer: Option<JoinHandle<io::Result<()>>>,
 }
 
 /// Double words of a page.
@@ -20,11 +22,8 @@ const PAGE_LEN: usize = 256;
 impl FileFlash {
     /// Returns the flash stored in a file, or erased flash without one.
     pub(crate) fn open(file: Option<&Path>) -> Result<Self> {
-        let mut flash = Self {
-            pages: [vec![u64::MAX; PAGE_LEN], vec![u64::MAX; PAGE_LEN]],
-            file: None,
-            is_changed: false,
-        };
+        let mut flash =
+            Self { pages: [vec![u64::MAX; PAGE_LEN], vec![u64::MAX; PAGE_LEN]], file: None, writer: None };
         let Some(file) = file else { return Ok(flash) };
         flash.file = Some(file.to_owned());
         match fs::read(file) {
@@ -39,21 +38,21 @@ impl FileFlash {
                 let all = flash.pages.iter_mut().flatten();
                 all.zip(words).for_each(|(word, bytes)| *word = u64::from_le_bytes(*bytes));
             }
-            Err(error) if error.kind() == ErrorKind::NotFound => {}
+            Err(error) if error.kind() == ErrorKind::NotFound => {
+                let folder = folder_of(file);
+                ensure!(folder.is_dir(), "cannot create {}: there is no such folder", file.display());
+            }
             Err(error) => return Err(error).with_context(|| format!("cannot read {}", file.display())),
         }
         Ok(flash)
     }
 
-    /// Writes a change to the file: first to another one, so that a power failure leaves a whole file.
+    /// Starts to write the pages to the file.
     fn store(&mut self) -> io::Result<()> {
-        if let (true, Some(file)) = (self.is_changed, &self.file) {
+        if let Some(file) = self.file.clone() {
             let bytes: Vec<u8> = self.pages.iter().flatten().flat_map(|word| word.to_le_bytes()).collect();
-            let mut new = file.clone().into_os_string();
-            new.push(".new");
-            fs::write(&new, bytes).and_then(|()| fs::rename(&new, file))?;
+            self.writer = Some(thread::Builder::new().spawn(move || replace(&file, &bytes))?);
         }
-        self.is_changed = false;
         Ok(())
     }
 
@@ -66,8 +65,28 @@ impl FileFlash {
     }
 }
 
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Writes a file: first another one, so that a power failure leaves a whole file.
+fn replace(file: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut new = file.as_os_str().to_owned();
+    new.push(".new");
+    let mut written = File::create(&new)?;
+    written.write_all(bytes)?;
+    written.sync_all()?;
+    fs::rename(&new, file)?;
+    // The new name is stored as well. Some systems cannot do this for a folder.
+    let _ = File::open(folder_of(file)).and_then(|folder| folder.sync_all());
+    Ok(())
+}
+
 impl NorFlash for FileFlash {
     const PAGE_LEN: usize = PAGE_LEN;
+
+    /// A slow disk is no failure.
+    const OPERATION_TIMEOUT_MS: u32 = 10_000;
 
     fn read(&self, page: Page, index: usize) -> Result<u64, Unreadable> {
         let [first, second] = &self.pages;
@@ -81,18 +100,26 @@ impl NorFlash for FileFlash {
             return Err(FlashError::NotErased);
         }
         *word = value;
-        self.is_changed = true;
+        // Once per save: a record without its last double word is not read.
+        if ends_record(value) {
+            self.store().map_err(|_| FlashError::Failed)?;
+        }
         Ok(())
     }
 
     fn start_erase(&mut self, page: Page) -> Result<(), FlashError> {
         self.page(page).fill(u64::MAX);
-        self.is_changed = true;
         Ok(())
     }
 
     /// A file that cannot be written is a failed operation: SAVE fails, and an event shows it.
     fn poll(&mut self) -> nb::Result<(), FlashError> {
-        self.store().map_err(|_| nb::Error::Other(FlashError::Failed))
+        if self.writer.as_ref().is_some_and(|writer| !writer.is_finished()) {
+            return Err(nb::Error::WouldBlock);
+        }
+        match self.writer.take().map(JoinHandle::join) {
+            None | Some(Ok(Ok(()))) => Ok(()),
+            Some(_) => Err(nb::Error::Other(FlashError::Failed)),
+        }
     }
 }

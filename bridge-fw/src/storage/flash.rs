@@ -11,6 +11,9 @@ pub trait NorFlash {
     /// Number of double words in a page.
     const PAGE_LEN: usize;
 
+    /// Longest operation before a save fails, in milliseconds. An STM32L4 erases in 25 ms.
+    const OPERATION_TIMEOUT_MS: u32 = 200;
+
     /// Reads a double word. Must not be called during an operation.
     ///
     /// # Errors

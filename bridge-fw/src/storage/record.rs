@@ -164,6 +164,7 @@ pub(super) fn read<F: NorFlash>(flash: &F, page: Page, index: usize, payload: &m
 
 /// Returns whether this may be the last double word of a record. While it is being programmed it is not, because it then has
 /// more ones than zeros.
-pub(super) const fn ends_record(double_word: u64) -> bool {
+#[must_use]
+pub const fn ends_record(double_word: u64) -> bool {
     double_word as u32 == !((double_word >> 32) as u32)
 }

@@ -5,9 +5,6 @@ use wsg_protocol::Instant;
 use super::flash::{FlashError, NorFlash, Page};
 use super::record::{self, BYTES, Checksum, ERASED, Found, Header, Located, OVERHEAD, ends_record};
 
-/// Longest operation of the flash before a save fails, in milliseconds. An STM32L4 erases in 25 ms.
-const OPERATION_TIMEOUT_MS: u32 = 200;
-
 /// Maximum records that read complete only once before a load fails. A power cut leaves one.
 const MAX_READS: u8 = 3;
 
@@ -145,7 +142,7 @@ pub enum Progress {
 pub enum SaveError {
     /// The flash rejected an operation, or reported its failure.
     Flash(FlashError),
-    /// The flash was busy with one operation for more than 200 ms.
+    /// The flash was busy with one operation for more than [`NorFlash::OPERATION_TIMEOUT_MS`].
     TimedOut,
     /// A page does not read erased after an erase.
     NotErased,
@@ -269,7 +266,7 @@ impl<const N: usize> Store<N> {
             (Step::Place, Err(nb::Error::WouldBlock)) => Err(SaveError::TimedOut),
             (Step::Place, _) => Ok(self.place(flash)),
             (_, Ok(())) => self.after_operation(flash),
-            (_, Err(nb::Error::WouldBlock)) if now.since(self.started) <= OPERATION_TIMEOUT_MS => {
+            (_, Err(nb::Error::WouldBlock)) if now.since(self.started) <= F::OPERATION_TIMEOUT_MS => {
                 return Progress::Saving;
             }
             (_, Err(nb::Error::WouldBlock)) => Err(SaveError::TimedOut),
