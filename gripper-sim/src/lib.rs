@@ -21,7 +21,7 @@
 //! | `gripper` | the contract with the caller |
 //! | `server` | servers on TCP, UDP, serial lines and CAN (feature `std`) |
 //! | `program` | the program `wsg-sim` and its options (feature `std`) |
-//! | `text`, `command_line` | text from outside, and what the command lines of all host programs share (feature `std`) |
+//! | `text`, `command_line`, `options_file` | text from outside, and what the command lines of all host programs share (feature `std`) |
 //! | `rig` | gripper, line and clock for unit tests of client programs (feature `rig`) |
 //!
 //! Module imports are acyclic.
@@ -48,6 +48,8 @@ mod journal;
 mod modbus;
 mod model;
 mod motion;
+#[cfg(feature = "std")]
+pub mod options_file;
 mod port;
 mod profibus;
 #[cfg(feature = "std")]

@@ -9,14 +9,14 @@ pub(in crate::server) use table::{GROUPS, Setting, settings};
 use super::lines::ProfinetLine;
 use super::lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use crate::axis::{Direction, Part};
-use crate::command_line::{self, LOOPBACK, address, after_scheme, suggest};
+use crate::command_line::{self, LOOPBACK, address, after_scheme};
 use crate::config::{Config, Tag};
 use crate::finger::Finger;
 use crate::model::Model;
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use crate::options_file::{self, value_name};
+use anyhow::{Context, Result, bail, ensure};
 use bus_profinet::{IpParameters, Maintenance, StationName, Stored};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Command, CommandFactory, FromArgMatches, Parser};
 use std::collections::BTreeMap;
@@ -32,6 +32,9 @@ use wsg_protocol::{SoftLimits, SystemFlags};
 /// The default TCP address if no line is given: the gripper's own port, on this machine only.
 const DEFAULT_TCP: SocketAddr = SocketAddr::new(LOOPBACK, 1_000);
 const DEFAULT_UDP_REMOTE_PORT: u16 = 1_501;
+
+/// Where the options are listed, for messages.
+const HELP: &str = "--help";
 
 /// Heading of the options that are no settings of the gripper: the page does not show them.
 const PROGRAM: &str = "Program";
@@ -289,11 +292,6 @@ struct Profinet {
     descriptor: Option<[u8; 54]>,
 }
 
-/// Returns the name of an option's value; a switch has none.
-fn value_name(arg: &Arg) -> Option<&str> {
-    arg.get_value_names().filter(|_| arg.get_action().takes_values()).map(|names| names[0].as_str())
-}
-
 /// Returns the command line definition for clap, with help for a terminal.
 #[must_use]
 pub fn command() -> Command {
@@ -369,15 +367,7 @@ fn one_line(error: clap::Error) -> anyhow::Error {
     if !error.use_stderr() {
         error.exit();
     }
-    let error = suggest(error, &definition(), &[""; 0]);
-    let text = error.to_string();
-    let lines = text.lines().take_while(|line| !line.starts_with("Usage:") && !line.starts_with("For more"));
-    let lines: Vec<_> = lines.map(str::trim).filter(|line| !line.is_empty()).collect();
-    let hint = match error.kind() {
-        ErrorKind::InvalidValue | ErrorKind::UnknownArgument => "; expected options as --help lists them",
-        _ => "",
-    };
-    anyhow!("{}{hint}", lines.join("; ").trim_start_matches("error: "))
+    options_file::one_line(error, &definition(), HELP)
 }
 
 /// Rejects an option that has no effect without another.

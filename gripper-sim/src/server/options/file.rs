@@ -1,67 +1,25 @@
 //! The configuration file: how it is read, and how settings are saved in it.
 
-use super::{definition, one_line, value_name};
-use crate::command_line::nearest;
+use super::{HELP, definition};
+use crate::options_file::OptionsFile;
 use crate::server::folder;
 use crate::text;
-use anyhow::{Context, Result, anyhow, bail, ensure};
-use clap::{Arg, ArgAction};
+use anyhow::{Context, Result, bail};
 use std::ffi::OsString;
 use std::ops::Range;
 use std::path::Path;
 use std::{fs, io};
-use toml::de::{DeTable, DeValue};
+use toml::de::DeTable;
 
 /// Converts the options of a file to command line words. Each is checked, so that an error names its line.
 pub(super) fn words_of_file(path: &Path) -> Result<Vec<OsString>> {
-    let name = path.display();
-    let text = text::read(path).with_context(|| format!("--config {name} cannot be read"))?;
-    let line_number = |at: usize| 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
-    let table = DeTable::parse(&text).map_err(|error| {
-        let line = line_number(error.span().map_or(0, |span| span.start));
-        let what = error.message().lines().collect::<Vec<_>>().join(", ");
-        anyhow!("{name}, line {line}: {what}; expected TOML")
-    })?;
-    let command = definition();
-    let mut words = Vec::new();
-    for (key, value) in table.get_ref() {
-        let place = format!("{name}, line {}", line_number(key.span().start));
-        let key: &str = key.get_ref();
-        let Some(arg) = command.get_arguments().find(|arg| arg.get_long() == Some(key)) else {
-            let near = nearest(key, command.get_arguments().filter_map(Arg::get_long)).join(" or ");
-            let hint = if near.is_empty() { near } else { format!("; did you mean {near}?") };
-            bail!("{place}: {key} is unknown; expected options as --help lists them{hint}");
-        };
-        ensure!(key != "config", "{place}: {key} is only valid on the command line");
-        for word in words_of(arg, key, value.get_ref()).with_context(|| {
-            let expected = value_name(arg).unwrap_or("true or false");
-            format!("{place}: {key} has the wrong type; expected {expected}, as a text unless it is a number")
-        })? {
-            let checked = command.clone().try_get_matches_from([&word]);
-            checked.map_err(one_line).with_context(|| place.clone())?;
-            words.push(word);
-        }
+    let file =
+        OptionsFile::read(path).with_context(|| format!("--config {} cannot be read", path.display()))?;
+    let table = file.table()?;
+    if let Some((key, _)) = table.get_ref().get_key_value("config") {
+        bail!("{}: config is only valid on the command line", file.place(key.span().start));
     }
-    Ok(words)
-}
-
-/// Returns the words for an option of a file; `None` if its value has the wrong type.
-fn words_of(arg: &Arg, key: &str, value: &DeValue<'_>) -> Option<Vec<OsString>> {
-    let is_switch = value_name(arg).is_none();
-    let text = match value {
-        DeValue::Boolean(true) if is_switch => return Some(vec![format!("--{key}").into()]),
-        DeValue::Boolean(false) if is_switch => return Some(vec![]),
-        _ if is_switch => return None,
-        DeValue::Array(items) if matches!(arg.get_action(), ArgAction::Append) => {
-            let words: Option<Vec<_>> = items.iter().map(|item| words_of(arg, key, item.get_ref())).collect();
-            return Some(words?.concat());
-        }
-        DeValue::String(text) => text.clone().into_owned(),
-        DeValue::Integer(number) => i128::from_str_radix(number.as_str(), number.radix()).ok()?.to_string(),
-        DeValue::Float(number) => number.as_str().to_owned(),
-        DeValue::Boolean(_) | DeValue::Datetime(_) | DeValue::Array(_) | DeValue::Table(_) => return None,
-    };
-    Some(vec![format!("--{key}={text}").into()])
+    file.words(table.get_ref(), &definition(), HELP)
 }
 
 /// Saves settings in the configuration file: replaces their values, and keeps everything else, including line ends and a byte
