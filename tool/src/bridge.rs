@@ -4,8 +4,8 @@
 mod change;
 mod client;
 mod flash;
-mod names;
-mod settings_file;
+pub(crate) mod names;
+pub(crate) mod settings_file;
 mod state;
 mod strays;
 
@@ -32,7 +32,7 @@ use self::state::State;
 /// Monitors and configures a bridge over its service port (the USB connector of its board), or a gateway; never moves the fingers
 #[derive(Args, Debug)]
 pub(crate) struct Arguments {
-    /// Serial port, such as /dev/ttyACM0 or COM3, or tcp://HOST[:502] of a gateway
+    /// Serial port, such as /dev/ttyACM0 or COM3, or tcp://HOST[:502][?unit=1] of a gateway
     port: String,
     #[command(subcommand)]
     command: Command,

@@ -5,7 +5,7 @@ use std::fmt;
 use std::future::Future;
 use std::io::{self, ErrorKind};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 use serial2_tokio::SerialPort;
@@ -38,6 +38,11 @@ const MODBUS_PORT: u16 = 502;
 
 /// Number of attempts for a read request.
 const TRIES: u32 = 3;
+
+/// Longest time of a save. A board takes about 50 ms; the disk of a gateway may be slow.
+const SAVE_TIME: Duration = Duration::from_secs(15);
+/// Time between two requests for its end.
+const SAVE_POLL: Duration = Duration::from_millis(10);
 
 /// Delay until the gripper has reported width and force for the first time.
 const FIRST_VALUES: Duration = Duration::from_millis(200);
@@ -85,7 +90,7 @@ impl fmt::Display for Failure {
 impl std::error::Error for Failure {}
 
 impl Client {
-    /// Opens the serial port, or the connection to `tcp://HOST[:PORT]`, and checks that a bridge with the supported register map
+    /// Opens the serial port, or the connection to `tcp://HOST[:PORT][?unit=1]`, and checks that a bridge with the supported register map
     /// responds.
     pub(crate) fn open(port: &str) -> Result<Self> {
         let runtime =
@@ -172,10 +177,10 @@ impl Client {
         if command == StoreCommand::Restore {
             return Ok(());
         }
-        // A save takes about 50 ms.
-        for _ in 0..200 {
+        let start = Instant::now();
+        while start.elapsed() < SAVE_TIME {
             match self.reports()?.get(report("SAVE_STATE")) {
-                Some(1) => {}
+                Some(1) => thread::sleep(SAVE_POLL),
                 Some(2) => return Ok(()),
                 _ => {
                     bail!(
@@ -261,12 +266,16 @@ fn connect(runtime: &Runtime, port: &str) -> Result<Context> {
 }
 
 fn connect_to_gateway(runtime: &Runtime, host: &str) -> Result<Context> {
-    let wrong = || format!("wrong address `tcp://{host}`; expected tcp://HOST[:PORT]");
+    let wrong = || format!("wrong address `tcp://{host}`; expected tcp://HOST[:PORT][?unit=1]");
+    let (host, unit) = match host.split_once("?unit=") {
+        Some((host, unit)) => (host, unit.parse().map_err(|_| anyhow::anyhow!(wrong()))?),
+        None => (host, BusConfig::SERVICE.unit),
+    };
     let host = with_port(host, MODBUS_PORT, wrong).map_err(anyhow::Error::msg)?;
     let stream = runtime.block_on(async { within(TcpStream::connect(&host)).await });
     let stream = stream.unwrap_or_else(|| Err(ErrorKind::TimedOut.into()));
     let stream = stream.with_context(|| format!("cannot connect to a gateway at {host}"))?;
-    Ok(tcp::attach_slave(stream, Slave(BusConfig::SERVICE.unit)))
+    Ok(tcp::attach_slave(stream, Slave(unit)))
 }
 
 /// Describes why a port cannot be opened, and what to do.

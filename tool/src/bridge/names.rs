@@ -24,7 +24,7 @@ pub(crate) fn report(name: &str) -> usize {
 /// Formats the error for an unknown name, with a suggestion if a similar name exists.
 pub(crate) fn unknown(name: &str, what: &str, names: &mut dyn Iterator<Item = &'static str>) -> String {
     match nearest(name, names)[..] {
-        [] => format!("unknown {what} `{name}`; run `show --json` for all names"),
+        [] => format!("unknown {what} `{name}`; run `wsg bridge PORT show --json` for all names"),
         ref near => format!("unknown {what} `{name}`; did you mean {}?", near.join(" or ")),
     }
 }
@@ -240,7 +240,7 @@ mod tests {
         );
         assert_eq!(
             setting("COLOUR").unwrap_err().to_string(),
-            "unknown setting `COLOUR`; run `show --json` for all names"
+            "unknown setting `COLOUR`; run `wsg bridge PORT show --json` for all names"
         );
     }
 }

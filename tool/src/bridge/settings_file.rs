@@ -1,7 +1,6 @@
 //! Settings files: TOML with a comment for each setting.
 
 use std::fmt::Write as _;
-use std::ops::Range;
 
 use anyhow::{Context, Result, bail};
 use toml::de::{DeTable, DeValue};
@@ -38,58 +37,70 @@ pub(crate) fn exported(settings: &Record, firmware: &str) -> String {
 /// # Errors
 /// The file is invalid. The message states the line and the reason.
 pub(crate) fn imported(text: &str, settings: &Record) -> Result<Record> {
-    let line = |span: Range<usize>| 1 + text.get(..span.start).unwrap_or("").matches('\n').count();
+    let line = |at: usize| format!("line {}", 1 + text.get(..at).unwrap_or("").matches('\n').count());
     let document = DeTable::parse(text).map_err(|error| {
-        let at = error.span().map(|span| format!("line {}: ", line(span))).unwrap_or_default();
+        let at = error.span().map(|span| format!("{}: ", line(span.start))).unwrap_or_default();
         anyhow::anyhow!("{at}{}", error.message())
     })?;
     let mut new = *settings;
-    // The line of each setting in the file.
-    let mut lines = [None; SETTINGS.len()];
     let mut version = None;
     for (key, value) in document.get_ref() {
-        let at = line(key.span());
+        let at = line(key.span().start);
         match (key.get_ref().as_ref(), value.get_ref()) {
             ("map_version", DeValue::Integer(number)) => {
                 version = Some(number.as_str().to_owned());
                 if number.as_str() != MAP_VERSION.to_string() {
                     bail!(
-                        "line {at}: the file is for register map version {}, but this wsg supports version {MAP_VERSION}",
+                        "{at}: the file is for register map version {}, but this wsg supports version {MAP_VERSION}",
                         number.as_str()
                     );
                 }
             }
             ("firmware", DeValue::String(_)) => {}
-            ("settings", DeValue::Table(table)) => {
-                for (key, value) in table {
-                    let at = line(key.span());
-                    let taken = names::setting(key.get_ref()).and_then(|(place, setting)| {
-                        let words = match value.get_ref() {
-                            DeValue::Integer(number) => number_of(number.as_str(), number.radix())?,
-                            DeValue::String(words) => words.to_string(),
-                            _ => bail!("{} expects a number, or text with a unit", setting.name),
-                        };
-                        Ok((place, names::value(setting, &words)?))
-                    });
-                    let (place, value) = taken.with_context(|| format!("line {at}"))?;
-                    if let (Some(slot), Some(line)) = (new.get_mut(place), lines.get_mut(place)) {
-                        *slot = value;
-                        *line = Some(at);
-                    }
-                }
-            }
+            ("settings", DeValue::Table(table)) => new = applied(table, settings, &line)?,
             (name @ ("map_version" | "firmware" | "settings"), _) => {
-                bail!("line {at}: {name} has the wrong type")
+                bail!("{at}: {name} has the wrong type")
             }
-            (name, _) => bail!("line {at}: unknown key `{name}`; settings belong below [settings]"),
+            (name, _) => bail!("{at}: unknown key `{name}`; settings belong below [settings]"),
         }
     }
     if version.is_none() {
         bail!("missing map_version: the file was not written by `wsg bridge PORT export`, or is incomplete");
     }
+    Ok(new)
+}
+
+/// Applies the settings in a table to a record. `place` describes the place of a byte in the file.
+///
+/// # Errors
+/// A setting is unknown or invalid. The message states its place and the reason.
+pub(crate) fn applied(
+    table: &DeTable<'_>,
+    settings: &Record,
+    place: &impl Fn(usize) -> String,
+) -> Result<Record> {
+    let mut new = *settings;
+    // The place of each setting in the file.
+    let mut places = [None; SETTINGS.len()];
+    for (key, value) in table {
+        let at = key.span().start;
+        let taken = names::setting(key.get_ref()).and_then(|(index, setting)| {
+            let words = match value.get_ref() {
+                DeValue::Integer(number) => number_of(number.as_str(), number.radix())?,
+                DeValue::String(words) => words.to_string(),
+                _ => bail!("{} expects a number, or text with a unit", setting.name),
+            };
+            Ok((index, names::value(setting, &words)?))
+        });
+        let (index, value) = taken.with_context(|| place(at))?;
+        if let (Some(slot), Some(its_place)) = (new.get_mut(index), places.get_mut(index)) {
+            *slot = value;
+            *its_place = Some(at);
+        }
+    }
     Config::from_record(&new).map_err(|wrong| {
-        let at = lines.get(wrong.at).copied().flatten();
-        let at = at.map(|line| format!("line {line}: ")).unwrap_or_default();
+        let at = places.get(wrong.at).copied().flatten();
+        let at = at.map(|at| format!("{}: ", place(at))).unwrap_or_default();
         anyhow::anyhow!("{at}invalid configuration: {wrong}")
     })?;
     Ok(new)
@@ -140,7 +151,10 @@ mod tests {
         let of_other =
             format!("line 1: the file is for register map version {other}, but this wsg supports version");
         for (text, error) in [
-            (with("COLOUR = 3"), "line 4: unknown setting `COLOUR`; run `show --json` for all names"),
+            (
+                with("COLOUR = 3"),
+                "line 4: unknown setting `COLOUR`; run `wsg bridge PORT show --json` for all names",
+            ),
             (with("RECIPE0_WITH = 3"), "line 4: unknown setting `RECIPE0_WITH`; did you mean RECIPE0_WIDTH?"),
             (with("UNIT = 6"), "line 4: duplicate key"),
             (with("BUS_REACTION = 3"), "line 4: 3 is out of range: BUS_REACTION takes 0 to 2: "),
