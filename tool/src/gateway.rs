@@ -1,10 +1,11 @@
-//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP and a gripper on TCP.
+//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP and grippers on TCP.
 //!
-//! The bridge is the application of the board's firmware, with the same registers, settings and rules. It has no wires:
-//! `FAST_STOP_OK` is high. All tasks run in one thread. A request runs a turn of the bridge at once; without one, a turn runs
-//! every few milliseconds, and when bytes of the gripper arrive.
+//! The bridge is the application of the board's firmware, with the same registers, settings and rules. Each gripper has its own. It
+//! has no wires: `FAST_STOP_OK` is high. All tasks run in one thread, and none waits for a line or a file. A request runs a turn of
+//! the bridge at once; without one, a turn runs every few milliseconds, and when bytes of the gripper arrive.
 
 mod bridge;
+mod config;
 mod line;
 mod master;
 
@@ -14,25 +15,42 @@ use std::path::PathBuf;
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
-use clap::Args;
+use clap::{ArgGroup, Args};
 use tokio::net::TcpListener;
 use tokio::runtime;
 use tokio::task::{JoinSet, LocalSet};
+use wsg_sim::text::one_line;
 
 use crate::gripper::{Address, Signals};
 use crate::listen_address;
 use bridge::Gateway;
-use master::Master;
+use config::GripperConfig;
+use master::{Master, Port};
 
-/// Connects PLCs on Modbus/TCP to a gripper through the bridge's software, until Ctrl-C; see docs/gateway.md
+/// Connects PLCs on Modbus/TCP to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
+#[command(group = ArgGroup::new("grippers").required(true).args(["gripper", "config"]))]
+#[command(group = ArgGroup::new("plc").required(true).multiple(true).args(["modbus", "config"]))]
 pub(crate) struct Arguments {
+    #[command(flatten)]
+    options: Options,
+    /// TOML file with one or more grippers, instead of the options for one
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["modbus", "settings"])]
+    config: Option<PathBuf>,
+    /// Check the file and print its grippers, without opening a port
+    #[arg(long, conflicts_with = "gripper")]
+    check_config: bool,
+}
+
+/// The options for one gripper, which are also keys of the file.
+#[derive(Args)]
+struct Options {
     /// Address of the gripper, such as tcp://192.168.1.20
     #[arg(long, value_name = "ADDRESS", value_parser = gripper_address)]
-    gripper: String,
+    gripper: Option<String>,
     /// Address on which Modbus/TCP masters connect, such as 192.168.1.10:502
     #[arg(long, value_name = "ADDR", value_parser = listen_address)]
-    modbus: SocketAddr,
+    modbus: Option<SocketAddr>,
     /// File that stores the bridge's settings; without it, they are lost at the end
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
@@ -46,34 +64,116 @@ fn gripper_address(text: &str) -> Result<String, String> {
     }
 }
 
-/// Runs the gateway until a signal is caught. Returns 0.
+/// Runs the gateway until a signal is caught, or checks its configuration. Returns 0.
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
+    let grippers = match &arguments.config {
+        Some(file) => config::read(file)?,
+        None => vec![GripperConfig::new(&arguments.options)?],
+    };
     let signals = Signals::catch()?;
+    let served = Served::open(grippers)?;
+    if arguments.check_config {
+        served.print()?;
+        return Ok(0);
+    }
     let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
-    let served = LocalSet::new().block_on(&runtime, serve(arguments, &signals));
-    // Does not wait for a look-up of the gripper's name.
+    let ended = LocalSet::new().block_on(&runtime, served.serve(&signals));
+    // Does not wait for a look-up of a gripper's name.
     runtime.shutdown_background();
-    served.map(|()| 0)
+    ended.map(|()| 0)
 }
 
-async fn serve(arguments: &Arguments, signals: &Signals) -> Result<()> {
-    let Arguments { gripper, modbus, settings } = arguments;
-    let gateway = Rc::new(Gateway::open(settings.as_deref())?);
-    gateway.settle().await;
-    let listener =
-        TcpListener::bind(modbus).await.with_context(|| format!("Modbus/TCP cannot listen on {modbus}"))?;
-    let address = listener.local_addr()?;
-    writeln!(io::stdout(), "gripper  tcp://{gripper}\nmodbus   {address}")?;
-    let mut tasks = JoinSet::new();
-    let (masters, line, gripper) = (Rc::clone(&gateway), Rc::clone(&gateway), gripper.clone());
-    tasks
-        .spawn_local(async move { fieldbus_host::tcp::serve(listener, |_| Master::connect(&masters)).await });
-    tasks.spawn_local(async move { line.keep_connected(&gripper).await });
-    while signals.check().is_ok() {
-        gateway.pass_time().await;
+/// The grippers of one process, and the ports on which masters reach them.
+struct Served {
+    grippers: Vec<(GripperConfig, Rc<Gateway>)>,
+    ports: Vec<Port>,
+}
+
+impl Served {
+    /// Starts the bridges. Opens no port.
+    fn open(configs: Vec<GripperConfig>) -> Result<Self> {
+        let (mut grippers, mut ports) = (Vec::<(GripperConfig, Rc<Gateway>)>::new(), Vec::<Port>::new());
+        for config in configs {
+            let other = grippers.iter().find(|(other, _)| config.shares_port(other));
+            let shared = match other {
+                Some((_, other)) => ports.iter_mut().find(|port| port.serves(other)),
+                None => None,
+            };
+            let gateway = match shared {
+                Some(port) => port.add(&config)?,
+                None => {
+                    let mut port = Port::new(config.modbus);
+                    let gateway = port.add(&config)?;
+                    ports.push(port);
+                    gateway
+                }
+            };
+            grippers.push((config, gateway));
+        }
+        Ok(Self { grippers, ports })
     }
-    // No connection is accepted or made from here on.
-    tasks.abort_all();
-    gateway.end().await;
-    Ok(())
+
+    /// Prints the addresses of each gripper.
+    fn print(&self) -> io::Result<()> {
+        let mut text = String::new();
+        for (config, gateway) in &self.grippers {
+            let name = config.name.as_ref().map(|name| format!(" ({})", one_line(name))).unwrap_or_default();
+            let port = self.ports.iter().find(|port| port.serves(gateway));
+            let address = port.map_or(config.modbus, |port| port.address);
+            let unit = config.unit.map(|unit| format!(", unit {unit}")).unwrap_or_default();
+            text += &format!("gripper  tcp://{}{name}\nmodbus   {address}{unit}\n", config.gripper);
+        }
+        io::stdout().write_all(text.as_bytes())
+    }
+
+    async fn serve(mut self, signals: &Signals) -> Result<()> {
+        // All bridges, because each runs its turns from its first one on.
+        let settling = self.grippers.iter().map(|(_, gateway)| gateway.settling()).max().unwrap_or_default();
+        self.together(|gateway| async move { gateway.settle(settling).await }).await?;
+        let mut listeners = Vec::new();
+        for port in &mut self.ports {
+            let listener = TcpListener::bind(port.address).await;
+            let listener =
+                listener.with_context(|| format!("Modbus/TCP cannot listen on {}", port.address))?;
+            port.address = listener.local_addr()?;
+            listeners.push(listener);
+        }
+        self.print()?;
+        let mut tasks = JoinSet::new();
+        for (port, listener) in std::mem::take(&mut self.ports).into_iter().zip(listeners) {
+            let port = Rc::new(port);
+            tasks.spawn_local(async move {
+                fieldbus_host::tcp::serve(listener, |_| Master::connect(&port)).await
+            });
+        }
+        for (config, gateway) in &self.grippers {
+            let (gateway, gripper) = (Rc::clone(gateway), config.gripper.clone());
+            tasks.spawn_local(async move { gateway.keep_connected(&gripper).await });
+        }
+        self.together(|gateway| {
+            let signals = signals.clone();
+            async move {
+                while signals.check().is_ok() {
+                    gateway.pass_time().await;
+                }
+            }
+        })
+        .await?;
+        // No connection is accepted or made from here on.
+        tasks.abort_all();
+        self.together(|gateway| async move { gateway.end().await }).await
+    }
+
+    /// Runs a future for each gripper, all at the same time, until all have ended. A panic ends the process, so that the grippers
+    /// enter FAST STOP.
+    async fn together<F: Future<Output = ()> + 'static>(&self, run: impl Fn(Rc<Gateway>) -> F) -> Result<()> {
+        let mut tasks = JoinSet::new();
+        for (_, gateway) in &self.grippers {
+            tasks.spawn_local(run(Rc::clone(gateway)));
+        }
+        while let Some(ended) = tasks.join_next().await {
+            ended?;
+        }
+        Ok(())
+    }
 }

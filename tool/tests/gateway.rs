@@ -5,15 +5,23 @@
 #[path = "common/program.rs"]
 mod program;
 
+use std::env::temp_dir;
+use std::fs;
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::PathBuf;
+use std::process::id;
+use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use document::read;
 use host_tests::gateway::Gateway;
 use program::{printed, wsg};
+use rustix::fs::{CWD, Mode, mkfifoat};
 use rustix::process::{Pid, Signal, kill_process};
+use wsg_bridge_fw::registers::{COMMAND_KEY, FIRST_COMMAND};
 use wsg_protocol::SystemFlags;
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, Part};
@@ -30,12 +38,14 @@ const JOG_MINUS: u16 = 0x8000;
 /// Input registers.
 const DISCONNECTS: u8 = 117;
 const BUS_TIMEOUTS: u8 = 125;
+const SAVE_STATE: u8 = 204;
 
-/// A gateway, and its gripper with a part of 20 mm.
+/// A gateway, and its grippers with parts of 20 mm. Most tests have one.
 struct Rig {
-    gripper: Option<ServerThread>,
+    grippers: Vec<ServerThread>,
     address: SocketAddr,
     gateway: Gateway,
+    _folder: Option<Folder>,
 }
 
 impl Rig {
@@ -46,30 +56,39 @@ impl Rig {
     fn with(options: &[&str]) -> Self {
         let gripper = serve("127.0.0.1:0".parse().unwrap());
         let address = gripper.tcp_address().unwrap();
-        Self { gripper: Some(gripper), address, gateway: Gateway::start(address, options) }
+        Self { grippers: vec![gripper], address, gateway: Gateway::start(address, options), _folder: None }
+    }
+
+    /// Starts a gateway with two grippers on one port, units 1 and 2.
+    fn of_two() -> Self {
+        let grippers = [(); 2].map(|()| serve("127.0.0.1:0".parse().unwrap()));
+        let address = |gripper: &ServerThread| gripper.tcp_address().unwrap();
+        let [left, right] = [address(&grippers[0]), address(&grippers[1])];
+        let folder = Folder::with(&format!(
+            "[[gripper]]\ngripper = \"tcp://{left}\"\nmodbus = \"127.0.0.1:0\"\nunit = 1\n\
+             [[gripper]]\nname = \"right\"\ngripper = \"tcp://{right}\"\nmodbus = \"127.0.0.1:0\"\nunit = 2\n\
+             [gripper.delivered]\nBUS_TIMEOUT = 2500\n"
+        ));
+        Self { grippers: grippers.into(), address: left, gateway: folder.serve(2), _folder: Some(folder) }
     }
 
     fn gripper(&self) -> &ServerThread {
-        self.gripper.as_ref().unwrap()
+        &self.grippers[0]
     }
 
     fn restart_gripper(&mut self) {
-        self.gripper = None;
-        self.gripper = Some(serve(self.address));
+        self.grippers.clear();
+        self.grippers.push(serve(self.address));
     }
 
     fn connect(&self) -> Master {
-        let stream = TcpStream::connect(self.gateway.modbus).unwrap();
-        stream.set_read_timeout(Some(BOUND)).unwrap();
-        Master(stream)
+        Master::connect(self.gateway.modbus)
     }
 
-    /// Returns a master that has homed the fingers. A busy machine is less punctual than a PLC, so BUS_TIMEOUT is a minute.
+    /// Returns a master that has homed the fingers.
     fn homed(&self) -> Master {
         let mut master = self.connect();
-        until("the gripper answers", || master.inputs().is_some());
-        master.set_timeout(60_000);
-        assert_eq!(master.command(HOMING, 0), (1, 0), "HOMING ends in IDLE");
+        master.home();
         master
     }
 
@@ -77,29 +96,36 @@ impl Rig {
     fn moving(&self, timeout_ms: u16) -> Master {
         let mut master = self.homed();
         master.set_timeout(timeout_ms);
-        master.write(0, 1_000);
-        master.write(MOVE, 1_000);
+        master.start(MOVE);
         until("the fingers move", || self.has(SystemFlags::MOVING));
         master
     }
 
     fn has(&self, flags: SystemFlags) -> bool {
-        self.gripper().state().flags.intersects(flags)
+        has(self.gripper(), flags)
     }
 
     fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.gateway.process), signal).unwrap();
     }
 
-    /// Ends the gateway by a signal, and checks that it has stopped the fingers without a FAST STOP.
+    /// Ends the gateway by a signal, and checks that it has stopped all fingers without a FAST STOP.
     fn end(&mut self, signal: Signal) {
         self.signal(signal);
         assert_eq!(self.gateway.process.wait().unwrap().code(), Some(0));
-        until("the fingers rest", || !self.has(SystemFlags::MOVING));
+        for gripper in &self.grippers {
+            until("the fingers rest", || !has(gripper, SystemFlags::MOVING));
+        }
         // The gripper has noticed the end of the connection.
         sleep(Duration::from_millis(100));
-        assert!(!self.has(SystemFlags::FAST_STOP), "{:?}", self.gripper().state());
+        for gripper in &self.grippers {
+            assert!(!has(gripper, SystemFlags::FAST_STOP), "{:?}", gripper.state());
+        }
     }
+}
+
+fn has(gripper: &ServerThread, flags: SystemFlags) -> bool {
+    gripper.state().flags.intersects(flags)
 }
 
 fn serve(address: SocketAddr) -> ServerThread {
@@ -116,32 +142,76 @@ fn until(what: &str, mut holds: impl FnMut() -> bool) {
     }
 }
 
-/// Runs a test, again if the machine paused its gateway, which then disconnects from everything.
-fn unpaused(test: impl Fn(&mut Rig)) {
-    for attempt in 1.. {
-        let mut rig = Rig::start();
-        let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
-        let is_paused = rig.gateway.messages().contains("paused");
-        match tested {
-            Ok(()) => return,
-            Err(_) if is_paused && attempt < 10 => {}
-            Err(panic) => resume_unwind(panic),
-        }
+/// A folder with a configuration file, removed in the end. `FOLDER` in the text is its path.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn with(config: &str) -> Self {
+        static NEXT: AtomicUsize = AtomicUsize::new(0);
+        let number = NEXT.fetch_add(1, Relaxed);
+        let folder = Self(temp_dir().join(format!("wsg-gateway-{}-{number}", id())));
+        fs::create_dir(&folder.0).unwrap();
+        fs::write(folder.config(), config.replace("FOLDER", folder.0.to_str().unwrap())).unwrap();
+        folder
+    }
+
+    fn config(&self) -> String {
+        self.0.join("gateway.toml").to_str().unwrap().to_owned()
+    }
+
+    fn serve(&self, grippers: usize) -> Gateway {
+        Gateway::of(&["--config", &self.config()], grippers)
     }
 }
 
-struct Master(TcpStream);
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Runs a test with one gripper, again if the machine paused its gateway, which then disconnects from everything.
+fn unpaused(test: impl Fn(&mut Rig)) {
+    unpaused_in(Rig::start, test);
+}
+
+/// The same with another gateway. Returns its messages.
+fn unpaused_in(start: impl Fn() -> Rig, test: impl Fn(&mut Rig)) -> String {
+    for attempt in 1.. {
+        let mut rig = start();
+        let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
+        let messages = rig.gateway.messages();
+        match tested {
+            Ok(()) => return messages,
+            Err(_) if messages.contains("paused") && attempt < 10 => {}
+            Err(panic) => resume_unwind(panic),
+        }
+    }
+    unreachable!()
+}
+
+struct Master {
+    stream: TcpStream,
+    unit: u8,
+}
 
 impl Master {
+    fn connect(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect(address).unwrap();
+        stream.set_read_timeout(Some(BOUND)).unwrap();
+        Self { stream, unit: 1 }
+    }
+
     fn send(&mut self, pdu: &[u8]) -> io::Result<()> {
-        self.0.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 1][..], pdu].concat())
+        self.stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, self.unit][..], pdu].concat())
     }
 
     fn answer(&mut self) -> io::Result<Vec<u8>> {
         let mut head = [0; 7];
-        self.0.read_exact(&mut head)?;
+        self.stream.read_exact(&mut head)?;
+        assert_eq!(head[6], self.unit);
         let mut pdu = vec![0; usize::from(head[5]) - 1];
-        self.0.read_exact(&mut pdu)?;
+        self.stream.read_exact(&mut pdu)?;
         Ok(pdu)
     }
 
@@ -153,6 +223,13 @@ impl Master {
     fn set_timeout(&mut self, ms: u16) {
         let [high, low] = ms.to_be_bytes();
         assert_eq!(self.ask(&[6, 0, 101, high, low]).unwrap(), [6, 0, 101, high, low]);
+    }
+
+    /// Homes the fingers. A busy machine is less punctual than a PLC, so BUS_TIMEOUT is a minute.
+    fn home(&mut self) {
+        until("the gripper answers", || self.inputs().is_some());
+        self.set_timeout(60_000);
+        assert_eq!(self.command(HOMING, 0), (1, 0), "HOMING ends in IDLE");
     }
 
     /// Returns the low byte of a report.
@@ -170,6 +247,12 @@ impl Master {
     /// Writes flags and WIDTH in 0.01 mm, with 20 mm/s and 40 N.
     fn write(&mut self, flags: u16, width: u16) {
         assert_eq!(self.ask(&request(flags, width)).unwrap()[0], 16);
+    }
+
+    /// Starts a motion to 10 mm, or a jog.
+    fn start(&mut self, flags: u16) {
+        self.write(0, 1_000);
+        self.write(flags, 1_000);
     }
 
     /// Issues a command as a PLC does, and returns GSTATE and status at its end.
@@ -249,8 +332,7 @@ fn silent_master_stops_the_motion_after_bus_timeout() {
 fn jog_ends_with_the_connection_of_its_master() {
     unpaused(|rig| {
         let mut master = rig.homed();
-        master.write(0, 0);
-        master.write(JOG_MINUS, 0);
+        master.start(JOG_MINUS);
         until("the fingers move", || rig.has(SystemFlags::MOVING));
         drop(master);
         until("the fingers rest", || !rig.has(SystemFlags::MOVING));
@@ -285,6 +367,132 @@ fn command_that_waited_while_the_process_was_stopped_is_discarded() {
     assert_eq!(rig.gripper().state().width, width);
     let messages = rig.gateway.messages();
     assert!(messages.contains("paused for"), "{messages}");
+}
+
+#[test]
+fn two_grippers_share_a_port_by_unit_and_a_signal_stops_both() {
+    let messages = unpaused_in(Rig::of_two, |rig| {
+        let port = rig.gateway.modbus;
+        assert_eq!(rig.gateway.ports, [port, port]);
+        for (unit, timeout) in [("", "1000 ms"), ("?unit=2", "2500 ms")] {
+            let shown =
+                printed(&wsg(&["bridge", &format!("tcp://{port}{unit}"), "show", "BUS_TIMEOUT"], b""));
+            assert!(shown.contains(timeout), "{shown}");
+        }
+        let mut master = rig.homed();
+        for unit in [0, 3, 255] {
+            master.unit = unit;
+            assert_eq!(master.ask(&request(HOMING, 0)).unwrap(), [0x90, 0x0A], "unit {unit}");
+        }
+        assert!(rig.has(SystemFlags::REFERENCED) && !has(&rig.grippers[1], SystemFlags::REFERENCED));
+        master.unit = 2;
+        master.home();
+        master.start(JOG_MINUS);
+        master.unit = 1;
+        master.start(MOVE);
+        let are_moving = |rig: &Rig| rig.grippers.iter().all(|gripper| has(gripper, SystemFlags::MOVING));
+        until("both move", || are_moving(rig));
+        drop(master);
+        until("the jog ends", || !has(&rig.grippers[1], SystemFlags::MOVING));
+        assert!(rig.has(SystemFlags::MOVING), "{:?}", rig.gripper().state());
+        let mut master = rig.connect();
+        master.unit = 2;
+        master.start(MOVE);
+        until("both move", || are_moving(rig));
+        rig.end(Signal::TERM);
+    });
+    assert!(messages.contains("wsg: right: connected") && messages.contains("wsg: tcp://127"), "{messages}");
+}
+
+#[test]
+fn mute_gripper_and_stalled_disk_do_not_hold_another_gripper() {
+    let mute = TcpListener::bind("127.0.0.1:0").unwrap();
+    let start = || {
+        let gripper = serve("127.0.0.1:0".parse().unwrap());
+        let address = gripper.tcp_address().unwrap();
+        let folder = Folder::with(&format!(
+            "[[gripper]]\ngripper = \"tcp://{}\"\nmodbus = \"127.0.0.1:0\"\nsettings = \"FOLDER/mute\"\n\
+             [[gripper]]\ngripper = \"tcp://{address}\"\nmodbus = \"127.0.0.1:0\"\n",
+            mute.local_addr().unwrap()
+        ));
+        // Without a reader, the pipe cannot be opened.
+        mkfifoat(CWD, folder.0.join("mute.new"), Mode::RUSR | Mode::WUSR).unwrap();
+        Rig { grippers: vec![gripper], address, gateway: folder.serve(2), _folder: Some(folder) }
+    };
+    unpaused_in(start, |rig| {
+        let mut stalled = Master::connect(rig.gateway.ports[0]);
+        let ([high, low], [key_high, key_low]) = (FIRST_COMMAND.to_be_bytes(), COMMAND_KEY.to_be_bytes());
+        let save = [6, high, low, key_high, key_low];
+        assert_eq!(stalled.ask(&save).unwrap(), save);
+        // More turns than the save takes.
+        for _ in 0..300 {
+            assert_eq!(stalled.report(SAVE_STATE), 1);
+        }
+        let mut master = Master::connect(rig.gateway.ports[1]);
+        master.home();
+        assert_eq!(stalled.inputs(), None);
+        rig.end(Signal::TERM);
+    });
+}
+
+#[test]
+fn delivered_settings_apply_until_others_are_saved_and_defaults_returns_to_them() {
+    let gripper = TcpListener::bind("127.0.0.1:0").unwrap();
+    let folder = Folder::with(&format!(
+        "[[gripper]]\ngripper = \"tcp://{}\"\nmodbus = \"127.0.0.1:0\"\nsettings = \"FOLDER/flash\"\n\
+         delivered.BUS_TIMEOUT = \"2500 ms\"\n",
+        gripper.local_addr().unwrap()
+    ));
+    for (words, expected, is_saved) in [
+        (&["show", "BUS_TIMEOUT"][..], "2500", false),
+        (&["set", "BUS_TIMEOUT", "3000", "--save"], "stored", false),
+        (&["show", "BUS_TIMEOUT"], "3000", true),
+        (&["defaults", "--yes"], "(3000 -> 2500)", true),
+        (&["show", "BUS_TIMEOUT"], "2500", false),
+    ] {
+        let mut gateway = folder.serve(1);
+        let output = wsg(&[&["bridge", &format!("tcp://{}", gateway.modbus)], words].concat(), b"");
+        assert!(printed(&output).contains(expected), "{}", printed(&output));
+        let messages = gateway.messages();
+        let precedence =
+            "flash was saved by a master and takes precedence; DEFAULTS returns to the configuration";
+        assert_eq!(messages.contains(precedence), is_saved, "{words:?}: {messages}");
+    }
+}
+
+#[test]
+fn check_config_prints_the_grippers_of_the_page_and_refuses_mistakes() {
+    let page = read("docs/gateway.md");
+    let (_, example) = page.split_once("```toml\n").unwrap();
+    let (example, _) = example.split_once("```").unwrap();
+    for (from, to, status, expected) in [
+        (
+            "",
+            "",
+            0,
+            "gripper  tcp://192.168.1.20:1000 (left)\nmodbus   192.168.1.10:502, unit 1\n\
+             gripper  tcp://192.168.1.21:1000 (right)\nmodbus   192.168.1.10:502, unit 2\n",
+        ),
+        ("unit = 2", "unit = 1", 1, ": another gripper has the unit 1 on 192.168.1.10:502\n"),
+        (
+            "left.flash",
+            "missing/left.flash",
+            1,
+            "cannot create missing/left.flash: there is no such folder\n",
+        ),
+        (
+            "left.flash",
+            "FOLDER/gateway.toml",
+            1,
+            "gateway.toml is no file with settings of a bridge; expected",
+        ),
+    ] {
+        let folder = Folder::with(&example.replace(from, to));
+        let output = wsg(&["gateway", "--config", &folder.config(), "--check-config"], b"");
+        assert_eq!(output.status.code(), Some(status), "{}", printed(&output));
+        assert!(printed(&output).contains(expected), "{}", printed(&output));
+        assert_eq!(output.stdout.is_empty(), status != 0, "{}", printed(&output));
+    }
 }
 
 /// Commands that wait on such a connection would reach the gripper minutes later.
@@ -333,8 +541,17 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
     for (arguments, status, expected) in [
         (&["gateway", "--gripper", "udp://h", "--modbus", "localhost:0"][..], 2, "expected tcp://HOST"),
         (&["gateway", "--gripper", "tcp://h"], 2, "--modbus <ADDR>"),
+        (&["gateway", "--modbus", "localhost:0"], 2, "--gripper <ADDRESS>|--config <FILE>"),
+        (&["gateway", "--config", "x", "--settings", "y"], 2, "cannot be used with '--settings <FILE>'"),
+        (
+            &["gateway", "--gripper", "tcp://h", "--modbus", "localhost:0", "--check-config"],
+            2,
+            "cannot be used with",
+        ),
+        (&["gateway", "--config", "missing.toml"], 1, "cannot read missing.toml"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
         (&["bridge", "tcp://h:port", "show"], 1, "invalid port `port`"),
+        (&["bridge", "tcp://h?unit=300", "show"], 1, "expected tcp://HOST[:PORT][?unit=1]"),
         // An IPv6 address gets the default port, too.
         (&["bridge", "tcp://::1", "show"], 1, "cannot connect to a gateway at [::1]:502"),
     ] {

@@ -6,7 +6,6 @@
 use std::cell::RefCell;
 use std::fmt::Display;
 use std::future::poll_fn;
-use std::path::Path;
 use std::rc::Rc;
 use std::sync::OnceLock;
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -25,6 +24,7 @@ use wsg_bridge_fw::{BoardId, Bridge, Config, ResetCause, Station};
 use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::{Status, SystemFlags};
 
+use super::config::GripperConfig;
 use super::line::GripperLine;
 use crate::file_flash::FileFlash;
 use crate::print_error;
@@ -42,7 +42,7 @@ const REGULAR: Duration = Duration::from_millis(100);
 /// Time after a pause in which connections are rejected: they may have been accepted, and their requests received, during it.
 const REJECTION: Duration = Duration::from_millis(100);
 
-/// Maximum number of masters at a time. A further one displaces the one that has been idle longest.
+/// Maximum number of masters of a port at a time. A further one displaces the one that has been idle longest.
 const MAX_MASTERS: usize = 32;
 
 /// Time-out of an attempt to connect to the gripper.
@@ -71,12 +71,14 @@ const FAREWELL_TIME: Duration = Duration::from_millis(200);
 /// A gateway.
 pub(super) struct Gateway {
     host: RefCell<Host>,
-    masters: RefCell<Masters>,
+    masters: Rc<RefCell<Masters>>,
     settling: Duration,
 }
 
 /// A bridge on this computer.
 struct Host {
+    /// Begins each message.
+    label: String,
     station: Station<NoCan>,
     modbus: ModbusTcp,
     flash: FileFlash,
@@ -85,13 +87,16 @@ struct Host {
     start: Duration,
     passed_at: Duration,
     regular_at: Duration,
+    pauses: u32,
     /// When the line was last closed, or the gripper connected.
     answered_at: Duration,
     /// The end of the connection was announced.
     is_ending: bool,
 }
 
-struct Masters {
+/// The masters of a port.
+#[derive(Default)]
+pub(super) struct Masters {
     open: Vec<Rc<Activity>>,
     /// Number of the next connection.
     next: u64,
@@ -99,19 +104,28 @@ struct Masters {
     first_served: u64,
     /// End of the last pause.
     paused_at: Option<Instant>,
-    pauses: u32,
 }
 
 impl Gateway {
-    /// Starts a bridge with the settings in a file.
-    pub(super) fn open(settings: Option<&Path>) -> Result<Self> {
-        let flash = FileFlash::open(settings)?;
+    /// Starts a bridge with the stored or delivered settings.
+    pub(super) fn open(gripper: &GripperConfig, masters: &Rc<RefCell<Masters>>) -> Result<Self> {
+        let flash = FileFlash::open(gripper.settings.as_deref())?;
         let mut station = Station::without_profibus(CanBus::new(NoCan, BusOffPolicy::DEFAULT));
-        let config =
-            station.load(&Config::DEFAULT.record(), &flash).context("the default settings are invalid")?;
+        let delivered = gripper.delivered.unwrap_or(Config::DEFAULT.record());
+        let config = station.load(&delivered, &flash).context("the delivered settings are invalid")?;
+        if let (Some(delivered), Some(file)) = (gripper.delivered, &gripper.settings)
+            && config.record() != delivered
+        {
+            print_error(format_args!(
+                "{}{} was saved by a master and takes precedence; DEFAULTS returns to the configuration",
+                gripper.label,
+                file.display()
+            ));
+        }
         station.start(&config, BoardId { name: "wsg gateway", serial: 0 }, ResetCause::PowerOn);
         let now = uptime();
         let host = Host {
+            label: gripper.label.clone(),
             station,
             modbus: ModbusTcp::new(),
             flash,
@@ -119,17 +133,22 @@ impl Gateway {
             start: now,
             passed_at: now,
             regular_at: now,
+            pauses: 0,
             answered_at: now,
             is_ending: false,
         };
-        let masters = Masters { open: Vec::new(), next: 0, first_served: 0, paused_at: None, pauses: 0 };
         let settling = SETTLING + Duration::from_millis(config.wires.debounce_ms.into());
-        Ok(Self { host: RefCell::new(host), masters: RefCell::new(masters), settling })
+        Ok(Self { host: RefCell::new(host), masters: Rc::clone(masters), settling })
     }
 
-    /// Runs turns until the bridge takes commands. No board connects to a gripper or a master that soon after its start.
-    pub(super) async fn settle(&self) {
-        self.reaches(self.settling, |_| false).await;
+    /// Returns the time until the bridge takes commands. No board connects to a gripper or a master that soon after its start.
+    pub(super) const fn settling(&self) -> Duration {
+        self.settling
+    }
+
+    /// Runs turns for this time.
+    pub(super) async fn settle(&self, time: Duration) {
+        self.reaches(time, |_| false).await;
     }
 
     /// Connects to the gripper whenever the line is not open.
@@ -146,9 +165,11 @@ impl Gateway {
                 });
                 let problem = opened.err().unwrap_or_default();
                 if problem.is_empty() {
-                    report(format_args!("connected to the gripper at {address}"));
+                    self.host.borrow().report(format_args!("connected to the gripper at {address}"));
                 } else if problem != reported {
-                    report(format_args!("cannot connect to the gripper at {address}: {problem}; retrying"));
+                    let what =
+                        format_args!("cannot connect to the gripper at {address}: {problem}; retrying");
+                    self.host.borrow().report(what);
                 }
                 reported = problem;
             }
@@ -167,23 +188,6 @@ impl Gateway {
         }
     }
 
-    /// Admits a connection. Returns its number and activity, or `None` shortly after a pause.
-    pub(super) fn admit(&self) -> Option<(u64, Rc<Activity>)> {
-        let mut masters = self.masters.borrow_mut();
-        if masters.paused_at.is_some_and(|paused_at| paused_at.elapsed() < REJECTION) {
-            return None;
-        }
-        if masters.open.len() >= MAX_MASTERS {
-            let open = masters.open.iter().enumerate();
-            let (at, _) = open.min_by_key(|(_, activity)| activity.received_at())?;
-            masters.open.swap_remove(at).displace();
-        }
-        let (number, activity) = (masters.next, Rc::<Activity>::default());
-        masters.next += 1;
-        masters.open.push(Rc::clone(&activity));
-        Some((number, activity))
-    }
-
     /// Answers a request of a connection in a turn of the bridge. Returns the length of the response; 0 if the connection is no
     /// longer served.
     pub(super) fn serve(&self, master: u64, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
@@ -194,10 +198,9 @@ impl Gateway {
         len
     }
 
-    /// Ends a connection. A jog of its master ends at once, because its button cannot be released any more; other motions end
-    /// after BUS_TIMEOUT, unless the master connects again and writes.
-    pub(super) fn disconnect(&self, master: u64, activity: &Rc<Activity>) {
-        self.masters.borrow_mut().open.retain(|open| !Rc::ptr_eq(open, activity));
+    /// Ends a jog of a master whose connection has ended, because its button cannot be released any more. Other motions end after
+    /// BUS_TIMEOUT, unless the master connects again and writes.
+    pub(super) fn end_jog(&self, master: u64) {
         let mut host = self.host.borrow_mut();
         if host.modbus.is_plc(master) {
             host.station.bridge().silence(SilenceReaction::Hold);
@@ -246,18 +249,39 @@ impl Gateway {
             let mut masters = self.masters.borrow_mut();
             masters.dismiss();
             masters.paused_at = Some(Instant::now());
-            masters.pauses += 1;
-            report(format_args!(
+            let host = self.host.borrow();
+            host.report(format_args!(
                 "this computer paused for {} ms (pause {} since the start): disconnected from gripper and PLC, and discarded waiting \
                  requests",
                 pause.as_millis(),
-                masters.pauses
+                host.pauses
             ));
         }
     }
 }
 
 impl Masters {
+    /// Admits a connection. Returns its number and activity, or `None` shortly after a pause.
+    pub(super) fn admit(&mut self) -> Option<(u64, Rc<Activity>)> {
+        if self.paused_at.is_some_and(|paused_at| paused_at.elapsed() < REJECTION) {
+            return None;
+        }
+        if self.open.len() >= MAX_MASTERS {
+            let open = self.open.iter().enumerate();
+            let (at, _) = open.min_by_key(|(_, activity)| activity.received_at())?;
+            self.open.swap_remove(at).displace();
+        }
+        let (number, activity) = (self.next, Rc::<Activity>::default());
+        self.next += 1;
+        self.open.push(Rc::clone(&activity));
+        Some((number, activity))
+    }
+
+    /// Removes a connection that has ended.
+    pub(super) fn remove(&mut self, activity: &Rc<Activity>) {
+        self.open.retain(|open| !Rc::ptr_eq(open, activity));
+    }
+
     /// Closes all connections. None of their requests is served from here on.
     fn dismiss(&mut self) {
         self.first_served = self.next;
@@ -281,6 +305,7 @@ impl Host {
         let pause = Some(since).filter(|since| *since > LONGEST_PAUSE);
         if pause.is_some() {
             self.regular_at = now;
+            self.pauses += 1;
         }
         let input = if pause.is_some() { TcpInput::Paused } else { input };
         if pause.is_some() || !self.line.receive() {
@@ -298,7 +323,7 @@ impl Host {
             self.answered_at = now;
         }
         let is_mute = now.saturating_sub(self.answered_at) > SETUP_TIME;
-        // A turn that was interrupted, for example while the settings were written, must not send its command.
+        // A turn that was interrupted must not send its command.
         let is_late = pause.is_none() && since + uptime().saturating_sub(now) > LONGEST_PAUSE;
         if is_silent || is_mute || is_late || !self.line.send() {
             self.lose_line();
@@ -312,8 +337,12 @@ impl Host {
         self.line.reset();
         self.station.bridge().set_link_lost(true);
         if was_open && !self.is_ending {
-            report("lost the connection to the gripper");
+            self.report("lost the connection to the gripper");
         }
+    }
+
+    fn report(&self, what: impl Display) {
+        report(format_args!("{}{what}", self.label));
     }
 }
 

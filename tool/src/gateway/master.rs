@@ -1,18 +1,63 @@
-//! A connection of a Modbus/TCP master to the gateway: its frames. The bridge answers the requests.
+//! The ports of Modbus/TCP, and a connection of a master: its frames. The bridge of the addressed gripper answers the requests.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::future::pending;
+use std::net::SocketAddr;
 use std::rc::Rc;
 
+use anyhow::Result;
 use bus_modbus::tcp::{Event, MAX_FRAME_LEN, Receiver};
+use bus_modbus::{Exception, MAX_PDU_LEN};
 use fieldbus_host::{Activity, Client};
 
-use super::bridge::Gateway;
+use super::bridge::{Gateway, Masters};
+use super::config::GripperConfig;
+
+/// A port: one gripper, or several that are addressed by unit.
+pub(super) struct Port {
+    pub(super) address: SocketAddr,
+    masters: Rc<RefCell<Masters>>,
+    gateways: Vec<(Option<u8>, Rc<Gateway>)>,
+}
+
+impl Port {
+    /// Returns a port without a gripper.
+    pub(super) fn new(address: SocketAddr) -> Self {
+        Self { address, masters: Rc::default(), gateways: Vec::new() }
+    }
+
+    /// Adds a gripper, and starts its bridge.
+    pub(super) fn add(&mut self, gripper: &GripperConfig) -> Result<Rc<Gateway>> {
+        let gateway = Rc::new(Gateway::open(gripper, &self.masters)?);
+        self.gateways.push((gripper.unit, Rc::clone(&gateway)));
+        Ok(gateway)
+    }
+
+    pub(super) fn serves(&self, gateway: &Rc<Gateway>) -> bool {
+        self.gateways.iter().any(|(_, other)| Rc::ptr_eq(gateway, other))
+    }
+
+    /// Answers a request for a unit. Returns the length of the response.
+    fn serve(&self, master: u64, unit: u8, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
+        if let Some((_, gateway)) = self.gateways.iter().find(|(own, _)| own.is_none_or(|own| own == unit)) {
+            return gateway.serve(master, pdu, response);
+        }
+        let (Some(function), [code, exception, ..]) = (pdu.first(), response) else { return 0 };
+        (*code, *exception) = (function | 0x80, Exception::GatewayPathUnavailable.code());
+        2
+    }
+
+    /// Ends a connection.
+    fn disconnect(&self, master: u64, activity: &Rc<Activity>) {
+        self.masters.borrow_mut().remove(activity);
+        self.gateways.iter().for_each(|(_, gateway)| gateway.end_jog(master));
+    }
+}
 
 /// A connection.
 pub(super) struct Master {
-    gateway: Rc<Gateway>,
+    port: Rc<Port>,
     number: u64,
     activity: Rc<Activity>,
     frames: RefCell<Frames>,
@@ -27,9 +72,9 @@ struct Frames {
 
 impl Master {
     /// Returns a new connection, or `None` while the gateway accepts none.
-    pub(super) fn connect(gateway: &Rc<Gateway>) -> Option<Self> {
-        let (number, activity) = gateway.admit()?;
-        Some(Self { gateway: Rc::clone(gateway), number, activity, frames: RefCell::default() })
+    pub(super) fn connect(port: &Rc<Port>) -> Option<Self> {
+        let (number, activity) = port.masters.borrow_mut().admit()?;
+        Some(Self { port: Rc::clone(port), number, activity, frames: RefCell::default() })
     }
 }
 
@@ -44,8 +89,9 @@ impl Client<MAX_FRAME_LEN> for Master {
             match event {
                 Some(Event::Request(request)) => {
                     let mut frame = [0; MAX_FRAME_LEN];
-                    let answer = request
-                        .answer(&mut frame, |pdu, response| self.gateway.serve(self.number, pdu, response));
+                    let answer = request.answer(&mut frame, |pdu, response| {
+                        self.port.serve(self.number, request.unit, pdu, response)
+                    });
                     if !answer.is_empty() {
                         answers.push_back(answer.to_vec());
                     }
@@ -53,7 +99,7 @@ impl Client<MAX_FRAME_LEN> for Master {
                 // A jog ends at once, not when the socket has been drained.
                 Some(Event::Lost) => {
                     *is_lost = true;
-                    self.gateway.disconnect(self.number, &self.activity);
+                    self.port.disconnect(self.number, &self.activity);
                 }
                 Some(Event::Foreign { .. }) | None => {}
             }
@@ -85,6 +131,6 @@ impl Client<MAX_FRAME_LEN> for Master {
 
 impl Drop for Master {
     fn drop(&mut self) {
-        self.gateway.disconnect(self.number, &self.activity);
+        self.port.disconnect(self.number, &self.activity);
     }
 }
