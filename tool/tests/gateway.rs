@@ -210,21 +210,6 @@ impl Drop for Folder {
     }
 }
 
-/// The same with another gateway. Returns its messages.
-fn unpaused_in(start: impl Fn() -> Rig, test: impl Fn(&mut Rig)) -> String {
-    for attempt in 1.. {
-        let mut rig = start();
-        let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
-        let messages = rig.gateway.messages();
-        match tested {
-            Ok(()) => return messages,
-            Err(_) if messages.contains("paused") && attempt < 10 => {}
-            Err(panic) => resume_unwind(panic),
-        }
-    }
-    unreachable!()
-}
-
 struct Master {
     stream: TcpStream,
     unit: u8,
@@ -406,7 +391,7 @@ fn command_that_waited_while_the_process_was_stopped_is_discarded() {
 
 #[test]
 fn two_grippers_share_a_port_by_unit_and_a_signal_stops_both() {
-    let messages = unpaused_in(Rig::of_two, |rig| {
+    let messages = unpaused_on(Rig::of_two, |rig| {
         let port = rig.gateway.modbus;
         assert_eq!(rig.gateway.ports, [port, port]);
         for (unit, timeout) in [("", "1000 ms"), ("?unit=2", "2500 ms")] {
@@ -454,7 +439,7 @@ fn mute_gripper_and_stalled_disk_do_not_hold_another_gripper() {
         mkfifoat(CWD, folder.0.join("mute.new"), Mode::RUSR | Mode::WUSR).unwrap();
         Rig::of(vec![gripper], address, folder.serve(2), Some(folder))
     };
-    unpaused_in(start, |rig| {
+    unpaused_on(start, |rig| {
         let mut stalled = Master::connect(rig.gateway.ports[0]);
         let ([high, low], [key_high, key_low]) = (FIRST_COMMAND.to_be_bytes(), COMMAND_KEY.to_be_bytes());
         let save = [6, high, low, key_high, key_low];
