@@ -160,7 +160,7 @@ impl Served {
         }
         let addresses = self.addresses();
         io::stdout().write_all(addresses.as_bytes())?;
-        service::ready(&addresses.replace('\n', "; "));
+        service::ready(&addresses.split_whitespace().collect::<Vec<_>>().join(" "));
         let mut tasks = JoinSet::new();
         for (port, listener) in std::mem::take(&mut self.ports).into_iter().zip(listeners) {
             let port = Rc::new(port);

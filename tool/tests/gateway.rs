@@ -757,7 +757,7 @@ mod service {
             String::from_utf8_lossy(&state[..len]).into_owned()
         };
         // The port is open: the system has chosen its number.
-        let status = format!("modbus {}, gripper tcp://127.0.0.1:1", gateway.modbus);
+        let status = format!("gripper tcp://127.0.0.1:1 modbus {}", gateway.modbus);
         assert_eq!(received(), format!("READY=1\nSTATUS={status}"));
         for _ in 0..3 {
             assert_eq!(received(), "WATCHDOG=1");
