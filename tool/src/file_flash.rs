@@ -70,7 +70,7 @@ fn folder_of(file: &Path) -> &Path {
 }
 
 /// Writes a file: first another one, so that a power failure leaves a whole file.
-fn replace(file: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn replace(file: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut new = file.as_os_str().to_owned();
     new.push(".new");
     let mut written = File::create(&new)?;

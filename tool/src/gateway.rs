@@ -1,4 +1,5 @@
-//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP and grippers at any address of the binary protocol.
+//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP or PROFINET and grippers at any address of the binary
+//! protocol.
 //!
 //! The bridge is the application of the board's firmware, with the same registers, settings and rules. Each gripper has its own. It
 //! has no wires: `FAST_STOP_OK` is high. All tasks run in one thread, and none waits for a line or a file. A request runs a turn of
@@ -8,13 +9,14 @@ mod bridge;
 mod config;
 mod line;
 mod master;
+mod profinet;
 #[cfg(unix)]
 mod serial;
 mod service;
 
 use std::io::{self, Write};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
@@ -30,19 +32,20 @@ use crate::listen_address;
 use bridge::Gateway;
 use config::GripperConfig;
 use master::{Master, Port};
+use profinet::Profinet;
 
 /// Lowest rate of a board's CAN bus in kbit/s.
 const MIN_KBIT: u16 = 125;
 
-/// Connects PLCs on Modbus/TCP to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
+/// Connects PLCs on Modbus/TCP or PROFINET to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
 #[command(group = ArgGroup::new("grippers").required(true).args(["gripper", "config"]))]
-#[command(group = ArgGroup::new("plc").required(true).multiple(true).args(["modbus", "config"]))]
+#[command(group = ArgGroup::new("plc").required(true).multiple(true).args(["modbus", "profinet", "config"]))]
 pub(crate) struct Arguments {
     #[command(flatten)]
     options: Options,
     /// TOML file with one or more grippers, instead of the options for one
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["modbus", "settings"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["modbus", "profinet", "settings"])]
     config: Option<PathBuf>,
     /// Check the file and print its grippers, without opening a port
     #[arg(long, conflicts_with = "gripper")]
@@ -58,7 +61,11 @@ struct Options {
     /// Address on which Modbus/TCP masters connect, such as 192.168.1.10:502
     #[arg(long, value_name = "ADDR", value_parser = listen_address)]
     modbus: Option<SocketAddr>,
-    /// File that stores the bridge's settings; without it, they are lost at the end
+    /// Network interface on which a PROFINET controller finds the gateway, such as eth0; Linux only
+    #[arg(long, value_name = "INTERFACE")]
+    profinet: Option<String>,
+    /// File that stores the bridge's settings; FILE.profinet stores name and address of the PROFINET station. Without it, they are
+    /// lost at the end
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
 }
@@ -119,29 +126,34 @@ impl Served {
                 Some((_, other)) => ports.iter_mut().find(|port| port.serves(other)),
                 None => None,
             };
-            let gateway = match shared {
-                Some(port) => port.add(&config)?,
-                None => {
-                    let mut port = Port::new(config.modbus);
+            let gateway = match (shared, config.modbus) {
+                (Some(port), _) => port.add(&config)?,
+                (None, Some(address)) => {
+                    let mut port = Port::new(address);
                     let gateway = port.add(&config)?;
                     ports.push(port);
                     gateway
                 }
+                (None, None) => Rc::new(Gateway::open(&config, &Rc::default())?),
             };
             grippers.push((config, gateway));
         }
         Ok(Self { grippers, ports })
     }
 
-    /// Returns the addresses of each gripper, in two lines.
+    /// Returns the addresses of each gripper, each in a line.
     fn addresses(&self) -> String {
         let mut text = String::new();
         for (config, gateway) in &self.grippers {
             let name = config.name.as_ref().map(|name| format!(" ({})", one_line(name))).unwrap_or_default();
-            let port = self.ports.iter().find(|port| port.serves(gateway));
-            let address = port.map_or(config.modbus, |port| port.address);
-            let unit = config.unit.map(|unit| format!(", unit {unit}")).unwrap_or_default();
-            text += &format!("gripper  {}{name}\nmodbus   {address}{unit}\n", config.gripper);
+            text += &format!("gripper  {}{name}\n", config.gripper);
+            if let Some(port) = self.ports.iter().find(|port| port.serves(gateway)) {
+                let unit = config.unit.map(|unit| format!(", unit {unit}")).unwrap_or_default();
+                text += &format!("modbus   {}{unit}\n", port.address);
+            }
+            if let Some(line) = &config.profinet {
+                text += &format!("profinet {}\n", one_line(&line.interface));
+            }
         }
         text
     }
@@ -158,10 +170,15 @@ impl Served {
             port.address = listener.local_addr()?;
             listeners.push(listener);
         }
+        let mut tasks = JoinSet::new();
+        for (config, gateway) in &self.grippers {
+            if let Some(line) = config.profinet.clone() {
+                tasks.spawn_local(Profinet::open(line)?.serve(Rc::clone(gateway)));
+            }
+        }
         let addresses = self.addresses();
         io::stdout().write_all(addresses.as_bytes())?;
         service::ready(&addresses.split_whitespace().collect::<Vec<_>>().join(" "));
-        let mut tasks = JoinSet::new();
         for (port, listener) in std::mem::take(&mut self.ports).into_iter().zip(listeners) {
             let port = Rc::new(port);
             tasks.spawn_local(async move {

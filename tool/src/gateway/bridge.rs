@@ -21,7 +21,7 @@ use tokio::time::sleep;
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
 use wsg_bridge_fw::{BoardId, Bridge, Config, ResetCause, Station};
-use wsg_fieldbus::SilenceReaction;
+use wsg_fieldbus::{InputImage, SilenceReaction};
 use wsg_protocol::{Status, SystemFlags};
 
 use super::config::GripperConfig;
@@ -207,6 +207,24 @@ impl Gateway {
         len
     }
 
+    /// Returns the number of a master of a cyclic bus.
+    pub(super) fn number(&self) -> u64 {
+        self.masters.borrow_mut().number()
+    }
+
+    /// Returns the number of pauses since the start.
+    pub(super) fn pauses(&self) -> u32 {
+        self.host.borrow().pauses
+    }
+
+    /// Returns the input image for a cyclic bus. `None` while the gripper is not connected, and after a pause.
+    pub(super) fn inputs(&self) -> Option<InputImage> {
+        let mut host = self.host.borrow_mut();
+        let is_current = uptime().saturating_sub(host.passed_at) <= LONGEST_PAUSE;
+        let is_shown = is_current && host.station.bridge().is_connected();
+        host.modbus.inputs().filter(|_| is_shown)
+    }
+
     /// Ends a jog of a master whose connection has ended, because its button cannot be released any more. Other motions end after
     /// BUS_TIMEOUT, unless the master connects again and writes.
     pub(super) fn end_jog(&self, master: u64) {
@@ -265,7 +283,7 @@ impl Gateway {
     }
 
     /// Runs a turn of the bridge. After a pause, `input` is not served, and no connection continues.
-    fn turn(&self, input: TcpInput<'_>) {
+    pub(super) fn turn(&self, input: TcpInput<'_>) {
         let pause = self.host.borrow_mut().turn(input);
         if let Some(pause) = pause {
             let mut masters = self.masters.borrow_mut();
@@ -293,8 +311,7 @@ impl Masters {
             let (at, _) = open.min_by_key(|(_, activity)| activity.received_at())?;
             self.open.swap_remove(at).displace();
         }
-        let (number, activity) = (self.next, Rc::<Activity>::default());
-        self.next += 1;
+        let (number, activity) = (self.number(), Rc::<Activity>::default());
         self.open.push(Rc::clone(&activity));
         Some((number, activity))
     }
@@ -302,6 +319,12 @@ impl Masters {
     /// Removes a connection that has ended.
     pub(super) fn remove(&mut self, activity: &Rc<Activity>) {
         self.open.retain(|open| !Rc::ptr_eq(open, activity));
+    }
+
+    /// Returns the number of the next connection.
+    const fn number(&mut self) -> u64 {
+        self.next += 1;
+        self.next - 1
     }
 
     /// Closes all connections. None of their requests is served from here on.

@@ -4,8 +4,10 @@ use std::net::SocketAddr;
 use std::path::{self, Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
+use bus_profinet::Stored;
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Command, FromArgMatches, value_parser};
+use fieldbus_host::profinet::ProfinetLine;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 use wsg_bridge_fw::Config;
@@ -27,7 +29,8 @@ const SETTINGS: [&str; 5] = ["BUS_TIMEOUT", "BUS_REACTION", "SWAP_BYTES", "HALF_
 pub(super) struct GripperConfig {
     pub(super) name: Option<String>,
     pub(super) gripper: Address,
-    pub(super) modbus: SocketAddr,
+    pub(super) modbus: Option<SocketAddr>,
+    pub(super) profinet: Option<ProfinetLine>,
     /// Unit of the gripper on a port that several share. Without it, the port has one gripper, which answers every unit.
     pub(super) unit: Option<u8>,
     pub(super) settings: Option<PathBuf>,
@@ -52,10 +55,18 @@ impl GripperConfig {
     /// Returns the gripper of a command line, or of the options in a file.
     pub(super) fn new(options: &Options) -> Result<Self> {
         let gripper = options.gripper.clone();
+        ensure!(
+            options.modbus.is_some() || options.profinet.is_some(),
+            "modbus or profinet is missing: an address such as 192.168.1.10:502, or a network interface such as eth0"
+        );
         Ok(Self {
             name: None,
             gripper: gripper.context("gripper is missing: an address such as tcp://192.168.1.20")?,
-            modbus: options.modbus.context("modbus is missing: an address such as 192.168.1.10:502")?,
+            modbus: options.modbus,
+            profinet: options.profinet.clone().map(|interface| {
+                let keep = options.settings.as_deref().map(station_file);
+                ProfinetLine { interface, stored: Stored::NONE, keep }
+            }),
             unit: None,
             settings: options.settings.clone(),
             delivered: None,
@@ -65,24 +76,28 @@ impl GripperConfig {
 
     /// Returns whether masters reach both grippers on one port.
     pub(super) fn shares_port(&self, other: &Self) -> bool {
-        self.modbus == other.modbus && self.unit.is_some() && other.unit.is_some()
+        self.modbus.is_some() && self.modbus == other.modbus && self.unit.is_some() && other.unit.is_some()
     }
 
     /// Checks that the gripper has nothing that is another one's.
     fn check_apart(&self, other: &Self) -> Result<()> {
         let file = |it: &Self| it.settings.as_deref().and_then(|file| path::absolute(file).ok());
-        let (address, other_address) = (self.modbus, other.modbus);
-        let is_everywhere = address.ip().is_unspecified() || other_address.ip().is_unspecified();
-        let overlaps = address.port() == other_address.port()
-            && address.port() != 0
-            && (address.ip() == other_address.ip() || is_everywhere);
+        let interface = |it: &Self| it.profinet.as_ref().map(|line| line.interface.clone());
         if let Some(name) = self.name.as_ref().filter(|name| other.name.as_ref() == Some(*name)) {
             bail!("another gripper has the name {name}");
         } else if self.gripper == other.gripper {
             bail!("another gripper has the address {}", self.gripper);
         } else if let Some(file) = file(self).filter(|it| file(other).as_ref() == Some(it)) {
             bail!("another gripper stores its settings in {}", file.display());
-        } else if self.shares_port(other) {
+        } else if let Some(interface) = interface(self).filter(|it| interface(other).as_ref() == Some(it)) {
+            bail!("another gripper is on the network interface {interface}");
+        }
+        let (Some(address), Some(other_address)) = (self.modbus, other.modbus) else { return Ok(()) };
+        let is_everywhere = address.ip().is_unspecified() || other_address.ip().is_unspecified();
+        let overlaps = address.port() == other_address.port()
+            && address.port() != 0
+            && (address.ip() == other_address.ip() || is_everywhere);
+        if self.shares_port(other) {
             let unit = self.unit.unwrap_or_default();
             ensure!(self.unit != other.unit, "another gripper has the unit {unit} on {address}");
         } else if overlaps {
@@ -90,6 +105,13 @@ impl GripperConfig {
         }
         Ok(())
     }
+}
+
+/// Returns the file for the PROFINET station of a bridge with this settings file.
+fn station_file(settings: &Path) -> PathBuf {
+    let mut file = settings.to_owned().into_os_string();
+    file.push(".profinet");
+    file.into()
 }
 
 /// Reads and checks a file.
@@ -196,7 +218,7 @@ mod tests {
             ["tcp://left:1000", "tcp://right:1000"]
         );
         assert_eq!((&left.label[..], &right.label[..]), ("left: ", "tcp://right:1000: "));
-        assert_eq!((left.modbus, left.unit), ("10.0.0.1:502".parse().unwrap(), Some(2)));
+        assert_eq!((left.modbus, left.unit), ("10.0.0.1:502".parse().ok(), Some(2)));
         assert!(left.shares_port(right) && left.settings == Some("left.flash".into()));
         let mut delivered = Config::DEFAULT.record();
         delivered[names::place("BUS_TIMEOUT")] = 2_000;
@@ -240,7 +262,11 @@ mod tests {
             (LEFT.replace("tcp:", "gcl:"), ", line 3: ", "GCL"),
             (LEFT.replace(":502", ""), ", line 4: ", "expected an address with a port"),
             (LEFT.replace("gripper =", "# "), ", line 1: ", "gripper is missing: an address such as tcp://"),
-            (LEFT.replace("modbus", "# "), ", line 1: ", "modbus is missing: an address such as 192."),
+            (
+                LEFT.replace("modbus", "# "),
+                ", line 1: ",
+                "modbus or profinet is missing: an address such as 192.",
+            ),
             (
                 two("gripper =", "name = \"left\"\ngripper ="),
                 ", line 5: ",
@@ -259,6 +285,11 @@ mod tests {
                 of_left("settings = \"x\"") + RIGHT + "settings = \"./x\"",
                 ", line 6: ",
                 "another gripper stores its settings in ",
+            ),
+            (
+                of_left("profinet = \"eth0\"") + RIGHT + "profinet = \"eth0\"",
+                ", line 6: ",
+                "another gripper is on the network interface eth0",
             ),
             (of_left("delivered = 5"), ", line 5: ", "expected [gripper.delivered]"),
             (

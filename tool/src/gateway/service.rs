@@ -83,7 +83,8 @@ mod tests {
             let gripper = GripperConfig {
                 name: None,
                 gripper: "tcp://127.0.0.1:1".parse().unwrap(),
-                modbus: "127.0.0.1:0".parse().unwrap(),
+                modbus: None,
+                profinet: None,
                 unit: None,
                 settings: None,
                 delivered: None,
