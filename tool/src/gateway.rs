@@ -7,14 +7,16 @@
 mod bridge;
 mod line;
 mod master;
+pub(crate) mod reports;
+mod status;
 
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::rc::Rc;
 
-use anyhow::{Context, Result};
-use clap::Args;
+use anyhow::{Context, Result, bail};
+use clap::{Args, Subcommand};
 use tokio::net::TcpListener;
 use tokio::runtime;
 use tokio::task::{JoinSet, LocalSet};
@@ -26,7 +28,24 @@ use master::Master;
 
 /// Connects PLCs on Modbus/TCP to a gripper through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub(crate) struct Arguments {
+    #[command(flatten)]
+    serving: Option<Serving>,
+    #[command(subcommand)]
+    task: Option<Task>,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Shows health, gripper and PLC of gateways that run. The exit status is 0 if all are healthy, 1 if not, and 6 if one does
+    /// not answer within 2 s
+    Status(status::Arguments),
+}
+
+/// What to serve.
+#[derive(Args)]
+struct Serving {
     /// Address of the gripper, such as tcp://192.168.1.20
     #[arg(long, value_name = "ADDRESS", value_parser = gripper_address)]
     gripper: String,
@@ -46,18 +65,23 @@ fn gripper_address(text: &str) -> Result<String, String> {
     }
 }
 
-/// Runs the gateway until a signal is caught. Returns 0.
+/// Runs the gateway until a signal is caught, and returns 0, or runs a task.
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
+    let serving = match arguments {
+        Arguments { task: Some(Task::Status(arguments)), .. } => return status::run(arguments),
+        Arguments { serving: Some(serving), .. } => serving,
+        Arguments { serving: None, task: None } => bail!("expected --gripper and --modbus"),
+    };
     let signals = Signals::catch()?;
     let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
-    let served = LocalSet::new().block_on(&runtime, serve(arguments, &signals));
+    let served = LocalSet::new().block_on(&runtime, serve(serving, &signals));
     // Does not wait for a look-up of the gripper's name.
     runtime.shutdown_background();
     served.map(|()| 0)
 }
 
-async fn serve(arguments: &Arguments, signals: &Signals) -> Result<()> {
-    let Arguments { gripper, modbus, settings } = arguments;
+async fn serve(serving: &Serving, signals: &Signals) -> Result<()> {
+    let Serving { gripper, modbus, settings } = serving;
     let gateway = Rc::new(Gateway::open(settings.as_deref())?);
     gateway.settle().await;
     let listener =
@@ -66,8 +90,9 @@ async fn serve(arguments: &Arguments, signals: &Signals) -> Result<()> {
     writeln!(io::stdout(), "gripper  tcp://{gripper}\nmodbus   {address}")?;
     let mut tasks = JoinSet::new();
     let (masters, line, gripper) = (Rc::clone(&gateway), Rc::clone(&gateway), gripper.clone());
-    tasks
-        .spawn_local(async move { fieldbus_host::tcp::serve(listener, |_| Master::connect(&masters)).await });
+    tasks.spawn_local(async move {
+        fieldbus_host::tcp::serve(listener, |peer| Master::connect(&masters, peer.ip())).await
+    });
     tasks.spawn_local(async move { line.keep_connected(&gripper).await });
     while signals.check().is_ok() {
         gateway.pass_time().await;

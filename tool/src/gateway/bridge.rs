@@ -6,6 +6,7 @@
 use std::cell::RefCell;
 use std::fmt::Display;
 use std::future::poll_fn;
+use std::net::IpAddr;
 use std::path::Path;
 use std::rc::Rc;
 use std::sync::OnceLock;
@@ -26,6 +27,7 @@ use wsg_fieldbus::SilenceReaction;
 use wsg_protocol::{Status, SystemFlags};
 
 use super::line::GripperLine;
+use super::reports::Measured;
 use crate::file_flash::FileFlash;
 use crate::print_error;
 
@@ -89,6 +91,8 @@ struct Host {
     answered_at: Duration,
     /// The end of the connection was announced.
     is_ending: bool,
+    /// Values for the reports.
+    measured: Measured,
 }
 
 struct Masters {
@@ -121,6 +125,7 @@ impl Gateway {
             regular_at: now,
             answered_at: now,
             is_ending: false,
+            measured: Measured::default(),
         };
         let masters = Masters { open: Vec::new(), next: 0, first_served: 0, paused_at: None, pauses: 0 };
         let settling = SETTLING + Duration::from_millis(config.wires.debounce_ms.into());
@@ -146,6 +151,7 @@ impl Gateway {
                 });
                 let problem = opened.err().unwrap_or_default();
                 if problem.is_empty() {
+                    self.host.borrow_mut().measured.gripper_connections += 1;
                     report(format_args!("connected to the gripper at {address}"));
                 } else if problem != reported {
                     report(format_args!("cannot connect to the gripper at {address}: {problem}; retrying"));
@@ -181,17 +187,35 @@ impl Gateway {
         let (number, activity) = (masters.next, Rc::<Activity>::default());
         masters.next += 1;
         masters.open.push(Rc::clone(&activity));
+        self.host.borrow_mut().measured.master_connections += 1;
         Some((number, activity))
     }
 
     /// Answers a request of a connection in a turn of the bridge. Returns the length of the response; 0 if the connection is no
     /// longer served.
-    pub(super) fn serve(&self, master: u64, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
-        let mut len = 0;
-        if master >= self.masters.borrow().first_served {
-            self.turn(TcpInput::Request { master, pdu, response, len: &mut len });
+    pub(super) fn serve(
+        &self,
+        (master, address): (u64, IpAddr),
+        pdu: &[u8],
+        response: &mut [u8; MAX_PDU_LEN],
+    ) -> usize {
+        let (mut len, mut is_write) = (0, false);
+        if master < self.masters.borrow().first_served {
+            return len;
         }
-        len
+        let place = &mut *response;
+        self.turn(TcpInput::Request { master, pdu, response: place, len: &mut len, is_write: &mut is_write });
+        if is_write {
+            self.note_cycle(address);
+        }
+        let (masters, measured) = (self.masters.borrow(), &mut self.host.borrow_mut().measured);
+        (measured.masters, measured.pauses) = (masters.open.len(), masters.pauses);
+        measured.answer(pdu, response).unwrap_or(len)
+    }
+
+    /// Records that the PLC at this address has written an output image.
+    pub(super) fn note_cycle(&self, address: IpAddr) {
+        self.host.borrow_mut().measured.note_cycle(address, uptime());
     }
 
     /// Ends a connection. A jog of its master ends at once, because its button cannot be released any more; other motions end
@@ -271,6 +295,7 @@ impl Host {
     /// Runs a turn. Returns the time since the last regular one if it is a pause.
     fn turn(&mut self, input: TcpInput<'_>) -> Option<Duration> {
         let now = uptime();
+        self.measured.longest_pause = self.measured.longest_pause.max(now.saturating_sub(self.regular_at));
         if matches!(input, TcpInput::Nothing) {
             if now.saturating_sub(self.passed_at) < REGULAR {
                 self.regular_at = now;
@@ -290,8 +315,12 @@ impl Host {
         }
         let was_connected = self.station.bridge().is_connected();
         let now_ms = now.saturating_sub(self.start).as_millis() as u32;
-        let Self { station, line, modbus, flash, .. } = self;
+        let Self { station, line, modbus, flash, measured, .. } = self;
+        let had_plc = modbus.has_plc();
         station.turn_of_gateway(now_ms, line, &mut modbus.over(input), flash);
+        if had_plc && !modbus.has_plc() {
+            measured.lose_plc();
+        }
         // The commands that a silent gripper has not answered may still wait in the socket.
         let is_silent = was_connected && !self.station.bridge().is_connected() && !self.is_ending;
         if !self.line.is_open() || self.station.bridge().is_connected() {

@@ -3,6 +3,7 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::future::pending;
+use std::net::IpAddr;
 use std::rc::Rc;
 
 use bus_modbus::tcp::{Event, MAX_FRAME_LEN, Receiver};
@@ -14,6 +15,7 @@ use super::bridge::Gateway;
 pub(super) struct Master {
     gateway: Rc<Gateway>,
     number: u64,
+    address: IpAddr,
     activity: Rc<Activity>,
     frames: RefCell<Frames>,
 }
@@ -26,10 +28,10 @@ struct Frames {
 }
 
 impl Master {
-    /// Returns a new connection, or `None` while the gateway accepts none.
-    pub(super) fn connect(gateway: &Rc<Gateway>) -> Option<Self> {
+    /// Returns a new connection of the master at this address, or `None` while the gateway accepts none.
+    pub(super) fn connect(gateway: &Rc<Gateway>, address: IpAddr) -> Option<Self> {
         let (number, activity) = gateway.admit()?;
-        Some(Self { gateway: Rc::clone(gateway), number, activity, frames: RefCell::default() })
+        Some(Self { gateway: Rc::clone(gateway), number, address, activity, frames: RefCell::default() })
     }
 }
 
@@ -44,8 +46,9 @@ impl Client<MAX_FRAME_LEN> for Master {
             match event {
                 Some(Event::Request(request)) => {
                     let mut frame = [0; MAX_FRAME_LEN];
-                    let answer = request
-                        .answer(&mut frame, |pdu, response| self.gateway.serve(self.number, pdu, response));
+                    let answer = request.answer(&mut frame, |pdu, response| {
+                        self.gateway.serve((self.number, self.address), pdu, response)
+                    });
                     if !answer.is_empty() {
                         answers.push_back(answer.to_vec());
                     }
