@@ -10,17 +10,19 @@ mod config;
 mod line;
 mod master;
 mod profinet;
+pub(crate) mod reports;
 #[cfg(unix)]
 mod serial;
 mod service;
+mod status;
 
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::rc::Rc;
 
-use anyhow::{Context, Result};
-use clap::{ArgGroup, Args};
+use anyhow::{Context, Result, bail};
+use clap::{ArgGroup, Args, Subcommand};
 use tokio::net::TcpListener;
 use tokio::runtime;
 use tokio::task::{JoinSet, LocalSet};
@@ -39,9 +41,26 @@ const MIN_KBIT: u16 = 125;
 
 /// Connects PLCs on Modbus/TCP or PROFINET to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub(crate) struct Arguments {
+    #[command(flatten)]
+    serving: Option<Serving>,
+    #[command(subcommand)]
+    task: Option<Task>,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Shows health, gripper and PLC of gateways that run. The exit status is 0 if all are healthy, 1 if not, and 6 if one does
+    /// not answer within 2 s
+    Status(status::Arguments),
+}
+
+/// What to serve.
+#[derive(Args)]
 #[command(group = ArgGroup::new("grippers").required(true).args(["gripper", "config"]))]
 #[command(group = ArgGroup::new("plc").required(true).multiple(true).args(["modbus", "profinet", "config"]))]
-pub(crate) struct Arguments {
+struct Serving {
     #[command(flatten)]
     options: Options,
     /// TOML file with one or more grippers, instead of the options for one
@@ -91,15 +110,20 @@ fn gripper_address(text: &str) -> Result<Address, String> {
     }
 }
 
-/// Runs the gateway until a signal is caught, or checks its configuration. Returns 0.
+/// Runs the gateway until a signal is caught, checks its configuration, or runs a task.
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
-    let grippers = match &arguments.config {
+    let serving = match arguments {
+        Arguments { task: Some(Task::Status(arguments)), .. } => return status::run(arguments),
+        Arguments { serving: Some(serving), .. } => serving,
+        Arguments { serving: None, task: None } => bail!("expected --gripper or --config"),
+    };
+    let grippers = match &serving.config {
         Some(file) => config::read(file)?,
-        None => vec![GripperConfig::new(&arguments.options)?],
+        None => vec![GripperConfig::new(&serving.options)?],
     };
     let signals = Signals::catch()?;
     let served = Served::open(grippers)?;
-    if arguments.check_config {
+    if serving.check_config {
         io::stdout().write_all(served.addresses().as_bytes())?;
         return Ok(0);
     }
@@ -182,7 +206,7 @@ impl Served {
         for (port, listener) in std::mem::take(&mut self.ports).into_iter().zip(listeners) {
             let port = Rc::new(port);
             tasks.spawn_local(async move {
-                fieldbus_host::tcp::serve(listener, |_| Master::connect(&port)).await
+                fieldbus_host::tcp::serve(listener, |peer| Master::connect(&port, peer.ip())).await
             });
         }
         for (config, gateway) in &self.grippers {

@@ -69,7 +69,12 @@ enum Task {
     #[command(flatten)]
     Action(Named),
     /// Checks the connection and reports what to change; never moves the fingers
-    Doctor,
+    Doctor {
+        /// Over TCP, also tests whether a lost connection causes FAST STOP; if it does, FAST STOP stays latched until `ack`. Only
+        /// with fingers at rest and no part held
+        #[arg(long)]
+        try_disconnect: bool,
+    },
     /// Plots state, width, speed and force on the full screen; press q to quit
     Watch,
     /// Prints each message of this connection in hex and decoded, until Ctrl-C
@@ -106,7 +111,7 @@ pub(crate) fn run(arguments: Arguments) -> Result<u8> {
         None => "prompt",
         Some(Task::Unknown(words)) => lines::explain(words.first().map_or("", String::as_str)),
         Some(Task::Action(named)) => &named.name,
-        Some(Task::Doctor) => "doctor",
+        Some(Task::Doctor { .. }) => "doctor",
         Some(Task::Watch) => "watch",
         Some(Task::Log { .. }) => "log",
         Some(Task::Script { .. }) => "script",
@@ -134,8 +139,8 @@ fn perform(
     };
     let recorder = recorder(address, record, task.as_ref()).map_err(Trouble::NoFile)?;
     let signals = Signals::catch()?;
-    if matches!(task, Some(Task::Doctor)) {
-        return doctor::run(address, recorder, &signals, output);
+    if let Some(Task::Doctor { try_disconnect }) = task {
+        return doctor::run(address, recorder, &signals, output, try_disconnect);
     }
     let line = Connection::open(address, recorder, signals.clone()).map_err(Trouble::NoLine)?;
     let work = Work { task, script, output, signals, title: address.to_string() };
@@ -223,7 +228,9 @@ impl Work<'_> {
     ) -> Result<u8, Trouble> {
         match self.task {
             // `doctor` and an unknown command never get here.
-            None | Some(Task::Unknown(_) | Task::Doctor) => prompt::run(gripper, self.output, &self.signals),
+            None | Some(Task::Unknown(_) | Task::Doctor { .. }) => {
+                prompt::run(gripper, self.output, &self.signals)
+            }
             Some(Task::Action(named)) => {
                 let age = asked.elapsed();
                 let result = match stopped {

@@ -33,7 +33,7 @@ use tokio::{
 use wsg_sim::text::one_line;
 
 use config::{Source, Telemetry};
-use metrics::{BRIDGE, GRIPPER, Metric};
+use metrics::{GRIPPER, Metric};
 use node::Node;
 use report::{Reporter, now_ms};
 use sequence::Sequence;
@@ -119,10 +119,10 @@ async fn send(telemetry: Telemetry, broker: broker::Broker, sequence: &mut Seque
 
 impl Source {
     /// Returns the metrics of this kind of device.
-    const fn table(&self) -> &'static [Metric] {
+    fn table(&self) -> &'static [Metric] {
         match self {
             Self::Gripper(_) => GRIPPER,
-            Self::Bridge(_) => BRIDGE,
+            Self::Bridge(port) => bridge::table(port),
         }
     }
 }

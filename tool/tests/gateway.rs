@@ -24,6 +24,7 @@ use program::{printed, wsg};
 use rustix::fs::{CWD, Mode, OFlags, fcntl_setfl, mkfifoat};
 use rustix::process::{Pid, Signal, kill_process};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use serde_json::Value;
 use serial2::SerialPort;
 use wsg_bridge_fw::registers::{COMMAND_KEY, FIRST_COMMAND};
 use wsg_protocol::SystemFlags;
@@ -40,6 +41,7 @@ const GRIP: u16 = 0x0200;
 const RELEASE: u16 = 0x0400;
 const HOMING: u16 = 0x0800;
 const STOP_ACK: u16 = 0x1000;
+const FAST_STOP: u16 = 0x2000;
 const JOG_MINUS: u16 = 0x8000;
 
 /// Input registers.
@@ -129,6 +131,24 @@ impl Rig {
 
     fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.gateway.process), signal).unwrap();
+    }
+
+    /// Returns exit status and output of `wsg gateway status`, once it is as expected.
+    fn status(&self, options: &[&str], is_so: impl Fn(i32, &str) -> bool) -> String {
+        let address = self.gateway.modbus.to_string();
+        let mut found = String::new();
+        until("the status is as expected", || {
+            let output = wsg(&[&["gateway", "status", &address], options].concat(), b"");
+            found = printed(&output);
+            is_so(output.status.code().unwrap(), &found)
+        });
+        found
+    }
+
+    /// Returns the gateway's reports on itself.
+    fn reports(&self) -> Value {
+        let status = self.status(&["--json"], |code, _| code < 2);
+        serde_json::from_str::<Value>(&status).unwrap()["reports"].take()
     }
 
     /// Ends the gateway by a signal, and checks that it has stopped all fingers without a FAST STOP.
@@ -381,6 +401,12 @@ fn command_that_waited_while_the_process_was_stopped_is_discarded() {
         connected = is_up.then_some(next);
         is_up
     });
+    let reports = rig.reports();
+    assert!(
+        reports["PAUSES"].as_u64() > Some(0) && reports["LONGEST_PAUSE"].as_u64() > Some(1_200),
+        "{reports}"
+    );
+    assert_eq!((&reports["PLC_ADDRESS"], &reports["CYCLE_TIME"]), (&Value::Null, &0.into()));
     // The first image.
     connected.unwrap().write(MOVE, 1_000);
     sleep(Duration::from_millis(300));
@@ -695,6 +721,43 @@ fn wsg_bridge_stores_settings_in_the_file_of_the_gateway() {
 }
 
 #[test]
+fn status_names_the_plc_and_why_a_gateway_is_not_healthy() {
+    unpaused(|rig| {
+        let mut master = rig.homed();
+        let text = rig.status(&[], |code, _| code == 0);
+        let address = rig.gateway.modbus;
+        assert!(
+            text.starts_with(&format!("gateway    {address} is healthy\nbridge     firmware ")),
+            "{text}"
+        );
+        assert!(text.contains("\nPLC        127.0.0.1, cycle "), "{text}");
+        // The master, and the program. The connection of the previous status may still be open.
+        until("two masters are connected", || rig.reports()["MASTERS"] == 2);
+        let reports = rig.reports();
+        let of = |name: &str| reports[name].as_u64().unwrap();
+        assert!(of("CYCLE_TIME") > 0 && of("MASTER_CONNECTIONS") > 3, "{reports}");
+        assert_eq!((of("GRIPPER_CONNECTIONS"), of("PAUSES")), (1, 0));
+        // GRIPPER_CONNECTIONS. LONGEST_PAUSE is the last register.
+        assert_eq!(master.ask(&[4, 3, 0xF8, 0, 1]).unwrap(), [4, 2, 0, 1]);
+        assert_eq!(master.ask(&[4, 3, 0xFA, 0, 2]).unwrap(), [0x84, 2]);
+
+        master.write(FAST_STOP, 0);
+        rig.status(&[], |code, text| code == 1 && text.contains(" is not healthy: FAST_STOP_FLAG: "));
+        rig.grippers.clear();
+        rig.status(&[], |code, text| code == 1 && text.contains(" is not healthy: no gripper: lost\n"));
+    });
+}
+
+#[test]
+fn gateway_that_does_not_answer_delays_the_status_of_no_other() {
+    let rig = Rig::start();
+    let mute = TcpListener::bind("127.0.0.1:0").unwrap();
+    let mute = mute.local_addr().unwrap().to_string();
+    let bound = "no answer within 2 s";
+    rig.status(&[&mute], |code, text| code == 6 && text.contains(" is healthy\n") && text.contains(bound));
+}
+
+#[test]
 fn wrong_or_missing_address_is_refused_with_a_hint() {
     for (arguments, status, expected) in [
         (&["gateway", "--gripper", "gcl://h", "--modbus", "localhost:0"][..], 2, "not GCL; expected tcp://"),
@@ -710,6 +773,10 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
         ),
         (&["gateway", "--config", "missing.toml"], 1, "cannot read missing.toml"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
+        (&["gateway", "--gripper", "tcp://h", "status", "h"], 2, "cannot be used with"),
+        (&["gateway", "status"], 2, "<ADDR>"),
+        (&["gateway", "status", "h:port"], 2, "invalid port `port`"),
+        (&["gateway", "status", "127.0.0.1:1"], 6, "wsg: 127.0.0.1:1: cannot connect to a gateway"),
         (&["bridge", "tcp://h:port", "show"], 1, "invalid port `port`"),
         (&["bridge", "tcp://h?unit=300", "show"], 1, "expected tcp://HOST[:PORT][?unit=1]"),
         // An IPv6 address gets the default port, too.

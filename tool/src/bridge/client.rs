@@ -25,6 +25,7 @@ use wsg_sim::command_line::after_scheme;
 
 use super::names::report;
 use super::strays::WithoutStrays;
+use crate::gateway::reports;
 use crate::gripper::with_port;
 
 /// Response time-out. The bridge responds within milliseconds, but a busy computer may be slow.
@@ -34,7 +35,7 @@ const SERVICE_PORT: &str =
     "the board's USB connector; on a board with two, such as the B-L475E-IOT01A, the one of the ST-Link";
 
 /// Default port of Modbus/TCP.
-const MODBUS_PORT: u16 = 502;
+pub(crate) const MODBUS_PORT: u16 = 502;
 
 /// Number of attempts for a read request.
 const TRIES: u32 = 3;
@@ -95,7 +96,7 @@ impl Client {
     pub(crate) fn open(port: &str) -> Result<Self> {
         let runtime =
             Builder::new_current_thread().enable_all().build().context("cannot start the I/O runtime")?;
-        let context = Some(connect(&runtime, port)?);
+        let context = Some(runtime.block_on(connect(port))?);
         let mut client = Self { port: port.to_owned(), runtime, context, image_was_read: false };
         let version = match client.read_reports(1) {
             Ok(reports) => reports.first().copied().unwrap_or_default(),
@@ -125,6 +126,11 @@ impl Client {
     /// Reads all reports, in the order of `REPORTS`.
     pub(crate) fn reports(&mut self) -> Result<Vec<u16>, Failure> {
         self.read_reports(REPORTS.len() as u16)
+    }
+
+    /// Reads the registers of a gateway's reports on itself.
+    pub(crate) fn gateway_reports(&mut self) -> Result<Vec<u16>, Failure> {
+        self.read(&Request::ReadInputRegisters(reports::FIRST, reports::LEN), reports::LEN)
     }
 
     fn read_reports(&mut self, count: u16) -> Result<Vec<u16>, Failure> {
@@ -228,7 +234,7 @@ impl Client {
     ) -> Result<T, Failure> {
         if self.context.is_none() {
             // Reopen the port, so that a late response is not mistaken for the next one.
-            let opened = connect(&self.runtime, &self.port);
+            let opened = self.runtime.block_on(connect(&self.port));
             self.context = Some(opened.map_err(|error| Failure::Port(io::Error::other(error)))?);
         }
         let Some(context) = &mut self.context else { return Err(Failure::NoAnswer) };
@@ -253,11 +259,11 @@ fn is_of_the_port(error: &io::Error) -> bool {
     !matches!(error.kind(), ErrorKind::InvalidData | ErrorKind::InvalidInput | ErrorKind::TimedOut)
 }
 
-fn connect(runtime: &Runtime, port: &str) -> Result<Context> {
+/// Opens the serial port of a service port, or the connection to `tcp://HOST[:502]`.
+pub(crate) async fn connect(port: &str) -> Result<Context> {
     if let Some(host) = after_scheme(port, "tcp://") {
-        return connect_to_gateway(runtime, host);
+        return connect_to_gateway(host).await;
     }
-    let _inside = runtime.enter();
     let opened = SerialPort::open(port, BusConfig::SERVICE.baud);
     let opened = opened.map_err(|error| anyhow::anyhow!(not_opened(port, &error)))?;
     // Discard bytes received earlier: they respond to another program.
@@ -265,15 +271,14 @@ fn connect(runtime: &Runtime, port: &str) -> Result<Context> {
     Ok(rtu::attach_slave(WithoutStrays::new(opened), Slave(BusConfig::SERVICE.unit)))
 }
 
-fn connect_to_gateway(runtime: &Runtime, host: &str) -> Result<Context> {
+async fn connect_to_gateway(host: &str) -> Result<Context> {
     let wrong = || format!("wrong address `tcp://{host}`; expected tcp://HOST[:PORT][?unit=1]");
     let (host, unit) = match host.split_once("?unit=") {
         Some((host, unit)) => (host, unit.parse().map_err(|_| anyhow::anyhow!(wrong()))?),
         None => (host, BusConfig::SERVICE.unit),
     };
     let host = with_port(host, MODBUS_PORT, wrong).map_err(anyhow::Error::msg)?;
-    let stream = runtime.block_on(async { within(TcpStream::connect(&host)).await });
-    let stream = stream.unwrap_or_else(|| Err(ErrorKind::TimedOut.into()));
+    let stream = within(TcpStream::connect(&host)).await.unwrap_or_else(|| Err(ErrorKind::TimedOut.into()));
     let stream = stream.with_context(|| format!("cannot connect to a gateway at {host}"))?;
     Ok(tcp::attach_slave(stream, Slave(unit)))
 }

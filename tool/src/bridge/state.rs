@@ -27,7 +27,8 @@ pub(crate) struct State {
 }
 
 impl State {
-    fn report(&self, name: &str) -> u16 {
+    /// Returns a report, which must exist.
+    pub(crate) fn report(&self, name: &str) -> u16 {
         self.reports.get(report(name)).copied().unwrap_or_default()
     }
 
@@ -85,6 +86,15 @@ impl State {
             false => "width unknown".to_owned(),
         };
         format!("{}, {width}, {force:.2} N; last command: {}", states.join(" "), image.status)
+    }
+
+    /// Returns why a PLC cannot use the gripper now: there is none, or ERROR is high.
+    pub(crate) fn fault(&self) -> Option<String> {
+        match (self.report_words("GRIPPER_LINK").as_str(), self.report("ERROR_CAUSE")) {
+            ("connected", 0) => None,
+            ("connected", code) => Some(event_words(code)),
+            (link, _) => Some(format!("no gripper: {link}")),
+        }
     }
 
     fn error(&self) -> String {
@@ -191,6 +201,12 @@ impl State {
 
     fn events(&self) -> impl Iterator<Item = Event> {
         (1..=EVENTS_KEPT).filter_map(|number| self.event(&format!("EVENT{number}_CODE")))
+    }
+
+    /// Formats the most recent event in one line, without its remedy.
+    pub(crate) fn latest_event(&self) -> String {
+        let words = self.events().next().map(|event| event.words()).unwrap_or_default();
+        words.lines().next().unwrap_or("none").trim_start().to_owned()
     }
 
     /// Formats the state of ERROR, the last FAST STOP, and the recorded events, most recent first.

@@ -7,6 +7,7 @@ use std::cell::RefCell;
 use std::fmt::Display;
 use std::future::poll_fn;
 use std::io;
+use std::net::IpAddr;
 use std::rc::Rc;
 use std::sync::OnceLock;
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -26,6 +27,7 @@ use wsg_protocol::{Status, SystemFlags};
 
 use super::config::GripperConfig;
 use super::line::{GripperLine, Stream};
+use super::reports::Measured;
 use crate::file_flash::FileFlash;
 use crate::gripper::Address;
 use crate::{Severity, print_message};
@@ -91,13 +93,14 @@ struct Host {
     start: Duration,
     passed_at: Duration,
     regular_at: Duration,
-    pauses: u32,
     /// When the line was last closed, or the gripper connected.
     answered_at: Duration,
     /// End of the last turn without input after which a board feeds its watchdog.
     alive_at: Instant,
     /// The end of the connection was announced.
     is_ending: bool,
+    /// Values for the reports.
+    measured: Measured,
 }
 
 /// The masters of a port.
@@ -141,10 +144,10 @@ impl Gateway {
             start: now,
             passed_at: now,
             regular_at: now,
-            pauses: 0,
             answered_at: now,
             alive_at: Instant::now(),
             is_ending: false,
+            measured: Measured::default(),
         };
         let settling = SETTLING + Duration::from_millis(config.wires.debounce_ms.into());
         Ok(Self { host: RefCell::new(host), masters: Rc::clone(masters), settling })
@@ -199,12 +202,29 @@ impl Gateway {
 
     /// Answers a request of a connection in a turn of the bridge. Returns the length of the response; 0 if the connection is no
     /// longer served.
-    pub(super) fn serve(&self, master: u64, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
-        let mut len = 0;
-        if master >= self.masters.borrow().first_served {
-            self.turn(TcpInput::Request { master, pdu, response, len: &mut len });
+    pub(super) fn serve(
+        &self,
+        (master, address): (u64, IpAddr),
+        pdu: &[u8],
+        response: &mut [u8; MAX_PDU_LEN],
+    ) -> usize {
+        let (mut len, mut is_write) = (0, false);
+        if master < self.masters.borrow().first_served {
+            return len;
         }
-        len
+        let place = &mut *response;
+        self.turn(TcpInput::Request { master, pdu, response: place, len: &mut len, is_write: &mut is_write });
+        if is_write {
+            self.note_cycle(address);
+        }
+        let (masters, measured) = (self.masters.borrow(), &mut self.host.borrow_mut().measured);
+        (measured.masters, measured.master_connections) = (masters.open.len(), masters.next as u32);
+        measured.answer(pdu, response).unwrap_or(len)
+    }
+
+    /// Records that the PLC at this address has written an output image.
+    pub(super) fn note_cycle(&self, address: IpAddr) {
+        self.host.borrow_mut().measured.note_cycle(address, uptime());
     }
 
     /// Returns the number of a master of a cyclic bus.
@@ -214,7 +234,7 @@ impl Gateway {
 
     /// Returns the number of pauses since the start.
     pub(super) fn pauses(&self) -> u32 {
-        self.host.borrow().pauses
+        self.host.borrow().measured.pauses
     }
 
     /// Returns the input image for a cyclic bus. `None` while the gripper is not connected, and after a pause.
@@ -294,7 +314,7 @@ impl Gateway {
                 "this computer paused for {} ms (pause {} since the start): disconnected from gripper and PLC, and discarded waiting \
                  requests",
                 pause.as_millis(),
-                host.pauses
+                host.measured.pauses
             ));
         }
     }
@@ -340,6 +360,7 @@ impl Host {
     /// Runs a turn. Returns the time since the last regular one if it is a pause.
     fn turn(&mut self, input: TcpInput<'_>) -> Option<Duration> {
         let now = uptime();
+        self.measured.longest_pause = self.measured.longest_pause.max(now.saturating_sub(self.regular_at));
         let is_regular = matches!(input, TcpInput::Nothing);
         if is_regular {
             if now.saturating_sub(self.passed_at) < REGULAR {
@@ -351,7 +372,7 @@ impl Host {
         let pause = Some(since).filter(|since| *since > LONGEST_PAUSE);
         if pause.is_some() {
             self.regular_at = now;
-            self.pauses += 1;
+            self.measured.pauses += 1;
         }
         let input = if pause.is_some() { TcpInput::Paused } else { input };
         let received = match pause {
@@ -365,8 +386,12 @@ impl Host {
         }
         let was_connected = self.station.bridge().is_connected();
         let now_ms = now.saturating_sub(self.start).as_millis() as u32;
-        let Self { station, line, modbus, flash, .. } = self;
+        let Self { station, line, modbus, flash, measured, .. } = self;
+        let had_plc = modbus.has_plc();
         station.turn_of_gateway(now_ms, line, &mut modbus.over(input), flash);
+        if had_plc && !modbus.has_plc() {
+            measured.lose_plc();
+        }
         if is_regular && self.station.bridge().may_feed_watchdog(now_ms) {
             self.alive_at = Instant::now();
         }
@@ -388,6 +413,7 @@ impl Host {
         };
         match sent {
             Ok(()) if is_connected && !was_connected => {
+                self.measured.gripper_connections = self.measured.gripper_connections.saturating_add(1);
                 self.report_line(Severity::Info, format!("connected to the gripper at {}", self.address));
             }
             Ok(()) => {}

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::future::pending;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::rc::Rc;
 
 use anyhow::Result;
@@ -39,7 +39,7 @@ impl Port {
     }
 
     /// Answers a request for a unit. Returns the length of the response.
-    fn serve(&self, master: u64, unit: u8, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
+    fn serve(&self, master: (u64, IpAddr), unit: u8, pdu: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> usize {
         if let Some((_, gateway)) = self.gateways.iter().find(|(own, _)| own.is_none_or(|own| own == unit)) {
             return gateway.serve(master, pdu, response);
         }
@@ -59,6 +59,7 @@ impl Port {
 pub(super) struct Master {
     port: Rc<Port>,
     number: u64,
+    address: IpAddr,
     activity: Rc<Activity>,
     frames: RefCell<Frames>,
 }
@@ -71,10 +72,10 @@ struct Frames {
 }
 
 impl Master {
-    /// Returns a new connection, or `None` while the gateway accepts none.
-    pub(super) fn connect(port: &Rc<Port>) -> Option<Self> {
+    /// Returns a new connection of the master at this address, or `None` while the gateway accepts none.
+    pub(super) fn connect(port: &Rc<Port>, address: IpAddr) -> Option<Self> {
         let (number, activity) = port.masters.borrow_mut().admit()?;
-        Some(Self { port: Rc::clone(port), number, activity, frames: RefCell::default() })
+        Some(Self { port: Rc::clone(port), number, address, activity, frames: RefCell::default() })
     }
 }
 
@@ -90,7 +91,7 @@ impl Client<MAX_FRAME_LEN> for Master {
                 Some(Event::Request(request)) => {
                     let mut frame = [0; MAX_FRAME_LEN];
                     let answer = request.answer(&mut frame, |pdu, response| {
-                        self.port.serve(self.number, request.unit, pdu, response)
+                        self.port.serve((self.number, self.address), request.unit, pdu, response)
                     });
                     if !answer.is_empty() {
                         answers.push_back(answer.to_vec());

@@ -96,7 +96,11 @@ mod tests {
                 for _ in 0..20 {
                     gateways[1 - stalled].pass_time().await;
                     // A turn of a request is not regular.
-                    gateways[stalled].serve(0, &[4, 0, 0, 0, 1], &mut [0; MAX_PDU_LEN]);
+                    gateways[stalled].serve(
+                        (0, [127, 0, 0, 1].into()),
+                        &[4, 0, 0, 0, 1],
+                        &mut [0; MAX_PDU_LEN],
+                    );
                 }
                 assert_eq!(fed.get(), 0, "gateway {stalled}");
                 let start = Instant::now();

@@ -1,6 +1,7 @@
 //! `doctor`: checks the connection to a gripper and reports what to change.
 //!
-//! It sends queries and announces the end of the connection. It never sends a motion, a stop or an acknowledgement.
+//! It sends queries and announces the end of the connection. It never sends a motion, a stop or an acknowledgement. Only on request,
+//! it ends a connection without an announcement, which is a FAST STOP.
 
 mod probe;
 mod report;
@@ -14,7 +15,7 @@ use wsg_protocol::driver::blocking::{GclGripper, Gripper as BinaryGripper};
 use wsg_protocol::driver::host::StdClock;
 use wsg_protocol::driver::{Error, Update};
 use wsg_protocol::session::Topic;
-use wsg_protocol::{AutoUpdate, SystemFlags};
+use wsg_protocol::{AutoUpdate, GripperState, SystemFlags};
 
 use super::address::Address;
 use super::line::Connection;
@@ -24,7 +25,7 @@ use super::run::{Gripper, ProtocolCommands};
 use super::signals::Signals;
 use super::trouble::Trouble;
 use probe::{Checksums, Peer, Speech};
-use report::Report;
+use report::{EARLIER, Report};
 
 /// Number of queries for the round-trip statistics.
 const QUERIES: usize = 100;
@@ -41,15 +42,19 @@ const FEW_UPDATES: f64 = 0.5;
 /// Longest wait for another client's motion to end. The disconnect announcement would stop it (command set, 3.1.2).
 const STANDSTILL: Duration = Duration::from_secs(10);
 
+/// Time in which a gripper enters FAST STOP after the end of a connection.
+const DETECTION: Duration = Duration::from_secs(2);
+
 /// Checks the gripper at an address and returns the exit status.
 pub(crate) fn run(
     address: &Address,
     recorder: Option<Recorder>,
     signals: &Signals,
     output: &Output,
+    try_disconnect: bool,
 ) -> Result<u8, Trouble> {
     let mut report = Report::new(output.is_json);
-    let checked = check(address, recorder, signals, &mut report);
+    let checked = check(address, recorder, signals, &mut report, try_disconnect);
     match checked {
         // Any failed check has already been recorded.
         Ok(()) => {}
@@ -66,6 +71,7 @@ fn check(
     recorder: Option<Recorder>,
     signals: &Signals,
     report: &mut Report,
+    try_disconnect: bool,
 ) -> Result<(), Trouble> {
     let mut line = match Connection::open(address, recorder, signals.clone()) {
         Ok(line) => line,
@@ -100,13 +106,13 @@ fn check(
         Peer::Answers(speech) => speech,
         Peer::IsSilent => {
             report.fail(Check::Protocol, "no answer to queries of the binary protocol or GCL")?;
-            report.skip(Check::Checksum)?;
+            report.skip(Check::Checksum, EARLIER)?;
             return report
                 .fail(Check::OtherClients, "the line is open but silent: another client may hold it");
         }
         Peer::HasClosed => {
             report.fail(Check::Protocol, "the peer closed the connection without answering")?;
-            report.skip(Check::Checksum)?;
+            report.skip(Check::Checksum, EARLIER)?;
             return report.fail(Check::OtherClients, "the peer closed at once: it is busy or not a gripper");
         }
     };
@@ -116,10 +122,10 @@ fn check(
         let found = format!("{}, which is not the protocol of {address}", speech.name());
         report.fail(Check::Protocol, &found)?;
     }
-    match speech {
+    let is_idle = match speech {
         Speech::Gcl => {
             report.ok(Check::Checksum, "not used by GCL")?;
-            examine(GclGripper::new(line, StdClock::new()), signals, report)
+            examine(GclGripper::new(line, StdClock::new()), signals, report)?
         }
         Speech::Binary => {
             let checksums = probe::checksums(&mut line);
@@ -129,8 +135,35 @@ fn check(
                     report.warn(Check::Checksum, "not evaluated: the gripper executes corrupted commands")?;
                 }
             }
-            examine(BinaryGripper::new(line, StdClock::new()), signals, report)
+            examine(BinaryGripper::new(line, StdClock::new()), signals, report)?
         }
+    };
+    match address {
+        Address::Tcp(host) | Address::Gcl { gripper: host, .. } if try_disconnect && is_idle => {
+            probe::lose_connection(host, speech).map_err(|error| Trouble::NoLine(error.into()))?;
+            let line = Connection::open(address, None, signals.clone()).map_err(Trouble::NoLine)?;
+            let is_stopped = match speech {
+                Speech::Gcl => enters_fast_stop(GclGripper::new(line, StdClock::new()), signals)?,
+                Speech::Binary => enters_fast_stop(BinaryGripper::new(line, StdClock::new()), signals)?,
+            };
+            if is_stopped {
+                report.ok(
+                    Check::TcpDisconnect,
+                    "a lost connection causes FAST STOP, which is latched now: run `ack` when it is safe to move the fingers",
+                )
+            } else {
+                report.warn(Check::TcpDisconnect, "a lost connection does not stop the fingers")
+            }
+        }
+        Address::Tcp(_) | Address::Gcl { .. } if try_disconnect => {
+            report.skip(Check::TcpDisconnect, "tested only at rest, without a held part and without FAST STOP")
+        }
+        Address::Tcp(_) | Address::Gcl { .. } => report.skip(
+            Check::TcpDisconnect,
+            "no client can read whether a lost connection causes FAST STOP: see Settings -> Command Interface in the web interface, or \
+             run `doctor --try-disconnect`, which latches FAST STOP",
+        ),
+        _ => report.skip(Check::TcpDisconnect, "not applicable to this line"),
     }
 }
 
@@ -146,12 +179,14 @@ fn no_line(address: &Address, error: &anyhow::Error, report: &mut Report) -> Res
     }
 }
 
-/// Runs the checks that need a responding gripper, and always announces the end of the connection.
+/// Runs the checks that need a responding gripper, and always announces the end of the connection. Returns whether a FAST STOP would
+/// change nothing: the fingers rest, no part is held, and none is latched.
 fn examine<P: ProtocolCommands>(
     mut gripper: Gripper<P>,
     signals: &Signals,
     report: &mut Report,
-) -> Result<(), Trouble> {
+) -> Result<bool, Trouble> {
+    let mut is_idle = false;
     super::guarded(&mut gripper, signals, |gripper| {
         let flags = gripper.system_state()?;
         if flags.contains(SystemFlags::MOVING) {
@@ -168,9 +203,27 @@ fn examine<P: ProtocolCommands>(
         count_updates(gripper, report)?;
         let begin = Instant::now();
         while gripper.system_state()?.contains(SystemFlags::MOVING) && begin.elapsed() < STANDSTILL {}
+        let is_moving_or_stopped =
+            gripper.system_state()?.intersects(SystemFlags::MOVING | SystemFlags::FAST_STOP);
+        is_idle = !is_moving_or_stopped && gripper.gripper_state()? != GripperState::Holding;
         Ok(0)
     })?;
-    Ok(())
+    Ok(is_idle)
+}
+
+/// Returns whether a gripper that has lost a connection enters FAST STOP.
+fn enters_fast_stop<P: ProtocolCommands>(
+    mut gripper: Gripper<P>,
+    signals: &Signals,
+) -> Result<bool, Trouble> {
+    let (begin, mut is_stopped) = (Instant::now(), false);
+    super::guarded(&mut gripper, signals, |gripper| {
+        while !is_stopped && begin.elapsed() < DETECTION {
+            is_stopped = gripper.system_state()?.contains(SystemFlags::FAST_STOP);
+        }
+        Ok(0)
+    })?;
+    Ok(is_stopped)
 }
 
 fn of_flags(flags: SystemFlags, report: &mut Report) -> Result<(), Trouble> {

@@ -1,32 +1,30 @@
-//! Reads a bridge and its gripper over the service port, which cannot move the fingers (docs/commissioning.md).
+//! Reads a bridge and its gripper over the service port, which cannot move the fingers (docs/commissioning.md), or a gateway over
+//! Modbus/TCP, without any write (docs/gateway.md).
 
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, anyhow, bail};
-use serial2_tokio::SerialPort;
 use tokio::{
     sync::watch,
     time::{MissedTickBehavior, interval, sleep, timeout},
 };
 use tokio_modbus::{
     ExceptionCode, Request, Response,
-    client::{Client, Context, rtu},
-    prelude::Slave,
+    client::{Client, Context},
 };
 use wsg_bridge_fw::registers::{EVENTS, FIRST_REPORT, MAP_VERSION, REPORTS};
 use wsg_fieldbus::{ForceUnit, GripperFlags, InputImage};
 use wsg_protocol::{DeviceType, GripperState};
+use wsg_sim::command_line::after_scheme;
 
 use super::{
     config::Data,
-    metrics::{BRIDGE, OfBridge, Value},
+    metrics::{BRIDGE, GATEWAY, Metric, OfBridge, Value, of_reported},
     report::{Messages, Reporter, What, stopped},
     values::Values,
 };
+use crate::{bridge::client::connect, gateway::reports};
 
-/// Rate of the service port in bit/s, and its Modbus unit.
-const RATE: u32 = 115_200;
-const UNIT: Slave = Slave(1);
 /// Number of registers of the input image.
 const IMAGE_REGISTERS: u16 = (InputImage::LEN / 2) as u16;
 /// Number of report registers read, up to and including the event counter.
@@ -63,12 +61,17 @@ const fn is_same(one: &str, other: &str) -> bool {
 const FLAGS: [OfBridge; 5] =
     [OfBridge::Flags, OfBridge::Referenced, OfBridge::Moving, OfBridge::FastStop, OfBridge::Fault];
 
+/// Returns the metrics of the bridge or gateway at this port.
+pub(super) fn table(port: &str) -> &'static [Metric] {
+    if after_scheme(port, "tcp://").is_some() { GATEWAY } else { BRIDGE }
+}
+
 /// Reads the bridge until `stop` is set, and reconnects after errors.
 pub(super) async fn read(port: String, data: Data, reporter: Reporter, mut stop: watch::Receiver<bool>) {
     let mut messages = Messages::default();
     loop {
         tokio::select! {
-            // Can be cancelled anywhere: the port never moves the fingers, and dropping the future closes it.
+            // Can be cancelled anywhere: reading never moves the fingers, and dropping the future closes the port.
             end = serve(&port, &data, &reporter, &mut messages) => {
                 if let Err(error) = end {
                     messages.print(format!("{} ({port}): {error:#}", reporter.name));
@@ -84,20 +87,19 @@ pub(super) async fn read(port: String, data: Data, reporter: Reporter, mut stop:
 }
 
 async fn serve(port: &str, data: &Data, reporter: &Reporter, messages: &mut Messages) -> Result<()> {
-    let line = SerialPort::open(port, RATE)?;
-    // Discard bytes received earlier: they respond to another program.
-    line.discard_input_buffer()?;
-    let mut bridge = rtu::attach_slave(line, UNIT);
+    let table = table(port);
+    let mut bridge = connect(port).await?;
     let mut reports = reports(&mut bridge).await.context("no bridge responds")?;
     let version = reports.first().copied().unwrap_or_default();
     if version != MAP_VERSION {
         bail!("the bridge has register map version {version}; expected {MAP_VERSION}");
     }
-    let mut values = Values::new(BRIDGE);
+    let mut values = Values::new(table);
     values.take_reports(&reports);
+    take_own_reports(&mut bridge, &mut values, table).await?;
     values.take_image(image(&mut bridge).await?, &reports, data);
     messages.print(format!("{}: connected", reporter.name));
-    reporter.send(What::Found { values: values.all(), ranges: vec![None; BRIDGE.len()] }).await;
+    reporter.send(What::Found { values: values.all(), ranges: vec![None; table.len()] }).await;
     let end = async {
         let mut looks = interval(Duration::from_millis(data.period_ms.into()));
         looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -108,6 +110,7 @@ async fn serve(port: &str, data: &Data, reporter: &Reporter, messages: &mut Mess
                 _ = next_reports.tick() => {
                     reports = self::reports(&mut bridge).await?;
                     values.take_reports(&reports);
+                    take_own_reports(&mut bridge, &mut values, table).await?;
                 }
             }
             if let Some(changed) = values.changed() {
@@ -124,6 +127,19 @@ async fn serve(port: &str, data: &Data, reporter: &Reporter, messages: &mut Mess
 async fn reports(bridge: &mut Context) -> Result<Vec<u16>> {
     let reports = read_registers(bridge, FIRST_REPORT, REPORT_REGISTERS).await?;
     reports.map_err(|exception| anyhow!("the bridge rejected the request for reports: {exception}"))
+}
+
+/// Reads the reports of a gateway on itself. They stay null if it is a board, connected by a converter.
+async fn take_own_reports(bridge: &mut Context, values: &mut Values, table: &[Metric]) -> Result<()> {
+    let first = BRIDGE.len();
+    if table.len() > first
+        && let Ok(registers) = read_registers(bridge, reports::FIRST, reports::LEN).await?
+    {
+        for (row, (report, reported)) in (first..).zip(reports::reported(&registers)) {
+            values.set(row, of_reported(report, reported));
+        }
+    }
+    Ok(())
 }
 
 /// Reads the input image, as a PLC does. Returns `None` while no gripper responds.

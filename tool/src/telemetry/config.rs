@@ -12,6 +12,7 @@ use toml::de::{DeTable, DeValue};
 use wsg_sim::{command_line::after_scheme, text};
 
 use super::settings::{Place, REPEATED, SETTINGS, Setting, unknown};
+use crate::bridge::client::MODBUS_PORT;
 
 /// The settings, checked as far as possible without a broker.
 #[derive(Debug)]
@@ -70,7 +71,7 @@ pub(super) struct Device {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Source {
     Gripper(Address),
-    /// Serial port that is connected to the bridge's service port.
+    /// Serial port that is connected to the bridge's service port, or `tcp://HOST[:PORT]` of a gateway.
     Bridge(String),
 }
 
@@ -326,7 +327,11 @@ fn password_of(section: &Section) -> Result<Option<Secret>> {
 
 fn source_of(section: &Section) -> Result<Source> {
     if section.name == "bridge" {
-        return Ok(Source::Bridge(section.text("device").to_owned()));
+        let device = section.text("device");
+        if after_scheme(device, "tcp://").is_some_and(|host| host_and_port(host, MODBUS_PORT).is_none()) {
+            return Err(section.wrong("device", "expected a serial port or tcp://HOST[:502]"));
+        }
+        return Ok(Source::Bridge(device.to_owned()));
     }
     let expected = "expected tcp://HOST[:1000], udp://HOST[:1500][?local=1501] or serial:DEVICE";
     let address = address_of(section.text("address"));

@@ -1,6 +1,7 @@
 //! Metric tables of grippers, bridges and the edge node, from which births, data and docs/tool.md are derived.
 
 use super::payload::{DataType, MetricValue};
+use crate::gateway::reports::{REPORTS, Report, Reported};
 
 /// A value of a metric. `Option::None` stands for null: unknown.
 #[derive(Clone, Debug, PartialEq)]
@@ -124,6 +125,35 @@ table! {
         BadFrames: "Diagnostics/Bad Frames" UInt64 "" "frames from the gripper with a wrong checksum";
         Repeated: "Diagnostics/Repeated" UInt64 "" "repeated requests to the gripper";
         Timeouts: "Diagnostics/Bus Timeouts" UInt64 "" "time-outs of the commanding PLC";
+    }
+}
+
+/// Metrics of a gateway: the rows of a bridge, and the gateway's reports on itself.
+pub(super) const GATEWAY: &[Metric] = &{
+    let mut rows = [BRIDGE[0]; BRIDGE.len() + REPORTS.len()];
+    let mut row = 1;
+    while row < rows.len() {
+        rows[row] = if row < BRIDGE.len() { BRIDGE[row] } else { of_report(&REPORTS[row - BRIDGE.len()]) };
+        row += 1;
+    }
+    rows
+};
+
+const fn of_report(report: &Report) -> Metric {
+    let datatype = match (report.is_address(), report.unit.is_empty()) {
+        (true, _) => DataType::String,
+        (false, true) => DataType::UInt64,
+        (false, false) => DataType::Float,
+    };
+    metric(report.metric, datatype, report.unit, report.meaning)
+}
+
+/// Returns the value of a report's metric.
+pub(super) fn of_reported(report: &Report, reported: Reported) -> Option<Value> {
+    match reported {
+        Reported::Address(address) => address.map(|address| Value::Text(address.to_string())),
+        Reported::Number(number) if report.unit.is_empty() => Some(Value::Unsigned(number)),
+        Reported::Number(number) => Some(Value::Float(number as f32)),
     }
 }
 

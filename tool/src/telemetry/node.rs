@@ -9,7 +9,7 @@ use prost::Message as _;
 
 use super::{
     command::{Order, Orders, Situation},
-    metrics::{COMMANDS, GRIPPER, Metric, NODE, OfCommand, OfNode, Value},
+    metrics::{COMMANDS, GATEWAY, GRIPPER, Metric, NODE, OfCommand, OfNode, Value},
     payload::{self, DataType, MetricValue, Payload, PropertySet},
     report::{Report, What},
     store::{Entry, Store},
@@ -19,6 +19,7 @@ use super::{
 /// aliases belong to the node.
 const ALIASES: u64 = 64;
 const _: () = assert!(GRIPPER.len() + COMMANDS.len() < ALIASES as usize && NODE.len() < ALIASES as usize);
+const _: () = assert!(GATEWAY.len() < ALIASES as usize);
 
 /// Shortest interval between two messages with the node's own values, in ms.
 const NODE_PERIOD_MS: u64 = 1_000;

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::{
-    metrics::{BRIDGE, COMMANDS, GRIPPER, Metric, NODE},
+    metrics::{BRIDGE, COMMANDS, GATEWAY, GRIPPER, Metric, NODE},
     settings::{Kind, SETTINGS},
 };
 
@@ -49,6 +49,7 @@ fn write(text: &mut String) -> std::fmt::Result {
         ("Metrics of a gripper", "", GRIPPER),
         ("Additional metrics of a gripper with `allow_commands`", "", COMMANDS),
         ("Metrics of a bridge", &shared[..], &own[..]),
+        ("Additional metrics of a gateway", "", &GATEWAY[BRIDGE.len()..]),
     ] {
         writeln!(text, "\n#### {title}\n\n{introduction}| metric | meaning |\n|---|---|")?;
         for Metric { name, unit, meaning, .. } in metrics {

@@ -170,7 +170,13 @@ pub(super) const SETTINGS: &[Setting] = &[
         "lets hosts command this gripper and move its fingers",
     ),
     setting("bridge", "name", Kind::Name, None, "Sparkplug device ID, unique in this file"),
-    setting("bridge", "device", Kind::Text, None, "the bridge's service port, such as `/dev/ttyACM0`"),
+    setting(
+        "bridge",
+        "device",
+        Kind::Text,
+        None,
+        "the bridge's service port, such as `/dev/ttyACM0`, or `tcp://HOST[:502]` of a gateway",
+    ),
 ];
 
 impl Setting {

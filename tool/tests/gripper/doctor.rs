@@ -65,7 +65,7 @@ fn json_is_one_object_with_every_check_and_the_figures() {
     let report: Value = serde_json::from_str(&ended.stdout).unwrap();
     assert_eq!((&report["command"], &report["result"]), (&"doctor".into(), &"done".into()));
     let checks = report["checks"].as_array().unwrap();
-    assert_eq!(checks.len(), 12);
+    assert_eq!(checks.len(), 13);
     let of = |name: &str| checks.iter().find(|check| check["check"] == name).unwrap();
     assert_eq!((&of("protocol")["verdict"], &of("protocol")["remedy"]), (&"ok".into(), &Value::Null));
     let (median, p99) = (of("round trip")["median_ms"].as_f64(), of("round trip")["p99_ms"].as_f64());
@@ -140,6 +140,28 @@ fn latched_fast_stop_is_reported_and_not_acknowledged() {
         assert_check(&ended, "FAST STOP", "failed", "run `ack`");
         assert!(ended.stdout.ends_with("refuses motions\n"), "{ended:?}");
         assert!(rig.flags().contains(SystemFlags::FAST_STOP), "{address}");
+    }
+}
+
+#[test]
+fn lost_connection_is_tried_only_on_request_and_at_rest() {
+    for (disconnect_error, verdict, text) in
+        [(true, "ok", "run `ack`"), (false, "warning", "switch on the error state on TCP disconnect")]
+    {
+        let mut rig = homed(Config { disconnect_error, ..quick() });
+        assert_check(&doctor(&rig.tcp()), "TCP disconnect", "skipped", "`doctor --try-disconnect`");
+        assert_check(&doctor(&rig.serial()), "TCP disconnect", "skipped", "not applicable");
+        for address in [rig.tcp(), rig.gcl()] {
+            let ended = Program::run(&[&address, "doctor", "--try-disconnect"]);
+            assert_eq!(ended.status, 0, "{ended:?}");
+            assert_check(&ended, "TCP disconnect", verdict, text);
+            assert_eq!(rig.flags().contains(SystemFlags::FAST_STOP), disconnect_error, "{address}");
+            assert_eq!(Program::run(&[&rig.serial(), "ack"]).status, 0);
+        }
+        assert_eq!(Program::run(&[&rig.serial(), "grip", "20", "100"]).status, 0);
+        let ended = Program::run(&[&rig.tcp(), "doctor", "--try-disconnect"]);
+        assert_check(&ended, "TCP disconnect", "skipped", "without a held part");
+        assert!(!rig.flags().contains(SystemFlags::FAST_STOP));
     }
 }
 

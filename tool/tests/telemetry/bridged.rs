@@ -1,4 +1,4 @@
-//! Reads a bridge over its service port. The bridge's library runs on a pseudo terminal in real time.
+//! Reads a bridge over its service port, and a gateway. The bridge's library runs on a pseudo terminal in real time.
 
 use std::{
     sync::{
@@ -8,9 +8,11 @@ use std::{
     thread::{self, JoinHandle},
 };
 
+use host_tests::gateway::Gateway;
 use host_tests::terminal::Terminal;
 use host_tests::world::{World, service_line::ServiceLine};
 use wsg_bridge_fw::{Config, io::Inputs};
+use wsg_sim::server::{Lines, ServerThread};
 
 use crate::{
     is_whole, latest,
@@ -107,5 +109,36 @@ fn bridge_and_gripper_report_to_mosquitto_and_sparkplug_payload() {
     telemetry.wait_until_it_says("no response within 1500 ms");
     bridge.faults.bridge.store(false, Ordering::SeqCst);
     host.wait_for("DBIRTH", "press");
+    telemetry.end();
+}
+
+#[test]
+fn gateway_and_its_reports_reach_mosquitto_and_sparkplug_payload() {
+    if !is_whole() {
+        return;
+    }
+    let lines = Lines { tcp: Some("127.0.0.1:0".parse().unwrap()), ..Lines::default() };
+    let gripper = ServerThread::start(wsg_sim::Config::default(), &lines, None).unwrap();
+    let mut gateway = Gateway::start(gripper.tcp_address().unwrap(), &[]);
+    let folder = Folder::new();
+    let broker = Broker::start(&folder);
+    let host = Host::watch(&broker);
+    let device = format!("[[bridge]]\nname = \"press\"\ndevice = \"tcp://{}\"\n", gateway.modbus);
+    let telemetry = Telemetry::at(&folder, broker.port, &device);
+
+    let birth = host.wait_for("DBIRTH", "press");
+    let is = |name: &'static str, value: serde_json::Value| {
+        let birth = birth.clone();
+        host.wait(name, move |messages| latest(messages, &birth, name) == Some(&value));
+    };
+    is("Gripper Link", "answers".into());
+    is("State", "IDLE".into());
+    is("Gateway/Masters", 1.into());
+    is("Gateway/Gripper Connections", 1.into());
+    is("Gateway/PLC Address", serde_json::Value::Null);
+    assert_eq!(metric(&birth, "Gateway/Cycle Time")["properties"]["engUnit"]["value"], "µs");
+    gateway.messages();
+    host.wait_for("DDEATH", "press");
+    telemetry.wait_until_it_says("cannot connect to a gateway");
     telemetry.end();
 }

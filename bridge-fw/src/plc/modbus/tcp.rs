@@ -26,7 +26,7 @@ pub struct ModbusTcp {
     writer: Option<u64>,
     /// The master that began the present jog.
     jogger: Option<u64>,
-    /// Time of the last data of that master, or of any master without one; `None` after a time-out.
+    /// Time of the last data of that master; `None` without one.
     received_at: Option<Instant>,
 }
 
@@ -45,6 +45,8 @@ pub enum TcpInput<'a> {
         response: &'a mut [u8; MAX_PDU_LEN],
         /// Set to the length of the response.
         len: &'a mut usize,
+        /// Set to whether the request has written the output image.
+        is_write: &'a mut bool,
     },
     /// The output image of a cyclic bus, changed or not.
     Image {
@@ -95,6 +97,12 @@ impl ModbusTcp {
         [self.writer, self.jogger].contains(&Some(master))
     }
 
+    /// Returns whether there is a PLC: a master has written, and was not silent since.
+    #[must_use]
+    pub const fn has_plc(&self) -> bool {
+        self.writer.is_some()
+    }
+
     /// Forgets the PLC.
     const fn lose_plc(&mut self) -> PlcEvent {
         self.writer = None;
@@ -124,7 +132,7 @@ impl ModbusTcp {
         if let Some(image) = &written {
             self.note_writer(master, image);
         }
-        if self.writer.is_none_or(|writer| writer == master) {
+        if self.writer == Some(master) {
             self.received_at = Some(now);
         }
         let event = match written {
@@ -189,9 +197,10 @@ impl PlcSide for TcpTurn<'_> {
             return Some(modbus.lose_plc());
         }
         match core::mem::replace(input, TcpInput::Nothing) {
-            TcpInput::Request { master, pdu, response, len } => {
+            TcpInput::Request { master, pdu, response, len, is_write } => {
                 let (event, response_len) = modbus.serve(now, master, pdu, response, view);
                 *len = response_len;
+                *is_write = matches!(event, PlcEvent::Output(_));
                 Some(event)
             }
             TcpInput::Image { master, image, before } => modbus.take(now, master, image, before),
@@ -255,10 +264,12 @@ mod tests {
         }
 
         fn request(&mut self, now_ms: u32, master: u64, pdu: &[u8]) -> (Vec<PlcEvent>, Vec<u8>) {
-            let (mut response, mut len) = ([0; MAX_PDU_LEN], 0);
-            let input = TcpInput::Request { master, pdu, response: &mut response, len: &mut len };
-            let events = self.turn(now_ms, input);
-            (events, Vec::from(&response[..len]))
+            let (mut place, mut len, mut write) = ([0; MAX_PDU_LEN], 0, false);
+            let (response, is_write) = (&mut place, &mut write);
+            let events =
+                self.turn(now_ms, TcpInput::Request { master, pdu, response, len: &mut len, is_write });
+            assert_eq!(write, pdu[0] == 6, "{pdu:?}");
+            (events, Vec::from(&place[..len]))
         }
     }
 
@@ -279,7 +290,8 @@ mod tests {
         }
         assert!(rig.modbus.is_plc(1));
         assert_eq!(rig.request(1_000, 2, READ).0, [SILENT, PlcEvent::Served]);
-        assert!(!rig.modbus.is_plc(1) && !rig.modbus.is_plc(2));
+        assert!(!rig.modbus.is_plc(1) && !rig.modbus.is_plc(2) && !rig.modbus.has_plc());
+        assert_eq!(rig.turn(9_000, TcpInput::Nothing), [], "a master that only reads commands nothing");
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! Protocol and checksum detection without a driver, which would report only that the peer does not answer.
 
+use std::io::{self, Write as _};
+use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
 use embedded_io::{Read, ReadReady, Write};
@@ -119,6 +121,19 @@ pub(super) fn leave(line: &mut Connection) {
     let bye = Request::Bye.write_line_into(&mut text).unwrap_or_default();
     let messages = [encode(Command::DisconnectAnnouncement), vec![b'\n'], text[..bye].to_vec()];
     let _ = send(line, &messages.concat());
+}
+
+/// Queries a gripper over a connection of its own, and ends the connection without an announcement, as a client does that fails.
+pub(super) fn lose_connection(host: &str, speech: Speech) -> io::Result<()> {
+    let address = host.to_socket_addrs()?.next().ok_or(io::ErrorKind::AddrNotAvailable)?;
+    let mut stream = TcpStream::connect_timeout(&address, ANSWER)?;
+    stream.set_read_timeout(Some(ANSWER))?;
+    stream.write_all(&match speech {
+        Speech::Binary => info_query(),
+        Speech::Gcl => text_query(),
+    })?;
+    // The gripper has accepted this client when it answers.
+    io::Read::read_exact(&mut stream, &mut [0])
 }
 
 fn encode(command: Command<'_>) -> Vec<u8> {

@@ -23,10 +23,11 @@ pub(crate) enum Check {
     Script,
     RoundTrip,
     UpdateRate,
+    TcpDisconnect,
 }
 
 impl Check {
-    pub(crate) const ALL: [Self; 12] = [
+    pub(crate) const ALL: [Self; 13] = [
         Self::Reachability,
         Self::Port,
         Self::Protocol,
@@ -39,6 +40,7 @@ impl Check {
         Self::Script,
         Self::RoundTrip,
         Self::UpdateRate,
+        Self::TcpDisconnect,
     ];
 
     pub(crate) const fn name(self) -> &'static str {
@@ -55,6 +57,7 @@ impl Check {
             Self::Script => "script",
             Self::RoundTrip => "round trip",
             Self::UpdateRate => "update rate",
+            Self::TcpDisconnect => "TCP disconnect",
         }
     }
 
@@ -87,6 +90,9 @@ impl Check {
             Self::RoundTrip | Self::UpdateRate => {
                 "connect by cable instead of Wi-Fi, and close other clients; over a serial line or CAN, use the highest bit rate"
             }
+            Self::TcpDisconnect => {
+                "switch on the error state on TCP disconnect under Settings -> Command Interface"
+            }
         }
     }
 
@@ -98,6 +104,9 @@ impl Check {
         }
     }
 }
+
+/// Reason for a check that was not run.
+pub(super) const EARLIER: &str = "an earlier check failed";
 
 /// The outcome of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -150,8 +159,9 @@ impl Report {
         self.record(check, Verdict::Failed, found)
     }
 
-    pub(super) fn skip(&mut self, check: Check) -> Result<(), Trouble> {
-        self.record(check, Verdict::Skipped, "an earlier check failed")
+    /// Records a check that was not run, and the reason.
+    pub(super) fn skip(&mut self, check: Check, reason: &str) -> Result<(), Trouble> {
+        self.record(check, Verdict::Skipped, reason)
     }
 
     /// Records the error that ended the checks as the failure of the next check.
@@ -194,7 +204,7 @@ impl Report {
     /// Marks the remaining checks as skipped, prints the conclusion, and returns the exit status.
     pub(super) fn finish(mut self) -> Result<u8, Trouble> {
         for check in Check::ALL.iter().skip(self.checks.len()) {
-            self.skip(*check)?;
+            self.skip(*check, EARLIER)?;
         }
         let (result, words) = match self.status {
             0 => ("done", "the gripper is usable"),

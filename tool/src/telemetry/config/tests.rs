@@ -112,6 +112,11 @@ fn each_mistake_is_one_line_with_its_place_and_expected_value() {
             "true or false",
         ),
         (
+            [BROKER, NODE, "[[bridge]]\nname = \"a\"\ndevice = \"tcp://a:b\"\n"].concat(),
+            "cell.toml, line 9",
+            "expected a serial port or tcp://HOST[:502]",
+        ),
+        (
             [BROKER, NODE, "[[bridge]]\nname = \"a\"\ndevice = \"b\"\nallow_commands = true\n"].concat(),
             "cell.toml, line 10",
             "has no setting \"allow_commands\"",

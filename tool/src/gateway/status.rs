@@ -1,0 +1,131 @@
+//! `wsg gateway status`: reads gateways over Modbus/TCP, as one more master that never writes, and judges them.
+
+use std::io::{self, Write};
+use std::sync::mpsc::channel;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Result, anyhow};
+use clap::Args;
+use serde_json::{Map, Value, json};
+use wsg_sim::command_line::after_scheme;
+use wsg_sim::text::one_line;
+
+use super::reports::{Reported, reported};
+use crate::bridge::client::MODBUS_PORT;
+use crate::bridge::{State, read_gateway};
+use crate::gripper::with_port;
+use crate::print_error;
+
+/// Time-out for the answers of all gateways.
+const TIME_OUT: Duration = Duration::from_secs(2);
+
+/// Exit status if a gateway is not healthy.
+const NOT_HEALTHY: u8 = 1;
+/// Exit status if a gateway does not answer, as of `wsg gripper`.
+const NO_CONNECTION: u8 = 6;
+
+/// What to read.
+#[derive(Args)]
+pub(super) struct Arguments {
+    /// Addresses of gateways, such as 192.168.1.10 or 192.168.1.10:1502?unit=2; the port is 502 unless the address has one
+    #[arg(required = true, value_name = "ADDR", value_parser = gateway_address)]
+    gateways: Vec<String>,
+    /// Print one JSON object per gateway, with raw register values
+    #[arg(long)]
+    json: bool,
+}
+
+/// Returns host, port and perhaps unit of `HOST[:502][?unit=1]` or `tcp://HOST[:502][?unit=1]`.
+fn gateway_address(text: &str) -> Result<String, String> {
+    let place = after_scheme(text, "tcp://").unwrap_or(text);
+    let (host, unit) = place.find('?').map_or((place, ""), |at| place.split_at(at));
+    let host = with_port(host, MODBUS_PORT, || "expected HOST[:502][?unit=1]".to_owned())?;
+    Ok(host + unit)
+}
+
+/// Prints the status of each gateway. Returns the highest exit status.
+pub(super) fn run(arguments: &Arguments) -> Result<u8> {
+    let end = Instant::now() + TIME_OUT;
+    let readings = arguments.gateways.iter().map(|gateway| {
+        let (sender, reading) = channel();
+        let host = gateway.clone();
+        // In a thread, which ends with the process: nothing limits the look-up of a name.
+        thread::spawn(move || drop(sender.send(read_gateway(&host))));
+        (gateway, reading)
+    });
+    let readings: Vec<_> = readings.collect();
+    let mut status = 0;
+    for (gateway, reading) in readings {
+        let read = reading.recv_timeout(end.saturating_duration_since(Instant::now()));
+        let read = read.unwrap_or_else(|_| Err(anyhow!("no answer within {} s", TIME_OUT.as_secs())));
+        let fault = read.as_ref().map(|(state, _)| state.fault());
+        let (own, health) = match &fault {
+            Ok(None) => (0, "healthy"),
+            Ok(Some(_)) => (NOT_HEALTHY, "not healthy"),
+            Err(_) => (NO_CONNECTION, "no connection"),
+        };
+        status = status.max(own);
+        let reason = match fault {
+            Ok(fault) => fault,
+            Err(error) => Some(format!("{error:#}")),
+        };
+        let read = read.ok().map(|(state, registers)| (state, map(&registers)));
+        if arguments.json {
+            let (reports, bridge, events) = match &read {
+                Some((state, reports)) => (json!(reports), state.json(), state.events_json()),
+                None => (Value::Null, Value::Null, Value::Null),
+            };
+            let object = json!({
+                "gateway": gateway, "health": health, "reason": reason,
+                "reports": reports, "bridge": bridge, "events": events,
+            });
+            writeln!(io::stdout(), "{object}")?;
+            continue;
+        }
+        let reason = reason.map(|reason| format!(": {}", one_line(&reason))).unwrap_or_default();
+        match read {
+            Some((state, reports)) => write!(
+                io::stdout(),
+                "gateway    {gateway} is {health}{reason}\n{}{}",
+                state.summary(),
+                lines(&state, &reports)
+            )?,
+            None => print_error(format_args!("{gateway}{reason}")),
+        }
+    }
+    Ok(status)
+}
+
+/// Returns the reports by name.
+fn map(registers: &[u16]) -> Map<String, Value> {
+    let value = |reported| match reported {
+        Reported::Number(number) => json!(number),
+        Reported::Address(address) => json!(address),
+    };
+    reported(registers).map(|(report, reported)| (report.name.to_owned(), value(reported))).collect()
+}
+
+/// Formats the reports, and the bridge's counters and latest event.
+fn lines(state: &State, reports: &Map<String, Value>) -> String {
+    let of = |name: &str| reports.get(name).and_then(Value::as_u64).unwrap_or_default();
+    let ms = |name: &str| of(name) as f64 / 1e3;
+    let plc = match reports.get("PLC_ADDRESS").and_then(Value::as_str) {
+        Some(address) => {
+            format!("{address}, cycle {:.3} ms, jitter {:.3} ms", ms("CYCLE_TIME"), ms("JITTER"))
+        }
+        None => "none writes".to_owned(),
+    };
+    let [timeouts, refused, losses] =
+        ["BUS_TIMEOUTS", "COMMANDS_REFUSED", "DISCONNECTS"].map(|name| state.report(name));
+    let rows = [
+        ("PLC", plc),
+        ("cycles", format!("missed {}, time-outs {timeouts}", of("MISSED_CYCLES"))),
+        ("masters", format!("connected {}, connections {}", of("MASTERS"), of("MASTER_CONNECTIONS"))),
+        ("line", format!("connections to the gripper {}, losses {losses}", of("GRIPPER_CONNECTIONS"))),
+        ("computer", format!("pauses {}, longest {} ms", of("PAUSES"), of("LONGEST_PAUSE"))),
+        ("commands", format!("refused {refused}")),
+        ("event", state.latest_event()),
+    ];
+    rows.map(|(name, words)| format!("{name:<11}{words}\n")).concat()
+}
