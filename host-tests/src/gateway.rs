@@ -114,7 +114,7 @@ pub fn unpaused<R>(
         let is_disturbed = messages.contains("paused") || is_disturbed(&rig, &messages);
         match tested {
             Ok(()) => return messages,
-            Err(_) if is_disturbed && attempt < 10 => {}
+            Err(_) if is_disturbed && attempt < 10 => eprintln!("attempt {attempt}, disturbed: {messages}"),
             Err(panic) => resume_unwind(panic),
         }
     }

@@ -21,7 +21,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::rc::Rc;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use clap::{ArgGroup, Args, Subcommand};
 use tokio::net::TcpListener;
 use tokio::runtime;
@@ -44,7 +44,7 @@ const MIN_KBIT: u16 = 125;
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub(crate) struct Arguments {
     #[command(flatten)]
-    serving: Option<Serving>,
+    serving: Serving,
     #[command(subcommand)]
     task: Option<Task>,
 }
@@ -112,11 +112,10 @@ fn gripper_address(text: &str) -> Result<Address, String> {
 
 /// Runs the gateway until a signal is caught, checks its configuration, or runs a task.
 pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
-    let serving = match arguments {
-        Arguments { task: Some(Task::Status(arguments)), .. } => return status::run(arguments),
-        Arguments { serving: Some(serving), .. } => serving,
-        Arguments { serving: None, task: None } => bail!("expected --gripper or --config"),
-    };
+    let Arguments { serving, task } = arguments;
+    if let Some(Task::Status(arguments)) = task {
+        return status::run(arguments);
+    }
     let grippers = match &serving.config {
         Some(file) => config::read(file)?,
         None => vec![GripperConfig::new(&serving.options)?],

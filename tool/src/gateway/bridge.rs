@@ -222,7 +222,12 @@ impl Gateway {
         measured.answer(pdu, response).unwrap_or(len)
     }
 
-    /// Records that the PLC at this address has written an output image.
+    /// Returns whether this master is the PLC.
+    pub(super) fn is_plc(&self, master: u64) -> bool {
+        self.host.borrow().modbus.is_plc(master)
+    }
+
+    /// Records that the PLC at this address has written an output image. A PROFINET controller has the address 0.0.0.0.
     pub(super) fn note_cycle(&self, address: IpAddr) {
         self.host.borrow_mut().measured.note_cycle(address, uptime());
     }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::fmt::Arguments;
 use std::fs;
 use std::io::{self, ErrorKind};
+use std::net::Ipv4Addr;
 use std::path::Path;
 use std::rc::Rc;
 
@@ -76,6 +77,9 @@ impl Owner for Bridge {
     fn take_outputs(&self, outputs: &OutputImage, before: Option<&OutputImage>) {
         let (master, image, before) = (self.number, *outputs, before.copied());
         self.gateway.turn(TcpInput::Image { master, image, before });
+        if self.gateway.is_plc(master) {
+            self.gateway.note_cycle(Ipv4Addr::UNSPECIFIED.into());
+        }
     }
 
     fn end_outputs(&self) {

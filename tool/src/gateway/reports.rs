@@ -49,7 +49,7 @@ reports! { it:
     1 "MASTERS" "Gateway/Masters" "" "connected Modbus/TCP masters, including the reader" it.masters as u128;
     2 "MASTER_CONNECTIONS" "Gateway/Master Connections" "" "connections of masters since the start"
         it.master_connections.into();
-    8 "PLC_ADDRESS" "Gateway/PLC Address" "" "IP address of the PLC, the master that wrote last, until it is silent"
+    8 "PLC_ADDRESS" "Gateway/PLC Address" "" "IP address of the PLC, the master that wrote last, until it is silent; 0.0.0.0: a PROFINET controller"
         it.plc.as_ref().map_or(0, |plc| bits(plc.address));
     2 "CYCLE_TIME" "Gateway/Cycle Time" "µs" "mean of the last 64 intervals between two writes of this PLC; 0: unknown"
         it.plc.as_ref().map_or(0, Plc::cycle);

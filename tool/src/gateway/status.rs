@@ -112,6 +112,7 @@ fn lines(state: &State, reports: &Map<String, Value>) -> String {
     let ms = |name: &str| of(name) as f64 / 1e3;
     let plc = match reports.get("PLC_ADDRESS").and_then(Value::as_str) {
         Some(address) => {
+            let address = if address == "0.0.0.0" { "a PROFINET controller" } else { address };
             format!("{address}, cycle {:.3} ms, jitter {:.3} ms", ms("CYCLE_TIME"), ms("JITTER"))
         }
         None => "none writes".to_owned(),
