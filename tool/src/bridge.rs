@@ -4,6 +4,7 @@
 mod change;
 pub(crate) mod client;
 mod flash;
+pub(crate) mod gateway_reports;
 pub(crate) mod names;
 pub(crate) mod settings_file;
 mod state;

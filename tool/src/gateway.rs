@@ -10,7 +10,6 @@ mod config;
 mod line;
 mod master;
 mod profinet;
-pub(crate) mod reports;
 #[cfg(unix)]
 mod serial;
 mod service;

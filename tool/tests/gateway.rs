@@ -541,6 +541,27 @@ fn check_config_prints_the_grippers_of_the_page_and_refuses_mistakes() {
     }
 }
 
+/// The package installs it. Until it is edited, the service does not start.
+#[test]
+fn configuration_of_the_service_is_refused_until_its_lines_are_enabled() {
+    let shipped = read("tool/service/gateway.toml").replace("/var/lib/wsg", "FOLDER");
+    let enabled: String = shipped
+        .lines()
+        .map(|line| {
+            line.strip_prefix('#').filter(|rest| !rest.starts_with(' ')).unwrap_or(line).to_owned() + "\n"
+        })
+        .collect();
+    for (config, status, expected) in [
+        (&shipped, 1, "no gripper"),
+        (&enabled, 0, "gripper  tcp://192.168.1.20:1000 (cell-1)\nmodbus   192."),
+    ] {
+        let folder = Folder::with(config);
+        let output = wsg(&["gateway", "--config", &folder.config(), "--check-config"], b"");
+        assert_eq!(output.status.code(), Some(status), "{}", printed(&output));
+        assert!(printed(&output).contains(expected), "{}", printed(&output));
+    }
+}
+
 /// Commands that wait on such a connection would reach the gripper minutes later.
 #[test]
 fn connection_that_is_not_answered_is_reset() {

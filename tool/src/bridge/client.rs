@@ -25,7 +25,7 @@ use wsg_sim::command_line::after_scheme;
 
 use super::names::report;
 use super::strays::WithoutStrays;
-use crate::gateway::reports;
+use crate::bridge::gateway_reports;
 use crate::gripper::with_port;
 
 /// Response time-out. The bridge responds within milliseconds, but a busy computer may be slow.
@@ -130,7 +130,10 @@ impl Client {
 
     /// Reads the registers of a gateway's reports on itself.
     pub(crate) fn gateway_reports(&mut self) -> Result<Vec<u16>, Failure> {
-        self.read(&Request::ReadInputRegisters(reports::FIRST, reports::LEN), reports::LEN)
+        self.read(
+            &Request::ReadInputRegisters(gateway_reports::FIRST, gateway_reports::LEN),
+            gateway_reports::LEN,
+        )
     }
 
     fn read_reports(&mut self, count: u16) -> Result<Vec<u16>, Failure> {

@@ -27,7 +27,7 @@ use wsg_protocol::{Status, SystemFlags};
 
 use super::config::GripperConfig;
 use super::line::{GripperLine, Stream};
-use super::reports::Measured;
+use crate::bridge::gateway_reports::Measured;
 use crate::file_flash::FileFlash;
 use crate::gripper::Address;
 use crate::{Severity, print_message};

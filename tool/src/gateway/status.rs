@@ -11,8 +11,8 @@ use serde_json::{Map, Value, json};
 use wsg_sim::command_line::after_scheme;
 use wsg_sim::text::one_line;
 
-use super::reports::{Reported, reported};
 use crate::bridge::client::MODBUS_PORT;
+use crate::bridge::gateway_reports::{Reported, reported};
 use crate::bridge::{State, read_gateway};
 use crate::gripper::with_port;
 use crate::print_error;

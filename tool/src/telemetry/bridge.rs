@@ -23,7 +23,7 @@ use super::{
     report::{Messages, Reporter, What, stopped},
     values::Values,
 };
-use crate::{bridge::client::connect, gateway::reports};
+use crate::bridge::{client::connect, gateway_reports};
 
 /// Number of registers of the input image.
 const IMAGE_REGISTERS: u16 = (InputImage::LEN / 2) as u16;
@@ -133,9 +133,9 @@ async fn reports(bridge: &mut Context) -> Result<Vec<u16>> {
 async fn take_own_reports(bridge: &mut Context, values: &mut Values, table: &[Metric]) -> Result<()> {
     let first = BRIDGE.len();
     if table.len() > first
-        && let Ok(registers) = read_registers(bridge, reports::FIRST, reports::LEN).await?
+        && let Ok(registers) = read_registers(bridge, gateway_reports::FIRST, gateway_reports::LEN).await?
     {
-        for (row, (report, reported)) in (first..).zip(reports::reported(&registers)) {
+        for (row, (report, reported)) in (first..).zip(gateway_reports::reported(&registers)) {
             values.set(row, of_reported(report, reported));
         }
     }

@@ -1,7 +1,7 @@
 //! Metric tables of grippers, bridges and the edge node, from which births, data and docs/tool.md are derived.
 
 use super::payload::{DataType, MetricValue};
-use crate::gateway::reports::{REPORTS, Report, Reported};
+use crate::bridge::gateway_reports::{REPORTS, Report, Reported};
 
 /// A value of a metric. `Option::None` stands for null: unknown.
 #[derive(Clone, Debug, PartialEq)]

@@ -104,13 +104,13 @@ pub(crate) fn reported(registers: &[u16]) -> impl Iterator<Item = (&'static Repo
 
 /// What a gateway measures for its reports.
 #[derive(Debug, Default)]
-pub(super) struct Measured {
+pub(crate) struct Measured {
     /// These two are set before the reports are read.
-    pub(super) masters: usize,
-    pub(super) pauses: u32,
-    pub(super) master_connections: u32,
-    pub(super) gripper_connections: u32,
-    pub(super) longest_pause: Duration,
+    pub(crate) masters: usize,
+    pub(crate) pauses: u32,
+    pub(crate) master_connections: u32,
+    pub(crate) gripper_connections: u32,
+    pub(crate) longest_pause: Duration,
     plc: Option<Plc>,
     missed_cycles: u32,
 }
@@ -137,7 +137,7 @@ impl Plc {
 
 impl Measured {
     /// Records an output image that the PLC at this address has written. Another PLC begins without intervals.
-    pub(super) fn note_cycle(&mut self, address: IpAddr, now: Duration) {
+    pub(crate) fn note_cycle(&mut self, address: IpAddr, now: Duration) {
         let Some(plc) = self.plc.as_mut().filter(|plc| plc.address == address) else {
             self.plc = Some(Plc { address, wrote_at: now, intervals: VecDeque::new() });
             return;
@@ -154,13 +154,13 @@ impl Measured {
     }
 
     /// Forgets the PLC, which is silent.
-    pub(super) fn lose_plc(&mut self) {
+    pub(crate) fn lose_plc(&mut self) {
         self.plc = None;
     }
 
     /// Answers a request for reports. The bridge has rejected it, because it does not have these registers. Returns the length of
     /// the response, or `None` for any other request.
-    pub(super) fn answer(&self, request: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> Option<usize> {
+    pub(crate) fn answer(&self, request: &[u8], response: &mut [u8; MAX_PDU_LEN]) -> Option<usize> {
         let ([4, a1, a0, q1, q0], [0x84, 2, ..]) = (request, &*response) else { return None };
         let first = usize::from(u16::from_be_bytes([*a1, *a0]).checked_sub(FIRST)?);
         let count = usize::from(u16::from_be_bytes([*q1, *q0]));
