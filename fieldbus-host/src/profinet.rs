@@ -65,7 +65,7 @@ impl Interface {
 /// The network interface of a PROFINET device.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ProfinetLine {
-    /// The network interface, such as `eth0`. The gripper uses its Ethernet address but must have a different IP address.
+    /// The network interface, such as `eth0`. The device uses its Ethernet address but must have a different IP address.
     pub interface: String,
     /// The initial data of the station: name, IP parameters, I&M 1 to 3.
     pub stored: Stored,

@@ -78,17 +78,23 @@ impl Network {
 
     /// Starts a program and waits until it serves PROFINET.
     fn start(&self, program: &str, arguments: &[&str]) -> Program {
-        let mut ip = Command::new("ip");
-        ip.args(["netns", "exec", &self.0.namespace(End::Gripper)])
-            .arg(example::program(program))
-            .args(arguments);
-        let mut child = ip.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut program = self.command(program, arguments);
+        let mut child =
+            program.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
         let program = Program(child);
         assert!(lines.any(|line| line == "profinet eth0"), "it ended before it served PROFINET");
         // Drain the remaining output, so that the program never blocks on it.
         thread::spawn(move || lines.for_each(drop));
         program
+    }
+
+    /// Returns a command for a program of the workspace in the gripper's namespace.
+    fn command(&self, program: &str, arguments: &[&str]) -> Command {
+        let mut ip = Command::new("ip");
+        let namespace = self.0.namespace(End::Gripper);
+        ip.args(["netns", "exec", &namespace]).arg(example::program(program)).args(arguments);
+        ip
     }
 
     fn python(&self, script: &str, arguments: &[&str]) -> Output {
@@ -265,7 +271,11 @@ fn profinet_py_in_namespaces_finds_its_writes_after_a_restart_of_a_gateway() {
 #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
 fn motion_of_profinet_py_through_a_gateway_stops_when_the_cable_is_cut_in_namespaces() {
     let network = Network::new();
-    let _gateway = network.serve_gateway(Config { time_scale: 1.0, ..config() }, &[]);
+    let modbus = ["--modbus", "127.0.0.1:1502"];
+    let _gateway = network.serve_gateway(Config { time_scale: 1.0, ..config() }, &modbus);
+    // Only the watchdog of PROFINET ends the motion.
+    let set = ["bridge", "tcp://127.0.0.1:1502", "set", "BUS_TIMEOUT", "0"];
+    assert!(network.command("wsg", &set).stdout(Stdio::null()).status().unwrap().success());
     let output = network.python(CONTROLLER, &["cut"]);
     assert!(output.status.success(), "{}", printed(&output));
 }

@@ -55,7 +55,10 @@ fn inputs_are_bad_until_parameters_end_and_status_shows_faults() {
     for (shown, expected) in
         [(Some([0xAA, 0xBB]), [0xAA, 0xBB, 0x80]), (None, [0; 3]), (Some([1, 2]), [1, 2, 0x80])]
     {
-        shown.map_or_else(|| rig.device.show_bad_inputs(), |inputs| rig.device.show_inputs(&inputs));
+        match shown {
+            Some(inputs) => rig.device.show_inputs(&inputs),
+            None => rig.device.show_bad_inputs(),
+        }
         rig.now += CYCLE_US;
         let frames = input_frames(&mut rig);
         assert_eq!(frames[0][20..28], [&[0x80; 3], &expected[..], &[0x80; 2]].concat());
