@@ -87,6 +87,8 @@ pub(crate) struct Inputs<'a> {
     pub(crate) mac: MacAddress,
     pub(crate) peer: MacAddress,
     pub(crate) data: &'a [u8],
+    /// Whether the data is good.
+    pub(crate) has_data: bool,
     /// Whether parameters have ended, so that the inputs are good.
     pub(crate) is_ready: bool,
     /// Whether the device has a fault.
@@ -113,7 +115,8 @@ pub(crate) fn transmit(
             let at = start.saturating_add(at.into());
             let data = inputs.data.get(slotted.input_at..slotted.input_at.saturating_add(len));
             writer.put(at, data.unwrap_or(&[]));
-            writer.put(at.saturating_add(len), &[status]);
+            let is_good = inputs.has_data || len == 0;
+            writer.put(at.saturating_add(len), &[if is_good { status } else { 0 }]);
         }
         if let Some(at) = place.consumer {
             writer.put(start.saturating_add(at.into()), &[status]);

@@ -57,6 +57,7 @@ pub struct Device<const OUT: usize, const IN: usize> {
     stored: Stored,
     outputs: [u8; OUT],
     inputs: [u8; IN],
+    has_inputs: bool,
     faults: u32,
     dcp: Dcp,
     connection: Option<Connection>,
@@ -85,6 +86,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             stored,
             outputs: [0; OUT],
             inputs: [0; IN],
+            has_inputs: true,
             faults: 0,
             dcp: Dcp::new(),
             connection: None,
@@ -125,6 +127,13 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
     /// Sets the inputs for subsequent frames.
     pub const fn show_inputs(&mut self, inputs: &[u8; IN]) {
         self.inputs = *inputs;
+        self.has_inputs = true;
+    }
+
+    /// Sends zeros that are marked as bad, until [`show_inputs`](Self::show_inputs). A controller does not use bad inputs.
+    pub const fn show_bad_inputs(&mut self) {
+        self.inputs = [0; IN];
+        self.has_inputs = false;
     }
 
     /// Sets the present faults, bit n for entry n of [`Profile::faults`]. The controller gets an alarm when a fault
@@ -187,6 +196,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             }
             _ => None,
         }
+    }
+
+    /// Ends the connection to the controller as if the controller had been silent, for a caller that has missed frames. The controller
+    /// may connect again.
+    pub fn disconnect(&mut self) -> Option<Event> {
+        self.leave(Cause::Silence)
     }
 
     /// Handles time-outs and starts alarms at time `now`. Returns the next event, if any.
@@ -364,7 +379,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
     }
 
     fn transmit_inputs(&mut self, now: u64, buffer: &mut [u8]) -> Option<usize> {
-        let Self { connection, profile, inputs, mac, faults, .. } = self;
+        let Self { connection, profile, inputs, has_inputs, mac, faults, .. } = self;
         let connection = connection.as_mut().filter(|connection| connection.next_inputs <= now)?;
         let cycle_us = connection.input.cycle_us().max(1);
         // The cycle counter is the scheduled time of this frame in 31.25 µs.
@@ -378,6 +393,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             mac: *mac,
             peer: connection.relation.mac,
             data: inputs,
+            has_data: *has_inputs,
             is_ready: !matches!(connection.phase, Phase::Parameters { .. }),
             has_problem: *faults != 0,
             counter,

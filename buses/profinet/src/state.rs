@@ -24,7 +24,7 @@ pub enum Cause {
     Released,
     /// The controller has aborted the connection, or started another one with the same UUID.
     Aborted,
-    /// No valid outputs within the controller's hold time, or the start-up has timed out.
+    /// No valid outputs within the controller's hold time, or the start-up has timed out, or the caller has disconnected.
     Silence,
     /// The controller did not confirm that the device is ready.
     NotConfirmed,

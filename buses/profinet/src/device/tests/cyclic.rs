@@ -51,6 +51,18 @@ fn inputs_are_bad_until_parameters_end_and_status_shows_faults() {
     rig.now += CYCLE_US;
     let frames = input_frames(&mut rig);
     assert_eq!((&frames[0][25..28], frames[0][62]), (&[0x80; 3][..], 0x15));
+    // Only the data of slot 1 is bad.
+    for (shown, expected) in
+        [(Some([0xAA, 0xBB]), [0xAA, 0xBB, 0x80]), (None, [0; 3]), (Some([1, 2]), [1, 2, 0x80])]
+    {
+        match shown {
+            Some(inputs) => rig.device.show_inputs(&inputs),
+            None => rig.device.show_bad_inputs(),
+        }
+        rig.now += CYCLE_US;
+        let frames = input_frames(&mut rig);
+        assert_eq!(frames[0][20..28], [&[0x80; 3], &expected[..], &[0x80; 2]].concat());
+    }
 }
 
 #[test]
@@ -126,6 +138,16 @@ fn silent_controller_times_out_after_its_hold_time() {
     );
     // The controller can connect again.
     assert_eq!(rig.call(0, &Wanted::default().blocks()).status, 0);
+}
+
+#[test]
+fn disconnect_ends_the_outputs_and_reports_silence_to_the_controller() {
+    let mut rig = TestRig::in_data();
+    rig.outputs([1, 2, 3]);
+    assert_eq!(rig.device.disconnect(), Some(Event::Left(Cause::Silence)));
+    assert_eq!((rig.outputs([4, 5, 6]), rig.device.outputs()), (None, &[0; 3]));
+    assert_eq!(rig.acyclic()[0][18..20], [0xFE, 1]);
+    assert_eq!(rig.device.disconnect(), None);
 }
 
 #[test]

@@ -9,7 +9,7 @@ pub(crate) fn every_function() {
     type Gripper = Device<8, 12>;
     functions! {
         Gripper: new, receive, receive_datagram, poll, poll_transmit, poll_timeout, state, counters, outputs;
-        Gripper: show_inputs, show_faults, name, ip, stored;
+        Gripper: show_inputs, show_bad_inputs, show_faults, disconnect, name, ip, stored;
         IpParameters: is_set, prefix_len, are_valid;
         Profile: fits;
         StationName: new, from_bytes, as_str, is_empty;
