@@ -26,7 +26,8 @@ mod tcp;
 mod thread;
 mod udp;
 
-pub use lines::{CanBus, CanLine, Lines, Profile, ProfinetLine, SerialLine, UdpLine};
+pub use fieldbus_host::profinet::ProfinetLine;
+pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 pub use log::Log;
 pub use options::{Options, command};
 pub use restart::{Ending, Restart};

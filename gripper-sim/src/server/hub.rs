@@ -394,12 +394,6 @@ impl Hub {
         result
     }
 
-    /// Returns the current inputs and the system state.
-    #[cfg(target_os = "linux")]
-    pub(super) fn shown(&self) -> (InputImage, SystemFlags) {
-        self.look(|gripper| (gripper.fieldbus_images().1, gripper.state().flags))
-    }
-
     /// Calls `act` with the gripper. It must not change the gripper's next wake-up.
     pub(super) fn look<T>(&self, look: impl FnOnce(&mut VirtualGripper<MAX_CLIENTS>) -> T) -> T {
         self.with_gripper(|gripper, now| {

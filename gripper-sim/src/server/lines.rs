@@ -1,7 +1,6 @@
 //! The lines of a gripper: addresses, serial lines and CAN buses, as the user specifies them.
 
-use bus_profinet::{IpParameters, Maintenance, Stored};
-use std::net::Ipv4Addr;
+use fieldbus_host::profinet::ProfinetLine;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use wsg_protocol::can::Identifiers;
@@ -66,87 +65,6 @@ pub struct UdpLine {
     pub address: SocketAddr,
     /// The port for answers, regardless of the source port of the request; 1501 in the field.
     pub remote_port: u16,
-}
-
-/// The network interface of a PROFINET device.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ProfinetLine {
-    /// The network interface, such as `eth0`. The gripper uses its Ethernet address but must have a different IP address.
-    pub interface: String,
-    /// The initial data of the station: name, IP parameters, I&M 1 to 3.
-    pub stored: Stored,
-    /// The configuration file in which changes are saved.
-    pub keep: Option<PathBuf>,
-}
-
-impl ProfinetLine {
-    /// The key of the station name in the configuration file.
-    pub const STATION: &str = "station";
-    /// The key of the IP parameters in the configuration file.
-    pub const IP: &str = "profinet-ip";
-    /// The keys of I&M 1 (function, location), I&M 2 (date) and I&M 3 (descriptor) in the configuration file.
-    pub const MAINTENANCE: [&str; 4] = ["im-function", "im-location", "im-date", "im-descriptor"];
-
-    /// Returns all entries saved in the configuration file: key and text. An empty text is the factory setting.
-    #[must_use]
-    pub fn kept(stored: &Stored) -> [(&'static str, String); 6] {
-        let Stored { name, ip, maintenance: Maintenance { function, location, date, descriptor } } = stored;
-        let [function_key, location_key, date_key, descriptor_key] = Self::MAINTENANCE;
-        [
-            (Self::STATION, name.as_str().to_owned()),
-            (Self::IP, if ip.is_set() { Self::ip_text(ip) } else { String::new() }),
-            (function_key, Self::maintenance_text(function)),
-            (location_key, Self::maintenance_text(location)),
-            (date_key, Self::maintenance_text(date)),
-            (descriptor_key, Self::maintenance_text(descriptor)),
-        ]
-    }
-
-    /// Converts a field of I&M to text without its padding blanks. A controller may write any bytes; they are Latin-1.
-    fn maintenance_text(field: &[u8]) -> String {
-        let text: String = field.iter().copied().map(char::from).collect();
-        text.trim_end_matches(' ').to_owned()
-    }
-
-    /// Converts a text to a field of I&M; `None` if it does not fit.
-    #[must_use]
-    pub fn maintenance_of_text<const N: usize>(text: &str) -> Option<[u8; N]> {
-        let mut field = [b' '; N];
-        let mut places = field.iter_mut();
-        for letter in text.chars() {
-            *places.next()? = u8::try_from(letter).ok()?;
-        }
-        Some(field)
-    }
-
-    /// Formats IP parameters, such as `192.168.0.5/24`, or `192.168.0.5/24,192.168.0.1` with a router.
-    #[must_use]
-    pub fn ip_text(ip: &IpParameters) -> String {
-        let address = Ipv4Addr::from(ip.address);
-        let router = Ipv4Addr::from(ip.gateway);
-        let bits = ip.prefix_len();
-        if router.is_unspecified() {
-            format!("{address}/{bits}")
-        } else {
-            format!("{address}/{bits},{router}")
-        }
-    }
-
-    /// Parses IP parameters; `None` if they are invalid for a station.
-    #[must_use]
-    pub fn ip_of_text(text: &str) -> Option<IpParameters> {
-        let (own, router) = text.split_once(',').map_or((text, None), |(own, router)| (own, Some(router)));
-        let (address, bits) = own.split_once('/')?;
-        let bits = bits.parse::<u32>().ok().filter(|bits| (1..=30).contains(bits))?;
-        let mask = u32::MAX << (32 - bits);
-        let router = router.map_or(Some(Ipv4Addr::UNSPECIFIED), |router| router.parse().ok())?;
-        let ip = IpParameters {
-            address: address.parse::<Ipv4Addr>().ok()?.octets(),
-            mask: mask.to_be_bytes(),
-            gateway: router.octets(),
-        };
-        ip.are_valid().then_some(ip)
-    }
 }
 
 /// A serial line to serve.

@@ -6,7 +6,6 @@ mod table;
 pub(in crate::server) use file::{save, toml_value};
 pub(in crate::server) use table::{GROUPS, Setting, settings};
 
-use super::lines::ProfinetLine;
 use super::lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 use crate::axis::{Direction, Part};
 use crate::command_line::{self, LOOPBACK, address, after_scheme, suggest};
@@ -19,6 +18,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Command, CommandFactory, FromArgMatches, Parser};
+use fieldbus_host::profinet::ProfinetLine;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::net::{IpAddr, SocketAddr};

@@ -7,7 +7,6 @@ use crate::server::request_line::RequestLine;
 use fieldbus_host::{Client, Dismissal, IDLE_LIMIT};
 use std::cell::RefCell;
 use std::sync::Arc;
-#[cfg(target_os = "linux")]
 use wsg_fieldbus::OutputImage;
 
 /// A client of the gripper; dropping it disconnects the client.
@@ -30,14 +29,12 @@ impl ClientHandle {
     }
 
     /// Takes an output image written by the master.
-    #[cfg(target_os = "linux")]
     pub(in crate::server) fn write_image(&self, image: &OutputImage, is_first: bool) {
         self.connected.activity.note();
         self.hub.act(|gripper, now| gripper.write_image(self.connected.id, now, image, is_first));
     }
 
     /// Reports that the master that writes images has stopped or is silent.
-    #[cfg(target_os = "linux")]
     pub(in crate::server) fn end_images(&self) {
         self.hub.act(|gripper, now| gripper.end_images(self.connected.id, now));
     }
