@@ -2,24 +2,31 @@
 //!
 //! Masters share the output image, as on a Modbus RTU line. The one that wrote it last is the PLC: its silence is a lost bus,
 //! even while other masters send requests. The end of its connection is not, because some masters connect for each request.
+//!
+//! The master of a bus that exchanges images in cycles, such as PROFINET, shares the output image, too. Only its changes are
+//! writes, and its end is a lost bus.
 
 use super::{BridgeDevice, Role, has_fallen_silent};
 use crate::plc::View;
 use crate::plc::side::{PlcEvent, PlcSide, Shown};
-use crate::register::BusCounts;
+use crate::register::{BusCounts, Link};
 use bus_modbus::MAX_PDU_LEN;
-use wsg_fieldbus::{CommandFlags, Images};
+use wsg_fieldbus::{CommandFlags, Images, InputImage, OutputImage};
 use wsg_protocol::Instant;
 
 /// The masters of Modbus/TCP, and the bridge's registers for them.
 #[derive(Clone, Debug)]
 pub struct ModbusTcp {
     images: Images,
+    /// FASTSTOP while the master of a cyclic bus holds it: no other master releases it.
+    held: CommandFlags,
+    /// The inputs of a cyclic bus.
+    inputs: Option<InputImage>,
     /// The master that wrote the output image last, until it is silent.
     writer: Option<u64>,
     /// The master that began the present jog.
     jogger: Option<u64>,
-    /// Time of the last request of that master, or of any master without one; `None` after a time-out.
+    /// Time of the last data of that master, or of any master without one; `None` after a time-out.
     received_at: Option<Instant>,
 }
 
@@ -39,6 +46,20 @@ pub enum TcpInput<'a> {
         /// Set to the length of the response.
         len: &'a mut usize,
     },
+    /// The output image of a cyclic bus, changed or not.
+    Image {
+        /// Number of the master.
+        master: u64,
+        /// The image.
+        image: OutputImage,
+        /// The image before. `None` for the first one since the master enabled its outputs: it starts nothing.
+        before: Option<OutputImage>,
+    },
+    /// The master of a cyclic bus no longer provides outputs.
+    Left {
+        /// Number of the master.
+        master: u64,
+    },
     /// The computer paused for so long that every image received before is too old.
     Paused,
 }
@@ -47,7 +68,20 @@ impl ModbusTcp {
     /// Creates the side without a master.
     #[must_use]
     pub const fn new() -> Self {
-        Self { images: Images::new(false), writer: None, jogger: None, received_at: None }
+        Self {
+            images: Images::new(false),
+            held: CommandFlags::empty(),
+            inputs: None,
+            writer: None,
+            jogger: None,
+            received_at: None,
+        }
+    }
+
+    /// Returns the input image for a cyclic bus, or `None` while the gripper does not answer.
+    #[must_use]
+    pub const fn inputs(&self) -> Option<InputImage> {
+        self.inputs
     }
 
     /// Combines the side with its input: a PLC side for one turn.
@@ -87,20 +121,50 @@ impl ModbusTcp {
         let len = bus_modbus::serve(pdu, &mut device, response);
         let configured = device.configured;
         let written = self.images.take_written();
-        if let Some(image) = written {
-            self.writer = Some(master);
-            let jogs = image.flags.intersects(CommandFlags::JOG);
-            self.jogger = if jogs { self.jogger.or(Some(master)) } else { None };
+        if let Some(image) = &written {
+            self.note_writer(master, image);
         }
         if self.writer.is_none_or(|writer| writer == master) {
             self.received_at = Some(now);
         }
         let event = match written {
             _ if configured => PlcEvent::Configured,
-            Some(image) => PlcEvent::Output(image),
+            Some(image) => PlcEvent::Output(OutputImage { flags: image.flags | self.held, ..image }),
             None => PlcEvent::Served,
         };
         (event, len)
+    }
+
+    /// Takes an image of a cyclic bus. A repeated image must not undo a write of another master.
+    fn take(
+        &mut self,
+        now: Instant,
+        master: u64,
+        mut image: OutputImage,
+        before: Option<OutputImage>,
+    ) -> Option<PlcEvent> {
+        if self.writer.is_some() && before == Some(image) {
+            if self.writer == Some(master) {
+                self.received_at = Some(now);
+            }
+            return None;
+        }
+        self.held = image.flags & CommandFlags::FASTSTOP;
+        if self.writer.is_some() {
+            // A flag that is 0 in the shared image, and that this master does not raise now, would look like an edge.
+            let held = before.map_or(CommandFlags::all(), |before| before.flags);
+            image.flags -= held - self.images.output().flags - CommandFlags::FASTSTOP;
+        }
+        self.images.set_output(&image);
+        self.note_writer(master, &image);
+        self.received_at = Some(now);
+        Some(PlcEvent::Output(image))
+    }
+
+    fn note_writer(&mut self, master: u64, image: &OutputImage) {
+        self.writer = Some(master);
+        let jogs = image.flags.intersects(CommandFlags::JOG);
+        self.jogger = if jogs { self.jogger.or(Some(master)) } else { None };
     }
 }
 
@@ -130,13 +194,20 @@ impl PlcSide for TcpTurn<'_> {
                 *len = response_len;
                 Some(event)
             }
+            TcpInput::Image { master, image, before } => modbus.take(now, master, image, before),
+            TcpInput::Left { master } => {
+                modbus.held = CommandFlags::empty();
+                modbus.is_plc(master).then(|| modbus.lose_plc())
+            }
             TcpInput::Paused => Some(modbus.lose_plc()),
             TcpInput::Nothing => None,
         }
     }
 
-    /// Does nothing: each request is answered with the state at its time.
-    fn show(&mut self, _: Instant, _: &Shown) {}
+    /// Sets the inputs of a cyclic bus. A request is answered with the state at its time.
+    fn show(&mut self, _: Instant, shown: &Shown) {
+        self.modbus.inputs = (shown.link == Link::Up).then_some(shown.image);
+    }
 }
 
 #[cfg(test)]
@@ -191,6 +262,10 @@ mod tests {
         }
     }
 
+    fn image(flags: CommandFlags, width: i16) -> OutputImage {
+        OutputImage { flags, width, ..OutputImage::ZERO }
+    }
+
     const SILENT: PlcEvent = PlcEvent::Left { silent: true };
 
     #[test]
@@ -205,6 +280,60 @@ mod tests {
         assert!(rig.modbus.is_plc(1));
         assert_eq!(rig.request(1_000, 2, READ).0, [SILENT, PlcEvent::Served]);
         assert!(!rig.modbus.is_plc(1) && !rig.modbus.is_plc(2));
+    }
+
+    #[test]
+    fn cyclic_images_are_writes_when_they_change_and_keep_the_plc_alive() {
+        let mut rig = Rig::new();
+        let mut before = None;
+        let mut exchange = |now_ms, image: OutputImage| {
+            rig.turn(now_ms, TcpInput::Image { master: 3, image, before: before.replace(image) })
+        };
+        let (zero, moved) = (OutputImage::ZERO, image(CommandFlags::MOVE, 10_00));
+        assert_eq!(exchange(0, zero), [PlcEvent::Output(zero)]);
+        for now_ms in (8..3_000).step_by(8) {
+            assert_eq!(exchange(now_ms, zero), []);
+        }
+        assert_eq!(exchange(3_000, moved), [PlcEvent::Output(moved)]);
+        assert_eq!(exchange(4_000, moved), [SILENT, PlcEvent::Output(moved)], "late, and again the first");
+        assert_eq!(exchange(4_008, moved), []);
+        assert_eq!(rig.turn(4_010, TcpInput::Left { master: 3 }), [SILENT]);
+        assert_eq!(rig.turn(4_011, TcpInput::Left { master: 3 }), []);
+    }
+
+    #[test]
+    fn held_flag_of_a_cyclic_master_is_no_edge_and_fast_stop_stays() {
+        let mut rig = Rig::new();
+        let (mv, stop, none) = (CommandFlags::MOVE, CommandFlags::FASTSTOP, CommandFlags::empty());
+        let mut before = None;
+        // Writes by another master are `None`.
+        for (now_ms, written, expected) in [
+            (0, None, Some(none)),
+            (1, Some((mv | stop, 0)), Some(stop)),
+            (2, None, Some(stop)),
+            (3, Some((mv | stop, 0)), None),
+            (4, Some((mv, 1)), Some(none)),
+            (5, Some((none, 1)), Some(none)),
+            (6, Some((mv, 1)), Some(mv)),
+            (7, Some((mv, 2)), Some(mv)),
+            (8, None, Some(none)),
+            (9, Some((mv, 3)), Some(none)),
+        ] {
+            let events = match written {
+                None => rig.request(now_ms, 1, WRITE).0,
+                Some((flags, width)) => {
+                    let image = image(flags, width);
+                    rig.turn(now_ms, TcpInput::Image { master: 3, image, before: before.replace(image) })
+                }
+            };
+            let flags = events.iter().map(|event| match event {
+                PlcEvent::Output(image) => image.flags,
+                other => panic!("{other:?}"),
+            });
+            assert_eq!(flags.collect::<Vec<_>>(), Vec::from_iter(expected), "{now_ms}");
+        }
+        assert_eq!(rig.turn(10, TcpInput::Left { master: 1 }), [], "the cyclic master is the PLC");
+        assert_eq!(rig.turn(11, TcpInput::Left { master: 3 }), [SILENT]);
     }
 
     #[test]
