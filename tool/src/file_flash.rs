@@ -45,13 +45,11 @@ impl FileFlash {
         Ok(flash)
     }
 
-    /// Writes a change to the file: first to another one, so that a power failure leaves a whole file.
+    /// Writes a change to the file.
     fn store(&mut self) -> io::Result<()> {
         if let (true, Some(file)) = (self.is_changed, &self.file) {
             let bytes: Vec<u8> = self.pages.iter().flatten().flat_map(|word| word.to_le_bytes()).collect();
-            let mut new = file.clone().into_os_string();
-            new.push(".new");
-            fs::write(&new, bytes).and_then(|()| fs::rename(&new, file))?;
+            replace(file, &bytes)?;
         }
         self.is_changed = false;
         Ok(())
@@ -64,6 +62,13 @@ impl FileFlash {
             Page::Second => second,
         }
     }
+}
+
+/// Replaces the content of a file: writes it to another one first, so that a power failure leaves a whole file.
+pub(crate) fn replace(file: &Path, content: &[u8]) -> io::Result<()> {
+    let mut new = file.to_owned().into_os_string();
+    new.push(".new");
+    fs::write(&new, content).and_then(|()| fs::rename(&new, file))
 }
 
 impl NorFlash for FileFlash {

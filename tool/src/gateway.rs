@@ -1,4 +1,4 @@
-//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP and a gripper on TCP.
+//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP or PROFINET and a gripper on TCP.
 //!
 //! The bridge is the application of the board's firmware, with the same registers, settings and rules. It has no wires:
 //! `FAST_STOP_OK` is high. All tasks run in one thread. A request runs a turn of the bridge at once; without one, a turn runs
@@ -7,14 +7,17 @@
 mod bridge;
 mod line;
 mod master;
+mod profinet;
 
 use std::io::{self, Write};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
+use bus_profinet::Stored;
 use clap::Args;
+use fieldbus_host::profinet::ProfinetLine;
 use tokio::net::TcpListener;
 use tokio::runtime;
 use tokio::task::{JoinSet, LocalSet};
@@ -23,17 +26,22 @@ use crate::gripper::{Address, Signals};
 use crate::listen_address;
 use bridge::Gateway;
 use master::Master;
+use profinet::Profinet;
 
-/// Connects PLCs on Modbus/TCP to a gripper through the bridge's software, until Ctrl-C; see docs/gateway.md
+/// Connects PLCs on Modbus/TCP or PROFINET to a gripper through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
 pub(crate) struct Arguments {
     /// Address of the gripper, such as tcp://192.168.1.20
     #[arg(long, value_name = "ADDRESS", value_parser = gripper_address)]
     gripper: String,
     /// Address on which Modbus/TCP masters connect, such as 192.168.1.10:502
-    #[arg(long, value_name = "ADDR", value_parser = listen_address)]
-    modbus: SocketAddr,
-    /// File that stores the bridge's settings; without it, they are lost at the end
+    #[arg(long, value_name = "ADDR", value_parser = listen_address, required_unless_present = "profinet")]
+    modbus: Option<SocketAddr>,
+    /// Network interface on which a PROFINET controller finds the gateway, such as eth0; Linux only
+    #[arg(long, value_name = "INTERFACE")]
+    profinet: Option<String>,
+    /// File that stores the bridge's settings; FILE.profinet stores name and address of the PROFINET station. Without it, they are
+    /// lost at the end
     #[arg(long, value_name = "FILE")]
     settings: Option<PathBuf>,
 }
@@ -57,17 +65,28 @@ pub(crate) fn run(arguments: &Arguments) -> Result<u8> {
 }
 
 async fn serve(arguments: &Arguments, signals: &Signals) -> Result<()> {
-    let Arguments { gripper, modbus, settings } = arguments;
+    let Arguments { gripper, modbus, profinet, settings } = arguments;
     let gateway = Rc::new(Gateway::open(settings.as_deref())?);
     gateway.settle().await;
-    let listener =
-        TcpListener::bind(modbus).await.with_context(|| format!("Modbus/TCP cannot listen on {modbus}"))?;
-    let address = listener.local_addr()?;
-    writeln!(io::stdout(), "gripper  tcp://{gripper}\nmodbus   {address}")?;
     let mut tasks = JoinSet::new();
-    let (masters, line, gripper) = (Rc::clone(&gateway), Rc::clone(&gateway), gripper.clone());
-    tasks
-        .spawn_local(async move { fieldbus_host::tcp::serve(listener, |_| Master::connect(&masters)).await });
+    let mut lines = format!("gripper  tcp://{gripper}\n");
+    if let Some(modbus) = modbus {
+        let refused = || format!("Modbus/TCP cannot listen on {modbus}");
+        let listener = TcpListener::bind(modbus).await.with_context(refused)?;
+        lines += &format!("modbus   {}\n", listener.local_addr()?);
+        let masters = Rc::clone(&gateway);
+        let serve = async move { fieldbus_host::tcp::serve(listener, |_| Master::connect(&masters)).await };
+        tasks.spawn_local(serve);
+    }
+    if let Some(interface) = profinet {
+        let keep = settings.as_deref().map(station_file);
+        let line = ProfinetLine { interface: interface.clone(), stored: Stored::NONE, keep };
+        tasks.spawn_local(Profinet::open(line)?.serve(Rc::clone(&gateway)));
+        lines += &format!("profinet {interface}\n");
+    }
+    // In one piece: a reader may close its end after the line that it needs.
+    io::stdout().write_all(lines.as_bytes())?;
+    let (line, gripper) = (Rc::clone(&gateway), gripper.clone());
     tasks.spawn_local(async move { line.keep_connected(&gripper).await });
     while signals.check().is_ok() {
         gateway.pass_time().await;
@@ -76,4 +95,11 @@ async fn serve(arguments: &Arguments, signals: &Signals) -> Result<()> {
     tasks.abort_all();
     gateway.end().await;
     Ok(())
+}
+
+/// Returns the file for the PROFINET station of a bridge with this settings file.
+fn station_file(settings: &Path) -> PathBuf {
+    let mut file = settings.to_owned().into_os_string();
+    file.push(".profinet");
+    file.into()
 }

@@ -333,6 +333,7 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
     for (arguments, status, expected) in [
         (&["gateway", "--gripper", "udp://h", "--modbus", "localhost:0"][..], 2, "expected tcp://HOST"),
         (&["gateway", "--gripper", "tcp://h"], 2, "--modbus <ADDR>"),
+        (&["gateway", "--gripper", "tcp://h", "--profinet", "no-card"], 1, "no-card"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
         (&["bridge", "tcp://h:port", "show"], 1, "invalid port `port`"),
         // An IPv6 address gets the default port, too.

@@ -22,7 +22,7 @@ use tokio::time::{sleep, timeout};
 use wsg_bridge_fw::can::{BusOffPolicy, CanBus, NoCan};
 use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
 use wsg_bridge_fw::{BoardId, Bridge, Config, ResetCause, Station};
-use wsg_fieldbus::SilenceReaction;
+use wsg_fieldbus::{InputImage, SilenceReaction};
 use wsg_protocol::{Status, SystemFlags};
 
 use super::line::GripperLine;
@@ -178,8 +178,7 @@ impl Gateway {
             let (at, _) = open.min_by_key(|(_, activity)| activity.received_at())?;
             masters.open.swap_remove(at).displace();
         }
-        let (number, activity) = (masters.next, Rc::<Activity>::default());
-        masters.next += 1;
+        let (number, activity) = (masters.number(), Rc::<Activity>::default());
         masters.open.push(Rc::clone(&activity));
         Some((number, activity))
     }
@@ -192,6 +191,24 @@ impl Gateway {
             self.turn(TcpInput::Request { master, pdu, response, len: &mut len });
         }
         len
+    }
+
+    /// Returns the number of a master of a cyclic bus.
+    pub(super) fn number(&self) -> u64 {
+        self.masters.borrow_mut().number()
+    }
+
+    /// Returns the number of pauses since the start.
+    pub(super) fn pauses(&self) -> u32 {
+        self.masters.borrow().pauses
+    }
+
+    /// Returns the input image for a cyclic bus. `None` while the gripper is not connected, and after a pause.
+    pub(super) fn inputs(&self) -> Option<InputImage> {
+        let mut host = self.host.borrow_mut();
+        let is_current = uptime().saturating_sub(host.passed_at) <= LONGEST_PAUSE;
+        let is_shown = is_current && host.station.bridge().is_connected();
+        host.modbus.inputs().filter(|_| is_shown)
     }
 
     /// Ends a connection. A jog of its master ends at once, because its button cannot be released any more; other motions end
@@ -240,7 +257,7 @@ impl Gateway {
     }
 
     /// Runs a turn of the bridge. After a pause, `input` is not served, and no connection continues.
-    fn turn(&self, input: TcpInput<'_>) {
+    pub(super) fn turn(&self, input: TcpInput<'_>) {
         let pause = self.host.borrow_mut().turn(input);
         if let Some(pause) = pause {
             let mut masters = self.masters.borrow_mut();
@@ -258,6 +275,12 @@ impl Gateway {
 }
 
 impl Masters {
+    /// Returns the number of the next connection.
+    const fn number(&mut self) -> u64 {
+        self.next += 1;
+        self.next - 1
+    }
+
     /// Closes all connections. None of their requests is served from here on.
     fn dismiss(&mut self) {
         self.first_served = self.next;
@@ -334,7 +357,7 @@ fn uptime() -> Duration {
 
 /// Prints a message on standard error, in a thread: a reader that does not read must not hold the bridge, nor end a task. A message
 /// that finds no room is lost.
-fn report(what: impl Display) {
+pub(super) fn report(what: impl Display) {
     static MESSAGES: OnceLock<SyncSender<String>> = OnceLock::new();
     let messages = MESSAGES.get_or_init(|| {
         let (sender, messages) = sync_channel::<String>(MAX_MESSAGES);
