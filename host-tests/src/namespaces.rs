@@ -81,6 +81,18 @@ impl Network {
         thread::scope(|scope| scope.spawn(enter_and_act).join().expect("no panic"))
     }
 
+    /// Moves the gripper's end of the cable to the namespace of this program. Returns the name of the interface.
+    ///
+    /// # Panics
+    /// Panics without `ip`.
+    #[must_use]
+    pub fn take_gripper_end(&self) -> String {
+        let (namespace, interface) = (self.namespace(End::Gripper), format!("wsg{}x{}", id(), self.number));
+        run("ip", &format!("-n {namespace} link set eth0 netns {} name {interface}", id()));
+        run("ip", &format!("link set {interface} up"));
+        interface
+    }
+
     /// Discards all frames that are sent at this end, or sends them again.
     ///
     /// # Panics
@@ -117,9 +129,14 @@ pub fn at_controller(network: u16, program: &str) -> Command {
 pub fn prioritize_grippers() {
     for task in fs::read_dir("/proc/self/task").expect("a list of threads").map_while(Result::ok) {
         if fs::read_to_string(task.path().join("comm")).is_ok_and(|name| name == "wsg-sim\n") {
-            let _ = Command::new("chrt").args(["--fifo", "--pid", REAL_TIME]).arg(task.file_name()).output();
+            prioritize(&task.file_name().to_string_lossy());
         }
     }
+}
+
+/// Gives real-time priority to a thread, or to the first one of a process.
+pub fn prioritize(thread: &str) {
+    let _ = Command::new("chrt").args(["--fifo", "--pid", REAL_TIME, thread]).output();
 }
 
 /// Priority of `chrt`.

@@ -1,17 +1,17 @@
-//! The virtual gripper on PROFINET, in network namespaces connected by a virtual cable, with third-party controllers, with
-//! `tshark` as a monitor, and with hostile frames.
+//! The virtual gripper and `wsg gateway` on PROFINET, in network namespaces connected by a virtual cable, with third-party controllers,
+//! with `tshark` as a monitor, and with hostile frames.
 //!
 //! Long tests run only in `cargo xtask ci` (`WSG_WHOLE`). All tests require root. `cargo xtask test` selects them by the programs
 //! in their names and skips missing ones: `profinet_py`, `pnio_dcp`, `scapy`, `tshark`, `in_namespaces`.
 
 use bus_profinet::Stored;
 use host_tests::masters::{PYTHON_VARIABLE, printed};
-use host_tests::namespaces::{self, End, at_controller, prioritize_grippers};
+use host_tests::namespaces::{self, End, at_controller, prioritize, prioritize_grippers};
 use host_tests::{example, extent};
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -64,20 +64,37 @@ impl Network {
         });
     }
 
-    /// Starts `wsg-sim` with this configuration file and waits until it serves PROFINET.
-    fn start(&self, file: &Path) -> Program {
-        let mut ip = Command::new("ip");
-        ip.args(["netns", "exec", &self.0.namespace(End::Gripper)])
-            .arg(example::program("wsg-sim"))
-            .arg("--config")
-            .arg(file);
-        let mut child = ip.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
+    /// Starts `wsg gateway` for a gripper on TCP.
+    fn serve_gateway(&self, config: Config, options: &[&str]) -> (Program, ServerThread) {
+        let lines = Lines { tcp: "127.0.0.1:0".parse().ok(), ..Lines::default() };
+        let server = self.0.at_gripper(|| ServerThread::start(config, &lines, None).unwrap());
+        let address = format!("tcp://{}", server.tcp_address().unwrap());
+        let arguments = [&["gateway", "--gripper", &address, "--profinet", "eth0"], options].concat();
+        let program = self.start("wsg", &arguments);
+        prioritize(&program.0.id().to_string());
+        prioritize_grippers();
+        (program, server)
+    }
+
+    /// Starts a program and waits until it serves PROFINET.
+    fn start(&self, program: &str, arguments: &[&str]) -> Program {
+        let mut program = self.command(program, arguments);
+        let mut child =
+            program.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         let mut lines = BufReader::new(child.stdout.take().unwrap()).lines().map(Result::unwrap);
         let program = Program(child);
-        assert!(lines.any(|line| line == "profinet eth0"), "wsg-sim ended before it served PROFINET");
+        assert!(lines.any(|line| line == "profinet eth0"), "it ended before it served PROFINET");
         // Drain the remaining output, so that the program never blocks on it.
         thread::spawn(move || lines.for_each(drop));
         program
+    }
+
+    /// Returns a command for a program of the workspace in the gripper's namespace.
+    fn command(&self, program: &str, arguments: &[&str]) -> Command {
+        let mut ip = Command::new("ip");
+        let namespace = self.0.namespace(End::Gripper);
+        ip.args(["netns", "exec", &namespace]).arg(example::program(program)).args(arguments);
+        ip
     }
 
     fn python(&self, script: &str, arguments: &[&str]) -> Output {
@@ -102,7 +119,7 @@ impl Network {
     }
 }
 
-/// A running `wsg-sim`, which is killed on drop.
+/// A running program, which is killed on drop.
 struct Program(Child);
 
 impl Drop for Program {
@@ -228,13 +245,48 @@ fn profinet_py_in_namespaces_finds_its_writes_after_a_restart() {
     fs::write(&file, "# Cell 7\nprofinet = \"eth0\"\ntime-scale = 5\n").unwrap();
     // The program is killed each time, so each write must be stored immediately.
     for part in ["label", "labelled"] {
-        let _program = network.start(&file);
+        let _program = network.start("wsg-sim", &["--config", file.to_str().unwrap()]);
         let output = network.python(CONTROLLER, &[part]);
         assert!(output.status.success(), "{}", printed(&output));
     }
     let kept = fs::read_to_string(&file).unwrap();
     fs::remove_file(&file).unwrap();
     assert!(kept.starts_with("# Cell 7\nprofinet = \"eth0\"\ntime-scale = 5\n"), "{kept}");
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn profinet_py_in_namespaces_finds_its_writes_after_a_restart_of_a_gateway() {
+    let network = Network::new();
+    let file = std::env::temp_dir().join(network.0.namespace(End::Gripper));
+    for part in ["label", "labelled"] {
+        let _gateway = network.serve_gateway(config(), &["--settings", file.to_str().unwrap()]);
+        let output = network.python(CONTROLLER, &[part]);
+        assert!(output.status.success(), "{}", printed(&output));
+    }
+    fs::remove_file(file.with_extension("profinet")).unwrap();
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn motion_of_profinet_py_through_a_gateway_stops_when_the_cable_is_cut_in_namespaces() {
+    let network = Network::new();
+    let modbus = ["--modbus", "127.0.0.1:1502"];
+    let _gateway = network.serve_gateway(Config { time_scale: 1.0, ..config() }, &modbus);
+    // Only the watchdog of PROFINET ends the motion.
+    let set = ["bridge", "tcp://127.0.0.1:1502", "set", "BUS_TIMEOUT", "0"];
+    assert!(network.command("wsg", &set).stdout(Stdio::null()).status().unwrap().success());
+    let output = network.python(CONTROLLER, &["cut"]);
+    assert!(output.status.success(), "{}", printed(&output));
+}
+
+#[test]
+#[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+fn profinet_py_connects_again_in_namespaces_after_a_pause_of_a_gateway() {
+    let network = Network::new();
+    let (gateway, _server) = network.serve_gateway(config(), &[]);
+    let output = network.python(CONTROLLER, &["paused", &gateway.0.id().to_string()]);
+    assert!(output.status.success(), "{}", printed(&output));
 }
 
 #[test]

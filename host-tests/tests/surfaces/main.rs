@@ -119,4 +119,6 @@ surfaces! {
         line: |station| station.profinet.as_ref().expect("the station has a network"),
         ..client(profinet::profinet, Kind::Fieldbus)
     };
+    #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
+    gateway_over_profinet_py_in_namespaces: client(profinet::gateway, Kind::Fieldbus);
 }

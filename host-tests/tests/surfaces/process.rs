@@ -56,16 +56,13 @@ fn wsg_with(address: SocketAddr, has_scripts: bool) -> Box<dyn Surface> {
     }))
 }
 
-/// The masters of a gateway.
-struct Masters {
-    masters: Box<dyn Surface>,
-    _gateway: Gateway,
-}
+/// The masters of a gateway, and what they need.
+pub(crate) struct Masters<T>(pub(crate) Box<dyn Surface>, pub(crate) T);
 
 /// Starts `wsg gateway`, and commands it over Modbus/TCP.
 pub(crate) fn gateway(address: SocketAddr) -> Box<dyn Surface> {
     let gateway = Gateway::start(address, &[]);
-    let mut masters = Masters { masters: fieldbus::modbus(gateway.modbus), _gateway: gateway };
+    let mut masters = Masters(fieldbus::modbus(gateway.modbus), gateway);
     let start = Instant::now();
     while !matches!(masters.begin(Verb::Read).recv_timeout(BOUND), Ok(Ok(_))) {
         assert!(start.elapsed() < BOUND, "the gateway connects");
@@ -74,9 +71,9 @@ pub(crate) fn gateway(address: SocketAddr) -> Box<dyn Surface> {
     Box::new(masters)
 }
 
-impl Surface for Masters {
+impl<T> Surface for Masters<T> {
     fn begin(&mut self, verb: Verb) -> Receiver<Outcome> {
-        self.masters.begin(verb)
+        self.0.begin(verb)
     }
 }
 

@@ -5,14 +5,15 @@ use std::sync::{Arc, Mutex};
 
 use anyhow::{Error, Result};
 use bus_profinet::Stored;
+use host_tests::gateway::Gateway;
 use host_tests::masters::PYTHON_VARIABLE;
-use host_tests::namespaces::{End, Network, at_controller, prioritize_grippers};
+use host_tests::namespaces::{End, Network, at_controller, prioritize, prioritize_grippers};
 use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_sim::Config;
 use wsg_sim::server::{Lines, ProfinetLine, ServerThread};
 
 use crate::fieldbus::{Registers, master};
-use crate::process::Program;
+use crate::process::{Masters, Program};
 use crate::station::{self, BOUND, Line, Station, Way};
 use crate::surface::Surface;
 
@@ -43,6 +44,16 @@ pub(crate) fn profinet(address: SocketAddr) -> Box<dyn Surface> {
     controller.args(["-c", include_str!("../end_to_end/profinet/profinet_py.py"), "images"]);
     let controller = Profinet(Arc::new(Mutex::new(Program::start(&mut controller))));
     master(move || Ok(controller.clone()))
+}
+
+/// Starts `wsg gateway` in a network of its own, and commands it over PROFINET.
+pub(crate) fn gateway(address: SocketAddr) -> Box<dyn Surface> {
+    let network = Network::new();
+    let gateway = Gateway::start(address, &["--profinet", &network.take_gripper_end()]);
+    prioritize(&gateway.process.id().to_string());
+    prioritize_grippers();
+    let masters = profinet((Ipv4Addr::UNSPECIFIED, network.number()).into());
+    Box::new(Masters(masters, (gateway, network)))
 }
 
 impl Profinet {

@@ -1,7 +1,8 @@
-# A `profinet-py` controller for the virtual gripper: python3 -c SCRIPT PART [SECONDS].
+# A `profinet-py` controller for the virtual gripper: python3 -c SCRIPT PART [NUMBER].
 # `profinet-py` is GPL. Only this test program runs it, and it is never part of a delivery.
 import logging
 import os
+import signal
 import struct
 import subprocess
 import sys
@@ -225,6 +226,34 @@ def killed():
     plc.release()
 
 
+def paused(pid):
+    """Changes the outputs while the gateway is stopped for longer than it accepts old ones, but for less than the watchdog."""
+    set_up()
+    plc = Plc()
+    plc.home()
+    width = plc.read()[2]
+    plc.write(0)
+    time.sleep(0.1)
+    os.kill(int(pid), signal.SIGSTOP)
+    plc.write(MOVE)
+    time.sleep(1.2)
+    os.kill(int(pid), signal.SIGCONT)
+    # The gateway has ended the connection, and sends no more inputs.
+    def sees_no_inputs():
+        count = plc.cyclic.stats.frames_received
+        time.sleep(0.2)
+        return plc.cyclic.stats.frames_received == count
+    until("end of the connection", sees_no_inputs)
+    plc.cyclic.stop()
+    plc.device.close()
+    plc = Plc(first=MOVE)
+    assert plc.read()[2] == width, (plc.read(), width)
+    # The gripper has lost its connection, too.
+    plc.command(ACK, lambda state, flags, *_: not flags & IS_FAST_STOPPED)
+    plc.command(MOVE, lambda state, flags, now, status: now == 20_00 and status == E_SUCCESS)
+    plc.release()
+
+
 def unmoved():
     """Checks that the device is as `cycle` left it, and still executes commands."""
     set_up()
@@ -417,4 +446,4 @@ def images():
 
 
 part, *arguments = sys.argv[1:]
-{"cycle": cycle, "label": label, "labelled": labelled, "unasked": unasked, "unmoved": unmoved, "cut": cut, "killed": killed, "soak": soak, "images": images}[part](*map(float, arguments))
+{"cycle": cycle, "label": label, "labelled": labelled, "unasked": unasked, "unmoved": unmoved, "cut": cut, "paused": paused, "killed": killed, "soak": soak, "images": images}[part](*map(float, arguments))
