@@ -793,6 +793,7 @@ fn wrong_or_missing_address_is_refused_with_a_hint() {
             "cannot be used with",
         ),
         (&["gateway", "--config", "missing.toml"], 1, "cannot read missing.toml"),
+        (&["gateway", "--gripper", "tcp://h", "--profinet", "no-card"], 1, "no-card"),
         (&["gateway", "--gripper", "tcp://h", "--modbus", "bench:0"], 2, "expected an address with a port"),
         (&["gateway", "--gripper", "tcp://h", "status", "h"], 2, "cannot be used with"),
         (&["gateway", "status"], 2, "<ADDR>"),
