@@ -4,10 +4,12 @@ use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt::Arguments;
 use std::fs;
-use std::io::{self, ErrorKind};
+use std::io::ErrorKind;
 use std::net::Ipv4Addr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::mpsc::{Sender, channel};
+use std::thread;
 
 use anyhow::{Context, Result, anyhow};
 use bus_profinet::Stored;
@@ -38,9 +40,9 @@ impl Profinet {
 
     /// Serves the device.
     pub(super) async fn serve(self, gateway: Rc<Gateway>) {
-        let Self { interface, line } = self;
-        let (stored, number, pauses) = (line.stored, gateway.number(), Cell::new(gateway.pauses()));
-        let bridge = Bridge { gateway, number, pauses, line };
+        let Self { interface, line: ProfinetLine { interface: name, stored, keep } } = self;
+        let (number, pauses) = (gateway.number(), Cell::new(gateway.pauses()));
+        let bridge = Bridge { gateway, number, pauses, name, writer: keep.map(writer) };
         if let Err(error) = interface.serve(stored, SERIAL_NUMBER, bridge).await {
             report(format_args!("PROFINET has ended: {error:#}"));
         }
@@ -59,6 +61,19 @@ fn stored(file: &Path) -> Result<Option<Stored>> {
     stored.map(Some).map_err(|key| anyhow!("{key} is invalid")).with_context(expected)
 }
 
+/// Starts a thread that writes each content to a file: a slow disk must not hold the bridges.
+fn writer(file: PathBuf) -> Sender<Vec<u8>> {
+    let (sender, contents) = channel::<Vec<u8>>();
+    thread::spawn(move || {
+        for content in contents {
+            if let Err(error) = replace(&file, &content) {
+                report(format_args!("{} cannot be written: {error}", file.display()));
+            }
+        }
+    });
+    sender
+}
+
 /// The bridge as the owner of the image.
 struct Bridge {
     gateway: Rc<Gateway>,
@@ -66,7 +81,9 @@ struct Bridge {
     number: u64,
     /// Number of pauses that the device has handled.
     pauses: Cell<u32>,
-    line: ProfinetLine,
+    /// Name of the network interface.
+    name: String,
+    writer: Option<Sender<Vec<u8>>>,
 }
 
 impl Owner for Bridge {
@@ -87,15 +104,16 @@ impl Owner for Bridge {
     }
 
     fn store(&self, stored: &Stored) {
-        let Some(file) = &self.line.keep else { return };
-        let kept = serde_json::to_vec_pretty(&BTreeMap::from(ProfinetLine::kept(stored)));
-        if let Err(error) = kept.map_err(io::Error::from).and_then(|kept| replace(file, &kept)) {
-            self.note(format_args!("{} cannot be written: {error}", file.display()));
+        if let (Some(writer), Ok(kept)) =
+            (&self.writer, serde_json::to_vec_pretty(&BTreeMap::from(ProfinetLine::kept(stored))))
+        {
+            // The thread ends only with the sender.
+            let _ = writer.send(kept);
         }
     }
 
     fn note(&self, what: Arguments<'_>) {
-        report(format_args!("profinet {}: {what}", self.line.interface));
+        report(format_args!("profinet {}: {what}", self.name));
     }
 
     fn has_paused(&self) -> bool {
