@@ -40,7 +40,15 @@ const MIN_KBIT: u16 = 125;
 
 /// Connects PLCs on Modbus/TCP or PROFINET to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+#[command(
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    disable_help_subcommand = true
+)]
+#[command(override_usage = "\
+wsg gateway --gripper <ADDRESS> <--modbus <ADDR>|--profinet <INTERFACE>> [--settings <FILE>]
+       wsg gateway --config <FILE> [--check-config]
+       wsg gateway status [--json] <ADDR>...")]
 pub(crate) struct Arguments {
     #[command(flatten)]
     serving: Serving,
