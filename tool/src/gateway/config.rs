@@ -251,9 +251,9 @@ mod tests {
             (of_left("x = "), ", line 5: ", "expected TOML"),
             (of_left("name = \"x\""), ", line 5: ", "duplicate key"),
             (
-                of_left("setings = \"x\""),
+                of_left("setting = \"x\""),
                 ", line 5: ",
-                "setings is unknown; expected options as docs/gateway.md lists them; did you mean settings?",
+                "setting is unknown; expected options as docs/gateway.md lists them; did you mean settings?",
             ),
             (of_left("config = \"x\""), ", line 5: ", "config is unknown"),
             (of_left("unit = 0"), ", line 5: ", "'0' for '--unit <NUMBER>': 0 is not in 1..=247"),
@@ -293,9 +293,9 @@ mod tests {
             ),
             (of_left("delivered = 5"), ", line 5: ", "expected [gripper.delivered]"),
             (
-                of_left("[gripper.delivered]\nBUS_TIMOUT = 5"),
+                of_left("[gripper.delivered]\nBUS_TIME_OUT = 5"),
                 ", line 6: ",
-                "unknown setting `BUS_TIMOUT`; did you mean BUS_TIMEOUT?",
+                "unknown setting `BUS_TIME_OUT`; did you mean BUS_TIMEOUT?",
             ),
             (
                 of_left("delivered.BUS_REACTION = 3"),
