@@ -113,16 +113,17 @@ impl<C: CanController> Station<C> {
     }
 
     /// Runs one turn like [`turn`](Self::turn) for a gateway, which has no wires, no service port and no CAN: the PLC is on
-    /// `side`, and the gripper on `line`, regardless of PLC_BUS and GRIPPER_LINE.
+    /// `side`, and the gripper on `line`, regardless of PLC_BUS and GRIPPER_LINE. The outputs are for inspection.
     pub fn turn_of_gateway<L: Read + ReadReady + Write + WriteReady, P: PlcSide>(
         &mut self,
         now_ms: u32,
         line: &mut L,
         side: &mut P,
         flash: &mut impl NorFlash,
-    ) {
-        self.bridge.poll(now_ms, Inputs::FAST_STOP_OK, line, side);
+    ) -> Outputs {
+        let outputs = self.bridge.poll(now_ms, Inputs::FAST_STOP_OK, line, side);
         self.settings.turn(Instant::from_millis(now_ms), &mut self.bridge, flash);
+        outputs
     }
 
     fn poll<L: Read + ReadReady + Write + WriteReady>(

@@ -16,6 +16,7 @@
 //! | [`bridge`] | no motion without an edge, timely FAST STOP, true outputs, and settings as written, for any gripper, line, wires, Modbus bus and service port |
 //! | [`bridge_can`] | the same, with the gripper and a CANopen master on a CAN bus |
 //! | [`bridge_profibus`] | the same, with PROFIBUS masters; each answer is timely or omitted |
+//! | [`bridge_gateway`] | the same in a gateway, with two Modbus/TCP masters, pauses of the computer, and lost connections |
 //!
 //! cargo-fuzz runs the bodies (`cargo xtask fuzz`, targets in `host-tests/fuzz`). The test `fuzz_smoke` runs them on
 //! stable Rust over the committed seeds and [`generated`] inputs; `cargo xtask fuzz --inputs N` runs more inputs.
@@ -27,6 +28,7 @@ use generate::Pieces::{Hex, Text};
 
 mod bridge;
 mod bridge_can;
+mod bridge_gateway;
 mod bridge_profibus;
 mod can;
 mod controller;
@@ -48,6 +50,7 @@ mod whole;
 
 pub use bridge::bridge;
 pub use bridge_can::bridge_can;
+pub use bridge_gateway::bridge_gateway;
 pub use bridge_profibus::bridge_profibus;
 pub use can::can;
 pub use controller::controller;
@@ -126,7 +129,7 @@ const fn of_bridge([begins, plc]: [&'static [&'static str]; 2]) -> [&'static [&'
 }
 
 /// All bodies.
-pub const ALL: [Body; 13] = [
+pub const ALL: [Body; 14] = [
     Body { name: "frames", run: frames, pieces: Hex(&[generate::BINARY]) },
     Body { name: "typed", run: typed, pieces: Hex(&[generate::BINARY]) },
     Body { name: "session", run: session, pieces: Hex(&[generate::BINARY]) },
@@ -137,6 +140,11 @@ pub const ALL: [Body; 13] = [
         name: "bridge_profibus",
         run: bridge_profibus,
         pieces: Hex(&of_bridge(generate::BRIDGE_PROFIBUS)),
+    },
+    Body {
+        name: "bridge_gateway",
+        run: bridge_gateway,
+        pieces: Hex(&[generate::BRIDGE_GATEWAY, generate::GRIPPER]),
     },
     Body { name: "gcl", run: gcl, pieces: Text(generate::TEXT) },
     Body { name: "can", run: can, pieces: Hex(&[generate::BINARY]) },

@@ -22,6 +22,7 @@ smoke! {
     bridge_60_000_cases: "bridge",
     bridge_can_60_000_cases: "bridge_can",
     bridge_profibus_60_000_cases: "bridge_profibus",
+    bridge_gateway_60_000_cases: "bridge_gateway",
     can_60_000_cases: "can",
     gcl_60_000_cases: "gcl",
     modbus_60_000_cases: "modbus",

@@ -73,7 +73,7 @@ pub fn bridge(data: &[u8]) {
 }
 
 /// Returns a request that writes a setting, a recipe, BUS_RECIPE or a command, or reads settings.
-fn settings_pdu(how: u8, input: &mut Input<'_>) -> Vec<u8> {
+pub(super) fn settings_pdu(how: u8, input: &mut Input<'_>) -> Vec<u8> {
     let byte = input.byte();
     match how {
         0 => vec![6, 0, 100 + byte % 90, 0, input.byte()],
@@ -92,7 +92,7 @@ fn settings_pdu(how: u8, input: &mut Input<'_>) -> Vec<u8> {
 }
 
 /// Starts a bridge. Returns it, and the settings of this start.
-fn start(delivered: &Config, flash: &mut FlashModel) -> (Station<CanDouble>, Config) {
+pub(super) fn start(delivered: &Config, flash: &mut FlashModel) -> (Station<CanDouble>, Config) {
     let can = CanBus::new(CanDouble::default(), BusOffPolicy::DEFAULT);
     let (station, _, config) = boot(delivered, flash, can, ResetCause::PowerOn);
     (station, config)
@@ -178,11 +178,7 @@ impl Model {
             }
         }
         self.ends.is_over |= matches!(self.tracked.end_turn(), Done::Unknown);
-        let Self { ends: Ends { promises: Promises { requests, reports, .. }, .. }, tracked, .. } = self;
-        reports.frame_timeout_ms = tracked.frame_timeout_ms();
-        requests.debounce_ms = tracked.debounce_ms();
-        requests.recipes = tracked.recipes();
-        requests.refuses &= tracked.saved().is_none();
+        self.tracked.configure(&mut self.ends.promises);
     }
 
     /// Checks that the next start loads the saved settings.
@@ -197,7 +193,7 @@ impl Model {
 }
 
 /// Maximum duration of a save in turns: an erase and a double word per four settings, in both pages.
-const SAVE_MS: u32 = 70;
+pub(super) const SAVE_MS: u32 = 70;
 
 /// Maximum wait of a FAST STOP for the previous frame on a slow line, in milliseconds.
 const SLOW_DELAY_MS: u32 = 2;
@@ -252,7 +248,7 @@ impl WholeBridge for Model {
             ends.line.cut();
         }
         let max_delay_ms = if ends.line.is_slow() { SLOW_DELAY_MS } else { 1 };
-        ends.end_turn(self.station.bridge(), outputs, max_delay_ms);
+        ends.end_turn(self.station.bridge(), outputs, Some(max_delay_ms));
         self.serve();
     }
 

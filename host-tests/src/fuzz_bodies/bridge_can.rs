@@ -627,7 +627,7 @@ impl WholeBridge for Model {
             return;
         }
         if self.is_on_rs_232 {
-            self.ends.end_turn(&self.bridge, outputs, 1);
+            self.ends.end_turn(&self.bridge, outputs, Some(1));
             // The device's frames are transmitted as well.
             return self.leave();
         }

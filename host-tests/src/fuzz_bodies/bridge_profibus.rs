@@ -405,7 +405,7 @@ impl WholeBridge for Model {
                 PlcEvent::Configured | PlcEvent::Served => unreachable!("PROFIBUS has no registers"),
             }
         }
-        self.ends.end_turn(&self.bridge, outputs, 1);
+        self.ends.end_turn(&self.bridge, outputs, Some(1));
     }
 
     fn pass(&mut self, ms: u32) {

@@ -150,6 +150,24 @@ pub(super) const BRIDGE_PROFIBUS: [&[&str]; 2] = [
     ],
 ];
 
+/// Start and master ops of the body `bridge_gateway`.
+pub(super) const BRIDGE_GATEWAY: &[&str] = &[
+    // Ready and not ready; turns every 5 ms; damaged settings; moving fingers.
+    "01 01 03 09 11 00",
+    // Images: zeros, motions, a stop, a FAST STOP, a jog with its parameters, some in one millisecond; edges. By both masters.
+    "0A00000400 0A01000400 4A02010400 0A05000400 0A06000400 0A07000400 0A07010400 8A00000400 CA01000400 8A02010400 8A06000400 \
+     0E0001 0E0002 0E0004 0E0005 0E0107 8E0001 8E0006",
+    // A coil, mask writes, reads by both masters.
+    "0C0001010400 0C0001000400 0D00020400 0D080000030400 8D080000030400",
+    // Settings: BUS_TIMEOUT, BUS_REACTION, DEBOUNCE, SWAP_BYTES, recipes and their use; SAVE, RESTORE, DEFAULTS; reads.
+    "0B0001FA0400 0B0001000400 0B0002020400 0B0002010400 0B00060A0400 0B0005010400 1B0003010400 9B0003000400 2B00030400 2B00100400 \
+     3B00000400 3B00010400 3B00020400 2B8000510400",
+    // Pauses, late turns, lost connections to the gripper with and without its FAST STOP, the end of a master's connection, also
+    // during a jog that the other one has changed or only read.
+    "080000 080040 080128 0801C8 08023F 080605 8802FF 080300 880300 0E000707058A07000400080300 0E000707058A07000400880300 \
+     0E000707058D080000030400880300080300",
+];
+
 /// Ops of the body `storage`: contents of pages and operations on them.
 pub(super) const STORAGE: &[&str] = &[
     // Complete records in both pages: at the start, after another, at the end, too long for the store.

@@ -137,6 +137,7 @@ impl Gripper {
             states.happen(GripperEvent::ThirdPartyAcknowledges, &mut send);
         } else if states.fast_stop() {
             states.happen(GripperEvent::StopsFast, &mut send);
+            self.reach.enter_fast_stop();
         }
         if (is_restarted || is_acknowledged) && was_fast_stopped {
             self.reach.leave_fast_stop(Instant::from_millis(now_ms));

@@ -10,6 +10,7 @@ use wsg_bridge_fw::{RECIPE_COUNT, Recipe};
 use wsg_fieldbus::OutputImage;
 
 use super::rtu_line::{Requests, Way};
+use crate::promises::Promises;
 use crate::rtu_double::Event;
 
 /// Silences on the bus and on the service port.
@@ -116,19 +117,11 @@ impl Tracked {
         self.setting(BUS_REACTION) == 1
     }
 
-    pub(super) fn debounce_ms(&self) -> u32 {
-        self.setting(DEBOUNCE).into()
-    }
-
     pub(super) fn min_busy_ms(&self) -> u32 {
         self.setting(MIN_BUSY).into()
     }
 
-    pub(super) fn frame_timeout_ms(&self) -> u32 {
-        self.setting(HALF_FRAME).into()
-    }
-
-    pub(super) fn recipes(&self) -> [Recipe; RECIPE_COUNT] {
+    fn recipes(&self) -> [Recipe; RECIPE_COUNT] {
         std::array::from_fn(|number| {
             let [width, speed, force, release] =
                 std::array::from_fn(|n| self.setting(FIRST_RECIPE + 4 * number + n));
@@ -139,6 +132,14 @@ impl Tracked {
     /// Returns the settings loaded at the next start after a completed save; `None` without one.
     pub(super) fn saved(&self) -> Option<&Record> {
         self.is_saved.then_some(&self.stored)
+    }
+
+    /// Applies the settings to the promises, from the next turn on.
+    pub(super) fn configure(&self, Promises { requests, reports, .. }: &mut Promises) {
+        reports.frame_timeout_ms = self.setting(HALF_FRAME).into();
+        requests.debounce_ms = self.setting(DEBOUNCE).into();
+        requests.recipes = self.recipes();
+        requests.refuses &= !self.is_saved;
     }
 
     pub(super) fn end_turn(&mut self) -> Done {
@@ -199,7 +200,8 @@ impl Tracked {
         Some(self.carry_out(write).unwrap_or(Done::Activity))
     }
 
-    fn take_answer(&mut self, port: Port, request: &[u8], answer: &[u8]) -> Done {
+    /// Processes the answer to a request; both are PDUs.
+    pub(super) fn take_answer(&mut self, port: Port, request: &[u8], answer: &[u8]) -> Done {
         let write = self.write(request);
         let is_of_image = write.as_ref().is_some_and(Write::is_of_image);
         let what = || format!("{port:?}: {answer:02X?} to {request:02X?}");

@@ -72,8 +72,9 @@ impl Ends {
     }
 
     /// Ends a turn of this bridge with these outputs: delivers its commands to the gripper, and the gripper's answers.
-    pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, max_delay_ms: u32) {
-        self.promises.end_inputs(Some(max_delay_ms));
+    /// `max_delay_ms` is `None` without a line.
+    pub(super) fn end_turn(&mut self, bridge: &Bridge, outputs: Outputs, max_delay_ms: Option<u32>) {
+        self.promises.end_inputs(max_delay_ms);
         for id in self.line.take_begun() {
             self.send(id, None);
         }

@@ -100,8 +100,8 @@ impl GstateRule {
             self.excuse = match image.status {
                 Status::Success | Status::CmdPending | Status::CmdFailed => Excuse::None,
                 Status::CmdAborted if self.is_aborted => Excuse::None,
-                // Withdrawn, or found moving at power-up, which a motion that was refused then hides.
-                Status::CmdAborted | Status::Timeout | Status::AlreadyRunning => {
+                // Withdrawn, or found moving at power-up, which refused settings or a motion that was refused then hide.
+                Status::CmdAborted | Status::Timeout | Status::AlreadyRunning | Status::InconsistentData => {
                     Excuse::Unknown(self.reported)
                 }
                 // The connection was lost during the motion.

@@ -10,14 +10,13 @@ use super::reports::Reports;
 use super::requests::Requests;
 use super::{Kept, Promise, keep};
 
-/// Maximum time of LINK_OK after the gripper's last intact frame, in milliseconds.
-const SILENCE_MS: u32 = 1_000;
-
 /// The output wires of the last turn.
 #[derive(Clone, Debug)]
 pub(crate) struct Levels {
     /// Minimum duration of BUSY, in milliseconds.
     pub(crate) min_busy_ms: u32,
+    /// Maximum time of LINK_OK after the gripper's last intact frame, in milliseconds.
+    pub(crate) max_silence_ms: u32,
     pub(crate) outputs: Outputs,
     busy_since: Instant,
     /// Whether the fingers were moving, or a motion of the PLC had neither a result nor ERROR, at the end of a turn since BUSY
@@ -39,6 +38,7 @@ impl Levels {
     pub(super) const fn new(min_busy_ms: u32) -> Self {
         Self {
             min_busy_ms,
+            max_silence_ms: 1_000,
             outputs: Outputs::empty(),
             busy_since: Instant::from_millis(0),
             has_run: false,
@@ -67,7 +67,7 @@ impl Levels {
         let (Some(flags), Some(state)) = (reports.flags, reports.state) else {
             return Err(Promise::LinkOkKnowsTheStates);
         };
-        keep(Promise::LinkOkGoesLow, now.since(reports.received) <= SILENCE_MS)?;
+        keep(Promise::LinkOkGoesLow, now.since(reports.received) <= self.max_silence_ms)?;
 
         let locked = requests.stopped.is_some() || flags.intersects(SystemFlags::LOCKS);
         let is_at_fault = locked || requests.is_refused || flags.contains(SystemFlags::FINGER_FAULT);

@@ -45,6 +45,11 @@ impl Reach {
         self.left = Some(now);
     }
 
+    /// Records that the gripper has entered FAST STOP by itself. It has not left it then.
+    pub(crate) const fn enter_fast_stop(&mut self) {
+        self.left = None;
+    }
+
     /// Returns whether the gripper has received a FAST STOP since the request, or may still be waiting for it. A silent
     /// gripper cannot receive. While FAST STOP `is_held`, a gripper that has left it must receive another.
     pub(super) fn has_stopped(&self, now: Instant, requested: Instant, is_held: bool) -> bool {

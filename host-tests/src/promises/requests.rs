@@ -253,6 +253,12 @@ impl Requests {
         self.take(self.wires, false);
     }
 
+    /// Processes the end of the PLC's connection, with which its jog ends.
+    pub(crate) fn end_jog(&mut self) {
+        self.bus -= JOG;
+        self.take(self.wires, false);
+    }
+
     /// Checks a command that is sent. `command` is `None` while only its id is known; `force_limit` is the gripper's,
     /// in hundredths, if known.
     pub(super) fn send(

@@ -192,8 +192,13 @@ pub struct TcpTurn<'a> {
 impl PlcSide for TcpTurn<'_> {
     fn receive(&mut self, now: Instant, view: &mut View<'_>) -> Option<PlcEvent> {
         let Self { modbus, input } = self;
+        let is_paused = matches!(input, TcpInput::Paused);
+        if is_paused {
+            // A pause longer than BUS_TIMEOUT is one loss.
+            *input = TcpInput::Nothing;
+        }
         // Before a request: a bridge that was late must not take it for one in time.
-        if has_fallen_silent(&mut modbus.received_at, now, view.settings.timeout_ms()) {
+        if has_fallen_silent(&mut modbus.received_at, now, view.settings.timeout_ms()) || is_paused {
             return Some(modbus.lose_plc());
         }
         match core::mem::replace(input, TcpInput::Nothing) {
@@ -208,8 +213,7 @@ impl PlcSide for TcpTurn<'_> {
                 modbus.held = CommandFlags::empty();
                 modbus.is_plc(master).then(|| modbus.lose_plc())
             }
-            TcpInput::Paused => Some(modbus.lose_plc()),
-            TcpInput::Nothing => None,
+            TcpInput::Paused | TcpInput::Nothing => None,
         }
     }
 
@@ -367,5 +371,6 @@ mod tests {
         let (events, answer) = rig.request(1_800, 1, READ);
         assert_eq!(events, [SILENT, PlcEvent::Served]);
         assert_eq!(answer[..2], [4, 2]);
+        assert_eq!(rig.turn(2_900, TcpInput::Paused), [SILENT]);
     }
 }
