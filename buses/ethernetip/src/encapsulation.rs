@@ -66,12 +66,13 @@ pub(crate) struct Header {
 pub(crate) type Outcome = Option<Result<u32, u32>>;
 
 impl Header {
-    /// Splits a frame into header and data. Returns `None` if it is truncated or has options, which must be ignored.
+    /// Splits a frame into header and data. Returns `None` if it is truncated or has a status or options, which must be
+    /// ignored.
     pub(crate) fn parse(frame: &[u8]) -> Option<(Self, &[u8])> {
         let mut reader = Reader::new(frame);
         let (command, len, session) = (reader.u16()?, reader.u16()?, reader.u32()?);
-        let (_status, context, options) = (reader.u32()?, reader.array()?, reader.u32()?);
-        (options == 0).then_some((Self { command, len, session, context }, reader.rest()))
+        let (status, context, options) = (reader.u32()?, reader.array()?, reader.u32()?);
+        (status == 0 && options == 0).then_some((Self { command, len, session, context }, reader.rest()))
     }
 
     /// Returns whether the frame has data of the announced length.

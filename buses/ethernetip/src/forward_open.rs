@@ -12,6 +12,9 @@ pub(crate) const OUTPUT_OVERHEAD: usize = 6;
 /// Bytes before the inputs: sequence count.
 pub(crate) const INPUT_OVERHEAD: usize = 2;
 
+/// Minimum size of a connection for answers: any request that changes something gets its answer.
+const MIN_ANSWER_SIZE: u16 = 32;
+
 /// Identifies a connection for its originator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Triad {
@@ -175,6 +178,9 @@ impl<'a> Open<'a> {
                 }
                 (Some(2), [Some(1), None, None]) if self.input.size > MAX_SIZE => {
                     wrong_size(0x0128, MAX_SIZE)
+                }
+                (Some(2), [Some(1), None, None]) if self.input.size < MIN_ANSWER_SIZE => {
+                    wrong_size(0x0128, MIN_ANSWER_SIZE)
                 }
                 (Some(2), [Some(1), None, None]) => Ok(None),
                 _ => refused(0x0117),

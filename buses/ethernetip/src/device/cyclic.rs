@@ -43,18 +43,18 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
         let mut reader = Reader::new(packet.data);
         let (count, header) = (reader.u16()?, reader.u32()?);
-        // The same count is the same data, which keeps the connection alive.
-        if io.count.replace(count) == Some(count) {
+        let mode = if header & RUN == 0 { State::Idle } else { State::Run };
+        let (old_mode, old_count) = (core::mem::replace(&mut io.mode, mode), io.count.replace(count));
+        // The same count in the same mode is the same data, which keeps the connection alive.
+        if (old_mode, old_count) == (mode, Some(count)) {
             return Some(());
         }
-        let mode = if header & RUN == 0 { State::Idle } else { State::Run };
-        let was_running = core::mem::replace(&mut io.mode, mode) == State::Run;
         if mode == State::Run {
             *outputs = reader.array()?;
             // Outputs that the application has not taken yet may have been the first.
-            let is_first = !was_running || pending.image == Some(Event::Outputs { is_first: true });
+            let is_first = old_mode != mode || pending.image == Some(Event::Outputs { is_first: true });
             pending.image = Some(Event::Outputs { is_first });
-        } else if was_running {
+        } else if old_mode == State::Run {
             outputs.fill(0);
             pending.image = Some(Event::Idle);
         }

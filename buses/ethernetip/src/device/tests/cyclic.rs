@@ -60,7 +60,7 @@ fn sequence_numbers_decide_what_is_new() {
 #[test]
 fn first_outputs_are_marked_after_idle_and_if_not_taken() {
     let (mut rig, id) = owned(&OWN);
-    for (count, header, events) in [
+    for (sequence, (count, header, events)) in (1..).zip([
         (1, 0, &[][..]),
         (2, 0, &[]),
         (3, 1, &[FIRST]),
@@ -68,15 +68,20 @@ fn first_outputs_are_marked_after_idle_and_if_not_taken() {
         (4, 0xFFFF_FFFE, &[Event::Idle]),
         (5, 3, &[FIRST]),
         (6, 1, &[NEXT]),
-    ] {
-        assert_eq!(rig.outputs(id, count.into(), count, header), events, "{count}");
-        let expected = if header & 1 == 0 { [0; 8] } else { [count as u8; 8] };
-        assert_eq!(*rig.device.outputs(), expected);
+        // The mode counts even with a frozen count.
+        (6, 0, &[Event::Idle]),
+        (6, 1, &[FIRST]),
+        (6, 1, &[]),
+    ]) {
+        assert_eq!(rig.outputs(id, sequence, count, header), events, "{sequence}");
+        let (expected, mode) =
+            if header & 1 == 0 { ([0; 8], State::Idle) } else { ([count as u8; 8], State::Run) };
+        assert_eq!((*rig.device.outputs(), rig.device.state()), (expected, mode));
     }
-    rig.outputs(id, 7, 7, 0);
+    rig.outputs(id, 10, 7, 0);
     // Two packets before the application takes an event.
-    rig.packet(PLC, id, 8, "0800 01000000 0102030405060708");
-    rig.packet(PLC, id, 9, "0900 01000000 1112131415161718");
+    rig.packet(PLC, id, 11, "0800 01000000 0102030405060708");
+    rig.packet(PLC, id, 12, "0900 01000000 1112131415161718");
     assert_eq!(rig.events(), [FIRST]);
     assert_eq!(rig.device.outputs()[0], 0x11);
 }

@@ -60,11 +60,13 @@ fn each_wrong_field_has_its_extended_status() {
         (Fo { rpi: [0, 1], ..EXPLICIT }, "1101"),
         (Fo { size: [4_000, 500], is_large: true, ..EXPLICIT }, "2701ff01"),
         (Fo { size: [500, 4_000], is_large: true, ..EXPLICIT }, "2801ff01"),
+        // An answer to a request that opens a connection would not fit.
+        (Fo { size: [500, 31], ..EXPLICIT }, "28012000"),
     ] {
         assert_eq!(refusal(&mut rig, session, &open), code, "{}", open.hex());
         assert_eq!((rig.events(), rig.sent()), (Vec::new(), Vec::new()));
     }
-    assert_eq!(rig.device.counters().opens_refused, 41);
+    assert_eq!(rig.device.counters().opens_refused, 42);
     // Lengths: a short request, and a path that is shorter or longer than announced.
     let whole = bytes(&OWN.hex());
     for (request, answer) in [
