@@ -3,7 +3,7 @@
 use core::net::{Ipv4Addr, SocketAddrV4};
 
 use crate::cursor::{Reader, Writer};
-use crate::encapsulation::{MAX_SIZE, item, item_of};
+use crate::encapsulation::{item, items};
 use crate::forward_open::{Kind, Open, Triad};
 use crate::state::State;
 
@@ -19,9 +19,10 @@ pub struct Client {
     pub address: Ipv4Addr,
 }
 
-/// Facts that all connections have.
+/// An open connection.
 #[derive(Clone, Debug)]
-pub(crate) struct Link {
+pub(crate) struct Connection {
+    pub(crate) kind: Kind,
     pub(crate) triad: Triad,
     /// The TCP connection that opened it.
     pub(crate) client: Client,
@@ -29,32 +30,10 @@ pub(crate) struct Link {
     pub(crate) consumed_id: u32,
     /// Identifier of packets to the originator.
     pub(crate) produced_id: u32,
-    timeout_us: u64,
+    pub(crate) timeout_us: u64,
     /// Time at which the connection ends without a packet.
     pub(crate) until: u64,
-}
-
-impl Link {
-    pub(crate) fn new(now: u64, open: &Open<'_>, client: Client, consumed_id: u32) -> Self {
-        let factor = 4_u64.checked_shl(open.multiplier.into()).unwrap_or(u64::MAX);
-        let timeout_us = factor.saturating_mul(open.output_us.into());
-        let until = now.saturating_add(timeout_us.max(FIRST_US));
-        let (triad, produced_id) = (open.triad, open.produced_id);
-        Self { triad, client, consumed_id, produced_id, timeout_us, until }
-    }
-
-    /// Restarts the time-out after a packet.
-    pub(crate) const fn restart(&mut self, now: u64) {
-        self.until = now.saturating_add(self.timeout_us);
-    }
-}
-
-/// A connection with cyclic data (class 1).
-#[derive(Clone, Debug)]
-pub(crate) struct Io {
-    pub(crate) link: Link,
-    pub(crate) kind: Kind,
-    /// Length of the data in packets to this device.
+    /// Length of cyclic data to this device, or the maximum length of an answer with its sequence count.
     pub(crate) size: u16,
     pub(crate) target: SocketAddrV4,
     /// Mode of an owner.
@@ -64,20 +43,40 @@ pub(crate) struct Io {
     /// Last sequence count received.
     pub(crate) count: Option<u16>,
     pub(crate) interval_us: u64,
-    /// Time of the next packet to the originator.
+    /// Time of the next cyclic packet to the originator.
     pub(crate) next: u64,
     /// Last sequence number sent.
     pub(crate) sent: u32,
 }
 
-/// A connection with explicit messages (class 3).
-#[derive(Clone, Debug)]
-pub(crate) struct Explicit {
-    pub(crate) link: Link,
-    /// Maximum length of an answer with its sequence count.
-    pub(crate) size: u16,
-    /// The last answer with its sequence count, and its length.
-    pub(crate) answer: ([u8; MAX_SIZE as usize], usize),
+impl Connection {
+    pub(crate) fn new(now: u64, kind: Kind, open: &Open<'_>, client: Client, target: SocketAddrV4) -> Self {
+        let factor = 4_u64.checked_shl(open.multiplier.into()).unwrap_or(u64::MAX);
+        let timeout_us = factor.saturating_mul(open.output.interval_us.into());
+        let is_cyclic = kind != Kind::Explicit;
+        Self {
+            kind,
+            triad: open.triad,
+            client,
+            consumed_id: 0,
+            produced_id: open.produced_id,
+            timeout_us,
+            until: now.saturating_add(timeout_us.max(FIRST_US)),
+            size: if is_cyclic { open.output.size } else { open.input.size },
+            target,
+            mode: State::Waiting,
+            received: None,
+            count: None,
+            interval_us: open.input.interval_us.into(),
+            next: if is_cyclic { now } else { u64::MAX },
+            sent: 0,
+        }
+    }
+
+    /// Restarts the time-out after a packet.
+    pub(crate) const fn restart(&mut self, now: u64) {
+        self.until = now.saturating_add(self.timeout_us);
+    }
 }
 
 /// A packet of class 1.
@@ -91,17 +90,15 @@ pub(crate) struct Packet<'a> {
 impl<'a> Packet<'a> {
     /// Parses a datagram of exactly two items.
     pub(crate) fn parse(datagram: &'a [u8]) -> Option<Self> {
-        let mut reader = Reader::new(datagram);
-        let count = reader.u16()?;
-        let (address, data) = (item_of(&mut reader)?, item_of(&mut reader)?);
-        match (count, address, data, reader.rest()) {
-            (2, (item::SEQUENCED_ADDRESS, address), (item::CONNECTED_DATA, data), []) => {
-                let mut reader = Reader::new(address);
-                let packet = Self { id: reader.u32()?, sequence: reader.u32()?, data };
-                reader.rest().is_empty().then_some(packet)
-            }
-            _ => None,
-        }
+        let mut places = Default::default();
+        let [(item::SEQUENCED_ADDRESS, address), (item::CONNECTED_DATA, data)] =
+            *items(Reader::new(datagram), &mut places)?
+        else {
+            return None;
+        };
+        let mut reader = Reader::new(address);
+        let packet = Self { id: reader.u32()?, sequence: reader.u32()?, data };
+        reader.rest().is_empty().then_some(packet)
     }
 
     /// Writes a packet to an originator, with a sequence count and these inputs.

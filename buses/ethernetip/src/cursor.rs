@@ -70,24 +70,9 @@ impl<'a> Writer<'a> {
         Self { buffer, len: 0, is_short: false }
     }
 
-    pub(crate) const fn len(&self) -> usize {
-        self.len
-    }
-
-    /// Returns whether fields were dropped.
-    pub(crate) const fn is_short(&self) -> bool {
-        self.is_short
-    }
-
     /// Returns the number of bytes written, or `None` if the buffer was too short.
     pub(crate) fn finish(self) -> Option<usize> {
         (!self.is_short).then_some(self.len)
-    }
-
-    /// Removes everything after the first `len` bytes.
-    pub(crate) fn truncate(&mut self, len: usize) {
-        self.len = self.len.min(len);
-        self.is_short = false;
     }
 
     pub(crate) fn bytes(&mut self, bytes: &[u8]) {
@@ -109,12 +94,6 @@ impl<'a> Writer<'a> {
         Ok(())
     }
 
-    pub(crate) fn zeros(&mut self, count: usize) {
-        for _ in 0..count {
-            self.u8(0);
-        }
-    }
-
     pub(crate) fn u8(&mut self, value: u8) {
         self.bytes(&[value]);
     }
@@ -127,23 +106,12 @@ impl<'a> Writer<'a> {
         self.bytes(&value.to_le_bytes());
     }
 
-    /// Writes an address as CIP does: as a number.
-    pub(crate) fn address(&mut self, address: Ipv4Addr) {
-        self.u32(address.to_bits());
-    }
-
     /// Writes a socket address of 16 bytes.
     pub(crate) fn socket_address(&mut self, address: SocketAddrV4) {
         self.bytes(&[0, AF_INET]);
         self.bytes(&address.port().to_be_bytes());
         self.bytes(&address.ip().octets());
-        self.zeros(8);
-    }
-
-    /// Overwrites bytes written before.
-    pub(crate) fn put(&mut self, at: usize, bytes: &[u8]) {
-        // Bytes that did not fit cannot be overwritten.
-        let _ = self.buffer.get_mut(..self.len).and_then(|written| copy(written, at, bytes));
+        self.bytes(&[0; 8]);
     }
 
     /// Writes the length of the output of `body` in 16 bits, then the output.
@@ -152,6 +120,10 @@ impl<'a> Writer<'a> {
         self.u16(0);
         body(self);
         let len = self.len.saturating_sub(at).saturating_sub(2);
-        self.put(at, &(len as u16).to_le_bytes());
+        // A length that did not fit cannot be overwritten.
+        let _ = self
+            .buffer
+            .get_mut(..self.len)
+            .and_then(|written| copy(written, at, &(len as u16).to_le_bytes()));
     }
 }

@@ -10,8 +10,8 @@ use core::net::SocketAddrV4;
 
 pub use self::objects::DSCP;
 use self::session::Session;
-use crate::connection::{Explicit, Io, Link};
-use crate::encapsulation::{Header, MAX_FRAME_LEN, MAX_MESSAGE_LEN};
+use crate::connection::Connection;
+use crate::encapsulation::{Header, MAX_FRAME_LEN, MAX_MESSAGE_LEN, MAX_SIZE};
 use crate::forward_open::{Kind, Triad};
 use crate::profile::{Network, Profile};
 use crate::state::{Cause, Event, Reset, State};
@@ -22,14 +22,14 @@ pub const SESSIONS: usize = 8;
 pub const IO_CONNECTIONS: usize = 8;
 /// Maximum number of connections with explicit messages (class 3).
 pub const EXPLICIT_CONNECTIONS: usize = 8;
+const CONNECTIONS: usize = IO_CONNECTIONS + EXPLICIT_CONNECTIONS;
 /// Maximum number of delayed answers to broadcasts.
 const IDENTITIES: usize = 4;
 /// Place of the owner in the table of connections.
 const OWNER: usize = 0;
 /// Number of low bits of an identifier that hold its place in the tables.
 const PLACE_BITS: u32 = 5;
-const _: () =
-    assert!(1 + IO_CONNECTIONS + EXPLICIT_CONNECTIONS <= 1 << PLACE_BITS && SESSIONS < 1 << PLACE_BITS);
+const _: () = assert!(CONNECTIONS < 1 << PLACE_BITS && SESSIONS < 1 << PLACE_BITS);
 
 /// A datagram to send, in the caller's buffer: its length and its destination.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -99,8 +99,10 @@ pub struct Device<const OUT: usize, const IN: usize> {
     outputs: [u8; OUT],
     inputs: [u8; IN],
     sessions: [Option<Session>; SESSIONS],
-    io: [Option<Io>; IO_CONNECTIONS],
-    explicit: [Option<Explicit>; EXPLICIT_CONNECTIONS],
+    /// The owner's place, further ones for cyclic data, and those for explicit messages.
+    connections: [Option<Connection>; CONNECTIONS],
+    /// The last answer in each connection with explicit messages, with its sequence count, and its length.
+    answers: [([u8; MAX_SIZE as usize], usize); EXPLICIT_CONNECTIONS],
     /// Delayed answers: their time, their receiver, its request.
     identities: [Option<(u64, SocketAddrV4, Header)>; IDENTITIES],
     /// Time after which a silent TCP connection is closed; 0 for never.
@@ -124,8 +126,8 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             outputs: [0; OUT],
             inputs: [0; IN],
             sessions: [const { None }; SESSIONS],
-            io: [const { None }; IO_CONNECTIONS],
-            explicit: [const { None }; EXPLICIT_CONNECTIONS],
+            connections: [const { None }; CONNECTIONS],
+            answers: [([0; MAX_SIZE as usize], 0); EXPLICIT_CONNECTIONS],
             identities: [const { None }; IDENTITIES],
             inactivity_s: session::INACTIVITY_S,
             has_timed_out: false,
@@ -189,29 +191,34 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         {
             return now;
         }
-        let packets = self.io.iter().flatten().map(|io| io.next);
-        let links = self.links().map(|link| link.until);
+        let connections = self.connections().map(|it| it.until.min(it.next));
         let identities = self.identities.iter().flatten().map(|(due, ..)| *due);
         let sessions = self.sessions.iter().flatten().map(|session| session.until(self.inactivity_s));
-        packets.chain(links).chain(identities).chain(sessions).min().unwrap_or(u64::MAX)
+        connections.chain(identities).chain(sessions).min().unwrap_or(u64::MAX)
     }
 
-    fn owner(&self) -> Option<&Io> {
-        self.io.get(OWNER)?.as_ref()
+    fn owner(&self) -> Option<&Connection> {
+        self.connections.get(OWNER)?.as_ref()
     }
 
-    fn links(&self) -> impl Iterator<Item = &Link> {
-        let io = self.io.iter().flatten().map(|io| &io.link);
-        io.chain(self.explicit.iter().flatten().map(|explicit| &explicit.link))
+    fn connections(&self) -> impl Iterator<Item = &Connection> {
+        self.connections.iter().flatten()
+    }
+
+    /// Returns whether inputs are sent for a connection that is not listen only.
+    fn has_stream(&self) -> bool {
+        self.connections().any(|it| matches!(it.kind, Kind::ExclusiveOwner | Kind::InputOnly))
     }
 
     /// Ends everything whose time has passed. Called before each reception and transmission, so that a late packet revives
     /// nothing and a new owner replaces one that has timed out.
     fn expire(&mut self, now: u64) {
-        while let Some((triad, client)) = self.expired(now) {
-            self.end_link(triad, Cause::Silence);
+        let is_over = |it: &&Connection| now >= it.until;
+        while let Some(over) = self.connections.iter().flatten().find(is_over) {
+            let (triad, client) = (over.triad, over.client.number);
+            self.end(triad, Cause::Silence);
             // The TCP connection of an originator ends with the last connection that it has opened.
-            if !self.links().any(|link| link.client.number == client) {
+            if !self.connections().any(|it| it.client.number == client) {
                 self.end_session(client);
             }
         }
@@ -222,27 +229,27 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         }
     }
 
-    fn expired(&self, now: u64) -> Option<(Triad, u32)> {
-        self.links().find(|link| now >= link.until).map(|link| (link.triad, link.client.number))
-    }
-
     /// Ends a connection. Listen-only connections end with the last connection of another kind.
-    fn end_link(&mut self, triad: Triad, cause: Cause) {
-        for place in &mut self.explicit {
-            place.take_if(|explicit| explicit.link.triad == triad);
-        }
-        let mut places = self.io.iter_mut();
-        let Some(io) = places.find_map(|place| place.take_if(|io| io.link.triad == triad)) else { return };
-        self.has_timed_out |= cause == Cause::Silence;
-        if io.kind == Kind::ExclusiveOwner {
+    fn end(&mut self, triad: Triad, cause: Cause) {
+        let mut places = self.connections.iter_mut();
+        let Some(ended) = places.find_map(|place| place.take_if(|it| it.triad == triad)) else { return };
+        self.has_timed_out |= cause == Cause::Silence && ended.kind != Kind::Explicit;
+        if ended.kind == Kind::ExclusiveOwner {
             self.outputs = [0; OUT];
             // Outputs that the application has not taken yet, and an owner that it does not know yet, are discarded.
             let Pending { left, is_connected, reset, .. } = self.pending;
             let left = if is_connected { left } else { Some(cause) };
             self.pending = Pending { left, reset, ..Pending::default() };
         }
-        if !self.io.iter().flatten().any(|io| io.kind != Kind::ListenOnly) {
-            self.io = [const { None }; IO_CONNECTIONS];
+        if !self.has_stream() {
+            self.end_all(|it| it.kind == Kind::ListenOnly);
+        }
+    }
+
+    /// Removes connections without an event.
+    fn end_all(&mut self, is_it: impl Fn(&Connection) -> bool) {
+        for place in &mut self.connections {
+            place.take_if(|it| is_it(it));
         }
     }
 }

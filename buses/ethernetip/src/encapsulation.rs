@@ -48,8 +48,8 @@ pub(crate) mod item {
     pub(crate) const CONNECTED_DATA: u16 = 0x00B1;
     pub(crate) const UNCONNECTED_DATA: u16 = 0x00B2;
     pub(crate) const SERVICES: u16 = 0x0100;
+    /// Socket address for data to the device. The next type is for data to the originator.
     pub(crate) const SOCKET_O_TO_T: u16 = 0x8000;
-    pub(crate) const SOCKET_T_TO_O: u16 = 0x8001;
     pub(crate) const SEQUENCED_ADDRESS: u16 = 0x8002;
 }
 
@@ -86,21 +86,21 @@ impl Header {
         buffer: &'a mut [u8; MAX_FRAME_LEN],
         body: impl FnOnce(&mut Writer<'_>) -> Outcome,
     ) -> Option<&'a [u8]> {
-        let mut writer = Writer::new(buffer);
-        writer.u16(self.command);
-        writer.zeros(10);
-        writer.bytes(&self.context);
-        writer.u32(0);
-        let (session, status) = match body(&mut writer)? {
+        let (head, data) = buffer.split_first_chunk_mut::<HEADER_LEN>()?;
+        let mut out = Writer::new(data);
+        let (session, status) = match body(&mut out)? {
             Ok(session) => (session, 0),
             Err(status) => (self.session, status),
         };
-        let len = writer.len().saturating_sub(HEADER_LEN);
-        writer.put(2, &(len as u16).to_le_bytes());
-        writer.put(4, &session.to_le_bytes());
-        writer.put(8, &status.to_le_bytes());
-        let len = writer.finish()?;
-        buffer.get(..len)
+        let len = out.finish()?;
+        let mut out = Writer::new(head);
+        out.u16(self.command);
+        out.u16(len as u16);
+        out.u32(session);
+        out.u32(status);
+        out.bytes(&self.context);
+        out.u32(0);
+        buffer.get(..HEADER_LEN.saturating_add(len))
     }
 }
 
@@ -184,38 +184,42 @@ impl<'a> Items<'a> {
     pub(crate) fn parse(data: &'a [u8], is_connected: bool) -> Option<Self> {
         let mut reader = Reader::new(data);
         // The interface is CIP. The time-out is for routers.
-        let (interface, _timeout, count) = (reader.u32()?, reader.u16()?, reader.u16()?);
-        let (address, (kind, message)) = (item_of(&mut reader)?, item_of(&mut reader)?);
-        let connection = match (address, kind) {
-            ((item::NULL, []), item::UNCONNECTED_DATA) if !is_connected && count <= 4 => 0,
-            ((item::CONNECTED_ADDRESS, &[a, b, c, d]), item::CONNECTED_DATA)
-                if is_connected && count == 2 =>
-            {
-                u32::from_le_bytes([a, b, c, d])
+        let (0, _timeout) = (reader.u32()?, reader.u16()?) else { return None };
+        let mut places = Default::default();
+        let (connection, message, sockets) = match *items(reader, &mut places)? {
+            [(item::NULL, []), (item::UNCONNECTED_DATA, message), ref sockets @ ..] if !is_connected => {
+                (0, message, sockets)
+            }
+            [(item::CONNECTED_ADDRESS, &[a, b, c, d]), (item::CONNECTED_DATA, message)] if is_connected => {
+                (u32::from_le_bytes([a, b, c, d]), message, [].as_slice())
             }
             _ => return None,
         };
-        let (mut consumed, mut target) = (None, None);
-        for _ in 2..count {
-            let (kind, bytes) = item_of(&mut reader)?;
-            let place = match (kind, bytes.len()) {
-                (item::SOCKET_O_TO_T, 16) => &mut consumed,
-                (item::SOCKET_T_TO_O, 16) => &mut target,
-                _ => return None,
-            };
-            if place.replace(Reader::new(bytes).socket_address()?).is_some() {
+        let mut addresses = [None; 2];
+        for (kind, bytes) in sockets {
+            let place = addresses.get_mut(usize::from(kind.checked_sub(item::SOCKET_O_TO_T)?))?;
+            let address = Reader::new(bytes).socket_address()?;
+            if bytes.len() != 16 || place.replace(address).is_some() {
                 return None;
             }
         }
-        let is_exact = interface == 0 && count >= 2 && reader.rest().is_empty();
-        is_exact.then_some(Self { connection, message, target })
+        Some(Self { connection, message, target: addresses[1] })
     }
 }
 
-/// Reads an item: its type and its bytes.
-pub(crate) fn item_of<'a>(reader: &mut Reader<'a>) -> Option<(u16, &'a [u8])> {
-    let (kind, len) = (reader.u16()?, reader.u16()?);
-    Some((kind, reader.bytes(len.into())?))
+/// An item: its type and its bytes.
+pub(crate) type Item<'a> = (u16, &'a [u8]);
+
+/// Splits the common packet format into its items. Returns `None` if there are more than `places`, or if their lengths
+/// differ from that of the data.
+pub(crate) fn items<'a, 'b>(mut reader: Reader<'a>, places: &'b mut [Item<'a>; 4]) -> Option<&'b [Item<'a>]> {
+    let count = reader.u16()?;
+    let items = places.get_mut(..count.into())?;
+    for item in &mut *items {
+        let (kind, len) = (reader.u16()?, reader.u16()?);
+        *item = (kind, reader.bytes(len.into())?);
+    }
+    reader.rest().is_empty().then_some(items)
 }
 
 #[cfg(test)]

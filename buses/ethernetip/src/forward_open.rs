@@ -1,6 +1,6 @@
 //! Forward_Open and Large_Forward_Open (volume 1, chapter 3): the request, and the checks that need no connection.
 
-use crate::cursor::{Reader, Writer};
+use crate::cursor::Reader;
 use crate::encapsulation::MAX_SIZE;
 use crate::path::{Segment, Segments};
 use crate::profile::{Profile, Status};
@@ -15,83 +15,55 @@ pub(crate) const INPUT_OVERHEAD: usize = 2;
 /// Minimum size of a connection for answers: any request that changes something gets its answer.
 const MIN_ANSWER_SIZE: u16 = 32;
 
-/// Identifies a connection for its originator.
+/// Identifies a connection for its originator: serial number, and the originator's vendor and serial number.
+pub(crate) type Triad = [u8; 8];
+
+/// A refusal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Triad {
-    serial: u16,
-    vendor: u16,
-    originator: u32,
-}
-
-impl Triad {
-    pub(crate) fn read(reader: &mut Reader<'_>) -> Option<Self> {
-        Some(Self { serial: reader.u16()?, vendor: reader.u16()?, originator: reader.u32()? })
-    }
-
-    pub(crate) fn write(&self, out: &mut Writer<'_>) {
-        out.u16(self.serial);
-        out.u16(self.vendor);
-        out.u32(self.originator);
-    }
-}
-
-/// A refusal: general status, extended status of the connection manager (volume 1, chapter 3), right value of a wrong
-/// size, and the triad of a connection.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Failure {
-    pub(crate) status: Status,
-    pub(crate) extended: Option<u16>,
-    pub(crate) right: Option<u16>,
-    pub(crate) triad: Option<Triad>,
-}
-
-impl Failure {
-    /// Returns a refusal by the connection manager.
-    pub(crate) const fn refused(extended: u16) -> Self {
-        let status = Status::ConnectionFailure;
-        Self { status, extended: Some(extended), right: None, triad: None }
-    }
+pub(crate) enum Failure {
+    /// By any object.
+    Status(Status),
+    /// By the connection manager: extended status (volume 1, chapter 3), and the right value of a wrong size.
+    Connection(u16, Option<u16>),
 }
 
 impl From<Status> for Failure {
     fn from(status: Status) -> Self {
-        Self { status, extended: None, right: None, triad: None }
+        Self::Status(status)
     }
 }
 
-/// Network connection parameters of one direction.
+/// Parameters of one direction.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Parameters {
+pub(crate) struct Direction {
+    /// Requested packet interval (RPI).
+    pub(crate) interval_us: u32,
     pub(crate) size: u16,
-    kind: u8,
+    kind: u16,
     is_redundant: bool,
 }
 
-impl Parameters {
-    const NULL: u8 = 0;
-    const POINT_TO_POINT: u8 = 2;
+impl Direction {
+    const NULL: u16 = 0;
+    const POINT_TO_POINT: u16 = 2;
 
     fn read(reader: &mut Reader<'_>, is_large: bool) -> Option<Self> {
-        let (size, flags) = if is_large {
-            (reader.u16()?, reader.u16()?)
-        } else {
-            let word = reader.u16()?;
-            (word & 0x01FF, word)
-        };
-        let kind = (flags.checked_shr(13)? & 3) as u8;
-        Some(Self { size, kind, is_redundant: flags & 0x8000 != 0 })
+        let (interval_us, word) = (reader.u32()?, reader.u16()?);
+        let (size, flags) = if is_large { (word, reader.u16()?) } else { (word & 0x01FF, word) };
+        Some(Self { interval_us, size, kind: (flags >> 13) & 3, is_redundant: flags & 0x8000 != 0 })
     }
 }
 
 /// What a service of an object results in.
 pub(crate) type Served = Result<(), Failure>;
 
-/// Kind of a connection with cyclic data.
+/// Kind of a connection: class 1 with cyclic data, or class 3 with explicit messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     ExclusiveOwner,
     InputOnly,
     ListenOnly,
+    Explicit,
 }
 
 /// A request for a connection.
@@ -101,11 +73,8 @@ pub(crate) struct Open<'a> {
     pub(crate) produced_id: u32,
     pub(crate) triad: Triad,
     pub(crate) multiplier: u8,
-    /// Requested packet intervals (RPI).
-    pub(crate) output_us: u32,
-    pub(crate) output: Parameters,
-    pub(crate) input_us: u32,
-    pub(crate) input: Parameters,
+    pub(crate) output: Direction,
+    pub(crate) input: Direction,
     transport: u8,
     path: &'a [u8],
 }
@@ -121,103 +90,62 @@ impl<'a> Open<'a> {
     /// Reads all fields before the path, and the number of its words.
     fn read(reader: &mut Reader<'a>, is_large: bool) -> Option<(Self, u8)> {
         let (_tick, _ticks, _consumed_id) = (reader.u8()?, reader.u8()?, reader.u32()?);
-        let (produced_id, triad) = (reader.u32()?, Triad::read(reader)?);
+        let (produced_id, triad) = (reader.u32()?, reader.array()?);
         let [multiplier, _, _, _] = reader.array()?;
-        let mut direction = || Some((reader.u32()?, Parameters::read(reader, is_large)?));
-        let ((output_us, output), (input_us, input)) = (direction()?, direction()?);
+        let (output, input) = (Direction::read(reader, is_large)?, Direction::read(reader, is_large)?);
         let (transport, words) = (reader.u8()?, reader.u8()?);
-        let path = &[];
-        Some((
-            Self { produced_id, triad, multiplier, output_us, output, input_us, input, transport, path },
-            words,
-        ))
+        Some((Self { produced_id, triad, multiplier, output, input, transport, path: &[] }, words))
     }
 
     /// Returns whether the request opens no connection.
     pub(crate) const fn is_null(&self) -> bool {
-        self.output.kind == Parameters::NULL && self.input.kind == Parameters::NULL
+        self.output.kind == Direction::NULL && self.input.kind == Direction::NULL
     }
 
     /// Checks everything that does not depend on other connections, for outputs and inputs of these lengths. Returns the
-    /// kind of a connection with cyclic data, or `None` for one with explicit messages.
-    pub(crate) fn check(&self, profile: &Profile, lens: (usize, usize)) -> Result<Option<Kind>, Failure> {
-        let refused = |code| Err(Failure::refused(code));
-        let wrong_size = |code, right| Err(Failure { right: Some(right), ..Failure::refused(code) });
+    /// kind of the connection.
+    pub(crate) fn check(&self, profile: &Profile, lens: (usize, usize)) -> Result<Kind, Failure> {
+        let Self { output, input, .. } = self;
         let path = ConnectionPath::parse(self.path)?;
-        if self.is_null() {
-            return refused(0x0132);
+        let key = path.key.and_then(|key| key.mismatch(profile));
+        // Any trigger. Bit 7, the direction, has no meaning.
+        let is_explicit = self.transport & 0x0F == 3;
+        let intervals = if is_explicit { 1..=u32::MAX } else { profile.min_interval_us..=MAX_INTERVAL_US };
+        let are_allowed = intervals.contains(&output.interval_us) && intervals.contains(&input.interval_us);
+        let refusals = [
+            (self.is_null(), 0x0132),
+            // Class 1 is cyclic.
+            (!is_explicit && self.transport & 0x7F != 1, 0x0103),
+            (key.is_some(), key.unwrap_or(0)),
+            (output.kind != Direction::POINT_TO_POINT, 0x0123),
+            (input.kind != Direction::POINT_TO_POINT, 0x0124),
+            (output.is_redundant || input.is_redundant, 0x0125),
+            (self.multiplier > 7 || !are_allowed, 0x0111),
+        ];
+        if let Some((_, code)) = refusals.iter().find(|(is_refused, _)| *is_refused) {
+            return Err(Failure::Connection(*code, None));
         }
-        let is_explicit = match self.transport & 0x7F {
-            // Class 1, cyclic. Bit 7, the direction, has no meaning.
-            0x01 => false,
-            // Class 3 with any trigger.
-            transport if transport & 0x0F == 3 => true,
-            _ => return refused(0x0103),
-        };
-        if let Some(code) = path.key.and_then(|key| key.mismatch(profile)) {
-            return refused(code);
-        }
-        if self.output.kind != Parameters::POINT_TO_POINT {
-            return refused(0x0123);
-        }
-        if self.input.kind != Parameters::POINT_TO_POINT {
-            return refused(0x0124);
-        }
-        if self.output.is_redundant || self.input.is_redundant {
-            return refused(0x0125);
-        }
-        let intervals = [self.output_us, self.input_us];
-        let allowed = if is_explicit { 1..=u32::MAX } else { profile.min_interval_us..=MAX_INTERVAL_US };
-        if self.multiplier > 7 || !intervals.iter().all(|interval| allowed.contains(interval)) {
-            return refused(0x0111);
-        }
-        if is_explicit {
-            return match (path.class, path.points) {
-                (Some(2), [Some(1), None, None]) if self.output.size > MAX_SIZE => {
-                    wrong_size(0x0127, MAX_SIZE)
-                }
-                (Some(2), [Some(1), None, None]) if self.input.size > MAX_SIZE => {
-                    wrong_size(0x0128, MAX_SIZE)
-                }
-                (Some(2), [Some(1), None, None]) if self.input.size < MIN_ANSWER_SIZE => {
-                    wrong_size(0x0128, MIN_ANSWER_SIZE)
-                }
-                (Some(2), [Some(1), None, None]) => Ok(None),
-                _ => refused(0x0117),
-            };
-        }
-        // Any number of the configuration is accepted, because it has no data.
-        let (output, input) = match (path.class, path.points) {
-            (Some(4), [Some(output), Some(input), None] | [_, Some(output), Some(input)]) => (output, input),
-            (Some(4), _) => return refused(0x012F),
-            _ => return refused(0x0117),
-        };
-        let kind = match u16::try_from(output) {
-            Ok(output) if output == profile.output => Kind::ExclusiveOwner,
-            Ok(output) if output == profile.input_only => Kind::InputOnly,
-            Ok(output) if output == profile.listen_only => Kind::ListenOnly,
-            _ => return refused(0x012A),
-        };
-        if input != profile.input.into() {
-            return refused(0x012B);
-        }
+        let kind = if is_explicit { path.router()? } else { path.assemblies(profile)? };
+        let wrong_size = |code, right| Err(Failure::Connection(code, Some(right)));
         if !path.configuration.is_empty() {
             return wrong_size(0x0126, 0);
         }
-        let output_size = lens.0.saturating_add(OUTPUT_OVERHEAD) as u16;
-        match (kind, self.output.size) {
-            (Kind::ExclusiveOwner, size) if size != output_size => {
-                return wrong_size(0x0127, output_size);
-            }
+        let [output_len, input_len] = [(lens.0, OUTPUT_OVERHEAD), (lens.1, INPUT_OVERHEAD)]
+            .map(|(len, overhead)| len.saturating_add(overhead) as u16);
+        let (is_right, right) = match kind {
+            Kind::ExclusiveOwner => (output.size == output_len, output_len),
             // A heartbeat is empty, a sequence count, or both with a run/idle header.
-            (Kind::ExclusiveOwner, _) | (_, 0 | 2 | 6) => {}
-            _ => return wrong_size(0x0127, 2),
+            Kind::InputOnly | Kind::ListenOnly => (matches!(output.size, 0 | 2 | 6), 2),
+            Kind::Explicit => (output.size <= MAX_SIZE, MAX_SIZE),
+        };
+        if !is_right {
+            return wrong_size(0x0127, right);
         }
-        let input_size = lens.1.saturating_add(INPUT_OVERHEAD) as u16;
-        if self.input.size != input_size {
-            return wrong_size(0x0128, input_size);
+        let (least, most) = if is_explicit { (MIN_ANSWER_SIZE, MAX_SIZE) } else { (input_len, input_len) };
+        if !(least..=most).contains(&input.size) {
+            return wrong_size(0x0128, input.size.max(least).min(most));
         }
-        Ok(Some(kind))
+        Ok(kind)
     }
 }
 
@@ -254,14 +182,36 @@ impl<'a> ConnectionPath<'a> {
                     if parsed.class.is_some() && !has_data =>
                 {
                     let place = parsed.points.iter_mut().find(|place| place.is_none());
-                    *place.ok_or(Failure::refused(0x012F))? = Some(number);
+                    *place.ok_or(Failure::Connection(0x012F, None))? = Some(number);
                 }
                 Some(Segment::Data(data)) if parsed.points[0].is_some() && !has_data => {
                     (has_data, parsed.configuration) = (true, data);
                 }
-                _ => return Err(Failure::refused(0x0315)),
+                _ => return Err(Failure::Connection(0x0315, None)),
             }
         }
         Ok(parsed)
+    }
+
+    /// Returns the kind of a connection to the message router.
+    fn router(&self) -> Result<Kind, Failure> {
+        let is_it = self.class == Some(2) && self.points == [Some(1), None, None];
+        is_it.then_some(Kind::Explicit).ok_or(Failure::Connection(0x0117, None))
+    }
+
+    /// Returns the kind of a connection to assemblies. Any configuration instance is accepted, because it has no data.
+    fn assemblies(&self, profile: &Profile) -> Result<Kind, Failure> {
+        let (output, input) = match (self.class, self.points) {
+            (Some(4), [Some(output), Some(input), None] | [_, Some(output), Some(input)]) => (output, input),
+            (Some(4), _) => return Err(Failure::Connection(0x012F, None)),
+            _ => return Err(Failure::Connection(0x0117, None)),
+        };
+        let kind = match u16::try_from(output) {
+            Ok(output) if output == profile.output => Kind::ExclusiveOwner,
+            Ok(output) if output == profile.input_only => Kind::InputOnly,
+            Ok(output) if output == profile.listen_only => Kind::ListenOnly,
+            _ => return Err(Failure::Connection(0x012A, None)),
+        };
+        if input == profile.input.into() { Ok(kind) } else { Err(Failure::Connection(0x012B, None)) }
     }
 }

@@ -24,10 +24,11 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
 
     /// Takes a packet. Returns `None` if it must be dropped, which changes nothing.
     fn consume(&mut self, now: u64, from: Ipv4Addr, datagram: &[u8]) -> Option<()> {
-        let Self { io, outputs, pending, .. } = self;
+        let Self { connections, outputs, pending, .. } = self;
         let packet = Packet::parse(datagram)?;
         let ids = (from, packet.id);
-        let io = io.iter_mut().flatten().find(|io| (io.link.client.address, io.link.consumed_id) == ids)?;
+        let mut cyclic = connections.iter_mut().flatten().filter(|it| it.kind != Kind::Explicit);
+        let io = cyclic.find(|it| (it.client.address, it.consumed_id) == ids)?;
         // Nothing in the data has a meaning before this check.
         if packet.data.len() != usize::from(io.size) {
             return None;
@@ -37,7 +38,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             return None;
         }
         io.received = Some(packet.sequence);
-        io.link.restart(now);
+        io.restart(now);
         if io.kind != Kind::ExclusiveOwner {
             return Some(());
         }
@@ -63,12 +64,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
 
     /// Writes a packet with inputs that is due.
     pub(super) fn transmit_inputs(&mut self, now: u64, buffer: &mut [u8; MAX_FRAME_LEN]) -> Option<Transmit> {
-        let Self { io, inputs, .. } = self;
-        let io = io.iter_mut().flatten().find(|io| io.next <= now)?;
+        let Self { connections, inputs, .. } = self;
+        let io = connections.iter_mut().flatten().find(|io| io.next <= now)?;
         // Skips packets that were missed completely.
         let missed = now.saturating_sub(io.next).checked_div(io.interval_us).unwrap_or(0);
         io.next = io.next.saturating_add(io.interval_us.saturating_mul(missed.saturating_add(1)));
         io.sent = io.sent.wrapping_add(1);
-        Packet::write(buffer, (io.link.produced_id, io.sent), inputs).map(|len| Transmit::Io(len, io.target))
+        Packet::write(buffer, (io.produced_id, io.sent), inputs).map(|len| Transmit::Io(len, io.target))
     }
 }

@@ -3,13 +3,13 @@
 use core::net::SocketAddrV4;
 
 use super::router::Context;
-use super::{Device, IO_CONNECTIONS, OWNER};
-use crate::connection::{Client, Explicit, Io, Link};
+use super::{CONNECTIONS, Device, IO_CONNECTIONS, OWNER};
+use crate::connection::Connection;
 use crate::cursor::{Reader, Writer};
-use crate::encapsulation::{IO_PORT, MAX_SIZE};
-use crate::forward_open::{Failure, Kind, Open, Served, Triad, exact_path};
+use crate::encapsulation::IO_PORT;
+use crate::forward_open::{Failure, Kind, Open, Served, exact_path};
 use crate::profile::Status;
-use crate::state::{Cause, State};
+use crate::state::Cause;
 
 impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
     /// Serves Forward_Open and Large_Forward_Open.
@@ -19,15 +19,15 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         open: &Open<'_>,
         out: &mut Writer<'_>,
     ) -> Served {
-        let id = self.establish(context, open).map_err(|failure| {
+        context.triad = Some(open.triad);
+        let id = self.establish(context, open).inspect_err(|_| {
             self.counters.opens_refused = self.counters.opens_refused.saturating_add(1);
-            Failure { triad: Some(open.triad), ..failure }
         })?;
         out.u32(id);
         out.u32(open.produced_id);
-        open.triad.write(out);
-        out.u32(open.output_us);
-        out.u32(open.input_us);
+        out.bytes(&open.triad);
+        out.u32(open.output.interval_us);
+        out.u32(open.input.interval_us);
         // No application reply.
         out.u16(0);
         Ok(())
@@ -35,21 +35,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
 
     /// Opens a connection. Returns its identifier for packets to this device.
     fn establish(&mut self, context: &mut Context<'_>, open: &Open<'_>) -> Result<u32, Failure> {
-        let Context { now, client, .. } = *context;
-        let refused = |code| Err(Failure::refused(code));
-        if !open.is_null() && self.links().any(|link| link.triad == open.triad) {
+        let refused = |code| Err(Failure::Connection(code, None));
+        if !open.is_null() && self.connections().any(|it| it.triad == open.triad) {
             return refused(0x0100);
         }
-        let Some(kind) = open.check(&self.profile, (OUT, IN))? else {
-            let Some(place) = self.explicit.iter().position(Option::is_none) else {
-                return refused(0x0113);
-            };
-            let id = self.random.id(IO_CONNECTIONS.saturating_add(place));
-            let (link, answer) = (Link::new(now, open, client, id), ([0; MAX_SIZE as usize], 0));
-            let explicit = Explicit { link, size: open.input.size, answer };
-            self.explicit.get_mut(place).map(|free| free.replace(explicit));
-            return Ok(id);
-        };
+        let kind = open.check(&self.profile, (OUT, IN))?;
+        let Context { now, client, .. } = *context;
         let target = match context.target {
             // Data for a third station would make the device an amplifier.
             Some(target) if !target.ip().is_unspecified() && *target.ip() != client.address => {
@@ -58,51 +49,48 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             Some(target) if target.port() != 0 => SocketAddrV4::new(client.address, target.port()),
             _ => SocketAddrV4::new(client.address, IO_PORT),
         };
-        let is_free = |place: &usize| self.io.get(*place).is_some_and(Option::is_none);
-        let place = match kind {
-            Kind::ExclusiveOwner => Some(OWNER).filter(is_free).ok_or(0x0106),
-            Kind::ListenOnly if self.io.iter().flatten().all(|io| io.kind == Kind::ListenOnly) => Err(0x0119),
+        let (places, status_if_full) = match kind {
+            Kind::ExclusiveOwner => (OWNER..1, 0x0106),
+            Kind::ListenOnly if !self.has_stream() => return refused(0x0119),
             // Never the owner's place.
-            _ => (1..IO_CONNECTIONS).find(is_free).ok_or(0x0113),
+            Kind::InputOnly | Kind::ListenOnly => (1..IO_CONNECTIONS, 0x0113),
+            Kind::Explicit => (IO_CONNECTIONS..CONNECTIONS, 0x0113),
         };
-        let place = place.map_err(Failure::refused)?;
-        let id = self.random.id(place);
-        let io = Io {
-            link: Link::new(now, open, client, id),
-            kind,
-            size: open.output.size,
-            target,
-            mode: State::Waiting,
-            received: None,
-            count: None,
-            interval_us: open.input_us.into(),
-            next: now,
-            sent: 0,
+        let mut free = self.connections.iter_mut().zip(0..).skip(places.start).take(places.len());
+        let Some((free, place)) = free.find(|(free, _)| free.is_none()) else {
+            return refused(status_if_full);
         };
-        self.io.get_mut(place).map(|free| free.replace(io));
-        self.has_timed_out = false;
-        self.pending.is_connected |= kind == Kind::ExclusiveOwner;
-        context.has_opened_io = true;
-        Ok(id)
+        let consumed_id = self.random.id(place);
+        *free = Some(Connection { consumed_id, ..Connection::new(now, kind, open, client, target) });
+        if kind == Kind::Explicit {
+            let answer = place.checked_sub(IO_CONNECTIONS).and_then(|place| self.answers.get_mut(place));
+            answer.into_iter().for_each(|answer| answer.1 = 0);
+        } else {
+            self.has_timed_out = false;
+            self.pending.is_connected |= kind == Kind::ExclusiveOwner;
+            context.has_opened_io = true;
+        }
+        Ok(consumed_id)
     }
 
     /// Serves Forward_Close. Only the station that opened a connection may close it, over any session.
-    pub(super) fn close(&mut self, client: Client, data: &[u8], out: &mut Writer<'_>) -> Served {
+    pub(super) fn close(&mut self, context: &mut Context<'_>, data: &[u8], out: &mut Writer<'_>) -> Served {
         let mut reader = Reader::new(data);
         let mut fields = || {
-            let (_tick, _ticks, triad) = (reader.u8()?, reader.u8()?, Triad::read(&mut reader)?);
+            let (_tick, _ticks, triad) = (reader.u8()?, reader.u8()?, reader.array()?);
             let (words, _reserved) = (reader.u8()?, reader.u8()?);
             Some((triad, words))
         };
         let (triad, words) = fields().ok_or(Status::TooShort)?;
         exact_path(&reader, words)?;
-        match self.links().find(|link| link.triad == triad) {
-            Some(link) if link.client.address == client.address => {}
-            Some(_) => return Err(Failure { triad: Some(triad), ..Status::PrivilegeViolation.into() }),
-            None => return Err(Failure { triad: Some(triad), ..Failure::refused(0x0107) }),
+        context.triad = Some(triad);
+        match self.connections().find(|it| it.triad == triad) {
+            Some(it) if it.client.address == context.client.address => {}
+            Some(_) => return Err(Status::PrivilegeViolation.into()),
+            None => return Err(Failure::Connection(0x0107, None)),
         }
-        self.end_link(triad, Cause::Closed);
-        triad.write(out);
+        self.end(triad, Cause::Closed);
+        out.bytes(&triad);
         out.u16(0);
         Ok(())
     }

@@ -6,6 +6,7 @@ use core::net::{Ipv4Addr, SocketAddrV4};
 use super::Device;
 use crate::cursor::Writer;
 use crate::encapsulation::PORT;
+use crate::forward_open::Kind;
 use crate::path::Target;
 use crate::profile::{Profile, Status};
 use crate::state::State;
@@ -77,7 +78,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             (class::TCP_IP, 5) => {
                 let none = Ipv4Addr::UNSPECIFIED;
                 for address in [network.address, network.mask, network.gateway, none, none] {
-                    out.address(address);
+                    out.u32(address.to_bits());
                 }
                 // No domain name.
                 out.u16(0);
@@ -86,7 +87,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             (class::TCP_IP, 6) => out.u16(0),
             // Time to live and configuration of multicast, which the device does not send.
             (class::TCP_IP, 8) => out.u8(1),
-            (class::TCP_IP, 9) => out.zeros(8),
+            (class::TCP_IP, 9) => out.bytes(&[0; 8]),
             (class::TCP_IP, 13) => out.u16(self.inactivity_s),
             (class::ETHERNET_LINK, 1) => out.u32(network.speed),
             // Link up, full duplex, successfully negotiated.
@@ -134,7 +135,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         let extended = match self.state() {
             State::Run => 6,
             // All connections are idle, the last one has timed out, or there was no connection.
-            _ if self.io.iter().any(Option::is_some) => 7,
+            _ if self.connections().any(|it| it.kind != Kind::Explicit) => 7,
             _ if self.has_timed_out => 2,
             _ => 3,
         };

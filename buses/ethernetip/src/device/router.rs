@@ -6,7 +6,7 @@ use super::Device;
 use super::objects::class;
 use crate::connection::Client;
 use crate::cursor::{Reader, Writer};
-use crate::forward_open::{Failure, Open, Served, exact_path};
+use crate::forward_open::{Failure, Open, Served, Triad, exact_path};
 use crate::path::Target;
 use crate::profile::{Profile, Registers, Status};
 use crate::state::Reset;
@@ -34,6 +34,8 @@ pub(super) struct Context<'a> {
     /// Socket address for cyclic data to the originator, if the originator gives one.
     pub(super) target: Option<SocketAddrV4>,
     pub(super) registers: &'a mut dyn Registers,
+    /// The connection that the message opens or closes.
+    pub(super) triad: Option<Triad>,
     /// Whether the message has opened a connection with cyclic data.
     pub(super) has_opened_io: bool,
 }
@@ -95,17 +97,23 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             }
             Err(status) => (outer.service, Err(status.into())),
         };
-        let result = if out.is_short() { Err(Status::ReplyTooLarge.into()) } else { result };
-        if let Err(Failure { status, extended, right, triad }) = result {
-            out.truncate(0);
-            let words = [extended, right].into_iter().flatten();
-            out.bytes(&[service | ANSWER, 0, status as u8, words.clone().count() as u8]);
-            words.for_each(|word| out.u16(word));
-            if let Some(triad) = triad {
-                triad.write(&mut out);
-                // No path remains.
-                out.u16(0);
-            }
+        let failure = match (result, out.finish()) {
+            (Ok(()), Some(len)) => return Some(len),
+            (Ok(()), None) => Status::ReplyTooLarge.into(),
+            (Err(failure), _) => failure,
+        };
+        let (status, words) = match failure {
+            Failure::Status(status) => (status, [None; 2]),
+            Failure::Connection(code, right) => (Status::ConnectionFailure, [Some(code), right]),
+        };
+        let words = words.into_iter().flatten();
+        let mut out = Writer::new(answer);
+        out.bytes(&[service | ANSWER, 0, status as u8, words.clone().count() as u8]);
+        words.for_each(|word| out.u16(word));
+        if let Some(triad) = context.triad {
+            out.bytes(&triad);
+            // No path remains.
+            out.u16(0);
         }
         out.finish()
     }
@@ -121,13 +129,11 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
                 let open = Open::parse(request.data, request.service == service::LARGE_FORWARD_OPEN)?;
                 self.open(context, &open, out)
             }
-            (service::FORWARD_CLOSE, class::CONNECTION_MANAGER, 1) => {
-                self.close(context.client, request.data, out)
-            }
+            (service::FORWARD_CLOSE, class::CONNECTION_MANAGER, 1) => self.close(context, request.data, out),
             // Data of a read is ignored: some clients append an empty route.
             (service::GET_SINGLE, ..) => Ok(self.attribute(&target, out)?),
             (service::GET_ALL, class, 1..) => Ok(self.all(class, out)?),
-            (service::SET_SINGLE, ..) => Ok(self.set_attribute(&target, request.data, out)?),
+            (service::SET_SINGLE, ..) => Ok(self.set_attribute(&target, request.data)?),
             (service::RESET, class::IDENTITY, 1) => Ok(self.reset(request.data)?),
             _ => Err(Status::ServiceUnsupported.into()),
         }
@@ -155,10 +161,9 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
     }
 
     /// Sets the inactivity time-out. All other attributes are read-only: an explicit message must never set outputs.
-    fn set_attribute(&mut self, target: &Target, data: &[u8], out: &mut Writer<'_>) -> Result<(), Status> {
-        let start = out.len();
-        self.attribute(target, out)?;
-        out.truncate(start);
+    fn set_attribute(&mut self, target: &Target, data: &[u8]) -> Result<(), Status> {
+        // Only whether the attribute exists.
+        self.attribute(target, &mut Writer::new(&mut []))?;
         if (target.class, target.instance, target.attribute) != (class::TCP_IP, 1, Some(13)) {
             return Err(Status::NotSettable);
         }

@@ -3,12 +3,13 @@
 use core::net::{Ipv4Addr, SocketAddrV4};
 
 use super::router::Context;
-use super::{Device, SESSIONS, Transmit};
-use crate::connection::{Client, Explicit};
+use super::{Device, IO_CONNECTIONS, SESSIONS, Transmit};
+use crate::connection::{Client, Connection};
 use crate::cursor::{Writer, copy};
 use crate::encapsulation::{
     Header, IO_PORT, Items, MAX_FRAME_LEN, MAX_MESSAGE_LEN, MAX_SIZE, Outcome, command, item, status,
 };
+use crate::forward_open::Kind;
 use crate::profile::Registers;
 
 /// Delivered inactivity time-out.
@@ -68,7 +69,8 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
                 None
             }
             command::SEND_RR_DATA | command::SEND_UNIT_DATA => {
-                let mut context = Context { now, client, target: None, registers, has_opened_io: false };
+                let mut context =
+                    Context { now, client, target: None, registers, triad: None, has_opened_io: false };
                 self.message(&mut context, &header, data, out)
             }
             _ => self.list(&header, data, out),
@@ -117,9 +119,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         for session in self.sessions.iter_mut().flatten().filter(|it| it.client == client) {
             session.is_over = true;
         }
-        for place in &mut self.explicit {
-            place.take_if(|explicit| explicit.link.client.number == client);
-        }
+        self.end_all(|it| it.kind == Kind::Explicit && it.client.number == client);
     }
 
     /// Writes a delayed answer that is due.
@@ -204,7 +204,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
             };
             (None, item::UNCONNECTED_DATA, len)
         };
-        out.zeros(6);
+        out.bytes(&[0; 6]);
         out.u16(if context.has_opened_io && !is_connected { 3 } else { 2 });
         out.u16(if is_connected { item::CONNECTED_ADDRESS } else { item::NULL });
         out.counted(|out| address.into_iter().for_each(|id| out.u32(id)));
@@ -226,22 +226,22 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         out: &mut [u8; MAX_SIZE as usize],
     ) -> Option<(u32, usize)> {
         let (count, message) = items.message.split_first_chunk::<2>()?;
-        let ids = (context.client, items.connection);
-        let is_it = |it: &&mut Explicit| (it.link.client, it.link.consumed_id) == ids;
-        let explicit = self.explicit.iter_mut().flatten().find(is_it)?;
-        explicit.link.restart(context.now);
-        let (id, room) = (explicit.link.produced_id, usize::from(explicit.size));
+        let ids = (Kind::Explicit, context.client, items.connection);
+        let is_it = |it: &Connection| (it.kind, it.client, it.consumed_id) == ids;
+        let place = self.connections.iter().position(|place| place.as_ref().is_some_and(is_it))?;
+        let connection = self.connections.get_mut(place)?.as_mut()?;
+        connection.restart(context.now);
+        let (id, room) = (connection.produced_id, usize::from(connection.size));
         // An equal count repeats the stored answer.
-        if explicit.answer.1 > 0 && explicit.answer.0.starts_with(count) {
-            *out = explicit.answer.0;
-            return Some((id, explicit.answer.1));
+        let place = place.checked_sub(IO_CONNECTIONS)?;
+        let (stored, stored_len) = self.answers.get(place)?;
+        if *stored_len > 0 && stored.starts_with(count) {
+            *out = *stored;
+            return Some((id, *stored_len));
         }
         copy(out, 0, count)?;
         let len = self.serve(context, message, out.get_mut(2..room)?)?.saturating_add(2);
-        // The message may have closed its own connection.
-        if let Some(explicit) = self.explicit.iter_mut().flatten().find(is_it) {
-            explicit.answer = (*out, len);
-        }
+        *self.answers.get_mut(place)? = (*out, len);
         Some((id, len))
     }
 }

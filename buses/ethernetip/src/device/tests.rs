@@ -3,7 +3,6 @@
 mod cyclic;
 mod explicit;
 mod manager;
-mod noise;
 
 use super::*;
 use crate::profile::Status;

@@ -14,23 +14,6 @@ fn owned(open: &Fo) -> (Rig, u32) {
 }
 
 #[test]
-fn wire_examples_of_packets_are_taken() {
-    let (mut rig, id) = owned(&OWN);
-    let id = hex(&id.to_le_bytes());
-    for (packet, event, outputs, state) in [
-        ("17000000 b100 0e00 1700 01000000 080000000000005a", FIRST, "080000000000005a", State::Run),
-        ("18000000 b100 0e00 1800 00000000 080000000000005a", Event::Idle, "0000000000000000", State::Idle),
-    ] {
-        let packet = bytes(&format!("0200 0280 0800 {id} {packet}"));
-        rig.device.receive_packet(rig.now, PLC, &packet);
-        assert_eq!(rig.events(), [event]);
-        assert_like(&hex(rig.device.outputs()), outputs, "outputs");
-        assert_eq!(rig.device.state(), state);
-    }
-    assert_eq!(rig.device.counters().packets_dropped, 0);
-}
-
-#[test]
 fn sequence_numbers_decide_what_is_new() {
     for first in [0_u32, 1, 0x7FFF_FFFF, 0x8000_0000, 0xFFFF_FFFE] {
         for first_count in [0_u16, 0x8000, 0xFFFF] {
@@ -178,7 +161,7 @@ fn observers_never_set_outputs_and_keep_their_own_time() {
     rig.packet(PLC, full, 2, "0100 01000000");
     rig.now += 1;
     assert_eq!(rig.events(), []);
-    assert_eq!(rig.device.links().count(), 1);
+    assert_eq!(rig.device.connections().count(), 1);
 }
 
 #[test]

@@ -317,7 +317,7 @@ fn class_3_answers_fit_and_end_with_tcp_or_their_time_out() {
     let session = rig.register(1);
     rig.open(1, session, &EXPLICIT).unwrap();
     rig.device.closed(1);
-    assert!(rig.device.explicit.iter().all(Option::is_none));
+    assert_eq!(rig.device.connections().count(), 0);
 }
 
 #[test]

@@ -131,7 +131,7 @@ fn full_tables_refuse_and_evict_nothing() {
     for serial in (10..17).chain(20..28).chain([1]) {
         assert_like(&rig.message(1, session, &close(serial), "")[..8], "ce000000", "close");
     }
-    assert_eq!(rig.device.links().count(), 0);
+    assert_eq!(rig.device.connections().count(), 0);
     assert_eq!(rig.events(), [Event::Left(Cause::Closed)]);
 }
 
@@ -163,7 +163,7 @@ fn listen_only_ends_with_the_last_other_connection() {
     rig.open(1, session, &LISTEN_ONLY).unwrap();
     for (serial, remaining) in [(1, 2), (2, 0)] {
         rig.message(1, session, &close(serial), "");
-        assert_eq!(rig.device.links().count(), remaining);
+        assert_eq!(rig.device.connections().count(), remaining);
     }
 }
 
