@@ -11,6 +11,7 @@
 //! | [`modbus`] | only intact frames for this unit are answered, as the specification requires |
 //! | [`profibus`] | each telegram has the effect of the DP model; no output without data exchange |
 //! | [`profinet`] | no output without data exchange; only received outputs; due actions happen once |
+//! | [`ethernetip`] | connections, outputs and packets equal a model's, for two originators and damaged messages |
 //! | [`can`] | the reassembler finds the same messages as a reader of the whole capture |
 //! | [`storage`] | loaded settings were saved completely; saving works with any flash content |
 //! | [`bridge`] | no motion without an edge, timely FAST STOP, true outputs, and settings as written, for any gripper, line, wires, Modbus bus and service port |
@@ -32,6 +33,7 @@ mod bridge_gateway;
 mod bridge_profibus;
 mod can;
 mod controller;
+mod ethernetip;
 mod frames;
 mod gcl;
 mod generate;
@@ -54,6 +56,7 @@ pub use bridge_gateway::bridge_gateway;
 pub use bridge_profibus::bridge_profibus;
 pub use can::can;
 pub use controller::controller;
+pub use ethernetip::ethernetip;
 pub use frames::frames;
 pub use gcl::gcl;
 pub use generate::{Pieces, generated};
@@ -152,4 +155,5 @@ pub const ALL: [Body; 14] = [
     Body { name: "storage", run: storage, pieces: Hex(&[generate::STORAGE]) },
     Body { name: "profibus", run: profibus, pieces: Hex(&[generate::PROFIBUS]) },
     Body { name: "profinet", run: profinet, pieces: Hex(&[generate::PROFINET]) },
+    Body { name: "ethernetip", run: ethernetip, pieces: Hex(&[generate::ETHERNETIP]) },
 ];

@@ -29,6 +29,7 @@ smoke! {
     storage_60_000_cases: "storage",
     profibus_60_000_cases: "profibus",
     profinet_60_000_cases: "profinet",
+    ethernetip_60_000_cases: "ethernetip",
 }
 
 #[test]

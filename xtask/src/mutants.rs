@@ -84,7 +84,7 @@ const PARTS: [Part; 7] = [
     },
     Part {
         name: "buses",
-        packages: "bus-modbus bus-slcan bus-canopen bus-profibus bus-profinet",
+        packages: "bus-modbus bus-slcan bus-canopen bus-profibus bus-profinet bus-ethernetip",
         folder: "buses/",
         options: "",
         tests: "--lib",

@@ -13,12 +13,13 @@ use serde_json::Value;
 use crate::process;
 
 /// Packages of the library crates for boards: built for each target, panic-free, published. Each crate follows its dependencies.
-pub(crate) const TARGET_CRATES: [&str; 7] = [
+pub(crate) const TARGET_CRATES: [&str; 8] = [
     "bus-modbus",
     "bus-slcan",
     "bus-canopen",
     "bus-profibus",
     "bus-profinet",
+    "bus-ethernetip",
     "wsg-protocol",
     "wsg-fieldbus",
 ];

@@ -50,6 +50,25 @@ pub(super) const PROFINET: &[&str] = &[
     "0D0228",
 ];
 
+/// Ops of the body `ethernetip`: originators, tools and time.
+pub(super) const ETHERNETIP: &[&str] = &[
+    // Sessions: of both stations, of a second connection; with the wrong handle; ended by TCP and by a command.
+    "0100 0101 0102 03000100 0200 0201 03000000",
+    // Owners at several intervals, from another station, with another's session, damaged, closed.
+    "04000000010000 04000000021200 0401000003F600 0400FF00010000 04000000010000C1001096 06000100 06010100 06000200",
+    // Input only, listen only, explicit.
+    "04000001040000 04010001052500 04000002060000 04010002070000 04000003080000 04010003090000 06000400",
+    // Packets: run, idle, with a frozen count, old, from another station, damaged.
+    "070000010203040506070800 070108070605040302010000 070018010101010101010100 0700C1090909090909090900 \
+     070003090909090909090900 070064090909090909090900 0700000909090909090909C1000E05 070002010203040506070800",
+    // Explicit messages in connections and without, one damaged; a reset.
+    "0900000100 0900010200 0901010300 0900000400 0900000500 0900000700 090001030300C1000B01",
+    // Time: a cycle, the time-outs, the inactivity of a session.
+    "000014 000050 000108 0001FF 00020B 000279",
+    // Discovery, and noise.
+    "0A000000 0A000100 0B0106020002800800",
+];
+
 /// Ops of the body `profibus`: masters, application and time.
 pub(super) const PROFIBUS: &[&str] = &[
     // Start by a master; time; inputs and a diagnosis.

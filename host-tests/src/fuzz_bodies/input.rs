@@ -37,4 +37,24 @@ impl<'a> Input<'a> {
     pub(super) fn pick<T: Copy>(&mut self, choices: &[T]) -> T {
         choices[usize::from(self.byte()) % choices.len()]
     }
+
+    /// Changes some bytes or truncates the end, mostly neither. Returns whether it may have.
+    pub(super) fn damage(&mut self, bytes: &mut Vec<u8>) -> bool {
+        let how = self.byte();
+        if how < 0xC0 {
+            return false;
+        }
+        for _ in 0..how % 4 {
+            let at = u16::from_be_bytes(self.array());
+            let value = self.byte();
+            let at = usize::from(at) % bytes.len().max(1);
+            if let Some(byte) = bytes.get_mut(at) {
+                *byte = value;
+            }
+        }
+        if how >= 0xF0 {
+            bytes.truncate(usize::from(u16::from_be_bytes(self.array())) % (bytes.len() + 1));
+        }
+        true
+    }
 }

@@ -77,7 +77,7 @@ impl Network {
                 let who = who(input);
                 let is_access = input.byte().is_multiple_of(4);
                 let mut blocks = connect(who, is_access);
-                damage(&mut blocks, input);
+                input.damage(&mut blocks);
                 self.request(who, 0, &blocks)
             }
             4 => self.control(who(input), 4, 0x0110, 1, input),
@@ -120,7 +120,7 @@ impl Network {
     fn confirm(&mut self, input: &mut Input<'_>) -> Option<Event> {
         let call = self.call.clone()?;
         let mut block = control(0x8112, uuid(who(input)), 8);
-        damage(&mut block, input);
+        input.damage(&mut block);
         let len = block.len() as u32;
         let body: Vec<u8> = [0, len, len, 0, len].iter().flat_map(|value| value.to_be_bytes()).collect();
         let mut answer = [&call[..80], &body, &block].concat();
@@ -147,7 +147,7 @@ impl Network {
             &[0; 24],
         ];
         let mut blocks = [&block(kind, &body.concat()), data].concat();
-        damage(&mut blocks, input);
+        input.damage(&mut blocks);
         self.request(who, operation, &blocks)
     }
 
@@ -185,7 +185,7 @@ impl Network {
         input: &mut Input<'_>,
     ) -> Option<Event> {
         let mut block = control(kind, uuid(who), command);
-        damage(&mut block, input);
+        input.damage(&mut block);
         self.request(who, operation, &block)
     }
 
@@ -199,7 +199,7 @@ impl Network {
         frame.extend(data);
         frame.extend(self.counter.to_be_bytes());
         frame.extend([0x35, 0]);
-        damage(&mut frame, input);
+        input.damage(&mut frame);
         // Independently checks that the frame is from the controller and valid.
         let is_good = frame.len() == 60
             && frame[..16] == [&DEVICE.0[..], &CONTROLLERS[0].0, &numbers(&[0x8892, OUTPUT_ID])].concat()
@@ -262,25 +262,6 @@ impl Network {
 
 fn who(input: &mut Input<'_>) -> usize {
     usize::from(input.byte()) % 2
-}
-
-/// Changes some bytes or truncates the end.
-fn damage(bytes: &mut Vec<u8>, input: &mut Input<'_>) {
-    let how = input.byte();
-    if how < 0xC0 {
-        return;
-    }
-    for _ in 0..how % 4 {
-        let at = u16::from_be_bytes(input.array());
-        let value = input.byte();
-        let at = usize::from(at) % bytes.len().max(1);
-        if let Some(byte) = bytes.get_mut(at) {
-            *byte = value;
-        }
-    }
-    if how >= 0xF0 {
-        bytes.truncate(usize::from(u16::from_be_bytes(input.array())) % (bytes.len() + 1));
-    }
 }
 
 const INTERFACE: [u8; 16] =

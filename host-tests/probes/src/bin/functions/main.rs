@@ -16,6 +16,8 @@ mod can;
 mod canopen;
 #[cfg(feature = "drivers")]
 mod drivers;
+#[cfg(feature = "ethernetip")]
+mod ethernetip;
 #[cfg(feature = "gcl")]
 mod gcl;
 #[cfg(feature = "modbus")]
@@ -40,6 +42,8 @@ fn every_function() {
     can::every_function();
     #[cfg(feature = "can")]
     canopen::every_function();
+    #[cfg(feature = "ethernetip")]
+    ethernetip::every_function();
     #[cfg(feature = "profibus")]
     profibus::every_function();
     #[cfg(feature = "profinet")]
