@@ -1,19 +1,27 @@
-//! The PROFINET device of a gateway. Its controller is a master of the bridge's image.
+//! The PROFINET device and the EtherNet/IP adapter of a gateway. Their controllers are masters of the bridge's image.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt::Arguments;
 use std::fs;
+<<<<<<< HEAD
 use std::io::ErrorKind;
 use std::net::Ipv4Addr;
+=======
+use std::io::{self, ErrorKind};
+use std::net::{IpAddr, Ipv4Addr};
+>>>>>>> h-e1
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::mpsc::{Sender, channel};
 use std::thread;
 
 use anyhow::{Context, Result, anyhow};
+use bus_modbus::{Exception, MAX_PDU_LEN};
 use bus_profinet::Stored;
-use fieldbus_host::profinet::{Interface, Owner, ProfinetLine};
+use fieldbus_host::Owner;
+use fieldbus_host::ethernetip::{Adapter, Status};
+use fieldbus_host::profinet::{Interface, ProfinetLine};
 use wsg_bridge_fw::plc::TcpInput;
 use wsg_fieldbus::{InputImage, OutputImage};
 
@@ -22,6 +30,9 @@ use crate::file_flash::replace;
 
 /// Serial number in the device's records. The gripper's own is unknown before it answers.
 const SERIAL_NUMBER: u32 = 0;
+
+/// Number of the reader of registers. It is never the PLC: a tool must not hide the PLC's silence.
+const READER: u64 = u64::MAX;
 
 /// An open network interface, with the data of its station.
 pub(super) struct Profinet {
@@ -40,13 +51,26 @@ impl Profinet {
 
     /// Serves the device.
     pub(super) async fn serve(self, gateway: Rc<Gateway>) {
+<<<<<<< HEAD
         let Self { interface, line: ProfinetLine { interface: name, stored, keep } } = self;
         let (number, pauses) = (gateway.number(), Cell::new(gateway.pauses()));
         let bridge = Bridge { gateway, number, pauses, name, writer: keep.map(writer) };
         if let Err(error) = interface.serve(stored, SERIAL_NUMBER, bridge).await {
+=======
+        let Self { interface, line } = self;
+        let bridge = Bridge::new(gateway, format!("profinet {}", line.interface), line.keep);
+        if let Err(error) = interface.serve(line.stored, SERIAL_NUMBER, bridge).await {
+>>>>>>> h-e1
             report(format_args!("PROFINET has ended: {error:#}"));
         }
     }
+}
+
+/// Serves an EtherNet/IP adapter. Its address, unique in the network, is its serial number.
+pub(super) async fn serve_adapter(adapter: Adapter, gateway: Rc<Gateway>) {
+    let address = adapter.address();
+    let bridge = Bridge::new(gateway, format!("ethernetip {address}"), None);
+    adapter.serve(address.ip().to_bits(), bridge).await;
 }
 
 /// Returns the data in a file, or `None` without one.
@@ -79,11 +103,27 @@ struct Bridge {
     gateway: Rc<Gateway>,
     /// Number of the controller among the masters.
     number: u64,
+    /// Address of the controller, unspecified on PROFINET.
+    address: Cell<IpAddr>,
     /// Number of pauses that the device has handled.
     pauses: Cell<u32>,
+<<<<<<< HEAD
     /// Name of the network interface.
     name: String,
     writer: Option<Sender<Vec<u8>>>,
+=======
+    /// Begins each message.
+    label: String,
+    /// File for the data of the PROFINET station.
+    keep: Option<PathBuf>,
+}
+
+impl Bridge {
+    fn new(gateway: Rc<Gateway>, label: String, keep: Option<PathBuf>) -> Self {
+        let (number, pauses) = (gateway.number(), Cell::new(gateway.pauses()));
+        Self { gateway, number, address: Cell::new(Ipv4Addr::UNSPECIFIED.into()), pauses, label, keep }
+    }
+>>>>>>> h-e1
 }
 
 impl Owner for Bridge {
@@ -95,7 +135,7 @@ impl Owner for Bridge {
         let (master, image, before) = (self.number, *outputs, before.copied());
         self.gateway.turn(TcpInput::Image { master, image, before });
         if self.gateway.is_plc(master) {
-            self.gateway.note_cycle(Ipv4Addr::UNSPECIFIED.into());
+            self.gateway.note_cycle(self.address.get());
         }
     }
 
@@ -104,20 +144,51 @@ impl Owner for Bridge {
     }
 
     fn store(&self, stored: &Stored) {
+<<<<<<< HEAD
         if let (Some(writer), Ok(kept)) =
             (&self.writer, serde_json::to_vec_pretty(&BTreeMap::from(ProfinetLine::kept(stored))))
         {
             // The thread ends only with the sender.
             let _ = writer.send(kept);
+=======
+        let Some(file) = &self.keep else { return };
+        let kept = serde_json::to_vec_pretty(&BTreeMap::from(ProfinetLine::kept(stored)));
+        if let Err(error) = kept.map_err(io::Error::from).and_then(|kept| replace(file, &kept)) {
+            self.note(format_args!("{} cannot be written: {error}", file.display()));
+>>>>>>> h-e1
         }
     }
 
     fn note(&self, what: Arguments<'_>) {
+<<<<<<< HEAD
         report(format_args!("profinet {}: {what}", self.name));
+=======
+        report(format_args!("{}: {what}", self.label));
+>>>>>>> h-e1
     }
 
     fn has_paused(&self) -> bool {
         let pauses = self.gateway.pauses();
         self.pauses.replace(pauses) != pauses
+    }
+
+    fn note_controller(&self, address: IpAddr) {
+        self.address.set(address);
+    }
+
+    fn register(&self, function: u16, address: u16) -> Result<u16, Status> {
+        let function =
+            u8::try_from(function).ok().filter(|it| [3, 4].contains(it)).ok_or(Status::NoInstance)?;
+        let ([high, low], mut response) = (address.to_be_bytes(), [0; MAX_PDU_LEN]);
+        let len =
+            self.gateway.serve((READER, self.address.get()), &[function, high, low, 0, 1], &mut response);
+        match response.get(..len) {
+            Some([code, 2, high, low]) if *code == function => Ok(u16::from_be_bytes([*high, *low])),
+            Some([_, code]) if *code == Exception::IllegalDataAddress.code() => {
+                Err(Status::AttributeUnsupported)
+            }
+            // The gripper does not answer.
+            _ => Err(Status::StateConflict),
+        }
     }
 }
