@@ -4,13 +4,8 @@ use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt::Arguments;
 use std::fs;
-<<<<<<< HEAD
 use std::io::ErrorKind;
-use std::net::Ipv4Addr;
-=======
-use std::io::{self, ErrorKind};
 use std::net::{IpAddr, Ipv4Addr};
->>>>>>> h-e1
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::mpsc::{Sender, channel};
@@ -51,16 +46,9 @@ impl Profinet {
 
     /// Serves the device.
     pub(super) async fn serve(self, gateway: Rc<Gateway>) {
-<<<<<<< HEAD
         let Self { interface, line: ProfinetLine { interface: name, stored, keep } } = self;
-        let (number, pauses) = (gateway.number(), Cell::new(gateway.pauses()));
-        let bridge = Bridge { gateway, number, pauses, name, writer: keep.map(writer) };
+        let bridge = Bridge::new(gateway, format!("profinet {name}"), keep.map(writer));
         if let Err(error) = interface.serve(stored, SERIAL_NUMBER, bridge).await {
-=======
-        let Self { interface, line } = self;
-        let bridge = Bridge::new(gateway, format!("profinet {}", line.interface), line.keep);
-        if let Err(error) = interface.serve(line.stored, SERIAL_NUMBER, bridge).await {
->>>>>>> h-e1
             report(format_args!("PROFINET has ended: {error:#}"));
         }
     }
@@ -107,23 +95,17 @@ struct Bridge {
     address: Cell<IpAddr>,
     /// Number of pauses that the device has handled.
     pauses: Cell<u32>,
-<<<<<<< HEAD
-    /// Name of the network interface.
-    name: String,
-    writer: Option<Sender<Vec<u8>>>,
-=======
     /// Begins each message.
     label: String,
-    /// File for the data of the PROFINET station.
-    keep: Option<PathBuf>,
+    /// Stores the data of the PROFINET station.
+    writer: Option<Sender<Vec<u8>>>,
 }
 
 impl Bridge {
-    fn new(gateway: Rc<Gateway>, label: String, keep: Option<PathBuf>) -> Self {
+    fn new(gateway: Rc<Gateway>, label: String, writer: Option<Sender<Vec<u8>>>) -> Self {
         let (number, pauses) = (gateway.number(), Cell::new(gateway.pauses()));
-        Self { gateway, number, address: Cell::new(Ipv4Addr::UNSPECIFIED.into()), pauses, label, keep }
+        Self { gateway, number, address: Cell::new(Ipv4Addr::UNSPECIFIED.into()), pauses, label, writer }
     }
->>>>>>> h-e1
 }
 
 impl Owner for Bridge {
@@ -144,27 +126,16 @@ impl Owner for Bridge {
     }
 
     fn store(&self, stored: &Stored) {
-<<<<<<< HEAD
         if let (Some(writer), Ok(kept)) =
             (&self.writer, serde_json::to_vec_pretty(&BTreeMap::from(ProfinetLine::kept(stored))))
         {
             // The thread ends only with the sender.
             let _ = writer.send(kept);
-=======
-        let Some(file) = &self.keep else { return };
-        let kept = serde_json::to_vec_pretty(&BTreeMap::from(ProfinetLine::kept(stored)));
-        if let Err(error) = kept.map_err(io::Error::from).and_then(|kept| replace(file, &kept)) {
-            self.note(format_args!("{} cannot be written: {error}", file.display()));
->>>>>>> h-e1
         }
     }
 
     fn note(&self, what: Arguments<'_>) {
-<<<<<<< HEAD
-        report(format_args!("profinet {}: {what}", self.name));
-=======
         report(format_args!("{}: {what}", self.label));
->>>>>>> h-e1
     }
 
     fn has_paused(&self) -> bool {
