@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use document::{anchor_of, read, root};
 
 /// Documents outside `docs/`, and the contents of `docs/`.
-const DOCUMENTS: [&str; 14] = [
+const DOCUMENTS: [&str; 15] = [
     "README.md",
     "ARCHITECTURE.md",
     "CONTRIBUTING.md",
@@ -20,6 +20,7 @@ const DOCUMENTS: [&str; 14] = [
     "buses/canopen/README.md",
     "buses/profibus/README.md",
     "buses/profinet/README.md",
+    "buses/ethernetip/README.md",
 ];
 
 /// Returns the paths of all documents.

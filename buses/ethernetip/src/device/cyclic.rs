@@ -1,0 +1,74 @@
+//! Cyclic data (class 1): packets from the originator (O->T) and to it (T->O).
+
+use core::net::Ipv4Addr;
+
+use super::{Device, Transmit};
+use crate::connection::Packet;
+use crate::cursor::Reader;
+use crate::encapsulation::MAX_FRAME_LEN;
+use crate::forward_open::Kind;
+use crate::state::{Event, State};
+
+/// Bit of the run/idle header.
+const RUN: u32 = 1;
+
+impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
+    /// Processes a datagram to UDP port [`IO_PORT`](crate::IO_PORT). Call [`poll`](Self::poll) before the next one: outputs
+    /// that were not taken are replaced by newer ones.
+    pub fn receive_packet(&mut self, now: u64, from: Ipv4Addr, datagram: &[u8]) {
+        self.expire(now);
+        if self.consume(now, from, datagram).is_none() {
+            self.counters.packets_dropped = self.counters.packets_dropped.saturating_add(1);
+        }
+    }
+
+    /// Takes a packet. Returns `None` if it must be dropped, which changes nothing.
+    fn consume(&mut self, now: u64, from: Ipv4Addr, datagram: &[u8]) -> Option<()> {
+        let Self { io, outputs, pending, .. } = self;
+        let packet = Packet::parse(datagram)?;
+        let ids = (from, packet.id);
+        let io = io.iter_mut().flatten().find(|io| (io.link.client.address, io.link.consumed_id) == ids)?;
+        // Nothing in the data has a meaning before this check.
+        if packet.data.len() != usize::from(io.size) {
+            return None;
+        }
+        let ahead = |last: u32| packet.sequence.wrapping_sub(last);
+        if io.received.is_some_and(|last| !(1..0x8000_0000).contains(&ahead(last))) {
+            return None;
+        }
+        io.received = Some(packet.sequence);
+        io.link.restart(now);
+        if io.kind != Kind::ExclusiveOwner {
+            return Some(());
+        }
+        let mut reader = Reader::new(packet.data);
+        let (count, header) = (reader.u16()?, reader.u32()?);
+        // The same count is the same data, which keeps the connection alive.
+        if io.count.replace(count) == Some(count) {
+            return Some(());
+        }
+        let mode = if header & RUN == 0 { State::Idle } else { State::Run };
+        let was_running = core::mem::replace(&mut io.mode, mode) == State::Run;
+        if mode == State::Run {
+            *outputs = reader.array()?;
+            // Outputs that the application has not taken yet may have been the first.
+            let is_first = !was_running || pending.image == Some(Event::Outputs { is_first: true });
+            pending.image = Some(Event::Outputs { is_first });
+        } else if was_running {
+            outputs.fill(0);
+            pending.image = Some(Event::Idle);
+        }
+        Some(())
+    }
+
+    /// Writes a packet with inputs that is due.
+    pub(super) fn transmit_inputs(&mut self, now: u64, buffer: &mut [u8; MAX_FRAME_LEN]) -> Option<Transmit> {
+        let Self { io, inputs, .. } = self;
+        let io = io.iter_mut().flatten().find(|io| io.next <= now)?;
+        // Skips packets that were missed completely.
+        let missed = now.saturating_sub(io.next).checked_div(io.interval_us).unwrap_or(0);
+        io.next = io.next.saturating_add(io.interval_us.saturating_mul(missed.saturating_add(1)));
+        io.sent = io.sent.wrapping_add(1);
+        Packet::write(buffer, (io.link.produced_id, io.sent), inputs).map(|len| Transmit::Io(len, io.target))
+    }
+}
