@@ -9,37 +9,11 @@ mod ip;
 #[cfg(target_os = "linux")]
 pub use interface::Interface;
 
+#[cfg(not(target_os = "linux"))]
+use crate::Owner;
 use bus_profinet::{IpParameters, Maintenance, StationName, Stored};
-use std::fmt;
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
-use wsg_fieldbus::{InputImage, OutputImage};
-
-/// The owner of the image, which the device serves to its controller.
-pub trait Owner {
-    /// Returns the inputs, whose system state has the faults, or `None` while there are none: the controller then gets bad inputs
-    /// and no change of the faults.
-    fn inputs(&self) -> Option<InputImage>;
-
-    /// Takes outputs, changed or not, and the last ones `before` them. Without such, they are the first since the controller
-    /// enabled its outputs: a flag that is set in them is no edge.
-    fn take_outputs(&self, outputs: &OutputImage, before: Option<&OutputImage>);
-
-    /// Handles the end of the outputs: the controller is silent, has stopped or has left.
-    fn end_outputs(&self);
-
-    /// Saves name, address and I&M data, which a controller or a tool has changed.
-    fn store(&self, stored: &Stored);
-
-    /// Logs an event.
-    fn note(&self, what: fmt::Arguments<'_>);
-
-    /// Returns, once for each pause of the computer, whether waiting frames are too old. The device then discards them and ends the
-    /// connection to the controller, which may connect again.
-    fn has_paused(&self) -> bool {
-        false
-    }
-}
 
 /// An interface of a system without packet sockets, which never opens.
 #[cfg(not(target_os = "linux"))]

@@ -4,8 +4,8 @@
 //! (fieldbus, chapter 5). The [`Controller`] implements chapter 6 between the two. PROFIBUS masters also receive a
 //! [`Diagnosis`] block.
 //!
-//! Features: `modbus` adds `Images`, both images as coils and registers for a server of `bus_modbus`. `profibus` and
-//! `profinet` each add a module of that name with the device profile for `bus_profibus` or `bus_profinet`.
+//! Features: `modbus` adds `Images`, both images as coils and registers for a server of `bus_modbus`. `profibus`,
+//! `profinet` and `ethernetip` each add a module of that name with the device profile for the bus crate.
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(
@@ -25,6 +25,8 @@ extern crate std;
 
 mod controller;
 mod diagnosis;
+#[cfg(feature = "ethernetip")]
+pub mod ethernetip;
 mod image;
 mod incident;
 mod jog;

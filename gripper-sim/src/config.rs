@@ -70,7 +70,7 @@ pub struct Config {
     /// Time-out in milliseconds of a Modbus master that has written; 0 disables it. A PROFIBUS master configures its
     /// own watchdog.
     pub bus_timeout_ms: u16,
-    /// The reaction to that time-out, and to a PROFIBUS or PROFINET master that stops or is silent. A jog ends in any case.
+    /// The reaction to that time-out, and to a master on PROFIBUS, PROFINET or EtherNet/IP that stops or is silent. A jog ends in any case.
     pub bus_reaction: SilenceReaction,
     /// The PROFIBUS address, 0 to 125 (fieldbus, 2.2).
     pub profibus_address: u8,

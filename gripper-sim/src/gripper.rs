@@ -417,7 +417,7 @@ impl<const PORTS: usize> VirtualGripper<PORTS> {
     }
 
     /// Returns both images of the register interface: the outputs that a master wrote last, and the current inputs. The
-    /// outputs are zeros after the PROFIBUS or PROFINET master has left, cleared them or stopped.
+    /// outputs are zeros after the master on PROFIBUS, PROFINET or EtherNet/IP has left, cleared them or stopped.
     #[must_use]
     pub fn fieldbus_images(&self) -> (OutputImage, InputImage) {
         (*self.fieldbus.written(), self.fieldbus.input(&self.device))

@@ -38,6 +38,8 @@ pub enum PortKind {
     /// PROFINET: the caller handles its frames and passes images to
     /// [`write_image`](crate::VirtualGripper::write_image).
     Profinet,
+    /// EtherNet/IP, with complete images like PROFINET.
+    EthernetIp,
 }
 
 impl PortKind {
@@ -64,7 +66,7 @@ impl PortKind {
             Self::GclTcp | Self::GclUdp => Protocol::Text,
             Self::ModbusTcp => Protocol::Modbus,
             Self::Profibus => Protocol::Profibus,
-            Self::Profinet => Protocol::Images,
+            Self::Profinet | Self::EthernetIp => Protocol::Images,
         }
     }
 }
@@ -97,6 +99,7 @@ impl core::fmt::Display for PortKind {
             Self::Profibus => "profibus",
             Self::Page => "page",
             Self::Profinet => "profinet",
+            Self::EthernetIp => "ethernetip",
         })
     }
 }

@@ -7,6 +7,7 @@
 mod can;
 mod control;
 mod echoes;
+mod ethernetip;
 mod faulty_line;
 mod folder;
 mod hub;
@@ -26,6 +27,7 @@ mod tcp;
 mod thread;
 mod udp;
 
+pub use fieldbus_host::ethernetip::EthernetIpLine;
 pub use fieldbus_host::profinet::ProfinetLine;
 pub use lines::{CanBus, CanLine, Lines, Profile, SerialLine, UdpLine};
 pub use log::Log;
@@ -239,6 +241,11 @@ async fn open_lines(config: Config, lines: &Lines, kept: &Places) -> Result<Vec<
         tcp::open(listen("modbus", "Modbus/TCP", lines.modbus), PortKind::ModbusTcp).await?.map(on_modbus),
         lines.profibus.as_ref().map(|line| open_profibus(line, config.profibus_address)).transpose()?,
         lines.profinet.as_ref().map(profinet::open).transpose()?,
+        ethernetip::open(
+            listen("ethernetip", "EtherNet/IP", lines.ethernetip.map(|line| line.address.into())),
+            lines.ethernetip,
+        )
+        .await?,
         control::open(listen("control", "the control interface", lines.control), &lines.control_hosts)
             .await?,
     ];

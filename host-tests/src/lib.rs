@@ -13,6 +13,7 @@
 //! | [`clock`] | clock that peers of an emulated board follow |
 //! | [`device_files`] | file names of the PLC device descriptions and their bitmaps |
 //! | [`emulator`] | the emulated board: inputs, outputs, lines, memory |
+//! | [`ethernetip`] | an EtherNet/IP scanner, and what it requires of an adapter |
 //! | [`chance`] | pseudo-random numbers, reproducible by seed |
 //! | [`mod@explore`] | exhaustive exploration of event orders on the released bridge code |
 //! | [`fault_sweep`] | every bit and byte fault around a FAST STOP, and the resulting stopping time |
@@ -56,6 +57,7 @@ pub mod chance;
 pub mod clock;
 pub mod device_files;
 pub mod emulator;
+pub mod ethernetip;
 pub mod example;
 pub mod explore;
 pub mod extent;

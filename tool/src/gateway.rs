@@ -1,5 +1,5 @@
-//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP or PROFINET and grippers at any address of the binary
-//! protocol.
+//! `wsg gateway`: the bridge without a board, between PLCs on Modbus/TCP, PROFINET or EtherNet/IP and grippers at any address of
+//! the binary protocol.
 //!
 //! The bridge is the application of the board's firmware, with the same registers, settings and rules. Each gripper has its own. It
 //! has no wires: `FAST_STOP_OK` is high. All tasks run in one thread, and none waits for a line or a file. A request runs a turn of
@@ -17,12 +17,13 @@ mod service;
 mod status;
 
 use std::io::{self, Write};
-use std::net::SocketAddr;
+use std::net::{SocketAddr, SocketAddrV4};
 use std::path::PathBuf;
 use std::rc::Rc;
 
 use anyhow::{Context, Result};
 use clap::{ArgGroup, Args, Subcommand};
+use fieldbus_host::ethernetip::{Adapter, EthernetIpLine};
 use tokio::net::TcpListener;
 use tokio::runtime;
 use tokio::task::{JoinSet, LocalSet};
@@ -34,12 +35,12 @@ use crate::listen_address;
 use bridge::Gateway;
 use config::GripperConfig;
 use master::{Master, Port};
-use profinet::Profinet;
+use profinet::{Profinet, serve_adapter};
 
 /// Lowest rate of a board's CAN bus in kbit/s.
 const MIN_KBIT: u16 = 125;
 
-/// Connects PLCs on Modbus/TCP or PROFINET to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
+/// Connects PLCs on Modbus/TCP, PROFINET or EtherNet/IP to grippers through the bridge's software, until Ctrl-C; see docs/gateway.md
 #[derive(Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 pub(crate) struct Arguments {
@@ -59,12 +60,12 @@ enum Task {
 /// What to serve.
 #[derive(Args)]
 #[command(group = ArgGroup::new("grippers").required(true).args(["gripper", "config"]))]
-#[command(group = ArgGroup::new("plc").required(true).multiple(true).args(["modbus", "profinet", "config"]))]
+#[command(group = ArgGroup::new("plc").required(true).multiple(true).args(["modbus", "profinet", "ethernetip", "config"]))]
 struct Serving {
     #[command(flatten)]
     options: Options,
     /// TOML file with one or more grippers, instead of the options for one
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["modbus", "profinet", "settings"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["modbus", "profinet", "ethernetip", "settings"])]
     config: Option<PathBuf>,
     /// Check the file and print its grippers, without opening a port
     #[arg(long, conflicts_with = "gripper")]
@@ -83,6 +84,12 @@ struct Options {
     /// Network interface on which a PROFINET controller finds the gateway, such as eth0; Linux only
     #[arg(long, value_name = "INTERFACE")]
     profinet: Option<String>,
+    /// Address on which EtherNet/IP scanners connect, such as 192.168.1.10; the port is 44818 unless the address has one
+    #[arg(long, value_name = "ADDR", value_parser = adapter_address)]
+    ethernetip: Option<SocketAddrV4>,
+    /// Vendor number on EtherNet/IP; 0 unless given
+    #[arg(long, value_name = "NUMBER", requires = "ethernetip")]
+    ethernetip_vendor: Option<u16>,
     /// File that stores the bridge's settings; FILE.profinet stores name and address of the PROFINET station. Without it, they are
     /// lost at the end
     #[arg(long, value_name = "FILE")]
@@ -108,6 +115,11 @@ fn gripper_address(text: &str) -> Result<Address, String> {
                 .to_owned())
         }
     }
+}
+
+fn adapter_address(text: &str) -> Result<SocketAddrV4, &'static str> {
+    EthernetIpLine::address_of_text(text)
+        .ok_or("expected the IP address of a network card, such as 192.168.1.10")
 }
 
 /// Runs the gateway until a signal is caught, checks its configuration, or runs a task.
@@ -177,6 +189,9 @@ impl Served {
             if let Some(line) = &config.profinet {
                 text += &format!("profinet {}\n", one_line(&line.interface));
             }
+            if let Some(line) = &config.ethernetip {
+                text += &format!("ethernetip {}\n", line.address);
+            }
         }
         text
     }
@@ -194,9 +209,14 @@ impl Served {
             listeners.push(listener);
         }
         let mut tasks = JoinSet::new();
-        for (config, gateway) in &self.grippers {
+        for (config, gateway) in &mut self.grippers {
             if let Some(line) = config.profinet.clone() {
                 tasks.spawn_local(Profinet::open(line)?.serve(Rc::clone(gateway)));
+            }
+            if let Some(line) = &mut config.ethernetip {
+                let adapter = Adapter::open(*line).await?;
+                line.address = adapter.address();
+                tasks.spawn_local(serve_adapter(adapter, Rc::clone(gateway)));
             }
         }
         let addresses = self.addresses();

@@ -19,6 +19,8 @@ use std::thread::{self, sleep};
 use std::time::{Duration, Instant};
 
 use document::read;
+#[cfg(target_os = "linux")]
+use host_tests::ethernetip;
 use host_tests::gateway::{self, Gateway};
 use program::{printed, wsg};
 use rustix::fs::{CWD, Mode, OFlags, fcntl_setfl, mkfifoat};
@@ -321,6 +323,23 @@ fn master_homes_and_grips_and_ctrl_c_leaves_no_fast_stop() {
         assert_eq!(master.command(GRIP, 2_000), (1 << 4, 0), "GRIP ends in HOLDING");
         rig.end(Signal::INT);
     });
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn owner_of_an_ethernetip_adapter_homes_grips_and_stops_the_fingers_by_idle_and_silence() {
+    let address = ethernetip::own_address();
+    unpaused_on(
+        || Rig::with(&["--ethernetip", &address.to_string()]),
+        |rig| {
+            let mut master = rig.connect();
+            until("the gripper answers", || master.inputs().is_some());
+            // A busy machine is less punctual than a PLC.
+            master.set_timeout(60_000);
+            ethernetip::judge(address, &|| rig.gripper().state());
+            assert_eq!(rig.reports()["PLC_ADDRESS"], Value::Null, "the PLC has left");
+        },
+    );
 }
 
 #[test]

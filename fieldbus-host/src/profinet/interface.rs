@@ -1,7 +1,8 @@
 //! The device on a packet socket.
 
+use super::ProfinetLine;
 use super::ip::IpStack;
-use super::{Owner, ProfinetLine};
+use crate::Owner;
 use anyhow::{Context, Result, bail};
 use bus_profinet::{Event, MAX_FRAME_LEN, MacAddress, Profile, Stored, Transmit};
 use nix::errno::Errno;
@@ -261,8 +262,6 @@ mod tests {
         fn take_outputs(&self, _: &OutputImage, _: Option<&OutputImage>) {}
 
         fn end_outputs(&self) {}
-
-        fn store(&self, _: &Stored) {}
 
         fn note(&self, what: Arguments<'_>) {
             self.notes.borrow_mut().push(what.to_string());

@@ -101,7 +101,7 @@ struct Connected {
 /// A bus that carries the register interface.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub(super) struct BusLine {
-    /// The bus: Modbus/TCP, PROFIBUS or PROFINET.
+    /// The bus: Modbus/TCP, PROFIBUS, PROFINET or EtherNet/IP.
     pub(super) bus: &'static str,
     /// Where it is served: an address, a line or an interface.
     pub(super) line: String,

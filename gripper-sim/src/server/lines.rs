@@ -1,5 +1,6 @@
 //! The lines of a gripper: addresses, serial lines and CAN buses, as the user specifies them.
 
+use fieldbus_host::ethernetip::EthernetIpLine;
 use fieldbus_host::profinet::ProfinetLine;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -33,6 +34,8 @@ pub struct Lines {
     pub profibus: Option<SerialLine>,
     /// PROFINET IO on a network interface.
     pub profinet: Option<ProfinetLine>,
+    /// EtherNet/IP on an IP address.
+    pub ethernetip: Option<EthernetIpLine>,
     /// The control interface, HTTP with JSON: the address to listen on. A client has the same control as an operator
     /// beside the gripper, so keep it on the loopback interface.
     pub control: Option<SocketAddr>,

@@ -18,10 +18,11 @@ use bus_profinet::{IpParameters, Maintenance, StationName, Stored};
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Command, CommandFactory, FromArgMatches, Parser};
+use fieldbus_host::ethernetip::EthernetIpLine;
 use fieldbus_host::profinet::ProfinetLine;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
-use std::net::{IpAddr, SocketAddr};
+use std::net::{IpAddr, SocketAddr, SocketAddrV4};
 use std::path::PathBuf;
 use std::str::FromStr;
 use wsg_fieldbus::SilenceReaction;
@@ -125,7 +126,7 @@ struct Arguments {
     /// Sets the time-out of a Modbus master that has written; 0: none
     #[arg(long, help_heading = FIELDBUS, value_name = "MS", default_value = "0", value_parser = expected(U16, parsed::<u16>))]
     bus_timeout: u16,
-    /// Reaction to that time-out, and to the loss of the PROFIBUS or PROFINET master; a jog ends in any case [default: stop]
+    /// Reaction to that time-out, and to the loss of the master on PROFIBUS, PROFINET or EtherNet/IP; a jog ends in any case [default: stop]
     #[arg(long, help_heading = FIELDBUS, value_name = "WHAT", value_parser = one_of(vec![
         ("hold", SilenceReaction::Hold),
         ("stop", SilenceReaction::Stop),
@@ -141,6 +142,15 @@ struct Arguments {
     profibus_address: Option<u8>,
     #[command(flatten)]
     profinet: Profinet,
+    /// Opens an EtherNet/IP adapter: TCP and UDP port 44818 or the given one, and UDP port 2222 ([EtherNet/IP](#ethernetip))
+    #[arg(long, help_heading = FIELDBUS, value_name = "ADDR", value_parser = expected(
+        "the IP address of a network card, such as 192.168.0.5, perhaps with a port",
+        EthernetIpLine::address_of_text,
+    ))]
+    ethernetip: Option<SocketAddrV4>,
+    /// Vendor number on EtherNet/IP, which a PLC's key and the EDS file must equal [default: 0]
+    #[arg(long, help_heading = FIELDBUS, value_name = "NUMBER", value_parser = expected(U16, parsed::<u16>))]
+    ethernetip_vendor: Option<u16>,
     /// Accepts frames with any checksum; the two bytes must be present
     #[arg(long, help_heading = COMMAND)]
     no_checksum_check: bool,
@@ -381,7 +391,9 @@ impl Arguments {
     fn check_effects(&self) -> Result<()> {
         let has_can = self.can.is_some() || self.slcan.is_some();
         let has_profibus = self.profibus.is_some();
-        let has_watch = self.bus_timeout > 0 || has_profibus || self.profinet.profinet.is_some();
+        let has_ethernetip = self.ethernetip.is_some();
+        let has_watch =
+            self.bus_timeout > 0 || has_profibus || self.profinet.profinet.is_some() || has_ethernetip;
         check("udp-remote-port", self.udp_remote_port.is_some(), self.udp.is_some(), "--udp ADDR")?;
         let has_udp = self.udp.is_some() || self.gcl_udp.is_some();
         check("udp-unanswered", self.udp_unanswered.is_some(), has_udp, "--udp ADDR or --gcl-udp ADDR")?;
@@ -390,8 +402,9 @@ impl Arguments {
         check("can-id", self.can_id.is_some(), has_can, "--can IFACE or --slcan LINE")?;
         check("modbus-swap-bytes", self.modbus_swap_bytes, self.modbus.is_some(), "--modbus ADDR")?;
         check("bus-timeout", self.bus_timeout > 0, self.modbus.is_some(), "--modbus ADDR")?;
-        let watched = "--bus-timeout MS, --profibus LINE or --profinet IFACE";
+        let watched = "--bus-timeout MS, --profibus LINE, --profinet IFACE or --ethernetip ADDR";
         check("bus-reaction", self.bus_reaction.is_some(), has_watch, watched)?;
+        check("ethernetip-vendor", self.ethernetip_vendor.is_some(), has_ethernetip, "--ethernetip ADDR")?;
         check("profibus-address", self.profibus_address.is_some(), has_profibus, "--profibus LINE")?;
         check("control-host", !self.control_host.is_empty(), self.control.is_some(), "--control ADDR")
     }
@@ -424,7 +437,12 @@ impl Arguments {
                 "--udp {address} uses the port of the answers; expected another port, or --udp-remote-port"
             );
         }
-        let addresses = [self.tcp, self.udp, self.gcl, self.gcl_udp, self.modbus];
+        let ethernetip = self.ethernetip.map(|address| {
+            let vendor = self.ethernetip_vendor.unwrap_or(EthernetIpLine::VENDOR);
+            EthernetIpLine { address, vendor }
+        });
+        let addresses =
+            [self.tcp, self.udp, self.gcl, self.gcl_udp, self.modbus, self.ethernetip.map(Into::into)];
         let has_bus =
             self.serial.is_some() || can_bus.is_some() || self.profibus.is_some() || profinet.is_some();
         let is_default_line = !has_bus && addresses.iter().all(Option::is_none);
@@ -472,6 +490,7 @@ impl Arguments {
             modbus: self.modbus,
             profibus: self.profibus,
             profinet,
+            ethernetip,
             control: self.control,
             control_hosts: self.control_host,
             script: self.script,

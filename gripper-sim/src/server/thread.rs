@@ -128,6 +128,12 @@ impl ServerThread {
         self.places.path("profinet")
     }
 
+    /// Returns the address of the EtherNet/IP adapter.
+    #[must_use]
+    pub fn ethernetip_address(&self) -> Option<SocketAddr> {
+        self.places.address("ethernetip")
+    }
+
     /// Returns the address of the control interface.
     #[must_use]
     pub fn control_address(&self) -> Option<SocketAddr> {

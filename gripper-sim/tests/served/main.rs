@@ -9,6 +9,8 @@ mod commands;
 #[path = "../common/mod.rs"]
 mod common;
 mod control;
+#[cfg(target_os = "linux")]
+mod ethernetip;
 mod gcl;
 #[cfg(unix)]
 mod in_chromium;

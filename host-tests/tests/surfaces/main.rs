@@ -4,6 +4,8 @@
 //! What a promise requires is judged beside the gripper: by its fingers and its force limit, and by the frames on its line.
 
 mod control;
+#[cfg(target_os = "linux")]
+mod ethernetip;
 mod fieldbus;
 mod page;
 mod process;
@@ -113,10 +115,16 @@ surfaces! {
 
 #[cfg(target_os = "linux")]
 surfaces! {
+    ethernetip_scanner: Entry {
+        station: ethernetip::station,
+        line: |station| station.ethernet.as_ref().expect("the station has a bus"),
+        ..client(ethernetip::ethernetip, Kind::Fieldbus)
+    };
+    gateway_over_ethernetip: client(ethernetip::gateway, Kind::Fieldbus);
     #[ignore = "needs profinet-py and root: run `cargo xtask test`"]
     profinet_py_in_namespaces: Entry {
         station: profinet::station,
-        line: |station| station.profinet.as_ref().expect("the station has a network"),
+        line: |station| station.ethernet.as_ref().expect("the station has a network"),
         ..client(profinet::profinet, Kind::Fieldbus)
     };
     #[ignore = "needs profinet-py and root: run `cargo xtask test`"]

@@ -62,13 +62,19 @@ pub(crate) struct Masters<T>(pub(crate) Box<dyn Surface>, pub(crate) T);
 /// Starts `wsg gateway`, and commands it over Modbus/TCP.
 pub(crate) fn gateway(address: SocketAddr) -> Box<dyn Surface> {
     let gateway = Gateway::start(address, &[]);
-    let mut masters = Masters(fieldbus::modbus(gateway.modbus), gateway);
-    let start = Instant::now();
-    while !matches!(masters.begin(Verb::Read).recv_timeout(BOUND), Ok(Ok(_))) {
-        assert!(start.elapsed() < BOUND, "the gateway connects");
-        thread::sleep(Duration::from_millis(5));
+    Masters(fieldbus::modbus(gateway.modbus), gateway).connected()
+}
+
+impl<T: 'static> Masters<T> {
+    /// Waits until the gateway is connected to its gripper.
+    pub(crate) fn connected(mut self) -> Box<dyn Surface> {
+        let start = Instant::now();
+        while !matches!(self.begin(Verb::Read).recv_timeout(BOUND), Ok(Ok(_))) {
+            assert!(start.elapsed() < BOUND, "the gateway connects");
+            thread::sleep(Duration::from_millis(5));
+        }
+        Box::new(self)
     }
-    Box::new(masters)
 }
 
 impl<T> Surface for Masters<T> {

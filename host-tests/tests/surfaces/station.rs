@@ -91,7 +91,7 @@ impl Line {
     }
 
     /// A line that has no TCP.
-    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "PROFINET is for Linux"))]
+    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "such surfaces are for Linux"))]
     pub(crate) fn on_ethernet(address: SocketAddr, discard: impl Fn(Way, bool) + 'static) -> Self {
         Self { address, shared: Arc::default(), discard: Box::new(discard) }
     }
@@ -211,8 +211,8 @@ pub(crate) struct Station {
     pub(crate) control: Line,
     pub(crate) modbus: Line,
     /// Only with a network of its own.
-    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "PROFINET is for Linux"))]
-    pub(crate) profinet: Option<Line>,
+    #[cfg_attr(not(target_os = "linux"), expect(dead_code, reason = "such surfaces are for Linux"))]
+    pub(crate) ethernet: Option<Line>,
     trace: Arc<Mutex<Trace>>,
 }
 
@@ -233,15 +233,15 @@ impl Station {
         Self::of(ServerThread::start(Config::default(), &lines(), None).expect("the server starts"), None)
     }
 
-    /// A station whose gripper serves [`lines`], and perhaps PROFINET.
-    pub(crate) fn of(gripper: ServerThread, profinet: Option<Line>) -> Self {
+    /// A station whose gripper serves [`lines`], and perhaps a bus without a TCP line.
+    pub(crate) fn of(gripper: ServerThread, ethernet: Option<Line>) -> Self {
         let to = |address: Option<SocketAddr>| Line::to(address.expect("it is served"));
         let (tcp, control, modbus) =
             (to(gripper.tcp_address()), to(gripper.control_address()), to(gripper.modbus_address()));
         let (gripper, trace) = (Arc::new(gripper), Arc::<Mutex<Trace>>::default());
         let (seen, noted) = (Arc::clone(&gripper), Arc::clone(&trace));
         thread::spawn(move || observe(&seen, &noted));
-        Self { gripper, tcp, control, modbus, profinet, trace }
+        Self { gripper, tcp, control, modbus, ethernet, trace }
     }
 
     pub(crate) fn state(&self) -> State {

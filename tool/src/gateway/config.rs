@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use bus_profinet::Stored;
 use clap::builder::NonEmptyStringValueParser;
 use clap::{Args, Command, FromArgMatches, value_parser};
+use fieldbus_host::ethernetip::EthernetIpLine;
 use fieldbus_host::profinet::ProfinetLine;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
@@ -31,6 +32,7 @@ pub(super) struct GripperConfig {
     pub(super) gripper: Address,
     pub(super) modbus: Option<SocketAddr>,
     pub(super) profinet: Option<ProfinetLine>,
+    pub(super) ethernetip: Option<EthernetIpLine>,
     /// Unit of the gripper on a port that several share. Without it, the port has one gripper, which answers every unit.
     pub(super) unit: Option<u8>,
     pub(super) settings: Option<PathBuf>,
@@ -56,8 +58,8 @@ impl GripperConfig {
     pub(super) fn new(options: &Options) -> Result<Self> {
         let gripper = options.gripper.clone();
         ensure!(
-            options.modbus.is_some() || options.profinet.is_some(),
-            "modbus or profinet is missing: an address such as 192.168.1.10:502, or a network interface such as eth0"
+            options.modbus.is_some() || options.profinet.is_some() || options.ethernetip.is_some(),
+            "modbus, profinet or ethernetip is missing: an address such as 192.168.1.10:502, or a network interface such as eth0"
         );
         Ok(Self {
             name: None,
@@ -66,6 +68,10 @@ impl GripperConfig {
             profinet: options.profinet.clone().map(|interface| {
                 let keep = options.settings.as_deref().map(station_file);
                 ProfinetLine { interface, stored: Stored::NONE, keep }
+            }),
+            ethernetip: options.ethernetip.map(|address| {
+                let vendor = options.ethernetip_vendor.unwrap_or(EthernetIpLine::VENDOR);
+                EthernetIpLine { address, vendor }
             }),
             unit: None,
             settings: options.settings.clone(),
@@ -82,6 +88,7 @@ impl GripperConfig {
     /// Checks that the gripper has nothing that is another one's.
     fn check_apart(&self, other: &Self) -> Result<()> {
         let file = |it: &Self| it.settings.as_deref().and_then(|file| path::absolute(file).ok());
+        let adapter = |it: &Self| it.ethernetip.map(|line| *line.address.ip());
         let interface = |it: &Self| it.profinet.as_ref().map(|line| line.interface.clone());
         if let Some(name) = self.name.as_ref().filter(|name| other.name.as_ref() == Some(*name)) {
             bail!("another gripper has the name {name}");
@@ -91,6 +98,9 @@ impl GripperConfig {
             bail!("another gripper stores its settings in {}", file.display());
         } else if let Some(interface) = interface(self).filter(|it| interface(other).as_ref() == Some(it)) {
             bail!("another gripper is on the network interface {interface}");
+        } else if let Some(ip) = adapter(self).filter(|it| adapter(other).as_ref() == Some(it)) {
+            // Cyclic data has the same port for all.
+            bail!("another gripper has the address {ip} on EtherNet/IP");
         }
         let (Some(address), Some(other_address)) = (self.modbus, other.modbus) else { return Ok(()) };
         let is_everywhere = address.ip().is_unspecified() || other_address.ip().is_unspecified();
@@ -265,7 +275,7 @@ mod tests {
             (
                 LEFT.replace("modbus", "# "),
                 ", line 1: ",
-                "modbus or profinet is missing: an address such as 192.",
+                "modbus, profinet or ethernetip is missing: an address such as 192.",
             ),
             (
                 two("gripper =", "name = \"left\"\ngripper ="),
@@ -291,6 +301,13 @@ mod tests {
                 ", line 6: ",
                 "another gripper is on the network interface eth0",
             ),
+            (
+                of_left("ethernetip = \"10.0.0.1\"") + RIGHT + "ethernetip = \"10.0.0.1:5000\"",
+                ", line 6: ",
+                "another gripper has the address 10.0.0.1 on EtherNet/IP",
+            ),
+            (of_left("ethernetip = \"0.0.0.0\""), ", line 5: ", "expected the IP address of a network card"),
+            (of_left("ethernetip-vendor = 5"), ", line 1: ", "--ethernetip"),
             (of_left("delivered = 5"), ", line 5: ", "expected [gripper.delivered]"),
             (
                 of_left("[gripper.delivered]\nBUS_TIMOUT = 5"),

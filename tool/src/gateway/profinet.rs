@@ -1,17 +1,20 @@
-//! The PROFINET device of a gateway. Its controller is a master of the bridge's image.
+//! The PROFINET device and the EtherNet/IP adapter of a gateway. Their controllers are masters of the bridge's image.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::fmt::Arguments;
 use std::fs;
 use std::io::{self, ErrorKind};
-use std::net::Ipv4Addr;
-use std::path::Path;
+use std::net::{IpAddr, Ipv4Addr};
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use anyhow::{Context, Result, anyhow};
+use bus_modbus::{Exception, MAX_PDU_LEN};
 use bus_profinet::Stored;
-use fieldbus_host::profinet::{Interface, Owner, ProfinetLine};
+use fieldbus_host::Owner;
+use fieldbus_host::ethernetip::{Adapter, Status};
+use fieldbus_host::profinet::{Interface, ProfinetLine};
 use wsg_bridge_fw::plc::TcpInput;
 use wsg_fieldbus::{InputImage, OutputImage};
 
@@ -20,6 +23,9 @@ use crate::file_flash::replace;
 
 /// Serial number in the device's records. The gripper's own is unknown before it answers.
 const SERIAL_NUMBER: u32 = 0;
+
+/// Number of the reader of registers. It is never the PLC: a tool must not hide the PLC's silence.
+const READER: u64 = u64::MAX;
 
 /// An open network interface, with the data of its station.
 pub(super) struct Profinet {
@@ -39,12 +45,18 @@ impl Profinet {
     /// Serves the device.
     pub(super) async fn serve(self, gateway: Rc<Gateway>) {
         let Self { interface, line } = self;
-        let (stored, number, pauses) = (line.stored, gateway.number(), Cell::new(gateway.pauses()));
-        let bridge = Bridge { gateway, number, pauses, line };
-        if let Err(error) = interface.serve(stored, SERIAL_NUMBER, bridge).await {
+        let bridge = Bridge::new(gateway, format!("profinet {}", line.interface), line.keep);
+        if let Err(error) = interface.serve(line.stored, SERIAL_NUMBER, bridge).await {
             report(format_args!("PROFINET has ended: {error:#}"));
         }
     }
+}
+
+/// Serves an EtherNet/IP adapter. Its address, unique in the network, is its serial number.
+pub(super) async fn serve_adapter(adapter: Adapter, gateway: Rc<Gateway>) {
+    let address = adapter.address();
+    let bridge = Bridge::new(gateway, format!("ethernetip {address}"), None);
+    adapter.serve(address.ip().to_bits(), bridge).await;
 }
 
 /// Returns the data in a file, or `None` without one.
@@ -64,9 +76,21 @@ struct Bridge {
     gateway: Rc<Gateway>,
     /// Number of the controller among the masters.
     number: u64,
+    /// Address of the controller, unspecified on PROFINET.
+    address: Cell<IpAddr>,
     /// Number of pauses that the device has handled.
     pauses: Cell<u32>,
-    line: ProfinetLine,
+    /// Begins each message.
+    label: String,
+    /// File for the data of the PROFINET station.
+    keep: Option<PathBuf>,
+}
+
+impl Bridge {
+    fn new(gateway: Rc<Gateway>, label: String, keep: Option<PathBuf>) -> Self {
+        let (number, pauses) = (gateway.number(), Cell::new(gateway.pauses()));
+        Self { gateway, number, address: Cell::new(Ipv4Addr::UNSPECIFIED.into()), pauses, label, keep }
+    }
 }
 
 impl Owner for Bridge {
@@ -78,7 +102,7 @@ impl Owner for Bridge {
         let (master, image, before) = (self.number, *outputs, before.copied());
         self.gateway.turn(TcpInput::Image { master, image, before });
         if self.gateway.is_plc(master) {
-            self.gateway.note_cycle(Ipv4Addr::UNSPECIFIED.into());
+            self.gateway.note_cycle(self.address.get());
         }
     }
 
@@ -87,7 +111,7 @@ impl Owner for Bridge {
     }
 
     fn store(&self, stored: &Stored) {
-        let Some(file) = &self.line.keep else { return };
+        let Some(file) = &self.keep else { return };
         let kept = serde_json::to_vec_pretty(&BTreeMap::from(ProfinetLine::kept(stored)));
         if let Err(error) = kept.map_err(io::Error::from).and_then(|kept| replace(file, &kept)) {
             self.note(format_args!("{} cannot be written: {error}", file.display()));
@@ -95,11 +119,31 @@ impl Owner for Bridge {
     }
 
     fn note(&self, what: Arguments<'_>) {
-        report(format_args!("profinet {}: {what}", self.line.interface));
+        report(format_args!("{}: {what}", self.label));
     }
 
     fn has_paused(&self) -> bool {
         let pauses = self.gateway.pauses();
         self.pauses.replace(pauses) != pauses
+    }
+
+    fn note_controller(&self, address: IpAddr) {
+        self.address.set(address);
+    }
+
+    fn register(&self, function: u16, address: u16) -> Result<u16, Status> {
+        let function =
+            u8::try_from(function).ok().filter(|it| [3, 4].contains(it)).ok_or(Status::NoInstance)?;
+        let ([high, low], mut response) = (address.to_be_bytes(), [0; MAX_PDU_LEN]);
+        let len =
+            self.gateway.serve((READER, self.address.get()), &[function, high, low, 0, 1], &mut response);
+        match response.get(..len) {
+            Some([code, 2, high, low]) if *code == function => Ok(u16::from_be_bytes([*high, *low])),
+            Some([_, code]) if *code == Exception::IllegalDataAddress.code() => {
+                Err(Status::AttributeUnsupported)
+            }
+            // The gripper does not answer.
+            _ => Err(Status::StateConflict),
+        }
     }
 }

@@ -85,6 +85,7 @@ mod tests {
                 gripper: "tcp://127.0.0.1:1".parse().unwrap(),
                 modbus: None,
                 profinet: None,
+                ethernetip: None,
                 unit: None,
                 settings: None,
                 delivered: None,

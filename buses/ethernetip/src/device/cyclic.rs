@@ -14,12 +14,15 @@ const RUN: u32 = 1;
 
 impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
     /// Processes a datagram to UDP port [`IO_PORT`](crate::IO_PORT). Call [`poll`](Self::poll) before the next one: outputs
-    /// that were not taken are replaced by newer ones.
-    pub fn receive_packet(&mut self, now: u64, from: Ipv4Addr, datagram: &[u8]) {
+    /// that were not taken are replaced by newer ones. Returns whether the packet is the owner's and counts, even if it repeats
+    /// old outputs: the owner is alive.
+    pub fn receive_packet(&mut self, now: u64, from: Ipv4Addr, datagram: &[u8]) -> bool {
         self.expire(now);
+        let last = self.owner().and_then(|owner| owner.received);
         if self.consume(now, from, datagram).is_none() {
             self.counters.packets_dropped = self.counters.packets_dropped.saturating_add(1);
         }
+        self.owner().and_then(|owner| owner.received) != last
     }
 
     /// Takes a packet. Returns `None` if it must be dropped, which changes nothing.

@@ -104,6 +104,12 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
         header.answer(answer, |out| self.list(&header, data, out).filter(Result::is_ok))
     }
 
+    /// Returns whether the TCP connection of this number has a session.
+    #[must_use]
+    pub fn has_session(&self, number: u32) -> bool {
+        self.sessions.iter().flatten().any(|session| session.client == number)
+    }
+
     /// Removes the session and the class 3 connections of a TCP connection that is closed. Class 1 connections remain.
     pub fn closed(&mut self, number: u32) {
         self.end_session(number);
@@ -167,7 +173,7 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
 
     fn register(&mut self, now: u64, client: Client, data: &[u8], out: &mut Writer<'_>) -> Result<u32, u32> {
         let &[a, b, c, d] = data else { return Err(status::INVALID_LENGTH) };
-        if self.sessions.iter().flatten().any(|session| session.client == client.number) {
+        if self.has_session(client.number) {
             return Err(status::INVALID_COMMAND);
         }
         // The only version, without options.

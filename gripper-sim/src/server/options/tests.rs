@@ -96,6 +96,27 @@ fn profinet_replaces_the_default_line() {
 }
 
 #[test]
+fn ethernetip_replaces_the_default_line() {
+    for (line, address, vendor) in [
+        ("--ethernetip 10.0.0.5 --bus-reaction hold", "10.0.0.5:44818", 0),
+        ("--ethernetip 10.0.0.5:7 --ethernetip-vendor 9", "10.0.0.5:7", 9),
+    ] {
+        let lines = options_of(line).lines;
+        assert_eq!(lines.ethernetip, Some(EthernetIpLine { address: address.parse().unwrap(), vendor }));
+        assert_eq!(lines.tcp, None);
+    }
+    for (arguments, expected) in [
+        (["--ethernetip-vendor", "5"], "without --ethernetip ADDR"),
+        (["--ethernetip", "0.0.0.0"], "the IP address of a network card"),
+        (["--ethernetip", "239.1.1.1"], "the IP address of a network card"),
+        (["--ethernetip", "::1"], "the IP address of a network card"),
+    ] {
+        let error = format!("{:#}", options(&arguments).unwrap_err());
+        assert!(error.contains(expected) && !error.contains('\n'), "{error}");
+    }
+}
+
+#[test]
 fn what_a_file_has_of_a_station_is_kept_there() {
     let text = "profinet = \"eth0\"\nstation = \"wsg-1\"\nprofinet-ip = \"10.0.0.5/8\"\nim-function = \"gr\u{FC}n\"\n\
                 im-location = \"+B\"\nim-date = \"2026-11-23 16:00\"\nim-descriptor = \"\\\"x\\\"\"\n";

@@ -28,7 +28,7 @@ onState.push((state, time) => {
     ["master", (master || "none") + (profibus_master === null ? "" : ", PROFIBUS address " + profibus_master)],
     ["outputs received", `${outputs_received}, ${exchanged.rate.toFixed(1)} a second`],
     ["watchdog", `${watchdog_ms ? watchdog_ms + " ms for Modbus" : "off for Modbus"}, expired ${watchdog_expired} times`],
-    ["damaged frames", state.clients.filter(client => /^(modbus|profibus|profinet)/.test(client.name)).reduce((sum, client) => sum + client.bad_checksums, 0)]]);
+    ["damaged frames", state.clients.filter(client => /^(modbus|profibus|profinet|ethernetip)/.test(client.name)).reduce((sum, client) => sum + client.bad_checksums, 0)]]);
   rows($("buses"), buses.map(bus => [bus.bus, bus.line, ...[bus.address, bus.rate, bus.name].map(text => text || "none")]));
   show(shown.system, input[2] + input[3] * 2 ** 8 + input[4] * 2 ** 16 + input[5] * 2 ** 24);
   show(shown.command, output[0]);

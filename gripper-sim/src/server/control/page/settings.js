@@ -1,7 +1,7 @@
 // Settings: the table of the server, one field for each row.
 let settings = [], settingsRevision = 0, isApplying = false;
 const plain = text => text.replace(/`/g, "").replace(/ ?\(\[[^\]]*\]\([^)]*\)\)|; \[[^\]]*\]\([^)]*\) has the figures/g, "");
-const ACRONYMS = { tcp: "TCP", udp: "UDP", gcl: "GCL", can: "CAN", slcan: "SLCAN", profibus: "PROFIBUS", profinet: "PROFINET", ip: "IP", im: "I&M" };
+const ACRONYMS = { tcp: "TCP", udp: "UDP", gcl: "GCL", can: "CAN", slcan: "SLCAN", profibus: "PROFIBUS", profinet: "PROFINET", ethernetip: "EtherNet/IP", ip: "IP", im: "I&M" };
 const title = name => {
   const words = name.split("-").map(word => ACRONYMS[word] || word).join(" ");
   return words.charAt(0).toUpperCase() + words.slice(1);
