@@ -16,3 +16,6 @@ pub const GSDML_BITMAP: &str = "GSDML-02A2-0001-WSG";
 /// Vendor in the catalogue path of both files, after Drives and I/O as in the manual. It owns the vendor number and
 /// the ident number.
 pub const VENDOR: &str = "Weiss Robotics GmbH & Co. KG";
+
+/// The EDS file in `docs` of the virtual gripper and the gateway on EtherNet/IP.
+pub const ETHERNETIP_EDS: &str = "wsg-ethernetip.eds";

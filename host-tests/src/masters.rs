@@ -1,12 +1,14 @@
 //! Third-party masters for tests, installed by `cargo xtask test`. `mbpoll` comes from Debian, `jsmodbus` and `modbus-serial`
 //! from npm (`package-lock.json`). `pymodbus`, `minimalmodbus`, `modbus-tk`, `canopen`, `pyprofibus` and the EDS reader
 //! `dcf-tools` come from PyPI (`requirements.txt`), as do `xmlschema`, which validates PLCopen XML, and `blark`, which parses
-//! Structured Text.
+//! Structured Text, `eds-pie`, which reads EDS files of EtherNet/IP, and its scanners and clients `ethernetip`, `pycomm3` and `cpppo`.
+//! Its scanner `cm-ethernetip` has an environment of its own; `st-ethernet-ip` comes from npm.
 //!
 //! A test that requires one has `mbpoll`, `pymodbus`, `minimalmodbus`, `modbus_tk`, `jsmodbus`, `modbus_serial`, `canopen`,
-//! `pyprofibus`, `xmlschema` or `blark` in its name. It fails without it; `cargo xtask test` skips it.
+//! `pyprofibus`, `xmlschema`, `blark`, `eds_pie`, `pypi_ethernetip`, `cm_ethernetip`, `st_ethernet_ip`, `pycomm3` or `cpppo` in its
+//! name. It fails without it; `cargo xtask test` skips it.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 /// Environment variable with the path of the Python that has the masters.
@@ -21,10 +23,30 @@ pub const NODE_VARIABLE: &str = "WSG_MODBUS_NODE";
 /// Panics without the environment variable, or when Python cannot be started.
 #[must_use]
 pub fn python(script: &str, arguments: &[&str]) -> Output {
-    let Some(python) = std::env::var_os(PYTHON_VARIABLE).map(PathBuf::from) else {
-        panic!("{PYTHON_VARIABLE} does not name a Python with the masters: run `cargo xtask test`");
-    };
-    let run = Command::new(&python).args(["-c", script]).args(arguments).output();
+    run_python(&python_path(), script, arguments)
+}
+
+/// Runs a Python script with the Python of another virtual environment next to that of the masters.
+///
+/// # Panics
+/// Panics without the environment variable, or when Python cannot be started.
+#[must_use]
+pub fn python_of(environment: &str, script: &str, arguments: &[&str]) -> Output {
+    let masters = python_path();
+    let [program, folder, own] =
+        [0, 1, 2].map(|level| masters.ancestors().nth(level).expect("a virtual environment"));
+    let [program, folder] = [program, folder].map(|path| path.file_name().expect("a name"));
+    run_python(&own.with_file_name(environment).join(folder).join(program), script, arguments)
+}
+
+fn python_path() -> PathBuf {
+    std::env::var_os(PYTHON_VARIABLE).map(PathBuf::from).unwrap_or_else(|| {
+        panic!("{PYTHON_VARIABLE} does not name a Python with the masters: run `cargo xtask test`")
+    })
+}
+
+fn run_python(python: &Path, script: &str, arguments: &[&str]) -> Output {
+    let run = Command::new(python).args(["-c", script]).args(arguments).output();
     run.unwrap_or_else(|error| panic!("{} does not start: {error}", python.display()))
 }
 

@@ -255,4 +255,4 @@ impl<const OUT: usize, const IN: usize> Device<OUT, IN> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

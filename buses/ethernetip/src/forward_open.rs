@@ -6,7 +6,7 @@ use crate::path::{Segment, Segments};
 use crate::profile::{Profile, Status};
 
 /// Maximum requested packet interval of cyclic data.
-const MAX_INTERVAL_US: u32 = 10_000_000;
+pub(crate) const MAX_INTERVAL_US: u32 = 10_000_000;
 /// Bytes before the outputs: sequence count and run/idle header.
 pub(crate) const OUTPUT_OVERHEAD: usize = 6;
 /// Bytes before the inputs: sequence count.

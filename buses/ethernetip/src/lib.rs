@@ -10,6 +10,7 @@
 //! | [`Profile`] | fixed properties of a device: identity, assemblies |
 //! | [`Receiver`] | frames in the bytes of a TCP connection |
 //! | [`Registers`] | the application's values for explicit messages |
+//! | [`Eds`] | the EDS file, generated from the same profile |
 //!
 //! Sockets, TCP, IP and clock are the caller's responsibility. The README shows an I/O module.
 #![no_std]
@@ -31,6 +32,7 @@ extern crate std;
 mod connection;
 mod cursor;
 mod device;
+mod eds;
 mod encapsulation;
 mod forward_open;
 mod path;
@@ -39,6 +41,7 @@ mod state;
 
 pub use connection::Client;
 pub use device::{Counters, DSCP, Device, EXPLICIT_CONNECTIONS, IO_CONNECTIONS, SESSIONS, Transmit};
+pub use eds::{Eds, EdsFacts};
 pub use encapsulation::{IO_PORT, MAX_FRAME_LEN, PORT, Receiver};
 pub use profile::{Network, Profile, Registers, Status};
 pub use state::{Cause, Event, Reset, State};

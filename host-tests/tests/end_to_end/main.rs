@@ -7,6 +7,8 @@ mod clients;
 mod eds;
 #[cfg(unix)]
 mod emulator;
+#[cfg(target_os = "linux")]
+mod ethernetip;
 mod faults;
 mod modbus_tcp;
 #[cfg(unix)]

@@ -108,14 +108,8 @@ impl Network {
     fn capture(&self) -> Capture {
         let file = std::env::temp_dir().join(format!("{}.pcap", self.0.namespace(End::Controller)));
         let mut tshark = at_controller(self.0.number(), "tshark");
-        tshark.args(["-i", "eth0", "-F", "pcap", "-w"]).arg(&file);
-        let mut child = tshark.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-        // tshark reports the start of the capture.
-        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
-        let begun = lines.by_ref().map(Result::unwrap).any(|line| line.starts_with("Capturing on"));
-        assert!(begun, "tshark ended before it started the capture");
-        thread::spawn(move || lines.for_each(drop));
-        Capture { child, file }
+        tshark.args(["-i", "eth0"]);
+        Capture::start(tshark, file)
     }
 }
 
@@ -130,12 +124,24 @@ impl Drop for Program {
 }
 
 /// A running capture to a file.
-struct Capture {
+pub(crate) struct Capture {
     child: Child,
     file: PathBuf,
 }
 
 impl Capture {
+    /// Starts a capture with the interface of this `tshark`.
+    pub(crate) fn start(mut tshark: Command, file: PathBuf) -> Self {
+        tshark.args(["-F", "pcap", "-w"]).arg(&file);
+        let mut child = tshark.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        // tshark reports the start of the capture.
+        let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+        let begun = lines.by_ref().map(Result::unwrap).any(|line| line.starts_with("Capturing on"));
+        assert!(begun, "tshark ended before it started the capture");
+        thread::spawn(move || lines.for_each(drop));
+        Self { child, file }
+    }
+
     /// Ends the capture, and returns the fields of the packets that match the filter.
     fn finish(mut self, filter: &str, fields: &[&str]) -> Vec<String> {
         self.end();
@@ -143,7 +149,7 @@ impl Capture {
     }
 
     /// Waits until `count` packets match the filter, and returns their fields. The capture lags the traffic.
-    fn wait_for(&self, count: usize, filter: &str, fields: &[&str]) -> Vec<String> {
+    pub(crate) fn wait_for(&self, count: usize, filter: &str, fields: &[&str]) -> Vec<String> {
         let end = Instant::now() + Duration::from_secs(60);
         loop {
             let packets = self.packets(filter, fields);
@@ -156,7 +162,7 @@ impl Capture {
     }
 
     /// Returns the fields of the packets captured so far that match the filter.
-    fn packets(&self, filter: &str, fields: &[&str]) -> Vec<String> {
+    pub(crate) fn packets(&self, filter: &str, fields: &[&str]) -> Vec<String> {
         let mut tshark = Command::new("tshark");
         tshark.args(["-n", "-r"]).arg(&self.file).args(["-Y", filter, "-T", "fields"]);
         tshark.args(fields.iter().flat_map(|field| ["-e", field]));
@@ -164,7 +170,7 @@ impl Capture {
         String::from_utf8_lossy(&output.stdout).lines().map(str::to_owned).collect()
     }
 
-    fn end(&mut self) {
+    pub(crate) fn end(&mut self) {
         let pid = rustix::process::Pid::from_child(&self.child);
         let _ = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
         let _ = self.child.wait();
@@ -183,7 +189,7 @@ fn config() -> Config {
 }
 
 /// Matches malformed packets and packets with a warning.
-const SUSPICIOUS: &str = "_ws.malformed || _ws.expert.severity >= \"Warning\"";
+pub(crate) const SUSPICIOUS: &str = "_ws.malformed || _ws.expert.severity >= \"Warning\"";
 
 #[test]
 #[ignore = "needs profinet-py, tshark and root: run `cargo xtask test`"]

@@ -26,16 +26,16 @@ const ELEMENTARY: [&str; 7] = ["BOOL", "BYTE", "WORD", "DWORD", "INT", "UINT", "
 const SHIFTS: [&str; 3] = ["SHL", "SHR", "ROL"];
 
 /// A line of a declaration, such as `Speed : UINT := 5000;   (* 1/100 mm/s *)`.
-struct Declaration<'a> {
-    name: &'a str,
-    kind: &'a str,
-    initial: Option<&'a str>,
-    comment: Option<&'a str>,
+pub(crate) struct Declaration<'a> {
+    pub(crate) name: &'a str,
+    pub(crate) kind: &'a str,
+    pub(crate) initial: Option<&'a str>,
+    pub(crate) comment: Option<&'a str>,
 }
 
 impl<'a> Declaration<'a> {
     /// Parses a line. Returns `None` for a line without a declaration.
-    fn of(line: &'a str) -> Option<Self> {
+    pub(crate) fn of(line: &'a str) -> Option<Self> {
         let (declared, rest) = line.split_once(';')?;
         let (name, kind) = declared.split_once(" : ")?;
         let (kind, initial) =
@@ -50,17 +50,17 @@ fn comment(text: &str) -> Option<&str> {
 }
 
 /// A source, divided into its parts.
-struct Source<'a> {
-    comment: &'a str,
+pub(crate) struct Source<'a> {
+    pub(crate) comment: &'a str,
     kind: &'a str,
-    name: &'a str,
+    pub(crate) name: &'a str,
     /// Lines of each section of variables.
-    sections: Vec<(&'a str, Vec<&'a str>)>,
-    body: &'a str,
+    pub(crate) sections: Vec<(&'a str, Vec<&'a str>)>,
+    pub(crate) body: &'a str,
 }
 
 impl<'a> Source<'a> {
-    fn of(text: &'a str) -> Self {
+    pub(crate) fn of(text: &'a str) -> Self {
         let (head, rest) = text.split_once("*)\n").expect("the end of a comment");
         let (first, rest) = rest.split_once('\n').expect("a block");
         let (kind, name) = first.split_once(' ').expect("kind and name");
@@ -311,7 +311,7 @@ fn xmlschema_finds_plcopen_xml_valid() {
 
 /// Parses Structured Text with `blark`, whose grammar is that of TwinCAT 3. Prints its first error. `blark` reads project files with
 /// `lxml`, whose machine code depends on the version of Python. A mock stands for it, because the text needs none of it.
-const PARSE: &str = r#"
+pub(crate) const PARSE: &str = r#"
 import sys, unittest.mock
 sys.modules["lxml"] = sys.modules["lxml.etree"] = unittest.mock.MagicMock()
 from blark.parse import parse_source_code

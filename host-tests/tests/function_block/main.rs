@@ -3,6 +3,7 @@
 
 mod demo;
 mod formats;
+mod l5x;
 mod structured_text;
 
 use std::collections::BTreeSet;

@@ -79,7 +79,7 @@ fn tokens(text: &str) -> Vec<Placed> {
 }
 
 /// Parses a literal with a type, such as `T#500MS` or `BYTE#16#20`.
-fn typed_literal(kind: &str, literal: &str) -> Option<Value> {
+pub(crate) fn typed_literal(kind: &str, literal: &str) -> Option<Value> {
     if kind == "T" {
         let unit = literal.find(|c: char| !c.is_ascii_digit())?;
         let factor = match &literal[unit..] {

@@ -1,7 +1,8 @@
-//! Checks the device files docs/WSGB5555.gsd and GSDML against the tables, and parses them with a third-party parser.
+//! Checks the device files docs/WSGB5555.gsd, GSDML and EDS against the tables, and parses them with third-party parsers.
 //!
 //! `WSG_UPDATE_DOCS=1 cargo test -p host-tests --test gsd` updates the files.
 
+mod eds;
 mod gsdml;
 
 use bus_profibus::{Baud, Gsd, GsdFacts};

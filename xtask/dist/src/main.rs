@@ -23,18 +23,23 @@ use anyhow::{Context, Result, ensure};
 use boards::Board;
 use clap::Parser;
 use document::root;
-use host_tests::{board_wiring::BoardWiring, device_files::GSD};
+use host_tests::{
+    board_wiring::BoardWiring,
+    device_files::{ETHERNETIP_EDS, GSD},
+};
 use sha2::{Digest, Sha256};
 
 /// Files of `docs` that are copied unchanged.
-const COPIED: [&str; 7] = [
+const COPIED: [&str; 9] = [
     "wsg-bridge.eds",
     GSD,
+    ETHERNETIP_EDS,
     "FB_WSG_GRIP.st",
     "PRG_WSG_MODBUS.st",
     "PRG_WSG_DEMO.st",
     "wsg-blocks.xml",
     "wsg-blocks.scl",
+    "wsg-blocks.L5X",
 ];
 
 const REGISTERS: &str = "registers.csv";
@@ -70,11 +75,13 @@ WSGB5555.zip         the same file with its bitmaps, for installation
 GSDML-WSG.zip        PROFINET: the virtual gripper (wsg-sim) for a controller's tool;
                      in TIA Portal's catalogue under Other field devices ->
                      PROFINET IO -> I/O -> Weiss Robotics GmbH & Co. KG
+wsg-ethernetip.eds   EtherNet/IP: the virtual gripper and wsg gateway, for a scanner's tool
 FB_WSG_GRIP.st       a function block in IEC 61131-3 structured text
 PRG_WSG_MODBUS.st    a program that connects it to Modbus registers
 PRG_WSG_DEMO.st      the demo cycle of Weiss Robotics' fieldbus manual for the WSG (appendix D)
 wsg-blocks.xml       the three blocks as PLCopen XML, for CODESYS and TwinCAT
 wsg-blocks.scl       the three blocks as SCL source, for TIA Portal
+wsg-blocks.L5X       a project with FB_WSG_GRIP and the gripper on EtherNet/IP, for Studio 5000
 LICENCES.txt         third-party parts of the firmware and their licences
 SHA256SUMS           checksums of these files: sha256sum -c SHA256SUMS
 ";

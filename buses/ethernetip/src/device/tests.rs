@@ -14,7 +14,7 @@ use std::string::String;
 use std::vec::Vec;
 
 /// The identity of the wire examples.
-pub(super) const PROFILE: Profile = Profile {
+pub(crate) const PROFILE: Profile = Profile {
     vendor_id: 1,
     device_type: 0x0C,
     product_code: 65_001,
