@@ -132,7 +132,7 @@ const fn of_bridge([begins, plc]: [&'static [&'static str]; 2]) -> [&'static [&'
 }
 
 /// All bodies.
-pub const ALL: [Body; 14] = [
+pub const ALL: [Body; 15] = [
     Body { name: "frames", run: frames, pieces: Hex(&[generate::BINARY]) },
     Body { name: "typed", run: typed, pieces: Hex(&[generate::BINARY]) },
     Body { name: "session", run: session, pieces: Hex(&[generate::BINARY]) },

@@ -4,6 +4,8 @@ use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::Duration;
 
 use crate::example;
 
@@ -110,6 +112,10 @@ pub fn unpaused<R>(
     for attempt in 1.. {
         let mut rig = start();
         let tested = catch_unwind(AssertUnwindSafe(|| test(&mut rig)));
+        if tested.is_err() {
+            // The gateway prints its message about the loss beside its answer.
+            sleep(Duration::from_millis(100));
+        }
         let messages = gateway(&mut rig).messages();
         let is_disturbed = messages.contains("paused") || is_disturbed(&rig, &messages);
         match tested {

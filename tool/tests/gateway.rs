@@ -306,6 +306,8 @@ impl Master {
             if inputs[5] != 26 {
                 return (inputs[0] >> 8, inputs[5]);
             }
+            // As a PLC: requests without a pause would keep the other tests from the processor.
+            sleep(Duration::from_millis(5));
         }
     }
 }
