@@ -51,6 +51,9 @@ const DISCONNECTS: u8 = 117;
 const BUS_TIMEOUTS: u8 = 125;
 const SAVE_STATE: u8 = 204;
 
+/// Status in input register 5 until a command has ended.
+const CMD_PENDING: u16 = 26;
+
 /// Message about a silent gripper.
 const SILENT: &str = "the gripper does not answer";
 
@@ -71,7 +74,9 @@ impl Rig {
     }
 
     fn with(options: &[&str]) -> Self {
-        let gripper = serve("127.0.0.1:0".parse().unwrap());
+        // Connections of other programs take no ports of this address while the gripper restarts.
+        let own = if cfg!(target_os = "linux") { "127.0.0.9:0" } else { "127.0.0.1:0" };
+        let gripper = serve(own.parse().unwrap());
         let address = gripper.tcp_address().unwrap();
         Self::of(vec![gripper], address, Gateway::start(address, options), None)
     }
@@ -303,7 +308,7 @@ impl Master {
         self.write(flags, width);
         loop {
             let inputs = self.inputs().expect("the gripper answers");
-            if inputs[5] != 26 {
+            if inputs[5] != CMD_PENDING {
                 return (inputs[0] >> 8, inputs[5]);
             }
             // As a PLC: requests without a pause would keep the other tests from the processor.
@@ -464,6 +469,10 @@ fn two_grippers_share_a_port_by_unit_and_a_signal_stops_both() {
         assert!(rig.has(SystemFlags::MOVING), "{:?}", rig.gripper().state());
         let mut master = rig.connect();
         master.unit = 2;
+        // A command before the answer to the Stop would be refused.
+        until("the end of the jog is confirmed", || {
+            master.inputs().is_some_and(|inputs| inputs[5] != CMD_PENDING)
+        });
         master.start(MOVE);
         until("both move", || are_moving(rig));
         rig.end(Signal::TERM);
