@@ -178,7 +178,7 @@ async fn any_readable(sockets: &[UdpSocket]) {
 /// The adapter as its connections share it.
 struct Shared<O> {
     station: RefCell<Station<O>>,
-    /// Notified when a message may have changed what is due.
+    /// Notified when a message may have changed the due times.
     changed: Notify,
 }
 

@@ -1,5 +1,5 @@
 //! The register interface as an EtherNet/IP adapter, which the real gripper does not have: the device profile for
-//! `bus_ethernetip`. The images are those of the other buses, byte for byte.
+//! `bus_ethernetip`. The images equal the images of the other buses, byte for byte.
 
 use bus_ethernetip::Profile;
 
