@@ -11,8 +11,10 @@ use crate::example;
 pub struct Gateway {
     /// The process.
     pub process: Child,
-    /// Address on which masters connect.
+    /// Address on which masters connect, of the first gripper.
     pub modbus: SocketAddr,
+    /// The same address of each gripper.
+    pub ports: Vec<SocketAddr>,
 }
 
 impl Gateway {
@@ -23,17 +25,31 @@ impl Gateway {
     /// Panics when `wsg` is not built, or prints no address.
     #[must_use]
     pub fn start(gripper: SocketAddr, options: &[&str]) -> Self {
+        let gripper = format!("tcp://{gripper}");
+        let arguments = ["--gripper", &gripper, "--modbus", "127.0.0.1:0"];
+        Self::of(&[&arguments, options].concat(), 1)
+    }
+
+    /// Starts a gateway with these arguments for a number of grippers.
+    ///
+    /// # Panics
+    /// Panics when `wsg` is not built, or prints fewer addresses.
+    #[must_use]
+    pub fn of(arguments: &[&str], grippers: usize) -> Self {
         let mut process = Command::new(example::program("wsg"))
-            .args(["gateway", "--gripper", &format!("tcp://{gripper}"), "--modbus", "127.0.0.1:0"])
-            .args(options)
+            .arg("gateway")
+            .args(arguments)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
             .expect("wsg starts");
         let lines = BufReader::new(process.stdout.take().expect("stdout is piped")).lines();
-        let modbus =
-            lines.map_while(Result::ok).find_map(|line| line.strip_prefix("modbus   ")?.parse().ok());
-        Self { process, modbus: modbus.expect("the gateway prints its address") }
+        let ports = lines
+            .map_while(Result::ok)
+            .filter_map(|line| line.strip_prefix("modbus   ")?.split(',').next()?.parse().ok());
+        let ports: Vec<_> = ports.take(grippers).collect();
+        assert_eq!(ports.len(), grippers, "the gateway prints an address for each gripper");
+        Self { process, modbus: ports[0], ports }
     }
 
     /// Kills the process, and returns its messages. Call this once.
