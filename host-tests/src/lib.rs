@@ -34,6 +34,7 @@
 //! | [`masters`] | third-party masters for Modbus and CANopen |
 //! | [`mcp2515`] | model of the SPI CAN controller, per its data sheet |
 //! | [`modbus_master`] | a Modbus master on the emulated board's bus, byte by byte |
+//! | [`modbus_tcp`] | a master of Modbus/TCP |
 //! | `namespaces` | network namespaces for PROFINET, on Linux |
 //! | [`plc_names`] | names of flags, states and status codes, for the documents |
 //! | `promises` | the promises of the bridge, judged from outside |
@@ -79,6 +80,7 @@ pub mod load_store;
 pub mod masters;
 pub mod mcp2515;
 pub mod modbus_master;
+pub mod modbus_tcp;
 #[cfg(target_os = "linux")]
 pub mod namespaces;
 pub mod plc_names;

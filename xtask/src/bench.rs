@@ -113,7 +113,8 @@ fn count_name(board: &Board, name: &str) -> String {
 /// Figures of a program by name.
 type Figures = BTreeMap<String, f64>;
 
-/// Runs a program on this machine until its gates hold, and uses the best of its runs, because other load only makes a figure worse.
+/// Runs a program of a package on this machine until its gates hold, and uses the best of its runs, because other load only makes a
+/// figure worse.
 fn best_of_runs<G: AsRef<[Gate]>>(
     workspace: &Workspace,
     program: &str,
@@ -123,9 +124,8 @@ fn best_of_runs<G: AsRef<[Gate]>>(
 ) -> Result<G> {
     let mut best = Figures::new();
     for run in 1.. {
-        let mut cargo = workspace.cargo("run -q --release -p wsg-probes");
-        cargo.args(["--features", program, "--bin", program]);
-        for line in process::output(&mut cargo)?.lines() {
+        let mut cargo = workspace.cargo("run -q --release");
+        for line in process::output(cargo.args(program.split(' ')))?.lines() {
             println!("  {line}");
             let (name, figure) = line.split_once(' ').context("expected a name and a figure")?;
             let figure: f64 = figure.parse().with_context(|| format!("`{line}` is not a figure"))?;
@@ -140,7 +140,13 @@ fn best_of_runs<G: AsRef<[Gate]>>(
 
 /// Measures bulk throughput on this machine in GB/s, absolute and relative to a plain loop, which depends less on the machine.
 pub(crate) fn throughput(workspace: &Workspace) -> Result<[Gate; 2]> {
-    best_of_runs(workspace, "throughput", 1, f64::max, throughput_gates)
+    best_of_runs(
+        workspace,
+        "-p wsg-probes --features throughput --bin throughput",
+        1,
+        f64::max,
+        throughput_gates,
+    )
 }
 
 fn throughput_gates(best: &Figures) -> [Gate; 2] {
@@ -183,7 +189,13 @@ const LATENCY_RUNS: usize = 3;
 /// Measures the latency of the drivers over loopback TCP. Figures under load are printed without a limit, because they depend on the
 /// scheduler.
 pub(crate) fn latency(workspace: &Workspace) -> Result<Vec<Gate>> {
-    best_of_runs(workspace, "latency", LATENCY_RUNS, f64::min, latency_gates)
+    best_of_runs(
+        workspace,
+        "-p wsg-probes --features latency --bin latency",
+        LATENCY_RUNS,
+        f64::min,
+        latency_gates,
+    )
 }
 
 fn latency_gates(best: &Figures) -> Vec<Gate> {
@@ -208,6 +220,37 @@ fn latency_gates(best: &Figures) -> Vec<Gate> {
         1.0,
         Unit::PERCENT_OF_CORE,
     ));
+    gates
+}
+
+/// Commands of a gateway, and their names in the program.
+const GATEWAY_COMMANDS: [(&str, &str); 2] = [("a motion", "move"), ("FAST STOP", "fast-stop")];
+/// Maximum time in µs from the write of a register to the command at the gripper's end of the socket.
+const GATEWAY_LIMITS: [(&str, f64); 2] = [("median", 1_000.0), ("p99", 3_000.0)];
+
+/// Measures `wsg gateway` on this machine: its commands beside a process that copies bytes, and ten grippers without a master.
+pub(crate) fn gateway(workspace: &Workspace) -> Result<Vec<Gate>> {
+    process::run(&mut workspace.cargo("build -q --release -p wsg-tool --bin wsg"))?;
+    best_of_runs(workspace, "-p host-tests --example gateway_figures", 1, f64::min, gateway_gates)
+}
+
+fn gateway_gates(best: &Figures) -> Vec<Gate> {
+    let mut gates = Vec::new();
+    for (what, name) in GATEWAY_COMMANDS {
+        for (statistic, limit) in GATEWAY_LIMITS {
+            let gateway =
+                format!("write over Modbus/TCP to {what} at the gripper, `wsg gateway`, {statistic}");
+            let copied = format!("the same bytes through a copying process, beside {what}, {statistic}");
+            for (what, path, limit) in [(gateway, "gateway", limit), (copied, "copied", f64::INFINITY)] {
+                let measured = of(best, &format!("{path}-{name}-{statistic}"));
+                gates.push(Gate::new(what, measured, limit, Unit::MICROSECONDS));
+            }
+        }
+    }
+    let cpu = "processor time of an idle gateway with ten grippers";
+    gates.push(Gate::new(cpu, of(best, "idle-cpu"), 2.0, Unit::PERCENT_OF_CORE));
+    let memory = "memory of an idle gateway with ten grippers";
+    gates.push(Gate::new(memory, of(best, "idle-memory"), 20.0 * 1024.0 * 1024.0, Unit::BYTES));
     gates
 }
 
@@ -369,6 +412,21 @@ mod tests {
         let expected = [format!("{beside}, blocking driver, median"), format!("{beside}, tokio, p99")];
         assert_eq!(failing(&(bare + &slow)), expected);
         assert_eq!(failing("").len(), latency_gates(&Figures::new()).len());
+    }
+
+    #[test]
+    fn gateway_past_its_limit_or_not_measured_fails() {
+        let failing =
+            |output: &str| gateway_gates(&figures(output)).iter().filter(|gate| !gate.holds()).count();
+        let of = |path: &str, name: &str| format!("{path}-{name}-median 1000\n{path}-{name}-p99 3000\n");
+        let paths =
+            [("gateway", "move"), ("gateway", "fast-stop"), ("copied", "move"), ("copied", "fast-stop")];
+        let within = paths.map(|(path, name)| of(path, name)).concat() + "idle-cpu 2\nidle-memory 20971520\n";
+
+        assert_eq!(failing(&within), 0);
+        assert_eq!(failing(&within.replace("3000", "3001")), 2);
+        assert_eq!(failing(&within.replace("cpu 2", "cpu 2.01")), 1);
+        assert_eq!(failing(""), gateway_gates(&Figures::new()).len());
     }
 
     #[test]

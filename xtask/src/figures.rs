@@ -17,6 +17,7 @@ pub(crate) fn write(toolchain: &ThumbToolchain<'_>, images: &[Image]) -> Result<
     gates.extend(bench::counted(toolchain, false)?.gates);
     gates.extend(bench::throughput(toolchain.workspace)?);
     gates.extend(bench::latency(toolchain.workspace)?);
+    gates.extend(bench::gateway(toolchain.workspace)?);
 
     let path = toolchain.workspace.root.join(DOCUMENT);
     let text = fs::read_to_string(&path).with_context(|| format!("cannot read {DOCUMENT}"))?;

@@ -215,6 +215,7 @@ fn run(command: Command) -> Result<ExitCode> {
             let mut gates = bench::counted(&setup::thumb_and_qemu(workspace)?, update)?.gates;
             gates.extend(bench::throughput(workspace)?);
             gates.extend(bench::latency(workspace)?);
+            gates.extend(bench::gateway(workspace)?);
             gate::check(&gates)?;
         }
         Command::FastStop => drop(commands::fast_stop(workspace)?),

@@ -1,14 +1,15 @@
 //! The register interface: what all of its masters do, a master of Modbus/TCP, and the bridge's wires.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::ErrorKind;
 use std::net::{SocketAddr, TcpStream};
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, anyhow, bail, ensure};
+use anyhow::{Result, bail};
 use embedded_io::ErrorType;
+use host_tests::modbus_tcp::Master;
 use wsg_bridge_fw::io::{Inputs, Outputs};
 use wsg_bridge_fw::{Bridge, Config, NoBus};
 use wsg_fieldbus::{CommandFlags, InputImage, OutputImage};
@@ -19,9 +20,6 @@ use crate::surface::{Outcome, SPEED, Separately, Surface, Verb};
 
 /// Time-out of the master.
 const ANSWER_TIME: Duration = Duration::from_secs(1);
-
-/// Error of a request that is not answered within [`ANSWER_TIME`]. A master repeats it.
-pub(crate) const LATE: &str = "no answer within the master's time-out";
 
 /// A master of the register interface during one request.
 pub(crate) trait Registers {
@@ -83,42 +81,18 @@ fn request(registers: &mut impl Registers, image: &Mutex<OutputImage>, verb: Ver
     }
 }
 
-/// A connection of Modbus/TCP.
-struct ModbusTcp(TcpStream);
-
 pub(crate) fn modbus(address: SocketAddr) -> Box<dyn Surface> {
-    master(move || {
-        let stream = TcpStream::connect(address)?;
-        // A master gives up, and does not continue with an edge that is late.
-        stream.set_read_timeout(Some(ANSWER_TIME))?;
-        Ok(ModbusTcp(stream))
-    })
+    // A master gives up, and does not continue with an edge that is late.
+    master(move || Ok(Master::connect(address, ANSWER_TIME)?))
 }
 
-impl ModbusTcp {
-    fn ask(&mut self, pdu: &[u8]) -> Result<Vec<u8>> {
-        let Self(stream) = self;
-        stream.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF], pdu].concat())?;
-        let mut head = [0; 7];
-        stream.read_exact(&mut head).map_err(|error| match error.kind() {
-            ErrorKind::WouldBlock | ErrorKind::TimedOut => anyhow!(LATE),
-            _ => error.into(),
-        })?;
-        let mut answer = vec![0; usize::from(head[5]) - 1];
-        stream.read_exact(&mut answer)?;
-        ensure!(answer[0] == pdu[0], "exception {:02X}", answer[1]);
-        Ok(answer)
-    }
-}
-
-impl Registers for ModbusTcp {
+impl Registers for Master {
     fn write(&mut self, image: OutputImage) -> Result<()> {
-        self.ask(&[&[16, 0, 0, 0, 4, 8][..], &image.to_bytes()].concat()).map(drop)
+        self.write(image)
     }
 
     fn read(&mut self) -> Result<InputImage> {
-        let answer = self.ask(&[4, 0, 0, 0, 6])?;
-        Ok(InputImage::from_bytes(answer[2..].try_into()?))
+        self.read()
     }
 }
 

@@ -6,9 +6,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use host_tests::modbus_tcp::LATE;
 use wsg_protocol::SystemFlags;
 
-use crate::fieldbus::LATE;
 use crate::station::{BOUND, Line, STALL, Station, Way};
 use crate::surface::{Outcome, Surface, Verb};
 use crate::{Entry, Kind};
@@ -158,7 +158,7 @@ pub(crate) fn fast_stop_acts(entry: &Entry) {
             state.flags.contains(SystemFlags::FAST_STOP) && !state.flags.contains(SystemFlags::MOVING)
         });
         let time = stood - pressed;
-        let counts = rig.station.was_quiet() && rig.surface.stall() < STALL;
+        let counts = rig.station.stall() < STALL && rig.surface.stall() < STALL;
         (entry.line)(&rig.station).release(Way::Answers);
         if counts {
             assert!(time <= FAST_STOP_TIME, "FAST STOP took {time:?}");

@@ -6,6 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use socket2::SockRef;
 use wsg_protocol::{CommandId, Event, FrameParser, Kind, SystemFlags, frame::MAX_MESSAGE_LEN};
 use wsg_sim::server::{Lines, ServerThread};
 use wsg_sim::{Config, State};
@@ -61,7 +62,7 @@ impl Shared {
 }
 
 impl Line {
-    fn to(server: SocketAddr) -> Self {
+    pub(crate) fn to(server: SocketAddr) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let address = listener.local_addr().expect("the address of a listener");
         let shared = Arc::<Shared>::default();
@@ -128,6 +129,16 @@ impl Line {
         self.discard_all(true);
     }
 
+    /// Resets all connections: both ends lose the bytes that they have not received.
+    #[cfg_attr(not(unix), expect(dead_code, reason = "the test that needs it sends signals"))]
+    pub(crate) fn reset(&self) {
+        for stream in self.shared.lock().open.drain(..) {
+            // An error means that the stream has ended.
+            let _ = SockRef::from(&stream).set_linger(Some(Duration::ZERO));
+            let _ = stream.shutdown(Shutdown::Read);
+        }
+    }
+
     /// Accepts connections again.
     pub(crate) fn mend(&self) {
         self.discard_all(false);
@@ -173,7 +184,8 @@ fn carry(shared: &Shared, way: Way, mut from: TcpStream, mut to: TcpStream) {
         while !state.is_cut && if way == Way::Requests { state.holds_requests } else { state.holds_answers } {
             state = shared.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
-        if state.is_cut {
+        // The network loses what it has held when its sender resets the connection.
+        if state.is_cut || !matches!(from.take_error(), Ok(None)) {
             break;
         }
         drop(state);
@@ -181,8 +193,10 @@ fn carry(shared: &Shared, way: Way, mut from: TcpStream, mut to: TcpStream) {
             break;
         }
     }
-    // The other end learns that this one has closed.
-    let _ = to.shutdown(Shutdown::Write);
+    // The other end learns that this one has closed, by a reset when the stream is dropped.
+    if !matches!(SockRef::from(&to).linger(), Ok(Some(_))) {
+        let _ = to.shutdown(Shutdown::Write);
+    }
 }
 
 fn note(parser: &mut FrameParser<MAX_MESSAGE_LEN>, bytes: &[u8], commands: &mut Vec<CommandId>) {
@@ -283,9 +297,9 @@ impl Station {
         self.trace().stall = Duration::ZERO;
     }
 
-    /// Returns whether the machine let the observer run since [`measure`](Self::measure). A time measured otherwise is the machine's.
-    pub(crate) fn was_quiet(&self) -> bool {
-        self.trace().stall < STALL
+    /// Returns the longest time for which the machine kept the observer from running since [`measure`](Self::measure).
+    pub(crate) fn stall(&self) -> Duration {
+        self.trace().stall
     }
 
     fn trace(&self) -> MutexGuard<'_, Trace> {

@@ -1,0 +1,74 @@
+//! A master of Modbus/TCP, for the register interface of a gripper or of a gateway.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use anyhow::{Result, anyhow, ensure};
+use wsg_fieldbus::{InputImage, OutputImage};
+
+/// Error of a request without an answer within the master's time-out.
+pub const LATE: &str = "no answer within the master's time-out";
+
+/// A connection of a master.
+#[derive(Debug)]
+pub struct Master(TcpStream);
+
+impl Master {
+    /// Connects a master with this time-out.
+    ///
+    /// # Errors
+    /// Returns the error of the socket.
+    pub fn connect(server: SocketAddr, timeout: Duration) -> io::Result<Self> {
+        let stream = TcpStream::connect(server)?;
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(timeout))?;
+        Ok(Self(stream))
+    }
+
+    /// Sends a request to registers 0 to 3.
+    ///
+    /// # Errors
+    /// Returns the error of the socket.
+    pub fn send(&mut self, image: OutputImage) -> io::Result<()> {
+        self.request(&[&[16, 0, 0, 0, 4, 8][..], &image.to_bytes()].concat())
+    }
+
+    fn request(&mut self, pdu: &[u8]) -> io::Result<()> {
+        self.0.write_all(&[&[0, 1, 0, 0, 0, pdu.len() as u8 + 1, 0xFF], pdu].concat())
+    }
+
+    /// Returns the PDU of the next answer.
+    ///
+    /// # Errors
+    /// The answer is an exception, or there is none: [`LATE`], or the error of the socket.
+    pub fn answer(&mut self) -> Result<Vec<u8>> {
+        let mut head = [0; 7];
+        self.0.read_exact(&mut head).map_err(|error| match error.kind() {
+            ErrorKind::WouldBlock | ErrorKind::TimedOut => anyhow!(LATE),
+            _ => error.into(),
+        })?;
+        let mut pdu = vec![0; usize::from(head[5]) - 1];
+        self.0.read_exact(&mut pdu)?;
+        ensure!(pdu[0] & 0x80 == 0, "exception {:02X}", pdu[1]);
+        Ok(pdu)
+    }
+
+    /// Writes the output image.
+    ///
+    /// # Errors
+    /// The same as [`answer`](Self::answer).
+    pub fn write(&mut self, image: OutputImage) -> Result<()> {
+        self.send(image)?;
+        self.answer().map(drop)
+    }
+
+    /// Reads the input image.
+    ///
+    /// # Errors
+    /// The same as [`answer`](Self::answer).
+    pub fn read(&mut self) -> Result<InputImage> {
+        self.request(&[4, 0, 0, 0, 6])?;
+        Ok(InputImage::from_bytes(self.answer()?[2..].try_into()?))
+    }
+}
