@@ -7,12 +7,13 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail, ensure};
 use host_tests::ethernetip::{Scanner, discard, own_address};
 use host_tests::gateway::Gateway;
+use host_tests::modbus_tcp::LATE;
 use wsg_fieldbus::{InputImage, OutputImage};
 use wsg_protocol::Status;
 use wsg_sim::Config;
 use wsg_sim::server::{EthernetIpLine, Lines, ServerThread};
 
-use crate::fieldbus::{LATE, Registers, master};
+use crate::fieldbus::{Registers, master};
 use crate::process::Masters;
 use crate::station::{self, Line, Station, Way};
 use crate::surface::Surface;

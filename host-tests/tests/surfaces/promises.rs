@@ -57,7 +57,7 @@ pub(crate) fn judge(entry: &Entry, promise: fn(&Entry)) {
 
 /// Fails because something possible was refused or did not happen.
 fn fail(station: &Station, why: String) -> ! {
-    if station.was_quiet() { panic!("{why}") } else { resume_unwind(Box::new(Disturbed(why))) }
+    if station.stall() < STALL { panic!("{why}") } else { resume_unwind(Box::new(Disturbed(why))) }
 }
 
 /// A surface with its gripper, referenced and wide open.
