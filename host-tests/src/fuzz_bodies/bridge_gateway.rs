@@ -17,6 +17,7 @@ use wsg_bridge_fw::plc::{ModbusTcp, TcpInput};
 use wsg_bridge_fw::storage::Page;
 use wsg_bridge_fw::{Config, ControlSource, Station};
 use wsg_fieldbus::{CommandFlags, SilenceReaction};
+use wsg_protocol::Instant;
 
 use super::bridge::{SAVE_MS, settings_pdu, start};
 use super::frames::repair_checksums;
@@ -254,10 +255,12 @@ impl WholeBridge for Model {
                         self.ends.now_ms += LONGEST_PAUSE_MS + ms;
                         self.run(Event::Paused);
                     }
-                    // The next turn is late, which delays the repetitions of a query.
+                    // The next turn is late, which delays the repetitions of a query. It sends a whole burst of FAST STOPs, which one
+                    // fault can lose.
                     1 => {
                         self.ends.now_ms += ms;
                         self.ends.promises.levels.max_silence_ms += ms;
+                        self.ends.gripper.reach.recover(Instant::from_millis(self.ends.now_ms));
                     }
                     2 => self.lose_gripper(ms, how & 4 != 0),
                     _ => self.disconnect(master),
