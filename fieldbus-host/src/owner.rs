@@ -8,12 +8,12 @@ use wsg_fieldbus::{InputImage, OutputImage};
 
 /// The owner of the image, which the device serves to its controller.
 pub trait Owner {
-    /// Returns the inputs, whose system state has the faults, or `None` while there are none. The controller then gets bad inputs
-    /// and no change of the faults, or on EtherNet/IP an error.
+    /// Returns the inputs, or `None` without valid ones. Faults are in their system state. Without inputs, a PROFINET controller
+    /// receives bad inputs and its diagnosis does not change, and an EtherNet/IP scanner receives an error.
     fn inputs(&self) -> Option<InputImage>;
 
-    /// Takes outputs, changed or not, and the last ones `before` them. Without such, they are the first since the controller
-    /// enabled its outputs: a flag that is set in them is no edge.
+    /// Takes outputs, changed or not. `before` has the previous ones, or is `None` for the first outputs after the controller
+    /// enabled them: a set flag is then no edge.
     fn take_outputs(&self, outputs: &OutputImage, before: Option<&OutputImage>);
 
     /// Handles the end of the outputs: the controller is silent, has stopped or has left.

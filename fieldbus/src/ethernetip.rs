@@ -9,7 +9,8 @@ use wsg_protocol::types::{Status, SystemFlags};
 /// An EtherNet/IP adapter with both images.
 pub type Device = bus_ethernetip::Device<{ OutputImage::LEN }, { InputImage::LEN }>;
 
-/// The gripper's profile. ODVA has assigned no vendor number: 0 equals no key but that of 0, which accepts every device.
+/// The gripper's profile. ODVA has assigned no vendor number. With 0, the only matching keys have vendor 0, which accepts any
+/// vendor.
 /// Each image is one assembly, so an edge and its values are never separated.
 ///
 /// The class of the registers has an instance for each Modbus function that reads registers: 3 (holding registers) and 4

@@ -41,7 +41,7 @@ impl Master {
     /// Returns the PDU of the next answer.
     ///
     /// # Errors
-    /// The answer is an exception, or there is none: [`LATE`], or the error of the socket.
+    /// Returns an error if the answer is an exception, [`LATE`] without an answer in time, or the error of the socket.
     pub fn answer(&mut self) -> Result<Vec<u8>> {
         let mut head = [0; 7];
         self.0.read_exact(&mut head).map_err(|error| match error.kind() {

@@ -47,7 +47,7 @@ const MIN_KBIT: u16 = 125;
     disable_help_subcommand = true
 )]
 #[command(override_usage = "\
-wsg gateway --gripper <ADDRESS> <--modbus <ADDR>|--profinet <INTERFACE>> [--settings <FILE>]
+wsg gateway --gripper <ADDRESS> <--modbus <ADDR>|--profinet <INTERFACE>|--ethernetip <ADDR>> [--settings <FILE>]
        wsg gateway --config <FILE> [--check-config]
        wsg gateway status [--json] <ADDR>...")]
 pub(crate) struct Arguments {
@@ -64,7 +64,7 @@ enum Task {
     Status(status::Arguments),
 }
 
-/// What to serve.
+/// Grippers to serve, from options or from a file.
 #[derive(Args)]
 #[command(group = ArgGroup::new("grippers").required(true).args(["gripper", "config"]))]
 #[command(group = ArgGroup::new("plc").required(true).multiple(true).args(["modbus", "profinet", "ethernetip", "config"]))]
@@ -256,8 +256,8 @@ impl Served {
         self.together(|gateway| async move { gateway.end().await }).await
     }
 
-    /// Runs a future for each gripper, all at the same time, until all have ended. A panic ends the process, so that the grippers
-    /// enter FAST STOP.
+    /// Runs a future for each gripper, all at the same time, until all have ended. A panic ends the process, so that grippers on
+    /// TCP enter FAST STOP.
     async fn together<F: Future<Output = ()> + 'static>(&self, run: impl Fn(Rc<Gateway>) -> F) -> Result<()> {
         let mut tasks = JoinSet::new();
         for (_, gateway) in &self.grippers {

@@ -113,8 +113,8 @@ fn print_error(what: impl Display) {
     print_message(Severity::Error, what);
 }
 
-/// Prints a message on standard error, in one line: it may contain text from outside, such as a topic or a file name. If nothing reads
-/// it, it is lost.
+/// Prints a message on standard error, in one line: it may contain text from outside, such as a topic or a file name. Write
+/// errors are ignored.
 fn print_message(severity: Severity, what: impl Display) {
     let prefix = if stderr_is_journal() { format!("<{}>", severity as u8) } else { String::new() };
     let _ = writeln!(io::stderr(), "{prefix}wsg: {}", one_line(&what.to_string()));

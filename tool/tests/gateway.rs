@@ -894,7 +894,7 @@ mod service {
         filler.set_nonblocking(true).unwrap();
         filler.connect_addr(&manager.local_addr().unwrap()).unwrap();
         until("the socket is full", || filler.send(b"X=1").is_err());
-        // Meanwhile, the watchdog is due again and again.
+        // Meanwhile, the watchdog is due several times.
         for _ in 0..20 {
             until("a master is answered", || {
                 let mut master = TcpStream::connect(gateway.modbus).unwrap();

@@ -45,7 +45,7 @@ impl Reach {
         self.left = Some(now);
     }
 
-    /// Records that the gripper has entered FAST STOP by itself. It has not left it then.
+    /// Records that the gripper has entered FAST STOP by itself. The gripper has not left it yet.
     pub(crate) const fn enter_fast_stop(&mut self) {
         self.left = None;
     }

@@ -46,12 +46,12 @@ macro_rules! reports {
 }
 
 reports! { it:
-    1 "MASTERS" "Gateway/Masters" "" "connected Modbus/TCP masters, including the reader" it.masters as u128;
-    2 "MASTER_CONNECTIONS" "Gateway/Master Connections" "" "connections of masters since the start"
+    1 "MASTERS" "Gateway/Masters" "" "connected Modbus/TCP masters of the port, including the reader" it.masters as u128;
+    2 "MASTER_CONNECTIONS" "Gateway/Master Connections" "" "Modbus/TCP connections to the port since the start"
         it.master_connections.into();
     8 "PLC_ADDRESS" "Gateway/PLC Address" "" "IP address of the PLC, the master that wrote last, until it is silent; 0.0.0.0: a PROFINET controller"
         it.plc.as_ref().map_or(0, |plc| bits(plc.address));
-    2 "CYCLE_TIME" "Gateway/Cycle Time" "µs" "mean of the last 64 intervals between two writes of this PLC; 0: unknown"
+    2 "CYCLE_TIME" "Gateway/Cycle Time" "µs" "mean of the last intervals between two writes of this PLC, up to 64; 0: unknown"
         it.plc.as_ref().map_or(0, Plc::cycle);
     2 "JITTER" "Gateway/Jitter" "µs" "largest deviation of these intervals from their mean"
         it.plc.as_ref().map_or(0, Plc::jitter);
@@ -105,10 +105,10 @@ pub(crate) fn reported(registers: &[u16]) -> impl Iterator<Item = (&'static Repo
 /// What a gateway measures for its reports.
 #[derive(Debug, Default)]
 pub(crate) struct Measured {
-    /// These two are set before the reports are read.
+    /// This and the next field are set before the reports are read.
     pub(crate) masters: usize,
-    pub(crate) pauses: u32,
     pub(crate) master_connections: u32,
+    pub(crate) pauses: u32,
     pub(crate) gripper_connections: u32,
     pub(crate) longest_pause: Duration,
     plc: Option<Plc>,

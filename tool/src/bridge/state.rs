@@ -88,7 +88,7 @@ impl State {
         format!("{}, {width}, {force:.2} N; last command: {}", states.join(" "), image.status)
     }
 
-    /// Returns why a PLC cannot use the gripper now: there is none, or ERROR is high.
+    /// Returns why a PLC cannot use the gripper now: the gripper is not connected, or ERROR is high.
     pub(crate) fn fault(&self) -> Option<String> {
         match (self.report_words("GRIPPER_LINK").as_str(), self.report("ERROR_CAUSE")) {
             ("connected", 0) => None,

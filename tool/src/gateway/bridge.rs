@@ -107,8 +107,10 @@ struct Host {
 #[derive(Default)]
 pub(super) struct Masters {
     open: Vec<Rc<Activity>>,
-    /// Number of the next connection.
+    /// Number of the next master.
     next: u64,
+    /// Connections of Modbus/TCP since the start.
+    connections: u32,
     /// Number of the first connection that is served. Requests of earlier ones may be too old.
     first_served: u64,
     /// End of the last pause.
@@ -218,11 +220,11 @@ impl Gateway {
             self.note_cycle(address);
         }
         let (masters, measured) = (self.masters.borrow(), &mut self.host.borrow_mut().measured);
-        (measured.masters, measured.master_connections) = (masters.open.len(), masters.next as u32);
+        (measured.masters, measured.master_connections) = (masters.open.len(), masters.connections);
         measured.answer(pdu, response).unwrap_or(len)
     }
 
-    /// Returns whether this master is the PLC.
+    /// Returns whether this master is the PLC, or began the present jog.
     pub(super) fn is_plc(&self, master: u64) -> bool {
         self.host.borrow().modbus.is_plc(master)
     }
@@ -337,6 +339,7 @@ impl Masters {
             self.open.swap_remove(at).displace();
         }
         let (number, activity) = (self.number(), Rc::<Activity>::default());
+        self.connections = self.connections.saturating_add(1);
         self.open.push(Rc::clone(&activity));
         Some((number, activity))
     }
@@ -346,7 +349,7 @@ impl Masters {
         self.open.retain(|open| !Rc::ptr_eq(open, activity));
     }
 
-    /// Returns the number of the next connection.
+    /// Returns the number of the next master.
     const fn number(&mut self) -> u64 {
         self.next += 1;
         self.next - 1
@@ -481,8 +484,8 @@ pub(super) fn report(what: impl Display) {
     log(Severity::Warning, what);
 }
 
-/// Prints a message on standard error, in a thread: a reader that does not read must not hold the bridge, nor end a task. A message
-/// that finds no room is lost.
+/// Prints a message on standard error in a thread, so that a blocked standard error never delays a bridge or ends a task. Messages
+/// are discarded while the queue is full.
 fn log(severity: Severity, what: impl Display) {
     static MESSAGES: OnceLock<SyncSender<(Severity, String)>> = OnceLock::new();
     let messages = MESSAGES.get_or_init(|| {

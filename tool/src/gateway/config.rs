@@ -85,7 +85,7 @@ impl GripperConfig {
         self.modbus.is_some() && self.modbus == other.modbus && self.unit.is_some() && other.unit.is_some()
     }
 
-    /// Checks that the gripper has nothing that is another one's.
+    /// Checks that the grippers share no name, address, settings file, network interface, or port without units.
     fn check_apart(&self, other: &Self) -> Result<()> {
         let file = |it: &Self| it.settings.as_deref().and_then(|file| path::absolute(file).ok());
         let adapter = |it: &Self| it.ethernetip.map(|line| *line.address.ip());

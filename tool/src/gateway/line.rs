@@ -31,7 +31,7 @@ const CHUNK_LEN: usize = 1_500;
 /// Time-out of an attempt to connect to one address of the gripper.
 const CONNECT_TIME: Duration = Duration::from_secs(3);
 
-/// An open line, which holds nothing from before.
+/// An open line. A new one contains no bytes of an earlier one.
 pub(super) enum Stream {
     Tcp(TcpStream),
     Udp(UdpSocket, SocketAddr),

@@ -14,19 +14,22 @@ use bus_modbus::MAX_PDU_LEN;
 use wsg_fieldbus::{CommandFlags, Images, InputImage, OutputImage};
 use wsg_protocol::Instant;
 
+/// Number of cyclic buses beside Modbus/TCP, each with one master: PROFINET and EtherNet/IP.
+const CYCLIC_BUSES: usize = 2;
+
 /// The masters of Modbus/TCP, and the bridge's registers for them.
 #[derive(Clone, Debug)]
 pub struct ModbusTcp {
     images: Images,
-    /// FASTSTOP while the master of a cyclic bus holds it: no other master releases it.
-    held: CommandFlags,
+    /// The masters of cyclic buses that hold FASTSTOP: no other master releases it.
+    holders: [Option<u64>; CYCLIC_BUSES],
     /// The inputs of a cyclic bus.
     inputs: Option<InputImage>,
     /// The master that wrote the output image last, until it is silent.
     writer: Option<u64>,
     /// The master that began the present jog.
     jogger: Option<u64>,
-    /// Time of the last data of that master; `None` without one.
+    /// Time of the last data of `writer`; `None` without one.
     received_at: Option<Instant>,
 }
 
@@ -54,7 +57,7 @@ pub enum TcpInput<'a> {
         master: u64,
         /// The image.
         image: OutputImage,
-        /// The image before. `None` for the first one since the master enabled its outputs: it starts nothing.
+        /// The image before. `None` for the first one since the master enabled its outputs: it starts nothing, except FASTSTOP.
         before: Option<OutputImage>,
     },
     /// The master of a cyclic bus no longer provides outputs.
@@ -72,7 +75,7 @@ impl ModbusTcp {
     pub const fn new() -> Self {
         Self {
             images: Images::new(false),
-            held: CommandFlags::empty(),
+            holders: [None; CYCLIC_BUSES],
             inputs: None,
             writer: None,
             jogger: None,
@@ -97,7 +100,7 @@ impl ModbusTcp {
         [self.writer, self.jogger].contains(&Some(master))
     }
 
-    /// Returns whether there is a PLC: a master has written, and was not silent since.
+    /// Returns whether there is a PLC: a master has written, and has not been silent since.
     #[must_use]
     pub const fn has_plc(&self) -> bool {
         self.writer.is_some()
@@ -137,7 +140,7 @@ impl ModbusTcp {
         }
         let event = match written {
             _ if configured => PlcEvent::Configured,
-            Some(image) => PlcEvent::Output(OutputImage { flags: image.flags | self.held, ..image }),
+            Some(image) => self.output(image),
             None => PlcEvent::Served,
         };
         (event, len)
@@ -157,7 +160,7 @@ impl ModbusTcp {
             }
             return None;
         }
-        self.held = image.flags & CommandFlags::FASTSTOP;
+        self.hold(master, image.flags.contains(CommandFlags::FASTSTOP));
         if self.writer.is_some() {
             // A flag that is 0 in the shared image, and that this master does not raise now, would look like an edge.
             let held = before.map_or(CommandFlags::all(), |before| before.flags);
@@ -166,7 +169,26 @@ impl ModbusTcp {
         self.images.set_output(&image);
         self.note_writer(master, &image);
         self.received_at = Some(now);
-        Some(PlcEvent::Output(image))
+        Some(self.output(image))
+    }
+
+    /// Records whether the master of a cyclic bus holds FASTSTOP.
+    fn hold(&mut self, master: u64, holds: bool) {
+        for holder in &mut self.holders {
+            holder.take_if(|holder| *holder == master);
+        }
+        let free = self.holders.iter_mut().find(|holder| holder.is_none());
+        if let Some(free) = free.filter(|_| holds) {
+            *free = Some(master);
+        }
+    }
+
+    /// Returns the event of a written image, with FASTSTOP while another master holds it.
+    fn output(&self, mut image: OutputImage) -> PlcEvent {
+        if self.holders.iter().any(Option::is_some) {
+            image.flags |= CommandFlags::FASTSTOP;
+        }
+        PlcEvent::Output(image)
     }
 
     fn note_writer(&mut self, master: u64, image: &OutputImage) {
@@ -210,7 +232,7 @@ impl PlcSide for TcpTurn<'_> {
             }
             TcpInput::Image { master, image, before } => modbus.take(now, master, image, before),
             TcpInput::Left { master } => {
-                modbus.held = CommandFlags::empty();
+                modbus.hold(master, false);
                 modbus.is_plc(master).then(|| modbus.lose_plc())
             }
             TcpInput::Paused | TcpInput::Nothing => None,
@@ -350,6 +372,24 @@ mod tests {
         }
         assert_eq!(rig.turn(10, TcpInput::Left { master: 1 }), [], "the cyclic master is the PLC");
         assert_eq!(rig.turn(11, TcpInput::Left { master: 3 }), [SILENT]);
+    }
+
+    #[test]
+    fn no_other_cyclic_master_releases_a_fast_stop() {
+        let mut rig = Rig::new();
+        let (stop, none) = (CommandFlags::FASTSTOP, CommandFlags::empty());
+        let written = |rig: &mut Rig, now_ms, master, flags, width| {
+            let image = image(flags, width);
+            let events = rig.turn(now_ms, TcpInput::Image { master, image, before: None });
+            let [PlcEvent::Output(image)] = events[..] else { panic!("{events:?}") };
+            image.flags
+        };
+        assert_eq!(written(&mut rig, 0, 3, stop, 0), stop);
+        assert_eq!(written(&mut rig, 1, 4, none, 1), stop, "master 3 holds it");
+        assert_eq!(written(&mut rig, 2, 4, stop, 1), stop);
+        assert_eq!(written(&mut rig, 3, 3, none, 2), stop, "master 4 holds it");
+        rig.turn(4, TcpInput::Left { master: 4 });
+        assert_eq!(written(&mut rig, 5, 3, none, 3), none);
     }
 
     #[test]

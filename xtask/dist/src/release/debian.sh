@@ -22,7 +22,7 @@ done
 install -D -m 644 "$FILES/LICENCES.txt" $doc/copyright
 install -D -m 644 "$FILES/CHANGELOG.md" $doc/changelog
 # The help and the manual pages refer to these.
-for page in gateway gcl models registers simulator tool; do
+for page in ethernetip gateway gcl models registers simulator tool; do
     install -D -m 644 -t $doc/docs "$DOCS/$page.md"
 done
 install -D -m 644 -t tree/usr/lib/systemd/system "$SERVICE/wsg-gateway.service"
